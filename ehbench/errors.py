@@ -1,0 +1,69 @@
+"""The error tree. Every error a user can cause says what, where and what would be right."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class EhbenchError(Exception):
+    """Base of all errors that are the user's or the data's, never a bug.
+
+    The message is one sentence; ``file`` and ``line`` say where, ``hint`` what would be right.
+    ``exit_code`` is what the command line returns.
+    """
+
+    exit_code = 2
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        file: str | Path | None = None,
+        line: int | None = None,
+        hint: str | None = None,
+    ) -> None:
+        self.message = message
+        self.file = None if file is None else str(file)
+        self.line = line
+        self.hint = hint
+        super().__init__(str(self))
+
+    def __str__(self) -> str:
+        where = "" if self.file is None else self.file + (f":{self.line}" if self.line else "") + ": "
+        return where + self.message + (f" ({self.hint})" if self.hint else "")
+
+
+class InputError(EhbenchError):
+    """A file, key, value or command-line argument is wrong (exit 2)."""
+
+
+class UnitError(InputError):
+    """A unit is missing, unknown, of the wrong dimension, or makes the value implausible (exit 2)."""
+
+
+class LogError(InputError):
+    """A log or data file cannot be read as what it claims to be (exit 2)."""
+
+
+class InsufficientData(EhbenchError):
+    """The data are well formed but do not support the claim asked of them (exit 4)."""
+
+    exit_code = 4
+
+
+class ModelRejected(EhbenchError):
+    """A model failed its validation, or an unvalidated rig was used where a validated one is needed (exit 4)."""
+
+    exit_code = 4
+
+
+class SimulationError(EhbenchError):
+    """A simulation left the range in which its numbers mean anything (exit 5)."""
+
+    exit_code = 5
+
+
+class LimitStop(EhbenchError):
+    """A trial was stopped safely because a limit was reached (exit 5)."""
+
+    exit_code = 5

@@ -1,0 +1,204 @@
+"""A hydraulic cylinder: where its pins put it, what its chambers do, and where its stroke ends; compiled.
+
+Scalars in, scalars out; SI, gauge pressures, extension positive. ``flow_head`` goes into the head end, ``flow_rod``
+out of the rod end (thesis 2.4, 2.5). Head and rod are one chamber law called twice.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from ehbench.errors import InputError
+
+PINS, DIRECT = 0, 1
+
+CAVITATION_BAND = 0.9e5  # [Pa] above the floor, over which a chamber stops yielding to outflow
+VOLUME_MARGIN = 0.02  # share of a chamber's dead volume that is left at the least
+
+_kernel = njit(cache=True, nogil=True, error_model="numpy")
+
+
+@_kernel
+def linkage(kind, l_a, l_b, sign, phase, retracted, q):
+    """(x [m], lever ∂x/∂q [m/rad], ∂lever/∂q [m/rad²]) of a cylinder at joint angle q.
+
+    ``c² = l_A² + l_B² − 2 l_A l_B cos θ``, ``θ = sign·q + phase``, ``x = c − retracted``,
+    ``lever = sign·l_A l_B sin θ / c`` and ``∂lever/∂q = (l_A l_B cos θ − lever²)/c`` (SPEC 1, thesis Table 2.1).
+    The cylinder's force F drives the joint with lever·F, and ``v = lever·q̇``, ``a = lever·q̈ + ∂lever/∂q·q̇²``.
+
+    Args:
+        kind: PINS, or DIRECT for a slide, where x = q and the lever is 1 whatever the other arguments.
+        l_a, l_b: distances of the pins from the joint [m].
+        sign: ±1.
+        phase: φ [rad].
+        retracted: length from pin to pin at x = 0 [m].
+        q: joint angle [rad], or the slide's position [m].
+    """
+    if kind == DIRECT:
+        return q, 1.0, 0.0
+    theta = sign * q + phase
+    product, cosine = l_a * l_b, math.cos(theta)
+    # (l_A − l_B)² + 2 l_A l_B (1 − cos θ) keeps its digits where the pins nearly meet
+    half = math.sin(0.5 * theta)
+    c = math.sqrt((l_a - l_b) * (l_a - l_b) + 4.0 * product * half * half)
+    lever = sign * product * math.sin(theta) / c
+    return c - retracted, lever, (product * cosine - lever * lever) / c
+
+
+def joint_angle(kind, l_a, l_b, sign, phase, retracted, x):
+    """Joint angle q [rad] at stroke x [m], the inverse of `linkage` for 0 ≤ θ ≤ π; x scalar or array.
+
+    There the lever has the sign ``sign``. A machine that works with θ in −π…0 has −sign and −phase in this form.
+
+    Raises:
+        InputError: the pins cannot be that far apart, or that near.
+    """
+    x = np.asarray(x, dtype=float)
+    if kind == DIRECT:
+        return x[()]
+    c = x + retracted
+    low, high = abs(l_a - l_b), l_a + l_b
+    beyond = c[~((low <= c) & (c <= high))]  # ~ so that nan is refused too
+    if beyond.size:
+        raise InputError(
+            f"a cylinder {float(beyond.flat[0]) * 1e3:.1f} mm long from pin to pin does not fit its linkage",
+            hint=f"l_a {l_a * 1e3:g} mm and l_b {l_b * 1e3:g} mm allow {low * 1e3:g} to {high * 1e3:g} mm;"
+            " check l_a, l_b, retracted_length and stroke",
+        )
+    theta = 2.0 * np.arctan2(np.sqrt(c * c - low * low), np.sqrt(high * high - c * c))
+    return (sign * (theta - phase))[()]
+
+
+def joint_range(kind, l_a, l_b, sign, phase, retracted, stroke) -> tuple[float, float]:
+    """(q at x = 0, q at full stroke) [rad], or [m] of a slide.
+
+    Raises:
+        InputError: part of the stroke does not fit the linkage.
+    """
+    retracted_q, extended_q = joint_angle(kind, l_a, l_b, sign, phase, retracted, np.array([0.0, stroke]))
+    return float(retracted_q), float(extended_q)
+
+
+@_kernel
+def chamber_volume(dead_volume, displaced):
+    """Oil volume [m³] of a chamber: ``dead_volume + displaced``, at least VOLUME_MARGIN of the dead volume.
+
+    The guard only acts far outside of the stroke, and keeps a chamber's rate finite there.
+
+    Args:
+        dead_volume: volume at x = 0, hose included [m³].
+        displaced: +area·x at the head end, −area·x at the rod end [m³].
+    """
+    return max(dead_volume + displaced, VOLUME_MARGIN * dead_volume)
+
+
+@_kernel
+def chamber_rate(inflow, pressure, volume, bulk_modulus, floor):
+    """Rate of pressure [Pa/s] of one chamber: ``β_e/V · inflow``, held above the cavitation floor.
+
+    While more oil leaves than comes (inflow < 0), the rate is scaled by (p − floor)/CAVITATION_BAND where that is
+    below 1: pressure nears the floor exponentially, comes back to it from below, and rises at full stiffness at once
+    when inflow turns positive. Oil is conserved above the band. In it, oil is supplied as by an anti-cavitation
+    valve (`makeup_flow` says how much): the void leaves no memory, so a cavity needs no time to be refilled.
+    The fastest rate it adds is β_e·|inflow|/(V·CAVITATION_BAND) [1/s].
+
+    Args:
+        inflow: oil that comes in plus volume that is taken away by the piston [m³/s].
+        pressure: of the chamber [Pa].
+        volume: [m³].
+        bulk_modulus: β_e [Pa].
+        floor: cavitation pressure [Pa]; −inf switches the floor off.
+    """
+    return bulk_modulus / volume * (inflow + makeup_flow(inflow, pressure, floor))
+
+
+@_kernel
+def makeup_flow(inflow, pressure, floor):
+    """Oil [m³/s], ≥ 0, that the cavitation floor adds to a chamber; with it the oil balance closes."""
+    if inflow >= 0.0 or pressure >= floor + CAVITATION_BAND:
+        return 0.0
+    return -inflow * (1.0 - (pressure - floor) / CAVITATION_BAND)
+
+
+@_kernel
+def inflows(v, flow_head, flow_rod, p_head, p_rod, p_tank, area_head, area_rod, leak_internal, leak_head, leak_rod):
+    """What compresses the oil of (head, rod) [m³/s]: the right-hand sides of thesis 2.4 and 2.5.
+
+    ``−A1 v − C_tm (P1 − P2) − C_em1 (P1 − Pt) + Q1`` and ``+A2 v + C_tm (P1 − P2) − C_em2 (P2 − Pt) − Q2``.
+    """
+    across = leak_internal * (p_head - p_rod)
+    head = flow_head - area_head * v - across - leak_head * (p_head - p_tank)
+    rod = area_rod * v - flow_rod + across - leak_rod * (p_rod - p_tank)
+    return head, rod
+
+
+@_kernel
+def chamber_rates(
+    v,
+    flow_head,
+    flow_rod,
+    p_head,
+    p_rod,
+    p_tank,
+    bulk_head,
+    bulk_rod,
+    volume_head,
+    volume_rod,
+    area_head,
+    area_rod,
+    leak_internal,
+    leak_head,
+    leak_rod,
+    floor,
+):
+    """(ṗ_head, ṗ_rod) [Pa/s]: thesis 2.4 and 2.5 with the cavitation floor of `chamber_rate`.
+
+    Args:
+        v: cylinder speed [m/s].
+        flow_head, flow_rod: into the head end, out of the rod end [m³/s]; a relief valve's flow belongs in them.
+        p_head, p_rod, p_tank: [Pa].
+        bulk_head, bulk_rod: bulk modulus of the two chambers [Pa], equal unless it depends on pressure.
+        volume_head, volume_rod: present volumes, see `chamber_volume` [m³].
+        area_head, area_rod: [m²].
+        leak_internal, leak_head, leak_rod: C_tm head → rod, C_em1 and C_em2 to tank [m³/(s·Pa)].
+        floor: cavitation pressure [Pa].
+    """
+    head, rod = inflows(v, flow_head, flow_rod, p_head, p_rod, p_tank, area_head, area_rod, leak_internal, leak_head, leak_rod)
+    return chamber_rate(head, p_head, volume_head, bulk_head, floor), chamber_rate(rod, p_rod, volume_rod, bulk_rod, floor)
+
+
+@_kernel
+def relief_flow(pressure, relief_pressure, gain):
+    """Flow [m³/s] out of a relief valve: ``gain·max(0, p − p_relief)``.
+
+    Args:
+        pressure: upstream of the valve [Pa].
+        relief_pressure: where it opens [Pa]; inf for none.
+        gain: [m³/(s·Pa)]; rated flow over the rise in which it opens, for instance 30 L/min over 5 bar is 1e-9.
+            It adds a rate of gain·β_e/V [1/s] to the chamber.
+    """
+    return gain * (pressure - relief_pressure) if pressure > relief_pressure else 0.0
+
+
+@_kernel
+def end_stop(x, v, stroke, stiffness, dissipation):
+    """Force [N] of the end stops on the rod, extension positive: ≥ 0 at x < 0, ≤ 0 at x > stroke, else 0.
+
+    ``stiffness·δ·max(0, 1 + dissipation·δ̇)``, δ the depth into the stop (Hunt & Crossley 1975, exponent 1):
+    continuous at contact, never pulls, and takes energy on every bounce.
+
+    Args:
+        x, v: stroke and speed [m, m/s].
+        stroke: full stroke [m].
+        stiffness: [N/m].
+        dissipation: share of the elastic force that a closing speed of 1 m/s adds [s/m], ≥ 0; a slow bounce at
+            speed v returns with about (1 − (2/3)·dissipation·v)·v.
+    """
+    if x < 0.0:
+        return -stiffness * x * max(0.0, 1.0 - dissipation * v)
+    if x > stroke:
+        return stiffness * (stroke - x) * max(0.0, 1.0 + dissipation * v)
+    return 0.0

@@ -1,0 +1,338 @@
+"""TOML in: rigs and recipes, with errors that name file, line, key, value and the nearest valid key.
+
+Paths in a recipe are relative to the recipe. A rig or a flow map may be named by a file, by a run folder, or by
+the recipe that makes it: the workflow then makes it first if it is not there.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, field_validator, model_validator
+
+from ehbench.errors import InputError
+from ehbench.rig import Model, Rig, Value, _typed
+
+_HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(?:#.*)?$")
+_KEY = re.compile(r"""\s*((?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*'))*)\s*=""")
+
+
+class DataFile(Model):
+    """A log to use: its path, the payload carried (else what the log's own meta says), a window of its time, a note."""
+
+    path: str
+    payload: str | None = None
+    start: _typed("start") | None = None
+    stop: _typed("stop") | None = None
+    note: str = ""
+
+
+def _data_file(raw: Any) -> Any:
+    return {"path": raw} if isinstance(raw, str) else raw
+
+
+DataFiles = Annotated[tuple[Annotated[DataFile, BeforeValidator(_data_file)], ...], Field(min_length=1)]
+
+
+class Recipe(Model):
+    """What every recipe has. ``path`` is the recipe's own file; names of other files are relative to it."""
+
+    title: str = ""
+    note: str = ""
+    path: Path = Field(default=Path("recipe.toml"), exclude=True)
+
+    @property
+    def name(self) -> str:
+        """The recipe's name: its file's stem."""
+        return self.path.stem
+
+    def file(self, name: str) -> Path:
+        """A path of this recipe, as written in it, relative to its folder."""
+        return (self.path.parent / name).resolve()
+
+
+class CalibrationPoint(Model):
+    """A flow that a command is supposed to give, e.g. 2 gpm at 4 V, to be met within ``tolerance`` of that flow."""
+
+    command: _typed("command")
+    flow: _typed("flow")
+    tolerance: float = Field(default=0.1, gt=0, lt=1)
+
+
+class FlowMapRecipe(Recipe):
+    """Flowmeter readings to flow maps."""
+
+    stage: Literal["identify"]
+    what: Literal["flow_map"]
+    rig: str
+    data: Annotated[tuple[str, ...], Field(min_length=1)]
+    calibration: tuple[CalibrationPoint, ...] = ()
+    calibration_drop: _typed("pressure_drop") | None = None
+
+
+class HydraulicsRecipe(Recipe):
+    """Step logs to bulk modulus, damping, friction and whatever else ``parameters`` names."""
+
+    stage: Literal["identify"]
+    what: Literal["hydraulics"]
+    method: Literal["thesis", "output_error"] = "output_error"
+    rig: str
+    flow_maps: str | None = None
+    data: DataFiles
+    parameters: Annotated[tuple[str, ...], Field(min_length=1)]
+    start: dict[str, str] = {}
+    lower: dict[str, str] = {}
+    upper: dict[str, str] = {}
+    channels: tuple[str, ...] = ("qd", "p_head", "p_rod")
+    cutoff: _typed("frequency") | None = None
+    max_iterations: int = Field(default=30, ge=1, le=1000)
+    workers: int = Field(default=0, ge=0, le=256)
+
+
+class Thresholds(Model):
+    """What a model must reach on every held-out log to be accepted; a channel not named is only reported."""
+
+    fit_percent: dict[str, float] = {"qd": 50.0, "p_head": 30.0, "p_rod": 30.0}
+    natural_frequency_error: float = Field(default=0.15, gt=0)
+    whiteness: bool = False
+
+
+class ValidateRecipe(Recipe):
+    """An identified rig against logs it was not fitted to."""
+
+    stage: Literal["validate"]
+    rig: str
+    flow_maps: str | None = None
+    data: DataFiles
+    channels: tuple[str, ...] = ("q", "qd", "p_head", "p_rod")
+    thresholds: Thresholds = Thresholds()
+
+
+class Command(Model):
+    """An open-loop command to one valve. ``valve`` is ``<cylinder>.<valve>``.
+
+    kind ``step``: ``offset`` before ``start``, ``offset + amplitude`` from then to ``stop``. ``ramp``: linear from ``offset``
+    at ``start`` to ``offset + amplitude`` at ``stop``. ``sine``: amplitude at ``frequency``. ``multisine``: ``lines`` sines from
+    ``frequency`` to ``frequency_max`` with phases drawn from ``seed``, scaled to ``amplitude``. ``file``: a CSV log with the channel.
+    """
+
+    valve: str
+    kind: Literal["constant", "step", "ramp", "sine", "multisine", "file"]
+    offset: _typed("offset") = Value(0.0)
+    amplitude: _typed("amplitude") = Value(0.0)
+    start: _typed("start") = Value(0.0)
+    stop: _typed("stop") | None = None
+    frequency: _typed("frequency") | None = None
+    frequency_max: _typed("frequency") | None = None
+    lines: int = Field(default=20, ge=1, le=1000)
+    seed: int = 0
+    file: str | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> Command:
+        if self.kind in ("sine", "multisine") and self.frequency is None:
+            raise ValueError(f"a {self.kind} needs 'frequency'")
+        if self.kind == "multisine" and self.frequency_max is None:
+            raise ValueError("a multisine needs 'frequency_max'")
+        if self.kind == "ramp" and self.stop is None:
+            raise ValueError("a ramp needs 'stop'")
+        if self.kind == "file" and self.file is None:
+            raise ValueError("a file command needs 'file'")
+        return self
+
+
+class Limits(Model):
+    """Where a trial stops safely. Pressures are of every chamber; ``stroke_margin`` is kept at both ends of every stroke."""
+
+    pressure_max: _typed("pressure") | None = None
+    pressure_min: _typed("pressure") | None = None
+    stroke_margin: _typed("stroke") | None = None
+    speed_max: _typed("v") | None = None
+    command_max: _typed("command_max") | None = None
+
+    @field_validator("stroke_margin", mode="before")
+    @classmethod
+    def _margin(cls, raw: Any) -> Any:
+        return raw
+
+
+class TrialRecipe(Recipe):
+    """One trial on the model or on the virtual bench."""
+
+    stage: Literal["trial"]
+    rig: str
+    flow_maps: str | None = None
+    on: Literal["model", "bench"] = "model"
+    bench: str | None = None
+    payload: str | None = None
+    posture: dict[str, str] = {}
+    duration: _typed("duration")
+    rate: _typed("rate") = Value(1000.0)
+    step: _typed("step") = Value(5.0e-4)
+    seed: int = 0
+    command: tuple[Command, ...] = ()
+    limits: Limits = Limits()
+
+
+class Campaign(Recipe):
+    """Several recipes in order and one report over all of them."""
+
+    stage: Literal["campaign"]
+    recipes: Annotated[tuple[str, ...], Field(min_length=1)]
+    expected: dict[str, str] = {}
+
+
+_STAGES: dict[tuple[str, str | None], type[Recipe]] = {
+    ("identify", "flow_map"): FlowMapRecipe,
+    ("identify", "hydraulics"): HydraulicsRecipe,
+    ("validate", None): ValidateRecipe,
+    ("trial", None): TrialRecipe,
+    ("campaign", None): Campaign,
+}
+
+
+def line_of(text: str, location: tuple[Any, ...]) -> int | None:
+    """The line of a TOML text at which the key at ``location`` (names and list indices) stands, or its nearest parent."""
+    lines: dict[tuple[Any, ...], int] = {}
+    counts: dict[tuple[Any, ...], int] = {}
+    prefix: tuple[Any, ...] = ()
+
+    def words(dotted: str) -> list[str]:
+        return [part[1:-1] if part[:1] in "\"'" else part for part in re.findall(r'"[^"]*"|\'[^\']*\'|[A-Za-z0-9_-]+', dotted)]
+
+    for number, line in enumerate(text.splitlines(), 1):
+        if header := _HEADER.match(line):
+            path: tuple[Any, ...] = ()
+            parts = words(header[2])
+            for index, part in enumerate(parts):
+                path += (part,)
+                last = index == len(parts) - 1
+                if last and header[1] == "[[":
+                    counts[path] = counts.get(path, -1) + 1
+                if path in counts:
+                    path += (counts[path],)
+            for known in [key for key in counts if len(key) >= len(path) and key[: len(path)] == path and key != path[:-1]]:
+                del counts[known]
+            prefix = path
+            lines.setdefault(prefix, number)
+            if isinstance(prefix[-1], int):
+                lines.setdefault(prefix[:-1], number)
+        elif key := _KEY.match(line):
+            lines.setdefault(prefix + tuple(words(key[1])), number)
+    for size in range(len(location), 0, -1):
+        if location[:size] in lines:
+            return lines[location[:size]]
+    return None
+
+
+def read_toml(path: Path) -> tuple[dict[str, Any], str]:
+    """The table and the text of a TOML file.
+
+    Raises:
+        InputError: no such file, not UTF-8, or not TOML, with the line.
+    """
+    try:
+        text = path.read_bytes().decode("utf-8")
+    except FileNotFoundError:
+        near = get_close_matches(path.name, [p.name for p in path.parent.glob("*.toml")], 1) if path.parent.is_dir() else []
+        raise InputError("no such file", file=path, hint=f"did you mean '{near[0]}'?" if near else None) from None
+    except (UnicodeDecodeError, IsADirectoryError, PermissionError) as error:
+        raise InputError(f"cannot be read as a text file: {type(error).__name__}", file=path) from None
+    if not text.strip():
+        raise InputError("the file is empty", file=path)
+    try:
+        return tomllib.loads(text), text
+    except tomllib.TOMLDecodeError as error:
+        found = re.search(r"\(at line (\d+)", str(error))
+        reason = str(error).split(" (at ")[0]
+        raise InputError(f"not TOML: {reason}", file=path, line=int(found[1]) if found else None) from None
+
+
+def _validated(model: Any, table: dict[str, Any], text: str, path: Path) -> Any:
+    try:
+        return TypeAdapter(model).validate_python(table)
+    except ValidationError as error:
+        found = error.errors()
+        first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
+        location = tuple(part for part in first["loc"] if part not in ("chain", "slide"))
+        key = ".".join(str(part) for part in location) or "the file"
+        hint = None
+        if first["type"] == "extra_forbidden":
+            message = f"unknown key '{key}'"
+            valid = _valid_keys(model, first["loc"][:-1])
+            near = get_close_matches(str(location[-1]), valid, 1, 0.5)
+            hint = f"did you mean '{near[0]}'?" if near else ("valid keys: " + ", ".join(valid) if valid else None)
+        elif first["type"] == "missing":
+            message = f"'{key}' is missing"
+            location = location[:-1] or location
+        elif first["type"] == "value_error":
+            message = f"{key}: {first['ctx']['error']}"
+        else:
+            message = f"{key} = {first['input']!r}: {first['msg'][0].lower() + first['msg'][1:]}"
+        raise InputError(message, file=path, line=line_of(text, location), hint=hint) from None
+
+
+def _valid_keys(model: Any, location: tuple[Any, ...]) -> list[str]:
+    """Keys that the model at ``location`` takes, as the file spells them."""
+    from typing import get_args
+
+    def models(annotation: Any) -> list[Any]:
+        if isinstance(annotation, type) and issubclass(annotation, Model):
+            return [annotation]
+        return [found for part in get_args(annotation) for found in models(part)]
+
+    here = [model]
+    for part in location:
+        if isinstance(part, int) or part in ("chain", "slide"):
+            continue
+        deeper = []
+        for candidate in here:
+            for name, field in candidate.model_fields.items():
+                if part in (name, field.alias):
+                    deeper += models(field.annotation)
+        here = deeper or here
+    return sorted({field.alias or name for candidate in here for name, field in candidate.model_fields.items() if name != "path"})
+
+
+def load_rig(path: str | Path) -> Rig:
+    """The rig of a TOML file, or of a run folder that holds an identified rig (``rig.toml``).
+
+    Raises:
+        InputError: with file, line, key, value and the nearest valid key.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / "rig.toml"
+    table, text = read_toml(path)
+    return _validated(Rig, table, text, path)
+
+
+def load_recipe(path: str | Path) -> Recipe:
+    """The recipe of a TOML file, of the type its ``stage`` (and ``what``) names.
+
+    Raises:
+        InputError: with file, line, key, value and the nearest valid key.
+    """
+    path = Path(path)
+    table, text = read_toml(path)
+    stage, what = table.get("stage"), table.get("what")
+    kinds = sorted({s for s, _ in _STAGES})
+    if stage not in kinds:
+        reason = "'stage' is missing" if stage is None else f"unknown stage '{stage}'"
+        raise InputError(reason, file=path, line=line_of(text, ("stage",)), hint="stage is one of " + ", ".join(kinds))
+    model = _STAGES.get((stage, what)) or _STAGES.get((stage, None))
+    if model is None:
+        options = ", ".join(w for s, w in _STAGES if s == stage and w)
+        reason = "'what' is missing" if what is None else f"unknown what = '{what}'"
+        raise InputError(reason, file=path, line=line_of(text, ("what",)), hint="what is one of " + options)
+    return _validated(model, table, text, path).model_copy(update={"path": path.resolve()})
+
+
+def kind_of(path: Path) -> Literal["rig", "recipe"]:
+    """Whether a TOML file is a rig (has a mechanism) or a recipe (has a stage)."""
+    table, _ = read_toml(path)
+    return "recipe" if "stage" in table or "mechanism" not in table else "rig"

@@ -1,0 +1,67 @@
+"""Time series: what a log holds once it is in memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ehbench.errors import LogError
+from ehbench.quantities import quantity
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class Record:
+    """One recording on one time base.
+
+    ``t`` [s], shape (samples,), strictly increasing; the sample at t is the state at t, and a command at t acts
+    from t on. ``channels`` maps names such as ``boom.p_head`` to SI arrays of the same shape, in the log's order.
+    ``meta`` are the run's facts as text; ``attachments`` the files that travelled with the log; ``losses`` one
+    sentence for each thing a reader could not recover.
+    """
+
+    t: np.ndarray
+    channels: dict[str, np.ndarray]
+    meta: dict[str, str] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    losses: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, values in self.channels.items():
+            if values.shape != self.t.shape:
+                raise LogError(f"channel '{name}' has {values.shape[0]} samples, the time has {self.t.shape[0]}")
+            quantity(name)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """The SI array of a channel.
+
+        Raises:
+            LogError: no such channel; names those there are.
+        """
+        if name == "t":
+            return self.t
+        if name not in self.channels:
+            raise LogError(f"the log has no channel '{name}'", hint="it has " + ", ".join(self.channels))
+        return self.channels[name]
+
+    def __contains__(self, name: str) -> bool:
+        return name == "t" or name in self.channels
+
+    @property
+    def sample_time(self) -> float:
+        """Median time between samples [s]."""
+        return float(np.median(np.diff(self.t))) if self.t.size > 1 else float("nan")
+
+    def frame(self) -> pd.DataFrame:
+        """A pandas frame: column ``t`` and one SI column a channel; ``frame.attrs`` has ``units``, ``meta``, ``losses``."""
+        import pandas as pd
+
+        frame = pd.DataFrame({"t": self.t, **self.channels})
+        frame.attrs["units"] = {"t": "s", **{name: quantity(name).unit for name in self.channels}}
+        frame.attrs["meta"] = dict(self.meta)
+        frame.attrs["losses"] = list(self.losses)
+        return frame

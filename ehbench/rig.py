@@ -1,0 +1,550 @@
+"""The rig: every number of a machine with unit, source and uncertainty, checked when it enters.
+
+Nothing here knows a particular rig. A rig is a mechanism (a serial chain of revolute joints or a sliding mass),
+cylinders, the valves on each cylinder, and the supply. A valve is one command and its metering edges; an edge
+joins two of supply, tank, head and rod.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, field_validator, model_validator
+
+from ehbench import units
+from ehbench.errors import InputError, UnitError
+from ehbench.quantities import VOCABULARY, Quantity
+
+SURENESS = ("printed", "restored", "companion", "assumed", "datasheet", "identified")
+NODES = ("supply", "tank", "head", "rod")
+
+
+@dataclass(frozen=True)
+class Value:
+    """A number in SI (or a tuple of them) with where it came from.
+
+    ``sure`` is one of ``SURENESS``; ``source`` the words of the file; ``lower``, ``upper`` bounds and ``std`` the
+    standard error, all SI; ``text`` what the file said, kept so that a rig can be written back as it was read.
+    """
+
+    value: float | tuple[float, ...]
+    sure: str = "assumed"
+    source: str = ""
+    lower: float | None = None
+    upper: float | None = None
+    std: float | None = None
+    text: Any = None
+
+    def __float__(self) -> float:
+        return float(self.value)  # type: ignore[arg-type]
+
+
+def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
+    """A TOML value as a ``Value``: ``"1000 psi"``, a list of such, or ``{ value, source, sure, lower, upper, std }``.
+
+    Raises:
+        UnitError: no unit, wrong unit, implausible value, bounds that do not hold it.
+        InputError: a key that does not belong there.
+    """
+    if isinstance(raw, Value):
+        return raw
+    table = dict(raw) if isinstance(raw, Mapping) else {"value": raw}
+    unknown = set(table) - {"value", "source", "sure", "lower", "upper", "std", "note"}
+    if unknown:
+        raise InputError(
+            f"{row.name} has unknown key '{sorted(unknown)[0]}'", hint="a value takes value, source, sure, lower, upper, std, note"
+        )
+    if "value" not in table:
+        raise InputError(f"{row.name} has no 'value'")
+
+    def number(item: Any, what: str, check: bool = True) -> float:
+        if isinstance(item, bool) or not isinstance(item, (str, int, float)):
+            raise UnitError(f"{what} of {row.name} is {item!r}, not a number with a unit", hint=f'write "1.5 {row.display}"')
+        if not isinstance(item, str):
+            if row.unit != "dimensionless":
+                raise UnitError(f"{row.name} = {item} has no unit", hint=f'write "{item} {row.display}"')
+            return float(item)
+        bare = Quantity(row.name, row.symbol, row.unit, row.display, row.meaning)
+        result = units.parse(item, row if check else bare)
+        if not math.isfinite(result):
+            raise UnitError(f"{row.name} = {item} is not finite")
+        return result
+
+    raw_value = table["value"]
+    if count == 1:
+        value: float | tuple[float, ...] = number(raw_value, "the value")
+    else:
+        if not isinstance(raw_value, (list, tuple)) or len(raw_value) != count:
+            raise InputError(f"{row.name} takes a list of {count} values with units, not {raw_value!r}")
+        value = tuple(number(item, "an entry") for item in raw_value)
+    limits = {key: number(table[key], key, check=False) for key in ("lower", "upper", "std") if key in table}
+    if count == 1 and not limits.get("lower", -math.inf) <= value <= limits.get("upper", math.inf):
+        raise UnitError(f"{row.name} = {raw_value} lies outside its own bounds {table.get('lower')} to {table.get('upper')}")
+    source = str(table.get("source", ""))
+    first = source.replace(":", " ").replace(",", " ").split(" ")[0]
+    sure = table.get("sure", first if first in SURENESS else "assumed")
+    if sure not in SURENESS:
+        raise InputError(f"{row.name} is '{sure}'", hint="sure is one of " + ", ".join(SURENESS))
+    return Value(value=value, sure=sure, source=source, text=raw, **limits)
+
+
+def write_value(value: Value, row: Quantity) -> Any:
+    """A ``Value`` as TOML would hold it: its own text if it was read from a file, else SI with all digits."""
+    if value.text is not None:
+        return dict(value.text) if isinstance(value.text, Mapping) else value.text
+    unit = "" if row.unit == "dimensionless" else f" {row.unit}"
+
+    def show(number: float) -> str:
+        return f"{float(number)!r}{unit}"
+
+    table: dict[str, Any] = {"value": [show(v) for v in value.value] if isinstance(value.value, tuple) else show(value.value)}
+    table["sure"] = value.sure
+    if value.source:
+        table["source"] = value.source
+    for key in ("lower", "upper", "std"):
+        number = getattr(value, key)
+        if number is not None and math.isfinite(number):
+            table[key] = show(number)
+    return table
+
+
+def _typed(name: str, count: int = 1) -> Any:
+    row = VOCABULARY[name]
+
+    def validate(raw: Any) -> Value:
+        try:
+            return read_value(raw, row, count)
+        except InputError as error:
+            raise ValueError(str(error)) from None
+
+    return Annotated[Value, BeforeValidator(validate), PlainSerializer(lambda value: write_value(value, row)), row]
+
+
+class Model(BaseModel):
+    """Base of all file-backed models: frozen, no unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True, populate_by_name=True)
+
+
+class Joint(Model):
+    """A revolute joint and the link it carries; frame i sits at the end of link i (standard Denavit–Hartenberg)."""
+
+    name: str
+    dh_a: _typed("dh_a") = Value(0.0)
+    dh_d: _typed("dh_d") = Value(0.0)
+    dh_alpha: _typed("dh_alpha") = Value(0.0)
+    dh_theta: _typed("dh_theta") = Value(0.0)
+    mass: _typed("mass")
+    com: _typed("com", 3)
+    inertia: _typed("inertia", 6)
+    joint_damping: _typed("joint_damping") = Value(0.0)
+
+
+class Chain(Model):
+    """A serial chain of revolute joints, base first.
+
+    The first joint's axis z0 is vertical (pointing up), or horizontal with y0 pointing up.
+    """
+
+    kind: Literal["chain"]
+    first_axis: Literal["vertical", "horizontal"] = "vertical"
+    joint: tuple[Joint, ...] = Field(min_length=1)
+
+
+class Slide(Model):
+    """A mass on a slide, moved directly by one cylinder; ``incline`` is positive where extension goes uphill."""
+
+    kind: Literal["slide"]
+    name: str
+    mass: _typed("mass")
+    damping: _typed("damping") = Value(0.0)
+    incline: _typed("incline") = Value(0.0)
+
+
+class LinkLoad(Model):
+    """What a payload changes of one link (or of the slide); what is not named stays."""
+
+    mass: _typed("mass") | None = None
+    com: _typed("com", 3) | None = None
+    inertia: _typed("inertia", 6) | None = None
+
+
+class Pins(Model):
+    """Cylinder between two pins: c² = l_A² + l_B² − 2 l_A l_B cos θ, θ = sign·q + phase, x = c − retracted_length (SPEC 1)."""
+
+    l_a: _typed("l_a")
+    l_b: _typed("l_b")
+    retracted_length: _typed("retracted_length")
+    sign: Literal[1, -1] = 1
+    phase: _typed("phase") = Value(0.0)
+
+
+class Dynamics(Model):
+    """Second-order valve dynamics opening/command, as ω_n and ζ or as the denominator s2·s² + s1·s + 1."""
+
+    natural_frequency: _typed("natural_frequency") | None = None
+    damping_ratio: _typed("damping_ratio") | None = None
+    s2: _typed("s2") | None = None
+    s1: _typed("s1") | None = None
+    note: str = ""
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Dynamics:
+        pair = self.natural_frequency is not None and self.damping_ratio is not None
+        poly = self.s2 is not None and self.s1 is not None
+        given = sum(v is not None for v in (self.natural_frequency, self.damping_ratio, self.s2, self.s1))
+        if given != 2 or pair == poly:
+            raise ValueError("give natural_frequency and damping_ratio, or s2 and s1")
+        if poly and float(self.s2) <= 0:  # type: ignore[arg-type]
+            raise ValueError("s2 must be positive")
+        return self
+
+    def frequency_and_damping(self) -> tuple[float, float]:
+        """(ω_n [rad/s], ζ)."""
+        if self.natural_frequency is not None:
+            return float(self.natural_frequency), float(self.damping_ratio)  # type: ignore[arg-type]
+        omega = 1.0 / math.sqrt(float(self.s2))  # type: ignore[arg-type]
+        return omega, 0.5 * omega * float(self.s1)  # type: ignore[arg-type]
+
+
+class Edge(Model):
+    """One metering edge: flow from ``from`` to ``to`` when upstream pressure is higher.
+
+    law ``orifice``: Q = flow_gain·(opening − deadband)·√Δp. law ``compensated``: Q = compensated_gain·(opening − deadband),
+    reached over ``compensation_drop``. law ``map``: a measured flow map (``map`` names the file of an identify run).
+    ``sign`` −1 opens the edge on negative commands. ``reverse`` says what a reversed drop does: ``mirror`` or ``blocked``.
+    """
+
+    name: str | None = None
+    from_: Literal["supply", "tank", "head", "rod"] = Field(alias="from")
+    to: Literal["supply", "tank", "head", "rod"]
+    law: Literal["orifice", "compensated", "map"]
+    sign: Literal[1, -1] = 1
+    reverse: Literal["mirror", "blocked"] = "mirror"
+    deadband: _typed("deadband") = Value(0.0)
+    flow_gain: _typed("flow_gain") | None = None
+    compensated_gain: _typed("compensated_gain") | None = None
+    compensation_drop: _typed("compensation_drop") = Value(2.0e5)
+    map: str | None = None
+
+    @model_validator(mode="after")
+    def _law_is_whole(self) -> Edge:
+        if self.from_ == self.to:
+            raise ValueError(f"an edge joins two different nodes, not {self.to} with itself")
+        need = {"orifice": "flow_gain", "compensated": "compensated_gain", "map": "map"}[self.law]
+        if getattr(self, need) is None:
+            raise ValueError(f"law '{self.law}' needs '{need}'")
+        return self
+
+
+class Valve(Model):
+    """One command, its dynamics (a name in the rig's ``dynamics``, or none: opening follows at once) and its edges."""
+
+    name: str
+    title: str = ""
+    dynamics: str | None = None
+    command_min: _typed("command_min")
+    command_max: _typed("command_max")
+    edge: tuple[Edge, ...] = Field(min_length=1)
+    calibration: tuple[tuple[str, str], ...] = ()
+
+    @model_validator(mode="after")
+    def _range(self) -> Valve:
+        if float(self.command_min) >= float(self.command_max):
+            raise ValueError("command_min must lie below command_max")
+        if len(self.edge) > 1 and len({self.edge_name(e) for e in self.edge}) < len(self.edge):
+            raise ValueError(f"the edges of valve '{self.name}' need different names")
+        return self
+
+    def edge_name(self, edge: Edge) -> str:
+        """The name a flow map of this edge goes by: the edge's own, else the valve's (or valve_from_to with several)."""
+        if edge.name is not None:
+            return edge.name
+        return self.name if len(self.edge) == 1 else f"{self.name}_{edge.from_}_{edge.to}"
+
+    @property
+    def rest(self) -> float:
+        """The command [V] nearest to zero that the driver takes: the valve at rest."""
+        return min(max(0.0, float(self.command_min)), float(self.command_max))
+
+
+class Cylinder(Model):
+    """A cylinder, the joint it drives, its oil volumes, losses and valves. Areas, or bore and rod diameters."""
+
+    name: str
+    joint: str
+    area_head: _typed("area_head") | None = None
+    area_rod: _typed("area_rod") | None = None
+    bore: _typed("bore") | None = None
+    rod: _typed("rod") | None = None
+    stroke: _typed("stroke")
+    volume_head: _typed("volume_head")
+    volume_rod: _typed("volume_rod")
+    pins: Pins | None = None
+    bulk_modulus: _typed("bulk_modulus") | None = None
+    leakage_internal: _typed("leakage_internal") = Value(0.0)
+    leakage_head: _typed("leakage_head") = Value(0.0)
+    leakage_rod: _typed("leakage_rod") = Value(0.0)
+    friction_viscous: _typed("friction_viscous") = Value(0.0)
+    friction_coulomb: _typed("friction_coulomb") = Value(0.0)
+    relief_pressure: _typed("relief_pressure") | None = None
+    valve: tuple[Valve, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _areas(self) -> Cylinder:
+        by_area = self.area_head is not None and self.area_rod is not None
+        by_bore = self.bore is not None and self.rod is not None
+        if by_area == by_bore:
+            raise ValueError("give area_head and area_rod, or bore and rod")
+        head, rod = self.areas()
+        if not 0 < rod <= head:
+            raise ValueError("area_rod must be positive and not above area_head (head end = full-bore side)")
+        if float(self.volume_rod) <= rod * float(self.stroke):
+            raise ValueError(
+                f"volume_rod at x = 0 is {float(self.volume_rod):g} m^3, but the full stroke displaces {rod * float(self.stroke):g} m^3"
+            )
+        return self
+
+    def areas(self) -> tuple[float, float]:
+        """(area_head, area_rod) [m²]."""
+        if self.area_head is not None:
+            return float(self.area_head), float(self.area_rod)  # type: ignore[arg-type]
+        bore, rod = float(self.bore), float(self.rod)  # type: ignore[arg-type]
+        return math.pi / 4 * bore**2, math.pi / 4 * (bore**2 - rod**2)
+
+
+class Supply(Model):
+    """Constant-pressure supply: holds ``pressure`` up to ``flow_limit``, above which the pressure falls."""
+
+    pressure: _typed("pressure")
+    tank_pressure: _typed("tank_pressure") = Value(0.0)
+    flow_limit: _typed("flow_limit")
+    volume: _typed("volume") = Value(2.0e-3)
+
+
+class Oil(Model):
+    """The oil. ``bulk_modulus`` is effective: oil, entrained air and hose together."""
+
+    bulk_modulus: _typed("bulk_modulus")
+    cavitation_pressure: _typed("cavitation_pressure") = Value(-9.0e4)
+
+
+class Rig(Model):
+    """A whole machine, as its file gives it."""
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    title: str = ""
+    note: str = ""
+    display: dict[str, str] = {}
+    gravity: _typed("gravity") = Value(9.80665)
+    oil: Oil
+    supply: Supply
+    mechanism: Annotated[Chain | Slide, Field(discriminator="kind")]
+    cylinder: tuple[Cylinder, ...] = Field(min_length=1)
+    dynamics: dict[str, Dynamics] = {}
+    payload: dict[str, dict[str, LinkLoad]] = {}
+
+    @field_validator("display")
+    @classmethod
+    def _display_units(cls, display: dict[str, str]) -> dict[str, str]:
+        for name, unit in display.items():
+            if name not in VOCABULARY:
+                raise ValueError(f"display has no quantity '{name}'")
+            try:
+                units.to_si(1.0, unit, VOCABULARY[name])
+            except UnitError as error:
+                raise ValueError(str(error)) from None
+        return display
+
+    @model_validator(mode="after")
+    def _names_agree(self) -> Rig:
+        joints = self.joint_names
+        if len(set(joints)) < len(joints):
+            raise ValueError("two joints have the same name")
+        driven = [c.joint for c in self.cylinder]
+        names = [c.name for c in self.cylinder]
+        if len(set(driven)) < len(driven) or len(set(names)) < len(names):
+            raise ValueError("two cylinders have the same name or drive the same joint")
+        for cylinder in self.cylinder:
+            if cylinder.joint not in joints:
+                raise ValueError(f"cylinder '{cylinder.name}' drives joint '{cylinder.joint}', which is none of {', '.join(joints)}")
+            if (cylinder.pins is None) != (self.mechanism.kind == "slide"):
+                raise ValueError(f"cylinder '{cylinder.name}': a joint needs 'pins', a slide has none")
+            valves = [v.name for v in cylinder.valve]
+            if len(set(valves)) < len(valves):
+                raise ValueError(f"two valves of cylinder '{cylinder.name}' have the same name")
+            for valve in cylinder.valve:
+                if valve.dynamics is not None and valve.dynamics not in self.dynamics:
+                    raise ValueError(f"valve '{valve.name}' asks for dynamics '{valve.dynamics}'; there are {', '.join(self.dynamics) or 'none'}")
+        for load, links in self.payload.items():
+            for link in links:
+                if link not in joints:
+                    raise ValueError(f"payload '{load}' changes link '{link}', which is none of {', '.join(joints)}")
+        return self
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Joint names, base first (one name for a slide)."""
+        return (self.mechanism.name,) if isinstance(self.mechanism, Slide) else tuple(j.name for j in self.mechanism.joint)
+
+    def cylinder_named(self, name: str) -> Cylinder:
+        """The cylinder of that name.
+
+        Raises:
+            InputError: there is none; names those there are.
+        """
+        for cylinder in self.cylinder:
+            if cylinder.name == name:
+                return cylinder
+        raise InputError(f"rig '{self.name}' has no cylinder '{name}'", hint="it has " + ", ".join(c.name for c in self.cylinder))
+
+    def valves(self) -> Iterator[tuple[Cylinder, Valve]]:
+        """Every valve with its cylinder, in the order of the file: the order of all command vectors."""
+        for cylinder in self.cylinder:
+            for valve in cylinder.valve:
+                yield cylinder, valve
+
+    def edges(self) -> Iterator[tuple[Cylinder, Valve, Edge]]:
+        """Every metering edge with its valve and cylinder, in the order of the file."""
+        for cylinder, valve in self.valves():
+            for edge in valve.edge:
+                yield cylinder, valve, edge
+
+    def unit_of(self, name: str) -> str:
+        """The unit people see for a quantity or channel: the rig file's choice, else the vocabulary's."""
+        word = name.rsplit(".", 1)[-1]
+        return self.display.get(word) or self._display_like(word)
+
+    def _display_like(self, word: str) -> str:
+        row = VOCABULARY[word]
+        for other, unit in self.display.items():
+            if VOCABULARY[other].unit == row.unit and VOCABULARY[other].display == row.display:
+                return unit
+        return row.display
+
+    def with_payload(self, load: str | None) -> Rig:
+        """This rig carrying the named payload.
+
+        Raises:
+            InputError: no such payload; names those there are.
+        """
+        if load is None:
+            return self
+        if load not in self.payload:
+            raise InputError(f"rig '{self.name}' has no payload '{load}'", hint="it has " + (", ".join(self.payload) or "none"))
+        changes = self.payload[load]
+
+        def loaded(body: Any) -> Any:
+            change = changes.get(body.name)
+            if change is None:
+                return body
+            given = {key: getattr(change, key) for key in LinkLoad.model_fields if getattr(change, key) is not None}
+            return body.model_copy(update={k: v for k, v in given.items() if k in type(body).model_fields})
+
+        if isinstance(self.mechanism, Slide):
+            return self.model_copy(update={"mechanism": loaded(self.mechanism)})
+        joints = tuple(loaded(joint) for joint in self.mechanism.joint)
+        return self.model_copy(update={"mechanism": self.mechanism.model_copy(update={"joint": joints})})
+
+    def parameters(self) -> dict[str, Value]:
+        """Every scalar parameter by the name recipes use.
+
+        ``bulk_modulus``, ``supply.pressure``, ``<joint>.joint_damping``, ``<joint>.mass``, ``<cylinder>.leakage_internal``,
+        ``<dynamics>.natural_frequency`` (also where the file gives s1 and s2), ``<edge>.flow_gain`` and so on.
+        """
+        found: dict[str, Value] = {"gravity": self.gravity}
+        found |= {name: value for name, value in _scalars(self.oil)}
+        found |= {f"supply.{name}": value for name, value in _scalars(self.supply)}
+        bodies = [self.mechanism] if isinstance(self.mechanism, Slide) else list(self.mechanism.joint)
+        for body in bodies:
+            found |= {f"{body.name}.{name}": value for name, value in _scalars(body)}
+        for cylinder in self.cylinder:
+            found |= {f"{cylinder.name}.{name}": value for name, value in _scalars(cylinder)}
+            if cylinder.pins is not None:
+                found |= {f"{cylinder.name}.{name}": value for name, value in _scalars(cylinder.pins)}
+        for name, dynamics in self.dynamics.items():
+            found |= {f"{name}.{key}": value for key, value in _scalars(dynamics)}
+            if dynamics.natural_frequency is None:
+                omega, zeta = dynamics.frequency_and_damping()
+                found[f"{name}.natural_frequency"] = Value(omega, sure=dynamics.s2.sure, source=dynamics.s2.source)
+                found[f"{name}.damping_ratio"] = Value(zeta, sure=dynamics.s1.sure, source=dynamics.s1.source)
+        for cylinder, valve, edge in self.edges():
+            found |= {f"{cylinder.name}.{valve.edge_name(edge)}.{name}": value for name, value in _scalars(edge)}
+        return found
+
+    def with_values(self, values: Mapping[str, Value | float]) -> Rig:
+        """This rig with parameters replaced, addressed as in ``parameters``.
+
+        Raises:
+            InputError: no such parameter; names the nearest.
+        """
+        known = self.parameters()
+        for name in values:
+            if name not in known:
+                from difflib import get_close_matches
+
+                near = get_close_matches(name, known, 1)
+                raise InputError(f"rig '{self.name}' has no parameter '{name}'", hint=f"nearest is '{near[0]}'" if near else None)
+        new = {
+            name: value if isinstance(value, Value) else replace(known[name], value=float(value), text=None)
+            for name, value in values.items()
+        }
+
+        def own(prefix: str, model: Any) -> Any:
+            update = {key: new[prefix + key] for key in type(model).model_fields if prefix + key in new}
+            return model.model_copy(update=update) if update else model
+
+        def dynamics(name: str, model: Dynamics) -> Dynamics:
+            wanted = {k: new[f"{name}.{k}"] for k in Dynamics.model_fields if f"{name}.{k}" in new}
+            if not wanted:
+                return model
+            if model.natural_frequency is None and not {"s1", "s2"} & set(wanted):
+                omega, zeta = model.frequency_and_damping()
+                base = {"natural_frequency": Value(omega), "damping_ratio": Value(zeta), "note": model.note}
+                return Dynamics.model_construct(**({"s1": None, "s2": None} | base | wanted))
+            return model.model_copy(update=wanted)
+
+        def cylinder(model: Cylinder) -> Cylinder:
+            result = own(f"{model.name}.", model)
+            pins = None if model.pins is None else own(f"{model.name}.", model.pins)
+            valves = tuple(
+                valve.model_copy(
+                    update={"edge": tuple(own(f"{model.name}.{valve.edge_name(edge)}.", edge) for edge in valve.edge)}
+                )
+                for valve in model.valve
+            )
+            return result.model_copy(update={"pins": pins, "valve": valves})
+
+        mechanism = (
+            own(f"{self.mechanism.name}.", self.mechanism)
+            if isinstance(self.mechanism, Slide)
+            else self.mechanism.model_copy(update={"joint": tuple(own(f"{j.name}.", j) for j in self.mechanism.joint)})
+        )
+        return own("", self).model_copy(
+            update={
+                "oil": own("", self.oil),
+                "supply": own("supply.", self.supply),
+                "mechanism": mechanism,
+                "cylinder": tuple(cylinder(c) for c in self.cylinder),
+                "dynamics": {name: dynamics(name, model) for name, model in self.dynamics.items()},
+            }
+        )
+
+    def as_toml(self) -> dict[str, Any]:
+        """The rig as nested plain values that a TOML writer takes; reading them back gives the same rig."""
+        return self.model_dump(mode="python", by_alias=True, exclude_none=True, exclude_unset=False, exclude_defaults=True)
+
+
+def _scalars(model: BaseModel) -> Iterator[tuple[str, Value]]:
+    for name in type(model).model_fields:
+        value = getattr(model, name)
+        if isinstance(value, Value) and not isinstance(value.value, tuple):
+            yield name, value
+
+
+def parameter_row(name: str) -> Quantity:
+    """The vocabulary row of a parameter name such as ``boom.joint_damping``."""
+    return VOCABULARY[name.rsplit(".", 1)[-1]]

@@ -1,0 +1,189 @@
+"""Run folders: results in plain files, with every input named by its SHA-256.
+
+A run is written into a temporary folder beside its place and renamed when it is whole, so nothing half-written stays.
+``run.json`` holds only what the same inputs give again; what differs from run to run is in ``volatile.json``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from ehbench.errors import InputError
+
+PACKAGE = Path(__file__).resolve().parent
+_LIBRARIES = ("numpy", "scipy", "pandas", "numba", "matplotlib", "pydantic", "pint", "mcap", "control")
+
+
+def sha256(path: Path) -> str:
+    """SHA-256 of a file, or of a run folder's ``run.json``."""
+    target = path / "run.json" if path.is_dir() else path
+    return hashlib.sha256(target.read_bytes()).hexdigest()
+
+
+@lru_cache(maxsize=1)
+def code_version() -> str:
+    """SHA-256 over the package's own sources: changes whenever the code does."""
+    digest = hashlib.sha256()
+    for path in sorted(PACKAGE.rglob("*")):
+        if path.suffix in (".py", ".html", ".css", ".toml") and "__pycache__" not in path.parts:
+            digest.update(str(path.relative_to(PACKAGE)).encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
+
+
+@lru_cache(maxsize=1)
+def commit() -> str:
+    """The commit of the checkout the package runs from (``+changes`` when tracked files differ), or ``none``."""
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(PACKAGE), "describe", "--always", "--abbrev=12", "--dirty=+changes"],
+            capture_output=True, text=True, timeout=10, check=False,
+        )  # fmt: skip
+    except (OSError, subprocess.TimeoutExpired):
+        return "none"
+    return done.stdout.strip() or "none"
+
+
+def plain(value: Any) -> Any:
+    """``value`` as JSON can hold it: arrays as lists, numpy numbers as Python's, NaN and infinities as null."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [plain(item) for item in (sorted(value) if isinstance(value, (set, frozenset)) else value)]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Path):
+        return value.as_posix()
+    return value
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write ``value`` as JSON with stable bytes."""
+    path.write_text(json.dumps(plain(value), indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file of a run folder.
+
+    Raises:
+        InputError: not there or not JSON.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError("no such file", file=path, hint="is this a finished run folder of the right stage?") from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"not JSON: {error}", file=path) from None
+
+
+@dataclass
+class Run:
+    """A run being written: put files into ``path``; ``facts`` become part of ``run.json``."""
+
+    path: Path
+    final: Path
+    facts: dict[str, Any] = field(default_factory=dict)
+
+
+def run_hash(recipe: Path, inputs: Iterable[tuple[str, Path]]) -> str:
+    """Eight hex digits over recipe, inputs (role and content) and code version."""
+    digest = hashlib.sha256(sha256(recipe).encode() + code_version().encode())
+    for role, path in inputs:
+        digest.update(f"{role}:{sha256(path)}\n".encode())
+    return digest.hexdigest()[:8]
+
+
+def place(recipe: Path, inputs: Iterable[tuple[str, Path]], root: Path) -> Path:
+    """Where a recipe's run goes by default: ``<root>/<recipe>_<hash8>``."""
+    return root / f"{recipe.stem}_{run_hash(recipe, inputs)}"
+
+
+def is_whole(folder: Path) -> bool:
+    """Whether a run folder is there with every output as it was written."""
+    if not (folder / "run.json").is_file():
+        return False
+    outputs = read_json(folder / "run.json").get("outputs", {})
+    return all((folder / name).is_file() and sha256(folder / name) == digest for name, digest in outputs.items())
+
+
+@contextmanager
+def open_run(final: Path, stage: str, recipe: Path, inputs: Iterable[tuple[str, Path]], seeds: Mapping[str, int] | None = None):
+    """A ``Run`` whose folder becomes ``final`` when the block ends well; else nothing stays.
+
+    Raises:
+        InputError: ``final`` exists and is no run folder, so it is not replaced.
+    """
+    inputs = list(inputs)
+    if final.exists() and not (final / "run.json").is_file() and (not final.is_dir() or any(final.iterdir())):
+        raise InputError("exists and is no run folder; it is left as it is", file=final, hint="choose another --out")
+    final.parent.mkdir(parents=True, exist_ok=True)
+    scratch = final.parent / f".{final.name}.{os.getpid()}.part"
+    shutil.rmtree(scratch, ignore_errors=True)
+    scratch.mkdir()
+    run = Run(scratch, final)
+    began = time.time()
+    try:
+        yield run
+        outputs = {
+            path.relative_to(scratch).as_posix(): sha256(path) for path in sorted(scratch.rglob("*")) if path.is_file()
+        }
+        record = {
+            "stage": stage,
+            "name": recipe.stem,
+            "argv": ["ehbench", stage, recipe.name],
+            "hash": run_hash(recipe, inputs),
+            "recipe": {"path": recipe.name, "sha256": sha256(recipe)},
+            "inputs": [
+                {"role": role, "path": _relative(path, recipe.parent), "sha256": sha256(path)} for role, path in inputs
+            ],
+            "seeds": dict(seeds or {}),
+            "versions": {
+                "ehbench": metadata.version("ehbench"),
+                "python": platform.python_version(),
+                **{name: metadata.version(name) for name in _LIBRARIES},
+            },
+            "code_sha256": code_version(),
+            "commit": commit(),
+            **run.facts,
+            "outputs": outputs,
+        }
+        write_json(scratch / "run.json", record)
+        write_json(
+            scratch / "volatile.json",
+            {
+                "argv": sys.argv,
+                "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(began)),
+                "seconds": round(time.time() - began, 3),
+                "machine": platform.machine(),
+                "system": platform.system(),
+                "cores": os.cpu_count(),
+            },
+        )
+        if final.exists():
+            shutil.rmtree(final)
+        scratch.rename(final)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """A name for an input that is the same on every machine: its path from the recipe, or a run folder's own name."""
+    if path.is_dir():
+        return path.name
+    return Path(os.path.relpath(path, folder)).as_posix()

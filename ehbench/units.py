@@ -1,0 +1,111 @@
+"""Conversion between what people write and SI. Pressures are gauge; pint is imported only when a unit is met."""
+
+from __future__ import annotations
+
+import re
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+from ehbench.errors import UnitError
+from ehbench.quantities import Quantity
+
+if TYPE_CHECKING:
+    import pint
+
+_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*$", re.S)
+_ALIASES = {
+    "gpm": "gallon / minute",
+    "lpm": "liter / minute",
+    "in": "inch",
+    "cc": "cm**3",
+    "": "dimensionless",
+    "-": "dimensionless",
+    "1": "dimensionless",
+}
+
+
+@lru_cache(maxsize=1)
+def _registry() -> pint.UnitRegistry:
+    import pint
+
+    registry = pint.UnitRegistry(cache_folder=":auto:")
+    registry.define("lb_mass = pound = lbm")
+    return registry
+
+
+@lru_cache(maxsize=512)
+def _affine(unit: str, si: str) -> tuple[float, float]:
+    """(factor, offset) with value_si = factor·value + offset."""
+    import pint
+
+    registry = _registry()
+    text = unit.strip().replace("²", "**2").replace("³", "**3").replace("√Pa", "Pa**0.5").replace("·", "*").replace("°C", "degC")
+    text = re.sub(r"\b(gpm|lpm)\b", lambda m: f"({_ALIASES[m.group(1)]})", text)
+    text = _ALIASES.get(text, text)
+    try:
+        zero = registry.Quantity(0.0, text).to(si).magnitude
+        one = registry.Quantity(1.0, text).to(si).magnitude
+    except pint.DimensionalityError as error:
+        raise UnitError(f"'{unit}' cannot be turned into {si}") from error
+    except Exception as error:  # pint raises tokenizer, attribute and assertion errors on malformed text
+        raise UnitError(f"unknown unit '{unit}'") from error
+    return one - zero, zero
+
+
+def factor(unit: str, si: str) -> float:
+    """How many ``si`` one ``unit`` is, for units without offset."""
+    return _affine(unit, si)[0]
+
+
+def to_si(value, unit: str, row: Quantity):
+    """``value`` (number or array) in ``unit`` as SI of ``row``.
+
+    Raises:
+        UnitError: unknown unit or wrong dimension; says which units would be right.
+    """
+    if unit.strip() == row.unit:
+        return value
+    try:
+        scale, offset = _affine(unit, row.unit)
+    except UnitError as error:
+        raise UnitError(f"{error.message} for {row.name}", hint=f"{row.name} is in {row.unit}, {row.display} or the like") from None
+    return value * scale + offset if offset else value * scale
+
+
+def from_si(value, unit: str, row: Quantity):
+    """SI ``value`` of ``row`` in ``unit``."""
+    if unit == row.unit:
+        return value
+    scale, offset = _affine(unit, row.unit)
+    return (value - offset) / scale
+
+
+def parse(text: str, row: Quantity) -> float:
+    """``"1000 psi"`` as an SI number of ``row``, checked against the row's plausible range.
+
+    Raises:
+        UnitError: no number, no unit, wrong unit, or a value that is surely a slip.
+    """
+    match = _NUMBER.match(text)
+    if not match:
+        raise UnitError(f"'{text}' is no number with a unit for {row.name}", hint=f'write it like "1.5 {row.display}"')
+    number, unit = float(match[1]), match[2]
+    if not unit and row.unit != "dimensionless":
+        raise UnitError(f"'{text}' has no unit for {row.name}", hint=f'write it like "{match[1]} {row.display}"')
+    value = float(to_si(number, unit, row))
+    plausible(value, row, text)
+    return value
+
+
+def plausible(value: float, row: Quantity, shown: str) -> None:
+    """Refuse an SI value outside the row's range.
+
+    Raises:
+        UnitError: names the range in the row's display unit.
+    """
+    if not row.lower <= value <= row.upper:
+        low, high = (from_si(v, row.display, row) if abs(v) != float("inf") else v for v in (row.lower, row.upper))
+        raise UnitError(
+            f"{row.name} = {shown} lies outside {low:g} to {high:g} {row.display}",
+            hint="check the unit and the sign",
+        )

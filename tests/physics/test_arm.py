@@ -1,0 +1,233 @@
+"""The arm against MuJoCo, against its own energy, and against closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from ehbench.physics import arm
+
+G = 9.81
+GRAVITY = np.array([2.9, 7.3, -5.9])  # up is no axis of the base frame, so that no entry can be forgotten
+SIZES = (1, 2, 3, 6)
+
+
+def random_body(rng):
+    """Mass, centre of mass and a full, physically possible inertia tensor: that of six point masses."""
+    points, weights = rng.normal(scale=0.3, size=(6, 3)), rng.uniform(0.5, 3.0, 6)
+    com = weights @ points / weights.sum()
+    arms = points - com
+    inertia = sum(w * (r @ r * np.eye(3) - np.outer(r, r)) for w, r in zip(weights, arms, strict=True))
+    return weights.sum(), com, inertia
+
+
+def random_chain(n, rng):
+    """Rows of ``links``, and the numbers that went into them."""
+    given = [(*rng.uniform(-1, 1, 2), *rng.uniform(-3, 3, 2), *random_body(rng), rng.uniform(0, 5)) for _ in range(n)]
+    return np.array([arm.pack_link(*row) for row in given]), given
+
+
+def mujoco_model(given):
+    """The same chain in MuJoCo: bodies are link-end frames, with the joint where the link begins."""
+
+    def text(values):
+        return " ".join(repr(float(v)) for v in values)
+
+    body, close = "", ""
+    for a, d, alpha, theta, mass, com, j, damping in given:
+        c, s, ca, sa = math.cos(theta), math.sin(theta), math.cos(alpha), math.sin(alpha)
+        axes = (c, s, 0.0, -s * ca, c * ca, sa)
+        full = (j[0, 0], j[1, 1], j[2, 2], j[0, 1], j[0, 2], j[1, 2])
+        body += (
+            f'<body pos="{text((a * c, a * s, d))}" xyaxes="{text(axes)}">'
+            f'<joint type="hinge" pos="{text((-a, -d * sa, -d * ca))}" axis="{text((0, sa, ca))}" damping="{damping!r}"/>'
+            f'<inertial pos="{text(com)}" mass="{float(mass)!r}" fullinertia="{text(full)}"/>'
+        )
+        close += "</body>"
+    xml = f'<mujoco><compiler angle="radian"/><option gravity="{text(-GRAVITY)}"/><worldbody>{body}{close}</worldbody></mujoco>'
+    model = mujoco.MjModel.from_xml_string(xml)
+    return model, mujoco.MjData(model)
+
+
+def states(n, rng, count=20):
+    for _ in range(count):
+        yield rng.uniform(-math.pi, math.pi, n), rng.normal(scale=2.0, size=n), rng.normal(scale=100.0, size=n)
+
+
+def kernels(links):
+    """The kernels as functions that return new arrays."""
+    n, work = links.shape[0], np.full(arm.work_size(links.shape[0]), np.nan)
+    kind = arm.CHAIN
+
+    def bias(q, qd, gravity=GRAVITY):
+        arm.bias(kind, links, gravity, q, qd, out := np.empty(n), work)
+        return out
+
+    def mass(q):
+        arm.mass_matrix(kind, links, q, out := np.empty((n, n)), work)
+        return out
+
+    def forward(q, qd, torque):
+        arm.forward(kind, links, GRAVITY, q, qd, torque, out := np.empty(n), work)
+        return out
+
+    def weight(q):
+        arm.gravity_torque(kind, links, GRAVITY, q, out := np.empty(n), work)
+        return out
+
+    return bias, mass, forward, weight, lambda q, qd: arm.energy(kind, links, GRAVITY, q, qd, work)
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_agrees_with_mujoco(n):
+    rng = np.random.default_rng(n)
+    links, given = random_chain(n, rng)
+    model, data = mujoco_model(given)
+    bias, mass, forward, _, energy = kernels(links)
+    for q, qd, torque in states(n, rng):
+        data.qpos[:], data.qvel[:], data.qfrc_applied[:] = q, qd, torque
+        mujoco.mj_forward(model, data)
+        full = np.empty((n, n))
+        mujoco.mj_fullM(model, data, full)
+        # 1e-12 of the largest entry is a hundred roundings of the 400 sums and products of six joints
+        assert mass(q) == pytest.approx(full, rel=0, abs=1e-12 * np.abs(full).max())
+        expected = data.qfrc_bias - data.qfrc_passive
+        assert bias(q, qd) == pytest.approx(expected, rel=0, abs=1e-12 * (10 + np.abs(expected).max()))
+        # the acceleration may lose the digits that the condition of the mass matrix costs
+        slack = 1e-15 * np.linalg.cond(full) + 1e-12
+        assert forward(q, qd, torque) == pytest.approx(data.qacc, rel=0, abs=slack * np.abs(data.qacc).max())
+        assert arm.tip(arm.CHAIN, links, q) == pytest.approx(data.xpos[-1], rel=0, abs=1e-12)
+        mujoco.mj_energyPos(model, data)
+        mujoco.mj_energyVel(model, data)
+        assert energy(q, qd) == pytest.approx((data.energy[1], data.energy[0]), rel=0, abs=1e-12 * (10 + abs(data.energy).sum()))
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_mass_matrix_is_symmetric_and_positive_definite(n):
+    rng = np.random.default_rng(10 + n)
+    _, mass, _, _, _ = kernels(random_chain(n, rng)[0])
+    for q, _, _ in states(n, rng):
+        m = mass(q)
+        assert (m == m.T).all()
+        assert np.linalg.eigvalsh(m).min() > 0
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_forward_inverts_the_equation_of_motion(n):
+    rng = np.random.default_rng(20 + n)
+    bias, mass, forward, _, _ = kernels(random_chain(n, rng)[0])
+    for q, qd, torque in states(n, rng):
+        qdd = forward(q, qd, torque)
+        terms = np.abs(mass(q)) @ np.abs(qdd) + np.abs(bias(q, qd)) + np.abs(torque)
+        # backward error: rounding of the terms, whatever the condition of the mass matrix
+        assert (np.abs(mass(q) @ qdd + bias(q, qd) - torque) <= 1e-13 * terms.max()).all()
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_power_is_the_rate_of_energy(n):
+    """d(KE + PE)/dt along the motion is q̇·(τ − B q̇)."""
+    rng = np.random.default_rng(30 + n)
+    links, _ = random_chain(n, rng)
+    _, _, forward, _, energy = kernels(links)
+    for q, qd, torque in states(n, rng, 5):
+        qdd = forward(q, qd, torque)
+        scale = 1.0 / (np.abs(qd).max() + np.abs(qdd / qd).max())
+
+        def along(h, q=q, qd=qd, qdd=qdd):
+            return sum(energy(q + h * qd + 0.5 * h * h * qdd, qd + h * qdd))
+
+        # sixth-order central difference: with steps of 2 % of the state's time scale its error is below 1e-8
+        h = 0.02 * scale
+        rate = sum(w * (along(k * h) - along(-k * h)) for k, w in ((1, 45), (2, -9), (3, 1))) / (60 * h)
+        power = qd @ (torque - links[:, arm.DAMPING] * qd)
+        assert rate == pytest.approx(power, rel=0, abs=1e-7 * np.abs(qd) @ np.abs(torque))
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_kinetic_energy_is_the_mass_matrix_form(n):
+    rng = np.random.default_rng(40 + n)
+    _, mass, _, _, energy = kernels(random_chain(n, rng)[0])
+    for q, qd, _ in states(n, rng):
+        assert energy(q, qd)[0] == pytest.approx(0.5 * qd @ mass(q) @ qd, rel=1e-12)
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_gravity_torque_is_the_slope_of_potential_energy(n):
+    rng = np.random.default_rng(50 + n)
+    bias, _, _, weight, energy = kernels(random_chain(n, rng)[0])
+    rest = np.zeros(n)
+    for q, _, _ in states(n, rng):
+        h = 1e-4  # central difference: h² truncation 2e-9 of the slope, rounding 1e-12
+        step = h * np.eye(n)
+        slope = np.array([(energy(q + row, rest)[1] - energy(q - row, rest)[1]) / (2 * h) for row in step])
+        c = weight(q)
+        assert c == pytest.approx(slope, rel=0, abs=1e-8 * (1 + np.abs(c).max()))
+        assert c == pytest.approx(bias(q, rest), rel=0, abs=1e-13 * (1 + np.abs(c).max()) * n)
+
+
+def test_pendulum_by_hand():
+    """One link about a horizontal axis: D = I + m l², c = m g l cos q."""
+    # joint 1 turns about the vertical, so the pendulum is joint 2
+    links = np.array(
+        [
+            arm.pack_link(0, 0, math.pi / 2, 0, 1.0, (0, 0, 0), np.eye(3), 0.0),
+            arm.pack_link(2.0, 0, 0, 0, 3.0, (-0.5, 0, 0), np.diag([0.1, 0.2, 0.3]), 0.7),
+        ]
+    )
+    bias, mass, _, _, _ = kernels(links)
+    q, qd = np.array([0.3, 0.4]), np.array([0.0, 2.0])
+    assert mass(q)[1, 1] == pytest.approx(0.3 + 3.0 * 1.5**2, rel=1e-14)
+    assert bias(q, qd, np.array([0.0, 0.0, G]))[1] == pytest.approx(3.0 * G * 1.5 * math.cos(0.4) + 0.7 * 2.0, rel=1e-14)
+    end = 2.0 * math.cos(0.4) * math.cos(0.3), 2.0 * math.cos(0.4) * math.sin(0.3), 2.0 * math.sin(0.4)
+    assert arm.tip(arm.CHAIN, links, q) == pytest.approx(end, rel=1e-14)
+
+
+def test_prefix_of_the_rows_is_the_shorter_chain():
+    links, _ = random_chain(3, np.random.default_rng(1))
+    q = np.array([0.1, 0.2, 0.3])
+    end = np.array(arm.tip(arm.CHAIN, links, q))
+    before = np.array(arm.tip(arm.CHAIN, links[:2], q[:2]))
+    assert np.linalg.norm(end - before) == pytest.approx(math.hypot(links[2, arm.A], links[2, arm.D]), rel=1e-13)
+
+
+def test_slide_on_an_incline():
+    incline, m, b = 0.3, 20.0, 50.0
+    links = arm.pack_slide(m, b, incline)[None]
+    q, qd, force = np.array([0.4]), np.array([0.2]), np.array([100.0])
+    out, full, work = np.empty(1), np.empty((1, 1)), np.empty(arm.work_size(1))
+    weight = m * G * math.sin(incline)
+    arm.bias(arm.SLIDE, links, np.array([0.0, 0.0, G]), q, qd, out, work)
+    assert out[0] == pytest.approx(weight + b * 0.2, rel=1e-14)
+    arm.gravity_torque(arm.SLIDE, links, np.array([0.0, 0.0, G]), q, out, work)
+    assert out[0] == pytest.approx(weight, rel=1e-14)
+    arm.mass_matrix(arm.SLIDE, links, q, full, work)
+    assert full[0, 0] == m
+    arm.forward(arm.SLIDE, links, np.array([0.0, 0.0, G]), q, qd, force, out, work)
+    assert out[0] == pytest.approx((100.0 - weight - b * 0.2) / m, rel=1e-13)
+    assert arm.energy(arm.SLIDE, links, np.array([0.0, 0.0, G]), q, qd, work) == pytest.approx((0.5 * m * 0.2**2, weight * 0.4), rel=1e-14)
+    assert arm.tip(arm.SLIDE, links, q) == pytest.approx((0.4 * math.cos(incline), 0.0, 0.4 * math.sin(incline)), rel=1e-14)
+
+
+def test_acceleration_may_overwrite_the_torque():
+    rng = np.random.default_rng(60)
+    links, _ = random_chain(3, rng)
+    _, _, forward, _, _ = kernels(links)
+    q, qd, torque = next(states(3, rng))
+    expected, shared = forward(q, qd, torque), torque.copy()
+    arm.forward(arm.CHAIN, links, GRAVITY, q, qd, shared, shared, np.empty(arm.work_size(3)))
+    assert (shared == expected).all()
+
+
+def test_workspace_is_not_overrun():
+    rng = np.random.default_rng(61)
+    for n in SIZES:
+        links, _ = random_chain(n, rng)
+        work = np.full(arm.work_size(n) + 8, 7.0)
+        q, qd, torque = next(states(n, rng))
+        out = np.empty(n)
+        arm.forward(arm.CHAIN, links, GRAVITY, q, qd, torque, out, work[:-8])
+        arm.gravity_torque(arm.CHAIN, links, GRAVITY, q, out, work[:-8])
+        assert (work[-8:] == 7.0).all() and np.isfinite(out).all()

@@ -1,0 +1,251 @@
+"""Cylinder geometry, chambers, end stops and friction against closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from ehbench.errors import InputError
+from ehbench.physics import cylinder, friction
+
+# SPEC 1: (kind, l_A, l_B, sign, phase, retracted), stroke, joint range in degrees
+THESIS = {
+    "swing": ((cylinder.PINS, 0.70, 0.20, 1, math.radians(80.0), 0.55), 11 * 0.0254, (-44, 44)),
+    "boom": ((cylinder.PINS, 0.55, 0.25, 1, math.radians(95.5), 0.50), 10 * 0.0254, (-30, 42)),
+    "stick": ((cylinder.PINS, 0.70, 0.22, -1, 0.0, 0.55), 12 * 0.0254, (-40, -129)),
+}
+AREA_HEAD, AREA_ROD, BULK, FLOOR = 2.0268e-3, 1.0688e-3, 2.71e8, -0.9e5
+SLIDE = (cylinder.DIRECT, 0.0, 0.0, 1, 0.0, 0.0)
+THESIS_CASES = pytest.mark.parametrize(("geometry", "stroke", "degrees"), THESIS.values(), ids=THESIS)
+
+
+def rk4(rate, state, step, count):
+    """Fixed-step RK4 of an autonomous ``rate``; all states, shape (count + 1, len(state))."""
+    states = [np.asarray(state, dtype=float)]
+    for _ in range(count):
+        y = states[-1]
+        k1 = rate(y)
+        k2 = rate(y + 0.5 * step * k1)
+        k3 = rate(y + 0.5 * step * k2)
+        k4 = rate(y + step * k3)
+        states.append(y + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+    return np.array(states)
+
+
+@THESIS_CASES
+def test_joint_range_of_the_thesis(geometry, stroke, degrees):
+    ends = np.degrees(cylinder.joint_range(*geometry, stroke))
+    assert ends == pytest.approx(degrees, abs=0.5)  # SPEC prints whole degrees
+
+
+@THESIS_CASES
+def test_lever_and_its_slope_by_finite_difference(geometry, stroke, degrees):
+    h = 1e-5  # truncation h² = 1e-10 of the value, rounding 1e-16 / h = 1e-11
+    for q in np.linspace(*cylinder.joint_range(*geometry, stroke), 15):
+        below, here, above = (cylinder.linkage(*geometry, q + k * h) for k in (-1, 0, 1))
+        assert here[1] == pytest.approx((above[0] - below[0]) / (2 * h), abs=1e-9)
+        assert here[2] == pytest.approx((above[1] - below[1]) / (2 * h), abs=1e-9)
+        assert here[1] * geometry[3] > 0
+
+
+@THESIS_CASES
+def test_joint_angle_inverts_the_linkage(geometry, stroke, degrees):
+    x = np.linspace(0.0, stroke, 50)
+    q = cylinder.joint_angle(*geometry, x)
+    assert [cylinder.linkage(*geometry, value)[0] for value in q] == pytest.approx(x, abs=1e-14)
+    assert cylinder.joint_angle(*geometry, x[7]) == q[7]
+
+
+def test_linkage_by_hand():
+    """Pins 3 and 4 m from the joint at a right angle are 5 m apart."""
+    state = cylinder.linkage(cylinder.PINS, 3.0, 4.0, 1, math.pi / 2, 4.0, 0.0)
+    assert state == pytest.approx((1.0, 12 / 5, -(2.4**2) / 5), rel=1e-14)
+
+
+def test_linkage_and_joint_angle_at_the_dead_points():
+    geometry = (cylinder.PINS, 0.5, 0.3, 1, 0.0, 0.0)
+    assert cylinder.joint_angle(*geometry, 0.5 - 0.3) == 0.0
+    assert cylinder.joint_angle(*geometry, 0.5 + 0.3) == pytest.approx(math.pi, abs=1e-15)
+    assert cylinder.linkage(*geometry, 0.0)[:2] == pytest.approx((0.2, 0.0), abs=1e-15)
+
+
+@pytest.mark.parametrize("x", [-0.31, 0.41, math.nan])
+def test_a_stroke_out_of_reach_is_refused(x):
+    with pytest.raises(InputError, match="does not fit its linkage.*200 to 800 mm"):
+        cylinder.joint_angle(cylinder.PINS, 0.5, 0.3, 1, 0.0, 0.4, np.array([0.0, x]))
+
+
+def test_slide_is_moved_directly():
+    assert cylinder.linkage(*SLIDE, 0.3) == (0.3, 1.0, 0.0)
+    assert cylinder.joint_angle(*SLIDE, 0.3) == 0.3
+    assert cylinder.joint_range(*SLIDE, 0.5) == (0.0, 0.5)
+
+
+def rates(v=0.0, flow_head=0.0, flow_rod=0.0, p_head=1e6, p_rod=2e6, p_tank=1e5, leaks=(0.0, 0.0, 0.0), volumes=(4e-4, 9e-4)):
+    return cylinder.chamber_rates(
+        v, flow_head, flow_rod, p_head, p_rod, p_tank, BULK, BULK, *volumes, AREA_HEAD, AREA_ROD, *leaks, FLOOR
+    )
+
+
+def test_chamber_rates_term_by_term():
+    """Each term of thesis 2.4 and 2.5 alone."""
+    head, rod = BULK / 4e-4, BULK / 9e-4
+    c = 1e-12
+    assert rates(flow_head=1e-4) == pytest.approx((head * 1e-4, 0.0), rel=1e-14)
+    assert rates(flow_rod=1e-4) == pytest.approx((0.0, -rod * 1e-4), rel=1e-14)
+    assert rates(v=0.1) == pytest.approx((-head * AREA_HEAD * 0.1, rod * AREA_ROD * 0.1), rel=1e-14)
+    assert rates(leaks=(c, 0, 0)) == pytest.approx((head * c * 1e6, -rod * c * 1e6), rel=1e-14)
+    assert rates(leaks=(0, c, 0)) == pytest.approx((-head * c * 0.9e6, 0.0), rel=1e-14)
+    assert rates(leaks=(0, 0, c)) == pytest.approx((0.0, -rod * c * 1.9e6), rel=1e-14)
+
+
+def test_head_and_rod_mirror():
+    """Swap the ends, the areas and the directions: the two rates swap."""
+    c = (2e-12, 3e-12, 5e-12)
+    one = cylinder.chamber_rates(0.2, 1e-4, 3e-4, 1e6, 2e6, 1e5, 2e8, 3e8, 4e-4, 9e-4, AREA_HEAD, AREA_ROD, *c, FLOOR)
+    swapped = (c[0], c[2], c[1])
+    two = cylinder.chamber_rates(-0.2, -3e-4, -1e-4, 2e6, 1e6, 1e5, 3e8, 2e8, 9e-4, 4e-4, AREA_ROD, AREA_HEAD, *swapped, FLOOR)
+    assert two == pytest.approx(one[::-1], rel=1e-14)
+
+
+def test_chambers_conserve_oil():
+    """With no valve open and no leak to tank, head + rod oil is what the pistons displace, compressed: a closed form.
+
+    ``∫ dP V/β + ΔV = 0`` of each chamber gives ``P = P0 − β ln(V/V0)``.
+    """
+    v, x0, dead = 0.005, 0.1, (4e-4, 9e-4)
+
+    def volumes(x):
+        return cylinder.chamber_volume(dead[0], AREA_HEAD * x), cylinder.chamber_volume(dead[1], -AREA_ROD * x)
+
+    def rate(state):
+        return np.array([v, *rates(v=v, p_head=state[1], p_rod=state[2], volumes=volumes(state[0]))])
+
+    x, p_head, p_rod = rk4(rate, [x0, 2e7, 1e6], 1e-3, 1000)[-1]
+    before, after = volumes(x0), volumes(x)
+    # RK4 at 1e-3 of this smooth motion is exact to rounding of pressures near 2e7 Pa
+    assert p_head == pytest.approx(2e7 - BULK * math.log(after[0] / before[0]), rel=1e-9)
+    assert p_rod == pytest.approx(1e6 - BULK * math.log(after[1] / before[1]), rel=1e-9)
+
+
+def test_internal_leak_moves_oil_and_keeps_its_sum():
+    leaks, volumes = (1e-10, 0.0, 0.0), (4e-4, 9e-4)
+    path = rk4(lambda p: np.array(rates(p_head=p[0], p_rod=p[1], leaks=leaks, volumes=volumes)), [5e6, 1e6], 1e-3, 500)
+    oil = path @ np.array(volumes) / BULK
+    assert oil == pytest.approx(np.full(oil.shape, oil[0]), rel=1e-12)
+    fade = leaks[0] * BULK * (1 / volumes[0] + 1 / volumes[1])
+    # exponential decay of the difference; RK4 with λh = 0.1 is good to (λh)⁴/120 a unit of time
+    assert path[-1, 0] - path[-1, 1] == pytest.approx(4e6 * math.exp(-fade * 0.5), abs=4.0)
+
+
+def test_volume_guard_keeps_the_rate_finite():
+    assert cylinder.chamber_volume(9e-4, -AREA_ROD * 0.3) == 9e-4 - AREA_ROD * 0.3
+    assert cylinder.chamber_volume(9e-4, -AREA_ROD * 5.0) == cylinder.VOLUME_MARGIN * 9e-4
+
+
+@pytest.mark.parametrize("outflow", [1e-6, 1e-4, 5e-4])
+def test_cavitation_floor_holds(outflow):
+    """A chamber drained for half a second at up to 8 gpm stays at the floor, at the default step of 500 µs."""
+    volume = 4e-4  # the thesis's smallest chamber
+    path = rk4(lambda p: np.array([cylinder.chamber_rate(-outflow, p[0], volume, BULK, FLOOR)]), [2e5], 5e-4, 1000)[:, 0]
+    # a step may pass the kink at the top of the band, so allow 1 % of the band below the floor
+    assert path.min() >= FLOOR - 0.01 * cylinder.CAVITATION_BAND
+    assert (np.diff(path) <= 1e-9 * BULK).all()
+    if outflow >= 1e-4:
+        assert path[-1] == pytest.approx(FLOOR, abs=1.0)
+
+
+def test_cavitated_chamber_is_reversible():
+    rate = cylinder.chamber_rate
+    stiff = BULK / 4e-4 * 1e-5
+    assert rate(1e-5, FLOOR, 4e-4, BULK, FLOOR) == pytest.approx(stiff, rel=1e-14)
+    assert rate(-1e-5, FLOOR, 4e-4, BULK, FLOOR) == 0.0
+    assert rate(-1e-5, FLOOR - 1e4, 4e-4, BULK, FLOOR) > 0.0
+    assert rate(-1e-5, FLOOR + cylinder.CAVITATION_BAND, 4e-4, BULK, FLOOR) == pytest.approx(-stiff, rel=1e-14)
+    assert rate(-1e-5, -1e9, 4e-4, BULK, -math.inf) == pytest.approx(-stiff, rel=1e-14)
+
+
+def test_cavitation_rate_is_continuous():
+    """In pressure over the top of the band and in flow through zero, so that RK4 meets kinks but no jumps."""
+    top = FLOOR + cylinder.CAVITATION_BAND
+    for p, flow in ((top, -1e-4), (FLOOR, -1e-4), (FLOOR + 1e4, 0.0)):
+        values = [cylinder.chamber_rate(flow + df, p + dp, 4e-4, BULK, FLOOR) for dp in (-1e-3, 1e-3) for df in (-1e-13, 1e-13)]
+        # 2e-3 Pa of 0.9e5 Pa of the full rate 6.8e7 Pa/s, and 2e-13 m³/s of β/V = 6.8e11
+        assert max(values) - min(values) <= 2e-3 / 0.9e5 * 6.8e7 + 2e-13 * 6.8e11
+
+
+def test_oil_balance_closes_with_the_makeup_flow():
+    def rate(state):
+        inflow = -3e-5 * math.cos(40.0 * state[2])
+        made = cylinder.makeup_flow(inflow, state[0], FLOOR)
+        return np.array([cylinder.chamber_rate(inflow, state[0], 4e-4, BULK, FLOOR), made, 1.0, inflow])
+
+    p, made, _, inflow = rk4(rate, [0.0, 0.0, 0.0, 0.0], 1e-4, 2000)[-1]
+    assert made > 1e-8
+    assert p * 4e-4 / BULK == pytest.approx(made + inflow, rel=0, abs=1e-12 * made)
+
+
+def test_relief_opens_one_way():
+    assert cylinder.relief_flow(99e5, 100e5, 1e-9) == 0.0
+    assert cylinder.relief_flow(105e5, 100e5, 1e-9) == pytest.approx(5e-4, rel=1e-12)
+    assert cylinder.relief_flow(1e12, math.inf, 1e-9) == 0.0
+
+
+def test_end_stop_never_pulls_and_is_continuous():
+    rng = np.random.default_rng(0)
+    stroke, k, d = 0.254, 1e8, 5.0
+    for x, v in zip(rng.uniform(-0.02, stroke + 0.02, 2000), rng.normal(scale=1.0, size=2000), strict=True):
+        force = cylinder.end_stop(x, v, stroke, k, d)
+        if x < 0:
+            assert force >= 0
+        elif x > stroke:
+            assert force <= 0
+        else:
+            assert force == 0
+        # the other end is the mirror image; x and stroke − x differ by a rounding of the stroke
+        assert cylinder.end_stop(stroke - x, -v, stroke, k, d) == pytest.approx(-force, rel=1e-9, abs=k * 1e-15)
+    assert cylinder.end_stop(-1e-3, 0.0, stroke, k, d) == pytest.approx(1e5, rel=1e-14)
+    assert cylinder.end_stop(-1e-12, -3.0, stroke, k, d) == pytest.approx(0.0, abs=k * 1e-12 * 16)
+
+
+def test_bounce_loses_what_the_dissipation_says():
+    """Restitution 1 − (2/3) d v for small d v (Hunt & Crossley)."""
+    mass, k, d, v0 = 500.0, 1e7, 0.5, -0.1
+
+    def rate(state):
+        return np.array([state[1], cylinder.end_stop(state[0], state[1], 0.3, k, d) / mass])
+
+    path = rk4(rate, [0.0, v0], 1e-5, 3000)
+    assert path[-1, 0] > 0
+    # the next term of the series is of order (d v)² = 2.5e-3
+    assert path[-1, 1] / -v0 == pytest.approx(1 - 2 / 3 * d * -v0, abs=2.5e-3)
+
+
+LAWS = {
+    "coulomb_viscous": lambda v: friction.coulomb_viscous(v, 800.0, 150.0, 2e-3),
+    "stribeck": lambda v: friction.stribeck(v, 800.0, 150.0, 260.0, 0.02, 2e-3),
+}
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_friction_is_odd_and_dissipates(law):
+    for v in np.concatenate((np.geomspace(1e-9, 1e3, 60), [0.0])):
+        assert law(-v) == -law(v)
+        assert v * law(v) >= 0
+    assert law(0.0) == 0.0
+
+
+def test_friction_limits():
+    stribeck, plain = LAWS["stribeck"], LAWS["coulomb_viscous"]
+    assert plain(1.0) == pytest.approx(950.0, rel=1e-14)
+    assert stribeck(1.0) == pytest.approx(950.0, rel=1e-14)
+    assert plain(1e-9) == pytest.approx((800.0 + 150.0 / 2e-3) * 1e-9, rel=1e-9)
+    speeds = np.linspace(0.0, 0.1, 1001)
+    curve = np.array([stribeck(v) for v in speeds])
+    peak = curve.argmax() if curve.argmax() < 400 else curve[:400].argmax()
+    # the smoothing takes a few per cent off the peak; beyond it the curve falls before viscosity takes over
+    assert 0.9 * 260 < curve[peak] < 260 + 800 * speeds[peak]
+    assert curve[speeds > speeds[peak]].min() < curve[peak] - 50
+    assert friction.stribeck(0.05, 800.0, 150.0, 150.0, 0.02, 2e-3) == pytest.approx(plain(0.05), rel=1e-14)
