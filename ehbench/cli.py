@@ -1,0 +1,161 @@
+"""The command line: parse, call one workflow function, print where the result lies, return the exit code."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ehbench.errors import EhbenchError
+
+app = typer.Typer(
+    name="ehbench",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="""Workbench for electrohydraulic test rigs: flowmeter readings and step logs in; flow maps, bulk modulus and
+damping with error bars, a judged model and a report out.
+
+Exit codes: 0 done, 1 a bug, 2 usage or a bad file, 3 finished with data loss, 4 model rejected or data not sufficient,
+5 a trial stopped on a limit.""",
+    epilog="Example:  ehbench reproduce thesis",
+)
+
+Out = Annotated[Path | None, typer.Option("--out", help="Folder for the run. Default: reports/<recipe>_<hash8>/.", show_default=False)]
+RecipeFile = Annotated[Path, typer.Argument(help="Recipe (TOML).", show_default=False)]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress on stderr.")]
+
+
+@app.command(epilog="Example:  ehbench init my_rig")
+def init(folder: Annotated[Path, typer.Argument(metavar="DIR", help="New folder for the workspace.")]) -> None:
+    """Make a workspace: a commented rig file and recipes that run as they are."""
+    from ehbench import workflow
+
+    made = workflow.init(folder)
+    print(f"made {made.folder}/")
+    print(f"next: ehbench check {made.folder}/rig.toml, then the commands in {made.folder}/README.md")
+
+
+@app.command(epilog="Example:  ehbench check recipes/rigs/thesis_arm.toml")
+def check(file: Annotated[Path, typer.Argument(help="A rig, recipe, flowmeter CSV or log (MCAP or CSV).")]) -> None:
+    """Check a rig, recipe, data file or log without running anything."""
+    from ehbench import inspection
+
+    found = inspection.check(file)
+    for line in found.lines:
+        print(line)
+    raise typer.Exit(found.code)
+
+
+@app.command(epilog="Example:  ehbench identify recipes/thesis/flow_maps.toml")
+def identify(recipe: RecipeFile, out: Out = None, quiet: Quiet = False) -> None:
+    """Identify flow maps or hydraulics from the data a recipe names."""
+    _run("identify", recipe, out, quiet)
+
+
+@app.command(epilog="Example:  ehbench validate recipes/thesis/validation.toml")
+def validate(recipe: RecipeFile, out: Out = None, quiet: Quiet = False) -> None:
+    """Judge an identified rig on logs it was not fitted to; exit 4 when it is rejected."""
+    _run("validate", recipe, out, quiet)
+
+
+@app.command("run-trial", epilog="Example:  ehbench run-trial recipes/trials/boom_step.toml")
+def run_trial(recipe: RecipeFile, out: Out = None, quiet: Quiet = False) -> None:
+    """Run a trial on the model or on the virtual bench; exit 5 when a limit stops it."""
+    _run("trial", recipe, out, quiet)
+
+
+@app.command(epilog="Example:  ehbench report reports/flow_maps_* reports/validation_* --out my_report")
+def report(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run folders.")], out: Out = None, quiet: Quiet = False
+) -> None:
+    """Write one self-contained HTML report over finished runs, from their saved files only."""
+    from ehbench import workflow
+
+    with _progress(quiet) as tell:
+        made = workflow.report(runs, workflow.Desk(out=out, progress=tell))
+    _leave(made, "report.html")
+
+
+@app.command(epilog="Example:  ehbench reproduce thesis")
+def reproduce(
+    campaign: Annotated[str, typer.Argument(help="Name of a folder in recipes/, or a campaign file.")],
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for all runs. Default: reports/.", show_default=False)] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Run a whole campaign and write its report; runs that stand already are not run again."""
+    from ehbench import workflow
+
+    with _progress(quiet) as tell:
+        made = workflow.run(workflow.find_campaign(campaign), workflow.Desk(root=out or workflow.ROOT, progress=tell))
+    _leave(made, "report.html")
+
+
+def _run(stage: str, recipe: Path, out: Path | None, quiet: bool) -> None:
+    from ehbench import workflow
+
+    workflow.expect_stage(recipe, stage)
+    with _progress(quiet) as tell:
+        made = workflow.run(recipe, workflow.Desk(out=out, progress=tell))
+    _leave(made)
+
+
+def _leave(made, page: str = "") -> None:
+    """Say what the run noted on stderr and where it lies on stdout, and leave with its code."""
+    for note in made.notes:
+        print(f"note: {note}", file=sys.stderr)
+    print(made.folder / page)
+    raise typer.Exit(made.code)
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
+    """A progress bar on stderr as a callback; nothing when quiet."""
+    if quiet:
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TextColumn("{task.percentage:>3.0f} %"), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        tasks: dict[str, int] = {}
+
+        def tell(what: str, share: float) -> None:
+            name = what.split(":")[0]
+            if name not in tasks:
+                tasks[name] = bar.add_task(what, total=1.0)
+                if not console.is_terminal:
+                    print(what, file=sys.stderr)
+            bar.update(tasks[name], description=what, completed=share)
+
+        yield tell
+
+
+def _terminated(*_: object) -> None:
+    raise SystemExit(143)
+
+
+def main() -> None:
+    """Entry point: errors of ours become one sentence on stderr and their exit code, and nothing half-written stays."""
+    signal.signal(signal.SIGTERM, _terminated)
+    try:
+        app()
+    except EhbenchError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        print("stopped by the keyboard; nothing half-written was left", file=sys.stderr)
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

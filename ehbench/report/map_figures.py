@@ -1,0 +1,158 @@
+"""Flow maps and their inverses as curves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.physics.flow_map import FlowMap
+from ehbench.report.saved import Points
+from ehbench.report.style import ACCENT, MUTED, canvas, legend, shades, spread
+from ehbench.report.words import axis, number, pretty, shown, unit_of
+from ehbench.rig import Rig
+
+Z95 = 1.959964
+_LABEL = 0.034  # height of an end label as a share of the axis
+_MARKS = {"flowmeter": ("o", "flowmeter"), "cylinder": ("D", "cylinder speed")}
+
+
+def flow_map(path: Path, rig: Rig, one: FlowMap, points: Points) -> None:
+    """Flow over pressure drop, one curve a measured command, with readings, outliers and bands; residuals below."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    shut = one.hull_command[one.hull_command <= one.deadband]
+    commands = one.hull_command[one.hull_command > one.deadband]
+    colours = dict(zip(commands, shades(commands.size), strict=True))
+    drop = np.linspace(0.0, 1.0, 161) ** 2 * max(one.drop_max, float(one.hull_high.max()))
+    kept = points.flow.size and not points.outlier.all()
+    ratios = [4.2, 1] if kept else [1]
+    with canvas(path, len(ratios), 1, (7.2, 5.6), sharex=True, squeeze=False, gridspec_kw={"height_ratios": ratios}) as (figure, axes):
+        main = axes[0, 0]
+        ends = {}
+        for command, colour in colours.items():
+            flow, std, inside = one.flow(drop, command), one.flow_std(drop, command), one.inside(drop, command)
+            x, y, band = shown(rig, "pressure_drop", drop), shown(rig, "flow", flow), shown(rig, "flow", Z95 * std)
+            main.fill_between(x, y - band, y + band, where=inside, color=colour, alpha=0.22, linewidth=0)
+            _in_and_out(main, x, y, inside, colour)
+            ends[f"{number(command, 3)} V"] = (float(y[-1]), colour)
+        main.axhline(0.0, color=MUTED, linewidth=0.8)
+        if shut.size:
+            ends[(f"≤ {number(shut[-1], 3)} V" if shut.size > 1 else f"{number(shut[-1], 3)} V") + ", shut"] = (0.0, MUTED)
+        low, high = _limits([y for y, _ in ends.values()], shown(rig, "flow", points.flow[~points.outlier]))
+        main.set_ylim(low, high)
+        main.set_xlim(0.0, float(shown(rig, "pressure_drop", drop[-1])))
+        handles = _readings(main, rig, points, colours, (low, high))
+        _end_labels(main, ends)
+        main.set_ylabel(axis(rig, "flow"))
+        handles.append(Patch(color=MUTED, alpha=0.3, linewidth=0, label="95 % band"))
+        if any(not one.inside(drop[1:], command).all() for command in commands):
+            handles.append(Line2D([], [], color=MUTED, alpha=0.6, linestyle=(0, (3, 2)), linewidth=1.1, label="beyond the readings"))
+        if kept:
+            _residuals(axes[1, 0], rig, points, colours)
+        axes[-1, 0].set_xlabel(axis(rig, "pressure_drop"))
+        legend(figure, handles)
+
+
+def inverse_map(path: Path, rig: Rig, one: FlowMap) -> None:
+    """Command over flow at several pressure drops: the curves a controller looks up."""
+    drops = _round_drops(rig, one)
+    span = np.linspace(one.deadband, one.command_max, 121)
+    with canvas(path, size=(7.2, 4.2)) as (figure, ax):
+        for drop, colour in zip(drops, shades(len(drops)), strict=True):
+            flow, std, inside = one.flow(drop, span), one.flow_std(drop, span), one.inside(drop, span)
+            x, band = shown(rig, "flow", flow), shown(rig, "flow", Z95 * std)
+            ax.fill_betweenx(span, x - band, x + band, where=inside, color=colour, alpha=0.2, linewidth=0)
+            _in_and_out(ax, x, span, inside, colour)
+            unit = pretty(unit_of(rig, "pressure_drop"))
+            ax.plot([], [], color=colour, label=f"{number(float(shown(rig, 'pressure_drop', drop)), 3)} {unit}")
+        ax.axhspan(*one.deadband_interval, color=MUTED, alpha=0.25, linewidth=0)
+        ax.axhline(one.deadband, color=MUTED, linewidth=0.9, linestyle=(0, (4, 3)))
+        ax.annotate(
+            f"deadband {number(one.deadband, 3)} V", (1.0, one.deadband), (0, -3), ("axes fraction", "data"), "offset points",
+            ha="right", va="top", color=MUTED, fontsize=8,
+        )  # fmt: skip
+        ax.set_ylim(0.0, one.command_max * 1.02)
+        ax.set_xlim(left=0.0)
+        ax.set_xlabel(axis(rig, "flow"))
+        ax.set_ylabel("command [V]")
+        ax.legend(title="pressure drop", loc="center left", bbox_to_anchor=(1.01, 0.5), title_fontsize=8, alignment="left")
+
+
+def _in_and_out(ax, x: np.ndarray, y: np.ndarray, inside: np.ndarray, colour) -> None:
+    """A curve, solid where readings surround it, dashed and pale elsewhere; the two touch."""
+    grown = inside | np.append(inside[1:], False) | np.insert(inside[:-1], 0, False)
+    ax.plot(x, np.where(grown, np.nan, y), color=colour, alpha=0.45, linewidth=1.1, linestyle=(0, (3, 2)))
+    ax.plot(x, np.where(inside, y, np.nan), color=colour, linewidth=1.4)
+
+
+def _limits(ends: list[float], flows: np.ndarray) -> tuple[float, float]:
+    high = max([*ends, *flows.tolist(), 1e-12])
+    low = min([0.0, *flows.tolist()])
+    return low - 0.025 * (high - low), high + 0.05 * (high - low)
+
+
+def _colour(colours: dict, command: float):
+    """The colour of the curve of a reading's command; grey where the valve is shut."""
+    near = min(colours, key=lambda known: abs(known - command)) if colours else None
+    below = near is None or command < min(colours) - 0.5 * abs(near - command) - 1e-9
+    return MUTED if below and (near is None or abs(near - command) > 0.01 * max(colours)) else colours[near]
+
+
+def _readings(ax, rig: Rig, points: Points, colours: dict, limits: tuple[float, float]) -> list:
+    """Readings by method in the colour of their curve, outliers crossed (at the edge where they lie outside); legend handles."""
+    from matplotlib.lines import Line2D
+
+    x, y = shown(rig, "pressure_drop", points.pressure_drop), shown(rig, "flow", points.flow)
+    handles = []
+    for method in dict.fromkeys(points.method.tolist()):
+        marker, text = _MARKS.get(method, ("s", method))
+        for command in np.unique(points.command):
+            at = (points.method == method) & (points.command == command) & ~points.outlier
+            ax.plot(x[at], y[at], marker, markersize=2.6, markerfacecolor="none", markeredgewidth=0.6, color=_colour(colours, command), alpha=0.8)
+        handles.append(Line2D([], [], marker=marker, linestyle="", markersize=4, markerfacecolor="none", color=MUTED, label=text))
+    out = points.outlier
+    if out.any():
+        seen = np.clip(y[out], *limits)
+        gone = seen != y[out]
+        ax.plot(x[out][~gone], seen[~gone], "x", color=ACCENT, markersize=6, markeredgewidth=1.6, zorder=5)
+        for up in (True, False):
+            at = gone & ((y[out] > limits[1]) == up)
+            ax.plot(x[out][at], seen[at], "^" if up else "v", color=ACCENT, markersize=6, zorder=5, clip_on=False)
+        handles.append(Line2D([], [], marker="x", linestyle="", markersize=6, markeredgewidth=1.6, color=ACCENT, label=f"left out ({out.sum()})"))
+        if gone.any():
+            handles.append(Line2D([], [], marker="^", linestyle="", markersize=5, color=ACCENT, label="left out, off the scale"))
+    return handles
+
+
+def _residuals(ax, rig: Rig, points: Points, colours: dict) -> None:
+    used = ~points.outlier & np.isfinite(points.fitted)
+    error = shown(rig, "flow", points.flow - points.fitted)
+    for command in np.unique(points.command):
+        at = used & (points.command == command)
+        ax.plot(shown(rig, "pressure_drop", points.pressure_drop[at]), error[at], ".", markersize=2.2, color=_colour(colours, command))
+    ax.axhline(0.0, color=MUTED, linewidth=0.8)
+    most = 1.08 * float(np.max(np.abs(error[used]), initial=1e-12))
+    ax.set_ylim(-most, most)
+    ax.set_ylabel(axis(rig, "flow", "residual"))
+
+
+def _end_labels(ax, ends: dict) -> None:
+    """Labels at the right ends of the curves, moved apart where they would overlap, with a leader to the curve."""
+    low, high = ax.get_ylim()
+    places = spread([y for y, _ in ends.values()], _LABEL * (high - low), low + 0.01 * (high - low), high)
+    across = ax.get_yaxis_transform()
+    for (text, (y, colour)), place in zip(ends.items(), places, strict=True):
+        ax.plot([1.0, 1.018], [y, place], color=colour, linewidth=0.7, transform=across, clip_on=False)
+        ax.text(1.023, place, text, color=colour, transform=across, va="center", fontsize=7.5)
+
+
+def _round_drops(rig: Rig, one: FlowMap, count: int = 6) -> list[float]:
+    """Drops [Pa] that are round numbers to the reader, spread by ratio over what was measured."""
+    passing = one.hull_command > one.deadband
+    low = float(np.median(one.hull_low[passing])) if passing.any() else one.drop_max / 50
+    low = min(max(low, one.drop_max / 50), one.drop_max / 2)
+    per = one.drop_max / float(shown(rig, "pressure_drop", one.drop_max))
+    drops = [float(f"{drop:.1e}") for drop in np.geomspace(low / per, one.drop_max / per, count)]
+    return [drop * per for drop in dict.fromkeys(drops)]

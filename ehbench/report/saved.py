@@ -1,0 +1,227 @@
+"""Run folders as the report reads them: strict where a key is needed, with an error that names file and key."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ehbench.errors import InputError
+from ehbench.quantities import VOCABULARY, quantity
+from ehbench.recipe import load_rig
+from ehbench.rig import Rig
+from ehbench.rundir import read_json
+from ehbench.units import to_si
+
+INDEX = "index.json"
+_HEAD = re.compile(r"\s*(.*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*$")
+_SIDE = re.compile(r"^(?:(recorded|simulated)\.)?(.*?)(?:[ .](recorded|simulated))?$")
+
+
+class Table(Mapping):
+    """A JSON object of a run folder whose missing keys are the file's fault and not ours."""
+
+    def __init__(self, values: Any, file: Path, where: str = "") -> None:
+        if not isinstance(values, dict):
+            raise InputError(f"'{where or 'the file'}' is no table", file=file, hint="make the run again")
+        self._values, self._file, self._where = values, file, where
+
+    def __getitem__(self, key: str) -> Any:
+        """The value; tables inside come as `Table`.
+
+        Raises:
+            InputError: no such key.
+        """
+        name = f"{self._where}.{key}" if self._where else key
+        if key not in self._values:
+            raise InputError(f"has no '{name}'", file=self._file, hint="make the run again with this version of ehbench")
+        return self._wrap(self._values[key], name)
+
+    def get(self, key: str, default: Any = None) -> Any:
+        """The value, or ``default`` where the key is missing or null."""
+        return default if self._values.get(key) is None else self[key]
+
+    def number(self, key: str) -> float | None:
+        """A number, or None for null.
+
+        Raises:
+            InputError: missing or no number.
+        """
+        value = self[key]
+        if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
+            raise InputError(f"has '{self._where}.{key}' = {value!r}, which is no number", file=self._file)
+        return value
+
+    def _wrap(self, value: Any, name: str) -> Any:
+        if isinstance(value, dict):
+            return Table(value, self._file, name)
+        if isinstance(value, list):
+            return [self._wrap(item, f"{name}[{i}]") for i, item in enumerate(value)]
+        return value
+
+    def __iter__(self):
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+
+@dataclass(frozen=True)
+class Series:
+    """A saved comparison, SI: time [s] and, by channel, what was recorded and what was simulated (None: not there)."""
+
+    t: np.ndarray
+    recorded: dict[str, np.ndarray]
+    simulated: dict[str, np.ndarray]
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """All channels, in the order of the file."""
+        return tuple(dict.fromkeys([*self.recorded, *self.simulated]))
+
+    def cylinders(self) -> dict[str, list[str]]:
+        """Channels by cylinder (what stands before the last dot), commands left out."""
+        groups: dict[str, list[str]] = {}
+        for channel in self.channels:
+            if not channel.endswith(".command"):
+                groups.setdefault(channel.rpartition(".")[0], []).append(channel)
+        return groups
+
+
+@dataclass(frozen=True)
+class Points:
+    """Flowmeter readings as a flow-map run saved them, SI; one entry a reading."""
+
+    valve: np.ndarray
+    direction: np.ndarray
+    command: np.ndarray
+    pressure_drop: np.ndarray
+    flow: np.ndarray
+    fitted: np.ndarray
+    method: np.ndarray
+    outlier: np.ndarray
+
+    def of(self, valve: str, direction: str) -> Points:
+        """The readings of one map."""
+        at = (self.valve == valve) & (self.direction == direction)
+        return Points(**{name: getattr(self, name)[at] for name in self.__dataclass_fields__})
+
+
+class Saved:
+    """One run folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = Path(folder)
+        self.facts = self.json("run.json")
+        self.stage, self.name = self.facts["stage"], self.facts["name"]
+        self.what = self.facts.get("what", "")
+
+    @property
+    def title(self) -> str:
+        """The recipe's title, or its name as prose."""
+        return self.facts.get("title") or self.name.replace("_", " ").capitalize()
+
+    @cached_property
+    def rig(self) -> Rig:
+        """The rig that the run left."""
+        return load_rig(self.folder / "rig.toml")
+
+    def json(self, name: str) -> Table:
+        """A JSON file of the folder that holds a table.
+
+        Raises:
+            InputError: not there, not JSON, no table.
+        """
+        path = self.folder / name
+        return Table(read_json(path), path)
+
+    def figures(self) -> list[Table]:
+        """What the run's figures are, in order: file, key, title, caption, about."""
+        return self.json(f"figures/{INDEX}")["figures"]
+
+    def series(self, log: str) -> Series | None:
+        """The series of a log; None where the run saved none for it (a log that could not be simulated)."""
+        path = self.folder / "series" / f"{log}.csv"
+        return read_series(path) if path.is_file() else None
+
+
+def _head(text: str) -> tuple[str, str | None]:
+    found = _HEAD.match(text)
+    return found[1], found[2]
+
+
+def _columns(path: Path) -> tuple[list[str], list[list[str]]]:
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = [row for row in csv.reader(file) if row]
+    except FileNotFoundError:
+        raise InputError("no such file", file=path, hint="is this a finished run folder of the right stage?") from None
+    if not rows:
+        raise InputError("the file is empty", file=path)
+    for line, row in enumerate(rows[1:], 2):
+        if len(row) != len(rows[0]):
+            raise InputError(f"has {len(row)} columns, the header has {len(rows[0])}", file=path, line=line)
+    return rows[0], rows[1:]
+
+
+def _floats(path: Path, column: str, cells: list[str]) -> np.ndarray:
+    try:
+        return np.array([float(cell) if cell.strip() else np.nan for cell in cells])
+    except ValueError as error:
+        raise InputError(f"column '{column}': {error}", file=path) from None
+
+
+def read_series(path: Path) -> Series:
+    """A saved comparison: columns ``t [s]``, ``boom.q [rad]`` (recorded) and ``simulated.boom.q [rad]``.
+
+    Raises:
+        InputError: no time, an unknown channel, a cell that is no number.
+    """
+    names, rows = _columns(path)
+    t, sides = None, {"recorded": {}, "simulated": {}}
+    for index, name in enumerate(names):
+        text, unit = _head(name)
+        front, channel, back = _SIDE.match(text).groups()
+        values = _floats(path, name, [row[index] for row in rows])
+        try:
+            row = quantity(channel)
+        except KeyError as error:
+            raise InputError(f"column '{name}': {error.args[0]}", file=path, line=1) from None
+        values = values if unit is None else to_si(values, unit, row)
+        if channel == "t":
+            t = values
+        else:
+            sides[front or back or "recorded"][channel] = values
+    if t is None:
+        raise InputError("has no column 't [s]'", file=path, line=1)
+    return Series(t, **sides)
+
+
+def read_points(path: Path) -> Points:
+    """Flowmeter readings: ``valve, direction, command [V], pressure_drop [..], flow [..], fitted [..], method, outlier``.
+
+    Raises:
+        InputError: a column is missing, or a cell is no number.
+    """
+    names, rows = _columns(path)
+    columns = {_head(name)[0]: (name, _head(name)[1], [row[i] for row in rows]) for i, name in enumerate(names)}
+    found: dict[str, np.ndarray] = {}
+    for name in Points.__dataclass_fields__:
+        if name not in columns:
+            raise InputError(f"has no column '{name}'", file=path, line=1, hint="it has " + ", ".join(columns))
+        label, unit, cells = columns[name]
+        if name in ("valve", "direction", "method"):
+            found[name] = np.array(cells, dtype=str)
+        elif name == "outlier":
+            found[name] = np.array([cell.strip().lower() in ("1", "true", "yes") for cell in cells], dtype=bool)
+        else:
+            row = VOCABULARY["flow" if name == "fitted" else name]
+            values = _floats(path, label, cells)
+            found[name] = values if unit is None else to_si(values, unit, row)
+    return Points(**found)

@@ -1,0 +1,118 @@
+"""How figures look, and how they become bytes that are the same every time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+
+RECORDED, SIMULATED, ACCENT, MUTED = "#1f3f66", "#e08214", "#b3261e", "#6b7280"
+CYCLE = ("#1f3f66", "#e08214", "#2e7d5b", "#8e4585", "#7a6a4f", "#b3261e")
+MARKS = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)))
+BUCKETS = 420  # a panel is about as many pixels wide
+
+_RC = {
+    "svg.hashsalt": "ehbench",
+    "svg.fonttype": "path",
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.grid": True,
+    "grid.color": "#e5e7eb",
+    "grid.linewidth": 0.7,
+    "axes.edgecolor": "#9ca3af",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.xmargin": 0.01,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-4, 5),
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "legend.handlelength": 2.6,
+    "lines.linewidth": 1.3,
+    "figure.constrained_layout.use": True,
+    "path.simplify": True,
+    "path.simplify_threshold": 0.3,
+}
+_COORDINATES = re.compile(r'(?<= )(d|points|x|y)="([^"]*)"')
+_DIGITS = re.compile(r"(\.\d\d)\d+")
+
+
+@contextmanager
+def canvas(path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.2, 4.2), **kwargs) -> Iterator:
+    """A figure and its axes; saved as SVG to ``path`` when the block ends, with bytes that depend on nothing else."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    with matplotlib.rc_context(_RC | {"axes.prop_cycle": matplotlib.cycler(color=CYCLE)}):
+        figure, axes = plt.subplots(rows, columns, figsize=size, **kwargs)
+        try:
+            yield figure, axes
+            path.parent.mkdir(parents=True, exist_ok=True)
+            text = StringIO()
+            figure.savefig(text, format="svg", metadata={"Date": None, "Creator": "ehbench"})
+            path.write_text(_short(text.getvalue()), encoding="utf-8")
+        finally:
+            plt.close(figure)
+
+
+def _short(svg: str) -> str:
+    """The SVG with coordinates to a hundredth of a point, which nobody can see, at half the size."""
+    return _COORDINATES.sub(lambda found: '{}="{}"'.format(found[1], _DIGITS.sub(r"\1", found[2])), svg)
+
+
+def shades(count: int) -> list:
+    """``count`` colours from dark to light that keep their order in grey print."""
+    import matplotlib
+
+    return [matplotlib.colormaps["viridis"](0.86 * i / max(count - 1, 1)) for i in range(count)]
+
+
+def thin(t: np.ndarray, y: np.ndarray, buckets: int = BUCKETS) -> tuple[np.ndarray, np.ndarray]:
+    """The series with the least and the largest sample of each of ``buckets`` stretches: the same picture, fewer points."""
+    if t.size <= 4 * buckets:
+        return t, y
+    ends = np.linspace(0, t.size, buckets + 1).astype(int)
+    kept = {0, t.size - 1}
+    for low, high in zip(ends[:-1], ends[1:], strict=True):
+        part = y[low:high]
+        if np.any(np.isfinite(part)):
+            kept |= {low + int(np.nanargmin(part)), low + int(np.nanargmax(part))}
+    at = np.array(sorted(kept))
+    return t[at], y[at]
+
+
+def spread(places: Sequence[float], gap: float, low: float, high: float) -> list[float]:
+    """Places moved as little as their order allows, so that neighbours lie ``gap`` apart inside low…high (all evenly if too many)."""
+    order = sorted(range(len(places)), key=lambda i: (places[i], i))
+    gap = min(gap, (high - low) / max(len(places) - 1, 1))
+    groups: list[list[float]] = []  # (sum of wished first places, count) of runs of touching labels
+    for rank, i in enumerate(order):
+        groups.append([min(max(places[i], low), high) - rank * gap, 1.0])
+        while len(groups) > 1 and groups[-2][0] / groups[-2][1] >= groups[-1][0] / groups[-1][1]:
+            total, count = groups.pop()
+            groups[-1][0] += total
+            groups[-1][1] += count
+    moved = [0.0] * len(places)
+    rank = 0
+    for total, count in groups:
+        for _ in range(int(count)):
+            first = min(max(total / count, low), high - (len(places) - 1) * gap)
+            moved[order[rank]] = first + rank * gap
+            rank += 1
+    return moved
+
+
+def legend(figure, handles: Sequence, **kwargs) -> None:
+    """One legend line below all panels, where it covers nothing."""
+    if handles:
+        figure.legend(handles=list(handles), loc="outside lower center", ncols=min(len(handles), 5), **kwargs)

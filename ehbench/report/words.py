@@ -1,0 +1,105 @@
+"""Numbers and names as people read them: display units, sensible digits, a value with its error."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from ehbench.quantities import VOCABULARY, Quantity
+from ehbench.rig import Rig
+from ehbench.units import from_si
+
+DASH = "–"
+_UNIT_WORDS = {"degC": "°C", "degF": "°F", "deg": "°", "us": "µs", "um": "µm", "ohm": "Ω"}
+_SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+
+
+def row_of(name: str) -> Quantity:
+    """The vocabulary row of a channel or parameter; an unknown word stands for itself, without unit."""
+    word = name.rsplit(".", 1)[-1]
+    return VOCABULARY.get(word) or Quantity(word, word, "dimensionless", "dimensionless", word.replace("_", " "))
+
+
+def unit_of(rig: Rig, name: str) -> str:
+    """The unit in which this rig's people see a channel or parameter."""
+    return rig.unit_of(name) if row_of(name).name in VOCABULARY else row_of(name).display
+
+
+def shown(rig: Rig, name: str, value):
+    """An SI value (or array, or difference of values) in that unit."""
+    return from_si(value, unit_of(rig, name), row_of(name))
+
+
+def pretty(unit: str) -> str:
+    """A unit with real powers and dots: ``m^3/(s*Pa)`` → ``m³/(s·Pa)``; nothing for a pure number."""
+    if unit in ("dimensionless", "1", ""):
+        return ""
+    unit = re.sub(r"(\w+)(?:\^|\*\*)0\.5", r"√\1", unit)
+    unit = re.sub(r"(?:\^|\*\*)(-?\d+)", lambda found: found[1].translate(_SUPERSCRIPT), unit)
+    return re.sub(r"[A-Za-z]+", lambda found: _UNIT_WORDS.get(found[0], found[0]), unit.replace("*", "·"))
+
+
+def axis(rig: Rig, name: str, text: str = "") -> str:
+    """``joint angle [°]``: an axis label or table head of a quantity, with its unit if it has one."""
+    unit = pretty(unit_of(rig, name))
+    return (text or words(name)) + (f" [{unit}]" if unit else "")
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A number to so many significant digits, with a true minus and powers of ten outside of 1e-3 … 1e5."""
+    if value is None or not math.isfinite(value):
+        return DASH if value is None or math.isnan(value) else ("∞" if value > 0 else "−∞")
+    if value == 0.0:
+        return "0"
+    size = math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
+    if -4 < size < 6:
+        text = f"{value:.{max(digits - 1 - size, 0)}f}" if size < digits else f"{float(f'{value:.{digits - 1}e}'):.0f}"
+        text = text.rstrip("0").rstrip(".") if "." in text else text
+        return text.replace("-", "−")
+    mantissa, power = f"{value:.{digits - 1}e}".split("e")
+    mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
+    return f"{mantissa} × 10{str(int(power)).translate(_SUPERSCRIPT)}".replace("-", "−")
+
+
+def fixed(value: float, places: int) -> str:
+    """A number to so many decimals (negative: rounded to tens, hundreds…)."""
+    return f"{round(value, places):.{max(places, 0)}f}".replace("-", "−")
+
+
+def places_of(std: float) -> int:
+    """Decimals that show an error to two significant digits."""
+    return 1 - math.floor(math.log10(float(f"{std:.1e}")))
+
+
+def with_error(value: float | None, std: float | None) -> str:
+    """``271.3 ± 2.4``: the error to two significant digits, the value as far as that; without error four digits."""
+    if value is None or std is None or not (math.isfinite(value) and math.isfinite(std)) or std <= 0.0:
+        return number(value)
+    size = math.floor(math.log10(max(abs(value), std)))
+    if not -4 < size < 6:
+        power = 10.0**size
+        inner = with_error(value / power, std / power)
+        return f"({inner}) × 10{str(size).translate(_SUPERSCRIPT)}"
+    places = min(places_of(std), 9)
+    return f"{fixed(value, places)} ± {fixed(std, places)}"
+
+
+def interval(low: float | None, high: float | None) -> str:
+    """``266.5 … 276.1``, to three digits of its width."""
+    if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
+        return DASH
+    width = abs(high - low)
+    if width == 0.0 or not -4 < math.floor(math.log10(max(abs(low), abs(high), 1e-300))) < 6:
+        return f"{number(low, 3)} … {number(high, 3)}"
+    places = min(places_of(width), 9)
+    return f"{fixed(low, places)} … {fixed(high, places)}"
+
+
+def words(name: str) -> str:
+    """A key or status word as prose: ``not_excited`` → ``not excited``."""
+    return name.replace("_", " ")
+
+
+def count(n: int, one: str, many: str | None = None) -> str:
+    """``1 reading``, ``3 readings``."""
+    return f"{n} {one if n == 1 else many or one + 's'}"

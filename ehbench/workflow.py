@@ -1,0 +1,394 @@
+"""The main path, in the order of the data. Read this first.
+
+    recipe → rig → record (log) → identified rig → validated rig → trial → report
+
+Each arrow is one function here. It takes a recipe file, names its inputs by hash, does its one job with floor-5
+methods, writes one run folder, and returns an `Outcome`. A recipe may name a rig, a flow map or a log by the file, by
+the run folder or by the recipe that makes it; in the last case that recipe is run first, unless its run is there.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ehbench import rundir
+from ehbench.errors import InputError, ModelRejected
+from ehbench.recipe import (
+    Campaign, DataFile, FlowMapRecipe, HydraulicsRecipe, Recipe, TrialRecipe, ValidateRecipe, kind_of, load_recipe, load_rig,
+)  # fmt: skip
+
+if TYPE_CHECKING:
+    from ehbench.physics.flow_map import FlowMaps
+    from ehbench.record import Record
+    from ehbench.rig import Rig
+
+DONE, INCOMPLETE, REJECTED, STOPPED = 0, 3, 4, 5
+ROOT = Path("reports")
+Progress = Callable[[str, float], None]  # (what, share done from 0 to 1)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a workflow function leaves: the run folder, the exit code, and what to tell the user."""
+
+    folder: Path
+    code: int = DONE
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A rig as a stage receives it: its numbers, its measured maps, how far it has come, and the inputs behind it."""
+
+    rig: Rig
+    maps: FlowMaps | None
+    stage: str
+    inputs: tuple[tuple[str, Path], ...]
+
+
+@dataclass(frozen=True)
+class Desk:
+    """Where a session works: the folder that runs go to, how progress is told, and whether runs are made again."""
+
+    root: Path = ROOT
+    out: Path | None = None
+    progress: Progress | None = None
+    done: dict[Path, Outcome] = field(default_factory=dict)
+
+    def tell(self, what: str) -> Progress | None:
+        """A progress callback labelled with the recipe at work."""
+        if self.progress is None:
+            return None
+        return lambda text, share: self.progress(f"{what}: {text}" if text else what, share)
+
+    def place(self, recipe: Recipe, inputs: Sequence[tuple[str, Path]]) -> Path:
+        """The folder of a recipe's run."""
+        return self.out if self.out is not None else rundir.place(recipe.path, inputs, self.root)
+
+
+def run(path: Path | str, desk: Desk | None = None) -> Outcome:
+    """Run a recipe of any stage.
+
+    Raises:
+        EhbenchError: bad input, data that do not support the claim, and so on; nothing is left behind then.
+    """
+    recipe = load_recipe(path)
+    desk = desk or Desk()
+    for kind, stage in (
+        (FlowMapRecipe, identify_flow_map), (HydraulicsRecipe, identify_hydraulics), (ValidateRecipe, validate),
+        (TrialRecipe, run_trial), (Campaign, run_campaign),
+    ):  # fmt: skip
+        if isinstance(recipe, kind):
+            return stage(recipe, desk)
+    raise InputError(f"no stage for {type(recipe).__name__}", file=path)
+
+
+def expect_stage(path: Path, stage: str) -> None:
+    """Refuse a recipe of another stage than the command's.
+
+    Raises:
+        InputError: with the command that takes it.
+    """
+    found = load_recipe(path).stage
+    if found != stage:
+        command = {"trial": "run-trial", "campaign": "reproduce"}.get(found, found)
+        raise InputError(f"is a recipe of stage '{found}'", file=path, hint=f"run it with: ehbench {command} {path}")
+
+
+def identify_flow_map(recipe: FlowMapRecipe, desk: Desk) -> Outcome:
+    """Flowmeter readings → flow maps: ``flow_maps.json``, ``summary.json``, ``points.csv`` and a table for each map."""
+    from ehbench.identify import flow_map
+    from ehbench.physics.flow_map import collect, save_flow_maps, table
+    from ehbench.readers import read_flowmeter
+
+    machine = machine_of(recipe, recipe.rig, None, desk)
+    files = [_existing(recipe, name) for name in recipe.data]
+    inputs = [*machine.inputs, *(("data", path) for path in files)]
+    supply = float(machine.rig.supply.pressure)
+    readings = [read_flowmeter(path, supply_pressure=supply) for path in files]
+    fits = []
+    for index, data in enumerate(readings):
+        _tell(desk, recipe, f"fitting {files[index].name}", index / len(readings))
+        fits += flow_map.fit_readings(machine.rig, data, recipe)
+    maps = collect([fit.flow_map for fit in fits])
+    with rundir.open_run(desk.place(recipe, inputs), "identify", recipe.path, inputs) as made:
+        save_flow_maps(maps, made.path / "flow_maps.json")
+        rundir.write_json(made.path / "summary.json", flow_map.summary(fits, machine.rig))
+        (made.path / "points.csv").write_text(flow_map.points_table(fits, machine.rig), encoding="utf-8")
+        (made.path / "flow_maps.csv").write_text(
+            table(maps, flow_unit=machine.rig.unit_of("flow"), pressure_unit=machine.rig.unit_of("pressure_drop")), encoding="utf-8"
+        )
+        _write_rig(made.path, machine.rig, None)
+        warnings = [warning for fit in fits for warning in fit.warnings]
+        made.facts |= {"what": "flow_map", "title": recipe.title, "rig": machine.rig.name, "warnings": warnings}
+        _draw(made.path, desk, recipe)
+    return Outcome(made.final, DONE, tuple(warnings))
+
+
+def identify_hydraulics(recipe: HydraulicsRecipe, desk: Desk) -> Outcome:
+    """Step logs → identified rig: ``rig.toml`` with its maps, ``parameters.json``, a series for each log."""
+    from ehbench.identify import hydraulics
+
+    machine = machine_of(recipe, recipe.rig, recipe.flow_maps, desk)
+    logs, inputs, losses = logs_of(recipe, recipe.data, desk)
+    inputs = [*machine.inputs, *inputs]
+    fit = hydraulics.identify_hydraulics(
+        machine.rig, logs, recipe.parameters, method=recipe.method, start=recipe.start, lower=recipe.lower, upper=recipe.upper,
+        channels=recipe.channels, flow_maps=machine.maps, workers=recipe.workers,
+        cutoff=None if recipe.cutoff is None else float(recipe.cutoff), max_iterations=recipe.max_iterations,
+        progress=desk.tell(recipe.name),
+    )  # fmt: skip
+    with rundir.open_run(desk.place(recipe, inputs), "identify", recipe.path, inputs) as made:
+        _write_rig(made.path, fit.rig, machine.maps)
+        rundir.write_json(made.path / "parameters.json", fit.as_json())
+        _write_series(made.path / "series", fit.series())
+        warnings = [*losses, *fit.warnings]
+        made.facts |= {
+            "what": "hydraulics", "title": recipe.title, "rig": fit.rig.name, "method": recipe.method, "warnings": warnings,
+            "fitted_on": [rundir.sha256(path) for role, path in inputs if role == "log"],
+        }  # fmt: skip
+        _draw(made.path, desk, recipe)
+    return Outcome(made.final, INCOMPLETE if losses else DONE, tuple(warnings))
+
+
+def validate(recipe: ValidateRecipe, desk: Desk) -> Outcome:
+    """Held-out logs → validated rig: ``validation.json`` with the verdict, a series for each log, the rig judged."""
+    from ehbench import validate as judge
+
+    machine = machine_of(recipe, recipe.rig, recipe.flow_maps, desk)
+    logs, inputs, losses = logs_of(recipe, recipe.data, desk)
+    used = _fitted_on(machine.inputs)
+    seen = [path.name for role, path in inputs if role == "log" and rundir.sha256(path) in used]
+    inputs = [*machine.inputs, *inputs]
+    verdict = judge.validate_rig(
+        machine.rig, logs, channels=recipe.channels, thresholds=recipe.thresholds, flow_maps=machine.maps, fitted_on=seen,
+        progress=desk.tell(recipe.name),
+    )  # fmt: skip
+    with rundir.open_run(desk.place(recipe, inputs), "validate", recipe.path, inputs) as made:
+        _write_rig(made.path, machine.rig, machine.maps)
+        rundir.write_json(made.path / "validation.json", verdict.as_json())
+        _write_series(made.path / "series", verdict.series())
+        warnings = [*losses, *verdict.warnings]
+        made.facts |= {
+            "what": "validation", "title": recipe.title, "rig": machine.rig.name, "accepted": verdict.accepted, "warnings": warnings,
+        }  # fmt: skip
+        _draw(made.path, desk, recipe)
+    if not verdict.accepted:
+        return Outcome(made.final, REJECTED, (*warnings, *verdict.reasons))
+    return Outcome(made.final, INCOMPLETE if losses else DONE, tuple(warnings))
+
+
+def run_trial(recipe: TrialRecipe, desk: Desk) -> Outcome:
+    """One trial on the model or on the virtual bench → ``log.mcap`` and ``trial.json``; a limit stops it with exit 5."""
+    from ehbench import trial
+    from ehbench.logs import write_log
+
+    machine = machine_of(recipe, recipe.rig, recipe.flow_maps, desk)
+    extra = [("bench", _existing(recipe, recipe.bench))] if recipe.bench else []
+    extra += [("command", _existing(recipe, c.file)) for c in recipe.command if c.file]
+    inputs = [*machine.inputs, *extra]
+    record, facts = trial.run_trial(machine.rig, recipe, machine.maps, progress=desk.tell(recipe.name))
+    with rundir.open_run(desk.place(recipe, inputs), "trial", recipe.path, inputs, {"trial": recipe.seed}) as made:
+        _write_rig(made.path, machine.rig, machine.maps)
+        rig_file = (made.path / "rig.toml").read_bytes()
+        attached = {**record.attachments, "recipe.toml": recipe.path.read_bytes(), "rig.toml": rig_file}
+        write_log(made.path / "log.mcap", type(record)(record.t, record.channels, record.meta, attached, record.losses))
+        rundir.write_json(made.path / "trial.json", facts.as_json())
+        made.facts |= {
+            "what": "trial", "title": recipe.title, "rig": machine.rig.name, "on": recipe.on, "stopped": facts.stopped,
+            "warnings": list(facts.warnings),
+        }  # fmt: skip
+        _draw(made.path, desk, recipe)
+    if facts.stopped:
+        return Outcome(made.final, STOPPED, (*facts.warnings, facts.stopped))
+    return Outcome(made.final, DONE, tuple(facts.warnings))
+
+
+def report(folders: Sequence[Path], desk: Desk, campaign: Campaign | None = None) -> Outcome:
+    """Run folders → one self-contained ``report.html``; reads saved files only."""
+    from ehbench import report as pages
+
+    for folder in folders:
+        if not rundir.is_whole(folder):
+            raise InputError("is no whole run folder", file=folder, hint="name folders that hold a run.json and all outputs it lists")
+    inputs = [("run", folder) for folder in folders]
+    source = campaign.path if campaign else folders[0] / "run.json"
+    final = desk.out or desk.root / f"{campaign.name if campaign else 'report'}_{rundir.run_hash(source, inputs)}"
+    _tell(desk, campaign, "writing the report", 0.5)
+    with rundir.open_run(final, "report", source, inputs) as made:
+        (made.path / "report.html").write_text(pages.build(folders, campaign), encoding="utf-8")
+    return Outcome(made.final, DONE)
+
+
+def run_campaign(recipe: Campaign, desk: Desk) -> Outcome:
+    """Several recipes in order, then one report over their runs. A rejected or stopped run is shown, not dropped."""
+    inner = Desk(desk.root, None, desk.progress, desk.done)
+    outcomes = []
+    for index, name in enumerate(recipe.recipes):
+        _tell(desk, recipe, name, index / len(recipe.recipes))
+        outcomes.append(make(recipe.file(name), inner))
+    page = report([outcome.folder for outcome in outcomes], desk, recipe)
+    worst = max((outcome.code for outcome in outcomes), default=DONE)
+    notes = tuple(f"{outcome.folder.name}: {note}" for outcome in outcomes for note in outcome.notes)
+    return Outcome(page.folder, worst, notes)
+
+
+def make(path: Path, desk: Desk) -> Outcome:
+    """The outcome of a recipe, run only if it has not been run with these very inputs; dependencies go to ``desk.root``."""
+    path = path.resolve()
+    if path not in desk.done:
+        desk.done[path] = run(path, Desk(desk.root, None, desk.progress, desk.done))
+    return desk.done[path]
+
+
+def machine_of(recipe: Recipe, rig: str, flow_maps: str | None, desk: Desk) -> Machine:
+    """The rig that a recipe names, with its maps: from a rig file, a run folder, or a recipe that makes one."""
+    path = _existing(recipe, rig)
+    inputs: list[tuple[str, Path]] = []
+    stage = "file"
+    if path.is_file() and kind_of(path) == "recipe":
+        path = make(path, desk).folder
+    if path.is_dir():
+        facts = rundir.read_json(path / "run.json")
+        stage = {"identify": "identified", "validate": "validated"}.get(facts["stage"], facts["stage"])
+        if stage == "validated" and not facts["accepted"]:
+            stage = "rejected"
+    inputs.append(("rig", path))
+    maps = _maps_in(path) if path.is_dir() else None
+    if flow_maps is not None:
+        source = _existing(recipe, flow_maps)
+        if source.is_file() and source.suffix == ".toml":
+            source = make(source, desk).folder
+        inputs.append(("flow_maps", source))
+        maps = _maps_in(source)
+        if maps is None:
+            raise InputError("holds no flow maps", file=source, hint="name a run of what = 'flow_map'")
+    return Machine(load_rig(path), maps, stage, tuple(inputs))
+
+
+def logs_of(recipe: Recipe, data: Sequence[DataFile], desk: Desk) -> tuple[list[tuple[str, Record]], list[tuple[str, Path]], list[str]]:
+    """(name and record of each log, inputs, losses). Data may be a log, or the recipe or run folder of a trial."""
+    from ehbench.logs import read_record
+
+    logs, inputs, losses = [], [], []
+    for item in data:
+        path = _existing(recipe, item.path)
+        if path.is_file() and path.suffix == ".toml":
+            path = make(path, desk).folder
+        name = path.name if path.is_dir() else path.stem
+        if path.is_dir():
+            path = path / "log.mcap"
+        record = read_record(path)
+        losses += [f"{path.name}: {loss}" for loss in record.losses]
+        logs.append((name, _window(record, item, path)))
+        inputs.append(("log", path))
+    return logs, inputs, losses
+
+
+def _window(record: Record, item: DataFile, path: Path) -> Record:
+    """The part of a record between the data entry's start and stop, with the payload it names."""
+    import numpy as np
+
+    low = -np.inf if item.start is None else float(item.start)
+    high = np.inf if item.stop is None else float(item.stop)
+    keep = (record.t >= low) & (record.t <= high)
+    if keep.sum() < 3:
+        raise InputError(f"has no samples between {low:g} and {high:g} s", file=path, hint=f"it runs from {record.t[0]:g} to {record.t[-1]:g} s")
+    meta = dict(record.meta) | ({"payload": item.payload} if item.payload else {})
+    channels = {name: values[keep] for name, values in record.channels.items()}
+    return type(record)(record.t[keep], channels, meta, record.attachments, record.losses)
+
+
+def _existing(recipe: Recipe, name: str) -> Path:
+    path = recipe.file(name)
+    if not path.exists():
+        from difflib import get_close_matches
+
+        near = get_close_matches(path.name, [p.name for p in path.parent.iterdir()], 1) if path.parent.is_dir() else []
+        raise InputError(
+            f"names '{name}', which is not there", file=recipe.path, hint=f"did you mean '{near[0]}'?" if near else f"looked for {path}"
+        )
+    return path
+
+
+def _maps_in(folder: Path) -> FlowMaps | None:
+    from ehbench.physics.flow_map import load_flow_maps
+
+    return load_flow_maps(folder) if (folder / "flow_maps.json").is_file() else None
+
+
+def _fitted_on(inputs: Sequence[tuple[str, Path]]) -> set[str]:
+    """SHA-256 of the logs that the runs behind these inputs were fitted on."""
+    runs = [path for _, path in inputs if path.is_dir()]
+    return {digest for folder in runs for digest in rundir.read_json(folder / "run.json").get("fitted_on", [])}
+
+
+def _write_rig(folder: Path, rig: Rig, maps: FlowMaps | None) -> None:
+    import tomli_w
+
+    from ehbench.physics.flow_map import save_flow_maps
+
+    (folder / "rig.toml").write_text(tomli_w.dumps(rig.as_toml()), encoding="utf-8")
+    if maps is not None:
+        save_flow_maps(maps, folder / "flow_maps.json")
+
+
+def _write_series(folder: Path, series: dict[str, Record]) -> None:
+    """One CSV log for each recording: ``<name>.csv`` with recorded and simulated channels."""
+    folder.mkdir()
+    for name, columns in series.items():
+        header = ",".join(columns)
+        import numpy as np
+
+        np.savetxt(folder / f"{name}.csv", np.column_stack(list(columns.values())), "%.9g", ",", header=header, comments="")
+
+
+def _draw(folder: Path, desk: Desk, recipe: Recipe) -> None:
+    """The run's figures, from the files just written."""
+    from ehbench import report as pages
+
+    _tell(desk, recipe, "drawing figures", 0.95)
+    pages.draw(folder)
+
+
+def _tell(desk: Desk, recipe: Recipe | None, what: str, share: float) -> None:
+    if desk.progress is not None:
+        desk.progress(f"{recipe.name}: {what}" if recipe else what, share)
+
+
+def find_campaign(name: str) -> Path:
+    """The campaign file of a name such as ``thesis``: ``recipes/<name>/campaign.toml`` here or beside the package, or a file.
+
+    Raises:
+        InputError: there is none.
+    """
+    for candidate in (Path(name), Path("recipes") / name / "campaign.toml", rundir.PACKAGE.parent / "recipes" / name / "campaign.toml"):
+        if candidate.is_file():
+            return candidate
+    raise InputError(f"no campaign '{name}'", hint="give a campaign's TOML file, or a name for recipes/<name>/campaign.toml")
+
+
+def init(folder: Path) -> Outcome:
+    """A new workspace: a commented rig file and recipes that run as they are.
+
+    Raises:
+        InputError: the folder exists and is not empty.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError("exists and is not empty; nothing was written", file=folder, hint="name a new folder")
+    shutil.copytree(rundir.PACKAGE / "workspace", folder, dirs_exist_ok=True)
+    return Outcome(folder)
+
+
+def require_validated(machine: Machine, unvalidated: bool) -> None:
+    """Refuse a rig that no validation accepted, unless the user says so aloud.
+
+    Raises:
+        ModelRejected: with what would be right.
+    """
+    if machine.stage != "validated" and not unvalidated:
+        raise ModelRejected(f"rig '{machine.rig.name}' is {machine.stage}, not validated", hint="name a validate recipe, or add --unvalidated")

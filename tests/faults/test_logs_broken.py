@@ -1,0 +1,297 @@
+"""Logs cut, flipped, holed and mistyped on purpose: the samples that come back are the true ones, and what is missing is said."""
+
+from __future__ import annotations
+
+import os
+import signal
+import struct
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+
+from ehbench.errors import EhbenchError, LogError, UnitError
+from ehbench.logs import LogWriter, read_record, write_log
+from ehbench.record import Record
+
+SHARED = Path(__file__).parents[2].parent / "shared" / "data" / "mcap"
+NAMES = ["boom.q", "boom.p_head", "boom.hect.command"]
+
+
+@pytest.fixture(scope="module")
+def truth() -> Record:
+    rng = np.random.default_rng(7)
+    t = np.cumsum(rng.uniform(0.5e-3, 1.5e-3, 6000))
+    channels = {name: rng.uniform(0, 10, t.size) for name in NAMES}
+    return Record(t, channels, {"rig": "a rig"}, {"rig.toml": b"[rig]\nname = 'a rig'\n" * 20})
+
+
+@pytest.fixture(scope="module")
+def log(truth, tmp_path_factory) -> bytes:
+    """A closed log of about fifteen chunks, made live so that the chunks are small."""
+    path = tmp_path_factory.mktemp("log") / "a.mcap"
+    table = np.stack(list(truth.channels.values()), axis=1)
+    with LogWriter(path, NAMES, truth.meta, truth.attachments, sync=None) as writer:
+        for start in range(0, truth.t.size, 400):
+            writer.extend(truth.t[start : start + 400], table[start : start + 400])
+            writer.flush()
+    return path.read_bytes()
+
+
+def records(data: bytes) -> list[tuple[int, int, int]]:
+    """(opcode, first byte, end) of every record."""
+    found, at = [], 8
+    while at < len(data) - 8:
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        found.append((opcode, at, at + 9 + length))
+        at += 9 + length
+    return found
+
+
+def judge(path: Path, data: bytes, truth: Record) -> Record | None:
+    """Read broken bytes: a LogError, or true samples only with a word about everything that is not there."""
+    path.write_bytes(data)
+    try:
+        back = read_record(path)
+    except LogError:
+        return None
+    at = np.searchsorted(truth.t, back.t)
+    assert np.array_equal(truth.t[at], back.t)
+    assert list(back.channels) == NAMES
+    for name in NAMES:
+        assert np.array_equal(truth[name][at], back[name])
+    if back.t.size < truth.t.size or (back.meta, back.attachments) != (truth.meta, truth.attachments):
+        assert back.losses
+    return back
+
+
+def test_the_unbroken_log_has_no_losses(log, truth, tmp_path):
+    back = judge(tmp_path / "a.mcap", log, truth)
+    assert back.losses == () and back.t.size == truth.t.size
+
+
+def test_cut_anywhere(log, truth, tmp_path):
+    rng = np.random.default_rng(1)
+    chunks = [(first, stop) for opcode, first, stop in records(log) if opcode == 6]
+    data_end = next(first for opcode, first, _ in records(log) if opcode == 15)
+    cuts = [*rng.integers(0, len(log), 150), *range(12), *(len(log) - n for n in range(1, 40))]
+    for cut in map(int, cuts):
+        back = judge(tmp_path / "a.mcap", log[:cut], truth)
+        whole = sum(stop <= cut for _, stop in chunks)
+        assert (back.t.size if back else 0) == whole * 400  # a cut costs no chunk that is there in full
+        if back and cut < data_end:
+            assert "breaks off" in back.losses[-1] and f"t = {truth.t[whole * 400 - 1]:.9g} s" in back.losses[-1]
+        elif back:
+            assert back.losses
+
+
+def test_a_cut_says_how_many_bytes_are_gone(log, truth, tmp_path):
+    _, first, stop = [each for each in records(log) if each[0] == 6][5]
+    back = judge(tmp_path / "a.mcap", log[: stop - 10], truth)
+    assert back.losses[0] == f"bytes {first} to {stop - 10} of {stop - 10} are lost: a record runs past the end of the file"
+
+
+def test_random_bit_flips_never_change_a_sample(log, truth, tmp_path):
+    rng = np.random.default_rng(2)
+    read = 0
+    for _ in range(400):
+        data = bytearray(log)
+        for _ in range(rng.integers(1, 4)):
+            data[rng.integers(len(data))] ^= 1 << rng.integers(8)
+        back = judge(tmp_path / "a.mcap", bytes(data), truth)
+        assert back is None or back.losses  # nothing in the file is without a checksum
+        read += back is not None
+    assert read > 350
+
+
+def test_every_bit_of_every_record_head(log, truth, tmp_path):
+    heads = {opcode: [first for each, first, _ in records(log) if each == opcode] for opcode in range(1, 16)}
+    for opcode, first in [(opcode, first) for opcode, firsts in heads.items() for first in firsts[::7]]:
+        for bit in range(72):
+            data = bytearray(log)
+            data[first + bit // 8] ^= 1 << bit % 8
+            back = judge(tmp_path / "a.mcap", bytes(data), truth)
+            assert back is not None
+            # a broken head costs at most the chunk it belongs to or, swallowed by a wrong length, the one behind it
+            assert back.t.size >= truth.t.size - 800, (opcode, bit, back.losses)
+
+
+def test_a_damaged_chunk_is_named_and_the_rest_kept(log, truth, tmp_path):
+    chunks = [(first, stop) for opcode, first, stop in records(log) if opcode == 6]
+    for n, (first, stop) in enumerate(chunks):
+        data = bytearray(log)
+        data[(first + stop) // 2] ^= 16
+        back = judge(tmp_path / "a.mcap", bytes(data), truth)
+        assert back.t.size == truth.t.size - 400
+        assert back.losses[0].startswith(f"bytes {first} to {stop} of {len(log)} are lost")
+        if 0 < n < len(chunks) - 1:
+            before, after = truth.t[400 * n - 1], truth.t[400 * (n + 1)]
+            assert back.losses[1] == f"/rig: 400 samples between t = {before:.9g} and {after:.9g} s are missing"
+        if n == 0:
+            assert back.losses[1] == f"/rig: the first 400 samples, before t = {truth.t[400]:.9g} s, are missing"
+
+
+def test_holes_and_doubled_bytes(log, truth, tmp_path):
+    rng = np.random.default_rng(3)
+    for _ in range(100):
+        first = int(rng.integers(len(log)))
+        size = int(rng.integers(1, 5000))
+        holed = log[:first] + bytes(min(size, len(log) - first)) + log[first + size :]
+        for data in (holed, log[:first] + log[first + size :], log[:first] + rng.bytes(size) + log[first:]):
+            back = judge(tmp_path / "a.mcap", data, truth)
+            assert back is None or back.losses
+
+
+def test_flips_in_foreign_files_raise_nothing_else(tmp_path):
+    rng = np.random.default_rng(4)
+    files = sorted(SHARED.rglob("*.mcap")) if SHARED.is_dir() else []
+    if not files:
+        pytest.skip("the shared recordings are not here")
+    for path in files:
+        for _ in range(20):
+            data = bytearray(path.read_bytes())
+            for _ in range(3):
+                data[rng.integers(len(data))] ^= 1 << rng.integers(8)
+            (tmp_path / "a.mcap").write_bytes(bytes(data))
+            with pytest.raises(LogError):
+                read_record(tmp_path / "a.mcap")
+
+
+LIVE = """
+import sys, time
+from ehbench.logs import LogWriter
+with LogWriter(sys.argv[1], ["boom.q", "boom.p_head"], {"rig": "r"}, {}, sync=0.05) as writer:
+    n = 0
+    while True:
+        writer.append(n * 1e-3, [n * 1e-6, n])
+        n += 1
+        time.sleep(0.0002)
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
+def test_a_killed_process_leaves_a_log(tmp_path):
+    path = tmp_path / "a.mcap"
+    with subprocess.Popen([sys.executable, "-c", LIVE, str(path)]) as process:
+        deadline = time.monotonic() + 60
+        while (not path.exists() or path.stat().st_size < 20_000) and time.monotonic() < deadline:
+            time.sleep(0.02)
+        os.kill(process.pid, signal.SIGKILL)
+    back = read_record(path)
+    n = np.arange(back.t.size)
+    assert n.size > 100
+    assert np.array_equal(back.t, n * 1e-3) and np.array_equal(back["boom.q"], n * 1e-6) and np.array_equal(back["boom.p_head"], n)
+    assert back.meta == {"rig": "r"} and "breaks off" in back.losses[-1]
+
+
+def by_others(path: Path, rows: list[tuple[float, float]]) -> Path:
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        id = writer.register_schema("lab/msg/Arm", "ros2msg", b"float64 t # t [s]\nfloat64 p # boom.p_head [Pa]\n")
+        id = writer.register_channel("/arm", "cdr", id)
+        for row in rows:
+            writer.add_message(id, 0, b"\x00\x01\x00\x00" + struct.pack("<2d", *row), 0)
+        writer.finish()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("rows", "error", "said"),
+    [
+        ([(0, 1e5), (1, 1e5), (1, 1e5)], LogError, "the time stands still at 1 s"),
+        ([(0, 1e5), (1, 1e5), (0.5, 1e5)], LogError, "the time goes back from 1 s to 0.5 s"),
+        ([(0, 1e5), (1, float("nan"))], LogError, "boom.p_head is nan at t = 1 s"),
+        ([(0, 1e5), (float("inf"), 1e5)], LogError, "the time is inf"),
+        ([(0, 1e5), (1, 7e9)], UnitError, r"boom.p_head = 7e\+09 Pa at t = 1 s lies outside"),
+        ([], LogError, "holds no samples"),
+    ],
+)
+def test_wrong_data_in_mcap(tmp_path, rows, error, said):
+    path = by_others(tmp_path / "a.mcap", rows)
+    with pytest.raises(error, match=said) as caught:
+        read_record(path)
+    assert caught.value.file == str(path)
+    if rows:
+        assert read_record(path, check=False).t.size == len(rows)
+
+
+@pytest.mark.parametrize("data", [b"", b"not a log", b"\x89MCAP0\r\n", b"PK\x03\x04" + bytes(100), bytes(9)])
+@pytest.mark.parametrize("name", ["a.mcap", "a.csv", "a.bin"])
+def test_no_log_at_all(tmp_path, data, name):
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(EhbenchError) as caught:
+        read_record(tmp_path / name)
+    assert caught.value.file == str(tmp_path / name) and caught.value.exit_code == 2
+
+
+def test_missing_file_and_folder(tmp_path):
+    for path in (tmp_path / "none.mcap", tmp_path):
+        with pytest.raises(LogError, match="cannot be read"):
+            read_record(path)
+    with pytest.raises(LogError, match="cannot be written: No such file"):
+        write_log(tmp_path / "none" / "a.mcap", Record(np.arange(2.0), {"boom.q": np.arange(2.0)}))
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"old")
+    late = np.arange(40_000.0)
+    late[-1] = 0
+    with pytest.raises(LogError, match="goes back") as caught:
+        write_log(path, Record(late, {"boom.q": late}))
+    assert caught.value.file == str(path)
+    assert [each.name for each in tmp_path.iterdir()] == ["a.mcap"] and path.read_bytes() == b"old"
+
+
+HEAD = "t [s],boom.q [rad],boom.p_head [kPa]\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "line", "said"),
+    [
+        ("", LogError, None, "empty"),
+        ("# nothing\n\n", LogError, None, "no header"),
+        (HEAD, LogError, 1, "no samples below the header"),
+        ("0,1,2\n1,2,3\n", LogError, 1, "header is missing"),
+        ("t [s],boom.q,boom.p_head [kPa]\n0,0,0\n", UnitError, 1, r"'boom.q' has no unit.*boom.q \[deg\]"),
+        ("#c\nt [s],boom.p_head (kPa)\n0,0\n", UnitError, 2, r"no unit.*'boom.p_head \[kPa\]'"),
+        ("t [s],boom.q []\n0,0\n", UnitError, 1, "no unit"),
+        ("t [s],boom.q [kPa]\n0,0\n", UnitError, 1, "cannot be turned into rad"),
+        ("t [s],boom.q [radd]\n0,0\n", UnitError, 1, "unknown unit 'radd'"),
+        ("t [s],boom.p_heda [kPa]\n0,0\n", LogError, 1, "unknown channel 'boom.p_heda'.*nearest is 'boom.p_head'"),
+        ("t [s],Boom.Q [rad]\n0,0\n", LogError, 1, "nearest is 'Boom.q'"),
+        ("t [s],.q [rad]\n0,0\n", LogError, 1, "unknown channel"),
+        ("t [s],boom.q [rad],boom.q [deg]\n0,0,0\n", LogError, 1, "2 columns 'boom.q'"),
+        ("boom.x [m],boom.q [rad]\n0,0\n", LogError, 1, r"needs a column 't \[s\]'"),
+        ("t [s]\n0\n", LogError, 1, "at least one channel"),
+        (HEAD + "0,0,0\n1,0\n", LogError, 3, "2 values, but the header names 3"),
+        (HEAD + "0,0,0\n1,0,0,0\n", LogError, 3, "4 values"),
+        (HEAD + "0,0,0\n# c\n\n1,x,0\n", LogError, 5, "boom.q: 'x' is no number"),
+        (HEAD + "0,0,0\n1,,0\n", LogError, 3, "boom.q: is empty"),
+        (HEAD + "0,0,0\n1,1_0,0\n", LogError, 3, "boom.q: '1_0' is no number"),
+        (HEAD + "0,0,0\n1,nan,0\n", LogError, 3, "boom.q is nan"),
+        (HEAD + "0,0,0\n1,inf,0\n", LogError, 3, "boom.q is inf"),
+        (HEAD + "0,0,0\nnan,0,0\n", LogError, 3, "the time is nan"),
+        (HEAD + "0,0,0\n1,0,0\n1,0,0\n", LogError, 4, "stands still at 1 s"),
+        (HEAD + "0,0,0\n# c\n1,0,0\n0.5,0,0\n", LogError, 5, "goes back from 1 s to 0.5 s"),
+        ("t [s],boom.p_head [MPa]\n0,0\n1,6895\n", UnitError, 3, "6895 MPa lies outside -0.2 to 200 MPa.*in kPa it would be"),
+        ("t [s],boom.q [rad]\n0,1\n1,-400\n", UnitError, 3, "-400 rad lies outside.*in deg it would be"),
+    ],
+)
+def test_wrong_csv(tmp_path, text, error, line, said):
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    with pytest.raises(error, match=said) as caught:
+        read_record(path)
+    assert (caught.value.file, caught.value.line) == (str(path), line)
+
+
+def test_csv_that_is_not_utf8(tmp_path):
+    (tmp_path / "a.csv").write_bytes("t [s],boom.temperature [°C]\n".encode("latin-1"))
+    with pytest.raises(LogError, match=r"a.csv:1: is not UTF-8"):
+        read_record(tmp_path / "a.csv")

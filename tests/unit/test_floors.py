@@ -1,0 +1,65 @@
+"""A module imports only from lower floors, or from its own package."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[2] / "ehbench"
+# lowest first; within a row nobody imports a neighbour
+FLOORS = [
+    {"errors", "quantities", "compiled"},
+    {"units"},
+    {"record", "rig"},
+    {"recipe", "readers", "logs", "rundir", "signals", "physics"},
+    {"control"},
+    {"plant"},
+    {"simulate"},
+    {"rigs"},
+    {"identification", "validation", "tune", "trial", "inspection", "report"},
+    {"workflow"},
+    {"__init__", "cli", "datasets", "bench"},
+]
+RANK = {name: rank for rank, names in enumerate(FLOORS) for name in names}
+# the virtual bench's numbers must not reach what is judged on its logs
+BENCH_READERS = {"rigs", "trial", "datasets", "bench"}
+MODULES = sorted(p for p in PACKAGE.rglob("*.py") if "__pycache__" not in p.parts)
+
+
+def top(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imports(path: Path) -> set[str]:
+    """Dotted names inside the package that a file imports, anywhere in it; annotations only are exempt from nothing."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {a.name for a in node.names if a.name.split(".")[0] == "ehbench"}
+        elif isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "ehbench":
+            found |= {f"{node.module}.{a.name}" for a in node.names}
+    return {name.removeprefix("ehbench.") for name in found if name != "ehbench"}
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: p.relative_to(PACKAGE).as_posix())
+def test_imports_only_from_lower_floors(path):
+    own = top(path)
+    for name in imports(path):
+        other = name.split(".")[0]
+        if other == own and path.parent != PACKAGE:
+            continue
+        assert RANK[other] < RANK[own], f"{own} (floor {RANK[own]}) imports {name} (floor {RANK[other]})"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: p.relative_to(PACKAGE).as_posix())
+def test_the_bench_is_seen_by_trials_only(path):
+    if top(path) not in BENCH_READERS:
+        assert not any("bench" in name.split(".") for name in imports(path))
+
+
+def test_reports_read_files_only():
+    for path in (PACKAGE / "report").rglob("*.py"):
+        for name in imports(path):
+            assert name.startswith("report") or RANK[name.split(".")[0]] <= RANK["physics"]
