@@ -75,8 +75,8 @@ def _rig(path: Path) -> Inspection:
 def _recipe(path: Path) -> Inspection:
     recipe: Recipe = load_recipe(path)
     lines = [f"recipe '{recipe.name}': stage {recipe.stage}" + (f", what {recipe.what}" if hasattr(recipe, "what") else "")]
-    names = list(recipe.recipes) if isinstance(recipe, Campaign) else [recipe.rig]
-    names += [name for name in (getattr(recipe, "flow_maps", None), getattr(recipe, "bench", None)) if name]
+    names = list(recipe.recipes) if isinstance(recipe, Campaign) else []
+    names += [name for key in ("rig", "flow_maps", "bench") if (name := getattr(recipe, key, None))]
     names += [item if isinstance(item, str) else item.path for item in getattr(recipe, "data", ())]
     losses = []
     for name in names:

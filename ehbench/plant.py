@@ -12,16 +12,18 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from ehbench.compiled import kernel
 from ehbench.errors import InputError
 from ehbench.physics import arm, cylinder, metering
 from ehbench.physics.arm import forward, work_size
-from ehbench.physics.cylinder import DIRECT, PINS, chamber_rates, chamber_volume, end_stop, linkage, relief_flow
-from ehbench.physics.flow_map import FlowMap, pack
+from ehbench.physics.cylinder import (
+    CAVITATION_BAND, DIRECT, PINS, chamber_rate, chamber_volume, end_stop, inflows, linkage, relief_flow,
+)  # fmt: skip
+from ehbench.physics.flow_map import ValveMaps, pack
 from ehbench.physics.friction import coulomb_viscous
 from ehbench.physics.metering import DEADBAND, DROP, EDGE_FLOATS, EDGE_INTS, FROM, GAIN, SIGN, TO, VALVE, edge_flow
-from ehbench.physics.supply import SUPPLY_FLOATS, pump_flow
+from ehbench.physics.supply import FLOW_LIMIT, SUPPLY_FLOATS, pump_flow
 from ehbench.rig import Rig, Slide
 
 # columns of a cylinder's row
@@ -89,12 +91,12 @@ def layout(rig: Rig) -> Layout:
     )
 
 
-def build(rig: Rig, maps: Mapping[str, tuple[FlowMap, FlowMap | None]] | None = None) -> Plant:
+def build(rig: Rig, maps: Mapping[str, ValveMaps] | None = None) -> Plant:
     """The compiled form of a rig.
 
     Args:
         rig: with its payload already applied (``rig.with_payload``).
-        maps: measured flow maps (forward, reverse or None) by edge name; they replace the edge's analytic law.
+        maps: measured flow maps by edge name (``edge`` or ``cylinder.edge``); they replace the edge's analytic law.
 
     Raises:
         InputError: an edge asks for a map that is not given.
@@ -167,7 +169,7 @@ def build(rig: Rig, maps: Mapping[str, tuple[FlowMap, FlowMap | None]] | None = 
         ints[metering.LAW] = law
         ints[metering.BLOCKED] = edge.reverse == "blocked"
         if given is not None:
-            for column, one in ((metering.FORWARD, given[0]), (metering.REVERSE, given[1])):
+            for column, one in ((metering.FORWARD, given.forward), (metering.REVERSE, given.reverse)):
                 if one is not None:
                     ints[column] = len(packed)
                     packed.append(one)
@@ -199,13 +201,13 @@ def _mobility(kind: int, links: np.ndarray, row: np.ndarray, joint: int) -> floa
     return most
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def workspace_size(n, cylinders, edges):
     """Length of the float64 workspace of `derivatives`."""
     return work_size(n) + n + 2 * (2 + 2 * cylinders) + edges + 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def derivatives(y, command, plant, dy, work):
     """Write ẏ into ``dy``; return the fastest rate [1/s] of the pressure, valve and friction blocks.
 
@@ -271,16 +273,25 @@ def derivatives(y, command, plant, dy, work):
         p_head, p_rod = y[at_p + 2 * c], y[at_p + 2 * c + 1]
         x, lever, _ = linkage(int(row[GEOMETRY]), row[L_A], row[L_B], row[SIDE], row[PHASE], row[RETRACTED], y[j])
         v = lever * y[n + j]
-        volume_head = chamber_volume(row[VOLUME_HEAD], row[AREA_HEAD] * x)
-        volume_rod = chamber_volume(row[VOLUME_ROD], -row[AREA_ROD] * x)
+        volumes = chamber_volume(row[VOLUME_HEAD], row[AREA_HEAD] * x), chamber_volume(row[VOLUME_ROD], -row[AREA_ROD] * x)
         head_in = work[net_at + 2 + 2 * c] - relief_flow(p_head, row[RELIEF], RELIEF_GAIN)
-        rod_out = -work[net_at + 3 + 2 * c] + relief_flow(p_rod, row[RELIEF], RELIEF_GAIN)
-        dy[at_p + 2 * c], dy[at_p + 2 * c + 1] = chamber_rates(
-            v, head_in, rod_out, p_head, p_rod, p_tank, row[BULK], row[BULK], volume_head, volume_rod, row[AREA_HEAD],
-            row[AREA_ROD], row[LEAK_INTERNAL], row[LEAK_HEAD], row[LEAK_ROD], row[FLOOR],
+        rod_out = relief_flow(p_rod, row[RELIEF], RELIEF_GAIN) - work[net_at + 3 + 2 * c]
+        inflow = inflows(
+            v, head_in, rod_out, p_head, p_rod, p_tank, row[AREA_HEAD], row[AREA_ROD], row[LEAK_INTERNAL], row[LEAK_HEAD],
+            row[LEAK_ROD],
         )  # fmt: skip
-        fastest = max(fastest, row[BULK] / volume_head * work[slope_at + 2 + 2 * c])
-        fastest = max(fastest, row[BULK] / volume_rod * work[slope_at + 3 + 2 * c])
+        for side in range(2):
+            p = y[at_p + 2 * c + side]
+            dy[at_p + 2 * c + side] = chamber_rate(inflow[side], p, volumes[side], row[BULK], row[FLOOR])
+            slope = work[slope_at + 2 + 2 * c + side]
+            # what a chamber would run into within the step counts as soon as it is that near
+            if inflow[side] < 0.0:
+                slope -= inflow[side] / max(p - row[FLOOR], CAVITATION_BAND)
+            elif p < row[RELIEF]:
+                slope += min(inflow[side] / (row[RELIEF] - p), RELIEF_GAIN)
+            if p > row[RELIEF]:
+                slope += RELIEF_GAIN
+            fastest = max(fastest, row[BULK] / volumes[side] * slope)
         force = p_head * row[AREA_HEAD] - p_rod * row[AREA_ROD]
         if row[COULOMB] != 0.0 or row[VISCOUS] != 0.0:
             force -= coulomb_viscous(v, row[VISCOUS], row[COULOMB], COULOMB_SPEED)
@@ -297,4 +308,5 @@ def derivatives(y, command, plant, dy, work):
     work[flow_at + ne] = pump
     stiffness = plant.supply[4] / plant.supply[3]
     dy[at_supply] = stiffness * (pump - demand)
-    return max(fastest, stiffness * work[slope_at] if pump == plant.supply[2] else 0.0)
+    held = 0.0 < pump < plant.supply[FLOW_LIMIT]
+    return fastest if held else max(fastest, stiffness * work[slope_at])

@@ -12,10 +12,11 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, field_validator, model_validator
+from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, ValidationInfo, field_validator, model_validator
 
 from ehbench.errors import InputError
-from ehbench.rig import Model, Rig, Value, _typed
+from ehbench.quantities import VOCABULARY
+from ehbench.rig import Model, Rig, Value, _typed, read_value
 
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(?:#.*)?$")
 _KEY = re.compile(r"""\s*((?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*'))*)\s*=""")
@@ -53,6 +54,14 @@ class Recipe(Model):
     def file(self, name: str) -> Path:
         """A path of this recipe, as written in it, relative to its folder."""
         return (self.path.parent / name).resolve()
+
+    def at(self, *location: str | int) -> dict[str, Any]:
+        """``file`` and ``line`` of a key of this recipe, as the errors take them; no line where the file cannot say."""
+        try:
+            line = line_of(self.path.read_text(encoding="utf-8"), location)
+        except OSError:
+            line = None
+        return {"file": self.path, "line": line}
 
 
 class CalibrationPoint(Model):
@@ -94,11 +103,37 @@ class HydraulicsRecipe(Recipe):
 
 
 class Thresholds(Model):
-    """What a model must reach on every held-out log to be accepted; a channel not named is only reported."""
+    """What a model must reach on every held-out log to be accepted; a quantity not named is only reported.
+
+    ``fit_percent`` is the least NRMSE fit by quantity (100 exact, 0 no better than the mean), ``max_error`` the largest error
+    by quantity, with unit. ``natural_frequency_error`` and ``damping_ratio_error`` are shares of the recorded value.
+    ``whiteness`` and ``independence`` ask that at most ``outside_percent`` of the lags of the residual's autocorrelation,
+    and of its correlation with earlier commands, lie outside of their 95 % bands.
+    """
 
     fit_percent: dict[str, float] = {"qd": 50.0, "p_head": 30.0, "p_rod": 30.0}
-    natural_frequency_error: float = Field(default=0.15, gt=0)
+    max_error: dict[str, Any] = {}
+    natural_frequency_error: float | None = Field(default=0.15, gt=0)
+    damping_ratio_error: float | None = Field(default=None, gt=0)
     whiteness: bool = False
+    independence: bool = False
+    outside_percent: float = Field(default=15.0, gt=0, lt=100)
+
+    @field_validator("fit_percent", "max_error")
+    @classmethod
+    def _quantities(cls, asked: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+        for name, value in asked.items():
+            if name not in VOCABULARY:
+                near = get_close_matches(name, VOCABULARY, 1)
+                raise ValueError(f"no quantity '{name}'" + (f"; nearest is '{near[0]}'" if near else ""))
+            if info.field_name == "fit_percent" and not value < 100.0:
+                raise ValueError(f"{name} = {value:g} cannot be reached: 100 % is an exact match")
+        if info.field_name == "fit_percent":
+            return asked
+        try:
+            return {name: read_value(value, VOCABULARY[name]) for name, value in asked.items()}
+        except InputError as error:
+            raise ValueError(str(error)) from None
 
 
 class ValidateRecipe(Recipe):
@@ -113,11 +148,12 @@ class ValidateRecipe(Recipe):
 
 
 class Command(Model):
-    """An open-loop command to one valve. ``valve`` is ``<cylinder>.<valve>``.
+    """An open-loop command to one valve; several entries for one valve add up. ``valve`` is ``<cylinder>.<valve>``.
 
-    kind ``step``: ``offset`` before ``start``, ``offset + amplitude`` from then to ``stop``. ``ramp``: linear from ``offset``
-    at ``start`` to ``offset + amplitude`` at ``stop``. ``sine``: amplitude at ``frequency``. ``multisine``: ``lines`` sines from
-    ``frequency`` to ``frequency_max`` with phases drawn from ``seed``, scaled to ``amplitude``. ``file``: a CSV log with the channel.
+    kind ``constant``: ``offset``. ``step``: ``offset``, and ``offset + amplitude`` from ``start`` to ``stop``. ``ramp``: linear from
+    ``offset`` at ``start`` to ``offset + amplitude`` at ``stop``, which it keeps. ``sine``: ``amplitude`` at ``frequency`` about
+    ``offset`` from ``start`` to ``stop``. ``multisine``: ``lines`` sines from ``frequency`` to ``frequency_max`` with phases drawn
+    from ``seed``, scaled to ``amplitude``. ``file``: plays the channel ``<valve>.command`` of a log from ``start`` on.
     """
 
     valve: str
@@ -178,19 +214,193 @@ class TrialRecipe(Recipe):
     limits: Limits = Limits()
 
 
+class BenchCylinder(Model):
+    """Friction of a cylinder of the virtual bench; what is not given follows from the rig's supply and areas."""
+
+    friction_coulomb: _typed("friction_coulomb") | None = None
+    friction_static: _typed("friction_static") | None = None
+    friction_viscous: _typed("friction_viscous") | None = None
+    stribeck_speed: _typed("stribeck_speed") | None = None
+
+
+class BenchValve(Model):
+    """Driver and dynamics of a valve of the virtual bench: spool = driver_gain·(command after hysteresis) + driver_offset.
+
+    Where the rig file gives the valve's ``calibration``, gain and offset are tuned to it unless given here.
+    """
+
+    driver_gain: _typed("driver_gain") | None = None
+    driver_offset: _typed("driver_offset") | None = None
+    hysteresis: _typed("hysteresis") | None = None
+    natural_frequency: _typed("natural_frequency") | None = None
+    damping_ratio: _typed("damping_ratio") | None = None
+
+
+class BenchCurve(Model):
+    """What an edge of the virtual bench does in one direction of flow."""
+
+    onset: _typed("onset") | None = None
+    softness: _typed("softness") | None = None
+    saturation: _typed("saturation") | None = None
+    gain_factor: _typed("gain_factor") | None = None
+    compensation_drop: _typed("compensation_drop") | None = None
+    compensator_opening: _typed("compensator_opening") | None = None
+    flow_force: _typed("flow_force") | None = None
+
+
+class BenchEdge(BenchCurve):
+    """An edge of the virtual bench; ``reverse`` is what differs when oil flows back through it."""
+
+    null_leakage: _typed("null_leakage") | None = None
+    reverse: BenchCurve = BenchCurve()
+
+
+class BenchSensors(Model):
+    """Sensors of a cylinder of the virtual bench (or of all: ``sensors.all``; of the lines: ``sensors.supply``)."""
+
+    pressure_noise: _typed("pressure") | None = None
+    pressure_offset: _typed("pressure") | None = None
+    pressure_resolution: _typed("pressure") | None = None
+    pressure_lag: _typed("lag") | None = None
+    position_noise: _typed("x") | None = None
+    position_resolution: _typed("x") | None = None
+    encoder_counts: int | None = Field(default=None, ge=0)
+
+
+class BenchRecipe(Recipe):
+    """A virtual bench: a machine like ``rig``, with what no model of it knows.
+
+    ``truth`` replaces parameters of the rig by name (as a recipe names them); ``bulk_modulus`` is then that of oil and hose
+    without air. In ``cylinder``, ``valve``, ``edge`` and ``sensors`` the entry ``all`` holds for every one that has no own
+    value. What is given nowhere is drawn about a plausible value from ``seed``.
+    """
+
+    stage: Literal["bench"]
+    rig: str
+    seed: int = Field(default=0, ge=0)
+    truth: dict[str, str] = {}
+    air_fraction: _typed("air_fraction") = Value(0.003)
+    polytropic_exponent: _typed("polytropic_exponent") = Value(1.3)
+    droop: _typed("droop") | None = None
+    pump_lag: _typed("lag") = Value(0.005)
+    supply_relief: _typed("relief_pressure") | None = None
+    calibration_drop: _typed("pressure_drop") = Value(2.0e6)
+    delay: _typed("delay") = Value(0.001)
+    velocity_cutoff: _typed("frequency") = Value(60.0)
+    velocity_damping: _typed("damping_ratio") = Value(0.8)
+    cylinder: dict[str, BenchCylinder] = {}
+    valve: dict[str, BenchValve] = {}
+    edge: dict[str, BenchEdge] = {}
+    sensors: dict[str, BenchSensors] = {}
+
+
+class Flowmeter(Model):
+    """Flowmeter readings to record on the virtual bench, one CSV an edge and direction of ``edges``, e.g. ``boom.hect``.
+
+    A needle valve sets each drop up to ``drop_scatter`` (a share). The turbine's noise is a share of the reading; below
+    ``meter_limit`` the flow is taken from the cylinder's speed instead. ``outliers`` readings a file are spoilt.
+    """
+
+    edges: Annotated[tuple[str, ...], Field(min_length=1)]
+    reverse: tuple[str, ...] = ()
+    commands: Annotated[tuple[str, ...], Field(min_length=1)]
+    pressure_drops: Annotated[tuple[str, ...], Field(min_length=1)]
+    trials: int = Field(default=3, ge=1)
+    drop_scatter: float = Field(default=0.03, ge=0, lt=1)
+    meter_noise: float = Field(default=0.007, ge=0, lt=1)
+    repeat_scatter: float = Field(default=0.005, ge=0, lt=1)
+    meter_limit: _typed("flow") = Value(1.9e-5)
+    cylinder_noise: _typed("flow") = Value(2.0e-7)
+    outliers: int = Field(default=2, ge=0)
+
+
+class DatasetLog(Model):
+    """A log to record on the virtual bench, as a trial gives it."""
+
+    name: str
+    title: str = ""
+    payload: str | None = None
+    posture: dict[str, str] = {}
+    duration: _typed("duration")
+    rate: _typed("rate") = Value(1000.0)
+    command: Annotated[tuple[Command, ...], Field(min_length=1)]
+    limits: Limits = Limits()
+
+
+class DatasetRecipe(Recipe):
+    """What the virtual bench records for a dataset, into ``datasets/<name of this file>/``."""
+
+    stage: Literal["dataset"]
+    bench: str
+    seed: int = Field(default=0, ge=0)
+    flowmeter: Flowmeter | None = None
+    log: tuple[DatasetLog, ...] = ()
+
+
+class TuneRecipe(Recipe):
+    """A validated rig to the gain of the pressure feedback of one cylinder.
+
+    Operating points: ``postures`` strokes from 10 to 90 % (or those of ``strokes``) × ``payloads`` (``none`` and all of the rig file
+    by default) × ``functions`` (all that the valves are able of) × ``speed_shares`` of the full speed there; other joints as in
+    ``posture``, else at mid-stroke. ``delay`` lies between pressure and command: half a tick of hold, the rest for the sensor.
+    ``washout`` and ``off_gain`` are found where they are not given; ``washout = "0 rad/s"`` is none. ``one_gain = false`` lets each
+    working function have its own gain. ``damping_ratio`` is the target that the share of ``draws`` is counted against.
+    """
+
+    stage: Literal["tune"]
+    rig: str
+    flow_maps: str | None = None
+    cylinder: str | None = None
+    payloads: tuple[str, ...] = ()
+    postures: int = Field(default=5, ge=1, le=50)
+    strokes: tuple[str, ...] = ()
+    posture: dict[str, str] = {}
+    functions: tuple[str, ...] = ()
+    speed_shares: tuple[Annotated[float, Field(gt=0, le=1)], ...] = Field(default=(0.3, 0.7), min_length=1)
+    rate: _typed("rate") = Value(1000.0)
+    delay: _typed("delay") = Value(1.0e-3)
+    washout: _typed("washout") | None = None
+    off_gain: _typed("off_gain") | None = None
+    low_pressure: _typed("low_pressure") | None = None
+    cross_drop: _typed("cross_drop") | None = None
+    one_gain: bool = True
+    damping_ratio: _typed("damping_ratio") = Value(0.5)
+    gain_margin: _typed("gain_margin") = Value(2.0)
+    phase_margin: _typed("phase_margin") = Value(0.7853981633974483)
+    bandwidth: _typed("frequency") = Value(0.5)
+    draws: int = Field(default=200, ge=0, le=100000)
+    seed: int = Field(default=0, ge=0)
+
+
+class TextSection(Model):
+    """A section of a report in the user's own words; blank lines part paragraphs, lines that begin with ``- `` make a list."""
+
+    title: str
+    text: str
+
+
 class Campaign(Recipe):
-    """Several recipes in order and one report over all of them."""
+    """Several recipes in order and one report over all of them.
+
+    ``section`` are texts that stand before the runs; ``figures`` gives figures titles by their key (as in a run's
+    ``figures/index.json``), or by ``<recipe's name>/<key>`` where several runs have the key.
+    """
 
     stage: Literal["campaign"]
     recipes: Annotated[tuple[str, ...], Field(min_length=1)]
     expected: dict[str, str] = {}
+    section: tuple[TextSection, ...] = ()
+    figures: dict[str, str] = {}
 
 
 _STAGES: dict[tuple[str, str | None], type[Recipe]] = {
     ("identify", "flow_map"): FlowMapRecipe,
     ("identify", "hydraulics"): HydraulicsRecipe,
     ("validate", None): ValidateRecipe,
+    ("tune", None): TuneRecipe,
     ("trial", None): TrialRecipe,
+    ("bench", None): BenchRecipe,
+    ("dataset", None): DatasetRecipe,
     ("campaign", None): Campaign,
 }
 

@@ -98,7 +98,17 @@ class Run:
 
     path: Path
     final: Path
+    record: dict[str, Any]
     facts: dict[str, Any] = field(default_factory=dict)
+
+    def save(self) -> None:
+        """Write ``run.json`` over the files that are there; figures are drawn from a folder that has one."""
+        outputs = {
+            path.relative_to(self.path).as_posix(): sha256(path)
+            for path in sorted(self.path.rglob("*"))
+            if path.is_file() and path.name != "run.json"
+        }
+        write_json(self.path / "run.json", {**self.record, **self.facts, "outputs": outputs})
 
 
 def run_hash(recipe: Path, inputs: Iterable[tuple[str, Path]]) -> str:
@@ -136,34 +146,27 @@ def open_run(final: Path, stage: str, recipe: Path, inputs: Iterable[tuple[str, 
     scratch = final.parent / f".{final.name}.{os.getpid()}.part"
     shutil.rmtree(scratch, ignore_errors=True)
     scratch.mkdir()
-    run = Run(scratch, final)
+    record = {
+        "stage": stage,
+        "name": recipe.stem,
+        "argv": ["ehbench", stage, recipe.name],
+        "hash": run_hash(recipe, inputs),
+        "recipe": {"path": recipe.name, "sha256": sha256(recipe)},
+        "inputs": [{"role": role, "path": _relative(path, recipe.parent), "sha256": sha256(path)} for role, path in inputs],
+        "seeds": dict(seeds or {}),
+        "versions": {
+            "ehbench": metadata.version("ehbench"),
+            "python": platform.python_version(),
+            **{name: metadata.version(name) for name in _LIBRARIES},
+        },
+        "code_sha256": code_version(),
+        "commit": commit(),
+    }
+    run = Run(scratch, final, record)
     began = time.time()
     try:
         yield run
-        outputs = {
-            path.relative_to(scratch).as_posix(): sha256(path) for path in sorted(scratch.rglob("*")) if path.is_file()
-        }
-        record = {
-            "stage": stage,
-            "name": recipe.stem,
-            "argv": ["ehbench", stage, recipe.name],
-            "hash": run_hash(recipe, inputs),
-            "recipe": {"path": recipe.name, "sha256": sha256(recipe)},
-            "inputs": [
-                {"role": role, "path": _relative(path, recipe.parent), "sha256": sha256(path)} for role, path in inputs
-            ],
-            "seeds": dict(seeds or {}),
-            "versions": {
-                "ehbench": metadata.version("ehbench"),
-                "python": platform.python_version(),
-                **{name: metadata.version(name) for name in _LIBRARIES},
-            },
-            "code_sha256": code_version(),
-            "commit": commit(),
-            **run.facts,
-            "outputs": outputs,
-        }
-        write_json(scratch / "run.json", record)
+        run.save()
         write_json(
             scratch / "volatile.json",
             {

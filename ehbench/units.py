@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
     import pint
 
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*$", re.S)
+_CYCLES = re.compile(r"(hz|hertz|cps)\b", re.I)
+_ANGLES = re.compile(r"rad|deg|turn|rev|rpm", re.I)
 _ALIASES = {
     "gpm": "gallon / minute",
     "lpm": "liter / minute",
@@ -49,7 +52,12 @@ def _affine(unit: str, si: str) -> tuple[float, float]:
         raise UnitError(f"'{unit}' cannot be turned into {si}") from error
     except Exception as error:  # pint raises tokenizer, attribute and assertion errors on malformed text
         raise UnitError(f"unknown unit '{unit}'") from error
-    return one - zero, zero
+    turns = 1.0
+    if _CYCLES.search(text) and "rad" in si:  # the registry counts a cycle and a radian alike as 1
+        turns = 2 * math.pi
+    elif si == "Hz" and _ANGLES.search(text):
+        turns = 0.5 / math.pi
+    return turns * (one - zero), zero
 
 
 def factor(unit: str, si: str) -> float:

@@ -101,7 +101,7 @@ def expect_stage(path: Path, stage: str) -> None:
 
 def identify_flow_map(recipe: FlowMapRecipe, desk: Desk) -> Outcome:
     """Flowmeter readings → flow maps: ``flow_maps.json``, ``summary.json``, ``points.csv`` and a table for each map."""
-    from ehbench.identify import flow_map
+    from ehbench.identify import readings
     from ehbench.physics.flow_map import collect, save_flow_maps, table
     from ehbench.readers import read_flowmeter
 
@@ -109,23 +109,22 @@ def identify_flow_map(recipe: FlowMapRecipe, desk: Desk) -> Outcome:
     files = [_existing(recipe, name) for name in recipe.data]
     inputs = [*machine.inputs, *(("data", path) for path in files)]
     supply = float(machine.rig.supply.pressure)
-    readings = [read_flowmeter(path, supply_pressure=supply) for path in files]
-    fits = []
-    for index, data in enumerate(readings):
-        _tell(desk, recipe, f"fitting {files[index].name}", index / len(readings))
-        fits += flow_map.fit_readings(machine.rig, data, recipe)
-    maps = collect([fit.flow_map for fit in fits])
+    fits = readings.fit_readings(
+        machine.rig, [read_flowmeter(path, supply_pressure=supply) for path in files],
+        [(float(point.command), float(point.flow), point.tolerance) for point in recipe.calibration],
+        None if recipe.calibration_drop is None else float(recipe.calibration_drop), desk.tell(recipe.name),
+    )  # fmt: skip
+    maps = collect([one.fit.map for one in fits])
     with rundir.open_run(desk.place(recipe, inputs), "identify", recipe.path, inputs) as made:
         save_flow_maps(maps, made.path / "flow_maps.json")
-        rundir.write_json(made.path / "summary.json", flow_map.summary(fits, machine.rig))
-        (made.path / "points.csv").write_text(flow_map.points_table(fits, machine.rig), encoding="utf-8")
-        (made.path / "flow_maps.csv").write_text(
-            table(maps, flow_unit=machine.rig.unit_of("flow"), pressure_unit=machine.rig.unit_of("pressure_drop")), encoding="utf-8"
-        )
+        rundir.write_json(made.path / "summary.json", readings.summary(fits, machine.rig))
+        (made.path / "points.csv").write_text(readings.points_table(fits, machine.rig), encoding="utf-8")
+        units = {"flow_unit": machine.rig.unit_of("flow"), "pressure_unit": machine.rig.unit_of("pressure_drop")}
+        (made.path / "flow_maps.csv").write_text(table(maps, **units), encoding="utf-8")
         _write_rig(made.path, machine.rig, None)
-        warnings = [warning for fit in fits for warning in fit.warnings]
+        warnings = [f"{one.fit.map.valve} {one.fit.map.direction}: {text}" for one in fits for text in one.fit.warnings]
         made.facts |= {"what": "flow_map", "title": recipe.title, "rig": machine.rig.name, "warnings": warnings}
-        _draw(made.path, desk, recipe)
+        _draw(made, desk, recipe)
     return Outcome(made.final, DONE, tuple(warnings))
 
 
@@ -151,7 +150,7 @@ def identify_hydraulics(recipe: HydraulicsRecipe, desk: Desk) -> Outcome:
             "what": "hydraulics", "title": recipe.title, "rig": fit.rig.name, "method": recipe.method, "warnings": warnings,
             "fitted_on": [rundir.sha256(path) for role, path in inputs if role == "log"],
         }  # fmt: skip
-        _draw(made.path, desk, recipe)
+        _draw(made, desk, recipe)
     return Outcome(made.final, INCOMPLETE if losses else DONE, tuple(warnings))
 
 
@@ -176,7 +175,7 @@ def validate(recipe: ValidateRecipe, desk: Desk) -> Outcome:
         made.facts |= {
             "what": "validation", "title": recipe.title, "rig": machine.rig.name, "accepted": verdict.accepted, "warnings": warnings,
         }  # fmt: skip
-        _draw(made.path, desk, recipe)
+        _draw(made, desk, recipe)
     if not verdict.accepted:
         return Outcome(made.final, REJECTED, (*warnings, *verdict.reasons))
     return Outcome(made.final, INCOMPLETE if losses else DONE, tuple(warnings))
@@ -202,7 +201,7 @@ def run_trial(recipe: TrialRecipe, desk: Desk) -> Outcome:
             "what": "trial", "title": recipe.title, "rig": machine.rig.name, "on": recipe.on, "stopped": facts.stopped,
             "warnings": list(facts.warnings),
         }  # fmt: skip
-        _draw(made.path, desk, recipe)
+        _draw(made, desk, recipe)
     if facts.stopped:
         return Outcome(made.final, STOPPED, (*facts.warnings, facts.stopped))
     return Outcome(made.final, DONE, tuple(facts.warnings))
@@ -347,12 +346,13 @@ def _write_series(folder: Path, series: dict[str, Record]) -> None:
         np.savetxt(folder / f"{name}.csv", np.column_stack(list(columns.values())), "%.9g", ",", header=header, comments="")
 
 
-def _draw(folder: Path, desk: Desk, recipe: Recipe) -> None:
+def _draw(made: rundir.Run, desk: Desk, recipe: Recipe) -> None:
     """The run's figures, from the files just written."""
     from ehbench import report as pages
 
     _tell(desk, recipe, "drawing figures", 0.95)
-    pages.draw(folder)
+    made.save()
+    pages.draw(made.path)
 
 
 def _tell(desk: Desk, recipe: Recipe | None, what: str, share: float) -> None:

@@ -19,7 +19,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from ehbench.compiled import kernel
 
 CHAIN, SLIDE = 0, 1
 
@@ -31,8 +32,6 @@ COLUMNS = 16
 # Work a joint: cosine and sine of its angle, then (force, moment) or the composite (mass, moments, inertia).
 _COS, _SIN, _BODY = 0, 1, 2
 _STRIDE = 12
-
-_kernel = njit(cache=True, nogil=True, error_model="numpy")
 
 
 def pack_link(dh_a, dh_d, dh_alpha, dh_theta, mass, com, inertia, damping) -> np.ndarray:
@@ -71,27 +70,27 @@ def pack_slide(mass, damping, incline) -> np.ndarray:
     return row
 
 
-@_kernel
+@kernel
 def work_size(n):
     """Length of the float64 workspace for n joints."""
     return n * (_STRIDE + n + 1)
 
 
-@_kernel
+@kernel
 def _outward(c, s, ca, sa, x, y, z):
     """A vector in the axes of a joint frame, given in those of the joint before: Rz(θ)ᵀ Rx(α)ᵀ."""
     y, z = ca * y + sa * z, ca * z - sa * y
     return c * x + s * y, c * y - s * x, z
 
 
-@_kernel
+@kernel
 def _inward(c, s, ca, sa, x, y, z):
     """The inverse of `_outward`: Rx(α) Rz(θ)."""
     x, y = c * x - s * y, s * x + c * y
     return x, ca * y - sa * z, sa * y + ca * z
 
 
-@_kernel
+@kernel
 def _turn(links, q, work):
     """Cosine and sine of every joint angle into ``work``."""
     for i in range(links.shape[0]):
@@ -100,7 +99,7 @@ def _turn(links, q, work):
         work[i * _STRIDE + _SIN] = math.sin(angle)
 
 
-@_kernel
+@kernel
 def _newton_euler(links, gravity, qd, out, work):
     """Torque at rest acceleration, after `_turn`: rates outward, then forces inward, all in joint frames."""
     n = links.shape[0]
@@ -148,7 +147,7 @@ def _newton_euler(links, gravity, qd, out, work):
             work[p + 5] += nz + pa * fy
 
 
-@_kernel
+@kernel
 def _composite(links, work):
     """Lower triangle of the mass matrix, row by row at the tail of ``work``, after `_turn`: links welded inward."""
     n = links.shape[0]
@@ -204,7 +203,7 @@ def _composite(links, work):
     return tail
 
 
-@_kernel
+@kernel
 def bias(kind, links, gravity, q, qd, out, work):
     """Write h(q, q̇) + c(q) + B q̇ into ``out`` (n,): the torque [N·m], or force [N] of a slide, that holds q̈ = 0.
 
@@ -217,7 +216,7 @@ def bias(kind, links, gravity, q, qd, out, work):
     _newton_euler(links, gravity, qd, out, work)
 
 
-@_kernel
+@kernel
 def mass_matrix(kind, links, q, out, work):
     """Write D(q) into ``out`` (n, n), symmetric [kg·m²], or [kg] of a slide; composite rigid bodies."""
     if kind == SLIDE:
@@ -230,7 +229,7 @@ def mass_matrix(kind, links, q, out, work):
             out[i, k] = out[k, i] = work[tail + i * n + k]
 
 
-@_kernel
+@kernel
 def forward(kind, links, gravity, q, qd, torque, qdd, work):
     """Write the acceleration q̈ = D⁻¹ (τ − h − c − B q̇) into ``qdd`` (n,) [rad/s²], or [m/s²] of a slide.
 
@@ -270,7 +269,7 @@ def forward(kind, links, gravity, q, qd, torque, qdd, work):
         qdd[i] = value
 
 
-@_kernel
+@kernel
 def gravity_torque(kind, links, gravity, q, out, work):
     """Write c(q) into ``out`` (n,): the torque [N·m], or force [N] of a slide, that holds the links at rest.
 
@@ -300,7 +299,7 @@ def gravity_torque(kind, links, gravity, q, out, work):
             hz += m * links[i - 1, D]
 
 
-@_kernel
+@kernel
 def energy(kind, links, gravity, q, qd, work):
     """(kinetic, potential) energy [J]; potential counts from the height of the base, or of x = 0 on a slide."""
     if kind == SLIDE:
@@ -329,7 +328,7 @@ def energy(kind, links, gravity, q, qd, work):
     return kinetic, potential
 
 
-@_kernel
+@kernel
 def tip(kind, links, q):
     """Position (x, y, z) [m] of the last frame's origin in the base frame, z up.
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from ehbench.compiled import kernel
 from ehbench.errors import InputError
 
 PINS, DIRECT = 0, 1
@@ -18,10 +18,8 @@ PINS, DIRECT = 0, 1
 CAVITATION_BAND = 0.9e5  # [Pa] above the floor, over which a chamber stops yielding to outflow
 VOLUME_MARGIN = 0.02  # share of a chamber's dead volume that is left at the least
 
-_kernel = njit(cache=True, nogil=True, error_model="numpy")
 
-
-@_kernel
+@kernel
 def linkage(kind, l_a, l_b, sign, phase, retracted, q):
     """(x [m], lever ∂x/∂q [m/rad], ∂lever/∂q [m/rad²]) of a cylinder at joint angle q.
 
@@ -39,13 +37,13 @@ def linkage(kind, l_a, l_b, sign, phase, retracted, q):
     """
     if kind == DIRECT:
         return q, 1.0, 0.0
-    theta = sign * q + phase
-    product, cosine = l_a * l_b, math.cos(theta)
+    half = 0.5 * (sign * q + phase)
+    sine, cosine = math.sin(half), math.cos(half)
+    product, versine = l_a * l_b, 2.0 * sine * sine
     # (l_A − l_B)² + 2 l_A l_B (1 − cos θ) keeps its digits where the pins nearly meet
-    half = math.sin(0.5 * theta)
-    c = math.sqrt((l_a - l_b) * (l_a - l_b) + 4.0 * product * half * half)
-    lever = sign * product * math.sin(theta) / c
-    return c - retracted, lever, (product * cosine - lever * lever) / c
+    c = math.sqrt((l_a - l_b) * (l_a - l_b) + 2.0 * product * versine)
+    lever = 2.0 * sign * product * sine * cosine / c
+    return c - retracted, lever, (product - product * versine - lever * lever) / c
 
 
 def joint_angle(kind, l_a, l_b, sign, phase, retracted, x):
@@ -82,7 +80,7 @@ def joint_range(kind, l_a, l_b, sign, phase, retracted, stroke) -> tuple[float, 
     return float(retracted_q), float(extended_q)
 
 
-@_kernel
+@kernel
 def chamber_volume(dead_volume, displaced):
     """Oil volume [m³] of a chamber: ``dead_volume + displaced``, at least VOLUME_MARGIN of the dead volume.
 
@@ -95,7 +93,7 @@ def chamber_volume(dead_volume, displaced):
     return max(dead_volume + displaced, VOLUME_MARGIN * dead_volume)
 
 
-@_kernel
+@kernel
 def chamber_rate(inflow, pressure, volume, bulk_modulus, floor):
     """Rate of pressure [Pa/s] of one chamber: ``β_e/V · inflow``, held above the cavitation floor.
 
@@ -115,7 +113,7 @@ def chamber_rate(inflow, pressure, volume, bulk_modulus, floor):
     return bulk_modulus / volume * (inflow + makeup_flow(inflow, pressure, floor))
 
 
-@_kernel
+@kernel
 def makeup_flow(inflow, pressure, floor):
     """Oil [m³/s], ≥ 0, that the cavitation floor adds to a chamber; with it the oil balance closes."""
     if inflow >= 0.0 or pressure >= floor + CAVITATION_BAND:
@@ -123,7 +121,7 @@ def makeup_flow(inflow, pressure, floor):
     return -inflow * (1.0 - (pressure - floor) / CAVITATION_BAND)
 
 
-@_kernel
+@kernel
 def inflows(v, flow_head, flow_rod, p_head, p_rod, p_tank, area_head, area_rod, leak_internal, leak_head, leak_rod):
     """What compresses the oil of (head, rod) [m³/s]: the right-hand sides of thesis 2.4 and 2.5.
 
@@ -135,7 +133,7 @@ def inflows(v, flow_head, flow_rod, p_head, p_rod, p_tank, area_head, area_rod, 
     return head, rod
 
 
-@_kernel
+@kernel
 def chamber_rates(
     v,
     flow_head,
@@ -170,7 +168,7 @@ def chamber_rates(
     return chamber_rate(head, p_head, volume_head, bulk_head, floor), chamber_rate(rod, p_rod, volume_rod, bulk_rod, floor)
 
 
-@_kernel
+@kernel
 def relief_flow(pressure, relief_pressure, gain):
     """Flow [m³/s] out of a relief valve: ``gain·max(0, p − p_relief)``.
 
@@ -183,7 +181,7 @@ def relief_flow(pressure, relief_pressure, gain):
     return gain * (pressure - relief_pressure) if pressure > relief_pressure else 0.0
 
 
-@_kernel
+@kernel
 def end_stop(x, v, stroke, stiffness, dissipation):
     """Force [N] of the end stops on the rod, extension positive: ≥ 0 at x < 0, ≤ 0 at x > stroke, else 0.
 

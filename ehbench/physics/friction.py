@@ -10,12 +10,10 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
-_kernel = njit(cache=True, nogil=True, error_model="numpy")
+from ehbench.compiled import kernel
 
 
-@_kernel
+@kernel
 def coulomb_viscous(v, viscous, coulomb, smoothing):
     """Resistance [N] of the model: ``viscous·v + coulomb·tanh(v/smoothing)``.
 
@@ -28,7 +26,7 @@ def coulomb_viscous(v, viscous, coulomb, smoothing):
     return viscous * v + coulomb * math.tanh(v / smoothing)
 
 
-@_kernel
+@kernel
 def stribeck(v, viscous, coulomb, static, stribeck_speed, smoothing):
     """Resistance [N] with a Stribeck dip: ``viscous·v + (coulomb + (static − coulomb) e^−(v/v_st)²) tanh(v/v_s)``.
 

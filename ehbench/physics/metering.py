@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from ehbench.compiled import kernel
 from ehbench.physics.flow_map import map_command, map_flow
 
 ORIFICE, COMPENSATED, MAP = 0, 1, 2
@@ -19,7 +18,7 @@ EDGE_INTS = 7
 ORIFICE_DROP = 2.0e4
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel
 def shape(law, drop, reference):
     """Drop-dependent factor of the analytic laws for drop ≥ 0.
 
@@ -31,7 +30,7 @@ def shape(law, drop, reference):
     return drop / math.sqrt(drop * drop + reference * reference)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def edge_flow(drop, opening, floats, ints, maps):
     """Flow [m³/s] along an edge, positive from → to, at a pressure drop [Pa] of either sign and a valve opening [V]."""
     reach = floats[SIGN] * opening
@@ -51,7 +50,7 @@ def edge_flow(drop, opening, floats, ints, maps):
     return math.copysign(floats[GAIN] * wide * shape(law, abs(drop), floats[DROP]), drop)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def edge_command(drop, flow, floats, ints, maps):
     """Command [V] at which an edge passes ``flow`` [m³/s] at ``drop`` [Pa]: the exact inverse of ``edge_flow``.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from numba import njit
+from ehbench.compiled import kernel
 
 # set pressure, tank pressure, flow limit, volume, bulk modulus
 P_SET, P_TANK, FLOW_LIMIT, VOLUME, BULK = 0, 1, 2, 3, 4
@@ -10,7 +10,7 @@ SUPPLY_FLOATS = 5
 RECOVERY_TIME = 0.02
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pump_flow(p_supply, demand, supply):
     """Flow [m³/s] a pressure-compensated pump delivers at ``p_supply`` [Pa] and ``demand`` [m³/s].
 

@@ -1,4 +1,4 @@
-"""Figures of one run folder, drawn from its saved files: ``figures/*.svg`` and ``figures/index.json``, which says what they are."""
+"""Figures of one run folder, drawn from its saved files: ``figures/*.svg``, and ``figures/index.json`` that says what they are."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from ehbench.report import map_figures, series_figures
 from ehbench.report.saved import INDEX, Points, Saved, read_points
 from ehbench.report.words import words
 from ehbench.rundir import write_json
+
+
+_TWINS = {"x": "q", "v": "qd"}
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,9 @@ def draw(folder: Path) -> None:
     run = Saved(folder)
     album = Album(run)
     (run.folder / "figures").mkdir(exist_ok=True)
-    _DRAWERS.get((run.stage, run.what), _DRAWERS.get((run.stage, None), lambda run, album: None))(run, album)
+    drawer = _DRAWERS.get((run.stage, run.what)) or _DRAWERS.get((run.stage, ""))
+    if drawer is not None:
+        drawer(run, album)
     write_json(run.folder / "figures" / INDEX, {"figures": [asdict(figure) for figure in album.figures]})
 
 
@@ -64,11 +69,22 @@ def _flow_map(run: Saved, album: Album) -> None:
             "Flow over pressure drop, one curve a command; below, readings minus curves. Bands are 95 % intervals of the curves; "
             "dashed and pale where no readings surround the curve."
         )
-        map_figures.flow_map(album.add(f"flow_map_{one.valve}_{one.direction}", f"Flow map of {who}", caption, kind="flow_map", **about), run.rig, one, mine)
+        map_figures.flow_map(
+            album.add(f"flow_map_{one.valve}_{one.direction}", f"Flow map of {who}", caption, kind="flow_map", **about),
+            run.rig,
+            one,
+            mine,
+        )
     for one in maps.each():
         about = {"valve": one.valve, "direction": one.direction}
         caption = "Command that passes a flow, one curve a pressure drop; the exact inverse of the flow map, with its 95 % band."
-        path = album.add(f"inverse_map_{one.valve}_{one.direction}", f"Inverse map of {one.valve}, {one.direction}", caption, kind="inverse_map", **about)
+        path = album.add(
+            f"inverse_map_{one.valve}_{one.direction}",
+            f"Inverse map of {one.valve}, {one.direction}",
+            caption,
+            kind="inverse_map",
+            **about,
+        )
         map_figures.inverse_map(path, run.rig, one)
 
 
@@ -77,7 +93,9 @@ def _hydraulics(run: Saved, album: Album) -> None:
     parameters = [one for one in fit["parameters"] if one.number("value") is not None]
     if parameters:
         caption = "Dot and bar: value and 95 % interval. Grey: the bounds of the search. Hollow: where the search started."
-        series_figures.parameters(album.add("parameters", "Parameters within their bounds", caption, kind="parameters"), run.rig, parameters)
+        series_figures.parameters(
+            album.add("parameters", "Parameters within their bounds", caption, kind="parameters"), run.rig, parameters
+        )
     for log in fit["logs"]:
         _comparison(run, album, log["name"], "fit", "Fitted to")
 
@@ -85,15 +103,25 @@ def _hydraulics(run: Saved, album: Album) -> None:
 def _validation(run: Saved, album: Album) -> None:
     for log in run.json("validation.json")["logs"]:
         name = log["name"]
-        _comparison(run, album, name, "validation", "Held out" if log.get("status", "held_out") == "held_out" else words(log["status"]).capitalize())
+        _comparison(
+            run,
+            album,
+            name,
+            "validation",
+            "Held out" if log.get("status", "held_out") == "held_out" else words(log["status"]).capitalize(),
+        )
         by_cylinder: dict[str, list] = {}
         for channel in log["channels"]:
             if channel.get("autocorrelation") is not None:
                 by_cylinder.setdefault(channel["channel"].rpartition(".")[0], []).append(channel)
         for cylinder, channels in by_cylinder.items():
             key = f"residuals_{name}_{cylinder}"
-            caption = "Correlation of the residual with itself and with earlier commands. Shaded: 95 % band of uncorrelated residuals of the same colour."
-            path = album.add(key, f"Residuals of {words(name)}, {cylinder}", caption, kind="residuals", log=name, cylinder=cylinder)
+            caption = (
+                "Correlation of the residual with itself and with earlier commands. Shaded: 95 % band, which allows for colour."
+            )
+            path = album.add(
+                key, f"Residuals of {words(name)}, {cylinder}", caption, kind="residuals", log=name, cylinder=cylinder
+            )
             series_figures.correlations(path, channels)
 
 
@@ -102,6 +130,8 @@ def _comparison(run: Saved, album: Album, name: str, kind: str, lead: str) -> No
     if series is None:
         return
     for cylinder, channels in series.cylinders().items():
+        if kind == "fit":  # a joint's angle and its cylinder's stroke say the same
+            channels = [c for c in channels if f"{cylinder}.{_TWINS.get(c.rpartition('.')[2])}" not in channels]
         caption = "Solid: recorded. Dashed: simulated. The narrow strips show simulated minus recorded."
         if not any(channel in series.simulated for channel in channels):
             caption = "Recorded only: this log could not be simulated."
@@ -120,9 +150,9 @@ def _trial(run: Saved, album: Album) -> None:
         series_figures.trial(path, run.rig, record, cylinder, channels)
 
 
-_DRAWERS: dict[tuple[str, str | None], Callable[[Saved, Album], None]] = {
+_DRAWERS: dict[tuple[str, str], Callable[[Saved, Album], None]] = {
     ("identify", "flow_map"): _flow_map,
     ("identify", "hydraulics"): _hydraulics,
-    ("validate", None): _validation,
-    ("trial", None): _trial,
+    ("validate", ""): _validation,
+    ("trial", ""): _trial,
 }

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from ehbench.physics.flow_map import FlowMap
 from ehbench.report.saved import Points
-from ehbench.report.style import ACCENT, MUTED, canvas, legend, shades, spread
+from ehbench.report.style import ACCENT, INK, MUTED, canvas, legend, shades, spread
 from ehbench.report.words import axis, number, pretty, shown, unit_of
 from ehbench.rig import Rig
 
@@ -28,7 +29,10 @@ def flow_map(path: Path, rig: Rig, one: FlowMap, points: Points) -> None:
     drop = np.linspace(0.0, 1.0, 161) ** 2 * max(one.drop_max, float(one.hull_high.max()))
     kept = points.flow.size and not points.outlier.all()
     ratios = [4.2, 1] if kept else [1]
-    with canvas(path, len(ratios), 1, (7.2, 5.6), sharex=True, squeeze=False, gridspec_kw={"height_ratios": ratios}) as (figure, axes):
+    with canvas(path, len(ratios), 1, (7.2, 5.6), sharex=True, squeeze=False, gridspec_kw={"height_ratios": ratios}) as (
+        figure,
+        axes,
+    ):
         main = axes[0, 0]
         ends = {}
         for command, colour in colours.items():
@@ -42,15 +46,17 @@ def flow_map(path: Path, rig: Rig, one: FlowMap, points: Points) -> None:
             ends[(f"≤ {number(shut[-1], 3)} V" if shut.size > 1 else f"{number(shut[-1], 3)} V") + ", shut"] = (0.0, MUTED)
         low, high = _limits([y for y, _ in ends.values()], shown(rig, "flow", points.flow[~points.outlier]))
         main.set_ylim(low, high)
-        main.set_xlim(0.0, float(shown(rig, "pressure_drop", drop[-1])))
-        handles = _readings(main, rig, points, colours, (low, high))
+        main.set_xlim(0.0, 1.01 * float(shown(rig, "pressure_drop", drop[-1])))
+        handles = _readings(main, rig, points, _colour_of(one, colours), (low, high))
         _end_labels(main, ends)
         main.set_ylabel(axis(rig, "flow"))
         handles.append(Patch(color=MUTED, alpha=0.3, linewidth=0, label="95 % band"))
         if any(not one.inside(drop[1:], command).all() for command in commands):
-            handles.append(Line2D([], [], color=MUTED, alpha=0.6, linestyle=(0, (3, 2)), linewidth=1.1, label="beyond the readings"))
+            handles.append(
+                Line2D([], [], color=MUTED, alpha=0.6, linestyle=(0, (3, 2)), linewidth=1.1, label="beyond the readings")
+            )
         if kept:
-            _residuals(axes[1, 0], rig, points, colours)
+            _residuals(axes[1, 0], rig, points, _colour_of(one, colours))
         axes[-1, 0].set_xlabel(axis(rig, "pressure_drop"))
         legend(figure, handles)
 
@@ -83,8 +89,11 @@ def inverse_map(path: Path, rig: Rig, one: FlowMap) -> None:
 def _in_and_out(ax, x: np.ndarray, y: np.ndarray, inside: np.ndarray, colour) -> None:
     """A curve, solid where readings surround it, dashed and pale elsewhere; the two touch."""
     grown = inside | np.append(inside[1:], False) | np.insert(inside[:-1], 0, False)
-    ax.plot(x, np.where(grown, np.nan, y), color=colour, alpha=0.45, linewidth=1.1, linestyle=(0, (3, 2)))
-    ax.plot(x, np.where(inside, y, np.nan), color=colour, linewidth=1.4)
+    # an empty line counts as a point at the figure's corner and would upset the layout
+    if not grown.all():
+        ax.plot(x, np.where(grown, np.nan, y), color=colour, alpha=0.45, linewidth=1.1, linestyle=(0, (3, 2)))
+    if inside.any():
+        ax.plot(x, np.where(inside, y, np.nan), color=colour, linewidth=1.4)
 
 
 def _limits(ends: list[float], flows: np.ndarray) -> tuple[float, float]:
@@ -93,14 +102,14 @@ def _limits(ends: list[float], flows: np.ndarray) -> tuple[float, float]:
     return low - 0.025 * (high - low), high + 0.05 * (high - low)
 
 
-def _colour(colours: dict, command: float):
-    """The colour of the curve of a reading's command; grey where the valve is shut."""
-    near = min(colours, key=lambda known: abs(known - command)) if colours else None
-    below = near is None or command < min(colours) - 0.5 * abs(near - command) - 1e-9
-    return MUTED if below and (near is None or abs(near - command) > 0.01 * max(colours)) else colours[near]
+def _colour_of(one: FlowMap, colours: dict) -> Callable[[float], object]:
+    """The colour of a reading by its command: that of the nearest curve, grey where the valve is shut."""
+    return lambda command: (
+        colours[min(colours, key=lambda known: abs(known - command))] if colours and command > one.deadband else MUTED
+    )
 
 
-def _readings(ax, rig: Rig, points: Points, colours: dict, limits: tuple[float, float]) -> list:
+def _readings(ax, rig: Rig, points: Points, colour: Callable, limits: tuple[float, float]) -> list:
     """Readings by method in the colour of their curve, outliers crossed (at the edge where they lie outside); legend handles."""
     from matplotlib.lines import Line2D
 
@@ -110,32 +119,50 @@ def _readings(ax, rig: Rig, points: Points, colours: dict, limits: tuple[float, 
         marker, text = _MARKS.get(method, ("s", method))
         for command in np.unique(points.command):
             at = (points.method == method) & (points.command == command) & ~points.outlier
-            ax.plot(x[at], y[at], marker, markersize=2.6, markerfacecolor="none", markeredgewidth=0.6, color=_colour(colours, command), alpha=0.8)
+            if not at.any():
+                continue
+            ax.plot(
+                x[at],
+                y[at],
+                marker,
+                markersize=2.6,
+                markerfacecolor="none",
+                markeredgewidth=0.6,
+                color=colour(command),
+                alpha=0.8,
+            )
         handles.append(Line2D([], [], marker=marker, linestyle="", markersize=4, markerfacecolor="none", color=MUTED, label=text))
     out = points.outlier
     if out.any():
         seen = np.clip(y[out], *limits)
         gone = seen != y[out]
-        ax.plot(x[out][~gone], seen[~gone], "x", color=ACCENT, markersize=6, markeredgewidth=1.6, zorder=5)
-        for up in (True, False):
-            at = gone & ((y[out] > limits[1]) == up)
-            ax.plot(x[out][at], seen[at], "^" if up else "v", color=ACCENT, markersize=6, zorder=5, clip_on=False)
-        handles.append(Line2D([], [], marker="x", linestyle="", markersize=6, markeredgewidth=1.6, color=ACCENT, label=f"left out ({out.sum()})"))
+        for marker, at in (("x", ~gone), ("^", y[out] > limits[1]), ("v", y[out] < limits[0])):
+            if at.any():
+                ax.plot(
+                    x[out][at], seen[at], marker, color=ACCENT, markersize=6, markeredgewidth=1.6, zorder=5, clip_on=marker == "x"
+                )
+        handles.append(
+            Line2D(
+                [], [], marker="x", linestyle="", markersize=6, markeredgewidth=1.6, color=ACCENT, label=f"left out ({out.sum()})"
+            )
+        )
         if gone.any():
             handles.append(Line2D([], [], marker="^", linestyle="", markersize=5, color=ACCENT, label="left out, off the scale"))
     return handles
 
 
-def _residuals(ax, rig: Rig, points: Points, colours: dict) -> None:
+def _residuals(ax, rig: Rig, points: Points, colour: Callable) -> None:
     used = ~points.outlier & np.isfinite(points.fitted)
     error = shown(rig, "flow", points.flow - points.fitted)
     for command in np.unique(points.command):
         at = used & (points.command == command)
-        ax.plot(shown(rig, "pressure_drop", points.pressure_drop[at]), error[at], ".", markersize=2.2, color=_colour(colours, command))
+        if not at.any():
+            continue
+        ax.plot(shown(rig, "pressure_drop", points.pressure_drop[at]), error[at], ".", markersize=2.2, color=colour(command))
     ax.axhline(0.0, color=MUTED, linewidth=0.8)
     most = 1.08 * float(np.max(np.abs(error[used]), initial=1e-12))
     ax.set_ylim(-most, most)
-    ax.set_ylabel(axis(rig, "flow", "residual"))
+    ax.set_ylabel(axis(rig, "flow", "residual\n").replace("\n ", "\n"), fontsize=8)
 
 
 def _end_labels(ax, ends: dict) -> None:
@@ -145,14 +172,16 @@ def _end_labels(ax, ends: dict) -> None:
     across = ax.get_yaxis_transform()
     for (text, (y, colour)), place in zip(ends.items(), places, strict=True):
         ax.plot([1.0, 1.018], [y, place], color=colour, linewidth=0.7, transform=across, clip_on=False)
-        ax.text(1.023, place, text, color=colour, transform=across, va="center", fontsize=7.5)
+        ax.text(1.023, place, text, color=INK, transform=across, va="center", fontsize=7.5)
 
 
 def _round_drops(rig: Rig, one: FlowMap, count: int = 6) -> list[float]:
     """Drops [Pa] that are round numbers to the reader, spread by ratio over what was measured."""
     passing = one.hull_command > one.deadband
     low = float(np.median(one.hull_low[passing])) if passing.any() else one.drop_max / 50
-    low = min(max(low, one.drop_max / 50), one.drop_max / 2)
+    high = float(np.quantile(one.hull_high[passing], 0.1)) if passing.any() else one.drop_max
+    low = min(max(low, high / 50), high / 2)
     per = one.drop_max / float(shown(rig, "pressure_drop", one.drop_max))
-    drops = [float(f"{drop:.1e}") for drop in np.geomspace(low / per, one.drop_max / per, count)]
-    return [drop * per for drop in dict.fromkeys(drops)]
+    wished = np.geomspace(low / per, high / per, count)
+    step = 10.0 ** (np.floor(np.log10(wished)) - 1.0)
+    return [float(drop) * per for drop in dict.fromkeys(np.floor(wished / step + 1e-9) * step)]

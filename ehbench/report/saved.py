@@ -141,6 +141,18 @@ class Saved:
         path = self.folder / name
         return Table(read_json(path), path)
 
+    def rows(self, name: str) -> list[Table]:
+        """A JSON file of the folder that holds a list of tables.
+
+        Raises:
+            InputError: not there, not JSON, no list of tables.
+        """
+        path = self.folder / name
+        found = read_json(path)
+        if not isinstance(found, list):
+            raise InputError("holds no list of tables", file=path, hint="make the run again with this version of ehbench")
+        return [Table(row, path, f"[{i}]") for i, row in enumerate(found)]
+
     def figures(self) -> list[Table]:
         """What the run's figures are, in order: file, key, title, caption, about."""
         return self.json(f"figures/{INDEX}")["figures"]

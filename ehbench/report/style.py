@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 
 RECORDED, SIMULATED, ACCENT, MUTED = "#1f3f66", "#e08214", "#b3261e", "#6b7280"
+INK = "#1f2937"
 CYCLE = ("#1f3f66", "#e08214", "#2e7d5b", "#8e4585", "#7a6a4f", "#b3261e")
 MARKS = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)))
-BUCKETS = 420  # a panel is about as many pixels wide
+BUCKETS = 320  # half a figure is about as many pixels wide
 
 _RC = {
     "svg.hashsalt": "ehbench",
@@ -27,6 +28,10 @@ _RC = {
     "grid.color": "#e5e7eb",
     "grid.linewidth": 0.7,
     "axes.edgecolor": "#9ca3af",
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.axisbelow": True,
@@ -42,6 +47,7 @@ _RC = {
     "path.simplify_threshold": 0.3,
 }
 _COORDINATES = re.compile(r'(?<= )(d|points|x|y)="([^"]*)"')
+_MARKERS = re.compile(r'\s*<use [^>]*? style="([^"]*)"/>(?:\s*<use [^>]*? style="\1"/>)+')
 _DIGITS = re.compile(r"(\.\d\d)\d+")
 
 
@@ -66,15 +72,20 @@ def canvas(path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float
 
 
 def _short(svg: str) -> str:
-    """The SVG with coordinates to a hundredth of a point, which nobody can see, at half the size."""
-    return _COORDINATES.sub(lambda found: '{}="{}"'.format(found[1], _DIGITS.sub(r"\1", found[2])), svg)
+    """The SVG with coordinates to a hundredth of a point, which nobody can see, and the style of many markers said once."""
+
+    def said_once(found: re.Match) -> str:
+        style = f' style="{found[1]}"'
+        return f"<g{style}>{found[0].replace(style, '')}</g>"
+
+    return _COORDINATES.sub(lambda found: '{}="{}"'.format(found[1], _DIGITS.sub(r"\1", found[2])), _MARKERS.sub(said_once, svg))
 
 
 def shades(count: int) -> list:
     """``count`` colours from dark to light that keep their order in grey print."""
     import matplotlib
 
-    return [matplotlib.colormaps["viridis"](0.86 * i / max(count - 1, 1)) for i in range(count)]
+    return [matplotlib.colormaps["viridis"](0.8 * i / max(count - 1, 1)) for i in range(count)]
 
 
 def thin(t: np.ndarray, y: np.ndarray, buckets: int = BUCKETS) -> tuple[np.ndarray, np.ndarray]:
@@ -92,7 +103,7 @@ def thin(t: np.ndarray, y: np.ndarray, buckets: int = BUCKETS) -> tuple[np.ndarr
 
 
 def spread(places: Sequence[float], gap: float, low: float, high: float) -> list[float]:
-    """Places moved as little as their order allows, so that neighbours lie ``gap`` apart inside low…high (all evenly if too many)."""
+    """Places moved apart to ``gap`` between neighbours, in their order and inside low…high; closer where they are too many."""
     order = sorted(range(len(places)), key=lambda i: (places[i], i))
     gap = min(gap, (high - low) / max(len(places) - 1, 1))
     groups: list[list[float]] = []  # (sum of wished first places, count) of runs of touching labels

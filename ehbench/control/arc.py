@@ -1,0 +1,624 @@
+"""Energy-saving adaptive robust controller of one cylinder, the other joints held (thesis 4); derivation in docs/arc.md.
+
+Task level: `ehbench.control.functions` chooses the working function. Valve level: the off-side chamber follows a low pressure;
+the other tracks the motion by backstepping (stroke → load force → flow) with projected adaptation of inverse inertia,
+payload, disturbance and bulk modulus. Where one spool opens both chambers, the same law drives its one opening.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ehbench.compiled import kernel
+from ehbench.control.functions import (
+    CROSS_DROP, DIRECTION, EXTEND_RESISTIVE_REGENERATION, FUNCTIONS, HEAD, HEAD_TANK, HOLD, METERED, METERING, ROD, ROD_TANK, RULES, SPEED_START,
+    SUPPLY_HEAD, SUPPLY_ROD, Circuit, coupled, path_drop, select, widest,
+)  # fmt: skip
+from ehbench.control.trajectory import A, J, V, X
+from ehbench.control.valve_level import AGAINST, REVERSED, SATURATED, give, rest
+from ehbench.errors import InputError
+from ehbench.physics import arm
+from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
+from ehbench.physics.cylinder import chamber_volume, linkage
+from ehbench.physics.metering import SIGN, VALVE, edge_command, edge_flow
+
+# a sample of a rig: this many channels a cylinder, then p_supply and p_tank
+PER_CYLINDER, AT_Q, AT_X, AT_V, AT_HEAD, AT_ROD = 6, 0, 2, 3, 4, 5
+
+# the four estimates, in order, with their units
+ESTIMATES = ("inverse_inertia", "payload_share", "disturbance", "inverse_bulk")
+INVERSE_INERTIA, PAYLOAD, DISTURBANCE, INVERSE_BULK = range(4)
+_N = 4
+# share of each estimate's bounds that scales its adaptation: inertia and disturbance shall not take what the payload explains
+SHARES = np.array([0.3, 1.0, 0.3])
+
+# gains, see `pack_arc`
+GAIN_NAMES = (
+    "tick", "adapt", "position", "speed", "force", "coupling", "speed_tolerance", "force_tolerance", "pressure", "low_pressure",
+    "pressure_rate", "observer", "correction", "load_corner", "standby", "drop_floor", "reference_mass",
+    "robust_limit", "resolution", "weighing", "lead", "nudge",
+)  # fmt: skip
+(
+    TICK, ADAPT, POSITION, SPEED, FORCE, COUPLING, SPEED_TOLERANCE, FORCE_TOLERANCE, PRESSURE, LOW_PRESSURE, PRESSURE_RATE,
+    OBSERVER, CORRECTION, LOAD_CORNER, STANDBY, DROP_FLOOR, REFERENCE_MASS,
+    ROBUST_LIMIT, RESOLUTION, WEIGHING, LEAD, NUDGE,
+) = range(22)  # fmt: skip
+AT_LOWER = len(GAIN_NAMES)
+AT_UPPER, AT_RATE, AT_START = AT_LOWER + _N, AT_LOWER + 2 * _N, AT_LOWER + 3 * _N
+AT_RULES = AT_LOWER + 4 * _N
+GAINS = AT_RULES + RULES
+
+# how the estimates learn: from the errors of tracking, from the load at rest, or not
+FREE, FROZEN, WEIGHED = 0, 1, 2
+
+# memory, before the workspace of the mechanism
+(
+    STARTED, FUNCTION, AGE, SIDE, SET_POINT, SLOW_LOAD, LEARNING, SEEN_X, SEEN_V, BIAS, MODEL_A,
+) = range(11)  # fmt: skip
+AT_ESTIMATES = 11
+AT_WORK = AT_ESTIMATES + _N
+
+# note: these, then (flow, limits) of each of the cylinder's edges
+NOTE = (
+    "x_desired", "v_desired", "a_desired", "j_desired", "function", "function_status", "x_error", "v_error", "load_force",
+    "load_force_desired", "v_observed", "flow_head_desired", "flow_rod_desired", "pressure_set", "inverse_inertia",
+    "payload_share", "disturbance", "inverse_bulk", "payload_estimate", "learning", "limits",
+)  # fmt: skip
+NOTES = len(NOTE)
+
+
+class Axis(NamedTuple):
+    """One cylinder of the design model and what it moves, as the controller takes it; made by `axis`.
+
+    ``links`` are those of the rig without payload, ``tip`` those of the same mechanism without mass, but 1 kg at the end of
+    the last link. ``joints`` is the joint of each cylinder, ``joint`` the one that this cylinder drives, ``posture`` [rad or m]
+    where joints without a cylinder stand. ``pins``: arguments of `linkage` before the angle. ``chambers``: dead volumes [m³],
+    β [Pa], leakages internal, head, rod [m³/(s·Pa)]. ``friction``: viscous [N·s/m], Coulomb [N], its speed [m/s].
+    ``spool`` [8] is 1 for each working function whose two edges hang on one command, and for hold if there is such a
+    one. ``onset`` [V] of each of the cylinder's edges: where it begins to pass oil, 0 where its valve has other edges as well.
+    """
+
+    circuit: Circuit
+    kind: int
+    gravity: np.ndarray
+    links: np.ndarray
+    tip: np.ndarray
+    joints: np.ndarray
+    joint: int
+    posture: np.ndarray
+    pins: np.ndarray
+    chambers: np.ndarray
+    friction: np.ndarray
+    spool: np.ndarray
+    onset: np.ndarray
+
+
+V_HEAD, V_ROD, BULK, LEAK_INTERNAL, LEAK_HEAD, LEAK_ROD = range(6)
+
+
+@kernel
+def project(estimate, rate, lower, upper):
+    """``rate`` of an estimate, or 0 where it would leave its bounds: the discontinuous projection."""
+    if (estimate >= upper and rate > 0.0) or (estimate <= lower and rate < 0.0):
+        return 0.0
+    return rate
+
+
+@kernel
+def adapt(estimates, rates, lower, upper, tick):
+    """Move the estimates, in place, over one tick; they cannot leave [lower, upper] whatever the rates are."""
+    for i in range(estimates.shape[0]):
+        moved = estimates[i] + tick * project(estimates[i], rates[i], lower[i], upper[i])
+        if moved == moved:
+            estimates[i] = min(max(moved, lower[i]), upper[i])
+
+
+@kernel
+def mechanics(axis, q, angles, mass, work):
+    """(m0 [kg], c/l [N], b/l² [N·s/m], κ/v² [1/m], G [N/kg], r [1], l) of the axis at joint coordinate q, seen at the cylinder.
+
+    Equivalent mass, gravity force and joint damping of the rig without payload, the linkage's own acceleration
+    ``κ = l′ q̇²``, and what 1 kg at the tip adds: gravity force G and, to the mass, r.
+    """
+    j = axis.joint
+    _, lever, curve = linkage(int(axis.pins[0]), axis.pins[1], axis.pins[2], axis.pins[3], axis.pins[4], axis.pins[5], q)
+    n = axis.links.shape[0]
+    per = 1.0 / lever
+    square = per * per
+    torque = work[work.shape[0] - n :]
+    angles[j] = q
+    mass_matrix(axis.kind, axis.links, angles, mass, work)
+    m0 = mass[j, j] * square
+    mass_matrix(axis.kind, axis.tip, angles, mass, work)
+    r = mass[j, j] * square
+    gravity_torque(axis.kind, axis.links, axis.gravity, angles, torque, work)
+    held = torque[j] * per
+    gravity_torque(axis.kind, axis.tip, axis.gravity, angles, torque, work)
+    return m0, held, axis.links[j, arm.DAMPING] * square, curve * square, torque[j] * per, r, lever
+
+
+@kernel
+def spool_flows(function, wanted, head_gain, rod_gain, p_head, p_rod, p_supply, p_tank, circuit):
+    """(flow_head, flow_rod) [m³/s] of the one opening at which a spool gives ``head_gain·Q1 + rod_gain·Q2 = wanted``.
+
+    False position with Illinois weights over the opening, in which both flows grow. What even the widest opening does not
+    give is asked for in proportion, so that the valve level flags it.
+    """
+    way = DIRECTION[function]
+    head_path = SUPPLY_HEAD if way > 0 else HEAD_TANK
+    rod_path = ROD_TANK if way > 0 else SUPPLY_ROD
+    if way * wanted <= 0.0:  # asked for against the function's direction: the valve level shuts and says so
+        return wanted / head_gain, wanted / rod_gain
+    one, two = circuit.paths[head_path], circuit.paths[rod_path]
+    drop_one = path_drop(head_path, p_head, p_rod, p_supply, p_tank)
+    drop_two = path_drop(rod_path, p_head, p_rod, p_supply, p_tank)
+    along_one, along_two = circuit.along[head_path], circuit.along[rod_path]
+    low, high = 0.0, widest(circuit, one, along_one * drop_one)
+    goal = way * wanted
+    at_low, at_high, flow_one, flow_two = -goal, 0.0, 0.0, 0.0
+    side = 0
+    for turn in range(19):
+        at = high if turn == 0 else high - at_high * (high - low) / (at_high - at_low)
+        flow_one = along_one * edge_flow(along_one * drop_one, at, circuit.edges[one], circuit.wiring[one], circuit.maps)
+        flow_two = along_two * edge_flow(along_two * drop_two, at, circuit.edges[two], circuit.wiring[two], circuit.maps)
+        given = head_gain * flow_one + rod_gain * flow_two
+        if turn == 0:
+            at_high = given - goal
+            if at_high <= 0.0:
+                more = goal / given if given > 0.0 else 2.0
+                return way * flow_one * more, way * flow_two * more
+            continue
+        if abs(given - goal) <= 1e-9 * goal:
+            break
+        if given > goal:
+            high, at_high = at, given - goal
+            if side == 1:
+                at_low *= 0.5
+            side = 1
+        else:
+            low, at_low = at, given - goal
+            if side == -1:
+                at_high *= 0.5
+            side = -1
+    return way * flow_one, way * flow_two
+
+
+@kernel
+def stand_by(axis, share, command):
+    """Raise the cylinder's shut cartridges to ``share`` of the command at which they begin to pass oil."""
+    circuit = axis.circuit
+    for i in range(circuit.count):
+        edge = circuit.first + i
+        valve = circuit.wiring[edge, VALVE]
+        waits = share * axis.onset[i]
+        if abs(command[valve]) < abs(waits):
+            command[valve] = waits
+
+
+@kernel
+def step(t, sample, wish, axis, gains, memory, command, note):
+    """One tick of the controller: observe, estimate, choose the function, write commands and note.
+
+    Args:
+        t: time [s], unused.
+        sample: what the rig measured, shape (6·cylinders + 2,); read are this cylinder's channels but q̇, the other
+            cylinders' joint angles, p_supply and p_tank.
+        wish: x_d, v_d, a_d, j_d of the cylinder.
+        axis: of the design model, an `Axis`.
+        gains: of `pack_arc`.
+        memory: state of the controller, shape (memory_size(axis),), zeros before the first tick.
+        command: out, [V], one per valve of the rig; only this cylinder's are written.
+        note: out, shape (NOTES + 2·edges of the cylinder,), columns as `note_channels`.
+    """
+    circuit = axis.circuit
+    n = axis.links.shape[0]
+    at = PER_CYLINDER * circuit.cylinder
+    q, x, p_head, p_rod = sample[at + AT_Q], sample[at + AT_X], sample[at + AT_HEAD], sample[at + AT_ROD]
+    p_supply, p_tank = sample[sample.shape[0] - 2], sample[sample.shape[0] - 1]
+    tick = gains[TICK]
+    estimates = memory[AT_ESTIMATES:AT_WORK]
+    angles = memory[AT_WORK : AT_WORK + n]
+    mass = memory[AT_WORK + n : AT_WORK + n + n * n].reshape((n, n))
+    work = memory[AT_WORK + n + n * n :]
+    for i in range(n):
+        angles[i] = axis.posture[i]
+    for c in range(axis.joints.shape[0]):
+        angles[axis.joints[c]] = sample[PER_CYLINDER * c + AT_Q]
+    m0, held, damping, curve, pull, ratio, lever = mechanics(axis, q, angles, mass, work)
+    load = p_head * circuit.area_head - p_rod * circuit.area_rod
+    friction = axis.friction
+    turn = math.tanh(wish[V] / friction[2])
+
+    starting = memory[STARTED] == 0.0
+    if starting:
+        memory[STARTED], memory[FUNCTION], memory[SLOW_LOAD] = 1.0, HOLD, load
+        memory[SIDE] = HEAD if load >= 0.0 else ROD
+        memory[SET_POINT] = p_rod if load >= 0.0 else p_head
+        memory[SEEN_X], memory[SEEN_V] = x, sample[at + AT_V]
+        for i in range(_N):
+            estimates[i] = gains[AT_START + i]
+        if gains[ADAPT] > 0.0:
+            # weighing: at rest the pressures carry payload and disturbance, in the shares of their adaptation rates
+            share = gains[AT_RATE + PAYLOAD] * pull * pull
+            share /= max(share + gains[AT_RATE + DISTURBANCE], 1e-300)
+            payload = share * (load - held) / pull if pull != 0.0 else 0.0
+            payload = min(max(payload, gains[AT_LOWER + PAYLOAD]), gains[AT_UPPER + PAYLOAD])
+            inverse = m0 / (m0 + ratio * payload)
+            estimates[INVERSE_INERTIA] = min(max(inverse, gains[AT_LOWER]), gains[AT_UPPER])
+            estimates[PAYLOAD] = estimates[INVERSE_INERTIA] * payload
+            rest_force = estimates[INVERSE_INERTIA] * (load - held) - estimates[PAYLOAD] * pull
+            estimates[DISTURBANCE] = min(max(rest_force, gains[AT_LOWER + DISTURBANCE]), gains[AT_UPPER + DISTURBANCE])
+
+    # motion: measured, or observed with the model's acceleration and a bias of it, so that no lag is needed against noise
+    v = sample[at + AT_V]
+    if gains[OBSERVER] > 0.0 and not starting:
+        z = math.exp(-gains[OBSERVER] * tick)
+        a = memory[MODEL_A] + memory[BIAS]
+        seen = memory[SEEN_X] + tick * (memory[SEEN_V] + 0.5 * tick * a)
+        miss = x - seen
+        memory[SEEN_X] = seen + (1.0 - z * z * z) * miss
+        memory[SEEN_V] += tick * a + 1.5 * (1.0 - z) * (1.0 - z) * (1.0 + z) / tick * miss
+        memory[BIAS] += (1.0 - z) ** 3 / (tick * tick) * miss
+    if gains[OBSERVER] > 0.0:
+        x, v = memory[SEEN_X], memory[SEEN_V]
+    else:
+        memory[SEEN_X], memory[SEEN_V] = x, v
+
+    # the laws a moment ahead on the same motion, for their rates
+    ahead = 1.0e-3
+    m1, held1, damping1, curve1, pull1, _, _ = mechanics(axis, q + ahead * v / lever, angles, mass, work)
+
+    # step 1: stroke
+    k1, k2, k3 = gains[POSITION], gains[SPEED], gains[FORCE]
+    z1 = x - wish[X]
+    pulled = k1 * z1
+    if abs(pulled) > gains[CORRECTION]:
+        pulled, k1 = math.copysign(gains[CORRECTION], pulled), 0.0
+    v_error = v - wish[V]
+    z2 = v_error + pulled
+    a_eq = wish[A] - k1 * v_error
+
+    # step 2: load force
+    inverse, share, offset, softness = estimates[0], estimates[1], estimates[2], estimates[3]
+    kappa = curve * v * v
+    force = held + (damping + friction[0]) * v + friction[1] * turn
+    phi1, phi2, phi3 = (load - force) / m0, -pull / m0, -1.0 / m0
+    acceleration = kappa + inverse * phi1 + share * phi2 + offset * phi3
+    wide = abs(phi1) * (gains[AT_UPPER] - gains[AT_LOWER])
+    wide += abs(phi2) * (gains[AT_UPPER + 1] - gains[AT_LOWER + 1]) + abs(phi3) * (gains[AT_UPPER + 2] - gains[AT_LOWER + 2])
+    k2 += min(wide * wide / (4.0 * k2 * gains[SPEED_TOLERANCE] ** 2), gains[ROBUST_LIMIT] * k2)
+    pushed = a_eq - kappa - k2 * z2
+    need = m0 * pushed + share * pull + offset
+    load_d = force + need / inverse
+    z3 = load - load_d
+
+    # adaptation: the gradient of both steps
+    slope = damping + friction[0] - m0 / inverse * (k1 + 2.0 * curve * v + k2)
+    weight = 1.0 / (gains[REFERENCE_MASS] * gains[COUPLING]) ** 2
+    mixed = z2 - weight * slope * z3
+    rates = work[:_N]
+    learning = int(memory[LEARNING]) if gains[ADAPT] > 0.0 and not starting else FROZEN
+    error = mixed if learning == FREE else (-gains[WEIGHING] * acceleration if learning == WEIGHED else 0.0)
+    for i in range(3):
+        phi = phi1 if i == 0 else (phi2 if i == 1 else phi3)
+        rate = gains[AT_RATE + i] * phi * error
+        rates[i] = project(estimates[i], rate, gains[AT_LOWER + i], gains[AT_UPPER + i])
+
+    # step 3: flow
+    own = (m1 - m0) * pushed - m0 * (curve1 - curve) * v * v + share * (pull1 - pull)
+    along = (held1 - held + (damping1 - damping) * v + own / inverse) / ahead
+    timed = friction[1] * (1.0 - turn * turn) * wish[A] / friction[2] + m0 / inverse * (wish[J] + k1 * wish[A] + k2 * a_eq)
+    learnt = (-need / inverse * rates[0] + pull * rates[1] + rates[2]) / inverse
+    load_rate = slope * acceleration + along + timed + learnt
+    cross = inverse * gains[REFERENCE_MASS] ** 2 * gains[COUPLING] ** 2 / m0
+    asked = load_rate - k3 * z3 - cross * z2
+    stiff = (gains[AT_UPPER + 3] - gains[AT_LOWER + 3]) / gains[AT_LOWER + 3]
+    wide = abs(slope) * wide + stiff * abs(asked)
+    asked -= min(wide * wide / (4.0 * k3 * gains[FORCE_TOLERANCE] ** 2), gains[ROBUST_LIMIT] * k3) * z3
+    rates[3] = project(softness, -gains[AT_RATE + 3] * weight * z3 * asked if learning == FREE else 0.0, gains[AT_LOWER + 3], gains[AT_UPPER + 3])
+    chambers = axis.chambers
+    head_gain = circuit.area_head / chamber_volume(chambers[V_HEAD], circuit.area_head * x)
+    rod_gain = circuit.area_rod / chamber_volume(chambers[V_ROD], -circuit.area_rod * x)
+    across = chambers[LEAK_INTERNAL] * (p_head - p_rod)
+    lost_head = across + chambers[LEAK_HEAD] * (p_head - p_tank)
+    lost_rod = across - chambers[LEAK_ROD] * (p_rod - p_tank)
+    soon = gains[LEAD] * wish[A]  # what the valves deliver is late by their lag
+    wanted = head_gain * (circuit.area_head * (v + soon) + lost_head) + rod_gain * (circuit.area_rod * (v + soon) + lost_rod)
+    wanted += softness / chambers[BULK] * asked
+
+    # task level: the direction is that of the desired speed, led back to the desired stroke; an error that the sensor cannot
+    # tell from none asks for no motion. A spool passes its centre without switching, so it just follows what is wanted.
+    memory[SLOW_LOAD] -= math.expm1(-gains[LOAD_CORNER] * tick) * (load - memory[SLOW_LOAD])
+    slow, now = memory[SLOW_LOAD], int(memory[FUNCTION])
+    blind = max(gains[RESOLUTION] - gains[AT_RULES + SPEED_START] / gains[POSITION], 0.3 * gains[RESOLUTION])
+    told = z1 - min(max(z1, -blind), blind)
+    toward = wish[V] - min(max(gains[POSITION] * told, -gains[CORRECTION]), gains[CORRECTION])
+    # where rest is wished for, the error is led back at little more than the speed that it alone asks for
+    resting = abs(wish[V]) <= gains[AT_RULES + SPEED_START]
+    led = 2.0 * abs(toward) + gains[NUDGE]
+    if axis.spool[now] == 1 and not resting:
+        toward = wanted / (head_gain * circuit.area_head + rod_gain * circuit.area_rod)
+    function, status = select(
+        now, memory[AGE], toward, slow, p_head, p_rod, p_supply, p_tank, circuit, gains[AT_RULES:GAINS]
+    )  # fmt: skip
+    if function != now:
+        memory[AGE] = 0.0
+    memory[AGE] += tick
+    memory[FUNCTION] = function
+
+    # valve level: the off-side chamber's flow follows its pressure, the rest of what is wanted is the metered chamber's
+    flow_head, flow_rod, target = 0.0, 0.0, 0.0
+    if function == HOLD:
+        memory[SIDE] = HEAD if slow >= 0.0 else ROD
+        memory[SET_POINT] = p_rod if memory[SIDE] == HEAD else p_head
+    elif axis.spool[function] == 1:
+        flow_head, flow_rod = spool_flows(function, wanted, head_gain, rod_gain, p_head, p_rod, p_supply, p_tank, circuit)
+    else:
+        way = DIRECTION[function]
+        if memory[SIDE] != METERED[function]:
+            memory[SIDE] = METERED[function]
+            memory[SET_POINT] = p_rod if METERED[function] == HEAD else p_head
+        target = p_tank + gains[LOW_PRESSURE]
+        if function == EXTEND_RESISTIVE_REGENERATION:
+            target = (slow + gains[AT_RULES + CROSS_DROP] * circuit.area_head) / (circuit.area_head - circuit.area_rod)
+        # the set-point never moves so fast that the metered chamber would have to give way against the motion
+        metered, other = (head_gain * circuit.area_head, circuit.area_rod) if METERED[function] == HEAD else (
+            rod_gain * circuit.area_rod, circuit.area_head
+        )
+        travel = min(gains[PRESSURE_RATE], 0.5 * chambers[BULK] * metered * abs(wish[V]) / other) * tick
+        moved = min(max(target - memory[SET_POINT], -travel), travel)
+        memory[SET_POINT] += moved
+        ramp = moved / tick if abs(moved) == travel else 0.0  # what is left is the noise of the tank's sensor
+        if METERED[function] == HEAD:
+            held_in = gains[PRESSURE] * (p_rod - memory[SET_POINT]) - ramp
+            flow_rod = circuit.area_rod * (wish[V] + soon + softness / chambers[BULK] / rod_gain * held_in) + lost_rod
+            flow_rod = way * max(way * flow_rod, 0.0)
+            flow_head = (wanted - rod_gain * flow_rod) / head_gain
+            if resting:
+                flow_head = way * min(way * flow_head, circuit.area_head * led)
+        else:
+            held_in = gains[PRESSURE] * (memory[SET_POINT] - p_head) + ramp
+            flow_head = circuit.area_head * (wish[V] + soon + softness / chambers[BULK] / head_gain * held_in) + lost_head
+            flow_head = way * max(way * flow_head, 0.0)
+            flow_rod = (wanted - head_gain * flow_head) / rod_gain
+            if resting:
+                flow_rod = way * min(way * flow_rod, circuit.area_rod * led)
+
+    edges = NOTES + circuit.count
+    limits = 0
+    if function == HOLD:
+        rest(circuit, command, note[NOTES:edges], note[edges:])
+    else:
+        limits = give(
+            function, flow_head, flow_rod, p_head, p_rod, p_supply, p_tank, gains[DROP_FLOOR], circuit, command,
+            note[NOTES:edges], note[edges:],
+        )  # fmt: skip
+
+    if gains[STANDBY] > 0.0:
+        stand_by(axis, gains[STANDBY], command)
+
+    # what the metered path cannot do must not teach the estimates; where no motion is wished for, the pressures weigh the load
+    memory[LEARNING] = WEIGHED if resting else FREE
+    if function != HOLD and int(note[edges + circuit.paths[METERING[function]] - circuit.first]) & (SATURATED | AGAINST | REVERSED):
+        memory[LEARNING] = WEIGHED if resting else FROZEN
+    elif function == HOLD and not resting:
+        memory[LEARNING] = FROZEN
+    if learning != FROZEN:
+        adapt(estimates, rates, gains[AT_LOWER:AT_UPPER], gains[AT_UPPER:AT_RATE], tick)
+    memory[MODEL_A] = acceleration
+    if starting:
+        memory[BIAS] = -acceleration
+
+    note[0], note[1], note[2], note[3] = wish[X], wish[V], wish[A], wish[J]
+    note[4], note[5], note[6], note[7], note[8], note[9] = function, status, z1, v_error, load, load_d
+    note[10], note[11], note[12], note[13] = v, flow_head, flow_rod, memory[SET_POINT]
+    for i in range(_N):
+        note[14 + i] = estimates[i]
+    note[18], note[19], note[20] = estimates[PAYLOAD] / estimates[INVERSE_INERTIA], memory[LEARNING], limits
+
+
+def memory_size(axis: Axis) -> int:
+    """Length of the controller's memory."""
+    n = axis.links.shape[0]
+    return AT_WORK + n + n * n + max(work_size(n), _N) + n
+
+
+def axis(
+    circuit: Circuit,
+    kind: int,
+    gravity: np.ndarray,
+    links: np.ndarray,
+    joints: Sequence[int],
+    posture: Sequence[float],
+    pins: Sequence[float],
+    chambers: Sequence[float],
+    friction: Sequence[float] = (0.0, 0.0, 1.0),
+) -> Axis:
+    """The axis of one cylinder, from the arrays of the design model: the rig without payload.
+
+    Args:
+        circuit: the cylinder's, `ehbench.control.functions.circuit`.
+        kind, gravity, links: of the mechanism, see `ehbench.physics.arm`.
+        joints: the joint that each cylinder of the rig drives.
+        posture: joint coordinates [rad or m] of all joints; the gains are scaled there.
+        pins: kind, l_a, l_b, sign, phase, retracted of `ehbench.physics.cylinder.linkage`.
+        chambers: dead volumes of head and rod [m³], β [Pa], leakages internal, head, rod [m³/(s·Pa)].
+        friction: of the cylinder: viscous [N·s/m], Coulomb [N], speed over which it turns round [m/s].
+
+    Raises:
+        InputError: arrays that do not fit each other, or a number that is not finite.
+    """
+    links = np.ascontiguousarray(links, float)
+    tip = np.zeros_like(links)
+    keep = [arm.A, arm.D, arm.COS_ALPHA, arm.SIN_ALPHA, arm.THETA0]
+    tip[:, keep] = links[:, keep]
+    end = tip[-1]
+    end[arm.MASS] = 1.0
+    if kind == arm.CHAIN:
+        a, d = end[arm.A], end[arm.D]
+        end[[arm.HX, arm.HZ, arm.JXX, arm.JYY, arm.JZZ, arm.JXZ]] = a, d, d * d, a * a + d * d, a * a, -a * d
+    spool = np.array([coupled(circuit, f) for f in range(len(FUNCTIONS))], dtype=np.int64)
+    spool[HOLD] = spool.max()
+    own = range(circuit.first, circuit.first + circuit.count)
+    alone = [np.count_nonzero(circuit.wiring[:, VALVE] == circuit.wiring[e, VALVE]) == 1 for e in own]
+    onset = [
+        edge_command(1.0e6, 1.0e-12, circuit.edges[e], circuit.wiring[e], circuit.maps) if one else 0.0
+        for e, one in zip(own, alone, strict=True)
+    ]
+    made = Axis(
+        circuit, int(kind), np.ascontiguousarray(gravity, float), links, tip, np.ascontiguousarray(joints, np.int64),
+        int(joints[circuit.cylinder]), np.ascontiguousarray(posture, float), np.ascontiguousarray(pins, float),
+        np.ascontiguousarray(chambers, float), np.ascontiguousarray(friction, float),
+        spool, np.array(onset, float),
+    )  # fmt: skip
+    if made.posture.shape != (links.shape[0],) or made.pins.shape != (6,) or made.chambers.shape != (6,) or made.friction.shape != (3,):
+        raise InputError("the arrays of an axis do not fit each other", hint="posture has one entry a joint, pins 6, chambers 6, friction 3")
+    numbers = (made.gravity, links, made.posture, made.pins, made.chambers, made.friction)
+    if not all(np.isfinite(part).all() for part in numbers) or made.friction[2] <= 0 or made.chambers[:3].min() <= 0:
+        raise InputError("an axis needs finite numbers, and volumes, bulk modulus and friction speed above 0")
+    return made
+
+
+def reference(axis: Axis) -> tuple[float, float, float]:
+    """(m0 [kg], G [N/kg], r [1]) of `mechanics` in the axis's posture."""
+    n = axis.links.shape[0]
+    m0, _, _, _, pull, ratio, lever = mechanics(
+        axis, float(axis.posture[axis.joint]), axis.posture.copy(), np.zeros((n, n)), np.zeros(work_size(n) + n)
+    )
+    if abs(lever) < 1e-6 or not math.isfinite(m0):
+        raise InputError("the cylinder has no lever in the posture for which the controller is designed")
+    return m0, pull, ratio
+
+
+def hydraulic_frequency(axis: Axis) -> float:
+    """ω_h [rad/s] of the rig without payload on its oil, all valves shut: ``ω_h² = β (A1²/V1 + A2²/V2)/m0``, the axis's posture."""
+    mass, _, _ = reference(axis)
+    x, _, _ = linkage(int(axis.pins[0]), *axis.pins[1:], float(axis.posture[axis.joint]))
+    head, rod = axis.circuit.area_head, axis.circuit.area_rod
+    volumes = chamber_volume(axis.chambers[V_HEAD], head * x), chamber_volume(axis.chambers[V_ROD], -rod * x)
+    return math.sqrt(axis.chambers[BULK] * (head**2 / volumes[0] + rod**2 / volumes[1]) / mass)
+
+
+def pack_arc(
+    axis: Axis,
+    rules: np.ndarray,
+    *,
+    tick: float,
+    supply_pressure: float,
+    flow_limit: float,
+    valve_lag: float,
+    adapt: bool = True,
+    lag_budget: float = 0.4,
+    gains: Mapping[str, float] | None = None,
+    payload: tuple[float, float] | None = None,
+    disturbance: float | None = None,
+    bulk_modulus: tuple[float, float] | None = None,
+    adaptation: float | None = None,
+    adaptation_bulk: float | None = None,
+) -> np.ndarray:
+    """The gains of `step`, shape (GAINS,), with defaults from what the valves and the supply allow.
+
+    The three feedback bandwidths together ask the valves for phase at ``position + speed + force`` [rad/s]; by default that
+    times the lag of the loop is ``lag_budget`` [rad], shared out 1 : 2 : 4.
+
+    Args:
+        axis: of the design model.
+        rules: of function selection, `ehbench.control.functions.pack_rules`.
+        tick: between samples [s].
+        supply_pressure, flow_limit: of the supply [Pa, m³/s].
+        valve_lag: of the slowest valve, 2ζ/ω_n [s].
+        adapt: False for the same law with its estimates left at the design model.
+        lag_budget: [rad].
+        gains: any of GAIN_NAMES by name instead of its default: ``position``, ``speed``, ``force``, ``coupling`` [rad/s],
+            ``speed_tolerance`` [m/s] and ``force_tolerance`` [N] to which the robust terms hold the errors, ``pressure`` [rad/s]
+            and ``low_pressure`` [Pa] of the off-side, ``pressure_rate`` [Pa/s] of its set-point, ``observer`` [rad/s] (0: the
+            measured speed), ``correction`` [m/s] at most for the stroke error, ``load_corner`` [rad/s],
+            ``standby`` share of its deadband at which an idle valve waits [1], ``drop_floor`` [Pa], ``reference_mass`` [kg].
+        payload: bounds of the payload at the end of the last link [kg]; 0 to 1.5 times that link's mass by default.
+        disturbance: bound ± of the unknown force [N]; 3 % of supply pressure on the head end by default.
+        bulk_modulus: its bounds [Pa]; the design's through and times 1.4 by default.
+        adaptation: rate at which the mechanical estimates together follow [rad/s]; half of ``position`` by default.
+        adaptation_bulk: the same of the bulk modulus [rad/s]; a fiftieth of ``adaptation`` by default.
+
+    Raises:
+        InputError: an unknown gain, a number out of its range, bounds that do not hold the design model.
+    """
+    mass, pull, ratio = reference(axis)
+    head_force = supply_pressure * axis.circuit.area_head
+    total = lag_budget / (valve_lag + tick)
+    chosen = {"position": total / 7.0, "speed": 2.0 * total / 7.0, "force": 4.0 * total / 7.0} | {
+        key: value for key, value in (gains or {}).items() if key in ("position", "speed", "force")
+    }
+    k1, k2, k3 = chosen["position"], chosen["speed"], chosen["force"]
+    low, high = (0.0, 1.5 * float(axis.links[-1, arm.MASS])) if payload is None else payload
+    worst = 0.03 * head_force if disturbance is None else disturbance
+    softest, hardest = (axis.chambers[BULK] / 1.4, 1.4 * axis.chambers[BULK]) if bulk_modulus is None else bulk_modulus
+    lower = np.array([0.9 / (1.0 + high * ratio / mass), low, -worst, axis.chambers[BULK] / hardest])
+    upper = np.array([1.1 / (1.0 + low * ratio / mass), high, worst, axis.chambers[BULK] / softest])
+
+    # one metre per second squared stands for the accelerations that tell the inertia
+    phi = np.array([1.0 + 0.5 * abs(pull) * (high - low) / mass, pull / mass, 1.0 / mass])
+    spread = (upper - lower)[:3] * SHARES
+    unknown = float(np.abs(phi) @ (upper - lower)[:3])
+    omega = chosen.setdefault("coupling", (gains or {}).get("coupling", max(k2, 1.2 * hydraulic_frequency(axis))))
+    # in quiet motion an acceleration error Δ shows as mixed = −answer·Δ, so that θ̂' = −Γ φ mixed makes Δ' = −adaptation·Δ
+    at_speed = (1.0 + (k1 + k2) / k3) / (k2 + omega**2 / k3)
+    answer = max(at_speed + (k1 + k2) / omega**2 * (k2 * at_speed - 1.0), 0.2 * at_speed)
+    chosen |= {
+        "tick": tick, "adapt": float(adapt), "speed_tolerance": unknown / (1.1 * k2),
+        "force_tolerance": mass * (k1 + k2) * unknown / (1.1 * k3), "pressure": 0.5 * total, "low_pressure": supply_pressure / 20.0,
+        "pressure_rate": 3.0 * supply_pressure, "observer": 0.9 * total, "correction": flow_limit / axis.circuit.area_head,
+        "load_corner": 2.0 * math.pi, "standby": 0.8, "drop_floor": 2.0e4, "reference_mass": mass,
+        "robust_limit": 0.3, "resolution": 2.5e-5, "weighing": answer,
+        "lead": valve_lag + 0.5 * tick, "nudge": 0.01 * flow_limit / axis.circuit.area_head,
+    }  # fmt: skip
+    for name, value in (gains or {}).items():
+        if name not in GAIN_NAMES:
+            raise InputError(f"the adaptive robust controller has no gain '{name}'", hint="it has " + ", ".join(GAIN_NAMES))
+        chosen[name] = value
+
+    gamma = 0.5 * k1 if adaptation is None else adaptation
+    variance = spread**2
+    rate = np.zeros(_N)
+    rate[:3] = gamma * variance / (answer * float(phi**2 @ variance))
+    # a rise of the reference mass's weight at 10 m/s³ stands for the force rates that tell the bulk modulus
+    gamma_bulk = 0.02 * gamma if adaptation_bulk is None else adaptation_bulk
+    rate[3] = gamma_bulk * k3 * (mass * omega) ** 2 / (10.0 * mass) ** 2
+    table = np.concatenate([[chosen[name] for name in GAIN_NAMES], lower, upper, rate, np.array([1.0, low, 0.0, 1.0]), rules])
+    positive = ("tick", "position", "speed", "force", "coupling", "speed_tolerance", "force_tolerance", "pressure", "drop_floor",
+                "correction", "load_corner", "reference_mass", "pressure_rate")  # fmt: skip
+    for name in positive:
+        if not chosen[name] > 0.0:
+            raise InputError(f"gain '{name}' of the adaptive robust controller is {chosen[name]:g}", hint="it must be above 0")
+    if not np.isfinite(table).all() or chosen["observer"] < 0 or not 0.0 <= chosen["standby"] < 1.0 or table.shape != (GAINS,):
+        raise InputError("a gain of the adaptive robust controller is out of its range", hint="finite; standby below 1; observer 0 or more")
+    start = table[AT_START:AT_RULES]
+    if not ((lower <= start) & (start <= upper)).all() or (rate < 0).any():
+        raise InputError(
+            "the bounds of the estimates do not hold the design model",
+            hint="payload from 0 or more, disturbance 0 or more, bulk_modulus around the design's",
+        )
+    return table
+
+
+def note_channels(cylinder: str, edges: Sequence[str]) -> tuple[str, ...]:
+    """Channel names of the note: ``<cylinder>.<name>``, then ``<edge>.flow_desired`` and ``<edge>.limits`` of each edge."""
+    return (
+        *(f"{cylinder}.{name}" for name in NOTE),
+        *(f"{edge}.flow_desired" for edge in edges),
+        *(f"{edge}.limits" for edge in edges),
+    )
+
+
+def entitled(axis: Axis, channels: int) -> np.ndarray:
+    """True for the channels of a rig's sample that the controller is given, shape (channels,)."""
+    mask = np.zeros(channels, bool)
+    mask[[PER_CYLINDER * c + AT_Q for c in range(axis.joints.size)]] = True
+    at = PER_CYLINDER * axis.circuit.cylinder
+    mask[at : at + PER_CYLINDER] = True
+    mask[-2:] = True
+    return mask

@@ -1,0 +1,258 @@
+"""What a cylinder shall do: tables of x_d, v_d, a_d, j_d with continuous jerk, velocity steps, and the shaping of a step.
+
+A table has one row a tick, columns X, V, A, J [m, m/s, m/s², m/s³].
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from ehbench.compiled import kernel
+from ehbench.errors import InputError
+
+X, V, A, J = 0, 1, 2, 3
+WISH = 4
+Profile = Literal["ramp", "seventh"]
+# peaks of the seventh-order polynomial s(τ) = 35τ⁴ − 84τ⁵ + 70τ⁶ − 20τ⁷ and of the quintic speed ramp 10τ³ − 15τ⁴ + 6τ⁵
+_SEVENTH = np.array([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
+_SEVENTH_SPEED, _SEVENTH_ACCELERATION, _SEVENTH_JERK = 35.0 / 16.0, 84.0 * math.sqrt(5.0) / 25.0, 52.5
+_QUINTIC = np.array([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])
+_QUINTIC_SLOPE, _QUINTIC_CURVE = 15.0 / 8.0, 10.0 / math.sqrt(3.0)
+
+
+def _polynomial(coefficients: np.ndarray, tau: np.ndarray, order: int) -> np.ndarray:
+    """The ``order``-th derivative (−1: the integral from 0) of a polynomial with ascending coefficients."""
+    poly = np.polynomial.Polynomial(coefficients)
+    return (poly.integ() if order < 0 else poly.deriv(order) if order else poly)(tau)
+
+
+def _ramp_time(speed: float, acceleration: float, jerk: float) -> float:
+    """Least time [s] of a quintic ramp from rest to ``speed`` [m/s] within the limits [m/s², m/s³]."""
+    return max(_QUINTIC_SLOPE * speed / acceleration, math.sqrt(_QUINTIC_CURVE * speed / jerk))
+
+
+class _Move:
+    """One move from rest to rest over ``distance`` > 0; ``at(τ)`` gives (n, 4) at times from its start."""
+
+    def __init__(self, distance: float, speed: float, acceleration: float, jerk: float, profile: Profile) -> None:
+        self.distance, self.profile = distance, profile
+        if profile == "seventh":
+            self.time = max(
+                _SEVENTH_SPEED * distance / speed,
+                math.sqrt(_SEVENTH_ACCELERATION * distance / acceleration),
+                math.cbrt(_SEVENTH_JERK * distance / jerk),
+            )
+            return
+        # ramp up and down cover speed·ramp together; a short move never reaches the full speed
+        short = min(math.sqrt(distance * acceleration / _QUINTIC_SLOPE), math.cbrt(distance**2 * jerk / _QUINTIC_CURVE))
+        self.speed = min(speed, short)
+        self.ramp = _ramp_time(self.speed, acceleration, jerk)
+        self.time = self.ramp + distance / self.speed
+
+    def at(self, t: np.ndarray) -> np.ndarray:
+        out = np.zeros((t.size, WISH))
+        if self.profile == "seventh":
+            for order in range(WISH):
+                out[:, order] = self.distance * _polynomial(_SEVENTH, t / self.time, order) / self.time**order
+            return out
+        # the second half mirrors the first
+        late = t > 0.5 * self.time
+        u = np.where(late, self.time - t, t)
+        tau = np.minimum(u / self.ramp, 1.0)
+        beyond = u - np.minimum(u, self.ramp)
+        half = [self.speed * (self.ramp * _polynomial(_QUINTIC, tau, -1) + beyond)]
+        half += [self.speed * _polynomial(_QUINTIC, tau, order) / self.ramp**order for order in range(3)]
+        out[:, X] = np.where(late, self.distance - half[0], half[0])
+        out[:, V] = half[1]
+        out[:, A] = np.where(late, -half[2], half[2])
+        out[:, J] = half[3]
+        return out
+
+
+def point_to_point(
+    waypoints: Sequence[float],
+    *,
+    speed: float,
+    acceleration: float,
+    jerk: float,
+    tick: float,
+    hold: float | Sequence[float] = 0.0,
+    profile: Profile = "ramp",
+) -> np.ndarray:
+    """Moves from rest to rest through waypoints, as fast as the limits allow; returns the table, shape (samples, 4).
+
+    Position, speed, acceleration and jerk are continuous. ``ramp``: quintic ramps of speed around a constant speed, the
+    faster of the two on long moves. ``seventh``: one polynomial ``35τ⁴ − 84τ⁵ + 70τ⁶ − 20τ⁷`` a move, the smoother.
+
+    Args:
+        waypoints: strokes [m], the start first.
+        speed, acceleration, jerk: limits [m/s, m/s², m/s³], > 0.
+        tick: between rows [s].
+        hold: rest at each waypoint, the first included [s]: one number, or one for each waypoint.
+
+    Raises:
+        InputError: a limit, tick or hold that is none, fewer than one waypoint.
+    """
+    limits = {"speed": speed, "acceleration": acceleration, "jerk": jerk, "tick": tick}
+    for name, value in limits.items():
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(f"{name} of a trajectory is {value:g}", hint="it must be a positive number")
+    points = np.asarray(waypoints, float)
+    holds = np.full(points.size, float(hold)) if np.ndim(hold) == 0 else np.asarray(hold, float)
+    if points.ndim != 1 or not points.size or not np.isfinite(points).all():
+        raise InputError("a trajectory needs waypoints, each a finite stroke")
+    if holds.shape != points.shape or not np.isfinite(holds).all() or (holds < 0).any():
+        raise InputError("hold is one time, or one for each waypoint, 0 s or more")
+    if profile not in ("ramp", "seventh"):
+        raise InputError(f"no profile '{profile}'", hint="ramp or seventh")
+    moves = [_Move(abs(d), speed, acceleration, jerk, profile) if d else None for d in np.diff(points)]
+    spans = np.zeros(2 * points.size - 1)
+    spans[0::2], spans[1::2] = holds, [0.0 if move is None else move.time for move in moves]
+    starts = np.concatenate([[0.0], np.cumsum(spans)])
+    # the last row is the first at or after the end, so that the table ends at rest
+    samples = math.ceil(starts[-1] / tick - 1e-9) + 1
+    t = np.arange(samples) * tick
+    table = np.zeros((samples, WISH))
+    table[:, X] = points[np.clip(np.searchsorted(starts[1::2], t, side="right"), 0, points.size - 1)]
+    for index, move in enumerate(moves):
+        if move is None:
+            continue
+        begin = starts[2 * index + 1]
+        during = (t >= begin) & (t < begin + move.time)
+        part = math.copysign(1.0, points[index + 1] - points[index]) * move.at(t[during] - begin)
+        part[:, X] += points[index]
+        table[during] = part
+    return table
+
+
+def there_and_back(start: float, end: float, *, cycles: int = 1, **limits) -> np.ndarray:
+    """``cycles`` of forward, hold, back, hold between two strokes [m]; limits as in `point_to_point`.
+
+    Raises:
+        InputError: as `point_to_point`, or no cycle.
+    """
+    if cycles < 1:
+        raise InputError("a trajectory there and back has one cycle or more")
+    return point_to_point([start, *([end, start] * cycles)], **limits)
+
+
+def velocity_steps(
+    levels: Sequence[float], *, duration: float | Sequence[float], tick: float, rest: float = 0.0, x: float = 0.0
+) -> np.ndarray:
+    """Steps of desired speed, each held for its duration and followed by ``rest``; returns the table, shape (samples, 4).
+
+    The steps are ideal: acceleration and jerk are 0 throughout, and the stroke is the exact integral.
+    30, 70, 100 % of a full speed are ``levels=[0.3 * full, 0.7 * full, full]``.
+
+    Args:
+        levels: speeds [m/s].
+        duration: of each level [s]: one number, or one for each; rounded to whole ticks.
+        tick: between rows [s].
+        rest: at speed 0, before the first level and after each [s].
+        x: stroke at the start [m].
+
+    Raises:
+        InputError: a time that is none, or counts that differ.
+    """
+    speeds = np.asarray(levels, float)
+    times = np.full(speeds.size, float(duration)) if np.ndim(duration) == 0 else np.asarray(duration, float)
+    usable = speeds.ndim == 1 and speeds.size and times.shape == speeds.shape
+    if not (usable and tick > 0 and (times > 0).all() and rest >= 0 and np.isfinite(speeds).all() and np.isfinite(times).all()):
+        raise InputError("velocity steps need levels, a tick, a duration above 0 for all or for each, and a rest of 0 s or more")
+    idle = np.zeros(round(rest / tick))
+    parts = [idle]
+    for speed, time in zip(speeds, times, strict=True):
+        parts += [np.full(max(1, round(time / tick)), speed), idle]
+    v = np.concatenate([*parts, [0.0]])
+    table = np.zeros((v.size, WISH))
+    table[:, V] = v
+    table[1:, X] = np.cumsum(v[:-1]) * tick
+    table[:, X] += x
+    return table
+
+
+# columns of the shaping of a commanded speed ("trajectory modification", thesis Table B.2), see `pack_shaping`
+ACCELERATION_MAX, JERK_MAX, NATURAL_FREQUENCY, DAMPING_RATIO = 0, 1, 2, 3
+SHAPING = 4
+# its memory: shaped speed [m/s], acceleration [m/s²], jerk [m/s³]
+SHAPED = 3
+
+
+@kernel
+def shape_speed(v_d, tick, shaping, memory):
+    """Move the shaped speed in ``memory`` one tick towards ``v_d`` [m/s], in place; returns it.
+
+    Second-order filter ω²/(s² + 2ζω s + ω²), exact for a ``v_d`` held over the tick; or, with limits, the time-optimal
+    approach within ACCELERATION_MAX and JERK_MAX that does not overshoot (Han's discrete fhan); or ``v_d`` itself.
+    """
+    if shaping[NATURAL_FREQUENCY] > 0.0:
+        omega, zeta = shaping[NATURAL_FREQUENCY], shaping[DAMPING_RATIO]
+        e, rate = memory[0] - v_d, memory[1]
+        decay = math.exp(-zeta * omega * tick)
+        if zeta < 1.0:
+            wd = omega * math.sqrt(1.0 - zeta * zeta)
+            c, s = math.cos(wd * tick), math.sin(wd * tick) / wd
+        elif zeta > 1.0:
+            wd = omega * math.sqrt(zeta * zeta - 1.0)
+            c, s = math.cosh(wd * tick), math.sinh(wd * tick) / wd
+        else:
+            c, s = 1.0, tick
+        memory[0] = v_d + decay * (e * (c + zeta * omega * s) + rate * s)
+        memory[1] = decay * (rate * (c - zeta * omega * s) - e * omega * omega * s)
+        memory[2] = -omega * omega * (memory[0] - v_d) - 2.0 * zeta * omega * memory[1]
+        return memory[0]
+    most, jerk = shaping[ACCELERATION_MAX], shaping[JERK_MAX]
+    if most <= 0.0:
+        memory[0], memory[1], memory[2] = v_d, 0.0, 0.0
+        return v_d
+    e = v_d - memory[0]
+    if jerk <= 0.0:
+        memory[1] = math.copysign(min(abs(e) / tick, most), e)
+        memory[0] += tick * memory[1]
+        return memory[0]
+    step = jerk * tick
+    y = tick * memory[1] - e
+    if abs(y) > step * tick:
+        aim = memory[1] + math.copysign(0.5 * (math.sqrt(step * step + 8.0 * jerk * abs(y)) - step), y)
+    else:
+        aim = memory[1] + y / tick
+    change = -aim * jerk / step if abs(aim) <= step else -math.copysign(jerk, aim)
+    memory[0] += tick * memory[1]
+    before = memory[1]
+    memory[1] = min(max(memory[1] + tick * change, -most), most)
+    memory[2] = (memory[1] - before) / tick
+    return memory[0]
+
+
+def pack_shaping(
+    *,
+    acceleration_max: float | None = None,
+    jerk_max: float | None = None,
+    natural_frequency: float | None = None,
+    damping_ratio: float | None = None,
+) -> np.ndarray:
+    """The array of `shape_speed`, shape (SHAPING,). Nothing given: the step goes through as it is.
+
+    Args:
+        acceleration_max, jerk_max: limits [m/s², m/s³]; the jerk only with the acceleration.
+        natural_frequency, damping_ratio: of the second-order filter [rad/s, 1].
+
+    Raises:
+        InputError: a number that is not positive, half a pair, or both kinds at once.
+    """
+    given = (acceleration_max, jerk_max, natural_frequency, damping_ratio)
+    for name, value in zip(("acceleration_max", "jerk_max", "natural_frequency", "damping_ratio"), given, strict=True):
+        if value is not None and not (math.isfinite(value) and value > 0):
+            raise InputError(f"{name} of the trajectory modification is {value:g}", hint="it must be a positive number")
+    limited = acceleration_max is not None
+    filtered = natural_frequency is not None
+    if filtered != (damping_ratio is not None) or (jerk_max is not None and not limited) or (limited and filtered):
+        raise InputError(
+            "the trajectory modification is incomplete or double",
+            hint="give acceleration_max with or without jerk_max, or natural_frequency and damping_ratio, or none",
+        )
+    return np.array([0.0 if value is None else value for value in given])

@@ -1,0 +1,150 @@
+"""Valve level: chamber flows to edge flows to commands, through the inverse laws or maps at the measured drops (thesis 3).
+
+What a valve cannot do is flagged for each edge, never hidden: a sum of the bits below.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ehbench.compiled import kernel
+from ehbench.control.functions import DIRECTION, METERING, PATH_FLOWS, PATHS, Circuit, capacity, path_drop, widest
+from ehbench.physics.metering import LAW, MAP, SIGN, VALVE, edge_command, edge_flow
+
+# SATURATED: even the widest command passes less than asked. AGAINST: flow asked the other way along the path, shut.
+# REVERSED: the drop is against the flow, shut. FAINT: the drop is below the floor, the inverse is taken at the floor.
+# OUTSIDE: drop and command lie beyond what the edge's map was measured at.
+SATURATED, AGAINST, REVERSED, FAINT, OUTSIDE = 1, 2, 4, 8, 16
+LIMITS = {1: "saturated", 2: "against", 4: "reversed", 8: "faint", 16: "outside"}
+
+
+@kernel
+def _at(x, data, grid, values, count):
+    """Linear interpolation of ``data[values:]`` over ``data[grid:]`` at x inside the grid."""
+    i = 0
+    while i + 2 < count and x >= data[grid + i + 1]:
+        i += 1
+    if count < 2:
+        return data[values]
+    part = (x - data[grid + i]) / (data[grid + i + 1] - data[grid + i])
+    return data[values + i] + part * (data[values + i + 1] - data[values + i])
+
+
+@kernel
+def inside(circuit, edge, drop, command):
+    """True where readings surround (drop [Pa] along the edge, command [V]), as `FlowMap.inside`; always for analytic laws."""
+    if circuit.wiring[edge, LAW] != MAP:
+        return True
+    at = circuit.hull_at[edge, 0 if drop >= 0.0 else 1]
+    if at < 0:
+        return False
+    count = int(circuit.hull[at])
+    grid = at + 1
+    reach, size = circuit.edges[edge, SIGN] * command, abs(drop)
+    if not (circuit.hull[grid] <= reach <= circuit.hull[grid + count - 1]):
+        return False
+    low = _at(reach, circuit.hull, grid, grid + count, count)
+    return low <= size <= _at(reach, circuit.hull, grid, grid + 2 * count, count)
+
+
+@kernel
+def edge_order(circuit, path, flow, drop, floor):
+    """(command [V], limits) at which a path's edge passes ``flow`` [m³/s] along it at ``drop`` [Pa] along it.
+
+    The exact inverse of the edge's law for drops from ``floor`` [Pa] up. Between −floor and floor the command is that for
+    the floor, so that sensor noise about zero drop neither slams the valve nor opens it without end; below, it is shut.
+    """
+    edge = circuit.paths[path]
+    if flow == 0.0:
+        return 0.0, 0
+    if flow < 0.0:
+        return 0.0, AGAINST
+    if drop <= -floor:
+        return 0.0, REVERSED
+    limits = 0
+    if drop < floor:
+        limits, drop = FAINT, floor
+    along = circuit.along[path]
+    command = edge_command(along * drop, along * flow, circuit.edges[edge], circuit.wiring[edge], circuit.maps)
+    most = widest(circuit, edge, along * drop)
+    sign = circuit.edges[edge, SIGN]
+    # a map's inverse stops at its last command by itself, so the flow decides
+    if sign * command >= sign * most:
+        command = most
+        if edge_flow(along * drop, most, circuit.edges[edge], circuit.wiring[edge], circuit.maps) * along < flow * (1.0 - 1e-9):
+            limits += SATURATED
+    return command, limits
+
+
+@kernel
+def rest(circuit, command, flows, limits):
+    """Shut the cylinder's valves: write the commands nearest to 0 V into ``command`` and zeros into ``flows, limits``."""
+    for i in range(circuit.count):
+        valve = circuit.wiring[circuit.first + i, VALVE]
+        command[valve] = min(max(0.0, circuit.lowest[valve]), circuit.highest[valve])
+        flows[i] = limits[i] = 0.0
+
+
+@kernel
+def give(function, flow_head, flow_rod, p_head, p_rod, p_supply, p_tank, floor, circuit, command, flows, limits):
+    """Write the commands that give a working function its chamber flows; return all limits met, or'ed.
+
+    Each path of the function is asked for its share of the chamber flows. Where several paths hang on one command, the
+    path that sets the motion decides it and the others follow; among followers the widest.
+
+    Args:
+        function: index into FUNCTIONS; hold shuts all.
+        flow_head, flow_rod: Q1 into the head end, Q2 out of the rod end [m³/s], negative in retraction.
+        p_head, p_rod, p_supply, p_tank: measured [Pa].
+        floor: least drop [Pa] at which the inverse is taken.
+        circuit: of the cylinder.
+        command: out, [V], one per valve of the rig; only this cylinder's are written.
+        flows: out, desired flow [m³/s] along each of the cylinder's edges, shape (count,).
+        limits: out, sum of limit bits of each of the cylinder's edges, shape (count,).
+    """
+    rest(circuit, command, flows, limits)
+    met, decided = 0, -1
+    first = METERING[function]
+    for turn in range(len(PATHS) + 1):
+        path = first if turn == 0 else turn - 1
+        if path < 0 or (turn > 0 and path == first):
+            continue
+        share_head, share_rod = PATH_FLOWS[function, path, 0], PATH_FLOWS[function, path, 1]
+        if share_head == 0.0 and share_rod == 0.0:
+            continue
+        edge = circuit.paths[path]
+        # 0·NaN stays NaN: a channel withheld from the controller shows in every command that it could have touched
+        flow = share_head * flow_head + share_rod * flow_rod
+        drop = path_drop(path, p_head, p_rod, p_supply, p_tank)
+        order, bits = edge_order(circuit, path, flow, drop, floor)
+        valve = circuit.wiring[edge, VALVE]
+        if turn == 0:
+            decided = valve
+            command[valve] = order
+        elif valve != decided:
+            if math.isnan(order) or circuit.edges[edge, SIGN] * (order - command[valve]) > 0.0:
+                command[valve] = order
+        else:
+            bits &= ~SATURATED  # it does not decide how far it opens
+        along = circuit.along[path]
+        if flow > 0.0 and not bits & (AGAINST | REVERSED) and not inside(circuit, edge, along * drop, command[valve]):
+            bits |= OUTSIDE
+        flows[edge - circuit.first] = along * flow
+        limits[edge - circuit.first] = bits
+        met |= bits
+    for i in range(circuit.count):
+        valve = circuit.wiring[circuit.first + i, VALVE]
+        if command[valve] == 0.0:
+            command[valve] = min(max(0.0, circuit.lowest[valve]), circuit.highest[valve])
+    return met
+
+
+def top_speed(function: int, p_head: float, p_rod: float, p_supply: float, p_tank: float, circuit: Circuit) -> float:
+    """Largest speed [m/s], ≥ 0, at which every edge of a working function carries its share at these pressures [Pa]."""
+    fastest = math.inf
+    for path in range(len(PATHS)):
+        a, b = PATH_FLOWS[function, path]
+        need = DIRECTION[function] * (a * circuit.area_head + b * circuit.area_rod)
+        if need > 0.0:
+            fastest = min(fastest, capacity(circuit, path, path_drop(path, p_head, p_rod, p_supply, p_tank)) / need)
+    return 0.0 if math.isinf(fastest) else fastest

@@ -1,0 +1,504 @@
+"""Measured flow maps Q(Δp, opening): the type, its compiled evaluation and exact inverse, its file.
+
+A map is a tensor-product spline, of degree 2 in the opening from the deadband up and of degree 3 in
+s = Δp/(Δp² + δ²)^¼, the root of the drop made smooth and of finite slope at zero; an orifice is a straight line in s.
+Its coefficients grow by positive increments along the opening and start from zero at zero drop, so the flow is zero
+there, increases strictly with the opening at every drop, and is free to level off or fall with the drop.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.compiled import kernel
+from ehbench.errors import InputError
+
+FORMAT, VERSION = "ehbench flow maps", 1
+FILE_NAME = "flow_maps.json"
+# header of a packed map, then the opening knots, then the polynomial pieces
+_DEADBAND, _COMMAND_MAX, _DELTA, _PER_S, _SPANS_S, _SPANS_U, _HEADER = 0, 1, 2, 3, 4, 5, 6
+_PIECE = 12
+
+
+@kernel
+def _span(drop, data, at):
+    """(span index along s, position in it); the span after the last one holds the extrapolation."""
+    delta, spans = data[at + _DELTA], data[at + _SPANS_S]
+    x = drop / math.sqrt(math.sqrt(drop * drop + delta * delta)) * data[at + _PER_S]
+    i = int(x) if x < spans else int(spans)  # a NaN takes the last span and stays a NaN
+    return i, x - i
+
+
+@kernel
+def _cubic(data, k, y):
+    return data[k] + y * (data[k + 1] + y * (data[k + 2] + y * data[k + 3]))
+
+
+@kernel
+def map_flow(pressure_drop, opening, data, at):
+    """Flow [m³/s] at a pressure drop [Pa] and an opening [V] of the map that starts at ``data[at]`` (see ``pack``).
+
+    Zero at zero drop and up to the deadband; odd in the drop. Beyond the largest measured opening the flow goes on
+    along its tangent, beyond the largest drop it grows with s at the rate the whole map shows there, or stays level.
+    """
+    drop = abs(pressure_drop)
+    if drop == 0.0 or opening <= data[at + _DEADBAND]:
+        return 0.0
+    i, y = _span(drop, data, at)
+    spans = int(data[at + _SPANS_U])
+    knots = at + _HEADER
+    low, high = 0, spans + 1
+    while high - low > 1:
+        middle = (low + high) >> 1
+        if opening >= data[knots + middle]:
+            low = middle
+        else:
+            high = middle
+    w = opening - data[knots + low]
+    k = knots + spans + 1 + (i * (spans + 1) + low) * _PIECE
+    flow = _cubic(data, k, y) + w * (_cubic(data, k + 4, y) + w * _cubic(data, k + 8, y))
+    return math.copysign(flow, pressure_drop)
+
+
+@kernel
+def map_command(pressure_drop, flow, data, at):
+    """Opening [V] at which the map passes ``flow`` [m³/s] at a pressure drop [Pa]: the exact inverse of ``map_flow``.
+
+    0 V (shut) for no flow and for flow against the drop; the largest measured command where even that passes less.
+    """
+    drop, wanted = abs(pressure_drop), math.copysign(flow, flow * pressure_drop)
+    if flow == 0.0 or (drop > 0.0 and wanted < 0.0):
+        return 0.0
+    i, y = _span(drop, data, at)
+    spans = int(data[at + _SPANS_U])
+    knots = at + _HEADER
+    row = knots + spans + 1 + i * (spans + 1) * _PIECE
+    wanted = abs(flow)
+    if wanted >= _cubic(data, row + spans * _PIECE, y):
+        return data[at + _COMMAND_MAX]
+    low, high = 0, spans
+    while high - low > 1:
+        middle = (low + high) >> 1
+        if wanted >= _cubic(data, row + middle * _PIECE, y):
+            low = middle
+        else:
+            high = middle
+    k = row + low * _PIECE
+    more, slope, curve = wanted - _cubic(data, k, y), _cubic(data, k + 4, y), _cubic(data, k + 8, y)
+    root = slope + math.sqrt(max(slope * slope + 4.0 * curve * more, 0.0))
+    return data[knots + low] + (2.0 * more / root if root > 0.0 else 0.0 * root)
+
+
+@kernel
+def _flows(drops, openings, data, at, out):
+    for i in range(out.size):
+        out[i] = map_flow(drops[i], openings[i], data, at)
+
+
+@kernel
+def _commands(drops, flows, data, at, out):
+    for i in range(out.size):
+        out[i] = map_command(drops[i], flows[i], data, at)
+
+
+def _each(kernel, first, second, data: np.ndarray):
+    """The kernel over two broadcast arrays; a float from two floats."""
+    a, b = np.broadcast_arrays(np.asarray(first, float), np.asarray(second, float))
+    out = np.empty(a.size)
+    kernel(np.ascontiguousarray(a).ravel(), np.ascontiguousarray(b).ravel(), data, 0, out)
+    return out.reshape(a.shape) if a.ndim else float(out[0])
+
+
+def root_drop(pressure_drop, delta: float):
+    """s = Δp/(Δp² + δ²)^¼ [√Pa] of a pressure drop [Pa]: √Δp well above δ, Δp/√δ well below."""
+    return pressure_drop / np.sqrt(np.hypot(pressure_drop, delta))
+
+
+def bspline_pieces(breaks: np.ndarray, degree: int) -> np.ndarray:
+    """B-splines on clamped knots as polynomials: shape (spans, splines, degree + 1), powers of x − breaks[span].
+
+    Cox–de Boor recursion on the coefficients; spans + degree splines.
+    """
+    spans = len(breaks) - 1
+    knots = np.concatenate([[breaks[0]] * degree, breaks, [breaks[-1]] * degree])
+    start = np.asarray(breaks[:-1], float)
+    pieces = np.zeros((spans, len(knots) - 1, degree + 1))
+    pieces[np.arange(spans), degree + np.arange(spans), 0] = 1.0
+    for k in range(1, degree + 1):
+        higher = np.zeros_like(pieces[:, : len(knots) - 1 - k])
+        for i in range(higher.shape[1]):
+            for part, width, offset in (
+                (pieces[:, i], knots[i + k] - knots[i], start - knots[i]),
+                (-pieces[:, i + 1], knots[i + k + 1] - knots[i + 1], start - knots[i + k + 1]),
+            ):
+                if width > 0:
+                    higher[:, i] += part * offset[:, None] / width
+                    higher[:, i, 1:] += part[:, :-1] / width
+        pieces = higher
+    return pieces
+
+
+@dataclass(frozen=True, eq=False)
+class FlowMap:
+    """Flow through one metering edge in one direction, for drops ≥ 0 and openings ≥ 0. All SI.
+
+    ``deadband`` [V]: shut up to here; ``deadband_interval`` its 95 % interval [V, V]. ``opening_knots`` [V], shape
+    (n + 1,), ascend from the deadband to the largest measured command. ``drop_max`` [Pa] is the largest drop of the
+    spline and ``delta`` [Pa] the drop below which s turns linear. ``increments`` [m³/s], shape (n + 1, m + 2), all > 0:
+    growth of the spline coefficients from one opening to the next (the first opening row and the first drop column
+    of coefficients are zero). ``hull_command`` [V], ``hull_low``, ``hull_high`` [Pa]: range of drops measured at each
+    command. ``std`` [m³/s] over ``std_command`` [V] × ``std_root`` [√Pa]: standard error of the flow. ``rated_flow``
+    [m³/s]: what percentages refer to. ``samples``: readings used; ``outliers``: one sentence for each reading left out;
+    ``source``: the data file.
+
+    Raises:
+        InputError: the fields do not describe a map, such as an increment that is not positive.
+    """
+
+    valve: str
+    direction: str
+    deadband: float
+    deadband_interval: tuple[float, float]
+    opening_knots: np.ndarray
+    drop_max: float
+    delta: float
+    increments: np.ndarray
+    hull_command: np.ndarray
+    hull_low: np.ndarray
+    hull_high: np.ndarray
+    std_command: np.ndarray
+    std_root: np.ndarray
+    std: np.ndarray
+    rated_flow: float
+    samples: int = 0
+    outliers: tuple[str, ...] = ()
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        def refuse(why: str) -> None:
+            raise InputError(f"the flow map of '{self.valve}' ({self.direction}) is damaged: {why}")
+
+        for f in fields(self):
+            if f.type == "np.ndarray":
+                value = np.array(getattr(self, f.name), float)
+                value.setflags(write=False)
+                object.__setattr__(self, f.name, value)
+                if not np.all(np.isfinite(value)):
+                    refuse(f"{f.name} holds a value that is not finite")
+        knots, steps = self.opening_knots, self.increments
+        if knots.ndim != 1 or knots.size < 2 or np.any(np.diff(knots) <= 0) or knots[0] != self.deadband or knots[0] < 0:
+            refuse("opening_knots must ascend from the deadband, which is 0 V or more")
+        if steps.ndim != 2 or steps.shape[0] != knots.size or steps.shape[1] < 3:
+            refuse("increments must have one row for each opening knot and three columns or more")
+        if not np.all(steps > 0):
+            refuse("increments must be positive, or the flow would not increase with the command")
+        if not (0 < self.delta < math.inf and 0 < self.drop_max < math.inf and 0 < self.rated_flow < math.inf):
+            refuse("delta, drop_max and rated_flow must be positive")
+        if not self.hull_command.shape == self.hull_low.shape == self.hull_high.shape or not self.hull_command.size:
+            refuse("hull_command, hull_low and hull_high must have the same length")
+        if self.std.shape != (self.std_command.size, self.std_root.size) or not self.std.size:
+            refuse("std must have one row for each std_command and one column for each std_root")
+
+    @property
+    def command_max(self) -> float:
+        """Largest measured command [V]; the inverse goes no further."""
+        return float(self.opening_knots[-1])
+
+    @cached_property
+    def data(self) -> np.ndarray:
+        """This map alone, packed for ``map_flow`` and ``map_command`` at offset 0."""
+        knots, columns = self.opening_knots, self.increments.shape[1]
+        m = columns - 2
+        coefficients = np.zeros((knots.size + 1, columns + 1))
+        coefficients[1:, 1:] = np.cumsum(self.increments, axis=0)
+        in_u, in_s = bspline_pieces(knots, 2), bspline_pieces(np.arange(m + 1.0), 3)
+        pieces = np.einsum("jka,ilb,kl->ijab", in_u, in_s, coefficients)
+
+        width = knots[-1] - knots[-2]
+        last = pieces[:, -1]  # one more span beyond the last command: value and slope there
+        tangent = np.stack([last[:, 0] + width * (last[:, 1] + width * last[:, 2]), last[:, 1] + 2 * width * last[:, 2]], 1)
+        tangent = np.concatenate([tangent, np.zeros_like(tangent[:, :1])], 1)
+        pieces = np.concatenate([pieces, tangent[:, None]], 1)
+
+        edge = pieces[-1].sum(-1)  # and one beyond the largest drop, growing by one common factor
+        slope = pieces[-1] @ np.array([0.0, 1.0, 2.0, 3.0])
+        growth = min(max(m * slope[:, 0].sum() / edge[:, 0].sum(), 0.0), 1.0)
+        beyond = np.stack([edge, edge * growth / m, np.zeros_like(edge), np.zeros_like(edge)], -1)
+        pieces = np.concatenate([pieces, beyond[None]], 0)
+
+        header = np.empty(_HEADER)
+        header[_DEADBAND], header[_COMMAND_MAX], header[_DELTA] = self.deadband, self.command_max, self.delta
+        header[_PER_S] = m / root_drop(self.drop_max, self.delta)
+        header[_SPANS_S], header[_SPANS_U] = m, knots.size - 1
+        return np.concatenate([header, knots, pieces.ravel()])
+
+    def flow(self, pressure_drop, command):
+        """Flow [m³/s] at pressure drops [Pa] and openings [V], which broadcast; odd in the drop (see ``map_flow``)."""
+        return _each(_flows, pressure_drop, command, self.data)
+
+    def command(self, pressure_drop, flow):
+        """Command [V] that passes ``flow`` [m³/s] at pressure drops [Pa], the exact inverse of ``flow``; broadcasts.
+
+        0 V for no flow and for flow against the drop, ``command_max`` where even that passes less: ``reachable`` says.
+        """
+        return _each(_commands, pressure_drop, flow, self.data)
+
+    def reachable(self, pressure_drop, flow):
+        """True where some command up to ``command_max`` passes ``flow`` [m³/s] at the drop [Pa]."""
+        drop, flow = np.asarray(pressure_drop, float), np.asarray(flow, float)
+        most = np.asarray(self.flow(np.abs(drop), self.command_max))
+        return (flow == 0.0) | ((flow * drop > 0.0) & (np.abs(flow) <= most))
+
+    def flow_std(self, pressure_drop, command):
+        """Standard error [m³/s] of ``flow``: repeats, lack of fit and deadband together; broadcasts.
+
+        Held at the edge of the table beyond it; ``inside`` says where the map is backed by readings.
+        """
+        drop, command = np.broadcast_arrays(np.abs(np.asarray(pressure_drop, float)), np.asarray(command, float))
+        x = np.clip(root_drop(drop, self.delta), self.std_root[0], self.std_root[-1])
+        u = np.clip(command, self.std_command[0], self.std_command[-1])
+        j, y = _locate(self.std_root, x)
+        i, w = _locate(self.std_command, u)
+        table = self.std
+        low = table[i, j] * (1 - y) + table[i, j + 1] * y
+        high = table[i + 1, j] * (1 - y) + table[i + 1, j + 1] * y
+        std = np.where(command < self.std_command[0], 0.0, low * (1 - w) + high * w)
+        return std if std.ndim else float(std)
+
+    def inside(self, pressure_drop, command):
+        """True where readings surround the point: the command and, between its neighbours, the drop were measured."""
+        drop, command = np.asarray(pressure_drop, float), np.asarray(command, float)
+        low, high = (np.interp(command, self.hull_command, side) for side in (self.hull_low, self.hull_high))
+        among = (command >= self.hull_command[0]) & (command <= self.hull_command[-1])
+        return among & (drop >= low) & (drop <= high)
+
+    def to_dict(self) -> dict:
+        """Plain numbers, strings and lists, as they stand in the file."""
+        plain = {}
+        for f in fields(self):
+            value = getattr(self, f.name)
+            plain[f.name] = (
+                value.tolist() if isinstance(value, np.ndarray) else list(value) if isinstance(value, tuple) else value
+            )
+        return plain
+
+    @classmethod
+    def from_dict(cls, plain: Mapping) -> FlowMap:
+        """The map of ``to_dict``.
+
+        Raises:
+            InputError: a field is missing, unknown or makes no map.
+        """
+        names = [f.name for f in fields(cls)]
+        wrong = sorted(set(names) ^ set(plain))
+        if wrong:
+            raise InputError(f"a flow map has the wrong fields: {', '.join(wrong)}", hint="it has " + ", ".join(names))
+        try:
+            numbers = {name: float(plain[name]) for name in ("deadband", "drop_max", "delta", "rated_flow")}
+            low, high = (float(value) for value in plain["deadband_interval"])
+            texts = {"outliers": tuple(str(text) for text in plain["outliers"]), "samples": int(plain["samples"])}
+            return cls(**{**plain, **numbers, **texts, "deadband_interval": (low, high)})
+        except (TypeError, ValueError) as error:
+            raise InputError(f"a flow map has a field of the wrong kind: {error}") from error
+
+
+def _locate(grid: np.ndarray, x: np.ndarray):
+    """(index of the cell of ``grid`` that holds x, position in it from 0 to 1)."""
+    i = np.clip(np.searchsorted(grid, x, side="right") - 1, 0, grid.size - 2)
+    return i, (x - grid[i]) / (grid[i + 1] - grid[i])
+
+
+def pack(maps: list[FlowMap]) -> tuple[np.ndarray, np.ndarray]:
+    """(data, offsets): all maps back to back in one float array, and where each one starts (integers)."""
+    parts = [one.data for one in maps]
+    sizes = [0, *(part.size for part in parts)]
+    data = np.concatenate(parts) if parts else np.zeros(1)
+    return data, np.cumsum(sizes, dtype=np.int64)[: len(parts)]
+
+
+@dataclass(frozen=True, eq=False)
+class ValveMaps:
+    """The maps of one valve or edge. Drops and flows are signed along ``forward``.
+
+    ``reverse`` is None for a valve measured in one direction only; its reverse flow is then taken as the mirror of
+    the forward one, and ``inside`` is False there.
+    """
+
+    forward: FlowMap
+    reverse: FlowMap | None = None
+
+    def flow(self, pressure_drop, command):
+        """Flow [m³/s] at signed pressure drops [Pa] and openings [V]; broadcasts."""
+        return self._sided("flow", pressure_drop, command, 1.0)
+
+    def command(self, pressure_drop, flow):
+        """Command [V] that passes the signed ``flow`` [m³/s] at the signed drop [Pa], as ``FlowMap.command``."""
+        return self._sided("command", pressure_drop, flow, 0.0)
+
+    def reachable(self, pressure_drop, flow):
+        """True where a command up to the largest measured one passes ``flow`` [m³/s] at the drop [Pa]."""
+        return self._sided("reachable", pressure_drop, flow, 0.0).astype(bool)
+
+    def flow_std(self, pressure_drop, command):
+        """Standard error [m³/s] of ``flow``; broadcasts."""
+        return self._sided("flow_std", pressure_drop, command, 0.0)
+
+    def inside(self, pressure_drop, command):
+        """True where readings surround the point, at signed drops [Pa] and openings [V]."""
+        measured = (np.asarray(pressure_drop, float) >= 0.0) | (self.reverse is not None)
+        return self._sided("inside", pressure_drop, command, 0.0).astype(bool) & measured
+
+    def _sided(self, what: str, drop, other, odd: float):
+        """``what`` of the map on either side of zero drop; flows flip their sign with the drop."""
+        drop, other = np.broadcast_arrays(np.asarray(drop, float), np.asarray(other, float))
+        back = drop < 0.0
+        result = np.asarray(getattr(self.forward, what)(np.abs(drop), other), float)
+        if np.any(back):
+            mirrored = -other if what in ("command", "reachable") else other
+            reverse = np.asarray(getattr(self.reverse or self.forward, what)(np.abs(drop), mirrored), float)
+            result = np.where(back, -reverse if odd else reverse, result)
+        return result if result.ndim else result[()]
+
+
+class UnknownValve(InputError, KeyError):
+    """No flow map goes by that name."""
+
+
+class FlowMaps(Mapping):
+    """Flow maps by valve or edge name, in the order of the names."""
+
+    def __init__(self, valves: Mapping[str, ValveMaps], file: str | None = None) -> None:
+        self._valves = dict(sorted(valves.items()))
+        self.file = file
+
+    def __getitem__(self, name: str) -> ValveMaps:
+        """The maps of a valve.
+
+        Raises:
+            UnknownValve: no such valve; names those there are.
+        """
+        if name not in self._valves:
+            hint = "there are " + ", ".join(self._valves) if self._valves else "there are none"
+            raise UnknownValve(f"no flow map of '{name}'", file=self.file, hint=hint)
+        return self._valves[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._valves)
+
+    def __len__(self) -> int:
+        return len(self._valves)
+
+    def __repr__(self) -> str:
+        return f"FlowMaps({', '.join(self._valves)})"
+
+    def each(self) -> Iterator[FlowMap]:
+        """All maps one by one, forward before reverse."""
+        for valve in self._valves.values():
+            yield valve.forward
+            if valve.reverse is not None:
+                yield valve.reverse
+
+
+def collect(maps: list[FlowMap], file: str | None = None) -> FlowMaps:
+    """Maps grouped by valve.
+
+    Raises:
+        InputError: two maps of one valve and direction, a direction other than forward or reverse, or only a reverse one.
+    """
+    grouped: dict[str, dict[str, FlowMap]] = {}
+    for one in maps:
+        sides = grouped.setdefault(one.valve, {})
+        if one.direction not in ("forward", "reverse"):
+            raise InputError(f"'{one.valve}' has a map in direction '{one.direction}'", file=file, hint="forward or reverse")
+        if one.direction in sides:
+            raise InputError(f"'{one.valve}' has two {one.direction} maps", file=file)
+        sides[one.direction] = one
+    for name, sides in grouped.items():
+        if "forward" not in sides:
+            raise InputError(
+                f"'{name}' has a reverse map only",
+                file=file,
+                hint="the direction in which a valve was measured alone is its forward one",
+            )
+    return FlowMaps({name: ValveMaps(sides["forward"], sides.get("reverse")) for name, sides in grouped.items()}, file)
+
+
+def dump_flow_maps(maps: FlowMaps) -> str:
+    """The file's text: JSON, sorted keys, shortest digits that read back exactly; same maps, same bytes."""
+    content = {"format": FORMAT, "version": VERSION, "units": "SI", "maps": [one.to_dict() for one in maps.each()]}
+    return json.dumps(content, sort_keys=True, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def save_flow_maps(maps: FlowMaps, path: str | Path) -> Path:
+    """Write ``flow_maps.json`` (into the folder, if ``path`` is one); returns the file's path."""
+    path = Path(path)
+    path = path / FILE_NAME if path.is_dir() else path
+    path.write_text(dump_flow_maps(maps), encoding="utf-8", newline="\n")
+    return path
+
+
+def load_flow_maps(path: str | Path) -> FlowMaps:
+    """The flow maps of a run folder or of a ``flow_maps.json``.
+
+    Raises:
+        InputError: no such file, or not a flow map file of this version.
+    """
+    path = Path(path)
+    path = path / FILE_NAME if path.is_dir() else path
+    hint = f"give the folder of an identify run, or its {FILE_NAME}"
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError("there is no such file", file=path, hint=hint) from None
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", file=path, hint=hint) from None
+    except json.JSONDecodeError as error:
+        raise InputError(f"is no JSON: {error.msg}", file=path, line=error.lineno, hint=hint) from None
+    except UnicodeDecodeError:
+        raise InputError("is no JSON text", file=path, hint=hint) from None
+    if not isinstance(content, dict) or content.get("format") != FORMAT or not isinstance(content.get("maps"), list):
+        raise InputError("holds no flow maps", file=path, hint=hint)
+    if content.get("version") != VERSION:
+        raise InputError(f"has version {content.get('version')}, this program reads {VERSION}", file=path)
+    try:
+        return collect([FlowMap.from_dict(one) for one in content["maps"]], str(path))
+    except (InputError, AttributeError, TypeError) as error:
+        raise InputError(getattr(error, "message", str(error)), file=path, hint=getattr(error, "hint", None) or hint) from error
+
+
+def table(maps: FlowMaps, *, drops: int = 25, flow_unit: str = "gpm", pressure_unit: str = "kPa") -> str:
+    """CSV text of all maps on a grid, for spreadsheets, in the units asked for.
+
+    Columns ``valve, direction, command [V], pressure_drop [..], flow [..], flow_std [..], inside`` (1 or 0); the
+    commands are the measured ones, the drops run from 0 to the largest measured one.
+    """
+    from ehbench.quantities import VOCABULARY
+    from ehbench.units import from_si
+
+    lines = [
+        f"valve,direction,command [V],pressure_drop [{pressure_unit}],flow [{flow_unit}],flow_std [{flow_unit}],inside",
+    ]
+    for one in maps.each():
+        drop = np.linspace(0.0, one.drop_max, drops)
+        for command in one.hull_command:
+            flow, std = one.flow(drop, command), one.flow_std(drop, command)
+            columns = (
+                from_si(drop, pressure_unit, VOCABULARY["pressure_drop"]),
+                from_si(flow, flow_unit, VOCABULARY["flow"]),
+                from_si(std, flow_unit, VOCABULARY["flow"]),
+                one.inside(drop, command),
+            )
+            names = f"{_quoted(one.valve)},{one.direction},{command:.6g}"
+            lines += [f"{names},{p:.6g},{q:.6g},{e:.3g},{int(i)}" for p, q, e, i in zip(*columns, strict=True)]
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text

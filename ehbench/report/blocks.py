@@ -1,0 +1,138 @@
+"""What a report page is made of: plain pieces that the template turns into HTML."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A table cell. ``look``: ``number``, ``mute``, ``code``, or a chip: ``good``, ``bad``, ``warn``, ``plain``."""
+
+    text: str
+    look: str = ""
+    link: str = ""
+    hint: str = ""
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph; ``look`` may be ``lead``, ``note``, ``warn`` or ``bad``."""
+
+    kind: ClassVar[str] = "text"
+    text: str
+    look: str = ""
+
+
+@dataclass(frozen=True)
+class Bullets:
+    """A list; ``look`` as in `Text`."""
+
+    kind: ClassVar[str] = "bullets"
+    items: Sequence[str]
+    look: str = ""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table: head, rows of `Cell` or text, a caption above."""
+
+    kind: ClassVar[str] = "grid"
+    head: Sequence[str]
+    rows: Sequence[Sequence[Cell | str]]
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class Heat:
+    """A small square matrix of correlations from −1 to 1 with its row and column names."""
+
+    kind: ClassVar[str] = "heat"
+    names: Sequence[str]
+    values: Sequence[Sequence[float | None]]
+    caption: str = ""
+    limit: float = 0.95
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure: inline SVG with its title and caption."""
+
+    kind: ClassVar[str] = "picture"
+    svg: str
+    title: str
+    caption: str = ""
+    id: str = ""
+
+
+@dataclass(frozen=True)
+class Fold:
+    """Pieces that open on a click."""
+
+    kind: ClassVar[str] = "fold"
+    title: str
+    inside: Sequence[object]
+
+
+@dataclass(frozen=True)
+class Part:
+    """A headed part of a section."""
+
+    kind: ClassVar[str] = "part"
+    title: str
+    inside: Sequence[object]
+    id: str = ""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of the page. ``chip`` stands beside the title; parts appear in the table of contents."""
+
+    title: str
+    inside: Sequence[object]
+    id: str
+    chip: Cell | None = None
+    parts: Sequence[Part] = field(default_factory=tuple)
+
+
+def prose(text: str) -> list[Text | Bullets]:
+    """Paragraphs of plain text: blank lines part them; lines that begin with ``- `` are a list."""
+    found: list[Text | Bullets] = []
+    for paragraph in re.split(r"\n\s*\n", text.strip()):
+        lead, *items = re.split(r"(?:^|\n)\s*- ", paragraph)
+        if lead.strip():
+            found.append(Text(" ".join(lead.split())))
+        if items:
+            found.append(Bullets([" ".join(item.split()) for item in items]))
+    return found
+
+
+def slug(text: str) -> str:
+    """Text as part of an id."""
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "x"
+
+
+_ID = re.compile(r'(?<=[\s"])id="([^"]+)"')
+_LINK = re.compile(r'((?:xlink:)?href)="#([^"]+)"')
+_URL = re.compile(r"url\(#([^)]+)\)")
+_WIDE = re.compile(r'<svg[^>]*?viewBox="([^"]*)"[^>]*>', re.S)
+
+
+def inline(svg: str, prefix: str, title: str) -> str:
+    """A saved SVG as part of a page: no prolog, no metadata, ids made its own by ``prefix``, sized by the page."""
+    from markupsafe import escape
+
+    body = svg[svg.index("<svg") :]
+    body = re.sub(r"<metadata>.*?</metadata>", "", body, count=1, flags=re.S)
+    body = _ID.sub(lambda found: f'id="{prefix}{found[1]}"', body)
+    body = _LINK.sub(lambda found: f'href="#{prefix}{found[2]}"', body)
+    body = _URL.sub(lambda found: f"url(#{prefix}{found[1]})", body)
+    box = _WIDE.match(body)
+    shape = box[1] if box else "0 0 525 300"
+    width = float(shape.split()[2]) * 4 / 3  # points to CSS pixels
+    head = f'<svg viewBox="{shape}" style="max-width:{width:.0f}px" role="img" aria-label="{escape(title)}">'
+    body = head + body[body.index(">") + 1 :]
+    return re.sub(r">\s+<", "><", body).strip()

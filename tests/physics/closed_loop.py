@@ -1,0 +1,137 @@
+"""A closed loop for tests: a compiled controller on the model or on the virtual bench, tick by tick."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from ehbench.control import arc
+from ehbench.control.functions import circuit, pack_rules
+from ehbench.physics.cylinder import joint_angle
+from ehbench.plant import (
+    AREA_HEAD, AREA_ROD, BULK, COULOMB, COULOMB_SPEED, GEOMETRY, HIGHEST, L_A, L_B, LEAK_HEAD, LEAK_INTERNAL, LEAK_ROD, LOWEST, PHASE,
+    RETRACTED, SIDE, VISCOUS, VOLUME_HEAD, VOLUME_ROD, derivatives, workspace_size,
+)  # fmt: skip
+from ehbench.rigs.bench import bench_tick
+from ehbench.rigs.model import model_sample, model_tick
+from ehbench.simulate import STEP
+
+TICK = 1.0e-3
+
+
+@njit(cache=True, nogil=True)
+def on_model(step, y, wish, mask, design, gains, memory, command, plant, tick, steps, log, notes, commands, flows):
+    """Run a controller on the model; a channel with ``mask`` False is NaN in what the controller gets."""
+    size, ne = y.shape[0], plant.edges.shape[0]
+    k = np.empty((5, size))
+    work = np.empty(workspace_size(plant.links.shape[0], plant.cylinders.shape[0], ne))
+    sample, given = np.empty(log.shape[1]), np.empty(log.shape[1])
+    model_sample(y, plant, sample)
+    for i in range(wish.shape[0]):
+        for c in range(sample.shape[0]):
+            given[c] = sample[c] if mask[c] else np.nan
+        step(i * tick, given, wish[i], design, gains, memory, command, notes[i])
+        log[i], commands[i] = sample, command
+        derivatives(y, command, plant, k[0], work)
+        flows[i] = work[work.shape[0] - ne - 1 :]
+        model_tick(y, command, plant, tick, steps, k, work, sample)
+
+
+@njit(cache=True, nogil=True)
+def on_bench(step, state, sample, wish, mask, design, gains, memory, command, bench, tick, steps, scratch, work, noise, log, notes, commands):
+    """Run a controller on the virtual bench; the log is what it measured, the truth follows in its last columns."""
+    channels = sample.shape[0]
+    given = np.empty(channels)
+    for i in range(wish.shape[0]):
+        for c in range(channels):
+            given[c] = sample[c] if mask[c] else np.nan
+        step(i * tick, given, wish[i], design, gains, memory, command, notes[i])
+        log[i, :channels], log[i, channels:], commands[i] = sample, state[: log.shape[1] - channels], command
+        bench_tick(state, command, bench, tick, steps, scratch, work, noise[i], sample)
+
+
+@dataclass
+class Run:
+    """What came of a trial. ``log`` has the sample's columns (on the bench, then its states), ``flows`` edges then pump."""
+
+    wish: np.ndarray
+    log: np.ndarray
+    note: dict[str, np.ndarray]
+    commands: np.ndarray
+    flows: np.ndarray | None
+    memory: np.ndarray
+    t: np.ndarray
+
+
+def circuit_of(model, number, measured=None):
+    """The circuit of a cylinder of a model."""
+    plant = model.plant
+    row = plant.cylinders[number]
+    return circuit(number, row[AREA_HEAD], row[AREA_ROD], plant.edges, plant.wiring, plant.maps, plant.valves[:, [LOWEST, HIGHEST]], measured)
+
+
+def axis_of(model, number, posture, measured=None):
+    """The axis of a cylinder of a model, its design posture as `Model.posture` reads it."""
+    plant = model.plant
+    row = plant.cylinders[number]
+    return arc.axis(
+        circuit_of(model, number, measured), plant.kind, plant.gravity, plant.links, plant.joints, model.posture(posture),
+        row[[GEOMETRY, L_A, L_B, SIDE, PHASE, RETRACTED]],
+        row[[VOLUME_HEAD, VOLUME_ROD, BULK, LEAK_INTERNAL, LEAK_HEAD, LEAK_ROD]], (row[VISCOUS], row[COULOMB], COULOMB_SPEED),
+    )  # fmt: skip
+
+
+def valve_lag(model, number):
+    """Lag 2ζ/ω_n [s] of the slowest valve of a cylinder."""
+    name = model.layout.cylinders[number]
+    rows = [r for r, v in zip(model.plant.valves, model.layout.valves, strict=True) if v.startswith(name + ".")]
+    return max(float(r[1] / r[0]) if r[0] else 0.0 for r in rows)
+
+
+def gains_of(model, ax, seventh=False, rules=None, **options):
+    """Gains of the controller with defaults for a model."""
+    supply = model.plant.supply
+    packed = pack_rules(ax.circuit.area_rod, supply[0], allow_seventh=seventh, **(rules or {}))
+    given = {"tick": TICK, "supply_pressure": supply[0], "flow_limit": supply[2], "valve_lag": valve_lag(model, ax.circuit.cylinder)}
+    return arc.pack_arc(ax, packed, **(given | options))
+
+
+def angle_at(model, number, x):
+    """Joint angle of a cylinder at stroke x [m]."""
+    return float(joint_angle(int(model.plant.cylinders[number, GEOMETRY]), *model.plant.cylinders[number, [L_A, L_B, SIDE, PHASE, RETRACTED]], x))
+
+
+def _arrays(model, ax, wish):
+    layout = model.layout
+    names = arc.note_channels("c", [f"e{i}" for i in range(ax.circuit.count)])
+    return np.zeros((len(wish), len(names))), names, np.zeros((len(wish), len(layout.valves))), model.rest_commands(1)[0]
+
+
+def _noted(notes, names):
+    return {name.removeprefix("c."): notes[:, i] for i, name in enumerate(names)}
+
+
+def run_model(model, ax, gains, wish, posture=None, mask=None, y=None):
+    """A trial of the controller on a model that starts at rest in a posture (or in the state ``y``)."""
+    y = model.trim(model.posture(posture)) if y is None else y.copy()
+    notes, names, commands, command = _arrays(model, ax, wish)
+    channels = 6 * len(model.layout.cylinders) + 2
+    log, memory = np.zeros((len(wish), channels)), np.zeros(arc.memory_size(ax))
+    flows = np.zeros((len(wish), len(model.layout.edges) + 1))
+    mask = arc.entitled(ax, channels) if mask is None else mask
+    on_model(arc.step, y, wish, mask, ax, gains, memory, command, model.plant, TICK, max(1, round(TICK / STEP)), log, notes, commands, flows)
+    return Run(wish, log, _noted(notes, names), commands, flows, memory, np.arange(len(wish)) * TICK)
+
+
+def run_bench(rig, model, ax, gains, wish, posture=None):
+    """A trial of the controller, designed on ``model``, on a virtual bench."""
+    sample = rig.start(posture)
+    notes, names, commands, command = _arrays(model, ax, wish)
+    log, memory = np.zeros((len(wish), sample.size + rig.size)), np.zeros(arc.memory_size(ax))
+    on_bench(
+        arc.step, rig.state, sample, wish, arc.entitled(ax, sample.size), ax, gains, memory, command, rig.bench, TICK, rig.steps,
+        rig._scratch, rig._work, rig.noise(len(wish)), log, notes, commands,
+    )  # fmt: skip
+    return Run(wish, log, _noted(notes, names), commands, None, memory, np.arange(len(wish)) * TICK)

@@ -1,0 +1,348 @@
+"""The virtual bench: what it must share with the model, and what it must add."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.datasets import main, make
+from ehbench.errors import InputError
+from ehbench.logs import write_log
+from ehbench.physics.arm import energy, work_size
+from ehbench.plant import AREA_HEAD, AREA_ROD
+from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
+from ehbench.rig import Value
+from ehbench.rigs.bench import ATMOSPHERE, BenchRig, bulk, play
+from ehbench.rigs.bench import _follow as follow
+from ehbench.rigs.bench import _speed_filter as speed_filter
+from ehbench.simulate import Model, linkage_arrays
+from ehbench.trial import run_trial
+
+ROOT = Path(__file__).parents[2]
+RIGS = ("thesis_arm", "slide_servo", "crane_proportional", "boom_four_valve")
+GPM = 3.785411784e-3 / 60
+
+
+def rig_of(name):
+    return load_rig(ROOT / "recipes" / "rigs" / f"{name}.toml")
+
+
+def bench_file(name):
+    return load_recipe(ROOT / "recipes" / "bench" / f"{name}.toml")
+
+
+def plain(rig, **given):
+    """A bench file with every richness switched off that a file can switch off, on an orifice rig."""
+    edges = {}
+    for c, v, e in rig.edges():
+        curve = {"onset": f"{float(e.deadband)} V", "softness": "0 V", "saturation": "0 V", "gain_factor": "1"}
+        edges[f"{c.name}.{v.edge_name(e)}"] = {**curve, "null_leakage": "0 mL/min/bar", "reverse": curve}
+    truth = {f"{c.name}.leakage_{key}": "0 mL/min/bar" for c in rig.cylinder for key in ("internal", "head", "rod")}
+    valves = {}
+    for c, v in rig.valves():
+        omega, zeta = rig.dynamics[v.dynamics].frequency_and_damping()
+        valves[f"{c.name}.{v.name}"] = {
+            "driver_gain": "1", "driver_offset": "0 V", "hysteresis": "0 V",
+            "natural_frequency": f"{omega!r} rad/s", "damping_ratio": f"{zeta!r}",
+        }  # fmt: skip
+    table = {
+        "truth": truth, "edge": edges, "valve": valves, "air_fraction": "0", "pump_lag": "0 s", "delay": "0 s",
+        "cylinder": {"all": {"friction_coulomb": "0 N", "friction_static": "0 N", "friction_viscous": "0 N*s/m"}},
+        "sensors": {"all": {
+            "pressure_noise": "0 Pa", "pressure_offset": "0 Pa", "pressure_resolution": "0 Pa", "pressure_lag": "0 s",
+            "position_noise": "0 m", "position_resolution": "0 m", "encoder_counts": 0,
+        }},
+    }  # fmt: skip
+    return BenchRecipe(stage="bench", rig="", **(table | given))
+
+
+def drive(bench, commands):
+    """True states of a started bench at each row of commands, and the samples."""
+    states, samples = [], []
+    for row in commands:
+        samples.append(bench.tick(row))
+        states.append(bench.state[: bench.size].copy())
+    return np.array(states), np.array(samples)
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_a_shipped_bench_starts_quiet_and_stays_so(name):
+    bench = BenchRig(rig_of(name), bench_file(name))
+    bench.start()
+    n = len(bench.layout.joints)
+    first = bench.state[: bench.size].copy()
+    states, samples = drive(bench, bench.model.rest_commands(500))
+    supply = bench.bench.supply[0]
+    pressures = slice(2 * n, 2 * n + 2 * len(bench.layout.cylinders))
+    for c, joint in enumerate(bench.bench.joints):
+        _, lever = linkage_arrays(bench.bench.cylinders[c], states[:, joint])
+        # leakage lets the load creep and nothing else moves: a hundredth of the slowest step that is recorded
+        assert np.abs(states[:, n + joint] * lever).max() < 2e-4
+    assert np.abs(states[:, pressures] - first[pressures]).max() < 0.01 * supply
+    assert np.isfinite(samples).all()
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_a_bench_without_a_file_is_plausible(name):
+    rig = rig_of(name)
+    bench = BenchRig(rig)
+    bench.start()
+    table = bench.model.rest_commands(300)
+    valves = [v for _, v in rig.valves()]
+    for column, valve in enumerate(valves):
+        if len(valve.edge) > 1:
+            table[20:, column] = 0.4 * float(valve.command_max)
+        elif {valve.edge[0].from_, valve.edge[0].to} in ({"supply", "head"}, {"rod", "tank"}):
+            table[20:, column] = 0.4 * float(valve.command_max)
+    states, _ = drive(bench, table)
+    n = len(bench.layout.joints)
+    for c, joint in enumerate(bench.bench.joints):
+        moved = abs(states[-1, joint] - states[0, joint])
+        assert moved > 1e-3, f"cylinder {c} does not move"
+    pressures = states[:, 2 * n : 2 * n + 2 * len(bench.layout.cylinders)]
+    assert pressures.min() > -ATMOSPHERE and pressures.max() < 3 * bench.bench.supply[0]
+
+
+@pytest.mark.parametrize("name", ("slide_servo", "crane_proportional", "boom_four_valve"))
+def test_with_all_richness_off_the_bench_is_the_model(name):
+    rig = rig_of(name)
+    bench = BenchRig(rig, plain(rig), step=5e-4)
+    bench.start()
+    model = Model.of(rig)
+    y = bench.state[: bench.size - 1].copy()
+    table = model.rest_commands(400)
+    table[50:200, 0] = 4.0
+    table[250:, 0] = 3.0 if float(next(rig.valves())[1].command_min) == 0 else -3.0
+    states, samples = drive(bench, table[:-1])
+    log = model.run(y, table, 1e-3, 5e-4)[1:, : y.size]
+    span = np.maximum(np.ptp(log, axis=0), 1e-9 * np.abs(log).max(axis=0) + 1e-12)
+    # the same laws, written twice: only the order of floating-point sums differs
+    assert (np.abs(states[:, :-1] - log) / span).max() < 1e-6
+    assert np.ptp(log[:, 0]) > 5e-3
+    nc = len(bench.layout.cylinders)
+    assert np.allclose(samples[:, 4], log[:, bench.layout.state("p_head", 0)], rtol=1e-9, atol=1.0), nc
+
+
+def test_lossless_chambers_give_back_what_they_take():
+    rig = rig_of("slide_servo").with_values({"carriage.damping": 0.0})
+    bench = BenchRig(rig, plain(rig, air_fraction="0.5 %"), rate=4000.0, step=1.25e-4)
+    bench.start({"press": "200 mm"})
+    bench.state[1] = 0.05
+    speed = drive(bench, bench.model.rest_commands(4000))[0][:, 1]
+    swings = [np.abs(speed[i : i + 500]).max() for i in range(0, 4000, 500)]
+    # RK4 at 1.25e-4 s loses 1e-6 of the amplitude a cycle at 40 Hz; the peak is sampled within 2e-4 of its top
+    assert max(swings) / min(swings) < 1.001 and min(swings) > 0.0499
+
+
+def test_friction_and_damping_only_take_energy():
+    bench = BenchRig(rig_of("thesis_arm"), bench_file("thesis_arm"), rate=4000.0)
+    bench.start()
+    plant, n = bench.model.plant, 3
+    bench.state[n : 2 * n] = 0.3, 0.4, -0.5
+    states, _ = drive(bench, bench.model.rest_commands(4000))
+    work = np.empty(work_size(n))
+    mechanical = np.array([sum(energy(plant.kind, plant.links, plant.gravity, y[:n], y[n : 2 * n], work)) for y in states])
+    rows = bench.bench.cylinders
+    power = np.zeros(len(states))
+    for c in range(3):
+        _, lever = linkage_arrays(rows[c], states[:, c])
+        force = states[:, 2 * n + 2 * c] * rows[c, AREA_HEAD] - states[:, 2 * n + 2 * c + 1] * rows[c, AREA_ROD]
+        power += force * lever * states[:, n + c]
+    done = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]))]) / 4000.0
+    lost = mechanical[0] - mechanical + done
+    # the trapezoid of the oil's work is good to (ωh)²/12 = 1e-4 of what swings to and fro
+    assert np.diff(lost).min() > -1e-4 * np.ptp(mechanical)
+    assert lost[-1] > 0.5 * np.ptp(mechanical)
+
+
+def test_entrained_air_is_a_polytropic_gas():
+    p, n, alpha, h = np.linspace(-0.9e5, 7e6, 50), 1.3, 0.004, 1.0
+    for gauge in p:
+        absolute = gauge + ATMOSPHERE
+        air = alpha * (((absolute - h) / ATMOSPHERE) ** (-1 / n) - ((absolute + h) / ATMOSPHERE) ** (-1 / n)) / (2 * h)
+        assert 1 / bulk(gauge, 3e8, alpha, n) == pytest.approx(1 / 3e8 + air, rel=1e-6)
+    assert bulk(1e5, 3e8, 0.0, n) == 3e8
+    stiff = [bulk(gauge, 3e8, alpha, n) for gauge in p]
+    assert np.all(np.diff(stiff) > 0)
+
+
+def test_hysteresis_is_a_backlash():
+    out, path = 0.0, []
+    for u in (0.0, 1.0, 2.0, 1.9, 1.5, 0.0, 0.1, 1.0):
+        out = play(out, u, 0.4)
+        path.append(out)
+    assert path == pytest.approx([0.0, 0.8, 1.8, 1.8, 1.7, 0.2, 0.2, 0.8])
+
+
+def test_every_cartridge_is_tuned_to_its_calibration_and_none_is_like_another():
+    bench = BenchRig(rig_of("thesis_arm"), bench_file("thesis_arm"))
+    edges = [f"boom.{name}" for name in ("hect", "hepc", "regen", "repc", "rect")]
+    middle = []
+    for edge in edges:
+        # tuned by bisection to 1e-15 of the flow; the unit of the rig file is the US gallon
+        assert bench.static_flow(edge, 4.0, 2e6) == pytest.approx(2 * GPM, rel=1e-9)
+        assert bench.static_flow(edge, 8.0, 2e6) == pytest.approx(6 * GPM, rel=1e-9)
+        middle.append(float(bench.static_flow(edge, 10.0, 2e6)) / GPM)
+        u = np.linspace(0, 10, 201)
+        for drop in (2e5, 2e6, 6.5e6):
+            flow = bench.static_flow(edge, u, drop)
+            rising = flow > 1e-3 * GPM
+            assert rising.any() and np.all(np.diff(flow[rising]) > 0)
+        assert bench.static_flow(edge, 8.0, 0.0) == 0.0
+        fall = bench.static_flow(edge, 8.0, 6.5e6) / bench.static_flow(edge, 8.0, 1e6)
+        assert 0.8 < fall < 0.97, "the compensator's flow falls slowly at high drop"
+    assert np.diff(sorted(middle)).min() > 0.01
+    back = -bench.static_flow("boom.regen", 8.0, -2e6) / GPM
+    assert 3.0 < back < 5.5, "valve 3 gives less from rod to head"
+
+
+def test_noise_has_the_stated_spread_and_no_memory():
+    rig = rig_of("slide_servo")
+    noise, step = 5e3, 4e3
+    sensors = {"all": {"pressure_noise": f"{noise} Pa", "pressure_resolution": f"{step} Pa", "pressure_offset": "0 Pa"}}
+    bench = BenchRig(rig, BenchRecipe(stage="bench", rig="", sensors=sensors), seed=3)
+    bench.start()
+    _, samples = drive(bench, bench.model.rest_commands(4000))
+    p = samples[:, bench.channels.index("p_supply")]
+    spread = math.sqrt(noise**2 + step**2 / 12)
+    # 4000 samples: the standard deviation is known to 1.1 %, a correlation to 1.6 %; four of those
+    assert np.std(p) == pytest.approx(spread, rel=0.045)
+    assert abs(np.corrcoef(p[1:], p[:-1])[0, 1]) < 0.064
+    assert np.mean(p) == pytest.approx(bench.state[bench.size - 2], abs=4 * spread / math.sqrt(4000))
+    x = samples[:, bench.channels.index("press.x")] / 2.54e-5
+    assert np.abs(x - np.round(x)).max() < 1e-6
+    assert abs(np.mean(samples[:, bench.channels.index("press.v")])) < 1e-4
+
+
+def test_delay_and_lag_are_late_by_what_they_say():
+    rig = rig_of("slide_servo")
+    table = np.zeros((300, 1))
+    table[20:] = 3.0
+
+    def heads(delay, lag):
+        quiet = plain(rig)
+        sensors = {"all": quiet.sensors["all"].model_copy(update={"pressure_lag": Value(lag)})}
+        bench = BenchRig(rig, quiet.model_copy(update={"sensors": sensors, "delay": Value(delay)}))
+        bench.start()
+        return drive(bench, table)[1][:, 4]
+
+    now, late, half = heads(0.0, 0.0), heads(3e-3, 0.0), heads(0.5e-3, 0.0)
+    assert np.array_equal(now[:-3], late[3:])
+    assert half[1:] == pytest.approx(0.5 * (now[1:] + now[:-1]), rel=1e-12)
+    lagged = heads(0.0, 4e-3)
+    rise = (now[150:] - lagged[150:]).sum() * 1e-3
+    assert abs(rise) < 4e-3 * np.ptp(now), "a lag has unit gain"
+    area = (now - lagged).sum() * 1e-3
+    # the area between a signal and its lag is the time constant times the rise; the tail is still moving a little
+    assert area == pytest.approx(4e-3 * (now[-1] - now[0]), rel=0.05)
+
+
+@pytest.mark.parametrize("zeta", (0.5, 1.0, 1.4))
+def test_the_speed_filter_gives_the_slope_of_a_ramp_and_its_own_gain_at_a_sine(zeta):
+    omega, tick = 2 * math.pi * 60, 1e-3
+    speed = speed_filter(omega, zeta, tick)
+
+    def slopes(z):
+        a, b, before, out = z[0], 0.0, z[0], []
+        for now in z:
+            a, b = follow(a, b, before, now, speed)
+            before = now
+            out.append(b)
+        return np.array(out)
+
+    t = np.arange(2000) * tick
+    assert slopes(0.07 * t)[-1] == pytest.approx(0.07, rel=1e-9)
+    w = 2 * math.pi * 5
+    s = 1j * w
+    gain = s * omega**2 / (s**2 + 2 * zeta * omega * s + omega**2)
+    expected = np.imag(gain * np.exp(1j * w * t))
+    # joining the samples of a 5 Hz sine by straight lines loses (wT)²/12 = 8e-5 of it
+    assert np.abs(slopes(np.sin(w * t)) - expected)[1000:].max() < 2e-4 * w
+
+
+def test_the_pump_droops_and_gives_in_above_its_limit():
+    rig = rig_of("slide_servo")
+    bench = BenchRig(rig, bench_file("slide_servo"))
+    bench.start({"press": "20 mm"})
+    at, limit, droop = bench.size - 2, bench.bench.supply[2], bench.bench.extra[2]
+    p_set = bench.bench.supply[0]
+    small, _ = drive(bench, np.full((250, 1), 2.5))
+    flow = small[-1, at + 1]
+    assert 0.1 * limit < flow < 0.5 * limit
+    # a quasi-static compensator: the drop of pressure is the flow's share of the droop
+    assert p_set - small[-1, at] == pytest.approx(droop * flow / limit, rel=0.03)
+    large, _ = drive(bench, np.full((200, 1), 10.0))
+    assert large[-1, at] < p_set - 1.5 * droop
+    assert large[-1, at + 1] == pytest.approx(limit, rel=1e-3)
+
+
+def test_the_step_is_fine_enough():
+    rig, file = rig_of("thesis_arm"), bench_file("thesis_arm")
+    runs = []
+    for step in (2.5e-4, 6.25e-5):
+        bench = BenchRig(rig, file, step=step)
+        bench.start()
+        table = bench.model.rest_commands(600)
+        table[100:, bench.layout.valves.index("boom.hepc")] = 5.0
+        table[100:, bench.layout.valves.index("boom.rect")] = 5.0
+        table[100:, bench.layout.valves.index("swing.servo")] = 3.0
+        runs.append(drive(bench, table)[0])
+    span = np.maximum(np.ptp(runs[1], axis=0), 1e-3)
+    # a tenth of the sensors' resolution: the switching of friction and area limits the order
+    assert (np.abs(runs[0] - runs[1]) / span).max() < 1e-3
+
+
+def trial(seed, **given):
+    command = [{"valve": "press.servo", "kind": "step", "amplitude": "2 V", "start": "0.05 s", "stop": "0.3 s"}]
+    table = {"duration": "0.5 s", "command": command, "bench": str(ROOT / "recipes" / "bench" / "slide_servo.toml")} | given
+    return TrialRecipe(stage="trial", rig="", on="bench", seed=seed, **table)
+
+
+def test_the_seed_makes_the_bytes(tmp_path):
+    rig = rig_of("slide_servo")
+    for name, seed in (("a", 5), ("b", 5), ("c", 6)):
+        record, facts = run_trial(rig, trial(seed))
+        assert facts.on == "virtual bench" and record.meta["on"] == "virtual bench"
+        write_log(tmp_path / f"{name}.mcap", record)
+    a, b, c = ((tmp_path / f"{name}.mcap").read_bytes() for name in "abc")
+    assert a == b and a != c
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_a_dataset_is_recorded_again_byte_for_byte(name, tmp_path):
+    made = make(ROOT / "recipes" / "datasets" / f"{name}.toml", tmp_path)
+    shipped = ROOT / "datasets" / name
+    files = sorted(p.relative_to(made) for p in made.rglob("*") if p.is_file())
+    assert files == sorted(p.relative_to(shipped) for p in shipped.rglob("*") if p.is_file())
+    stale = [str(path) for path in files if (made / path).read_bytes() != (shipped / path).read_bytes()]
+    assert not stale, "run `make datasets`"
+
+
+def test_all_datasets_together_are_small():
+    assert sum(p.stat().st_size for p in (ROOT / "datasets").rglob("*") if p.is_file()) < 10e6
+
+
+def test_an_unknown_dataset_is_named(tmp_path, capsys):
+    assert main(["nowhere", "--recipes", str(ROOT / "recipes" / "datasets"), "--out", str(tmp_path)]) == 2
+    assert "slide_servo" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "says"),
+    [
+        ('[edge."press.nothing"]\nonset = "1 V"\n', 3, "press.nothing"),
+        ('[truth]\n"press.bulk" = "1 GPa"\n', 3, "press.bulk"),
+        ('[truth]\nbulk_modulus = "1 kg"\n', 4, "kg"),
+        ('[cylinder.press]\nfriction_coulomb = "9 N"\nfriction_static = "1 N"\n', 3, "friction_static"),
+    ],
+)
+def test_a_wrong_bench_file_is_refused_with_its_line(tmp_path, text, line, says):
+    path = tmp_path / "bench.toml"
+    path.write_text(f'stage = "bench"\nrig = "{ROOT / "recipes" / "rigs" / "slide_servo.toml"}"\n' + text)
+    with pytest.raises(InputError, match=says) as error:
+        BenchRig(rig_of("slide_servo"), load_recipe(path))
+    assert error.value.file == str(path) and error.value.line == line

@@ -1,0 +1,453 @@
+"""The plant's proofs: conservation, order of convergence, the linear formula, mirror symmetry, equilibrium, violence."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+
+from ehbench import signals
+from ehbench.physics import arm
+from ehbench.physics.cylinder import CAVITATION_BAND, makeup_flow, relief_flow
+from ehbench.physics.metering import FROM, TO
+from ehbench.plant import (
+    AREA_HEAD, AREA_ROD, BULK, FLOOR, LEAK_HEAD, LEAK_INTERNAL, LEAK_ROD, RELIEF, RELIEF_GAIN, STOP, STROKE, VISCOUS, VOLUME_HEAD,
+    VOLUME_ROD, build, derivatives, workspace_size,
+)  # fmt: skip
+from ehbench.recipe import load_rig
+from ehbench.rig import Rig, Slide, Value
+from ehbench.simulate import Model, linkage_arrays, rk4
+
+RIGS = sorted((Path(__file__).parents[2] / "recipes" / "rigs").glob("*.toml"))
+LEAK = 2.0e-13  # [m³/(s·Pa)]: 1.2 mL/min/bar, a worn cylinder
+
+
+@pytest.fixture(scope="module", params=RIGS, ids=lambda path: path.stem)
+def rig(request) -> Rig:
+    return load_rig(request.param)
+
+
+def rate(model: Model, y: np.ndarray, command: np.ndarray) -> np.ndarray:
+    """ẏ at a state."""
+    plant, dy = model.plant, np.empty_like(y)
+    work = np.empty(workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0]))
+    derivatives(np.ascontiguousarray(y), command, plant, dy, work)
+    return dy
+
+
+def gentle(model: Model, samples: int) -> np.ndarray:
+    """Commands that extend every cylinder slowly: its edges into the head and out of the rod at a tenth of the driver's range
+    beyond the deadband."""
+    table = model.rest_commands(samples)
+    for index, (cylinder, valve) in enumerate(model.rig.valves()):
+        for edge in valve.edge:
+            if (edge.from_, edge.to) in (("supply", "head"), ("rod", "tank")):
+                span = 0.1 * (float(valve.command_max) - max(0.0, float(valve.command_min)))
+                table[:, index] = edge.sign * (float(edge.deadband) + span)
+    return table
+
+
+def leaky(rig: Rig) -> Rig:
+    names = ("leakage_internal", "leakage_head", "leakage_rod")
+    return rig.with_values({f"{c.name}.{name}": LEAK * (1 + i) for c in rig.cylinder for i, name in enumerate(names)})
+
+
+def integral(values: np.ndarray, step: float) -> np.ndarray:
+    """Running integral from 0 by Simpson's rule, at every second sample; 4th order."""
+    pairs = step / 3.0 * (values[:-2:2] + 4.0 * values[1:-1:2] + values[2::2])
+    return np.concatenate([np.zeros_like(pairs[:1]), np.cumsum(pairs, axis=0)])
+
+
+class Ledger:
+    """A run's oil and energy, from its log alone."""
+
+    def __init__(self, rig: Rig, duration: float = 0.6, step: float = 1e-4) -> None:
+        self.model = model = Model.of(rig)
+        plant, names = model.plant, model.layout
+        table = gentle(model, 2 * round(0.5 * duration / step) + 1)
+        log = model.run(model.trim(model.posture(None)), table, step, step)
+        self.step, self.log = step, log
+        n, states = len(names.joints), names.states
+        self.q, self.qd = log[:, :n], log[:, n : 2 * n]
+        self.edges, self.pump = log[:, states:-1], log[:, -1]
+        self.supply = log[:, names.state("p_supply", 0)]
+        tank = np.full_like(self.supply, plant.supply[1])
+        self.nodes = np.column_stack([self.supply, tank, log[:, 2 * n : 2 * n + 2 * len(names.cylinders)]])
+        into = np.zeros_like(self.nodes)
+        for index, wiring in enumerate(plant.wiring):
+            into[:, wiring[FROM]] -= self.edges[:, index]
+            into[:, wiring[TO]] += self.edges[:, index]
+        self.into = into
+
+    def cylinders(self):
+        """(row, x, v, [(inflow through edges, pressure, volume, the other pressure, sign, area, leak) of head and rod])."""
+        tank = self.model.plant.supply[1]
+        for index, row in enumerate(self.model.plant.cylinders):
+            joint = self.model.plant.joints[index]
+            x, lever = linkage_arrays(row, self.q[:, joint])
+            v = lever * self.qd[:, joint]
+            head, rod = 2 + 2 * index, 3 + 2 * index
+            sides = []
+            for node, other, sign, area, dead, leak in (
+                (head, rod, 1.0, row[AREA_HEAD], row[VOLUME_HEAD], row[LEAK_HEAD]),
+                (rod, head, -1.0, row[AREA_ROD], row[VOLUME_ROD], row[LEAK_ROD]),
+            ):
+                p = self.nodes[:, node]
+                leaking = row[LEAK_INTERNAL] * (p - self.nodes[:, other]) + leak * (p - tank)
+                sides.append((self.into[:, node] - leaking, p, dead + sign * area * x, sign * area, leaking))
+            yield row, x, v, sides
+
+
+@pytest.fixture(scope="module")
+def ledger(rig) -> Ledger:
+    return Ledger(leaky(rig))
+
+
+def test_oil_volume_is_conserved_in_every_chamber(ledger):
+    """What came in is displacement plus compression, ``∫(Q − leaks) dt = ∫ A v dt + ∫ V/β ṗ dt``.
+
+    Tolerance 1e-6 of the oil moved: where a valve leaves its deadband the flow has a bend, over which Simpson errs by about
+    h² Q̇/12 (1e-11 m³ of 4e-5 m³ at h = 100 µs); everywhere else it errs far less.
+    """
+    for row, x, v, sides in ledger.cylinders():
+        assert np.ptp(x) > 1e-3, "the cylinder must move for the balance to mean anything"
+        for inflow, p, volume, area, _ in sides:
+            assert p.min() > row[FLOOR] + 1e5 and p.max() < row[RELIEF]
+            oil = integral(inflow, ledger.step)
+            displaced = area * (x[::2] - x[0])
+            moved = np.abs(displaced).max()
+            # ∫ V/β dp by parts: V p/β minus ∫ A v p/β dt
+            squeezed = (volume * p)[::2] - volume[0] * p[0] - integral(area * v * p, ledger.step)
+            assert np.abs(oil - displaced - squeezed / row[BULK]).max() < 1e-6 * moved
+
+
+def test_pump_tank_and_machine_balance(ledger):
+    """All the pump gives is in the tank, leaked, or stored: displaced and compressed oil; tolerance as above."""
+    plant = ledger.model.plant
+    pumped = integral(ledger.pump, ledger.step)
+    stored = plant.supply[3] / plant.supply[4] * (ledger.supply[::2] - ledger.supply[0])
+    drained = integral(ledger.into[:, 1], ledger.step)
+    for row, _, v, sides in ledger.cylinders():
+        for inflow, p, volume, area, _ in sides:
+            squeezed = (volume * p)[::2] - volume[0] * p[0] - integral(area * v * p, ledger.step)
+            stored = stored + squeezed / row[BULK] + integral(area * v, ledger.step)
+        tank = plant.supply[1]
+        for leak, side in zip(row[[LEAK_HEAD, LEAK_ROD]], sides, strict=True):
+            drained = drained + integral(leak * (side[1] - tank), ledger.step)
+    assert pumped[-1] > 1e-6
+    assert np.abs(pumped - stored - drained).max() < 1e-6 * pumped[-1]
+
+
+def test_energy_is_conserved(ledger):
+    """Pump work = throttling + leakage + tank + compression + cylinder work, and cylinder work = ΔKE + ΔPE + friction.
+
+    Each sum closes within 1e-6 of the energy the pump gave, for the reasons of the oil balance.
+    """
+    plant, step = ledger.model.plant, ledger.step
+    given = integral(ledger.supply * ledger.pump, step)
+    spent = 0.5 * plant.supply[3] / plant.supply[4] * (ledger.supply[::2] ** 2 - ledger.supply[0] ** 2)
+    for index, wiring in enumerate(plant.wiring):
+        drop = ledger.nodes[:, wiring[FROM]] - ledger.nodes[:, wiring[TO]]
+        throttled = integral(drop * ledger.edges[:, index], step)
+        assert throttled[-1] >= 0.0
+        spent = spent + throttled
+    spent = spent + integral(ledger.nodes[:, 1] * ledger.into[:, 1], step)
+    work = np.zeros_like(given)
+    for row, _, v, sides in ledger.cylinders():
+        force = np.zeros_like(v)
+        for inflow, p, volume, area, leaking in sides:
+            spent = spent + integral(p * leaking, step) + integral(p * (inflow - area * v), step)
+            force += area * p
+        work = work + integral(force * v, step)
+    scale = given[-1]
+    assert scale > 1.0
+    assert np.abs(given - spent - work).max() < 1e-6 * scale
+
+    scratch = np.empty(arm.work_size(plant.links.shape[0]))
+    motion = zip(ledger.q[::2], ledger.qd[::2], strict=True)
+    held = np.array([sum(arm.energy(plant.kind, plant.links, plant.gravity, q, qd, scratch)) for q, qd in motion])
+    lost = integral(np.sum(plant.links[:, arm.DAMPING] * ledger.qd**2, axis=1), step)
+    for row, _, v, _ in ledger.cylinders():
+        lost = lost + integral(row[VISCOUS] * v**2, step)
+    assert np.abs(work - (held - held[0]) - lost).max() < 1e-6 * scale
+
+
+def test_fourth_order(rig):
+    """The error against a run of 64 times as many steps falls by 2⁴ within 0.1 of the order where nothing is kinked.
+
+    Valves stand open from the start, so that no deadband is passed, and steps are short enough that no substeps are taken.
+    """
+    model = Model.of(rig)
+    command = gentle(model, 1)[0]
+    y0 = model.trim(model.posture(None))
+    for index in range(len(command)):
+        y0[model.layout.state("opening", index)] = command[index]
+    span = 0.032
+    work = np.empty(workspace_size(*(len(part) for part in (model.plant.links, model.plant.cylinders, model.plant.edges))))
+
+    def after(steps: int) -> np.ndarray:
+        y, k = y0.copy(), np.empty((5, y0.size))
+        for _ in range(steps):
+            assert rk4(y, command, model.plant, span / steps, k, work) == 1
+        return y
+
+    exact = after(64 * 512)
+    moved = np.abs(exact - y0) > 1e-9 * np.abs(y0)
+    scale = np.where(moved, np.abs(exact - y0), 1.0)
+    errors = [np.linalg.norm(((after(steps) - exact) / scale)[moved]) for steps in (128, 256, 512)]
+    orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    assert errors[0] > 1e-9, "the error must stand well above rounding for its order to show"
+    assert np.abs(orders - 4.0).max() < 0.1, (errors, orders)
+
+
+def locked_modes(model: Model, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(ω [rad/s], mode shapes) of the machine with all valves shut: K φ = ω² D φ, K = Jᵀ diag(β (A1²/V1 + A2²/V2)) J.
+
+    K also has what trim forces do as the linkage turns and gravity's own stiffness, by central differences.
+    """
+    plant, n = model.plant, len(q)
+    mass, work = np.empty((n, n)), np.empty(arm.work_size(n))
+    arm.mass_matrix(plant.kind, plant.links, q, mass, work)
+    y = model.trim(q)
+    stiffness = np.zeros((n, n))
+    for index, (row, joint) in enumerate(zip(plant.cylinders, plant.joints, strict=True)):
+        at = q[joint] + np.array([-1e-6, 0.0, 1e-6])
+        x, lever = linkage_arrays(row, at)
+        volumes = row[VOLUME_HEAD] + row[AREA_HEAD] * x[1], row[VOLUME_ROD] - row[AREA_ROD] * x[1]
+        spring = row[BULK] * (row[AREA_HEAD] ** 2 / volumes[0] + row[AREA_ROD] ** 2 / volumes[1])
+        force = y[model.layout.state("p_head", index)] * row[AREA_HEAD] - y[model.layout.state("p_rod", index)] * row[AREA_ROD]
+        stiffness[joint, joint] += spring * lever[1] ** 2 - force * (lever[2] - lever[0]) / 2e-6
+    for joint in range(n):
+        torque = []
+        for sign in (1, -1):
+            moved, out = q.copy(), np.empty(n)
+            moved[joint] += sign * 1e-6
+            arm.gravity_torque(plant.kind, plant.links, plant.gravity, moved, out, work)
+            torque.append(out)
+        stiffness[:, joint] += (torque[0] - torque[1]) / 2e-6
+    squares, shapes = eigh(0.5 * (stiffness + stiffness.T), mass)
+    return np.sqrt(squares), shapes
+
+
+def test_natural_frequency_is_that_of_the_linear_formula(rig):
+    """With the valves shut and no damping, an excited mode rings at ω² = β (A1²/V1 + A2²/V2)·lever²/inertia, to 1e-4.
+
+    The swing is a few µm, so that what is left of non-linearity and of the fit's own error stays below.
+    """
+    bodies = rig.joint_names
+    still = rig.with_values({f"{b}.{'damping' if isinstance(rig.mechanism, Slide) else 'joint_damping'}": 0.0 for b in bodies})
+    for load in (None, *rig.payload):
+        model = Model.of(still, payload=load)
+        q = model.posture(None)
+        omegas, shapes = locked_modes(model, q)
+        for omega, shape in zip(omegas, shapes.T, strict=True):
+            y = model.trim(q)
+            y[len(q) : 2 * len(q)] += shape / np.abs(shape).max() * 1e-5 * omega
+            samples = int(6 * 2 * math.pi / omega / 5e-4)
+            log = model.run(y, model.rest_commands(samples), 5e-4)
+            at = len(q) + int(np.argmax(np.abs(shape)))
+            found = signals.ringing(5e-4 * np.arange(samples), log[:, at], guess=(0.9 * omega, 0.01), trim=False)
+            assert found.ok, found.reason
+            assert found.natural_frequency == pytest.approx(omega, rel=1e-4)
+            assert abs(found.damping_ratio) < 1e-4
+
+
+def slide(flip: bool) -> Model:
+    """A loaded through-rod slide, or its mirror image: head and rod exchanged, the other end of the stroke, the other slope."""
+    rig = load_rig(RIGS[0].with_name("slide_servo.toml"))
+    body, cylinder = rig.mechanism, rig.cylinder[0]
+    area, dead = 1.2e-3, 2.0e-4
+    full = dead + area * float(cylinder.stroke)
+    swap = {"head": "rod", "rod": "head", "supply": "supply", "tank": "tank"}
+
+    shares = {"supplyhead": 1.0, "rodtank": 0.8, "supplyrod": 1.3, "headtank": 0.6}  # no edge can stand in for another
+
+    def edge(one):
+        gain = Value(float(one.flow_gain) * shares[one.from_ + one.to])
+        ends = {"from_": swap[one.from_], "to": swap[one.to]} if flip else {}
+        return one.model_copy(update={"flow_gain": gain, **ends})
+
+    leaks = ("leakage_head", "leakage_rod")
+    changed = cylinder.model_copy(
+        update={
+            "area_head": Value(area), "area_rod": Value(area), "bore": None, "rod": None,
+            "volume_head": Value(dead), "volume_rod": Value(full),
+            leaks[flip]: Value(2 * LEAK), leaks[not flip]: Value(LEAK), "leakage_internal": Value(LEAK),
+            "friction_coulomb": Value(120.0), "friction_viscous": Value(300.0),
+            "valve": tuple(v.model_copy(update={"edge": tuple(edge(e) for e in v.edge)}) for v in cylinder.valve),
+        }
+    )  # fmt: skip
+    slope = body.model_copy(update={"incline": Value(-0.3 if flip else 0.3)})
+    return Model.of(rig.model_copy(update={"mechanism": slope, "cylinder": (changed,)}))
+
+
+def test_head_and_rod_are_mirror_images():
+    """The mirrored slide does the mirrored thing, into an end stop and out of it again.
+
+    Sums of three terms may round in another order, and the contact divides what is left by its stiffness: 1e-9 of the range.
+    """
+    right, left = slide(False), slide(True)
+    stroke = right.plant.cylinders[0, STROKE]
+    table = right.rest_commands(3000)
+    table[100:1500], table[1500:] = 6.0, -4.0
+    start = right.trim(np.array([0.3 * stroke]))
+    log = right.run(start, table)
+    mirrored = left.trim(np.array([0.7 * stroke]))
+    assert mirrored[2:4] == pytest.approx(start[3:1:-1], rel=1e-12)
+    image = left.run(mirrored, table)
+    assert log[:, 0].max() > stroke, "the trial must reach the end stop"
+    pairs = (log[:, 0], stroke - image[:, 0]), (log[:, 1], -image[:, 1]), (log[:, 2], image[:, 3]), (log[:, 3], image[:, 2])
+    for mine, other in pairs:
+        assert np.abs(mine - other).max() < 1e-9 * np.ptp(mine)
+
+
+def test_trim_is_an_equilibrium(rig):
+    """Anywhere in the stroke, with any payload, nothing moves from trim: derivatives vanish, and 2 s later it stands there still.
+
+    Rounding leaves forces of 1e-15 of the load's, so accelerations below 1e-9 of gravity's and pressures to 1e-9.
+    """
+    rng = np.random.default_rng(7)
+    for load in (None, *rig.payload):
+        model = Model.of(rig, payload=load)
+        for _ in range(10):
+            q = model.posture(None)
+            for index, joint in enumerate(model.plant.joints):
+                low, high = model.stroke_range(index)
+                q[joint] = low + (high - low) * rng.uniform(0.02, 0.98)
+            y = model.trim(q)
+            dy = rate(model, y, model.rest_commands(1)[0])
+            assert np.abs(dy[: 2 * len(q)]).max() < 1e-9
+            assert np.abs(dy[2 * len(q) :]).max() < 1e-9 * y.max()
+        log = model.run(y, model.rest_commands(2001))
+        assert np.abs(log[-1, : y.size] - y).max() < 1e-9 * np.abs(y).max()
+        assert np.abs(log[-1, : len(q)] - q).max() < 1e-9
+
+
+def test_trim_carries_the_load_with_no_chamber_below_the_low_side(rig):
+    model = Model.of(rig)
+    y = model.trim(model.posture(None), low_side=5e5)
+    pressures = y[2 * len(model.layout.joints) :][: 2 * len(model.layout.cylinders)].reshape(-1, 2)
+    assert pressures.min(axis=1) == pytest.approx(5e5)
+
+
+def test_violent_commands_stay_finite_and_bounded(rig):
+    """Random full-scale switching every 5 to 200 ms: pressures between floor and relief, strokes within the stops.
+
+    Above relief, the piston at full speed presses A·v through RELIEF_GAIN; below the floor nothing is lost, as outflow fades in
+    the band. The stops give STOP_DEPTH at full supply pressure, more under a falling load: 10 mm are allowed.
+    """
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        model = Model.of(rig, payload=[None, *rig.payload][seed % (1 + len(rig.payload))])
+        plant, n = model.plant, len(model.layout.joints)
+        table = model.rest_commands(6001)
+        for column in range(table.shape[1]):
+            at = 0
+            while at < len(table):
+                until = at + int(rng.integers(5, 200))
+                table[at:until, column] = rng.choice([plant.valves[column, 2], 0.0, plant.valves[column, 3]])
+                at = until
+        log = model.run(model.trim(model.posture(None)), table)
+        assert np.isfinite(log).all()
+        reached = False
+        for index, row in enumerate(plant.cylinders):
+            joint = plant.joints[index]
+            x, lever = linkage_arrays(row, log[:, joint])
+            v = np.abs(lever * log[:, n + joint]).max()
+            reached |= np.ptp(x) > 0.02 and v > 0.1
+            assert x.min() > -0.01 and x.max() < row[STROKE] + 0.01
+            pressures = log[:, 2 * n + 2 * index : 2 * n + 2 * index + 2]
+            inflow = np.abs(log[:, model.layout.states :]).sum(axis=1).max()
+            assert pressures.min() > row[FLOOR] - 1e3
+            assert pressures.max() < row[RELIEF] + (row[AREA_HEAD] * v + inflow) / RELIEF_GAIN
+        assert reached, "the commands must throw the machine about"
+
+
+def test_chambers_hold_the_cavitation_floor_and_the_relief_pressure():
+    """A shoved piston with shut valves empties its head end down to the floor and opens the relief of its rod end.
+
+    The shove, 250 kg at 3 m/s, crosses the cavitation band in 10 µs: the substeps must be there before the band is.
+    """
+    model = Model.of(load_rig(RIGS[0].with_name("slide_servo.toml")))
+    row = model.plant.cylinders[0]
+    y = model.trim(np.array([0.2]))
+    y[1] = 3.0
+    log = model.run(y, model.rest_commands(400), tick=1e-3)
+    head, rod = log[:, 2], log[:, 3]
+    assert head[:20].max() <= y[2], "a chamber that only loses oil cannot gain pressure"
+    assert head.min() == pytest.approx(row[FLOOR], abs=1e3)
+    assert rod.max() > row[RELIEF]
+    assert relief_flow(rod.max(), row[RELIEF], RELIEF_GAIN) <= row[AREA_ROD] * 3.0
+    assert makeup_flow(-1e-3, float(head.min()), row[FLOOR]) > 0.9e-3
+
+
+def test_the_stop_holds_full_supply_pressure():
+    """Driven against its stop with the valve full open, a piston sinks in by STOP_DEPTH at most: supply·area_head/STOP."""
+    model = Model.of(load_rig(RIGS[0].with_name("slide_servo.toml")))
+    row = model.plant.cylinders[0]
+    log = model.run(model.trim(np.array([0.38])), np.full((1500, 1), 10.0))
+    depth = (log[-1, 2] * row[AREA_HEAD] - log[-1, 3] * row[AREA_ROD]) / row[STOP]
+    assert log[-1, 0] - row[STROKE] == pytest.approx(depth, rel=1e-3)
+    assert 0 < depth <= 1.001e-3
+    assert abs(log[-1, 1]) < 1e-6
+
+
+def test_the_order_of_cylinders_does_not_matter(rig):
+    """The same machine with its cylinders listed backwards moves alike; sums round in another order: 1e-9 of each range."""
+    back = rig.model_copy(update={"cylinder": rig.cylinder[::-1]})
+    one, two = Model.of(rig), Model.of(back)
+    table = gentle(one, 1500)
+    order = [one.layout.valves.index(name) for name in two.layout.valves]
+    t = np.arange(1500) * 1e-3
+    a = one.record(t, table, one.run(one.trim(one.posture(None)), table))
+    b = two.record(t, table[:, order], two.run(two.trim(two.posture(None)), table[:, order]))
+    assert set(a.channels) == set(b.channels)
+    for name, values in a.channels.items():
+        assert np.abs(values - b[name]).max() <= 1e-9 * max(np.ptp(values), 1e-12), name
+
+
+def test_a_cylinder_by_any_other_name_moves_alike(rig):
+    first = rig.cylinder[0]
+    renamed = rig.model_copy(update={"cylinder": (first.model_copy(update={"name": "zz"}), *rig.cylinder[1:])})
+    one, two = Model.of(rig), Model.of(renamed)
+    table = gentle(one, 300)
+    assert one.run(one.trim(one.posture(None)), table).tobytes() == two.run(two.trim(two.posture(None)), table).tobytes()
+
+
+def test_the_guard_sees_relief_and_cavitation():
+    """An open relief valve adds RELIEF_GAIN·β/V to the fastest rate, outflow β·|inflow|/(V·(p − floor))."""
+    model = Model.of(load_rig(RIGS[0].with_name("slide_servo.toml")))
+    row, command = model.plant.cylinders[0], np.zeros(1)
+    work, dy = np.empty(200), np.empty(model.layout.states)
+    volume = row[VOLUME_HEAD] + row[AREA_HEAD] * 0.2
+
+    def fastest(p_head: float, v: float) -> float:
+        y = model.trim(np.array([0.2]))
+        y[1:4] = v, p_head, 1e7
+        return derivatives(y, command, model.plant, dy, work)
+
+    calm = fastest(1e6, 0.0)
+    open_relief, per_flow = RELIEF_GAIN * row[BULK] / volume, row[BULK] / volume * row[AREA_HEAD]
+    assert open_relief > calm
+    assert fastest(row[RELIEF] + 1e5, 0.0) == pytest.approx(open_relief, rel=0.01), "what it lets out also nears the floor"
+    assert fastest(row[RELIEF] - 1e5, -2.0) == pytest.approx(open_relief), "relief opens within the step"
+    assert fastest(row[FLOOR] + 1e4, 2.0) == pytest.approx(per_flow * 2.0 / CAVITATION_BAND)
+    assert fastest(row[FLOOR] + 1e6, 2.0) == pytest.approx(per_flow * 2.0 / 1e6), "the floor is one step away"
+
+
+def test_maps_and_laws_are_asked_for_by_name(rig):
+    """An edge that follows a map, without one: the error names the edge and the rig."""
+    from ehbench.errors import InputError
+
+    cylinder = rig.cylinder[0]
+    valve = cylinder.valve[0]
+    mapped = valve.edge[0].model_copy(update={"law": "map", "map": "some"})
+    changed = valve.model_copy(update={"edge": (mapped, *valve.edge[1:])})
+    broken = rig.model_copy(
+        update={"cylinder": (cylinder.model_copy(update={"valve": (changed, *cylinder.valve[1:])}), *rig.cylinder[1:])}
+    )
+    with pytest.raises(InputError, match=f"edge '{changed.edge_name(mapped)}' of rig '{rig.name}'"):
+        build(broken)

@@ -1,0 +1,310 @@
+"""Pressure feedback closed over the plant: it damps, does not change the steady speed, and sees pressures only."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba import njit
+
+from ehbench.control import functions as fn
+from ehbench.control import pressure_feedback as pf
+from ehbench.control import trajectory as tr
+from ehbench.control import valve_level as vl
+from ehbench.errors import InputError
+from ehbench.plant import AREA_HEAD, AREA_ROD, BULK, HIGHEST, LOWEST, VOLUME_HEAD, VOLUME_ROD, workspace_size
+from ehbench.quantities import quantity
+from ehbench.recipe import load_rig
+from ehbench.rigs.model import model_sample
+from ehbench.simulate import Model, rk4
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+TICK = 1e-3
+COLUMN = {name: index for index, name in enumerate(pf.NOTE)}
+
+
+@njit
+def closed_loop(y, wish, plant, circuit, gains, given, command, samples, notes, commands):
+    """The plant under `pressure_feedback.step`; channels not ``given`` are NaN to the controller."""
+    k, memory = np.empty((5, y.shape[0])), np.zeros(pf.MEMORY)
+    work = np.empty(workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0]))
+    seen = np.empty(samples.shape[1])
+    for i in range(wish.shape[0]):
+        model_sample(y, plant, samples[i])
+        for j in range(seen.shape[0]):
+            seen[j] = samples[i, j] if given[j] else np.nan
+        pf.step(i * 1e-3, seen, wish[i], circuit, gains, memory, command, notes[i])
+        for j in range(command.shape[0]):
+            commands[i, j] = command[j]
+        for _ in range(2):
+            rk4(y, command, plant, 5e-4, k, work)
+
+
+class Trial:
+    """A cylinder of a rig under pressure feedback: samples, notes and commands by tick."""
+
+    def __init__(
+        self, rig, cylinder, wish, *, at=None, payload=None, values=None, given=None, off_rate=10.0, rules=None, **gains
+    ) -> None:
+        made = load_rig(RIGS / f"{rig}.toml").with_values(values or {})
+        self.model = Model.of(made, payload=payload)
+        plant, names = self.model.plant, self.model.layout
+        self.index = names.cylinders.index(cylinder)
+        row = plant.cylinders[self.index]
+        self.circuit = fn.circuit(
+            self.index, *row[[AREA_HEAD, AREA_ROD]], plant.edges, plant.wiring, plant.maps, plant.valves[:, [LOWEST, HIGHEST]]
+        )
+        low = plant.supply[0] / 20
+        rules = fn.pack_rules(row[AREA_ROD], plant.supply[0], low_pressure=low, **(rules or {}))
+        off_gain = off_rate * row[VOLUME_ROD] / row[BULK]
+        packed = pf.pack_pressure_feedback(tick=TICK, rules=rules, off_gain=off_gain, low_pressure=low, **gains)
+        channels = pf.PER_CYLINDER * len(names.cylinders) + 2
+        given = pf.entitled(self.circuit, channels) if given is None else np.full(channels, given)
+        count = wish.shape[0]
+        self.samples, self.notes = np.empty((count, channels)), np.zeros((count, pf.NOTES + 2 * self.circuit.count))
+        self.commands = np.empty((count, len(names.valves)))
+        start = self.model.trim(self.model.posture({cylinder: at} if at else None), plant.supply[1] + low)
+        closed_loop(
+            start,
+            wish,
+            plant,
+            self.circuit,
+            packed,
+            given,
+            self.model.rest_commands(1)[0],
+            self.samples,
+            self.notes,
+            self.commands,
+        )
+        x, v, p_head, p_rod = (self.samples[:, pf.PER_CYLINDER * self.index + c] for c in (2, 3, 4, 5))
+        self.x, self.v, self.p_head, self.p_rod = x, v, p_head, p_rod
+
+    def note(self, name: str) -> np.ndarray:
+        return self.notes[:, COLUMN[name]]
+
+
+def swing(v: np.ndarray) -> tuple[float, float]:
+    """(peak over the mean of the last third as a share of it, rms about a straight line over the second half, likewise)."""
+    steady = v[-v.size // 3 :].mean()
+    half = v[v.size // 2 :]
+    line = np.polynomial.Polynomial.fit(np.arange(half.size), half, 1)(np.arange(half.size))
+    return float((v / steady).max() - 1.0), float(np.std(half - line) / abs(steady))
+
+
+LIGHT = {"boom.joint_damping": 400.0, "poppet.natural_frequency": 2 * math.pi * 30.0}
+STEPS = {
+    "arm lifts": (("thesis_arm", "boom", 0.08), {"at": "0.05 m"}, 8e-11),
+    "arm lifts 50 lb": (("thesis_arm", "boom", 0.08), {"at": "0.05 m", "payload": "50 lb"}, 8e-11),
+    "arm lowers": (("thesis_arm", "boom", -0.05), {"at": "0.2 m"}, 6e-11),
+    "arm lowers 50 lb": (("thesis_arm", "boom", -0.05), {"at": "0.2 m", "payload": "50 lb"}, 6e-11),
+    "four valves lift": (("boom_four_valve", "boom", 0.05), {"at": "0.1 m", "payload": "bucket", "values": LIGHT}, 4e-11),
+    "four valves lower": (("boom_four_valve", "boom", -0.05), {"at": "0.35 m", "payload": "bucket", "values": LIGHT}, 4e-11),
+}
+
+
+WASHOUT = 2 * math.pi * 1.5
+
+
+def step(name, gain, washout=WASHOUT, **more):
+    (rig, cylinder, v_d), where, _ = STEPS[name]
+    wish = tr.velocity_steps([v_d], duration=1.2, tick=TICK, rest=0.3)[:1500]
+    return Trial(rig, cylinder, wish, feedback_gain=gain, washout=washout, **(where | more)), v_d
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_a_step_is_damped(name):
+    """Against the same step in open loop: less overshoot, and the swing is gone within half the time."""
+    gain = STEPS[name][2]
+    (open_loop, _), (fed, v_d) = step(name, 0.0), step(name, gain)
+    (over, ring), (over_fed, ring_fed) = swing(open_loop.v[300:]), swing(fed.v[300:])
+    assert over > 0.4 and over_fed < 0.8 * over
+    assert ring > 0.01 and ring_fed < 0.1 * ring
+    # what is left of the steady error is the load that changes along the stroke: a washout passes Ṗ/ω_w of a ramp
+    slope = np.polyfit(np.arange(400) * TICK, fed.p_head[-400:], 1)[0]
+    assert fed.note("feedback_flow")[-400:].mean() == pytest.approx(
+        gain * slope / WASHOUT, rel=0.1, abs=1e-3 * abs(v_d) * fed.circuit.area_head
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "share"), [("arm lifts", 0.015), ("arm lowers", 0.015), ("four valves lift", 0.002), ("four valves lower", 0.002)]
+)
+def test_with_washout_the_steady_speed_is_that_of_the_open_loop(name, share):
+    """Without gravity the load is nearly steady, so a washout leaves the speed alone.
+
+    After 1 s its memory of the start is e^−9. On the arm the lever, and with it the force of the strong joint damping,
+    still changes along the stroke: 1.5 % instead of 0.2 %.
+    """
+    calm = {**STEPS[name][1].get("values", {}), "gravity": 0.0}
+    open_loop, fed = (step(name, k, values=calm)[0].v[-200:].mean() for k in (0.0, STEPS[name][2]))
+    assert fed == pytest.approx(open_loop, rel=share)
+
+
+@pytest.mark.parametrize("name", ["arm lifts", "arm lowers", "four valves lift", "four valves lower"])
+def test_without_washout_the_load_biases_the_steady_speed(name):
+    """The metered chamber takes A v + V Ṗ/β_e = A v_d − K_p P at steady speed: both rigs lift and lower on the head end."""
+    trial, v_d = step(name, 2e-11, washout=0.0)
+    row = trial.model.plant.cylinders[trial.index]
+    slope = np.polyfit(np.arange(300) * TICK, trial.p_head[-300:], 1)[0]
+    compression = (row[VOLUME_HEAD] + row[AREA_HEAD] * trial.x[-150]) / row[BULK] * slope
+    expected = v_d - (2e-11 * trial.p_head[-300:].mean() + compression) / row[AREA_HEAD]
+    assert abs(expected - v_d) > 0.05 * abs(v_d)
+    assert trial.v[-300:].mean() == pytest.approx(expected, abs=0.01 * abs(v_d))
+
+
+@pytest.mark.parametrize("name", ["arm lifts 50 lb", "four valves lower"])
+def test_position_and_velocity_do_not_reach_it(name):
+    """All channels but the four pressures as NaN or as they are: the same commands and notes, bit for bit."""
+    masked, full = (step(name, STEPS[name][2], given=given)[0] for given in (None, True))
+    assert np.isfinite(masked.samples).all() and np.isfinite(masked.commands).all()
+    assert (
+        (masked.commands == full.commands).all() and (masked.notes == full.notes).all() and (masked.samples == full.samples).all()
+    )
+    assert np.ptp(masked.commands, axis=0).max() > 1.0
+
+
+FIVE = Trial("thesis_arm", "boom", np.zeros((2, 4)))
+
+
+class Alone:
+    """The step kernel by itself on a cylinder of the thesis's arm, tick by tick."""
+
+    def __init__(self, **gains) -> None:
+        c = self.circuit = FIVE.circuit
+        defaults = {"rules": fn.pack_rules(c.area_rod, 7e6), "off_gain": 1e-11, "low_pressure": 3.5e5}
+        self.gains = pf.pack_pressure_feedback(**({"tick": TICK} | defaults | gains))
+        self.memory, self.note, self.command = np.zeros(pf.MEMORY), np.zeros(pf.NOTES + 2 * c.count), np.zeros(7)
+
+    def tick(self, v_d, p_head, p_rod, p_supply=7e6, p_tank=0.0):
+        sample = np.full(20, np.nan)
+        at = pf.PER_CYLINDER * self.circuit.cylinder
+        sample[[at + 4, at + 5, 18, 19]] = p_head, p_rod, p_supply, p_tank
+        pf.step(0.0, sample, np.array([np.nan, v_d, 0.0, 0.0]), self.circuit, self.gains, self.memory, self.command, self.note)
+        return {name: self.note[i] for name, i in COLUMN.items()}
+
+
+# pressures at which each function is chosen
+CHOSEN = {
+    1: (0.05, 2e6, 5e5), 2: (0.05, 5e5, 1.2e6), 3: (0.05, 5e5, 2.5e6), 4: (-0.05, 5e5, 2e6), 5: (-0.05, 1e6, 9e5),
+    6: (-0.05, 2e6, 5e5), 7: (0.05, 2e6, 2.3e6),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("function", CHOSEN)
+def test_pressure_above_its_mean_takes_inflow_from_the_metered_chamber(function):
+    """In every function: K_p Δp less into the chamber that meters, which is a leak to its mean pressure, so it takes energy."""
+    v_d, p_head, p_rod = CHOSEN[function]
+    rules = fn.pack_rules(FIVE.circuit.area_rod, 7e6, allow_seventh=function == 7, drop_start=1e6)
+    inflow = []
+    for more in (0.0, 3e4):
+        alone = Alone(feedback_gain={fn.FUNCTIONS[function]: 2e-10}, washout=5.0, off_gain=0.0, rules=rules)
+        alone.tick(v_d, p_head, p_rod)
+        head = fn.METERED[function] == fn.HEAD
+        note = alone.tick(v_d, p_head + more * head, p_rod + more * (not head))
+        assert note["function"] == function and note["limits"] == 0
+        inflow.append(note["flow_head_desired"] if head else -note["flow_rod_desired"])
+        chamber, way = (alone.circuit.area_head, 1) if head else (alone.circuit.area_rod, -1)
+        assert inflow[0] == way * chamber * v_d
+    assert inflow[1] - inflow[0] == pytest.approx(-2e-10 * 3e4, rel=1e-12)
+    # a gain of another function does not act
+    other = Alone(feedback_gain={fn.FUNCTIONS[1 + function % 7]: 2e-10}, washout=5.0, rules=rules)
+    other.tick(v_d, p_head, p_rod)
+    assert other.tick(v_d, p_head + 3e4, p_rod + 3e4)["feedback_flow"] == 0.0
+
+
+@pytest.mark.parametrize("function", CHOSEN)
+def test_the_off_side_is_driven_to_its_set_point(function):
+    """Its flow is A v_d, and off_gain·(set − p) more into it: the set-point is low, in the seventh Δp3 above the head end."""
+    v_d, p_head, p_rod = CHOSEN[function]
+    rules = fn.pack_rules(FIVE.circuit.area_rod, 7e6, allow_seventh=function == 7, drop_start=1e6)
+    alone = Alone(off_gain=2e-11, rules=rules)
+    note = alone.tick(v_d, p_head, p_rod, p_tank=1e5)
+    assert note["function"] == function
+    low = p_head + rules[fn.CROSS_DROP] if function == 7 else 1e5 + 3.5e5
+    if fn.METERED[function] == fn.HEAD:
+        assert note["flow_rod_desired"] == pytest.approx(alone.circuit.area_rod * v_d - 2e-11 * (low - p_rod), rel=1e-12)
+    else:
+        assert note["flow_head_desired"] == pytest.approx(alone.circuit.area_head * v_d + 2e-11 * (low - p_head), rel=1e-12)
+
+
+def test_the_washout_is_exact_on_a_held_step():
+    """s/(s + ω) of a step sampled at tick T: e^(−ω T i), whatever the function that asks for it."""
+    alone, omega = Alone(feedback_gain=1e-10, washout=7.0), 7.0
+    alone.tick(0.05, 2e6, 5e5)
+    back = [alone.tick(0.05, 2.1e6, 5e5)["feedback_flow"] for _ in range(400)]
+    assert back == pytest.approx(1e-10 * 1e5 * np.exp(-omega * TICK * np.arange(400)), rel=1e-10)
+    # it follows the other chamber as well, and while holding, so a change of function brings no bump
+    for _ in range(3000):
+        alone.tick(0.0, 2e5, 9e5)
+    after = alone.tick(-0.05, 2e5, 9e5)
+    assert after["function"] == fn.RETRACT_RESISTIVE
+    assert after["feedback_flow"] == pytest.approx(0.0, abs=1e-10 * 9e5 * math.exp(-20))
+
+
+def test_each_channel_it_is_given_is_used():
+    """A pressure withheld turns up as NaN in the commands: the mask of the other tests would show in them."""
+    for gap in range(4):
+        pressures = [2e6, 5e5, 7e6, 0.0]
+        pressures[gap] = math.nan
+        alone = Alone(feedback_gain=1e-10, washout=5.0)
+        alone.tick(0.05, *pressures)
+        assert np.isnan(alone.command).any()
+
+
+def test_hold_shuts_and_others_are_left_alone():
+    alone = Alone(feedback_gain=1e-10)
+    alone.command[:] = 3.0
+    note = alone.tick(0.0, 2e6, 5e5)
+    assert note["function"] == fn.HOLD and note["flow_head_desired"] == note["feedback_flow"] == 0.0
+    valves = sorted(set(alone.circuit.wiring[alone.circuit.first :][: alone.circuit.count, 2].tolist()))
+    assert not alone.command[valves].any() and (np.delete(alone.command, valves) == 3.0).all()
+
+
+def test_a_shaped_step_starts_smoothly():
+    shaping = tr.pack_shaping(acceleration_max=0.5, jerk_max=10.0)
+    plain, shaped = (step("arm lifts", 0.0, shaping=s)[0] for s in (None, shaping))
+    assert swing(shaped.v[300:])[0] < 0.7 * swing(plain.v[300:])[0]
+    v = shaped.note("v_shaped")
+    assert np.abs(np.diff(v)).max() <= 0.5 * TICK * (1 + 1e-12) and v[-1] == pytest.approx(0.08, abs=1e-12)
+    assert shaped.note("v_desired")[301] == 0.08
+
+
+def test_beyond_what_the_supply_gives_it_saturates_says_so_and_comes_back():
+    """A speed twice the largest, then a slow one: flagged while it lasts, and no memory of it afterwards."""
+    speeds = tr.velocity_steps([0.4, 0.03], duration=[0.3, 0.9], tick=TICK)
+    trial = Trial("thesis_arm", "boom", speeds, at="0.03 m", feedback_gain=8e-11, washout=WASHOUT)
+    limits = trial.note("limits").astype(int)
+    assert (limits[20:300] & vl.SATURATED).all() and trial.commands.max() == 10.0
+    assert not limits[600:1200].any()
+    assert trial.v[-400:-1].mean() == pytest.approx(0.03, rel=0.06)
+
+
+def test_channels_have_words_and_masks_have_four():
+    names = pf.note_channels("boom", [f"boom.{edge}" for edge in ("a", "b")])
+    assert len(names) == pf.NOTES + 4 == len(set(names)) and names[-4:] == (
+        "boom.a.flow_desired",
+        "boom.b.flow_desired",
+        "boom.a.limits",
+        "boom.b.limits",
+    )
+    assert all(quantity(name) for name in names)
+    mask = pf.entitled(FIVE.circuit, 20)
+    assert np.flatnonzero(mask).tolist() == [10, 11, 18, 19]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "match"),
+    [
+        ({"feedback_gain": -1e-11}, "negative or not finite"),
+        ({"washout": math.nan}, "negative or not finite"),
+        ({"tick": 0.0}, "tick and drop_floor"),
+        ({"drop_floor": 0.0}, "tick and drop_floor"),
+        ({"feedback_gain": {"lift": 1e-11}}, "no working function 'lift'.*extend_resistive"),
+        ({"feedback_gain": {"hold": 1e-11}}, "no working function 'hold'"),
+    ],
+)
+def test_wrong_gains_are_refused(wrong, match):
+    with pytest.raises(InputError, match=match):
+        Alone(**wrong)

@@ -1,0 +1,260 @@
+"""Time: accuracy against SciPy, replay of a recording, alignment of commands and samples, start, errors, determinism."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.bench import radau_error, thesis_trial
+from ehbench.errors import InputError, LogError, SimulationError
+from ehbench.recipe import load_rig
+from ehbench.record import Record
+from ehbench.rig import Rig
+from ehbench.simulate import SETTLED, Model, simulate
+
+RIGS = sorted((Path(__file__).parents[2] / "recipes" / "rigs").glob("*.toml"))
+THESIS = RIGS[0].with_name("thesis_arm.toml")
+
+
+@pytest.fixture(scope="module", params=RIGS, ids=lambda path: path.stem)
+def rig(request) -> Rig:
+    return load_rig(request.param)
+
+
+@pytest.fixture(scope="module")
+def arm() -> Rig:
+    return load_rig(THESIS)
+
+
+def step_of(rig: Rig) -> dict[str, np.ndarray]:
+    """A step of every valve to half of its range and back, over 1 s at 1 kHz from 0.1 s on."""
+    t = np.arange(1001) * 1e-3
+    return {f"{c.name}.{v.name}": np.where((t >= 0.1) & (t < 0.5), 0.5 * float(v.command_max), v.rest) for c, v in rig.valves()}
+
+
+def test_a_ten_second_trial_is_within_1e_5_of_scipy(arm):
+    """At 500 µs every logged state of the thesis arm stays within 1e-5 of its range of Radau at rtol 1e-9."""
+    model, table = thesis_trial(arm)
+    errors = radau_error(model, table)
+    assert len(errors) > 15
+    assert max(errors.values()) < 1e-5, errors
+
+
+def test_valves_follow_their_second_order_step_response(arm):
+    """Cartridge valve from rest on a held step: 1 − e^(−ζωt)(…) of thesis 2.12 to 1e-9 of the step at 500 µs."""
+    model = Model.of(arm)
+    valve = model.layout.valves.index("boom.hepc")
+    table = model.rest_commands(60)
+    table[:, valve] = 4.0
+    log = model.run(model.trim(model.posture(None)), table)
+    omega, zeta = arm.dynamics["eq_2_12"].frequency_and_damping()
+    t = np.arange(60) * 1e-3
+    roots = np.roots([1.0, 2 * zeta * omega, omega**2])
+    a, b = roots
+    exact = 4.0 * (1.0 + (b * np.exp(a * t) - a * np.exp(b * t)) / (a - b)).real
+    assert np.abs(log[:, model.layout.state("opening", valve)] - exact).max() < 4e-9
+
+
+def test_valves_that_arrive_stay_without_subnormal_tails(arm):
+    """A shut valve's tail ends at exactly its command: nothing small is left in a log's last second."""
+    model = Model.of(arm)
+    table = model.rest_commands(3000)
+    table[:100] = [4.0 if name.startswith("boom") else 0.0 for name in model.layout.valves]
+    log = model.run(model.trim(model.posture(None)), table)
+    first = model.layout.state("opening", 0)
+    tail = log[-1000:, first : first + 2 * len(model.layout.valves)]
+    assert (tail == 0.0).all()
+    assert log[120, model.layout.state("opening", model.layout.valves.index("boom.hect"))] > SETTLED, "it takes its time"
+
+
+@pytest.mark.parametrize("payload", [True, False])
+def test_replay_of_a_simulation_is_that_simulation(rig, payload):
+    """A recording from rest, replayed by the model that made it, comes back.
+
+    The start is put together from means of the recording, equal to trim but for rounding; that may grow as the machine moves:
+    1e-7 of each range.
+    """
+    load = next(iter(rig.payload)) if payload else None
+    made = simulate(rig, step_of(rig), 1.0, payload=load)
+    again = Model.of(rig, payload=load).replay(made)
+    moved = 0
+    for name, values in made.channels.items():
+        span = np.ptp(values)
+        moved += span > 1e-3
+        assert np.abs(again[name] - values).max() <= 1e-7 * max(span, 1e-9 * np.abs(values).max(), 1e-12), name
+    assert moved > 5
+
+
+def test_replay_needs_no_more_than_a_machine_measures(rig):
+    """From joint angle or stroke, pressures and commands alone the replay starts where the machine stood."""
+    made = simulate(rig, step_of(rig), 1.0)
+    for position in ("q", "x"):
+        measured = (position, "p_head", "p_rod", "command", "p_supply", "p_tank")
+        kept = {n: v for n, v in made.channels.items() if n.rsplit(".", 1)[-1] in measured}
+        again = Model.of(rig).replay(Record(made.t, kept))
+        for cylinder in rig.cylinder:
+            name = f"{cylinder.name}.q"
+            assert np.abs(again[name] - made[name]).max() < 1e-6 * max(np.ptp(made[name]), 1e-6)
+
+
+def test_a_command_acts_from_its_sample_on(arm):
+    """The sample at t is the state at t: a command at sample 100 shows in the opening at 101, and in nothing before.
+
+    A recording shifted by one sample must not replay as well as an aligned one.
+    """
+    made = simulate(arm, step_of(arm), 1.0)
+    opening = made["boom.hepc.opening"]
+    assert opening[100] == 0.0 and opening[101] > 0.0
+    assert made["boom.q"][100] == made["boom.q"][0]
+    late = Record(made.t, {n: np.roll(v, 1) if n.endswith(".command") else v for n, v in made.channels.items()})
+    model = Model.of(arm)
+    aligned, shifted = (np.abs(model.replay(one)["boom.p_head"] - made["boom.p_head"]).max() for one in (made, late))
+    assert aligned < 1.0
+    assert shifted > 1e4
+
+
+def test_replay_takes_the_recorded_supply(arm):
+    """Supply and tank pressure of the recording, not of the rig file, feed the replay."""
+    low = arm.with_values({"supply.pressure": 5.0e6, "supply.tank_pressure": 2.0e5})
+    made = simulate(low, {"swing.servo": step_of(arm)["swing.servo"]}, 1.0)
+    again = Model.of(arm).replay(made)
+    assert np.abs(again["swing.v"] - made["swing.v"]).max() < 1e-6 * np.ptp(made["swing.v"])
+    without = Record(made.t, {n: v for n, v in made.channels.items() if n not in ("p_supply", "p_tank")})
+    assert np.abs(Model.of(arm).replay(without)["swing.v"] - made["swing.v"]).max() > 0.1 * np.ptp(made["swing.v"])
+
+
+def test_the_start_carries_the_load_from_noisy_pressures(rig):
+    """Pressures that friction and offsets have put out of balance are moved until nothing accelerates, by no more than the gap.
+
+    On the thesis arm a gap of 500 N is 220 kPa on the head end alone, less when both chambers share it.
+    """
+    model = Model.of(rig)
+    rest = simulate(rig, {}, 0.2)
+    rng = np.random.default_rng(3)
+    noise = {n: rng.normal(2e5, 2e4, v.shape) if n.endswith(("p_head", "p_rod")) else 0.0 for n, v in rest.channels.items()}
+    noisy = Record(rest.t, {n: v + noise[n] for n, v in rest.channels.items()})
+    y = model.start_of(noisy, 200)
+    log = model.run(y, model.rest_commands(200))
+    n = len(model.layout.joints)
+    assert np.abs(log[:, n : 2 * n]).max() < 1e-6
+    pressures = y[2 * n : 2 * n + 2 * len(model.layout.cylinders)]
+    trim = model.trim(model.posture(None))[2 * n : 2 * n + 2 * len(model.layout.cylinders)]
+    assert np.abs(pressures - trim - 2e5).max() < 2e5
+
+
+def test_noise_on_recorded_commands_is_no_motion(arm):
+    """Rest is found although the recorded commands jitter: the start is a mean over all samples before the step."""
+    made = simulate(arm, step_of(arm), 1.0)
+    rng = np.random.default_rng(5)
+    model = Model.of(arm)
+    channels = dict(made.channels)
+    for name, values in made.channels.items():
+        if name.endswith(".command"):
+            channels[name] = values + rng.uniform(-0.01, 0.01, made.t.shape)
+        elif name.endswith(("p_head", "p_rod")):
+            channels[name] = values + rng.normal(0.0, 2e4, made.t.shape)
+    again = model.replay(Record(made.t, channels))
+    spread = [abs(again[f"{c}.p_head"][0] - made[f"{c}.p_head"][0]) for c in model.layout.cylinders]
+    assert max(spread) < 3 * 2e4 / math.sqrt(100)
+
+
+def test_uneven_recordings_are_refused(arm):
+    made = simulate(arm, step_of(arm), 1.0)
+    keep = np.delete(np.arange(made.t.size), 500)
+    with pytest.raises(LogError, match="not evenly sampled"):
+        Model.of(arm).replay(Record(made.t[keep], {n: v[keep] for n, v in made.channels.items()}))
+    with pytest.raises(LogError, match="not evenly sampled"):
+        Model.of(arm).replay(Record(made.t[:2], {n: v[:2] for n, v in made.channels.items()}))
+
+
+def test_postures_by_angle_stroke_and_name(rig):
+    """A stroke in text, the joint angle it means and the joint's own name are one posture; what is not named is mid-stroke."""
+    model = Model.of(rig)
+    cylinder = rig.cylinder[-1]
+    stroke = 0.3 * float(cylinder.stroke)
+    joint = model.layout.joints.index(cylinder.joint)
+    q = model.posture({cylinder.name: f"{stroke * 1e3} mm"})
+    assert model.posture({cylinder.joint: float(q[joint])}) == pytest.approx(q, abs=1e-12)
+    if rig.mechanism.kind == "chain":
+        assert model.posture({cylinder.name: f"{math.degrees(q[joint])} deg"}) == pytest.approx(q, abs=1e-9)
+    low, high = model.stroke_range(len(rig.cylinder) - 1)
+    assert min(low, high) < q[joint] < max(low, high)
+
+
+def test_a_posture_outside_the_stroke_says_what_the_stroke_allows(rig):
+    model = Model.of(rig)
+    cylinder = rig.cylinder[0]
+    shown = f"0 to {float(cylinder.stroke) * 1e3:.1f} mm"
+    if rig.mechanism.kind == "chain":
+        with pytest.raises(InputError, match="outside the stroke") as caught:
+            model.posture({cylinder.name: f"{float(cylinder.stroke) + 0.01} m"})
+        assert caught.value.hint == shown
+    low, high = sorted(model.stroke_range(0))
+    for wrong in (low - 0.02, high + 0.02):
+        with pytest.raises(InputError, match="outside the stroke") as caught:
+            model.posture({cylinder.name: wrong})
+        assert "the stroke allows" in caught.value.hint
+        simulate(rig, {}, 0.01, posture={cylinder.name: min(max(wrong, low), high)})
+    with pytest.raises(InputError, match="no cylinder or joint"):
+        model.posture({"elbow": "10 deg"})
+
+
+def test_the_same_trial_twice_gives_the_same_bytes(rig):
+    one, two = (simulate(rig, step_of(rig), 1.0) for _ in range(2))
+    assert all(one[name].tobytes() == two[name].tobytes() for name in one.channels)
+
+
+def test_a_run_leaves_its_start_and_commands_alone(arm):
+    model = Model.of(arm)
+    y, table = model.trim(model.posture(None)), model.rest_commands(50)
+    table[:, 0] = 3.0
+    kept = y.copy(), table.copy()
+    model.run(y, table)
+    assert (y == kept[0]).all() and (table == kept[1]).all()
+
+
+def test_simulate_says_what_is_wrong(arm):
+    with pytest.raises(InputError, match="no valve 'boom.hepcc'"):
+        simulate(arm, {"boom.hepcc": 1.0}, 0.1)
+    with pytest.raises(InputError, match="has 7 values, the trial 101 samples"):
+        simulate(arm, {"boom.hepc": np.zeros(7)}, 0.1)
+    with pytest.raises(InputError, match="no payload '10 lb'"):
+        simulate(arm, {}, 0.1, payload="10 lb")
+
+
+def test_numbers_that_run_away_are_reported_with_their_time(arm):
+    model = Model.of(arm)
+    y = model.trim(model.posture(None))
+    y[3] = np.nan
+    with pytest.raises(SimulationError, match="t = 0 s"):
+        model.run(y, model.rest_commands(10))
+
+
+def test_rate_and_step_change_the_log_not_the_motion(arm):
+    """A trial logged at 100 Hz and integrated at 250 µs ends where the 1 kHz, 500 µs one ends, to 1e-5 of its travel."""
+    fine = simulate(arm, {"swing.servo": 2.0}, 1.0)
+    coarse = simulate(arm, {"swing.servo": 2.0}, 1.0, rate=100.0, step=2.5e-4)
+    assert coarse.t.size == 101 and coarse.sample_time == pytest.approx(0.01)
+    assert np.abs(coarse["swing.q"] - fine["swing.q"][::10]).max() < 1e-5 * np.ptp(fine["swing.q"])
+
+
+def test_flows_and_speeds_of_a_record_agree(rig):
+    """Steady extension, slow or fast: the flows into the head end are area·v once the pressures have settled, to 5 %."""
+    on, judged = np.arange(1001) > 100, 0
+    for share in (0.25, 0.5):
+        commands = {
+            f"{c.name}.{v.name}": np.where(on, share * float(v.command_max), v.rest)
+            for c, v, e in rig.edges()
+            if (e.from_, e.to) in (("supply", "head"), ("rod", "tank"))
+        }
+        made = simulate(rig, commands, 1.0)
+        for cylinder in rig.cylinder:
+            flows = [f"{cylinder.name}.{v.edge_name(e)}.flow" for v in cylinder.valve for e in v.edge if e.to == "head"]
+            speed = made[f"{cylinder.name}.v"][-200:].mean()
+            if speed > 0.03 and made[f"{cylinder.name}.x"][-1] < 0.95 * float(cylinder.stroke):
+                assert sum(made[name][-200:].mean() for name in flows) == pytest.approx(cylinder.areas()[0] * speed, rel=0.05)
+                judged += 1
+    assert judged

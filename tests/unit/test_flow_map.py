@@ -1,0 +1,282 @@
+"""The flow map type: kernel against SciPy, exact inverse, shape, ranges, file."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline
+
+from ehbench.errors import InputError
+from ehbench.physics.flow_map import (
+    FlowMap,
+    UnknownValve,
+    ValveMaps,
+    bspline_pieces,
+    collect,
+    dump_flow_maps,
+    load_flow_maps,
+    map_command,
+    map_flow,
+    pack,
+    root_drop,
+    save_flow_maps,
+    table,
+)
+
+GPM = 3.785411784e-3 / 60.0
+
+
+def a_map(seed: int = 0, valve: str = "hect", direction: str = "forward", **changes) -> FlowMap:
+    """A map with random positive increments over uneven knots: nothing about it is an orifice."""
+    rng = np.random.default_rng(seed)
+    knots = np.array([1.62, 1.75, 2.0, 2.25, 2.5, 3.0, 4.0, 6.0, 8.0, 10.0])
+    steps = rng.exponential(0.8 * GPM, (knots.size, 9)) * np.linspace(0.2, 1.0, 9) + 1e-9
+    hull = np.array([0.0, 2.0, 10.0])
+    fields = {
+        "valve": valve,
+        "direction": direction,
+        "deadband": 1.62,
+        "deadband_interval": (1.6, 1.64),
+        "opening_knots": knots,
+        "drop_max": 6.5e6,
+        "delta": 2e4,
+        "increments": steps,
+        "hull_command": hull,
+        "hull_low": np.array([1e5, 1e5, 2e5]),
+        "hull_high": np.array([6.5e6, 6.5e6, 3e6]),
+        "std_command": np.array([1.6, 5.0, 10.0]),
+        "std_root": np.array([0.0, 1000.0, 2549.0]),
+        "std": GPM * np.array([[0, 0.01, 0.02], [0, 0.03, 0.05], [0, 0.06, 0.08]]),
+        "rated_flow": 8 * GPM,
+        "samples": 500,
+        "outliers": ("line 3: odd",),
+        "source": "maps.csv",
+    }
+    return FlowMap(**{**fields, **changes})
+
+
+def by_scipy(one: FlowMap, drop: np.ndarray, opening: np.ndarray) -> np.ndarray:
+    """The tensor-product spline of the class docstring, evaluated by SciPy."""
+    m = one.increments.shape[1] - 2
+    c = np.zeros((one.opening_knots.size + 1, m + 3))
+    c[1:, 1:] = np.cumsum(one.increments, axis=0)
+    u, s = one.opening_knots, np.arange(m + 1.0)
+    x = root_drop(drop, one.delta) * m / root_drop(one.drop_max, one.delta)
+    in_u = BSpline.design_matrix(opening, np.r_[[u[0]] * 2, u, [u[-1]] * 2], 2).toarray()
+    in_s = BSpline.design_matrix(x, np.r_[[s[0]] * 3, s, [s[-1]] * 3], 3).toarray()
+    return np.einsum("xk,kl,xl->x", in_u, c, in_s)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_pieces_are_the_splines_of_scipy(degree):
+    breaks = np.array([0.0, 0.3, 1.0, 1.1, 2.0])
+    x = np.linspace(0.0, 1.999, 57)
+    j = np.searchsorted(breaks, x, side="right") - 1
+    powers = (x - breaks[j])[:, None] ** np.arange(degree + 1)
+    ours = np.einsum("xkp,xp->xk", bspline_pieces(breaks, degree)[j], powers)
+    theirs = BSpline.design_matrix(x, np.r_[[0.0] * degree, breaks, [2.0] * degree], degree).toarray()
+    np.testing.assert_allclose(ours, theirs, atol=1e-13)
+
+
+def test_kernel_is_the_tensor_product_spline():
+    one, rng = a_map(), np.random.default_rng(1)
+    drop, opening = rng.uniform(0, one.drop_max, 5000), rng.uniform(one.deadband, 10.0, 5000)
+    # both are sums of a dozen products in double precision
+    np.testing.assert_allclose(one.flow(drop, opening), by_scipy(one, drop, opening), rtol=0, atol=1e-13 * one.rated_flow)
+
+
+def test_packed_maps_keep_apart_and_match_the_arrays():
+    maps, rng = [a_map(k) for k in range(4)], np.random.default_rng(2)
+    data, at = pack(maps)
+    assert data.dtype == np.float64 and at.tolist() == sorted(at) and at[0] == 0
+    for one, start in zip(maps, at, strict=True):
+        for drop, opening in zip(rng.uniform(0, 9e6, 50), rng.uniform(0, 12, 50), strict=True):
+            flow = map_flow(drop, opening, data, start)
+            assert flow == one.flow(drop, opening)
+            assert map_command(drop, flow, data, start) == one.command(drop, flow)
+    assert len({one.flow(1e6, 5.0) for one in maps}) == 4
+    assert pack([])[1].size == 0
+
+
+def test_a_million_round_trips():
+    one, rng = a_map(), np.random.default_rng(3)
+    drop = rng.uniform(1.0, 1.2 * one.drop_max, 10**6)
+    command = rng.uniform(one.deadband, one.command_max, 10**6)
+    flow = one.flow(drop, command)
+    # the bench asks 1e-3 of rated flow; the closed form gives rounding
+    assert np.abs(one.flow(drop, one.command(drop, flow)) - flow).max() < 1e-12 * one.rated_flow
+    wanted = rng.uniform(0.0, 1.0, 10**6) * one.flow(drop, one.command_max)
+    assert np.abs(one.flow(drop, one.command(drop, wanted)) - wanted).max() < 1e-12 * one.rated_flow
+
+
+def test_zero_at_zero_drop_and_up_to_the_deadband_and_odd():
+    one = a_map()
+    assert np.all(one.flow(0.0, np.linspace(0, 12, 50)) == 0.0)
+    assert np.all(one.flow(np.linspace(-7e6, 7e6, 50), one.deadband) == 0.0)
+    drop = np.linspace(0, 8e6, 50)
+    np.testing.assert_array_equal(one.flow(-drop, 6.0), -one.flow(drop, 6.0))
+
+
+def test_strictly_increasing_in_the_opening_also_outside():
+    one = a_map()
+    drop, opening = np.linspace(1e3, 9e6, 200), np.linspace(one.deadband, 13.0, 3000)
+    assert np.all(np.diff(one.flow(drop[:, None], opening), axis=1) > 0)
+
+
+def test_slopes_are_continuous_above_the_deadband_and_finite_at_zero_drop():
+    one = a_map()
+    h = 1e-6
+    for knot in one.opening_knots[1:]:
+        q = one.flow(2.2e6, knot + h * np.array([-1, 0, 1]))
+        # one-sided slopes differ by h times the curvature, some 1e-6 of them
+        assert math.isclose(q[1] - q[0], q[2] - q[1], rel_tol=1e-4)
+    edges = np.linspace(0, root_drop(one.drop_max, one.delta), one.increments.shape[1] - 1)[1:-1]
+    for s in edges:
+        drop = s * math.sqrt(0.5 * s**2 + math.sqrt(0.25 * s**4 + one.delta**2))
+        q = one.flow(drop * (1 + 1e-6 * np.array([-1, 0, 1])), 5.0)
+        assert abs((q[2] - q[1]) - (q[1] - q[0])) < 1e-5 * one.rated_flow * 1e-6
+    slope = one.flow(np.array([1e-3, 1e-2, 1e-1]), 5.0) / np.array([1e-3, 1e-2, 1e-1])
+    np.testing.assert_allclose(slope, slope[0], rtol=1e-4)
+
+
+def test_beyond_the_largest_drop_the_flow_joins_on_and_grows_no_faster_than_an_orifice():
+    falling = np.ones((10, 9)) * GPM * np.linspace(1.0, 0.5, 9)
+    for one in (a_map(), a_map(increments=falling)):
+        edge = one.flow(one.drop_max, 7.0)
+        assert math.isclose(one.flow(one.drop_max * (1 + 1e-9), 7.0), edge, rel_tol=1e-6)
+        ratio = one.flow(4 * one.drop_max, 7.0) / edge
+        assert 1.0 - 1e-12 <= ratio <= 2.0 + 1e-4  # twice the root of the drop, δ and rounding aside
+    assert a_map(increments=falling).flow(4 * one.drop_max, 7.0) == pytest.approx(edge, rel=1e-12)
+
+
+def test_inverse_saturates_shuts_and_says_so():
+    one = a_map()
+    most = one.flow(1e6, one.command_max)
+    np.testing.assert_array_equal(one.command(1e6, [0.0, -0.1 * most, 1.01 * most]), [0.0, 0.0, one.command_max])
+    np.testing.assert_array_equal(one.reachable(1e6, [0.0, 0.5 * most, 1.01 * most, -0.1 * most]), [True, True, False, False])
+    assert one.command(0.0, 1e-4) == one.command_max and not one.reachable(0.0, 1e-4)
+    assert one.deadband < one.command(1e6, 1e-9 * most) < one.deadband + 1e-3
+
+
+def test_nan_stays_nan_and_never_leaves_the_array():
+    one = a_map()
+    for drop, other in ((math.nan, 5.0), (1e6, math.nan), (math.nan, math.nan)):
+        assert math.isnan(one.flow(drop, other))
+        assert math.isnan(one.command(drop, other))
+
+
+def test_shapes_broadcast_and_scalars_stay_scalars():
+    one = a_map()
+    assert isinstance(one.flow(1e6, 5.0), float) and isinstance(one.flow_std(1e6, 5.0), float)
+    grid = (np.linspace(0, 1e6, 4)[:, None], np.linspace(0, 10, 3))
+    for what in (one.flow, one.command, one.flow_std, one.inside, one.reachable):
+        assert what(*grid).shape == (4, 3)
+
+
+def test_inside_follows_the_measured_drops_of_the_neighbouring_commands():
+    one = a_map()
+    assert one.inside(2e6, 10.0) and not one.inside(4e6, 10.0) and not one.inside(1e6, 10.1) and not one.inside(5e4, 3.0)
+    high = 6.5e6 + (3e6 - 6.5e6) * (6.0 - 2.0) / 8.0
+    assert one.inside(high - 1.0, 6.0) and not one.inside(high + 1.0, 6.0)
+
+
+def test_flow_std_reads_its_table_and_is_zero_when_shut():
+    one = a_map()
+    drop = float(np.sqrt(0.5 * 1e12 + np.sqrt(0.25 * 1e24 + 1e6**2 * one.delta**2)))  # s = 1000 there
+    assert one.flow_std(drop, 5.0) == pytest.approx(0.03 * GPM, rel=1e-9)
+    assert one.flow_std(drop, 0.5 * (1.6 + 5.0)) == pytest.approx(0.02 * GPM, rel=1e-9)
+    assert one.flow_std(drop, 0.0) == 0.0 and one.flow_std(0.0, 5.0) == 0.0
+    assert one.flow_std(1e9, 50.0) == pytest.approx(0.08 * GPM, rel=1e-9)
+
+
+def test_both_directions_take_signed_drops():
+    both = ValveMaps(a_map(0), a_map(1, direction="reverse"))
+    drop = np.array([-2e6, 0.0, 2e6])
+    flow = both.flow(drop, 5.0)
+    np.testing.assert_array_equal(flow, [-both.reverse.flow(2e6, 5.0), 0.0, both.forward.flow(2e6, 5.0)])
+    np.testing.assert_allclose(both.command(drop[[0, 2]], flow[[0, 2]]), 5.0, rtol=1e-12)
+    assert both.inside(-2e6, 5.0) and both.reachable(-2e6, flow[0]) and not both.reachable(-2e6, -flow[0])
+    assert both.command(-2e6, flow[2]) == 0.0
+    alone = ValveMaps(a_map(0))
+    assert alone.flow(-2e6, 5.0) == -alone.flow(2e6, 5.0) and alone.inside(2e6, 5.0) and not alone.inside(-2e6, 5.0)
+
+
+def test_file_reads_back_exactly_and_writes_the_same_bytes(tmp_path):
+    maps = collect([a_map(1, direction="reverse"), a_map(0), a_map(2, valve="boom.repc")])
+    text = dump_flow_maps(maps)
+    again = collect([a_map(2, valve="boom.repc"), a_map(0), a_map(1, direction="reverse")])
+    assert dump_flow_maps(again) == text
+    path = save_flow_maps(maps, tmp_path)
+    assert path == tmp_path / "flow_maps.json" and path.read_text(encoding="utf-8") == text
+    for loaded in (load_flow_maps(tmp_path), load_flow_maps(path)):
+        assert dump_flow_maps(loaded) == text and list(loaded) == ["boom.repc", "hect"]
+        np.testing.assert_array_equal(loaded["hect"].reverse.data, maps["hect"].reverse.data)
+        assert loaded["hect"].forward.outliers == ("line 3: odd",) and loaded["boom.repc"].reverse is None
+
+
+def test_unknown_valve_names_those_there_are(tmp_path):
+    maps = collect([a_map(), a_map(valve="repc")])
+    with pytest.raises(UnknownValve, match="no flow map of 'rect'.*hect, repc"):
+        maps["rect"]
+    assert "rect" not in maps and maps.get("rect") is None and len(maps) == 2
+
+
+@pytest.mark.parametrize(
+    "changes, word",
+    [
+        ({"deadband": 1.7}, "opening_knots"),
+        ({"increments": np.zeros((10, 9))}, "increments must be positive"),
+        ({"increments": np.ones((9, 9))}, "one row for each"),
+        ({"increments": np.full((10, 9), math.nan)}, "not finite"),
+        ({"rated_flow": 0.0}, "positive"),
+        ({"hull_low": np.zeros(2)}, "hull_command"),
+        ({"std": np.zeros((2, 2))}, "std"),
+    ],
+)
+def test_damaged_maps_are_refused(changes, word):
+    with pytest.raises(InputError, match=word):
+        a_map(**changes)
+
+
+def test_damaged_files_are_refused_by_name(tmp_path):
+    path = tmp_path / "flow_maps.json"
+    with pytest.raises(InputError, match="no such file"):
+        load_flow_maps(tmp_path)
+    good = json.loads(dump_flow_maps(collect([a_map()])))
+
+    def refused(content, word):
+        path.write_text(content if isinstance(content, str) else json.dumps(content), encoding="utf-8")
+        with pytest.raises(InputError, match=word) as caught:
+            load_flow_maps(path)
+        assert caught.value.file == str(path)
+
+    refused("{", "no JSON")
+    refused([], "no flow maps")
+    refused({**good, "version": 99}, "version 99")
+    refused({**good, "maps": [3]}, "fields|flow map|argument|iterable")
+    one = good["maps"][0]
+    refused({**good, "maps": [{k: v for k, v in one.items() if k != "std"}]}, "wrong fields: std")
+    refused({**good, "maps": [{**one, "increments": "x"}]}, "wrong kind|damaged|could not convert")
+    refused({**good, "maps": [one, one]}, "two forward maps")
+    refused({**good, "maps": [{**one, "direction": "up"}]}, "direction 'up'")
+    refused({**good, "maps": [{**one, "direction": "reverse"}]}, "reverse map only")
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="no JSON text"):
+        load_flow_maps(path)
+
+
+def test_table_is_the_map_in_the_units_asked_for():
+    one = a_map(valve='my "boom", left')
+    text = table(collect([one]), drops=5, flow_unit="L/min", pressure_unit="bar")
+    import csv
+
+    rows = list(csv.DictReader(text.splitlines()))
+    assert len(rows) == 5 * one.hull_command.size and rows[0]["valve"] == 'my "boom", left'
+    row = rows[-2]
+    drop, command = float(row["pressure_drop [bar]"]) * 1e5, float(row["command [V]"])
+    # six digits in the table
+    assert float(row["flow [L/min]"]) == pytest.approx(one.flow(drop, command) * 6e4, rel=1e-5)
+    assert row["inside"] == str(int(one.inside(drop, command)))

@@ -1,0 +1,275 @@
+"""Working functions: what a circuit can do, and a choice without gap, contradiction or chatter."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.control import functions as fn
+from ehbench.errors import InputError
+from ehbench.physics.metering import COMPENSATED, DEADBAND, DROP, EDGE_FLOATS, EDGE_INTS, GAIN, LAW, ORIFICE, SIGN
+from ehbench.plant import AREA_HEAD, AREA_ROD, HIGHEST, LOWEST, build
+from ehbench.recipe import load_rig
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+PLAIN = {"hold", "extend_resistive", "extend_overrunning", "retract_resistive", "retract_overrunning"}
+SUPPLY, TANK, HEAD, ROD = range(4)
+A1, A2, PS = 2.0268e-3, 1.0688e-3, 6.9e6
+FIVE = ((HEAD, TANK, 0), (SUPPLY, HEAD, 1), (HEAD, ROD, 2), (SUPPLY, ROD, 3), (ROD, TANK, 4))
+
+
+def shipped(rig: str, cylinder: str) -> fn.Circuit:
+    made = load_rig(RIGS / f"{rig}.toml")
+    plant = build(made)
+    index = [c.name for c in made.cylinder].index(cylinder)
+    areas = plant.cylinders[index, [AREA_HEAD, AREA_ROD]]
+    return fn.circuit(index, *areas, plant.edges, plant.wiring, plant.maps, plant.valves[:, [LOWEST, HIGHEST]])
+
+
+def circuit(rows, areas=(A1, A2), ranges=(0.0, 10.0), law=COMPENSATED, gain=6.3e-5) -> fn.Circuit:
+    """One cylinder with edges (from, to, valve, sign = 1, blocked = 0); 1 gpm/V or what ``gain`` says."""
+    edges, wiring = np.zeros((len(rows), EDGE_FLOATS)), np.full((len(rows), EDGE_INTS), -1)
+    for edge, ints, row in zip(edges, wiring, rows, strict=True):
+        a, b, valve, sign, blocked = (*row, 1, 0)[:5] if len(row) == 3 else (*row, 0)[:5]
+        edge[[SIGN, GAIN, DEADBAND, DROP]] = sign, gain, 1.0, 2e5
+        ints[[0, 1, 2, 6]] = a, b, valve, blocked
+        ints[LAW] = law
+    valves = 1 + max(row[2] for row in rows)
+    return fn.circuit(0, *areas, edges, wiring, np.zeros(1), np.tile(ranges, (valves, 1)))
+
+
+def choose(c, rules, v_d, p_head, p_rod, now=fn.HOLD, age=1e9, p_supply=PS, p_tank=0.0):
+    load = p_head * c.area_head - p_rod * c.area_rod
+    return fn.select(now, age, v_d, load, p_head, p_rod, p_supply, p_tank, c, rules)
+
+
+def test_the_table_balances_the_oil():
+    """Into the head end flows Q1, out of the rod end Q2, and at steady speed no path of a function runs backwards."""
+    into_head = np.array([1, -1, 0, 0, -1, 1])
+    out_of_rod = np.array([0, 0, -1, 1, -1, 1])
+    for function in range(1, 8):
+        assert into_head @ fn.PATH_FLOWS[function] == pytest.approx([1, 0], abs=0)
+        assert out_of_rod @ fn.PATH_FLOWS[function] == pytest.approx([0, 1], abs=0)
+        steady = fn.PATH_FLOWS[function] @ (fn.DIRECTION[function] * np.array([A1, A2]))
+        assert (steady >= 0).all() and (steady > 0).sum() == 2
+        assert steady[fn.METERING[function]] > 0
+    assert not fn.PATH_FLOWS[fn.HOLD].any()
+
+
+def test_oil_drawn_from_the_supply():
+    c = circuit(FIVE)
+    drawn = [fn.supply_draw(f, c) for f in range(8)]
+    assert drawn == pytest.approx([0, A1, A1, A1 - A2, A2, A2, 0, A1 - A2], abs=1e-18)
+
+
+@pytest.mark.parametrize(
+    ("rig", "cylinder", "expected", "one_command"),
+    [
+        ("thesis_arm", "boom", set(fn.FUNCTIONS), False),
+        ("thesis_arm", "swing", PLAIN, True),
+        ("boom_four_valve", "boom", PLAIN, False),
+        ("crane_proportional", "lift", PLAIN, True),
+        ("slide_servo", "press", PLAIN, True),
+    ],
+)
+def test_what_the_shipped_rigs_can_do(rig, cylinder, expected, one_command):
+    c = shipped(rig, cylinder)
+    assert set(fn.available(c)) == expected
+    assert [fn.coupled(c, f) for f in range(8)] == [one_command and f in (1, 2, 4, 5) for f in range(8)]
+
+
+def test_what_other_circuits_can_do():
+    four_way = ((SUPPLY, HEAD, 0, 1), (ROD, TANK, 0, 1), (SUPPLY, ROD, 0, -1), (HEAD, TANK, 0, -1))
+    assert set(fn.available(circuit(four_way, ranges=(-10.0, 10.0)))) == PLAIN
+    # a driver that never goes negative closes half of the spool
+    assert set(fn.available(circuit(four_way))) == {"hold", "extend_resistive", "extend_overrunning"}
+    # a cross-port check valve lets oil through one way only, an edge drawn the other way round serves as well
+    checked = (*FIVE[:2], (ROD, HEAD, 2, 1, 1), (ROD, SUPPLY, 3), FIVE[4])
+    assert set(fn.available(circuit(checked))) == set(fn.FUNCTIONS) - {"retract_overrunning_regeneration"}
+    # a spool that opens a third edge with the two of a function cannot do that function
+    leaky = ((SUPPLY, HEAD, 0), (ROD, TANK, 0), (HEAD, TANK, 0), (SUPPLY, ROD, 1))
+    assert fn.available(circuit(leaky)) == ("hold",)
+    # lifting on regeneration alone: no way from the rod end to tank
+    lift = ((SUPPLY, HEAD, 0), (ROD, HEAD, 1), (HEAD, TANK, 2))
+    assert set(fn.available(circuit(lift))) == {
+        "hold", "extend_overrunning_regeneration", "extend_resistive_regeneration", "retract_overrunning_regeneration",
+    }  # fmt: skip
+    # of two valves on one path the larger one serves
+    both = circuit((*FIVE, (SUPPLY, HEAD, 5)))
+    assert both.paths[fn.SUPPLY_HEAD] == 1
+    both.edges[5, GAIN] *= 2
+    again = fn.circuit(0, A1, A2, both.edges, both.wiring, both.maps, np.tile([0.0, 10.0], (6, 1)))
+    assert again.paths[fn.SUPPLY_HEAD] == 5
+
+
+GRID = [-2e4, 0.0, 1e5, 3.4e5, 1e6, 2e6, 4e6, 6.8e6, 8e6]
+CIRCUITS = {
+    "five": circuit(FIVE),
+    "small cross-port": circuit(FIVE, gain=1.2e-5),
+    "four": circuit((*FIVE[:2], *FIVE[3:])),
+    "four-way": circuit(
+        ((SUPPLY, HEAD, 0, 1), (ROD, TANK, 0, 1), (SUPPLY, ROD, 0, -1), (HEAD, TANK, 0, -1)), ranges=(-5.0, 5.0), law=ORIFICE
+    ),
+    "equal areas": circuit(FIVE, areas=(A1, A1)),
+    "lift only": circuit(((SUPPLY, HEAD, 0), (ROD, HEAD, 1), (HEAD, TANK, 2))),
+}
+
+
+@pytest.mark.parametrize("name", CIRCUITS)
+@pytest.mark.parametrize("seventh", [False, True])
+def test_every_state_has_one_function_and_it_suits(name, seventh):
+    """Over the whole grid of directions, pressures, supplies, last functions and dwell: no gap and no contradiction."""
+    c = CIRCUITS[name]
+    rules = fn.pack_rules(c.area_rod, PS, allow_seventh=seventh)
+    seen = set()
+    grid = itertools.product((-0.2, -0.02, 0.0, 0.02, 0.2), GRID, GRID, (1e6, PS), range(8), (0.0, 1e9))
+    for v_d, p_head, p_rod, p_supply, now, age in grid:
+        if not c.able[now] or (now == 7 and not seventh):
+            continue
+        chosen, status = choose(c, rules, v_d, p_head, p_rod, now, age, p_supply)
+        assert c.able[chosen]
+        if v_d == 0.0:
+            assert (chosen, status) == (fn.HOLD, fn.OK)
+            continue
+        load = p_head * c.area_head - p_rod * c.area_rod
+        if chosen == fn.HOLD:
+            assert status == fn.UNABLE
+            lacking = [f for f in range(1, 8) if fn.DIRECTION[f] * v_d > 0 and c.able[f] and (f < 7 or seventh)]
+            assert all(fn.OVERRUNNING[f] != (-v_d * load > 0) or abs(load) <= rules[fn.FORCE_BAND] for f in lacking)
+            continue
+        assert fn.DIRECTION[chosen] * v_d > 0
+        if age == 0.0 and fn.DIRECTION[now] * v_d > 0:
+            assert chosen == now
+            continue
+        seen.add(chosen)
+        against = -np.sign(v_d) * load
+        if abs(load) > rules[fn.FORCE_BAND]:
+            assert fn.OVERRUNNING[chosen] == (against > 0)
+        state = (v_d, load, p_head, p_rod, p_supply, 0.0, c, rules)
+        rivals = [
+            f
+            for f in range(1, 8)
+            if c.able[f]
+            and fn.DIRECTION[f] == fn.DIRECTION[chosen]
+            and fn.OVERRUNNING[f] == fn.OVERRUNNING[chosen]
+            and (f < 7 or seventh)
+        ]
+        fit = [f for f in rivals if fn.feasible(f, f == now, *state)]
+        assert status == (fn.OK if fit else fn.STALLED)
+        draw = {f: fn.supply_draw(f, c) for f in rivals}
+        assert draw[chosen] == (min(draw[f] for f in fit) if fit else max(draw.values()))
+        if status == fn.OK and chosen in (3, 6):
+            drop = p_rod - p_head if chosen == 3 else p_head - p_rod
+            assert fn.capacity(c, fn.CROSS[chosen], drop) >= c.area_rod * abs(v_d)
+    expected = {f for f in range(1, 8) if c.able[f] and (f < 7 or (seventh and c.area_head > c.area_rod))}
+    assert seen == expected
+
+
+def test_regeneration_needs_drop_and_an_edge_that_carries_it():
+    rules = fn.pack_rules(A2, PS)
+    wide, narrow = circuit(FIVE), circuit(FIVE, gain=1.2e-5)
+    assert choose(wide, rules, -0.1, 2e6, 3e5) == (fn.RETRACT_OVERRUNNING_REGENERATION, fn.OK)
+    assert choose(narrow, rules, -0.1, 2e6, 3e5) == (fn.RETRACT_OVERRUNNING, fn.OK)
+    assert choose(narrow, rules, -0.03, 2e6, 3e5) == (fn.RETRACT_OVERRUNNING_REGENERATION, fn.OK)
+    start, stop = rules[fn.DROP_START], rules[fn.DROP_STOP]
+    for drop, now, expected in (
+        (1.01 * start, 5, 6),
+        (0.99 * start, 5, 5),
+        (0.99 * start, 6, 6),
+        (1.01 * stop, 6, 6),
+        (0.99 * stop, 6, 5),
+    ):
+        assert choose(wide, rules, -0.02, 2e6, 2e6 - drop, now)[0] == expected
+
+
+def test_the_seventh_where_the_supply_carries_the_load_on_the_area_difference():
+    c = circuit(FIVE)
+    rules = fn.pack_rules(A2, PS, allow_seventh=True)
+    most = (PS - rules[fn.SUPPLY_MARGIN] - rules[fn.SUPPLY_BAND]) * (A1 - A2) - rules[fn.CROSS_DROP] * A2
+    p_rod = 1e5
+    for share, expected in ((0.99, fn.EXTEND_RESISTIVE_REGENERATION), (1.01, fn.EXTEND_RESISTIVE)):
+        p_head = (share * most + p_rod * A2) / A1
+        assert choose(c, rules, 0.05, p_head, p_rod)[0] == expected
+        assert choose(c, fn.pack_rules(A2, PS), 0.05, p_head, p_rod)[0] == fn.EXTEND_RESISTIVE
+    # once begun it holds through the band
+    p_head = (1.01 * most + p_rod * A2) / A1
+    assert choose(c, rules, 0.05, p_head, p_rod, now=7)[0] == fn.EXTEND_RESISTIVE_REGENERATION
+
+
+def test_a_load_beyond_the_supply_is_called_stalled():
+    assert choose(circuit(FIVE), fn.pack_rules(A2, PS), 0.1, 1.02 * PS, 0.0) == (fn.EXTEND_RESISTIVE, fn.STALLED)
+
+
+def run(c, rules, v_d, p_head, p_rod, tick=1e-3):
+    now, age, history = fn.HOLD, 0.0, []
+    for v, head, rod in np.broadcast(v_d, p_head, p_rod):
+        chosen, _ = choose(c, rules, v, head, rod, now, age)
+        age = tick if chosen != now else age + tick
+        now = chosen
+        history.append(now)
+    return np.array(history)
+
+
+def test_no_chatter_on_noisy_pressures():
+    """Noise on a load and a drop that creep through their thresholds: as many switches as without it."""
+    rng, n = np.random.default_rng(5), 20_000
+    c = circuit(FIVE)
+    rod = np.full(n, 5e5)
+    head = (np.linspace(-1500, 1500, n) + rod * A2) / A1
+    noise = rng.normal(0.0, 1.0e4, (2, n))  # 0.15 % of supply, 23 N: band ±184 N is 8 sigma
+    for v_d in (0.1, -0.1):
+        rules = fn.pack_rules(A2, PS, dwell=0.0)
+        quiet = run(c, rules, v_d, head, rod)
+        noisy = run(c, rules, v_d, head + noise[0], rod + noise[1])
+        assert (np.diff(noisy) != 0).sum() == (np.diff(quiet) != 0).sum() <= 3
+        bare = fn.pack_rules(A2, PS, dwell=0.0, force_band=0.0, drop_stop=rules[fn.DROP_START], reserve=0.0)
+        assert (np.diff(run(c, bare, v_d, head + noise[0], rod + noise[1])) != 0).sum() > 20
+
+
+def test_dwell_is_kept_whatever_the_pressures():
+    rng, n = np.random.default_rng(6), 5000
+    c = circuit(FIVE)
+    head, rod = rng.uniform(0.0, PS, (2, n))
+    for dwell in (0.05, 0.2):
+        history = run(c, fn.pack_rules(A2, PS, dwell=dwell, allow_seventh=True), 0.1, head, rod)
+        gaps = np.diff(np.flatnonzero(np.diff(history)))
+        assert gaps.size > 10 and gaps.min() >= round(dwell * 1000) - 1
+
+
+def test_direction_changes_at_once_and_small_speeds_hold():
+    c = circuit(FIVE)
+    rules = fn.pack_rules(A2, PS, dwell=10.0, speed_start=2e-3, speed_stop=1e-3)
+    v_d = np.array([0.0, 0.0019, 0.0021, 0.0011, 0.0009, 0.0019, -0.0019, -0.05, 0.0015, 0.05, -0.05])
+    way = fn.DIRECTION[run(c, rules, v_d, 2e6, 5e5)]
+    assert way.tolist() == [0, 0, 1, 1, 0, 0, 0, -1, 0, 1, -1]
+
+
+def test_head_and_rod_mirror():
+    """Equal areas, head and rod exchanged, motion reversed: the mirrored function, in every state of the grid."""
+    mirror = {0: 0, 1: 4, 2: 5, 3: 6, 4: 1, 5: 2, 6: 3}
+    c = circuit(FIVE, areas=(A1, A1))
+    rules = fn.pack_rules(A1, PS)
+    for v_d, p_head, p_rod, now in itertools.product((-0.1, 0.1), GRID, GRID, range(7)):
+        if p_head != p_rod:  # the sign of no load is a matter of taste
+            assert choose(c, rules, -v_d, p_rod, p_head, mirror[now])[0] == mirror[choose(c, rules, v_d, p_head, p_rod, now)[0]]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"dwell": -1.0}, {"reserve": np.nan}, {"speed_start": 1e-5}, {"drop_start": 1e5, "drop_stop": 2e5}, {"cross_drop": np.inf}],
+)
+def test_rules_that_make_no_sense_are_refused(wrong):
+    with pytest.raises(InputError, match="rule of function selection"):
+        fn.pack_rules(A2, PS, **wrong)
+
+
+def test_circuits_that_are_none_are_refused():
+    c = circuit(FIVE)
+    ranges = np.tile([0.0, 10.0], (5, 1))
+    with pytest.raises(InputError, match="no metering edge leads to cylinder 1"):
+        fn.circuit(1, A1, A2, c.edges, c.wiring, c.maps, ranges)
+    with pytest.raises(InputError, match="not those of a plant"):
+        fn.circuit(0, A1, A2, c.edges[:, :2], c.wiring, c.maps, ranges)

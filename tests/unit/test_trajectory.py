@@ -1,0 +1,187 @@
+"""Trajectories: boundary conditions, integrals, continuity, limits; shaping of a commanded step."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from ehbench.control import trajectory as tr
+from ehbench.errors import InputError
+
+TICK = 1e-3
+LIMITS = {"speed": 0.2, "acceleration": 1.5, "jerk": 30.0}
+# distances that reach the speed limit, the acceleration limit only, the jerk limit only
+DISTANCES = [0.2, 0.02, 1e-3, -0.15]
+PROFILES = ["ramp", "seventh"]
+
+
+def move(distance, profile, **changes):
+    return tr.point_to_point([0.03, 0.03 + distance], profile=profile, **({"tick": TICK} | LIMITS | changes))
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("distance", DISTANCES)
+def test_from_rest_to_rest(distance, profile):
+    table = move(distance, profile, hold=[0.05, 0.08])
+    assert table[0] == pytest.approx([0.03, 0, 0, 0], abs=0)
+    assert table[-1] == pytest.approx([0.03 + distance, 0, 0, 0], abs=1e-15)
+    assert (table[:50] == table[0]).all() and (table[-79:] == table[-1]).all()
+    assert (np.diff(table[:, tr.X]) * np.sign(distance) >= -1e-16).all()
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("distance", DISTANCES)
+def test_columns_are_each_others_derivatives(distance, profile):
+    """Central differences on h = 50 µs are off by h²/6 of the third derivative, and by h/4 of its jump where the slope of the jerk jumps."""
+    h = 5e-5
+    table = move(distance, profile, tick=h)
+    for column, scale in ((tr.X, LIMITS["speed"]), (tr.V, LIMITS["acceleration"]), (tr.A, LIMITS["jerk"])):
+        slope = (table[2:, column] - table[:-2, column]) / (2 * h)
+        assert np.abs(slope - table[1:-1, column + 1]).max() < 5e-3 * scale
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("distance", DISTANCES)
+def test_limits_are_kept_and_one_is_reached(distance, profile):
+    table = np.abs(move(distance, profile, tick=1e-5))
+    peaks = [table[:, c].max() / limit for c, limit in ((tr.V, 0.2), (tr.A, 1.5), (tr.J, 30.0))]
+    assert max(peaks) <= 1.0 + 1e-12
+    assert max(peaks) > 0.999  # the finest tick sees a peak to 1e-3
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_jerk_is_continuous(profile):
+    """Halving the tick halves the largest step of the jerk, also over the seams to rest and to constant speed."""
+    steps = [
+        np.abs(np.diff(tr.there_and_back(0.0, 0.2, tick=h, hold=0.1, profile=profile, **LIMITS)[:, tr.J])).max()
+        for h in (2e-4, 1e-4)
+    ]
+    assert steps[0] / steps[1] == pytest.approx(2.0, rel=0.02)
+    assert steps[1] < 0.05 * LIMITS["jerk"]
+
+
+def test_shortest_times_in_closed_form():
+    """Seventh order: T = 35/16 D/v when the speed limits. Ramp: D/v + 15/8 v/a when speed and acceleration do."""
+    free = {"acceleration": 1e3, "jerk": 1e6}
+    seventh = tr.point_to_point([0.0, 0.2], speed=0.1, tick=TICK, profile="seventh", **free)
+    assert seventh.shape[0] - 1 == math.ceil(35 / 16 * 0.2 / 0.1 / TICK)
+    ramp = tr.point_to_point([0.0, 0.2], speed=0.1, acceleration=0.5, jerk=1e6, tick=TICK)
+    assert ramp.shape[0] - 1 == math.ceil((0.2 / 0.1 + 15 / 8 * 0.1 / 0.5) / TICK)
+
+
+def test_waypoints_holds_and_cycles():
+    points = [0.05, 0.2, 0.2, 0.1]
+    table = tr.point_to_point(points, tick=TICK, hold=[0.0, 0.1, 0.2, 0.3], **LIMITS)
+    resting = np.flatnonzero((table[:, 1:] == 0).all(axis=1))
+    assert [np.isclose(table[resting, tr.X], x, atol=1e-15).sum() for x in (0.05, 0.2, 0.1)] == pytest.approx(
+        [1, 300, 300], abs=1
+    )
+    back = tr.there_and_back(0.1, 0.15, cycles=2, tick=TICK, hold=0.1, **LIMITS)
+    assert back[-1, tr.X] == pytest.approx(0.1, abs=1e-15)
+    assert (np.diff(np.sign(back[:, tr.V])) != 0).sum() == 8
+    once = tr.there_and_back(0.1, 0.15, tick=TICK, hold=0.1, **LIMITS)
+    assert back[: once.shape[0] - 1] == pytest.approx(once[:-1], abs=1e-12)
+    still = tr.point_to_point([0.1], tick=TICK, hold=0.02, **LIMITS)
+    assert still.shape == (21, 4) and (still == [0.1, 0, 0, 0]).all()
+
+
+def test_a_move_back_mirrors_the_move_forth():
+    there, back = tr.point_to_point([0.1, 0.3], tick=TICK, **LIMITS), tr.point_to_point([0.3, 0.1], tick=TICK, **LIMITS)
+    assert there[:, tr.X] + back[:, tr.X] == pytest.approx(0.4, abs=1e-15)
+    assert (there[:, 1:] == -back[:, 1:]).all()
+
+
+def test_velocity_steps():
+    full = 0.18
+    table = tr.velocity_steps([0.3 * full, 0.7 * full, -full], duration=[0.5, 0.2, 0.1], tick=TICK, rest=0.1, x=0.02)
+    assert table.shape == (100 + 500 + 100 + 200 + 100 + 100 + 100 + 1, 4)
+    assert not table[:, 2:].any()
+    assert table[:, tr.X] == pytest.approx(0.02 + np.concatenate([[0], np.cumsum(table[:-1, tr.V])]) * TICK, abs=1e-15)
+    assert table[-1, tr.X] == pytest.approx(0.02 + full * (0.15 + 0.14 - 0.1), abs=1e-12)
+    values, counts = np.unique(table[:, tr.V], return_counts=True)
+    assert values == pytest.approx([-full, 0.0, 0.3 * full, 0.7 * full]) and counts.tolist() == [100, 401, 500, 200]
+
+
+def shaped(v_d, tick=TICK, **kind):
+    memory, shaping = np.zeros(tr.SHAPED), tr.pack_shaping(**kind)
+    return np.array([[tr.shape_speed(v, tick, shaping, memory), *memory[1:]] for v in v_d])
+
+
+def test_no_shaping_passes_the_step():
+    v = np.array([0.0, 0.1, 0.1, -0.2])
+    assert (shaped(v)[:, 0] == v).all()
+
+
+@pytest.mark.parametrize("jerk", [None, 40.0, 400.0])
+@pytest.mark.parametrize("steps", [(0.18,), (0.05, 0.18, -0.18, 0.0), (0.01, -0.002)])
+def test_a_limited_step_keeps_its_limits_and_does_not_overshoot(steps, jerk):
+    v_d = np.repeat([0.0, *steps], 600)
+    out = shaped(v_d, acceleration_max=1.0, jerk_max=jerk)
+    assert np.abs(np.diff(out[:, 0])).max() <= 1.0 * TICK * (1 + 1e-12)
+    if jerk:
+        assert np.abs(np.diff(out[:, 0], 2)).max() <= jerk * TICK**2 * (1 + 1e-9)
+        assert np.abs(out[:, 2]).max() <= jerk * (1 + 1e-12)
+    for index, (before, after) in enumerate(zip((0.0, *steps), steps, strict=False)):
+        part = out[600 * (index + 1) : 600 * (index + 2), 0]
+        low, high = sorted((before, after))
+        slack = (jerk or 0.0) * TICK**2 + 1e-15  # a sampled jerk can only aim to within one tick of it
+        assert part.min() >= low - slack and part.max() <= high + slack
+        assert part[-1] == pytest.approx(after, abs=1e-9)
+
+
+def test_a_limited_step_is_as_fast_as_its_limits_allow():
+    """Time of the S-curve: v/a + a/j where the acceleration is reached, else 2 √(v/j); sampling costs a few ticks."""
+    for v, a, j in ((0.18, 1.0, 40.0), (0.01, 1.0, 40.0)):
+        ideal = v / a + a / j if v > a * a / j else 2 * math.sqrt(v / j)
+        out = shaped(np.full(1000, v), acceleration_max=a, jerk_max=j)[:, 0]
+        arrived = np.flatnonzero(np.abs(out - v) > 0.01 * v)[-1] * TICK
+        assert 0.8 * ideal < arrived <= ideal + 5 * TICK
+
+
+@pytest.mark.parametrize("zeta", [0.4, 1.0, 1.7])
+def test_the_filter_is_the_second_order_one(zeta):
+    rng = np.random.default_rng(0)
+    v_d = np.repeat(rng.uniform(-0.2, 0.2, 20), 37)
+    omega = 2 * math.pi * 4.0
+    plant = ([[0.0, 1.0], [-(omega**2), -2 * zeta * omega]], [[0.0], [omega**2]], [[1.0, 0.0]], [[0.0]])
+    _, expected, _ = signal.dlsim((*signal.cont2discrete([np.array(m) for m in plant], TICK, "zoh")[:4], TICK), v_d)
+    ours = shaped(v_d, natural_frequency=omega, damping_ratio=zeta)[:, 0]
+    assert ours[:-1] == pytest.approx(expected[1:, 0], abs=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "match"),
+    [
+        ({"speed": 0.0}, "speed of a trajectory is 0"),
+        ({"jerk": math.nan}, "jerk"),
+        ({"tick": -1.0}, "tick"),
+        ({"hold": -0.1}, "hold"),
+        ({"hold": [0.1, 0.1, 0.1]}, "hold"),
+        ({"profile": "sine"}, "no profile 'sine'"),
+        ({"waypoints": []}, "waypoints"),
+        ({"waypoints": [0.1, math.inf]}, "waypoints"),
+    ],
+)
+def test_wrong_trajectories_are_refused(wrong, match):
+    with pytest.raises(InputError, match=match):
+        tr.point_to_point(**({"waypoints": [0.0, 0.1], "tick": TICK, **LIMITS} | wrong))
+
+
+def test_wrong_steps_cycles_and_shapings_are_refused():
+    with pytest.raises(InputError, match="cycle"):
+        tr.there_and_back(0.0, 0.1, cycles=0, tick=TICK, **LIMITS)
+    for wrong in ({"levels": []}, {"duration": 0.0}, {"duration": [1.0, 1.0]}, {"rest": -1.0}):
+        with pytest.raises(InputError, match="velocity steps"):
+            tr.velocity_steps(**({"levels": [0.1], "duration": 1.0, "tick": TICK} | wrong))
+    with pytest.raises(InputError, match="jerk_max .* is -1"):
+        tr.pack_shaping(acceleration_max=1.0, jerk_max=-1.0)
+    for wrong in (
+        {"jerk_max": 1.0},
+        {"natural_frequency": 1.0},
+        {"acceleration_max": 1.0, "natural_frequency": 1.0, "damping_ratio": 1.0},
+    ):
+        with pytest.raises(InputError, match="incomplete or double"):
+            tr.pack_shaping(**wrong)

@@ -1,0 +1,314 @@
+"""Validation: the verdict and its reasons, what counts, what is only shown, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.errors import InputError, ModelRejected
+from ehbench.recipe import Thresholds, load_recipe, load_rig
+from ehbench.record import Record
+from ehbench.rundir import write_json
+from ehbench.simulate import simulate
+from ehbench.validate import Ring, Validation, read_validation, validate_rig
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+NOISE = {"q": 4e-4, "qd": 2e-3, "x": 1e-4, "v": 1e-3, "p_head": 8e3, "p_rod": 8e3, "command": 0.0}
+T = np.arange(2401) * 1e-3
+
+
+def recorded(rig, valves: dict[str, float], payload: str | None = None, seed: int = 1) -> Record:
+    """What a rig with sensors would record of a step there and back: no openings or flows, noise on what is measured."""
+    made = simulate(rig, {v: np.where((T >= 0.3) & (T < 1.4), a, 0.0) for v, a in valves.items()}, 2.4, payload=payload)
+    rng = np.random.default_rng(seed)
+    channels = {}
+    for name, values in made.channels.items():
+        word = name.rsplit(".", 1)[-1]
+        if word in NOISE:
+            channels[name] = values + NOISE[word] * rng.standard_normal(values.shape)
+    return Record(made.t, channels, {"payload": payload or "none"})
+
+
+def without(record: Record, *words: str) -> Record:
+    return Record(record.t, {n: v for n, v in record.channels.items() if n.rsplit(".", 1)[-1] not in words}, record.meta)
+
+
+BOOM = {"boom.hepc": 4.0, "boom.rect": 8.0}
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return load_rig(RIGS / "thesis_arm.toml")
+
+
+@pytest.fixture(scope="module")
+def boom(arm) -> Record:
+    return recorded(arm, BOOM)
+
+
+@pytest.fixture(scope="module")
+def swing(arm) -> Record:
+    return recorded(arm, {"swing.servo": 2.0}, "50 lb")
+
+
+@pytest.fixture(scope="module")
+def accepted(arm, boom, swing) -> Validation:
+    return validate_rig(arm, [("boom", boom), ("swing", swing)])
+
+
+@pytest.fixture(scope="module")
+def rejected(arm, boom, swing) -> Validation:
+    stiff = arm.with_values({"bulk_modulus": 1.5 * 2.71e8})
+    return validate_rig(stiff, [("boom", boom), ("swing", swing)])
+
+
+def test_the_true_rig_is_accepted(accepted):
+    """Noise is all that is left: fits as high as the noise allows, residuals of the noise's size, ringing alike."""
+    assert accepted.accepted and accepted.verdict == "accepted" and not accepted.reasons
+    boom, swing = accepted.logs
+    assert boom.passed and boom.status == "held_out"
+    assert boom.moved == ("boom",) and boom.held == ("swing", "stick") and swing.payload == "50 lb"
+    for result in boom.channels:
+        word = result.channel.rsplit(".", 1)[1]
+        assert result.rms_error == pytest.approx(NOISE[word], rel=0.1)
+        assert abs(result.bias) < 0.1 * NOISE[word]
+        assert result.fit_percent > 95
+    assert {r.channel for r in boom.channels} == {"boom.q", "boom.qd", "boom.p_head", "boom.p_rod"}
+    for window in boom.transients:
+        assert window.simulated.natural_frequency == pytest.approx(window.recorded.natural_frequency, rel=0.01)
+        assert window.simulated.damping_ratio == pytest.approx(window.recorded.damping_ratio, rel=0.05)
+    assert [w.start for w in boom.transients] == pytest.approx([0.3, 1.4])
+    accepted.require()
+
+
+def test_a_wrong_bulk_modulus_is_rejected_for_the_right_reasons(rejected):
+    """Half as stiff again rings √1.5 times as fast, which breaks the fits as well."""
+    assert not rejected.accepted
+    said = "\n".join(rejected.reasons)
+    assert "boom: boom natural frequency" in said and "15 % is allowed" in said
+    assert "% is below the 30 % asked" in said
+    boom = rejected.logs[0]
+    ratios = [w.simulated.natural_frequency / w.recorded.natural_frequency for w in boom.transients]
+    assert ratios == pytest.approx([math.sqrt(1.5)] * 2, rel=0.03)
+    with pytest.raises(ModelRejected, match="is rejected: boom:"):
+        rejected.require()
+
+
+def test_the_numbers_are_the_textbook_ones(arm, boom):
+    """Fit, bias and largest error against their definitions, with an offset put on a channel by hand."""
+    shifted = Record(boom.t, boom.channels | {"boom.p_head": boom["boom.p_head"] - 3e5}, boom.meta)
+    result = validate_rig(arm, [("boom", shifted)])
+    channel = next(c for c in result.logs[0].channels if c.channel == "boom.p_head")
+    y, simulated = (result.logs[0].series[name] for name in ("boom.p_head", "simulated.boom.p_head"))
+    error = simulated - y
+    assert channel.bias == pytest.approx(np.mean(error)) and channel.bias > 1e5
+    assert channel.rms_error == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert channel.max_error == error[np.argmax(np.abs(error))]
+    assert channel.fit_percent == pytest.approx(100 * (1 - np.linalg.norm(error) / np.linalg.norm(y - y.mean())))
+    assert channel.unit == "Pa"
+
+
+def test_thresholds_decide(arm, boom):
+    """Each kind of threshold can accept and reject, and says what was asked in the rig's units."""
+    slow = arm.with_values({"boom.joint_damping": 200.0})
+    for asked, passes, sentence in (
+        ({"fit_percent": {"q": 10.0}}, True, "boom position fit"),
+        ({"fit_percent": {"q": 99.9}}, False, "is below the 99.9 % asked"),
+        ({"max_error": {"q": "5 deg"}}, True, "5 deg is allowed"),
+        ({"max_error": {"q": "0.01 deg"}}, False, "0.01 deg is allowed"),
+        ({"max_error": {"p_head": "1 bar"}}, False, "100 kPa is allowed"),
+        ({"damping_ratio_error": 2.0}, True, "boom damping ratio"),
+        ({"damping_ratio_error": 0.2}, False, "20 % is allowed"),
+        ({"whiteness": True}, False, "autocorrelation leaves its band"),
+        ({"natural_frequency_error": 0.1}, True, "boom natural frequency"),
+    ):
+        nothing = {"fit_percent": {}, "natural_frequency_error": None}
+        result = validate_rig(slow, [("boom", boom)], thresholds=Thresholds(**(nothing | asked)))
+        assert result.accepted is passes, (asked, result.reasons)
+        assert any(sentence in check.sentence for check in result.logs[0].checks), asked
+        assert passes or any(sentence in reason for reason in result.reasons)
+
+
+def test_ringing_that_is_not_clear_is_shown_and_not_judged(arm, swing):
+    """Fewer than 1.5 cycles, or damped above 0.35: drift and ringing cannot be told apart well enough to reject a model by."""
+    known = {"natural_frequency": 20.0, "natural_frequency_std": 0.1, "damping_ratio_std": 0.01}
+    assert Ring(**known, damping_ratio=0.2, cycles=2.0).clear
+    assert not Ring(**known, damping_ratio=0.2, cycles=1.2).clear
+    assert not Ring(**known, damping_ratio=0.4, cycles=2.0).clear
+    assert not Ring(reason="nothing moves").clear
+    damped = arm.with_values({"swing.joint_damping": 2000.0})
+    made = recorded(damped, {"swing.servo": 2.0}, "50 lb")
+    result = validate_rig(damped, [("swing", made)])
+    assert result.accepted and result.logs[0].transients
+    assert not any("natural frequency" in check.what for check in result.logs[0].checks)
+    assert any("swing does not ring clearly in the recording" in text for text in result.warnings)
+
+
+def test_white_residuals_pass_and_unmodelled_motion_does_not(arm, boom):
+    """With the true rig only white noise is left; one lag in twenty lies outside of a 95 % band, and 15 % is allowed."""
+    asked = Thresholds(whiteness=True, independence=True)
+    assert validate_rig(arm, [("boom", boom)], thresholds=asked).accepted
+    wrong = validate_rig(arm.with_values({"bulk_modulus": 3.2e8}), [("boom", boom)], thresholds=asked)
+    assert any("boom rod pressure residual autocorrelation leaves its band" in reason for reason in wrong.reasons)
+    auto = wrong.logs[0].channels[2].autocorrelation
+    assert auto.lag[0] == pytest.approx(0.01) and auto.lag[-1] == pytest.approx(0.5)
+    assert len(auto.lag) == len(auto.value) == len(auto.band)
+    assert auto.outside_percent == pytest.approx(100 * np.mean(np.abs(auto.value) > np.array(auto.band)), abs=2.1)
+    assert {c.of for c in wrong.logs[0].channels[2].cross_correlation} == {"boom.hepc.command", "boom.rect.command"}
+
+
+def test_a_log_the_model_was_fitted_to_does_not_count(arm, boom, swing):
+    stiff = arm.with_values({"bulk_modulus": 1.5 * 2.71e8})
+    alone = validate_rig(arm, [("boom", boom)], fitted_on=["boom"])
+    assert not alone.accepted and "the model was fitted to boom, so none is held out" in alone.reasons[0]
+    assert alone.logs[0].status == "fitted" and alone.logs[0].channels, "it is shown all the same"
+    assert any("THE MODEL WAS FITTED TO THIS LOG" in text for text in alone.warnings)
+    both = validate_rig(stiff, [("boom", boom), ("swing", swing)], fitted_on=["boom"])
+    assert both.reasons and all(reason.startswith("swing") for reason in both.reasons)
+
+
+def test_a_log_without_motion_is_marked(arm, boom):
+    still = recorded(arm, {})
+    result = validate_rig(arm, [("still", still), ("boom", boom)])
+    assert result.accepted and result.logs[0].status == "still"
+    assert "still: the log carries no motion: no valve was commanded, so nothing is judged on it" in result.warnings
+    alone = validate_rig(arm, [("still", still)])
+    assert not alone.accepted and "nothing was judged" in alone.reasons[0]
+
+
+def test_constant_and_noisy_channels_have_no_fit(arm, boom):
+    """A stuck sensor has no fit, nor has one that only shows noise: both are said, neither is judged."""
+    stuck = Record(boom.t, boom.channels | {"boom.p_rod": np.full(boom.t.shape, 7e5)}, boom.meta)
+    result = validate_rig(arm, [("boom", stuck)])
+    channel = result.logs[0].channels[-1]
+    assert channel.fit_percent is None and "constant" in channel.note and result.accepted
+    assert any("boom.p_rod: the recording is constant" in text for text in result.warnings)
+    assert not any(check.what == "boom.p_rod fit" for check in result.logs[0].checks)
+
+    shut = recorded(arm, {"boom.hepc": 1.0})  # below the deadband: commanded, and nothing moves
+    result = validate_rig(arm, [("shut", shut)])
+    assert [c.fit_percent for c in result.logs[0].channels] == [None] * 4
+    assert not result.accepted and "no held-out log supports a check" in result.reasons[0]
+
+
+def test_rates_are_taken_from_positions_where_they_were_not_recorded(arm, boom):
+    result = validate_rig(arm, [("boom", without(boom, "qd", "v"))])
+    rate = next(c for c in result.logs[0].channels if c.channel == "boom.qd")
+    assert rate.derived and rate.fit_percent > 90 and result.accepted
+    assert not next(c for c in result.logs[0].channels if c.channel == "boom.p_head").derived
+
+
+def test_a_stroke_sensor_stands_in_for_a_joint_encoder(arm, boom):
+    """A machine that measures strokes only is judged on stroke and speed, by the thresholds asked of position and rate."""
+    result = validate_rig(arm, [("boom", without(boom, "q", "qd"))])
+    assert {c.channel for c in result.logs[0].channels} == {"boom.x", "boom.v", "boom.p_head", "boom.p_rod"}
+    assert any(check.what == "boom.v fit" for check in result.logs[0].checks) and result.accepted
+    bare = validate_rig(arm, [("boom", without(boom, "q", "qd", "p_rod", "v"))], channels=("qd", "p_rod", "p_head"))
+    assert any("the log has nothing to judge 'boom.p_rod' by" in text for text in bare.warnings)
+    assert {c.channel for c in bare.logs[0].channels} == {"boom.v", "boom.p_head"}
+
+
+def test_a_log_that_cannot_be_simulated_is_kept_and_rejects(arm, boom):
+    far = Record(boom.t, boom.channels | {"boom.q": boom["boom.q"] + 2.0}, boom.meta)
+    keep = np.delete(np.arange(T.size), 700)
+    gap = Record(boom.t[keep], {n: v[keep] for n, v in boom.channels.items()}, boom.meta)
+    result = validate_rig(arm, [("far", far), ("gap", gap), ("boom", boom)])
+    assert [log.status for log in result.logs] == ["failed", "failed", "held_out"]
+    assert "outside the stroke" in result.logs[0].failure and "not evenly sampled" in result.logs[1].failure
+    assert "boom.q" in result.logs[0].series and not result.logs[0].passed
+    assert not result.accepted and result.reasons[0].startswith("far: could not be simulated: posture boom")
+
+
+def test_bad_input_is_refused(arm, boom):
+    with pytest.raises(InputError, match="no log to validate on"):
+        validate_rig(arm, [])
+    with pytest.raises(InputError, match="cannot be judged on channel 'temperature'"):
+        validate_rig(arm, [("boom", boom)], channels=("temperature",))
+    with pytest.raises(InputError, match="no payload '70 lb'"):
+        validate_rig(arm, [("boom", Record(boom.t, boom.channels, {"payload": "70 lb"}))])
+
+
+def test_a_valve_the_rig_does_not_have_is_named(arm, boom):
+    odd = Record(boom.t, boom.channels | {"bucket.servo.command": np.zeros(T.size)}, boom.meta)
+    result = validate_rig(arm, [("boom", odd)])
+    assert any("'bucket.servo.command', a valve that rig 'thesis_arm' does not have" in text for text in result.warnings)
+
+
+def test_noise_on_recorded_commands_makes_no_steps_and_moves_no_cylinder(arm, boom):
+    rng = np.random.default_rng(2)
+    channels = {n: v + rng.uniform(-0.01, 0.01, v.shape) if n.endswith(".command") else v for n, v in boom.channels.items()}
+    result = validate_rig(arm, [("boom", Record(boom.t, channels, boom.meta))])
+    assert result.logs[0].moved == ("boom",)
+    assert [w.start for w in result.logs[0].transients] == pytest.approx([0.3, 1.4])
+
+
+def test_logs_of_one_name_stay_apart(arm, boom, swing):
+    result = validate_rig(arm, [("log", boom), ("log", swing)])
+    assert [log.name for log in result.logs] == ["log", "log_2"] == list(result.series())
+
+
+def test_series_are_recorded_and_simulated_columns_in_si(accepted):
+    columns = accepted.series()["boom"]
+    names = ["q [rad]", "qd [rad/s]", "p_head [Pa]", "p_rod [Pa]"]
+    assert list(columns) == ["t [s]", *(f"{side}boom.{name}" for name in names for side in ("", "simulated."))]
+    assert {len(values) for values in columns.values()} == {T.size}
+
+
+def test_json_there_and_back(accepted, rejected, arm, boom, tmp_path):
+    far = Record(boom.t, boom.channels | {"boom.q": boom["boom.q"] + 2.0}, boom.meta)
+    failed = validate_rig(arm, [("far", far)], thresholds=Thresholds(max_error={"q": "2 deg"}))
+    for one in (accepted, rejected, failed):
+        write_json(tmp_path / "validation.json", one.as_json())
+        assert read_validation(tmp_path) == one
+    (tmp_path / "validation.json").write_text("{}")
+    with pytest.raises(InputError, match="is no validation"):
+        read_validation(tmp_path / "validation.json")
+
+
+def test_threads_and_order_do_not_change_the_result(arm, boom, swing, accepted):
+    told = []
+    logs = [("boom", boom), ("swing", swing)]
+    again = validate_rig(arm, logs, workers=1, progress=lambda name, share: told.append((name, share)))
+    assert again == accepted
+    assert told == [("boom", 0.5), ("swing", 1.0)]
+
+
+@pytest.mark.parametrize(
+    ("name", "valves"),
+    [
+        ("slide_servo", {"press.servo": 2.0}),
+        ("crane_proportional", {"lift.spool": 3.0}),
+        ("boom_four_valve", {"boom.sh": 3.0, "boom.rt": 4.0}),
+    ],
+)
+def test_every_rig_is_accepted_as_itself_and_rejected_as_a_softer_one(name, valves):
+    rig = load_rig(RIGS / f"{name}.toml")
+    log = recorded(rig, valves)
+    assert validate_rig(rig, [("step", log)]).accepted
+    soft = rig.with_values({"bulk_modulus": 0.4 * float(rig.oil.bulk_modulus)})
+    assert not validate_rig(soft, [("step", log)]).accepted
+
+
+def test_thresholds_are_read_with_units_and_refused_by_name(tmp_path):
+    path = tmp_path / "v.toml"
+
+    def read(line: str) -> Thresholds:
+        path.write_text(f'stage = "validate"\nrig = "r.toml"\ndata = ["a.mcap"]\n[thresholds]\n{line}\n')
+        return load_recipe(path).thresholds
+
+    assert float(read('max_error = { q = "180 deg" }').max_error["q"]) == pytest.approx(math.pi)
+    assert read("fit_percent = { qd = 70 }").fit_percent == {"qd": 70.0}
+    for line, said in (
+        ("max_error = { q = 2 }", "no unit"),
+        ('max_error = { q = "2 kPa" }', "cannot be turned into rad"),
+        ("fit_percent = { p_hed = 30 }", "nearest is 'p_head'"),
+        ("fit_percent = { qd = 100 }", "100 % is an exact match"),
+        ("natural_frequency_error = -1", "greater than 0"),
+        ("fits_percent = { qd = 3 }", "did you mean 'fit_percent'"),
+    ):
+        with pytest.raises(InputError, match=said) as caught:
+            read(line)
+        assert caught.value.line == 5
