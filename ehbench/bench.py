@@ -109,7 +109,7 @@ def accuracy(rig: Rig) -> Iterator[Row]:
 
 def fitting(rig: Rig) -> Iterator[Row]:
     """Time of an output-error fit of six parameters on six noisy logs of 3 s, started well off the truth."""
-    from ehbench.identify.hydraulics import identify_hydraulics
+    from ehbench.identification.hydraulics import identify_hydraulics
 
     t = np.arange(3001) * 1e-3
     pulse = ((t >= 0.3) & (t < 1.6)).astype(float)
@@ -177,7 +177,7 @@ def _best(call: Callable[[], object], repeats: int) -> float:
 
 def _maps(rig: Rig) -> FlowMaps:
     """Flow maps of the thesis arm's valves from the shipped dataset."""
-    from ehbench.identify.flow_map import fit_flow_maps
+    from ehbench.identification.flow_map import fit_flow_maps
     from ehbench.physics.flow_map import collect
     from ehbench.readers import read_flowmeter
 

@@ -84,7 +84,10 @@ class FlowMapRecipe(Recipe):
 
 
 class HydraulicsRecipe(Recipe):
-    """Step logs to bulk modulus, damping, friction and whatever else ``parameters`` names."""
+    """Step logs to bulk modulus, damping, friction and whatever else ``parameters`` names.
+
+    ``compare_dynamics`` names valve dynamics of the rig file; the logs are fitted with each in turn, so that the data decide.
+    """
 
     stage: Literal["identify"]
     what: Literal["hydraulics"]
@@ -98,6 +101,7 @@ class HydraulicsRecipe(Recipe):
     upper: dict[str, str] = {}
     channels: tuple[str, ...] = ("qd", "p_head", "p_rod")
     cutoff: _typed("frequency") | None = None
+    compare_dynamics: tuple[str, ...] = ()
     max_iterations: int = Field(default=30, ge=1, le=1000)
     workers: int = Field(default=0, ge=0, le=256)
 
@@ -196,22 +200,164 @@ class Limits(Model):
         return raw
 
 
-class TrialRecipe(Recipe):
-    """One trial on the model or on the virtual bench."""
+def _one_or_more(raw: Any) -> Any:
+    return [raw] if isinstance(raw, str) else raw
 
-    stage: Literal["trial"]
+
+class Motion(Model):
+    """What the controlled cylinder shall do.
+
+    kind ``velocity_steps``: each of ``levels`` (a share of the full speed such as ``"70 %"``, or a speed; negative retracts) for
+    ``duration`` or until it has covered ``travel``, with a ``rest`` before and after each; ``full_speed`` is the design model's where it
+    is not given. ``point_to_point``: through ``waypoints`` (strokes, from the first of which it starts) with a ``hold`` at each, within
+    ``speed``, ``acceleration`` and ``jerk``. ``file``: a log with ``<cylinder>.x_desired``. ``cylinder`` may be left out where there is one.
+    """
+
+    name: str = ""
+    kind: Literal["velocity_steps", "point_to_point", "file"]
+    cylinder: str | None = None
+    levels: tuple[str, ...] = ()
+    full_speed: _typed("speed") | None = None
+    duration: _typed("duration") | None = None
+    travel: _typed("x") | None = None
+    rest: _typed("hold") | None = None
+    waypoints: tuple[_typed("x"), ...] = ()
+    hold: Annotated[tuple[_typed("hold"), ...], BeforeValidator(_one_or_more)] = ()
+    speed: _typed("speed") | None = None
+    acceleration: _typed("acceleration") | None = None
+    jerk: _typed("jerk") | None = None
+    profile: Literal["ramp", "seventh"] = "ramp"
+    file: str | None = None
+    where: tuple[str | int, ...] = Field(default=("motion",), exclude=True)
+
+    @model_validator(mode="after")
+    def _whole(self) -> Motion:
+        if self.kind == "velocity_steps":
+            if not self.levels:
+                raise ValueError("velocity_steps need 'levels', such as [\"30 %\", \"70 %\", \"100 %\"]")
+            if (self.duration is None) == (self.travel is None):
+                raise ValueError("velocity_steps need 'duration' or 'travel', and not both")
+        if self.kind == "point_to_point":
+            if len(self.waypoints) < 2:
+                raise ValueError("point_to_point needs 'waypoints', two strokes or more")
+            if self.speed is None:
+                raise ValueError("point_to_point needs 'speed'")
+        if self.kind == "file" and self.file is None:
+            raise ValueError("a motion of kind file needs 'file'")
+        return self
+
+
+class Controller(Model):
+    """Who moves the cylinder: ``kind`` of a built-in law, or ``class = "module:Class"`` of the user's own.
+
+    ``gains`` by name with units, or ``"<tune recipe or its run>"``, or both: ``{ from = "…", washout = "0 rad/s" }``; a class gets them
+    as keywords. ``rules`` of function selection, ``shaping`` of speed steps (pressure feedback), ``unused`` valves that stay at rest.
+    """
+
+    name: str = ""
+    kind: Literal["open_loop", "pressure_feedback", "arc"] | None = None
+    code: str | None = Field(default=None, alias="class")
+    gains: str | dict[str, Any] = {}
+    rules: dict[str, Any] = {}
+    shaping: dict[str, Any] = {}
+    unused: tuple[str, ...] = ()
+    where: tuple[str | int, ...] = Field(default=("controller",), exclude=True)
+
+    @property
+    def label(self) -> str:
+        """Its name, else its kind or class."""
+        return self.name or self.kind or (self.code or "").partition(":")[2]
+
+    @model_validator(mode="after")
+    def _one_law(self) -> Controller:
+        if (self.kind is None) == (self.code is None):
+            raise ValueError("give 'kind' or 'class', and not both")
+        if self.shaping and self.kind not in ("open_loop", "pressure_feedback"):
+            raise ValueError("'shaping' is of open_loop and pressure_feedback only")
+        return self
+
+
+class _AnyTrial(Recipe):
+    """What one trial and a set of trials have in common."""
+
     rig: str
     flow_maps: str | None = None
     on: Literal["model", "bench"] = "model"
     bench: str | None = None
-    payload: str | None = None
     posture: dict[str, str] = {}
-    duration: _typed("duration")
+    duration: _typed("duration") | None = None
     rate: _typed("rate") = Value(1000.0)
     step: _typed("step") = Value(5.0e-4)
     seed: int = 0
     command: tuple[Command, ...] = ()
     limits: Limits = Limits()
+
+
+class TrialRecipe(_AnyTrial):
+    """One trial on the model or on the virtual bench: open-loop ``command``, or a ``controller`` and the ``motion`` it shall make.
+
+    Under a controller ``duration`` may be left out: it is then that of the motion; other cylinders may take open-loop commands.
+    """
+
+    stage: Literal["trial"]
+    payload: str | None = None
+    controller: Controller | None = None
+    motion: Motion | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> TrialRecipe:
+        if self.controller is None and self.motion is not None:
+            raise ValueError("a motion needs a [controller] that makes it")
+        if self.controller is not None and self.motion is None and self.controller.code is None:
+            raise ValueError(f"controller '{self.controller.label}' needs a [motion]")
+        if self.motion is None and self.duration is None:
+            raise ValueError("'duration' is missing")
+        return self
+
+
+class SetController(Controller):
+    """A controller of a set of trials; it may run on a rig of its own, such as the same machine with another valve."""
+
+    rig: str | None = None
+    flow_maps: str | None = None
+    bench: str | None = None
+
+
+class TrialSetRecipe(_AnyTrial):
+    """The product of ``payloads`` (``none`` is none) × ``[[motion]]`` × ``[[controller]]``: one log each, and one table over all."""
+
+    stage: Literal["trials"]
+    payloads: Annotated[tuple[str, ...], Field(min_length=1)] = ("none",)
+    motion: Annotated[tuple[Motion, ...], Field(min_length=1)]
+    controller: Annotated[tuple[SetController, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> TrialSetRecipe:
+        for what, names in (
+            ("payload", list(self.payloads)), ("motion", [m.name or m.kind for m in self.motion]),
+            ("controller", [c.label for c in self.controller]),
+        ):  # fmt: skip
+            twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+            if twice is not None:
+                raise ValueError(f"two entries of {what} are called '{twice}'; give each its own name")
+        return self
+
+    def cases(self) -> tuple[tuple[str, SetController, TrialRecipe], ...]:
+        """(name, controller, recipe) of each trial, payloads outermost and controllers innermost."""
+        shared = {name: getattr(self, name) for name in _AnyTrial.model_fields if name != "path"}
+        made = []
+        for payload in self.payloads:
+            for m, motion in enumerate(self.motion):
+                for c, law in enumerate(self.controller):
+                    name = " ".join([payload if payload != "none" else "no load", motion.name or motion.kind, law.label])
+                    own = {key: value for key in ("rig", "flow_maps", "bench") if (value := getattr(law, key)) is not None}
+                    case = TrialRecipe.model_construct(
+                        **{**shared, **own}, stage="trial", payload=None if payload == "none" else payload, path=self.path,
+                        controller=law.model_copy(update={"where": ("controller", c)}),
+                        motion=motion.model_copy(update={"where": ("motion", m)}),
+                    )  # fmt: skip
+                    made.append((name, law, case.model_copy(update={"title": name})))
+        return tuple(made)
 
 
 class BenchCylinder(Model):
@@ -341,8 +487,8 @@ class TuneRecipe(Recipe):
     """A validated rig to the gain of the pressure feedback of one cylinder.
 
     Operating points: ``postures`` strokes from 10 to 90 % (or those of ``strokes``) × ``payloads`` (``none`` and all of the rig file
-    by default) × ``functions`` (all that the valves are able of) × ``speed_shares`` of the full speed there; other joints as in
-    ``posture``, else at mid-stroke. ``delay`` lies between pressure and command: half a tick of hold, the rest for the sensor.
+    by default) × ``functions`` (by default the thesis's six, as far as the valves are able) × ``speed_shares`` of the full speed
+    there; other joints as in ``posture``, else at mid-stroke. ``delay`` lies between pressure and command: half a tick of hold, the rest for the sensor.
     ``washout`` and ``off_gain`` are found where they are not given; ``washout = "0 rad/s"`` is none. ``one_gain = false`` lets each
     working function have its own gain. ``damping_ratio`` is the target that the share of ``draws`` is counted against.
     """
@@ -388,7 +534,6 @@ class Campaign(Recipe):
 
     stage: Literal["campaign"]
     recipes: Annotated[tuple[str, ...], Field(min_length=1)]
-    expected: dict[str, str] = {}
     section: tuple[TextSection, ...] = ()
     figures: dict[str, str] = {}
 
@@ -399,6 +544,7 @@ _STAGES: dict[tuple[str, str | None], type[Recipe]] = {
     ("validate", None): ValidateRecipe,
     ("tune", None): TuneRecipe,
     ("trial", None): TrialRecipe,
+    ("trials", None): TrialSetRecipe,
     ("bench", None): BenchRecipe,
     ("dataset", None): DatasetRecipe,
     ("campaign", None): Campaign,

@@ -213,7 +213,11 @@ def ringing_like(t: np.ndarray, y: np.ndarray, like: Ringing, guess: tuple[float
     if not like.ok:
         return Ringing(reason="the other series does not ring")
     y = _columns(y)
-    starts = [guess] if guess else [(like.natural_frequency * share, max(like.damping_ratio, 0.05)) for share in (1.0, 0.5, 0.7, 1.4, 2.0)]
+    starts = (
+        [guess]
+        if guess
+        else [(like.natural_frequency * share, max(like.damping_ratio, 0.05)) for share in (1.0, 0.5, 0.7, 1.4, 2.0)]
+    )
     block = _block(t - t[0], like.natural_frequency)
     s, y, weight = _blocks(t - t[0], block), _blocks(y, block), np.array(like.weights)
     used = int(np.searchsorted(t[0] + s, like.stop + 1e-9))
@@ -309,7 +313,9 @@ def _refine(s, y, omega, zeta, taus, free_drift=True):
         if tau > 0.0 and free_drift:
             start, low, high = [*start, math.log(tau)], [*low, math.log(s[2])], [*high, math.log(2.0 * s[-1])]
             start[2] = min(max(start[2], low[2] + 1e-6), high[2] - 1e-6)
-        found = least_squares(residual, start, bounds=(low, high), x_scale=[0.1, 0.1, 0.5][: len(start)], ftol=1e-9, xtol=1e-7, max_nfev=30)
+        found = least_squares(
+            residual, start, bounds=(low, high), x_scale=[0.1, 0.1, 0.5][: len(start)], ftol=1e-9, xtol=1e-7, max_nfev=30
+        )
         score = n * math.log(max(2.0 * found.cost / n, 1e-300)) + ((y.shape[1] + 1) * math.log(n) if tau > 0.0 else 0.0)
         if best is None or score < best[0]:
             best = (score, math.exp(found.x[0]), float(found.x[1]), math.exp(found.x[2]) if len(found.x) > 2 else tau)
@@ -343,7 +349,9 @@ def _judge(s, y, weight, omega, zeta, tau, start) -> Ringing:
     reason = ""
     plain = share > 0.9 and cycles > 2.0 * LEAST_CYCLES  # what is left over is then the model's error, not noise to be judged by
     if not plain and (evidence < SIGNIFICANT or share < 0.3):
-        reason = f"no oscillation stands out of noise and drift (it explains {100 * max(share, 0.0):.0f} % of what the drift leaves)"
+        reason = (
+            f"no oscillation stands out of noise and drift (it explains {100 * max(share, 0.0):.0f} % of what the drift leaves)"
+        )
     elif zeta > MOST_DAMPED:
         reason = f"damped too well to ring (damping ratio {zeta:.2f})"
     elif cycles < LEAST_CYCLES:

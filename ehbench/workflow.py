@@ -13,7 +13,7 @@ import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ehbench import rundir
 from ehbench.errors import InputError, ModelRejected
@@ -38,6 +38,20 @@ class Outcome:
     folder: Path
     code: int = DONE
     notes: tuple[str, ...] = ()
+
+    @property
+    def rig(self) -> Rig:
+        """The rig that the run leaves behind."""
+        return load_rig(self.folder)
+
+    @property
+    def flow_maps(self) -> FlowMaps | None:
+        """The flow maps that the run leaves behind, if any."""
+        return _maps_in(self.folder)
+
+    def json(self, name: str) -> Any:
+        """A JSON result of the run, by its name without ending, such as ``parameters`` or ``validation``."""
+        return rundir.read_json(self.folder / f"{name}.json")
 
 
 @dataclass(frozen=True)
@@ -101,7 +115,7 @@ def expect_stage(path: Path, stage: str) -> None:
 
 def identify_flow_map(recipe: FlowMapRecipe, desk: Desk) -> Outcome:
     """Flowmeter readings → flow maps: ``flow_maps.json``, ``summary.json``, ``points.csv`` and a table for each map."""
-    from ehbench.identify import readings
+    from ehbench.identification import readings
     from ehbench.physics.flow_map import collect, save_flow_maps, table
     from ehbench.readers import read_flowmeter
 
@@ -130,24 +144,29 @@ def identify_flow_map(recipe: FlowMapRecipe, desk: Desk) -> Outcome:
 
 def identify_hydraulics(recipe: HydraulicsRecipe, desk: Desk) -> Outcome:
     """Step logs → identified rig: ``rig.toml`` with its maps, ``parameters.json``, a series for each log."""
-    from ehbench.identify import hydraulics
+    from ehbench.identification import hydraulics
 
     machine = machine_of(recipe, recipe.rig, recipe.flow_maps, desk)
     logs, inputs, losses = logs_of(recipe, recipe.data, desk)
     inputs = [*machine.inputs, *inputs]
-    fit = hydraulics.identify_hydraulics(
-        machine.rig, logs, recipe.parameters, method=recipe.method, start=recipe.start, lower=recipe.lower, upper=recipe.upper,
-        channels=recipe.channels, flow_maps=machine.maps, workers=recipe.workers,
-        cutoff=None if recipe.cutoff is None else float(recipe.cutoff), max_iterations=recipe.max_iterations,
-        progress=desk.tell(recipe.name),
-    )  # fmt: skip
+    options = {
+        "method": recipe.method, "start": recipe.start, "lower": recipe.lower, "upper": recipe.upper, "channels": recipe.channels,
+        "flow_maps": machine.maps, "workers": recipe.workers, "cutoff": None if recipe.cutoff is None else float(recipe.cutoff),
+        "max_iterations": recipe.max_iterations, "progress": desk.tell(recipe.name),
+    }  # fmt: skip
+    fit = hydraulics.identify_hydraulics(machine.rig, logs, recipe.parameters, **options)
+    variants = ()
+    if recipe.compare_dynamics:
+        variants = hydraulics.compare_dynamics(machine.rig, logs, recipe.parameters, recipe.compare_dynamics, **options)
+    compared = [{"dynamics": v.dynamics, "relative_rms": v.relative_rms, "fit": v.fit.as_json()} for v in variants]
     with rundir.open_run(desk.place(recipe, inputs), "identify", recipe.path, inputs) as made:
         _write_rig(made.path, fit.rig, machine.maps)
-        rundir.write_json(made.path / "parameters.json", fit.as_json())
+        rundir.write_json(made.path / "parameters.json", fit.as_json() | {"dynamics_comparison": compared})
         _write_series(made.path / "series", fit.series())
         warnings = [*losses, *fit.warnings]
         made.facts |= {
             "what": "hydraulics", "title": recipe.title, "rig": fit.rig.name, "method": recipe.method, "warnings": warnings,
+            "recorded_on": _recorded_on(logs),
             "fitted_on": [rundir.sha256(path) for role, path in inputs if role == "log"],
         }  # fmt: skip
         _draw(made, desk, recipe)
@@ -156,14 +175,14 @@ def identify_hydraulics(recipe: HydraulicsRecipe, desk: Desk) -> Outcome:
 
 def validate(recipe: ValidateRecipe, desk: Desk) -> Outcome:
     """Held-out logs → validated rig: ``validation.json`` with the verdict, a series for each log, the rig judged."""
-    from ehbench import validate as judge
+    from ehbench import validation
 
     machine = machine_of(recipe, recipe.rig, recipe.flow_maps, desk)
     logs, inputs, losses = logs_of(recipe, recipe.data, desk)
     used = _fitted_on(machine.inputs)
-    seen = [path.name for role, path in inputs if role == "log" and rundir.sha256(path) in used]
+    seen = [name for (name, _), (_, path) in zip(logs, inputs, strict=True) if rundir.sha256(path) in used]
     inputs = [*machine.inputs, *inputs]
-    verdict = judge.validate_rig(
+    verdict = validation.validate_rig(
         machine.rig, logs, channels=recipe.channels, thresholds=recipe.thresholds, flow_maps=machine.maps, fitted_on=seen,
         progress=desk.tell(recipe.name),
     )  # fmt: skip
@@ -174,6 +193,7 @@ def validate(recipe: ValidateRecipe, desk: Desk) -> Outcome:
         warnings = [*losses, *verdict.warnings]
         made.facts |= {
             "what": "validation", "title": recipe.title, "rig": machine.rig.name, "accepted": verdict.accepted, "warnings": warnings,
+            "recorded_on": _recorded_on(logs),
         }  # fmt: skip
         _draw(made, desk, recipe)
     if not verdict.accepted:
@@ -190,7 +210,8 @@ def run_trial(recipe: TrialRecipe, desk: Desk) -> Outcome:
     extra = [("bench", _existing(recipe, recipe.bench))] if recipe.bench else []
     extra += [("command", _existing(recipe, c.file)) for c in recipe.command if c.file]
     inputs = [*machine.inputs, *extra]
-    record, facts = trial.run_trial(machine.rig, recipe, machine.maps, progress=desk.tell(recipe.name))
+    tell = desk.tell(recipe.name)
+    record, facts = trial.run_trial(machine.rig, recipe, machine.maps, progress=tell and (lambda share: tell("", share)))
     with rundir.open_run(desk.place(recipe, inputs), "trial", recipe.path, inputs, {"trial": recipe.seed}) as made:
         _write_rig(made.path, machine.rig, machine.maps)
         rig_file = (made.path / "rig.toml").read_bytes()
@@ -318,6 +339,11 @@ def _maps_in(folder: Path) -> FlowMaps | None:
     from ehbench.physics.flow_map import load_flow_maps
 
     return load_flow_maps(folder) if (folder / "flow_maps.json").is_file() else None
+
+
+def _recorded_on(logs: Sequence[tuple[str, Record]]) -> list[str]:
+    """What the logs say they were recorded on, such as the virtual bench."""
+    return sorted({record.meta["on"] for _, record in logs if "on" in record.meta})
 
 
 def _fitted_on(inputs: Sequence[tuple[str, Path]]) -> set[str]:

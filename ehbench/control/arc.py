@@ -15,16 +15,16 @@ import numpy as np
 
 from ehbench.compiled import kernel
 from ehbench.control.functions import (
-    CROSS_DROP, DIRECTION, EXTEND_RESISTIVE_REGENERATION, FUNCTIONS, HEAD, HEAD_TANK, HOLD, METERED, METERING, ROD, ROD_TANK, RULES, SPEED_START,
-    SUPPLY_HEAD, SUPPLY_ROD, Circuit, coupled, path_drop, select, widest,
+    CROSS_DROP, DIRECTION, EXTEND_RESISTIVE_REGENERATION, FUNCTIONS, HEAD, HEAD_TANK, HOLD, METERED, METERING, ROD, ROD_TANK, RULES,
+    SPEED_START, SUPPLY_HEAD, SUPPLY_ROD, Circuit, coupled, path_drop, select, widest,
 )  # fmt: skip
 from ehbench.control.trajectory import A, J, V, X
-from ehbench.control.valve_level import AGAINST, REVERSED, SATURATED, give, rest
+from ehbench.control.valve_level import AGAINST, REVERSED, SATURATED, give
 from ehbench.errors import InputError
 from ehbench.physics import arm
 from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
 from ehbench.physics.cylinder import chamber_volume, linkage
-from ehbench.physics.metering import SIGN, VALVE, edge_command, edge_flow
+from ehbench.physics.metering import VALVE, edge_command, edge_flow
 
 # a sample of a rig: this many channels a cylinder, then p_supply and p_tank
 PER_CYLINDER, AT_Q, AT_X, AT_V, AT_HEAD, AT_ROD = 6, 0, 2, 3, 4, 5
@@ -38,14 +38,14 @@ SHARES = np.array([0.3, 1.0, 0.3])
 
 # gains, see `pack_arc`
 GAIN_NAMES = (
-    "tick", "adapt", "position", "speed", "force", "coupling", "speed_tolerance", "force_tolerance", "pressure", "low_pressure",
-    "pressure_rate", "observer", "correction", "load_corner", "standby", "drop_floor", "reference_mass",
-    "robust_limit", "resolution", "weighing", "lead", "nudge",
+    "tick", "adapt", "position_bandwidth", "speed_bandwidth", "force_bandwidth", "coupling_frequency", "speed_tolerance",
+    "force_tolerance", "robust_limit", "pressure_bandwidth", "low_pressure", "pressure_rate", "observer_bandwidth",
+    "speed_correction", "speed_nudge", "stroke_resolution", "load_corner", "standby", "valve_lead", "drop_floor",
+    "weighing_time", "reference_mass",
 )  # fmt: skip
 (
-    TICK, ADAPT, POSITION, SPEED, FORCE, COUPLING, SPEED_TOLERANCE, FORCE_TOLERANCE, PRESSURE, LOW_PRESSURE, PRESSURE_RATE,
-    OBSERVER, CORRECTION, LOAD_CORNER, STANDBY, DROP_FLOOR, REFERENCE_MASS,
-    ROBUST_LIMIT, RESOLUTION, WEIGHING, LEAD, NUDGE,
+    TICK, ADAPT, POSITION, SPEED, FORCE, COUPLING, SPEED_TOLERANCE, FORCE_TOLERANCE, ROBUST_LIMIT, PRESSURE, LOW_PRESSURE,
+    PRESSURE_RATE, OBSERVER, CORRECTION, NUDGE, RESOLUTION, LOAD_CORNER, STANDBY, LEAD, DROP_FLOOR, WEIGHING, REFERENCE_MASS,
 ) = range(22)  # fmt: skip
 AT_LOWER = len(GAIN_NAMES)
 AT_UPPER, AT_RATE, AT_START = AT_LOWER + _N, AT_LOWER + 2 * _N, AT_LOWER + 3 * _N
@@ -113,32 +113,36 @@ def adapt(estimates, rates, lower, upper, tick):
     """Move the estimates, in place, over one tick; they cannot leave [lower, upper] whatever the rates are."""
     for i in range(estimates.shape[0]):
         moved = estimates[i] + tick * project(estimates[i], rates[i], lower[i], upper[i])
-        if moved == moved:
+        if not math.isnan(moved):
             estimates[i] = min(max(moved, lower[i]), upper[i])
 
 
 @kernel
-def mechanics(axis, q, angles, mass, work):
-    """(m0 [kg], c/l [N], b/l² [N·s/m], κ/v² [1/m], G [N/kg], r [1], l) of the axis at joint coordinate q, seen at the cylinder.
+def inertias(axis, angles, mass, work):
+    """(D_jj, what 1 kg at the tip adds to it) about the axis's joint [kg·m²], or [kg] of a slide; no function of its own angle."""
+    j = axis.joint
+    mass_matrix(axis.kind, axis.links, angles, mass, work)
+    own = mass[j, j]
+    mass_matrix(axis.kind, axis.tip, angles, mass, work)
+    return own, mass[j, j]
 
-    Equivalent mass, gravity force and joint damping of the rig without payload, the linkage's own acceleration
-    ``κ = l′ q̇²``, and what 1 kg at the tip adds: gravity force G and, to the mass, r.
+
+@kernel
+def mechanics(axis, q, own, angles, work):
+    """(m0 [kg], c/l [N], b/l² [N·s/m], κ/v² [1/m], G [N/kg], l [m/rad]) at joint coordinate q, seen at the cylinder.
+
+    Of the rig without payload: equivalent mass ``m0 = D_jj/l²``, gravity force, joint damping, and the linkage's own
+    acceleration ``κ = l′ q̇²``; of 1 kg at the tip: its gravity force G. ``own`` is D_jj.
     """
     j = axis.joint
     _, lever, curve = linkage(int(axis.pins[0]), axis.pins[1], axis.pins[2], axis.pins[3], axis.pins[4], axis.pins[5], q)
-    n = axis.links.shape[0]
+    torque = work[work.shape[0] - axis.links.shape[0] :]
     per = 1.0 / lever
-    square = per * per
-    torque = work[work.shape[0] - n :]
     angles[j] = q
-    mass_matrix(axis.kind, axis.links, angles, mass, work)
-    m0 = mass[j, j] * square
-    mass_matrix(axis.kind, axis.tip, angles, mass, work)
-    r = mass[j, j] * square
     gravity_torque(axis.kind, axis.links, axis.gravity, angles, torque, work)
     held = torque[j] * per
     gravity_torque(axis.kind, axis.tip, axis.gravity, angles, torque, work)
-    return m0, held, axis.links[j, arm.DAMPING] * square, curve * square, torque[j] * per, r, lever
+    return own * per * per, held, axis.links[j, arm.DAMPING] * per * per, curve * per * per, torque[j] * per, lever
 
 
 @kernel
@@ -200,6 +204,81 @@ def stand_by(axis, share, command):
 
 
 @kernel
+def clip(value, lower, upper):
+    """``value`` held within [lower, upper]; NaN stays NaN."""
+    return lower if value < lower else (upper if value > upper else value)
+
+
+@kernel
+def start_estimates(load, held, pull, own, tip, gains, estimates):
+    """Write the first estimates: the design model's or, with adaptation, those that the pressures tell at rest.
+
+    What the load force carries beyond the model's gravity is payload and disturbance, in the shares of their adaptation.
+    """
+    for i in range(_N):
+        estimates[i] = gains[AT_START + i]
+    if gains[ADAPT] == 0.0:
+        return
+    part = gains[AT_RATE + PAYLOAD] * pull * pull
+    if part > 0.0:
+        part /= part + gains[AT_RATE + DISTURBANCE]
+        payload = clip(part * (load - held) / pull, gains[AT_LOWER + PAYLOAD], gains[AT_UPPER + PAYLOAD])
+        estimates[INVERSE_INERTIA] = clip(own / (own + tip * payload), gains[AT_LOWER], gains[AT_UPPER])
+        estimates[PAYLOAD] = estimates[INVERSE_INERTIA] * payload
+    left = estimates[INVERSE_INERTIA] * (load - held) - estimates[PAYLOAD] * pull
+    estimates[DISTURBANCE] = clip(left, gains[AT_LOWER + DISTURBANCE], gains[AT_UPPER + DISTURBANCE])
+
+
+@kernel
+def observe(x, v, gains, memory):
+    """(x [m], v [m/s]) of the observer, or as measured where it has no bandwidth.
+
+    The model's acceleration and an unknown bias of it are integrated and corrected by the measured stroke, three poles at
+    ``observer_bandwidth``: speed without the lag of a filter and without the noise of a difference.
+    """
+    if gains[OBSERVER] > 0.0:
+        tick = gains[TICK]
+        z = math.exp(-gains[OBSERVER] * tick)
+        a = memory[MODEL_A] + memory[BIAS]
+        seen = memory[SEEN_X] + tick * (memory[SEEN_V] + 0.5 * tick * a)
+        miss = x - seen
+        x = seen + (1.0 - z * z * z) * miss
+        v = memory[SEEN_V] + tick * a + 1.5 * (1.0 - z) * (1.0 - z) * (1.0 + z) / tick * miss
+        memory[BIAS] += (1.0 - z) ** 3 / (tick * tick) * miss
+    memory[SEEN_X], memory[SEEN_V] = x, v
+    return x, v
+
+
+@kernel
+def off_side(function, load, v_d, head_rate, rod_rate, p_head, p_rod, p_tank, circuit, gains, memory):
+    """What the off-side chamber's pressure asks for beyond ``A v_d``, as a speed of its piston face [m/s].
+
+    Its set-point goes from where the pressure was when the chamber became the off-side to ``low_pressure`` above tank or, in
+    the seventh function, to ``(P_L + Δp3 A1)/(A1 − A2)``. ``head_rate``, ``rod_rate`` [Pa/m] are β A/V of the chambers.
+    """
+    tick = gains[TICK]
+    metered = METERED[function]
+    if memory[SIDE] != metered:
+        memory[SIDE] = metered
+        memory[SET_POINT] = p_rod if metered == HEAD else p_head
+    target = p_tank + gains[LOW_PRESSURE]
+    if function == EXTEND_RESISTIVE_REGENERATION:
+        target = (load + gains[AT_RULES + CROSS_DROP] * circuit.area_head) / (circuit.area_head - circuit.area_rod)
+    # never so fast that the metered chamber would have to give way against the motion
+    if metered == HEAD:
+        fastest = head_rate * circuit.area_head / circuit.area_rod
+    else:
+        fastest = rod_rate * circuit.area_rod / circuit.area_head
+    travel = min(gains[PRESSURE_RATE], 0.5 * fastest * abs(v_d)) * tick
+    moved = clip(target - memory[SET_POINT], -travel, travel)
+    memory[SET_POINT] += moved
+    ramp = moved / tick if abs(moved) == travel else 0.0  # less than that is the noise of the tank's sensor
+    if metered == HEAD:
+        return (gains[PRESSURE] * (p_rod - memory[SET_POINT]) - ramp) / rod_rate
+    return (gains[PRESSURE] * (memory[SET_POINT] - p_head) + ramp) / head_rate
+
+
+@kernel
 def step(t, sample, wish, axis, gains, memory, command, note):
     """One tick of the controller: observe, estimate, choose the function, write commands and note.
 
@@ -217,7 +296,7 @@ def step(t, sample, wish, axis, gains, memory, command, note):
     circuit = axis.circuit
     n = axis.links.shape[0]
     at = PER_CYLINDER * circuit.cylinder
-    q, x, p_head, p_rod = sample[at + AT_Q], sample[at + AT_X], sample[at + AT_HEAD], sample[at + AT_ROD]
+    q, x, v, p_head, p_rod = sample[at + AT_Q], sample[at + AT_X], sample[at + AT_V], sample[at + AT_HEAD], sample[at + AT_ROD]
     p_supply, p_tank = sample[sample.shape[0] - 2], sample[sample.shape[0] - 1]
     tick = gains[TICK]
     estimates = memory[AT_ESTIMATES:AT_WORK]
@@ -228,7 +307,9 @@ def step(t, sample, wish, axis, gains, memory, command, note):
         angles[i] = axis.posture[i]
     for c in range(axis.joints.shape[0]):
         angles[axis.joints[c]] = sample[PER_CYLINDER * c + AT_Q]
-    m0, held, damping, curve, pull, ratio, lever = mechanics(axis, q, angles, mass, work)
+    angles[axis.joint] = q
+    own, tip = inertias(axis, angles, mass, work)
+    m0, held, damping, curve, pull, lever = mechanics(axis, q, own, angles, work)
     load = p_head * circuit.area_head - p_rod * circuit.area_rod
     friction = axis.friction
     turn = math.tanh(wish[V] / friction[2])
@@ -238,39 +319,14 @@ def step(t, sample, wish, axis, gains, memory, command, note):
         memory[STARTED], memory[FUNCTION], memory[SLOW_LOAD] = 1.0, HOLD, load
         memory[SIDE] = HEAD if load >= 0.0 else ROD
         memory[SET_POINT] = p_rod if load >= 0.0 else p_head
-        memory[SEEN_X], memory[SEEN_V] = x, sample[at + AT_V]
-        for i in range(_N):
-            estimates[i] = gains[AT_START + i]
-        if gains[ADAPT] > 0.0:
-            # weighing: at rest the pressures carry payload and disturbance, in the shares of their adaptation rates
-            share = gains[AT_RATE + PAYLOAD] * pull * pull
-            share /= max(share + gains[AT_RATE + DISTURBANCE], 1e-300)
-            payload = share * (load - held) / pull if pull != 0.0 else 0.0
-            payload = min(max(payload, gains[AT_LOWER + PAYLOAD]), gains[AT_UPPER + PAYLOAD])
-            inverse = m0 / (m0 + ratio * payload)
-            estimates[INVERSE_INERTIA] = min(max(inverse, gains[AT_LOWER]), gains[AT_UPPER])
-            estimates[PAYLOAD] = estimates[INVERSE_INERTIA] * payload
-            rest_force = estimates[INVERSE_INERTIA] * (load - held) - estimates[PAYLOAD] * pull
-            estimates[DISTURBANCE] = min(max(rest_force, gains[AT_LOWER + DISTURBANCE]), gains[AT_UPPER + DISTURBANCE])
-
-    # motion: measured, or observed with the model's acceleration and a bias of it, so that no lag is needed against noise
-    v = sample[at + AT_V]
-    if gains[OBSERVER] > 0.0 and not starting:
-        z = math.exp(-gains[OBSERVER] * tick)
-        a = memory[MODEL_A] + memory[BIAS]
-        seen = memory[SEEN_X] + tick * (memory[SEEN_V] + 0.5 * tick * a)
-        miss = x - seen
-        memory[SEEN_X] = seen + (1.0 - z * z * z) * miss
-        memory[SEEN_V] += tick * a + 1.5 * (1.0 - z) * (1.0 - z) * (1.0 + z) / tick * miss
-        memory[BIAS] += (1.0 - z) ** 3 / (tick * tick) * miss
-    if gains[OBSERVER] > 0.0:
-        x, v = memory[SEEN_X], memory[SEEN_V]
-    else:
         memory[SEEN_X], memory[SEEN_V] = x, v
+        start_estimates(load, held, pull, own, tip, gains, estimates)
+    else:
+        x, v = observe(x, v, gains, memory)
 
     # the laws a moment ahead on the same motion, for their rates
     ahead = 1.0e-3
-    m1, held1, damping1, curve1, pull1, _, _ = mechanics(axis, q + ahead * v / lever, angles, mass, work)
+    m1, held1, damping1, curve1, pull1, _ = mechanics(axis, q + ahead * v / lever, own, angles, work)
 
     # step 1: stroke
     k1, k2, k3 = gains[POSITION], gains[SPEED], gains[FORCE]
@@ -309,8 +365,8 @@ def step(t, sample, wish, axis, gains, memory, command, note):
         rates[i] = project(estimates[i], rate, gains[AT_LOWER + i], gains[AT_UPPER + i])
 
     # step 3: flow
-    own = (m1 - m0) * pushed - m0 * (curve1 - curve) * v * v + share * (pull1 - pull)
-    along = (held1 - held + (damping1 - damping) * v + own / inverse) / ahead
+    moved = (m1 - m0) * pushed - m0 * (curve1 - curve) * v * v + share * (pull1 - pull)
+    along = (held1 - held + (damping1 - damping) * v + moved / inverse) / ahead
     timed = friction[1] * (1.0 - turn * turn) * wish[A] / friction[2] + m0 / inverse * (wish[J] + k1 * wish[A] + k2 * a_eq)
     learnt = (-need / inverse * rates[0] + pull * rates[1] + rates[2]) / inverse
     load_rate = slope * acceleration + along + timed + learnt
@@ -319,7 +375,9 @@ def step(t, sample, wish, axis, gains, memory, command, note):
     stiff = (gains[AT_UPPER + 3] - gains[AT_LOWER + 3]) / gains[AT_LOWER + 3]
     wide = abs(slope) * wide + stiff * abs(asked)
     asked -= min(wide * wide / (4.0 * k3 * gains[FORCE_TOLERANCE] ** 2), gains[ROBUST_LIMIT] * k3) * z3
-    rates[3] = project(softness, -gains[AT_RATE + 3] * weight * z3 * asked if learning == FREE else 0.0, gains[AT_LOWER + 3], gains[AT_UPPER + 3])
+    rates[3] = project(
+        softness, -gains[AT_RATE + 3] * weight * z3 * asked if learning == FREE else 0.0, gains[AT_LOWER + 3], gains[AT_UPPER + 3]
+    )
     chambers = axis.chambers
     head_gain = circuit.area_head / chamber_volume(chambers[V_HEAD], circuit.area_head * x)
     rod_gain = circuit.area_rod / chamber_volume(chambers[V_ROD], -circuit.area_rod * x)
@@ -335,8 +393,8 @@ def step(t, sample, wish, axis, gains, memory, command, note):
     memory[SLOW_LOAD] -= math.expm1(-gains[LOAD_CORNER] * tick) * (load - memory[SLOW_LOAD])
     slow, now = memory[SLOW_LOAD], int(memory[FUNCTION])
     blind = max(gains[RESOLUTION] - gains[AT_RULES + SPEED_START] / gains[POSITION], 0.3 * gains[RESOLUTION])
-    told = z1 - min(max(z1, -blind), blind)
-    toward = wish[V] - min(max(gains[POSITION] * told, -gains[CORRECTION]), gains[CORRECTION])
+    told = z1 - clip(z1, -blind, blind)
+    toward = wish[V] - clip(gains[POSITION] * told, -gains[CORRECTION], gains[CORRECTION])
     # where rest is wished for, the error is led back at little more than the speed that it alone asks for
     resting = abs(wish[V]) <= gains[AT_RULES + SPEED_START]
     led = 2.0 * abs(toward) + gains[NUDGE]
@@ -351,65 +409,49 @@ def step(t, sample, wish, axis, gains, memory, command, note):
     memory[FUNCTION] = function
 
     # valve level: the off-side chamber's flow follows its pressure, the rest of what is wanted is the metered chamber's
-    flow_head, flow_rod, target = 0.0, 0.0, 0.0
+    flow_head, flow_rod = 0.0, 0.0
     if function == HOLD:
         memory[SIDE] = HEAD if slow >= 0.0 else ROD
         memory[SET_POINT] = p_rod if memory[SIDE] == HEAD else p_head
     elif axis.spool[function] == 1:
         flow_head, flow_rod = spool_flows(function, wanted, head_gain, rod_gain, p_head, p_rod, p_supply, p_tank, circuit)
     else:
-        way = DIRECTION[function]
-        if memory[SIDE] != METERED[function]:
-            memory[SIDE] = METERED[function]
-            memory[SET_POINT] = p_rod if METERED[function] == HEAD else p_head
-        target = p_tank + gains[LOW_PRESSURE]
-        if function == EXTEND_RESISTIVE_REGENERATION:
-            target = (slow + gains[AT_RULES + CROSS_DROP] * circuit.area_head) / (circuit.area_head - circuit.area_rod)
-        # the set-point never moves so fast that the metered chamber would have to give way against the motion
-        metered, other = (head_gain * circuit.area_head, circuit.area_rod) if METERED[function] == HEAD else (
-            rod_gain * circuit.area_rod, circuit.area_head
-        )
-        travel = min(gains[PRESSURE_RATE], 0.5 * chambers[BULK] * metered * abs(wish[V]) / other) * tick
-        moved = min(max(target - memory[SET_POINT], -travel), travel)
-        memory[SET_POINT] += moved
-        ramp = moved / tick if abs(moved) == travel else 0.0  # what is left is the noise of the tank's sensor
+        way, stiff = DIRECTION[function], chambers[BULK] / softness
+        extra = off_side(
+            function, slow, wish[V], stiff * head_gain, stiff * rod_gain, p_head, p_rod, p_tank, circuit, gains, memory
+        )  # fmt: skip
         if METERED[function] == HEAD:
-            held_in = gains[PRESSURE] * (p_rod - memory[SET_POINT]) - ramp
-            flow_rod = circuit.area_rod * (wish[V] + soon + softness / chambers[BULK] / rod_gain * held_in) + lost_rod
-            flow_rod = way * max(way * flow_rod, 0.0)
+            flow_rod = circuit.area_rod * (wish[V] + soon + extra) + lost_rod
+            flow_rod = 0.0 if way * flow_rod < 0.0 else flow_rod
             flow_head = (wanted - rod_gain * flow_rod) / head_gain
-            if resting:
-                flow_head = way * min(way * flow_head, circuit.area_head * led)
+            if resting and way * flow_head > circuit.area_head * led:
+                flow_head = way * circuit.area_head * led
         else:
-            held_in = gains[PRESSURE] * (memory[SET_POINT] - p_head) + ramp
-            flow_head = circuit.area_head * (wish[V] + soon + softness / chambers[BULK] / head_gain * held_in) + lost_head
-            flow_head = way * max(way * flow_head, 0.0)
+            flow_head = circuit.area_head * (wish[V] + soon + extra) + lost_head
+            flow_head = 0.0 if way * flow_head < 0.0 else flow_head
             flow_rod = (wanted - head_gain * flow_head) / rod_gain
-            if resting:
-                flow_rod = way * min(way * flow_rod, circuit.area_rod * led)
+            if resting and way * flow_rod > circuit.area_rod * led:
+                flow_rod = way * circuit.area_rod * led
 
     edges = NOTES + circuit.count
-    limits = 0
-    if function == HOLD:
-        rest(circuit, command, note[NOTES:edges], note[edges:])
-    else:
-        limits = give(
-            function, flow_head, flow_rod, p_head, p_rod, p_supply, p_tank, gains[DROP_FLOOR], circuit, command,
-            note[NOTES:edges], note[edges:],
-        )  # fmt: skip
-
+    limits = give(
+        function, flow_head, flow_rod, p_head, p_rod, p_supply, p_tank, gains[DROP_FLOOR], circuit, command, note[NOTES:edges],
+        note[edges:],
+    )  # fmt: skip
     if gains[STANDBY] > 0.0:
         stand_by(axis, gains[STANDBY], command)
 
     # what the metered path cannot do must not teach the estimates; where no motion is wished for, the pressures weigh the load
-    memory[LEARNING] = WEIGHED if resting else FREE
-    if function != HOLD and int(note[edges + circuit.paths[METERING[function]] - circuit.first]) & (SATURATED | AGAINST | REVERSED):
-        memory[LEARNING] = WEIGHED if resting else FROZEN
-    elif function == HOLD and not resting:
-        memory[LEARNING] = FROZEN
+    bound = function == HOLD
+    if not bound:
+        bound = int(note[edges + circuit.paths[METERING[function]] - circuit.first]) & (SATURATED | AGAINST | REVERSED) != 0
+    memory[LEARNING] = WEIGHED if resting else (FROZEN if bound else FREE)
     if learning != FROZEN:
         adapt(estimates, rates, gains[AT_LOWER:AT_UPPER], gains[AT_UPPER:AT_RATE], tick)
-    memory[MODEL_A] = acceleration
+    # what the estimates learn is no news to the observer
+    learnt_a = (estimates[0] - inverse) * phi1 + (estimates[1] - share) * phi2 + (estimates[2] - offset) * phi3
+    memory[MODEL_A] = acceleration + learnt_a
+    memory[BIAS] -= learnt_a
     if starting:
         memory[BIAS] = -acceleration
 
@@ -475,8 +517,15 @@ def axis(
         np.ascontiguousarray(chambers, float), np.ascontiguousarray(friction, float),
         spool, np.array(onset, float),
     )  # fmt: skip
-    if made.posture.shape != (links.shape[0],) or made.pins.shape != (6,) or made.chambers.shape != (6,) or made.friction.shape != (3,):
-        raise InputError("the arrays of an axis do not fit each other", hint="posture has one entry a joint, pins 6, chambers 6, friction 3")
+    if (
+        made.posture.shape != (links.shape[0],)
+        or made.pins.shape != (6,)
+        or made.chambers.shape != (6,)
+        or made.friction.shape != (3,)
+    ):
+        raise InputError(
+            "the arrays of an axis do not fit each other", hint="posture has one entry a joint, pins 6, chambers 6, friction 3"
+        )
     numbers = (made.gravity, links, made.posture, made.pins, made.chambers, made.friction)
     if not all(np.isfinite(part).all() for part in numbers) or made.friction[2] <= 0 or made.chambers[:3].min() <= 0:
         raise InputError("an axis needs finite numbers, and volumes, bulk modulus and friction speed above 0")
@@ -484,14 +533,18 @@ def axis(
 
 
 def reference(axis: Axis) -> tuple[float, float, float]:
-    """(m0 [kg], G [N/kg], r [1]) of `mechanics` in the axis's posture."""
+    """(m0 [kg], G [N/kg], share of D_jj that 1 kg at the tip adds [1/kg]) in the axis's posture; see `mechanics`.
+
+    Raises:
+        InputError: no lever there.
+    """
     n = axis.links.shape[0]
-    m0, _, _, _, pull, ratio, lever = mechanics(
-        axis, float(axis.posture[axis.joint]), axis.posture.copy(), np.zeros((n, n)), np.zeros(work_size(n) + n)
-    )
+    angles, work = axis.posture.copy(), np.zeros(work_size(n) + n)
+    own, tip = inertias(axis, angles, np.zeros((n, n)), work)
+    m0, _, _, _, pull, lever = mechanics(axis, float(angles[axis.joint]), own, angles, work)
     if abs(lever) < 1e-6 or not math.isfinite(m0):
         raise InputError("the cylinder has no lever in the posture for which the controller is designed")
-    return m0, pull, ratio
+    return m0, pull, tip / own
 
 
 def hydraulic_frequency(axis: Axis) -> float:
@@ -512,7 +565,7 @@ def pack_arc(
     flow_limit: float,
     valve_lag: float,
     adapt: bool = True,
-    lag_budget: float = 0.4,
+    lag_budget: float = 0.5,
     gains: Mapping[str, float] | None = None,
     payload: tuple[float, float] | None = None,
     disturbance: float | None = None,
@@ -522,7 +575,7 @@ def pack_arc(
 ) -> np.ndarray:
     """The gains of `step`, shape (GAINS,), with defaults from what the valves and the supply allow.
 
-    The three feedback bandwidths together ask the valves for phase at ``position + speed + force`` [rad/s]; by default that
+    The three feedback bandwidths together ask the valves for phase at ``position_bandwidth + speed_bandwidth + force_bandwidth``; by default that
     times the lag of the loop is ``lag_budget`` [rad], shared out 1 : 2 : 4.
 
     Args:
@@ -533,15 +586,15 @@ def pack_arc(
         valve_lag: of the slowest valve, 2ζ/ω_n [s].
         adapt: False for the same law with its estimates left at the design model.
         lag_budget: [rad].
-        gains: any of GAIN_NAMES by name instead of its default: ``position``, ``speed``, ``force``, ``coupling`` [rad/s],
-            ``speed_tolerance`` [m/s] and ``force_tolerance`` [N] to which the robust terms hold the errors, ``pressure`` [rad/s]
-            and ``low_pressure`` [Pa] of the off-side, ``pressure_rate`` [Pa/s] of its set-point, ``observer`` [rad/s] (0: the
-            measured speed), ``correction`` [m/s] at most for the stroke error, ``load_corner`` [rad/s],
+        gains: any of GAIN_NAMES by name instead of its default: ``position_bandwidth``, ``speed_bandwidth``, ``force_bandwidth``, ``coupling_frequency`` [rad/s],
+            ``speed_tolerance`` [m/s] and ``force_tolerance`` [N] to which the robust terms hold the errors, ``pressure_bandwidth`` [rad/s]
+            and ``low_pressure`` [Pa] of the off-side, ``pressure_rate`` [Pa/s] of its set-point, ``observer_bandwidth`` [rad/s] (0: the
+            measured speed), ``speed_correction`` [m/s] at most for the stroke error, ``load_corner`` [rad/s],
             ``standby`` share of its deadband at which an idle valve waits [1], ``drop_floor`` [Pa], ``reference_mass`` [kg].
         payload: bounds of the payload at the end of the last link [kg]; 0 to 1.5 times that link's mass by default.
         disturbance: bound ± of the unknown force [N]; 3 % of supply pressure on the head end by default.
         bulk_modulus: its bounds [Pa]; the design's through and times 1.4 by default.
-        adaptation: rate at which the mechanical estimates together follow [rad/s]; half of ``position`` by default.
+        adaptation: rate at which the mechanical estimates together follow [rad/s]; a quarter of ``position_bandwidth`` by default.
         adaptation_bulk: the same of the bulk modulus [rad/s]; a fiftieth of ``adaptation`` by default.
 
     Raises:
@@ -550,38 +603,38 @@ def pack_arc(
     mass, pull, ratio = reference(axis)
     head_force = supply_pressure * axis.circuit.area_head
     total = lag_budget / (valve_lag + tick)
-    chosen = {"position": total / 7.0, "speed": 2.0 * total / 7.0, "force": 4.0 * total / 7.0} | {
-        key: value for key, value in (gains or {}).items() if key in ("position", "speed", "force")
+    chosen = {"position_bandwidth": total / 7.0, "speed_bandwidth": 2.0 * total / 7.0, "force_bandwidth": 4.0 * total / 7.0} | {
+        key: value for key, value in (gains or {}).items() if key in ("position_bandwidth", "speed_bandwidth", "force_bandwidth")
     }
-    k1, k2, k3 = chosen["position"], chosen["speed"], chosen["force"]
+    k1, k2, k3 = chosen["position_bandwidth"], chosen["speed_bandwidth"], chosen["force_bandwidth"]
     low, high = (0.0, 1.5 * float(axis.links[-1, arm.MASS])) if payload is None else payload
     worst = 0.03 * head_force if disturbance is None else disturbance
     softest, hardest = (axis.chambers[BULK] / 1.4, 1.4 * axis.chambers[BULK]) if bulk_modulus is None else bulk_modulus
-    lower = np.array([0.9 / (1.0 + high * ratio / mass), low, -worst, axis.chambers[BULK] / hardest])
-    upper = np.array([1.1 / (1.0 + low * ratio / mass), high, worst, axis.chambers[BULK] / softest])
+    lower = np.array([0.9 / (1.0 + high * ratio), low, -worst, axis.chambers[BULK] / hardest])
+    upper = np.array([1.1 / (1.0 + low * ratio), high, worst, axis.chambers[BULK] / softest])
 
     # one metre per second squared stands for the accelerations that tell the inertia
     phi = np.array([1.0 + 0.5 * abs(pull) * (high - low) / mass, pull / mass, 1.0 / mass])
     spread = (upper - lower)[:3] * SHARES
     unknown = float(np.abs(phi) @ (upper - lower)[:3])
-    omega = chosen.setdefault("coupling", (gains or {}).get("coupling", max(k2, 1.2 * hydraulic_frequency(axis))))
+    omega = chosen.setdefault("coupling_frequency", (gains or {}).get("coupling_frequency", max(k2, hydraulic_frequency(axis))))
     # in quiet motion an acceleration error Δ shows as mixed = −answer·Δ, so that θ̂' = −Γ φ mixed makes Δ' = −adaptation·Δ
     at_speed = (1.0 + (k1 + k2) / k3) / (k2 + omega**2 / k3)
     answer = max(at_speed + (k1 + k2) / omega**2 * (k2 * at_speed - 1.0), 0.2 * at_speed)
     chosen |= {
         "tick": tick, "adapt": float(adapt), "speed_tolerance": unknown / (1.1 * k2),
-        "force_tolerance": mass * (k1 + k2) * unknown / (1.1 * k3), "pressure": 0.5 * total, "low_pressure": supply_pressure / 20.0,
-        "pressure_rate": 3.0 * supply_pressure, "observer": 0.9 * total, "correction": flow_limit / axis.circuit.area_head,
+        "force_tolerance": mass * (k1 + k2) * unknown / (1.1 * k3), "pressure_bandwidth": 0.5 * total, "low_pressure": supply_pressure / 20.0,
+        "pressure_rate": 3.0 * supply_pressure, "observer_bandwidth": 60.0, "speed_correction": flow_limit / axis.circuit.area_head,
         "load_corner": 2.0 * math.pi, "standby": 0.8, "drop_floor": 2.0e4, "reference_mass": mass,
-        "robust_limit": 0.3, "resolution": 2.5e-5, "weighing": answer,
-        "lead": valve_lag + 0.5 * tick, "nudge": 0.01 * flow_limit / axis.circuit.area_head,
+        "robust_limit": 0.3, "stroke_resolution": 2.5e-5, "weighing_time": answer,
+        "valve_lead": valve_lag + 0.5 * tick, "speed_nudge": 0.01 * flow_limit / axis.circuit.area_head,
     }  # fmt: skip
     for name, value in (gains or {}).items():
         if name not in GAIN_NAMES:
             raise InputError(f"the adaptive robust controller has no gain '{name}'", hint="it has " + ", ".join(GAIN_NAMES))
         chosen[name] = value
 
-    gamma = 0.5 * k1 if adaptation is None else adaptation
+    gamma = 0.25 * k1 if adaptation is None else adaptation
     variance = spread**2
     rate = np.zeros(_N)
     rate[:3] = gamma * variance / (answer * float(phi**2 @ variance))
@@ -589,13 +642,20 @@ def pack_arc(
     gamma_bulk = 0.02 * gamma if adaptation_bulk is None else adaptation_bulk
     rate[3] = gamma_bulk * k3 * (mass * omega) ** 2 / (10.0 * mass) ** 2
     table = np.concatenate([[chosen[name] for name in GAIN_NAMES], lower, upper, rate, np.array([1.0, low, 0.0, 1.0]), rules])
-    positive = ("tick", "position", "speed", "force", "coupling", "speed_tolerance", "force_tolerance", "pressure", "drop_floor",
-                "correction", "load_corner", "reference_mass", "pressure_rate")  # fmt: skip
+    positive = ("tick", "position_bandwidth", "speed_bandwidth", "force_bandwidth", "coupling_frequency", "speed_tolerance", "force_tolerance", "pressure_bandwidth", "drop_floor",
+                "speed_correction", "load_corner", "reference_mass", "pressure_rate")  # fmt: skip
     for name in positive:
         if not chosen[name] > 0.0:
             raise InputError(f"gain '{name}' of the adaptive robust controller is {chosen[name]:g}", hint="it must be above 0")
-    if not np.isfinite(table).all() or chosen["observer"] < 0 or not 0.0 <= chosen["standby"] < 1.0 or table.shape != (GAINS,):
-        raise InputError("a gain of the adaptive robust controller is out of its range", hint="finite; standby below 1; observer 0 or more")
+    if (
+        not np.isfinite(table).all()
+        or chosen["observer_bandwidth"] < 0
+        or not 0.0 <= chosen["standby"] < 1.0
+        or table.shape != (GAINS,)
+    ):
+        raise InputError(
+            "a gain of the adaptive robust controller is out of its range", hint="finite; standby below 1; observer 0 or more"
+        )
     start = table[AT_START:AT_RULES]
     if not ((lower <= start) & (start <= upper)).all() or (rate < 0).any():
         raise InputError(

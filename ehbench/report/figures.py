@@ -1,4 +1,4 @@
-"""Figures of one run folder, drawn from its saved files: ``figures/*.svg``, and ``figures/index.json`` that says what they are."""
+"""Figures of a run folder, drawn from its saved files: ``figures/*.svg``, and ``figures/index.json`` that says what they are."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from ehbench.report import map_figures, series_figures
 from ehbench.report.saved import INDEX, Points, Saved, read_points
 from ehbench.report.words import words
 from ehbench.rundir import write_json
-
 
 _TWINS = {"x": "q", "v": "qd"}
 

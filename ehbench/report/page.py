@@ -12,7 +12,7 @@ from ehbench.errors import InputError
 from ehbench.recipe import Campaign
 from ehbench.report.blocks import Bullets, Cell, Fold, Grid, Part, Picture, Section, Text, inline, prose, slug
 from ehbench.report.saved import Saved
-from ehbench.report.sections import Pictures, chip, rig_tables, stage_of
+from ehbench.report.sections import Pictures, chip, rig_table, stage_of
 from ehbench.report.words import count, words
 
 _STANDING = {"validate": 2, "identify": 1}
@@ -107,7 +107,7 @@ def _rigs(runs: Sequence[Saved]) -> list[Section]:
         found.append(
             Section(
                 f"Rig: {run.rig.title or words(name)}",
-                [Text(lead, "note"), *prose(run.rig.note), Fold("All parameters", rig_tables(run.rig))],
+                [Text(lead, "note"), *prose(run.rig.note), Fold("All parameters", rig_table(run.rig))],
                 f"rig-{slug(name)}",
             )
         )

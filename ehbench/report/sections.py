@@ -342,7 +342,7 @@ def _channel_table(rig: Rig, log: Table) -> list[Grid]:
             Cell(f"{worst['outside_percent']:.0f} %" if worst else "–", "number", hint=worst["of"] if worst else ""),
         ])  # fmt: skip
     head = ["channel", "unit", "fit [%]", "max error", "bias", "rms error", "residual lags outside", "command lags outside"]
-    note = "Errors are simulated minus recorded. Lags outside: at which the residual correlates with itself or a command beyond the 95 % band."
+    note = "Errors are simulated minus recorded. Lags outside: where the residual correlates beyond the 95 % band."
     return [Grid(head, rows, note)] if rows else []
 
 
@@ -395,16 +395,14 @@ def stage_of(run: Saved) -> tuple[int, Stage]:
     return len(STAGES), Stage(words(run.stage), anything)
 
 
-def rig_tables(rig: Rig) -> list[Any]:
-    """Every parameter of a rig, with value, unit, how sure it is, and source, a table for each part of the machine."""
+def rig_table(rig: Rig) -> list[Any]:
+    """Every parameter of a rig, with value, unit, how sure it is, and source; the notes on its valve dynamics before."""
     groups: dict[str, list] = {}
     for name, value in _values(rig):
-        head = name.rpartition(".")[0] or "whole rig"
-        groups.setdefault(head, []).append(_value_row(rig, name, value))
-    head = ["parameter", "value", "unit", "how sure", "source"]
-    blocks: list[Any] = [Grid(head, rows, group) for group, rows in groups.items()]
+        groups.setdefault(name.rpartition(".")[0], []).append(_value_row(rig, name, value))
+    rows = [[Cell(group, "name"), *row] for group, found in groups.items() for row in found]
     notes = [f"{name}: {dynamics.note}" for name, dynamics in rig.dynamics.items() if dynamics.note]
-    return [*([Bullets(notes)] if notes else []), *blocks]
+    return [*([Bullets(notes)] if notes else []), Grid(["of", "parameter", "value", "unit", "how sure", "source"], rows)]
 
 
 def _values(rig: Rig):
@@ -435,7 +433,7 @@ def _value_row(rig: Rig, name: str, value: Value) -> list[Cell | str]:
     if isinstance(value.value, tuple):
         text = "(" + ", ".join(number(float(shown(rig, name, v)), 5) for v in value.value) + ")"
     else:
-        text = with_error(float(shown(rig, name, value.value)), None if value.std is None else float(shown(rig, name, value.std)))
+        text = _plus(rig, name, value.value, value.std) if value.std else number(float(shown(rig, name, value.value)), 6)
     source = value.source.removeprefix(value.sure).lstrip(":, ")
     return [
         Cell(name.rsplit(".", 1)[-1], "code", hint=row_of(name).meaning),

@@ -568,8 +568,12 @@ class BenchRig:
         """The next ``ticks`` rows of the sensors' noise, shape (ticks, raw channels)."""
         return self._noise.standard_normal((ticks, self.raw))
 
-    def start(self, posture: Mapping[str, str | float] | None = None, payload: str | None = None) -> np.ndarray:
+    def start(
+        self, posture: Mapping[str, str | float] | None = None, payload: str | None = None, low_side: float | None = None
+    ) -> np.ndarray:
         """Come to rest in a posture (as `Model.posture` reads it), valves at rest; returns the sample at t = 0.
+
+        The unloaded chambers begin to settle at ``low_side`` [Pa], as in `Model.trim`.
 
         Raises:
             InputError: a posture outside the stroke, or another payload than the bench was made with.
@@ -577,7 +581,7 @@ class BenchRig:
         if payload is not None and payload != self.payload:
             raise InputError(f"this bench carries payload '{self.payload or 'none'}', not '{payload}'")
         bench, size, nv = self.bench, self.size, len(self.layout.valves)
-        y = self.model.trim(self.model.posture(posture))
+        y = self.model.trim(self.model.posture(posture), low_side)
         rest = self.model.rest_commands(1)[0]
         state = self.state
         state[:] = 0.0

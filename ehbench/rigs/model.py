@@ -69,15 +69,19 @@ class ModelRig:
         self._k = np.empty((5, model.layout.states))
         self._work = np.empty(workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0]))
 
-    def start(self, posture: Mapping[str, str | float] | None = None, payload: str | None = None) -> np.ndarray:
+    def start(
+        self, posture: Mapping[str, str | float] | None = None, payload: str | None = None, low_side: float | None = None
+    ) -> np.ndarray:
         """Come to rest in a posture (as `Model.posture` reads it), valves at rest; returns the sample at t = 0.
+
+        The unloaded chambers stand at ``low_side`` [Pa], as in `Model.trim`.
 
         Raises:
             InputError: a posture outside the stroke; a payload, which belongs to the model.
         """
         if payload is not None:
             raise InputError("a model carries the payload it was made with", hint="make it with Model.of(rig, maps, payload)")
-        self.state = self.model.trim(self.model.posture(posture))
+        self.state = self.model.trim(self.model.posture(posture), low_side)
         sample = np.empty(len(self.channels))
         model_sample(self.state, self.model.plant, sample)
         return sample

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ehbench.control.functions import FUNCTIONS, HEAD, METERED, Circuit
+from ehbench.control.functions import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS, HEAD, METERED, Circuit
 from ehbench.errors import InputError, InsufficientData, ModelRejected
 from ehbench.plant import BULK, STROKE
 from ehbench.quantities import VOCABULARY
@@ -296,7 +296,7 @@ def _sites(rig: Rig, maps: Maps | None, recipe: TuneRecipe, name: str, low: floa
         if function not in FUNCTIONS[1:]:
             raise InputError(f"no working function '{function}'", hint="there are " + ", ".join(FUNCTIONS[1:]))
     payloads = recipe.payloads or (NONE, *rig.payload)
-    wanted = [FUNCTIONS.index(f) for f in recipe.functions] or range(1, len(FUNCTIONS))
+    wanted = [FUNCTIONS.index(f) for f in recipe.functions] or range(1, EXTEND_RESISTIVE_REGENERATION)
     sites, curves = [], []
     for payload in payloads:
         model = Model.of(rig, maps, None if payload == NONE else payload)
@@ -389,6 +389,9 @@ def _law(sites: Sequence[_Site], recipe: TuneRecipe, gains: np.ndarray, scale: f
     corners = [slowest * share for share in CORNER_SHARES] if recipe.washout is None else [float(recipe.washout)]
     offs = [scale * share for share in OFF_SHARES] if recipe.off_gain is None else [float(recipe.off_gain)]
     washout = corners[0]
+    shared = not any(site.loop(Law(washout, scale, delay)).off.any() for site in sites)  # one command for both ends: nothing to hold
+    if shared and recipe.off_gain is None:
+        offs = [0.0]
     for _ in range(2 if len(corners) > 1 and len(offs) > 1 else 1):
         held = {off: _best(sites, Law(washout, off, delay), coarse)[0] for off in offs}
         off = max(held, key=held.__getitem__)
@@ -402,6 +405,8 @@ def _law(sites: Sequence[_Site], recipe: TuneRecipe, gains: np.ndarray, scale: f
     }  # fmt: skip
     if washout == 0.0:
         del others["no washout"], others["washout four times as fast"]
+    if shared:
+        del others["off-side a fifth as stiff"], others["off-side five times as stiff"]
     tried = {what: (_best(sites, other, coarse), other) for what, other in others.items()}
     quick = [replace(site, linear=faster(site.linear, 10.0)) for site in sites]
     tried["valves ten times as fast"] = _best(quick, law, coarse), law
@@ -431,6 +436,12 @@ def _choose(sites: Sequence[_Site], law: Law, gains: np.ndarray, demands: dict[s
     candidates = [float(math.exp(fine.x)), *(float(gains[i]) for i in order if worst[i] > worst[0])]
     for gain in candidates:
         if kept(gain):
+            if gain != candidates[0]:
+                broken = sorted({v for loop in loops for v in _violations(margins(loop, candidates[0]), demands)})
+                notes.append(
+                    f"the demanded {', '.join(broken)} holds the gain at {gain / candidates[0]:.0%} of the best damped one, "
+                    f"which would give a worst damping ratio of {-fine.fun:.2f}"
+                )
             return gain
     broken = sorted({v for loop in loops for v in _violations(margins(loop, candidates[0]), demands)})
     notes.append(f"no gain keeps the demanded {', '.join(broken)} at every operating point and adds damping; the best damped gain is taken")
@@ -577,9 +588,12 @@ def locus(loop: Loop, site: _Site, law: Law, gain: float, parameter: str, limit:
         a[n, :n] = gain * plain.c
         system = _system(a, np.append(plain.b, 1.0), np.eye(n + 1)[n])
         chosen, crossing = law.washout, None
+    top = 10.0 * max(chosen, crossing or 0.0)
+    if parameter == "washout":
+        top = max(top, 2.0 * abs(dominant(np.linalg.eigvals(loop.a), loop.fastest)))
     centre = [chosen] + ([crossing] if crossing else [])
     values = np.unique(np.concatenate([
-        [0.0], np.geomspace(chosen / 1e3, 10 * max(centre), LOCUS_POINTS // 2),
+        [0.0], np.geomspace(chosen / 1e3, top, LOCUS_POINTS // 2),
         *(c * np.linspace(0.8, 1.2, LOCUS_POINTS // 4) for c in centre), centre,
     ]))  # fmt: skip
     poles = np.asarray(control.root_locus_map(system, gains=values).loci)

@@ -269,7 +269,7 @@ def operating_point(
     slope = coulomb_viscous(v + around, row[VISCOUS], row[COULOMB], COULOMB_SPEED)
     slope -= coulomb_viscous(v - around, row[VISCOUS], row[COULOMB], COULOMB_SPEED)
     return OperatingPoint(
-        cylinder=model.layout.cylinders[circuit.cylinder], function=FUNCTIONS[function], payload=payload, x=float(here.x[index]), v=v,
+        cylinder=model.layout.cylinders[circuit.cylinder], function=FUNCTIONS[function], payload=payload, x=float(here.x[index]), v=float(v),
         q=tuple(map(float, q)), lever=float(here.lever[index]), mass=float(here.mass[index]),
         gravity_force=float(here.gravity_force[index]), damping=float(here.damping[index]), friction=float(slope / (2 * around)),
         bend=float(2.0 * here.curvature[index] * v / here.lever[index] ** 2), load_force=float(force), p_head=float(p_head),

@@ -40,7 +40,26 @@ def on_model(step, y, wish, mask, design, gains, memory, command, plant, tick, s
 
 
 @njit(cache=True, nogil=True)
-def on_bench(step, state, sample, wish, mask, design, gains, memory, command, bench, tick, steps, scratch, work, noise, log, notes, commands):
+def on_bench(
+    step,
+    state,
+    sample,
+    wish,
+    mask,
+    design,
+    gains,
+    memory,
+    command,
+    bench,
+    tick,
+    steps,
+    scratch,
+    work,
+    noise,
+    log,
+    notes,
+    commands,
+):
     """Run a controller on the virtual bench; the log is what it measured, the truth follows in its last columns."""
     channels = sample.shape[0]
     given = np.empty(channels)
@@ -69,7 +88,9 @@ def circuit_of(model, number, measured=None):
     """The circuit of a cylinder of a model."""
     plant = model.plant
     row = plant.cylinders[number]
-    return circuit(number, row[AREA_HEAD], row[AREA_ROD], plant.edges, plant.wiring, plant.maps, plant.valves[:, [LOWEST, HIGHEST]], measured)
+    return circuit(
+        number, row[AREA_HEAD], row[AREA_ROD], plant.edges, plant.wiring, plant.maps, plant.valves[:, [LOWEST, HIGHEST]], measured
+    )
 
 
 def axis_of(model, number, posture, measured=None):
@@ -94,13 +115,22 @@ def gains_of(model, ax, seventh=False, rules=None, **options):
     """Gains of the controller with defaults for a model."""
     supply = model.plant.supply
     packed = pack_rules(ax.circuit.area_rod, supply[0], allow_seventh=seventh, **(rules or {}))
-    given = {"tick": TICK, "supply_pressure": supply[0], "flow_limit": supply[2], "valve_lag": valve_lag(model, ax.circuit.cylinder)}
+    given = {
+        "tick": TICK,
+        "supply_pressure": supply[0],
+        "flow_limit": supply[2],
+        "valve_lag": valve_lag(model, ax.circuit.cylinder),
+    }
     return arc.pack_arc(ax, packed, **(given | options))
 
 
 def angle_at(model, number, x):
     """Joint angle of a cylinder at stroke x [m]."""
-    return float(joint_angle(int(model.plant.cylinders[number, GEOMETRY]), *model.plant.cylinders[number, [L_A, L_B, SIDE, PHASE, RETRACTED]], x))
+    return float(
+        joint_angle(
+            int(model.plant.cylinders[number, GEOMETRY]), *model.plant.cylinders[number, [L_A, L_B, SIDE, PHASE, RETRACTED]], x
+        )
+    )
 
 
 def _arrays(model, ax, wish):
@@ -121,7 +151,23 @@ def run_model(model, ax, gains, wish, posture=None, mask=None, y=None):
     log, memory = np.zeros((len(wish), channels)), np.zeros(arc.memory_size(ax))
     flows = np.zeros((len(wish), len(model.layout.edges) + 1))
     mask = arc.entitled(ax, channels) if mask is None else mask
-    on_model(arc.step, y, wish, mask, ax, gains, memory, command, model.plant, TICK, max(1, round(TICK / STEP)), log, notes, commands, flows)
+    on_model(
+        arc.step,
+        y,
+        wish,
+        mask,
+        ax,
+        gains,
+        memory,
+        command,
+        model.plant,
+        TICK,
+        max(1, round(TICK / STEP)),
+        log,
+        notes,
+        commands,
+        flows,
+    )
     return Run(wish, log, _noted(notes, names), commands, flows, memory, np.arange(len(wish)) * TICK)
 
 

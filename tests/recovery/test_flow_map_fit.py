@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ehbench.errors import InsufficientData
-from ehbench.identify.flow_map import Units, fit_flow_map, fit_flow_maps
+from ehbench.identification.flow_map import Units, fit_flow_map, fit_flow_maps
 from ehbench.physics.flow_map import collect, dump_flow_maps
 from ehbench.readers import merge_flowmeter, read_flowmeter
 

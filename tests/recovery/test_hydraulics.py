@@ -13,7 +13,7 @@ import pytest
 
 from ehbench import rundir
 from ehbench.errors import InputError, InsufficientData
-from ehbench.identify.hydraulics import compare_dynamics, identify_hydraulics
+from ehbench.identification.hydraulics import compare_dynamics, identify_hydraulics
 from ehbench.recipe import load_rig
 from ehbench.record import Record
 from ehbench.signals import ringing
@@ -40,7 +40,10 @@ def pulses(samples, *spans):
 def clean(name, payload=None, drive=None, samples=801):
     """A noise-free log of a rig: out and back with a pause, each a fraction of the log long; ``drive`` picks valves and volts."""
     a, b, c, d = (round(share * samples) for share in (0.07, 0.3, 0.55, 0.8))
-    commands = {valve: sum((pulses(samples, (a, b, out), (c, d, back)) for out, back in [volts]), np.zeros(samples)) for valve, volts in drive}
+    commands = {
+        valve: sum((pulses(samples, (a, b, out), (c, d, back)) for out, back in [volts]), np.zeros(samples))
+        for valve, volts in drive
+    }
     return simulate(rig(name), commands, (samples - 1) / 1000.0, payload=payload)
 
 
@@ -89,7 +92,10 @@ CASES = {
 def test_far_starts_come_back_within_intervals(name):
     drive, loads, factors = CASES[name]
     known = {parameter: float(rig(name).parameters()[parameter]) for parameter in factors}
-    start = {parameter: min(known[parameter] * factor, 1.7e9 if parameter == "bulk_modulus" else math.inf) for parameter, factor in factors.items()}
+    start = {
+        parameter: min(known[parameter] * factor, 1.7e9 if parameter == "bulk_modulus" else math.inf)
+        for parameter, factor in factors.items()
+    }
     logs = [(f"log {i}", noisy(clean(name, load, drive, 1501), i)) for i, load in enumerate(loads)]
     fit = identify_hydraulics(rig(name), logs, list(factors), start=start)
     for parameter, truth in known.items():
@@ -137,7 +143,10 @@ def test_intervals_cover(pole):
 
 
 def test_a_fit_is_the_same_however_many_threads():
-    results = [identify_hydraulics(rig("slide_servo"), slide_logs(3), SLIDE, start={"bulk_modulus": 3e8}, workers=n).as_json() for n in (1, 3, 3)]
+    results = [
+        identify_hydraulics(rig("slide_servo"), slide_logs(3), SLIDE, start={"bulk_modulus": 3e8}, workers=n).as_json()
+        for n in (1, 3, 3)
+    ]
     assert results[0] == results[1] == results[2]
     assert json.loads(json.dumps(rundir.plain(results[0]), allow_nan=False))["parameters"][0]["name"] == "bulk_modulus"
 
@@ -152,15 +161,23 @@ def test_a_sample_is_the_state_at_its_time():
     good, late = (identify_hydraulics(rig("slide_servo"), logs, SLIDE) for logs in (right, shifted))
     assert all(covers(good, item) for item in (("bulk_modulus", 9e8), ("carriage.damping", 800.0)))
     assert not any("behind" in text for text in good.warnings)
-    off = max(abs(late[name].value - truth) / good[name].std for name, truth in (("bulk_modulus", 9e8), ("carriage.damping", 800.0)))
+    off = max(
+        abs(late[name].value - truth) / good[name].std for name, truth in (("bulk_modulus", 9e8), ("carriage.damping", 800.0))
+    )
     assert off > 10.0  # biased by far more than the noise explains
-    assert all(b.residual_rms[c] > 1.2 * a.residual_rms[c] for a, b in zip(good.logs, late.logs, strict=True) for c in ("press.p_head", "press.p_rod"))
+    assert all(
+        b.residual_rms[c] > 1.2 * a.residual_rms[c]
+        for a, b in zip(good.logs, late.logs, strict=True)
+        for c in ("press.p_head", "press.p_rod")
+    )
     assert any("behind" in text for text in late.warnings)
 
 
 def test_what_a_closed_valve_hides_is_not_excited():
     logs = [("boom", noisy(clean("boom_four_valve", None, FOUR[:2]), 5))]  # opens sh and rt only
-    fit = identify_hydraulics(rig("boom_four_valve"), logs, ["bulk_modulus", "boom.sr.flow_gain"], start={"boom.sr.flow_gain": "2.5 L/min/V/MPa^0.5"})
+    fit = identify_hydraulics(
+        rig("boom_four_valve"), logs, ["bulk_modulus", "boom.sr.flow_gain"], start={"boom.sr.flow_gain": "2.5 L/min/V/MPa^0.5"}
+    )
     hidden = fit["boom.sr.flow_gain"]
     assert (hidden.status, hidden.std, hidden.interval) == ("not_excited", None, None)
     assert hidden.value == hidden.start
@@ -172,7 +189,9 @@ def test_what_a_closed_valve_hides_is_not_excited():
 
 
 def test_a_bound_that_holds_is_told():
-    fit = identify_hydraulics(rig("slide_servo"), slide_logs(6), SLIDE, start={"bulk_modulus": 5e8}, upper={"bulk_modulus": "700 MPa"})
+    fit = identify_hydraulics(
+        rig("slide_servo"), slide_logs(6), SLIDE, start={"bulk_modulus": 5e8}, upper={"bulk_modulus": "700 MPa"}
+    )
     held = fit["bulk_modulus"]
     assert (held.status, held.value) == ("at_bound", 7e8)
     assert any("ran into its upper bound" in text for text in fit.warnings)
@@ -181,7 +200,13 @@ def test_a_bound_that_holds_is_told():
 def test_a_pair_that_only_works_together_is_told():
     """Slide damping and the cylinder's viscous friction are one number for the data."""
     pair = ["carriage.damping", "press.friction_viscous"]
-    fit = identify_hydraulics(rig("slide_servo"), slide_logs(7), ["bulk_modulus", *pair], upper={"press.friction_viscous": 2000.0}, start={"press.friction_viscous": 300.0})
+    fit = identify_hydraulics(
+        rig("slide_servo"),
+        slide_logs(7),
+        ["bulk_modulus", *pair],
+        upper={"press.friction_viscous": 2000.0},
+        start={"press.friction_viscous": 300.0},
+    )
     assert {fit[name].status for name in pair} == {"correlated"}
     assert any("correlated by -" in text for text in fit.warnings)
     assert fit["bulk_modulus"].status == "estimated"
@@ -189,7 +214,10 @@ def test_a_pair_that_only_works_together_is_told():
 
 
 def test_a_rate_that_was_not_recorded_comes_from_the_position():
-    logs = [(name, replace(r, channels={c: v for c, v in r.channels.items() if not c.endswith((".qd", ".v"))})) for name, r in slide_logs(8)]
+    logs = [
+        (name, replace(r, channels={c: v for c, v in r.channels.items() if not c.endswith((".qd", ".v"))}))
+        for name, r in slide_logs(8)
+    ]
     fit = identify_hydraulics(rig("slide_servo"), logs, SLIDE, start={"bulk_modulus": 3e8})
     assert "press.qd" in fit.logs[0].fit_percent
     assert abs(fit["bulk_modulus"].value - 9e8) < 4.0 * fit["bulk_modulus"].std
@@ -199,7 +227,9 @@ def test_a_rate_that_was_not_recorded_comes_from_the_position():
 
 def test_a_low_pass_leaves_the_answer():
     fit = identify_hydraulics(rig("slide_servo"), slide_logs(9), SLIDE, cutoff=80.0)
-    assert all(abs(fit[name].value - truth) < 4.0 * fit[name].std for name, truth in (("bulk_modulus", 9e8), ("carriage.damping", 800.0)))
+    assert all(
+        abs(fit[name].value - truth) < 4.0 * fit[name].std for name, truth in (("bulk_modulus", 9e8), ("carriage.damping", 800.0))
+    )
 
 
 def test_the_recorded_ringing_is_the_linear_formula():
@@ -232,7 +262,12 @@ def test_the_thesis_way_recovers(factor):
 def test_commands_read_back_with_noise_do(method):
     rng = np.random.default_rng(12)
     logs = [
-        (name, replace(r, channels={c: v + 0.01 * rng.standard_normal(v.size) * c.endswith("command") for c, v in r.channels.items()}))
+        (
+            name,
+            replace(
+                r, channels={c: v + 0.01 * rng.standard_normal(v.size) * c.endswith("command") for c, v in r.channels.items()}
+            ),
+        )
         for name, r in slide_logs(12)
     ]
     fit = identify_hydraulics(rig("slide_servo"), logs, SLIDE, method=method, start={"bulk_modulus": 4e8})
@@ -246,7 +281,15 @@ def test_the_thesis_way_refuses_what_it_cannot():
     still = [(name, replace(r, channels={c: np.full_like(v, v[0]) for c, v in r.channels.items()})) for name, r in slide_logs(0)]
     with pytest.raises(InsufficientData, match="no valve command"):
         identify_hydraulics(rig("slide_servo"), still, SLIDE, method="thesis")
-    dull = [(name, replace(r, channels={c: v if c.endswith("command") else np.full_like(v, v[0]) + 1e-3 * r.t for c, v in r.channels.items()})) for name, r in slide_logs(0)]
+    dull = [
+        (
+            name,
+            replace(
+                r, channels={c: v if c.endswith("command") else np.full_like(v, v[0]) + 1e-3 * r.t for c, v in r.channels.items()}
+            ),
+        )
+        for name, r in slide_logs(0)
+    ]
     with pytest.raises(InsufficientData, match="no transient of these logs rings"):
         identify_hydraulics(rig("slide_servo"), dull, SLIDE, method="thesis")
 
@@ -284,15 +327,21 @@ def test_what_follows_an_empty_chamber_does_not_count():
     spoilt = {c: np.where(void, -8e4, v) if c == "press.p_head" else v for c, v in record.channels.items()}
     later = (record.t >= 0.3) & (record.t < 0.44)
     spoilt["press.p_rod"] = np.where(later, record["press.p_rod"] + 1e6, record["press.p_rod"])
-    fit = identify_hydraulics(rig("slide_servo"), [(name, replace(record, channels=spoilt)), *logs[1:]], SLIDE, start={"bulk_modulus": 4e8})
+    fit = identify_hydraulics(
+        rig("slide_servo"), [(name, replace(record, channels=spoilt)), *logs[1:]], SLIDE, start={"bulk_modulus": 4e8}
+    )
     assert any("cavitates at 0.25" in text for text in fit.warnings)
-    assert fit.logs[0].counted["press.p_rod"] == pytest.approx(100 * (1 - 0.24 / 0.8), abs=1)  # 0.25 s to 0.05 s after the next step
+    assert fit.logs[0].counted["press.p_rod"] == pytest.approx(
+        100 * (1 - 0.24 / 0.8), abs=1
+    )  # 0.25 s to 0.05 s after the next step
     assert abs(fit["bulk_modulus"].value - 9e8) < 4.0 * fit["bulk_modulus"].std
 
 
 def test_valve_dynamics_are_told_apart():
     machine = rig("slide_servo")
-    slow = machine.dynamics["spool"].model_copy(update={"natural_frequency": replace(machine.dynamics["spool"].natural_frequency, value=150.0, text=None)})
+    slow = machine.dynamics["spool"].model_copy(
+        update={"natural_frequency": replace(machine.dynamics["spool"].natural_frequency, value=150.0, text=None)}
+    )
     machine = machine.model_copy(update={"dynamics": {**machine.dynamics, "slow": slow}})
     ranking = compare_dynamics(machine, slide_logs(11, count=1), SLIDE, ["slow", "spool"])
     assert [one.dynamics for one in ranking] == ["spool", "slow"]

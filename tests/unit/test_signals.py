@@ -26,7 +26,9 @@ def coloured(rng, n, pole):
     return lfilter([math.sqrt(1.0 - pole**2)], [1.0, -pole], noise)[500:]
 
 
-@pytest.mark.parametrize("hertz, zeta, duration", [(4.0, 0.1, 1.5), (4.0, 0.1, 3.0), (20.0, 0.05, 2.0), (3.0, 0.3, 1.0), (40.0, 0.2, 3.0)])
+@pytest.mark.parametrize(
+    "hertz, zeta, duration", [(4.0, 0.1, 1.5), (4.0, 0.1, 3.0), (20.0, 0.05, 2.0), (3.0, 0.3, 1.0), (40.0, 0.2, 3.0)]
+)
 def test_ringing_in_noise_offset_and_drift(hertz, zeta, duration):
     omega = 2 * math.pi * hertz
     t, wave = oscillation(omega, zeta, duration)
@@ -63,7 +65,9 @@ def test_channels_share_one_oscillation():
     t, wave = oscillation(25.0, 0.1, 1.0)
     _, other = oscillation(25.0, 0.1, 1.0, phase=2.0)
     rng = np.random.default_rng(2)
-    both = np.column_stack([1e5 * (wave + 0.3 * rng.standard_normal(t.size)) + 2e6, 0.01 * (other + 0.3 * rng.standard_normal(t.size))])
+    both = np.column_stack(
+        [1e5 * (wave + 0.3 * rng.standard_normal(t.size)) + 2e6, 0.01 * (other + 0.3 * rng.standard_normal(t.size))]
+    )
     alone, joint = signals.ringing(t, both[:, 0]), signals.ringing(t, both)
     assert joint.ok and abs(joint.natural_frequency - 25.0) < 4 * joint.natural_frequency_std
     assert joint.natural_frequency_std < alone.natural_frequency_std
@@ -76,7 +80,11 @@ def test_ringing_says_why_there_is_none():
     rng = np.random.default_rng(3)
     assert "nothing moves" in signals.ringing(t, np.full(t.size, 4.2)).reason
     assert "samples" in signals.ringing(t[:10], t[:10]).reason
-    for y in (rng.standard_normal(t.size) + 3 * t, 1 - np.exp(-t / 0.1) + 0.01 * rng.standard_normal(t.size), t**2 + 1e-9 * rng.standard_normal(t.size)):
+    for y in (
+        rng.standard_normal(t.size) + 3 * t,
+        1 - np.exp(-t / 0.1) + 0.01 * rng.standard_normal(t.size),
+        t**2 + 1e-9 * rng.standard_normal(t.size),
+    ):
         found = signals.ringing(t, y)
         assert not found.ok and found.reason and math.isnan(found.natural_frequency)
 

@@ -13,7 +13,7 @@ from ehbench.recipe import Thresholds, load_recipe, load_rig
 from ehbench.record import Record
 from ehbench.rundir import write_json
 from ehbench.simulate import simulate
-from ehbench.validate import Ring, Validation, read_validation, validate_rig
+from ehbench.validation import Ring, Validation, read_validation, validate_rig
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 NOISE = {"q": 4e-4, "qd": 2e-3, "x": 1e-4, "v": 1e-3, "p_head": 8e3, "p_rod": 8e3, "command": 0.0}

@@ -1,0 +1,1 @@
+"""Fits with uncertainty: flow maps, hydraulics."""

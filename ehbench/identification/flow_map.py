@@ -1,0 +1,733 @@
+"""Flowmeter readings to flow maps, with noise, deadband, outliers and intervals found from the readings.
+
+The spline of ``physics.flow_map`` is fitted by least squares on its positive increments with a penalty on its
+curvature in either direction. Readings at one command and nearly one drop form a cell: their scatter gives the noise,
+the cells' means the fit, and what the fit leaves beyond the noise widens every interval.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ehbench.errors import InsufficientData
+from ehbench.physics.flow_map import FlowMap, bspline_pieces, root_drop
+from ehbench.quantities import VOCABULARY
+from ehbench.units import from_si
+
+if TYPE_CHECKING:
+    from ehbench.readers import FlowmeterData
+
+OUTLIER_SIGMAS = 5.0
+# a spline slope of this share of the rated flow over the command range keeps the map strictly increasing
+_LEAST_SLOPE = 1e-4
+# no meter is better than this share of the rated flow; keeps weights finite on noise-free data
+_LEAST_NOISE = 1e-4
+_SPANS_U, _SPANS_S = 16, 10
+_Z95 = 1.959964
+
+
+@dataclass(frozen=True)
+class Units:
+    """The units in which sentences show flows and drops."""
+
+    flow_unit: str = VOCABULARY["flow"].display
+    pressure_unit: str = VOCABULARY["pressure_drop"].display
+
+    def flow(self, value: float, digits: int = 4) -> str:
+        return f"{from_si(value, self.flow_unit, VOCABULARY['flow']):.{digits}g} {self.flow_unit}"
+
+    def drop(self, value: float) -> str:
+        return f"{from_si(value, self.pressure_unit, VOCABULARY['pressure_drop']):.4g} {self.pressure_unit}"
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A reading left out of the fit: file and line, command [V], drop [Pa], flow [m³/s], distance from the map in sigmas."""
+
+    file: str
+    line: int
+    command: float
+    pressure_drop: float
+    flow: float
+    sigmas: float
+
+    def sentence(self, show: Units) -> str:
+        where = f"{self.file}:{self.line}" if self.file else f"line {self.line}"
+        point = f"{show.flow(self.flow)} at {self.command:g} V and {show.drop(self.pressure_drop)}"
+        return f"{where}: {point} lies {self.sigmas:+.1f} sigma from the map"
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A flow [m³/s] that a command [V] should give, and what the map gives there.
+
+    ``flow`` is the mean over the drops from ``drop_low`` to ``drop_high`` [Pa], ``low`` and ``high`` its 95 % interval,
+    ``least`` and ``most`` the range of the map over those drops. ``verdict``: ``met`` or ``missed`` where the whole
+    interval lies inside or outside of target·(1 ± tolerance), else ``undecided``; ``not_measured`` outside the commands.
+    """
+
+    command: float
+    target: float
+    tolerance: float
+    flow: float
+    low: float
+    high: float
+    least: float
+    most: float
+    drop_low: float
+    drop_high: float
+    verdict: str
+
+    def sentence(self, show: Units) -> str:
+        if self.verdict == "not_measured":
+            return f"{self.command:g} V lies outside the measured commands: {show.flow(self.target)} there cannot be checked"
+        gives = f"{self.command:g} V gives {show.flow(self.flow)} ({show.flow(self.low)} to {show.flow(self.high)})"
+        drops = show.drop(self.drop_low)
+        drops = f"at {drops}" if self.drop_low == self.drop_high else f"from {drops} to {show.drop(self.drop_high)}"
+        return f"{gives} {drops}, asked {show.flow(self.target)} ± {100 * self.tolerance:.3g} %: {self.verdict}"
+
+
+@dataclass(frozen=True)
+class FlowMapFit:
+    """A map and how it was found. SI.
+
+    ``deadband`` [V] with ``deadband_std`` and 95 % interval, which hold if the flow starts with a kink there; ``bracket``
+    [V, V]: the highest command with no flow for sure and the lowest with some, whatever the shape. ``status`` of the
+    deadband: ``estimated``, ``at_bound`` (0 V) or ``not_excited`` (flow at the lowest command measured). ``noise``: per
+    method (floor [m³/s], share of the flow), the standard deviation of one reading being √(floor² + (share·flow)²).
+    ``replicates``: degrees of freedom behind the noise; 0 means that it was taken from the residuals. ``lack_of_fit``:
+    variance of cell means about the map over what the noise explains, at least 1; every interval is widened by its root.
+    ``smoothing``: penalty along opening and root of drop; ``parameters``: effective number of them. ``rms`` [m³/s]: of
+    the residuals of the readings used. ``leakage`` [m³/s]: mean flow at commands below the deadband, which the map takes
+    as shut. ``trial_scatter``: standard error [1] of the mean of the trials' common factors beyond the noise.
+    ``residuals`` [m³/s] and ``sigmas`` [1]: one a reading in the order given, NaN at drops of zero or less.
+    ``warnings``: plain sentences.
+    """
+
+    map: FlowMap
+    deadband: float
+    deadband_interval: tuple[float, float]
+    deadband_std: float
+    bracket: tuple[float, float]
+    status: str
+    noise: dict[str, tuple[float, float]]
+    replicates: int
+    lack_of_fit: float
+    smoothing: tuple[float, float]
+    parameters: float
+    readings: int
+    cells: int
+    outliers: tuple[Outlier, ...]
+    rms: float
+    leakage: float
+    trial_scatter: float
+    calibration: tuple[Calibration, ...]
+    residuals: np.ndarray = field(repr=False)
+    sigmas: np.ndarray = field(repr=False)
+    warnings: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict:
+        """The summary without map and residuals, for a JSON file."""
+        skip = ("map", "residuals", "sigmas")
+        plain = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in skip}
+        plain["outliers"] = [asdict(one) for one in self.outliers]
+        plain["calibration"] = [asdict(one) for one in self.calibration]
+        return {"valve": self.map.valve, "direction": self.map.direction, "rated_flow": self.map.rated_flow, **plain}
+
+
+def fit_flow_map(
+    valve: str,
+    direction: str,
+    command: np.ndarray,
+    pressure_drop: np.ndarray,
+    flow: np.ndarray,
+    *,
+    method: np.ndarray | None = None,
+    trial: np.ndarray | None = None,
+    line: np.ndarray | None = None,
+    file: str | np.ndarray = "",
+    meter_limit: float = 0.0,
+    rated_flow: float | None = None,
+    calibration: Sequence[tuple[float, float, float]] = (),
+    reference_drop: float | tuple[float, float] | None = None,
+    show: Units | None = None,
+) -> FlowMapFit:
+    """The flow map of one edge in one direction from readings, with intervals.
+
+    Args:
+        command: openings [V], shape (readings,), positive where the edge opens (times −1 for a spool's other half).
+        pressure_drop: [Pa] along the direction; readings at a drop of zero or less say nothing and are left out.
+        flow: [m³/s] along the direction.
+        method: ``flowmeter`` or ``cylinder`` per reading; each has its own noise.
+        trial: number per reading; trials that differ as a whole widen the intervals.
+        file, line: where each reading stands, for naming outliers; ``file`` may be one for all.
+        meter_limit: [m³/s] a flowmeter reading below it counts as 0 ± this.
+        rated_flow: [m³/s]; the largest fitted flow among the cells if not given.
+        calibration: (command [V], flow [m³/s], tolerance as a share of the flow) to check.
+        reference_drop: [Pa] or a range, where the calibration is checked; the upper half of the drops measured at
+            the command if not given.
+        show: units of the sentences; gpm and kPa if not given.
+
+    Raises:
+        InsufficientData: fewer than 4 commands, fewer than 3 of them passing flow, or fewer than 4 drops.
+    """
+    who = f"flow map of '{valve}' ({direction})"
+    readings = _readings(who, command, pressure_drop, flow, method, trial, file, line, meter_limit)
+    fit = _Fit(who, readings, rated_flow, show or Units())
+    fit.run()
+    return fit.summary(valve, direction, calibration, reference_drop)
+
+
+def fit_flow_maps(data: FlowmeterData, **options) -> list[FlowMapFit]:
+    """One fit for each valve and direction in the readings, sorted by name; options as ``fit_flow_map``.
+
+    Raises:
+        InsufficientData: a valve has too few readings.
+    """
+    names = ("command", "pressure_drop", "flow", "method", "trial", "file", "line")
+    rows = ((group, data.select(*group)) for group in data.groups())
+    return [fit_flow_map(*group, **{name: getattr(part, name) for name in names}, **options) for group, part in rows]
+
+
+@dataclass
+class _Readings:
+    size: int
+    row: np.ndarray
+    u: np.ndarray
+    drop: np.ndarray
+    q: np.ndarray
+    method: np.ndarray
+    trial: np.ndarray
+    file: np.ndarray
+    line: np.ndarray
+    cell: np.ndarray
+    level: np.ndarray
+    least_std: np.ndarray
+
+
+def _clusters(values: np.ndarray, share: float, width: float) -> np.ndarray:
+    """Label of the cluster of each value; a cluster spans at most share·(its least value) + width."""
+    order = np.argsort(values, kind="stable")
+    labels = np.empty(values.size, int)
+    start, label = -np.inf, -1
+    for i in order:
+        if values[i] > start + share * abs(start) + width or label < 0:
+            start, label = values[i], label + 1
+        labels[i] = label
+    return labels
+
+
+def _readings(who, command, drop, flow, method, trial, file, line, meter_limit) -> _Readings:
+    """Readings at positive drops, in an order that does not depend on the file's, gathered in cells."""
+    u, drop, q = (np.asarray(a, float) for a in (command, drop, flow))
+    if not (u.ndim == 1 and u.shape == drop.shape == q.shape):
+        raise ValueError("command, pressure_drop and flow must be one-dimensional and of one length")
+    if not np.all(np.isfinite([u, drop, q])):
+        raise ValueError("command, pressure_drop and flow must be finite")
+    if np.any(u < 0):
+        raise ValueError("openings must not be negative: multiply the command by the sign of the edge")
+    n = u.size
+    method = np.full(n, "flowmeter") if method is None else np.asarray(method).astype(str)
+    file = np.full(n, file) if isinstance(file, str) else np.asarray(file).astype(str)
+    trial = np.zeros(n, int) if trial is None else np.asarray(trial, int)
+    line = np.arange(1, n + 1) if line is None else np.asarray(line, int)
+    use = np.flatnonzero(drop > 0)
+    if use.size == 0:
+        raise InsufficientData(f"the {who} has no reading at a pressure drop above zero")
+    use = use[np.lexsort((line[use], q[use], drop[use], u[use]))]
+    trial = np.unique(file, return_inverse=True)[1] * (trial.max() + 1) + trial  # trial 1 of two files is two trials
+    u, drop, q, method, trial, file, line = (a[use] for a in (u, drop, q, method, trial, file, line))
+
+    level = _clusters(u, 0.0, 0.005 * max(u.max(), 1e-12))
+    u_level = np.bincount(level, u) / np.bincount(level)
+    key = np.empty((u.size, 3), int)
+    key[:, 0], key[:, 2] = level, method == "cylinder"
+    for k in range(u_level.size):
+        at = level == k
+        key[at, 1] = _clusters(drop[at], 0.03, 0.003 * drop.max())
+    cell = np.unique(key, axis=0, return_inverse=True)[1].ravel()
+
+    drops = np.unique(_clusters(drop, 0.03, 0.003 * drop.max())).size
+    if u_level.size < 4:
+        raise InsufficientData(
+            f"the {who} has readings at {u_level.size} commands", hint="4 or more are needed, 3 of them passing flow"
+        )
+    if drops < 4:
+        raise InsufficientData(f"the {who} has readings at {drops} pressure drops", hint="4 or more different ones are needed")
+    censored = (method != "cylinder") & (np.abs(q) < meter_limit)
+    q = np.where(censored, 0.0, q)
+    return _Readings(n, use, u, drop, q, method, trial, file, line, cell, level, np.where(censored, meter_limit, 0.0))
+
+
+def _gram(pieces: np.ndarray, breaks: np.ndarray, order: int) -> np.ndarray:
+    """∫ B_i^(order) B_j^(order) of the splines given as polynomial pieces (``bspline_pieces``), exact."""
+    for _ in range(order):
+        pieces = pieces[..., 1:] * np.arange(1, pieces.shape[-1])
+    nodes, weights = np.polynomial.legendre.leggauss(pieces.shape[-1])
+    width = np.diff(breaks)
+    x = 0.5 * (nodes + 1)[None, :] * width[:, None]
+    values = np.einsum("jkp,jgp->jgk", pieces, x[..., None] ** np.arange(pieces.shape[-1]))
+    return np.einsum("jgk,jgl,g,j->kl", values, values, weights, 0.5 * width)
+
+
+def _basis(breaks: np.ndarray, pieces: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Splines at x, shape (x, splines)."""
+    j = np.clip(np.searchsorted(breaks, x, side="right") - 1, 0, breaks.size - 2)
+    powers = (x - breaks[j])[:, None] ** np.arange(pieces.shape[-1])
+    return np.einsum("xkp,xp->xk", pieces[j], powers)
+
+
+class _Spline:
+    """The spline of one deadband on opening and root-of-drop scaled to 0…1: design, penalties, smoothing, fit."""
+
+    def __init__(self, deadband: float, levels: np.ndarray, drop_breaks: np.ndarray) -> None:
+        self.deadband, self.top = deadband, float(levels[-1])
+        inner = levels[(levels > deadband) & (levels < self.top)]
+        if inner.size > _SPANS_U - 1:
+            inner = np.quantile(inner, np.linspace(0, 1, _SPANS_U + 1)[1:-1])
+        self.u_breaks = np.concatenate([[0.0], (inner - deadband) / (self.top - deadband), [1.0]])
+        self.s_breaks = drop_breaks
+        self.u_pieces, self.s_pieces = bspline_pieces(self.u_breaks, 2), bspline_pieces(drop_breaks, 3)
+        self.rows, self.columns = self.u_pieces.shape[1] - 1, self.s_pieces.shape[1] - 1
+
+    @cached_property
+    def penalty(self):
+        """(curvature along u, curvature along s, their eigenvalues, log determinant of the mass): all in ∫∫."""
+        from scipy.linalg import eigh
+
+        bend_u, mass_u = (_gram(self.u_pieces, self.u_breaks, k)[1:, 1:] for k in (2, 0))
+        bend_s, mass_s = (_gram(self.s_pieces, self.s_breaks, k)[1:, 1:] for k in (2, 0))
+        eigen_u, eigen_s = eigh(bend_u, mass_u, eigvals_only=True), eigh(bend_s, mass_s, eigvals_only=True)
+        eigen_u[0] = eigen_s[0] = 0.0  # the straight line in either direction is free
+        mass = self.columns * np.linalg.slogdet(mass_u)[1] + self.rows * np.linalg.slogdet(mass_s)[1]
+        return np.kron(bend_u, mass_s), np.kron(mass_u, bend_s), eigen_u, eigen_s, mass
+
+    @cached_property
+    def floor(self) -> np.ndarray:
+        """Coefficients of the least map, u·s."""
+        t = np.concatenate([[0.0, 0.0], self.u_breaks, [1.0, 1.0]])
+        x = np.concatenate([[0.0] * 3, self.s_breaks, [1.0] * 3])
+        u = np.array([t[k + 1 : k + 3].mean() for k in range(self.rows + 1)])[1:]
+        s = np.array([x[k + 1 : k + 4].mean() for k in range(self.columns + 1)])[1:]
+        return _LEAST_SLOPE * np.outer(u, s).ravel()
+
+    def design(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Flow per coefficient at openings [V] and scaled roots, zero up to the deadband; shape (points, coefficients)."""
+        x = np.clip((u - self.deadband) / (self.top - self.deadband), 0.0, 1.0)
+        in_u, in_s = _basis(self.u_breaks, self.u_pieces, x)[:, 1:], _basis(self.s_breaks, self.s_pieces, s)[:, 1:]
+        return (in_u[:, :, None] * in_s[:, None, :]).reshape(x.size, -1)
+
+    def system(self, gram: np.ndarray, smoothing: np.ndarray):
+        """(Cholesky factor of the penalised normal matrix, log determinant relative to the prior's)."""
+        bend_u, bend_s, eigen_u, eigen_s, mass = self.penalty
+        factor = np.linalg.cholesky(gram + smoothing[0] * bend_u + smoothing[1] * bend_s)
+        prior = (smoothing[0] * eigen_u[:, None] + smoothing[1] * eigen_s).ravel()[1:]
+        return factor, 2 * np.log(np.diag(factor)).sum() - mass - np.log(prior).sum()
+
+    def solve(self, factor: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """Coefficients with increments along u of at least those of ``floor`` (non-negative least squares)."""
+        from scipy.linalg import solve_triangular
+        from scipy.optimize import nnls
+
+        half = solve_triangular(factor, right, lower=True)
+        free = solve_triangular(factor, half, lower=True, trans="T")
+        if np.all(self.increments(free - self.floor) >= 0):
+            return free
+        summed = np.cumsum(factor.T.reshape(-1, self.rows, self.columns)[:, ::-1], axis=1)[:, ::-1].reshape(factor.shape)
+        steps, _ = nnls(summed, half - factor.T @ self.floor, maxiter=50 * half.size)
+        return self.floor + np.cumsum(steps.reshape(self.rows, self.columns), axis=0).ravel()
+
+    def increments(self, coefficients: np.ndarray) -> np.ndarray:
+        return np.diff(coefficients.reshape(self.rows, self.columns), axis=0, prepend=0.0)
+
+
+class _Fit:
+    """The steps of one fit, in order: ``run`` and then ``summary``. Flows are scaled by ``rated`` inside."""
+
+    def __init__(self, who: str, readings: _Readings, rated: float | None, show: Units) -> None:
+        self.who, self.r, self.show = who, readings, show
+        self.keep = np.ones(readings.q.size, bool)
+        self.levels = np.bincount(readings.level, readings.u) / np.bincount(readings.level)
+        self.rated = float(rated) if rated else float(_medians(readings.q, readings.cell).max())
+        if not self.rated > 0:
+            raise InsufficientData(
+                f"the {who} passes no flow at any command", hint="3 or more commands above the deadband are needed"
+            )
+        self.y = readings.q / self.rated
+        self.drop_max = float(readings.drop.max())
+        least = float(np.quantile(readings.drop, 0.02))
+        # an orifice bends by 1 % at five times delta; the bounds keep the slope at zero finite and the bend out of sight
+        self.delta = float(np.clip(least / 5.0, 1e-3 * self.drop_max, 1e-2 * self.drop_max))
+        self.s = root_drop(readings.drop, self.delta) / root_drop(self.drop_max, self.delta)
+        distinct = np.unique(_clusters(readings.drop, 0.03, 0.003 * self.drop_max)).size
+        self.s_breaks = np.linspace(0.0, 1.0, int(np.clip(distinct - 1, 3, _SPANS_S)) + 1)
+        self.noise = {name: (3e-3, 1e-2) for name in sorted(set(readings.method.tolist()))}
+        self.replicates, self.lack, self.trial_scatter = 0, 1.0, 0.0
+        self.smoothing = np.array([1e-2, 1e-2])
+
+    # readings and cells
+    def std(self, flow: np.ndarray) -> np.ndarray:
+        """Standard deviation of each single reading, given the map's flow there."""
+        floor, share = np.array([self.noise[m] for m in self.r.method]).T
+        return np.sqrt(floor**2 + (share * flow) ** 2 + self.r.least_std**2 / self.rated**2 + _LEAST_NOISE**2)
+
+    def cells(self, flow: np.ndarray):
+        """(command, root, flow, weight) of the mean of the kept readings of each cell; weight 0 where none is kept."""
+        r = self.r
+        weight = np.where(self.keep, 1.0 / self.std(flow) ** 2, 0.0)
+        total = np.bincount(r.cell, weight)
+        mean = [np.bincount(r.cell, weight * a) / np.maximum(total, 1e-300) for a in (r.u, self.s, self.y)]
+        return *mean, total
+
+    def measure_noise(self, flow: np.ndarray) -> None:
+        """Noise per method from the scatter inside cells about the map's course; from the residuals without repeats."""
+        r, keep = self.r, self.keep
+        residual = self.y - flow
+        dof_all = 0
+        for name in self.noise:
+            use = keep & (r.method == name) & (r.least_std == 0)
+            count = np.bincount(r.cell[use], minlength=r.cell.max() + 1)
+            mean = np.bincount(r.cell[use], residual[use], count.size) / np.maximum(count, 1)
+            inside = residual - mean[r.cell]
+            dof = np.where(use, 1.0 - 1.0 / np.maximum(count, 1)[r.cell], 0.0)
+            if dof.sum() < 6:
+                inside, dof = residual, np.where(use, max(1.0 - self.parameters / max(keep.sum(), 1), 0.1), 0.0)
+            else:
+                dof_all += int(round(dof.sum()))
+            if dof.sum() > 0:
+                self.noise[name] = _growing(inside[use] ** 2, dof[use], flow[use])
+        self.replicates = dof_all
+
+    # the fit
+    def spline(self, deadband: float) -> _Spline:
+        return _Spline(deadband, self.levels, self.s_breaks)
+
+    def normal(self, spline: _Spline, cells):
+        u, s, y, weight = cells
+        design = spline.design(u, s)
+        design *= (u > spline.deadband)[:, None]
+        return design, (design.T * weight) @ design, (design.T * weight) @ y
+
+    def choose_smoothing(self, cells) -> None:
+        """Restricted maximum likelihood of the two penalties, the scale of the noise left free (Wood 2011)."""
+        from scipy.linalg import solve_triangular
+        from scipy.optimize import minimize
+
+        spline = self.spline(self.deadband)
+        _, gram, right = self.normal(spline, cells)
+        total, n, unit = float(cells[3] @ cells[2] ** 2), np.count_nonzero(cells[3]), float(cells[3].sum())
+
+        def score(log10: np.ndarray) -> float:
+            factor, determinant = spline.system(gram, 10.0 ** np.clip(log10, -12, 3) * unit)
+            half = solve_triangular(factor, right, lower=True)
+            return (n - 1) * np.log(max(total - half @ half, 1e-12 * total)) + determinant
+
+        starts = [np.array([a, b], float) for a in range(-9, 0, 2) for b in range(-9, 0, 2)]
+        best = minimize(score, min(starts, key=score), method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.01})
+        self.smoothing = 10.0 ** np.clip(best.x, -12, 3) * unit
+
+    def solve(self, spline: _Spline, cells):
+        """(coefficients, −2 log likelihood of the spline's deadband with the scale of the noise left free)."""
+        _, gram, right = self.normal(spline, cells)
+        factor, determinant = spline.system(gram, self.smoothing)
+        c = spline.solve(factor, right)
+        misfit = float(cells[3] @ cells[2] ** 2) - 2 * right @ c + np.sum((factor.T @ c) ** 2)
+        return c, (np.count_nonzero(cells[3]) - 1) * np.log(max(misfit, 1e-12)) + determinant
+
+    def first_flow(self, cells) -> int:
+        """Index of the lowest command that passes flow for sure, and so do all above it."""
+        u, _, y, weight = cells
+        level = np.argmin(np.abs(u[:, None] - self.levels), axis=1)
+        total = np.maximum(np.bincount(level, weight, self.levels.size), 1e-300)
+        mean = np.bincount(level, weight * y, self.levels.size) / total
+        shut = np.flatnonzero((mean * np.sqrt(total / self.lack) <= 4.0) | (mean <= 1e-3))
+        first = int(shut[-1]) + 1 if shut.size else 0
+        if self.levels.size - first < 3:
+            raise InsufficientData(
+                f"the {self.who} passes flow at {self.levels.size - first} of its {self.levels.size} commands",
+                hint="3 or more commands above the deadband are needed",
+            )
+        return first
+
+    def find_deadband(self, cells) -> None:
+        """Deadband by its profile likelihood: the best one, its standard deviation and 95 % interval."""
+        k = self.first_flow(cells)
+        below = float(self.levels[k - 1]) if k else 0.0
+        low = float(self.levels[k - 2]) if k > 1 else 0.0
+        high = float(self.levels[k]) - 0.02 * (float(self.levels[k]) - below)
+        self.flows_at_lowest = k == 0
+        self.deadband, self.deadband_std, self.deadband_interval = 0.0, 0.0, (0.0, 0.0)
+        for _ in range(2 if high > low else 0):
+            grid = np.linspace(low, high, 17)
+            profile = np.array([self.solve(self.spline(u), cells)[1] for u in grid])
+            rise = profile - profile.min()
+            near = np.flatnonzero(rise < 18.0)
+            low, high = grid[max(near[0] - 1, 0)], grid[min(near[-1] + 1, 16)]
+            best = int(np.argmin(rise))
+            self.deadband = round(_lowest(grid, rise, best), 6)
+            weight = np.exp(-0.5 * rise)
+            spread = weight @ (grid - self.deadband) ** 2 / weight.sum() + (grid[1] - grid[0]) ** 2 / 12
+            self.deadband_std = float(np.sqrt(spread))
+            lower, upper = (_crossing(grid[best::way], rise[best::way], 3.841) for way in (-1, 1))
+            self.deadband_interval = (round(min(lower, self.deadband), 6), round(max(upper, self.deadband), 6))
+        self.bracket = (below, float(self.levels[k]))
+
+    def guess(self) -> np.ndarray:
+        """Flow by a robust fit to the cells' medians; leaves out what lies far from it."""
+        r = self.r
+        u, s, y, weight = self.cells(np.abs(self.y))
+        y = _medians(self.y, r.cell)
+        passes = _medians(y, _medians(r.level, r.cell).astype(int)) > 5e-3
+        k = min(int(np.flatnonzero(~passes)[-1]) + 1 if not passes.all() else 0, self.levels.size - 3)
+        self.deadband = 0.5 * float(self.levels[k - 1] + self.levels[k]) if k else 0.0
+        spline, huber = self.spline(self.deadband), 1.0
+        self.smoothing = np.full(2, 1e-5 * weight.sum())
+        for _ in range(10):
+            cells = (u, s, y, weight * huber)
+            coefficients = self.solve(spline, cells)[0]
+            size = np.abs(y - self.normal(spline, cells)[0] @ coefficients) * np.sqrt(weight)
+            huber = np.minimum(1.0, 1.5 * max(1.4826 * np.median(size), 0.1) / np.maximum(size, 1e-12))
+        flow = spline.design(r.u, self.s) @ coefficients
+        size = np.abs(self.y - flow) / self.std(flow)
+        self.keep = size <= 1.5 * OUTLIER_SIGMAS * max(1.4826 * float(np.median(size[flow > 0])), 0.1)
+        return flow
+
+    def run(self) -> None:
+        """Alternate noise, fit and outliers until the outliers stay the same, then find the deadband and do it again."""
+        flow = self.guess()
+        self.parameters = float(self.spline(self.deadband).rows + 3)
+        for final in (False, True):
+            for _ in range(6):
+                self.measure_noise(flow)
+                cells = self.cells(flow)
+                self.choose_smoothing(cells)
+                if final:
+                    self.find_deadband(cells)
+                flow = self.judge(cells)
+                each = np.sqrt(self.std(flow) ** 2 + (self.lack - 1) / np.maximum(cells[3], 1.0)[self.r.cell])
+                self.sigmas = (self.y - flow) / each
+                before, self.keep = self.keep, np.abs(self.sigmas) <= OUTLIER_SIGMAS
+                if np.array_equal(before, self.keep):
+                    break
+        self.flow = flow
+
+    def judge(self, cells) -> np.ndarray:
+        """Flow of the fit at each reading; sets coefficients, their covariance's factor, parameters and lack of fit."""
+        self.final = spline = self.spline(self.deadband)
+        design, gram, right = self.normal(spline, cells)
+        self.factor, _ = spline.system(gram, self.smoothing)
+        self.coefficients = spline.solve(self.factor, right)
+        half = np.linalg.solve(self.factor, gram)
+        self.parameters = float(np.trace(np.linalg.solve(self.factor.T, half)))
+        misfit = float(cells[3] @ (cells[2] - design @ self.coefficients) ** 2)
+        self.lack = max(1.0, misfit / max(np.count_nonzero(cells[3]) - self.parameters, 1.0))
+        self.judged = cells
+        return spline.design(self.r.u, self.s) @ self.coefficients
+
+    # what leaves
+    def flow_std(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Standard error of the scaled flow on the grid u × s: coefficients, deadband and scatter of whole trials."""
+        from scipy.linalg import solve_triangular
+
+        at, root = (a.ravel() for a in np.meshgrid(u, s, indexing="ij"))
+        design = self.final.design(at, root)
+        variance = self.lack * np.sum(solve_triangular(self.factor, design.T, lower=True) ** 2, axis=0)
+        flow = design @ self.coefficients
+        sides = [max(self.deadband + k * self.deadband_std, 0.0) for k in (-1, 1)]
+        if self.deadband_std > 0:
+            moved = [spline.design(at, root) @ self.solve(spline, self.judged)[0] for spline in map(self.spline, sides)]
+            variance += 0.25 * (moved[1] - moved[0]) ** 2
+        scaled = self.delta / self.drop_max  # half of what s and a plain root of the drop differ by
+        drop = root * np.sqrt(0.5 * root**2 + np.sqrt(0.25 * root**4 + scaled**2))
+        variance += (0.5 * flow * (np.sqrt(drop) / np.maximum(root, 1e-12) - 1.0)) ** 2
+        return np.sqrt(variance + (self.trial_scatter * flow) ** 2).reshape(u.size, s.size)
+
+    def compare_trials(self) -> None:
+        """Standard error of the mean of the trials' common factors [1], beyond what the noise explains (DerSimonian–Laird)."""
+        r, keep = self.r, self.keep & (self.flow > 0)
+        weight = np.where(keep, 1.0 / self.std(self.flow) ** 2, 0.0)
+        trials = np.unique(r.trial[keep])
+        if trials.size < 2:
+            return
+        precision = np.array([np.sum((weight * self.flow**2)[r.trial == t]) for t in trials])
+        share = np.array([np.sum((weight * self.flow * (self.y - self.flow))[r.trial == t]) for t in trials]) / precision
+        mean = precision @ share / precision.sum()
+        excess = precision @ (share - mean) ** 2 - (trials.size - 1)
+        between = max(excess, 0.0) / (precision.sum() - np.sum(precision**2) / precision.sum())
+        self.trial_scatter = float(np.sqrt(between / trials.size))
+
+    def hull(self):
+        """(commands [V], least, largest drop [Pa] read there); many commands are taken in groups of neighbours."""
+        r, group = self.r, self.r.level
+        if self.levels.size > 2 * _SPANS_U:
+            group = np.searchsorted(np.quantile(r.u, np.arange(1, _SPANS_U) / _SPANS_U), r.u)
+        parts = [np.flatnonzero((group == k) & self.keep) for k in np.unique(group)]
+        hull = np.array([(r.u[at].mean(), r.drop[at].min(), r.drop[at].max()) for at in parts if at.size])
+        hull[[0, -1], 0] = self.levels[[0, -1]]
+        if hull[0, 0] > 0 and not self.flows_at_lowest:  # shut at the lowest command, so shut below it
+            hull = np.vstack([[0.0, *hull[0, 1:]], hull])
+        return hull.T
+
+    def to_map(self, valve: str, direction: str, outliers: tuple[str, ...]) -> FlowMap:
+        r, spline = self.r, self.final
+        knots = _digits(self.deadband + spline.u_breaks * (spline.top - self.deadband), 10)
+        knots[0] = self.deadband
+        fine_u = np.unique(np.concatenate([knots, 0.5 * (knots[1:] + knots[:-1]), self.deadband_interval]))
+        fine_s = np.unique(np.concatenate([self.s_breaks, 0.5 * (self.s_breaks[1:] + self.s_breaks[:-1])]))
+        command, low, high = self.hull()
+        return FlowMap(
+            valve=valve,
+            direction=direction,
+            deadband=self.deadband,
+            deadband_interval=self.deadband_interval,
+            opening_knots=knots,
+            drop_max=self.drop_max,
+            delta=self.delta,
+            increments=_digits(self.rated * spline.increments(self.coefficients), 10),
+            hull_command=_digits(command, 10),
+            hull_low=low,
+            hull_high=high,
+            std_command=_digits(fine_u, 10),
+            std_root=_digits(fine_s * root_drop(self.drop_max, self.delta), 10),
+            std=_digits(self.rated * self.flow_std(fine_u, fine_s), 4),
+            rated_flow=self.rated,
+            samples=int(self.keep.sum()),
+            outliers=outliers,
+            source=", ".join(name for name in np.unique(r.file).tolist() if name),
+        )
+
+    def summary(self, valve, direction, calibration, reference_drop) -> FlowMapFit:
+        r = self.r
+        self.compare_trials()
+        out = np.flatnonzero(~self.keep)
+        outliers = tuple(
+            Outlier(
+                str(r.file[i]), int(r.line[i]), float(r.u[i]), float(r.drop[i]), float(r.q[i]), round(float(self.sigmas[i]), 2)
+            )
+            for i in out[np.argsort(r.line[out], kind="stable")]
+        )
+        found = self.to_map(valve, direction, tuple(one.sentence(self.show) for one in outliers))
+        residuals, sigmas = np.full((2, r.size), np.nan)
+        residuals[r.row], sigmas[r.row] = self.rated * (self.y - self.flow), self.sigmas
+        shut = self.keep & (r.u <= self.deadband_interval[0])
+        precision = np.sum(1.0 / self.std(np.zeros(self.y.size))[shut] ** 2)
+        leakage = float(self.y[shut].mean()) if shut.any() else 0.0
+        leaks = shut.any() and leakage > 1e-3 and leakage * np.sqrt(precision) > 4.0
+        return FlowMapFit(
+            map=found,
+            deadband=self.deadband,
+            deadband_interval=self.deadband_interval,
+            deadband_std=self.deadband_std,
+            bracket=self.bracket,
+            status=self.status,
+            noise={name: (self.rated * floor, share) for name, (floor, share) in self.noise.items()},
+            replicates=self.replicates,
+            lack_of_fit=self.lack,
+            smoothing=tuple(float(v) for v in self.smoothing / self.judged[3].sum()),
+            parameters=self.parameters,
+            readings=int(self.keep.sum()),
+            cells=int(np.count_nonzero(self.judged[3])),
+            outliers=outliers,
+            rms=self.rated * float(np.sqrt(np.mean((self.y - self.flow)[self.keep] ** 2))),
+            leakage=self.rated * leakage,
+            trial_scatter=self.trial_scatter,
+            calibration=tuple(_check(found, *point, reference_drop) for point in calibration),
+            residuals=residuals,
+            sigmas=sigmas,
+            warnings=tuple(self.warnings(outliers, leakage if leaks else 0.0)),
+        )
+
+    @property
+    def status(self) -> str:
+        if self.flows_at_lowest and self.levels[0] > 0:
+            return "not_excited"
+        return "at_bound" if self.deadband_interval[0] <= 0.0 else "estimated"
+
+    def warnings(self, outliers: tuple[Outlier, ...], leakage: float) -> Iterator[str]:
+        n = self.y.size
+        if outliers:
+            worst = max(outliers, key=lambda one: abs(one.sigmas)).sentence(self.show)
+            count = f"{len(outliers)} of {n} readings lie over {OUTLIER_SIGMAS:g} sigma from the map"
+            yield f"{count} and were left out; the worst: {worst}"
+        if len(outliers) > 0.1 * n:
+            yield "more than a tenth of the readings was left out: the noise of these data is not understood"
+        if not self.replicates:
+            yield "no repeats: the noise was taken from the residuals, so lack of fit cannot be told from noise"
+        if self.lack > 2.0:
+            times = f"{self.lack**0.5:.1f}"
+            yield f"the cells' means miss the map by {times} times what repeats explain; the intervals are widened by that"
+        if self.status == "not_excited":
+            yield f"flow at the lowest command, {self.levels[0]:g} V: the deadband is an extrapolation; measure below it"
+        if self.trial_scatter > 2e-3:
+            share = f"{100 * self.trial_scatter:.2g} %"
+            yield f"whole trials differ: their mean is uncertain by {share} of the flow, which is in the intervals"
+        if leakage:
+            yield f"{self.show.flow(leakage * self.rated, 3)} pass below the deadband; the map takes the valve as shut there"
+
+
+def _lowest(x: np.ndarray, y: np.ndarray, at: int) -> float:
+    """Where the parabola through the least of y and its neighbours is least; the end of the grid if that is least."""
+    if not 0 < at < x.size - 1:
+        return float(x[at])
+    left, right = y[at - 1] - y[at], y[at + 1] - y[at]
+    return float(x[at] + 0.5 * (x[1] - x[0]) * (left - right) / max(left + right, 1e-300))
+
+
+def _crossing(x: np.ndarray, rise: np.ndarray, level: float) -> float:
+    """The first x along the array where ``rise`` reaches ``level``; its last x if it does not."""
+    above = np.flatnonzero(rise > level)
+    if not above.size:
+        return float(x[-1])
+    j = above[0]
+    return float(x[j - 1] + (x[j] - x[j - 1]) * (level - rise[j - 1]) / (rise[j] - rise[j - 1]))
+
+
+def _medians(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Median of the values of each group 0, 1, 2, …"""
+    order = np.argsort(group, kind="stable")
+    return np.array([np.median(part) for part in np.split(values[order], np.cumsum(np.bincount(group))[:-1])])
+
+
+def _digits(values, count: int) -> np.ndarray:
+    """Values to so many significant digits: what a file needs, and not the last bits of a linear algebra library."""
+    values = np.asarray(values, float)
+    return np.array([float(f"{v:.{count - 1}e}") for v in values.ravel()]).reshape(values.shape)
+
+
+def _growing(square: np.ndarray, dof: np.ndarray, flow: np.ndarray) -> tuple[float, float]:
+    """(floor, share) of a standard deviation √(floor² + (share·flow)²) by maximum likelihood from squared deviations."""
+    best = (np.inf, 0.0, 0.0)
+    for ratio in (0.0, *np.geomspace(1.0, 1e4, 25)):
+        shape = 1.0 + ratio * flow**2
+        floor2 = max(float(np.sum(square / shape) / dof.sum()), 1e-300)
+        score = float(dof.sum() * np.log(floor2) + dof @ np.log(shape))
+        best = min(best, (score, floor2**0.5, (ratio * floor2) ** 0.5))
+    return float(best[1]), float(best[2])
+
+
+def _check(
+    found: FlowMap, command: float, target: float, tolerance: float, reference: float | tuple[float, float] | None
+) -> Calibration:
+    """A calibration point against the map, over the reference drops."""
+    low, high = (float(np.interp(command, found.hull_command, side)) for side in (found.hull_low, found.hull_high))
+    if reference is None:
+        low = 0.5 * (low + high)
+    else:
+        low, high = reference if isinstance(reference, tuple) else (reference, reference)
+    drops = np.linspace(low, high, 21)
+    flows = found.flow(drops, command)
+    flow, std = float(flows.mean()), float(found.flow_std(drops, command).mean())
+    bounds = flow - _Z95 * std, flow + _Z95 * std
+    band = target * (1 - tolerance), target * (1 + tolerance)
+    if not found.hull_command[0] <= command <= found.hull_command[-1]:
+        verdict = "not_measured"
+    elif band[0] <= bounds[0] and bounds[1] <= band[1]:
+        verdict = "met"
+    else:
+        verdict = "missed" if bounds[1] < band[0] or bounds[0] > band[1] else "undecided"
+    return Calibration(command, target, tolerance, flow, *bounds, float(flows.min()), float(flows.max()), low, high, verdict)

@@ -1,0 +1,135 @@
+"""Bulk modulus, damping and whatever else a recipe names, from step logs: output error, or the thesis's matching.
+
+Output error takes all logs at once: the parameters are those with which the simulated rates and pressures come nearest
+to the recorded ones in weighted least squares. The thesis's way (2.3) turns the bulk modulus until the simulated
+transients ring at the recorded frequency, then each joint's damping until they decay alike.
+
+Either way a number leaves with unit, standard error, 95 % interval, bounds, sample count and a status word:
+``estimated``; ``at_bound``: the data push it beyond its bound; ``not_excited``: the data do not tell it, it stays at its
+start and its interval is unbounded; ``correlated``: the data tell it only together with another one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ehbench.errors import InputError
+from ehbench.identification.matching import Matching
+from ehbench.identification.output_error import OutputError
+from ehbench.identification.steps import Bench, FittedParameter, HydraulicsFit, LogFit, Match, Progress, coordinates, prepare
+from ehbench.record import Record
+from ehbench.rig import Rig
+from ehbench.simulate import STEP, Maps
+
+__all__ = ["FittedParameter", "HydraulicsFit", "LogFit", "Match", "Variant", "compare_dynamics", "identify_hydraulics"]
+
+CHANNELS = ("qd", "p_head", "p_rod")
+
+
+def identify_hydraulics(
+    rig: Rig,
+    records: Sequence[tuple[str, Record]],
+    parameters: Sequence[str],
+    method: str = "output_error",
+    start: Mapping[str, str | float] | None = None,
+    lower: Mapping[str, str | float] | None = None,
+    upper: Mapping[str, str | float] | None = None,
+    channels: Sequence[str] = CHANNELS,
+    flow_maps: Maps | None = None,
+    workers: int = 0,
+    cutoff: float | None = None,
+    progress: Progress | None = None,
+    *,
+    max_iterations: int = 30,
+    step: float = STEP,
+) -> HydraulicsFit:
+    """Fit parameters of ``rig.parameters()`` to step logs.
+
+    Args:
+        rig: where the search starts, unless ``start`` says otherwise.
+        records: (name, log); a log's ``meta["payload"]`` names the payload carried, or ``none``.
+        parameters: names; with method ``thesis`` only ``bulk_modulus`` and joint (or slide) dampings.
+        method: ``output_error`` or ``thesis``.
+        start, lower, upper: SI numbers or texts with unit, by parameter name.
+        channels: what to compare, of every cylinder that moves or is asked to, or full names. Rates and pressures by
+            default: an angle is the integral of the flow map's error.
+        flow_maps: measured maps (forward, reverse or None) by edge name.
+        workers: threads; 0 for one per core. The result does not depend on it.
+        cutoff: low-pass [Hz] on recorded and simulated alike; output error only.
+        progress: called with a sentence and the share done.
+        max_iterations: of the solver.
+        step: integration step [s]; output error searches with twice that before it settles.
+
+    Raises:
+        InputError: unknown parameter or payload, a bad start or bound, or one the method does not take.
+        InsufficientData: no log tells anything about any parameter.
+    """
+    if method not in ("output_error", "thesis"):
+        raise InputError(f"unknown method '{method}'", hint="output_error or thesis")
+    if not records or len({name for name, _ in records}) < len(records):
+        raise InputError("identification needs at least one log, each with a name of its own")
+    search = coordinates(rig, parameters, start, lower, upper)
+    logs = [prepare(rig, record, name, channels) for name, record in records]
+    bench = Bench(rig, logs, parameters, flow_maps, workers, step)
+    tell = progress or (lambda sentence, share: None)
+    with bench.pool:
+        if method == "thesis":
+            return Matching(bench, search, tell, max_iterations).fit()
+        return OutputError(bench, search, tell, max_iterations, cutoff).fit()
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One named valve dynamics in a comparison: its fit, and the geometric mean over all logs and channels of the residual's
+    rms relative to the best variant (1 for the best)."""
+
+    dynamics: str
+    relative_rms: float
+    fit: HydraulicsFit
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values for `rundir.write_json`."""
+        return {"dynamics": self.dynamics, "relative_rms": self.relative_rms, "fit": self.fit.as_json()}
+
+
+def compare_dynamics(
+    rig: Rig, records: Sequence[tuple[str, Record]], parameters: Sequence[str], variants: Sequence[str], **options: Any
+) -> tuple[Variant, ...]:
+    """The same logs fitted with each named valve dynamics in place of any of the others, best first.
+
+    Args:
+        variants: names in ``rig.dynamics``; every valve on one of them takes each in turn.
+        options: those of `identify_hydraulics`.
+
+    Raises:
+        InputError: a variant the rig does not have, or no valve on any of them.
+    """
+    for name in variants:
+        if name not in rig.dynamics:
+            raise InputError(f"rig '{rig.name}' has no dynamics '{name}'", hint="it has " + (", ".join(rig.dynamics) or "none"))
+    if not any(valve.dynamics in variants for _, valve in rig.valves()):
+        raise InputError(f"no valve of rig '{rig.name}' has one of the dynamics " + ", ".join(variants))
+
+    def with_dynamics(name: str) -> Rig:
+        cylinders = tuple(
+            c.model_copy(
+                update={"valve": tuple(v.model_copy(update={"dynamics": name}) if v.dynamics in variants else v for v in c.valve)}
+            )
+            for c in rig.cylinder
+        )
+        return rig.model_copy(update={"cylinder": cylinders})
+
+    fits = {name: identify_hydraulics(with_dynamics(name), records, parameters, **options) for name in variants}
+    level = {
+        name: np.mean([math.log(max(x, 1e-300)) for log in fit.logs for x in log.residual_rms.values()])
+        for name, fit in fits.items()
+    }
+    best = min(level.values())
+    return tuple(
+        Variant(name, math.exp(level[name] - best), fits[name]) for name in sorted(variants, key=lambda name: level[name])
+    )

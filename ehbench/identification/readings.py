@@ -1,0 +1,140 @@
+"""Flowmeter readings of a rig's valves: which metering edge each one belongs to, the maps of all, and what is saved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.errors import InputError
+from ehbench.identification.flow_map import FlowMapFit, Units, fit_flow_map
+from ehbench.quantities import VOCABULARY
+from ehbench.readers import FlowmeterData, merge_flowmeter
+from ehbench.rig import Edge, Rig
+from ehbench.units import from_si
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class EdgeFit:
+    """The fit of one edge in one direction, with the readings behind it (commands as openings of the edge)."""
+
+    fit: FlowMapFit
+    readings: FlowmeterData
+
+
+def fit_readings(
+    rig: Rig,
+    parts: Sequence[FlowmeterData],
+    calibration: Sequence[tuple[float, float, float]] = (),
+    reference_drop: float | None = None,
+    progress: Progress | None = None,
+) -> list[EdgeFit]:
+    """One flow map for each metering edge and direction that the readings name.
+
+    Args:
+        rig: its edges give the names and the signs; readings name an edge, or a valve with one edge, or a valve and a direction
+            such as ``head->rod``. Commands of an edge of sign −1 are negative, as sent to the driver.
+        parts: readings of one or more files.
+        calibration: (command [V], flow [m³/s], tolerance) to check on every map.
+        reference_drop: [Pa] where the calibration is checked.
+        progress: called with what is fitted and the share done.
+
+    Raises:
+        InputError: readings of an edge that the rig does not have, or commands on the wrong side of zero.
+        InsufficientData: too few readings for a map.
+    """
+    data = merge_flowmeter(parts)
+    data = replace(data, file=np.array([Path(file).name for file in data.file]))  # results must not depend on where data lie
+    show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"))
+    groups: dict[tuple[str, str], list[FlowmeterData]] = {}
+    for valve, direction in data.groups():
+        rows = data.select(valve, direction)
+        name, side, sign = _edge_of(rig, valve, direction, rows)
+        groups.setdefault((name, side), []).append(replace(rows, command=sign * rows.command + 0.0))
+    fits = []
+    for index, ((name, side), found) in enumerate(groups.items()):
+        if progress is not None:
+            progress(f"{name} {side}", index / len(groups))
+        rows = found[0] if len(found) == 1 else merge_flowmeter(found)
+        fit = fit_flow_map(
+            name, side, rows.command, rows.pressure_drop, rows.flow, method=rows.method, trial=rows.trial, line=rows.line,
+            file=rows.file, calibration=calibration, reference_drop=reference_drop, show=show,
+        )  # fmt: skip
+        fits.append(EdgeFit(fit, rows))
+    return fits
+
+
+def _edge_of(rig: Rig, valve: str, direction: str, rows: FlowmeterData) -> tuple[str, str, int]:
+    """(name of the edge's map, forward or reverse, sign of its commands) for readings of ``valve`` in ``direction``."""
+    where = {"file": str(rows.file[0]), "line": int(rows.line[0])}
+    known: dict[str, list[tuple[str, Edge]]] = {}
+    plain = [v.edge_name(e) for _, v, e in rig.edges()]
+    for cylinder, item, edge in rig.edges():
+        name = item.edge_name(edge)
+        full = name if plain.count(name) == 1 else f"{cylinder.name}.{name}"
+        for alias in {name, f"{cylinder.name}.{name}", item.name, f"{cylinder.name}.{item.name}"}:
+            known.setdefault(alias, []).append((full, edge))
+    if valve not in known:
+        near = get_close_matches(valve, known, 1)
+        hint = f"did you mean '{near[0]}'?" if near else "it has " + ", ".join(sorted(set(plain)))
+        raise InputError(f"rig '{rig.name}' has no metering edge '{valve}'", hint=hint, **where)
+    options = known[valve]
+    side = direction
+    if "->" in direction:
+        upstream, downstream = (end.strip() for end in direction.split("->", 1))
+        along = [(n, e, "forward") for n, e in options if (e.from_, e.to) == (upstream, downstream)]
+        against = [(n, e, "reverse") for n, e in options if (e.to, e.from_) == (upstream, downstream)]
+        if not along and not against:
+            there = ", ".join(f"{e.from_}->{e.to}" for _, e in options)
+            raise InputError(f"'{valve}' has no edge {direction}", hint=f"it has {there}", **where)
+        name, edge, side = (along or against)[0]
+        options = [(name, edge)]
+    if len(options) > 1:
+        names = ", ".join(name for name, _ in options)
+        raise InputError(f"'{valve}' has {len(options)} metering edges", hint=f"name one: {names}", **where)
+    name, edge = options[0]
+    wrong = np.flatnonzero(edge.sign * rows.command < 0)
+    if wrong.size:
+        at = wrong[0]
+        raise InputError(
+            f"'{valve}' opens on {'negative' if edge.sign < 0 else 'positive'} commands, and this reading has {rows.command[at]:g} V",
+            file=str(rows.file[at]), line=int(rows.line[at]),
+            hint=f"the rig file says sign = {edge.sign} for this edge",
+        )  # fmt: skip
+    return name, side, edge.sign
+
+
+def summary(fits: Sequence[EdgeFit], rig: Rig) -> list[dict]:
+    """What was found for each map, as plain values for a JSON file; SI, with the sentences people read."""
+    show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"))
+    rows = []
+    for one in fits:
+        plain = one.fit.to_dict()
+        plain["outlier_sentences"] = [outlier.sentence(show) for outlier in one.fit.outliers]
+        plain["calibration_sentences"] = [check.sentence(show) for check in one.fit.calibration]
+        rows.append(plain)
+    return rows
+
+
+def points_table(fits: Sequence[EdgeFit], rig: Rig) -> str:
+    """Every reading with its fitted flow as CSV text, in the units people see."""
+    flow_unit, drop_unit = rig.unit_of("flow"), rig.unit_of("pressure_drop")
+    lines = [f"valve,direction,command [V],pressure_drop [{drop_unit}],flow [{flow_unit}],fitted [{flow_unit}],method,outlier,file,line"]
+    flow_row, drop_row = VOCABULARY["flow"], VOCABULARY["pressure_drop"]
+    for one in fits:
+        rows, fit = one.readings, one.fit
+        out = {(outlier.file, outlier.line) for outlier in fit.outliers}
+        fitted = fit.map.flow(rows.pressure_drop, rows.command)
+        for i in range(len(rows)):
+            cells = (
+                fit.map.valve, fit.map.direction, f"{rows.command[i]:.6g}", f"{from_si(rows.pressure_drop[i], drop_unit, drop_row):.6g}",
+                f"{from_si(rows.flow[i], flow_unit, flow_row):.6g}", f"{from_si(fitted[i], flow_unit, flow_row):.6g}",
+                str(rows.method[i]), str(int((str(rows.file[i]), int(rows.line[i])) in out)), str(rows.file[i]), str(rows.line[i]),
+            )  # fmt: skip
+            lines.append(",".join(cells))
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,92 @@
+"""Open-loop commands of a trial as a table of volts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+
+import numpy as np
+
+from ehbench.errors import InputError
+from ehbench.recipe import Command, TrialRecipe
+from ehbench.record import Record
+from ehbench.rig import Rig
+
+
+def _shape(command: Command, t: np.ndarray, record: Record | None) -> np.ndarray:
+    """One entry's command [V] at times ``t`` [s]."""
+    offset, amplitude, start = float(command.offset), float(command.amplitude), float(command.start)
+    stop = math.inf if command.stop is None else float(command.stop)
+    slack = 1e-9  # a sample that falls on the switching time belongs to what comes after
+    on = (t >= start - slack) & (t < stop - slack)
+    if command.kind == "constant":
+        return np.full(t.shape, offset)
+    if command.kind == "step":
+        return offset + amplitude * on
+    if command.kind == "ramp":
+        return offset + amplitude * np.clip((t - start) / (stop - start), 0.0, 1.0)
+    if command.kind == "sine":
+        return offset + amplitude * on * np.sin(2 * np.pi * float(command.frequency) * (t - start))
+    if command.kind == "multisine":
+        low, high = float(command.frequency), float(command.frequency_max)
+        phases = np.random.default_rng(command.seed).uniform(0, 2 * np.pi, command.lines)
+        waves = np.sin(2 * np.pi * np.outer(t - start, np.linspace(low, high, command.lines)) + phases).sum(axis=1) * on
+        largest = np.abs(waves).max()
+        return offset + (amplitude / largest * waves if largest > 0 else waves)
+    assert record is not None
+    at = np.searchsorted(record.t - record.t[0], t - start + slack, side="right") - 1
+    values = record[f"{command.valve}.command"]
+    return offset + np.where((at >= 0) & (t - start <= record.t[-1] - record.t[0] + slack), values[np.maximum(at, 0)], 0.0)
+
+
+def command_table(recipe: TrialRecipe, rig: Rig, t: np.ndarray, taken: Collection[str] = ()) -> np.ndarray:
+    """Commands [V], shape (samples, valves), in the rig file's order; row i acts from ``t[i]`` on.
+
+    Entries for one valve add up; a valve without entry stays at rest. A ``file`` command plays a log's
+    ``<valve>.command`` from ``start`` on and adds nothing outside of it. Valves ``taken`` by a controller take no entry.
+
+    Raises:
+        InputError: unknown or taken valve, a command outside its valve's range, a file without the channel, a window that is empty.
+    """
+    valves = {f"{c.name}.{v.name}": v for c, v in rig.valves()}
+    names = list(valves)
+    table = np.tile([v.rest for v in valves.values()], (t.size, 1))
+    last: dict[str, int] = {}  # the last entry for each valve
+    for index, entry in enumerate(recipe.command):
+        where = f"command {index + 1}"
+        if entry.valve not in valves:
+            raise InputError(
+                f"{where}: rig '{rig.name}' has no valve '{entry.valve}'", **recipe.at("command", index, "valve"),
+                hint="it has " + ", ".join(names),
+            )  # fmt: skip
+        if entry.valve in taken:
+            raise InputError(
+                f"{where}: '{entry.valve}' is the controller's", **recipe.at("command", index, "valve"),
+                hint="open-loop commands go to the valves of other cylinders",
+            )  # fmt: skip
+        if entry.stop is not None and float(entry.stop) <= float(entry.start):
+            raise InputError(f"{where} to '{entry.valve}' stops before it starts", **recipe.at("command", index, "stop"))
+        if entry.valve not in last:
+            table[:, names.index(entry.valve)] = 0.0
+        last[entry.valve] = index
+        record = None
+        if entry.kind == "file":
+            from ehbench.logs import read_record
+
+            path = recipe.file(entry.file)
+            record = read_record(path)
+            if f"{entry.valve}.command" not in record:
+                there = ", ".join(record.channels)
+                raise InputError(f"has no channel '{entry.valve}.command' to play", file=path, hint=f"it has {there}")
+        table[:, names.index(entry.valve)] += _shape(entry, t, record)
+    for column, (name, valve) in enumerate(valves.items()):
+        low, high = float(valve.command_min), float(valve.command_max)
+        values = table[:, column]
+        bad = np.flatnonzero((values < low - 1e-9) | (values > high + 1e-9) | ~np.isfinite(values))
+        if bad.size:
+            raise InputError(
+                f"the command of '{name}' is {values[bad[0]]:.4g} V at t = {t[bad[0]]:.4g} s, which its driver does not take",
+                **recipe.at("command", last[name]),
+                hint=f"its range is {low:g} to {high:g} V",
+            )
+    return table

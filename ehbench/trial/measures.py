@@ -1,0 +1,116 @@
+"""How well a trial did: pure functions of arrays in SI."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ehbench.compiled import kernel
+from ehbench.physics.metering import edge_flow
+from ehbench.signals import ringing, rms
+
+BAND = 0.05  # a step has settled once it stays this near to its steady speed
+STEADY = 1.0 / 3.0  # the steady speed is the mean over this last part of a step
+FINAL = 0.1  # [s] at the end of a trial over which the final error is averaged
+
+
+@dataclass(frozen=True)
+class StepMeasures:
+    """A step of desired speed and what came of it; None where it cannot be read off.
+
+    ``speed`` asked and ``steady_speed`` reached (mean of the last third) [m/s]; ``steady_error`` their difference as a share of the
+    step; ``overshoot`` beyond the steady speed as a share of it; ``settling_time`` [s] after which the speed stays within 5 % of it;
+    ``rms_error`` [m/s] against the desired speed; ``damping_ratio`` and ``natural_frequency`` [rad/s] of the decay, ``ringing`` says why
+    there are none.
+    """
+
+    start: float
+    duration: float
+    speed: float
+    share: float | None
+    steady_speed: float
+    steady_error: float
+    overshoot: float | None
+    settling_time: float | None
+    rms_error: float
+    damping_ratio: float | None
+    natural_frequency: float | None
+    ringing: str
+
+
+def step_measures(
+    t: np.ndarray, v: np.ndarray, speed: float, before: float = 0.0, others: Sequence[np.ndarray] = (), share: float | None = None
+) -> StepMeasures:
+    """Measures of one step from ``before`` to ``speed`` [m/s] that begins at ``t[0]``.
+
+    Args:
+        t: [s], shape (samples,), from the step on, as long as it lasts.
+        v: speed [m/s].
+        others: more channels that ring with it, such as the chamber pressures.
+        share: of the full speed, handed on.
+    """
+    steady = float(np.mean(v[-max(1, round(STEADY * v.size)) :]))
+    height, way = speed - before, math.copysign(1.0, speed - before)
+    rise = steady - before
+    overshoot = settling = None
+    if way * rise > 0.0:
+        overshoot = max(0.0, float(np.max(way * (v - steady)))) / abs(rise)
+        off = np.flatnonzero(np.abs(v - steady) > BAND * abs(rise))
+        # a speed that was off a tenth before the end has not settled
+        last = int(off[-1]) + 1 if off.size else 0
+        settling = float(t[last] - t[0]) if last < 0.9 * v.size else None
+    swing = ringing(t, np.column_stack([v, *others]))
+    return StepMeasures(
+        float(t[0]), float(t[-1] - t[0]), speed, share, steady, (steady - speed) / height, overshoot, settling, rms(v - speed),
+        swing.damping_ratio if swing.ok else None, swing.natural_frequency if swing.ok else None, swing.reason,
+    )  # fmt: skip
+
+
+def tracking_measures(t: np.ndarray, x: np.ndarray, x_desired: np.ndarray) -> dict[str, float]:
+    """``max_error``, ``rms_error`` and ``final_error`` [m] (mean of the last 0.1 s, signed) of a stroke against the desired one."""
+    e = x - x_desired
+    return {
+        "max_error": float(np.abs(e).max()), "rms_error": rms(e), "final_error": float(np.mean(e[t >= t[-1] - FINAL])),
+    }  # fmt: skip
+
+
+def integral(t: np.ndarray, y: np.ndarray) -> float:
+    """∫ y dt by trapezes."""
+    return float(np.sum(0.5 * (y[1:] + y[:-1]) * np.diff(t)))
+
+
+@kernel
+def _follow(command, stiffness, transition, opening):
+    x, rate = command[0], 0.0
+    for i in range(command.shape[0]):
+        opening[i] = x
+        e = x - command[i]
+        x = command[i] + transition[0] * e + transition[1] * rate
+        rate = transition[2] * rate - stiffness * transition[1] * e
+
+
+def followed(command: np.ndarray, tick: float, stiffness: float, damping: float) -> np.ndarray:
+    """Opening [V] of a valve ``ẍ = stiffness·(u − x) − damping·ẋ`` that starts at rest, exact for commands held over a tick.
+
+    ``stiffness`` ω_n² [1/s²] and ``damping`` 2ζω_n [1/s]; 0 and 0 is a valve without dynamics.
+    """
+    if stiffness == 0.0:
+        return command
+    root = complex(damping * damping / 4.0 - stiffness) ** 0.5
+    root = root if abs(root) > 1e-6 * math.sqrt(stiffness) else complex(1e-6 * math.sqrt(stiffness))
+    first, second = -0.5 * damping + root, -0.5 * damping - root
+    grow, fall = np.exp(first * tick), np.exp(second * tick)
+    rows = [first * fall - second * grow, grow - fall, first * grow - second * fall]
+    opening = np.empty(command.size)
+    _follow(command, stiffness, np.real(np.array(rows) / (first - second)), opening)
+    return opening
+
+
+@kernel
+def edge_flows(drop, opening, row, wiring, maps, flow):
+    """Write the flow [m³/s] along an edge at drops [Pa] and openings [V] into ``flow``."""
+    for i in range(drop.shape[0]):
+        flow[i] = edge_flow(drop[i], opening[i], row, wiring, maps)

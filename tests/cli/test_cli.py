@@ -1,0 +1,179 @@
+"""The command line as a user meets it: help with examples, exit codes, messages, nothing half-written."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+COMMANDS = ("init", "check", "identify", "validate", "run-trial", "report", "reproduce")
+
+
+def ehbench(*words: str | Path, cwd: Path = ROOT, **options) -> subprocess.CompletedProcess:
+    """Run the command as a user would, in a process of its own."""
+    environment = {**os.environ, "COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}
+    line = [sys.executable, "-m", "ehbench.cli", *map(str, words)]
+    return subprocess.run(line, cwd=cwd, env=environment, capture_output=True, text=True, timeout=300, check=False, **options)
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("cli") / "my_rig"
+    assert ehbench("init", folder).returncode == 0
+    return folder
+
+
+def test_help_names_every_command_and_the_exit_codes():
+    text = ehbench("--help").stdout
+    for command in COMMANDS:
+        assert command in text
+    for code in range(6):
+        assert re.search(rf"\b{code} \w", text)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_help_has_an_example(command):
+    done = ehbench(command, "--help")
+    assert done.returncode == 0
+    assert re.search(rf"Example:\s+ehbench {command} \S+", done.stdout)
+
+
+def test_readme_names_only_commands_that_exist():
+    named = set(re.findall(r"ehbench ([a-z-]+)", (ROOT / "README.md").read_text()))
+    assert set(COMMANDS) <= named
+    assert named <= set(COMMANDS)
+
+
+def test_init_leaves_a_full_folder_alone(tmp_path):
+    (tmp_path / "mine.txt").write_text("keep")
+    done = ehbench("init", tmp_path)
+    assert done.returncode == 2 and "not empty" in done.stderr
+    assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_a_new_workspace_runs_as_it_stands(workspace):
+    """The commands of the workspace's own README, in order."""
+    commands = re.findall(r"^    ehbench (.+)$", (workspace / "README.md").read_text(), re.M)
+    assert len(commands) == 5
+    for line in commands:
+        words = [str(p.relative_to(workspace)) for word in line.split() for p in sorted(workspace.glob(word))] if "*" in line else line.split()
+        if "*" in line:
+            words = ["report", *words]
+        done = ehbench(*words, cwd=workspace)
+        assert done.returncode == 0, f"{line}: {done.stderr}"
+    assert list(workspace.glob("reports/report_*/report.html"))
+    verdict = json.loads(next(workspace.glob("reports/validate_*/run.json")).read_text())
+    assert verdict["accepted"] is True
+
+
+def test_every_file_of_a_workspace_checks(workspace):
+    for path in [workspace / "rig.toml", *sorted((workspace / "recipes").glob("*.toml"))]:
+        done = ehbench("check", path)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.rstrip().endswith("ok")
+
+
+def broken(workspace: Path, tmp_path: Path, file: str, old: str, new: str) -> Path:
+    """A copy of the workspace with one slip in one file."""
+    import shutil
+
+    copy = tmp_path / "ws"
+    shutil.copytree(workspace, copy, ignore=shutil.ignore_patterns("reports"))
+    text = (copy / file).read_text()
+    assert old in text
+    (copy / file).write_text(text.replace(old, new, 1))
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "words"),
+    [
+        ("rig.toml", '"160 bar"', '"160"', ["rig.toml:18", "no unit"]),
+        ("rig.toml", '"160 bar"', '"160 kg"', ["rig.toml:18", "cannot be turned into Pa"]),
+        ("rig.toml", '"160 bar"', '"160 GPa"', ["rig.toml:18", "outside"]),
+        ("rig.toml", "flow_limit", "flow_limits", ["rig.toml:19", "flow_limit"]),
+        ("rig.toml", '"pa"\nfrom = "supply"', '"pa"\nfrom = "pump"', ["supply", "tank", "head"]),
+        ("rig.toml", 'joint = "boom"', 'joint = "arm"', ["arm", "boom"]),
+        ("rig.toml", '"450 mm"', '"950 mm"', ["stroke"]),
+        ("recipes/step_small.toml", 'valve = "lift.spool"', 'valve = "lift.spol"', ["lift.spool"]),
+        ("recipes/step_small.toml", '"3.5 V"', '"35 V"', ["-10 to 10 V"]),
+        ("recipes/step_small.toml", '"180 mm"', '"480 mm"', ["stroke", "450"]),
+        ("recipes/step_small.toml", 'stage = "trial"', 'stage = "trail"', ["step_small.toml:4", "trial"]),
+        ("recipes/step_small.toml", "../rig.toml", "../rigg.toml", ["rig.toml"]),
+        ("recipes/step_small.toml", '"4 s"', '"4 s', ["step_small.toml", "TOML"]),
+    ],
+)
+def test_a_slip_gets_one_sentence_and_leaves_nothing(workspace, tmp_path, file, old, new, words):
+    copy = broken(workspace, tmp_path, file, old, new)
+    done = ehbench("run-trial", "recipes/step_small.toml", cwd=copy)
+    assert done.returncode == 2, done.stderr
+    sentence = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
+    assert len(sentence) == 1 and "Traceback" not in done.stderr
+    for word in words:
+        assert word in sentence[0]
+    assert not (copy / "reports").exists() or not list((copy / "reports").iterdir())
+
+
+def test_a_recipe_of_another_stage_names_its_command(workspace):
+    done = ehbench("identify", workspace / "recipes" / "step_small.toml")
+    assert done.returncode == 2 and "run-trial" in done.stderr
+
+
+def test_a_limit_stops_a_trial_with_5_and_keeps_the_log(workspace, tmp_path):
+    copy = broken(workspace, tmp_path, "recipes/step_small.toml", '"220 bar"', '"45 bar"')
+    done = ehbench("run-trial", "recipes/step_small.toml", "--out", "stopped", cwd=copy)
+    assert done.returncode == 5, done.stderr
+    assert "pressure_max" in done.stderr and (copy / "stopped" / "log.mcap").is_file()
+
+
+def test_a_rejected_model_exits_with_4_and_keeps_the_verdict(workspace, tmp_path):
+    copy = broken(workspace, tmp_path, "recipes/validate.toml", "p_head = 40", "p_head = 99.9")
+    done = ehbench("validate", "recipes/validate.toml", "--out", "judged", cwd=copy)
+    assert done.returncode == 4, done.stderr
+    assert json.loads((copy / "judged" / "run.json").read_text())["accepted"] is False
+
+
+def test_a_truncated_log_finishes_with_3_and_says_how_much_was_lost(workspace, tmp_path):
+    whole = ehbench("run-trial", workspace / "recipes" / "step_small.toml", "--out", tmp_path / "trial")
+    assert whole.returncode == 0, whole.stderr
+    data = (tmp_path / "trial" / "log.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: int(len(data) * 0.7)])
+    done = ehbench("check", tmp_path / "cut.mcap")
+    assert done.returncode == 3 and "lost" in done.stdout
+
+
+def test_an_out_that_is_no_run_is_left_alone(workspace, tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("keep")
+    done = ehbench("run-trial", workspace / "recipes" / "step_small.toml", "--out", tmp_path / "mine")
+    assert done.returncode == 2 and (tmp_path / "mine" / "notes.txt").read_text() == "keep"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["mine"]
+
+
+def test_a_terminated_run_leaves_nothing(workspace, tmp_path):
+    line = [sys.executable, "-m", "ehbench.cli", "identify", str(workspace / "recipes" / "identify.toml"), "--out", str(tmp_path / "run")]
+    process = subprocess.Popen(line, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    time.sleep(2.0)
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(timeout=60) in (143, -signal.SIGTERM, 0)
+    left = [p.name for p in tmp_path.rglob("*") if ".part" in p.name]
+    assert not left
+
+
+def test_same_recipe_same_bytes(workspace, tmp_path):
+    for name in ("one", "two"):
+        done = ehbench("run-trial", workspace / "recipes" / "step_large.toml", "--out", tmp_path / name)
+        assert done.returncode == 0, done.stderr
+    files = sorted(p.relative_to(tmp_path / "one") for p in (tmp_path / "one").rglob("*") if p.is_file())
+    assert files == sorted(p.relative_to(tmp_path / "two") for p in (tmp_path / "two").rglob("*") if p.is_file())
+    for name in files:
+        if name.name != "volatile.json":
+            assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name

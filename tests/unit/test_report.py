@@ -1,0 +1,542 @@
+"""Reports are built from saved folders alone, the same bytes each time, and show what failed."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.errors import InputError
+from ehbench.logs import write_log
+from ehbench.physics.flow_map import FlowMap, collect, save_flow_maps
+from ehbench.quantities import VOCABULARY
+from ehbench.recipe import load_recipe, load_rig
+from ehbench.record import Record
+from ehbench.report import build, draw
+from ehbench.report.blocks import inline, prose
+from ehbench.report.saved import Table, read_points, read_series
+from ehbench.report.style import spread, thin
+from ehbench.report.words import interval, number, pretty, with_error
+from ehbench.rundir import write_json
+from ehbench.units import from_si, to_si
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+VOID = {"meta", "br", "hr", "img", "input", "link"}
+
+
+def facts(folder: Path, stage: str, name: str, **more) -> None:
+    write_json(
+        folder / "run.json",
+        {
+            "stage": stage, "name": name, "hash": "0a1b2c3d", "recipe": {"path": f"{name}.toml", "sha256": "1" * 64},
+            "inputs": [{"role": "data", "path": "readings.csv", "sha256": "2" * 64}], "seeds": {"trial": 7},
+            "versions": {"ehbench": "0.1.0"}, "code_sha256": "3" * 64, "commit": "4" * 12,
+            "outputs": {"rig.toml": "5" * 64}, **more,
+        },
+    )  # fmt: skip
+
+
+def made(root: Path, name: str, rig: str = "thesis_arm") -> Path:
+    folder = root / name
+    folder.mkdir(parents=True)
+    shutil.copy(RIGS / f"{rig}.toml", folder / "rig.toml")
+    return folder
+
+
+def a_map(valve: str, direction: str, deadband: float) -> FlowMap:
+    knots = deadband + np.linspace(0.0, 1.0, 6) * (10.0 - deadband)
+    increments = np.full((6, 7), 6.0e-5 / 6) * np.linspace(0.4, 1.0, 7)
+    commands = np.array([0.0, 1.0, 4.0, 6.0, 8.0, 10.0])
+    return FlowMap(
+        valve, direction, deadband, (deadband - 0.1, deadband + 0.1), knots, 7e6, 2e4, increments, commands, np.full(6, 1e5),
+        np.array([7e6, 7e6, 7e6, 6e6, 5e6, 4e6]), knots, np.array([0.0, 1000.0, 2700.0]), np.full((6, 3), 1e-6),
+        4e-4, 60, (), "x.csv",
+    )  # fmt: skip
+
+
+def flow_map_run(root: Path) -> Path:
+    folder = made(root, "maps")
+    maps = [a_map("hect", "forward", 1.5), a_map("hect", "reverse", 2.0), a_map("valve/2 & co", "forward", 1.0)]
+    save_flow_maps(collect(maps), folder)
+    rows, summary = ["valve,direction,command [V],pressure_drop [bar],flow [L/min],fitted [L/min],method,outlier,file,line"], []
+    random = np.random.default_rng(5)
+    for one in maps:
+        line = 1
+        for command in one.hull_command:
+            for drop in np.linspace(1e5, 4e6, 8):
+                line += 1
+                flow = one.flow(drop, command)
+                out = command == 6.0 and drop == 1e5
+                read = 40 * flow if out else flow + 1e-6 * random.standard_normal()
+                method = "cylinder" if flow < 1e-5 else "flowmeter"
+                shown = [from_si(v, "L/min", VOCABULARY["flow"]) for v in (read, flow)]
+                rows.append(
+                    f"{one.valve},{one.direction},{command:g},{drop / 1e5:.9g},{shown[0]:.9g},{shown[1]:.9g},"
+                    f"{method},{int(out)},x.csv,{line}"
+                )
+        summary.append({
+            "valve": one.valve, "direction": one.direction, "rated_flow": 4e-4, "deadband": one.deadband, "deadband_std": 0.05,
+            "deadband_interval": list(one.deadband_interval), "status": "estimated", "readings": 47, "rms": 1e-6,
+            "noise": {"flowmeter": [1e-7, 0.01], "cylinder": [2e-7, 0.0]},
+            "outliers": [{"file": "x.csv", "line": 26, "command": 6.0, "pressure_drop": 1e5, "flow": 9e-4, "sigmas": -41.23}],
+            "calibration": [
+                {"command": 4.0, "target": to_si(2.0, "gpm", VOCABULARY["flow"]), "tolerance": 0.1, "flow": 1.3e-4, "low": 1.2e-4,
+                 "high": 1.4e-4, "least": 1.2e-4, "most": 1.4e-4, "drop_low": 2e6, "drop_high": 2e6, "verdict": "undecided"},
+                {"command": 12.0, "target": 4e-4, "tolerance": 0.1, "flow": None, "low": None, "high": None, "least": None,
+                 "most": None, "drop_low": 2e6, "drop_high": 3e6, "verdict": "not_measured"},
+            ],
+        })  # fmt: skip
+    (folder / "points.csv").write_text("\n".join(rows) + "\n")
+    write_json(folder / "summary.json", summary)
+    facts(
+        folder,
+        "identify",
+        "maps",
+        what="flow_map",
+        title="Flow maps",
+        warnings=["whole trials differ"],
+        recorded_on="virtual bench",
+    )
+    return folder
+
+
+def write_series(folder: Path, log: str, channels: dict[str, float], simulated: bool = True) -> None:
+    t = np.arange(0.0, 2.0, 1e-3)
+    columns = {"t [s]": t}
+    for name, size in channels.items():
+        unit = VOCABULARY[name.rsplit(".", 1)[1]].unit
+        columns[f"{name} [{unit}]"] = size * np.sin(6 * t)
+        if simulated:
+            columns[f"simulated.{name} [{unit}]"] = 1.05 * size * np.sin(6 * t + 0.05)
+    (folder / "series").mkdir(exist_ok=True)
+    np.savetxt(
+        folder / "series" / f"{log}.csv",
+        np.column_stack(list(columns.values())),
+        "%.9g",
+        ",",
+        header=",".join(columns),
+        comments="",
+    )
+
+
+FOUR = {"boom.q": 0.5, "boom.qd": 1.0, "boom.p_head": 2e6, "boom.p_rod": 1e6}
+
+
+def hydraulics_run(root: Path) -> Path:
+    folder = made(root, "fit")
+    ring = {
+        "natural_frequency": 25.0,
+        "damping_ratio": 0.1,
+        "natural_frequency_std": 0.3,
+        "damping_ratio_std": 0.01,
+        "ok": True,
+        "reason": "",
+    }
+    silent = {
+        "natural_frequency": None,
+        "damping_ratio": None,
+        "natural_frequency_std": None,
+        "damping_ratio_std": None,
+        "reason": "too damped",
+    }
+    parameters = [
+        {"name": "bulk_modulus", "unit": "Pa", "value": 2.713e8, "std": 2.44e6, "interval": [2.665e8, 2.761e8], "lower": 5e7,
+         "upper": 1.8e9, "start": 8e8, "status": "estimated", "samples": 4000, "error_from": "hac"},
+        {"name": "boom.joint_damping", "unit": "N*m*s/rad", "value": 5000.0, "std": 90.0, "interval": [4800.0, 5000.0],
+         "lower": 10.0,
+         "upper": 5000.0, "start": 150.0, "status": "at_bound", "samples": 4000, "error_from": "jackknife"},
+        {"name": "boom.friction_coulomb", "unit": "N", "value": 0.0, "std": None, "interval": None, "lower": 0.0, "upper": None,
+         "start": 0.0, "status": "not_excited", "samples": 4000, "error_from": ""},
+    ]  # fmt: skip
+    log = {
+        "name": "boom_step", "payload": "50 lb", "samples": 2000, "fit_percent": {"boom.qd": 88.0, "boom.p_head": None},
+        "residual_rms": {"boom.qd": 0.05, "boom.p_head": 2e5}, "correlation_time": {},
+    }  # fmt: skip
+    write_json(
+        folder / "parameters.json",
+        {
+            "method": "output_error", "parameters": parameters, "correlated_names": ["bulk_modulus", "boom.joint_damping"],
+            "correlation": [[1.0, -0.97], [-0.97, 1.0]], "logs": [log], "warnings": [],
+            "matches": [{"log": "boom_step", "cylinder": "boom", "start": 0.5, "stop": 1.5,
+                         "recorded": ring, "simulated": silent}],
+            "dynamics_comparison": [{"dynamics": "eq_2_12", "relative_rms": 1.0},
+                                    {"dynamics": "eq_2_17", "relative_rms": 1.0123}],
+        },
+    )  # fmt: skip
+    write_series(folder, "boom_step", FOUR | {"boom.x": 0.1})
+    facts(folder, "identify", "fit", what="hydraulics", title="Bulk modulus", warnings=[])
+    return folder
+
+
+def validation_run(root: Path) -> Path:
+    folder = made(root, "judged")
+    lag = [0.01 * i for i in range(1, 30)]
+    correlation = {"of": "boom.q", "lag": lag, "value": [0.9**i for i in range(29)], "band": [0.2] * 29, "outside_percent": 48.0}
+    channels = [
+        {"channel": name, "unit": "-", "fit_percent": 71.0, "max_error": 0.02 * size, "bias": 0.001 * size,
+         "rms_error": 0.01 * size,
+         "derived": False, "autocorrelation": correlation if name != "boom.p_rod" else None,
+         "cross_correlation": [correlation | {"of": "boom.hect.command"}], "note": ""}
+        for name, size in FOUR.items()
+    ]  # fmt: skip
+    ring = {
+        "natural_frequency": 25.0,
+        "natural_frequency_std": 0.5,
+        "damping_ratio": 0.1,
+        "damping_ratio_std": 0.02,
+        "reason": "",
+    }
+    check = {
+        "what": "fit",
+        "reached": 20.0,
+        "asked": 30.0,
+        "unit": "percent",
+        "passed": False,
+        "sentence": "boom rate fit 20 % is below the 30 % asked",
+    }
+    logs = [
+        {"name": "held", "payload": "none", "status": "held_out", "moved": ["boom"], "channels": channels, "checks": [check],
+         "transients": [{"cylinder": "boom", "start": 0.5, "stop": 1.4, "recorded": ring, "simulated": ring}], "failure": "",
+         "warnings": [], "passed": False},
+        {"name": "broken", "payload": "none", "status": "failed", "moved": ["boom"], "channels": [], "checks": [],
+         "transients": [], "failure": "the simulation left the finite range", "warnings": [], "passed": False},
+        {"name": "lost", "payload": "none", "status": "still", "moved": [], "channels": [], "checks": [], "transients": [],
+         "failure": "", "warnings": ["the log carries no motion"], "passed": False},
+    ]  # fmt: skip
+    write_json(
+        folder / "validation.json",
+        {"rig": "thesis_arm", "accepted": False, "reasons": [f"held: {check['sentence']}"], "logs": logs},
+    )
+    write_series(folder, "held", FOUR)
+    write_series(folder, "broken", {"boom.q": 0.5}, simulated=False)
+    facts(folder, "validate", "judged", what="validation", title="Held-out logs", accepted=False, warnings=[])
+    return folder
+
+
+def trial_run(
+    root: Path, rig: str = "slide_servo", stopped: str = "carriage.p_head = 9 MPa passed pressure_max at t = 0.8 s"
+) -> Path:
+    folder = made(root, f"trial_{rig}", rig)
+    machine = load_rig(folder)
+    cylinder, valve = next(machine.valves())
+    t = np.arange(0.0, 1.0, 1e-3)
+    base = cylinder.name
+    channels = {
+        f"{base}.x": 0.1 * t, f"{base}.v": np.full_like(t, 0.1), f"{base}.p_head": 1e6 + 1e5 * np.sin(20 * t),
+        f"{base}.p_rod": np.full_like(t, 5e5), f"{base}.{valve.name}.command": np.where(t > 0.3, 2.0, 0.0),
+        "p_supply": np.full_like(t, 7e6),
+    }  # fmt: skip
+    write_log(folder / "log.mcap", Record(t, channels, {"stopped": stopped} if stopped else {}))
+    write_json(
+        folder / "trial.json",
+        {
+            "on": "virtual bench",
+            "payload": "none",
+            "posture": {},
+            "seed": 7,
+            "duration": 0.999,
+            "samples": 1000,
+            "stopped": stopped,
+        },
+    )
+    facts(folder, "trial", f"trial_{rig}", what="trial", title="A step", stopped=stopped, warnings=[])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory) -> list[Path]:
+    root = tmp_path_factory.mktemp("runs")
+    folders = [trial_run(root), validation_run(root), hydraulics_run(root), flow_map_run(root)]
+    for folder in folders:
+        draw(folder)
+    return folders
+
+
+def campaign(root: Path, figures: str):
+    path = root / "campaign.toml"
+    path.write_text(
+        'stage = "campaign"\ntitle = "All <of> it"\nnote = "Nothing was measured."\nrecipes = ["maps.toml"]\n'
+        f'[[section]]\ntitle = "Two contradictions"\ntext = """One.\n\n- first\n- second"""\n[figures]\n{figures}\n'
+    )
+    return load_recipe(path)
+
+
+class Page(HTMLParser):
+    """Balance, ids, links and text of a page."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open, self.ids, self.links, self.loads, self.words, self.bad = [], [], [], [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attributes):
+        named = dict(attributes)
+        self.ids += [named["id"]] if "id" in named else []
+        self.links += [value for key, value in attributes if key in ("href", "xlink:href")]
+        self.loads += [value for key, value in attributes if key in ("src", "srcset", "data", "action")] + [tag] * (
+            tag in ("script", "link", "iframe")
+        )
+        for value in named.values():
+            self.links += re.findall(r"url\((#[^)]+)\)", value or "")
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        if not self.open or self.open.pop() != tag:
+            self.bad.append((tag, self.getpos()))
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+
+def test_the_page_is_whole_and_needs_no_network(runs, tmp_path):
+    text = build(runs, campaign(tmp_path, ""))
+    page = Page(text)
+    assert not page.bad and not page.open
+    assert len(page.ids) == len(set(page.ids)) > 100
+    assert not page.loads and "http" not in text and "@import" not in text
+    assert {link for link in page.links if link.startswith("#")} == set(page.links)
+    assert {link[1:] for link in page.links} <= set(page.ids)
+    assert not re.search(r"\bnan\b|\bNone\b|\binf\b|Undefined", text)
+    assert text.startswith("<!DOCTYPE html>") and "<title>All &lt;of&gt; it</title>" in text
+
+
+def test_runs_stand_in_the_order_of_the_data(runs):
+    heads = re.findall(r"<h2>(.*?) ?(?:<|$)", build(runs, None), re.M)
+    assert heads[:5] == ["At a glance", "Flow maps", "Bulk modulus", "Held-out logs", "A step"] and heads[-1] == "Provenance"
+
+
+def test_figures_are_the_saved_ones(runs):
+    text = build(runs, None)
+    index = [one for folder in runs for one in json.loads((folder / "figures/index.json").read_text())["figures"]]
+    assert text.count("<svg") == len(index) == sum(len(list((folder / "figures").glob("*.svg"))) for folder in runs)
+    for folder in runs:
+        for svg in (folder / "figures").glob("*.svg"):
+            ids = set(re.findall(r'id="([^"]+)"', svg.read_text()))
+            assert {link for link in re.findall(r'href="#([^"]+)"', svg.read_text())} <= ids
+            assert "nan" not in svg.read_text().lower()
+    kinds = {one["about"]["kind"] for one in index}
+    assert kinds == {"flow_map", "inverse_map", "parameters", "fit", "validation", "residuals", "trial"}
+
+
+def test_same_files_same_bytes(runs, tmp_path):
+    copies = [Path(shutil.copytree(folder, tmp_path / "elsewhere" / folder.name)) for folder in runs]
+    for copy, folder in zip(copies, runs, strict=True):
+        shutil.rmtree(copy / "figures")
+        draw(copy)
+        names = sorted(path.name for path in (folder / "figures").iterdir())
+        assert names == sorted(path.name for path in (copy / "figures").iterdir())
+        assert all((folder / "figures" / n).read_bytes() == (copy / "figures" / n).read_bytes() for n in names)
+    assert build(copies, None) == build(runs, None)
+
+
+def test_what_failed_is_shown(runs):
+    page = Page(build(runs, None)).text
+    assert "The model is rejected." in page
+    assert "boom rate fit 20 % is below the 30 % asked" in page and "1 of 1 check failed" in page
+    assert "Could not be simulated: the simulation left the finite range" in page
+    assert "Recorded only: this log could not be simulated." in page
+    assert "the log carries no motion" in page
+    assert "Stopped by a limit: carriage.p_head = 9 MPa passed pressure_max" in page
+    assert "whole trials differ" in page and "Recorded on the virtual bench." in page
+
+
+def test_numbers_have_error_unit_status_and_source(runs):
+    page = Page(build(runs, None)).text
+    assert "271.3 ± 2.4 MPa 266.5 … 276.1" in page
+    assert "at bound" in page and "not excited" in page
+    assert "bulk_modulus and boom.joint_damping correlate by −0.97" in page
+    assert re.search(r"joint_damping 400 N·m·s/rad restored", page) and "companion lost in the text" in page
+    assert "x.csv:26" in page and "−41.2" in page
+    assert "2 ± 0.2" in page and "undecided" in page and "not measured" in page
+    assert "eq_2_17 1.012" in page
+    assert "1" * 64 in page and "2" * 64 in page and "5" * 64 in page
+    assert "3.98 ± 0.05" not in page and f"{25 / 2 / np.pi:.3f} ± {0.3 / 2 / np.pi:.3f}" in page  # rad/s shown in Hz
+
+
+def test_a_campaign_titles_figures_and_adds_sections(runs, tmp_path):
+    chosen = campaign(tmp_path, '"flow_map_hect_forward" = "Fig. A.4 HECT"\n"judged/validation_held_boom" = "Fig. A.12"')
+    text = build(runs, chosen)
+    assert "<strong>Fig. A.4 HECT</strong>" in text and "<strong>Fig. A.12</strong>" in text
+    page = Page(text).text
+    assert "Two contradictions One. first second" in page and "Nothing was measured." in page
+    assert page.index("At a glance") < page.index("Two contradictions One.") < page.index("Inverse map of hect, forward")
+
+
+def test_a_title_for_no_figure_is_refused_with_its_line(runs, tmp_path):
+    with pytest.raises(InputError, match="flow_map_hekt_forward") as caught:
+        build(runs, campaign(tmp_path, '"flow_map_hekt_forward" = "Fig. A.4"'))
+    assert caught.value.line == 12 and "flow_map_hect_forward" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("which", "file", "keys"),
+    [(3, "summary.json", ["deadband"]), (2, "parameters.json", ["parameters"]), (1, "validation.json", ["reasons"]),
+     (0, "trial.json", ["on"]), (0, "run.json", ["stage", "recipe", "commit"])],
+)  # fmt: skip
+def test_a_missing_key_is_named_with_its_file(runs, tmp_path, which, file, keys):
+    for key in keys:
+        copy = Path(shutil.copytree(runs[which], tmp_path / key))
+        table = json.loads((copy / file).read_text())
+        del (table[0] if isinstance(table, list) else table)[key]
+        (copy / file).write_text(json.dumps(table))
+        with pytest.raises(InputError, match=f"{file}.*{key}"):
+            build([copy], None)
+
+
+def test_a_missing_figure_is_named(runs, tmp_path):
+    copy = Path(shutil.copytree(runs[3], tmp_path / "copy"))
+    (copy / "figures" / "flow_map_hect_forward.svg").unlink()
+    with pytest.raises(InputError, match=r"flow_map_hect_forward\.svg"):
+        build([copy], None)
+
+
+def test_optional_parts_may_be_missing(tmp_path):
+    folder = hydraulics_run(tmp_path)
+    table = json.loads((folder / "parameters.json").read_text())
+    for key in ("correlated_names", "correlation", "matches", "dynamics_comparison"):
+        del table[key]
+    (folder / "parameters.json").write_text(json.dumps(table))
+    shutil.rmtree(folder / "series")
+    draw(folder)
+    page = Page(build([folder], None)).text
+    assert "Correlation of the estimates" not in page and "What was matched" not in page and "271.3 ± 2.4" in page
+
+
+def test_a_stage_of_later_days_is_shown_with_its_files(tmp_path):
+    folder = made(tmp_path, "later")
+    facts(folder, "dream", "later", title="Something new")
+    draw(folder)
+    page = Page(build([folder], None)).text
+    assert "Something new" in page and "rig.toml" in page
+
+
+@pytest.mark.parametrize("rig", sorted(path.stem for path in RIGS.glob("*.toml")))
+def test_every_rig_lists_all_its_parameters(tmp_path, rig):
+    folder = trial_run(tmp_path, rig, stopped="")
+    draw(folder)
+    page = Page(build([folder], None)).text
+    tail = page[page.index("All parameters") :]
+    for name, value in load_rig(folder).parameters().items():
+        assert name.rpartition(".")[2] in tail and value.sure in tail
+    assert "stopped" not in page
+
+
+def test_no_two_figures_share_a_file(tmp_path):
+    folder = made(tmp_path, "twins")
+    maps = [a_map("a b", "forward", 1.0), a_map("a_b", "forward", 1.0)]
+    save_flow_maps(collect(maps), folder)
+    (folder / "points.csv").write_text(
+        "valve,direction,command [V],pressure_drop [Pa],flow [m^3/s],fitted [m^3/s],method,outlier\n"
+    )
+    facts(folder, "identify", "twins", what="flow_map")
+    draw(folder)
+    assert len(list((folder / "figures").glob("*.svg"))) == 4
+
+
+def test_saved_tables_say_what_is_wrong(tmp_path):
+    path = tmp_path / "points.csv"
+    path.write_text("valve,direction,command [V],pressure_drop [kPa],flow [gpm],method,outlier\n")
+    with pytest.raises(InputError, match="no column 'fitted'"):
+        read_points(path)
+    path = tmp_path / "s.csv"
+    path.write_text("t [s],boom.wobble\n0,1\n")
+    with pytest.raises(InputError, match="no quantity 'wobble'"):
+        read_series(path)
+    path.write_text("t [s],boom.q [rad]\n0,1\n1\n")
+    with pytest.raises(InputError, match="s.csv:3"):
+        read_series(path)
+    with pytest.raises(InputError, match="a.b"):
+        Table({"a": {"c": 1}}, path)["a"]["b"]
+
+
+def test_series_are_read_in_si_whatever_their_unit(tmp_path):
+    path = tmp_path / "s.csv"
+    path.write_text("t [ms],boom.q [deg],simulated.boom.q [rad],boom.hect.command\n0,180,3,1\n500,90,2,1\n")
+    series = read_series(path)
+    assert series.t.tolist() == [0.0, 0.5]
+    np.testing.assert_allclose(series.recorded["boom.q"], [np.pi, np.pi / 2], rtol=1e-12)  # rounding of the unit's factor
+    assert series.simulated["boom.q"].tolist() == [3.0, 2.0]
+    assert series.cylinders() == {"boom": ["boom.q"]}
+
+
+def test_thinning_keeps_every_extreme_and_both_ends():
+    t = np.linspace(0.0, 1.0, 100_000)
+    y = np.sin(40 * t)
+    y[54_321], y[77_777] = 9.0, -7.0
+    few_t, few_y = thin(t, y, 300)
+    assert few_t.size <= 602 and few_y.max() == 9.0 and few_y.min() == -7.0
+    assert (few_t[0], few_t[-1]) == (0.0, 1.0) and np.all(np.diff(few_t) > 0)
+    assert thin(t[:100], y[:100], 300)[0].size == 100
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 40, 400])
+def test_labels_are_moved_apart_in_order(count):
+    places = np.random.default_rng(count).normal(0.5, 0.05, count)
+    moved = np.array(spread(places, 0.03, 0.0, 1.0))
+    rank = np.argsort(places, kind="stable")
+    gap = min(0.03, 1.0 / max(count - 1, 1))
+    assert np.all(np.diff(moved[rank]) >= gap - 1e-9) and moved.min() >= -1e-9 and moved.max() <= 1 + 1e-9
+
+
+def test_labels_with_room_stay():
+    assert spread([0.9, 0.1, 0.5], 0.05, 0.0, 1.0) == pytest.approx([0.9, 0.1, 0.5])
+    assert spread([0.5, 0.5], 0.1, 0.0, 1.0) == pytest.approx([0.45, 0.55])
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "said"),
+    [(271.34, 2.44, "271.3 ± 2.4"), (12346.0, 240.0, "12350 ± 240"), (5.0, 50.0, "5 ± 50"), (0.0, 0.01, "0.000 ± 0.010"),
+     (-3.2, 0.0996, "−3.20 ± 0.10"), (3.59e-8, 1e-10, "(3.590 ± 0.010) × 10⁻⁸"), (2.0, None, "2"),
+     (None, None, "–"), (2.0, 0.0, "2")],
+)  # fmt: skip
+def test_an_error_sets_the_digits_of_its_value(value, std, said):
+    assert with_error(value, std) == said
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [(0.0, "0"), (99999.6, "100000"), (1234567.0, "1.235 × 10⁶"), (0.00012346, "1.235 × 10⁻⁴"), (-0.5, "−0.5"), (99.996, "100"),
+     (float("nan"), "–"), (float("-inf"), "−∞"), (None, "–")],
+)  # fmt: skip
+def test_numbers_are_short(value, said):
+    assert number(value) == said
+
+
+def test_intervals_and_units():
+    assert interval(266.52, 276.13) == "266.5 … 276.1" and interval(None, 2.0) == "–" and interval(2.0, 2.0) == "2 … 2"
+    assert [pretty(u) for u in ("m^3/(s*Pa)", "gpm/V/MPa^0.5", "degC", "deg/s", "us", "dimensionless")] == [
+        "m³/(s·Pa)", "gpm/V/√MPa", "°C", "°/s", "µs", "",
+    ]  # fmt: skip
+
+
+def test_inlined_figures_keep_to_themselves():
+    svg = (
+        '<?xml version="1.0"?><!DOCTYPE svg><svg viewBox="0 0 300 150" xmlns="http://www.w3.org/2000/svg"><metadata>x</metadata>'
+        '<defs><path id="a"/></defs><use xlink:href="#a"/><g clip-path="url(#a)"/></svg>'
+    )
+    text = inline(svg, "f1-", 'A "title"')
+    assert (
+        'id="f1-a"' in text and 'href="#f1-a"' in text and "url(#f1-a)" in text and "metadata" not in text and "http" not in text
+    )
+    assert "A &#34;title&#34;" in text and "max-width:400px" in text
+
+
+def test_prose_makes_paragraphs_and_lists():
+    kinds = [(one.kind, getattr(one, "text", None) or list(one.items)) for one in prose("One\ntwo.\n\nBefore:\n- a\n  b\n- c")]
+    assert kinds == [("text", "One two."), ("text", "Before:"), ("bullets", ["a b", "c"])]

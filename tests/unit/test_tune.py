@@ -1,0 +1,267 @@
+"""Gains of the pressure feedback: demands kept, the worst case at its best, loci and margins right, draws as asked."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ehbench import rundir
+from ehbench.control.functions import FUNCTIONS, HEAD, METERED, pack_rules
+from ehbench.control.pressure_feedback import FEEDBACK_GAIN, OFF_GAIN, WASHOUT, pack_pressure_feedback
+from ehbench.errors import InputError, InsufficientData, ModelRejected
+from ehbench.recipe import TuneRecipe, load_recipe, load_rig
+from ehbench.rig import Value
+from ehbench.tune import gains as module
+from ehbench.tune.gains import bandwidth, draw_parameters, gain_limit, locus, margins, tune_pressure_feedback
+from ehbench.tune.linear import Law, damping_ratio
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+
+
+def machine(name="boom_four_valve", **values):
+    rig = load_rig(RIGS / f"{name}.toml")
+    return SimpleNamespace(rig=rig.with_values(values), flow_maps=None)
+
+
+def recipe(**fields):
+    return TuneRecipe(**{"stage": "tune", "rig": "x", "postures": 2, "speed_shares": (0.4,), "draws": 0} | fields)
+
+
+@pytest.fixture(scope="module")
+def tuned():
+    return tune_pressure_feedback(machine(), recipe(phase_margin="30 deg"))
+
+
+@pytest.fixture(scope="module")
+def sites():
+    r, notes = recipe(), []
+    m = machine()
+    return module._sites(m.rig, None, r, "boom", 8e5, 8e5, notes)[0]
+
+
+def test_thesis_boom_reaches_its_target_with_one_gain():
+    """What issue 3 expects of the linear models: 0.5 at worst, against 0.05 to 0.2 of the thesis's six functions in open loop."""
+
+    t = tune_pressure_feedback(machine("thesis_arm"), recipe(cylinder="boom", postures=3))
+    assert t.met and t.damping_ratio >= 0.5 and len(set(t.feedback_gain.values())) == 1
+    assert t.damping_ratio_open < 0.15
+    assert {p.point.payload for p in t.points} == {"none", "50 lb"}
+    assert {p.point.function for p in t.points if p.counts} == {"extend_resistive", "retract_overrunning", "retract_overrunning_regeneration"}
+
+
+def test_demands_are_kept_and_no_neighbour_is_better(tuned, sites):
+    gain = tuned.feedback_gain["extend_resistive"]
+    law = Law(tuned.washout, tuned.off_gain, tuned.delay)
+    counted = [p for p in tuned.points if p.counts]
+    for p in counted:
+        assert p.margins.gain_margin >= 2.0 and p.margins.phase_margin >= math.radians(30) and p.margins.bandwidth >= math.pi
+    assert min(p.damping_ratio_closed for p in counted) == tuned.damping_ratio
+
+    def worst(at):
+        loops = [s.loop(law) for s in sites if s.counts]
+        kept = all(not module._violations(margins(loop, at), tuned.constraints) for loop in loops)
+        return min(float(loop.damping_ratio(at)) for loop in loops) if kept else -1.0
+
+    assert worst(gain) == pytest.approx(tuned.damping_ratio, rel=1e-6)
+    assert all(worst(gain * k) < tuned.damping_ratio + 1e-6 for k in (0.7, 0.9, 1.1, 1.4))
+    # and well above what there is without feedback
+    assert tuned.damping_ratio > 2 * tuned.damping_ratio_open
+
+
+def test_a_demand_binds():
+    options = {"phase_margin": "10 deg", "washout": "100 rad/s", "off_gain": "1e-11 m^3/(s*Pa)"}
+    free = tune_pressure_feedback(machine(), recipe(**options))
+    margin = 1.3 * min(p.margins.gain_margin for p in free.points if p.counts)
+    bound = tune_pressure_feedback(machine(), recipe(**options, gain_margin=str(margin)))
+    assert min(p.margins.gain_margin for p in bound.points if p.counts) >= margin
+    assert bound.feedback_gain["extend_resistive"] < free.feedback_gain["extend_resistive"]
+    assert bound.damping_ratio < free.damping_ratio
+
+
+def test_what_cannot_be_kept_is_said():
+    t = tune_pressure_feedback(machine(), recipe(bandwidth="500 Hz"))
+    assert not t.met and any("bandwidth" in w for w in t.warnings)
+
+
+def test_locus_is_that_of_the_closed_loop(sites):
+    law = Law(20.0, 4e-11, 1e-3)
+    site = next(s for s in sites if s.counts)
+    loop, gain = site.loop(law), 1e-10
+    limit = gain_limit(loop, np.geomspace(1e-12, 1e-8, 60))
+    one = locus(loop, site, law, gain, "feedback_gain", limit)
+    for k in range(0, len(one.values), 7):
+        exact = np.linalg.eigvals(loop.closed(one.values[k]))
+        found = np.array(one.real[k]) + 1j * np.array(one.imag[k])
+        # polynomial roots against eigenvalues: 1e-5 of the pole's size
+        assert all(np.abs(found - pole).min() < 1e-5 * abs(pole) + 1e-6 for pole in exact)
+    crossing = np.array(one.crossing_poles)
+    assert np.abs(crossing[np.abs(crossing[:, 1]) > 0][:, 0]).min() < 1e-4 * np.abs(crossing).max()
+    assert limit > gain and sum(abs(v / limit - 1) < 0.2 for v in one.values) >= 20
+    closed = damping_ratio(np.array([complex(*p) for p in one.chosen_poles]), loop.fastest)
+    assert closed == pytest.approx(float(loop.damping_ratio(gain)), rel=1e-5)
+    corner = locus(loop, site, law, gain, "washout", limit)
+    exact = np.linalg.eigvals(loop.closed(gain))
+    found = np.array([complex(*p) for p in corner.chosen_poles])
+    assert all(np.abs(found - pole).min() < 1e-4 * abs(pole) for pole in exact)
+
+
+def test_margins_and_bandwidth_agree_with_poles_and_python_control(sites):
+    import control
+
+    law, gain = Law(20.0, 0.0, 1e-3), 1e-10
+    loop = next(s for s in sites if s.counts).loop(law)
+    # with no off-side control there is one loop, and its gain margin is the factor to the stability limit
+    limit = gain_limit(loop, np.geomspace(1e-12, 1e-8, 60))
+    assert margins(loop, gain).gain_margin == pytest.approx(limit / gain, rel=1e-3)
+    loop = next(s for s in sites if s.counts).loop(replace(law, off_gain=4e-11))
+    # the grid is 1.7 % wide and interpolated
+    assert bandwidth(loop, gain) == pytest.approx(float(control.bandwidth(module._speed(loop, gain))), rel=2e-3)
+    assert margins(loop, 2 * gain_limit(loop, np.geomspace(1e-12, 1e-8, 60))).gain_margin == 0.0
+
+
+def test_limit_is_a_limit(sites):
+    loop = next(s for s in sites if s.counts).loop(Law(20.0, 4e-11, 1e-3))
+    limit = gain_limit(loop, np.geomspace(1e-12, 1e-8, 60))
+    for factor, stable in ((0.99, True), (1.01, False)):
+        assert (np.linalg.eigvals(loop.closed(factor * limit)).real.max() < 0) == stable
+    assert gain_limit(loop, np.geomspace(1e-12, 0.5 * limit, 20)) == math.inf
+
+
+def test_steps_and_bias(tuned):
+    for step in tuned.steps:
+        opened, closed = np.array(step.v_open), np.array(step.v_closed)
+        # with a washout the speed comes out as wished; python-control's samples end after ten open-loop periods
+        assert closed[-1] == pytest.approx(1.0, abs=0.15)
+        assert closed.max() < opened.max()
+    for p in tuned.points:
+        # without a washout pressure takes from the inflow of the metered chamber: slower by meter-in, faster by meter-out
+        assert (p.bias < 0) == (METERED[FUNCTIONS.index(p.point.function)] == HEAD), p.name
+
+
+def test_bias_without_washout_is_the_steady_error(sites):
+    """The linear loop settles where flow in = A·v: A v_d − K p = A v with p carrying the load at v."""
+    site = next(s for s in sites if s.counts and s.point.function == "extend_resistive")
+    gain, point = 2e-11, site.point
+    bias = module._bias(site.loop(Law(0.0, 4e-11, 1e-3)), point, gain)
+    area, rest = site.circuit.area_head, site.circuit.area_rod
+    # off-side: A2 δv_d flow is as before, so its pressure gives way by A2 δv/off
+    stiff = (point.damping + point.friction - point.bend * point.mass) / area + rest**2 / (4e-11 * area)
+    assert bias == pytest.approx(-gain * point.p_head / (area + gain * stiff), rel=1e-3)
+
+
+def test_draws_follow_the_covariance():
+    values = {
+        "bulk_modulus": Value(7e8, sure="identified", std=5e7, lower=6e8, upper=1.8e9),
+        "boom.joint_damping": Value(2500.0, sure="identified", std=200.0),
+    }
+    rig = machine(**values).rig
+    names = ("bulk_modulus", "boom.joint_damping")
+    table = draw_parameters(rig, names, (names[::-1], [[1.0, -0.8], [-0.8, 1.0]]), 20000, np.random.default_rng(1))
+    # 20 000 draws: means to 0.7 % of a deviation, deviations and correlation to about 1 %; clipping at 2 σ moves them by 2 %
+    assert table[:, 0].min() == 6e8
+    assert table[:, 1].mean() == pytest.approx(2500, abs=5) and table[:, 1].std() == pytest.approx(200, rel=0.03)
+    assert np.corrcoef(table.T)[0, 1] == pytest.approx(-0.8, abs=0.02)
+    alone = draw_parameters(rig, names, None, 20000, np.random.default_rng(1))
+    assert abs(np.corrcoef(alone.T)[0, 1]) < 0.03
+    with pytest.raises(InputError, match="no correlation matrix"):
+        draw_parameters(rig, names, (names, [[1.0, 2.0], [2.0, 1.0]]), 2, np.random.default_rng(1))
+
+
+def test_share_of_draws(tuned):
+    wide = {"boom.joint_damping": Value(2500.0, sure="identified", std=1200.0, lower=50.0, upper=40000.0)}
+    options = {"draws": 16, "phase_margin": "30 deg", "washout": f"{tuned.washout} rad/s", "off_gain": f"{tuned.off_gain} m^3/(s*Pa)"}
+
+    def share(target, **extra):
+        return tune_pressure_feedback(machine(**wide), recipe(**options, damping_ratio=target, **extra)).robustness
+
+    middle = share(str(tuned.damping_ratio))
+    assert 0.0 < middle.share < 1.0 and middle.draws == 16 and middle.parameters == ("boom.joint_damping",)
+    assert middle.share == np.mean(np.array(middle.damping_ratios) >= tuned.damping_ratio)
+    assert share("0.95").share == 0.0 and share("0.01").share == 1.0
+    assert share("0.01").damping_ratios == middle.damping_ratios
+    assert share("0.01", seed=1).damping_ratios != middle.damping_ratios
+    assert tuned.robustness.share is None and any("no draws" in w for w in tuned.warnings)
+
+
+def test_each_function_with_its_own_gain_is_no_worse(tuned):
+    own = tune_pressure_feedback(
+        machine(), recipe(phase_margin="30 deg", one_gain=False, washout=f"{tuned.washout} rad/s", off_gain=f"{tuned.off_gain} m^3/(s*Pa)")
+    )
+    assert own.damping_ratio >= tuned.damping_ratio - 1e-6
+    assert own.feedback_gain["extend_resistive"] != own.feedback_gain["retract_overrunning"]
+
+
+def test_result_is_plain_and_feeds_the_controller(tuned, tmp_path):
+    rundir.write_json(tmp_path / "tuning.json", tuned.as_json())
+    back = json.loads((tmp_path / "tuning.json").read_text())
+    assert back["feedback_gain"] == pytest.approx(tuned.feedback_gain, rel=1e-8)
+    assert len(back["points"]) == len(tuned.points) and len(back["points"][0]["curve"]) == len(back["gains"])
+    packed = pack_pressure_feedback(rules=pack_rules(1e-3, 1.6e7), **tuned.controller())
+    assert packed[WASHOUT] == tuned.washout and packed[OFF_GAIN] == tuned.off_gain
+    assert packed[FEEDBACK_GAIN + 1] == tuned.feedback_gain["extend_resistive"]
+
+
+def test_same_input_same_result(tuned):
+    assert tune_pressure_feedback(machine(), recipe(phase_margin="30 deg")).as_json() == tuned.as_json()
+
+
+def test_alternatives_are_at_their_best(tuned):
+    by = {a.what: a for a in tuned.alternatives}
+    # the constraint may cost the chosen law something, its coarse grid of gains the alternative: 5 %
+    assert by["chosen law"].damping_ratio >= 0.95 * tuned.damping_ratio
+    assert {"no washout", "load force fed back", "valves ten times as fast", "no delay"} <= set(by)
+
+
+def test_one_spool_has_no_off_side():
+    t = tune_pressure_feedback(machine("crane_proportional"), recipe(phase_margin="10 deg"))
+    assert t.off_gain == 0.0 and t.damping_ratio > 2 * t.damping_ratio_open
+    assert {"off-side a fifth as stiff"}.isdisjoint(a.what for a in t.alternatives)
+
+
+def test_only_a_validated_rig():
+    class Validated:
+        pass
+
+    with pytest.raises(ModelRejected, match="was not validated"):
+        tune_pressure_feedback(machine(), recipe(), validated=Validated)
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "message"),
+    [
+        ("thesis_arm", {}, "several cylinders"),
+        ("boom_four_valve", {"cylinder": "bom"}, "no cylinder 'bom'"),
+        ("boom_four_valve", {"functions": ("lift",)}, "no working function 'lift'"),
+        ("boom_four_valve", {"functions": ("retract_overrunning_regeneration",)}, "not able"),
+        ("boom_four_valve", {"payloads": ("stone",)}, "no payload 'stone'"),
+        ("boom_four_valve", {"strokes": ("2 m",)}, "lies outside"),
+    ],
+)
+def test_bad_input(name, fields, message):
+    with pytest.raises(InputError, match=message):
+        tune_pressure_feedback(machine(name), recipe(**fields))
+
+
+def test_nothing_to_tune_on():
+    with pytest.raises(InsufficientData, match="calls for any"):
+        tune_pressure_feedback(machine(), recipe(functions=("extend_overrunning",)))
+
+
+def test_recipe_file(tmp_path):
+    path = tmp_path / "tune.toml"
+    path.write_text(
+        'stage = "tune"\nrig = "validate.toml"\ncylinder = "boom"\nwashout = "0.6 Hz"\noff_gain = "300 mL/min/bar"\n'
+        'phase_margin = "40 deg"\nbandwidth = "1 Hz"\n'
+    )
+    read = load_recipe(path)
+    assert isinstance(read, TuneRecipe) and float(read.phase_margin) == pytest.approx(math.radians(40))
+    assert float(read.washout) == pytest.approx(2 * math.pi * 0.6) and float(read.off_gain) == pytest.approx(300e-6 / 60 / 1e5)
+    path.write_text('stage = "tune"\nrig = "x"\nwashot = "0.6 Hz"\n')
+    with pytest.raises(InputError, match="did you mean 'washout'"):
+        load_recipe(path)
