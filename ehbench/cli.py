@@ -30,6 +30,7 @@ Exit codes: 0 done, 1 a bug, 2 usage or a bad file, 3 finished with data loss, 4
 
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for the run. Default: reports/<recipe>_<hash8>/.", show_default=False)]
 RecipeFile = Annotated[Path, typer.Argument(help="Recipe (TOML).", show_default=False)]
+AllowCode = Annotated[bool, typer.Option("--allow-code", help="Let recipes run Python code: controllers of your own.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress on stderr.")]
 
 
@@ -66,10 +67,21 @@ def validate(recipe: RecipeFile, out: Out = None, quiet: Quiet = False) -> None:
     _run("validate", recipe, out, quiet)
 
 
-@app.command("run-trial", epilog="Example:  ehbench run-trial recipes/trials/boom_step.toml")
-def run_trial(recipe: RecipeFile, out: Out = None, quiet: Quiet = False) -> None:
-    """Run a trial on the model or on the virtual bench; exit 5 when a limit stops it."""
-    _run("trial", recipe, out, quiet)
+@app.command(epilog="Example:  ehbench tune recipes/thesis/tuning.toml")
+def tune(
+    recipe: RecipeFile,
+    out: Out = None,
+    quiet: Quiet = False,
+    unvalidated: Annotated[bool, typer.Option("--unvalidated", help="Tune on a rig that no validation accepted.")] = False,
+) -> None:
+    """Choose a controller's gains by root locus over postures, loads and functions, on a validated rig."""
+    _run("tune", recipe, out, quiet, unvalidated=unvalidated)
+
+
+@app.command("run-trial", epilog="Example:  ehbench run-trial recipes/trials/arc_slow.toml")
+def run_trial(recipe: RecipeFile, out: Out = None, quiet: Quiet = False, allow_code: AllowCode = False) -> None:
+    """Run a trial, or a set of trials, on the model or on the virtual bench; exit 5 when a limit stops one."""
+    _run("trial", recipe, out, quiet, allow_code=allow_code)
 
 
 @app.command(epilog="Example:  ehbench report reports/flow_maps_* reports/validation_* --out my_report")
@@ -89,21 +101,22 @@ def reproduce(
     campaign: Annotated[str, typer.Argument(help="Name of a folder in recipes/, or a campaign file.")],
     out: Annotated[Path | None, typer.Option("--out", help="Folder for all runs. Default: reports/.", show_default=False)] = None,
     quiet: Quiet = False,
+    allow_code: AllowCode = False,
 ) -> None:
     """Run a whole campaign and write its report; runs that stand already are not run again."""
     from ehbench import workflow
 
     with _progress(quiet) as tell:
-        made = workflow.run(workflow.find_campaign(campaign), workflow.Desk(root=out or workflow.ROOT, progress=tell))
+        made = workflow.run(workflow.find_campaign(campaign), workflow.Desk(root=out or workflow.ROOT, progress=tell, allow_code=allow_code))
     _leave(made, "report.html")
 
 
-def _run(stage: str, recipe: Path, out: Path | None, quiet: bool) -> None:
+def _run(stage: str, recipe: Path, out: Path | None, quiet: bool, **allowed: bool) -> None:
     from ehbench import workflow
 
-    workflow.expect_stage(recipe, stage)
+    workflow.expect_stage(recipe, stage, *(["trials"] if stage == "trial" else []))
     with _progress(quiet) as tell:
-        made = workflow.run(recipe, workflow.Desk(out=out, progress=tell))
+        made = workflow.run(recipe, workflow.Desk(out=out, progress=tell, **allowed))
     _leave(made)
 
 

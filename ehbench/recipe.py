@@ -316,7 +316,10 @@ class TrialRecipe(_AnyTrial):
 
 
 class SetController(Controller):
-    """A controller of a set of trials; it may run on a rig of its own, such as the same machine with another valve."""
+    """A controller of a set of trials; it may run on a rig of its own, such as the same machine with another valve.
+
+    What was identified on the set's rig holds for that one as well, by name.
+    """
 
     rig: str | None = None
     flow_maps: str | None = None
@@ -486,11 +489,12 @@ class DatasetRecipe(Recipe):
 class TuneRecipe(Recipe):
     """A validated rig to the gain of the pressure feedback of one cylinder.
 
-    Operating points: ``postures`` strokes from 10 to 90 % (or those of ``strokes``) × ``payloads`` (``none`` and all of the rig file
-    by default) × ``functions`` (by default the thesis's six, as far as the valves are able) × ``speed_shares`` of the full speed
-    there; other joints as in ``posture``, else at mid-stroke. ``delay`` lies between pressure and command: half a tick of hold, the rest for the sensor.
-    ``washout`` and ``off_gain`` are found where they are not given; ``washout = "0 rad/s"`` is none. ``one_gain = false`` lets each
-    working function have its own gain. ``damping_ratio`` is the target that the share of ``draws`` is counted against.
+    Operating points: ``postures`` strokes from 10 to 90 % (or those of ``strokes``) × ``payloads`` (``none`` and all of the rig
+    file by default) × ``functions`` (by default the thesis's six, as far as the valves are able) × ``speed_shares`` of the full
+    speed there; other joints as in ``posture``, else at mid-stroke. ``delay`` lies between pressure and command: half a tick of
+    hold, the rest for the sensor. ``washout`` and ``off_gain`` are found where they are not given; ``washout = "0 rad/s"`` is
+    none. ``one_gain = false`` lets each working function have its own gain. ``damping_ratio`` is the target that the share of
+    ``draws`` is counted against.
     """
 
     stage: Literal["tune"]

@@ -1,6 +1,6 @@
 """The main path, in the order of the data. Read this first.
 
-    recipe → rig → record (log) → identified rig → validated rig → trial → report
+    recipe → rig → record (log) → identified rig → validated rig → tuned controller → record (trial) → report
 
 Each arrow is one function here. It takes a recipe file, names its inputs by hash, does its one job with floor-5
 methods, writes one run folder, and returns an `Outcome`. A recipe may name a rig, a flow map or a log by the file, by
@@ -11,14 +11,15 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ehbench import rundir
 from ehbench.errors import InputError, ModelRejected
 from ehbench.recipe import (
-    Campaign, DataFile, FlowMapRecipe, HydraulicsRecipe, Recipe, TrialRecipe, ValidateRecipe, kind_of, load_recipe, load_rig,
+    Campaign, DataFile, FlowMapRecipe, HydraulicsRecipe, Recipe, TrialRecipe, TrialSetRecipe, TuneRecipe, ValidateRecipe, kind_of, load_recipe,
+    load_rig,
 )  # fmt: skip
 
 if TYPE_CHECKING:
@@ -59,19 +60,30 @@ class Machine:
     """A rig as a stage receives it: its numbers, its measured maps, how far it has come, and the inputs behind it."""
 
     rig: Rig
-    maps: FlowMaps | None
+    flow_maps: FlowMaps | None
     stage: str
     inputs: tuple[tuple[str, Path], ...]
+    origin: Path
+
+
+@dataclass(frozen=True)
+class ValidatedMachine(Machine):
+    """A machine that a validation accepted; only `machine_of` makes one, from a validate run."""
 
 
 @dataclass(frozen=True)
 class Desk:
-    """Where a session works: the folder that runs go to, how progress is told, and whether runs are made again."""
+    """Where a session works: the folder that runs go to, how progress is told, which runs stand, and what was allowed aloud.
+
+    ``allow_code`` lets recipes run Python code, ``unvalidated`` lets a controller be tuned on a rig that no validation accepted.
+    """
 
     root: Path = ROOT
     out: Path | None = None
     progress: Progress | None = None
     done: dict[Path, Outcome] = field(default_factory=dict)
+    allow_code: bool = False
+    unvalidated: bool = False
 
     def tell(self, what: str) -> Progress | None:
         """A progress callback labelled with the recipe at work."""
@@ -94,22 +106,22 @@ def run(path: Path | str, desk: Desk | None = None) -> Outcome:
     desk = desk or Desk()
     for kind, stage in (
         (FlowMapRecipe, identify_flow_map), (HydraulicsRecipe, identify_hydraulics), (ValidateRecipe, validate),
-        (TrialRecipe, run_trial), (Campaign, run_campaign),
+        (TuneRecipe, tune), (TrialRecipe, run_trial), (TrialSetRecipe, run_trials), (Campaign, run_campaign),
     ):  # fmt: skip
         if isinstance(recipe, kind):
             return stage(recipe, desk)
     raise InputError(f"no stage for {type(recipe).__name__}", file=path)
 
 
-def expect_stage(path: Path, stage: str) -> None:
+def expect_stage(path: Path, *stages: str) -> None:
     """Refuse a recipe of another stage than the command's.
 
     Raises:
         InputError: with the command that takes it.
     """
     found = load_recipe(path).stage
-    if found != stage:
-        command = {"trial": "run-trial", "campaign": "reproduce"}.get(found, found)
+    if found not in stages:
+        command = {"trial": "run-trial", "trials": "run-trial", "campaign": "reproduce"}.get(found, found)
         raise InputError(f"is a recipe of stage '{found}'", file=path, hint=f"run it with: ehbench {command} {path}")
 
 
@@ -151,7 +163,7 @@ def identify_hydraulics(recipe: HydraulicsRecipe, desk: Desk) -> Outcome:
     inputs = [*machine.inputs, *inputs]
     options = {
         "method": recipe.method, "start": recipe.start, "lower": recipe.lower, "upper": recipe.upper, "channels": recipe.channels,
-        "flow_maps": machine.maps, "workers": recipe.workers, "cutoff": None if recipe.cutoff is None else float(recipe.cutoff),
+        "flow_maps": machine.flow_maps, "workers": recipe.workers, "cutoff": None if recipe.cutoff is None else float(recipe.cutoff),
         "max_iterations": recipe.max_iterations, "progress": desk.tell(recipe.name),
     }  # fmt: skip
     fit = hydraulics.identify_hydraulics(machine.rig, logs, recipe.parameters, **options)
@@ -160,7 +172,7 @@ def identify_hydraulics(recipe: HydraulicsRecipe, desk: Desk) -> Outcome:
         variants = hydraulics.compare_dynamics(machine.rig, logs, recipe.parameters, recipe.compare_dynamics, **options)
     compared = [{"dynamics": v.dynamics, "relative_rms": v.relative_rms, "fit": v.fit.as_json()} for v in variants]
     with rundir.open_run(desk.place(recipe, inputs), "identify", recipe.path, inputs) as made:
-        _write_rig(made.path, fit.rig, machine.maps)
+        _write_rig(made.path, fit.rig, machine.flow_maps)
         rundir.write_json(made.path / "parameters.json", fit.as_json() | {"dynamics_comparison": compared})
         _write_series(made.path / "series", fit.series())
         warnings = [*losses, *fit.warnings]
@@ -183,12 +195,14 @@ def validate(recipe: ValidateRecipe, desk: Desk) -> Outcome:
     seen = [name for (name, _), (_, path) in zip(logs, inputs, strict=True) if rundir.sha256(path) in used]
     inputs = [*machine.inputs, *inputs]
     verdict = validation.validate_rig(
-        machine.rig, logs, channels=recipe.channels, thresholds=recipe.thresholds, flow_maps=machine.maps, fitted_on=seen,
+        machine.rig, logs, channels=recipe.channels, thresholds=recipe.thresholds, flow_maps=machine.flow_maps, fitted_on=seen,
         progress=desk.tell(recipe.name),
     )  # fmt: skip
     with rundir.open_run(desk.place(recipe, inputs), "validate", recipe.path, inputs) as made:
-        _write_rig(made.path, machine.rig, machine.maps)
+        _write_rig(made.path, machine.rig, machine.flow_maps)
         rundir.write_json(made.path / "validation.json", verdict.as_json())
+        if (machine.origin / "parameters.json").is_file():  # the intervals travel with the rig they belong to
+            shutil.copyfile(machine.origin / "parameters.json", made.path / "parameters.json")
         _write_series(made.path / "series", verdict.series())
         warnings = [*losses, *verdict.warnings]
         made.facts |= {
@@ -201,22 +215,45 @@ def validate(recipe: ValidateRecipe, desk: Desk) -> Outcome:
     return Outcome(made.final, INCOMPLETE if losses else DONE, tuple(warnings))
 
 
+def tune(recipe: TuneRecipe, desk: Desk) -> Outcome:
+    """Validated rig → controller gains: ``tuning.json`` with what was promised at every operating point."""
+    from ehbench.tune.gains import tune_pressure_feedback
+
+    machine = machine_of(recipe, recipe.rig, recipe.flow_maps, desk)
+    if not desk.unvalidated and not isinstance(machine, ValidatedMachine):
+        raise ModelRejected(
+            f"rig '{machine.rig.name}' is not validated ({machine.stage}), so no controller is tuned on it",
+            file=recipe.path, hint="name the recipe or run of its validation as rig, or add --unvalidated",
+        )  # fmt: skip
+    found = machine.origin / "parameters.json"
+    known = rundir.read_json(found) if machine.origin.is_dir() and found.is_file() else None
+    correlation = (known["correlated_names"], known["correlation"]) if known and known["correlation"] else None
+    tuning = tune_pressure_feedback(machine, recipe, correlation=correlation, progress=desk.tell(recipe.name))
+    with rundir.open_run(desk.place(recipe, machine.inputs), "tune", recipe.path, machine.inputs, {"draws": recipe.seed}) as made:
+        _write_rig(made.path, machine.rig, machine.flow_maps)
+        rundir.write_json(made.path / "tuning.json", tuning.as_json())
+        warnings = list(tuning.warnings)
+        if not isinstance(machine, ValidatedMachine):
+            warnings.insert(0, "tuned on a rig that no validation accepted (--unvalidated)")
+        made.facts |= {"what": "tuning", "title": recipe.title, "rig": machine.rig.name, "validated": machine.stage == "validated", "warnings": warnings}
+        _draw(made, desk, recipe)
+    return Outcome(made.final, DONE, tuple(warnings))
+
+
 def run_trial(recipe: TrialRecipe, desk: Desk) -> Outcome:
     """One trial on the model or on the virtual bench → ``log.mcap`` and ``trial.json``; a limit stops it with exit 5."""
     from ehbench import trial
-    from ehbench.logs import write_log
 
+    trial.refuse_code(recipe, desk.allow_code)
     machine = machine_of(recipe, recipe.rig, recipe.flow_maps, desk)
-    extra = [("bench", _existing(recipe, recipe.bench))] if recipe.bench else []
-    extra += [("command", _existing(recipe, c.file)) for c in recipe.command if c.file]
+    extra, gains = _behind(recipe, desk)
     inputs = [*machine.inputs, *extra]
-    tell = desk.tell(recipe.name)
-    record, facts = trial.run_trial(machine.rig, recipe, machine.maps, progress=tell and (lambda share: tell("", share)))
+    record, facts = trial.run_trial(
+        machine.rig, recipe, machine.flow_maps, progress=desk.tell(recipe.name), gains=gains, allow_code=desk.allow_code
+    )
     with rundir.open_run(desk.place(recipe, inputs), "trial", recipe.path, inputs, {"trial": recipe.seed}) as made:
-        _write_rig(made.path, machine.rig, machine.maps)
-        rig_file = (made.path / "rig.toml").read_bytes()
-        attached = {**record.attachments, "recipe.toml": recipe.path.read_bytes(), "rig.toml": rig_file}
-        write_log(made.path / "log.mcap", type(record)(record.t, record.channels, record.meta, attached, record.losses))
+        _write_rig(made.path, machine.rig, machine.flow_maps)
+        _write_log(made.path / "log.mcap", record, recipe, machine.rig)
         rundir.write_json(made.path / "trial.json", facts.as_json())
         made.facts |= {
             "what": "trial", "title": recipe.title, "rig": machine.rig.name, "on": recipe.on, "stopped": facts.stopped,
@@ -226,6 +263,78 @@ def run_trial(recipe: TrialRecipe, desk: Desk) -> Outcome:
     if facts.stopped:
         return Outcome(made.final, STOPPED, (*facts.warnings, facts.stopped))
     return Outcome(made.final, DONE, tuple(facts.warnings))
+
+
+def run_trials(recipe: TrialSetRecipe, desk: Desk) -> Outcome:
+    """Payloads × motions × controllers → ``logs/<case>.mcap`` and one table over all, ``table.json`` and ``table.csv``."""
+    from ehbench import trial
+
+    planned = recipe.cases()
+    for _, _, one in planned:
+        trial.refuse_code(one, desk.allow_code)
+    base = machine_of(recipe, recipe.rig, recipe.flow_maps, desk)
+    machines = {(recipe.rig, recipe.flow_maps): base}
+    cases, inputs = [], list(base.inputs)
+    for name, _, one in planned:
+        key = (one.rig, one.flow_maps)
+        if key not in machines:
+            other = machine_of(one, *key, desk)
+            machines[key] = replace(other, rig=_with_identified(other.rig, base.rig))
+        extra, gains = _behind(one, desk)
+        inputs += [item for item in (*machines[key].inputs, *extra) if item not in inputs]
+        cases.append(trial.Case(name, one, machines[key].rig, machines[key].flow_maps, gains))
+    results = trial.run_cases(cases, allow_code=desk.allow_code, progress=desk.tell(recipe.name))
+    with rundir.open_run(desk.place(recipe, inputs), "trials", recipe.path, inputs, {"trial": recipe.seed}) as made:
+        _write_rig(made.path, base.rig, base.flow_maps)
+        (made.path / "logs").mkdir()
+        for case, file, (record, _) in zip(cases, trial.file_names(cases), results, strict=True):
+            _write_log(made.path / "logs" / f"{file}.mcap", record, case.recipe, case.rig)
+        rows = trial.table_rows(cases, results)
+        rundir.write_json(made.path / "table.json", {"rows": rows})
+        (made.path / "table.csv").write_text(trial.table_csv(rows, base.rig), encoding="utf-8")
+        stopped = [f"{case.name}: {facts.stopped}" for case, (_, facts) in zip(cases, results, strict=True) if facts.stopped]
+        warnings = [f"{case.name}: {text}" for case, (_, facts) in zip(cases, results, strict=True) for text in facts.warnings]
+        made.facts |= {
+            "what": "trials", "title": recipe.title, "rig": base.rig.name, "on": recipe.on, "stopped": "; ".join(stopped), "warnings": warnings,
+        }  # fmt: skip
+        _draw(made, desk, recipe)
+    return Outcome(made.final, STOPPED if stopped else DONE, (*warnings, *stopped))
+
+
+def _with_identified(rig: Rig, source: Rig) -> Rig:
+    """A variant of a machine with the numbers that were identified on ``source``, by name."""
+    known = rig.parameters()
+    return rig.with_values({name: value for name, value in source.parameters().items() if value.sure == "identified" and name in known})
+
+
+def _behind(recipe: TrialRecipe, desk: Desk) -> tuple[list[tuple[str, Path]], Path | None]:
+    """(inputs of a trial beside its rig, where its gains lie): bench, files it plays, tune run, the user's code."""
+    from ehbench import trial
+
+    inputs = [("bench", _existing(recipe, recipe.bench))] if recipe.bench else []
+    inputs += [("command", _existing(recipe, c.file)) for c in recipe.command if c.file]
+    if recipe.motion is not None and recipe.motion.file:
+        inputs.append(("motion", _existing(recipe, recipe.motion.file)))
+    if (code := trial.code_file(recipe)) is not None:
+        inputs.append(("code", code))
+    name = trial.gains_file(recipe)
+    if name is None:
+        return inputs, None
+    gains = _existing(recipe, name)
+    if gains.is_file() and gains.suffix == ".toml":
+        gains = make(gains, desk).folder
+    return [*inputs, ("gains", gains)], gains
+
+
+def _write_log(path: Path, record: Record, recipe: TrialRecipe, rig: Rig) -> None:
+    """A trial's log with its recipe and rig attached."""
+    import tomli_w
+
+    from ehbench.logs import write_log
+
+    rig_file = tomli_w.dumps(rig.as_toml()).encode()
+    attached = {**record.attachments, "recipe.toml": recipe.path.read_bytes(), "rig.toml": rig_file}
+    write_log(path, type(record)(record.t, record.channels, record.meta, attached, record.losses))
 
 
 def report(folders: Sequence[Path], desk: Desk, campaign: Campaign | None = None) -> Outcome:
@@ -246,7 +355,7 @@ def report(folders: Sequence[Path], desk: Desk, campaign: Campaign | None = None
 
 def run_campaign(recipe: Campaign, desk: Desk) -> Outcome:
     """Several recipes in order, then one report over their runs. A rejected or stopped run is shown, not dropped."""
-    inner = Desk(desk.root, None, desk.progress, desk.done)
+    inner = replace(desk, out=None)
     outcomes = []
     for index, name in enumerate(recipe.recipes):
         _tell(desk, recipe, name, index / len(recipe.recipes))
@@ -261,7 +370,7 @@ def make(path: Path, desk: Desk) -> Outcome:
     """The outcome of a recipe, run only if it has not been run with these very inputs; dependencies go to ``desk.root``."""
     path = path.resolve()
     if path not in desk.done:
-        desk.done[path] = run(path, Desk(desk.root, None, desk.progress, desk.done))
+        desk.done[path] = run(path, replace(desk, out=None))
     return desk.done[path]
 
 
@@ -287,7 +396,8 @@ def machine_of(recipe: Recipe, rig: str, flow_maps: str | None, desk: Desk) -> M
         maps = _maps_in(source)
         if maps is None:
             raise InputError("holds no flow maps", file=source, hint="name a run of what = 'flow_map'")
-    return Machine(load_rig(path), maps, stage, tuple(inputs))
+    kind = ValidatedMachine if stage == "validated" else Machine
+    return kind(load_rig(path), maps, stage, tuple(inputs), path)
 
 
 def logs_of(recipe: Recipe, data: Sequence[DataFile], desk: Desk) -> tuple[list[tuple[str, Record]], list[tuple[str, Path]], list[str]]:
@@ -408,13 +518,3 @@ def init(folder: Path) -> Outcome:
         raise InputError("exists and is not empty; nothing was written", file=folder, hint="name a new folder")
     shutil.copytree(rundir.PACKAGE / "workspace", folder, dirs_exist_ok=True)
     return Outcome(folder)
-
-
-def require_validated(machine: Machine, unvalidated: bool) -> None:
-    """Refuse a rig that no validation accepted, unless the user says so aloud.
-
-    Raises:
-        ModelRejected: with what would be right.
-    """
-    if machine.stage != "validated" and not unvalidated:
-        raise ModelRejected(f"rig '{machine.rig.name}' is {machine.stage}, not validated", hint="name a validate recipe, or add --unvalidated")

@@ -15,8 +15,8 @@ import numpy as np
 
 from ehbench.compiled import kernel
 from ehbench.control.functions import (
-    CROSS_DROP, DIRECTION, EXTEND_RESISTIVE_REGENERATION, FUNCTIONS, HEAD, HEAD_TANK, HOLD, METERED, METERING, ROD, ROD_TANK, RULES,
-    SPEED_START, SUPPLY_HEAD, SUPPLY_ROD, Circuit, coupled, path_drop, select, widest,
+    CROSS_DROP, DIRECTION, EXTEND_RESISTIVE_REGENERATION, FUNCTIONS, HEAD, HEAD_TANK, HOLD, METERED, METERING, ROD, ROD_TANK,
+    RULES, SPEED_START, SUPPLY_HEAD, SUPPLY_ROD, Circuit, coupled, path_drop, select, widest,
 )  # fmt: skip
 from ehbench.control.trajectory import A, J, V, X
 from ehbench.control.valve_level import AGAINST, REVERSED, SATURATED, give
@@ -34,7 +34,9 @@ ESTIMATES = ("inverse_inertia", "payload_share", "disturbance", "inverse_bulk")
 INVERSE_INERTIA, PAYLOAD, DISTURBANCE, INVERSE_BULK = range(4)
 _N = 4
 # share of each estimate's bounds that scales its adaptation: inertia and disturbance shall not take what the payload explains
-SHARES = np.array([0.3, 1.0, 0.3])
+SHARES = np.array([0.3, 1.0, 0.2])
+
+LOST = 0.01  # [m] between observed and measured stroke, at which the observer starts anew
 
 # gains, see `pack_arc`
 GAIN_NAMES = (
@@ -47,6 +49,10 @@ GAIN_NAMES = (
     TICK, ADAPT, POSITION, SPEED, FORCE, COUPLING, SPEED_TOLERANCE, FORCE_TOLERANCE, ROBUST_LIMIT, PRESSURE, LOW_PRESSURE,
     PRESSURE_RATE, OBSERVER, CORRECTION, NUDGE, RESOLUTION, LOAD_CORNER, STANDBY, LEAD, DROP_FLOOR, WEIGHING, REFERENCE_MASS,
 ) = range(22)  # fmt: skip
+MAY_BE_ZERO = {
+    "adapt", "robust_limit", "low_pressure", "observer_bandwidth", "speed_nudge", "stroke_resolution", "standby",
+    "valve_lead", "weighing_time",
+}  # fmt: skip
 AT_LOWER = len(GAIN_NAMES)
 AT_UPPER, AT_RATE, AT_START = AT_LOWER + _N, AT_LOWER + 2 * _N, AT_LOWER + 3 * _N
 AT_RULES = AT_LOWER + 4 * _N
@@ -119,7 +125,7 @@ def adapt(estimates, rates, lower, upper, tick):
 
 @kernel
 def inertias(axis, angles, mass, work):
-    """(D_jj, what 1 kg at the tip adds to it) about the axis's joint [kg·m²], or [kg] of a slide; no function of its own angle."""
+    """(D_jj, what 1 kg at the tip adds to it) about the axis's joint [kg·m²], or [kg] of a slide; q_j does not matter."""
     j = axis.joint
     mass_matrix(axis.kind, axis.links, angles, mass, work)
     own = mass[j, j]
@@ -242,6 +248,9 @@ def observe(x, v, gains, memory):
         a = memory[MODEL_A] + memory[BIAS]
         seen = memory[SEEN_X] + tick * (memory[SEEN_V] + 0.5 * tick * a)
         miss = x - seen
+        if abs(miss) > LOST:
+            memory[SEEN_X], memory[SEEN_V], memory[BIAS] = x, v, -memory[MODEL_A]
+            return x, v
         x = seen + (1.0 - z * z * z) * miss
         v = memory[SEEN_V] + tick * a + 1.5 * (1.0 - z) * (1.0 - z) * (1.0 + z) / tick * miss
         memory[BIAS] += (1.0 - z) ** 3 / (tick * tick) * miss
@@ -517,15 +526,9 @@ def axis(
         np.ascontiguousarray(chambers, float), np.ascontiguousarray(friction, float),
         spool, np.array(onset, float),
     )  # fmt: skip
-    if (
-        made.posture.shape != (links.shape[0],)
-        or made.pins.shape != (6,)
-        or made.chambers.shape != (6,)
-        or made.friction.shape != (3,)
-    ):
-        raise InputError(
-            "the arrays of an axis do not fit each other", hint="posture has one entry a joint, pins 6, chambers 6, friction 3"
-        )
+    shapes = [part.shape for part in (made.posture, made.pins, made.chambers, made.friction)]
+    if shapes != [(links.shape[0],), (6,), (6,), (3,)]:
+        raise InputError("the arrays of an axis do not fit each other", hint="posture: one a joint; pins 6, chambers 6, friction 3")
     numbers = (made.gravity, links, made.posture, made.pins, made.chambers, made.friction)
     if not all(np.isfinite(part).all() for part in numbers) or made.friction[2] <= 0 or made.chambers[:3].min() <= 0:
         raise InputError("an axis needs finite numbers, and volumes, bulk modulus and friction speed above 0")
@@ -548,7 +551,7 @@ def reference(axis: Axis) -> tuple[float, float, float]:
 
 
 def hydraulic_frequency(axis: Axis) -> float:
-    """ω_h [rad/s] of the rig without payload on its oil, all valves shut: ``ω_h² = β (A1²/V1 + A2²/V2)/m0``, the axis's posture."""
+    """ω_h [rad/s] of the bare rig on its oil, valves shut, in the axis's posture: ``ω_h² = β (A1²/V1 + A2²/V2)/m0``."""
     mass, _, _ = reference(axis)
     x, _, _ = linkage(int(axis.pins[0]), *axis.pins[1:], float(axis.posture[axis.joint]))
     head, rod = axis.circuit.area_head, axis.circuit.area_rod
@@ -566,103 +569,112 @@ def pack_arc(
     valve_lag: float,
     adapt: bool = True,
     lag_budget: float = 0.5,
-    gains: Mapping[str, float] | None = None,
     payload: tuple[float, float] | None = None,
     disturbance: float | None = None,
     bulk_modulus: tuple[float, float] | None = None,
     adaptation: float | None = None,
     adaptation_bulk: float | None = None,
+    gains: Mapping[str, float] | None = None,
 ) -> np.ndarray:
     """The gains of `step`, shape (GAINS,), with defaults from what the valves and the supply allow.
 
-    The three feedback bandwidths together ask the valves for phase at ``position_bandwidth + speed_bandwidth + force_bandwidth``; by default that
-    times the lag of the loop is ``lag_budget`` [rad], shared out 1 : 2 : 4.
+    The valves are asked for phase up to the sum of the bandwidths k1 + k2 + k3 [rad/s]. By default that sum times the
+    loop's lag is ``lag_budget``, shared out 1 : 2 : 4. ``docs/arc.md`` derives the other defaults.
 
     Args:
         axis: of the design model.
         rules: of function selection, `ehbench.control.functions.pack_rules`.
         tick: between samples [s].
         supply_pressure, flow_limit: of the supply [Pa, m³/s].
-        valve_lag: of the slowest valve, 2ζ/ω_n [s].
+        valve_lag: of the cylinder's slowest valve, 2ζ/ω_n [s].
         adapt: False for the same law with its estimates left at the design model.
         lag_budget: [rad].
-        gains: any of GAIN_NAMES by name instead of its default: ``position_bandwidth``, ``speed_bandwidth``, ``force_bandwidth``, ``coupling_frequency`` [rad/s],
-            ``speed_tolerance`` [m/s] and ``force_tolerance`` [N] to which the robust terms hold the errors, ``pressure_bandwidth`` [rad/s]
-            and ``low_pressure`` [Pa] of the off-side, ``pressure_rate`` [Pa/s] of its set-point, ``observer_bandwidth`` [rad/s] (0: the
-            measured speed), ``speed_correction`` [m/s] at most for the stroke error, ``load_corner`` [rad/s],
-            ``standby`` share of its deadband at which an idle valve waits [1], ``drop_floor`` [Pa], ``reference_mass`` [kg].
         payload: bounds of the payload at the end of the last link [kg]; 0 to 1.5 times that link's mass by default.
         disturbance: bound ± of the unknown force [N]; 3 % of supply pressure on the head end by default.
         bulk_modulus: its bounds [Pa]; the design's through and times 1.4 by default.
-        adaptation: rate at which the mechanical estimates together follow [rad/s]; a quarter of ``position_bandwidth`` by default.
+        adaptation: rate at which the mechanical estimates together follow [rad/s]; k1/4 by default.
         adaptation_bulk: the same of the bulk modulus [rad/s]; a fiftieth of ``adaptation`` by default.
+        gains: any of GAIN_NAMES by name instead of its default: ``position_bandwidth``, ``speed_bandwidth``,
+            ``force_bandwidth`` k1, k2, k3 and ``coupling_frequency`` ω3 [rad/s]; ``speed_tolerance`` [m/s] and
+            ``force_tolerance`` [N] to which the robust terms hold the errors, by at most ``robust_limit`` [1] of k2 and k3;
+            ``pressure_bandwidth`` [rad/s] of the off-side, its set-point ``low_pressure`` [Pa] above tank and the rate of it
+            ``pressure_rate`` [Pa/s]; ``observer_bandwidth`` [rad/s], 0 for the measured speed; ``speed_correction`` [m/s]
+            that a stroke error asks for at most; ``speed_nudge`` [m/s] and ``stroke_resolution`` [m] at a wish to rest;
+            ``load_corner`` [rad/s] of the load that chooses the function; ``standby`` [1] share of its deadband at which a
+            shut valve waits; ``valve_lead`` [s] by which desired flows lead; ``drop_floor`` [Pa] of the inverse maps;
+            ``weighing_time`` [s], the gain of adaptation at rest; ``reference_mass`` [kg].
 
     Raises:
         InputError: an unknown gain, a number out of its range, bounds that do not hold the design model.
     """
-    mass, pull, ratio = reference(axis)
-    head_force = supply_pressure * axis.circuit.area_head
-    total = lag_budget / (valve_lag + tick)
-    chosen = {"position_bandwidth": total / 7.0, "speed_bandwidth": 2.0 * total / 7.0, "force_bandwidth": 4.0 * total / 7.0} | {
-        key: value for key, value in (gains or {}).items() if key in ("position_bandwidth", "speed_bandwidth", "force_bandwidth")
-    }
-    k1, k2, k3 = chosen["position_bandwidth"], chosen["speed_bandwidth"], chosen["force_bandwidth"]
-    low, high = (0.0, 1.5 * float(axis.links[-1, arm.MASS])) if payload is None else payload
-    worst = 0.03 * head_force if disturbance is None else disturbance
-    softest, hardest = (axis.chambers[BULK] / 1.4, 1.4 * axis.chambers[BULK]) if bulk_modulus is None else bulk_modulus
-    lower = np.array([0.9 / (1.0 + high * ratio), low, -worst, axis.chambers[BULK] / hardest])
-    upper = np.array([1.1 / (1.0 + low * ratio), high, worst, axis.chambers[BULK] / softest])
-
-    # one metre per second squared stands for the accelerations that tell the inertia
-    phi = np.array([1.0 + 0.5 * abs(pull) * (high - low) / mass, pull / mass, 1.0 / mass])
-    spread = (upper - lower)[:3] * SHARES
-    unknown = float(np.abs(phi) @ (upper - lower)[:3])
-    omega = chosen.setdefault("coupling_frequency", (gains or {}).get("coupling_frequency", max(k2, hydraulic_frequency(axis))))
-    # in quiet motion an acceleration error Δ shows as mixed = −answer·Δ, so that θ̂' = −Γ φ mixed makes Δ' = −adaptation·Δ
-    at_speed = (1.0 + (k1 + k2) / k3) / (k2 + omega**2 / k3)
-    answer = max(at_speed + (k1 + k2) / omega**2 * (k2 * at_speed - 1.0), 0.2 * at_speed)
-    chosen |= {
-        "tick": tick, "adapt": float(adapt), "speed_tolerance": unknown / (1.1 * k2),
-        "force_tolerance": mass * (k1 + k2) * unknown / (1.1 * k3), "pressure_bandwidth": 0.5 * total, "low_pressure": supply_pressure / 20.0,
-        "pressure_rate": 3.0 * supply_pressure, "observer_bandwidth": 60.0, "speed_correction": flow_limit / axis.circuit.area_head,
-        "load_corner": 2.0 * math.pi, "standby": 0.8, "drop_floor": 2.0e4, "reference_mass": mass,
-        "robust_limit": 0.3, "stroke_resolution": 2.5e-5, "weighing_time": answer,
-        "valve_lead": valve_lag + 0.5 * tick, "speed_nudge": 0.01 * flow_limit / axis.circuit.area_head,
-    }  # fmt: skip
-    for name, value in (gains or {}).items():
+    given = dict(gains or {})
+    for name in given:
         if name not in GAIN_NAMES:
             raise InputError(f"the adaptive robust controller has no gain '{name}'", hint="it has " + ", ".join(GAIN_NAMES))
-        chosen[name] = value
+    for name, value in ({"tick": tick, "lag_budget": lag_budget} | given).items():
+        if not math.isfinite(value) or value < 0.0 or (value == 0.0 and name not in MAY_BE_ZERO):
+            raise InputError(f"gain '{name}' of the adaptive robust controller is {value:g}", hint="it must be a number above 0")
+    mass, pull, ratio = reference(axis)
+    area, beta = axis.circuit.area_head, axis.chambers[BULK]
+    low, high = (0.0, 1.5 * float(axis.links[-1, arm.MASS])) if payload is None else payload
+    worst = 0.03 * supply_pressure * area if disturbance is None else disturbance
+    softest, hardest = (beta / 1.4, 1.4 * beta) if bulk_modulus is None else bulk_modulus
+    lower = np.array([0.9 / (1.0 + high * ratio), low, -worst, beta / hardest])
+    upper = np.array([1.1 / (1.0 + low * ratio), high, worst, beta / softest])
+    start = np.array([1.0, low, 0.0, 1.0])
 
+    total = lag_budget / (valve_lag + tick)
+    k1, k2, k3 = (
+        given.get(name, total * part / 7.0) for name, part in zip(GAIN_NAMES[POSITION : FORCE + 1], (1, 2, 4), strict=True)
+    )
+    omega = given.get("coupling_frequency", max(k2, hydraulic_frequency(axis)))
+    # regressors at a middling payload; 1 m/s² stands for the accelerations that tell the inertia
+    phi = np.array([1.0 + 0.5 * abs(pull) * (high - low) / mass, pull / mass, 1.0 / mass])
+    unknown = float(np.abs(phi) @ (upper - lower)[:3])
+    # in quiet motion an acceleration error Δ shows as mixed = −answer·Δ, so that θ̂' = Γ φ mixed makes Δ' = −adaptation·Δ
+    at_speed = (1.0 + (k1 + k2) / k3) / (k2 + omega**2 / k3)
+    answer = max(at_speed + (k1 + k2) / omega**2 * (k2 * at_speed - 1.0), 0.2 * at_speed)
     gamma = 0.25 * k1 if adaptation is None else adaptation
-    variance = spread**2
+    variance = ((upper - lower)[:3] * SHARES) ** 2
     rate = np.zeros(_N)
     rate[:3] = gamma * variance / (answer * float(phi**2 @ variance))
-    # a rise of the reference mass's weight at 10 m/s³ stands for the force rates that tell the bulk modulus
-    gamma_bulk = 0.02 * gamma if adaptation_bulk is None else adaptation_bulk
-    rate[3] = gamma_bulk * k3 * (mass * omega) ** 2 / (10.0 * mass) ** 2
-    table = np.concatenate([[chosen[name] for name in GAIN_NAMES], lower, upper, rate, np.array([1.0, low, 0.0, 1.0]), rules])
-    positive = ("tick", "position_bandwidth", "speed_bandwidth", "force_bandwidth", "coupling_frequency", "speed_tolerance", "force_tolerance", "pressure_bandwidth", "drop_floor",
-                "speed_correction", "load_corner", "reference_mass", "pressure_rate")  # fmt: skip
-    for name in positive:
-        if not chosen[name] > 0.0:
-            raise InputError(f"gain '{name}' of the adaptive robust controller is {chosen[name]:g}", hint="it must be above 0")
-    if (
-        not np.isfinite(table).all()
-        or chosen["observer_bandwidth"] < 0
-        or not 0.0 <= chosen["standby"] < 1.0
-        or table.shape != (GAINS,)
-    ):
+    # 10 m/s³ times the reference mass stands for the force rates that tell the bulk modulus
+    rate[3] = (0.02 * gamma if adaptation_bulk is None else adaptation_bulk) * k3 * (omega / 10.0) ** 2
+
+    defaults = {
+        "tick": tick,
+        "adapt": float(adapt),
+        "position_bandwidth": k1,
+        "speed_bandwidth": k2,
+        "force_bandwidth": k3,
+        "coupling_frequency": omega,
+        "speed_tolerance": unknown / (1.1 * k2),
+        "force_tolerance": mass * (k1 + k2) * unknown / (1.1 * k3),
+        "robust_limit": 0.3,
+        "pressure_bandwidth": 0.5 * total,
+        "low_pressure": supply_pressure / 20.0,
+        "pressure_rate": 3.0 * supply_pressure,
+        "observer_bandwidth": 60.0,
+        "speed_correction": flow_limit / area,
+        "speed_nudge": 0.01 * flow_limit / area,
+        "stroke_resolution": 2.5e-5,
+        "load_corner": 2.0 * math.pi,
+        "standby": 0.8,
+        "valve_lead": valve_lag + 0.5 * tick,
+        "drop_floor": 2.0e4,
+        "weighing_time": answer,
+        "reference_mass": mass,
+    }
+    chosen = defaults | given
+    if chosen["standby"] >= 1.0:
+        raise InputError(f"gain 'standby' is {chosen['standby']:g}", hint="a share below 1, or shut valves would leak")
+    bounded = low >= 0.0 and np.isfinite([lower, upper]).all() and ((lower <= start) & (start <= upper)).all()
+    if not bounded or not (rate >= 0.0).all():
         raise InputError(
-            "a gain of the adaptive robust controller is out of its range", hint="finite; standby below 1; observer 0 or more"
+            "the bounds of the estimates do not hold the design model, or a rate of adaptation is negative",
+            hint="payload 0 kg or more, lower bound first; disturbance 0 N or more; bulk_modulus around the design's",
         )
-    start = table[AT_START:AT_RULES]
-    if not ((lower <= start) & (start <= upper)).all() or (rate < 0).any():
-        raise InputError(
-            "the bounds of the estimates do not hold the design model",
-            hint="payload from 0 or more, disturbance 0 or more, bulk_modulus around the design's",
-        )
-    return table
+    return np.concatenate([[chosen[name] for name in GAIN_NAMES], lower, upper, rate, start, rules])
 
 
 def note_channels(cylinder: str, edges: Sequence[str]) -> tuple[str, ...]:

@@ -166,7 +166,7 @@ def fit_flow_map(
         method: ``flowmeter`` or ``cylinder`` per reading; each has its own noise.
         trial: number per reading; trials that differ as a whole widen the intervals.
         file, line: where each reading stands, for naming outliers; ``file`` may be one for all.
-        meter_limit: [m³/s] a flowmeter reading below it counts as 0 ± this.
+        meter_limit: [m³/s] a flowmeter reading below it only says that the flow lies below it.
         rated_flow: [m³/s]; the largest fitted flow among the cells if not given.
         calibration: (command [V], flow [m³/s], tolerance as a share of the flow) to check.
         reference_drop: [Pa] or a range, where the calibration is checked; the upper half of the drops measured at
@@ -207,7 +207,7 @@ class _Readings:
     line: np.ndarray
     cell: np.ndarray
     level: np.ndarray
-    least_std: np.ndarray
+    limit: np.ndarray
 
 
 def _clusters(values: np.ndarray, share: float, width: float) -> np.ndarray:
@@ -259,9 +259,8 @@ def _readings(who, command, drop, flow, method, trial, file, line, meter_limit) 
         )
     if drops < 4:
         raise InsufficientData(f"the {who} has readings at {drops} pressure drops", hint="4 or more different ones are needed")
-    censored = (method != "cylinder") & (np.abs(q) < meter_limit)
-    q = np.where(censored, 0.0, q)
-    return _Readings(n, use, u, drop, q, method, trial, file, line, cell, level, np.where(censored, meter_limit, 0.0))
+    limit = np.where(method != "cylinder", meter_limit, 0.0)
+    return _Readings(n, use, u, drop, np.where(q < limit, 0.0, q), method, trial, file, line, cell, level, limit)
 
 
 def _gram(pieces: np.ndarray, breaks: np.ndarray, order: int) -> np.ndarray:
@@ -366,6 +365,7 @@ class _Fit:
         self.s = root_drop(readings.drop, self.delta) / root_drop(self.drop_max, self.delta)
         distinct = np.unique(_clusters(readings.drop, 0.03, 0.003 * self.drop_max)).size
         self.s_breaks = np.linspace(0.0, 1.0, int(np.clip(distinct - 1, 3, _SPANS_S)) + 1)
+        self.cell_level = _medians(readings.level, readings.cell).astype(int)
         self.noise = {name: (3e-3, 1e-2) for name in sorted(set(readings.method.tolist()))}
         self.replicates, self.lack, self.trial_scatter = 0, 1.0, 0.0
         self.smoothing = np.array([1e-2, 1e-2])
@@ -374,12 +374,14 @@ class _Fit:
     def std(self, flow: np.ndarray) -> np.ndarray:
         """Standard deviation of each single reading, given the map's flow there."""
         floor, share = np.array([self.noise[m] for m in self.r.method]).T
-        return np.sqrt(floor**2 + (share * flow) ** 2 + self.r.least_std**2 / self.rated**2 + _LEAST_NOISE**2)
+        return np.sqrt(floor**2 + (share * flow) ** 2 + _LEAST_NOISE**2)
 
     def cells(self, flow: np.ndarray):
         """(command, root, flow, weight) of the mean of the kept readings of each cell; weight 0 where none is kept."""
-        r = self.r
-        weight = np.where(self.keep, 1.0 / self.std(flow) ** 2, 0.0)
+        r, limit, std = self.r, self.r.limit / self.rated, self.std(flow)
+        self.y = np.where(r.q < r.limit, np.clip(flow, 0.0, limit), self.y)
+        # whether a reading counts must not hang on its own noise, so the map says whether the meter turns
+        weight = np.where(self.keep & ((limit == 0) | (flow > limit + 2.0 * std)), 1.0 / std**2, 0.0)
         total = np.bincount(r.cell, weight)
         mean = [np.bincount(r.cell, weight * a) / np.maximum(total, 1e-300) for a in (r.u, self.s, self.y)]
         return *mean, total
@@ -390,7 +392,7 @@ class _Fit:
         residual = self.y - flow
         dof_all = 0
         for name in self.noise:
-            use = keep & (r.method == name) & (r.least_std == 0)
+            use = keep & (r.method == name) & (r.q >= r.limit)
             count = np.bincount(r.cell[use], minlength=r.cell.max() + 1)
             mean = np.bincount(r.cell[use], residual[use], count.size) / np.maximum(count, 1)
             inside = residual - mean[r.cell]
@@ -413,23 +415,41 @@ class _Fit:
         design *= (u > spline.deadband)[:, None]
         return design, (design.T * weight) @ design, (design.T * weight) @ y
 
-    def choose_smoothing(self, cells) -> None:
-        """Restricted maximum likelihood of the two penalties, the scale of the noise left free (Wood 2011)."""
+    def choose_smoothing(self, cells) -> float:
+        """Penalties by restricted maximum likelihood, the scale of the noise left free (Wood 2011); −2 log of it."""
         from scipy.linalg import solve_triangular
-        from scipy.optimize import minimize
 
         spline = self.spline(self.deadband)
         _, gram, right = self.normal(spline, cells)
         total, n, unit = float(cells[3] @ cells[2] ** 2), np.count_nonzero(cells[3]), float(cells[3].sum())
 
-        def score(log10: np.ndarray) -> float:
-            factor, determinant = spline.system(gram, 10.0 ** np.clip(log10, -12, 3) * unit)
+        def score(point: tuple[float, float]) -> float:
+            factor, determinant = spline.system(gram, 10.0 ** np.array(point) * unit)
             half = solve_triangular(factor, right, lower=True)
             return (n - 1) * np.log(max(total - half @ half, 1e-12 * total)) + determinant
 
-        starts = [np.array([a, b], float) for a in range(-9, 0, 2) for b in range(-9, 0, 2)]
-        best = minimize(score, min(starts, key=score), method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.01})
-        self.smoothing = 10.0 ** np.clip(best.x, -12, 3) * unit
+        best, value = _lattice_minimum(score)
+        self.smoothing = 10.0 ** np.array(best) * unit
+        return value
+
+    def start_deadband(self, cells) -> None:
+        """The likeliest of a few deadbands, each with its own smoothing: one far off would call for a wrong smoothing."""
+        low, high = self.window(cells)
+
+        def score(deadband: float) -> float:
+            self.deadband = deadband
+            return self.choose_smoothing(cells)
+
+        self.deadband = min((low + (high - low) * k / 6.0 for k in range(7)), key=score)
+
+    def window(self, cells) -> tuple[float, float]:
+        """Range of the deadband [V]: from the last but one command that may be shut to just below the first that is not."""
+        k = self.first_flow(cells)
+        below = float(self.levels[k - 1]) if k else 0.0
+        self.bracket, self.flows_at_lowest = (below, float(self.levels[k])), k == 0
+        seen = np.flatnonzero(np.bincount(self.cell_level, cells[3])[: max(k - 1, 0)])
+        low = float(self.levels[seen[-1]]) if seen.size else 0.0
+        return low, float(self.levels[k]) - 0.02 * (float(self.levels[k]) - below)
 
     def solve(self, spline: _Spline, cells):
         """(coefficients, −2 log likelihood of the spline's deadband with the scale of the noise left free)."""
@@ -441,10 +461,9 @@ class _Fit:
 
     def first_flow(self, cells) -> int:
         """Index of the lowest command that passes flow for sure, and so do all above it."""
-        u, _, y, weight = cells
-        level = np.argmin(np.abs(u[:, None] - self.levels), axis=1)
-        total = np.maximum(np.bincount(level, weight, self.levels.size), 1e-300)
-        mean = np.bincount(level, weight * y, self.levels.size) / total
+        _, _, y, weight = cells
+        total = np.maximum(np.bincount(self.cell_level, weight), 1e-300)
+        mean = np.bincount(self.cell_level, weight * y) / total
         shut = np.flatnonzero((mean * np.sqrt(total / self.lack) <= 4.0) | (mean <= 1e-3))
         first = int(shut[-1]) + 1 if shut.size else 0
         if self.levels.size - first < 3:
@@ -456,11 +475,7 @@ class _Fit:
 
     def find_deadband(self, cells) -> None:
         """Deadband by its profile likelihood: the best one, its standard deviation and 95 % interval."""
-        k = self.first_flow(cells)
-        below = float(self.levels[k - 1]) if k else 0.0
-        low = float(self.levels[k - 2]) if k > 1 else 0.0
-        high = float(self.levels[k]) - 0.02 * (float(self.levels[k]) - below)
-        self.flows_at_lowest = k == 0
+        low, high = self.window(cells)
         self.deadband, self.deadband_std, self.deadband_interval = 0.0, 0.0, (0.0, 0.0)
         for _ in range(2 if high > low else 0):
             grid = np.linspace(low, high, 17)
@@ -475,15 +490,28 @@ class _Fit:
             self.deadband_std = float(np.sqrt(spread))
             lower, upper = (_crossing(grid[best::way], rise[best::way], 3.841) for way in (-1, 1))
             self.deadband_interval = (round(min(lower, self.deadband), 6), round(max(upper, self.deadband), 6))
-        self.bracket = (below, float(self.levels[k]))
+
+    def leak(self) -> float:
+        """Scaled flow that surely passes at 0 V, if 0 V was measured and the flow there is small; else 0."""
+        at = (self.r.level == 0) & (self.r.u == 0) & (self.r.q >= self.r.limit)
+        if at.sum() < 4:
+            return 0.0
+        middle = float(np.median(self.y[at]))
+        error = 1.4826 * float(np.median(np.abs(self.y[at] - middle))) / np.sqrt(at.sum())
+        return middle if middle > max(1e-3, 4.0 * error) else 0.0
 
     def guess(self) -> np.ndarray:
         """Flow by a robust fit to the cells' medians; leaves out what lies far from it."""
         r = self.r
-        u, s, y, weight = self.cells(np.abs(self.y))
-        y = _medians(self.y, r.cell)
-        passes = _medians(y, _medians(r.level, r.cell).astype(int)) > 5e-3
+        leak = self.leak()
+        self.leaks = leak > 0
+        passes = _medians(_medians(self.y, r.cell), self.cell_level) > max(5e-3, 1.5 * leak)
         k = min(int(np.flatnonzero(~passes)[-1]) + 1 if not passes.all() else 0, self.levels.size - 3)
+        if leak:  # what passes no more than the leak is shut; the leak is told apart from the map
+            shut = r.level < k
+            self.y = self.y - shut * self.s * (self.y[shut] @ self.s[shut]) / (self.s[shut] @ self.s[shut])
+        u, s, _, weight = self.cells(self.y)
+        y = _medians(self.y, r.cell)
         self.deadband = 0.5 * float(self.levels[k - 1] + self.levels[k]) if k else 0.0
         spline, huber = self.spline(self.deadband), 1.0
         self.smoothing = np.full(2, 1e-5 * weight.sum())
@@ -502,9 +530,11 @@ class _Fit:
         flow = self.guess()
         self.parameters = float(self.spline(self.deadband).rows + 3)
         for final in (False, True):
-            for _ in range(6):
+            for turn in range(6):
                 self.measure_noise(flow)
                 cells = self.cells(flow)
+                if final and not turn:
+                    self.start_deadband(cells)
                 self.choose_smoothing(cells)
                 if final:
                     self.find_deadband(cells)
@@ -615,9 +645,7 @@ class _Fit:
         residuals, sigmas = np.full((2, r.size), np.nan)
         residuals[r.row], sigmas[r.row] = self.rated * (self.y - self.flow), self.sigmas
         shut = self.keep & (r.u <= self.deadband_interval[0])
-        precision = np.sum(1.0 / self.std(np.zeros(self.y.size))[shut] ** 2)
-        leakage = float(self.y[shut].mean()) if shut.any() else 0.0
-        leaks = shut.any() and leakage > 1e-3 and leakage * np.sqrt(precision) > 4.0
+        leakage = float(r.q[shut].mean()) / self.rated if shut.any() else 0.0
         return FlowMapFit(
             map=found,
             deadband=self.deadband,
@@ -639,7 +667,7 @@ class _Fit:
             calibration=tuple(_check(found, *point, reference_drop) for point in calibration),
             residuals=residuals,
             sigmas=sigmas,
-            warnings=tuple(self.warnings(outliers, leakage if leaks else 0.0)),
+            warnings=tuple(self.warnings(outliers, leakage if self.leaks else 0.0)),
         )
 
     @property
@@ -668,6 +696,30 @@ class _Fit:
             yield f"whole trials differ: their mean is uncertain by {share} of the flow, which is in the intervals"
         if leakage:
             yield f"{self.show.flow(leakage * self.rated, 3)} pass below the deadband; the map takes the valve as shut there"
+
+
+def _lattice_minimum(score) -> tuple[tuple[float, float], float]:
+    """(point, value) of the least of ``score`` over decadic logarithms, on a lattice that is refined about the best.
+
+    Points come from a fixed lattice, so that the last bits of a linear algebra library do not move the result.
+    """
+    known: dict[tuple[float, float], float] = {}
+
+    def value(point: tuple[float, float]) -> float:
+        if point not in known:
+            known[point] = float(score(point))
+        return known[point]
+
+    best = min(((float(a), float(b)) for a in range(-9, 0, 2) for b in range(-9, 0, 2)), key=value)
+    for step in (1.0, 0.5, 0.25):
+        while True:
+            a, b = best
+            around = [(a + i * step, b + j * step) for i, j in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+            better = min((p for p in around if all(-12 <= x <= 0 for x in p)), key=value)
+            if value(better) >= value(best):
+                break
+            best = better
+    return best, value(best)
 
 
 def _lowest(x: np.ndarray, y: np.ndarray, at: int) -> float:

@@ -20,14 +20,14 @@ import numpy as np
 
 from ehbench.control import arc
 from ehbench.control import pressure_feedback as feedback
-from ehbench.control.functions import FUNCTIONS, Circuit, circuit, pack_rules
+from ehbench.control.functions import Circuit, circuit, pack_rules
 from ehbench.control.trajectory import A, J, V, X, pack_shaping
 from ehbench.errors import InputError
 from ehbench.physics.cylinder import chamber_volume
 from ehbench.physics.metering import FROM, TO, VALVE
 from ehbench.plant import (
     AREA_HEAD, AREA_ROD, BULK, COULOMB, COULOMB_SPEED, DAMPING, GEOMETRY, HIGHEST, L_A, L_B, LEAK_HEAD, LEAK_INTERNAL, LEAK_ROD, LOWEST,
-    PHASE, RETRACTED, SIDE, STIFFNESS, STROKE, VISCOUS, VOLUME_HEAD, VOLUME_ROD,
+    PHASE, RETRACTED, SIDE, STIFFNESS, VISCOUS, VOLUME_HEAD, VOLUME_ROD,
 )  # fmt: skip
 from ehbench.quantities import VOCABULARY, Quantity, quantity
 from ehbench.recipe import TrialRecipe
@@ -147,8 +147,21 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> Design:
 
 def posture_of(recipe: TrialRecipe, cylinder: str) -> dict[str, str]:
     """The posture of a recipe; the controlled cylinder stands at the first waypoint of its motion unless the recipe says otherwise."""
-    first = recipe.motion.waypoints[:1] if recipe.motion is not None else ()
-    return {**{cylinder: f"{float(x)!r} m" for x in first}, **recipe.posture}
+    points = recipe.motion.waypoints if recipe.motion is not None else ()
+    return ({cylinder: f"{float(points[0])!r} m"} if points else {}) | recipe.posture
+
+
+def refuse_code(recipe: TrialRecipe, allowed: bool) -> None:
+    """Refuse a controller of the user's own unless it is allowed.
+
+    Raises:
+        InputError: says why and how.
+    """
+    if recipe.controller is not None and recipe.controller.code is not None and not allowed:
+        raise InputError(
+            f"the controller '{recipe.controller.code}' is Python code, and a recipe may not run code by itself",
+            **recipe.at(*recipe.controller.where, "class"), hint="if you trust it, add --allow-code",
+        )  # fmt: skip
 
 
 def gains_file(recipe: TrialRecipe) -> str | None:
@@ -203,15 +216,19 @@ def compiled(recipe: TrialRecipe, made: Design, tuning: Mapping[str, Any] | None
         row[[GEOMETRY, L_A, L_B, SIDE, PHASE, RETRACTED]],
         row[[VOLUME_HEAD, VOLUME_ROD, BULK, LEAK_INTERNAL, LEAK_HEAD, LEAK_ROD]], (row[VISCOUS], row[COULOMB], COULOMB_SPEED),
     )  # fmt: skip
+    own = slice(made.circuit.first, made.circuit.first + made.circuit.count)
+    unused = np.isin(plant.wiring[own, VALVE], [made.valves.index(name) for name in chosen.unused])
+    axis = axis._replace(onset=np.where(unused, 0.0, axis.onset))  # no standing by for them
     channels = 6 * len(model.layout.cylinders) + 2
-    edges = model.layout.edges[made.circuit.first : made.circuit.first + made.circuit.count]
+    edges = model.layout.edges[own]
     try:
         if chosen.kind == "arc":
             kind, mask, names, memory = ARC, arc.entitled(axis, channels), arc.note_channels(made.cylinder, edges), arc.memory_size(axis)
-            own = {n: gains.pop(n) for n in (*_PAIRS, "disturbance", "adaptation", "adaptation_bulk", "lag_budget", "adapt") if n in gains}
-            flow_limit = min(float(plant.supply[2]), 0.5 * made.circuit.area_head)  # half a metre a second where the pump knows no limit
+            more = {n: gains.pop(n) for n in (*_PAIRS, "disturbance", "adaptation", "adaptation_bulk", "lag_budget", "adapt") if n in gains}
+            limit = float(plant.supply[2])
+            limit = limit if math.isfinite(limit) else 0.5 * made.circuit.area_head  # half a metre a second
             values = arc.pack_arc(
-                axis, packed, tick=tick, supply_pressure=supply, flow_limit=flow_limit, valve_lag=_valve_lag(made), gains=gains, **own
+                axis, packed, tick=tick, supply_pressure=supply, flow_limit=limit, valve_lag=_valve_lag(made), gains=gains, **more
             )
         else:
             kind, mask, memory = FEEDBACK, feedback.entitled(made.circuit, channels), feedback.MEMORY
@@ -400,7 +417,7 @@ class UserCode:
         sys.modules[module.__name__] = module  # where dataclasses and pickles look for it
         try:
             source = self.file.read_bytes()
-            exec(compile(source, str(self.file), "exec"), module.__dict__)
+            exec(compile(source, str(self.file), "exec"), module.__dict__)  # noqa: S102
         except SyntaxError as error:
             raise InputError(f"not Python: {error.msg}", file=self.file, line=error.lineno) from None
         except Exception as error:

@@ -21,10 +21,10 @@ FINAL = 0.1  # [s] at the end of a trial over which the final error is averaged
 class StepMeasures:
     """A step of desired speed and what came of it; None where it cannot be read off.
 
-    ``speed`` asked and ``steady_speed`` reached (mean of the last third) [m/s]; ``steady_error`` their difference as a share of the
-    step; ``overshoot`` beyond the steady speed as a share of it; ``settling_time`` [s] after which the speed stays within 5 % of it;
-    ``rms_error`` [m/s] against the desired speed; ``damping_ratio`` and ``natural_frequency`` [rad/s] of the decay, ``ringing`` says why
-    there are none.
+    ``speed`` asked and ``steady_speed`` reached (mean of the last third) [m/s]; ``steady_error`` their difference as a share of what
+    was asked, negative if too slow; ``overshoot`` beyond the steady speed as a share of the rise to it; ``settling_time`` [s] after which
+    the speed stays within 5 % of that rise; ``rms_error`` [m/s] against the desired speed; ``damping_ratio`` and ``natural_frequency``
+    [rad/s] of the decay, ``ringing`` says why there are none.
     """
 
     start: float
@@ -53,7 +53,7 @@ def step_measures(
         share: of the full speed, handed on.
     """
     steady = float(np.mean(v[-max(1, round(STEADY * v.size)) :]))
-    height, way = speed - before, math.copysign(1.0, speed - before)
+    way = math.copysign(1.0, speed - before)
     rise = steady - before
     overshoot = settling = None
     if way * rise > 0.0:
@@ -64,7 +64,7 @@ def step_measures(
         settling = float(t[last] - t[0]) if last < 0.9 * v.size else None
     swing = ringing(t, np.column_stack([v, *others]))
     return StepMeasures(
-        float(t[0]), float(t[-1] - t[0]), speed, share, steady, (steady - speed) / height, overshoot, settling, rms(v - speed),
+        float(t[0]), float(t[-1] - t[0]), speed, share, steady, steady / speed - 1.0, overshoot, settling, rms(v - speed),
         swing.damping_ratio if swing.ok else None, swing.natural_frequency if swing.ok else None, swing.reason,
     )  # fmt: skip
 

@@ -88,7 +88,7 @@ def run_trial(
     rig: Rig,
     recipe: TrialRecipe,
     maps: Maps | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[str, float], None] | None = None,
     *,
     gains: Path | None = None,
     allow_code: bool = False,
@@ -103,7 +103,7 @@ def run_trial(
         rig: as the recipe names it.
         recipe: what to do; its ``bench`` names the bench file, without which the bench is a plausible one of this rig.
         maps: measured flow maps of the rig, for the model and for the controller.
-        progress: called with the share done, from 0 to 1.
+        progress: told what is at work and the share done, from 0 to 1.
         gains: the run folder of the tune run that the recipe takes gains from; by default where the recipe points.
         allow_code: lets a controller of the user's own run.
 
@@ -163,7 +163,7 @@ def run_trial(
     return record, facts
 
 
-def _go(run: Runner, law: Compiled | UserCode | None, progress: Callable[[float], None] | None) -> tuple[Stop | None, int]:
+def _go(run: Runner, law: Compiled | UserCode | None, progress: Callable[[str, float], None] | None) -> tuple[Stop | None, int]:
     """Run to the end, or to RUN_OUT after a limit; returns the stop, if any, and how many rows there are."""
     count, rate = run.t.size, run.machine.rate
     rest = run.machine.model.rest_commands(1)[0]
@@ -193,7 +193,7 @@ def _go(run: Runner, law: Compiled | UserCode | None, progress: Callable[[float]
             upto = row
         at = upto
         if progress is not None:
-            progress(at / end)
+            progress("", at / end)
     return stop, end
 
 
@@ -220,11 +220,7 @@ class _Closed:
 
     @classmethod
     def of(cls, recipe: TrialRecipe, rig: Rig, maps: Maps | None, gains: Path | None, allow_code: bool) -> _Closed:
-        if recipe.controller.code is not None and not allow_code:
-            raise InputError(
-                f"the controller '{recipe.controller.code}' is Python code, and a recipe may not run code by itself",
-                **recipe.at(*recipe.controller.where, "class"), hint="if you trust it, add --allow-code",
-            )  # fmt: skip
+        controllers.refuse_code(recipe, allow_code)
         made = controllers.design(recipe, rig, maps)
         tuning = controllers.read_tuning(recipe, gains)
         low = controllers.low_pressure(recipe, rig, tuning)

@@ -29,8 +29,29 @@ from ehbench.tune.linear import (
 NONE = "none"  # the payload's name where there is none
 GAIN_SPAN = 100.0  # gains looked at: this factor below and above the one that makes a chamber as fast as its load swings
 GAIN_POINTS = 81
-CORNER_SHARES = (0.02, 0.04, 0.08, 0.12, 0.16, 0.25, 0.4, 0.7, 1.0, 1.5, 2.5)  # washout corners tried, of the slowest natural frequency
-OFF_SHARES = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.5, 5.0)  # off-side gains tried, of the gain that makes a chamber as fast as its load
+CORNER_SHARES = (
+    0.02,
+    0.04,
+    0.08,
+    0.12,
+    0.16,
+    0.25,
+    0.4,
+    0.7,
+    1.0,
+    1.5,
+    2.5,
+)  # washout corners tried, of the slowest natural frequency
+OFF_SHARES = (
+    0.1,
+    0.2,
+    0.4,
+    0.7,
+    1.0,
+    1.5,
+    2.5,
+    5.0,
+)  # off-side gains tried, of the gain that makes a chamber as fast as its load
 NEARLY = 0.95  # a faster washout may cost this share of the damping ratio that a slower one gives
 WORST_POINTS = 24  # draws are judged at this many operating points, the least damped ones
 POSTURES = 41  # of the curves of equivalent mass and gravity
@@ -49,8 +70,8 @@ class Machine(Protocol):
 
 @dataclass(frozen=True)
 class Margins:
-    """``gain_margin`` (factor), ``phase_margin`` [rad], the least of the feedback loop and the off-side's, each with the other closed;
-    ``bandwidth`` [rad/s] of speed over desired speed, −3 dB."""
+    """``gain_margin`` (factor), ``phase_margin`` [rad], the least of the feedback loop and the off-side's, each with the other
+    closed; ``bandwidth`` [rad/s] of speed over desired speed, −3 dB."""
 
     gain_margin: float
     phase_margin: float
@@ -62,9 +83,9 @@ class PointResult:
     """One operating point. Poles [rad/s] as (real, imaginary); ``curve`` is the least damping ratio over ``Tuning.gains``.
 
     ``counts``: the gain was chosen on it. Others are shown only: no load makes the controller use that function there.
-    ``open``: no pressure feedback, off-side held. ``natural_frequency_*`` [rad/s] and ``damping_ratio_*`` of the least damped pair.
-    ``gain_limit`` [m³/(s·Pa)]: where the loop becomes unstable, inf if not in the range looked at. ``bias`` [m/s]: what feedback
-    without a washout would take from the steady speed, and ``damping_ratio_plain`` what it would reach.
+    ``open``: no pressure feedback, off-side held. ``natural_frequency_*`` [rad/s] and ``damping_ratio_*`` of the least damped
+    pair. ``gain_limit`` [m³/(s·Pa)]: where the loop becomes unstable, inf if not in the range looked at. ``bias`` [m/s]: what
+    feedback without a washout would take from the steady speed, and ``damping_ratio_plain`` what it would reach.
     """
 
     name: str
@@ -85,10 +106,11 @@ class PointResult:
 
 @dataclass(frozen=True)
 class Locus:
-    """A root locus at one operating point: poles [rad/s], shape (parameters, poles), over ``parameter``, ``feedback_gain`` or ``washout``.
+    """A root locus at one operating point: poles [rad/s], shape (parameters, poles), over ``parameter``, ``feedback_gain`` or
+    ``washout``.
 
-    ``chosen`` the parameter used and its poles; ``crossing`` the parameter at the stability limit and its poles there, None where it has
-    none; ``frame`` (least real, most real, most imaginary part) that shows the poles that matter.
+    ``chosen`` the parameter used and its poles; ``crossing`` the parameter at the stability limit and its poles there, None
+    where it has none; ``frame`` (least real, most real, most imaginary part) that shows the poles that matter.
     """
 
     name: str
@@ -139,7 +161,8 @@ class Curves:
 
 @dataclass(frozen=True)
 class Robustness:
-    """Draws of the identified parameters: the share that reaches the target, and the range of the worst damping ratio (5, 50, 95 %).
+    """Draws of the identified parameters: the share that reaches the target, and the range of the worst damping ratio (5, 50, 95
+    %).
 
     ``points``: how many operating points, the least damped ones, each draw was judged at.
     """
@@ -157,8 +180,9 @@ class Tuning:
     """Gains of the pressure feedback and what they rest on; all SI.
 
     ``feedback_gain`` K_p [m³/(s·Pa)] by working function, ``washout`` ω_w [rad/s] (0 for none), ``off_gain`` [m³/(s·Pa)],
-    ``low_pressure`` and ``cross_drop`` [Pa], ``tick`` and ``delay`` [s]. ``damping_ratio`` the least over the operating points that count,
-    ``damping_ratio_open`` without feedback. ``met``: target and constraints hold at each of them. ``gains`` the abscissa of the curves.
+    ``low_pressure`` and ``cross_drop`` [Pa], ``tick`` and ``delay`` [s]. ``damping_ratio`` the least over the operating points
+    that count, ``damping_ratio_open`` without feedback. ``met``: target and constraints hold at each of them. ``gains`` the
+    abscissa of the curves.
     """
 
     rig: str
@@ -236,13 +260,16 @@ def tune_pressure_feedback(
     """
     if validated is not None and not isinstance(machine, validated):
         raise ModelRejected(
-            f"rig '{machine.rig.name}' was not validated, and gains are tuned on validated rigs only", hint="run a validate recipe on it first"
+            f"rig '{machine.rig.name}' was not validated, and gains are tuned on validated rigs only",
+            hint="run a validate recipe on it first",
         )
     tell = progress or (lambda what, share: None)
     rig, maps = machine.rig, machine.flow_maps
     name = recipe.cylinder or rig.cylinder[0].name
     if recipe.cylinder is None and len(rig.cylinder) > 1:
-        raise InputError("the rig has several cylinders", hint="name one with cylinder = " + ", ".join(f'"{c.name}"' for c in rig.cylinder))
+        raise InputError(
+            "the rig has several cylinders", hint="name one with cylinder = " + ", ".join(f'"{c.name}"' for c in rig.cylinder)
+        )
     rig.cylinder_named(name)
     supply = float(rig.supply.pressure)
     low = supply / 20.0 if recipe.low_pressure is None else float(recipe.low_pressure)
@@ -283,9 +310,11 @@ def tune_pressure_feedback(
     return Tuning(
         rig=rig.name, cylinder=name, feedback_gain=by_function, washout=law.washout, off_gain=law.off_gain, low_pressure=low,
         cross_drop=cross, tick=1.0 / float(recipe.rate), delay=law.delay, target=target, damping_ratio=damping,
-        damping_ratio_open=min(r.damping_ratio_open for r in counting), damping_ratio_open_most=max(r.damping_ratio_open for r in counting),
+        damping_ratio_open=min(r.damping_ratio_open for r in counting),
+        damping_ratio_open_most=max(r.damping_ratio_open for r in counting),
         met=met, constraints=demands, gains=tuple(gains.tolist()),
-        worst_curve=tuple(np.min([r.curve for r in counting], axis=0).tolist()), points=results, equivalents=curves, loci=loci, steps=steps,
+        worst_curve=tuple(np.min([r.curve for r in counting], axis=0).tolist()), points=results, equivalents=curves, loci=loci,
+        steps=steps,
         alternatives=tuple(tried), robustness=robustness, warnings=tuple(dict.fromkeys(notes)),
     )  # fmt: skip
 
@@ -303,7 +332,9 @@ def _sites(rig: Rig, maps: Maps | None, recipe: TuneRecipe, name: str, low: floa
         cylinder = model.layout.cylinders.index(name)
         stroke = model.plant.cylinders[cylinder, STROKE]
         shown = equivalent(model, cylinder, np.linspace(0.0, stroke, POSTURES), recipe.posture)
-        curves.append(Curves(payload, *(tuple(a.tolist()) for a in (shown.x, shown.q, shown.mass, shown.gravity_force, shown.damping))))
+        curves.append(
+            Curves(payload, *(tuple(a.tolist()) for a in (shown.x, shown.q, shown.mass, shown.gravity_force, shown.damping)))
+        )
         here = equivalent(model, cylinder, _strokes(recipe, stroke), recipe.posture)
         circuit = circuit_of(model, cylinder, maps)
         for function in wanted:
@@ -314,7 +345,16 @@ def _sites(rig: Rig, maps: Maps | None, recipe: TuneRecipe, name: str, low: floa
             for index in range(here.x.size):
                 for share in recipe.speed_shares:
                     point = operating_point(
-                        model, circuit, function, here, index, share=share, low_pressure=low, cross_drop=cross, payload=payload, held=recipe.posture
+                        model,
+                        circuit,
+                        function,
+                        here,
+                        index,
+                        share=share,
+                        low_pressure=low,
+                        cross_drop=cross,
+                        payload=payload,
+                        held=recipe.posture,
                     )
                     if point.possible and point.v != 0.0:
                         sites.append(_Site(model, circuit, point, development_model(model, point), point.fits))
@@ -350,7 +390,8 @@ def _by_function(sites: Sequence[_Site]) -> dict[str, list[_Site]]:
 
 
 def _natural_gain(sites: Sequence[_Site]) -> float:
-    """Geometric mean over the points of ω_n V/β_e [m³/(s·Pa)]: the gain that makes the metered chamber as fast as the load swings."""
+    """Geometric mean over the points of ω_n V/β_e [m³/(s·Pa)]: the gain that makes the metered chamber as fast as the load
+    swings."""
     logs = []
     for site in sites:
         head = METERED[FUNCTIONS.index(site.point.function)] == HEAD
@@ -362,7 +403,9 @@ def _natural_gain(sites: Sequence[_Site]) -> float:
 def _swing(site: _Site) -> float:
     """Natural frequency [rad/s] of the mass between two shut chambers: β_e (A1²/V1 + A2²/V2)/m_eq."""
     bulk, point = site.model.plant.cylinders[site.circuit.cylinder, BULK], site.point
-    return math.sqrt(bulk * (site.circuit.area_head**2 / point.volume_head + site.circuit.area_rod**2 / point.volume_rod) / point.mass)
+    return math.sqrt(
+        bulk * (site.circuit.area_head**2 / point.volume_head + site.circuit.area_rod**2 / point.volume_rod) / point.mass
+    )
 
 
 def _worst(sites: Sequence[_Site], law: Law, gains: np.ndarray) -> np.ndarray:
@@ -389,7 +432,9 @@ def _law(sites: Sequence[_Site], recipe: TuneRecipe, gains: np.ndarray, scale: f
     corners = [slowest * share for share in CORNER_SHARES] if recipe.washout is None else [float(recipe.washout)]
     offs = [scale * share for share in OFF_SHARES] if recipe.off_gain is None else [float(recipe.off_gain)]
     washout = corners[0]
-    shared = not any(site.loop(Law(washout, scale, delay)).off.any() for site in sites)  # one command for both ends: nothing to hold
+    shared = not any(
+        site.loop(Law(washout, scale, delay)).off.any() for site in sites
+    )  # one command for both ends: nothing to hold
     if shared and recipe.off_gain is None:
         offs = [0.0]
     for _ in range(2 if len(corners) > 1 and len(offs) > 1 else 1):
@@ -431,7 +476,8 @@ def _choose(sites: Sequence[_Site], law: Law, gains: np.ndarray, demands: dict[s
 
     fine = minimize_scalar(
         lambda z: -float(_worst(sites, law, np.array([math.exp(z)]))[0]),
-        bounds=tuple(np.log(gains[[max(at - 1, 1), min(max(at + 1, 2), gains.size - 1)]])), method="bounded", options={"xatol": 1e-3},
+        bounds=tuple(np.log(gains[[max(at - 1, 1), min(max(at + 1, 2), gains.size - 1)]])), method="bounded",
+        options={"xatol": 1e-3},
     )  # fmt: skip
     candidates = [float(math.exp(fine.x)), *(float(gains[i]) for i in order if worst[i] > worst[0])]
     for gain in candidates:
@@ -444,7 +490,9 @@ def _choose(sites: Sequence[_Site], law: Law, gains: np.ndarray, demands: dict[s
                 )
             return gain
     broken = sorted({v for loop in loops for v in _violations(margins(loop, candidates[0]), demands)})
-    notes.append(f"no gain keeps the demanded {', '.join(broken)} at every operating point and adds damping; the best damped gain is taken")
+    notes.append(
+        f"no gain keeps the demanded {', '.join(broken)} at every operating point and adds damping; the best damped gain is taken"
+    )
     return candidates[0]
 
 
@@ -541,7 +589,8 @@ def _result(site: _Site, law: Law, gain: float, gains: np.ndarray) -> PointResul
 
 
 def _bias(plain: Loop, point: OperatingPoint, gain: float) -> float:
-    """What the static pressure does to the steady speed [m/s] where it is fed back without a washout; NaN where nothing is steady."""
+    """What the static pressure does to the steady speed [m/s] where it is fed back without a washout; NaN where nothing is
+    steady."""
     pressure = point.p_head if METERED[FUNCTIONS.index(point.function)] == HEAD else point.p_rod
     poles = np.linalg.eigvals(plain.closed(gain))
     if (poles.real > -AT_ZERO * np.abs(poles).max()).any():
@@ -603,7 +652,8 @@ def locus(loop: Loop, site: _Site, law: Law, gain: float, parameter: str, limit:
     reach = max(abs(dominant(p, loop.fastest)) for p in (poles[0], at, *([cross] if crossing else [])))
     frame = (-1.6 * reach, 0.4 * reach, 1.4 * reach)
     return Locus(
-        site.point.name, parameter, tuple(values.tolist()), tuple(map(tuple, poles.real.tolist())), tuple(map(tuple, poles.imag.tolist())),
+        site.point.name, parameter, tuple(values.tolist()), tuple(map(tuple, poles.real.tolist())),
+        tuple(map(tuple, poles.imag.tolist())),
         float(chosen), _pairs(at), None if crossing is None else float(crossing), _pairs(cross), tuple(map(float, frame)),
     )  # fmt: skip
 
@@ -628,7 +678,11 @@ def _step(loop: Loop, result: PointResult, gain: float) -> StepResponse:
 
 def _robustness(rig, maps, recipe, sites, results, law, gains, pressures, correlation, target, notes, tell) -> Robustness:
     """The worst damping ratio over the least damped points for draws from the identified covariance."""
-    known = {n: v for n, v in rig.parameters().items() if v.sure == "identified" and v.std is not None and math.isfinite(v.std) and v.std > 0}
+    known = {
+        n: v
+        for n, v in rig.parameters().items()
+        if v.sure == "identified" and v.std is not None and math.isfinite(v.std) and v.std > 0
+    }
     if not known:
         notes.append("no parameter of the rig is identified with a standard error, so no draws were made")
     if not known or recipe.draws == 0:
@@ -661,7 +715,9 @@ def _robustness(rig, maps, recipe, sites, results, law, gains, pressures, correl
     return Robustness(len(table), names, len(order), float(np.mean(worst >= target)), quantiles, tuple(worst.tolist()))
 
 
-def draw_parameters(rig: Rig, names: Sequence[str], correlation: tuple[Sequence[str], Any] | None, count: int, rng: np.random.Generator):
+def draw_parameters(
+    rig: Rig, names: Sequence[str], correlation: tuple[Sequence[str], Any] | None, count: int, rng: np.random.Generator
+):
     """Draws [SI], shape (count, names), of parameters from their standard errors and correlation, clipped to their bounds.
 
     Raises:
@@ -672,7 +728,11 @@ def draw_parameters(rig: Rig, names: Sequence[str], correlation: tuple[Sequence[
     matrix = np.eye(len(names))
     if correlation is not None:
         given, block = list(correlation[0]), np.asarray(correlation[1], float)
-        if block.shape != (len(given), len(given)) or not np.allclose(block, block.T, atol=1e-6) or (np.abs(block) > 1 + 1e-6).any():
+        if (
+            block.shape != (len(given), len(given))
+            or not np.allclose(block, block.T, atol=1e-6)
+            or (np.abs(block) > 1 + 1e-6).any()
+        ):
             raise InputError("the correlation of the identified parameters is no correlation matrix")
         both = [n for n in names if n in given]
         rows = [list(names).index(n) for n in both]

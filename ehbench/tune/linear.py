@@ -14,8 +14,8 @@ from typing import Literal
 import numpy as np
 
 from ehbench.control.functions import (
-    DIRECTION, EXTEND_RESISTIVE_REGENERATION, FUNCTIONS, HEAD, METERED, METERING, OVERRUNNING, PATH_FLOWS, Circuit, circuit, coupled,
-    path_drop, supply_draw, widest,
+    DIRECTION, EXTEND_RESISTIVE_REGENERATION, FUNCTIONS, HEAD, METERED, METERING, OVERRUNNING, PATH_FLOWS, Circuit, circuit,
+    coupled, path_drop, supply_draw, widest,
 )  # fmt: skip
 from ehbench.control.valve_level import top_speed
 from ehbench.errors import InputError
@@ -90,7 +90,8 @@ class Path:
     """One path of a working function at an operating point.
 
     ``flow`` [m³/s] along it at ``drop`` [Pa], through ``edge`` of ``valve`` at ``command`` [V]; ``slope`` ∂Q/∂Δp [m³/(s·Pa)] and
-    ``gain`` ∂Q/∂opening [m³/(s·V)] there. ``metering`` marks the path that sets the motion. ``reachable``: the driver can open so far.
+    ``gain`` ∂Q/∂opening [m³/(s·V)] there. ``metering`` marks the path that sets the motion. ``reachable``: the driver can open
+    so far.
     """
 
     path: int
@@ -110,9 +111,9 @@ class OperatingPoint:
     """A steady motion of one cylinder: working function, payload, stroke ``x`` [m] and speed ``v`` [m/s], extension positive.
 
     ``mass, gravity_force, damping`` are m_eq, F_eq, b_eq of `equivalent`; ``friction`` [N·s/m] is the slope of the cylinder's own
-    friction; ``bend`` [1/s] the part of ∂v̇/∂v from the changing lever; ``load_force`` P_L [N]; pressures [Pa] gauge; volumes [m³].
-    ``possible``: every drop is along its flow and every valve can open so far. ``fits``: also the off-side chamber stands at its
-    set-point. ``note`` says what is missing.
+    friction; ``bend`` [1/s] the part of ∂v̇/∂v from the changing lever; ``load_force`` P_L [N]; pressures [Pa] gauge; volumes
+    [m³]. ``possible``: every drop is along its flow and every valve can open so far. ``fits``: also the off-side chamber stands
+    at its set-point. ``note`` says what is missing.
     """
 
     cylinder: str
@@ -171,9 +172,10 @@ def operating_point(
 ) -> OperatingPoint:
     """The steady motion of a working function at posture ``here.x[index]``.
 
-    The off-side chamber stands at ``low_pressure`` above tank; in the seventh function at ``cross_drop`` above the head end; with one
-    command for both ends, where the common opening puts it. The other chamber carries ``F_eq + (b_eq + friction) v``. Where that would
-    need less than tank pressure, the off-side is raised until the metered chamber stands at ``low_pressure``, and the point does not fit.
+    The off-side chamber stands at ``low_pressure`` above tank; in the seventh function at ``cross_drop`` above the head end;
+    with one command for both ends, where the common opening puts it. The other chamber carries ``F_eq + (b_eq + friction) v``.
+    Where that would need less than tank pressure, the off-side is raised until the metered chamber stands at ``low_pressure``,
+    and the point does not fit.
 
     Args:
         model: with its payload.
@@ -228,7 +230,9 @@ def operating_point(
         if min(p_head, p_rod) < p_tank:
             other = p_tank + low_pressure
             off = (force + areas[1] * other) / areas[0] if not head else (areas[0] * other - force) / areas[1]
-            note = f"the load does not suit this function: the off-side stands at {off / 1e3:.0f} kPa to keep the metered chamber full"
+            note = (
+                f"the load does not suit this function: off-side raised to {off / 1e3:.0f} kPa to keep the metered chamber full"
+            )
             p_head, p_rod = chambers(force, off)
         return force, p_head, p_rod, note
 
@@ -269,7 +273,8 @@ def operating_point(
     slope = coulomb_viscous(v + around, row[VISCOUS], row[COULOMB], COULOMB_SPEED)
     slope -= coulomb_viscous(v - around, row[VISCOUS], row[COULOMB], COULOMB_SPEED)
     return OperatingPoint(
-        cylinder=model.layout.cylinders[circuit.cylinder], function=FUNCTIONS[function], payload=payload, x=float(here.x[index]), v=float(v),
+        cylinder=model.layout.cylinders[circuit.cylinder], function=FUNCTIONS[function], payload=payload,
+        x=float(here.x[index]), v=float(v),
         q=tuple(map(float, q)), lever=float(here.lever[index]), mass=float(here.mass[index]),
         gravity_force=float(here.gravity_force[index]), damping=float(here.damping[index]), friction=float(slope / (2 * around)),
         bend=float(2.0 * here.curvature[index] * v / here.lever[index] ** 2), load_force=float(force), p_head=float(p_head),
@@ -292,7 +297,9 @@ def _command(circuit: Circuit, path: int, flow: float, drop: float) -> float:
     return edge_command(along * drop, along * flow, circuit.edges[edge], circuit.wiring[edge], circuit.maps)
 
 
-def _path(circuit: Circuit, function: int, path: int, flow: float, drop: float, names: tuple[str, ...], command: float | None = None) -> Path:
+def _path(
+    circuit: Circuit, function: int, path: int, flow: float, drop: float, names: tuple[str, ...], command: float | None = None
+) -> Path:
     """A path of a function at a flow and drop along it; at ``command`` where another path decides it."""
     if command is None:
         command = _command(circuit, path, flow, drop)
@@ -302,7 +309,8 @@ def _path(circuit: Circuit, function: int, path: int, flow: float, drop: float, 
     most, sign = widest(circuit, edge, circuit.along[path] * drop), circuit.edges[edge, SIGN]
     reachable = sign * command <= sign * most * (1 + 1e-9) and _flow(circuit, path, drop, command) >= flow * (1 - 1e-6)
     return Path(
-        int(path), names[edge], int(circuit.wiring[edge, VALVE]), float(flow), float(drop), float(command), float(slope), float(gain),
+        int(path), names[edge], int(circuit.wiring[edge, VALVE]), float(flow), float(drop), float(command), float(slope),
+        float(gain),
         bool(path == METERING[function]), bool(reachable),
     )  # fmt: skip
 
@@ -407,11 +415,14 @@ def state_of(model: Model, point: OperatingPoint) -> tuple[np.ndarray, np.ndarra
     return y, command
 
 
-def plant_model(model: Model, point: OperatingPoint, *, others: Literal["held", "free"] = "held", position: bool = False) -> LinearModel:
+def plant_model(
+    model: Model, point: OperatingPoint, *, others: Literal["held", "free"] = "held", position: bool = False
+) -> LinearModel:
     """The same linear model from central differences of the compiled plant.
 
-    With the other joints held their acceleration is zero, ``q̈_j = (D q̈)_j/D_jj`` with q̈ of the free plant; ``free`` leaves them to
-    the reaction forces at this instant. ``position`` adds the stroke ``x`` as first state: what the development model leaves out.
+    With the other joints held their acceleration is zero, ``q̈_j = (D q̈)_j/D_jj`` with q̈ of the free plant; ``free`` leaves
+    them to the reaction forces at this instant. ``position`` adds the stroke ``x`` as first state: what the development model
+    leaves out.
     """
     plant, layout = model.plant, model.layout
     index = layout.cylinders.index(point.cylinder)
@@ -448,7 +459,9 @@ def plant_model(model: Model, point: OperatingPoint, *, others: Literal["held", 
             out += [rate[opening], rate[speed]]
         return np.array(out)
 
-    steps = np.concatenate([[1e-5, 1e-5 * max(1.0, abs(point.v) / 0.01), 30.0, 30.0], [1e-4, 1e-2] * len(picks), [1e-4] * len(valves)])
+    steps = np.concatenate(
+        [[1e-5, 1e-5 * max(1.0, abs(point.v) / 0.01), 30.0, 30.0], [1e-4, 1e-2] * len(picks), [1e-4] * len(valves)]
+    )
     columns = []
     for k, h in enumerate(steps):
         z = np.zeros(steps.size)
@@ -468,8 +481,8 @@ def plant_model(model: Model, point: OperatingPoint, *, others: Literal["held", 
 class Law:
     """The pressure feedback in linear form: ``Q = A v_d − K_p F(s) P``, off-side ``Q = A v_d + off_gain·(set-point − P)``.
 
-    ``washout`` ω_w [rad/s], 0 for none; ``off_gain`` [m³/(s·Pa)]; ``delay`` [s] from pressure to command; ``feedback`` the metered
-    chamber's pressure, or the load force over the metered area.
+    ``washout`` ω_w [rad/s], 0 for none; ``off_gain`` [m³/(s·Pa)]; ``delay`` [s] from pressure to command; ``feedback`` the
+    metered chamber's pressure, or the load force over the metered area.
     """
 
     washout: float
@@ -482,9 +495,9 @@ class Law:
 class Loop:
     """An operating point under the control law with K_p left open: ``ẋ = (a + K_p b c) x + d v_d + e f``, ``v = x[0]``.
 
-    ``b`` is the feedback flow's way in, ``c`` what is fed back [Pa], so the root locus is that of ``1 + K_p L``, L = −c (s − a)⁻¹ b.
-    ``off`` is the part of a that the off-side's pressure control makes, of rank one. Poles beyond ``fastest`` [rad/s] are those of the
-    delay's Padé form. States are scaled; ``v`` stays in m/s.
+    ``b`` is the feedback flow's way in, ``c`` what is fed back [Pa], so the root locus is that of ``1 + K_p L``, L = −c (s −
+    a)⁻¹ b. ``off`` is the part of a that the off-side's pressure control makes, of rank one. Poles beyond ``fastest`` [rad/s]
+    are those of the delay's Padé form. States are scaled; ``v`` stays in m/s.
     """
 
     a: np.ndarray
@@ -507,8 +520,8 @@ class Loop:
 def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law) -> Loop:
     """The loop of a linear model under the control law.
 
-    The valve level inverts each edge at its measured drop: ``δu = (δQ − slope·δΔp)/gain``, with pressures ``delay`` old (Padé form).
-    Where one command serves both ends the path that sets the motion decides it.
+    The valve level inverts each edge at its measured drop: ``δu = (δQ − slope·δΔp)/gain``, with pressures ``delay`` old (Padé
+    form). Where one command serves both ends the path that sets the motion decides it.
     """
     function = FUNCTIONS.index(point.function)
     areas = np.array([circuit.area_head, circuit.area_rod])

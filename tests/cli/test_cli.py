@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-COMMANDS = ("init", "check", "identify", "validate", "run-trial", "report", "reproduce")
+COMMANDS = ("init", "check", "identify", "validate", "tune", "run-trial", "report", "reproduce")
 
 
 def ehbench(*words: str | Path, cwd: Path = ROOT, **options) -> subprocess.CompletedProcess:
@@ -99,7 +99,7 @@ def broken(workspace: Path, tmp_path: Path, file: str, old: str, new: str) -> Pa
         ("rig.toml", '"160 bar"', '"160"', ["rig.toml:18", "no unit"]),
         ("rig.toml", '"160 bar"', '"160 kg"', ["rig.toml:18", "cannot be turned into Pa"]),
         ("rig.toml", '"160 bar"', '"160 GPa"', ["rig.toml:18", "outside"]),
-        ("rig.toml", "flow_limit", "flow_limits", ["rig.toml:19", "flow_limit"]),
+        ("rig.toml", "flow_limit = ", "flow_limits = ", ["rig.toml:19", "flow_limit"]),
         ("rig.toml", '"pa"\nfrom = "supply"', '"pa"\nfrom = "pump"', ["supply", "tank", "head"]),
         ("rig.toml", 'joint = "boom"', 'joint = "arm"', ["arm", "boom"]),
         ("rig.toml", '"450 mm"', '"950 mm"', ["stroke"]),

@@ -11,8 +11,8 @@ from ehbench.control import arc
 from ehbench.control.functions import circuit, pack_rules
 from ehbench.physics.cylinder import joint_angle
 from ehbench.plant import (
-    AREA_HEAD, AREA_ROD, BULK, COULOMB, COULOMB_SPEED, GEOMETRY, HIGHEST, L_A, L_B, LEAK_HEAD, LEAK_INTERNAL, LEAK_ROD, LOWEST, PHASE,
-    RETRACTED, SIDE, VISCOUS, VOLUME_HEAD, VOLUME_ROD, derivatives, workspace_size,
+    AREA_HEAD, AREA_ROD, BULK, COULOMB, COULOMB_SPEED, GEOMETRY, HIGHEST, L_A, L_B, LEAK_HEAD, LEAK_INTERNAL, LEAK_ROD, LOWEST,
+    PHASE, RETRACTED, SIDE, VISCOUS, VOLUME_HEAD, VOLUME_ROD, derivatives, workspace_size,
 )  # fmt: skip
 from ehbench.rigs.bench import bench_tick
 from ehbench.rigs.model import model_sample, model_tick
@@ -124,15 +124,6 @@ def gains_of(model, ax, seventh=False, rules=None, **options):
     return arc.pack_arc(ax, packed, **(given | options))
 
 
-def angle_at(model, number, x):
-    """Joint angle of a cylinder at stroke x [m]."""
-    return float(
-        joint_angle(
-            int(model.plant.cylinders[number, GEOMETRY]), *model.plant.cylinders[number, [L_A, L_B, SIDE, PHASE, RETRACTED]], x
-        )
-    )
-
-
 def _arrays(model, ax, wish):
     layout = model.layout
     names = arc.note_channels("c", [f"e{i}" for i in range(ax.circuit.count)])
@@ -143,32 +134,17 @@ def _noted(notes, names):
     return {name.removeprefix("c."): notes[:, i] for i, name in enumerate(names)}
 
 
-def run_model(model, ax, gains, wish, posture=None, mask=None, y=None):
-    """A trial of the controller on a model that starts at rest in a posture (or in the state ``y``)."""
-    y = model.trim(model.posture(posture)) if y is None else y.copy()
+def run_model(model, ax, gains, wish, posture=None, mask=None, memory=None):
+    """A trial of the controller on a model that starts at rest in a posture; ``memory`` is zeros unless given."""
+    y = model.trim(model.posture(posture))
     notes, names, commands, command = _arrays(model, ax, wish)
     channels = 6 * len(model.layout.cylinders) + 2
-    log, memory = np.zeros((len(wish), channels)), np.zeros(arc.memory_size(ax))
-    flows = np.zeros((len(wish), len(model.layout.edges) + 1))
+    log, memory = np.zeros((len(wish), channels)), np.zeros(arc.memory_size(ax)) if memory is None else memory
+    flows, tick = np.zeros((len(wish), len(model.layout.edges) + 1)), gains[arc.TICK]
     mask = arc.entitled(ax, channels) if mask is None else mask
-    on_model(
-        arc.step,
-        y,
-        wish,
-        mask,
-        ax,
-        gains,
-        memory,
-        command,
-        model.plant,
-        TICK,
-        max(1, round(TICK / STEP)),
-        log,
-        notes,
-        commands,
-        flows,
-    )
-    return Run(wish, log, _noted(notes, names), commands, flows, memory, np.arange(len(wish)) * TICK)
+    steps = max(1, round(tick / STEP))
+    on_model(arc.step, y, wish, mask, ax, gains, memory, command, model.plant, tick, steps, log, notes, commands, flows)
+    return Run(wish, log, _noted(notes, names), commands, flows, memory, np.arange(len(wish)) * tick)
 
 
 def run_bench(rig, model, ax, gains, wish, posture=None):

@@ -14,17 +14,32 @@ from ehbench.control.functions import EXTEND_RESISTIVE, FUNCTIONS, RETRACT_OVERR
 from ehbench.errors import InputError
 from ehbench.physics import arm
 from ehbench.physics.cylinder import joint_angle
-from ehbench.plant import AREA_HEAD, AREA_ROD, BULK, GEOMETRY, L_A, L_B, PHASE, RETRACTED, SIDE, STROKE, derivatives, workspace_size
+from ehbench.plant import (
+    AREA_HEAD,
+    AREA_ROD,
+    BULK,
+    GEOMETRY,
+    L_A,
+    L_B,
+    PHASE,
+    RETRACTED,
+    SIDE,
+    STROKE,
+    derivatives,
+    workspace_size,
+)
 from ehbench.recipe import load_rig
 from ehbench.rigs.model import model_sample, model_tick
 from ehbench.simulate import Model
 from ehbench.tune.linear import (
-    Law, circuit_of, close, damping_ratio, development_model, dominant, equivalent, faster, operating_point, plant_model, state_of,
+    Law, circuit_of, close, damping_ratio, development_model, dominant, equivalent, faster, operating_point, plant_model,
+    state_of,
 )  # fmt: skip
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 MACHINES = [
-    ("thesis_arm", "boom", None), ("thesis_arm", "boom", "50 lb"), ("thesis_arm", "stick", "50 lb"), ("boom_four_valve", "boom", "bucket"),
+    ("thesis_arm", "boom", None), ("thesis_arm", "boom", "50 lb"), ("thesis_arm", "stick", "50 lb"),
+    ("boom_four_valve", "boom", "bucket"),
     ("crane_proportional", "lift", None), ("slide_servo", "press", "100 kg"),
 ]  # fmt: skip
 
@@ -139,7 +154,9 @@ def test_natural_frequency_of_the_locked_boom():
     row = model.plant.cylinders[index]
     for point in points(model, index, circuit, shares=(0.5,)):
         shut = replace(point, paths=(), v=0.0, bend=0.0)
-        exact = math.sqrt(row[BULK] * (row[AREA_HEAD] ** 2 / point.volume_head + row[AREA_ROD] ** 2 / point.volume_rod) / point.mass)
+        exact = math.sqrt(
+            row[BULK] * (row[AREA_HEAD] ** 2 / point.volume_head + row[AREA_ROD] ** 2 / point.volume_rod) / point.mass
+        )
         for linear in (development_model(model, shut), plant_model(model, shut)):
             poles = np.linalg.eigvals(linear.a)
             assert abs(dominant(poles)) == pytest.approx(exact, rel=1e-6)
@@ -176,7 +193,12 @@ def test_valves_made_faster_keep_their_damping():
 
 @pytest.mark.parametrize(
     ("function", "washout", "feedback"),
-    [(EXTEND_RESISTIVE, 4.0, 6e-11), (RETRACT_OVERRUNNING, 4.0, 6e-11), (EXTEND_RESISTIVE, 0.0, 6e-11), (EXTEND_RESISTIVE, 4.0, 0.0)],
+    [
+        (EXTEND_RESISTIVE, 4.0, 6e-11),
+        (RETRACT_OVERRUNNING, 4.0, 6e-11),
+        (EXTEND_RESISTIVE, 0.0, 6e-11),
+        (EXTEND_RESISTIVE, 4.0, 0.0),
+    ],
 )
 def test_closed_loop_agrees_with_the_compiled_controller(function, washout, feedback):
     """A push on the mass of the running machine: its speed, tick by tick, against the linear loop."""
@@ -231,6 +253,15 @@ def test_refusals():
     model, index, circuit = machine("crane_proportional", "lift")
     here = equivalent(model, index, np.array([0.3]))
     with pytest.raises(InputError, match="not able"):
-        operating_point(model, circuit, FUNCTIONS.index("retract_overrunning_regeneration"), here, 0, speed=0.1, low_pressure=1e5, cross_drop=1e5)
+        operating_point(
+            model,
+            circuit,
+            FUNCTIONS.index("retract_overrunning_regeneration"),
+            here,
+            0,
+            speed=0.1,
+            low_pressure=1e5,
+            cross_drop=1e5,
+        )
     with pytest.raises(InputError, match="a speed or a share"):
         operating_point(model, circuit, EXTEND_RESISTIVE, here, 0, low_pressure=1e5, cross_drop=1e5)

@@ -101,7 +101,7 @@ def test_outliers_are_named_by_line_and_do_not_move_the_map(law):
     lines = np.arange(data["flow"].size) + 11
     found = fit(data, rated_flow=8 * GPM, file="hect.csv", line=lines)
     assert [one.line for one in found.outliers] == (bad + 11).tolist()
-    assert "hect.csv:566" in found.warnings[0] and len(found.map.outliers) == 5 and found.map.samples == lines.size - 5
+    assert "hect.csv:111" in found.warnings[0] and len(found.map.outliers) == 5 and found.map.samples == lines.size - 5
     drop, command = np.meshgrid(DROPS, COMMANDS)
     shift = np.abs(found.map.flow(drop, command) - clean.map.flow(drop, command))
     # five readings fewer: the map moves by no more than its own intervals
@@ -121,9 +121,10 @@ def test_without_repeats_outliers_and_intervals_still_hold():
 def test_few_readings_give_wide_intervals_that_hold():
     found = fit(readings(compensated, 7, drops=np.geomspace(2e5, 6.5e6, 5), commands=np.array([0, 1, 2, 4, 7, 10.0]), trials=2))
     rich = fit(readings(compensated, 7))
-    held, _, _ = compare(found, compensated, least=2.0)
-    assert held >= 0.9
-    assert found.map.flow_std(1e6, 5.0) > 2 * rich.map.flow_std(1e6, 5.0)
+    assert compare(found, compensated, least=2.0)[0] >= 0.9
+    # 60 readings against 576: in between the cells about three times as wide, twice asked
+    command, drop = np.meshgrid([2.7, 3.4, 5.5, 8.5], [4e5, 1e6, 2.2e6, 4.5e6])
+    assert np.median(found.map.flow_std(drop, command) / rich.map.flow_std(drop, command)) > 2
     assert found.deadband_std > 2 * rich.deadband_std
 
 
@@ -193,7 +194,7 @@ def test_a_leak_is_reported_and_the_map_shut():
 
 def test_calibration_is_met_missed_undecided_or_not_measured():
     true = poppet(5e6, 4.0)
-    points = [(4.0, true, 0.05), (4.0, 1.3 * true, 0.05), (4.0, 1.05 * true, 0.05), (12.0, true, 0.05)]
+    points = [(4.0, true, 0.05), (4.0, 1.3 * true, 0.05), (4.0, true / 0.95, 0.05), (12.0, true, 0.05)]
     found = fit(readings(poppet, 15), calibration=points, reference_drop=5e6)
     assert [one.verdict for one in found.calibration] == ["met", "missed", "undecided", "not_measured"]
     one = found.calibration[0]

@@ -18,6 +18,7 @@ FLOORS = [
     {"plant"},
     {"simulate"},
     {"rigs"},
+    {"ledger"},
     {"identification", "validation", "tune", "trial", "inspection", "report"},
     {"workflow"},
     {"__init__", "cli", "datasets", "bench"},

@@ -125,7 +125,7 @@ def test_a_trial_on_the_bench_has_only_what_a_machine_measures(rig):
 
 
 LIMIT_CASES = [
-    ({"pressure_max": "50 bar"}, "press.p_rod", lambda x, s: x > s),
+    ({"pressure_max": "60 bar"}, "press.p_rod", lambda x, s: x > s),
     ({"pressure_min": "13 bar"}, "press.p_head", lambda x, s: x < s),
     ({"stroke_margin": "175 mm"}, "press.x", lambda x, s: x > s),
     ({"speed_max": "150 mm/s"}, "press.v", lambda x, s: abs(x) > s),
@@ -136,7 +136,7 @@ LIMIT_CASES = [
 @pytest.mark.parametrize("on", ("model", "bench"))
 @pytest.mark.parametrize(("limit", "channel", "beyond"), LIMIT_CASES, ids=[next(iter(case[0])) for case in LIMIT_CASES])
 def test_a_limit_stops_within_one_tick(rig, on, limit, channel, beyond):
-    amplitude = {"pressure_min": "-6 V", "pressure_max": "6 V"}.get(next(iter(limit)), "4 V")
+    amplitude = {"pressure_min": "-6 V", "pressure_max": "-6 V"}.get(next(iter(limit)), "4 V")
     record, facts = run_trial(rig, recipe({**STEP, "amplitude": amplitude}, limits=limit, on=on, posture={"press": "200 mm"}))
     stop = facts.stop
     assert stop is not None, f"{channel} from {record[channel].min():.6g} to {record[channel].max():.6g}"
@@ -167,5 +167,5 @@ def test_the_bench_of_another_rig_is_refused(rig):
 
 def test_progress_rises_to_one(rig):
     seen = []
-    run_trial(rig, recipe(STEP, duration="1.7 s"), progress=seen.append)
+    run_trial(rig, recipe(STEP, duration="3.4 s"), progress=lambda _, share: seen.append(share))
     assert seen == sorted(seen) and seen[-1] == 1.0 and len(seen) > 2

@@ -52,7 +52,11 @@ def test_thesis_boom_reaches_its_target_with_one_gain():
     assert t.met and t.damping_ratio >= 0.5 and len(set(t.feedback_gain.values())) == 1
     assert t.damping_ratio_open < 0.15
     assert {p.point.payload for p in t.points} == {"none", "50 lb"}
-    assert {p.point.function for p in t.points if p.counts} == {"extend_resistive", "retract_overrunning", "retract_overrunning_regeneration"}
+    assert {p.point.function for p in t.points if p.counts} == {
+        "extend_resistive",
+        "retract_overrunning",
+        "retract_overrunning_regeneration",
+    }
 
 
 def test_demands_are_kept_and_no_neighbour_is_better(tuned, sites):
@@ -175,7 +179,12 @@ def test_draws_follow_the_covariance():
 
 def test_share_of_draws(tuned):
     wide = {"boom.joint_damping": Value(2500.0, sure="identified", std=1200.0, lower=50.0, upper=40000.0)}
-    options = {"draws": 16, "phase_margin": "30 deg", "washout": f"{tuned.washout} rad/s", "off_gain": f"{tuned.off_gain} m^3/(s*Pa)"}
+    options = {
+        "draws": 16,
+        "phase_margin": "30 deg",
+        "washout": f"{tuned.washout} rad/s",
+        "off_gain": f"{tuned.off_gain} m^3/(s*Pa)",
+    }
 
     def share(target, **extra):
         return tune_pressure_feedback(machine(**wide), recipe(**options, damping_ratio=target, **extra)).robustness
@@ -191,7 +200,8 @@ def test_share_of_draws(tuned):
 
 def test_each_function_with_its_own_gain_is_no_worse(tuned):
     own = tune_pressure_feedback(
-        machine(), recipe(phase_margin="30 deg", one_gain=False, washout=f"{tuned.washout} rad/s", off_gain=f"{tuned.off_gain} m^3/(s*Pa)")
+        machine(),
+        recipe(phase_margin="30 deg", one_gain=False, washout=f"{tuned.washout} rad/s", off_gain=f"{tuned.off_gain} m^3/(s*Pa)"),
     )
     assert own.damping_ratio >= tuned.damping_ratio - 1e-6
     assert own.feedback_gain["extend_resistive"] != own.feedback_gain["retract_overrunning"]

@@ -1,0 +1,1054 @@
+"""The energy ledger of a trial: where the pump's energy went, from a model's record or from measured channels alone.
+
+Energies count from oil at zero gauge pressure. A volume of oil that crosses a pressure p carries p, and what its own
+compression holds, ``u(p) = β (e^(p/β) − 1) − p`` per volume; with these two the chamber law ``V/β ṗ = Q − V̇`` is exactly
+``(p + u(p)) Q = p V̇ + d/dt (V u(p))``: flow work is piston work and a change of what is stored, a function of state.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from ehbench.compiled import kernel
+from ehbench.errors import InputError, LogError
+from ehbench.physics import arm, metering
+from ehbench.physics.cylinder import PINS, chamber_volume, end_stop, inflows, joint_angle, linkage, makeup_flow, relief_flow
+from ehbench.physics.friction import coulomb_viscous
+from ehbench.physics.metering import FROM, TO, VALVE
+from ehbench.physics.supply import BULK as SUPPLY_BULK
+from ehbench.physics.supply import P_TANK, VOLUME
+from ehbench.plant import (
+    AREA_HEAD, AREA_ROD, BULK, COULOMB, COULOMB_SPEED, DAMPING, FLOOR, GEOMETRY, HIGHEST, L_A, L_B, LEAK_HEAD, LEAK_INTERNAL,
+    LEAK_ROD, LOWEST, PHASE, RELIEF, RELIEF_GAIN, RETRACTED, SIDE, STIFFNESS, STOP, STOP_DISSIPATION, STROKE, TANK, VISCOUS,
+    VOLUME_HEAD, VOLUME_ROD, derivatives, workspace_size,
+)  # fmt: skip
+from ehbench.record import Record
+from ehbench.rig import Rig
+from ehbench.simulate import MOST_SUBSTEPS, STEP, STIFF, Maps, Model, advance, linkage_arrays
+
+Z95 = 1.959964
+GROUPS = ("supply", "valve", "loss", "store", "load", "residual", "cylinder", "part")
+FOLLOWS = 1.0e-2  # share of a state's range that a tick of the model may miss the next sample by
+SETTLED_TRAVEL = 0.005  # share of the stroke below which a motion to and fro is no travel
+CLOSED = 0.02  # share of the travel by which the ends of a closed cycle may differ
+CUT_MEAN = 0.7561  # mean of |z|, z standard normal, where what exceeds its 90 % quantile is cut to it
+ROUNDING = 1.0e-12  # smaller than any reading
+LOADED = 0.02  # share of the supply's force on the head end below which a mean force is no load
+
+# columns of power: pump, its share for compression, one per edge, ten per cylinder, one per joint
+PUMP, COMPRESSION, FIRST_EDGE = 0, 1, 2
+DRAWN, DRAWN_COMPRESSION, WORK, EXPANSION, LEAKAGE, RELIEVED, MAKEUP, RETURNED, FRICTION, STOPPED = range(10)
+PER_CYLINDER = 10
+# columns of what is stored: the supply line, the mechanism, then head, rod and end stops of each cylinder
+SUPPLY_LINE, KINETIC, POTENTIAL, FIRST_CYLINDER = 0, 1, 2, 3
+HEAD, ROD, SPRING = range(3)
+
+
+# --- laws -----------------------------------------------------------------------------------------------------------
+
+
+@kernel
+def compressed(pressure, bulk_modulus):
+    """Energy [J/m³] in oil of bulk modulus β compressed to gauge pressure p: ``u = β (e^(p/β) − 1) − p ≈ p²/2β``."""
+    return bulk_modulus * math.expm1(pressure / bulk_modulus) - pressure
+
+
+@kernel
+def _node(node, y, plant):
+    """(pressure [Pa], energy of its compression [J/m³]) of the oil at a node of the circuit."""
+    at = 2 * plant.links.shape[0]
+    if node < 2:
+        supply = at + 2 * (plant.cylinders.shape[0] + plant.valves.shape[0])
+        p = y[supply] if node == 0 else plant.supply[P_TANK]
+        return p, compressed(p, plant.supply[SUPPLY_BULK])
+    p = y[at + node - 2]
+    return p, compressed(p, plant.cylinders[(node - 2) // 2, BULK])
+
+
+@kernel
+def powers(y, flows, plant, owner, out):
+    """Write every power [W] of a state into ``out``: what is spent positive, the supply's positive where it gives.
+
+    A throttle of flow Q from a to b takes ``(p_a − p_b) Q`` (SPEC 4) and lets ``(u_a − u_b) Q`` of compression go. What comes
+    to the tank is lost with the tank's own pressure on it. An end stop takes what it does not hold as a spring.
+
+    Args:
+        y: state, as in ``ehbench.plant``.
+        flows: along the edges, then the pump's [m³/s].
+        owner: cylinder to which each edge belongs.
+        out: shape (2 + edges + 10·cylinders + joints,).
+    """
+    n, nc, ne = plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0]
+    first = FIRST_EDGE + ne
+    for i in range(out.shape[0]):
+        out[i] = 0.0
+    p_supply, u_supply = _node(0, y, plant)
+    p_tank, u_tank = _node(TANK, y, plant)
+    out[PUMP], out[COMPRESSION] = p_supply * flows[ne], u_supply * flows[ne]
+    for e in range(ne):
+        flow = flows[e]
+        if flow == 0.0:
+            continue
+        a, b, at = plant.wiring[e, FROM], plant.wiring[e, TO], first + PER_CYLINDER * owner[e]
+        p_a, u_a = _node(a, y, plant)
+        p_b, u_b = _node(b, y, plant)
+        out[FIRST_EDGE + e] = (p_a - p_b) * flow
+        out[at + EXPANSION] += (u_a - u_b) * flow
+        for node, sign in ((a, 1.0), (b, -1.0)):
+            if node == 0:
+                out[at + DRAWN] += sign * p_supply * flow
+                out[at + DRAWN_COMPRESSION] += sign * u_supply * flow
+            elif node == TANK:
+                out[at + RETURNED] -= sign * (p_tank + u_tank) * flow
+    for c in range(nc):
+        row, j, at = plant.cylinders[c], plant.joints[c], first + PER_CYLINDER * c
+        x, lever, _ = linkage(int(row[GEOMETRY]), row[L_A], row[L_B], row[SIDE], row[PHASE], row[RETRACTED], y[j])
+        v = lever * y[n + j]
+        p_head, u_head = _node(2 + 2 * c, y, plant)
+        p_rod, u_rod = _node(3 + 2 * c, y, plant)
+        net_head, net_rod = 0.0, 0.0
+        for e in range(ne):
+            for column, sign in ((FROM, -1.0), (TO, 1.0)):
+                if plant.wiring[e, column] == 2 + 2 * c:
+                    net_head += sign * flows[e]
+                elif plant.wiring[e, column] == 3 + 2 * c:
+                    net_rod += sign * flows[e]
+        relief_head, relief_rod = relief_flow(p_head, row[RELIEF], RELIEF_GAIN), relief_flow(p_rod, row[RELIEF], RELIEF_GAIN)
+        into_head, into_rod = inflows(
+            v, net_head - relief_head, relief_rod - net_rod, p_head, p_rod, p_tank, row[AREA_HEAD], row[AREA_ROD],
+            row[LEAK_INTERNAL], row[LEAK_HEAD], row[LEAK_ROD],
+        )  # fmt: skip
+        makeup_head, makeup_rod = makeup_flow(into_head, p_head, row[FLOOR]), makeup_flow(into_rod, p_rod, row[FLOOR])
+        across = row[LEAK_INTERNAL] * (p_head - p_rod)
+        leak_head, leak_rod = row[LEAK_HEAD] * (p_head - p_tank), row[LEAK_ROD] * (p_rod - p_tank)
+        head_to_tank, rod_to_tank = relief_head + leak_head - makeup_head, relief_rod + leak_rod - makeup_rod
+        out[at + LEAKAGE] = across * (p_head - p_rod) + leak_head * (p_head - p_tank) + leak_rod * (p_rod - p_tank)
+        out[at + RELIEVED] = relief_head * (p_head - p_tank) + relief_rod * (p_rod - p_tank)
+        out[at + MAKEUP] = makeup_head * (p_tank - p_head) + makeup_rod * (p_tank - p_rod)
+        out[at + RETURNED] += (p_tank + u_tank) * (head_to_tank + rod_to_tank)
+        out[at + EXPANSION] += (u_head - u_rod) * across + (u_head - u_tank) * head_to_tank + (u_rod - u_tank) * rod_to_tank
+        out[at + WORK] = (p_head * row[AREA_HEAD] - p_rod * row[AREA_ROD]) * v
+        out[at + FRICTION] = coulomb_viscous(v, row[VISCOUS], row[COULOMB], COULOMB_SPEED) * v
+        if x < 0.0 or x > row[STROKE]:
+            depth, closing = (-x, -v) if x < 0.0 else (x - row[STROKE], v)
+            out[at + STOPPED] = -end_stop(x, v, row[STROKE], row[STOP], STOP_DISSIPATION) * v - row[STOP] * depth * closing
+    for j in range(n):
+        out[first + PER_CYLINDER * nc + j] = plant.links[j, arm.DAMPING] * y[n + j] * y[n + j]
+
+
+@kernel
+def stores(y, plant, work, out):
+    """Write every stored energy [J] of a state into ``out``, shape (3 + 3·cylinders,).
+
+    Oil: ``V u(p)``. The mechanism: kinetic and potential energy. An end stop: ``k δ²/2`` of its depth δ.
+    """
+    n = plant.links.shape[0]
+    _, held = _node(0, y, plant)
+    out[SUPPLY_LINE] = plant.supply[VOLUME] * held
+    out[KINETIC], out[POTENTIAL] = arm.energy(plant.kind, plant.links, plant.gravity, y[:n], y[n : 2 * n], work)
+    for c in range(plant.cylinders.shape[0]):
+        row, at = plant.cylinders[c], FIRST_CYLINDER + 3 * c
+        x, _, _ = linkage(int(row[GEOMETRY]), row[L_A], row[L_B], row[SIDE], row[PHASE], row[RETRACTED], y[plant.joints[c]])
+        _, head = _node(2 + 2 * c, y, plant)
+        _, rod = _node(3 + 2 * c, y, plant)
+        out[at + HEAD] = chamber_volume(row[VOLUME_HEAD], row[AREA_HEAD] * x) * head
+        out[at + ROD] = chamber_volume(row[VOLUME_ROD], -row[AREA_ROD] * x) * rod
+        depth = max(-x, x - row[STROKE], 0.0)
+        out[at + SPRING] = 0.5 * row[STOP] * depth * depth
+
+
+@kernel
+def _transition(stiffness, damping, dt):
+    """The 2 × 2 transition (row by row) of ``ë + damping ė + stiffness e = 0`` over ``dt`` [s]."""
+    s = 0.5 * damping
+    root = s * s - stiffness
+    if root < 0.0:
+        w = math.sqrt(-root)
+        c, z = math.exp(-s * dt) * math.cos(w * dt), math.exp(-s * dt) * math.sin(w * dt) / w
+    elif root == 0.0:
+        c, z = math.exp(-s * dt), math.exp(-s * dt) * dt
+    else:
+        w = math.sqrt(root)
+        slow, fast = math.exp((w - s) * dt), math.exp(-(w + s) * dt)
+        c, z = 0.5 * (slow + fast), 0.5 * (slow - fast) / w
+    return c + s * z, z, -stiffness * z, c - s * z
+
+
+@kernel
+def follow_valves(t, commands, valves, known, opening, rate):
+    """Write the openings [V] and their rates [V/s] at every sample, exact for commands held over each tick.
+
+    Args:
+        t: [s], shape (samples,).
+        commands: [V], shape (samples, valves), limited here to each driver's range.
+        known: True where ``opening`` is given and only the rates are missing; else valves start at rest at their command.
+        opening, rate: in and out, shape (samples, valves).
+    """
+    for i in range(valves.shape[0]):
+        k, c = valves[i, STIFFNESS], valves[i, DAMPING]
+        rate[0, i] = 0.0
+        if k == 0.0 or not known:
+            opening[0, i] = min(max(commands[0, i], valves[i, LOWEST]), valves[i, HIGHEST])
+        before = -1.0
+        a, b, d, e = 1.0, 0.0, 0.0, 1.0
+        for s in range(t.shape[0] - 1):
+            u = min(max(commands[s, i], valves[i, LOWEST]), valves[i, HIGHEST])
+            if k == 0.0:
+                opening[s + 1, i] = min(max(commands[s + 1, i], valves[i, LOWEST]), valves[i, HIGHEST])
+                rate[s + 1, i] = 0.0
+                continue
+            dt = t[s + 1] - t[s]
+            if dt != before:
+                a, b, d, e = _transition(k, c, dt)
+                before = dt
+            off = opening[s, i] - u
+            if known and s == 0 and b > 0.0:
+                rate[0, i] = (opening[1, i] - u - a * off) / b
+            if not known:
+                opening[s + 1, i] = u + a * off + b * rate[s, i]
+            rate[s + 1, i] = d * off + e * rate[s, i]
+
+
+# --- over a trial ---------------------------------------------------------------------------------------------------
+
+
+@njit(cache=True, nogil=True)
+def _integrate(t, states, commands, plant, owner, step, flows, energies, ends):
+    """Integrate each tick anew from its logged state with the plant's own kernel, and the powers with it by Simpson's rule.
+
+    Args:
+        step: longest piece [s]; shorter ones are taken where the plant is stiff.
+        flows: out, at each sample, shape (samples, edges + 1).
+        energies: out, of each tick [J], shape (samples − 1, columns).
+        ends: out, where each tick ended, shape (samples − 1, states).
+    """
+    size, many, columns = states.shape[1], flows.shape[1], energies.shape[1]
+    k = np.empty((5, size))
+    work = np.empty(workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0]))
+    at = work.shape[0] - many
+    y, start, middle = np.empty(size), np.empty(columns), np.empty(columns)
+    for i in range(t.shape[0]):
+        y[:] = states[i]
+        rate = derivatives(y, commands[i], plant, k[0], work)
+        flows[i] = work[at:]
+        if i + 1 == t.shape[0]:
+            break
+        tick = t[i + 1] - t[i]
+        pieces = min(MOST_SUBSTEPS, max(1, math.ceil(max(tick / step - 1e-6, rate * tick / STIFF))))
+        h = tick / pieces
+        powers(y, work[at:], plant, owner, start)
+        energies[i] = 0.0
+        for _ in range(pieces):
+            advance(y, commands[i], plant, 0.5 * h, k, work, rate)
+            rate = derivatives(y, commands[i], plant, k[0], work)
+            powers(y, work[at:], plant, owner, middle)
+            for j in range(columns):
+                energies[i, j] += h / 6.0 * start[j] + h / 1.5 * middle[j]
+            advance(y, commands[i], plant, 0.5 * h, k, work, rate)
+            rate = derivatives(y, commands[i], plant, k[0], work)
+            powers(y, work[at:], plant, owner, start)
+            for j in range(columns):
+                energies[i, j] += h / 6.0 * start[j]
+        ends[i] = y
+
+
+@njit(cache=True, nogil=True)
+def _flows_at(states, commands, tank, plant, flows):
+    """Edge flows and the pump's at given states; ``tank`` [Pa] is written into ``plant.supply`` as it goes along."""
+    k = np.empty(states.shape[1])
+    work = np.empty(workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0]))
+    for i in range(states.shape[0]):
+        plant.supply[P_TANK] = tank[i]
+        derivatives(states[i], commands[i], plant, k, work)
+        flows[i] = work[work.shape[0] - flows.shape[1] :]
+
+
+@njit(cache=True, nogil=True)
+def _powers_at(states, flows, tank, plant, owner, out):
+    for i in range(states.shape[0]):
+        plant.supply[P_TANK] = tank[i]
+        powers(states[i], flows[i], plant, owner, out[i])
+
+
+@njit(cache=True, nogil=True)
+def _stores_at(states, plant, out):
+    work = np.empty(arm.work_size(plant.links.shape[0]))
+    for i in range(states.shape[0]):
+        stores(states[i], plant, work, out[i])
+
+
+# --- the ledger -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a ledger.
+
+    ``energy`` [J] counts positive as the group reads: given by the ``supply``, taken by a ``valve``, ``loss``, ``store`` or
+    ``load``. Rows of the group ``cylinder`` are transfers inside of the balance (drawn from the supply, work of the piston),
+    those of ``part`` say where the residual arose; neither is summed. ``interval`` [J] is the 95 % interval, None where
+    nothing is uncertain. ``cylinder`` is None for what cylinders share.
+    """
+
+    name: str
+    energy: float
+    group: str
+    label: str
+    cylinder: str | None = None
+    interval: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """Where the energy of a trial went. ``source`` is ``model`` or ``log``.
+
+    The sum closes: supply = valve + loss + store + load + residual. ``series`` holds cumulated energies [J] by row at times
+    ``t`` [s], if asked for; ``sources`` the standard error [J] that each source of doubt gives to the residual; ``notes`` what
+    had to be assumed.
+    """
+
+    source: str
+    rig: str
+    payload: str
+    duration: float
+    rows: tuple[Row, ...]
+    sources: dict[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    t: np.ndarray | None = None
+    series: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> Row:
+        """The row of that name.
+
+        Raises:
+            InputError: no such row; names those there are.
+        """
+        for row in self.rows:
+            if row.name == name:
+                return row
+        raise InputError(f"the ledger has no row '{name}'", hint="it has " + ", ".join(row.name for row in self.rows))
+
+    def of(self, cylinder: str) -> tuple[Row, ...]:
+        """The rows of one cylinder."""
+        return tuple(row for row in self.rows if row.cylinder == cylinder)
+
+    def total(self, group: str, cylinder: str | None = None) -> float:
+        """Sum [J] of a group, of one cylinder's rows if named."""
+        return math.fsum(row.energy for row in self.rows if row.group == group and cylinder in (None, row.cylinder))
+
+    @property
+    def pump(self) -> float:
+        """Pump energy ``∫ Ps Q dt`` [J] (SPEC 4)."""
+        return self["pump"].energy
+
+    @property
+    def residual(self) -> Row:
+        """What the rows leave over: ``residual`` of a model, ``unexplained`` of a log."""
+        return next(row for row in self.rows if row.group == "residual")
+
+    @property
+    def cylinders(self) -> tuple[str, ...]:
+        """Cylinders that have rows, in order."""
+        return tuple(dict.fromkeys(row.cylinder for row in self.rows if row.cylinder is not None))
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values for a JSON file."""
+        return {
+            "source": self.source, "rig": self.rig, "payload": self.payload, "duration": self.duration,
+            "rows": [asdict(row) for row in self.rows],
+            "totals": {group: self.total(group) for group in GROUPS if group != "part"},
+            "cylinders": {
+                name: {"drawn": self[f"{name}.drawn"].energy, "work": self[f"{name}.work"].energy}
+                | {group: self.total(group, name) for group in ("valve", "loss", "store")}
+                for name in self.cylinders
+            },
+            "residual_share": abs(self.residual.energy) / self.pump if self.pump > 0.0 else None,
+            "sources": dict(self.sources), "notes": list(self.notes),
+            "t": None if self.t is None else self.t.tolist(),
+            "series": {name: values.tolist() for name, values in self.series.items()},
+        }  # fmt: skip
+
+
+class _Sheet:
+    """What the columns of a rig's powers and stores are called, and how the residuals follow from them."""
+
+    def __init__(self, model: Model, word: str) -> None:
+        names, nc, ne = model.layout, len(model.layout.cylinders), len(model.layout.edges)
+        self.owner = np.array([names.cylinders.index(c.name) for c, _, _ in model.rig.edges()], dtype=np.int64)
+        self.powers = FIRST_EDGE + ne + PER_CYLINDER * nc + len(names.joints)
+        self.stores = FIRST_CYLINDER + 3 * nc
+        rows: list[tuple[str, str, str, str | None]] = [
+            ("pump", "supply", "pump, Ps·Q", None),
+            ("pump_compression", "supply", "pump, compression of the oil", None),
+        ]
+        for (c, valve, edge), name in zip(model.rig.edges(), names.edges, strict=True):
+            joins = f"{edge.from_} → {edge.to}"
+            shown = valve.edge_name(edge) if len(valve.edge) == 1 else valve.name
+            rows.append((f"{name}.throttling", "valve", f"{shown}, {joins}", c.name))
+        for name in names.cylinders:
+            rows += [
+                (f"{name}.{key}", group, label, name)
+                for key, group, label in (
+                    ("drawn", "cylinder", "drawn from the supply, Ps·Q"), ("drawn_compression", "cylinder", "drawn, compression"),
+                    ("work", "cylinder", "cylinder work"), ("expansion", "loss", "expansion of the oil"),
+                    ("leakage", "loss", "leakage"), ("relief", "loss", "relief valve"), ("makeup", "loss", "cavitation make-up"),
+                    ("return_line", "loss", "return line, Pt·Q"), ("friction", "loss", "cylinder friction"),
+                    ("end_stop", "loss", "end stops"),
+                )
+            ]  # fmt: skip
+        driven = {int(j): names.cylinders[i] for i, j in enumerate(model.plant.joints)}
+        rows += [(f"{name}.damping", "loss", "joint damping", driven.get(j)) for j, name in enumerate(names.joints)]
+        if model.rig.mechanism.kind == "slide":
+            rows[-1] = (rows[-1][0], "loss", "slide damping", rows[-1][3])
+        rows += [
+            ("supply_line", "store", "oil of the supply line", None),
+            ("kinetic", "load", "kinetic energy", None),
+            ("potential", "load", "potential energy", None),
+        ]
+        for name in names.cylinders:
+            kept = (("head", "oil of the head end"), ("rod", "oil of the rod end"), ("stop", "spring of the end stops"))
+            rows += [(f"{name}.{key}", "store", label, name) for key, label in kept]
+        self.rows = rows
+        at = {name: i for i, (name, *_) in enumerate(rows)}
+
+        def combination(plus: Sequence[str], minus: Sequence[str]) -> np.ndarray:
+            vector = np.zeros(len(rows))
+            for sign, chosen in ((1.0, plus), (-1.0, minus)):
+                for name in chosen:
+                    vector[at[name]] += sign
+            return vector
+
+        mechanical = ("work", "friction", "end_stop", "stop")
+        drawn = [f"{name}.{key}" for name in names.cylinders for key in ("drawn", "drawn_compression")]
+        parts = [(f"{word}.supply_line", "supply line", None, combination(["pump", "pump_compression"], [*drawn, "supply_line"]))]
+        for name in names.cylinders:
+            taken = [row for row, group, _, cylinder in rows if cylinder == name and group in ("valve", "loss", "store")]
+            taken = [row for row in taken if row.rsplit(".", 1)[-1] not in (*mechanical, "damping")]
+            given = [f"{name}.drawn", f"{name}.drawn_compression"]
+            parts.append((f"{name}.{word}", "oil of the cylinder", name, combination(given, [*taken, f"{name}.work"])))
+        work = [f"{name}.work" for name in names.cylinders]
+        spent = [row for row, group, _, _ in rows if group == "load" or row.rsplit(".", 1)[-1] in (*mechanical[1:], "damping")]
+        parts.append((f"{word}.mechanism", "mechanism", None, combination(work, spent)))
+        self.parts = [(name, where, cylinder) for name, where, cylinder, _ in parts]
+        self.combinations = np.stack([vector for *_, vector in parts])
+        self.word = word
+
+    def expand(self, vector: np.ndarray) -> np.ndarray:
+        """Energies of columns, shape (..., columns), with the parts of the residual and their sum behind them."""
+        parts = vector @ self.combinations.T
+        return np.concatenate([vector, parts, parts.sum(axis=-1, keepdims=True)], axis=-1)
+
+    def ledger(
+        self, model: Model, record: Record, payload: str, energies: np.ndarray, std: np.ndarray | None, **rest: Any
+    ) -> Ledger:
+        """The ledger of expanded energies and their standard errors."""
+        named = [
+            *self.rows,
+            *((name, "part", f"{self.word}, {where}", cylinder) for name, where, cylinder in self.parts),
+            (self.word, "residual", self.word, None),
+        ]
+        rows = []
+        for i, (name, group, label, cylinder) in enumerate(named):
+            energy = float(energies[i])
+            interval = None if std is None else (energy - Z95 * float(std[i]), energy + Z95 * float(std[i]))
+            rows.append(Row(name, energy, group, label, cylinder, interval))
+        rows.sort(key=lambda row: GROUPS.index(row.group))
+        source, duration = "model" if std is None else "log", float(record.t[-1] - record.t[0])
+        return Ledger(source, model.rig.name, payload or "none", duration, tuple(rows), **rest)
+
+    def series(self, t: np.ndarray, table: np.ndarray) -> dict[str, Any]:
+        """Times and cumulated energies as a ledger holds them; rows that stay zero are left out."""
+        names = [name for name, *_ in self.rows] + [name for name, *_ in self.parts] + [self.word]
+        return {"t": t, "series": {name: table[:, i].copy() for i, name in enumerate(names) if table[:, i].any()}}
+
+
+def _instants(samples: int, points: int) -> np.ndarray:
+    """About ``points`` samples from the first to the last."""
+    return np.unique(np.linspace(0, samples - 1, max(2, min(points, samples))).round().astype(int))
+
+
+def _check(record: Record) -> None:
+    if record.t.size < 2:
+        raise LogError("the record is too short for a ledger", hint="it takes two samples at the least")
+
+
+def _held_payload(model: Model, record: Record) -> str:
+    return "" if record.meta.get("payload", "none") == "none" else record.meta["payload"]
+
+
+# --- from the model -------------------------------------------------------------------------------------------------
+
+
+def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
+    """(states, shape (samples, states); commands [V], shape (samples, valves)) of a model's record.
+
+    The rates of the openings, which a record has not, follow from the openings and the commands.
+
+    Raises:
+        LogError: a channel of the model is missing.
+    """
+    names, plant = model.layout, model.plant
+    samples, nv, n = record.t.size, len(names.valves), len(names.joints)
+    states = np.zeros((samples, names.states))
+    driven = {int(j): names.cylinders[i] for i, j in enumerate(plant.joints)}
+    for j, joint in enumerate(names.joints):
+        own = driven.get(j, joint)
+        states[:, j], states[:, n + j] = record[f"{own}.q"], record[f"{own}.qd"]
+    for i, name in enumerate(names.cylinders):
+        for key in ("p_head", "p_rod"):
+            states[:, names.state(key, i)] = record[f"{name}.{key}"]
+    columns = [np.stack([record[f"{name}.{key}"] for name in names.valves], axis=1) for key in ("command", "opening")]
+    commands, opening = (np.ascontiguousarray(column, dtype=float) for column in columns)
+    rate = np.zeros((samples, nv))
+    follow_valves(np.ascontiguousarray(record.t), commands, plant.valves, True, opening, rate)
+    at = names.state("opening", 0)
+    states[:, at : at + nv], states[:, at + nv : at + 2 * nv] = opening, rate
+    states[:, names.state("p_supply", 0)] = record["p_supply"]
+    return states, commands
+
+
+def ledger_of_model(model: Model, record: Record, quadrature: str = "exact", points: int = 0, step: float = STEP) -> Ledger:
+    """The ledger of a trial on the model, from what the model logs.
+
+    Args:
+        model: with the rig, payload and maps that made the record.
+        record: as `Model.record` gives it: states, commands, openings, at any rate that has every change of the commands.
+        quadrature: ``exact`` integrates every tick anew from its logged state, and the powers with it; ``samples`` takes the
+            trapezoid of the powers at the samples, which is quicker and as good as the sampling.
+        points: how many times of cumulated energies to keep in ``series``; 0 for none.
+        step: longest integration step [s].
+
+    Raises:
+        LogError: a channel is missing, or its flows are not those of this model.
+        InputError: no such quadrature.
+    """
+    if quadrature not in ("exact", "samples"):
+        raise InputError(f"there is no quadrature '{quadrature}'", hint="exact or samples")
+    _check(record)
+    t = np.ascontiguousarray(record.t, dtype=float)
+    states, commands = states_of(model, record)
+    supply = model.plant.supply.copy()
+    if "p_tank" in record:
+        supply[P_TANK] = record["p_tank"][0]
+    plant = model.plant._replace(supply=supply)
+    tank = np.full(t.size, supply[P_TANK])
+    sheet, notes = _Sheet(model, "residual"), []
+    flows = np.empty((t.size, len(model.layout.edges) + 1))
+    spent = np.zeros((t.size, sheet.powers))
+    if quadrature == "exact":
+        ticks, ends = np.empty((t.size - 1, sheet.powers)), np.empty((t.size - 1, states.shape[1]))
+        _integrate(t, states, commands, plant, sheet.owner, step, flows, ticks, ends)
+        np.cumsum(ticks, axis=0, out=spent[1:])
+        notes += _missed(model, states, ends)
+    else:
+        _flows_at(states, commands, tank, plant, flows)
+        power = np.empty((t.size, sheet.powers))
+        _powers_at(states, flows, tank, plant, sheet.owner, power)
+        np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t)[:, None], axis=0, out=spent[1:])
+    _same_flows(model, record, flows)
+    held = np.empty((t.size, sheet.stores))
+    _stores_at(states, plant, held)
+    table = sheet.expand(np.concatenate([spent, held - held[0]], axis=1))
+    payload = _held_payload(model, record)
+    at = _instants(t.size, points)
+    series = sheet.series(t[at], table[at]) if points > 1 else {}
+    return sheet.ledger(model, record, payload, table[-1], None, notes=tuple(notes), **series)
+
+
+def _same_flows(model: Model, record: Record, flows: np.ndarray) -> None:
+    """Raise where the record's flows are not those that the model has at the record's states."""
+    for i, channel in enumerate([*(f"{name}.flow" for name in model.layout.edges), "flow_supply"]):
+        if channel not in record:
+            continue
+        scale = max(np.abs(record[channel]).max(), np.abs(flows[:, i]).max(), ROUNDING)
+        if np.abs(record[channel] - flows[:, i]).max() > FOLLOWS * scale:
+            raise LogError(
+                f"channel '{channel}' is not what this model gives at the record's own pressures and openings",
+                hint="give the rig and the flow maps that the record was made with; of a machine's log take ledger_of_log",
+            )
+
+
+def _missed(model: Model, states: np.ndarray, ends: np.ndarray) -> list[str]:
+    """A sentence where a tick of the model does not lead from one sample to the next."""
+    n, nc = len(model.layout.joints), len(model.layout.cylinders)
+    kinds = (("joint angle", 0, n), ("joint rate", n, 2 * n), ("pressure", 2 * n, 2 * n + 2 * nc))
+    for what, low, high in kinds:
+        scale = np.abs(states[:, low:high]).max() if what == "pressure" else np.ptp(states[:, low:high], axis=0).max()
+        gap = np.abs(ends[:, low:high] - states[1:, low:high]).max()
+        if gap > FOLLOWS * max(scale, ROUNDING):
+            missed = f"the model misses the next sample's {what} by {100 * gap / max(scale, ROUNDING):.2g} % of its range"
+            return [missed + ": commands change between samples, or the record was made with another payload"]
+    return []
+
+
+# --- from a machine's log -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Standard errors that a log and its rig do not state, as shares; the defaults are those of ordinary industrial sensors.
+
+    ``pressure``: zero of a pressure sensor, of the set supply pressure. ``position``: scale of a position sensor. ``flow``: flow
+    of an edge whose law or map states no error, or of a map outside of its readings. ``lag``: natural frequency of a valve
+    that states no error. ``alignment``: samples by which commands and readings may be apart. ``draws``: repetitions from which
+    the effect of the sensors' noise is found.
+    """
+
+    pressure: float = 0.0025
+    position: float = 0.002
+    flow: float = 0.05
+    lag: float = 0.2
+    alignment: float = 1.0
+    draws: int = 12
+
+
+@dataclass(frozen=True)
+class _Readings:
+    """A log in the order of a model's arrays: commands (samples, valves), q, qd (samples, joints), x (samples, cylinders),
+    p (samples, 2·cylinders); ``flow_supply`` only where it was measured."""
+
+    t: np.ndarray
+    commands: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    x: np.ndarray
+    p: np.ndarray
+    p_supply: np.ndarray
+    p_tank: np.ndarray
+    flow_supply: np.ndarray | None
+
+
+def _read(model: Model, record: Record) -> tuple[_Readings, list[str]]:
+    """The readings of a log and a sentence for each that is missing.
+
+    Raises:
+        LogError: no pressures, no position or no commands of a cylinder; values that are not finite.
+    """
+    names, plant, notes = model.layout, model.plant, []
+    samples, n, nc = record.t.size, len(names.joints), len(names.cylinders)
+
+    def get(channel: str) -> np.ndarray:
+        values = np.asarray(record[channel], dtype=float)
+        if not np.isfinite(values).all():
+            raise LogError(f"channel '{channel}' has values that are not finite", hint="cut the log to where all were read")
+        return values
+
+    commands = model.rest_commands(samples)
+    for i, name in enumerate(names.valves):
+        if f"{name}.command" in record:
+            commands[:, i] = get(f"{name}.command")
+        else:
+            notes.append(f"no command of {name}: taken to be at rest")
+    q, qd, x, p = (np.zeros((samples, many)) for many in (n, n, nc, 2 * nc))
+    driven = {int(j): i for i, j in enumerate(plant.joints)}
+    for j, joint in enumerate(names.joints):
+        if j in driven:
+            continue
+        if f"{joint}.q" in record:
+            q[:, j] = get(f"{joint}.q")
+            qd[:, j] = get(f"{joint}.qd") if f"{joint}.qd" in record else np.gradient(q[:, j], record.t)
+        else:
+            notes.append(f"no angle of joint {joint}: taken to stand at zero")
+    for i, name in enumerate(names.cylinders):
+        row, j = plant.cylinders[i], int(plant.joints[i])
+        if f"{name}.q" not in record and f"{name}.x" not in record:
+            raise LogError(f"the log has neither '{name}.q' nor '{name}.x'", hint="a ledger needs the position of every cylinder")
+        if f"{name}.x" in record:
+            x[:, i] = get(f"{name}.x")
+        if f"{name}.q" in record:
+            q[:, j] = get(f"{name}.q")
+        else:
+            stroke = np.clip(x[:, i], 0.0, row[STROKE])
+            q[:, j] = joint_angle(int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]], stroke)
+        found, lever = linkage_arrays(row, q[:, j])
+        if f"{name}.x" not in record:
+            x[:, i] = found
+        if f"{name}.qd" in record:
+            qd[:, j] = get(f"{name}.qd")
+        elif f"{name}.v" in record:
+            qd[:, j] = get(f"{name}.v") / lever
+        else:
+            qd[:, j] = np.gradient(q[:, j], record.t)
+            notes.append(f"no speed of {name}: taken from its position")
+        for side, key in enumerate(("p_head", "p_rod")):
+            if f"{name}.{key}" not in record:
+                raise LogError(f"the log has no channel '{name}.{key}'", hint="a ledger needs both pressures of every cylinder")
+            p[:, 2 * i + side] = get(f"{name}.{key}")
+    lines = []
+    for channel, usual in (("p_supply", plant.supply[0]), ("p_tank", plant.supply[P_TANK])):
+        if channel in record:
+            lines.append(get(channel))
+        else:
+            lines.append(np.full(samples, usual))
+            notes.append(f"no {channel}: taken from the rig file")
+    flow_supply = get("flow_supply") if "flow_supply" in record else None
+    if flow_supply is None:
+        notes.append("no flow of the pump: its energy is that of what the valves draw and the supply line stores")
+    return _Readings(np.ascontiguousarray(record.t, dtype=float), commands, q, qd, x, p, *lines, flow_supply), notes
+
+
+class _Account:
+    """Energies of readings on a model: what `ledger_of_log` evaluates again for every source of doubt."""
+
+    def __init__(self, sheet: _Sheet) -> None:
+        self.sheet = sheet
+
+    def states(self, model: Model, m: _Readings) -> np.ndarray:
+        """States, shape (samples, states), with the openings that follow from the commands."""
+        names, n, nv = model.layout, len(model.layout.joints), len(model.layout.valves)
+        states = np.zeros((m.t.size, names.states))
+        states[:, :n], states[:, n : 2 * n], states[:, 2 * n : 2 * n + m.p.shape[1]] = m.q, m.qd, m.p
+        opening, rate = np.zeros((m.t.size, nv)), np.zeros((m.t.size, nv))
+        follow_valves(m.t, m.commands, model.plant.valves, False, opening, rate)
+        at = names.state("opening", 0)
+        states[:, at : at + nv], states[:, names.state("p_supply", 0)] = opening, m.p_supply
+        return states
+
+    def flows(self, model: Model, m: _Readings, states: np.ndarray) -> np.ndarray:
+        """Edge flows [m³/s] at the states, shape (samples, edges + 1); the last column is the measured flow of the pump, or 0."""
+        plant = model.plant._replace(supply=model.plant.supply.copy())
+        flows = np.empty((m.t.size, len(model.layout.edges) + 1))
+        _flows_at(states, m.commands, m.p_tank, plant, flows)
+        flows[:, -1] = 0.0 if m.flow_supply is None else m.flow_supply
+        return flows
+
+    def power(self, model: Model, m: _Readings, states: np.ndarray, flows: np.ndarray) -> np.ndarray:
+        """Powers [W] of the columns, shape (samples, columns)."""
+        plant = model.plant._replace(supply=model.plant.supply.copy())
+        power = np.empty((m.t.size, self.sheet.powers))
+        _powers_at(states, flows, m.p_tank, plant, self.sheet.owner, power)
+        return power
+
+    def energies(
+        self, model: Model, m: _Readings, states: np.ndarray, power: np.ndarray, at: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Energies [J] of all rows at the end, shape (rows,); or, cumulated, at the samples ``at``, shape (at, rows)."""
+        plant, sheet = model.plant, self.sheet
+        at = np.array([m.t.size - 1]) if at is None else at
+        dt = np.diff(m.t)
+        spent = _cumulated(0.5 * dt, power, at)
+        kept = np.concatenate([[0], at])
+        held = np.empty((kept.size, sheet.stores))
+        _stores_at(states[kept], plant, held)
+        held = held[1:] - held[0]
+        first = FIRST_EDGE + len(model.layout.edges)
+        for c in range(m.x.shape[1]):
+            # ∫ P_L dx over the measured stroke: a filtered speed lags behind the pressures
+            force = m.p[:, 2 * c] * plant.cylinders[c, AREA_HEAD] - m.p[:, 2 * c + 1] * plant.cylinders[c, AREA_ROD]
+            spent[:, first + PER_CYLINDER * c + WORK] = _cumulated(0.5 * np.diff(m.x[:, c]), force[:, None], at)[:, 0]
+        if m.flow_supply is None:
+            drawn = first + PER_CYLINDER * np.arange(m.x.shape[1])
+            volume, bulk = plant.supply[VOLUME], plant.supply[SUPPLY_BULK]
+            pressed = 0.5 * volume / bulk * (m.p_supply[at] ** 2 - m.p_supply[0] ** 2)
+            spent[:, PUMP] = spent[:, drawn + DRAWN].sum(axis=1) + pressed
+            spent[:, COMPRESSION] = spent[:, drawn + DRAWN_COMPRESSION].sum(axis=1) + held[:, SUPPLY_LINE] - pressed
+        rows = sheet.expand(np.concatenate([spent, held], axis=1))
+        return rows[0] if at.size == 1 else rows
+
+    def __call__(self, model: Model, m: _Readings) -> np.ndarray:
+        """Energies [J] of all rows at the end, shape (rows,)."""
+        states = self.states(model, m)
+        return self.energies(model, m, states, self.power(model, m, states, self.flows(model, m, states)))
+
+
+def _cumulated(half: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Trapezoids of columns up to the samples ``at``; ``half`` are half the steps between samples."""
+    if at.size == 1:
+        upto = int(at[0])
+        return (half[:upto] @ values[:upto] + half[:upto] @ values[1 : upto + 1])[None]
+    sums = np.zeros(values.shape)
+    np.cumsum(half[:, None] * (values[1:] + values[:-1]), axis=0, out=sums[1:])
+    return sums[at]
+
+
+def noise_of(values: np.ndarray) -> float:
+    """Standard deviation of a reading's white noise and quantization: from its second differences, or from its least step.
+
+    Of the second differences, √6 times as large as the noise, the largest tenth is cut: it may be motion.
+    """
+    if values.size < 8:
+        return 0.0
+    bend = np.abs(np.diff(values, 2))
+    bend = np.minimum(bend, np.quantile(bend, 0.9))
+    steps = np.abs(np.diff(values))
+    steps = steps[steps > ROUNDING * max(float(np.abs(values).max()), ROUNDING)]
+    least = float(steps.min()) if steps.size else 0.0
+    return max(float(bend.mean()) / (CUT_MEAN * math.sqrt(6.0)), least / math.sqrt(12.0))
+
+
+def ledger_of_log(
+    rig: Rig,
+    maps: Maps | None,
+    record: Record,
+    *,
+    payload: str | None = None,
+    accuracy: Accuracy = Accuracy(),
+    points: int = 0,
+) -> Ledger:
+    """The ledger of a machine's log, from measured channels alone: positions, pressures and commands.
+
+    Edge flows are those of the identified maps or laws at the measured drops, at openings that follow from the commands by the
+    valve dynamics; friction, damping and leakage are the identified model's. What these do not account for is the row
+    ``unexplained``. Every row has a 95 % interval, the root of the sum of squares of independent sources of doubt: every rig
+    parameter with a standard error; every edge's flow by one error common to all its points (a map's ``flow_std``, so an upper
+    bound); valve lag; zeros and scales of sensors; their noise, with the bias it makes; alignment of commands and readings;
+    sampling. A parameter that states no error is taken as exact, but for edges: ``notes`` says what was taken for those.
+
+    Args:
+        rig: identified, without its payload.
+        maps: its flow maps by edge name.
+        record: ``<cylinder>.q`` or ``.x``, ``.qd`` or ``.v``, ``.p_head``, ``.p_rod``, ``<valve>.command``; ``p_supply``,
+            ``p_tank``, ``flow_supply`` where measured.
+        payload: of the rig file; by default the one that the log names.
+        accuracy: what sensors are good for.
+        points: how many times of cumulated energies to keep in ``series``; 0 for none.
+
+    Raises:
+        LogError: a channel is missing or not finite.
+        InputError: no such payload, or an edge without its map.
+    """
+    _check(record)
+    if payload is None:
+        payload = record.meta.get("payload", "none")
+    load = None if payload in ("none", "") else payload
+    model = Model.of(rig, maps, load)
+    readings, notes = _read(model, record)
+    sheet = _Sheet(model, "unexplained")
+    account = _Account(sheet)
+    states = account.states(model, readings)
+    flows = account.flows(model, readings, states)
+    power = account.power(model, readings, states, flows)
+    base = account.energies(model, readings, states, power)
+    effects: dict[str, np.ndarray] = {}
+
+    for name, value in rig.parameters().items():
+        if value.std:
+            shifted = rig.with_values({name: float(value) + value.std})
+            effects[name] = account(Model.of(shifted, maps, load), readings) - base
+    for e, name in enumerate(model.layout.edges):
+        std, said = _flow_std(model, maps, e, states, flows[:, e], readings, accuracy)
+        notes += said
+        if std.any():
+            doubtful = flows.copy()
+            doubtful[:, e] += std
+            moved = account.power(model, readings, states, doubtful)
+            effects[f"flow of {name}"] = account.energies(model, readings, states, moved) - base
+    for name, dynamics in rig.dynamics.items():
+        omega = f"{name}.natural_frequency"
+        stated = [v.std for v in (dynamics.natural_frequency, dynamics.damping_ratio, dynamics.s1, dynamics.s2) if v is not None]
+        if not any(stated):
+            slower = rig.with_values({omega: float(rig.parameters()[omega]) / (1.0 + accuracy.lag)})
+            effects[f"lag of {name}"] = account(Model.of(slower, maps, load), readings) - base
+    for name, moved in _doubts(model, readings, accuracy):
+        effects[name] = account(model, moved) - base
+    if readings.t.size > 4:
+        kept = np.unique(np.append(np.arange(0, readings.t.size, 2), readings.t.size - 1))
+        coarse = account.energies(model, _at(readings, kept), states[kept], power[kept])
+        effects["sampling"] = (coarse - base) / 3.0
+    scatter = _noise(account, model, readings, accuracy.draws) - base
+    effects["noise of the sensors"] = np.sqrt(scatter.var(axis=0, ddof=1) + scatter.mean(axis=0) ** 2)
+    std = np.sqrt(sum(effect**2 for effect in effects.values()))
+    sources = {name: float(abs(effect[-1])) for name, effect in effects.items()}
+    sources = dict(sorted(sources.items(), key=lambda item: -item[1]))
+    series: dict[str, Any] = {}
+    if points > 1:
+        at = _instants(readings.t.size, points)
+        series = sheet.series(readings.t[at], account.energies(model, readings, states, power, at))
+    return sheet.ledger(model, record, payload, base, std, sources=sources, notes=tuple(notes), **series)
+
+
+def _at(m: _Readings, kept: np.ndarray) -> _Readings:
+    return _Readings(**{name: None if value is None else value[kept] for name, value in vars(m).items()})
+
+
+def _flow_std(
+    model: Model, maps: Maps | None, e: int, states: np.ndarray, flow: np.ndarray, m: _Readings, accuracy: Accuracy
+) -> tuple[np.ndarray, list[str]]:
+    """(standard error [m³/s] of an edge's flow at every sample, in the direction of the flow; what had to be assumed)."""
+    plant, names = model.plant, model.layout
+    name = names.edges[e]
+    _, _, edge = list(model.rig.edges())[e]
+    if not flow.any():
+        return np.zeros_like(flow), []
+    share = accuracy.flow * np.abs(flow)
+    if plant.wiring[e, metering.LAW] != metering.MAP:
+        gain = edge.flow_gain if edge.law == "orifice" else edge.compensated_gain
+        if gain is not None and gain.std:
+            return np.zeros_like(flow), []
+        said = f"the law of {name} states no error: its flow is taken to be good to {100 * accuracy.flow:g} %"
+        return share * np.sign(flow), [said]
+    one = (maps or {}).get(name) or (maps or {}).get(name.split(".", 1)[1])
+    valve = int(plant.wiring[e, VALVE])
+    opening = plant.edges[e, metering.SIGN] * states[:, names.state("opening", valve)]
+
+    def pressure(node: int) -> np.ndarray:
+        return m.p_supply if node == 0 else (m.p_tank if node == TANK else m.p[:, node - 2])
+
+    drop = pressure(int(plant.wiring[e, FROM])) - pressure(int(plant.wiring[e, TO]))
+    std = np.where(flow == 0.0, 0.0, one.flow_std(drop, opening))
+    outside = (flow != 0.0) & ~one.inside(drop, opening)
+    std = np.where(outside, np.maximum(std, share), std)
+    passed = np.abs(flow).sum()
+    if np.abs(flow[outside]).sum() > 0.01 * passed:
+        said = f"{100 * np.abs(flow[outside]).sum() / passed:.0f} % of the oil through {name} went outside of its map's readings"
+        return std * np.sign(flow), [f"{said}: taken to be good to {100 * accuracy.flow:g} % there"]
+    return std * np.sign(flow), []
+
+
+def _doubts(model: Model, m: _Readings, accuracy: Accuracy) -> Iterator[tuple[str, _Readings]]:
+    """Readings moved by one standard error of each sensor, and of the alignment of commands with them."""
+    zero = accuracy.pressure * model.plant.supply[0]
+    for i, name in enumerate(model.layout.cylinders):
+        for side, key in enumerate(("p_head", "p_rod")):
+            p = m.p.copy()
+            p[:, 2 * i + side] += zero
+            yield f"zero of {name}.{key}", replace(m, p=p)
+        x, q, qd, j = m.x.copy(), m.q.copy(), m.qd.copy(), int(model.plant.joints[i])
+        x[:, i] += accuracy.position * (x[:, i] - x[0, i])
+        q[:, j] += accuracy.position * (q[:, j] - q[0, j])
+        qd[:, j] *= 1.0 + accuracy.position
+        yield f"scale of {name}.x", replace(m, x=x, q=q, qd=qd)
+    yield "zero of p_supply", replace(m, p_supply=m.p_supply + zero)
+    yield "zero of p_tank", replace(m, p_tank=m.p_tank + zero)
+    if m.flow_supply is not None:
+        yield "scale of flow_supply", replace(m, flow_supply=m.flow_supply * (1.0 + accuracy.flow))
+    if accuracy.alignment:
+        earlier = m.t - accuracy.alignment * float(np.median(np.diff(m.t)))
+        late = np.stack([np.interp(earlier, m.t, column) for column in m.commands.T], axis=1)
+        yield "alignment of the commands", replace(m, commands=late)
+
+
+def _noise(account: _Account, model: Model, m: _Readings, draws: int) -> np.ndarray:
+    """Energies of readings that carry their own noise once more, shape (draws, rows); the same draws every time."""
+    rng = np.random.default_rng(0)
+    names = ("q", "qd", "x", "p", "p_supply", "p_tank")
+    sizes = {name: np.apply_along_axis(noise_of, 0, getattr(m, name)) for name in names}
+
+    def drawn() -> _Readings:
+        values = {name: getattr(m, name) for name in names}
+        return replace(m, **{name: value + sizes[name] * rng.standard_normal(value.shape) for name, value in values.items()})
+
+    return np.stack([account(model, drawn()) for _ in range(max(draws, 2))])
+
+
+# --- against what is possible ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What a constant-pressure supply pays for the motion of one cylinder, against what was drawn (SPEC 4), all [J].
+
+    ``standard``: a four-way valve draws A1 for every metre out and A2 for every metre in. ``six``: lifting as before, lowering
+    with regeneration. ``seventh``: lifting with regeneration as well, None where the supply cannot carry the load on the area
+    difference, or where the load hangs on the rod end. ``work``: lifting itself, ``∫ P_L v dt`` where positive.
+    ``used`` is Ps·Q drawn, None where nothing says it; ``saving`` its share below ``standard``. ``carries`` is the chamber that
+    holds the load, or none; ``closed`` says whether the motion ended where it began: only then do the bounds mean a cycle.
+    """
+
+    cylinder: str
+    travel_out: float
+    travel_in: float
+    closed: bool
+    carries: str
+    standard: float
+    six: float
+    seventh: float | None
+    work: float
+    used: float | None
+    saving: float | None
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values for a JSON file."""
+        return asdict(self)
+
+
+def travels(x: np.ndarray, least: float) -> tuple[float, float]:
+    """(way out, way in) [m] of a stroke, counted between turning points at least ``least`` [m] apart, so that noise is no way."""
+    anchor, extreme, going = float(x[0]), float(x[0]), 0
+    ways = [0.0, 0.0]
+    for value in x:
+        value = float(value)
+        if going == 0:
+            going = 1 if value - anchor > least else (-1 if anchor - value > least else 0)
+            extreme = value
+        elif going * (value - extreme) > 0.0:
+            extreme = value
+        elif going * (extreme - value) > least:
+            ways[0 if going > 0 else 1] += abs(extreme - anchor)
+            anchor, extreme, going = extreme, value, -going
+    if going:
+        ways[0 if going > 0 else 1] += abs(extreme - anchor)
+    return ways[0], ways[1]
+
+
+def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None) -> Bounds:
+    """What a record's motion of one cylinder must cost on a constant-pressure supply, and what it did cost.
+
+    With Ps the set pressure, L+ and L− the ways out and in: standard ``Ps (A1 L+ + A2 L−)``. A load that the head end carries:
+    six ``Ps A1 L+``, seventh ``Ps (A1 − A2) L+``. One that hangs on the rod end: six ``Ps (A2 L− + (A1 − A2) L+)``. No load: six
+    as standard, seventh ``Ps ((A1 − A2) L+ + A2 L−)``. For a cycle of stroke Δx with the load on the head end these are SPEC 4's
+    ``Ps (A1 + A2) Δx``, ``Ps A1 Δx``, ``Ps (A1 − A2) Δx``.
+
+    Args:
+        rig: gives areas, pins and set pressure.
+        record: with ``.p_head``, ``.p_rod`` and ``.x`` or ``.q`` of the cylinder.
+        cylinder: its name.
+        ledger: of the same record, for the energy drawn; without it the record's own edge flows say it, if it has them.
+
+    Raises:
+        InputError: no such cylinder.
+        LogError: a channel is missing, or the cylinder did not move.
+    """
+    item = rig.cylinder_named(cylinder)
+    head, rod = item.areas()
+    if f"{cylinder}.x" in record:
+        x = record[f"{cylinder}.x"]
+    elif item.pins is None:
+        x = record[f"{cylinder}.q"]
+    else:
+        pins = item.pins
+        numbers = (float(pins.l_a), float(pins.l_b), pins.sign, float(pins.phase), float(pins.retracted_length))
+        x = np.array([linkage(PINS, *numbers, angle)[0] for angle in record[f"{cylinder}.q"]])
+    force = record[f"{cylinder}.p_head"] * head - record[f"{cylinder}.p_rod"] * rod
+    out, back = travels(x, SETTLED_TRAVEL * float(item.stroke))
+    if out + back == 0.0:
+        raise LogError(f"cylinder '{cylinder}' did not move, so nothing bounds its energy")
+    steps, middle = np.diff(x), 0.5 * (force[1:] + force[:-1])
+    mean = float(np.trapezoid(force, record.t) / (record.t[-1] - record.t[0]))
+    work = float((middle * steps)[middle * steps > 0.0].sum())
+    pressure = float(rig.supply.pressure)
+    standard = pressure * (head * out + rod * back)
+    lifting = force[:-1][steps > 0.0]
+    regenerates = head > rod and lifting.size > 0 and float(np.median(lifting)) < pressure * (head - rod)
+    if mean > LOADED * pressure * head:
+        carries, six, again = "head", head * out, (head - rod) * out
+    elif mean < -LOADED * pressure * head:
+        carries, six, again = "rod", rod * back + (head - rod) * out, None
+    else:
+        carries, six, again = "none", head * out + rod * back, (head - rod) * out + rod * back
+    six *= pressure
+    seventh = pressure * again if again is not None and regenerates else None
+    used = ledger[f"{cylinder}.drawn"].energy if ledger is not None else _drawn(rig, record, cylinder)
+    closed = abs(out - back) <= CLOSED * max(out, back)
+    saving = None if used is None else 1.0 - used / standard
+    return Bounds(cylinder, out, back, closed, carries, standard, six, seventh, work, used, saving)
+
+
+def _drawn(rig: Rig, record: Record, cylinder: str) -> float | None:
+    """``∫ Ps Q dt`` [J] of a cylinder's edges from the supply, None where the record has not all their flows."""
+    total = 0.0
+    for item, valve, edge in rig.edges():
+        if item.name != cylinder or "supply" not in (edge.from_, edge.to):
+            continue
+        channel = f"{cylinder}.{valve.edge_name(edge)}.flow"
+        if channel not in record or "p_supply" not in record:
+            return None
+        sign = 1.0 if edge.from_ == "supply" else -1.0
+        total += sign * float(np.trapezoid(record["p_supply"] * record[channel], record.t))
+    return total

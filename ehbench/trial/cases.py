@@ -1,0 +1,126 @@
+"""Many trials side by side, and one table over them."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ehbench.errors import SimulationError
+from ehbench.quantities import VOCABULARY
+from ehbench.recipe import TrialRecipe
+from ehbench.record import Record
+from ehbench.rig import Rig
+from ehbench.trial.run import Facts, run_trial
+from ehbench.units import from_si
+
+if TYPE_CHECKING:
+    from ehbench.simulate import Maps
+
+
+@dataclass(frozen=True)
+class Case:
+    """One trial of a set: its name and what `run_trial` needs."""
+
+    name: str
+    recipe: TrialRecipe
+    rig: Rig
+    maps: Maps | None
+    gains: Path | None = None
+
+    @property
+    def motion(self) -> str:
+        """Name of its motion."""
+        return self.recipe.motion.name or self.recipe.motion.kind
+
+
+def run_cases(
+    cases: Sequence[Case], *, allow_code: bool = False, workers: int = 0, progress: Callable[[str, float], None] | None = None
+) -> list[tuple[Record, Facts]]:
+    """Run trials in parallel threads (the compiled loops let go of the interpreter); results in the order of ``cases``.
+
+    Args:
+        cases: what to run.
+        allow_code: as in `run_trial`.
+        workers: threads; by default one a core.
+        progress: told which case is done and the share done.
+
+    Raises:
+        EhbenchError: the first case that fails; the rest is given up.
+    """
+
+    def one(case: Case) -> tuple[Record, Facts]:
+        try:
+            return run_trial(case.rig, case.recipe, case.maps, gains=case.gains, allow_code=allow_code)
+        except SimulationError as error:
+            raise SimulationError(f"{case.name}: {error.message}", hint=error.hint) from None
+
+    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+        jobs = [pool.submit(one, case) for case in cases]
+        for case, job in zip(cases, jobs, strict=True):
+            job.add_done_callback(lambda _, name=case.name: progress(name, sum(j.done() for j in jobs) / len(jobs)) if progress else None)
+        wait(jobs, return_when=FIRST_EXCEPTION)
+        failed = [job for job in jobs if job.done() and not job.cancelled() and job.exception() is not None]
+        if failed:
+            pool.shutdown(cancel_futures=True)
+        return [job.result() for job in (failed or jobs)]
+
+
+def file_names(cases: Sequence[Case]) -> list[str]:
+    """A name for each case's log that any file system takes."""
+    names: list[str] = []
+    for case in cases:
+        stem = re.sub(r"[^a-z0-9]+", "_", case.name.lower()).strip("_") or "case"
+        names.append(next(name for i in range(len(cases) + 1) if (name := f"{stem}{f'_{i + 1}' if i else ''}") not in names))
+    return names
+
+
+def table_rows(cases: Sequence[Case], results: Sequence[tuple[Record, Facts]]) -> list[dict[str, Any]]:
+    """One table a case, SI: what it was, where its log lies, what stopped it, and its measures."""
+    return [
+        {
+            "case": case.name, "payload": facts.payload, "motion": case.motion, "controller": facts.controller, "on": facts.on,
+            "rig": facts.rig, "cylinder": facts.cylinder, "log": f"logs/{file}.mcap", "duration": facts.duration,
+            "stopped": facts.stopped, **facts.measures,
+        }
+        for case, file, (_, facts) in zip(cases, file_names(cases), results, strict=True)
+    ]  # fmt: skip
+
+
+# column: (quantity whose display unit it has, or a unit; where it lies)
+_STEP = {
+    "speed": ("v", "speed"), "share": ("%", "share"), "steady_speed": ("v", "steady_speed"), "steady_error": ("%", "steady_error"),
+    "overshoot": ("%", "overshoot"), "settling_time": ("t", "settling_time"), "speed_rms_error": ("v", "rms_error"),
+    "damping_ratio": ("damping_ratio", "damping_ratio"), "natural_frequency": ("natural_frequency", "natural_frequency"),
+}  # fmt: skip
+_TRACKING = {"max_error": "x", "rms_error": "x", "final_error": "x"}
+
+
+def table_csv(rows: Sequence[dict[str, Any]], rig: Rig) -> str:
+    """The table as CSV in the units of the rig file: a row a step of speed, or a row a case without steps; empty where there is nothing."""
+    units = {name: unit if unit == "%" else rig.unit_of(unit) for name, (unit, _) in _STEP.items()}
+    units |= {name: rig.unit_of(word) for name, word in _TRACKING.items()} | {"pump_energy": rig.unit_of("energy")}
+    heads = ["case", "payload", "motion", "controller", "on", "step", *(name if u == "dimensionless" else f"{name} [{u}]" for name, u in units.items())]
+    lines = [",".join([*heads, "stopped"])]
+
+    def cell(value: float | None, name: str, word: str) -> str:
+        if value is None:
+            return ""
+        return f"{100.0 * value if units[name] == '%' else from_si(value, units[name], VOCABULARY[word]):.6g}"
+
+    for row in rows:
+        for number, step in enumerate(row["steps"] or [{}], 1):
+            cells = [cell(step.get(key), name, word) for name, (word, key) in _STEP.items()]
+            cells += [cell(row["tracking"][name], name, word) for name, word in _TRACKING.items()]
+            cells.append(cell(row["energy"]["pump"], "pump_energy", "energy"))
+            front = [row["case"], row["payload"], row["motion"], row["controller"], row["on"], str(number) if step else ""]
+            lines.append(",".join(_quoted(text) for text in [*front, *cells, row["stopped"]]))
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text

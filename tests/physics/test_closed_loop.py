@@ -1,0 +1,304 @@
+"""Controllers closed over model and bench: every law on every rig, only entitled channels, limits, the same bytes."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.control import pressure_feedback as pf
+from ehbench.control.functions import FUNCTIONS
+from ehbench.errors import InputError
+from ehbench.recipe import TrialRecipe, TrialSetRecipe, load_rig
+from ehbench.rigs.model import sample_channels
+from ehbench.trial import RUN_OUT, Case, controllers, run_cases, run_trial, table_csv, table_rows
+from ehbench.trial import run as running
+from ehbench.trial.motion import full_speed
+
+RECIPES = Path(__file__).parents[2] / "recipes"
+RIGS = {name: load_rig(RECIPES / "rigs" / f"{name}.toml") for name in
+        ("thesis_arm", "thesis_arm_standard", "boom_four_valve", "crane_proportional", "slide_servo")}  # fmt: skip
+ARM = RIGS["thesis_arm"]
+BENCH = str(RECIPES / "bench" / "thesis_arm.toml")
+UP_DOWN = {"kind": "point_to_point", "cylinder": "boom", "waypoints": ["60 mm", "120 mm", "60 mm"], "hold": "0.6 s", "speed": "80 mm/s"}
+FEEDBACK = {"kind": "pressure_feedback", "gains": {"feedback_gain": "8e-11 m^3/(s*Pa)", "washout": "1 Hz"}}
+ARC = {"kind": "arc"}
+
+
+def recipe(controller, motion=UP_DOWN, path="trial.toml", **given):
+    return TrialRecipe(stage="trial", rig="x.toml", controller=controller, motion=motion, path=Path(path), **given)
+
+
+def closed(recipe, rig=ARM):
+    """The compiled controller of a recipe, as its trial would run it."""
+    loop = running._Closed.of(recipe, rig, None, None, False)
+    return controllers.compiled(recipe, loop.design, None, loop.wishes.table, float(recipe.rate))
+
+
+# rig: its cylinder, a stroke in the middle of its range [m], a payload, a feedback gain [m³/(s·Pa)]: on a spool the off-side pressure
+# rises with every motion, and feedback takes that for load
+MACHINES = {
+    "thesis_arm": ("boom", 0.10, "50 lb", 8e-11), "thesis_arm_standard": ("boom", 0.10, "50 lb", 1e-11),
+    "boom_four_valve": ("boom", 0.20, "bucket", 8e-11), "crane_proportional": ("lift", 0.25, "200 kg", 5e-12),
+    "slide_servo": ("press", 0.20, "100 kg", 5e-12),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_every_law_moves_every_rig(name):
+    """Each arrives: with position feedback near the sensor's resolution, without it within a share of the travel."""
+    rig, (cylinder, x, payload, gain) = RIGS[name], MACHINES[name]
+    fed = {"kind": "pressure_feedback", "gains": {"feedback_gain": f"{gain} m^3/(s*Pa)", "washout": "1 Hz"}}
+    motion = UP_DOWN | {"cylinder": cylinder, "waypoints": [f"{x} m", f"{x + 0.05} m", f"{x} m"], "speed": "40 mm/s"}
+    worst = {}
+    for law in ({"kind": "open_loop"}, fed, ARC):
+        record, facts = run_trial(rig, recipe(law, motion, payload=payload))
+        assert not facts.stopped and facts.cylinder == cylinder and facts.controller == law["kind"]
+        own = record[f"{cylinder}.x"]
+        assert own[0] == pytest.approx(x, abs=1e-9) and np.ptp(own) == pytest.approx(0.05, rel=0.2)
+        assert record[f"{cylinder}.x_desired"][-1] == pytest.approx(x, abs=1e-12)
+        used = set(record[f"{cylinder}.function"].astype(int)) - {0}
+        assert {FUNCTIONS[f].split("_")[0] for f in used} == {"extend", "retract"}
+        for edge in (e for e in record.channels if e.startswith(cylinder) and e.endswith(".flow")):
+            assert np.abs(record[edge + "_desired"]).max() >= 0.0 and set(record[edge.replace(".flow", ".limits")]) <= set(range(32))
+        worst[law["kind"]] = facts.measures["tracking"]
+    # the issue asks for 1 mm; without position feedback the load's compression and the valves' lag stay in the stroke
+    assert worst["arc"]["max_error"] < 5e-4 and abs(worst["arc"]["final_error"]) < 1e-4
+    for law in ("open_loop", "pressure_feedback"):
+        assert abs(worst[law]["final_error"]) < 0.2 * 0.05 and worst["arc"]["rms_error"] < 0.3 * worst[law]["rms_error"]
+
+
+def test_a_trial_starts_with_the_off_side_at_its_set_point():
+    record, _ = run_trial(ARM, recipe({"kind": "open_loop", "gains": {"low_pressure": "5 bar"}}, payload="50 lb"))
+    assert record["boom.p_rod"][0] == pytest.approx(5e5, rel=1e-12) and record["boom.p_head"][0] > 5e5
+    assert np.ptp(record["boom.v"][:400]) < 1e-9, "the load is carried"
+
+
+# --- channels -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("law", "given"),
+    [
+        (FEEDBACK, {"boom.p_head", "boom.p_rod", "p_supply", "p_tank"}),
+        (ARC, {f"boom.{n}" for n in ("q", "qd", "x", "v", "p_head", "p_rod")} | {"swing.q", "stick.q", "p_supply", "p_tank"}),
+    ],
+)
+@pytest.mark.parametrize("on", ["model", "bench"])
+def test_a_built_in_law_is_given_its_channels_only(law, given, on, monkeypatch):
+    """What reaches the kernel is NaN outside of the entitlement, and no command or note is touched by it."""
+    seen = []
+    go = running.Runner.go
+    monkeypatch.setattr(running.Runner, "go", lambda self, first, stop, law=None: seen.append(law) or go(self, first, stop, law))
+    record, _ = run_trial(ARM, recipe(law, on=on, payload="50 lb"))
+    names = sample_channels(closed_layout())
+    last = seen[-1].given
+    assert {name for name, value in zip(names, last, strict=True) if not math.isnan(value)} == given
+    assert all(np.isfinite(values).all() for values in record.channels.values())
+
+
+def closed_layout():
+    return controllers.design(recipe(FEEDBACK), ARM, None).model.layout
+
+
+def test_the_payload_is_not_told():
+    for law in (FEEDBACK, ARC):
+        light, heavy = closed(recipe(law)), closed(recipe(law, payload="50 lb"))
+        assert np.array_equal(light.gains, heavy.gains) and np.array_equal(light.axis.links, heavy.axis.links)
+    assert not np.array_equal(
+        run_trial(ARM, recipe(ARC))[0]["boom.p_head"], run_trial(ARM, recipe(ARC, payload="50 lb"))[0]["boom.p_head"]
+    )
+
+
+CODE = '''
+from __future__ import annotations
+import math
+import numpy as np
+from ehbench.control import pressure_feedback as pf
+from ehbench.control.functions import pack_rules
+
+class Mine:
+    channels = ["boom.p_*", "p_*"]
+    def __init__(self, feedback_gain, washout, off_gain):
+        self.gains = {"feedback_gain": feedback_gain, "washout": washout, "off_gain": off_gain}
+    def start(self, rig, tick, sample):
+        self.seen = [sample]
+        self.names, self.circuit, supply = list(sample), rig.circuit, float(rig.rig.supply.pressure)
+        rules = pack_rules(rig.circuit.area_rod, supply, low_pressure=supply / 20)
+        self.packed = pf.pack_pressure_feedback(tick=tick, rules=rules, low_pressure=supply / 20, **self.gains)
+        self.memory, self.command = np.zeros(pf.MEMORY), np.zeros(len(rig.valves))
+        self.out = np.zeros(pf.NOTES + 2 * rig.circuit.count)
+    notes = ["boom.load_force"]
+    def step(self, t, sample, wish):
+        self.seen.append(sample)
+        values = np.array([sample[name] for name in self.names])
+        pf.step(t, values, np.array(wish), self.circuit, self.packed, self.memory, self.command, self.out)
+        self.note = [self.out[7]]
+        return self.command
+'''
+
+
+@pytest.mark.parametrize("on", ["model", "bench"])
+def test_a_users_class_does_what_the_compiled_law_does(tmp_path, on):
+    """The same law through Python and compiled: every channel the same, bit for bit; and it is given NaN elsewhere."""
+    (tmp_path / "mine.py").write_text(CODE)
+    gains = {"feedback_gain": "8e-11 m^3/(s*Pa)", "washout": "1 Hz", "off_gain": "2e-11 m^3/(s*Pa)"}
+    given = {"on": on, "path": tmp_path / "trial.toml", "payload": "50 lb", "duration": "2 s"}
+    with pytest.raises(InputError, match="may not run code by itself.*--allow-code"):
+        run_trial(ARM, recipe({"class": "mine:Mine", "gains": gains}, **given))
+    mine, facts = run_trial(ARM, recipe({"class": "mine:Mine", "gains": gains}, **given), allow_code=True)
+    built, _ = run_trial(ARM, recipe({"kind": "pressure_feedback", "gains": gains}, **given))
+    assert set(mine.channels) < set(built.channels)
+    for name, values in mine.channels.items():
+        assert np.array_equal(values, built[name]), name
+    assert facts.controller == "Mine" and np.ptp(mine["boom.x"]) > 0.03 and not facts.warnings
+
+
+def test_a_channel_not_named_is_nan(tmp_path):
+    (tmp_path / "peek.py").write_text(
+        "import math\nclass Peek:\n    channels = ['boom.p_head']\n"
+        "    def start(self, rig, tick, sample):\n        assert [n for n, v in sample.items() if not math.isnan(v)] == ['boom.p_head']\n"
+        "    def step(self, t, sample, wish):\n        return {'boom.hepc': 3.0 + 0.0 * sample['boom.x']}\n"
+    )
+    with pytest.raises(InputError, match=r"Peek\.step gave .*nan.* at t = 0 s, which is not finite .channels that it does not name"):
+        run_trial(ARM, recipe({"class": "peek:Peek"}, path=tmp_path / "trial.toml"), allow_code=True)
+
+
+# --- motion, limits, disturbance -------------------------------------------------------------------------------------------
+
+
+def test_full_speed_is_what_pump_and_valves_give():
+    """The arm's boom: 8 gpm, pump or cartridge, into the head end or out of it. On a spool: wide open in both edges at once."""
+    made = controllers.design(recipe(FEEDBACK), ARM, None)
+    flow = float(ARM.supply.flow_limit)
+    assert full_speed(made, 1, 3.4e5) == pytest.approx(flow / made.circuit.area_head, rel=1e-9)
+    assert full_speed(made, -1, 3.4e5) <= flow / made.circuit.area_head * (1 + 1e-9)
+    rig = RIGS["slide_servo"]
+    motion = {"kind": "velocity_steps", "levels": ["100 %"], "duration": "0.8 s", "rest": "0.1 s"}
+    weak = rig.with_values({"supply.pressure": 2.0e6})
+    spool = controllers.design(recipe(FEEDBACK, motion, posture={"press": "50 mm"}), weak, None)
+    speed = full_speed(spool, 1, 1e5)
+    assert speed < float(weak.supply.flow_limit) / spool.circuit.area_head, "the valve is the limit here"
+    given = recipe({"class": "open:Open"}, motion, posture={"press": "50 mm"}, duration="0.9 s", path=Path(__file__).parent / "x.toml")
+    command = {"valve": "press.servo", "kind": "constant", "offset": "10 V"}
+    record, _ = run_trial(weak, TrialRecipe(stage="trial", rig="x", duration="0.6 s", command=[command], posture={"press": "50 mm"}))
+    assert given.controller.code and record["press.v"][-1] == pytest.approx(speed, rel=0.03)  # friction and damping of the slide
+
+
+def test_pressure_feedback_damps_the_steps_of_the_open_loop():
+    motion = {"kind": "velocity_steps", "cylinder": "boom", "levels": ["30 %", "-30 %"], "travel": "90 mm"}
+    found = {}
+    for law in ({"kind": "open_loop"}, FEEDBACK):
+        _, facts = run_trial(ARM, recipe(law, motion, posture={"boom": "60 mm"}, payload="50 lb"))
+        found[law["kind"]] = facts.measures["steps"]
+        assert [round(s["speed"], 4) for s in facts.measures["steps"]] == [0.0747, -0.0747]
+    for plain, fed in zip(found["open_loop"], found["pressure_feedback"], strict=True):
+        assert plain["overshoot"] > 0.3 and fed["overshoot"] < 0.75 * plain["overshoot"]
+        assert plain["damping_ratio"] < 0.15 and (fed["damping_ratio"] is None or fed["damping_ratio"] > 2 * plain["damping_ratio"])
+        assert fed["settling_time"] < 0.5 * (plain["settling_time"] or plain["duration"])
+
+
+@pytest.mark.parametrize("on", ["model", "bench"])
+@pytest.mark.parametrize("law", [ARC, {"class": "own_controller:Lift"}])
+def test_a_limit_shuts_the_valves_in_the_very_tick(law, on, tmp_path):
+    (tmp_path / "own_controller.py").write_text(
+        "class Lift:\n    channels = ['boom.x']\n    def start(self, rig, tick, sample): pass\n"
+        "    def step(self, t, sample, wish): return {'boom.hepc': 4.0 * (wish.v > 0), 'boom.rect': 6.0 * (wish.v > 0)}\n"
+    )
+    given = recipe(law, path=tmp_path / "trial.toml", on=on, limits={"stroke_margin": "150 mm"}, posture={"boom": "60 mm"})
+    given = given.model_copy(update={"limits": type(given.limits)(speed_max="50 mm/s")})
+    record, facts = run_trial(ARM, given, allow_code=True)
+    row = round(facts.stop.t * 1000)
+    assert facts.stop.channel == "boom.v" and record.t[-1] == pytest.approx(facts.stop.t + RUN_OUT)
+    commands = np.column_stack([record[f"{v}.command"] for v in closed_layout().valves])
+    assert commands[row - 1].any() and not commands[row:].any()
+    if "kind" in law:
+        assert not record["boom.function"][row:].any() and (np.diff(record["boom.payload_estimate"][row:]) == 0).all()
+    assert facts.measures["tracking"]["max_error"] < 0.02, "what comes after the stop does not count"
+
+
+def test_other_cylinders_take_commands_meanwhile_and_the_own_valves_do_not():
+    shake = {"valve": "stick.servo", "kind": "sine", "amplitude": "0.5 V", "frequency": "1 Hz"}
+    still, _ = run_trial(ARM, recipe(ARC))
+    record, facts = run_trial(ARM, recipe(ARC, command=[shake]))
+    assert np.abs(record["stick.servo.command"]).max() > 0.49 and np.ptp(record["stick.x"]) > 10 * np.ptp(still["stick.x"])
+    assert facts.measures["tracking"]["max_error"] < 2e-3
+    with pytest.raises(InputError, match="'boom.hepc' is the controller's"):
+        run_trial(ARM, recipe(ARC, command=[shake | {"valve": "boom.hepc"}]))
+
+
+def test_an_unused_valve_stays_at_rest():
+    record, facts = run_trial(ARM, recipe(ARC | {"unused": ["boom.regen"]}))
+    assert not record["boom.regen.command"].any() and facts.measures["tracking"]["max_error"] < 1e-3
+    assert not {3, 6, 7} & set(record["boom.function"].astype(int))
+    assert run_trial(ARM, recipe(ARC))[0]["boom.regen.command"].any()
+    with pytest.raises(InputError, match="no valve 'boom.regenn'"):
+        run_trial(ARM, recipe(ARC | {"unused": ["boom.regenn"]}))
+
+
+# --- energy ----------------------------------------------------------------------------------------------------------------
+
+
+def test_pump_energy_from_measured_channels_is_that_of_the_edge_flows():
+    """On a model record, whose valves are those of the design model: what the estimate adds is sampling, under 1 %."""
+    given = recipe(ARC)
+    record, facts = run_trial(ARM, given)
+    loop = running._Closed.of(given, ARM, None, None, False)
+    flow, source = running._drawn(record, loop.design, object())
+    exact, _ = running._drawn(record, loop.design, running._machine(ARM, given, None))
+    assert source.startswith("estimated") and facts.measures["energy"]["source"] == "edge flows of the model"
+    assert flow.sum() == pytest.approx(exact.sum(), rel=0.01) and np.abs(flow - exact).max() < 0.05 * exact.max()
+
+
+def test_the_energy_saving_law_takes_a_third_less_than_the_four_way_valve():
+    """Bound over a closed cycle: 34.5 % with regenerated lowering (SPEC 4); tracking no worse."""
+    five, four = (run_trial(RIGS[name], recipe(ARC, payload="50 lb"))[1].measures for name in ("thesis_arm", "thesis_arm_standard"))
+    saved = 1.0 - five["energy"]["pump"] / four["energy"]["pump"]
+    assert 0.30 < saved < 0.45
+    assert five["tracking"]["rms_error"] < 1.5 * four["tracking"]["rms_error"]
+
+
+# --- sets ---------------------------------------------------------------------------------------------------------------
+
+
+def test_a_set_is_the_product_in_order_and_its_bytes_do_not_depend_on_threads():
+    steps = {"name": "step", "kind": "velocity_steps", "cylinder": "boom", "levels": ["30 %"], "travel": "30 mm", "rest": "0.2 s"}
+    given = TrialSetRecipe(
+        stage="trials", rig="x", payloads=["none", "50 lb"], motion=[steps, UP_DOWN], on="bench", bench=BENCH, posture={"boom": "60 mm"},
+        controller=[{"name": "open loop", "kind": "open_loop"}, {"name": "fed", **FEEDBACK}],
+    )  # fmt: skip
+    cases = [Case(name, one, ARM, None) for name, _, one in given.cases()]
+    assert [c.name for c in cases][:3] == ["no load step open loop", "no load step fed", "no load point_to_point open loop"]
+    assert len(cases) == 8 and cases[-1].recipe.payload == "50 lb" and cases[0].recipe.payload is None
+    serial, parallel = run_cases(cases, workers=1), run_cases(cases, workers=4)
+    for (a, fa), (b, fb) in zip(serial, parallel, strict=True):
+        assert all(np.array_equal(a[name], b[name]) for name in a.channels) and fa == fb
+    rows = table_rows(cases, serial)
+    text = table_csv(rows, ARM).splitlines()
+    assert len(text) == 9 and len({line.count(",") for line in text}) == 1 and text == table_csv(table_rows(cases, parallel), ARM).splitlines()
+    head, first = (line.split(",") for line in text[:2])
+    cell = dict(zip(head, first, strict=True))
+    assert float(cell["speed [mm/s]"]) == pytest.approx(74.66, abs=0.01) and cell["share [%]"] == "30" and cell["step"] == "1"
+    assert float(cell["pump_energy [J]"]) == pytest.approx(rows[0]["energy"]["pump"], rel=1e-5)
+    assert rows[0]["energy"]["source"].startswith("estimated")
+
+
+def test_a_case_that_fails_stops_the_set():
+    bad = recipe({"kind": "open_loop"}, UP_DOWN | {"waypoints": ["60 mm", "300 mm"]})
+    with pytest.raises(InputError, match="leaves the stroke"):
+        run_cases([Case("good", recipe(FEEDBACK), ARM, None), Case("bad", bad, ARM, None)], workers=2)
+
+
+def test_notes_have_the_columns_they_are_named_by():
+    """The order of the note is the law's own: the wish comes first, and each edge's flow and limits last."""
+    record, _ = run_trial(ARM, recipe(FEEDBACK))
+    law = closed(recipe(FEEDBACK))
+    assert law.channels == pf.note_channels("boom", [f"boom.{e}" for e in ("hect", "hepc", "regen", "repc", "rect")])
+    assert np.array_equal(record["boom.v_desired"], law.wish[:, 1])
+    moving = (record["boom.function"] == 1) & (record["boom.limits"] == 0)
+    total = record["boom.hepc.flow_desired"][moving]
+    assert moving.any() and np.allclose(total, record["boom.flow_head_desired"][moving], rtol=1e-12)
+    assert dataclasses.is_dataclass(law)
