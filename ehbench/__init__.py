@@ -11,14 +11,18 @@ Everything is SI inside; `ehbench.quantities` names each quantity with its unit.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+# Sums of one BLAS thread have one order, so the same input gives the same bytes; small systems are quicker that way too.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 if TYPE_CHECKING:
     from ehbench.logs import read_log as read_log
     from ehbench.physics.flow_map import load_flow_maps as load_flow_maps
     from ehbench.recipe import load_rig as load_rig
-    from ehbench.simulate import simulate as simulate
+    from ehbench.simulation import simulate as simulate
     from ehbench.workflow import Outcome, Progress
 
 __all__ = ["identify", "load_flow_maps", "load_rig", "read_log", "simulate", "validate"]
@@ -28,7 +32,7 @@ _HOME = {
     "load_flow_maps": "ehbench.physics.flow_map",
     "load_rig": "ehbench.recipe",
     "read_log": "ehbench.logs",
-    "simulate": "ehbench.simulate",
+    "simulate": "ehbench.simulation",
 }
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from ehbench.plant import derivatives, workspace_size
 from ehbench.recipe import load_recipe, load_rig
 from ehbench.rig import Rig
-from ehbench.simulate import Model, simulate
+from ehbench.simulation import Model, simulate
 
 if TYPE_CHECKING:
     from ehbench.physics.flow_map import FlowMaps

@@ -106,8 +106,10 @@ def reproduce(
     """Run a whole campaign and write its report; runs that stand already are not run again."""
     from ehbench import workflow
 
+    recipe = workflow.find_campaign(campaign)
+    workflow.expect_stage(recipe, "campaign")
     with _progress(quiet) as tell:
-        made = workflow.run(workflow.find_campaign(campaign), workflow.Desk(root=out or workflow.ROOT, progress=tell, allow_code=allow_code))
+        made = workflow.run(recipe, workflow.Desk(root=out or workflow.ROOT, progress=tell, allow_code=allow_code))
     _leave(made, "report.html")
 
 

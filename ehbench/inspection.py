@@ -44,7 +44,7 @@ def _shown(rig: Rig, name: str, value: float) -> str:
 
 
 def _rig(path: Path) -> Inspection:
-    from ehbench.simulate import Model
+    from ehbench.simulation import Model
 
     rig = load_rig(path)
     measured = all(edge.law != "map" for _, _, edge in rig.edges())

@@ -30,7 +30,7 @@ from ehbench.plant import (
 )  # fmt: skip
 from ehbench.record import Record
 from ehbench.rig import Rig
-from ehbench.simulate import MOST_SUBSTEPS, STEP, STIFF, Maps, Model, advance, linkage_arrays
+from ehbench.simulation import MOST_SUBSTEPS, STEP, STIFF, Maps, Model, advance, linkage_arrays
 
 Z95 = 1.959964
 GROUPS = ("supply", "valve", "loss", "store", "load", "residual", "cylinder", "part")

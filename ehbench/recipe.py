@@ -169,7 +169,7 @@ class Command(Model):
     frequency: _typed("frequency") | None = None
     frequency_max: _typed("frequency") | None = None
     lines: int = Field(default=20, ge=1, le=1000)
-    seed: int = 0
+    seed: int = Field(default=0, ge=0)
     file: str | None = None
 
     @model_validator(mode="after")
@@ -288,7 +288,7 @@ class _AnyTrial(Recipe):
     duration: _typed("duration") | None = None
     rate: _typed("rate") = Value(1000.0)
     step: _typed("step") = Value(5.0e-4)
-    seed: int = 0
+    seed: int = Field(default=0, ge=0)
     command: tuple[Command, ...] = ()
     limits: Limits = Limits()
 

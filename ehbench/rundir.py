@@ -142,10 +142,12 @@ def open_run(final: Path, stage: str, recipe: Path, inputs: Iterable[tuple[str, 
     inputs = list(inputs)
     if final.exists() and not (final / "run.json").is_file() and (not final.is_dir() or any(final.iterdir())):
         raise InputError("exists and is no run folder; it is left as it is", file=final, hint="choose another --out")
-    final.parent.mkdir(parents=True, exist_ok=True)
     scratch = final.parent / f".{final.name}.{os.getpid()}.part"
     shutil.rmtree(scratch, ignore_errors=True)
-    scratch.mkdir()
+    try:
+        scratch.mkdir(parents=True)
+    except OSError as error:
+        raise InputError(f"no run can be written here: {error.strerror}", file=final, hint="choose another --out") from None
     record = {
         "stage": stage,
         "name": recipe.stem,

@@ -25,7 +25,7 @@ from ehbench.recipe import Thresholds
 from ehbench.record import Record
 from ehbench.rig import Rig, Valve
 from ehbench.rundir import read_json
-from ehbench.simulate import MOVED, Maps, Model
+from ehbench.simulation import MOVED, Maps, Model
 from ehbench.units import from_si
 
 CHANNELS = ("q", "qd", "p_head", "p_rod")

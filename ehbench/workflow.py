@@ -76,6 +76,7 @@ class Desk:
     """Where a session works: the folder that runs go to, how progress is told, which runs stand, and what was allowed aloud.
 
     ``allow_code`` lets recipes run Python code, ``unvalidated`` lets a controller be tuned on a rig that no validation accepted.
+    ``keep`` leaves a run alone that stands with the very same inputs; dependencies and campaigns work so.
     """
 
     root: Path = ROOT
@@ -84,6 +85,7 @@ class Desk:
     done: dict[Path, Outcome] = field(default_factory=dict)
     allow_code: bool = False
     unvalidated: bool = False
+    keep: bool = False
 
     def tell(self, what: str) -> Progress | None:
         """A progress callback labelled with the recipe at work."""
@@ -135,13 +137,14 @@ def identify_flow_map(recipe: FlowMapRecipe, desk: Desk) -> Outcome:
     files = [_existing(recipe, name) for name in recipe.data]
     inputs = [*machine.inputs, *(("data", path) for path in files)]
     supply = float(machine.rig.supply.pressure)
-    fits = readings.fit_readings(
-        machine.rig, [read_flowmeter(path, supply_pressure=supply) for path in files],
-        [(float(point.command), float(point.flow), point.tolerance) for point in recipe.calibration],
-        None if recipe.calibration_drop is None else float(recipe.calibration_drop), desk.tell(recipe.name),
-    )  # fmt: skip
-    maps = collect([one.fit.map for one in fits])
-    with rundir.open_run(desk.place(recipe, inputs), "identify", recipe.path, inputs) as made:
+
+    def work(made: rundir.Run) -> tuple[int, list[str]]:
+        fits = readings.fit_readings(
+            machine.rig, [read_flowmeter(path, supply_pressure=supply) for path in files],
+            [(float(point.command), float(point.flow), point.tolerance) for point in recipe.calibration],
+            None if recipe.calibration_drop is None else float(recipe.calibration_drop), desk.tell(recipe.name),
+        )  # fmt: skip
+        maps = collect([one.fit.map for one in fits])
         save_flow_maps(maps, made.path / "flow_maps.json")
         rundir.write_json(made.path / "summary.json", readings.summary(fits, machine.rig))
         (made.path / "points.csv").write_text(readings.points_table(fits, machine.rig), encoding="utf-8")
@@ -150,8 +153,9 @@ def identify_flow_map(recipe: FlowMapRecipe, desk: Desk) -> Outcome:
         _write_rig(made.path, machine.rig, None)
         warnings = [f"{one.fit.map.valve} {one.fit.map.direction}: {text}" for one in fits for text in one.fit.warnings]
         made.facts |= {"what": "flow_map", "title": recipe.title, "rig": machine.rig.name, "warnings": warnings}
-        _draw(made, desk, recipe)
-    return Outcome(made.final, DONE, tuple(warnings))
+        return DONE, warnings
+
+    return _run(recipe, desk, inputs, work)
 
 
 def identify_hydraulics(recipe: HydraulicsRecipe, desk: Desk) -> Outcome:
@@ -166,12 +170,13 @@ def identify_hydraulics(recipe: HydraulicsRecipe, desk: Desk) -> Outcome:
         "flow_maps": machine.flow_maps, "workers": recipe.workers, "cutoff": None if recipe.cutoff is None else float(recipe.cutoff),
         "max_iterations": recipe.max_iterations, "progress": desk.tell(recipe.name),
     }  # fmt: skip
-    fit = hydraulics.identify_hydraulics(machine.rig, logs, recipe.parameters, **options)
-    variants = ()
-    if recipe.compare_dynamics:
-        variants = hydraulics.compare_dynamics(machine.rig, logs, recipe.parameters, recipe.compare_dynamics, **options)
-    compared = [{"dynamics": v.dynamics, "relative_rms": v.relative_rms, "fit": v.fit.as_json()} for v in variants]
-    with rundir.open_run(desk.place(recipe, inputs), "identify", recipe.path, inputs) as made:
+
+    def work(made: rundir.Run) -> tuple[int, list[str]]:
+        fit = hydraulics.identify_hydraulics(machine.rig, logs, recipe.parameters, **options)
+        variants = ()
+        if recipe.compare_dynamics:
+            variants = hydraulics.compare_dynamics(machine.rig, logs, recipe.parameters, recipe.compare_dynamics, **options)
+        compared = [variant.as_json() for variant in variants]
         _write_rig(made.path, fit.rig, machine.flow_maps)
         rundir.write_json(made.path / "parameters.json", fit.as_json() | {"dynamics_comparison": compared})
         _write_series(made.path / "series", fit.series())
@@ -181,8 +186,9 @@ def identify_hydraulics(recipe: HydraulicsRecipe, desk: Desk) -> Outcome:
             "recorded_on": _recorded_on(logs),
             "fitted_on": [rundir.sha256(path) for role, path in inputs if role == "log"],
         }  # fmt: skip
-        _draw(made, desk, recipe)
-    return Outcome(made.final, INCOMPLETE if losses else DONE, tuple(warnings))
+        return (INCOMPLETE if losses else DONE), warnings
+
+    return _run(recipe, desk, inputs, work)
 
 
 def validate(recipe: ValidateRecipe, desk: Desk) -> Outcome:
@@ -194,11 +200,12 @@ def validate(recipe: ValidateRecipe, desk: Desk) -> Outcome:
     used = _fitted_on(machine.inputs)
     seen = [name for (name, _), (_, path) in zip(logs, inputs, strict=True) if rundir.sha256(path) in used]
     inputs = [*machine.inputs, *inputs]
-    verdict = validation.validate_rig(
-        machine.rig, logs, channels=recipe.channels, thresholds=recipe.thresholds, flow_maps=machine.flow_maps, fitted_on=seen,
-        progress=desk.tell(recipe.name),
-    )  # fmt: skip
-    with rundir.open_run(desk.place(recipe, inputs), "validate", recipe.path, inputs) as made:
+
+    def work(made: rundir.Run) -> tuple[int, list[str]]:
+        verdict = validation.validate_rig(
+            machine.rig, logs, channels=recipe.channels, thresholds=recipe.thresholds, flow_maps=machine.flow_maps, fitted_on=seen,
+            progress=desk.tell(recipe.name),
+        )  # fmt: skip
         _write_rig(made.path, machine.rig, machine.flow_maps)
         rundir.write_json(made.path / "validation.json", verdict.as_json())
         if (machine.origin / "parameters.json").is_file():  # the intervals travel with the rig they belong to
@@ -209,10 +216,11 @@ def validate(recipe: ValidateRecipe, desk: Desk) -> Outcome:
             "what": "validation", "title": recipe.title, "rig": machine.rig.name, "accepted": verdict.accepted, "warnings": warnings,
             "recorded_on": _recorded_on(logs),
         }  # fmt: skip
-        _draw(made, desk, recipe)
-    if not verdict.accepted:
-        return Outcome(made.final, REJECTED, (*warnings, *verdict.reasons))
-    return Outcome(made.final, INCOMPLETE if losses else DONE, tuple(warnings))
+        if not verdict.accepted:
+            return REJECTED, [*warnings, *verdict.reasons]
+        return (INCOMPLETE if losses else DONE), warnings
+
+    return _run(recipe, desk, inputs, work)
 
 
 def tune(recipe: TuneRecipe, desk: Desk) -> Outcome:
@@ -228,16 +236,20 @@ def tune(recipe: TuneRecipe, desk: Desk) -> Outcome:
     found = machine.origin / "parameters.json"
     known = rundir.read_json(found) if machine.origin.is_dir() and found.is_file() else None
     correlation = (known["correlated_names"], known["correlation"]) if known and known["correlation"] else None
-    tuning = tune_pressure_feedback(machine, recipe, correlation=correlation, progress=desk.tell(recipe.name))
-    with rundir.open_run(desk.place(recipe, machine.inputs), "tune", recipe.path, machine.inputs, {"draws": recipe.seed}) as made:
+
+    def work(made: rundir.Run) -> tuple[int, list[str]]:
+        tuning = tune_pressure_feedback(machine, recipe, correlation=correlation, progress=desk.tell(recipe.name))
         _write_rig(made.path, machine.rig, machine.flow_maps)
         rundir.write_json(made.path / "tuning.json", tuning.as_json())
         warnings = list(tuning.warnings)
         if not isinstance(machine, ValidatedMachine):
             warnings.insert(0, "tuned on a rig that no validation accepted (--unvalidated)")
-        made.facts |= {"what": "tuning", "title": recipe.title, "rig": machine.rig.name, "validated": machine.stage == "validated", "warnings": warnings}
-        _draw(made, desk, recipe)
-    return Outcome(made.final, DONE, tuple(warnings))
+        made.facts |= {
+            "what": "tuning", "title": recipe.title, "rig": machine.rig.name, "validated": machine.stage == "validated", "warnings": warnings,
+        }  # fmt: skip
+        return DONE, warnings
+
+    return _run(recipe, desk, machine.inputs, work, {"draws": recipe.seed})
 
 
 def run_trial(recipe: TrialRecipe, desk: Desk) -> Outcome:
@@ -248,10 +260,11 @@ def run_trial(recipe: TrialRecipe, desk: Desk) -> Outcome:
     machine = machine_of(recipe, recipe.rig, recipe.flow_maps, desk)
     extra, gains = _behind(recipe, desk)
     inputs = [*machine.inputs, *extra]
-    record, facts = trial.run_trial(
-        machine.rig, recipe, machine.flow_maps, progress=desk.tell(recipe.name), gains=gains, allow_code=desk.allow_code
-    )
-    with rundir.open_run(desk.place(recipe, inputs), "trial", recipe.path, inputs, {"trial": recipe.seed}) as made:
+
+    def work(made: rundir.Run) -> tuple[int, list[str]]:
+        record, facts = trial.run_trial(
+            machine.rig, recipe, machine.flow_maps, progress=desk.tell(recipe.name), gains=gains, allow_code=desk.allow_code
+        )
         _write_rig(made.path, machine.rig, machine.flow_maps)
         _write_log(made.path / "log.mcap", record, recipe, machine.rig)
         rundir.write_json(made.path / "trial.json", facts.as_json())
@@ -259,10 +272,11 @@ def run_trial(recipe: TrialRecipe, desk: Desk) -> Outcome:
             "what": "trial", "title": recipe.title, "rig": machine.rig.name, "on": recipe.on, "stopped": facts.stopped,
             "warnings": list(facts.warnings),
         }  # fmt: skip
-        _draw(made, desk, recipe)
-    if facts.stopped:
-        return Outcome(made.final, STOPPED, (*facts.warnings, facts.stopped))
-    return Outcome(made.final, DONE, tuple(facts.warnings))
+        if facts.stopped:
+            return STOPPED, [*facts.warnings, facts.stopped]
+        return DONE, list(facts.warnings)
+
+    return _run(recipe, desk, inputs, work, {"trial": recipe.seed})
 
 
 def run_trials(recipe: TrialSetRecipe, desk: Desk) -> Outcome:
@@ -283,8 +297,9 @@ def run_trials(recipe: TrialSetRecipe, desk: Desk) -> Outcome:
         extra, gains = _behind(one, desk)
         inputs += [item for item in (*machines[key].inputs, *extra) if item not in inputs]
         cases.append(trial.Case(name, one, machines[key].rig, machines[key].flow_maps, gains))
-    results = trial.run_cases(cases, allow_code=desk.allow_code, progress=desk.tell(recipe.name))
-    with rundir.open_run(desk.place(recipe, inputs), "trials", recipe.path, inputs, {"trial": recipe.seed}) as made:
+
+    def work(made: rundir.Run) -> tuple[int, list[str]]:
+        results = trial.run_cases(cases, allow_code=desk.allow_code, progress=desk.tell(recipe.name))
         _write_rig(made.path, base.rig, base.flow_maps)
         (made.path / "logs").mkdir()
         for case, file, (record, _) in zip(cases, trial.file_names(cases), results, strict=True):
@@ -297,8 +312,9 @@ def run_trials(recipe: TrialSetRecipe, desk: Desk) -> Outcome:
         made.facts |= {
             "what": "trials", "title": recipe.title, "rig": base.rig.name, "on": recipe.on, "stopped": "; ".join(stopped), "warnings": warnings,
         }  # fmt: skip
-        _draw(made, desk, recipe)
-    return Outcome(made.final, STOPPED if stopped else DONE, (*warnings, *stopped))
+        return (STOPPED if stopped else DONE), [*warnings, *stopped]
+
+    return _run(recipe, desk, inputs, work, {"trial": recipe.seed})
 
 
 def _with_identified(rig: Rig, source: Rig) -> Rig:
@@ -355,7 +371,7 @@ def report(folders: Sequence[Path], desk: Desk, campaign: Campaign | None = None
 
 def run_campaign(recipe: Campaign, desk: Desk) -> Outcome:
     """Several recipes in order, then one report over their runs. A rejected or stopped run is shown, not dropped."""
-    inner = replace(desk, out=None)
+    inner = replace(desk, out=None, keep=True)
     outcomes = []
     for index, name in enumerate(recipe.recipes):
         _tell(desk, recipe, name, index / len(recipe.recipes))
@@ -370,7 +386,7 @@ def make(path: Path, desk: Desk) -> Outcome:
     """The outcome of a recipe, run only if it has not been run with these very inputs; dependencies go to ``desk.root``."""
     path = path.resolve()
     if path not in desk.done:
-        desk.done[path] = run(path, replace(desk, out=None))
+        desk.done[path] = run(path, replace(desk, out=None, keep=True))
     return desk.done[path]
 
 
@@ -482,13 +498,27 @@ def _write_series(folder: Path, series: dict[str, Record]) -> None:
         np.savetxt(folder / f"{name}.csv", np.column_stack(list(columns.values())), "%.9g", ",", header=header, comments="")
 
 
-def _draw(made: rundir.Run, desk: Desk, recipe: Recipe) -> None:
-    """The run's figures, from the files just written."""
+def _run(
+    recipe: Recipe,
+    desk: Desk,
+    inputs: Sequence[tuple[str, Path]],
+    work: Callable[[rundir.Run], tuple[int, list[str]]],
+    seeds: dict[str, int] | None = None,
+) -> Outcome:
+    """Open the run's folder, do the work in it, draw its figures. A run that stands with these very inputs is kept if it may."""
     from ehbench import report as pages
 
-    _tell(desk, recipe, "drawing figures", 0.95)
-    made.save()
-    pages.draw(made.path)
+    final = desk.place(recipe, inputs)
+    if desk.keep and rundir.is_whole(final):
+        facts = rundir.read_json(final / "run.json")
+        return Outcome(final, facts["code"], tuple(facts["notes"]))
+    with rundir.open_run(final, recipe.stage, recipe.path, inputs, seeds) as made:
+        code, notes = work(made)
+        made.facts |= {"code": code, "notes": notes}
+        _tell(desk, recipe, "drawing figures", 0.95)
+        made.save()
+        pages.draw(made.path)
+    return Outcome(final, code, tuple(notes))
 
 
 def _tell(desk: Desk, recipe: Recipe | None, what: str, share: float) -> None:
@@ -516,5 +546,8 @@ def init(folder: Path) -> Outcome:
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError("exists and is not empty; nothing was written", file=folder, hint="name a new folder")
-    shutil.copytree(rundir.PACKAGE / "workspace", folder, dirs_exist_ok=True)
+    try:
+        shutil.copytree(rundir.PACKAGE / "workspace", folder, dirs_exist_ok=True)
+    except (OSError, shutil.Error) as error:
+        raise InputError(f"cannot be made: {getattr(error, 'strerror', None) or error}", file=folder) from None
     return Outcome(folder)

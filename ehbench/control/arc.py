@@ -450,10 +450,10 @@ def step(t, sample, wish, axis, gains, memory, command, note):
     if gains[STANDBY] > 0.0:
         stand_by(axis, gains[STANDBY], command)
 
-    # what the metered path cannot do must not teach the estimates; where no motion is wished for, the pressures weigh the load
-    bound = function == HOLD
+    # a valve at its end, or a metered path that cannot follow, must not teach; where no motion is wished for, the load is weighed
+    bound = function == HOLD or limits & SATURATED != 0
     if not bound:
-        bound = int(note[edges + circuit.paths[METERING[function]] - circuit.first]) & (SATURATED | AGAINST | REVERSED) != 0
+        bound = int(note[edges + circuit.paths[METERING[function]] - circuit.first]) & (AGAINST | REVERSED) != 0
     memory[LEARNING] = WEIGHED if resting else (FROZEN if bound else FREE)
     if learning != FROZEN:
         adapt(estimates, rates, gains[AT_LOWER:AT_UPPER], gains[AT_UPPER:AT_RATE], tick)
@@ -528,7 +528,7 @@ def axis(
     )  # fmt: skip
     shapes = [part.shape for part in (made.posture, made.pins, made.chambers, made.friction)]
     if shapes != [(links.shape[0],), (6,), (6,), (3,)]:
-        raise InputError("the arrays of an axis do not fit each other", hint="posture: one a joint; pins 6, chambers 6, friction 3")
+        raise InputError("the arrays of an axis do not fit each other", hint="posture: one a joint; 6 pins, 6 chambers")
     numbers = (made.gravity, links, made.posture, made.pins, made.chambers, made.friction)
     if not all(np.isfinite(part).all() for part in numbers) or made.friction[2] <= 0 or made.chambers[:3].min() <= 0:
         raise InputError("an axis needs finite numbers, and volumes, bulk modulus and friction speed above 0")

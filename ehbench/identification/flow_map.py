@@ -22,7 +22,7 @@ from ehbench.units import from_si
 if TYPE_CHECKING:
     from ehbench.readers import FlowmeterData
 
-OUTLIER_SIGMAS = 5.0
+OUTLIER_SIGMAS, BACK_SIGMAS = 5.0, 3.0
 # a spline slope of this share of the rated flow over the command range keeps the map strictly increasing
 _LEAST_SLOPE = 1e-4
 # no meter is better than this share of the rated flow; keeps weights finite on noise-free data
@@ -196,6 +196,8 @@ def fit_flow_maps(data: FlowmeterData, **options) -> list[FlowMapFit]:
 
 @dataclass
 class _Readings:
+    """Readings at positive drops; ``silent`` are those below the lower ``limit`` [m³/s] of their meter."""
+
     size: int
     row: np.ndarray
     u: np.ndarray
@@ -208,6 +210,7 @@ class _Readings:
     cell: np.ndarray
     level: np.ndarray
     limit: np.ndarray
+    silent: np.ndarray
 
 
 def _clusters(values: np.ndarray, share: float, width: float) -> np.ndarray:
@@ -260,7 +263,8 @@ def _readings(who, command, drop, flow, method, trial, file, line, meter_limit) 
     if drops < 4:
         raise InsufficientData(f"the {who} has readings at {drops} pressure drops", hint="4 or more different ones are needed")
     limit = np.where(method != "cylinder", meter_limit, 0.0)
-    return _Readings(n, use, u, drop, np.where(q < limit, 0.0, q), method, trial, file, line, cell, level, limit)
+    silent = (limit > 0) & (q < limit)
+    return _Readings(n, use, u, drop, np.where(silent, 0.0, q), method, trial, file, line, cell, level, limit, silent)
 
 
 def _gram(pieces: np.ndarray, breaks: np.ndarray, order: int) -> np.ndarray:
@@ -379,7 +383,7 @@ class _Fit:
     def cells(self, flow: np.ndarray):
         """(command, root, flow, weight) of the mean of the kept readings of each cell; weight 0 where none is kept."""
         r, limit, std = self.r, self.r.limit / self.rated, self.std(flow)
-        self.y = np.where(r.q < r.limit, np.clip(flow, 0.0, limit), self.y)
+        self.y = np.where(r.silent, np.clip(flow, 0.0, limit), self.y)
         # whether a reading counts must not hang on its own noise, so the map says whether the meter turns
         weight = np.where(self.keep & ((limit == 0) | (flow > limit + 2.0 * std)), 1.0 / std**2, 0.0)
         total = np.bincount(r.cell, weight)
@@ -392,7 +396,7 @@ class _Fit:
         residual = self.y - flow
         dof_all = 0
         for name in self.noise:
-            use = keep & (r.method == name) & (r.q >= r.limit)
+            use = keep & (r.method == name) & ~r.silent
             count = np.bincount(r.cell[use], minlength=r.cell.max() + 1)
             mean = np.bincount(r.cell[use], residual[use], count.size) / np.maximum(count, 1)
             inside = residual - mean[r.cell]
@@ -484,16 +488,16 @@ class _Fit:
             near = np.flatnonzero(rise < 18.0)
             low, high = grid[max(near[0] - 1, 0)], grid[min(near[-1] + 1, 16)]
             best = int(np.argmin(rise))
-            self.deadband = round(_lowest(grid, rise, best), 6)
+            self.deadband = round(_lowest(grid, rise, best), 4)
             weight = np.exp(-0.5 * rise)
             spread = weight @ (grid - self.deadband) ** 2 / weight.sum() + (grid[1] - grid[0]) ** 2 / 12
             self.deadband_std = float(np.sqrt(spread))
             lower, upper = (_crossing(grid[best::way], rise[best::way], 3.841) for way in (-1, 1))
-            self.deadband_interval = (round(min(lower, self.deadband), 6), round(max(upper, self.deadband), 6))
+            self.deadband_interval = (round(min(lower, self.deadband), 4), round(max(upper, self.deadband), 4))
 
     def leak(self) -> float:
         """Scaled flow that surely passes at 0 V, if 0 V was measured and the flow there is small; else 0."""
-        at = (self.r.level == 0) & (self.r.u == 0) & (self.r.q >= self.r.limit)
+        at = (self.r.level == 0) & (self.r.u == 0) & ~self.r.silent
         if at.sum() < 4:
             return 0.0
         middle = float(np.median(self.y[at]))
@@ -509,7 +513,7 @@ class _Fit:
         k = min(int(np.flatnonzero(~passes)[-1]) + 1 if not passes.all() else 0, self.levels.size - 3)
         if leak:  # what passes no more than the leak is shut; the leak is told apart from the map
             shut = r.level < k
-            self.y = self.y - shut * self.s * (self.y[shut] @ self.s[shut]) / (self.s[shut] @ self.s[shut])
+            self.y = self.y - shut * np.polyval(np.polyfit(self.s[shut], self.y[shut], 2), self.s)
         u, s, _, weight = self.cells(self.y)
         y = _medians(self.y, r.cell)
         self.deadband = 0.5 * float(self.levels[k - 1] + self.levels[k]) if k else 0.0
@@ -530,7 +534,7 @@ class _Fit:
         flow = self.guess()
         self.parameters = float(self.spline(self.deadband).rows + 3)
         for final in (False, True):
-            for turn in range(6):
+            for turn in range(40):
                 self.measure_noise(flow)
                 cells = self.cells(flow)
                 if final and not turn:
@@ -539,12 +543,33 @@ class _Fit:
                 if final:
                     self.find_deadband(cells)
                 flow = self.judge(cells)
-                each = np.sqrt(self.std(flow) ** 2 + (self.lack - 1) / np.maximum(cells[3], 1.0)[self.r.cell])
-                self.sigmas = (self.y - flow) / each
-                before, self.keep = self.keep, np.abs(self.sigmas) <= OUTLIER_SIGMAS
+                self.sigmas = self.distances(flow)
+                far, before = np.abs(self.sigmas), self.keep
+                # the farthest first: what seems far beside it may be near once it is out; and back only what is near
+                self.keep = far <= np.where(before, max(OUTLIER_SIGMAS, 0.75 * far[before].max()), BACK_SIGMAS)
+                if turn > 20:  # no coming and going for ever
+                    self.keep &= before
                 if np.array_equal(before, self.keep):
                     break
         self.flow = flow
+
+    def distances(self, flow: np.ndarray) -> np.ndarray:
+        """Distance of each reading from the map in standard deviations of that distance.
+
+        A reading in the fit draws the map to itself, one left out stands against the map's own error; the lack of fit is
+        the median one, which a few outliers do not raise.
+        """
+        from scipy.linalg import solve_triangular
+
+        u, s, y, weight = self.judged
+        some = weight > 0
+        misfit = weight * (y - self.final.design(u, s) @ self.coefficients) ** 2
+        excess = np.median(misfit[some]) / 0.455 * some.sum() / max(some.sum() - self.parameters, 1.0) - 1.0
+        design = self.final.design(self.r.u, self.s) * (self.r.u > self.deadband)[:, None]
+        error = np.sum(solve_triangular(self.factor, design.T, lower=True) ** 2, axis=0)
+        noise = self.std(flow) ** 2
+        spread = noise + np.clip(excess, 0.0, self.lack - 1.0) / np.maximum(weight[self.r.cell], 1.0 / noise)
+        return (self.y - flow) / np.sqrt(np.where(self.keep, np.maximum(spread - error, 0.1 * spread), spread + error))
 
     def judge(self, cells) -> np.ndarray:
         """Flow of the fit at each reading; sets coefficients, their covariance's factor, parameters and lack of fit."""
@@ -680,8 +705,8 @@ class _Fit:
         n = self.y.size
         if outliers:
             worst = max(outliers, key=lambda one: abs(one.sigmas)).sentence(self.show)
-            count = f"{len(outliers)} of {n} readings lie over {OUTLIER_SIGMAS:g} sigma from the map"
-            yield f"{count} and were left out; the worst: {worst}"
+            count = f"{len(outliers)} of {n} readings were left out, over {OUTLIER_SIGMAS:g} sigma from the map"
+            yield f"{count}; the worst: {worst}"
         if len(outliers) > 0.1 * n:
             yield "more than a tenth of the readings was left out: the noise of these data is not understood"
         if not self.replicates:

@@ -24,7 +24,7 @@ from ehbench.identification.output_error import OutputError
 from ehbench.identification.steps import Bench, FittedParameter, HydraulicsFit, LogFit, Match, Progress, coordinates, prepare
 from ehbench.record import Record
 from ehbench.rig import Rig
-from ehbench.simulate import STEP, Maps
+from ehbench.simulation import STEP, Maps
 
 __all__ = ["FittedParameter", "HydraulicsFit", "LogFit", "Match", "Variant", "compare_dynamics", "identify_hydraulics"]
 

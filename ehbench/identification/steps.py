@@ -18,7 +18,7 @@ from ehbench.quantities import quantity
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig, Value, Valve, parameter_row
 from ehbench.signals import Ringing, correlation_time, fit_percent, lowpass, rms, transients
-from ehbench.simulate import MOVED, Maps, Model
+from ehbench.simulation import MOVED, Maps, Model
 
 LEVEL = 0.95
 # a standard error of more than this many units of a parameter says nothing: 95 % then span a factor of 50 (searched as a

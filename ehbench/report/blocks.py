@@ -38,12 +38,14 @@ class Bullets:
 
 @dataclass(frozen=True)
 class Grid:
-    """A table: head, rows of `Cell` or text, a caption above."""
+    """A table: head, rows of `Cell` or text, a caption above; ``key`` is what a campaign names it by, ``title`` what it calls it."""
 
     kind: ClassVar[str] = "grid"
     head: Sequence[str]
     rows: Sequence[Sequence[Cell | str]]
     caption: str = ""
+    key: str = ""
+    title: str = ""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,8 @@ COLOURS = {
     "supply": "#1f3f66", "valve": "#e08214", "loss": "#8a7f72", "store": "#5b8fb9", "load": "#2e7d5b", "residual": ACCENT,
 }  # fmt: skip
 WORDS = {
-    "supply": "supply", "valve": "throttling", "loss": "other losses", "store": "stored in oil", "load": "load", "residual": "not accounted for",
+    "supply": "supply", "valve": "throttling", "loss": "other losses", "store": "stored in oil", "load": "load",
+    "residual": "not accounted for",
 }  # fmt: skip
 _GAP = 0.012
 _BAR = 0.022  # width of a node
@@ -65,7 +66,7 @@ def _rows(ledger: Mapping[str, Any]) -> list[dict[str, Any]]:
 def _scale(ledgers: Sequence[Mapping[str, Any]]) -> tuple[float, str]:
     """(J per unit, unit) in which the largest supply is a number of few digits."""
     most = max((abs(row["energy"]) for ledger in ledgers for row in ledger["rows"]), default=0.0)
-    return (1e6, "MJ") if most >= 1e7 else (1e3, "kJ") if most >= 1e4 else (1.0, "J")
+    return (1e6, "MJ") if most >= 1e8 else (1e3, "kJ") if most >= 1e5 else (1.0, "J")
 
 
 def _half(row: Mapping[str, Any]) -> float | None:
@@ -78,15 +79,16 @@ def _text(energy: float, half: float | None, unit: tuple[float, str], whole: flo
     value = energy / unit[0]
     if half is not None and half > 0.0 and math.isfinite(half):
         places = max(places_of(half / unit[0]), -2)
+        value = 0.0 if round(value, places) == 0.0 else value  # no minus before a nought
         shown = f"{fixed(value, places)} ± {fixed(half / unit[0], places)}"
     else:
         shown = number(value, 3)
-    share = f" · {number(100 * energy / whole, 2)} %" if whole > 0.0 else ""
+    share = f" · {number(100 * energy / whole, 2)} %" if whole > 0.0 and abs(energy) > 1e-5 * whole else ""
     return f"{shown} {unit[1]}{share}"
 
 
-def _merged(flows: list[_Flow], whole: float) -> list[_Flow]:
-    """Leaves and sources below SMALL drawn together, by node and group, so that labels do not crowd."""
+def _merged(flows: list[_Flow], whole: float, several: bool) -> list[_Flow]:
+    """Leaves and sources below SMALL drawn together, by node, so that labels do not crowd; the least are not drawn."""
     kept: list[_Flow] = []
     little: dict[tuple[str | None, str | None, bool], list[_Flow]] = {}
     for flow in flows:
@@ -102,14 +104,18 @@ def _merged(flows: list[_Flow], whole: float) -> list[_Flow]:
         halves = [flow.half for flow in few]
         half = None if None in halves else math.sqrt(sum(h * h for h in halves))
         one = few[0]
-        label = one.label if len(few) == 1 else f"{len(few)} smaller ones"
+        label = one.label if len(few) == 1 else _prefix(start or end, several) + f"{len(few)} smaller ones"
         group = one.group if len({flow.group for flow in few}) == 1 else "loss"
         kept.append(_Flow(start, end, energy, group, label, half))
     return kept
 
 
+def _prefix(node: str | None, several: bool) -> str:
+    return f"{node}: " if several and node not in (None, "pump", "mechanism") else ""
+
+
 def _chart(ledger: Mapping[str, Any]) -> tuple[_Chart, float]:
-    """Nodes and ribbons of a ledger: pump → oil of each cylinder → mechanism, with leaves for what leaves, sources for what enters."""
+    """Nodes and ribbons of a ledger, pump → oil of each cylinder → mechanism, and the energy that the supply gave [J]."""
     rows = _rows(ledger)
     named = {row["name"]: row for row in rows}
     cylinders = list(dict.fromkeys(row["cylinder"] for row in rows if row["cylinder"] is not None))
@@ -136,22 +142,19 @@ def _chart(ledger: Mapping[str, Any]) -> tuple[_Chart, float]:
 
     several = len(busy) > 1
 
-    def prefixed(c: str | None, label: str) -> str:
-        return f"{c}: {label}" if several and c else label
-
     mechanical = ("friction", "end_stop", "stop", "damping")
     for row in rows:
         c, word = row["cylinder"], row["name"].rsplit(".", 1)[-1]
         if row["group"] in ("supply", "cylinder", "residual") or (c is not None and c not in busy):
             continue
         group = "residual" if row["group"] == "part" else row["group"]
-        label = "unexplained" if group == "residual" and ledger["source"] == "log" else ("residual" if group == "residual" else row["label"])
+        label = row["label"].split(",")[0] if group == "residual" else row["label"]
         if row["name"] == "supply_line" or row["name"].endswith(".supply_line"):
             leaf("pump", row, group, label if group != "residual" else f"{label}, supply line")
         elif group == "load" or word in mechanical or row["name"].endswith(".mechanism"):
-            leaf("mechanism", row, group, f"{label}, mechanism" if group == "residual" else prefixed(c, label))
+            leaf("mechanism", row, group, f"{label}, mechanism" if group == "residual" else _prefix(c, several) + label)
         else:
-            leaf(c, row, group, f"{label}, oil of {c}" if group == "residual" else prefixed(c, label))
+            leaf(c, row, group, f"{label}, oil of {c}" if group == "residual" else _prefix(c, several) + label)
     for c in busy:
         drawn = named[f"{c}.drawn"]["energy"] + named[f"{c}.drawn_compression"]["energy"]
         if drawn > 0.0:
@@ -169,7 +172,7 @@ def _chart(ledger: Mapping[str, Any]) -> tuple[_Chart, float]:
             chart.flows += [_Flow(None, c, -work, "load", f"load on {c}"), _Flow("mechanism", None, -work, "load", f"into {c}")]
     if given > 0.0 and any(f.start == "pump" for f in chart.flows):
         chart.flows.append(_Flow(None, "pump", given, "supply", "pump", _half(named["pump"])))
-    chart.flows = _merged(chart.flows, whole)
+    chart.flows = _merged(chart.flows, whole, several)
     return chart, given
 
 
@@ -230,7 +233,9 @@ def sankey(path: Path, ledger: Mapping[str, Any]) -> None:
     order = {name: i for i, name in enumerate(["mechanism", *[n for n in nodes if n not in ("pump", "mechanism")], "pump"])}
     ranks = list(COLOURS)
     leaves = sorted((f for f in flows if f.end is None), key=lambda f: (order[f.start], -ranks.index(f.group), -f.energy))
-    sources = sorted((f for f in flows if f.start is None), key=lambda f: (f.end != "mechanism", f.end != "pump", order[f.end], -f.energy))
+    sources = sorted(
+        (f for f in flows if f.start is None), key=lambda f: (f.end != "mechanism", f.end != "pump", order[f.end], -f.energy)
+    )
     tall = min(max(3.0, 0.21 * len(leaves) + 1.3), 8.5)
     line, line_left = 0.175 / tall, 0.36 / tall
     scale = min(_fit([f.energy for f in leaves], line), _fit([f.energy for f in sources], line_left))
@@ -243,18 +248,23 @@ def sankey(path: Path, ledger: Mapping[str, Any]) -> None:
         if f.group == "supply" and f.label == "pump":
             nodes["pump"].y = at[id(f)]
     with canvas(path, size=(7.4, tall)) as (figure, ax):
-        ax.set_xlim(-0.36, 1.86)
-        ax.set_ylim(-0.03, 1.03)
+        ax.set_xlim(-0.36, 1.98)
+        ax.set_ylim(-0.04, 1.03)
         ax.axis("off")
         for f in sorted(flows, key=lambda f: (-_height(f.start, nodes, at, f), -_height(f.end, nodes, at, f))):
             thick, colour = f.energy * scale, COLOURS[f.group]
             if f.start is None:
-                bold = f.end == "pump"
+                bold = f.label == "pump" and f.end == "pump"
                 words = f"{f.label}\n{_text(f.energy, f.half, unit, 0.0)}"
+                if bold:
+                    gained = next(row["energy"] for row in ledger["rows"] if row["name"] == "pump_compression")
+                    words = f"{f.label}\n{_text(f.energy - gained, f.half, unit, 0.0)}"
+                    below = f"+ {_text(gained, None, unit, 0.0)} compression"
+                    ax.text(-0.025, at[id(f)] - 1.35 * line, below, va="center", ha="right", fontsize=7, color=MUTED)
                 style = {"fontsize": 8.5, "weight": "bold"} if bold else {"fontsize": 8}
                 ax.text(-0.025, at[id(f)], words, va="center", ha="right", linespacing=1.2, **style)
-                ax.add_patch(_bar(0.0, at[id(f)], thick, colour))
-                if bold:
+                ax.add_patch(_bar(0.0, at[id(f)], max(thick, nodes["pump"].size) if bold else thick, colour))
+                if f.end == "pump":
                     continue
             y0 = _leave(nodes[f.start], thick) if f.start is not None else at[id(f)]
             y1 = _enter(nodes[f.end], thick) if f.end is not None else at[id(f)]
@@ -264,7 +274,7 @@ def sankey(path: Path, ledger: Mapping[str, Any]) -> None:
             if f.end is None:
                 ax.add_patch(_bar(1.0, y1, thick, colour))
                 ax.text(1.0 + 2.0 * _BAR, y1, f.label, va="center", fontsize=8)
-                ax.text(1.86, y1, _text(f.energy, f.half, unit, given), va="center", ha="right", fontsize=8)
+                ax.text(1.98, y1, _text(f.energy, f.half, unit, given), va="center", ha="right", fontsize=8)
         for name in used:
             node = nodes[name]
             if name != "pump":
@@ -273,6 +283,9 @@ def sankey(path: Path, ledger: Mapping[str, Any]) -> None:
                     node.x + 0.5 * _BAR, node.y + 0.5 * node.size + 0.008, node.label, va="bottom", ha="center", fontsize=8.5,
                     weight="bold", bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 0.6}, zorder=5,
                 )  # fmt: skip
+        rest = next(row for row in ledger["rows"] if row["group"] == "residual")
+        words = f"{rest['label']} in all: {_text(rest['energy'], _half(rest), unit, given)}"
+        ax.text(-0.36, -0.03, words, fontsize=8, color=MUTED)
         present = [g for g in COLOURS if any(f.group == g for f in flows)]
         legend(figure, [Patch(color=COLOURS[g], alpha=0.75, label=WORDS[g]) for g in present])
 
@@ -375,7 +388,10 @@ def bars(
                 start = ahead if value >= 0.0 else behind
                 ax.barh(i, value, left=start, height=0.56, color=_PARTS[key][1], edgecolor="white", linewidth=0.6, zorder=2)
                 if abs(value) > 0.065 * (reach - least):
-                    ax.text(start + 0.5 * value, i, number(value, 2), ha="center", va="center", fontsize=7.5, color="white", zorder=4)
+                    place = start + 0.5 * value, i
+                    box = {"facecolor": _PARTS[key][1], "edgecolor": "none", "pad": 1.0}
+                    words = number(value, 3)
+                    ax.text(*place, words, ha="center", va="center", fontsize=7.5, color="white", zorder=6, bbox=box)
                 if value >= 0.0:
                     ahead += value
                 else:
@@ -389,7 +405,8 @@ def bars(
             words = _text(pump["energy"], half, unit, 0.0) if pump["energy"] else DASH
             ax.annotate(words, (right, i), (6, 0), textcoords="offset points", va="center", fontsize=8, weight="bold")
             for key, value in limits[i].items():
-                ax.plot([value / unit[0]] * 2, [i - 0.38, i + 0.38], color=INK, linestyle=_LIMITS[key][1], linewidth=1.5, zorder=5)
+                style = {"color": INK, "linestyle": _LIMITS[key][1], "linewidth": 1.5, "zorder": 5}
+                ax.plot([value / unit[0]] * 2, [i - 0.38, i + 0.38], **style)
         ax.axvline(0.0, color=MUTED, linewidth=0.8)
         ax.set_yticks(range(len(ledgers)), [title for title, _ in ledgers])
         ax.set_ylim(len(ledgers) - 0.45, -0.55)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from ehbench.report import map_figures, series_figures
+from ehbench.report import map_figures, series_figures, trial_figures, tuning_figures
 from ehbench.report.saved import INDEX, Points, Saved, read_points
 from ehbench.report.words import words
 from ehbench.rundir import write_json
@@ -142,6 +142,8 @@ def _comparison(run: Saved, album: Album, name: str, kind: str, lead: str) -> No
 def _trial(run: Saved, album: Album) -> None:
     from ehbench.logs import read_record
 
+    if trial_figures.draw_trial(run, album):
+        return
     record = read_record(run.folder / "log.mcap")
     for cylinder, channels in series_figures.live(run.rig, record).items():
         title = f"{run.title}: {cylinder}"
@@ -153,5 +155,7 @@ _DRAWERS: dict[tuple[str, str], Callable[[Saved, Album], None]] = {
     ("identify", "flow_map"): _flow_map,
     ("identify", "hydraulics"): _hydraulics,
     ("validate", ""): _validation,
+    ("tune", ""): tuning_figures.draw_tuning,
     ("trial", ""): _trial,
+    ("trials", ""): trial_figures.draw_trials,
 }

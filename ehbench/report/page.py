@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,7 @@ def build(folders: Sequence[Path], campaign: Campaign | None = None) -> str:
         story = stage.render(run, _pictures(run, anchor, titles, used))
         warnings = run.facts.get("warnings", [])
         parts = [
-            Part(part.title, part.inside, f"{anchor}-{i}-{slug(part.title)}")
+            Part(part.title, _named(part.inside, run, titles, used), f"{anchor}-{i}-{slug(part.title)}")
             for i, part in enumerate(story.parts, 1)
             if part.inside
         ]
@@ -79,6 +80,21 @@ def _pictures(run: Saved, anchor: str, titles: dict[str, str], used: set[str]) -
         return found
 
     return pick
+
+
+def _named(inside: Sequence[Any], run: Saved, titles: dict[str, str], used: set[str]) -> list[Any]:
+    """The pieces of a part, with the campaign's title on every table that has a key, folded ones as well."""
+    found = []
+    for one in inside:
+        if isinstance(one, Fold):
+            found.append(replace(one, inside=_named(one.inside, run, titles, used)))
+        elif isinstance(one, Grid) and one.key:
+            names = (f"{run.name}/{one.key}", one.key)
+            used.update(names)
+            found.append(replace(one, title=next((titles[name] for name in names if name in titles), one.title)))
+        else:
+            found.append(one)
+    return found
 
 
 def _refuse_unused(campaign: Campaign | None, used: set[str]) -> None:

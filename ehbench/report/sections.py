@@ -6,57 +6,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from ehbench.report import control_sections
 from ehbench.report.blocks import Bullets, Cell, Fold, Grid, Heat, Part, Picture, Text
 from ehbench.report.saved import Saved, Table
 from ehbench.report.series_figures import title_of
+from ehbench.report.telling import Pictures, Told, chip, look_of, num, plus, range_of, span
 from ehbench.report.words import axis, count, interval, number, pretty, row_of, shown, unit_of, with_error, words
 from ehbench.rig import Rig, Value
 
-Pictures = Callable[[str, str, str], list[Picture]]  # (kind, key of about, its value) → the run's figures of that kind
-_LOOKS = {
-    "accepted": "good", "met": "good", "estimated": "good", "passed": "good", "done": "good",
-    "rejected": "bad", "missed": "bad", "failed": "bad", "stopped": "bad",
-    "undecided": "warn", "not_measured": "warn", "at_bound": "warn", "not_excited": "warn", "correlated": "warn",
-    "fitted": "warn", "still": "warn", "partly_estimated": "warn",
-}  # fmt: skip
 _METHODS = {"thesis": "matching frequency and decay"}
 CORRELATED = 0.95
 
 
-@dataclass(frozen=True)
-class Told:
-    """What a stage's renderer gives: a status word, one sentence for the glance, and the parts of the section."""
-
-    status: str
-    sentence: str
-    parts: Sequence[Part]
-
-
-def chip(status: str) -> Cell:
-    """A status word as a chip."""
-    return Cell(words(status), _LOOKS.get(status, "plain"))
-
-
-def num(text: str) -> Cell:
-    """A cell of digits."""
-    return Cell(text, "number")
-
-
 def _name(log: Table) -> Cell:
     return Cell(words(log["name"]), "name")
-
-
-def _plus(rig: Rig, name: str, value: float | None, std: float | None) -> str:
-    return with_error(*(None if v is None else float(shown(rig, name, v)) for v in (value, std)))
-
-
-def _range(rig: Rig, name: str, ends: Sequence[float | None] | None) -> str:
-    return interval(*(None if v is None else float(shown(rig, name, v)) for v in (ends or (None, None))))
-
-
-def _span(values: Sequence[float], digits: int = 3) -> str:
-    low, high = number(min(values), digits), number(max(values), digits)
-    return low if low == high else f"{low} to {high}"
 
 
 def flow_maps(run: Saved, pictures: Pictures) -> Told:
@@ -81,7 +44,7 @@ def flow_maps(run: Saved, pictures: Pictures) -> Told:
             calibration.append([
                 *who, num(number(point["command"])), num(f"{number(target)} ± {number(target * point['tolerance'], 2)}"),
                 num(number(float(shown(rig, "flow", point["flow"])), 3) if measured else "–"),
-                num(_range(rig, "flow", (point["low"], point["high"])) if measured else "–"),
+                num(range_of(rig, "flow", (point["low"], point["high"])) if measured else "–"),
                 num(_drops(rig, point) if measured else "–"), chip(point["verdict"]),
             ])  # fmt: skip
         left += [
@@ -132,7 +95,7 @@ def flow_maps(run: Saved, pictures: Pictures) -> Told:
     met = [row[-1].text for row in calibration]
     valves = {one["valve"] for one in maps}
     sentence = f"{count(len(maps), 'map')} of {count(len(valves), 'valve')} from {readings} readings, {len(left)} left out"
-    sentence += f"; deadbands {_span([one['deadband'] for one in maps])} V"
+    sentence += f"; deadbands {span([one['deadband'] for one in maps])} V"
     sentence += f"; calibration met at {met.count('met')} of {count(len(met), 'point')}." if met else "."
     return Told("done", sentence, parts)
 
@@ -150,11 +113,11 @@ def hydraulics(run: Saved, pictures: Pictures) -> Told:
     for one in fit["parameters"]:
         name = one["name"]
         value = known.get(name)
-        low, high = (_plus(rig, name, one.number(key), None) for key in ("lower", "upper"))
+        low, high = (plus(rig, name, one.number(key), None) for key in ("lower", "upper"))
         rows.append([
-            Cell(name, "code", hint=row_of(name).meaning), num(_plus(rig, name, one.number("value"), one.number("std"))),
-            pretty(unit_of(rig, name)), num(_range(rig, name, one.get("interval"))), num(f"{low} … {high}"),
-            num(_plus(rig, name, one.number("start"), None)), chip(one["status"]), value.sure if value is not None else "–",
+            Cell(name, "code", hint=row_of(name).meaning), num(plus(rig, name, one.number("value"), one.number("std"))),
+            pretty(unit_of(rig, name)), num(range_of(rig, name, one.get("interval"))), num(f"{low} … {high}"),
+            num(plus(rig, name, one.number("start"), None)), chip(one["status"]), value.sure if value is not None else "–",
             num(str(one["samples"])), words(one.get("error_from") or "–"),
         ])  # fmt: skip
     head = ["parameter", "value", "unit", "95 % interval", "bounds", "start", "status", "how sure", "samples", "error from"]
@@ -189,7 +152,7 @@ def _hydraulics_said(rig: Rig, fit: Table) -> tuple[str, str]:
     weak = [one for one in parameters if one["status"] != "estimated"]
     first = next((one for one in parameters if one not in weak), parameters[0])
     value = (
-        f"{_plus(rig, first['name'], first.number('value'), first.number('std'))} {pretty(unit_of(rig, first['name']))}".strip()
+        f"{plus(rig, first['name'], first.number('value'), first.number('std'))} {pretty(unit_of(rig, first['name']))}".strip()
     )
     method = _METHODS.get(fit["method"], words(fit["method"]))
     sentence = (
@@ -234,7 +197,7 @@ def _dynamics(rig: Rig, variants: Sequence[Table]) -> Grid:
     for variant in variants:
         fitted = {one["name"]: one for one in variant["fit"]["parameters"]} if names else {}
         values = [
-            num(_plus(rig, name, fitted[name].number("value"), fitted[name].number("std"))) for name in names if name in fitted
+            num(plus(rig, name, fitted[name].number("value"), fitted[name].number("std"))) for name in names if name in fitted
         ]
         rows.append([Cell(variant["dynamics"], "code"), num(number(variant["relative_rms"], 4)), *values])
     return Grid(head, rows, "The same logs, fitted with each valve dynamics in turn.")
@@ -256,7 +219,7 @@ def _match_row(rig: Rig, one: Table, log: str) -> list[Cell | str]:
         for side in ("recorded", "simulated"):
             ring = one[side]
             value = ring.get(key)
-            text = _plus(rig, key, value, ring.get(f"{key}_std")) if value is not None else "–"
+            text = plus(rig, key, value, ring.get(f"{key}_std")) if value is not None else "–"
             cells.append(Cell(text, "number", hint=ring.get("reason", "")))
     return cells
 
@@ -285,7 +248,7 @@ def validation(run: Saved, pictures: Pictures) -> Told:
                 log.get("payload", "none"),
                 chip(log["status"]),
                 ", ".join(log.get("moved", [])) or "–",
-                Cell(result, _LOOKS.get(result, "bad" if result == "not passed" else "plain")),
+                Cell(result, "bad" if result == "not passed" else look_of(result)),
             ]
         )
     verdict.append(Grid(head, rows))
@@ -319,7 +282,7 @@ def validation(run: Saved, pictures: Pictures) -> Told:
         for channel in log.get("channels", []):
             if channel.get("fit_percent") is not None:
                 by_word.setdefault(channel["channel"].rsplit(".", 1)[1], []).append(channel["fit_percent"])
-    fits = ", ".join(f"{title_of(word).lower()} {_span(values, 2)} %" for word, values in by_word.items())
+    fits = ", ".join(f"{title_of(word).lower()} {span(values, 2)} %" for word, values in by_word.items())
     sentence = f"{status.capitalize()} on {count(len(held), 'held-out log')}"
     if failed := [check for log in held for check in log.get("checks", []) if not check["passed"]]:
         sentence += f", {len(failed)} of {count(sum(len(log.get('checks', [])) for log in held), 'check')} failed"
@@ -349,6 +312,8 @@ def _channel_table(rig: Rig, log: Table) -> list[Grid]:
 def trial(run: Saved, pictures: Pictures) -> Told:
     """Where it ran, how it ended, and its figures."""
     facts = run.json("trial.json")
+    if facts.get("controller"):
+        return control_sections.controlled_trial(run, pictures)
     stopped, on = facts.get("stopped", ""), facts["on"]
     posture = ", ".join(f"{name} {value}" for name, value in facts.get("posture", {}).items()) or "mid-stroke"
     rows = [
@@ -383,7 +348,9 @@ STAGES: dict[tuple[str, str], Stage] = {
     ("identify", "flow_map"): Stage("flow maps", flow_maps),
     ("identify", "hydraulics"): Stage("identification", hydraulics),
     ("validate", ""): Stage("validation", validation),
+    ("tune", ""): Stage("tuning", control_sections.tune),
     ("trial", ""): Stage("trial", trial),
+    ("trials", ""): Stage("trials", control_sections.trials),
 }
 
 
@@ -433,7 +400,7 @@ def _value_row(rig: Rig, name: str, value: Value) -> list[Cell | str]:
     if isinstance(value.value, tuple):
         text = "(" + ", ".join(number(float(shown(rig, name, v)), 5) for v in value.value) + ")"
     else:
-        text = _plus(rig, name, value.value, value.std) if value.std else number(float(shown(rig, name, value.value)), 6)
+        text = plus(rig, name, value.value, value.std) if value.std else number(float(shown(rig, name, value.value)), 6)
     source = value.source.removeprefix(value.sure).lstrip(":, ")
     return [
         Cell(name.rsplit(".", 1)[-1], "code", hint=row_of(name).meaning),

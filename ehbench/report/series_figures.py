@@ -166,7 +166,7 @@ def trial(path: Path, rig: Rig, record: Record, cylinder: str, channels: Sequenc
             if len(names) > 1:
                 ax.legend(loc="center left", bbox_to_anchor=(1.005, 0.5), borderaxespad=0.0)
         if "stopped" in record.meta:
-            t = _stop_time(record)
+            t = stop_time(record)
             if t is not None:
                 for ax in axes[:, 0]:
                     ax.axvline(t, color=ACCENT, linewidth=1.1, linestyle=(0, (2, 2)))
@@ -176,7 +176,7 @@ def trial(path: Path, rig: Rig, record: Record, cylinder: str, channels: Sequenc
         axes[-1, 0].set_xlabel("time [s]")
 
 
-def _stop_time(record: Record) -> float | None:
+def stop_time(record: Record) -> float | None:
     """When the trial was stopped [s], as the log's own words end with."""
     try:
         return float(record.meta["stopped"].rsplit("t = ", 1)[1].split()[0])

@@ -63,7 +63,7 @@ from ehbench.quantities import VOCABULARY
 from ehbench.recipe import BenchRecipe
 from ehbench.rig import Edge, Rig, Value, Valve, read_value
 from ehbench.rigs.model import sample_channels
-from ehbench.simulate import Model
+from ehbench.simulation import Model
 
 NAME = "virtual bench"
 STEP = 2.5e-4  # [s]

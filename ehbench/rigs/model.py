@@ -10,7 +10,7 @@ from ehbench.compiled import kernel
 from ehbench.errors import InputError, SimulationError
 from ehbench.physics.cylinder import linkage
 from ehbench.plant import GEOMETRY, L_A, L_B, PHASE, RETRACTED, SIDE, Layout, workspace_size
-from ehbench.simulate import STEP, Model, rk4
+from ehbench.simulation import STEP, Model, rk4
 
 NAME = "model"
 

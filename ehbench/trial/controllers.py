@@ -33,10 +33,10 @@ from ehbench.quantities import VOCABULARY, Quantity, quantity
 from ehbench.recipe import TrialRecipe
 from ehbench.rig import Rig, read_value
 from ehbench.rundir import read_json
-from ehbench.simulate import Model, linkage_arrays
+from ehbench.simulation import Model, linkage_arrays
 
 if TYPE_CHECKING:
-    from ehbench.simulate import Maps
+    from ehbench.simulation import Maps
 
 FEEDBACK, ARC = 1, 2
 OFF_RATE = 10.0  # [rad/s]: how fast the off-side pressure follows where no gain is given

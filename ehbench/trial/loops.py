@@ -13,7 +13,7 @@ from ehbench.plant import STROKE, derivatives
 from ehbench.recipe import Limits
 from ehbench.rigs.bench import BenchRig, bench_tick
 from ehbench.rigs.model import ModelRig, model_sample
-from ehbench.simulate import advance, rk4
+from ehbench.simulation import advance, rk4
 from ehbench.trial.controllers import ARC, Compiled
 
 Machine = ModelRig | BenchRig

@@ -20,7 +20,7 @@ from ehbench.record import Record
 from ehbench.rig import Rig
 from ehbench.rigs.bench import BenchRig
 from ehbench.rigs.model import ModelRig
-from ehbench.simulate import Model
+from ehbench.simulation import Model
 from ehbench.trial import controllers
 from ehbench.trial.commands import command_table
 from ehbench.trial.controllers import Compiled, Design, UserCode
@@ -30,7 +30,7 @@ from ehbench.trial.motion import Wishes, wishes
 from ehbench.units import from_si
 
 if TYPE_CHECKING:
-    from ehbench.simulate import Maps
+    from ehbench.simulation import Maps
 
 RUN_OUT = 0.3  # [s] logged after a stop, valves at rest
 CHUNK = 1000  # ticks between two reports of progress

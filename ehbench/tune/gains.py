@@ -20,7 +20,7 @@ from ehbench.plant import BULK, STROKE
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import TuneRecipe
 from ehbench.rig import Rig, read_value
-from ehbench.simulate import Maps, Model
+from ehbench.simulation import Maps, Model
 from ehbench.tune.linear import (
     AT_ZERO, Law, LinearModel, Loop, OperatingPoint, circuit_of, close, damping_ratio, development_model, dominant, equivalent,
     faster, operating_point,

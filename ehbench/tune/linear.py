@@ -30,7 +30,7 @@ from ehbench.plant import (
     LEAK_ROD, LOWEST, PHASE, RELIEF, RETRACTED, SIDE, STIFFNESS, VISCOUS, VOLUME_HEAD, VOLUME_ROD, derivatives,
     workspace_size,
 )  # fmt: skip
-from ehbench.simulate import Maps, Model
+from ehbench.simulation import Maps, Model
 
 # what a path adds to the oil of (head, rod); its drop changes with their pressures by the negative of this
 INTO = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (-1, 1), (1, -1)], dtype=float)

@@ -9,20 +9,19 @@ from numba import njit
 
 from ehbench.control import arc
 from ehbench.control.functions import circuit, pack_rules
-from ehbench.physics.cylinder import joint_angle
 from ehbench.plant import (
     AREA_HEAD, AREA_ROD, BULK, COULOMB, COULOMB_SPEED, GEOMETRY, HIGHEST, L_A, L_B, LEAK_HEAD, LEAK_INTERNAL, LEAK_ROD, LOWEST,
     PHASE, RETRACTED, SIDE, VISCOUS, VOLUME_HEAD, VOLUME_ROD, derivatives, workspace_size,
 )  # fmt: skip
 from ehbench.rigs.bench import bench_tick
 from ehbench.rigs.model import model_sample, model_tick
-from ehbench.simulate import STEP
+from ehbench.simulation import STEP
 
 TICK = 1.0e-3
 
 
 @njit(cache=True, nogil=True)
-def on_model(step, y, wish, mask, design, gains, memory, command, plant, tick, steps, log, notes, commands, flows):
+def on_model(y, wish, mask, design, gains, memory, command, plant, tick, steps, log, notes, commands, flows):
     """Run a controller on the model; a channel with ``mask`` False is NaN in what the controller gets."""
     size, ne = y.shape[0], plant.edges.shape[0]
     k = np.empty((5, size))
@@ -32,7 +31,7 @@ def on_model(step, y, wish, mask, design, gains, memory, command, plant, tick, s
     for i in range(wish.shape[0]):
         for c in range(sample.shape[0]):
             given[c] = sample[c] if mask[c] else np.nan
-        step(i * tick, given, wish[i], design, gains, memory, command, notes[i])
+        arc.step(i * tick, given, wish[i], design, gains, memory, command, notes[i])
         log[i], commands[i] = sample, command
         derivatives(y, command, plant, k[0], work)
         flows[i] = work[work.shape[0] - ne - 1 :]
@@ -41,7 +40,6 @@ def on_model(step, y, wish, mask, design, gains, memory, command, plant, tick, s
 
 @njit(cache=True, nogil=True)
 def on_bench(
-    step,
     state,
     sample,
     wish,
@@ -66,7 +64,7 @@ def on_bench(
     for i in range(wish.shape[0]):
         for c in range(channels):
             given[c] = sample[c] if mask[c] else np.nan
-        step(i * tick, given, wish[i], design, gains, memory, command, notes[i])
+        arc.step(i * tick, given, wish[i], design, gains, memory, command, notes[i])
         log[i, :channels], log[i, channels:], commands[i] = sample, state[: log.shape[1] - channels], command
         bench_tick(state, command, bench, tick, steps, scratch, work, noise[i], sample)
 
@@ -143,7 +141,7 @@ def run_model(model, ax, gains, wish, posture=None, mask=None, memory=None):
     flows, tick = np.zeros((len(wish), len(model.layout.edges) + 1)), gains[arc.TICK]
     mask = arc.entitled(ax, channels) if mask is None else mask
     steps = max(1, round(tick / STEP))
-    on_model(arc.step, y, wish, mask, ax, gains, memory, command, model.plant, tick, steps, log, notes, commands, flows)
+    on_model(y, wish, mask, ax, gains, memory, command, model.plant, tick, steps, log, notes, commands, flows)
     return Run(wish, log, _noted(notes, names), commands, flows, memory, np.arange(len(wish)) * tick)
 
 
@@ -153,7 +151,7 @@ def run_bench(rig, model, ax, gains, wish, posture=None):
     notes, names, commands, command = _arrays(model, ax, wish)
     log, memory = np.zeros((len(wish), sample.size + rig.size)), np.zeros(arc.memory_size(ax))
     on_bench(
-        arc.step, rig.state, sample, wish, arc.entitled(ax, sample.size), ax, gains, memory, command, rig.bench, TICK, rig.steps,
+        rig.state, sample, wish, arc.entitled(ax, sample.size), ax, gains, memory, command, rig.bench, TICK, rig.steps,
         rig._scratch, rig._work, rig.noise(len(wish)), log, notes, commands,
     )  # fmt: skip
     return Run(wish, log, _noted(notes, names), commands, None, memory, np.arange(len(wish)) * TICK)

@@ -171,21 +171,22 @@ def test_a_channel_not_named_is_nan(tmp_path):
 
 
 def test_full_speed_is_what_pump_and_valves_give():
-    """The arm's boom: 8 gpm, pump or cartridge, into the head end or out of it. On a spool: wide open in both edges at once."""
+    """A weak pump: its flow over the area. The arm's cartridges: 8 gpm less what their compensators take. A spool: as it runs wide open."""
+    weak = controllers.design(recipe(FEEDBACK), ARM.with_values({"supply.flow_limit": 1e-4}), None)
+    assert full_speed(weak, 1, 3.4e5) == pytest.approx(1e-4 / weak.circuit.area_head, rel=1e-12)
     made = controllers.design(recipe(FEEDBACK), ARM, None)
-    flow = float(ARM.supply.flow_limit)
-    assert full_speed(made, 1, 3.4e5) == pytest.approx(flow / made.circuit.area_head, rel=1e-9)
-    assert full_speed(made, -1, 3.4e5) <= flow / made.circuit.area_head * (1 + 1e-9)
-    rig = RIGS["slide_servo"]
-    motion = {"kind": "velocity_steps", "levels": ["100 %"], "duration": "0.8 s", "rest": "0.1 s"}
-    weak = rig.with_values({"supply.pressure": 2.0e6})
-    spool = controllers.design(recipe(FEEDBACK, motion, posture={"press": "50 mm"}), weak, None)
+    most = float(ARM.supply.flow_limit) / made.circuit.area_head
+    assert 0.95 * most < full_speed(made, -1, 3.4e5) < full_speed(made, 1, 3.4e5) < most
+
+    rig = RIGS["slide_servo"].with_values({"supply.pressure": 2.0e6})
+    motion = {"kind": "velocity_steps", "levels": ["100 %"], "duration": "0.5 s"}
+    spool = controllers.design(recipe(FEEDBACK, motion, posture={"press": "50 mm"}), rig, None)
     speed = full_speed(spool, 1, 1e5)
-    assert speed < float(weak.supply.flow_limit) / spool.circuit.area_head, "the valve is the limit here"
-    given = recipe({"class": "open:Open"}, motion, posture={"press": "50 mm"}, duration="0.9 s", path=Path(__file__).parent / "x.toml")
+    assert speed < float(rig.supply.flow_limit) / spool.circuit.area_head, "the valve is the limit here"
     command = {"valve": "press.servo", "kind": "constant", "offset": "10 V"}
-    record, _ = run_trial(weak, TrialRecipe(stage="trial", rig="x", duration="0.6 s", command=[command], posture={"press": "50 mm"}))
-    assert given.controller.code and record["press.v"][-1] == pytest.approx(speed, rel=0.03)  # friction and damping of the slide
+    record, _ = run_trial(rig, TrialRecipe(stage="trial", rig="x", duration="0.6 s", command=[command], posture={"press": "50 mm"}))
+    # friction and damping, which are no load at rest, take a few per cent
+    assert 0.9 * speed < record["press.v"][-1] < speed
 
 
 def test_pressure_feedback_damps_the_steps_of_the_open_loop():
@@ -194,7 +195,8 @@ def test_pressure_feedback_damps_the_steps_of_the_open_loop():
     for law in ({"kind": "open_loop"}, FEEDBACK):
         _, facts = run_trial(ARM, recipe(law, motion, posture={"boom": "60 mm"}, payload="50 lb"))
         found[law["kind"]] = facts.measures["steps"]
-        assert [round(s["speed"], 4) for s in facts.measures["steps"]] == [0.0747, -0.0747]
+        speeds = [s["speed"] for s in facts.measures["steps"]]
+        assert speeds == pytest.approx([0.0747, -0.0737], rel=0.01) and [s["share"] for s in facts.measures["steps"]] == [0.3, -0.3]
     for plain, fed in zip(found["open_loop"], found["pressure_feedback"], strict=True):
         assert plain["overshoot"] > 0.3 and fed["overshoot"] < 0.75 * plain["overshoot"]
         assert plain["damping_ratio"] < 0.15 and (fed["damping_ratio"] is None or fed["damping_ratio"] > 2 * plain["damping_ratio"])

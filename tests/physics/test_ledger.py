@@ -23,7 +23,7 @@ from ehbench.recipe import load_recipe, load_rig
 from ehbench.record import Record
 from ehbench.rig import Rig, Value
 from ehbench.rigs.bench import CREEP, STATIC, STRIBECK_SPEED, BenchRig
-from ehbench.simulate import Model, linkage_arrays
+from ehbench.simulation import Model, linkage_arrays
 
 ROOT = Path(__file__).parents[2]
 NAMES = ("thesis_arm", "slide_servo", "crane_proportional", "boom_four_valve")
@@ -43,7 +43,7 @@ def rig_of(name: str, lossy: bool = True) -> Rig:
 
 
 def lively(model: Model, samples: int, seed: int = 0, hold: int = 120) -> np.ndarray:
-    """Commands [V]: into the retracted end for a quarter of the time, then random levels held ``hold`` samples, all valves at once."""
+    """Commands [V]: into the retracted end for a quarter of the time, then random levels held ``hold`` samples, all valves."""
     rng = np.random.default_rng(seed)
     table = model.rest_commands(samples)
     first, order, rest = samples // 4, model.layout.valves, table[0].copy()
@@ -279,9 +279,9 @@ def test_what_the_model_does_not_know_is_unexplained(name):
 
 
 def test_intervals_cover_a_rig_that_is_wrong_by_its_stated_errors():
-    """Flow gains, areas, bulk modulus and damping drawn from their standard errors: rows within their 95 % intervals 95 times in 100.
+    """Flow gains, bulk modulus, damping and mass drawn from their standard errors: rows lie in their 95 % intervals.
 
-    60 draws × 10 rows, which share their errors: between 88 % and 99.5 % is what chance leaves at 3 standard errors of that share.
+    60 draws × 10 rows, which share their errors: between 88 % and 99.5 % is what chance leaves at 3 standard errors.
     """
     machine = Model.of(rig_of("slide_servo", lossy=False))
     table = lively(machine, 1201, seed=4, hold=200)
@@ -294,7 +294,9 @@ def test_intervals_cover_a_rig_that_is_wrong_by_its_stated_errors():
     names = [r.name for r in truth.rows if r.group in ("supply", "valve", "load") and abs(r.energy) > 1.0] + ["carriage.damping"]
     for _ in range(60):
         true = machine.rig.parameters()
-        guess = {n: Value(float(true[n]) * (1 + share * rng.standard_normal()), std=share * float(true[n])) for n, share in stated.items()}
+        guess = {}
+        for n, share in stated.items():
+            guess[n] = Value(float(true[n]) * (1 + share * rng.standard_normal()), std=share * float(true[n]))
         ledger = ledger_of_log(machine.rig.with_values(guess), None, log, accuracy=quiet)
         for name in names:
             low, high = ledger[name].interval
@@ -305,7 +307,7 @@ def test_intervals_cover_a_rig_that_is_wrong_by_its_stated_errors():
 
 
 def mapped(seed: int, share: float) -> tuple[dict[str, ValveMaps], dict[str, ValveMaps]]:
-    """(true maps, identified maps) of the four-valve boom: the second wrong by one factor drawn from ``share``, which it states."""
+    """(true maps, identified maps) of the four-valve boom: the second wrong by a factor drawn from ``share``, which it states."""
     rng = np.random.default_rng(seed)
     true, found = {}, {}
     knots, drop_max = np.array([1.0, 2.0, 3.0, 5.0, 7.0, 10.0]), 1.7e7
@@ -357,7 +359,7 @@ def vars_of(one: FlowMap) -> dict:
 
 def on_bench(name: str, commands, duration: float = 4.0) -> tuple[Rig, BenchRig, Record, np.ndarray]:
     """A trial on the virtual bench: its rig, the bench, what it logged, and its true states at each sample."""
-    rig = rig_of(name, lossy=False).with_values({"supply.tank_pressure": float(load_rig(ROOT / f"recipes/rigs/{name}.toml").supply.tank_pressure)})
+    rig = load_rig(ROOT / "recipes" / "rigs" / f"{name}.toml")
     bench = BenchRig(rig, load_recipe(ROOT / "recipes" / "bench" / f"{name}.toml"), seed=7)
     t = np.arange(round(1000 * duration) + 1) * 1e-3
     table = bench.model.rest_commands(t.size)
@@ -378,7 +380,8 @@ def test_on_the_bench_the_unexplained_row_covers_what_is_unexplained():
 
     The rig is the uncalibrated file, its flows good to 5 %; the mechanism, which needs no flow, is known far better.
     """
-    for name, valve, amplitude, period in (("crane_proportional", "lift.spool", 4.0, 2.0), ("slide_servo", "press.servo", 3.0, 1.0)):
+    cases = (("crane_proportional", "lift.spool", 4.0, 2.0), ("slide_servo", "press.servo", 3.0, 1.0))
+    for name, valve, amplitude, period in cases:
         rig, bench, log, truth = on_bench(name, {valve: lambda t, a=amplitude, T=period: a * np.sin(2 * np.pi * t / T)})
         row = bench.bench.cylinders[0]
         x, lever = linkage_arrays(np.ascontiguousarray(row[:21]), truth[:, 0].copy())
@@ -392,7 +395,8 @@ def test_on_the_bench_the_unexplained_row_covers_what_is_unexplained():
         joint = bench.layout.joints[0]
         true = bench.model.rig.parameters()
         word = "damping" if rig.mechanism.kind == "slide" else "joint_damping"
-        more = (float(true[f"{joint}.{word}"]) - float(rig.parameters()[f"{joint}.{word}"])) * float(np.trapezoid(truth[:, 1] ** 2, log.t))
+        beyond = float(true[f"{joint}.{word}"]) - float(rig.parameters()[f"{joint}.{word}"])
+        more = beyond * float(np.trapezoid(truth[:, 1] ** 2, log.t))
         low, high = ledger["unexplained.mechanism"].interval
         assert low <= friction + more <= high
         assert high - low < 1.2 * friction, "the interval says nothing"
@@ -417,7 +421,8 @@ def test_a_log_without_some_channels():
         less = ledger_of_log(model.rig, None, without(*names), accuracy=EXACT)
         assert less.pump == pytest.approx(whole.pump, rel=2e-2)
         assert abs(less.residual.energy) < 5e-3 * whole.pump
-    assert any("no speed of lift" in note for note in ledger_of_log(model.rig, None, without("lift.qd", "lift.v"), accuracy=EXACT).notes)
+    noted = ledger_of_log(model.rig, None, without("lift.qd", "lift.v"), accuracy=EXACT).notes
+    assert any("no speed of lift" in note for note in noted)
     with pytest.raises(LogError, match="neither 'lift.q' nor 'lift.x'"):
         ledger_of_log(model.rig, None, without("lift.q", "lift.x"))
     with pytest.raises(LogError, match="no channel 'lift.p_rod'"):
@@ -458,7 +463,9 @@ def up_and_down(rig: Rig, cylinder: str, stroke: float, force: float) -> Record:
     t = np.linspace(0.0, 4.0, 4001)
     x = 0.02 + 0.5 * stroke * (1 - np.cos(np.pi * t / 2))
     low = 5e5
-    p = {"p_head": (force + low * rod) / head, "p_rod": low} if force > 0 else {"p_head": low, "p_rod": (low * head - force) / rod}
+    p = {"p_head": low, "p_rod": (low * head - force) / rod}
+    if force > 0.0:
+        p = {"p_head": (force + low * rod) / head, "p_rod": low}
     return Record(t, {f"{cylinder}.x": x} | {f"{cylinder}.{n}": np.full(t.size, v) for n, v in p.items()})
 
 
@@ -481,7 +488,7 @@ def test_bounds_are_those_of_the_spec():
 
 
 def test_bounds_against_a_trial():
-    """A boom raised and lowered on four valves draws what the bound of the standard valve says, and no less than its own flows."""
+    """A boom raised and lowered on four valves draws what the bound of the standard valve says, and what its own flows say."""
     model = Model.of(rig_of("boom_four_valve", lossy=False))
     table, order = model.rest_commands(4001), model.layout.valves
     for first, last, pair in ((100, 1200, ("boom.sh", "boom.rt")), (1600, 2700, ("boom.sr", "boom.ht"))):
@@ -512,3 +519,47 @@ def test_a_ledger_cannot_be_changed(model, made):
     with pytest.raises(AttributeError):
         ledger.rows = ()
     assert isinstance(ledger, Ledger) and ledger.duration == pytest.approx(2.0)
+
+
+# --- pictures -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def overlaps(monkeypatch):
+    """Counts of labels that lie on one another, or out of the picture, one entry a figure drawn."""
+    from contextlib import contextmanager
+
+    from ehbench.report import energy_figures
+
+    found, plain = [], energy_figures.canvas
+
+    @contextmanager
+    def watched(*args, **kwargs):
+        with plain(*args, **kwargs) as (figure, axes):
+            yield figure, axes
+            figure.canvas.draw()
+            boxes = [t.get_window_extent().shrunk(1.0, 0.8) for t in axes.texts if t.get_text()]
+            crowded = sum(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+            outside = sum(b.x0 < -1 or b.x1 > figure.bbox.width + 1 or b.y0 < -1 or b.y1 > figure.bbox.height + 1 for b in boxes)
+            found.append((crowded, outside))
+
+    monkeypatch.setattr(energy_figures, "canvas", watched)
+    return found
+
+
+def test_pictures_are_legible_and_the_same_each_time(model, made, overlaps, tmp_path):
+    """Every label of the Sankey picture and of the bars stands free and inside; same ledger, same bytes."""
+    from ehbench.report.energy_figures import bars, sankey
+
+    one = ledger_of_model(model, made).as_json()
+    log = ledger_of_log(model.rig, None, measured(made, model)).as_json()
+    still = ledger_of_model(model, trial(model, model.rest_commands(50))).as_json()
+    for i, ledger in enumerate((one, log, still, one)):
+        sankey(tmp_path / f"sankey_{i}.svg", json.loads(json.dumps(ledger)))
+    item = model.rig.cylinder[-1].name
+    limits = [[bounds(model.rig, made, item).as_json()], [], []]
+    for i in range(2):
+        bars(tmp_path / f"bars_{i}.svg", [("on the model", one), ("from its log", log), ("at rest", still)], limits)
+    assert overlaps == [(0, 0)] * 6
+    assert (tmp_path / "sankey_0.svg").read_bytes() == (tmp_path / "sankey_3.svg").read_bytes()
+    assert (tmp_path / "bars_0.svg").read_bytes() == (tmp_path / "bars_1.svg").read_bytes()

@@ -30,7 +30,7 @@ from ehbench.plant import (
 )
 from ehbench.recipe import load_rig
 from ehbench.rigs.model import model_sample, model_tick
-from ehbench.simulate import Model
+from ehbench.simulation import Model
 from ehbench.tune.linear import (
     Law, circuit_of, close, damping_ratio, development_model, dominant, equivalent, faster, operating_point, plant_model,
     state_of,

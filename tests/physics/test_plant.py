@@ -19,7 +19,7 @@ from ehbench.plant import (
 )  # fmt: skip
 from ehbench.recipe import load_rig
 from ehbench.rig import Rig, Slide, Value
-from ehbench.simulate import Model, linkage_arrays, rk4
+from ehbench.simulation import Model, linkage_arrays, rk4
 
 RIGS = sorted((Path(__file__).parents[2] / "recipes" / "rigs").glob("*.toml"))
 LEAK = 2.0e-13  # [m³/(s·Pa)]: 1.2 mL/min/bar, a worn cylinder

@@ -18,7 +18,7 @@ from ehbench.plant import AREA_HEAD, AREA_ROD, BULK, HIGHEST, LOWEST, VOLUME_HEA
 from ehbench.quantities import quantity
 from ehbench.recipe import load_rig
 from ehbench.rigs.model import model_sample
-from ehbench.simulate import Model, rk4
+from ehbench.simulation import Model, rk4
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 TICK = 1e-3

@@ -13,7 +13,7 @@ from ehbench.errors import InputError, LogError, SimulationError
 from ehbench.recipe import load_rig
 from ehbench.record import Record
 from ehbench.rig import Rig
-from ehbench.simulate import SETTLED, Model, simulate
+from ehbench.simulation import SETTLED, Model, simulate
 
 RIGS = sorted((Path(__file__).parents[2] / "recipes" / "rigs").glob("*.toml"))
 THESIS = RIGS[0].with_name("thesis_arm.toml")

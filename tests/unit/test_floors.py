@@ -16,7 +16,7 @@ FLOORS = [
     {"recipe", "readers", "logs", "rundir", "signals", "physics"},
     {"control"},
     {"plant"},
-    {"simulate"},
+    {"simulation"},
     {"rigs"},
     {"ledger"},
     {"identification", "validation", "tune", "trial", "inspection", "report"},

@@ -8,12 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.control import pressure_feedback as pf
 from ehbench.errors import InputError
 from ehbench.logs import write_log
-from ehbench.recipe import TrialRecipe, load_recipe, load_rig
+from ehbench.recipe import TrialRecipe, TrialSetRecipe, load_recipe, load_rig
 from ehbench.record import Record
-from ehbench.simulate import simulate
-from ehbench.trial import RUN_OUT, command_table, run_trial
+from ehbench.simulation import simulate
+from ehbench.trial import RUN_OUT, Case, code_file, command_table, controllers, file_names, gains_file, run_trial
+from ehbench.trial.measures import followed, integral, step_measures, tracking_measures
+from ehbench.trial.motion import wishes
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 STEP = {"valve": "press.servo", "kind": "step", "amplitude": "4 V", "start": "0.1 s", "stop": "0.6 s"}
@@ -169,3 +172,285 @@ def test_progress_rises_to_one(rig):
     seen = []
     run_trial(rig, recipe(STEP, duration="3.4 s"), progress=lambda _, share: seen.append(share))
     assert seen == sorted(seen) and seen[-1] == 1.0 and len(seen) > 2
+
+
+# --- measures -----------------------------------------------------------------------------------------------------------
+
+
+def second_order(t, omega, zeta):
+    """Unit step response of ω²/(s² + 2ζω s + ω²)."""
+    wd = omega * np.sqrt(1 - zeta**2)
+    return 1 - np.exp(-zeta * omega * t) * (np.cos(wd * t) + zeta * omega / wd * np.sin(wd * t))
+
+
+@pytest.mark.parametrize("zeta", [0.05, 0.1, 0.3])
+@pytest.mark.parametrize(("speed", "reached"), [(0.08, 0.076), (-0.05, -0.05)])
+def test_a_step_is_read_off_as_its_formula_says(zeta, speed, reached):
+    """Overshoot e^(−πζ/√(1−ζ²)), and the time after which the response stays within 5 %, on 1 ms samples."""
+    t, omega = 0.5 + np.arange(4000) * 1e-3, 2 * np.pi * 4.0
+    y = second_order(t - t[0], omega, zeta)
+    found = step_measures(t, reached * y, speed, share=0.3)
+    assert found.overshoot == pytest.approx(np.exp(-np.pi * zeta / np.sqrt(1 - zeta**2)), rel=5e-3)
+    assert found.steady_error == pytest.approx(reached / speed - 1, abs=2e-4) and found.share == 0.3 and found.start == 0.5
+    assert found.settling_time == pytest.approx((np.flatnonzero(np.abs(y - 1) > 0.05)[-1] + 1) * 1e-3, abs=2e-3)
+    assert found.damping_ratio == pytest.approx(zeta, rel=0.03)
+    assert found.natural_frequency == pytest.approx(omega, rel=0.01)
+    assert found.rms_error == pytest.approx(np.sqrt(np.mean((reached * y - speed) ** 2)), rel=1e-12)
+
+
+def test_what_a_step_does_not_show_is_none():
+    t = np.arange(500) * 1e-3
+    ringing_on = step_measures(t, 0.1 * second_order(t, 40.0, 0.01), 0.1)
+    assert ringing_on.settling_time is None and ringing_on.overshoot > 0.5
+    backwards = step_measures(t, np.full(t.size, -0.01), 0.1)
+    assert backwards.overshoot is None and backwards.damping_ratio is None and backwards.ringing
+    json.dumps(controllers_plain(backwards), allow_nan=False)
+
+
+def controllers_plain(measures):
+    return {name: getattr(measures, name) for name in measures.__dataclass_fields__}
+
+
+def test_tracking_and_integral():
+    t = np.arange(1001) * 1e-3
+    found = tracking_measures(t, np.where(t < 0.5, 0.01, 0.002), np.zeros(t.size))
+    assert found["max_error"] == 0.01 and found["final_error"] == pytest.approx(0.002, rel=1e-12)
+    assert found["rms_error"] == pytest.approx(np.sqrt((500 * 0.01**2 + 501 * 0.002**2) / 1001), rel=1e-12)
+    assert integral(t, 3 * t**2) == pytest.approx(1.0, abs=1e-6) and integral(t[:1], t[:1]) == 0.0
+
+
+@pytest.mark.parametrize("zeta", [0.7, 1.0, 1.6])
+def test_a_followed_command_is_the_valves_answer(zeta):
+    """Against its closed form and, for all dampings, against a finer tick, which the exact answer does not depend on."""
+    omega, t = 60.0, np.arange(300) * 1e-3
+    u = np.where(t < 0.1, 0.0, 4.0)
+    got = followed(u, 1e-3, omega**2, 2 * zeta * omega)
+    fine = followed(np.repeat(u, 10), 1e-4, omega**2, 2 * zeta * omega)[::10]
+    assert got == pytest.approx(fine, abs=1e-6)  # ten times the steps round ten times as much near the double root
+    if zeta < 1:
+        assert got[100:] == pytest.approx(4 * second_order(t[100:] - 0.1, omega, zeta), abs=1e-9)
+    assert followed(u, 1e-3, 0.0, 0.0) is u
+
+
+# --- closed loop: what a recipe may say -------------------------------------------------------------------------------------
+
+TOML = '''stage = "trial"
+rig = "x.toml"
+[motion]
+kind = "point_to_point"
+waypoints = ["100 mm", "200 mm"]
+speed = "100 mm/s"
+[controller]
+'''
+
+
+def closed(tmp_path, controller, motion=TOML):
+    (tmp_path / "trial.toml").write_text(motion + controller)
+    return load_recipe(tmp_path / "trial.toml")
+
+
+@pytest.mark.parametrize(
+    ("controller", "line", "says", "hint"),
+    [
+        ('kind = "arcs"', 8, "arcs", None),
+        ("", 7, "give 'kind' or 'class'", None),
+        ('kind = "arc"\nclass = "m:C"', 7, "not both", None),
+        ('kind = "arc"\n[controller.shaping]\njerk_max = "1 m/s^3"', 7, "shaping", None),
+        ('kind = "pressure_feedback"', 7, "needs its gain", "tune recipe"),
+        ('kind = "open_loop"\n[controller.gains]\nwash = "1 Hz"', 10, "no gains 'wash'", "washout"),
+        ('kind = "open_loop"\n[controller.gains]\nwashout = "1 bar"', 10, "'bar' cannot be turned into rad/s", None),
+        ('kind = "arc"\n[controller.gains]\npayload = "20 kg"', 10, "payload", None),
+        ('kind = "arc"\n[controller.gains]\nadapt = 1', 10, "adapt = 1", "true or false"),
+        ('kind = "arc"\n[controller.gains]\npayload = ["10 kg", "2 kg"]', 7, "bounds", None),
+        ('kind = "arc"\n[controller.rules]\nallow_eighth = true', 10, "no rules 'allow_eighth'", "allow_seventh"),
+        ('kind = "arc"\n[controller.rules]\ndwell = "-1 s"', 10, "dwell", None),
+        ('kind = "arc"\nunused = ["press.spool"]', 9, "no valve 'press.spool'", "press.servo"),
+        ('class = "nowhere:C"', 8, "no module 'nowhere'", "nowhere.py"),
+        ('class = "nowhere"', 8, "no class of a module", "my_module:MyController"),
+    ],
+)
+def test_a_controller_that_cannot_be_is_refused_with_its_line(rig, tmp_path, controller, line, says, hint):
+    with pytest.raises(InputError, match=says.replace("(", r"\(")) as error:
+        run_trial(rig, closed(tmp_path, controller), allow_code=True)
+    assert error.value.file.endswith("trial.toml") and error.value.line == line
+    assert hint is None or hint in error.value.hint
+
+
+@pytest.mark.parametrize(
+    ("motion", "says"),
+    [
+        ('kind = "point_to_point"\nwaypoints = ["100 mm", "900 mm"]\nspeed = "100 mm/s"', "leaves the stroke at t ="),
+        ('kind = "point_to_point"\nwaypoints = ["900 mm", "100 mm"]\nspeed = "100 mm/s"', "outside the stroke"),
+        ('kind = "point_to_point"\nwaypoints = ["100 mm"]\nspeed = "100 mm/s"', "two strokes or more"),
+        ('kind = "point_to_point"\nwaypoints = ["100 mm", "200 mm"]', "needs 'speed'"),
+        ('kind = "point_to_point"\nwaypoints = ["100 mm", "200 mm"]\nspeed = "1 m/s"\nhold = ["1 s", "1 s", "1 s"]', "3 times for 2"),
+        ('kind = "velocity_steps"\nlevels = ["30 %"]', "'duration' or 'travel'"),
+        ('kind = "velocity_steps"\nlevels = ["0 %"]\nduration = "1 s"', "level 1 is no speed"),
+        ('kind = "velocity_steps"\nlevels = ["30"]\nduration = "1 s"', "no unit"),
+        ('kind = "velocity_steps"\nlevels = ["100 %"]\nduration = "60 s"', "leaves the stroke"),
+        ('kind = "file"', "needs 'file'"),
+        ('kind = "point_to_point"\ncylinder = "boom"\nwaypoints = ["1 mm", "2 mm"]\nspeed = "1 m/s"', "no cylinder 'boom'"),
+    ],
+)
+def test_a_motion_that_cannot_be_is_refused(rig, tmp_path, motion, says):
+    with pytest.raises(InputError, match=says):
+        run_trial(rig, closed(tmp_path, 'kind = "open_loop"', f'stage = "trial"\nrig = "x.toml"\n[motion]\n{motion}\n[controller]\n'))
+
+
+def test_a_controller_needs_a_motion_and_a_trial_a_duration(tmp_path):
+    for text, says in (
+        ('stage = "trial"\nrig = "x"\nduration = "1 s"\n[controller]\nkind = "arc"\n', "controller 'arc' needs a"),
+        ('stage = "trial"\nrig = "x"\nduration = "1 s"\n[motion]\nkind = "file"\nfile = "a.csv"\n', "a motion needs a"),
+        ('stage = "trial"\nrig = "x"\n', "'duration' is missing"),
+    ):
+        (tmp_path / "t.toml").write_text(text)
+        with pytest.raises(InputError, match=says):
+            load_recipe(tmp_path / "t.toml")
+
+
+def table_of(rig, recipe):
+    return wishes(recipe, controllers.design(recipe, rig, None), 1e5)
+
+
+def test_levels_are_shares_speeds_and_rows(rig, tmp_path):
+    text = 'stage = "trial"\nrig = "x"\nposture = { press = "50 mm" }\n[motion]\nkind = "velocity_steps"\n'
+    text += 'levels = ["50 %", "-40 mm/s"]\nfull_speed = "0.2 m/s"\ntravel = "20 mm"\nrest = "0.1 s"\n[controller]\n'
+    made = table_of(rig, closed(tmp_path, 'kind = "open_loop"', text))
+    assert [(one.first, one.stop, one.speed, one.share) for one in made.levels] == [(100, 300, 0.1, 0.5), (400, 900, -0.04, None)]
+    v = made.table[:, 1]
+    assert v[99] == 0 and v[100] == 0.1 and v[299] == 0.1 and v[300] == 0 and v[400] == v[899] == -0.04 and v[900] == 0
+    assert made.table[0, 0] == pytest.approx(0.05, abs=1e-12) and made.table[300, 0] == pytest.approx(0.07, abs=1e-12)
+
+
+def test_a_trial_lasts_as_long_as_its_motion_or_as_it_says(rig, tmp_path):
+    alone = table_of(rig, closed(tmp_path, 'kind = "open_loop"')).table
+    assert alone[-1, 0] == 0.2 and not alone[-1, 1:].any()
+    long = table_of(rig, closed(tmp_path, 'kind = "open_loop"', TOML.replace("[motion]", 'duration = "9 s"\n[motion]'))).table
+    assert len(long) == 9001 and np.array_equal(long[: len(alone)], alone) and (long[len(alone) :] == [0.2, 0, 0, 0]).all()
+    short = table_of(rig, closed(tmp_path, 'kind = "open_loop"', TOML.replace("[motion]", 'duration = "0.8 s"\n[motion]'))).table
+    assert np.array_equal(short, alone[:801])
+
+
+def test_a_motion_from_a_file_is_the_curve_through_its_samples(rig, tmp_path):
+    """A sine sampled at 100 Hz: position, speed, acceleration and jerk between the samples."""
+    t = np.arange(101) * 0.01
+    write_log(tmp_path / "m.mcap", Record(t, {"press.x_desired": 0.2 + 0.02 * np.sin(4 * t)}))
+    text = 'stage = "trial"\nrig = "x"\n[motion]\nkind = "file"\nfile = "m.mcap"\n[controller]\n'
+    table, at = table_of(rig, closed(tmp_path, 'kind = "open_loop"', text)).table, np.arange(1001) * 1e-3
+    exact = np.column_stack([0.2 + 0.02 * np.sin(4 * at), 0.08 * np.cos(4 * at), -0.32 * np.sin(4 * at), -1.28 * np.cos(4 * at)])
+    assert np.abs(table - exact).max(axis=0) == pytest.approx([0, 0, 0, 0], abs=1e-4)
+    write_log(tmp_path / "m.mcap", Record(t, {"press.x_desired": 0.2 + 0.0 * t, "press.v_desired": 0.08 * np.cos(4 * t)}))
+    assert np.abs(table_of(rig, closed(tmp_path, 'kind = "open_loop"', text)).table[:, 1] - exact[:, 1]).max() < 1e-6
+    write_log(tmp_path / "m.mcap", Record(t, {"press.x": t}))
+    with pytest.raises(InputError, match=r"no channel 'press.x_desired'"):
+        table_of(rig, closed(tmp_path, 'kind = "open_loop"', text))
+
+
+def test_gains_come_from_a_tune_run_and_what_is_written_goes_first(rig, tmp_path):
+    tuned = {"cylinder": "press", "feedback_gain": {"extend_resistive": 3e-12}, "washout": 5.0, "off_gain": 2e-12, "low_pressure": 3e5,
+             "cross_drop": 4e5, "damping_ratio": 0.6, "tick": 1e-3}  # fmt: skip
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "tuning.json").write_text(json.dumps(tuned))
+
+    def packed(controller):
+        recipe = closed(tmp_path, controller)
+        made = controllers.design(recipe, rig, None)
+        tuning = controllers.read_tuning(recipe, None)
+        assert gains_file(recipe) == "run"
+        assert controllers.low_pressure(recipe, rig, tuning) == (1e5 if "low_pressure" in controller else 3e5)
+        return controllers.compiled(recipe, made, tuning, np.zeros((2, 4)), 1000.0).gains
+
+    plain = packed('kind = "pressure_feedback"\ngains = "run"')
+    assert plain[[pf.WASHOUT, pf.OFF_GAIN, pf.LOW_PRESSURE, pf.FEEDBACK_GAIN + 1, pf.FEEDBACK_GAIN + 4]].tolist() == [5.0, 2e-12, 3e5, 3e-12, 0]
+    over = packed('kind = "pressure_feedback"\ngains = { from = "run", washout = "0 Hz", low_pressure = "1 bar" }')
+    assert over[[pf.WASHOUT, pf.LOW_PRESSURE, pf.FEEDBACK_GAIN + 1]].tolist() == [0.0, 1e5, 3e-12]
+    loose = packed('kind = "open_loop"\ngains = "run"')
+    assert loose[[pf.WASHOUT, pf.OFF_GAIN]].tolist() == [0.0, 2e-12] and not loose[pf.FEEDBACK_GAIN : pf.AT_SHAPING].any()
+    (tmp_path / "run" / "tuning.json").write_text(json.dumps(tuned | {"cylinder": "boom"}))
+    with pytest.raises(InputError, match="tuned for cylinder 'boom', not 'press'"):
+        packed('kind = "pressure_feedback"\ngains = "run"')
+
+
+# --- a user's class -------------------------------------------------------------------------------------------------------
+
+HEAD = "class C:\n    channels = ['press.x']\n"
+START, STEPS = "    def start(self, rig, tick, sample): pass\n", "    def step(self, t, sample, wish): return {}\n"
+
+
+@pytest.mark.parametrize(
+    ("code", "says", "line"),
+    [
+        ("class C(:\n", "not Python", 1),
+        ("import json\n1/0\n", "raised ZeroDivisionError: division by zero .in the line: 1/0", 2),
+        ("class D: pass\n", r"has no class 'C' \(it has D\)", None),
+        (HEAD + STEPS, "has no method 'start'", None),
+        ("class C:\n" + START + STEPS, "does not say which channels", None),
+        ("class C:\n    channels = ['boom.x']\n" + START + STEPS, "asks for channel 'boom.x'", None),
+        (HEAD + "    notes = ['press.wow']\n" + START + STEPS, "notes 'press.wow': no quantity 'wow'", None),
+        (HEAD + "    notes = ['press.force']\n" + START + STEPS, "note does not hold 1 numbers", None),
+        (HEAD + "    def __init__(self, gain): pass\n" + START + STEPS, "raised TypeError", None),
+        (HEAD + "    def start(self, rig, tick, sample):\n        rig.nothing\n" + STEPS, "C.start raised AttributeError", 4),
+        (HEAD + START + "    def step(self, t, sample, wish):\n        return [][int(t > 0.1)]\n", r"C.step raised IndexError at t = 0 s.*\[\]", 5),
+        (HEAD + START + "    def step(self, t, sample, wish): return {'press.valve': 1.0}\n", "'press.valve', which is no valve", None),
+        (HEAD + START + "    def step(self, t, sample, wish): return [1.0, 2.0]\n", r"gave \[1.0, 2.0\] at t = 0 s", None),
+        (HEAD + START + "    def step(self, t, sample, wish): return None\n", "gave None at t = 0 s, which is no set", None),
+    ],
+)
+def test_code_that_goes_wrong_says_where(rig, tmp_path, code, says, line):
+    (tmp_path / "mine.py").write_text(code)
+    with pytest.raises(InputError, match=says) as error:
+        run_trial(rig, closed(tmp_path, 'class = "mine:C"'), allow_code=True)
+    assert error.value.file.endswith("mine.py") and error.value.line == line
+    assert [p.name for p in sorted(tmp_path.iterdir())] == ["mine.py", "trial.toml"], "nothing is left, not even bytecode"
+
+
+def test_code_runs_only_when_allowed(rig, tmp_path):
+    (tmp_path / "mine.py").write_text("open('touched', 'w')\n")
+    recipe = closed(tmp_path, 'class = "mine:C"')
+    with pytest.raises(InputError, match="may not run code by itself") as error:
+        run_trial(rig, recipe)
+    assert error.value.line == 8 and "--allow-code" in error.value.hint and not Path("touched").exists()
+    assert code_file(recipe) == (tmp_path / "mine.py").resolve()
+
+
+def test_a_class_gets_its_gains_and_is_held_to_the_drivers_range(rig, tmp_path):
+    (tmp_path / "mine.py").write_text(
+        "from __future__ import annotations\nfrom dataclasses import dataclass\n@dataclass\nclass C:\n    low_pressure: float\n    mode: str\n"
+        "    channels = ['*']\n    notes = ['press.force', 'press.pressure_drop']\n"
+        "    def start(self, rig, tick, sample):\n        assert (self.low_pressure, self.mode, tick) == (2e5, '3 V', 1e-3)\n"
+        "        assert rig.rig.name == 'slide_servo' and rig.valves == ('press.servo',) and rig.x == 0.1 == round(sample['press.x'], 9)\n"
+        "    def step(self, t, sample, wish):\n        self.note = [t, wish.v]\n        return [25.0 if 0.2 <= t < 0.2995 else 0.0]\n"
+    )
+    gains = '[controller.gains]\nlow_pressure = "2 bar"\nmode = "3 V"\n'
+    record, facts = run_trial(rig, closed(tmp_path, f'class = "mine:C"\n{gains}'), allow_code=True)
+    assert record["press.servo.command"].max() == 10.0 and (record["press.servo.command"] == 10.0).sum() == 100
+    assert facts.warnings == (f"C asked for more than a driver takes in 100 of {facts.samples} ticks, and got the end of its range",)
+    assert np.array_equal(record["press.force"], record.t) and np.array_equal(record["press.pressure_drop"], record["press.v_desired"])
+
+
+def test_a_class_may_do_without_a_motion(rig, tmp_path):
+    (tmp_path / "mine.py").write_text(HEAD + START + "    def step(self, t, sample, wish): return {'press.servo': 10 * (wish.x - sample['press.x'])}\n")
+    text = 'stage = "trial"\nrig = "x"\nduration = "0.5 s"\nposture = { press = "120 mm" }\n[controller]\n'
+    record, facts = run_trial(rig, closed(tmp_path, 'class = "mine:C"', text), allow_code=True)
+    assert (record["press.x_desired"] == record["press.x_desired"][0]).all() and record["press.x"][0] == pytest.approx(0.12, abs=1e-9)
+    assert facts.measures["steps"] == [] and facts.cylinder == "press"
+
+
+# --- sets ---------------------------------------------------------------------------------------------------------------
+
+
+def test_a_set_names_each_of_its_lists_without_doubles(tmp_path):
+    arc = {"kind": "arc"}
+    p2p = {"kind": "point_to_point", "waypoints": ["1 mm", "2 mm"], "speed": "1 m/s"}
+    with pytest.raises(ValueError, match="two entries of controller are called 'arc'"):
+        TrialSetRecipe(stage="trials", rig="x", motion=[p2p], controller=[arc, arc])
+    made = TrialSetRecipe(stage="trials", rig="x", motion=[p2p], controller=[arc, {**arc, "name": "ARC/2", "rig": "y"}, {**arc, "name": "arc 2"}])
+    cases = [Case(name, one, None, None) for name, _, one in made.cases()]
+    assert [c.recipe.rig for c in cases] == ["x", "y", "x"] and [c.recipe.controller.where for c in cases] == [("controller", i) for i in range(3)]
+    assert file_names(cases) == ["no_load_point_to_point_arc", "no_load_point_to_point_arc_2", "no_load_point_to_point_arc_2_2"]
+
+
+@pytest.mark.parametrize("path", sorted((RECIPES / "trials").glob("*.toml")), ids=lambda p: p.stem)
+def test_the_examples_load_and_name_what_is_there(path):
+    recipe = load_recipe(path)
+    assert recipe.file(recipe.rig).exists() and (recipe.bench is None or recipe.file(recipe.bench).exists())

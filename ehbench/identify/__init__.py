@@ -1,1 +1,0 @@
-"""Fits with uncertainty: flow maps, hydraulics."""

@@ -1,0 +1,3 @@
+"""Import the package first: it fixes the number of BLAS threads before numpy is loaded."""
+
+import ehbench  # noqa: F401

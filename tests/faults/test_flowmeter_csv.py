@@ -1,0 +1,167 @@
+"""Flowmeter CSVs: what is read, and what is refused with file, line and what would be right."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from ehbench.errors import InputError, UnitError
+from ehbench.readers import merge_flowmeter, read_flowmeter
+
+GPM = 3.785411784e-3 / 60.0
+HEADER = "valve,command [V],pressure_drop [kPa],flow [gpm]"
+
+
+@pytest.fixture
+def write(tmp_path):
+    def _write(text: str | bytes, name: str = "hect.csv"):
+        path = tmp_path / name
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return path
+
+    return _write
+
+
+def test_reads_any_order_unit_and_comment_and_keeps_the_lines(write):
+    path = write(
+        "\ufeff# bench of 12 May\n"
+        "flow [L/min], trial, valve, pressure_drop [bar], command [mV], method, temperature [degC], direction, note\n"
+        "\n"
+        "30.0, 2, regen, 10.5, 4000, Cylinder, 40, Head -> Rod, first\n"
+        "# pause\n"
+        '-0.01, 1, "regen", 70, 0, , , ,\n'
+    )
+    data = read_flowmeter(path)
+    assert data.line.tolist() == [4, 6] and data.valve.tolist() == ["regen", "regen"] and len(data) == 2
+    assert data.direction.tolist() == ["head->rod", "forward"] and data.method.tolist() == ["cylinder", "flowmeter"]
+    np.testing.assert_allclose(data.flow, [30 / 6e4, -0.01 / 6e4])
+    np.testing.assert_allclose(data.pressure_drop, [10.5e5, 70e5])
+    np.testing.assert_allclose(data.command, [4.0, 0.0])
+    assert data.trial.tolist() == [2, 1] and data.temperature[0] == pytest.approx(313.15) and math.isnan(data.temperature[1])
+    assert data.groups() == [("regen", "forward"), ("regen", "head->rod")] and set(data.file) == {str(path)}
+
+
+def test_two_pressures_make_the_drop(write):
+    data = read_flowmeter(
+        write("valve,downstream_pressure [psi],upstream_pressure [kPa],command [V],flow [gpm]\na,100,6894.757,4,2\n")
+    )
+    assert data.pressure_drop[0] == pytest.approx(6894757 - 100 * 6894.757, rel=1e-6)
+
+
+@pytest.mark.parametrize("mark", [";", "\t"])
+def test_decimal_commas_between_semicolons_or_tabs(write, mark):
+    text = HEADER.replace(",", mark) + "\n" + mark.join(["a", "2,25", "689,4", "1.5"]) + "\n"
+    data = read_flowmeter(write(text))
+    assert (data.command[0], data.pressure_drop[0], data.flow[0]) == pytest.approx((2.25, 689400.0, 1.5 * GPM))
+
+
+def test_old_line_ends_keep_the_line_numbers(write):
+    assert read_flowmeter(write(HEADER + "\r\na,1,100,1\r\n\r\na,2,100,2\r\n")).line.tolist() == [2, 4]
+    assert read_flowmeter(write(HEADER + "\ra,1,100,1\ra,2,100,2\r")).line.tolist() == [2, 3]
+
+
+def test_both_negative_without_a_direction_is_the_reverse_direction(write):
+    data = read_flowmeter(write(HEADER + "\na,4,1000,2\na,4,-1000,-1.5\na,0,1000,-0.01\n"))
+    assert data.direction.tolist() == ["forward", "reverse", "forward"]
+    np.testing.assert_allclose(data.flow, np.array([2, 1.5, -0.01]) * GPM)
+    assert data.pressure_drop.tolist() == [1e6, 1e6, 1e6]
+
+
+def test_select_and_merge_keep_file_and_line(write):
+    one = read_flowmeter(write(HEADER + "\na,1,100,1\nb,2,100,2\n"))
+    two = read_flowmeter(write(HEADER + "\na,3,100,3\n", "second.csv"))
+    both = merge_flowmeter([one, two]).select("a")
+    assert both.line.tolist() == [2, 2] and [name.rsplit("/", 1)[-1] for name in both.file] == ["hect.csv", "second.csv"]
+    with pytest.raises(InputError, match="no readings of 'c' in direction forward .*a forward, b forward"):
+        one.select("c")
+
+
+# (text, line, what the sentence says); {} is the good header
+BROKEN = {
+    "empty": ("", None, "holds no readings"),
+    "comments only": ("# a\n\n", None, "holds no readings"),
+    "header only": ("{}\n", 1, "no readings"),
+    "not UTF-8": (HEADER.encode() + b"\nv\xff,1,1,1\n", 2, "not UTF-8"),
+    "UTF-16": ((HEADER + "\n").encode("utf-16"), 1, "not UTF-8"),
+    "binary": (b"\x00\x01\x02", None, "not a text file"),
+    "misspelt column": (
+        "valve,command [V],presure_drop [kPa],flow [gpm]\n",
+        1,
+        "unknown column 'presure_drop.*nearest is 'pressure_drop'",
+    ),
+    "unknown column": ("{},humidity [1]\n", 1, "unknown column 'humidity"),
+    "column twice": ("{},flow [gpm]\n", 1, "'flow' comes twice"),
+    "missing column": ("valve,command [V],pressure_drop [kPa]\n", 1, r"misses the column flow.*flow \[gpm\]"),
+    "missing valve": ("command [V],pressure_drop [kPa],flow [gpm]\n", 1, 'misses the column valve.*"valve"'),
+    "one pressure of two": ("valve,command [V],upstream_pressure [kPa],flow [gpm]\n", 1, "misses the column downstream_pressure"),
+    "drop and pressures": ("{},upstream_pressure [kPa]\n", 1, "not both"),
+    "no unit": ("valve,command [V],pressure_drop [kPa],flow\n", 1, r'flow\' has no unit.*"flow \[gpm\]"'),
+    "unit in brackets": ("valve,command [V],pressure_drop (kPa),flow [gpm]\n", 1, r"unknown column.*pressure_drop \[kPa\]"),
+    "wrong unit": ("valve,command [V],pressure_drop [gpm],flow [gpm]\n", 1, "'gpm' cannot be turned into Pa"),
+    "unknown unit": ("valve,command [V],pressure_drop [kPaa],flow [gpm]\n", 1, "unknown unit 'kPaa'"),
+    "unit on a word": ("valve [m],command [V],pressure_drop [kPa],flow [gpm]\n", 1, "'valve' has no unit"),
+    "blank": ("{}\na,1,100,1\na,,100,1\n", 3, "command is blank"),
+    "NaN": ("{}\na,1,nan,1\n", 2, "pressure_drop is 'nan', which is no number"),
+    "infinite": ("{}\na,1,100,inf\n", 2, "flow is 'inf'"),
+    "word": ("{}\na,1,100,off\n", 2, "flow is 'off'"),
+    "unit in a cell": ("{}\na,1,100 kPa,1\n", 2, "'100 kPa', which is no number.*without a unit"),
+    "thousands": ("{}\na,1,1_000,1\n", 2, "'1_000'"),
+    "blank valve": ("{}\n,1,100,1\n", 2, "valve is blank"),
+    "decimal comma": ("{}\na,1,5,100,1\n", 2, "has 5 columns, the header has 4.*decimal comma"),
+    "short row": ("{}\na,1,100\n", 2, "has 3 columns"),
+    "open quote": ('{}\n"a,1,100,1\n', 2, "no row of a CSV file"),
+    "direction": ("{},direction\na,1,100,1,up\n", 2, "direction is 'up'.*forward, reverse"),
+    "method": ("{},method\na,1,100,1,turbine\n", 2, "method is 'turbine'.*flowmeter or cylinder"),
+    "trial": ("{},trial\na,1,100,1,first\n", 2, "trial is 'first'"),
+    "flow against the drop": ("{}\na,1,1000,1\na,4,1000,-2\n", 3, "runs against its drop"),
+    "drop against the direction": (
+        "{},direction\na,1,1000,1,forward\na,4,-1000,-2,forward\n",
+        3,
+        "negative along the direction forward",
+    ),
+    "kPa read as MPa": (
+        "valve,command [V],pressure_drop [MPa],flow [gpm]\na,1,1000,1\n",
+        2,
+        "pressure_drop = 1000 MPa lies outside",
+    ),
+    "gpm read as m3/s": ("valve,command [V],pressure_drop [kPa],flow [m^3/s]\na,1,1000,6\n", 2, r"flow = 6 m\^3/s lies outside"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_broken_files_are_refused_with_file_line_and_remedy(write, name):
+    text, line, words = BROKEN[name]
+    path = write(text.replace("{}", HEADER) if isinstance(text, str) else text)
+    with pytest.raises(InputError, match=words) as caught:
+        read_flowmeter(path)
+    assert caught.value.file == str(path) and caught.value.line == line and caught.value.exit_code == 2
+    assert str(caught.value).startswith(f"{path}:{line}: " if line else f"{path}: ")
+
+
+def test_a_drop_beyond_the_supply_is_a_slip_of_unit(write):
+    path = write("valve,command [V],pressure_drop [bar],flow [gpm]\na,1,60,1\na,2,6000,2\n", "bar.csv")
+    assert (
+        read_flowmeter(write("valve,command [V],pressure_drop [bar],flow [gpm]\na,1,100,1\n"), supply_pressure=6.9e6).line[0] == 2
+    )
+    with pytest.raises(UnitError, match="6000 bar") as caught:
+        read_flowmeter(path)  # above the plausible range even without a supply
+    path = write("valve,command [V],pressure_drop [bar],flow [gpm]\na,1,60,1\na,2,600,2\n", "bar.csv")
+    assert len(read_flowmeter(path)) == 2
+    with pytest.raises(UnitError, match="600 bar is 8.7 times the supply pressure of 69 bar.*really bar") as caught:
+        read_flowmeter(path, supply_pressure=6.9e6)
+    assert caught.value.line == 3
+
+
+def test_drops_far_below_the_supply_are_kept_with_a_warning(write):
+    data = read_flowmeter(write(HEADER + "\na,1,6.5,1\n"), supply_pressure=6.9e6)
+    assert "under 0.5 %" in data.warnings[0] and merge_flowmeter([data, data]).warnings == data.warnings * 2
+    assert read_flowmeter(write(HEADER + "\na,1,650,1\n"), supply_pressure=6.9e6).warnings == ()
+
+
+def test_missing_file_and_folder_are_refused(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        read_flowmeter(tmp_path / "none.csv")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_flowmeter(tmp_path)
