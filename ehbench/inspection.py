@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from ehbench.errors import EhbenchError, InputError
+from ehbench.errors import EhbenchError, InputError, LogError
 from ehbench.quantities import quantity
 from ehbench.recipe import Campaign, Recipe, kind_of, load_recipe, load_rig
 from ehbench.rig import Rig
@@ -124,6 +124,7 @@ def _flowmeter(path: Path) -> Inspection:
 
 
 def _log(path: Path) -> Inspection:
+    from ehbench.intake import LEAST_SAMPLES, evened
     from ehbench.logs import read_record
 
     record = read_record(path)
@@ -135,4 +136,12 @@ def _log(path: Path) -> Inspection:
         low, high = (from_si(float(v), row.display, row) for v in (values.min(), values.max()))
         lines.append(f"  {name}: {low:.4g} to {high:.4g} {row.display}")
     lines += [f"  lost: {loss}" for loss in record.losses]
+    if record.t.size < LEAST_SAMPLES:
+        lines.append(f"  unfit for identification: it has only {record.t.size} sample{'s' * (record.t.size != 1)}")
+        return Inspection((*lines, "ok, with losses"), 3)
+    try:
+        lines += [f"  {said}" for said in evened(path.name, record)[1]]
+    except LogError as error:
+        lines.append(f"  unfit for identification: {error}")
+        return Inspection((*lines, "ok, with losses"), 3)
     return Inspection((*lines, "ok, with losses" if record.losses else "ok"), 3 if record.losses else 0)

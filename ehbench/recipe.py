@@ -64,6 +64,22 @@ class Recipe(Model):
         return {"file": self.path, "line": line}
 
 
+def _flat(raw: Any) -> Any:
+    """Tables within a table of parameters as dotted names, as unquoted keys such as ``boom.joint_damping`` make them."""
+    if not isinstance(raw, dict):
+        return raw
+    found: dict[str, Any] = {}
+    for name, value in raw.items():
+        inner = {f"{name}.{key}": item for key, item in _flat(value).items()} if isinstance(value, dict) else {name: value}
+        if twice := sorted(set(inner) & set(found)):
+            raise ValueError(f"'{twice[0]}' is given twice")
+        found |= inner
+    return found
+
+
+ByParameter = Annotated[dict[str, str], BeforeValidator(_flat)]
+
+
 class CalibrationPoint(Model):
     """A flow that a command is supposed to give, e.g. 2 gpm at 4 V, to be met within ``tolerance`` of that flow."""
 
@@ -96,9 +112,9 @@ class HydraulicsRecipe(Recipe):
     flow_maps: str | None = None
     data: DataFiles
     parameters: Annotated[tuple[str, ...], Field(min_length=1)]
-    start: dict[str, str] = {}
-    lower: dict[str, str] = {}
-    upper: dict[str, str] = {}
+    start: ByParameter = {}
+    lower: ByParameter = {}
+    upper: ByParameter = {}
     channels: tuple[str, ...] = ("qd", "p_head", "p_rod")
     cutoff: _typed("frequency") | None = None
     compare_dynamics: tuple[str, ...] = ()
@@ -176,8 +192,12 @@ class Command(Model):
     def _whole(self) -> Command:
         if self.kind in ("sine", "multisine") and self.frequency is None:
             raise ValueError(f"a {self.kind} needs 'frequency'")
+        if self.kind in ("sine", "multisine") and not float(self.frequency) > 0.0:
+            raise ValueError("'frequency' must be above 0 Hz")
         if self.kind == "multisine" and self.frequency_max is None:
             raise ValueError("a multisine needs 'frequency_max'")
+        if self.kind == "multisine" and not float(self.frequency_max) > float(self.frequency):
+            raise ValueError(f"frequency_max, {float(self.frequency_max):g} Hz, must lie above frequency, {float(self.frequency):g} Hz")
         if self.kind == "ramp" and self.stop is None:
             raise ValueError("a ramp needs 'stop'")
         if self.kind == "file" and self.file is None:
@@ -277,6 +297,18 @@ class Controller(Model):
         return self
 
 
+def _sampled(trial: Any) -> Any:
+    """Refuse sines that samples at the trial's rate cannot hold."""
+    for command in trial.command:
+        for key in ("frequency", "frequency_max"):
+            asked = getattr(command, key)
+            if command.kind in ("sine", "multisine") and asked is not None and float(asked) >= 0.5 * float(trial.rate):
+                raise ValueError(
+                    f"command to {command.valve}: {key}, {float(asked):g} Hz, must lie below half the rate, {0.5 * float(trial.rate):g} Hz"
+                )
+    return trial
+
+
 class _AnyTrial(Recipe):
     """What one trial and a set of trials have in common."""
 
@@ -291,6 +323,10 @@ class _AnyTrial(Recipe):
     seed: int = Field(default=0, ge=0)
     command: tuple[Command, ...] = ()
     limits: Limits = Limits()
+
+    @model_validator(mode="after")
+    def _below_half_the_rate(self) -> _AnyTrial:
+        return _sampled(self)
 
 
 class TrialRecipe(_AnyTrial):
@@ -427,7 +463,7 @@ class BenchRecipe(Recipe):
     stage: Literal["bench"]
     rig: str
     seed: int = Field(default=0, ge=0)
-    truth: dict[str, str] = {}
+    truth: ByParameter = {}
     air_fraction: _typed("air_fraction") = Value(0.003)
     polytropic_exponent: _typed("polytropic_exponent") = Value(1.3)
     droop: _typed("droop") | None = None
@@ -474,6 +510,10 @@ class DatasetLog(Model):
     rate: _typed("rate") = Value(1000.0)
     command: Annotated[tuple[Command, ...], Field(min_length=1)]
     limits: Limits = Limits()
+
+    @model_validator(mode="after")
+    def _below_half_the_rate(self) -> DatasetLog:
+        return _sampled(self)
 
 
 class DatasetRecipe(Recipe):
@@ -583,10 +623,16 @@ def line_of(text: str, location: tuple[Any, ...]) -> int | None:
                 lines.setdefault(prefix[:-1], number)
         elif key := _KEY.match(line):
             lines.setdefault(prefix + tuple(words(key[1])), number)
-    for size in range(len(location), 0, -1):
-        if location[:size] in lines:
-            return lines[location[:size]]
-    return None
+    flat: dict[tuple[Any, ...], int] = {}
+    for known, number in lines.items():
+        flat.setdefault(_pieces(known), number)
+    wanted = _pieces(location)
+    return next((flat[wanted[:size]] for size in range(len(wanted), 0, -1) if wanted[:size] in flat), None)
+
+
+def _pieces(location: tuple[Any, ...]) -> tuple[Any, ...]:
+    """A key's parts, dotted names taken apart, so that quoted and unquoted keys are the same."""
+    return tuple(piece for part in location for piece in (part.split(".") if isinstance(part, str) else (part,)))
 
 
 def read_toml(path: Path) -> tuple[dict[str, Any], str]:

@@ -231,6 +231,20 @@ class Model:
         """A table of commands [V], shape (samples, valves), that leaves every valve at rest."""
         return np.tile([valve.rest for _, valve in self.rig.valves()], (samples, 1))
 
+    def commands_of(self, record: Record) -> np.ndarray:
+        """A recording's commands [V], shape (samples, valves); valves that it lacks stay at rest."""
+        table = self.rest_commands(record.t.size)
+        for index, valve in enumerate(self.layout.valves):
+            if f"{valve}.command" in record:
+                table[:, index] = record[f"{valve}.command"]
+        return table
+
+    def rest_samples(self, commands: np.ndarray) -> int:
+        """How many samples pass before a command [V], shape (samples, valves), changes by more than noise; at least one."""
+        span = MOVED * (self.plant.valves[:, HIGHEST] - self.plant.valves[:, LOWEST])
+        moved = np.flatnonzero(np.any(np.abs(commands - commands[0]) > span, axis=1))
+        return max(1, int(moved[0]) if moved.size else commands.shape[0])
+
     def run(self, y: np.ndarray, commands: np.ndarray, tick: float = 1e-3, step: float = STEP) -> np.ndarray:
         """Integrate from state ``y`` (left as it is) through ``commands``; returns the log table of `run`.
 
@@ -313,14 +327,8 @@ class Model:
         tick = record.sample_time
         if record.t.size < 3 or np.abs(np.diff(record.t) - tick).max() > 0.01 * tick:
             raise LogError("the recording is not evenly sampled, so it cannot be replayed", hint="resample it to one rate")
-        table = self.rest_commands(record.t.size)
-        for index, valve in enumerate(self.layout.valves):
-            if f"{valve}.command" in record:
-                table[:, index] = record[f"{valve}.command"]
-        if rest is None:
-            span = MOVED * (self.plant.valves[:, HIGHEST] - self.plant.valves[:, LOWEST])
-            moved = np.flatnonzero(np.any(np.abs(table - table[0]) > span, axis=1))
-            rest = max(1, int(moved[0]) if moved.size else record.t.size)
+        table = self.commands_of(record)
+        rest = self.rest_samples(table) if rest is None else rest
         supply = self.plant.supply.copy()
         for channel, column in (("p_supply", 0), ("p_tank", 1)):
             if channel in record:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, fields
 from itertools import groupby
@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from ehbench import signals
-from ehbench.errors import EhbenchError, InputError, ModelRejected
+from ehbench.errors import EhbenchError, InputError, LogError, ModelRejected
+from ehbench.intake import take_in
 from ehbench.plant import HIGHEST, LOWEST
 from ehbench.quantities import quantity
 from ehbench.recipe import Thresholds
@@ -230,6 +231,7 @@ def validate_rig(
     fitted_on: Collection[str] = (),
     progress: Progress | None = None,
     workers: int = 0,
+    where: Callable[..., Mapping[str, Any]] = lambda *location: {},
 ) -> Validation:
     """Judge a rig on logs.
 
@@ -245,13 +247,19 @@ def validate_rig(
         fitted_on: names of those logs that the model was fitted to.
         progress: told (log, share done).
         workers: threads; 0 for one a core.
+        where: file and line of a recipe's key, for the errors: `Recipe.at`.
 
     Raises:
-        InputError: a payload or channel that the rig does not have, or no logs.
+        InputError: a payload or channel that the rig does not have, no logs, or one that `intake.take_in` refuses.
     """
     if not logs:
         raise InputError("there is no log to validate on", hint="name at least one held-out log under 'data'")
     asked = thresholds or Thresholds()
+    for index, (name, record) in enumerate(logs):
+        try:
+            rig.with_payload(_payload(record) or None)
+        except InputError as error:
+            raise InputError(f"{name}: {error.message}", **where("data", index), hint=error.hint) from None
     models = {payload: Model.of(rig, flow_maps, payload or None) for payload in {_payload(record) for _, record in logs}}
     _check_channels(rig, channels)
 
@@ -314,13 +322,14 @@ def _verdict(results: Sequence[LogResult]) -> tuple[list[str], list[str]]:
 
 
 def _judge(name: str, record: Record, model: Model, channels: tuple[str, ...], asked: Thresholds, fitted: bool) -> LogResult:
+    uneven, warnings = "", []
+    try:
+        record, told = take_in(name, record, model)
+        warnings += told
+    except LogError as error:
+        uneven = str(error).removeprefix(f"{name}: ")
     moved, held = _moved(model, record)
     status = "fitted" if fitted else "held_out" if moved else "still"
-    warnings = [
-        f"the log has '{channel}', a valve that rig '{model.rig.name}' does not have"
-        for channel in record.channels
-        if channel.endswith(".command") and channel.removesuffix(".command") not in model.layout.valves
-    ]
     if fitted:
         warnings.append("THE MODEL WAS FITTED TO THIS LOG: it is shown, and the verdict rests on the others")
     if not moved:
@@ -330,6 +339,8 @@ def _judge(name: str, record: Record, model: Model, channels: tuple[str, ...], a
         "sample_time": record.sample_time, "moved": moved, "held": held,
     }  # fmt: skip
     try:
+        if uneven:
+            raise LogError(uneven)
         simulated = model.replay(record)
     except EhbenchError as error:
         return LogResult(

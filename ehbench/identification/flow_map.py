@@ -23,11 +23,17 @@ if TYPE_CHECKING:
     from ehbench.readers import FlowmeterData
 
 OUTLIER_SIGMAS, BACK_SIGMAS = 5.0, 3.0
+# more than this share far from the map is no accident, and stays in
+_MOST_OUTLIERS = 0.05
+# beyond these the readings are not those of a valve that opens with its command
+_LEAST_EFFECT, _MOST_RMS, _MOST_LACK, _LACK_RMS = 0.05, 0.2, 100.0, 0.05
+# a bend in the drop: its curvature may be this many times as large, and it must raise the likelihood by e^5
+_BEND, _BEND_GAIN = 1e-4, 10.0
 # a spline slope of this share of the rated flow over the command range keeps the map strictly increasing
 _LEAST_SLOPE = 1e-4
 # no meter is better than this share of the rated flow; keeps weights finite on noise-free data
 _LEAST_NOISE = 1e-4
-_SPANS_U, _SPANS_S = 16, 10
+_SPANS_U, _SPANS_S = 16, 16
 _Z95 = 1.959964
 
 
@@ -39,6 +45,7 @@ class Units:
     pressure_unit: str = VOCABULARY["pressure_drop"].display
 
     def flow(self, value: float, digits: int = 4) -> str:
+        value = value if abs(value) > 1e-12 else 0.0  # m³/s, a nanolitre a second: below any meter
         return f"{from_si(value, self.flow_unit, VOCABULARY['flow']):.{digits}g} {self.flow_unit}"
 
     def drop(self, value: float) -> str:
@@ -267,15 +274,15 @@ def _readings(who, command, drop, flow, method, trial, file, line, meter_limit) 
     return _Readings(n, use, u, drop, np.where(silent, 0.0, q), method, trial, file, line, cell, level, limit, silent)
 
 
-def _gram(pieces: np.ndarray, breaks: np.ndarray, order: int) -> np.ndarray:
-    """∫ B_i^(order) B_j^(order) of the splines given as polynomial pieces (``bspline_pieces``), exact."""
+def _gram(pieces: np.ndarray, breaks: np.ndarray, order: int, weight: np.ndarray | float = 1.0) -> np.ndarray:
+    """∫ weight·B_i^(order) B_j^(order) of the splines given as polynomial pieces (``bspline_pieces``), exact; a weight a span."""
     for _ in range(order):
         pieces = pieces[..., 1:] * np.arange(1, pieces.shape[-1])
     nodes, weights = np.polynomial.legendre.leggauss(pieces.shape[-1])
     width = np.diff(breaks)
     x = 0.5 * (nodes + 1)[None, :] * width[:, None]
     values = np.einsum("jkp,jgp->jgk", pieces, x[..., None] ** np.arange(pieces.shape[-1]))
-    return np.einsum("jgk,jgl,g,j->kl", values, values, weights, 0.5 * width)
+    return np.einsum("jgk,jgl,g,j->kl", values, values, weights, 0.5 * width * weight)
 
 
 def _basis(breaks: np.ndarray, pieces: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -288,13 +295,13 @@ def _basis(breaks: np.ndarray, pieces: np.ndarray, x: np.ndarray) -> np.ndarray:
 class _Spline:
     """The spline of one deadband on opening and root-of-drop scaled to 0…1: design, penalties, smoothing, fit."""
 
-    def __init__(self, deadband: float, levels: np.ndarray, drop_breaks: np.ndarray) -> None:
+    def __init__(self, deadband: float, levels: np.ndarray, drop_breaks: np.ndarray, stiffness: np.ndarray) -> None:
         self.deadband, self.top = deadband, float(levels[-1])
         inner = levels[(levels > deadband) & (levels < self.top)]
         if inner.size > _SPANS_U - 1:
             inner = np.quantile(inner, np.linspace(0, 1, _SPANS_U + 1)[1:-1])
         self.u_breaks = np.concatenate([[0.0], (inner - deadband) / (self.top - deadband), [1.0]])
-        self.s_breaks = drop_breaks
+        self.s_breaks, self.stiffness = drop_breaks, stiffness
         self.u_pieces, self.s_pieces = bspline_pieces(self.u_breaks, 2), bspline_pieces(drop_breaks, 3)
         self.rows, self.columns = self.u_pieces.shape[1] - 1, self.s_pieces.shape[1] - 1
 
@@ -304,7 +311,7 @@ class _Spline:
         from scipy.linalg import eigh
 
         bend_u, mass_u = (_gram(self.u_pieces, self.u_breaks, k)[1:, 1:] for k in (2, 0))
-        bend_s, mass_s = (_gram(self.s_pieces, self.s_breaks, k)[1:, 1:] for k in (2, 0))
+        bend_s, mass_s = (_gram(self.s_pieces, self.s_breaks, *k)[1:, 1:] for k in ((2, self.stiffness), (0,)))
         eigen_u, eigen_s = eigh(bend_u, mass_u, eigvals_only=True), eigh(bend_s, mass_s, eigvals_only=True)
         eigen_u[0] = eigen_s[0] = 0.0  # the straight line in either direction is free
         mass = self.columns * np.linalg.slogdet(mass_u)[1] + self.rows * np.linalg.slogdet(mass_s)[1]
@@ -367,12 +374,31 @@ class _Fit:
         # an orifice bends by 1 % at five times delta; the bounds keep the slope at zero finite and the bend out of sight
         self.delta = float(np.clip(least / 5.0, 1e-3 * self.drop_max, 1e-2 * self.drop_max))
         self.s = root_drop(readings.drop, self.delta) / root_drop(self.drop_max, self.delta)
-        distinct = np.unique(_clusters(readings.drop, 0.03, 0.003 * self.drop_max)).size
-        self.s_breaks = np.linspace(0.0, 1.0, int(np.clip(distinct - 1, 3, _SPANS_S)) + 1)
+        cluster = _clusters(readings.drop, 0.03, 0.003 * self.drop_max)
+        self.refuse_idle(cluster)
+        self.s_breaks = np.linspace(0.0, 1.0, self.spans(cluster) + 1)
+        self.stiffness = np.ones(self.s_breaks.size - 1)
         self.cell_level = _medians(readings.level, readings.cell).astype(int)
         self.noise = {name: (3e-3, 1e-2) for name in sorted(set(readings.method.tolist()))}
         self.replicates, self.lack, self.trial_scatter = 0, 1.0, 0.0
         self.smoothing = np.array([1e-2, 1e-2])
+
+    def spans(self, cluster: np.ndarray) -> int:
+        """Spans along the root of the drop: as narrow as the closest drops measured, the penalty sees to the rest."""
+        places = np.sort(np.bincount(cluster, self.s) / np.bincount(cluster))
+        return int(np.clip(np.ceil(1.0 / np.diff(places).min()), 3, _SPANS_S))
+
+    def refuse_idle(self, cluster: np.ndarray) -> None:
+        """Refuses readings whose flow at one drop is nearly the same at every command."""
+        r, at = self.r, np.unique(np.column_stack([cluster, self.r.level]), axis=0, return_inverse=True)
+        middle, drop = _medians(self.y, at[1].ravel()), at[0][:, 0]
+        spread = [np.ptp(middle[drop == k]) for k in np.unique(drop) if np.count_nonzero(drop == k) > 1]
+        if spread and max(spread) < _LEAST_EFFECT:
+            raise InsufficientData(
+                f"the flow of the {self.who} does not depend on the command: at one drop it changes by "
+                f"{100 * max(spread):.2g} % of the largest flow between {r.u.min():g} V and {r.u.max():g} V",
+                hint="check that the command reached the valve, and the columns of the file",
+            )
 
     # readings and cells
     def std(self, flow: np.ndarray) -> np.ndarray:
@@ -411,7 +437,7 @@ class _Fit:
 
     # the fit
     def spline(self, deadband: float) -> _Spline:
-        return _Spline(deadband, self.levels, self.s_breaks)
+        return _Spline(deadband, self.levels, self.s_breaks, self.stiffness)
 
     def normal(self, spline: _Spline, cells):
         u, s, y, weight = cells
@@ -419,8 +445,11 @@ class _Fit:
         design *= (u > spline.deadband)[:, None]
         return design, (design.T * weight) @ design, (design.T * weight) @ y
 
-    def choose_smoothing(self, cells) -> float:
-        """Penalties by restricted maximum likelihood, the scale of the noise left free (Wood 2011); −2 log of it."""
+    def choose_smoothing(self, cells, near: bool = False) -> float:
+        """Penalties by restricted maximum likelihood, the scale of the noise left free (Wood 2011); −2 log of it.
+
+        ``near``: searched from the present ones on.
+        """
         from scipy.linalg import solve_triangular
 
         spline = self.spline(self.deadband)
@@ -432,9 +461,21 @@ class _Fit:
             half = solve_triangular(factor, right, lower=True)
             return (n - 1) * np.log(max(total - half @ half, 1e-12 * total)) + determinant
 
-        best, value = _lattice_minimum(score)
+        start = tuple(float(v) for v in np.round(4 * np.log10(self.smoothing / unit)) / 4) if near else None
+        best, value = _lattice_minimum(score, start)
         self.smoothing = 10.0 ** np.array(best) * unit
         return value
+
+    def find_bend(self, cells) -> None:
+        """Lets the map bend sharply at the drop where that makes the readings likeliest, if anywhere."""
+        plain, count = self.choose_smoothing(cells), self.stiffness.size
+        options = [(plain - _BEND_GAIN, self.smoothing, self.stiffness)]
+        for k in range(1, count):
+            self.stiffness = np.ones(count)
+            self.stiffness[k - 1 : k + 1] = _BEND
+            self.smoothing = options[0][1]
+            options.append((self.choose_smoothing(cells, near=True), self.smoothing, self.stiffness))
+        _, self.smoothing, self.stiffness = min(options, key=lambda one: one[0])
 
     def start_deadband(self, cells) -> None:
         """The likeliest of a few deadbands, each with its own smoothing: one far off would call for a wrong smoothing."""
@@ -526,8 +567,51 @@ class _Fit:
             huber = np.minimum(1.0, 1.5 * max(1.4826 * np.median(size), 0.1) / np.maximum(size, 1e-12))
         flow = spline.design(r.u, self.s) @ coefficients
         size = np.abs(self.y - flow) / self.std(flow)
-        self.keep = size <= 1.5 * OUTLIER_SIGMAS * max(1.4826 * float(np.median(size[flow > 0])), 0.1)
+        far = size > 1.5 * OUTLIER_SIGMAS * max(1.4826 * float(np.median(size[flow > 0])), 0.1)
+        self.keep = ~self.few(far & self.alone(flow), size)
         return flow
+
+    def alone(self, flow: np.ndarray) -> np.ndarray:
+        """True for readings that nothing backs: repeats that do not agree, or a single one whose neighbours deny it.
+
+        What repeats or neighbours back is the valve's own, and a map that misses it lacks fit there.
+        """
+        r, residual = self.r, self.y - flow
+        count = np.bincount(r.cell)
+        size = np.maximum(np.abs(residual), self.std(flow))
+        high, low = np.full(count.size, -np.inf), np.full(count.size, np.inf)
+        np.maximum.at(high, r.cell, residual)
+        np.minimum.at(low, r.cell, residual)
+        # repeats agree within what noise allows, or within a third of what they are off together
+        noise = np.sqrt(np.bincount(r.cell, self.std(flow) ** 2) / count)
+        off = np.where(high * low > 0, np.minimum(np.abs(high), np.abs(low)), 0.0)
+        agree = high - low <= np.maximum(OUTLIER_SIGMAS * noise, off / 3.0)
+        middle = np.bincount(r.cell, residual) / count
+        place = self.places(np.bincount(r.cell, r.u) / count, np.bincount(r.cell, self.s) / count)
+        single = np.flatnonzero(count == 1)
+        for k in single:
+            away = place - place[k]
+            near = [self.nearest(away, k, axis) for axis in (0, 1)]
+            backed = [np.any(middle[others] * np.sign(middle[k]) > np.abs(middle[k]) / 4.0) for others in near]
+            agree[k] = any(backed)
+        return ~agree[r.cell] & (size > 0)
+
+    @staticmethod
+    def nearest(away: np.ndarray, own: int, axis: int) -> np.ndarray:
+        """The nearest cell on either side of cell ``own`` along one axis, a step across counting four times."""
+        distance = np.hypot(away[:, axis], 4.0 * away[:, 1 - axis])
+        sides = (np.where(way * away[:, axis] > 0, distance, np.inf) for way in (-1, 1))
+        return np.array([np.argmin(side) for side in sides if np.isfinite(side).any()], int)
+
+    def places(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Commands and roots counted in commands measured and spans, shape (points, 2)."""
+        return np.column_stack([np.interp(u, self.levels, np.arange(self.levels.size)), s * (self.s_breaks.size - 1)])
+
+    def few(self, out: np.ndarray, size: np.ndarray) -> np.ndarray:
+        """The farthest of the readings ``out``, no more than a small share of all."""
+        most = max(3, int(_MOST_OUTLIERS * out.size))
+        farthest = np.argsort(np.where(out, -size, np.inf), kind="stable")[:most]
+        return out & np.isin(np.arange(out.size), farthest)
 
     def run(self) -> None:
         """Alternate noise, fit and outliers until the outliers stay the same, then find the deadband and do it again."""
@@ -538,6 +622,7 @@ class _Fit:
                 self.measure_noise(flow)
                 cells = self.cells(flow)
                 if final and not turn:
+                    self.find_bend(cells)
                     self.start_deadband(cells)
                 self.choose_smoothing(cells)
                 if final:
@@ -546,12 +631,24 @@ class _Fit:
                 self.sigmas = self.distances(flow)
                 far, before = np.abs(self.sigmas), self.keep
                 # the farthest first: what seems far beside it may be near once it is out; and back only what is near
-                self.keep = far <= np.where(before, max(OUTLIER_SIGMAS, 0.75 * far[before].max()), BACK_SIGMAS)
+                alone = self.alone(flow)
+                worst = max(OUTLIER_SIGMAS, 0.75 * float(far[before & alone].max(initial=0.0)))
+                self.keep = ~self.few(alone & (far > np.where(before, worst, BACK_SIGMAS)), far)
                 if turn > 20:  # no coming and going for ever
                     self.keep &= before
                 if np.array_equal(before, self.keep):
                     break
         self.flow = flow
+        self.refuse_misfit()
+
+    def refuse_misfit(self) -> None:
+        """Refuses a map that says nothing of the readings."""
+        rms = float(np.sqrt(np.mean((self.y - self.flow)[self.keep] ** 2)))
+        if rms > _MOST_RMS or (self.lack > _MOST_LACK and rms > _LACK_RMS):
+            raise InsufficientData(
+                f"no map fits the readings of the {self.who}: they lie {100 * rms:.2g} % of the rated flow from the best one (rms)",
+                hint="check the columns, and that the flow grows with the command at every drop",
+            )
 
     def distances(self, flow: np.ndarray) -> np.ndarray:
         """Distance of each reading from the map in standard deviations of that distance.
@@ -593,6 +690,7 @@ class _Fit:
         design = self.final.design(at, root)
         variance = self.lack * np.sum(solve_triangular(self.factor, design.T, lower=True) ** 2, axis=0)
         flow = design @ self.coefficients
+        variance += self.missed(at, root)
         sides = [max(self.deadband + k * self.deadband_std, 0.0) for k in (-1, 1)]
         if self.deadband_std > 0:
             moved = [spline.design(at, root) @ self.solve(spline, self.judged)[0] for spline in map(self.spline, sides)]
@@ -601,6 +699,20 @@ class _Fit:
         drop = root * np.sqrt(0.5 * root**2 + np.sqrt(0.25 * root**4 + scaled**2))
         variance += (0.5 * flow * (np.sqrt(drop) / np.maximum(root, 1e-12) - 1.0)) ** 2
         return np.sqrt(variance + (self.trial_scatter * flow) ** 2).reshape(u.size, s.size)
+
+    def missed(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Variance [rated²] by which the cells near each point surely miss the map, beyond their noise."""
+        cell_u, cell_s, y, weight = self.judged
+        some = (weight > 0) & (cell_u > self.deadband)
+        if not some.any():
+            return np.zeros(u.size)
+        square = (y - self.final.design(cell_u, cell_s) @ self.coefficients)[some] ** 2
+        away = self.places(u, s)[:, None, :] - self.places(cell_u[some], cell_s[some])
+        near = np.exp(-0.5 * np.sum(away**2, axis=2)) + 1e-12
+        near /= near.sum(axis=1, keepdims=True)
+        # the scatter of a mean of squares: what it exceeds the noise by must exceed 1.6 times that, too
+        sure = 1.0 + 1.6 * np.sqrt(2.0 * np.sum(near**2, axis=1))
+        return np.maximum(near @ square - sure * (near @ (1.0 / weight[some])), 0.0)
 
     def compare_trials(self) -> None:
         """Standard error of the mean of the trials' common factors [1], beyond what the noise explains (DerSimonian–Laird)."""
@@ -707,8 +819,12 @@ class _Fit:
             worst = max(outliers, key=lambda one: abs(one.sigmas)).sentence(self.show)
             count = f"{len(outliers)} of {n} readings were left out, over {OUTLIER_SIGMAS:g} sigma from the map"
             yield f"{count}; the worst: {worst}"
-        if len(outliers) > 0.1 * n:
-            yield "more than a tenth of the readings was left out: the noise of these data is not understood"
+        far = int(np.count_nonzero(self.keep & (np.abs(self.sigmas) > OUTLIER_SIGMAS)))
+        if far > 0.01 * n:
+            yield (
+                f"{far} of {n} readings lie over {OUTLIER_SIGMAS:g} sigma from the map, but repeats or neighbours back them: "
+                "they stay in, and the intervals are wider there"
+            )
         if not self.replicates:
             yield "no repeats: the noise was taken from the residuals, so lack of fit cannot be told from noise"
         if self.lack > 2.0:
@@ -723,7 +839,7 @@ class _Fit:
             yield f"{self.show.flow(leakage * self.rated, 3)} pass below the deadband; the map takes the valve as shut there"
 
 
-def _lattice_minimum(score) -> tuple[tuple[float, float], float]:
+def _lattice_minimum(score, start: tuple[float, float] | None = None) -> tuple[tuple[float, float], float]:
     """(point, value) of the least of ``score`` over decadic logarithms, on a lattice that is refined about the best.
 
     Points come from a fixed lattice, so that the last bits of a linear algebra library do not move the result.
@@ -735,7 +851,8 @@ def _lattice_minimum(score) -> tuple[tuple[float, float], float]:
             known[point] = float(score(point))
         return known[point]
 
-    best = min(((float(a), float(b)) for a in range(-9, 0, 2) for b in range(-9, 0, 2)), key=value)
+    lattice = [start] if start else [(float(a), float(b)) for a in range(-9, 0, 2) for b in range(-9, 0, 2)]
+    best = min(lattice, key=value)
     for step in (1.0, 0.5, 0.25):
         while True:
             a, b = best

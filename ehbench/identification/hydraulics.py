@@ -21,10 +21,12 @@ import numpy as np
 from ehbench.errors import InputError
 from ehbench.identification.matching import Matching
 from ehbench.identification.output_error import OutputError
-from ehbench.identification.steps import Bench, FittedParameter, HydraulicsFit, LogFit, Match, Progress, coordinates, prepare
+from ehbench.identification.steps import (
+    Bench, FittedParameter, HydraulicsFit, LogFit, Match, Progress, Where, coordinates, payload_of, prepare,
+)  # fmt: skip
 from ehbench.record import Record
 from ehbench.rig import Rig
-from ehbench.simulation import STEP, Maps
+from ehbench.simulation import STEP, Maps, Model
 
 __all__ = ["FittedParameter", "HydraulicsFit", "LogFit", "Match", "Variant", "compare_dynamics", "identify_hydraulics"]
 
@@ -47,6 +49,7 @@ def identify_hydraulics(
     *,
     max_iterations: int = 30,
     step: float = STEP,
+    where: Where = lambda *location: {},
 ) -> HydraulicsFit:
     """Fit parameters of ``rig.parameters()`` to step logs.
 
@@ -64,17 +67,30 @@ def identify_hydraulics(
         progress: called with a sentence and the share done.
         max_iterations: of the solver.
         step: integration step [s]; output error searches with twice that before it settles.
+        where: file and line of a recipe's key, for the errors: `Recipe.at`.
 
     Raises:
-        InputError: unknown parameter or payload, a bad start or bound, or one the method does not take.
-        InsufficientData: no log tells anything about any parameter.
+        InputError: unknown parameter or payload, a bad start or bound, or one the method does not take; a log that
+            `intake.take_in` refuses; a cutoff above half the rate of a log.
+        InsufficientData: no log tells anything about any parameter, or the fit follows none.
     """
     if method not in ("output_error", "thesis"):
         raise InputError(f"unknown method '{method}'", hint="output_error or thesis")
     if not records or len({name for name, _ in records}) < len(records):
         raise InputError("identification needs at least one log, each with a name of its own")
-    search = coordinates(rig, parameters, start, lower, upper)
-    logs = [prepare(rig, record, name, channels) for name, record in records]
+    search = coordinates(rig, parameters, start, lower, upper, where)
+    logs = []
+    for index, (name, record) in enumerate(records):
+        try:
+            rig.with_payload(payload_of(record))
+        except InputError as error:
+            raise InputError(f"{name}: {error.message}", **where("data", index), hint=error.hint) from None
+        logs.append(prepare(Model.of(rig, flow_maps, payload_of(record)), record, name, channels))
+        if cutoff is not None and cutoff * logs[-1].record.sample_time >= 0.5:
+            raise InputError(
+                f"a cutoff of {cutoff:g} Hz is not below half the rate of {name}, {0.5 / logs[-1].record.sample_time:.4g} Hz",
+                **where("cutoff"),
+            )
     bench = Bench(rig, logs, parameters, flow_maps, workers, step)
     tell = progress or (lambda sentence, share: None)
     with bench.pool:

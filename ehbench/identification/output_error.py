@@ -20,8 +20,9 @@ SCALE_FLOOR = 5.0e-3
 # this share of the channel's spread, rms
 FAINT = 2.0e-3
 DIFFERENCE = 1.0e-3  # step of finite differences, in units of a parameter
-NEAR = 5.0e-3  # share of its range within which a parameter is tried at its bound
+NEAR = 5.0e-3  # share of its reach within which a parameter is tried at its bound
 SCAN = math.log(10.0)  # how far the first look goes either way
+FINER = 97  # its points over other parameters: 5 % apart, 2.4 % in frequency, which twenty cycles of ringing can still tell
 
 
 class OutputError:
@@ -101,27 +102,28 @@ class OutputError:
         ]
 
     def scan(self) -> None:
-        """A coarse look over bulk modulus and damping, on one log for each set of cylinders asked: least squares from far
-        off could lock on to the wrong cycle of the ringing."""
-        bulk = [i for i, c in enumerate(self.search) if c.name.endswith("bulk_modulus") and c.log]
-        damping = [i for i, c in enumerate(self.search) if c.name.endswith("damping") and c.log]
-        if not bulk:
-            return
-        low, high = np.array([c.bounds for c in self.search]).T
-        shifts = np.linspace(max(-SCAN, max(low[bulk] - self.theta[bulk])), min(SCAN, min(high[bulk] - self.theta[bulk])), 11)
-        vectors = []
-        for shift in (0.0, *shifts):
-            for loss in (0.0, -1.4, 1.4) if damping else (0.0,):
-                theta = self.theta.copy()
-                theta[bulk] += shift
-                theta[damping] += loss
-                vectors.append(np.clip(theta, low + 1e-6, high - 1e-6))
+        """A coarse look over bulk modulus and damping together, then over each other positive parameter, on one log for each set
+        of cylinders asked: least squares from far off could lock on to the wrong cycle of the ringing."""
         first: dict[tuple[str, ...], int] = {}
         for i, log in enumerate(self.bench.logs):
             first.setdefault(log.asked, i)
         chosen = list(first.values())
-        costs = [sum(float(np.sum(p**2)) for p in self.scaled(parts, chosen)) for parts in self.residuals(vectors, chosen)]
-        self.theta = vectors[int(np.argmin(costs))]
+        bulk = [i for i, c in enumerate(self.search) if c.name.endswith("bulk_modulus") and c.log]
+        damping = [i for i, c in enumerate(self.search) if c.name.endswith("damping") and c.log]
+        low, high = np.array([c.bounds for c in self.search]).T
+        others = [[i] for i, c in enumerate(self.search) if c.log and i not in (*bulk, *damping)]
+        for group in [bulk, *others] if bulk else others:
+            ends = max(-SCAN, max(low[group] - self.theta[group])), min(SCAN, min(high[group] - self.theta[group]))
+            shifts = np.linspace(*ends, 11 if group is bulk else FINER)
+            vectors = []
+            for shift in (0.0, *shifts):
+                for loss in (0.0, -1.4, 1.4) if damping and group is bulk else (0.0,):
+                    theta = self.theta.copy()
+                    theta[group] += shift
+                    theta[damping] += loss
+                    vectors.append(np.clip(theta, low + 1e-6, high - 1e-6))
+            costs = [sum(float(np.sum(p**2)) for p in self.scaled(parts, chosen)) for parts in self.residuals(vectors, chosen)]
+            self.theta = vectors[int(np.argmin(costs))]
 
     def solve(self, tolerance: float) -> bool:
         """Move ``theta`` to the minimum over the free parameters; whether it converged."""
@@ -202,7 +204,7 @@ class OutputError:
         """Try parameters that have come near a bound exactly there: the solver only creeps towards it."""
         for i in list(self.free):
             low, high = self.search[i].bounds
-            near = 1e-9 if only_exact else NEAR * (high - low)
+            near = 1e-9 if only_exact else NEAR * self.search[i].reach
             for bound in (low, high):
                 if abs(self.theta[i] - bound) < near and i in self.free:
                     self.theta[i] = bound

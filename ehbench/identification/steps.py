@@ -14,6 +14,7 @@ import numpy as np
 
 from ehbench import units
 from ehbench.errors import InputError, InsufficientData, SimulationError
+from ehbench.intake import take_in
 from ehbench.quantities import quantity
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig, Value, Valve, parameter_row
@@ -34,7 +35,10 @@ SHOWN = ("q", "qd", "x", "v", "p_head", "p_rod")
 _STAND_INS = {"qd": "v", "v": "qd", "q": "x", "x": "q"}
 _RATE_OF = {"qd": "q", "v": "x"}
 
+WIDE = 1.0e3  # factor either way that a positive parameter without bounds is searched over
+
 Progress = Callable[[str, float], None]
+Where = Callable[..., Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -125,7 +129,7 @@ class HydraulicsFit:
 
 @dataclass(frozen=True)
 class Coordinate:
-    """How a parameter is searched: as its logarithm where it is surely positive, else as a share of its range."""
+    """How a parameter is searched: as its logarithm where it is surely positive, else in units of its range or of its start."""
 
     name: str
     log: bool
@@ -147,10 +151,16 @@ class Coordinate:
         return self.of(self.lower), self.of(self.upper)
 
     @property
+    def reach(self) -> float:
+        """How far a parameter may sensibly move, in its own units: between its bounds, or a few units if they are far apart."""
+        low, high = self.bounds
+        return min(high - low, 3.0)
+
+    @property
     def begin(self) -> float:
         """Where the search starts: inside the bounds, as the solver asks."""
         low, high = self.bounds
-        margin = 1e-3 * (high - low if math.isfinite(high - low) else 1.0)
+        margin = 1e-3 * self.reach
         return min(max(self.of(self.start), low + margin), high - margin)
 
     def spread(self, theta: float, std: float, quantile: float) -> tuple[float, tuple[float, float]]:
@@ -160,8 +170,13 @@ class Coordinate:
         return (value * std if self.log else self.unit * std), ends
 
 
-def _number(raw: str | float, name: str) -> float:
-    return units.parse(raw, parameter_row(name)) if isinstance(raw, str) else float(raw)
+def _number(raw: str | float, name: str, at: Mapping[str, Any]) -> float:
+    if not isinstance(raw, str):
+        return float(raw)
+    try:
+        return units.parse(raw, parameter_row(name))
+    except InputError as error:
+        raise type(error)(error.message, **at, hint=error.hint) from None
 
 
 def coordinates(
@@ -170,8 +185,12 @@ def coordinates(
     start: Mapping[str, str | float] | None = None,
     lower: Mapping[str, str | float] | None = None,
     upper: Mapping[str, str | float] | None = None,
+    where: Where = lambda *location: {},
 ) -> list[Coordinate]:
-    """The search coordinates of parameters; start and bounds as given (SI or text with unit), else the rig's, else plausible ones.
+    """The search coordinates of parameters; start and bounds as given (SI or text with unit), else the rig's, else some.
+
+    A positive start without any bound is searched as a logarithm, a factor `WIDE` either way. ``where`` gives file and line of
+    a recipe's key, for the errors.
 
     Raises:
         InputError: unknown or repeated parameter, a start outside its bounds, or a zero start without an upper bound.
@@ -180,33 +199,54 @@ def coordinates(
 
     known = rig.parameters()
     given = {"start": dict(start or {}), "lower": dict(lower or {}), "upper": dict(upper or {})}
-    for name in [*names, *(name for table in given.values() for name in table)]:
+    for key, name in [(key, name) for key, table in {"parameters": names, **given}.items() for name in table]:
+        at = where(key) if key == "parameters" else where(key, name)
         if name not in known:
             near = get_close_matches(name, known, 1)
-            raise InputError(f"rig '{rig.name}' has no parameter '{name}'", hint=f"nearest is '{near[0]}'" if near else None)
-    for key, table in given.items():
-        for name in table:
-            if name not in names:
-                raise InputError(f"{key} names '{name}', which is not among the parameters to fit", hint=", ".join(names))
+            hint = f"nearest is '{near[0]}'" if near else None
+            raise InputError(f"rig '{rig.name}' has no parameter '{name}'", **at, hint=hint)
+        if name not in names:
+            raise InputError(f"{key} names '{name}', which is not among the parameters to fit", **at, hint=", ".join(names))
     if not names or len(set(names)) < len(names):
-        raise InputError("the parameters to fit must be named, each once")
+        raise InputError("the parameters to fit must be named, each once", **where("parameters"))
     result = []
     for name in names:
         value, row = known[name], parameter_row(name)
-        first = _number(given["start"].get(name, float(value)), name)
-        low = _number(given["lower"].get(name, row.lower if value.lower is None else value.lower), name)
-        high = _number(given["upper"].get(name, row.upper if value.upper is None else value.upper), name)
+
+        def bound(key: str, own: float | None, name: str = name) -> float | None:
+            return _number(given[key][name], name, where(key, name)) if name in given[key] else own
+
+        first = _number(given["start"].get(name, float(value)), name, where("start", name))
+        low, high = bound("lower", value.lower), bound("upper", value.upper)
+        bounded = high is not None
+        if first > 0.0 and row.lower >= 0.0 and low is None and high is None:
+            low, high = max(row.lower, first / WIDE, _least(rig, name)), min(row.upper, first * WIDE)
+        low = max(row.lower, _least(rig, name)) if low is None else low
+        high = row.upper if high is None else high
         if not low < high:
-            raise InputError(f"{name}: the lower bound {low:g} is not below the upper bound {high:g} {row.unit}")
+            at = where("upper" if name in given["upper"] else "lower", name)
+            raise InputError(f"{name}: the lower bound {low:g} is not below the upper bound {high:g} {row.unit}", **at)
         if not low <= first <= high:
-            raise InputError(f"{name} starts at {first:g} {row.unit}, outside its bounds {low:g} to {high:g}")
+            at = where("start", name) if name in given["start"] else where("parameters")
+            raise InputError(f"{name} starts at {first:g} {row.unit}, outside its bounds {low:g} to {high:g}", **at)
         log = low > 0.0
-        bounded = name in given["upper"] or value.upper is not None
         unit = high - low if bounded and math.isfinite(high - low) else abs(first)
         if unit == 0.0:
-            raise InputError(f"{name} starts at zero and has no upper bound", hint="give it one, so that the search has a scale")
+            raise InputError(
+                f"{name} starts at zero and has no upper bound",
+                **where("start", name) if name in given["start"] else where("parameters"),
+                hint=f'give it one, so that the search has a scale: [upper] "{name}" = "… {row.display}"',
+            )
         result.append(Coordinate(name, log, 1.0 if log else unit, first, low, high))
     return result
+
+
+def _least(rig: Rig, name: str) -> float:
+    """A bound from the rig's geometry: the rod end holds oil over the whole stroke. Minus infinity where there is none."""
+    for cylinder in rig.cylinder:
+        if name == f"{cylinder.name}.volume_rod":
+            return 1.001 * cylinder.areas()[1] * float(cylinder.stroke)
+    return -math.inf
 
 
 @dataclass(frozen=True)
@@ -241,16 +281,23 @@ def least_change(valve: Valve) -> float:
     return MOVED * (float(valve.command_max) - float(valve.command_min))
 
 
-def prepare(rig: Rig, record: Record, name: str, wanted: Sequence[str]) -> Log:
-    """Choose the channels: the wanted ones of every cylinder that is asked to move or moves.
+def payload_of(record: Record) -> str | None:
+    """The payload that a log says was carried, None for none."""
+    said = record.meta.get("payload", "none")
+    return None if said in ("", "none") else said
+
+
+def prepare(model: Model, record: Record, name: str, wanted: Sequence[str]) -> Log:
+    """Take a log in (`intake.take_in`) for a model that carries its payload, and choose the channels: the wanted ones of every
+    cylinder that is asked to move or moves.
 
     Raises:
-        InputError: an unknown payload, a sample that is no number, or no channel to compare.
+        InputError: a log that is not of this rig, or not in the units it says; no channel to compare.
         InsufficientData: no command changes.
     """
-    said = record.meta.get("payload", "none")
-    payload = None if said in ("", "none") else said
-    rig.with_payload(payload)
+    rig = model.rig
+    record, told = take_in(name, record, model)
+    warnings = [f"{name}: {text}" for text in told]
     asked, live = [], []
     for cylinder in rig.cylinder:
         valves = {f"{cylinder.name}.{valve.name}.command": least_change(valve) for valve in cylinder.valve}
@@ -264,11 +311,6 @@ def prepare(rig: Rig, record: Record, name: str, wanted: Sequence[str]) -> Log:
             live.append(cylinder.name)
     if not asked:
         raise InsufficientData(f"{name}: no valve command of rig '{rig.name}' changes, so the log shows no response to one")
-    for channel, values in record.channels.items():
-        if not np.isfinite(values).all():
-            raise InputError(
-                f"{name}: channel '{channel}' is not a number at t = {record.t[int(np.argmin(np.isfinite(values)))]:g} s"
-            )
     columns: dict[str, np.ndarray] = {}
     for word in wanted:
         for channel in [word] if "." in word else [f"{cylinder}.{word}" for cylinder in live]:
@@ -284,26 +326,26 @@ def prepare(rig: Rig, record: Record, name: str, wanted: Sequence[str]) -> Log:
             f"{name}: of {', '.join(live)} the log has none of {', '.join(wanted)} that changes",
             hint="it has " + ", ".join(record.channels),
         )
-    counts, told = np.ones((record.t.size, len(columns)), dtype=bool), []
+    counts = np.ones((record.t.size, len(columns)), dtype=bool)
     for cylinder in rig.cylinder:
         void = _cavitates(rig, cylinder, record)
         own = [i for i, channel in enumerate(columns) if channel.startswith(cylinder.name + ".")]
         if own and void.any():
             counts[np.ix_(void, own)] = False
-            told.append(
+            warnings.append(
                 f"{name}: {cylinder.name} cavitates at {record.t[int(np.argmax(void))]:.3g} s, which the model has only as a floor of"
                 f" pressure; {100 * np.mean(void):.0f} % of its samples do not count"
             )
     return Log(
         name,
         record,
-        payload,
+        payload_of(record),
         tuple(asked),
         tuple(live),
         tuple(columns),
         np.column_stack(list(columns.values())),
         counts,
-        tuple(told),
+        tuple(warnings),
     )
 
 
@@ -382,7 +424,11 @@ def finish(
     iterations: int,
     cutoff: float | None = None,
 ) -> HydraulicsFit:
-    """The result: the rig with its new values, and how each log fits at them."""
+    """The result: the rig with its new values, and how each log fits at them.
+
+    Raises:
+        InsufficientData: the fitted model follows no channel of any log better than its mean.
+    """
     told, count = [text for log in bench.logs for text in log.warnings] + list(warnings), len(bench.logs)
     for one in fitted:
         if one.status == "not_excited":
@@ -421,10 +467,29 @@ def finish(
                 | {f"simulated.{channel}": replayed[channel] for channel in shown},
             )
         )
+    told = _poor(logs) + told
     return HydraulicsFit(
         rig, method, tuple(fitted), tuple(names), tuple(tuple(map(float, row)) for row in correlation), tuple(logs), tuple(matches),
         dict(scales), tuple(told), bench.evaluations, iterations, tuple(recordings),
     )  # fmt: skip
+
+
+def _poor(logs: Sequence[LogFit]) -> list[str]:
+    """A loud warning of the channels that are followed worse than by their mean; refuses a fit that has nothing else."""
+    fits = {f"{log.name}: {channel}": value for log in logs for channel, value in log.fit_percent.items() if math.isfinite(value)}
+    poor = {name: value for name, value in fits.items() if value < 0.0}
+    if not poor:
+        return []
+    some = ", ".join(f"{name} {value:.0f} %" for name, value in sorted(poor.items(), key=lambda item: item[1])[:4])
+    if len(poor) == len(fits):
+        raise InsufficientData(
+            f"the fitted model follows no channel of any log better than its mean would ({some})",
+            hint="is it this rig's log, with the right payload, units, commands and flow maps?",
+        )
+    return [
+        f"THE FITTED MODEL DOES NOT FOLLOW {len(poor)} OF {len(fits)} CHANNELS (worse than their mean): {some}; "
+        "do not trust its numbers"
+    ]
 
 
 def _late(log: Log, simulated: np.ndarray) -> list[str]:

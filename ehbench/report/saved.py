@@ -65,6 +65,9 @@ class Table(Mapping):
             return [self._wrap(item, f"{name}[{i}]") for i, item in enumerate(value)]
         return value
 
+    def __contains__(self, key: object) -> bool:
+        return key in self._values
+
     def __iter__(self):
         return iter(self._values)
 

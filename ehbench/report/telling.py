@@ -52,6 +52,11 @@ def range_of(rig: Rig, name: str, ends: Sequence[float | None] | None) -> str:
     return interval(*(None if v is None else float(shown(rig, name, v)) for v in (ends or (None, None))))
 
 
+def capital(text: str) -> str:
+    """A text that begins a sentence."""
+    return text[:1].upper() + text[1:]
+
+
 def span(values: Sequence[float], digits: int = 3) -> str:
     """``0.45 to 0.71``: from the least to the largest of some values."""
     low, high = number(min(values), digits), number(max(values), digits)

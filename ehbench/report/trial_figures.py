@@ -14,6 +14,7 @@ from ehbench.record import Record
 from ehbench.report import energy_figures, series_figures
 from ehbench.report.saved import Saved, Table
 from ehbench.report.style import ACCENT, CYCLE, INK, MARKS, MUTED, RECORDED, SIMULATED, canvas, thin
+from ehbench.report.telling import capital
 from ehbench.report.tuning_figures import load_name, measure
 from ehbench.report.words import axis, number, shown, words
 from ehbench.rig import Rig, Slide
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
 
 # by the numbers that a log holds; a test keeps both lists those of `ehbench.control`
 FUNCTIONS = (
-    "hold", "extend resistive", "extend overrunning", "extend overrunning regeneration", "retract resistive", "retract overrunning",
+    "hold", "extend resistive", "extend overrunning", "extend overrunning regeneration", "retract resistive",
+    "retract overrunning",
     "retract overrunning regeneration", "extend resistive regeneration",
 )  # fmt: skip
 LIMITS = {1: "saturated", 2: "against", 4: "reversed", 8: "faint", 16: "outside"}
@@ -82,7 +84,8 @@ def cases_of(run: Saved) -> list[Case]:
     if run.stage == "trials":
         rows = run.json("table.json")["rows"]
         return [
-            Case(row, Path(row["log"]).stem, run.folder / row["log"], run.folder / "ledgers" / f"{Path(row['log']).stem}.json") for row in rows
+            Case(row, Path(row["log"]).stem, run.folder / row["log"], run.folder / "ledgers" / f"{Path(row['log']).stem}.json")
+            for row in rows
         ]
     path = run.folder / "trial.json"
     facts = read_json(path)
@@ -109,10 +112,18 @@ def draw_trial(run: Saved, album: Album) -> bool:
     _alone(run, album, cases[0], record, "")
     for cylinder, channels in series_figures.live(run.rig, record).items():
         if cylinder != cases[0].cylinder:
-            path = album.add(f"trial_{cylinder}", f"{run.title}: {cylinder}", "Commands, motion and pressures.", kind="trial", cylinder=cylinder)
+            path = album.add(
+                f"trial_{cylinder}",
+                f"{run.title}: {cylinder}",
+                "Commands, motion and pressures.",
+                kind="trial",
+                cylinder=cylinder,
+            )
             series_figures.trial(path, run.rig, record, cylinder, channels)
     if (ledger := cases[0].energy()) is not None:
-        energy_figures.sankey(album.add("sankey", f"Where the energy went: {run.title}", sankey_said(ledger), kind="sankey"), ledger)
+        energy_figures.sankey(
+            album.add("sankey", f"Where the energy went: {run.title}", sankey_said(ledger), kind="sankey"), ledger
+        )
     return True
 
 
@@ -134,16 +145,20 @@ def draw_trials(run: Saved, album: Album) -> None:
         _alone(run, album, case, case.record(), f"{case.row['case']}, on the {case.row['on']}")
         if (ledger := case.energy()) is not None:
             title = f"Where the energy went: {case.row['case']}, on the {case.row['on']}"
-            energy_figures.sankey(album.add(f"sankey_{case.stem}", title, sankey_said(ledger), kind="sankey", case=case.row["case"]), ledger)
+            energy_figures.sankey(
+                album.add(f"sankey_{case.stem}", title, sankey_said(ledger), kind="sankey", case=case.row["case"]), ledger
+            )
 
 
 def _alone(run: Saved, album: Album, case: Case, record: Record, name: str) -> None:
-    """The figure of one trial, and that of its estimates if its controller learns."""
+    """The figure of one trial, and that of its estimates if they changed."""
     rig, about = run.rig, {"case": case.row["case"], "cylinder": case.cylinder}
     title = name or f"{run.title}: {case.cylinder}"
     controlled(album.add(f"trial_{case.stem}", title, case_said(rig, case), kind="trial", **about), rig, case, record)
-    if any(f"{case.cylinder}.{word}" in record for word in ESTIMATES):
-        path = album.add(f"estimates_{case.stem}", f"Estimates: {title}", estimates_said(rig, case, record), kind="estimates", **about)
+    if any(name in record and np.ptp(record[name]) > 0.0 for name in (f"{case.cylinder}.{word}" for word in ESTIMATES)):
+        path = album.add(
+            f"estimates_{case.stem}", f"Estimates: {title}", estimates_said(rig, case, record), kind="estimates", **about
+        )
         estimates(path, rig, case, record)
 
 
@@ -172,14 +187,17 @@ def step_said(rig: Rig, one: Table) -> str:
     """What came of a step, with what could not be read off."""
     share = f" ({percent(one['share'], 3)})" if one.get("share") is not None else ""
     said = [
-        f"asked for {measure(rig, 'v', one['speed'])}{share}, steady at {measure(rig, 'v', one['steady_speed'])} ({percent(one['steady_error'])})",
+        f"asked for {measure(rig, 'v', one['speed'])}{share}",
+        f"steady at {measure(rig, 'v', one['steady_speed'])} ({percent(one['steady_error'])})",
         "overshoot not to be told" if one.get("overshoot") is None else f"overshoot {percent(one['overshoot'])}",
         "not settled" if one.get("settling_time") is None else f"settled after {number(one['settling_time'], 2)} s",
     ]
     if one.get("damping_ratio") is None:
         said.append(_no_ratio(one))
     else:
-        said.append(f"damping ratio {number(one['damping_ratio'], 2)} at {measure(rig, 'natural_frequency', one['natural_frequency'], 2)}")
+        said.append(
+            f"damping ratio {number(one['damping_ratio'], 2)} at {measure(rig, 'natural_frequency', one['natural_frequency'], 2)}"
+        )
     return ", ".join(said)
 
 
@@ -195,14 +213,17 @@ def tracking_said(rig: Rig, row: Table) -> str:
 def limits_said(row: Table) -> str:
     """Share of the time that edges were at each limit; nothing where they never were."""
     met = {name: share for name, share in row.get("limits", {}).items() if share > 0.0}
-    return "; at a limit: " + ", ".join(f"{words(name)} {percent(share)} of the time" for name, share in met.items()) if met else ""
+    return (
+        "; at a limit: " + ", ".join(f"{words(name)} {percent(share)} of the time" for name, share in met.items()) if met else ""
+    )
 
 
 def case_said(rig: Rig, case: Case) -> str:
     """What one trial came to."""
     row = case.row
     steps = "; ".join(step_said(rig, one) for one in case.steps) if case.steps else tracking_said(rig, row)
-    text = f"{load_name(row['payload'])}, {words(row['controller'])}, on the {row['on']}: {steps}; the pump gave {measure(rig, 'energy', row['energy']['pump'], 4)}"
+    text = f"{load_name(row['payload'])}, {words(row['controller'])}, on the {row['on']}: {steps}"
+    text += f"; the pump gave {measure(rig, 'energy', row['energy']['pump'], 4)}"
     stopped = f". Stopped: {row['stopped']}" if row.get("stopped") else ""
     return _sentence(text + limits_said(row) + stopped)
 
@@ -216,7 +237,7 @@ def compared_said(rig: Rig, mine: Sequence[Case]) -> str:
         else:
             text = tracking_said(rig, case.row)
         said.append(f"{words(case.row['controller'])}: {text}")
-    return _sentence(". ".join(_first(text) for text in said)) + _best(mine)
+    return _sentence(". ".join(capital(text) for text in said)) + _best(mine)
 
 
 def _step_in_short(one: Table) -> str:
@@ -235,7 +256,11 @@ def _no_ratio(one: Table) -> str:
 def _best(mine: Sequence[Case]) -> str:
     """Which controller does best and which worst by one number, where they differ."""
     if mine[0].steps:
-        found = [(max(values), case.row["controller"]) for case in mine if (values := [s["overshoot"] for s in case.steps if s.get("overshoot") is not None])]
+        found = [
+            (max(values), case.row["controller"])
+            for case in mine
+            if (values := [s["overshoot"] for s in case.steps if s.get("overshoot") is not None])
+        ]
         what, show = "overshoot", percent
     else:
         found = [(case.row["tracking"]["max_error"], case.row["controller"]) for case in mine]
@@ -245,7 +270,9 @@ def _best(mine: Sequence[Case]) -> str:
     (low, best), (high, worst) = min(found), max(found)
     if show is not None:
         return f" Least {what}: {words(best)}; most: {words(worst)}."
-    return f" Least {what}: {words(best)}; most: {words(worst)}" + (f", {number(high / low, 3)} times as much." if low > 0.0 else ".")
+    return f" Least {what}: {words(best)}; most: {words(worst)}" + (
+        f", {number(high / low, 3)} times as much." if low > 0.0 else "."
+    )
 
 
 def energy_said(rig: Rig, mine: Sequence[Case]) -> str:
@@ -257,12 +284,14 @@ def energy_said(rig: Rig, mine: Sequence[Case]) -> str:
         return f"{words(case.row['controller'])}{verb} {measure(rig, 'energy', energy, 4)} (ended {off} from the desired stroke)"
 
     for payload in dict.fromkeys(case.row["payload"] for case in mine):
-        found = sorted(((case.row["energy"]["pump"], case) for case in mine if case.row["payload"] == payload), key=lambda pair: pair[0])
+        found = sorted(
+            ((case.row["energy"]["pump"], case) for case in mine if case.row["payload"] == payload), key=lambda pair: pair[0]
+        )
         (low, least), (high, most) = found[0], found[-1]
         text = f"{load_name(payload)}: {one(low, least, ' takes')}"
         if len(found) > 1 and high > 0.0:
             text += f", {percent(1.0 - low / high)} less than {one(high, most, ' with')}"
-        said.append(_first(text))
+        said.append(capital(text))
     kinds = list(dict.fromkeys(case.row["energy"]["source"] for case in mine))
     return "From the pump. " + ". ".join(said) + ". Source: " + "; ".join(kinds) + "."
 
@@ -288,17 +317,14 @@ def sankey_said(ledger: Table) -> str:
     return f"From {kind}" + ("." if share is None else f"; {percent(share)} of the pump's energy is not accounted for.")
 
 
-def _first(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
 def _sentence(text: str) -> str:
-    return _first(text).rstrip(".") + "."
+    return capital(text).rstrip(".") + "."
 
 
 def payload_at_end(rig: Rig, payload: str) -> float | None:
-    """Mass [kg] at the end of the last link with the moment that a payload adds about the last joint, ``(m'(a + r') − m(a + r))/a``.
+    """Mass [kg] at the end of the last link with the moment that a payload adds about the last joint.
 
+    ``(m'(a + r') − m(a + r))/a``, r along the link from its end to the centre of mass.
     On a slide the added mass. None without a payload, or where it changes another link than the last.
     """
     changes = rig.payload.get(payload, {})
@@ -355,7 +381,9 @@ def _strip(ax, cases: Sequence[tuple[str, Case, Record]], limits: bool) -> list:
             bits = record[flags].round().astype(int)
             for bit, word in LIMITS.items():
                 if (bits & bit).any():
-                    ax.broken_barh(_runs(t, bits & bit > 0, least), (len(rows) - 0.3, 0.6), facecolors=_LIMIT_SHADES[bit], linewidth=0)
+                    ax.broken_barh(
+                        _runs(t, bits & bit > 0, least), (len(rows) - 0.3, 0.6), facecolors=_LIMIT_SHADES[bit], linewidth=0
+                    )
                     rows.append(word)
     ax.set_ylim(len(rows) - 0.5, -0.5)
     ax.set_yticks(range(len(rows)), rows, fontsize=7.5)
@@ -380,7 +408,15 @@ def _saturated(ax, record: Record, cylinder: str) -> bool:
     mask = record[name].round().astype(int) & 1 > 0
     if mask.any():
         span = float(record.t[-1] - record.t[0])
-        ax.broken_barh(_runs(record.t, mask, span / _RUNS), (0, 1), transform=ax.get_xaxis_transform(), facecolors=ACCENT, alpha=0.13, linewidth=0, zorder=0)
+        ax.broken_barh(
+            _runs(record.t, mask, span / _RUNS),
+            (0, 1),
+            transform=ax.get_xaxis_transform(),
+            facecolors=ACCENT,
+            alpha=0.13,
+            linewidth=0,
+            zorder=0,
+        )
     return bool(mask.any())
 
 
@@ -394,7 +430,16 @@ def _commands(ax, rig: Rig, record: Record, cylinder: str) -> None:
     for index, name in enumerate(names):
         if np.ptp(record[name]) > 0.0:
             short = name.removeprefix(f"{cylinder}.").removesuffix(".command")
-            _plot(ax, rig, record, name, color=CYCLE[index % len(CYCLE)], linestyle=MARKS[index % len(MARKS)], linewidth=1.1, label=short)
+            _plot(
+                ax,
+                rig,
+                record,
+                name,
+                color=CYCLE[index % len(CYCLE)],
+                linestyle=MARKS[index % len(MARKS)],
+                linewidth=1.1,
+                label=short,
+            )
     ax.margins(y=0.08)
 
 
@@ -414,15 +459,25 @@ def controlled(path: Path, rig: Rig, case: Case, record: Record) -> None:
         for word, text in (("x", "Stroke"), ("v", "Cylinder speed")):
             ax = places[word]
             _plot(ax, rig, record, f"{own}.{word}", color=RECORDED, linewidth=1.2, label="actual")
-            _plot(ax, rig, record, f"{own}.{word}_desired", color=SIMULATED, linewidth=1.5, linestyle=(0, (4, 1.6)), label="desired")
-            if word == "v" and f"{own}.v_shaped" in record and not np.array_equal(record[f"{own}.v_shaped"], record[f"{own}.v_desired"]):
+            _plot(
+                ax, rig, record, f"{own}.{word}_desired", color=SIMULATED, linewidth=1.5, linestyle=(0, (4, 1.6)), label="desired"
+            )
+            if (
+                word == "v"
+                and f"{own}.v_shaped" in record
+                and not np.array_equal(record[f"{own}.v_shaped"], record[f"{own}.v_desired"])
+            ):
                 _plot(ax, rig, record, f"{own}.v_shaped", color=MUTED, linewidth=1.0, linestyle=":", label="shaped")
             ax.set_title(axis(rig, word, text))
             ax.margins(y=0.08)
             _beside(ax)
         if "error" in places:
             ax = places["error"]
-            ax.plot(*thin(record.t, np.asarray(shown(rig, "x", record[f"{own}.x"] - record[f"{own}.x_desired"])), _BUCKETS), color=RECORDED, linewidth=1.0)
+            ax.plot(
+                *thin(record.t, np.asarray(shown(rig, "x", record[f"{own}.x"] - record[f"{own}.x_desired"])), _BUCKETS),
+                color=RECORDED,
+                linewidth=1.0,
+            )
             ax.axhline(0.0, color=MUTED, linewidth=0.7)
             ax.set_title(axis(rig, "x", "Tracking error, actual minus desired"))
         _pressures(places["pressure"], rig, record, own)
@@ -457,7 +512,9 @@ def _stop_line(axes: Sequence[Any], record: Record) -> None:
     if "stopped" in record.meta and (t := series_figures.stop_time(record)) is not None:
         for ax in axes:
             ax.axvline(t, color=ACCENT, linewidth=1.1, linestyle=(0, (2, 2)))
-        axes[0].annotate("stopped", (t, 1.0), (0, 3), ("data", "axes fraction"), "offset points", color=ACCENT, fontsize=8, ha="center")
+        axes[0].annotate(
+            "stopped", (t, 1.0), (0, 3), ("data", "axes fraction"), "offset points", color=ACCENT, fontsize=8, ha="center"
+        )
 
 
 def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
@@ -471,7 +528,7 @@ def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
         for place, (ax, word) in enumerate(zip(axes.flat, words_of, strict=False)):
             _plot(ax, rig, record, f"{own}.{word}", color=RECORDED, linewidth=1.4)
             low, high = ax.get_ylim()
-            title = axis(rig, word, _first(words(word)))
+            title = axis(rig, word, capital(words(word)))
             marks = [("rig file", payload_at_end(rig, case.row["payload"]), CYCLE[2])] if word == "payload_estimate" else []
             if word in bounds:
                 ends = [float(shown(rig, word, end)) for end in bounds[word]]
@@ -484,8 +541,9 @@ def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
                 if text == "rig file" or low - (high - low) < y < high + (high - low):
                     ax.axhline(y, color=colour, linewidth=1.1, linestyle=(0, (5, 3)))
                     below = text == "bound" and y > 0.5 * (low + high)
-                    ax.annotate(text, (1.0, y), (-3, -3 if below else 3), ("axes fraction", "data"), "offset points", color=colour, fontsize=7.5,
-                                ha="right", va="top" if below else "bottom")  # fmt: skip
+                    off, side = (-3, -3 if below else 3), "top" if below else "bottom"
+                    look = {"color": colour, "fontsize": 7.5, "ha": "right", "va": side}
+                    ax.annotate(text, (1.0, y), off, ("axes fraction", "data"), "offset points", **look)
             ax.margins(y=0.15)
             ax.set_title(title, fontsize=8.5)
             if place + 2 >= len(words_of):
@@ -498,12 +556,17 @@ def compare(path: Path, rig: Rig, cases: Sequence[tuple[str, Case, Record]]) -> 
     from matplotlib.lines import Line2D
 
     own, steps = cases[0][1].cylinder, bool(cases[0][1].steps)
-    looks = [{"color": CYCLE[i % len(CYCLE)], "linestyle": MARKS[i // len(CYCLE) % len(MARKS)], "linewidth": 1.2} for i in range(len(cases))]
+    looks = [
+        {"color": CYCLE[i % len(CYCLE)], "linestyle": MARKS[i // len(CYCLE) % len(MARKS)], "linewidth": 1.2}
+        for i in range(len(cases))
+    ]
     strip = any(f"{own}.function" in record for _, _, record in cases)
     top = ["v", "x"] if steps else ["error", "v"]
     panels = [*top, "p_head", "p_rod", *(["strip"] if strip else [])]
     commands = len(cases) <= MANY
-    heights = [1.7 if panel == top[0] else 0.2 * len(cases) + 0.12 if panel == "strip" else 1.0 for panel in panels] + [1.1] * commands
+    heights = [1.7 if panel == top[0] else 0.2 * len(cases) + 0.12 if panel == "strip" else 1.0 for panel in panels] + [
+        1.1
+    ] * commands
     columns = len(cases) if commands else 1
     tall = 1.15 * sum(heights) + 0.3 * len(heights) + 0.6
     with canvas(path, len(heights), columns, (7.4, tall), squeeze=False, height_ratios=heights) as (figure, axes):
@@ -542,7 +605,9 @@ def compare(path: Path, rig: Rig, cases: Sequence[tuple[str, Case, Record]]) -> 
             axes[-1, 0].set_ylabel(axis(rig, "command", "commands"))
             labelled = {label: handle for ax in axes[-1] for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
             if labelled:
-                axes[-1, -1].legend(labelled.values(), labelled.keys(), loc="center left", bbox_to_anchor=(1.01, 0.5), handlelength=1.8)
+                axes[-1, -1].legend(
+                    labelled.values(), labelled.keys(), loc="center left", bbox_to_anchor=(1.01, 0.5), handlelength=1.8
+                )
         lines = [Line2D([], [], **look, label=words(name)) for (name, _, _), look in zip(cases, looks, strict=True)]
         lines.append(Line2D([], [], color=INK, linewidth=1.1, linestyle=(0, (4, 2)), label="desired"))
         figure.legend(handles=lines, loc="outside upper center", ncols=min(len(lines), 4))
@@ -561,14 +626,18 @@ def _errors(ax, rig: Rig, cases: Sequence[tuple[str, Case, Record]], looks: Sequ
     for (t, error), look in zip(found, looks, strict=True):
         if far:
             cut = np.arange(0, t.size, max(1, round(WINDOW / float(t[1] - t[0]))))
-            ax.semilogy(t[cut], np.maximum(np.maximum.reduceat(np.abs(error), cut), 1e-3 * min(most)), drawstyle="steps-post", **look)
+            ax.semilogy(
+                t[cut], np.maximum(np.maximum.reduceat(np.abs(error), cut), 1e-3 * min(most)), drawstyle="steps-post", **look
+            )
         else:
             ax.plot(*thin(t, error, _BUCKETS), **look)
     if far:
         ax.yaxis.set_major_formatter(lambda tick, _: number(tick))
     else:
         ax.axhline(0.0, color=MUTED, linewidth=0.7)
-    ax.set_title(axis(rig, "x", f"Tracking error, largest in every {number(WINDOW)} s" if far else "Tracking error, actual minus desired"))
+    ax.set_title(
+        axis(rig, "x", f"Tracking error, largest in every {number(WINDOW)} s" if far else "Tracking error, actual minus desired")
+    )
 
 
 def pump_energies(path: Path, rig: Rig, mine: Sequence[Case], names: Sequence[str]) -> None:

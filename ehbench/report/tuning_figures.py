@@ -60,8 +60,9 @@ def draw_tuning(run: Saved, album: Album) -> None:
         ("equivalent_mass", "mass", "mass", "Equivalent mass"),
         ("equivalent_gravity", "gravity_force", "force", "Equivalent gravity force"),
     ):
+        unit = pretty(unit_of(rig, quantity))
         said = "; ".join(
-            f"{load_name(one['payload'])}: {span([float(shown(rig, quantity, v)) for v in one[name]])} {pretty(unit_of(rig, quantity))}"
+            f"{load_name(one['payload'])}: {span([float(shown(rig, quantity, v)) for v in one[name]])} {unit}"
             for one in tuning["equivalents"]
         )
         caption = f"{text} of the {cylinder} at its cylinder over the stroke, other joints held; dots: operating points. {said}."
@@ -76,7 +77,11 @@ def draw_tuning(run: Saved, album: Album) -> None:
             ("feedback_gain", "locus", "Root locus over the feedback gain"),
             ("washout", "locus_washout", "Root locus over the washout corner"),
         ):
-            mine = [one for one in tuning["loci"] if one["parameter"] == parameter and by_name[one["name"]]["point"]["function"] == function]
+            mine = [
+                one
+                for one in tuning["loci"]
+                if one["parameter"] == parameter and by_name[one["name"]]["point"]["function"] == function
+            ]
             if mine:
                 caption = _locus_said(rig, mine, by_name, counts == "yes")
                 path = album.add(f"{lead}_{function}", f"{text}: {cylinder}, {words(function)}", caption, kind="locus", **about)
@@ -100,9 +105,10 @@ def _damping_said(rig: Rig, tuning: Table) -> str:
     points = counted(tuning)
     least = min(points, key=lambda one: one["damping_ratio_closed"])
     return (
-        f"Least damping ratio of all poles over the feedback gain, a line an operating point; black: the worst of the {len(points)} that count"
+        f"Least damping ratio of all poles, a line an operating point; black: the worst of the {len(points)} that count"
         + ("; dotted: points that no load calls for. " if len(points) < len(tuning["points"]) else ". ")
-        + f"At K_p = {chosen} the worst is {number(tuning['damping_ratio'], 2)} ({point_name(rig, least['point'])}); without feedback "
+        + f"At K_p = {chosen} the worst is {number(tuning['damping_ratio'], 2)} ({point_name(rig, least['point'])}); "
+        "without feedback "
         f"{span([tuning['damping_ratio_open'], tuning['damping_ratio_open_most']], 2)}."
     )
 
@@ -117,7 +123,9 @@ def point_name(rig: Rig, point: Table) -> str:
 
 
 def _locus_said(rig: Rig, mine: Sequence[Table], by_name: dict[str, Table], counts: bool) -> str:
-    lead = "At the least damped operating point of each payload. Dark: up to the chosen value; pale: beyond; × at zero, ● at the choice. "
+    lead = (
+        "At the least damped operating point of each payload. Dark: up to the choice; pale: beyond; × at zero, ● at the choice. "
+    )
     if not counts:
         lead = "No load calls for this function here; shown, not counted. " + lead
     said = []
@@ -125,15 +133,16 @@ def _locus_said(rig: Rig, mine: Sequence[Table], by_name: dict[str, Table], coun
         result, load = by_name[one["name"]], load_name(by_name[one["name"]]["point"]["payload"])
         if one["parameter"] == "feedback_gain":
             text = (
-                f"{load}: damping ratio {number(result['damping_ratio_open'], 2)} without feedback, {number(result['damping_ratio_closed'], 2)} "
-                f"at K_p = {measure(rig, 'feedback_gain', one['chosen'])}"
+                f"{load}: damping ratio {number(result['damping_ratio_open'], 2)} without feedback, "
+                f"{number(result['damping_ratio_closed'], 2)} at K_p = {measure(rig, 'feedback_gain', one['chosen'])}"
             )
             if one.get("crossing") is not None:
                 text += f", unstable above {number(one['crossing'] / one['chosen'], 3)} times that"
             else:
                 text += ", stable over the whole range looked at"
         else:
-            text = f"{load}: corner chosen at {measure(rig, 'washout', one['chosen'])}, damping ratio {number(result['damping_ratio_closed'], 2)}"
+            text = f"{load}: corner chosen at {measure(rig, 'washout', one['chosen'])}"
+            text += f", damping ratio {number(result['damping_ratio_closed'], 2)}"
             plain = result.get("damping_ratio_plain")
             text += f" (without a washout {number(plain, 2)})" if plain is not None else ""
         said.append(text)
@@ -153,10 +162,15 @@ def _steps_said(mine: Sequence[Table], by_name: dict[str, Table]) -> str:
         ends = [overshoot_of(one[key]) for key in ("v_open", "v_closed")]
         shares = [number(None if end is None else 100.0 * end, 2) for end in ends]
         said.append(
-            f"{load_name(result['point']['payload'])}: overshoot over the last value {shares[0]} % without feedback, {shares[1]} % with; "
+            f"{load_name(result['point']['payload'])}: overshoot over the last value {shares[0]} % without feedback, "
+            f"{shares[1]} % with; "
             f"damping ratio {number(result['damping_ratio_open'], 2)} and {number(result['damping_ratio_closed'], 2)}"
         )
-    return "Linear model at the least damped operating point: speed after a step of desired speed, as a share of it. " + "; ".join(said) + "."
+    return (
+        "Linear model at the least damped operating point: speed after a step of desired speed, as a share of it. "
+        + "; ".join(said)
+        + "."
+    )
 
 
 def draws_said(tuning: Table) -> str:
@@ -164,8 +178,9 @@ def draws_said(tuning: Table) -> str:
     found = tuning["robustness"]
     low, _, high = found["quantiles"]
     return (
-        f"{number(100.0 * found['share'], 3)} % of {found['draws']} draws of {count(len(found['parameters']), 'identified parameter')} reach a damping "
-        f"ratio of {number(tuning['target'], 2)} at the {found['points']} least damped operating points; 90 % of them lie from "
+        f"{number(100.0 * found['share'], 3)} % of {found['draws']} draws of "
+        f"{count(len(found['parameters']), 'identified parameter')} reach a damping ratio of {number(tuning['target'], 2)} "
+        f"at the {found['points']} least damped operating points; 90 % of them lie from "
         f"{number(low, 2)} to {number(high, 2)}."
     )
 
@@ -179,7 +194,13 @@ def equivalents(path: Path, rig: Rig, tuning: Table, name: str, quantity: str, t
         for index, one in enumerate(tuning["equivalents"]):
             x, y = (np.array(one[key], float) for key in ("x", name))
             colour = CYCLE[index % len(CYCLE)]
-            ax.plot(shown(rig, "x", x), shown(rig, quantity, y), color=colour, linestyle=MARKS[index % len(MARKS)], label=load_name(one["payload"]))
+            ax.plot(
+                shown(rig, "x", x),
+                shown(rig, quantity, y),
+                color=colour,
+                linestyle=MARKS[index % len(MARKS)],
+                label=load_name(one["payload"]),
+            )
             at = np.unique([p["point"]["x"] for p in tuning["points"] if p["point"]["payload"] == one["payload"]])
             ax.plot(shown(rig, "x", at), shown(rig, quantity, np.interp(at, x, y)), "o", markersize=4, color=colour)
         ax.set_xlabel(axis(rig, "x", "stroke"))
@@ -223,11 +244,15 @@ def damping_over_gain(path: Path, rig: Rig, tuning: Table) -> None:
         for one in points:
             y = np.array(one["curve"], float)
             y[1:][(y[1:] < low) & (y[:-1] < low)] = np.nan  # beyond the frame
-            look = {"linewidth": 0.7, "alpha": 0.55} if one["counts"] else {"linewidth": 0.8, "alpha": 0.5, "linestyle": (0, (1, 2))}
+            look = (
+                {"linewidth": 0.7, "alpha": 0.55} if one["counts"] else {"linewidth": 0.8, "alpha": 0.5, "linestyle": (0, (1, 2))}
+            )
             ax.plot(x[kept], y[kept], color=colours[one["point"]["function"]], **look)
         ax.plot(x[kept], np.array(tuning["worst_curve"], float)[kept], color="#111827", linewidth=2.0)
         ax.axhline(tuning["target"], color=MUTED, linewidth=1.0, linestyle=(0, (5, 3)))
-        ax.annotate("target", (0.0, tuning["target"]), (4, 3), ("axes fraction", "data"), "offset points", color=MUTED, fontsize=8)
+        ax.annotate(
+            "target", (0.0, tuning["target"]), (4, 3), ("axes fraction", "data"), "offset points", color=MUTED, fontsize=8
+        )
         ax.axhspan(low, 0.0, color=ACCENT, alpha=0.07, linewidth=0)
         ax.annotate("unstable", (0.0, low), (4, 3), ("axes fraction", "data"), "offset points", color=ACCENT, fontsize=8)
         for gain in sorted(set(chosen.values())):
@@ -237,7 +262,16 @@ def damping_over_gain(path: Path, rig: Rig, tuning: Table) -> None:
             ax.axvline(at, color=colour, linewidth=0.9, linestyle=(0, (2, 2)))
             if mine:
                 least = min(one["damping_ratio_closed"] for one in mine)
-                ax.plot([at], [least], "o", markersize=6.5, markerfacecolor="white", markeredgecolor=colour, markeredgewidth=1.6, zorder=6)
+                ax.plot(
+                    [at],
+                    [least],
+                    "o",
+                    markersize=6.5,
+                    markerfacecolor="white",
+                    markeredgecolor=colour,
+                    markeredgewidth=1.6,
+                    zorder=6,
+                )
         ax.set_xscale("log")
         ax.xaxis.set_major_formatter(lambda tick, _: number(tick))
         ax.set_xlim(x[kept][0], x[kept][-1])
@@ -246,11 +280,27 @@ def damping_over_gain(path: Path, rig: Rig, tuning: Table) -> None:
         ax.set_ylabel("damping ratio of the least damped pole")
         handles = [Line2D([], [], color="#111827", linewidth=2.0, label="worst that counts")]
         handles.append(
-            Line2D([], [], color="#111827", marker="o", markersize=6, markerfacecolor="white", linestyle=(0, (2, 2)), linewidth=0.9, label="choice")
+            Line2D(
+                [],
+                [],
+                color="#111827",
+                marker="o",
+                markersize=6,
+                markerfacecolor="white",
+                linestyle=(0, (2, 2)),
+                linewidth=0.9,
+                label="choice",
+            )
         )
         shown_only = {name for name in names if not any(p["counts"] for p in points if p["point"]["function"] == name)}
         handles += [
-            Line2D([], [], color=colours[n], linestyle=(0, (1, 2)) if n in shown_only else "-", label=words(n) + (", shown only" if n in shown_only else ""))
+            Line2D(
+                [],
+                [],
+                color=colours[n],
+                linestyle=(0, (1, 2)) if n in shown_only else "-",
+                label=words(n) + (", shown only" if n in shown_only else ""),
+            )
             for n in names
         ]
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
@@ -274,12 +324,15 @@ def loci(path: Path, rig: Rig, mine: Sequence[Table], by_name: dict[str, Table])
             ax.set_ylabel("imaginary part [rad/s]")
         symbol = "K_p" if mine[0]["parameter"] == "feedback_gain" else "ω_w"
         handles = [
-            Line2D([], [], color=RECORDED, linewidth=1.6, label=f"{symbol} up to the choice"), Line2D([], [], color=_BEYOND, linewidth=1.3, label="beyond"),
+            Line2D([], [], color=RECORDED, linewidth=1.6, label=f"{symbol} up to the choice"),
+            Line2D([], [], color=_BEYOND, linewidth=1.3, label="beyond"),
             Line2D([], [], marker="x", linestyle="", color=INK, label=f"{symbol} = 0"),
             Line2D([], [], marker="o", linestyle="", color=SIMULATED, label="chosen"),
         ]  # fmt: skip
         if any(one.get("crossing") is not None for one in mine):
-            handles.append(Line2D([], [], marker="D", linestyle="", markerfacecolor="white", color=ACCENT, label="stability limit"))
+            handles.append(
+                Line2D([], [], marker="D", linestyle="", markerfacecolor="white", color=ACCENT, label="stability limit")
+            )
         legend(figure, handles)
 
 
@@ -302,8 +355,28 @@ def _locus(ax, one: Table, frame: tuple[float, float, float]) -> None:
                 ax.plot(x[part], y[part], color=colour, linewidth=width, zorder=3, solid_capstyle="round")
     _poles(ax, zip(real[0], imag[0], strict=True), frame, marker="x", color=INK, markersize=5.5, markeredgewidth=1.3, zorder=4)
     if one.get("crossing") is not None:
-        _poles(ax, _crossing(one["crossing_poles"], top), frame, marker="D", color=ACCENT, markerfacecolor="white", markersize=6, markeredgewidth=1.4, zorder=6)
-    _poles(ax, one["chosen_poles"], frame, marker="o", color=SIMULATED, markersize=5.5, markeredgecolor="white", markeredgewidth=0.6, zorder=5)
+        _poles(
+            ax,
+            _crossing(one["crossing_poles"], top),
+            frame,
+            marker="D",
+            color=ACCENT,
+            markerfacecolor="white",
+            markersize=6,
+            markeredgewidth=1.4,
+            zorder=6,
+        )
+    _poles(
+        ax,
+        one["chosen_poles"],
+        frame,
+        marker="o",
+        color=SIMULATED,
+        markersize=5.5,
+        markeredgecolor="white",
+        markeredgewidth=0.6,
+        zorder=5,
+    )
     ax.set_xlim(left, right)
     ax.set_ylim(bottom, top)
     ax.grid(False)
@@ -361,12 +434,24 @@ def draws(path: Path, tuning: Table) -> None:
     values = np.array(found["damping_ratios"], float)
     with canvas(path, size=(7.2, 2.6)) as (_, ax):
         width = max(float(np.ptp(values)), 1e-3)
-        ax.hist(values, bins=np.linspace(values.min() - 0.02 * width, values.max() + 0.02 * width, 25), color=RECORDED, alpha=0.75)
+        ax.hist(
+            values, bins=np.linspace(values.min() - 0.02 * width, values.max() + 0.02 * width, 25), color=RECORDED, alpha=0.75
+        )
         top = ax.get_ylim()[1]
         for value, text, colour in ((tuning["target"], "target", ACCENT), (tuning["damping_ratio"], "as identified", SIMULATED)):
             ax.axvline(value, color=colour, linewidth=1.4)
             beyond = value > 0.5 * (values.min() + values.max())
-            ax.annotate(text, (value, top), (-4 if beyond else 4, -3), "data", "offset points", color=colour, fontsize=8, va="top", ha="right" if beyond else "left")
+            ax.annotate(
+                text,
+                (value, top),
+                (-4 if beyond else 4, -3),
+                "data",
+                "offset points",
+                color=colour,
+                fontsize=8,
+                va="top",
+                ha="right" if beyond else "left",
+            )
         ax.set_xlabel("worst damping ratio over the operating points")
         ax.set_ylabel("draws")
         ax.margins(x=0.06)

@@ -18,7 +18,7 @@ FLOORS = [
     {"plant"},
     {"simulation"},
     {"rigs"},
-    {"ledger"},
+    {"ledger", "intake"},
     {"identification", "validation", "tune", "trial", "inspection", "report"},
     {"workflow"},
     {"__init__", "cli", "datasets", "bench"},

@@ -1,0 +1,392 @@
+"""Logs and recipes broken the way people break them: refused or told, in one sentence that says what would be right."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench import inspection
+from ehbench.errors import InputError, InsufficientData, LogError
+from ehbench.identification.hydraulics import identify_hydraulics
+from ehbench.intake import distinct_names, evened, take_in
+from ehbench.logs import write_log
+from ehbench.recipe import load_recipe, load_rig
+from ehbench.record import Record
+from ehbench.simulation import Model, simulate
+from ehbench.validation import validate_rig
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+MEASURED = ("q", "qd", "x", "v", "p_head", "p_rod", "p_supply", "p_tank", "command")
+NOISE = {"qd": 1e-3, "v": 1e-3, "p_head": 1e4, "p_rod": 1e4, "q": 1e-5, "x": 1e-5, "p_supply": 1e4}
+CRANE = ["bulk_modulus", "arm.joint_damping"]
+
+
+@cache
+def rig(name="crane_proportional"):
+    return load_rig(RIGS / f"{name}.toml")
+
+
+def steps(samples, out, back):
+    u = np.zeros(samples)
+    u[round(0.07 * samples) : round(0.3 * samples)] = out
+    u[round(0.55 * samples) : round(0.8 * samples)] = back
+    return u
+
+
+def logged(machine, valve, volts, payload=None, samples=1501, posture=None):
+    """What sensors say of steps there and back, with noise."""
+    made = simulate(machine, {valve: steps(samples, *volts)}, (samples - 1) / 1000.0, payload=payload, posture=posture)
+    rng = np.random.default_rng(samples)
+    channels = {}
+    for name, values in made.channels.items():
+        word = name.rsplit(".", 1)[-1]
+        if word in MEASURED:
+            channels[name] = values + NOISE.get(word, 0.0) * rng.standard_normal(values.size)
+    return Record(made.t, channels, made.meta)
+
+
+@cache
+def crane(payload=None):
+    return logged(rig(), "lift.spool", (5.0, -4.5), payload)
+
+
+def changed(record, **edits):
+    """A log with channels scaled, by their last word: ``p_head=0.01``; or replaced, by ``lift_x=array``."""
+    channels = dict(record.channels)
+    for name in channels:
+        word = name.rsplit(".", 1)[-1]
+        if word in edits:
+            channels[name] = channels[name] * edits[word]
+        if (whole := name.replace(".", "_")) in edits and whole != word:
+            channels[name] = edits[whole]
+    return replace(record, channels=channels)
+
+
+def taken(record, machine=None):
+    machine = machine or rig()
+    payload = record.meta.get("payload", "none")
+    return take_in("log", record, Model.of(machine, payload=None if payload == "none" else payload))
+
+
+def test_a_sound_log_passes_as_it_is():
+    for payload in (None, "200 kg"):
+        record, told = taken(crane(payload))
+        assert record is crane(payload) and told == ()
+
+
+# --- parameters without bounds ---
+
+
+@pytest.mark.parametrize(
+    ("machine", "valve", "volts", "name", "factor", "upper"),
+    [
+        ("crane_proportional", "lift.spool", (5.0, -4.5), "lift.spool_pa.flow_gain", 0.5, None),
+        ("crane_proportional", "lift.spool", (5.0, -4.5), "lift.spool_pa.flow_gain", 3.0, None),
+        ("crane_proportional", "lift.spool", (5.0, -4.5), "lift.spool_pa.deadband", 0.6, None),
+        ("crane_proportional", "lift.spool", (5.0, -4.5), "arm.mass", 1.5, None),
+        ("crane_proportional", "lift.spool", (5.0, -4.5), "lift.volume_head", 3.0, None),
+        ("crane_proportional", "lift.spool", (5.0, -4.5), "lift.volume_rod", 1.5, None),
+        ("crane_proportional", "lift.spool", (5.0, -4.5), "spool.natural_frequency", 0.4, None),
+        ("crane_proportional", "lift.spool", (5.0, -4.5), "lift.leakage_internal", None, 8e-12),
+        ("slide_servo", "press.servo", (3.0, -3.0), "carriage.mass", 0.5, None),
+    ],
+)  # fmt: skip
+def test_what_the_log_excites_comes_back_without_bounds(machine, valve, volts, name, factor, upper):
+    """Only the start is given (an upper bound where it is zero); no vocabulary range may stand in for a scale."""
+    truth = 2.0e-12 if factor is None else float(rig(machine).parameters()[name])
+    record = logged(rig(machine).with_values({name: truth}), valve, volts)
+    bare = rig(machine).with_values(
+        {name: replace(rig(machine).parameters()[name], value=truth, lower=None, upper=None, text=None)}
+    )
+    start = 0.0 if factor is None else factor * truth
+    fit = identify_hydraulics(bare, [("log", record)], [name], start={name: start}, upper={name: upper} if upper else None)
+    found = fit[name]
+    assert found.status == "estimated", found
+    # five standard errors, and errors that make the number worth having
+    assert abs(found.value - truth) < 5.0 * found.std and found.std < 0.05 * truth, (found, truth)
+
+
+def test_a_rod_volume_is_not_tried_below_what_the_stroke_displaces():
+    fit = identify_hydraulics(rig(), [("log", crane())], ["lift.volume_rod"])
+    cylinder = rig().cylinder[0]
+    assert fit["lift.volume_rod"].lower > cylinder.areas()[1] * float(cylinder.stroke)
+
+
+def test_a_zero_start_asks_for_an_upper_bound():
+    with pytest.raises(InputError, match=r'starts at zero and has no upper bound \(give it one.*\[upper\] "lift.leakage_head"'):
+        identify_hydraulics(rig(), [("log", crane())], ["lift.leakage_head"])
+
+
+# --- names ---
+
+
+def renamed(record, old, new):
+    return replace(record, channels={name.replace(old, new): values for name, values in record.channels.items()})
+
+
+def test_channels_of_nothing_on_the_rig_are_named():
+    odd = replace(
+        crane(), channels=crane().channels | {"lft.p_head": crane()["lift.p_head"], "lift.spol.command": np.zeros(1501)}
+    )
+    _, told = taken(odd)
+    assert "the log has 'lft.p_head', a cylinder that rig 'crane_proportional' does not have; nearest is 'lift'" in told
+    assert "the log has 'lift.spol.command', a valve that rig 'crane_proportional' does not have; nearest is 'lift.spool'" in told
+    fit = identify_hydraulics(rig(), [("log", odd)], CRANE)
+    assert sum(text.startswith("log: the log has '") for text in fit.warnings) == 2
+
+
+def test_a_log_of_another_rig_is_refused():
+    with pytest.raises(
+        InputError, match=r"log: no channel is of a cylinder of rig 'crane_proportional'.*nearest is 'lift'.*it has lift"
+    ):
+        identify_hydraulics(rig(), [("log", renamed(crane(), "lift.", "lifts."))], CRANE)
+    with pytest.raises(InputError, match="no channel is of a cylinder"):
+        validate_rig(rig(), [("log", renamed(crane(), "lift.", "lifts."))])
+
+
+def test_a_log_that_names_no_payload_is_taken_as_unloaded_and_told():
+    silent = replace(crane(), meta={})
+    _, told = taken(silent)
+    assert told == ("the log names no payload: taken as unloaded (the rig has 200 kg)",)
+    bare = rig().model_copy(update={"payload": {}})
+    assert taken(silent, bare)[1] == ()
+
+
+def test_logs_of_one_name_take_their_folder():
+    paths = [Path(text) for text in ("a/step.csv", "b/step.mcap", "b/other.csv", "c/b/step.csv")]
+    assert distinct_names(paths) == ["a_step", "b_step", "other", "b_step_2"]
+
+
+# --- units ---
+
+
+@pytest.mark.parametrize(
+    ("edits", "says"),
+    [
+        (
+            {"p_head": 0.01, "p_rod": 0.01, "p_supply": 0.01},
+            r"p_supply is 1.8 bar, .* holds 180 bar.*it looks like bar labelled kPa",
+        ),
+        ({"p_head": 10.0, "p_rod": 10.0, "p_supply": 10.0}, r"p_supply is .* it looks like bar labelled MPa"),
+        ({"p_head": 14.5, "p_rod": 14.5}, r"lift.p_head reaches .* bar, .* holds 180 bar \(is the unit right"),
+        ({"p_head": 0.1, "p_rod": 0.1}, r"at rest lift.p_head holds .*, while the load .* asks for .*is the unit right"),
+        ({"p_head": 0.01, "p_rod": 0.01}, r"is the unit right"),
+    ],
+)
+@pytest.mark.parametrize("payload", [None, "200 kg"])
+def test_pressures_in_a_wrong_unit_are_refused(edits, says, payload):
+    wrong = changed(crane(payload), **edits)
+    with pytest.raises(InputError, match=says):
+        identify_hydraulics(rig(), [("log", wrong)], CRANE)
+    with pytest.raises(InputError, match=says):
+        validate_rig(rig(), [("log", wrong)])
+
+
+def test_pressures_that_carry_no_load_are_judged_by_the_supply():
+    slide = logged(rig("slide_servo"), "press.servo", (3.0, -3.0))
+    channels = {name: 0.01 * v if name.startswith("press.p_") else v for name, v in slide.channels.items() if name != "p_supply"}
+    with pytest.raises(InputError, match="press is fed from a supply of .* and its pressures stay below"):
+        taken(replace(slide, channels=channels), rig("slide_servo"))
+
+
+def test_a_supply_that_is_merely_lower_passes():
+    """Half the pressure the rig file says is another day, not another unit."""
+    low = logged(rig().with_values({"supply.pressure": 0.5 * float(rig().supply.pressure)}), "lift.spool", (5.0, -4.5))
+    assert taken(low)[1] == ()
+
+
+def test_a_fit_that_follows_nothing_is_no_fit():
+    """A flow gain bounded far above the true one: the speed is followed worse than by its mean."""
+    gain, truth = "lift.spool_pa.flow_gain", float(rig().parameters()["lift.spool_pa.flow_gain"])
+    wrong = {"start": {gain: 5.0 * truth}, "lower": {gain: 4.0 * truth}, "upper": {gain: 8.0 * truth}}
+    with pytest.raises(
+        InsufficientData, match=r"follows no channel of any log better than its mean would .*is it this rig's log"
+    ):
+        identify_hydraulics(rig(), [("log", crane())], [gain], channels=("qd",), **wrong)
+    wrong = {"start": {gain: 2.5 * truth}, "lower": {gain: 2.4 * truth}, "upper": {gain: 8.0 * truth}}
+    fit = identify_hydraulics(rig(), [("log", crane())], [gain], **wrong)
+    poor = [name for name, percent in fit.logs[0].fit_percent.items() if percent < 0.0]
+    assert 0 < len(poor) < 3
+    assert fit.warnings[0].startswith(f"THE FITTED MODEL DOES NOT FOLLOW {len(poor)} OF 3 CHANNELS")
+    assert all(f"log: {name}" in fit.warnings[0] for name in poor)
+
+
+def test_commands_outside_the_driver_are_refused():
+    u = crane()["lift.spool.command"]
+    over = changed(crane(), lift_spool_command=u + 7.0 * (crane().t > 0.2))
+    with pytest.raises(InputError, match=r"log: lift.spool.command = 12 V at t = 0.201 s lies outside -10 to 10 V"):
+        identify_hydraulics(rig(), [("log", over)], CRANE)
+    noise = np.random.default_rng(1).uniform(-0.19, 0.19, u.size)  # 1 % of the range is 0.2 V
+    assert taken(changed(crane(), lift_spool_command=np.where(u > 0, 10.0, u) + noise))[1] == ()
+
+
+# --- time ---
+
+
+@pytest.mark.parametrize(
+    ("scale", "says"), [(1e3, r"1 s pass between samples.*is the time in ms\?"), (1e-3, r"is the time in s")]
+)
+def test_time_in_another_unit_is_refused_at_once(scale, says):
+    with pytest.raises(InputError, match=says):
+        identify_hydraulics(rig(), [("log", replace(crane(), t=crane().t * scale))], CRANE)
+
+
+def test_a_gap_is_named():
+    keep = np.delete(np.arange(1501), np.arange(700, 708))
+    gap = replace(crane(), t=crane().t[keep], channels={n: v[keep] for n, v in crane().channels.items()})
+    with pytest.raises(LogError, match=r"log: not evenly sampled: 9 ms pass after t = 0.699 s, 1 ms elsewhere"):
+        identify_hydraulics(rig(), [("log", gap)], CRANE)
+    assert "9 ms pass after t = 0.699 s" in validate_rig(rig(), [("log", gap)]).logs[0].failure
+
+
+def test_jitter_is_resampled_and_told(tmp_path):
+    """Samples up to a quarter of a tick early or late: what was sampled when it says, comes back on the grid."""
+    fine = simulate(rig(), {"lift.spool": np.repeat(steps(601, 5.0, -4.5), 20)[:12001]}, 0.6, rate=20000.0)
+    at = 20 * np.arange(601) + np.random.default_rng(3).integers(-5, 6, 601)
+    at[[0, -1]] = 0, 12000
+    late = Record(fine.t[at], {n: v[::20] if n.endswith("command") else v[at] for n, v in fine.channels.items()}, fine.meta)
+    even, told = evened("log", late)
+    assert np.allclose(np.diff(even.t), 1e-3, rtol=1e-9)
+    assert len(told) == 1 and told[0].startswith("not evenly sampled") and "resampled to 1000 Hz" in told[0]
+    on_grid = {n: v[::20] for n, v in fine.channels.items()}
+    for name in ("lift.q", "lift.p_head"):
+        error, unmended = (np.abs(v - on_grid[name]).max() for v in (even[name], late[name]))
+        assert error < 0.2 * unmended, name
+    assert np.array_equal(even["lift.spool.command"], on_grid["lift.spool.command"])
+    fit = identify_hydraulics(rig(), [("log", late)], CRANE)
+    assert "log: " + told[0] in fit.warnings
+    write_log(tmp_path / "late.mcap", late)
+    found = inspection.check(tmp_path / "late.mcap")
+    assert found.code == 0 and "  " + told[0] in found.lines
+
+
+def test_check_names_a_gap(tmp_path):
+    keep = np.delete(np.arange(1501), np.arange(700, 708))
+    write_log(
+        tmp_path / "gap.mcap", replace(crane(), t=crane().t[keep], channels={n: v[keep] for n, v in crane().channels.items()})
+    )
+    found = inspection.check(tmp_path / "gap.mcap")
+    assert found.code == 3 and any("9 ms pass after t = 0.699 s" in line for line in found.lines)
+
+
+@pytest.mark.parametrize(("count", "says"), [(1, "has only 1 sample "), (2, "has only 2 samples ")])
+def test_too_few_samples_are_counted(count, says):
+    short = replace(crane(), t=crane().t[:count], channels={n: v[:count] for n, v in crane().channels.items()})
+    with pytest.raises(InputError, match=says):
+        identify_hydraulics(rig(), [("log", short)], CRANE)
+    with pytest.raises(InputError, match=says):
+        validate_rig(rig(), [("log", short)])
+
+
+# --- sensors and starts ---
+
+
+@pytest.mark.parametrize("word", ["x", "q", "v", "qd", "p_head", "p_rod"])
+def test_a_stuck_sensor_is_told(word):
+    stuck = changed(crane(), **{f"lift_{word}": np.full(1501, crane()[f"lift.{word}"][0])})
+    assert f"lift.{word} is constant while lift moves: is the sensor stuck?" in taken(stuck)[1]
+
+
+def test_a_cylinder_that_stands_still_has_no_stuck_sensor():
+    still = {
+        n: v if n.endswith("command") else np.full(v.size, v[0])
+        for n, v in crane().channels.items()
+        if not n.endswith(("qd", "v"))
+    }
+    assert taken(replace(crane(), channels=still))[1] == ()
+
+
+def test_a_log_that_begins_in_motion_is_told():
+    record = crane()
+    for first, said in (
+        (200, ["lift.spool.command is already on at the first sample (5 V)", "lift already moves at the first sample"]),
+        (50, []),
+    ):
+        cut = replace(record, t=record.t[first:], channels={n: v[first:] for n, v in record.channels.items()})
+        told = taken(cut)[1]
+        assert len(told) == len(said) and all(any(text.startswith(part) for text in told) for part in said), told
+
+
+# --- recipes ---
+
+HEAD = 'stage = "identify"\nwhat = "hydraulics"\nrig = "r.toml"\ndata = ["a.mcap"]\n'
+HEAD += 'parameters = ["bulk_modulus", "arm.joint_damping"]\n'
+
+
+@pytest.mark.parametrize("key", ["arm.joint_damping", '"arm.joint_damping"'])
+def test_dotted_keys_do_with_or_without_quotes(tmp_path, key):
+    (tmp_path / "h.toml").write_text(
+        HEAD + f'[start]\nbulk_modulus = "1 GPa"\n{key} = "700 N*m*s/rad"\n[upper]\n{key} = "9 kN*m*s/rad"\n'
+    )
+    recipe = load_recipe(tmp_path / "h.toml")
+    assert recipe.start == {"bulk_modulus": "1 GPa", "arm.joint_damping": "700 N*m*s/rad"}
+    assert recipe.upper == {"arm.joint_damping": "9 kN*m*s/rad"}
+    assert recipe.at("start", "arm.joint_damping")["line"] == 8 and recipe.at("upper", "arm.joint_damping")["line"] == 10
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "says"),
+    [
+        ('[start]\narm.joint_damping = "700 kPa"', 7, "cannot be turned into"),
+        ('[start]\nbulk_modulus = "90 GPa"', 7, "outside 1 to 10000 MPa"),
+        ('[start]\nbulk_modulus = "3 GPa"', 7, "outside its bounds"),
+        ('[lower]\n"arm.joint_dampin" = "1 N*m*s/rad"', 7, "nearest is 'arm.joint_damping'"),
+        ('[upper]\n"arm.mass" = "900 kg"', 7, "not among the parameters to fit"),
+    ],
+)
+def test_bad_starts_and_bounds_say_file_and_line(tmp_path, text, line, says):
+    (tmp_path / "h.toml").write_text(HEAD + text + "\n")
+    recipe = load_recipe(tmp_path / "h.toml")
+    tables = {"start": recipe.start, "lower": recipe.lower, "upper": recipe.upper}
+    with pytest.raises(InputError, match=says) as caught:
+        identify_hydraulics(rig(), [("log", crane())], recipe.parameters, **tables, where=recipe.at)
+    assert (caught.value.file, caught.value.line) == (str(recipe.path), line)
+
+
+def test_unknown_parameters_and_payloads_say_file_and_line(tmp_path):
+    (tmp_path / "h.toml").write_text(HEAD.replace("arm.joint_damping", "arm.joint_dampin"))
+    recipe = load_recipe(tmp_path / "h.toml")
+    with pytest.raises(InputError, match="nearest is 'arm.joint_damping'") as caught:
+        identify_hydraulics(rig(), [("log", crane())], recipe.parameters, where=recipe.at)
+    assert caught.value.line == 5
+    heavy = replace(crane(), meta={"payload": "300 kg"})
+    with pytest.raises(InputError, match=r"log: rig 'crane_proportional' has no payload '300 kg' \(it has 200 kg\)") as caught:
+        identify_hydraulics(rig(), [("log", heavy)], CRANE, where=recipe.at)
+    assert caught.value.line == 4
+    with pytest.raises(InputError, match="log: rig 'crane_proportional' has no payload '300 kg'") as caught:
+        validate_rig(rig(), [("log", heavy)], where=recipe.at)
+    assert caught.value.line == 4
+
+
+def test_a_cutoff_above_half_the_rate_is_refused():
+    with pytest.raises(InputError, match="a cutoff of 500 Hz is not below half the rate of log, 500 Hz"):
+        identify_hydraulics(rig(), [("log", crane())], CRANE, cutoff=500.0)
+
+
+@pytest.mark.parametrize(
+    ("command", "says"),
+    [
+        (
+            'kind = "multisine", frequency = "20 Hz", frequency_max = "20 Hz"',
+            "frequency_max, 20 Hz, must lie above frequency, 20 Hz",
+        ),
+        ('kind = "sine", frequency = "0 Hz"', "'frequency' must be above 0 Hz"),
+        ('kind = "sine", frequency = "100 Hz"', "frequency, 100 Hz, must lie below half the rate, 100 Hz"),
+        (
+            'kind = "multisine", frequency = "2 Hz", frequency_max = "150 Hz"',
+            "frequency_max, 150 Hz, must lie below half the rate, 100 Hz",
+        ),
+    ],
+)
+def test_sines_that_samples_cannot_hold_are_refused(tmp_path, command, says):
+    path = tmp_path / "t.toml"
+    head = 'stage = "trial"\nrig = "r.toml"\nduration = "1 s"\nrate = "200 Hz"\n'
+    path.write_text(head + f'command = [{{ valve = "lift.spool", amplitude = "1 V", {command} }}]\n')
+    with pytest.raises(InputError, match=says):
+        load_recipe(path)
+    path.write_text(head + 'command = [{ valve = "lift.spool", amplitude = "1 V", kind = "sine", frequency = "99 Hz" }]\n')
+    assert float(load_recipe(path).command[0].frequency) == pytest.approx(99.0)

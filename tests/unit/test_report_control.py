@@ -1,0 +1,556 @@
+"""Tunings and trials under a controller in the report: drawn from files alone, sentences that follow the numbers."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.control.functions import FUNCTIONS
+from ehbench.control.valve_level import LIMITS
+from ehbench.errors import InputError
+from ehbench.logs import write_log
+from ehbench.quantities import VOCABULARY
+from ehbench.recipe import load_recipe, load_rig
+from ehbench.record import Record
+from ehbench.report import build, draw, trial_figures, tuning_figures
+from ehbench.report.saved import Saved, Table
+from ehbench.report.words import words
+from ehbench.rundir import write_json
+from ehbench.units import from_si
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+
+
+def facts(folder: Path, stage: str, **more) -> None:
+    write_json(
+        folder / "run.json",
+        {
+            "stage": stage, "name": folder.name, "hash": "0a1b2c3d", "recipe": {"path": "r.toml", "sha256": "1" * 64},
+            "inputs": [], "seeds": {},
+            "versions": {"ehbench": "0.1.0"}, "code_sha256": "3" * 64, "commit": "4" * 12, "outputs": {}, "warnings": [], **more,
+        },
+    )  # fmt: skip
+
+
+def made(root: Path, name: str, rig: str = "thesis_arm") -> Path:
+    folder = root / name
+    folder.mkdir(parents=True)
+    shutil.copy(RIGS / f"{rig}.toml", folder / "rig.toml")
+    return folder
+
+
+# --- a tuning as its file has it ------------------------------------------------------------------------------------------
+
+GAINS = [0.0, *np.geomspace(1e-12, 1e-9, 20).tolist()]
+
+
+def point(function: str, payload: str, x: float, counts: bool, **more) -> dict:
+    at = {
+        "cylinder": "boom", "function": function, "payload": payload, "x": x,
+        "v": 0.05 if function.startswith("extend") else -0.05, "mass": 1e3 + 1e4 * x,
+        "gravity_force": 2e3, "damping": 6e3, "load_force": 2e3, "p_head": 1e6, "p_rod": 3e5,
+    }  # fmt: skip
+    return {
+        "name": f"{function}, {payload}, x = {x:g}", "point": at, "counts": counts, "natural_frequency_open": 30.0,
+        "natural_frequency_closed": 40.0,
+        "damping_ratio_open": 0.1, "damping_ratio_closed": 0.6, "damping_ratio_plain": 0.65, "bias": -0.03, "gain_limit": 8e-10,
+        "margins": {"gain_margin": 6.0, "phase_margin": 1.0, "bandwidth": 20.0},
+        "curve": [0.6 - 0.2 * abs(np.log10(g / 1e-10)) if g else 0.1 for g in GAINS],
+    } | more  # fmt: skip
+
+
+def locus(name: str, parameter: str, crossing: float | None) -> dict:
+    """A pair that leaves (−4, ±40) and crosses the axis at ±60, a real pole, and a slow one near the origin."""
+    values = sorted({0.0, 1e-10, 8e-10, *np.geomspace(1e-12, 2e-9, 30).tolist()})
+    poles = [
+        [complex(-4 - 60 * g / 1e-10 + 7.58 * (g / 1e-10) ** 2, 40 + 2.5e10 * g), complex(-200 - 1e11 * g), complex(-0.01)]
+        for g in values
+    ]
+    poles = [[p[0], p[0].conjugate(), p[1], p[2]] for p in poles]
+
+    def at(value: float) -> list[list[float]]:
+        return [[p.real, p.imag] for p in poles[values.index(value)]]
+
+    edge = [[0.0, 60.0], [0.0, -60.0], [-280.0, 0.0], [-0.01, 0.0]]
+    return {
+        "name": name, "parameter": parameter, "values": values, "real": [[p.real for p in row] for row in poles],
+        "imag": [[p.imag for p in row] for row in poles], "chosen": 1e-10, "chosen_poles": at(1e-10), "crossing": crossing,
+        "crossing_poles": edge if crossing else [], "frame": [-120.0, 30.0, 100.0],
+    }  # fmt: skip
+
+
+def tuning(**more) -> dict:
+    points = [point("extend_resistive", load, x, True) for load in ("none", "50 lb") for x in (0.05, 0.2)]
+    points += [point("retract_resistive", "none", 0.1, False, gain_limit=None, bias=None, damping_ratio_plain=None)]
+    points[1]["damping_ratio_closed"] = 0.55
+    points[2]["margins"] = {"gain_margin": None, "phase_margin": None, "bandwidth": 3.5}
+    shown = [points[1], points[2], points[4]]
+    t = np.linspace(0.0, 25 * np.pi / 40, 400)  # v_open then ends at 1
+    x = np.linspace(0.0, 0.254, 15).tolist()
+    return {
+        "rig": "thesis_arm", "cylinder": "boom", "feedback_gain": {"extend_resistive": 1e-10, "retract_resistive": 1e-10},
+        "washout": 2.5, "off_gain": 6e-11,
+        "low_pressure": 3.4e5, "cross_drop": 3.4e5, "tick": 1e-3, "delay": 1e-3, "target": 0.5, "damping_ratio": 0.55,
+        "damping_ratio_open": 0.1,
+        "damping_ratio_open_most": 0.25, "met": True,
+        "constraints": {"gain_margin": 2.0, "phase_margin": 0.785398163, "bandwidth": 3.14159265},
+        "gains": GAINS, "worst_curve": points[0]["curve"], "points": points,
+        "equivalents": [
+            {
+                "payload": load, "x": x, "q": [0.7 - 4 * v for v in x], "mass": [s * (1e3 + 1e4 * v) for v in x],
+                "gravity_force": [s * 2e3] * 15, "damping": [6e3] * 15,
+            }
+            for s, load in ((1.0, "none"), (2.0, "50 lb"))
+        ],
+        "loci": [
+            locus(p["name"], kind, p["gain_limit"] if kind == "feedback_gain" else None)
+            for p in shown for kind in ("feedback_gain", "washout")
+        ],
+        "steps": [
+            {
+                "name": p["name"], "t": t.tolist(), "v_open": (1 - np.exp(-2 * t) * np.cos(20 * t)).tolist(),
+                "v_closed": (1 - np.exp(-15 * t)).tolist(),
+            }
+            for p in shown
+        ],
+        "alternatives": [
+            {"what": what, "washout": 2.5, "off_gain": 6e-11, "feedback": "metered", "feedback_gain": 1e-10, "damping_ratio": z}
+            for what, z in (("chosen law", 0.55), ("no washout", 0.6), ("no delay", 0.5))
+        ],
+        "robustness": {"draws": 40, "parameters": ["bulk_modulus"], "points": 4, "share": 0.925, "quantiles": [0.48, 0.55, 0.6],
+                       "damping_ratios": np.linspace(0.46, 0.62, 40).tolist()},
+        "warnings": [],
+    } | more  # fmt: skip
+
+
+def tune_run(root: Path, name: str = "tuning", rig: str = "thesis_arm", **more) -> Path:
+    folder = made(root, name, rig)
+    write_json(folder / "tuning.json", tuning(**more))
+    facts(folder, "tune", what="tuning", title="Pressure feedback")
+    return folder
+
+
+# --- trials as their files have them --------------------------------------------------------------------------------------
+
+
+def log(path: Path, *, own: str = "boom", gain: float = 1.0, notes: bool = True, learns: bool = False, stopped: str = "") -> None:
+    t = np.arange(3001) * 1e-3
+    on = (t >= 0.5) & (t < 2.0)
+    v_d = np.where(on, 0.1, 0.0)
+    v = np.where(on, 0.1 * (1 - gain * np.exp(-3 * (t - 0.5)) * np.cos(25 * (t - 0.5))), 0.0)
+    x_d = 0.05 + np.cumsum(v_d) * 1e-3
+    channels = {
+        f"{own}.x": x_d + gain * 1e-3 * on, f"{own}.v": v, f"{own}.p_head": 1e6 + 1e6 * v, f"{own}.p_rod": np.full_like(t, 3e5),
+        f"{own}.hepc.command": np.where(on, 5.0, 0.0), f"{own}.rect.command": np.zeros_like(t), "p_supply": np.full_like(t, 7e6),
+        f"{own}.x_desired": x_d, f"{own}.v_desired": v_d,
+    }  # fmt: skip
+    if notes:
+        channels |= {
+            f"{own}.function": on * 1.0,
+            f"{own}.limits": np.where((t > 0.6) & (t < 0.7), 17.0, 0.0),
+            f"{own}.v_shaped": v_d,
+        }
+    if learns:
+        channels |= {
+            f"{own}.payload_estimate": 26.0 * (1 - np.exp(-t)),
+            f"{own}.inverse_bulk": 1.0 + 0.1 * on,
+            f"{own}.disturbance": 5 * np.sin(t),
+        }
+    text = b'[[motion]]\nname = "70 %"\nlevels = ["70 %"]\n[[controller]]\nkind = "arc"\ngains = { adapt = false }\n'
+    write_log(path, Record(t, channels, {"stopped": stopped} if stopped else {}, {"recipe.toml": text}))
+
+
+STEP = {
+    "start": 0.5, "duration": 1.5, "speed": 0.1, "share": 0.7, "steady_speed": 0.098, "steady_error": -0.02, "overshoot": 0.6,
+    "settling_time": None,
+    "rms_error": 0.01, "damping_ratio": 0.08, "natural_frequency": 25.0, "ringing": "",
+}  # fmt: skip
+
+
+def measures(energy: float, error: float, steps: list[dict]) -> dict:
+    return {
+        "steps": steps, "tracking": {"max_error": error, "rms_error": 0.3 * error, "final_error": -0.1 * error},
+        "speed_rms_error": 0.01,
+        "energy": {"pump": energy, "cylinder_work": 150.0, "oil_drawn": 3e-4, "source": "edge flows of the model"},
+        "limits": {"saturated": 0.033, "against": 0.0},
+    }  # fmt: skip
+
+
+def trials_run(
+    root: Path, name: str, controllers: dict[str, dict], on: str = "model", payloads=("none", "50 lb"), **more
+) -> Path:
+    folder = made(root, name)
+    (folder / "logs").mkdir()
+    rows = []
+    for payload in payloads:
+        for controller, found in controllers.items():
+            stem = trial_figures.stem_of(f"{payload} {controller}")
+            log(folder / "logs" / f"{stem}.mcap", gain=found["tracking"]["max_error"] / 1e-3, **more)
+            rows.append({
+                "case": f"{payload} 70 % {controller}", "payload": payload, "motion": "70 %", "controller": controller, "on": on,
+                "rig": "thesis_arm",
+                "cylinder": "boom", "log": f"logs/{stem}.mcap", "duration": 3.0, "stopped": "", **found,
+            })  # fmt: skip
+    write_json(folder / "table.json", {"rows": rows})
+    facts(folder, "trials", what="trials", title="Steps", on=on, stopped="")
+    return folder
+
+
+DAMPED = STEP | {"overshoot": 0.2, "damping_ratio": None, "settling_time": 0.3, "ringing": "only 0.9 cycles in the window"}
+PAIR = {
+    "open loop": measures(2000.0, 2e-3, [STEP]),
+    "pressure feedback": measures(1900.0, 5e-3, [DAMPED]),
+}  # fmt: skip
+TRACKED = {
+    name: measures(energy, error, [])
+    for name, energy, error in (("arc", 2100.0, 1e-4), ("frozen", 2050.0, 4e-3), ("four-way", 3300.0, 3e-4), ("x", 1.0, 1e-3))
+}
+
+
+def trial_run(root: Path, name: str = "arc", stopped: str = "", **more) -> Path:
+    folder = made(root, name)
+    log(folder / "log.mcap", learns=True, stopped=stopped)
+    row = {
+        "on": "virtual bench", "rig": "thesis_arm", "payload": "50 lb", "posture": {}, "seed": 0, "duration": 3.0,
+        "samples": 3001, "rate": 1e3, "stop": None,
+        "warnings": [], "controller": "arc", "cylinder": "boom", "measures": measures(2100.0, 1e-4, []), "stopped": stopped,
+        "estimate_bounds": {"payload_estimate": [0.0, 42.0], "inverse_bulk": [0.7, 1.4]},
+    }  # fmt: skip
+    write_json(folder / "trial.json", row | more)
+    facts(folder, "trial", what="trial", title="ARC, slow, 50 lb")
+    return folder
+
+
+def ledger(pump: float) -> dict:
+    parts = [
+        ("pump", pump, "supply", "pump", None), ("pump_compression", 0.0, "supply", "compression", None),
+        ("boom.hepc.throttling", 0.7 * pump, "valve", "boom.hepc, supply → head", "boom"),
+        ("boom.damping", 0.3 * pump, "loss", "joint damping", "boom"),
+        ("potential", 0.0, "load", "potential", None), ("residual", 0.0, "residual", "residual", None),
+        ("boom.drawn", pump, "cylinder", "drawn", "boom"),
+        ("boom.drawn_compression", 0.0, "cylinder", "compression", "boom"), ("boom.work", 0.3 * pump, "cylinder", "work", "boom"),
+    ]  # fmt: skip
+    rows = [dict(zip(("name", "energy", "group", "label", "cylinder"), one, strict=True), interval=None) for one in parts]
+    return {
+        "source": "model",
+        "rig": "thesis_arm",
+        "payload": "none",
+        "duration": 3.0,
+        "rows": rows,
+        "residual_share": 2e-6,
+        "notes": [],
+    }
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory) -> list[Path]:
+    root = tmp_path_factory.mktemp("runs")
+    folders = [
+        tune_run(root), trials_run(root, "steps", PAIR),
+        trials_run(root, "cycles", TRACKED, "virtual bench", ["50 lb"], learns=True), trial_run(root),
+    ]  # fmt: skip
+    (folders[2] / "ledgers").mkdir()
+    for row in json.loads((folders[2] / "table.json").read_text())["rows"]:
+        write_json(folders[2] / "ledgers" / (Path(row["log"]).stem + ".json"), ledger(row["energy"]["pump"]))
+    for folder in folders:
+        draw(folder)
+    return folders
+
+
+def captions(folder: Path) -> dict[str, str]:
+    return {one["key"]: one["caption"] for one in json.loads((folder / "figures/index.json").read_text())["figures"]}
+
+
+def plain(html: str) -> str:
+    """The text of a page."""
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", re.sub(r"<svg.*?</svg>", " ", html, flags=re.DOTALL)))
+
+
+def test_numbers_of_functions_and_limits_are_those_of_the_controllers():
+    assert tuple(map(words, FUNCTIONS)) == trial_figures.FUNCTIONS
+    assert trial_figures.LIMITS == LIMITS
+    assert len(trial_figures._SHADES) == len(set(trial_figures._SHADES)) == len(FUNCTIONS)
+    assert set(trial_figures._LIMIT_SHADES) == set(LIMITS)
+    assert set(trial_figures.ESTIMATES) <= set(VOCABULARY)
+
+
+def test_keys_are_the_stable_ones(runs):
+    tune, steps, cycles, arc = map(captions, runs)
+    assert list(tune) == [
+        "equivalent_mass", "equivalent_gravity", "damping_over_gain", *(
+            f"{lead}_{function}" for function in ("extend_resistive", "retract_resistive")
+            for lead in ("locus", "locus_washout", "step_response")
+        ), "draws",
+    ]  # fmt: skip
+    assert list(steps) == [
+        "compare_no_load_70", "compare_50_lb_70", "energy_70",
+        *(f"trial_{load}_{name}" for load in ("none", "50_lb") for name in ("open_loop", "pressure_feedback")),
+    ]  # fmt: skip
+    assert {"sankey_50_lb_arc", "estimates_50_lb_four_way", "energy_70"} <= set(cycles) and list(arc) == [
+        "trial_boom",
+        "estimates_boom",
+    ]
+
+
+def test_the_page_is_whole(runs):
+    text = build(runs)
+    ids = re.findall(r'\bid="([^"]+)"', text)
+    assert len(ids) == len(set(ids))
+    assert set(re.findall(r'href="#([^"]+)"', text)) | set(re.findall(r"url\(#([^)]+)\)", text)) <= set(ids)
+    assert not re.search(r"\bnan\b|\bNone\b|\binf\b|Undefined|_boom|e-\d\d", plain(text.split('<section id="rig')[0]))
+    assert text.count("<svg") == sum(len(captions(folder)) for folder in runs)
+    kinds = {
+        one["about"]["kind"] for folder in runs for one in json.loads((folder / "figures/index.json").read_text())["figures"]
+    }
+    assert kinds == {
+        "equivalents",
+        "damping",
+        "locus",
+        "step_response",
+        "draws",
+        "compare",
+        "energy",
+        "trial",
+        "estimates",
+        "sankey",
+    }
+
+
+def test_same_files_same_bytes(runs, tmp_path):
+    for folder in (runs[0], runs[3]):
+        copy_ = Path(shutil.copytree(folder, tmp_path / folder.name))
+        shutil.rmtree(copy_ / "figures")
+        draw(copy_)
+        for one in (folder / "figures").iterdir():
+            assert one.read_bytes() == (copy_ / "figures" / one.name).read_bytes(), one.name
+    assert max(path.stat().st_size for folder in runs for path in (folder / "figures").glob("*.svg")) < 200_000
+
+
+def test_the_tuning_tells_what_its_file_holds(runs):
+    rig = load_rig(runs[0])
+    text = plain(build(runs[:1]))
+    gain = from_si(1e-10, rig.unit_of("feedback_gain"), VOCABULARY["feedback_gain"])
+    assert (
+        f"One gain K_p = {gain:g} mL/min/bar, washout 0.398 Hz: worst damping ratio 0.55 over 4 operating points of boom" in text
+    )
+    assert "without feedback 0.1 to 0.25; target 0.5, reached by 92.5 % of 40 draws." in text
+    assert "Better than the chosen law by this number: no washout." in text
+    assert "gain margin ≥ 2 6" in text and "phase margin ° ≥ 45 57.3" in text and "bandwidth Hz ≥ 0.5 0.557" in text
+    said = captions(runs[0])
+    assert "extend resistive, no load, x = 200 mm" in said["damping_over_gain"]  # the worst of those that count
+    assert (
+        "no load: damping ratio 0.1 without feedback, 0.55 at K_p = 600 mL/min/bar, unstable above 8 times that"
+        in said["locus_extend_resistive"]
+    )
+    assert (
+        "stable over the whole range" in said["locus_retract_resistive"]
+        and "No load calls for this function" in said["locus_retract_resistive"]
+    )
+    assert "50 lb: 2000 to 7080 kg" in said["equivalent_mass"]
+    overshoot = 100 * np.exp(-0.1 * (np.pi - np.arctan(0.1))) / np.hypot(1.0, 0.1)  # where tan 20t = −0.1
+    assert f"overshoot over the last value {overshoot:.0f} % without feedback, 0 % with" in said["step_response_extend_resistive"]
+
+
+def test_a_tuning_that_fails_says_so(tmp_path):
+    few = {"draws": 0, "parameters": [], "points": 0, "share": None, "quantiles": [], "damping_ratios": []}
+    gains = {"extend_resistive": 1e-10, "retract_resistive": 3e-10}
+    known = tuning()
+    folder = tune_run(
+        tmp_path,
+        "missed",
+        met=False,
+        damping_ratio=0.3,
+        washout=0.0,
+        robustness=few,
+        feedback_gain=gains,
+        loci=[one for one in known["loci"] if one["parameter"] != "washout"],
+    )
+    draw(folder)
+    assert not {"draws", "locus_washout_extend_resistive"} & set(captions(folder))
+    text = plain(build([folder]))
+    assert "Target and demands are not met" in text and "2 gains K_p = 600 to 1800 mL/min/bar, no washout" in text
+    assert "No draws were made." in text and "draws." not in text.split("Operating points")[0]
+
+
+def test_units_are_those_of_the_rig_file(tmp_path):
+    folder = tune_run(tmp_path, "other", "slide_servo")
+    draw(folder)
+    rig = load_rig(folder)
+    unit = rig.unit_of("p_head")
+    assert unit == "bar"
+    assert re.search(rf"head-end pressure \[{unit}\]", build([folder]))
+    assert '<td class="number">3.4</td>' in build([folder])  # low pressure, 0.34 MPa
+
+
+def test_captions_follow_the_numbers(runs):
+    assert "Least overshoot: pressure feedback; most: open loop." in captions(runs[1])["compare_no_load_70"]
+    cases = trial_figures.cases_of(Saved(runs[1]))[:2]
+    rows = [
+        dict(case.row) | {"steps": [dict(case.steps[0]) | {"overshoot": value}]}
+        for case, value in zip(cases, (0.1, 0.2), strict=True)
+    ]
+    changed = [replace(case, row=Table(row, case.log)) for case, row in zip(cases, rows, strict=True)]
+    said = trial_figures.compared_said(load_rig(runs[1]), changed)
+    assert "Open loop: overshoot 10 %" in said and said.endswith("Least overshoot: open loop; most: pressure feedback.")
+
+
+def test_what_could_not_be_read_off_is_said(runs):
+    said = captions(runs[1])
+    assert "not settled" in said["trial_none_open_loop"] and "damping ratio 0.08 at 4 Hz" in said["trial_none_open_loop"]
+    assert "no damping ratio (only 0.9 cycles in the window)" in said["trial_none_pressure_feedback"]
+    assert "saturated 3.3 % of the time" in said["trial_none_open_loop"] and "against" not in said["trial_none_open_loop"]
+    text = plain(build(runs[1:2]))
+    assert (
+        "Open loop: steady error −2 %, overshoot 60 %, damping ratio 0.08. Pressure feedback:" in text
+        and "no damping ratio to read" in text
+    )
+    assert "only 0.9 cycles in the window" in text
+
+
+def test_energy_is_compared_within_a_payload_and_says_where_it_ended(runs):
+    said = captions(runs[1])["energy_70"]
+    assert (
+        "No load: pressure feedback takes 1900 J (ended −0.5 mm from the desired stroke), 5 % less than open loop with 2000 J"
+        in said
+    )
+    assert said.endswith("Source: edge flows of the model.")
+
+
+def test_model_or_virtual_bench_is_in_the_titles(runs):
+    titles = [one["title"] for folder in runs[1:3] for one in json.loads((folder / "figures/index.json").read_text())["figures"]]
+    assert all(re.search("on the (model|virtual bench)", title) for title in titles)
+    assert "measured" not in plain(build(runs[2:])).lower()
+
+
+def test_estimates_stand_beside_bounds_and_the_payload(runs):
+    said = captions(runs[3])["estimates_boom"]
+    assert "The payload has the moment of 26 kg at the end of the last link." in said and "payload estimate 24.7 kg" in said
+
+
+@pytest.mark.parametrize(("rig", "payload", "mass"), [
+    ("thesis_arm", "50 lb", (52.51 * (0.95 - 0.195) - 27.958 * (0.95 - 0.416)) / 0.95), ("slide_servo", "100 kg", 100.0),
+    ("thesis_arm", "none", None),
+])  # fmt: skip
+def test_payload_at_the_end_of_the_last_link(rig, payload, mass):
+    found = trial_figures.payload_at_end(load_rig(RIGS / f"{rig}.toml"), payload)
+    assert found == (None if mass is None else pytest.approx(mass, rel=1e-12))
+
+
+def test_a_stopped_trial_and_one_of_the_users_own(tmp_path):
+    sentence = "boom.p_head = 9 MPa passed pressure_max, which sets in at 8 MPa, at t = 1.2 s"
+    stopped = trial_run(tmp_path, "stopped", sentence)
+    own = trials_run(tmp_path, "own", {"a": TRACKED["arc"], "b": TRACKED["arc"]}, payloads=["none"], notes=False)
+    for folder in (stopped, own):
+        draw(folder)
+    text = plain(build([stopped, own]))
+    assert "stopped" in text and f"Stopped by a limit: {sentence}." in text
+    assert captions(stopped)["trial_boom"].endswith(f"Stopped: {sentence}.")
+    assert "Least" not in captions(own)["compare_no_load_70"]  # a draw has no winner
+
+
+def test_tables_and_figures_take_a_campaigns_titles(runs, tmp_path):
+    path = tmp_path / "campaign.toml"
+    lead = 'stage = "campaign"\nrecipes = ["a.toml"]\n[figures]\n'
+    path.write_text(
+        lead + '"steps/steps" = "Table B.4"\n"operating_points" = "Table B.1"\n"locus_extend_resistive" = "Fig. B.11"\n'
+    )
+    text = build(runs, load_recipe(path))
+    assert "<strong>Table B.4</strong>" in text and "<strong>Table B.1</strong>" in text and "<strong>Fig. B.11</strong>" in text
+    path.write_text(lead + '"step" = "Table B.4"\n')
+    with pytest.raises(InputError, match="'figures' names 'step'") as caught:
+        build(runs, load_recipe(path))
+    assert caught.value.line == 4
+
+
+def test_settings_are_the_recipes(runs):
+    text = plain(build(runs[1:2]))
+    assert "Trajectories." in text and "motion: 70 %" in text and "adapt = no" in text
+
+
+def test_a_file_without_what_a_section_needs_is_named(tmp_path):
+    folder = tune_run(tmp_path)
+    table = json.loads((folder / "tuning.json").read_text())
+    del table["points"][0]["curve"]
+    write_json(folder / "tuning.json", table)
+    with pytest.raises(InputError, match=r"points\[0\].curve") as caught:
+        draw(folder)
+    assert Path(caught.value.file) == folder / "tuning.json"
+
+
+def test_runs_cover_what_holds_and_close_small_gaps():
+    t = np.arange(0.0, 1.0, 1e-3)
+    random = np.random.default_rng(3)
+    mask = np.repeat(random.random(100) > 0.5, 10)
+    found = trial_figures._runs(t, mask, 1e-4)
+    inside = np.zeros(t.size, bool)
+    for start, length in found:
+        inside |= (t >= start - 1e-9) & (t < start + length - 1e-9)
+    inside[-1] = mask[-1]  # the last sample has no length
+    assert np.array_equal(inside, mask)
+    assert len(trial_figures._runs(t, mask, 2.0)) == 1
+    blink = np.zeros(t.size, bool)
+    blink[500] = True
+    assert trial_figures._runs(t, blink, 0.01) == [(t[500], 0.01)]  # still seen
+
+
+def test_the_crossing_is_the_pair_on_the_axis_and_not_the_slow_pole():
+    assert tuning_figures._crossing([[0.0, -60.0], [-280.0, 0.0], [-0.01, 0.0], [0.0, 60.0]], 100.0) == [
+        [0.0, -60.0],
+        [0.0, 60.0],
+    ]
+    assert tuning_figures._crossing([[-5.0, 3.0], [1e-9, 0.0]], 100.0) == [[1e-9, 0.0]]
+
+
+def test_rays_of_the_grid_have_their_damping_ratio():
+    import matplotlib.pyplot as plt
+
+    figure, ax = plt.subplots()
+    tuning_figures._damping_grid(ax, -120.0, 100.0)
+    for ratio, line in zip(tuning_figures.RATIOS, ax.lines, strict=True):
+        (x0, x1), (y0, y1) = line.get_xdata(), line.get_ydata()
+        assert (x0, y0) == (0.0, 0.0) and x1 >= -120.0 and y1 <= 100.0 + 1e-9
+        assert -x1 / np.hypot(x1, y1) == pytest.approx(ratio, rel=1e-12)
+    assert [text.get_text() for text in ax.texts] == [f"{ratio:g}" for ratio in tuning_figures.RATIOS]
+    plt.close(figure)
+
+
+@pytest.mark.parametrize(
+    ("values", "overshoot"), [([0, 1.5, 1.0], 0.5), ([0, -1.2, -1.0], 0.2), ([0, 0.5, 1.0], 0.0), ([0, 1.0, 0.0], None)]
+)
+def test_overshoot_over_the_last_value(values, overshoot):
+    assert tuning_figures.overshoot_of(values) == (None if overshoot is None else pytest.approx(overshoot))
+
+
+def test_far_apart_errors_stand_on_a_logarithmic_axis(runs):
+    import matplotlib.pyplot as plt
+
+    cases = trial_figures.cases_of(Saved(runs[2]))
+    rig = load_rig(runs[2])
+    for count, scale in ((1, "linear"), (2, "log")):  # largest errors of 0.1 and 4 mm
+        figure, ax = plt.subplots()
+        mine = [(case.row["controller"], case, case.record()) for case in cases[:count]]
+        trial_figures._errors(ax, rig, mine, [{}] * count)
+        assert ax.get_yscale() == scale
+        assert max(float(np.max(line.get_ydata())) for line in ax.lines) == pytest.approx(4.0 if count == 2 else 0.1)
+        plt.close(figure)
+
+
+def test_cases_know_their_files(runs):
+    (case,) = trial_figures.cases_of(Saved(runs[3]))
+    assert case.cylinder == "boom" and case.energy() is None and case.row["tracking"]["max_error"] == 1e-4
+    cases = trial_figures.cases_of(Saved(runs[2]))
+    assert all(one.energy() is not None for one in cases) and len(trial_figures.groups_of(cases)) == 1
+
+
+def test_a_trial_without_a_controller_is_none_of_these(runs, tmp_path):
+    folder = Path(shutil.copytree(runs[3], tmp_path / "plain"))
+    write_json(folder / "trial.json", json.loads((folder / "trial.json").read_text()) | {"controller": "", "measures": {}})
+    assert trial_figures.cases_of(Saved(folder)) == []
+    draw(folder)
+    assert captions(folder) == {"trial_boom": "Commands, motion and pressures."}
