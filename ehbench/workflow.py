@@ -168,7 +168,7 @@ def identify_hydraulics(recipe: HydraulicsRecipe, desk: Desk) -> Outcome:
     options = {
         "method": recipe.method, "start": recipe.start, "lower": recipe.lower, "upper": recipe.upper, "channels": recipe.channels,
         "flow_maps": machine.flow_maps, "workers": recipe.workers, "cutoff": None if recipe.cutoff is None else float(recipe.cutoff),
-        "max_iterations": recipe.max_iterations, "progress": desk.tell(recipe.name),
+        "max_iterations": recipe.max_iterations, "progress": desk.tell(recipe.name), "where": recipe.at,
     }  # fmt: skip
 
     def work(made: rundir.Run) -> tuple[int, list[str]]:
@@ -204,7 +204,7 @@ def validate(recipe: ValidateRecipe, desk: Desk) -> Outcome:
     def work(made: rundir.Run) -> tuple[int, list[str]]:
         verdict = validation.validate_rig(
             machine.rig, logs, channels=recipe.channels, thresholds=recipe.thresholds, flow_maps=machine.flow_maps, fitted_on=seen,
-            progress=desk.tell(recipe.name),
+            progress=desk.tell(recipe.name), where=recipe.at,
         )  # fmt: skip
         _write_rig(made.path, machine.rig, machine.flow_maps)
         rundir.write_json(made.path / "validation.json", verdict.as_json())
@@ -418,16 +418,16 @@ def machine_of(recipe: Recipe, rig: str, flow_maps: str | None, desk: Desk) -> M
 
 def logs_of(recipe: Recipe, data: Sequence[DataFile], desk: Desk) -> tuple[list[tuple[str, Record]], list[tuple[str, Path]], list[str]]:
     """(name and record of each log, inputs, losses). Data may be a log, or the recipe or run folder of a trial."""
+    from ehbench.intake import distinct_names
     from ehbench.logs import read_record
 
-    logs, inputs, losses = [], [], []
+    places = []
     for item in data:
         path = _existing(recipe, item.path)
-        if path.is_file() and path.suffix == ".toml":
-            path = make(path, desk).folder
-        name = path.name if path.is_dir() else path.stem
-        if path.is_dir():
-            path = path / "log.mcap"
+        places.append(make(path, desk).folder if path.is_file() and path.suffix == ".toml" else path)
+    logs, inputs, losses = [], [], []
+    for item, place, name in zip(data, places, distinct_names(places), strict=True):
+        path = place / "log.mcap" if place.is_dir() else place
         record = read_record(path)
         losses += [f"{path.name}: {loss}" for loss in record.losses]
         logs.append((name, _window(record, item, path)))
@@ -442,7 +442,7 @@ def _window(record: Record, item: DataFile, path: Path) -> Record:
     low = -np.inf if item.start is None else float(item.start)
     high = np.inf if item.stop is None else float(item.stop)
     keep = (record.t >= low) & (record.t <= high)
-    if keep.sum() < 3:
+    if keep.sum() < 3 <= record.t.size:
         raise InputError(f"has no samples between {low:g} and {high:g} s", file=path, hint=f"it runs from {record.t[0]:g} to {record.t[-1]:g} s")
     meta = dict(record.meta) | ({"payload": item.payload} if item.payload else {})
     channels = {name: values[keep] for name, values in record.channels.items()}

@@ -61,13 +61,14 @@ class Heat:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure: inline SVG with its title and caption."""
+    """A figure: inline SVG with its title and caption; ``named`` if the title is the campaign's."""
 
     kind: ClassVar[str] = "picture"
     svg: str
     title: str
     caption: str = ""
     id: str = ""
+    named: bool = False
 
 
 @dataclass(frozen=True)

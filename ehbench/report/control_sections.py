@@ -63,10 +63,11 @@ def tune(run: Saved, pictures: Pictures) -> Told:
 
 
 def _by_count(pictures: Pictures, kind: str) -> list[Any]:
-    """Figures of the functions that count, the others folded."""
-    mine = {picture.id for picture in pictures(kind, "", "")}
-    main = [picture for picture in pictures(kind, "counts", "yes") if picture.id in mine]
-    return [*main, *_folded(pictures(kind, "counts", "no"), "functions that no load calls for")]
+    """Figures of the functions that count and those that a campaign names; the others folded."""
+    rest = {picture.id for picture in pictures("", "counts", "no") if not picture.named}
+    found = pictures(kind, "", "")
+    folded = [picture for picture in found if picture.id in rest]
+    return [*(picture for picture in found if picture.id not in rest), *_folded(folded, "functions that no load calls for")]
 
 
 def _operating_points(rig: Rig, tuning: Table) -> list[Any]:
@@ -254,10 +255,14 @@ def trials(run: Saved, pictures: Pictures) -> Told:
         ),
     ]
     alone: list[Any] = []
+    folds: list[Any] = []
     for case in cases:
         found = [*pictures("trial", "case", case.row["case"]), *pictures("estimates", "case", case.row["case"])]
-        alone.append(Fold(f"{case.row['case']}, on the {case.row['on']}", found))
-    parts += [Part("Each trial", alone), Part("Settings", _settings(cases[0]) if cases else [])]
+        if any(picture.named for picture in found):
+            alone += found
+        else:
+            folds.append(Fold(f"{case.row['case']}, on the {case.row['on']}", found))
+    parts += [Part("Each trial", [*alone, *folds]), Part("Settings", _settings(cases[0]) if cases else [])]
     return Told("stopped" if stopped else "done", _trials_said(rig, cases), parts)
 
 

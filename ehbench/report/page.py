@@ -76,7 +76,8 @@ def _pictures(run: Saved, anchor: str, titles: dict[str, str], used: set[str]) -
             names = (f"{run.name}/{one['key']}", one["key"])
             title = next((titles[name] for name in names if name in titles), one["title"])
             used.update(names)
-            found.append(Picture(inline(svg, f"{anchor}f{place}-", title), title, one["caption"], f"{anchor}-figure-{place}"))
+            drawn = inline(svg, f"{anchor}f{place}-", title)
+            found.append(Picture(drawn, title, one["caption"], f"{anchor}-figure-{place}", any(name in titles for name in names)))
         return found
 
     return pick
