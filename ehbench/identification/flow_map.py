@@ -28,7 +28,9 @@ _MOST_OUTLIERS = 0.05
 # beyond these the readings are not those of a valve that opens with its command
 _LEAST_EFFECT, _MOST_RMS, _MOST_LACK, _LACK_RMS = 0.05, 0.2, 100.0, 0.05
 # a bend in the drop: its curvature may be this many times as large, and it must raise the likelihood by e^5
-_BEND, _BEND_GAIN = 1e-4, 10.0
+_BEND, _BEND_GAIN = 1e-4, 40.0
+# error in the middle between two drops as a share of that at one of them left out
+_GAP_SHARE = 0.5
 # a spline slope of this share of the rated flow over the command range keeps the map strictly increasing
 _LEAST_SLOPE = 1e-4
 # no meter is better than this share of the rated flow; keeps weights finite on noise-free data
@@ -690,7 +692,7 @@ class _Fit:
         design = self.final.design(at, root)
         variance = self.lack * np.sum(solve_triangular(self.factor, design.T, lower=True) ** 2, axis=0)
         flow = design @ self.coefficients
-        variance += self.missed(at, root)
+        variance += self.missed(at, root) + self.unseen(at, root)
         sides = [max(self.deadband + k * self.deadband_std, 0.0) for k in (-1, 1)]
         if self.deadband_std > 0:
             moved = [spline.design(at, root) @ self.solve(spline, self.judged)[0] for spline in map(self.spline, sides)]
@@ -713,6 +715,51 @@ class _Fit:
         # the scatter of a mean of squares: what it exceeds the noise by must exceed 1.6 times that, too
         sure = 1.0 + 1.6 * np.sqrt(2.0 * np.sum(near**2, axis=1))
         return np.maximum(near @ square - sure * (near @ (1.0 / weight[some])), 0.0)
+
+    def left_out(self):
+        """(roots of the drops measured, variance [rated²] drop by command) by which each drop's cells surely miss a map without them.
+
+        Empty where the drops are too many to leave gaps.
+        """
+        from scipy.linalg import solve_triangular
+
+        u, s, y, weight = self.judged
+        drop = _clusters(s**2, 0.03, 0.003)
+        roots = np.bincount(drop, s) / np.bincount(drop)
+        if roots.size > 2 * _SPANS_S:
+            return roots[:0], np.zeros((0, self.levels.size))
+        index = np.arange(self.levels.size)
+        near = np.exp(-0.5 * (index[:, None] - index) ** 2)
+        surprise = np.zeros((roots.size, index.size))
+        for k in range(1, roots.size - 1):
+            rest = (u, s, y, np.where(drop == k, 0.0, weight))
+            design, gram, right = self.normal(self.final, rest)
+            factor, _ = self.final.system(gram, self.smoothing)
+            coefficients = self.final.solve(factor, right)
+            at = np.flatnonzero((drop == k) & (weight > 0))
+            error = np.sum(solve_triangular(factor, design[at].T, lower=True) ** 2, axis=0)
+            share = near[:, self.cell_level[at]] + 1e-12
+            share /= share.sum(axis=1, keepdims=True)
+            expected = share @ (1.0 / weight[at] + self.lack * error)
+            sure = 1.0 + 1.6 * np.sqrt(2.0 * np.sum(share**2, axis=1))
+            surprise[k] = np.maximum(share @ (y[at] - design[at] @ coefficients) ** 2 - sure * expected, 0.0)
+        return roots, surprise
+
+    def unseen(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Variance [rated²] of what the flow may do between the drops measured, a kink say.
+
+        A drop left out of the fit leaves a gap about twice as wide as those beside it, and an error grows at least as the gap.
+        """
+        roots, surprise = self.surprise
+        if not roots.size:
+            return np.zeros(u.size)
+        gap = np.clip(np.searchsorted(roots, s, side="right") - 1, 0, roots.size - 2)
+        part = np.clip((s - roots[gap]) / (roots[gap + 1] - roots[gap]), 0.0, 1.0)
+        worse = _GAP_SHARE**2 * np.maximum(surprise[:-1], surprise[1:])
+        level = np.interp(u, self.levels, np.arange(self.levels.size))
+        low = np.minimum(level.astype(int), self.levels.size - 2)
+        between = worse[gap, low] * (low + 1 - level) + worse[gap, low + 1] * (level - low)
+        return np.where(u > self.deadband, between * 4.0 * part * (1.0 - part), 0.0)
 
     def compare_trials(self) -> None:
         """Standard error of the mean of the trials' common factors [1], beyond what the noise explains (DerSimonian–Laird)."""
@@ -745,7 +792,8 @@ class _Fit:
         knots = _digits(self.deadband + spline.u_breaks * (spline.top - self.deadband), 10)
         knots[0] = self.deadband
         fine_u = np.unique(np.concatenate([knots, 0.5 * (knots[1:] + knots[:-1]), self.deadband_interval]))
-        fine_s = np.unique(np.concatenate([self.s_breaks, 0.5 * (self.s_breaks[1:] + self.s_breaks[:-1])]))
+        roots = self.surprise[0]
+        fine_s = np.unique(np.concatenate([np.linspace(0.0, 1.0, 2 * self.s_breaks.size - 1), roots, 0.5 * (roots[1:] + roots[:-1])]))
         command, low, high = self.hull()
         return FlowMap(
             valve=valve,
@@ -778,6 +826,7 @@ class _Fit:
             )
             for i in out[np.argsort(r.line[out], kind="stable")]
         )
+        self.surprise = self.left_out()
         found = self.to_map(valve, direction, tuple(one.sentence(self.show) for one in outliers))
         residuals, sigmas = np.full((2, r.size), np.nan)
         residuals[r.row], sigmas[r.row] = self.rated * (self.y - self.flow), self.sigmas

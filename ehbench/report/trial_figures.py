@@ -236,7 +236,7 @@ def compared_said(rig: Rig, mine: Sequence[Case]) -> str:
             text = "; ".join(_step_in_short(one) for one in case.steps)
         else:
             text = tracking_said(rig, case.row)
-        said.append(f"{words(case.row['controller'])}: {text}")
+        said.append(f"{words(case.row['controller'])}: {text}" + (", stopped by a limit" if case.row.get("stopped") else ""))
     return _sentence(". ".join(capital(text) for text in said)) + _best(mine)
 
 
@@ -250,50 +250,46 @@ def _step_in_short(one: Table) -> str:
 
 
 def _no_ratio(one: Table) -> str:
-    return "no damping ratio" + (f" ({one['ringing']})" if one["ringing"] else "")
+    return "no damping ratio" + (f": {one['ringing']}" if one["ringing"] else "")
 
 
 def _best(mine: Sequence[Case]) -> str:
-    """Which controller does best and which worst by one number, where they differ."""
-    if mine[0].steps:
-        found = [
-            (max(values), case.row["controller"])
-            for case in mine
-            if (values := [s["overshoot"] for s in case.steps if s.get("overshoot") is not None])
-        ]
-        what, show = "overshoot", percent
-    else:
-        found = [(case.row["tracking"]["max_error"], case.row["controller"]) for case in mine]
-        what, show = "largest error", None
+    """Which controller does best and which worst by one number, where they differ; one that was stopped is no match."""
+    found = []
+    for case in mine:
+        values = [one.get("overshoot") for one in case.steps] or [case.row["tracking"]["max_error"]]
+        if None not in values and not case.row.get("stopped"):
+            found.append((max(values), case.row["controller"]))
     if len(found) < 2 or min(found)[0] == max(found)[0]:
         return ""
     (low, best), (high, worst) = min(found), max(found)
-    if show is not None:
-        return f" Least {what}: {words(best)}; most: {words(worst)}."
-    return f" Least {what}: {words(best)}; most: {words(worst)}" + (
-        f", {number(high / low, 3)} times as much." if low > 0.0 else "."
-    )
+    what = "overshoot" if mine[0].steps else "largest error"
+    times = f", {number(high / low, 3)} times as much" if low > 0.0 else ""
+    return f" Best by {what}: {words(best)}; worst: {words(worst)}{times}."
 
 
 def energy_said(rig: Rig, mine: Sequence[Case]) -> str:
     """For each payload, who takes least and most from the pump, and how far from where it should be it ended."""
     said = []
 
-    def one(energy: float, case: Case, verb: str) -> str:
+    def one(case: Case) -> str:
         off = measure(rig, "x", case.row["tracking"]["final_error"], 2)
-        return f"{words(case.row['controller'])}{verb} {measure(rig, 'energy', energy, 4)} (ended {off} from the desired stroke)"
+        energy = measure(rig, "energy", case.row["energy"]["pump"], 4)
+        return f"{words(case.row['controller'])}, {energy} (ended {off} from the desired stroke)"
 
     for payload in dict.fromkeys(case.row["payload"] for case in mine):
-        found = sorted(
-            ((case.row["energy"]["pump"], case) for case in mine if case.row["payload"] == payload), key=lambda pair: pair[0]
-        )
-        (low, least), (high, most) = found[0], found[-1]
-        text = f"{load_name(payload)}: {one(low, least, ' takes')}"
-        if len(found) > 1 and high > 0.0:
-            text += f", {percent(1.0 - low / high)} less than {one(high, most, ' with')}"
-        said.append(capital(text))
+        found = [case for case in mine if case.row["payload"] == payload and not case.row.get("stopped")]
+        found.sort(key=lambda case: case.row["energy"]["pump"])
+        if found:
+            low, high = (case.row["energy"]["pump"] for case in (found[0], found[-1]))
+            text = f"least from the pump, {load_name(payload)}: {one(found[0])}"
+            if high > low:
+                text += f"; {percent(1.0 - low / high)} less than the most, {one(found[-1])}"
+            said.append(capital(text))
+    if any(case.row.get("stopped") for case in mine):
+        said.append("Trials that a limit stopped are left out")
     kinds = list(dict.fromkeys(case.row["energy"]["source"] for case in mine))
-    return "From the pump. " + ". ".join(said) + ". Source: " + "; ".join(kinds) + "."
+    return ". ".join([*said, f"Source: {'; '.join(kinds)}"]) + "."
 
 
 def estimates_said(rig: Rig, case: Case, record: Record) -> str:

@@ -267,6 +267,12 @@ def captions(folder: Path) -> dict[str, str]:
     return {one["key"]: one["caption"] for one in json.loads((folder / "figures/index.json").read_text())["figures"]}
 
 
+def depth(html: str, text: str) -> int:
+    """How many folds a text lies in."""
+    before = html[: html.index(text)]
+    return before.count("<details") - before.count("</details")
+
+
 def plain(html: str) -> str:
     """The text of a page."""
     return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", re.sub(r"<svg.*?</svg>", " ", html, flags=re.DOTALL)))
@@ -389,7 +395,7 @@ def test_units_are_those_of_the_rig_file(tmp_path):
 
 
 def test_captions_follow_the_numbers(runs):
-    assert "Least overshoot: pressure feedback; most: open loop." in captions(runs[1])["compare_no_load_70"]
+    assert "Best by overshoot: pressure feedback; worst: open loop, 3 times as much." in captions(runs[1])["compare_no_load_70"]
     cases = trial_figures.cases_of(Saved(runs[1]))[:2]
     rows = [
         dict(case.row) | {"steps": [dict(case.steps[0]) | {"overshoot": value}]}
@@ -397,13 +403,15 @@ def test_captions_follow_the_numbers(runs):
     ]
     changed = [replace(case, row=Table(row, case.log)) for case, row in zip(cases, rows, strict=True)]
     said = trial_figures.compared_said(load_rig(runs[1]), changed)
-    assert "Open loop: overshoot 10 %" in said and said.endswith("Least overshoot: open loop; most: pressure feedback.")
+    assert "Open loop: overshoot 10 %" in said and said.endswith(
+        "Best by overshoot: open loop; worst: pressure feedback, 2 times as much."
+    )
 
 
 def test_what_could_not_be_read_off_is_said(runs):
     said = captions(runs[1])
     assert "not settled" in said["trial_none_open_loop"] and "damping ratio 0.08 at 4 Hz" in said["trial_none_open_loop"]
-    assert "no damping ratio (only 0.9 cycles in the window)" in said["trial_none_pressure_feedback"]
+    assert "no damping ratio: only 0.9 cycles in the window" in said["trial_none_pressure_feedback"]
     assert "saturated 3.3 % of the time" in said["trial_none_open_loop"] and "against" not in said["trial_none_open_loop"]
     text = plain(build(runs[1:2]))
     assert (
@@ -415,11 +423,19 @@ def test_what_could_not_be_read_off_is_said(runs):
 
 def test_energy_is_compared_within_a_payload_and_says_where_it_ended(runs):
     said = captions(runs[1])["energy_70"]
-    assert (
-        "No load: pressure feedback takes 1900 J (ended −0.5 mm from the desired stroke), 5 % less than open loop with 2000 J"
-        in said
-    )
+    best = "pressure feedback, 1900 J (ended −0.5 mm from the desired stroke)"
+    assert f"Least from the pump, no load: {best}; 5 % less than the most, open loop, 2000 J" in said
     assert said.endswith("Source: edge flows of the model.")
+
+
+def test_a_stopped_trial_wins_nothing(runs):
+    cases = trial_figures.cases_of(Saved(runs[1]))[:2]
+    row = Table(dict(cases[1].row) | {"stopped": "a limit"}, cases[1].log)
+    mine = [cases[0], replace(cases[1], row=row)]
+    rig = load_rig(runs[1])
+    assert "Best" not in trial_figures.compared_said(rig, mine) and "stopped by a limit" in trial_figures.compared_said(rig, mine)
+    said = trial_figures.energy_said(rig, mine)
+    assert "Least from the pump, no load: open loop, 2000 J" in said and "left out" in said and "less than" not in said
 
 
 def test_model_or_virtual_bench_is_in_the_titles(runs):
@@ -451,7 +467,7 @@ def test_a_stopped_trial_and_one_of_the_users_own(tmp_path):
     text = plain(build([stopped, own]))
     assert "stopped" in text and f"Stopped by a limit: {sentence}." in text
     assert captions(stopped)["trial_boom"].endswith(f"Stopped: {sentence}.")
-    assert "Least" not in captions(own)["compare_no_load_70"]  # a draw has no winner
+    assert "Best" not in captions(own)["compare_no_load_70"]  # a draw has no winner
 
 
 def test_tables_and_figures_take_a_campaigns_titles(runs, tmp_path):
@@ -462,6 +478,13 @@ def test_tables_and_figures_take_a_campaigns_titles(runs, tmp_path):
     )
     text = build(runs, load_recipe(path))
     assert "<strong>Table B.4</strong>" in text and "<strong>Table B.1</strong>" in text and "<strong>Fig. B.11</strong>" in text
+    path.write_text(lead + '"locus_retract_resistive" = "Fig. B.13"\n"steps/trial_none_open_loop" = "Alone"\n')
+    named, plainly = build(runs, load_recipe(path)), build(runs)
+    for title, own in (
+        ("Fig. B.13", "Root locus over the feedback gain: boom, retract resistive"),
+        ("Alone", "none 70 % open loop, on the model"),
+    ):  # what a campaign names stands open
+        assert depth(named, f"<figcaption><strong>{title}") == 0 < depth(plainly, f"<figcaption><strong>{own}")
     path.write_text(lead + '"step" = "Table B.4"\n')
     with pytest.raises(InputError, match="'figures' names 'step'") as caught:
         build(runs, load_recipe(path))
