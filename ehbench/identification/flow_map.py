@@ -7,7 +7,7 @@ the cells' means the fit, and what the fit leaves beyond the noise widens every 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -27,10 +27,8 @@ OUTLIER_SIGMAS, BACK_SIGMAS = 5.0, 3.0
 _MOST_OUTLIERS = 0.05
 # beyond these the readings are not those of a valve that opens with its command
 _LEAST_EFFECT, _MOST_RMS, _MOST_LACK, _LACK_RMS = 0.05, 0.2, 100.0, 0.05
-# a bend in the drop: its curvature may be this many times as large, and it must raise the likelihood by e^5
+# a bend in the drop: its curvature may be this many times as large, and it must raise the likelihood by e^20
 _BEND, _BEND_GAIN = 1e-4, 40.0
-# error in the middle between two drops as a share of that at one of them left out
-_GAP_SHARE = 0.5
 # a spline slope of this share of the rated flow over the command range keeps the map strictly increasing
 _LEAST_SLOPE = 1e-4
 # no meter is better than this share of the rated flow; keeps weights finite on noise-free data
@@ -386,8 +384,12 @@ class _Fit:
         self.smoothing = np.array([1e-2, 1e-2])
 
     def spans(self, cluster: np.ndarray) -> int:
-        """Spans along the root of the drop: as narrow as the closest drops measured, the penalty sees to the rest."""
+        """Spans along the root of the drop: as narrow as the closest drops measured, the penalty sees to the rest.
+
+        Sets ``roots`` of those drops, with zero; empty where they are too many to leave gaps.
+        """
         places = np.sort(np.bincount(cluster, self.s) / np.bincount(cluster))
+        self.roots = np.append(0.0, places) if places.size <= 2 * _SPANS_S else places[:0]
         return int(np.clip(np.ceil(1.0 / np.diff(places).min()), 3, _SPANS_S))
 
     def refuse_idle(self, cluster: np.ndarray) -> None:
@@ -450,7 +452,7 @@ class _Fit:
     def choose_smoothing(self, cells, near: bool = False) -> float:
         """Penalties by restricted maximum likelihood, the scale of the noise left free (Wood 2011); −2 log of it.
 
-        ``near``: searched from the present ones on.
+        ``near``: that along the opening is searched from the present one on.
         """
         from scipy.linalg import solve_triangular
 
@@ -463,8 +465,8 @@ class _Fit:
             half = solve_triangular(factor, right, lower=True)
             return (n - 1) * np.log(max(total - half @ half, 1e-12 * total)) + determinant
 
-        start = tuple(float(v) for v in np.round(4 * np.log10(self.smoothing / unit)) / 4) if near else None
-        best, value = _lattice_minimum(score, start)
+        along = float(np.round(4 * np.log10(self.smoothing[0] / unit)) / 4)
+        best, value = _lattice_minimum(score, (along,) if near else range(-9, 0, 2))
         self.smoothing = 10.0 ** np.array(best) * unit
         return value
 
@@ -692,7 +694,7 @@ class _Fit:
         design = self.final.design(at, root)
         variance = self.lack * np.sum(solve_triangular(self.factor, design.T, lower=True) ** 2, axis=0)
         flow = design @ self.coefficients
-        variance += self.missed(at, root) + self.unseen(at, root)
+        variance += self.missed(at, root) + self.between(at, root)
         sides = [max(self.deadband + k * self.deadband_std, 0.0) for k in (-1, 1)]
         if self.deadband_std > 0:
             moved = [spline.design(at, root) @ self.solve(spline, self.judged)[0] for spline in map(self.spline, sides)]
@@ -716,50 +718,23 @@ class _Fit:
         sure = 1.0 + 1.6 * np.sqrt(2.0 * np.sum(near**2, axis=1))
         return np.maximum(near @ square - sure * (near @ (1.0 / weight[some])), 0.0)
 
-    def left_out(self):
-        """(roots of the drops measured, variance [rated²] drop by command) by which each drop's cells surely miss a map without them.
+    def between(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Variance [rated²] of where a map that bends sharply does so between the drops measured; else zero.
 
-        Empty where the drops are too many to leave gaps.
+        A kink that changes the slope by κ inside a gap h leaves the chord by κ·h·w·(1 − w) at most, w from 0 to 1 in the gap;
+        taken as two standard errors, with the larger change of slope to the gaps on either side as κ.
         """
-        from scipy.linalg import solve_triangular
-
-        u, s, y, weight = self.judged
-        drop = _clusters(s**2, 0.03, 0.003)
-        roots = np.bincount(drop, s) / np.bincount(drop)
-        if roots.size > 2 * _SPANS_S:
-            return roots[:0], np.zeros((0, self.levels.size))
-        index = np.arange(self.levels.size)
-        near = np.exp(-0.5 * (index[:, None] - index) ** 2)
-        surprise = np.zeros((roots.size, index.size))
-        for k in range(1, roots.size - 1):
-            rest = (u, s, y, np.where(drop == k, 0.0, weight))
-            design, gram, right = self.normal(self.final, rest)
-            factor, _ = self.final.system(gram, self.smoothing)
-            coefficients = self.final.solve(factor, right)
-            at = np.flatnonzero((drop == k) & (weight > 0))
-            error = np.sum(solve_triangular(factor, design[at].T, lower=True) ** 2, axis=0)
-            share = near[:, self.cell_level[at]] + 1e-12
-            share /= share.sum(axis=1, keepdims=True)
-            expected = share @ (1.0 / weight[at] + self.lack * error)
-            sure = 1.0 + 1.6 * np.sqrt(2.0 * np.sum(share**2, axis=1))
-            surprise[k] = np.maximum(share @ (y[at] - design[at] @ coefficients) ** 2 - sure * expected, 0.0)
-        return roots, surprise
-
-    def unseen(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Variance [rated²] of what the flow may do between the drops measured, a kink say.
-
-        A drop left out of the fit leaves a gap about twice as wide as those beside it, and an error grows at least as the gap.
-        """
-        roots, surprise = self.surprise
-        if not roots.size:
+        roots = self.roots
+        if roots.size < 4 or np.all(self.stiffness == 1.0):
             return np.zeros(u.size)
         gap = np.clip(np.searchsorted(roots, s, side="right") - 1, 0, roots.size - 2)
-        part = np.clip((s - roots[gap]) / (roots[gap + 1] - roots[gap]), 0.0, 1.0)
-        worse = _GAP_SHARE**2 * np.maximum(surprise[:-1], surprise[1:])
-        level = np.interp(u, self.levels, np.arange(self.levels.size))
-        low = np.minimum(level.astype(int), self.levels.size - 2)
-        between = worse[gap, low] * (low + 1 - level) + worse[gap, low + 1] * (level - low)
-        return np.where(u > self.deadband, between * 4.0 * part * (1.0 - part), 0.0)
+        flow = self.final.design(np.repeat(u, roots.size), np.tile(roots, u.size)) @ self.coefficients
+        turn = np.abs(np.diff(np.diff(flow.reshape(u.size, roots.size), axis=1) / np.diff(roots), axis=1))
+        turn = np.pad(turn, ((0, 0), (1, 1)))
+        row, width = np.arange(u.size), np.diff(roots)[gap]
+        part = np.clip((s - roots[gap]) / width, 0.0, 1.0)
+        kink = np.maximum(turn[row, gap], turn[row, gap + 1])
+        return (0.5 * kink * width * part * (1.0 - part)) ** 2
 
     def compare_trials(self) -> None:
         """Standard error of the mean of the trials' common factors [1], beyond what the noise explains (DerSimonian–Laird)."""
@@ -792,7 +767,7 @@ class _Fit:
         knots = _digits(self.deadband + spline.u_breaks * (spline.top - self.deadband), 10)
         knots[0] = self.deadband
         fine_u = np.unique(np.concatenate([knots, 0.5 * (knots[1:] + knots[:-1]), self.deadband_interval]))
-        roots = self.surprise[0]
+        roots = self.roots
         fine_s = np.unique(np.concatenate([np.linspace(0.0, 1.0, 2 * self.s_breaks.size - 1), roots, 0.5 * (roots[1:] + roots[:-1])]))
         command, low, high = self.hull()
         return FlowMap(
@@ -826,7 +801,6 @@ class _Fit:
             )
             for i in out[np.argsort(r.line[out], kind="stable")]
         )
-        self.surprise = self.left_out()
         found = self.to_map(valve, direction, tuple(one.sentence(self.show) for one in outliers))
         residuals, sigmas = np.full((2, r.size), np.nan)
         residuals[r.row], sigmas[r.row] = self.rated * (self.y - self.flow), self.sigmas
@@ -888,7 +862,7 @@ class _Fit:
             yield f"{self.show.flow(leakage * self.rated, 3)} pass below the deadband; the map takes the valve as shut there"
 
 
-def _lattice_minimum(score, start: tuple[float, float] | None = None) -> tuple[tuple[float, float], float]:
+def _lattice_minimum(score, first: Iterable[float] = range(-9, 0, 2)) -> tuple[tuple[float, float], float]:
     """(point, value) of the least of ``score`` over decadic logarithms, on a lattice that is refined about the best.
 
     Points come from a fixed lattice, so that the last bits of a linear algebra library do not move the result.
@@ -900,8 +874,7 @@ def _lattice_minimum(score, start: tuple[float, float] | None = None) -> tuple[t
             known[point] = float(score(point))
         return known[point]
 
-    lattice = [start] if start else [(float(a), float(b)) for a in range(-9, 0, 2) for b in range(-9, 0, 2)]
-    best = min(lattice, key=value)
+    best = min(((float(a), float(b)) for a in first for b in range(-9, 0, 2)), key=value)
     for step in (1.0, 0.5, 0.25):
         while True:
             a, b = best
