@@ -267,14 +267,15 @@ def run_trial(recipe: TrialRecipe, desk: Desk) -> Outcome:
         )
         _write_rig(made.path, machine.rig, machine.flow_maps)
         _write_log(made.path / "log.mcap", record, recipe, machine.rig)
+        doubts = _write_ledger(made.path / "ledger.json", record, recipe, machine.rig, machine.flow_maps, facts.cylinder)
         rundir.write_json(made.path / "trial.json", facts.as_json())
         made.facts |= {
             "what": "trial", "title": recipe.title, "rig": machine.rig.name, "on": recipe.on, "stopped": facts.stopped,
-            "warnings": list(facts.warnings),
+            "warnings": [*facts.warnings, *doubts],
         }  # fmt: skip
         if facts.stopped:
-            return STOPPED, [*facts.warnings, facts.stopped]
-        return DONE, list(facts.warnings)
+            return STOPPED, [*facts.warnings, *doubts, facts.stopped]
+        return DONE, [*facts.warnings, *doubts]
 
     return _run(recipe, desk, inputs, work, {"trial": recipe.seed})
 
@@ -302,13 +303,18 @@ def run_trials(recipe: TrialSetRecipe, desk: Desk) -> Outcome:
         results = trial.run_cases(cases, allow_code=desk.allow_code, progress=desk.tell(recipe.name))
         _write_rig(made.path, base.rig, base.flow_maps)
         (made.path / "logs").mkdir()
-        for case, file, (record, _) in zip(cases, trial.file_names(cases), results, strict=True):
+        (made.path / "ledgers").mkdir()
+        doubts = []
+        for case, file, (record, facts) in zip(cases, trial.file_names(cases), results, strict=True):
             _write_log(made.path / "logs" / f"{file}.mcap", record, case.recipe, case.rig)
+            place = made.path / "ledgers" / f"{file}.json"
+            said = _write_ledger(place, record, case.recipe, case.rig, case.maps, facts.cylinder)
+            doubts += [f"{case.name}: {text}" for text in said]
         rows = trial.table_rows(cases, results)
         rundir.write_json(made.path / "table.json", {"rows": rows})
         (made.path / "table.csv").write_text(trial.table_csv(rows, base.rig), encoding="utf-8")
         stopped = [f"{case.name}: {facts.stopped}" for case, (_, facts) in zip(cases, results, strict=True) if facts.stopped]
-        warnings = [f"{case.name}: {text}" for case, (_, facts) in zip(cases, results, strict=True) for text in facts.warnings]
+        warnings = [f"{case.name}: {text}" for case, (_, facts) in zip(cases, results, strict=True) for text in facts.warnings] + doubts
         made.facts |= {
             "what": "trials", "title": recipe.title, "rig": base.rig.name, "on": recipe.on, "stopped": "; ".join(stopped), "warnings": warnings,
         }  # fmt: skip
@@ -351,6 +357,24 @@ def _write_log(path: Path, record: Record, recipe: TrialRecipe, rig: Rig) -> Non
     rig_file = tomli_w.dumps(rig.as_toml()).encode()
     attached = {**record.attachments, "recipe.toml": recipe.path.read_bytes(), "rig.toml": rig_file}
     write_log(path, type(record)(record.t, record.channels, record.meta, attached, record.losses))
+
+
+def _write_ledger(path: Path, record: Record, recipe: TrialRecipe, rig: Rig, maps: FlowMaps | None, cylinder: str) -> list[str]:
+    """Where a trial's energy went: exact on the model, from measured channels on the bench. Says why, where none can be made."""
+    from ehbench.errors import EhbenchError
+    from ehbench.ledger import bounds, ledger_of_log, ledger_of_model
+    from ehbench.simulation import Model
+
+    try:
+        if recipe.on == "model":
+            ledger = ledger_of_model(Model.of(rig, maps, recipe.payload), record)
+        else:
+            ledger = ledger_of_log(rig, maps, record, payload=recipe.payload)
+        limits = [bounds(rig, record, cylinder, ledger).as_json()] if cylinder else []
+    except EhbenchError as error:
+        return [f"no energy ledger: {error.message}"]
+    rundir.write_json(path, ledger.as_json() | {"bounds": limits})
+    return []
 
 
 def report(folders: Sequence[Path], desk: Desk, campaign: Campaign | None = None) -> Outcome:
