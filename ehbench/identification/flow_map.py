@@ -33,7 +33,7 @@ _BEND, _BEND_GAIN = 1e-4, 40.0
 _LEAST_SLOPE = 1e-4
 # no meter is better than this share of the rated flow; keeps weights finite on noise-free data
 _LEAST_NOISE = 1e-4
-_SPANS_U, _SPANS_S = 16, 24
+_SPANS_U, _SPANS_S = 16, 20
 _Z95 = 1.959964
 
 

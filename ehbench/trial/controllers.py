@@ -319,7 +319,7 @@ def _quantities(recipe: TrialRecipe, table: str, given: Mapping[str, Any], rows:
             else:
                 found[name] = float(read_value(raw, row))
         except InputError as error:
-            raise InputError(error.message, **where, hint=error.hint) from None
+            raise InputError(f"{name}: {error.message}", **where, hint=error.hint) from None
     return found
 
 
@@ -378,6 +378,8 @@ class UserCode:
         wish = self.wish[row]
         answer = self._call(".step", self.object.step, t, self._seen(sample), Wish(*wish.tolist()), t=t)
         try:
+            if answer is None:  # numpy would take it for nan
+                raise TypeError
             if isinstance(answer, Mapping):
                 for name, value in answer.items():
                     command[self._columns[name]] = value

@@ -13,7 +13,7 @@ from ehbench.physics.metering import edge_flow
 from ehbench.signals import ringing, rms
 
 BAND = 0.05  # a step has settled once it stays this near to its steady speed
-STEADY = 1.0 / 3.0  # the steady speed is the mean over this last part of a step
+STEADY = 1.0 / 3.0  # the steady speed is the windowed mean over this last part of a step
 FINAL = 0.1  # [s] at the end of a trial over which the final error is averaged
 
 
@@ -21,7 +21,7 @@ FINAL = 0.1  # [s] at the end of a trial over which the final error is averaged
 class StepMeasures:
     """A step of desired speed and what came of it; None where it cannot be read off.
 
-    ``speed`` asked and ``steady_speed`` reached (mean of the last third) [m/s]; ``steady_error`` their difference as a share of what
+    ``speed`` asked and ``steady_speed`` reached (windowed mean of the last third) [m/s]; ``steady_error`` their difference as a share of what
     was asked, negative if too slow; ``overshoot`` beyond the steady speed as a share of the rise to it; ``settling_time`` [s] after which
     the speed stays within 5 % of that rise; ``rms_error`` [m/s] against the desired speed; ``damping_ratio`` and ``natural_frequency``
     [rad/s] of the decay, ``ringing`` says why there are none.
@@ -52,7 +52,9 @@ def step_measures(
         others: more channels that ring with it, such as the chamber pressures.
         share: of the full speed, handed on.
     """
-    steady = float(np.mean(v[-max(1, round(STEADY * v.size)) :]))
+    last = v[-max(1, round(STEADY * v.size)) :]
+    # what still rings cancels under a window that fades in and out, and a drift counts as by the plain mean
+    steady = float(np.average(last, weights=np.hanning(last.size + 2)[1:-1]))
     way = math.copysign(1.0, speed - before)
     rise = steady - before
     overshoot = settling = None
@@ -60,8 +62,8 @@ def step_measures(
         overshoot = max(0.0, float(np.max(way * (v - steady)))) / abs(rise)
         off = np.flatnonzero(np.abs(v - steady) > BAND * abs(rise))
         # a speed that was off a tenth before the end has not settled
-        last = int(off[-1]) + 1 if off.size else 0
-        settling = float(t[last] - t[0]) if last < 0.9 * v.size else None
+        inside = int(off[-1]) + 1 if off.size else 0
+        settling = float(t[inside] - t[0]) if inside < 0.9 * v.size else None
     swing = ringing(t, np.column_stack([v, *others]))
     return StepMeasures(
         float(t[0]), float(t[-1] - t[0]), speed, share, steady, steady / speed - 1.0, overshoot, settling, rms(v - speed),
