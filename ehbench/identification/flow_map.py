@@ -2,7 +2,7 @@
 
 The spline of ``physics.flow_map`` is fitted by least squares on its positive increments with a penalty on its
 curvature in either direction. Readings at one command and nearly one drop form a cell: their scatter gives the noise,
-the cells' means the fit, and what the fit leaves beyond the noise widens every interval.
+the cells' means the fit. What the fit leaves beyond the noise widens every interval, and most where it was left.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ OUTLIER_SIGMAS, BACK_SIGMAS = 5.0, 3.0
 # more than this share far from the map is no accident, and stays in
 _MOST_OUTLIERS = 0.05
 # beyond these the readings are not those of a valve that opens with its command
-_LEAST_EFFECT, _MOST_RMS, _MOST_LACK, _LACK_RMS = 0.05, 0.2, 100.0, 0.05
+_LEAST_EFFECT, _MOST_RMS, _MOST_LACK, _LACK_RMS = 0.1, 0.2, 100.0, 0.05
 # a bend in the drop: its curvature may be this many times as large, and it must raise the likelihood by e^20
 _BEND, _BEND_GAIN = 1e-4, 40.0
 # a spline slope of this share of the rated flow over the command range keeps the map strictly increasing
@@ -108,7 +108,7 @@ class FlowMapFit:
     deadband: ``estimated``, ``at_bound`` (0 V) or ``not_excited`` (flow at the lowest command measured). ``noise``: per
     method (floor [m³/s], share of the flow), the standard deviation of one reading being √(floor² + (share·flow)²).
     ``replicates``: degrees of freedom behind the noise; 0 means that it was taken from the residuals. ``lack_of_fit``:
-    variance of cell means about the map over what the noise explains, at least 1; every interval is widened by its root.
+    variance of cell means about the map over what the noise explains, at least 1; every interval is widened by its root, and further near the cells missed.
     ``smoothing``: penalty along opening and root of drop; ``parameters``: effective number of them. ``rms`` [m³/s]: of
     the residuals of the readings used. ``leakage`` [m³/s]: mean flow at commands below the deadband, which the map takes
     as shut. ``trial_scatter``: standard error [1] of the mean of the trials' common factors beyond the noise.
@@ -181,7 +181,8 @@ def fit_flow_map(
         show: units of the sentences; gpm and kPa if not given.
 
     Raises:
-        InsufficientData: fewer than 4 commands, fewer than 3 of them passing flow, or fewer than 4 drops.
+        InsufficientData: fewer than 4 commands, fewer than 3 of them passing flow, fewer than 4 drops, a flow that does not
+            depend on the command, or readings that no map fits.
     """
     who = f"flow map of '{valve}' ({direction})"
     readings = _readings(who, command, pressure_drop, flow, method, trial, file, line, meter_limit)
@@ -397,10 +398,10 @@ class _Fit:
         r, at = self.r, np.unique(np.column_stack([cluster, self.r.level]), axis=0, return_inverse=True)
         middle, drop = _medians(self.y, at[1].ravel()), at[0][:, 0]
         spread = [np.ptp(middle[drop == k]) for k in np.unique(drop) if np.count_nonzero(drop == k) > 1]
-        if spread and max(spread) < _LEAST_EFFECT:
+        if spread and np.median(spread) < _LEAST_EFFECT:
             raise InsufficientData(
-                f"the flow of the {self.who} does not depend on the command: at one drop it changes by "
-                f"{100 * max(spread):.2g} % of the largest flow between {r.u.min():g} V and {r.u.max():g} V",
+                f"the {self.who} does not depend on the command: at one drop the flow changes by "
+                f"{100 * np.median(spread):.2g} % of the largest flow between {r.u.min():g} V and {r.u.max():g} V",
                 hint="check that the command reached the valve, and the columns of the file",
             )
 
@@ -582,7 +583,6 @@ class _Fit:
         """
         r, residual = self.r, self.y - flow
         count = np.bincount(r.cell)
-        size = np.maximum(np.abs(residual), self.std(flow))
         high, low = np.full(count.size, -np.inf), np.full(count.size, np.inf)
         np.maximum.at(high, r.cell, residual)
         np.minimum.at(low, r.cell, residual)
@@ -598,7 +598,7 @@ class _Fit:
             near = [self.nearest(away, k, axis) for axis in (0, 1)]
             backed = [np.any(middle[others] * np.sign(middle[k]) > np.abs(middle[k]) / 4.0) for others in near]
             agree[k] = any(backed)
-        return ~agree[r.cell] & (size > 0)
+        return ~agree[r.cell]
 
     @staticmethod
     def nearest(away: np.ndarray, own: int, axis: int) -> np.ndarray:

@@ -326,9 +326,15 @@ def test_flow_that_does_not_hang_on_the_command_is_refused():
     data = readings(poppet, 1)
     with pytest.raises(InsufficientData, match="does not depend on the command"):
         fit({**data, "flow": np.full(data["flow"].size, 7 * LPM)})
-    rng = np.random.default_rng(3)
+    noisy = 7 * LPM * (1 + 0.02 * np.random.default_rng(3).standard_normal(data["flow"].size))
+    with pytest.raises(InsufficientData, match="does not depend on the command"):
+        fit({**data, "flow": noisy})
+
+
+def test_flow_that_falls_with_the_command_is_refused():
+    data = readings(poppet, 1)
     with pytest.raises(InsufficientData, match="no map fits"):
-        fit({**data, "flow": 7 * LPM * (rng.uniform(0, 1, 192) > 0.5)[np.arange(576) // 3] * (data["command"] > 1)})
+        fit({**data, "flow": data["flow"] * np.where(data["command"] > 5, 0.3, 1.0)})
 
 
 def test_sentences_show_no_flow_as_zero():

@@ -1,0 +1,61 @@
+"""Campaigns: every shipped recipe is sound, and the same campaign twice gives the same bytes."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from ehbench import inspection, workflow
+
+ROOT = Path(__file__).parents[2]
+RECIPES = sorted((ROOT / "recipes").rglob("*.toml"))
+
+
+@pytest.mark.parametrize("path", RECIPES, ids=lambda p: p.relative_to(ROOT / "recipes").as_posix())
+def test_every_recipe_and_all_it_names_is_sound(path):
+    found = inspection.check(path)
+    assert found.code == 0 and found.lines[-1] == "ok"
+
+
+@pytest.mark.parametrize("path", RECIPES, ids=lambda p: p.relative_to(ROOT / "recipes").as_posix())
+def test_every_recipe_says_what_it_is_for(path):
+    assert path.read_text().startswith("# ")
+
+
+def test_every_recipe_of_the_docs_is_there():
+    for page in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]:
+        for name in re.findall(r"(?<![\w/])(recipes/[\w/]+\.toml)", page.read_text()):
+            here = ROOT if page.name != "README.md" or (ROOT / name).is_file() else ROOT / "ehbench" / "workspace"
+            assert (here / name).is_file(), f"{page.name} names {name}"
+        for name in re.findall(r"\]\(((?:docs/|images/)?[\w/]+\.(?:md|svg))\)", page.read_text()):
+            assert (page.parent / name).is_file(), f"{page.name} links {name}"
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file() and p.name != "volatile.json"}
+
+
+def test_the_same_campaign_twice_gives_the_same_bytes(tmp_path):
+    for name in ("one", "two"):
+        made = workflow.run(ROOT / "recipes" / "slide_servo" / "campaign.toml", workflow.Desk(root=tmp_path / name))
+        assert made.code == workflow.DONE
+    one, two = contents(tmp_path / "one"), contents(tmp_path / "two")
+    assert one.keys() == two.keys() and any(name.endswith("report.html") for name in one)
+    assert [name for name in one if one[name] != two[name]] == []
+
+
+def test_a_run_that_stands_is_kept_and_a_damaged_one_is_made_again(tmp_path):
+    desk = workflow.Desk(root=tmp_path)
+    recipe = ROOT / "recipes" / "slide_servo" / "validation.toml"
+    made = workflow.run(recipe, desk)
+    (source,) = (p for p in tmp_path.iterdir() if p.name.startswith("hydraulics_"))
+    before = (source / "volatile.json").stat().st_mtime_ns
+    workflow.run(recipe, workflow.Desk(root=tmp_path))
+    assert (source / "volatile.json").stat().st_mtime_ns == before
+    (source / "parameters.json").write_text("{}")
+    workflow.run(recipe, workflow.Desk(root=tmp_path))
+    assert json.loads((source / "parameters.json").read_text())["parameters"]
+    assert made.json("validation")["accepted"] and made.rig.parameters()["bulk_modulus"].sure == "identified"
