@@ -33,7 +33,9 @@ _BEND, _BEND_GAIN = 1e-4, 40.0
 _LEAST_SLOPE = 1e-4
 # no meter is better than this share of the rated flow; keeps weights finite on noise-free data
 _LEAST_NOISE = 1e-4
-_SPANS_U, _SPANS_S = 16, 20
+# degrees of freedom of repeats from which on they tell the noise to some 20 %
+_REPEATS = 12
+_SPANS_U, _SPANS_S = 16, 24
 _Z95 = 1.959964
 
 
@@ -108,7 +110,8 @@ class FlowMapFit:
     deadband: ``estimated``, ``at_bound`` (0 V) or ``not_excited`` (flow at the lowest command measured). ``noise``: per
     method (floor [m³/s], share of the flow), the standard deviation of one reading being √(floor² + (share·flow)²).
     ``replicates``: degrees of freedom behind the noise; 0 means that it was taken from the residuals. ``lack_of_fit``:
-    variance of cell means about the map over what the noise explains, at least 1; every interval is widened by its root, and further near the cells missed.
+    variance of cell means about the map over what the noise explains, at least 1; every interval is widened by its root, and
+    further near the cells missed.
     ``smoothing``: penalty along opening and root of drop; ``parameters``: effective number of them. ``rms`` [m³/s]: of
     the residuals of the readings used. ``leakage`` [m³/s]: mean flow at commands below the deadband, which the map takes
     as shut. ``trial_scatter``: standard error [1] of the mean of the trials' common factors beyond the noise.
@@ -276,7 +279,7 @@ def _readings(who, command, drop, flow, method, trial, file, line, meter_limit) 
 
 
 def _gram(pieces: np.ndarray, breaks: np.ndarray, order: int, weight: np.ndarray | float = 1.0) -> np.ndarray:
-    """∫ weight·B_i^(order) B_j^(order) of the splines given as polynomial pieces (``bspline_pieces``), exact; a weight a span."""
+    """∫ weight·B_i^(order) B_j^(order) of splines in polynomial pieces (``bspline_pieces``), exact; a weight a span."""
     for _ in range(order):
         pieces = pieces[..., 1:] * np.arange(1, pieces.shape[-1])
     nodes, weights = np.polynomial.legendre.leggauss(pieces.shape[-1])
@@ -464,12 +467,25 @@ class _Fit:
         def score(point: tuple[float, float]) -> float:
             factor, determinant = spline.system(gram, 10.0 ** np.array(point) * unit)
             half = solve_triangular(factor, right, lower=True)
-            return (n - 1) * np.log(max(total - half @ half, 1e-12 * total)) + determinant
+            return self.deviance(max(total - half @ half, 1e-12 * total), n) + determinant
 
         along = float(np.round(4 * np.log10(self.smoothing[0] / unit)) / 4)
         best, value = _lattice_minimum(score, (along,) if near else range(-9, 0, 2))
         self.smoothing = 10.0 ** np.array(best) * unit
         return value
+
+    def deviance(self, misfit: float, cells: int) -> float:
+        """−2 log likelihood of a penalised misfit; its scale is free, but where repeats tell the noise not below that.
+
+        Were it free below, a map through every cell could pass for one without noise. Without repeats the noise of the last turn
+        counts as much as a quarter of the cells, for the same reason.
+        """
+        scale = misfit / (cells - 1)
+        if self.replicates >= _REPEATS and scale < 1.0:
+            return misfit - (cells - 1)
+        if not self.replicates:
+            scale = (scale + 0.25) / 1.25
+        return (cells - 1) * np.log(scale)
 
     def find_bend(self, cells) -> None:
         """Lets the map bend sharply at the drop where that makes the readings likeliest, if anywhere."""
@@ -507,7 +523,7 @@ class _Fit:
         factor, determinant = spline.system(gram, self.smoothing)
         c = spline.solve(factor, right)
         misfit = float(cells[3] @ cells[2] ** 2) - 2 * right @ c + np.sum((factor.T @ c) ** 2)
-        return c, (np.count_nonzero(cells[3]) - 1) * np.log(max(misfit, 1e-12)) + determinant
+        return c, self.deviance(max(misfit, 1e-12), np.count_nonzero(cells[3])) + determinant
 
     def first_flow(self, cells) -> int:
         """Index of the lowest command that passes flow for sure, and so do all above it."""
@@ -650,7 +666,8 @@ class _Fit:
         rms = float(np.sqrt(np.mean((self.y - self.flow)[self.keep] ** 2)))
         if rms > _MOST_RMS or (self.lack > _MOST_LACK and rms > _LACK_RMS):
             raise InsufficientData(
-                f"no map fits the readings of the {self.who}: they lie {100 * rms:.2g} % of the rated flow from the best one (rms)",
+                f"no map fits the readings of the {self.who}: they lie {100 * rms:.2g} % of the rated flow "
+                "from the best one (rms)",
                 hint="check the columns, and that the flow grows with the command at every drop",
             )
 
@@ -722,18 +739,19 @@ class _Fit:
         """Variance [rated²] of where a map that bends sharply does so between the drops measured; else zero.
 
         A kink that changes the slope by κ inside a gap h leaves the chord by κ·h·w·(1 − w) at most, w from 0 to 1 in the gap;
-        taken as two standard errors, with the larger change of slope to the gaps on either side as κ.
+        taken as two standard errors, with the largest change of slope from two gaps below to two above as κ: a spline rings.
         """
         roots = self.roots
         if roots.size < 4 or np.all(self.stiffness == 1.0):
             return np.zeros(u.size)
         gap = np.clip(np.searchsorted(roots, s, side="right") - 1, 0, roots.size - 2)
-        flow = self.final.design(np.repeat(u, roots.size), np.tile(roots, u.size)) @ self.coefficients
-        turn = np.abs(np.diff(np.diff(flow.reshape(u.size, roots.size), axis=1) / np.diff(roots), axis=1))
+        each, row = np.unique(u, return_inverse=True)
+        flow = self.final.design(np.repeat(each, roots.size), np.tile(roots, each.size)) @ self.coefficients
+        turn = np.abs(np.diff(np.diff(flow.reshape(each.size, roots.size), axis=1) / np.diff(roots), axis=1))
         turn = np.pad(turn, ((0, 0), (1, 1)))
-        row, width = np.arange(u.size), np.diff(roots)[gap]
+        width = np.diff(roots)[gap]
         part = np.clip((s - roots[gap]) / width, 0.0, 1.0)
-        kink = np.maximum(turn[row, gap], turn[row, gap + 1])
+        kink = np.max([turn[row, np.clip(gap + k, 0, roots.size - 1)] for k in (-1, 0, 1, 2)], axis=0)
         return (0.5 * kink * width * part * (1.0 - part)) ** 2
 
     def compare_trials(self) -> None:
@@ -768,7 +786,9 @@ class _Fit:
         knots[0] = self.deadband
         fine_u = np.unique(np.concatenate([knots, 0.5 * (knots[1:] + knots[:-1]), self.deadband_interval]))
         roots = self.roots
-        fine_s = np.unique(np.concatenate([np.linspace(0.0, 1.0, 2 * self.s_breaks.size - 1), roots, 0.5 * (roots[1:] + roots[:-1])]))
+        fine_s = np.unique(
+            np.concatenate([np.linspace(0.0, 1.0, 2 * self.s_breaks.size - 1), roots, 0.5 * (roots[1:] + roots[:-1])])
+        )
         command, low, high = self.hull()
         return FlowMap(
             valve=valve,
