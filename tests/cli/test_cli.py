@@ -47,7 +47,7 @@ def test_every_help_has_an_example(command):
 
 
 def test_readme_names_only_commands_that_exist():
-    named = set(re.findall(r"ehbench ([a-z-]+)", (ROOT / "README.md").read_text()))
+    named = set(re.findall(r"ehbench ([a-z][a-z-]+)", (ROOT / "README.md").read_text()))
     assert set(COMMANDS) <= named
     assert named <= set(COMMANDS)
 
