@@ -532,8 +532,8 @@ class TuneRecipe(Recipe):
     Operating points: ``postures`` strokes from 10 to 90 % (or those of ``strokes``) × ``payloads`` (``none`` and all of the rig
     file by default) × ``functions`` (by default the thesis's six, as far as the valves are able) × ``speed_shares`` of the full
     speed there; other joints as in ``posture``, else at mid-stroke. ``delay`` lies between pressure and command: half a tick of
-    hold, the rest for the sensor. ``washout`` and ``off_gain`` are found where they are not given; ``washout = "0 rad/s"`` is
-    none. ``one_gain = false`` lets each working function have its own gain. ``damping_ratio`` is the target that the share of
+    hold, the rest for the sensor. ``washout`` (alone, or with an equal ``ramp_washout``) and ``off_gain`` are found where
+    they are not given; ``washout = "0 rad/s"`` is none. ``one_gain = false`` lets each working function have its own gain. ``damping_ratio`` is the target that the share of
     ``draws`` is counted against.
     """
 
@@ -550,6 +550,7 @@ class TuneRecipe(Recipe):
     rate: _typed("rate") = Value(1000.0)
     delay: _typed("delay") = Value(1.0e-3)
     washout: _typed("washout") | None = None
+    ramp_washout: _typed("ramp_washout") | None = None
     off_gain: _typed("off_gain") | None = None
     low_pressure: _typed("low_pressure") | None = None
     cross_drop: _typed("cross_drop") | None = None

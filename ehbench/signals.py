@@ -29,7 +29,8 @@ class Ringing:
     ``r_squared`` the share of what the drift leaves that the oscillation explains; ``stop`` [s] the last time used.
     ``drift_time`` [s] is the time constant of the drift's exponential (0: none) and ``weights`` what each channel counted for;
     with them `ringing_like` fits another series in the same way. ``ok`` is False when there is nothing to fit, and ``reason``
-    says why in words; the numbers are then nan.
+    says why in words; the numbers are then nan. ``fitted_damping`` is what the fit says where the oscillation is damped too
+    well to ring: no more than a likely value, without an error bar.
     """
 
     natural_frequency: float = math.nan
@@ -41,6 +42,7 @@ class Ringing:
     stop: float = math.nan
     drift_time: float = 0.0
     weights: tuple[float, ...] = ()
+    fitted_damping: float = math.nan
     ok: bool = False
     reason: str = ""
 
@@ -346,16 +348,18 @@ def _judge(s, y, weight, omega, zeta, tau, start) -> Ringing:
         "natural_frequency": omega, "damping_ratio": zeta, "natural_frequency_std": std_omega, "damping_ratio_std": std_zeta,
         "cycles": cycles, "r_squared": share, "stop": start + span, "drift_time": float(tau), "weights": weights,
     }  # fmt: skip
-    reason = ""
+    reason, fitted = "", math.nan
     plain = share > 0.9 and cycles > 2.0 * LEAST_CYCLES  # what is left over is then the model's error, not noise to be judged by
     if not plain and (evidence < SIGNIFICANT or share < 0.3):
         reason = (
             f"no oscillation stands out of noise and drift (it explains {100 * max(share, 0.0):.0f} % of what the drift leaves)"
         )
-    elif zeta > MOST_DAMPED:
-        reason = f"damped too well to ring (damping ratio {zeta:.2f})"
+    elif zeta > MOST_DAMPED or (cycles < LEAST_CYCLES and zeta * omega * span > 3.0):
+        reason, fitted = f"damped too well to ring (damping ratio {zeta:.2f})", zeta
     elif cycles < LEAST_CYCLES:
         reason = f"only {cycles:.1f} cycles in the window"
     elif std_omega > 0.15 * omega:
         reason = f"the frequency is known to {100 * std_omega / omega:.0f} % only"
-    return Ringing(reason=reason, cycles=cycles, r_squared=share, stop=start + span) if reason else Ringing(**found, ok=True)
+    if reason:
+        return Ringing(reason=reason, cycles=cycles, r_squared=share, stop=start + span, fitted_damping=fitted)
+    return Ringing(**found, ok=True)

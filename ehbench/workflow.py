@@ -361,7 +361,7 @@ def _write_log(path: Path, record: Record, recipe: TrialRecipe, rig: Rig) -> Non
 
 def _write_ledger(path: Path, record: Record, recipe: TrialRecipe, rig: Rig, maps: FlowMaps | None, cylinder: str) -> list[str]:
     """Where a trial's energy went: exact on the model, from measured channels on the bench. Says why, where none can be made."""
-    from ehbench.errors import EhbenchError
+    from ehbench.errors import EhbenchError, InsufficientData
     from ehbench.ledger import bounds, ledger_of_log, ledger_of_model
     from ehbench.simulation import Model
 
@@ -370,9 +370,12 @@ def _write_ledger(path: Path, record: Record, recipe: TrialRecipe, rig: Rig, map
             ledger = ledger_of_model(Model.of(rig, maps, recipe.payload), record)
         else:
             ledger = ledger_of_log(rig, maps, record, payload=recipe.payload)
-        limits = [bounds(rig, record, cylinder, ledger).as_json()] if cylinder else []
     except EhbenchError as error:
         return [f"no energy ledger: {error.message}"]
+    try:
+        limits = [bounds(rig, record, cylinder, ledger).as_json()] if cylinder else []
+    except InsufficientData:  # it did not move
+        limits = []
     rundir.write_json(path, ledger.as_json() | {"bounds": limits})
     return []
 

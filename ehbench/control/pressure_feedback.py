@@ -1,7 +1,7 @@
 """Pressure feedback for machines without position or velocity sensors (thesis 3); with zero gain, the open loop.
 
-``Q = A v_d − K_p F(s) P`` into the chamber that sets the motion, F(s) a washout ``s/(s + ω_w)`` or 1; the other chamber is
-held at a set pressure. It reads the cylinder's two pressures, the supply's and the tank's, and nothing else.
+``Q = A v_d − K_p F(s) P`` into the chamber that sets the motion, F(s) a washout ``s/(s + ω_w)``, two of them, or 1; the other
+chamber is held at a set pressure. It reads the cylinder's two pressures, the supply's and the tank's, and nothing else.
 """
 
 from __future__ import annotations
@@ -31,12 +31,13 @@ from ehbench.errors import InputError
 # a sample of a rig: this many channels a cylinder, its pressures at these places, then p_supply and p_tank
 PER_CYLINDER, P_HEAD, P_ROD = 6, 4, 5
 # gains
-TICK, WASHOUT, OFF_GAIN, LOW_PRESSURE, DROP_FLOOR, LOAD_CORNER, FEEDBACK_GAIN = 0, 1, 2, 3, 4, 5, 6
+TICK, WASHOUT, RAMP_WASHOUT, OFF_GAIN, LOW_PRESSURE, DROP_FLOOR, LOAD_CORNER, FEEDBACK_GAIN = range(8)
 AT_SHAPING = FEEDBACK_GAIN + len(FUNCTIONS)
 AT_RULES = AT_SHAPING + SHAPING
 GAINS = AT_RULES + RULES
 # memory
-STARTED, FUNCTION, AGE, WASHED_HEAD, WASHED_ROD, SLOW_LOAD, AT_SHAPED = 0, 1, 2, 3, 4, 5, 6
+STARTED, FUNCTION, AGE, SLOW_LOAD = range(4)
+AT_PRESSURE, AT_WASHED, AT_RAMP_WASHED, AT_SHAPED = 4, 6, 8, 10  # of (head, rod): measured, behind one washout, behind both
 MEMORY = AT_SHAPED + SHAPED
 # note: these, then (flow, limits) of each of the cylinder's edges
 NOTE = (
@@ -44,6 +45,18 @@ NOTE = (
     "feedback_flow", "flow_head_desired", "flow_rod_desired", "limits",
 )  # fmt: skip
 NOTES = len(NOTE)
+
+
+@kernel
+def wash(corner, tick, x, last, passed):
+    """What a washout ``s/(s + corner)`` [rad/s] lets through of ``x``, after ``last`` and ``passed`` a tick ago; x where it is 0.
+
+    Bilinear, so that it turns the phase as s/(s + corner) does up to the second order of corner·tick.
+    """
+    if corner == 0.0:
+        return x
+    kept = math.exp(-corner * tick)
+    return kept * passed + 0.5 * (1.0 + kept) * (x - last)
 
 
 @kernel
@@ -63,12 +76,18 @@ def step(t, sample, wish, circuit, gains, memory, command, note):
     at = PER_CYLINDER * circuit.cylinder
     p_head, p_rod = sample[at + P_HEAD], sample[at + P_ROD]
     p_supply, p_tank = sample[sample.shape[0] - 2], sample[sample.shape[0] - 1]
-    tick, washout = gains[TICK], gains[WASHOUT]
+    tick, washout, ramp_washout = gains[TICK], gains[WASHOUT], gains[RAMP_WASHOUT]
     load = p_head * circuit.area_head - p_rod * circuit.area_rod
     if memory[STARTED] == 0.0:
         memory[STARTED], memory[FUNCTION], memory[SLOW_LOAD] = 1.0, HOLD, load
-        if washout > 0.0:
-            memory[WASHED_HEAD], memory[WASHED_ROD] = p_head, p_rod
+        for side in range(2):
+            memory[AT_PRESSURE + side] = p_head if side == 0 else p_rod
+            memory[AT_WASHED + side] = 0.0 if washout > 0.0 else memory[AT_PRESSURE + side]
+    for side in range(2):
+        p = p_head if side == 0 else p_rod
+        washed = wash(washout, tick, p, memory[AT_PRESSURE + side], memory[AT_WASHED + side])
+        memory[AT_RAMP_WASHED + side] = wash(ramp_washout, tick, washed, memory[AT_WASHED + side], memory[AT_RAMP_WASHED + side])
+        memory[AT_PRESSURE + side], memory[AT_WASHED + side] = p, washed
     v_d = shape_speed(wish[V], tick, gains[AT_SHAPING:AT_RULES], memory[AT_SHAPED:MEMORY])
     # the swing of an undamped load changes the sign of its force, and choosing by it would feed the swing
     slow = -math.expm1(-gains[LOAD_CORNER] * tick) if gains[LOAD_CORNER] > 0.0 else 1.0
@@ -85,18 +104,14 @@ def step(t, sample, wish, circuit, gains, memory, command, note):
     gain, off = gains[FEEDBACK_GAIN + function], gains[OFF_GAIN]
     flow_head, flow_rod, back = circuit.area_head * v_d, circuit.area_rod * v_d, 0.0
     if METERED[function] == HEAD:
-        back = gain * (p_head - memory[WASHED_HEAD])
+        back = gain * memory[AT_RAMP_WASHED]
         low = p_head + rules[CROSS_DROP] if function == EXTEND_RESISTIVE_REGENERATION else p_tank + gains[LOW_PRESSURE]
         flow_head -= back
         flow_rod += off * (p_rod - low)
     elif METERED[function] == ROD:
-        back = gain * (p_rod - memory[WASHED_ROD])
+        back = gain * memory[AT_RAMP_WASHED + 1]
         flow_rod += back
         flow_head -= off * (p_head - (p_tank + gains[LOW_PRESSURE]))
-    if washout > 0.0:
-        passed = -math.expm1(-washout * tick)
-        memory[WASHED_HEAD] += passed * (p_head - memory[WASHED_HEAD])
-        memory[WASHED_ROD] += passed * (p_rod - memory[WASHED_ROD])
 
     edges = NOTES + circuit.count
     if function == HOLD:
@@ -121,6 +136,7 @@ def pack_pressure_feedback(
     low_pressure: float,
     feedback_gain: float | Mapping[str, float] = 0.0,
     washout: float = 0.0,
+    ramp_washout: float = 0.0,
     drop_floor: float = 2.0e4,
     load_corner: float = 2.0 * math.pi,
     shaping: np.ndarray | None = None,
@@ -135,6 +151,8 @@ def pack_pressure_feedback(
         low_pressure: set-point of the off-side chamber above tank [Pa].
         feedback_gain: K_p [m³/(s·Pa)], one number or one for each working function by name (others 0); 0 is open loop.
         washout: corner ω_w [rad/s]; 0 for none, F(s) = 1.
+        ramp_washout: corner ω_r [rad/s] of a second washout, ``F(s) = s/(s + ω_w)·s/(s + ω_r)``, which forgets a load that
+            ramps along the stroke as well; 0 for none.
         drop_floor: least drop at which the inverse of a valve is taken [Pa].
         load_corner: of the low-pass through which the load force chooses the function [rad/s]; 0 for none.
         shaping: of the commanded speed, `ehbench.control.trajectory.pack_shaping`; none by default.
@@ -143,7 +161,7 @@ def pack_pressure_feedback(
         InputError: a number that is negative or not finite, an unknown function.
     """
     gains = np.zeros(GAINS)
-    gains[[TICK, WASHOUT, OFF_GAIN, LOW_PRESSURE]] = tick, washout, off_gain, low_pressure
+    gains[[TICK, WASHOUT, RAMP_WASHOUT, OFF_GAIN, LOW_PRESSURE]] = tick, washout, ramp_washout, off_gain, low_pressure
     gains[[DROP_FLOOR, LOAD_CORNER]] = drop_floor, load_corner
     if isinstance(feedback_gain, Mapping):
         for name, value in feedback_gain.items():

@@ -95,7 +95,8 @@ def table_rows(cases: Sequence[Case], results: Sequence[tuple[Record, Facts]]) -
 _STEP = {
     "speed": ("v", "speed"), "share": ("%", "share"), "steady_speed": ("v", "steady_speed"), "steady_error": ("%", "steady_error"),
     "overshoot": ("%", "overshoot"), "settling_time": ("t", "settling_time"), "speed_rms_error": ("v", "rms_error"),
-    "damping_ratio": ("damping_ratio", "damping_ratio"), "natural_frequency": ("natural_frequency", "natural_frequency"),
+    "damping_ratio": ("damping_ratio", "damping_ratio"), "damping_ratio_fitted": ("damping_ratio", "damping_ratio_fitted"),
+    "natural_frequency": ("natural_frequency", "natural_frequency"),
 }  # fmt: skip
 _TRACKING = {"max_error": "x", "rms_error": "x", "final_error": "x"}
 

@@ -24,7 +24,8 @@ class StepMeasures:
     ``speed`` asked and ``steady_speed`` reached (windowed mean of the last third) [m/s]; ``steady_error`` their difference as a share of what
     was asked, negative if too slow; ``overshoot`` beyond the steady speed as a share of the rise to it; ``settling_time`` [s] after which
     the speed stays within 5 % of that rise; ``rms_error`` [m/s] against the desired speed; ``damping_ratio`` and ``natural_frequency``
-    [rad/s] of the decay, ``ringing`` says why there are none.
+    [rad/s] of the decay, ``ringing`` says why there are none; ``damping_ratio_fitted`` is a likely value where the decay is too
+    fast to ring, or that of the decay. A speed that hardly moved has neither overshoot nor settling time.
     """
 
     start: float
@@ -37,6 +38,7 @@ class StepMeasures:
     settling_time: float | None
     rms_error: float
     damping_ratio: float | None
+    damping_ratio_fitted: float | None
     natural_frequency: float | None
     ringing: str
 
@@ -58,16 +60,18 @@ def step_measures(
     way = math.copysign(1.0, speed - before)
     rise = steady - before
     overshoot = settling = None
-    if way * rise > 0.0:
+    if way * rise > BAND * abs(speed - before):
         overshoot = max(0.0, float(np.max(way * (v - steady)))) / abs(rise)
         off = np.flatnonzero(np.abs(v - steady) > BAND * abs(rise))
         # a speed that was off a tenth before the end has not settled
         inside = int(off[-1]) + 1 if off.size else 0
         settling = float(t[inside] - t[0]) if inside < 0.9 * v.size else None
     swing = ringing(t, np.column_stack([v, *others]))
+    fitted = swing.damping_ratio if swing.ok else swing.fitted_damping
     return StepMeasures(
         float(t[0]), float(t[-1] - t[0]), speed, share, steady, steady / speed - 1.0, overshoot, settling, rms(v - speed),
-        swing.damping_ratio if swing.ok else None, swing.natural_frequency if swing.ok else None, swing.reason,
+        swing.damping_ratio if swing.ok else None, None if math.isnan(fitted) else fitted,
+        swing.natural_frequency if swing.ok else None, swing.reason,
     )  # fmt: skip
 
 

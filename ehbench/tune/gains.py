@@ -29,30 +29,11 @@ from ehbench.tune.linear import (
 NONE = "none"  # the payload's name where there is none
 GAIN_SPAN = 100.0  # gains looked at: this factor below and above the one that makes a chamber as fast as its load swings
 GAIN_POINTS = 81
-CORNER_SHARES = (
-    0.02,
-    0.04,
-    0.08,
-    0.12,
-    0.16,
-    0.25,
-    0.4,
-    0.7,
-    1.0,
-    1.5,
-    2.5,
-)  # washout corners tried, of the slowest natural frequency
-OFF_SHARES = (
-    0.1,
-    0.2,
-    0.4,
-    0.7,
-    1.0,
-    1.5,
-    2.5,
-    5.0,
-)  # off-side gains tried, of the gain that makes a chamber as fast as its load
-NEARLY = 0.95  # a faster washout may cost this share of the damping ratio that a slower one gives
+CORNER_SHARES = tuple(np.geomspace(2.5, 0.02, 22).tolist())  # washout corners tried, of the slowest natural frequency, the fastest first
+OFF_SHARES = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.5, 5.0)  # off-side gains tried, of the gain that makes a chamber as fast as its load
+HEADROOM = 1.1  # what is found shall reach this much of the target, so that parameters a little off reach it as well
+PAIR_SHARE = 0.25  # two washouts forget a load that ramps sooner than a single one, unless they are slower than this share of its corner
+NEARLY = 0.95  # where nothing does, a faster washout may cost this share of the damping ratio that a slower one gives
 WORST_POINTS = 24  # draws are judged at this many operating points, the least damped ones
 POSTURES = 41  # of the curves of equivalent mass and gravity
 LOCUS_POINTS = 240
@@ -141,6 +122,7 @@ class Alternative:
 
     what: str
     washout: float
+    ramp_washout: float
     off_gain: float
     feedback: str
     feedback_gain: float
@@ -179,7 +161,7 @@ class Robustness:
 class Tuning:
     """Gains of the pressure feedback and what they rest on; all SI.
 
-    ``feedback_gain`` K_p [m³/(s·Pa)] by working function, ``washout`` ω_w [rad/s] (0 for none), ``off_gain`` [m³/(s·Pa)],
+    ``feedback_gain`` K_p [m³/(s·Pa)] by working function, ``washout`` ω_w and ``ramp_washout`` ω_r [rad/s] (0 for none), ``off_gain`` [m³/(s·Pa)],
     ``low_pressure`` and ``cross_drop`` [Pa], ``tick`` and ``delay`` [s]. ``damping_ratio`` the least over the operating points
     that count, ``damping_ratio_open`` without feedback. ``met``: target and constraints hold at each of them. ``gains`` the
     abscissa of the curves.
@@ -189,6 +171,7 @@ class Tuning:
     cylinder: str
     feedback_gain: dict[str, float]
     washout: float
+    ramp_washout: float
     off_gain: float
     low_pressure: float
     cross_drop: float
@@ -217,8 +200,8 @@ class Tuning:
     def controller(self) -> dict[str, Any]:
         """Keywords for `ehbench.control.pressure_feedback.pack_pressure_feedback`."""
         return {
-            "tick": self.tick, "feedback_gain": self.feedback_gain, "washout": self.washout, "off_gain": self.off_gain,
-            "low_pressure": self.low_pressure,
+            "tick": self.tick, "feedback_gain": self.feedback_gain, "washout": self.washout, "ramp_washout": self.ramp_washout,
+            "off_gain": self.off_gain, "low_pressure": self.low_pressure,
         }  # fmt: skip
 
 
@@ -308,8 +291,8 @@ def tune_pressure_feedback(
     tell("draws", 0.75)
     robustness = _robustness(rig, maps, recipe, sites, results, law, by_function, (low, cross), correlation, target, notes, tell)
     return Tuning(
-        rig=rig.name, cylinder=name, feedback_gain=by_function, washout=law.washout, off_gain=law.off_gain, low_pressure=low,
-        cross_drop=cross, tick=1.0 / float(recipe.rate), delay=law.delay, target=target, damping_ratio=damping,
+        rig=rig.name, cylinder=name, feedback_gain=by_function, washout=law.washout, ramp_washout=law.ramp_washout, off_gain=law.off_gain,
+        low_pressure=low, cross_drop=cross, tick=1.0 / float(recipe.rate), delay=law.delay, target=target, damping_ratio=damping,
         damping_ratio_open=min(r.damping_ratio_open for r in counting),
         damping_ratio_open_most=max(r.damping_ratio_open for r in counting),
         met=met, constraints=demands, gains=tuple(gains.tolist()),
@@ -422,40 +405,74 @@ def _best(sites: Sequence[_Site], law: Law, gains: np.ndarray) -> tuple[float, f
     return float(worst.max()), float(gains[worst.argmax()])
 
 
-def _law(sites: Sequence[_Site], recipe: TuneRecipe, gains: np.ndarray, scale: float) -> tuple[Law, list[Alternative]]:
-    """The law with washout and off-side gain as given, or found; and what else was tried, each at its best gain.
+def _reaches(sites: list[_Site], law: Law, gains: np.ndarray, least: float) -> bool:
+    """Whether some gain gives every point at least this damping ratio. Moves a point that refuses all gains to the front."""
+    left = gains
+    for i, site in enumerate(sites):
+        left = left[site.loop(law).damping_ratio(left) >= least]
+        if not left.size:
+            sites.insert(0, sites.pop(i))  # the likeliest to refuse the next law
+            return False
+    return True
 
-    In turns, the off-side gain with the best worst case, and the fastest washout corner that keeps NEARLY of the best one's.
+
+def _law(sites: Sequence[_Site], recipe: TuneRecipe, gains: np.ndarray, scale: float) -> tuple[Law, list[Alternative]]:
+    """The law with washouts and off-side gain as given, or found; and what else was tried, each at its best gain.
+
+    Two washouts of one corner, or a single one where they would be slower than PAIR_SHARE of it: the fastest with which some off-side gain and K_p
+    reach HEADROOM of the target: the faster they forget, the less a load that changes slows the motion. Where none does, in
+    turns the off-side gain with the best worst case, and the fastest single washout that keeps NEARLY of the best one's.
     """
     coarse, delay = gains[::2], float(recipe.delay)
     slowest = min(_swing(site) for site in sites)
-    corners = [slowest * share for share in CORNER_SHARES] if recipe.washout is None else [float(recipe.washout)]
+    found = recipe.washout is None
+    corners = [slowest * share for share in CORNER_SHARES] if found else [float(recipe.washout)]
+    ramp = 0.0 if recipe.ramp_washout is None else float(recipe.ramp_washout)
     offs = [scale * share for share in OFF_SHARES] if recipe.off_gain is None else [float(recipe.off_gain)]
-    washout = corners[0]
-    shared = not any(
-        site.loop(Law(washout, scale, delay)).off.any() for site in sites
-    )  # one command for both ends: nothing to hold
+    # one command for both ends: nothing to hold
+    shared = not any(site.loop(Law(corners[0], scale, delay)).off.any() for site in sites)
     if shared and recipe.off_gain is None:
         offs = [0.0]
-    for _ in range(2 if len(corners) > 1 and len(offs) > 1 else 1):
-        held = {off: _best(sites, Law(washout, off, delay), coarse)[0] for off in offs}
-        off = max(held, key=held.__getitem__)
-        reached = {corner: _best(sites, Law(corner, off, delay), coarse)[0] for corner in corners}
-        washout = max(corner for corner, value in reached.items() if value >= NEARLY * max(reached.values()))
-    law = Law(washout, off, delay)
+
+    def best(laws: Sequence[Law]) -> Law:
+        return max(laws, key=lambda law: _best(sites, law, coarse)[0]) if len(laws) > 1 else laws[0]
+
+    queue = list(sites)
+
+    def fastest(pairs: Sequence[tuple[float, float]]) -> Law | None:
+        for corner, ramp in pairs:
+            laws = [Law(corner, off, delay, ramp) for off in offs]
+            able = [law for law in laws if _reaches(queue, law, coarse, HEADROOM * float(recipe.damping_ratio))]
+            if able:
+                return best(able)
+        return None
+
+    law = fastest([(c, ramp) for c in corners]) if found else None
+    if law is not None and recipe.ramp_washout is None:
+        law = fastest([(c, c) for c in corners if c >= PAIR_SHARE * law.washout]) or law
+    if law is None:
+        law = Law(corners[-1], offs[0], delay, ramp)
+        for _ in range(2 if len(corners) > 1 and len(offs) > 1 else 1):
+            law = best([replace(law, off_gain=off) for off in offs])
+            reached = {corner: _best(sites, replace(law, washout=corner), coarse)[0] for corner in corners}
+            law = replace(law, washout=max(c for c, value in reached.items() if value >= NEARLY * max(reached.values())))
+    washout, off = law.washout, law.off_gain
     others = {
-        "chosen law": law, "no washout": Law(0.0, off, delay), "washout four times as fast": Law(4 * washout, off, delay),
-        "load force fed back": Law(washout, off, delay, "load"), "off-side a fifth as stiff": Law(washout, 0.2 * off, delay),
-        "off-side five times as stiff": Law(washout, 5 * off, delay), "no delay": Law(washout, off, 0.0),
+        "chosen law": law, "no washout": replace(law, washout=0.0, ramp_washout=0.0), "one washout": replace(law, ramp_washout=0.0),
+        "two washouts": replace(law, ramp_washout=washout),
+        "washout four times as fast": replace(law, washout=4 * washout, ramp_washout=4 * law.ramp_washout),
+        "load force fed back": replace(law, feedback="load"), "off-side a fifth as stiff": replace(law, off_gain=0.2 * off),
+        "off-side five times as stiff": replace(law, off_gain=5 * off), "no delay": replace(law, delay=0.0),
     }  # fmt: skip
+    del others["one washout" if law.ramp_washout == 0.0 else "two washouts"]
     if washout == 0.0:
-        del others["no washout"], others["washout four times as fast"]
+        del others["no washout"], others["two washouts"], others["washout four times as fast"]
     if shared:
         del others["off-side a fifth as stiff"], others["off-side five times as stiff"]
     tried = {what: (_best(sites, other, coarse), other) for what, other in others.items()}
     quick = [replace(site, linear=faster(site.linear, 10.0)) for site in sites]
     tried["valves ten times as fast"] = _best(quick, law, coarse), law
-    return law, [Alternative(what, o.washout, o.off_gain, o.feedback, gain, value) for what, ((value, gain), o) in tried.items()]
+    return law, [Alternative(what, o.washout, o.ramp_washout, o.off_gain, o.feedback, gain, value) for what, ((value, gain), o) in tried.items()]
 
 
 def _choose(sites: Sequence[_Site], law: Law, gains: np.ndarray, demands: dict[str, float], notes: list[str]) -> float:
@@ -579,7 +596,7 @@ def _pairs(poles: np.ndarray) -> tuple[tuple[float, float], ...]:
 def _result(site: _Site, law: Law, gain: float, gains: np.ndarray) -> PointResult:
     loop, point = site.loop(law), site.point
     opened, closed = np.linalg.eigvals(loop.a), np.linalg.eigvals(loop.closed(gain))
-    plain = close(site.linear, point, site.circuit, replace(law, washout=0.0))
+    plain = close(site.linear, point, site.circuit, replace(law, washout=0.0, ramp_washout=0.0))
     return PointResult(
         point.name, point, site.counts, _pairs(opened), _pairs(closed), abs(dominant(opened, loop.fastest)),
         abs(dominant(closed, loop.fastest)), float(loop.damping_ratio(0.0)), float(loop.damping_ratio(gain)),

@@ -481,13 +481,14 @@ def plant_model(
 class Law:
     """The pressure feedback in linear form: ``Q = A v_d − K_p F(s) P``, off-side ``Q = A v_d + off_gain·(set-point − P)``.
 
-    ``washout`` ω_w [rad/s], 0 for none; ``off_gain`` [m³/(s·Pa)]; ``delay`` [s] from pressure to command; ``feedback`` the
-    metered chamber's pressure, or the load force over the metered area.
+    ``washout`` ω_w and ``ramp_washout`` ω_r [rad/s], ``F = s/(s + ω_w)·s/(s + ω_r)``, 0 for none; ``off_gain`` [m³/(s·Pa)];
+    ``delay`` [s] from pressure to command; ``feedback`` the metered chamber's pressure, or the load force over the metered area.
     """
 
     washout: float
     off_gain: float
     delay: float
+    ramp_washout: float = 0.0
     feedback: Literal["metered", "load"] = "metered"
 
 
@@ -527,7 +528,8 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
     areas = np.array([circuit.area_head, circuit.area_rod])
     head = METERED[function] == HEAD
     size, held = linear.a.shape[0], 2 * DELAY_ORDER if law.delay > 0 else 0
-    total = size + held + (law.washout > 0)
+    corners = [corner for corner in (law.washout, law.ramp_washout) if corner > 0]
+    total = size + held + len(corners)
     a = np.zeros((total, total))
     a[:size, :size] = linear.a
     seen = np.zeros((2, total))  # pressures as the controller has them
@@ -543,10 +545,10 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
     back = seen[0 if head else 1].copy()
     if law.feedback == "load":
         back = (areas[0] * seen[0] - areas[1] * seen[1]) / (areas[0] if head else -areas[1])
-    if law.washout > 0:
-        a[-1] = law.washout * back
-        a[-1, -1] -= law.washout
-        back[-1] -= 1.0
+    for at, corner in enumerate(corners, size + held):
+        a[at] = corner * back
+        a[at, at] -= corner
+        back[at] -= 1.0
     # chamber flows (Q1, Q2) for the pressures seen, for the feedback flow, for v_d
     held_flow = np.zeros((2, total))
     if head:

@@ -207,7 +207,8 @@ def test_pressure_above_its_mean_takes_inflow_from_the_metered_chamber(function)
         inflow.append(note["flow_head_desired"] if head else -note["flow_rod_desired"])
         chamber, way = (alone.circuit.area_head, 1) if head else (alone.circuit.area_rod, -1)
         assert inflow[0] == way * chamber * v_d
-    assert inflow[1] - inflow[0] == pytest.approx(-2e-10 * 3e4, rel=1e-12)
+    first = 0.5 * (1.0 + math.exp(-5.0 * TICK))  # of a step, as a washout sees it half a tick later
+    assert inflow[1] - inflow[0] == pytest.approx(-2e-10 * 3e4 * first, rel=1e-12)
     # a gain of another function does not act
     other = Alone(feedback_gain={fn.FUNCTIONS[1 + function % 7]: 2e-10}, washout=5.0, rules=rules)
     other.tick(v_d, p_head, p_rod)
@@ -229,13 +230,36 @@ def test_the_off_side_is_driven_to_its_set_point(function):
         assert note["flow_head_desired"] == pytest.approx(alone.circuit.area_head * v_d + 2e-11 * (low - p_head), rel=1e-12)
 
 
-def test_the_washout_is_exact_on_a_held_step():
-    """s/(s + ω) of a step sampled at tick T: e^(−ω T i), whatever the function that asks for it."""
-    alone, omega = Alone(feedback_gain=1e-10, washout=7.0), 7.0
+def test_washouts_forget_a_step_and_two_forget_a_ramp():
+    """Against ``s/(s + ω)`` and its square: e^(−ω t) and (1 − ω t) e^(−ω t) of a step, Ṗ/ω and nothing of a ramp."""
+    omega, t = 7.0, TICK * np.arange(400)
+    for corners, step_back, ramp_back in (((omega, 0.0), np.exp(-omega * t), 1 / omega), ((omega, omega), (1 - omega * t) * np.exp(-omega * t), 0.0)):
+        alone = Alone(feedback_gain=1e-10, washout=corners[0], ramp_washout=corners[1])
+        alone.tick(0.05, 2e6, 5e5)
+        back = [alone.tick(0.05, 2.1e6, 5e5)["feedback_flow"] for _ in t]
+        # a step between two samples is half a tick old, on average, when it is first seen
+        np.testing.assert_allclose(np.array(back) / 1e-5, step_back, atol=2 * omega * TICK)
+        ramp = [alone.tick(0.05, 2.1e6 + 1e5 * TICK * i, 5e5)["feedback_flow"] for i in range(3000)]
+        assert ramp[-1] == pytest.approx(1e-5 * ramp_back, abs=1e-5 * (1e-5 + 25 * math.exp(-3 * omega)))
+
+
+@pytest.mark.parametrize("corner", [0.5, 20.0, 300.0])
+def test_a_washout_turns_the_phase_as_its_transfer_function_does(corner):
+    """Gain and phase at 10 Hz against jω/(jω + ω_w): bilinear, so right to (ω_w T)²/12 and (ω T)²/12."""
+    omega, t = 2 * math.pi * 10.0, TICK * np.arange(4000)
+    wave = np.exp(1j * omega * t)
+    alone = Alone(feedback_gain=1e-10, washout=corner)
     alone.tick(0.05, 2e6, 5e5)
-    back = [alone.tick(0.05, 2.1e6, 5e5)["feedback_flow"] for _ in range(400)]
-    assert back == pytest.approx(1e-10 * 1e5 * np.exp(-omega * TICK * np.arange(400)), rel=1e-10)
-    # it follows the other chamber as well, and while holding, so a change of function brings no bump
+    back = np.array([alone.tick(0.05, 2e6 + 1e5 * w.real, 5e5)["feedback_flow"] for w in wave])[1000:] / 1e-5
+    seen = 2 * np.mean(back * wave[1000:].conj())
+    exact = 1j * omega / (1j * omega + corner)
+    assert abs(seen / exact - 1) < ((omega * TICK) ** 2 + (corner * TICK) ** 2) / 12 + 1e-3
+
+
+def test_a_change_of_function_brings_no_bump():
+    """The washout follows the other chamber as well, and while holding."""
+    alone = Alone(feedback_gain=1e-10, washout=7.0)
+    alone.tick(0.05, 2e6, 5e5)
     for _ in range(3000):
         alone.tick(0.0, 2e5, 9e5)
     after = alone.tick(-0.05, 2e5, 9e5)

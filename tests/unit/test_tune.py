@@ -46,7 +46,7 @@ def sites():
 
 
 def test_thesis_boom_reaches_its_target_with_one_gain():
-    """What issue 3 expects of the linear models: 0.5 at worst, against 0.05 to 0.2 of the thesis's six functions in open loop."""
+    """What is wanted of the linear models: 0.5 at worst, against 0.05 to 0.2 of the thesis's six functions in open loop."""
 
     t = tune_pressure_feedback(machine("thesis_arm"), recipe(cylinder="boom", postures=3))
     assert t.met and t.damping_ratio >= 0.5 and len(set(t.feedback_gain.values())) == 1
