@@ -16,13 +16,15 @@ import numpy as np
 
 from ehbench.plant import derivatives, workspace_size
 from ehbench.recipe import load_recipe, load_rig
-from ehbench.rig import Rig
+from ehbench.rig import Rig, Value
 from ehbench.simulation import Model, simulate
 
 if TYPE_CHECKING:
     from ehbench.physics.flow_map import FlowMaps
+    from ehbench.recipe import TrialRecipe
 
-RIG = Path(__file__).resolve().parents[1] / "recipes" / "rigs" / "thesis_arm.toml"
+RECIPES = Path(__file__).resolve().parents[1] / "recipes"
+RIG = RECIPES / "rigs" / "thesis_arm.toml"
 TRIAL = 10.0  # [s]
 
 
@@ -100,6 +102,27 @@ def speed(rig: Rig, repeats: int = 30) -> Iterator[Row]:
         yield Row(f"10 s trial, 1 kHz log, 500 µs steps, {label}", TRIAL / best, 200.0, "× real time", lower=False)
 
 
+def closed_loop(rig: Rig, repeats: int = 10) -> Iterator[Row]:
+    """How many times faster than the machine a trial under a controller runs once warm: all that `run_trial` does.
+
+    The boom up and down under the adaptive robust controller, and the stick under the Python class of the example recipe.
+    """
+    from ehbench.trial import run_trial
+
+    up_down = _lasting_as_long(load_recipe(RECIPES / "trials" / "arc_slow.toml"))
+    own = _lasting_as_long(load_recipe(RECIPES / "trials" / "own_controller.toml"), cylinder="stick")
+    for label, maps in (("flow laws of the rig file", None), ("flow maps fitted to the dataset", _maps(rig))):
+        for recipe, what, limit in ((up_down, "adaptive robust control", 150.0), (own, "a user's Python class", 20.0)):
+
+            def trial(recipe: TrialRecipe = recipe, maps: FlowMaps | None = maps) -> None:
+                _, facts = run_trial(rig, recipe, maps, allow_code=True)
+                if facts.stopped or facts.duration != TRIAL:
+                    raise AssertionError(f"{recipe.name} lasted {facts.duration} s: {facts.stopped}")
+
+            best = _best(trial, repeats)
+            yield Row(f"10 s closed-loop trial, 1 kHz, {what}, {label}", TRIAL / best, limit, "× real time", lower=False)
+
+
 def accuracy(rig: Rig) -> Iterator[Row]:
     """The worst state's error in that trial."""
     errors = radau_error(*thesis_trial(rig))
@@ -175,13 +198,19 @@ def _best(call: Callable[[], object], repeats: int) -> float:
     return min(times)
 
 
+def _lasting_as_long(recipe: TrialRecipe, cylinder: str | None = None) -> TrialRecipe:
+    """A trial of the thesis's arm made to last TRIAL seconds with the payload, of another cylinder if named."""
+    motion = recipe.motion if cylinder is None else recipe.motion.model_copy(update={"cylinder": cylinder})
+    return recipe.model_copy(update={"duration": Value(TRIAL), "payload": "50 lb", "motion": motion})
+
+
 def _maps(rig: Rig) -> FlowMaps:
     """Flow maps of the thesis arm's valves from the shipped dataset."""
     from ehbench.identification.flow_map import fit_flow_maps
     from ehbench.physics.flow_map import collect
     from ehbench.readers import read_flowmeter
 
-    recipe = load_recipe(RIG.parents[1] / "thesis" / "flow_maps.toml")
+    recipe = load_recipe(RECIPES / "thesis" / "flow_maps.toml")
     readings = [read_flowmeter(recipe.file(name), supply_pressure=float(rig.supply.pressure)) for name in recipe.data]
     return collect([fit.map for data in readings for fit in fit_flow_maps(data)])
 
@@ -194,7 +223,7 @@ def main() -> None:
     console = Console()
     rig = load_rig(RIG)
     table = Table("what", "measured", "wanted", "", title=f"ehbench, {os.cpu_count()} cores")
-    for part in (lambda: speed(rig), lambda: accuracy(rig), lambda: fitting(rig), logging, start_up):
+    for part in (lambda: speed(rig), lambda: closed_loop(rig), lambda: accuracy(rig), lambda: fitting(rig), logging, start_up):
         with console.status("measuring"):
             rows = list(part())
         for row in rows:

@@ -170,7 +170,7 @@ _ROWS = [
     Quantity("dwell", "T_w", "s", "ms", "least time between two changes of the working function", 0, 1e3),
     Quantity("allow_seventh", "n_7", "dimensionless", "dimensionless", "1 where the seventh function may be chosen", 0, 1),
     Quantity("tick", "T_s", "s", "ms", "time between two samples of a controller", 0, 1e3),
-    Quantity("adapt", "n_a", "dimensionless", "dimensionless", "1 where the estimates follow, 0 where they stay as designed", 0, 1),
+    Quantity("adapt", "n_a", "dimensionless", "dimensionless", "1 where the estimates follow, 0 where they stay", 0, 1),
     Quantity("position_bandwidth", "k_1", "rad/s", "rad/s", "bandwidth of the stroke error", 0, 1e5),
     Quantity("speed_bandwidth", "k_2", "rad/s", "rad/s", "bandwidth of the speed error", 0, 1e5),
     Quantity("force_bandwidth", "k_3", "rad/s", "rad/s", "bandwidth of the load force error", 0, 1e5),

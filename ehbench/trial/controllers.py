@@ -10,8 +10,10 @@ import math
 import sys
 import traceback
 import types
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -20,7 +22,7 @@ import numpy as np
 
 from ehbench.control import arc
 from ehbench.control import pressure_feedback as feedback
-from ehbench.control.functions import Circuit, circuit, pack_rules
+from ehbench.control.functions import ALLOW_SEVENTH, EXTEND_RESISTIVE_REGENERATION, FUNCTIONS, Circuit, circuit, pack_rules
 from ehbench.control.trajectory import A, J, V, X, pack_shaping
 from ehbench.errors import InputError
 from ehbench.physics.cylinder import chamber_volume
@@ -44,17 +46,12 @@ RULES = (
     "speed_start", "speed_stop", "force_band", "drop_start", "drop_stop", "reserve", "supply_margin", "supply_band", "cross_drop", "dwell",
 )  # fmt: skip
 SHAPING = ("acceleration_max", "jerk_max", "natural_frequency", "damping_ratio")
-_RATE = Quantity("bandwidth", "ω", "rad/s", "rad/s", "bandwidth of a control loop", 0, 1e5)
-_SHARE = Quantity("share", "r", "dimensionless", "dimensionless", "share", 0, 1e3)
 _OPEN_LOOP = {name: VOCABULARY[name] for name in ("off_gain", "low_pressure", "drop_floor", "load_corner")}
-_FEEDBACK = {**_OPEN_LOOP, **{name: VOCABULARY[name] for name in ("feedback_gain", "washout")}}
+_FEEDBACK = {**_OPEN_LOOP, **{name: VOCABULARY[name] for name in ("feedback_gain", "washout", "ramp_washout")}}
 _ARC = {
-    **{name: _RATE for name in ("position", "speed", "force", "coupling", "pressure", "observer", "load_corner", "adaptation", "adaptation_bulk")},
-    "speed_tolerance": VOCABULARY["v"], "force_tolerance": VOCABULARY["force"], "low_pressure": VOCABULARY["low_pressure"],
-    "pressure_rate": Quantity("pressure_rate", "ṗ", "Pa/s", "kPa/s", "rate of a pressure", 0, 1e12), "correction": VOCABULARY["speed"],
-    "standby": _SHARE, "drop_floor": VOCABULARY["drop_floor"], "reference_mass": VOCABULARY["mass"], "robust_limit": _SHARE,
-    "resolution": VOCABULARY["x"], "weighing": VOCABULARY["t"], "lag_budget": VOCABULARY["phase"], "disturbance": VOCABULARY["force"],
-    "payload": VOCABULARY["mass"], "bulk_modulus": VOCABULARY["bulk_modulus"],
+    **{name: VOCABULARY[name] for name in arc.GAIN_NAMES if name not in ("tick", "adapt")},
+    **{name: VOCABULARY[name] for name in ("adaptation", "adaptation_bulk", "lag_budget")},
+    "adapt": None, "disturbance": VOCABULARY["force"], "payload": VOCABULARY["mass"], "bulk_modulus": VOCABULARY["bulk_modulus"],
 }  # fmt: skip
 _PAIRS = ("payload", "bulk_modulus")  # bounds: a list of two
 
@@ -103,7 +100,10 @@ class Design:
 
 @dataclass
 class Compiled:
-    """A built-in controller as the compiled loops take it. ``notes`` has a row a tick, its columns ``channels``."""
+    """A built-in controller as the compiled loops take it. ``notes`` has a row a tick, its columns ``channels``.
+
+    ``used`` says what it was made of, SI: see `_feedback_gains` and `_arc_gains`.
+    """
 
     kind: int
     mask: np.ndarray
@@ -114,6 +114,18 @@ class Compiled:
     channels: tuple[str, ...]
     wish: np.ndarray
     notes: np.ndarray
+    used: dict[str, Any]
+
+
+@contextmanager
+def located(recipe: TrialRecipe, *keys: str | int) -> Iterator[None]:
+    """Bad input found inside is said to stand at a key of the recipe, unless it says itself where it stands."""
+    try:
+        yield
+    except InputError as error:
+        if error.file is not None:
+            raise
+        raise InputError(error.message, **recipe.at(*keys), hint=error.hint) from None
 
 
 def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> Design:
@@ -141,8 +153,14 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> Design:
         # an edge from supply to supply is on no path
         wiring[np.ix_(wiring[:, VALVE] == layout.valves.index(valve), [FROM, TO])] = 0
     row = plant.cylinders[index]
-    made = circuit(index, row[AREA_HEAD], row[AREA_ROD], plant.edges, wiring, plant.maps, plant.valves[:, [LOWEST, HIGHEST]], measured)
-    return Design(rig, maps, model, names[index], index, model.posture(posture_of(recipe, names[index])), made)
+    with located(recipe, *controller.where, "unused"):
+        reach = plant.valves[:, [LOWEST, HIGHEST]]
+        made = circuit(index, row[AREA_HEAD], row[AREA_ROD], plant.edges, wiring, plant.maps, reach, measured)
+    with located(recipe, "posture"):
+        model.posture(recipe.posture)
+    with located(recipe, *(motion.where if motion is not None else ()), "waypoints"):
+        q = model.posture(posture_of(recipe, names[index]))
+    return Design(rig, maps, model, names[index], index, q, made)
 
 
 def posture_of(recipe: TrialRecipe, cylinder: str) -> dict[str, str]:
@@ -210,7 +228,10 @@ def compiled(recipe: TrialRecipe, made: Design, tuning: Mapping[str, Any] | None
     rows = {"open_loop": _FEEDBACK, "pressure_feedback": _FEEDBACK, "arc": _ARC}[chosen.kind]
     gains, rules = _taken(recipe, rows, tuning, made.cylinder)
     low = gains.setdefault("low_pressure", supply / 20.0)
-    packed = pack_rules(made.circuit.area_rod, supply, low_pressure=low, **rules)
+    with located(recipe, *chosen.where, "rules"):
+        packed = pack_rules(made.circuit.area_rod, supply, low_pressure=low, **rules)
+    with located(recipe, *chosen.where, "shaping"):
+        shaping = pack_shaping(**_quantities(recipe, "shaping", chosen.shaping, {name: VOCABULARY[name] for name in SHAPING}))
     axis = arc.axis(
         made.circuit, plant.kind, plant.gravity, plant.links, plant.joints, made.q,
         row[[GEOMETRY, L_A, L_B, SIDE, PHASE, RETRACTED]],
@@ -221,15 +242,16 @@ def compiled(recipe: TrialRecipe, made: Design, tuning: Mapping[str, Any] | None
     axis = axis._replace(onset=np.where(unused, 0.0, axis.onset))  # no standing by for them
     channels = 6 * len(model.layout.cylinders) + 2
     edges = model.layout.edges[own]
-    try:
+    with located(recipe, *chosen.where, "gains"):
         if chosen.kind == "arc":
             kind, mask, names, memory = ARC, arc.entitled(axis, channels), arc.note_channels(made.cylinder, edges), arc.memory_size(axis)
-            more = {n: gains.pop(n) for n in (*_PAIRS, "disturbance", "adaptation", "adaptation_bulk", "lag_budget", "adapt") if n in gains}
+            more = {name: gains.pop(name) for name in list(gains) if name == "adapt" or name not in arc.GAIN_NAMES}
             limit = float(plant.supply[2])
             limit = limit if math.isfinite(limit) else 0.5 * made.circuit.area_head  # half a metre a second
-            values = arc.pack_arc(
-                axis, packed, tick=tick, supply_pressure=supply, flow_limit=limit, valve_lag=_valve_lag(made), gains=gains, **more
-            )
+            known = {"tick": tick, "supply_pressure": supply, "flow_limit": limit, "valve_lag": _valve_lag(made), "gains": gains}
+            values = arc.pack_arc(axis, packed, **known, **more)
+            slow = arc.pack_arc(axis, packed, **known, **more | {"adaptation": 1.0, "adaptation_bulk": 1.0})
+            used = _arc_gains(values, slow)
         else:
             kind, mask, memory = FEEDBACK, feedback.entitled(made.circuit, channels), feedback.MEMORY
             names = feedback.note_channels(made.cylinder, edges)
@@ -238,17 +260,48 @@ def compiled(recipe: TrialRecipe, made: Design, tuning: Mapping[str, Any] | None
             )
             gains.setdefault("off_gain", OFF_RATE * volume / row[BULK])
             if chosen.kind == "open_loop":
-                gains |= {"feedback_gain": 0.0, "washout": 0.0}
+                gains |= {"feedback_gain": 0.0, "washout": 0.0, "ramp_washout": 0.0}
             elif "feedback_gain" not in gains:
                 hint = 'write gains = { feedback_gain = "…", washout = "…" }, or gains = "<a tune recipe or its run>"'
                 raise InputError("pressure feedback needs its gain", **recipe.at(*chosen.where), hint=hint)
-            shaping = _quantities(recipe, "shaping", chosen.shaping, {name: VOCABULARY[name] for name in SHAPING})
-            values = feedback.pack_pressure_feedback(tick=tick, rules=packed, shaping=pack_shaping(**shaping), **gains)
-    except InputError as error:
-        if error.file is not None:
-            raise
-        raise InputError(error.message, **recipe.at(*chosen.where), hint=error.hint) from None
-    return Compiled(kind, mask, np.zeros(channels), axis, values, np.zeros(memory), names, wish, np.zeros((len(wish), len(names))))
+            values = feedback.pack_pressure_feedback(tick=tick, rules=packed, shaping=shaping, **gains)
+            used = _feedback_gains(values, made.circuit)
+    used["rules"] = dict(zip((*RULES, "allow_seventh"), packed.tolist(), strict=True))
+    return Compiled(
+        kind, mask, np.zeros(channels), axis, values, np.zeros(memory), names, wish, np.zeros((len(wish), len(names))), used
+    )
+
+
+def _feedback_gains(values: np.ndarray, made: Circuit) -> dict[str, Any]:
+    """``gains`` by name [SI]: all that `pack_pressure_feedback` packed but its rules.
+
+    The feedback gain is one number, or ``<working function>.feedback_gain`` of each that may be chosen where they differ.
+    Shaping is named where there is some.
+    """
+    gains = {name: float(values[getattr(feedback, name.upper())]) for name in ("tick", *_FEEDBACK) if name != "feedback_gain"}
+    seventh = bool(values[feedback.AT_RULES + ALLOW_SEVENTH])
+    may = [f for f in range(1, len(FUNCTIONS)) if made.able[f] and (seventh or f != EXTEND_RESISTIVE_REGENERATION)]
+    by_function = {f"{FUNCTIONS[f]}.feedback_gain": float(values[feedback.FEEDBACK_GAIN + f]) for f in may}
+    one = set(by_function.values())
+    gains |= {"feedback_gain": one.pop()} if len(one) == 1 else by_function
+    shaping = zip(SHAPING, values[feedback.AT_SHAPING : feedback.AT_RULES].tolist(), strict=True)
+    return {"gains": gains | {name: value for name, value in shaping if value > 0.0}}
+
+
+def _arc_gains(values: np.ndarray, slow: np.ndarray) -> dict[str, Any]:
+    """``gains`` by name [SI] and ``estimate_bounds``, (lower, upper) [SI] of each estimate, of what `pack_arc` packed.
+
+    ``slow`` is the same packed for adaptation at 1 rad/s, in which the rates are proportional. Projected are the estimates of the
+    law; ``payload_estimate`` is payload_share/inverse_inertia, so its bounds are those of the quotient.
+    """
+    gains = dict(zip(arc.GAIN_NAMES, values[: arc.AT_LOWER].tolist(), strict=True))
+    for name, which in (("adaptation", arc.INVERSE_INERTIA), ("adaptation_bulk", arc.INVERSE_BULK)):
+        gains[name] = float(values[arc.AT_RATE + which] / slow[arc.AT_RATE + which])
+    lower, upper = values[arc.AT_LOWER : arc.AT_UPPER].tolist(), values[arc.AT_UPPER : arc.AT_RATE].tolist()
+    bounds = {name: [low, high] for name, low, high in zip(arc.ESTIMATES, lower, upper, strict=True)}
+    share, inverse = bounds["payload_share"], bounds["inverse_inertia"]
+    bounds["payload_estimate"] = [share[0] / inverse[1], share[1] / inverse[0]]
+    return {"gains": gains, "estimate_bounds": bounds}
 
 
 def low_pressure(recipe: TrialRecipe, rig: Rig, tuning: Mapping[str, Any] | None) -> float:
@@ -301,12 +354,13 @@ def _quantities(recipe: TrialRecipe, table: str, given: Mapping[str, Any], rows:
         InputError: an unknown name, a wrong unit, with the line.
     """
     found: dict[str, Any] = {}
-    known = {**rows, "adapt": None} if rows is _ARC else rows
     for name, raw in given.items():
         where = recipe.at(*recipe.controller.where, table, name)
-        if name not in known:
-            raise InputError(f"controller '{recipe.controller.label}' has no {table} '{name}'", **where, hint="it has " + ", ".join(known))
-        row = known[name]
+        if name not in rows:
+            near = get_close_matches(name, rows, 1)
+            hint = f"did you mean '{near[0]}'?" if near else "it has " + ", ".join(rows)
+            raise InputError(f"controller '{recipe.controller.label}' has no {table} '{name}'", **where, hint=hint)
+        row = rows[name]
         try:
             if row is None:
                 if not isinstance(raw, bool):
@@ -348,10 +402,18 @@ class UserCode:
 
     def __init__(self, recipe: TrialRecipe, made: Design, channels: Sequence[str], rate: float, wish: np.ndarray) -> None:
         self.recipe, self.made, self.rate, self.names = recipe, made, rate, tuple(channels)
-        self.file, self.label = code_file(recipe), recipe.controller.code.partition(":")[2]
-        gains = {} if isinstance(recipe.controller.gains, str) else recipe.controller.gains
+        chosen = recipe.controller
+        self.file, self.label = code_file(recipe), chosen.code.partition(":")[2]
+        for table, foreign in (("rules", bool(chosen.rules)), ("gains", gains_file(recipe) is not None)):
+            if foreign:
+                what = "rules of function selection" if table == "rules" else "gains of a tune run"
+                hint = "it chooses for itself; give it numbers by gains = { name = value }"
+                raise InputError(f"a controller of your own is given no {what}", **recipe.at(*chosen.where, table), hint=hint)
         kind = self._load()
-        self.object = self._call("()", kind, **{name: self._gain(name, raw) for name, raw in gains.items() if name != "from"})
+        gains = {name: self._gain(name, raw) for name, raw in chosen.gains.items()}
+        numbers = {name: value for name, value in gains.items() if isinstance(value, int | float) and math.isfinite(value)}
+        self.used = {"gains": {name: float(value) for name, value in numbers.items()}}
+        self.object = self._call("()", kind, **gains)
         for method in ("start", "step"):
             if not callable(getattr(self.object, method, None)):
                 raise self._error(f"has no method '{method}'", hint="docs/trials.md has the protocol of a controller")
@@ -365,9 +427,10 @@ class UserCode:
         own = f"{made.cylinder}."
         self.channels = (*(own + name for name in ("x_desired", "v_desired", "a_desired", "j_desired")), *extra)
         self.wish, self.notes = wish, np.zeros((len(wish), len(self.channels)))
-        self.ranges = made.model.plant.valves[:, [LOWEST, HIGHEST]]
+        self.low, self.high = made.model.plant.valves[:, LOWEST].copy(), made.model.plant.valves[:, HIGHEST].copy()
         self.beyond = 0
-        self._columns = {name: i for i, name in enumerate(made.valves)}
+        self._columns = {name: i for i, name in enumerate(made.valves) if name not in chosen.unused}
+        self._unused = [made.valves.index(name) for name in chosen.unused]
 
     def start(self, sample: np.ndarray) -> None:
         """Hand the class its rig, the time between samples and the first sample."""
@@ -377,26 +440,30 @@ class UserCode:
         """One tick: write what the class asks for into ``command``, where it asks, and its notes into their row."""
         wish = self.wish[row]
         answer = self._call(".step", self.object.step, t, self._seen(sample), Wish(*wish.tolist()), t=t)
+        kept = command[self._unused] if self._unused else None
         try:
-            if answer is None:  # numpy would take it for nan
-                raise TypeError
             if isinstance(answer, Mapping):
                 for name, value in answer.items():
                     command[self._columns[name]] = value
-            else:
+            elif np.shape(answer) == command.shape:  # numpy would spread one number, or None, over all valves
                 command[:] = answer
+            else:
+                raise TypeError
         except KeyError as error:
-            raise self._error(f".step names '{error.args[0]}', which is no valve", hint="valves are " + ", ".join(self._columns)) from None
+            name = error.args[0]
+            which = "which the recipe leaves unused" if name in self.made.valves else "which is no valve"
+            raise self._error(f".step names '{name}', {which}", hint="valves are " + ", ".join(self._columns)) from None
         except (TypeError, ValueError):
-            hint = f"a dict of volts by valve, or {len(self._columns)} numbers: " + ", ".join(self._columns)
+            hint = f"a dict of volts by valve, or {len(self.made.valves)} numbers: " + ", ".join(self.made.valves)
             raise self._error(f".step gave {_short(answer)} at t = {t:.4g} s, which is no set of commands", hint=hint) from None
-        if not np.isfinite(command).all():
-            hint = "channels that it does not name in `channels` are nan"
-            raise self._error(f".step gave {_short(answer)} at t = {t:.4g} s, which is not finite", hint=hint)
-        low, high = self.ranges.T
-        if (command < low).any() or (command > high).any():
+        if kept is not None:
+            command[self._unused] = kept
+        if not ((command >= self.low) & (command <= self.high)).all():  # one look a tick; nan is in no range
+            if not np.isfinite(command).all():
+                hint = "channels that it does not name in `channels` are nan"
+                raise self._error(f".step gave {_short(answer)} at t = {t:.4g} s, which is not finite", hint=hint)
             self.beyond += 1
-            np.clip(command, low, high, out=command)
+            np.clip(command, self.low, self.high, out=command)
         note = self.notes[row]
         note[:4] = wish[[X, V, A, J]]
         if note.size > 4:
@@ -422,7 +489,7 @@ class UserCode:
             exec(compile(source, str(self.file), "exec"), module.__dict__)  # noqa: S102
         except SyntaxError as error:
             raise InputError(f"not Python: {error.msg}", file=self.file, line=error.lineno) from None
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise self._raised("", error) from error
         found = getattr(module, self.label, None)
         if not isinstance(found, type):
@@ -442,10 +509,10 @@ class UserCode:
     def _call(self, what: str, function: Callable[..., Any], *given: Any, t: float | None = None, **named: Any) -> Any:
         try:
             return function(*given, **named)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise self._raised(what, error, t) from error
 
-    def _raised(self, what: str, error: Exception, t: float | None = None) -> InputError:
+    def _raised(self, what: str, error: BaseException, t: float | None = None) -> InputError:
         frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename == str(self.file)]
         line, text = (frames[-1].lineno, f": {frames[-1].line}") if frames else (None, "")
         at = "" if t is None else f" at t = {t:.4g} s"

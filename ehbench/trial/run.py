@@ -23,7 +23,7 @@ from ehbench.rigs.model import ModelRig
 from ehbench.simulation import Model
 from ehbench.trial import controllers
 from ehbench.trial.commands import command_table
-from ehbench.trial.controllers import Compiled, Design, UserCode
+from ehbench.trial.controllers import ARC, Compiled, Design, UserCode, located
 from ehbench.trial.loops import COMMAND, LIMITS, MARGIN, NO_LIMITS, Machine, Runner, limit_array
 from ehbench.trial.measures import edge_flows, followed, integral, step_measures, tracking_measures
 from ehbench.trial.motion import Wishes, wishes
@@ -57,7 +57,7 @@ class Facts:
     """What is to be said of a trial beside its record.
 
     ``stopped`` is empty, or the sentence that says which limit stopped it; ``stop`` has the same as numbers. ``measures`` says how
-    well a controlled cylinder did (docs/trials.md), SI; empty in open loop.
+    well a controlled cylinder did and with which gains (docs/trials.md), SI; empty without a controller.
     """
 
     on: str
@@ -121,7 +121,8 @@ def run_trial(
     table = command_table(recipe, rig, t, closed.valves if closed is not None else ())
     machine = _machine(rig, recipe, maps)
     posture = recipe.posture if closed is None else controllers.posture_of(recipe, closed.design.cylinder)
-    sample = machine.start(posture) if closed is None else machine.start(posture, low_side=closed.low_side)
+    with located(recipe, "posture"):
+        sample = machine.start(posture) if closed is None else machine.start(posture, low_side=closed.low_side)
     run = Runner(machine, sample, t, table, limit_array(recipe.limits))
     if run.reached(0):
         reached = _stop_of(run, 0)
@@ -155,7 +156,12 @@ def run_trial(
     if law is not None:
         notes = {name: law.notes[:end, i].copy() for i, name in enumerate(law.channels)}
         record = Record(record.t, {**record.channels, **notes}, record.meta)
-        measures = _measures(record, closed, machine, end if stop is None else round(stop.t * rate) + 1)
+        measures = law.used | _measures(record, closed, machine, end if stop is None else round(stop.t * rate) + 1)
+        if isinstance(law, Compiled) and law.kind == ARC and (share := measures["limits"]["saturated"]) > 0.0:
+            warnings.append(
+                f"the valves of '{closed.design.cylinder}' were at their end in {100.0 * share:.2g} % of the ticks "
+                "and gave less than the controller asked for"
+            )
     facts = Facts(
         machine.name, rig.name, meta["payload"], posture, recipe.seed, float(t[end - 1]), end, rate, stop, tuple(warnings),
         meta.get("controller", ""), meta.get("cylinder", ""), measures,
@@ -315,6 +321,8 @@ def _stop_of(run: Runner, row: int) -> Stop:
 
 
 def _machine(rig: Rig, recipe: TrialRecipe, maps: Maps | None) -> Machine:
+    with located(recipe, "payload"):
+        rig.with_payload(recipe.payload)
     if recipe.on == "model":
         return ModelRig(Model.of(rig, maps, recipe.payload), float(recipe.rate), float(recipe.step))
     if recipe.bench is None:

@@ -9,9 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.control import arc
 from ehbench.control import pressure_feedback as pf
 from ehbench.control.functions import FUNCTIONS
+from ehbench.control.valve_level import SATURATED
 from ehbench.errors import InputError
+from ehbench.quantities import quantity
 from ehbench.recipe import TrialRecipe, TrialSetRecipe, load_rig
 from ehbench.rigs.model import sample_channels
 from ehbench.trial import RUN_OUT, Case, controllers, run_cases, run_trial, table_csv, table_rows
@@ -47,34 +50,125 @@ MACHINES = {
 }  # fmt: skip
 
 
+@pytest.mark.parametrize("on", ["model", "bench"])
 @pytest.mark.parametrize("name", MACHINES)
-def test_every_law_moves_every_rig(name):
-    """Each arrives: with position feedback near the sensor's resolution, without it within a share of the travel."""
+def test_every_law_moves_every_rig(name, on):
+    """Each arrives: with position feedback near the sensor's resolution, without it within a share of the travel.
+
+    The bench is another machine than the design model, with friction, hysteresis and other valves: there only in proportion.
+    """
     rig, (cylinder, x, payload, gain) = RIGS[name], MACHINES[name]
     fed = {"kind": "pressure_feedback", "gains": {"feedback_gain": f"{gain} m^3/(s*Pa)", "washout": "1 Hz"}}
     motion = UP_DOWN | {"cylinder": cylinder, "waypoints": [f"{x} m", f"{x + 0.05} m", f"{x} m"], "speed": "40 mm/s"}
     worst = {}
     for law in ({"kind": "open_loop"}, fed, ARC):
-        record, facts = run_trial(rig, recipe(law, motion, payload=payload))
+        record, facts = run_trial(rig, recipe(law, motion, payload=payload, on=on))
         assert not facts.stopped and facts.cylinder == cylinder and facts.controller == law["kind"]
         own = record[f"{cylinder}.x"]
-        assert own[0] == pytest.approx(x, abs=1e-9) and np.ptp(own) == pytest.approx(0.05, rel=0.2)
+        # the bench's encoders are as coarse as 2 mm on the crane, and its friction holds a load back
+        assert own[0] == pytest.approx(x, abs=1e-9 if on == "model" else 2e-3)
+        assert np.ptp(own) == pytest.approx(0.05, rel=0.2 if on == "model" else 0.4)
         assert record[f"{cylinder}.x_desired"][-1] == pytest.approx(x, abs=1e-12)
         used = set(record[f"{cylinder}.function"].astype(int)) - {0}
         assert {FUNCTIONS[f].split("_")[0] for f in used} == {"extend", "retract"}
-        for edge in (e for e in record.channels if e.startswith(cylinder) and e.endswith(".flow")):
-            assert np.abs(record[edge + "_desired"]).max() >= 0.0 and set(record[edge.replace(".flow", ".limits")]) <= set(range(32))
+        edges = [e.rsplit(".", 1)[0] for e in record.channels if e.startswith(f"{cylinder}.") and e.endswith(".flow_desired")]
+        assert edges
+        for edge in edges:
+            assert np.abs(record[f"{edge}.flow_desired"]).max() >= 0.0 and set(record[f"{edge}.limits"]) <= set(range(32))
         worst[law["kind"]] = facts.measures["tracking"]
     # the issue asks for 1 mm; without position feedback the load's compression and the valves' lag stay in the stroke
-    assert worst["arc"]["max_error"] < 5e-4 and abs(worst["arc"]["final_error"]) < 1e-4
+    if on == "model":
+        assert worst["arc"]["max_error"] < 5e-4 and abs(worst["arc"]["final_error"]) < 1e-4
     for law in ("open_loop", "pressure_feedback"):
-        assert abs(worst[law]["final_error"]) < 0.2 * 0.05 and worst["arc"]["rms_error"] < 0.3 * worst[law]["rms_error"]
+        assert abs(worst[law]["final_error"]) < (0.2 if on == "model" else 0.25) * 0.05
+        assert worst["arc"]["rms_error"] < 0.3 * worst[law]["rms_error"]
 
 
 def test_a_trial_starts_with_the_off_side_at_its_set_point():
     record, _ = run_trial(ARM, recipe({"kind": "open_loop", "gains": {"low_pressure": "5 bar"}}, payload="50 lb"))
     assert record["boom.p_rod"][0] == pytest.approx(5e5, rel=1e-12) and record["boom.p_head"][0] > 5e5
     assert np.ptp(record["boom.v"][:400]) < 1e-9, "the load is carried"
+
+
+@pytest.mark.parametrize("on", ["model", "bench"])
+def test_the_same_recipe_gives_the_same_bytes(on):
+    given = recipe(ARC, on=on, payload="50 lb", seed=3, duration="1.5 s")
+    (one, facts), (two, again) = (run_trial(ARM, given) for _ in range(2))
+    assert list(one.channels) == list(two.channels) and facts == again
+    assert all(one[name].tobytes() == two[name].tobytes() for name in one.channels)
+    other, _ = run_trial(ARM, given.model_copy(update={"seed": 4}))
+    assert np.array_equal(one["boom.p_head"], other["boom.p_head"]) == (on == "model"), "the seed is the bench's noise"
+
+
+@pytest.mark.parametrize("law", [{"kind": "open_loop"}, FEEDBACK, ARC], ids=lambda law: law["kind"])
+def test_a_log_of_the_bench_has_what_a_machine_measures_the_commands_and_the_notes(law):
+    """And nothing else: no state of the bench is in it."""
+    record, _ = run_trial(ARM, recipe(law, on="bench", bench=BENCH, duration="0.1 s"))
+    layout, notes = closed_layout(), closed(recipe(law)).channels
+    assert set(record.channels) == {*sample_channels(layout), *(f"{valve}.command" for valve in layout.valves), *notes}
+    said = {"x_desired", "v_desired", "a_desired", "j_desired", "function", "function_status", "limits"}
+    said |= {"flow_head_desired", "flow_rod_desired"}
+    said |= {f"{edge}.{word}" for edge in ("hect", "hepc", "regen", "repc", "rect") for word in ("flow_desired", "limits")}
+    said |= {*arc.ESTIMATES, "payload_estimate", "learning"} if law is ARC else {"feedback_flow"}
+    assert {f"boom.{word}" for word in said} <= set(notes)
+
+
+# --- gains ---------------------------------------------------------------------------------------------------------------
+
+
+def test_the_gains_that_a_trial_ran_with_are_saved_defaults_and_bounds_too():
+    """A payload of 50 lb under a bound of 12 kg: the estimates go to their bounds, and no farther."""
+    stated = {"position_bandwidth": "8 rad/s", "observer_bandwidth": "50 rad/s", "adaptation": "1 rad/s", "disturbance": "100 N"}
+    record, facts = run_trial(ARM, recipe({"kind": "arc", "gains": stated | {"payload": ["0 kg", "12 kg"]}}, payload="50 lb"))
+    gains, bounds, rules = (facts.measures[key] for key in ("gains", "estimate_bounds", "rules"))
+    assert set(gains) == {*arc.GAIN_NAMES, "adaptation", "adaptation_bulk"}
+    assert set(bounds) == {*arc.ESTIMATES, "payload_estimate"}
+    assert set(rules) == {*controllers.RULES, "allow_seventh"} and (rules["dwell"], rules["allow_seventh"]) == (0.1, 0.0)
+    assert all(quantity(name).lower <= value <= quantity(name).upper for name, value in (gains | rules).items())
+    assert (gains["position_bandwidth"], gains["observer_bandwidth"], gains["adapt"], gains["tick"]) == (8.0, 50.0, 1.0, 1e-3)
+    assert gains["adaptation"] == pytest.approx(1.0, rel=1e-12) and gains["adaptation_bulk"] == pytest.approx(0.02, rel=1e-12)
+    assert gains["low_pressure"] == float(ARM.supply.pressure) / 20
+    assert bounds["payload_share"] == [0.0, 12.0] and bounds["disturbance"] == [-100.0, 100.0]
+    for name, (lower, upper) in bounds.items():
+        values = record[f"boom.{name}"]
+        # the quotient of two clipped numbers may differ from the quotient of their bounds by rounding
+        assert lower <= values.min() and values.max() <= upper * (1 + 1e-15)
+    assert record["boom.payload_share"].max() == 12.0
+    assert record["boom.payload_estimate"].max() == pytest.approx(bounds["payload_estimate"][1], rel=1e-12)
+
+    by_function = {"extend_resistive": "8e-11 m^3/(s*Pa)", "retract_overrunning": "4e-11 m^3/(s*Pa)"}
+    found = {}
+    for key, law in (
+        ("open", {"kind": "open_loop"}), ("one", FEEDBACK), ("each", {**FEEDBACK, "gains": {"feedback_gain": by_function}}),
+        ("shaped", {**FEEDBACK, "shaping": {"acceleration_max": "2 m/s^2"}}),
+    ):  # fmt: skip
+        found[key] = run_trial(ARM, recipe(law, duration="0.1 s"))[1].measures["gains"]
+        assert all(quantity(name).lower <= value <= quantity(name).upper for name, value in found[key].items())
+    assert found["open"]["feedback_gain"] == 0.0 == found["open"]["washout"] and found["open"]["off_gain"] > 0.0
+    assert found["one"] == found["open"] | {"feedback_gain": 8e-11, "washout": pytest.approx(2 * np.pi, rel=1e-12)}
+    assert found["shaped"] == found["one"] | {"acceleration_max": 2.0}
+    each = {f"{name}.feedback_gain": 0.0 for name in FUNCTIONS[1:7]}
+    each |= {"extend_resistive.feedback_gain": 8e-11, "retract_overrunning.feedback_gain": 4e-11}
+    assert {name: value for name, value in found["each"].items() if "." in name} == each and "feedback_gain" not in found["each"]
+
+
+@pytest.mark.parametrize("on", ["model", "bench"])
+def test_what_a_weak_pump_cannot_give_saturates_is_said_and_leaves_no_wind_up(on):
+    """A wish twice as fast as the pump: its pressure falls, the valves end, and the stroke comes home without overshoot."""
+    weak = ARM.with_values({"supply.flow_limit": 1e-4})
+    motion = UP_DOWN | {"waypoints": ["60 mm", "140 mm"], "speed": "120 mm/s", "hold": ["0.3 s", "3 s"]}
+    record, facts = run_trial(weak, recipe(ARC, motion, payload="50 lb", on=on))
+    saturated, error = record["boom.limits"].astype(int) & SATURATED > 0, record["boom.x"] - record["boom.x_desired"]
+    share = facts.measures["limits"]["saturated"]
+    assert 0.1 < share == saturated.mean() and f"at their end in {100 * share:.2g} %" in facts.warnings[0]
+    assert record["p_supply"].min() < 0.25 * float(weak.supply.pressure) and error.min() < -0.02
+    last = int(np.flatnonzero(saturated)[-1])
+    short = saturated & (record["boom.v_desired"] > facts.measures["rules"]["speed_start"])
+    assert short.sum() > 300 and (record["boom.learning"][short] == arc.FROZEN).all() and last < 2000
+    for name in arc.ESTIMATES:
+        assert not np.diff(record[f"boom.{name}"])[short[:-1]].any(), name
+    # less than the 1 mm that the issue asks for in tracking; the bench's friction leaves half of that at rest
+    assert error[last:].max() < 1e-3 and np.abs(error[-500:]).max() < (5e-5 if on == "model" else 5e-4)
 
 
 # --- channels -----------------------------------------------------------------------------------------------------------
@@ -165,6 +259,36 @@ def test_a_channel_not_named_is_nan(tmp_path):
     )
     with pytest.raises(InputError, match=r"Peek\.step gave .*nan.* at t = 0 s, which is not finite .channels that it does not name"):
         run_trial(ARM, recipe({"class": "peek:Peek"}, path=tmp_path / "trial.toml"), allow_code=True)
+
+
+@pytest.mark.parametrize(
+    ("answer", "says"),
+    [
+        ("[1.0]", r"gave \[1.0\] at t = 0 s, which is no set of commands .a dict of volts by valve, or 7 numbers"),
+        ("3.0", "gave 3.0 at t = 0 s, which is no set"),
+        ("{'boom.hepc': None}", "gave {'boom.hepc': None} at t = 0 s, which is not finite"),
+        ("{'boom.regen': 1.0}", "names 'boom.regen', which the recipe leaves unused"),
+    ],
+)
+def test_an_answer_is_volts_for_every_valve_or_by_name(tmp_path, answer, says):
+    """One number is not spread over seven valves."""
+    (tmp_path / "odd.py").write_text(
+        "class Odd:\n    channels = ['boom.x']\n    def start(self, rig, tick, sample): pass\n"
+        f"    def step(self, t, sample, wish): return {answer}\n"
+    )
+    with pytest.raises(InputError, match=r"Odd\.step " + says):
+        run_trial(ARM, recipe({"class": "odd:Odd", "unused": ["boom.regen"]}, path=tmp_path / "trial.toml"), allow_code=True)
+
+
+def test_seven_numbers_leave_an_unused_valve_at_rest(tmp_path):
+    (tmp_path / "all.py").write_text(
+        "class All:\n    channels = ['boom.x']\n    def start(self, rig, tick, sample): pass\n"
+        "    def step(self, t, sample, wish): return 7 * [0.1]\n"
+    )
+    given = recipe({"class": "all:All", "unused": ["boom.regen"]}, path=tmp_path / "trial.toml", duration="0.1 s")
+    record, _ = run_trial(ARM, given, allow_code=True)
+    commanded = {valve for valve in closed_layout().valves if (record[f"{valve}.command"] == 0.1).all()}
+    assert commanded == set(closed_layout().valves) - {"boom.regen"} and not record["boom.regen.command"].any()
 
 
 # --- motion, limits, disturbance -------------------------------------------------------------------------------------------

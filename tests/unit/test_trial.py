@@ -261,10 +261,16 @@ def closed(tmp_path, controller, motion=TOML):
         ('kind = "open_loop"\n[controller.gains]\nwashout = "1 bar"', 10, "'bar' cannot be turned into rad/s", None),
         ('kind = "arc"\n[controller.gains]\npayload = "20 kg"', 10, "payload", None),
         ('kind = "arc"\n[controller.gains]\nadapt = 1', 10, "adapt = 1", "true or false"),
-        ('kind = "arc"\n[controller.gains]\npayload = ["10 kg", "2 kg"]', 7, "bounds", None),
+        ('kind = "arc"\n[controller.gains]\npayload = ["10 kg", "2 kg"]', 9, "bounds", None),
+        ('kind = "arc"\n[controller.gains]\nstandbye = 0.5', 10, "no gains 'standbye'", "did you mean 'standby'?"),
+        ('kind = "arc"\n[controller.gains]\nstandby = 1.0', 9, "gain 'standby' is 1", "below 1"),
+        ('kind = "pressure_feedback"\ngains = { feedback_gain = { up = "1 mL/s/bar" } }', 9, "no working function 'up'", None),
         ('kind = "arc"\n[controller.rules]\nallow_eighth = true', 10, "no rules 'allow_eighth'", "allow_seventh"),
         ('kind = "arc"\n[controller.rules]\ndwell = "-1 s"', 10, "dwell", None),
+        ('kind = "arc"\n[controller.rules]\nspeed_stop = "1 m/s"', 9, "ends a state above where it begins", None),
+        ('kind = "open_loop"\n[controller.shaping]\nnatural_frequency = "2 Hz"', 9, "incomplete", "damping_ratio"),
         ('kind = "arc"\nunused = ["press.spool"]', 9, "no valve 'press.spool'", "press.servo"),
+        ('kind = "arc"\nunused = ["press.servo"]', 9, "no metering edge", None),
         ('class = "nowhere:C"', 8, "no module 'nowhere'", "nowhere.py"),
         ('class = "nowhere"', 8, "no class of a module", "my_module:MyController"),
     ],
@@ -295,6 +301,44 @@ def test_a_controller_that_cannot_be_is_refused_with_its_line(rig, tmp_path, con
 def test_a_motion_that_cannot_be_is_refused(rig, tmp_path, motion, says):
     with pytest.raises(InputError, match=says):
         run_trial(rig, closed(tmp_path, 'kind = "open_loop"', f'stage = "trial"\nrig = "x.toml"\n[motion]\n{motion}\n[controller]\n'))
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ('payload = "one tonne"', "no payload 'one tonne'"), ('posture = { elbow = "3 deg" }', "posture names 'elbow'"),
+        ('posture = { press = "3 kg" }', "'kg' cannot be turned into m"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("rest", [TOML.split("\n", 2)[2] + 'kind = "open_loop"\n', 'duration = "1 s"\n'], ids=["closed", "open"])
+@pytest.mark.parametrize("on", ["model", "bench"])
+def test_a_machine_that_cannot_be_is_refused_with_its_line(rig, tmp_path, line, says, rest, on):
+    text = f'stage = "trial"\nrig = "x.toml"\non = "{on}"\n{line}\n{rest}'
+    with pytest.raises(InputError, match=says) as error:
+        run_trial(rig, closed(tmp_path, "", text))
+    assert error.value.file.endswith("trial.toml") and error.value.line == 4
+
+
+def test_a_waypoint_that_cannot_be_is_refused_with_its_line(rig, tmp_path):
+    with pytest.raises(InputError, match="outside the stroke") as error:
+        run_trial(rig, closed(tmp_path, 'kind = "open_loop"', TOML.replace('["100 mm"', '["900 mm"')))
+    assert error.value.line == 5
+
+
+def test_every_gain_of_a_law_can_be_written_in_a_recipe(rig, tmp_path):
+    """By the very name it is saved under, with the value it is saved with: the same gains come back."""
+    from ehbench.quantities import quantity
+
+    fed = 'kind = "pressure_feedback"\n[controller.gains]\nfeedback_gain = "3e-12 m^3/(s*Pa)"\n'
+    for law in ('kind = "arc"\n[controller.gains]\n', fed):
+        short = TOML.replace("[motion]", 'duration = "0.01 s"\n[motion]')
+        first = run_trial(rig, closed(tmp_path, law, short))[1].measures["gains"]
+        moved = {name: 0.9 * value for name, value in first.items() if name not in ("tick", "adapt", "feedback_gain")}
+        units = {name: quantity(name).unit for name in moved}
+        lines = [f"{name} = {value!r}" for name, value in moved.items() if units[name] == "dimensionless"]
+        lines += [f'{name} = "{value!r} {units[name]}"' for name, value in moved.items() if units[name] != "dimensionless"]
+        again = run_trial(rig, closed(tmp_path, law + "\n".join(lines), short))[1].measures["gains"]
+        assert again == {name: pytest.approx(moved.get(name, value), rel=1e-12) for name, value in first.items()}
 
 
 def test_a_controller_needs_a_motion_and_a_trial_a_duration(tmp_path):
@@ -393,6 +437,9 @@ START, STEPS = "    def start(self, rig, tick, sample): pass\n", "    def step(s
         (HEAD + START + "    def step(self, t, sample, wish):\n        return [][int(t > 0.1)]\n", r"C.step raised IndexError at t = 0 s.*\[\]", 5),
         (HEAD + START + "    def step(self, t, sample, wish): return {'press.valve': 1.0}\n", "'press.valve', which is no valve", None),
         (HEAD + START + "    def step(self, t, sample, wish): return [1.0, 2.0]\n", r"gave \[1.0, 2.0\] at t = 0 s", None),
+        (HEAD + START + "    def step(self, t, sample, wish):\n        raise SystemExit\n", "C.step raised SystemExit at t = 0", 5),
+        ("raise SystemExit\n", "raised SystemExit", 1),
+        (HEAD + START + "    def step(self, t, sample, wish): return [float('nan')]\n", "nan.* at t = 0 s, which is not fin", None),
         (HEAD + START + "    def step(self, t, sample, wish): return None\n", "gave None at t = 0 s, which is no set", None),
     ],
 )
@@ -402,6 +449,23 @@ def test_code_that_goes_wrong_says_where(rig, tmp_path, code, says, line):
         run_trial(rig, closed(tmp_path, 'class = "mine:C"'), allow_code=True)
     assert error.value.file.endswith("mine.py") and error.value.line == line
     assert [p.name for p in sorted(tmp_path.iterdir())] == ["mine.py", "trial.toml"], "nothing is left, not even bytecode"
+
+
+@pytest.mark.parametrize(
+    ("more", "line", "says"),
+    [
+        ('rules = { dwell = "1 s" }', 9, "is given no rules of function selection"),
+        ('gains = { from = "run" }', 9, "is given no gains of a tune run"),
+        ('gains = "run"', 9, "is given no gains of a tune run"),
+    ],
+)  # fmt: skip
+def test_what_a_class_would_not_see_is_refused(rig, tmp_path, more, line, says):
+    (tmp_path / "mine.py").write_text(HEAD + START + STEPS)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "tuning.json").write_text('{"cylinder": "press"}')
+    with pytest.raises(InputError, match=says) as error:
+        run_trial(rig, closed(tmp_path, f'class = "mine:C"\n{more}\n'), allow_code=True)
+    assert error.value.file.endswith("trial.toml") and error.value.line == line
 
 
 def test_code_runs_only_when_allowed(rig, tmp_path):
@@ -425,6 +489,7 @@ def test_a_class_gets_its_gains_and_is_held_to_the_drivers_range(rig, tmp_path):
     record, facts = run_trial(rig, closed(tmp_path, f'class = "mine:C"\n{gains}'), allow_code=True)
     assert record["press.servo.command"].max() == 10.0 and (record["press.servo.command"] == 10.0).sum() == 100
     assert facts.warnings == (f"C asked for more than a driver takes in 100 of {facts.samples} ticks, and got the end of its range",)
+    assert facts.measures["gains"] == {"low_pressure": 2e5}, "numbers, SI"
     assert np.array_equal(record["press.force"], record.t) and np.array_equal(record["press.pressure_drop"], record["press.v_desired"])
 
 
