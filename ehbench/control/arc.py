@@ -50,8 +50,8 @@ GAIN_NAMES = (
     PRESSURE_RATE, OBSERVER, CORRECTION, NUDGE, RESOLUTION, LOAD_CORNER, STANDBY, LEAD, DROP_FLOOR, WEIGHING, REFERENCE_MASS,
 ) = range(22)  # fmt: skip
 MAY_BE_ZERO = {
-    "adapt", "robust_limit", "low_pressure", "observer_bandwidth", "speed_nudge", "stroke_resolution", "standby",
-    "valve_lead", "weighing_time",
+    "adapt", "coupling_frequency", "robust_limit", "low_pressure", "observer_bandwidth", "speed_nudge", "stroke_resolution",
+    "standby", "valve_lead", "weighing_time",
 }  # fmt: skip
 AT_LOWER = len(GAIN_NAMES)
 AT_UPPER, AT_RATE, AT_START = AT_LOWER + _N, AT_LOWER + 2 * _N, AT_LOWER + 3 * _N
@@ -63,9 +63,9 @@ FREE, FROZEN, WEIGHED = 0, 1, 2
 
 # memory, before the workspace of the mechanism
 (
-    STARTED, FUNCTION, AGE, SIDE, SET_POINT, SLOW_LOAD, LEARNING, SEEN_X, SEEN_V, BIAS, MODEL_A,
-) = range(11)  # fmt: skip
-AT_ESTIMATES = 11
+    STARTED, FUNCTION, AGE, SIDE, SET_POINT, SLOW_LOAD, SLOW_ERROR, LEARNING, SEEN_X, SEEN_V, BIAS, MODEL_A,
+) = range(12)  # fmt: skip
+AT_ESTIMATES = 12
 AT_WORK = AT_ESTIMATES + _N
 
 # note: these, then (flow, limits) of each of the cylinder's edges
@@ -363,7 +363,13 @@ def step(t, sample, wish, axis, gains, memory, command, note):
 
     # adaptation: the gradient of both steps
     slope = damping + friction[0] - m0 / inverse * (k1 + 2.0 * curve * v + k2)
-    weight = 1.0 / (gains[REFERENCE_MASS] * gains[COUPLING]) ** 2
+    chambers = axis.chambers
+    head_gain = circuit.area_head / chamber_volume(chambers[V_HEAD], circuit.area_head * x)
+    rod_gain = circuit.area_rod / chamber_volume(chambers[V_ROD], -circuit.area_rod * x)
+    cross = chambers[BULK] * (head_gain * circuit.area_head + rod_gain * circuit.area_rod)
+    if gains[COUPLING] > 0.0:
+        cross = inverse * gains[REFERENCE_MASS] ** 2 * gains[COUPLING] ** 2 / m0
+    weight = inverse / (m0 * cross)
     mixed = z2 - weight * slope * z3
     rates = work[:_N]
     learning = int(memory[LEARNING]) if gains[ADAPT] > 0.0 and not starting else FROZEN
@@ -379,33 +385,32 @@ def step(t, sample, wish, axis, gains, memory, command, note):
     timed = friction[1] * (1.0 - turn * turn) * wish[A] / friction[2] + m0 / inverse * (wish[J] + k1 * wish[A] + k2 * a_eq)
     learnt = (-need / inverse * rates[0] + pull * rates[1] + rates[2]) / inverse
     load_rate = slope * acceleration + along + timed + learnt
-    cross = inverse * gains[REFERENCE_MASS] ** 2 * gains[COUPLING] ** 2 / m0
-    asked = load_rate - k3 * z3 - cross * z2
     stiff = (gains[AT_UPPER + 3] - gains[AT_LOWER + 3]) / gains[AT_LOWER + 3]
-    wide = abs(slope) * wide + stiff * abs(asked)
-    asked -= min(wide * wide / (4.0 * k3 * gains[FORCE_TOLERANCE] ** 2), gains[ROBUST_LIMIT] * k3) * z3
+    wide = abs(slope) * wide + stiff * abs(load_rate)
+    k3 += min(wide * wide / (4.0 * k3 * gains[FORCE_TOLERANCE] ** 2), gains[ROBUST_LIMIT] * k3)
+    # the feedback goes by the design's bulk modulus: it would teach that of the oil no more than that it is not zero
     rates[3] = project(
-        softness, -gains[AT_RATE + 3] * weight * z3 * asked if learning == FREE else 0.0, gains[AT_LOWER + 3], gains[AT_UPPER + 3]
+        softness, -gains[AT_RATE + 3] * weight * z3 * load_rate if learning == FREE else 0.0, gains[AT_LOWER + 3], gains[AT_UPPER + 3]
     )
-    chambers = axis.chambers
-    head_gain = circuit.area_head / chamber_volume(chambers[V_HEAD], circuit.area_head * x)
-    rod_gain = circuit.area_rod / chamber_volume(chambers[V_ROD], -circuit.area_rod * x)
     across = chambers[LEAK_INTERNAL] * (p_head - p_rod)
     lost_head = across + chambers[LEAK_HEAD] * (p_head - p_tank)
     lost_rod = across - chambers[LEAK_ROD] * (p_rod - p_tank)
     soon = gains[LEAD] * wish[A]  # what the valves deliver is late by their lag
     wanted = head_gain * (circuit.area_head * (v + soon) + lost_head) + rod_gain * (circuit.area_rod * (v + soon) + lost_rod)
-    wanted += softness / chambers[BULK] * asked
+    wanted += (softness * load_rate - k3 * z3 - cross * z2) / chambers[BULK]
 
     # task level: the direction is that of the desired speed, led back to the desired stroke; an error that the sensor cannot
     # tell from none asks for no motion. A spool passes its centre without switching, so it just follows what is wanted.
     memory[SLOW_LOAD] -= math.expm1(-gains[LOAD_CORNER] * tick) * (load - memory[SLOW_LOAD])
     slow, now = memory[SLOW_LOAD], int(memory[FUNCTION])
-    blind = max(gains[RESOLUTION] - gains[AT_RULES + SPEED_START] / gains[POSITION], 0.3 * gains[RESOLUTION])
-    told = z1 - clip(z1, -blind, blind)
-    toward = wish[V] - clip(gains[POSITION] * told, -gains[CORRECTION], gains[CORRECTION])
-    # where rest is wished for, the error is led back at little more than the speed that it alone asks for
+    # where rest is wished for, what swings is left to calm down, and the error is led back at little more than the speed
+    # that it alone asks for
     resting = abs(wish[V]) <= gains[AT_RULES + SPEED_START]
+    calm = math.exp(-2.0 * gains[POSITION] * tick) if resting else 0.0
+    memory[SLOW_ERROR] = z1 + calm * (memory[SLOW_ERROR] - z1)
+    blind = max(gains[RESOLUTION] - gains[AT_RULES + SPEED_START] / gains[POSITION], 0.3 * gains[RESOLUTION])
+    told = memory[SLOW_ERROR] - clip(memory[SLOW_ERROR], -blind, blind)
+    toward = wish[V] - clip(gains[POSITION] * told, -gains[CORRECTION], gains[CORRECTION])
     led = 2.0 * abs(toward) + gains[NUDGE]
     if axis.spool[now] == 1 and not resting:
         toward = wanted / (head_gain * circuit.area_head + rod_gain * circuit.area_rod)
@@ -595,7 +600,8 @@ def pack_arc(
         adaptation: rate at which the mechanical estimates together follow [rad/s]; k1/4 by default.
         adaptation_bulk: the same of the bulk modulus [rad/s]; a fiftieth of ``adaptation`` by default.
         gains: any of GAIN_NAMES by name instead of its default: ``position_bandwidth``, ``speed_bandwidth``,
-            ``force_bandwidth`` k1, k2, k3 and ``coupling_frequency`` ω3 [rad/s]; ``speed_tolerance`` [m/s] and
+            ``force_bandwidth`` k1, k2, k3 [rad/s]; ``coupling_frequency`` ω3 [rad/s], 0 for that of the oil's own spring at each
+            stroke; ``speed_tolerance`` [m/s] and
             ``force_tolerance`` [N] to which the robust terms hold the errors, by at most ``robust_limit`` [1] of k2 and k3;
             ``pressure_bandwidth`` [rad/s] of the off-side, its set-point ``low_pressure`` [Pa] above tank and the rate of it
             ``pressure_rate`` [Pa/s]; ``observer_bandwidth`` [rad/s], 0 for the measured speed; ``speed_correction`` [m/s]
@@ -627,7 +633,7 @@ def pack_arc(
     k1, k2, k3 = (
         given.get(name, total * part / 7.0) for name, part in zip(GAIN_NAMES[POSITION : FORCE + 1], (1, 2, 4), strict=True)
     )
-    omega = given.get("coupling_frequency", max(k2, hydraulic_frequency(axis)))
+    omega = given.get("coupling_frequency") or hydraulic_frequency(axis)
     # regressors at a middling payload; 1 m/s² stands for the accelerations that tell the inertia
     phi = np.array([1.0 + 0.5 * abs(pull) * (high - low) / mass, pull / mass, 1.0 / mass])
     unknown = float(np.abs(phi) @ (upper - lower)[:3])
@@ -647,14 +653,14 @@ def pack_arc(
         "position_bandwidth": k1,
         "speed_bandwidth": k2,
         "force_bandwidth": k3,
-        "coupling_frequency": omega,
+        "coupling_frequency": 0.0,
         "speed_tolerance": unknown / (1.1 * k2),
         "force_tolerance": mass * (k1 + k2) * unknown / (1.1 * k3),
         "robust_limit": 0.3,
         "pressure_bandwidth": 0.5 * total,
         "low_pressure": supply_pressure / 20.0,
         "pressure_rate": 3.0 * supply_pressure,
-        "observer_bandwidth": 60.0,
+        "observer_bandwidth": 90.0,
         "speed_correction": flow_limit / area,
         "speed_nudge": 0.01 * flow_limit / area,
         "stroke_resolution": 2.5e-5,
