@@ -46,12 +46,16 @@ def init(folder: Annotated[Path, typer.Argument(metavar="DIR", help="New folder 
 
 @app.command(epilog="Example:  ehbench check recipes/rigs/thesis_arm.toml")
 def check(file: Annotated[Path, typer.Argument(help="A rig, recipe, flowmeter CSV or log (MCAP or CSV).")]) -> None:
-    """Check a rig, recipe, data file or log without running anything."""
+    """Check a rig, recipe, data file or log without running anything.
+
+    Of a recipe, all that its run takes in: the rig, maps, data and recipes it names. What only a run can tell is said."""
     from ehbench import inspection
 
     found = inspection.check(file)
     for line in found.lines:
         print(line)
+    for error in found.errors:
+        print(f"error: {error}", file=sys.stderr)
     raise typer.Exit(found.code)
 
 

@@ -16,7 +16,8 @@ import numpy as np
 from numba import njit
 
 from ehbench.compiled import kernel
-from ehbench.errors import InputError, LogError
+from ehbench.control.functions import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
+from ehbench.errors import InputError, InsufficientData, LogError
 from ehbench.physics import arm, metering
 from ehbench.physics.cylinder import PINS, chamber_volume, end_stop, inflows, joint_angle, linkage, makeup_flow, relief_flow
 from ehbench.physics.friction import coulomb_viscous
@@ -29,7 +30,7 @@ from ehbench.plant import (
     VOLUME_HEAD, VOLUME_ROD, derivatives, workspace_size,
 )  # fmt: skip
 from ehbench.record import Record
-from ehbench.rig import Rig
+from ehbench.rig import Cylinder, Rig
 from ehbench.simulation import MOST_SUBSTEPS, STEP, STIFF, Maps, Model, advance, linkage_arrays
 
 Z95 = 1.959964
@@ -308,9 +309,10 @@ class Row:
 class Ledger:
     """Where the energy of a trial went. ``source`` is ``model`` or ``log``.
 
-    The sum closes: supply = valve + loss + store + load + residual. ``series`` holds cumulated energies [J] by row at times
-    ``t`` [s], if asked for; ``sources`` the standard error [J] that each source of doubt gives to the residual; ``notes`` what
-    had to be assumed.
+    The sum closes: supply = valve + loss + store + load + residual. ``functions`` holds, by cylinder and by the working function
+    that its controller logged, the energies [J] of the rows while that function was at work; they add up to the rows. ``series``
+    holds cumulated energies [J] by row at times ``t`` [s], if asked for; ``sources`` the standard error [J] that each source of
+    doubt gives to the residual; ``notes`` what had to be assumed.
     """
 
     source: str
@@ -320,6 +322,7 @@ class Ledger:
     rows: tuple[Row, ...]
     sources: dict[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    functions: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
     t: np.ndarray | None = None
     series: dict[str, np.ndarray] = field(default_factory=dict)
 
@@ -369,7 +372,7 @@ class Ledger:
                 for name in self.cylinders
             },
             "residual_share": abs(self.residual.energy) / self.pump if self.pump > 0.0 else None,
-            "sources": dict(self.sources), "notes": list(self.notes),
+            "sources": dict(self.sources), "notes": list(self.notes), "functions": self.functions,
             "t": None if self.t is None else self.t.tolist(),
             "series": {name: values.tolist() for name, values in self.series.items()},
         }  # fmt: skip
@@ -435,6 +438,7 @@ class _Sheet:
         work = [f"{name}.work" for name in names.cylinders]
         spent = [row for row, group, _, _ in rows if group == "load" or row.rsplit(".", 1)[-1] in (*mechanical[1:], "damping")]
         parts.append((f"{word}.mechanism", "mechanism", None, combination(work, spent)))
+        self.cylinders = names.cylinders
         self.parts = [(name, where, cylinder) for name, where, cylinder, _ in parts]
         self.combinations = np.stack([vector for *_, vector in parts])
         self.word = word
@@ -462,15 +466,32 @@ class _Sheet:
         source, duration = "model" if std is None else "log", float(record.t[-1] - record.t[0])
         return Ledger(source, model.rig.name, payload or "none", duration, tuple(rows), **rest)
 
-    def series(self, t: np.ndarray, table: np.ndarray) -> dict[str, Any]:
-        """Times and cumulated energies as a ledger holds them; rows that stay zero are left out."""
+    def told(self, record: Record, table: np.ndarray, points: int) -> dict[str, Any]:
+        """What a ledger holds of energies cumulated to every sample, shape (samples, rows): by working function, and, if asked
+        for, at about ``points`` times; rows that stay zero are left out."""
         names = [name for name, *_ in self.rows] + [name for name, *_ in self.parts] + [self.word]
-        return {"t": t, "series": {name: table[:, i].copy() for i, name in enumerate(names) if table[:, i].any()}}
+        found: dict[str, Any] = {"functions": {}}
+        for cylinder in self.cylinders:
+            if (function := _function(record, cylinder)) is not None:
+                found["functions"][cylinder] = {
+                    FUNCTIONS[f]: {
+                        name: float(v)
+                        for name, v in zip(names, np.diff(table, axis=0)[function == f].sum(axis=0), strict=True)
+                        if v
+                    }
+                    for f in np.unique(function)
+                }
+        if points > 1:
+            at = np.unique(np.linspace(0, record.t.size - 1, max(2, min(points, record.t.size))).round().astype(int))
+            series = {name: table[at, i] for i, name in enumerate(names) if table[at, i].any()}
+            found |= {"t": record.t[at], "series": series}
+        return found
 
 
-def _instants(samples: int, points: int) -> np.ndarray:
-    """About ``points`` samples from the first to the last."""
-    return np.unique(np.linspace(0, samples - 1, max(2, min(points, samples))).round().astype(int))
+def _function(record: Record, cylinder: str) -> np.ndarray | None:
+    """The working function of every tick, shape (samples − 1,), as a controller logged it; None where none did."""
+    channel = record.channels.get(f"{cylinder}.function")
+    return None if channel is None else np.clip(channel[:-1].round().astype(int), 0, len(FUNCTIONS) - 1)
 
 
 def _check(record: Record) -> None:
@@ -555,10 +576,8 @@ def ledger_of_model(model: Model, record: Record, quadrature: str = "exact", poi
     held = np.empty((t.size, sheet.stores))
     _stores_at(states, plant, held)
     table = sheet.expand(np.concatenate([spent, held - held[0]], axis=1))
-    payload = _held_payload(model, record)
-    at = _instants(t.size, points)
-    series = sheet.series(t[at], table[at]) if points > 1 else {}
-    return sheet.ledger(model, record, payload, table[-1], None, notes=tuple(notes), **series)
+    told = sheet.told(record, table, points)
+    return sheet.ledger(model, record, _held_payload(model, record), table[-1], None, notes=tuple(notes), **told)
 
 
 def _same_flows(model: Model, record: Record, flows: np.ndarray) -> None:
@@ -856,11 +875,9 @@ def ledger_of_log(
     std = np.sqrt(sum(effect**2 for effect in effects.values()))
     sources = {name: float(abs(effect[-1])) for name, effect in effects.items()}
     sources = dict(sorted(sources.items(), key=lambda item: -item[1]))
-    series: dict[str, Any] = {}
-    if points > 1:
-        at = _instants(readings.t.size, points)
-        series = sheet.series(readings.t[at], account.energies(model, readings, states, power, at))
-    return sheet.ledger(model, record, payload, base, std, sources=sources, notes=tuple(notes), **series)
+    every = np.arange(readings.t.size)
+    told = sheet.told(record, account.energies(model, readings, states, power, every), points)
+    return sheet.ledger(model, record, payload, base, std, sources=sources, notes=tuple(notes), **told)
 
 
 def _at(m: _Readings, kept: np.ndarray) -> _Readings:
@@ -941,6 +958,21 @@ def _noise(account: _Account, model: Model, m: _Readings, draws: int) -> np.ndar
 
 
 @dataclass(frozen=True)
+class Beyond:
+    """What a cylinder drew beyond its bound while one working function was at work [J].
+
+    ``drawn`` is Ps·Q drawn, ``bound`` what the bound pays for the way [m] made meanwhile, out positive; ``compression`` is
+    ``Ps Σ ∫ V/β dp`` of both chambers: the part of what was drawn that pressed their oil together, negative where it expanded.
+    """
+
+    function: str
+    way: float
+    drawn: float
+    bound: float
+    compression: float
+
+
+@dataclass(frozen=True)
 class Bounds:
     """What a constant-pressure supply pays for the motion of one cylinder, against what was drawn (SPEC 4), all [J].
 
@@ -949,6 +981,9 @@ class Bounds:
     difference, or where the load hangs on the rod end. ``work``: lifting itself, ``∫ P_L v dt`` where positive.
     ``used`` is Ps·Q drawn, None where nothing says it; ``saving`` its share below ``standard``. ``carries`` is the chamber that
     holds the load, or none; ``closed`` says whether the motion ended where it began: only then do the bounds mean a cycle.
+    ``against`` names the least bound that the working functions at work can reach, ``beyond`` what was drawn on top of it by
+    each; empty and () where no controller logged its functions. A supply of constant pressure is paid for volume: load, friction
+    and a low pressure on the off-side say where energy is lost, compression and oil let to tank say how much is drawn.
     """
 
     cylinder: str
@@ -962,6 +997,8 @@ class Bounds:
     work: float
     used: float | None
     saving: float | None
+    against: str = ""
+    beyond: tuple[Beyond, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Plain values for a JSON file."""
@@ -1003,7 +1040,8 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
 
     Raises:
         InputError: no such cylinder.
-        LogError: a channel is missing, or the cylinder did not move.
+        LogError: a channel is missing.
+        InsufficientData: the cylinder did not move.
     """
     item = rig.cylinder_named(cylinder)
     head, rod = item.areas()
@@ -1018,26 +1056,76 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
     force = record[f"{cylinder}.p_head"] * head - record[f"{cylinder}.p_rod"] * rod
     out, back = travels(x, SETTLED_TRAVEL * float(item.stroke))
     if out + back == 0.0:
-        raise LogError(f"cylinder '{cylinder}' did not move, so nothing bounds its energy")
+        raise InsufficientData(f"cylinder '{cylinder}' did not move, so nothing bounds its energy")
     steps, middle = np.diff(x), 0.5 * (force[1:] + force[:-1])
     mean = float(np.trapezoid(force, record.t) / (record.t[-1] - record.t[0]))
     work = float((middle * steps)[middle * steps > 0.0].sum())
     pressure = float(rig.supply.pressure)
-    standard = pressure * (head * out + rod * back)
     lifting = force[:-1][steps > 0.0]
     regenerates = head > rod and lifting.size > 0 and float(np.median(lifting)) < pressure * (head - rod)
-    if mean > LOADED * pressure * head:
-        carries, six, again = "head", head * out, (head - rod) * out
-    elif mean < -LOADED * pressure * head:
-        carries, six, again = "rod", rod * back + (head - rod) * out, None
-    else:
-        carries, six, again = "none", head * out + rod * back, (head - rod) * out + rod * back
-    six *= pressure
-    seventh = pressure * again if again is not None and regenerates else None
+    carries = "head" if mean > LOADED * pressure * head else "rod" if mean < -LOADED * pressure * head else "none"
+    prices = {"standard": (head, rod), "six": {"head": (head, 0.0), "rod": (head - rod, rod), "none": (head, rod)}[carries]}
+    if regenerates and carries != "rod":
+        prices["seventh"] = (head - rod, 0.0 if carries == "head" else rod)
+    paid = {name: pressure * (a * out + b * back) for name, (a, b) in prices.items()}
     used = ledger[f"{cylinder}.drawn"].energy if ledger is not None else _drawn(rig, record, cylinder)
     closed = abs(out - back) <= CLOSED * max(out, back)
-    saving = None if used is None else 1.0 - used / standard
-    return Bounds(cylinder, out, back, closed, carries, standard, six, seventh, work, used, saving)
+    saving = None if used is None else 1.0 - used / paid["standard"]
+    against, beyond = "", ()
+    if ledger is not None and (function := _function(record, cylinder)) is not None:
+        at_work = {FUNCTIONS[f] for f in np.unique(function)}
+        against = "six" if any(name.endswith("overrunning_regeneration") for name in at_work) else "standard"
+        if "seventh" in paid and FUNCTIONS[EXTEND_RESISTIVE_REGENERATION] in at_work:
+            against = "seventh"
+        price = tuple(pressure * area for area in prices[against])
+        beyond = _beyond(rig, record, item, x, function, price, (out, back), ledger.functions[cylinder])
+    return Bounds(
+        cylinder,
+        out,
+        back,
+        closed,
+        carries,
+        paid["standard"],
+        paid["six"],
+        paid.get("seventh"),
+        work,
+        used,
+        saving,
+        against,
+        beyond,
+    )
+
+
+def _beyond(
+    rig: Rig,
+    record: Record,
+    item: Cylinder,
+    x: np.ndarray,
+    function: np.ndarray,
+    price: tuple[float, float],
+    ways: tuple[float, float],
+    drawn: dict[str, dict[str, float]],
+) -> tuple[Beyond, ...]:
+    """What each working function drew against its share of the way out and in, ``ways`` [m], at ``price`` [J/m] each."""
+    areas, dead = item.areas(), (float(item.volume_head), float(item.volume_rod))
+    bulk = float(item.bulk_modulus or rig.oil.bulk_modulus)
+    squeezed = np.zeros(x.size - 1)
+    for key, area, volume, sign in zip(("p_head", "p_rod"), areas, dead, (1.0, -1.0), strict=True):
+        held = volume + sign * area * x
+        squeezed += 0.5 * (held[1:] + held[:-1]) * np.diff(record[f"{item.name}.{key}"]) / bulk
+    turns = np.flatnonzero(np.diff(function, prepend=-1))
+    net, whose = np.add.reduceat(np.diff(x), turns), function[turns]
+    shares = []
+    for sign, way in zip((1.0, -1.0), ways, strict=True):
+        made = np.maximum(sign * net, 0.0)
+        shares.append(made * (way / made.sum() if made.sum() > 0.0 else 0.0))
+    found = []
+    for f in np.unique(function):
+        out, back = (float(share[whose == f].sum()) for share in shares)
+        energy = drawn[FUNCTIONS[f]].get(f"{item.name}.drawn", 0.0)
+        pressed = float(rig.supply.pressure) * float(squeezed[function == f].sum())
+        found.append(Beyond(FUNCTIONS[f], out - back, energy, price[0] * out + price[1] * back, pressed))
+    return tuple(found)
 
 
 def _drawn(rig: Rig, record: Record, cylinder: str) -> float | None:

@@ -100,6 +100,7 @@ _ROWS = [
     Quantity("command_min", "u_min", "V", "V", "lowest command the driver takes", -100, 100),
     Quantity("command_max", "u_max", "V", "V", "highest command the driver takes", -100, 100),
     Quantity("rated_flow", "Q_r", "m^3/s", "gpm", "rated flow", 0, 1),
+    Quantity("meter_limit", "Q_min", "m^3/s", "gpm", "flow below which a flowmeter cannot be read", 0, 1),
     # what only the virtual bench has
     Quantity("air_fraction", "α", "dimensionless", "%", "share of free air in the oil, by volume at atmospheric pressure", 0, 0.5),
     Quantity("polytropic_exponent", "n", "dimensionless", "dimensionless", "exponent of the air's compression", 1, 1.7),

@@ -89,7 +89,11 @@ class CalibrationPoint(Model):
 
 
 class FlowMapRecipe(Recipe):
-    """Flowmeter readings to flow maps."""
+    """Flowmeter readings to flow maps.
+
+    ``calibration`` is checked on every map at ``calibration_drop``. A flowmeter reading below ``meter_limit`` only says that the
+    flow lies below it; readings of the method ``cylinder`` have no such limit.
+    """
 
     stage: Literal["identify"]
     what: Literal["flow_map"]
@@ -97,6 +101,7 @@ class FlowMapRecipe(Recipe):
     data: Annotated[tuple[str, ...], Field(min_length=1)]
     calibration: tuple[CalibrationPoint, ...] = ()
     calibration_drop: _typed("pressure_drop") | None = None
+    meter_limit: _typed("meter_limit") = Value(0.0)
 
 
 class HydraulicsRecipe(Recipe):
@@ -122,19 +127,29 @@ class HydraulicsRecipe(Recipe):
     workers: int = Field(default=0, ge=0, le=256)
 
 
+def _share(raw: Any) -> Any:
+    if raw is True:
+        raise ValueError("a share of the recorded value such as 0.15, or false to ask for none")
+    return None if raw is False else raw
+
+
+_Share = Annotated[Annotated[float, Field(gt=0)] | None, BeforeValidator(_share)]
+
+
 class Thresholds(Model):
     """What a model must reach on every held-out log to be accepted; a quantity not named is only reported.
 
     ``fit_percent`` is the least NRMSE fit by quantity (100 exact, 0 no better than the mean), ``max_error`` the largest error
-    by quantity, with unit. ``natural_frequency_error`` and ``damping_ratio_error`` are shares of the recorded value.
+    by quantity, with unit. ``natural_frequency_error`` and ``damping_ratio_error`` are shares of the recorded value; ``false``
+    asks for none.
     ``whiteness`` and ``independence`` ask that at most ``outside_percent`` of the lags of the residual's autocorrelation,
     and of its correlation with earlier commands, lie outside of their 95 % bands.
     """
 
     fit_percent: dict[str, float] = {"qd": 50.0, "p_head": 30.0, "p_rod": 30.0}
     max_error: dict[str, Any] = {}
-    natural_frequency_error: float | None = Field(default=0.15, gt=0)
-    damping_ratio_error: float | None = Field(default=None, gt=0)
+    natural_frequency_error: _Share = 0.15
+    damping_ratio_error: _Share = None
     whiteness: bool = False
     independence: bool = False
     outside_percent: float = Field(default=15.0, gt=0, lt=100)
@@ -494,7 +509,7 @@ class Flowmeter(Model):
     drop_scatter: float = Field(default=0.03, ge=0, lt=1)
     meter_noise: float = Field(default=0.007, ge=0, lt=1)
     repeat_scatter: float = Field(default=0.005, ge=0, lt=1)
-    meter_limit: _typed("flow") = Value(1.9e-5)
+    meter_limit: _typed("meter_limit") = Value(1.9e-5)
     cylinder_noise: _typed("flow") = Value(2.0e-7)
     outliers: int = Field(default=2, ge=0)
 
@@ -573,8 +588,8 @@ class TextSection(Model):
 class Campaign(Recipe):
     """Several recipes in order and one report over all of them.
 
-    ``section`` are texts that stand before the runs; ``figures`` gives figures titles by their key (as in a run's
-    ``figures/index.json``), or by ``<recipe's name>/<key>`` where several runs have the key.
+    ``section`` are texts that stand before the runs; ``figures`` gives figures and tables titles by their key (of a figure as in
+    a run's ``figures/index.json``), or by ``<recipe's name>/<key>`` where several runs have the key.
     """
 
     stage: Literal["campaign"]
@@ -665,22 +680,67 @@ def _validated(model: Any, table: dict[str, Any], text: str, path: Path) -> Any:
     except ValidationError as error:
         found = error.errors()
         first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
-        location = tuple(part for part in first["loc"] if part not in ("chain", "slide"))
-        key = ".".join(str(part) for part in location) or "the file"
-        hint = None
-        if first["type"] == "extra_forbidden":
+        reason = first.get("ctx", {}).get("error")
+        location = tuple(part for part in first["loc"] if part not in ("chain", "slide", "[key]")) + getattr(reason, "where", ())
+        kind, hint, given = first["type"], None, first["input"]
+        if kind.startswith("union_tag"):
+            given, location = given.get("kind") if isinstance(given, dict) else given, (*location, "kind")
+            kind = "missing" if kind == "union_tag_not_found" else "literal_error"
+            first = {**first, "ctx": {"expected": first["ctx"].get("expected_tags", "'chain', 'slide'")}}
+        place, key = _spoken(table, location)
+        if kind == "extra_forbidden":
             message = f"unknown key '{key}'"
             valid = _valid_keys(model, first["loc"][:-1])
-            near = get_close_matches(str(location[-1]), valid, 1, 0.5)
-            hint = f"did you mean '{near[0]}'?" if near else ("valid keys: " + ", ".join(valid) if valid else None)
-        elif first["type"] == "missing":
+            ends = range(len(location) - 2, 0, -1)
+            above = next((at for at in ends if location[-1] in _valid_keys(model, location[:at])), None)
+            near = get_close_matches(str(location[-1]), valid, 1, 0.6)
+            if above is not None and not near:
+                hint = f"a key of {_spoken(table, location[:above])[0]}: put it above the table [{_header(location[:-1])}]"
+            else:
+                hint = f"did you mean '{near[0]}'?" if near else ("valid keys: " + ", ".join(valid) if valid else None)
+        elif kind == "missing":
             message = f"'{key}' is missing"
             location = location[:-1] or location
-        elif first["type"] == "value_error":
-            message = f"{key}: {first['ctx']['error']}"
+        elif kind == "value_error":
+            message = str(reason) if not key or str(reason).startswith(key) else f"{key}: {reason}"
+        elif kind == "literal_error":
+            message = f"{key} = {given!r} is none of {first['ctx']['expected'].replace(' or ', ', ')}"
+            near = get_close_matches(str(given), re.findall(r"'([^']*)'", first["ctx"]["expected"]), 1)
+            hint = f"did you mean '{near[0]}'?" if near else None
+        elif kind == "tuple_type":
+            message = f"{key} is no list"
+            hint = f"write [[{_header(location)}]] for each entry" if isinstance(given, dict) else None
         else:
-            message = f"{key} = {first['input']!r}: {first['msg'][0].lower() + first['msg'][1:]}"
+            message = f"{key} = {_short(given)}: {first['msg'][0].lower() + first['msg'][1:]}"
+        message = ": ".join(part for part in (place, message) if part)
         raise InputError(message, file=path, line=line_of(text, location), hint=hint) from None
+
+
+def _spoken(table: Any, location: tuple[Any, ...]) -> tuple[str, str]:
+    """(the entries of lists that a location lies in, by name or number; the key below them)."""
+    places, words = [], []
+    for part in location:
+        try:
+            table = table[part]
+        except (KeyError, IndexError, TypeError):
+            table = None
+        if not isinstance(part, int):
+            words.append(str(part))
+            continue
+        name = table.get("name") if isinstance(table, dict) else None
+        places.append(".".join(words) + (f" '{name}'" if isinstance(name, str) else f" {part + 1}"))
+        words = []
+    return ", ".join(places), ".".join(words)
+
+
+def _header(location: tuple[Any, ...]) -> str:
+    """The header of a table in TOML."""
+    return ".".join(part for part in location if isinstance(part, str))
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) < 60 else text[:57] + "…"
 
 
 def _valid_keys(model: Any, location: tuple[Any, ...]) -> list[str]:

@@ -8,11 +8,16 @@ joins two of supply, tank, head and rod.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+import re
+import unicodedata
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, field_validator, model_validator
+from pydantic import (
+    AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, field_validator, model_validator,
+)  # fmt: skip
 
 from ehbench import units
 from ehbench.errors import InputError, UnitError
@@ -20,6 +25,14 @@ from ehbench.quantities import VOCABULARY, Quantity
 
 SURENESS = ("printed", "restored", "companion", "assumed", "datasheet", "identified")
 NODES = ("supply", "tank", "head", "rod")
+
+
+class Misplaced(ValueError):
+    """What is wrong with several keys together; ``where`` is the key at which to say so, below the table that was checked."""
+
+    def __init__(self, message: str, *where: str | int) -> None:
+        super().__init__(message)
+        self.where = where
 
 
 @dataclass(frozen=True)
@@ -82,7 +95,8 @@ def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
         value = tuple(number(item, "an entry") for item in raw_value)
     limits = {key: number(table[key], key, check=False) for key in ("lower", "upper", "std") if key in table}
     if count == 1 and not limits.get("lower", -math.inf) <= value <= limits.get("upper", math.inf):
-        raise UnitError(f"{row.name} = {raw_value} lies outside its own bounds {table.get('lower')} to {table.get('upper')}")
+        bounds = " and ".join(f"{key} = {table[key]}" for key in ("lower", "upper") if key in table)
+        raise UnitError(f"{row.name} = {raw_value} lies outside its own bounds: {bounds}")
     source = str(table.get("source", ""))
     first = source.replace(":", " ").replace(",", " ").split(" ")[0]
     sure = table.get("sure", first if first in SURENESS else "assumed")
@@ -129,10 +143,27 @@ class Model(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True, populate_by_name=True)
 
 
+def _name(name: str) -> str:
+    if not re.fullmatch(r"\w[\w-]*", name):
+        raise ValueError(f"'{name}' is no name (letters, digits, _ and - make one; channels are called by it)")
+    return name
+
+
+def _plain_name(name: str) -> str:
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
+        plain = unicodedata.normalize("NFKD", name.casefold()).encode("ascii", "ignore").decode()
+        plain = re.sub(r"[^a-z0-9]+", "_", plain).strip("_").lstrip("0123456789_") or "my_rig"
+        raise ValueError(f"'{name}' is no name of a rig: small letters, digits and _ make one, such as '{plain}'")
+    return name
+
+
+Name = Annotated[str, AfterValidator(_name)]
+
+
 class Joint(Model):
     """A revolute joint and the link it carries; frame i sits at the end of link i (standard Denavit–Hartenberg)."""
 
-    name: str
+    name: Name
     dh_a: _typed("dh_a") = Value(0.0)
     dh_d: _typed("dh_d") = Value(0.0)
     dh_alpha: _typed("dh_alpha") = Value(0.0)
@@ -158,7 +189,7 @@ class Slide(Model):
     """A mass on a slide, moved directly by one cylinder; ``incline`` is positive where extension goes uphill."""
 
     kind: Literal["slide"]
-    name: str
+    name: Name
     mass: _typed("mass")
     damping: _typed("damping") = Value(0.0)
     incline: _typed("incline") = Value(0.0)
@@ -214,11 +245,12 @@ class Edge(Model):
     """One metering edge: flow from ``from`` to ``to`` when upstream pressure is higher.
 
     law ``orifice``: Q = flow_gain·(opening − deadband)·√Δp. law ``compensated``: Q = compensated_gain·(opening − deadband),
-    reached over ``compensation_drop``. law ``map``: a measured flow map (``map`` names the file of an identify run).
-    ``sign`` −1 opens the edge on negative commands. ``reverse`` says what a reversed drop does: ``mirror`` or ``blocked``.
+    reached over ``compensation_drop``. law ``map``: a measured flow map, from the recipe's ``flow_maps`` or the run behind the
+    rig; where one is given it goes before the other laws, too. ``sign`` −1 opens the edge on negative commands. ``reverse`` says
+    what a reversed drop does: ``mirror`` or ``blocked``.
     """
 
-    name: str | None = None
+    name: Name | None = None
     from_: Literal["supply", "tank", "head", "rod"] = Field(alias="from")
     to: Literal["supply", "tank", "head", "rod"]
     law: Literal["orifice", "compensated", "map"]
@@ -228,14 +260,13 @@ class Edge(Model):
     flow_gain: _typed("flow_gain") | None = None
     compensated_gain: _typed("compensated_gain") | None = None
     compensation_drop: _typed("compensation_drop") = Value(2.0e5)
-    map: str | None = None
 
     @model_validator(mode="after")
     def _law_is_whole(self) -> Edge:
         if self.from_ == self.to:
             raise ValueError(f"an edge joins two different nodes, not {self.to} with itself")
-        need = {"orifice": "flow_gain", "compensated": "compensated_gain", "map": "map"}[self.law]
-        if getattr(self, need) is None:
+        need = {"orifice": "flow_gain", "compensated": "compensated_gain"}.get(self.law)
+        if need is not None and getattr(self, need) is None:
             raise ValueError(f"law '{self.law}' needs '{need}'")
         return self
 
@@ -243,7 +274,7 @@ class Edge(Model):
 class Valve(Model):
     """One command, its dynamics (a name in the rig's ``dynamics``, or none: opening follows at once) and its edges."""
 
-    name: str
+    name: Name
     title: str = ""
     dynamics: str | None = None
     command_min: _typed("command_min")
@@ -251,12 +282,28 @@ class Valve(Model):
     edge: tuple[Edge, ...] = Field(min_length=1)
     calibration: tuple[tuple[str, str], ...] = ()
 
+    @field_validator("calibration")
+    @classmethod
+    def _readable(cls, points: tuple[tuple[str, str], ...]) -> tuple[tuple[str, str], ...]:
+        for at, point in enumerate(points):
+            for name, text in zip(("command", "flow"), point, strict=True):
+                try:
+                    units.parse(text, VOCABULARY[name])
+                except UnitError as error:
+                    raise Misplaced(str(error), at) from None
+        return points
+
     @model_validator(mode="after")
     def _range(self) -> Valve:
         if float(self.command_min) >= float(self.command_max):
-            raise ValueError("command_min must lie below command_max")
-        if len(self.edge) > 1 and len({self.edge_name(e) for e in self.edge}) < len(self.edge):
-            raise ValueError(f"the edges of valve '{self.name}' need different names")
+            raise Misplaced("command_min must lie below command_max", "command_min")
+        for index, edge in enumerate(self.edge):
+            reach = float(self.command_max) if edge.sign > 0 else -float(self.command_min)
+            opens = 0.0 if edge.law == "map" else float(edge.deadband)
+            if reach <= opens:
+                way = f"commands above {opens:g} V" if edge.sign > 0 else f"commands below {0.0 - opens:g} V"
+                least, most = float(self.command_min), float(self.command_max)
+                raise Misplaced(f"the edge opens on {way}, and the valve takes {least:g} to {most:g} V", "edge", index)
         return self
 
     def edge_name(self, edge: Edge) -> str:
@@ -274,7 +321,7 @@ class Valve(Model):
 class Cylinder(Model):
     """A cylinder, the joint it drives, its oil volumes, losses and valves. Areas, or bore and rod diameters."""
 
-    name: str
+    name: Name
     joint: str
     area_head: _typed("area_head") | None = None
     area_rod: _typed("area_rod") | None = None
@@ -295,17 +342,41 @@ class Cylinder(Model):
 
     @model_validator(mode="after")
     def _areas(self) -> Cylinder:
-        by_area = self.area_head is not None and self.area_rod is not None
-        by_bore = self.bore is not None and self.rod is not None
-        if by_area == by_bore:
+        pairs = {(self.area_head is not None, self.area_rod is not None), (self.bore is not None, self.rod is not None)}
+        if pairs != {(True, True), (False, False)}:
             raise ValueError("give area_head and area_rod, or bore and rod")
         head, rod = self.areas()
+        by = "area_rod" if self.area_rod is not None else "rod"
         if not 0 < rod <= head:
-            raise ValueError("area_rod must be positive and not above area_head (head end = full-bore side)")
-        if float(self.volume_rod) <= rod * float(self.stroke):
-            raise ValueError(
-                f"volume_rod at x = 0 is {float(self.volume_rod):g} m^3, but the full stroke displaces {rod * float(self.stroke):g} m^3"
-            )
+            raise Misplaced("area_rod must be positive and not above area_head (head end = full-bore side)", by)
+        swept = rod * float(self.stroke)
+        if float(self.volume_rod) <= swept:
+            given = f"{float(self.volume_rod) * 1e6:g} cm^3"
+            raise Misplaced(f"volume_rod at x = 0 is {given}, but the full stroke displaces {swept * 1e6:.6g} cm^3", "volume_rod")
+        return self
+
+    @model_validator(mode="after")
+    def _linkage_reaches(self) -> Cylinder:
+        if self.pins is not None:
+            low, high = (abs(float(self.pins.l_a) + way * float(self.pins.l_b)) for way in (-1, 1))
+            ends = float(self.pins.retracted_length), float(self.pins.retracted_length) + float(self.stroke)
+            if not (low < ends[0] and ends[1] < high):
+                raise Misplaced(
+                    f"from pin to pin the cylinder is {ends[0] * 1e3:g} mm long retracted and {ends[1] * 1e3:g} mm extended, "
+                    f"while l_a and l_b allow {low * 1e3:g} to {high * 1e3:g} mm, the ends excluded", "pins", "retracted_length",
+                )  # fmt: skip
+        return self
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Cylinder:
+        valves = list(enumerate(self.valve))
+        for what, places in (
+            ("valves", [(("valve", i), v.name) for i, v in valves]),
+            ("edges", [(("valve", i, "edge", j), v.edge_name(e)) for i, v in valves for j, e in enumerate(v.edge)]),
+        ):
+            if (at := _second([name for _, name in places])) is not None:
+                where, name = places[at]
+                raise Misplaced(f"two {what} are called '{name}'; give each a name of its own", *where)
         return self
 
     def areas(self) -> tuple[float, float]:
@@ -325,6 +396,13 @@ class Supply(Model):
     volume: _typed("volume") = Value(2.0e-3)
 
 
+    @model_validator(mode="after")
+    def _above_tank(self) -> Supply:
+        if float(self.pressure) <= float(self.tank_pressure):
+            raise Misplaced("the supply's pressure must lie above tank_pressure", "pressure")
+        return self
+
+
 class Oil(Model):
     """The oil. ``bulk_modulus`` is effective: oil, entrained air and hose together."""
 
@@ -335,7 +413,7 @@ class Oil(Model):
 class Rig(Model):
     """A whole machine, as its file gives it."""
 
-    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    name: Annotated[str, AfterValidator(_plain_name)]
     title: str = ""
     note: str = ""
     display: dict[str, str] = {}
@@ -344,7 +422,7 @@ class Rig(Model):
     supply: Supply
     mechanism: Annotated[Chain | Slide, Field(discriminator="kind")]
     cylinder: tuple[Cylinder, ...] = Field(min_length=1)
-    dynamics: dict[str, Dynamics] = {}
+    dynamics: dict[Name, Dynamics] = {}
     payload: dict[str, dict[str, LinkLoad]] = {}
 
     @field_validator("display")
@@ -352,37 +430,38 @@ class Rig(Model):
     def _display_units(cls, display: dict[str, str]) -> dict[str, str]:
         for name, unit in display.items():
             if name not in VOCABULARY:
-                raise ValueError(f"display has no quantity '{name}'")
+                near = get_close_matches(name, VOCABULARY, 1)
+                raise Misplaced(f"there is no quantity '{name}'" + (f"; nearest is '{near[0]}'" if near else ""), name)
             try:
                 units.to_si(1.0, unit, VOCABULARY[name])
             except UnitError as error:
-                raise ValueError(str(error)) from None
+                raise Misplaced(str(error), name) from None
         return display
 
     @model_validator(mode="after")
     def _names_agree(self) -> Rig:
         joints = self.joint_names
-        if len(set(joints)) < len(joints):
-            raise ValueError("two joints have the same name")
-        driven = [c.joint for c in self.cylinder]
-        names = [c.name for c in self.cylinder]
-        if len(set(driven)) < len(driven) or len(set(names)) < len(names):
-            raise ValueError("two cylinders have the same name or drive the same joint")
-        for cylinder in self.cylinder:
+        chain = ("mechanism", "joint")
+        for what, names, place in (
+            ("two joints are called", joints, chain),
+            ("two cylinders are called", [c.name for c in self.cylinder], ("cylinder",)),
+            ("two cylinders drive joint", [c.joint for c in self.cylinder], ("cylinder",)),
+        ):  # fmt: skip
+            if (at := _second(names)) is not None:
+                raise Misplaced(f"{what} '{names[at]}'", *place, at)
+        for at, cylinder in enumerate(self.cylinder):
             if cylinder.joint not in joints:
-                raise ValueError(f"cylinder '{cylinder.name}' drives joint '{cylinder.joint}', which is none of {', '.join(joints)}")
+                raise Misplaced(f"there is no joint '{cylinder.joint}'; there are {', '.join(joints)}", "cylinder", at, "joint")
             if (cylinder.pins is None) != (self.mechanism.kind == "slide"):
-                raise ValueError(f"cylinder '{cylinder.name}': a joint needs 'pins', a slide has none")
-            valves = [v.name for v in cylinder.valve]
-            if len(set(valves)) < len(valves):
-                raise ValueError(f"two valves of cylinder '{cylinder.name}' have the same name")
-            for valve in cylinder.valve:
+                raise Misplaced("on a joint a cylinder needs 'pins', on a slide it has none", "cylinder", at)
+            for i, valve in enumerate(cylinder.valve):
                 if valve.dynamics is not None and valve.dynamics not in self.dynamics:
-                    raise ValueError(f"valve '{valve.name}' asks for dynamics '{valve.dynamics}'; there are {', '.join(self.dynamics) or 'none'}")
+                    there, where = ", ".join(self.dynamics) or "none", ("cylinder", at, "valve", i, "dynamics")
+                    raise Misplaced(f"there is no [dynamics.{valve.dynamics}]; there are {there}", *where)
         for load, links in self.payload.items():
             for link in links:
                 if link not in joints:
-                    raise ValueError(f"payload '{load}' changes link '{link}', which is none of {', '.join(joints)}")
+                    raise Misplaced(f"there is no link '{link}'; there are {', '.join(joints)}", "payload", load, link)
         return self
 
     @property
@@ -484,8 +563,6 @@ class Rig(Model):
         known = self.parameters()
         for name in values:
             if name not in known:
-                from difflib import get_close_matches
-
                 near = get_close_matches(name, known, 1)
                 raise InputError(f"rig '{self.name}' has no parameter '{name}'", hint=f"nearest is '{near[0]}'" if near else None)
         new = {
@@ -536,6 +613,11 @@ class Rig(Model):
     def as_toml(self) -> dict[str, Any]:
         """The rig as nested plain values that a TOML writer takes; reading them back gives the same rig."""
         return self.model_dump(mode="python", by_alias=True, exclude_none=True, exclude_unset=False, exclude_defaults=True)
+
+
+def _second(names: Sequence[str]) -> int | None:
+    """Where a name stands for the second time."""
+    return next((at for at, name in enumerate(names) if name in names[:at]), None)
 
 
 def _scalars(model: BaseModel) -> Iterator[tuple[str, Value]]:

@@ -76,7 +76,8 @@ def to_si(value, unit: str, row: Quantity):
     try:
         scale, offset = _affine(unit, row.unit)
     except UnitError as error:
-        raise UnitError(f"{error.message} for {row.name}", hint=f"{row.name} is in {row.unit}, {row.display} or the like") from None
+        usual = ", ".join(dict.fromkeys((row.unit, row.display)))
+        raise UnitError(f"{error.message} for {row.name}", hint=f"{row.name} is in {usual} or the like") from None
     return value * scale + offset if offset else value * scale
 
 

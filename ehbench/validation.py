@@ -252,16 +252,8 @@ def validate_rig(
     Raises:
         InputError: a payload or channel that the rig does not have, no logs, or one that `intake.take_in` refuses.
     """
-    if not logs:
-        raise InputError("there is no log to validate on", hint="name at least one held-out log under 'data'")
+    models = models_of(rig, logs, channels, flow_maps, where)
     asked = thresholds or Thresholds()
-    for index, (name, record) in enumerate(logs):
-        try:
-            rig.with_payload(_payload(record) or None)
-        except InputError as error:
-            raise InputError(f"{name}: {error.message}", **where("data", index), hint=error.hint) from None
-    models = {payload: Model.of(rig, flow_maps, payload or None) for payload in {_payload(record) for _, record in logs}}
-    _check_channels(rig, channels)
 
     def judge(entry: tuple[str, bool, Record]) -> LogResult:
         name, fitted, record = entry
@@ -275,6 +267,25 @@ def validate_rig(
                 progress(result.name, len(results) / len(logs))
     reasons, warnings = _verdict(results)
     return Validation(rig.name, not reasons, tuple(reasons), tuple(warnings), _plain(asked), tuple(results))
+
+
+def models_of(
+    rig: Rig,
+    logs: Sequence[tuple[str, Record]],
+    channels: Sequence[str] = CHANNELS,
+    flow_maps: Maps | None = None,
+    where: Callable[..., Mapping[str, Any]] = lambda *location: {},
+) -> dict[str, Model]:
+    """The model for each payload of the logs, by name, '' for none; arguments and errors as in `validate_rig`."""
+    if not logs:
+        raise InputError("there is no log to validate on", hint="name at least one held-out log under 'data'")
+    for index, (name, record) in enumerate(logs):
+        try:
+            rig.with_payload(_payload(record) or None)
+        except InputError as error:
+            raise InputError(f"{name}: {error.message}", **where("data", index), hint=error.hint) from None
+    _check_channels(rig, channels)
+    return {payload: Model.of(rig, flow_maps, payload or None) for payload in {_payload(record) for _, record in logs}}
 
 
 def _plain(asked: Thresholds) -> dict[str, Any]:

@@ -134,7 +134,7 @@ def identify_flow_map(recipe: FlowMapRecipe, desk: Desk) -> Outcome:
     from ehbench.readers import read_flowmeter
 
     machine = machine_of(recipe, recipe.rig, None, desk)
-    files = [_existing(recipe, name) for name in recipe.data]
+    files = [existing(recipe, name) for name in recipe.data]
     inputs = [*machine.inputs, *(("data", path) for path in files)]
     supply = float(machine.rig.supply.pressure)
 
@@ -143,6 +143,7 @@ def identify_flow_map(recipe: FlowMapRecipe, desk: Desk) -> Outcome:
             machine.rig, [read_flowmeter(path, supply_pressure=supply) for path in files],
             [(float(point.command), float(point.flow), point.tolerance) for point in recipe.calibration],
             None if recipe.calibration_drop is None else float(recipe.calibration_drop), desk.tell(recipe.name),
+            meter_limit=float(recipe.meter_limit),
         )  # fmt: skip
         maps = collect([one.fit.map for one in fits])
         save_flow_maps(maps, made.path / "flow_maps.json")
@@ -294,7 +295,7 @@ def run_trials(recipe: TrialSetRecipe, desk: Desk) -> Outcome:
         key = (one.rig, one.flow_maps)
         if key not in machines:
             other = machine_of(one, *key, desk)
-            machines[key] = replace(other, rig=_with_identified(other.rig, base.rig))
+            machines[key] = replace(other, rig=with_identified(other.rig, base.rig))
         extra, gains = _behind(one, desk)
         inputs += [item for item in (*machines[key].inputs, *extra) if item not in inputs]
         cases.append(trial.Case(name, one, machines[key].rig, machines[key].flow_maps, gains))
@@ -323,7 +324,7 @@ def run_trials(recipe: TrialSetRecipe, desk: Desk) -> Outcome:
     return _run(recipe, desk, inputs, work, {"trial": recipe.seed})
 
 
-def _with_identified(rig: Rig, source: Rig) -> Rig:
+def with_identified(rig: Rig, source: Rig) -> Rig:
     """A variant of a machine with the numbers that were identified on ``source``, by name."""
     known = rig.parameters()
     return rig.with_values({name: value for name, value in source.parameters().items() if value.sure == "identified" and name in known})
@@ -333,16 +334,16 @@ def _behind(recipe: TrialRecipe, desk: Desk) -> tuple[list[tuple[str, Path]], Pa
     """(inputs of a trial beside its rig, where its gains lie): bench, files it plays, tune run, the user's code."""
     from ehbench import trial
 
-    inputs = [("bench", _existing(recipe, recipe.bench))] if recipe.bench else []
-    inputs += [("command", _existing(recipe, c.file)) for c in recipe.command if c.file]
+    inputs = [("bench", existing(recipe, recipe.bench))] if recipe.bench else []
+    inputs += [("command", existing(recipe, c.file)) for c in recipe.command if c.file]
     if recipe.motion is not None and recipe.motion.file:
-        inputs.append(("motion", _existing(recipe, recipe.motion.file)))
+        inputs.append(("motion", existing(recipe, recipe.motion.file)))
     if (code := trial.code_file(recipe)) is not None:
         inputs.append(("code", code))
     name = trial.gains_file(recipe)
     if name is None:
         return inputs, None
-    gains = _existing(recipe, name)
+    gains = existing(recipe, name)
     if gains.is_file() and gains.suffix == ".toml":
         gains = make(gains, desk).folder
     return [*inputs, ("gains", gains)], gains
@@ -419,7 +420,7 @@ def make(path: Path, desk: Desk) -> Outcome:
 
 def machine_of(recipe: Recipe, rig: str, flow_maps: str | None, desk: Desk) -> Machine:
     """The rig that a recipe names, with its maps: from a rig file, a run folder, or a recipe that makes one."""
-    path = _existing(recipe, rig)
+    path = existing(recipe, rig)
     inputs: list[tuple[str, Path]] = []
     stage = "file"
     if path.is_file() and kind_of(path) == "recipe":
@@ -432,7 +433,7 @@ def machine_of(recipe: Recipe, rig: str, flow_maps: str | None, desk: Desk) -> M
     inputs.append(("rig", path))
     maps = _maps_in(path) if path.is_dir() else None
     if flow_maps is not None:
-        source = _existing(recipe, flow_maps)
+        source = existing(recipe, flow_maps)
         if source.is_file() and source.suffix == ".toml":
             source = make(source, desk).folder
         inputs.append(("flow_maps", source))
@@ -450,7 +451,7 @@ def logs_of(recipe: Recipe, data: Sequence[DataFile], desk: Desk) -> tuple[list[
 
     places = []
     for item in data:
-        path = _existing(recipe, item.path)
+        path = existing(recipe, item.path)
         places.append(make(path, desk).folder if path.is_file() and path.suffix == ".toml" else path)
     logs, inputs, losses = [], [], []
     for item, place, name in zip(data, places, distinct_names(places), strict=True):
@@ -476,7 +477,12 @@ def _window(record: Record, item: DataFile, path: Path) -> Record:
     return type(record)(record.t[keep], channels, meta, record.attachments, record.losses)
 
 
-def _existing(recipe: Recipe, name: str) -> Path:
+def existing(recipe: Recipe, name: str) -> Path:
+    """The file or folder that a recipe names.
+
+    Raises:
+        InputError: it is not there; names the nearest.
+    """
     path = recipe.file(name)
     if not path.exists():
         from difflib import get_close_matches

@@ -33,6 +33,8 @@ def fit_readings(
     calibration: Sequence[tuple[float, float, float]] = (),
     reference_drop: float | None = None,
     progress: Progress | None = None,
+    *,
+    meter_limit: float = 0.0,
 ) -> list[EdgeFit]:
     """One flow map for each metering edge and direction that the readings name.
 
@@ -43,6 +45,7 @@ def fit_readings(
         calibration: (command [V], flow [m³/s], tolerance) to check on every map.
         reference_drop: [Pa] where the calibration is checked.
         progress: called with what is fitted and the share done.
+        meter_limit: [m³/s] a flowmeter reading below it only says that the flow lies below it.
 
     Raises:
         InputError: readings of an edge that the rig does not have, or commands on the wrong side of zero.
@@ -63,7 +66,7 @@ def fit_readings(
         rows = found[0] if len(found) == 1 else merge_flowmeter(found)
         fit = fit_flow_map(
             name, side, rows.command, rows.pressure_drop, rows.flow, method=rows.method, trial=rows.trial, line=rows.line,
-            file=rows.file, calibration=calibration, reference_drop=reference_drop, show=show,
+            file=rows.file, meter_limit=meter_limit, calibration=calibration, reference_drop=reference_drop, show=show,
         )  # fmt: skip
         fits.append(EdgeFit(fit, rows))
     return fits

@@ -124,8 +124,14 @@ _URL = re.compile(r"url\(#([^)]+)\)")
 _WIDE = re.compile(r'<svg[^>]*?viewBox="([^"]*)"[^>]*>', re.S)
 
 
-def inline(svg: str, prefix: str, title: str) -> str:
-    """A saved SVG as part of a page: no prolog, no metadata, ids made its own by ``prefix``, sized by the page."""
+_STYLE = re.compile(r' style="([^"]*)"')
+
+
+def inline(svg: str, prefix: str, title: str, looks: dict[str, str] | None = None) -> str:
+    """A saved SVG as part of a page: no prolog, no metadata, ids made its own by ``prefix``, sized by the page.
+
+    With ``looks`` every style becomes a class of the page: the class by the style, grown here.
+    """
     from markupsafe import escape
 
     body = svg[svg.index("<svg") :]
@@ -133,6 +139,8 @@ def inline(svg: str, prefix: str, title: str) -> str:
     body = _ID.sub(lambda found: f'id="{prefix}{found[1]}"', body)
     body = _LINK.sub(lambda found: f'href="#{prefix}{found[2]}"', body)
     body = _URL.sub(lambda found: f"url(#{prefix}{found[1]})", body)
+    if looks is not None:
+        body = _STYLE.sub(lambda found: f' class="{looks.setdefault(found[1], f"k{len(looks)}")}"', body)
     box = _WIDE.match(body)
     shape = box[1] if box else "0 0 525 300"
     width = float(shape.split()[2]) * 4 / 3  # points to CSS pixels

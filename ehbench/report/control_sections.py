@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from ehbench.report.blocks import Bullets, Cell, Fold, Grid, Part, Text
+from ehbench.report.energy_tables import saving_blocks, who
 from ehbench.report.saved import Saved, Table
 from ehbench.report.telling import Pictures, Told, capital, chip, num, span
-from ehbench.report.trial_figures import Case, case_said, cases_of, groups_of, percent, tracking_said
-from ehbench.report.tuning_figures import counted, draws_said, function_names, load_name, measure, payloads_of
-from ehbench.report.words import DASH, axis, count, number, pretty, shown, unit_of, words
+from ehbench.report.trial_figures import Case, case_said, cases_of, damping, groups_of, percent, tracking_said
+from ehbench.report.tuning_figures import counted, function_names, load_name, measure, payloads_of
+from ehbench.report.words import DASH, axis, count, number, pretty, row_of, shown, unit_of, words
 from ehbench.rig import Rig
 
 
@@ -49,7 +50,9 @@ def tune(run: Saved, pictures: Pictures) -> Told:
         Part("Draws of the identified parameters", _draws(tuning, pictures)),
     ]
     gains = sorted(set(tuning["feedback_gain"].values()))
-    washout = f"washout {measure(rig, 'washout', tuning['washout'])}" if tuning["washout"] else "no washout"
+    corners = [tuning[key] for key in ("washout", "ramp_washout") if tuning.get(key)]
+    said = " and ".join(dict.fromkeys(measure(rig, "washout", corner) for corner in corners))
+    washout = f"{'two washouts' if len(corners) > 1 else 'washout'} {said}" if corners else "no washout"
     lead = "One gain" if len(gains) == 1 else f"{len(gains)} gains"
     sentence = (
         f"{lead} K_p = {span([float(shown(rig, 'feedback_gain', g)) for g in gains])} {pretty(unit_of(rig, 'feedback_gain'))}"
@@ -150,12 +153,14 @@ def _parameters(rig: Rig, tuning: Table) -> Grid:
             for name, gain in gains.items()
         ]
     for name, key, text in (
-        ("washout", "washout", "washout corner ω_w"), ("off_gain", "off_gain", "off-side gain K_o"),
+        ("washout", "washout", "washout corner ω_w"), ("washout", "ramp_washout", "corner of the second washout ω_r"),
+        ("off_gain", "off_gain", "off-side gain K_o"),
         ("low_pressure", "low_pressure", "off-side set-point above tank"),
         ("cross_drop", "cross_drop", "planned drop across the cross-port edge"),
         ("lag", "tick", "tick"), ("lag", "delay", "delay from pressure to command"),
     ):  # fmt: skip
-        rows.append([text, _in(rig, name, tuning[key]), pretty(unit_of(rig, name)), "", ""])
+        if key != "ramp_washout" or tuning.get(key):
+            rows.append([text, _in(rig, name, tuning[key]), pretty(unit_of(rig, name)), "", ""])
     points = counted(tuning)
     rows.append(["damping ratio", "", "", num(f"≥ {number(tuning['target'], 3)}"), num(number(tuning["damping_ratio"], 3))])
     for key, least in tuning["constraints"].items():
@@ -171,10 +176,11 @@ def _parameters(rig: Rig, tuning: Table) -> Grid:
 
 
 def _alternatives(rig: Rig, tuning: Table) -> list[Any]:
+    two = ["ramp_washout"] if any(one.get("ramp_washout") for one in tuning["alternatives"]) else []
     rows = [
         [
             one["what"], words(one["feedback"]) + (" chamber" if one["feedback"] == "metered" else ""),
-            *(_in(rig, name, one[name], 3) for name in ("washout", "off_gain", "feedback_gain")),
+            *(_in(rig, name, one[name], 3) for name in ("washout", *two, "off_gain", "feedback_gain")),
             num(number(one["damping_ratio"], 2)),
         ]
         for one in tuning["alternatives"]
@@ -189,13 +195,9 @@ def _alternatives(rig: Rig, tuning: Table) -> list[Any]:
         else "None of them beats the chosen law by this number."
     )
     head = [
-        "law",
-        "fed back",
-        axis(rig, "washout", "washout"),
-        axis(rig, "off_gain", "K_o"),
-        axis(rig, "feedback_gain", "its best K_p"),
-        "worst ζ",
-    ]
+        "law", "fed back", axis(rig, "washout", "washout"), *(axis(rig, name, "second washout") for name in two),
+        axis(rig, "off_gain", "K_o"), axis(rig, "feedback_gain", "its best K_p"), "worst ζ",
+    ]  # fmt: skip
     return [
         Text(text),
         Grid(
@@ -213,8 +215,10 @@ def _draws(tuning: Table, pictures: Pictures) -> list[Any]:
     if not found["draws"]:
         return [Text("No draws were made.", "note")]
     drawn = Grid(["drawn, with their covariance"], [[Cell(name, "code")] for name in found["parameters"]])
-    return [Text(draws_said(tuning)), *pictures("draws", "", ""), Fold(count(len(found["parameters"]), "parameter"), [drawn])]
+    return [*pictures("draws", "", ""), Fold(count(len(found["parameters"]), "parameter"), [drawn])]
 
+
+STANDS = 1e-3  # share of the speed asked that counts as standing still
 
 # --- trials ---------------------------------------------------------------------------------------------------------------
 
@@ -228,7 +232,7 @@ def controlled_trial(run: Saved, pictures: Pictures) -> Told:
     inside += [*pictures("trial", "", ""), *pictures("estimates", "", "")]
     parts = [Part("Trial", inside), Part("Measures", _tables(rig, [case]))]
     if energy := pictures("sankey", "", ""):
-        parts.append(Part("Energy", energy))
+        parts.append(Part("Energy", [*saving_blocks(rig, [case]), *energy]))
     posture = ", ".join(f"{name} {value}" for name, value in facts.get("posture", {}).items()) or "mid-stroke"
     rows = [
         ["on", facts["on"]], ["controller", words(row["controller"])], ["cylinder", case.cylinder],
@@ -236,7 +240,7 @@ def controlled_trial(run: Saved, pictures: Pictures) -> Told:
         ["posture", posture], ["lasted", f"{number(facts['duration'])} s"], ["samples", str(facts["samples"])],
         ["seed", str(facts.get("seed", 0))],
     ]  # fmt: skip
-    parts.append(Part("Settings", [Grid(["", ""], rows), *_settings(case)]))
+    parts.append(Part("Settings", [Grid(["", ""], rows), *_settings(rig, [case])]))
     return Told("stopped" if stopped else "done", case_said(rig, case), parts)
 
 
@@ -251,7 +255,12 @@ def trials(run: Saved, pictures: Pictures) -> Told:
         Part("Compared", [*first, *pictures("compare", "", "")]),
         Part("Measures", _tables(rig, cases)),
         Part(
-            "Energy", [*pictures("energy", "", ""), *_folded(pictures("sankey", "", ""), "where the energy of each trial went")]
+            "Energy",
+            [
+                *saving_blocks(rig, cases),
+                *pictures("energy", "", ""),
+                *_folded(pictures("sankey", "", ""), "where the energy of each trial went"),
+            ],
         ),
     ]
     alone: list[Any] = []
@@ -262,7 +271,7 @@ def trials(run: Saved, pictures: Pictures) -> Told:
             alone += found
         else:
             folds.append(Fold(f"{case.row['case']}, on the {case.row['on']}", found))
-    parts += [Part("Each trial", [*alone, *folds]), Part("Settings", _settings(cases[0]) if cases else [])]
+    parts += [Part("Each trial", [*alone, *folds]), Part("Settings", _settings(rig, cases))]
     return Told("stopped" if stopped else "done", _trials_said(rig, cases), parts)
 
 
@@ -277,13 +286,13 @@ def _trials_said(rig: Rig, cases: Sequence[Case]) -> str:
         steps = [one for case in mine for one in case.steps]
         if steps:
             text = [f"steady error {span([100.0 * one['steady_error'] for one in steps], 2)} %"]
-            for key, name, factor, unit in (("overshoot", "overshoot", 100.0, " %"), ("damping_ratio", "damping ratio", 1.0, "")):
-                known = [factor * one[key] for one in steps if one.get(key) is not None]
-                text.append(
-                    f"{name} {span(known, 2)}{unit}" + (f" ({len(known)} of {len(steps)})" if len(known) < len(steps) else "")
-                    if known
-                    else f"no {name} to read"
-                )
+            known = [100.0 * one["overshoot"] for one in steps if one.get("overshoot") is not None]
+            text.append(f"overshoot {span(known, 2)} %{_of(known, steps)}" if known else "no overshoot to read")
+            clear = [ratio for one in steps if (ratio := damping(one)[0]) is not None and not damping(one)[1]]
+            rough = [ratio for one in steps if (ratio := damping(one)[0]) is not None and damping(one)[1]]
+            ratios = [f"{span(clear, 2)}{_of(clear, steps)}"] if clear else []
+            ratios += [f"about {span(rough, 2)} where it hardly rings{_of(rough, steps)}"] if rough else []
+            text.append(f"damping ratio {', '.join(ratios)}" if ratios else "no damping ratio to read")
             said.append(f"{capital(words(controller))}: {', '.join(text)}")
         elif len(mine) == 1:
             said.append(f"{capital(words(controller))}: {tracking_said(rig, mine[0].row)}")
@@ -299,6 +308,11 @@ def _trials_said(rig: Rig, cases: Sequence[Case]) -> str:
     return f"{count(len(cases), 'trial')} on the {on}: {payloads}, {motions}. " + ". ".join(said) + "."
 
 
+def _of(some: Sequence[float], steps: Sequence[Table]) -> str:
+    """How many of the steps a range is of, where not of all."""
+    return f" ({len(some)} of {len(steps)})" if len(some) < len(steps) else ""
+
+
 def _tables(rig: Rig, cases: Sequence[Case]) -> list[Any]:
     """Steps of speed, tracking with energy, and limits met; each only where it has rows."""
     found: list[Any] = []
@@ -310,34 +324,33 @@ def _tables(rig: Rig, cases: Sequence[Case]) -> list[Any]:
     return found
 
 
-def _who(case: Case) -> list[Cell | str]:
-    row = case.row
-    return [load_name(row["payload"]), words(row["motion"]) or DASH, words(row["controller"])]
-
-
 def _ordered(cases: Sequence[Case]) -> list[Case]:
     return [case for group in groups_of(cases).values() for case in group]
 
 
 def _steps(rig: Rig, cases: Sequence[Case]) -> Grid:
-    rows = []
+    rows, reasons = [], list(dict.fromkeys(doubt for case in _ordered(cases) for one in case.steps if (doubt := damping(one)[1])))
     for case in _ordered(cases):
         for one in case.steps:
             rows.append([
-                *_who(case), _in(rig, "v", one["speed"], 3), _in(rig, "v", one["steady_speed"], 3),
+                *who(case), _in(rig, "v", one["speed"], 3),
+                _in(rig, "v", one["steady_speed"] if abs(1.0 + one["steady_error"]) > STANDS else 0.0, 3),
                 num(number(100.0 * one["steady_error"], 2)),
                 num(number(None if one.get("overshoot") is None else 100.0 * one["overshoot"], 2)),
                 _in(rig, "t", one["settling_time"], 2) if one.get("settling_time") is not None else "not settled",
-                _in(rig, "v", one["rms_error"], 3), num(number(one.get("damping_ratio"), 2)),
+                _in(rig, "v", one["rms_error"], 3),
+                num(number(damping(one)[0], 2) + (f" ({reasons.index(damping(one)[1]) + 1})" if damping(one)[1] else "")),
                 _in(rig, "natural_frequency", one.get("natural_frequency"), 2),
-                _in(rig, "energy", case.row["energy"]["pump"]), one["ringing"],
+                _in(rig, "energy", case.row["energy"]["pump"]),
             ])  # fmt: skip
     head = [
         "payload", "motion", "controller", axis(rig, "v", "asked"), axis(rig, "v", "steady"), "steady error [%]", "overshoot [%]",
         axis(rig, "t", "settling time"), axis(rig, "v", "rms error"), "damping ratio", axis(rig, "natural_frequency", "ωₙ"),
-        axis(rig, "energy", "pump energy of the trial"), "why no damping ratio",
+        axis(rig, "energy", "pump energy of the trial"),
     ]  # fmt: skip
     note = "Overshoot beyond the steady speed; settled within 5 %; damping ratio and ωₙ from the decay."
+    if reasons:
+        note += " No damping ratio, or a rough one: " + "; ".join(f"({i}) {reason}" for i, reason in enumerate(reasons, 1)) + "."
     return Grid(head, rows, note, "steps", "Steps of speed.")
 
 
@@ -346,10 +359,10 @@ def _tracking(rig: Rig, cases: Sequence[Case]) -> Grid:
     several = any(len(mine) > 1 for mine in groups.values())
     for case in _ordered(cases):
         row, track, energy = case.row, case.row["tracking"], case.row["energy"]
-        least = min(one.row["energy"]["pump"] for one in groups[row["payload"], row["motion"]])
-        relative = [num(number(energy["pump"] / least, 3) if least > 0.0 else DASH)] if several else []
+        least = min((one.row["energy"]["pump"] for one in groups[row["payload"], row["motion"]] if one.fit), default=0.0)
+        relative = [num(number(energy["pump"] / least, 3) if case.fit and least > 0.0 else DASH)] if several else []
         rows.append([
-            *_who(case), *(_in(rig, "x", track[key], 3) for key in ("max_error", "rms_error", "final_error")),
+            *who(case), *(_in(rig, "x", track[key], 3) for key in ("max_error", "rms_error", "final_error")),
             _in(rig, "v", row["speed_rms_error"], 3),
             _in(rig, "energy", energy["pump"]), *relative, _in(rig, "energy", energy["cylinder_work"]),
             chip("stopped") if row.get("stopped") else "",
@@ -369,7 +382,7 @@ def _limits(cases: Sequence[Case]) -> Grid | None:
     if not names:
         return None
     rows = [
-        [*_who(case), *(num(number(100.0 * case.row.get("limits", {}).get(name, 0.0), 2)) for name in names)]
+        [*who(case), *(num(number(100.0 * case.row.get("limits", {}).get(name, 0.0), 2)) for name in names)]
         for case in _ordered(cases)
     ]
     return Grid(
@@ -381,13 +394,16 @@ def _limits(cases: Sequence[Case]) -> Grid | None:
     )
 
 
-def _settings(case: Case) -> list[Any]:
-    """Motions and controllers as the recipe in the log has them (thesis Tables B.2, C.1, C.3); the rest has its defaults."""
+def _settings(rig: Rig, cases: Sequence[Case]) -> list[Any]:
+    """Gains really used (thesis Tables B.3, C.1, C.3); motions and controllers as the recipe has them (Table B.2)."""
     import tomllib
 
-    text = case.record().attachments.get("recipe.toml")
+    if not cases:
+        return []
+    text = cases[0].record().attachments.get("recipe.toml")
     recipe = tomllib.loads(text.decode("utf-8")) if text else {}
-    found: list[Any] = []
+    found: dict[str, Grid] = {}
+    gains = _by_controller(rig, cases, "gains")
     for key, title in (("motion", "Trajectories."), ("controller", "Controllers.")):
         entries = recipe.get(key, [])
         rows: list[list[Cell | str]] = []
@@ -395,8 +411,54 @@ def _settings(case: Case) -> list[Any]:
             rows.append([Cell(f"{key}: {entry.get('name') or entry.get('kind') or entry.get('class', '')}", "name"), ""])
             rows += [[Cell(name, "code"), Cell(_plain(value), "code")] for name, value in entry.items() if name != "name"]
         if rows:
-            found.append(Grid(["", "as the recipe has it"], rows, "What is not named has its default.", f"settings_{key}", title))
-    return found
+            name = f"settings_{key}" if key == "motion" or not gains else ""
+            found[key] = Grid(
+                ["", "as the recipe has it"], rows, "What is not named has its default.", name, title if name else ""
+            )
+    blocks: list[Any] = [found["motion"]] if "motion" in found else []
+    if gains:
+        head, rows = gains
+        blocks.append(
+            Grid(
+                head,
+                rows,
+                "As they were really used, defaults and what follows from them included.",
+                "settings_controller",
+                "Gains.",
+            )
+        )
+    if bounds := _by_controller(rig, cases, "estimate_bounds"):
+        blocks.append(Grid(*bounds, "The estimates are projected onto these.", "estimate_bounds", "Bounds of the estimates."))
+    if rules := _by_controller(rig, cases, "rules"):
+        blocks.append(Fold("Rules by which working functions are chosen", [Grid(*rules)]))
+    if "controller" in found:
+        blocks.append(Fold("Controllers as the recipe has them", [found["controller"]]) if gains else found["controller"])
+    return blocks
+
+
+def _by_controller(rig: Rig, cases: Sequence[Case], key: str) -> tuple[list[str], list[list[Cell | str]]] | None:
+    """(head, rows) of the numbers by name that trials hold under ``key``, a column a controller; None where none has any."""
+    tables: dict[str, list[Table]] = {}
+    for case in cases:
+        if len(case.row.get(key, {})):
+            tables.setdefault(case.row["controller"], []).append(case.row[key])
+    rows: list[list[Cell | str]] = []
+    for name in dict.fromkeys(name for mine in tables.values() for table in mine for name in table):
+        of, _, word = name.rpartition(".")
+        row = row_of(name)
+        cells = [_values(rig, name, [table[name] for table in mine if name in table]) for mine in tables.values()]
+        said = f"{words(of)}: {row.meaning}" if of else row.meaning
+        rows.append([Cell(row.symbol, "name"), said, *cells, pretty(unit_of(rig, word))])
+    return (["", "", *(words(name) for name in tables), "unit"], rows) if rows else None
+
+
+def _values(rig: Rig, name: str, values: Sequence[Any]) -> Cell:
+    """A number that a controller had in all trials, or from the least to the largest; a pair of bounds as ``low … high``."""
+    if not values:
+        return num(DASH)
+    lows, highs = zip(*(value if isinstance(value, list) else (value, value) for value in values), strict=True)
+    low, high = (span([float(shown(rig, name, one)) for one in ends]) for ends in (lows, highs))
+    return num(low if lows == highs else f"{low} … {high}")
 
 
 def _plain(value: Any) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from ehbench.report.style import ACCENT, INK, MUTED, canvas, legend
 from ehbench.report.words import DASH, fixed, number, places_of
 
+SEEN = 2e-3  # share of the longest bar below which nobody sees a part
 SMALL = 0.012  # share of all energy below which a row is drawn together with others
 COLOURS = {
     "supply": "#1f3f66", "valve": "#e08214", "loss": "#8a7f72", "store": "#5b8fb9", "load": "#2e7d5b", "residual": ACCENT,
@@ -69,7 +70,7 @@ def _scale(ledgers: Sequence[Mapping[str, Any]]) -> tuple[float, str]:
     return (1e6, "MJ") if most >= 1e8 else (1e3, "kJ") if most >= 1e5 else (1.0, "J")
 
 
-def _half(row: Mapping[str, Any]) -> float | None:
+def half_of(row: Mapping[str, Any]) -> float | None:
     interval = row.get("interval")
     return None if interval is None or None in interval else 0.5 * (interval[1] - interval[0])
 
@@ -79,7 +80,6 @@ def _text(energy: float, half: float | None, unit: tuple[float, str], whole: flo
     value = energy / unit[0]
     if half is not None and half > 0.0 and math.isfinite(half):
         places = max(places_of(half / unit[0]), -2)
-        value = 0.0 if round(value, places) == 0.0 else value  # no minus before a nought
         shown = f"{fixed(value, places)} ± {fixed(half / unit[0], places)}"
     else:
         shown = number(value, 3)
@@ -136,9 +136,9 @@ def _chart(ledger: Mapping[str, Any]) -> tuple[_Chart, float]:
     def leaf(node: str, row: Mapping[str, Any], group: str, label: str) -> None:
         energy = row["energy"]
         if energy >= 0.0:
-            chart.flows.append(_Flow(node, None, energy, group, label, _half(row)))
+            chart.flows.append(_Flow(node, None, energy, group, label, half_of(row)))
         else:
-            chart.flows.append(_Flow(None, node, -energy, group, label, _half(row)))
+            chart.flows.append(_Flow(None, node, -energy, group, label, half_of(row)))
 
     several = len(busy) > 1
 
@@ -171,7 +171,7 @@ def _chart(ledger: Mapping[str, Any]) -> tuple[_Chart, float]:
         else:
             chart.flows += [_Flow(None, c, -work, "load", f"load on {c}"), _Flow("mechanism", None, -work, "load", f"into {c}")]
     if given > 0.0 and any(f.start == "pump" for f in chart.flows):
-        chart.flows.append(_Flow(None, "pump", given, "supply", "pump", _half(named["pump"])))
+        chart.flows.append(_Flow(None, "pump", given, "supply", "pump", half_of(named["pump"])))
     chart.flows = _merged(chart.flows, whole, several)
     return chart, given
 
@@ -284,7 +284,7 @@ def sankey(path: Path, ledger: Mapping[str, Any]) -> None:
                     weight="bold", bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 0.6}, zorder=5,
                 )  # fmt: skip
         rest = next(row for row in ledger["rows"] if row["group"] == "residual")
-        words = f"{rest['label']} in all: {_text(rest['energy'], _half(rest), unit, given)}"
+        words = f"{rest['label']} in all: {_text(rest['energy'], half_of(rest), unit, given)}"
         ax.text(-0.36, -0.03, words, fontsize=8, color=MUTED)
         present = [g for g in COLOURS if any(f.group == g for f in flows)]
         legend(figure, [Patch(color=COLOURS[g], alpha=0.75, label=WORDS[g]) for g in present])
@@ -338,7 +338,7 @@ _PARTS = {
 _LIMITS = {"standard": ("four-way valve", "-"), "six": ("six functions", "--"), "seventh": ("with the seventh", ":")}
 
 
-def _part(row: Mapping[str, Any]) -> str | None:
+def part_of(row: Mapping[str, Any]) -> str | None:
     """The stack to which a row belongs; None for rows that are not summed."""
     group, word = row["group"], row["name"].rsplit(".", 1)[-1]
     if group == "valve":
@@ -371,7 +371,7 @@ def bars(
     for _, ledger in ledgers:
         parts = dict.fromkeys(_PARTS, 0.0)
         for row in _rows(ledger):
-            part = _part(row)
+            part = part_of(row)
             if part is not None:
                 parts[part] += row["energy"] / unit[0]
         sums.append(parts)
@@ -379,7 +379,7 @@ def bars(
     least = min(sum(min(v, 0.0) for v in parts.values()) for parts in sums)
     limits = [_sum_of(bounds[i]) if bounds is not None else {} for i in range(len(ledgers))]
     reach = max([most, *(value / unit[0] for one in limits for value in one.values())])
-    drawn = [key for key in _PARTS if any(abs(parts[key]) > 1e-4 * most for parts in sums)]
+    drawn = [key for key in _PARTS if any(abs(parts[key]) > SEEN * most for parts in sums)]
     with canvas(path, size=(7.4, 0.62 * len(ledgers) + 1.7)) as (figure, ax):
         for i, ((_, ledger), parts) in enumerate(zip(ledgers, sums, strict=True)):
             ahead, behind = 0.0, 0.0
@@ -397,7 +397,7 @@ def bars(
                 else:
                     behind += value
             pump = next(row for row in ledger["rows"] if row["name"] == "pump")
-            half = _half(pump)
+            half = half_of(pump)
             total = sum(row["energy"] for row in ledger["rows"] if row["group"] == "supply")
             if half:
                 ax.errorbar(total / unit[0], i, xerr=half / unit[0], color=INK, capsize=3, linewidth=1.0, zorder=5)

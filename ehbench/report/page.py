@@ -28,11 +28,12 @@ def build(folders: Sequence[Path], campaign: Campaign | None = None) -> str:
     runs = sorted((Saved(folder) for folder in folders), key=lambda run: stage_of(run)[0])
     titles = dict(campaign.figures) if campaign else {}
     used: set[str] = set()
+    looks: dict[str, str] = {}
     sections, glance = [], []
     for index, run in enumerate(runs, 1):
         anchor = f"run-{index}"
         stage = stage_of(run)[1]
-        story = stage.render(run, _pictures(run, anchor, titles, used))
+        story = stage.render(run, _pictures(run, anchor, titles, used, looks))
         warnings = run.facts.get("warnings", [])
         parts = [
             Part(part.title, _named(part.inside, run, titles, used), f"{anchor}-{i}-{slug(part.title)}")
@@ -55,10 +56,10 @@ def build(folders: Sequence[Path], campaign: Campaign | None = None) -> str:
         ]
     title = (campaign.title or words(campaign.name).capitalize()) if campaign else "Report"
     note = prose(campaign.note) if campaign else []
-    return _render(title, note, [*before, *sections, *_rigs(runs), _provenance(runs)])
+    return _render(title, note, [*before, *sections, *_rigs(runs), _provenance(runs)], looks)
 
 
-def _pictures(run: Saved, anchor: str, titles: dict[str, str], used: set[str]) -> Pictures:
+def _pictures(run: Saved, anchor: str, titles: dict[str, str], used: set[str], looks: dict[str, str]) -> Pictures:
     """A function that gives the run's figures of a kind, inlined; a campaign's title wins over the figure's own."""
     index = run.figures()
 
@@ -76,7 +77,7 @@ def _pictures(run: Saved, anchor: str, titles: dict[str, str], used: set[str]) -
             names = (f"{run.name}/{one['key']}", one["key"])
             title = next((titles[name] for name in names if name in titles), one["title"])
             used.update(names)
-            drawn = inline(svg, f"{anchor}f{place}-", title)
+            drawn = inline(svg, f"{anchor}f{place}-", title, looks)
             found.append(Picture(drawn, title, one["caption"], f"{anchor}-figure-{place}", any(name in titles for name in names)))
         return found
 
@@ -154,7 +155,7 @@ def _provenance(runs: Sequence[Saved]) -> Section:
     return Section("Provenance", [Text(lead), *more, *folds], "provenance")
 
 
-def _render(title: str, note: Sequence[Any], sections: Sequence[Section]) -> str:
+def _render(title: str, note: Sequence[Any], sections: Sequence[Section], looks: dict[str, str]) -> str:
     from jinja2 import Environment, StrictUndefined
 
     package = resources.files("ehbench.report")
@@ -162,5 +163,5 @@ def _render(title: str, note: Sequence[Any], sections: Sequence[Section]) -> str
     environment.filters["signed"] = lambda value: "0.00" if abs(value) < 0.005 else f"{value:+.2f}".replace("-", "−")
     environment.filters["soft"] = lambda name: name.replace(".", ".\u200b").replace("_", "_\u200b")
     template = environment.from_string((package / "page.html").read_text(encoding="utf-8"))
-    style = (package / "page.css").read_text(encoding="utf-8")
+    style = (package / "page.css").read_text(encoding="utf-8") + "".join(f".{name}{{{look}}}\n" for look, name in looks.items())
     return template.render(title=title, note=note, sections=sections, style=style)

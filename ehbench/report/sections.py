@@ -191,16 +191,15 @@ def _log_fits(rig: Rig, logs: Sequence[Table]) -> list[Any]:
 
 
 def _dynamics(rig: Rig, variants: Sequence[Table]) -> Grid:
-    names = [one["name"] for one in variants[0]["fit"]["parameters"]] if variants[0].get("fit") else []
-    head = ["valve dynamics", "error relative to the best", *(axis(rig, name, name) for name in names)]
-    rows = []
-    for variant in variants:
-        fitted = {one["name"]: one for one in variant["fit"]["parameters"]} if names else {}
-        values = [
-            num(plus(rig, name, fitted[name].number("value"), fitted[name].number("std"))) for name in names if name in fitted
-        ]
-        rows.append([Cell(variant["dynamics"], "code"), num(number(variant["relative_rms"], 4)), *values])
-    return Grid(head, rows, "The same logs, fitted with each valve dynamics in turn.")
+    fits = [{one["name"]: one for one in variant["fit"]["parameters"]} if variant.get("fit") else {} for variant in variants]
+    rows = [["error relative to the best", *(num(number(variant["relative_rms"], 4)) for variant in variants)]]
+    for name in dict.fromkeys(name for fitted in fits for name in fitted):
+        ones = [fitted.get(name) for fitted in fits]
+        values = (num("–" if one is None else plus(rig, name, one.number("value"), one.number("std"))) for one in ones)
+        rows.append([axis(rig, name, name), *values])
+    return Grid(
+        ["", *(variant["dynamics"] for variant in variants)], rows, "The same logs, fitted with each valve dynamics in turn."
+    )
 
 
 def _match_head(rig: Rig) -> list[str]:
@@ -367,7 +366,7 @@ def rig_table(rig: Rig) -> list[Any]:
     groups: dict[str, list] = {}
     for name, value in _values(rig):
         groups.setdefault(name.rpartition(".")[0], []).append(_value_row(rig, name, value))
-    rows = [[Cell(group, "name"), *row] for group, found in groups.items() for row in found]
+    rows = [[group, *row] for group, found in groups.items() for row in found]
     notes = [f"{name}: {dynamics.note}" for name, dynamics in rig.dynamics.items() if dynamics.note]
     return [*([Bullets(notes)] if notes else []), Grid(["of", "parameter", "value", "unit", "how sure", "source"], rows)]
 
@@ -404,7 +403,7 @@ def _value_row(rig: Rig, name: str, value: Value) -> list[Cell | str]:
     source = value.source.removeprefix(value.sure).lstrip(":, ")
     return [
         Cell(name.rsplit(".", 1)[-1], "code", hint=row_of(name).meaning),
-        num(text),
+        text if isinstance(value.value, tuple) else num(text),
         pretty(unit_of(rig, name)),
         value.sure,
         source,

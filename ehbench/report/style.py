@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from io import StringIO
 from pathlib import Path
 
 import numpy as np
+
+from ehbench.report.svg import shrink
 
 RECORDED, SIMULATED, ACCENT, MUTED = "#1f3f66", "#e08214", "#b3261e", "#6b7280"
 INK = "#1f2937"
@@ -18,7 +19,7 @@ BUCKETS = 320  # half a figure is about as many pixels wide
 
 _RC = {
     "svg.hashsalt": "ehbench",
-    "svg.fonttype": "path",
+    "svg.fonttype": "none",
     "font.family": "DejaVu Sans",
     "font.size": 9,
     "axes.titlesize": 9.5,
@@ -46,9 +47,6 @@ _RC = {
     "path.simplify": True,
     "path.simplify_threshold": 0.3,
 }
-_COORDINATES = re.compile(r'(?<= )(d|points|x|y)="([^"]*)"')
-_MARKERS = re.compile(r'\s*<use [^>]*? style="([^"]*)"/>(?:\s*<use [^>]*? style="\1"/>)+')
-_DIGITS = re.compile(r"(\.\d\d)\d+")
 
 
 @contextmanager
@@ -66,19 +64,9 @@ def canvas(path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float
             path.parent.mkdir(parents=True, exist_ok=True)
             text = StringIO()
             figure.savefig(text, format="svg", metadata={"Date": None, "Creator": "ehbench"})
-            path.write_text(_short(text.getvalue()), encoding="utf-8")
+            path.write_text(shrink(text.getvalue()), encoding="utf-8")
         finally:
             plt.close(figure)
-
-
-def _short(svg: str) -> str:
-    """The SVG with coordinates to a hundredth of a point, which nobody can see, and the style of many markers said once."""
-
-    def said_once(found: re.Match) -> str:
-        style = f' style="{found[1]}"'
-        return f"<g{style}>{found[0].replace(style, '')}</g>"
-
-    return _COORDINATES.sub(lambda found: '{}="{}"'.format(found[1], _DIGITS.sub(r"\1", found[2])), _MARKERS.sub(said_once, svg))
 
 
 def shades(count: int) -> list:

@@ -35,8 +35,11 @@ _LIMIT_SHADES = {1: ACCENT, 2: "#8e4585", 4: "#7a6a4f", 8: "#9ca3af", 16: "#d4a0
 ESTIMATES = ("payload_estimate", "inverse_inertia", "disturbance", "inverse_bulk")
 MANY = 3  # from so many controllers on, a comparison leaves out the commands
 FAR_APART = 8.0  # ratio of largest errors from which a comparison takes a logarithmic axis
+SLOW = 0.2  # share by which a steady speed may miss what was asked and still be compared
+ROUNDING = 1e-9  # share of its bounds by which a logged estimate may lie outside
 WINDOW = 0.1  # [s] over which an envelope takes the largest error
-_BUCKETS, _RUNS = 160, 700
+_RUNS = 700
+_HARDLY = re.compile(r"(.*?) \(damping ratio ([\d.]+)\)$")
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,11 @@ class Case:
     def steps(self) -> list[Table]:
         """Its steps of desired speed, if it has any."""
         return self.row["steps"]
+
+    @property
+    def fit(self) -> bool:
+        """Whether it did what was asked, so that it may be compared: not stopped, and no step far slower than asked."""
+        return not self.row.get("stopped") and all(abs(one["steady_error"]) < SLOW for one in self.steps)
 
     @property
     def where(self) -> str:
@@ -169,7 +177,7 @@ def _energies(rig: Rig, album: Album, motion: str, mine: Sequence[Case]) -> None
     title = f"Energy: {words(motion)}, on the {mine[0].row['on']}"
     path = album.add(f"energy_{stem_of(motion)}", title, energy_said(rig, mine), kind="energy", motion=motion)
     if None not in ledgers:
-        limits = [ledger.get("bounds", []) for ledger in ledgers]
+        limits = [[one for one in ledger.get("bounds", []) if one["closed"]] for ledger in ledgers]
         energy_figures.bars(path, list(zip(names, ledgers, strict=True)), limits if any(limits) else None)
     else:
         pump_energies(path, rig, mine, names)
@@ -192,13 +200,10 @@ def step_said(rig: Rig, one: Table) -> str:
         "overshoot not to be told" if one.get("overshoot") is None else f"overshoot {percent(one['overshoot'])}",
         "not settled" if one.get("settling_time") is None else f"settled after {number(one['settling_time'], 2)} s",
     ]
-    if one.get("damping_ratio") is None:
-        said.append(_no_ratio(one))
-    else:
-        said.append(
-            f"damping ratio {number(one['damping_ratio'], 2)} at {measure(rig, 'natural_frequency', one['natural_frequency'], 2)}"
-        )
-    return ", ".join(said)
+    text = _damping_said(one)
+    if one.get("natural_frequency") is not None:
+        text += f" at {measure(rig, 'natural_frequency', one['natural_frequency'], 2)}"
+    return ", ".join([*said, text])
 
 
 def tracking_said(rig: Rig, row: Table) -> str:
@@ -241,16 +246,23 @@ def compared_said(rig: Rig, mine: Sequence[Case]) -> str:
 
 
 def _step_in_short(one: Table) -> str:
+    overshoot = "no overshoot to be told" if one.get("overshoot") is None else f"overshoot {percent(one['overshoot'])}"
+    settled = "not settled" if one.get("settling_time") is None else f"settled after {number(one['settling_time'], 2)} s"
+    return f"{overshoot}, steady error {percent(one['steady_error'])}, {settled}, {_damping_said(one)}"
+
+
+def damping(one: Table) -> tuple[float | None, str]:
+    """(damping ratio of a step's decay, doubt about it); of a speed that hardly rings it is the one that the doubt tells."""
+    found = _HARDLY.match(one["ringing"])
     ratio = one.get("damping_ratio")
-    return (
-        f"overshoot {percent(one.get('overshoot'))}, steady error {percent(one['steady_error'])}, "
-        + (f"settled after {number(one['settling_time'], 2)} s, " if one.get("settling_time") is not None else "not settled, ")
-        + (f"damping ratio {number(ratio, 2)}" if ratio is not None else _no_ratio(one))
-    )
+    return (float(found[2]) if ratio is None else ratio, found[1]) if found else (ratio, one["ringing"])
 
 
-def _no_ratio(one: Table) -> str:
-    return "no damping ratio" + (f": {one['ringing']}" if one["ringing"] else "")
+def _damping_said(one: Table) -> str:
+    ratio, doubt = damping(one)
+    if ratio is None:
+        return "no damping ratio" + (f": {doubt}" if doubt else "")
+    return f"damping ratio about {number(ratio, 2)} ({doubt})" if doubt else f"damping ratio {number(ratio, 2)}"
 
 
 def _best(mine: Sequence[Case]) -> str:
@@ -258,7 +270,7 @@ def _best(mine: Sequence[Case]) -> str:
     found = []
     for case in mine:
         values = [one.get("overshoot") for one in case.steps] or [case.row["tracking"]["max_error"]]
-        if None not in values and not case.row.get("stopped"):
+        if None not in values and case.fit:
             found.append((max(values), case.row["controller"]))
     if len(found) < 2 or min(found)[0] == max(found)[0]:
         return ""
@@ -278,7 +290,7 @@ def energy_said(rig: Rig, mine: Sequence[Case]) -> str:
         return f"{words(case.row['controller'])}, {energy} (ended {off} from the desired stroke)"
 
     for payload in dict.fromkeys(case.row["payload"] for case in mine):
-        found = [case for case in mine if case.row["payload"] == payload and not case.row.get("stopped")]
+        found = [case for case in mine if case.row["payload"] == payload and case.fit]
         found.sort(key=lambda case: case.row["energy"]["pump"])
         if found:
             low, high = (case.row["energy"]["pump"] for case in (found[0], found[-1]))
@@ -288,6 +300,10 @@ def energy_said(rig: Rig, mine: Sequence[Case]) -> str:
             said.append(capital(text))
     if any(case.row.get("stopped") for case in mine):
         said.append("Trials that a limit stopped are left out")
+    if slow := list(
+        dict.fromkeys(words(case.row["controller"]) for case in mine if not case.fit and not case.row.get("stopped"))
+    ):
+        said.append(f"Left out, more than {percent(SLOW)} off the speed asked: {', '.join(slow)}")
     kinds = list(dict.fromkeys(case.row["energy"]["source"] for case in mine))
     return ". ".join([*said, f"Source: {'; '.join(kinds)}"]) + "."
 
@@ -300,10 +316,29 @@ def estimates_said(rig: Rig, case: Case, record: Record) -> str:
         if name in record:
             said.append(f"{words(word)} {measure(rig, word, float(record[name][-1]))}")
     text = f"At the end: {', '.join(said)}"
-    truth = payload_at_end(rig, case.row["payload"])
-    if truth is not None and f"{case.cylinder}.payload_estimate" in record:
+    truth, name = true_payload(rig, case.row["payload"]), f"{case.cylinder}.payload_estimate"
+    if truth is not None and name in record:
+        off = measure(rig, "mass", abs(float(record[name][-1]) - truth))
         text += f". The payload has the moment of {measure(rig, 'mass', truth)} at the end of the last link"
-    return text + "."
+        text += f". The estimate ends {off} from it"
+    return text + _bounds_said(case, record) + "."
+
+
+def _bounds_said(case: Case, record: Record) -> str:
+    """Whether the estimates kept to their bounds, and which ended at one."""
+    bounds, outside, at_end = case.row.get("estimate_bounds", {}), [], []
+    known = [word for word in ESTIMATES if word in bounds and f"{case.cylinder}.{word}" in record]
+    for word in known:
+        values, (low, high) = record[f"{case.cylinder}.{word}"], bounds[word]
+        room = ROUNDING * (high - low)
+        if values.min() < low - room or values.max() > high + room:
+            outside.append(words(word))
+        elif values[-1] <= low + room or values[-1] >= high - room:
+            at_end.append(words(word))
+    said = (
+        f". Not within its bounds all the time: {', '.join(outside)}" if outside else ". All estimates stay within their bounds"
+    )
+    return (said if known else "") + (f"; at its bound in the end: {', '.join(at_end)}" if at_end else "")
 
 
 def sankey_said(ledger: Table) -> str:
@@ -315,6 +350,11 @@ def sankey_said(ledger: Table) -> str:
 
 def _sentence(text: str) -> str:
     return capital(text).rstrip(".") + "."
+
+
+def true_payload(rig: Rig, payload: str) -> float | None:
+    """What a payload estimate should find [kg]: `payload_at_end`, nothing without a payload."""
+    return 0.0 if payload == "none" else payload_at_end(rig, payload)
 
 
 def payload_at_end(rig: Rig, payload: str) -> float | None:
@@ -340,7 +380,7 @@ def payload_at_end(rig: Rig, payload: str) -> float | None:
 
 
 def _plot(ax, rig: Rig, record: Record, name: str, **look: Any) -> None:
-    ax.plot(*thin(record.t, np.asarray(shown(rig, name, record[name])), _BUCKETS), **look)
+    ax.plot(*thin(record.t, np.asarray(shown(rig, name, record[name]))), **look)
 
 
 def _runs(t: np.ndarray, mask: np.ndarray, least: float) -> list[tuple[float, float]]:
@@ -470,7 +510,7 @@ def controlled(path: Path, rig: Rig, case: Case, record: Record) -> None:
         if "error" in places:
             ax = places["error"]
             ax.plot(
-                *thin(record.t, np.asarray(shown(rig, "x", record[f"{own}.x"] - record[f"{own}.x_desired"])), _BUCKETS),
+                *thin(record.t, np.asarray(shown(rig, "x", record[f"{own}.x"] - record[f"{own}.x_desired"]))),
                 color=RECORDED,
                 linewidth=1.0,
             )
@@ -523,25 +563,26 @@ def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
             ax.remove()
         for place, (ax, word) in enumerate(zip(axes.flat, words_of, strict=False)):
             _plot(ax, rig, record, f"{own}.{word}", color=RECORDED, linewidth=1.4)
-            low, high = ax.get_ylim()
-            title = axis(rig, word, capital(words(word)))
-            marks = [("rig file", payload_at_end(rig, case.row["payload"]), CYCLE[2])] if word == "payload_estimate" else []
-            if word in bounds:
-                ends = [float(shown(rig, word, end)) for end in bounds[word]]
-                title += f", bounds {number(ends[0], 3)} … {number(ends[1], 3)}"
-                marks += [("bound", end, ACCENT) for end in bounds[word]]
+            marks = (
+                [("truth, from the rig file", true_payload(rig, case.row["payload"]), CYCLE[2])]
+                if word == "payload_estimate"
+                else []
+            )
+            marks += [(f"{text} bound", end, ACCENT) for text, end in zip(("lower", "upper"), bounds.get(word, ()), strict=False)]
             for text, value, colour in marks:
                 if value is None:
                     continue
                 y = float(shown(rig, word, value))
-                if text == "rig file" or low - (high - low) < y < high + (high - low):
-                    ax.axhline(y, color=colour, linewidth=1.1, linestyle=(0, (5, 3)))
-                    below = text == "bound" and y > 0.5 * (low + high)
-                    off, side = (-3, -3 if below else 3), "top" if below else "bottom"
-                    look = {"color": colour, "fontsize": 7.5, "ha": "right", "va": side}
-                    ax.annotate(text, (1.0, y), off, ("axes fraction", "data"), "offset points", **look)
-            ax.margins(y=0.15)
-            ax.set_title(title, fontsize=8.5)
+                ax.axhline(y, color=colour, linewidth=1.1, linestyle=(0, (5, 3)))
+                below, bound = (
+                    text == "lower bound",
+                    colour == ACCENT,
+                )  # bounds outside of them, at the right; the truth at the left
+                look = {"color": colour, "fontsize": 7.5, "ha": "right" if bound else "left", "va": "top" if below else "bottom"}
+                said, place_of = f"{text} {number(y, 3)}" if bound else text, ("axes fraction", "data")
+                ax.annotate(said, (float(bound), y), (-3 if bound else 3, -2 if below else 2), place_of, "offset points", **look)
+            ax.margins(y=0.2)
+            ax.set_title(axis(rig, word, capital(words(word))), fontsize=8.5)
             if place + 2 >= len(words_of):
                 ax.tick_params(labelbottom=True)
                 ax.set_xlabel("time [s]")
@@ -626,7 +667,7 @@ def _errors(ax, rig: Rig, cases: Sequence[tuple[str, Case, Record]], looks: Sequ
                 t[cut], np.maximum(np.maximum.reduceat(np.abs(error), cut), 1e-3 * min(most)), drawstyle="steps-post", **look
             )
         else:
-            ax.plot(*thin(t, error, _BUCKETS), **look)
+            ax.plot(*thin(t, error), **look)
     if far:
         ax.yaxis.set_major_formatter(lambda tick, _: number(tick))
     else:

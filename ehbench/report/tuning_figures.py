@@ -11,7 +11,7 @@ import numpy as np
 
 from ehbench.report.saved import Saved, Table
 from ehbench.report.style import ACCENT, CYCLE, INK, MARKS, MUTED, RECORDED, SIMULATED, canvas, legend
-from ehbench.report.telling import span
+from ehbench.report.telling import capital, span
 from ehbench.report.words import axis, count, number, pretty, shown, unit_of, words
 from ehbench.rig import Rig, Slide
 
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 RATIOS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)  # damping ratios of the grid
 _ROOM = 0.06  # share of a root locus below the real axis
-_ON_AXIS = 1e-3  # share of a root locus's height that counts as on an axis
+_ON_AXIS = 1e-3  # share of a root locus's height that counts as on an axis, and damping ratio that counts as none
+BETWEEN = 7  # points of a root locus drawn between two saved ones
 _PALE, _BEYOND = "#d1d5db", "#9db4cf"
 
 
@@ -65,7 +66,8 @@ def draw_tuning(run: Saved, album: Album) -> None:
             f"{load_name(one['payload'])}: {span([float(shown(rig, quantity, v)) for v in one[name]])} {unit}"
             for one in tuning["equivalents"]
         )
-        caption = f"{text} of the {cylinder} at its cylinder over the stroke, other joints held; dots: operating points. {said}."
+        caption = f"{text} of the {cylinder} at its cylinder over the stroke, other joints held; dots: operating points. "
+        caption += f"{capital(said)}."
         equivalents(album.add(key, f"{text}: {cylinder}", caption, kind="equivalents"), rig, tuning, name, quantity, text)
     path = album.add("damping_over_gain", "Damping ratio over the feedback gain", _damping_said(rig, tuning), kind="damping")
     damping_over_gain(path, rig, tuning)
@@ -123,9 +125,7 @@ def point_name(rig: Rig, point: Table) -> str:
 
 
 def _locus_said(rig: Rig, mine: Sequence[Table], by_name: dict[str, Table], counts: bool) -> str:
-    lead = (
-        "At the least damped operating point of each payload. Dark: up to the choice; pale: beyond; × at zero, ● at the choice. "
-    )
+    lead = "At the operating point of each payload that is least damped with feedback. Dark: up to the choice; pale: beyond; × at zero, ● at the choice. "
     if not counts:
         lead = "No load calls for this function here; shown, not counted. " + lead
     said = []
@@ -146,7 +146,7 @@ def _locus_said(rig: Rig, mine: Sequence[Table], by_name: dict[str, Table], coun
             plain = result.get("damping_ratio_plain")
             text += f" (without a washout {number(plain, 2)})" if plain is not None else ""
         said.append(text)
-    return lead + "; ".join(said) + "."
+    return lead + capital("; ".join(said)) + "."
 
 
 def overshoot_of(values: Sequence[float]) -> float | None:
@@ -167,8 +167,8 @@ def _steps_said(mine: Sequence[Table], by_name: dict[str, Table]) -> str:
             f"damping ratio {number(result['damping_ratio_open'], 2)} and {number(result['damping_ratio_closed'], 2)}"
         )
     return (
-        "Linear model at the least damped operating point: speed after a step of desired speed, as a share of it. "
-        + "; ".join(said)
+        "Linear model at the operating point that is least damped with feedback: speed after a step of desired speed, as a share of it. "
+        + capital("; ".join(said))
         + "."
     )
 
@@ -344,16 +344,26 @@ def _locus(ax, one: Table, frame: tuple[float, float, float]) -> None:
     ax.axvspan(0.0, right, color=ACCENT, alpha=0.06, linewidth=0)
     ax.axhline(0.0, color=MUTED, linewidth=0.8)
     ax.axvline(0.0, color=MUTED, linewidth=0.8)
-    real, imag = np.array(one["real"], float), np.array(one["imag"], float)
-    here = int(np.searchsorted(values, chosen))
-    for branch in range(real.shape[1]):
-        x, y = real[:, branch].copy(), imag[:, branch].copy()
+    poles = np.array(one["real"], float) + 1j * np.array(one["imag"], float)
+    fine, branches = refined(values, poles)
+    here = int(np.searchsorted(fine, chosen))
+    for branch in branches.T:
+        x, y = branch.real.copy(), branch.imag.copy()
         away = (x < 1.3 * left) | (x > 2.0 * right) | (y > 1.3 * top) | (y < 6.0 * bottom)
         x[away] = np.nan
         for part, colour, width in ((slice(here, None), _BEYOND, 1.3), (slice(None, here + 1), RECORDED, 1.6)):
             if np.isfinite(x[part]).sum() > 1:
                 ax.plot(x[part], y[part], color=colour, linewidth=width, zorder=3, solid_capstyle="round")
-    _poles(ax, zip(real[0], imag[0], strict=True), frame, marker="x", color=INK, markersize=5.5, markeredgewidth=1.3, zorder=4)
+    _poles(
+        ax,
+        zip(poles[0].real, poles[0].imag, strict=True),
+        frame,
+        marker="x",
+        color=INK,
+        markersize=5.5,
+        markeredgewidth=1.3,
+        zorder=4,
+    )
     if one.get("crossing") is not None:
         _poles(
             ax,
@@ -382,10 +392,37 @@ def _locus(ax, one: Table, frame: tuple[float, float, float]) -> None:
     ax.grid(False)
 
 
+def refined(values: np.ndarray, poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(values, poles) of a root locus with BETWEEN more points in every interval, each column one branch.
+
+    Between saved points the characteristic polynomial, at most of second degree in the parameter, goes through that of three
+    neighbours; branches are told apart by the least way in all from one point to the next.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    scale = float(np.median(np.abs(poles))) or 1.0
+    polynomials = np.array([np.poly(row / scale).real for row in poles])
+    fine, rows = [float(values[0])], [poles[0]]
+    for i in range(values.size - 1):
+        near = slice(max(min(i, values.size - 3), 0), max(min(i, values.size - 3), 0) + 3)
+        for value in np.linspace(values[i], values[i + 1], BETWEEN + 2)[1:]:
+            found = poles[i + 1] if value == values[i + 1] else scale * np.roots(_through(values[near], polynomials[near], value))
+            _, order = linear_sum_assignment(np.abs(rows[-1][:, None] - found[None, :]))
+            fine.append(float(value))
+            rows.append(found[order])
+    return np.array(fine), np.array(rows)
+
+
+def _through(x: np.ndarray, y: np.ndarray, at: float) -> np.ndarray:
+    """The polynomial of least degree through points, at a value: Lagrange's form."""
+    others = [np.delete(x, j) for j in range(x.size)]
+    return sum(row * np.prod((at - other) / (own - other)) for own, other, row in zip(x, others, y, strict=True))
+
+
 def _crossing(poles: Sequence[Sequence[float]], top: float) -> list[Sequence[float]]:
-    """Of the poles at the stability limit the pair on the imaginary axis; slow real ones may lie as near to it."""
+    """Of the poles at the stability limit the pair without damping; slow ones may lie as near to the imaginary axis."""
     near = [pole for pole in poles if abs(pole[0]) < _ON_AXIS * top]
-    return [pole for pole in near if abs(pole[1]) > _ON_AXIS * top] or near[-1:]
+    return [pole for pole in near if abs(pole[0]) < _ON_AXIS * abs(pole[1])] or near[-1:]
 
 
 def _poles(ax, poles, frame: Sequence[float], **look) -> None:
@@ -437,21 +474,11 @@ def draws(path: Path, tuning: Table) -> None:
         ax.hist(
             values, bins=np.linspace(values.min() - 0.02 * width, values.max() + 0.02 * width, 25), color=RECORDED, alpha=0.75
         )
-        top = ax.get_ylim()[1]
-        for value, text, colour in ((tuning["target"], "target", ACCENT), (tuning["damping_ratio"], "as identified", SIMULATED)):
+        marks = sorted([(tuning["target"], "target", ACCENT), (tuning["damping_ratio"], "as identified", SIMULATED)])
+        for (value, text, colour), side in zip(marks, ("right", "left"), strict=True):  # above, and away from one another
             ax.axvline(value, color=colour, linewidth=1.4)
-            beyond = value > 0.5 * (values.min() + values.max())
-            ax.annotate(
-                text,
-                (value, top),
-                (-4 if beyond else 4, -3),
-                "data",
-                "offset points",
-                color=colour,
-                fontsize=8,
-                va="top",
-                ha="right" if beyond else "left",
-            )
+            look = {"color": colour, "fontsize": 8, "ha": side, "va": "bottom"}
+            ax.annotate(text, (value, 1.0), (-3 if side == "right" else 3, 1), ("data", "axes fraction"), "offset points", **look)
         ax.set_xlabel("worst damping ratio over the operating points")
         ax.set_ylabel("draws")
         ax.margins(x=0.06)

@@ -63,7 +63,7 @@ def number(value: float | None, digits: int = 4) -> str:
 
 def fixed(value: float, places: int) -> str:
     """A number to so many decimals (negative: rounded to tens, hundreds…)."""
-    return f"{round(value, places):.{max(places, 0)}f}".replace("-", "−")
+    return f"{round(value, places) + 0.0:.{max(places, 0)}f}".replace("-", "−")  # no minus before a nought
 
 
 def places_of(std: float) -> int:

@@ -122,6 +122,16 @@ def test_a_slip_gets_one_sentence_and_leaves_nothing(workspace, tmp_path, file, 
     assert not (copy / "reports").exists() or not list((copy / "reports").iterdir())
 
 
+def test_check_tells_all_mistakes_of_a_recipe_on_stderr(workspace, tmp_path):
+    copy = broken(workspace, tmp_path, "recipes/step_small.toml", '"3.5 V"', '"35 V"')
+    done = ehbench("check", "recipes/step_small.toml", cwd=copy)
+    assert done.returncode == 2 and done.stdout.rstrip().endswith("1 mistake")
+    assert re.fullmatch(r"error: .*step_small.toml:\d+: .*-10 to 10 V.*\n", done.stderr)
+    done = ehbench("check", "recipes/validate.toml", cwd=copy)
+    assert done.returncode == 2 and "35 V" in done.stderr and "runs first:" in done.stdout
+    assert not (copy / "reports").exists()
+
+
 def test_a_recipe_of_another_stage_names_its_command(workspace):
     done = ehbench("identify", workspace / "recipes" / "step_small.toml")
     assert done.returncode == 2 and "run-trial" in done.stderr

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench import inspection
+from ehbench import inspection, workflow
 from ehbench.errors import InputError, InsufficientData, LogError
 from ehbench.identification.hydraulics import identify_hydraulics
 from ehbench.intake import distinct_names, evened, take_in
@@ -390,3 +390,52 @@ def test_sines_that_samples_cannot_hold_are_refused(tmp_path, command, says):
         load_recipe(path)
     path.write_text(head + 'command = [{ valve = "lift.spool", amplitude = "1 V", kind = "sine", frequency = "99 Hz" }]\n')
     assert float(load_recipe(path).command[0].frequency) == pytest.approx(99.0)
+
+
+def test_the_lower_limit_of_the_meter_goes_from_the_recipe_to_the_fit(tmp_path):
+    """A turbine that stands still below 1 L/min shifts the deadband of a map unless the recipe says so."""
+    gain, deadband, limit = 2.2 / 6e4 / 1e3, 1.0, 1.0 / 6e4  # the rig file's `sh`
+    rows = ["valve,direction,command [V],pressure_drop [kPa],flow [L/min],trial"]
+    rng = np.random.default_rng(5)
+    for trial in (1, 2, 3):
+        for u in (0.6, 1.2, 1.4, 1.7, 2.0, 3.0, 4.5, 6.0, 8.0):
+            for drop in (0.5e6, 1e6, 2e6, 4e6, 8e6):
+                flow = gain * max(u - deadband, 0.0) * np.sqrt(drop) * (1.0 + 0.005 * rng.standard_normal())
+                rows.append(f"sh,forward,{u},{drop / 1e3},{6e4 * flow if flow >= limit else 0.0:.5f},{trial}")
+    (tmp_path / "sh.csv").write_text("\n".join(rows) + "\n")
+    (tmp_path / "rig.toml").write_text((RIGS / "boom_four_valve.toml").read_text())
+    head = 'stage = "identify"\nwhat = "flow_map"\nrig = "rig.toml"\ndata = ["sh.csv"]\n'
+    found = {}
+    for name, line in (("blind", ""), ("told", 'meter_limit = "1 L/min"\n')):
+        (tmp_path / f"{name}.toml").write_text(head + line)
+        (found[name],) = workflow.run(tmp_path / f"{name}.toml", workflow.Desk(out=tmp_path / f"run_{name}")).json("summary")
+    assert abs(found["told"]["deadband"] - deadband) < 3.0 * found["told"]["deadband_std"] < 0.3
+    assert abs(found["blind"]["deadband"] - deadband) > 2.0 * abs(found["told"]["deadband"] - deadband)
+    (tmp_path / "told.toml").write_text(head + 'meter_limit = "4 bar"\n')
+    with pytest.raises(InputError, match=r"told.toml:5: meter_limit: 'bar' cannot be turned into m\^3/s"):
+        load_recipe(tmp_path / "told.toml")
+
+
+VERDICT = 'stage = "validate"\nrig = "r.toml"\ndata = ["a.mcap"]\n[thresholds]\n'
+
+
+@pytest.mark.parametrize("key", ["natural_frequency", "damping_ratio"])
+def test_a_threshold_of_the_ringing_can_be_switched_off(tmp_path, key):
+    def checks(text):
+        (tmp_path / "v.toml").write_text(VERDICT + 'fit_percent = { p_head = 1 }\n' + text)
+        result = validate_rig(rig(), [("log", crane())], thresholds=load_recipe(tmp_path / "v.toml").thresholds)
+        return [check.what for check in result.logs[0].checks]
+
+    word = f"lift {key.replace('_', ' ')}"
+    assert word in checks(f"{key}_error = 0.5\n") and word not in checks(f"{key}_error = false\n")
+    assert ("lift natural frequency" in checks("")) and ("lift damping ratio" not in checks(""))
+
+
+@pytest.mark.parametrize(
+    ("raw", "says"), [("true", "or false to ask for none"), ("0", "greater than 0"), ('"15 %"', "valid number")]
+)
+def test_a_share_that_is_none_is_refused_with_its_line(tmp_path, raw, says):
+    (tmp_path / "v.toml").write_text(VERDICT + f"natural_frequency_error = {raw}\n")
+    with pytest.raises(InputError, match=says) as caught:
+        load_recipe(tmp_path / "v.toml")
+    assert caught.value.line == 5

@@ -19,8 +19,9 @@ FLOORS = [
     {"simulation"},
     {"rigs"},
     {"ledger", "intake"},
-    {"identification", "validation", "tune", "trial", "inspection", "report"},
+    {"identification", "validation", "tune", "trial", "report"},
     {"workflow"},
+    {"inspection"},
     {"__init__", "cli", "datasets", "bench"},
 ]
 RANK = {name: rank for rank, names in enumerate(FLOORS) for name in names}

@@ -20,7 +20,8 @@ from ehbench.record import Record
 from ehbench.report import build, draw
 from ehbench.report.blocks import inline, prose
 from ehbench.report.saved import Table, read_points, read_series
-from ehbench.report.style import spread, thin
+from ehbench.report.style import canvas, spread, thin
+from ehbench.report.svg import shrink
 from ehbench.report.words import interval, number, pretty, with_error
 from ehbench.rundir import write_json
 from ehbench.units import from_si, to_si
@@ -364,7 +365,7 @@ def test_numbers_have_error_unit_status_and_source(runs):
     assert re.search(r"joint_damping 400 N·m·s/rad restored", page) and "companion lost in the text" in page
     assert "x.csv:26" in page and "−41.2" in page
     assert "2 ± 0.2" in page and "undecided" in page and "not measured" in page
-    assert "eq_2_17 1.012" in page
+    assert "eq_2_12 eq_2_17 error relative to the best 1 1.012" in page
     assert "1" * 64 in page and "2" * 64 in page and "5" * 64 in page
     assert "3.98 ± 0.05" not in page and f"{25 / 2 / np.pi:.3f} ± {0.3 / 2 / np.pi:.3f}" in page  # rad/s shown in Hz
 
@@ -535,6 +536,65 @@ def test_inlined_figures_keep_to_themselves():
         'id="f1-a"' in text and 'href="#f1-a"' in text and "url(#f1-a)" in text and "metadata" not in text and "http" not in text
     )
     assert "A &#34;title&#34;" in text and "max-width:400px" in text
+
+
+def points(path: str) -> list[tuple[float, float]]:
+    """Every point of a path, absolute or relative, control points too."""
+    found, x, y, start = [], 0.0, 0.0, (0.0, 0.0)
+    for command, text in re.findall(r"([MmLlQqCcz])([^MmLlQqCcz]*)", path):
+        if command == "z":
+            x, y = start
+            continue
+        numbers = [float(n) for n in re.findall(r"-?(?:\d+\.?\d*|\.\d+)(?:e-?\d+)?", text)]
+        many = {"M": 1, "L": 1, "Q": 2, "C": 3}[command.upper()]
+        for first in range(0, len(numbers), 2 * many):
+            ends = [(numbers[i], numbers[i + 1]) for i in range(first, first + 2 * many, 2)]
+            found += [(x + a, y + b) if command.islower() else (a, b) for a, b in ends]
+            x, y = found[-1]
+            if command in "Mm" and first == 0:
+                start = (x, y)
+    return found
+
+
+def test_figures_are_made_small_and_stay_the_same_picture(tmp_path, monkeypatch):
+    """Text stays text, every line and marker stays where it was to a tenth of a point, and nothing points to nothing."""
+    whole = []
+    monkeypatch.setattr("ehbench.report.style.shrink", lambda svg: whole.append(svg) or shrink(svg))
+    t = np.linspace(0.0, 9.0, 400)
+    with canvas(tmp_path / "a.svg") as (_, ax):
+        ax.plot(t, 1e-3 * np.cumsum(np.random.default_rng(1).standard_normal(400)), label="a < b & c")
+        ax.plot(t[::40], np.cos(t[::40]), "o", label="marks")
+        ax.fill_between(t, -np.sin(t), np.sin(t), alpha=0.2)
+        ax.annotate("turned\nthrice", (3.0, 0.5), rotation=30)
+        ax.legend()
+    short = (tmp_path / "a.svg").read_text()
+    assert len(short) < 0.5 * len(whole[0])
+    assert re.findall(r">([^<>\s][^<>]*)</text>", short) == re.findall(r">([^<>\s][^<>]*)</text>", whole[0])
+    assert (
+        short.count("<use ") == whole[0].count("<use ")
+        and "font-family=" in short
+        and "DejaVu Sans, Verdana, sans-serif" in short
+    )
+    for pattern in (r'<use [^>]*?x="([^"]*)" y="([^"]*)"', r'<text [^>]*?x="([^"]*)" y="([^"]*)"'):
+        old, new = (np.array(re.findall(pattern, one), float) for one in (whole[0], short))
+        assert np.abs(old - new).max() <= 0.051
+    old, new = (re.findall(r'<path[^>]*? d="([^"]*)"', one) for one in (whole[0], short))
+    assert len(old) == len(new)
+    for a, b in zip(map(points, old), map(points, new), strict=True):
+        kept = [a[i] for i in range(len(a)) if i < 2 or np.abs(np.round(a[i], 1) - np.round(a[i - 1], 1)).max() > 1e-6]
+        assert len(b) <= len(a) and (len(b) < len(a) or np.abs(np.array(a) - b).max() <= 0.051)
+        assert (
+            max(min(np.hypot(x - u, y - v) for u, v in b) for x, y in kept) < 0.08
+        )  # no point is lost, and errors do not add up
+    assert set(re.findall(r'(?:href="|url\()#([^")]+)', short)) == set(re.findall(r' id="([^"]+)"', short))
+
+
+def test_styles_of_a_page_are_said_once():
+    looks: dict[str, str] = {}
+    svg = '<svg viewBox="0 0 3 1"><path style="fill:none"/><path style="fill:red"/></svg>'
+    first, second = (inline(svg, f"f{i}-", "t", looks) for i in range(2))
+    assert looks == {"fill:none": "k0", "fill:red": "k1"} and first == second
+    assert first.count('class="k0"') == first.count('class="k1"') == 1 and "fill" not in first
 
 
 def test_prose_makes_paragraphs_and_lists():

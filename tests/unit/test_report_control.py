@@ -18,7 +18,7 @@ from ehbench.logs import write_log
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import load_recipe, load_rig
 from ehbench.record import Record
-from ehbench.report import build, draw, trial_figures, tuning_figures
+from ehbench.report import build, draw, energy_tables, trial_figures, tuning_figures
 from ehbench.report.saved import Saved, Table
 from ehbench.report.words import words
 from ehbench.rundir import write_json
@@ -351,7 +351,7 @@ def test_the_tuning_tells_what_its_file_holds(runs):
     said = captions(runs[0])
     assert "extend resistive, no load, x = 200 mm" in said["damping_over_gain"]  # the worst of those that count
     assert (
-        "no load: damping ratio 0.1 without feedback, 0.55 at K_p = 600 mL/min/bar, unstable above 8 times that"
+        "No load: damping ratio 0.1 without feedback, 0.55 at K_p = 600 mL/min/bar, unstable above 8 times that"
         in said["locus_extend_resistive"]
     )
     assert (
@@ -382,6 +382,15 @@ def test_a_tuning_that_fails_says_so(tmp_path):
     text = plain(build([folder]))
     assert "Target and demands are not met" in text and "2 gains K_p = 600 to 1800 mL/min/bar, no washout" in text
     assert "No draws were made." in text and "draws." not in text.split("Operating points")[0]
+
+
+def test_a_second_washout_is_told(tmp_path):
+    others = [one | {"ramp_washout": 2.5 * (one["what"] == "chosen law")} for one in tuning()["alternatives"]]
+    folder = tune_run(tmp_path, "two", ramp_washout=2.5, alternatives=others)
+    draw(folder)
+    text = plain(build([folder]))
+    assert "two washouts 0.398 Hz: worst damping ratio" in text and "corner of the second washout ω_r 0.3979 Hz" in text
+    assert "second washout [Hz]" in text and "chosen law metered chamber 0.398 0.398" in text
 
 
 def test_units_are_those_of_the_rig_file(tmp_path):
@@ -528,6 +537,8 @@ def test_the_crossing_is_the_pair_on_the_axis_and_not_the_slow_pole():
         [0.0, 60.0],
     ]
     assert tuning_figures._crossing([[-5.0, 3.0], [1e-9, 0.0]], 100.0) == [[1e-9, 0.0]]
+    slow = [[-0.05, 0.4], [-0.05, -0.4], [1e-6, 70.0], [1e-6, -70.0]]  # two washouts are nearly as slow
+    assert tuning_figures._crossing(slow, 100.0) == slow[2:]
 
 
 def test_rays_of_the_grid_have_their_damping_ratio():
@@ -577,3 +588,179 @@ def test_a_trial_without_a_controller_is_none_of_these(runs, tmp_path):
     assert trial_figures.cases_of(Saved(folder)) == []
     draw(folder)
     assert captions(folder) == {"trial_boom": "Commands, motion and pressures."}
+
+
+def cycle_ledger(drawn: dict[str, tuple[float, float, float, float]], source: str = "model", four_way: bool = False) -> dict:
+    """A ledger of a closed cycle with what each function drew: way [m], drawn, bound and compression [J]."""
+    half = 20.0 if source == "log" else None
+    total = sum(one[1] for one in drawn.values())
+    edges = {"hepc": "supply → head", "rect": "rod → tank", "hect": "head → tank", "repc": "supply → rod"}
+    parts = [("pump", total, "supply", "pump", None), ("boom.drawn", total, "cylinder", "drawn", "boom")]
+    parts += [
+        (f"boom.{name}.throttling", 0.2 * total, "valve", f"{'spool' if four_way else name}, {joins}", "boom")
+        for name, joins in edges.items()
+    ]
+    parts += [("boom.damping", 0.2 * total - 7.0, "loss", "joint damping", "boom")]
+    parts += [("rest", 7.0, "residual", "unexplained" if source == "log" else "residual", None)]
+    rows = [
+        dict(
+            zip(("name", "energy", "group", "label", "cylinder"), one, strict=True),
+            interval=half and [one[1] - half, one[1] + half],
+        )
+        for one in parts
+    ]
+    functions = {
+        name: {"boom.drawn": one[1], "boom.rect.throttling": 0.1 * one[1], "boom.damping": 1.0} for name, one in drawn.items()
+    }
+    bound = sum(one[2] for one in drawn.values())
+    limits = {
+        "cylinder": "boom", "closed": True, "used": total, "standard": 3200.0, "six": 2096.0, "seventh": 992.0,
+        "saving": 1 - total / 3200.0,
+        "against": {3200.0: "standard", 2096.0: "six", 992.0: "seventh"}[bound],
+        "beyond": [
+            dict(zip(("way", "drawn", "bound", "compression"), one, strict=True), function=name) for name, one in drawn.items()
+        ],
+    }  # fmt: skip
+    return {"source": source, "rows": rows, "functions": {"boom": functions}, "bounds": [limits], "notes": []}
+
+
+SIX = {
+    "hold": (0.0, 4.0, 0.0, 1.0), "extend_resistive": (0.15, 2120.0, 2096.0, 20.0),
+    "retract_overrunning": (-0.02, 170.0, 0.0, 5.0),
+    "retract_overrunning_regeneration": (-0.13, 6.0, 0.0, -40.0),
+}  # fmt: skip
+SPOOL = {"extend_resistive": (0.15, 2130.0, 2096.0, 40.0), "retract_overrunning": (-0.15, 1230.0, 1104.0, 150.0)}
+
+
+def cycles(root: Path, **made_of: dict) -> tuple:
+    """(rig, cases) of a set with a ledger a controller, none of them drawn."""
+    folder = trials_run(root, "energies", {name: measures(2000.0, 1e-4, []) for name in made_of}, payloads=["none"])
+    (folder / "ledgers").mkdir()
+    for row in json.loads((folder / "table.json").read_text())["rows"]:
+        write_json(folder / "ledgers" / (Path(row["log"]).stem + ".json"), made_of[row["controller"]])
+    run = Saved(folder)
+    return run.rig, trial_figures.cases_of(run)
+
+
+def test_what_was_saved_and_what_ate_the_rest(tmp_path):
+    """Against the four-way valve that ran, against the bound of the functions that ran, and by cause, which add up."""
+    rig, cases = cycles(tmp_path, six=cycle_ledger(SIX), spool=cycle_ledger(SPOOL, four_way=True))
+    six, spool = energy_tables.savings_of(cases)
+    assert six.reference == spool.reference == spool.used == 3360.0 and six.used == 2300.0 and six.bound == 2096.0
+    assert six.causes == {
+        "compression": 20.0 + 5.0 + 1.0, "hold": 3.0, "extend_resistive": 4.0, "retract_overrunning": 165.0,
+        "retract_overrunning_regeneration": 6.0,
+    }  # fmt: skip
+    assert sum(six.causes.values()) == six.used - six.bound
+    assert sum(spool.causes.values()) == spool.used - spool.bound == 160.0 and spool.causes["compression"] == 34.0 + 126.0
+    sentences, _, table, _, lost, losses = energy_tables.saving_blocks(rig, cases)[1:]
+    assert sentences.items[0] == (
+        "Six: 31.5 % less than the four-way valve; the bound of six functions is 34.5 % less. Drawn 2300 J, 204 J above its bound; "
+        "the difference is drawn in retract overrunning (up to 165 J, no load, 70 %), oil compressed (up to 26 J, no load, 70 %)."
+    )
+    assert sentences.items[1].startswith(
+        "Spool: 5 % more than a four-way valve must draw. Drawn 3360 J, 160 J above its bound; the difference is oil"
+    )
+    texts = [[cell if isinstance(cell, str) else cell.text for cell in row] for row in table.rows]
+    assert texts[0][3:] == ["2300", "31.5", "34.5", "2100", "204", "26", "4", "171", "3"]
+    assert texts[1][3:] == ["3360", "0", "0", "3200", "160", "160", "0", "0", "0"]
+    assert "pressure left in the off-side chamber of resistive motion 9.2 %" in lost.items[0]
+    texts = dict(zip(losses.head, losses.rows[0], strict=True))
+    assert texts["of all this pressure of the off-side"].text == "212" and texts["of all this holding"].text == "1.4"
+    assert texts["supply → head"].text == "460" and texts["not accounted for"].text == "7"
+
+
+def test_a_log_tells_its_unexplained_row_with_its_interval(tmp_path):
+    """From measured channels alone, without a four-way valve to compare with: against what such a valve must draw."""
+    rig, cases = cycles(tmp_path, six=cycle_ledger(SIX, "log"))
+    (one,) = energy_tables.savings_of(cases)
+    assert one.reference is None and one.half == pytest.approx(20.0)
+    blocks = energy_tables.saving_blocks(rig, cases)
+    assert "28.1 % less than a four-way valve must draw; the bound of six functions is 34.5 % less" in blocks[1].items[0]
+    assert "(± 20 J)" in blocks[1].items[0]
+    losses = blocks[-1]
+    assert losses.rows[0][losses.head.index("unexplained")].text == "7\u00a0±\u00a020" and "95 % interval" in losses.caption
+    open_ended = cycle_ledger(SIX)
+    open_ended["bounds"][0]["closed"] = False
+    assert energy_tables.saving_blocks(*cycles(tmp_path / "open", six=open_ended)) == []  # a bound is that of a cycle
+
+
+def test_gains_and_bounds_are_those_that_ran_with_their_units(tmp_path):
+    known = {
+        "gains": {"low_pressure": 344737.865, "adapt": 1.0, "extend_resistive.feedback_gain": 1e-10},
+        "estimate_bounds": {"disturbance": [-419.0, 419.0]},
+    }
+    lean = {"gains": {"low_pressure": 5e5, "adapt": 0.0}}
+    folder = trials_run(tmp_path, "gains", {"a": TRACKED["arc"] | known, "b": TRACKED["arc"] | lean})
+    rows = json.loads((folder / "table.json").read_text())["rows"]
+    rows[2]["gains"] = rows[2]["gains"] | {"low_pressure": 2 * 344737.865}  # a's other payload
+    write_json(folder / "table.json", {"rows": rows})
+    draw(folder)
+    text = plain(build([folder]))
+    assert "p_low set-point of the off-side chamber above tank 345 to 689 500 kPa" in text
+    gain = from_si(1e-10, "mL/min/bar", VOCABULARY["feedback_gain"])
+    assert f"K_p extend resistive: pressure feedback: flow per pressure {gain:g} – mL/min/bar" in text
+    assert "n_a 1 where the estimates follow" in text and re.search(r"Bounds of the estimates\. .* −419 … 419 N", text)
+    (tmp_path / "c.toml").write_text('stage = "campaign"\nrecipes = ["a.toml"]\n[figures]\n"settings_controller" = "Table C.1"\n')
+    assert "<strong>Table C.1</strong>" in build([folder], load_recipe(tmp_path / "c.toml"))
+
+
+def test_estimates_outside_and_at_their_bounds_are_said(runs):
+    (case,) = trial_figures.cases_of(Saved(runs[3]))
+    record, rig = case.record(), load_rig(runs[3])
+    top = float(record["boom.inverse_bulk"].max())
+    for bounds, said in (
+        ({"disturbance": [-9.0, 9.0]}, "All estimates stay within their bounds."),
+        ({"disturbance": [-9.0, 4.0], "inverse_bulk": [0.5, 2.0]}, "Not within its bounds all the time: disturbance."),
+        ({"inverse_bulk": [1.0, top]}, "within their bounds; at its bound in the end: inverse bulk."),
+    ):
+        mine = replace(case, row=Table(dict(case.row) | {"estimate_bounds": bounds}, case.log))
+        assert trial_figures.estimates_said(rig, mine, record).endswith(said)
+    assert "The estimate ends 1.31 kg from it." in trial_figures.estimates_said(rig, case, record)
+    assert trial_figures.true_payload(rig, "none") == 0.0
+
+
+def test_three_controllers_stand_in_one_comparison_with_error_and_damping_each(tmp_path):
+    """A speed that hardly rings has a rough damping ratio; one that misses what was asked by far wins nothing."""
+    hardly = DAMPED | {"ringing": "damped too well to ring (damping ratio 0.68)"}
+    stuck = STEP | {"steady_error": -1.0, "steady_speed": 1e-15, "overshoot": None, "damping_ratio": 0.3}
+    laws = {
+        "open loop": PAIR["open loop"],
+        "pressure feedback": measures(1900.0, 5e-3, [hardly]),
+        "no washout": measures(1.0, 5e-3, [stuck]),
+    }
+    folder = trials_run(tmp_path, "three", laws, payloads=["none"])
+    draw(folder)
+    said = captions(folder)
+    for text in (
+        "Open loop: overshoot 60 %, steady error −2 %, not settled, damping ratio 0.08.",
+        "Pressure feedback: overshoot 20 %, steady error −2 %, settled after 0.3 s, damping ratio about 0.68 (damped too well to "
+        "ring).",
+        "No washout: no overshoot to be told, steady error −100 %, not settled, damping ratio 0.3.",
+        "Best by overshoot: pressure feedback; worst: open loop, 3 times as much.",
+    ):
+        assert text in said["compare_no_load_70"]
+    assert "Least from the pump, no load: pressure feedback, 1900 J" in said["energy_70"]
+    assert "Left out, more than 20 % off the speed asked: no washout." in said["energy_70"]
+    text = plain(build([folder]))
+    assert (
+        "damping ratio about 0.68 where it hardly rings" in text and "0.68 (1)" in text and "(1) damped too well to ring." in text
+    )
+    assert "No washout: steady error −100 %, no overshoot to read, damping ratio 0.3." in text
+    assert "no load 70 % no washout 100 0 −100" in text  # not a speed of 1e-13 mm/s
+
+
+def test_a_root_locus_is_filled_in_exactly():
+    """``s (s + 1)(s + 4) + K (s + 0.2)``, twice on the way of K² as well: every point between is a root, every branch goes on."""
+    for power in (1, 2):
+        values = np.geomspace(0.1, 60.0, 25)
+        poles = np.array([np.roots([1.0, 5.0, 4.0 + k**power, 0.2 * k**power]) for k in values])
+        shuffled = np.array([row[np.random.default_rng(i).permutation(3)] for i, row in enumerate(poles)])
+        fine, branches = tuning_figures.refined(values, shuffled)
+        assert fine.size == 24 * (tuning_figures.BETWEEN + 1) + 1 and np.all(np.diff(fine) > 0.0)
+        for k, row in zip(fine, branches, strict=True):
+            left = row * (row + 1.0) * (row + 4.0) + k**power * (row + 0.2)
+            assert np.abs(left).max() < 1e-7 * (1.0 + k**power) * (1.0 + np.abs(row).max())
+        step = np.abs(np.diff(branches, axis=0)).max(axis=0)
+        other = min(np.abs(branches[-1, i] - branches[-1, j]) for i in range(3) for j in range(i))
+        assert step.max() < 0.5 * other  # no branch jumps to another
