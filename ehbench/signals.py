@@ -355,7 +355,7 @@ def _judge(s, y, weight, omega, zeta, tau, start) -> Ringing:
             f"no oscillation stands out of noise and drift (it explains {100 * max(share, 0.0):.0f} % of what the drift leaves)"
         )
     elif zeta > MOST_DAMPED or (cycles < LEAST_CYCLES and zeta * omega * span > 3.0):
-        reason, fitted = f"damped too well to ring (damping ratio {zeta:.2f})", zeta
+        reason, fitted = "damped too well to ring", zeta
     elif cycles < LEAST_CYCLES:
         reason = f"only {cycles:.1f} cycles in the window"
     elif std_omega > 0.15 * omega:

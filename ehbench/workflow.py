@@ -76,7 +76,8 @@ class Desk:
     """Where a session works: the folder that runs go to, how progress is told, which runs stand, and what was allowed aloud.
 
     ``allow_code`` lets recipes run Python code, ``unvalidated`` lets a controller be tuned on a rig that no validation accepted.
-    ``keep`` leaves a run alone that stands with the very same inputs; dependencies and campaigns work so.
+    ``keep`` leaves a run alone that stands with the very same inputs; dependencies and campaigns work so. ``under_way`` are the
+    recipes that wait for the one at work.
     """
 
     root: Path = ROOT
@@ -86,6 +87,7 @@ class Desk:
     allow_code: bool = False
     unvalidated: bool = False
     keep: bool = False
+    under_way: tuple[Path, ...] = ()
 
     def tell(self, what: str) -> Progress | None:
         """A progress callback labelled with the recipe at work."""
@@ -106,6 +108,11 @@ def run(path: Path | str, desk: Desk | None = None) -> Outcome:
     """
     recipe = load_recipe(path)
     desk = desk or Desk()
+    place = recipe.path.resolve()
+    if place in desk.under_way:
+        circle = " → ".join(one.name for one in (*desk.under_way[desk.under_way.index(place) :], place))
+        raise InputError(f"needs itself: {circle}", file=path, hint="name a rig file or a run folder where the circle shall end")
+    desk = replace(desk, under_way=(*desk.under_way, place))
     for kind, stage in (
         (FlowMapRecipe, identify_flow_map), (HydraulicsRecipe, identify_hydraulics), (ValidateRecipe, validate),
         (TuneRecipe, tune), (TrialRecipe, run_trial), (TrialSetRecipe, run_trials), (Campaign, run_campaign),

@@ -17,14 +17,20 @@ from ehbench.rig import Edge, Rig
 from ehbench.units import from_si
 
 Progress = Callable[[str, float], None]
+# the largest flow of a valve as a share of what the supply can give: outside of these a unit is wrong
+_FLOW_SHARES = 1e-3, 20.0
 
 
 @dataclass(frozen=True)
 class EdgeFit:
-    """The fit of one edge in one direction, with the readings behind it (commands as openings of the edge)."""
+    """The fit of one edge in one direction, with the readings behind it.
+
+    Commands in both are openings of the edge [V], zero or positive; the driver gets ``sign`` times them.
+    """
 
     fit: FlowMapFit
     readings: FlowmeterData
+    sign: int = 1
 
 
 def fit_readings(
@@ -53,23 +59,61 @@ def fit_readings(
     """
     data = merge_flowmeter(parts)
     data = replace(data, file=np.array([Path(file).name for file in data.file]))  # results must not depend on where data lie
-    show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"))
-    groups: dict[tuple[str, str], list[FlowmeterData]] = {}
+    doubts: dict[str, list[str]] = {}
+    for part in parts:
+        doubts.setdefault(Path(part.file[0]).name, []).extend(_file_doubts(part))
+    groups: dict[tuple[str, str, int], list[FlowmeterData]] = {}
     for valve, direction in data.groups():
         rows = data.select(valve, direction)
         name, side, sign = _edge_of(rig, valve, direction, rows)
-        groups.setdefault((name, side), []).append(replace(rows, command=sign * rows.command + 0.0))
+        groups.setdefault((name, side, sign), []).append(replace(rows, command=sign * rows.command + 0.0))
     fits = []
-    for index, ((name, side), found) in enumerate(groups.items()):
+    for index, ((name, side, sign), found) in enumerate(groups.items()):
         if progress is not None:
             progress(f"{name} {side}", index / len(groups))
         rows = found[0] if len(found) == 1 else merge_flowmeter(found)
+        show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"), sign)
         fit = fit_flow_map(
             name, side, rows.command, rows.pressure_drop, rows.flow, method=rows.method, trial=rows.trial, line=rows.line,
             file=rows.file, meter_limit=meter_limit, calibration=calibration, reference_drop=reference_drop, show=show,
         )  # fmt: skip
-        fits.append(EdgeFit(fit, rows))
+        said = [text for file in np.unique(rows.file).tolist() for text in doubts.pop(file, ())]  # of a file once
+        fit = replace(fit, warnings=(*said, *_flow_doubts(rig, rows, show), *fit.warnings))
+        fits.append(EdgeFit(fit, rows, sign))
     return fits
+
+
+def _file_doubts(part: FlowmeterData) -> list[str]:
+    """What the reader found odd in a file, and rows that stand in it twice."""
+    name = Path(part.file[0]).name
+    seen: set[tuple] = set()
+    again = []
+    columns = (part.valve, part.direction, part.method, part.trial, part.command, part.pressure_drop, part.flow)
+    for line, *row in zip(part.line.tolist(), *(column.tolist() for column in columns), strict=True):
+        if tuple(row) not in seen:
+            seen.add(tuple(row))
+        elif row[-1] != 0.0:  # a meter at rest reads zero again and again
+            again.append(line)
+    said = [text.replace(str(part.file[0]), name) for text in part.warnings]
+    if again:
+        first = ", ".join(map(str, again[:5])) + (", …" if len(again) > 5 else "")
+        count = f"{len(again)} rows repeat" if len(again) > 1 else "1 row repeats"
+        said.append(
+            f"{name}: {count} an earlier one in command, drop, flow and trial (line {first}); if copied by mistake, "
+            "delete them: they make the noise look smaller than it is"
+        )
+    return said
+
+
+def _flow_doubts(rig: Rig, rows: FlowmeterData, show: Units) -> list[str]:
+    """Flows that a slip of unit would explain: far from what the supply can give."""
+    limit, high = float(rig.supply.flow_limit), float(np.quantile(rows.flow, 0.9))  # a slip of unit is in all rows
+    most = float(rows.flow.max())
+    if not 0.0 < limit < np.inf or _FLOW_SHARES[0] * limit <= most and high <= _FLOW_SHARES[1] * limit:
+        return []
+    times = f"{high / limit:.3g} times" if high > limit else f"{most / limit:.2g} of"
+    most = high if high > limit else most
+    return [f"the flows reach {show.flow(most)}, {times} the supply's limit of {show.flow(limit)}: check the unit in the header"]
 
 
 def _edge_of(rig: Rig, valve: str, direction: str, rows: FlowmeterData) -> tuple[str, str, int]:
@@ -112,12 +156,21 @@ def _edge_of(rig: Rig, valve: str, direction: str, rows: FlowmeterData) -> tuple
     return name, side, edge.sign
 
 
+def signs(fits: Sequence[EdgeFit]) -> dict[tuple[str, str], int]:
+    """Sign of the commands that open the edge, by name and direction of its map."""
+    return {(one.fit.map.valve, one.fit.map.direction): one.sign for one in fits}
+
+
 def summary(fits: Sequence[EdgeFit], rig: Rig) -> list[dict]:
-    """What was found for each map, as plain values for a JSON file; SI, with the sentences people read."""
-    show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"))
+    """What was found for each map, as plain values for a JSON file; SI, with the sentences people read.
+
+    Commands and deadbands are openings [V], zero or positive, and the driver gets ``sign`` times them. The sentences speak of
+    the driver's volts.
+    """
     rows = []
     for one in fits:
-        plain = one.fit.to_dict()
+        show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"), one.sign)
+        plain = one.fit.to_dict() | {"sign": one.sign}
         plain["outlier_sentences"] = [outlier.sentence(show) for outlier in one.fit.outliers]
         plain["calibration_sentences"] = [check.sentence(show) for check in one.fit.calibration]
         rows.append(plain)
@@ -125,9 +178,13 @@ def summary(fits: Sequence[EdgeFit], rig: Rig) -> list[dict]:
 
 
 def points_table(fits: Sequence[EdgeFit], rig: Rig) -> str:
-    """Every reading with its fitted flow as CSV text, in the units people see."""
+    """Every reading with its fitted flow as CSV text, in the units people see.
+
+    ``command`` is the opening, zero or positive, which the maps take; ``driver_command`` is what was sent: sign·command.
+    """
     flow_unit, drop_unit = rig.unit_of("flow"), rig.unit_of("pressure_drop")
-    lines = [f"valve,direction,command [V],pressure_drop [{drop_unit}],flow [{flow_unit}],fitted [{flow_unit}],method,outlier,file,line"]
+    units = f"command [V],driver_command [V],pressure_drop [{drop_unit}],flow [{flow_unit}],fitted [{flow_unit}]"
+    lines = [f"valve,direction,{units},method,outlier,file,line"]
     flow_row, drop_row = VOCABULARY["flow"], VOCABULARY["pressure_drop"]
     for one in fits:
         rows, fit = one.readings, one.fit
@@ -135,7 +192,8 @@ def points_table(fits: Sequence[EdgeFit], rig: Rig) -> str:
         fitted = fit.map.flow(rows.pressure_drop, rows.command)
         for i in range(len(rows)):
             cells = (
-                fit.map.valve, fit.map.direction, f"{rows.command[i]:.6g}", f"{from_si(rows.pressure_drop[i], drop_unit, drop_row):.6g}",
+                fit.map.valve, fit.map.direction, f"{rows.command[i]:.6g}", f"{one.sign * rows.command[i] + 0.0:.6g}",
+                f"{from_si(rows.pressure_drop[i], drop_unit, drop_row):.6g}",
                 f"{from_si(rows.flow[i], flow_unit, flow_row):.6g}", f"{from_si(fitted[i], flow_unit, flow_row):.6g}",
                 str(rows.method[i]), str(int((str(rows.file[i]), int(rows.line[i])) in out)), str(rows.file[i]), str(rows.line[i]),
             )  # fmt: skip

@@ -39,7 +39,6 @@ SLOW = 0.2  # share by which a steady speed may miss what was asked and still be
 ROUNDING = 1e-9  # share of its bounds by which a logged estimate may lie outside
 WINDOW = 0.1  # [s] over which an envelope takes the largest error
 _RUNS = 700
-_HARDLY = re.compile(r"(.*?) \(damping ratio ([\d.]+)\)$")
 
 
 @dataclass(frozen=True)
@@ -252,10 +251,8 @@ def _step_in_short(one: Table) -> str:
 
 
 def damping(one: Table) -> tuple[float | None, str]:
-    """(damping ratio of a step's decay, doubt about it); of a speed that hardly rings it is the one that the doubt tells."""
-    found = _HARDLY.match(one["ringing"])
-    ratio = one.get("damping_ratio")
-    return (float(found[2]) if ratio is None else ratio, found[1]) if found else (ratio, one["ringing"])
+    """(damping ratio of a step's decay, doubt about it); of a speed that hardly rings it is that of the fit."""
+    return one.get("damping_ratio_fitted", one.get("damping_ratio")), one["ringing"]
 
 
 def _damping_said(one: Table) -> str:

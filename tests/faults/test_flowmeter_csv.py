@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import csv
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ehbench.errors import InputError, UnitError
+from ehbench.identification.readings import fit_readings, points_table, signs, summary
+from ehbench.physics.flow_map import collect, table
 from ehbench.readers import merge_flowmeter, read_flowmeter
+from ehbench.rig import Rig, load_rig
 
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 GPM = 3.785411784e-3 / 60.0
 HEADER = "valve,command [V],pressure_drop [kPa],flow [gpm]"
 
@@ -165,3 +171,90 @@ def test_missing_file_and_folder_are_refused(tmp_path):
         read_flowmeter(tmp_path / "none.csv")
     with pytest.raises(InputError, match="cannot be read"):
         read_flowmeter(tmp_path)
+
+
+SERVO_HEADER = "valve,direction,command [V],pressure_drop [MPa],flow [L/min],trial"
+
+
+def servo_rows(direction: str, sign: int, seed: int = 1, scale: float = 1.0) -> list[str]:
+    """Readings of one edge of the slide's servo valve, two trials, 1 %."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for volts in (0, 1, 2, 4, 6, 8, 10):
+        for drop in (1, 2, 4, 7):
+            for trial in (1, 2):
+                flow = scale * 1.5 * max(volts - 0.4, 0.0) * drop**0.5 * (1 + 0.01 * rng.standard_normal())
+                rows.append(f"servo,{direction},{sign * volts},{drop},{flow!r},{trial}")
+    return rows
+
+
+def fit_rows(write, rows: list[str], rig: Rig | None = None):
+    path = write(SERVO_HEADER + "\n" + "\n".join(rows) + "\n", "servo.csv")
+    return fit_readings(rig or load_rig(RIGS / "slide_servo.toml"), [read_flowmeter(path)])
+
+
+def test_rows_copied_by_mistake_are_told_once_a_file_with_their_lines(write):
+    rows = servo_rows("supply->head", 1) + servo_rows("supply->rod", -1, 2)
+    assert not any("repeat" in text for one in fit_rows(write, rows) for text in one.fit.warnings)
+    copied = [*rows, *rows[20:27], rows[90]]
+    said = [text for one in fit_rows(write, copied) for text in one.fit.warnings if "repeat" in text]
+    first = len(rows) + 2
+    assert len(said) == 1 and said[0].startswith("servo.csv: 8 rows repeat an earlier one")
+    assert f"(line {', '.join(str(first + k) for k in range(5))}, …)" in said[0]
+    # the same command, drop and flow in another trial is a repeat, and zeros of a meter at rest are none
+    again = rows[20].removesuffix(",1").removesuffix(",2") + ",3"
+    assert not any("repeat" in text for one in fit_rows(write, [*rows, again, rows[0]]) for text in one.fit.warnings)
+
+
+@pytest.mark.parametrize("scale", [60.0, 1 / 60000])
+def test_flows_that_no_supply_gives_are_told(write, scale):
+    fine, wrong = fit_rows(write, servo_rows("supply->head", 1)), fit_rows(write, servo_rows("supply->head", 1, scale=scale))
+    assert not fine[0].fit.warnings
+    said = [text for text in wrong[0].fit.warnings if "check the unit" in text]
+    assert len(said) == 1 and "supply's limit of 60 L/min" in said[0]
+
+
+def test_flows_that_one_slip_makes_large_are_an_outlier_and_no_unit(write):
+    rows = servo_rows("supply->head", 1)
+    cells = rows[-1].split(",")
+    cells[4] = "3000"
+    (one,) = fit_rows(write, [*rows[:-1], ",".join(cells)])
+    assert [outlier.line for outlier in one.fit.outliers] == [len(rows) + 1]
+    assert not any("check the unit" in text for text in one.fit.warnings)
+
+
+def test_no_limit_of_the_supply_no_doubt_about_flows(write):
+    rig = load_rig(RIGS / "slide_servo.toml")
+    endless = rig.model_copy(update={"supply": rig.supply.model_copy(update={"flow_limit": math.inf})})
+    (one,) = fit_rows(write, servo_rows("supply->head", 1, scale=60.0), endless)
+    assert not any("check the unit" in text for text in one.fit.warnings)
+
+
+def test_what_the_reader_doubts_reaches_the_map(write):
+    path = write(
+        "valve,direction,command [V],pressure_drop [kPa],flow [L/min],trial\n" + "\n".join(servo_rows("supply->head", 1))
+    )
+    part = read_flowmeter(path, supply_pressure=1.4e7)
+    (one,) = fit_readings(load_rig(RIGS / "slide_servo.toml"), [part])
+    # by the file's name alone: a result must not depend on where the data lie
+    assert one.fit.warnings[0].startswith("hect.csv: the largest drop is 7 kPa") and "/" not in one.fit.warnings[0]
+
+
+def test_volts_of_an_edge_that_opens_on_negative_commands_have_their_sign(write):
+    fits = fit_rows(write, servo_rows("supply->head", 1) + servo_rows("supply->rod", -1, 2))
+    rig = load_rig(RIGS / "slide_servo.toml")
+    by_sign = {one.sign: one for one in fits}
+    assert sorted(by_sign) == [-1, 1] and set(signs(fits).values()) == {-1, 1}
+    opened = by_sign[-1]
+    assert opened.readings.command.min() == 0.0 and opened.fit.map.deadband > 0  # maps take openings
+    rows = [row for row in csv.DictReader(points_table(fits, rig).splitlines()) if row["valve"] == opened.fit.map.valve]
+    assert rows and all(float(row["driver_command [V]"]) == -float(row["command [V]"]) for row in rows)
+    assert "-0" not in {row["driver_command [V]"] for row in rows}
+    told = {plain["sign"]: plain for plain in summary(fits, rig)}
+    assert told[-1]["deadband"] > 0 and told[-1]["valve"] == opened.fit.map.valve
+    grid = list(csv.DictReader(table(collect([one.fit.map for one in fits]), signs=signs(fits)).splitlines()))
+    sent = [float(row["driver_command [V]"]) for row in grid if row["valve"] == opened.fit.map.valve]
+    assert min(sent) == -10.0 and max(sent) == 0.0
+    path = write(SERVO_HEADER + "\n" + "\n".join(servo_rows("supply->rod", -1)) + "\n", "servo.csv")
+    (one,) = fit_readings(rig, [read_flowmeter(path)], calibration=[(4.0, 1e-4, 0.05)])
+    assert summary([one], rig)[0]["calibration_sentences"][0].startswith("-4 V gives")

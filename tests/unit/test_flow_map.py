@@ -276,7 +276,10 @@ def test_table_is_the_map_in_the_units_asked_for():
     rows = list(csv.DictReader(text.splitlines()))
     assert len(rows) == 5 * one.hull_command.size and rows[0]["valve"] == 'my "boom", left'
     row = rows[-2]
-    drop, command = float(row["pressure_drop [bar]"]) * 1e5, float(row["command [V]"])
+    drop, command = float(row["pressure_drop [bar]"]) * 1e5, float(row["opening [V]"])
     # six digits in the table
     assert float(row["flow [L/min]"]) == pytest.approx(one.flow(drop, command) * 6e4, rel=1e-5)
-    assert row["inside"] == str(int(one.inside(drop, command)))
+    assert row["inside"] == str(int(one.inside(drop, command))) and "driver_command [V]" not in row
+    signed = table(collect([one]), drops=5, signs={(one.valve, one.direction): -1})
+    for row in csv.DictReader(signed.splitlines()):
+        assert float(row["driver_command [V]"]) == -float(row["opening [V]"])

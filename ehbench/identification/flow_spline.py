@@ -1,0 +1,146 @@
+"""The spline under a flow map while it is fitted: its penalties, smoothing and least squares with growing coefficients.
+
+Coordinates are scaled to 0…1: the opening from the deadband to the largest command, and the root of the drop. Each
+coefficient meets a few neighbours only, so the penalised normal matrix is a band.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from functools import cache
+
+import numpy as np
+
+from ehbench.physics.flow_map import bspline_pieces
+
+# a bend or a soft start: the curvature may be this many times as large there
+_BEND = 1e-4
+# a spline slope of this share of the rated flow over the command range keeps the map strictly increasing
+_LEAST_SLOPE = 1e-4
+SPANS_U = 12
+
+_legendre = cache(np.polynomial.legendre.leggauss)
+
+
+def _gram(pieces: np.ndarray, breaks: np.ndarray, order: int, weight: np.ndarray | float = 1.0) -> np.ndarray:
+    """∫ weight·B_i^(order) B_j^(order) of splines in polynomial pieces (``bspline_pieces``), exact; a weight a span."""
+    for _ in range(order):
+        pieces = pieces[..., 1:] * np.arange(1, pieces.shape[-1])
+    nodes, weights = _legendre(pieces.shape[-1])
+    width = np.diff(breaks)
+    x = 0.5 * (nodes + 1)[None, :] * width[:, None]
+    values = np.einsum("jkp,jgp->jgk", pieces, x[..., None] ** np.arange(pieces.shape[-1]))
+    return np.einsum("jgk,jgl,g,j->kl", values, values, weights, 0.5 * width * weight)
+
+
+class Axis:
+    """B-splines along a coordinate scaled to 0…1, but for the first, with ∫ of squares and of squared curvature."""
+
+    def __init__(self, breaks: np.ndarray, degree: int) -> None:
+        self.breaks, self.pieces = breaks, bspline_pieces(breaks, degree)
+        self.size = self.pieces.shape[1] - 1
+        self.mass = _gram(self.pieces, breaks, 0)[1:, 1:]
+        self.stiffen(np.ones(breaks.size - 1))
+        knots = np.concatenate([breaks[:1].repeat(degree), breaks, breaks[-1:].repeat(degree)])
+        self.centres = np.convolve(knots, np.full(degree, 1.0 / degree), "valid")[2:-1]  # coefficients of x itself
+
+    def stiffen(self, stiffness: np.ndarray) -> None:
+        from scipy.linalg import eigh
+
+        self.stiffness = stiffness
+        self.bend = _gram(self.pieces, self.breaks, 2, stiffness)[1:, 1:]
+        self.eigen = eigh(self.bend, self.mass, eigvals_only=True)
+        self.eigen[0] = 0.0  # a straight line is free
+
+    def bent(self, k: int) -> Axis:
+        """The same axis, free to bend sharply at its inner break k."""
+        other, stiffness = copy(self), np.ones(self.breaks.size - 1)
+        stiffness[k - 1 : k + 1] = _BEND
+        other.stiffen(stiffness)
+        return other
+
+    def at(self, x: np.ndarray) -> np.ndarray:
+        """Values at x, shape (points, splines)."""
+        j = np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, self.breaks.size - 2)
+        powers = (x - self.breaks[j])[:, None] ** np.arange(self.pieces.shape[-1])
+        return np.einsum("xkp,xp->xk", self.pieces[j, 1:], powers)
+
+
+class Spline:
+    """The spline of one deadband on opening and root-of-drop scaled to 0…1: design, penalties, fit."""
+
+    def __init__(self, deadband: float, above: np.ndarray, along_s: Axis, soft: bool = False) -> None:
+        self.deadband, self.top = deadband, float(above[-1])
+        inner = 0.5 * (above[1:] + above[:-1])  # a spline of degree 2 rings without end if its knots are the places read
+        if inner.size > SPANS_U - 1:
+            inner = np.quantile(inner, np.linspace(0, 1, SPANS_U + 1)[1:-1])
+        if soft:
+            inner = np.append(above[0], inner)
+        self.along_u = Axis(np.concatenate([[0.0], (inner - deadband) / (self.top - deadband), [1.0]]), 2)
+        if soft:
+            self.along_u.stiffen(np.r_[_BEND, _BEND, np.ones(inner.size - 1)])
+        self.along_s = along_s
+        self.rows, self.columns = self.along_u.size, along_s.size
+        self.bend_u, self.bend_s = np.kron(self.along_u.bend, along_s.mass), np.kron(self.along_u.mass, along_s.bend)
+        self.bands = self.banded(self.bend_u), self.banded(self.bend_s)
+        self.mass = self.columns * np.linalg.slogdet(self.along_u.mass)[1] + self.rows * np.linalg.slogdet(along_s.mass)[1]
+        self.floor = _LEAST_SLOPE * np.kron(self.along_u.centres, along_s.centres)  # coefficients of the least map, u·s
+
+    def design(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Flow per coefficient at openings [V] and scaled roots, zero up to the deadband; shape (points, coefficients)."""
+        x = np.clip((u - self.deadband) / (self.top - self.deadband), 0.0, 1.0)
+        return (self.along_u.at(x)[:, :, None] * self.along_s.at(s)[:, None, :]).reshape(x.size, -1)
+
+    def banded(self, matrix: np.ndarray) -> np.ndarray:
+        """The lower band of a symmetric matrix over the coefficients: splines meet their neighbours only."""
+        column = np.arange(len(matrix))
+        row = column + np.arange(2 * self.columns + 4)[:, None]
+        return matrix[np.minimum(row, column[-1]), column]
+
+    def free(self, band: np.ndarray, right: np.ndarray, smoothing: np.ndarray):
+        """(coefficients without the constraint, log determinant of the penalised normal matrix over the prior's)."""
+        from scipy.linalg import cho_solve_banded, cholesky_banded
+
+        band = band + smoothing[0] * self.bands[0] + smoothing[1] * self.bands[1]
+        factor = cholesky_banded(band, lower=True, check_finite=False)
+        prior = (smoothing[0] * self.along_u.eigen[:, None] + smoothing[1] * self.along_s.eigen).ravel()[1:]
+        determinant = 2 * np.log(factor[0]).sum() - self.mass - np.log(prior).sum()
+        return cho_solve_banded((factor, True), right, check_finite=False), determinant
+
+    def matrix(self, gram: np.ndarray, smoothing: np.ndarray) -> np.ndarray:
+        """The penalised normal matrix."""
+        return gram + smoothing[0] * self.bend_u + smoothing[1] * self.bend_s
+
+    def solve(self, gram: np.ndarray, right: np.ndarray, smoothing: np.ndarray):
+        """(coefficients with increments along u of at least those of ``floor``, determinant as ``free``)."""
+        free, determinant = self.free(self.banded(gram), right, smoothing)
+        if np.all(self.increments(free - self.floor) >= 0):
+            return free, determinant
+        matrix = self.matrix(gram, smoothing)
+        right = self.over_steps(right - matrix @ self.floor)
+        steps = non_negative(self.over_steps(self.over_steps(matrix).T), right)
+        return self.floor + np.cumsum(steps.reshape(self.rows, self.columns), axis=0).ravel(), determinant
+
+    def over_steps(self, values: np.ndarray) -> np.ndarray:
+        """Derivatives by the coefficients, along the first axis, as derivatives by their increments along u."""
+        return np.cumsum(values.reshape(self.rows, self.columns, -1)[::-1], axis=0)[::-1].reshape(values.shape)
+
+    def increments(self, coefficients: np.ndarray) -> np.ndarray:
+        return np.diff(coefficients.reshape(self.rows, self.columns), axis=0, prepend=0.0)
+
+
+def non_negative(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """x ≥ 0 of least ½·xᵀ·matrix·x − rightᵀ·x, by block pivoting (Portugal, Júdice, Vicente 1994): few entries are zero."""
+    from scipy.optimize import nnls
+
+    x, zero = np.zeros(right.size), np.zeros(right.size, bool)
+    least = 1e-12 * np.abs(right).max()
+    for _ in range(50):
+        x[zero] = 0.0
+        x[~zero] = np.linalg.solve(matrix[np.ix_(~zero, ~zero)], right[~zero])
+        wrong = np.where(zero, matrix @ x - right < -least, x < 0.0)
+        if not wrong.any():
+            return x
+        zero ^= wrong
+    factor = np.linalg.cholesky(matrix)  # it may go round in circles
+    return nnls(factor.T, np.linalg.solve(factor, right), maxiter=50 * right.size)[0]
