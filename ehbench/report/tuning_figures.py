@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 RATIOS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)  # damping ratios of the grid
 _ROOM = 0.06  # share of a root locus below the real axis
+_FAR = 3.0  # a stability limit this many times as far out as what swings makes a second look worth while
 _ON_AXIS = 1e-3  # share of a root locus's height that counts as on an axis, and damping ratio that counts as none
 BETWEEN = 7  # points of a root locus drawn between two saved ones
 _PALE, _BEYOND = "#d1d5db", "#9db4cf"
@@ -307,18 +308,25 @@ def damping_over_gain(path: Path, rig: Rig, tuning: Table) -> None:
 
 
 def loci(path: Path, rig: Rig, mine: Sequence[Table], by_name: dict[str, Table]) -> None:
-    """A root locus a payload, upper half plane, on a grid of damping ratios: choice and stability limit marked."""
+    """A root locus a payload, upper half plane, on a grid of damping ratios: choice and stability limit marked.
+
+    Where the stability limit lies far out, what swings is shown a second time, near the origin.
+    """
     from matplotlib.lines import Line2D
 
+    whole = tuple(pick(one["frame"][i] for one in mine) for i, pick in enumerate((min, max, max)))
+    reach = max(_swing(one) for one in mine)
+    frames = [whole, *([(-1.6 * reach, 0.4 * reach, 1.4 * reach)] if whole[2] > _FAR * 1.4 * reach else [])]
+    panels = [(one, frame) for frame in frames for one in mine]
     columns = min(2, len(mine))
-    rows = -(-len(mine) // columns)
-    left, right, top = (pick(one["frame"][i] for one in mine) for i, pick in enumerate((min, max, max)))
-    with canvas(path, rows, columns, (7.4, 3.7 * rows + 0.5), squeeze=False, sharey=True) as (figure, axes):
-        for ax in axes.flat[len(mine) :]:
+    rows = -(-len(panels) // columns)
+    with canvas(path, rows, columns, (7.4, 3.7 * rows + 0.5), squeeze=False) as (figure, axes):
+        for ax in axes.flat[len(panels) :]:
             ax.remove()
-        for ax, one in zip(axes.flat, mine, strict=False):
-            _locus(ax, one, (left, right, top))
-            ax.set_title(load_name(by_name[one["name"]]["point"]["payload"]))
+        for ax, (one, frame) in zip(axes.flat, panels, strict=False):
+            _locus(ax, one, frame)
+            load = load_name(by_name[one["name"]]["point"]["payload"])
+            ax.set_title(load if frame is whole else f"{load}, near the origin")
             ax.set_xlabel("real part [rad/s]")
         for ax in axes[:, 0]:
             ax.set_ylabel("imaginary part [rad/s]")
@@ -334,6 +342,14 @@ def loci(path: Path, rig: Rig, mine: Sequence[Table], by_name: dict[str, Table])
                 Line2D([], [], marker="D", linestyle="", markerfacecolor="white", color=ACCENT, label="stability limit")
             )
         legend(figure, handles)
+
+
+def _swing(one: Table) -> float:
+    """Size [rad/s] of the least damped pair of poles at the start of a locus, or of the slowest pole where none swings."""
+    start = np.array(one["real"][0], float) + 1j * np.array(one["imag"][0], float)
+    start = start[np.abs(start) > 0.0]
+    pairs = start[start.imag > _ON_AXIS * np.abs(start)]
+    return float(np.abs(pairs[np.argmin(-pairs.real / np.abs(pairs))]) if pairs.size else np.abs(start).min())
 
 
 def _locus(ax, one: Table, frame: tuple[float, float, float]) -> None:

@@ -722,7 +722,7 @@ def test_estimates_outside_and_at_their_bounds_are_said(runs):
 
 def test_three_controllers_stand_in_one_comparison_with_error_and_damping_each(tmp_path):
     """A speed that hardly rings has a rough damping ratio; one that misses what was asked by far wins nothing."""
-    hardly = DAMPED | {"ringing": "damped too well to ring (damping ratio 0.68)"}
+    hardly = DAMPED | {"ringing": "damped too well to ring", "damping_ratio_fitted": 0.68}
     stuck = STEP | {"steady_error": -1.0, "steady_speed": 1e-15, "overshoot": None, "damping_ratio": 0.3}
     laws = {
         "open loop": PAIR["open loop"],
