@@ -13,8 +13,8 @@ import numpy as np
 
 from ehbench.physics.flow_map import bspline_pieces
 
-# a bend or a soft start: the curvature may be this many times as large there
-_BEND = 1e-4
+# a bend in the drop, a soft start: the penalty on curvature is this share of what it is elsewhere
+_BEND, _SOFT = 1e-4, 1e-9
 # a spline slope of this share of the rated flow over the command range keeps the map strictly increasing
 _LEAST_SLOPE = 1e-4
 SPANS_U = 12
@@ -38,7 +38,7 @@ class Axis:
 
     def __init__(self, breaks: np.ndarray, degree: int) -> None:
         self.breaks, self.pieces = breaks, bspline_pieces(breaks, degree)
-        self.size = self.pieces.shape[1] - 1
+        self.size, self.kink = self.pieces.shape[1] - 1, False
         self.mass = _gram(self.pieces, breaks, 0)[1:, 1:]
         self.stiffen(np.ones(breaks.size - 1))
         knots = np.concatenate([breaks[:1].repeat(degree), breaks, breaks[-1:].repeat(degree)])
@@ -54,8 +54,18 @@ class Axis:
 
     def bent(self, k: int) -> Axis:
         """The same axis, free to bend sharply at its inner break k."""
-        other, stiffness = copy(self), np.ones(self.breaks.size - 1)
+        stiffness = self.stiffness.copy()
         stiffness[k - 1 : k + 1] = _BEND
+        return self.stiffened(stiffness, kink=True)
+
+    def graded(self, power: float) -> Axis:
+        """The same axis, freer to bend towards zero: stiffness as a power of the coordinate."""
+        return self.stiffened(np.maximum((0.5 * (self.breaks[1:] + self.breaks[:-1])) ** power, _BEND))
+
+    def stiffened(self, stiffness: np.ndarray, kink: bool = False) -> Axis:
+        """The same axis with a stiffness a span, by which its curvature counts."""
+        other = copy(self)
+        other.kink = kink
         other.stiffen(stiffness)
         return other
 
@@ -78,7 +88,7 @@ class Spline:
             inner = np.append(above[0], inner)
         self.along_u = Axis(np.concatenate([[0.0], (inner - deadband) / (self.top - deadband), [1.0]]), 2)
         if soft:
-            self.along_u.stiffen(np.r_[_BEND, _BEND, np.ones(inner.size - 1)])
+            self.along_u.stiffen(np.r_[_SOFT, _SOFT, np.ones(inner.size - 1)])
         self.along_s = along_s
         self.rows, self.columns = self.along_u.size, along_s.size
         self.bend_u, self.bend_s = np.kron(self.along_u.bend, along_s.mass), np.kron(self.along_u.mass, along_s.bend)
@@ -114,11 +124,12 @@ class Spline:
     def solve(self, gram: np.ndarray, right: np.ndarray, smoothing: np.ndarray):
         """(coefficients with increments along u of at least those of ``floor``, determinant as ``free``)."""
         free, determinant = self.free(self.banded(gram), right, smoothing)
-        if np.all(self.increments(free - self.floor) >= 0):
+        wrong = self.increments(free - self.floor).ravel() < 0
+        if not wrong.any():
             return free, determinant
         matrix = self.matrix(gram, smoothing)
         right = self.over_steps(right - matrix @ self.floor)
-        steps = non_negative(self.over_steps(self.over_steps(matrix).T), right)
+        steps = non_negative(self.over_steps(self.over_steps(matrix).T), right, wrong)
         return self.floor + np.cumsum(steps.reshape(self.rows, self.columns), axis=0).ravel(), determinant
 
     def over_steps(self, values: np.ndarray) -> np.ndarray:
@@ -129,15 +140,16 @@ class Spline:
         return np.diff(coefficients.reshape(self.rows, self.columns), axis=0, prepend=0.0)
 
 
-def non_negative(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """x ≥ 0 of least ½·xᵀ·matrix·x − rightᵀ·x, by block pivoting (Portugal, Júdice, Vicente 1994): few entries are zero."""
+def non_negative(matrix: np.ndarray, right: np.ndarray, zero: np.ndarray) -> np.ndarray:
+    """x ≥ 0 of least ½·xᵀ·matrix·x − rightᵀ·x by block pivoting (Portugal, Júdice, Vicente 1994), ``zero`` as a first guess."""
+    from scipy.linalg import cho_factor, cho_solve
     from scipy.optimize import nnls
 
-    x, zero = np.zeros(right.size), np.zeros(right.size, bool)
+    x, zero = np.zeros(right.size), zero.copy()
     least = 1e-12 * np.abs(right).max()
     for _ in range(50):
         x[zero] = 0.0
-        x[~zero] = np.linalg.solve(matrix[np.ix_(~zero, ~zero)], right[~zero])
+        x[~zero] = cho_solve(cho_factor(matrix[np.ix_(~zero, ~zero)], check_finite=False), right[~zero], check_finite=False)
         wrong = np.where(zero, matrix @ x - right < -least, x < 0.0)
         if not wrong.any():
             return x

@@ -132,16 +132,11 @@ def bspline_pieces(breaks: np.ndarray, degree: int) -> np.ndarray:
     pieces = np.zeros((spans, len(knots) - 1, degree + 1))
     pieces[np.arange(spans), degree + np.arange(spans), 0] = 1.0
     for k in range(1, degree + 1):
-        higher = np.zeros_like(pieces[:, : len(knots) - 1 - k])
-        for i in range(higher.shape[1]):
-            for part, width, offset in (
-                (pieces[:, i], knots[i + k] - knots[i], start - knots[i]),
-                (-pieces[:, i + 1], knots[i + k + 1] - knots[i + 1], start - knots[i + k + 1]),
-            ):
-                if width > 0:
-                    higher[:, i] += part * offset[:, None] / width
-                    higher[:, i, 1:] += part[:, :-1] / width
-        pieces = higher
+        width = knots[k:] - knots[:-k]
+        per = np.divide(1.0, width, out=np.zeros_like(width), where=width > 0)  # a spline of no width is nowhere
+        rising, falling = pieces[:, :-1] * per[:-1, None], pieces[:, 1:] * per[1:, None]
+        pieces = rising * (start[:, None] - knots[: -k - 1])[..., None] + falling * (knots[k + 1 :] - start[:, None])[..., None]
+        pieces[..., 1:] += (rising - falling)[..., :-1]
     return pieces
 
 
@@ -473,17 +468,27 @@ def load_flow_maps(path: str | Path) -> FlowMaps:
         raise InputError(getattr(error, "message", str(error)), file=path, hint=getattr(error, "hint", None) or hint) from error
 
 
-def table(maps: FlowMaps, *, drops: int = 25, flow_unit: str = "gpm", pressure_unit: str = "kPa") -> str:
+def table(
+    maps: FlowMaps,
+    *,
+    drops: int = 25,
+    flow_unit: str = "gpm",
+    pressure_unit: str = "kPa",
+    signs: Mapping[tuple[str, str], int] | None = None,
+) -> str:
     """CSV text of all maps on a grid, for spreadsheets, in the units asked for.
 
-    Columns ``valve, direction, command [V], pressure_drop [..], flow [..], flow_std [..], inside`` (1 or 0); the
-    commands are the measured ones, the drops run from 0 to the largest measured one.
+    Columns ``valve, direction, opening [V], pressure_drop [..], flow [..], flow_std [..], inside`` (1 or 0); the
+    openings are the measured ones, zero or positive, the drops run from 0 to the largest measured one. ``signs`` (−1 or 1 by
+    valve and direction) adds ``driver_command [V]``, what to send for the opening: sign·opening.
     """
     from ehbench.quantities import VOCABULARY
     from ehbench.units import from_si
 
     lines = [
-        f"valve,direction,command [V],pressure_drop [{pressure_unit}],flow [{flow_unit}],flow_std [{flow_unit}],inside",
+        "valve,direction,opening [V],"
+        + ("driver_command [V]," if signs else "")
+        + f"pressure_drop [{pressure_unit}],flow [{flow_unit}],flow_std [{flow_unit}],inside",
     ]
     for one in maps.each():
         drop = np.linspace(0.0, one.drop_max, drops)
@@ -496,6 +501,7 @@ def table(maps: FlowMaps, *, drops: int = 25, flow_unit: str = "gpm", pressure_u
                 one.inside(drop, command),
             )
             names = f"{_quoted(one.valve)},{one.direction},{command:.6g}"
+            names += f",{signs[one.valve, one.direction] * command + 0.0:.6g}" if signs else ""
             lines += [f"{names},{p:.6g},{q:.6g},{e:.3g},{int(i)}" for p, q, e, i in zip(*columns, strict=True)]
     return "\n".join(lines) + "\n"
 

@@ -13,7 +13,8 @@ from ehbench.errors import InputError, UnitError
 from ehbench.identification.readings import fit_readings, points_table, signs, summary
 from ehbench.physics.flow_map import collect, table
 from ehbench.readers import merge_flowmeter, read_flowmeter
-from ehbench.rig import Rig, load_rig
+from ehbench.recipe import load_rig
+from ehbench.rig import Rig
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 GPM = 3.785411784e-3 / 60.0

@@ -314,15 +314,19 @@ def test_a_kink_at_the_compensators_drop_is_followed_and_covered(case, seed):
 
 def test_repeats_that_agree_stay_in_however_far_from_the_map():
     data = readings(compensated, 5)
-    cell = (data["command"] == 5) & (data["pressure_drop"] > 1.35e6) & (data["pressure_drop"] < 1.55e6)
-    assert cell.sum() == 3
-    data["flow"] = np.where(cell, 1.15 * data["flow"], data["flow"])
-    found = fit(data)
-    assert not found.outliers and found.lack_of_fit > 1.5
-    assert np.all(np.abs(found.sigmas[cell]) > 3)
-    drop = float(data["pressure_drop"][cell].mean())
+    clean = fit(data).map
+    for volts in (5.0, 8.0):
+        cell = (data["command"] == volts) & (data["pressure_drop"] > 1.35e6) & (data["pressure_drop"] < 1.55e6)
+        assert cell.sum() == 3
+        found = fit({**data, "flow": np.where(cell, 1.15 * data["flow"], data["flow"])})
+        assert not found.outliers and compare(found, compensated)[0] >= 0.9
+        drop = float(data["pressure_drop"][cell].mean())
+        # some other readings beside it, and the map goes near: the interval need not be as wide
+        assert found.map.flow_std(drop, volts) > 2 * clean.flow_std(drop, volts)
+    assert found.lack_of_fit > 1.5 and np.all(np.abs(found.sigmas[cell]) > 3)
     # what one cell in its neighbourhood misses the map by widens the interval there, and not far from it
-    assert found.map.flow_std(drop, 5.0) > 4 * fit(readings(compensated, 5)).map.flow_std(drop, 5.0)
+    assert found.map.flow_std(drop, 8.0) > 4 * clean.flow_std(drop, 8.0)
+    assert found.map.flow_std(drop, 3.0) < 2 * clean.flow_std(drop, 3.0)
 
 
 def test_flow_that_does_not_hang_on_the_command_is_refused():
@@ -342,3 +346,48 @@ def test_flow_that_falls_with_the_command_is_refused():
 
 def test_sentences_show_no_flow_as_zero():
     assert Units("L/min", "bar").flow(1e-154) == "0 L/min" and Units("L/min", "bar").flow(1e-7) == "0.006 L/min"
+
+
+def soft(drop, command):
+    """Onset that grows as a parabola over 0.6 V and is straight above, as round notches make it."""
+    x = np.maximum(command - 1.4, 0.0)
+    return 8 * GPM * np.where(x < 0.6, x**2 / 1.2, x - 0.3) / 8.3 * np.sqrt(drop / 6.5e6)
+
+
+def parabola(drop, command):
+    """Area that grows with the square of the opening all the way."""
+    return 8 * GPM * (np.maximum(command - 1.2, 0.0) / 8.8) ** 2 * np.sqrt(drop / 6.5e6)
+
+
+@pytest.mark.parametrize("law, start", [(soft, 1.4), (parabola, 1.2), (poppet, 1.6), (compensated, 1.62), (kinked, 1.5)])
+@pytest.mark.parametrize("commands", [COMMANDS, np.arange(11.0)], ids=["fine", "volts"])
+def test_the_deadbands_interval_holds_a_kinked_and_a_soft_start(law, start, commands):
+    found = [fit(readings(law, seed, commands=commands, trials=2, drops=DROPS[::2])) for seed in range(30, 36)]
+    ends = np.array([one.deadband_interval for one in found])
+    # 95 % each: two of six outside come by chance once in thirty times
+    assert np.sum((ends[:, 0] <= start) & (start <= ends[:, 1])) >= 5
+    # and not by holding anything: below the first command that passes flow there is one that may not, and one that does not
+    step = np.diff(commands)[np.searchsorted(commands, start) - 1]
+    assert np.all(ends[:, 1] - ends[:, 0] < 2 * step)
+
+
+def two_lands(drop, command):
+    """Two lands that open one after the other: a kink in the opening."""
+    return 8 * GPM * (0.3 * np.maximum(command - 1.1, 0) / 8.9 + 0.7 * np.maximum(command - 3.1, 0) / 6.9) * np.sqrt(drop / 6.5e6)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_kink_in_the_opening_does_not_ring_through_the_map(seed):
+    _, rms, worst = compare(fit(readings(two_lands, seed)), two_lands)
+    # knots at the commands read would ring at half a percent up to 10 V
+    assert rms < 0.0015 and worst < 0.01
+
+
+@pytest.mark.parametrize("law", [poppet, compensated])
+def test_a_display_of_few_digits_is_no_meter_without_noise(law):
+    data = readings(law, 21, noise=0.004)
+    digit = 0.1 * GPM  # 1.2 % of the rated flow
+    found = fit({**data, "flow": digit * np.round(data["flow"] / digit)})
+    held, rms, _ = compare(found, law, least=2.0)
+    assert held >= 0.9 and rms < 0.005 and len(found.outliers) <= 3
+    assert found.lack_of_fit < 2  # rounding is shared by repeats: up to their number over what they would average to

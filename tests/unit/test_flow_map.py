@@ -10,6 +10,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from ehbench.errors import InputError
+from ehbench.identification.flow_spline import Axis, Spline, non_negative
 from ehbench.physics.flow_map import (
     FlowMap,
     UnknownValve,
@@ -283,3 +284,40 @@ def test_table_is_the_map_in_the_units_asked_for():
     signed = table(collect([one]), drops=5, signs={(one.valve, one.direction): -1})
     for row in csv.DictReader(signed.splitlines()):
         assert float(row["driver_command [V]"]) == -float(row["opening [V]"])
+
+
+@pytest.mark.parametrize("guess", [False, True])
+def test_non_negative_least_squares_are_those_of_scipy(guess):
+    from scipy.optimize import nnls
+
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        rows = rng.standard_normal((30, 20))
+        wanted = rng.standard_normal(30)
+        found = non_negative(rows.T @ rows, rows.T @ wanted, np.full(20, guess))
+        # the normal matrix squares the condition, some 10², of twenty random columns
+        np.testing.assert_allclose(found, nnls(rows, wanted)[0], atol=1e-10)
+
+
+def test_a_splines_bands_and_increments_are_those_of_the_full_matrices():
+    rng = np.random.default_rng(5)
+    spline = Spline(1.2, np.array([1.5, 2.0, 3.0, 5.0, 8.0]), Axis(np.linspace(0, 1, 6), 3))
+    u, s, smoothing = rng.uniform(1.2, 8, 200), rng.uniform(0, 1, 200), np.array([1e-2, 1e-3])
+    design = spline.design(u, s)
+    wanted = rng.standard_normal(200) + 4 * s * (u - 1.2)  # with noise so large that the free fit falls somewhere
+    gram, right = design.T @ design, design.T @ wanted
+    full = gram + smoothing[0] * spline.bend_u + smoothing[1] * spline.bend_s
+    free, determinant = spline.free(spline.banded(gram), right, smoothing)
+    np.testing.assert_allclose(free, np.linalg.solve(full, right), rtol=1e-8, atol=1e-8)
+    # a penalty's eigenvalues are those of its pencil with the mass, one of which is zero: the plane u·s
+    mass = np.kron(spline.along_u.mass, spline.along_s.mass)
+    prior = np.linalg.eigvals(np.linalg.solve(mass, full - gram)).real
+    least = np.argmin(np.abs(prior))
+    exact = np.linalg.slogdet(full)[1] - np.linalg.slogdet(mass)[1] - np.log(np.delete(prior, least)).sum()
+    assert determinant == pytest.approx(exact, abs=1e-6)
+    held, _ = spline.solve(gram, right, smoothing)
+    assert spline.increments(free).min() < 0 <= (spline.increments(held) - spline.increments(spline.floor)).min() + 1e-12
+    # no step in a direction that the constraint allows makes it better
+    slope = spline.over_steps(full @ held - right)
+    at_floor = spline.increments(held - spline.floor).ravel() < 1e-9
+    assert np.abs(slope[~at_floor]).max() < 1e-8 and slope[at_floor].min() > -1e-8
