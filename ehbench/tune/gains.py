@@ -32,6 +32,7 @@ GAIN_POINTS = 81
 CORNER_SHARES = tuple(np.geomspace(2.5, 0.02, 22).tolist())  # washout corners tried, of the slowest natural frequency, the fastest first
 OFF_SHARES = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.5, 5.0)  # off-side gains tried, of the gain that makes a chamber as fast as its load
 HEADROOM = 1.1  # what is found shall reach this much of the target, so that parameters a little off reach it as well
+BISECTIONS = 4  # between the fastest washout corner that reaches the target and the next faster one
 PAIR_SHARE = 0.25  # two washouts forget a load that ramps sooner than a single one, unless they are slower than this share of its corner
 NEARLY = 0.95  # where nothing does, a faster washout may cost this share of the damping ratio that a slower one gives
 WORST_POINTS = 24  # draws are judged at this many operating points, the least damped ones
@@ -439,12 +440,24 @@ def _law(sites: Sequence[_Site], recipe: TuneRecipe, gains: np.ndarray, scale: f
 
     queue = list(sites)
 
+    def reached(corner: float, ramp: float) -> Law | None:
+        laws = [Law(corner, off, delay, ramp) for off in offs]
+        able = [law for law in laws if _reaches(queue, law, coarse, HEADROOM * float(recipe.damping_ratio))]
+        return best(able) if able else None
+
     def fastest(pairs: Sequence[tuple[float, float]]) -> Law | None:
+        """Of corners that get slower, the first that reaches it, then closer in by bisection."""
+        faster = None
         for corner, ramp in pairs:
-            laws = [Law(corner, off, delay, ramp) for off in offs]
-            able = [law for law in laws if _reaches(queue, law, coarse, HEADROOM * float(recipe.damping_ratio))]
-            if able:
-                return best(able)
+            law = reached(corner, ramp)
+            if law is None:
+                faster = corner
+                continue
+            for _ in range(BISECTIONS if faster else 0):
+                middle = math.sqrt(law.washout * faster)
+                closer = reached(middle, middle if ramp == corner else ramp)
+                law, faster = (closer, faster) if closer else (law, middle)
+            return law
         return None
 
     law = fastest([(c, ramp) for c in corners]) if found else None
