@@ -157,7 +157,7 @@ def identify_flow_map(recipe: FlowMapRecipe, desk: Desk) -> Outcome:
         rundir.write_json(made.path / "summary.json", readings.summary(fits, machine.rig))
         (made.path / "points.csv").write_text(readings.points_table(fits, machine.rig), encoding="utf-8")
         units = {"flow_unit": machine.rig.unit_of("flow"), "pressure_unit": machine.rig.unit_of("pressure_drop")}
-        (made.path / "flow_maps.csv").write_text(table(maps, **units), encoding="utf-8")
+        (made.path / "flow_maps.csv").write_text(table(maps, **units, signs=readings.signs(fits)), encoding="utf-8")
         _write_rig(made.path, machine.rig, None)
         warnings = [f"{one.fit.map.valve} {one.fit.map.direction}: {text}" for one in fits for text in one.fit.warnings]
         made.facts |= {"what": "flow_map", "title": recipe.title, "rig": machine.rig.name, "warnings": warnings}
