@@ -329,6 +329,20 @@ def test_repeats_that_agree_stay_in_however_far_from_the_map():
     assert found.map.flow_std(drop, 3.0) < 2 * clean.flow_std(drop, 3.0)
 
 
+@pytest.mark.xfail(strict=True, reason="at 5 V the map goes near a lone cell: lack of fit 1.1, interval 2.9 times as wide")
+def test_a_lone_cell_amid_the_map_shows_as_lack_of_fit():
+    data = readings(compensated, 5)
+    cell = (data["command"] == 5) & (data["pressure_drop"] > 1.35e6) & (data["pressure_drop"] < 1.55e6)
+    assert cell.sum() == 3
+    data["flow"] = np.where(cell, 1.15 * data["flow"], data["flow"])
+    found = fit(data)
+    assert not found.outliers and found.lack_of_fit > 1.5
+    assert np.all(np.abs(found.sigmas[cell]) > 3)
+    drop = float(data["pressure_drop"][cell].mean())
+    # what one cell in its neighbourhood misses the map by widens the interval there, and not far from it
+    assert found.map.flow_std(drop, 5.0) > 4 * fit(readings(compensated, 5)).map.flow_std(drop, 5.0)
+
+
 def test_flow_that_does_not_hang_on_the_command_is_refused():
     data = readings(poppet, 1)
     with pytest.raises(InsufficientData, match="does not depend on the command"):
