@@ -15,7 +15,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-# Sums of one BLAS thread have one order, so the same input gives the same bytes; small systems are quicker that way too.
+# Sums of one BLAS thread have one order, so the same input gives the same bytes; small systems are
+# quicker that way too.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 if TYPE_CHECKING:
@@ -48,7 +49,9 @@ def __dir__() -> list[str]:
     return sorted(__all__)
 
 
-def identify(recipe: str | Path, *, out: str | Path | None = None, progress: Progress | None = None) -> Outcome:
+def identify(
+    recipe: str | Path, *, out: str | Path | None = None, progress: Progress | None = None
+) -> Outcome:
     """Run a recipe of stage ``identify``: flow maps from readings, or hydraulics from step logs.
 
     Args:
@@ -57,7 +60,8 @@ def identify(recipe: str | Path, *, out: str | Path | None = None, progress: Pro
         progress: called with a sentence and the share done.
 
     Returns:
-        The outcome: ``.folder``, ``.code``, ``.notes``, and what the run saved: ``.rig``, ``.flow_maps``, ``.json("parameters")``.
+        The outcome: ``.folder``, ``.code``, ``.notes``, and what the run saved: ``.rig``,
+            ``.flow_maps``, ``.json("parameters")``.
 
     Raises:
         InputError: a bad recipe or bad data; says file, line and what would be right.
@@ -66,8 +70,11 @@ def identify(recipe: str | Path, *, out: str | Path | None = None, progress: Pro
     return _run(recipe, "identify", out, progress)
 
 
-def validate(recipe: str | Path, *, out: str | Path | None = None, progress: Progress | None = None) -> Outcome:
-    """Run a recipe of stage ``validate``; ``.code`` is 4 when the rig is rejected and ``.json("validation")`` says why.
+def validate(
+    recipe: str | Path, *, out: str | Path | None = None, progress: Progress | None = None
+) -> Outcome:
+    """Run a recipe of stage ``validate``; ``.code`` is 4 when the rig is rejected and
+    ``.json("validation")`` says why.
 
     Args:
         recipe: its TOML file.
@@ -80,8 +87,12 @@ def validate(recipe: str | Path, *, out: str | Path | None = None, progress: Pro
     return _run(recipe, "validate", out, progress)
 
 
-def _run(recipe: str | Path, stage: str, out: str | Path | None, progress: Progress | None) -> Outcome:
+def _run(
+    recipe: str | Path, stage: str, out: str | Path | None, progress: Progress | None
+) -> Outcome:
     from ehbench import workflow
 
     workflow.expect_stage(Path(recipe), stage)
-    return workflow.run(Path(recipe), workflow.Desk(out=None if out is None else Path(out), progress=progress))
+    return workflow.run(
+        Path(recipe), workflow.Desk(out=None if out is None else Path(out), progress=progress)
+    )

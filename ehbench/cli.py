@@ -1,4 +1,6 @@
-"""The command line: parse, call one workflow function, print where the result lies, return the exit code."""
+"""The command line: parse, call one workflow function, print where the result lies, return the exit
+code.
+"""
 
 from __future__ import annotations
 
@@ -28,27 +30,43 @@ Exit codes: 0 done, 1 a bug, 2 usage or a bad file, 3 finished with data loss, 4
     epilog="Example:  ehbench reproduce thesis",
 )
 
-Out = Annotated[Path | None, typer.Option("--out", help="Folder for the run. Default: reports/<recipe>_<hash8>/.", show_default=False)]
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        "--out", help="Folder for the run. Default: reports/<recipe>_<hash8>/.", show_default=False
+    ),
+]
 RecipeFile = Annotated[Path, typer.Argument(help="Recipe (TOML).", show_default=False)]
-AllowCode = Annotated[bool, typer.Option("--allow-code", help="Let recipes run Python code: controllers of your own.")]
+AllowCode = Annotated[
+    bool, typer.Option("--allow-code", help="Let recipes run Python code: controllers of your own.")
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress on stderr.")]
 
 
 @app.command(epilog="Example:  ehbench init my_rig")
-def init(folder: Annotated[Path, typer.Argument(metavar="DIR", help="New folder for the workspace.")]) -> None:
+def init(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="New folder for the workspace.")],
+) -> None:
     """Make a workspace: a commented rig file and recipes that run as they are."""
     from ehbench import workflow
 
     made = workflow.init(folder)
     print(f"made {made.folder}/")
-    print(f"next: ehbench check {made.folder}/rig.toml, then the commands in {made.folder}/README.md")
+    print(
+        f"next: ehbench check {made.folder}/rig.toml, then the commands in {made.folder}/README.md"
+    )
 
 
 @app.command(epilog="Example:  ehbench check recipes/rigs/thesis_arm.toml")
-def check(file: Annotated[Path, typer.Argument(help="A rig, recipe, flowmeter CSV or log (MCAP or CSV).")]) -> None:
+def check(
+    file: Annotated[
+        Path, typer.Argument(help="A rig, recipe, flowmeter CSV or log (MCAP or CSV).")
+    ],
+) -> None:
     """Check a rig, recipe, data file or log without running anything.
 
-    Of a recipe, all that its run takes in: the rig, maps, data and recipes it names. What only a run can tell is said."""
+    Of a recipe, all that its run takes in: the rig, maps, data and recipes it names. What only a
+        run can tell is said."""
     from ehbench import inspection
 
     found = inspection.check(file)
@@ -76,21 +94,33 @@ def tune(
     recipe: RecipeFile,
     out: Out = None,
     quiet: Quiet = False,
-    unvalidated: Annotated[bool, typer.Option("--unvalidated", help="Tune on a rig that no validation accepted.")] = False,
+    unvalidated: Annotated[
+        bool, typer.Option("--unvalidated", help="Tune on a rig that no validation accepted.")
+    ] = False,
 ) -> None:
-    """Choose a controller's gains by root locus over postures, loads and functions, on a validated rig."""
+    """Choose a controller's gains by root locus over postures, loads and functions, on a validated
+    rig.
+    """
     _run("tune", recipe, out, quiet, unvalidated=unvalidated)
 
 
 @app.command("run-trial", epilog="Example:  ehbench run-trial recipes/trials/arc_slow.toml")
-def run_trial(recipe: RecipeFile, out: Out = None, quiet: Quiet = False, allow_code: AllowCode = False) -> None:
-    """Run a trial, or a set of trials, on the model or on the virtual bench; exit 5 when a limit stops one."""
+def run_trial(
+    recipe: RecipeFile, out: Out = None, quiet: Quiet = False, allow_code: AllowCode = False
+) -> None:
+    """Run a trial, or a set of trials, on the model or on the virtual bench; exit 5 when a limit
+    stops one.
+    """
     _run("trial", recipe, out, quiet, allow_code=allow_code)
 
 
-@app.command(epilog="Example:  ehbench report reports/flow_maps_* reports/validation_* --out my_report")
+@app.command(
+    epilog="Example:  ehbench report reports/flow_maps_* reports/validation_* --out my_report"
+)
 def report(
-    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run folders.")], out: Out = None, quiet: Quiet = False
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run folders.")],
+    out: Out = None,
+    quiet: Quiet = False,
 ) -> None:
     """Write one self-contained HTML report over finished runs, from their saved files only."""
     from ehbench import workflow
@@ -102,8 +132,13 @@ def report(
 
 @app.command(epilog="Example:  ehbench reproduce thesis")
 def reproduce(
-    campaign: Annotated[str, typer.Argument(help="Name of a folder in recipes/, or a campaign file.")],
-    out: Annotated[Path | None, typer.Option("--out", help="Folder for all runs. Default: reports/.", show_default=False)] = None,
+    campaign: Annotated[
+        str, typer.Argument(help="Name of a folder in recipes/, or a campaign file.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Folder for all runs. Default: reports/.", show_default=False),
+    ] = None,
     quiet: Quiet = False,
     allow_code: AllowCode = False,
 ) -> None:
@@ -113,7 +148,9 @@ def reproduce(
     recipe = workflow.find_campaign(campaign)
     workflow.expect_stage(recipe, "campaign")
     with _progress(quiet) as tell:
-        made = workflow.run(recipe, workflow.Desk(root=out or workflow.ROOT, progress=tell, allow_code=allow_code))
+        made = workflow.run(
+            recipe, workflow.Desk(root=out or workflow.ROOT, progress=tell, allow_code=allow_code)
+        )
     _leave(made, "report.html")
 
 
@@ -144,8 +181,15 @@ def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TextColumn("{task.percentage:>3.0f} %"), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=24),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+    )
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
         tasks: dict[str, int] = {}
 
         def tell(what: str, share: float) -> None:
@@ -164,7 +208,9 @@ def _terminated(*_: object) -> None:
 
 
 def main() -> None:
-    """Entry point: errors of ours become one sentence on stderr and their exit code, and nothing half-written stays."""
+    """Entry point: errors of ours become one sentence on stderr and their exit code, and nothing
+    half-written stays.
+    """
     signal.signal(signal.SIGTERM, _terminated)
     try:
         app()

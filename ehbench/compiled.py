@@ -1,4 +1,6 @@
-"""How the hot functions are compiled: one decorator for the laws, the plant and the integrator, one cache for their code."""
+"""How the hot functions are compiled: one decorator for the laws, the plant and the integrator, one
+cache for their code.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +13,17 @@ import numba
 
 PACKAGE = Path(__file__).resolve().parent
 
-# Without numba's reference counting a kernel cannot allocate (the compiler refuses it), and passing rows and slices of
-# arrays from kernel to kernel costs nothing: 1.4 times as fast a plant. Arguments are the caller's, who holds them.
+# Without numba's reference counting a kernel cannot allocate (the compiler refuses it), and passing
+# rows and slices of
+# arrays from kernel to kernel costs nothing: 1.4 times as fast a plant. Arguments are the caller's,
+# who holds them.
 kernel = numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 
 
 def _cache_folder() -> Path:
-    """A cache for these very sources: numba looks only at a function's own file, and would keep what it inlined of others."""
+    """A cache for these very sources: numba looks only at a function's own file, and would keep
+    what it inlined of others.
+    """
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted(PACKAGE.rglob("*.py")):
         content = path.read_bytes()
@@ -27,7 +33,9 @@ def _cache_folder() -> Path:
 
 
 def _use_cache() -> None:
-    """Point numba to the cache; those of other sources go when a day old, as another process may still work with them."""
+    """Point numba to the cache; those of other sources go when a day old, as another process may
+    still work with them.
+    """
     folder = _cache_folder()
     if not folder.is_dir():
         for old in folder.parent.glob("kernels_*"):

@@ -29,7 +29,9 @@ class EhbenchError(Exception):
         super().__init__(str(self))
 
     def __str__(self) -> str:
-        where = "" if self.file is None else self.file + (f":{self.line}" if self.line else "") + ": "
+        where = (
+            "" if self.file is None else self.file + (f":{self.line}" if self.line else "") + ": "
+        )
         return where + self.message + (f" ({self.hint})" if self.hint else "")
 
 
@@ -52,7 +54,9 @@ class InsufficientData(EhbenchError):
 
 
 class ModelRejected(EhbenchError):
-    """A model failed its validation, or an unvalidated rig was used where a validated one is needed (exit 4)."""
+    """A model failed its validation, or an unvalidated rig was used where a validated one is needed
+    (exit 4).
+    """
 
     exit_code = 4
 

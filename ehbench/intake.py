@@ -1,8 +1,8 @@
-"""What a log must be before a rig is identified or judged on it: of this rig, evenly sampled, and in the units it says.
+"""What a log must be before a rig is identified or judged on it: of this rig, evenly sampled, and
+in the units it says.
 
-A slip of a unit or a name gives a fit that looks like one. So every log passes here first: what cannot be right is
-refused with what would be right, what is merely odd comes back as a warning.
-"""
+A slip of a unit or a name gives a fit that looks like one. So every log passes here first: what
+cannot be right is refused with what would be right, what is merely odd comes back as a warning."""
 
 from __future__ import annotations
 
@@ -32,7 +32,9 @@ COARSE, FINE = 0.05, 1.0e-5  # [s]: no rig is logged slower, or faster
 MOST_PERIODS = 5.0  # a sample time of more periods of a valve shows nothing of it
 APART = 5.0  # factor between recorded and expected pressure beyond which the unit is wrong
 FAR_APART = 50.0  # the same where only the supply is known: chambers may well stand far below it
-LOADED = 0.03  # share of the supply's force beyond which a load is heavy enough to check pressures by
+LOADED = (
+    0.03  # share of the supply's force beyond which a load is heavy enough to check pressures by
+)
 OVERSHOOT = 0.01  # share of a driver's range that a recorded command may lie outside of it
 TRAVEL = 0.02  # share of the stroke beyond which a cylinder has surely moved
 ONGOING = 0.1  # share of the largest speed above which a log begins mid-motion
@@ -44,13 +46,14 @@ def take_in(name: str, record: Record, model: Model) -> tuple[Record, tuple[str,
 
     Raises:
         LogError: not evenly sampled, with the worst gap.
-        InputError: too few or too coarse samples, a sample that is no number, no channel of the rig, a command outside its
-            valve's range, pressures that cannot be in the unit they say.
+        InputError: too few or too coarse samples, a sample that is no number, no channel of the
+            rig, a command outside its valve's range, pressures that cannot be in the unit they say.
     """
     count = record.t.size
     if count < LEAST_SAMPLES:
         raise InputError(
-            f"{name}: the log has only {count} sample{'s' * (count != 1)}", hint=f"at least {LEAST_SAMPLES} are needed"
+            f"{name}: the log has only {count} sample{'s' * (count != 1)}",
+            hint=f"at least {LEAST_SAMPLES} are needed",
         )
     for channel, values in record.channels.items():
         if not np.isfinite(values).all():
@@ -61,7 +64,9 @@ def take_in(name: str, record: Record, model: Model) -> tuple[Record, tuple[str,
     record, jitter = evened(name, record)
     told += jitter
     if model.rig.payload and not record.meta.get("payload"):
-        told.append(f"the log names no payload: taken as unloaded (the rig has {', '.join(model.rig.payload)})")
+        told.append(
+            f"the log names no payload: taken as unloaded (the rig has {', '.join(model.rig.payload)})"
+        )
     _commands(name, record, model.rig)
     rest = model.rest_samples(model.commands_of(record))
     begun = _begun(record, model.rig, rest)
@@ -70,10 +75,12 @@ def take_in(name: str, record: Record, model: Model) -> tuple[Record, tuple[str,
 
 
 def evened(name: str, record: Record) -> tuple[Record, list[str]]:
-    """The record on an even time base, and a sentence if that took resampling: readings interpolated, commands held.
+    """The record on an even time base, and a sentence if that took resampling: readings
+    interpolated, commands held.
 
     Raises:
-        LogError: samples are missing or their time is off by more than a quarter of the sample time.
+        LogError: samples are missing or their time is off by more than a quarter of the sample
+            time.
     """
     steps = np.diff(record.t)
     tick = record.sample_time
@@ -82,7 +89,9 @@ def evened(name: str, record: Record) -> tuple[Record, list[str]]:
     even = (record.t[-1] - record.t[0]) / (record.t.size - 1)
     off = np.abs(steps - even)
     worst = int(np.argmax(off))
-    if off[worst] > (2.0 * JITTER + EVEN) * even:  # a step ends in two samples, one early and one late
+    if (
+        off[worst] > (2.0 * JITTER + EVEN) * even
+    ):  # a step ends in two samples, one early and one late
         at = int(np.argmax(np.abs(steps - tick)))
         raise LogError(
             f"{name}: not evenly sampled: {steps[at] * 1e3:.4g} ms pass after t = {record.t[at]:.6g} s, "
@@ -100,10 +109,15 @@ def evened(name: str, record: Record) -> tuple[Record, list[str]]:
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:
-    """A name for each log: its file's stem, with the folder before it where others have the same, numbered if need be."""
+    """A name for each log: its file's stem, with the folder before it where others have the same,
+    numbered if need be.
+    """
     names = [path.stem for path in paths]
     crowd = Counter(names)
-    names = [f"{path.parent.name}_{name}" if crowd[name] > 1 else name for path, name in zip(paths, names, strict=True)]
+    names = [
+        f"{path.parent.name}_{name}" if crowd[name] > 1 else name
+        for path, name in zip(paths, names, strict=True)
+    ]
     seen: Counter[str] = Counter()
     for i, name in enumerate(names):
         seen[name] += 1
@@ -112,10 +126,17 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
 
 
 def _foreign(name: str, record: Record, rig: Rig) -> list[str]:
-    """Warnings of channels that belong to nothing on the rig; refuses a log of which no cylinder has any."""
+    """Warnings of channels that belong to nothing on the rig; refuses a log of which no cylinder
+    has any.
+    """
     cylinders = {c.name for c in rig.cylinder}
     valves = {f"{c.name}.{v.name}" for c, v in rig.valves()}
-    known = cylinders | set(rig.joint_names) | valves | {f"{c.name}.{v.edge_name(e)}" for c, v, e in rig.edges()}
+    known = (
+        cylinders
+        | set(rig.joint_names)
+        | valves
+        | {f"{c.name}.{v.edge_name(e)}" for c, v, e in rig.edges()}
+    )
     odd: dict[str, list[str]] = {}
     for channel in record.channels:
         head = channel.rpartition(".")[0]
@@ -125,15 +146,22 @@ def _foreign(name: str, record: Record, rig: Rig) -> list[str]:
     told = []
     for owner, channels in odd.items():
         near = get_close_matches(owner, valves if "." in owner else cylinders, 1)
-        what = "a valve" if all(channel.endswith(".command") for channel in channels) else "a cylinder"
+        what = (
+            "a valve" if all(channel.endswith(".command") for channel in channels) else "a cylinder"
+        )
         some = ", ".join(f"'{channel}'" for channel in channels[:3]) + ", …" * (len(channels) > 3)
         told.append(
-            f"the log has {some}, {what} that rig '{rig.name}' does not have" + (f"; nearest is '{near[0]}'" if near else "")
+            f"the log has {some}, {what} that rig '{rig.name}' does not have"
+            + (f"; nearest is '{near[0]}'" if near else "")
         )
     if not any(channel.partition(".")[0] in cylinders for channel in record.channels):
         raise InputError(
-            f"{name}: no channel is of a cylinder of rig '{rig.name}'" + (f": {told[0]}" if told else ""),
-            hint="it has " + ", ".join(c.name for c in rig.cylinder) + "; the log has " + ", ".join(record.channels),
+            f"{name}: no channel is of a cylinder of rig '{rig.name}'"
+            + (f": {told[0]}" if told else ""),
+            hint="it has "
+            + ", ".join(c.name for c in rig.cylinder)
+            + "; the log has "
+            + ", ".join(record.channels),
         )
     return told
 
@@ -180,9 +208,16 @@ def _shown(rig: Rig, pressure: float) -> str:
 
 def _right(ratio: float) -> str:
     """A hint which mistake of units would make a pressure ``ratio`` times as large as it should be."""
-    pairs = [(abs(math.log(ratio * factor(b, "Pa") / factor(a, "Pa"))), a, b) for a in _MIXED for b in _MIXED if a != b]
+    pairs = [
+        (abs(math.log(ratio * factor(b, "Pa") / factor(a, "Pa"))), a, b)
+        for a in _MIXED
+        for b in _MIXED
+        if a != b
+    ]
     miss, a, b = min(pairs)
-    return "is the unit right?" + (f" it looks like {b} labelled {a}" if miss < math.log(1.3) else "")
+    return "is the unit right?" + (
+        f" it looks like {b} labelled {a}" if miss < math.log(1.3) else ""
+    )
 
 
 def _pressures(name: str, record: Record, model: Model, rest: int, still: bool) -> None:
@@ -201,12 +236,21 @@ def _pressures(name: str, record: Record, model: Model, rest: int, still: bool) 
     except EhbenchError:
         return  # a posture outside the stroke: the simulation says so
     for index, cylinder in enumerate(rig.cylinder):
-        seen = {word: record[c] for word in ("p_head", "p_rod") if (c := f"{cylinder.name}.{word}") in record}
+        seen = {
+            word: record[c]
+            for word in ("p_head", "p_rod")
+            if (c := f"{cylinder.name}.{word}") in record
+        }
         if not seen:
             continue
         areas = dict(zip(("p_head", "p_rod"), cylinder.areas(), strict=True))
-        force = start[names.state("p_head", index)] * areas["p_head"] - start[names.state("p_rod", index)] * areas["p_rod"]
-        carrying, need = ("p_head", force / areas["p_head"]) if force > 0 else ("p_rod", -force / areas["p_rod"])
+        force = (
+            start[names.state("p_head", index)] * areas["p_head"]
+            - start[names.state("p_rod", index)] * areas["p_rod"]
+        )
+        carrying, need = (
+            ("p_head", force / areas["p_head"]) if force > 0 else ("p_rod", -force / areas["p_rod"])
+        )
         relief = 0.0 if cylinder.relief_pressure is None else float(cylinder.relief_pressure)
         most = APART * max(supply, relief, need)
         for word, values in seen.items():
@@ -224,13 +268,24 @@ def _pressures(name: str, record: Record, model: Model, rest: int, still: bool) 
                 f"and its pressures stay below {_shown(rig, peak)}",
                 hint="is the unit right?",
             )
-        if not still or carrying not in seen or need < LOADED * supply or _at_end(record, cylinder, rest):
+        if (
+            not still
+            or carrying not in seen
+            or need < LOADED * supply
+            or _at_end(record, cylinder, rest)
+        ):
             continue
         other = next(word for word in areas if word != carrying)
-        back = float(np.mean(seen[other][:rest])) * areas[other] / areas[carrying] if other in seen else 0.0
+        back = (
+            float(np.mean(seen[other][:rest])) * areas[other] / areas[carrying]
+            if other in seen
+            else 0.0
+        )
         held = float(np.mean(seen[carrying][:rest])) - back
         # dry friction may hold a light load without oil, but not keep the pressures down in motion
-        if (held < need / APART and peak < supply / APART) or (other in seen and held > need * APART):
+        if (held < need / APART and peak < supply / APART) or (
+            other in seen and held > need * APART
+        ):
             raise InputError(
                 f"{name}: at rest {cylinder.name}.{carrying} holds {_shown(rig, held)} against its other end, "
                 f"while the load of rig '{rig.name}' "
@@ -281,14 +336,20 @@ def _travels(record: Record, cylinder: Cylinder) -> bool:
         channel = f"{cylinder.name}.{word}"
         if channel not in record:
             continue
-        way = record[channel] if word in ("q", "x") else np.cumsum(record[channel]) * record.sample_time
+        way = (
+            record[channel]
+            if word in ("q", "x")
+            else np.cumsum(record[channel]) * record.sample_time
+        )
         if np.ptp(way) > TRAVEL * _span(cylinder, word):
             return True
     return False
 
 
 def _begun(record: Record, rig: Rig, rest: int) -> list[str]:
-    """Warnings of what is already on, or already moves, at the first sample: the simulation starts at rest."""
+    """Warnings of what is already on, or already moves, at the first sample: the simulation starts
+    at rest.
+    """
     told = []
     for cylinder in rig.cylinder:
         for valve in cylinder.valve:
@@ -298,14 +359,21 @@ def _begun(record: Record, rig: Rig, rest: int) -> list[str]:
             first = float(np.median(record[channel][:rest]))
             least = 0.01 * (float(valve.command_max) - float(valve.command_min))
             if any(edge.sign * first > float(edge.deadband) + least for edge in valve.edge):
-                told.append(f"{channel} is already on at the first sample ({first:g} V): the model starts at rest")
+                told.append(
+                    f"{channel} is already on at the first sample ({first:g} V): the model starts at rest"
+                )
         for word in ("qd", "v"):
             channel = f"{cylinder.name}.{word}"
             if channel not in record or not _travels(record, cylinder):
                 continue
             speed, count = record[channel], min(rest, max(1, round(0.02 / record.sample_time)))
             noise = 1.5 * float(np.median(np.abs(np.diff(speed)))) / math.sqrt(count)
-            if abs(float(np.mean(speed[:count]))) > ONGOING * float(np.abs(speed).max()) + 4.0 * noise:
-                told.append(f"{cylinder.name} already moves at the first sample: the model starts at rest")
+            if (
+                abs(float(np.mean(speed[:count])))
+                > ONGOING * float(np.abs(speed).max()) + 4.0 * noise
+            ):
+                told.append(
+                    f"{cylinder.name} already moves at the first sample: the model starts at rest"
+                )
                 break
     return told

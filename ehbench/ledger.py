@@ -1,9 +1,10 @@
-"""The energy ledger of a trial: where the pump's energy went, from a model's record or from measured channels alone.
+"""The energy ledger of a trial: where the pump's energy went, from a model's record or from
+measured channels alone.
 
-Energies count from oil at zero gauge pressure. A volume of oil that crosses a pressure p carries p, and what its own
-compression holds, ``u(p) = β (e^(p/β) − 1) − p`` per volume; with these two the chamber law ``V/β ṗ = Q − V̇`` is exactly
-``(p + u(p)) Q = p V̇ + d/dt (V u(p))``: flow work is piston work and a change of what is stored, a function of state.
-"""
+Energies count from oil at zero gauge pressure. A volume of oil that crosses a pressure p carries p,
+and what its own compression holds, ``u(p) = β (e^(p/β) − 1) − p`` per volume; with these two the
+chamber law ``V/β ṗ = Q − V̇`` is exactly ``(p + u(p)) Q = p V̇ + d/dt (V u(p))``: flow work is
+piston work and a change of what is stored, a function of state."""
 
 from __future__ import annotations
 
@@ -19,16 +20,52 @@ from ehbench.compiled import kernel
 from ehbench.control.functions import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.errors import InputError, InsufficientData, LogError
 from ehbench.physics import arm, metering
-from ehbench.physics.cylinder import PINS, chamber_volume, end_stop, inflows, joint_angle, linkage, makeup_flow, relief_flow
+from ehbench.physics.cylinder import (
+    PINS,
+    chamber_volume,
+    end_stop,
+    inflows,
+    joint_angle,
+    linkage,
+    makeup_flow,
+    relief_flow,
+)
 from ehbench.physics.friction import coulomb_viscous
 from ehbench.physics.metering import FROM, TO, VALVE
 from ehbench.physics.supply import BULK as SUPPLY_BULK
 from ehbench.physics.supply import P_TANK, VOLUME
 from ehbench.plant import (
-    AREA_HEAD, AREA_ROD, BULK, COULOMB, COULOMB_SPEED, DAMPING, FLOOR, GEOMETRY, HIGHEST, L_A, L_B, LEAK_HEAD, LEAK_INTERNAL,
-    LEAK_ROD, LOWEST, PHASE, RELIEF, RELIEF_GAIN, RETRACTED, SIDE, STIFFNESS, STOP, STOP_DISSIPATION, STROKE, TANK, VISCOUS,
-    VOLUME_HEAD, VOLUME_ROD, derivatives, workspace_size,
-)  # fmt: skip
+    AREA_HEAD,
+    AREA_ROD,
+    BULK,
+    COULOMB,
+    COULOMB_SPEED,
+    DAMPING,
+    FLOOR,
+    GEOMETRY,
+    HIGHEST,
+    L_A,
+    L_B,
+    LEAK_HEAD,
+    LEAK_INTERNAL,
+    LEAK_ROD,
+    LOWEST,
+    PHASE,
+    RELIEF,
+    RELIEF_GAIN,
+    RETRACTED,
+    SIDE,
+    STIFFNESS,
+    STOP,
+    STOP_DISSIPATION,
+    STROKE,
+    TANK,
+    VISCOUS,
+    VOLUME_HEAD,
+    VOLUME_ROD,
+    derivatives,
+    workspace_size,
+)
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
 from ehbench.simulation import MOST_SUBSTEPS, STEP, STIFF, Maps, Model, advance, linkage_arrays
@@ -38,25 +75,42 @@ GROUPS = ("supply", "valve", "loss", "store", "load", "residual", "cylinder", "p
 FOLLOWS = 1.0e-2  # share of a state's range that a tick of the model may miss the next sample by
 SETTLED_TRAVEL = 0.005  # share of the stroke below which a motion to and fro is no travel
 CLOSED = 0.02  # share of the travel by which the ends of a closed cycle may differ
-CUT_MEAN = 0.7561  # mean of |z|, z standard normal, where what exceeds its 90 % quantile is cut to it
+CUT_MEAN = (
+    0.7561  # mean of |z|, z standard normal, where what exceeds its 90 % quantile is cut to it
+)
 ROUNDING = 1.0e-12  # smaller than any reading
 LOADED = 0.02  # share of the supply's force on the head end below which a mean force is no load
 
 # columns of power: pump, its share for compression, one per edge, ten per cylinder, one per joint
 PUMP, COMPRESSION, FIRST_EDGE = 0, 1, 2
-DRAWN, DRAWN_COMPRESSION, WORK, EXPANSION, LEAKAGE, RELIEVED, MAKEUP, RETURNED, FRICTION, STOPPED = range(10)
+(
+    DRAWN,
+    DRAWN_COMPRESSION,
+    WORK,
+    EXPANSION,
+    LEAKAGE,
+    RELIEVED,
+    MAKEUP,
+    RETURNED,
+    FRICTION,
+    STOPPED,
+) = range(10)
 PER_CYLINDER = 10
-# columns of what is stored: the supply line, the mechanism, then head, rod and end stops of each cylinder
+# columns of what is stored: the supply line, the mechanism, then head, rod and end stops of each
+# cylinder
 SUPPLY_LINE, KINETIC, POTENTIAL, FIRST_CYLINDER = 0, 1, 2, 3
 HEAD, ROD, SPRING = range(3)
 
 
-# --- laws -----------------------------------------------------------------------------------------------------------
+# --- laws
+# -----------------------------------------------------------------------------------------------------------
 
 
 @kernel
 def compressed(pressure, bulk_modulus):
-    """Energy [J/m³] in oil of bulk modulus β compressed to gauge pressure p: ``u = β (e^(p/β) − 1) − p ≈ p²/2β``."""
+    """Energy [J/m³] in oil of bulk modulus β compressed to gauge pressure p: ``u = β (e^(p/β) − 1)
+    − p ≈ p²/2β``.
+    """
     return bulk_modulus * math.expm1(pressure / bulk_modulus) - pressure
 
 
@@ -74,10 +128,12 @@ def _node(node, y, plant):
 
 @kernel
 def powers(y, flows, plant, owner, out):
-    """Write every power [W] of a state into ``out``: what is spent positive, the supply's positive where it gives.
+    """Write every power [W] of a state into ``out``: what is spent positive, the supply's positive
+    where it gives.
 
-    A throttle of flow Q from a to b takes ``(p_a − p_b) Q`` (SPEC 4) and lets ``(u_a − u_b) Q`` of compression go. What comes
-    to the tank is lost with the tank's own pressure on it. An end stop takes what it does not hold as a spring.
+    A throttle of flow Q from a to b takes ``(p_a − p_b) Q`` (SPEC 4) and lets ``(u_a − u_b) Q`` of
+    compression go. What comes to the tank is lost with the tank's own pressure on it. An end stop
+    takes what it does not hold as a spring.
 
     Args:
         y: state, as in ``ehbench.plant``.
@@ -109,7 +165,9 @@ def powers(y, flows, plant, owner, out):
                 out[at + RETURNED] -= sign * (p_tank + u_tank) * flow
     for c in range(nc):
         row, j, at = plant.cylinders[c], plant.joints[c], first + PER_CYLINDER * c
-        x, lever, _ = linkage(int(row[GEOMETRY]), row[L_A], row[L_B], row[SIDE], row[PHASE], row[RETRACTED], y[j])
+        x, lever, _ = linkage(
+            int(row[GEOMETRY]), row[L_A], row[L_B], row[SIDE], row[PHASE], row[RETRACTED], y[j]
+        )
         v = lever * y[n + j]
         p_head, u_head = _node(2 + 2 * c, y, plant)
         p_rod, u_rod = _node(3 + 2 * c, y, plant)
@@ -120,25 +178,52 @@ def powers(y, flows, plant, owner, out):
                     net_head += sign * flows[e]
                 elif plant.wiring[e, column] == 3 + 2 * c:
                     net_rod += sign * flows[e]
-        relief_head, relief_rod = relief_flow(p_head, row[RELIEF], RELIEF_GAIN), relief_flow(p_rod, row[RELIEF], RELIEF_GAIN)
+        relief_head, relief_rod = (
+            relief_flow(p_head, row[RELIEF], RELIEF_GAIN),
+            relief_flow(p_rod, row[RELIEF], RELIEF_GAIN),
+        )
         into_head, into_rod = inflows(
-            v, net_head - relief_head, relief_rod - net_rod, p_head, p_rod, p_tank, row[AREA_HEAD], row[AREA_ROD],
-            row[LEAK_INTERNAL], row[LEAK_HEAD], row[LEAK_ROD],
-        )  # fmt: skip
-        makeup_head, makeup_rod = makeup_flow(into_head, p_head, row[FLOOR]), makeup_flow(into_rod, p_rod, row[FLOOR])
+            v,
+            net_head - relief_head,
+            relief_rod - net_rod,
+            p_head,
+            p_rod,
+            p_tank,
+            row[AREA_HEAD],
+            row[AREA_ROD],
+            row[LEAK_INTERNAL],
+            row[LEAK_HEAD],
+            row[LEAK_ROD],
+        )
+        makeup_head, makeup_rod = (
+            makeup_flow(into_head, p_head, row[FLOOR]),
+            makeup_flow(into_rod, p_rod, row[FLOOR]),
+        )
         across = row[LEAK_INTERNAL] * (p_head - p_rod)
         leak_head, leak_rod = row[LEAK_HEAD] * (p_head - p_tank), row[LEAK_ROD] * (p_rod - p_tank)
-        head_to_tank, rod_to_tank = relief_head + leak_head - makeup_head, relief_rod + leak_rod - makeup_rod
-        out[at + LEAKAGE] = across * (p_head - p_rod) + leak_head * (p_head - p_tank) + leak_rod * (p_rod - p_tank)
+        head_to_tank, rod_to_tank = (
+            relief_head + leak_head - makeup_head,
+            relief_rod + leak_rod - makeup_rod,
+        )
+        out[at + LEAKAGE] = (
+            across * (p_head - p_rod) + leak_head * (p_head - p_tank) + leak_rod * (p_rod - p_tank)
+        )
         out[at + RELIEVED] = relief_head * (p_head - p_tank) + relief_rod * (p_rod - p_tank)
         out[at + MAKEUP] = makeup_head * (p_tank - p_head) + makeup_rod * (p_tank - p_rod)
         out[at + RETURNED] += (p_tank + u_tank) * (head_to_tank + rod_to_tank)
-        out[at + EXPANSION] += (u_head - u_rod) * across + (u_head - u_tank) * head_to_tank + (u_rod - u_tank) * rod_to_tank
+        out[at + EXPANSION] += (
+            (u_head - u_rod) * across
+            + (u_head - u_tank) * head_to_tank
+            + (u_rod - u_tank) * rod_to_tank
+        )
         out[at + WORK] = (p_head * row[AREA_HEAD] - p_rod * row[AREA_ROD]) * v
         out[at + FRICTION] = coulomb_viscous(v, row[VISCOUS], row[COULOMB], COULOMB_SPEED) * v
         if x < 0.0 or x > row[STROKE]:
             depth, closing = (-x, -v) if x < 0.0 else (x - row[STROKE], v)
-            out[at + STOPPED] = -end_stop(x, v, row[STROKE], row[STOP], STOP_DISSIPATION) * v - row[STOP] * depth * closing
+            out[at + STOPPED] = (
+                -end_stop(x, v, row[STROKE], row[STOP], STOP_DISSIPATION) * v
+                - row[STOP] * depth * closing
+            )
     for j in range(n):
         out[first + PER_CYLINDER * nc + j] = plant.links[j, arm.DAMPING] * y[n + j] * y[n + j]
 
@@ -147,15 +232,25 @@ def powers(y, flows, plant, owner, out):
 def stores(y, plant, work, out):
     """Write every stored energy [J] of a state into ``out``, shape (3 + 3·cylinders,).
 
-    Oil: ``V u(p)``. The mechanism: kinetic and potential energy. An end stop: ``k δ²/2`` of its depth δ.
-    """
+    Oil: ``V u(p)``. The mechanism: kinetic and potential energy. An end stop: ``k δ²/2`` of its
+    depth δ."""
     n = plant.links.shape[0]
     _, held = _node(0, y, plant)
     out[SUPPLY_LINE] = plant.supply[VOLUME] * held
-    out[KINETIC], out[POTENTIAL] = arm.energy(plant.kind, plant.links, plant.gravity, y[:n], y[n : 2 * n], work)
+    out[KINETIC], out[POTENTIAL] = arm.energy(
+        plant.kind, plant.links, plant.gravity, y[:n], y[n : 2 * n], work
+    )
     for c in range(plant.cylinders.shape[0]):
         row, at = plant.cylinders[c], FIRST_CYLINDER + 3 * c
-        x, _, _ = linkage(int(row[GEOMETRY]), row[L_A], row[L_B], row[SIDE], row[PHASE], row[RETRACTED], y[plant.joints[c]])
+        x, _, _ = linkage(
+            int(row[GEOMETRY]),
+            row[L_A],
+            row[L_B],
+            row[SIDE],
+            row[PHASE],
+            row[RETRACTED],
+            y[plant.joints[c]],
+        )
         _, head = _node(2 + 2 * c, y, plant)
         _, rod = _node(3 + 2 * c, y, plant)
         out[at + HEAD] = chamber_volume(row[VOLUME_HEAD], row[AREA_HEAD] * x) * head
@@ -183,13 +278,14 @@ def _transition(stiffness, damping, dt):
 
 @kernel
 def follow_valves(t, commands, valves, known, opening, rate):
-    """Write the openings [V] and their rates [V/s] at every sample, exact for commands held over each tick.
+    """Write the openings [V] and their rates [V/s] at every sample, exact for commands held over
+    each tick.
 
     Args:
         t: [s], shape (samples,).
         commands: [V], shape (samples, valves), limited here to each driver's range.
-        known: True where ``opening`` is given and only the rates are missing; else valves start at rest at their command.
-        opening, rate: in and out, shape (samples, valves).
+        known: True where ``opening`` is given and only the rates are missing; else valves start at
+        rest at their command. opening, rate: in and out, shape (samples, valves).
     """
     for i in range(valves.shape[0]):
         k, c = valves[i, STIFFNESS], valves[i, DAMPING]
@@ -201,7 +297,9 @@ def follow_valves(t, commands, valves, known, opening, rate):
         for s in range(t.shape[0] - 1):
             u = min(max(commands[s, i], valves[i, LOWEST]), valves[i, HIGHEST])
             if k == 0.0:
-                opening[s + 1, i] = min(max(commands[s + 1, i], valves[i, LOWEST]), valves[i, HIGHEST])
+                opening[s + 1, i] = min(
+                    max(commands[s + 1, i], valves[i, LOWEST]), valves[i, HIGHEST]
+                )
                 rate[s + 1, i] = 0.0
                 continue
             dt = t[s + 1] - t[s]
@@ -216,12 +314,14 @@ def follow_valves(t, commands, valves, known, opening, rate):
             rate[s + 1, i] = d * off + e * rate[s, i]
 
 
-# --- over a trial ---------------------------------------------------------------------------------------------------
+# --- over a trial
+# ---------------------------------------------------------------------------------------------------
 
 
 @njit(cache=True, nogil=True)
 def _integrate(t, states, commands, plant, owner, step, flows, energies, ends):
-    """Integrate each tick anew from its logged state with the plant's own kernel, and the powers with it by Simpson's rule.
+    """Integrate each tick anew from its logged state with the plant's own kernel, and the powers
+    with it by Simpson's rule.
 
     Args:
         step: longest piece [s]; shorter ones are taken where the plant is stiff.
@@ -231,7 +331,9 @@ def _integrate(t, states, commands, plant, owner, step, flows, energies, ends):
     """
     size, many, columns = states.shape[1], flows.shape[1], energies.shape[1]
     k = np.empty((5, size))
-    work = np.empty(workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0]))
+    work = np.empty(
+        workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0])
+    )
     at = work.shape[0] - many
     y, start, middle = np.empty(size), np.empty(columns), np.empty(columns)
     for i in range(t.shape[0]):
@@ -261,9 +363,13 @@ def _integrate(t, states, commands, plant, owner, step, flows, energies, ends):
 
 @njit(cache=True, nogil=True)
 def _flows_at(states, commands, tank, plant, flows):
-    """Edge flows and the pump's at given states; ``tank`` [Pa] is written into ``plant.supply`` as it goes along."""
+    """Edge flows and the pump's at given states; ``tank`` [Pa] is written into ``plant.supply`` as
+    it goes along.
+    """
     k = np.empty(states.shape[1])
-    work = np.empty(workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0]))
+    work = np.empty(
+        workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0])
+    )
     for i in range(states.shape[0]):
         plant.supply[P_TANK] = tank[i]
         derivatives(states[i], commands[i], plant, k, work)
@@ -284,18 +390,19 @@ def _stores_at(states, plant, out):
         stores(states[i], plant, work, out[i])
 
 
-# --- the ledger -----------------------------------------------------------------------------------------------------
+# --- the ledger
+# -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Row:
     """One line of a ledger.
 
-    ``energy`` [J] counts positive as the group reads: given by the ``supply``, taken by a ``valve``, ``loss``, ``store`` or
-    ``load``. Rows of the group ``cylinder`` are transfers inside of the balance (drawn from the supply, work of the piston),
-    those of ``part`` say where the residual arose; neither is summed. ``interval`` [J] is the 95 % interval, None where
-    nothing is uncertain. ``cylinder`` is None for what cylinders share.
-    """
+    ``energy`` [J] counts positive as the group reads: given by the ``supply``, taken by a
+    ``valve``, ``loss``, ``store`` or ``load``. Rows of the group ``cylinder`` are transfers inside
+    of the balance (drawn from the supply, work of the piston), those of ``part`` say where the
+    residual arose; neither is summed. ``interval`` [J] is the 95 % interval, None where nothing is
+    uncertain. ``cylinder`` is None for what cylinders share."""
 
     name: str
     energy: float
@@ -309,11 +416,11 @@ class Row:
 class Ledger:
     """Where the energy of a trial went. ``source`` is ``model`` or ``log``.
 
-    The sum closes: supply = valve + loss + store + load + residual. ``functions`` holds, by cylinder and by the working function
-    that its controller logged, the energies [J] of the rows while that function was at work; they add up to the rows. ``series``
-    holds cumulated energies [J] by row at times ``t`` [s], if asked for; ``sources`` the standard error [J] that each source of
-    doubt gives to the residual; ``notes`` what had to be assumed.
-    """
+    The sum closes: supply = valve + loss + store + load + residual. ``functions`` holds, by
+    cylinder and by the working function that its controller logged, the energies [J] of the rows
+    while that function was at work; they add up to the rows. ``series`` holds cumulated energies
+    [J] by row at times ``t`` [s], if asked for; ``sources`` the standard error [J] that each source
+    of doubt gives to the residual; ``notes`` what had to be assumed."""
 
     source: str
     rig: str
@@ -335,7 +442,10 @@ class Ledger:
         for row in self.rows:
             if row.name == name:
                 return row
-        raise InputError(f"the ledger has no row '{name}'", hint="it has " + ", ".join(row.name for row in self.rows))
+        raise InputError(
+            f"the ledger has no row '{name}'",
+            hint="it has " + ", ".join(row.name for row in self.rows),
+        )
 
     def of(self, cylinder: str) -> tuple[Row, ...]:
         """The rows of one cylinder."""
@@ -343,7 +453,11 @@ class Ledger:
 
     def total(self, group: str, cylinder: str | None = None) -> float:
         """Sum [J] of a group, of one cylinder's rows if named."""
-        return math.fsum(row.energy for row in self.rows if row.group == group and cylinder in (None, row.cylinder))
+        return math.fsum(
+            row.energy
+            for row in self.rows
+            if row.group == group and cylinder in (None, row.cylinder)
+        )
 
     @property
     def pump(self) -> float:
@@ -363,7 +477,10 @@ class Ledger:
     def as_json(self) -> dict[str, Any]:
         """Plain values for a JSON file."""
         return {
-            "source": self.source, "rig": self.rig, "payload": self.payload, "duration": self.duration,
+            "source": self.source,
+            "rig": self.rig,
+            "payload": self.payload,
+            "duration": self.duration,
             "rows": [asdict(row) for row in self.rows],
             "totals": {group: self.total(group) for group in GROUPS if group != "part"},
             "cylinders": {
@@ -372,18 +489,24 @@ class Ledger:
                 for name in self.cylinders
             },
             "residual_share": abs(self.residual.energy) / self.pump if self.pump > 0.0 else None,
-            "sources": dict(self.sources), "notes": list(self.notes), "functions": self.functions,
+            "sources": dict(self.sources),
+            "notes": list(self.notes),
+            "functions": self.functions,
             "t": None if self.t is None else self.t.tolist(),
             "series": {name: values.tolist() for name, values in self.series.items()},
-        }  # fmt: skip
+        }
 
 
 class _Sheet:
-    """What the columns of a rig's powers and stores are called, and how the residuals follow from them."""
+    """What the columns of a rig's powers and stores are called, and how the residuals follow from
+    them.
+    """
 
     def __init__(self, model: Model, word: str) -> None:
         names, nc, ne = model.layout, len(model.layout.cylinders), len(model.layout.edges)
-        self.owner = np.array([names.cylinders.index(c.name) for c, _, _ in model.rig.edges()], dtype=np.int64)
+        self.owner = np.array(
+            [names.cylinders.index(c.name) for c, _, _ in model.rig.edges()], dtype=np.int64
+        )
         self.powers = FIRST_EDGE + ne + PER_CYLINDER * nc + len(names.joints)
         self.stores = FIRST_CYLINDER + 3 * nc
         rows: list[tuple[str, str, str, str | None]] = [
@@ -398,15 +521,23 @@ class _Sheet:
             rows += [
                 (f"{name}.{key}", group, label, name)
                 for key, group, label in (
-                    ("drawn", "cylinder", "drawn from the supply, Ps·Q"), ("drawn_compression", "cylinder", "drawn, compression"),
-                    ("work", "cylinder", "cylinder work"), ("expansion", "loss", "expansion of the oil"),
-                    ("leakage", "loss", "leakage"), ("relief", "loss", "relief valve"), ("makeup", "loss", "cavitation make-up"),
-                    ("return_line", "loss", "return line, Pt·Q"), ("friction", "loss", "cylinder friction"),
+                    ("drawn", "cylinder", "drawn from the supply, Ps·Q"),
+                    ("drawn_compression", "cylinder", "drawn, compression"),
+                    ("work", "cylinder", "cylinder work"),
+                    ("expansion", "loss", "expansion of the oil"),
+                    ("leakage", "loss", "leakage"),
+                    ("relief", "loss", "relief valve"),
+                    ("makeup", "loss", "cavitation make-up"),
+                    ("return_line", "loss", "return line, Pt·Q"),
+                    ("friction", "loss", "cylinder friction"),
                     ("end_stop", "loss", "end stops"),
                 )
-            ]  # fmt: skip
+            ]
         driven = {int(j): names.cylinders[i] for i, j in enumerate(model.plant.joints)}
-        rows += [(f"{name}.damping", "loss", "joint damping", driven.get(j)) for j, name in enumerate(names.joints)]
+        rows += [
+            (f"{name}.damping", "loss", "joint damping", driven.get(j))
+            for j, name in enumerate(names.joints)
+        ]
         if model.rig.mechanism.kind == "slide":
             rows[-1] = (rows[-1][0], "loss", "slide damping", rows[-1][3])
         rows += [
@@ -415,7 +546,11 @@ class _Sheet:
             ("potential", "load", "potential energy", None),
         ]
         for name in names.cylinders:
-            kept = (("head", "oil of the head end"), ("rod", "oil of the rod end"), ("stop", "spring of the end stops"))
+            kept = (
+                ("head", "oil of the head end"),
+                ("rod", "oil of the rod end"),
+                ("stop", "spring of the end stops"),
+            )
             rows += [(f"{name}.{key}", "store", label, name) for key, label in kept]
         self.rows = rows
         at = {name: i for i, (name, *_) in enumerate(rows)}
@@ -428,15 +563,39 @@ class _Sheet:
             return vector
 
         mechanical = ("work", "friction", "end_stop", "stop")
-        drawn = [f"{name}.{key}" for name in names.cylinders for key in ("drawn", "drawn_compression")]
-        parts = [(f"{word}.supply_line", "supply line", None, combination(["pump", "pump_compression"], [*drawn, "supply_line"]))]
+        drawn = [
+            f"{name}.{key}" for name in names.cylinders for key in ("drawn", "drawn_compression")
+        ]
+        parts = [
+            (
+                f"{word}.supply_line",
+                "supply line",
+                None,
+                combination(["pump", "pump_compression"], [*drawn, "supply_line"]),
+            )
+        ]
         for name in names.cylinders:
-            taken = [row for row, group, _, cylinder in rows if cylinder == name and group in ("valve", "loss", "store")]
+            taken = [
+                row
+                for row, group, _, cylinder in rows
+                if cylinder == name and group in ("valve", "loss", "store")
+            ]
             taken = [row for row in taken if row.rsplit(".", 1)[-1] not in (*mechanical, "damping")]
             given = [f"{name}.drawn", f"{name}.drawn_compression"]
-            parts.append((f"{name}.{word}", "oil of the cylinder", name, combination(given, [*taken, f"{name}.work"])))
+            parts.append(
+                (
+                    f"{name}.{word}",
+                    "oil of the cylinder",
+                    name,
+                    combination(given, [*taken, f"{name}.work"]),
+                )
+            )
         work = [f"{name}.work" for name in names.cylinders]
-        spent = [row for row, group, _, _ in rows if group == "load" or row.rsplit(".", 1)[-1] in (*mechanical[1:], "damping")]
+        spent = [
+            row
+            for row, group, _, _ in rows
+            if group == "load" or row.rsplit(".", 1)[-1] in (*mechanical[1:], "damping")
+        ]
         parts.append((f"{word}.mechanism", "mechanism", None, combination(work, spent)))
         self.cylinders = names.cylinders
         self.parts = [(name, where, cylinder) for name, where, cylinder, _ in parts]
@@ -444,31 +603,47 @@ class _Sheet:
         self.word = word
 
     def expand(self, vector: np.ndarray) -> np.ndarray:
-        """Energies of columns, shape (..., columns), with the parts of the residual and their sum behind them."""
+        """Energies of columns, shape (..., columns), with the parts of the residual and their sum
+        behind them.
+        """
         parts = vector @ self.combinations.T
         return np.concatenate([vector, parts, parts.sum(axis=-1, keepdims=True)], axis=-1)
 
     def ledger(
-        self, model: Model, record: Record, payload: str, energies: np.ndarray, std: np.ndarray | None, **rest: Any
+        self,
+        model: Model,
+        record: Record,
+        payload: str,
+        energies: np.ndarray,
+        std: np.ndarray | None,
+        **rest: Any,
     ) -> Ledger:
         """The ledger of expanded energies and their standard errors."""
         named = [
             *self.rows,
-            *((name, "part", f"{self.word}, {where}", cylinder) for name, where, cylinder in self.parts),
+            *(
+                (name, "part", f"{self.word}, {where}", cylinder)
+                for name, where, cylinder in self.parts
+            ),
             (self.word, "residual", self.word, None),
         ]
         rows = []
         for i, (name, group, label, cylinder) in enumerate(named):
             energy = float(energies[i])
-            interval = None if std is None else (energy - Z95 * float(std[i]), energy + Z95 * float(std[i]))
+            interval = (
+                None
+                if std is None
+                else (energy - Z95 * float(std[i]), energy + Z95 * float(std[i]))
+            )
             rows.append(Row(name, energy, group, label, cylinder, interval))
         rows.sort(key=lambda row: GROUPS.index(row.group))
         source, duration = "model" if std is None else "log", float(record.t[-1] - record.t[0])
         return Ledger(source, model.rig.name, payload or "none", duration, tuple(rows), **rest)
 
     def told(self, record: Record, table: np.ndarray, points: int) -> dict[str, Any]:
-        """What a ledger holds of energies cumulated to every sample, shape (samples, rows): by working function, and, if asked
-        for, at about ``points`` times; rows that stay zero are left out."""
+        """What a ledger holds of energies cumulated to every sample, shape (samples, rows): by
+        working function, and, if asked for, at about ``points`` times; rows that stay zero are left
+        out."""
         names = [name for name, *_ in self.rows] + [name for name, *_ in self.parts] + [self.word]
         found: dict[str, Any] = {"functions": {}}
         for cylinder in self.cylinders:
@@ -476,34 +651,49 @@ class _Sheet:
                 found["functions"][cylinder] = {
                     FUNCTIONS[f]: {
                         name: float(v)
-                        for name, v in zip(names, np.diff(table, axis=0)[function == f].sum(axis=0), strict=True)
+                        for name, v in zip(
+                            names, np.diff(table, axis=0)[function == f].sum(axis=0), strict=True
+                        )
                         if v
                     }
                     for f in np.unique(function)
                 }
         if points > 1:
-            at = np.unique(np.linspace(0, record.t.size - 1, max(2, min(points, record.t.size))).round().astype(int))
+            at = np.unique(
+                np.linspace(0, record.t.size - 1, max(2, min(points, record.t.size)))
+                .round()
+                .astype(int)
+            )
             series = {name: table[at, i] for i, name in enumerate(names) if table[at, i].any()}
             found |= {"t": record.t[at], "series": series}
         return found
 
 
 def _function(record: Record, cylinder: str) -> np.ndarray | None:
-    """The working function of every tick, shape (samples − 1,), as a controller logged it; None where none did."""
+    """The working function of every tick, shape (samples − 1,), as a controller logged it; None
+    where none did.
+    """
     channel = record.channels.get(f"{cylinder}.function")
-    return None if channel is None else np.clip(channel[:-1].round().astype(int), 0, len(FUNCTIONS) - 1)
+    return (
+        None
+        if channel is None
+        else np.clip(channel[:-1].round().astype(int), 0, len(FUNCTIONS) - 1)
+    )
 
 
 def _check(record: Record) -> None:
     if record.t.size < 2:
-        raise LogError("the record is too short for a ledger", hint="it takes two samples at the least")
+        raise LogError(
+            "the record is too short for a ledger", hint="it takes two samples at the least"
+        )
 
 
 def _held_payload(model: Model, record: Record) -> str:
     return "" if record.meta.get("payload", "none") == "none" else record.meta["payload"]
 
 
-# --- from the model -------------------------------------------------------------------------------------------------
+# --- from the model
+# -------------------------------------------------------------------------------------------------
 
 
 def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
@@ -524,7 +714,10 @@ def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
     for i, name in enumerate(names.cylinders):
         for key in ("p_head", "p_rod"):
             states[:, names.state(key, i)] = record[f"{name}.{key}"]
-    columns = [np.stack([record[f"{name}.{key}"] for name in names.valves], axis=1) for key in ("command", "opening")]
+    columns = [
+        np.stack([record[f"{name}.{key}"] for name in names.valves], axis=1)
+        for key in ("command", "opening")
+    ]
     commands, opening = (np.ascontiguousarray(column, dtype=float) for column in columns)
     rate = np.zeros((samples, nv))
     follow_valves(np.ascontiguousarray(record.t), commands, plant.valves, True, opening, rate)
@@ -534,14 +727,18 @@ def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
     return states, commands
 
 
-def ledger_of_model(model: Model, record: Record, quadrature: str = "exact", points: int = 0, step: float = STEP) -> Ledger:
+def ledger_of_model(
+    model: Model, record: Record, quadrature: str = "exact", points: int = 0, step: float = STEP
+) -> Ledger:
     """The ledger of a trial on the model, from what the model logs.
 
     Args:
         model: with the rig, payload and maps that made the record.
-        record: as `Model.record` gives it: states, commands, openings, at any rate that has every change of the commands.
-        quadrature: ``exact`` integrates every tick anew from its logged state, and the powers with it; ``samples`` takes the
-            trapezoid of the powers at the samples, which is quicker and as good as the sampling.
+        record: as `Model.record` gives it: states, commands, openings, at any rate that has every
+            change of the commands.
+        quadrature: ``exact`` integrates every tick anew from its logged state, and the powers with
+            it; ``samples`` takes the trapezoid of the powers at the samples, which is quicker and
+            as good as the sampling.
         points: how many times of cumulated energies to keep in ``series``; 0 for none.
         step: longest integration step [s].
 
@@ -577,7 +774,9 @@ def ledger_of_model(model: Model, record: Record, quadrature: str = "exact", poi
     _stores_at(states, plant, held)
     table = sheet.expand(np.concatenate([spent, held - held[0]], axis=1))
     told = sheet.told(record, table, points)
-    return sheet.ledger(model, record, _held_payload(model, record), table[-1], None, notes=tuple(notes), **told)
+    return sheet.ledger(
+        model, record, _held_payload(model, record), table[-1], None, notes=tuple(notes), **told
+    )
 
 
 def _same_flows(model: Model, record: Record, flows: np.ndarray) -> None:
@@ -598,26 +797,35 @@ def _missed(model: Model, states: np.ndarray, ends: np.ndarray) -> list[str]:
     n, nc = len(model.layout.joints), len(model.layout.cylinders)
     kinds = (("joint angle", 0, n), ("joint rate", n, 2 * n), ("pressure", 2 * n, 2 * n + 2 * nc))
     for what, low, high in kinds:
-        scale = np.abs(states[:, low:high]).max() if what == "pressure" else np.ptp(states[:, low:high], axis=0).max()
+        scale = (
+            np.abs(states[:, low:high]).max()
+            if what == "pressure"
+            else np.ptp(states[:, low:high], axis=0).max()
+        )
         gap = np.abs(ends[:, low:high] - states[1:, low:high]).max()
         if gap > FOLLOWS * max(scale, ROUNDING):
             missed = f"the model misses the next sample's {what} by {100 * gap / max(scale, ROUNDING):.2g} % of its range"
-            return [missed + ": commands change between samples, or the record was made with another payload"]
+            return [
+                missed
+                + ": commands change between samples, or the record was made with another payload"
+            ]
     return []
 
 
-# --- from a machine's log -------------------------------------------------------------------------------------------
+# --- from a machine's log
+# -------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Standard errors that a log and its rig do not state, as shares; the defaults are those of ordinary industrial sensors.
+    """Standard errors that a log and its rig do not state, as shares; the defaults are those of
+    ordinary industrial sensors.
 
-    ``pressure``: zero of a pressure sensor, of the set supply pressure. ``position``: scale of a position sensor. ``flow``: flow
-    of an edge whose law or map states no error, or of a map outside of its readings. ``lag``: natural frequency of a valve
-    that states no error. ``alignment``: samples by which commands and readings may be apart. ``draws``: repetitions from which
-    the effect of the sensors' noise is found.
-    """
+    ``pressure``: zero of a pressure sensor, of the set supply pressure. ``position``: scale of a
+    position sensor. ``flow``: flow of an edge whose law or map states no error, or of a map outside
+    of its readings. ``lag``: natural frequency of a valve that states no error. ``alignment``:
+    samples by which commands and readings may be apart. ``draws``: repetitions from which the
+    effect of the sensors' noise is found."""
 
     pressure: float = 0.0025
     position: float = 0.002
@@ -629,8 +837,8 @@ class Accuracy:
 
 @dataclass(frozen=True)
 class _Readings:
-    """A log in the order of a model's arrays: commands (samples, valves), q, qd (samples, joints), x (samples, cylinders),
-    p (samples, 2·cylinders); ``flow_supply`` only where it was measured."""
+    """A log in the order of a model's arrays: commands (samples, valves), q, qd (samples, joints),
+    x (samples, cylinders), p (samples, 2·cylinders); ``flow_supply`` only where it was measured."""
 
     t: np.ndarray
     commands: np.ndarray
@@ -647,7 +855,8 @@ def _read(model: Model, record: Record) -> tuple[_Readings, list[str]]:
     """The readings of a log and a sentence for each that is missing.
 
     Raises:
-        LogError: no pressures, no position or no commands of a cylinder; values that are not finite.
+        LogError: no pressures, no position or no commands of a cylinder; values that are not
+            finite.
     """
     names, plant, notes = model.layout, model.plant, []
     samples, n, nc = record.t.size, len(names.joints), len(names.cylinders)
@@ -655,7 +864,10 @@ def _read(model: Model, record: Record) -> tuple[_Readings, list[str]]:
     def get(channel: str) -> np.ndarray:
         values = np.asarray(record[channel], dtype=float)
         if not np.isfinite(values).all():
-            raise LogError(f"channel '{channel}' has values that are not finite", hint="cut the log to where all were read")
+            raise LogError(
+                f"channel '{channel}' has values that are not finite",
+                hint="cut the log to where all were read",
+            )
         return values
 
     commands = model.rest_commands(samples)
@@ -671,20 +883,27 @@ def _read(model: Model, record: Record) -> tuple[_Readings, list[str]]:
             continue
         if f"{joint}.q" in record:
             q[:, j] = get(f"{joint}.q")
-            qd[:, j] = get(f"{joint}.qd") if f"{joint}.qd" in record else np.gradient(q[:, j], record.t)
+            qd[:, j] = (
+                get(f"{joint}.qd") if f"{joint}.qd" in record else np.gradient(q[:, j], record.t)
+            )
         else:
             notes.append(f"no angle of joint {joint}: taken to stand at zero")
     for i, name in enumerate(names.cylinders):
         row, j = plant.cylinders[i], int(plant.joints[i])
         if f"{name}.q" not in record and f"{name}.x" not in record:
-            raise LogError(f"the log has neither '{name}.q' nor '{name}.x'", hint="a ledger needs the position of every cylinder")
+            raise LogError(
+                f"the log has neither '{name}.q' nor '{name}.x'",
+                hint="a ledger needs the position of every cylinder",
+            )
         if f"{name}.x" in record:
             x[:, i] = get(f"{name}.x")
         if f"{name}.q" in record:
             q[:, j] = get(f"{name}.q")
         else:
             stroke = np.clip(x[:, i], 0.0, row[STROKE])
-            q[:, j] = joint_angle(int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]], stroke)
+            q[:, j] = joint_angle(
+                int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]], stroke
+            )
         found, lever = linkage_arrays(row, q[:, j])
         if f"{name}.x" not in record:
             x[:, i] = found
@@ -697,7 +916,10 @@ def _read(model: Model, record: Record) -> tuple[_Readings, list[str]]:
             notes.append(f"no speed of {name}: taken from its position")
         for side, key in enumerate(("p_head", "p_rod")):
             if f"{name}.{key}" not in record:
-                raise LogError(f"the log has no channel '{name}.{key}'", hint="a ledger needs both pressures of every cylinder")
+                raise LogError(
+                    f"the log has no channel '{name}.{key}'",
+                    hint="a ledger needs both pressures of every cylinder",
+                )
             p[:, 2 * i + side] = get(f"{name}.{key}")
     lines = []
     for channel, usual in (("p_supply", plant.supply[0]), ("p_tank", plant.supply[P_TANK])):
@@ -708,12 +930,18 @@ def _read(model: Model, record: Record) -> tuple[_Readings, list[str]]:
             notes.append(f"no {channel}: taken from the rig file")
     flow_supply = get("flow_supply") if "flow_supply" in record else None
     if flow_supply is None:
-        notes.append("no flow of the pump: its energy is that of what the valves draw and the supply line stores")
-    return _Readings(np.ascontiguousarray(record.t, dtype=float), commands, q, qd, x, p, *lines, flow_supply), notes
+        notes.append(
+            "no flow of the pump: its energy is that of what the valves draw and the supply line stores"
+        )
+    return _Readings(
+        np.ascontiguousarray(record.t, dtype=float), commands, q, qd, x, p, *lines, flow_supply
+    ), notes
 
 
 class _Account:
-    """Energies of readings on a model: what `ledger_of_log` evaluates again for every source of doubt."""
+    """Energies of readings on a model: what `ledger_of_log` evaluates again for every source of
+    doubt.
+    """
 
     def __init__(self, sheet: _Sheet) -> None:
         self.sheet = sheet
@@ -722,7 +950,11 @@ class _Account:
         """States, shape (samples, states), with the openings that follow from the commands."""
         names, n, nv = model.layout, len(model.layout.joints), len(model.layout.valves)
         states = np.zeros((m.t.size, names.states))
-        states[:, :n], states[:, n : 2 * n], states[:, 2 * n : 2 * n + m.p.shape[1]] = m.q, m.qd, m.p
+        states[:, :n], states[:, n : 2 * n], states[:, 2 * n : 2 * n + m.p.shape[1]] = (
+            m.q,
+            m.qd,
+            m.p,
+        )
         opening, rate = np.zeros((m.t.size, nv)), np.zeros((m.t.size, nv))
         follow_valves(m.t, m.commands, model.plant.valves, False, opening, rate)
         at = names.state("opening", 0)
@@ -730,14 +962,18 @@ class _Account:
         return states
 
     def flows(self, model: Model, m: _Readings, states: np.ndarray) -> np.ndarray:
-        """Edge flows [m³/s] at the states, shape (samples, edges + 1); the last column is the measured flow of the pump, or 0."""
+        """Edge flows [m³/s] at the states, shape (samples, edges + 1); the last column is the
+        measured flow of the pump, or 0.
+        """
         plant = model.plant._replace(supply=model.plant.supply.copy())
         flows = np.empty((m.t.size, len(model.layout.edges) + 1))
         _flows_at(states, m.commands, m.p_tank, plant, flows)
         flows[:, -1] = 0.0 if m.flow_supply is None else m.flow_supply
         return flows
 
-    def power(self, model: Model, m: _Readings, states: np.ndarray, flows: np.ndarray) -> np.ndarray:
+    def power(
+        self, model: Model, m: _Readings, states: np.ndarray, flows: np.ndarray
+    ) -> np.ndarray:
         """Powers [W] of the columns, shape (samples, columns)."""
         plant = model.plant._replace(supply=model.plant.supply.copy())
         power = np.empty((m.t.size, self.sheet.powers))
@@ -745,9 +981,16 @@ class _Account:
         return power
 
     def energies(
-        self, model: Model, m: _Readings, states: np.ndarray, power: np.ndarray, at: np.ndarray | None = None
+        self,
+        model: Model,
+        m: _Readings,
+        states: np.ndarray,
+        power: np.ndarray,
+        at: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Energies [J] of all rows at the end, shape (rows,); or, cumulated, at the samples ``at``, shape (at, rows)."""
+        """Energies [J] of all rows at the end, shape (rows,); or, cumulated, at the samples ``at``,
+        shape (at, rows).
+        """
         plant, sheet = model.plant, self.sheet
         at = np.array([m.t.size - 1]) if at is None else at
         dt = np.diff(m.t)
@@ -759,21 +1002,30 @@ class _Account:
         first = FIRST_EDGE + len(model.layout.edges)
         for c in range(m.x.shape[1]):
             # ∫ P_L dx over the measured stroke: a filtered speed lags behind the pressures
-            force = m.p[:, 2 * c] * plant.cylinders[c, AREA_HEAD] - m.p[:, 2 * c + 1] * plant.cylinders[c, AREA_ROD]
-            spent[:, first + PER_CYLINDER * c + WORK] = _cumulated(0.5 * np.diff(m.x[:, c]), force[:, None], at)[:, 0]
+            force = (
+                m.p[:, 2 * c] * plant.cylinders[c, AREA_HEAD]
+                - m.p[:, 2 * c + 1] * plant.cylinders[c, AREA_ROD]
+            )
+            spent[:, first + PER_CYLINDER * c + WORK] = _cumulated(
+                0.5 * np.diff(m.x[:, c]), force[:, None], at
+            )[:, 0]
         if m.flow_supply is None:
             drawn = first + PER_CYLINDER * np.arange(m.x.shape[1])
             volume, bulk = plant.supply[VOLUME], plant.supply[SUPPLY_BULK]
             pressed = 0.5 * volume / bulk * (m.p_supply[at] ** 2 - m.p_supply[0] ** 2)
             spent[:, PUMP] = spent[:, drawn + DRAWN].sum(axis=1) + pressed
-            spent[:, COMPRESSION] = spent[:, drawn + DRAWN_COMPRESSION].sum(axis=1) + held[:, SUPPLY_LINE] - pressed
+            spent[:, COMPRESSION] = (
+                spent[:, drawn + DRAWN_COMPRESSION].sum(axis=1) + held[:, SUPPLY_LINE] - pressed
+            )
         rows = sheet.expand(np.concatenate([spent, held], axis=1))
         return rows[0] if at.size == 1 else rows
 
     def __call__(self, model: Model, m: _Readings) -> np.ndarray:
         """Energies [J] of all rows at the end, shape (rows,)."""
         states = self.states(model, m)
-        return self.energies(model, m, states, self.power(model, m, states, self.flows(model, m, states)))
+        return self.energies(
+            model, m, states, self.power(model, m, states, self.flows(model, m, states))
+        )
 
 
 def _cumulated(half: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -787,10 +1039,11 @@ def _cumulated(half: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarr
 
 
 def noise_of(values: np.ndarray) -> float:
-    """Standard deviation of a reading's white noise and quantization: from its second differences, or from its least step.
+    """Standard deviation of a reading's white noise and quantization: from its second differences,
+    or from its least step.
 
-    Of the second differences, √6 times as large as the noise, the largest tenth is cut: it may be motion.
-    """
+    Of the second differences, √6 times as large as the noise, the largest tenth is cut: it may be
+    motion."""
     if values.size < 8:
         return 0.0
     bend = np.abs(np.diff(values, 2))
@@ -810,20 +1063,23 @@ def ledger_of_log(
     accuracy: Accuracy = Accuracy(),
     points: int = 0,
 ) -> Ledger:
-    """The ledger of a machine's log, from measured channels alone: positions, pressures and commands.
+    """The ledger of a machine's log, from measured channels alone: positions, pressures and
+    commands.
 
-    Edge flows are those of the identified maps or laws at the measured drops, at openings that follow from the commands by the
-    valve dynamics; friction, damping and leakage are the identified model's. What these do not account for is the row
-    ``unexplained``. Every row has a 95 % interval, the root of the sum of squares of independent sources of doubt: every rig
-    parameter with a standard error; every edge's flow by one error common to all its points (a map's ``flow_std``, so an upper
-    bound); valve lag; zeros and scales of sensors; their noise, with the bias it makes; alignment of commands and readings;
-    sampling. A parameter that states no error is taken as exact, but for edges: ``notes`` says what was taken for those.
+    Edge flows are those of the identified maps or laws at the measured drops, at openings that
+    follow from the commands by the valve dynamics; friction, damping and leakage are the identified
+    model's. What these do not account for is the row ``unexplained``. Every row has a 95 %
+    interval, the root of the sum of squares of independent sources of doubt: every rig parameter
+    with a standard error; every edge's flow by one error common to all its points (a map's
+    ``flow_std``, so an upper bound); valve lag; zeros and scales of sensors; their noise, with the
+    bias it makes; alignment of commands and readings; sampling. A parameter that states no error is
+    taken as exact, but for edges: ``notes`` says what was taken for those.
 
     Args:
         rig: identified, without its payload.
         maps: its flow maps by edge name.
-        record: ``<cylinder>.q`` or ``.x``, ``.qd`` or ``.v``, ``.p_head``, ``.p_rod``, ``<valve>.command``; ``p_supply``,
-            ``p_tank``, ``flow_supply`` where measured.
+        record: ``<cylinder>.q`` or ``.x``, ``.qd`` or ``.v``, ``.p_head``, ``.p_rod``,
+            ``<valve>.command``; ``p_supply``, ``p_tank``, ``flow_supply`` where measured.
         payload: of the rig file; by default the one that the log names.
         accuracy: what sensors are good for.
         points: how many times of cumulated energies to keep in ``series``; 0 for none.
@@ -860,7 +1116,11 @@ def ledger_of_log(
             effects[f"flow of {name}"] = account.energies(model, readings, states, moved) - base
     for name, dynamics in rig.dynamics.items():
         omega = f"{name}.natural_frequency"
-        stated = [v.std for v in (dynamics.natural_frequency, dynamics.damping_ratio, dynamics.s1, dynamics.s2) if v is not None]
+        stated = [
+            v.std
+            for v in (dynamics.natural_frequency, dynamics.damping_ratio, dynamics.s1, dynamics.s2)
+            if v is not None
+        ]
         if not any(stated):
             slower = rig.with_values({omega: float(rig.parameters()[omega]) / (1.0 + accuracy.lag)})
             effects[f"lag of {name}"] = account(Model.of(slower, maps, load), readings) - base
@@ -871,23 +1131,37 @@ def ledger_of_log(
         coarse = account.energies(model, _at(readings, kept), states[kept], power[kept])
         effects["sampling"] = (coarse - base) / 3.0
     scatter = _noise(account, model, readings, accuracy.draws) - base
-    effects["noise of the sensors"] = np.sqrt(scatter.var(axis=0, ddof=1) + scatter.mean(axis=0) ** 2)
+    effects["noise of the sensors"] = np.sqrt(
+        scatter.var(axis=0, ddof=1) + scatter.mean(axis=0) ** 2
+    )
     std = np.sqrt(sum(effect**2 for effect in effects.values()))
     sources = {name: float(abs(effect[-1])) for name, effect in effects.items()}
     sources = dict(sorted(sources.items(), key=lambda item: -item[1]))
     every = np.arange(readings.t.size)
     told = sheet.told(record, account.energies(model, readings, states, power, every), points)
-    return sheet.ledger(model, record, payload, base, std, sources=sources, notes=tuple(notes), **told)
+    return sheet.ledger(
+        model, record, payload, base, std, sources=sources, notes=tuple(notes), **told
+    )
 
 
 def _at(m: _Readings, kept: np.ndarray) -> _Readings:
-    return _Readings(**{name: None if value is None else value[kept] for name, value in vars(m).items()})
+    return _Readings(
+        **{name: None if value is None else value[kept] for name, value in vars(m).items()}
+    )
 
 
 def _flow_std(
-    model: Model, maps: Maps | None, e: int, states: np.ndarray, flow: np.ndarray, m: _Readings, accuracy: Accuracy
+    model: Model,
+    maps: Maps | None,
+    e: int,
+    states: np.ndarray,
+    flow: np.ndarray,
+    m: _Readings,
+    accuracy: Accuracy,
 ) -> tuple[np.ndarray, list[str]]:
-    """(standard error [m³/s] of an edge's flow at every sample, in the direction of the flow; what had to be assumed)."""
+    """(standard error [m³/s] of an edge's flow at every sample, in the direction of the flow; what
+    had to be assumed).
+    """
     plant, names = model.plant, model.layout
     name = names.edges[e]
     _, _, edge = list(model.rig.edges())[e]
@@ -919,7 +1193,9 @@ def _flow_std(
 
 
 def _doubts(model: Model, m: _Readings, accuracy: Accuracy) -> Iterator[tuple[str, _Readings]]:
-    """Readings moved by one standard error of each sensor, and of the alignment of commands with them."""
+    """Readings moved by one standard error of each sensor, and of the alignment of commands with
+    them.
+    """
     zero = accuracy.pressure * model.plant.supply[0]
     for i, name in enumerate(model.layout.cylinders):
         for side, key in enumerate(("p_head", "p_rod")):
@@ -942,28 +1218,37 @@ def _doubts(model: Model, m: _Readings, accuracy: Accuracy) -> Iterator[tuple[st
 
 
 def _noise(account: _Account, model: Model, m: _Readings, draws: int) -> np.ndarray:
-    """Energies of readings that carry their own noise once more, shape (draws, rows); the same draws every time."""
+    """Energies of readings that carry their own noise once more, shape (draws, rows); the same
+    draws every time.
+    """
     rng = np.random.default_rng(0)
     names = ("q", "qd", "x", "p", "p_supply", "p_tank")
     sizes = {name: np.apply_along_axis(noise_of, 0, getattr(m, name)) for name in names}
 
     def drawn() -> _Readings:
         values = {name: getattr(m, name) for name in names}
-        return replace(m, **{name: value + sizes[name] * rng.standard_normal(value.shape) for name, value in values.items()})
+        return replace(
+            m,
+            **{
+                name: value + sizes[name] * rng.standard_normal(value.shape)
+                for name, value in values.items()
+            },
+        )
 
     return np.stack([account(model, drawn()) for _ in range(max(draws, 2))])
 
 
-# --- against what is possible ---------------------------------------------------------------------------------------
+# --- against what is possible
+# ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Beyond:
     """What a cylinder drew beyond its bound while one working function was at work [J].
 
-    ``drawn`` is Ps·Q drawn, ``bound`` what the bound pays for the way [m] made meanwhile, out positive; ``compression`` is
-    ``Ps Σ ∫ V/β dp`` of both chambers: the part of what was drawn that pressed their oil together, negative where it expanded.
-    """
+    ``drawn`` is Ps·Q drawn, ``bound`` what the bound pays for the way [m] made meanwhile, out
+    positive; ``compression`` is ``Ps Σ ∫ V/β dp`` of both chambers: the part of what was drawn that
+    pressed their oil together, negative where it expanded."""
 
     function: str
     way: float
@@ -974,17 +1259,20 @@ class Beyond:
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a constant-pressure supply pays for the motion of one cylinder, against what was drawn (SPEC 4), all [J].
+    """What a constant-pressure supply pays for the motion of one cylinder, against what was drawn
+    (SPEC 4), all [J].
 
-    ``standard``: a four-way valve draws A1 for every metre out and A2 for every metre in. ``six``: lifting as before, lowering
-    with regeneration. ``seventh``: lifting with regeneration as well, None where the supply cannot carry the load on the area
-    difference, or where the load hangs on the rod end. ``work``: lifting itself, ``∫ P_L v dt`` where positive.
-    ``used`` is Ps·Q drawn, None where nothing says it; ``saving`` its share below ``standard``. ``carries`` is the chamber that
-    holds the load, or none; ``closed`` says whether the motion ended where it began: only then do the bounds mean a cycle.
-    ``against`` names the least bound that the working functions at work can reach, ``beyond`` what was drawn on top of it by
-    each; empty and () where no controller logged its functions. A supply of constant pressure is paid for volume: load, friction
-    and a low pressure on the off-side say where energy is lost, compression and oil let to tank say how much is drawn.
-    """
+    ``standard``: a four-way valve draws A1 for every metre out and A2 for every metre in. ``six``:
+    lifting as before, lowering with regeneration. ``seventh``: lifting with regeneration as well,
+    None where the supply cannot carry the load on the area difference, or where the load hangs on
+    the rod end. ``work``: lifting itself, ``∫ P_L v dt`` where positive. ``used`` is Ps·Q drawn,
+    None where nothing says it; ``saving`` its share below ``standard``. ``carries`` is the chamber
+    that holds the load, or none; ``closed`` says whether the motion ended where it began: only then
+    do the bounds mean a cycle. ``against`` names the least bound that the working functions at work
+    can reach, ``beyond`` what was drawn on top of it by each; empty and () where no controller
+    logged its functions. A supply of constant pressure is paid for volume: load, friction and a low
+    pressure on the off-side say where energy is lost, compression and oil let to tank say how much
+    is drawn."""
 
     cylinder: str
     travel_out: float
@@ -1006,7 +1294,9 @@ class Bounds:
 
 
 def travels(x: np.ndarray, least: float) -> tuple[float, float]:
-    """(way out, way in) [m] of a stroke, counted between turning points at least ``least`` [m] apart, so that noise is no way."""
+    """(way out, way in) [m] of a stroke, counted between turning points at least ``least`` [m]
+    apart, so that noise is no way.
+    """
     anchor, extreme, going = float(x[0]), float(x[0]), 0
     ways = [0.0, 0.0]
     for value in x:
@@ -1025,18 +1315,21 @@ def travels(x: np.ndarray, least: float) -> tuple[float, float]:
 
 
 def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None) -> Bounds:
-    """What a record's motion of one cylinder must cost on a constant-pressure supply, and what it did cost.
+    """What a record's motion of one cylinder must cost on a constant-pressure supply, and what it
+    did cost.
 
-    With Ps the set pressure, L+ and L− the ways out and in: standard ``Ps (A1 L+ + A2 L−)``. A load that the head end carries:
-    six ``Ps A1 L+``, seventh ``Ps (A1 − A2) L+``. One that hangs on the rod end: six ``Ps (A2 L− + (A1 − A2) L+)``. No load: six
-    as standard, seventh ``Ps ((A1 − A2) L+ + A2 L−)``. For a cycle of stroke Δx with the load on the head end these are SPEC 4's
-    ``Ps (A1 + A2) Δx``, ``Ps A1 Δx``, ``Ps (A1 − A2) Δx``.
+    With Ps the set pressure, L+ and L− the ways out and in: standard ``Ps (A1 L+ + A2 L−)``. A load
+    that the head end carries: six ``Ps A1 L+``, seventh ``Ps (A1 − A2) L+``. One that hangs on the
+    rod end: six ``Ps (A2 L− + (A1 − A2) L+)``. No load: six as standard, seventh ``Ps ((A1 − A2) L+
+    + A2 L−)``. For a cycle of stroke Δx with the load on the head end these are SPEC 4's ``Ps (A1 +
+    A2) Δx``, ``Ps A1 Δx``, ``Ps (A1 − A2) Δx``.
 
     Args:
         rig: gives areas, pins and set pressure.
         record: with ``.p_head``, ``.p_rod`` and ``.x`` or ``.q`` of the cylinder.
         cylinder: its name.
-        ledger: of the same record, for the energy drawn; without it the record's own edge flows say it, if it has them.
+        ledger: of the same record, for the energy drawn; without it the record's own edge flows say
+            it, if it has them.
 
     Raises:
         InputError: no such cylinder.
@@ -1051,7 +1344,13 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
         x = record[f"{cylinder}.q"]
     else:
         pins = item.pins
-        numbers = (float(pins.l_a), float(pins.l_b), pins.sign, float(pins.phase), float(pins.retracted_length))
+        numbers = (
+            float(pins.l_a),
+            float(pins.l_b),
+            pins.sign,
+            float(pins.phase),
+            float(pins.retracted_length),
+        )
         x = np.array([linkage(PINS, *numbers, angle)[0] for angle in record[f"{cylinder}.q"]])
     force = record[f"{cylinder}.p_head"] * head - record[f"{cylinder}.p_rod"] * rod
     out, back = travels(x, SETTLED_TRAVEL * float(item.stroke))
@@ -1062,23 +1361,42 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
     work = float((middle * steps)[middle * steps > 0.0].sum())
     pressure = float(rig.supply.pressure)
     lifting = force[:-1][steps > 0.0]
-    regenerates = head > rod and lifting.size > 0 and float(np.median(lifting)) < pressure * (head - rod)
-    carries = "head" if mean > LOADED * pressure * head else "rod" if mean < -LOADED * pressure * head else "none"
-    prices = {"standard": (head, rod), "six": {"head": (head, 0.0), "rod": (head - rod, rod), "none": (head, rod)}[carries]}
+    regenerates = (
+        head > rod and lifting.size > 0 and float(np.median(lifting)) < pressure * (head - rod)
+    )
+    carries = (
+        "head"
+        if mean > LOADED * pressure * head
+        else "rod"
+        if mean < -LOADED * pressure * head
+        else "none"
+    )
+    prices = {
+        "standard": (head, rod),
+        "six": {"head": (head, 0.0), "rod": (head - rod, rod), "none": (head, rod)}[carries],
+    }
     if regenerates and carries != "rod":
         prices["seventh"] = (head - rod, 0.0 if carries == "head" else rod)
     paid = {name: pressure * (a * out + b * back) for name, (a, b) in prices.items()}
-    used = ledger[f"{cylinder}.drawn"].energy if ledger is not None else _drawn(rig, record, cylinder)
+    used = (
+        ledger[f"{cylinder}.drawn"].energy if ledger is not None else _drawn(rig, record, cylinder)
+    )
     closed = abs(out - back) <= CLOSED * max(out, back)
     saving = None if used is None else 1.0 - used / paid["standard"]
     against, beyond = "", ()
     if ledger is not None and (function := _function(record, cylinder)) is not None:
         at_work = {FUNCTIONS[f] for f in np.unique(function)}
-        against = "six" if any(name.endswith("overrunning_regeneration") for name in at_work) else "standard"
+        against = (
+            "six"
+            if any(name.endswith("overrunning_regeneration") for name in at_work)
+            else "standard"
+        )
         if "seventh" in paid and FUNCTIONS[EXTEND_RESISTIVE_REGENERATION] in at_work:
             against = "seventh"
         price = tuple(pressure * area for area in prices[against])
-        beyond = _beyond(rig, record, item, x, function, price, (out, back), ledger.functions[cylinder])
+        beyond = _beyond(
+            rig, record, item, x, function, price, (out, back), ledger.functions[cylinder]
+        )
     return Bounds(
         cylinder,
         out,
@@ -1106,7 +1424,9 @@ def _beyond(
     ways: tuple[float, float],
     drawn: dict[str, dict[str, float]],
 ) -> tuple[Beyond, ...]:
-    """What each working function drew against its share of the way out and in, ``ways`` [m], at ``price`` [J/m] each."""
+    """What each working function drew against its share of the way out and in, ``ways`` [m], at
+    ``price`` [J/m] each.
+    """
     areas, dead = item.areas(), (float(item.volume_head), float(item.volume_rod))
     bulk = float(item.bulk_modulus or rig.oil.bulk_modulus)
     squeezed = np.zeros(x.size - 1)
@@ -1124,12 +1444,16 @@ def _beyond(
         out, back = (float(share[whose == f].sum()) for share in shares)
         energy = drawn[FUNCTIONS[f]].get(f"{item.name}.drawn", 0.0)
         pressed = float(rig.supply.pressure) * float(squeezed[function == f].sum())
-        found.append(Beyond(FUNCTIONS[f], out - back, energy, price[0] * out + price[1] * back, pressed))
+        found.append(
+            Beyond(FUNCTIONS[f], out - back, energy, price[0] * out + price[1] * back, pressed)
+        )
     return tuple(found)
 
 
 def _drawn(rig: Rig, record: Record, cylinder: str) -> float | None:
-    """``∫ Ps Q dt`` [J] of a cylinder's edges from the supply, None where the record has not all their flows."""
+    """``∫ Ps Q dt`` [J] of a cylinder's edges from the supply, None where the record has not all
+    their flows.
+    """
     total = 0.0
     for item, valve, edge in rig.edges():
         if item.name != cylinder or "supply" not in (edge.from_, edge.to):

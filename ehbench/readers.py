@@ -16,13 +16,21 @@ from ehbench.errors import InputError, UnitError
 from ehbench.quantities import VOCABULARY
 from ehbench.units import from_si, plausible, to_si
 
-_NUMBERS = ("command", "pressure_drop", "upstream_pressure", "downstream_pressure", "flow", "temperature")
+_NUMBERS = (
+    "command",
+    "pressure_drop",
+    "upstream_pressure",
+    "downstream_pressure",
+    "flow",
+    "temperature",
+)
 _WORDS = ("valve", "direction", "trial", "method", "note")
 _METHODS = ("flowmeter", "cylinder")
 _OPPOSITE = {"forward": "reverse", "reverse": "forward"}
 _EXAMPLE = "valve,direction,command [V],pressure_drop [kPa],flow [gpm],trial,method"
 _HEADER = re.compile(r"\s*([^\[\]]*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*")
-# a meter at rest scatters about zero: up to this share of a valve's largest reading the sign says nothing
+# a meter at rest scatters about zero: up to this share of a valve's largest reading the sign says
+# nothing
 _ZERO_SHARE = 0.02
 _SUPPLY_MARGIN = 1.5
 
@@ -31,11 +39,11 @@ _SUPPLY_MARGIN = 1.5
 class FlowmeterData:
     """Flowmeter readings, one array entry a row, in the order of the file. SI.
 
-    ``valve``, ``direction`` (``forward``, ``reverse`` or ``from->to``) and ``method`` (``flowmeter``, ``cylinder``) are arrays
-    of text; ``command`` [V]; ``pressure_drop`` [Pa] and ``flow`` [m³/s] along the direction, so positive up to the scatter
-    about zero; ``trial`` counts; ``temperature`` [K], NaN where not given; ``line`` is the line in ``file``. ``warnings``
-    are sentences on what looks odd and was kept.
-    """
+    ``valve``, ``direction`` (``forward``, ``reverse`` or ``from->to``) and ``method``
+    (``flowmeter``, ``cylinder``) are arrays of text; ``command`` [V]; ``pressure_drop`` [Pa] and
+    ``flow`` [m³/s] along the direction, so positive up to the scatter about zero; ``trial`` counts;
+    ``temperature`` [K], NaN where not given; ``line`` is the line in ``file``. ``warnings`` are
+    sentences on what looks odd and was kept."""
 
     valve: np.ndarray
     direction: np.ndarray
@@ -65,8 +73,13 @@ class FlowmeterData:
         at = (self.valve == valve) & (self.direction == direction)
         if not at.any():
             there = ", ".join(f"{name} {way}" for name, way in self.groups())
-            raise InputError(f"there are no readings of '{valve}' in direction {direction}", hint=f"there are {there}")
-        return FlowmeterData(warnings=self.warnings, **{name: getattr(self, name)[at] for name in _ARRAYS})
+            raise InputError(
+                f"there are no readings of '{valve}' in direction {direction}",
+                hint=f"there are {there}",
+            )
+        return FlowmeterData(
+            warnings=self.warnings, **{name: getattr(self, name)[at] for name in _ARRAYS}
+        )
 
 
 _ARRAYS = tuple(f.name for f in fields(FlowmeterData) if f.name != "warnings")
@@ -75,12 +88,13 @@ _ARRAYS = tuple(f.name for f in fields(FlowmeterData) if f.name != "warnings")
 def read_flowmeter(path: str | Path, *, supply_pressure: float | None = None) -> FlowmeterData:
     """Flowmeter readings from a CSV file.
 
-    The first line that is no comment (``#``) names the columns, in any order, with any unit of the right kind:
-    ``valve, command [V], pressure_drop [kPa], flow [gpm]``, or ``upstream_pressure`` and ``downstream_pressure`` in place
-    of ``pressure_drop``; optional ``direction`` (``forward``, ``reverse``, or nodes as ``head->rod``), ``trial``,
-    ``method`` (``flowmeter`` or ``cylinder``), ``temperature [degC]``, ``note``. Columns are separated by commas,
-    or by semicolons or tabs, where decimal commas are understood. A row without direction whose drop and flow are
-    both negative is a reading in the reverse direction.
+    The first line that is no comment (``#``) names the columns, in any order, with any unit of the
+    right kind: ``valve, command [V], pressure_drop [kPa], flow [gpm]``, or ``upstream_pressure``
+    and ``downstream_pressure`` in place of ``pressure_drop``; optional ``direction`` (``forward``,
+    ``reverse``, or nodes as ``head->rod``), ``trial``, ``method`` (``flowmeter`` or ``cylinder``),
+    ``temperature [degC]``, ``note``. Columns are separated by commas, or by semicolons or tabs,
+    where decimal commas are understood. A row without direction whose drop and flow are both
+    negative is a reading in the reverse direction.
 
     Args:
         supply_pressure: [Pa]; a drop above 1.5 times as much is refused as a slip of unit.
@@ -91,7 +105,9 @@ def read_flowmeter(path: str | Path, *, supply_pressure: float | None = None) ->
     path = Path(path)
     lines = _lines(path)
     if not lines:
-        raise InputError("holds no readings", file=path, hint=f"the first line names the columns: {_EXAMPLE}")
+        raise InputError(
+            "holds no readings", file=path, hint=f"the first line names the columns: {_EXAMPLE}"
+        )
     first, header = lines[0]
     delimiter = max(",;\t", key=lambda mark: (header.count(mark), mark == ","))
     columns, units = _columns(path, first, _cells(path, first, header, delimiter))
@@ -99,9 +115,20 @@ def read_flowmeter(path: str | Path, *, supply_pressure: float | None = None) ->
     for number, text in lines[1:]:
         cells = _cells(path, number, text, delimiter)
         if len(cells) != len(columns):
-            hint = "a decimal comma? write numbers with a point, or separate columns by semicolons" if delimiter == "," else None
-            raise InputError(f"has {len(cells)} columns, the header has {len(columns)}", file=path, line=number, hint=hint)
-        rows.append(_row(path, number, dict(zip(columns, cells, strict=True)), units, delimiter != ","))
+            hint = (
+                "a decimal comma? write numbers with a point, or separate columns by semicolons"
+                if delimiter == ","
+                else None
+            )
+            raise InputError(
+                f"has {len(cells)} columns, the header has {len(columns)}",
+                file=path,
+                line=number,
+                hint=hint,
+            )
+        rows.append(
+            _row(path, number, dict(zip(columns, cells, strict=True)), units, delimiter != ",")
+        )
     if not rows:
         raise InputError("has a header but no readings", file=path, line=first)
     _signs(path, rows)
@@ -120,16 +147,27 @@ def _lines(path: Path) -> list[tuple[int, str]]:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = raw[: error.start].count(b"\n") + 1
-        raise InputError("is not UTF-8 text", file=path, line=line, hint="save it as CSV (UTF-8)") from None
+        raise InputError(
+            "is not UTF-8 text", file=path, line=line, hint="save it as CSV (UTF-8)"
+        ) from None
     if "\0" in text:
         raise InputError("is not a text file", file=path, hint="save it as CSV (UTF-8)")
     numbered = enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1)
-    return [(number, line) for number, line in numbered if line.strip(" ,;\t") and not line.lstrip(' "').startswith("#")]
+    return [
+        (number, line)
+        for number, line in numbered
+        if line.strip(" ,;\t") and not line.lstrip(' "').startswith("#")
+    ]
 
 
 def _cells(path: Path, number: int, text: str, delimiter: str) -> list[str]:
     try:
-        return [cell.strip() for cell in next(csv.reader([text], delimiter=delimiter, strict=True, skipinitialspace=True))]
+        return [
+            cell.strip()
+            for cell in next(
+                csv.reader([text], delimiter=delimiter, strict=True, skipinitialspace=True)
+            )
+        ]
     except csv.Error as error:
         raise InputError(f"is no row of a CSV file: {error}", file=path, line=number) from None
 
@@ -154,46 +192,78 @@ def _columns(path: Path, line: int, cells: list[str]) -> tuple[list[str], dict[s
             row = VOCABULARY[name]
             if not match[2]:
                 raise UnitError(
-                    f"column '{name}' has no unit", file=path, line=line, hint=f'write it like "{name} [{row.display}]"'
+                    f"column '{name}' has no unit",
+                    file=path,
+                    line=line,
+                    hint=f'write it like "{name} [{row.display}]"',
                 )
             try:
                 to_si(1.0, match[2], row)
             except UnitError as error:
-                raise UnitError(f"column '{name}': {error.message}", file=path, line=line, hint=error.hint) from None
+                raise UnitError(
+                    f"column '{name}': {error.message}", file=path, line=line, hint=error.hint
+                ) from None
             units[name] = match[2]
         elif match[2] not in (None, "", "-", "1"):
             raise UnitError(f"column '{name}' has no unit, not '{match[2]}'", file=path, line=line)
     both = {"upstream_pressure", "downstream_pressure"}
     if "pressure_drop" in names and both & set(names):
-        raise InputError("give pressure_drop or upstream_pressure and downstream_pressure, not both", file=path, line=line)
-    needed = ["valve", "command", "flow", *(sorted(both, reverse=True) if both & set(names) else ["pressure_drop"])]
+        raise InputError(
+            "give pressure_drop or upstream_pressure and downstream_pressure, not both",
+            file=path,
+            line=line,
+        )
+    needed = [
+        "valve",
+        "command",
+        "flow",
+        *(sorted(both, reverse=True) if both & set(names) else ["pressure_drop"]),
+    ]
     missing = [name for name in needed if name not in names]
     if missing:
         shown = [f'"{n} [{VOCABULARY[n].display}]"' if n in _NUMBERS else f'"{n}"' for n in missing]
-        raise InputError(f"misses the column {' and '.join(missing)}", file=path, line=line, hint=f"add {' and '.join(shown)}")
+        raise InputError(
+            f"misses the column {' and '.join(missing)}",
+            file=path,
+            line=line,
+            hint=f"add {' and '.join(shown)}",
+        )
     return names, units
 
 
 def _number(path: Path, line: int, name: str, text: str, decimal_comma: bool) -> float:
-    plain = text.replace(",", ".") if decimal_comma and text.count(",") == 1 and "." not in text else text
+    plain = (
+        text.replace(",", ".")
+        if decimal_comma and text.count(",") == 1 and "." not in text
+        else text
+    )
     try:
         value = float(plain)
     except ValueError:
         value = math.nan
     if not text:
-        raise InputError(f"{name} is blank", file=path, line=line, hint="fill it in, or take the row out")
+        raise InputError(
+            f"{name} is blank", file=path, line=line, hint="fill it in, or take the row out"
+        )
     if not math.isfinite(value) or "_" in plain:
         raise InputError(
-            f"{name} is '{text}', which is no number", file=path, line=line, hint="write it like 1234.5, without a unit"
+            f"{name} is '{text}', which is no number",
+            file=path,
+            line=line,
+            hint="write it like 1234.5, without a unit",
         )
     return value
 
 
-def _row(path: Path, line: int, cells: dict[str, str], units: dict[str, str], decimal_comma: bool) -> dict:
+def _row(
+    path: Path, line: int, cells: dict[str, str], units: dict[str, str], decimal_comma: bool
+) -> dict:
     """One reading in SI, its drop signed along the direction as the file has it."""
     row: dict = {"file": str(path), "line": line, "valve": cells["valve"], "temperature": math.nan}
     if not row["valve"]:
-        raise InputError("valve is blank", file=path, line=line, hint="name the valve as in the rig file")
+        raise InputError(
+            "valve is blank", file=path, line=line, hint="name the valve as in the rig file"
+        )
     for name, unit in units.items():
         if name == "temperature" and not cells[name]:
             continue
@@ -215,16 +285,28 @@ def _row(path: Path, line: int, cells: dict[str, str], units: dict[str, str], de
         )
     row["method"] = cells.get("method", "").lower() or _METHODS[0]
     if row["method"] not in _METHODS:
-        raise InputError(f"method is '{cells['method']}'", file=path, line=line, hint="write flowmeter or cylinder")
+        raise InputError(
+            f"method is '{cells['method']}'",
+            file=path,
+            line=line,
+            hint="write flowmeter or cylinder",
+        )
     trial = cells.get("trial", "") or "1"
     if not re.fullmatch(r"\d{1,9}", trial):
-        raise InputError(f"trial is '{trial}', which does not count trials", file=path, line=line, hint="write 1, 2, 3, …")
+        raise InputError(
+            f"trial is '{trial}', which does not count trials",
+            file=path,
+            line=line,
+            hint="write 1, 2, 3, …",
+        )
     row["trial"] = int(trial)
     return row
 
 
 def _signs(path: Path, rows: list[dict]) -> None:
-    """Refuse flow against its drop; turn readings with both negative and no direction into reverse ones."""
+    """Refuse flow against its drop; turn readings with both negative and no direction into reverse
+    ones.
+    """
     largest: dict[str, tuple[float, float]] = {}
     for row in rows:
         flow, drop = largest.get(row["valve"], (0.0, 0.0))
@@ -251,14 +333,19 @@ def _signs(path: Path, rows: list[dict]) -> None:
         row["direction"] = row["direction"] or "forward"
 
 
-def _data(path: Path, rows: list[dict], supply: float | None, units: dict[str, str]) -> FlowmeterData:
+def _data(
+    path: Path, rows: list[dict], supply: float | None, units: dict[str, str]
+) -> FlowmeterData:
     drop_row = VOCABULARY["pressure_drop"]
     unit = units.get("pressure_drop") or units["upstream_pressure"]
     warnings = []
     if supply is not None:
         for row in rows:
             if row["pressure_drop"] > _SUPPLY_MARGIN * supply:
-                shown, limit = (f"{from_si(value, unit, drop_row):g} {unit}" for value in (row["pressure_drop"], supply))
+                shown, limit = (
+                    f"{from_si(value, unit, drop_row):g} {unit}"
+                    for value in (row["pressure_drop"], supply)
+                )
                 raise UnitError(
                     f"a drop of {shown} is {row['pressure_drop'] / supply:.3g} times the supply pressure of {limit}",
                     file=path,
@@ -271,8 +358,14 @@ def _data(path: Path, rows: list[dict], supply: float | None, units: dict[str, s
                 f"{path}: the largest drop is {from_si(most, unit, drop_row):g} {unit}, under 0.5 % of the supply pressure: "
                 f"is it really {unit}?"
             )
-    arrays = {name: np.array([row[name] for row in rows]) for name in ("valve", "direction", "method", "trial", "file", "line")}
-    numbers = {name: np.array([row[name] for row in rows], float) for name in ("command", "pressure_drop", "flow", "temperature")}
+    arrays = {
+        name: np.array([row[name] for row in rows])
+        for name in ("valve", "direction", "method", "trial", "file", "line")
+    }
+    numbers = {
+        name: np.array([row[name] for row in rows], float)
+        for name in ("command", "pressure_drop", "flow", "temperature")
+    }
     return FlowmeterData(warnings=tuple(warnings), **arrays, **numbers)
 
 

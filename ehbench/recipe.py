@@ -1,8 +1,8 @@
-"""TOML in: rigs and recipes, with errors that name file, line, key, value and the nearest valid key.
+"""TOML in: rigs and recipes, with errors that name file, line, key, value and the nearest valid
+key.
 
-Paths in a recipe are relative to the recipe. A rig or a flow map may be named by a file, by a run folder, or by
-the recipe that makes it: the workflow then makes it first if it is not there.
-"""
+Paths in a recipe are relative to the recipe. A rig or a flow map may be named by a file, by a run
+folder, or by the recipe that makes it: the workflow then makes it first if it is not there."""
 
 from __future__ import annotations
 
@@ -12,18 +12,30 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from ehbench.errors import InputError
 from ehbench.quantities import VOCABULARY
 from ehbench.rig import Model, Rig, Value, _typed, read_value
 
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(?:#.*)?$")
-_KEY = re.compile(r"""\s*((?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*'))*)\s*=""")
+_KEY = re.compile(
+    r"""\s*((?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*'))*)\s*="""
+)
 
 
 class DataFile(Model):
-    """A log to use: its path, the payload carried (else what the log's own meta says), a window of its time, a note."""
+    """A log to use: its path, the payload carried (else what the log's own meta says), a window of
+    its time, a note.
+    """
 
     path: str
     payload: str | None = None
@@ -36,11 +48,15 @@ def _data_file(raw: Any) -> Any:
     return {"path": raw} if isinstance(raw, str) else raw
 
 
-DataFiles = Annotated[tuple[Annotated[DataFile, BeforeValidator(_data_file)], ...], Field(min_length=1)]
+DataFiles = Annotated[
+    tuple[Annotated[DataFile, BeforeValidator(_data_file)], ...], Field(min_length=1)
+]
 
 
 class Recipe(Model):
-    """What every recipe has. ``path`` is the recipe's own file; names of other files are relative to it."""
+    """What every recipe has. ``path`` is the recipe's own file; names of other files are relative
+    to it.
+    """
 
     title: str = ""
     note: str = ""
@@ -56,7 +72,9 @@ class Recipe(Model):
         return (self.path.parent / name).resolve()
 
     def at(self, *location: str | int) -> dict[str, Any]:
-        """``file`` and ``line`` of a key of this recipe, as the errors take them; no line where the file cannot say."""
+        """``file`` and ``line`` of a key of this recipe, as the errors take them; no line where the
+        file cannot say.
+        """
         try:
             line = line_of(self.path.read_text(encoding="utf-8"), location)
         except OSError:
@@ -65,12 +83,18 @@ class Recipe(Model):
 
 
 def _flat(raw: Any) -> Any:
-    """Tables within a table of parameters as dotted names, as unquoted keys such as ``boom.joint_damping`` make them."""
+    """Tables within a table of parameters as dotted names, as unquoted keys such as
+    ``boom.joint_damping`` make them.
+    """
     if not isinstance(raw, dict):
         return raw
     found: dict[str, Any] = {}
     for name, value in raw.items():
-        inner = {f"{name}.{key}": item for key, item in _flat(value).items()} if isinstance(value, dict) else {name: value}
+        inner = (
+            {f"{name}.{key}": item for key, item in _flat(value).items()}
+            if isinstance(value, dict)
+            else {name: value}
+        )
         if twice := sorted(set(inner) & set(found)):
             raise ValueError(f"'{twice[0]}' is given twice")
         found |= inner
@@ -81,7 +105,9 @@ ByParameter = Annotated[dict[str, str], BeforeValidator(_flat)]
 
 
 class CalibrationPoint(Model):
-    """A flow that a command is supposed to give, e.g. 2 gpm at 4 V, to be met within ``tolerance`` of that flow."""
+    """A flow that a command is supposed to give, e.g. 2 gpm at 4 V, to be met within ``tolerance``
+    of that flow.
+    """
 
     command: _typed("command")
     flow: _typed("flow")
@@ -91,9 +117,9 @@ class CalibrationPoint(Model):
 class FlowMapRecipe(Recipe):
     """Flowmeter readings to flow maps.
 
-    ``calibration`` is checked on every map at ``calibration_drop``. A flowmeter reading below ``meter_limit`` only says that the
-    flow lies below it; readings of the method ``cylinder`` have no such limit.
-    """
+    ``calibration`` is checked on every map at ``calibration_drop``. A flowmeter reading below
+    ``meter_limit`` only says that the flow lies below it; readings of the method ``cylinder`` have
+    no such limit."""
 
     stage: Literal["identify"]
     what: Literal["flow_map"]
@@ -107,8 +133,8 @@ class FlowMapRecipe(Recipe):
 class HydraulicsRecipe(Recipe):
     """Step logs to bulk modulus, damping, friction and whatever else ``parameters`` names.
 
-    ``compare_dynamics`` names valve dynamics of the rig file; the logs are fitted with each in turn, so that the data decide.
-    """
+    ``compare_dynamics`` names valve dynamics of the rig file; the logs are fitted with each in
+    turn, so that the data decide."""
 
     stage: Literal["identify"]
     what: Literal["hydraulics"]
@@ -137,13 +163,14 @@ _Share = Annotated[Annotated[float, Field(gt=0)] | None, BeforeValidator(_share)
 
 
 class Thresholds(Model):
-    """What a model must reach on every held-out log to be accepted; a quantity not named is only reported.
+    """What a model must reach on every held-out log to be accepted; a quantity not named is only
+    reported.
 
-    ``fit_percent`` is the least NRMSE fit by quantity (100 exact, 0 no better than the mean), ``max_error`` the largest error
-    by quantity, with unit. ``natural_frequency_error`` and ``damping_ratio_error`` are shares of the recorded value; ``false``
-    asks for none.
-    ``whiteness`` and ``independence`` ask that at most ``outside_percent`` of the lags of the residual's autocorrelation,
-    and of its correlation with earlier commands, lie outside of their 95 % bands.
+    ``fit_percent`` is the least NRMSE fit by quantity (100 exact, 0 no better than the mean),
+    ``max_error`` the largest error by quantity, with unit. ``natural_frequency_error`` and
+    ``damping_ratio_error`` are shares of the recorded value; ``false`` asks for none. ``whiteness``
+    and ``independence`` ask that at most ``outside_percent`` of the lags of the residual's
+    autocorrelation, and of its correlation with earlier commands, lie outside of their 95 % bands.
     """
 
     fit_percent: dict[str, float] = {"qd": 50.0, "p_head": 30.0, "p_rod": 30.0}
@@ -160,7 +187,9 @@ class Thresholds(Model):
         for name, value in asked.items():
             if name not in VOCABULARY:
                 near = get_close_matches(name, VOCABULARY, 1)
-                raise ValueError(f"no quantity '{name}'" + (f"; nearest is '{near[0]}'" if near else ""))
+                raise ValueError(
+                    f"no quantity '{name}'" + (f"; nearest is '{near[0]}'" if near else "")
+                )
             if info.field_name == "fit_percent" and not value < 100.0:
                 raise ValueError(f"{name} = {value:g} cannot be reached: 100 % is an exact match")
         if info.field_name == "fit_percent":
@@ -183,13 +212,15 @@ class ValidateRecipe(Recipe):
 
 
 class Command(Model):
-    """An open-loop command to one valve; several entries for one valve add up. ``valve`` is ``<cylinder>.<valve>``.
+    """An open-loop command to one valve; several entries for one valve add up. ``valve`` is
+    ``<cylinder>.<valve>``.
 
-    kind ``constant``: ``offset``. ``step``: ``offset``, and ``offset + amplitude`` from ``start`` to ``stop``. ``ramp``: linear from
-    ``offset`` at ``start`` to ``offset + amplitude`` at ``stop``, which it keeps. ``sine``: ``amplitude`` at ``frequency`` about
-    ``offset`` from ``start`` to ``stop``. ``multisine``: ``lines`` sines from ``frequency`` to ``frequency_max`` with phases drawn
-    from ``seed``, scaled to ``amplitude``. ``file``: plays the channel ``<valve>.command`` of a log from ``start`` on.
-    """
+    kind ``constant``: ``offset``. ``step``: ``offset``, and ``offset + amplitude`` from ``start``
+    to ``stop``. ``ramp``: linear from ``offset`` at ``start`` to ``offset + amplitude`` at
+    ``stop``, which it keeps. ``sine``: ``amplitude`` at ``frequency`` about ``offset`` from
+    ``start`` to ``stop``. ``multisine``: ``lines`` sines from ``frequency`` to ``frequency_max``
+    with phases drawn from ``seed``, scaled to ``amplitude``. ``file``: plays the channel
+    ``<valve>.command`` of a log from ``start`` on."""
 
     valve: str
     kind: Literal["constant", "step", "ramp", "sine", "multisine", "file"]
@@ -212,7 +243,9 @@ class Command(Model):
         if self.kind == "multisine" and self.frequency_max is None:
             raise ValueError("a multisine needs 'frequency_max'")
         if self.kind == "multisine" and not float(self.frequency_max) > float(self.frequency):
-            raise ValueError(f"frequency_max, {float(self.frequency_max):g} Hz, must lie above frequency, {float(self.frequency):g} Hz")
+            raise ValueError(
+                f"frequency_max, {float(self.frequency_max):g} Hz, must lie above frequency, {float(self.frequency):g} Hz"
+            )
         if self.kind == "ramp" and self.stop is None:
             raise ValueError("a ramp needs 'stop'")
         if self.kind == "file" and self.file is None:
@@ -221,7 +254,9 @@ class Command(Model):
 
 
 class Limits(Model):
-    """Where a trial stops safely. Pressures are of every chamber; ``stroke_margin`` is kept at both ends of every stroke."""
+    """Where a trial stops safely. Pressures are of every chamber; ``stroke_margin`` is kept at both
+    ends of every stroke.
+    """
 
     pressure_max: _typed("pressure") | None = None
     pressure_min: _typed("pressure") | None = None
@@ -242,11 +277,12 @@ def _one_or_more(raw: Any) -> Any:
 class Motion(Model):
     """What the controlled cylinder shall do.
 
-    kind ``velocity_steps``: each of ``levels`` (a share of the full speed such as ``"70 %"``, or a speed; negative retracts) for
-    ``duration`` or until it has covered ``travel``, with a ``rest`` before and after each; ``full_speed`` is the design model's where it
-    is not given. ``point_to_point``: through ``waypoints`` (strokes, from the first of which it starts) with a ``hold`` at each, within
-    ``speed``, ``acceleration`` and ``jerk``. ``file``: a log with ``<cylinder>.x_desired``. ``cylinder`` may be left out where there is one.
-    """
+    kind ``velocity_steps``: each of ``levels`` (a share of the full speed such as ``"70 %"``, or a
+    speed; negative retracts) for ``duration`` or until it has covered ``travel``, with a ``rest``
+    before and after each; ``full_speed`` is the design model's where it is not given.
+    ``point_to_point``: through ``waypoints`` (strokes, from the first of which it starts) with a
+    ``hold`` at each, within ``speed``, ``acceleration`` and ``jerk``. ``file``: a log with
+    ``<cylinder>.x_desired``. ``cylinder`` may be left out where there is one."""
 
     name: str = ""
     kind: Literal["velocity_steps", "point_to_point", "file"]
@@ -269,7 +305,9 @@ class Motion(Model):
     def _whole(self) -> Motion:
         if self.kind == "velocity_steps":
             if not self.levels:
-                raise ValueError("velocity_steps need 'levels', such as [\"30 %\", \"70 %\", \"100 %\"]")
+                raise ValueError(
+                    'velocity_steps need \'levels\', such as ["30 %", "70 %", "100 %"]'
+                )
             if (self.duration is None) == (self.travel is None):
                 raise ValueError("velocity_steps need 'duration' or 'travel', and not both")
         if self.kind == "point_to_point":
@@ -283,11 +321,12 @@ class Motion(Model):
 
 
 class Controller(Model):
-    """Who moves the cylinder: ``kind`` of a built-in law, or ``class = "module:Class"`` of the user's own.
+    """Who moves the cylinder: ``kind`` of a built-in law, or ``class = "module:Class"`` of the
+    user's own.
 
-    ``gains`` by name with units, or ``"<tune recipe or its run>"``, or both: ``{ from = "…", washout = "0 rad/s" }``; a class gets them
-    as keywords. ``rules`` of function selection, ``shaping`` of speed steps (pressure feedback), ``unused`` valves that stay at rest.
-    """
+    ``gains`` by name with units, or ``"<tune recipe or its run>"``, or both: ``{ from = "…",
+    washout = "0 rad/s" }``; a class gets them as keywords. ``rules`` of function selection,
+    ``shaping`` of speed steps (pressure feedback), ``unused`` valves that stay at rest."""
 
     name: str = ""
     kind: Literal["open_loop", "pressure_feedback", "arc"] | None = None
@@ -317,7 +356,11 @@ def _sampled(trial: Any) -> Any:
     for command in trial.command:
         for key in ("frequency", "frequency_max"):
             asked = getattr(command, key)
-            if command.kind in ("sine", "multisine") and asked is not None and float(asked) >= 0.5 * float(trial.rate):
+            if (
+                command.kind in ("sine", "multisine")
+                and asked is not None
+                and float(asked) >= 0.5 * float(trial.rate)
+            ):
                 raise ValueError(
                     f"command to {command.valve}: {key}, {float(asked):g} Hz, must lie below half the rate, {0.5 * float(trial.rate):g} Hz"
                 )
@@ -345,10 +388,11 @@ class _AnyTrial(Recipe):
 
 
 class TrialRecipe(_AnyTrial):
-    """One trial on the model or on the virtual bench: open-loop ``command``, or a ``controller`` and the ``motion`` it shall make.
+    """One trial on the model or on the virtual bench: open-loop ``command``, or a ``controller``
+    and the ``motion`` it shall make.
 
-    Under a controller ``duration`` may be left out: it is then that of the motion; other cylinders may take open-loop commands.
-    """
+    Under a controller ``duration`` may be left out: it is then that of the motion; other cylinders
+    may take open-loop commands."""
 
     stage: Literal["trial"]
     payload: str | None = None
@@ -367,7 +411,8 @@ class TrialRecipe(_AnyTrial):
 
 
 class SetController(Controller):
-    """A controller of a set of trials; it may run on a rig of its own, such as the same machine with another valve.
+    """A controller of a set of trials; it may run on a rig of its own, such as the same machine
+    with another valve.
 
     What was identified on the set's rig holds for that one as well, by name.
     """
@@ -378,7 +423,9 @@ class SetController(Controller):
 
 
 class TrialSetRecipe(_AnyTrial):
-    """The product of ``payloads`` (``none`` is none) × ``[[motion]]`` × ``[[controller]]``: one log each, and one table over all."""
+    """The product of ``payloads`` (``none`` is none) × ``[[motion]]`` × ``[[controller]]``: one log
+    each, and one table over all.
+    """
 
     stage: Literal["trials"]
     payloads: Annotated[tuple[str, ...], Field(min_length=1)] = ("none",)
@@ -388,12 +435,15 @@ class TrialSetRecipe(_AnyTrial):
     @model_validator(mode="after")
     def _names_differ(self) -> TrialSetRecipe:
         for what, names in (
-            ("payload", list(self.payloads)), ("motion", [m.name or m.kind for m in self.motion]),
+            ("payload", list(self.payloads)),
+            ("motion", [m.name or m.kind for m in self.motion]),
             ("controller", [c.label for c in self.controller]),
-        ):  # fmt: skip
+        ):
             twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
             if twice is not None:
-                raise ValueError(f"two entries of {what} are called '{twice}'; give each its own name")
+                raise ValueError(
+                    f"two entries of {what} are called '{twice}'; give each its own name"
+                )
         return self
 
     def cases(self) -> tuple[tuple[str, SetController, TrialRecipe], ...]:
@@ -403,19 +453,34 @@ class TrialSetRecipe(_AnyTrial):
         for payload in self.payloads:
             for m, motion in enumerate(self.motion):
                 for c, law in enumerate(self.controller):
-                    name = " ".join([payload if payload != "none" else "no load", motion.name or motion.kind, law.label])
-                    own = {key: value for key in ("rig", "flow_maps", "bench") if (value := getattr(law, key)) is not None}
+                    name = " ".join(
+                        [
+                            payload if payload != "none" else "no load",
+                            motion.name or motion.kind,
+                            law.label,
+                        ]
+                    )
+                    own = {
+                        key: value
+                        for key in ("rig", "flow_maps", "bench")
+                        if (value := getattr(law, key)) is not None
+                    }
                     case = TrialRecipe.model_construct(
-                        **{**shared, **own}, stage="trial", payload=None if payload == "none" else payload, path=self.path,
+                        **{**shared, **own},
+                        stage="trial",
+                        payload=None if payload == "none" else payload,
+                        path=self.path,
                         controller=law.model_copy(update={"where": ("controller", c)}),
                         motion=motion.model_copy(update={"where": ("motion", m)}),
-                    )  # fmt: skip
+                    )
                     made.append((name, law, case.model_copy(update={"title": name})))
         return tuple(made)
 
 
 class BenchCylinder(Model):
-    """Friction of a cylinder of the virtual bench; what is not given follows from the rig's supply and areas."""
+    """Friction of a cylinder of the virtual bench; what is not given follows from the rig's supply
+    and areas.
+    """
 
     friction_coulomb: _typed("friction_coulomb") | None = None
     friction_static: _typed("friction_static") | None = None
@@ -424,10 +489,11 @@ class BenchCylinder(Model):
 
 
 class BenchValve(Model):
-    """Driver and dynamics of a valve of the virtual bench: spool = driver_gain·(command after hysteresis) + driver_offset.
+    """Driver and dynamics of a valve of the virtual bench: spool = driver_gain·(command after
+    hysteresis) + driver_offset.
 
-    Where the rig file gives the valve's ``calibration``, gain and offset are tuned to it unless given here.
-    """
+    Where the rig file gives the valve's ``calibration``, gain and offset are tuned to it unless
+    given here."""
 
     driver_gain: _typed("driver_gain") | None = None
     driver_offset: _typed("driver_offset") | None = None
@@ -456,7 +522,9 @@ class BenchEdge(BenchCurve):
 
 
 class BenchSensors(Model):
-    """Sensors of a cylinder of the virtual bench (or of all: ``sensors.all``; of the lines: ``sensors.supply``)."""
+    """Sensors of a cylinder of the virtual bench (or of all: ``sensors.all``; of the lines:
+    ``sensors.supply``).
+    """
 
     pressure_noise: _typed("pressure") | None = None
     pressure_offset: _typed("pressure") | None = None
@@ -470,10 +538,10 @@ class BenchSensors(Model):
 class BenchRecipe(Recipe):
     """A virtual bench: a machine like ``rig``, with what no model of it knows.
 
-    ``truth`` replaces parameters of the rig by name (as a recipe names them); ``bulk_modulus`` is then that of oil and hose
-    without air. In ``cylinder``, ``valve``, ``edge`` and ``sensors`` the entry ``all`` holds for every one that has no own
-    value. What is given nowhere is drawn about a plausible value from ``seed``.
-    """
+    ``truth`` replaces parameters of the rig by name (as a recipe names them); ``bulk_modulus`` is
+    then that of oil and hose without air. In ``cylinder``, ``valve``, ``edge`` and ``sensors`` the
+    entry ``all`` holds for every one that has no own value. What is given nowhere is drawn about a
+    plausible value from ``seed``."""
 
     stage: Literal["bench"]
     rig: str
@@ -495,11 +563,12 @@ class BenchRecipe(Recipe):
 
 
 class Flowmeter(Model):
-    """Flowmeter readings to record on the virtual bench, one CSV an edge and direction of ``edges``, e.g. ``boom.hect``.
+    """Flowmeter readings to record on the virtual bench, one CSV an edge and direction of
+    ``edges``, e.g. ``boom.hect``.
 
-    A needle valve sets each drop up to ``drop_scatter`` (a share). The turbine's noise is a share of the reading; below
-    ``meter_limit`` the flow is taken from the cylinder's speed instead. ``outliers`` readings a file are spoilt.
-    """
+    A needle valve sets each drop up to ``drop_scatter`` (a share). The turbine's noise is a share
+    of the reading; below ``meter_limit`` the flow is taken from the cylinder's speed instead.
+    ``outliers`` readings a file are spoilt."""
 
     edges: Annotated[tuple[str, ...], Field(min_length=1)]
     reverse: tuple[str, ...] = ()
@@ -544,13 +613,14 @@ class DatasetRecipe(Recipe):
 class TuneRecipe(Recipe):
     """A validated rig to the gain of the pressure feedback of one cylinder.
 
-    Operating points: ``postures`` strokes from 10 to 90 % (or those of ``strokes``) × ``payloads`` (``none`` and all of the rig
-    file by default) × ``functions`` (by default the thesis's six, as far as the valves are able) × ``speed_shares`` of the full
-    speed there; other joints as in ``posture``, else at mid-stroke. ``delay`` lies between pressure and command: half a tick of
-    hold, the rest for the sensor. ``washout`` (alone, or with an equal ``ramp_washout``) and ``off_gain`` are found where
-    they are not given; ``washout = "0 rad/s"`` is none. ``one_gain = false`` lets each working function have its own gain. ``damping_ratio`` is the target that the share of
-    ``draws`` is counted against.
-    """
+    Operating points: ``postures`` strokes from 10 to 90 % (or those of ``strokes``) × ``payloads``
+    (``none`` and all of the rig file by default) × ``functions`` (by default the thesis's six, as
+    far as the valves are able) × ``speed_shares`` of the full speed there; other joints as in
+    ``posture``, else at mid-stroke. ``delay`` lies between pressure and command: half a tick of
+    hold, the rest for the sensor. ``washout`` (alone, or with an equal ``ramp_washout``) and
+    ``off_gain`` are found where they are not given; ``washout = "0 rad/s"`` is none. ``one_gain =
+    false`` lets each working function have its own gain. ``damping_ratio`` is the target that the
+    share of ``draws`` is counted against."""
 
     stage: Literal["tune"]
     rig: str
@@ -561,7 +631,9 @@ class TuneRecipe(Recipe):
     strokes: tuple[str, ...] = ()
     posture: dict[str, str] = {}
     functions: tuple[str, ...] = ()
-    speed_shares: tuple[Annotated[float, Field(gt=0, le=1)], ...] = Field(default=(0.3, 0.7), min_length=1)
+    speed_shares: tuple[Annotated[float, Field(gt=0, le=1)], ...] = Field(
+        default=(0.3, 0.7), min_length=1
+    )
     rate: _typed("rate") = Value(1000.0)
     delay: _typed("delay") = Value(1.0e-3)
     washout: _typed("washout") | None = None
@@ -579,7 +651,9 @@ class TuneRecipe(Recipe):
 
 
 class TextSection(Model):
-    """A section of a report in the user's own words; blank lines part paragraphs, lines that begin with ``- `` make a list."""
+    """A section of a report in the user's own words; blank lines part paragraphs, lines that begin
+    with ``- `` make a list.
+    """
 
     title: str
     text: str
@@ -588,9 +662,9 @@ class TextSection(Model):
 class Campaign(Recipe):
     """Several recipes in order and one report over all of them.
 
-    ``section`` are texts that stand before the runs; ``figures`` gives figures and tables titles by their key (of a figure as in
-    a run's ``figures/index.json``), or by ``<recipe's name>/<key>`` where several runs have the key.
-    """
+    ``section`` are texts that stand before the runs; ``figures`` gives figures and tables titles by
+    their key (of a figure as in a run's ``figures/index.json``), or by ``<recipe's name>/<key>``
+    where several runs have the key."""
 
     stage: Literal["campaign"]
     recipes: Annotated[tuple[str, ...], Field(min_length=1)]
@@ -612,13 +686,18 @@ _STAGES: dict[tuple[str, str | None], type[Recipe]] = {
 
 
 def line_of(text: str, location: tuple[Any, ...]) -> int | None:
-    """The line of a TOML text at which the key at ``location`` (names and list indices) stands, or its nearest parent."""
+    """The line of a TOML text at which the key at ``location`` (names and list indices) stands, or
+    its nearest parent.
+    """
     lines: dict[tuple[Any, ...], int] = {}
     counts: dict[tuple[Any, ...], int] = {}
     prefix: tuple[Any, ...] = ()
 
     def words(dotted: str) -> list[str]:
-        return [part[1:-1] if part[:1] in "\"'" else part for part in re.findall(r'"[^"]*"|\'[^\']*\'|[A-Za-z0-9_-]+', dotted)]
+        return [
+            part[1:-1] if part[:1] in "\"'" else part
+            for part in re.findall(r'"[^"]*"|\'[^\']*\'|[A-Za-z0-9_-]+', dotted)
+        ]
 
     for number, line in enumerate(text.splitlines(), 1):
         if header := _HEADER.match(line):
@@ -631,7 +710,11 @@ def line_of(text: str, location: tuple[Any, ...]) -> int | None:
                     counts[path] = counts.get(path, -1) + 1
                 if path in counts:
                     path += (counts[path],)
-            for known in [key for key in counts if len(key) >= len(path) and key[: len(path)] == path and key != path[:-1]]:
+            for known in [
+                key
+                for key in counts
+                if len(key) >= len(path) and key[: len(path)] == path and key != path[:-1]
+            ]:
                 del counts[known]
             prefix = path
             lines.setdefault(prefix, number)
@@ -643,12 +726,18 @@ def line_of(text: str, location: tuple[Any, ...]) -> int | None:
     for known, number in lines.items():
         flat.setdefault(_pieces(known), number)
     wanted = _pieces(location)
-    return next((flat[wanted[:size]] for size in range(len(wanted), 0, -1) if wanted[:size] in flat), None)
+    return next(
+        (flat[wanted[:size]] for size in range(len(wanted), 0, -1) if wanted[:size] in flat), None
+    )
 
 
 def _pieces(location: tuple[Any, ...]) -> tuple[Any, ...]:
     """A key's parts, dotted names taken apart, so that quoted and unquoted keys are the same."""
-    return tuple(piece for part in location for piece in (part.split(".") if isinstance(part, str) else (part,)))
+    return tuple(
+        piece
+        for part in location
+        for piece in (part.split(".") if isinstance(part, str) else (part,))
+    )
 
 
 def read_toml(path: Path) -> tuple[dict[str, Any], str]:
@@ -660,10 +749,18 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     try:
         text = path.read_bytes().decode("utf-8")
     except FileNotFoundError:
-        near = get_close_matches(path.name, [p.name for p in path.parent.glob("*.toml")], 1) if path.parent.is_dir() else []
-        raise InputError("no such file", file=path, hint=f"did you mean '{near[0]}'?" if near else None) from None
+        near = (
+            get_close_matches(path.name, [p.name for p in path.parent.glob("*.toml")], 1)
+            if path.parent.is_dir()
+            else []
+        )
+        raise InputError(
+            "no such file", file=path, hint=f"did you mean '{near[0]}'?" if near else None
+        ) from None
     except (UnicodeDecodeError, IsADirectoryError, PermissionError) as error:
-        raise InputError(f"cannot be read as a text file: {type(error).__name__}", file=path) from None
+        raise InputError(
+            f"cannot be read as a text file: {type(error).__name__}", file=path
+        ) from None
     if not text.strip():
         raise InputError("the file is empty", file=path)
     try:
@@ -671,7 +768,9 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     except tomllib.TOMLDecodeError as error:
         found = re.search(r"\(at line (\d+)", str(error))
         reason = str(error).split(" (at ")[0]
-        raise InputError(f"not TOML: {reason}", file=path, line=int(found[1]) if found else None) from None
+        raise InputError(
+            f"not TOML: {reason}", file=path, line=int(found[1]) if found else None
+        ) from None
 
 
 def _validated(model: Any, table: dict[str, Any], text: str, path: Path) -> Any:
@@ -681,35 +780,55 @@ def _validated(model: Any, table: dict[str, Any], text: str, path: Path) -> Any:
         found = error.errors()
         first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
         reason = first.get("ctx", {}).get("error")
-        location = tuple(part for part in first["loc"] if part not in ("chain", "slide", "[key]")) + getattr(reason, "where", ())
+        location = tuple(
+            part for part in first["loc"] if part not in ("chain", "slide", "[key]")
+        ) + getattr(reason, "where", ())
         kind, hint, given = first["type"], None, first["input"]
         if kind.startswith("union_tag"):
-            given, location = given.get("kind") if isinstance(given, dict) else given, (*location, "kind")
+            given, location = (
+                given.get("kind") if isinstance(given, dict) else given,
+                (*location, "kind"),
+            )
             kind = "missing" if kind == "union_tag_not_found" else "literal_error"
-            first = {**first, "ctx": {"expected": first["ctx"].get("expected_tags", "'chain', 'slide'")}}
+            first = {
+                **first,
+                "ctx": {"expected": first["ctx"].get("expected_tags", "'chain', 'slide'")},
+            }
         place, key = _spoken(table, location)
         if kind == "extra_forbidden":
             message = f"unknown key '{key}'"
             valid = _valid_keys(model, first["loc"][:-1])
             ends = range(len(location) - 2, 0, -1)
-            above = next((at for at in ends if location[-1] in _valid_keys(model, location[:at])), None)
+            above = next(
+                (at for at in ends if location[-1] in _valid_keys(model, location[:at])), None
+            )
             near = get_close_matches(str(location[-1]), valid, 1, 0.6)
             if above is not None and not near:
                 hint = f"a key of {_spoken(table, location[:above])[0]}: put it above the table [{_header(location[:-1])}]"
             else:
-                hint = f"did you mean '{near[0]}'?" if near else ("valid keys: " + ", ".join(valid) if valid else None)
+                hint = (
+                    f"did you mean '{near[0]}'?"
+                    if near
+                    else ("valid keys: " + ", ".join(valid) if valid else None)
+                )
         elif kind == "missing":
             message = f"'{key}' is missing"
             location = location[:-1] or location
         elif kind == "value_error":
             message = str(reason) if not key or str(reason).startswith(key) else f"{key}: {reason}"
         elif kind == "literal_error":
-            message = f"{key} = {given!r} is none of {first['ctx']['expected'].replace(' or ', ', ')}"
-            near = get_close_matches(str(given), re.findall(r"'([^']*)'", first["ctx"]["expected"]), 1)
+            message = (
+                f"{key} = {given!r} is none of {first['ctx']['expected'].replace(' or ', ', ')}"
+            )
+            near = get_close_matches(
+                str(given), re.findall(r"'([^']*)'", first["ctx"]["expected"]), 1
+            )
             hint = f"did you mean '{near[0]}'?" if near else None
         elif kind == "tuple_type":
             message = f"{key} is no list"
-            hint = f"write [[{_header(location)}]] for each entry" if isinstance(given, dict) else None
+            hint = (
+                f"write [[{_header(location)}]] for each entry" if isinstance(given, dict) else None
+            )
         else:
             message = f"{key} = {_short(given)}: {first['msg'][0].lower() + first['msg'][1:]}"
         message = ": ".join(part for part in (place, message) if part)
@@ -762,7 +881,14 @@ def _valid_keys(model: Any, location: tuple[Any, ...]) -> list[str]:
                 if part in (name, field.alias):
                     deeper += models(field.annotation)
         here = deeper or here
-    return sorted({field.alias or name for candidate in here for name, field in candidate.model_fields.items() if name != "path"})
+    return sorted(
+        {
+            field.alias or name
+            for candidate in here
+            for name, field in candidate.model_fields.items()
+            if name != "path"
+        }
+    )
 
 
 def load_rig(path: str | Path) -> Rig:
@@ -790,12 +916,19 @@ def load_recipe(path: str | Path) -> Recipe:
     kinds = sorted({s for s, _ in _STAGES})
     if stage not in kinds:
         reason = "'stage' is missing" if stage is None else f"unknown stage '{stage}'"
-        raise InputError(reason, file=path, line=line_of(text, ("stage",)), hint="stage is one of " + ", ".join(kinds))
+        raise InputError(
+            reason,
+            file=path,
+            line=line_of(text, ("stage",)),
+            hint="stage is one of " + ", ".join(kinds),
+        )
     model = _STAGES.get((stage, what)) or _STAGES.get((stage, None))
     if model is None:
         options = ", ".join(w for s, w in _STAGES if s == stage and w)
         reason = "'what' is missing" if what is None else f"unknown what = '{what}'"
-        raise InputError(reason, file=path, line=line_of(text, ("what",)), hint="what is one of " + options)
+        raise InputError(
+            reason, file=path, line=line_of(text, ("what",)), hint="what is one of " + options
+        )
     return _validated(model, table, text, path).model_copy(update={"path": path.resolve()})
 
 

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 class Record:
     """One recording on one time base.
 
-    ``t`` [s], shape (samples,), strictly increasing; the sample at t is the state at t, and a command at t acts
-    from t on. ``channels`` maps names such as ``boom.p_head`` to SI arrays of the same shape, in the log's order.
-    ``meta`` are the run's facts as text; ``attachments`` the files that travelled with the log; ``losses`` one
-    sentence for each thing a reader could not recover.
+    ``t`` [s], shape (samples,), strictly increasing; the sample at t is the state at t, and a
+    command at t acts from t on. ``channels`` maps names such as ``boom.p_head`` to SI arrays of the
+    same shape, in the log's order. ``meta`` are the run's facts as text; ``attachments`` the files
+    that travelled with the log; ``losses`` one sentence for each thing a reader could not recover.
     """
 
     t: np.ndarray
@@ -33,7 +33,9 @@ class Record:
     def __post_init__(self) -> None:
         for name, values in self.channels.items():
             if values.shape != self.t.shape:
-                raise LogError(f"channel '{name}' has {values.shape[0]} samples, the time has {self.t.shape[0]}")
+                raise LogError(
+                    f"channel '{name}' has {values.shape[0]} samples, the time has {self.t.shape[0]}"
+                )
             quantity(name)
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -45,7 +47,9 @@ class Record:
         if name == "t":
             return self.t
         if name not in self.channels:
-            raise LogError(f"the log has no channel '{name}'", hint="it has " + ", ".join(self.channels))
+            raise LogError(
+                f"the log has no channel '{name}'", hint="it has " + ", ".join(self.channels)
+            )
         return self.channels[name]
 
     def __contains__(self, name: str) -> bool:
@@ -57,7 +61,9 @@ class Record:
         return float(np.median(np.diff(self.t))) if self.t.size > 1 else float("nan")
 
     def frame(self) -> pd.DataFrame:
-        """A pandas frame: column ``t`` and one SI column a channel; ``frame.attrs`` has ``units``, ``meta``, ``losses``."""
+        """A pandas frame: column ``t`` and one SI column a channel; ``frame.attrs`` has ``units``,
+        ``meta``, ``losses``.
+        """
         import pandas as pd
 
         frame = pd.DataFrame({"t": self.t, **self.channels})

@@ -1,9 +1,8 @@
 """The rig: every number of a machine with unit, source and uncertainty, checked when it enters.
 
-Nothing here knows a particular rig. A rig is a mechanism (a serial chain of revolute joints or a sliding mass),
-cylinders, the valves on each cylinder, and the supply. A valve is one command and its metering edges; an edge
-joins two of supply, tank, head and rod.
-"""
+Nothing here knows a particular rig. A rig is a mechanism (a serial chain of revolute joints or a
+sliding mass), cylinders, the valves on each cylinder, and the supply. A valve is one command and
+its metering edges; an edge joins two of supply, tank, head and rod."""
 
 from __future__ import annotations
 
@@ -16,8 +15,15 @@ from difflib import get_close_matches
 from typing import Annotated, Any, Literal
 
 from pydantic import (
-    AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, field_validator, model_validator,
-)  # fmt: skip
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    field_validator,
+    model_validator,
+)
 
 from ehbench import units
 from ehbench.errors import InputError, UnitError
@@ -28,7 +34,9 @@ NODES = ("supply", "tank", "head", "rod")
 
 
 class Misplaced(ValueError):
-    """What is wrong with several keys together; ``where`` is the key at which to say so, below the table that was checked."""
+    """What is wrong with several keys together; ``where`` is the key at which to say so, below the
+    table that was checked.
+    """
 
     def __init__(self, message: str, *where: str | int) -> None:
         super().__init__(message)
@@ -39,9 +47,9 @@ class Misplaced(ValueError):
 class Value:
     """A number in SI (or a tuple of them) with where it came from.
 
-    ``sure`` is one of ``SURENESS``; ``source`` the words of the file; ``lower``, ``upper`` bounds and ``std`` the
-    standard error, all SI; ``text`` what the file said, kept so that a rig can be written back as it was read.
-    """
+    ``sure`` is one of ``SURENESS``; ``source`` the words of the file; ``lower``, ``upper`` bounds
+    and ``std`` the standard error, all SI; ``text`` what the file said, kept so that a rig can be
+    written back as it was read."""
 
     value: float | tuple[float, ...]
     sure: str = "assumed"
@@ -56,7 +64,8 @@ class Value:
 
 
 def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
-    """A TOML value as a ``Value``: ``"1000 psi"``, a list of such, or ``{ value, source, sure, lower, upper, std }``.
+    """A TOML value as a ``Value``: ``"1000 psi"``, a list of such, or ``{ value, source, sure,
+    lower, upper, std }``.
 
     Raises:
         UnitError: no unit, wrong unit, implausible value, bounds that do not hold it.
@@ -68,17 +77,23 @@ def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
     unknown = set(table) - {"value", "source", "sure", "lower", "upper", "std", "note"}
     if unknown:
         raise InputError(
-            f"{row.name} has unknown key '{sorted(unknown)[0]}'", hint="a value takes value, source, sure, lower, upper, std, note"
+            f"{row.name} has unknown key '{sorted(unknown)[0]}'",
+            hint="a value takes value, source, sure, lower, upper, std, note",
         )
     if "value" not in table:
         raise InputError(f"{row.name} has no 'value'")
 
     def number(item: Any, what: str, check: bool = True) -> float:
         if isinstance(item, bool) or not isinstance(item, (str, int, float)):
-            raise UnitError(f"{what} of {row.name} is {item!r}, not a number with a unit", hint=f'write "1.5 {row.display}"')
+            raise UnitError(
+                f"{what} of {row.name} is {item!r}, not a number with a unit",
+                hint=f'write "1.5 {row.display}"',
+            )
         if not isinstance(item, str):
             if row.unit != "dimensionless":
-                raise UnitError(f"{row.name} = {item} has no unit", hint=f'write "{item} {row.display}"')
+                raise UnitError(
+                    f"{row.name} = {item} has no unit", hint=f'write "{item} {row.display}"'
+                )
             return float(item)
         bare = Quantity(row.name, row.symbol, row.unit, row.display, row.meaning)
         result = units.parse(item, row if check else bare)
@@ -91,9 +106,15 @@ def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
         value: float | tuple[float, ...] = number(raw_value, "the value")
     else:
         if not isinstance(raw_value, (list, tuple)) or len(raw_value) != count:
-            raise InputError(f"{row.name} takes a list of {count} values with units, not {raw_value!r}")
+            raise InputError(
+                f"{row.name} takes a list of {count} values with units, not {raw_value!r}"
+            )
         value = tuple(number(item, "an entry") for item in raw_value)
-    limits = {key: number(table[key], key, check=False) for key in ("lower", "upper", "std") if key in table}
+    limits = {
+        key: number(table[key], key, check=False)
+        for key in ("lower", "upper", "std")
+        if key in table
+    }
     if count == 1 and not limits.get("lower", -math.inf) <= value <= limits.get("upper", math.inf):
         bounds = " and ".join(f"{key} = {table[key]}" for key in ("lower", "upper") if key in table)
         raise UnitError(f"{row.name} = {raw_value} lies outside its own bounds: {bounds}")
@@ -106,7 +127,9 @@ def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
 
 
 def write_value(value: Value, row: Quantity) -> Any:
-    """A ``Value`` as TOML would hold it: its own text if it was read from a file, else SI with all digits."""
+    """A ``Value`` as TOML would hold it: its own text if it was read from a file, else SI with all
+    digits.
+    """
     if value.text is not None:
         return dict(value.text) if isinstance(value.text, Mapping) else value.text
     unit = "" if row.unit == "dimensionless" else f" {row.unit}"
@@ -114,7 +137,11 @@ def write_value(value: Value, row: Quantity) -> Any:
     def show(number: float) -> str:
         return f"{float(number)!r}{unit}"
 
-    table: dict[str, Any] = {"value": [show(v) for v in value.value] if isinstance(value.value, tuple) else show(value.value)}
+    table: dict[str, Any] = {
+        "value": [show(v) for v in value.value]
+        if isinstance(value.value, tuple)
+        else show(value.value)
+    }
     table["sure"] = value.sure
     if value.source:
         table["source"] = value.source
@@ -134,18 +161,27 @@ def _typed(name: str, count: int = 1) -> Any:
         except InputError as error:
             raise ValueError(str(error)) from None
 
-    return Annotated[Value, BeforeValidator(validate), PlainSerializer(lambda value: write_value(value, row)), row]
+    return Annotated[
+        Value,
+        BeforeValidator(validate),
+        PlainSerializer(lambda value: write_value(value, row)),
+        row,
+    ]
 
 
 class Model(BaseModel):
     """Base of all file-backed models: frozen, no unknown keys."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True, populate_by_name=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", arbitrary_types_allowed=True, populate_by_name=True
+    )
 
 
 def _name(name: str) -> str:
     if not re.fullmatch(r"\w[\w-]*", name):
-        raise ValueError(f"'{name}' is no name (letters, digits, _ and - make one; channels are called by it)")
+        raise ValueError(
+            f"'{name}' is no name (letters, digits, _ and - make one; channels are called by it)"
+        )
     return name
 
 
@@ -153,7 +189,9 @@ def _plain_name(name: str) -> str:
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         plain = unicodedata.normalize("NFKD", name.casefold()).encode("ascii", "ignore").decode()
         plain = re.sub(r"[^a-z0-9]+", "_", plain).strip("_").lstrip("0123456789_") or "my_rig"
-        raise ValueError(f"'{name}' is no name of a rig: small letters, digits and _ make one, such as '{plain}'")
+        raise ValueError(
+            f"'{name}' is no name of a rig: small letters, digits and _ make one, such as '{plain}'"
+        )
     return name
 
 
@@ -161,7 +199,9 @@ Name = Annotated[str, AfterValidator(_name)]
 
 
 class Joint(Model):
-    """A revolute joint and the link it carries; frame i sits at the end of link i (standard Denavit–Hartenberg)."""
+    """A revolute joint and the link it carries; frame i sits at the end of link i (standard
+    Denavit–Hartenberg).
+    """
 
     name: Name
     dh_a: _typed("dh_a") = Value(0.0)
@@ -186,7 +226,9 @@ class Chain(Model):
 
 
 class Slide(Model):
-    """A mass on a slide, moved directly by one cylinder; ``incline`` is positive where extension goes uphill."""
+    """A mass on a slide, moved directly by one cylinder; ``incline`` is positive where extension
+    goes uphill.
+    """
 
     kind: Literal["slide"]
     name: Name
@@ -204,7 +246,9 @@ class LinkLoad(Model):
 
 
 class Pins(Model):
-    """Cylinder between two pins: c² = l_A² + l_B² − 2 l_A l_B cos θ, θ = sign·q + phase, x = c − retracted_length (SPEC 1)."""
+    """Cylinder between two pins: c² = l_A² + l_B² − 2 l_A l_B cos θ, θ = sign·q + phase, x = c −
+    retracted_length (SPEC 1).
+    """
 
     l_a: _typed("l_a")
     l_b: _typed("l_b")
@@ -214,7 +258,9 @@ class Pins(Model):
 
 
 class Dynamics(Model):
-    """Second-order valve dynamics opening/command, as ω_n and ζ or as the denominator s2·s² + s1·s + 1."""
+    """Second-order valve dynamics opening/command, as ω_n and ζ or as the denominator s2·s² + s1·s
+    + 1.
+    """
 
     natural_frequency: _typed("natural_frequency") | None = None
     damping_ratio: _typed("damping_ratio") | None = None
@@ -226,7 +272,9 @@ class Dynamics(Model):
     def _one_form(self) -> Dynamics:
         pair = self.natural_frequency is not None and self.damping_ratio is not None
         poly = self.s2 is not None and self.s1 is not None
-        given = sum(v is not None for v in (self.natural_frequency, self.damping_ratio, self.s2, self.s1))
+        given = sum(
+            v is not None for v in (self.natural_frequency, self.damping_ratio, self.s2, self.s1)
+        )
         if given != 2 or pair == poly:
             raise ValueError("give natural_frequency and damping_ratio, or s2 and s1")
         if poly and float(self.s2) <= 0:  # type: ignore[arg-type]
@@ -244,11 +292,11 @@ class Dynamics(Model):
 class Edge(Model):
     """One metering edge: flow from ``from`` to ``to`` when upstream pressure is higher.
 
-    law ``orifice``: Q = flow_gain·(opening − deadband)·√Δp. law ``compensated``: Q = compensated_gain·(opening − deadband),
-    reached over ``compensation_drop``. law ``map``: a measured flow map, from the recipe's ``flow_maps`` or the run behind the
-    rig; where one is given it goes before the other laws, too. ``sign`` −1 opens the edge on negative commands. ``reverse`` says
-    what a reversed drop does: ``mirror`` or ``blocked``.
-    """
+    law ``orifice``: Q = flow_gain·(opening − deadband)·√Δp. law ``compensated``: Q =
+    compensated_gain·(opening − deadband), reached over ``compensation_drop``. law ``map``: a
+    measured flow map, from the recipe's ``flow_maps`` or the run behind the rig; where one is given
+    it goes before the other laws, too. ``sign`` −1 opens the edge on negative commands. ``reverse``
+    says what a reversed drop does: ``mirror`` or ``blocked``."""
 
     name: Name | None = None
     from_: Literal["supply", "tank", "head", "rod"] = Field(alias="from")
@@ -272,7 +320,9 @@ class Edge(Model):
 
 
 class Valve(Model):
-    """One command, its dynamics (a name in the rig's ``dynamics``, or none: opening follows at once) and its edges."""
+    """One command, its dynamics (a name in the rig's ``dynamics``, or none: opening follows at
+    once) and its edges.
+    """
 
     name: Name
     title: str = ""
@@ -301,13 +351,23 @@ class Valve(Model):
             reach = float(self.command_max) if edge.sign > 0 else -float(self.command_min)
             opens = 0.0 if edge.law == "map" else float(edge.deadband)
             if reach <= opens:
-                way = f"commands above {opens:g} V" if edge.sign > 0 else f"commands below {0.0 - opens:g} V"
+                way = (
+                    f"commands above {opens:g} V"
+                    if edge.sign > 0
+                    else f"commands below {0.0 - opens:g} V"
+                )
                 least, most = float(self.command_min), float(self.command_max)
-                raise Misplaced(f"the edge opens on {way}, and the valve takes {least:g} to {most:g} V", "edge", index)
+                raise Misplaced(
+                    f"the edge opens on {way}, and the valve takes {least:g} to {most:g} V",
+                    "edge",
+                    index,
+                )
         return self
 
     def edge_name(self, edge: Edge) -> str:
-        """The name a flow map of this edge goes by: the edge's own, else the valve's (or valve_from_to with several)."""
+        """The name a flow map of this edge goes by: the edge's own, else the valve's (or
+        valve_from_to with several).
+        """
         if edge.name is not None:
             return edge.name
         return self.name if len(self.edge) == 1 else f"{self.name}_{edge.from_}_{edge.to}"
@@ -319,7 +379,9 @@ class Valve(Model):
 
 
 class Cylinder(Model):
-    """A cylinder, the joint it drives, its oil volumes, losses and valves. Areas, or bore and rod diameters."""
+    """A cylinder, the joint it drives, its oil volumes, losses and valves. Areas, or bore and rod
+    diameters.
+    """
 
     name: Name
     joint: str
@@ -342,29 +404,42 @@ class Cylinder(Model):
 
     @model_validator(mode="after")
     def _areas(self) -> Cylinder:
-        pairs = {(self.area_head is not None, self.area_rod is not None), (self.bore is not None, self.rod is not None)}
+        pairs = {
+            (self.area_head is not None, self.area_rod is not None),
+            (self.bore is not None, self.rod is not None),
+        }
         if pairs != {(True, True), (False, False)}:
             raise ValueError("give area_head and area_rod, or bore and rod")
         head, rod = self.areas()
         by = "area_rod" if self.area_rod is not None else "rod"
         if not 0 < rod <= head:
-            raise Misplaced("area_rod must be positive and not above area_head (head end = full-bore side)", by)
+            raise Misplaced(
+                "area_rod must be positive and not above area_head (head end = full-bore side)", by
+            )
         swept = rod * float(self.stroke)
         if float(self.volume_rod) <= swept:
             given = f"{float(self.volume_rod) * 1e6:g} cm^3"
-            raise Misplaced(f"volume_rod at x = 0 is {given}, but the full stroke displaces {swept * 1e6:.6g} cm^3", "volume_rod")
+            raise Misplaced(
+                f"volume_rod at x = 0 is {given}, but the full stroke displaces {swept * 1e6:.6g} cm^3",
+                "volume_rod",
+            )
         return self
 
     @model_validator(mode="after")
     def _linkage_reaches(self) -> Cylinder:
         if self.pins is not None:
             low, high = (abs(float(self.pins.l_a) + way * float(self.pins.l_b)) for way in (-1, 1))
-            ends = float(self.pins.retracted_length), float(self.pins.retracted_length) + float(self.stroke)
+            ends = (
+                float(self.pins.retracted_length),
+                float(self.pins.retracted_length) + float(self.stroke),
+            )
             if not (low < ends[0] and ends[1] < high):
                 raise Misplaced(
                     f"from pin to pin the cylinder is {ends[0] * 1e3:g} mm long retracted and {ends[1] * 1e3:g} mm extended, "
-                    f"while l_a and l_b allow {low * 1e3:g} to {high * 1e3:g} mm, the ends excluded", "pins", "retracted_length",
-                )  # fmt: skip
+                    f"while l_a and l_b allow {low * 1e3:g} to {high * 1e3:g} mm, the ends excluded",
+                    "pins",
+                    "retracted_length",
+                )
         return self
 
     @model_validator(mode="after")
@@ -372,11 +447,20 @@ class Cylinder(Model):
         valves = list(enumerate(self.valve))
         for what, places in (
             ("valves", [(("valve", i), v.name) for i, v in valves]),
-            ("edges", [(("valve", i, "edge", j), v.edge_name(e)) for i, v in valves for j, e in enumerate(v.edge)]),
+            (
+                "edges",
+                [
+                    (("valve", i, "edge", j), v.edge_name(e))
+                    for i, v in valves
+                    for j, e in enumerate(v.edge)
+                ],
+            ),
         ):
             if (at := _second([name for _, name in places])) is not None:
                 where, name = places[at]
-                raise Misplaced(f"two {what} are called '{name}'; give each a name of its own", *where)
+                raise Misplaced(
+                    f"two {what} are called '{name}'; give each a name of its own", *where
+                )
         return self
 
     def areas(self) -> tuple[float, float]:
@@ -388,13 +472,14 @@ class Cylinder(Model):
 
 
 class Supply(Model):
-    """Constant-pressure supply: holds ``pressure`` up to ``flow_limit``, above which the pressure falls."""
+    """Constant-pressure supply: holds ``pressure`` up to ``flow_limit``, above which the pressure
+    falls.
+    """
 
     pressure: _typed("pressure")
     tank_pressure: _typed("tank_pressure") = Value(0.0)
     flow_limit: _typed("flow_limit")
     volume: _typed("volume") = Value(2.0e-3)
-
 
     @model_validator(mode="after")
     def _above_tank(self) -> Supply:
@@ -431,7 +516,11 @@ class Rig(Model):
         for name, unit in display.items():
             if name not in VOCABULARY:
                 near = get_close_matches(name, VOCABULARY, 1)
-                raise Misplaced(f"there is no quantity '{name}'" + (f"; nearest is '{near[0]}'" if near else ""), name)
+                raise Misplaced(
+                    f"there is no quantity '{name}'"
+                    + (f"; nearest is '{near[0]}'" if near else ""),
+                    name,
+                )
             try:
                 units.to_si(1.0, unit, VOCABULARY[name])
             except UnitError as error:
@@ -446,28 +535,49 @@ class Rig(Model):
             ("two joints are called", joints, chain),
             ("two cylinders are called", [c.name for c in self.cylinder], ("cylinder",)),
             ("two cylinders drive joint", [c.joint for c in self.cylinder], ("cylinder",)),
-        ):  # fmt: skip
+        ):
             if (at := _second(names)) is not None:
                 raise Misplaced(f"{what} '{names[at]}'", *place, at)
         for at, cylinder in enumerate(self.cylinder):
             if cylinder.joint not in joints:
-                raise Misplaced(f"there is no joint '{cylinder.joint}'; there are {', '.join(joints)}", "cylinder", at, "joint")
+                raise Misplaced(
+                    f"there is no joint '{cylinder.joint}'; there are {', '.join(joints)}",
+                    "cylinder",
+                    at,
+                    "joint",
+                )
             if (cylinder.pins is None) != (self.mechanism.kind == "slide"):
-                raise Misplaced("on a joint a cylinder needs 'pins', on a slide it has none", "cylinder", at)
+                raise Misplaced(
+                    "on a joint a cylinder needs 'pins', on a slide it has none", "cylinder", at
+                )
             for i, valve in enumerate(cylinder.valve):
                 if valve.dynamics is not None and valve.dynamics not in self.dynamics:
-                    there, where = ", ".join(self.dynamics) or "none", ("cylinder", at, "valve", i, "dynamics")
-                    raise Misplaced(f"there is no [dynamics.{valve.dynamics}]; there are {there}", *where)
+                    there, where = (
+                        ", ".join(self.dynamics) or "none",
+                        ("cylinder", at, "valve", i, "dynamics"),
+                    )
+                    raise Misplaced(
+                        f"there is no [dynamics.{valve.dynamics}]; there are {there}", *where
+                    )
         for load, links in self.payload.items():
             for link in links:
                 if link not in joints:
-                    raise Misplaced(f"there is no link '{link}'; there are {', '.join(joints)}", "payload", load, link)
+                    raise Misplaced(
+                        f"there is no link '{link}'; there are {', '.join(joints)}",
+                        "payload",
+                        load,
+                        link,
+                    )
         return self
 
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Joint names, base first (one name for a slide)."""
-        return (self.mechanism.name,) if isinstance(self.mechanism, Slide) else tuple(j.name for j in self.mechanism.joint)
+        return (
+            (self.mechanism.name,)
+            if isinstance(self.mechanism, Slide)
+            else tuple(j.name for j in self.mechanism.joint)
+        )
 
     def cylinder_named(self, name: str) -> Cylinder:
         """The cylinder of that name.
@@ -478,10 +588,15 @@ class Rig(Model):
         for cylinder in self.cylinder:
             if cylinder.name == name:
                 return cylinder
-        raise InputError(f"rig '{self.name}' has no cylinder '{name}'", hint="it has " + ", ".join(c.name for c in self.cylinder))
+        raise InputError(
+            f"rig '{self.name}' has no cylinder '{name}'",
+            hint="it has " + ", ".join(c.name for c in self.cylinder),
+        )
 
     def valves(self) -> Iterator[tuple[Cylinder, Valve]]:
-        """Every valve with its cylinder, in the order of the file: the order of all command vectors."""
+        """Every valve with its cylinder, in the order of the file: the order of all command
+        vectors.
+        """
         for cylinder in self.cylinder:
             for valve in cylinder.valve:
                 yield cylinder, valve
@@ -493,7 +608,9 @@ class Rig(Model):
                 yield cylinder, valve, edge
 
     def unit_of(self, name: str) -> str:
-        """The unit people see for a quantity or channel: the rig file's choice, else the vocabulary's."""
+        """The unit people see for a quantity or channel: the rig file's choice, else the
+        vocabulary's.
+        """
         word = name.rsplit(".", 1)[-1]
         return self.display.get(word) or self._display_like(word)
 
@@ -513,45 +630,67 @@ class Rig(Model):
         if load is None:
             return self
         if load not in self.payload:
-            raise InputError(f"rig '{self.name}' has no payload '{load}'", hint="it has " + (", ".join(self.payload) or "none"))
+            raise InputError(
+                f"rig '{self.name}' has no payload '{load}'",
+                hint="it has " + (", ".join(self.payload) or "none"),
+            )
         changes = self.payload[load]
 
         def loaded(body: Any) -> Any:
             change = changes.get(body.name)
             if change is None:
                 return body
-            given = {key: getattr(change, key) for key in LinkLoad.model_fields if getattr(change, key) is not None}
-            return body.model_copy(update={k: v for k, v in given.items() if k in type(body).model_fields})
+            given = {
+                key: getattr(change, key)
+                for key in LinkLoad.model_fields
+                if getattr(change, key) is not None
+            }
+            return body.model_copy(
+                update={k: v for k, v in given.items() if k in type(body).model_fields}
+            )
 
         if isinstance(self.mechanism, Slide):
             return self.model_copy(update={"mechanism": loaded(self.mechanism)})
         joints = tuple(loaded(joint) for joint in self.mechanism.joint)
-        return self.model_copy(update={"mechanism": self.mechanism.model_copy(update={"joint": joints})})
+        return self.model_copy(
+            update={"mechanism": self.mechanism.model_copy(update={"joint": joints})}
+        )
 
     def parameters(self) -> dict[str, Value]:
         """Every scalar parameter by the name recipes use.
 
-        ``bulk_modulus``, ``supply.pressure``, ``<joint>.joint_damping``, ``<joint>.mass``, ``<cylinder>.leakage_internal``,
-        ``<dynamics>.natural_frequency`` (also where the file gives s1 and s2), ``<edge>.flow_gain`` and so on.
-        """
+        ``bulk_modulus``, ``supply.pressure``, ``<joint>.joint_damping``, ``<joint>.mass``,
+        ``<cylinder>.leakage_internal``, ``<dynamics>.natural_frequency`` (also where the file gives
+        s1 and s2), ``<edge>.flow_gain`` and so on."""
         found: dict[str, Value] = {"gravity": self.gravity}
         found |= {name: value for name, value in _scalars(self.oil)}
         found |= {f"supply.{name}": value for name, value in _scalars(self.supply)}
-        bodies = [self.mechanism] if isinstance(self.mechanism, Slide) else list(self.mechanism.joint)
+        bodies = (
+            [self.mechanism] if isinstance(self.mechanism, Slide) else list(self.mechanism.joint)
+        )
         for body in bodies:
             found |= {f"{body.name}.{name}": value for name, value in _scalars(body)}
         for cylinder in self.cylinder:
             found |= {f"{cylinder.name}.{name}": value for name, value in _scalars(cylinder)}
             if cylinder.pins is not None:
-                found |= {f"{cylinder.name}.{name}": value for name, value in _scalars(cylinder.pins)}
+                found |= {
+                    f"{cylinder.name}.{name}": value for name, value in _scalars(cylinder.pins)
+                }
         for name, dynamics in self.dynamics.items():
             found |= {f"{name}.{key}": value for key, value in _scalars(dynamics)}
             if dynamics.natural_frequency is None:
                 omega, zeta = dynamics.frequency_and_damping()
-                found[f"{name}.natural_frequency"] = Value(omega, sure=dynamics.s2.sure, source=dynamics.s2.source)
-                found[f"{name}.damping_ratio"] = Value(zeta, sure=dynamics.s1.sure, source=dynamics.s1.source)
+                found[f"{name}.natural_frequency"] = Value(
+                    omega, sure=dynamics.s2.sure, source=dynamics.s2.source
+                )
+                found[f"{name}.damping_ratio"] = Value(
+                    zeta, sure=dynamics.s1.sure, source=dynamics.s1.source
+                )
         for cylinder, valve, edge in self.edges():
-            found |= {f"{cylinder.name}.{valve.edge_name(edge)}.{name}": value for name, value in _scalars(edge)}
+            found |= {
+                f"{cylinder.name}.{valve.edge_name(edge)}.{name}": value
+                for name, value in _scalars(edge)
+            }
         return found
 
     def with_values(self, values: Mapping[str, Value | float]) -> Rig:
@@ -564,14 +703,21 @@ class Rig(Model):
         for name in values:
             if name not in known:
                 near = get_close_matches(name, known, 1)
-                raise InputError(f"rig '{self.name}' has no parameter '{name}'", hint=f"nearest is '{near[0]}'" if near else None)
+                raise InputError(
+                    f"rig '{self.name}' has no parameter '{name}'",
+                    hint=f"nearest is '{near[0]}'" if near else None,
+                )
         new = {
-            name: value if isinstance(value, Value) else replace(known[name], value=float(value), text=None)
+            name: value
+            if isinstance(value, Value)
+            else replace(known[name], value=float(value), text=None)
             for name, value in values.items()
         }
 
         def own(prefix: str, model: Any) -> Any:
-            update = {key: new[prefix + key] for key in type(model).model_fields if prefix + key in new}
+            update = {
+                key: new[prefix + key] for key in type(model).model_fields if prefix + key in new
+            }
             return model.model_copy(update=update) if update else model
 
         def dynamics(name: str, model: Dynamics) -> Dynamics:
@@ -580,7 +726,11 @@ class Rig(Model):
                 return model
             if model.natural_frequency is None and not {"s1", "s2"} & set(wanted):
                 omega, zeta = model.frequency_and_damping()
-                base = {"natural_frequency": Value(omega), "damping_ratio": Value(zeta), "note": model.note}
+                base = {
+                    "natural_frequency": Value(omega),
+                    "damping_ratio": Value(zeta),
+                    "note": model.note,
+                }
                 return Dynamics.model_construct(**({"s1": None, "s2": None} | base | wanted))
             return model.model_copy(update=wanted)
 
@@ -589,7 +739,12 @@ class Rig(Model):
             pins = None if model.pins is None else own(f"{model.name}.", model.pins)
             valves = tuple(
                 valve.model_copy(
-                    update={"edge": tuple(own(f"{model.name}.{valve.edge_name(edge)}.", edge) for edge in valve.edge)}
+                    update={
+                        "edge": tuple(
+                            own(f"{model.name}.{valve.edge_name(edge)}.", edge)
+                            for edge in valve.edge
+                        )
+                    }
                 )
                 for valve in model.valve
             )
@@ -598,7 +753,9 @@ class Rig(Model):
         mechanism = (
             own(f"{self.mechanism.name}.", self.mechanism)
             if isinstance(self.mechanism, Slide)
-            else self.mechanism.model_copy(update={"joint": tuple(own(f"{j.name}.", j) for j in self.mechanism.joint)})
+            else self.mechanism.model_copy(
+                update={"joint": tuple(own(f"{j.name}.", j) for j in self.mechanism.joint)}
+            )
         )
         return own("", self).model_copy(
             update={
@@ -611,8 +768,16 @@ class Rig(Model):
         )
 
     def as_toml(self) -> dict[str, Any]:
-        """The rig as nested plain values that a TOML writer takes; reading them back gives the same rig."""
-        return self.model_dump(mode="python", by_alias=True, exclude_none=True, exclude_unset=False, exclude_defaults=True)
+        """The rig as nested plain values that a TOML writer takes; reading them back gives the same
+        rig.
+        """
+        return self.model_dump(
+            mode="python",
+            by_alias=True,
+            exclude_none=True,
+            exclude_unset=False,
+            exclude_defaults=True,
+        )
 
 
 def _second(names: Sequence[str]) -> int | None:

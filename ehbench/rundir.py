@@ -1,8 +1,8 @@
 """Run folders: results in plain files, with every input named by its SHA-256.
 
-A run is written into a temporary folder beside its place and renamed when it is whole, so nothing half-written stays.
-``run.json`` holds only what the same inputs give again; what differs from run to run is in ``volatile.json``.
-"""
+A run is written into a temporary folder beside its place and renamed when it is whole, so nothing
+half-written stays. ``run.json`` holds only what the same inputs give again; what differs from run
+to run is in ``volatile.json``."""
 
 from __future__ import annotations
 
@@ -26,7 +26,17 @@ from typing import Any
 from ehbench.errors import InputError
 
 PACKAGE = Path(__file__).resolve().parent
-_LIBRARIES = ("numpy", "scipy", "pandas", "numba", "matplotlib", "pydantic", "pint", "mcap", "control")
+_LIBRARIES = (
+    "numpy",
+    "scipy",
+    "pandas",
+    "numba",
+    "matplotlib",
+    "pydantic",
+    "pint",
+    "mcap",
+    "control",
+)
 
 
 def sha256(path: Path) -> str:
@@ -47,25 +57,35 @@ def code_version() -> str:
 
 @lru_cache(maxsize=1)
 def commit() -> str:
-    """The commit of the checkout the package runs from (``+changes`` when tracked files differ), or ``none``."""
+    """The commit of the checkout the package runs from (``+changes`` when tracked files differ), or
+    ``none``.
+    """
     try:
         done = subprocess.run(
             ["git", "-C", str(PACKAGE), "describe", "--always", "--abbrev=12", "--dirty=+changes"],
-            capture_output=True, text=True, timeout=10, check=False,
-        )  # fmt: skip
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=False,
+        )
     except (OSError, subprocess.TimeoutExpired):
         return "none"
     return done.stdout.strip() or "none"
 
 
 def plain(value: Any) -> Any:
-    """``value`` as JSON can hold it: arrays as lists, numpy numbers as Python's, NaN and infinities as null."""
+    """``value`` as JSON can hold it: arrays as lists, numpy numbers as Python's, NaN and infinities
+    as null.
+    """
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if hasattr(value, "tolist"):
         return plain(value.tolist())
     if isinstance(value, (list, tuple, set, frozenset)):
-        return [plain(item) for item in (sorted(value) if isinstance(value, (set, frozenset)) else value)]
+        return [
+            plain(item)
+            for item in (sorted(value) if isinstance(value, (set, frozenset)) else value)
+        ]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Path):
@@ -75,7 +95,10 @@ def plain(value: Any) -> Any:
 
 def write_json(path: Path, value: Any) -> None:
     """Write ``value`` as JSON with stable bytes."""
-    path.write_text(json.dumps(plain(value), indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+    path.write_text(
+        json.dumps(plain(value), indent=1, ensure_ascii=False, allow_nan=False) + "\n",
+        encoding="utf-8",
+    )
 
 
 def read_json(path: Path) -> Any:
@@ -87,7 +110,9 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise InputError("no such file", file=path, hint="is this a finished run folder of the right stage?") from None
+        raise InputError(
+            "no such file", file=path, hint="is this a finished run folder of the right stage?"
+        ) from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"not JSON: {error}", file=path) from None
 
@@ -102,7 +127,9 @@ class Run:
     facts: dict[str, Any] = field(default_factory=dict)
 
     def save(self) -> None:
-        """Write ``run.json`` over the files that are there; figures are drawn from a folder that has one."""
+        """Write ``run.json`` over the files that are there; figures are drawn from a folder that
+        has one.
+        """
         outputs = {
             path.relative_to(self.path).as_posix(): sha256(path)
             for path in sorted(self.path.rglob("*"))
@@ -129,32 +156,54 @@ def is_whole(folder: Path) -> bool:
     if not (folder / "run.json").is_file():
         return False
     outputs = read_json(folder / "run.json").get("outputs", {})
-    return all((folder / name).is_file() and sha256(folder / name) == digest for name, digest in outputs.items())
+    return all(
+        (folder / name).is_file() and sha256(folder / name) == digest
+        for name, digest in outputs.items()
+    )
 
 
 @contextmanager
-def open_run(final: Path, stage: str, recipe: Path, inputs: Iterable[tuple[str, Path]], seeds: Mapping[str, int] | None = None):
+def open_run(
+    final: Path,
+    stage: str,
+    recipe: Path,
+    inputs: Iterable[tuple[str, Path]],
+    seeds: Mapping[str, int] | None = None,
+):
     """A ``Run`` whose folder becomes ``final`` when the block ends well; else nothing stays.
 
     Raises:
         InputError: ``final`` exists and is no run folder, so it is not replaced.
     """
     inputs = list(inputs)
-    if final.exists() and not (final / "run.json").is_file() and (not final.is_dir() or any(final.iterdir())):
-        raise InputError("exists and is no run folder; it is left as it is", file=final, hint="choose another --out")
+    if (
+        final.exists()
+        and not (final / "run.json").is_file()
+        and (not final.is_dir() or any(final.iterdir()))
+    ):
+        raise InputError(
+            "exists and is no run folder; it is left as it is",
+            file=final,
+            hint="choose another --out",
+        )
     scratch = final.parent / f".{final.name}.{os.getpid()}.part"
     shutil.rmtree(scratch, ignore_errors=True)
     try:
         scratch.mkdir(parents=True)
     except OSError as error:
-        raise InputError(f"no run can be written here: {error.strerror}", file=final, hint="choose another --out") from None
+        raise InputError(
+            f"no run can be written here: {error.strerror}", file=final, hint="choose another --out"
+        ) from None
     record = {
         "stage": stage,
         "name": recipe.stem,
         "argv": ["ehbench", stage, recipe.name],
         "hash": run_hash(recipe, inputs),
         "recipe": {"path": recipe.name, "sha256": sha256(recipe)},
-        "inputs": [{"role": role, "path": _relative(path, recipe.parent), "sha256": sha256(path)} for role, path in inputs],
+        "inputs": [
+            {"role": role, "path": _relative(path, recipe.parent), "sha256": sha256(path)}
+            for role, path in inputs
+        ],
         "seeds": dict(seeds or {}),
         "versions": {
             "ehbench": metadata.version("ehbench"),
@@ -188,7 +237,9 @@ def open_run(final: Path, stage: str, recipe: Path, inputs: Iterable[tuple[str, 
 
 
 def _relative(path: Path, folder: Path) -> str:
-    """A name for an input that is the same on every machine: its path from the recipe, or a run folder's own name."""
+    """A name for an input that is the same on every machine: its path from the recipe, or a run
+    folder's own name.
+    """
     if path.is_dir():
         return path.name
     return Path(os.path.relpath(path, folder)).as_posix()

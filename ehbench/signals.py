@@ -1,7 +1,7 @@
 """Signals: ringing, transients, fit and correlation as pure functions of arrays; no rig, no record.
 
-A series is sampled evenly; ``y`` is (samples,) or (samples, channels). Correlations are of the series minus its mean.
-"""
+A series is sampled evenly; ``y`` is (samples,) or (samples, channels). Correlations are of the
+series minus its mean."""
 
 from __future__ import annotations
 
@@ -13,8 +13,12 @@ import numpy as np
 
 LEAST_SAMPLES = 24  # fewer do not carry four amplitudes, a frequency and a decay
 LEAST_CYCLES = 1.0
-MOST_DAMPED = 0.6  # above it a step overshoots by less than 10 %, and noise or drift pass for ringing
-SIGNIFICANT = 40.0  # log-likelihood ratio that noise alone practically never reaches over the whole search
+MOST_DAMPED = (
+    0.6  # above it a step overshoots by less than 10 %, and noise or drift pass for ringing
+)
+SIGNIFICANT = (
+    40.0  # log-likelihood ratio that noise alone practically never reaches over the whole search
+)
 _GRID_SAMPLES = 192
 _SAMPLES_A_CYCLE = 24
 _GRID_DAMPING = (0.02, 0.06, 0.12, 0.22, 0.4)
@@ -24,14 +28,15 @@ _GRID_DAMPING = (0.02, 0.06, 0.12, 0.22, 0.4)
 class Ringing:
     """A lightly damped oscillation found in a window.
 
-    ``natural_frequency`` [rad/s] and ``damping_ratio`` are those of the free oscillation, each with its standard error
-    (corrected for coloured residuals); ``cycles`` how many periods pass before it has decayed to 5 % or the window ends;
-    ``r_squared`` the share of what the drift leaves that the oscillation explains; ``stop`` [s] the last time used.
-    ``drift_time`` [s] is the time constant of the drift's exponential (0: none) and ``weights`` what each channel counted for;
-    with them `ringing_like` fits another series in the same way. ``ok`` is False when there is nothing to fit, and ``reason``
-    says why in words; the numbers are then nan. ``fitted_damping`` is what the fit says where the oscillation is damped too
-    well to ring: no more than a likely value, without an error bar.
-    """
+    ``natural_frequency`` [rad/s] and ``damping_ratio`` are those of the free oscillation, each with
+    its standard error (corrected for coloured residuals); ``cycles`` how many periods pass before
+    it has decayed to 5 % or the window ends; ``r_squared`` the share of what the drift leaves that
+    the oscillation explains; ``stop`` [s] the last time used. ``drift_time`` [s] is the time
+    constant of the drift's exponential (0: none) and ``weights`` what each channel counted for;
+    with them `ringing_like` fits another series in the same way. ``ok`` is False when there is
+    nothing to fit, and ``reason`` says why in words; the numbers are then nan. ``fitted_damping``
+    is what the fit says where the oscillation is damped too well to ring: no more than a likely
+    value, without an error bar."""
 
     natural_frequency: float = math.nan
     damping_ratio: float = math.nan
@@ -48,9 +53,15 @@ class Ringing:
 
 
 def fit_percent(measured: np.ndarray, simulated: np.ndarray) -> float:
-    """NRMSE fit ``100 (1 − ‖y − ŷ‖ / ‖y − mean y‖)`` [%]: 100 is exact, 0 no better than the mean; nan for a constant y."""
+    """NRMSE fit ``100 (1 − ‖y − ŷ‖ / ‖y − mean y‖)`` [%]: 100 is exact, 0 no better than the mean;
+    nan for a constant y.
+    """
     spread = float(np.linalg.norm(measured - np.mean(measured)))
-    return 100.0 * (1.0 - float(np.linalg.norm(measured - simulated)) / spread) if spread > 0.0 else math.nan
+    return (
+        100.0 * (1.0 - float(np.linalg.norm(measured - simulated)) / spread)
+        if spread > 0.0
+        else math.nan
+    )
 
 
 def rms(y: np.ndarray) -> float:
@@ -59,10 +70,11 @@ def rms(y: np.ndarray) -> float:
 
 
 def lowpass(y: np.ndarray, sample_time: float, cutoff: float) -> np.ndarray:
-    """``y`` through a second-order Butterworth low-pass run forwards and backwards: no phase, −6 dB at ``cutoff`` [Hz].
+    """``y`` through a second-order Butterworth low-pass run forwards and backwards: no phase, −6 dB
+    at ``cutoff`` [Hz].
 
-    Linear, so that filtering a residual is filtering both signals. A cutoff at or above Nyquist leaves ``y`` as it is.
-    """
+    Linear, so that filtering a residual is filtering both signals. A cutoff at or above Nyquist
+    leaves ``y`` as it is."""
     if cutoff >= 0.5 / sample_time:
         return np.asarray(y, dtype=float)
     from scipy.signal import butter, sosfiltfilt
@@ -72,17 +84,21 @@ def lowpass(y: np.ndarray, sample_time: float, cutoff: float) -> np.ndarray:
     return sosfiltfilt(sections, y, axis=0, padlen=pad)
 
 
-def transients(t: np.ndarray, commands: np.ndarray, settle: float = 0.02, least: float | np.ndarray = 0.0) -> list[slice]:
-    """Windows between command changes: each begins where a command has just changed and ends before the next change.
+def transients(
+    t: np.ndarray, commands: np.ndarray, settle: float = 0.02, least: float | np.ndarray = 0.0
+) -> list[slice]:
+    """Windows between command changes: each begins where a command has just changed and ends before
+    the next change.
 
-    Windows shorter than ``settle`` [s] are passed over, so changes that follow each other closely are one, and a ramp has none
-    before its end; what precedes the first change is no transient.
+    Windows shorter than ``settle`` [s] are passed over, so changes that follow each other closely
+    are one, and a ramp has none before its end; what precedes the first change is no transient.
 
     Args:
         t: time [s], shape (samples,).
         commands: [V], shape (samples,) or (samples, valves).
         settle: [s].
-        least: [V], one number or one a valve: a command has changed when it is off its last level by more.
+        least: [V], one number or one a valve: a command has changed when it is off its last level
+            by more.
     """
     table = _columns(commands)
     changed: set[int] = set()
@@ -92,14 +108,19 @@ def transients(t: np.ndarray, commands: np.ndarray, settle: float = 0.02, least:
             at += int(np.argmax(off))
             changed.add(at)
     edges = [*sorted(changed), len(t)]
-    return [slice(first, stop) for first, stop in pairwise(edges) if stop - first > 1 and t[stop - 1] - t[first] >= settle]
+    return [
+        slice(first, stop)
+        for first, stop in pairwise(edges)
+        if stop - first > 1 and t[stop - 1] - t[first] >= settle
+    ]
 
 
 def correlation(x: np.ndarray, u: np.ndarray, lags: int) -> np.ndarray:
-    """Sample correlation of x(t) with u(t − k), k = −lags … lags, shape (2·lags + 1,); zero where either is constant.
+    """Sample correlation of x(t) with u(t − k), k = −lags … lags, shape (2·lags + 1,); zero where
+    either is constant.
 
-    Positive k: u comes before x. Divided by the full sample count (biased, as Bartlett's formulas assume).
-    """
+    Positive k: u comes before x. Divided by the full sample count (biased, as Bartlett's formulas
+    assume)."""
     a, b = x - np.mean(x), u - np.mean(u)
     n = len(a)
     scale = float(np.linalg.norm(a) * np.linalg.norm(b))
@@ -109,7 +130,9 @@ def correlation(x: np.ndarray, u: np.ndarray, lags: int) -> np.ndarray:
     full = np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size)
     reach = min(lags, n - 1)
     result = np.zeros(2 * lags + 1)
-    result[lags - reach : lags + reach + 1] = np.concatenate([full[size - reach :], full[: reach + 1]]) / scale
+    result[lags - reach : lags + reach + 1] = (
+        np.concatenate([full[size - reach :], full[: reach + 1]]) / scale
+    )
     return result
 
 
@@ -119,10 +142,11 @@ def autocorrelation(x: np.ndarray, lags: int) -> np.ndarray:
 
 
 def correlation_time(x: np.ndarray) -> float:
-    """Integrated correlation time ``1 + 2 Σ ρ(k)`` in samples, at least 1: so many samples count as one independent one.
+    """Integrated correlation time ``1 + 2 Σ ρ(k)`` in samples, at least 1: so many samples count as
+    one independent one.
 
-    Summed to the first lag beyond five times the sum so far (Sokal 1997), at most a quarter of the series.
-    """
+    Summed to the first lag beyond five times the sum so far (Sokal 1997), at most a quarter of the
+    series."""
     most = max(1, len(x) // 4)
     total = 1.0 + 2.0 * np.cumsum(autocorrelation(x, most)[1:])
     beyond = np.flatnonzero(np.arange(1, most + 1) >= 5.0 * np.maximum(total, 1.0))
@@ -130,25 +154,30 @@ def correlation_time(x: np.ndarray) -> float:
 
 
 def autocorrelation_band(x: np.ndarray, lags: int, level: float = 0.95) -> np.ndarray:
-    """Half-width within which r(k), k = 0 … lags, stays with probability ``level`` if x is uncorrelated from lag k on.
+    """Half-width within which r(k), k = 0 … lags, stays with probability ``level`` if x is
+    uncorrelated from lag k on.
 
-    Bartlett's formula for a moving average, ``var r(k) = (1 + 2 Σ_{0<i<k} r(i)²)/n`` (Box & Jenkins 2.1.13): short-lived
-    colour widens the band at longer lags instead of failing there. At lag 1 it is the white band 1.96/√n.
-    """
+    Bartlett's formula for a moving average, ``var r(k) = (1 + 2 Σ_{0<i<k} r(i)²)/n`` (Box & Jenkins
+    2.1.13): short-lived colour widens the band at longer lags instead of failing there. At lag 1 it
+    is the white band 1.96/√n."""
     r = autocorrelation(x, lags)
     tail = np.concatenate([[0.0, 0.0], np.cumsum(r[1:-1] ** 2)])[: lags + 1]
     return _quantile(level) * np.sqrt((1.0 + 2.0 * tail) / len(x))
 
 
 def correlation_band(x: np.ndarray, u: np.ndarray, level: float = 0.95) -> float:
-    """Half-width within which r_xu(k) stays with probability ``level`` if x and u are independent, whatever their colour.
+    """Half-width within which r_xu(k) stays with probability ``level`` if x and u are independent,
+    whatever their colour.
 
-    Bartlett's formula ``var r_xu = Σ_i ρ_x(i) ρ_u(i) / n``, the sum tapered and cut where it has settled as in
-    `correlation_time`; never below the white band 1.96/√n.
-    """
+    Bartlett's formula ``var r_xu = Σ_i ρ_x(i) ρ_u(i) / n``, the sum tapered and cut where it has
+    settled as in `correlation_time`; never below the white band 1.96/√n."""
     n = len(x)
     most = max(1, n // 4)
-    both = autocorrelation(x, most)[1:] * autocorrelation(u, most)[1:] * (1.0 - np.arange(1, most + 1) / n)
+    both = (
+        autocorrelation(x, most)[1:]
+        * autocorrelation(u, most)[1:]
+        * (1.0 - np.arange(1, most + 1) / n)
+    )
     total = 1.0 + 2.0 * np.cumsum(both)
     beyond = np.flatnonzero(np.arange(1, most + 1) >= 5.0 * np.maximum(total, 1.0))
     spread = max(1.0, float(total[beyond[0]] if beyond.size else np.max(total)))
@@ -161,25 +190,31 @@ def _quantile(level: float) -> float:
     return NormalDist().inv_cdf(0.5 + 0.5 * level)
 
 
-def ringing(t: np.ndarray, y: np.ndarray, guess: tuple[float, float] | None = None, trim: bool = True) -> Ringing:
+def ringing(
+    t: np.ndarray, y: np.ndarray, guess: tuple[float, float] | None = None, trim: bool = True
+) -> Ringing:
     """The lightly damped oscillation that all channels of ``y`` share, beside drift and noise.
 
-    Least squares of ``e^(−ζ ω s) (a cos ω_d s + b sin ω_d s) + c0 + c1 s + c2 s² + d e^(−s/τ)``, s from the window's start and
-    ``ω_d = ω √(1 − ζ²)``; a…d are each channel's own and are eliminated (separable least squares, Golub & Pereyra 1973),
-    the exponential is kept only where it pays. Without a ``guess`` the whole range from one period in the window to an
-    eighth of the sampling rate is searched first, over the window and its halves.
+    Least squares of ``e^(−ζ ω s) (a cos ω_d s + b sin ω_d s) + c0 + c1 s + c2 s² + d e^(−s/τ)``, s
+    from the window's start and ``ω_d = ω √(1 − ζ²)``; a…d are each channel's own and are eliminated
+    (separable least squares, Golub & Pereyra 1973), the exponential is kept only where it pays.
+    Without a ``guess`` the whole range from one period in the window to an eighth of the sampling
+    rate is searched first, over the window and its halves.
 
     Args:
         t: [s], shape (samples,), even.
         y: any unit, shape (samples,) or (samples, channels).
         guess: (ω [rad/s], ζ) to start from instead of the search.
-        trim: leave out what comes after the oscillation has decayed; keep False to use exactly the window given.
+        trim: leave out what comes after the oscillation has decayed; keep False to use exactly the
+            window given.
     """
     y = _columns(y)
     if len(t) < LEAST_SAMPLES:
         return Ringing(reason=f"only {len(t)} samples")
     spread = np.std(y, axis=0)
-    weight = np.where(spread > 1e-9 * np.max(np.abs(y), axis=0), 1.0 / np.maximum(spread, 1e-300), 0.0)
+    weight = np.where(
+        spread > 1e-9 * np.max(np.abs(y), axis=0), 1.0 / np.maximum(spread, 1e-300), 0.0
+    )
     if not np.any(weight):
         return Ringing(reason="nothing moves")
     s, y = np.asarray(t - t[0], dtype=float), y - np.mean(y, axis=0)
@@ -197,16 +232,23 @@ def ringing(t: np.ndarray, y: np.ndarray, guess: tuple[float, float] | None = No
         taus = (tau,) if drifts is None else tuple(share * s[used - 1] for share in drifts)
         omega, zeta, tau = _refine(s[:used], y[:used] * weight, omega, zeta, taus)
         _, left = _project(_basis(s[:used], omega, zeta, tau), y[:used])
-        weight = np.where(weight > 0.0, 1.0 / np.maximum(np.sqrt(np.mean(left**2, axis=0)), np.maximum(floor, 1e-300)), 0.0)
+        weight = np.where(
+            weight > 0.0,
+            1.0 / np.maximum(np.sqrt(np.mean(left**2, axis=0)), np.maximum(floor, 1e-300)),
+            0.0,
+        )
     return _judge(s[:used], y[:used], weight, omega, zeta, tau, float(t[0] + first))
 
 
-def ringing_like(t: np.ndarray, y: np.ndarray, like: Ringing, guess: tuple[float, float] | None = None) -> Ringing:
-    """The oscillation of ``y`` seen exactly as that of another series was: the same window, drift and channel weights.
+def ringing_like(
+    t: np.ndarray, y: np.ndarray, like: Ringing, guess: tuple[float, float] | None = None
+) -> Ringing:
+    """The oscillation of ``y`` seen exactly as that of another series was: the same window, drift
+    and channel weights.
 
-    What the method does to one it does to the other, so the two compare. The search starts at ``guess`` (ω [rad/s], ζ), by
-    default around what the other series does; in a simulation, which has no noise, a free search would find oscillations
-    far too small for a recording to show.
+    What the method does to one it does to the other, so the two compare. The search starts at
+    ``guess`` (ω [rad/s], ζ), by default around what the other series does; in a simulation, which
+    has no noise, a free search would find oscillations far too small for a recording to show.
 
     Args:
         t, y: as for `ringing`, covering the window of ``like`` from its start.
@@ -218,7 +260,10 @@ def ringing_like(t: np.ndarray, y: np.ndarray, like: Ringing, guess: tuple[float
     starts = (
         [guess]
         if guess
-        else [(like.natural_frequency * share, max(like.damping_ratio, 0.05)) for share in (1.0, 0.5, 0.7, 1.4, 2.0)]
+        else [
+            (like.natural_frequency * share, max(like.damping_ratio, 0.05))
+            for share in (1.0, 0.5, 0.7, 1.4, 2.0)
+        ]
     )
     block = _block(t - t[0], like.natural_frequency)
     s, y, weight = _blocks(t - t[0], block), _blocks(y, block), np.array(like.weights)
@@ -228,8 +273,13 @@ def ringing_like(t: np.ndarray, y: np.ndarray, like: Ringing, guess: tuple[float
     first, s, y = s[0], s[:used] - s[0], y[:used] - np.mean(y[:used], axis=0)
     if not np.any(np.ptp(y * weight, axis=0) > 0.0):
         return Ringing(reason="nothing moves")
-    fits = [_refine(s, y * weight, omega, zeta, (like.drift_time,), free_drift=False) for omega, zeta in starts]
-    omega, zeta, tau = min(fits, key=lambda p: float(np.sum((_project(_basis(s, *p), y)[1] * weight) ** 2)))
+    fits = [
+        _refine(s, y * weight, omega, zeta, (like.drift_time,), free_drift=False)
+        for omega, zeta in starts
+    ]
+    omega, zeta, tau = min(
+        fits, key=lambda p: float(np.sum((_project(_basis(s, *p), y)[1] * weight) ** 2))
+    )
     return _judge(s, y, weight, omega, zeta, tau, float(t[0] + first))
 
 
@@ -240,7 +290,9 @@ def _columns(y: np.ndarray) -> np.ndarray:
 
 def _block(s: np.ndarray, omega: float) -> int:
     """Samples to average before the fit: enough stay to see the oscillation, and the window."""
-    return max(1, min(int(2 * math.pi / omega / (s[1] * _SAMPLES_A_CYCLE)), len(s) // LEAST_SAMPLES))
+    return max(
+        1, min(int(2 * math.pi / omega / (s[1] * _SAMPLES_A_CYCLE)), len(s) // LEAST_SAMPLES)
+    )
 
 
 def _blocks(y: np.ndarray, size: int) -> np.ndarray:
@@ -259,7 +311,9 @@ def _drift(s: np.ndarray, tau: float) -> np.ndarray:
 def _basis(s: np.ndarray, omega: float, zeta: float, tau: float) -> np.ndarray:
     damped = omega * math.sqrt(max(1e-6, 1.0 - zeta * zeta))
     envelope = np.exp(-zeta * omega * s)
-    return np.column_stack([envelope * np.cos(damped * s), envelope * np.sin(damped * s), _drift(s, tau)])
+    return np.column_stack(
+        [envelope * np.cos(damped * s), envelope * np.sin(damped * s), _drift(s, tau)]
+    )
 
 
 def _project(basis: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -281,7 +335,9 @@ def _search(s: np.ndarray, y: np.ndarray) -> tuple[float, float, int]:
         z = z - z[0]
         lowest, highest = 2 * math.pi / z[-1], 2 * math.pi / (8.0 * (z[1] - z[0]))
         frequencies = np.geomspace(lowest, max(highest, 1.1 * lowest), 48)
-        omega, zeta = (a.ravel()[:, None] for a in np.meshgrid(frequencies, _GRID_DAMPING, indexing="ij"))
+        omega, zeta = (
+            a.ravel()[:, None] for a in np.meshgrid(frequencies, _GRID_DAMPING, indexing="ij")
+        )
         damped, envelope = omega * np.sqrt(1 - zeta**2), np.exp(-zeta * omega * z)
         drift = _drift(z, 0.0)
         base, rest = _project(drift, w)
@@ -301,7 +357,9 @@ def _search(s: np.ndarray, y: np.ndarray) -> tuple[float, float, int]:
 
 
 def _refine(s, y, omega, zeta, taus, free_drift=True):
-    """(ω, ζ, τ) at the least-squares minimum near (ω, ζ); the drift's τ starts at the best of ``taus``, 0 meaning none."""
+    """(ω, ζ, τ) at the least-squares minimum near (ω, ζ); the drift's τ starts at the best of
+    ``taus``, 0 meaning none.
+    """
     from scipy.optimize import least_squares
 
     n = y.size
@@ -309,18 +367,41 @@ def _refine(s, y, omega, zeta, taus, free_drift=True):
     for tau in taus:
 
         def residual(p, tau=tau):
-            return _project(_basis(s, math.exp(p[0]), p[1], math.exp(p[2]) if len(p) > 2 else tau), y)[1].ravel()
+            return _project(
+                _basis(s, math.exp(p[0]), p[1], math.exp(p[2]) if len(p) > 2 else tau), y
+            )[1].ravel()
 
-        start, low, high = [math.log(omega), min(max(zeta, 0.0), 0.9)], [-np.inf, -0.05], [np.inf, 0.95]
+        start, low, high = (
+            [math.log(omega), min(max(zeta, 0.0), 0.9)],
+            [-np.inf, -0.05],
+            [np.inf, 0.95],
+        )
         if tau > 0.0 and free_drift:
-            start, low, high = [*start, math.log(tau)], [*low, math.log(s[2])], [*high, math.log(2.0 * s[-1])]
+            start, low, high = (
+                [*start, math.log(tau)],
+                [*low, math.log(s[2])],
+                [*high, math.log(2.0 * s[-1])],
+            )
             start[2] = min(max(start[2], low[2] + 1e-6), high[2] - 1e-6)
         found = least_squares(
-            residual, start, bounds=(low, high), x_scale=[0.1, 0.1, 0.5][: len(start)], ftol=1e-9, xtol=1e-7, max_nfev=30
+            residual,
+            start,
+            bounds=(low, high),
+            x_scale=[0.1, 0.1, 0.5][: len(start)],
+            ftol=1e-9,
+            xtol=1e-7,
+            max_nfev=30,
         )
-        score = n * math.log(max(2.0 * found.cost / n, 1e-300)) + ((y.shape[1] + 1) * math.log(n) if tau > 0.0 else 0.0)
+        score = n * math.log(max(2.0 * found.cost / n, 1e-300)) + (
+            (y.shape[1] + 1) * math.log(n) if tau > 0.0 else 0.0
+        )
         if best is None or score < best[0]:
-            best = (score, math.exp(found.x[0]), float(found.x[1]), math.exp(found.x[2]) if len(found.x) > 2 else tau)
+            best = (
+                score,
+                math.exp(found.x[0]),
+                float(found.x[1]),
+                math.exp(found.x[2]) if len(found.x) > 2 else tau,
+            )
     return best[1:]
 
 
@@ -332,8 +413,17 @@ def _judge(s, y, weight, omega, zeta, tau, start) -> Ringing:
     n, residual, total = len(s), float(np.sum(left**2)), float(np.sum(rest**2))
     share = 1.0 - residual / total if total > 0.0 else 0.0
     span = float(s[-1])
-    cycles = omega * math.sqrt(max(0.0, 1.0 - zeta**2)) / (2 * math.pi) * min(span, 3.0 / max(zeta * omega, 1e-9))
-    colour = max(correlation_time(column) for column in left.T) if residual > 1e-12 * max(total, 1e-300) else 1.0
+    cycles = (
+        omega
+        * math.sqrt(max(0.0, 1.0 - zeta**2))
+        / (2 * math.pi)
+        * min(span, 3.0 / max(zeta * omega, 1e-9))
+    )
+    colour = (
+        max(correlation_time(column) for column in left.T)
+        if residual > 1e-12 * max(total, 1e-300)
+        else 1.0
+    )
     step = 1e-4
     moves = np.eye(3)[: 3 if tau > 0.0 else 2] * step
     slopes = np.empty((y.size, len(moves)))
@@ -341,19 +431,31 @@ def _judge(s, y, weight, omega, zeta, tau, start) -> Ringing:
         up = _project(_basis(s, omega * math.exp(dw), zeta + dz, tau * math.exp(dt)), y)[1]
         down = _project(_basis(s, omega * math.exp(-dw), zeta - dz, tau * math.exp(-dt)), y)[1]
         slopes[:, column] = ((up - down) / (2 * step)).ravel()
-    covariance = np.linalg.pinv(slopes.T @ slopes) * residual / max(1, y.size - 6 * y.shape[1] - 2) * colour
-    std_omega, std_zeta = float(omega * math.sqrt(covariance[0, 0])), float(math.sqrt(covariance[1, 1]))
+    covariance = (
+        np.linalg.pinv(slopes.T @ slopes) * residual / max(1, y.size - 6 * y.shape[1] - 2) * colour
+    )
+    std_omega, std_zeta = (
+        float(omega * math.sqrt(covariance[0, 0])),
+        float(math.sqrt(covariance[1, 1])),
+    )
     evidence = n / colour * math.log(total / max(residual, 1e-12 * total)) if total > 0.0 else 0.0
     found = {
-        "natural_frequency": omega, "damping_ratio": zeta, "natural_frequency_std": std_omega, "damping_ratio_std": std_zeta,
-        "cycles": cycles, "r_squared": share, "stop": start + span, "drift_time": float(tau), "weights": weights,
-    }  # fmt: skip
+        "natural_frequency": omega,
+        "damping_ratio": zeta,
+        "natural_frequency_std": std_omega,
+        "damping_ratio_std": std_zeta,
+        "cycles": cycles,
+        "r_squared": share,
+        "stop": start + span,
+        "drift_time": float(tau),
+        "weights": weights,
+    }
     reason, fitted = "", math.nan
-    plain = share > 0.9 and cycles > 2.0 * LEAST_CYCLES  # what is left over is then the model's error, not noise to be judged by
+    plain = (
+        share > 0.9 and cycles > 2.0 * LEAST_CYCLES
+    )  # what is left over is then the model's error, not noise to be judged by
     if not plain and (evidence < SIGNIFICANT or share < 0.3):
-        reason = (
-            f"no oscillation stands out of noise and drift (it explains {100 * max(share, 0.0):.0f} % of what the drift leaves)"
-        )
+        reason = f"no oscillation stands out of noise and drift (it explains {100 * max(share, 0.0):.0f} % of what the drift leaves)"
     elif zeta > MOST_DAMPED or (cycles < LEAST_CYCLES and zeta * omega * span > 3.0):
         reason, fitted = "damped too well to ring", zeta
     elif cycles < LEAST_CYCLES:
@@ -361,5 +463,7 @@ def _judge(s, y, weight, omega, zeta, tau, start) -> Ringing:
     elif std_omega > 0.15 * omega:
         reason = f"the frequency is known to {100 * std_omega / omega:.0f} % only"
     if reason:
-        return Ringing(reason=reason, cycles=cycles, r_squared=share, stop=start + span, fitted_damping=fitted)
+        return Ringing(
+            reason=reason, cycles=cycles, r_squared=share, stop=start + span, fitted_damping=fitted
+        )
     return Ringing(**found, ok=True)

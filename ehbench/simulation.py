@@ -15,9 +15,26 @@ from ehbench.physics.arm import gravity_torque, work_size
 from ehbench.physics.cylinder import joint_angle, joint_range, linkage
 from ehbench.physics.flow_map import ValveMaps
 from ehbench.plant import (
-    AREA_HEAD, AREA_ROD, DAMPING, GEOMETRY, HIGHEST, L_A, L_B, LOWEST, PHASE, RETRACTED, SIDE, STIFFNESS, STROKE, Layout, Plant,
-    build, derivatives, layout, workspace_size,
-)  # fmt: skip
+    AREA_HEAD,
+    AREA_ROD,
+    DAMPING,
+    GEOMETRY,
+    HIGHEST,
+    L_A,
+    L_B,
+    LOWEST,
+    PHASE,
+    RETRACTED,
+    SIDE,
+    STIFFNESS,
+    STROKE,
+    Layout,
+    Plant,
+    build,
+    derivatives,
+    layout,
+    workspace_size,
+)
 from ehbench.quantities import VOCABULARY
 from ehbench.record import Record
 from ehbench.rig import Rig, read_value
@@ -26,17 +43,19 @@ STEP = 5.0e-4  # [s]
 STIFF = 1.0  # substeps are taken so that rate·step stays below this
 MOST_SUBSTEPS = 400
 SETTLED = 1.0e-12  # [V]: a valve this near to its command has arrived
-MOVED = 0.005  # share of a driver's range that a recorded command must change by to be more than noise
+MOVED = (
+    0.005  # share of a driver's range that a recorded command must change by to be more than noise
+)
 Maps = Mapping[str, ValveMaps]
 
 
 @kernel
 def rk4(y, command, plant, h, k, work):
-    """One classical Runge–Kutta step of ``h`` [s] in place, more substeps where the plant is stiff; returns the substeps.
+    """One classical Runge–Kutta step of ``h`` [s] in place, more substeps where the plant is stiff;
+    returns the substeps.
 
-    ``k`` is a (5, states) scratch. ``k[0]`` holds the derivatives at the step's start and ``work`` the edge flows there
-    only if one substep was taken.
-    """
+    ``k`` is a (5, states) scratch. ``k[0]`` holds the derivatives at the step's start and ``work``
+    the edge flows there only if one substep was taken."""
     return advance(y, command, plant, h, k, work, derivatives(y, command, plant, k[0], work))
 
 
@@ -68,11 +87,12 @@ def advance(y, command, plant, h, k, work, rate):
 
 @kernel
 def _finish_valves(y, command, plant, d, slope):
-    """Bring the valves from the fourth to the eighth order of ``d`` [s], in place, and set down those that have arrived.
+    """Bring the valves from the fourth to the eighth order of ``d`` [s], in place, and set down
+    those that have arrived.
 
-    A valve is linear and its command is held, so a Runge–Kutta step is the Taylor series of its exact answer up to d⁴; the
-    next four terms follow from ``x⁽ⁿ⁺²⁾ = −ω² x⁽ⁿ⁾ − 2ζω x⁽ⁿ⁺¹⁾``. ``slope`` holds the derivatives where the step began.
-    """
+    A valve is linear and its command is held, so a Runge–Kutta step is the Taylor series of its
+    exact answer up to d⁴; the next four terms follow from ``x⁽ⁿ⁺²⁾ = −ω² x⁽ⁿ⁾ − 2ζω x⁽ⁿ⁺¹⁾``.
+    ``slope`` holds the derivatives where the step began."""
     nv = plant.valves.shape[0]
     at_open = 2 * plant.links.shape[0] + 2 * plant.cylinders.shape[0]
     for i in range(nv):
@@ -98,19 +118,22 @@ def _finish_valves(y, command, plant, d, slope):
 
 @njit(cache=True, nogil=True)
 def run(y, commands, plant, tick, steps, log):
-    """Integrate from ``y`` (in place) through a table of commands, held over each tick; returns the most substeps.
+    """Integrate from ``y`` (in place) through a table of commands, held over each tick; returns the
+    most substeps.
 
     Args:
         y: state at the first sample.
         commands: [V], shape (samples, valves); row i acts from sample i on.
         tick: time between samples [s].
         steps: integration steps a tick.
-        log: out, shape (samples, states + edges + 1): the state, the edge flows and the pump flow at each sample, before
-            the tick that starts there.
+        log: out, shape (samples, states + edges + 1): the state, the edge flows and the pump flow
+            at each sample, before the tick that starts there.
     """
     size, flows = y.shape[0], plant.edges.shape[0] + 1
     k = np.empty((5, size))
-    work = np.empty(workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0]))
+    work = np.empty(
+        workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0])
+    )
     at = work.shape[0] - flows
     most = 1
     for sample in range(commands.shape[0]):
@@ -148,12 +171,15 @@ class Model:
     def stroke_range(self, index: int) -> tuple[float, float]:
         """Joint angle [rad] (or position [m]) at zero and at full stroke of cylinder ``index``."""
         row = self.plant.cylinders[index]
-        return joint_range(int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]], row[STROKE])
+        return joint_range(
+            int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]], row[STROKE]
+        )
 
     def posture(self, wanted: Mapping[str, str | float] | None) -> np.ndarray:
         """Joint coordinates [rad or m], shape (n,), from postures by cylinder or joint name.
 
-        A number or text with an angle is a joint angle, a text with a length a stroke; what is not named stands at mid-stroke.
+        A number or text with an angle is a joint angle, a text with a length a stroke; what is not
+        named stands at mid-stroke.
 
         Raises:
             InputError: unknown name, or a posture outside the stroke; says what the stroke allows.
@@ -161,7 +187,9 @@ class Model:
         q = np.zeros(len(self.layout.joints))
         for index, joint in enumerate(self.plant.joints):
             row = self.plant.cylinders[index]
-            q[joint] = joint_angle(int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]], 0.5 * row[STROKE])
+            q[joint] = joint_angle(
+                int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]], 0.5 * row[STROKE]
+            )
         slide = self.plant.cylinders.shape[0] and self.rig.mechanism.kind == "slide"
         for name, value in (wanted or {}).items():
             if name in self.layout.cylinders:
@@ -171,7 +199,10 @@ class Model:
                 joint = self.layout.joints.index(name)
                 index = next((i for i, j in enumerate(self.plant.joints) if j == joint), -1)
             else:
-                raise InputError(f"posture names '{name}', which is no cylinder or joint", hint="there are " + ", ".join(self.layout.cylinders))
+                raise InputError(
+                    f"posture names '{name}', which is no cylinder or joint",
+                    hint="there are " + ", ".join(self.layout.cylinders),
+                )
             if isinstance(value, str):
                 try:
                     number = float(read_value(value, VOCABULARY["x" if slide else "q"]))
@@ -180,25 +211,39 @@ class Model:
                     stroke = float(read_value(value, VOCABULARY["x"]))
                     if not 0 <= stroke <= row[STROKE]:
                         raise InputError(
-                            f"posture {name} = {value} lies outside the stroke", hint=f"0 to {row[STROKE] * 1e3:.1f} mm"
+                            f"posture {name} = {value} lies outside the stroke",
+                            hint=f"0 to {row[STROKE] * 1e3:.1f} mm",
                         ) from None
-                    number = float(joint_angle(int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]], stroke))
+                    number = float(
+                        joint_angle(
+                            int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]], stroke
+                        )
+                    )
             else:
                 number = float(value)
             if index >= 0:
                 ends = self.stroke_range(index)
                 low, high = min(ends), max(ends)
                 if not low - 1e-9 <= number <= high + 1e-9:
-                    shown = f"{low * 1e3:.1f} to {high * 1e3:.1f} mm" if slide else f"{math.degrees(low):.2f} to {math.degrees(high):.2f} deg"
+                    shown = (
+                        f"{low * 1e3:.1f} to {high * 1e3:.1f} mm"
+                        if slide
+                        else f"{math.degrees(low):.2f} to {math.degrees(high):.2f} deg"
+                    )
                     at = f"{number * 1e3:.1f} mm" if slide else f"{math.degrees(number):.2f} deg"
-                    raise InputError(f"posture {name} = {at} lies outside the stroke", hint=f"the stroke allows {shown}")
+                    raise InputError(
+                        f"posture {name} = {at} lies outside the stroke",
+                        hint=f"the stroke allows {shown}",
+                    )
             q[joint] = number
         return q
 
     def trim(self, q: np.ndarray, low_side: float | None = None) -> np.ndarray:
-        """The state at rest at joint coordinates ``q``: valves shut, supply at its set pressure, loads carried.
+        """The state at rest at joint coordinates ``q``: valves shut, supply at its set pressure,
+        loads carried.
 
-        The chamber that the load does not press on stands at ``low_side`` [Pa], by default a tenth of the supply pressure.
+        The chamber that the load does not press on stands at ``low_side`` [Pa], by default a tenth
+        of the supply pressure.
 
         Raises:
             SimulationError: a cylinder has no lever there, so no pressure holds the load.
@@ -212,9 +257,13 @@ class Model:
         low = 0.1 * plant.supply[0] if low_side is None else low_side
         for index, joint in enumerate(plant.joints):
             row = plant.cylinders[index]
-            _, lever, _ = linkage(int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]], q[joint])
+            _, lever, _ = linkage(
+                int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]], q[joint]
+            )
             if abs(lever) < 1e-6:
-                raise SimulationError(f"cylinder '{names.cylinders[index]}' has no lever at this posture, so nothing holds the load")
+                raise SimulationError(
+                    f"cylinder '{names.cylinders[index]}' has no lever at this posture, so nothing holds the load"
+                )
             force = torque[joint] / lever
             head, rod = low, low
             if force + low * row[AREA_ROD] >= low * row[AREA_HEAD]:
@@ -240,13 +289,18 @@ class Model:
         return table
 
     def rest_samples(self, commands: np.ndarray) -> int:
-        """How many samples pass before a command [V], shape (samples, valves), changes by more than noise; at least one."""
+        """How many samples pass before a command [V], shape (samples, valves), changes by more than
+        noise; at least one.
+        """
         span = MOVED * (self.plant.valves[:, HIGHEST] - self.plant.valves[:, LOWEST])
         moved = np.flatnonzero(np.any(np.abs(commands - commands[0]) > span, axis=1))
         return max(1, int(moved[0]) if moved.size else commands.shape[0])
 
-    def run(self, y: np.ndarray, commands: np.ndarray, tick: float = 1e-3, step: float = STEP) -> np.ndarray:
-        """Integrate from state ``y`` (left as it is) through ``commands``; returns the log table of `run`.
+    def run(
+        self, y: np.ndarray, commands: np.ndarray, tick: float = 1e-3, step: float = STEP
+    ) -> np.ndarray:
+        """Integrate from state ``y`` (left as it is) through ``commands``; returns the log table of
+        `run`.
 
         Raises:
             SimulationError: the state stopped being finite; says when.
@@ -256,15 +310,20 @@ class Model:
         run(y.copy(), np.ascontiguousarray(commands, dtype=float), self.plant, tick, steps, log)
         if not np.isfinite(log[-1]).all():
             bad = int(np.argmin(np.isfinite(log).all(axis=1)))
-            raise SimulationError(f"the simulation left finite numbers at t = {bad * tick:.4g} s", hint="take a smaller step")
+            raise SimulationError(
+                f"the simulation left finite numbers at t = {bad * tick:.4g} s",
+                hint="take a smaller step",
+            )
         return log
 
     def start_of(self, record: Record, rest: int) -> np.ndarray:
-        """The state at the first sample of a recording, from the mean of its first ``rest`` samples.
+        """The state at the first sample of a recording, from the mean of its first ``rest``
+        samples.
 
-        Joint angles (or strokes), chamber and supply pressures are the recording's where it has them, else those of `trim`.
-        The two pressures of a cylinder are moved, as little as possible together, until they carry the load exactly: friction
-        and sensor offsets would otherwise start the simulation with a jolt that the machine did not make. Rates are zero.
+        Joint angles (or strokes), chamber and supply pressures are the recording's where it has
+        them, else those of `trim`. The two pressures of a cylinder are moved, as little as possible
+        together, until they carry the load exactly: friction and sensor offsets would otherwise
+        start the simulation with a jolt that the machine did not make. Rates are zero.
 
         Raises:
             InputError: a posture outside the stroke.
@@ -280,7 +339,9 @@ class Model:
             if angle is not None:
                 low, high = sorted(self.stroke_range(index))
                 slack = 0.01 * (high - low)
-                wanted[name] = min(max(angle, low), high) if low - slack <= angle <= high + slack else angle
+                wanted[name] = (
+                    min(max(angle, low), high) if low - slack <= angle <= high + slack else angle
+                )
             elif stroke is not None:
                 wanted[name] = f"{min(max(stroke, 0.0), float(plant.cylinders[index, STROKE]))!r} m"
         for joint in names.joints:
@@ -312,13 +373,15 @@ class Model:
     def replay(self, record: Record, step: float = STEP, rest: int | None = None) -> Record:
         """Simulate what a recording's commands do, from the recording's own start.
 
-        Commands of valves that the recording lacks stay at rest; each recorded command acts from its sample on. Where the
-        recording has ``p_supply`` and ``p_tank``, their means over the ``rest`` samples are the set and the tank pressure.
+        Commands of valves that the recording lacks stay at rest; each recorded command acts from
+        its sample on. Where the recording has ``p_supply`` and ``p_tank``, their means over the
+        ``rest`` samples are the set and the tank pressure.
 
         Args:
             record: evenly sampled.
             step: integration step [s].
-            rest: samples at the start over which nothing moves yet; found from the commands by default.
+            rest: samples at the start over which nothing moves yet; found from the commands by
+                default.
 
         Raises:
             LogError: uneven time.
@@ -326,7 +389,10 @@ class Model:
         """
         tick = record.sample_time
         if record.t.size < 3 or np.abs(np.diff(record.t) - tick).max() > 0.01 * tick:
-            raise LogError("the recording is not evenly sampled, so it cannot be replayed", hint="resample it to one rate")
+            raise LogError(
+                "the recording is not evenly sampled, so it cannot be replayed",
+                hint="resample it to one rate",
+            )
         table = self.commands_of(record)
         rest = self.rest_samples(table) if rest is None else rest
         supply = self.plant.supply.copy()
@@ -337,7 +403,13 @@ class Model:
         log = model.run(model.start_of(record, rest), table, tick, step)
         return model.record(record.t, table, log, record.meta)
 
-    def record(self, t: np.ndarray, commands: np.ndarray, log: np.ndarray, meta: Mapping[str, str] | None = None) -> Record:
+    def record(
+        self,
+        t: np.ndarray,
+        commands: np.ndarray,
+        log: np.ndarray,
+        meta: Mapping[str, str] | None = None,
+    ) -> Record:
         """The log table as a record of named SI channels."""
         names, plant = self.layout, self.plant
         n = len(names.joints)
@@ -357,7 +429,9 @@ class Model:
             channels[f"{valve}.command"] = commands[:, index]
         for index, valve in enumerate(names.valves):
             static = plant.valves[index, 0] == 0.0
-            channels[f"{valve}.opening"] = commands[:, index] if static else log[:, names.state("opening", index)]
+            channels[f"{valve}.opening"] = (
+                commands[:, index] if static else log[:, names.state("opening", index)]
+            )
         for index, edge in enumerate(names.edges):
             channels[f"{edge}.flow"] = log[:, names.states + index]
         channels["p_supply"] = log[:, names.state("p_supply", 0)]
@@ -369,7 +443,9 @@ class Model:
 @kernel
 def _linkages(row, q, x, lever):
     for i in range(q.shape[0]):
-        x[i], lever[i], _ = linkage(int(row[GEOMETRY]), row[L_A], row[L_B], row[SIDE], row[PHASE], row[RETRACTED], q[i])
+        x[i], lever[i], _ = linkage(
+            int(row[GEOMETRY]), row[L_A], row[L_B], row[SIDE], row[PHASE], row[RETRACTED], q[i]
+        )
 
 
 def linkage_arrays(row: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -394,7 +470,8 @@ def simulate(
 
     Args:
         rig: the machine.
-        commands: [V] by ``<cylinder>.<valve>``: a number, or an array of one value a sample; others stay at rest.
+        commands: [V] by ``<cylinder>.<valve>``: a number, or an array of one value a sample; others
+            stay at rest.
         duration: [s].
         posture: where the joints start, as in `Model.posture`.
         payload: a payload of the rig file.
@@ -403,7 +480,8 @@ def simulate(
         step: integration step [s].
 
     Returns:
-        A record of ``rate·duration + 1`` samples: joints, cylinders, commands, openings, edge flows, supply.
+        A record of ``rate·duration + 1`` samples: joints, cylinders, commands, openings, edge
+        flows, supply.
 
     Raises:
         InputError: unknown valve or posture, wrong array length.
@@ -415,9 +493,14 @@ def simulate(
     table = model.rest_commands(samples)
     for name, values in commands.items():
         if name not in model.layout.valves:
-            raise InputError(f"rig '{rig.name}' has no valve '{name}'", hint="it has " + ", ".join(model.layout.valves))
+            raise InputError(
+                f"rig '{rig.name}' has no valve '{name}'",
+                hint="it has " + ", ".join(model.layout.valves),
+            )
         if np.ndim(values) and np.shape(values) != (samples,):
-            raise InputError(f"the command of '{name}' has {np.shape(values)[0]} values, the trial {samples} samples")
+            raise InputError(
+                f"the command of '{name}' has {np.shape(values)[0]} values, the trial {samples} samples"
+            )
         table[:, model.layout.valves.index(name)] = values
     log = model.run(model.trim(model.posture(posture)), table, 1.0 / rate, step)
     return model.record(t, table, log, {"rig": rig.name, "payload": payload or "none"})

@@ -1,4 +1,6 @@
-"""Conversion between what people write and SI. Pressures are gauge; pint is imported only when a unit is met."""
+"""Conversion between what people write and SI. Pressures are gauge; pint is imported only when a
+unit is met.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,14 @@ def _affine(unit: str, si: str) -> tuple[float, float]:
     import pint
 
     registry = _registry()
-    text = unit.strip().replace("²", "**2").replace("³", "**3").replace("√Pa", "Pa**0.5").replace("·", "*").replace("°C", "degC")
+    text = (
+        unit.strip()
+        .replace("²", "**2")
+        .replace("³", "**3")
+        .replace("√Pa", "Pa**0.5")
+        .replace("·", "*")
+        .replace("°C", "degC")
+    )
     text = re.sub(r"\b(gpm|lpm)\b", lambda m: f"({_ALIASES[m.group(1)]})", text)
     text = _ALIASES.get(text, text)
     try:
@@ -50,7 +59,9 @@ def _affine(unit: str, si: str) -> tuple[float, float]:
         one = registry.Quantity(1.0, text).to(si).magnitude
     except pint.DimensionalityError as error:
         raise UnitError(f"'{unit}' cannot be turned into {si}") from error
-    except Exception as error:  # pint raises tokenizer, attribute and assertion errors on malformed text
+    except (
+        Exception
+    ) as error:  # pint raises tokenizer, attribute and assertion errors on malformed text
         raise UnitError(f"unknown unit '{unit}'") from error
     turns = 1.0
     if _CYCLES.search(text) and "rad" in si:  # the registry counts a cycle and a radian alike as 1
@@ -77,7 +88,9 @@ def to_si(value, unit: str, row: Quantity):
         scale, offset = _affine(unit, row.unit)
     except UnitError as error:
         usual = ", ".join(dict.fromkeys((row.unit, row.display)))
-        raise UnitError(f"{error.message} for {row.name}", hint=f"{row.name} is in {usual} or the like") from None
+        raise UnitError(
+            f"{error.message} for {row.name}", hint=f"{row.name} is in {usual} or the like"
+        ) from None
     return value * scale + offset if offset else value * scale
 
 
@@ -97,10 +110,15 @@ def parse(text: str, row: Quantity) -> float:
     """
     match = _NUMBER.match(text)
     if not match:
-        raise UnitError(f"'{text}' is no number with a unit for {row.name}", hint=f'write it like "1.5 {row.display}"')
+        raise UnitError(
+            f"'{text}' is no number with a unit for {row.name}",
+            hint=f'write it like "1.5 {row.display}"',
+        )
     number, unit = float(match[1]), match[2]
     if not unit and row.unit != "dimensionless":
-        raise UnitError(f"'{text}' has no unit for {row.name}", hint=f'write it like "{match[1]} {row.display}"')
+        raise UnitError(
+            f"'{text}' has no unit for {row.name}", hint=f'write it like "{match[1]} {row.display}"'
+        )
     value = float(to_si(number, unit, row))
     plausible(value, row, text)
     return value
@@ -113,7 +131,10 @@ def plausible(value: float, row: Quantity, shown: str) -> None:
         UnitError: names the range in the row's display unit.
     """
     if not row.lower <= value <= row.upper:
-        low, high = (from_si(v, row.display, row) if abs(v) != float("inf") else v for v in (row.lower, row.upper))
+        low, high = (
+            from_si(v, row.display, row) if abs(v) != float("inf") else v
+            for v in (row.lower, row.upper)
+        )
         raise UnitError(
             f"{row.name} = {shown} lies outside {low:g} to {high:g} {row.display}",
             hint="check the unit and the sign",

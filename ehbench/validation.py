@@ -1,8 +1,8 @@
-"""Judge a model on logs it was not fitted to: simulated against recorded, residuals, ringing, a verdict with reasons.
+"""Judge a model on logs it was not fitted to: simulated against recorded, residuals, ringing, a
+verdict with reasons.
 
-The model runs freely from each log's start on the log's commands (`Model.replay`); nothing recorded later corrects it.
-Errors are simulated minus recorded, in SI.
-"""
+The model runs freely from each log's start on the log's commands (`Model.replay`); nothing recorded
+later corrects it. Errors are simulated minus recorded, in SI."""
 
 from __future__ import annotations
 
@@ -32,19 +32,31 @@ from ehbench.units import from_si
 CHANNELS = ("q", "qd", "p_head", "p_rod")
 NOISE = 0.5  # von Neumann ratio (1 for white noise, 0 for a smooth signal) above which a channel only shows noise
 RATE_CUTOFF = 20.0  # [Hz] of the low-pass before a rate is taken from a position
-LAG_STEP, LAG_SPAN = 0.01, 0.5  # [s]: residuals are averaged over LAG_STEP before they are correlated up to LAG_SPAN
-CLEAR_CYCLES, CLEAR_DAMPING = 1.5, 0.35  # a recorded ringing of fewer cycles, or better damped, is shown and not judged
+LAG_STEP, LAG_SPAN = (
+    0.01,
+    0.5,
+)  # [s]: residuals are averaged over LAG_STEP before they are correlated up to LAG_SPAN
+CLEAR_CYCLES, CLEAR_DAMPING = (
+    1.5,
+    0.35,
+)  # a recorded ringing of fewer cycles, or better damped, is shown and not judged
 _RATE_OF = {"qd": "q", "v": "x"}
-_STAND_IN = {"q": "x", "x": "q", "qd": "v", "v": "qd"}  # what moves with a quantity where a log lacks it
+_STAND_IN = {
+    "q": "x",
+    "x": "q",
+    "qd": "v",
+    "v": "qd",
+}  # what moves with a quantity where a log lacks it
 Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
 class Correlation:
-    """A correlation over lags [s], the half-width of its 95 % band at each lag, and the share [%] of lags outside.
+    """A correlation over lags [s], the half-width of its 95 % band at each lag, and the share [%]
+    of lags outside.
 
-    ``of`` names what the residual is correlated with: itself (lag 0 left out), or a command ``lag`` seconds earlier.
-    """
+    ``of`` names what the residual is correlated with: itself (lag 0 left out), or a command ``lag``
+    seconds earlier."""
 
     of: str
     lag: tuple[float, ...]
@@ -57,10 +69,9 @@ class Correlation:
 class ChannelResult:
     """One channel of one log, in the SI ``unit``. Errors are simulated minus recorded.
 
-    ``fit_percent`` is the NRMSE fit, None where the recording shows no motion; ``max_error`` the error largest in size,
-    with its sign; ``derived`` says that the log has no such channel and both sides were taken from the position's rate.
-    ``note`` says in words why something is missing.
-    """
+    ``fit_percent`` is the NRMSE fit, None where the recording shows no motion; ``max_error`` the
+    error largest in size, with its sign; ``derived`` says that the log has no such channel and both
+    sides were taken from the position's rate. ``note`` says in words why something is missing."""
 
     channel: str
     unit: str
@@ -76,7 +87,8 @@ class ChannelResult:
 
 @dataclass(frozen=True)
 class Ring:
-    """Natural frequency [rad/s] and damping ratio of one side of a transient with their standard errors; None: no ringing.
+    """Natural frequency [rad/s] and damping ratio of one side of a transient with their standard
+    errors; None: no ringing.
 
     ``cycles`` pass before it has decayed or the window ends; ``reason`` says why there is none.
     """
@@ -90,13 +102,21 @@ class Ring:
 
     @property
     def clear(self) -> bool:
-        """Whether it rings long enough for its frequency to be told from drift, so that a model can be judged by it."""
-        return self.damping_ratio is not None and self.damping_ratio <= CLEAR_DAMPING and self.cycles >= CLEAR_CYCLES
+        """Whether it rings long enough for its frequency to be told from drift, so that a model can
+        be judged by it.
+        """
+        return (
+            self.damping_ratio is not None
+            and self.damping_ratio <= CLEAR_DAMPING
+            and self.cycles >= CLEAR_CYCLES
+        )
 
 
 @dataclass(frozen=True)
 class Transient:
-    """The ringing of a cylinder after a command change, recorded and simulated over the same window [s]."""
+    """The ringing of a cylinder after a command change, recorded and simulated over the same window
+    [s].
+    """
 
     cylinder: str
     start: float
@@ -107,7 +127,9 @@ class Transient:
 
 @dataclass(frozen=True)
 class Check:
-    """One thing asked of the model on one log: what was reached (None: nothing to compare) and what was asked."""
+    """One thing asked of the model on one log: what was reached (None: nothing to compare) and what
+    was asked.
+    """
 
     what: str
     reached: float | None
@@ -119,11 +141,12 @@ class Check:
 
 @dataclass(frozen=True)
 class LogResult:
-    """One log. ``status``: ``held_out`` (it counts), ``fitted`` (the model was fitted to it), ``still``, or ``failed``.
+    """One log. ``status``: ``held_out`` (it counts), ``fitted`` (the model was fitted to it),
+    ``still``, or ``failed``.
 
-    ``moved`` cylinders had a valve commanded and are judged, ``held`` ones are not. ``failure`` says why a log could not be
-    simulated. ``series`` are the recorded and, as ``simulated.<channel>``, the simulated channels; it is not in the JSON.
-    """
+    ``moved`` cylinders had a valve commanded and are judged, ``held`` ones are not. ``failure``
+    says why a log could not be simulated. ``series`` are the recorded and, as
+    ``simulated.<channel>``, the simulated channels; it is not in the JSON."""
 
     name: str
     payload: str
@@ -147,7 +170,9 @@ class LogResult:
 
 @dataclass(frozen=True)
 class Validation:
-    """The verdict on a rig: ``accepted`` if some held-out log was judged and all of them passed; else ``reasons`` say why not."""
+    """The verdict on a rig: ``accepted`` if some held-out log was judged and all of them passed;
+    else ``reasons`` say why not.
+    """
 
     rig: str
     accepted: bool
@@ -170,9 +195,13 @@ class Validation:
         return table
 
     def series(self) -> dict[str, dict[str, np.ndarray]]:
-        """By log, columns named ``t [s]``, ``boom.q [rad]`` (recorded) and ``simulated.boom.q [rad]``, in SI."""
+        """By log, columns named ``t [s]``, ``boom.q [rad]`` (recorded) and ``simulated.boom.q
+        [rad]``, in SI.
+        """
         return {
-            log.name: {f"{name} [{quantity(name).unit}]": values for name, values in log.series.items()}
+            log.name: {
+                f"{name} [{quantity(name).unit}]": values for name, values in log.series.items()
+            }
             for log in self.logs
             if log.series
         }
@@ -184,7 +213,10 @@ class Validation:
             ModelRejected: with the first reason.
         """
         if not self.accepted:
-            raise ModelRejected(f"rig '{self.rig}' is rejected: {self.reasons[0]}", hint="; ".join(self.reasons[1:4]) or None)
+            raise ModelRejected(
+                f"rig '{self.rig}' is rejected: {self.reasons[0]}",
+                hint="; ".join(self.reasons[1:4]) or None,
+            )
 
 
 def read_validation(path: Path) -> Validation:
@@ -201,25 +233,43 @@ def read_validation(path: Path) -> Validation:
 
     def made(kind: type, row: dict[str, Any]) -> Any:
         known = {f.name for f in fields(kind)}
-        return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in row.items() if key in known})
+        return kind(
+            **{
+                key: tuple(value) if isinstance(value, list) else value
+                for key, value in row.items()
+                if key in known
+            }
+        )
 
     def channel(row: dict[str, Any]) -> ChannelResult:
         auto = row["autocorrelation"] and made(Correlation, row["autocorrelation"])
         return made(
-            ChannelResult, row | {"autocorrelation": auto, "cross_correlation": many(Correlation, row["cross_correlation"])}
+            ChannelResult,
+            row
+            | {
+                "autocorrelation": auto,
+                "cross_correlation": many(Correlation, row["cross_correlation"]),
+            },
         )
 
     def transient(row: dict[str, Any]) -> Transient:
-        return made(Transient, row | {side: made(Ring, row[side]) for side in ("recorded", "simulated")})
+        return made(
+            Transient, row | {side: made(Ring, row[side]) for side in ("recorded", "simulated")}
+        )
 
     def log(row: dict[str, Any]) -> LogResult:
-        nested = {"channels": [channel(c) for c in row["channels"]], "transients": [transient(w) for w in row["transients"]]}
+        nested = {
+            "channels": [channel(c) for c in row["channels"]],
+            "transients": [transient(w) for w in row["transients"]],
+        }
         return made(LogResult, row | nested | {"checks": many(Check, row["checks"])})
 
     try:
         return made(Validation, table | {"logs": [log(row) for row in table["logs"]]})
     except (KeyError, TypeError) as error:
-        raise InputError(f"is no validation: {error}", file=path, hint="name a finished run of stage 'validate'") from None
+        raise InputError(
+            f"is no validation: {error}", file=path, hint="name a finished run of stage 'validate'"
+        ) from None
 
 
 def validate_rig(
@@ -235,8 +285,9 @@ def validate_rig(
 ) -> Validation:
     """Judge a rig on logs.
 
-    A log that cannot be simulated is kept, marked, and rejects the model; a log in which no valve is commanded, or one the
-    model was fitted to, is shown and does not count. Payloads come from each record's ``meta["payload"]``.
+    A log that cannot be simulated is kept, marked, and rejects the model; a log in which no valve
+    is commanded, or one the model was fitted to, is shown and does not count. Payloads come from
+    each record's ``meta["payload"]``.
 
     Args:
         rig: with its identified numbers.
@@ -250,7 +301,8 @@ def validate_rig(
         where: file and line of a recipe's key, for the errors: `Recipe.at`.
 
     Raises:
-        InputError: a payload or channel that the rig does not have, no logs, or one that `intake.take_in` refuses.
+        InputError: a payload or channel that the rig does not have, no logs, or one that
+            `intake.take_in` refuses.
     """
     models = models_of(rig, logs, channels, flow_maps, where)
     asked = thresholds or Thresholds()
@@ -266,7 +318,9 @@ def validate_rig(
             if progress is not None:
                 progress(result.name, len(results) / len(logs))
     reasons, warnings = _verdict(results)
-    return Validation(rig.name, not reasons, tuple(reasons), tuple(warnings), _plain(asked), tuple(results))
+    return Validation(
+        rig.name, not reasons, tuple(reasons), tuple(warnings), _plain(asked), tuple(results)
+    )
 
 
 def models_of(
@@ -276,21 +330,32 @@ def models_of(
     flow_maps: Maps | None = None,
     where: Callable[..., Mapping[str, Any]] = lambda *location: {},
 ) -> dict[str, Model]:
-    """The model for each payload of the logs, by name, '' for none; arguments and errors as in `validate_rig`."""
+    """The model for each payload of the logs, by name, '' for none; arguments and errors as in
+    `validate_rig`.
+    """
     if not logs:
-        raise InputError("there is no log to validate on", hint="name at least one held-out log under 'data'")
+        raise InputError(
+            "there is no log to validate on", hint="name at least one held-out log under 'data'"
+        )
     for index, (name, record) in enumerate(logs):
         try:
             rig.with_payload(_payload(record) or None)
         except InputError as error:
-            raise InputError(f"{name}: {error.message}", **where("data", index), hint=error.hint) from None
+            raise InputError(
+                f"{name}: {error.message}", **where("data", index), hint=error.hint
+            ) from None
     _check_channels(rig, channels)
-    return {payload: Model.of(rig, flow_maps, payload or None) for payload in {_payload(record) for _, record in logs}}
+    return {
+        payload: Model.of(rig, flow_maps, payload or None)
+        for payload in {_payload(record) for _, record in logs}
+    }
 
 
 def _plain(asked: Thresholds) -> dict[str, Any]:
     """The thresholds as plain values, in SI."""
-    return asked.model_dump() | {"max_error": {name: float(value) for name, value in asked.max_error.items()}}
+    return asked.model_dump() | {
+        "max_error": {name: float(value) for name, value in asked.max_error.items()}
+    }
 
 
 def _payload(record: Record) -> str:
@@ -298,13 +363,19 @@ def _payload(record: Record) -> str:
     return "" if payload == "none" else payload
 
 
-def _distinct(logs: Sequence[tuple[str, Record]], fitted_on: Collection[str]) -> list[tuple[str, bool, Record]]:
-    """(name, whether fitted to, record) of each log; those of one name are numbered from the second on."""
+def _distinct(
+    logs: Sequence[tuple[str, Record]], fitted_on: Collection[str]
+) -> list[tuple[str, bool, Record]]:
+    """(name, whether fitted to, record) of each log; those of one name are numbered from the second
+    on.
+    """
     seen: dict[str, int] = {}
     found = []
     for name, record in logs:
         seen[name] = seen.get(name, 0) + 1
-        found.append((name if seen[name] == 1 else f"{name}_{seen[name]}", name in fitted_on, record))
+        found.append(
+            (name if seen[name] == 1 else f"{name}_{seen[name]}", name in fitted_on, record)
+        )
     return found
 
 
@@ -313,26 +384,43 @@ def _check_channels(rig: Rig, channels: Sequence[str]) -> None:
     for channel in channels:
         if channel not in known:
             raise InputError(
-                f"rig '{rig.name}' cannot be judged on channel '{channel}'", hint="channels are of " + ", ".join(known)
+                f"rig '{rig.name}' cannot be judged on channel '{channel}'",
+                hint="channels are of " + ", ".join(known),
             )
 
 
 def _verdict(results: Sequence[LogResult]) -> tuple[list[str], list[str]]:
     """(reasons to reject, warnings)."""
     warnings = [f"{log.name}: {text}" for log in results for text in log.warnings]
-    reasons = [f"{log.name}: could not be simulated: {log.failure}" for log in results if log.failure]
+    reasons = [
+        f"{log.name}: could not be simulated: {log.failure}" for log in results if log.failure
+    ]
     counted = [log for log in results if log.status == "held_out"]
-    reasons += [f"{log.name}: {check.sentence}" for log in counted for check in log.checks if not check.passed]
+    reasons += [
+        f"{log.name}: {check.sentence}"
+        for log in counted
+        for check in log.checks
+        if not check.passed
+    ]
     if not any(log.checks for log in counted):
         fitted = [log.name for log in results if log.status == "fitted"]
         why = (
-            f"the model was fitted to {', '.join(fitted)}, so none is held out" if fitted else "no held-out log supports a check"
+            f"the model was fitted to {', '.join(fitted)}, so none is held out"
+            if fitted
+            else "no held-out log supports a check"
         )
         reasons.append("nothing was judged: " + why)
     return reasons, warnings
 
 
-def _judge(name: str, record: Record, model: Model, channels: tuple[str, ...], asked: Thresholds, fitted: bool) -> LogResult:
+def _judge(
+    name: str,
+    record: Record,
+    model: Model,
+    channels: tuple[str, ...],
+    asked: Thresholds,
+    fitted: bool,
+) -> LogResult:
     uneven, warnings = "", []
     try:
         record, told = take_in(name, record, model)
@@ -342,27 +430,43 @@ def _judge(name: str, record: Record, model: Model, channels: tuple[str, ...], a
     moved, held = _moved(model, record)
     status = "fitted" if fitted else "held_out" if moved else "still"
     if fitted:
-        warnings.append("THE MODEL WAS FITTED TO THIS LOG: it is shown, and the verdict rests on the others")
+        warnings.append(
+            "THE MODEL WAS FITTED TO THIS LOG: it is shown, and the verdict rests on the others"
+        )
     if not moved:
-        warnings.append("the log carries no motion: no valve was commanded, so nothing is judged on it")
+        warnings.append(
+            "the log carries no motion: no valve was commanded, so nothing is judged on it"
+        )
     facts = {
-        "name": name, "payload": _payload(record) or "none", "duration": float(np.ptp(record.t)) if record.t.size else 0.0,
-        "sample_time": record.sample_time, "moved": moved, "held": held,
-    }  # fmt: skip
+        "name": name,
+        "payload": _payload(record) or "none",
+        "duration": float(np.ptp(record.t)) if record.t.size else 0.0,
+        "sample_time": record.sample_time,
+        "moved": moved,
+        "held": held,
+    }
     try:
         if uneven:
             raise LogError(uneven)
         simulated = model.replay(record)
     except EhbenchError as error:
         return LogResult(
-            **facts, status="failed", failure=str(error), warnings=tuple(warnings), series=_recorded(record, moved, channels)
+            **facts,
+            status="failed",
+            failure=str(error),
+            warnings=tuple(warnings),
+            series=_recorded(record, moved, channels),
         )
     pairs: dict[str, tuple[np.ndarray, np.ndarray, bool]] = {}
     series: dict[str, np.ndarray] = {"t": record.t}
     results = []
     for cylinder in moved:
         for word in channels:
-            choices = ((name, _pair(record, simulated, name)) for name in _names(cylinder, word) if name not in pairs)
+            choices = (
+                (name, _pair(record, simulated, name))
+                for name in _names(cylinder, word)
+                if name not in pairs
+            )
             found, pair = next(((name, pair) for name, pair in choices if pair), ("", None))
             if pair is None:
                 warnings.append(f"the log has nothing to judge '{cylinder}.{word}' by")
@@ -372,15 +476,21 @@ def _judge(name: str, record: Record, model: Model, channels: tuple[str, ...], a
             results.append(_compare(record, model, found, *pair))
             if results[-1].note:
                 warnings.append(f"{found}: {results[-1].note}")
-    windows = tuple(window for cylinder in moved for window in _transients(record, model, cylinder, pairs))
+    windows = tuple(
+        window for cylinder in moved for window in _transients(record, model, cylinder, pairs)
+    )
     checks = tuple(_checks(results, windows, asked, model.rig))
     if moved and not checks:
         warnings.append("no threshold applies to what the log shows, so nothing is judged on it")
     for cylinder in moved:
         mine = [w for w in windows if w.cylinder == cylinder]
         if not any(w.recorded.clear for w in mine):
-            why = f": {mine[0].recorded.reason or 'too few cycles'}" if mine else ": no command steps"
-            warnings.append(f"{cylinder} does not ring clearly in the recording{why}; natural frequency and decay are not judged")
+            why = (
+                f": {mine[0].recorded.reason or 'too few cycles'}" if mine else ": no command steps"
+            )
+            warnings.append(
+                f"{cylinder} does not ring clearly in the recording{why}; natural frequency and decay are not judged"
+            )
     return LogResult(
         **facts,
         status=status,
@@ -405,49 +515,77 @@ def _moved(model: Model, record: Record) -> tuple[tuple[str, ...], tuple[str, ..
         if channel not in record:
             return False
         span = MOVED * (float(valve.command_max) - float(valve.command_min))
-        return float(np.ptp(record[channel])) > span or float(np.max(np.abs(record[channel] - valve.rest))) > 2.0 * span
+        return (
+            float(np.ptp(record[channel])) > span
+            or float(np.max(np.abs(record[channel] - valve.rest))) > 2.0 * span
+        )
 
-    moved = tuple(c.name for c in model.rig.cylinder if any(given(c.name, valve) for valve in c.valve))
+    moved = tuple(
+        c.name for c in model.rig.cylinder if any(given(c.name, valve) for valve in c.valve)
+    )
     return moved, tuple(c.name for c in model.rig.cylinder if c.name not in moved)
 
 
-def _recorded(record: Record, moved: Sequence[str], channels: Sequence[str]) -> dict[str, np.ndarray]:
+def _recorded(
+    record: Record, moved: Sequence[str], channels: Sequence[str]
+) -> dict[str, np.ndarray]:
     names = [name for cylinder in moved for word in channels for name in _names(cylinder, word)]
     return {"t": record.t} | {name: record[name] for name in names if name in record}
 
 
-def _pair(record: Record, simulated: Record, channel: str) -> tuple[np.ndarray, np.ndarray, bool] | None:
+def _pair(
+    record: Record, simulated: Record, channel: str
+) -> tuple[np.ndarray, np.ndarray, bool] | None:
     """(recorded, simulated, whether derived) of a channel, None if the log cannot give it.
 
-    A rate that was not recorded is taken from both positions alike, behind a low-pass at RATE_CUTOFF.
-    """
+    A rate that was not recorded is taken from both positions alike, behind a low-pass at
+    RATE_CUTOFF."""
     if channel in record:
         return record[channel], simulated[channel], False
     cylinder, word = channel.rsplit(".", 1)
     source = f"{cylinder}.{_RATE_OF.get(word, '')}"
     if source not in record:
         return None
-    smooth = (signals.lowpass(one[source], record.sample_time, RATE_CUTOFF) for one in (record, simulated))
+    smooth = (
+        signals.lowpass(one[source], record.sample_time, RATE_CUTOFF) for one in (record, simulated)
+    )
     recorded, modelled = (np.gradient(y, record.sample_time) for y in smooth)
     return recorded, modelled, True
 
 
 def _compare(
-    record: Record, model: Model, channel: str, recorded: np.ndarray, simulated: np.ndarray, derived: bool
+    record: Record,
+    model: Model,
+    channel: str,
+    recorded: np.ndarray,
+    simulated: np.ndarray,
+    derived: bool,
 ) -> ChannelResult:
     error = simulated - recorded
     numbers = {
-        "channel": channel, "unit": quantity(channel).unit, "max_error": float(error[np.argmax(np.abs(error))]),
-        "bias": float(np.mean(error)), "rms_error": signals.rms(error), "derived": derived,
-    }  # fmt: skip
+        "channel": channel,
+        "unit": quantity(channel).unit,
+        "max_error": float(error[np.argmax(np.abs(error))]),
+        "bias": float(np.mean(error)),
+        "rms_error": signals.rms(error),
+        "derived": derived,
+    }
     variance = float(np.var(recorded))
     if math.sqrt(variance) <= 1e-9 * float(np.max(np.abs(recorded))):
-        return ChannelResult(fit_percent=None, note="the recording is constant, so it has no fit", **numbers)
+        return ChannelResult(
+            fit_percent=None, note="the recording is constant, so it has no fit", **numbers
+        )
     if float(np.mean(np.diff(recorded) ** 2)) > 2.0 * NOISE * variance:
-        return ChannelResult(fit_percent=None, note="the recording shows no motion beyond its noise, so it has no fit", **numbers)
+        return ChannelResult(
+            fit_percent=None,
+            note="the recording shows no motion beyond its noise, so it has no fit",
+            **numbers,
+        )
     cylinder = channel.rsplit(".", 1)[0]
     inputs = [
-        f"{valve}.command" for valve in model.layout.valves if valve.startswith(f"{cylinder}.") and f"{valve}.command" in record
+        f"{valve}.command"
+        for valve in model.layout.valves
+        if valve.startswith(f"{cylinder}.") and f"{valve}.command" in record
     ]
     block = max(1, round(LAG_STEP / record.sample_time))
     residual = _averaged(error, block)
@@ -456,16 +594,24 @@ def _compare(
     if lags < 2 or float(np.ptp(residual)) <= 1e-12 * float(np.max(np.abs(recorded))):
         return ChannelResult(fit_percent=signals.fit_percent(recorded, simulated), **numbers)
     auto = _correlation(
-        channel, lag[1:], signals.autocorrelation(residual, lags)[1:], signals.autocorrelation_band(residual, lags)[1:]
+        channel,
+        lag[1:],
+        signals.autocorrelation(residual, lags)[1:],
+        signals.autocorrelation_band(residual, lags)[1:],
     )
     cross = []
     for name in inputs:
         command = _averaged(record[name], block)
         if float(np.ptp(command)) > 0.0:
             band = np.full(lags + 1, signals.correlation_band(residual, command))
-            cross.append(_correlation(name, lag, signals.correlation(residual, command, lags)[lags:], band))
+            cross.append(
+                _correlation(name, lag, signals.correlation(residual, command, lags)[lags:], band)
+            )
     return ChannelResult(
-        fit_percent=signals.fit_percent(recorded, simulated), autocorrelation=auto, cross_correlation=tuple(cross), **numbers
+        fit_percent=signals.fit_percent(recorded, simulated),
+        autocorrelation=auto,
+        cross_correlation=tuple(cross),
+        **numbers,
     )
 
 
@@ -475,36 +621,66 @@ def _averaged(y: np.ndarray, block: int) -> np.ndarray:
 
 
 def _correlation(of: str, lag: np.ndarray, value: np.ndarray, band: np.ndarray) -> Correlation:
-    rounded = [tuple(float(f"{number:.6g}") for number in numbers) for numbers in (lag, value, band)]
+    rounded = [
+        tuple(float(f"{number:.6g}") for number in numbers) for numbers in (lag, value, band)
+    ]
     return Correlation(of, *rounded, outside_percent=100.0 * float(np.mean(np.abs(value) > band)))
 
 
 def _transients(
-    record: Record, model: Model, cylinder: str, pairs: dict[str, tuple[np.ndarray, np.ndarray, bool]]
+    record: Record,
+    model: Model,
+    cylinder: str,
+    pairs: dict[str, tuple[np.ndarray, np.ndarray, bool]],
 ) -> list[Transient]:
-    """The ringing after each change of the cylinder's own commands, until any command changes again."""
+    """The ringing after each change of the cylinder's own commands, until any command changes
+    again.
+    """
     rows = zip(model.layout.valves, model.plant.valves, strict=True)
     names = {f"{valve}.command": row for valve, row in rows if f"{valve}.command" in record}
-    given = [_held(record[name], MOVED * (valve[HIGHEST] - valve[LOWEST])) for name, valve in names.items()]
-    own = np.column_stack([command for command, name in zip(given, names, strict=True) if name.startswith(f"{cylinder}.")])
-    seen = [pair[:2] for channel, pair in pairs.items() if channel.startswith(f"{cylinder}.") and _rings(channel)]
+    given = [
+        _held(record[name], MOVED * (valve[HIGHEST] - valve[LOWEST]))
+        for name, valve in names.items()
+    ]
+    own = np.column_stack(
+        [
+            command
+            for command, name in zip(given, names, strict=True)
+            if name.startswith(f"{cylinder}.")
+        ]
+    )
+    seen = [
+        pair[:2]
+        for channel, pair in pairs.items()
+        if channel.startswith(f"{cylinder}.") and _rings(channel)
+    ]
     found = []
     for window in signals.transients(record.t, np.column_stack(given)):
         before = max(0, window.start - 1 - round(0.02 / record.sample_time))
         if not seen or not np.any(own[window.start] != own[before : window.start]):
             continue
-        measured, modelled = (np.column_stack([pair[side][window] for pair in seen]) for side in (0, 1))
+        measured, modelled = (
+            np.column_stack([pair[side][window] for pair in seen]) for side in (0, 1)
+        )
         t = record.t[window]
         recorded = signals.ringing(t, measured)
         simulated = signals.ringing_like(t, modelled, recorded)
         found.append(
-            Transient(cylinder, float(t[0]), recorded.stop if recorded.ok else float(t[-1]), _ring(recorded), _ring(simulated))
+            Transient(
+                cylinder,
+                float(t[0]),
+                recorded.stop if recorded.ok else float(t[-1]),
+                _ring(recorded),
+                _ring(simulated),
+            )
         )
     return found
 
 
 def _held(command: np.ndarray, span: float) -> np.ndarray:
-    """A command that keeps its value until it has changed by more than ``span`` [V], so that noise makes no steps."""
+    """A command that keeps its value until it has changed by more than ``span`` [V], so that noise
+    makes no steps.
+    """
     last, held = command[0], np.empty_like(command)
     for i, value in enumerate(command.tolist()):
         if abs(value - last) > span:
@@ -521,11 +697,18 @@ def _rings(channel: str) -> bool:
 def _ring(found: signals.Ringing) -> Ring:
     if not found.ok:
         return Ring(cycles=found.cycles, reason=found.reason)
-    numbers = found.natural_frequency, found.natural_frequency_std, found.damping_ratio, found.damping_ratio_std
+    numbers = (
+        found.natural_frequency,
+        found.natural_frequency_std,
+        found.damping_ratio,
+        found.damping_ratio_std,
+    )
     return Ring(*numbers, cycles=found.cycles)
 
 
-def _checks(results: Sequence[ChannelResult], windows: Sequence[Transient], asked: Thresholds, rig: Rig) -> list[Check]:
+def _checks(
+    results: Sequence[ChannelResult], windows: Sequence[Transient], asked: Thresholds, rig: Rig
+) -> list[Check]:
     checks = []
     for result in results:
         word, name = result.channel.rsplit(".", 1)[1], _words(result.channel)
@@ -533,15 +716,32 @@ def _checks(results: Sequence[ChannelResult], windows: Sequence[Transient], aske
         if least is not None and result.fit_percent is not None:
             reached = result.fit_percent
             sentence = f"{name} fit {reached:.3g} % is {'not ' * (reached >= least)}below the {least:g} % asked"
-            checks.append(Check(f"{result.channel} fit", reached, least, "percent", reached >= least, sentence))
+            checks.append(
+                Check(
+                    f"{result.channel} fit", reached, least, "percent", reached >= least, sentence
+                )
+            )
         if word in asked.max_error:
             row, unit = quantity(word), rig.unit_of(word)
             reached, most = abs(result.max_error), float(asked.max_error[word])
             shown = [f"{from_si(value, unit, row):.3g}" for value in (reached, most)]
             sentence = f"{name} error reaches {shown[0]} {unit}; {shown[1]} {unit} is allowed"
-            checks.append(Check(f"{result.channel} max error", reached, most, result.unit, reached <= most, sentence))
+            checks.append(
+                Check(
+                    f"{result.channel} max error",
+                    reached,
+                    most,
+                    result.unit,
+                    reached <= most,
+                    sentence,
+                )
+            )
         for wanted, kind, found in (
-            (asked.whiteness, "autocorrelation", [result.autocorrelation] if result.autocorrelation else []),
+            (
+                asked.whiteness,
+                "autocorrelation",
+                [result.autocorrelation] if result.autocorrelation else [],
+            ),
             (asked.independence, "correlation with commands", list(result.cross_correlation)),
         ):
             if wanted and found:
@@ -550,18 +750,32 @@ def _checks(results: Sequence[ChannelResult], windows: Sequence[Transient], aske
                 allowed = f"{asked.outside_percent:g} % is allowed"
                 sentence = f"{name} residual {kind} leaves its band at {reached:.0f} % of the lags; {allowed}"
                 checks.append(
-                    Check(f"{result.channel} residual {kind}", reached, asked.outside_percent, "percent", passed, sentence)
+                    Check(
+                        f"{result.channel} residual {kind}",
+                        reached,
+                        asked.outside_percent,
+                        "percent",
+                        passed,
+                        sentence,
+                    )
                 )
-    for cylinder, mine in groupby((w for w in windows if w.recorded.clear), key=lambda w: w.cylinder):
+    for cylinder, mine in groupby(
+        (w for w in windows if w.recorded.clear), key=lambda w: w.cylinder
+    ):
         group = list(mine)
-        for key, limit in (("natural_frequency", asked.natural_frequency_error), ("damping_ratio", asked.damping_ratio_error)):
+        for key, limit in (
+            ("natural_frequency", asked.natural_frequency_error),
+            ("damping_ratio", asked.damping_ratio_error),
+        ):
             if limit is not None:
                 checks.append(_ringing_check(cylinder, key, group, limit))
     return checks
 
 
 def _ringing_check(cylinder: str, key: str, windows: Sequence[Transient], limit: float) -> Check:
-    """The worst window: fails where the difference exceeds what is allowed by more than two of its standard errors."""
+    """The worst window: fails where the difference exceeds what is allowed by more than two of its
+    standard errors.
+    """
     what = f"{cylinder} {key.replace('_', ' ')}"
     silent = [w for w in windows if w.simulated.natural_frequency is None]
     if silent:
@@ -572,7 +786,9 @@ def _ringing_check(cylinder: str, key: str, windows: Sequence[Transient], limit:
     def miss(window: Transient) -> tuple[float, float]:
         """(difference, its standard error) as shares of the recorded value."""
         recorded, simulated = getattr(window.recorded, key), getattr(window.simulated, key)
-        spread = math.hypot(getattr(window.recorded, f"{key}_std"), getattr(window.simulated, f"{key}_std"))
+        spread = math.hypot(
+            getattr(window.recorded, f"{key}_std"), getattr(window.simulated, f"{key}_std")
+        )
         scale = max(abs(recorded), 1e-9)
         return abs(simulated - recorded) / scale, spread / scale
 
@@ -581,7 +797,10 @@ def _ringing_check(cylinder: str, key: str, windows: Sequence[Transient], limit:
     passed = reached - 2.0 * spread <= limit
     scale, unit = (0.5 / math.pi, " Hz") if key == "natural_frequency" else (1.0, "")
     sides = (worst.simulated, worst.recorded)
-    shown = [f"{scale * getattr(side, key):.3g} ± {scale * getattr(side, key + '_std'):.2g}{unit}" for side in sides]
+    shown = [
+        f"{scale * getattr(side, key):.3g} ± {scale * getattr(side, key + '_std'):.2g}{unit}"
+        for side in sides
+    ]
     apart = f"{100 * reached:.0f} % apart; {100 * limit:g} % is allowed"
     sentence = f"{what} {shown[0]} against {shown[1]} recorded from {worst.start:.2f} s on, {apart}"
     return Check(what, reached, limit, "share", passed, sentence)
@@ -589,5 +808,12 @@ def _ringing_check(cylinder: str, key: str, windows: Sequence[Transient], limit:
 
 def _words(channel: str) -> str:
     cylinder, word = channel.rsplit(".", 1)
-    plain = {"q": "position", "qd": "rate", "x": "stroke", "v": "speed", "p_head": "head pressure", "p_rod": "rod pressure"}
+    plain = {
+        "q": "position",
+        "qd": "rate",
+        "x": "stroke",
+        "v": "speed",
+        "p_head": "head pressure",
+        "p_rod": "rod pressure",
+    }
     return f"{cylinder} {plain[word]}"

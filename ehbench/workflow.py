@@ -1,11 +1,12 @@
 """The main path, in the order of the data. Read this first.
 
-    recipe → rig → record (log) → identified rig → validated rig → tuned controller → record (trial) → report
+    recipe → rig → record (log) → identified rig → validated rig → tuned controller → record (trial)
+    → report
 
-Each arrow is one function here. It takes a recipe file, names its inputs by hash, does its one job with floor-5
-methods, writes one run folder, and returns an `Outcome`. A recipe may name a rig, a flow map or a log by the file, by
-the run folder or by the recipe that makes it; in the last case that recipe is run first, unless its run is there.
-"""
+Each arrow is one function here. It takes a recipe file, names its inputs by hash, does its one job
+with floor-5 methods, writes one run folder, and returns an `Outcome`. A recipe may name a rig, a
+flow map or a log by the file, by the run folder or by the recipe that makes it; in the last case
+that recipe is run first, unless its run is there."""
 
 from __future__ import annotations
 
@@ -18,9 +19,19 @@ from typing import TYPE_CHECKING, Any
 from ehbench import rundir
 from ehbench.errors import InputError, ModelRejected
 from ehbench.recipe import (
-    Campaign, DataFile, FlowMapRecipe, HydraulicsRecipe, Recipe, TrialRecipe, TrialSetRecipe, TuneRecipe, ValidateRecipe, kind_of, load_recipe,
+    Campaign,
+    DataFile,
+    FlowMapRecipe,
+    HydraulicsRecipe,
+    Recipe,
+    TrialRecipe,
+    TrialSetRecipe,
+    TuneRecipe,
+    ValidateRecipe,
+    kind_of,
+    load_recipe,
     load_rig,
-)  # fmt: skip
+)
 
 if TYPE_CHECKING:
     from ehbench.physics.flow_map import FlowMaps
@@ -51,13 +62,17 @@ class Outcome:
         return _maps_in(self.folder)
 
     def json(self, name: str) -> Any:
-        """A JSON result of the run, by its name without ending, such as ``parameters`` or ``validation``."""
+        """A JSON result of the run, by its name without ending, such as ``parameters`` or
+        ``validation``.
+        """
         return rundir.read_json(self.folder / f"{name}.json")
 
 
 @dataclass(frozen=True)
 class Machine:
-    """A rig as a stage receives it: its numbers, its measured maps, how far it has come, and the inputs behind it."""
+    """A rig as a stage receives it: its numbers, its measured maps, how far it has come, and the
+    inputs behind it.
+    """
 
     rig: Rig
     flow_maps: FlowMaps | None
@@ -73,11 +88,12 @@ class ValidatedMachine(Machine):
 
 @dataclass(frozen=True)
 class Desk:
-    """Where a session works: the folder that runs go to, how progress is told, which runs stand, and what was allowed aloud.
+    """Where a session works: the folder that runs go to, how progress is told, which runs stand,
+    and what was allowed aloud.
 
-    ``allow_code`` lets recipes run Python code, ``unvalidated`` lets a controller be tuned on a rig that no validation accepted.
-    ``keep`` leaves a run alone that stands with the very same inputs; dependencies and campaigns work so. ``under_way`` are the
-    recipes that wait for the one at work.
+    ``allow_code`` lets recipes run Python code, ``unvalidated`` lets a controller be tuned on a rig
+    that no validation accepted. ``keep`` leaves a run alone that stands with the very same inputs;
+    dependencies and campaigns work so. ``under_way`` are the recipes that wait for the one at work.
     """
 
     root: Path = ROOT
@@ -104,19 +120,31 @@ def run(path: Path | str, desk: Desk | None = None) -> Outcome:
     """Run a recipe of any stage.
 
     Raises:
-        EhbenchError: bad input, data that do not support the claim, and so on; nothing is left behind then.
+        EhbenchError: bad input, data that do not support the claim, and so on; nothing is left
+            behind then.
     """
     recipe = load_recipe(path)
     desk = desk or Desk()
     place = recipe.path.resolve()
     if place in desk.under_way:
-        circle = " → ".join(one.name for one in (*desk.under_way[desk.under_way.index(place) :], place))
-        raise InputError(f"needs itself: {circle}", file=path, hint="name a rig file or a run folder where the circle shall end")
+        circle = " → ".join(
+            one.name for one in (*desk.under_way[desk.under_way.index(place) :], place)
+        )
+        raise InputError(
+            f"needs itself: {circle}",
+            file=path,
+            hint="name a rig file or a run folder where the circle shall end",
+        )
     desk = replace(desk, under_way=(*desk.under_way, place))
     for kind, stage in (
-        (FlowMapRecipe, identify_flow_map), (HydraulicsRecipe, identify_hydraulics), (ValidateRecipe, validate),
-        (TuneRecipe, tune), (TrialRecipe, run_trial), (TrialSetRecipe, run_trials), (Campaign, run_campaign),
-    ):  # fmt: skip
+        (FlowMapRecipe, identify_flow_map),
+        (HydraulicsRecipe, identify_hydraulics),
+        (ValidateRecipe, validate),
+        (TuneRecipe, tune),
+        (TrialRecipe, run_trial),
+        (TrialSetRecipe, run_trials),
+        (Campaign, run_campaign),
+    ):
         if isinstance(recipe, kind):
             return stage(recipe, desk)
     raise InputError(f"no stage for {type(recipe).__name__}", file=path)
@@ -130,12 +158,20 @@ def expect_stage(path: Path, *stages: str) -> None:
     """
     found = load_recipe(path).stage
     if found not in stages:
-        command = {"trial": "run-trial", "trials": "run-trial", "campaign": "reproduce"}.get(found, found)
-        raise InputError(f"is a recipe of stage '{found}'", file=path, hint=f"run it with: ehbench {command} {path}")
+        command = {"trial": "run-trial", "trials": "run-trial", "campaign": "reproduce"}.get(
+            found, found
+        )
+        raise InputError(
+            f"is a recipe of stage '{found}'",
+            file=path,
+            hint=f"run it with: ehbench {command} {path}",
+        )
 
 
 def identify_flow_map(recipe: FlowMapRecipe, desk: Desk) -> Outcome:
-    """Flowmeter readings → flow maps: ``flow_maps.json``, ``summary.json``, ``points.csv`` and a table for each map."""
+    """Flowmeter readings → flow maps: ``flow_maps.json``, ``summary.json``, ``points.csv`` and a
+    table for each map.
+    """
     from ehbench.identification import readings
     from ehbench.physics.flow_map import collect, save_flow_maps, table
     from ehbench.readers import read_flowmeter
@@ -147,83 +183,140 @@ def identify_flow_map(recipe: FlowMapRecipe, desk: Desk) -> Outcome:
 
     def work(made: rundir.Run) -> tuple[int, list[str]]:
         fits = readings.fit_readings(
-            machine.rig, [read_flowmeter(path, supply_pressure=supply) for path in files],
-            [(float(point.command), float(point.flow), point.tolerance) for point in recipe.calibration],
-            None if recipe.calibration_drop is None else float(recipe.calibration_drop), desk.tell(recipe.name),
+            machine.rig,
+            [read_flowmeter(path, supply_pressure=supply) for path in files],
+            [
+                (float(point.command), float(point.flow), point.tolerance)
+                for point in recipe.calibration
+            ],
+            None if recipe.calibration_drop is None else float(recipe.calibration_drop),
+            desk.tell(recipe.name),
             meter_limit=float(recipe.meter_limit),
-        )  # fmt: skip
+        )
         maps = collect([one.fit.map for one in fits])
         save_flow_maps(maps, made.path / "flow_maps.json")
         rundir.write_json(made.path / "summary.json", readings.summary(fits, machine.rig))
-        (made.path / "points.csv").write_text(readings.points_table(fits, machine.rig), encoding="utf-8")
-        units = {"flow_unit": machine.rig.unit_of("flow"), "pressure_unit": machine.rig.unit_of("pressure_drop")}
-        (made.path / "flow_maps.csv").write_text(table(maps, **units, signs=readings.signs(fits)), encoding="utf-8")
+        (made.path / "points.csv").write_text(
+            readings.points_table(fits, machine.rig), encoding="utf-8"
+        )
+        units = {
+            "flow_unit": machine.rig.unit_of("flow"),
+            "pressure_unit": machine.rig.unit_of("pressure_drop"),
+        }
+        (made.path / "flow_maps.csv").write_text(
+            table(maps, **units, signs=readings.signs(fits)), encoding="utf-8"
+        )
         _write_rig(made.path, machine.rig, None)
-        warnings = [f"{one.fit.map.valve} {one.fit.map.direction}: {text}" for one in fits for text in one.fit.warnings]
-        made.facts |= {"what": "flow_map", "title": recipe.title, "rig": machine.rig.name, "warnings": warnings}
+        warnings = [
+            f"{one.fit.map.valve} {one.fit.map.direction}: {text}"
+            for one in fits
+            for text in one.fit.warnings
+        ]
+        made.facts |= {
+            "what": "flow_map",
+            "title": recipe.title,
+            "rig": machine.rig.name,
+            "warnings": warnings,
+        }
         return DONE, warnings
 
     return _run(recipe, desk, inputs, work)
 
 
 def identify_hydraulics(recipe: HydraulicsRecipe, desk: Desk) -> Outcome:
-    """Step logs → identified rig: ``rig.toml`` with its maps, ``parameters.json``, a series for each log."""
+    """Step logs → identified rig: ``rig.toml`` with its maps, ``parameters.json``, a series for
+    each log.
+    """
     from ehbench.identification import hydraulics
 
     machine = machine_of(recipe, recipe.rig, recipe.flow_maps, desk)
     logs, inputs, losses = logs_of(recipe, recipe.data, desk)
     inputs = [*machine.inputs, *inputs]
     options = {
-        "method": recipe.method, "start": recipe.start, "lower": recipe.lower, "upper": recipe.upper, "channels": recipe.channels,
-        "flow_maps": machine.flow_maps, "workers": recipe.workers, "cutoff": None if recipe.cutoff is None else float(recipe.cutoff),
-        "max_iterations": recipe.max_iterations, "progress": desk.tell(recipe.name), "where": recipe.at,
-    }  # fmt: skip
+        "method": recipe.method,
+        "start": recipe.start,
+        "lower": recipe.lower,
+        "upper": recipe.upper,
+        "channels": recipe.channels,
+        "flow_maps": machine.flow_maps,
+        "workers": recipe.workers,
+        "cutoff": None if recipe.cutoff is None else float(recipe.cutoff),
+        "max_iterations": recipe.max_iterations,
+        "progress": desk.tell(recipe.name),
+        "where": recipe.at,
+    }
 
     def work(made: rundir.Run) -> tuple[int, list[str]]:
         fit = hydraulics.identify_hydraulics(machine.rig, logs, recipe.parameters, **options)
         variants = ()
         if recipe.compare_dynamics:
-            variants = hydraulics.compare_dynamics(machine.rig, logs, recipe.parameters, recipe.compare_dynamics, **options)
+            variants = hydraulics.compare_dynamics(
+                machine.rig, logs, recipe.parameters, recipe.compare_dynamics, **options
+            )
         compared = [variant.as_json() for variant in variants]
         _write_rig(made.path, fit.rig, machine.flow_maps)
-        rundir.write_json(made.path / "parameters.json", fit.as_json() | {"dynamics_comparison": compared})
+        rundir.write_json(
+            made.path / "parameters.json", fit.as_json() | {"dynamics_comparison": compared}
+        )
         _write_series(made.path / "series", fit.series())
         warnings = [*losses, *fit.warnings]
         made.facts |= {
-            "what": "hydraulics", "title": recipe.title, "rig": fit.rig.name, "method": recipe.method, "warnings": warnings,
+            "what": "hydraulics",
+            "title": recipe.title,
+            "rig": fit.rig.name,
+            "method": recipe.method,
+            "warnings": warnings,
             "recorded_on": _recorded_on(logs),
             "fitted_on": [rundir.sha256(path) for role, path in inputs if role == "log"],
-        }  # fmt: skip
+        }
         return (INCOMPLETE if losses else DONE), warnings
 
     return _run(recipe, desk, inputs, work)
 
 
 def validate(recipe: ValidateRecipe, desk: Desk) -> Outcome:
-    """Held-out logs → validated rig: ``validation.json`` with the verdict, a series for each log, the rig judged."""
+    """Held-out logs → validated rig: ``validation.json`` with the verdict, a series for each log,
+    the rig judged.
+    """
     from ehbench import validation
 
     machine = machine_of(recipe, recipe.rig, recipe.flow_maps, desk)
     logs, inputs, losses = logs_of(recipe, recipe.data, desk)
     used = _fitted_on(machine.inputs)
-    seen = [name for (name, _), (_, path) in zip(logs, inputs, strict=True) if rundir.sha256(path) in used]
+    seen = [
+        name
+        for (name, _), (_, path) in zip(logs, inputs, strict=True)
+        if rundir.sha256(path) in used
+    ]
     inputs = [*machine.inputs, *inputs]
 
     def work(made: rundir.Run) -> tuple[int, list[str]]:
         verdict = validation.validate_rig(
-            machine.rig, logs, channels=recipe.channels, thresholds=recipe.thresholds, flow_maps=machine.flow_maps, fitted_on=seen,
-            progress=desk.tell(recipe.name), where=recipe.at,
-        )  # fmt: skip
+            machine.rig,
+            logs,
+            channels=recipe.channels,
+            thresholds=recipe.thresholds,
+            flow_maps=machine.flow_maps,
+            fitted_on=seen,
+            progress=desk.tell(recipe.name),
+            where=recipe.at,
+        )
         _write_rig(made.path, machine.rig, machine.flow_maps)
         rundir.write_json(made.path / "validation.json", verdict.as_json())
-        if (machine.origin / "parameters.json").is_file():  # the intervals travel with the rig they belong to
+        if (
+            machine.origin / "parameters.json"
+        ).is_file():  # the intervals travel with the rig they belong to
             shutil.copyfile(machine.origin / "parameters.json", made.path / "parameters.json")
         _write_series(made.path / "series", verdict.series())
         warnings = [*losses, *verdict.warnings]
         made.facts |= {
-            "what": "validation", "title": recipe.title, "rig": machine.rig.name, "accepted": verdict.accepted, "warnings": warnings,
+            "what": "validation",
+            "title": recipe.title,
+            "rig": machine.rig.name,
+            "accepted": verdict.accepted,
+            "warnings": warnings,
             "recorded_on": _recorded_on(logs),
-        }  # fmt: skip
+        }
         if not verdict.accepted:
             return REJECTED, [*warnings, *verdict.reasons]
         return (INCOMPLETE if losses else DONE), warnings
@@ -232,36 +325,51 @@ def validate(recipe: ValidateRecipe, desk: Desk) -> Outcome:
 
 
 def tune(recipe: TuneRecipe, desk: Desk) -> Outcome:
-    """Validated rig → controller gains: ``tuning.json`` with what was promised at every operating point."""
+    """Validated rig → controller gains: ``tuning.json`` with what was promised at every operating
+    point.
+    """
     from ehbench.tune.gains import tune_pressure_feedback
 
     machine = machine_of(recipe, recipe.rig, recipe.flow_maps, desk)
     if not desk.unvalidated and not isinstance(machine, ValidatedMachine):
         raise ModelRejected(
             f"rig '{machine.rig.name}' is not validated ({machine.stage}), so no controller is tuned on it",
-            file=recipe.path, hint="name the recipe or run of its validation as rig, or add --unvalidated",
-        )  # fmt: skip
+            file=recipe.path,
+            hint="name the recipe or run of its validation as rig, or add --unvalidated",
+        )
     found = machine.origin / "parameters.json"
     known = rundir.read_json(found) if machine.origin.is_dir() and found.is_file() else None
-    correlation = (known["correlated_names"], known["correlation"]) if known and known["correlation"] else None
+    correlation = (
+        (known["correlated_names"], known["correlation"])
+        if known and known["correlation"]
+        else None
+    )
 
     def work(made: rundir.Run) -> tuple[int, list[str]]:
-        tuning = tune_pressure_feedback(machine, recipe, correlation=correlation, progress=desk.tell(recipe.name))
+        tuning = tune_pressure_feedback(
+            machine, recipe, correlation=correlation, progress=desk.tell(recipe.name)
+        )
         _write_rig(made.path, machine.rig, machine.flow_maps)
         rundir.write_json(made.path / "tuning.json", tuning.as_json())
         warnings = list(tuning.warnings)
         if not isinstance(machine, ValidatedMachine):
             warnings.insert(0, "tuned on a rig that no validation accepted (--unvalidated)")
         made.facts |= {
-            "what": "tuning", "title": recipe.title, "rig": machine.rig.name, "validated": machine.stage == "validated", "warnings": warnings,
-        }  # fmt: skip
+            "what": "tuning",
+            "title": recipe.title,
+            "rig": machine.rig.name,
+            "validated": machine.stage == "validated",
+            "warnings": warnings,
+        }
         return DONE, warnings
 
     return _run(recipe, desk, machine.inputs, work, {"draws": recipe.seed})
 
 
 def run_trial(recipe: TrialRecipe, desk: Desk) -> Outcome:
-    """One trial on the model or on the virtual bench → ``log.mcap`` and ``trial.json``; a limit stops it with exit 5."""
+    """One trial on the model or on the virtual bench → ``log.mcap`` and ``trial.json``; a limit
+    stops it with exit 5.
+    """
     from ehbench import trial
 
     trial.refuse_code(recipe, desk.allow_code)
@@ -271,16 +379,32 @@ def run_trial(recipe: TrialRecipe, desk: Desk) -> Outcome:
 
     def work(made: rundir.Run) -> tuple[int, list[str]]:
         record, facts = trial.run_trial(
-            machine.rig, recipe, machine.flow_maps, progress=desk.tell(recipe.name), gains=gains, allow_code=desk.allow_code
+            machine.rig,
+            recipe,
+            machine.flow_maps,
+            progress=desk.tell(recipe.name),
+            gains=gains,
+            allow_code=desk.allow_code,
         )
         _write_rig(made.path, machine.rig, machine.flow_maps)
         _write_log(made.path / "log.mcap", record, recipe, machine.rig)
-        doubts = _write_ledger(made.path / "ledger.json", record, recipe, machine.rig, machine.flow_maps, facts.cylinder)
+        doubts = _write_ledger(
+            made.path / "ledger.json",
+            record,
+            recipe,
+            machine.rig,
+            machine.flow_maps,
+            facts.cylinder,
+        )
         rundir.write_json(made.path / "trial.json", facts.as_json())
         made.facts |= {
-            "what": "trial", "title": recipe.title, "rig": machine.rig.name, "on": recipe.on, "stopped": facts.stopped,
+            "what": "trial",
+            "title": recipe.title,
+            "rig": machine.rig.name,
+            "on": recipe.on,
+            "stopped": facts.stopped,
             "warnings": [*facts.warnings, *doubts],
-        }  # fmt: skip
+        }
         if facts.stopped:
             return STOPPED, [*facts.warnings, *doubts, facts.stopped]
         return DONE, [*facts.warnings, *doubts]
@@ -289,7 +413,9 @@ def run_trial(recipe: TrialRecipe, desk: Desk) -> Outcome:
 
 
 def run_trials(recipe: TrialSetRecipe, desk: Desk) -> Outcome:
-    """Payloads × motions × controllers → ``logs/<case>.mcap`` and one table over all, ``table.json`` and ``table.csv``."""
+    """Payloads × motions × controllers → ``logs/<case>.mcap`` and one table over all,
+    ``table.json`` and ``table.csv``.
+    """
     from ehbench import trial
 
     planned = recipe.cases()
@@ -308,12 +434,16 @@ def run_trials(recipe: TrialSetRecipe, desk: Desk) -> Outcome:
         cases.append(trial.Case(name, one, machines[key].rig, machines[key].flow_maps, gains))
 
     def work(made: rundir.Run) -> tuple[int, list[str]]:
-        results = trial.run_cases(cases, allow_code=desk.allow_code, progress=desk.tell(recipe.name))
+        results = trial.run_cases(
+            cases, allow_code=desk.allow_code, progress=desk.tell(recipe.name)
+        )
         _write_rig(made.path, base.rig, base.flow_maps)
         (made.path / "logs").mkdir()
         (made.path / "ledgers").mkdir()
         doubts = []
-        for case, file, (record, facts) in zip(cases, trial.file_names(cases), results, strict=True):
+        for case, file, (record, facts) in zip(
+            cases, trial.file_names(cases), results, strict=True
+        ):
             _write_log(made.path / "logs" / f"{file}.mcap", record, case.recipe, case.rig)
             place = made.path / "ledgers" / f"{file}.json"
             said = _write_ledger(place, record, case.recipe, case.rig, case.maps, facts.cylinder)
@@ -321,11 +451,24 @@ def run_trials(recipe: TrialSetRecipe, desk: Desk) -> Outcome:
         rows = trial.table_rows(cases, results)
         rundir.write_json(made.path / "table.json", {"rows": rows})
         (made.path / "table.csv").write_text(trial.table_csv(rows, base.rig), encoding="utf-8")
-        stopped = [f"{case.name}: {facts.stopped}" for case, (_, facts) in zip(cases, results, strict=True) if facts.stopped]
-        warnings = [f"{case.name}: {text}" for case, (_, facts) in zip(cases, results, strict=True) for text in facts.warnings] + doubts
+        stopped = [
+            f"{case.name}: {facts.stopped}"
+            for case, (_, facts) in zip(cases, results, strict=True)
+            if facts.stopped
+        ]
+        warnings = [
+            f"{case.name}: {text}"
+            for case, (_, facts) in zip(cases, results, strict=True)
+            for text in facts.warnings
+        ] + doubts
         made.facts |= {
-            "what": "trials", "title": recipe.title, "rig": base.rig.name, "on": recipe.on, "stopped": "; ".join(stopped), "warnings": warnings,
-        }  # fmt: skip
+            "what": "trials",
+            "title": recipe.title,
+            "rig": base.rig.name,
+            "on": recipe.on,
+            "stopped": "; ".join(stopped),
+            "warnings": warnings,
+        }
         return (STOPPED if stopped else DONE), [*warnings, *stopped]
 
     return _run(recipe, desk, inputs, work, {"trial": recipe.seed})
@@ -334,11 +477,19 @@ def run_trials(recipe: TrialSetRecipe, desk: Desk) -> Outcome:
 def with_identified(rig: Rig, source: Rig) -> Rig:
     """A variant of a machine with the numbers that were identified on ``source``, by name."""
     known = rig.parameters()
-    return rig.with_values({name: value for name, value in source.parameters().items() if value.sure == "identified" and name in known})
+    return rig.with_values(
+        {
+            name: value
+            for name, value in source.parameters().items()
+            if value.sure == "identified" and name in known
+        }
+    )
 
 
 def _behind(recipe: TrialRecipe, desk: Desk) -> tuple[list[tuple[str, Path]], Path | None]:
-    """(inputs of a trial beside its rig, where its gains lie): bench, files it plays, tune run, the user's code."""
+    """(inputs of a trial beside its rig, where its gains lie): bench, files it plays, tune run, the
+    user's code.
+    """
     from ehbench import trial
 
     inputs = [("bench", existing(recipe, recipe.bench))] if recipe.bench else []
@@ -367,8 +518,12 @@ def _write_log(path: Path, record: Record, recipe: TrialRecipe, rig: Rig) -> Non
     write_log(path, type(record)(record.t, record.channels, record.meta, attached, record.losses))
 
 
-def _write_ledger(path: Path, record: Record, recipe: TrialRecipe, rig: Rig, maps: FlowMaps | None, cylinder: str) -> list[str]:
-    """Where a trial's energy went: exact on the model, from measured channels on the bench. Says why, where none can be made."""
+def _write_ledger(
+    path: Path, record: Record, recipe: TrialRecipe, rig: Rig, maps: FlowMaps | None, cylinder: str
+) -> list[str]:
+    """Where a trial's energy went: exact on the model, from measured channels on the bench. Says
+    why, where none can be made.
+    """
     from ehbench.errors import EhbenchError, InsufficientData
     from ehbench.ledger import bounds, ledger_of_log, ledger_of_model
     from ehbench.simulation import Model
@@ -394,10 +549,18 @@ def report(folders: Sequence[Path], desk: Desk, campaign: Campaign | None = None
 
     for folder in folders:
         if not rundir.is_whole(folder):
-            raise InputError("is no whole run folder", file=folder, hint="name folders that hold a run.json and all outputs it lists")
+            raise InputError(
+                "is no whole run folder",
+                file=folder,
+                hint="name folders that hold a run.json and all outputs it lists",
+            )
     inputs = [("run", folder) for folder in folders]
     source = campaign.path if campaign else folders[0] / "run.json"
-    final = desk.out or desk.root / f"{campaign.name if campaign else 'report'}_{rundir.run_hash(source, inputs)}"
+    final = (
+        desk.out
+        or desk.root
+        / f"{campaign.name if campaign else 'report'}_{rundir.run_hash(source, inputs)}"
+    )
     _tell(desk, campaign, "writing the report", 0.5)
     with rundir.open_run(final, "report", source, inputs) as made:
         (made.path / "report.html").write_text(pages.build(folders, campaign), encoding="utf-8")
@@ -405,7 +568,9 @@ def report(folders: Sequence[Path], desk: Desk, campaign: Campaign | None = None
 
 
 def run_campaign(recipe: Campaign, desk: Desk) -> Outcome:
-    """Several recipes in order, then one report over their runs. A rejected or stopped run is shown, not dropped."""
+    """Several recipes in order, then one report over their runs. A rejected or stopped run is
+    shown, not dropped.
+    """
     inner = replace(desk, out=None, keep=True)
     outcomes = []
     for index, name in enumerate(recipe.recipes):
@@ -413,12 +578,16 @@ def run_campaign(recipe: Campaign, desk: Desk) -> Outcome:
         outcomes.append(make(recipe.file(name), inner))
     page = report([outcome.folder for outcome in outcomes], desk, recipe)
     worst = max((outcome.code for outcome in outcomes), default=DONE)
-    notes = tuple(f"{outcome.folder.name}: {note}" for outcome in outcomes for note in outcome.notes)
+    notes = tuple(
+        f"{outcome.folder.name}: {note}" for outcome in outcomes for note in outcome.notes
+    )
     return Outcome(page.folder, worst, notes)
 
 
 def make(path: Path, desk: Desk) -> Outcome:
-    """The outcome of a recipe, run only if it has not been run with these very inputs; dependencies go to ``desk.root``."""
+    """The outcome of a recipe, run only if it has not been run with these very inputs; dependencies
+    go to ``desk.root``.
+    """
     path = path.resolve()
     if path not in desk.done:
         desk.done[path] = run(path, replace(desk, out=None, keep=True))
@@ -426,7 +595,9 @@ def make(path: Path, desk: Desk) -> Outcome:
 
 
 def machine_of(recipe: Recipe, rig: str, flow_maps: str | None, desk: Desk) -> Machine:
-    """The rig that a recipe names, with its maps: from a rig file, a run folder, or a recipe that makes one."""
+    """The rig that a recipe names, with its maps: from a rig file, a run folder, or a recipe that
+    makes one.
+    """
     path = existing(recipe, rig)
     inputs: list[tuple[str, Path]] = []
     stage = "file"
@@ -434,7 +605,9 @@ def machine_of(recipe: Recipe, rig: str, flow_maps: str | None, desk: Desk) -> M
         path = make(path, desk).folder
     if path.is_dir():
         facts = rundir.read_json(path / "run.json")
-        stage = {"identify": "identified", "validate": "validated"}.get(facts["stage"], facts["stage"])
+        stage = {"identify": "identified", "validate": "validated"}.get(
+            facts["stage"], facts["stage"]
+        )
         if stage == "validated" and not facts["accepted"]:
             stage = "rejected"
     inputs.append(("rig", path))
@@ -446,20 +619,28 @@ def machine_of(recipe: Recipe, rig: str, flow_maps: str | None, desk: Desk) -> M
         inputs.append(("flow_maps", source))
         maps = _maps_in(source)
         if maps is None:
-            raise InputError("holds no flow maps", file=source, hint="name a run of what = 'flow_map'")
+            raise InputError(
+                "holds no flow maps", file=source, hint="name a run of what = 'flow_map'"
+            )
     kind = ValidatedMachine if stage == "validated" else Machine
     return kind(load_rig(path), maps, stage, tuple(inputs), path)
 
 
-def logs_of(recipe: Recipe, data: Sequence[DataFile], desk: Desk) -> tuple[list[tuple[str, Record]], list[tuple[str, Path]], list[str]]:
-    """(name and record of each log, inputs, losses). Data may be a log, or the recipe or run folder of a trial."""
+def logs_of(
+    recipe: Recipe, data: Sequence[DataFile], desk: Desk
+) -> tuple[list[tuple[str, Record]], list[tuple[str, Path]], list[str]]:
+    """(name and record of each log, inputs, losses). Data may be a log, or the recipe or run folder
+    of a trial.
+    """
     from ehbench.intake import distinct_names
     from ehbench.logs import read_record
 
     places = []
     for item in data:
         path = existing(recipe, item.path)
-        places.append(make(path, desk).folder if path.is_file() and path.suffix == ".toml" else path)
+        places.append(
+            make(path, desk).folder if path.is_file() and path.suffix == ".toml" else path
+        )
     logs, inputs, losses = [], [], []
     for item, place, name in zip(data, places, distinct_names(places), strict=True):
         path = place / "log.mcap" if place.is_dir() else place
@@ -478,7 +659,11 @@ def _window(record: Record, item: DataFile, path: Path) -> Record:
     high = np.inf if item.stop is None else float(item.stop)
     keep = (record.t >= low) & (record.t <= high)
     if keep.sum() < 3 <= record.t.size:
-        raise InputError(f"has no samples between {low:g} and {high:g} s", file=path, hint=f"it runs from {record.t[0]:g} to {record.t[-1]:g} s")
+        raise InputError(
+            f"has no samples between {low:g} and {high:g} s",
+            file=path,
+            hint=f"it runs from {record.t[0]:g} to {record.t[-1]:g} s",
+        )
     meta = dict(record.meta) | ({"payload": item.payload} if item.payload else {})
     channels = {name: values[keep] for name, values in record.channels.items()}
     return type(record)(record.t[keep], channels, meta, record.attachments, record.losses)
@@ -494,9 +679,15 @@ def existing(recipe: Recipe, name: str) -> Path:
     if not path.exists():
         from difflib import get_close_matches
 
-        near = get_close_matches(path.name, [p.name for p in path.parent.iterdir()], 1) if path.parent.is_dir() else []
+        near = (
+            get_close_matches(path.name, [p.name for p in path.parent.iterdir()], 1)
+            if path.parent.is_dir()
+            else []
+        )
         raise InputError(
-            f"names '{name}', which is not there", file=recipe.path, hint=f"did you mean '{near[0]}'?" if near else f"looked for {path}"
+            f"names '{name}', which is not there",
+            file=recipe.path,
+            hint=f"did you mean '{near[0]}'?" if near else f"looked for {path}",
         )
     return path
 
@@ -515,7 +706,11 @@ def _recorded_on(logs: Sequence[tuple[str, Record]]) -> list[str]:
 def _fitted_on(inputs: Sequence[tuple[str, Path]]) -> set[str]:
     """SHA-256 of the logs that the runs behind these inputs were fitted on."""
     runs = [path for _, path in inputs if path.is_dir()]
-    return {digest for folder in runs for digest in rundir.read_json(folder / "run.json").get("fitted_on", [])}
+    return {
+        digest
+        for folder in runs
+        for digest in rundir.read_json(folder / "run.json").get("fitted_on", [])
+    }
 
 
 def _write_rig(folder: Path, rig: Rig, maps: FlowMaps | None) -> None:
@@ -535,7 +730,14 @@ def _write_series(folder: Path, series: dict[str, Record]) -> None:
         header = ",".join(columns)
         import numpy as np
 
-        np.savetxt(folder / f"{name}.csv", np.column_stack(list(columns.values())), "%.9g", ",", header=header, comments="")
+        np.savetxt(
+            folder / f"{name}.csv",
+            np.column_stack(list(columns.values())),
+            "%.9g",
+            ",",
+            header=header,
+            comments="",
+        )
 
 
 def _run(
@@ -545,7 +747,9 @@ def _run(
     work: Callable[[rundir.Run], tuple[int, list[str]]],
     seeds: dict[str, int] | None = None,
 ) -> Outcome:
-    """Open the run's folder, do the work in it, draw its figures. A run that stands with these very inputs is kept if it may."""
+    """Open the run's folder, do the work in it, draw its figures. A run that stands with these very
+    inputs is kept if it may.
+    """
     from ehbench import report as pages
 
     final = desk.place(recipe, inputs)
@@ -567,15 +771,23 @@ def _tell(desk: Desk, recipe: Recipe | None, what: str, share: float) -> None:
 
 
 def find_campaign(name: str) -> Path:
-    """The campaign file of a name such as ``thesis``: ``recipes/<name>/campaign.toml`` here or beside the package, or a file.
+    """The campaign file of a name such as ``thesis``: ``recipes/<name>/campaign.toml`` here or
+    beside the package, or a file.
 
     Raises:
         InputError: there is none.
     """
-    for candidate in (Path(name), Path("recipes") / name / "campaign.toml", rundir.PACKAGE.parent / "recipes" / name / "campaign.toml"):
+    for candidate in (
+        Path(name),
+        Path("recipes") / name / "campaign.toml",
+        rundir.PACKAGE.parent / "recipes" / name / "campaign.toml",
+    ):
         if candidate.is_file():
             return candidate
-    raise InputError(f"no campaign '{name}'", hint="give a campaign's TOML file, or a name for recipes/<name>/campaign.toml")
+    raise InputError(
+        f"no campaign '{name}'",
+        hint="give a campaign's TOML file, or a name for recipes/<name>/campaign.toml",
+    )
 
 
 def init(folder: Path) -> Outcome:
@@ -585,9 +797,13 @@ def init(folder: Path) -> Outcome:
         InputError: the folder exists and is not empty.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError("exists and is not empty; nothing was written", file=folder, hint="name a new folder")
+        raise InputError(
+            "exists and is not empty; nothing was written", file=folder, hint="name a new folder"
+        )
     try:
         shutil.copytree(rundir.PACKAGE / "workspace", folder, dirs_exist_ok=True)
     except (OSError, shutil.Error) as error:
-        raise InputError(f"cannot be made: {getattr(error, 'strerror', None) or error}", file=folder) from None
+        raise InputError(
+            f"cannot be made: {getattr(error, 'strerror', None) or error}", file=folder
+        ) from None
     return Outcome(folder)

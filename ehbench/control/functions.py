@@ -1,10 +1,11 @@
-"""Working functions of a cylinder: which metering edges move it, chosen from wish, load and pressures (thesis 3.1, 3.2).
+"""Working functions of a cylinder: which metering edges move it, chosen from wish, load and
+pressures (thesis 3.1, 3.2).
 
-A circuit is seen as six directed paths between supply, tank, head and rod end. A working function uses two of them; its
-chamber flows, ``flow_head`` Q1 into the head end and ``flow_rod`` Q2 out of the rod end (both have the sign of the speed:
-Q1 = A1 v, Q2 = A2 v at steady speed), are shared out over its paths by ``PATH_FLOWS``. One chamber, ``METERED``, sets the
-motion through the path ``METERING``; the other, the off-side, is held at a set pressure.
-"""
+A circuit is seen as six directed paths between supply, tank, head and rod end. A working function
+uses two of them; its chamber flows, ``flow_head`` Q1 into the head end and ``flow_rod`` Q2 out of
+the rod end (both have the sign of the speed: Q1 = A1 v, Q2 = A2 v at steady speed), are shared out
+over its paths by ``PATH_FLOWS``. One chamber, ``METERED``, sets the motion through the path
+``METERING``; the other, the off-side, is held at a set pressure."""
 
 from __future__ import annotations
 
@@ -17,23 +18,49 @@ import numpy as np
 from ehbench.compiled import kernel
 from ehbench.errors import InputError
 from ehbench.physics.flow_map import ValveMaps, map_command
-from ehbench.physics.metering import BLOCKED, EDGE_FLOATS, EDGE_INTS, FORWARD, FROM, LAW, MAP, REVERSE, SIGN, TO, VALVE, edge_flow
+from ehbench.physics.metering import (
+    BLOCKED,
+    EDGE_FLOATS,
+    EDGE_INTS,
+    FORWARD,
+    FROM,
+    LAW,
+    MAP,
+    REVERSE,
+    SIGN,
+    TO,
+    VALVE,
+    edge_flow,
+)
 
 FUNCTIONS = (
-    "hold", "extend_resistive", "extend_overrunning", "extend_overrunning_regeneration", "retract_resistive",
-    "retract_overrunning", "retract_overrunning_regeneration", "extend_resistive_regeneration",
-)  # fmt: skip
+    "hold",
+    "extend_resistive",
+    "extend_overrunning",
+    "extend_overrunning_regeneration",
+    "retract_resistive",
+    "retract_overrunning",
+    "retract_overrunning_regeneration",
+    "extend_resistive_regeneration",
+)
 (
-    HOLD, EXTEND_RESISTIVE, EXTEND_OVERRUNNING, EXTEND_OVERRUNNING_REGENERATION, RETRACT_RESISTIVE, RETRACT_OVERRUNNING,
-    RETRACT_OVERRUNNING_REGENERATION, EXTEND_RESISTIVE_REGENERATION,
-) = range(8)  # fmt: skip
+    HOLD,
+    EXTEND_RESISTIVE,
+    EXTEND_OVERRUNNING,
+    EXTEND_OVERRUNNING_REGENERATION,
+    RETRACT_RESISTIVE,
+    RETRACT_OVERRUNNING,
+    RETRACT_OVERRUNNING_REGENERATION,
+    EXTEND_RESISTIVE_REGENERATION,
+) = range(8)
 PATHS = ("supply_head", "head_tank", "supply_rod", "rod_tank", "head_rod", "rod_head")
 SUPPLY_HEAD, HEAD_TANK, SUPPLY_ROD, ROD_TANK, HEAD_ROD, ROD_HEAD = range(6)
 NONE, HEAD, ROD = 0, 1, 2
 # what `select` says of its choice
 OK, STALLED, UNABLE = 0, 1, 2
 
-# direction, load along the motion, chamber that sets the motion, its path, then (path, share of Q1, share of Q2)
+# direction, load along the motion, chamber that sets the motion, its path, then (path, share of Q1,
+# share of Q2)
 _TABLE = (
     (0, 0, NONE, -1, ()),
     (1, 0, HEAD, SUPPLY_HEAD, ((SUPPLY_HEAD, 1, 0), (ROD_TANK, 0, 1))),
@@ -53,25 +80,37 @@ for _f, _row in enumerate(_TABLE):
     for _path, _a, _b in _row[4]:
         PATH_FLOWS[_f, _path] = _a, _b
 # the path that joins the two ends in a regenerating function, −1 in the others
-CROSS = np.array([next((p for p, _, _ in row[4] if p in (HEAD_ROD, ROD_HEAD)), -1) for row in _TABLE])
+CROSS = np.array(
+    [next((p for p, _, _ in row[4] if p in (HEAD_ROD, ROD_HEAD)), -1) for row in _TABLE]
+)
 
 # columns of the rules of selection, see `pack_rules`
 (
-    SPEED_START, SPEED_STOP, FORCE_BAND, DROP_START, DROP_STOP, RESERVE, SUPPLY_MARGIN, SUPPLY_BAND, CROSS_DROP, DWELL,
+    SPEED_START,
+    SPEED_STOP,
+    FORCE_BAND,
+    DROP_START,
+    DROP_STOP,
+    RESERVE,
+    SUPPLY_MARGIN,
+    SUPPLY_BAND,
+    CROSS_DROP,
+    DWELL,
     ALLOW_SEVENTH,
-) = range(11)  # fmt: skip
+) = range(11)
 RULES = 11
 
 
 class Circuit(NamedTuple):
-    """One cylinder's metering edges as controllers take them: plain numbers and arrays, made by `circuit`.
+    """One cylinder's metering edges as controllers take them: plain numbers and arrays, made by
+    `circuit`.
 
-    ``edges, wiring, maps`` are the plant's (all cylinders'); ``lowest, highest`` [V] the range of every valve's command;
-    ``first, count`` where this cylinder's edges stand in ``edges``. ``paths`` [6] is the edge that serves each path, −1 for
-    none, ``along`` [6] its direction: +1 where the edge points along the path, else −1. ``able`` [8] is 1 for each
-    working function that the circuit can do. ``hull``, ``hull_at`` [edges, 2]: the measured range of each map, see
-    `ehbench.control.valve_level.inside`.
-    """
+    ``edges, wiring, maps`` are the plant's (all cylinders'); ``lowest, highest`` [V] the range of
+    every valve's command; ``first, count`` where this cylinder's edges stand in ``edges``.
+    ``paths`` [6] is the edge that serves each path, −1 for none, ``along`` [6] its direction: +1
+    where the edge points along the path, else −1. ``able`` [8] is 1 for each working function that
+    the circuit can do. ``hull``, ``hull_at`` [edges, 2]: the measured range of each map, see
+    `ehbench.control.valve_level.inside`."""
 
     cylinder: int
     area_head: float
@@ -92,13 +131,23 @@ class Circuit(NamedTuple):
 
 @kernel
 def widest(circuit, edge, drop):
-    """Command [V] that opens an edge as far as its driver, and its map if it has one, allow; ``drop`` [Pa] along the edge."""
+    """Command [V] that opens an edge as far as its driver, and its map if it has one, allow;
+    ``drop`` [Pa] along the edge.
+    """
     valve = circuit.wiring[edge, VALVE]
     sign = circuit.edges[edge, SIGN]
     reach = circuit.highest[valve] if sign > 0.0 else -circuit.lowest[valve]
     if circuit.wiring[edge, LAW] == MAP:
         back = drop < 0.0 and circuit.wiring[edge, REVERSE] >= 0
-        reach = min(reach, map_command(abs(drop), math.inf, circuit.maps, circuit.wiring[edge, REVERSE if back else FORWARD]))
+        reach = min(
+            reach,
+            map_command(
+                abs(drop),
+                math.inf,
+                circuit.maps,
+                circuit.wiring[edge, REVERSE if back else FORWARD],
+            ),
+        )
     return sign * max(reach, 0.0)
 
 
@@ -118,13 +167,17 @@ def path_drop(path, p_head, p_rod, p_supply, p_tank):
 
 @kernel
 def capacity(circuit, path, drop):
-    """Largest flow [m³/s] that a path carries at a drop [Pa] along it: its edge at full command; 0 where there is none."""
+    """Largest flow [m³/s] that a path carries at a drop [Pa] along it: its edge at full command; 0
+    where there is none.
+    """
     edge = circuit.paths[path]
     if edge < 0 or drop <= 0.0:
         return 0.0
     along = circuit.along[path]
     opening = widest(circuit, edge, along * drop)
-    return along * edge_flow(along * drop, opening, circuit.edges[edge], circuit.wiring[edge], circuit.maps)
+    return along * edge_flow(
+        along * drop, opening, circuit.edges[edge], circuit.wiring[edge], circuit.maps
+    )
 
 
 @kernel
@@ -133,13 +186,17 @@ def supply_draw(function, circuit):
     way = DIRECTION[function]
     drawn = 0.0
     for path in (SUPPLY_HEAD, SUPPLY_ROD):
-        drawn += way * (PATH_FLOWS[function, path, 0] * circuit.area_head + PATH_FLOWS[function, path, 1] * circuit.area_rod)
+        drawn += way * (
+            PATH_FLOWS[function, path, 0] * circuit.area_head
+            + PATH_FLOWS[function, path, 1] * circuit.area_rod
+        )
     return drawn
 
 
 @kernel
 def feasible(function, active, v_d, load_force, p_head, p_rod, p_supply, p_tank, circuit, rules):
-    """True where a function can move the load at the present pressures; a function that is ``active`` is held more easily.
+    """True where a function can move the load at the present pressures; a function that is
+    ``active`` is held more easily.
 
     Meter-in: the supply carries the load. Regeneration: the drop across the ends is enough and the cross-port edge at full
     command carries A2 |v_d| at it. The seventh, whose drop only comes about in use: at the planned drop Δp3,
@@ -163,16 +220,21 @@ def feasible(function, active, v_d, load_force, p_head, p_rod, p_supply, p_tank,
             and capacity(circuit, SUPPLY_HEAD, left) >= room * difference * speed
         )
     drop = path_drop(cross, p_head, p_rod, p_supply, p_tank)
-    return drop > rules[DROP_STOP if active else DROP_START] and capacity(circuit, cross, drop) >= room * circuit.area_rod * speed
+    return (
+        drop > rules[DROP_STOP if active else DROP_START]
+        and capacity(circuit, cross, drop) >= room * circuit.area_rod * speed
+    )
 
 
 @kernel
 def select(now, age, v_d, load_force, p_head, p_rod, p_supply, p_tank, circuit, rules):
-    """(working function, status) for this tick: of those that suit, the one that draws least from the supply.
+    """(working function, status) for this tick: of those that suit, the one that draws least from
+    the supply.
 
-    The direction is that of ``v_d`` with a dead zone (hold inside it); the load is along the motion where
-    ``direction·load_force < 0``, with a band of hysteresis. A change of direction, and to or from hold, is made at once;
-    another change only after the minimum dwell. Pure: the caller keeps ``now`` and ``age``.
+    The direction is that of ``v_d`` with a dead zone (hold inside it); the load is along the motion
+    where ``direction·load_force < 0``, with a band of hysteresis. A change of direction, and to or
+    from hold, is made at once; another change only after the minimum dwell. Pure: the caller keeps
+    ``now`` and ``age``.
 
     Args:
         now: the working function of the last tick.
@@ -184,7 +246,8 @@ def select(now, age, v_d, load_force, p_head, p_rod, p_supply, p_tank, circuit, 
         rules: of `pack_rules`, shape (RULES,).
 
     Returns:
-        Index into FUNCTIONS, and OK; STALLED: none that suits is feasible, this is the plainest of them;
+        Index into FUNCTIONS, and OK; STALLED: none that suits is feasible, this is the plainest of
+        them;
         UNABLE: the circuit has no function for this motion and load, so it holds.
     """
     way = DIRECTION[now]
@@ -197,14 +260,29 @@ def select(now, age, v_d, load_force, p_head, p_rod, p_supply, p_tank, circuit, 
     along = 1 if -way * load_force > band else 0
     best, least, plain, most = HOLD, math.inf, HOLD, -1.0
     for function in range(1, len(FUNCTIONS)):
-        if DIRECTION[function] != way or OVERRUNNING[function] != along or circuit.able[function] == 0:
+        if (
+            DIRECTION[function] != way
+            or OVERRUNNING[function] != along
+            or circuit.able[function] == 0
+        ):
             continue
         if function == EXTEND_RESISTIVE_REGENERATION and rules[ALLOW_SEVENTH] == 0.0:
             continue
         draw = supply_draw(function, circuit)
         if draw > most:
             plain, most = function, draw
-        fits = feasible(function, function == now, v_d, load_force, p_head, p_rod, p_supply, p_tank, circuit, rules)
+        fits = feasible(
+            function,
+            function == now,
+            v_d,
+            load_force,
+            p_head,
+            p_rod,
+            p_supply,
+            p_tank,
+            circuit,
+            rules,
+        )
         if fits and draw < least:
             best, least = function, draw
     status = OK
@@ -232,18 +310,22 @@ def pack_rules(
     dwell: float = 0.1,
     allow_seventh: bool = False,
 ) -> np.ndarray:
-    """The rules of `select` as its array, shape (RULES,), with defaults in shares of the supply pressure Ps.
+    """The rules of `select` as its array, shape (RULES,), with defaults in shares of the supply
+    pressure Ps.
 
     Args:
         area_rod: A2 [m²].
         supply_pressure: Ps [Pa].
-        low_pressure: set-point of the off-side chamber above tank [Pa], Ps/20; the default of ``force_band`` follows from it.
-        speed_start, speed_stop: desired speed [m/s] above which a motion begins and at which it ends.
-        force_band: half the hysteresis of the load's sign [N]: half of ``low_pressure``·A2, so that in the band neither
-            the function before nor the one after lets a chamber cavitate.
-        drop_start, drop_stop: drop between the ends [Pa] above which regeneration begins, Ps/20, and below which it ends, Ps/40.
-        reserve: share by which the edges of regeneration must carry more than the flow, to begin [1].
-        supply_margin, supply_band: what the seventh function must leave of Ps for metering [Pa], Ps/20, and as much more to begin.
+        low_pressure: set-point of the off-side chamber above tank [Pa], Ps/20; the default of
+        ``force_band`` follows from it. speed_start, speed_stop: desired speed [m/s] above which a
+        motion begins and at which it ends.
+        force_band: half the hysteresis of the load's sign [N]: half of ``low_pressure``·A2, so that
+            in the band neither the function before nor the one after lets a chamber cavitate.
+        drop_start, drop_stop: drop between the ends [Pa] above which regeneration begins, Ps/20,
+            and below which it ends, Ps/40.
+        reserve: share by which the edges of regeneration must carry more than the flow, to begin
+        [1]. supply_margin, supply_band: what the seventh function must leave of Ps for metering
+        [Pa], Ps/20, and as much more to begin.
         cross_drop: planned drop Δp3 across the cross-port edge in the seventh [Pa], Ps/20.
         dwell: least time between two changes in one direction of motion [s].
         allow_seventh: True lets the seventh function be chosen.
@@ -263,9 +345,15 @@ def pack_rules(
     rules[SUPPLY_BAND] = rules[SUPPLY_MARGIN] if supply_band is None else supply_band
     rules[CROSS_DROP] = part if cross_drop is None else cross_drop
     if not (np.isfinite(rules).all() and (rules >= 0.0).all()):
-        raise InputError("a rule of function selection is negative or not finite", hint="all of them are 0 or more")
+        raise InputError(
+            "a rule of function selection is negative or not finite",
+            hint="all of them are 0 or more",
+        )
     if speed_stop > speed_start or rules[DROP_STOP] > rules[DROP_START]:
-        raise InputError("a rule of function selection ends a state above where it begins", hint="stop is at most start")
+        raise InputError(
+            "a rule of function selection ends a state above where it begins",
+            hint="stop is at most start",
+        )
     return rules
 
 
@@ -281,23 +369,28 @@ def circuit(
 ) -> Circuit:
     """The circuit of one cylinder, from the plant's arrays.
 
-    Of several edges on one path the one that carries most at 1 MPa serves it. A working function is able where every path
-    has an edge and its valves open no other edge of any cylinder and are asked for one sign only: four edges on one
-    spool are able of the four functions without regeneration.
+    Of several edges on one path the one that carries most at 1 MPa serves it. A working function is
+    able where every path has an edge and its valves open no other edge of any cylinder and are
+    asked for one sign only: four edges on one spool are able of the four functions without
+    regeneration.
 
     Args:
-        cylinder: its number; nodes are 0 supply, 1 tank, 2 + 2·cylinder its head end, 3 + 2·cylinder its rod end.
-        area_head, area_rod: [m²].
-        edges, wiring, maps: the plant's, see `ehbench.physics.metering`.
+        cylinder: its number; nodes are 0 supply, 1 tank, 2 + 2·cylinder its head end, 3 +
+        2·cylinder its rod end. area_head, area_rod: [m²]. edges, wiring, maps: the plant's, see
+        `ehbench.physics.metering`.
         ranges: lowest and highest command [V] of every valve, shape (valves, 2).
-        measured: the flow maps of every edge, None for an edge with an analytic law; needed where an edge follows a map.
+        measured: the flow maps of every edge, None for an edge with an analytic law; needed where
+            an edge follows a map.
 
     Raises:
         InputError: no edge touches the cylinder, or an edge with a map has none in ``measured``.
     """
     edges, wiring = np.ascontiguousarray(edges, float), np.ascontiguousarray(wiring, np.int64)
     if edges.shape[1:] != (EDGE_FLOATS,) or wiring.shape != (edges.shape[0], EDGE_INTS):
-        raise InputError("edges and wiring are not those of a plant", hint=f"shapes (n, {EDGE_FLOATS}) and (n, {EDGE_INTS})")
+        raise InputError(
+            "edges and wiring are not those of a plant",
+            hint=f"shapes (n, {EDGE_FLOATS}) and (n, {EDGE_INTS})",
+        )
     ranges = np.asarray(ranges, float)
     lowest, highest = np.ascontiguousarray(ranges[:, 0]), np.ascontiguousarray(ranges[:, 1])
     head, rod = 2 + 2 * cylinder, 3 + 2 * cylinder
@@ -308,18 +401,35 @@ def circuit(
     paths, along = np.full(len(PATHS), -1, np.int64), np.ones(len(PATHS))
     able = np.zeros(len(FUNCTIONS), np.int64)
     made = Circuit(
-        int(cylinder), float(area_head), float(area_rod), int(own[0]), int(own[-1] - own[0] + 1), edges, wiring,
-        np.ascontiguousarray(maps, float), lowest, highest, paths, along, able, hull, hull_at,
-    )  # fmt: skip
+        int(cylinder),
+        float(area_head),
+        float(area_rod),
+        int(own[0]),
+        int(own[-1] - own[0] + 1),
+        edges,
+        wiring,
+        np.ascontiguousarray(maps, float),
+        lowest,
+        highest,
+        paths,
+        along,
+        able,
+        hull,
+        hull_at,
+    )
     ends = ((0, head), (head, 1), (0, rod), (rod, 1), (head, rod), (rod, head))
     for path, (a, b) in enumerate(ends):
         most = 0.0
         for edge in own:
             forward = (wiring[edge, FROM], wiring[edge, TO]) == (a, b)
-            if not forward and ((wiring[edge, TO], wiring[edge, FROM]) != (a, b) or wiring[edge, BLOCKED] == 1):
+            if not forward and (
+                (wiring[edge, TO], wiring[edge, FROM]) != (a, b) or wiring[edge, BLOCKED] == 1
+            ):
                 continue
             way = 1.0 if forward else -1.0
-            flow = way * edge_flow(way * 1.0e6, widest(made, edge, way * 1.0e6), edges[edge], wiring[edge], made.maps)
+            flow = way * edge_flow(
+                way * 1.0e6, widest(made, edge, way * 1.0e6), edges[edge], wiring[edge], made.maps
+            )
             if flow > most:
                 paths[path], along[path], most = edge, way, flow
     able[:] = [_able(made, function) for function in range(len(FUNCTIONS))]
@@ -335,13 +445,17 @@ def _able(circuit: Circuit, function: int) -> bool:
         return False
     touching = (circuit.wiring[:, [FROM, TO]] >= 2).any(axis=1)
     return all(
-        e in chosen or not touching[e] or (int(circuit.wiring[e, VALVE]), float(circuit.edges[e, SIGN])) not in opened
+        e in chosen
+        or not touching[e]
+        or (int(circuit.wiring[e, VALVE]), float(circuit.edges[e, SIGN])) not in opened
         for e in range(circuit.edges.shape[0])
     )
 
 
 def _hulls(wiring: np.ndarray, measured: Sequence | None) -> tuple[np.ndarray, np.ndarray]:
-    """(all hulls back to back: count, commands, lowest drops, highest drops; where each edge's two start, −1 for none)."""
+    """(all hulls back to back: count, commands, lowest drops, highest drops; where each edge's two
+    start, −1 for none).
+    """
     parts, at, size = [np.zeros(1)], np.full((wiring.shape[0], 2), -1, np.int64), 1
     for edge, row in enumerate(wiring):
         pair = None if measured is None else measured[edge]
@@ -349,11 +463,14 @@ def _hulls(wiring: np.ndarray, measured: Sequence | None) -> tuple[np.ndarray, n
             continue
         if pair is None:
             raise InputError(
-                f"edge {edge} follows a flow map whose measured range is not given", hint="pass its maps in `measured`"
+                f"edge {edge} follows a flow map whose measured range is not given",
+                hint="pass its maps in `measured`",
             )
         for side, one in enumerate((pair.forward, pair.reverse)):
             if one is not None:
-                part = np.concatenate([[one.hull_command.size], one.hull_command, one.hull_low, one.hull_high])
+                part = np.concatenate(
+                    [[one.hull_command.size], one.hull_command, one.hull_low, one.hull_high]
+                )
                 at[edge, side] = size
                 parts.append(part)
                 size += part.size

@@ -1,4 +1,5 @@
-"""What a cylinder shall do: tables of x_d, v_d, a_d, j_d with continuous jerk, velocity steps, and the shaping of a step.
+"""What a cylinder shall do: tables of x_d, v_d, a_d, j_d with continuous jerk, velocity steps, and
+the shaping of a step.
 
 A table has one row a tick, columns X, V, A, J [m, m/s, m/s², m/s³].
 """
@@ -17,15 +18,22 @@ from ehbench.errors import InputError
 X, V, A, J = 0, 1, 2, 3
 WISH = 4
 Profile = Literal["ramp", "seventh"]
-# peaks of the seventh-order polynomial s(τ) = 35τ⁴ − 84τ⁵ + 70τ⁶ − 20τ⁷ and of the quintic speed ramp 10τ³ − 15τ⁴ + 6τ⁵
+# peaks of the seventh-order polynomial s(τ) = 35τ⁴ − 84τ⁵ + 70τ⁶ − 20τ⁷ and of the quintic speed
+# ramp 10τ³ − 15τ⁴ + 6τ⁵
 _SEVENTH = np.array([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
-_SEVENTH_SPEED, _SEVENTH_ACCELERATION, _SEVENTH_JERK = 35.0 / 16.0, 84.0 * math.sqrt(5.0) / 25.0, 52.5
+_SEVENTH_SPEED, _SEVENTH_ACCELERATION, _SEVENTH_JERK = (
+    35.0 / 16.0,
+    84.0 * math.sqrt(5.0) / 25.0,
+    52.5,
+)
 _QUINTIC = np.array([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])
 _QUINTIC_SLOPE, _QUINTIC_CURVE = 15.0 / 8.0, 10.0 / math.sqrt(3.0)
 
 
 def _polynomial(coefficients: np.ndarray, tau: np.ndarray, order: int) -> np.ndarray:
-    """The ``order``-th derivative (−1: the integral from 0) of a polynomial with ascending coefficients."""
+    """The ``order``-th derivative (−1: the integral from 0) of a polynomial with ascending
+    coefficients.
+    """
     poly = np.polynomial.Polynomial(coefficients)
     return (poly.integ() if order < 0 else poly.deriv(order) if order else poly)(tau)
 
@@ -36,9 +44,13 @@ def _ramp_time(speed: float, acceleration: float, jerk: float) -> float:
 
 
 class _Move:
-    """One move from rest to rest over ``distance`` > 0; ``at(τ)`` gives (n, 4) at times from its start."""
+    """One move from rest to rest over ``distance`` > 0; ``at(τ)`` gives (n, 4) at times from its
+    start.
+    """
 
-    def __init__(self, distance: float, speed: float, acceleration: float, jerk: float, profile: Profile) -> None:
+    def __init__(
+        self, distance: float, speed: float, acceleration: float, jerk: float, profile: Profile
+    ) -> None:
         self.distance, self.profile = distance, profile
         if profile == "seventh":
             self.time = max(
@@ -48,7 +60,10 @@ class _Move:
             )
             return
         # ramp up and down cover speed·ramp together; a short move never reaches the full speed
-        short = min(math.sqrt(distance * acceleration / _QUINTIC_SLOPE), math.cbrt(distance**2 * jerk / _QUINTIC_CURVE))
+        short = min(
+            math.sqrt(distance * acceleration / _QUINTIC_SLOPE),
+            math.cbrt(distance**2 * jerk / _QUINTIC_CURVE),
+        )
         self.speed = min(speed, short)
         self.ramp = _ramp_time(self.speed, acceleration, jerk)
         self.time = self.ramp + distance / self.speed
@@ -57,7 +72,9 @@ class _Move:
         out = np.zeros((t.size, WISH))
         if self.profile == "seventh":
             for order in range(WISH):
-                out[:, order] = self.distance * _polynomial(_SEVENTH, t / self.time, order) / self.time**order
+                out[:, order] = (
+                    self.distance * _polynomial(_SEVENTH, t / self.time, order) / self.time**order
+                )
             return out
         # the second half mirrors the first
         late = t > 0.5 * self.time
@@ -65,7 +82,9 @@ class _Move:
         tau = np.minimum(u / self.ramp, 1.0)
         beyond = u - np.minimum(u, self.ramp)
         half = [self.speed * (self.ramp * _polynomial(_QUINTIC, tau, -1) + beyond)]
-        half += [self.speed * _polynomial(_QUINTIC, tau, order) / self.ramp**order for order in range(3)]
+        half += [
+            self.speed * _polynomial(_QUINTIC, tau, order) / self.ramp**order for order in range(3)
+        ]
         out[:, X] = np.where(late, self.distance - half[0], half[0])
         out[:, V] = half[1]
         out[:, A] = np.where(late, -half[2], half[2])
@@ -83,10 +102,12 @@ def point_to_point(
     hold: float | Sequence[float] = 0.0,
     profile: Profile = "ramp",
 ) -> np.ndarray:
-    """Moves from rest to rest through waypoints, as fast as the limits allow; returns the table, shape (samples, 4).
+    """Moves from rest to rest through waypoints, as fast as the limits allow; returns the table,
+    shape (samples, 4).
 
-    Position, speed, acceleration and jerk are continuous. ``ramp``: quintic ramps of speed around a constant speed, the
-    faster of the two on long moves. ``seventh``: one polynomial ``35τ⁴ − 84τ⁵ + 70τ⁶ − 20τ⁷`` a move, the smoother.
+    Position, speed, acceleration and jerk are continuous. ``ramp``: quintic ramps of speed around a
+    constant speed, the faster of the two on long moves. ``seventh``: one polynomial ``35τ⁴ − 84τ⁵ +
+    70τ⁶ − 20τ⁷`` a move, the smoother.
 
     Args:
         waypoints: strokes [m], the start first.
@@ -100,7 +121,9 @@ def point_to_point(
     limits = {"speed": speed, "acceleration": acceleration, "jerk": jerk, "tick": tick}
     for name, value in limits.items():
         if not (math.isfinite(value) and value > 0):
-            raise InputError(f"{name} of a trajectory is {value:g}", hint="it must be a positive number")
+            raise InputError(
+                f"{name} of a trajectory is {value:g}", hint="it must be a positive number"
+            )
     points = np.asarray(waypoints, float)
     holds = np.full(points.size, float(hold)) if np.ndim(hold) == 0 else np.asarray(hold, float)
     if points.ndim != 1 or not points.size or not np.isfinite(points).all():
@@ -109,7 +132,9 @@ def point_to_point(
         raise InputError("hold is one time, or one for each waypoint, 0 s or more")
     if profile not in ("ramp", "seventh"):
         raise InputError(f"no profile '{profile}'", hint="ramp or seventh")
-    moves = [_Move(abs(d), speed, acceleration, jerk, profile) if d else None for d in np.diff(points)]
+    moves = [
+        _Move(abs(d), speed, acceleration, jerk, profile) if d else None for d in np.diff(points)
+    ]
     spans = np.zeros(2 * points.size - 1)
     spans[0::2], spans[1::2] = holds, [0.0 if move is None else move.time for move in moves]
     starts = np.concatenate([[0.0], np.cumsum(spans)])
@@ -117,7 +142,9 @@ def point_to_point(
     samples = math.ceil(starts[-1] / tick - 1e-9) + 1
     t = np.arange(samples) * tick
     table = np.zeros((samples, WISH))
-    table[:, X] = points[np.clip(np.searchsorted(starts[1::2], t, side="right"), 0, points.size - 1)]
+    table[:, X] = points[
+        np.clip(np.searchsorted(starts[1::2], t, side="right"), 0, points.size - 1)
+    ]
     for index, move in enumerate(moves):
         if move is None:
             continue
@@ -130,7 +157,8 @@ def point_to_point(
 
 
 def there_and_back(start: float, end: float, *, cycles: int = 1, **limits) -> np.ndarray:
-    """``cycles`` of forward, hold, back, hold between two strokes [m]; limits as in `point_to_point`.
+    """``cycles`` of forward, hold, back, hold between two strokes [m]; limits as in
+    `point_to_point`.
 
     Raises:
         InputError: as `point_to_point`, or no cycle.
@@ -141,12 +169,18 @@ def there_and_back(start: float, end: float, *, cycles: int = 1, **limits) -> np
 
 
 def velocity_steps(
-    levels: Sequence[float], *, duration: float | Sequence[float], tick: float, rest: float = 0.0, x: float = 0.0
+    levels: Sequence[float],
+    *,
+    duration: float | Sequence[float],
+    tick: float,
+    rest: float = 0.0,
+    x: float = 0.0,
 ) -> np.ndarray:
-    """Steps of desired speed, each held for its duration and followed by ``rest``; returns the table, shape (samples, 4).
+    """Steps of desired speed, each held for its duration and followed by ``rest``; returns the
+    table, shape (samples, 4).
 
-    The steps are ideal: acceleration and jerk are 0 throughout, and the stroke is the exact integral.
-    30, 70, 100 % of a full speed are ``levels=[0.3 * full, 0.7 * full, full]``.
+    The steps are ideal: acceleration and jerk are 0 throughout, and the stroke is the exact
+    integral. 30, 70, 100 % of a full speed are ``levels=[0.3 * full, 0.7 * full, full]``.
 
     Args:
         levels: speeds [m/s].
@@ -159,10 +193,23 @@ def velocity_steps(
         InputError: a time that is none, or counts that differ.
     """
     speeds = np.asarray(levels, float)
-    times = np.full(speeds.size, float(duration)) if np.ndim(duration) == 0 else np.asarray(duration, float)
+    times = (
+        np.full(speeds.size, float(duration))
+        if np.ndim(duration) == 0
+        else np.asarray(duration, float)
+    )
     usable = speeds.ndim == 1 and speeds.size and times.shape == speeds.shape
-    if not (usable and tick > 0 and (times > 0).all() and rest >= 0 and np.isfinite(speeds).all() and np.isfinite(times).all()):
-        raise InputError("velocity steps need levels, a tick, a duration above 0 for all or for each, and a rest of 0 s or more")
+    if not (
+        usable
+        and tick > 0
+        and (times > 0).all()
+        and rest >= 0
+        and np.isfinite(speeds).all()
+        and np.isfinite(times).all()
+    ):
+        raise InputError(
+            "velocity steps need levels, a tick, a duration above 0 for all or for each, and a rest of 0 s or more"
+        )
     idle = np.zeros(round(rest / tick))
     parts = [idle]
     for speed, time in zip(speeds, times, strict=True):
@@ -175,7 +222,8 @@ def velocity_steps(
     return table
 
 
-# columns of the shaping of a commanded speed ("trajectory modification", thesis Table B.2), see `pack_shaping`
+# columns of the shaping of a commanded speed ("trajectory modification", thesis Table B.2), see
+# `pack_shaping`
 ACCELERATION_MAX, JERK_MAX, NATURAL_FREQUENCY, DAMPING_RATIO = 0, 1, 2, 3
 SHAPING = 4
 # its memory: shaped speed [m/s], acceleration [m/s²], jerk [m/s³]
@@ -186,9 +234,9 @@ SHAPED = 3
 def shape_speed(v_d, tick, shaping, memory):
     """Move the shaped speed in ``memory`` one tick towards ``v_d`` [m/s], in place; returns it.
 
-    Second-order filter ω²/(s² + 2ζω s + ω²), exact for a ``v_d`` held over the tick; or, with limits, the time-optimal
-    approach within ACCELERATION_MAX and JERK_MAX that does not overshoot (Han's discrete fhan); or ``v_d`` itself.
-    """
+    Second-order filter ω²/(s² + 2ζω s + ω²), exact for a ``v_d`` held over the tick; or, with
+    limits, the time-optimal approach within ACCELERATION_MAX and JERK_MAX that does not overshoot
+    (Han's discrete fhan); or ``v_d`` itself."""
     if shaping[NATURAL_FREQUENCY] > 0.0:
         omega, zeta = shaping[NATURAL_FREQUENCY], shaping[DAMPING_RATIO]
         e, rate = memory[0] - v_d, memory[1]
@@ -217,7 +265,9 @@ def shape_speed(v_d, tick, shaping, memory):
     step = jerk * tick
     y = tick * memory[1] - e
     if abs(y) > step * tick:
-        aim = memory[1] + math.copysign(0.5 * (math.sqrt(step * step + 8.0 * jerk * abs(y)) - step), y)
+        aim = memory[1] + math.copysign(
+            0.5 * (math.sqrt(step * step + 8.0 * jerk * abs(y)) - step), y
+        )
     else:
         aim = memory[1] + y / tick
     change = -aim * jerk / step if abs(aim) <= step else -math.copysign(jerk, aim)
@@ -245,12 +295,21 @@ def pack_shaping(
         InputError: a number that is not positive, half a pair, or both kinds at once.
     """
     given = (acceleration_max, jerk_max, natural_frequency, damping_ratio)
-    for name, value in zip(("acceleration_max", "jerk_max", "natural_frequency", "damping_ratio"), given, strict=True):
+    for name, value in zip(
+        ("acceleration_max", "jerk_max", "natural_frequency", "damping_ratio"), given, strict=True
+    ):
         if value is not None and not (math.isfinite(value) and value > 0):
-            raise InputError(f"{name} of the trajectory modification is {value:g}", hint="it must be a positive number")
+            raise InputError(
+                f"{name} of the trajectory modification is {value:g}",
+                hint="it must be a positive number",
+            )
     limited = acceleration_max is not None
     filtered = natural_frequency is not None
-    if filtered != (damping_ratio is not None) or (jerk_max is not None and not limited) or (limited and filtered):
+    if (
+        filtered != (damping_ratio is not None)
+        or (jerk_max is not None and not limited)
+        or (limited and filtered)
+    ):
         raise InputError(
             "the trajectory modification is incomplete or double",
             hint="give acceleration_max with or without jerk_max, or natural_frequency and damping_ratio, or none",

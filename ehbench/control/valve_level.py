@@ -1,4 +1,5 @@
-"""Valve level: chamber flows to edge flows to commands, through the inverse laws or maps at the measured drops (thesis 3).
+"""Valve level: chamber flows to edge flows to commands, through the inverse laws or maps at the
+measured drops (thesis 3).
 
 What a valve cannot do is flagged for each edge, never hidden: a sum of the bits below.
 """
@@ -8,11 +9,22 @@ from __future__ import annotations
 import math
 
 from ehbench.compiled import kernel
-from ehbench.control.functions import DIRECTION, METERING, PATH_FLOWS, PATHS, Circuit, capacity, path_drop, widest
+from ehbench.control.functions import (
+    DIRECTION,
+    METERING,
+    PATH_FLOWS,
+    PATHS,
+    Circuit,
+    capacity,
+    path_drop,
+    widest,
+)
 from ehbench.physics.metering import LAW, MAP, SIGN, VALVE, edge_command, edge_flow
 
-# SATURATED: even the widest command passes less than asked. AGAINST: flow asked the other way along the path, shut.
-# REVERSED: the drop is against the flow, shut. FAINT: the drop is below the floor, the inverse is taken at the floor.
+# SATURATED: even the widest command passes less than asked. AGAINST: flow asked the other way along
+# the path, shut.
+# REVERSED: the drop is against the flow, shut. FAINT: the drop is below the floor, the inverse is
+# taken at the floor.
 # OUTSIDE: drop and command lie beyond what the edge's map was measured at.
 SATURATED, AGAINST, REVERSED, FAINT, OUTSIDE = 1, 2, 4, 8, 16
 LIMITS = {1: "saturated", 2: "against", 4: "reversed", 8: "faint", 16: "outside"}
@@ -32,7 +44,9 @@ def _at(x, data, grid, values, count):
 
 @kernel
 def inside(circuit, edge, drop, command):
-    """True where readings surround (drop [Pa] along the edge, command [V]), as `FlowMap.inside`; always for analytic laws."""
+    """True where readings surround (drop [Pa] along the edge, command [V]), as `FlowMap.inside`;
+    always for analytic laws.
+    """
     if circuit.wiring[edge, LAW] != MAP:
         return True
     at = circuit.hull_at[edge, 0 if drop >= 0.0 else 1]
@@ -49,11 +63,12 @@ def inside(circuit, edge, drop, command):
 
 @kernel
 def edge_order(circuit, path, flow, drop, floor):
-    """(command [V], limits) at which a path's edge passes ``flow`` [m³/s] along it at ``drop`` [Pa] along it.
+    """(command [V], limits) at which a path's edge passes ``flow`` [m³/s] along it at ``drop`` [Pa]
+    along it.
 
-    The exact inverse of the edge's law for drops from ``floor`` [Pa] up. Between −floor and floor the command is that for
-    the floor, so that sensor noise about zero drop neither slams the valve nor opens it without end; below, it is shut.
-    """
+    The exact inverse of the edge's law for drops from ``floor`` [Pa] up. Between −floor and floor
+    the command is that for the floor, so that sensor noise about zero drop neither slams the valve
+    nor opens it without end; below, it is shut."""
     edge = circuit.paths[path]
     if flow == 0.0:
         return 0.0, 0
@@ -65,20 +80,26 @@ def edge_order(circuit, path, flow, drop, floor):
     if drop < floor:
         limits, drop = FAINT, floor
     along = circuit.along[path]
-    command = edge_command(along * drop, along * flow, circuit.edges[edge], circuit.wiring[edge], circuit.maps)
+    command = edge_command(
+        along * drop, along * flow, circuit.edges[edge], circuit.wiring[edge], circuit.maps
+    )
     most = widest(circuit, edge, along * drop)
     sign = circuit.edges[edge, SIGN]
     # a map's inverse stops at its last command by itself, so the flow decides
     if sign * command >= sign * most:
         command = most
-        if edge_flow(along * drop, most, circuit.edges[edge], circuit.wiring[edge], circuit.maps) * along < flow * (1.0 - 1e-9):
+        if edge_flow(
+            along * drop, most, circuit.edges[edge], circuit.wiring[edge], circuit.maps
+        ) * along < flow * (1.0 - 1e-9):
             limits += SATURATED
     return command, limits
 
 
 @kernel
 def rest(circuit, command, flows, limits):
-    """Shut the cylinder's valves: write the commands nearest to 0 V into ``command`` and zeros into ``flows, limits``."""
+    """Shut the cylinder's valves: write the commands nearest to 0 V into ``command`` and zeros into
+    ``flows, limits``.
+    """
     for i in range(circuit.count):
         valve = circuit.wiring[circuit.first + i, VALVE]
         command[valve] = min(max(0.0, circuit.lowest[valve]), circuit.highest[valve])
@@ -86,16 +107,31 @@ def rest(circuit, command, flows, limits):
 
 
 @kernel
-def give(function, flow_head, flow_rod, p_head, p_rod, p_supply, p_tank, floor, circuit, command, flows, limits):
-    """Write the commands that give a working function its chamber flows; return all limits met, or'ed.
+def give(
+    function,
+    flow_head,
+    flow_rod,
+    p_head,
+    p_rod,
+    p_supply,
+    p_tank,
+    floor,
+    circuit,
+    command,
+    flows,
+    limits,
+):
+    """Write the commands that give a working function its chamber flows; return all limits met,
+    or'ed.
 
-    Each path of the function is asked for its share of the chamber flows. Where several paths hang on one command, the
-    path that sets the motion decides it and the others follow; among followers the widest.
+    Each path of the function is asked for its share of the chamber flows. Where several paths hang
+    on one command, the path that sets the motion decides it and the others follow; among followers
+    the widest.
 
     Args:
-        function: index into FUNCTIONS; hold shuts all.
-        flow_head, flow_rod: Q1 into the head end, Q2 out of the rod end [m³/s], negative in retraction.
-        p_head, p_rod, p_supply, p_tank: measured [Pa].
+        function: index into FUNCTIONS; hold shuts all. flow_head, flow_rod: Q1 into the head end,
+        Q2 out of the rod end [m³/s], negative in retraction. p_head, p_rod, p_supply, p_tank:
+        measured [Pa].
         floor: least drop [Pa] at which the inverse is taken.
         circuit: of the cylinder.
         command: out, [V], one per valve of the rig; only this cylinder's are written.
@@ -113,7 +149,8 @@ def give(function, flow_head, flow_rod, p_head, p_rod, p_supply, p_tank, floor, 
         if share_head == 0.0 and share_rod == 0.0:
             continue
         edge = circuit.paths[path]
-        # 0·NaN stays NaN: a channel withheld from the controller shows in every command that it could have touched
+        # 0·NaN stays NaN: a channel withheld from the controller shows in every command that it
+        # could have touched
         flow = share_head * flow_head + share_rod * flow_rod
         drop = path_drop(path, p_head, p_rod, p_supply, p_tank)
         order, bits = edge_order(circuit, path, flow, drop, floor)
@@ -127,7 +164,11 @@ def give(function, flow_head, flow_rod, p_head, p_rod, p_supply, p_tank, floor, 
         else:
             bits &= ~SATURATED  # it does not decide how far it opens
         along = circuit.along[path]
-        if flow > 0.0 and not bits & (AGAINST | REVERSED) and not inside(circuit, edge, along * drop, command[valve]):
+        if (
+            flow > 0.0
+            and not bits & (AGAINST | REVERSED)
+            and not inside(circuit, edge, along * drop, command[valve])
+        ):
             bits |= OUTSIDE
         flows[edge - circuit.first] = along * flow
         limits[edge - circuit.first] = bits
@@ -139,12 +180,19 @@ def give(function, flow_head, flow_rod, p_head, p_rod, p_supply, p_tank, floor, 
     return met
 
 
-def top_speed(function: int, p_head: float, p_rod: float, p_supply: float, p_tank: float, circuit: Circuit) -> float:
-    """Largest speed [m/s], ≥ 0, at which every edge of a working function carries its share at these pressures [Pa]."""
+def top_speed(
+    function: int, p_head: float, p_rod: float, p_supply: float, p_tank: float, circuit: Circuit
+) -> float:
+    """Largest speed [m/s], ≥ 0, at which every edge of a working function carries its share at
+    these pressures [Pa].
+    """
     fastest = math.inf
     for path in range(len(PATHS)):
         a, b = PATH_FLOWS[function, path]
         need = DIRECTION[function] * (a * circuit.area_head + b * circuit.area_rod)
         if need > 0.0:
-            fastest = min(fastest, capacity(circuit, path, path_drop(path, p_head, p_rod, p_supply, p_tank)) / need)
+            fastest = min(
+                fastest,
+                capacity(circuit, path, path_drop(path, p_head, p_rod, p_supply, p_tank)) / need,
+            )
     return 0.0 if math.isinf(fastest) else fastest

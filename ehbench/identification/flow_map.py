@@ -1,9 +1,10 @@
-"""Flowmeter readings to flow maps, with noise, deadband, outliers and intervals found from the readings.
+"""Flowmeter readings to flow maps, with noise, deadband, outliers and intervals found from the
+readings.
 
-The spline of ``physics.flow_map`` is fitted by least squares on its positive increments with a penalty on its
-curvature in either direction. Readings at one command and nearly one drop form a cell: their scatter gives the noise,
-the cells' means the fit. What the fit leaves beyond the noise widens every interval, and most where it was left.
-"""
+The spline of ``physics.flow_map`` is fitted by least squares on its positive increments with a
+penalty on its curvature in either direction. Readings at one command and nearly one drop form a
+cell: their scatter gives the noise, the cells' means the fit. What the fit leaves beyond the noise
+widens every interval, and most where it was left."""
 
 from __future__ import annotations
 
@@ -27,7 +28,8 @@ OUTLIER_SIGMAS = 5.0
 _MOST_OUTLIERS = 0.05
 # beyond these the readings are not those of a valve that opens with its command
 _LEAST_EFFECT, _MOST_RMS, _MOST_LACK, _LACK_RMS = 0.1, 0.2, 100.0, 0.05
-# what must be gained in −2 log likelihood for a curve over the drop that bends more at low drops, or sharply somewhere
+# what must be gained in −2 log likelihood for a curve over the drop that bends more at low drops,
+# or sharply somewhere
 _GRADED_GAIN, _BEND_GAIN = 4.0, 45.0
 # no meter is better than this share of the rated flow; keeps weights finite on noise-free data
 _LEAST_NOISE = 1e-4
@@ -42,7 +44,9 @@ _Z95 = 1.959964
 
 @dataclass(frozen=True)
 class Units:
-    """How sentences show flows, drops and openings; ``sign``: of the commands that open the edge, as the driver gets them."""
+    """How sentences show flows, drops and openings; ``sign``: of the commands that open the edge,
+    as the driver gets them.
+    """
 
     flow_unit: str = VOCABULARY["flow"].display
     pressure_unit: str = VOCABULARY["pressure_drop"].display
@@ -61,7 +65,9 @@ class Units:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A reading left out of the fit: file and line, command [V], drop [Pa], flow [m³/s], distance from the map in sigmas."""
+    """A reading left out of the fit: file and line, command [V], drop [Pa], flow [m³/s], distance
+    from the map in sigmas.
+    """
 
     file: str
     line: int
@@ -80,10 +86,10 @@ class Outlier:
 class Calibration:
     """A flow [m³/s] that a command [V] should give, and what the map gives there.
 
-    ``flow`` is the mean over the drops from ``drop_low`` to ``drop_high`` [Pa], ``low`` and ``high`` its 95 % interval,
-    ``least`` and ``most`` the range of the map over those drops. ``verdict``: ``met`` or ``missed`` where the whole
-    interval lies inside or outside of target·(1 ± tolerance), else ``undecided``; ``not_measured`` outside the commands.
-    """
+    ``flow`` is the mean over the drops from ``drop_low`` to ``drop_high`` [Pa], ``low`` and
+    ``high`` its 95 % interval, ``least`` and ``most`` the range of the map over those drops.
+    ``verdict``: ``met`` or ``missed`` where the whole interval lies inside or outside of target·(1
+    ± tolerance), else ``undecided``; ``not_measured`` outside the commands."""
 
     command: float
     target: float
@@ -99,12 +105,14 @@ class Calibration:
 
     def sentence(self, show: Units) -> str:
         if self.verdict == "not_measured":
-            return (
-                f"{show.volts(self.command)} lies outside the measured commands: {show.flow(self.target)} there cannot be checked"
-            )
+            return f"{show.volts(self.command)} lies outside the measured commands: {show.flow(self.target)} there cannot be checked"
         gives = f"{show.volts(self.command)} gives {show.flow(self.flow)} ({show.flow(self.low)} to {show.flow(self.high)})"
         drops = show.drop(self.drop_low)
-        drops = f"at {drops}" if self.drop_low == self.drop_high else f"from {drops} to {show.drop(self.drop_high)}"
+        drops = (
+            f"at {drops}"
+            if self.drop_low == self.drop_high
+            else f"from {drops} to {show.drop(self.drop_high)}"
+        )
         return f"{gives} {drops}, asked {show.flow(self.target)} ± {100 * self.tolerance:.3g} %: {self.verdict}"
 
 
@@ -112,20 +120,21 @@ class Calibration:
 class FlowMapFit:
     """A map and how it was found. SI.
 
-    ``deadband`` [V] with ``deadband_std``, if the flow starts with a kink there; its 95 % interval also holds where a flow
-    would start that grows softly, no softer than a parabola. ``bracket`` [V, V]: the highest command at which no flow is
-    seen (under 0.1 % of the rated one, or within the noise) and the lowest with some, whatever the shape. ``status`` of the
-    deadband: ``estimated``, ``at_bound`` (0 V) or ``not_excited`` (flow at the lowest command measured). ``noise``: per
-    method (floor [m³/s], share of the flow), the standard deviation of one reading being √(floor² + (share·flow)²).
-    ``replicates``: degrees of freedom behind the noise; 0 means that it was taken from the residuals. ``lack_of_fit``:
-    variance of cell means about the map over what the noise explains, at least 1; every interval is widened by its root, and
-    further near the cells missed.
-    ``smoothing``: penalty along opening and root of drop; ``parameters``: effective number of them. ``rms`` [m³/s]: of
-    the residuals of the readings used. ``leakage`` [m³/s]: mean flow at commands below the deadband, which the map takes
-    as shut. ``trial_scatter``: standard error [1] of the mean of the trials' common factors beyond the noise.
-    ``residuals`` [m³/s] and ``sigmas`` [1]: one a reading in the order given, NaN at drops of zero or less.
-    ``warnings``: plain sentences.
-    """
+    ``deadband`` [V] with ``deadband_std``, if the flow starts with a kink there; its 95 % interval
+    also holds where a flow would start that grows softly, no softer than a parabola. ``bracket``
+    [V, V]: the highest command at which no flow is seen (under 0.1 % of the rated one, or within
+    the noise) and the lowest with some, whatever the shape. ``status`` of the
+    deadband: ``estimated``, ``at_bound`` (0 V) or ``not_excited`` (flow at the lowest command
+    measured). ``noise``: per method (floor [m³/s], share of the flow), the standard deviation of
+    one reading being √(floor² + (share·flow)²). ``replicates``: degrees of freedom behind the
+    noise; 0 means that it was taken from the residuals. ``lack_of_fit``: variance of cell means
+    about the map over what the noise explains, at least 1; every interval is widened by its root,
+    and further near the cells missed. ``smoothing``: penalty along opening and root of drop;
+    ``parameters``: effective number of them. ``rms`` [m³/s]: of the residuals of the readings used.
+    ``leakage`` [m³/s]: mean flow at commands below the deadband, which the map takes as shut.
+    ``trial_scatter``: standard error [1] of the mean of the trials' common factors beyond the
+    noise. ``residuals`` [m³/s] and ``sigmas`` [1]: one a reading in the order given, NaN at drops
+    of zero or less. ``warnings``: plain sentences."""
 
     map: FlowMap
     deadband: float
@@ -152,10 +161,17 @@ class FlowMapFit:
     def to_dict(self) -> dict:
         """The summary without map and residuals, for a JSON file."""
         skip = ("map", "residuals", "sigmas")
-        plain = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in skip}
+        plain = {
+            name: getattr(self, name) for name in self.__dataclass_fields__ if name not in skip
+        }
         plain["outliers"] = [asdict(one) for one in self.outliers]
         plain["calibration"] = [asdict(one) for one in self.calibration]
-        return {"valve": self.map.valve, "direction": self.map.direction, "rated_flow": self.map.rated_flow, **plain}
+        return {
+            "valve": self.map.valve,
+            "direction": self.map.direction,
+            "rated_flow": self.map.rated_flow,
+            **plain,
+        }
 
 
 def fit_flow_map(
@@ -178,8 +194,10 @@ def fit_flow_map(
     """The flow map of one edge in one direction from readings, with intervals.
 
     Args:
-        command: openings [V], shape (readings,), positive where the edge opens (times −1 for a spool's other half).
-        pressure_drop: [Pa] along the direction; readings at a drop of zero or less say nothing and are left out.
+        command: openings [V], shape (readings,), positive where the edge opens (times −1 for a
+            spool's other half).
+        pressure_drop: [Pa] along the direction; readings at a drop of zero or less say nothing and
+            are left out.
         flow: [m³/s] along the direction.
         method: ``flowmeter`` or ``cylinder`` per reading; each has its own noise.
         trial: number per reading; trials that differ as a whole widen the intervals.
@@ -187,13 +205,13 @@ def fit_flow_map(
         meter_limit: [m³/s] a flowmeter reading below it only says that the flow lies below it.
         rated_flow: [m³/s]; the largest fitted flow among the cells if not given.
         calibration: (command [V], flow [m³/s], tolerance as a share of the flow) to check.
-        reference_drop: [Pa] or a range, where the calibration is checked; the upper half of the drops measured at
-            the command if not given.
+        reference_drop: [Pa] or a range, where the calibration is checked; the upper half of the
+            drops measured at the command if not given.
         show: units of the sentences; gpm and kPa if not given.
 
     Raises:
-        InsufficientData: fewer than 4 commands, fewer than 3 of them passing flow, fewer than 4 drops, a flow that does not
-            depend on the command, or readings that no map fits.
+        InsufficientData: fewer than 4 commands, fewer than 3 of them passing flow, fewer than 4
+            drops, a flow that does not depend on the command, or readings that no map fits.
     """
     who = f"flow map of '{valve}' ({direction})"
     readings = _readings(who, command, pressure_drop, flow, method, trial, file, line, meter_limit)
@@ -203,19 +221,25 @@ def fit_flow_map(
 
 
 def fit_flow_maps(data: FlowmeterData, **options) -> list[FlowMapFit]:
-    """One fit for each valve and direction in the readings, sorted by name; options as ``fit_flow_map``.
+    """One fit for each valve and direction in the readings, sorted by name; options as
+    ``fit_flow_map``.
 
     Raises:
         InsufficientData: a valve has too few readings.
     """
     names = ("command", "pressure_drop", "flow", "method", "trial", "file", "line")
     rows = ((group, data.select(*group)) for group in data.groups())
-    return [fit_flow_map(*group, **{name: getattr(part, name) for name in names}, **options) for group, part in rows]
+    return [
+        fit_flow_map(*group, **{name: getattr(part, name) for name in names}, **options)
+        for group, part in rows
+    ]
 
 
 @dataclass
 class _Readings:
-    """Readings at positive drops; ``silent`` are those below the lower ``limit`` [m³/s] of their meter."""
+    """Readings at positive drops; ``silent`` are those below the lower ``limit`` [m³/s] of their
+    meter.
+    """
 
     size: int
     row: np.ndarray
@@ -245,14 +269,20 @@ def _clusters(values: np.ndarray, share: float, width: float) -> np.ndarray:
 
 
 def _readings(who, command, drop, flow, method, trial, file, line, meter_limit) -> _Readings:
-    """Readings at positive drops, in an order that does not depend on the file's, gathered in cells."""
+    """Readings at positive drops, in an order that does not depend on the file's, gathered in
+    cells.
+    """
     u, drop, q = (np.asarray(a, float) for a in (command, drop, flow))
     if not (u.ndim == 1 and u.shape == drop.shape == q.shape):
-        raise ValueError("command, pressure_drop and flow must be one-dimensional and of one length")
+        raise ValueError(
+            "command, pressure_drop and flow must be one-dimensional and of one length"
+        )
     if not np.all(np.isfinite([u, drop, q])):
         raise ValueError("command, pressure_drop and flow must be finite")
     if np.any(u < 0):
-        raise ValueError("openings must not be negative: multiply the command by the sign of the edge")
+        raise ValueError(
+            "openings must not be negative: multiply the command by the sign of the edge"
+        )
     n = u.size
     method = np.full(n, "flowmeter") if method is None else np.asarray(method).astype(str)
     file = np.full(n, file) if isinstance(file, str) else np.asarray(file).astype(str)
@@ -262,8 +292,12 @@ def _readings(who, command, drop, flow, method, trial, file, line, meter_limit) 
     if use.size == 0:
         raise InsufficientData(f"the {who} has no reading at a pressure drop above zero")
     use = use[np.lexsort((line[use], q[use], drop[use], u[use]))]
-    trial = np.unique(file, return_inverse=True)[1] * (trial.max() + 1) + trial  # trial 1 of two files is two trials
-    u, drop, q, method, trial, file, line = (a[use] for a in (u, drop, q, method, trial, file, line))
+    trial = (
+        np.unique(file, return_inverse=True)[1] * (trial.max() + 1) + trial
+    )  # trial 1 of two files is two trials
+    u, drop, q, method, trial, file, line = (
+        a[use] for a in (u, drop, q, method, trial, file, line)
+    )
 
     level = _clusters(u, 0.0, 0.005 * max(u.max(), 1e-12))
     u_level = np.bincount(level, u) / np.bincount(level)
@@ -277,34 +311,58 @@ def _readings(who, command, drop, flow, method, trial, file, line, meter_limit) 
     drops = np.unique(_clusters(drop, 0.03, 0.003 * drop.max())).size
     if u_level.size < 4:
         raise InsufficientData(
-            f"the {who} has readings at {u_level.size} commands", hint="4 or more are needed, 3 of them passing flow"
+            f"the {who} has readings at {u_level.size} commands",
+            hint="4 or more are needed, 3 of them passing flow",
         )
     if drops < 4:
-        raise InsufficientData(f"the {who} has readings at {drops} pressure drops", hint="4 or more different ones are needed")
+        raise InsufficientData(
+            f"the {who} has readings at {drops} pressure drops",
+            hint="4 or more different ones are needed",
+        )
     limit = np.where(method != "cylinder", meter_limit, 0.0)
     silent = (limit > 0) & (q < limit)
-    return _Readings(n, use, u, drop, np.where(silent, 0.0, q), method, trial, file, line, cell, level, limit, silent)
+    return _Readings(
+        n,
+        use,
+        u,
+        drop,
+        np.where(silent, 0.0, q),
+        method,
+        trial,
+        file,
+        line,
+        cell,
+        level,
+        limit,
+        silent,
+    )
 
 
 class _Fit:
-    """The steps of one fit, in order: ``run`` and then ``summary``. Flows are scaled by ``rated`` inside."""
+    """The steps of one fit, in order: ``run`` and then ``summary``. Flows are scaled by ``rated``
+    inside.
+    """
 
     def __init__(self, who: str, readings: _Readings, rated: float | None, show: Units) -> None:
         self.who, self.r, self.show = who, readings, show
         self.keep = np.ones(readings.q.size, bool)
         self.levels = np.bincount(readings.level, readings.u) / np.bincount(readings.level)
         largest = np.sort(_medians(readings.q, readings.cell))
-        while largest.size > 4 and largest[-1] > 4.0 * largest[-2] > 0.0:  # a slip of the pen, to be left out below
+        while (
+            largest.size > 4 and largest[-1] > 4.0 * largest[-2] > 0.0
+        ):  # a slip of the pen, to be left out below
             largest = largest[:-1]
         self.rated = float(rated) if rated else float(largest[-1])
         if not self.rated > 0:
             raise InsufficientData(
-                f"the {who} passes no flow at any command", hint="3 or more commands above the deadband are needed"
+                f"the {who} passes no flow at any command",
+                hint="3 or more commands above the deadband are needed",
             )
         self.y = readings.q / self.rated
         self.drop_max = float(readings.drop.max())
         least = float(np.quantile(readings.drop, 0.02))
-        # an orifice bends by 1 % at five times delta; the bounds keep the slope at zero finite and the bend out of sight
+        # an orifice bends by 1 % at five times delta; the bounds keep the slope at zero finite and
+        # the bend out of sight
         self.delta = float(np.clip(least / 5.0, 1e-3 * self.drop_max, 1e-2 * self.drop_max))
         self.s = root_drop(readings.drop, self.delta) / root_drop(self.drop_max, self.delta)
         cluster = _clusters(readings.drop, 0.03, 0.003 * self.drop_max)
@@ -318,7 +376,8 @@ class _Fit:
         self.smoothing = np.array([1e-2, 1e-2])
 
     def count_spans(self, cluster: np.ndarray) -> int:
-        """Spans along the root of the drop: as narrow as the closest drops measured, the penalty sees to the rest.
+        """Spans along the root of the drop: as narrow as the closest drops measured, the penalty
+        sees to the rest.
 
         Sets ``roots`` of those drops, with zero; empty where they are too many to leave gaps.
         """
@@ -328,9 +387,14 @@ class _Fit:
 
     def refuse_idle(self, cluster: np.ndarray) -> None:
         """Refuses readings whose flow at one drop is nearly the same at every command."""
-        r, at = self.r, np.unique(np.column_stack([cluster, self.r.level]), axis=0, return_inverse=True)
+        r, at = (
+            self.r,
+            np.unique(np.column_stack([cluster, self.r.level]), axis=0, return_inverse=True),
+        )
         middle, drop = _medians(self.y, at[1].ravel()), at[0][:, 0]
-        spread = [np.ptp(middle[drop == k]) for k in np.unique(drop) if np.count_nonzero(drop == k) > 1]
+        spread = [
+            np.ptp(middle[drop == k]) for k in np.unique(drop) if np.count_nonzero(drop == k) > 1
+        ]
         if spread and np.median(spread) < _LEAST_EFFECT:
             raise InsufficientData(
                 f"the {self.who} does not depend on the command: at one drop the flow changes by "
@@ -346,17 +410,27 @@ class _Fit:
         return np.sqrt(np.maximum(floor**2 + (share * flow) ** 2, digit**2) + _LEAST_NOISE**2)
 
     def cells(self, flow: np.ndarray):
-        """(command, root, flow, weight) of the mean of the kept readings of each cell; weight 0 where none is kept."""
+        """(command, root, flow, weight) of the mean of the kept readings of each cell; weight 0
+        where none is kept.
+        """
         r, limit, std = self.r, self.r.limit / self.rated, self.std(flow)
         self.y = np.where(r.silent, np.clip(flow, 0.0, limit), self.y)
-        # whether a reading counts must not hang on its own noise, so the map says whether the meter turns
-        weight = np.where(self.keep & ((limit == 0) | (flow > limit + 2.0 * std)), 1.0 / std**2, 0.0)
+        # whether a reading counts must not hang on its own noise, so the map says whether the meter
+        # turns
+        weight = np.where(
+            self.keep & ((limit == 0) | (flow > limit + 2.0 * std)), 1.0 / std**2, 0.0
+        )
         total = np.bincount(r.cell, weight)
-        mean = [np.bincount(r.cell, weight * a) / np.maximum(total, 1e-300) for a in (r.u, self.s, self.y)]
+        mean = [
+            np.bincount(r.cell, weight * a) / np.maximum(total, 1e-300)
+            for a in (r.u, self.s, self.y)
+        ]
         return *mean, total
 
     def measure_noise(self, flow: np.ndarray) -> None:
-        """Noise per method from the scatter inside cells about the map's course; from the residuals without repeats."""
+        """Noise per method from the scatter inside cells about the map's course; from the residuals
+        without repeats.
+        """
         r, keep = self.r, self.keep
         residual = self.y - flow
         dof_all = 0
@@ -386,31 +460,41 @@ class _Fit:
         rows = root[used, None] * design[used]
         return design, rows.T @ rows, rows.T @ (root * y)[used]
 
-    def choose_smoothing(self, cells, u=_COARSE, s=_COARSE, fine: bool = True, normal=None) -> float:
-        """Penalties by restricted maximum likelihood, the scale of the noise left free (Wood 2011); −2 log of it.
+    def choose_smoothing(
+        self, cells, u=_COARSE, s=_COARSE, fine: bool = True, normal=None
+    ) -> float:
+        """Penalties by restricted maximum likelihood, the scale of the noise left free (Wood 2011);
+        −2 log of it.
 
-        ``u``, ``s``: decadic logarithms of the penalties to begin with; the present ones if none are given.
-        """
+        ``u``, ``s``: decadic logarithms of the penalties to begin with; the present ones if none
+        are given."""
         spline = self.spline(self.deadband)
         _, gram, right = normal or self.normal(spline, cells)
         band = spline.banded(gram)
-        total, n, unit = float(cells[3] @ cells[2] ** 2), np.count_nonzero(cells[3]), float(cells[3].sum())
+        total, n, unit = (
+            float(cells[3] @ cells[2] ** 2),
+            np.count_nonzero(cells[3]),
+            float(cells[3].sum()),
+        )
 
         def score(point: tuple[float, float]) -> float:
             free, determinant = spline.free(band, right, 10.0 ** np.array(point) * unit)
             return self.deviance(max(total - right @ free, 1e-12 * total), n) + determinant
 
         now = np.clip(np.round(4 * np.log10(self.smoothing / unit)) / 4, -12, 0)
-        best, value = _lattice_minimum(score, u or now[:1].tolist(), s or now[1:].tolist(), (1.0, 0.5, 0.25) if fine else ())
+        best, value = _lattice_minimum(
+            score, u or now[:1].tolist(), s or now[1:].tolist(), (1.0, 0.5, 0.25) if fine else ()
+        )
         self.smoothing = 10.0 ** np.array(best) * unit
         return value
 
     def deviance(self, misfit: float, cells: int) -> float:
-        """−2 log likelihood of a penalised misfit; its scale is free, but where repeats tell the noise not below that.
+        """−2 log likelihood of a penalised misfit; its scale is free, but where repeats tell the
+        noise not below that.
 
-        Were it free below, a map through every cell could pass for one without noise. Without repeats the noise of the last turn
-        counts as much as a quarter of the cells, for the same reason.
-        """
+        Were it free below, a map through every cell could pass for one without noise. Without
+        repeats the noise of the last turn counts as much as a quarter of the cells, for the same
+        reason."""
         scale = misfit / (cells - 1)
         if self.replicates >= _REPEATS and scale < 1.0:
             return misfit - (cells - 1)
@@ -419,33 +503,53 @@ class _Fit:
         return (cells - 1) * np.log(scale)
 
     def bend(self, cells) -> None:
-        """Lets the map bend more towards low drops, and sharply at one drop, where that makes the readings likelier."""
+        """Lets the map bend more towards low drops, and sharply at one drop, where that makes the
+        readings likelier.
+        """
         normal = self.normal(self.spline(self.deadband), cells)  # the same for all
         straight, options = self.along_s, []
         for power in (0.0, 1.0, 2.0, 4.0):
             self.along_s = straight.graded(power)
             options.append(
-                (self.choose_smoothing(cells, normal=normal) + _GRADED_GAIN * (power > 0), power, self.along_s, self.smoothing)
+                (
+                    self.choose_smoothing(cells, normal=normal) + _GRADED_GAIN * (power > 0),
+                    power,
+                    self.along_s,
+                    self.smoothing,
+                )
             )
         plain, _, straight, smoothing = min(options, key=lambda one: one[0])
         options = []
         for k in range(1, self.spans):
             self.along_s, self.smoothing = straight.bent(k), smoothing
-            options.append((self.choose_smoothing(cells, (), _COARSE, False, normal), k, self.along_s, self.smoothing))
+            options.append(
+                (
+                    self.choose_smoothing(cells, (), _COARSE, False, normal),
+                    k,
+                    self.along_s,
+                    self.smoothing,
+                )
+            )
         _, _, self.along_s, self.smoothing = min(options, key=lambda one: one[0])
         if self.choose_smoothing(cells) > plain - _BEND_GAIN:
             self.along_s, self.smoothing = straight, smoothing
 
     def start_deadband(self, cells) -> None:
-        """The likeliest of a few deadbands, each with its own smoothing: one far off would call for a wrong smoothing."""
+        """The likeliest of a few deadbands, each with its own smoothing: one far off would call for
+        a wrong smoothing.
+        """
         low, high = self.window(cells)
         options = []
         for self.deadband in np.linspace(low, high, 13):
-            options.append((self.choose_smoothing(cells, s=(), fine=False), self.deadband, self.smoothing))
+            options.append(
+                (self.choose_smoothing(cells, s=(), fine=False), self.deadband, self.smoothing)
+            )
         _, self.deadband, self.smoothing = min(options, key=lambda one: one[0])
 
     def window(self, cells) -> tuple[float, float]:
-        """Range of the deadband [V]: from the last but one command that may be shut to just below the first that is not."""
+        """Range of the deadband [V]: from the last but one command that may be shut to just below
+        the first that is not.
+        """
         self.opens = k = self.first_flow(cells)
         below = float(self.levels[k - 1]) if k else 0.0
         self.bracket, self.flows_at_lowest = (below, float(self.levels[k])), k == 0
@@ -454,10 +558,14 @@ class _Fit:
         return low, float(self.levels[k]) - 0.02 * (float(self.levels[k]) - below)
 
     def solve(self, spline: Spline, cells):
-        """(coefficients, −2 log likelihood of the spline's deadband with the scale of the noise left free)."""
+        """(coefficients, −2 log likelihood of the spline's deadband with the scale of the noise
+        left free).
+        """
         _, gram, right = self.normal(spline, cells)
         c, determinant = spline.solve(gram, right, self.smoothing)
-        misfit = float(cells[3] @ cells[2] ** 2) + c @ (spline.matrix(gram, self.smoothing) @ c - 2 * right)
+        misfit = float(cells[3] @ cells[2] ** 2) + c @ (
+            spline.matrix(gram, self.smoothing) @ c - 2 * right
+        )
         return c, self.deviance(max(misfit, 1e-12), np.count_nonzero(cells[3])) + determinant
 
     def first_flow(self, cells) -> int:
@@ -475,9 +583,16 @@ class _Fit:
         return first
 
     def find_deadband(self, cells) -> None:
-        """Deadband by its profile likelihood, if the flow starts with a kink: the best, its standard deviation, 95 % interval."""
+        """Deadband by its profile likelihood, if the flow starts with a kink: the best, its
+        standard deviation, 95 % interval.
+        """
         window = self.window(cells)
-        self.deadband, self.deadband_std, self.deadband_interval, self.at_bound = 0.0, 0.0, (0.0, 0.0), True
+        self.deadband, self.deadband_std, self.deadband_interval, self.at_bound = (
+            0.0,
+            0.0,
+            (0.0, 0.0),
+            True,
+        )
         if window[1] <= window[0]:
             return
         least = _LEAST_WIDTH * float(self.levels[-1])
@@ -490,22 +605,29 @@ class _Fit:
         level = 10.83 if self.flows_at_lowest else 3.841  # an extrapolation is worth less
         lower, upper = (_crossing(grid[best::way], rise[best::way], level) for way in (-1, 1))
         self.at_bound = lower <= 0.0
-        lower, upper = max(min(lower, self.deadband - least), 0.0), max(upper, self.deadband + least)
+        lower, upper = (
+            max(min(lower, self.deadband - least), 0.0),
+            max(upper, self.deadband + least),
+        )
         self.deadband_interval = (round(lower, 4), round(upper, 4))
 
     def soften(self, cells) -> None:
-        """Lowers the lower end of the deadband's interval to where a flow with a soft start would begin.
+        """Lowers the lower end of the deadband's interval to where a flow with a soft start would
+        begin.
 
-        That is the lower end for a spline which may curve at will over the first commands that pass flow. Such splines end with a
-        parabola that starts level, a shape which valves do have: the end is taken at 99.9 %.
-        """
+        That is the lower end for a spline which may curve at will over the first commands that pass
+        flow. Such splines end with a parabola that starts level, a shape which valves do have: the
+        end is taken at 99.9 %."""
         low, high = self.window(cells)
         if high <= low:
             return
         grid, rise = self.profile(cells, low, high, soft=True)
         best = int(np.argmin(rise))
         lower, upper = self.deadband_interval
-        self.deadband_interval = (round(min(lower, _crossing(grid[best::-1], rise[best::-1], 10.83)), 4), upper)
+        self.deadband_interval = (
+            round(min(lower, _crossing(grid[best::-1], rise[best::-1], 10.83)), 4),
+            upper,
+        )
 
     def profile(self, cells, low: float, high: float, soft: bool):
         """(deadbands [V], −2 log likelihood of each above the least), about the likely ones."""
@@ -520,7 +642,9 @@ class _Fit:
         return grid, rise
 
     def leak(self) -> float:
-        """Scaled flow that surely passes at 0 V, if 0 V was measured and the flow there is small; else 0."""
+        """Scaled flow that surely passes at 0 V, if 0 V was measured and the flow there is small;
+        else 0.
+        """
         at = (self.r.level == 0) & (self.r.u == 0) & ~self.r.silent
         if at.sum() < 4:
             return 0.0
@@ -534,13 +658,18 @@ class _Fit:
         leak = self.leak()
         self.leaks = leak > 0
         passes = _medians(_medians(self.y, r.cell), self.cell_level) > max(5e-3, 1.5 * leak)
-        k = min(int(np.flatnonzero(~passes)[-1]) + 1 if not passes.all() else 0, self.levels.size - 3)
+        k = min(
+            int(np.flatnonzero(~passes)[-1]) + 1 if not passes.all() else 0, self.levels.size - 3
+        )
         if leak:  # what passes no more than the leak is shut; the leak is told apart from the map
             shut = r.level < k
             self.y = self.y - shut * np.polyval(np.polyfit(self.s[shut], self.y[shut], 2), self.s)
         u, s, _, weight = self.cells(self.y)
         y = _medians(self.y, r.cell)
-        self.opens, self.deadband = k, 0.5 * float(self.levels[k - 1] + self.levels[k]) if k else 0.0
+        self.opens, self.deadband = (
+            k,
+            0.5 * float(self.levels[k - 1] + self.levels[k]) if k else 0.0,
+        )
         spline = self.spline(self.deadband)
         self.smoothing = np.full(2, 1e-5 * weight.sum())
         coefficients, _ = self.solve(spline, (u, s, y, weight))
@@ -551,7 +680,8 @@ class _Fit:
         return flow
 
     def alone(self, flow: np.ndarray) -> np.ndarray:
-        """True for readings that no repeats back: those that do not agree with theirs within the noise, or have none.
+        """True for readings that no repeats back: those that do not agree with theirs within the
+        noise, or have none.
 
         What repeats back is the valve's own, and a map that misses it lacks fit there.
         """
@@ -560,12 +690,16 @@ class _Fit:
         high, low = np.full(count.size, -np.inf), np.full(count.size, np.inf)
         np.maximum.at(high, r.cell, residual)
         np.minimum.at(low, r.cell, residual)
-        agree = high - low <= OUTLIER_SIGMAS * np.sqrt(np.bincount(r.cell, self.std(flow) ** 2) / count)
+        agree = high - low <= OUTLIER_SIGMAS * np.sqrt(
+            np.bincount(r.cell, self.std(flow) ** 2) / count
+        )
         return ~(agree & (count > 1))[r.cell]
 
     def places(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Commands and roots counted in commands measured and spans, shape (points, 2)."""
-        return np.column_stack([np.interp(u, self.levels, np.arange(self.levels.size)), s * self.spans])
+        return np.column_stack(
+            [np.interp(u, self.levels, np.arange(self.levels.size)), s * self.spans]
+        )
 
     def few(self, out: np.ndarray, size: np.ndarray) -> np.ndarray:
         """The farthest of the readings ``out``, no more than a small share of all."""
@@ -574,9 +708,13 @@ class _Fit:
         return out & np.isin(np.arange(out.size), farthest)
 
     def run(self) -> None:
-        """Alternate noise, fit and outliers until the outliers stay the same, then find the deadband and do it again."""
+        """Alternate noise, fit and outliers until the outliers stay the same, then find the
+        deadband and do it again.
+        """
         flow = self.guess()
-        self.leverage = (flow > 0) * (self.spline(self.deadband).rows + 3) / np.count_nonzero(flow > 0)
+        self.leverage = (
+            (flow > 0) * (self.spline(self.deadband).rows + 3) / np.count_nonzero(flow > 0)
+        )
         for final in (False, True):
             for turn in range(40):
                 self.measure_noise(flow)
@@ -616,18 +754,22 @@ class _Fit:
     def distances(self, flow: np.ndarray) -> np.ndarray:
         """Distance of each reading from the map in standard deviations of that distance.
 
-        A reading in the fit draws the map to itself, one left out stands against the map's own error.
-        """
+        A reading in the fit draws the map to itself, one left out stands against the map's own
+        error."""
         from scipy.linalg import solve_triangular
 
         design = self.final.design(self.r.u, self.s) * (self.r.u > self.deadband)[:, None]
         error = np.sum(solve_triangular(self.factor, design.T, lower=True) ** 2, axis=0)
         noise = self.std(flow) ** 2
         self.leverage = error / noise
-        return (self.y - flow) / np.sqrt(np.where(self.keep, np.maximum(noise - error, 0.1 * noise), noise + error))
+        return (self.y - flow) / np.sqrt(
+            np.where(self.keep, np.maximum(noise - error, 0.1 * noise), noise + error)
+        )
 
     def judge(self, cells) -> np.ndarray:
-        """Flow of the fit at each reading; sets coefficients, their covariance's factor, parameters and lack of fit."""
+        """Flow of the fit at each reading; sets coefficients, their covariance's factor, parameters
+        and lack of fit.
+        """
         self.final = spline = self.spline(self.deadband)
         design, gram, right = self.normal(spline, cells)
         self.factor = np.linalg.cholesky(spline.matrix(gram, self.smoothing))
@@ -641,17 +783,24 @@ class _Fit:
 
     # what leaves
     def flow_std(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Standard error of the scaled flow on the grid u × s: coefficients, deadband and scatter of whole trials."""
+        """Standard error of the scaled flow on the grid u × s: coefficients, deadband and scatter
+        of whole trials.
+        """
         from scipy.linalg import solve_triangular
 
         at, root = (a.ravel() for a in np.meshgrid(u, s, indexing="ij"))
         design = self.final.design(at, root)
-        variance = self.lack * np.sum(solve_triangular(self.factor, design.T, lower=True) ** 2, axis=0)
+        variance = self.lack * np.sum(
+            solve_triangular(self.factor, design.T, lower=True) ** 2, axis=0
+        )
         flow = design @ self.coefficients
         variance += self.missed(at, root) + self.between(at, root)
         sides = [max(self.deadband + k * self.deadband_std, 0.0) for k in (-1, 1)]
         if self.deadband_std > 0:
-            moved = [spline.design(at, root) @ self.solve(spline, self.judged)[0] for spline in map(self.spline, sides)]
+            moved = [
+                spline.design(at, root) @ self.solve(spline, self.judged)[0]
+                for spline in map(self.spline, sides)
+            ]
             variance += 0.25 * (moved[1] - moved[0]) ** 2
         scaled = self.delta / self.drop_max  # half of what s and a plain root of the drop differ by
         drop = root * np.sqrt(0.5 * root**2 + np.sqrt(0.25 * root**4 + scaled**2))
@@ -659,7 +808,9 @@ class _Fit:
         return np.sqrt(variance + (self.trial_scatter * flow) ** 2).reshape(u.size, s.size)
 
     def missed(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Variance [rated²] by which the cells near each point surely miss the map, beyond their noise."""
+        """Variance [rated²] by which the cells near each point surely miss the map, beyond their
+        noise.
+        """
         cell_u, cell_s, y, weight = self.judged
         some = (weight > 0) & (cell_u > self.deadband)
         if not some.any():
@@ -668,23 +819,30 @@ class _Fit:
         away = self.places(u, s)[:, None, :] - self.places(cell_u[some], cell_s[some])
         near = np.exp(-0.5 * np.sum(away**2, axis=2)) + 1e-12
         near /= near.sum(axis=1, keepdims=True)
-        # the scatter of a mean of squares: what it exceeds the noise by must exceed 1.6 times that, too
+        # the scatter of a mean of squares: what it exceeds the noise by must exceed 1.6 times that,
+        # too
         sure = 1.0 + 1.6 * np.sqrt(2.0 * np.sum(near**2, axis=1))
         return np.maximum(near @ square - sure * (near @ (1.0 / weight[some])), 0.0)
 
     def between(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Variance [rated²] of where a map that bends sharply does so between the drops measured; else zero.
+        """Variance [rated²] of where a map that bends sharply does so between the drops measured;
+        else zero.
 
-        A kink that changes the slope by κ inside a gap h leaves the chord by κ·h·w·(1 − w) at most, w from 0 to 1 in the gap;
-        taken as two standard errors, with the largest change of slope over this gap or one beside it as κ: a spline rings.
-        """
+        A kink that changes the slope by κ inside a gap h leaves the chord by κ·h·w·(1 − w) at most,
+        w from 0 to 1 in the gap; taken as two standard errors, with the largest change of slope
+        over this gap or one beside it as κ: a spline rings."""
         roots = self.roots
         if roots.size < 4:
             return np.zeros(u.size)
         gap = np.clip(np.searchsorted(roots, s, side="right") - 1, 0, roots.size - 2)
         each, row = np.unique(u, return_inverse=True)
-        flow = self.final.design(np.repeat(each, roots.size), np.tile(roots, each.size)) @ self.coefficients
-        turn = np.diff(np.diff(flow.reshape(each.size, roots.size), axis=1) / np.diff(roots), axis=1)
+        flow = (
+            self.final.design(np.repeat(each, roots.size), np.tile(roots, each.size))
+            @ self.coefficients
+        )
+        turn = np.diff(
+            np.diff(flow.reshape(each.size, roots.size), axis=1) / np.diff(roots), axis=1
+        )
         turn = np.pad(turn, ((0, 0), (1, 1)))
         turn = np.abs(turn[:, 1:] + turn[:, :-1])  # a kink inside a gap shows half at either end
         width = np.diff(roots)[gap]
@@ -694,28 +852,41 @@ class _Fit:
         return (sure * kink * width * part * (1.0 - part)) ** 2
 
     def compare_trials(self) -> None:
-        """Standard error of the mean of the trials' common factors [1], beyond what the noise explains (DerSimonian–Laird)."""
+        """Standard error of the mean of the trials' common factors [1], beyond what the noise
+        explains (DerSimonian–Laird).
+        """
         r, keep = self.r, self.keep & (self.flow > 0)
         weight = np.where(keep, 1.0 / self.std(self.flow) ** 2, 0.0)
         trials = np.unique(r.trial[keep])
         if trials.size < 2:
             return
         precision = np.array([np.sum((weight * self.flow**2)[r.trial == t]) for t in trials])
-        share = np.array([np.sum((weight * self.flow * (self.y - self.flow))[r.trial == t]) for t in trials]) / precision
+        share = (
+            np.array(
+                [np.sum((weight * self.flow * (self.y - self.flow))[r.trial == t]) for t in trials]
+            )
+            / precision
+        )
         mean = precision @ share / precision.sum()
         excess = precision @ (share - mean) ** 2 - (trials.size - 1)
         between = max(excess, 0.0) / (precision.sum() - np.sum(precision**2) / precision.sum())
         self.trial_scatter = float(np.sqrt(between / trials.size))
 
     def hull(self):
-        """(commands [V], least, largest drop [Pa] read there); many commands are taken in groups of neighbours."""
+        """(commands [V], least, largest drop [Pa] read there); many commands are taken in groups of
+        neighbours.
+        """
         r, group = self.r, self.r.level
         if self.levels.size > 2 * SPANS_U:
             group = np.searchsorted(np.quantile(r.u, np.arange(1, SPANS_U) / SPANS_U), r.u)
         parts = [np.flatnonzero((group == k) & self.keep) for k in np.unique(group)]
-        hull = np.array([(r.u[at].mean(), r.drop[at].min(), r.drop[at].max()) for at in parts if at.size])
+        hull = np.array(
+            [(r.u[at].mean(), r.drop[at].min(), r.drop[at].max()) for at in parts if at.size]
+        )
         hull[[0, -1], 0] = self.levels[[0, -1]]
-        if hull[0, 0] > 0 and not self.flows_at_lowest:  # shut at the lowest command, so shut below it
+        if (
+            hull[0, 0] > 0 and not self.flows_at_lowest
+        ):  # shut at the lowest command, so shut below it
             hull = np.vstack([[0.0, *hull[0, 1:]], hull])
         return hull.T
 
@@ -723,9 +894,15 @@ class _Fit:
         r, spline = self.r, self.final
         knots = _digits(self.deadband + spline.along_u.breaks * (spline.top - self.deadband), 10)
         knots[0] = self.deadband
-        fine_u = np.unique(np.concatenate([knots, 0.5 * (knots[1:] + knots[:-1]), self.deadband_interval]))
+        fine_u = np.unique(
+            np.concatenate([knots, 0.5 * (knots[1:] + knots[:-1]), self.deadband_interval])
+        )
         roots = self.roots
-        fine_s = np.unique(np.concatenate([np.linspace(0.0, 1.0, 2 * self.spans + 1), roots, 0.5 * (roots[1:] + roots[:-1])]))
+        fine_s = np.unique(
+            np.concatenate(
+                [np.linspace(0.0, 1.0, 2 * self.spans + 1), roots, 0.5 * (roots[1:] + roots[:-1])]
+            )
+        )
         command, low, high = self.hull()
         return FlowMap(
             valve=valve,
@@ -754,7 +931,12 @@ class _Fit:
         out = np.flatnonzero(~self.keep)
         outliers = tuple(
             Outlier(
-                str(r.file[i]), int(r.line[i]), float(r.u[i]), float(r.drop[i]), float(r.q[i]), round(float(self.sigmas[i]), 2)
+                str(r.file[i]),
+                int(r.line[i]),
+                float(r.u[i]),
+                float(r.drop[i]),
+                float(r.q[i]),
+                round(float(self.sigmas[i]), 2),
             )
             for i in out[np.argsort(r.line[out], kind="stable")]
         )
@@ -770,7 +952,9 @@ class _Fit:
             deadband_std=self.deadband_std,
             bracket=self.bracket,
             status=self.status,
-            noise={name: (self.rated * floor, share) for name, (floor, share) in self.noise.items()},
+            noise={
+                name: (self.rated * floor, share) for name, (floor, share) in self.noise.items()
+            },
             replicates=self.replicates,
             lack_of_fit=self.lack,
             smoothing=tuple(float(v) for v in self.smoothing / self.judged[3].sum()),
@@ -820,10 +1004,11 @@ class _Fit:
 
 
 def _lattice_minimum(score, first, second, steps) -> tuple[tuple[float, float], float]:
-    """(point, value) of the least of ``score`` over decadic logarithms, on a lattice that is refined about the best.
+    """(point, value) of the least of ``score`` over decadic logarithms, on a lattice that is
+    refined about the best.
 
-    Points come from a fixed lattice, so that the last bits of a linear algebra library do not move the result.
-    """
+    Points come from a fixed lattice, so that the last bits of a linear algebra library do not move
+    the result."""
     known: dict[tuple[float, float], float] = {}
 
     def value(point: tuple[float, float]) -> float:
@@ -844,7 +1029,9 @@ def _lattice_minimum(score, first, second, steps) -> tuple[tuple[float, float], 
 
 
 def _lowest(x: np.ndarray, y: np.ndarray, at: int) -> float:
-    """Where the parabola through the least of y and its neighbours is least; the end of the grid if that is least."""
+    """Where the parabola through the least of y and its neighbours is least; the end of the grid if
+    that is least.
+    """
     if not 0 < at < x.size - 1:
         return float(x[at])
     left, right = y[at - 1] - y[at], y[at + 1] - y[at]
@@ -861,7 +1048,9 @@ def _crossing(x: np.ndarray, rise: np.ndarray, level: float) -> float:
 
 
 def _step(flows: np.ndarray) -> float:
-    """The last digit of a meter, if it shows so few that values repeat: the least distance between two values."""
+    """The last digit of a meter, if it shows so few that values repeat: the least distance between
+    two values.
+    """
     apart = np.diff(np.unique(flows))
     return float(apart[apart > 1e-9].min(initial=np.inf)) if np.any(apart > 1e-9) else 0.0
 
@@ -869,17 +1058,23 @@ def _step(flows: np.ndarray) -> float:
 def _medians(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     """Median of the values of each group 0, 1, 2, …"""
     order = np.argsort(group, kind="stable")
-    return np.array([np.median(part) for part in np.split(values[order], np.cumsum(np.bincount(group))[:-1])])
+    return np.array(
+        [np.median(part) for part in np.split(values[order], np.cumsum(np.bincount(group))[:-1])]
+    )
 
 
 def _digits(values, count: int) -> np.ndarray:
-    """Values to so many significant digits: what a file needs, and not the last bits of a linear algebra library."""
+    """Values to so many significant digits: what a file needs, and not the last bits of a linear
+    algebra library.
+    """
     values = np.asarray(values, float)
     return np.array([float(f"{v:.{count - 1}e}") for v in values.ravel()]).reshape(values.shape)
 
 
 def _growing(square: np.ndarray, dof: np.ndarray, flow: np.ndarray) -> tuple[float, float]:
-    """(floor, share) of a standard deviation √(floor² + (share·flow)²) by maximum likelihood from squared deviations."""
+    """(floor, share) of a standard deviation √(floor² + (share·flow)²) by maximum likelihood from
+    squared deviations.
+    """
     best = (np.inf, 0.0, 0.0)
     for ratio in (0.0, *np.geomspace(1.0, 1e4, 25)):
         shape = 1.0 + ratio * flow**2
@@ -890,10 +1085,17 @@ def _growing(square: np.ndarray, dof: np.ndarray, flow: np.ndarray) -> tuple[flo
 
 
 def _check(
-    found: FlowMap, command: float, target: float, tolerance: float, reference: float | tuple[float, float] | None
+    found: FlowMap,
+    command: float,
+    target: float,
+    tolerance: float,
+    reference: float | tuple[float, float] | None,
 ) -> Calibration:
     """A calibration point against the map, over the reference drops."""
-    low, high = (float(np.interp(command, found.hull_command, side)) for side in (found.hull_low, found.hull_high))
+    low, high = (
+        float(np.interp(command, found.hull_command, side))
+        for side in (found.hull_low, found.hull_high)
+    )
     if reference is None:
         low = 0.5 * (low + high)
     else:
@@ -909,4 +1111,15 @@ def _check(
         verdict = "met"
     else:
         verdict = "missed" if bounds[1] < band[0] or bounds[0] > band[1] else "undecided"
-    return Calibration(command, target, tolerance, flow, *bounds, float(flows.min()), float(flows.max()), low, high, verdict)
+    return Calibration(
+        command,
+        target,
+        tolerance,
+        flow,
+        *bounds,
+        float(flows.min()),
+        float(flows.max()),
+        low,
+        high,
+        verdict,
+    )

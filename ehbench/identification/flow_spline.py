@@ -1,7 +1,8 @@
-"""The spline under a flow map while it is fitted: its penalties, smoothing and least squares with growing coefficients.
+"""The spline under a flow map while it is fitted: its penalties, smoothing and least squares with
+growing coefficients.
 
-Coordinates are scaled to 0…1: the opening from the deadband to the largest command, and the root of the drop. Each
-coefficient meets a few neighbours only, so the penalised normal matrix is a band.
+Coordinates are scaled to 0…1: the opening from the deadband to the largest command, and the root of
+the drop. Each coefficient meets a few neighbours only, so the penalised normal matrix is a band.
 """
 
 from __future__ import annotations
@@ -15,15 +16,20 @@ from ehbench.physics.flow_map import bspline_pieces
 
 # a bend in the drop, a soft start: the penalty on curvature is this share of what it is elsewhere
 _BEND, _SOFT = 1e-4, 1e-9
-# a spline slope of this share of the rated flow over the command range keeps the map strictly increasing
+# a spline slope of this share of the rated flow over the command range keeps the map strictly
+# increasing
 _LEAST_SLOPE = 1e-4
 SPANS_U = 12
 
 _legendre = cache(np.polynomial.legendre.leggauss)
 
 
-def _gram(pieces: np.ndarray, breaks: np.ndarray, order: int, weight: np.ndarray | float = 1.0) -> np.ndarray:
-    """∫ weight·B_i^(order) B_j^(order) of splines in polynomial pieces (``bspline_pieces``), exact; a weight a span."""
+def _gram(
+    pieces: np.ndarray, breaks: np.ndarray, order: int, weight: np.ndarray | float = 1.0
+) -> np.ndarray:
+    """∫ weight·B_i^(order) B_j^(order) of splines in polynomial pieces (``bspline_pieces``), exact;
+    a weight a span.
+    """
     for _ in range(order):
         pieces = pieces[..., 1:] * np.arange(1, pieces.shape[-1])
     nodes, weights = _legendre(pieces.shape[-1])
@@ -34,7 +40,9 @@ def _gram(pieces: np.ndarray, breaks: np.ndarray, order: int, weight: np.ndarray
 
 
 class Axis:
-    """B-splines along a coordinate scaled to 0…1, but for the first, with ∫ of squares and of squared curvature."""
+    """B-splines along a coordinate scaled to 0…1, but for the first, with ∫ of squares and of
+    squared curvature.
+    """
 
     def __init__(self, breaks: np.ndarray, degree: int) -> None:
         self.breaks, self.pieces = breaks, bspline_pieces(breaks, degree)
@@ -42,7 +50,9 @@ class Axis:
         self.mass = _gram(self.pieces, breaks, 0)[1:, 1:]
         self.stiffen(np.ones(breaks.size - 1))
         knots = np.concatenate([breaks[:1].repeat(degree), breaks, breaks[-1:].repeat(degree)])
-        self.centres = np.convolve(knots, np.full(degree, 1.0 / degree), "valid")[2:-1]  # coefficients of x itself
+        self.centres = np.convolve(knots, np.full(degree, 1.0 / degree), "valid")[
+            2:-1
+        ]  # coefficients of x itself
 
     def stiffen(self, stiffness: np.ndarray) -> None:
         from scipy.linalg import eigh
@@ -60,7 +70,9 @@ class Axis:
 
     def graded(self, power: float) -> Axis:
         """The same axis, freer to bend towards zero: stiffness as a power of the coordinate."""
-        return self.stiffened(np.maximum((0.5 * (self.breaks[1:] + self.breaks[:-1])) ** power, _BEND))
+        return self.stiffened(
+            np.maximum((0.5 * (self.breaks[1:] + self.breaks[:-1])) ** power, _BEND)
+        )
 
     def stiffened(self, stiffness: np.ndarray, kink: bool = False) -> Axis:
         """The same axis with a stiffness a span, by which its curvature counts."""
@@ -79,41 +91,63 @@ class Axis:
 class Spline:
     """The spline of one deadband on opening and root-of-drop scaled to 0…1: design, penalties, fit."""
 
-    def __init__(self, deadband: float, above: np.ndarray, along_s: Axis, soft: bool = False) -> None:
+    def __init__(
+        self, deadband: float, above: np.ndarray, along_s: Axis, soft: bool = False
+    ) -> None:
         self.deadband, self.top = deadband, float(above[-1])
-        inner = 0.5 * (above[1:] + above[:-1])  # a spline of degree 2 rings without end if its knots are the places read
+        inner = 0.5 * (
+            above[1:] + above[:-1]
+        )  # a spline of degree 2 rings without end if its knots are the places read
         if inner.size > SPANS_U - 1:
             inner = np.quantile(inner, np.linspace(0, 1, SPANS_U + 1)[1:-1])
         if soft:
             inner = np.append(above[0], inner)
-        self.along_u = Axis(np.concatenate([[0.0], (inner - deadband) / (self.top - deadband), [1.0]]), 2)
+        self.along_u = Axis(
+            np.concatenate([[0.0], (inner - deadband) / (self.top - deadband), [1.0]]), 2
+        )
         if soft:
             self.along_u.stiffen(np.r_[_SOFT, _SOFT, np.ones(inner.size - 1)])
         self.along_s = along_s
         self.rows, self.columns = self.along_u.size, along_s.size
-        self.bend_u, self.bend_s = np.kron(self.along_u.bend, along_s.mass), np.kron(self.along_u.mass, along_s.bend)
+        self.bend_u, self.bend_s = (
+            np.kron(self.along_u.bend, along_s.mass),
+            np.kron(self.along_u.mass, along_s.bend),
+        )
         self.bands = self.banded(self.bend_u), self.banded(self.bend_s)
-        self.mass = self.columns * np.linalg.slogdet(self.along_u.mass)[1] + self.rows * np.linalg.slogdet(along_s.mass)[1]
-        self.floor = _LEAST_SLOPE * np.kron(self.along_u.centres, along_s.centres)  # coefficients of the least map, u·s
+        self.mass = (
+            self.columns * np.linalg.slogdet(self.along_u.mass)[1]
+            + self.rows * np.linalg.slogdet(along_s.mass)[1]
+        )
+        self.floor = _LEAST_SLOPE * np.kron(
+            self.along_u.centres, along_s.centres
+        )  # coefficients of the least map, u·s
 
     def design(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Flow per coefficient at openings [V] and scaled roots, zero up to the deadband; shape (points, coefficients)."""
+        """Flow per coefficient at openings [V] and scaled roots, zero up to the deadband; shape
+        (points, coefficients).
+        """
         x = np.clip((u - self.deadband) / (self.top - self.deadband), 0.0, 1.0)
         return (self.along_u.at(x)[:, :, None] * self.along_s.at(s)[:, None, :]).reshape(x.size, -1)
 
     def banded(self, matrix: np.ndarray) -> np.ndarray:
-        """The lower band of a symmetric matrix over the coefficients: splines meet their neighbours only."""
+        """The lower band of a symmetric matrix over the coefficients: splines meet their neighbours
+        only.
+        """
         column = np.arange(len(matrix))
         row = column + np.arange(2 * self.columns + 4)[:, None]
         return matrix[np.minimum(row, column[-1]), column]
 
     def free(self, band: np.ndarray, right: np.ndarray, smoothing: np.ndarray):
-        """(coefficients without the constraint, log determinant of the penalised normal matrix over the prior's)."""
+        """(coefficients without the constraint, log determinant of the penalised normal matrix over
+        the prior's).
+        """
         from scipy.linalg import cho_solve_banded, cholesky_banded
 
         band = band + smoothing[0] * self.bands[0] + smoothing[1] * self.bands[1]
         factor = cholesky_banded(band, lower=True, check_finite=False)
-        prior = (smoothing[0] * self.along_u.eigen[:, None] + smoothing[1] * self.along_s.eigen).ravel()[1:]
+        prior = (
+            smoothing[0] * self.along_u.eigen[:, None] + smoothing[1] * self.along_s.eigen
+        ).ravel()[1:]
         determinant = 2 * np.log(factor[0]).sum() - self.mass - np.log(prior).sum()
         return cho_solve_banded((factor, True), right, check_finite=False), determinant
 
@@ -122,7 +156,9 @@ class Spline:
         return gram + smoothing[0] * self.bend_u + smoothing[1] * self.bend_s
 
     def solve(self, gram: np.ndarray, right: np.ndarray, smoothing: np.ndarray):
-        """(coefficients with increments along u of at least those of ``floor``, determinant as ``free``)."""
+        """(coefficients with increments along u of at least those of ``floor``, determinant as
+        ``free``).
+        """
         free, determinant = self.free(self.banded(gram), right, smoothing)
         wrong = self.increments(free - self.floor).ravel() < 0
         if not wrong.any():
@@ -130,18 +166,26 @@ class Spline:
         matrix = self.matrix(gram, smoothing)
         right = self.over_steps(right - matrix @ self.floor)
         steps = non_negative(self.over_steps(self.over_steps(matrix).T), right, wrong)
-        return self.floor + np.cumsum(steps.reshape(self.rows, self.columns), axis=0).ravel(), determinant
+        return self.floor + np.cumsum(
+            steps.reshape(self.rows, self.columns), axis=0
+        ).ravel(), determinant
 
     def over_steps(self, values: np.ndarray) -> np.ndarray:
-        """Derivatives by the coefficients, along the first axis, as derivatives by their increments along u."""
-        return np.cumsum(values.reshape(self.rows, self.columns, -1)[::-1], axis=0)[::-1].reshape(values.shape)
+        """Derivatives by the coefficients, along the first axis, as derivatives by their increments
+        along u.
+        """
+        return np.cumsum(values.reshape(self.rows, self.columns, -1)[::-1], axis=0)[::-1].reshape(
+            values.shape
+        )
 
     def increments(self, coefficients: np.ndarray) -> np.ndarray:
         return np.diff(coefficients.reshape(self.rows, self.columns), axis=0, prepend=0.0)
 
 
 def non_negative(matrix: np.ndarray, right: np.ndarray, zero: np.ndarray) -> np.ndarray:
-    """x ≥ 0 of least ½·xᵀ·matrix·x − rightᵀ·x by block pivoting (Portugal, Júdice, Vicente 1994), ``zero`` as a first guess."""
+    """x ≥ 0 of least ½·xᵀ·matrix·x − rightᵀ·x by block pivoting (Portugal, Júdice, Vicente 1994),
+    ``zero`` as a first guess.
+    """
     from scipy.linalg import cho_factor, cho_solve
     from scipy.optimize import nnls
 
@@ -149,7 +193,11 @@ def non_negative(matrix: np.ndarray, right: np.ndarray, zero: np.ndarray) -> np.
     least = 1e-12 * np.abs(right).max()
     for _ in range(50):
         x[zero] = 0.0
-        x[~zero] = cho_solve(cho_factor(matrix[np.ix_(~zero, ~zero)], check_finite=False), right[~zero], check_finite=False)
+        x[~zero] = cho_solve(
+            cho_factor(matrix[np.ix_(~zero, ~zero)], check_finite=False),
+            right[~zero],
+            check_finite=False,
+        )
         wrong = np.where(zero, matrix @ x - right < -least, x < 0.0)
         if not wrong.any():
             return x

@@ -1,13 +1,15 @@
-"""Bulk modulus, damping and whatever else a recipe names, from step logs: output error, or the thesis's matching.
+"""Bulk modulus, damping and whatever else a recipe names, from step logs: output error, or the
+thesis's matching.
 
-Output error takes all logs at once: the parameters are those with which the simulated rates and pressures come nearest
-to the recorded ones in weighted least squares. The thesis's way (2.3) turns the bulk modulus until the simulated
-transients ring at the recorded frequency, then each joint's damping until they decay alike.
+Output error takes all logs at once: the parameters are those with which the simulated rates and
+pressures come nearest to the recorded ones in weighted least squares. The thesis's way (2.3) turns
+the bulk modulus until the simulated transients ring at the recorded frequency, then each joint's
+damping until they decay alike.
 
-Either way a number leaves with unit, standard error, 95 % interval, bounds, sample count and a status word:
-``estimated``; ``at_bound``: the data push it beyond its bound; ``not_excited``: the data do not tell it, it stays at its
-start and its interval is unbounded; ``correlated``: the data tell it only together with another one.
-"""
+Either way a number leaves with unit, standard error, 95 % interval, bounds, sample count and a
+status word: ``estimated``; ``at_bound``: the data push it beyond its bound; ``not_excited``: the
+data do not tell it, it stays at its start and its interval is unbounded; ``correlated``: the data
+tell it only together with another one."""
 
 from __future__ import annotations
 
@@ -22,13 +24,30 @@ from ehbench.errors import InputError
 from ehbench.identification.matching import Matching
 from ehbench.identification.output_error import OutputError
 from ehbench.identification.steps import (
-    Bench, FittedParameter, HydraulicsFit, LogFit, Match, Progress, Where, coordinates, payload_of, prepare,
-)  # fmt: skip
+    Bench,
+    FittedParameter,
+    HydraulicsFit,
+    LogFit,
+    Match,
+    Progress,
+    Where,
+    coordinates,
+    payload_of,
+    prepare,
+)
 from ehbench.record import Record
 from ehbench.rig import Rig
 from ehbench.simulation import STEP, Maps, Model
 
-__all__ = ["FittedParameter", "HydraulicsFit", "LogFit", "Match", "Variant", "compare_dynamics", "identify_hydraulics"]
+__all__ = [
+    "FittedParameter",
+    "HydraulicsFit",
+    "LogFit",
+    "Match",
+    "Variant",
+    "compare_dynamics",
+    "identify_hydraulics",
+]
 
 CHANNELS = ("qd", "p_head", "p_rod")
 
@@ -56,10 +75,12 @@ def identify_hydraulics(
     Args:
         rig: where the search starts, unless ``start`` says otherwise.
         records: (name, log); a log's ``meta["payload"]`` names the payload carried, or ``none``.
-        parameters: names; with method ``thesis`` only ``bulk_modulus`` and joint (or slide) dampings.
+        parameters: names; with method ``thesis`` only ``bulk_modulus`` and joint (or slide)
+            dampings.
         method: ``output_error`` or ``thesis``.
         start, lower, upper: SI numbers or texts with unit, by parameter name.
-        channels: what to compare, of every cylinder that moves or is asked to, or full names. Rates and pressures by
+        channels: what to compare, of every cylinder that moves or is asked to, or full names. Rates
+            and pressures by
             default: an angle is the integral of the flow map's error.
         flow_maps: measured maps (forward, reverse or None) by edge name.
         workers: threads; 0 for one per core. The result does not depend on it.
@@ -70,8 +91,8 @@ def identify_hydraulics(
         where: file and line of a recipe's key, for the errors: `Recipe.at`.
 
     Raises:
-        InputError: unknown parameter or payload, a bad start or bound, or one the method does not take; a log that
-            `intake.take_in` refuses; a cutoff above half the rate of a log.
+        InputError: unknown parameter or payload, a bad start or bound, or one the method does not
+            take; a log that `intake.take_in` refuses; a cutoff above half the rate of a log.
         InsufficientData: no log tells anything about any parameter, or the fit follows none.
     """
     if method not in ("output_error", "thesis"):
@@ -84,7 +105,9 @@ def identify_hydraulics(
         try:
             rig.with_payload(payload_of(record))
         except InputError as error:
-            raise InputError(f"{name}: {error.message}", **where("data", index), hint=error.hint) from None
+            raise InputError(
+                f"{name}: {error.message}", **where("data", index), hint=error.hint
+            ) from None
         logs.append(prepare(Model.of(rig, flow_maps, payload_of(record)), record, name, channels))
         if cutoff is not None and cutoff * logs[-1].record.sample_time >= 0.5:
             raise InputError(
@@ -101,8 +124,8 @@ def identify_hydraulics(
 
 @dataclass(frozen=True)
 class Variant:
-    """One named valve dynamics in a comparison: its fit, and the geometric mean over all logs and channels of the residual's
-    rms relative to the best variant (1 for the best)."""
+    """One named valve dynamics in a comparison: its fit, and the geometric mean over all logs and
+    channels of the residual's rms relative to the best variant (1 for the best)."""
 
     dynamics: str
     relative_rms: float
@@ -110,13 +133,22 @@ class Variant:
 
     def as_json(self) -> dict[str, Any]:
         """Plain values for `rundir.write_json`."""
-        return {"dynamics": self.dynamics, "relative_rms": self.relative_rms, "fit": self.fit.as_json()}
+        return {
+            "dynamics": self.dynamics,
+            "relative_rms": self.relative_rms,
+            "fit": self.fit.as_json(),
+        }
 
 
 def compare_dynamics(
-    rig: Rig, records: Sequence[tuple[str, Record]], parameters: Sequence[str], variants: Sequence[str], **options: Any
+    rig: Rig,
+    records: Sequence[tuple[str, Record]],
+    parameters: Sequence[str],
+    variants: Sequence[str],
+    **options: Any,
 ) -> tuple[Variant, ...]:
-    """The same logs fitted with each named valve dynamics in place of any of the others, best first.
+    """The same logs fitted with each named valve dynamics in place of any of the others, best
+    first.
 
     Args:
         variants: names in ``rig.dynamics``; every valve on one of them takes each in turn.
@@ -127,25 +159,41 @@ def compare_dynamics(
     """
     for name in variants:
         if name not in rig.dynamics:
-            raise InputError(f"rig '{rig.name}' has no dynamics '{name}'", hint="it has " + (", ".join(rig.dynamics) or "none"))
+            raise InputError(
+                f"rig '{rig.name}' has no dynamics '{name}'",
+                hint="it has " + (", ".join(rig.dynamics) or "none"),
+            )
     if not any(valve.dynamics in variants for _, valve in rig.valves()):
-        raise InputError(f"no valve of rig '{rig.name}' has one of the dynamics " + ", ".join(variants))
+        raise InputError(
+            f"no valve of rig '{rig.name}' has one of the dynamics " + ", ".join(variants)
+        )
 
     def with_dynamics(name: str) -> Rig:
         cylinders = tuple(
             c.model_copy(
-                update={"valve": tuple(v.model_copy(update={"dynamics": name}) if v.dynamics in variants else v for v in c.valve)}
+                update={
+                    "valve": tuple(
+                        v.model_copy(update={"dynamics": name}) if v.dynamics in variants else v
+                        for v in c.valve
+                    )
+                }
             )
             for c in rig.cylinder
         )
         return rig.model_copy(update={"cylinder": cylinders})
 
-    fits = {name: identify_hydraulics(with_dynamics(name), records, parameters, **options) for name in variants}
+    fits = {
+        name: identify_hydraulics(with_dynamics(name), records, parameters, **options)
+        for name in variants
+    }
     level = {
-        name: np.mean([math.log(max(x, 1e-300)) for log in fit.logs for x in log.residual_rms.values()])
+        name: np.mean(
+            [math.log(max(x, 1e-300)) for log in fit.logs for x in log.residual_rms.values()]
+        )
         for name, fit in fits.items()
     }
     best = min(level.values())
     return tuple(
-        Variant(name, math.exp(level[name] - best), fits[name]) for name in sorted(variants, key=lambda name: level[name])
+        Variant(name, math.exp(level[name] - best), fits[name])
+        for name in sorted(variants, key=lambda name: level[name])
     )

@@ -1,4 +1,6 @@
-"""Output error: the parameters with which the simulation comes nearest to all logs at once, and how sure they are."""
+"""Output error: the parameters with which the simulation comes nearest to all logs at once, and how
+sure they are.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +11,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ehbench.errors import InsufficientData
-from ehbench.identification.steps import LEVEL, VAGUE, Bench, Coordinate, FittedParameter, HydraulicsFit, Log, Progress, finish
+from ehbench.identification.steps import (
+    LEVEL,
+    VAGUE,
+    Bench,
+    Coordinate,
+    FittedParameter,
+    HydraulicsFit,
+    Log,
+    Progress,
+    finish,
+)
 from ehbench.rig import parameter_row
 from ehbench.signals import correlation_time, lowpass, rms
 
 CORRELATED = 0.95
 # a scale's floor as a share of the channel's spread: no sensor makes a channel worth more than that
 SCALE_FLOOR = 5.0e-3
-# a parameter is not excited if moving it by its unit (a factor e, or its whole range) changes no channel by more than
+# a parameter is not excited if moving it by its unit (a factor e, or its whole range) changes no
+# channel by more than
 # this share of the channel's spread, rms
 FAINT = 2.0e-3
 DIFFERENCE = 1.0e-3  # step of finite differences, in units of a parameter
@@ -28,10 +41,26 @@ FINER = 97  # its points over other parameters: 5 % apart, 2.4 % in frequency, w
 class OutputError:
     """Weighted least squares over all logs; one instance a fit."""
 
-    def __init__(self, bench: Bench, search: list[Coordinate], tell: Progress, most: int, cutoff: float | None) -> None:
-        self.bench, self.search, self.tell, self.most, self.cutoff = bench, search, tell, most, cutoff
+    def __init__(
+        self,
+        bench: Bench,
+        search: list[Coordinate],
+        tell: Progress,
+        most: int,
+        cutoff: float | None,
+    ) -> None:
+        self.bench, self.search, self.tell, self.most, self.cutoff = (
+            bench,
+            search,
+            tell,
+            most,
+            cutoff,
+        )
         names = sorted({channel for log in bench.logs for channel in log.channels})
-        self.spread = {c: self._pooled(c, [log.recorded - np.mean(log.recorded, axis=0) for log in bench.logs]) for c in names}
+        self.spread = {
+            c: self._pooled(c, [log.recorded - np.mean(log.recorded, axis=0) for log in bench.logs])
+            for c in names
+        }
         self.scales = dict(self.spread)
         self.theta = np.array([c.begin for c in search])
         self.free = list(range(len(search)))
@@ -51,18 +80,26 @@ class OutputError:
     def _per(self, sizes: Mapping[str, float], log: Log) -> np.ndarray:
         return np.array([sizes[channel] for channel in log.channels])
 
-    def residuals(self, thetas: Sequence[np.ndarray], chosen: Sequence[int] | None = None) -> list[list[np.ndarray]]:
-        """Residuals simulated − recorded [SI], low-passed, zero where they do not count, by vector and log; a failed simulation counts ten spreads."""
+    def residuals(
+        self, thetas: Sequence[np.ndarray], chosen: Sequence[int] | None = None
+    ) -> list[list[np.ndarray]]:
+        """Residuals simulated − recorded [SI], low-passed, zero where they do not count, by vector
+        and log; a failed simulation counts ten spreads.
+        """
         logs = self.bench.chosen(chosen)
         result = []
-        for row in self.bench.simulate([[c.at(x) for c, x in zip(self.search, theta, strict=True)] for theta in thetas], chosen):
+        for row in self.bench.simulate(
+            [[c.at(x) for c, x in zip(self.search, theta, strict=True)] for theta in thetas], chosen
+        ):
             parts = []
             for log, simulated in zip(logs, row, strict=True):
                 if simulated is None:
                     left = np.tile(10.0 * self._per(self.spread, log), (len(log.recorded), 1))
                 else:
                     left = simulated - log.recorded
-                    left = lowpass(left, log.record.sample_time, self.cutoff) if self.cutoff else left
+                    left = (
+                        lowpass(left, log.record.sample_time, self.cutoff) if self.cutoff else left
+                    )
                 parts.append(left * log.counts)
             result.append(parts)
         return result
@@ -76,12 +113,21 @@ class OutputError:
             self.cache[key] = self.residuals([theta])[0]
         return self.cache[key]
 
-    def scaled(self, parts: Sequence[np.ndarray], chosen: Sequence[int] | None = None) -> list[np.ndarray]:
+    def scaled(
+        self, parts: Sequence[np.ndarray], chosen: Sequence[int] | None = None
+    ) -> list[np.ndarray]:
         """Residuals divided by their channels' scales."""
-        return [part / self._per(self.scales, log) for part, log in zip(parts, self.bench.chosen(chosen), strict=True)]
+        return [
+            part / self._per(self.scales, log)
+            for part, log in zip(parts, self.bench.chosen(chosen), strict=True)
+        ]
 
-    def slopes(self, theta: np.ndarray, which: Sequence[int], central: bool = False) -> list[np.ndarray]:
-        """Scaled sensitivities by log, shape (samples, channels, parameters), by differences that stay inside the bounds."""
+    def slopes(
+        self, theta: np.ndarray, which: Sequence[int], central: bool = False
+    ) -> list[np.ndarray]:
+        """Scaled sensitivities by log, shape (samples, channels, parameters), by differences that
+        stay inside the bounds.
+        """
         ends, vectors = [], [theta]
         for i in which:
             low, high = self.search[i].bounds
@@ -102,8 +148,9 @@ class OutputError:
         ]
 
     def scan(self) -> None:
-        """A coarse look over bulk modulus and damping together, then over each other positive parameter, on one log for each set
-        of cylinders asked: least squares from far off could lock on to the wrong cycle of the ringing."""
+        """A coarse look over bulk modulus and damping together, then over each other positive
+        parameter, on one log for each set of cylinders asked: least squares from far off could lock
+        on to the wrong cycle of the ringing."""
         first: dict[tuple[str, ...], int] = {}
         for i, log in enumerate(self.bench.logs):
             first.setdefault(log.asked, i)
@@ -113,7 +160,10 @@ class OutputError:
         low, high = np.array([c.bounds for c in self.search]).T
         others = [[i] for i, c in enumerate(self.search) if c.log and i not in (*bulk, *damping)]
         for group in [bulk, *others] if bulk else others:
-            ends = max(-SCAN, max(low[group] - self.theta[group])), min(SCAN, min(high[group] - self.theta[group]))
+            ends = (
+                max(-SCAN, max(low[group] - self.theta[group])),
+                min(SCAN, min(high[group] - self.theta[group])),
+            )
             shifts = np.linspace(*ends, 11 if group is bulk else FINER)
             vectors = []
             for shift in (0.0, *shifts):
@@ -122,7 +172,10 @@ class OutputError:
                     theta[group] += shift
                     theta[damping] += loss
                     vectors.append(np.clip(theta, low + 1e-6, high - 1e-6))
-            costs = [sum(float(np.sum(p**2)) for p in self.scaled(parts, chosen)) for parts in self.residuals(vectors, chosen)]
+            costs = [
+                sum(float(np.sum(p**2)) for p in self.scaled(parts, chosen))
+                for parts in self.residuals(vectors, chosen)
+            ]
             self.theta = vectors[int(np.argmin(costs))]
 
     def solve(self, tolerance: float) -> bool:
@@ -142,13 +195,22 @@ class OutputError:
         def slopes(x: np.ndarray) -> np.ndarray:
             self.iterations += 1
             self.tell("output error: fitting", self.iterations / (self.iterations + 6.0))
-            return np.concatenate([part.reshape(-1, len(free)) for part in self.slopes(whole(x), self.free)])
+            return np.concatenate(
+                [part.reshape(-1, len(free)) for part in self.slopes(whole(x), self.free)]
+            )
 
         found = least_squares(
             lambda x: np.concatenate([part.ravel() for part in self.scaled(self.at(whole(x)))]),
-            np.clip(self.theta[free], low + 1e-9, high - 1e-9), slopes, bounds=(low, high), method="trf", x_scale="jac",
-            ftol=tolerance, xtol=tolerance, gtol=1e-12, max_nfev=self.most,
-        )  # fmt: skip
+            np.clip(self.theta[free], low + 1e-9, high - 1e-9),
+            slopes,
+            bounds=(low, high),
+            method="trf",
+            x_scale="jac",
+            ftol=tolerance,
+            xtol=tolerance,
+            gtol=1e-12,
+            max_nfev=self.most,
+        )
         self.theta = whole(found.x)
         return found.status > 0
 
@@ -157,7 +219,13 @@ class OutputError:
         self.bench.step = 2.0 * fine
         self.tell("output error: looking over the range of the bulk modulus", 0.0)
         self.scan()
-        self._drop([i for i, size in self._effects(self.slopes(self.theta, self.free)).items() if size < FAINT])
+        self._drop(
+            [
+                i
+                for i, size in self._effects(self.slopes(self.theta, self.free)).items()
+                if size < FAINT
+            ]
+        )
         self.solve(1e-3)
         self.bench.step = fine
         self.cache.clear()
@@ -175,15 +243,26 @@ class OutputError:
             if not lost and not any(error.inward for error in errors.values()):
                 break
         warnings = (
-            [] if converged else [f"the fit stopped after {self.most} evaluations without converging; its numbers are not final"]
+            []
+            if converged
+            else [
+                f"the fit stopped after {self.most} evaluations without converging; its numbers are not final"
+            ]
         )
         self.tell("output error: done", 1.0)
         return self._result(errors, warnings)
 
     def _effects(self, slopes: Sequence[np.ndarray]) -> dict[int, float]:
-        """Largest rms change of a channel in a log when a parameter moves by its unit, as a share of the channel's spread."""
-        ratio = [self._per(self.scales, log) / self._per(self.spread, log) for log in self.bench.logs]
-        each = [np.sqrt(np.mean(part**2, axis=0)) * r[:, None] for part, r in zip(slopes, ratio, strict=True)]
+        """Largest rms change of a channel in a log when a parameter moves by its unit, as a share
+        of the channel's spread.
+        """
+        ratio = [
+            self._per(self.scales, log) / self._per(self.spread, log) for log in self.bench.logs
+        ]
+        each = [
+            np.sqrt(np.mean(part**2, axis=0)) * r[:, None]
+            for part, r in zip(slopes, ratio, strict=True)
+        ]
         return dict(zip(self.free, np.max(np.concatenate(each), axis=0), strict=True))
 
     def _drop(self, which: Sequence[int]) -> None:
@@ -198,10 +277,15 @@ class OutputError:
         self.bound = [i for i in self.bound if i not in which]
         if not self.free and not self.bound:
             names = ", ".join(c.name for c in self.search)
-            raise InsufficientData(f"the logs tell nothing about {names}", hint="use logs in which the commands excite them")
+            raise InsufficientData(
+                f"the logs tell nothing about {names}",
+                hint="use logs in which the commands excite them",
+            )
 
     def _snap(self, only_exact: bool) -> None:
-        """Try parameters that have come near a bound exactly there: the solver only creeps towards it."""
+        """Try parameters that have come near a bound exactly there: the solver only creeps towards
+        it.
+        """
         for i in list(self.free):
             low, high = self.search[i].bounds
             near = 1e-9 if only_exact else NEAR * self.search[i].reach
@@ -219,7 +303,9 @@ class OutputError:
         return bool(inward)
 
     def _errors(self) -> dict[int, _Error]:
-        """Standard errors of the parameters in search coordinates, and what they mean; of those at a bound as if it were free."""
+        """Standard errors of the parameters in search coordinates, and what they mean; of those at
+        a bound as if it were free.
+        """
         live = sorted(self.free + self.bound)
         slopes = self.slopes(self.theta, live, central=True)
         left = self.scaled(self.at(self.theta))
@@ -241,9 +327,16 @@ class OutputError:
                 kind = "not_excited"
             elif held:
                 kind = "at_bound"
-                pull = -every.gradient[k] if self.theta[i] == self.search[i].bounds[0] else every.gradient[k]
+                pull = (
+                    -every.gradient[k]
+                    if self.theta[i] == self.search[i].bounds[0]
+                    else every.gradient[k]
+                )
                 inward = pull > 2.0 * math.sqrt(every.meat[k, k])
-            elif std > vague or np.max(np.abs(np.delete(self.correlation[at], at)), initial=0.0) > CORRELATED:
+            elif (
+                std > vague
+                or np.max(np.abs(np.delete(self.correlation[at], at)), initial=0.0) > CORRELATED
+            ):
                 kind = "correlated"
             else:
                 kind = "estimated"
@@ -255,12 +348,28 @@ class OutputError:
         fitted = []
         for i, c in enumerate(self.search):
             one = FittedParameter(
-                c.name, parameter_row(c.name).unit, c.start, None, None, c.lower, c.upper, c.start, "not_excited", samples
+                c.name,
+                parameter_row(c.name).unit,
+                c.start,
+                None,
+                None,
+                c.lower,
+                c.upper,
+                c.start,
+                "not_excited",
+                samples,
             )
             if i in errors and errors[i].kind != "not_excited":
                 error = errors[i]
                 std, ends = c.spread(self.theta[i], error.std, error.quantile)
-                one = replace(one, value=c.at(self.theta[i]), std=std, interval=ends, status=error.kind, error_from=error.source)
+                one = replace(
+                    one,
+                    value=c.at(self.theta[i]),
+                    std=std,
+                    interval=ends,
+                    status=error.kind,
+                    error_from=error.source,
+                )
             fitted.append(one)
         for a, name in enumerate(self.names):
             for b, other in enumerate(self.names[:a]):
@@ -284,8 +393,8 @@ class OutputError:
 
 @dataclass(frozen=True)
 class _Error:
-    """A standard error in search coordinates, its interval's quantile, where it is from, what it means, and whether the
-    data pull a parameter held at a bound back inside."""
+    """A standard error in search coordinates, its interval's quantile, where it is from, what it
+    means, and whether the data pull a parameter held at a bound back inside."""
 
     std: float
     quantile: float
@@ -296,8 +405,8 @@ class _Error:
 
 @dataclass(frozen=True)
 class _Covariance:
-    """Covariances of the search coordinates: ``hac`` and, with three logs or more, ``jackknife``; ``alone`` is the standard
-    error each parameter would have if all the others were known."""
+    """Covariances of the search coordinates: ``hac`` and, with three logs or more, ``jackknife``;
+    ``alone`` is the standard error each parameter would have if all the others were known."""
 
     hac: np.ndarray
     jackknife: np.ndarray | None
@@ -307,13 +416,18 @@ class _Covariance:
     gradient: np.ndarray
 
     def error(self, k: int) -> tuple[float, float, str]:
-        """(standard error, quantile of the 95 % interval, where it is from) of parameter k: whichever gives the wider interval."""
+        """(standard error, quantile of the 95 % interval, where it is from) of parameter k:
+        whichever gives the wider interval.
+        """
         from scipy.stats import norm, t
 
         normal = float(norm.ppf(0.5 + 0.5 * LEVEL))
         hac = math.sqrt(max(self.hac[k, k], 0.0))
         if self.jackknife is not None:
-            jack, quantile = math.sqrt(max(self.jackknife[k, k], 0.0)), float(t.ppf(0.5 + 0.5 * LEVEL, self.logs - 1))
+            jack, quantile = (
+                math.sqrt(max(self.jackknife[k, k], 0.0)),
+                float(t.ppf(0.5 + 0.5 * LEVEL, self.logs - 1)),
+            )
             if jack * quantile > hac * normal:
                 return jack, quantile, "jackknife"
         return hac, normal, "hac"
@@ -327,9 +441,10 @@ class _Covariance:
 def _covariance(slopes: Sequence[np.ndarray], left: Sequence[np.ndarray]) -> _Covariance:
     """Covariance of a least-squares solution whose residuals are coloured.
 
-    Sandwich ``H⁻¹ M H⁻¹`` with ``H = Σ JᵀJ`` and M the long-run covariance of the scores ``s_t = J_tᵀ r_t`` of each log, Bartlett
-    weights to four correlation times of the scores (Newey & West 1987). Jackknife: each log left out in turn, one
-    Gauss–Newton step; directions that one log alone informs are left to the sandwich.
+    Sandwich ``H⁻¹ M H⁻¹`` with ``H = Σ JᵀJ`` and M the long-run covariance of the scores ``s_t =
+    J_tᵀ r_t`` of each log, Bartlett weights to four correlation times of the scores (Newey & West
+    1987). Jackknife: each log left out in turn, one Gauss–Newton step; directions that one log
+    alone informs are left to the sandwich.
 
     Args:
         slopes: by log, shape (samples, channels, parameters).
@@ -359,7 +474,9 @@ def _covariance(slopes: Sequence[np.ndarray], left: Sequence[np.ndarray]) -> _Co
 
 
 def _long_run(score: np.ndarray) -> np.ndarray:
-    """n times the long-run covariance of a series of scores, shape (samples, parameters) → (parameters, parameters)."""
+    """n times the long-run covariance of a series of scores, shape (samples, parameters) →
+    (parameters, parameters).
+    """
     n = len(score)
     reach = min(n // 4, math.ceil(4.0 * max(correlation_time(column) for column in score.T)))
     result = score.T @ score

@@ -1,4 +1,6 @@
-"""Flowmeter readings of a rig's valves: which metering edge each one belongs to, the maps of all, and what is saved."""
+"""Flowmeter readings of a rig's valves: which metering edge each one belongs to, the maps of all,
+and what is saved.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ from ehbench.rig import Edge, Rig
 from ehbench.units import from_si
 
 Progress = Callable[[str, float], None]
-# the largest flow of a valve as a share of what the supply can give: outside of these a unit is wrong
+# the largest flow of a valve as a share of what the supply can give: outside of these a unit is
+# wrong
 _FLOW_SHARES = 1e-3, 20.0
 
 
@@ -25,8 +28,8 @@ _FLOW_SHARES = 1e-3, 20.0
 class EdgeFit:
     """The fit of one edge in one direction, with the readings behind it.
 
-    Commands in both are openings of the edge [V], zero or positive; the driver gets ``sign`` times them.
-    """
+    Commands in both are openings of the edge [V], zero or positive; the driver gets ``sign`` times
+    them."""
 
     fit: FlowMapFit
     readings: FlowmeterData
@@ -45,8 +48,9 @@ def fit_readings(
     """One flow map for each metering edge and direction that the readings name.
 
     Args:
-        rig: its edges give the names and the signs; readings name an edge, or a valve with one edge, or a valve and a direction
-            such as ``head->rod``. Commands of an edge of sign −1 are negative, as sent to the driver.
+        rig: its edges give the names and the signs; readings name an edge, or a valve with one
+            edge, or a valve and a direction such as ``head->rod``. Commands of an edge of sign −1
+            are negative, as sent to the driver.
         parts: readings of one or more files.
         calibration: (command [V], flow [m³/s], tolerance) to check on every map.
         reference_drop: [Pa] where the calibration is checked.
@@ -54,11 +58,14 @@ def fit_readings(
         meter_limit: [m³/s] a flowmeter reading below it only says that the flow lies below it.
 
     Raises:
-        InputError: readings of an edge that the rig does not have, or commands on the wrong side of zero.
+        InputError: readings of an edge that the rig does not have, or commands on the wrong side of
+            zero.
         InsufficientData: too few readings for a map.
     """
     data = merge_flowmeter(parts)
-    data = replace(data, file=np.array([Path(file).name for file in data.file]))  # results must not depend on where data lie
+    data = replace(
+        data, file=np.array([Path(file).name for file in data.file])
+    )  # results must not depend on where data lie
     doubts: dict[str, list[str]] = {}
     for part in parts:
         doubts.setdefault(Path(part.file[0]).name, []).extend(_file_doubts(part))
@@ -66,7 +73,9 @@ def fit_readings(
     for valve, direction in data.groups():
         rows = data.select(valve, direction)
         name, side, sign = _edge_of(rig, valve, direction, rows)
-        groups.setdefault((name, side, sign), []).append(replace(rows, command=sign * rows.command + 0.0))
+        groups.setdefault((name, side, sign), []).append(
+            replace(rows, command=sign * rows.command + 0.0)
+        )
     fits = []
     for index, ((name, side, sign), found) in enumerate(groups.items()):
         if progress is not None:
@@ -74,10 +83,23 @@ def fit_readings(
         rows = found[0] if len(found) == 1 else merge_flowmeter(found)
         show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"), sign)
         fit = fit_flow_map(
-            name, side, rows.command, rows.pressure_drop, rows.flow, method=rows.method, trial=rows.trial, line=rows.line,
-            file=rows.file, meter_limit=meter_limit, calibration=calibration, reference_drop=reference_drop, show=show,
-        )  # fmt: skip
-        said = [text for file in np.unique(rows.file).tolist() for text in doubts.pop(file, ())]  # of a file once
+            name,
+            side,
+            rows.command,
+            rows.pressure_drop,
+            rows.flow,
+            method=rows.method,
+            trial=rows.trial,
+            line=rows.line,
+            file=rows.file,
+            meter_limit=meter_limit,
+            calibration=calibration,
+            reference_drop=reference_drop,
+            show=show,
+        )
+        said = [
+            text for file in np.unique(rows.file).tolist() for text in doubts.pop(file, ())
+        ]  # of a file once
         fit = replace(fit, warnings=(*said, *_flow_doubts(rig, rows, show), *fit.warnings))
         fits.append(EdgeFit(fit, rows, sign))
     return fits
@@ -88,8 +110,18 @@ def _file_doubts(part: FlowmeterData) -> list[str]:
     name = Path(part.file[0]).name
     seen: set[tuple] = set()
     again = []
-    columns = (part.valve, part.direction, part.method, part.trial, part.command, part.pressure_drop, part.flow)
-    for line, *row in zip(part.line.tolist(), *(column.tolist() for column in columns), strict=True):
+    columns = (
+        part.valve,
+        part.direction,
+        part.method,
+        part.trial,
+        part.command,
+        part.pressure_drop,
+        part.flow,
+    )
+    for line, *row in zip(
+        part.line.tolist(), *(column.tolist() for column in columns), strict=True
+    ):
         if tuple(row) not in seen:
             seen.add(tuple(row))
         elif row[-1] != 0.0:  # a meter at rest reads zero again and again
@@ -107,17 +139,28 @@ def _file_doubts(part: FlowmeterData) -> list[str]:
 
 def _flow_doubts(rig: Rig, rows: FlowmeterData, show: Units) -> list[str]:
     """Flows that a slip of unit would explain: far from what the supply can give."""
-    limit, high = float(rig.supply.flow_limit), float(np.quantile(rows.flow, 0.9))  # a slip of unit is in all rows
+    limit, high = (
+        float(rig.supply.flow_limit),
+        float(np.quantile(rows.flow, 0.9)),
+    )  # a slip of unit is in all rows
     most = float(rows.flow.max())
-    if not 0.0 < limit < np.inf or _FLOW_SHARES[0] * limit <= most and high <= _FLOW_SHARES[1] * limit:
+    if (
+        not 0.0 < limit < np.inf
+        or _FLOW_SHARES[0] * limit <= most
+        and high <= _FLOW_SHARES[1] * limit
+    ):
         return []
     times = f"{high / limit:.3g} times" if high > limit else f"{most / limit:.2g} of"
     most = high if high > limit else most
-    return [f"the flows reach {show.flow(most)}, {times} the supply's limit of {show.flow(limit)}: check the unit in the header"]
+    return [
+        f"the flows reach {show.flow(most)}, {times} the supply's limit of {show.flow(limit)}: check the unit in the header"
+    ]
 
 
 def _edge_of(rig: Rig, valve: str, direction: str, rows: FlowmeterData) -> tuple[str, str, int]:
-    """(name of the edge's map, forward or reverse, sign of its commands) for readings of ``valve`` in ``direction``."""
+    """(name of the edge's map, forward or reverse, sign of its commands) for readings of ``valve``
+    in ``direction``.
+    """
     where = {"file": str(rows.file[0]), "line": int(rows.line[0])}
     known: dict[str, list[tuple[str, Edge]]] = {}
     plain = [v.edge_name(e) for _, v, e in rig.edges()]
@@ -135,7 +178,9 @@ def _edge_of(rig: Rig, valve: str, direction: str, rows: FlowmeterData) -> tuple
     if "->" in direction:
         upstream, downstream = (end.strip() for end in direction.split("->", 1))
         along = [(n, e, "forward") for n, e in options if (e.from_, e.to) == (upstream, downstream)]
-        against = [(n, e, "reverse") for n, e in options if (e.to, e.from_) == (upstream, downstream)]
+        against = [
+            (n, e, "reverse") for n, e in options if (e.to, e.from_) == (upstream, downstream)
+        ]
         if not along and not against:
             there = ", ".join(f"{e.from_}->{e.to}" for _, e in options)
             raise InputError(f"'{valve}' has no edge {direction}", hint=f"it has {there}", **where)
@@ -143,16 +188,19 @@ def _edge_of(rig: Rig, valve: str, direction: str, rows: FlowmeterData) -> tuple
         options = [(name, edge)]
     if len(options) > 1:
         names = ", ".join(name for name, _ in options)
-        raise InputError(f"'{valve}' has {len(options)} metering edges", hint=f"name one: {names}", **where)
+        raise InputError(
+            f"'{valve}' has {len(options)} metering edges", hint=f"name one: {names}", **where
+        )
     name, edge = options[0]
     wrong = np.flatnonzero(edge.sign * rows.command < 0)
     if wrong.size:
         at = wrong[0]
         raise InputError(
             f"'{valve}' opens on {'negative' if edge.sign < 0 else 'positive'} commands, and this reading has {rows.command[at]:g} V",
-            file=str(rows.file[at]), line=int(rows.line[at]),
+            file=str(rows.file[at]),
+            line=int(rows.line[at]),
             hint=f"the rig file says sign = {edge.sign} for this edge",
-        )  # fmt: skip
+        )
     return name, side, edge.sign
 
 
@@ -162,11 +210,11 @@ def signs(fits: Sequence[EdgeFit]) -> dict[tuple[str, str], int]:
 
 
 def summary(fits: Sequence[EdgeFit], rig: Rig) -> list[dict]:
-    """What was found for each map, as plain values for a JSON file; SI, with the sentences people read.
+    """What was found for each map, as plain values for a JSON file; SI, with the sentences people
+    read.
 
-    Commands and deadbands are openings [V], zero or positive, and the driver gets ``sign`` times them. The sentences speak of
-    the driver's volts.
-    """
+    Commands and deadbands are openings [V], zero or positive, and the driver gets ``sign`` times
+    them. The sentences speak of the driver's volts."""
     rows = []
     for one in fits:
         show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"), one.sign)
@@ -180,8 +228,8 @@ def summary(fits: Sequence[EdgeFit], rig: Rig) -> list[dict]:
 def points_table(fits: Sequence[EdgeFit], rig: Rig) -> str:
     """Every reading with its fitted flow as CSV text, in the units people see.
 
-    ``command`` is the opening, zero or positive, which the maps take; ``driver_command`` is what was sent: sign·command.
-    """
+    ``command`` is the opening, zero or positive, which the maps take; ``driver_command`` is what
+    was sent: sign·command."""
     flow_unit, drop_unit = rig.unit_of("flow"), rig.unit_of("pressure_drop")
     units = f"command [V],driver_command [V],pressure_drop [{drop_unit}],flow [{flow_unit}],fitted [{flow_unit}]"
     lines = [f"valve,direction,{units},method,outlier,file,line"]
@@ -192,10 +240,17 @@ def points_table(fits: Sequence[EdgeFit], rig: Rig) -> str:
         fitted = fit.map.flow(rows.pressure_drop, rows.command)
         for i in range(len(rows)):
             cells = (
-                fit.map.valve, fit.map.direction, f"{rows.command[i]:.6g}", f"{one.sign * rows.command[i] + 0.0:.6g}",
+                fit.map.valve,
+                fit.map.direction,
+                f"{rows.command[i]:.6g}",
+                f"{one.sign * rows.command[i] + 0.0:.6g}",
                 f"{from_si(rows.pressure_drop[i], drop_unit, drop_row):.6g}",
-                f"{from_si(rows.flow[i], flow_unit, flow_row):.6g}", f"{from_si(fitted[i], flow_unit, flow_row):.6g}",
-                str(rows.method[i]), str(int((str(rows.file[i]), int(rows.line[i])) in out)), str(rows.file[i]), str(rows.line[i]),
-            )  # fmt: skip
+                f"{from_si(rows.flow[i], flow_unit, flow_row):.6g}",
+                f"{from_si(fitted[i], flow_unit, flow_row):.6g}",
+                str(rows.method[i]),
+                str(int((str(rows.file[i]), int(rows.line[i])) in out)),
+                str(rows.file[i]),
+                str(rows.line[i]),
+            )
             lines.append(",".join(cells))
     return "\n".join(lines) + "\n"

@@ -1,5 +1,5 @@
-"""What both ways of identification share: parameters as search coordinates, logs made ready, simulation of all of them,
-and the result."""
+"""What both ways of identification share: parameters as search coordinates, logs made ready,
+simulation of all of them, and the result."""
 
 from __future__ import annotations
 
@@ -22,10 +22,12 @@ from ehbench.signals import Ringing, correlation_time, fit_percent, lowpass, rms
 from ehbench.simulation import MOVED, Maps, Model
 
 LEVEL = 0.95
-# a standard error of more than this many units of a parameter says nothing: 95 % then span a factor of 50 (searched as a
+# a standard error of more than this many units of a parameter says nothing: 95 % then span a factor
+# of 50 (searched as a
 # logarithm), or its whole range
 VAGUE = {True: 1.0, False: 0.5}
-# a chamber counts as empty below this share of the way from zero gauge pressure to the cavitation pressure; so long before and
+# a chamber counts as empty below this share of the way from zero gauge pressure to the cavitation
+# pressure; so long before and
 # after [s] its cylinder's samples do not count either
 EMPTY, EMPTYING = 0.5, 0.05
 MOVES = 0.01  # share of the stroke beyond which a cylinder counts as moving
@@ -43,8 +45,9 @@ Where = Callable[..., Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """One fitted number, SI. ``std`` and ``interval`` (95 %) are None where the data give none; ``error_from`` says which
-    standard error it is: ``hac`` (coloured residuals within each log), ``jackknife`` (leaving out one log at a time) or ``windows``."""
+    """One fitted number, SI. ``std`` and ``interval`` (95 %) are None where the data give none;
+    ``error_from`` says which standard error it is: ``hac`` (coloured residuals within each log),
+    ``jackknife`` (leaving out one log at a time) or ``windows``."""
 
     name: str
     unit: str
@@ -61,7 +64,9 @@ class FittedParameter:
 
 @dataclass(frozen=True)
 class Match:
-    """One transient whose ringing was matched: natural frequency [rad/s] and damping ratio, recorded and simulated."""
+    """One transient whose ringing was matched: natural frequency [rad/s] and damping ratio,
+    recorded and simulated.
+    """
 
     log: str
     cylinder: str
@@ -74,8 +79,9 @@ class Match:
 
 @dataclass(frozen=True)
 class LogFit:
-    """How well one log is reproduced, by channel: NRMSE fit [%], rms residual [SI] and its correlation time [samples], over the
-    samples that count; ``counted`` is their share [%], ``samples`` how many the log has."""
+    """How well one log is reproduced, by channel: NRMSE fit [%], rms residual [SI] and its
+    correlation time [samples], over the samples that count; ``counted`` is their share [%],
+    ``samples`` how many the log has."""
 
     name: str
     payload: str
@@ -88,8 +94,9 @@ class LogFit:
 
 @dataclass(frozen=True)
 class HydraulicsFit:
-    """What an identification found. ``rig`` carries the fitted values; ``correlation`` is between the parameters with a
-    standard error, in the order of ``correlated_names``; ``scales`` [SI] is what each channel's residual was divided by."""
+    """What an identification found. ``rig`` carries the fitted values; ``correlation`` is between
+    the parameters with a standard error, in the order of ``correlated_names``; ``scales`` [SI] is
+    what each channel's residual was divided by."""
 
     rig: Rig
     method: str
@@ -116,20 +123,29 @@ class HydraulicsFit:
         raise KeyError(name)
 
     def as_json(self) -> dict[str, Any]:
-        """Everything but the rig and the time series as plain values, for `rundir.write_json`; what is unknown is None."""
+        """Everything but the rig and the time series as plain values, for `rundir.write_json`; what
+        is unknown is None.
+        """
         return asdict(replace(self, rig=None, recordings=())) | {
             "rig": self.rig.name,
             "recordings": [name for name, _ in self.recordings],
         }  # type: ignore[arg-type]
 
     def series(self) -> dict[str, dict[str, np.ndarray]]:
-        """By log, columns named ``t [s]``, ``boom.q [rad]`` (recorded) and ``simulated.boom.q [rad]``, in SI."""
-        return {log: {f"{name} [{quantity(name).unit}]": y for name, y in columns.items()} for log, columns in self.recordings}
+        """By log, columns named ``t [s]``, ``boom.q [rad]`` (recorded) and ``simulated.boom.q
+        [rad]``, in SI.
+        """
+        return {
+            log: {f"{name} [{quantity(name).unit}]": y for name, y in columns.items()}
+            for log, columns in self.recordings
+        }
 
 
 @dataclass(frozen=True)
 class Coordinate:
-    """How a parameter is searched: as its logarithm where it is surely positive, else in units of its range or of its start."""
+    """How a parameter is searched: as its logarithm where it is surely positive, else in units of
+    its range or of its start.
+    """
 
     name: str
     log: bool
@@ -152,7 +168,9 @@ class Coordinate:
 
     @property
     def reach(self) -> float:
-        """How far a parameter may sensibly move, in its own units: between its bounds, or a few units if they are far apart."""
+        """How far a parameter may sensibly move, in its own units: between its bounds, or a few
+        units if they are far apart.
+        """
         low, high = self.bounds
         return min(high - low, 3.0)
 
@@ -163,7 +181,9 @@ class Coordinate:
         margin = 1e-3 * self.reach
         return min(max(self.of(self.start), low + margin), high - margin)
 
-    def spread(self, theta: float, std: float, quantile: float) -> tuple[float, tuple[float, float]]:
+    def spread(
+        self, theta: float, std: float, quantile: float
+    ) -> tuple[float, tuple[float, float]]:
         """(standard error, interval inside the bounds), SI, from a standard error of theta."""
         value = self.at(theta)
         ends = (self.at(theta - quantile * std), self.at(theta + quantile * std))
@@ -187,26 +207,34 @@ def coordinates(
     upper: Mapping[str, str | float] | None = None,
     where: Where = lambda *location: {},
 ) -> list[Coordinate]:
-    """The search coordinates of parameters; start and bounds as given (SI or text with unit), else the rig's, else some.
+    """The search coordinates of parameters; start and bounds as given (SI or text with unit), else
+    the rig's, else some.
 
-    A positive start without any bound is searched as a logarithm, a factor `WIDE` either way. ``where`` gives file and line of
-    a recipe's key, for the errors.
+    A positive start without any bound is searched as a logarithm, a factor `WIDE` either way.
+    ``where`` gives file and line of a recipe's key, for the errors.
 
     Raises:
-        InputError: unknown or repeated parameter, a start outside its bounds, or a zero start without an upper bound.
+        InputError: unknown or repeated parameter, a start outside its bounds, or a zero start
+            without an upper bound.
     """
     from difflib import get_close_matches
 
     known = rig.parameters()
     given = {"start": dict(start or {}), "lower": dict(lower or {}), "upper": dict(upper or {})}
-    for key, name in [(key, name) for key, table in {"parameters": names, **given}.items() for name in table]:
+    for key, name in [
+        (key, name) for key, table in {"parameters": names, **given}.items() for name in table
+    ]:
         at = where(key) if key == "parameters" else where(key, name)
         if name not in known:
             near = get_close_matches(name, known, 1)
             hint = f"nearest is '{near[0]}'" if near else None
             raise InputError(f"rig '{rig.name}' has no parameter '{name}'", **at, hint=hint)
         if name not in names:
-            raise InputError(f"{key} names '{name}', which is not among the parameters to fit", **at, hint=", ".join(names))
+            raise InputError(
+                f"{key} names '{name}', which is not among the parameters to fit",
+                **at,
+                hint=", ".join(names),
+            )
     if not names or len(set(names)) < len(names):
         raise InputError("the parameters to fit must be named, each once", **where("parameters"))
     result = []
@@ -220,15 +248,24 @@ def coordinates(
         low, high = bound("lower", value.lower), bound("upper", value.upper)
         bounded = high is not None
         if first > 0.0 and row.lower >= 0.0 and low is None and high is None:
-            low, high = max(row.lower, first / WIDE, _least(rig, name)), min(row.upper, first * WIDE)
+            low, high = (
+                max(row.lower, first / WIDE, _least(rig, name)),
+                min(row.upper, first * WIDE),
+            )
         low = max(row.lower, _least(rig, name)) if low is None else low
         high = row.upper if high is None else high
         if not low < high:
             at = where("upper" if name in given["upper"] else "lower", name)
-            raise InputError(f"{name}: the lower bound {low:g} is not below the upper bound {high:g} {row.unit}", **at)
+            raise InputError(
+                f"{name}: the lower bound {low:g} is not below the upper bound {high:g} {row.unit}",
+                **at,
+            )
         if not low <= first <= high:
             at = where("start", name) if name in given["start"] else where("parameters")
-            raise InputError(f"{name} starts at {first:g} {row.unit}, outside its bounds {low:g} to {high:g}", **at)
+            raise InputError(
+                f"{name} starts at {first:g} {row.unit}, outside its bounds {low:g} to {high:g}",
+                **at,
+            )
         log = low > 0.0
         unit = high - low if bounded and math.isfinite(high - low) else abs(first)
         if unit == 0.0:
@@ -242,7 +279,9 @@ def coordinates(
 
 
 def _least(rig: Rig, name: str) -> float:
-    """A bound from the rig's geometry: the rod end holds oil over the whole stroke. Minus infinity where there is none."""
+    """A bound from the rig's geometry: the rod end holds oil over the whole stroke. Minus infinity
+    where there is none.
+    """
     for cylinder in rig.cylinder:
         if name == f"{cylinder.name}.volume_rod":
             return 1.001 * cylinder.areas()[1] * float(cylinder.stroke)
@@ -251,8 +290,9 @@ def _least(rig: Rig, name: str) -> float:
 
 @dataclass(frozen=True)
 class Log:
-    """A log made ready: the cylinders that are asked to move, those that move, the channels that are compared, what was
-    recorded of them and whether it counts, both of shape (samples, channels)."""
+    """A log made ready: the cylinders that are asked to move, those that move, the channels that
+    are compared, what was recorded of them and whether it counts, both of shape (samples,
+    channels)."""
 
     name: str
     record: Record
@@ -266,14 +306,18 @@ class Log:
 
 
 def column(record: Record, channel: str, like: Record) -> np.ndarray | None:
-    """A channel [SI]; where ``like`` lacks it, the rate of its position behind a low-pass, None if that is lacking too."""
+    """A channel [SI]; where ``like`` lacks it, the rate of its position behind a low-pass, None if
+    that is lacking too.
+    """
     if channel in like:
         return record[channel]
     head, word = channel.rsplit(".", 1)
     position = f"{head}.{_RATE_OF.get(word, word)}"
     if word not in _RATE_OF or position not in like:
         return None
-    return np.gradient(lowpass(record[position], record.sample_time, RATE_CUTOFF), record.sample_time)
+    return np.gradient(
+        lowpass(record[position], record.sample_time, RATE_CUTOFF), record.sample_time
+    )
 
 
 def least_change(valve: Valve) -> float:
@@ -288,11 +332,12 @@ def payload_of(record: Record) -> str | None:
 
 
 def prepare(model: Model, record: Record, name: str, wanted: Sequence[str]) -> Log:
-    """Take a log in (`intake.take_in`) for a model that carries its payload, and choose the channels: the wanted ones of every
-    cylinder that is asked to move or moves.
+    """Take a log in (`intake.take_in`) for a model that carries its payload, and choose the
+    channels: the wanted ones of every cylinder that is asked to move or moves.
 
     Raises:
-        InputError: a log that is not of this rig, or not in the units it says; no channel to compare.
+        InputError: a log that is not of this rig, or not in the units it says; no channel to
+            compare.
         InsufficientData: no command changes.
     """
     rig = model.rig
@@ -300,23 +345,33 @@ def prepare(model: Model, record: Record, name: str, wanted: Sequence[str]) -> L
     warnings = [f"{name}: {text}" for text in told]
     asked, live = [], []
     for cylinder in rig.cylinder:
-        valves = {f"{cylinder.name}.{valve.name}.command": least_change(valve) for valve in cylinder.valve}
-        if any(valve in record and np.ptp(record[valve]) > least for valve, least in valves.items()):
+        valves = {
+            f"{cylinder.name}.{valve.name}.command": least_change(valve) for valve in cylinder.valve
+        }
+        if any(
+            valve in record and np.ptp(record[valve]) > least for valve, least in valves.items()
+        ):
             asked.append(cylinder.name)
         spans = {
             f"{cylinder.name}.x": float(cylinder.stroke),
             f"{cylinder.name}.q": 1.0 if cylinder.pins else float(cylinder.stroke),
         }
-        if cylinder.name in asked or any(c in record and np.ptp(record[c]) > MOVES * span for c, span in spans.items()):
+        if cylinder.name in asked or any(
+            c in record and np.ptp(record[c]) > MOVES * span for c, span in spans.items()
+        ):
             live.append(cylinder.name)
     if not asked:
-        raise InsufficientData(f"{name}: no valve command of rig '{rig.name}' changes, so the log shows no response to one")
+        raise InsufficientData(
+            f"{name}: no valve command of rig '{rig.name}' changes, so the log shows no response to one"
+        )
     columns: dict[str, np.ndarray] = {}
     for word in wanted:
         for channel in [word] if "." in word else [f"{cylinder}.{word}" for cylinder in live]:
             head, last = channel.rsplit(".", 1)
             for choice in (channel, f"{head}.{_STAND_INS.get(last, last)}"):
-                if choice in record or (choice == channel and f"{head}.{_STAND_INS.get(last, last)}" not in record):
+                if choice in record or (
+                    choice == channel and f"{head}.{_STAND_INS.get(last, last)}" not in record
+                ):
                     values = column(record, choice, record)
                     if values is not None and np.ptp(values) > 0.0:
                         columns.setdefault(choice, values)
@@ -350,18 +405,30 @@ def prepare(model: Model, record: Record, name: str, wanted: Sequence[str]) -> L
 
 
 def _cavitates(rig: Rig, cylinder: Cylinder, record: Record) -> np.ndarray:
-    """Where a recorded chamber is empty, or has been and no command of the cylinder has changed since, shape (samples,)."""
-    pressures = [record[c] for word in ("p_head", "p_rod") if (c := f"{cylinder.name}.{word}") in record]
+    """Where a recorded chamber is empty, or has been and no command of the cylinder has changed
+    since, shape (samples,).
+    """
+    pressures = [
+        record[c] for word in ("p_head", "p_rod") if (c := f"{cylinder.name}.{word}") in record
+    ]
     void = np.zeros(record.t.size, dtype=bool)
     if not pressures:
         return void
     ahead = round(EMPTYING / record.sample_time)
     empty = np.flatnonzero(np.min(pressures, axis=0) < EMPTY * float(rig.oil.cavitation_pressure))
-    valves = {f"{cylinder.name}.{valve.name}.command": least_change(valve) for valve in cylinder.valve}
+    valves = {
+        f"{cylinder.name}.{valve.name}.command": least_change(valve) for valve in cylinder.valve
+    }
     given = [valve for valve in valves if valve in record]
-    table = np.column_stack([record[valve] for valve in given]) if given else np.zeros((record.t.size, 1))
+    table = (
+        np.column_stack([record[valve] for valve in given])
+        if given
+        else np.zeros((record.t.size, 1))
+    )
     least = np.array([valves[valve] for valve in given]) if given else 0.0
-    stops = np.array([window.start for window in transients(record.t, table, least=least)] + [record.t.size])
+    stops = np.array(
+        [window.start for window in transients(record.t, table, least=least)] + [record.t.size]
+    )
     for first in empty:
         if not void[first]:
             stop = int(stops[np.searchsorted(stops, first, side="right")])
@@ -372,22 +439,42 @@ def _cavitates(rig: Rig, cylinder: Cylinder, record: Record) -> np.ndarray:
 class Bench:
     """All logs, simulated at any parameter values, several at a time."""
 
-    def __init__(self, rig: Rig, logs: Sequence[Log], names: Sequence[str], maps: Maps | None, workers: int, step: float) -> None:
-        self.rig, self.logs, self.names, self.maps, self.step = rig, tuple(logs), tuple(names), maps, step
+    def __init__(
+        self,
+        rig: Rig,
+        logs: Sequence[Log],
+        names: Sequence[str],
+        maps: Maps | None,
+        workers: int,
+        step: float,
+    ) -> None:
+        self.rig, self.logs, self.names, self.maps, self.step = (
+            rig,
+            tuple(logs),
+            tuple(names),
+            maps,
+            step,
+        )
         self.pool = ThreadPoolExecutor(workers or os.cpu_count() or 1)
         self.evaluations = 0
 
     def models(self, values: Sequence[float]) -> dict[str | None, Model]:
         """The model at these values by payload."""
         changed = self.rig.with_values(dict(zip(self.names, values, strict=True)))
-        return {load: Model.of(changed, self.maps, load) for load in {log.payload for log in self.logs}}
+        return {
+            load: Model.of(changed, self.maps, load) for load in {log.payload for log in self.logs}
+        }
 
     def chosen(self, which: Sequence[int] | None) -> Sequence[Log]:
         """Some logs by index; None for all."""
         return self.logs if which is None else [self.logs[i] for i in which]
 
-    def simulate(self, vectors: Sequence[Sequence[float]], chosen: Sequence[int] | None = None) -> list[list[np.ndarray | None]]:
-        """Simulated channels by vector and log, shape (samples, channels); None where the simulation failed."""
+    def simulate(
+        self, vectors: Sequence[Sequence[float]], chosen: Sequence[int] | None = None
+    ) -> list[list[np.ndarray | None]]:
+        """Simulated channels by vector and log, shape (samples, channels); None where the
+        simulation failed.
+        """
         logs = self.chosen(chosen)
         tasks = [(models[log.payload], log) for models in map(self.models, vectors) for log in logs]
         self.evaluations += len(tasks)
@@ -409,7 +496,9 @@ class Bench:
             SimulationError: the numbers left the finite range.
         """
         models = self.models(values)
-        return list(self.pool.map(lambda log: models[log.payload].replay(log.record, self.step), self.logs))
+        return list(
+            self.pool.map(lambda log: models[log.payload].replay(log.record, self.step), self.logs)
+        )
 
 
 def finish(
@@ -429,31 +518,52 @@ def finish(
     Raises:
         InsufficientData: the fitted model follows no channel of any log better than its mean.
     """
-    told, count = [text for log in bench.logs for text in log.warnings] + list(warnings), len(bench.logs)
+    told, count = (
+        [text for log in bench.logs for text in log.warnings] + list(warnings),
+        len(bench.logs),
+    )
     for one in fitted:
         if one.status == "not_excited":
-            told.append(f"{one.name} is not excited by these logs; it stays at {one.value:g} {one.unit}")
+            told.append(
+                f"{one.name} is not excited by these logs; it stays at {one.value:g} {one.unit}"
+            )
         elif one.status == "at_bound":
             side = "lower" if one.value - one.lower < one.upper - one.value else "upper"
             told.append(f"{one.name} ran into its {side} bound, {one.value:g} {one.unit}")
     source = f"identified from {count} log{'s' if count > 1 else ''}, {method}"
     rig = bench.rig.with_values(
         {
-            one.name: Value(one.value, sure="identified", source=source, std=one.std, lower=one.lower, upper=one.upper)
+            one.name: Value(
+                one.value,
+                sure="identified",
+                source=source,
+                std=one.std,
+                lower=one.lower,
+                upper=one.upper,
+            )
             for one in fitted
             if one.status != "not_excited"
         }
     )
     logs, recordings = [], []
     for log, replayed in zip(bench.logs, bench.replay([one.value for one in fitted]), strict=True):
-        simulated = np.column_stack([column(replayed, channel, log.record) for channel in log.channels])
+        simulated = np.column_stack(
+            [column(replayed, channel, log.record) for channel in log.channels]
+        )
         left = simulated - log.recorded
         left = lowpass(left, log.record.sample_time, cutoff) if cutoff else left
         sizes: dict[str, list[float]] = {}
-        for channel, y, model, rest, counts in zip(log.channels, log.recorded.T, simulated.T, left.T, log.counts.T, strict=True):
+        for channel, y, model, rest, counts in zip(
+            log.channels, log.recorded.T, simulated.T, left.T, log.counts.T, strict=True
+        ):
             some = counts if counts.any() else ~counts
             time = correlation_time(rest[some])
-            sizes[channel] = [fit_percent(y[some], model[some]), rms(rest[some]), time, 100.0 * float(np.mean(counts))]
+            sizes[channel] = [
+                fit_percent(y[some], model[some]),
+                rms(rest[some]),
+                time,
+                100.0 * float(np.mean(counts)),
+            ]
         columns = [{channel: size[k] for channel, size in sizes.items()} for k in range(4)]
         logs.append(LogFit(log.name, log.payload or "none", len(left), *columns))
         told += _late(log, simulated)
@@ -469,18 +579,38 @@ def finish(
         )
     told = _poor(logs) + told
     return HydraulicsFit(
-        rig, method, tuple(fitted), tuple(names), tuple(tuple(map(float, row)) for row in correlation), tuple(logs), tuple(matches),
-        dict(scales), tuple(told), bench.evaluations, iterations, tuple(recordings),
-    )  # fmt: skip
+        rig,
+        method,
+        tuple(fitted),
+        tuple(names),
+        tuple(tuple(map(float, row)) for row in correlation),
+        tuple(logs),
+        tuple(matches),
+        dict(scales),
+        tuple(told),
+        bench.evaluations,
+        iterations,
+        tuple(recordings),
+    )
 
 
 def _poor(logs: Sequence[LogFit]) -> list[str]:
-    """A loud warning of the channels that are followed worse than by their mean; refuses a fit that has nothing else."""
-    fits = {f"{log.name}: {channel}": value for log in logs for channel, value in log.fit_percent.items() if math.isfinite(value)}
+    """A loud warning of the channels that are followed worse than by their mean; refuses a fit that
+    has nothing else.
+    """
+    fits = {
+        f"{log.name}: {channel}": value
+        for log in logs
+        for channel, value in log.fit_percent.items()
+        if math.isfinite(value)
+    }
     poor = {name: value for name, value in fits.items() if value < 0.0}
     if not poor:
         return []
-    some = ", ".join(f"{name} {value:.0f} %" for name, value in sorted(poor.items(), key=lambda item: item[1])[:4])
+    some = ", ".join(
+        f"{name} {value:.0f} %"
+        for name, value in sorted(poor.items(), key=lambda item: item[1])[:4]
+    )
     if len(poor) == len(fits):
         raise InsufficientData(
             f"the fitted model follows no channel of any log better than its mean would ({some})",
@@ -495,16 +625,20 @@ def _poor(logs: Sequence[LogFit]) -> list[str]:
 def _late(log: Log, simulated: np.ndarray) -> list[str]:
     """A warning if moving the simulation a little would explain a fifth of what is left.
 
-    To first order ``simulated(t) − recorded(t) = delay · d simulated/dt``. Fitted parameters take up more than half of a shift,
-    so a quarter of a sample may well be a whole one.
-    """
+    To first order ``simulated(t) − recorded(t) = delay · d simulated/dt``. Fitted parameters take
+    up more than half of a shift, so a quarter of a sample may well be a whole one."""
     tick = log.record.sample_time
-    left, slope = (simulated - log.recorded) * log.counts, np.gradient(simulated, tick, axis=0) * log.counts
+    left, slope = (
+        (simulated - log.recorded) * log.counts,
+        np.gradient(simulated, tick, axis=0) * log.counts,
+    )
     size = np.maximum(np.sqrt(np.mean(left**2, axis=0)), 1e-300)
     left, slope = left / size, slope / size
     power = float(np.sum(slope**2))
     delay = float(np.sum(slope * left)) / power if power > 0.0 else 0.0
-    if not 0.25 * tick <= abs(delay) <= 5.0 * tick or delay**2 * power < 0.2 * float(np.sum(left**2)):
+    if not 0.25 * tick <= abs(delay) <= 5.0 * tick or delay**2 * power < 0.2 * float(
+        np.sum(left**2)
+    ):
         return []
     word = "behind" if delay > 0 else "ahead of"
     return [

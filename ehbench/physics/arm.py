@@ -1,18 +1,21 @@
-"""Equations of motion of a serial chain of any number of revolute joints, or of one sliding mass; compiled.
+"""Equations of motion of a serial chain of any number of revolute joints, or of one sliding mass;
+compiled.
 
-Frames are standard Denavit–Hartenberg (thesis 2.2, Fu, Gonzalez & Lee): frame i sits at the end of link i and
-``T_i = Rot_z(theta0_i + q_i) Trans_z(d_i) Trans_x(a_i) Rot_x(alpha_i)``. Which way is up in the base frame is said by
-``gravity``. A slide is one coordinate q = x along an incline, uphill positive.
+Frames are standard Denavit–Hartenberg (thesis 2.2, Fu, Gonzalez & Lee): frame i sits at the end of
+link i and ``T_i = Rot_z(theta0_i + q_i) Trans_z(d_i) Trans_x(a_i) Rot_x(alpha_i)``. Which way is up
+in the base frame is said by ``gravity``. A slide is one coordinate q = x along an incline, uphill
+positive.
 
-Inside, link i is described in its joint frame: origin on joint axis i, z along it, turned with the link. There the
-axis is (0, 0, 1), the next joint lies at (a, 0, d) and mass, first moment and inertia about the origin are constants,
-in which all the equations are linear. `pack_link` puts link-end values into that form, one row of ``links`` a link.
+Inside, link i is described in its joint frame: origin on joint axis i, z along it, turned with the
+link. There the axis is (0, 0, 1), the next joint lies at (a, 0, d) and mass, first moment and
+inertia about the origin are constants, in which all the equations are linear. `pack_link` puts
+link-end values into that form, one row of ``links`` a link.
 
-Kernels share their leading arguments: ``kind`` CHAIN or SLIDE; ``links`` float64 (n, COLUMNS); ``gravity``
-float64 (3,), g times the base-frame direction that points up [m/s²] (a slide takes its last entry);
-``q, qd, qdd, torque`` float64 (n,) [rad…, N·m], for a slide (1,) [m…, N]; ``work`` float64 (work_size(n),), overwritten.
-They allocate nothing, check nothing, and give inf or nan where the mass matrix is singular.
-"""
+Kernels share their leading arguments: ``kind`` CHAIN or SLIDE; ``links`` float64 (n, COLUMNS);
+``gravity`` float64 (3,), g times the base-frame direction that points up [m/s²] (a slide takes its
+last entry); ``q, qd, qdd, torque`` float64 (n,) [rad…, N·m], for a slide (1,) [m…, N]; ``work``
+float64 (work_size(n),), overwritten. They allocate nothing, check nothing, and give inf or nan
+where the mass matrix is singular."""
 
 from __future__ import annotations
 
@@ -24,12 +27,16 @@ from ehbench.compiled import kernel
 
 CHAIN, SLIDE = 0, 1
 
-# Columns of `links`. Moments and inertia are about the joint axis' origin, in joint-frame axes; a slide uses MASS,
+# Columns of `links`. Moments and inertia are about the joint axis' origin, in joint-frame axes; a
+# slide uses MASS,
 # DAMPING and, for its incline, COS_ALPHA and SIN_ALPHA.
-(A, D, COS_ALPHA, SIN_ALPHA, THETA0, MASS, HX, HY, HZ, JXX, JYY, JZZ, JXY, JXZ, JYZ, DAMPING) = range(16)
+(A, D, COS_ALPHA, SIN_ALPHA, THETA0, MASS, HX, HY, HZ, JXX, JYY, JZZ, JXY, JXZ, JYZ, DAMPING) = (
+    range(16)
+)
 COLUMNS = 16
 
-# Work a joint: cosine and sine of its angle, then (force, moment) or the composite (mass, moments, inertia).
+# Work a joint: cosine and sine of its angle, then (force, moment) or the composite (mass, moments,
+# inertia).
 _COS, _SIN, _BODY = 0, 1, 2
 _STRIDE = 12
 
@@ -42,16 +49,26 @@ def pack_link(dh_a, dh_d, dh_alpha, dh_theta, mass, com, inertia, damping) -> np
         dh_alpha, dh_theta: twist, and joint angle at q = 0 [rad].
         mass: [kg].
         com: centre of mass in the link-end frame [m], shape (3,).
-        inertia: tensor about the centre of mass along the link-end axes [kg·m²], shape (3, 3), symmetric; its
-            off-diagonal elements are those of the tensor, −∫xy dm.
+        inertia: tensor about the centre of mass along the link-end axes [kg·m²], shape (3, 3),
+            symmetric; its off-diagonal elements are those of the tensor, −∫xy dm.
         damping: viscous damping at the joint [N·m·s/rad].
     """
     cosine, sine = math.cos(dh_alpha), math.sin(dh_alpha)
     twist = np.array([[1.0, 0.0, 0.0], [0.0, cosine, -sine], [0.0, sine, cosine]])
     r = twist @ np.asarray(com, dtype=float) + (dh_a, 0.0, dh_d)
-    j = twist @ np.asarray(inertia, dtype=float) @ twist.T + mass * (r @ r * np.eye(3) - np.outer(r, r))
+    j = twist @ np.asarray(inertia, dtype=float) @ twist.T + mass * (
+        r @ r * np.eye(3) - np.outer(r, r)
+    )
     row = np.empty(COLUMNS)
-    row[[A, D, COS_ALPHA, SIN_ALPHA, THETA0, MASS, DAMPING]] = dh_a, dh_d, cosine, sine, dh_theta, mass, damping
+    row[[A, D, COS_ALPHA, SIN_ALPHA, THETA0, MASS, DAMPING]] = (
+        dh_a,
+        dh_d,
+        cosine,
+        sine,
+        dh_theta,
+        mass,
+        damping,
+    )
     row[[HX, HY, HZ]] = mass * r
     row[[JXX, JYY, JZZ, JXY, JXZ, JYZ]] = j[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     return row
@@ -101,9 +118,12 @@ def _turn(links, q, work):
 
 @kernel
 def _newton_euler(links, gravity, qd, out, work):
-    """Torque at rest acceleration, after `_turn`: rates outward, then forces inward, all in joint frames."""
+    """Torque at rest acceleration, after `_turn`: rates outward, then forces inward, all in joint
+    frames.
+    """
     n = links.shape[0]
-    # (w, e, a): angular rate, angular acceleration, acceleration of the origin; gravity as a base that accelerates up.
+    # (w, e, a): angular rate, angular acceleration, acceleration of the origin; gravity as a base
+    # that accelerates up.
     wx, wy, wz, ex, ey, ez = 0.0, 0.0, qd[0], 0.0, 0.0, 0.0
     ax, ay, az = _outward(work[_COS], work[_SIN], 1.0, 0.0, gravity[0], gravity[1], gravity[2])
     for i in range(n):
@@ -119,14 +139,22 @@ def _newton_euler(links, gravity, qd, out, work):
         work[b + _BODY] = m * ax + k00 * hx + k01 * hy + k02 * hz
         work[b + _BODY + 1] = m * ay + k10 * hx + k11 * hy + k12 * hz
         work[b + _BODY + 2] = m * az + k20 * hx + k21 * hy + k22 * hz
-        lx, ly, lz = jxx * wx + jxy * wy + jxz * wz, jxy * wx + jyy * wy + jyz * wz, jxz * wx + jyz * wy + jzz * wz
+        lx, ly, lz = (
+            jxx * wx + jxy * wy + jxz * wz,
+            jxy * wx + jyy * wy + jyz * wz,
+            jxz * wx + jyz * wy + jzz * wz,
+        )
         work[b + _BODY + 3] = jxx * ex + jxy * ey + jxz * ez + wy * lz - wz * ly + hy * az - hz * ay
         work[b + _BODY + 4] = jxy * ex + jyy * ey + jyz * ez + wz * lx - wx * lz + hz * ax - hx * az
         work[b + _BODY + 5] = jxz * ex + jyz * ey + jzz * ez + wx * ly - wy * lx + hx * ay - hy * ax
         if i + 1 < n:
             pa, pd, ca, sa = links[i, A], links[i, D], links[i, COS_ALPHA], links[i, SIN_ALPHA]
             c, s, rate = work[b + _STRIDE + _COS], work[b + _STRIDE + _SIN], qd[i + 1]
-            ax, ay, az = ax + k00 * pa + k02 * pd, ay + k10 * pa + k12 * pd, az + k20 * pa + k22 * pd
+            ax, ay, az = (
+                ax + k00 * pa + k02 * pd,
+                ay + k10 * pa + k12 * pd,
+                az + k20 * pa + k22 * pd,
+            )
             ax, ay, az = _outward(c, s, ca, sa, ax, ay, az)
             wx, wy, wz = _outward(c, s, ca, sa, wx, wy, wz)
             ex, ey, ez = _outward(c, s, ca, sa, ex, ey, ez)
@@ -135,10 +163,19 @@ def _newton_euler(links, gravity, qd, out, work):
         b = i * _STRIDE
         out[i] = work[b + _BODY + 5] + links[i, DAMPING] * qd[i]
         if i > 0:
-            pa, pd, ca, sa = links[i - 1, A], links[i - 1, D], links[i - 1, COS_ALPHA], links[i - 1, SIN_ALPHA]
+            pa, pd, ca, sa = (
+                links[i - 1, A],
+                links[i - 1, D],
+                links[i - 1, COS_ALPHA],
+                links[i - 1, SIN_ALPHA],
+            )
             c, s, p = work[b + _COS], work[b + _SIN], b - _STRIDE + _BODY
-            fx, fy, fz = _inward(c, s, ca, sa, work[b + _BODY], work[b + _BODY + 1], work[b + _BODY + 2])
-            nx, ny, nz = _inward(c, s, ca, sa, work[b + _BODY + 3], work[b + _BODY + 4], work[b + _BODY + 5])
+            fx, fy, fz = _inward(
+                c, s, ca, sa, work[b + _BODY], work[b + _BODY + 1], work[b + _BODY + 2]
+            )
+            nx, ny, nz = _inward(
+                c, s, ca, sa, work[b + _BODY + 3], work[b + _BODY + 4], work[b + _BODY + 5]
+            )
             work[p] += fx
             work[p + 1] += fy
             work[p + 2] += fz
@@ -149,7 +186,9 @@ def _newton_euler(links, gravity, qd, out, work):
 
 @kernel
 def _composite(links, work):
-    """Lower triangle of the mass matrix, row by row at the tail of ``work``, after `_turn`: links welded inward."""
+    """Lower triangle of the mass matrix, row by row at the tail of ``work``, after `_turn`: links
+    welded inward.
+    """
     n = links.shape[0]
     tail = n * _STRIDE
     m, hx, hy, hz, jxx, jyy, jzz, jxy, jxz, jyz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -205,7 +244,8 @@ def _composite(links, work):
 
 @kernel
 def bias(kind, links, gravity, q, qd, out, work):
-    """Write h(q, q̇) + c(q) + B q̇ into ``out`` (n,): the torque [N·m], or force [N] of a slide, that holds q̈ = 0.
+    """Write h(q, q̇) + c(q) + B q̇ into ``out`` (n,): the torque [N·m], or force [N] of a slide,
+    that holds q̈ = 0.
 
     Recursive Newton–Euler; with the mass matrix D(q), ``D q̈ + h + c + B q̇ = τ`` (thesis 2.2).
     """
@@ -218,7 +258,9 @@ def bias(kind, links, gravity, q, qd, out, work):
 
 @kernel
 def mass_matrix(kind, links, q, out, work):
-    """Write D(q) into ``out`` (n, n), symmetric [kg·m²], or [kg] of a slide; composite rigid bodies."""
+    """Write D(q) into ``out`` (n, n), symmetric [kg·m²], or [kg] of a slide; composite rigid
+    bodies.
+    """
     if kind == SLIDE:
         out[0, 0] = links[0, MASS]
         return
@@ -231,10 +273,11 @@ def mass_matrix(kind, links, q, out, work):
 
 @kernel
 def forward(kind, links, gravity, q, qd, torque, qdd, work):
-    """Write the acceleration q̈ = D⁻¹ (τ − h − c − B q̇) into ``qdd`` (n,) [rad/s²], or [m/s²] of a slide.
+    """Write the acceleration q̈ = D⁻¹ (τ − h − c − B q̇) into ``qdd`` (n,) [rad/s²], or [m/s²] of a
+    slide.
 
-    ``torque`` is what drives the joints beside gravity and joint damping; ``qdd`` may be ``torque`` itself.
-    """
+    ``torque`` is what drives the joints beside gravity and joint damping; ``qdd`` may be ``torque``
+    itself."""
     if kind == SLIDE:
         m = links[0, MASS]
         qdd[0] = (torque[0] - links[0, DAMPING] * qd[0]) / m - gravity[2] * links[0, SIN_ALPHA]
@@ -271,7 +314,8 @@ def forward(kind, links, gravity, q, qd, torque, qdd, work):
 
 @kernel
 def gravity_torque(kind, links, gravity, q, out, work):
-    """Write c(q) into ``out`` (n,): the torque [N·m], or force [N] of a slide, that holds the links at rest.
+    """Write c(q) into ``out`` (n,): the torque [N·m], or force [N] of a slide, that holds the links
+    at rest.
 
     ``c = ∂PE/∂q``: the moment of all that hangs outside of a joint, in that joint's frame.
     """
@@ -294,14 +338,24 @@ def gravity_torque(kind, links, gravity, q, out, work):
         m, hx, hy, hz = m + links[i, MASS], hx + links[i, HX], hy + links[i, HY], hz + links[i, HZ]
         out[i] = hx * work[b + _BODY + 1] - hy * work[b + _BODY]
         if i > 0:
-            hx, hy, hz = _inward(work[b + _COS], work[b + _SIN], links[i - 1, COS_ALPHA], links[i - 1, SIN_ALPHA], hx, hy, hz)
+            hx, hy, hz = _inward(
+                work[b + _COS],
+                work[b + _SIN],
+                links[i - 1, COS_ALPHA],
+                links[i - 1, SIN_ALPHA],
+                hx,
+                hy,
+                hz,
+            )
             hx += m * links[i - 1, A]
             hz += m * links[i - 1, D]
 
 
 @kernel
 def energy(kind, links, gravity, q, qd, work):
-    """(kinetic, potential) energy [J]; potential counts from the height of the base, or of x = 0 on a slide."""
+    """(kinetic, potential) energy [J]; potential counts from the height of the base, or of x = 0 on
+    a slide.
+    """
     if kind == SLIDE:
         m = links[0, MASS]
         return 0.5 * m * qd[0] * qd[0], m * gravity[2] * q[0] * links[0, SIN_ALPHA]
@@ -318,7 +372,13 @@ def energy(kind, links, gravity, q, qd, work):
         kinetic += 0.5 * (m * (vx * vx + vy * vy + vz * vz) + spin) + mixed
         potential += m * height + ux * hx + uy * hy + uz * hz
         if i + 1 < n:
-            b, pa, pd, ca, sa = (i + 1) * _STRIDE, links[i, A], links[i, D], links[i, COS_ALPHA], links[i, SIN_ALPHA]
+            b, pa, pd, ca, sa = (
+                (i + 1) * _STRIDE,
+                links[i, A],
+                links[i, D],
+                links[i, COS_ALPHA],
+                links[i, SIN_ALPHA],
+            )
             c, s = work[b + _COS], work[b + _SIN]
             height += ux * pa + uz * pd
             vx, vy, vz = _outward(c, s, ca, sa, vx + wy * pd, vy + wz * pa - wx * pd, vz - wy * pa)

@@ -1,8 +1,9 @@
-"""A hydraulic cylinder: where its pins put it, what its chambers do, and where its stroke ends; compiled.
+"""A hydraulic cylinder: where its pins put it, what its chambers do, and where its stroke ends;
+compiled.
 
-Scalars in, scalars out; SI, gauge pressures, extension positive. ``flow_head`` goes into the head end, ``flow_rod``
-out of the rod end (thesis 2.4, 2.5). Head and rod are one chamber law called twice.
-"""
+Scalars in, scalars out; SI, gauge pressures, extension positive. ``flow_head`` goes into the head
+end, ``flow_rod`` out of the rod end (thesis 2.4, 2.5). Head and rod are one chamber law called
+twice."""
 
 from __future__ import annotations
 
@@ -23,13 +24,14 @@ VOLUME_MARGIN = 0.02  # share of a chamber's dead volume that is left at the lea
 def linkage(kind, l_a, l_b, sign, phase, retracted, q):
     """(x [m], lever ∂x/∂q [m/rad], ∂lever/∂q [m/rad²]) of a cylinder at joint angle q.
 
-    ``c² = l_A² + l_B² − 2 l_A l_B cos θ``, ``θ = sign·q + phase``, ``x = c − retracted``,
-    ``lever = sign·l_A l_B sin θ / c`` and ``∂lever/∂q = (l_A l_B cos θ − lever²)/c`` (SPEC 1, thesis Table 2.1).
-    The cylinder's force F drives the joint with lever·F, and ``v = lever·q̇``, ``a = lever·q̈ + ∂lever/∂q·q̇²``.
+    ``c² = l_A² + l_B² − 2 l_A l_B cos θ``, ``θ = sign·q + phase``, ``x = c − retracted``, ``lever =
+    sign·l_A l_B sin θ / c`` and ``∂lever/∂q = (l_A l_B cos θ − lever²)/c`` (SPEC 1, thesis Table
+    2.1). The cylinder's force F drives the joint with lever·F, and ``v = lever·q̇``, ``a = lever·q̈
+    + ∂lever/∂q·q̇²``.
 
     Args:
-        kind: PINS, or DIRECT for a slide, where x = q and the lever is 1 whatever the other arguments.
-        l_a, l_b: distances of the pins from the joint [m].
+        kind: PINS, or DIRECT for a slide, where x = q and the lever is 1 whatever the other
+        arguments. l_a, l_b: distances of the pins from the joint [m].
         sign: ±1.
         phase: φ [rad].
         retracted: length from pin to pin at x = 0 [m].
@@ -47,9 +49,11 @@ def linkage(kind, l_a, l_b, sign, phase, retracted, q):
 
 
 def joint_angle(kind, l_a, l_b, sign, phase, retracted, x):
-    """Joint angle q [rad] at stroke x [m], the inverse of `linkage` for 0 ≤ θ ≤ π; x scalar or array.
+    """Joint angle q [rad] at stroke x [m], the inverse of `linkage` for 0 ≤ θ ≤ π; x scalar or
+    array.
 
-    There the lever has the sign ``sign``. A machine that works with θ in −π…0 has −sign and −phase in this form.
+    There the lever has the sign ``sign``. A machine that works with θ in −π…0 has −sign and −phase
+    in this form.
 
     Raises:
         InputError: the pins cannot be that far apart, or that near.
@@ -76,13 +80,16 @@ def joint_range(kind, l_a, l_b, sign, phase, retracted, stroke) -> tuple[float, 
     Raises:
         InputError: part of the stroke does not fit the linkage.
     """
-    retracted_q, extended_q = joint_angle(kind, l_a, l_b, sign, phase, retracted, np.array([0.0, stroke]))
+    retracted_q, extended_q = joint_angle(
+        kind, l_a, l_b, sign, phase, retracted, np.array([0.0, stroke])
+    )
     return float(retracted_q), float(extended_q)
 
 
 @kernel
 def chamber_volume(dead_volume, displaced):
-    """Oil volume [m³] of a chamber: ``dead_volume + displaced``, at least VOLUME_MARGIN of the dead volume.
+    """Oil volume [m³] of a chamber: ``dead_volume + displaced``, at least VOLUME_MARGIN of the dead
+    volume.
 
     The guard only acts far outside of the stroke, and keeps a chamber's rate finite there.
 
@@ -122,11 +129,23 @@ def makeup_flow(inflow, pressure, floor):
 
 
 @kernel
-def inflows(v, flow_head, flow_rod, p_head, p_rod, p_tank, area_head, area_rod, leak_internal, leak_head, leak_rod):
+def inflows(
+    v,
+    flow_head,
+    flow_rod,
+    p_head,
+    p_rod,
+    p_tank,
+    area_head,
+    area_rod,
+    leak_internal,
+    leak_head,
+    leak_rod,
+):
     """What compresses the oil of (head, rod) [m³/s]: the right-hand sides of thesis 2.4 and 2.5.
 
-    ``−A1 v − C_tm (P1 − P2) − C_em1 (P1 − Pt) + Q1`` and ``+A2 v + C_tm (P1 − P2) − C_em2 (P2 − Pt) − Q2``.
-    """
+    ``−A1 v − C_tm (P1 − P2) − C_em1 (P1 − Pt) + Q1`` and ``+A2 v + C_tm (P1 − P2) − C_em2 (P2 − Pt)
+    − Q2``."""
     across = leak_internal * (p_head - p_rod)
     head = flow_head - area_head * v - across - leak_head * (p_head - p_tank)
     rod = area_rod * v - flow_rod + across - leak_rod * (p_rod - p_tank)
@@ -155,17 +174,29 @@ def chamber_rates(
     """(ṗ_head, ṗ_rod) [Pa/s]: thesis 2.4 and 2.5 with the cavitation floor of `chamber_rate`.
 
     Args:
-        v: cylinder speed [m/s].
-        flow_head, flow_rod: into the head end, out of the rod end [m³/s]; a relief valve's flow belongs in them.
-        p_head, p_rod, p_tank: [Pa].
-        bulk_head, bulk_rod: bulk modulus of the two chambers [Pa], equal unless it depends on pressure.
-        volume_head, volume_rod: present volumes, see `chamber_volume` [m³].
-        area_head, area_rod: [m²].
+        v: cylinder speed [m/s]. flow_head, flow_rod: into the head end, out of the rod end [m³/s];
+        a relief valve's flow belongs in them. p_head, p_rod, p_tank: [Pa]. bulk_head, bulk_rod:
+        bulk modulus of the two chambers [Pa], equal unless it depends on pressure. volume_head,
+        volume_rod: present volumes, see `chamber_volume` [m³]. area_head, area_rod: [m²].
         leak_internal, leak_head, leak_rod: C_tm head → rod, C_em1 and C_em2 to tank [m³/(s·Pa)].
         floor: cavitation pressure [Pa].
     """
-    head, rod = inflows(v, flow_head, flow_rod, p_head, p_rod, p_tank, area_head, area_rod, leak_internal, leak_head, leak_rod)
-    return chamber_rate(head, p_head, volume_head, bulk_head, floor), chamber_rate(rod, p_rod, volume_rod, bulk_rod, floor)
+    head, rod = inflows(
+        v,
+        flow_head,
+        flow_rod,
+        p_head,
+        p_rod,
+        p_tank,
+        area_head,
+        area_rod,
+        leak_internal,
+        leak_head,
+        leak_rod,
+    )
+    return chamber_rate(head, p_head, volume_head, bulk_head, floor), chamber_rate(
+        rod, p_rod, volume_rod, bulk_rod, floor
+    )
 
 
 @kernel
@@ -175,25 +206,26 @@ def relief_flow(pressure, relief_pressure, gain):
     Args:
         pressure: upstream of the valve [Pa].
         relief_pressure: where it opens [Pa]; inf for none.
-        gain: [m³/(s·Pa)]; rated flow over the rise in which it opens, for instance 30 L/min over 5 bar is 1e-9.
-            It adds a rate of gain·β_e/V [1/s] to the chamber.
+        gain: [m³/(s·Pa)]; rated flow over the rise in which it opens, for instance 30 L/min over 5
+            bar is 1e-9. It adds a rate of gain·β_e/V [1/s] to the chamber.
     """
     return gain * (pressure - relief_pressure) if pressure > relief_pressure else 0.0
 
 
 @kernel
 def end_stop(x, v, stroke, stiffness, dissipation):
-    """Force [N] of the end stops on the rod, extension positive: ≥ 0 at x < 0, ≤ 0 at x > stroke, else 0.
+    """Force [N] of the end stops on the rod, extension positive: ≥ 0 at x < 0, ≤ 0 at x > stroke,
+    else 0.
 
-    ``stiffness·δ·max(0, 1 + dissipation·δ̇)``, δ the depth into the stop (Hunt & Crossley 1975, exponent 1):
-    continuous at contact, never pulls, and takes energy on every bounce.
+    ``stiffness·δ·max(0, 1 + dissipation·δ̇)``, δ the depth into the stop (Hunt & Crossley 1975,
+    exponent 1): continuous at contact, never pulls, and takes energy on every bounce.
 
     Args:
         x, v: stroke and speed [m, m/s].
         stroke: full stroke [m].
         stiffness: [N/m].
-        dissipation: share of the elastic force that a closing speed of 1 m/s adds [s/m], ≥ 0; a slow bounce at
-            speed v returns with about (1 − (2/3)·dissipation·v)·v.
+        dissipation: share of the elastic force that a closing speed of 1 m/s adds [s/m], ≥ 0; a
+            slow bounce at speed v returns with about (1 − (2/3)·dissipation·v)·v.
     """
     if x < 0.0:
         return -stiffness * x * max(0.0, 1.0 - dissipation * v)

@@ -1,10 +1,10 @@
 """Measured flow maps Q(Δp, opening): the type, its compiled evaluation and exact inverse, its file.
 
 A map is a tensor-product spline, of degree 2 in the opening from the deadband up and of degree 3 in
-s = Δp/(Δp² + δ²)^¼, the root of the drop made smooth and of finite slope at zero; an orifice is a straight line in s.
-Its coefficients grow by positive increments along the opening and start from zero at zero drop, so the flow is zero
-there, increases strictly with the opening at every drop, and is free to level off or fall with the drop.
-"""
+s = Δp/(Δp² + δ²)^¼, the root of the drop made smooth and of finite slope at zero; an orifice is a
+straight line in s. Its coefficients grow by positive increments along the opening and start from
+zero at zero drop, so the flow is zero there, increases strictly with the opening at every drop, and
+is free to level off or fall with the drop."""
 
 from __future__ import annotations
 
@@ -43,11 +43,12 @@ def _cubic(data, k, y):
 
 @kernel
 def map_flow(pressure_drop, opening, data, at):
-    """Flow [m³/s] at a pressure drop [Pa] and an opening [V] of the map that starts at ``data[at]`` (see ``pack``).
+    """Flow [m³/s] at a pressure drop [Pa] and an opening [V] of the map that starts at ``data[at]``
+    (see ``pack``).
 
-    Zero at zero drop and up to the deadband; odd in the drop. Beyond the largest measured opening the flow goes on
-    along its tangent, beyond the largest drop it grows with s at the rate the whole map shows there, or stays level.
-    """
+    Zero at zero drop and up to the deadband; odd in the drop. Beyond the largest measured opening
+    the flow goes on along its tangent, beyond the largest drop it grows with s at the rate the
+    whole map shows there, or stays level."""
     drop = abs(pressure_drop)
     if drop == 0.0 or opening <= data[at + _DEADBAND]:
         return 0.0
@@ -69,10 +70,11 @@ def map_flow(pressure_drop, opening, data, at):
 
 @kernel
 def map_command(pressure_drop, flow, data, at):
-    """Opening [V] at which the map passes ``flow`` [m³/s] at a pressure drop [Pa]: the exact inverse of ``map_flow``.
+    """Opening [V] at which the map passes ``flow`` [m³/s] at a pressure drop [Pa]: the exact
+    inverse of ``map_flow``.
 
-    0 V (shut) for no flow and for flow against the drop; the largest measured command where even that passes less.
-    """
+    0 V (shut) for no flow and for flow against the drop; the largest measured command where even
+    that passes less."""
     drop, wanted = abs(pressure_drop), math.copysign(flow, flow * pressure_drop)
     if flow == 0.0 or (drop > 0.0 and wanted < 0.0):
         return 0.0
@@ -122,7 +124,8 @@ def root_drop(pressure_drop, delta: float):
 
 
 def bspline_pieces(breaks: np.ndarray, degree: int) -> np.ndarray:
-    """B-splines on clamped knots as polynomials: shape (spans, splines, degree + 1), powers of x − breaks[span].
+    """B-splines on clamped knots as polynomials: shape (spans, splines, degree + 1), powers of x −
+    breaks[span].
 
     Cox–de Boor recursion on the coefficients; spans + degree splines.
     """
@@ -133,9 +136,14 @@ def bspline_pieces(breaks: np.ndarray, degree: int) -> np.ndarray:
     pieces[np.arange(spans), degree + np.arange(spans), 0] = 1.0
     for k in range(1, degree + 1):
         width = knots[k:] - knots[:-k]
-        per = np.divide(1.0, width, out=np.zeros_like(width), where=width > 0)  # a spline of no width is nowhere
+        per = np.divide(
+            1.0, width, out=np.zeros_like(width), where=width > 0
+        )  # a spline of no width is nowhere
         rising, falling = pieces[:, :-1] * per[:-1, None], pieces[:, 1:] * per[1:, None]
-        pieces = rising * (start[:, None] - knots[: -k - 1])[..., None] + falling * (knots[k + 1 :] - start[:, None])[..., None]
+        pieces = (
+            rising * (start[:, None] - knots[: -k - 1])[..., None]
+            + falling * (knots[k + 1 :] - start[:, None])[..., None]
+        )
         pieces[..., 1:] += (rising - falling)[..., :-1]
     return pieces
 
@@ -144,14 +152,15 @@ def bspline_pieces(breaks: np.ndarray, degree: int) -> np.ndarray:
 class FlowMap:
     """Flow through one metering edge in one direction, for drops ≥ 0 and openings ≥ 0. All SI.
 
-    ``deadband`` [V]: shut up to here; ``deadband_interval`` its 95 % interval [V, V]. ``opening_knots`` [V], shape
-    (n + 1,), ascend from the deadband to the largest measured command. ``drop_max`` [Pa] is the largest drop of the
-    spline and ``delta`` [Pa] the drop below which s turns linear. ``increments`` [m³/s], shape (n + 1, m + 2), all > 0:
-    growth of the spline coefficients from one opening to the next (the first opening row and the first drop column
-    of coefficients are zero). ``hull_command`` [V], ``hull_low``, ``hull_high`` [Pa]: range of drops measured at each
-    command. ``std`` [m³/s] over ``std_command`` [V] × ``std_root`` [√Pa]: standard error of the flow. ``rated_flow``
-    [m³/s]: what percentages refer to. ``samples``: readings used; ``outliers``: one sentence for each reading left out;
-    ``source``: the data file.
+    ``deadband`` [V]: shut up to here; ``deadband_interval`` its 95 % interval [V, V].
+    ``opening_knots`` [V], shape (n + 1,), ascend from the deadband to the largest measured command.
+    ``drop_max`` [Pa] is the largest drop of the spline and ``delta`` [Pa] the drop below which s
+    turns linear. ``increments`` [m³/s], shape (n + 1, m + 2), all > 0: growth of the spline
+    coefficients from one opening to the next (the first opening row and the first drop column of
+    coefficients are zero). ``hull_command`` [V], ``hull_low``, ``hull_high`` [Pa]: range of drops
+    measured at each command. ``std`` [m³/s] over ``std_command`` [V] × ``std_root`` [√Pa]: standard
+    error of the flow. ``rated_flow`` [m³/s]: what percentages refer to. ``samples``: readings used;
+    ``outliers``: one sentence for each reading left out; ``source``: the data file.
 
     Raises:
         InputError: the fields do not describe a map, such as an increment that is not positive.
@@ -188,15 +197,28 @@ class FlowMap:
                 if not np.all(np.isfinite(value)):
                     refuse(f"{f.name} holds a value that is not finite")
         knots, steps = self.opening_knots, self.increments
-        if knots.ndim != 1 or knots.size < 2 or np.any(np.diff(knots) <= 0) or knots[0] != self.deadband or knots[0] < 0:
+        if (
+            knots.ndim != 1
+            or knots.size < 2
+            or np.any(np.diff(knots) <= 0)
+            or knots[0] != self.deadband
+            or knots[0] < 0
+        ):
             refuse("opening_knots must ascend from the deadband, which is 0 V or more")
         if steps.ndim != 2 or steps.shape[0] != knots.size or steps.shape[1] < 3:
             refuse("increments must have one row for each opening knot and three columns or more")
         if not np.all(steps > 0):
             refuse("increments must be positive, or the flow would not increase with the command")
-        if not (0 < self.delta < math.inf and 0 < self.drop_max < math.inf and 0 < self.rated_flow < math.inf):
+        if not (
+            0 < self.delta < math.inf
+            and 0 < self.drop_max < math.inf
+            and 0 < self.rated_flow < math.inf
+        ):
             refuse("delta, drop_max and rated_flow must be positive")
-        if not self.hull_command.shape == self.hull_low.shape == self.hull_high.shape or not self.hull_command.size:
+        if (
+            not self.hull_command.shape == self.hull_low.shape == self.hull_high.shape
+            or not self.hull_command.size
+        ):
             refuse("hull_command, hull_low and hull_high must have the same length")
         if self.std.shape != (self.std_command.size, self.std_root.size) or not self.std.size:
             refuse("std must have one row for each std_command and one column for each std_root")
@@ -218,7 +240,13 @@ class FlowMap:
 
         width = knots[-1] - knots[-2]
         last = pieces[:, -1]  # one more span beyond the last command: value and slope there
-        tangent = np.stack([last[:, 0] + width * (last[:, 1] + width * last[:, 2]), last[:, 1] + 2 * width * last[:, 2]], 1)
+        tangent = np.stack(
+            [
+                last[:, 0] + width * (last[:, 1] + width * last[:, 2]),
+                last[:, 1] + 2 * width * last[:, 2],
+            ],
+            1,
+        )
         tangent = np.concatenate([tangent, np.zeros_like(tangent[:, :1])], 1)
         pieces = np.concatenate([pieces, tangent[:, None]], 1)
 
@@ -229,20 +257,27 @@ class FlowMap:
         pieces = np.concatenate([pieces, beyond[None]], 0)
 
         header = np.empty(_HEADER)
-        header[_DEADBAND], header[_COMMAND_MAX], header[_DELTA] = self.deadband, self.command_max, self.delta
+        header[_DEADBAND], header[_COMMAND_MAX], header[_DELTA] = (
+            self.deadband,
+            self.command_max,
+            self.delta,
+        )
         header[_PER_S] = m / root_drop(self.drop_max, self.delta)
         header[_SPANS_S], header[_SPANS_U] = m, knots.size - 1
         return np.concatenate([header, knots, pieces.ravel()])
 
     def flow(self, pressure_drop, command):
-        """Flow [m³/s] at pressure drops [Pa] and openings [V], which broadcast; odd in the drop (see ``map_flow``)."""
+        """Flow [m³/s] at pressure drops [Pa] and openings [V], which broadcast; odd in the drop
+        (see ``map_flow``).
+        """
         return _each(_flows, pressure_drop, command, self.data)
 
     def command(self, pressure_drop, flow):
-        """Command [V] that passes ``flow`` [m³/s] at pressure drops [Pa], the exact inverse of ``flow``; broadcasts.
+        """Command [V] that passes ``flow`` [m³/s] at pressure drops [Pa], the exact inverse of
+        ``flow``; broadcasts.
 
-        0 V for no flow and for flow against the drop, ``command_max`` where even that passes less: ``reachable`` says.
-        """
+        0 V for no flow and for flow against the drop, ``command_max`` where even that passes less:
+        ``reachable`` says."""
         return _each(_commands, pressure_drop, flow, self.data)
 
     def reachable(self, pressure_drop, flow):
@@ -252,11 +287,14 @@ class FlowMap:
         return (flow == 0.0) | ((flow * drop > 0.0) & (np.abs(flow) <= most))
 
     def flow_std(self, pressure_drop, command):
-        """Standard error [m³/s] of ``flow``: repeats, lack of fit and deadband together; broadcasts.
+        """Standard error [m³/s] of ``flow``: repeats, lack of fit and deadband together;
+        broadcasts.
 
-        Held at the edge of the table beyond it; ``inside`` says where the map is backed by readings.
-        """
-        drop, command = np.broadcast_arrays(np.abs(np.asarray(pressure_drop, float)), np.asarray(command, float))
+        Held at the edge of the table beyond it; ``inside`` says where the map is backed by
+        readings."""
+        drop, command = np.broadcast_arrays(
+            np.abs(np.asarray(pressure_drop, float)), np.asarray(command, float)
+        )
         x = np.clip(root_drop(drop, self.delta), self.std_root[0], self.std_root[-1])
         u = np.clip(command, self.std_command[0], self.std_command[-1])
         j, y = _locate(self.std_root, x)
@@ -268,9 +306,13 @@ class FlowMap:
         return std if std.ndim else float(std)
 
     def inside(self, pressure_drop, command):
-        """True where readings surround the point: the command and, between its neighbours, the drop were measured."""
+        """True where readings surround the point: the command and, between its neighbours, the drop
+        were measured.
+        """
         drop, command = np.asarray(pressure_drop, float), np.asarray(command, float)
-        low, high = (np.interp(command, self.hull_command, side) for side in (self.hull_low, self.hull_high))
+        low, high = (
+            np.interp(command, self.hull_command, side) for side in (self.hull_low, self.hull_high)
+        )
         among = (command >= self.hull_command[0]) & (command <= self.hull_command[-1])
         return among & (drop >= low) & (drop <= high)
 
@@ -280,7 +322,11 @@ class FlowMap:
         for f in fields(self):
             value = getattr(self, f.name)
             plain[f.name] = (
-                value.tolist() if isinstance(value, np.ndarray) else list(value) if isinstance(value, tuple) else value
+                value.tolist()
+                if isinstance(value, np.ndarray)
+                else list(value)
+                if isinstance(value, tuple)
+                else value
             )
         return plain
 
@@ -294,11 +340,19 @@ class FlowMap:
         names = [f.name for f in fields(cls)]
         wrong = sorted(set(names) ^ set(plain))
         if wrong:
-            raise InputError(f"a flow map has the wrong fields: {', '.join(wrong)}", hint="it has " + ", ".join(names))
+            raise InputError(
+                f"a flow map has the wrong fields: {', '.join(wrong)}",
+                hint="it has " + ", ".join(names),
+            )
         try:
-            numbers = {name: float(plain[name]) for name in ("deadband", "drop_max", "delta", "rated_flow")}
+            numbers = {
+                name: float(plain[name]) for name in ("deadband", "drop_max", "delta", "rated_flow")
+            }
             low, high = (float(value) for value in plain["deadband_interval"])
-            texts = {"outliers": tuple(str(text) for text in plain["outliers"]), "samples": int(plain["samples"])}
+            texts = {
+                "outliers": tuple(str(text) for text in plain["outliers"]),
+                "samples": int(plain["samples"]),
+            }
             return cls(**{**plain, **numbers, **texts, "deadband_interval": (low, high)})
         except (TypeError, ValueError) as error:
             raise InputError(f"a flow map has a field of the wrong kind: {error}") from error
@@ -311,7 +365,9 @@ def _locate(grid: np.ndarray, x: np.ndarray):
 
 
 def pack(maps: list[FlowMap]) -> tuple[np.ndarray, np.ndarray]:
-    """(data, offsets): all maps back to back in one float array, and where each one starts (integers)."""
+    """(data, offsets): all maps back to back in one float array, and where each one starts
+    (integers).
+    """
     parts = [one.data for one in maps]
     sizes = [0, *(part.size for part in parts)]
     data = np.concatenate(parts) if parts else np.zeros(1)
@@ -322,9 +378,8 @@ def pack(maps: list[FlowMap]) -> tuple[np.ndarray, np.ndarray]:
 class ValveMaps:
     """The maps of one valve or edge. Drops and flows are signed along ``forward``.
 
-    ``reverse`` is None for a valve measured in one direction only; its reverse flow is then taken as the mirror of
-    the forward one, and ``inside`` is False there.
-    """
+    ``reverse`` is None for a valve measured in one direction only; its reverse flow is then taken
+    as the mirror of the forward one, and ``inside`` is False there."""
 
     forward: FlowMap
     reverse: FlowMap | None = None
@@ -334,11 +389,15 @@ class ValveMaps:
         return self._sided("flow", pressure_drop, command, 1.0)
 
     def command(self, pressure_drop, flow):
-        """Command [V] that passes the signed ``flow`` [m³/s] at the signed drop [Pa], as ``FlowMap.command``."""
+        """Command [V] that passes the signed ``flow`` [m³/s] at the signed drop [Pa], as
+        ``FlowMap.command``.
+        """
         return self._sided("command", pressure_drop, flow, 0.0)
 
     def reachable(self, pressure_drop, flow):
-        """True where a command up to the largest measured one passes ``flow`` [m³/s] at the drop [Pa]."""
+        """True where a command up to the largest measured one passes ``flow`` [m³/s] at the drop
+        [Pa].
+        """
         return self._sided("reachable", pressure_drop, flow, 0.0).astype(bool)
 
     def flow_std(self, pressure_drop, command):
@@ -357,7 +416,9 @@ class ValveMaps:
         result = np.asarray(getattr(self.forward, what)(np.abs(drop), other), float)
         if np.any(back):
             mirrored = -other if what in ("command", "reachable") else other
-            reverse = np.asarray(getattr(self.reverse or self.forward, what)(np.abs(drop), mirrored), float)
+            reverse = np.asarray(
+                getattr(self.reverse or self.forward, what)(np.abs(drop), mirrored), float
+            )
             result = np.where(back, -reverse if odd else reverse, result)
         return result if result.ndim else result[()]
 
@@ -405,13 +466,18 @@ def collect(maps: list[FlowMap], file: str | None = None) -> FlowMaps:
     """Maps grouped by valve.
 
     Raises:
-        InputError: two maps of one valve and direction, a direction other than forward or reverse, or only a reverse one.
+        InputError: two maps of one valve and direction, a direction other than forward or reverse,
+            or only a reverse one.
     """
     grouped: dict[str, dict[str, FlowMap]] = {}
     for one in maps:
         sides = grouped.setdefault(one.valve, {})
         if one.direction not in ("forward", "reverse"):
-            raise InputError(f"'{one.valve}' has a map in direction '{one.direction}'", file=file, hint="forward or reverse")
+            raise InputError(
+                f"'{one.valve}' has a map in direction '{one.direction}'",
+                file=file,
+                hint="forward or reverse",
+            )
         if one.direction in sides:
             raise InputError(f"'{one.valve}' has two {one.direction} maps", file=file)
         sides[one.direction] = one
@@ -422,12 +488,25 @@ def collect(maps: list[FlowMap], file: str | None = None) -> FlowMaps:
                 file=file,
                 hint="the direction in which a valve was measured alone is its forward one",
             )
-    return FlowMaps({name: ValveMaps(sides["forward"], sides.get("reverse")) for name, sides in grouped.items()}, file)
+    return FlowMaps(
+        {
+            name: ValveMaps(sides["forward"], sides.get("reverse"))
+            for name, sides in grouped.items()
+        },
+        file,
+    )
 
 
 def dump_flow_maps(maps: FlowMaps) -> str:
-    """The file's text: JSON, sorted keys, shortest digits that read back exactly; same maps, same bytes."""
-    content = {"format": FORMAT, "version": VERSION, "units": "SI", "maps": [one.to_dict() for one in maps.each()]}
+    """The file's text: JSON, sorted keys, shortest digits that read back exactly; same maps, same
+    bytes.
+    """
+    content = {
+        "format": FORMAT,
+        "version": VERSION,
+        "units": "SI",
+        "maps": [one.to_dict() for one in maps.each()],
+    }
     return json.dumps(content, sort_keys=True, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
@@ -455,17 +534,29 @@ def load_flow_maps(path: str | Path) -> FlowMaps:
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", file=path, hint=hint) from None
     except json.JSONDecodeError as error:
-        raise InputError(f"is no JSON: {error.msg}", file=path, line=error.lineno, hint=hint) from None
+        raise InputError(
+            f"is no JSON: {error.msg}", file=path, line=error.lineno, hint=hint
+        ) from None
     except UnicodeDecodeError:
         raise InputError("is no JSON text", file=path, hint=hint) from None
-    if not isinstance(content, dict) or content.get("format") != FORMAT or not isinstance(content.get("maps"), list):
+    if (
+        not isinstance(content, dict)
+        or content.get("format") != FORMAT
+        or not isinstance(content.get("maps"), list)
+    ):
         raise InputError("holds no flow maps", file=path, hint=hint)
     if content.get("version") != VERSION:
-        raise InputError(f"has version {content.get('version')}, this program reads {VERSION}", file=path)
+        raise InputError(
+            f"has version {content.get('version')}, this program reads {VERSION}", file=path
+        )
     try:
         return collect([FlowMap.from_dict(one) for one in content["maps"]], str(path))
     except (InputError, AttributeError, TypeError) as error:
-        raise InputError(getattr(error, "message", str(error)), file=path, hint=getattr(error, "hint", None) or hint) from error
+        raise InputError(
+            getattr(error, "message", str(error)),
+            file=path,
+            hint=getattr(error, "hint", None) or hint,
+        ) from error
 
 
 def table(
@@ -478,10 +569,10 @@ def table(
 ) -> str:
     """CSV text of all maps on a grid, for spreadsheets, in the units asked for.
 
-    Columns ``valve, direction, opening [V], pressure_drop [..], flow [..], flow_std [..], inside`` (1 or 0); the
-    openings are the measured ones, zero or positive, the drops run from 0 to the largest measured one. ``signs`` (−1 or 1 by
-    valve and direction) adds ``driver_command [V]``, what to send for the opening: sign·opening.
-    """
+    Columns ``valve, direction, opening [V], pressure_drop [..], flow [..], flow_std [..], inside``
+    (1 or 0); the openings are the measured ones, zero or positive, the drops run from 0 to the
+    largest measured one. ``signs`` (−1 or 1 by valve and direction) adds ``driver_command [V]``,
+    what to send for the opening: sign·opening."""
     from ehbench.quantities import VOCABULARY
     from ehbench.units import from_si
 
@@ -502,7 +593,10 @@ def table(
             )
             names = f"{_quoted(one.valve)},{one.direction},{command:.6g}"
             names += f",{signs[one.valve, one.direction] * command + 0.0:.6g}" if signs else ""
-            lines += [f"{names},{p:.6g},{q:.6g},{e:.3g},{int(i)}" for p, q, e, i in zip(*columns, strict=True)]
+            lines += [
+                f"{names},{p:.6g},{q:.6g},{e:.3g},{int(i)}"
+                for p, q, e, i in zip(*columns, strict=True)
+            ]
     return "\n".join(lines) + "\n"
 
 

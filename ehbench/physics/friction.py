@@ -1,10 +1,10 @@
 """Cylinder friction as a function of speed, smoothed through zero speed; compiled.
 
-Both laws return the resistance [N]: odd in v, with the sign of v, so that the rod feels its negative and v·F ≥ 0
-is the power lost. A smoothing speed v_s replaces sticking by fast creep: tanh(v/v_s) is 0.76 at v_s and 0.96 at
-2 v_s, and at rest the law acts as a damper of coulomb/v_s [N·s/m]. Choose v_s well below the speeds that matter,
-and above coulomb·step/(2 mass) so that an explicit step of the integrator stays stable.
-"""
+Both laws return the resistance [N]: odd in v, with the sign of v, so that the rod feels its
+negative and v·F ≥ 0 is the power lost. A smoothing speed v_s replaces sticking by fast creep:
+tanh(v/v_s) is 0.76 at v_s and 0.96 at 2 v_s, and at rest the law acts as a damper of coulomb/v_s
+[N·s/m]. Choose v_s well below the speeds that matter, and above coulomb·step/(2 mass) so that an
+explicit step of the integrator stays stable."""
 
 from __future__ import annotations
 
@@ -28,10 +28,11 @@ def coulomb_viscous(v, viscous, coulomb, smoothing):
 
 @kernel
 def stribeck(v, viscous, coulomb, static, stribeck_speed, smoothing):
-    """Resistance [N] with a Stribeck dip: ``viscous·v + (coulomb + (static − coulomb) e^−(v/v_st)²) tanh(v/v_s)``.
+    """Resistance [N] with a Stribeck dip: ``viscous·v + (coulomb + (static − coulomb) e^−(v/v_st)²)
+    tanh(v/v_s)``.
 
-    Armstrong-Hélouvry, Dupont & Canudas de Wit 1994, exponent 2. The peak comes close to ``static`` only when the
-    smoothing speed is well below ``stribeck_speed``.
+    Armstrong-Hélouvry, Dupont & Canudas de Wit 1994, exponent 2. The peak comes close to ``static``
+    only when the smoothing speed is well below ``stribeck_speed``.
 
     Args:
         v: cylinder speed, extension positive [m/s].
@@ -42,4 +43,6 @@ def stribeck(v, viscous, coulomb, static, stribeck_speed, smoothing):
         smoothing: v_s > 0 [m/s].
     """
     ratio = v / stribeck_speed
-    return viscous * v + (coulomb + (static - coulomb) * math.exp(-ratio * ratio)) * math.tanh(v / smoothing)
+    return viscous * v + (coulomb + (static - coulomb) * math.exp(-ratio * ratio)) * math.tanh(
+        v / smoothing
+    )

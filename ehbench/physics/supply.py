@@ -14,8 +14,8 @@ RECOVERY_TIME = 0.02
 def pump_flow(p_supply, demand, supply):
     """Flow [m³/s] a pressure-compensated pump delivers at ``p_supply`` [Pa] and ``demand`` [m³/s].
 
-    The compensator covers the demand exactly and brings a lost pressure back with time constant RECOVERY_TIME, both
-    only up to FLOW_LIMIT: below the limit the pressure is constant, above it the pressure falls.
-    """
+    The compensator covers the demand exactly and brings a lost pressure back with time constant
+    RECOVERY_TIME, both only up to FLOW_LIMIT: below the limit the pressure is constant, above it
+    the pressure falls."""
     wanted = demand + supply[VOLUME] / (supply[BULK] * RECOVERY_TIME) * (supply[P_SET] - p_supply)
     return min(max(wanted, 0.0), supply[FLOW_LIMIT])

@@ -1,4 +1,6 @@
-"""Draw saved results: figures of one run, and one self-contained HTML page over many. Reads files only, re-runs nothing."""
+"""Draw saved results: figures of one run, and one self-contained HTML page over many. Reads files
+only, re-runs nothing.
+"""
 
 from __future__ import annotations
 

@@ -10,7 +10,9 @@ from typing import ClassVar
 
 @dataclass(frozen=True)
 class Cell:
-    """A table cell. ``look``: ``number``, ``mute``, ``code``, or a chip: ``good``, ``bad``, ``warn``, ``plain``."""
+    """A table cell. ``look``: ``number``, ``mute``, ``code``, or a chip: ``good``, ``bad``,
+    ``warn``, ``plain``.
+    """
 
     text: str
     look: str = ""
@@ -38,7 +40,9 @@ class Bullets:
 
 @dataclass(frozen=True)
 class Grid:
-    """A table: head, rows of `Cell` or text, a caption above; ``key`` is what a campaign names it by, ``title`` what it calls it."""
+    """A table: head, rows of `Cell` or text, a caption above; ``key`` is what a campaign names it
+    by, ``title`` what it calls it.
+    """
 
     kind: ClassVar[str] = "grid"
     head: Sequence[str]
@@ -92,7 +96,9 @@ class Part:
 
 @dataclass(frozen=True)
 class Section:
-    """A section of the page. ``chip`` stands beside the title; parts appear in the table of contents."""
+    """A section of the page. ``chip`` stands beside the title; parts appear in the table of
+    contents.
+    """
 
     title: str
     inside: Sequence[object]
@@ -128,7 +134,8 @@ _STYLE = re.compile(r' style="([^"]*)"')
 
 
 def inline(svg: str, prefix: str, title: str, looks: dict[str, str] | None = None) -> str:
-    """A saved SVG as part of a page: no prolog, no metadata, ids made its own by ``prefix``, sized by the page.
+    """A saved SVG as part of a page: no prolog, no metadata, ids made its own by ``prefix``, sized
+    by the page.
 
     With ``looks`` every style becomes a class of the page: the class by the style, grown here.
     """
@@ -140,7 +147,9 @@ def inline(svg: str, prefix: str, title: str, looks: dict[str, str] | None = Non
     body = _LINK.sub(lambda found: f'href="#{prefix}{found[2]}"', body)
     body = _URL.sub(lambda found: f"url(#{prefix}{found[1]})", body)
     if looks is not None:
-        body = _STYLE.sub(lambda found: f' class="{looks.setdefault(found[1], f"k{len(looks)}")}"', body)
+        body = _STYLE.sub(
+            lambda found: f' class="{looks.setdefault(found[1], f"k{len(looks)}")}"', body
+        )
     box = _WIDE.match(body)
     shape = box[1] if box else "0 0 525 300"
     width = float(shape.split()[2]) * 4 / 3  # points to CSS pixels

@@ -1,7 +1,7 @@
 """Figures of saved energy ledgers: where one trial's energy went, and how trials compare.
 
-A ledger is read as its JSON has it: ``rows`` with name, energy [J], group, label, cylinder and interval, and ``source``.
-"""
+A ledger is read as its JSON has it: ``rows`` with name, energy [J], group, label, cylinder and
+interval, and ``source``."""
 
 from __future__ import annotations
 
@@ -19,12 +19,21 @@ from ehbench.report.words import DASH, fixed, number, places_of
 SEEN = 2e-3  # share of the longest bar below which nobody sees a part
 SMALL = 0.012  # share of all energy below which a row is drawn together with others
 COLOURS = {
-    "supply": "#1f3f66", "valve": "#e08214", "loss": "#8a7f72", "store": "#5b8fb9", "load": "#2e7d5b", "residual": ACCENT,
-}  # fmt: skip
+    "supply": "#1f3f66",
+    "valve": "#e08214",
+    "loss": "#8a7f72",
+    "store": "#5b8fb9",
+    "load": "#2e7d5b",
+    "residual": ACCENT,
+}
 WORDS = {
-    "supply": "supply", "valve": "throttling", "loss": "other losses", "store": "stored in oil", "load": "load",
+    "supply": "supply",
+    "valve": "throttling",
+    "loss": "other losses",
+    "store": "stored in oil",
+    "load": "load",
     "residual": "not accounted for",
-}  # fmt: skip
+}
 _GAP = 0.012
 _BAR = 0.022  # width of a node
 
@@ -44,7 +53,9 @@ class _Node:
 
 @dataclass
 class _Flow:
-    """A ribbon. ``end`` is a node, or None for a leaf at the right; ``start`` None for a source at the left."""
+    """A ribbon. ``end`` is a node, or None for a leaf at the right; ``start`` None for a source at
+    the left.
+    """
 
     start: str | None
     end: str | None
@@ -83,12 +94,18 @@ def _text(energy: float, half: float | None, unit: tuple[float, str], whole: flo
         shown = f"{fixed(value, places)} ± {fixed(half / unit[0], places)}"
     else:
         shown = number(value, 3)
-    share = f" · {number(100 * energy / whole, 2)} %" if whole > 0.0 and abs(energy) > 1e-5 * whole else ""
+    share = (
+        f" · {number(100 * energy / whole, 2)} %"
+        if whole > 0.0 and abs(energy) > 1e-5 * whole
+        else ""
+    )
     return f"{shown} {unit[1]}{share}"
 
 
 def _merged(flows: list[_Flow], whole: float, several: bool) -> list[_Flow]:
-    """Leaves and sources below SMALL drawn together, by node, so that labels do not crowd; the least are not drawn."""
+    """Leaves and sources below SMALL drawn together, by node, so that labels do not crowd; the
+    least are not drawn.
+    """
     kept: list[_Flow] = []
     little: dict[tuple[str | None, str | None, bool], list[_Flow]] = {}
     for flow in flows:
@@ -104,7 +121,11 @@ def _merged(flows: list[_Flow], whole: float, several: bool) -> list[_Flow]:
         halves = [flow.half for flow in few]
         half = None if None in halves else math.sqrt(sum(h * h for h in halves))
         one = few[0]
-        label = one.label if len(few) == 1 else _prefix(start or end, several) + f"{len(few)} smaller ones"
+        label = (
+            one.label
+            if len(few) == 1
+            else _prefix(start or end, several) + f"{len(few)} smaller ones"
+        )
         group = one.group if len({flow.group for flow in few}) == 1 else "loss"
         kept.append(_Flow(start, end, energy, group, label, half))
     return kept
@@ -115,19 +136,24 @@ def _prefix(node: str | None, several: bool) -> str:
 
 
 def _chart(ledger: Mapping[str, Any]) -> tuple[_Chart, float]:
-    """Nodes and ribbons of a ledger, pump → oil of each cylinder → mechanism, and the energy that the supply gave [J]."""
+    """Nodes and ribbons of a ledger, pump → oil of each cylinder → mechanism, and the energy that
+    the supply gave [J].
+    """
     rows = _rows(ledger)
     named = {row["name"]: row for row in rows}
     cylinders = list(dict.fromkeys(row["cylinder"] for row in rows if row["cylinder"] is not None))
     given = sum(row["energy"] for row in rows if row["group"] == "supply")
     chart = _Chart()
     works = {c: named[f"{c}.work"]["energy"] for c in cylinders}
-    uphill = sum(works.values()) < 0.0  # the load drives the oil: then the mechanism stands before it
+    uphill = (
+        sum(works.values()) < 0.0
+    )  # the load drives the oil: then the mechanism stands before it
     whole = max(given, sum(abs(w) for w in works.values()), 1e-12)
     busy = [
-        c for c in cylinders
+        c
+        for c in cylinders
         if max(abs(row["energy"]) for row in rows if row["cylinder"] == c) > SMALL * whole
-    ] or cylinders[:1]  # fmt: skip
+    ] or cylinders[:1]
     chart.nodes["pump"] = _Node(0.0, "pump", COLOURS["supply"])
     for c in busy:
         chart.nodes[c] = _Node(0.36, c, INK)
@@ -152,9 +178,19 @@ def _chart(ledger: Mapping[str, Any]) -> tuple[_Chart, float]:
         if row["name"] == "supply_line" or row["name"].endswith(".supply_line"):
             leaf("pump", row, group, label if group != "residual" else f"{label}, supply line")
         elif group == "load" or word in mechanical or row["name"].endswith(".mechanism"):
-            leaf("mechanism", row, group, f"{label}, mechanism" if group == "residual" else _prefix(c, several) + label)
+            leaf(
+                "mechanism",
+                row,
+                group,
+                f"{label}, mechanism" if group == "residual" else _prefix(c, several) + label,
+            )
         else:
-            leaf(c, row, group, f"{label}, oil of {c}" if group == "residual" else _prefix(c, several) + label)
+            leaf(
+                c,
+                row,
+                group,
+                f"{label}, oil of {c}" if group == "residual" else _prefix(c, several) + label,
+            )
     for c in busy:
         drawn = named[f"{c}.drawn"]["energy"] + named[f"{c}.drawn_compression"]["energy"]
         if drawn > 0.0:
@@ -167,9 +203,15 @@ def _chart(ledger: Mapping[str, Any]) -> tuple[_Chart, float]:
         elif work < 0.0 and uphill:
             chart.flows.append(_Flow("mechanism", c, -work, "load", ""))
         elif work >= 0.0:
-            chart.flows += [_Flow(c, None, work, "load", f"work of {c}"), _Flow(None, "mechanism", work, "load", f"work of {c}")]
+            chart.flows += [
+                _Flow(c, None, work, "load", f"work of {c}"),
+                _Flow(None, "mechanism", work, "load", f"work of {c}"),
+            ]
         else:
-            chart.flows += [_Flow(None, c, -work, "load", f"load on {c}"), _Flow("mechanism", None, -work, "load", f"into {c}")]
+            chart.flows += [
+                _Flow(None, c, -work, "load", f"load on {c}"),
+                _Flow("mechanism", None, -work, "load", f"into {c}"),
+            ]
     if given > 0.0 and any(f.start == "pump" for f in chart.flows):
         chart.flows.append(_Flow(None, "pump", given, "supply", "pump", half_of(named["pump"])))
     chart.flows = _merged(chart.flows, whole, several)
@@ -177,17 +219,23 @@ def _chart(ledger: Mapping[str, Any]) -> tuple[_Chart, float]:
 
 
 def _fit(sizes: Sequence[float], line: float) -> float:
-    """Height per energy at which slots of max(size, label) and the gaps between them fill the picture."""
+    """Height per energy at which slots of max(size, label) and the gaps between them fill the
+    picture.
+    """
     low, high = 0.0, 0.94 / max(sum(sizes), 1e-12)
     room = 1.0 - _GAP * max(len(sizes) - 1, 0)
     for _ in range(60):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if sum(max(s * middle, line) for s in sizes) <= room else (low, middle)
+        low, high = (
+            (middle, high) if sum(max(s * middle, line) for s in sizes) <= room else (low, middle)
+        )
     return low
 
 
 def _slots(sizes: Sequence[float], scale: float, line: float) -> list[float]:
-    """Middles of slots stacked from the top, as high as their ribbon or label, spread a little over the picture."""
+    """Middles of slots stacked from the top, as high as their ribbon or label, spread a little over
+    the picture.
+    """
     heights = [max(size * scale, line) for size in sizes]
     gap = min((1.0 - sum(heights)) / max(len(heights) - 1, 1), 3 * _GAP)
     y = 0.5 + 0.5 * (sum(heights) + gap * (len(heights) - 1))
@@ -206,8 +254,14 @@ def _stand(chart: _Chart, at: Mapping[int, float], scale: float, line: float) ->
         out = sum(f.energy for f in flows if f.start == name)
         into = sum(f.energy for f in flows if f.end == name)
         nodes[name].size = max(out, into) * scale
-    for name in sorted(used, key=lambda n: -nodes[n].x):  # right to left: a node stands where most of what leaves it goes
-        ends = [(at[id(f)] if f.end is None else nodes[f.end].y, f.energy) for f in flows if f.start == name]
+    for name in sorted(
+        used, key=lambda n: -nodes[n].x
+    ):  # right to left: a node stands where most of what leaves it goes
+        ends = [
+            (at[id(f)] if f.end is None else nodes[f.end].y, f.energy)
+            for f in flows
+            if f.start == name
+        ]
         weight = sum(e for _, e in ends)
         nodes[name].y = sum(y * e for y, e in ends) / weight if weight > 0.0 else 0.5
     column = sorted((n for n in used if n not in ("pump", "mechanism")), key=lambda n: -nodes[n].y)
@@ -222,23 +276,35 @@ def _stand(chart: _Chart, at: Mapping[int, float], scale: float, line: float) ->
 
 
 def sankey(path: Path, ledger: Mapping[str, Any]) -> None:
-    """Where the energy of one trial went: ribbons from the pump through the oil of each cylinder and the mechanism, to scale.
+    """Where the energy of one trial went: ribbons from the pump through the oil of each cylinder
+    and the mechanism, to scale.
 
-    What is given back (a load that sinks, oil that expands) enters from the left. Rows under 1.2 % are drawn together.
-    """
+    What is given back (a load that sinks, oil that expands) enters from the left. Rows under 1.2 %
+    are drawn together."""
     from matplotlib.patches import Patch
 
     chart, given = _chart(ledger)
     unit, nodes, flows = _scale([ledger]), chart.nodes, chart.flows
-    order = {name: i for i, name in enumerate(["mechanism", *[n for n in nodes if n not in ("pump", "mechanism")], "pump"])}
+    order = {
+        name: i
+        for i, name in enumerate(
+            ["mechanism", *[n for n in nodes if n not in ("pump", "mechanism")], "pump"]
+        )
+    }
     ranks = list(COLOURS)
-    leaves = sorted((f for f in flows if f.end is None), key=lambda f: (order[f.start], -ranks.index(f.group), -f.energy))
+    leaves = sorted(
+        (f for f in flows if f.end is None),
+        key=lambda f: (order[f.start], -ranks.index(f.group), -f.energy),
+    )
     sources = sorted(
-        (f for f in flows if f.start is None), key=lambda f: (f.end != "mechanism", f.end != "pump", order[f.end], -f.energy)
+        (f for f in flows if f.start is None),
+        key=lambda f: (f.end != "mechanism", f.end != "pump", order[f.end], -f.energy),
     )
     tall = min(max(3.0, 0.21 * len(leaves) + 1.3), 8.5)
     line, line_left = 0.175 / tall, 0.36 / tall
-    scale = min(_fit([f.energy for f in leaves], line), _fit([f.energy for f in sources], line_left))
+    scale = min(
+        _fit([f.energy for f in leaves], line), _fit([f.energy for f in sources], line_left)
+    )
     at = dict(zip(map(id, leaves), _slots([f.energy for f in leaves], scale, line), strict=True))
     at |= zip(map(id, sources), _slots([f.energy for f in sources], scale, line_left), strict=True)
     used = _stand(chart, at, scale, line)
@@ -251,19 +317,33 @@ def sankey(path: Path, ledger: Mapping[str, Any]) -> None:
         ax.set_xlim(-0.36, 1.98)
         ax.set_ylim(-0.04, 1.03)
         ax.axis("off")
-        for f in sorted(flows, key=lambda f: (-_height(f.start, nodes, at, f), -_height(f.end, nodes, at, f))):
+        for f in sorted(
+            flows, key=lambda f: (-_height(f.start, nodes, at, f), -_height(f.end, nodes, at, f))
+        ):
             thick, colour = f.energy * scale, COLOURS[f.group]
             if f.start is None:
                 bold = f.label == "pump" and f.end == "pump"
                 words = f"{f.label}\n{_text(f.energy, f.half, unit, 0.0)}"
                 if bold:
-                    gained = next(row["energy"] for row in ledger["rows"] if row["name"] == "pump_compression")
+                    gained = next(
+                        row["energy"] for row in ledger["rows"] if row["name"] == "pump_compression"
+                    )
                     words = f"{f.label}\n{_text(f.energy - gained, f.half, unit, 0.0)}"
                     below = f"+ {_text(gained, None, unit, 0.0)} compression"
-                    ax.text(-0.025, at[id(f)] - 1.35 * line, below, va="center", ha="right", fontsize=7, color=MUTED)
+                    ax.text(
+                        -0.025,
+                        at[id(f)] - 1.35 * line,
+                        below,
+                        va="center",
+                        ha="right",
+                        fontsize=7,
+                        color=MUTED,
+                    )
                 style = {"fontsize": 8.5, "weight": "bold"} if bold else {"fontsize": 8}
                 ax.text(-0.025, at[id(f)], words, va="center", ha="right", linespacing=1.2, **style)
-                ax.add_patch(_bar(0.0, at[id(f)], max(thick, nodes["pump"].size) if bold else thick, colour))
+                ax.add_patch(
+                    _bar(0.0, at[id(f)], max(thick, nodes["pump"].size) if bold else thick, colour)
+                )
                 if f.end == "pump":
                     continue
             y0 = _leave(nodes[f.start], thick) if f.start is not None else at[id(f)]
@@ -274,15 +354,29 @@ def sankey(path: Path, ledger: Mapping[str, Any]) -> None:
             if f.end is None:
                 ax.add_patch(_bar(1.0, y1, thick, colour))
                 ax.text(1.0 + 2.0 * _BAR, y1, f.label, va="center", fontsize=8)
-                ax.text(1.98, y1, _text(f.energy, f.half, unit, given), va="center", ha="right", fontsize=8)
+                ax.text(
+                    1.98,
+                    y1,
+                    _text(f.energy, f.half, unit, given),
+                    va="center",
+                    ha="right",
+                    fontsize=8,
+                )
         for name in used:
             node = nodes[name]
             if name != "pump":
                 ax.add_patch(_bar(node.x, node.y, node.size, node.colour))
                 ax.text(
-                    node.x + 0.5 * _BAR, node.y + 0.5 * node.size + 0.008, node.label, va="bottom", ha="center", fontsize=8.5,
-                    weight="bold", bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 0.6}, zorder=5,
-                )  # fmt: skip
+                    node.x + 0.5 * _BAR,
+                    node.y + 0.5 * node.size + 0.008,
+                    node.label,
+                    va="bottom",
+                    ha="center",
+                    fontsize=8.5,
+                    weight="bold",
+                    bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 0.6},
+                    zorder=5,
+                )
         rest = next(row for row in ledger["rows"] if row["group"] == "residual")
         words = f"{rest['label']} in all: {_text(rest['energy'], half_of(rest), unit, given)}"
         ax.text(-0.36, -0.03, words, fontsize=8, color=MUTED)
@@ -290,7 +384,9 @@ def sankey(path: Path, ledger: Mapping[str, Any]) -> None:
         legend(figure, [Patch(color=COLOURS[g], alpha=0.75, label=WORDS[g]) for g in present])
 
 
-def _height(name: str | None, nodes: Mapping[str, _Node], at: Mapping[int, float], flow: _Flow) -> float:
+def _height(
+    name: str | None, nodes: Mapping[str, _Node], at: Mapping[int, float], flow: _Flow
+) -> float:
     return at[id(flow)] if name is None else nodes[name].y
 
 
@@ -309,7 +405,9 @@ def _enter(node: _Node, thick: float) -> float:
 def _bar(x: float, y: float, thick: float, colour: str):
     from matplotlib.patches import Rectangle
 
-    return Rectangle((x, y - 0.5 * thick), _BAR, thick, facecolor=colour, edgecolor="none", zorder=3)
+    return Rectangle(
+        (x, y - 0.5 * thick), _BAR, thick, facecolor=colour, edgecolor="none", zorder=3
+    )
 
 
 def _ribbon(ax, x0: float, y0: float, x1: float, y1: float, thick: float, colour: str) -> None:
@@ -320,10 +418,13 @@ def _ribbon(ax, x0: float, y0: float, x1: float, y1: float, thick: float, colour
     x, y = x0 + s * (x1 - x0), y0 + (3 * s**2 - 2 * s**3) * (y1 - y0)
     half = 0.5 * max(thick, 0.0012)
     edge = np.concatenate([np.stack([x, y + half], 1), np.stack([x, y - half], 1)[::-1]])
-    ax.add_patch(Polygon(edge, closed=True, facecolor=colour, alpha=0.42, edgecolor="none", zorder=2))
+    ax.add_patch(
+        Polygon(edge, closed=True, facecolor=colour, alpha=0.42, edgecolor="none", zorder=2)
+    )
 
 
-# --- several trials -------------------------------------------------------------------------------------------------
+# --- several trials
+# -------------------------------------------------------------------------------------------------
 
 _PARTS = {
     "load": ("load", "#2e7d5b"),
@@ -335,7 +436,11 @@ _PARTS = {
     "store": ("stored in oil", "#5b8fb9"),
     "rest": ("not accounted for", ACCENT),
 }
-_LIMITS = {"standard": ("four-way valve", "-"), "six": ("six functions", "--"), "seventh": ("with the seventh", ":")}
+_LIMITS = {
+    "standard": ("four-way valve", "-"),
+    "six": ("six functions", "--"),
+    "seventh": ("with the seventh", ":"),
+}
 
 
 def part_of(row: Mapping[str, Any]) -> str | None:
@@ -361,7 +466,8 @@ def bars(
     Args:
         path: of the SVG.
         ledgers: (title of the trial, its ledger).
-        bounds: for each trial the bounds of its cylinders (``Bounds.as_json``), drawn as marks on the bar; empty for none.
+        bounds: for each trial the bounds of its cylinders (``Bounds.as_json``), drawn as marks on
+            the bar; empty for none.
     """
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -386,12 +492,30 @@ def bars(
             for key in drawn:
                 value = parts[key]
                 start = ahead if value >= 0.0 else behind
-                ax.barh(i, value, left=start, height=0.56, color=_PARTS[key][1], edgecolor="white", linewidth=0.6, zorder=2)
+                ax.barh(
+                    i,
+                    value,
+                    left=start,
+                    height=0.56,
+                    color=_PARTS[key][1],
+                    edgecolor="white",
+                    linewidth=0.6,
+                    zorder=2,
+                )
                 if abs(value) > 0.065 * (reach - least):
                     place = start + 0.5 * value, i
                     box = {"facecolor": _PARTS[key][1], "edgecolor": "none", "pad": 1.0}
                     words = number(value, 3)
-                    ax.text(*place, words, ha="center", va="center", fontsize=7.5, color="white", zorder=6, bbox=box)
+                    ax.text(
+                        *place,
+                        words,
+                        ha="center",
+                        va="center",
+                        fontsize=7.5,
+                        color="white",
+                        zorder=6,
+                        bbox=box,
+                    )
                 if value >= 0.0:
                     ahead += value
                 else:
@@ -400,10 +524,32 @@ def bars(
             half = half_of(pump)
             total = sum(row["energy"] for row in ledger["rows"] if row["group"] == "supply")
             if half:
-                ax.errorbar(total / unit[0], i, xerr=half / unit[0], color=INK, capsize=3, linewidth=1.0, zorder=5)
-            right = max([ahead, (total + (half or 0.0)) / unit[0], *(v / unit[0] for v in limits[i].values())])
+                ax.errorbar(
+                    total / unit[0],
+                    i,
+                    xerr=half / unit[0],
+                    color=INK,
+                    capsize=3,
+                    linewidth=1.0,
+                    zorder=5,
+                )
+            right = max(
+                [
+                    ahead,
+                    (total + (half or 0.0)) / unit[0],
+                    *(v / unit[0] for v in limits[i].values()),
+                ]
+            )
             words = _text(pump["energy"], half, unit, 0.0) if pump["energy"] else DASH
-            ax.annotate(words, (right, i), (6, 0), textcoords="offset points", va="center", fontsize=8, weight="bold")
+            ax.annotate(
+                words,
+                (right, i),
+                (6, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=8,
+                weight="bold",
+            )
             for key, value in limits[i].items():
                 style = {"color": INK, "linestyle": _LIMITS[key][1], "linewidth": 1.5, "zorder": 5}
                 ax.plot([value / unit[0]] * 2, [i - 0.38, i + 0.38], **style)
@@ -415,7 +561,10 @@ def bars(
         ax.set_xlabel(f"energy [{unit[1]}]; at the bar's end what the pump gave")
         handles = [Patch(color=_PARTS[key][1], label=_PARTS[key][0]) for key in drawn]
         kinds = [key for key in _LIMITS if any(key in one for one in limits)]
-        handles += [Line2D([], [], color=INK, linestyle=_LIMITS[k][1], label=f"bound: {_LIMITS[k][0]}") for k in kinds]
+        handles += [
+            Line2D([], [], color=INK, linestyle=_LIMITS[k][1], label=f"bound: {_LIMITS[k][0]}")
+            for k in kinds
+        ]
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
 
 

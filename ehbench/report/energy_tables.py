@@ -1,4 +1,6 @@
-"""Tables and sentences on energy: what controllers saved, against which bound, what ate the rest, and where all of it went."""
+"""Tables and sentences on energy: what controllers saved, against which bound, what ate the rest,
+and where all of it went.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +24,12 @@ NOTHING = 1e-4  # share of what was drawn that a table shows as nought
 TELLING = 0.01  # share of what was drawn from which a cause is named
 _JOINS = {"supply → head", "head → tank", "supply → rod", "rod → tank"}
 _KINDS = {
-    "mechanical": "friction, damping, end stops", "oil": "expansion, leakage, relief, return line", "load": "load",
-    "store": "stored in oil", "rest": "not accounted for",
-}  # fmt: skip
+    "mechanical": "friction, damping, end stops",
+    "oil": "expansion, leakage, relief, return line",
+    "load": "load",
+    "store": "stored in oil",
+    "rest": "not accounted for",
+}
 _VOLUME = (
     "The supply keeps its pressure and is paid for the volume drawn. Load, friction and the low pressure of the off-side "
     "chamber decide where that energy is lost, not how much is drawn; that grows where oil is compressed, and where a function "
@@ -35,7 +40,9 @@ _UNEXPLAINED = " Unexplained: what measured channels and the identified model do
 
 @dataclass(frozen=True)
 class Saving:
-    """A closed cycle of one trial against its bound and against the four-way valve on the same motion, if that ran."""
+    """A closed cycle of one trial against its bound and against the four-way valve on the same
+    motion, if that ran.
+    """
 
     case: Case
     ledger: Table
@@ -55,7 +62,11 @@ class Saving:
     @property
     def half(self) -> float | None:
         """Half the 95 % interval of what was drawn [J]."""
-        return next(half_of(row) for row in self.ledger["rows"] if row["name"] == f"{self.case.cylinder}.drawn")
+        return next(
+            half_of(row)
+            for row in self.ledger["rows"]
+            if row["name"] == f"{self.case.cylinder}.drawn"
+        )
 
     @cached_property
     def causes(self) -> dict[str, float]:
@@ -71,7 +82,9 @@ class Saving:
 
 def valves_of(ledger: Table, cylinder: str) -> list[tuple[str, str, float]]:
     """(valve, what it joins, throttling loss [J]) of every edge of a cylinder."""
-    mine = [row for row in ledger["rows"] if row["group"] == "valve" and row["cylinder"] == cylinder]
+    mine = [
+        row for row in ledger["rows"] if row["group"] == "valve" and row["cylinder"] == cylinder
+    ]
     return [(*row["label"].rsplit(", ", 1), row["energy"]) for row in mine]
 
 
@@ -94,36 +107,53 @@ def savings_of(cases: Sequence[Case]) -> list[Saving]:
         for case, ledger, limits in known
         if four_way(ledger, case.cylinder)
     }
-    return [Saving(*one, valves.get((one[0].row["payload"], one[0].row["motion"]))) for one in known]
+    return [
+        Saving(*one, valves.get((one[0].row["payload"], one[0].row["motion"]))) for one in known
+    ]
 
 
 def saved_said(rig: Rig, mine: Sequence[Saving], controller: str) -> str:
-    """What one controller saved over all its cycles, what its bound is, and what ate the difference."""
+    """What one controller saved over all its cycles, what its bound is, and what ate the
+    difference.
+    """
     unit = pretty(unit_of(rig, "energy"))
 
     def energies(values: Sequence[float], digits: int = 3) -> str:
         return f"{span([float(shown(rig, 'energy', v)) for v in values], digits)} {unit}"
 
-    limits = " or ".join(dict.fromkeys(BOUNDS[one.limits.get("against") or "standard"] for one in mine))
+    limits = " or ".join(
+        dict.fromkeys(BOUNDS[one.limits.get("against") or "standard"] for one in mine)
+    )
     bound = span([100.0 * (1.0 - one.bound / one.limits["standard"]) for one in mine])
     text = f"{capital(words(controller))}: "
-    against = [one for one in mine if one.reference is not None and not four_way(one.ledger, one.case.cylinder)]
+    against = [
+        one
+        for one in mine
+        if one.reference is not None and not four_way(one.ledger, one.case.cylinder)
+    ]
     if against:
-        text += f"{_less([1.0 - one.used / one.reference for one in against])} than the four-way valve"
+        text += (
+            f"{_less([1.0 - one.used / one.reference for one in against])} than the four-way valve"
+        )
     else:
         text += f"{_less([one.limits['saving'] for one in mine])} than a four-way valve must draw"
     if any(one.limits.get("against", "standard") != "standard" for one in mine):
         text += f"; the bound of {limits} is {bound} % less"
-    text += (
-        f". Drawn {energies([one.used for one in mine], 4)}, {energies([one.used - one.bound for one in mine])} above its bound"
-    )
+    text += f". Drawn {energies([one.used for one in mine], 4)}, {energies([one.used - one.bound for one in mine])} above its bound"
     halves = [one.half for one in mine if one.half]
     text += f" (± {energies(halves, 2)})" if halves else ""
-    worst = {name: max(mine, key=lambda one, n=name: one.causes.get(n, 0.0)) for one in mine for name in one.causes}
+    worst = {
+        name: max(mine, key=lambda one, n=name: one.causes.get(n, 0.0))
+        for one in mine
+        for name in one.causes
+    }
     eaters = [(one.causes.get(name, 0.0), name, one) for name, one in worst.items()]
     eaters = sorted((e for e in eaters if e[0] > TELLING * e[2].used), key=lambda e: -e[0])
     if eaters:
-        said = [f"{_cause(name)} (up to {energies([most])}, {_where(one.case)})" for most, name, one in eaters[:3]]
+        said = [
+            f"{_cause(name)} (up to {energies([most])}, {_where(one.case)})"
+            for most, name, one in eaters[:3]
+        ]
         text += "; the difference is " + ", ".join(said)
     else:
         text += f"; no single cause takes more than {percent(TELLING, 1)} of what was drawn"
@@ -137,7 +167,9 @@ def _less(shares: Sequence[float]) -> str:
 
 
 def _cause(name: str) -> str:
-    return {"compression": "oil compressed", "hold": "drawn while holding"}.get(name, f"drawn in {words(name)}")
+    return {"compression": "oil compressed", "hold": "drawn while holding"}.get(
+        name, f"drawn in {words(name)}"
+    )
 
 
 def _where(case: Case) -> str:
@@ -147,21 +179,38 @@ def _where(case: Case) -> str:
 def went_said(mine: Sequence[Saving], controller: str) -> str:
     """Where one controller's energy was lost, the largest shares first."""
     tables = [went(one.ledger, one.case.cylinder) for one in mine]
-    given = [math.fsum(row["energy"] for row in one.ledger["rows"] if row["group"] == "supply") for one in mine]
+    given = [
+        math.fsum(row["energy"] for row in one.ledger["rows"] if row["group"] == "supply")
+        for one in mine
+    ]
     shares = {
-        name: [100.0 * table.get(name, 0.0) / all_ for table, all_ in zip(tables, given, strict=True)]
+        name: [
+            100.0 * table.get(name, 0.0) / all_ for table, all_ in zip(tables, given, strict=True)
+        ]
         for table in tables
         for name in table
     }
-    top = sorted((name for name in shares if name not in ("rest", "load", "store")), key=lambda name: -max(shares[name]))[:4]
-    low = [100.0 * low_side(one.ledger, one.case.cylinder) / all_ for one, all_ in zip(mine, given, strict=True)]
+    top = sorted(
+        (name for name in shares if name not in ("rest", "load", "store")),
+        key=lambda name: -max(shares[name]),
+    )[:4]
+    low = [
+        100.0 * low_side(one.ledger, one.case.cylinder) / all_
+        for one, all_ in zip(mine, given, strict=True)
+    ]
     said = [f"{_KINDS.get(n, f'throttling {n}')} {span(shares[n], 2)} %" for n in top]
-    said += [f"pressure left in the off-side chamber of resistive motion {span(low, 2)} %"] if max(low) > 0.0 else []
+    said += (
+        [f"pressure left in the off-side chamber of resistive motion {span(low, 2)} %"]
+        if max(low) > 0.0
+        else []
+    )
     return f"{capital(words(controller))}: {', '.join(said)}."
 
 
 def went(ledger: Table, cylinder: str) -> dict[str, float]:
-    """Energies [J] by what they went into: throttling by what an edge joins, then the kinds of the bar chart."""
+    """Energies [J] by what they went into: throttling by what an edge joins, then the kinds of the
+    bar chart.
+    """
     found: dict[str, float] = {}
     for _, joins, energy in valves_of(ledger, cylinder):
         found[joins] = found.get(joins, 0.0) + energy
@@ -173,21 +222,31 @@ def went(ledger: Table, cylinder: str) -> dict[str, float]:
     return found
 
 
-def spent_in(ledger: Table, cylinder: str, function: str, groups: Sequence[str], joins: str = "") -> float:
-    """What rows of some groups took while a working function was at work [J], of those only that join two nodes if named."""
+def spent_in(
+    ledger: Table, cylinder: str, function: str, groups: Sequence[str], joins: str = ""
+) -> float:
+    """What rows of some groups took while a working function was at work [J], of those only that
+    join two nodes if named.
+    """
     taken = ledger.get("functions", {}).get(cylinder, {}).get(function, {})
     rows = [
         row
         for row in ledger["rows"]
-        if row["group"] in groups and row["label"].endswith(joins) and row["cylinder"] in (None, cylinder)
+        if row["group"] in groups
+        and row["label"].endswith(joins)
+        and row["cylinder"] in (None, cylinder)
     ]
     return math.fsum(taken.get(row["name"], 0.0) for row in rows)
 
 
 def low_side(ledger: Table, cylinder: str) -> float:
-    """What the pressure kept on the off-side chamber took where the load resists: throttling on the way out to tank [J]."""
+    """What the pressure kept on the off-side chamber took where the load resists: throttling on the
+    way out to tank [J].
+    """
     ways = (("extend_resistive", "rod → tank"), ("retract_resistive", "head → tank"))
-    return math.fsum(spent_in(ledger, cylinder, function, ("valve",), joins) for function, joins in ways)
+    return math.fsum(
+        spent_in(ledger, cylinder, function, ("valve",), joins) for function, joins in ways
+    )
 
 
 def saving_blocks(rig: Rig, cases: Sequence[Case]) -> list[Any]:
@@ -217,7 +276,11 @@ def _energy(rig: Rig, value: float | None, whole: float, half: float | None = No
 
 def who(case: Case) -> list[Cell | str]:
     """The cells that say which trial a row is of."""
-    return [load_name(case.row["payload"]), words(case.row["motion"]) or DASH, words(case.row["controller"])]
+    return [
+        load_name(case.row["payload"]),
+        words(case.row["motion"]) or DASH,
+        words(case.row["controller"]),
+    ]
 
 
 def _saved_table(rig: Rig, found: Sequence[Saving]) -> Grid:
@@ -229,18 +292,42 @@ def _saved_table(rig: Rig, found: Sequence[Saving]) -> Grid:
         kinds = {"compression": 0.0, "out": 0.0, "in": 0.0, "hold": 0.0}
         for name, energy in one.causes.items():
             kinds[name if name in kinds else "out" if ways[name] > 0.0 else "in"] += energy
-        saving = one.limits["saving"] if not compared else None if one.reference is None else 1.0 - one.used / one.reference
-        rows.append([
-            *who(one.case), _energy(rig, one.used, 0.0, one.half), num(DASH if saving is None else number(100.0 * saving, 3)),
-            num(number(100.0 * (1.0 - one.bound / one.limits["standard"]), 3)), _energy(rig, one.bound, 0.0),
-            *(_energy(rig, energy, one.used) for energy in (one.used - one.bound, *kinds.values())),
-        ])  # fmt: skip
+        saving = (
+            one.limits["saving"]
+            if not compared
+            else None
+            if one.reference is None
+            else 1.0 - one.used / one.reference
+        )
+        rows.append(
+            [
+                *who(one.case),
+                _energy(rig, one.used, 0.0, one.half),
+                num(DASH if saving is None else number(100.0 * saving, 3)),
+                num(number(100.0 * (1.0 - one.bound / one.limits["standard"]), 3)),
+                _energy(rig, one.bound, 0.0),
+                *(
+                    _energy(rig, energy, one.used)
+                    for energy in (one.used - one.bound, *kinds.values())
+                ),
+            ]
+        )
     head = [
-        "payload", "motion", "controller", axis(rig, "energy", "drawn"),
-        "less than the four-way valve [%]" if compared else "less than a four-way valve must draw [%]",
-        "bound of its functions [%]", f"that bound [{unit}]", f"above it [{unit}]",
-        *(f"{text} [{unit}]" for text in ("of it by compression", "moving out", "moving in", "holding")),
-    ]  # fmt: skip
+        "payload",
+        "motion",
+        "controller",
+        axis(rig, "energy", "drawn"),
+        "less than the four-way valve [%]"
+        if compared
+        else "less than a four-way valve must draw [%]",
+        "bound of its functions [%]",
+        f"that bound [{unit}]",
+        f"above it [{unit}]",
+        *(
+            f"{text} [{unit}]"
+            for text in ("of it by compression", "moving out", "moving in", "holding")
+        ),
+    ]
     note = (
         "Bounds for the way that was really made; for a cycle with the load on the head end a four-way valve Ps (A1 + A2) Δx, "
         "six functions Ps A1 Δx, the seventh Ps (A1 − A2) Δx."
@@ -251,10 +338,15 @@ def _saved_table(rig: Rig, found: Sequence[Saving]) -> Grid:
 def _went_table(rig: Rig, found: Sequence[Saving]) -> Grid:
     tables = [went(one.ledger, one.case.cylinder) for one in found]
     names = [
-        name for name in dict.fromkeys(name for table in tables for name in table)
-        if any(abs(table.get(name, 0.0)) > SEEN * one.used for table, one in zip(tables, found, strict=True))
-        or name == "rest" and any(one.ledger["source"] == "log" for one in found)
-    ]  # fmt: skip
+        name
+        for name in dict.fromkeys(name for table in tables for name in table)
+        if any(
+            abs(table.get(name, 0.0)) > SEEN * one.used
+            for table, one in zip(tables, found, strict=True)
+        )
+        or name == "rest"
+        and any(one.ledger["source"] == "log" for one in found)
+    ]
     names.sort(key=lambda name: list(_KINDS).index(name) if name in _KINDS else -1)
     rows = []
     for one, table in zip(found, tables, strict=True):
@@ -262,16 +354,27 @@ def _went_table(rig: Rig, found: Sequence[Saving]) -> Grid:
         half = half_of(next(row for row in ledger["rows"] if row["group"] == "residual"))
         whole = 0.0 if half else one.used
         cells = [
-            _energy(rig, table.get(name), whole if name == "rest" else one.used, half if name == "rest" else None)
+            _energy(
+                rig,
+                table.get(name),
+                whole if name == "rest" else one.used,
+                half if name == "rest" else None,
+            )
             for name in names
         ]
         also = (low_side(ledger, own), spent_in(ledger, own, "hold", ("valve", "loss")))
         rows.append([*who(one.case), *cells, *(_energy(rig, value, one.used) for value in also)])
-    logged = "unexplained" if any(one.ledger["source"] == "log" for one in found) else _KINDS["rest"]
+    logged = (
+        "unexplained" if any(one.ledger["source"] == "log" for one in found) else _KINDS["rest"]
+    )
     head = [
-        "payload", "motion", "controller", *(logged if name == "rest" else _KINDS.get(name, name) for name in names),
-        "of all this pressure of the off-side", "of all this holding",
-    ]  # fmt: skip
+        "payload",
+        "motion",
+        "controller",
+        *(logged if name == "rest" else _KINDS.get(name, name) for name in names),
+        "of all this pressure of the off-side",
+        "of all this holding",
+    ]
     note = (
         f"Energies in {pretty(unit_of(rig, 'energy'))}; negative: given back. Arrows: throttling on the edges that join the two. "
         "Pressure of the off-side: throttled at the outlet where the load resists."

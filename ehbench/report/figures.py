@@ -1,4 +1,6 @@
-"""Figures of a run folder, drawn from its saved files: ``figures/*.svg``, and ``figures/index.json`` that says what they are."""
+"""Figures of a run folder, drawn from its saved files: ``figures/*.svg``, and
+``figures/index.json`` that says what they are.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ _TWINS = {"x": "q", "v": "qd"}
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure in a run's index. ``key`` is what a campaign names it by; ``about`` says what it shows, for the page."""
+    """A figure in a run's index. ``key`` is what a campaign names it by; ``about`` says what it
+    shows, for the page.
+    """
 
     file: str
     key: str
@@ -36,13 +40,18 @@ class Album:
         """The path to draw the figure ``key`` to."""
         stem = re.sub(r"[^A-Za-z0-9_.-]+", "_", key)
         taken = {figure.file for figure in self.figures}
-        file = next(name for i in range(len(taken) + 1) if (name := f"{stem}{f'_{i + 1}' if i else ''}.svg") not in taken)
+        file = next(
+            name
+            for i in range(len(taken) + 1)
+            if (name := f"{stem}{f'_{i + 1}' if i else ''}.svg") not in taken
+        )
         self.figures.append(Figure(file, key, title, caption, about))
         return self.run.folder / "figures" / file
 
 
 def draw(folder: Path) -> None:
-    """Draw a run folder's figures; which ones, its ``run.json`` says. A stage without figures leaves an empty index.
+    """Draw a run folder's figures; which ones, its ``run.json`` says. A stage without figures
+    leaves an empty index.
 
     Raises:
         InputError: a saved file is missing or lacks what its figure needs.
@@ -53,7 +62,9 @@ def draw(folder: Path) -> None:
     drawer = _DRAWERS.get((run.stage, run.what)) or _DRAWERS.get((run.stage, ""))
     if drawer is not None:
         drawer(run, album)
-    write_json(run.folder / "figures" / INDEX, {"figures": [asdict(figure) for figure in album.figures]})
+    write_json(
+        run.folder / "figures" / INDEX, {"figures": [asdict(figure) for figure in album.figures]}
+    )
 
 
 def _flow_map(run: Saved, album: Album) -> None:
@@ -69,7 +80,13 @@ def _flow_map(run: Saved, album: Album) -> None:
             "dashed and pale where no readings surround the curve."
         )
         map_figures.flow_map(
-            album.add(f"flow_map_{one.valve}_{one.direction}", f"Flow map of {who}", caption, kind="flow_map", **about),
+            album.add(
+                f"flow_map_{one.valve}_{one.direction}",
+                f"Flow map of {who}",
+                caption,
+                kind="flow_map",
+                **about,
+            ),
             run.rig,
             one,
             mine,
@@ -93,7 +110,9 @@ def _hydraulics(run: Saved, album: Album) -> None:
     if parameters:
         caption = "Dot and bar: value and 95 % interval. Grey: the bounds of the search. Hollow: where the search started."
         series_figures.parameters(
-            album.add("parameters", "Parameters within their bounds", caption, kind="parameters"), run.rig, parameters
+            album.add("parameters", "Parameters within their bounds", caption, kind="parameters"),
+            run.rig,
+            parameters,
         )
     for log in fit["logs"]:
         _comparison(run, album, log["name"], "fit", "Fitted to")
@@ -107,7 +126,9 @@ def _validation(run: Saved, album: Album) -> None:
             album,
             name,
             "validation",
-            "Held out" if log.get("status", "held_out") == "held_out" else words(log["status"]).capitalize(),
+            "Held out"
+            if log.get("status", "held_out") == "held_out"
+            else words(log["status"]).capitalize(),
         )
         by_cylinder: dict[str, list] = {}
         for channel in log["channels"]:
@@ -115,11 +136,14 @@ def _validation(run: Saved, album: Album) -> None:
                 by_cylinder.setdefault(channel["channel"].rpartition(".")[0], []).append(channel)
         for cylinder, channels in by_cylinder.items():
             key = f"residuals_{name}_{cylinder}"
-            caption = (
-                "Correlation of the residual with itself and with earlier commands. Shaded: 95 % band, which allows for colour."
-            )
+            caption = "Correlation of the residual with itself and with earlier commands. Shaded: 95 % band, which allows for colour."
             path = album.add(
-                key, f"Residuals of {words(name)}, {cylinder}", caption, kind="residuals", log=name, cylinder=cylinder
+                key,
+                f"Residuals of {words(name)}, {cylinder}",
+                caption,
+                kind="residuals",
+                log=name,
+                cylinder=cylinder,
             )
             series_figures.correlations(path, channels)
 
@@ -130,12 +154,20 @@ def _comparison(run: Saved, album: Album, name: str, kind: str, lead: str) -> No
         return
     for cylinder, channels in series.cylinders().items():
         if kind == "fit":  # a joint's angle and its cylinder's stroke say the same
-            channels = [c for c in channels if f"{cylinder}.{_TWINS.get(c.rpartition('.')[2])}" not in channels]
-        caption = "Solid: recorded. Dashed: simulated. The narrow strips show simulated minus recorded."
+            channels = [
+                c
+                for c in channels
+                if f"{cylinder}.{_TWINS.get(c.rpartition('.')[2])}" not in channels
+            ]
+        caption = (
+            "Solid: recorded. Dashed: simulated. The narrow strips show simulated minus recorded."
+        )
         if not any(channel in series.simulated for channel in channels):
             caption = "Recorded only: this log could not be simulated."
         title = f"{lead}: {words(name)}" + (f", {cylinder}" if cylinder else "")
-        path = album.add(f"{kind}_{name}_{cylinder}", title, caption, kind=kind, log=name, cylinder=cylinder)
+        path = album.add(
+            f"{kind}_{name}_{cylinder}", title, caption, kind=kind, log=name, cylinder=cylinder
+        )
         series_figures.comparison(path, run.rig, series, channels)
 
 
@@ -147,7 +179,13 @@ def _trial(run: Saved, album: Album) -> None:
     record = read_record(run.folder / "log.mcap")
     for cylinder, channels in series_figures.live(run.rig, record).items():
         title = f"{run.title}: {cylinder}"
-        path = album.add(f"trial_{cylinder}", title, "Commands, motion and pressures.", kind="trial", cylinder=cylinder)
+        path = album.add(
+            f"trial_{cylinder}",
+            title,
+            "Commands, motion and pressures.",
+            kind="trial",
+            cylinder=cylinder,
+        )
         series_figures.trial(path, run.rig, record, cylinder, channels)
 
 

@@ -19,7 +19,9 @@ _MARKS = {"flowmeter": ("o", "flowmeter"), "cylinder": ("D", "cylinder speed")}
 
 
 def flow_map(path: Path, rig: Rig, one: FlowMap, points: Points) -> None:
-    """Flow over pressure drop, one curve a measured command, with readings, outliers and bands; residuals below."""
+    """Flow over pressure drop, one curve a measured command, with readings, outliers and bands;
+    residuals below.
+    """
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -29,22 +31,45 @@ def flow_map(path: Path, rig: Rig, one: FlowMap, points: Points) -> None:
     drop = np.linspace(0.0, 1.0, 161) ** 2 * max(one.drop_max, float(one.hull_high.max()))
     kept = points.flow.size and not points.outlier.all()
     ratios = [4.2, 1] if kept else [1]
-    with canvas(path, len(ratios), 1, (7.2, 5.6), sharex=True, squeeze=False, gridspec_kw={"height_ratios": ratios}) as (
+    with canvas(
+        path,
+        len(ratios),
+        1,
+        (7.2, 5.6),
+        sharex=True,
+        squeeze=False,
+        gridspec_kw={"height_ratios": ratios},
+    ) as (
         figure,
         axes,
     ):
         main = axes[0, 0]
         ends = {}
         for command, colour in colours.items():
-            flow, std, inside = one.flow(drop, command), one.flow_std(drop, command), one.inside(drop, command)
-            x, y, band = shown(rig, "pressure_drop", drop), shown(rig, "flow", flow), shown(rig, "flow", Z95 * std)
-            main.fill_between(x, y - band, y + band, where=inside, color=colour, alpha=0.22, linewidth=0)
+            flow, std, inside = (
+                one.flow(drop, command),
+                one.flow_std(drop, command),
+                one.inside(drop, command),
+            )
+            x, y, band = (
+                shown(rig, "pressure_drop", drop),
+                shown(rig, "flow", flow),
+                shown(rig, "flow", Z95 * std),
+            )
+            main.fill_between(
+                x, y - band, y + band, where=inside, color=colour, alpha=0.22, linewidth=0
+            )
             _in_and_out(main, x, y, inside, colour)
             ends[f"{number(command, 3)} V"] = (float(y[-1]), colour)
         main.axhline(0.0, color=MUTED, linewidth=0.8)
         if shut.size:
-            ends[(f"≤ {number(shut[-1], 3)} V" if shut.size > 1 else f"{number(shut[-1], 3)} V") + ", shut"] = (0.0, MUTED)
-        low, high = _limits([y for y, _ in ends.values()], shown(rig, "flow", points.flow[~points.outlier]))
+            ends[
+                (f"≤ {number(shut[-1], 3)} V" if shut.size > 1 else f"{number(shut[-1], 3)} V")
+                + ", shut"
+            ] = (0.0, MUTED)
+        low, high = _limits(
+            [y for y, _ in ends.values()], shown(rig, "flow", points.flow[~points.outlier])
+        )
         main.set_ylim(low, high)
         main.set_xlim(0.0, 1.01 * float(shown(rig, "pressure_drop", drop[-1])))
         handles = _readings(main, rig, points, _colour_of(one, colours), (low, high))
@@ -53,7 +78,15 @@ def flow_map(path: Path, rig: Rig, one: FlowMap, points: Points) -> None:
         handles.append(Patch(color=MUTED, alpha=0.3, linewidth=0, label="95 % band"))
         if any(not one.inside(drop[1:], command).all() for command in commands):
             handles.append(
-                Line2D([], [], color=MUTED, alpha=0.6, linestyle=(0, (3, 2)), linewidth=1.1, label="beyond the readings")
+                Line2D(
+                    [],
+                    [],
+                    color=MUTED,
+                    alpha=0.6,
+                    linestyle=(0, (3, 2)),
+                    linewidth=1.1,
+                    label="beyond the readings",
+                )
             )
         if kept:
             _residuals(axes[1, 0], rig, points, _colour_of(one, colours))
@@ -67,23 +100,47 @@ def inverse_map(path: Path, rig: Rig, one: FlowMap) -> None:
     span = np.linspace(one.deadband, one.command_max, 121)
     with canvas(path, size=(7.2, 4.2)) as (figure, ax):
         for drop, colour in zip(drops, shades(len(drops)), strict=True):
-            flow, std, inside = one.flow(drop, span), one.flow_std(drop, span), one.inside(drop, span)
+            flow, std, inside = (
+                one.flow(drop, span),
+                one.flow_std(drop, span),
+                one.inside(drop, span),
+            )
             x, band = shown(rig, "flow", flow), shown(rig, "flow", Z95 * std)
-            ax.fill_betweenx(span, x - band, x + band, where=inside, color=colour, alpha=0.2, linewidth=0)
+            ax.fill_betweenx(
+                span, x - band, x + band, where=inside, color=colour, alpha=0.2, linewidth=0
+            )
             _in_and_out(ax, x, span, inside, colour)
             unit = pretty(unit_of(rig, "pressure_drop"))
-            ax.plot([], [], color=colour, label=f"{number(float(shown(rig, 'pressure_drop', drop)), 3)} {unit}")
+            ax.plot(
+                [],
+                [],
+                color=colour,
+                label=f"{number(float(shown(rig, 'pressure_drop', drop)), 3)} {unit}",
+            )
         ax.axhspan(*one.deadband_interval, color=MUTED, alpha=0.25, linewidth=0)
         ax.axhline(one.deadband, color=MUTED, linewidth=0.9, linestyle=(0, (4, 3)))
         ax.annotate(
-            f"deadband {number(one.deadband, 3)} V", (1.0, one.deadband), (0, -3), ("axes fraction", "data"), "offset points",
-            ha="right", va="top", color=MUTED, fontsize=8,
-        )  # fmt: skip
+            f"deadband {number(one.deadband, 3)} V",
+            (1.0, one.deadband),
+            (0, -3),
+            ("axes fraction", "data"),
+            "offset points",
+            ha="right",
+            va="top",
+            color=MUTED,
+            fontsize=8,
+        )
         ax.set_ylim(0.0, one.command_max * 1.02)
         ax.set_xlim(left=0.0)
         ax.set_xlabel(axis(rig, "flow"))
         ax.set_ylabel("command [V]")
-        ax.legend(title="pressure drop", loc="center left", bbox_to_anchor=(1.01, 0.5), title_fontsize=8, alignment="left")
+        ax.legend(
+            title="pressure drop",
+            loc="center left",
+            bbox_to_anchor=(1.01, 0.5),
+            title_fontsize=8,
+            alignment="left",
+        )
 
 
 def _in_and_out(ax, x: np.ndarray, y: np.ndarray, inside: np.ndarray, colour) -> None:
@@ -91,7 +148,14 @@ def _in_and_out(ax, x: np.ndarray, y: np.ndarray, inside: np.ndarray, colour) ->
     grown = inside | np.append(inside[1:], False) | np.insert(inside[:-1], 0, False)
     # an empty line counts as a point at the figure's corner and would upset the layout
     if not grown.all():
-        ax.plot(x, np.where(grown, np.nan, y), color=colour, alpha=0.45, linewidth=1.1, linestyle=(0, (3, 2)))
+        ax.plot(
+            x,
+            np.where(grown, np.nan, y),
+            color=colour,
+            alpha=0.45,
+            linewidth=1.1,
+            linestyle=(0, (3, 2)),
+        )
     if inside.any():
         ax.plot(x, np.where(inside, y, np.nan), color=colour, linewidth=1.4)
 
@@ -103,14 +167,20 @@ def _limits(ends: list[float], flows: np.ndarray) -> tuple[float, float]:
 
 
 def _colour_of(one: FlowMap, colours: dict) -> Callable[[float], object]:
-    """The colour of a reading by its command: that of the nearest curve, grey where the valve is shut."""
+    """The colour of a reading by its command: that of the nearest curve, grey where the valve is
+    shut.
+    """
     return lambda command: (
-        colours[min(colours, key=lambda known: abs(known - command))] if colours and command > one.deadband else MUTED
+        colours[min(colours, key=lambda known: abs(known - command))]
+        if colours and command > one.deadband
+        else MUTED
     )
 
 
 def _readings(ax, rig: Rig, points: Points, colour: Callable, limits: tuple[float, float]) -> list:
-    """Readings by method in the colour of their curve, outliers crossed (at the edge where they lie outside); legend handles."""
+    """Readings by method in the colour of their curve, outliers crossed (at the edge where they lie
+    outside); legend handles.
+    """
     from matplotlib.lines import Line2D
 
     x, y = shown(rig, "pressure_drop", points.pressure_drop), shown(rig, "flow", points.flow)
@@ -131,7 +201,18 @@ def _readings(ax, rig: Rig, points: Points, colour: Callable, limits: tuple[floa
                 color=colour(command),
                 alpha=0.8,
             )
-        handles.append(Line2D([], [], marker=marker, linestyle="", markersize=4, markerfacecolor="none", color=MUTED, label=text))
+        handles.append(
+            Line2D(
+                [],
+                [],
+                marker=marker,
+                linestyle="",
+                markersize=4,
+                markerfacecolor="none",
+                color=MUTED,
+                label=text,
+            )
+        )
     out = points.outlier
     if out.any():
         seen = np.clip(y[out], *limits)
@@ -139,15 +220,39 @@ def _readings(ax, rig: Rig, points: Points, colour: Callable, limits: tuple[floa
         for marker, at in (("x", ~gone), ("^", y[out] > limits[1]), ("v", y[out] < limits[0])):
             if at.any():
                 ax.plot(
-                    x[out][at], seen[at], marker, color=ACCENT, markersize=6, markeredgewidth=1.6, zorder=5, clip_on=marker == "x"
+                    x[out][at],
+                    seen[at],
+                    marker,
+                    color=ACCENT,
+                    markersize=6,
+                    markeredgewidth=1.6,
+                    zorder=5,
+                    clip_on=marker == "x",
                 )
         handles.append(
             Line2D(
-                [], [], marker="x", linestyle="", markersize=6, markeredgewidth=1.6, color=ACCENT, label=f"left out ({out.sum()})"
+                [],
+                [],
+                marker="x",
+                linestyle="",
+                markersize=6,
+                markeredgewidth=1.6,
+                color=ACCENT,
+                label=f"left out ({out.sum()})",
             )
         )
         if gone.any():
-            handles.append(Line2D([], [], marker="^", linestyle="", markersize=5, color=ACCENT, label="left out, off the scale"))
+            handles.append(
+                Line2D(
+                    [],
+                    [],
+                    marker="^",
+                    linestyle="",
+                    markersize=5,
+                    color=ACCENT,
+                    label="left out, off the scale",
+                )
+            )
     return handles
 
 
@@ -158,7 +263,13 @@ def _residuals(ax, rig: Rig, points: Points, colour: Callable) -> None:
         at = used & (points.command == command)
         if not at.any():
             continue
-        ax.plot(shown(rig, "pressure_drop", points.pressure_drop[at]), error[at], ".", markersize=2.2, color=colour(command))
+        ax.plot(
+            shown(rig, "pressure_drop", points.pressure_drop[at]),
+            error[at],
+            ".",
+            markersize=2.2,
+            color=colour(command),
+        )
     ax.axhline(0.0, color=MUTED, linewidth=0.8)
     most = 1.08 * float(np.max(np.abs(error[used]), initial=1e-12))
     ax.set_ylim(-most, most)
@@ -166,12 +277,18 @@ def _residuals(ax, rig: Rig, points: Points, colour: Callable) -> None:
 
 
 def _end_labels(ax, ends: dict) -> None:
-    """Labels at the right ends of the curves, moved apart where they would overlap, with a leader to the curve."""
+    """Labels at the right ends of the curves, moved apart where they would overlap, with a leader
+    to the curve.
+    """
     low, high = ax.get_ylim()
-    places = spread([y for y, _ in ends.values()], _LABEL * (high - low), low + 0.01 * (high - low), high)
+    places = spread(
+        [y for y, _ in ends.values()], _LABEL * (high - low), low + 0.01 * (high - low), high
+    )
     across = ax.get_yaxis_transform()
     for (text, (y, colour)), place in zip(ends.items(), places, strict=True):
-        ax.plot([1.0, 1.018], [y, place], color=colour, linewidth=0.7, transform=across, clip_on=False)
+        ax.plot(
+            [1.0, 1.018], [y, place], color=colour, linewidth=0.7, transform=across, clip_on=False
+        )
         ax.text(1.023, place, text, color=INK, transform=across, va="center", fontsize=7.5)
 
 

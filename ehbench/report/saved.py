@@ -1,4 +1,6 @@
-"""Run folders as the report reads them: strict where a key is needed, with an error that names file and key."""
+"""Run folders as the report reads them: strict where a key is needed, with an error that names file
+and key.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ class Table(Mapping):
 
     def __init__(self, values: Any, file: Path, where: str = "") -> None:
         if not isinstance(values, dict):
-            raise InputError(f"'{where or 'the file'}' is no table", file=file, hint="make the run again")
+            raise InputError(
+                f"'{where or 'the file'}' is no table", file=file, hint="make the run again"
+            )
         self._values, self._file, self._where = values, file, where
 
     def __getitem__(self, key: str) -> Any:
@@ -40,7 +44,11 @@ class Table(Mapping):
         """
         name = f"{self._where}.{key}" if self._where else key
         if key not in self._values:
-            raise InputError(f"has no '{name}'", file=self._file, hint="make the run again with this version of ehbench")
+            raise InputError(
+                f"has no '{name}'",
+                file=self._file,
+                hint="make the run again with this version of ehbench",
+            )
         return self._wrap(self._values[key], name)
 
     def get(self, key: str, default: Any = None) -> Any:
@@ -55,7 +63,9 @@ class Table(Mapping):
         """
         value = self[key]
         if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
-            raise InputError(f"has '{self._where}.{key}' = {value!r}, which is no number", file=self._file)
+            raise InputError(
+                f"has '{self._where}.{key}' = {value!r}, which is no number", file=self._file
+            )
         return value
 
     def _wrap(self, value: Any, name: str) -> Any:
@@ -77,7 +87,9 @@ class Table(Mapping):
 
 @dataclass(frozen=True)
 class Series:
-    """A saved comparison, SI: time [s] and, by channel, what was recorded and what was simulated (None: not there)."""
+    """A saved comparison, SI: time [s] and, by channel, what was recorded and what was simulated
+    (None: not there).
+    """
 
     t: np.ndarray
     recorded: dict[str, np.ndarray]
@@ -153,7 +165,11 @@ class Saved:
         path = self.folder / name
         found = read_json(path)
         if not isinstance(found, list):
-            raise InputError("holds no list of tables", file=path, hint="make the run again with this version of ehbench")
+            raise InputError(
+                "holds no list of tables",
+                file=path,
+                hint="make the run again with this version of ehbench",
+            )
         return [Table(row, path, f"[{i}]") for i, row in enumerate(found)]
 
     def figures(self) -> list[Table]:
@@ -161,7 +177,9 @@ class Saved:
         return self.json(f"figures/{INDEX}")["figures"]
 
     def series(self, log: str) -> Series | None:
-        """The series of a log; None where the run saved none for it (a log that could not be simulated)."""
+        """The series of a log; None where the run saved none for it (a log that could not be
+        simulated).
+        """
         path = self.folder / "series" / f"{log}.csv"
         return read_series(path) if path.is_file() else None
 
@@ -176,12 +194,16 @@ def _columns(path: Path) -> tuple[list[str], list[list[str]]]:
         with path.open(encoding="utf-8", newline="") as file:
             rows = [row for row in csv.reader(file) if row]
     except FileNotFoundError:
-        raise InputError("no such file", file=path, hint="is this a finished run folder of the right stage?") from None
+        raise InputError(
+            "no such file", file=path, hint="is this a finished run folder of the right stage?"
+        ) from None
     if not rows:
         raise InputError("the file is empty", file=path)
     for line, row in enumerate(rows[1:], 2):
         if len(row) != len(rows[0]):
-            raise InputError(f"has {len(row)} columns, the header has {len(rows[0])}", file=path, line=line)
+            raise InputError(
+                f"has {len(row)} columns, the header has {len(rows[0])}", file=path, line=line
+            )
     return rows[0], rows[1:]
 
 
@@ -193,7 +215,8 @@ def _floats(path: Path, column: str, cells: list[str]) -> np.ndarray:
 
 
 def read_series(path: Path) -> Series:
-    """A saved comparison: columns ``t [s]``, ``boom.q [rad]`` (recorded) and ``simulated.boom.q [rad]``.
+    """A saved comparison: columns ``t [s]``, ``boom.q [rad]`` (recorded) and ``simulated.boom.q
+    [rad]``.
 
     Raises:
         InputError: no time, an unknown channel, a cell that is no number.
@@ -219,22 +242,30 @@ def read_series(path: Path) -> Series:
 
 
 def read_points(path: Path) -> Points:
-    """Flowmeter readings: ``valve, direction, command [V], pressure_drop [..], flow [..], fitted [..], method, outlier``.
+    """Flowmeter readings: ``valve, direction, command [V], pressure_drop [..], flow [..], fitted
+    [..], method, outlier``.
 
     Raises:
         InputError: a column is missing, or a cell is no number.
     """
     names, rows = _columns(path)
-    columns = {_head(name)[0]: (name, _head(name)[1], [row[i] for row in rows]) for i, name in enumerate(names)}
+    columns = {
+        _head(name)[0]: (name, _head(name)[1], [row[i] for row in rows])
+        for i, name in enumerate(names)
+    }
     found: dict[str, np.ndarray] = {}
     for name in Points.__dataclass_fields__:
         if name not in columns:
-            raise InputError(f"has no column '{name}'", file=path, line=1, hint="it has " + ", ".join(columns))
+            raise InputError(
+                f"has no column '{name}'", file=path, line=1, hint="it has " + ", ".join(columns)
+            )
         label, unit, cells = columns[name]
         if name in ("valve", "direction", "method"):
             found[name] = np.array(cells, dtype=str)
         elif name == "outlier":
-            found[name] = np.array([cell.strip().lower() in ("1", "true", "yes") for cell in cells], dtype=bool)
+            found[name] = np.array(
+                [cell.strip().lower() in ("1", "true", "yes") for cell in cells], dtype=bool
+            )
         else:
             row = VOCABULARY["flow" if name == "fitted" else name]
             values = _floats(path, label, cells)

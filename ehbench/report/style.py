@@ -50,8 +50,12 @@ _RC = {
 
 
 @contextmanager
-def canvas(path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.2, 4.2), **kwargs) -> Iterator:
-    """A figure and its axes; saved as SVG to ``path`` when the block ends, with bytes that depend on nothing else."""
+def canvas(
+    path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.2, 4.2), **kwargs
+) -> Iterator:
+    """A figure and its axes; saved as SVG to ``path`` when the block ends, with bytes that depend
+    on nothing else.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
@@ -77,7 +81,9 @@ def shades(count: int) -> list:
 
 
 def thin(t: np.ndarray, y: np.ndarray, buckets: int = BUCKETS) -> tuple[np.ndarray, np.ndarray]:
-    """The series with the least and the largest sample of each of ``buckets`` stretches: the same picture, fewer points."""
+    """The series with the least and the largest sample of each of ``buckets`` stretches: the same
+    picture, fewer points.
+    """
     if t.size <= 4 * buckets:
         return t, y
     ends = np.linspace(0, t.size, buckets + 1).astype(int)
@@ -91,7 +97,9 @@ def thin(t: np.ndarray, y: np.ndarray, buckets: int = BUCKETS) -> tuple[np.ndarr
 
 
 def spread(places: Sequence[float], gap: float, low: float, high: float) -> list[float]:
-    """Places moved apart to ``gap`` between neighbours, in their order and inside low…high; closer where they are too many."""
+    """Places moved apart to ``gap`` between neighbours, in their order and inside low…high; closer
+    where they are too many.
+    """
     order = sorted(range(len(places)), key=lambda i: (places[i], i))
     gap = min(gap, (high - low) / max(len(places) - 1, 1))
     groups: list[list[float]] = []  # (sum of wished first places, count) of runs of touching labels
@@ -114,4 +122,6 @@ def spread(places: Sequence[float], gap: float, low: float, high: float) -> list
 def legend(figure, handles: Sequence, **kwargs) -> None:
     """One legend line below all panels, where it covers nothing."""
     if handles:
-        figure.legend(handles=list(handles), loc="outside lower center", ncols=min(len(handles), 5), **kwargs)
+        figure.legend(
+            handles=list(handles), loc="outside lower center", ncols=min(len(handles), 5), **kwargs
+        )

@@ -18,13 +18,19 @@ _ROUNDED = ("x", "y", "width", "height")
 
 
 def shrink(svg: str) -> str:
-    """matplotlib's SVG without what nobody sees: a tenth of a point, empty groups, unused used, defaults said each time.
+    """matplotlib's SVG without what nobody sees: a tenth of a point, empty groups, unused used,
+    defaults said each time.
 
     Text stays text, in `FONTS`. Markers, which are small, keep a hundredth of a point.
     """
     root = ElementTree.fromstring(svg)
-    used = {name: f"i{place}" for place, name in enumerate(dict.fromkeys(found[1] for found in _POINTED.findall(svg)))}
-    body = ElementTree.Element("g", {"font-family": FONTS, "font-size": FONT_SIZE, "stroke-linejoin": "round"})
+    used = {
+        name: f"i{place}"
+        for place, name in enumerate(dict.fromkeys(found[1] for found in _POINTED.findall(svg)))
+    }
+    body = ElementTree.Element(
+        "g", {"font-family": FONTS, "font-size": FONT_SIZE, "stroke-linejoin": "round"}
+    )
     body.extend(_kept(root, used, 1))
     head = "".join(f' {name}="{root.get(name)}"' for name in ("width", "height", "viewBox"))
     inside = ElementTree.tostring(body, encoding="unicode")
@@ -32,8 +38,12 @@ def shrink(svg: str) -> str:
     return f'<svg xmlns="http://www.w3.org/2000/svg"{head}>{inside}</svg>\n'
 
 
-def _kept(element: ElementTree.Element, used: dict[str, str], places: int) -> list[ElementTree.Element]:
-    """The children of an element as they are kept; those of a group that says nothing stand in its place."""
+def _kept(
+    element: ElementTree.Element, used: dict[str, str], places: int
+) -> list[ElementTree.Element]:
+    """The children of an element as they are kept; those of a group that says nothing stand in its
+    place.
+    """
     found: list[ElementTree.Element] = []
     for one in element:
         tag = one.tag.removeprefix(_SVG)
@@ -54,7 +64,12 @@ def _kept(element: ElementTree.Element, used: dict[str, str], places: int) -> li
 def _attributes(one: ElementTree.Element, used: dict[str, str], places: int) -> dict[str, str]:
     found = {}
     for name, value in one.attrib.items():
-        if name == "id" and value not in used or name == "transform" and value.startswith("rotate(-0 "):
+        if (
+            name == "id"
+            and value not in used
+            or name == "transform"
+            and value.startswith("rotate(-0 ")
+        ):
             continue
         if name == "d":
             value = _path(value, places)
@@ -72,7 +87,9 @@ def _attributes(one: ElementTree.Element, used: dict[str, str], places: int) -> 
 def _style(text: str) -> str:
     parts = [part.split(": ", 1) for part in text.split("; ")]
     return ";".join(
-        f"{name}:{value}" for name, value in parts if name != "font-family" and (name, value) != ("font-size", FONT_SIZE)
+        f"{name}:{value}"
+        for name, value in parts
+        if name != "font-family" and (name, value) != ("font-size", FONT_SIZE)
     )
 
 
@@ -82,7 +99,12 @@ def _said_once(elements: list[ElementTree.Element]) -> list[ElementTree.Element]
     for one in elements:
         style = one.get("style")
         last = found[-1] if found else None
-        if one.tag == "use" and last is not None and last.get("style") == style and last.tag in ("use", "g"):
+        if (
+            one.tag == "use"
+            and last is not None
+            and last.get("style") == style
+            and last.tag in ("use", "g")
+        ):
             if last.tag == "use":
                 found[-1] = ElementTree.Element("g", {"style": style})
                 found[-1].append(last)

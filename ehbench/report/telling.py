@@ -1,4 +1,6 @@
-"""How a section tells of a run: what its renderer gives, and the cells, chips and spans that all of them use."""
+"""How a section tells of a run: what its renderer gives, and the cells, chips and spans that all of
+them use.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +11,35 @@ from ehbench.report.blocks import Cell, Part, Picture
 from ehbench.report.words import interval, number, shown, with_error, words
 from ehbench.rig import Rig
 
-Pictures = Callable[[str, str, str], list[Picture]]  # (kind, key of about, its value) → the run's figures of that kind
+Pictures = Callable[
+    [str, str, str], list[Picture]
+]  # (kind, key of about, its value) → the run's figures of that kind
 _LOOKS = {
-    "accepted": "good", "met": "good", "estimated": "good", "passed": "good", "done": "good",
-    "rejected": "bad", "missed": "bad", "failed": "bad", "stopped": "bad",
-    "undecided": "warn", "not_measured": "warn", "at_bound": "warn", "not_excited": "warn", "correlated": "warn",
-    "fitted": "warn", "still": "warn", "partly_estimated": "warn",
-}  # fmt: skip
+    "accepted": "good",
+    "met": "good",
+    "estimated": "good",
+    "passed": "good",
+    "done": "good",
+    "rejected": "bad",
+    "missed": "bad",
+    "failed": "bad",
+    "stopped": "bad",
+    "undecided": "warn",
+    "not_measured": "warn",
+    "at_bound": "warn",
+    "not_excited": "warn",
+    "correlated": "warn",
+    "fitted": "warn",
+    "still": "warn",
+    "partly_estimated": "warn",
+}
 
 
 @dataclass(frozen=True)
 class Told:
-    """What a stage's renderer gives: a status word, one sentence for the glance, and the parts of the section."""
+    """What a stage's renderer gives: a status word, one sentence for the glance, and the parts of
+    the section.
+    """
 
     status: str
     sentence: str
@@ -49,7 +68,9 @@ def plus(rig: Rig, name: str, value: float | None, std: float | None) -> str:
 
 def range_of(rig: Rig, name: str, ends: Sequence[float | None] | None) -> str:
     """An SI interval in the rig's unit of the quantity."""
-    return interval(*(None if v is None else float(shown(rig, name, v)) for v in (ends or (None, None))))
+    return interval(
+        *(None if v is None else float(shown(rig, name, v)) for v in (ends or (None, None)))
+    )
 
 
 def capital(text: str) -> str:

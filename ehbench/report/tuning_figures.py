@@ -1,4 +1,6 @@
-"""Figures of a tuning: equivalent mass and gravity, root loci, step responses, damping over the gain, draws."""
+"""Figures of a tuning: equivalent mass and gravity, root loci, step responses, damping over the
+gain, draws.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ehbench.report.saved import Saved, Table
-from ehbench.report.style import ACCENT, CYCLE, INK, MARKS, MUTED, RECORDED, SIMULATED, canvas, legend
+from ehbench.report.style import (
+    ACCENT,
+    CYCLE,
+    INK,
+    MARKS,
+    MUTED,
+    RECORDED,
+    SIMULATED,
+    canvas,
+    legend,
+)
 from ehbench.report.telling import capital, span
 from ehbench.report.words import axis, count, number, pretty, shown, unit_of, words
 from ehbench.rig import Rig, Slide
@@ -36,7 +48,9 @@ def measure(rig: Rig, name: str, value: float | None, digits: int = 3) -> str:
     if value is None:
         return number(None)
     unit = pretty(unit_of(rig, name))
-    return f"{number(float(shown(rig, name, value)), digits)}" + (f"{'' if unit == '°' else ' '}{unit}" if unit else "")
+    return f"{number(float(shown(rig, name, value)), digits)}" + (
+        f"{'' if unit == '°' else ' '}{unit}" if unit else ""
+    )
 
 
 def function_names(tuning: Table) -> list[str]:
@@ -69,12 +83,26 @@ def draw_tuning(run: Saved, album: Album) -> None:
         )
         caption = f"{text} of the {cylinder} at its cylinder over the stroke, other joints held; dots: operating points. "
         caption += f"{capital(said)}."
-        equivalents(album.add(key, f"{text}: {cylinder}", caption, kind="equivalents"), rig, tuning, name, quantity, text)
-    path = album.add("damping_over_gain", "Damping ratio over the feedback gain", _damping_said(rig, tuning), kind="damping")
+        equivalents(
+            album.add(key, f"{text}: {cylinder}", caption, kind="equivalents"),
+            rig,
+            tuning,
+            name,
+            quantity,
+            text,
+        )
+    path = album.add(
+        "damping_over_gain",
+        "Damping ratio over the feedback gain",
+        _damping_said(rig, tuning),
+        kind="damping",
+    )
     damping_over_gain(path, rig, tuning)
     by_name = {one["name"]: one for one in tuning["points"]}
     for function in function_names(tuning):
-        counts = "yes" if any(one["point"]["function"] == function for one in counted(tuning)) else "no"
+        counts = (
+            "yes" if any(one["point"]["function"] == function for one in counted(tuning)) else "no"
+        )
         about = {"function": function, "counts": counts}
         for parameter, lead, text in (
             ("feedback_gain", "locus", "Root locus over the feedback gain"),
@@ -83,33 +111,62 @@ def draw_tuning(run: Saved, album: Album) -> None:
             mine = [
                 one
                 for one in tuning["loci"]
-                if one["parameter"] == parameter and by_name[one["name"]]["point"]["function"] == function
+                if one["parameter"] == parameter
+                and by_name[one["name"]]["point"]["function"] == function
             ]
             if mine:
                 caption = _locus_said(rig, mine, by_name, counts == "yes")
-                path = album.add(f"{lead}_{function}", f"{text}: {cylinder}, {words(function)}", caption, kind="locus", **about)
+                path = album.add(
+                    f"{lead}_{function}",
+                    f"{text}: {cylinder}, {words(function)}",
+                    caption,
+                    kind="locus",
+                    **about,
+                )
                 loci(path, rig, mine, by_name)
-        mine = [one for one in tuning["steps"] if by_name[one["name"]]["point"]["function"] == function]
+        mine = [
+            one for one in tuning["steps"] if by_name[one["name"]]["point"]["function"] == function
+        ]
         if mine:
             title = f"Step response: {cylinder}, {words(function)}"
-            path = album.add(f"step_response_{function}", title, _steps_said(mine, by_name), kind="step_response", **about)
+            path = album.add(
+                f"step_response_{function}",
+                title,
+                _steps_said(mine, by_name),
+                kind="step_response",
+                **about,
+            )
             step_responses(path, mine, by_name)
     if tuning["robustness"]["draws"]:
-        path = album.add("draws", "Worst damping ratio over draws of the identified parameters", draws_said(tuning), kind="draws")
+        path = album.add(
+            "draws",
+            "Worst damping ratio over draws of the identified parameters",
+            draws_said(tuning),
+            kind="draws",
+        )
         draws(path, tuning)
 
 
-# --- sentences, computed from the run -------------------------------------------------------------------------------------
+# --- sentences, computed from the run
+# -------------------------------------------------------------------------------------
 
 
 def _damping_said(rig: Rig, tuning: Table) -> str:
     gains = sorted(set(tuning["feedback_gain"].values()))
-    chosen = " and ".join(measure(rig, "feedback_gain", gain) for gain in gains) if len(gains) < 4 else f"{len(gains)} gains"
+    chosen = (
+        " and ".join(measure(rig, "feedback_gain", gain) for gain in gains)
+        if len(gains) < 4
+        else f"{len(gains)} gains"
+    )
     points = counted(tuning)
     least = min(points, key=lambda one: one["damping_ratio_closed"])
     return (
         f"Least damping ratio of all poles, a line an operating point; black: the worst of the {len(points)} that count"
-        + ("; dotted: points that no load calls for. " if len(points) < len(tuning["points"]) else ". ")
+        + (
+            "; dotted: points that no load calls for. "
+            if len(points) < len(tuning["points"])
+            else ". "
+        )
         + f"At K_p = {chosen} the worst is {number(tuning['damping_ratio'], 2)} ({point_name(rig, least['point'])}); "
         "without feedback "
         f"{span([tuning['damping_ratio_open'], tuning['damping_ratio_open_most']], 2)}."
@@ -186,11 +243,14 @@ def draws_said(tuning: Table) -> str:
     )
 
 
-# --- drawing --------------------------------------------------------------------------------------------------------------
+# --- drawing
+# --------------------------------------------------------------------------------------------------------------
 
 
 def equivalents(path: Path, rig: Rig, tuning: Table, name: str, quantity: str, text: str) -> None:
-    """A curve a payload over the stroke, with dots at the operating points; the joint angle above (thesis B.1–B.4)."""
+    """A curve a payload over the stroke, with dots at the operating points; the joint angle above
+    (thesis B.1–B.4).
+    """
     with canvas(path, size=(7.2, 3.4)) as (_, ax):
         for index, one in enumerate(tuning["equivalents"]):
             x, y = (np.array(one[key], float) for key in ("x", name))
@@ -202,8 +262,20 @@ def equivalents(path: Path, rig: Rig, tuning: Table, name: str, quantity: str, t
                 linestyle=MARKS[index % len(MARKS)],
                 label=load_name(one["payload"]),
             )
-            at = np.unique([p["point"]["x"] for p in tuning["points"] if p["point"]["payload"] == one["payload"]])
-            ax.plot(shown(rig, "x", at), shown(rig, quantity, np.interp(at, x, y)), "o", markersize=4, color=colour)
+            at = np.unique(
+                [
+                    p["point"]["x"]
+                    for p in tuning["points"]
+                    if p["point"]["payload"] == one["payload"]
+                ]
+            )
+            ax.plot(
+                shown(rig, "x", at),
+                shown(rig, quantity, np.interp(at, x, y)),
+                "o",
+                markersize=4,
+                color=colour,
+            )
         ax.set_xlabel(axis(rig, "x", "stroke"))
         ax.set_ylabel(axis(rig, quantity, text.lower()))
         ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
@@ -230,7 +302,9 @@ def _straight(x: np.ndarray, y: np.ndarray) -> Callable[[Any], np.ndarray]:
 
 
 def damping_over_gain(path: Path, rig: Rig, tuning: Table) -> None:
-    """Least damping ratio over K_p for every operating point, the worst of those that count, target and choice."""
+    """Least damping ratio over K_p for every operating point, the worst of those that count, target
+    and choice.
+    """
     from matplotlib.lines import Line2D
 
     gains = np.array(tuning["gains"], float)
@@ -246,20 +320,44 @@ def damping_over_gain(path: Path, rig: Rig, tuning: Table) -> None:
             y = np.array(one["curve"], float)
             y[1:][(y[1:] < low) & (y[:-1] < low)] = np.nan  # beyond the frame
             look = (
-                {"linewidth": 0.7, "alpha": 0.55} if one["counts"] else {"linewidth": 0.8, "alpha": 0.5, "linestyle": (0, (1, 2))}
+                {"linewidth": 0.7, "alpha": 0.55}
+                if one["counts"]
+                else {"linewidth": 0.8, "alpha": 0.5, "linestyle": (0, (1, 2))}
             )
             ax.plot(x[kept], y[kept], color=colours[one["point"]["function"]], **look)
-        ax.plot(x[kept], np.array(tuning["worst_curve"], float)[kept], color="#111827", linewidth=2.0)
+        ax.plot(
+            x[kept], np.array(tuning["worst_curve"], float)[kept], color="#111827", linewidth=2.0
+        )
         ax.axhline(tuning["target"], color=MUTED, linewidth=1.0, linestyle=(0, (5, 3)))
         ax.annotate(
-            "target", (0.0, tuning["target"]), (4, 3), ("axes fraction", "data"), "offset points", color=MUTED, fontsize=8
+            "target",
+            (0.0, tuning["target"]),
+            (4, 3),
+            ("axes fraction", "data"),
+            "offset points",
+            color=MUTED,
+            fontsize=8,
         )
         ax.axhspan(low, 0.0, color=ACCENT, alpha=0.07, linewidth=0)
-        ax.annotate("unstable", (0.0, low), (4, 3), ("axes fraction", "data"), "offset points", color=ACCENT, fontsize=8)
+        ax.annotate(
+            "unstable",
+            (0.0, low),
+            (4, 3),
+            ("axes fraction", "data"),
+            "offset points",
+            color=ACCENT,
+            fontsize=8,
+        )
         for gain in sorted(set(chosen.values())):
-            mine = [one for one in points if one["counts"] and chosen[one["point"]["function"]] == gain]
+            mine = [
+                one for one in points if one["counts"] and chosen[one["point"]["function"]] == gain
+            ]
             at = float(shown(rig, "feedback_gain", gain))
-            colour = "#111827" if len(set(chosen.values())) == 1 else colours[next(f for f in names if chosen[f] == gain)]
+            colour = (
+                "#111827"
+                if len(set(chosen.values())) == 1
+                else colours[next(f for f in names if chosen[f] == gain)]
+            )
             ax.axvline(at, color=colour, linewidth=0.9, linestyle=(0, (2, 2)))
             if mine:
                 least = min(one["damping_ratio_closed"] for one in mine)
@@ -293,7 +391,11 @@ def damping_over_gain(path: Path, rig: Rig, tuning: Table) -> None:
                 label="choice",
             )
         )
-        shown_only = {name for name in names if not any(p["counts"] for p in points if p["point"]["function"] == name)}
+        shown_only = {
+            name
+            for name in names
+            if not any(p["counts"] for p in points if p["point"]["function"] == name)
+        }
         handles += [
             Line2D(
                 [],
@@ -308,7 +410,8 @@ def damping_over_gain(path: Path, rig: Rig, tuning: Table) -> None:
 
 
 def loci(path: Path, rig: Rig, mine: Sequence[Table], by_name: dict[str, Table]) -> None:
-    """A root locus a payload, upper half plane, on a grid of damping ratios: choice and stability limit marked.
+    """A root locus a payload, upper half plane, on a grid of damping ratios: choice and stability
+    limit marked.
 
     Where the stability limit lies far out, what swings is shown a second time, near the origin.
     """
@@ -316,7 +419,10 @@ def loci(path: Path, rig: Rig, mine: Sequence[Table], by_name: dict[str, Table])
 
     whole = tuple(pick(one["frame"][i] for one in mine) for i, pick in enumerate((min, max, max)))
     reach = max(_swing(one) for one in mine)
-    frames = [whole, *([(-1.6 * reach, 0.4 * reach, 1.4 * reach)] if whole[2] > _FAR * 1.4 * reach else [])]
+    frames = [
+        whole,
+        *([(-1.6 * reach, 0.4 * reach, 1.4 * reach)] if whole[2] > _FAR * 1.4 * reach else []),
+    ]
     panels = [(one, frame) for frame in frames for one in mine]
     columns = min(2, len(mine))
     rows = -(-len(panels) // columns)
@@ -336,20 +442,32 @@ def loci(path: Path, rig: Rig, mine: Sequence[Table], by_name: dict[str, Table])
             Line2D([], [], color=_BEYOND, linewidth=1.3, label="beyond"),
             Line2D([], [], marker="x", linestyle="", color=INK, label=f"{symbol} = 0"),
             Line2D([], [], marker="o", linestyle="", color=SIMULATED, label="chosen"),
-        ]  # fmt: skip
+        ]
         if any(one.get("crossing") is not None for one in mine):
             handles.append(
-                Line2D([], [], marker="D", linestyle="", markerfacecolor="white", color=ACCENT, label="stability limit")
+                Line2D(
+                    [],
+                    [],
+                    marker="D",
+                    linestyle="",
+                    markerfacecolor="white",
+                    color=ACCENT,
+                    label="stability limit",
+                )
             )
         legend(figure, handles)
 
 
 def _swing(one: Table) -> float:
-    """Size [rad/s] of the least damped pair of poles at the start of a locus, or of the slowest pole where none swings."""
+    """Size [rad/s] of the least damped pair of poles at the start of a locus, or of the slowest
+    pole where none swings.
+    """
     start = np.array(one["real"][0], float) + 1j * np.array(one["imag"][0], float)
     start = start[np.abs(start) > 0.0]
     pairs = start[start.imag > _ON_AXIS * np.abs(start)]
-    return float(np.abs(pairs[np.argmin(-pairs.real / np.abs(pairs))]) if pairs.size else np.abs(start).min())
+    return float(
+        np.abs(pairs[np.argmin(-pairs.real / np.abs(pairs))]) if pairs.size else np.abs(start).min()
+    )
 
 
 def _locus(ax, one: Table, frame: tuple[float, float, float]) -> None:
@@ -367,9 +485,19 @@ def _locus(ax, one: Table, frame: tuple[float, float, float]) -> None:
         x, y = branch.real.copy(), branch.imag.copy()
         away = (x < 1.3 * left) | (x > 2.0 * right) | (y > 1.3 * top) | (y < 6.0 * bottom)
         x[away] = np.nan
-        for part, colour, width in ((slice(here, None), _BEYOND, 1.3), (slice(None, here + 1), RECORDED, 1.6)):
+        for part, colour, width in (
+            (slice(here, None), _BEYOND, 1.3),
+            (slice(None, here + 1), RECORDED, 1.6),
+        ):
             if np.isfinite(x[part]).sum() > 1:
-                ax.plot(x[part], y[part], color=colour, linewidth=width, zorder=3, solid_capstyle="round")
+                ax.plot(
+                    x[part],
+                    y[part],
+                    color=colour,
+                    linewidth=width,
+                    zorder=3,
+                    solid_capstyle="round",
+                )
     _poles(
         ax,
         zip(poles[0].real, poles[0].imag, strict=True),
@@ -409,11 +537,12 @@ def _locus(ax, one: Table, frame: tuple[float, float, float]) -> None:
 
 
 def refined(values: np.ndarray, poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(values, poles) of a root locus with BETWEEN more points in every interval, each column one branch.
+    """(values, poles) of a root locus with BETWEEN more points in every interval, each column one
+    branch.
 
-    Between saved points the characteristic polynomial, at most of second degree in the parameter, goes through that of three
-    neighbours; branches are told apart by the least way in all from one point to the next.
-    """
+    Between saved points the characteristic polynomial, at most of second degree in the parameter,
+    goes through that of three neighbours; branches are told apart by the least way in all from one
+    point to the next."""
     from scipy.optimize import linear_sum_assignment
 
     scale = float(np.median(np.abs(poles))) or 1.0
@@ -422,7 +551,11 @@ def refined(values: np.ndarray, poles: np.ndarray) -> tuple[np.ndarray, np.ndarr
     for i in range(values.size - 1):
         near = slice(max(min(i, values.size - 3), 0), max(min(i, values.size - 3), 0) + 3)
         for value in np.linspace(values[i], values[i + 1], BETWEEN + 2)[1:]:
-            found = poles[i + 1] if value == values[i + 1] else scale * np.roots(_through(values[near], polynomials[near], value))
+            found = (
+                poles[i + 1]
+                if value == values[i + 1]
+                else scale * np.roots(_through(values[near], polynomials[near], value))
+            )
             _, order = linear_sum_assignment(np.abs(rows[-1][:, None] - found[None, :]))
             fine.append(float(value))
             rows.append(found[order])
@@ -432,11 +565,16 @@ def refined(values: np.ndarray, poles: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def _through(x: np.ndarray, y: np.ndarray, at: float) -> np.ndarray:
     """The polynomial of least degree through points, at a value: Lagrange's form."""
     others = [np.delete(x, j) for j in range(x.size)]
-    return sum(row * np.prod((at - other) / (own - other)) for own, other, row in zip(x, others, y, strict=True))
+    return sum(
+        row * np.prod((at - other) / (own - other))
+        for own, other, row in zip(x, others, y, strict=True)
+    )
 
 
 def _crossing(poles: Sequence[Sequence[float]], top: float) -> list[Sequence[float]]:
-    """Of the poles at the stability limit the pair without damping; slow ones may lie as near to the imaginary axis."""
+    """Of the poles at the stability limit the pair without damping; slow ones may lie as near to
+    the imaginary axis.
+    """
     near = [pole for pole in poles if abs(pole[0]) < _ON_AXIS * top]
     return [pole for pole in near if abs(pole[0]) < _ON_AXIS * abs(pole[1])] or near[-1:]
 
@@ -449,14 +587,26 @@ def _poles(ax, poles, frame: Sequence[float], **look) -> None:
 
 
 def _damping_grid(ax, left: float, top: float) -> None:
-    """Rays of equal damping ratio ζ = cos φ, φ from the negative real axis, each labelled where it leaves the frame."""
+    """Rays of equal damping ratio ζ = cos φ, φ from the negative real axis, each labelled where it
+    leaves the frame.
+    """
     box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
     for ratio in RATIOS:
         slope = math.sqrt(1.0 - ratio**2) / ratio
         x = max(left, -top / slope)
         ax.plot([0.0, x], [0.0, -slope * x], color=_PALE, linewidth=0.7, zorder=1)
         side = "left" if x == left else "center"
-        ax.text(0.98 * x, -0.965 * slope * x, f"{ratio:g}", fontsize=6.5, color=MUTED, ha=side, va="center", bbox=box, zorder=2)
+        ax.text(
+            0.98 * x,
+            -0.965 * slope * x,
+            f"{ratio:g}",
+            fontsize=6.5,
+            color=MUTED,
+            ha=side,
+            va="center",
+            bbox=box,
+            zorder=2,
+        )
 
 
 def step_responses(path: Path, mine: Sequence[Table], by_name: dict[str, Table]) -> None:
@@ -482,19 +632,38 @@ def step_responses(path: Path, mine: Sequence[Table], by_name: dict[str, Table])
 
 
 def draws(path: Path, tuning: Table) -> None:
-    """A histogram of the worst damping ratio of each draw, with the target and the value at the identified parameters."""
+    """A histogram of the worst damping ratio of each draw, with the target and the value at the
+    identified parameters.
+    """
     found = tuning["robustness"]
     values = np.array(found["damping_ratios"], float)
     with canvas(path, size=(7.2, 2.6)) as (_, ax):
         width = max(float(np.ptp(values)), 1e-3)
         ax.hist(
-            values, bins=np.linspace(values.min() - 0.02 * width, values.max() + 0.02 * width, 25), color=RECORDED, alpha=0.75
+            values,
+            bins=np.linspace(values.min() - 0.02 * width, values.max() + 0.02 * width, 25),
+            color=RECORDED,
+            alpha=0.75,
         )
-        marks = sorted([(tuning["target"], "target", ACCENT), (tuning["damping_ratio"], "as identified", SIMULATED)])
-        for (value, text, colour), side in zip(marks, ("right", "left"), strict=True):  # above, and away from one another
+        marks = sorted(
+            [
+                (tuning["target"], "target", ACCENT),
+                (tuning["damping_ratio"], "as identified", SIMULATED),
+            ]
+        )
+        for (value, text, colour), side in zip(
+            marks, ("right", "left"), strict=True
+        ):  # above, and away from one another
             ax.axvline(value, color=colour, linewidth=1.4)
             look = {"color": colour, "fontsize": 8, "ha": side, "va": "bottom"}
-            ax.annotate(text, (value, 1.0), (-3 if side == "right" else 3, 1), ("data", "axes fraction"), "offset points", **look)
+            ax.annotate(
+                text,
+                (value, 1.0),
+                (-3 if side == "right" else 3, 1),
+                ("data", "axes fraction"),
+                "offset points",
+                **look,
+            )
         ax.set_xlabel("worst damping ratio over the operating points")
         ax.set_ylabel("draws")
         ax.margins(x=0.06)

@@ -15,9 +15,13 @@ _SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
 
 def row_of(name: str) -> Quantity:
-    """The vocabulary row of a channel or parameter; an unknown word stands for itself, without unit."""
+    """The vocabulary row of a channel or parameter; an unknown word stands for itself, without
+    unit.
+    """
     word = name.rsplit(".", 1)[-1]
-    return VOCABULARY.get(word) or Quantity(word, word, "dimensionless", "dimensionless", word.replace("_", " "))
+    return VOCABULARY.get(word) or Quantity(
+        word, word, "dimensionless", "dimensionless", word.replace("_", " ")
+    )
 
 
 def unit_of(rig: Rig, name: str) -> str:
@@ -36,7 +40,9 @@ def pretty(unit: str) -> str:
         return ""
     unit = re.sub(r"(\w+)(?:\^|\*\*)0\.5", r"√\1", unit)
     unit = re.sub(r"(?:\^|\*\*)(-?\d+)", lambda found: found[1].translate(_SUPERSCRIPT), unit)
-    return re.sub(r"[A-Za-z]+", lambda found: _UNIT_WORDS.get(found[0], found[0]), unit.replace("*", "·"))
+    return re.sub(
+        r"[A-Za-z]+", lambda found: _UNIT_WORDS.get(found[0], found[0]), unit.replace("*", "·")
+    )
 
 
 def axis(rig: Rig, name: str, text: str = "") -> str:
@@ -46,14 +52,20 @@ def axis(rig: Rig, name: str, text: str = "") -> str:
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """A number to so many significant digits, with a true minus and powers of ten outside of 1e-3 … 1e5."""
+    """A number to so many significant digits, with a true minus and powers of ten outside of 1e-3 …
+    1e5.
+    """
     if value is None or not math.isfinite(value):
         return DASH if value is None or math.isnan(value) else ("∞" if value > 0 else "−∞")
     if value == 0.0:
         return "0"
     size = math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
     if -4 < size < 6:
-        text = f"{value:.{max(digits - 1 - size, 0)}f}" if size < digits else f"{float(f'{value:.{digits - 1}e}'):.0f}"
+        text = (
+            f"{value:.{max(digits - 1 - size, 0)}f}"
+            if size < digits
+            else f"{float(f'{value:.{digits - 1}e}'):.0f}"
+        )
         text = text.rstrip("0").rstrip(".") if "." in text else text
         return text.replace("-", "−")
     mantissa, power = f"{value:.{digits - 1}e}".split("e")
@@ -63,7 +75,9 @@ def number(value: float | None, digits: int = 4) -> str:
 
 def fixed(value: float, places: int) -> str:
     """A number to so many decimals (negative: rounded to tens, hundreds…)."""
-    return f"{round(value, places) + 0.0:.{max(places, 0)}f}".replace("-", "−")  # no minus before a nought
+    return f"{round(value, places) + 0.0:.{max(places, 0)}f}".replace(
+        "-", "−"
+    )  # no minus before a nought
 
 
 def places_of(std: float) -> int:
@@ -72,8 +86,15 @@ def places_of(std: float) -> int:
 
 
 def with_error(value: float | None, std: float | None) -> str:
-    """``271.3 ± 2.4``: the error to two significant digits, the value as far as that; without error four digits."""
-    if value is None or std is None or not (math.isfinite(value) and math.isfinite(std)) or std <= 0.0:
+    """``271.3 ± 2.4``: the error to two significant digits, the value as far as that; without error
+    four digits.
+    """
+    if (
+        value is None
+        or std is None
+        or not (math.isfinite(value) and math.isfinite(std))
+        or std <= 0.0
+    ):
         return number(value)
     size = math.floor(math.log10(max(abs(value), std)))
     if not -4 < size < 6:

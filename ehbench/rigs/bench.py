@@ -1,13 +1,15 @@
-"""The virtual bench: a separate, richer plant that plays the machine; only trials and datasets may import it.
+"""The virtual bench: a separate, richer plant that plays the machine; only trials and datasets may
+import it.
 
-It shares the arm, the cylinder's geometry and the friction kernel with the model, and has its own laws for all that a
-model leaves out: air in the oil, leakage, Stribeck friction, valves that are no two alike, hysteresis, a pump that droops,
-and sensors that are late, noisy and coarse. Its parameters are read by nothing but itself.
+It shares the arm, the cylinder's geometry and the friction kernel with the model, and has its own
+laws for all that a model leaves out: air in the oil, leakage, Stribeck friction, valves that are no
+two alike, hysteresis, a pump that droops, and sensors that are late, noisy and coarse. Its
+parameters are read by nothing but itself.
 
-State, one flat array: ``q, qd, [p_head, p_rod] per cylinder, spool per valve, spool rate per valve, p_supply, pump flow``;
-then memory: hysteresis per valve, sensor lags per raw channel, speed filter (3) per cylinder, delay line, its position.
-Raw channels: ``q, x, p_head, p_rod`` of each cylinder, then ``p_supply, p_tank``.
-"""
+State, one flat array: ``q, qd, [p_head, p_rod] per cylinder, spool per valve, spool rate per valve,
+p_supply, pump flow``; then memory: hysteresis per valve, sensor lags per raw channel, speed filter
+(3) per cylinder, delay line, its position. Raw channels: ``q, x, p_head, p_rod`` of each cylinder,
+then ``p_supply, p_tank``."""
 
 from __future__ import annotations
 
@@ -58,7 +60,7 @@ from ehbench.plant import (
     VOLUME_HEAD,
     VOLUME_ROD,
     Layout,
-)  # fmt: skip
+)
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import BenchRecipe
 from ehbench.rig import Edge, Rig, Value, Valve, read_value
@@ -88,7 +90,9 @@ AIR, POLYTROPIC, DROOP, PUMP_LAG, SUPPLY_RELIEF = range(5)
 
 
 class Bench(NamedTuple):
-    """A bench as flat arrays. ``timing``: whole ticks of delay, rest of it as a share of a tick; ``speed`` the speed filter."""
+    """A bench as flat arrays. ``timing``: whole ticks of delay, rest of it as a share of a tick;
+    ``speed`` the speed filter.
+    """
 
     kind: int
     gravity: np.ndarray
@@ -105,16 +109,17 @@ class Bench(NamedTuple):
     speed: np.ndarray
 
 
-# --- laws ---------------------------------------------------------------------------------------------------------
+# --- laws
+# ---------------------------------------------------------------------------------------------------------
 
 
 @kernel
 def bulk(pressure, solid, air, exponent):
-    """Bulk modulus [Pa] of oil with free air: ``1/β = 1/β_solid + α/(n p) (p0/p)^(1/n)``, p absolute.
+    """Bulk modulus [Pa] of oil with free air: ``1/β = 1/β_solid + α/(n p) (p0/p)^(1/n)``, p
+    absolute.
 
-    The air is compressed polytropically from its share α at atmospheric pressure p0, so a chamber gets softer as its
-    pressure falls and cannot be drawn below vacuum.
-    """
+    The air is compressed polytropically from its share α at atmospheric pressure p0, so a chamber
+    gets softer as its pressure falls and cannot be drawn below vacuum."""
     if air == 0.0:
         return solid
     p = max(pressure + ATMOSPHERE, 500.0)
@@ -123,7 +128,9 @@ def bulk(pressure, solid, air, exponent):
 
 @kernel
 def opening_area(wide, softness, saturation):
-    """Opening [V of ideal travel] at ``wide`` [V] beyond the onset: ``w²/(w + softness)``, then levelling off at saturation."""
+    """Opening [V of ideal travel] at ``wide`` [V] beyond the onset: ``w²/(w + softness)``, then
+    levelling off at saturation.
+    """
     if wide <= 0.0:
         return 0.0
     soft = wide * wide / (wide + softness)
@@ -136,10 +143,10 @@ def opening_area(wide, softness, saturation):
 def curve_flow(drop, spool, row, at):
     """Flow [m³/s] at drop ≥ 0 through the curve that begins at ``row[at]``.
 
-    Orifice: ``γ a √Δp``. Behind a pressure compensator, the metering drop p_m that the spool holds obeys
-    ``p_m = setting − κ a √Δp √p_m`` (spring against flow force, which grows with flow and with the drop taken), and cannot
-    exceed what the wide open compensator in series leaves, ``Δp/(1 + (a/a_c)²)``; the two blend by a fourth power.
-    """
+    Orifice: ``γ a √Δp``. Behind a pressure compensator, the metering drop p_m that the spool holds
+    obeys ``p_m = setting − κ a √Δp √p_m`` (spring against flow force, which grows with flow and
+    with the drop taken), and cannot exceed what the wide open compensator in series leaves, ``Δp/(1
+    + (a/a_c)²)``; the two blend by a fourth power."""
     a = opening_area(spool - row[at + ONSET], row[at + SOFTNESS], row[at + SATURATION])
     if a == 0.0:
         return 0.0
@@ -157,7 +164,9 @@ def curve_flow(drop, spool, row, at):
 
 @kernel
 def edge_flow(drop, spool, row):
-    """Flow [m³/s] along an edge at a drop [Pa] of either sign and a spool position [V], null leakage included."""
+    """Flow [m³/s] along an edge at a drop [Pa] of either sign and a spool position [V], null
+    leakage included.
+    """
     reach = row[E_SIGN] * spool
     closed = reach / row[NULL_WIDTH]
     flow = row[NULL] * drop / (1.0 + closed * closed)
@@ -176,11 +185,17 @@ def play(memory, value, width):
 
 @kernel
 def derivatives(y, target, bench, dy, work):
-    """Write ẏ of the bench's continuous states into ``dy``; return the fastest rate [1/s] of the stiff blocks.
+    """Write ẏ of the bench's continuous states into ``dy``; return the fastest rate [1/s] of the
+    stiff blocks.
 
     ``target`` [V] is where each driver wants its spool, shape (valves,).
     """
-    n, nc, nv, ne = bench.links.shape[0], bench.cylinders.shape[0], bench.valves.shape[0], bench.edges.shape[0]
+    n, nc, nv, ne = (
+        bench.links.shape[0],
+        bench.cylinders.shape[0],
+        bench.valves.shape[0],
+        bench.edges.shape[0],
+    )
     at_p = 2 * n
     at_open = at_p + 2 * nc
     at_rate = at_open + nv
@@ -219,17 +234,36 @@ def derivatives(y, target, bench, dy, work):
         row = bench.cylinders[c]
         j = bench.joints[c]
         p_head, p_rod = y[at_p + 2 * c], y[at_p + 2 * c + 1]
-        x, lever, _ = linkage(int(row[GEOMETRY]), row[L_A], row[L_B], row[SIDE], row[PHASE], row[RETRACTED], y[j])
+        x, lever, _ = linkage(
+            int(row[GEOMETRY]), row[L_A], row[L_B], row[SIDE], row[PHASE], row[RETRACTED], y[j]
+        )
         v = lever * y[n + j]
         volume_head = chamber_volume(row[VOLUME_HEAD], row[AREA_HEAD] * x)
         volume_rod = chamber_volume(row[VOLUME_ROD], -row[AREA_ROD] * x)
-        bulk_head, bulk_rod = bulk(p_head, row[BULK], air, exponent), bulk(p_rod, row[BULK], air, exponent)
+        bulk_head, bulk_rod = (
+            bulk(p_head, row[BULK], air, exponent),
+            bulk(p_rod, row[BULK], air, exponent),
+        )
         head_in = work[net_at + 2 + 2 * c] - relief_flow(p_head, row[RELIEF], RELIEF_GAIN)
         rod_out = -work[net_at + 3 + 2 * c] + relief_flow(p_rod, row[RELIEF], RELIEF_GAIN)
         dy[at_p + 2 * c], dy[at_p + 2 * c + 1] = chamber_rates(
-            v, head_in, rod_out, p_head, p_rod, p_tank, bulk_head, bulk_rod, volume_head, volume_rod, row[AREA_HEAD],
-            row[AREA_ROD], row[LEAK_INTERNAL], row[LEAK_HEAD], row[LEAK_ROD], row[FLOOR],
-        )  # fmt: skip
+            v,
+            head_in,
+            rod_out,
+            p_head,
+            p_rod,
+            p_tank,
+            bulk_head,
+            bulk_rod,
+            volume_head,
+            volume_rod,
+            row[AREA_HEAD],
+            row[AREA_ROD],
+            row[LEAK_INTERNAL],
+            row[LEAK_HEAD],
+            row[LEAK_ROD],
+            row[FLOOR],
+        )
         fastest = max(fastest, bulk_head / volume_head * work[slope_at + 2 + 2 * c])
         fastest = max(fastest, bulk_rod / volume_rod * work[slope_at + 3 + 2 * c])
         force = p_head * row[AREA_HEAD] - p_rod * row[AREA_ROD]
@@ -240,7 +274,16 @@ def derivatives(y, target, bench, dy, work):
             force += end_stop(x, v, row[STROKE], row[STOP], STOP_DISSIPATION)
             fastest = max(fastest, 2.0 * math.sqrt(row[MOBILITY] * row[STOP]))
         work[torque_at + j] = lever * force
-    forward(bench.kind, bench.links, bench.gravity, y[:n], y[n : 2 * n], work[torque_at : torque_at + n], dy[n : 2 * n], work)
+    forward(
+        bench.kind,
+        bench.links,
+        bench.gravity,
+        y[:n],
+        y[n : 2 * n],
+        work[torque_at : torque_at + n],
+        dy[n : 2 * n],
+        work,
+    )
 
     p, demand = y[at_supply], -work[net_at]
     stiffness = bench.supply[SUPPLY_BULK] / bench.supply[VOLUME]
@@ -249,10 +292,14 @@ def derivatives(y, target, bench, dy, work):
         dy[at_supply + 1] = 0.0
         return fastest
     stroke = min(max((bench.supply[P_SET] - p) / bench.extra[DROOP], 0.0), 1.0)
-    dy[at_supply + 1] = (bench.supply[FLOW_LIMIT] * stroke - y[at_supply + 1]) / bench.extra[PUMP_LAG]
+    dy[at_supply + 1] = (bench.supply[FLOW_LIMIT] * stroke - y[at_supply + 1]) / bench.extra[
+        PUMP_LAG
+    ]
     spilt = relief_flow(p, bench.extra[SUPPLY_RELIEF], RELIEF_GAIN)
     dy[at_supply] = stiffness * (y[at_supply + 1] - demand - spilt)
-    pumping = math.sqrt(stiffness * bench.supply[FLOW_LIMIT] / (bench.extra[DROOP] * bench.extra[PUMP_LAG]))
+    pumping = math.sqrt(
+        stiffness * bench.supply[FLOW_LIMIT] / (bench.extra[DROOP] * bench.extra[PUMP_LAG])
+    )
     return max(fastest, stiffness * work[slope_at], pumping)
 
 
@@ -275,7 +322,9 @@ def _raw(y, bench, raw):
     for c in range(nc):
         row = bench.cylinders[c]
         q = y[bench.joints[c]]
-        x, _, _ = linkage(int(row[GEOMETRY]), row[L_A], row[L_B], row[SIDE], row[PHASE], row[RETRACTED], q)
+        x, _, _ = linkage(
+            int(row[GEOMETRY]), row[L_A], row[L_B], row[SIDE], row[PHASE], row[RETRACTED], q
+        )
         raw[4 * c] = q
         raw[4 * c + 1] = x
         raw[4 * c + 2] = y[2 * n + 2 * c]
@@ -286,10 +335,11 @@ def _raw(y, bench, raw):
 
 @kernel
 def _follow(a, b, before, z, speed):
-    """One tick of the filter ``s ω²/(s² + 2 ζ ω s + ω²)``, exact for an input that runs straight from ``before`` to ``z``.
+    """One tick of the filter ``s ω²/(s² + 2 ζ ω s + ω²)``, exact for an input that runs straight
+    from ``before`` to ``z``.
 
-    ``a`` and ``b`` are the smoothed input and its slope, ``speed`` what `_speed_filter` gives; returns the new (a, b).
-    """
+    ``a`` and ``b`` are the smoothed input and its slope, ``speed`` what `_speed_filter` gives;
+    returns the new (a, b)."""
     slope = (z - before) / speed[4]
     behind = speed[5] * slope  # how far the filter trails a steady ramp
     e, f = a - before + behind, b - slope
@@ -298,7 +348,9 @@ def _follow(a, b, before, z, speed):
 
 @kernel
 def _measure(state, bench, memory, noise_row, sample):
-    """Noise, offset and quantization of the lagged channels, then the delay line, then speed from position."""
+    """Noise, offset and quantization of the lagged channels, then the delay line, then speed from
+    position.
+    """
     nc = bench.cylinders.shape[0]
     channels = 4 * nc + 2
     lags = memory + bench.valves.shape[0]
@@ -309,7 +361,9 @@ def _measure(state, bench, memory, noise_row, sample):
     for i in range(channels):
         value = state[lags + i] + bench.sensors[i, ZERO] + bench.sensors[i, NOISE] * noise_row[i]
         if bench.sensors[i, RESOLUTION] > 0.0:
-            value = bench.sensors[i, RESOLUTION] * math.floor(value / bench.sensors[i, RESOLUTION] + 0.5)
+            value = bench.sensors[i, RESOLUTION] * math.floor(
+                value / bench.sensors[i, RESOLUTION] + 0.5
+            )
         state[ring + place * channels + i] = value
     late = (place - int(bench.timing[0]) + depth) % depth
     later = (late - 1 + depth) % depth
@@ -319,22 +373,35 @@ def _measure(state, bench, memory, noise_row, sample):
         row = bench.cylinders[c]
         for i in range(4):
             at = 4 * c + i
-            value = (1.0 - share) * state[ring + late * channels + at] + share * state[ring + later * channels + at]
+            value = (1.0 - share) * state[ring + late * channels + at] + share * state[
+                ring + later * channels + at
+            ]
             sample[6 * c + (0, 2, 4, 5)[i]] = value
         z, at = sample[6 * c + 2], filters + 3 * c
         state[at], state[at + 1] = _follow(state[at], state[at + 1], state[at + 2], z, bench.speed)
         state[at + 2] = z
         sample[6 * c + 3] = state[at + 1]
-        _, lever, _ = linkage(int(row[GEOMETRY]), row[L_A], row[L_B], row[SIDE], row[PHASE], row[RETRACTED], sample[6 * c])
+        _, lever, _ = linkage(
+            int(row[GEOMETRY]),
+            row[L_A],
+            row[L_B],
+            row[SIDE],
+            row[PHASE],
+            row[RETRACTED],
+            sample[6 * c],
+        )
         sample[6 * c + 1] = state[at + 1] / lever if abs(lever) > 1.0e-3 else 0.0
     for i in range(2):
         at = 4 * nc + i
-        sample[6 * nc + i] = (1.0 - share) * state[ring + late * channels + at] + share * state[ring + later * channels + at]
+        sample[6 * nc + i] = (1.0 - share) * state[ring + late * channels + at] + share * state[
+            ring + later * channels + at
+        ]
 
 
 @kernel
 def bench_tick(state, command, bench, tick, steps, scratch, work, noise_row, sample):
-    """Let ``command`` act for one tick, in place, then write what the machine measures into ``sample``.
+    """Let ``command`` act for one tick, in place, then write what the machine measures into
+    ``sample``.
 
     Args:
         state: the whole state of the bench, memory included.
@@ -374,7 +441,11 @@ def bench_tick(state, command, bench, tick, steps, scratch, work, noise_row, sam
                 scratch[4, i] = y[i] + d * scratch[2, i]
             derivatives(scratch[4, :size], target, bench, scratch[3], work)
             for i in range(size):
-                y[i] += d / 6.0 * (scratch[0, i] + 2.0 * (scratch[1, i] + scratch[2, i]) + scratch[3, i])
+                y[i] += (
+                    d
+                    / 6.0
+                    * (scratch[0, i] + 2.0 * (scratch[1, i] + scratch[2, i]) + scratch[3, i])
+                )
         _raw(y, bench, raw)
         for i in range(channels):
             lag = bench.sensors[i, LAG]
@@ -383,7 +454,8 @@ def bench_tick(state, command, bench, tick, steps, scratch, work, noise_row, sam
     _measure(state, bench, size, noise_row, sample)
 
 
-# --- putting a bench together ---------------------------------------------------------------------------------------
+# --- putting a bench together
+# ---------------------------------------------------------------------------------------
 
 
 def _scalar(value) -> float | None:
@@ -415,7 +487,9 @@ def _draws(seed: int, name: str) -> np.random.Generator:
 
 
 def _truth(recipe: BenchRecipe, rig: Rig) -> Rig:
-    """The rig as the bench has it: overridden parameters, and an analytic law where the rig file waits for a flow map."""
+    """The rig as the bench has it: overridden parameters, and an analytic law where the rig file
+    waits for a flow map.
+    """
     values = {}
     for name, text in recipe.truth.items():
         try:
@@ -423,7 +497,9 @@ def _truth(recipe: BenchRecipe, rig: Rig) -> Rig:
         except KeyError:
             values[name] = 0.0  # `with_values` says that there is no such parameter
         except InputError as error:
-            raise InputError(f"truth.{name}: {error.message}", **recipe.at("truth", name), hint=error.hint) from None
+            raise InputError(
+                f"truth.{name}: {error.message}", **recipe.at("truth", name), hint=error.hint
+            ) from None
     try:
         rig = rig.with_values(values)
     except InputError as error:
@@ -432,17 +508,30 @@ def _truth(recipe: BenchRecipe, rig: Rig) -> Rig:
     def edge(edge: Edge, valve: Valve) -> Edge:
         if edge.law != "map":
             return edge
-        nominal = float(rig.supply.flow_limit) / max(abs(float(valve.command_max)), abs(float(valve.command_min)))
+        nominal = float(rig.supply.flow_limit) / max(
+            abs(float(valve.command_max)), abs(float(valve.command_min))
+        )
         gain = edge.compensated_gain or edge.flow_gain
-        law = "orifice" if edge.compensated_gain is None and edge.flow_gain is not None else "compensated"
-        update = {"law": law} if gain is not None else {"law": law, "compensated_gain": Value(nominal)}
+        law = (
+            "orifice"
+            if edge.compensated_gain is None and edge.flow_gain is not None
+            else "compensated"
+        )
+        update = (
+            {"law": law} if gain is not None else {"law": law, "compensated_gain": Value(nominal)}
+        )
         return edge.model_copy(update=update)
 
     return rig.model_copy(
         update={
             "cylinder": tuple(
                 c.model_copy(
-                    update={"valve": tuple(v.model_copy(update={"edge": tuple(edge(e, v) for e in v.edge)}) for v in c.valve)}
+                    update={
+                        "valve": tuple(
+                            v.model_copy(update={"edge": tuple(edge(e, v) for e in v.edge)})
+                            for v in c.valve
+                        )
+                    }
                 )
                 for c in rig.cylinder
             )
@@ -452,26 +541,42 @@ def _truth(recipe: BenchRecipe, rig: Rig) -> Rig:
 
 def _check_names(recipe: BenchRecipe, names: Layout) -> None:
     for table, allowed in (
-        ("cylinder", names.cylinders), ("valve", names.valves), ("edge", names.edges), ("sensors", (*names.cylinders, "supply")),
-    ):  # fmt: skip
+        ("cylinder", names.cylinders),
+        ("valve", names.valves),
+        ("edge", names.edges),
+        ("sensors", (*names.cylinders, "supply")),
+    ):
         for name in getattr(recipe, table):
             if name != "all" and name not in allowed:
                 there = "there are all, " + ", ".join(allowed)
-                raise InputError(f"{table}.{name}: the rig has no such {table}", **recipe.at(table, name), hint=there)
+                raise InputError(
+                    f"{table}.{name}: the rig has no such {table}",
+                    **recipe.at(table, name),
+                    hint=there,
+                )
 
 
 def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) -> np.ndarray:
-    """One direction of an edge. All draws are made whatever is given, so that giving one value leaves the others."""
+    """One direction of an edge. All draws are made whatever is given, so that giving one value
+    leaves the others.
+    """
     full = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
     compensated = edge.law == "compensated"
-    low, high = np.array([0.85, 0.03, 0.9, 0.97, 1.4, 1.2, 0.10]), np.array([1.1, 0.06, 1.4, 1.03, 2.0, 1.8, 0.18])
+    low, high = (
+        np.array([0.85, 0.03, 0.9, 0.97, 1.4, 1.2, 0.10]),
+        np.array([1.1, 0.06, 1.4, 1.03, 2.0, 1.8, 0.18]),
+    )
     onset, soft, sat, factor, setting, wide, force = rng.uniform(low, high)
     row = np.zeros(CURVE_FLOATS)
     dead = float(edge.deadband)
     row[ONSET] = given("onset", onset * dead if dead > 0 else 0.1 * soft * full)
     row[SOFTNESS] = given("softness", soft * full if compensated else 0.3 * soft * full)
-    row[SATURATION] = given("saturation", sat * full if compensated else 1.6 * sat * full) or math.inf
-    gain = float(edge.compensated_gain if compensated else edge.flow_gain) * given("gain_factor", factor)
+    row[SATURATION] = (
+        given("saturation", sat * full if compensated else 1.6 * sat * full) or math.inf
+    )
+    gain = float(edge.compensated_gain if compensated else edge.flow_gain) * given(
+        "gain_factor", factor
+    )
     row[E_GAIN] = gain
     if compensated:
         row[SETTING] = given("compensation_drop", setting * float(edge.compensation_drop))
@@ -481,12 +586,17 @@ def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) ->
     return row
 
 
-def _edge_row(given: _Given, name: str, edge: Edge, valve: Valve, seed: int, p_supply: float) -> np.ndarray:
+def _edge_row(
+    given: _Given, name: str, edge: Edge, valve: Valve, seed: int, p_supply: float
+) -> np.ndarray:
     full = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
     rng = _draws(seed, name)
     row = np.zeros(CURVE + 2 * CURVE_FLOATS)
     row[E_SIGN], row[E_BLOCKED], row[NULL_WIDTH] = edge.sign, edge.reverse == "blocked", 0.05 * full
-    forward_curve, reverse_curve = _curve(given, edge, valve, rng), _curve(given.reverse(), edge, valve, rng)
+    forward_curve, reverse_curve = (
+        _curve(given, edge, valve, rng),
+        _curve(given.reverse(), edge, valve, rng),
+    )
     row[CURVE : CURVE + CURVE_FLOATS], row[CURVE + CURVE_FLOATS :] = forward_curve, reverse_curve
     rated = forward_curve[E_GAIN] * full * math.sqrt(forward_curve[SETTING] or p_supply)
     spool = len(valve.edge) > 1
@@ -495,21 +605,29 @@ def _edge_row(given: _Given, name: str, edge: Edge, valve: Valve, seed: int, p_s
 
 
 def _tune(valve: Valve, row: np.ndarray, drop: float, width: float) -> tuple[float, float]:
-    """(gain, offset) of a driver turned until the rig file's calibration holds, the command coming up from rest.
+    """(gain, offset) of a driver turned until the rig file's calibration holds, the command coming
+    up from rest.
 
     With one calibration point only the offset is turned; with more the first and the last hold.
     """
     points = sorted(
-        (float(read_value(u, VOCABULARY["command"])), float(read_value(q, VOCABULARY["flow"]))) for u, q in valve.calibration
+        (float(read_value(u, VOCABULARY["command"])), float(read_value(q, VOCABULARY["flow"])))
+        for u, q in valve.calibration
     )
 
     def spool(flow: float) -> float:
         low, high = 0.0, 4.0 * float(valve.command_max)
         if edge_flow(drop, row[E_SIGN] * high, row) < flow:
-            raise InputError(f"valve '{valve.name}' of the bench never passes its calibration flow {flow:g} m^3/s")
+            raise InputError(
+                f"valve '{valve.name}' of the bench never passes its calibration flow {flow:g} m^3/s"
+            )
         for _ in range(200):
             middle = 0.5 * (low + high)
-            low, high = (low, middle) if edge_flow(drop, row[E_SIGN] * middle, row) > flow else (middle, high)
+            low, high = (
+                (low, middle)
+                if edge_flow(drop, row[E_SIGN] * middle, row) > flow
+                else (middle, high)
+            )
         return row[E_SIGN] * 0.5 * (low + high)
 
     ends = [(command - 0.5 * width, spool(flow)) for command, flow in (points[0], points[-1])]
@@ -521,8 +639,9 @@ def _tune(valve: Valve, row: np.ndarray, drop: float, width: float) -> tuple[flo
 class BenchRig:
     """The virtual bench behind the protocol of a real machine.
 
-    ``channels`` names the sample's entries, ``rate`` [Hz] the ticks a second. ``start`` puts it at rest in a posture and gives
-    the first sample; ``tick`` lets a command [V] act for one tick and gives the next.
+    ``channels`` names the sample's entries, ``rate`` [Hz] the ticks a second. ``start`` puts it at
+    rest in a posture and gives the first sample; ``tick`` lets a command [V] act for one tick and
+    gives the next.
 
     Args:
         rig: the machine as its rig file has it.
@@ -569,17 +688,24 @@ class BenchRig:
         return self._noise.standard_normal((ticks, self.raw))
 
     def start(
-        self, posture: Mapping[str, str | float] | None = None, payload: str | None = None, low_side: float | None = None
+        self,
+        posture: Mapping[str, str | float] | None = None,
+        payload: str | None = None,
+        low_side: float | None = None,
     ) -> np.ndarray:
-        """Come to rest in a posture (as `Model.posture` reads it), valves at rest; returns the sample at t = 0.
+        """Come to rest in a posture (as `Model.posture` reads it), valves at rest; returns the
+        sample at t = 0.
 
         The unloaded chambers begin to settle at ``low_side`` [Pa], as in `Model.trim`.
 
         Raises:
-            InputError: a posture outside the stroke, or another payload than the bench was made with.
+            InputError: a posture outside the stroke, or another payload than the bench was made
+                with.
         """
         if payload is not None and payload != self.payload:
-            raise InputError(f"this bench carries payload '{self.payload or 'none'}', not '{payload}'")
+            raise InputError(
+                f"this bench carries payload '{self.payload or 'none'}', not '{payload}'"
+            )
         bench, size, nv = self.bench, self.size, len(self.layout.valves)
         y = self.model.trim(self.model.posture(posture), low_side)
         rest = self.model.rest_commands(1)[0]
@@ -588,14 +714,26 @@ class BenchRig:
         state[: size - 1] = y
         state[size : size + nv] = rest
         spools = self.layout.state("opening", 0) if nv else 0
-        state[spools : spools + nv] = bench.valves[:, DRIVER_GAIN] * rest + bench.valves[:, DRIVER_OFFSET]
+        state[spools : spools + nv] = (
+            bench.valves[:, DRIVER_GAIN] * rest + bench.valves[:, DRIVER_OFFSET]
+        )
         _raw(state[:size], bench, state[size + nv : size + nv + self.raw])
         filters = size + nv + self.raw
         for c in range(len(self.layout.cylinders)):
             state[[filters + 3 * c, filters + 3 * c + 2]] = state[size + nv + 4 * c + 1]
         sample = np.zeros(len(self.channels))
         for noise_row in self.noise(max(round(SETTLE * self.rate), int(bench.timing[0]) + 3)):
-            bench_tick(state, rest, bench, 1.0 / self.rate, self.steps, self._scratch, self._work, noise_row, sample)
+            bench_tick(
+                state,
+                rest,
+                bench,
+                1.0 / self.rate,
+                self.steps,
+                self._scratch,
+                self._work,
+                noise_row,
+                sample,
+            )
         self._must_be_finite()
         return sample
 
@@ -607,29 +745,45 @@ class BenchRig:
         """
         sample = np.zeros(len(self.channels))
         bench_tick(
-            self.state, np.asarray(command, dtype=float), self.bench, 1.0 / self.rate, self.steps, self._scratch, self._work,
-            self.noise(1)[0], sample,
-        )  # fmt: skip
+            self.state,
+            np.asarray(command, dtype=float),
+            self.bench,
+            1.0 / self.rate,
+            self.steps,
+            self._scratch,
+            self._work,
+            self.noise(1)[0],
+            sample,
+        )
         self._must_be_finite()
         return sample
 
     def _must_be_finite(self) -> None:
         if not np.isfinite(self.state).all():
-            raise SimulationError("the virtual bench left finite numbers", hint="take a smaller step")
+            raise SimulationError(
+                "the virtual bench left finite numbers", hint="take a smaller step"
+            )
 
     def static_flow(self, edge: str, command: np.ndarray, drop: np.ndarray) -> np.ndarray:
-        """Flow [m³/s] that an edge passes at rest at commands [V], each approached from the valve's rest, and drops [Pa].
+        """Flow [m³/s] that an edge passes at rest at commands [V], each approached from the valve's
+        rest, and drops [Pa].
 
         Raises:
             InputError: no such edge.
         """
         if edge not in self.layout.edges:
-            raise InputError(f"the bench has no edge '{edge}'", hint="it has " + ", ".join(self.layout.edges))
+            raise InputError(
+                f"the bench has no edge '{edge}'", hint="it has " + ", ".join(self.layout.edges)
+            )
         index = self.layout.edges.index(edge)
         valve = int(self.bench.wiring[index, 2])
-        _, _, gain, offset, width = self.bench.valves[valve, [LOWEST, HIGHEST, DRIVER_GAIN, DRIVER_OFFSET, HYSTERESIS]]
+        _, _, gain, offset, width = self.bench.valves[
+            valve, [LOWEST, HIGHEST, DRIVER_GAIN, DRIVER_OFFSET, HYSTERESIS]
+        ]
         rest = self.model.rest_commands(1)[0, valve]
-        command, drop = np.broadcast_arrays(np.asarray(command, dtype=float), np.asarray(drop, dtype=float))
+        command, drop = np.broadcast_arrays(
+            np.asarray(command, dtype=float), np.asarray(drop, dtype=float)
+        )
         flows = [
             edge_flow(dp, gain * play(rest, u, width) + offset, self.bench.edges[index])
             for u, dp in zip(command.ravel(), drop.ravel(), strict=True)
@@ -648,17 +802,30 @@ def _build(recipe: BenchRecipe, model: Model, tick: float) -> Bench:
         given = _Given(recipe.cylinder, name)
         force = p_supply * row[AREA_HEAD]
         rng = _draws(seed, name)
-        coulomb, static, viscous, speed = rng.uniform([0.004, 1.4, 0.015, 0.006], [0.007, 1.8, 0.03, 0.012])
+        coulomb, static, viscous, speed = rng.uniform(
+            [0.004, 1.4, 0.015, 0.006], [0.007, 1.8, 0.03, 0.012]
+        )
         row[COULOMB] = given("friction_coulomb", float(item.friction_coulomb) or coulomb * force)
         row[STATIC] = given("friction_static", static * row[COULOMB])
         row[VISCOUS] = given("friction_viscous", float(item.friction_viscous) or viscous * force)
         row[STRIBECK_SPEED] = given("stribeck_speed", speed)
         if row[STATIC] < row[COULOMB]:
             where = recipe.at("cylinder", name)
-            raise InputError(f"cylinder.{name}: friction_static must not lie below friction_coulomb", **where)
-        for key, column in (("leakage_internal", LEAK_INTERNAL), ("leakage_head", LEAK_HEAD), ("leakage_rod", LEAK_ROD)):
+            raise InputError(
+                f"cylinder.{name}: friction_static must not lie below friction_coulomb", **where
+            )
+        for key, column in (
+            ("leakage_internal", LEAK_INTERNAL),
+            ("leakage_head", LEAK_HEAD),
+            ("leakage_rod", LEAK_ROD),
+        ):
             if f"{name}.{key}" not in recipe.truth and row[column] == 0.0:
-                row[column] = rng.uniform(0.5, 1.5) * (1e-4 if column == LEAK_INTERNAL else 1e-5) * row[AREA_HEAD] / p_supply
+                row[column] = (
+                    rng.uniform(0.5, 1.5)
+                    * (1e-4 if column == LEAK_INTERNAL else 1e-5)
+                    * row[AREA_HEAD]
+                    / p_supply
+                )
         if air > 0.0:
             row[FLOOR] = -math.inf  # the air itself keeps a chamber above vacuum
 
@@ -668,28 +835,46 @@ def _build(recipe: BenchRecipe, model: Model, tick: float) -> Bench:
     edges = np.array(edges)
 
     valves = np.hstack([plant.valves, np.zeros((len(names.valves), 3))])
-    for index, (name, (_, valve), row) in enumerate(zip(names.valves, rig.valves(), valves, strict=True)):
+    for index, (name, (_, valve), row) in enumerate(
+        zip(names.valves, rig.valves(), valves, strict=True)
+    ):
         given, rng = _Given(recipe.valve, name), _draws(seed, name)
         full = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
-        width, gain, offset, faster, damper = rng.uniform([0.002, 0.97, -0.003, 0.93, 0.9], [0.006, 1.03, 0.003, 1.07, 1.1])
+        width, gain, offset, faster, damper = rng.uniform(
+            [0.002, 0.97, -0.003, 0.93, 0.9], [0.006, 1.03, 0.003, 1.07, 1.1]
+        )
         row[HYSTERESIS] = given("hysteresis", width * full)
         if valve.calibration:
-            tuned = _tune(valve, edges[np.flatnonzero(wiring[:, 2] == index)[0]], float(recipe.calibration_drop), row[HYSTERESIS])
+            tuned = _tune(
+                valve,
+                edges[np.flatnonzero(wiring[:, 2] == index)[0]],
+                float(recipe.calibration_drop),
+                row[HYSTERESIS],
+            )
             gain, offset = tuned[0], tuned[1] / full
-        row[DRIVER_GAIN], row[DRIVER_OFFSET] = given("driver_gain", gain), given("driver_offset", offset * full)
+        row[DRIVER_GAIN], row[DRIVER_OFFSET] = (
+            given("driver_gain", gain),
+            given("driver_offset", offset * full),
+        )
         if valve.dynamics is not None:
             omega, zeta = rig.dynamics[valve.dynamics].frequency_and_damping()
-            omega, zeta = given("natural_frequency", faster * omega), given("damping_ratio", damper * zeta)
+            omega, zeta = (
+                given("natural_frequency", faster * omega),
+                given("damping_ratio", damper * zeta),
+            )
             row[[STIFFNESS, DAMPING]] = omega**2, 2 * zeta * omega
 
     droop = _scalar(recipe.droop)
     relief = _scalar(recipe.supply_relief)
     extra = np.array(
         [
-            air, float(recipe.polytropic_exponent), 0.03 * p_supply if droop is None else droop, float(recipe.pump_lag),
+            air,
+            float(recipe.polytropic_exponent),
+            0.03 * p_supply if droop is None else droop,
+            float(recipe.pump_lag),
             1.15 * p_supply if relief is None else relief,
         ]
-    )  # fmt: skip
+    )
     if extra[PUMP_LAG] > 0.0 and extra[DROOP] == 0.0:
         hint = "give droop, or pump_lag = '0 s' for an ideal one"
         raise InputError("a pump with a lag needs a droop", **recipe.at("droop"), hint=hint)
@@ -697,10 +882,22 @@ def _build(recipe: BenchRecipe, model: Model, tick: float) -> Bench:
     ticks = float(recipe.delay) / tick
     timing = np.array([math.floor(ticks), ticks - math.floor(ticks)])
     return Bench(
-        plant.kind, plant.gravity, plant.links, plant.joints, np.ascontiguousarray(cylinders), np.ascontiguousarray(valves),
-        np.ascontiguousarray(edges), np.ascontiguousarray(wiring), plant.supply, extra, _sensors(recipe, model, p_supply), timing,
-        _speed_filter(2 * math.pi * float(recipe.velocity_cutoff), float(recipe.velocity_damping), tick),
-    )  # fmt: skip
+        plant.kind,
+        plant.gravity,
+        plant.links,
+        plant.joints,
+        np.ascontiguousarray(cylinders),
+        np.ascontiguousarray(valves),
+        np.ascontiguousarray(edges),
+        np.ascontiguousarray(wiring),
+        plant.supply,
+        extra,
+        _sensors(recipe, model, p_supply),
+        timing,
+        _speed_filter(
+            2 * math.pi * float(recipe.velocity_cutoff), float(recipe.velocity_damping), tick
+        ),
+    )
 
 
 def _sensors(recipe: BenchRecipe, model: Model, p_supply: float) -> np.ndarray:
@@ -715,7 +912,11 @@ def _sensors(recipe: BenchRecipe, model: Model, p_supply: float) -> np.ndarray:
         turn = 2 * math.pi / counts if counts else 0.0
         angle = position if slide else [0.0, 0.1 * turn, turn, 0.0]
         resolution = given("pressure_resolution", p_supply / 2048)
-        pressure = [given("pressure_lag", 5.3e-5), given("pressure_noise", 5e-4 * p_supply), resolution]
+        pressure = [
+            given("pressure_lag", 5.3e-5),
+            given("pressure_noise", 5e-4 * p_supply),
+            resolution,
+        ]
         spread = given("pressure_offset", 1e-3 * p_supply)
         zeros = np.clip(rng.standard_normal(2), -2, 2) * spread
         both = [[*pressure, zero] for zero in zeros]
@@ -724,11 +925,18 @@ def _sensors(recipe: BenchRecipe, model: Model, p_supply: float) -> np.ndarray:
 
 
 def _speed_filter(omega: float, zeta: float, tick: float) -> np.ndarray:
-    """Numbers of `_follow`: the 2 × 2 transition over a tick, row by row, the tick [s], and the lag 2 ζ/ω [s] on a ramp."""
+    """Numbers of `_follow`: the 2 × 2 transition over a tick, row by row, the tick [s], and the lag
+    2 ζ/ω [s] on a ramp.
+    """
     root = complex(zeta * zeta - 1.0) ** 0.5
     if abs(root) < 1e-6:
         root = complex(1e-6)
     first, second = omega * (-zeta + root), omega * (-zeta - root)
     grow, fall = np.exp(first * tick), np.exp(second * tick)
-    rows = [first * fall - second * grow, grow - fall, first * second * (fall - grow), first * grow - second * fall]
+    rows = [
+        first * fall - second * grow,
+        grow - fall,
+        first * second * (fall - grow),
+        first * grow - second * fall,
+    ]
     return np.array([*np.real(np.array(rows) / (first - second)), tick, 2 * zeta / omega])

@@ -1,4 +1,6 @@
-"""Trials: open-loop commands or a controller, on the model or on the virtual bench, stopped safely when a limit is reached."""
+"""Trials: open-loop commands or a controller, on the model or on the virtual bench, stopped safely
+when a limit is reached.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +10,17 @@ from ehbench.trial.controllers import code_file, gains_file, refuse_code
 from ehbench.trial.run import RUN_OUT, Facts, Stop, run_trial
 
 __all__ = [
-    "RUN_OUT", "Case", "Facts", "Stop", "code_file", "command_table", "file_names", "gains_file", "refuse_code", "run_cases", "run_trial",
-    "table_csv", "table_rows",
-]  # fmt: skip
+    "RUN_OUT",
+    "Case",
+    "Facts",
+    "Stop",
+    "code_file",
+    "command_table",
+    "file_names",
+    "gains_file",
+    "refuse_code",
+    "run_cases",
+    "run_trial",
+    "table_csv",
+    "table_rows",
+]

@@ -39,9 +39,14 @@ class Case:
 
 
 def run_cases(
-    cases: Sequence[Case], *, allow_code: bool = False, workers: int = 0, progress: Callable[[str, float], None] | None = None
+    cases: Sequence[Case],
+    *,
+    allow_code: bool = False,
+    workers: int = 0,
+    progress: Callable[[str, float], None] | None = None,
 ) -> list[tuple[Record, Facts]]:
-    """Run trials in parallel threads (the compiled loops let go of the interpreter); results in the order of ``cases``.
+    """Run trials in parallel threads (the compiled loops let go of the interpreter); results in the
+    order of ``cases``.
 
     Args:
         cases: what to run.
@@ -55,16 +60,26 @@ def run_cases(
 
     def one(case: Case) -> tuple[Record, Facts]:
         try:
-            return run_trial(case.rig, case.recipe, case.maps, gains=case.gains, allow_code=allow_code)
+            return run_trial(
+                case.rig, case.recipe, case.maps, gains=case.gains, allow_code=allow_code
+            )
         except SimulationError as error:
             raise SimulationError(f"{case.name}: {error.message}", hint=error.hint) from None
 
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
         jobs = [pool.submit(one, case) for case in cases]
         for case, job in zip(cases, jobs, strict=True):
-            job.add_done_callback(lambda _, name=case.name: progress(name, sum(j.done() for j in jobs) / len(jobs)) if progress else None)
+            job.add_done_callback(
+                lambda _, name=case.name: (
+                    progress(name, sum(j.done() for j in jobs) / len(jobs)) if progress else None
+                )
+            )
         wait(jobs, return_when=FIRST_EXCEPTION)
-        failed = [job for job in jobs if job.done() and not job.cancelled() and job.exception() is not None]
+        failed = [
+            job
+            for job in jobs
+            if job.done() and not job.cancelled() and job.exception() is not None
+        ]
         if failed:
             pool.shutdown(cancel_futures=True)
         return [job.result() for job in (failed or jobs)]
@@ -75,37 +90,71 @@ def file_names(cases: Sequence[Case]) -> list[str]:
     names: list[str] = []
     for case in cases:
         stem = re.sub(r"[^a-z0-9]+", "_", case.name.lower()).strip("_") or "case"
-        names.append(next(name for i in range(len(cases) + 1) if (name := f"{stem}{f'_{i + 1}' if i else ''}") not in names))
+        names.append(
+            next(
+                name
+                for i in range(len(cases) + 1)
+                if (name := f"{stem}{f'_{i + 1}' if i else ''}") not in names
+            )
+        )
     return names
 
 
-def table_rows(cases: Sequence[Case], results: Sequence[tuple[Record, Facts]]) -> list[dict[str, Any]]:
+def table_rows(
+    cases: Sequence[Case], results: Sequence[tuple[Record, Facts]]
+) -> list[dict[str, Any]]:
     """One table a case, SI: what it was, where its log lies, what stopped it, and its measures."""
     return [
         {
-            "case": case.name, "payload": facts.payload, "motion": case.motion, "controller": facts.controller, "on": facts.on,
-            "rig": facts.rig, "cylinder": facts.cylinder, "log": f"logs/{file}.mcap", "duration": facts.duration,
-            "stopped": facts.stopped, **facts.measures,
+            "case": case.name,
+            "payload": facts.payload,
+            "motion": case.motion,
+            "controller": facts.controller,
+            "on": facts.on,
+            "rig": facts.rig,
+            "cylinder": facts.cylinder,
+            "log": f"logs/{file}.mcap",
+            "duration": facts.duration,
+            "stopped": facts.stopped,
+            **facts.measures,
         }
         for case, file, (_, facts) in zip(cases, file_names(cases), results, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 # column: (quantity whose display unit it has, or a unit; where it lies)
 _STEP = {
-    "speed": ("v", "speed"), "share": ("%", "share"), "steady_speed": ("v", "steady_speed"), "steady_error": ("%", "steady_error"),
-    "overshoot": ("%", "overshoot"), "settling_time": ("t", "settling_time"), "speed_rms_error": ("v", "rms_error"),
-    "damping_ratio": ("damping_ratio", "damping_ratio"), "damping_ratio_fitted": ("damping_ratio", "damping_ratio_fitted"),
+    "speed": ("v", "speed"),
+    "share": ("%", "share"),
+    "steady_speed": ("v", "steady_speed"),
+    "steady_error": ("%", "steady_error"),
+    "overshoot": ("%", "overshoot"),
+    "settling_time": ("t", "settling_time"),
+    "speed_rms_error": ("v", "rms_error"),
+    "damping_ratio": ("damping_ratio", "damping_ratio"),
+    "damping_ratio_fitted": ("damping_ratio", "damping_ratio_fitted"),
     "natural_frequency": ("natural_frequency", "natural_frequency"),
-}  # fmt: skip
+}
 _TRACKING = {"max_error": "x", "rms_error": "x", "final_error": "x"}
 
 
 def table_csv(rows: Sequence[dict[str, Any]], rig: Rig) -> str:
-    """The table as CSV in the units of the rig file: a row a step of speed, or a row a case without steps; empty where there is nothing."""
+    """The table as CSV in the units of the rig file: a row a step of speed, or a row a case without
+    steps; empty where there is nothing.
+    """
     units = {name: unit if unit == "%" else rig.unit_of(unit) for name, (unit, _) in _STEP.items()}
-    units |= {name: rig.unit_of(word) for name, word in _TRACKING.items()} | {"pump_energy": rig.unit_of("energy")}
-    heads = ["case", "payload", "motion", "controller", "on", "step", *(name if u == "dimensionless" else f"{name} [{u}]" for name, u in units.items())]
+    units |= {name: rig.unit_of(word) for name, word in _TRACKING.items()} | {
+        "pump_energy": rig.unit_of("energy")
+    }
+    heads = [
+        "case",
+        "payload",
+        "motion",
+        "controller",
+        "on",
+        "step",
+        *(name if u == "dimensionless" else f"{name} [{u}]" for name, u in units.items()),
+    ]
     lines = [",".join([*heads, "stopped"])]
 
     def cell(value: float | None, name: str, word: str) -> str:
@@ -118,7 +167,14 @@ def table_csv(rows: Sequence[dict[str, Any]], rig: Rig) -> str:
             cells = [cell(step.get(key), name, word) for name, (word, key) in _STEP.items()]
             cells += [cell(row["tracking"][name], name, word) for name, word in _TRACKING.items()]
             cells.append(cell(row["energy"]["pump"], "pump_energy", "energy"))
-            front = [row["case"], row["payload"], row["motion"], row["controller"], row["on"], str(number) if step else ""]
+            front = [
+                row["case"],
+                row["payload"],
+                row["motion"],
+                row["controller"],
+                row["on"],
+                str(number) if step else "",
+            ]
             lines.append(",".join(_quoted(text) for text in [*front, *cells, row["stopped"]]))
     return "\n".join(lines) + "\n"
 

@@ -30,23 +30,36 @@ def _shape(command: Command, t: np.ndarray, record: Record | None) -> np.ndarray
     if command.kind == "multisine":
         low, high = float(command.frequency), float(command.frequency_max)
         phases = np.random.default_rng(command.seed).uniform(0, 2 * np.pi, command.lines)
-        waves = np.sin(2 * np.pi * np.outer(t - start, np.linspace(low, high, command.lines)) + phases).sum(axis=1) * on
+        waves = (
+            np.sin(
+                2 * np.pi * np.outer(t - start, np.linspace(low, high, command.lines)) + phases
+            ).sum(axis=1)
+            * on
+        )
         largest = np.abs(waves).max()
         return offset + (amplitude / largest * waves if largest > 0 else waves)
     assert record is not None
     at = np.searchsorted(record.t - record.t[0], t - start + slack, side="right") - 1
     values = record[f"{command.valve}.command"]
-    return offset + np.where((at >= 0) & (t - start <= record.t[-1] - record.t[0] + slack), values[np.maximum(at, 0)], 0.0)
+    return offset + np.where(
+        (at >= 0) & (t - start <= record.t[-1] - record.t[0] + slack),
+        values[np.maximum(at, 0)],
+        0.0,
+    )
 
 
-def command_table(recipe: TrialRecipe, rig: Rig, t: np.ndarray, taken: Collection[str] = ()) -> np.ndarray:
+def command_table(
+    recipe: TrialRecipe, rig: Rig, t: np.ndarray, taken: Collection[str] = ()
+) -> np.ndarray:
     """Commands [V], shape (samples, valves), in the rig file's order; row i acts from ``t[i]`` on.
 
-    Entries for one valve add up; a valve without entry stays at rest. A ``file`` command plays a log's
-    ``<valve>.command`` from ``start`` on and adds nothing outside of it. Valves ``taken`` by a controller take no entry.
+    Entries for one valve add up; a valve without entry stays at rest. A ``file`` command plays a
+    log's ``<valve>.command`` from ``start`` on and adds nothing outside of it. Valves ``taken`` by
+    a controller take no entry.
 
     Raises:
-        InputError: unknown or taken valve, a command outside its valve's range, a file without the channel, a window that is empty.
+        InputError: unknown or taken valve, a command outside its valve's range, a file without the
+            channel, a window that is empty.
     """
     valves = {f"{c.name}.{v.name}": v for c, v in rig.valves()}
     names = list(valves)
@@ -56,16 +69,21 @@ def command_table(recipe: TrialRecipe, rig: Rig, t: np.ndarray, taken: Collectio
         where = f"command {index + 1}"
         if entry.valve not in valves:
             raise InputError(
-                f"{where}: rig '{rig.name}' has no valve '{entry.valve}'", **recipe.at("command", index, "valve"),
+                f"{where}: rig '{rig.name}' has no valve '{entry.valve}'",
+                **recipe.at("command", index, "valve"),
                 hint="it has " + ", ".join(names),
-            )  # fmt: skip
+            )
         if entry.valve in taken:
             raise InputError(
-                f"{where}: '{entry.valve}' is the controller's", **recipe.at("command", index, "valve"),
+                f"{where}: '{entry.valve}' is the controller's",
+                **recipe.at("command", index, "valve"),
                 hint="open-loop commands go to the valves of other cylinders",
-            )  # fmt: skip
+            )
         if entry.stop is not None and float(entry.stop) <= float(entry.start):
-            raise InputError(f"{where} to '{entry.valve}' stops before it starts", **recipe.at("command", index, "stop"))
+            raise InputError(
+                f"{where} to '{entry.valve}' stops before it starts",
+                **recipe.at("command", index, "stop"),
+            )
         if entry.valve not in last:
             table[:, names.index(entry.valve)] = 0.0
         last[entry.valve] = index
@@ -77,7 +95,11 @@ def command_table(recipe: TrialRecipe, rig: Rig, t: np.ndarray, taken: Collectio
             record = read_record(path)
             if f"{entry.valve}.command" not in record:
                 there = ", ".join(record.channels)
-                raise InputError(f"has no channel '{entry.valve}.command' to play", file=path, hint=f"it has {there}")
+                raise InputError(
+                    f"has no channel '{entry.valve}.command' to play",
+                    file=path,
+                    hint=f"it has {there}",
+                )
         table[:, names.index(entry.valve)] += _shape(entry, t, record)
     for column, (name, valve) in enumerate(valves.items()):
         low, high = float(valve.command_min), float(valve.command_max)

@@ -1,4 +1,6 @@
-"""The loops of a trial, compiled: sample, controller, limits, log, tick; one for the model, one for the virtual bench."""
+"""The loops of a trial, compiled: sample, controller, limits, log, tick; one for the model, one for
+the virtual bench.
+"""
 
 from __future__ import annotations
 
@@ -25,17 +27,24 @@ PRESSURE_MAX, PRESSURE_MIN, MARGIN, SPEED, COMMAND = range(5)
 def limit_array(limits: Limits) -> np.ndarray:
     """A recipe's limits in the order of LIMITS, SI; infinite where there is none."""
     given = (getattr(limits, name) for name in LIMITS)
-    return np.array([none if value is None else float(value) for value, none in zip(given, NO_LIMITS, strict=True)])
+    return np.array(
+        [
+            none if value is None else float(value)
+            for value, none in zip(given, NO_LIMITS, strict=True)
+        ]
+    )
 
 
 @kernel
 def violated(sample, command, limits, strokes, found):
-    """Whether a sample or the command reached a limit; then ``found`` says (which limit, cylinder or valve, entry of the sample).
+    """Whether a sample or the command reached a limit; then ``found`` says (which limit, cylinder
+    or valve, entry of the sample).
 
     Args:
         sample: as in ``ehbench.rigs``.
         command: [V], shape (valves,).
-        limits: (pressure_max, pressure_min, stroke_margin, speed_max, command_max), SI; infinite where there is none.
+        limits: (pressure_max, pressure_min, stroke_margin, speed_max, command_max), SI; infinite
+            where there is none.
         strokes: full stroke of each cylinder [m].
         found: out, int64 (3,).
     """
@@ -43,7 +52,11 @@ def violated(sample, command, limits, strokes, found):
         for entry in range(4, 6):
             p = sample[6 * c + entry]
             if p > limits[PRESSURE_MAX] or p < limits[PRESSURE_MIN]:
-                found[0], found[1], found[2] = (PRESSURE_MAX if p > limits[PRESSURE_MAX] else PRESSURE_MIN), c, 6 * c + entry
+                found[0], found[1], found[2] = (
+                    (PRESSURE_MAX if p > limits[PRESSURE_MAX] else PRESSURE_MIN),
+                    c,
+                    6 * c + entry,
+                )
                 return True
         x = sample[6 * c + 2]
         if x < limits[MARGIN] or x > strokes[c] - limits[MARGIN]:
@@ -72,7 +85,9 @@ def _control(kind, t, sample, mask, given, wish, axis, gains, memory, command, n
 
 @kernel
 def _model_row(y, sample, command, plant, tick, steps, k, work, log, samples):
-    """Log a row and let the command act for a tick; ``log`` has the state, the edge flows and the pump flow."""
+    """Log a row and let the command act for a tick; ``log`` has the state, the edge flows and the
+    pump flow.
+    """
     size, flows = y.shape[0], plant.edges.shape[0] + 1
     at = work.shape[0] - flows
     rate = derivatives(y, command, plant, k[0], work)
@@ -89,7 +104,9 @@ def _model_row(y, sample, command, plant, tick, steps, k, work, log, samples):
 
 
 @kernel
-def _model_loop(y, sample, commands, plant, tick, steps, k, work, limits, strokes, log, samples, found):
+def _model_loop(
+    y, sample, commands, plant, tick, steps, k, work, limits, strokes, log, samples, found
+):
     for i in range(commands.shape[0]):
         if violated(sample, commands[i], limits, strokes, found):
             return i
@@ -99,11 +116,43 @@ def _model_loop(y, sample, commands, plant, tick, steps, k, work, limits, stroke
 
 @kernel
 def _model_closed(
-    y, sample, commands, plant, tick, steps, k, work, limits, strokes, log, samples, found, kind, t, mask, given, wishes, axis,
-    gains, memory, notes,
-):  # fmt: skip
+    y,
+    sample,
+    commands,
+    plant,
+    tick,
+    steps,
+    k,
+    work,
+    limits,
+    strokes,
+    log,
+    samples,
+    found,
+    kind,
+    t,
+    mask,
+    given,
+    wishes,
+    axis,
+    gains,
+    memory,
+    notes,
+):
     for i in range(commands.shape[0]):
-        _control(kind, t + i * tick, sample, mask, given, wishes[i], axis, gains, memory, commands[i], notes[i])
+        _control(
+            kind,
+            t + i * tick,
+            sample,
+            mask,
+            given,
+            wishes[i],
+            axis,
+            gains,
+            memory,
+            commands[i],
+            notes[i],
+        )
         if violated(sample, commands[i], limits, strokes, found):
             return i
         _model_row(y, sample, commands[i], plant, tick, steps, k, work, log[i], samples[i])
@@ -118,24 +167,74 @@ def _bench_row(state, sample, command, bench, tick, steps, scratch, work, noise,
 
 
 @kernel
-def _bench_loop(state, sample, commands, bench, tick, steps, scratch, work, limits, strokes, noise, samples, found):
+def _bench_loop(
+    state,
+    sample,
+    commands,
+    bench,
+    tick,
+    steps,
+    scratch,
+    work,
+    limits,
+    strokes,
+    noise,
+    samples,
+    found,
+):
     for i in range(commands.shape[0]):
         if violated(sample, commands[i], limits, strokes, found):
             return i
-        _bench_row(state, sample, commands[i], bench, tick, steps, scratch, work, noise[i], samples[i])
+        _bench_row(
+            state, sample, commands[i], bench, tick, steps, scratch, work, noise[i], samples[i]
+        )
     return -1
 
 
 @kernel
 def _bench_closed(
-    state, sample, commands, bench, tick, steps, scratch, work, limits, strokes, noise, samples, found, kind, t, mask, given, wishes,
-    axis, gains, memory, notes,
-):  # fmt: skip
+    state,
+    sample,
+    commands,
+    bench,
+    tick,
+    steps,
+    scratch,
+    work,
+    limits,
+    strokes,
+    noise,
+    samples,
+    found,
+    kind,
+    t,
+    mask,
+    given,
+    wishes,
+    axis,
+    gains,
+    memory,
+    notes,
+):
     for i in range(commands.shape[0]):
-        _control(kind, t + i * tick, sample, mask, given, wishes[i], axis, gains, memory, commands[i], notes[i])
+        _control(
+            kind,
+            t + i * tick,
+            sample,
+            mask,
+            given,
+            wishes[i],
+            axis,
+            gains,
+            memory,
+            commands[i],
+            notes[i],
+        )
         if violated(sample, commands[i], limits, strokes, found):
             return i
-        _bench_row(state, sample, commands[i], bench, tick, steps, scratch, work, noise[i], samples[i])
+        _bench_row(
+            state, sample, commands[i], bench, tick, steps, scratch, work, noise[i], samples[i]
+        )
     return -1
 
 
@@ -144,14 +243,28 @@ class Runner:
 
     Attributes:
         t: [s], shape (samples,).
-        commands: [V], shape (samples, valves): the open-loop table, into which a controller writes its own.
+        commands: [V], shape (samples, valves): the open-loop table, into which a controller writes
+            its own.
         log: model only: state, edge flows and pump flow at each sample.
         samples: what the machine measured, shape (samples, channels).
         sample: the last one.
     """
 
-    def __init__(self, machine: Machine, sample: np.ndarray, t: np.ndarray, commands: np.ndarray, limits: np.ndarray) -> None:
-        self.machine, self.sample, self.t, self.commands, self.limits = machine, sample, t, commands, limits
+    def __init__(
+        self,
+        machine: Machine,
+        sample: np.ndarray,
+        t: np.ndarray,
+        commands: np.ndarray,
+        limits: np.ndarray,
+    ) -> None:
+        self.machine, self.sample, self.t, self.commands, self.limits = (
+            machine,
+            sample,
+            t,
+            commands,
+            limits,
+        )
         self.is_model = isinstance(machine, ModelRig)
         width = machine.layout.states + len(machine.layout.edges) + 1 if self.is_model else 0
         self.log, self.samples = np.empty((t.size, width)), np.empty((t.size, sample.size))
@@ -165,9 +278,18 @@ class Runner:
             self._own = (numbers, tick, machine.steps, machine._scratch, machine._work)
 
     def go(self, first: int, stop: int, controller: Compiled | None = None) -> int:
-        """Run rows ``first`` to ``stop`` under a compiled controller, or as the table says; the row at a limit, or −1."""
+        """Run rows ``first`` to ``stop`` under a compiled controller, or as the table says; the row
+        at a limit, or −1.
+        """
         machine, rows = self.machine, slice(first, stop)
-        start = (machine.state, self.sample, self.commands[rows], *self._own, self.limits, self.strokes)
+        start = (
+            machine.state,
+            self.sample,
+            self.commands[rows],
+            *self._own,
+            self.limits,
+            self.strokes,
+        )
         if self.is_model:
             ends = (self.log[rows], self.samples[rows], self.found)
         else:
@@ -177,10 +299,22 @@ class Runner:
         else:
             c = controller
             row = (_model_closed if self.is_model else _bench_closed)(
-                *start, *ends, c.kind, float(self.t[first]), c.mask, c.given, c.wish[rows], c.axis, c.gains, c.memory, c.notes[rows]
+                *start,
+                *ends,
+                c.kind,
+                float(self.t[first]),
+                c.mask,
+                c.given,
+                c.wish[rows],
+                c.axis,
+                c.gains,
+                c.memory,
+                c.notes[rows],
             )
         return row if row < 0 else first + row
 
     def reached(self, row: int) -> bool:
         """Whether the present sample and the row's command reach a limit; ``found`` says which."""
-        return bool(violated(self.sample, self.commands[row], self.limits, self.strokes, self.found))
+        return bool(
+            violated(self.sample, self.commands[row], self.limits, self.strokes, self.found)
+        )

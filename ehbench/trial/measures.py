@@ -21,12 +21,13 @@ FINAL = 0.1  # [s] at the end of a trial over which the final error is averaged
 class StepMeasures:
     """A step of desired speed and what came of it; None where it cannot be read off.
 
-    ``speed`` asked and ``steady_speed`` reached (windowed mean of the last third) [m/s]; ``steady_error`` their difference as a share of what
-    was asked, negative if too slow; ``overshoot`` beyond the steady speed as a share of the rise to it; ``settling_time`` [s] after which
-    the speed stays within 5 % of that rise; ``rms_error`` [m/s] against the desired speed; ``damping_ratio`` and ``natural_frequency``
-    [rad/s] of the decay, ``ringing`` says why there are none; ``damping_ratio_fitted`` is a likely value where the decay is too
-    fast to ring, or that of the decay. A speed that hardly moved has neither overshoot nor settling time.
-    """
+    ``speed`` asked and ``steady_speed`` reached (windowed mean of the last third) [m/s];
+    ``steady_error`` their difference as a share of what was asked, negative if too slow;
+    ``overshoot`` beyond the steady speed as a share of the rise to it; ``settling_time`` [s] after
+    which the speed stays within 5 % of that rise; ``rms_error`` [m/s] against the desired speed;
+    ``damping_ratio`` and ``natural_frequency`` [rad/s] of the decay, ``ringing`` says why there are
+    none; ``damping_ratio_fitted`` is a likely value where the decay is too fast to ring, or that of
+    the decay. A speed that hardly moved has neither overshoot nor settling time."""
 
     start: float
     duration: float
@@ -44,7 +45,12 @@ class StepMeasures:
 
 
 def step_measures(
-    t: np.ndarray, v: np.ndarray, speed: float, before: float = 0.0, others: Sequence[np.ndarray] = (), share: float | None = None
+    t: np.ndarray,
+    v: np.ndarray,
+    speed: float,
+    before: float = 0.0,
+    others: Sequence[np.ndarray] = (),
+    share: float | None = None,
 ) -> StepMeasures:
     """Measures of one step from ``before`` to ``speed`` [m/s] that begins at ``t[0]``.
 
@@ -55,7 +61,8 @@ def step_measures(
         share: of the full speed, handed on.
     """
     last = v[-max(1, round(STEADY * v.size)) :]
-    # what still rings cancels under a window that fades in and out, and a drift counts as by the plain mean
+    # what still rings cancels under a window that fades in and out, and a drift counts as by the
+    # plain mean
     steady = float(np.average(last, weights=np.hanning(last.size + 2)[1:-1]))
     way = math.copysign(1.0, speed - before)
     rise = steady - before
@@ -69,18 +76,32 @@ def step_measures(
     swing = ringing(t, np.column_stack([v, *others]))
     fitted = swing.damping_ratio if swing.ok else swing.fitted_damping
     return StepMeasures(
-        float(t[0]), float(t[-1] - t[0]), speed, share, steady, steady / speed - 1.0, overshoot, settling, rms(v - speed),
-        swing.damping_ratio if swing.ok else None, None if math.isnan(fitted) else fitted,
-        swing.natural_frequency if swing.ok else None, swing.reason,
-    )  # fmt: skip
+        float(t[0]),
+        float(t[-1] - t[0]),
+        speed,
+        share,
+        steady,
+        steady / speed - 1.0,
+        overshoot,
+        settling,
+        rms(v - speed),
+        swing.damping_ratio if swing.ok else None,
+        None if math.isnan(fitted) else fitted,
+        swing.natural_frequency if swing.ok else None,
+        swing.reason,
+    )
 
 
 def tracking_measures(t: np.ndarray, x: np.ndarray, x_desired: np.ndarray) -> dict[str, float]:
-    """``max_error``, ``rms_error`` and ``final_error`` [m] (mean of the last 0.1 s, signed) of a stroke against the desired one."""
+    """``max_error``, ``rms_error`` and ``final_error`` [m] (mean of the last 0.1 s, signed) of a
+    stroke against the desired one.
+    """
     e = x - x_desired
     return {
-        "max_error": float(np.abs(e).max()), "rms_error": rms(e), "final_error": float(np.mean(e[t >= t[-1] - FINAL])),
-    }  # fmt: skip
+        "max_error": float(np.abs(e).max()),
+        "rms_error": rms(e),
+        "final_error": float(np.mean(e[t >= t[-1] - FINAL])),
+    }
 
 
 def integral(t: np.ndarray, y: np.ndarray) -> float:
@@ -99,7 +120,8 @@ def _follow(command, stiffness, transition, opening):
 
 
 def followed(command: np.ndarray, tick: float, stiffness: float, damping: float) -> np.ndarray:
-    """Opening [V] of a valve ``ẍ = stiffness·(u − x) − damping·ẋ`` that starts at rest, exact for commands held over a tick.
+    """Opening [V] of a valve ``ẍ = stiffness·(u − x) − damping·ẋ`` that starts at rest, exact for
+    commands held over a tick.
 
     ``stiffness`` ω_n² [1/s²] and ``damping`` 2ζω_n [1/s]; 0 and 0 is a valve without dynamics.
     """

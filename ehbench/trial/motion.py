@@ -7,8 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from ehbench.control.functions import (
-    CROSS, DIRECTION, FUNCTIONS, HEAD_TANK, OVERRUNNING, ROD_TANK, SUPPLY_HEAD, SUPPLY_ROD, capacity, coupled, path_drop, supply_draw,
-)  # fmt: skip
+    CROSS,
+    DIRECTION,
+    FUNCTIONS,
+    HEAD_TANK,
+    OVERRUNNING,
+    ROD_TANK,
+    SUPPLY_HEAD,
+    SUPPLY_ROD,
+    capacity,
+    coupled,
+    path_drop,
+    supply_draw,
+)
 from ehbench.control.trajectory import WISH, A, J, V, X, point_to_point, velocity_steps
 from ehbench.control.valve_level import top_speed
 from ehbench.errors import InputError
@@ -20,12 +31,16 @@ from ehbench.trial.controllers import Design
 
 REST = 0.5  # [s] before the first step of speed and after each
 SPEED_UP = 0.2  # [s] in which a move without stated limits reaches its speed
-_SHARE = Quantity("share", "r", "dimensionless", "%", "share of the full speed, negative retracts", -2, 2)
+_SHARE = Quantity(
+    "share", "r", "dimensionless", "%", "share of the full speed, negative retracts", -2, 2
+)
 
 
 @dataclass(frozen=True)
 class Level:
-    """A step of desired speed: rows ``first`` to ``stop``, speed [m/s], and its share of the full speed in that direction if known."""
+    """A step of desired speed: rows ``first`` to ``stop``, speed [m/s], and its share of the full
+    speed in that direction if known.
+    """
 
     first: int
     stop: int
@@ -52,7 +67,9 @@ def wishes(recipe: TrialRecipe, design: Design, low_pressure: float) -> Wishes:
         made = Wishes(np.tile([design.x, 0.0, 0.0, 0.0], (2, 1)))
     else:
         try:
-            made = {"velocity_steps": _steps, "point_to_point": _points, "file": _file}[motion.kind](recipe, motion, design, low_pressure)
+            made = {"velocity_steps": _steps, "point_to_point": _points, "file": _file}[
+                motion.kind
+            ](recipe, motion, design, low_pressure)
         except InputError as error:
             if error.file is not None:
                 raise
@@ -68,18 +85,25 @@ def wishes(recipe: TrialRecipe, design: Design, low_pressure: float) -> Wishes:
     if out.size:
         where = recipe.at(*motion.where) if motion is not None else {}
         raise InputError(
-            f"the desired motion of '{design.cylinder}' leaves the stroke at t = {out[0] / rate:.4g} s", **where,
+            f"the desired motion of '{design.cylinder}' leaves the stroke at t = {out[0] / rate:.4g} s",
+            **where,
             hint=f"the stroke is {stroke * 1e3:.4g} mm and it starts at {design.x * 1e3:.4g} mm",
-        )  # fmt: skip
-    levels = tuple(Level(one.first, min(one.stop, len(table)), one.speed, one.share) for one in made.levels if one.first < len(table))
+        )
+    levels = tuple(
+        Level(one.first, min(one.stop, len(table)), one.speed, one.share)
+        for one in made.levels
+        if one.first < len(table)
+    )
     return Wishes(table, levels)
 
 
 def full_speed(design: Design, way: int, low_pressure: float) -> float:
-    """The largest steady speed [m/s], ≥ 0, in a direction (±1) at the start posture, as the design model has it.
+    """The largest steady speed [m/s], ≥ 0, in a direction (±1) at the start posture, as the design
+    model has it.
 
-    Supply and drivers set it: the lesser of the pump's flow limit and of what the wide-open valves pass in the plain working
-    function for the load there, the off-side chamber at ``low_pressure`` [Pa] above tank; on one spool both edges stand wide open.
+    Supply and drivers set it: the lesser of the pump's flow limit and of what the wide-open valves
+    pass in the plain working function for the load there, the off-side chamber at ``low_pressure``
+    [Pa] above tank; on one spool both edges stand wide open.
 
     Raises:
         InputError: the valves have no function for it.
@@ -87,12 +111,16 @@ def full_speed(design: Design, way: int, low_pressure: float) -> float:
     circuit, model = design.circuit, design.model
     p_supply, p_tank, limit = (float(v) for v in model.plant.supply[:3])
     start = model.trim(design.q, p_tank + low_pressure)
-    p_head, p_rod = (float(start[model.layout.state(name, design.index)]) for name in ("p_head", "p_rod"))
+    p_head, p_rod = (
+        float(start[model.layout.state(name, design.index)]) for name in ("p_head", "p_rod")
+    )
     area_head, area_rod = (float(v) for v in design.row[[AREA_HEAD, AREA_ROD]])
     force = p_head * area_head - p_rod * area_rod
     along = int(-way * force > 0.0)
     fits = [
-        f for f in range(1, len(FUNCTIONS)) if circuit.able[f] and CROSS[f] < 0 and (DIRECTION[f], OVERRUNNING[f]) == (way, along)
+        f
+        for f in range(1, len(FUNCTIONS))
+        if circuit.able[f] and CROSS[f] < 0 and (DIRECTION[f], OVERRUNNING[f]) == (way, along)
     ]
     if not fits:
         word = "extend" if way > 0 else "retract"
@@ -106,9 +134,12 @@ def full_speed(design: Design, way: int, low_pressure: float) -> float:
 
         def speeds(rod: float) -> tuple[float, float]:
             ends = ((force + area_rod * rod) / area_head, rod, p_supply, p_tank)
-            return capacity(circuit, into, path_drop(into, *ends)) / area_in, capacity(circuit, out, path_drop(out, *ends)) / area_out
+            return capacity(circuit, into, path_drop(into, *ends)) / area_in, capacity(
+                circuit, out, path_drop(out, *ends)
+            ) / area_out
 
-        # the higher both pressures, the less comes in and the more goes out (extending; retracting the same): bisect the balance
+        # the higher both pressures, the less comes in and the more goes out (extending; retracting
+        # the same): bisect the balance
         low, high = p_tank - abs(force) / area_rod, p_supply + abs(force) / area_rod
         for _ in range(60):
             middle = 0.5 * (low + high)
@@ -127,15 +158,27 @@ def _steps(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: fl
         if text.rstrip().endswith("%"):
             share = float(read_value(text, _SHARE))
             way = -1 if share < 0 else 1
-            full = float(motion.full_speed) if motion.full_speed is not None else full_speed(design, way, low_pressure)
+            full = (
+                float(motion.full_speed)
+                if motion.full_speed is not None
+                else full_speed(design, way, low_pressure)
+            )
             speed = share * full
         else:
             speed = float(read_value(text, VOCABULARY["v"]))
         if speed == 0.0:
-            raise InputError(f"level {index + 1} is no speed", **where, hint='like "30 %" of the full speed, or "-80 mm/s"')
+            raise InputError(
+                f"level {index + 1} is no speed",
+                **where,
+                hint='like "30 %" of the full speed, or "-80 mm/s"',
+            )
         speeds.append(speed)
         shares.append(share)
-        times.append(float(motion.duration) if motion.duration is not None else float(motion.travel) / abs(speed))
+        times.append(
+            float(motion.duration)
+            if motion.duration is not None
+            else float(motion.travel) / abs(speed)
+        )
     rest = REST if motion.rest is None else float(motion.rest)
     table = velocity_steps(speeds, duration=times, tick=tick, rest=rest, x=design.x)
     at, levels = round(rest / tick), []
@@ -153,17 +196,28 @@ def _points(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: f
     points = [float(x) for x in motion.waypoints]
     holds = [float(h) for h in motion.hold] or [REST]
     if len(holds) not in (1, len(points)):
-        raise InputError(f"hold has {len(holds)} times for {len(points)} waypoints", **recipe.at(*motion.where, "hold"))
+        raise InputError(
+            f"hold has {len(holds)} times for {len(points)} waypoints",
+            **recipe.at(*motion.where, "hold"),
+        )
     hold = holds[0] if len(holds) == 1 else holds
     return Wishes(
         point_to_point(
-            points, speed=speed, acceleration=acceleration, jerk=jerk, tick=1.0 / float(recipe.rate), hold=hold, profile=motion.profile
+            points,
+            speed=speed,
+            acceleration=acceleration,
+            jerk=jerk,
+            tick=1.0 / float(recipe.rate),
+            hold=hold,
+            profile=motion.profile,
         )
     )
 
 
 def _file(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: float) -> Wishes:
-    """A log with ``<cylinder>.x_desired`` and, where it has them, speed, acceleration and jerk; else a quintic spline's."""
+    """A log with ``<cylinder>.x_desired`` and, where it has them, speed, acceleration and jerk;
+    else a quintic spline's.
+    """
     from scipy.interpolate import make_interp_spline
 
     from ehbench.logs import read_record
@@ -172,7 +226,9 @@ def _file(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: flo
     record = read_record(path)
     own = [f"{design.cylinder}.{name}_desired" for name in "xvaj"]
     if own[X] not in record:
-        raise InputError(f"has no channel '{own[X]}'", file=path, hint="it has " + ", ".join(record.channels))
+        raise InputError(
+            f"has no channel '{own[X]}'", file=path, hint="it has " + ", ".join(record.channels)
+        )
     if record.t.size < 6:
         raise InputError(f"has {record.t.size} samples of a motion", file=path, hint="6 at least")
     t = record.t - record.t[0]

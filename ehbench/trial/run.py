@@ -1,4 +1,6 @@
-"""Run one trial: open-loop commands or a controller, on the model or the virtual bench, stopped safely at a limit."""
+"""Run one trial: open-loop commands or a controller, on the model or the virtual bench, stopped
+safely at a limit.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,8 @@ WISHED = ("x_desired", "v_desired", "a_desired", "j_desired")
 
 @dataclass(frozen=True)
 class Stop:
-    """Why a trial stopped: which limit, on which channel, the value [SI] that reached it, its bound [SI] and when [s].
+    """Why a trial stopped: which limit, on which channel, the value [SI] that reached it, its bound
+    [SI] and when [s].
 
     ``sentence`` says so in the units of the rig file.
     """
@@ -56,9 +59,9 @@ class Stop:
 class Facts:
     """What is to be said of a trial beside its record.
 
-    ``stopped`` is empty, or the sentence that says which limit stopped it; ``stop`` has the same as numbers. ``measures`` says how
-    well a controlled cylinder did and with which gains (docs/trials.md), SI; empty without a controller.
-    """
+    ``stopped`` is empty, or the sentence that says which limit stopped it; ``stop`` has the same as
+    numbers. ``measures`` says how well a controlled cylinder did and with which gains
+    (docs/trials.md), SI; empty without a controller."""
 
     on: str
     rig: str
@@ -95,54 +98,80 @@ def run_trial(
 ) -> tuple[Record, Facts]:
     """Run one trial from rest: its record and the facts about it.
 
-    On the model the record has all that `Model.record` gives; on the virtual bench only what a machine measures, and the
-    commands; under a controller also its notes. When a limit is reached the valves go to rest in that very tick, and RUN_OUT
-    seconds more are logged.
+    On the model the record has all that `Model.record` gives; on the virtual bench only what a
+    machine measures, and the commands; under a controller also its notes. When a limit is reached
+    the valves go to rest in that very tick, and RUN_OUT seconds more are logged.
 
     Args:
         rig: as the recipe names it.
-        recipe: what to do; its ``bench`` names the bench file, without which the bench is a plausible one of this rig.
+        recipe: what to do; its ``bench`` names the bench file, without which the bench is a
+            plausible one of this rig.
         maps: measured flow maps of the rig, for the model and for the controller.
         progress: told what is at work and the share done, from 0 to 1.
-        gains: the run folder of the tune run that the recipe takes gains from; by default where the recipe points.
+        gains: the run folder of the tune run that the recipe takes gains from; by default where the
+            recipe points.
         allow_code: lets a controller of the user's own run.
 
     Raises:
-        InputError: a command, posture, payload, motion, gain or bench file that does not fit the rig; a limit reached before the
-            start; code that is not allowed, or raised.
+        InputError: a command, posture, payload, motion, gain or bench file that does not fit the
+            rig; a limit reached before the start; code that is not allowed, or raised.
         SimulationError: the numbers left the finite range.
     """
     rate = float(recipe.rate)
-    closed = _Closed.of(recipe, rig, maps, gains, allow_code) if recipe.controller is not None else None
+    closed = (
+        _Closed.of(recipe, rig, maps, gains, allow_code) if recipe.controller is not None else None
+    )
     count = round(float(recipe.duration) * rate) + 1 if closed is None else len(closed.wishes.table)
     if count < 2:
-        raise InputError("the trial is shorter than one sample", **recipe.at("duration"), hint="raise duration or rate")
+        raise InputError(
+            "the trial is shorter than one sample",
+            **recipe.at("duration"),
+            hint="raise duration or rate",
+        )
     t = np.arange(count) / rate
     table = command_table(recipe, rig, t, closed.valves if closed is not None else ())
     machine = _machine(rig, recipe, maps)
-    posture = recipe.posture if closed is None else controllers.posture_of(recipe, closed.design.cylinder)
+    posture = (
+        recipe.posture if closed is None else controllers.posture_of(recipe, closed.design.cylinder)
+    )
     with located(recipe, "posture"):
-        sample = machine.start(posture) if closed is None else machine.start(posture, low_side=closed.low_side)
+        sample = (
+            machine.start(posture)
+            if closed is None
+            else machine.start(posture, low_side=closed.low_side)
+        )
     run = Runner(machine, sample, t, table, limit_array(recipe.limits))
     if run.reached(0):
         reached = _stop_of(run, 0)
         where = recipe.at("limits", reached.limit)
-        raise InputError("the trial cannot start: " + reached.sentence, **where, hint="change the posture or the limit")
+        raise InputError(
+            "the trial cannot start: " + reached.sentence,
+            **where,
+            hint="change the posture or the limit",
+        )
     law = None if closed is None else closed.law(machine)
     stop, end = _go(run, law, progress)
     table = run.commands
     if not np.isfinite(table[:end]).all():
-        raise SimulationError("the controller asked for no number", hint="a gain, or a channel that it was not given")
+        raise SimulationError(
+            "the controller asked for no number", hint="a gain, or a channel that it was not given"
+        )
     carried = {name: table[:end, i].copy() for i, name in enumerate(machine.layout.valves)}
     meta = {
-        "rig": rig.name, "payload": recipe.payload or "none", "on": machine.name, "seed": str(recipe.seed),
-        "posture": ", ".join(f"{name} {value}" for name, value in posture.items()) or "mid-stroke", "title": recipe.title,
-    }  # fmt: skip
+        "rig": rig.name,
+        "payload": recipe.payload or "none",
+        "on": machine.name,
+        "seed": str(recipe.seed),
+        "posture": ", ".join(f"{name} {value}" for name, value in posture.items()) or "mid-stroke",
+        "title": recipe.title,
+    }
     warnings: list[str] = []
     if law is not None:
         meta |= {"controller": recipe.controller.label, "cylinder": closed.design.cylinder}
         if isinstance(law, UserCode) and law.beyond:
-            warnings.append(f"{law.label} asked for more than a driver takes in {law.beyond} of {end} ticks, and got the end of its range")
+            warnings.append(
+                f"{law.label} asked for more than a driver takes in {law.beyond} of {end} ticks, and got the end of its range"
+            )
     if stop is not None:
         meta["stopped"] = stop.sentence
     if isinstance(machine, ModelRig):
@@ -156,21 +185,42 @@ def run_trial(
     if law is not None:
         notes = {name: law.notes[:end, i].copy() for i, name in enumerate(law.channels)}
         record = Record(record.t, {**record.channels, **notes}, record.meta)
-        measures = law.used | _measures(record, closed, machine, end if stop is None else round(stop.t * rate) + 1)
-        if isinstance(law, Compiled) and law.kind == ARC and (share := measures["limits"]["saturated"]) > 0.0:
+        measures = law.used | _measures(
+            record, closed, machine, end if stop is None else round(stop.t * rate) + 1
+        )
+        if (
+            isinstance(law, Compiled)
+            and law.kind == ARC
+            and (share := measures["limits"]["saturated"]) > 0.0
+        ):
             warnings.append(
                 f"the valves of '{closed.design.cylinder}' were at their end in {100.0 * share:.2g} % of the ticks "
                 "and gave less than the controller asked for"
             )
     facts = Facts(
-        machine.name, rig.name, meta["payload"], posture, recipe.seed, float(t[end - 1]), end, rate, stop, tuple(warnings),
-        meta.get("controller", ""), meta.get("cylinder", ""), measures,
-    )  # fmt: skip
+        machine.name,
+        rig.name,
+        meta["payload"],
+        posture,
+        recipe.seed,
+        float(t[end - 1]),
+        end,
+        rate,
+        stop,
+        tuple(warnings),
+        meta.get("controller", ""),
+        meta.get("cylinder", ""),
+        measures,
+    )
     return record, facts
 
 
-def _go(run: Runner, law: Compiled | UserCode | None, progress: Callable[[str, float], None] | None) -> tuple[Stop | None, int]:
-    """Run to the end, or to RUN_OUT after a limit; returns the stop, if any, and how many rows there are."""
+def _go(
+    run: Runner, law: Compiled | UserCode | None, progress: Callable[[str, float], None] | None
+) -> tuple[Stop | None, int]:
+    """Run to the end, or to RUN_OUT after a limit; returns the stop, if any, and how many rows
+    there are.
+    """
     count, rate = run.t.size, run.machine.rate
     rest = run.machine.model.rest_commands(1)[0]
     stop, at, end = None, 0, count
@@ -188,7 +238,10 @@ def _go(run: Runner, law: Compiled | UserCode | None, progress: Callable[[str, f
         else:
             row = run.go(at, upto, law if stop is None else None)
         if not np.isfinite(run.sample).all():
-            raise SimulationError(f"the trial left finite numbers before t = {upto / rate:.4g} s", hint="take a smaller step")
+            raise SimulationError(
+                f"the trial left finite numbers before t = {upto / rate:.4g} s",
+                hint="take a smaller step",
+            )
         if row >= 0:
             stop = _stop_of(run, row)
             run.limits = np.array(NO_LIMITS)
@@ -204,11 +257,17 @@ def _go(run: Runner, law: Compiled | UserCode | None, progress: Callable[[str, f
 
 
 def _let_go(law: Compiled | UserCode, row: int, end: int) -> None:
-    """Notes after a stop: the last estimates and the desired stroke stay, nothing is asked for any more."""
+    """Notes after a stop: the last estimates and the desired stroke stay, nothing is asked for any
+    more.
+    """
     law.notes[row:end] = law.notes[row]
     for column, name in enumerate(law.channels):
         word = name.rsplit(".", 1)[-1]
-        if word in WISHED[1:] or word in ("v_shaped", "function_status", "limits", "feedback_flow") or word.startswith("flow"):
+        if (
+            word in WISHED[1:]
+            or word in ("v_shaped", "function_status", "limits", "feedback_flow")
+            or word.startswith("flow")
+        ):
             law.notes[row:end, column] = 0.0
         elif word == "function":
             law.notes[row:end, column] = HOLD
@@ -216,7 +275,9 @@ def _let_go(law: Compiled | UserCode, row: int, end: int) -> None:
 
 @dataclass(frozen=True)
 class _Closed:
-    """The closed loop of a recipe before there is a machine: design model, wishes, where the off-side stands at the start."""
+    """The closed loop of a recipe before there is a machine: design model, wishes, where the
+    off-side stands at the start.
+    """
 
     recipe: TrialRecipe
     design: Design
@@ -225,20 +286,29 @@ class _Closed:
     low_side: float
 
     @classmethod
-    def of(cls, recipe: TrialRecipe, rig: Rig, maps: Maps | None, gains: Path | None, allow_code: bool) -> _Closed:
+    def of(
+        cls, recipe: TrialRecipe, rig: Rig, maps: Maps | None, gains: Path | None, allow_code: bool
+    ) -> _Closed:
         controllers.refuse_code(recipe, allow_code)
         made = controllers.design(recipe, rig, maps)
         tuning = controllers.read_tuning(recipe, gains)
         low = controllers.low_pressure(recipe, rig, tuning)
-        return cls(recipe, made, wishes(recipe, made, low), tuning, float(rig.supply.tank_pressure) + low)
+        return cls(
+            recipe, made, wishes(recipe, made, low), tuning, float(rig.supply.tank_pressure) + low
+        )
 
     @property
     def valves(self) -> tuple[str, ...]:
-        """Valves that the controller commands by itself; a user's class may leave any of them to the recipe."""
+        """Valves that the controller commands by itself; a user's class may leave any of them to
+        the recipe.
+        """
         if self.recipe.controller.code is not None:
             return ()
         c = self.design.circuit
-        return tuple(self.design.valves[i] for i in sorted({int(v) for v in c.wiring[c.first : c.first + c.count, VALVE]}))
+        return tuple(
+            self.design.valves[i]
+            for i in sorted({int(v) for v in c.wiring[c.first : c.first + c.count, VALVE]})
+        )
 
     def law(self, machine: Machine) -> Compiled | UserCode:
         table = self.wishes.table
@@ -248,7 +318,9 @@ class _Closed:
 
 
 def _measures(record: Record, closed: _Closed, machine: Machine, rows: int) -> dict[str, Any]:
-    """Steps, tracking and energy of the controlled cylinder, up to the row at which a limit stopped the trial."""
+    """Steps, tracking and energy of the controlled cylinder, up to the row at which a limit stopped
+    the trial.
+    """
     own, t = closed.design.cylinder, record.t[:rows]
     v, x, p_head, p_rod = (record[f"{own}.{name}"][:rows] for name in ("v", "x", "p_head", "p_rod"))
     found: dict[str, Any] = {"steps": []}
@@ -257,16 +329,20 @@ def _measures(record: Record, closed: _Closed, machine: Machine, rows: int) -> d
         if stop - level.first >= 3:
             part = slice(level.first, stop)
             before = float(closed.wishes.table[level.first - 1, 1]) if level.first else 0.0
-            one = step_measures(t[part], v[part], level.speed, before, (p_head[part], p_rod[part]), level.share)
+            one = step_measures(
+                t[part], v[part], level.speed, before, (p_head[part], p_rod[part]), level.share
+            )
             found["steps"].append(asdict(one))
     found["tracking"] = tracking_measures(t, x, record[f"{own}.x_desired"][:rows])
     found["speed_rms_error"] = float(np.sqrt(np.mean((v - record[f"{own}.v_desired"][:rows]) ** 2)))
     force = p_head * closed.design.row[AREA_HEAD] - p_rod * closed.design.row[AREA_ROD]
     flow, source = _drawn(record, closed.design, machine)
     found["energy"] = {
-        "pump": integral(t, record["p_supply"][:rows] * flow[:rows]), "cylinder_work": integral(t, force * v),
-        "oil_drawn": integral(t, flow[:rows]), "source": source,
-    }  # fmt: skip
+        "pump": integral(t, record["p_supply"][:rows] * flow[:rows]),
+        "cylinder_work": integral(t, force * v),
+        "oil_drawn": integral(t, flow[:rows]),
+        "source": source,
+    }
     if f"{own}.limits" in record:
         met = record[f"{own}.limits"][:rows].astype(int)
         found["limits"] = {name: float(np.mean(met & bit > 0)) for bit, name in LIMIT_BITS.items()}
@@ -295,7 +371,12 @@ def _drawn(record: Record, design: Design, machine: Machine) -> tuple[np.ndarray
         flow = np.empty(drop.size)
         edge_flows(drop, opening, plant.edges[e], plant.wiring[e], plant.maps, flow)
         total += sign * flow
-    return total, "edge flows of the model" if own else "estimated: measured pressures and commands through the design model's maps"
+    return (
+        total,
+        "edge flows of the model"
+        if own
+        else "estimated: measured pressures and commands through the design model's maps",
+    )
 
 
 def _node(record: Record, cylinders: tuple[str, ...], node: int) -> np.ndarray:
@@ -329,15 +410,22 @@ def _machine(rig: Rig, recipe: TrialRecipe, maps: Maps | None) -> Machine:
         return BenchRig(rig, None, recipe.payload, float(recipe.rate), seed=recipe.seed)
     bench = load_recipe(recipe.file(recipe.bench))
     if not isinstance(bench, BenchRecipe):
-        raise InputError("is no bench file", file=bench.path, hint='a bench file has stage = "bench"')
+        raise InputError(
+            "is no bench file", file=bench.path, hint='a bench file has stage = "bench"'
+        )
     own = load_rig(bench.file(bench.rig))
     for what, mine, its in (
         ("cylinders", [c.name for c in rig.cylinder], [c.name for c in own.cylinder]),
-        ("valves", [f"{c.name}.{v.name}" for c, v in rig.valves()], [f"{c.name}.{v.name}" for c, v in own.valves()]),
+        (
+            "valves",
+            [f"{c.name}.{v.name}" for c, v in rig.valves()],
+            [f"{c.name}.{v.name}" for c, v in own.valves()],
+        ),
     ):
         if mine != its:
             raise InputError(
-                f"the bench of rig '{own.name}' has other {what} than rig '{rig.name}'", **recipe.at("bench"),
+                f"the bench of rig '{own.name}' has other {what} than rig '{rig.name}'",
+                **recipe.at("bench"),
                 hint=f"the bench has {', '.join(its)}",
-            )  # fmt: skip
+            )
     return BenchRig(own, bench, recipe.payload, float(recipe.rate), seed=recipe.seed)

@@ -1,8 +1,9 @@
-"""Linear models of one cylinder about steady motions: from the equations, and from the compiled plant (SPEC 3).
+"""Linear models of one cylinder about steady motions: from the equations, and from the compiled
+plant (SPEC 3).
 
-All other joints are held. An operating point is a steady motion of a working function at a posture, payload and speed;
-its linear model has the states ``v, p_head, p_rod``, then ``opening`` and ``rate`` of each valve at work, in SI.
-"""
+All other joints are held. An operating point is a steady motion of a working function at a posture,
+payload and speed; its linear model has the states ``v, p_head, p_rod``, then ``opening`` and
+``rate`` of each valve at work, in SI."""
 
 from __future__ import annotations
 
@@ -14,9 +15,21 @@ from typing import Literal
 import numpy as np
 
 from ehbench.control.functions import (
-    DIRECTION, EXTEND_RESISTIVE_REGENERATION, FUNCTIONS, HEAD, METERED, METERING, OVERRUNNING, PATH_FLOWS, Circuit, circuit,
-    coupled, path_drop, supply_draw, widest,
-)  # fmt: skip
+    DIRECTION,
+    EXTEND_RESISTIVE_REGENERATION,
+    FUNCTIONS,
+    HEAD,
+    METERED,
+    METERING,
+    OVERRUNNING,
+    PATH_FLOWS,
+    Circuit,
+    circuit,
+    coupled,
+    path_drop,
+    supply_draw,
+    widest,
+)
 from ehbench.control.valve_level import top_speed
 from ehbench.errors import InputError
 from ehbench.physics.arm import DAMPING as JOINT_DAMPING
@@ -26,15 +39,39 @@ from ehbench.physics.friction import coulomb_viscous
 from ehbench.physics.metering import SIGN, VALVE, edge_command, edge_flow
 from ehbench.physics.supply import FLOW_LIMIT
 from ehbench.plant import (
-    AREA_HEAD, AREA_ROD, BULK, COULOMB, COULOMB_SPEED, DAMPING, GEOMETRY, HIGHEST, L_A, L_B, LEAK_HEAD, LEAK_INTERNAL,
-    LEAK_ROD, LOWEST, PHASE, RELIEF, RETRACTED, SIDE, STIFFNESS, VISCOUS, VOLUME_HEAD, VOLUME_ROD, derivatives,
+    AREA_HEAD,
+    AREA_ROD,
+    BULK,
+    COULOMB,
+    COULOMB_SPEED,
+    DAMPING,
+    GEOMETRY,
+    HIGHEST,
+    L_A,
+    L_B,
+    LEAK_HEAD,
+    LEAK_INTERNAL,
+    LEAK_ROD,
+    LOWEST,
+    PHASE,
+    RELIEF,
+    RETRACTED,
+    SIDE,
+    STIFFNESS,
+    VISCOUS,
+    VOLUME_HEAD,
+    VOLUME_ROD,
+    derivatives,
     workspace_size,
-)  # fmt: skip
+)
 from ehbench.simulation import Maps, Model
 
-# what a path adds to the oil of (head, rod); its drop changes with their pressures by the negative of this
+# what a path adds to the oil of (head, rod); its drop changes with their pressures by the negative
+# of this
 INTO = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (-1, 1), (1, -1)], dtype=float)
-DIFFERENCE = 1.0e-5  # relative step of central differences: their error and the rounding are both near 1e-10
+DIFFERENCE = (
+    1.0e-5  # relative step of central differences: their error and the rounding are both near 1e-10
+)
 SPEED_HALVINGS = 12  # to find the full speed to 0.02 %
 AT_ZERO = 1.0e-7  # share of the fastest pole below which a pole is one at zero
 DELAY_ORDER = 2  # of the Padé form of the delay; its phase is exact to 1e-4 rad up to ω·delay = 0.8
@@ -42,11 +79,12 @@ DELAY_ORDER = 2  # of the Padé form of the delay; its phase is exact to 1e-4 ra
 
 @dataclass(frozen=True)
 class Equivalent:
-    """What a joint and all it carries is to its cylinder over the stroke, other joints held (thesis B.1–B.4).
+    """What a joint and all it carries is to its cylinder over the stroke, other joints held (thesis
+    B.1–B.4).
 
-    Arrays over ``x`` [m]: joint coordinate ``q`` [rad], ``lever`` ∂x/∂q [m/rad], ``curvature`` ∂lever/∂q [m/rad²],
-    ``mass`` m_eq [kg], ``gravity_force`` F_eq [N], the cylinder force that carries the load at rest, ``damping`` b_eq [N·s/m].
-    """
+    Arrays over ``x`` [m]: joint coordinate ``q`` [rad], ``lever`` ∂x/∂q [m/rad], ``curvature``
+    ∂lever/∂q [m/rad²], ``mass`` m_eq [kg], ``gravity_force`` F_eq [N], the cylinder force that
+    carries the load at rest, ``damping`` b_eq [N·s/m]."""
 
     x: np.ndarray
     q: np.ndarray
@@ -57,7 +95,9 @@ class Equivalent:
     damping: np.ndarray
 
 
-def equivalent(model: Model, cylinder: int, x: np.ndarray, held: Mapping[str, str | float] | None = None) -> Equivalent:
+def equivalent(
+    model: Model, cylinder: int, x: np.ndarray, held: Mapping[str, str | float] | None = None
+) -> Equivalent:
     """Equivalent mass, gravity force and damping of a cylinder over its stroke.
 
     ``m_eq = D_jj/lever²``, ``F_eq = c_j/lever``, ``b_eq = b_j/lever²`` (SPEC 3).
@@ -81,7 +121,14 @@ def equivalent(model: Model, cylinder: int, x: np.ndarray, held: Mapping[str, st
         mass_matrix(plant.kind, plant.links, q, mass, work)
         gravity_torque(plant.kind, plant.links, plant.gravity, q, gravity, work)
         damping = plant.links[joint, JOINT_DAMPING]
-        at[:] = q[joint], lever, bend, mass[joint, joint] / lever**2, gravity[joint] / lever, damping / lever**2
+        at[:] = (
+            q[joint],
+            lever,
+            bend,
+            mass[joint, joint] / lever**2,
+            gravity[joint] / lever,
+            damping / lever**2,
+        )
     return Equivalent(np.asarray(x, float), *table.T)
 
 
@@ -89,10 +136,9 @@ def equivalent(model: Model, cylinder: int, x: np.ndarray, held: Mapping[str, st
 class Path:
     """One path of a working function at an operating point.
 
-    ``flow`` [m³/s] along it at ``drop`` [Pa], through ``edge`` of ``valve`` at ``command`` [V]; ``slope`` ∂Q/∂Δp [m³/(s·Pa)] and
-    ``gain`` ∂Q/∂opening [m³/(s·V)] there. ``metering`` marks the path that sets the motion. ``reachable``: the driver can open
-    so far.
-    """
+    ``flow`` [m³/s] along it at ``drop`` [Pa], through ``edge`` of ``valve`` at ``command`` [V];
+    ``slope`` ∂Q/∂Δp [m³/(s·Pa)] and ``gain`` ∂Q/∂opening [m³/(s·V)] there. ``metering`` marks the
+    path that sets the motion. ``reachable``: the driver can open so far."""
 
     path: int
     edge: str
@@ -108,13 +154,14 @@ class Path:
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """A steady motion of one cylinder: working function, payload, stroke ``x`` [m] and speed ``v`` [m/s], extension positive.
+    """A steady motion of one cylinder: working function, payload, stroke ``x`` [m] and speed ``v``
+    [m/s], extension positive.
 
-    ``mass, gravity_force, damping`` are m_eq, F_eq, b_eq of `equivalent`; ``friction`` [N·s/m] is the slope of the cylinder's own
-    friction; ``bend`` [1/s] the part of ∂v̇/∂v from the changing lever; ``load_force`` P_L [N]; pressures [Pa] gauge; volumes
-    [m³]. ``possible``: every drop is along its flow and every valve can open so far. ``fits``: also the off-side chamber stands
-    at its set-point. ``note`` says what is missing.
-    """
+    ``mass, gravity_force, damping`` are m_eq, F_eq, b_eq of `equivalent`; ``friction`` [N·s/m] is
+    the slope of the cylinder's own friction; ``bend`` [1/s] the part of ∂v̇/∂v from the changing
+    lever; ``load_force`` P_L [N]; pressures [Pa] gauge; volumes [m³]. ``possible``: every drop is
+    along its flow and every valve can open so far. ``fits``: also the off-side chamber stands at
+    its set-point. ``note`` says what is missing."""
 
     cylinder: str
     function: str
@@ -147,13 +194,24 @@ class OperatingPoint:
 
 
 def circuit_of(model: Model, cylinder: int, maps: Maps | None = None) -> Circuit:
-    """The circuit of a cylinder as controllers take it, from a model and the measured maps it was built on."""
+    """The circuit of a cylinder as controllers take it, from a model and the measured maps it was
+    built on.
+    """
     maps = maps or {}
     plant = model.plant
     measured = [maps.get(name) or maps.get(name.split(".", 1)[1]) for name in model.layout.edges]
     row = plant.cylinders[cylinder]
     ranges = plant.valves[:, [LOWEST, HIGHEST]]
-    return circuit(cylinder, row[AREA_HEAD], row[AREA_ROD], plant.edges, plant.wiring, plant.maps, ranges, measured)
+    return circuit(
+        cylinder,
+        row[AREA_HEAD],
+        row[AREA_ROD],
+        plant.edges,
+        plant.wiring,
+        plant.maps,
+        ranges,
+        measured,
+    )
 
 
 def operating_point(
@@ -172,10 +230,11 @@ def operating_point(
 ) -> OperatingPoint:
     """The steady motion of a working function at posture ``here.x[index]``.
 
-    The off-side chamber stands at ``low_pressure`` above tank; in the seventh function at ``cross_drop`` above the head end;
-    with one command for both ends, where the common opening puts it. The other chamber carries ``F_eq + (b_eq + friction) v``.
-    Where that would need less than tank pressure, the off-side is raised until the metered chamber stands at ``low_pressure``,
-    and the point does not fit.
+    The off-side chamber stands at ``low_pressure`` above tank; in the seventh function at
+    ``cross_drop`` above the head end; with one command for both ends, where the common opening puts
+    it. The other chamber carries ``F_eq + (b_eq + friction) v``. Where that would need less than
+    tank pressure, the off-side is raised until the metered chamber stands at ``low_pressure``, and
+    the point does not fit.
 
     Args:
         model: with its payload.
@@ -189,7 +248,8 @@ def operating_point(
         cross_drop: planned drop of the seventh function [Pa].
 
     Raises:
-        InputError: neither or both of share and speed, or a function that the circuit is not able of.
+        InputError: neither or both of share and speed, or a function that the circuit is not able
+            of.
     """
     if (share is None) == (speed is None):
         raise InputError("an operating point takes a speed or a share of the full speed")
@@ -212,7 +272,11 @@ def operating_point(
 
     def chambers(force: float, off: float) -> tuple[float, float]:
         """(p_head, p_rod) [Pa] that carry the force with the off-side at ``off``."""
-        return ((force + areas[1] * off) / areas[0], off) if head else (off, (areas[0] * off - force) / areas[1])
+        return (
+            ((force + areas[1] * off) / areas[0], off)
+            if head
+            else (off, (areas[0] * off - force) / areas[1])
+        )
 
     def settle(v: float) -> tuple[float, float, float, str]:
         """(load force, p_head, p_rod, what had to give) at speed v."""
@@ -224,15 +288,22 @@ def operating_point(
             return force, p_head, p_head + cross_drop, ""
         off = p_tank + low_pressure
         if v != 0.0 and together:
-            off = _common_opening(circuit, function, lambda p: (*chambers(force, p), p_supply, p_tank), lambda *p: flows(v, *p))
+            off = _common_opening(
+                circuit,
+                function,
+                lambda p: (*chambers(force, p), p_supply, p_tank),
+                lambda *p: flows(v, *p),
+            )
         note = ""
         p_head, p_rod = chambers(force, off)
         if min(p_head, p_rod) < p_tank:
             other = p_tank + low_pressure
-            off = (force + areas[1] * other) / areas[0] if not head else (areas[0] * other - force) / areas[1]
-            note = (
-                f"the load does not suit this function: off-side raised to {off / 1e3:.0f} kPa to keep the metered chamber full"
+            off = (
+                (force + areas[1] * other) / areas[0]
+                if not head
+                else (areas[0] * other - force) / areas[1]
             )
+            note = f"the load does not suit this function: off-side raised to {off / 1e3:.0f} kPa to keep the metered chamber full"
             p_head, p_rod = chambers(force, off)
         return force, p_head, p_rod, note
 
@@ -241,12 +312,19 @@ def operating_point(
         settled = settle(v)
         need = flows(v, *settled[1:3])
         drops = [path_drop(p, *settled[1:3], p_supply, p_tank) for p in used]
-        paths = [_path(circuit, function, p, need[p], drop, names) for p, drop in zip(used, drops, strict=True)]
+        paths = [
+            _path(circuit, function, p, need[p], drop, names)
+            for p, drop in zip(used, drops, strict=True)
+        ]
         if together:
             lead = next(p for p in paths if p.metering)
-            paths = [_path(circuit, function, p.path, p.flow, p.drop, names, lead.command) for p in paths]
+            paths = [
+                _path(circuit, function, p.path, p.flow, p.drop, names, lead.command) for p in paths
+            ]
         troubles = [f"{p.edge} has no drop along its flow" for p in paths if not p.drop > 0.0]
-        troubles += [f"{p.edge} cannot pass its flow" for p in paths if p.drop > 0.0 and not p.reachable]
+        troubles += [
+            f"{p.edge} cannot pass its flow" for p in paths if p.drop > 0.0 and not p.reachable
+        ]
         if max(settled[1:3]) > row[RELIEF]:
             troubles.append("a relief valve would open")
         return settled, tuple(paths), troubles
@@ -260,7 +338,11 @@ def operating_point(
         if at(way * top)[2]:
             low = 0.0
             for _ in range(SPEED_HALVINGS):
-                low, top = (low, 0.5 * (low + top)) if at(way * 0.5 * (low + top))[2] else (0.5 * (low + top), top)
+                low, top = (
+                    (low, 0.5 * (low + top))
+                    if at(way * 0.5 * (low + top))[2]
+                    else (0.5 * (low + top), top)
+                )
             top = low
         speed = share * top
     v = way * float(speed)
@@ -273,46 +355,89 @@ def operating_point(
     slope = coulomb_viscous(v + around, row[VISCOUS], row[COULOMB], COULOMB_SPEED)
     slope -= coulomb_viscous(v - around, row[VISCOUS], row[COULOMB], COULOMB_SPEED)
     return OperatingPoint(
-        cylinder=model.layout.cylinders[circuit.cylinder], function=FUNCTIONS[function], payload=payload,
-        x=float(here.x[index]), v=float(v),
-        q=tuple(map(float, q)), lever=float(here.lever[index]), mass=float(here.mass[index]),
-        gravity_force=float(here.gravity_force[index]), damping=float(here.damping[index]), friction=float(slope / (2 * around)),
-        bend=float(2.0 * here.curvature[index] * v / here.lever[index] ** 2), load_force=float(force), p_head=float(p_head),
-        p_rod=float(p_rod), p_supply=float(p_supply), p_tank=float(p_tank),
+        cylinder=model.layout.cylinders[circuit.cylinder],
+        function=FUNCTIONS[function],
+        payload=payload,
+        x=float(here.x[index]),
+        v=float(v),
+        q=tuple(map(float, q)),
+        lever=float(here.lever[index]),
+        mass=float(here.mass[index]),
+        gravity_force=float(here.gravity_force[index]),
+        damping=float(here.damping[index]),
+        friction=float(slope / (2 * around)),
+        bend=float(2.0 * here.curvature[index] * v / here.lever[index] ** 2),
+        load_force=float(force),
+        p_head=float(p_head),
+        p_rod=float(p_rod),
+        p_supply=float(p_supply),
+        p_tank=float(p_tank),
         volume_head=float(chamber_volume(row[VOLUME_HEAD], areas[0] * here.x[index])),
         volume_rod=float(chamber_volume(row[VOLUME_ROD], -areas[1] * here.x[index])),
-        paths=paths, possible=not troubles, fits=not troubles and not note, note="; ".join([note] * bool(note) + troubles),
-    )  # fmt: skip
+        paths=paths,
+        possible=not troubles,
+        fits=not troubles and not note,
+        note="; ".join([note] * bool(note) + troubles),
+    )
 
 
 def _flow(circuit: Circuit, path: int, drop: float, command: float) -> float:
     """Flow [m³/s] along a path at a drop [Pa] along it and an opening [V]."""
     edge, along = circuit.paths[path], circuit.along[path]
-    return along * edge_flow(along * drop, command, circuit.edges[edge], circuit.wiring[edge], circuit.maps)
+    return along * edge_flow(
+        along * drop, command, circuit.edges[edge], circuit.wiring[edge], circuit.maps
+    )
 
 
 def _command(circuit: Circuit, path: int, flow: float, drop: float) -> float:
     """Command [V] at which a path passes a flow [m³/s] at a drop [Pa], both along it."""
     edge, along = circuit.paths[path], circuit.along[path]
-    return edge_command(along * drop, along * flow, circuit.edges[edge], circuit.wiring[edge], circuit.maps)
+    return edge_command(
+        along * drop, along * flow, circuit.edges[edge], circuit.wiring[edge], circuit.maps
+    )
 
 
 def _path(
-    circuit: Circuit, function: int, path: int, flow: float, drop: float, names: tuple[str, ...], command: float | None = None
+    circuit: Circuit,
+    function: int,
+    path: int,
+    flow: float,
+    drop: float,
+    names: tuple[str, ...],
+    command: float | None = None,
 ) -> Path:
-    """A path of a function at a flow and drop along it; at ``command`` where another path decides it."""
+    """A path of a function at a flow and drop along it; at ``command`` where another path decides
+    it.
+    """
     if command is None:
         command = _command(circuit, path, flow, drop)
-    edge, dp, du = int(circuit.paths[path]), DIFFERENCE * max(abs(drop), 1e4), DIFFERENCE * max(abs(command), 0.1)
-    slope = (_flow(circuit, path, drop + dp, command) - _flow(circuit, path, drop - dp, command)) / (2 * dp)
-    gain = (_flow(circuit, path, drop, command + du) - _flow(circuit, path, drop, command - du)) / (2 * du)
+    edge, dp, du = (
+        int(circuit.paths[path]),
+        DIFFERENCE * max(abs(drop), 1e4),
+        DIFFERENCE * max(abs(command), 0.1),
+    )
+    slope = (
+        _flow(circuit, path, drop + dp, command) - _flow(circuit, path, drop - dp, command)
+    ) / (2 * dp)
+    gain = (_flow(circuit, path, drop, command + du) - _flow(circuit, path, drop, command - du)) / (
+        2 * du
+    )
     most, sign = widest(circuit, edge, circuit.along[path] * drop), circuit.edges[edge, SIGN]
-    reachable = sign * command <= sign * most * (1 + 1e-9) and _flow(circuit, path, drop, command) >= flow * (1 - 1e-6)
+    reachable = sign * command <= sign * most * (1 + 1e-9) and _flow(
+        circuit, path, drop, command
+    ) >= flow * (1 - 1e-6)
     return Path(
-        int(path), names[edge], int(circuit.wiring[edge, VALVE]), float(flow), float(drop), float(command), float(slope),
+        int(path),
+        names[edge],
+        int(circuit.wiring[edge, VALVE]),
+        float(flow),
+        float(drop),
+        float(command),
+        float(slope),
         float(gain),
-        bool(path == METERING[function]), bool(reachable),
-    )  # fmt: skip
+        bool(path == METERING[function]),
+        bool(reachable),
+    )
 
 
 def _common_opening(circuit: Circuit, function: int, pressures, flows) -> float:
@@ -337,10 +462,11 @@ def _common_opening(circuit: Circuit, function: int, pressures, flows) -> float:
 
 @dataclass(frozen=True)
 class LinearModel:
-    """``ẋ = A x + B u + E f`` about an operating point: u [V] the commands of the valves at work, f [N] a force on the rod.
+    """``ẋ = A x + B u + E f`` about an operating point: u [V] the commands of the valves at work, f
+    [N] a force on the rod.
 
-    ``states`` name x: ``v, p_head, p_rod``, then ``opening, rate`` of each valve with dynamics; all SI. ``valves`` number u.
-    """
+    ``states`` name x: ``v, p_head, p_rod``, then ``opening, rate`` of each valve with dynamics; all
+    SI. ``valves`` number u."""
 
     states: tuple[str, ...]
     valves: tuple[int, ...]
@@ -349,7 +475,9 @@ class LinearModel:
     e: np.ndarray
 
 
-def _states(model: Model, point: OperatingPoint) -> tuple[tuple[int, ...], list[int], tuple[str, ...]]:
+def _states(
+    model: Model, point: OperatingPoint
+) -> tuple[tuple[int, ...], list[int], tuple[str, ...]]:
     valves = tuple(dict.fromkeys(p.valve for p in point.paths))
     moving = [i for i in valves if model.plant.valves[i, STIFFNESS] > 0.0]
     names = ["v", "p_head", "p_rod"]
@@ -361,16 +489,20 @@ def _states(model: Model, point: OperatingPoint) -> tuple[tuple[int, ...], list[
 def development_model(model: Model, point: OperatingPoint) -> LinearModel:
     """The linear development model from the equations (SPEC 3), valve edges with their own slopes.
 
-    ``m_eq v̇ = A1 P1 − A2 P2 − (b_eq + friction) v + m_eq·bend·v + f``; ``V/β_e Ṗ`` = inflow of each chamber, volumes fixed;
-    ``Q = gain·opening + slope·Δp`` along each edge; valves of second order.
-    """
+    ``m_eq v̇ = A1 P1 − A2 P2 − (b_eq + friction) v + m_eq·bend·v + f``; ``V/β_e Ṗ`` = inflow of
+    each chamber, volumes fixed; ``Q = gain·opening + slope·Δp`` along each edge; valves of second
+    order."""
     plant = model.plant
     row = plant.cylinders[model.layout.cylinders.index(point.cylinder)]
     valves, moving, names = _states(model, point)
     size = len(names)
     a, b, e = np.zeros((size, size)), np.zeros((size, len(valves))), np.zeros(size)
     areas = row[[AREA_HEAD, AREA_ROD]]
-    a[0, :3] = point.bend - (point.damping + point.friction) / point.mass, areas[0] / point.mass, -areas[1] / point.mass
+    a[0, :3] = (
+        point.bend - (point.damping + point.friction) / point.mass,
+        areas[0] / point.mass,
+        -areas[1] / point.mass,
+    )
     e[0] = 1.0 / point.mass
     stiff = row[BULK] / np.array([point.volume_head, point.volume_rod])
     inflow = np.zeros((2, size))
@@ -403,7 +535,9 @@ def faster(linear: LinearModel, factor: float) -> LinearModel:
 
 
 def state_of(model: Model, point: OperatingPoint) -> tuple[np.ndarray, np.ndarray]:
-    """(plant state, commands [V]) of the steady motion; other cylinders carry their loads, their valves shut."""
+    """(plant state, commands [V]) of the steady motion; other cylinders carry their loads, their
+    valves shut.
+    """
     names = model.layout
     index = names.cylinders.index(point.cylinder)
     y = model.trim(np.array(point.q))
@@ -416,14 +550,17 @@ def state_of(model: Model, point: OperatingPoint) -> tuple[np.ndarray, np.ndarra
 
 
 def plant_model(
-    model: Model, point: OperatingPoint, *, others: Literal["held", "free"] = "held", position: bool = False
+    model: Model,
+    point: OperatingPoint,
+    *,
+    others: Literal["held", "free"] = "held",
+    position: bool = False,
 ) -> LinearModel:
     """The same linear model from central differences of the compiled plant.
 
-    With the other joints held their acceleration is zero, ``q̈_j = (D q̈)_j/D_jj`` with q̈ of the free plant; ``free`` leaves
-    them to the reaction forces at this instant. ``position`` adds the stroke ``x`` as first state: what the development model
-    leaves out.
-    """
+    With the other joints held their acceleration is zero, ``q̈_j = (D q̈)_j/D_jj`` with q̈ of the
+    free plant; ``free`` leaves them to the reaction forces at this instant. ``position`` adds the
+    stroke ``x`` as first state: what the development model leaves out."""
     plant, layout = model.plant, model.layout
     index = layout.cylinders.index(point.cylinder)
     joint = int(plant.joints[index])
@@ -439,7 +576,9 @@ def plant_model(
     picks = [(layout.state("opening", i), layout.state("rate", i)) for i in moving]
 
     def motion(z: np.ndarray) -> np.ndarray:
-        """Rates of the reduced state for offsets z of (x, v, p_head, p_rod, openings and rates, commands)."""
+        """Rates of the reduced state for offsets z of (x, v, p_head, p_rod, openings and rates,
+        commands).
+        """
         y, u = base.copy(), rest.copy()
         y[joint] = joint_angle(*geometry, point.x + z[0]) if z[0] else base[joint]
         _, lever, bend = linkage(*geometry, y[joint])
@@ -454,13 +593,22 @@ def plant_model(
         if others == "held":
             mass_matrix(plant.kind, plant.links, y[:n], mass, arm_work)
             acceleration = mass[joint] @ rate[n : 2 * n] / mass[joint, joint]
-        out = [point.v + z[1], lever * acceleration + bend * y[at_qd] ** 2, rate[at_head], rate[at_head + 1]]
+        out = [
+            point.v + z[1],
+            lever * acceleration + bend * y[at_qd] ** 2,
+            rate[at_head],
+            rate[at_head + 1],
+        ]
         for opening, speed in picks:
             out += [rate[opening], rate[speed]]
         return np.array(out)
 
     steps = np.concatenate(
-        [[1e-5, 1e-5 * max(1.0, abs(point.v) / 0.01), 30.0, 30.0], [1e-4, 1e-2] * len(picks), [1e-4] * len(valves)]
+        [
+            [1e-5, 1e-5 * max(1.0, abs(point.v) / 0.01), 30.0, 30.0],
+            [1e-4, 1e-2] * len(picks),
+            [1e-4] * len(valves),
+        ]
     )
     columns = []
     for k, h in enumerate(steps):
@@ -479,11 +627,12 @@ def plant_model(
 
 @dataclass(frozen=True)
 class Law:
-    """The pressure feedback in linear form: ``Q = A v_d − K_p F(s) P``, off-side ``Q = A v_d + off_gain·(set-point − P)``.
+    """The pressure feedback in linear form: ``Q = A v_d − K_p F(s) P``, off-side ``Q = A v_d +
+    off_gain·(set-point − P)``.
 
-    ``washout`` ω_w and ``ramp_washout`` ω_r [rad/s], ``F = s/(s + ω_w)·s/(s + ω_r)``, 0 for none; ``off_gain`` [m³/(s·Pa)];
-    ``delay`` [s] from pressure to command; ``feedback`` the metered chamber's pressure, or the load force over the metered area.
-    """
+    ``washout`` ω_w and ``ramp_washout`` ω_r [rad/s], ``F = s/(s + ω_w)·s/(s + ω_r)``, 0 for none;
+    ``off_gain`` [m³/(s·Pa)]; ``delay`` [s] from pressure to command; ``feedback`` the metered
+    chamber's pressure, or the load force over the metered area."""
 
     washout: float
     off_gain: float
@@ -494,12 +643,13 @@ class Law:
 
 @dataclass(frozen=True)
 class Loop:
-    """An operating point under the control law with K_p left open: ``ẋ = (a + K_p b c) x + d v_d + e f``, ``v = x[0]``.
+    """An operating point under the control law with K_p left open: ``ẋ = (a + K_p b c) x + d v_d +
+    e f``, ``v = x[0]``.
 
-    ``b`` is the feedback flow's way in, ``c`` what is fed back [Pa], so the root locus is that of ``1 + K_p L``, L = −c (s −
-    a)⁻¹ b. ``off`` is the part of a that the off-side's pressure control makes, of rank one. Poles beyond ``fastest`` [rad/s]
-    are those of the delay's Padé form. States are scaled; ``v`` stays in m/s.
-    """
+    ``b`` is the feedback flow's way in, ``c`` what is fed back [Pa], so the root locus is that of
+    ``1 + K_p L``, L = −c (s − a)⁻¹ b. ``off`` is the part of a that the off-side's pressure control
+    makes, of rank one. Poles beyond ``fastest`` [rad/s] are those of the delay's Padé form. States
+    are scaled; ``v`` stays in m/s."""
 
     a: np.ndarray
     b: np.ndarray
@@ -521,9 +671,9 @@ class Loop:
 def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law) -> Loop:
     """The loop of a linear model under the control law.
 
-    The valve level inverts each edge at its measured drop: ``δu = (δQ − slope·δΔp)/gain``, with pressures ``delay`` old (Padé
-    form). Where one command serves both ends the path that sets the motion decides it.
-    """
+    The valve level inverts each edge at its measured drop: ``δu = (δQ − slope·δΔp)/gain``, with
+    pressures ``delay`` old (Padé form). Where one command serves both ends the path that sets the
+    motion decides it."""
     function = FUNCTIONS.index(point.function)
     areas = np.array([circuit.area_head, circuit.area_rod])
     head = METERED[function] == HEAD
@@ -552,7 +702,9 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
     # chamber flows (Q1, Q2) for the pressures seen, for the feedback flow, for v_d
     held_flow = np.zeros((2, total))
     if head:
-        held_flow[1] = law.off_gain * (seen[1] - (seen[0] if function == EXTEND_RESISTIVE_REGENERATION else 0.0))
+        held_flow[1] = law.off_gain * (
+            seen[1] - (seen[0] if function == EXTEND_RESISTIVE_REGENERATION else 0.0)
+        )
     else:
         held_flow[0] = -law.off_gain * seen[0]
     way_in = np.array([-1.0, 0.0]) if head else np.array([0.0, 1.0])
@@ -577,21 +729,33 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
     scale[4:size:2] = 100.0
     ratio = scale / scale[:, None]
     fastest = 2.5 / law.delay if held else math.inf
-    return Loop(a * ratio, put @ direct / scale, back * scale, put @ drive / scale, e / scale, put @ off * ratio, fastest)
+    return Loop(
+        a * ratio,
+        put @ direct / scale,
+        back * scale,
+        put @ drive / scale,
+        e / scale,
+        put @ off * ratio,
+        fastest,
+    )
 
 
 def damping_ratio(poles: np.ndarray, fastest: float = math.inf) -> np.ndarray:
     """Least damping ratio of the poles along the last axis: −Re s/|s|; 1 for real stable poles, −1 for real unstable ones.
 
-    Poles at zero, such as that of a chamber which nothing holds, do not count, nor stable ones beyond ``fastest`` [rad/s].
-    """
+    Poles at zero, such as that of a chamber which nothing holds, do not count, nor stable ones
+    beyond ``fastest`` [rad/s]."""
     size = np.abs(poles)
-    counts = (size > AT_ZERO * size.max(axis=-1, keepdims=True)) & ((size < fastest) | (poles.real > 0.0))
+    counts = (size > AT_ZERO * size.max(axis=-1, keepdims=True)) & (
+        (size < fastest) | (poles.real > 0.0)
+    )
     return np.where(counts, -poles.real / np.where(counts, size, 1.0), 1.0).min(axis=-1)
 
 
 def dominant(poles: np.ndarray, fastest: float = math.inf) -> complex:
-    """The least damped of the poles that `damping_ratio` counts, upper half plane; the slowest where all are real."""
+    """The least damped of the poles that `damping_ratio` counts, upper half plane; the slowest
+    where all are real.
+    """
     size = np.abs(poles)
     counts = (size > AT_ZERO * size.max()) & ((size < fastest) | (poles.real > 0.0))
     among = poles[counts]

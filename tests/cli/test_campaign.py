@@ -28,19 +28,29 @@ def test_every_recipe_says_what_it_is_for(path):
 def test_every_recipe_of_the_docs_is_there():
     for page in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]:
         for name in re.findall(r"(?<![\w/])(recipes/[\w/]+\.toml)", page.read_text()):
-            here = ROOT if page.name != "README.md" or (ROOT / name).is_file() else ROOT / "ehbench" / "workspace"
+            here = (
+                ROOT
+                if page.name != "README.md" or (ROOT / name).is_file()
+                else ROOT / "ehbench" / "workspace"
+            )
             assert (here / name).is_file(), f"{page.name} names {name}"
         for name in re.findall(r"\]\(((?:docs/|images/)?[\w/]+\.(?:md|svg))\)", page.read_text()):
             assert (page.parent / name).is_file(), f"{page.name} links {name}"
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file() and p.name != "volatile.json"}
+    return {
+        p.relative_to(folder).as_posix(): p.read_bytes()
+        for p in sorted(folder.rglob("*"))
+        if p.is_file() and p.name != "volatile.json"
+    }
 
 
 def test_the_same_campaign_twice_gives_the_same_bytes(tmp_path):
     for name in ("one", "two"):
-        made = workflow.run(ROOT / "recipes" / "slide_servo" / "campaign.toml", workflow.Desk(root=tmp_path / name))
+        made = workflow.run(
+            ROOT / "recipes" / "slide_servo" / "campaign.toml", workflow.Desk(root=tmp_path / name)
+        )
         assert made.code == workflow.DONE
     one, two = contents(tmp_path / "one"), contents(tmp_path / "two")
     assert one.keys() == two.keys() and any(name.endswith("report.html") for name in one)
@@ -58,4 +68,7 @@ def test_a_run_that_stands_is_kept_and_a_damaged_one_is_made_again(tmp_path):
     (source / "parameters.json").write_text("{}")
     workflow.run(recipe, workflow.Desk(root=tmp_path))
     assert json.loads((source / "parameters.json").read_text())["parameters"]
-    assert made.json("validation")["accepted"] and made.rig.parameters()["bulk_modulus"].sure == "identified"
+    assert (
+        made.json("validation")["accepted"]
+        and made.rig.parameters()["bulk_modulus"].sure == "identified"
+    )

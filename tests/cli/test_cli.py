@@ -1,4 +1,6 @@
-"""The command line as a user meets it: help with examples, exit codes, messages, nothing half-written."""
+"""The command line as a user meets it: help with examples, exit codes, messages, nothing
+half-written.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,16 @@ def ehbench(*words: str | Path, cwd: Path = ROOT, **options) -> subprocess.Compl
     """Run the command as a user would, in a process of its own."""
     environment = {**os.environ, "COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}
     line = [sys.executable, "-m", "ehbench.cli", *map(str, words)]
-    return subprocess.run(line, cwd=cwd, env=environment, capture_output=True, text=True, timeout=300, check=False, **options)
+    return subprocess.run(
+        line,
+        cwd=cwd,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        **options,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +75,15 @@ def test_a_new_workspace_runs_as_it_stands(workspace):
     commands = re.findall(r"^    ehbench (.+)$", (workspace / "README.md").read_text(), re.M)
     assert len(commands) == 5
     for line in commands:
-        words = [str(p.relative_to(workspace)) for word in line.split() for p in sorted(workspace.glob(word))] if "*" in line else line.split()
+        words = (
+            [
+                str(p.relative_to(workspace))
+                for word in line.split()
+                for p in sorted(workspace.glob(word))
+            ]
+            if "*" in line
+            else line.split()
+        )
         if "*" in line:
             words = ["report", *words]
         done = ehbench(*words, cwd=workspace)
@@ -106,7 +125,12 @@ def broken(workspace: Path, tmp_path: Path, file: str, old: str, new: str) -> Pa
         ("recipes/step_small.toml", 'valve = "lift.spool"', 'valve = "lift.spol"', ["lift.spool"]),
         ("recipes/step_small.toml", '"3.5 V"', '"35 V"', ["-10 to 10 V"]),
         ("recipes/step_small.toml", '"180 mm"', '"480 mm"', ["stroke", "450"]),
-        ("recipes/step_small.toml", 'stage = "trial"', 'stage = "trail"', ["step_small.toml:4", "trial"]),
+        (
+            "recipes/step_small.toml",
+            'stage = "trial"',
+            'stage = "trail"',
+            ["step_small.toml:4", "trial"],
+        ),
         ("recipes/step_small.toml", "../rig.toml", "../rigg.toml", ["rig.toml"]),
         ("recipes/step_small.toml", '"4 s"', '"4 s', ["step_small.toml", "TOML"]),
     ],
@@ -152,7 +176,9 @@ def test_a_rejected_model_exits_with_4_and_keeps_the_verdict(workspace, tmp_path
 
 
 def test_a_truncated_log_finishes_with_3_and_says_how_much_was_lost(workspace, tmp_path):
-    whole = ehbench("run-trial", workspace / "recipes" / "step_small.toml", "--out", tmp_path / "trial")
+    whole = ehbench(
+        "run-trial", workspace / "recipes" / "step_small.toml", "--out", tmp_path / "trial"
+    )
     assert whole.returncode == 0, whole.stderr
     data = (tmp_path / "trial" / "log.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: int(len(data) * 0.7)])
@@ -163,14 +189,26 @@ def test_a_truncated_log_finishes_with_3_and_says_how_much_was_lost(workspace, t
 def test_an_out_that_is_no_run_is_left_alone(workspace, tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("keep")
-    done = ehbench("run-trial", workspace / "recipes" / "step_small.toml", "--out", tmp_path / "mine")
+    done = ehbench(
+        "run-trial", workspace / "recipes" / "step_small.toml", "--out", tmp_path / "mine"
+    )
     assert done.returncode == 2 and (tmp_path / "mine" / "notes.txt").read_text() == "keep"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["mine"]
 
 
 def test_a_terminated_run_leaves_nothing(workspace, tmp_path):
-    line = [sys.executable, "-m", "ehbench.cli", "identify", str(workspace / "recipes" / "identify.toml"), "--out", str(tmp_path / "run")]
-    process = subprocess.Popen(line, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    line = [
+        sys.executable,
+        "-m",
+        "ehbench.cli",
+        "identify",
+        str(workspace / "recipes" / "identify.toml"),
+        "--out",
+        str(tmp_path / "run"),
+    ]
+    process = subprocess.Popen(
+        line, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
     time.sleep(2.0)
     process.send_signal(signal.SIGTERM)
     assert process.wait(timeout=60) in (143, -signal.SIGTERM, 0)
@@ -180,10 +218,18 @@ def test_a_terminated_run_leaves_nothing(workspace, tmp_path):
 
 def test_same_recipe_same_bytes(workspace, tmp_path):
     for name in ("one", "two"):
-        done = ehbench("run-trial", workspace / "recipes" / "step_large.toml", "--out", tmp_path / name)
+        done = ehbench(
+            "run-trial", workspace / "recipes" / "step_large.toml", "--out", tmp_path / name
+        )
         assert done.returncode == 0, done.stderr
-    files = sorted(p.relative_to(tmp_path / "one") for p in (tmp_path / "one").rglob("*") if p.is_file())
-    assert files == sorted(p.relative_to(tmp_path / "two") for p in (tmp_path / "two").rglob("*") if p.is_file())
+    files = sorted(
+        p.relative_to(tmp_path / "one") for p in (tmp_path / "one").rglob("*") if p.is_file()
+    )
+    assert files == sorted(
+        p.relative_to(tmp_path / "two") for p in (tmp_path / "two").rglob("*") if p.is_file()
+    )
     for name in files:
         if name.name != "volatile.json":
-            assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
+            assert (tmp_path / "one" / name).read_bytes() == (
+                tmp_path / "two" / name
+            ).read_bytes(), name

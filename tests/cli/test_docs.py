@@ -1,4 +1,6 @@
-"""The docs say what the models say: every key of a rig file with its symbol, unit, range and default; every example loads."""
+"""The docs say what the models say: every key of a rig file with its symbol, unit, range and
+default; every example loads.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,16 @@ from ehbench.recipe import load_rig
 from ehbench.units import from_si
 
 PAGE = Path(__file__).parents[2] / "docs" / "rig_file.md"
-MODELS = [item for item in vars(rig).values() if isinstance(item, type) and issubclass(item, rig.Model) and item is not rig.Model]
-EXAMPLES = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S) if PAGE.exists() else []
+MODELS = [
+    item
+    for item in vars(rig).values()
+    if isinstance(item, type) and issubclass(item, rig.Model) and item is not rig.Model
+]
+EXAMPLES = (
+    re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)
+    if PAGE.exists()
+    else []
+)
 
 
 def parts(annotation: Any) -> list[Any]:
@@ -27,7 +37,10 @@ def parts(annotation: Any) -> list[Any]:
 
 def marks(field: Any) -> list[Any]:
     """What a field's annotation carries beside its type."""
-    return [*field.metadata, *(mark for part in parts(field.annotation) for mark in getattr(part, "__metadata__", ()))]
+    return [
+        *field.metadata,
+        *(mark for part in parts(field.annotation) for mark in getattr(part, "__metadata__", ())),
+    ]
 
 
 def number(value: float, row: Quantity) -> str:
@@ -57,7 +70,13 @@ def cells(name: str, field: Any) -> tuple[str, str, str, str, str]:
     elif tables:
         kind = "list of tables" if any(get_origin(kind) is tuple for kind in kinds) else "table"
     else:
-        kind = "choice" if choices else "list of pairs" if any(get_origin(kind) is tuple for kind in kinds) else "text"
+        kind = (
+            "choice"
+            if choices
+            else "list of pairs"
+            if any(get_origin(kind) is tuple for kind in kinds)
+            else "text"
+        )
     if choices and not field.is_required():
         default = f"`{field.default}`"
     return key, "", kind, ", ".join(f"`{choice}`" for choice in choices), default
@@ -65,9 +84,14 @@ def cells(name: str, field: Any) -> tuple[str, str, str, str, str]:
 
 def rows(model: type[rig.Model]) -> list[tuple[str, ...]]:
     """The rows of the table under the heading that names a model."""
-    found = re.search(rf"<!-- {model.__name__} -->\n(.*?)(?:\n\n|\Z)", PAGE.read_text(encoding="utf-8"), re.S)
+    found = re.search(
+        rf"<!-- {model.__name__} -->\n(.*?)(?:\n\n|\Z)", PAGE.read_text(encoding="utf-8"), re.S
+    )
     assert found, f"docs/rig_file.md has no table <!-- {model.__name__} -->"
-    lines = [tuple(cell.strip() for cell in line.strip("| ").split(" | ")) for line in found[1].splitlines()]
+    lines = [
+        tuple(cell.strip() for cell in line.strip("| ").split(" | "))
+        for line in found[1].splitlines()
+    ]
     return lines[2:]
 
 
@@ -83,7 +107,9 @@ def test_every_stage_and_every_key_of_a_campaign_stands_on_the_page_of_recipes(t
     page = (PAGE.parent / "recipes.md").read_text(encoding="utf-8")
     for stage, what in recipe._STAGES:
         assert f"`{stage}`" in page and (what is None or f'`what = "{what}"`' in page)
-    (tmp_path / "campaign.toml").write_text(*re.findall(r"```toml\n(.*?)```", page, re.S), encoding="utf-8")
+    (tmp_path / "campaign.toml").write_text(
+        *re.findall(r"```toml\n(.*?)```", page, re.S), encoding="utf-8"
+    )
     given = recipe.load_recipe(tmp_path / "campaign.toml").model_fields_set
     assert given >= set(recipe.Campaign.model_fields) - {"path", "note"}
 
@@ -96,7 +122,9 @@ def test_every_word_for_how_sure_a_number_is_stands_on_the_page():
 def test_every_example_is_part_of_a_rig_that_checks(text, tmp_path):
     """Each example takes the place of what the whole one at the top of the page has."""
     made, part = tomllib.loads(EXAMPLES[0]), tomllib.loads(text)
-    if isinstance(part.get("cylinder"), dict):  # [[cylinder.valve]] alone belongs to the cylinder of the whole one
+    if isinstance(
+        part.get("cylinder"), dict
+    ):  # [[cylinder.valve]] alone belongs to the cylinder of the whole one
         part["cylinder"] = [made["cylinder"][0] | part["cylinder"]]
     (tmp_path / "rig.toml").write_text(tomli_w.dumps(made | part), encoding="utf-8")
     lines = inspection.check(tmp_path / "rig.toml").lines

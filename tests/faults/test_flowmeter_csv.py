@@ -41,18 +41,33 @@ def test_reads_any_order_unit_and_comment_and_keeps_the_lines(write):
         '-0.01, 1, "regen", 70, 0, , , ,\n'
     )
     data = read_flowmeter(path)
-    assert data.line.tolist() == [4, 6] and data.valve.tolist() == ["regen", "regen"] and len(data) == 2
-    assert data.direction.tolist() == ["head->rod", "forward"] and data.method.tolist() == ["cylinder", "flowmeter"]
+    assert (
+        data.line.tolist() == [4, 6]
+        and data.valve.tolist() == ["regen", "regen"]
+        and len(data) == 2
+    )
+    assert data.direction.tolist() == ["head->rod", "forward"] and data.method.tolist() == [
+        "cylinder",
+        "flowmeter",
+    ]
     np.testing.assert_allclose(data.flow, [30 / 6e4, -0.01 / 6e4])
     np.testing.assert_allclose(data.pressure_drop, [10.5e5, 70e5])
     np.testing.assert_allclose(data.command, [4.0, 0.0])
-    assert data.trial.tolist() == [2, 1] and data.temperature[0] == pytest.approx(313.15) and math.isnan(data.temperature[1])
-    assert data.groups() == [("regen", "forward"), ("regen", "head->rod")] and set(data.file) == {str(path)}
+    assert (
+        data.trial.tolist() == [2, 1]
+        and data.temperature[0] == pytest.approx(313.15)
+        and math.isnan(data.temperature[1])
+    )
+    assert data.groups() == [("regen", "forward"), ("regen", "head->rod")] and set(data.file) == {
+        str(path)
+    }
 
 
 def test_two_pressures_make_the_drop(write):
     data = read_flowmeter(
-        write("valve,downstream_pressure [psi],upstream_pressure [kPa],command [V],flow [gpm]\na,100,6894.757,4,2\n")
+        write(
+            "valve,downstream_pressure [psi],upstream_pressure [kPa],command [V],flow [gpm]\na,100,6894.757,4,2\n"
+        )
     )
     assert data.pressure_drop[0] == pytest.approx(6894757 - 100 * 6894.757, rel=1e-6)
 
@@ -61,11 +76,16 @@ def test_two_pressures_make_the_drop(write):
 def test_decimal_commas_between_semicolons_or_tabs(write, mark):
     text = HEADER.replace(",", mark) + "\n" + mark.join(["a", "2,25", "689,4", "1.5"]) + "\n"
     data = read_flowmeter(write(text))
-    assert (data.command[0], data.pressure_drop[0], data.flow[0]) == pytest.approx((2.25, 689400.0, 1.5 * GPM))
+    assert (data.command[0], data.pressure_drop[0], data.flow[0]) == pytest.approx(
+        (2.25, 689400.0, 1.5 * GPM)
+    )
 
 
 def test_old_line_ends_keep_the_line_numbers(write):
-    assert read_flowmeter(write(HEADER + "\r\na,1,100,1\r\n\r\na,2,100,2\r\n")).line.tolist() == [2, 4]
+    assert read_flowmeter(write(HEADER + "\r\na,1,100,1\r\n\r\na,2,100,2\r\n")).line.tolist() == [
+        2,
+        4,
+    ]
     assert read_flowmeter(write(HEADER + "\ra,1,100,1\ra,2,100,2\r")).line.tolist() == [2, 3]
 
 
@@ -80,8 +100,13 @@ def test_select_and_merge_keep_file_and_line(write):
     one = read_flowmeter(write(HEADER + "\na,1,100,1\nb,2,100,2\n"))
     two = read_flowmeter(write(HEADER + "\na,3,100,3\n", "second.csv"))
     both = merge_flowmeter([one, two]).select("a")
-    assert both.line.tolist() == [2, 2] and [name.rsplit("/", 1)[-1] for name in both.file] == ["hect.csv", "second.csv"]
-    with pytest.raises(InputError, match="no readings of 'c' in direction forward .*a forward, b forward"):
+    assert both.line.tolist() == [2, 2] and [name.rsplit("/", 1)[-1] for name in both.file] == [
+        "hect.csv",
+        "second.csv",
+    ]
+    with pytest.raises(
+        InputError, match="no readings of 'c' in direction forward .*a forward, b forward"
+    ):
         one.select("c")
 
 
@@ -100,15 +125,47 @@ BROKEN = {
     ),
     "unknown column": ("{},humidity [1]\n", 1, "unknown column 'humidity"),
     "column twice": ("{},flow [gpm]\n", 1, "'flow' comes twice"),
-    "missing column": ("valve,command [V],pressure_drop [kPa]\n", 1, r"misses the column flow.*flow \[gpm\]"),
-    "missing valve": ("command [V],pressure_drop [kPa],flow [gpm]\n", 1, 'misses the column valve.*"valve"'),
-    "one pressure of two": ("valve,command [V],upstream_pressure [kPa],flow [gpm]\n", 1, "misses the column downstream_pressure"),
+    "missing column": (
+        "valve,command [V],pressure_drop [kPa]\n",
+        1,
+        r"misses the column flow.*flow \[gpm\]",
+    ),
+    "missing valve": (
+        "command [V],pressure_drop [kPa],flow [gpm]\n",
+        1,
+        'misses the column valve.*"valve"',
+    ),
+    "one pressure of two": (
+        "valve,command [V],upstream_pressure [kPa],flow [gpm]\n",
+        1,
+        "misses the column downstream_pressure",
+    ),
     "drop and pressures": ("{},upstream_pressure [kPa]\n", 1, "not both"),
-    "no unit": ("valve,command [V],pressure_drop [kPa],flow\n", 1, r'flow\' has no unit.*"flow \[gpm\]"'),
-    "unit in brackets": ("valve,command [V],pressure_drop (kPa),flow [gpm]\n", 1, r"unknown column.*pressure_drop \[kPa\]"),
-    "wrong unit": ("valve,command [V],pressure_drop [gpm],flow [gpm]\n", 1, "'gpm' cannot be turned into Pa"),
-    "unknown unit": ("valve,command [V],pressure_drop [kPaa],flow [gpm]\n", 1, "unknown unit 'kPaa'"),
-    "unit on a word": ("valve [m],command [V],pressure_drop [kPa],flow [gpm]\n", 1, "'valve' has no unit"),
+    "no unit": (
+        "valve,command [V],pressure_drop [kPa],flow\n",
+        1,
+        r'flow\' has no unit.*"flow \[gpm\]"',
+    ),
+    "unit in brackets": (
+        "valve,command [V],pressure_drop (kPa),flow [gpm]\n",
+        1,
+        r"unknown column.*pressure_drop \[kPa\]",
+    ),
+    "wrong unit": (
+        "valve,command [V],pressure_drop [gpm],flow [gpm]\n",
+        1,
+        "'gpm' cannot be turned into Pa",
+    ),
+    "unknown unit": (
+        "valve,command [V],pressure_drop [kPaa],flow [gpm]\n",
+        1,
+        "unknown unit 'kPaa'",
+    ),
+    "unit on a word": (
+        "valve [m],command [V],pressure_drop [kPa],flow [gpm]\n",
+        1,
+        "'valve' has no unit",
+    ),
     "blank": ("{}\na,1,100,1\na,,100,1\n", 3, "command is blank"),
     "NaN": ("{}\na,1,nan,1\n", 2, "pressure_drop is 'nan', which is no number"),
     "infinite": ("{}\na,1,100,inf\n", 2, "flow is 'inf'"),
@@ -133,7 +190,11 @@ BROKEN = {
         2,
         "pressure_drop = 1000 MPa lies outside",
     ),
-    "gpm read as m3/s": ("valve,command [V],pressure_drop [kPa],flow [m^3/s]\na,1,1000,6\n", 2, r"flow = 6 m\^3/s lies outside"),
+    "gpm read as m3/s": (
+        "valve,command [V],pressure_drop [kPa],flow [m^3/s]\na,1,1000,6\n",
+        2,
+        r"flow = 6 m\^3/s lies outside",
+    ),
 }
 
 
@@ -143,27 +204,42 @@ def test_broken_files_are_refused_with_file_line_and_remedy(write, name):
     path = write(text.replace("{}", HEADER) if isinstance(text, str) else text)
     with pytest.raises(InputError, match=words) as caught:
         read_flowmeter(path)
-    assert caught.value.file == str(path) and caught.value.line == line and caught.value.exit_code == 2
+    assert (
+        caught.value.file == str(path) and caught.value.line == line and caught.value.exit_code == 2
+    )
     assert str(caught.value).startswith(f"{path}:{line}: " if line else f"{path}: ")
 
 
 def test_a_drop_beyond_the_supply_is_a_slip_of_unit(write):
-    path = write("valve,command [V],pressure_drop [bar],flow [gpm]\na,1,60,1\na,2,6000,2\n", "bar.csv")
+    path = write(
+        "valve,command [V],pressure_drop [bar],flow [gpm]\na,1,60,1\na,2,6000,2\n", "bar.csv"
+    )
     assert (
-        read_flowmeter(write("valve,command [V],pressure_drop [bar],flow [gpm]\na,1,100,1\n"), supply_pressure=6.9e6).line[0] == 2
+        read_flowmeter(
+            write("valve,command [V],pressure_drop [bar],flow [gpm]\na,1,100,1\n"),
+            supply_pressure=6.9e6,
+        ).line[0]
+        == 2
     )
     with pytest.raises(UnitError, match="6000 bar") as caught:
         read_flowmeter(path)  # above the plausible range even without a supply
-    path = write("valve,command [V],pressure_drop [bar],flow [gpm]\na,1,60,1\na,2,600,2\n", "bar.csv")
+    path = write(
+        "valve,command [V],pressure_drop [bar],flow [gpm]\na,1,60,1\na,2,600,2\n", "bar.csv"
+    )
     assert len(read_flowmeter(path)) == 2
-    with pytest.raises(UnitError, match="600 bar is 8.7 times the supply pressure of 69 bar.*really bar") as caught:
+    with pytest.raises(
+        UnitError, match="600 bar is 8.7 times the supply pressure of 69 bar.*really bar"
+    ) as caught:
         read_flowmeter(path, supply_pressure=6.9e6)
     assert caught.value.line == 3
 
 
 def test_drops_far_below_the_supply_are_kept_with_a_warning(write):
     data = read_flowmeter(write(HEADER + "\na,1,6.5,1\n"), supply_pressure=6.9e6)
-    assert "under 0.5 %" in data.warnings[0] and merge_flowmeter([data, data]).warnings == data.warnings * 2
+    assert (
+        "under 0.5 %" in data.warnings[0]
+        and merge_flowmeter([data, data]).warnings == data.warnings * 2
+    )
     assert read_flowmeter(write(HEADER + "\na,1,650,1\n"), supply_pressure=6.9e6).warnings == ()
 
 
@@ -184,7 +260,13 @@ def servo_rows(direction: str, sign: int, seed: int = 1, scale: float = 1.0) -> 
     for volts in (0, 1, 2, 4, 6, 8, 10):
         for drop in (1, 2, 4, 7):
             for trial in (1, 2):
-                flow = scale * 1.5 * max(volts - 0.4, 0.0) * drop**0.5 * (1 + 0.01 * rng.standard_normal())
+                flow = (
+                    scale
+                    * 1.5
+                    * max(volts - 0.4, 0.0)
+                    * drop**0.5
+                    * (1 + 0.01 * rng.standard_normal())
+                )
                 rows.append(f"servo,{direction},{sign * volts},{drop},{flow!r},{trial}")
     return rows
 
@@ -198,18 +280,28 @@ def test_rows_copied_by_mistake_are_told_once_a_file_with_their_lines(write):
     rows = servo_rows("supply->head", 1) + servo_rows("supply->rod", -1, 2)
     assert not any("repeat" in text for one in fit_rows(write, rows) for text in one.fit.warnings)
     copied = [*rows, *rows[20:27], rows[90]]
-    said = [text for one in fit_rows(write, copied) for text in one.fit.warnings if "repeat" in text]
+    said = [
+        text for one in fit_rows(write, copied) for text in one.fit.warnings if "repeat" in text
+    ]
     first = len(rows) + 2
     assert len(said) == 1 and said[0].startswith("servo.csv: 8 rows repeat an earlier one")
     assert f"(line {', '.join(str(first + k) for k in range(5))}, …)" in said[0]
-    # the same command, drop and flow in another trial is a repeat, and zeros of a meter at rest are none
+    # the same command, drop and flow in another trial is a repeat, and zeros of a meter at rest are
+    # none
     again = rows[20].removesuffix(",1").removesuffix(",2") + ",3"
-    assert not any("repeat" in text for one in fit_rows(write, [*rows, again, rows[0]]) for text in one.fit.warnings)
+    assert not any(
+        "repeat" in text
+        for one in fit_rows(write, [*rows, again, rows[0]])
+        for text in one.fit.warnings
+    )
 
 
 @pytest.mark.parametrize("scale", [60.0, 1 / 60000])
 def test_flows_that_no_supply_gives_are_told(write, scale):
-    fine, wrong = fit_rows(write, servo_rows("supply->head", 1)), fit_rows(write, servo_rows("supply->head", 1, scale=scale))
+    fine, wrong = (
+        fit_rows(write, servo_rows("supply->head", 1)),
+        fit_rows(write, servo_rows("supply->head", 1, scale=scale)),
+    )
     assert not fine[0].fit.warnings
     said = [text for text in wrong[0].fit.warnings if "check the unit" in text]
     assert len(said) == 1 and "supply's limit of 60 L/min" in said[0]
@@ -226,19 +318,25 @@ def test_flows_that_one_slip_makes_large_are_an_outlier_and_no_unit(write):
 
 def test_no_limit_of_the_supply_no_doubt_about_flows(write):
     rig = load_rig(RIGS / "slide_servo.toml")
-    endless = rig.model_copy(update={"supply": rig.supply.model_copy(update={"flow_limit": math.inf})})
+    endless = rig.model_copy(
+        update={"supply": rig.supply.model_copy(update={"flow_limit": math.inf})}
+    )
     (one,) = fit_rows(write, servo_rows("supply->head", 1, scale=60.0), endless)
     assert not any("check the unit" in text for text in one.fit.warnings)
 
 
 def test_what_the_reader_doubts_reaches_the_map(write):
     path = write(
-        "valve,direction,command [V],pressure_drop [kPa],flow [L/min],trial\n" + "\n".join(servo_rows("supply->head", 1))
+        "valve,direction,command [V],pressure_drop [kPa],flow [L/min],trial\n"
+        + "\n".join(servo_rows("supply->head", 1))
     )
     part = read_flowmeter(path, supply_pressure=1.4e7)
     (one,) = fit_readings(load_rig(RIGS / "slide_servo.toml"), [part])
     # by the file's name alone: a result must not depend on where the data lie
-    assert one.fit.warnings[0].startswith("hect.csv: the largest drop is 7 kPa") and "/" not in one.fit.warnings[0]
+    assert (
+        one.fit.warnings[0].startswith("hect.csv: the largest drop is 7 kPa")
+        and "/" not in one.fit.warnings[0]
+    )
 
 
 def test_volts_of_an_edge_that_opens_on_negative_commands_have_their_sign(write):
@@ -247,14 +345,28 @@ def test_volts_of_an_edge_that_opens_on_negative_commands_have_their_sign(write)
     by_sign = {one.sign: one for one in fits}
     assert sorted(by_sign) == [-1, 1] and set(signs(fits).values()) == {-1, 1}
     opened = by_sign[-1]
-    assert opened.readings.command.min() == 0.0 and opened.fit.map.deadband > 0  # maps take openings
-    rows = [row for row in csv.DictReader(points_table(fits, rig).splitlines()) if row["valve"] == opened.fit.map.valve]
-    assert rows and all(float(row["driver_command [V]"]) == -float(row["command [V]"]) for row in rows)
+    assert (
+        opened.readings.command.min() == 0.0 and opened.fit.map.deadband > 0
+    )  # maps take openings
+    rows = [
+        row
+        for row in csv.DictReader(points_table(fits, rig).splitlines())
+        if row["valve"] == opened.fit.map.valve
+    ]
+    assert rows and all(
+        float(row["driver_command [V]"]) == -float(row["command [V]"]) for row in rows
+    )
     assert "-0" not in {row["driver_command [V]"] for row in rows}
     told = {plain["sign"]: plain for plain in summary(fits, rig)}
     assert told[-1]["deadband"] > 0 and told[-1]["valve"] == opened.fit.map.valve
-    grid = list(csv.DictReader(table(collect([one.fit.map for one in fits]), signs=signs(fits)).splitlines()))
-    sent = [float(row["driver_command [V]"]) for row in grid if row["valve"] == opened.fit.map.valve]
+    grid = list(
+        csv.DictReader(
+            table(collect([one.fit.map for one in fits]), signs=signs(fits)).splitlines()
+        )
+    )
+    sent = [
+        float(row["driver_command [V]"]) for row in grid if row["valve"] == opened.fit.map.valve
+    ]
     assert min(sent) == -10.0 and max(sent) == 0.0
     path = write(SERVO_HEADER + "\n" + "\n".join(servo_rows("supply->rod", -1)) + "\n", "servo.csv")
     (one,) = fit_readings(rig, [read_flowmeter(path)], calibration=[(4.0, 1e-4, 0.05)])

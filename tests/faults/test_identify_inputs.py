@@ -1,4 +1,6 @@
-"""Logs and recipes broken the way people break them: refused or told, in one sentence that says what would be right."""
+"""Logs and recipes broken the way people break them: refused or told, in one sentence that says
+what would be right.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,13 @@ def steps(samples, out, back):
 
 def logged(machine, valve, volts, payload=None, samples=1501, posture=None):
     """What sensors say of steps there and back, with noise."""
-    made = simulate(machine, {valve: steps(samples, *volts)}, (samples - 1) / 1000.0, payload=payload, posture=posture)
+    made = simulate(
+        machine,
+        {valve: steps(samples, *volts)},
+        (samples - 1) / 1000.0,
+        payload=payload,
+        posture=posture,
+    )
     rng = np.random.default_rng(samples)
     channels = {}
     for name, values in made.channels.items():
@@ -55,7 +63,9 @@ def crane(payload=None):
 
 
 def changed(record, **edits):
-    """A log with channels scaled, by their last word: ``p_head=0.01``; or replaced, by ``lift_x=array``."""
+    """A log with channels scaled, by their last word: ``p_head=0.01``; or replaced, by
+    ``lift_x=array``.
+    """
     channels = dict(record.channels)
     for name in channels:
         word = name.rsplit(".", 1)[-1]
@@ -94,16 +104,24 @@ def test_a_sound_log_passes_as_it_is():
         ("crane_proportional", "lift.spool", (5.0, -4.5), "lift.leakage_internal", None, 8e-12),
         ("slide_servo", "press.servo", (3.0, -3.0), "carriage.mass", 0.5, None),
     ],
-)  # fmt: skip
+)
 def test_what_the_log_excites_comes_back_without_bounds(machine, valve, volts, name, factor, upper):
-    """Only the start is given (an upper bound where it is zero); no vocabulary range may stand in for a scale."""
+    """Only the start is given (an upper bound where it is zero); no vocabulary range may stand in
+    for a scale.
+    """
     truth = 2.0e-12 if factor is None else float(rig(machine).parameters()[name])
     record = logged(rig(machine).with_values({name: truth}), valve, volts)
     bare = rig(machine).with_values(
-        {name: replace(rig(machine).parameters()[name], value=truth, lower=None, upper=None, text=None)}
+        {
+            name: replace(
+                rig(machine).parameters()[name], value=truth, lower=None, upper=None, text=None
+            )
+        }
     )
     start = 0.0 if factor is None else factor * truth
-    fit = identify_hydraulics(bare, [("log", record)], [name], start={name: start}, upper={name: upper} if upper else None)
+    fit = identify_hydraulics(
+        bare, [("log", record)], [name], start={name: start}, upper={name: upper} if upper else None
+    )
     found = fit[name]
     assert found.status == "estimated", found
     # five standard errors, and errors that make the number worth having
@@ -117,7 +135,10 @@ def test_a_rod_volume_is_not_tried_below_what_the_stroke_displaces():
 
 
 def test_a_zero_start_asks_for_an_upper_bound():
-    with pytest.raises(InputError, match=r'starts at zero and has no upper bound \(give it one.*\[upper\] "lift.leakage_head"'):
+    with pytest.raises(
+        InputError,
+        match=r'starts at zero and has no upper bound \(give it one.*\[upper\] "lift.leakage_head"',
+    ):
         identify_hydraulics(rig(), [("log", crane())], ["lift.leakage_head"])
 
 
@@ -125,23 +146,35 @@ def test_a_zero_start_asks_for_an_upper_bound():
 
 
 def renamed(record, old, new):
-    return replace(record, channels={name.replace(old, new): values for name, values in record.channels.items()})
+    return replace(
+        record,
+        channels={name.replace(old, new): values for name, values in record.channels.items()},
+    )
 
 
 def test_channels_of_nothing_on_the_rig_are_named():
     odd = replace(
-        crane(), channels=crane().channels | {"lft.p_head": crane()["lift.p_head"], "lift.spol.command": np.zeros(1501)}
+        crane(),
+        channels=crane().channels
+        | {"lft.p_head": crane()["lift.p_head"], "lift.spol.command": np.zeros(1501)},
     )
     _, told = taken(odd)
-    assert "the log has 'lft.p_head', a cylinder that rig 'crane_proportional' does not have; nearest is 'lift'" in told
-    assert "the log has 'lift.spol.command', a valve that rig 'crane_proportional' does not have; nearest is 'lift.spool'" in told
+    assert (
+        "the log has 'lft.p_head', a cylinder that rig 'crane_proportional' does not have; nearest is 'lift'"
+        in told
+    )
+    assert (
+        "the log has 'lift.spol.command', a valve that rig 'crane_proportional' does not have; nearest is 'lift.spool'"
+        in told
+    )
     fit = identify_hydraulics(rig(), [("log", odd)], CRANE)
     assert sum(text.startswith("log: the log has '") for text in fit.warnings) == 2
 
 
 def test_a_log_of_another_rig_is_refused():
     with pytest.raises(
-        InputError, match=r"log: no channel is of a cylinder of rig 'crane_proportional'.*nearest is 'lift'.*it has lift"
+        InputError,
+        match=r"log: no channel is of a cylinder of rig 'crane_proportional'.*nearest is 'lift'.*it has lift",
     ):
         identify_hydraulics(rig(), [("log", renamed(crane(), "lift.", "lifts."))], CRANE)
     with pytest.raises(InputError, match="no channel is of a cylinder"):
@@ -171,9 +204,18 @@ def test_logs_of_one_name_take_their_folder():
             {"p_head": 0.01, "p_rod": 0.01, "p_supply": 0.01},
             r"p_supply is 1.8 bar, .* holds 180 bar.*it looks like bar labelled kPa",
         ),
-        ({"p_head": 10.0, "p_rod": 10.0, "p_supply": 10.0}, r"p_supply is .* it looks like bar labelled MPa"),
-        ({"p_head": 14.5, "p_rod": 14.5}, r"lift.p_head reaches .* bar, .* holds 180 bar \(is the unit right"),
-        ({"p_head": 0.1, "p_rod": 0.1}, r"at rest lift.p_head holds .*, while the load .* asks for .*is the unit right"),
+        (
+            {"p_head": 10.0, "p_rod": 10.0, "p_supply": 10.0},
+            r"p_supply is .* it looks like bar labelled MPa",
+        ),
+        (
+            {"p_head": 14.5, "p_rod": 14.5},
+            r"lift.p_head reaches .* bar, .* holds 180 bar \(is the unit right",
+        ),
+        (
+            {"p_head": 0.1, "p_rod": 0.1},
+            r"at rest lift.p_head holds .*, while the load .* asks for .*is the unit right",
+        ),
         ({"p_head": 0.01, "p_rod": 0.01}, r"is the unit right"),
     ],
 )
@@ -188,26 +230,45 @@ def test_pressures_in_a_wrong_unit_are_refused(edits, says, payload):
 
 def test_pressures_that_carry_no_load_are_judged_by_the_supply():
     slide = logged(rig("slide_servo"), "press.servo", (3.0, -3.0))
-    channels = {name: 0.01 * v if name.startswith("press.p_") else v for name, v in slide.channels.items() if name != "p_supply"}
-    with pytest.raises(InputError, match="press is fed from a supply of .* and its pressures stay below"):
+    channels = {
+        name: 0.01 * v if name.startswith("press.p_") else v
+        for name, v in slide.channels.items()
+        if name != "p_supply"
+    }
+    with pytest.raises(
+        InputError, match="press is fed from a supply of .* and its pressures stay below"
+    ):
         taken(replace(slide, channels=channels), rig("slide_servo"))
 
 
 def test_a_supply_that_is_merely_lower_passes():
     """Half the pressure the rig file says is another day, not another unit."""
-    low = logged(rig().with_values({"supply.pressure": 0.5 * float(rig().supply.pressure)}), "lift.spool", (5.0, -4.5))
+    low = logged(
+        rig().with_values({"supply.pressure": 0.5 * float(rig().supply.pressure)}),
+        "lift.spool",
+        (5.0, -4.5),
+    )
     assert taken(low)[1] == ()
 
 
 def test_a_fit_that_follows_nothing_is_no_fit():
     """A flow gain bounded far above the true one: the speed is followed worse than by its mean."""
     gain, truth = "lift.spool_pa.flow_gain", float(rig().parameters()["lift.spool_pa.flow_gain"])
-    wrong = {"start": {gain: 5.0 * truth}, "lower": {gain: 4.0 * truth}, "upper": {gain: 8.0 * truth}}
+    wrong = {
+        "start": {gain: 5.0 * truth},
+        "lower": {gain: 4.0 * truth},
+        "upper": {gain: 8.0 * truth},
+    }
     with pytest.raises(
-        InsufficientData, match=r"follows no channel of any log better than its mean would .*is it this rig's log"
+        InsufficientData,
+        match=r"follows no channel of any log better than its mean would .*is it this rig's log",
     ):
         identify_hydraulics(rig(), [("log", crane())], [gain], channels=("qd",), **wrong)
-    wrong = {"start": {gain: 2.5 * truth}, "lower": {gain: 2.4 * truth}, "upper": {gain: 8.0 * truth}}
+    wrong = {
+        "start": {gain: 2.5 * truth},
+        "lower": {gain: 2.4 * truth},
+        "upper": {gain: 8.0 * truth},
+    }
     fit = identify_hydraulics(rig(), [("log", crane())], [gain], **wrong)
     poor = [name for name, percent in fit.logs[0].fit_percent.items() if percent < 0.0]
     assert 0 < len(poor) < 3
@@ -218,7 +279,9 @@ def test_a_fit_that_follows_nothing_is_no_fit():
 def test_commands_outside_the_driver_are_refused():
     u = crane()["lift.spool.command"]
     over = changed(crane(), lift_spool_command=u + 7.0 * (crane().t > 0.2))
-    with pytest.raises(InputError, match=r"log: lift.spool.command = 12 V at t = 0.201 s lies outside -10 to 10 V"):
+    with pytest.raises(
+        InputError, match=r"log: lift.spool.command = 12 V at t = 0.201 s lies outside -10 to 10 V"
+    ):
         identify_hydraulics(rig(), [("log", over)], CRANE)
     noise = np.random.default_rng(1).uniform(-0.19, 0.19, u.size)  # 1 % of the range is 0.2 V
     assert taken(changed(crane(), lift_spool_command=np.where(u > 0, 10.0, u) + noise))[1] == ()
@@ -228,7 +291,8 @@ def test_commands_outside_the_driver_are_refused():
 
 
 @pytest.mark.parametrize(
-    ("scale", "says"), [(1e3, r"1 s pass between samples.*is the time in ms\?"), (1e-3, r"is the time in s")]
+    ("scale", "says"),
+    [(1e3, r"1 s pass between samples.*is the time in ms\?"), (1e-3, r"is the time in s")],
 )
 def test_time_in_another_unit_is_refused_at_once(scale, says):
     with pytest.raises(InputError, match=says):
@@ -237,21 +301,37 @@ def test_time_in_another_unit_is_refused_at_once(scale, says):
 
 def test_a_gap_is_named():
     keep = np.delete(np.arange(1501), np.arange(700, 708))
-    gap = replace(crane(), t=crane().t[keep], channels={n: v[keep] for n, v in crane().channels.items()})
-    with pytest.raises(LogError, match=r"log: not evenly sampled: 9 ms pass after t = 0.699 s, 1 ms elsewhere"):
+    gap = replace(
+        crane(), t=crane().t[keep], channels={n: v[keep] for n, v in crane().channels.items()}
+    )
+    with pytest.raises(
+        LogError, match=r"log: not evenly sampled: 9 ms pass after t = 0.699 s, 1 ms elsewhere"
+    ):
         identify_hydraulics(rig(), [("log", gap)], CRANE)
     assert "9 ms pass after t = 0.699 s" in validate_rig(rig(), [("log", gap)]).logs[0].failure
 
 
 def test_jitter_is_resampled_and_told(tmp_path):
-    """Samples up to a quarter of a tick early or late: what was sampled when it says, comes back on the grid."""
-    fine = simulate(rig(), {"lift.spool": np.repeat(steps(601, 5.0, -4.5), 20)[:12001]}, 0.6, rate=20000.0)
+    """Samples up to a quarter of a tick early or late: what was sampled when it says, comes back on
+    the grid.
+    """
+    fine = simulate(
+        rig(), {"lift.spool": np.repeat(steps(601, 5.0, -4.5), 20)[:12001]}, 0.6, rate=20000.0
+    )
     at = 20 * np.arange(601) + np.random.default_rng(3).integers(-5, 6, 601)
     at[[0, -1]] = 0, 12000
-    late = Record(fine.t[at], {n: v[::20] if n.endswith("command") else v[at] for n, v in fine.channels.items()}, fine.meta)
+    late = Record(
+        fine.t[at],
+        {n: v[::20] if n.endswith("command") else v[at] for n, v in fine.channels.items()},
+        fine.meta,
+    )
     even, told = evened("log", late)
     assert np.allclose(np.diff(even.t), 1e-3, rtol=1e-9)
-    assert len(told) == 1 and told[0].startswith("not evenly sampled") and "resampled to 1000 Hz" in told[0]
+    assert (
+        len(told) == 1
+        and told[0].startswith("not evenly sampled")
+        and "resampled to 1000 Hz" in told[0]
+    )
     on_grid = {n: v[::20] for n, v in fine.channels.items()}
     for name in ("lift.q", "lift.p_head"):
         error, unmended = (np.abs(v - on_grid[name]).max() for v in (even[name], late[name]))
@@ -267,7 +347,10 @@ def test_jitter_is_resampled_and_told(tmp_path):
 def test_check_names_a_gap(tmp_path):
     keep = np.delete(np.arange(1501), np.arange(700, 708))
     write_log(
-        tmp_path / "gap.mcap", replace(crane(), t=crane().t[keep], channels={n: v[keep] for n, v in crane().channels.items()})
+        tmp_path / "gap.mcap",
+        replace(
+            crane(), t=crane().t[keep], channels={n: v[keep] for n, v in crane().channels.items()}
+        ),
     )
     found = inspection.check(tmp_path / "gap.mcap")
     assert found.code == 3 and any("9 ms pass after t = 0.699 s" in line for line in found.lines)
@@ -275,7 +358,9 @@ def test_check_names_a_gap(tmp_path):
 
 @pytest.mark.parametrize(("count", "says"), [(1, "has only 1 sample "), (2, "has only 2 samples ")])
 def test_too_few_samples_are_counted(count, says):
-    short = replace(crane(), t=crane().t[:count], channels={n: v[:count] for n, v in crane().channels.items()})
+    short = replace(
+        crane(), t=crane().t[:count], channels={n: v[:count] for n, v in crane().channels.items()}
+    )
     with pytest.raises(InputError, match=says):
         identify_hydraulics(rig(), [("log", short)], CRANE)
     with pytest.raises(InputError, match=says):
@@ -303,12 +388,22 @@ def test_a_cylinder_that_stands_still_has_no_stuck_sensor():
 def test_a_log_that_begins_in_motion_is_told():
     record = crane()
     for first, said in (
-        (200, ["lift.spool.command is already on at the first sample (5 V)", "lift already moves at the first sample"]),
+        (
+            200,
+            [
+                "lift.spool.command is already on at the first sample (5 V)",
+                "lift already moves at the first sample",
+            ],
+        ),
         (50, []),
     ):
-        cut = replace(record, t=record.t[first:], channels={n: v[first:] for n, v in record.channels.items()})
+        cut = replace(
+            record, t=record.t[first:], channels={n: v[first:] for n, v in record.channels.items()}
+        )
         told = taken(cut)[1]
-        assert len(told) == len(said) and all(any(text.startswith(part) for text in told) for part in said), told
+        assert len(told) == len(said) and all(
+            any(text.startswith(part) for text in told) for part in said
+        ), told
 
 
 # --- recipes ---
@@ -320,12 +415,16 @@ HEAD += 'parameters = ["bulk_modulus", "arm.joint_damping"]\n'
 @pytest.mark.parametrize("key", ["arm.joint_damping", '"arm.joint_damping"'])
 def test_dotted_keys_do_with_or_without_quotes(tmp_path, key):
     (tmp_path / "h.toml").write_text(
-        HEAD + f'[start]\nbulk_modulus = "1 GPa"\n{key} = "700 N*m*s/rad"\n[upper]\n{key} = "9 kN*m*s/rad"\n'
+        HEAD
+        + f'[start]\nbulk_modulus = "1 GPa"\n{key} = "700 N*m*s/rad"\n[upper]\n{key} = "9 kN*m*s/rad"\n'
     )
     recipe = load_recipe(tmp_path / "h.toml")
     assert recipe.start == {"bulk_modulus": "1 GPa", "arm.joint_damping": "700 N*m*s/rad"}
     assert recipe.upper == {"arm.joint_damping": "9 kN*m*s/rad"}
-    assert recipe.at("start", "arm.joint_damping")["line"] == 8 and recipe.at("upper", "arm.joint_damping")["line"] == 10
+    assert (
+        recipe.at("start", "arm.joint_damping")["line"] == 8
+        and recipe.at("upper", "arm.joint_damping")["line"] == 10
+    )
 
 
 @pytest.mark.parametrize(
@@ -354,16 +453,22 @@ def test_unknown_parameters_and_payloads_say_file_and_line(tmp_path):
         identify_hydraulics(rig(), [("log", crane())], recipe.parameters, where=recipe.at)
     assert caught.value.line == 5
     heavy = replace(crane(), meta={"payload": "300 kg"})
-    with pytest.raises(InputError, match=r"log: rig 'crane_proportional' has no payload '300 kg' \(it has 200 kg\)") as caught:
+    with pytest.raises(
+        InputError, match=r"log: rig 'crane_proportional' has no payload '300 kg' \(it has 200 kg\)"
+    ) as caught:
         identify_hydraulics(rig(), [("log", heavy)], CRANE, where=recipe.at)
     assert caught.value.line == 4
-    with pytest.raises(InputError, match="log: rig 'crane_proportional' has no payload '300 kg'") as caught:
+    with pytest.raises(
+        InputError, match="log: rig 'crane_proportional' has no payload '300 kg'"
+    ) as caught:
         validate_rig(rig(), [("log", heavy)], where=recipe.at)
     assert caught.value.line == 4
 
 
 def test_a_cutoff_above_half_the_rate_is_refused():
-    with pytest.raises(InputError, match="a cutoff of 500 Hz is not below half the rate of log, 500 Hz"):
+    with pytest.raises(
+        InputError, match="a cutoff of 500 Hz is not below half the rate of log, 500 Hz"
+    ):
         identify_hydraulics(rig(), [("log", crane())], CRANE, cutoff=500.0)
 
 
@@ -375,7 +480,10 @@ def test_a_cutoff_above_half_the_rate_is_refused():
             "frequency_max, 20 Hz, must lie above frequency, 20 Hz",
         ),
         ('kind = "sine", frequency = "0 Hz"', "'frequency' must be above 0 Hz"),
-        ('kind = "sine", frequency = "100 Hz"', "frequency, 100 Hz, must lie below half the rate, 100 Hz"),
+        (
+            'kind = "sine", frequency = "100 Hz"',
+            "frequency, 100 Hz, must lie below half the rate, 100 Hz",
+        ),
         (
             'kind = "multisine", frequency = "2 Hz", frequency_max = "150 Hz"',
             "frequency_max, 150 Hz, must lie below half the rate, 100 Hz",
@@ -385,34 +493,54 @@ def test_a_cutoff_above_half_the_rate_is_refused():
 def test_sines_that_samples_cannot_hold_are_refused(tmp_path, command, says):
     path = tmp_path / "t.toml"
     head = 'stage = "trial"\nrig = "r.toml"\nduration = "1 s"\nrate = "200 Hz"\n'
-    path.write_text(head + f'command = [{{ valve = "lift.spool", amplitude = "1 V", {command} }}]\n')
+    path.write_text(
+        head + f'command = [{{ valve = "lift.spool", amplitude = "1 V", {command} }}]\n'
+    )
     with pytest.raises(InputError, match=says):
         load_recipe(path)
-    path.write_text(head + 'command = [{ valve = "lift.spool", amplitude = "1 V", kind = "sine", frequency = "99 Hz" }]\n')
+    path.write_text(
+        head
+        + 'command = [{ valve = "lift.spool", amplitude = "1 V", kind = "sine", frequency = "99 Hz" }]\n'
+    )
     assert float(load_recipe(path).command[0].frequency) == pytest.approx(99.0)
 
 
 def test_the_lower_limit_of_the_meter_goes_from_the_recipe_to_the_fit(tmp_path):
-    """A turbine that stands still below 1 L/min shifts the deadband of a map unless the recipe says so."""
+    """A turbine that stands still below 1 L/min shifts the deadband of a map unless the recipe says
+    so.
+    """
     gain, deadband, limit = 2.2 / 6e4 / 1e3, 1.0, 1.0 / 6e4  # the rig file's `sh`
     rows = ["valve,direction,command [V],pressure_drop [kPa],flow [L/min],trial"]
     rng = np.random.default_rng(5)
     for trial in (1, 2, 3):
         for u in (0.6, 1.2, 1.4, 1.7, 2.0, 3.0, 4.5, 6.0, 8.0):
             for drop in (0.5e6, 1e6, 2e6, 4e6, 8e6):
-                flow = gain * max(u - deadband, 0.0) * np.sqrt(drop) * (1.0 + 0.005 * rng.standard_normal())
-                rows.append(f"sh,forward,{u},{drop / 1e3},{6e4 * flow if flow >= limit else 0.0:.5f},{trial}")
+                flow = (
+                    gain
+                    * max(u - deadband, 0.0)
+                    * np.sqrt(drop)
+                    * (1.0 + 0.005 * rng.standard_normal())
+                )
+                rows.append(
+                    f"sh,forward,{u},{drop / 1e3},{6e4 * flow if flow >= limit else 0.0:.5f},{trial}"
+                )
     (tmp_path / "sh.csv").write_text("\n".join(rows) + "\n")
     (tmp_path / "rig.toml").write_text((RIGS / "boom_four_valve.toml").read_text())
     head = 'stage = "identify"\nwhat = "flow_map"\nrig = "rig.toml"\ndata = ["sh.csv"]\n'
     found = {}
     for name, line in (("blind", ""), ("told", 'meter_limit = "1 L/min"\n')):
         (tmp_path / f"{name}.toml").write_text(head + line)
-        (found[name],) = workflow.run(tmp_path / f"{name}.toml", workflow.Desk(out=tmp_path / f"run_{name}")).json("summary")
+        (found[name],) = workflow.run(
+            tmp_path / f"{name}.toml", workflow.Desk(out=tmp_path / f"run_{name}")
+        ).json("summary")
     assert abs(found["told"]["deadband"] - deadband) < 3.0 * found["told"]["deadband_std"] < 0.3
-    assert abs(found["blind"]["deadband"] - deadband) > 2.0 * abs(found["told"]["deadband"] - deadband)
+    assert abs(found["blind"]["deadband"] - deadband) > 2.0 * abs(
+        found["told"]["deadband"] - deadband
+    )
     (tmp_path / "told.toml").write_text(head + 'meter_limit = "4 bar"\n')
-    with pytest.raises(InputError, match=r"told.toml:5: meter_limit: 'bar' cannot be turned into m\^3/s"):
+    with pytest.raises(
+        InputError, match=r"told.toml:5: meter_limit: 'bar' cannot be turned into m\^3/s"
+    ):
         load_recipe(tmp_path / "told.toml")
 
 
@@ -422,8 +550,10 @@ VERDICT = 'stage = "validate"\nrig = "r.toml"\ndata = ["a.mcap"]\n[thresholds]\n
 @pytest.mark.parametrize("key", ["natural_frequency", "damping_ratio"])
 def test_a_threshold_of_the_ringing_can_be_switched_off(tmp_path, key):
     def checks(text):
-        (tmp_path / "v.toml").write_text(VERDICT + 'fit_percent = { p_head = 1 }\n' + text)
-        result = validate_rig(rig(), [("log", crane())], thresholds=load_recipe(tmp_path / "v.toml").thresholds)
+        (tmp_path / "v.toml").write_text(VERDICT + "fit_percent = { p_head = 1 }\n" + text)
+        result = validate_rig(
+            rig(), [("log", crane())], thresholds=load_recipe(tmp_path / "v.toml").thresholds
+        )
         return [check.what for check in result.logs[0].checks]
 
     word = f"lift {key.replace('_', ' ')}"
@@ -432,7 +562,8 @@ def test_a_threshold_of_the_ringing_can_be_switched_off(tmp_path, key):
 
 
 @pytest.mark.parametrize(
-    ("raw", "says"), [("true", "or false to ask for none"), ("0", "greater than 0"), ('"15 %"', "valid number")]
+    ("raw", "says"),
+    [("true", "or false to ask for none"), ("0", "greater than 0"), ('"15 %"', "valid number")],
 )
 def test_a_share_that_is_none_is_refused_with_its_line(tmp_path, raw, says):
     (tmp_path / "v.toml").write_text(VERDICT + f"natural_frequency_error = {raw}\n")

@@ -1,4 +1,6 @@
-"""Logs cut, flipped, holed and mistyped on purpose: the samples that come back are the true ones, and what is missing is said."""
+"""Logs cut, flipped, holed and mistyped on purpose: the samples that come back are the true ones,
+and what is missing is said.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,9 @@ def records(data: bytes) -> list[tuple[int, int, int]]:
 
 
 def judge(path: Path, data: bytes, truth: Record) -> Record | None:
-    """Read broken bytes: a LogError, or true samples only with a word about everything that is not there."""
+    """Read broken bytes: a LogError, or true samples only with a word about everything that is not
+    there.
+    """
     path.write_bytes(data)
     try:
         back = read_record(path)
@@ -64,7 +68,10 @@ def judge(path: Path, data: bytes, truth: Record) -> Record | None:
     assert list(back.channels) == NAMES
     for name in NAMES:
         assert np.array_equal(truth[name][at], back[name])
-    if back.t.size < truth.t.size or (back.meta, back.attachments) != (truth.meta, truth.attachments):
+    if back.t.size < truth.t.size or (back.meta, back.attachments) != (
+        truth.meta,
+        truth.attachments,
+    ):
         assert back.losses
     return back
 
@@ -82,9 +89,14 @@ def test_cut_anywhere(log, truth, tmp_path):
     for cut in map(int, cuts):
         back = judge(tmp_path / "a.mcap", log[:cut], truth)
         whole = sum(stop <= cut for _, stop in chunks)
-        assert (back.t.size if back else 0) == whole * 400  # a cut costs no chunk that is there in full
+        assert (
+            back.t.size if back else 0
+        ) == whole * 400  # a cut costs no chunk that is there in full
         if back and cut < data_end:
-            assert "breaks off" in back.losses[-1] and f"t = {truth.t[whole * 400 - 1]:.9g} s" in back.losses[-1]
+            assert (
+                "breaks off" in back.losses[-1]
+                and f"t = {truth.t[whole * 400 - 1]:.9g} s" in back.losses[-1]
+            )
         elif back:
             assert back.losses
 
@@ -92,7 +104,10 @@ def test_cut_anywhere(log, truth, tmp_path):
 def test_a_cut_says_how_many_bytes_are_gone(log, truth, tmp_path):
     _, first, stop = [each for each in records(log) if each[0] == 6][5]
     back = judge(tmp_path / "a.mcap", log[: stop - 10], truth)
-    assert back.losses[0] == f"bytes {first} to {stop - 10} of {stop - 10} are lost: a record runs past the end of the file"
+    assert (
+        back.losses[0]
+        == f"bytes {first} to {stop - 10} of {stop - 10} are lost: a record runs past the end of the file"
+    )
 
 
 def test_random_bit_flips_never_change_a_sample(log, truth, tmp_path):
@@ -109,14 +124,20 @@ def test_random_bit_flips_never_change_a_sample(log, truth, tmp_path):
 
 
 def test_every_bit_of_every_record_head(log, truth, tmp_path):
-    heads = {opcode: [first for each, first, _ in records(log) if each == opcode] for opcode in range(1, 16)}
-    for opcode, first in [(opcode, first) for opcode, firsts in heads.items() for first in firsts[::7]]:
+    heads = {
+        opcode: [first for each, first, _ in records(log) if each == opcode]
+        for opcode in range(1, 16)
+    }
+    for opcode, first in [
+        (opcode, first) for opcode, firsts in heads.items() for first in firsts[::7]
+    ]:
         for bit in range(72):
             data = bytearray(log)
             data[first + bit // 8] ^= 1 << bit % 8
             back = judge(tmp_path / "a.mcap", bytes(data), truth)
             assert back is not None
-            # a broken head costs at most the chunk it belongs to or, swallowed by a wrong length, the one behind it
+            # a broken head costs at most the chunk it belongs to or, swallowed by a wrong length,
+            # the one behind it
             assert back.t.size >= truth.t.size - 800, (opcode, bit, back.losses)
 
 
@@ -130,9 +151,15 @@ def test_a_damaged_chunk_is_named_and_the_rest_kept(log, truth, tmp_path):
         assert back.losses[0].startswith(f"bytes {first} to {stop} of {len(log)} are lost")
         if 0 < n < len(chunks) - 1:
             before, after = truth.t[400 * n - 1], truth.t[400 * (n + 1)]
-            assert back.losses[1] == f"/rig: 400 samples between t = {before:.9g} and {after:.9g} s are missing"
+            assert (
+                back.losses[1]
+                == f"/rig: 400 samples between t = {before:.9g} and {after:.9g} s are missing"
+            )
         if n == 0:
-            assert back.losses[1] == f"/rig: the first 400 samples, before t = {truth.t[400]:.9g} s, are missing"
+            assert (
+                back.losses[1]
+                == f"/rig: the first 400 samples, before t = {truth.t[400]:.9g} s, are missing"
+            )
 
 
 def test_holes_and_doubled_bytes(log, truth, tmp_path):
@@ -141,7 +168,11 @@ def test_holes_and_doubled_bytes(log, truth, tmp_path):
         first = int(rng.integers(len(log)))
         size = int(rng.integers(1, 5000))
         holed = log[:first] + bytes(min(size, len(log) - first)) + log[first + size :]
-        for data in (holed, log[:first] + log[first + size :], log[:first] + rng.bytes(size) + log[first:]):
+        for data in (
+            holed,
+            log[:first] + log[first + size :],
+            log[:first] + rng.bytes(size) + log[first:],
+        ):
             back = judge(tmp_path / "a.mcap", data, truth)
             assert back is None or back.losses
 
@@ -184,7 +215,11 @@ def test_a_killed_process_leaves_a_log(tmp_path):
     back = read_record(path)
     n = np.arange(back.t.size)
     assert n.size > 100
-    assert np.array_equal(back.t, n * 1e-3) and np.array_equal(back["boom.q"], n * 1e-6) and np.array_equal(back["boom.p_head"], n)
+    assert (
+        np.array_equal(back.t, n * 1e-3)
+        and np.array_equal(back["boom.q"], n * 1e-6)
+        and np.array_equal(back["boom.p_head"], n)
+    )
     assert back.meta == {"rig": "r"} and "breaks off" in back.losses[-1]
 
 
@@ -192,7 +227,9 @@ def by_others(path: Path, rows: list[tuple[float, float]]) -> Path:
     with open(path, "wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2")
-        id = writer.register_schema("lab/msg/Arm", "ros2msg", b"float64 t # t [s]\nfloat64 p # boom.p_head [Pa]\n")
+        id = writer.register_schema(
+            "lab/msg/Arm", "ros2msg", b"float64 t # t [s]\nfloat64 p # boom.p_head [Pa]\n"
+        )
         id = writer.register_channel("/arm", "cdr", id)
         for row in rows:
             writer.add_message(id, 0, b"\x00\x01\x00\x00" + struct.pack("<2d", *row), 0)
@@ -220,7 +257,9 @@ def test_wrong_data_in_mcap(tmp_path, rows, error, said):
         assert read_record(path, check=False).t.size == len(rows)
 
 
-@pytest.mark.parametrize("data", [b"", b"not a log", b"\x89MCAP0\r\n", b"PK\x03\x04" + bytes(100), bytes(9)])
+@pytest.mark.parametrize(
+    "data", [b"", b"not a log", b"\x89MCAP0\r\n", b"PK\x03\x04" + bytes(100), bytes(9)]
+)
 @pytest.mark.parametrize("name", ["a.mcap", "a.csv", "a.bin"])
 def test_no_log_at_all(tmp_path, data, name):
     (tmp_path / name).write_bytes(data)
@@ -258,12 +297,22 @@ HEAD = "t [s],boom.q [rad],boom.p_head [kPa]\n"
         ("# nothing\n\n", LogError, None, "no header"),
         (HEAD, LogError, 1, "no samples below the header"),
         ("0,1,2\n1,2,3\n", LogError, 1, "header is missing"),
-        ("t [s],boom.q,boom.p_head [kPa]\n0,0,0\n", UnitError, 1, r"'boom.q' has no unit.*boom.q \[deg\]"),
+        (
+            "t [s],boom.q,boom.p_head [kPa]\n0,0,0\n",
+            UnitError,
+            1,
+            r"'boom.q' has no unit.*boom.q \[deg\]",
+        ),
         ("#c\nt [s],boom.p_head (kPa)\n0,0\n", UnitError, 2, r"no unit.*'boom.p_head \[kPa\]'"),
         ("t [s],boom.q []\n0,0\n", UnitError, 1, "no unit"),
         ("t [s],boom.q [kPa]\n0,0\n", UnitError, 1, "cannot be turned into rad"),
         ("t [s],boom.q [radd]\n0,0\n", UnitError, 1, "unknown unit 'radd'"),
-        ("t [s],boom.p_heda [kPa]\n0,0\n", LogError, 1, "unknown channel 'boom.p_heda'.*nearest is 'boom.p_head'"),
+        (
+            "t [s],boom.p_heda [kPa]\n0,0\n",
+            LogError,
+            1,
+            "unknown channel 'boom.p_heda'.*nearest is 'boom.p_head'",
+        ),
         ("t [s],Boom.Q [rad]\n0,0\n", LogError, 1, "nearest is 'Boom.q'"),
         ("t [s],.q [rad]\n0,0\n", LogError, 1, "unknown channel"),
         ("t [s],boom.q [rad],boom.q [deg]\n0,0,0\n", LogError, 1, "2 columns 'boom.q'"),
@@ -279,8 +328,18 @@ HEAD = "t [s],boom.q [rad],boom.p_head [kPa]\n"
         (HEAD + "0,0,0\nnan,0,0\n", LogError, 3, "the time is nan"),
         (HEAD + "0,0,0\n1,0,0\n1,0,0\n", LogError, 4, "stands still at 1 s"),
         (HEAD + "0,0,0\n# c\n1,0,0\n0.5,0,0\n", LogError, 5, "goes back from 1 s to 0.5 s"),
-        ("t [s],boom.p_head [MPa]\n0,0\n1,6895\n", UnitError, 3, "6895 MPa lies outside -0.2 to 200 MPa.*in kPa it would be"),
-        ("t [s],boom.q [rad]\n0,1\n1,-400\n", UnitError, 3, "-400 rad lies outside.*in deg it would be"),
+        (
+            "t [s],boom.p_head [MPa]\n0,0\n1,6895\n",
+            UnitError,
+            3,
+            "6895 MPa lies outside -0.2 to 200 MPa.*in kPa it would be",
+        ),
+        (
+            "t [s],boom.q [rad]\n0,1\n1,-400\n",
+            UnitError,
+            3,
+            "-400 rad lies outside.*in deg it would be",
+        ),
     ],
 )
 def test_wrong_csv(tmp_path, text, error, line, said):

@@ -1,4 +1,6 @@
-"""Rig files by strangers: odd ones run, and a slip gets one sentence with its line and what would be right."""
+"""Rig files by strangers: odd ones run, and a slip gets one sentence with its line and what would
+be right.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,9 @@ from ehbench.trial import run_trial
 PAGE = (Path(__file__).parents[2] / "docs" / "rig_file.md").read_text(encoding="utf-8")
 CRANE, *_ = EXAMPLES = re.findall(r"```toml\n(.*?)```", PAGE, re.S)
 (PRESS,) = (text for text in EXAMPLES if text.startswith("# a press"))
-PRESS = 'name = "press"\n[oil]\nbulk_modulus = "1.1 GPa"\n[supply]\npressure = "250 bar"\nflow_limit = "200 L/min"\n' + (
-    '[dynamics.spool]\nnatural_frequency = "60 Hz"\ndamping_ratio = 0.7\n' + PRESS
+PRESS = (
+    'name = "press"\n[oil]\nbulk_modulus = "1.1 GPa"\n[supply]\npressure = "250 bar"\nflow_limit = "200 L/min"\n'
+    + ('[dynamics.spool]\nnatural_frequency = "60 Hz"\ndamping_ratio = 0.7\n' + PRESS)
 )
 PINS = CRANE[CRANE.index("[cylinder.pins]") : CRANE.index("[[cylinder.valve]]")]
 EDGE = '{ from = "supply", to = "head", law = "orifice", flow_gain = "2 L/min/V/bar^0.5" },'
@@ -38,78 +41,202 @@ def padded(*cases):
     return [(*case, None)[:4] for case in cases]
 
 
-# what stands in the file, what is written instead, the sentence; it stands on the line of what is written, else of the last text
+# what stands in the file, what is written instead, the sentence; it stands on the line of what is
+# written, else of the last text
 @pytest.mark.parametrize(
     ("old", "new", "words", "line"),
     padded(
         ('"60 L/min"', '"60 L"', "supply.flow_limit: 'L' cannot be turned into m^3/s"),
-        ('"60 L/min"', "60", "supply.flow_limit: flow_limit = 60 has no unit (write \"60 gpm\")"),
+        ('"60 L/min"', "60", 'supply.flow_limit: flow_limit = 60 has no unit (write "60 gpm")'),
         ('"60 L/min"', '"60"', "has no unit"),
         ('"60 L/min"', '"60 L/mim"', "unknown unit 'L/mim'"),
         ('"60 L/min"', '["60 L/min"]', "not a number with a unit"),
         ('"800 MPa"', '"-800 MPa"', "outside 1 to 10000 MPa"),
-        ('"800 MPa"', '{ value = "800 MPa", lower = "1 GPa" }', "outside its own bounds: lower = 1 GPa"),
-        ('"800 MPa"', '{ value = "800 MPa", lowr = "1 GPa" }', "unknown key 'lowr' (a value takes value, source,"),
-        ('{ value = "200 bar", source = "datasheet: pump, p. 4" }', '"0 bar"', "must lie above tank_pressure", "pressure ="),
+        (
+            '"800 MPa"',
+            '{ value = "800 MPa", lower = "1 GPa" }',
+            "outside its own bounds: lower = 1 GPa",
+        ),
+        (
+            '"800 MPa"',
+            '{ value = "800 MPa", lowr = "1 GPa" }',
+            "unknown key 'lowr' (a value takes value, source,",
+        ),
+        (
+            '{ value = "200 bar", source = "datasheet: pump, p. 4" }',
+            '"0 bar"',
+            "must lie above tank_pressure",
+            "pressure =",
+        ),
         ('flow = "L/min"', 'flow = "bar"', "display.flow: 'bar' cannot be turned into m^3/s"),
         ('flow = "L/min"', 'flov = "L/min"', "there is no quantity 'flov'; nearest is 'flow'"),
         ("[oil]", "[oill]", "unknown key 'oill' (did you mean 'oil'?)"),
         ("[supply]", "[suppl]", "unknown key 'suppl' (did you mean 'supply'?)"),
-        ('name = "crane"', 'name = "Kran-Größe"', "small letters, digits and _ make one, such as 'kran_grosse'"),
-        ('kind = "chain"', 'kind = "chian"', "mechanism.kind = 'chian' is none of 'chain', 'slide' (did you mean 'chain'?)"),
+        (
+            'name = "crane"',
+            'name = "Kran-Größe"',
+            "small letters, digits and _ make one, such as 'kran_grosse'",
+        ),
+        (
+            'kind = "chain"',
+            'kind = "chian"',
+            "mechanism.kind = 'chian' is none of 'chain', 'slide' (did you mean 'chain'?)",
+        ),
         ('kind = "chain"\n', "", "'mechanism.kind' is missing", "[mechanism]"),
-        ("[[mechanism.joint]]", "[mechanism.joint]", "mechanism.joint is no list (write [[mechanism.joint]] for each entry)"),
-        ('mass = "200 kg"', 'mas = "200 kg"', "mechanism.joint 'boom': unknown key 'mas' (did you mean 'mass'?)"),
-        ('mass = "200 kg"', 'mass = "200 kN"', "mechanism.joint 'boom': mass: 'kN' cannot be turned into kg"),
-        ('["-1.5 m", "0 m", "0 m"]', '["-1.5 m", "0 m"]', "com takes a list of 3 values with units"),
-        ('["2 kg*m^2"', '["-2 kg*m^2"', "the inertia of link 'boom' is that of no body", 'name = "boom"'),
-        ('joint = "boom"', 'joint = "arm"', "cylinder 'lift': joint: there is no joint 'arm'; there are boom"),
+        (
+            "[[mechanism.joint]]",
+            "[mechanism.joint]",
+            "mechanism.joint is no list (write [[mechanism.joint]] for each entry)",
+        ),
+        (
+            'mass = "200 kg"',
+            'mas = "200 kg"',
+            "mechanism.joint 'boom': unknown key 'mas' (did you mean 'mass'?)",
+        ),
+        (
+            'mass = "200 kg"',
+            'mass = "200 kN"',
+            "mechanism.joint 'boom': mass: 'kN' cannot be turned into kg",
+        ),
+        (
+            '["-1.5 m", "0 m", "0 m"]',
+            '["-1.5 m", "0 m"]',
+            "com takes a list of 3 values with units",
+        ),
+        (
+            '["2 kg*m^2"',
+            '["-2 kg*m^2"',
+            "the inertia of link 'boom' is that of no body",
+            'name = "boom"',
+        ),
+        (
+            'joint = "boom"',
+            'joint = "arm"',
+            "cylinder 'lift': joint: there is no joint 'arm'; there are boom",
+        ),
         ('name = "lift"', 'name = "li.ft"', "'li.ft' is no name (letters, digits, _ and -"),
         ('name = "lift"', 'name = ""', "'' is no name"),
         ('rod = "45 mm"', 'rod = "85 mm"', "area_rod must be positive and not above area_head"),
-        ('rod = "45 mm"', 'rod = "45 mm"\narea_rod = "20 cm^2"', "give area_head and area_rod, or bore and rod", "[[cylinder]]"),
+        (
+            'rod = "45 mm"',
+            'rod = "45 mm"\narea_rod = "20 cm^2"',
+            "give area_head and area_rod, or bore and rod",
+            "[[cylinder]]",
+        ),
         ('volume_head = "0.5 L"', 'volume_head = "-0.5 L"', "outside 0.001 to 1e+07 cm^3"),
-        ('volume_rod = "2.5 L"', 'volume_rod = "0.5 L"', "is 500 cm^3, but the full stroke displaces 1718.06 cm^3"),
-        ('volume_rod = "2.5 L"', 'volume_rod = "2.5 L"\ncolour = "red"', "unknown key 'colour' (valid", 'colour = "red"'),
-        ('phase = "60 deg"', 'phase = "60 deg"\nfriction_coulomb = "90 N"',
-         "unknown key 'pins.friction_coulomb' (a key of cylinder 'lift': put it above the table [cylinder.pins])", "friction_c"),
+        (
+            'volume_rod = "2.5 L"',
+            'volume_rod = "0.5 L"',
+            "is 500 cm^3, but the full stroke displaces 1718.06 cm^3",
+        ),
+        (
+            'volume_rod = "2.5 L"',
+            'volume_rod = "2.5 L"\ncolour = "red"',
+            "unknown key 'colour' (valid",
+            'colour = "red"',
+        ),
+        (
+            'phase = "60 deg"',
+            'phase = "60 deg"\nfriction_coulomb = "90 N"',
+            "unknown key 'pins.friction_coulomb' (a key of cylinder 'lift': put it above the table [cylinder.pins])",
+            "friction_c",
+        ),
         ('l_a = "1.2 m"\n', "", "cylinder 'lift': 'pins.l_a' is missing", "[cylinder.pins]"),
         (PINS, "", "cylinder 'lift': on a joint a cylinder needs 'pins'", "[[cylinder]]"),
-        ('retracted_length = "850 mm"', 'retracted_length = "1450 mm"', "1450 mm long retracted and 1950 mm extended"),
-        ('retracted_length = "850 mm"', 'retracted_length = "600 mm"', "allow 600 to 1800 mm, the ends excluded"),
+        (
+            'retracted_length = "850 mm"',
+            'retracted_length = "1450 mm"',
+            "1450 mm long retracted and 1950 mm extended",
+        ),
+        (
+            'retracted_length = "850 mm"',
+            'retracted_length = "600 mm"',
+            "allow 600 to 1800 mm, the ends excluded",
+        ),
         ('command_min = "-10 V"', 'command_min = "10 V"', "command_min must lie below command_max"),
-        ('command_min = "-10 V"', 'command_min = "0 V"', "edge 3: the edge opens on commands below 0 V, and", "edge = ["),
+        (
+            'command_min = "-10 V"',
+            'command_min = "0 V"',
+            "edge 3: the edge opens on commands below 0 V, and",
+            "edge = [",
+        ),
         ('dynamics = "spool"', 'dynamics = "spol"', "there is no [dynamics.spol]; there are spool"),
-        ("damping_ratio = 0.8", 's1 = "8 ms"', "dynamics.spool: give natural_frequency and damping_ratio", "[dynamics.spool]"),
-        (EDGE, EDGE.replace('"head"', '"hed"'), f"{FIRST}: to = 'hed' is none of 'supply', 'tank', 'head', 'rod' (did you"),
+        (
+            "damping_ratio = 0.8",
+            's1 = "8 ms"',
+            "dynamics.spool: give natural_frequency and damping_ratio",
+            "[dynamics.spool]",
+        ),
+        (
+            EDGE,
+            EDGE.replace('"head"', '"hed"'),
+            f"{FIRST}: to = 'hed' is none of 'supply', 'tank', 'head', 'rod' (did you",
+        ),
         (EDGE, EDGE.replace('"supply"', '"head"'), f"{FIRST}: an edge joins two different nodes"),
-        (EDGE, EDGE.replace("orifice", "orifise"), f"{FIRST}: law = 'orifise' is none of 'orifice', 'compensated', 'map'"),
-        (EDGE, EDGE.replace("orifice", "compensated"), f"{FIRST}: law 'compensated' needs 'compensated_gain'"),
-        (EDGE, EDGE.replace("/bar^0.5", ""), f"{FIRST}: flow_gain: 'L/min/V' cannot be turned into"),
-        (EDGE, EDGE.replace(" },", ', deadband = "12 V" },'), f"{FIRST}: the edge opens on commands above 12 V"),
+        (
+            EDGE,
+            EDGE.replace("orifice", "orifise"),
+            f"{FIRST}: law = 'orifise' is none of 'orifice', 'compensated', 'map'",
+        ),
+        (
+            EDGE,
+            EDGE.replace("orifice", "compensated"),
+            f"{FIRST}: law 'compensated' needs 'compensated_gain'",
+        ),
+        (
+            EDGE,
+            EDGE.replace("/bar^0.5", ""),
+            f"{FIRST}: flow_gain: 'L/min/V' cannot be turned into",
+        ),
+        (
+            EDGE,
+            EDGE.replace(" },", ', deadband = "12 V" },'),
+            f"{FIRST}: the edge opens on commands above 12 V",
+        ),
         (EDGE, EDGE.replace('from = "supply", ', ""), f"{FIRST}: 'from' is missing"),
-        (BACK, BACK.replace('"head"', '"rod"'), "two edges are called 'spool_rod_tank'; give each a name of its own", "edge = ["),
+        (
+            BACK,
+            BACK.replace('"head"', '"rod"'),
+            "two edges are called 'spool_rod_tank'; give each a name of its own",
+            "edge = [",
+        ),
         (BACK, BACK.replace("-1", "-2"), "edge 4: sign = -2 is none of 1, -1", "edge = ["),
-        ("command_max", 'calibration = [["4 V", "2 bar"]]\ncommand_max', "calibration 1: 'bar' cannot", "calibration"),
+        (
+            "command_max",
+            'calibration = [["4 V", "2 bar"]]\ncommand_max',
+            "calibration 1: 'bar' cannot",
+            "calibration",
+        ),
     ),
-)  # fmt: skip
+)
 def test_a_slip_is_one_sentence_with_its_line(tmp_path, old, new, words, line):
     assert old in CRANE
     text = CRANE.replace(old, new, 1)
     error = refused(tmp_path, text)
     assert words in str(error) and "\n" not in str(error) and len(str(error)) < 420
     there = text.splitlines()[error.line - 1]
-    assert (line or ("edge = [" if old in (EDGE, BACK) else new.splitlines()[0])) in there, (there, str(error))
+    assert (line or ("edge = [" if old in (EDGE, BACK) else new.splitlines()[0])) in there, (
+        there,
+        str(error),
+    )
 
 
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('area_rod = "160 cm^2"', 'area_rod = "360 cm^2"', "cylinder 'main': area_rod must be positive and not above area_head"),
+        (
+            'area_rod = "160 cm^2"',
+            'area_rod = "360 cm^2"',
+            "cylinder 'main': area_rod must be positive and not above area_head",
+        ),
         ('area_head = "314 cm^2"', 'area_head = "314 cm"', "'cm' cannot be turned into m^2"),
         ('name = "fine"', 'name = "fast"', "two valves are called 'fast'"),
         ('incline = "-90 deg"', 'incline = "-180 deg"', "outside -91.6732 to 91.6732 deg"),
-        ('joint = "ram"', 'joint = "ram"\npins = { l_a = "1 m", l_b = "1 m", retracted_length = "1 m" }', "slide it has none"),
+        (
+            'joint = "ram"',
+            'joint = "ram"\npins = { l_a = "1 m", l_b = "1 m", retracted_length = "1 m" }',
+            "slide it has none",
+        ),
     ],
 )
 def test_a_slip_in_a_press(tmp_path, old, new, words):
@@ -124,7 +251,10 @@ def test_a_missing_edge_is_noted(tmp_path, node):
     valve["edge"] = [edge for edge in valve["edge"] if node not in (edge["from"], edge["to"])]
     (tmp_path / "rig.toml").write_text(tomli_w.dumps(rig))
     lines = inspection.check(tmp_path / "rig.toml").lines
-    assert sum(f"touches the {node}" in line and "is one missing?" in line for line in lines) == 1 and lines[-1] == "ok"
+    assert (
+        sum(f"touches the {node}" in line and "is one missing?" in line for line in lines) == 1
+        and lines[-1] == "ok"
+    )
 
 
 def test_a_load_that_the_supply_cannot_carry_is_noted(tmp_path):
@@ -137,14 +267,19 @@ def test_names_of_another_alphabet_go_all_the_way(tmp_path):
     text = CRANE.replace('"boom"', '"Löffel-Stiel"').replace('"lift"', '"Zylinder-Ö"')
     text = text.replace('name = "spool"', 'name = "Ventil_2"')
     moved = trial(tmp_path, text, "Zylinder-Ö.Ventil_2", 'posture = { "Zylinder-Ö" = "200 mm" }')
-    assert moved["Zylinder-Ö.x"][0] == pytest.approx(0.2, abs=1e-9) and moved["Zylinder-Ö.x"][-1] > 0.21
+    assert (
+        moved["Zylinder-Ö.x"][0] == pytest.approx(0.2, abs=1e-9)
+        and moved["Zylinder-Ö.x"][-1] > 0.21
+    )
 
 
 @pytest.mark.parametrize("valve", ["main.fast", "main.fine"])
 def test_two_valves_side_by_side_move_a_press(tmp_path, valve):
     moved = trial(tmp_path, PRESS, valve)
     assert moved["main.x"][-1] > moved["main.x"][0] + 1e-3
-    slow, fast = (np.ptp(trial(tmp_path, PRESS, f"main.{name}")["main.x"]) for name in ("fine", "fast"))
+    slow, fast = (
+        np.ptp(trial(tmp_path, PRESS, f"main.{name}")["main.x"]) for name in ("fine", "fast")
+    )
     assert fast > 3.0 * slow  # ten times the gain, less what the supply and the ram's start take
 
 
@@ -154,7 +289,13 @@ def trial(folder: Path, rig: str, valve: str, more: str = ""):
     command = f'{{ valve = "{valve}", kind = "step", amplitude = "3 V", start = "0.1 s" }}'
     head = 'stage = "trial"\nrig = "rig.toml"\nduration = "0.4 s"\n'
     (folder / "t.toml").write_text(f"{head}{more}\ncommand = [{command}]\n", encoding="utf-8")
-    assert inspection.check(folder / "rig.toml").lines[-1] == inspection.check(folder / "t.toml").lines[-1] == "ok"
+    assert (
+        inspection.check(folder / "rig.toml").lines[-1]
+        == inspection.check(folder / "t.toml").lines[-1]
+        == "ok"
+    )
     record, facts = run_trial(load_rig(folder / "rig.toml"), load_recipe(folder / "t.toml"))
-    assert not facts.stopped and all(np.isfinite(values).all() for values in record.channels.values())
+    assert not facts.stopped and all(
+        np.isfinite(values).all() for values in record.channels.values()
+    )
     return record

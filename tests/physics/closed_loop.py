@@ -1,4 +1,6 @@
-"""A closed loop for tests: a compiled controller on the model or on the virtual bench, tick by tick."""
+"""A closed loop for tests: a compiled controller on the model or on the virtual bench, tick by
+tick.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +12,28 @@ from numba import njit
 from ehbench.control import arc
 from ehbench.control.functions import circuit, pack_rules
 from ehbench.plant import (
-    AREA_HEAD, AREA_ROD, BULK, COULOMB, COULOMB_SPEED, GEOMETRY, HIGHEST, L_A, L_B, LEAK_HEAD, LEAK_INTERNAL, LEAK_ROD, LOWEST,
-    PHASE, RETRACTED, SIDE, VISCOUS, VOLUME_HEAD, VOLUME_ROD, derivatives, workspace_size,
-)  # fmt: skip
+    AREA_HEAD,
+    AREA_ROD,
+    BULK,
+    COULOMB,
+    COULOMB_SPEED,
+    GEOMETRY,
+    HIGHEST,
+    L_A,
+    L_B,
+    LEAK_HEAD,
+    LEAK_INTERNAL,
+    LEAK_ROD,
+    LOWEST,
+    PHASE,
+    RETRACTED,
+    SIDE,
+    VISCOUS,
+    VOLUME_HEAD,
+    VOLUME_ROD,
+    derivatives,
+    workspace_size,
+)
 from ehbench.rigs.bench import bench_tick
 from ehbench.rigs.model import model_sample, model_tick
 from ehbench.simulation import STEP
@@ -21,8 +42,12 @@ TICK = 1.0e-3
 
 
 @njit(cache=True, nogil=True)
-def on_model(y, wish, mask, design, gains, memory, command, plant, tick, steps, log, notes, commands, flows):
-    """Run a controller on the model; a channel with ``mask`` False is NaN in what the controller gets."""
+def on_model(
+    y, wish, mask, design, gains, memory, command, plant, tick, steps, log, notes, commands, flows
+):
+    """Run a controller on the model; a channel with ``mask`` False is NaN in what the controller
+    gets.
+    """
     size, ne = y.shape[0], plant.edges.shape[0]
     k = np.empty((5, size))
     work = np.empty(workspace_size(plant.links.shape[0], plant.cylinders.shape[0], ne))
@@ -58,20 +83,28 @@ def on_bench(
     notes,
     commands,
 ):
-    """Run a controller on the virtual bench; the log is what it measured, the truth follows in its last columns."""
+    """Run a controller on the virtual bench; the log is what it measured, the truth follows in its
+    last columns.
+    """
     channels = sample.shape[0]
     given = np.empty(channels)
     for i in range(wish.shape[0]):
         for c in range(channels):
             given[c] = sample[c] if mask[c] else np.nan
         arc.step(i * tick, given, wish[i], design, gains, memory, command, notes[i])
-        log[i, :channels], log[i, channels:], commands[i] = sample, state[: log.shape[1] - channels], command
+        log[i, :channels], log[i, channels:], commands[i] = (
+            sample,
+            state[: log.shape[1] - channels],
+            command,
+        )
         bench_tick(state, command, bench, tick, steps, scratch, work, noise[i], sample)
 
 
 @dataclass
 class Run:
-    """What came of a trial. ``log`` has the sample's columns (on the bench, then its states), ``flows`` edges then pump."""
+    """What came of a trial. ``log`` has the sample's columns (on the bench, then its states),
+    ``flows`` edges then pump.
+    """
 
     wish: np.ndarray
     log: np.ndarray
@@ -87,7 +120,14 @@ def circuit_of(model, number, measured=None):
     plant = model.plant
     row = plant.cylinders[number]
     return circuit(
-        number, row[AREA_HEAD], row[AREA_ROD], plant.edges, plant.wiring, plant.maps, plant.valves[:, [LOWEST, HIGHEST]], measured
+        number,
+        row[AREA_HEAD],
+        row[AREA_ROD],
+        plant.edges,
+        plant.wiring,
+        plant.maps,
+        plant.valves[:, [LOWEST, HIGHEST]],
+        measured,
     )
 
 
@@ -96,16 +136,26 @@ def axis_of(model, number, posture, measured=None):
     plant = model.plant
     row = plant.cylinders[number]
     return arc.axis(
-        circuit_of(model, number, measured), plant.kind, plant.gravity, plant.links, plant.joints, model.posture(posture),
+        circuit_of(model, number, measured),
+        plant.kind,
+        plant.gravity,
+        plant.links,
+        plant.joints,
+        model.posture(posture),
         row[[GEOMETRY, L_A, L_B, SIDE, PHASE, RETRACTED]],
-        row[[VOLUME_HEAD, VOLUME_ROD, BULK, LEAK_INTERNAL, LEAK_HEAD, LEAK_ROD]], (row[VISCOUS], row[COULOMB], COULOMB_SPEED),
-    )  # fmt: skip
+        row[[VOLUME_HEAD, VOLUME_ROD, BULK, LEAK_INTERNAL, LEAK_HEAD, LEAK_ROD]],
+        (row[VISCOUS], row[COULOMB], COULOMB_SPEED),
+    )
 
 
 def valve_lag(model, number):
     """Lag 2ζ/ω_n [s] of the slowest valve of a cylinder."""
     name = model.layout.cylinders[number]
-    rows = [r for r, v in zip(model.plant.valves, model.layout.valves, strict=True) if v.startswith(name + ".")]
+    rows = [
+        r
+        for r, v in zip(model.plant.valves, model.layout.valves, strict=True)
+        if v.startswith(name + ".")
+    ]
     return max(float(r[1] / r[0]) if r[0] else 0.0 for r in rows)
 
 
@@ -125,7 +175,12 @@ def gains_of(model, ax, seventh=False, rules=None, **options):
 def _arrays(model, ax, wish):
     layout = model.layout
     names = arc.note_channels("c", [f"e{i}" for i in range(ax.circuit.count)])
-    return np.zeros((len(wish), len(names))), names, np.zeros((len(wish), len(layout.valves))), model.rest_commands(1)[0]
+    return (
+        np.zeros((len(wish), len(names))),
+        names,
+        np.zeros((len(wish), len(layout.valves))),
+        model.rest_commands(1)[0],
+    )
 
 
 def _noted(notes, names):
@@ -133,16 +188,38 @@ def _noted(notes, names):
 
 
 def run_model(model, ax, gains, wish, posture=None, mask=None, memory=None):
-    """A trial of the controller on a model that starts at rest in a posture; ``memory`` is zeros unless given."""
+    """A trial of the controller on a model that starts at rest in a posture; ``memory`` is zeros
+    unless given.
+    """
     y = model.trim(model.posture(posture))
     notes, names, commands, command = _arrays(model, ax, wish)
     channels = 6 * len(model.layout.cylinders) + 2
-    log, memory = np.zeros((len(wish), channels)), np.zeros(arc.memory_size(ax)) if memory is None else memory
+    log, memory = (
+        np.zeros((len(wish), channels)),
+        np.zeros(arc.memory_size(ax)) if memory is None else memory,
+    )
     flows, tick = np.zeros((len(wish), len(model.layout.edges) + 1)), gains[arc.TICK]
     mask = arc.entitled(ax, channels) if mask is None else mask
     steps = max(1, round(tick / STEP))
-    on_model(y, wish, mask, ax, gains, memory, command, model.plant, tick, steps, log, notes, commands, flows)
-    return Run(wish, log, _noted(notes, names), commands, flows, memory, np.arange(len(wish)) * tick)
+    on_model(
+        y,
+        wish,
+        mask,
+        ax,
+        gains,
+        memory,
+        command,
+        model.plant,
+        tick,
+        steps,
+        log,
+        notes,
+        commands,
+        flows,
+    )
+    return Run(
+        wish, log, _noted(notes, names), commands, flows, memory, np.arange(len(wish)) * tick
+    )
 
 
 def run_bench(rig, model, ax, gains, wish, posture=None):
@@ -151,7 +228,22 @@ def run_bench(rig, model, ax, gains, wish, posture=None):
     notes, names, commands, command = _arrays(model, ax, wish)
     log, memory = np.zeros((len(wish), sample.size + rig.size)), np.zeros(arc.memory_size(ax))
     on_bench(
-        rig.state, sample, wish, arc.entitled(ax, sample.size), ax, gains, memory, command, rig.bench, TICK, rig.steps,
-        rig._scratch, rig._work, rig.noise(len(wish)), log, notes, commands,
-    )  # fmt: skip
+        rig.state,
+        sample,
+        wish,
+        arc.entitled(ax, sample.size),
+        ax,
+        gains,
+        memory,
+        command,
+        rig.bench,
+        TICK,
+        rig.steps,
+        rig._scratch,
+        rig._work,
+        rig.noise(len(wish)),
+        log,
+        notes,
+        commands,
+    )
     return Run(wish, log, _noted(notes, names), commands, None, memory, np.arange(len(wish)) * TICK)

@@ -1,4 +1,6 @@
-"""The adaptive robust controller: what its proof promises, on a nominal rig; what it does on the rigs, and on the bench."""
+"""The adaptive robust controller: what its proof promises, on a nominal rig; what it does on the
+rigs, and on the bench.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,12 @@ import numpy as np
 import pytest
 
 from ehbench.control import arc
-from ehbench.control.functions import EXTEND_RESISTIVE, EXTEND_RESISTIVE_REGENERATION, HOLD, RETRACT_OVERRUNNING_REGENERATION
+from ehbench.control.functions import (
+    EXTEND_RESISTIVE,
+    EXTEND_RESISTIVE_REGENERATION,
+    HOLD,
+    RETRACT_OVERRUNNING_REGENERATION,
+)
 from ehbench.control.trajectory import point_to_point, there_and_back
 from ehbench.control.valve_level import SATURATED
 from ehbench.errors import InputError
@@ -32,11 +39,16 @@ RESOLUTION = 2.54e-5  # of the cylinder's quadrature encoder [m]
 
 @cache
 def thesis(valve="cartridges"):
-    """The thesis's arm, its boom on five cartridges or on a standard valve: the stick's spool, as fast as a cartridge."""
+    """The thesis's arm, its boom on five cartridges or on a standard valve: the stick's spool, as
+    fast as a cartridge.
+    """
     rig = load_rig(RIGS / "thesis_arm.toml")
     if valve == "standard":
         spool = rig.cylinder_named("stick").valve[0].model_copy(update={"dynamics": "eq_2_12"})
-        own = [c.model_copy(update={"valve": (spool,)}) if c.name == "boom" else c for c in rig.cylinder]
+        own = [
+            c.model_copy(update={"valve": (spool,)}) if c.name == "boom" else c
+            for c in rig.cylinder
+        ]
         rig = rig.model_copy(update={"cylinder": tuple(own)})
     design = Model.of(rig)
     return rig, design, axis_of(design, 1, {"boom": "0.127 m"})
@@ -45,26 +57,48 @@ def thesis(valve="cartridges"):
 @cache
 def slow():
     """Up and down again, 0.15 m in about 4 s each."""
-    return there_and_back(LOW, HIGH, speed=0.08, acceleration=0.2, jerk=2.0, tick=TICK, hold=[0.5, 0.5, 1.0], profile="seventh")
+    return there_and_back(
+        LOW,
+        HIGH,
+        speed=0.08,
+        acceleration=0.2,
+        jerk=2.0,
+        tick=TICK,
+        hold=[0.5, 0.5, 1.0],
+        profile="seventh",
+    )
 
 
 @cache
 def fast():
     """Up and down again, 0.15 m in about 1.5 s each, at 92 % of the pump's flow."""
-    return there_and_back(LOW, HIGH, speed=0.23, acceleration=1.0, jerk=20.0, tick=TICK, hold=[0.5, 0.5, 1.0], profile="seventh")
+    return there_and_back(
+        LOW,
+        HIGH,
+        speed=0.23,
+        acceleration=1.0,
+        jerk=20.0,
+        tick=TICK,
+        hold=[0.5, 0.5, 1.0],
+        profile="seventh",
+    )
 
 
 @cache
 def trial(payload=None, adapt=True, seventh=False, valve="cartridges", quick=False):
     rig, design, ax = thesis(valve)
     gains = gains_of(design, ax, seventh, adapt=adapt)
-    return run_model(Model.of(rig, None, payload), ax, gains, fast() if quick else slow(), {"boom": f"{LOW} m"})
+    return run_model(
+        Model.of(rig, None, payload), ax, gains, fast() if quick else slow(), {"boom": f"{LOW} m"}
+    )
 
 
 def inside_bounds(run, gains):
     for i, name in enumerate(arc.ESTIMATES):
         values = run.note[name]
-        assert gains[arc.AT_LOWER + i] <= values.min() and values.max() <= gains[arc.AT_UPPER + i], name
+        assert (
+            gains[arc.AT_LOWER + i] <= values.min() and values.max() <= gains[arc.AT_UPPER + i]
+        ), name
 
 
 def functions(run):
@@ -73,15 +107,21 @@ def functions(run):
     return f[np.concatenate([[True], np.diff(f) != 0])].tolist()
 
 
-# --- the proof, on a rig that fulfils its assumptions ------------------------------------------------------------------
+# --- the proof, on a rig that fulfils its assumptions
+# ------------------------------------------------------------------
 
 
 @cache
 def nominal(payload):
-    """A one-joint crane whose valve has no lag, and the same with ``payload`` [kg] as a point at its end."""
+    """A one-joint crane whose valve has no lag, and the same with ``payload`` [kg] as a point at
+    its end.
+    """
     rig = load_rig(RIGS / "crane_proportional.toml")
     ideal = [
-        c.model_copy(update={"valve": tuple(v.model_copy(update={"dynamics": None}) for v in c.valve)}) for c in rig.cylinder
+        c.model_copy(
+            update={"valve": tuple(v.model_copy(update={"dynamics": None}) for v in c.valve)}
+        )
+        for c in rig.cylinder
     ]
     rig = rig.model_copy(update={"cylinder": tuple(ideal)})
     link = rig.mechanism.joint[-1]
@@ -91,8 +131,12 @@ def nominal(payload):
     extra = sum(m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in points)
     inertia = np.array(link.inertia.value) + extra[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     heavy = link.model_copy(
-        update={"mass": Value(mass + payload), "com": Value(tuple(both)), "inertia": Value(tuple(inertia))}
-    )  # fmt: skip
+        update={
+            "mass": Value(mass + payload),
+            "com": Value(tuple(both)),
+            "inertia": Value(tuple(inertia)),
+        }
+    )
     chain = rig.mechanism.model_copy(update={"joint": (*rig.mechanism.joint[:-1], heavy)})
     design = Model.of(rig)
     return (
@@ -103,13 +147,21 @@ def nominal(payload):
 
 
 def nominal_run(payload, estimates, adapt, span=1.6, **gains):
-    """Sampled at 5 kHz, so that a held command is near enough a continuous one; the wish oscillates from t = 0."""
+    """Sampled at 5 kHz, so that a held command is near enough a continuous one; the wish oscillates
+    from t = 0.
+    """
     design, loaded, ax = nominal(payload)
     tick = 2.0e-4
     t = np.arange(round(span / tick)) * tick
     w = 2 * np.pi / 1.6
     wish = np.stack(
-        [0.2 + 0.04 * (1 - np.cos(w * t)), 0.04 * w * np.sin(w * t), 0.04 * w**2 * np.cos(w * t), -0.04 * w**3 * np.sin(w * t)], 1
+        [
+            0.2 + 0.04 * (1 - np.cos(w * t)),
+            0.04 * w * np.sin(w * t),
+            0.04 * w**2 * np.cos(w * t),
+            -0.04 * w**3 * np.sin(w * t),
+        ],
+        1,
     )
     chosen = {
         "position_bandwidth": 10.0,
@@ -122,8 +174,15 @@ def nominal_run(payload, estimates, adapt, span=1.6, **gains):
         "force_tolerance": 4000.0,
         "robust_limit": 1e6,
     }
-    bounds = {"payload": (0.0, 60.0), "disturbance": 500.0, "adaptation": 2.0, "adaptation_bulk": 0.1}
-    packed = gains_of(design, ax, adapt=adapt, tick=tick, valve_lag=0.0, gains=chosen | gains, **bounds)
+    bounds = {
+        "payload": (0.0, 60.0),
+        "disturbance": 500.0,
+        "adaptation": 2.0,
+        "adaptation_bulk": 0.1,
+    }
+    packed = gains_of(
+        design, ax, adapt=adapt, tick=tick, valve_lag=0.0, gains=chosen | gains, **bounds
+    )
     memory = np.zeros(arc.memory_size(ax))
     memory[[arc.STARTED, arc.FUNCTION, arc.SEEN_X]] = 1.0, HOLD, 0.2
     memory[arc.AT_ESTIMATES : arc.AT_WORK] = estimates(packed)
@@ -134,25 +193,37 @@ def nominal_run(payload, estimates, adapt, span=1.6, **gains):
     z3 = run.note["load_force"] - run.note["load_force_desired"]
     weight = 1.0 / (mass * 60.0) ** 2
     # the motion proper: the wish is away from rest and no limit is met
-    moving = (np.abs(wish[:, 1]) > 0.01) & (run.note["function"] != HOLD) & (run.note["limits"] == 0)
+    moving = (
+        (np.abs(wish[:, 1]) > 0.01) & (run.note["function"] != HOLD) & (run.note["limits"] == 0)
+    )
     return run, packed, truth, z2, z3, weight, moving, tick
 
 
 @pytest.mark.parametrize("payload", [0.0, 40.0])
 def test_lyapunov_function_falls_as_derived(payload):
-    """dV/dt = −k2 z2² − k3 w z3² with V = ½ z2² + ½ w z3² + ½ θ̃ᵀ Γ⁻¹ θ̃ (docs/arc.md), wherever no estimate is at a bound."""
+    """dV/dt = −k2 z2² − k3 w z3² with V = ½ z2² + ½ w z3² + ½ θ̃ᵀ Γ⁻¹ θ̃ (docs/arc.md), wherever no
+    estimate is at a bound.
+    """
 
     def off(packed):
         lower, upper = packed[arc.AT_LOWER : arc.AT_UPPER], packed[arc.AT_UPPER : arc.AT_RATE]
         return lower + np.array([0.8, 0.45, 0.55, 0.6]) * (upper - lower)
 
-    run, packed, truth, z2, z3, weight, moving, tick = nominal_run(payload, off, True, robust_limit=0.0)
+    run, packed, truth, z2, z3, weight, moving, tick = nominal_run(
+        payload, off, True, robust_limit=0.0
+    )
     # the note holds the estimates after the tick's adaptation, the errors are from before it
-    error = np.stack([np.concatenate([[np.nan], run.note[name][:-1]]) for name in arc.ESTIMATES], 1) - truth
+    error = (
+        np.stack([np.concatenate([[np.nan], run.note[name][:-1]]) for name in arc.ESTIMATES], 1)
+        - truth
+    )
     gamma = packed[arc.AT_RATE : arc.AT_START]
     value = 0.5 * z2**2 + 0.5 * weight * z3**2 + 0.5 * (error**2 / gamma).sum(1)
     derived = -20.0 * z2**2 - 40.0 * weight * z3**2
-    at_bound = ((error + truth == packed[arc.AT_LOWER : arc.AT_UPPER]) | (error + truth == packed[arc.AT_UPPER : arc.AT_RATE])).any(1)
+    at_bound = (
+        (error + truth == packed[arc.AT_LOWER : arc.AT_UPPER])
+        | (error + truth == packed[arc.AT_UPPER : arc.AT_RATE])
+    ).any(1)
     free = moving & (run.note["learning"] == arc.FREE) & ~at_bound
     free[1:] &= free[:-1]
     free[0] = False
@@ -166,12 +237,16 @@ def test_lyapunov_function_falls_as_derived(payload):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_transient_bound_holds_for_any_estimates_without_adaptation(seed):
-    """½ z2² + ½ w z3² ≤ e^(−λt) of its start + (k2 e2² + w k3 e3²)/λ with λ = 2 min(k2, k3), whatever the estimates are."""
+    """½ z2² + ½ w z3² ≤ e^(−λt) of its start + (k2 e2² + w k3 e3²)/λ with λ = 2 min(k2, k3),
+    whatever the estimates are.
+    """
     rng = np.random.default_rng(seed)
 
     def drawn(packed):
         lower, upper = packed[arc.AT_LOWER : arc.AT_UPPER], packed[arc.AT_UPPER : arc.AT_RATE]
-        return np.where(rng.random(4) < 0.5, lower, upper) if seed < 2 else rng.uniform(lower, upper)
+        return (
+            np.where(rng.random(4) < 0.5, lower, upper) if seed < 2 else rng.uniform(lower, upper)
+        )
 
     run, _, _, z2, z3, weight, moving, _ = nominal_run(rng.uniform(0, 60), drawn, False)
     value = 0.5 * z2**2 + 0.5 * weight * z3**2
@@ -210,16 +285,31 @@ def test_estimates_stay_inside_whatever_the_sensors_say():
     note = np.zeros(arc.NOTES + 2 * ax.circuit.count)
     scale = np.tile([0.5, 1.0, 0.2, 0.5, 7e6, 7e6], 3)
     for tick in range(3000):
-        sample = np.concatenate([scale * rng.normal(size=18), [7e6 * rng.random(), 1e5 * rng.normal()]])
-        arc.step(tick * TICK, sample, rng.normal(size=4) * [0.2, 0.3, 2.0, 20.0], ax, gains, memory, command, note)
+        sample = np.concatenate(
+            [scale * rng.normal(size=18), [7e6 * rng.random(), 1e5 * rng.normal()]]
+        )
+        arc.step(
+            tick * TICK,
+            sample,
+            rng.normal(size=4) * [0.2, 0.3, 2.0, 20.0],
+            ax,
+            gains,
+            memory,
+            command,
+            note,
+        )
         for i in range(4):
-            assert gains[arc.AT_LOWER + i] <= memory[arc.AT_ESTIMATES + i] <= gains[arc.AT_UPPER + i]
+            assert (
+                gains[arc.AT_LOWER + i] <= memory[arc.AT_ESTIMATES + i] <= gains[arc.AT_UPPER + i]
+            )
         assert (command >= -10.0).all() and (command <= 10.0).all()
 
 
 @pytest.mark.parametrize("rig", ["thesis_arm", "crane_proportional", "slide_servo"])
 def test_a_point_mass_at_the_tip_is_what_the_regressors_say(rig):
-    """Equivalent mass and gravity force with and without 7 kg at the end of the last link, from the laws of the arm."""
+    """Equivalent mass and gravity force with and without 7 kg at the end of the last link, from the
+    laws of the arm.
+    """
     design = Model.of(load_rig(RIGS / f"{rig}.toml"))
     ax = axis_of(design, len(design.layout.cylinders) // 2, {})
     n, j = len(design.layout.joints), ax.joint
@@ -236,10 +326,13 @@ def test_a_point_mass_at_the_tip_is_what_the_regressors_say(rig):
     own, tip = arc.inertias(ax, q.copy(), mass, work)
     m0, held, _, _, pull, _ = arc.mechanics(ax, q[j], own, q.copy(), work)
     assert heavy[0] == pytest.approx((m0, held), rel=1e-12)
-    assert heavy[1] == pytest.approx((m0 * (1 + 7.0 * tip / own), held + 7.0 * pull), rel=1e-9, abs=1e-9)
+    assert heavy[1] == pytest.approx(
+        (m0 * (1 + 7.0 * tip / own), held + 7.0 * pull), rel=1e-9, abs=1e-9
+    )
 
 
-# --- trials on the identified model -----------------------------------------------------------------------------------
+# --- trials on the identified model
+# -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("quick", [False, True])
@@ -254,7 +347,8 @@ def test_tracks_with_the_payload_unknown(payload, quick):
     lever = linkage(int(thesis()[2].pins[0]), *thesis()[2].pins[1:], q_end)[1]
     assert abs(error[-1] / lever) < 2 * np.pi / 4096
     inside_bounds(run, gains_of(thesis()[1], thesis()[2]))
-    # 50 lb: 24.55 kg more than the bare stick, its centre 57 mm beyond the tip, where the law looks for it
+    # 50 lb: 24.55 kg more than the bare stick, its centre 57 mm beyond the tip, where the law looks
+    # for it
     assert run.note["payload_estimate"][-1] == pytest.approx(24.55 if payload else 0.0, abs=2.0)
 
 
@@ -266,14 +360,22 @@ def test_adaptation_beats_none():
 
 @pytest.mark.parametrize("payload", [None, "50 lb"])
 def test_functions_do_not_chatter(payload):
-    assert functions(trial(payload)) == [HOLD, EXTEND_RESISTIVE, HOLD, RETRACT_OVERRUNNING_REGENERATION, HOLD]
+    assert functions(trial(payload)) == [
+        HOLD,
+        EXTEND_RESISTIVE,
+        HOLD,
+        RETRACT_OVERRUNNING_REGENERATION,
+        HOLD,
+    ]
     seventh = functions(trial(payload, seventh=True))
     assert len(seventh) <= 7 and EXTEND_RESISTIVE_REGENERATION in seventh
 
 
 @pytest.mark.parametrize("payload", [None, "50 lb"])
 def test_saves_pump_energy(payload):
-    """Against the standard valve over one closed cycle, tracking no worse than its sensors tell; bounds: 34.5 and 69 %."""
+    """Against the standard valve over one closed cycle, tracking no worse than its sensors tell;
+    bounds: 34.5 and 69 %.
+    """
 
     def energy(run):
         return run.flows[:, -1].sum() * TICK * float(thesis()[0].supply.pressure)
@@ -285,7 +387,9 @@ def test_saves_pump_energy(payload):
     for seventh, least in ((False, 0.30), (True, 0.55)):
         run = trial(payload, seventh=seventh)
         assert energy(run) < (1.0 - least) * energy(standard)
-        assert np.abs(run.note["x_error"]).max() < np.abs(standard.note["x_error"]).max() + RESOLUTION
+        assert (
+            np.abs(run.note["x_error"]).max() < np.abs(standard.note["x_error"]).max() + RESOLUTION
+        )
 
 
 def test_off_side_pressure_follows_its_set_point():
@@ -297,11 +401,19 @@ def test_off_side_pressure_follows_its_set_point():
 
 
 def test_saturation_is_said_and_leaves_no_wind_up():
-    """A wish twice as fast as the pump: the valves end, the estimates keep still, and the stroke comes home without overshoot."""
+    """A wish twice as fast as the pump: the valves end, the estimates keep still, and the stroke
+    comes home without overshoot.
+    """
     rig, design, ax = thesis()
-    wish = point_to_point([LOW, HIGH], speed=0.5, acceleration=4.0, jerk=100.0, tick=TICK, hold=[0.3, 2.5])
-    run = run_model(Model.of(rig, None, "50 lb"), ax, gains_of(design, ax), wish, {"boom": f"{LOW} m"})
-    limits = np.stack([values for name, values in run.note.items() if name.endswith(".limits")]).astype(int)
+    wish = point_to_point(
+        [LOW, HIGH], speed=0.5, acceleration=4.0, jerk=100.0, tick=TICK, hold=[0.3, 2.5]
+    )
+    run = run_model(
+        Model.of(rig, None, "50 lb"), ax, gains_of(design, ax), wish, {"boom": f"{LOW} m"}
+    )
+    limits = np.stack(
+        [values for name, values in run.note.items() if name.endswith(".limits")]
+    ).astype(int)
     saturated = (limits & SATURATED).any(axis=0)
     error = run.note["x_error"]
     assert saturated.sum() > 50 and error.min() < -0.02
@@ -317,13 +429,25 @@ def test_saturation_is_said_and_leaves_no_wind_up():
 def test_the_same_trial_twice_gives_the_same_bytes():
     rig, design, ax = thesis()
     runs = [
-        run_model(Model.of(rig, None, "50 lb"), ax, gains_of(design, ax), slow()[:3000], {"boom": f"{LOW} m"}) for _ in range(2)
+        run_model(
+            Model.of(rig, None, "50 lb"),
+            ax,
+            gains_of(design, ax),
+            slow()[:3000],
+            {"boom": f"{LOW} m"},
+        )
+        for _ in range(2)
     ]
-    assert runs[0].commands.tobytes() == runs[1].commands.tobytes() and runs[0].log.tobytes() == runs[1].log.tobytes()
+    assert (
+        runs[0].commands.tobytes() == runs[1].commands.tobytes()
+        and runs[0].log.tobytes() == runs[1].log.tobytes()
+    )
 
 
 def test_sees_only_its_channels():
-    """Channels that it is not entitled to change nothing; NaN in one that it is entitled to reaches the commands."""
+    """Channels that it is not entitled to change nothing; NaN in one that it is entitled to reaches
+    the commands.
+    """
     _, design, ax = thesis()
     wish = slow()[:2500]
     channels = 6 * len(design.layout.cylinders) + 2
@@ -331,12 +455,18 @@ def test_sees_only_its_channels():
     mask = arc.entitled(ax, channels)
     own = set(range(6, 12)) | {0, 12, 18, 19}
     assert set(np.flatnonzero(mask)) == own
-    masked, open_ = (run_model(design, ax, gains, wish, posture, m) for m in (mask, np.ones(channels, bool)))
-    assert np.isfinite(masked.commands).all() and masked.commands.tobytes() == open_.commands.tobytes()
+    masked, open_ = (
+        run_model(design, ax, gains, wish, posture, m) for m in (mask, np.ones(channels, bool))
+    )
+    assert (
+        np.isfinite(masked.commands).all() and masked.commands.tobytes() == open_.commands.tobytes()
+    )
     for channel in (6, 8, 10, 11, 18):
         poor = mask.copy()
         poor[channel] = False
-        assert np.isnan(run_model(design, ax, gains, wish[1500:], posture, poor).commands).any(), channel
+        assert np.isnan(run_model(design, ax, gains, wish[1500:], posture, poor).commands).any(), (
+            channel
+        )
 
 
 @pytest.mark.parametrize(
@@ -348,42 +478,82 @@ def test_sees_only_its_channels():
     ],
 )
 def test_other_rigs_on_their_models(name, payload, low, high, kilograms):
-    """The same defaults on a slide with a fast spool, a crane with a spool with overlap, four separate valves."""
+    """The same defaults on a slide with a fast spool, a crane with a spool with overlap, four
+    separate valves.
+    """
     rig = load_rig(RIGS / f"{name}.toml")
     design = Model.of(rig)
     cylinder = design.layout.cylinders[0]
     ax = axis_of(design, 0, {cylinder: f"{0.5 * (low + high)} m"})
-    wish = there_and_back(low, high, speed=0.07, acceleration=0.5, jerk=5.0, tick=TICK, hold=[0.3, 0.5, 1.0], profile="seventh")
+    wish = there_and_back(
+        low,
+        high,
+        speed=0.07,
+        acceleration=0.5,
+        jerk=5.0,
+        tick=TICK,
+        hold=[0.3, 0.5, 1.0],
+        profile="seventh",
+    )
     for load in (None, payload):
-        run = run_model(Model.of(rig, None, load), ax, gains_of(design, ax), wish, {cylinder: f"{low} m"})
+        run = run_model(
+            Model.of(rig, None, load), ax, gains_of(design, ax), wish, {cylinder: f"{low} m"}
+        )
         assert np.abs(run.note["x_error"]).max() < 1.0e-3
         assert np.abs(run.note["x_error"][-200:]).max() < RESOLUTION
         if kilograms is not None:
-            assert run.note["payload_estimate"][-1] == pytest.approx(kilograms if load else 0.0, abs=0.05 * kilograms)
+            assert run.note["payload_estimate"][-1] == pytest.approx(
+                kilograms if load else 0.0, abs=0.05 * kilograms
+            )
 
 
 def test_an_inclined_slide_weighs_its_load():
     rig = load_rig(RIGS / "slide_servo.toml")
-    rig = rig.model_copy(update={"mechanism": rig.mechanism.model_copy(update={"incline": Value(0.5)})})
+    rig = rig.model_copy(
+        update={"mechanism": rig.mechanism.model_copy(update={"incline": Value(0.5)})}
+    )
     design = Model.of(rig)
     ax = axis_of(design, 0, {"press": "0.2 m"})
-    wish = there_and_back(0.05, 0.3, speed=0.1, acceleration=0.5, jerk=5.0, tick=TICK, hold=[0.3, 0.5, 1.0], profile="seventh")
-    run = run_model(Model.of(rig, None, "100 kg"), ax, gains_of(design, ax), wish, {"press": "0.05 m"})
+    wish = there_and_back(
+        0.05,
+        0.3,
+        speed=0.1,
+        acceleration=0.5,
+        jerk=5.0,
+        tick=TICK,
+        hold=[0.3, 0.5, 1.0],
+        profile="seventh",
+    )
+    run = run_model(
+        Model.of(rig, None, "100 kg"), ax, gains_of(design, ax), wish, {"press": "0.05 m"}
+    )
     assert run.note["payload_estimate"][-1] == pytest.approx(100.0, abs=5.0)
     assert run.note["inverse_inertia"][-1] == pytest.approx(250 / 350, abs=0.05)
     assert np.abs(run.note["x_error"]).max() < 1.0e-3
 
 
-# --- what the bench adds: noise, quantization, lag, delay, friction, hysteresis, unlike valves -------------------------
+# --- what the bench adds: noise, quantization, lag, delay, friction, hysteresis, unlike valves
+# -------------------------
 
 
 @pytest.mark.parametrize("load", [None, "bucket"])
 def test_on_the_bench(load):
-    """Valves known from their data sheets only, so the flows are wrong by some per cent: under 3 mm all the same."""
+    """Valves known from their data sheets only, so the flows are wrong by some per cent: under 3 mm
+    all the same.
+    """
     rig = load_rig(RIGS / "boom_four_valve.toml")
     design = Model.of(rig)
     ax = axis_of(design, 0, {"boom": "0.225 m"})
-    wish = there_and_back(0.1, 0.35, speed=0.1, acceleration=0.3, jerk=3.0, tick=TICK, hold=[0.5, 0.5, 1.5], profile="seventh")
+    wish = there_and_back(
+        0.1,
+        0.35,
+        speed=0.1,
+        acceleration=0.3,
+        jerk=3.0,
+        tick=TICK,
+        hold=[0.5, 0.5, 1.5],
+        profile="seventh",
+    )
     gains = gains_of(design, ax)
     run = run_bench(BenchRig(rig, None, load), design, ax, gains, wish, {"boom": "0.1 m"})
     error = np.abs(run.note["x_error"])
@@ -393,7 +563,8 @@ def test_on_the_bench(load):
     assert run.note["payload_estimate"][-1] == pytest.approx(120.0 if load else 0.0, abs=25.0)
 
 
-# --- packing ----------------------------------------------------------------------------------------------------------
+# --- packing
+# ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

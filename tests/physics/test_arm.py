@@ -11,22 +11,31 @@ import pytest
 from ehbench.physics import arm
 
 G = 9.81
-GRAVITY = np.array([2.9, 7.3, -5.9])  # up is no axis of the base frame, so that no entry can be forgotten
+GRAVITY = np.array(
+    [2.9, 7.3, -5.9]
+)  # up is no axis of the base frame, so that no entry can be forgotten
 SIZES = (1, 2, 3, 6)
 
 
 def random_body(rng):
-    """Mass, centre of mass and a full, physically possible inertia tensor: that of six point masses."""
+    """Mass, centre of mass and a full, physically possible inertia tensor: that of six point
+    masses.
+    """
     points, weights = rng.normal(scale=0.3, size=(6, 3)), rng.uniform(0.5, 3.0, 6)
     com = weights @ points / weights.sum()
     arms = points - com
-    inertia = sum(w * (r @ r * np.eye(3) - np.outer(r, r)) for w, r in zip(weights, arms, strict=True))
+    inertia = sum(
+        w * (r @ r * np.eye(3) - np.outer(r, r)) for w, r in zip(weights, arms, strict=True)
+    )
     return weights.sum(), com, inertia
 
 
 def random_chain(n, rng):
     """Rows of ``links``, and the numbers that went into them."""
-    given = [(*rng.uniform(-1, 1, 2), *rng.uniform(-3, 3, 2), *random_body(rng), rng.uniform(0, 5)) for _ in range(n)]
+    given = [
+        (*rng.uniform(-1, 1, 2), *rng.uniform(-3, 3, 2), *random_body(rng), rng.uniform(0, 5))
+        for _ in range(n)
+    ]
     return np.array([arm.pack_link(*row) for row in given]), given
 
 
@@ -54,7 +63,11 @@ def mujoco_model(given):
 
 def states(n, rng, count=20):
     for _ in range(count):
-        yield rng.uniform(-math.pi, math.pi, n), rng.normal(scale=2.0, size=n), rng.normal(scale=100.0, size=n)
+        yield (
+            rng.uniform(-math.pi, math.pi, n),
+            rng.normal(scale=2.0, size=n),
+            rng.normal(scale=100.0, size=n),
+        )
 
 
 def kernels(links):
@@ -92,17 +105,24 @@ def test_agrees_with_mujoco(n):
         mujoco.mj_forward(model, data)
         full = np.empty((n, n))
         mujoco.mj_fullM(model, data, full)
-        # 1e-12 of the largest entry is a hundred roundings of the 400 sums and products of six joints
+        # 1e-12 of the largest entry is a hundred roundings of the 400 sums and products of six
+        # joints
         assert mass(q) == pytest.approx(full, rel=0, abs=1e-12 * np.abs(full).max())
         expected = data.qfrc_bias - data.qfrc_passive
-        assert bias(q, qd) == pytest.approx(expected, rel=0, abs=1e-12 * (10 + np.abs(expected).max()))
+        assert bias(q, qd) == pytest.approx(
+            expected, rel=0, abs=1e-12 * (10 + np.abs(expected).max())
+        )
         # the acceleration may lose the digits that the condition of the mass matrix costs
         slack = 1e-15 * np.linalg.cond(full) + 1e-12
-        assert forward(q, qd, torque) == pytest.approx(data.qacc, rel=0, abs=slack * np.abs(data.qacc).max())
+        assert forward(q, qd, torque) == pytest.approx(
+            data.qacc, rel=0, abs=slack * np.abs(data.qacc).max()
+        )
         assert arm.tip(arm.CHAIN, links, q) == pytest.approx(data.xpos[-1], rel=0, abs=1e-12)
         mujoco.mj_energyPos(model, data)
         mujoco.mj_energyVel(model, data)
-        assert energy(q, qd) == pytest.approx((data.energy[1], data.energy[0]), rel=0, abs=1e-12 * (10 + abs(data.energy).sum()))
+        assert energy(q, qd) == pytest.approx(
+            (data.energy[1], data.energy[0]), rel=0, abs=1e-12 * (10 + abs(data.energy).sum())
+        )
 
 
 @pytest.mark.parametrize("n", SIZES)
@@ -139,9 +159,12 @@ def test_power_is_the_rate_of_energy(n):
         def along(h, q=q, qd=qd, qdd=qdd):
             return sum(energy(q + h * qd + 0.5 * h * h * qdd, qd + h * qdd))
 
-        # sixth-order central difference: with steps of 2 % of the state's time scale its error is below 1e-8
+        # sixth-order central difference: with steps of 2 % of the state's time scale its error is
+        # below 1e-8
         h = 0.02 * scale
-        rate = sum(w * (along(k * h) - along(-k * h)) for k, w in ((1, 45), (2, -9), (3, 1))) / (60 * h)
+        rate = sum(w * (along(k * h) - along(-k * h)) for k, w in ((1, 45), (2, -9), (3, 1))) / (
+            60 * h
+        )
         power = qd @ (torque - links[:, arm.DAMPING] * qd)
         assert rate == pytest.approx(power, rel=0, abs=1e-7 * np.abs(qd) @ np.abs(torque))
 
@@ -162,7 +185,9 @@ def test_gravity_torque_is_the_slope_of_potential_energy(n):
     for q, _, _ in states(n, rng):
         h = 1e-4  # central difference: h² truncation 2e-9 of the slope, rounding 1e-12
         step = h * np.eye(n)
-        slope = np.array([(energy(q + row, rest)[1] - energy(q - row, rest)[1]) / (2 * h) for row in step])
+        slope = np.array(
+            [(energy(q + row, rest)[1] - energy(q - row, rest)[1]) / (2 * h) for row in step]
+        )
         c = weight(q)
         assert c == pytest.approx(slope, rel=0, abs=1e-8 * (1 + np.abs(c).max()))
         assert c == pytest.approx(bias(q, rest), rel=0, abs=1e-13 * (1 + np.abs(c).max()) * n)
@@ -180,8 +205,14 @@ def test_pendulum_by_hand():
     bias, mass, _, _, _ = kernels(links)
     q, qd = np.array([0.3, 0.4]), np.array([0.0, 2.0])
     assert mass(q)[1, 1] == pytest.approx(0.3 + 3.0 * 1.5**2, rel=1e-14)
-    assert bias(q, qd, np.array([0.0, 0.0, G]))[1] == pytest.approx(3.0 * G * 1.5 * math.cos(0.4) + 0.7 * 2.0, rel=1e-14)
-    end = 2.0 * math.cos(0.4) * math.cos(0.3), 2.0 * math.cos(0.4) * math.sin(0.3), 2.0 * math.sin(0.4)
+    assert bias(q, qd, np.array([0.0, 0.0, G]))[1] == pytest.approx(
+        3.0 * G * 1.5 * math.cos(0.4) + 0.7 * 2.0, rel=1e-14
+    )
+    end = (
+        2.0 * math.cos(0.4) * math.cos(0.3),
+        2.0 * math.cos(0.4) * math.sin(0.3),
+        2.0 * math.sin(0.4),
+    )
     assert arm.tip(arm.CHAIN, links, q) == pytest.approx(end, rel=1e-14)
 
 
@@ -190,7 +221,9 @@ def test_prefix_of_the_rows_is_the_shorter_chain():
     q = np.array([0.1, 0.2, 0.3])
     end = np.array(arm.tip(arm.CHAIN, links, q))
     before = np.array(arm.tip(arm.CHAIN, links[:2], q[:2]))
-    assert np.linalg.norm(end - before) == pytest.approx(math.hypot(links[2, arm.A], links[2, arm.D]), rel=1e-13)
+    assert np.linalg.norm(end - before) == pytest.approx(
+        math.hypot(links[2, arm.A], links[2, arm.D]), rel=1e-13
+    )
 
 
 def test_slide_on_an_incline():
@@ -207,8 +240,12 @@ def test_slide_on_an_incline():
     assert full[0, 0] == m
     arm.forward(arm.SLIDE, links, np.array([0.0, 0.0, G]), q, qd, force, out, work)
     assert out[0] == pytest.approx((100.0 - weight - b * 0.2) / m, rel=1e-13)
-    assert arm.energy(arm.SLIDE, links, np.array([0.0, 0.0, G]), q, qd, work) == pytest.approx((0.5 * m * 0.2**2, weight * 0.4), rel=1e-14)
-    assert arm.tip(arm.SLIDE, links, q) == pytest.approx((0.4 * math.cos(incline), 0.0, 0.4 * math.sin(incline)), rel=1e-14)
+    assert arm.energy(arm.SLIDE, links, np.array([0.0, 0.0, G]), q, qd, work) == pytest.approx(
+        (0.5 * m * 0.2**2, weight * 0.4), rel=1e-14
+    )
+    assert arm.tip(arm.SLIDE, links, q) == pytest.approx(
+        (0.4 * math.cos(incline), 0.0, 0.4 * math.sin(incline)), rel=1e-14
+    )
 
 
 def test_acceleration_may_overwrite_the_torque():

@@ -38,24 +38,58 @@ def plain(rig, **given):
     """A bench file with every richness switched off that a file can switch off, on an orifice rig."""
     edges = {}
     for c, v, e in rig.edges():
-        curve = {"onset": f"{float(e.deadband)} V", "softness": "0 V", "saturation": "0 V", "gain_factor": "1"}
-        edges[f"{c.name}.{v.edge_name(e)}"] = {**curve, "null_leakage": "0 mL/min/bar", "reverse": curve}
-    truth = {f"{c.name}.leakage_{key}": "0 mL/min/bar" for c in rig.cylinder for key in ("internal", "head", "rod")}
+        curve = {
+            "onset": f"{float(e.deadband)} V",
+            "softness": "0 V",
+            "saturation": "0 V",
+            "gain_factor": "1",
+        }
+        edges[f"{c.name}.{v.edge_name(e)}"] = {
+            **curve,
+            "null_leakage": "0 mL/min/bar",
+            "reverse": curve,
+        }
+    truth = {
+        f"{c.name}.leakage_{key}": "0 mL/min/bar"
+        for c in rig.cylinder
+        for key in ("internal", "head", "rod")
+    }
     valves = {}
     for c, v in rig.valves():
         omega, zeta = rig.dynamics[v.dynamics].frequency_and_damping()
         valves[f"{c.name}.{v.name}"] = {
-            "driver_gain": "1", "driver_offset": "0 V", "hysteresis": "0 V",
-            "natural_frequency": f"{omega!r} rad/s", "damping_ratio": f"{zeta!r}",
-        }  # fmt: skip
+            "driver_gain": "1",
+            "driver_offset": "0 V",
+            "hysteresis": "0 V",
+            "natural_frequency": f"{omega!r} rad/s",
+            "damping_ratio": f"{zeta!r}",
+        }
     table = {
-        "truth": truth, "edge": edges, "valve": valves, "air_fraction": "0", "pump_lag": "0 s", "delay": "0 s",
-        "cylinder": {"all": {"friction_coulomb": "0 N", "friction_static": "0 N", "friction_viscous": "0 N*s/m"}},
-        "sensors": {"all": {
-            "pressure_noise": "0 Pa", "pressure_offset": "0 Pa", "pressure_resolution": "0 Pa", "pressure_lag": "0 s",
-            "position_noise": "0 m", "position_resolution": "0 m", "encoder_counts": 0,
-        }},
-    }  # fmt: skip
+        "truth": truth,
+        "edge": edges,
+        "valve": valves,
+        "air_fraction": "0",
+        "pump_lag": "0 s",
+        "delay": "0 s",
+        "cylinder": {
+            "all": {
+                "friction_coulomb": "0 N",
+                "friction_static": "0 N",
+                "friction_viscous": "0 N*s/m",
+            }
+        },
+        "sensors": {
+            "all": {
+                "pressure_noise": "0 Pa",
+                "pressure_offset": "0 Pa",
+                "pressure_resolution": "0 Pa",
+                "pressure_lag": "0 s",
+                "position_noise": "0 m",
+                "position_resolution": "0 m",
+                "encoder_counts": 0,
+            }
+        },
+    }
     return BenchRecipe(stage="bench", rig="", **(table | given))
 
 
@@ -79,7 +113,8 @@ def test_a_shipped_bench_starts_quiet_and_stays_so(name):
     pressures = slice(2 * n, 2 * n + 2 * len(bench.layout.cylinders))
     for c, joint in enumerate(bench.bench.joints):
         _, lever = linkage_arrays(bench.bench.cylinders[c], states[:, joint])
-        # leakage lets the load creep and nothing else moves: a hundredth of the slowest step that is recorded
+        # leakage lets the load creep and nothing else moves: a hundredth of the slowest step that
+        # is recorded
         assert np.abs(states[:, n + joint] * lever).max() < 2e-4
     assert np.abs(states[:, pressures] - first[pressures]).max() < 0.01 * supply
     assert np.isfinite(samples).all()
@@ -124,7 +159,9 @@ def test_with_all_richness_off_the_bench_is_the_model(name):
     assert (np.abs(states[:, :-1] - log) / span).max() < 1e-6
     assert np.ptp(log[:, 0]) > 5e-3
     nc = len(bench.layout.cylinders)
-    assert np.allclose(samples[:, 4], log[:, bench.layout.state("p_head", 0)], rtol=1e-9, atol=1.0), nc
+    assert np.allclose(
+        samples[:, 4], log[:, bench.layout.state("p_head", 0)], rtol=1e-9, atol=1.0
+    ), nc
 
 
 def test_lossless_chambers_give_back_what_they_take():
@@ -134,7 +171,8 @@ def test_lossless_chambers_give_back_what_they_take():
     bench.state[1] = 0.05
     speed = drive(bench, bench.model.rest_commands(4000))[0][:, 1]
     swings = [np.abs(speed[i : i + 500]).max() for i in range(0, 4000, 500)]
-    # RK4 at 1.25e-4 s loses 1e-6 of the amplitude a cycle at 40 Hz; the peak is sampled within 2e-4 of its top
+    # RK4 at 1.25e-4 s loses 1e-6 of the amplitude a cycle at 40 Hz; the peak is sampled within 2e-4
+    # of its top
     assert max(swings) / min(swings) < 1.001 and min(swings) > 0.0499
 
 
@@ -145,12 +183,20 @@ def test_friction_and_damping_only_take_energy():
     bench.state[n : 2 * n] = 0.3, 0.4, -0.5
     states, _ = drive(bench, bench.model.rest_commands(4000))
     work = np.empty(work_size(n))
-    mechanical = np.array([sum(energy(plant.kind, plant.links, plant.gravity, y[:n], y[n : 2 * n], work)) for y in states])
+    mechanical = np.array(
+        [
+            sum(energy(plant.kind, plant.links, plant.gravity, y[:n], y[n : 2 * n], work))
+            for y in states
+        ]
+    )
     rows = bench.bench.cylinders
     power = np.zeros(len(states))
     for c in range(3):
         _, lever = linkage_arrays(rows[c], states[:, c])
-        force = states[:, 2 * n + 2 * c] * rows[c, AREA_HEAD] - states[:, 2 * n + 2 * c + 1] * rows[c, AREA_ROD]
+        force = (
+            states[:, 2 * n + 2 * c] * rows[c, AREA_HEAD]
+            - states[:, 2 * n + 2 * c + 1] * rows[c, AREA_ROD]
+        )
         power += force * lever * states[:, n + c]
     done = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]))]) / 4000.0
     lost = mechanical[0] - mechanical + done
@@ -163,7 +209,14 @@ def test_entrained_air_is_a_polytropic_gas():
     p, n, alpha, h = np.linspace(-0.9e5, 7e6, 50), 1.3, 0.004, 1.0
     for gauge in p:
         absolute = gauge + ATMOSPHERE
-        air = alpha * (((absolute - h) / ATMOSPHERE) ** (-1 / n) - ((absolute + h) / ATMOSPHERE) ** (-1 / n)) / (2 * h)
+        air = (
+            alpha
+            * (
+                ((absolute - h) / ATMOSPHERE) ** (-1 / n)
+                - ((absolute + h) / ATMOSPHERE) ** (-1 / n)
+            )
+            / (2 * h)
+        )
         assert 1 / bulk(gauge, 3e8, alpha, n) == pytest.approx(1 / 3e8 + air, rel=1e-6)
     assert bulk(1e5, 3e8, 0.0, n) == 3e8
     stiff = [bulk(gauge, 3e8, alpha, n) for gauge in p]
@@ -203,7 +256,13 @@ def test_every_cartridge_is_tuned_to_its_calibration_and_none_is_like_another():
 def test_noise_has_the_stated_spread_and_no_memory():
     rig = rig_of("slide_servo")
     noise, step = 5e3, 4e3
-    sensors = {"all": {"pressure_noise": f"{noise} Pa", "pressure_resolution": f"{step} Pa", "pressure_offset": "0 Pa"}}
+    sensors = {
+        "all": {
+            "pressure_noise": f"{noise} Pa",
+            "pressure_resolution": f"{step} Pa",
+            "pressure_offset": "0 Pa",
+        }
+    }
     bench = BenchRig(rig, BenchRecipe(stage="bench", rig="", sensors=sensors), seed=3)
     bench.start()
     _, samples = drive(bench, bench.model.rest_commands(4000))
@@ -212,7 +271,9 @@ def test_noise_has_the_stated_spread_and_no_memory():
     # 4000 samples: the standard deviation is known to 1.1 %, a correlation to 1.6 %; four of those
     assert np.std(p) == pytest.approx(spread, rel=0.045)
     assert abs(np.corrcoef(p[1:], p[:-1])[0, 1]) < 0.064
-    assert np.mean(p) == pytest.approx(bench.state[bench.size - 2], abs=4 * spread / math.sqrt(4000))
+    assert np.mean(p) == pytest.approx(
+        bench.state[bench.size - 2], abs=4 * spread / math.sqrt(4000)
+    )
     x = samples[:, bench.channels.index("press.x")] / 2.54e-5
     assert np.abs(x - np.round(x)).max() < 1e-6
     assert abs(np.mean(samples[:, bench.channels.index("press.v")])) < 1e-4
@@ -237,7 +298,8 @@ def test_delay_and_lag_are_late_by_what_they_say():
     rise = (now[150:] - lagged[150:]).sum() * 1e-3
     assert abs(rise) < 4e-3 * np.ptp(now), "a lag has unit gain"
     area = (now - lagged).sum() * 1e-3
-    # the area between a signal and its lag is the time constant times the rise; the tail is still moving a little
+    # the area between a signal and its lag is the time constant times the rise; the tail is still
+    # moving a little
     assert area == pytest.approx(4e-3 * (now[-1] - now[0]), rel=0.05)
 
 
@@ -297,8 +359,20 @@ def test_the_step_is_fine_enough():
 
 
 def trial(seed, **given):
-    command = [{"valve": "press.servo", "kind": "step", "amplitude": "2 V", "start": "0.05 s", "stop": "0.3 s"}]
-    table = {"duration": "0.5 s", "command": command, "bench": str(ROOT / "recipes" / "bench" / "slide_servo.toml")} | given
+    command = [
+        {
+            "valve": "press.servo",
+            "kind": "step",
+            "amplitude": "2 V",
+            "start": "0.05 s",
+            "stop": "0.3 s",
+        }
+    ]
+    table = {
+        "duration": "0.5 s",
+        "command": command,
+        "bench": str(ROOT / "recipes" / "bench" / "slide_servo.toml"),
+    } | given
     return TrialRecipe(stage="trial", rig="", on="bench", seed=seed, **table)
 
 
@@ -318,7 +392,9 @@ def test_a_dataset_is_recorded_again_byte_for_byte(name, tmp_path):
     shipped = ROOT / "datasets" / name
     files = sorted(p.relative_to(made) for p in made.rglob("*") if p.is_file())
     assert files == sorted(p.relative_to(shipped) for p in shipped.rglob("*") if p.is_file())
-    stale = [str(path) for path in files if (made / path).read_bytes() != (shipped / path).read_bytes()]
+    stale = [
+        str(path) for path in files if (made / path).read_bytes() != (shipped / path).read_bytes()
+    ]
     assert not stale, "run `make datasets`"
 
 
@@ -327,7 +403,10 @@ def test_all_datasets_together_are_small():
 
 
 def test_an_unknown_dataset_is_named(tmp_path, capsys):
-    assert main(["nowhere", "--recipes", str(ROOT / "recipes" / "datasets"), "--out", str(tmp_path)]) == 2
+    assert (
+        main(["nowhere", "--recipes", str(ROOT / "recipes" / "datasets"), "--out", str(tmp_path)])
+        == 2
+    )
     assert "slide_servo" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
@@ -338,12 +417,18 @@ def test_an_unknown_dataset_is_named(tmp_path, capsys):
         ('[edge."press.nothing"]\nonset = "1 V"\n', 3, "press.nothing"),
         ('[truth]\n"press.bulk" = "1 GPa"\n', 3, "press.bulk"),
         ('[truth]\nbulk_modulus = "1 kg"\n', 4, "kg"),
-        ('[cylinder.press]\nfriction_coulomb = "9 N"\nfriction_static = "1 N"\n', 3, "friction_static"),
+        (
+            '[cylinder.press]\nfriction_coulomb = "9 N"\nfriction_static = "1 N"\n',
+            3,
+            "friction_static",
+        ),
     ],
 )
 def test_a_wrong_bench_file_is_refused_with_its_line(tmp_path, text, line, says):
     path = tmp_path / "bench.toml"
-    path.write_text(f'stage = "bench"\nrig = "{ROOT / "recipes" / "rigs" / "slide_servo.toml"}"\n' + text)
+    path.write_text(
+        f'stage = "bench"\nrig = "{ROOT / "recipes" / "rigs" / "slide_servo.toml"}"\n' + text
+    )
     with pytest.raises(InputError, match=says) as error:
         BenchRig(rig_of("slide_servo"), load_recipe(path))
     assert error.value.file == str(path) and error.value.line == line

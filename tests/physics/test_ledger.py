@@ -1,4 +1,6 @@
-"""The energy ledger: it closes, agrees with an independent count, and from a log alone says honestly what it cannot explain."""
+"""The energy ledger: it closes, agrees with an independent count, and from a log alone says
+honestly what it cannot explain.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +14,28 @@ import pytest
 
 from ehbench.errors import InputError, InsufficientData, LogError
 from ehbench.ledger import (
-    Accuracy, Ledger, bounds, compressed, follow_valves, ledger_of_log, ledger_of_model, noise_of, travels,
-)  # fmt: skip
+    Accuracy,
+    Ledger,
+    bounds,
+    compressed,
+    follow_valves,
+    ledger_of_log,
+    ledger_of_model,
+    noise_of,
+    travels,
+)
 from ehbench.physics.flow_map import FlowMap, ValveMaps, root_drop
 from ehbench.physics.friction import stribeck
 from ehbench.plant import (
-    AREA_HEAD, AREA_ROD, COULOMB, LEAK_HEAD, LEAK_INTERNAL, LEAK_ROD, STROKE, VISCOUS,
-)  # fmt: skip
+    AREA_HEAD,
+    AREA_ROD,
+    COULOMB,
+    LEAK_HEAD,
+    LEAK_INTERNAL,
+    LEAK_ROD,
+    STROKE,
+    VISCOUS,
+)
 from ehbench.recipe import TrialRecipe, load_recipe, load_rig
 from ehbench.record import Record
 from ehbench.rig import Rig, Value
@@ -33,25 +50,35 @@ POSITIVE = ("throttling", "leakage", "relief", "makeup", "friction", "end_stop",
 
 
 def rig_of(name: str, lossy: bool = True) -> Rig:
-    """A shipped rig, made to leak, to rub and to open its relief valves below the supply's pressure."""
+    """A shipped rig, made to leak, to rub and to open its relief valves below the supply's
+    pressure.
+    """
     rig = load_rig(ROOT / "recipes" / "rigs" / f"{name}.toml")
     values = {}
     for c in rig.cylinder if lossy else ():
-        values |= {f"{c.name}.leakage_internal": 3e-12, f"{c.name}.leakage_head": 1e-13, f"{c.name}.leakage_rod": 2e-13}
+        values |= {
+            f"{c.name}.leakage_internal": 3e-12,
+            f"{c.name}.leakage_head": 1e-13,
+            f"{c.name}.leakage_rod": 2e-13,
+        }
         values |= {f"{c.name}.friction_coulomb": 80.0, f"{c.name}.friction_viscous": 300.0}
         values |= {f"{c.name}.relief_pressure": 0.9 * float(rig.supply.pressure)}
     return rig.with_values(values | {"supply.tank_pressure": 2e5})
 
 
 def lively(model: Model, samples: int, seed: int = 0, hold: int = 120) -> np.ndarray:
-    """Commands [V]: into the retracted end for a quarter of the time, then random levels held ``hold`` samples, all valves."""
+    """Commands [V]: into the retracted end for a quarter of the time, then random levels held
+    ``hold`` samples, all valves.
+    """
     rng = np.random.default_rng(seed)
     table = model.rest_commands(samples)
     first, order, rest = samples // 4, model.layout.valves, table[0].copy()
     for c, valve, edge in model.rig.edges():
         at = order.index(f"{c.name}.{valve.name}")
         if (edge.from_, edge.to) in (("supply", "rod"), ("head", "tank")):
-            table[:first, at] = float(valve.command_max) if edge.sign > 0 else float(valve.command_min)
+            table[:first, at] = (
+                float(valve.command_max) if edge.sign > 0 else float(valve.command_min)
+            )
         for start in range(first, samples, hold):
             level = rng.uniform(float(valve.command_min), float(valve.command_max))
             table[start : start + hold, at] = level if rng.random() < 0.6 else valve.rest
@@ -66,7 +93,11 @@ def trial(model: Model, table: np.ndarray, tick: float = 1e-3, posture=None) -> 
 
 
 def near_the_end(rig: Rig) -> dict[str, str]:
-    return {} if rig.mechanism.kind == "slide" else {c.name: f"{0.02 * float(c.stroke)} m" for c in rig.cylinder}
+    return (
+        {}
+        if rig.mechanism.kind == "slide"
+        else {c.name: f"{0.02 * float(c.stroke)} m" for c in rig.cylinder}
+    )
 
 
 @pytest.fixture(scope="module", params=NAMES)
@@ -79,11 +110,14 @@ def made(model) -> Record:
     return trial(model, lively(model, 2001), posture=near_the_end(model.rig))
 
 
-# --- on the model ---------------------------------------------------------------------------------------------------
+# --- on the model
+# ---------------------------------------------------------------------------------------------------
 
 
 def test_closes_on_every_rig(model, made):
-    """To 0.1 % of pump energy, and, integrated anew, to 1e-5: what RK4 leaves over at 500 µs. No part hides in another."""
+    """To 0.1 % of pump energy, and, integrated anew, to 1e-5: what RK4 leaves over at 500 µs. No
+    part hides in another.
+    """
     exact, samples = ledger_of_model(model, made), ledger_of_model(model, made, "samples")
     assert exact.pump > 1000.0 and exact.notes == ()
     for row in exact.rows:
@@ -98,7 +132,9 @@ def test_closes_on_every_rig(model, made):
 
 
 def test_all_losses_took_part_and_are_losses(model, made):
-    """Relief, end stops, leakage and friction take more than a rounding; nothing that only takes gives."""
+    """Relief, end stops, leakage and friction take more than a rounding; nothing that only takes
+    gives.
+    """
     ledger = ledger_of_model(model, made)
     for c in model.rig.cylinder:
         for key in ("leakage", "relief", "friction", "end_stop"):
@@ -110,7 +146,9 @@ def test_all_losses_took_part_and_are_losses(model, made):
 
 
 def test_regeneration_edges_take_part():
-    """Head to rod and back through one edge, on the thesis's arm: drawn less than the cylinder was filled with."""
+    """Head to rod and back through one edge, on the thesis's arm: drawn less than the cylinder was
+    filled with.
+    """
     model = Model.of(rig_of("thesis_arm", lossy=False))
     table, order = model.rest_commands(1501), model.layout.valves
     table[100:700, order.index("boom.regen")] = table[100:700, order.index("boom.hepc")] = 6.0
@@ -120,18 +158,24 @@ def test_regeneration_edges_take_part():
     assert np.ptp(record["boom.regen.flow"]) > 1e-4 and record["boom.regen.flow"].min() < -1e-5
     assert ledger["boom.regen.throttling"].energy > 0.02 * ledger.pump
     assert abs(ledger.residual.energy) < 1e-5 * ledger.pump
-    rise, area = float(np.diff(record["boom.x"][[100, 700]])[0]), float(model.plant.cylinders[1, AREA_HEAD])
+    rise, area = (
+        float(np.diff(record["boom.x"][[100, 700]])[0]),
+        float(model.plant.cylinders[1, AREA_HEAD]),
+    )
     assert rise > 0.02 and ledger["boom.drawn"].energy < 0.75 * model.plant.supply[0] * area * rise
 
 
 def test_agrees_with_an_independent_count_at_fine_steps(model):
-    """The same trial at 20 kHz, energies added up from its channels by plain formulas: every row within 1e-3 of pump energy.
+    """The same trial at 20 kHz, energies added up from its channels by plain formulas: every row
+    within 1e-3 of pump energy.
 
-    That is what the trapezoid of 50 µs leaves over where valves slam shut, not what the ledger does.
-    """
+    That is what the trapezoid of 50 µs leaves over where valves slam shut, not what the ledger
+    does."""
     coarse_table = lively(model, 1001, seed=3)
     coarse = trial(model, coarse_table, posture=near_the_end(model.rig))
-    fine = trial(model, np.repeat(coarse_table, 20, axis=0)[: 20 * 1000 + 1], 5e-5, near_the_end(model.rig))
+    fine = trial(
+        model, np.repeat(coarse_table, 20, axis=0)[: 20 * 1000 + 1], 5e-5, near_the_end(model.rig)
+    )
     ledger = ledger_of_model(model, coarse)
 
     def total(power):
@@ -141,17 +185,30 @@ def test_agrees_with_an_independent_count_at_fine_steps(model):
     expected = {"pump": total(p_supply * fine["flow_supply"])}
     for c, valve, edge in model.rig.edges():
         name = f"{c.name}.{valve.edge_name(edge)}"
-        node = {"supply": p_supply, "tank": p_tank, "head": fine[f"{c.name}.p_head"], "rod": fine[f"{c.name}.p_rod"]}
-        expected[f"{name}.throttling"] = total((node[edge.from_] - node[edge.to]) * fine[f"{name}.flow"])
+        node = {
+            "supply": p_supply,
+            "tank": p_tank,
+            "head": fine[f"{c.name}.p_head"],
+            "rod": fine[f"{c.name}.p_rod"],
+        }
+        expected[f"{name}.throttling"] = total(
+            (node[edge.from_] - node[edge.to]) * fine[f"{name}.flow"]
+        )
     for index, c in enumerate(model.rig.cylinder):
         row, v = model.plant.cylinders[index], fine[f"{c.name}.v"]
         head, rod = fine[f"{c.name}.p_head"], fine[f"{c.name}.p_rod"]
         expected[f"{c.name}.work"] = total((head * row[AREA_HEAD] - rod * row[AREA_ROD]) * v)
-        expected[f"{c.name}.friction"] = total((row[VISCOUS] * v + row[COULOMB] * np.tanh(v / 2e-3)) * v)
+        expected[f"{c.name}.friction"] = total(
+            (row[VISCOUS] * v + row[COULOMB] * np.tanh(v / 2e-3)) * v
+        )
         leaks = row[LEAK_INTERNAL] * (head - rod) ** 2
         leaks += row[LEAK_HEAD] * (head - p_tank) ** 2 + row[LEAK_ROD] * (rod - p_tank) ** 2
         expected[f"{c.name}.leakage"] = total(leaks)
-    damping = [float(j.joint_damping) for j in model.rig.mechanism.joint] if model.rig.mechanism.kind == "chain" else None
+    damping = (
+        [float(j.joint_damping) for j in model.rig.mechanism.joint]
+        if model.rig.mechanism.kind == "chain"
+        else None
+    )
     damping = [float(model.rig.mechanism.damping)] if damping is None else damping
     for joint, b in zip(model.layout.joints, damping, strict=True):
         cylinder = next(c.name for c in model.rig.cylinder if c.joint == joint)
@@ -171,7 +228,9 @@ def test_a_locked_cylinder_uses_nothing(model):
 
 
 def test_a_load_that_rings_on_locked_oil_pays_from_what_it_had(model):
-    """No pump: kinetic energy goes to the oil and back, and is lost to damping alone; closed to 1e-6 of what it was."""
+    """No pump: kinetic energy goes to the oil and back, and is lost to damping alone; closed to
+    1e-6 of what it was.
+    """
     plain = Model.of(rig_of(model.rig.name, lossy=False))
     y = plain.trim(plain.posture(None), low_side=0.4 * plain.plant.supply[0])
     n = len(plain.layout.joints)
@@ -181,12 +240,16 @@ def test_a_load_that_rings_on_locked_oil_pays_from_what_it_had(model):
     ledger = ledger_of_model(plain, record)
     lost = sum(ledger[f"{joint}.damping"].energy for joint in plain.layout.joints)
     assert ledger.pump == 0.0 and lost > 0.0
-    assert ledger.total("load") + ledger.total("store") + ledger.total("loss") == pytest.approx(0.0, abs=1e-5 * lost)
+    assert ledger.total("load") + ledger.total("store") + ledger.total("loss") == pytest.approx(
+        0.0, abs=1e-5 * lost
+    )
     assert abs(ledger.residual.energy) < 1e-5 * lost
 
 
 def test_stored_energy_is_the_chamber_law_integrated():
-    """``(p + u) dV = d(V u)`` of the oil that ``V/β ṗ = Q`` lets into a closed volume, and ``u ≈ p²/2β``."""
+    """``(p + u) dV = d(V u)`` of the oil that ``V/β ṗ = Q`` lets into a closed volume, and ``u ≈
+    p²/2β``.
+    """
     beta, volume = 2.71e8, 1e-3
     p = np.linspace(0.0, 2e7, 20001)
     inflow = volume / beta * np.diff(p)
@@ -197,7 +260,9 @@ def test_stored_energy_is_the_chamber_law_integrated():
 
 
 def test_records_at_other_rates_close_as_well(model):
-    """200 Hz, commands held between samples: integrated anew it closes to 0.1 %, which the samples alone cannot."""
+    """200 Hz, commands held between samples: integrated anew it closes to 0.1 %, which the samples
+    alone cannot.
+    """
     record = trial(model, lively(model, 401, seed=5, hold=24), 5e-3, near_the_end(model.rig))
     exact, samples = ledger_of_model(model, record), ledger_of_model(model, record, "samples")
     assert abs(exact.residual.energy) < 1e-3 * exact.pump
@@ -227,7 +292,9 @@ def test_the_parts_of_a_ledger(model, made):
     assert set(plain["cylinders"]) == {c.name for c in model.rig.cylinder}
     drawn = sum(one["drawn"] for one in plain["cylinders"].values())
     stored = ledger["supply_line"].energy
-    assert drawn + stored == pytest.approx(ledger.pump, abs=2e-2 * ledger.pump)  # apart from the oil's compression, near 1 %
+    assert drawn + stored == pytest.approx(
+        ledger.pump, abs=2e-2 * ledger.pump
+    )  # apart from the oil's compression, near 1 %
     assert len(plain["t"]) == 40 and plain["t"][-1] == made.t[-1]
     for name, values in plain["series"].items():
         assert values[0] == 0.0 and values[-1] == pytest.approx(ledger[name].energy, rel=1e-12)
@@ -238,7 +305,9 @@ def test_the_parts_of_a_ledger(model, made):
 
 
 def test_a_record_of_another_model_is_refused_or_noted(model, made):
-    other = Model.of(model.rig.with_values({"supply.flow_limit": 0.2 * float(model.rig.supply.flow_limit)}))
+    other = Model.of(
+        model.rig.with_values({"supply.flow_limit": 0.2 * float(model.rig.supply.flow_limit)})
+    )
     with pytest.raises(LogError, match="not what this model gives"):
         ledger_of_model(other, made)
     heavier = {n: 2.0 * float(v) for n, v in model.rig.parameters().items() if n.endswith(".mass")}
@@ -250,11 +319,15 @@ def test_a_record_of_another_model_is_refused_or_noted(model, made):
         ledger_of_model(model, Record(made.t[:1], {n: v[:1] for n, v in made.channels.items()}))
 
 
-# --- trials under a controller --------------------------------------------------------------------------------------
+# --- trials under a controller
+# --------------------------------------------------------------------------------------
 
 LAWS = {
     "open loop": {"kind": "open_loop"},
-    "pressure feedback": {"kind": "pressure_feedback", "gains": {"feedback_gain": "5e-12 m^3/(s*Pa)", "washout": "1 Hz"}},
+    "pressure feedback": {
+        "kind": "pressure_feedback",
+        "gains": {"feedback_gain": "5e-12 m^3/(s*Pa)", "washout": "1 Hz"},
+    },
     "arc": {"kind": "arc"},
     "seven functions": {"kind": "arc", "rules": {"allow_seventh": True}},
     "own": {"class": "own:Own"},
@@ -272,48 +345,69 @@ class Own:
 
 
 def cycle(name: str, law: dict, tmp_path: Path, speed: float = 0.04) -> tuple[Rig, str, Record]:
-    """Up by 50 mm and down again on the model, from a third of the stroke of a rig's last cylinder but the last of three."""
+    """Up by 50 mm and down again on the model, from a third of the stroke of a rig's last cylinder
+    but the last of three.
+    """
     rig = load_rig(ROOT / "recipes" / "rigs" / f"{name}.toml")
     item = rig.cylinder[min(1, len(rig.cylinder) - 1)]
     x = float(item.stroke) / 3.0
     motion = {
-        "kind": "point_to_point", "cylinder": item.name, "waypoints": [f"{x} m", f"{x + 0.05} m", f"{x} m"], "hold": "0.5 s",
+        "kind": "point_to_point",
+        "cylinder": item.name,
+        "waypoints": [f"{x} m", f"{x + 0.05} m", f"{x} m"],
+        "hold": "0.5 s",
         "speed": f"{speed} m/s",
-    }  # fmt: skip
+    }
     (tmp_path / "own.py").write_text(OWN)
-    recipe = TrialRecipe(stage="trial", rig="x.toml", controller=law, motion=motion, path=tmp_path / "trial.toml")
+    recipe = TrialRecipe(
+        stage="trial", rig="x.toml", controller=law, motion=motion, path=tmp_path / "trial.toml"
+    )
     return rig, item.name, run_trial(rig, recipe, allow_code=True)[0]
 
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("name", NAMES)
 def test_closes_under_every_controller_and_says_which_function_spent_it(name, law, tmp_path):
-    """To 0.1 % of pump energy (issue 3); what the working functions spent adds up to the rows, which a rounding parts."""
+    """To 0.1 % of pump energy (issue 3); what the working functions spent adds up to the rows,
+    which a rounding parts.
+    """
     rig, cylinder, record = cycle(name, LAWS[law], tmp_path)
     ledger = ledger_of_model(Model.of(rig), record)
-    assert abs(ledger.residual.energy) < 1e-3 * ledger.pump and ledger.pump > 10.0 and ledger.notes == ()
+    assert (
+        abs(ledger.residual.energy) < 1e-3 * ledger.pump
+        and ledger.pump > 10.0
+        and ledger.notes == ()
+    )
     if law == "own":  # a class of one's own logs no functions
         assert ledger.functions == {}
         return
     found = ledger.functions[cylinder]
     for row in ledger.rows:
-        assert sum(one.get(row.name, 0.0) for one in found.values()) == pytest.approx(row.energy, abs=1e-9 * ledger.pump), (
-            row.name
-        )
+        assert sum(one.get(row.name, 0.0) for one in found.values()) == pytest.approx(
+            row.energy, abs=1e-9 * ledger.pump
+        ), row.name
     limits = bounds(rig, record, cylinder, ledger)
-    assert limits.against in ("standard", "six", "seventh") and {one.function for one in limits.beyond} == set(found)
+    assert limits.against in ("standard", "six", "seventh") and {
+        one.function for one in limits.beyond
+    } == set(found)
     assert sum(one.drawn for one in limits.beyond) == pytest.approx(limits.used, rel=1e-9)
-    assert sum(one.bound for one in limits.beyond) == pytest.approx(getattr(limits, limits.against), rel=1e-9)
-    assert sum(one.way for one in limits.beyond) == pytest.approx(limits.travel_out - limits.travel_in, abs=1e-9)
+    assert sum(one.bound for one in limits.beyond) == pytest.approx(
+        getattr(limits, limits.against), rel=1e-9
+    )
+    assert sum(one.way for one in limits.beyond) == pytest.approx(
+        limits.travel_out - limits.travel_in, abs=1e-9
+    )
     json.dumps(ledger.as_json() | limits.as_json(), allow_nan=False)
 
 
-def test_what_is_drawn_beyond_the_bound_is_oil_compressed_or_a_function_that_does_without_regeneration(tmp_path):
-    """Slow lifting draws A1 for every metre and the oil's compression, to 0.2 % of it: what valves that open and shut let by.
+def test_what_is_drawn_beyond_the_bound_is_oil_compressed_or_a_function_that_does_without_regeneration(
+    tmp_path,
+):
+    """Slow lifting draws A1 for every metre and the oil's compression, to 0.2 % of it: what valves
+    that open and shut let by.
 
-    The bound follows from the functions at work: of six with regenerated lowering, the seventh if it was allowed, the four-way
-    valve's without the cross-port edge.
-    """
+    The bound follows from the functions at work: of six with regenerated lowering, the seventh if
+    it was allowed, the four-way valve's without the cross-port edge."""
     for name, law, against in (
         ("thesis_arm", "arc", "six"),
         ("thesis_arm", "seven functions", "seventh"),
@@ -323,50 +417,72 @@ def test_what_is_drawn_beyond_the_bound_is_oil_compressed_or_a_function_that_doe
         limits = bounds(rig, record, cylinder, ledger_of_model(Model.of(rig), record))
         assert limits.against == against
         by_name = {one.function: one for one in limits.beyond}
-        up = by_name["extend_resistive_regeneration" if against == "seventh" else "extend_resistive"]
+        up = by_name[
+            "extend_resistive_regeneration" if against == "seventh" else "extend_resistive"
+        ]
         head, rod = rig.cylinder_named(cylinder).areas()
         paid = head - rod if against == "seventh" else head
         assert up.bound == pytest.approx(float(rig.supply.pressure) * paid * up.way, rel=1e-9)
-        if against != "standard":  # one spool meters both ends, so the far end is throttled and its pressure rises as well
+        if (
+            against != "standard"
+        ):  # one spool meters both ends, so the far end is throttled and its pressure rises as well
             assert up.drawn - up.bound == pytest.approx(up.compression, abs=2e-3 * up.bound)
             assert up.compression > 2e-3 * up.bound
         assert abs(by_name["hold"].drawn) < 2e-3 * limits.used
 
 
-# --- from a log -----------------------------------------------------------------------------------------------------
+# --- from a log
+# -----------------------------------------------------------------------------------------------------
 
 
 def measured(record: Record, model: Model) -> Record:
     """What a machine would have logged of a model's record."""
     keys = ("q", "qd", "x", "v", "p_head", "p_rod")
-    names = [f"{c}.{key}" for c in model.layout.cylinders for key in keys] + [f"{v}.command" for v in model.layout.valves]
-    return Record(record.t, {name: record[name] for name in (*names, "p_supply", "p_tank")}, {"payload": "none"})
+    names = [f"{c}.{key}" for c in model.layout.cylinders for key in keys] + [
+        f"{v}.command" for v in model.layout.valves
+    ]
+    return Record(
+        record.t,
+        {name: record[name] for name in (*names, "p_supply", "p_tank")},
+        {"payload": "none"},
+    )
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_what_the_model_does_not_know_is_unexplained(name):
-    """A log of the lossy machine read with the lossless rig: the unexplained row is its friction, leakage and relief.
+    """A log of the lossy machine read with the lossless rig: the unexplained row is its friction,
+    leakage and relief.
 
-    To 0.25 % of pump energy: the oil that leaks and is relieved also expands, which is 1 % of what it carries. What the maps
-    and the mechanism account for is right to 1e-4, what trapezoids of 1 kHz leave over.
-    """
+    To 0.25 % of pump energy: the oil that leaks and is relieved also expands, which is 1 % of what
+    it carries. What the maps and the mechanism account for is right to 1e-4, what trapezoids of 1
+    kHz leave over."""
     machine, known = Model.of(rig_of(name)), rig_of(name, lossy=False)
     record = trial(machine, lively(machine, 2001, seed=2, hold=250))
-    truth, log = ledger_of_model(machine, record), ledger_of_log(known, None, measured(record, machine), accuracy=EXACT)
-    lost = sum(truth[f"{c.name}.{key}"].energy for c in known.cylinder for key in ("friction", "leakage", "relief"))
+    truth, log = (
+        ledger_of_model(machine, record),
+        ledger_of_log(known, None, measured(record, machine), accuracy=EXACT),
+    )
+    lost = sum(
+        truth[f"{c.name}.{key}"].energy
+        for c in known.cylinder
+        for key in ("friction", "leakage", "relief")
+    )
     assert lost > 0.01 * truth.pump
     assert log.residual.name == "unexplained" and log.source == "log"
     assert log.residual.energy == pytest.approx(lost, abs=2.5e-3 * truth.pump)
     for row in truth.rows:
         if row.group in ("supply", "valve", "load", "cylinder"):
-            assert log[row.name].energy == pytest.approx(row.energy, abs=1e-4 * truth.pump), row.name
+            assert log[row.name].energy == pytest.approx(row.energy, abs=1e-4 * truth.pump), (
+                row.name
+            )
 
 
 def test_intervals_cover_a_rig_that_is_wrong_by_its_stated_errors():
-    """Flow gains, bulk modulus, damping and mass drawn from their standard errors: rows lie in their 95 % intervals.
+    """Flow gains, bulk modulus, damping and mass drawn from their standard errors: rows lie in
+    their 95 % intervals.
 
-    60 draws × 10 rows, which share their errors: between 88 % and 99.5 % is what chance leaves at 3 standard errors.
-    """
+    60 draws × 10 rows, which share their errors: between 88 % and 99.5 % is what chance leaves at 3
+    standard errors."""
     machine = Model.of(rig_of("slide_servo", lossy=False))
     table = lively(machine, 1201, seed=4, hold=200)
     record = trial(machine, table)
@@ -375,12 +491,16 @@ def test_intervals_cover_a_rig_that_is_wrong_by_its_stated_errors():
     stated |= {"bulk_modulus": 0.03, "carriage.damping": 0.1, "carriage.mass": 0.02}
     rng, judged = np.random.default_rng(8), []
     quiet = replace(EXACT, lag=1e-6)
-    names = [r.name for r in truth.rows if r.group in ("supply", "valve", "load") and abs(r.energy) > 1.0] + ["carriage.damping"]
+    names = [
+        r.name for r in truth.rows if r.group in ("supply", "valve", "load") and abs(r.energy) > 1.0
+    ] + ["carriage.damping"]
     for _ in range(60):
         true = machine.rig.parameters()
         guess = {}
         for n, share in stated.items():
-            guess[n] = Value(float(true[n]) * (1 + share * rng.standard_normal()), std=share * float(true[n]))
+            guess[n] = Value(
+                float(true[n]) * (1 + share * rng.standard_normal()), std=share * float(true[n])
+            )
         ledger = ledger_of_log(machine.rig.with_values(guess), None, log, accuracy=quiet)
         for name in names:
             low, high = ledger[name].interval
@@ -391,10 +511,11 @@ def test_intervals_cover_a_rig_that_is_wrong_by_its_stated_errors():
 
 
 def test_intervals_cover_sensors_that_are_wrong_by_what_is_said_of_them():
-    """Zeros, scales, noise and delay of sensors drawn for each seed: nothing is unexplained, to within the interval.
+    """Zeros, scales, noise and delay of sensors drawn for each seed: nothing is unexplained, to
+    within the interval.
 
-    24 seeds × (unexplained, pump) at 95 %: at least 40 of 48 is three standard errors and a share for errors that both share.
-    """
+    24 seeds × (unexplained, pump) at 95 %: at least 40 of 48 is three standard errors and a share
+    for errors that both share."""
     machine = Model.of(rig_of("crane_proportional", lossy=False))
     record = trial(machine, lively(machine, 1201, seed=4, hold=200))
     truth, log = ledger_of_model(machine, record), measured(record, machine)
@@ -409,7 +530,11 @@ def test_intervals_cover_sensors_that_are_wrong_by_what_is_said_of_them():
                 zero = said.pressure * float(machine.plant.supply[0]) * rng.standard_normal()
                 channels[name] = values + zero + rng.normal(0.0, 5e3, values.size)
             elif word in ("q", "x", "qd", "v"):
-                channels[name] = values[0] + scale * (values - values[0]) if word in ("q", "x") else scale * values
+                channels[name] = (
+                    values[0] + scale * (values - values[0])
+                    if word in ("q", "x")
+                    else scale * values
+                )
             elif word == "command":
                 late = rng.standard_normal() * said.alignment * float(log.t[1])
                 channels[name] = np.interp(log.t - late, log.t, values)
@@ -421,7 +546,9 @@ def test_intervals_cover_sensors_that_are_wrong_by_what_is_said_of_them():
 
 
 def mapped(seed: int, share: float) -> tuple[dict[str, ValveMaps], dict[str, ValveMaps]]:
-    """(true maps, identified maps) of the four-valve boom: the second wrong by a factor drawn from ``share``, which it states."""
+    """(true maps, identified maps) of the four-valve boom: the second wrong by a factor drawn from
+    ``share``, which it states.
+    """
     rng = np.random.default_rng(seed)
     true, found = {}, {}
     knots, drop_max = np.array([1.0, 2.0, 3.0, 5.0, 7.0, 10.0]), 1.7e7
@@ -430,27 +557,45 @@ def mapped(seed: int, share: float) -> tuple[dict[str, ValveMaps], dict[str, Val
         steps = np.outer(np.diff(knots, prepend=0.0), np.maximum(rising, 1e-9)) / 4.0
         grid, roots = np.array([1.0, 3.0, 6.0, 10.0]), np.linspace(0.0, root_drop(drop_max, 2e4), 9)
         fields = {
-            "valve": valve, "direction": "forward", "deadband": 1.0, "deadband_interval": (0.99, 1.01), "opening_knots": knots,
-            "drop_max": drop_max, "delta": 2e4, "hull_command": np.array([0.0, 10.0]), "hull_low": np.zeros(2),
-            "hull_high": np.full(2, drop_max), "std_command": grid, "std_root": roots, "rated_flow": 7e-4, "samples": 100,
-            "outliers": (), "source": "",
-        }  # fmt: skip
+            "valve": valve,
+            "direction": "forward",
+            "deadband": 1.0,
+            "deadband_interval": (0.99, 1.01),
+            "opening_knots": knots,
+            "drop_max": drop_max,
+            "delta": 2e4,
+            "hull_command": np.array([0.0, 10.0]),
+            "hull_low": np.zeros(2),
+            "hull_high": np.full(2, drop_max),
+            "std_command": grid,
+            "std_root": roots,
+            "rated_flow": 7e-4,
+            "samples": 100,
+            "outliers": (),
+            "source": "",
+        }
         exact = FlowMap(increments=steps, std=np.zeros((4, 9)), **fields)
         std = np.array([share * np.asarray(exact.flow(roots**2, np.full(9, u))) for u in grid])
         true[valve] = ValveMaps(exact)
-        found[valve] = ValveMaps(FlowMap(increments=steps * (1 + share * rng.standard_normal()), std=std, **fields))
+        found[valve] = ValveMaps(
+            FlowMap(increments=steps * (1 + share * rng.standard_normal()), std=std, **fields)
+        )
     return true, found
 
 
 def test_intervals_cover_what_maps_say_of_themselves():
-    """Maps wrong by one common factor each: intervals from ``flow_std`` cover, and are not wider than twice what is needed."""
+    """Maps wrong by one common factor each: intervals from ``flow_std`` cover, and are not wider
+    than twice what is needed.
+    """
     rig = rig_of("boom_four_valve", lossy=False)
     miss = []
     for seed in range(12):
         true, found = mapped(seed, 0.05)
         machine = Model.of(rig, true)
         record = trial(machine, lively(machine, 1001, seed=6, hold=250))
-        ledger = ledger_of_log(rig, found, measured(record, machine), accuracy=replace(EXACT, lag=1e-6))
+        ledger = ledger_of_log(
+            rig, found, measured(record, machine), accuracy=replace(EXACT, lag=1e-6)
+        )
         low, high = ledger.residual.interval
         assert not any("outside" in note for note in ledger.notes)
         miss.append(ledger.residual.energy / (0.5 * (high - low) / 1.959964))
@@ -459,7 +604,10 @@ def test_intervals_cover_what_maps_say_of_themselves():
 
 def test_readings_outside_of_a_map_are_said():
     true, _ = mapped(0, 0.05)
-    small = {n: ValveMaps(FlowMap(**{**vars_of(m.forward), "hull_high": np.full(2, 1e6)})) for n, m in true.items()}
+    small = {
+        n: ValveMaps(FlowMap(**{**vars_of(m.forward), "hull_high": np.full(2, 1e6)}))
+        for n, m in true.items()
+    }
     rig = rig_of("boom_four_valve", lossy=False)
     machine = Model.of(rig, true)
     record = trial(machine, lively(machine, 601))
@@ -471,8 +619,12 @@ def vars_of(one: FlowMap) -> dict:
     return {name: getattr(one, name) for name in one.__dataclass_fields__}
 
 
-def on_bench(name: str, commands, duration: float = 4.0) -> tuple[Rig, BenchRig, Record, np.ndarray]:
-    """A trial on the virtual bench: its rig, the bench, what it logged, and its true states at each sample."""
+def on_bench(
+    name: str, commands, duration: float = 4.0
+) -> tuple[Rig, BenchRig, Record, np.ndarray]:
+    """A trial on the virtual bench: its rig, the bench, what it logged, and its true states at each
+    sample.
+    """
     rig = load_rig(ROOT / "recipes" / "rigs" / f"{name}.toml")
     bench = BenchRig(rig, load_recipe(ROOT / "recipes" / "bench" / f"{name}.toml"), seed=7)
     t = np.arange(round(1000 * duration) + 1) * 1e-3
@@ -490,20 +642,33 @@ def on_bench(name: str, commands, duration: float = 4.0) -> tuple[Rig, BenchRig,
 
 
 def test_on_the_bench_the_unexplained_row_covers_what_is_unexplained():
-    """Truth: the bench's Stribeck friction and leakage, which the rig file has not, and its damping beyond the file's.
+    """Truth: the bench's Stribeck friction and leakage, which the rig file has not, and its damping
+    beyond the file's.
 
-    The rig is the uncalibrated file, its flows good to 5 %; the mechanism, which needs no flow, is known far better.
-    """
-    cases = (("crane_proportional", "lift.spool", 4.0, 2.0), ("slide_servo", "press.servo", 3.0, 1.0))
+    The rig is the uncalibrated file, its flows good to 5 %; the mechanism, which needs no flow, is
+    known far better."""
+    cases = (
+        ("crane_proportional", "lift.spool", 4.0, 2.0),
+        ("slide_servo", "press.servo", 3.0, 1.0),
+    )
     for name, valve, amplitude, period in cases:
-        rig, bench, log, truth = on_bench(name, {valve: lambda t, a=amplitude, T=period: a * np.sin(2 * np.pi * t / T)})
+        rig, bench, log, truth = on_bench(
+            name, {valve: lambda t, a=amplitude, T=period: a * np.sin(2 * np.pi * t / T)}
+        )
         row = bench.bench.cylinders[0]
         x, lever = linkage_arrays(np.ascontiguousarray(row[:21]), truth[:, 0].copy())
         v, head, rod = lever * truth[:, 1], truth[:, 2], truth[:, 3]
         assert 0.0 < x.min() and x.max() < row[STROKE]
-        rubs = [stribeck(one, row[VISCOUS], row[COULOMB], row[STATIC], row[STRIBECK_SPEED], CREEP) * one for one in v]
+        rubs = [
+            stribeck(one, row[VISCOUS], row[COULOMB], row[STATIC], row[STRIBECK_SPEED], CREEP) * one
+            for one in v
+        ]
         tank = bench.bench.supply[1]
-        leaks = row[LEAK_INTERNAL] * (head - rod) ** 2 + row[LEAK_HEAD] * (head - tank) ** 2 + row[LEAK_ROD] * (rod - tank) ** 2
+        leaks = (
+            row[LEAK_INTERNAL] * (head - rod) ** 2
+            + row[LEAK_HEAD] * (head - tank) ** 2
+            + row[LEAK_ROD] * (rod - tank) ** 2
+        )
         friction, leakage = float(np.trapezoid(rubs, log.t)), float(np.trapezoid(leaks, log.t))
         ledger = ledger_of_log(rig, None, log)
         joint = bench.layout.joints[0]
@@ -522,7 +687,9 @@ def test_on_the_bench_the_unexplained_row_covers_what_is_unexplained():
 
 
 def test_a_log_without_some_channels():
-    """Speed and supply may be missing, and are named; pressures, position and finite numbers may not."""
+    """Speed and supply may be missing, and are named; pressures, position and finite numbers may
+    not.
+    """
     model = Model.of(rig_of("crane_proportional", lossy=False))
     record = trial(model, lively(model, 801, hold=200))
     full = measured(record, model)
@@ -541,7 +708,11 @@ def test_a_log_without_some_channels():
         ledger_of_log(model.rig, None, without("lift.q", "lift.x"))
     with pytest.raises(LogError, match="no channel 'lift.p_rod'"):
         ledger_of_log(model.rig, None, without("lift.p_rod"))
-    holed = Record(full.t, {**full.channels, "lift.p_head": np.where(full.t > 0.5, np.nan, full["lift.p_head"])}, full.meta)
+    holed = Record(
+        full.t,
+        {**full.channels, "lift.p_head": np.where(full.t > 0.5, np.nan, full["lift.p_head"])},
+        full.meta,
+    )
     with pytest.raises(LogError, match="not finite"):
         ledger_of_log(model.rig, None, holed)
     with pytest.raises(InputError, match="no payload 'anvil'"):
@@ -565,11 +736,14 @@ def test_noise_is_read_off_the_readings():
     t = np.arange(5000) * 1e-3
     slow = 1e6 * np.sin(2 * np.pi * t)
     assert noise_of(slow + rng.normal(0.0, 4e3, t.size)) == pytest.approx(4e3, rel=0.1)
-    assert noise_of(np.round(slow / 3400.0) * 3400.0) == pytest.approx(3400.0 / math.sqrt(12.0), rel=0.6)
+    assert noise_of(np.round(slow / 3400.0) * 3400.0) == pytest.approx(
+        3400.0 / math.sqrt(12.0), rel=0.6
+    )
     assert noise_of(np.full(100, 3.0)) == 0.0
 
 
-# --- bounds ---------------------------------------------------------------------------------------------------------
+# --- bounds
+# ---------------------------------------------------------------------------------------------------------
 
 
 def up_and_down(rig: Rig, cylinder: str, stroke: float, force: float) -> Record:
@@ -580,11 +754,15 @@ def up_and_down(rig: Rig, cylinder: str, stroke: float, force: float) -> Record:
     p = {"p_head": low, "p_rod": (low * head - force) / rod}
     if force > 0.0:
         p = {"p_head": (force + low * rod) / head, "p_rod": low}
-    return Record(t, {f"{cylinder}.x": x} | {f"{cylinder}.{n}": np.full(t.size, v) for n, v in p.items()})
+    return Record(
+        t, {f"{cylinder}.x": x} | {f"{cylinder}.{n}": np.full(t.size, v) for n, v in p.items()}
+    )
 
 
 def test_bounds_are_those_of_the_spec():
-    """A closed cycle under a load on the head end: 34.5 % and 69 % below the standard valve on the thesis's areas (SPEC 4)."""
+    """A closed cycle under a load on the head end: 34.5 % and 69 % below the standard valve on the
+    thesis's areas (SPEC 4).
+    """
     rig = load_rig(ROOT / "recipes" / "rigs" / "thesis_arm.toml")
     found = bounds(rig, up_and_down(rig, "boom", 0.1, 3000.0), "boom")
     pressure, head, rod = float(rig.supply.pressure), *rig.cylinder_named("boom").areas()
@@ -593,7 +771,9 @@ def test_bounds_are_those_of_the_spec():
     assert 1 - found.six / found.standard == pytest.approx(0.345, abs=5e-4)
     assert 1 - found.seventh / found.standard == pytest.approx(0.69, abs=1e-3)
     assert found.work == pytest.approx(300.0, rel=1e-3) and found.used is None
-    heavy = bounds(rig, up_and_down(rig, "boom", 0.1, 0.999 * pressure * (head - rod) + 500.0), "boom")
+    heavy = bounds(
+        rig, up_and_down(rig, "boom", 0.1, 0.999 * pressure * (head - rod) + 500.0), "boom"
+    )
     assert heavy.seventh is None and heavy.six == pytest.approx(found.six, rel=1e-6)
     hanging = bounds(rig, up_and_down(rig, "boom", 0.1, -2000.0), "boom")
     assert hanging.carries == "rod" and hanging.seventh is None
@@ -602,17 +782,24 @@ def test_bounds_are_those_of_the_spec():
 
 
 def test_bounds_against_a_trial():
-    """A boom raised and lowered on four valves draws what the bound of the standard valve says, and what its own flows say."""
+    """A boom raised and lowered on four valves draws what the bound of the standard valve says, and
+    what its own flows say.
+    """
     model = Model.of(rig_of("boom_four_valve", lossy=False))
     table, order = model.rest_commands(4001), model.layout.valves
-    for first, last, pair in ((100, 1200, ("boom.sh", "boom.rt")), (1600, 2700, ("boom.sr", "boom.ht"))):
+    for first, last, pair in (
+        (100, 1200, ("boom.sh", "boom.rt")),
+        (1600, 2700, ("boom.sr", "boom.ht")),
+    ):
         for valve in pair:
             table[first:last, order.index(valve)] = 4.0
     record = trial(model, table, posture={"boom": "100 mm"})
     ledger = ledger_of_model(model, record)
     found = bounds(model.rig, record, "boom", ledger)
     assert found.used == pytest.approx(bounds(model.rig, record, "boom").used, rel=1e-4)
-    assert found.used == pytest.approx(found.standard, rel=0.08)  # compression, and how far the supply droops
+    assert found.used == pytest.approx(
+        found.standard, rel=0.08
+    )  # compression, and how far the supply droops
     assert found.saving == pytest.approx(1 - found.used / found.standard)
     with pytest.raises(InsufficientData, match="did not move"):
         bounds(model.rig, trial(model, model.rest_commands(101)), "boom")
@@ -635,7 +822,8 @@ def test_a_ledger_cannot_be_changed(model, made):
     assert isinstance(ledger, Ledger) and ledger.duration == pytest.approx(2.0)
 
 
-# --- pictures -------------------------------------------------------------------------------------------------------
+# --- pictures
+# -------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -654,7 +842,13 @@ def overlaps(monkeypatch):
             figure.canvas.draw()
             boxes = [t.get_window_extent().shrunk(1.0, 0.8) for t in axes.texts if t.get_text()]
             crowded = sum(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
-            outside = sum(b.x0 < -1 or b.x1 > figure.bbox.width + 1 or b.y0 < -1 or b.y1 > figure.bbox.height + 1 for b in boxes)
+            outside = sum(
+                b.x0 < -1
+                or b.x1 > figure.bbox.width + 1
+                or b.y0 < -1
+                or b.y1 > figure.bbox.height + 1
+                for b in boxes
+            )
             found.append((crowded, outside))
 
     monkeypatch.setattr(energy_figures, "canvas", watched)
@@ -662,7 +856,9 @@ def overlaps(monkeypatch):
 
 
 def test_pictures_are_legible_and_the_same_each_time(model, made, overlaps, tmp_path):
-    """Every label of the Sankey picture and of the bars stands free and inside; same ledger, same bytes."""
+    """Every label of the Sankey picture and of the bars stands free and inside; same ledger, same
+    bytes.
+    """
     from ehbench.report.energy_figures import bars, sankey
 
     one = ledger_of_model(model, made).as_json()
@@ -673,7 +869,11 @@ def test_pictures_are_legible_and_the_same_each_time(model, made, overlaps, tmp_
     item = model.rig.cylinder[-1].name
     limits = [[bounds(model.rig, made, item).as_json()], [], []]
     for i in range(2):
-        bars(tmp_path / f"bars_{i}.svg", [("on the model", one), ("from its log", log), ("at rest", still)], limits)
+        bars(
+            tmp_path / f"bars_{i}.svg",
+            [("on the model", one), ("from its log", log), ("at rest", still)],
+            limits,
+        )
     assert overlaps == [(0, 0)] * 6
     assert (tmp_path / "sankey_0.svg").read_bytes() == (tmp_path / "sankey_3.svg").read_bytes()
     assert (tmp_path / "bars_0.svg").read_bytes() == (tmp_path / "bars_1.svg").read_bytes()

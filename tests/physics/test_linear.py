@@ -1,4 +1,6 @@
-"""The linear development model against the compiled plant, closed forms, energy, and the compiled controller at small signals."""
+"""The linear development model against the compiled plant, closed forms, energy, and the compiled
+controller at small signals.
+"""
 
 from __future__ import annotations
 
@@ -32,16 +34,28 @@ from ehbench.recipe import load_rig
 from ehbench.rigs.model import model_sample, model_tick
 from ehbench.simulation import Model
 from ehbench.tune.linear import (
-    Law, circuit_of, close, damping_ratio, development_model, dominant, equivalent, faster, operating_point, plant_model,
+    Law,
+    circuit_of,
+    close,
+    damping_ratio,
+    development_model,
+    dominant,
+    equivalent,
+    faster,
+    operating_point,
+    plant_model,
     state_of,
-)  # fmt: skip
+)
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 MACHINES = [
-    ("thesis_arm", "boom", None), ("thesis_arm", "boom", "50 lb"), ("thesis_arm", "stick", "50 lb"),
+    ("thesis_arm", "boom", None),
+    ("thesis_arm", "boom", "50 lb"),
+    ("thesis_arm", "stick", "50 lb"),
     ("boom_four_valve", "boom", "bucket"),
-    ("crane_proportional", "lift", None), ("slide_servo", "press", "100 kg"),
-]  # fmt: skip
+    ("crane_proportional", "lift", None),
+    ("slide_servo", "press", "100 kg"),
+]
 
 
 def machine(rig, cylinder, payload=None, **values):
@@ -58,7 +72,16 @@ def points(model, index, circuit, shares=(0.2, 0.8), strokes=(0.15, 0.5, 0.85)):
         for at in range(len(strokes) if circuit.able[function] else 0):
             for share in shares:
                 low = model.plant.supply[0] / 20
-                point = operating_point(model, circuit, function, here, at, share=share, low_pressure=low, cross_drop=low)
+                point = operating_point(
+                    model,
+                    circuit,
+                    function,
+                    here,
+                    at,
+                    share=share,
+                    low_pressure=low,
+                    cross_drop=low,
+                )
                 if point.possible and point.v:
                     yield point
 
@@ -79,7 +102,8 @@ def test_equations_agree_with_differences_of_the_plant(case):
         s = scales(ours)
         a, b = ours.a * s / s[:, None], ours.b / s[:, None]
         row = np.abs(a).max(axis=1, keepdims=True)
-        # 1e-7 of a row's largest: central differences are good to 1e-8 here (slopes of the flow laws among them)
+        # 1e-7 of a row's largest: central differences are good to 1e-8 here (slopes of the flow
+        # laws among them)
         assert (np.abs(a - plant.a * s / s[:, None]) <= 1e-7 * row).all(), point.name
         assert (np.abs(b - plant.b / s[:, None]) <= 1e-7 * np.abs(b).max()).all(), point.name
         count += 1
@@ -89,15 +113,23 @@ def test_equations_agree_with_differences_of_the_plant(case):
 @pytest.mark.parametrize("case", MACHINES, ids=lambda c: "-".join(map(str, c)))
 def test_leakage_and_friction_too(case):
     rig, cylinder, payload = case
-    extra = {f"{cylinder}.leakage_internal": 2e-12, f"{cylinder}.leakage_head": 1e-12, f"{cylinder}.leakage_rod": 3e-12,
-             f"{cylinder}.friction_viscous": 900.0, f"{cylinder}.friction_coulomb": 300.0}  # fmt: skip
+    extra = {
+        f"{cylinder}.leakage_internal": 2e-12,
+        f"{cylinder}.leakage_head": 1e-12,
+        f"{cylinder}.leakage_rod": 3e-12,
+        f"{cylinder}.friction_viscous": 900.0,
+        f"{cylinder}.friction_coulomb": 300.0,
+    }
     model, index, circuit = machine(rig, cylinder, payload, **extra)
     for point in points(model, index, circuit, shares=(0.5,), strokes=(0.4,)):
         ours, plant = development_model(model, point), plant_model(model, point)
         s = scales(ours)
         gap = np.abs((ours.a - plant.a) * s / s[:, None])
-        # the slope of smoothed Coulomb friction is steep in v: differences over 1e-5 m/s are good to 1e-4 of it
-        assert (gap <= 1e-4 * np.abs(ours.a * s / s[:, None]).max(axis=1, keepdims=True)).all(), point.name
+        # the slope of smoothed Coulomb friction is steep in v: differences over 1e-5 m/s are good
+        # to 1e-4 of it
+        assert (gap <= 1e-4 * np.abs(ours.a * s / s[:, None]).max(axis=1, keepdims=True)).all(), (
+            point.name
+        )
 
 
 @pytest.mark.parametrize("case", MACHINES, ids=lambda c: "-".join(map(str, c)))
@@ -109,17 +141,27 @@ def test_an_operating_point_is_a_steady_motion(case):
     for point in points(model, index, circuit):
         y, command = state_of(model, point)
         derivatives(y, command, plant, rate, work)
-        for key, area, volume in (("p_head", AREA_HEAD, point.volume_head), ("p_rod", AREA_ROD, point.volume_rod)):
-            # against what shutting one of the two flows would give; a common opening is found to 1e-3 Pa
-            whole = plant.cylinders[index, BULK] / volume * plant.cylinders[index, area] * abs(point.v)
+        for key, area, volume in (
+            ("p_head", AREA_HEAD, point.volume_head),
+            ("p_rod", AREA_ROD, point.volume_rod),
+        ):
+            # against what shutting one of the two flows would give; a common opening is found to
+            # 1e-3 Pa
+            whole = (
+                plant.cylinders[index, BULK] / volume * plant.cylinders[index, area] * abs(point.v)
+            )
             assert abs(rate[layout.state(key, index)]) < 1e-6 * whole, point.name
         n = len(layout.joints)
         mass = np.empty((n, n))
         arm.mass_matrix(plant.kind, plant.links, y[:n], mass, np.empty(arm.work_size(n)))
         joint = plant.joints[index]
         held = mass[joint] @ rate[n : 2 * n] / mass[joint, joint]
-        bend = 0.5 * point.bend * point.v  # lever'/lever²·v²: what keeps the cylinder's speed, not the joint's
-        assert point.lever * held + bend == pytest.approx(0.0, abs=1e-9 * abs(point.load_force) / point.mass + 1e-9), point.name
+        bend = (
+            0.5 * point.bend * point.v
+        )  # lever'/lever²·v²: what keeps the cylinder's speed, not the joint's
+        assert point.lever * held + bend == pytest.approx(
+            0.0, abs=1e-9 * abs(point.load_force) / point.mass + 1e-9
+        ), point.name
 
 
 @pytest.mark.parametrize("case", MACHINES, ids=lambda c: "-".join(map(str, c)))
@@ -134,7 +176,9 @@ def test_equivalents_against_energy(case):
         potential = []
         for at in range(3):
             q, qd = model.posture(None), np.zeros(n)
-            q[joint] = joint_angle(int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]], here.x[at])
+            q[joint] = joint_angle(
+                int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]], here.x[at]
+            )
             qd[joint] = v / here.lever[at]
             kinetic, height = arm.energy(plant.kind, plant.links, plant.gravity, q, qd, work)
             potential.append(height)
@@ -143,9 +187,13 @@ def test_equivalents_against_energy(case):
             arm.bias(plant.kind, plant.links, plant.gravity, q, qd, with_rate, work)
             arm.bias(plant.kind, plant.links, plant.gravity, q, np.zeros(n), at_rest, work)
             # one joint alone feels no Coriolis torque of its own, so the rest is damping
-            assert (with_rate - at_rest)[joint] * qd[joint] == pytest.approx(here.damping[at] * v**2, rel=1e-9)
+            assert (with_rate - at_rest)[joint] * qd[joint] == pytest.approx(
+                here.damping[at] * v**2, rel=1e-9
+            )
         # central difference over 0.1 mm: (h²/6)·F'' is below 1e-6 of F
-        assert (potential[2] - potential[0]) / 2e-4 == pytest.approx(here.gravity_force[1], rel=1e-5, abs=1e-6)
+        assert (potential[2] - potential[0]) / 2e-4 == pytest.approx(
+            here.gravity_force[1], rel=1e-5, abs=1e-6
+        )
 
 
 def test_natural_frequency_of_the_locked_boom():
@@ -155,12 +203,16 @@ def test_natural_frequency_of_the_locked_boom():
     for point in points(model, index, circuit, shares=(0.5,)):
         shut = replace(point, paths=(), v=0.0, bend=0.0)
         exact = math.sqrt(
-            row[BULK] * (row[AREA_HEAD] ** 2 / point.volume_head + row[AREA_ROD] ** 2 / point.volume_rod) / point.mass
+            row[BULK]
+            * (row[AREA_HEAD] ** 2 / point.volume_head + row[AREA_ROD] ** 2 / point.volume_rod)
+            / point.mass
         )
         for linear in (development_model(model, shut), plant_model(model, shut)):
             poles = np.linalg.eigvals(linear.a)
             assert abs(dominant(poles)) == pytest.approx(exact, rel=1e-6)
-            assert damping_ratio(poles) == pytest.approx(point.damping / point.mass / (2 * exact), rel=1e-5)
+            assert damping_ratio(poles) == pytest.approx(
+                point.damping / point.mass / (2 * exact), rel=1e-5
+            )
 
 
 def test_free_joints_matter_only_where_there_are_others():
@@ -168,7 +220,10 @@ def test_free_joints_matter_only_where_there_are_others():
         model, index, circuit = machine(*case)
         point = next(points(model, index, circuit))
         held, free = plant_model(model, point), plant_model(model, point, others="free")
-        assert np.allclose(held.a, free.a, rtol=1e-9) is same and np.allclose(held.e, free.e, rtol=1e-9) is same
+        assert (
+            np.allclose(held.a, free.a, rtol=1e-9) is same
+            and np.allclose(held.e, free.e, rtol=1e-9) is same
+        )
 
 
 def test_position_adds_a_slow_pole_and_little_else():
@@ -176,8 +231,11 @@ def test_position_adds_a_slow_pole_and_little_else():
     for point in points(model, index, circuit, shares=(0.3,), strokes=(0.5,)):
         if not point.fits:
             continue
-        without, with_x = (np.linalg.eigvals(plant_model(model, point, position=p).a) for p in (False, True))
-        # over a metre posture changes everything; within a swing of a few Hz a moving posture is worth a few per cent
+        without, with_x = (
+            np.linalg.eigvals(plant_model(model, point, position=p).a) for p in (False, True)
+        )
+        # over a metre posture changes everything; within a swing of a few Hz a moving posture is
+        # worth a few per cent
         assert abs(dominant(with_x)) == pytest.approx(abs(dominant(without)), rel=0.05)
 
 
@@ -194,36 +252,63 @@ def test_valves_made_faster_keep_their_damping():
 @pytest.mark.parametrize(
     ("function", "washout", "ramp", "feedback"),
     [
-        (EXTEND_RESISTIVE, 4.0, 0.0, 6e-11), (RETRACT_OVERRUNNING, 4.0, 0.0, 6e-11), (EXTEND_RESISTIVE, 4.0, 4.0, 6e-11),
-        (RETRACT_OVERRUNNING, 20.0, 8.0, 6e-11), (EXTEND_RESISTIVE, 0.0, 0.0, 6e-11), (EXTEND_RESISTIVE, 4.0, 0.0, 0.0),
+        (EXTEND_RESISTIVE, 4.0, 0.0, 6e-11),
+        (RETRACT_OVERRUNNING, 4.0, 0.0, 6e-11),
+        (EXTEND_RESISTIVE, 4.0, 4.0, 6e-11),
+        (RETRACT_OVERRUNNING, 20.0, 8.0, 6e-11),
+        (EXTEND_RESISTIVE, 0.0, 0.0, 6e-11),
+        (EXTEND_RESISTIVE, 4.0, 0.0, 0.0),
     ],
-)  # fmt: skip
+)
 def test_closed_loop_agrees_with_the_compiled_controller(function, washout, ramp, feedback):
     """A push on the mass of the running machine: its speed, tick by tick, against the linear loop."""
     model, index, circuit = machine("boom_four_valve", "boom", None)
     plant, off, tick = model.plant, 4e-11, 1e-3
     low = plant.supply[0] / 20
     here = equivalent(model, index, np.array([0.5]) * plant.cylinders[index, STROKE])
-    point = operating_point(model, circuit, function, here, 0, share=0.2, low_pressure=low, cross_drop=low)
+    point = operating_point(
+        model, circuit, function, here, 0, share=0.2, low_pressure=low, cross_drop=low
+    )
     assert point.fits
-    loop = close(development_model(model, point), point, circuit, Law(washout, off, 0.5 * tick, ramp))
+    loop = close(
+        development_model(model, point), point, circuit, Law(washout, off, 0.5 * tick, ramp)
+    )
     rules = pack_rules(circuit.area_rod, plant.supply[0])
     gains = pressure_feedback.pack_pressure_feedback(
-        # without a washout the static pressure would bias the speed: one that forgets in 10 s takes just that off
-        tick=tick, rules=rules, off_gain=off, low_pressure=low, feedback_gain=feedback, washout=washout or 0.1, ramp_washout=ramp,
+        # without a washout the static pressure would bias the speed: one that forgets in 10 s takes
+        # just that off
+        tick=tick,
+        rules=rules,
+        off_gain=off,
+        low_pressure=low,
+        feedback_gain=feedback,
+        washout=washout or 0.1,
+        ramp_washout=ramp,
     )
     wish = np.array([0.0, point.v, 0.0, 0.0])
 
     def run(push):
         y, command = state_of(model, point)
         y[model.layout.state("qd", int(plant.joints[index]))] += push / point.lever
-        memory, note = np.zeros(pressure_feedback.MEMORY), np.zeros(pressure_feedback.NOTES + 2 * circuit.count)
+        memory, note = (
+            np.zeros(pressure_feedback.MEMORY),
+            np.zeros(pressure_feedback.NOTES + 2 * circuit.count),
+        )
         k = np.empty((5, model.layout.states))
-        work = np.empty(workspace_size(len(model.layout.joints), len(model.layout.cylinders), len(model.layout.edges)))
+        work = np.empty(
+            workspace_size(
+                len(model.layout.joints), len(model.layout.cylinders), len(model.layout.edges)
+            )
+        )
         sample = np.empty(6 * len(model.layout.cylinders) + 2)
         model_sample(y, plant, sample)
-        # as if it had run for long: the function chosen, the washout at rest (or, without one, the static pressure taken off)
-        memory[pressure_feedback.STARTED], memory[pressure_feedback.FUNCTION], memory[pressure_feedback.AGE] = 1.0, function, 10.0
+        # as if it had run for long: the function chosen, the washout at rest (or, without one, the
+        # static pressure taken off)
+        (
+            memory[pressure_feedback.STARTED],
+            memory[pressure_feedback.FUNCTION],
+            memory[pressure_feedback.AGE],
+        ) = 1.0, function, 10.0
         memory[pressure_feedback.SLOW_LOAD] = point.load_force
         at = pressure_feedback.AT_PRESSURE
         memory[at : at + 2] = point.p_head, point.p_rod
@@ -244,7 +329,8 @@ def test_closed_loop_agrees_with_the_compiled_controller(function, washout, ramp
     for _ in seen:
         promised.append(state[0])
         state = step @ state
-    # sampling is a delay of half a tick only to first order, and the posture moves on by 4 mm: 1.5 % of the push
+    # sampling is a delay of half a tick only to first order, and the posture moves on by 4 mm: 1.5
+    # % of the push
     np.testing.assert_allclose(seen, promised, atol=0.015)
     assert np.ptp(seen) > 0.5
 

@@ -1,4 +1,6 @@
-"""The plant's proofs: conservation, order of convergence, the linear formula, mirror symmetry, equilibrium, violence."""
+"""The plant's proofs: conservation, order of convergence, the linear formula, mirror symmetry,
+equilibrium, violence.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +16,24 @@ from ehbench.physics import arm
 from ehbench.physics.cylinder import CAVITATION_BAND, makeup_flow, relief_flow
 from ehbench.physics.metering import FROM, TO
 from ehbench.plant import (
-    AREA_HEAD, AREA_ROD, BULK, FLOOR, LEAK_HEAD, LEAK_INTERNAL, LEAK_ROD, RELIEF, RELIEF_GAIN, STOP, STROKE, VISCOUS, VOLUME_HEAD,
-    VOLUME_ROD, build, derivatives, workspace_size,
-)  # fmt: skip
+    AREA_HEAD,
+    AREA_ROD,
+    BULK,
+    FLOOR,
+    LEAK_HEAD,
+    LEAK_INTERNAL,
+    LEAK_ROD,
+    RELIEF,
+    RELIEF_GAIN,
+    STOP,
+    STROKE,
+    VISCOUS,
+    VOLUME_HEAD,
+    VOLUME_ROD,
+    build,
+    derivatives,
+    workspace_size,
+)
 from ehbench.recipe import load_rig
 from ehbench.rig import Rig, Slide, Value
 from ehbench.simulation import Model, linkage_arrays, rk4
@@ -33,14 +50,16 @@ def rig(request) -> Rig:
 def rate(model: Model, y: np.ndarray, command: np.ndarray) -> np.ndarray:
     """ẏ at a state."""
     plant, dy = model.plant, np.empty_like(y)
-    work = np.empty(workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0]))
+    work = np.empty(
+        workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0])
+    )
     derivatives(np.ascontiguousarray(y), command, plant, dy, work)
     return dy
 
 
 def gentle(model: Model, samples: int) -> np.ndarray:
-    """Commands that extend every cylinder slowly: its edges into the head and out of the rod at a tenth of the driver's range
-    beyond the deadband."""
+    """Commands that extend every cylinder slowly: its edges into the head and out of the rod at a
+    tenth of the driver's range beyond the deadband."""
     table = model.rest_commands(samples)
     for index, (cylinder, valve) in enumerate(model.rig.valves()):
         for edge in valve.edge:
@@ -52,7 +71,9 @@ def gentle(model: Model, samples: int) -> np.ndarray:
 
 def leaky(rig: Rig) -> Rig:
     names = ("leakage_internal", "leakage_head", "leakage_rod")
-    return rig.with_values({f"{c.name}.{name}": LEAK * (1 + i) for c in rig.cylinder for i, name in enumerate(names)})
+    return rig.with_values(
+        {f"{c.name}.{name}": LEAK * (1 + i) for c in rig.cylinder for i, name in enumerate(names)}
+    )
 
 
 def integral(values: np.ndarray, step: float) -> np.ndarray:
@@ -75,7 +96,9 @@ class Ledger:
         self.edges, self.pump = log[:, states:-1], log[:, -1]
         self.supply = log[:, names.state("p_supply", 0)]
         tank = np.full_like(self.supply, plant.supply[1])
-        self.nodes = np.column_stack([self.supply, tank, log[:, 2 * n : 2 * n + 2 * len(names.cylinders)]])
+        self.nodes = np.column_stack(
+            [self.supply, tank, log[:, 2 * n : 2 * n + 2 * len(names.cylinders)]]
+        )
         into = np.zeros_like(self.nodes)
         for index, wiring in enumerate(plant.wiring):
             into[:, wiring[FROM]] -= self.edges[:, index]
@@ -83,7 +106,9 @@ class Ledger:
         self.into = into
 
     def cylinders(self):
-        """(row, x, v, [(inflow through edges, pressure, volume, the other pressure, sign, area, leak) of head and rod])."""
+        """(row, x, v, [(inflow through edges, pressure, volume, the other pressure, sign, area,
+        leak) of head and rod]).
+        """
         tank = self.model.plant.supply[1]
         for index, row in enumerate(self.model.plant.cylinders):
             joint = self.model.plant.joints[index]
@@ -97,7 +122,9 @@ class Ledger:
             ):
                 p = self.nodes[:, node]
                 leaking = row[LEAK_INTERNAL] * (p - self.nodes[:, other]) + leak * (p - tank)
-                sides.append((self.into[:, node] - leaking, p, dead + sign * area * x, sign * area, leaking))
+                sides.append(
+                    (self.into[:, node] - leaking, p, dead + sign * area * x, sign * area, leaking)
+                )
             yield row, x, v, sides
 
 
@@ -109,9 +136,9 @@ def ledger(rig) -> Ledger:
 def test_oil_volume_is_conserved_in_every_chamber(ledger):
     """What came in is displacement plus compression, ``∫(Q − leaks) dt = ∫ A v dt + ∫ V/β ṗ dt``.
 
-    Tolerance 1e-6 of the oil moved: where a valve leaves its deadband the flow has a bend, over which Simpson errs by about
-    h² Q̇/12 (1e-11 m³ of 4e-5 m³ at h = 100 µs); everywhere else it errs far less.
-    """
+    Tolerance 1e-6 of the oil moved: where a valve leaves its deadband the flow has a bend, over
+    which Simpson errs by about h² Q̇/12 (1e-11 m³ of 4e-5 m³ at h = 100 µs); everywhere else it
+    errs far less."""
     for row, x, v, sides in ledger.cylinders():
         assert np.ptp(x) > 1e-3, "the cylinder must move for the balance to mean anything"
         for inflow, p, volume, area, _ in sides:
@@ -125,7 +152,9 @@ def test_oil_volume_is_conserved_in_every_chamber(ledger):
 
 
 def test_pump_tank_and_machine_balance(ledger):
-    """All the pump gives is in the tank, leaked, or stored: displaced and compressed oil; tolerance as above."""
+    """All the pump gives is in the tank, leaked, or stored: displaced and compressed oil; tolerance
+    as above.
+    """
     plant = ledger.model.plant
     pumped = integral(ledger.pump, ledger.step)
     stored = plant.supply[3] / plant.supply[4] * (ledger.supply[::2] - ledger.supply[0])
@@ -142,13 +171,16 @@ def test_pump_tank_and_machine_balance(ledger):
 
 
 def test_energy_is_conserved(ledger):
-    """Pump work = throttling + leakage + tank + compression + cylinder work, and cylinder work = ΔKE + ΔPE + friction.
+    """Pump work = throttling + leakage + tank + compression + cylinder work, and cylinder work =
+    ΔKE + ΔPE + friction.
 
     Each sum closes within 1e-6 of the energy the pump gave, for the reasons of the oil balance.
     """
     plant, step = ledger.model.plant, ledger.step
     given = integral(ledger.supply * ledger.pump, step)
-    spent = 0.5 * plant.supply[3] / plant.supply[4] * (ledger.supply[::2] ** 2 - ledger.supply[0] ** 2)
+    spent = (
+        0.5 * plant.supply[3] / plant.supply[4] * (ledger.supply[::2] ** 2 - ledger.supply[0] ** 2)
+    )
     for index, wiring in enumerate(plant.wiring):
         drop = ledger.nodes[:, wiring[FROM]] - ledger.nodes[:, wiring[TO]]
         throttled = integral(drop * ledger.edges[:, index], step)
@@ -168,7 +200,12 @@ def test_energy_is_conserved(ledger):
 
     scratch = np.empty(arm.work_size(plant.links.shape[0]))
     motion = zip(ledger.q[::2], ledger.qd[::2], strict=True)
-    held = np.array([sum(arm.energy(plant.kind, plant.links, plant.gravity, q, qd, scratch)) for q, qd in motion])
+    held = np.array(
+        [
+            sum(arm.energy(plant.kind, plant.links, plant.gravity, q, qd, scratch))
+            for q, qd in motion
+        ]
+    )
     lost = integral(np.sum(plant.links[:, arm.DAMPING] * ledger.qd**2, axis=1), step)
     for row, _, v, _ in ledger.cylinders():
         lost = lost + integral(row[VISCOUS] * v**2, step)
@@ -176,17 +213,22 @@ def test_energy_is_conserved(ledger):
 
 
 def test_fourth_order(rig):
-    """The error against a run of 64 times as many steps falls by 2⁴ within 0.1 of the order where nothing is kinked.
+    """The error against a run of 64 times as many steps falls by 2⁴ within 0.1 of the order where
+    nothing is kinked.
 
-    Valves stand open from the start, so that no deadband is passed, and steps are short enough that no substeps are taken.
-    """
+    Valves stand open from the start, so that no deadband is passed, and steps are short enough that
+    no substeps are taken."""
     model = Model.of(rig)
     command = gentle(model, 1)[0]
     y0 = model.trim(model.posture(None))
     for index in range(len(command)):
         y0[model.layout.state("opening", index)] = command[index]
     span = 0.032
-    work = np.empty(workspace_size(*(len(part) for part in (model.plant.links, model.plant.cylinders, model.plant.edges))))
+    work = np.empty(
+        workspace_size(
+            *(len(part) for part in (model.plant.links, model.plant.cylinders, model.plant.edges))
+        )
+    )
 
     def after(steps: int) -> np.ndarray:
         y, k = y0.copy(), np.empty((5, y0.size))
@@ -204,10 +246,11 @@ def test_fourth_order(rig):
 
 
 def locked_modes(model: Model, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(ω [rad/s], mode shapes) of the machine with all valves shut: K φ = ω² D φ, K = Jᵀ diag(β (A1²/V1 + A2²/V2)) J.
+    """(ω [rad/s], mode shapes) of the machine with all valves shut: K φ = ω² D φ, K = Jᵀ diag(β
+    (A1²/V1 + A2²/V2)) J.
 
-    K also has what trim forces do as the linkage turns and gravity's own stiffness, by central differences.
-    """
+    K also has what trim forces do as the linkage turns and gravity's own stiffness, by central
+    differences."""
     plant, n = model.plant, len(q)
     mass, work = np.empty((n, n)), np.empty(arm.work_size(n))
     arm.mass_matrix(plant.kind, plant.links, q, mass, work)
@@ -218,7 +261,10 @@ def locked_modes(model: Model, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         x, lever = linkage_arrays(row, at)
         volumes = row[VOLUME_HEAD] + row[AREA_HEAD] * x[1], row[VOLUME_ROD] - row[AREA_ROD] * x[1]
         spring = row[BULK] * (row[AREA_HEAD] ** 2 / volumes[0] + row[AREA_ROD] ** 2 / volumes[1])
-        force = y[model.layout.state("p_head", index)] * row[AREA_HEAD] - y[model.layout.state("p_rod", index)] * row[AREA_ROD]
+        force = (
+            y[model.layout.state("p_head", index)] * row[AREA_HEAD]
+            - y[model.layout.state("p_rod", index)] * row[AREA_ROD]
+        )
         stiffness[joint, joint] += spring * lever[1] ** 2 - force * (lever[2] - lever[0]) / 2e-6
     for joint in range(n):
         torque = []
@@ -233,12 +279,18 @@ def locked_modes(model: Model, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_natural_frequency_is_that_of_the_linear_formula(rig):
-    """With the valves shut and no damping, an excited mode rings at ω² = β (A1²/V1 + A2²/V2)·lever²/inertia, to 1e-4.
+    """With the valves shut and no damping, an excited mode rings at ω² = β (A1²/V1 +
+    A2²/V2)·lever²/inertia, to 1e-4.
 
-    The swing is a few µm, so that what is left of non-linearity and of the fit's own error stays below.
-    """
+    The swing is a few µm, so that what is left of non-linearity and of the fit's own error stays
+    below."""
     bodies = rig.joint_names
-    still = rig.with_values({f"{b}.{'damping' if isinstance(rig.mechanism, Slide) else 'joint_damping'}": 0.0 for b in bodies})
+    still = rig.with_values(
+        {
+            f"{b}.{'damping' if isinstance(rig.mechanism, Slide) else 'joint_damping'}": 0.0
+            for b in bodies
+        }
+    )
     for load in (None, *rig.payload):
         model = Model.of(still, payload=load)
         q = model.posture(None)
@@ -249,21 +301,30 @@ def test_natural_frequency_is_that_of_the_linear_formula(rig):
             samples = int(6 * 2 * math.pi / omega / 5e-4)
             log = model.run(y, model.rest_commands(samples), 5e-4)
             at = len(q) + int(np.argmax(np.abs(shape)))
-            found = signals.ringing(5e-4 * np.arange(samples), log[:, at], guess=(0.9 * omega, 0.01), trim=False)
+            found = signals.ringing(
+                5e-4 * np.arange(samples), log[:, at], guess=(0.9 * omega, 0.01), trim=False
+            )
             assert found.ok, found.reason
             assert found.natural_frequency == pytest.approx(omega, rel=1e-4)
             assert abs(found.damping_ratio) < 1e-4
 
 
 def slide(flip: bool) -> Model:
-    """A loaded through-rod slide, or its mirror image: head and rod exchanged, the other end of the stroke, the other slope."""
+    """A loaded through-rod slide, or its mirror image: head and rod exchanged, the other end of the
+    stroke, the other slope.
+    """
     rig = load_rig(RIGS[0].with_name("slide_servo.toml"))
     body, cylinder = rig.mechanism, rig.cylinder[0]
     area, dead = 1.2e-3, 2.0e-4
     full = dead + area * float(cylinder.stroke)
     swap = {"head": "rod", "rod": "head", "supply": "supply", "tank": "tank"}
 
-    shares = {"supplyhead": 1.0, "rodtank": 0.8, "supplyrod": 1.3, "headtank": 0.6}  # no edge can stand in for another
+    shares = {
+        "supplyhead": 1.0,
+        "rodtank": 0.8,
+        "supplyrod": 1.3,
+        "headtank": 0.6,
+    }  # no edge can stand in for another
 
     def edge(one):
         gain = Value(float(one.flow_gain) * shares[one.from_ + one.to])
@@ -273,13 +334,23 @@ def slide(flip: bool) -> Model:
     leaks = ("leakage_head", "leakage_rod")
     changed = cylinder.model_copy(
         update={
-            "area_head": Value(area), "area_rod": Value(area), "bore": None, "rod": None,
-            "volume_head": Value(dead), "volume_rod": Value(full),
-            leaks[flip]: Value(2 * LEAK), leaks[not flip]: Value(LEAK), "leakage_internal": Value(LEAK),
-            "friction_coulomb": Value(120.0), "friction_viscous": Value(300.0),
-            "valve": tuple(v.model_copy(update={"edge": tuple(edge(e) for e in v.edge)}) for v in cylinder.valve),
+            "area_head": Value(area),
+            "area_rod": Value(area),
+            "bore": None,
+            "rod": None,
+            "volume_head": Value(dead),
+            "volume_rod": Value(full),
+            leaks[flip]: Value(2 * LEAK),
+            leaks[not flip]: Value(LEAK),
+            "leakage_internal": Value(LEAK),
+            "friction_coulomb": Value(120.0),
+            "friction_viscous": Value(300.0),
+            "valve": tuple(
+                v.model_copy(update={"edge": tuple(edge(e) for e in v.edge)})
+                for v in cylinder.valve
+            ),
         }
-    )  # fmt: skip
+    )
     slope = body.model_copy(update={"incline": Value(-0.3 if flip else 0.3)})
     return Model.of(rig.model_copy(update={"mechanism": slope, "cylinder": (changed,)}))
 
@@ -287,8 +358,8 @@ def slide(flip: bool) -> Model:
 def test_head_and_rod_are_mirror_images():
     """The mirrored slide does the mirrored thing, into an end stop and out of it again.
 
-    Sums of three terms may round in another order, and the contact divides what is left by its stiffness: 1e-9 of the range.
-    """
+    Sums of three terms may round in another order, and the contact divides what is left by its
+    stiffness: 1e-9 of the range."""
     right, left = slide(False), slide(True)
     stroke = right.plant.cylinders[0, STROKE]
     table = right.rest_commands(3000)
@@ -299,16 +370,22 @@ def test_head_and_rod_are_mirror_images():
     assert mirrored[2:4] == pytest.approx(start[3:1:-1], rel=1e-12)
     image = left.run(mirrored, table)
     assert log[:, 0].max() > stroke, "the trial must reach the end stop"
-    pairs = (log[:, 0], stroke - image[:, 0]), (log[:, 1], -image[:, 1]), (log[:, 2], image[:, 3]), (log[:, 3], image[:, 2])
+    pairs = (
+        (log[:, 0], stroke - image[:, 0]),
+        (log[:, 1], -image[:, 1]),
+        (log[:, 2], image[:, 3]),
+        (log[:, 3], image[:, 2]),
+    )
     for mine, other in pairs:
         assert np.abs(mine - other).max() < 1e-9 * np.ptp(mine)
 
 
 def test_trim_is_an_equilibrium(rig):
-    """Anywhere in the stroke, with any payload, nothing moves from trim: derivatives vanish, and 2 s later it stands there still.
+    """Anywhere in the stroke, with any payload, nothing moves from trim: derivatives vanish, and 2
+    s later it stands there still.
 
-    Rounding leaves forces of 1e-15 of the load's, so accelerations below 1e-9 of gravity's and pressures to 1e-9.
-    """
+    Rounding leaves forces of 1e-15 of the load's, so accelerations below 1e-9 of gravity's and
+    pressures to 1e-9."""
     rng = np.random.default_rng(7)
     for load in (None, *rig.payload):
         model = Model.of(rig, payload=load)
@@ -334,11 +411,12 @@ def test_trim_carries_the_load_with_no_chamber_below_the_low_side(rig):
 
 
 def test_violent_commands_stay_finite_and_bounded(rig):
-    """Random full-scale switching every 5 to 200 ms: pressures between floor and relief, strokes within the stops.
+    """Random full-scale switching every 5 to 200 ms: pressures between floor and relief, strokes
+    within the stops.
 
-    Above relief, the piston at full speed presses A·v through RELIEF_GAIN; below the floor nothing is lost, as outflow fades in
-    the band. The stops give STOP_DEPTH at full supply pressure, more under a falling load: 10 mm are allowed.
-    """
+    Above relief, the piston at full speed presses A·v through RELIEF_GAIN; below the floor nothing
+    is lost, as outflow fades in the band. The stops give STOP_DEPTH at full supply pressure, more
+    under a falling load: 10 mm are allowed."""
     for seed in range(3):
         rng = np.random.default_rng(seed)
         model = Model.of(rig, payload=[None, *rig.payload][seed % (1 + len(rig.payload))])
@@ -348,7 +426,9 @@ def test_violent_commands_stay_finite_and_bounded(rig):
             at = 0
             while at < len(table):
                 until = at + int(rng.integers(5, 200))
-                table[at:until, column] = rng.choice([plant.valves[column, 2], 0.0, plant.valves[column, 3]])
+                table[at:until, column] = rng.choice(
+                    [plant.valves[column, 2], 0.0, plant.valves[column, 3]]
+                )
                 at = until
         log = model.run(model.trim(model.posture(None)), table)
         assert np.isfinite(log).all()
@@ -367,10 +447,11 @@ def test_violent_commands_stay_finite_and_bounded(rig):
 
 
 def test_chambers_hold_the_cavitation_floor_and_the_relief_pressure():
-    """A shoved piston with shut valves empties its head end down to the floor and opens the relief of its rod end.
+    """A shoved piston with shut valves empties its head end down to the floor and opens the relief
+    of its rod end.
 
-    The shove, 250 kg at 3 m/s, crosses the cavitation band in 10 µs: the substeps must be there before the band is.
-    """
+    The shove, 250 kg at 3 m/s, crosses the cavitation band in 10 µs: the substeps must be there
+    before the band is."""
     model = Model.of(load_rig(RIGS[0].with_name("slide_servo.toml")))
     row = model.plant.cylinders[0]
     y = model.trim(np.array([0.2]))
@@ -385,7 +466,9 @@ def test_chambers_hold_the_cavitation_floor_and_the_relief_pressure():
 
 
 def test_the_stop_holds_full_supply_pressure():
-    """Driven against its stop with the valve full open, a piston sinks in by STOP_DEPTH at most: supply·area_head/STOP."""
+    """Driven against its stop with the valve full open, a piston sinks in by STOP_DEPTH at most:
+    supply·area_head/STOP.
+    """
     model = Model.of(load_rig(RIGS[0].with_name("slide_servo.toml")))
     row = model.plant.cylinders[0]
     log = model.run(model.trim(np.array([0.38])), np.full((1500, 1), 10.0))
@@ -396,7 +479,9 @@ def test_the_stop_holds_full_supply_pressure():
 
 
 def test_the_order_of_cylinders_does_not_matter(rig):
-    """The same machine with its cylinders listed backwards moves alike; sums round in another order: 1e-9 of each range."""
+    """The same machine with its cylinders listed backwards moves alike; sums round in another
+    order: 1e-9 of each range.
+    """
     back = rig.model_copy(update={"cylinder": rig.cylinder[::-1]})
     one, two = Model.of(rig), Model.of(back)
     table = gentle(one, 1500)
@@ -411,14 +496,21 @@ def test_the_order_of_cylinders_does_not_matter(rig):
 
 def test_a_cylinder_by_any_other_name_moves_alike(rig):
     first = rig.cylinder[0]
-    renamed = rig.model_copy(update={"cylinder": (first.model_copy(update={"name": "zz"}), *rig.cylinder[1:])})
+    renamed = rig.model_copy(
+        update={"cylinder": (first.model_copy(update={"name": "zz"}), *rig.cylinder[1:])}
+    )
     one, two = Model.of(rig), Model.of(renamed)
     table = gentle(one, 300)
-    assert one.run(one.trim(one.posture(None)), table).tobytes() == two.run(two.trim(two.posture(None)), table).tobytes()
+    assert (
+        one.run(one.trim(one.posture(None)), table).tobytes()
+        == two.run(two.trim(two.posture(None)), table).tobytes()
+    )
 
 
 def test_the_guard_sees_relief_and_cavitation():
-    """An open relief valve adds RELIEF_GAIN·β/V to the fastest rate, outflow β·|inflow|/(V·(p − floor))."""
+    """An open relief valve adds RELIEF_GAIN·β/V to the fastest rate, outflow β·|inflow|/(V·(p −
+    floor)).
+    """
     model = Model.of(load_rig(RIGS[0].with_name("slide_servo.toml")))
     row, command = model.plant.cylinders[0], np.zeros(1)
     work, dy = np.empty(200), np.empty(model.layout.states)
@@ -432,10 +524,16 @@ def test_the_guard_sees_relief_and_cavitation():
     calm = fastest(1e6, 0.0)
     open_relief, per_flow = RELIEF_GAIN * row[BULK] / volume, row[BULK] / volume * row[AREA_HEAD]
     assert open_relief > calm
-    assert fastest(row[RELIEF] + 1e5, 0.0) == pytest.approx(open_relief, rel=0.01), "what it lets out also nears the floor"
-    assert fastest(row[RELIEF] - 1e5, -2.0) == pytest.approx(open_relief), "relief opens within the step"
+    assert fastest(row[RELIEF] + 1e5, 0.0) == pytest.approx(open_relief, rel=0.01), (
+        "what it lets out also nears the floor"
+    )
+    assert fastest(row[RELIEF] - 1e5, -2.0) == pytest.approx(open_relief), (
+        "relief opens within the step"
+    )
     assert fastest(row[FLOOR] + 1e4, 2.0) == pytest.approx(per_flow * 2.0 / CAVITATION_BAND)
-    assert fastest(row[FLOOR] + 1e6, 2.0) == pytest.approx(per_flow * 2.0 / 1e6), "the floor is one step away"
+    assert fastest(row[FLOOR] + 1e6, 2.0) == pytest.approx(per_flow * 2.0 / 1e6), (
+        "the floor is one step away"
+    )
 
 
 def test_maps_and_laws_are_asked_for_by_name(rig):
@@ -447,7 +545,12 @@ def test_maps_and_laws_are_asked_for_by_name(rig):
     mapped = valve.edge[0].model_copy(update={"law": "map", "map": "some"})
     changed = valve.model_copy(update={"edge": (mapped, *valve.edge[1:])})
     broken = rig.model_copy(
-        update={"cylinder": (cylinder.model_copy(update={"valve": (changed, *cylinder.valve[1:])}), *rig.cylinder[1:])}
+        update={
+            "cylinder": (
+                cylinder.model_copy(update={"valve": (changed, *cylinder.valve[1:])}),
+                *rig.cylinder[1:],
+            )
+        }
     )
     with pytest.raises(InputError, match=f"edge '{changed.edge_name(mapped)}' of rig '{rig.name}'"):
         build(broken)

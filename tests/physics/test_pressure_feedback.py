@@ -1,4 +1,6 @@
-"""Pressure feedback closed over the plant: it damps, does not change the steady speed, and sees pressures only."""
+"""Pressure feedback closed over the plant: it damps, does not change the steady speed, and sees
+pressures only.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,16 @@ from ehbench.control import pressure_feedback as pf
 from ehbench.control import trajectory as tr
 from ehbench.control import valve_level as vl
 from ehbench.errors import InputError
-from ehbench.plant import AREA_HEAD, AREA_ROD, BULK, HIGHEST, LOWEST, VOLUME_HEAD, VOLUME_ROD, workspace_size
+from ehbench.plant import (
+    AREA_HEAD,
+    AREA_ROD,
+    BULK,
+    HIGHEST,
+    LOWEST,
+    VOLUME_HEAD,
+    VOLUME_ROD,
+    workspace_size,
+)
 from ehbench.quantities import quantity
 from ehbench.recipe import load_rig
 from ehbench.rigs.model import model_sample
@@ -29,7 +40,9 @@ COLUMN = {name: index for index, name in enumerate(pf.NOTE)}
 def closed_loop(y, wish, plant, circuit, gains, given, command, samples, notes, commands):
     """The plant under `pressure_feedback.step`; channels not ``given`` are NaN to the controller."""
     k, memory = np.empty((5, y.shape[0])), np.zeros(pf.MEMORY)
-    work = np.empty(workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0]))
+    work = np.empty(
+        workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0])
+    )
     seen = np.empty(samples.shape[1])
     for i in range(wish.shape[0]):
         model_sample(y, plant, samples[i])
@@ -46,7 +59,18 @@ class Trial:
     """A cylinder of a rig under pressure feedback: samples, notes and commands by tick."""
 
     def __init__(
-        self, rig, cylinder, wish, *, at=None, payload=None, values=None, given=None, off_rate=10.0, rules=None, **gains
+        self,
+        rig,
+        cylinder,
+        wish,
+        *,
+        at=None,
+        payload=None,
+        values=None,
+        given=None,
+        off_rate=10.0,
+        rules=None,
+        **gains,
     ) -> None:
         made = load_rig(RIGS / f"{rig}.toml").with_values(values or {})
         self.model = Model.of(made, payload=payload)
@@ -54,18 +78,30 @@ class Trial:
         self.index = names.cylinders.index(cylinder)
         row = plant.cylinders[self.index]
         self.circuit = fn.circuit(
-            self.index, *row[[AREA_HEAD, AREA_ROD]], plant.edges, plant.wiring, plant.maps, plant.valves[:, [LOWEST, HIGHEST]]
+            self.index,
+            *row[[AREA_HEAD, AREA_ROD]],
+            plant.edges,
+            plant.wiring,
+            plant.maps,
+            plant.valves[:, [LOWEST, HIGHEST]],
         )
         low = plant.supply[0] / 20
         rules = fn.pack_rules(row[AREA_ROD], plant.supply[0], low_pressure=low, **(rules or {}))
         off_gain = off_rate * row[VOLUME_ROD] / row[BULK]
-        packed = pf.pack_pressure_feedback(tick=TICK, rules=rules, off_gain=off_gain, low_pressure=low, **gains)
+        packed = pf.pack_pressure_feedback(
+            tick=TICK, rules=rules, off_gain=off_gain, low_pressure=low, **gains
+        )
         channels = pf.PER_CYLINDER * len(names.cylinders) + 2
         given = pf.entitled(self.circuit, channels) if given is None else np.full(channels, given)
         count = wish.shape[0]
-        self.samples, self.notes = np.empty((count, channels)), np.zeros((count, pf.NOTES + 2 * self.circuit.count))
+        self.samples, self.notes = (
+            np.empty((count, channels)),
+            np.zeros((count, pf.NOTES + 2 * self.circuit.count)),
+        )
         self.commands = np.empty((count, len(names.valves)))
-        start = self.model.trim(self.model.posture({cylinder: at} if at else None), plant.supply[1] + low)
+        start = self.model.trim(
+            self.model.posture({cylinder: at} if at else None), plant.supply[1] + low
+        )
         closed_loop(
             start,
             wish,
@@ -78,7 +114,9 @@ class Trial:
             self.notes,
             self.commands,
         )
-        x, v, p_head, p_rod = (self.samples[:, pf.PER_CYLINDER * self.index + c] for c in (2, 3, 4, 5))
+        x, v, p_head, p_rod = (
+            self.samples[:, pf.PER_CYLINDER * self.index + c] for c in (2, 3, 4, 5)
+        )
         self.x, self.v, self.p_head, self.p_rod = x, v, p_head, p_rod
 
     def note(self, name: str) -> np.ndarray:
@@ -86,7 +124,9 @@ class Trial:
 
 
 def swing(v: np.ndarray) -> tuple[float, float]:
-    """(peak over the mean of the last third as a share of it, rms about a straight line over the second half, likewise)."""
+    """(peak over the mean of the last third as a share of it, rms about a straight line over the
+    second half, likewise).
+    """
     steady = v[-v.size // 3 :].mean()
     half = v[v.size // 2 :]
     line = np.polynomial.Polynomial.fit(np.arange(half.size), half, 1)(np.arange(half.size))
@@ -99,8 +139,16 @@ STEPS = {
     "arm lifts 50 lb": (("thesis_arm", "boom", 0.08), {"at": "0.05 m", "payload": "50 lb"}, 8e-11),
     "arm lowers": (("thesis_arm", "boom", -0.05), {"at": "0.2 m"}, 6e-11),
     "arm lowers 50 lb": (("thesis_arm", "boom", -0.05), {"at": "0.2 m", "payload": "50 lb"}, 6e-11),
-    "four valves lift": (("boom_four_valve", "boom", 0.05), {"at": "0.1 m", "payload": "bucket", "values": LIGHT}, 4e-11),
-    "four valves lower": (("boom_four_valve", "boom", -0.05), {"at": "0.35 m", "payload": "bucket", "values": LIGHT}, 4e-11),
+    "four valves lift": (
+        ("boom_four_valve", "boom", 0.05),
+        {"at": "0.1 m", "payload": "bucket", "values": LIGHT},
+        4e-11,
+    ),
+    "four valves lower": (
+        ("boom_four_valve", "boom", -0.05),
+        {"at": "0.35 m", "payload": "bucket", "values": LIGHT},
+        4e-11,
+    ),
 }
 
 
@@ -115,13 +163,16 @@ def step(name, gain, washout=WASHOUT, **more):
 
 @pytest.mark.parametrize("name", STEPS)
 def test_a_step_is_damped(name):
-    """Against the same step in open loop: less overshoot, and the swing is gone within half the time."""
+    """Against the same step in open loop: less overshoot, and the swing is gone within half the
+    time.
+    """
     gain = STEPS[name][2]
     (open_loop, _), (fed, v_d) = step(name, 0.0), step(name, gain)
     (over, ring), (over_fed, ring_fed) = swing(open_loop.v[300:]), swing(fed.v[300:])
     assert over > 0.4 and over_fed < 0.8 * over
     assert ring > 0.01 and ring_fed < 0.1 * ring
-    # what is left of the steady error is the load that changes along the stroke: a washout passes Ṗ/ω_w of a ramp
+    # what is left of the steady error is the load that changes along the stroke: a washout passes
+    # Ṗ/ω_w of a ramp
     slope = np.polyfit(np.arange(400) * TICK, fed.p_head[-400:], 1)[0]
     assert fed.note("feedback_flow")[-400:].mean() == pytest.approx(
         gain * slope / WASHOUT, rel=0.1, abs=1e-3 * abs(v_d) * fed.circuit.area_head
@@ -129,22 +180,31 @@ def test_a_step_is_damped(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "share"), [("arm lifts", 0.015), ("arm lowers", 0.015), ("four valves lift", 0.002), ("four valves lower", 0.002)]
+    ("name", "share"),
+    [
+        ("arm lifts", 0.015),
+        ("arm lowers", 0.015),
+        ("four valves lift", 0.002),
+        ("four valves lower", 0.002),
+    ],
 )
 def test_with_washout_the_steady_speed_is_that_of_the_open_loop(name, share):
     """Without gravity the load is nearly steady, so a washout leaves the speed alone.
 
-    After 1 s its memory of the start is e^−9. On the arm the lever, and with it the force of the strong joint damping,
-    still changes along the stroke: 1.5 % instead of 0.2 %.
-    """
+    After 1 s its memory of the start is e^−9. On the arm the lever, and with it the force of the
+    strong joint damping, still changes along the stroke: 1.5 % instead of 0.2 %."""
     calm = {**STEPS[name][1].get("values", {}), "gravity": 0.0}
     open_loop, fed = (step(name, k, values=calm)[0].v[-200:].mean() for k in (0.0, STEPS[name][2]))
     assert fed == pytest.approx(open_loop, rel=share)
 
 
-@pytest.mark.parametrize("name", ["arm lifts", "arm lowers", "four valves lift", "four valves lower"])
+@pytest.mark.parametrize(
+    "name", ["arm lifts", "arm lowers", "four valves lift", "four valves lower"]
+)
 def test_without_washout_the_load_biases_the_steady_speed(name):
-    """The metered chamber takes A v + V Ṗ/β_e = A v_d − K_p P at steady speed: both rigs lift and lower on the head end."""
+    """The metered chamber takes A v + V Ṗ/β_e = A v_d − K_p P at steady speed: both rigs lift and
+    lower on the head end.
+    """
     trial, v_d = step(name, 2e-11, washout=0.0)
     row = trial.model.plant.cylinders[trial.index]
     slope = np.polyfit(np.arange(300) * TICK, trial.p_head[-300:], 1)[0]
@@ -156,11 +216,15 @@ def test_without_washout_the_load_biases_the_steady_speed(name):
 
 @pytest.mark.parametrize("name", ["arm lifts 50 lb", "four valves lower"])
 def test_position_and_velocity_do_not_reach_it(name):
-    """All channels but the four pressures as NaN or as they are: the same commands and notes, bit for bit."""
+    """All channels but the four pressures as NaN or as they are: the same commands and notes, bit
+    for bit.
+    """
     masked, full = (step(name, STEPS[name][2], given=given)[0] for given in (None, True))
     assert np.isfinite(masked.samples).all() and np.isfinite(masked.commands).all()
     assert (
-        (masked.commands == full.commands).all() and (masked.notes == full.notes).all() and (masked.samples == full.samples).all()
+        (masked.commands == full.commands).all()
+        and (masked.notes == full.notes).all()
+        and (masked.samples == full.samples).all()
     )
     assert np.ptp(masked.commands, axis=0).max() > 1.0
 
@@ -173,33 +237,59 @@ class Alone:
 
     def __init__(self, **gains) -> None:
         c = self.circuit = FIVE.circuit
-        defaults = {"rules": fn.pack_rules(c.area_rod, 7e6), "off_gain": 1e-11, "low_pressure": 3.5e5}
+        defaults = {
+            "rules": fn.pack_rules(c.area_rod, 7e6),
+            "off_gain": 1e-11,
+            "low_pressure": 3.5e5,
+        }
         self.gains = pf.pack_pressure_feedback(**({"tick": TICK} | defaults | gains))
-        self.memory, self.note, self.command = np.zeros(pf.MEMORY), np.zeros(pf.NOTES + 2 * c.count), np.zeros(7)
+        self.memory, self.note, self.command = (
+            np.zeros(pf.MEMORY),
+            np.zeros(pf.NOTES + 2 * c.count),
+            np.zeros(7),
+        )
 
     def tick(self, v_d, p_head, p_rod, p_supply=7e6, p_tank=0.0):
         sample = np.full(20, np.nan)
         at = pf.PER_CYLINDER * self.circuit.cylinder
         sample[[at + 4, at + 5, 18, 19]] = p_head, p_rod, p_supply, p_tank
-        pf.step(0.0, sample, np.array([np.nan, v_d, 0.0, 0.0]), self.circuit, self.gains, self.memory, self.command, self.note)
+        pf.step(
+            0.0,
+            sample,
+            np.array([np.nan, v_d, 0.0, 0.0]),
+            self.circuit,
+            self.gains,
+            self.memory,
+            self.command,
+            self.note,
+        )
         return {name: self.note[i] for name, i in COLUMN.items()}
 
 
 # pressures at which each function is chosen
 CHOSEN = {
-    1: (0.05, 2e6, 5e5), 2: (0.05, 5e5, 1.2e6), 3: (0.05, 5e5, 2.5e6), 4: (-0.05, 5e5, 2e6), 5: (-0.05, 1e6, 9e5),
-    6: (-0.05, 2e6, 5e5), 7: (0.05, 2e6, 2.3e6),
-}  # fmt: skip
+    1: (0.05, 2e6, 5e5),
+    2: (0.05, 5e5, 1.2e6),
+    3: (0.05, 5e5, 2.5e6),
+    4: (-0.05, 5e5, 2e6),
+    5: (-0.05, 1e6, 9e5),
+    6: (-0.05, 2e6, 5e5),
+    7: (0.05, 2e6, 2.3e6),
+}
 
 
 @pytest.mark.parametrize("function", CHOSEN)
 def test_pressure_above_its_mean_takes_inflow_from_the_metered_chamber(function):
-    """In every function: K_p Δp less into the chamber that meters, which is a leak to its mean pressure, so it takes energy."""
+    """In every function: K_p Δp less into the chamber that meters, which is a leak to its mean
+    pressure, so it takes energy.
+    """
     v_d, p_head, p_rod = CHOSEN[function]
     rules = fn.pack_rules(FIVE.circuit.area_rod, 7e6, allow_seventh=function == 7, drop_start=1e6)
     inflow = []
     for more in (0.0, 3e4):
-        alone = Alone(feedback_gain={fn.FUNCTIONS[function]: 2e-10}, washout=5.0, off_gain=0.0, rules=rules)
+        alone = Alone(
+            feedback_gain={fn.FUNCTIONS[function]: 2e-10}, washout=5.0, off_gain=0.0, rules=rules
+        )
         alone.tick(v_d, p_head, p_rod)
         head = fn.METERED[function] == fn.HEAD
         note = alone.tick(v_d, p_head + more * head, p_rod + more * (not head))
@@ -217,7 +307,9 @@ def test_pressure_above_its_mean_takes_inflow_from_the_metered_chamber(function)
 
 @pytest.mark.parametrize("function", CHOSEN)
 def test_the_off_side_is_driven_to_its_set_point(function):
-    """Its flow is A v_d, and off_gain·(set − p) more into it: the set-point is low, in the seventh Δp3 above the head end."""
+    """Its flow is A v_d, and off_gain·(set − p) more into it: the set-point is low, in the seventh
+    Δp3 above the head end.
+    """
     v_d, p_head, p_rod = CHOSEN[function]
     rules = fn.pack_rules(FIVE.circuit.area_rod, 7e6, allow_seventh=function == 7, drop_start=1e6)
     alone = Alone(off_gain=2e-11, rules=rules)
@@ -225,32 +317,48 @@ def test_the_off_side_is_driven_to_its_set_point(function):
     assert note["function"] == function
     low = p_head + rules[fn.CROSS_DROP] if function == 7 else 1e5 + 3.5e5
     if fn.METERED[function] == fn.HEAD:
-        assert note["flow_rod_desired"] == pytest.approx(alone.circuit.area_rod * v_d - 2e-11 * (low - p_rod), rel=1e-12)
+        assert note["flow_rod_desired"] == pytest.approx(
+            alone.circuit.area_rod * v_d - 2e-11 * (low - p_rod), rel=1e-12
+        )
     else:
-        assert note["flow_head_desired"] == pytest.approx(alone.circuit.area_head * v_d + 2e-11 * (low - p_head), rel=1e-12)
+        assert note["flow_head_desired"] == pytest.approx(
+            alone.circuit.area_head * v_d + 2e-11 * (low - p_head), rel=1e-12
+        )
 
 
 def test_washouts_forget_a_step_and_two_forget_a_ramp():
-    """Against ``s/(s + ω)`` and its square: e^(−ω t) and (1 − ω t) e^(−ω t) of a step, Ṗ/ω and nothing of a ramp."""
+    """Against ``s/(s + ω)`` and its square: e^(−ω t) and (1 − ω t) e^(−ω t) of a step, Ṗ/ω and
+    nothing of a ramp.
+    """
     omega, t = 7.0, TICK * np.arange(400)
-    for corners, step_back, ramp_back in (((omega, 0.0), np.exp(-omega * t), 1 / omega), ((omega, omega), (1 - omega * t) * np.exp(-omega * t), 0.0)):
+    for corners, step_back, ramp_back in (
+        ((omega, 0.0), np.exp(-omega * t), 1 / omega),
+        ((omega, omega), (1 - omega * t) * np.exp(-omega * t), 0.0),
+    ):
         alone = Alone(feedback_gain=1e-10, washout=corners[0], ramp_washout=corners[1])
         alone.tick(0.05, 2e6, 5e5)
         back = [alone.tick(0.05, 2.1e6, 5e5)["feedback_flow"] for _ in t]
         # a step between two samples is half a tick old, on average, when it is first seen
         np.testing.assert_allclose(np.array(back) / 1e-5, step_back, atol=2 * omega * TICK)
         ramp = [alone.tick(0.05, 2.1e6 + 1e5 * TICK * i, 5e5)["feedback_flow"] for i in range(3000)]
-        assert ramp[-1] == pytest.approx(1e-5 * ramp_back, abs=1e-5 * (1e-5 + 25 * math.exp(-3 * omega)))
+        assert ramp[-1] == pytest.approx(
+            1e-5 * ramp_back, abs=1e-5 * (1e-5 + 25 * math.exp(-3 * omega))
+        )
 
 
 @pytest.mark.parametrize("corner", [0.5, 20.0, 300.0])
 def test_a_washout_turns_the_phase_as_its_transfer_function_does(corner):
-    """Gain and phase at 10 Hz against jω/(jω + ω_w): bilinear, so right to (ω_w T)²/12 and (ω T)²/12."""
+    """Gain and phase at 10 Hz against jω/(jω + ω_w): bilinear, so right to (ω_w T)²/12 and (ω
+    T)²/12.
+    """
     omega, t = 2 * math.pi * 10.0, TICK * np.arange(4000)
     wave = np.exp(1j * omega * t)
     alone = Alone(feedback_gain=1e-10, washout=corner)
     alone.tick(0.05, 2e6, 5e5)
-    back = np.array([alone.tick(0.05, 2e6 + 1e5 * w.real, 5e5)["feedback_flow"] for w in wave])[1000:] / 1e-5
+    back = (
+        np.array([alone.tick(0.05, 2e6 + 1e5 * w.real, 5e5)["feedback_flow"] for w in wave])[1000:]
+        / 1e-5
+    )
     seen = 2 * np.mean(back * wave[1000:].conj())
     exact = 1j * omega / (1j * omega + corner)
     assert abs(seen / exact - 1) < ((omega * TICK) ** 2 + (corner * TICK) ** 2) / 12 + 1e-3
@@ -268,7 +376,9 @@ def test_a_change_of_function_brings_no_bump():
 
 
 def test_each_channel_it_is_given_is_used():
-    """A pressure withheld turns up as NaN in the commands: the mask of the other tests would show in them."""
+    """A pressure withheld turns up as NaN in the commands: the mask of the other tests would show
+    in them.
+    """
     for gap in range(4):
         pressures = [2e6, 5e5, 7e6, 0.0]
         pressures[gap] = math.nan
@@ -282,7 +392,9 @@ def test_hold_shuts_and_others_are_left_alone():
     alone.command[:] = 3.0
     note = alone.tick(0.0, 2e6, 5e5)
     assert note["function"] == fn.HOLD and note["flow_head_desired"] == note["feedback_flow"] == 0.0
-    valves = sorted(set(alone.circuit.wiring[alone.circuit.first :][: alone.circuit.count, 2].tolist()))
+    valves = sorted(
+        set(alone.circuit.wiring[alone.circuit.first :][: alone.circuit.count, 2].tolist())
+    )
     assert not alone.command[valves].any() and (np.delete(alone.command, valves) == 3.0).all()
 
 
@@ -291,12 +403,16 @@ def test_a_shaped_step_starts_smoothly():
     plain, shaped = (step("arm lifts", 0.0, shaping=s)[0] for s in (None, shaping))
     assert swing(shaped.v[300:])[0] < 0.7 * swing(plain.v[300:])[0]
     v = shaped.note("v_shaped")
-    assert np.abs(np.diff(v)).max() <= 0.5 * TICK * (1 + 1e-12) and v[-1] == pytest.approx(0.08, abs=1e-12)
+    assert np.abs(np.diff(v)).max() <= 0.5 * TICK * (1 + 1e-12) and v[-1] == pytest.approx(
+        0.08, abs=1e-12
+    )
     assert shaped.note("v_desired")[301] == 0.08
 
 
 def test_beyond_what_the_supply_gives_it_saturates_says_so_and_comes_back():
-    """A speed twice the largest, then a slow one: flagged while it lasts, and no memory of it afterwards."""
+    """A speed twice the largest, then a slow one: flagged while it lasts, and no memory of it
+    afterwards.
+    """
     speeds = tr.velocity_steps([0.4, 0.03], duration=[0.3, 0.9], tick=TICK)
     trial = Trial("thesis_arm", "boom", speeds, at="0.03 m", feedback_gain=8e-11, washout=WASHOUT)
     limits = trial.note("limits").astype(int)

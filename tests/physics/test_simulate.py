@@ -1,4 +1,6 @@
-"""Time: accuracy against SciPy, replay of a recording, alignment of commands and samples, start, errors, determinism."""
+"""Time: accuracy against SciPy, replay of a recording, alignment of commands and samples, start,
+errors, determinism.
+"""
 
 from __future__ import annotations
 
@@ -32,11 +34,16 @@ def arm() -> Rig:
 def step_of(rig: Rig) -> dict[str, np.ndarray]:
     """A step of every valve to half of its range and back, over 1 s at 1 kHz from 0.1 s on."""
     t = np.arange(1001) * 1e-3
-    return {f"{c.name}.{v.name}": np.where((t >= 0.1) & (t < 0.5), 0.5 * float(v.command_max), v.rest) for c, v in rig.valves()}
+    return {
+        f"{c.name}.{v.name}": np.where((t >= 0.1) & (t < 0.5), 0.5 * float(v.command_max), v.rest)
+        for c, v in rig.valves()
+    }
 
 
 def test_a_ten_second_trial_is_within_1e_5_of_scipy(arm):
-    """At 500 µs every logged state of the thesis arm stays within 1e-5 of its range of Radau at rtol 1e-9."""
+    """At 500 µs every logged state of the thesis arm stays within 1e-5 of its range of Radau at
+    rtol 1e-9.
+    """
     model, table = thesis_trial(arm)
     errors = radau_error(model, table)
     assert len(errors) > 15
@@ -44,7 +51,9 @@ def test_a_ten_second_trial_is_within_1e_5_of_scipy(arm):
 
 
 def test_valves_follow_their_second_order_step_response(arm):
-    """Cartridge valve from rest on a held step: 1 − e^(−ζωt)(…) of thesis 2.12 to 1e-9 of the step at 500 µs."""
+    """Cartridge valve from rest on a held step: 1 − e^(−ζωt)(…) of thesis 2.12 to 1e-9 of the step
+    at 500 µs.
+    """
     model = Model.of(arm)
     valve = model.layout.valves.index("boom.hepc")
     table = model.rest_commands(60)
@@ -59,7 +68,9 @@ def test_valves_follow_their_second_order_step_response(arm):
 
 
 def test_valves_that_arrive_stay_without_subnormal_tails(arm):
-    """A shut valve's tail ends at exactly its command: nothing small is left in a log's last second."""
+    """A shut valve's tail ends at exactly its command: nothing small is left in a log's last
+    second.
+    """
     model = Model.of(arm)
     table = model.rest_commands(3000)
     table[:100] = [4.0 if name.startswith("boom") else 0.0 for name in model.layout.valves]
@@ -67,16 +78,17 @@ def test_valves_that_arrive_stay_without_subnormal_tails(arm):
     first = model.layout.state("opening", 0)
     tail = log[-1000:, first : first + 2 * len(model.layout.valves)]
     assert (tail == 0.0).all()
-    assert log[120, model.layout.state("opening", model.layout.valves.index("boom.hect"))] > SETTLED, "it takes its time"
+    assert (
+        log[120, model.layout.state("opening", model.layout.valves.index("boom.hect"))] > SETTLED
+    ), "it takes its time"
 
 
 @pytest.mark.parametrize("payload", [True, False])
 def test_replay_of_a_simulation_is_that_simulation(rig, payload):
     """A recording from rest, replayed by the model that made it, comes back.
 
-    The start is put together from means of the recording, equal to trim but for rounding; that may grow as the machine moves:
-    1e-7 of each range.
-    """
+    The start is put together from means of the recording, equal to trim but for rounding; that may
+    grow as the machine moves: 1e-7 of each range."""
     load = next(iter(rig.payload)) if payload else None
     made = simulate(rig, step_of(rig), 1.0, payload=load)
     again = Model.of(rig, payload=load).replay(made)
@@ -84,12 +96,16 @@ def test_replay_of_a_simulation_is_that_simulation(rig, payload):
     for name, values in made.channels.items():
         span = np.ptp(values)
         moved += span > 1e-3
-        assert np.abs(again[name] - values).max() <= 1e-7 * max(span, 1e-9 * np.abs(values).max(), 1e-12), name
+        assert np.abs(again[name] - values).max() <= 1e-7 * max(
+            span, 1e-9 * np.abs(values).max(), 1e-12
+        ), name
     assert moved > 5
 
 
 def test_replay_needs_no_more_than_a_machine_measures(rig):
-    """From joint angle or stroke, pressures and commands alone the replay starts where the machine stood."""
+    """From joint angle or stroke, pressures and commands alone the replay starts where the machine
+    stood.
+    """
     made = simulate(rig, step_of(rig), 1.0)
     for position in ("q", "x"):
         measured = (position, "p_head", "p_rod", "command", "p_supply", "p_tank")
@@ -101,7 +117,8 @@ def test_replay_needs_no_more_than_a_machine_measures(rig):
 
 
 def test_a_command_acts_from_its_sample_on(arm):
-    """The sample at t is the state at t: a command at sample 100 shows in the opening at 101, and in nothing before.
+    """The sample at t is the state at t: a command at sample 100 shows in the opening at 101, and
+    in nothing before.
 
     A recording shifted by one sample must not replay as well as an aligned one.
     """
@@ -109,9 +126,14 @@ def test_a_command_acts_from_its_sample_on(arm):
     opening = made["boom.hepc.opening"]
     assert opening[100] == 0.0 and opening[101] > 0.0
     assert made["boom.q"][100] == made["boom.q"][0]
-    late = Record(made.t, {n: np.roll(v, 1) if n.endswith(".command") else v for n, v in made.channels.items()})
+    late = Record(
+        made.t,
+        {n: np.roll(v, 1) if n.endswith(".command") else v for n, v in made.channels.items()},
+    )
     model = Model.of(arm)
-    aligned, shifted = (np.abs(model.replay(one)["boom.p_head"] - made["boom.p_head"]).max() for one in (made, late))
+    aligned, shifted = (
+        np.abs(model.replay(one)["boom.p_head"] - made["boom.p_head"]).max() for one in (made, late)
+    )
     assert aligned < 1.0
     assert shifted > 1e4
 
@@ -122,19 +144,27 @@ def test_replay_takes_the_recorded_supply(arm):
     made = simulate(low, {"swing.servo": step_of(arm)["swing.servo"]}, 1.0)
     again = Model.of(arm).replay(made)
     assert np.abs(again["swing.v"] - made["swing.v"]).max() < 1e-6 * np.ptp(made["swing.v"])
-    without = Record(made.t, {n: v for n, v in made.channels.items() if n not in ("p_supply", "p_tank")})
-    assert np.abs(Model.of(arm).replay(without)["swing.v"] - made["swing.v"]).max() > 0.1 * np.ptp(made["swing.v"])
+    without = Record(
+        made.t, {n: v for n, v in made.channels.items() if n not in ("p_supply", "p_tank")}
+    )
+    assert np.abs(Model.of(arm).replay(without)["swing.v"] - made["swing.v"]).max() > 0.1 * np.ptp(
+        made["swing.v"]
+    )
 
 
 def test_the_start_carries_the_load_from_noisy_pressures(rig):
-    """Pressures that friction and offsets have put out of balance are moved until nothing accelerates, by no more than the gap.
+    """Pressures that friction and offsets have put out of balance are moved until nothing
+    accelerates, by no more than the gap.
 
-    On the thesis arm a gap of 500 N is 220 kPa on the head end alone, less when both chambers share it.
-    """
+    On the thesis arm a gap of 500 N is 220 kPa on the head end alone, less when both chambers share
+    it."""
     model = Model.of(rig)
     rest = simulate(rig, {}, 0.2)
     rng = np.random.default_rng(3)
-    noise = {n: rng.normal(2e5, 2e4, v.shape) if n.endswith(("p_head", "p_rod")) else 0.0 for n, v in rest.channels.items()}
+    noise = {
+        n: rng.normal(2e5, 2e4, v.shape) if n.endswith(("p_head", "p_rod")) else 0.0
+        for n, v in rest.channels.items()
+    }
     noisy = Record(rest.t, {n: v + noise[n] for n, v in rest.channels.items()})
     y = model.start_of(noisy, 200)
     log = model.run(y, model.rest_commands(200))
@@ -146,7 +176,9 @@ def test_the_start_carries_the_load_from_noisy_pressures(rig):
 
 
 def test_noise_on_recorded_commands_is_no_motion(arm):
-    """Rest is found although the recorded commands jitter: the start is a mean over all samples before the step."""
+    """Rest is found although the recorded commands jitter: the start is a mean over all samples
+    before the step.
+    """
     made = simulate(arm, step_of(arm), 1.0)
     rng = np.random.default_rng(5)
     model = Model.of(arm)
@@ -171,7 +203,9 @@ def test_uneven_recordings_are_refused(arm):
 
 
 def test_postures_by_angle_stroke_and_name(rig):
-    """A stroke in text, the joint angle it means and the joint's own name are one posture; what is not named is mid-stroke."""
+    """A stroke in text, the joint angle it means and the joint's own name are one posture; what is
+    not named is mid-stroke.
+    """
     model = Model.of(rig)
     cylinder = rig.cylinder[-1]
     stroke = 0.3 * float(cylinder.stroke)
@@ -179,7 +213,9 @@ def test_postures_by_angle_stroke_and_name(rig):
     q = model.posture({cylinder.name: f"{stroke * 1e3} mm"})
     assert model.posture({cylinder.joint: float(q[joint])}) == pytest.approx(q, abs=1e-12)
     if rig.mechanism.kind == "chain":
-        assert model.posture({cylinder.name: f"{math.degrees(q[joint])} deg"}) == pytest.approx(q, abs=1e-9)
+        assert model.posture({cylinder.name: f"{math.degrees(q[joint])} deg"}) == pytest.approx(
+            q, abs=1e-9
+        )
     low, high = model.stroke_range(len(rig.cylinder) - 1)
     assert min(low, high) < q[joint] < max(low, high)
 
@@ -234,7 +270,9 @@ def test_numbers_that_run_away_are_reported_with_their_time(arm):
 
 
 def test_rate_and_step_change_the_log_not_the_motion(arm):
-    """A trial logged at 100 Hz and integrated at 250 µs ends where the 1 kHz, 500 µs one ends, to 1e-5 of its travel."""
+    """A trial logged at 100 Hz and integrated at 250 µs ends where the 1 kHz, 500 µs one ends, to
+    1e-5 of its travel.
+    """
     fine = simulate(arm, {"swing.servo": 2.0}, 1.0)
     coarse = simulate(arm, {"swing.servo": 2.0}, 1.0, rate=100.0, step=2.5e-4)
     assert coarse.t.size == 101 and coarse.sample_time == pytest.approx(0.01)
@@ -242,7 +280,9 @@ def test_rate_and_step_change_the_log_not_the_motion(arm):
 
 
 def test_flows_and_speeds_of_a_record_agree(rig):
-    """Steady extension, slow or fast: the flows into the head end are area·v once the pressures have settled, to 5 %."""
+    """Steady extension, slow or fast: the flows into the head end are area·v once the pressures
+    have settled, to 5 %.
+    """
     on, judged = np.arange(1001) > 100, 0
     for share in (0.25, 0.5):
         commands = {
@@ -252,9 +292,16 @@ def test_flows_and_speeds_of_a_record_agree(rig):
         }
         made = simulate(rig, commands, 1.0)
         for cylinder in rig.cylinder:
-            flows = [f"{cylinder.name}.{v.edge_name(e)}.flow" for v in cylinder.valve for e in v.edge if e.to == "head"]
+            flows = [
+                f"{cylinder.name}.{v.edge_name(e)}.flow"
+                for v in cylinder.valve
+                for e in v.edge
+                if e.to == "head"
+            ]
             speed = made[f"{cylinder.name}.v"][-200:].mean()
             if speed > 0.03 and made[f"{cylinder.name}.x"][-1] < 0.95 * float(cylinder.stroke):
-                assert sum(made[name][-200:].mean() for name in flows) == pytest.approx(cylinder.areas()[0] * speed, rel=0.05)
+                assert sum(made[name][-200:].mean() for name in flows) == pytest.approx(
+                    cylinder.areas()[0] * speed, rel=0.05
+                )
                 judged += 1
     assert judged

@@ -24,7 +24,9 @@ TICK = 1e-3
 
 
 class Running:
-    """A rig at an operating point under tuned pressure feedback: the running machine and the running controller."""
+    """A rig at an operating point under tuned pressure feedback: the running machine and the
+    running controller.
+    """
 
     def __init__(self, rig, tuning, result):
         point = result.point
@@ -33,15 +35,24 @@ class Running:
         self.index = self.layout.cylinders.index(point.cylinder)
         self.circuit = circuit_of(self.model, self.index)
         self.gains = pf.pack_pressure_feedback(
-            rules=pack_rules(self.circuit.area_rod, point.p_supply, low_pressure=tuning.low_pressure), **tuning.controller()
+            rules=pack_rules(
+                self.circuit.area_rod, point.p_supply, low_pressure=tuning.low_pressure
+            ),
+            **tuning.controller(),
         )
         self.start, self.command = state_of(self.model, point)
         self.kept = range(pf.AT_PRESSURE, pf.AT_SHAPED)  # behind washouts at rest is nothing
         last = (point.p_head, point.p_rod)
         self.memory = np.array([*last, *((0.0, 0.0) if tuning.washout > 0 else last), 0.0, 0.0])
         n = len(self.layout.joints)
-        # steps of a state for differences: rad or m, per second, Pa, V, V/s, Pa of the supply and of the controller's memory
-        sizes = [(n, 1e-6), (n, 1e-5), (2 * len(self.layout.cylinders), 300.0), (len(self.layout.valves), 1e-4)]
+        # steps of a state for differences: rad or m, per second, Pa, V, V/s, Pa of the supply and
+        # of the controller's memory
+        sizes = [
+            (n, 1e-6),
+            (n, 1e-5),
+            (2 * len(self.layout.cylinders), 300.0),
+            (len(self.layout.valves), 1e-4),
+        ]
         sizes += [(len(self.layout.valves), 1e-2), (1 + len(self.kept), 300.0)]
         self.sizes = np.concatenate([np.full(count, size) for count, size in sizes])
 
@@ -51,21 +62,47 @@ class Running:
         y, command = self.start + push[:size], self.command.copy()
         memory, note = np.zeros(pf.MEMORY), np.zeros(pf.NOTES + 2 * c.count)
         function = FUNCTIONS.index(self.point.function)
-        memory[[pf.STARTED, pf.FUNCTION, pf.AGE, pf.SLOW_LOAD]] = 1.0, function, 0.0, self.point.load_force
+        memory[[pf.STARTED, pf.FUNCTION, pf.AGE, pf.SLOW_LOAD]] = (
+            1.0,
+            function,
+            0.0,
+            self.point.load_force,
+        )
         memory[self.kept] = self.memory + push[size:]
         k, sample = np.empty((5, size)), np.empty(6 * len(self.layout.cylinders) + 2)
-        work = np.empty(workspace_size(len(self.layout.joints), len(self.layout.cylinders), len(self.layout.edges)))
+        work = np.empty(
+            workspace_size(
+                len(self.layout.joints), len(self.layout.cylinders), len(self.layout.edges)
+            )
+        )
         model_sample(y, self.plant, sample)
         for i in range(ticks):
-            pf.step(i * TICK, sample, (0.0, self.point.v, 0.0, 0.0), c, self.gains, memory, command, note)
+            pf.step(
+                i * TICK,
+                sample,
+                (0.0, self.point.v, 0.0, 0.0),
+                c,
+                self.gains,
+                memory,
+                command,
+                note,
+            )
             assert note[5] == function and not note[-c.count :].any()
             model_tick(y, command, self.plant, TICK, 2, k, work, sample)
         return np.concatenate([y, memory[self.kept]])
 
     def speeds(self, y):
-        """∂(x, v)/∂(q, q̇) of the cylinder in a state of all: what swings is judged as speed, as the promise is."""
-        row, j, n = self.plant.cylinders[self.index], int(self.plant.joints[self.index]), len(self.layout.joints)
-        _, lever, curve = linkage(int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]], y[j])
+        """∂(x, v)/∂(q, q̇) of the cylinder in a state of all: what swings is judged as speed, as
+        the promise is.
+        """
+        row, j, n = (
+            self.plant.cylinders[self.index],
+            int(self.plant.joints[self.index]),
+            len(self.layout.joints),
+        )
+        _, lever, curve = linkage(
+            int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]], y[j]
+        )
         turn = np.eye(y.size)
         turn[j, j] = turn[n + j, n + j] = lever
         turn[n + j, j] = curve * y[n + j]
@@ -75,9 +112,17 @@ class Running:
         """(poles [rad/s], share of each that lies in this cylinder, its valves and its controller)."""
         pushes = np.diag(self.sizes)
         columns = [(self.after(p, ticks) - self.after(-p, ticks)) / 2.0 for p in pushes]
-        first, last = self.speeds(self.after(0.0 * self.sizes, 0)), self.speeds(self.after(0.0 * self.sizes, ticks))
+        first, last = (
+            self.speeds(self.after(0.0 * self.sizes, 0)),
+            self.speeds(self.after(0.0 * self.sizes, ticks)),
+        )
         # columns are answers to whole steps: in units of the steps the matrix is well scaled
-        matrix = last @ np.array(columns).T @ np.linalg.inv(first * self.sizes / self.sizes[:, None]) / self.sizes[:, None]
+        matrix = (
+            last
+            @ np.array(columns).T
+            @ np.linalg.inv(first * self.sizes / self.sizes[:, None])
+            / self.sizes[:, None]
+        )
         grown, right = np.linalg.eig(matrix)
         part = np.abs(np.linalg.pinv(right).T * right)
         layout, j, n = self.layout, int(self.plant.joints[self.index]), len(self.layout.joints)
@@ -87,21 +132,38 @@ class Running:
                 own += [layout.state("opening", i), layout.state("rate", i)]
         own += range(layout.states, self.sizes.size)
         left = np.abs(grown) > 1e-9  # what is forgotten within the ticks has no logarithm
-        return np.log(grown[left].astype(complex)) / (ticks * TICK), (part / part.sum(axis=0))[own][:, left].sum(axis=0)
+        return np.log(grown[left].astype(complex)) / (ticks * TICK), (part / part.sum(axis=0))[own][
+            :, left
+        ].sum(axis=0)
 
 
 @pytest.mark.parametrize(
-    ("name", "cylinder"), [("thesis_arm", "boom"), ("boom_four_valve", "boom"), ("crane_proportional", "lift"), ("slide_servo", "press")]
+    ("name", "cylinder"),
+    [
+        ("thesis_arm", "boom"),
+        ("boom_four_valve", "boom"),
+        ("crane_proportional", "lift"),
+        ("slide_servo", "press"),
+    ],
 )
 def test_the_running_machine_is_damped_as_promised(name, cylinder):
-    """Within 15 %, the damping ratio of the pair that swings, from the answer to small pushes of every state.
+    """Within 15 %, the damping ratio of the pair that swings, from the answer to small pushes of
+    every state.
 
-    Answers are central differences of the non-linear machine over 5 ms, under the compiled controller at its
-    tick, the other joints free on their oil; the promise holds them. Points whose lever changes by more than half in one swing
-    are no steady motion on which to promise anything.
+    Answers are central differences of the non-linear machine over 5 ms, under the compiled
+    controller at its tick, the other joints free on their oil; the promise holds them. Points whose
+    lever changes by more than half in one swing are no steady motion on which to promise anything.
     """
     rig = load_rig(RIGS / f"{name}.toml")
-    recipe = TuneRecipe(stage="tune", rig="x", cylinder=cylinder, postures=3, speed_shares=(0.3, 0.7), draws=0, delay="0.5 ms")
+    recipe = TuneRecipe(
+        stage="tune",
+        rig="x",
+        cylinder=cylinder,
+        postures=3,
+        speed_shares=(0.3, 0.7),
+        draws=0,
+        delay="0.5 ms",
+    )
     tuning = tune_pressure_feedback(SimpleNamespace(rig=rig, flow_maps=None), recipe)
     tried = 0
     for result in tuning.points:
@@ -109,11 +171,15 @@ def test_the_running_machine_is_damped_as_promised(name, cylinder):
         period = 2.0 * math.pi / result.natural_frequency_closed
         if not result.counts or 0.5 * abs(point.bend) * period > 0.5:
             continue
-        promised = min((complex(*p) for p in result.closed_poles), key=lambda p: abs(p - _dominant(result)))
+        promised = min(
+            (complex(*p) for p in result.closed_poles), key=lambda p: abs(p - _dominant(result))
+        )
         poles, share = Running(rig, tuning, result).modes(5)
         poles = poles[(share > 0.5) & (poles.imag > 0.0)]
         seen = poles[np.argmin(np.abs(np.log(poles / promised)))]
-        assert -seen.real / abs(seen) == pytest.approx(result.damping_ratio_closed, rel=0.15), point.name
+        assert -seen.real / abs(seen) == pytest.approx(result.damping_ratio_closed, rel=0.15), (
+            point.name
+        )
         assert abs(seen) == pytest.approx(abs(promised), rel=0.15), point.name
         tried += 1
     assert tried >= 0.75 * sum(result.counts for result in tuning.points)
@@ -121,4 +187,6 @@ def test_the_running_machine_is_damped_as_promised(name, cylinder):
 
 def _dominant(result):
     size = result.natural_frequency_closed
-    return size * complex(-result.damping_ratio_closed, math.sqrt(1.0 - result.damping_ratio_closed**2))
+    return size * complex(
+        -result.damping_ratio_closed, math.sqrt(1.0 - result.damping_ratio_closed**2)
+    )

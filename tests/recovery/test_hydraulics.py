@@ -1,4 +1,6 @@
-"""Known parameters come back from simulated, noisy logs: started far off, with intervals that cover, or with a word why not."""
+"""Known parameters come back from simulated, noisy logs: started far off, with intervals that
+cover, or with a word why not.
+"""
 
 from __future__ import annotations
 
@@ -38,17 +40,23 @@ def pulses(samples, *spans):
 
 @cache
 def clean(name, payload=None, drive=None, samples=801):
-    """A noise-free log of a rig: out and back with a pause, each a fraction of the log long; ``drive`` picks valves and volts."""
+    """A noise-free log of a rig: out and back with a pause, each a fraction of the log long;
+    ``drive`` picks valves and volts.
+    """
     a, b, c, d = (round(share * samples) for share in (0.07, 0.3, 0.55, 0.8))
     commands = {
-        valve: sum((pulses(samples, (a, b, out), (c, d, back)) for out, back in [volts]), np.zeros(samples))
+        valve: sum(
+            (pulses(samples, (a, b, out), (c, d, back)) for out, back in [volts]), np.zeros(samples)
+        )
         for valve, volts in drive
     }
     return simulate(rig(name), commands, (samples - 1) / 1000.0, payload=payload)
 
 
 def noisy(record, seed, pole=0.0, share=1.0):
-    """What sensors would say: the measurable channels with noise, white or of first order with ``pole``."""
+    """What sensors would say: the measurable channels with noise, white or of first order with
+    ``pole``.
+    """
     from scipy.signal import lfilter
 
     rng, channels = np.random.default_rng(seed), {}
@@ -56,16 +64,28 @@ def noisy(record, seed, pole=0.0, share=1.0):
         word = name.rsplit(".", 1)[-1]
         if word in ("flow", "opening", "flow_supply"):
             continue
-        noise = lfilter([math.sqrt(1 - pole**2)], [1, -pole], rng.standard_normal(values.size + 200))[200:]
+        noise = lfilter(
+            [math.sqrt(1 - pole**2)], [1, -pole], rng.standard_normal(values.size + 200)
+        )[200:]
         channels[name] = values + share * NOISE.get(word, 0.0) * noise
     return Record(record.t, channels, record.meta)
 
 
 SERVO = (("press.servo", (3.0, -3.0)),)
 SPOOL = (("lift.spool", (5.0, -4.5)),)
-FOUR = (("boom.sh", (4.0, 0.0)), ("boom.rt", (4.0, 0.0)), ("boom.sr", (0.0, 4.0)), ("boom.ht", (0.0, 4.0)))
+FOUR = (
+    ("boom.sh", (4.0, 0.0)),
+    ("boom.rt", (4.0, 0.0)),
+    ("boom.sr", (0.0, 4.0)),
+    ("boom.ht", (0.0, 4.0)),
+)
 THESIS = {
-    "boom": (("boom.hepc", (5.0, 0.0)), ("boom.rect", (5.0, 0.0)), ("boom.repc", (0.0, 4.5)), ("boom.hect", (0.0, 4.5))),
+    "boom": (
+        ("boom.hepc", (5.0, 0.0)),
+        ("boom.rect", (5.0, 0.0)),
+        ("boom.repc", (0.0, 4.5)),
+        ("boom.hect", (0.0, 4.5)),
+    ),
     "swing": (("swing.servo", (3.0, -3.0)),),
     "stick": (("stick.servo", (3.0, -3.0)),),
 }
@@ -73,7 +93,10 @@ THESIS = {
 
 def slide_logs(seed=0, pole=0.0, count=2):
     loads = [None, "100 kg"]
-    return [(f"log {i}", noisy(clean("slide_servo", loads[i % 2], SERVO), 100 * seed + i, pole)) for i in range(count)]
+    return [
+        (f"log {i}", noisy(clean("slide_servo", loads[i % 2], SERVO), 100 * seed + i, pole))
+        for i in range(count)
+    ]
 
 
 def covers(fit, truth):
@@ -83,7 +106,11 @@ def covers(fit, truth):
 
 CASES = {
     "slide_servo": (SERVO, [None, "100 kg"], {"bulk_modulus": 5.0, "carriage.damping": 0.2}),
-    "crane_proportional": (SPOOL, [None, "200 kg"], {"bulk_modulus": 0.25, "arm.joint_damping": 4.0}),
+    "crane_proportional": (
+        SPOOL,
+        [None, "200 kg"],
+        {"bulk_modulus": 0.25, "arm.joint_damping": 4.0},
+    ),
     "boom_four_valve": (FOUR, [None, "bucket"], {"bulk_modulus": 0.2, "boom.joint_damping": 0.25}),
 }
 
@@ -93,7 +120,9 @@ def test_far_starts_come_back_within_intervals(name):
     drive, loads, factors = CASES[name]
     known = {parameter: float(rig(name).parameters()[parameter]) for parameter in factors}
     start = {
-        parameter: min(known[parameter] * factor, 1.7e9 if parameter == "bulk_modulus" else math.inf)
+        parameter: min(
+            known[parameter] * factor, 1.7e9 if parameter == "bulk_modulus" else math.inf
+        )
         for parameter, factor in factors.items()
     }
     logs = [(f"log {i}", noisy(clean(name, load, drive, 1501), i)) for i, load in enumerate(loads)]
@@ -105,7 +134,11 @@ def test_far_starts_come_back_within_intervals(name):
         assert abs(found.value - truth) < 4.0 * found.std, (found, truth)
         assert found.std < 0.05 * truth
         identified = fit.rig.parameters()[parameter]
-        assert (float(identified), identified.sure, identified.std) == (found.value, "identified", found.std)
+        assert (float(identified), identified.sure, identified.std) == (
+            found.value,
+            "identified",
+            found.std,
+        )
     assert all(percent > 80.0 for log in fit.logs for percent in log.fit_percent.values())
 
 
@@ -115,8 +148,16 @@ def test_six_parameters_of_the_arm_from_six_logs():
         for i, (cylinder, drive) in enumerate(THESIS.items())
         for load in (None, "50 lb")
     ]
-    truth = {"bulk_modulus": 2.71e8, "swing.joint_damping": 500.0, "boom.joint_damping": 400.0, "stick.joint_damping": 300.0}
-    start = {name: value * factor for (name, value), factor in zip(truth.items(), (4.0, 0.25, 3.0, 0.3), strict=True)}
+    truth = {
+        "bulk_modulus": 2.71e8,
+        "swing.joint_damping": 500.0,
+        "boom.joint_damping": 400.0,
+        "stick.joint_damping": 300.0,
+    }
+    start = {
+        name: value * factor
+        for (name, value), factor in zip(truth.items(), (4.0, 0.25, 3.0, 0.3), strict=True)
+    }
     zeros = ["boom.leakage_internal", "stick.friction_coulomb"]
     fit = identify_hydraulics(rig("thesis_arm"), logs, [*truth, *zeros], start=start)
     for name, value in truth.items():
@@ -130,12 +171,16 @@ def test_six_parameters_of_the_arm_from_six_logs():
 
 @pytest.mark.parametrize("pole", [0.0, 0.9])
 def test_intervals_cover(pole):
-    """Of 20 fits to logs with noise of their own, at least 85 % of the 95 % intervals hold the truth, white or coloured."""
+    """Of 20 fits to logs with noise of their own, at least 85 % of the 95 % intervals hold the
+    truth, white or coloured.
+    """
     truth = {"bulk_modulus": 9e8, "carriage.damping": 800.0}
     start = {"bulk_modulus": 5e8, "carriage.damping": 1600.0}
     hits, narrow = 0, []
     for seed in range(20):
-        fit = identify_hydraulics(rig("slide_servo"), slide_logs(seed + 1, pole), SLIDE, start=start, workers=1)
+        fit = identify_hydraulics(
+            rig("slide_servo"), slide_logs(seed + 1, pole), SLIDE, start=start, workers=1
+        )
         hits += sum(covers(fit, item) for item in truth.items())
         narrow.append(fit["bulk_modulus"].std)
     assert hits >= 0.85 * 2 * 20
@@ -144,25 +189,36 @@ def test_intervals_cover(pole):
 
 def test_a_fit_is_the_same_however_many_threads():
     results = [
-        identify_hydraulics(rig("slide_servo"), slide_logs(3), SLIDE, start={"bulk_modulus": 3e8}, workers=n).as_json()
+        identify_hydraulics(
+            rig("slide_servo"), slide_logs(3), SLIDE, start={"bulk_modulus": 3e8}, workers=n
+        ).as_json()
         for n in (1, 3, 3)
     ]
     assert results[0] == results[1] == results[2]
-    assert json.loads(json.dumps(rundir.plain(results[0]), allow_nan=False))["parameters"][0]["name"] == "bulk_modulus"
+    assert (
+        json.loads(json.dumps(rundir.plain(results[0]), allow_nan=False))["parameters"][0]["name"]
+        == "bulk_modulus"
+    )
 
 
 def test_a_sample_is_the_state_at_its_time():
-    """The command at t acts from t on and the sample at t is the state at t: shifting the samples by one is seen."""
+    """The command at t acts from t on and the sample at t is the state at t: shifting the samples
+    by one is seen.
+    """
     right = slide_logs(4)
     shifted = []
     for name, record in right:
-        moved = {c: v if c.endswith("command") else np.concatenate([v[:1], v[:-1]]) for c, v in record.channels.items()}
+        moved = {
+            c: v if c.endswith("command") else np.concatenate([v[:1], v[:-1]])
+            for c, v in record.channels.items()
+        }
         shifted.append((name, replace(record, channels=moved)))
     good, late = (identify_hydraulics(rig("slide_servo"), logs, SLIDE) for logs in (right, shifted))
     assert all(covers(good, item) for item in (("bulk_modulus", 9e8), ("carriage.damping", 800.0)))
     assert not any("behind" in text for text in good.warnings)
     off = max(
-        abs(late[name].value - truth) / good[name].std for name, truth in (("bulk_modulus", 9e8), ("carriage.damping", 800.0))
+        abs(late[name].value - truth) / good[name].std
+        for name, truth in (("bulk_modulus", 9e8), ("carriage.damping", 800.0))
     )
     assert off > 10.0  # biased by far more than the noise explains
     assert all(
@@ -176,7 +232,10 @@ def test_a_sample_is_the_state_at_its_time():
 def test_what_a_closed_valve_hides_is_not_excited():
     logs = [("boom", noisy(clean("boom_four_valve", None, FOUR[:2]), 5))]  # opens sh and rt only
     fit = identify_hydraulics(
-        rig("boom_four_valve"), logs, ["bulk_modulus", "boom.sr.flow_gain"], start={"boom.sr.flow_gain": "2.5 L/min/V/MPa^0.5"}
+        rig("boom_four_valve"),
+        logs,
+        ["bulk_modulus", "boom.sr.flow_gain"],
+        start={"boom.sr.flow_gain": "2.5 L/min/V/MPa^0.5"},
     )
     hidden = fit["boom.sr.flow_gain"]
     assert (hidden.status, hidden.std, hidden.interval) == ("not_excited", None, None)
@@ -190,7 +249,11 @@ def test_what_a_closed_valve_hides_is_not_excited():
 
 def test_a_bound_that_holds_is_told():
     fit = identify_hydraulics(
-        rig("slide_servo"), slide_logs(6), SLIDE, start={"bulk_modulus": 5e8}, upper={"bulk_modulus": "700 MPa"}
+        rig("slide_servo"),
+        slide_logs(6),
+        SLIDE,
+        start={"bulk_modulus": 5e8},
+        upper={"bulk_modulus": "700 MPa"},
     )
     held = fit["bulk_modulus"]
     assert (held.status, held.value) == ("at_bound", 7e8)
@@ -215,20 +278,30 @@ def test_a_pair_that_only_works_together_is_told():
 
 def test_a_rate_that_was_not_recorded_comes_from_the_position():
     logs = [
-        (name, replace(r, channels={c: v for c, v in r.channels.items() if not c.endswith((".qd", ".v"))}))
+        (
+            name,
+            replace(
+                r, channels={c: v for c, v in r.channels.items() if not c.endswith((".qd", ".v"))}
+            ),
+        )
         for name, r in slide_logs(8)
     ]
     fit = identify_hydraulics(rig("slide_servo"), logs, SLIDE, start={"bulk_modulus": 3e8})
     assert "press.qd" in fit.logs[0].fit_percent
     assert abs(fit["bulk_modulus"].value - 9e8) < 4.0 * fit["bulk_modulus"].std
     for text, series in fit.series().items():
-        assert "t [s]" in series and "press.p_head [Pa]" in series and "simulated.press.p_head [Pa]" in series, text
+        assert (
+            "t [s]" in series
+            and "press.p_head [Pa]" in series
+            and "simulated.press.p_head [Pa]" in series
+        ), text
 
 
 def test_a_low_pass_leaves_the_answer():
     fit = identify_hydraulics(rig("slide_servo"), slide_logs(9), SLIDE, cutoff=80.0)
     assert all(
-        abs(fit[name].value - truth) < 4.0 * fit[name].std for name, truth in (("bulk_modulus", 9e8), ("carriage.damping", 800.0))
+        abs(fit[name].value - truth) < 4.0 * fit[name].std
+        for name, truth in (("bulk_modulus", 9e8), ("carriage.damping", 800.0))
     )
 
 
@@ -237,10 +310,16 @@ def test_the_recorded_ringing_is_the_linear_formula():
     record = clean("slide_servo", None, SERVO)
     machine, first = rig("slide_servo"), 260
     window = slice(first, 440)
-    found = ringing(record.t[window], np.column_stack([record[f"press.{c}"][window] for c in ("qd", "p_head", "p_rod")]))
+    found = ringing(
+        record.t[window],
+        np.column_stack([record[f"press.{c}"][window] for c in ("qd", "p_head", "p_rod")]),
+    )
     head, rod = machine.cylinder[0].areas()
     x = float(np.mean(record["press.x"][window]))
-    volumes = float(machine.cylinder[0].volume_head) + head * x, float(machine.cylinder[0].volume_rod) - rod * x
+    volumes = (
+        float(machine.cylinder[0].volume_head) + head * x,
+        float(machine.cylinder[0].volume_rod) - rod * x,
+    )
     formula = math.sqrt(9e8 * (head**2 / volumes[0] + rod**2 / volumes[1]) / 250.0)
     # the supply's and valve's last movement and damping shift it by less than 1 %
     assert found.ok and found.natural_frequency == pytest.approx(formula, rel=0.01)
@@ -249,13 +328,18 @@ def test_the_recorded_ringing_is_the_linear_formula():
 @pytest.mark.parametrize("factor", [0.25, 4.0])
 def test_the_thesis_way_recovers(factor):
     start = {"bulk_modulus": min(9e8 * factor, 1.7e9), "carriage.damping": 800.0 / factor}
-    fit = identify_hydraulics(rig("slide_servo"), slide_logs(10), SLIDE, method="thesis", start=start)
-    # frequency and decay of single rings are known to about 0.2 % and 2 %: twice that in the bulk modulus
+    fit = identify_hydraulics(
+        rig("slide_servo"), slide_logs(10), SLIDE, method="thesis", start=start
+    )
+    # frequency and decay of single rings are known to about 0.2 % and 2 %: twice that in the bulk
+    # modulus
     assert fit["bulk_modulus"].value == pytest.approx(9e8, rel=0.01)
     assert fit["carriage.damping"].value == pytest.approx(800.0, rel=0.15)
     assert len(fit.matches) >= 3
     for match in fit.matches:
-        assert match.simulated.natural_frequency == pytest.approx(match.recorded.natural_frequency, rel=0.02)
+        assert match.simulated.natural_frequency == pytest.approx(
+            match.recorded.natural_frequency, rel=0.02
+        )
 
 
 @pytest.mark.parametrize("method", ["thesis", "output_error"])
@@ -265,27 +349,43 @@ def test_commands_read_back_with_noise_do(method):
         (
             name,
             replace(
-                r, channels={c: v + 0.01 * rng.standard_normal(v.size) * c.endswith("command") for c, v in r.channels.items()}
+                r,
+                channels={
+                    c: v + 0.01 * rng.standard_normal(v.size) * c.endswith("command")
+                    for c, v in r.channels.items()
+                },
             ),
         )
         for name, r in slide_logs(12)
     ]
-    fit = identify_hydraulics(rig("slide_servo"), logs, SLIDE, method=method, start={"bulk_modulus": 4e8})
-    # 10 mV on a command moves the slide a little on its own, which no model answers for: 2 % of the bulk modulus at most
+    fit = identify_hydraulics(
+        rig("slide_servo"), logs, SLIDE, method=method, start={"bulk_modulus": 4e8}
+    )
+    # 10 mV on a command moves the slide a little on its own, which no model answers for: 2 % of the
+    # bulk modulus at most
     assert fit["bulk_modulus"].value == pytest.approx(9e8, rel=0.02)
 
 
 def test_the_thesis_way_refuses_what_it_cannot():
     with pytest.raises(InputError, match="cannot fit press.leakage_internal"):
-        identify_hydraulics(rig("slide_servo"), slide_logs(0), ["press.leakage_internal"], method="thesis")
-    still = [(name, replace(r, channels={c: np.full_like(v, v[0]) for c, v in r.channels.items()})) for name, r in slide_logs(0)]
+        identify_hydraulics(
+            rig("slide_servo"), slide_logs(0), ["press.leakage_internal"], method="thesis"
+        )
+    still = [
+        (name, replace(r, channels={c: np.full_like(v, v[0]) for c, v in r.channels.items()}))
+        for name, r in slide_logs(0)
+    ]
     with pytest.raises(InsufficientData, match="no valve command"):
         identify_hydraulics(rig("slide_servo"), still, SLIDE, method="thesis")
     dull = [
         (
             name,
             replace(
-                r, channels={c: v if c.endswith("command") else np.full_like(v, v[0]) + 1e-3 * r.t for c, v in r.channels.items()}
+                r,
+                channels={
+                    c: v if c.endswith("command") else np.full_like(v, v[0]) + 1e-3 * r.t
+                    for c, v in r.channels.items()
+                },
             ),
         )
         for name, r in slide_logs(0)
@@ -299,7 +399,10 @@ def test_the_thesis_way_refuses_what_it_cannot():
     [
         ({"parameters": ["bulk_modulu"]}, "nearest is 'bulk_modulus'"),
         ({"start": {"carriage.damping": "-3 N*s/m"}}, "damping"),
-        ({"start": {"bulk_modulus": "1 GPa"}, "upper": {"bulk_modulus": "900 MPa"}}, "outside its bounds"),
+        (
+            {"start": {"bulk_modulus": "1 GPa"}, "upper": {"bulk_modulus": "900 MPa"}},
+            "outside its bounds",
+        ),
         ({"start": {"press.leakage_head": 0.0}}, "not among the parameters"),
         ({"parameters": ["press.leakage_head"]}, "starts at zero"),
         ({"method": "guess"}, "unknown method"),
@@ -314,21 +417,35 @@ def test_bad_input_is_named(options, says):
 
 def test_a_sample_that_is_no_number_is_named():
     (name, record), *rest = slide_logs(0)
-    hole = {c: np.where(record.t == record.t[7], math.nan, v) if c == "press.p_rod" else v for c, v in record.channels.items()}
-    with pytest.raises(InputError, match=r"log 0: channel 'press.p_rod' is not a number at t = 0.007 s"):
-        identify_hydraulics(rig("slide_servo"), [(name, replace(record, channels=hole)), *rest], SLIDE)
+    hole = {
+        c: np.where(record.t == record.t[7], math.nan, v) if c == "press.p_rod" else v
+        for c, v in record.channels.items()
+    }
+    with pytest.raises(
+        InputError, match=r"log 0: channel 'press.p_rod' is not a number at t = 0.007 s"
+    ):
+        identify_hydraulics(
+            rig("slide_servo"), [(name, replace(record, channels=hole)), *rest], SLIDE
+        )
 
 
 def test_what_follows_an_empty_chamber_does_not_count():
-    """A stop that empties a chamber: those samples are left out until the next command, and the user is told."""
+    """A stop that empties a chamber: those samples are left out until the next command, and the
+    user is told.
+    """
     logs = slide_logs(13)
     name, record = logs[0]
     void = (record.t > 0.3) & (record.t < 0.33)
-    spoilt = {c: np.where(void, -8e4, v) if c == "press.p_head" else v for c, v in record.channels.items()}
+    spoilt = {
+        c: np.where(void, -8e4, v) if c == "press.p_head" else v for c, v in record.channels.items()
+    }
     later = (record.t >= 0.3) & (record.t < 0.44)
     spoilt["press.p_rod"] = np.where(later, record["press.p_rod"] + 1e6, record["press.p_rod"])
     fit = identify_hydraulics(
-        rig("slide_servo"), [(name, replace(record, channels=spoilt)), *logs[1:]], SLIDE, start={"bulk_modulus": 4e8}
+        rig("slide_servo"),
+        [(name, replace(record, channels=spoilt)), *logs[1:]],
+        SLIDE,
+        start={"bulk_modulus": 4e8},
     )
     assert any("cavitates at 0.25" in text for text in fit.warnings)
     assert fit.logs[0].counted["press.p_rod"] == pytest.approx(
@@ -340,7 +457,11 @@ def test_what_follows_an_empty_chamber_does_not_count():
 def test_valve_dynamics_are_told_apart():
     machine = rig("slide_servo")
     slow = machine.dynamics["spool"].model_copy(
-        update={"natural_frequency": replace(machine.dynamics["spool"].natural_frequency, value=150.0, text=None)}
+        update={
+            "natural_frequency": replace(
+                machine.dynamics["spool"].natural_frequency, value=150.0, text=None
+            )
+        }
     )
     machine = machine.model_copy(update={"dynamics": {**machine.dynamics, "slow": slow}})
     ranking = compare_dynamics(machine, slide_logs(11, count=1), SLIDE, ["slow", "spool"])

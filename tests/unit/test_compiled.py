@@ -22,7 +22,9 @@ def test_a_kernel_cannot_allocate():
 
 
 def test_the_cache_is_that_of_these_sources(tmp_path, monkeypatch):
-    """A changed kernel file gives another folder, a file without kernels does not: callers are compiled again where they must."""
+    """A changed kernel file gives another folder, a file without kernels does not: callers are
+    compiled again where they must.
+    """
     (tmp_path / "law.py").write_text("@kernel\ndef f(x): return x\n")
     (tmp_path / "words.py").write_text("A = 1\n")
     monkeypatch.setattr(compiled, "PACKAGE", tmp_path)

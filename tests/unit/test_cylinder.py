@@ -18,7 +18,9 @@ THESIS = {
 }
 AREA_HEAD, AREA_ROD, BULK, FLOOR = 2.0268e-3, 1.0688e-3, 2.71e8, -0.9e5
 SLIDE = (cylinder.DIRECT, 0.0, 0.0, 1, 0.0, 0.0)
-THESIS_CASES = pytest.mark.parametrize(("geometry", "stroke", "degrees"), THESIS.values(), ids=THESIS)
+THESIS_CASES = pytest.mark.parametrize(
+    ("geometry", "stroke", "degrees"), THESIS.values(), ids=THESIS
+)
 
 
 def rk4(rate, state, step, count):
@@ -83,9 +85,30 @@ def test_slide_is_moved_directly():
     assert cylinder.joint_range(*SLIDE, 0.5) == (0.0, 0.5)
 
 
-def rates(v=0.0, flow_head=0.0, flow_rod=0.0, p_head=1e6, p_rod=2e6, p_tank=1e5, leaks=(0.0, 0.0, 0.0), volumes=(4e-4, 9e-4)):
+def rates(
+    v=0.0,
+    flow_head=0.0,
+    flow_rod=0.0,
+    p_head=1e6,
+    p_rod=2e6,
+    p_tank=1e5,
+    leaks=(0.0, 0.0, 0.0),
+    volumes=(4e-4, 9e-4),
+):
     return cylinder.chamber_rates(
-        v, flow_head, flow_rod, p_head, p_rod, p_tank, BULK, BULK, *volumes, AREA_HEAD, AREA_ROD, *leaks, FLOOR
+        v,
+        flow_head,
+        flow_rod,
+        p_head,
+        p_rod,
+        p_tank,
+        BULK,
+        BULK,
+        *volumes,
+        AREA_HEAD,
+        AREA_ROD,
+        *leaks,
+        FLOOR,
     )
 
 
@@ -104,24 +127,46 @@ def test_chamber_rates_term_by_term():
 def test_head_and_rod_mirror():
     """Swap the ends, the areas and the directions: the two rates swap."""
     c = (2e-12, 3e-12, 5e-12)
-    one = cylinder.chamber_rates(0.2, 1e-4, 3e-4, 1e6, 2e6, 1e5, 2e8, 3e8, 4e-4, 9e-4, AREA_HEAD, AREA_ROD, *c, FLOOR)
+    one = cylinder.chamber_rates(
+        0.2, 1e-4, 3e-4, 1e6, 2e6, 1e5, 2e8, 3e8, 4e-4, 9e-4, AREA_HEAD, AREA_ROD, *c, FLOOR
+    )
     swapped = (c[0], c[2], c[1])
-    two = cylinder.chamber_rates(-0.2, -3e-4, -1e-4, 2e6, 1e6, 1e5, 3e8, 2e8, 9e-4, 4e-4, AREA_ROD, AREA_HEAD, *swapped, FLOOR)
+    two = cylinder.chamber_rates(
+        -0.2,
+        -3e-4,
+        -1e-4,
+        2e6,
+        1e6,
+        1e5,
+        3e8,
+        2e8,
+        9e-4,
+        4e-4,
+        AREA_ROD,
+        AREA_HEAD,
+        *swapped,
+        FLOOR,
+    )
     assert two == pytest.approx(one[::-1], rel=1e-14)
 
 
 def test_chambers_conserve_oil():
-    """With no valve open and no leak to tank, head + rod oil is what the pistons displace, compressed: a closed form.
+    """With no valve open and no leak to tank, head + rod oil is what the pistons displace,
+    compressed: a closed form.
 
     ``∫ dP V/β + ΔV = 0`` of each chamber gives ``P = P0 − β ln(V/V0)``.
     """
     v, x0, dead = 0.005, 0.1, (4e-4, 9e-4)
 
     def volumes(x):
-        return cylinder.chamber_volume(dead[0], AREA_HEAD * x), cylinder.chamber_volume(dead[1], -AREA_ROD * x)
+        return cylinder.chamber_volume(dead[0], AREA_HEAD * x), cylinder.chamber_volume(
+            dead[1], -AREA_ROD * x
+        )
 
     def rate(state):
-        return np.array([v, *rates(v=v, p_head=state[1], p_rod=state[2], volumes=volumes(state[0]))])
+        return np.array(
+            [v, *rates(v=v, p_head=state[1], p_rod=state[2], volumes=volumes(state[0]))]
+        )
 
     x, p_head, p_rod = rk4(rate, [x0, 2e7, 1e6], 1e-3, 1000)[-1]
     before, after = volumes(x0), volumes(x)
@@ -132,7 +177,12 @@ def test_chambers_conserve_oil():
 
 def test_internal_leak_moves_oil_and_keeps_its_sum():
     leaks, volumes = (1e-10, 0.0, 0.0), (4e-4, 9e-4)
-    path = rk4(lambda p: np.array(rates(p_head=p[0], p_rod=p[1], leaks=leaks, volumes=volumes)), [5e6, 1e6], 1e-3, 500)
+    path = rk4(
+        lambda p: np.array(rates(p_head=p[0], p_rod=p[1], leaks=leaks, volumes=volumes)),
+        [5e6, 1e6],
+        1e-3,
+        500,
+    )
     oil = path @ np.array(volumes) / BULK
     assert oil == pytest.approx(np.full(oil.shape, oil[0]), rel=1e-12)
     fade = leaks[0] * BULK * (1 / volumes[0] + 1 / volumes[1])
@@ -147,9 +197,16 @@ def test_volume_guard_keeps_the_rate_finite():
 
 @pytest.mark.parametrize("outflow", [1e-6, 1e-4, 5e-4])
 def test_cavitation_floor_holds(outflow):
-    """A chamber drained for half a second at up to 8 gpm stays at the floor, at the default step of 500 µs."""
+    """A chamber drained for half a second at up to 8 gpm stays at the floor, at the default step of
+    500 µs.
+    """
     volume = 4e-4  # the thesis's smallest chamber
-    path = rk4(lambda p: np.array([cylinder.chamber_rate(-outflow, p[0], volume, BULK, FLOOR)]), [2e5], 5e-4, 1000)[:, 0]
+    path = rk4(
+        lambda p: np.array([cylinder.chamber_rate(-outflow, p[0], volume, BULK, FLOOR)]),
+        [2e5],
+        5e-4,
+        1000,
+    )[:, 0]
     # a step may pass the kink at the top of the band, so allow 1 % of the band below the floor
     assert path.min() >= FLOOR - 0.01 * cylinder.CAVITATION_BAND
     assert (np.diff(path) <= 1e-9 * BULK).all()
@@ -163,15 +220,23 @@ def test_cavitated_chamber_is_reversible():
     assert rate(1e-5, FLOOR, 4e-4, BULK, FLOOR) == pytest.approx(stiff, rel=1e-14)
     assert rate(-1e-5, FLOOR, 4e-4, BULK, FLOOR) == 0.0
     assert rate(-1e-5, FLOOR - 1e4, 4e-4, BULK, FLOOR) > 0.0
-    assert rate(-1e-5, FLOOR + cylinder.CAVITATION_BAND, 4e-4, BULK, FLOOR) == pytest.approx(-stiff, rel=1e-14)
+    assert rate(-1e-5, FLOOR + cylinder.CAVITATION_BAND, 4e-4, BULK, FLOOR) == pytest.approx(
+        -stiff, rel=1e-14
+    )
     assert rate(-1e-5, -1e9, 4e-4, BULK, -math.inf) == pytest.approx(-stiff, rel=1e-14)
 
 
 def test_cavitation_rate_is_continuous():
-    """In pressure over the top of the band and in flow through zero, so that RK4 meets kinks but no jumps."""
+    """In pressure over the top of the band and in flow through zero, so that RK4 meets kinks but no
+    jumps.
+    """
     top = FLOOR + cylinder.CAVITATION_BAND
     for p, flow in ((top, -1e-4), (FLOOR, -1e-4), (FLOOR + 1e4, 0.0)):
-        values = [cylinder.chamber_rate(flow + df, p + dp, 4e-4, BULK, FLOOR) for dp in (-1e-3, 1e-3) for df in (-1e-13, 1e-13)]
+        values = [
+            cylinder.chamber_rate(flow + df, p + dp, 4e-4, BULK, FLOOR)
+            for dp in (-1e-3, 1e-3)
+            for df in (-1e-13, 1e-13)
+        ]
         # 2e-3 Pa of 0.9e5 Pa of the full rate 6.8e7 Pa/s, and 2e-13 m³/s of β/V = 6.8e11
         assert max(values) - min(values) <= 2e-3 / 0.9e5 * 6.8e7 + 2e-13 * 6.8e11
 
@@ -180,7 +245,9 @@ def test_oil_balance_closes_with_the_makeup_flow():
     def rate(state):
         inflow = -3e-5 * math.cos(40.0 * state[2])
         made = cylinder.makeup_flow(inflow, state[0], FLOOR)
-        return np.array([cylinder.chamber_rate(inflow, state[0], 4e-4, BULK, FLOOR), made, 1.0, inflow])
+        return np.array(
+            [cylinder.chamber_rate(inflow, state[0], 4e-4, BULK, FLOOR), made, 1.0, inflow]
+        )
 
     p, made, _, inflow = rk4(rate, [0.0, 0.0, 0.0, 0.0], 1e-4, 2000)[-1]
     assert made > 1e-8
@@ -196,7 +263,9 @@ def test_relief_opens_one_way():
 def test_end_stop_never_pulls_and_is_continuous():
     rng = np.random.default_rng(0)
     stroke, k, d = 0.254, 1e8, 5.0
-    for x, v in zip(rng.uniform(-0.02, stroke + 0.02, 2000), rng.normal(scale=1.0, size=2000), strict=True):
+    for x, v in zip(
+        rng.uniform(-0.02, stroke + 0.02, 2000), rng.normal(scale=1.0, size=2000), strict=True
+    ):
         force = cylinder.end_stop(x, v, stroke, k, d)
         if x < 0:
             assert force >= 0
@@ -205,7 +274,9 @@ def test_end_stop_never_pulls_and_is_continuous():
         else:
             assert force == 0
         # the other end is the mirror image; x and stroke − x differ by a rounding of the stroke
-        assert cylinder.end_stop(stroke - x, -v, stroke, k, d) == pytest.approx(-force, rel=1e-9, abs=k * 1e-15)
+        assert cylinder.end_stop(stroke - x, -v, stroke, k, d) == pytest.approx(
+            -force, rel=1e-9, abs=k * 1e-15
+        )
     assert cylinder.end_stop(-1e-3, 0.0, stroke, k, d) == pytest.approx(1e5, rel=1e-14)
     assert cylinder.end_stop(-1e-12, -3.0, stroke, k, d) == pytest.approx(0.0, abs=k * 1e-12 * 16)
 
@@ -245,7 +316,10 @@ def test_friction_limits():
     speeds = np.linspace(0.0, 0.1, 1001)
     curve = np.array([stribeck(v) for v in speeds])
     peak = curve.argmax() if curve.argmax() < 400 else curve[:400].argmax()
-    # the smoothing takes a few per cent off the peak; beyond it the curve falls before viscosity takes over
+    # the smoothing takes a few per cent off the peak; beyond it the curve falls before viscosity
+    # takes over
     assert 0.9 * 260 < curve[peak] < 260 + 800 * speeds[peak]
     assert curve[speeds > speeds[peak]].min() < curve[peak] - 50
-    assert friction.stribeck(0.05, 800.0, 150.0, 150.0, 0.02, 2e-3) == pytest.approx(plain(0.05), rel=1e-14)
+    assert friction.stribeck(0.05, 800.0, 150.0, 150.0, 0.02, 2e-3) == pytest.approx(
+        plain(0.05), rel=1e-14
+    )

@@ -35,12 +35,18 @@ def top(path: Path) -> str:
 
 
 def imports(path: Path) -> set[str]:
-    """Dotted names inside the package that a file imports, anywhere in it; annotations only are exempt from nothing."""
+    """Dotted names inside the package that a file imports, anywhere in it; annotations only are
+    exempt from nothing.
+    """
     found = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             found |= {a.name for a in node.names if a.name.split(".")[0] == "ehbench"}
-        elif isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "ehbench":
+        elif (
+            isinstance(node, ast.ImportFrom)
+            and node.module
+            and node.module.split(".")[0] == "ehbench"
+        ):
             found |= {f"{node.module}.{a.name}" for a in node.names}
     return {name.removeprefix("ehbench.") for name in found if name != "ehbench"}
 
@@ -52,7 +58,9 @@ def test_imports_only_from_lower_floors(path):
         other = name.split(".")[0]
         if other == own and path.parent != PACKAGE:
             continue
-        assert RANK[other] < RANK[own], f"{own} (floor {RANK[own]}) imports {name} (floor {RANK[other]})"
+        assert RANK[other] < RANK[own], (
+            f"{own} (floor {RANK[own]}) imports {name} (floor {RANK[other]})"
+        )
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: p.relative_to(PACKAGE).as_posix())

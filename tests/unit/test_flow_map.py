@@ -78,7 +78,9 @@ def test_pieces_are_the_splines_of_scipy(degree):
     j = np.searchsorted(breaks, x, side="right") - 1
     powers = (x - breaks[j])[:, None] ** np.arange(degree + 1)
     ours = np.einsum("xkp,xp->xk", bspline_pieces(breaks, degree)[j], powers)
-    theirs = BSpline.design_matrix(x, np.r_[[0.0] * degree, breaks, [2.0] * degree], degree).toarray()
+    theirs = BSpline.design_matrix(
+        x, np.r_[[0.0] * degree, breaks, [2.0] * degree], degree
+    ).toarray()
     np.testing.assert_allclose(ours, theirs, atol=1e-13)
 
 
@@ -86,7 +88,9 @@ def test_kernel_is_the_tensor_product_spline():
     one, rng = a_map(), np.random.default_rng(1)
     drop, opening = rng.uniform(0, one.drop_max, 5000), rng.uniform(one.deadband, 10.0, 5000)
     # both are sums of a dozen products in double precision
-    np.testing.assert_allclose(one.flow(drop, opening), by_scipy(one, drop, opening), rtol=0, atol=1e-13 * one.rated_flow)
+    np.testing.assert_allclose(
+        one.flow(drop, opening), by_scipy(one, drop, opening), rtol=0, atol=1e-13 * one.rated_flow
+    )
 
 
 def test_packed_maps_keep_apart_and_match_the_arrays():
@@ -149,15 +153,21 @@ def test_beyond_the_largest_drop_the_flow_joins_on_and_grows_no_faster_than_an_o
         edge = one.flow(one.drop_max, 7.0)
         assert math.isclose(one.flow(one.drop_max * (1 + 1e-9), 7.0), edge, rel_tol=1e-6)
         ratio = one.flow(4 * one.drop_max, 7.0) / edge
-        assert 1.0 - 1e-12 <= ratio <= 2.0 + 1e-4  # twice the root of the drop, δ and rounding aside
+        assert (
+            1.0 - 1e-12 <= ratio <= 2.0 + 1e-4
+        )  # twice the root of the drop, δ and rounding aside
     assert a_map(increments=falling).flow(4 * one.drop_max, 7.0) == pytest.approx(edge, rel=1e-12)
 
 
 def test_inverse_saturates_shuts_and_says_so():
     one = a_map()
     most = one.flow(1e6, one.command_max)
-    np.testing.assert_array_equal(one.command(1e6, [0.0, -0.1 * most, 1.01 * most]), [0.0, 0.0, one.command_max])
-    np.testing.assert_array_equal(one.reachable(1e6, [0.0, 0.5 * most, 1.01 * most, -0.1 * most]), [True, True, False, False])
+    np.testing.assert_array_equal(
+        one.command(1e6, [0.0, -0.1 * most, 1.01 * most]), [0.0, 0.0, one.command_max]
+    )
+    np.testing.assert_array_equal(
+        one.reachable(1e6, [0.0, 0.5 * most, 1.01 * most, -0.1 * most]), [True, True, False, False]
+    )
     assert one.command(0.0, 1e-4) == one.command_max and not one.reachable(0.0, 1e-4)
     assert one.deadband < one.command(1e6, 1e-9 * most) < one.deadband + 1e-3
 
@@ -179,14 +189,21 @@ def test_shapes_broadcast_and_scalars_stay_scalars():
 
 def test_inside_follows_the_measured_drops_of_the_neighbouring_commands():
     one = a_map()
-    assert one.inside(2e6, 10.0) and not one.inside(4e6, 10.0) and not one.inside(1e6, 10.1) and not one.inside(5e4, 3.0)
+    assert (
+        one.inside(2e6, 10.0)
+        and not one.inside(4e6, 10.0)
+        and not one.inside(1e6, 10.1)
+        and not one.inside(5e4, 3.0)
+    )
     high = 6.5e6 + (3e6 - 6.5e6) * (6.0 - 2.0) / 8.0
     assert one.inside(high - 1.0, 6.0) and not one.inside(high + 1.0, 6.0)
 
 
 def test_flow_std_reads_its_table_and_is_zero_when_shut():
     one = a_map()
-    drop = float(np.sqrt(0.5 * 1e12 + np.sqrt(0.25 * 1e24 + 1e6**2 * one.delta**2)))  # s = 1000 there
+    drop = float(
+        np.sqrt(0.5 * 1e12 + np.sqrt(0.25 * 1e24 + 1e6**2 * one.delta**2))
+    )  # s = 1000 there
     assert one.flow_std(drop, 5.0) == pytest.approx(0.03 * GPM, rel=1e-9)
     assert one.flow_std(drop, 0.5 * (1.6 + 5.0)) == pytest.approx(0.02 * GPM, rel=1e-9)
     assert one.flow_std(drop, 0.0) == 0.0 and one.flow_std(0.0, 5.0) == 0.0
@@ -197,12 +214,22 @@ def test_both_directions_take_signed_drops():
     both = ValveMaps(a_map(0), a_map(1, direction="reverse"))
     drop = np.array([-2e6, 0.0, 2e6])
     flow = both.flow(drop, 5.0)
-    np.testing.assert_array_equal(flow, [-both.reverse.flow(2e6, 5.0), 0.0, both.forward.flow(2e6, 5.0)])
+    np.testing.assert_array_equal(
+        flow, [-both.reverse.flow(2e6, 5.0), 0.0, both.forward.flow(2e6, 5.0)]
+    )
     np.testing.assert_allclose(both.command(drop[[0, 2]], flow[[0, 2]]), 5.0, rtol=1e-12)
-    assert both.inside(-2e6, 5.0) and both.reachable(-2e6, flow[0]) and not both.reachable(-2e6, -flow[0])
+    assert (
+        both.inside(-2e6, 5.0)
+        and both.reachable(-2e6, flow[0])
+        and not both.reachable(-2e6, -flow[0])
+    )
     assert both.command(-2e6, flow[2]) == 0.0
     alone = ValveMaps(a_map(0))
-    assert alone.flow(-2e6, 5.0) == -alone.flow(2e6, 5.0) and alone.inside(2e6, 5.0) and not alone.inside(-2e6, 5.0)
+    assert (
+        alone.flow(-2e6, 5.0) == -alone.flow(2e6, 5.0)
+        and alone.inside(2e6, 5.0)
+        and not alone.inside(-2e6, 5.0)
+    )
 
 
 def test_file_reads_back_exactly_and_writes_the_same_bytes(tmp_path):
@@ -215,7 +242,10 @@ def test_file_reads_back_exactly_and_writes_the_same_bytes(tmp_path):
     for loaded in (load_flow_maps(tmp_path), load_flow_maps(path)):
         assert dump_flow_maps(loaded) == text and list(loaded) == ["boom.repc", "hect"]
         np.testing.assert_array_equal(loaded["hect"].reverse.data, maps["hect"].reverse.data)
-        assert loaded["hect"].forward.outliers == ("line 3: odd",) and loaded["boom.repc"].reverse is None
+        assert (
+            loaded["hect"].forward.outliers == ("line 3: odd",)
+            and loaded["boom.repc"].reverse is None
+        )
 
 
 def test_unknown_valve_names_those_there_are(tmp_path):
@@ -249,7 +279,9 @@ def test_damaged_files_are_refused_by_name(tmp_path):
     good = json.loads(dump_flow_maps(collect([a_map()])))
 
     def refused(content, word):
-        path.write_text(content if isinstance(content, str) else json.dumps(content), encoding="utf-8")
+        path.write_text(
+            content if isinstance(content, str) else json.dumps(content), encoding="utf-8"
+        )
         with pytest.raises(InputError, match=word) as caught:
             load_flow_maps(path)
         assert caught.value.file == str(path)
@@ -304,19 +336,30 @@ def test_a_splines_bands_and_increments_are_those_of_the_full_matrices():
     spline = Spline(1.2, np.array([1.5, 2.0, 3.0, 5.0, 8.0]), Axis(np.linspace(0, 1, 6), 3))
     u, s, smoothing = rng.uniform(1.2, 8, 200), rng.uniform(0, 1, 200), np.array([1e-2, 1e-3])
     design = spline.design(u, s)
-    wanted = rng.standard_normal(200) + 4 * s * (u - 1.2)  # with noise so large that the free fit falls somewhere
+    wanted = rng.standard_normal(200) + 4 * s * (
+        u - 1.2
+    )  # with noise so large that the free fit falls somewhere
     gram, right = design.T @ design, design.T @ wanted
     full = gram + smoothing[0] * spline.bend_u + smoothing[1] * spline.bend_s
     free, determinant = spline.free(spline.banded(gram), right, smoothing)
     np.testing.assert_allclose(free, np.linalg.solve(full, right), rtol=1e-8, atol=1e-8)
-    # a penalty's eigenvalues are those of its pencil with the mass, one of which is zero: the plane u·s
+    # a penalty's eigenvalues are those of its pencil with the mass, one of which is zero: the plane
+    # u·s
     mass = np.kron(spline.along_u.mass, spline.along_s.mass)
     prior = np.linalg.eigvals(np.linalg.solve(mass, full - gram)).real
     least = np.argmin(np.abs(prior))
-    exact = np.linalg.slogdet(full)[1] - np.linalg.slogdet(mass)[1] - np.log(np.delete(prior, least)).sum()
+    exact = (
+        np.linalg.slogdet(full)[1]
+        - np.linalg.slogdet(mass)[1]
+        - np.log(np.delete(prior, least)).sum()
+    )
     assert determinant == pytest.approx(exact, abs=1e-6)
     held, _ = spline.solve(gram, right, smoothing)
-    assert spline.increments(free).min() < 0 <= (spline.increments(held) - spline.increments(spline.floor)).min() + 1e-12
+    assert (
+        spline.increments(free).min()
+        < 0
+        <= (spline.increments(held) - spline.increments(spline.floor)).min() + 1e-12
+    )
     # no step in a direction that the constraint allows makes it better
     slope = spline.over_steps(full @ held - right)
     at_floor = spline.increments(held - spline.floor).ravel() < 1e-9

@@ -10,12 +10,28 @@ import pytest
 
 from ehbench.control import functions as fn
 from ehbench.errors import InputError
-from ehbench.physics.metering import COMPENSATED, DEADBAND, DROP, EDGE_FLOATS, EDGE_INTS, GAIN, LAW, ORIFICE, SIGN
+from ehbench.physics.metering import (
+    COMPENSATED,
+    DEADBAND,
+    DROP,
+    EDGE_FLOATS,
+    EDGE_INTS,
+    GAIN,
+    LAW,
+    ORIFICE,
+    SIGN,
+)
 from ehbench.plant import AREA_HEAD, AREA_ROD, HIGHEST, LOWEST, build
 from ehbench.recipe import load_rig
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
-PLAIN = {"hold", "extend_resistive", "extend_overrunning", "retract_resistive", "retract_overrunning"}
+PLAIN = {
+    "hold",
+    "extend_resistive",
+    "extend_overrunning",
+    "retract_resistive",
+    "retract_overrunning",
+}
 SUPPLY, TANK, HEAD, ROD = range(4)
 A1, A2, PS = 2.0268e-3, 1.0688e-3, 6.9e6
 FIVE = ((HEAD, TANK, 0), (SUPPLY, HEAD, 1), (HEAD, ROD, 2), (SUPPLY, ROD, 3), (ROD, TANK, 4))
@@ -26,11 +42,15 @@ def shipped(rig: str, cylinder: str) -> fn.Circuit:
     plant = build(made)
     index = [c.name for c in made.cylinder].index(cylinder)
     areas = plant.cylinders[index, [AREA_HEAD, AREA_ROD]]
-    return fn.circuit(index, *areas, plant.edges, plant.wiring, plant.maps, plant.valves[:, [LOWEST, HIGHEST]])
+    return fn.circuit(
+        index, *areas, plant.edges, plant.wiring, plant.maps, plant.valves[:, [LOWEST, HIGHEST]]
+    )
 
 
 def circuit(rows, areas=(A1, A2), ranges=(0.0, 10.0), law=COMPENSATED, gain=6.3e-5) -> fn.Circuit:
-    """One cylinder with edges (from, to, valve, sign = 1, blocked = 0); 1 gpm/V or what ``gain`` says."""
+    """One cylinder with edges (from, to, valve, sign = 1, blocked = 0); 1 gpm/V or what ``gain``
+    says.
+    """
     edges, wiring = np.zeros((len(rows), EDGE_FLOATS)), np.full((len(rows), EDGE_INTS), -1)
     for edge, ints, row in zip(edges, wiring, rows, strict=True):
         a, b, valve, sign, blocked = (*row, 1, 0)[:5] if len(row) == 3 else (*row, 0)[:5]
@@ -47,7 +67,9 @@ def choose(c, rules, v_d, p_head, p_rod, now=fn.HOLD, age=1e9, p_supply=PS, p_ta
 
 
 def test_the_table_balances_the_oil():
-    """Into the head end flows Q1, out of the rod end Q2, and at steady speed no path of a function runs backwards."""
+    """Into the head end flows Q1, out of the rod end Q2, and at steady speed no path of a function
+    runs backwards.
+    """
     into_head = np.array([1, -1, 0, 0, -1, 1])
     out_of_rod = np.array([0, 0, -1, 1, -1, 1])
     for function in range(1, 8):
@@ -78,25 +100,37 @@ def test_oil_drawn_from_the_supply():
 def test_what_the_shipped_rigs_can_do(rig, cylinder, expected, one_command):
     c = shipped(rig, cylinder)
     assert set(fn.available(c)) == expected
-    assert [fn.coupled(c, f) for f in range(8)] == [one_command and f in (1, 2, 4, 5) for f in range(8)]
+    assert [fn.coupled(c, f) for f in range(8)] == [
+        one_command and f in (1, 2, 4, 5) for f in range(8)
+    ]
 
 
 def test_what_other_circuits_can_do():
     four_way = ((SUPPLY, HEAD, 0, 1), (ROD, TANK, 0, 1), (SUPPLY, ROD, 0, -1), (HEAD, TANK, 0, -1))
     assert set(fn.available(circuit(four_way, ranges=(-10.0, 10.0)))) == PLAIN
     # a driver that never goes negative closes half of the spool
-    assert set(fn.available(circuit(four_way))) == {"hold", "extend_resistive", "extend_overrunning"}
-    # a cross-port check valve lets oil through one way only, an edge drawn the other way round serves as well
+    assert set(fn.available(circuit(four_way))) == {
+        "hold",
+        "extend_resistive",
+        "extend_overrunning",
+    }
+    # a cross-port check valve lets oil through one way only, an edge drawn the other way round
+    # serves as well
     checked = (*FIVE[:2], (ROD, HEAD, 2, 1, 1), (ROD, SUPPLY, 3), FIVE[4])
-    assert set(fn.available(circuit(checked))) == set(fn.FUNCTIONS) - {"retract_overrunning_regeneration"}
+    assert set(fn.available(circuit(checked))) == set(fn.FUNCTIONS) - {
+        "retract_overrunning_regeneration"
+    }
     # a spool that opens a third edge with the two of a function cannot do that function
     leaky = ((SUPPLY, HEAD, 0), (ROD, TANK, 0), (HEAD, TANK, 0), (SUPPLY, ROD, 1))
     assert fn.available(circuit(leaky)) == ("hold",)
     # lifting on regeneration alone: no way from the rod end to tank
     lift = ((SUPPLY, HEAD, 0), (ROD, HEAD, 1), (HEAD, TANK, 2))
     assert set(fn.available(circuit(lift))) == {
-        "hold", "extend_overrunning_regeneration", "extend_resistive_regeneration", "retract_overrunning_regeneration",
-    }  # fmt: skip
+        "hold",
+        "extend_overrunning_regeneration",
+        "extend_resistive_regeneration",
+        "retract_overrunning_regeneration",
+    }
     # of two valves on one path the larger one serves
     both = circuit((*FIVE, (SUPPLY, HEAD, 5)))
     assert both.paths[fn.SUPPLY_HEAD] == 1
@@ -111,7 +145,9 @@ CIRCUITS = {
     "small cross-port": circuit(FIVE, gain=1.2e-5),
     "four": circuit((*FIVE[:2], *FIVE[3:])),
     "four-way": circuit(
-        ((SUPPLY, HEAD, 0, 1), (ROD, TANK, 0, 1), (SUPPLY, ROD, 0, -1), (HEAD, TANK, 0, -1)), ranges=(-5.0, 5.0), law=ORIFICE
+        ((SUPPLY, HEAD, 0, 1), (ROD, TANK, 0, 1), (SUPPLY, ROD, 0, -1), (HEAD, TANK, 0, -1)),
+        ranges=(-5.0, 5.0),
+        law=ORIFICE,
     ),
     "equal areas": circuit(FIVE, areas=(A1, A1)),
     "lift only": circuit(((SUPPLY, HEAD, 0), (ROD, HEAD, 1), (HEAD, TANK, 2))),
@@ -121,11 +157,15 @@ CIRCUITS = {
 @pytest.mark.parametrize("name", CIRCUITS)
 @pytest.mark.parametrize("seventh", [False, True])
 def test_every_state_has_one_function_and_it_suits(name, seventh):
-    """Over the whole grid of directions, pressures, supplies, last functions and dwell: no gap and no contradiction."""
+    """Over the whole grid of directions, pressures, supplies, last functions and dwell: no gap and
+    no contradiction.
+    """
     c = CIRCUITS[name]
     rules = fn.pack_rules(c.area_rod, PS, allow_seventh=seventh)
     seen = set()
-    grid = itertools.product((-0.2, -0.02, 0.0, 0.02, 0.2), GRID, GRID, (1e6, PS), range(8), (0.0, 1e9))
+    grid = itertools.product(
+        (-0.2, -0.02, 0.0, 0.02, 0.2), GRID, GRID, (1e6, PS), range(8), (0.0, 1e9)
+    )
     for v_d, p_head, p_rod, p_supply, now, age in grid:
         if not c.able[now] or (now == 7 and not seventh):
             continue
@@ -137,8 +177,15 @@ def test_every_state_has_one_function_and_it_suits(name, seventh):
         load = p_head * c.area_head - p_rod * c.area_rod
         if chosen == fn.HOLD:
             assert status == fn.UNABLE
-            lacking = [f for f in range(1, 8) if fn.DIRECTION[f] * v_d > 0 and c.able[f] and (f < 7 or seventh)]
-            assert all(fn.OVERRUNNING[f] != (-v_d * load > 0) or abs(load) <= rules[fn.FORCE_BAND] for f in lacking)
+            lacking = [
+                f
+                for f in range(1, 8)
+                if fn.DIRECTION[f] * v_d > 0 and c.able[f] and (f < 7 or seventh)
+            ]
+            assert all(
+                fn.OVERRUNNING[f] != (-v_d * load > 0) or abs(load) <= rules[fn.FORCE_BAND]
+                for f in lacking
+            )
             continue
         assert fn.DIRECTION[chosen] * v_d > 0
         if age == 0.0 and fn.DIRECTION[now] * v_d > 0:
@@ -164,7 +211,9 @@ def test_every_state_has_one_function_and_it_suits(name, seventh):
         if status == fn.OK and chosen in (3, 6):
             drop = p_rod - p_head if chosen == 3 else p_head - p_rod
             assert fn.capacity(c, fn.CROSS[chosen], drop) >= c.area_rod * abs(v_d)
-    expected = {f for f in range(1, 8) if c.able[f] and (f < 7 or (seventh and c.area_head > c.area_rod))}
+    expected = {
+        f for f in range(1, 8) if c.able[f] and (f < 7 or (seventh and c.area_head > c.area_rod))
+    }
     assert seen == expected
 
 
@@ -188,7 +237,9 @@ def test_regeneration_needs_drop_and_an_edge_that_carries_it():
 def test_the_seventh_where_the_supply_carries_the_load_on_the_area_difference():
     c = circuit(FIVE)
     rules = fn.pack_rules(A2, PS, allow_seventh=True)
-    most = (PS - rules[fn.SUPPLY_MARGIN] - rules[fn.SUPPLY_BAND]) * (A1 - A2) - rules[fn.CROSS_DROP] * A2
+    most = (PS - rules[fn.SUPPLY_MARGIN] - rules[fn.SUPPLY_BAND]) * (A1 - A2) - rules[
+        fn.CROSS_DROP
+    ] * A2
     p_rod = 1e5
     for share, expected in ((0.99, fn.EXTEND_RESISTIVE_REGENERATION), (1.01, fn.EXTEND_RESISTIVE)):
         p_head = (share * most + p_rod * A2) / A1
@@ -200,7 +251,10 @@ def test_the_seventh_where_the_supply_carries_the_load_on_the_area_difference():
 
 
 def test_a_load_beyond_the_supply_is_called_stalled():
-    assert choose(circuit(FIVE), fn.pack_rules(A2, PS), 0.1, 1.02 * PS, 0.0) == (fn.EXTEND_RESISTIVE, fn.STALLED)
+    assert choose(circuit(FIVE), fn.pack_rules(A2, PS), 0.1, 1.02 * PS, 0.0) == (
+        fn.EXTEND_RESISTIVE,
+        fn.STALLED,
+    )
 
 
 def run(c, rules, v_d, p_head, p_rod, tick=1e-3):
@@ -214,7 +268,9 @@ def run(c, rules, v_d, p_head, p_rod, tick=1e-3):
 
 
 def test_no_chatter_on_noisy_pressures():
-    """Noise on a load and a drop that creep through their thresholds: as many switches as without it."""
+    """Noise on a load and a drop that creep through their thresholds: as many switches as without
+    it.
+    """
     rng, n = np.random.default_rng(5), 20_000
     c = circuit(FIVE)
     rod = np.full(n, 5e5)
@@ -225,7 +281,9 @@ def test_no_chatter_on_noisy_pressures():
         quiet = run(c, rules, v_d, head, rod)
         noisy = run(c, rules, v_d, head + noise[0], rod + noise[1])
         assert (np.diff(noisy) != 0).sum() == (np.diff(quiet) != 0).sum() <= 3
-        bare = fn.pack_rules(A2, PS, dwell=0.0, force_band=0.0, drop_stop=rules[fn.DROP_START], reserve=0.0)
+        bare = fn.pack_rules(
+            A2, PS, dwell=0.0, force_band=0.0, drop_stop=rules[fn.DROP_START], reserve=0.0
+        )
         assert (np.diff(run(c, bare, v_d, head + noise[0], rod + noise[1])) != 0).sum() > 20
 
 
@@ -242,24 +300,37 @@ def test_dwell_is_kept_whatever_the_pressures():
 def test_direction_changes_at_once_and_small_speeds_hold():
     c = circuit(FIVE)
     rules = fn.pack_rules(A2, PS, dwell=10.0, speed_start=2e-3, speed_stop=1e-3)
-    v_d = np.array([0.0, 0.0019, 0.0021, 0.0011, 0.0009, 0.0019, -0.0019, -0.05, 0.0015, 0.05, -0.05])
+    v_d = np.array(
+        [0.0, 0.0019, 0.0021, 0.0011, 0.0009, 0.0019, -0.0019, -0.05, 0.0015, 0.05, -0.05]
+    )
     way = fn.DIRECTION[run(c, rules, v_d, 2e6, 5e5)]
     assert way.tolist() == [0, 0, 1, 1, 0, 0, 0, -1, 0, 1, -1]
 
 
 def test_head_and_rod_mirror():
-    """Equal areas, head and rod exchanged, motion reversed: the mirrored function, in every state of the grid."""
+    """Equal areas, head and rod exchanged, motion reversed: the mirrored function, in every state
+    of the grid.
+    """
     mirror = {0: 0, 1: 4, 2: 5, 3: 6, 4: 1, 5: 2, 6: 3}
     c = circuit(FIVE, areas=(A1, A1))
     rules = fn.pack_rules(A1, PS)
     for v_d, p_head, p_rod, now in itertools.product((-0.1, 0.1), GRID, GRID, range(7)):
         if p_head != p_rod:  # the sign of no load is a matter of taste
-            assert choose(c, rules, -v_d, p_rod, p_head, mirror[now])[0] == mirror[choose(c, rules, v_d, p_head, p_rod, now)[0]]
+            assert (
+                choose(c, rules, -v_d, p_rod, p_head, mirror[now])[0]
+                == mirror[choose(c, rules, v_d, p_head, p_rod, now)[0]]
+            )
 
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"dwell": -1.0}, {"reserve": np.nan}, {"speed_start": 1e-5}, {"drop_start": 1e5, "drop_stop": 2e5}, {"cross_drop": np.inf}],
+    [
+        {"dwell": -1.0},
+        {"reserve": np.nan},
+        {"speed_start": 1e-5},
+        {"drop_start": 1e5, "drop_stop": 2e5},
+        {"cross_drop": np.inf},
+    ],
 )
 def test_rules_that_make_no_sense_are_refused(wrong):
     with pytest.raises(InputError, match="rule of function selection"):

@@ -1,4 +1,6 @@
-"""Logs as others see them, and back: MCAP checked with the plain mcap library and by hand, CSV, foreign files."""
+"""Logs as others see them, and back: MCAP checked with the plain mcap library and by hand, CSV,
+foreign files.
+"""
 
 from __future__ import annotations
 
@@ -29,9 +31,21 @@ def recording(samples: int = 3000, seed: int = 1) -> Record:
     """Uneven times and values of full precision, so that any rounding shows."""
     rng = np.random.default_rng(seed)
     t = np.cumsum(rng.uniform(0.5e-3, 1.5e-3, samples))
-    scale = {"boom.q": 1, "stick.x": 0.3, "boom.p_head": 7e6, "boom.hect.command": 10, "p_supply": 7e6, "stick.p_rod": 5e6}
+    scale = {
+        "boom.q": 1,
+        "stick.x": 0.3,
+        "boom.p_head": 7e6,
+        "boom.hect.command": 10,
+        "p_supply": 7e6,
+        "stick.p_rod": 5e6,
+    }
     channels = {name: top * rng.uniform(0, 1, samples) for name, top in scale.items()}
-    return Record(t, channels, {"rig": "a rig", "note": "ünïcode"}, {"rig.toml": b"[rig]\n", "lock.txt": bytes(range(256))})
+    return Record(
+        t,
+        channels,
+        {"rig": "a rig", "note": "ünïcode"},
+        {"rig.toml": b"[rig]\n", "lock.txt": bytes(range(256))},
+    )
 
 
 def same(a: Record, b: Record) -> bool:
@@ -79,19 +93,29 @@ def test_the_plain_library_reads_every_message(tmp_path):
         assert summary.statistics.message_count == record.t.size
         assert summary.statistics.chunk_count == len(summary.chunk_indexes) > 3
         assert summary.statistics.message_end_time == round(record.t[-1] * 1e9)
-        assert {each.name: each.data for each in reader.iter_attachments()}.items() >= record.attachments.items()
+        assert {
+            each.name: each.data for each in reader.iter_attachments()
+        }.items() >= record.attachments.items()
         assert [each.metadata for each in reader.iter_metadata()] == [record.meta]
         for n, (schema, channel, message) in enumerate(reader.iter_messages()):
             fields = [line.split()[:2] for line in schema.data.decode().splitlines()]
-            assert (schema.encoding, channel.message_encoding, message.sequence) == ("ros2msg", "cdr", n)
+            assert (schema.encoding, channel.message_encoding, message.sequence) == (
+                "ros2msg",
+                "cdr",
+                n,
+            )
             assert message.log_time == message.publish_time == round(record.t[n] * 1e9)
-            assert message.data[:4] == b"\x00\x01\x00\x00" and {kind for kind, _ in fields} == {"float64"}
+            assert message.data[:4] == b"\x00\x01\x00\x00" and {kind for kind, _ in fields} == {
+                "float64"
+            }
             values = struct.unpack(f"<{len(fields)}d", message.data[4:])
             labels = [channel.metadata[name] for _, name in fields]
             assert labels[:4] == ["t [s]", "boom.q [rad]", "stick.x [m]", "boom.p_head [Pa]"]
             assert values == (record.t[n], *(each[n] for each in record.channels.values()))
     assert n == record.t.size - 1
-    with open(tmp_path / "a.mcap", "rb") as file:  # the stream reader also checks the checksum of the whole data section
+    with open(
+        tmp_path / "a.mcap", "rb"
+    ) as file:  # the stream reader also checks the checksum of the whole data section
         assert sum(1 for _ in StreamReader(file, validate_crcs=True).records) > record.t.size
 
 
@@ -102,7 +126,10 @@ def test_seeking_and_message_indexes(tmp_path):
     with open(tmp_path / "a.mcap", "rb") as file:
         reader = make_reader(file, validate_crcs=True)
         start, stop = 1_000_000_000, 1_500_000_000
-        times = [message.log_time for _, _, message in reader.iter_messages(starting_at=start, ending_before=stop)]
+        times = [
+            message.log_time
+            for _, _, message in reader.iter_messages(starting_at=start, ending_before=stop)
+        ]
         stamps = np.rint(record.t * 1e9)
         assert times == list(stamps[(stamps >= start) & (stamps < stop)])
         for index in reader.get_summary().chunk_indexes:
@@ -132,7 +159,9 @@ def test_ros_names_are_legal_and_unique(tmp_path):
 
 def test_live_samples_give_the_same_record(tmp_path):
     record = recording(300)
-    with LogWriter(tmp_path / "a.mcap", list(record.channels), record.meta, record.attachments, sync=0.0) as writer:
+    with LogWriter(
+        tmp_path / "a.mcap", list(record.channels), record.meta, record.attachments, sync=0.0
+    ) as writer:
         for n, row in enumerate(np.stack(list(record.channels.values()), axis=1)):
             writer.append(record.t[n], row)
     assert same(read_record(tmp_path / "a.mcap"), record)
@@ -151,13 +180,19 @@ def test_times_before_zero_round_trip(tmp_path):
     write_log(tmp_path / "a.mcap", record)
     assert same(read_record(tmp_path / "a.mcap"), record)
     with open(tmp_path / "a.mcap", "rb") as file:
-        assert [message.log_time for _, _, message in make_reader(file).iter_messages()] == [0, 200_000_000, 500_000_000]
+        assert [message.log_time for _, _, message in make_reader(file).iter_messages()] == [
+            0,
+            200_000_000,
+            500_000_000,
+        ]
 
 
 def test_slow_topics_are_held_on_the_fast_time_base(tmp_path):
     groups = {"/fast": ["boom.q", "boom.p_head"], "/slow": ["boom.temperature"]}
     fast, slow = np.arange(20) * 1e-3, np.array([2e-3, 7e-3, 12e-3, 17e-3])
-    with LogWriter(tmp_path / "a.mcap", ["boom.temperature", "boom.q", "boom.p_head"], groups=groups) as writer:
+    with LogWriter(
+        tmp_path / "a.mcap", ["boom.temperature", "boom.q", "boom.p_head"], groups=groups
+    ) as writer:
         for n, t in enumerate(fast):
             writer.append(t, [n, 1e5 * n], "/fast")
             if n in (2, 7, 12, 17):
@@ -166,7 +201,9 @@ def test_slow_topics_are_held_on_the_fast_time_base(tmp_path):
     assert list(back.channels) == ["boom.temperature", "boom.q", "boom.p_head"]
     assert np.array_equal(back.t, fast[2:])
     assert np.array_equal(back["boom.q"], np.arange(2.0, 20.0))
-    assert np.array_equal(back["boom.temperature"], 300 + slow[np.searchsorted(slow, back.t, "right") - 1] * 1e3)
+    assert np.array_equal(
+        back["boom.temperature"], 300 + slow[np.searchsorted(slow, back.t, "right") - 1] * 1e3
+    )
     assert back.losses == ("2 samples are left out: not all topics have values there",)
 
 
@@ -189,13 +226,21 @@ def test_groups_of_one_rate_share_the_time_base(tmp_path):
 
 
 def test_a_topic_that_never_spoke_is_named(tmp_path):
-    with LogWriter(tmp_path / "a.mcap", ["boom.q", "boom.x"], groups={"/a": ["boom.q"], "/b": ["boom.x"]}) as writer:
+    with LogWriter(
+        tmp_path / "a.mcap", ["boom.q", "boom.x"], groups={"/a": ["boom.q"], "/b": ["boom.x"]}
+    ) as writer:
         writer.append(0.0, [1.0], "/a")
     assert read_record(tmp_path / "a.mcap").losses == ("no samples of boom.x",)
 
 
 @pytest.mark.parametrize(
-    "groups", [{"a": ["boom.q"]}, {"a": ["boom.q", "boom.x", "boom.v"]}, {"a": ["boom.q", "boom.x"], "b": ["boom.x"]}, {}]
+    "groups",
+    [
+        {"a": ["boom.q"]},
+        {"a": ["boom.q", "boom.x", "boom.v"]},
+        {"a": ["boom.q", "boom.x"], "b": ["boom.x"]},
+        {},
+    ],
 )
 def test_groups_that_do_not_fit_are_refused(tmp_path, groups):
     with pytest.raises(LogError, match="exactly one topic"):
@@ -231,7 +276,8 @@ def test_frame_has_units_and_losses(tmp_path):
     assert np.array_equal(frame["boom.p_head"], record["boom.p_head"])
 
 
-# --- CSV ---------------------------------------------------------------------------------------------------------
+# --- CSV
+# ---------------------------------------------------------------------------------------------------------
 
 
 def csv(tmp_path: Path, text: str, encoding: str = "utf-8") -> Path:
@@ -262,7 +308,9 @@ def test_csv_in_any_unit_comes_in_si(tmp_path):
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_csv_dialects(tmp_path, comma, encoding, end):
-    text = end.join(comma.join(row) for row in (["t [s]", "boom.q [rad]"], ["0", "0.1"], ["1", "0.2"]))
+    text = end.join(
+        comma.join(row) for row in (["t [s]", "boom.q [rad]"], ["0", "0.1"], ["1", "0.2"])
+    )
     record = read_record(csv(tmp_path, text, encoding))
     assert list(record.t) == [0, 1] and list(record["boom.q"]) == [0.1, 0.2]
 
@@ -278,33 +326,52 @@ def test_csv_and_mcap_tell_the_same(tmp_path):
         "stick.p_rod": "Pa",
     }
     rows = [",".join(["t [s]", *(f"{name} [{units[name]}]" for name in record.channels)])]
-    rows += [",".join(map(repr, map(float, row))) for row in zip(record.t, *record.channels.values())]
+    rows += [
+        ",".join(map(repr, map(float, row))) for row in zip(record.t, *record.channels.values())
+    ]
     back = read_record(csv(tmp_path, "\n".join(rows)))
-    assert np.array_equal(back.t, record.t) and all(np.array_equal(back[name], record[name]) for name in record.channels)
+    assert np.array_equal(back.t, record.t) and all(
+        np.array_equal(back[name], record[name]) for name in record.channels
+    )
 
 
-# --- files by others ---------------------------------------------------------------------------------------------
+# --- files by others
+# ---------------------------------------------------------------------------------------------
 
 MIXED = "uint8 K=3\nbool on\nfloat32 p  # pressure\nint16 count\nfloat64 angle\nuint8 tail # boom.command [V]\n"
 LABELS = {"p": "boom.p_head [kPa]", "angle": "boom.q [deg]"}
 
 
-def foreign(path: Path, labels: dict[str, str], schema: str = MIXED, encoding: str = "cdr", **options) -> Path:
-    """A log as another ROS 2 recorder might write it: mixed types, epoch time, no ``t``, a topic of text beside it."""
+def foreign(
+    path: Path, labels: dict[str, str], schema: str = MIXED, encoding: str = "cdr", **options
+) -> Path:
+    """A log as another ROS 2 recorder might write it: mixed types, epoch time, no ``t``, a topic of
+    text beside it.
+    """
     with open(path, "wb") as file:
         writer = Writer(file, **options)
         writer.start(profile="ros2")
         text = writer.register_channel(
-            "/rosout", "cdr", writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+            "/rosout",
+            "cdr",
+            writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n"),
         )
-        id = writer.register_channel("/arm", encoding, writer.register_schema("lab/msg/Arm", "ros2msg", schema.encode()), labels)
+        id = writer.register_channel(
+            "/arm",
+            encoding,
+            writer.register_schema("lab/msg/Arm", "ros2msg", schema.encode()),
+            labels,
+        )
         epoch = 1_700_000_000_000_000_000
         for n in range(30):
-            # by hand: bool at 0, float32 aligned to 4, int16 at 8, float64 aligned to 16, uint8 at 24
+            # by hand: bool at 0, float32 aligned to 4, int16 at 8, float64 aligned to 16, uint8 at
+            # 24
             data = b"\x00\x01\x00\x00" + struct.pack("<?3xfh6xdB", True, 100.5 + n, -n, 90.0 - n, 7)
             writer.add_message(id, epoch + 10_000_000 * n, data, epoch)
             if n % 7 == 3:
-                writer.add_message(text, epoch + 10_000_000 * n, b"\x00\x01\x00\x00\x03\x00\x00\x00hi\x00", epoch)
+                writer.add_message(
+                    text, epoch + 10_000_000 * n, b"\x00\x01\x00\x00\x03\x00\x00\x00hi\x00", epoch
+                )
         writer.finish()
     return path
 
@@ -312,7 +379,9 @@ def foreign(path: Path, labels: dict[str, str], schema: str = MIXED, encoding: s
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.NONE])
 @pytest.mark.parametrize("chunked", [True, False])
 def test_labelled_ros_topics_are_read(tmp_path, compression, chunked):
-    path = foreign(tmp_path / "a.mcap", LABELS, compression=compression, use_chunking=chunked, chunk_size=400)
+    path = foreign(
+        tmp_path / "a.mcap", LABELS, compression=compression, use_chunking=chunked, chunk_size=400
+    )
     record = read_record(path)
     n = np.arange(30)
     np.testing.assert_array_equal(record.t, n / 100)
@@ -324,7 +393,10 @@ def test_labelled_ros_topics_are_read(tmp_path, compression, chunked):
 
 def test_ros_topics_without_labels_are_refused_by_name(tmp_path):
     bare = MIXED.replace(" # boom.command [V]", "")
-    with pytest.raises(LogError, match=r"/rosout \(cdr, std_msgs/msg/String\), /arm \(cdr, lab/msg/Arm\).*ehbench reads"):
+    with pytest.raises(
+        LogError,
+        match=r"/rosout \(cdr, std_msgs/msg/String\), /arm \(cdr, lab/msg/Arm\).*ehbench reads",
+    ):
         read_record(foreign(tmp_path / "a.mcap", {}, bare))
     with pytest.raises(LogError, match=r"/arm \(json, lab/msg/Arm\)"):
         read_record(foreign(tmp_path / "b.mcap", LABELS, encoding="json"))
@@ -355,7 +427,11 @@ def test_every_shared_recording_opens_or_is_refused_with_a_sentence():
             assert error.file == str(path)
             with open(path, "rb") as file:
                 records = list(StreamReader(file).records)
-            channels = {each.id: (each.topic, each.message_encoding) for each in records if isinstance(each, Channel)}
+            channels = {
+                each.id: (each.topic, each.message_encoding)
+                for each in records
+                if isinstance(each, Channel)
+            }
             topics = {channels[each.channel_id] for each in records if isinstance(each, Message)}
             for topic, encoding in topics:
                 assert f"{topic} ({encoding}" in str(error)
@@ -367,7 +443,10 @@ def test_check_record_names_the_place():
     t = np.arange(4.0)
     check_record(Record(t, {"boom.q": t}))
     bad = np.array([1e6, 1e6, 7e9, 1e6])
-    with pytest.raises(UnitError, match=r"^x: boom.p_head = 7e\+06 kPa at t = 2 s lies outside -200 to 200000 kPa .*in Pa it"):
+    with pytest.raises(
+        UnitError,
+        match=r"^x: boom.p_head = 7e\+06 kPa at t = 2 s lies outside -200 to 200000 kPa .*in Pa it",
+    ):
         check_record(Record(t, {"boom.p_head": bad}), "x", units={"boom.p_head": "kPa"})
     with pytest.raises(LogError, match=r"boom.q is nan at t = 3 s"):
         check_record(Record(t, {"boom.q": np.array([0, 0, 0, np.nan])}))

@@ -34,12 +34,19 @@ def facts(folder: Path, stage: str, name: str, **more) -> None:
     write_json(
         folder / "run.json",
         {
-            "stage": stage, "name": name, "hash": "0a1b2c3d", "recipe": {"path": f"{name}.toml", "sha256": "1" * 64},
-            "inputs": [{"role": "data", "path": "readings.csv", "sha256": "2" * 64}], "seeds": {"trial": 7},
-            "versions": {"ehbench": "0.1.0"}, "code_sha256": "3" * 64, "commit": "4" * 12,
-            "outputs": {"rig.toml": "5" * 64}, **more,
+            "stage": stage,
+            "name": name,
+            "hash": "0a1b2c3d",
+            "recipe": {"path": f"{name}.toml", "sha256": "1" * 64},
+            "inputs": [{"role": "data", "path": "readings.csv", "sha256": "2" * 64}],
+            "seeds": {"trial": 7},
+            "versions": {"ehbench": "0.1.0"},
+            "code_sha256": "3" * 64,
+            "commit": "4" * 12,
+            "outputs": {"rig.toml": "5" * 64},
+            **more,
         },
-    )  # fmt: skip
+    )
 
 
 def made(root: Path, name: str, rig: str = "thesis_arm") -> Path:
@@ -54,17 +61,41 @@ def a_map(valve: str, direction: str, deadband: float) -> FlowMap:
     increments = np.full((6, 7), 6.0e-5 / 6) * np.linspace(0.4, 1.0, 7)
     commands = np.array([0.0, 1.0, 4.0, 6.0, 8.0, 10.0])
     return FlowMap(
-        valve, direction, deadband, (deadband - 0.1, deadband + 0.1), knots, 7e6, 2e4, increments, commands, np.full(6, 1e5),
-        np.array([7e6, 7e6, 7e6, 6e6, 5e6, 4e6]), knots, np.array([0.0, 1000.0, 2700.0]), np.full((6, 3), 1e-6),
-        4e-4, 60, (), "x.csv",
-    )  # fmt: skip
+        valve,
+        direction,
+        deadband,
+        (deadband - 0.1, deadband + 0.1),
+        knots,
+        7e6,
+        2e4,
+        increments,
+        commands,
+        np.full(6, 1e5),
+        np.array([7e6, 7e6, 7e6, 6e6, 5e6, 4e6]),
+        knots,
+        np.array([0.0, 1000.0, 2700.0]),
+        np.full((6, 3), 1e-6),
+        4e-4,
+        60,
+        (),
+        "x.csv",
+    )
 
 
 def flow_map_run(root: Path) -> Path:
     folder = made(root, "maps")
-    maps = [a_map("hect", "forward", 1.5), a_map("hect", "reverse", 2.0), a_map("valve/2 & co", "forward", 1.0)]
+    maps = [
+        a_map("hect", "forward", 1.5),
+        a_map("hect", "reverse", 2.0),
+        a_map("valve/2 & co", "forward", 1.0),
+    ]
     save_flow_maps(collect(maps), folder)
-    rows, summary = ["valve,direction,command [V],pressure_drop [bar],flow [L/min],fitted [L/min],method,outlier,file,line"], []
+    rows, summary = (
+        [
+            "valve,direction,command [V],pressure_drop [bar],flow [L/min],fitted [L/min],method,outlier,file,line"
+        ],
+        [],
+    )
     random = np.random.default_rng(5)
     for one in maps:
         line = 1
@@ -80,18 +111,58 @@ def flow_map_run(root: Path) -> Path:
                     f"{one.valve},{one.direction},{command:g},{drop / 1e5:.9g},{shown[0]:.9g},{shown[1]:.9g},"
                     f"{method},{int(out)},x.csv,{line}"
                 )
-        summary.append({
-            "valve": one.valve, "direction": one.direction, "rated_flow": 4e-4, "deadband": one.deadband, "deadband_std": 0.05,
-            "deadband_interval": list(one.deadband_interval), "status": "estimated", "readings": 47, "rms": 1e-6,
-            "noise": {"flowmeter": [1e-7, 0.01], "cylinder": [2e-7, 0.0]},
-            "outliers": [{"file": "x.csv", "line": 26, "command": 6.0, "pressure_drop": 1e5, "flow": 9e-4, "sigmas": -41.23}],
-            "calibration": [
-                {"command": 4.0, "target": to_si(2.0, "gpm", VOCABULARY["flow"]), "tolerance": 0.1, "flow": 1.3e-4, "low": 1.2e-4,
-                 "high": 1.4e-4, "least": 1.2e-4, "most": 1.4e-4, "drop_low": 2e6, "drop_high": 2e6, "verdict": "undecided"},
-                {"command": 12.0, "target": 4e-4, "tolerance": 0.1, "flow": None, "low": None, "high": None, "least": None,
-                 "most": None, "drop_low": 2e6, "drop_high": 3e6, "verdict": "not_measured"},
-            ],
-        })  # fmt: skip
+        summary.append(
+            {
+                "valve": one.valve,
+                "direction": one.direction,
+                "rated_flow": 4e-4,
+                "deadband": one.deadband,
+                "deadband_std": 0.05,
+                "deadband_interval": list(one.deadband_interval),
+                "status": "estimated",
+                "readings": 47,
+                "rms": 1e-6,
+                "noise": {"flowmeter": [1e-7, 0.01], "cylinder": [2e-7, 0.0]},
+                "outliers": [
+                    {
+                        "file": "x.csv",
+                        "line": 26,
+                        "command": 6.0,
+                        "pressure_drop": 1e5,
+                        "flow": 9e-4,
+                        "sigmas": -41.23,
+                    }
+                ],
+                "calibration": [
+                    {
+                        "command": 4.0,
+                        "target": to_si(2.0, "gpm", VOCABULARY["flow"]),
+                        "tolerance": 0.1,
+                        "flow": 1.3e-4,
+                        "low": 1.2e-4,
+                        "high": 1.4e-4,
+                        "least": 1.2e-4,
+                        "most": 1.4e-4,
+                        "drop_low": 2e6,
+                        "drop_high": 2e6,
+                        "verdict": "undecided",
+                    },
+                    {
+                        "command": 12.0,
+                        "target": 4e-4,
+                        "tolerance": 0.1,
+                        "flow": None,
+                        "low": None,
+                        "high": None,
+                        "least": None,
+                        "most": None,
+                        "drop_low": 2e6,
+                        "drop_high": 3e6,
+                        "verdict": "not_measured",
+                    },
+                ],
+            }
+        )
     (folder / "points.csv").write_text("\n".join(rows) + "\n")
     write_json(folder / "summary.json", summary)
     facts(
@@ -106,7 +177,9 @@ def flow_map_run(root: Path) -> Path:
     return folder
 
 
-def write_series(folder: Path, log: str, channels: dict[str, float], simulated: bool = True) -> None:
+def write_series(
+    folder: Path, log: str, channels: dict[str, float], simulated: bool = True
+) -> None:
     t = np.arange(0.0, 2.0, 1e-3)
     columns = {"t [s]": t}
     for name, size in channels.items():
@@ -146,29 +219,79 @@ def hydraulics_run(root: Path) -> Path:
         "reason": "too damped",
     }
     parameters = [
-        {"name": "bulk_modulus", "unit": "Pa", "value": 2.713e8, "std": 2.44e6, "interval": [2.665e8, 2.761e8], "lower": 5e7,
-         "upper": 1.8e9, "start": 8e8, "status": "estimated", "samples": 4000, "error_from": "hac"},
-        {"name": "boom.joint_damping", "unit": "N*m*s/rad", "value": 5000.0, "std": 90.0, "interval": [4800.0, 5000.0],
-         "lower": 10.0,
-         "upper": 5000.0, "start": 150.0, "status": "at_bound", "samples": 4000, "error_from": "jackknife"},
-        {"name": "boom.friction_coulomb", "unit": "N", "value": 0.0, "std": None, "interval": None, "lower": 0.0, "upper": None,
-         "start": 0.0, "status": "not_excited", "samples": 4000, "error_from": ""},
-    ]  # fmt: skip
+        {
+            "name": "bulk_modulus",
+            "unit": "Pa",
+            "value": 2.713e8,
+            "std": 2.44e6,
+            "interval": [2.665e8, 2.761e8],
+            "lower": 5e7,
+            "upper": 1.8e9,
+            "start": 8e8,
+            "status": "estimated",
+            "samples": 4000,
+            "error_from": "hac",
+        },
+        {
+            "name": "boom.joint_damping",
+            "unit": "N*m*s/rad",
+            "value": 5000.0,
+            "std": 90.0,
+            "interval": [4800.0, 5000.0],
+            "lower": 10.0,
+            "upper": 5000.0,
+            "start": 150.0,
+            "status": "at_bound",
+            "samples": 4000,
+            "error_from": "jackknife",
+        },
+        {
+            "name": "boom.friction_coulomb",
+            "unit": "N",
+            "value": 0.0,
+            "std": None,
+            "interval": None,
+            "lower": 0.0,
+            "upper": None,
+            "start": 0.0,
+            "status": "not_excited",
+            "samples": 4000,
+            "error_from": "",
+        },
+    ]
     log = {
-        "name": "boom_step", "payload": "50 lb", "samples": 2000, "fit_percent": {"boom.qd": 88.0, "boom.p_head": None},
-        "residual_rms": {"boom.qd": 0.05, "boom.p_head": 2e5}, "correlation_time": {},
-    }  # fmt: skip
+        "name": "boom_step",
+        "payload": "50 lb",
+        "samples": 2000,
+        "fit_percent": {"boom.qd": 88.0, "boom.p_head": None},
+        "residual_rms": {"boom.qd": 0.05, "boom.p_head": 2e5},
+        "correlation_time": {},
+    }
     write_json(
         folder / "parameters.json",
         {
-            "method": "output_error", "parameters": parameters, "correlated_names": ["bulk_modulus", "boom.joint_damping"],
-            "correlation": [[1.0, -0.97], [-0.97, 1.0]], "logs": [log], "warnings": [],
-            "matches": [{"log": "boom_step", "cylinder": "boom", "start": 0.5, "stop": 1.5,
-                         "recorded": ring, "simulated": silent}],
-            "dynamics_comparison": [{"dynamics": "eq_2_12", "relative_rms": 1.0},
-                                    {"dynamics": "eq_2_17", "relative_rms": 1.0123}],
+            "method": "output_error",
+            "parameters": parameters,
+            "correlated_names": ["bulk_modulus", "boom.joint_damping"],
+            "correlation": [[1.0, -0.97], [-0.97, 1.0]],
+            "logs": [log],
+            "warnings": [],
+            "matches": [
+                {
+                    "log": "boom_step",
+                    "cylinder": "boom",
+                    "start": 0.5,
+                    "stop": 1.5,
+                    "recorded": ring,
+                    "simulated": silent,
+                }
+            ],
+            "dynamics_comparison": [
+                {"dynamics": "eq_2_12", "relative_rms": 1.0},
+                {"dynamics": "eq_2_17", "relative_rms": 1.0123},
+            ],
         },
-    )  # fmt: skip
+    )
     write_series(folder, "boom_step", FOUR | {"boom.x": 0.1})
     facts(folder, "identify", "fit", what="hydraulics", title="Bulk modulus", warnings=[])
     return folder
@@ -177,14 +300,28 @@ def hydraulics_run(root: Path) -> Path:
 def validation_run(root: Path) -> Path:
     folder = made(root, "judged")
     lag = [0.01 * i for i in range(1, 30)]
-    correlation = {"of": "boom.q", "lag": lag, "value": [0.9**i for i in range(29)], "band": [0.2] * 29, "outside_percent": 48.0}
+    correlation = {
+        "of": "boom.q",
+        "lag": lag,
+        "value": [0.9**i for i in range(29)],
+        "band": [0.2] * 29,
+        "outside_percent": 48.0,
+    }
     channels = [
-        {"channel": name, "unit": "-", "fit_percent": 71.0, "max_error": 0.02 * size, "bias": 0.001 * size,
-         "rms_error": 0.01 * size,
-         "derived": False, "autocorrelation": correlation if name != "boom.p_rod" else None,
-         "cross_correlation": [correlation | {"of": "boom.hect.command"}], "note": ""}
+        {
+            "channel": name,
+            "unit": "-",
+            "fit_percent": 71.0,
+            "max_error": 0.02 * size,
+            "bias": 0.001 * size,
+            "rms_error": 0.01 * size,
+            "derived": False,
+            "autocorrelation": correlation if name != "boom.p_rod" else None,
+            "cross_correlation": [correlation | {"of": "boom.hect.command"}],
+            "note": "",
+        }
         for name, size in FOUR.items()
-    ]  # fmt: skip
+    ]
     ring = {
         "natural_frequency": 25.0,
         "natural_frequency_std": 0.5,
@@ -201,26 +338,72 @@ def validation_run(root: Path) -> Path:
         "sentence": "boom rate fit 20 % is below the 30 % asked",
     }
     logs = [
-        {"name": "held", "payload": "none", "status": "held_out", "moved": ["boom"], "channels": channels, "checks": [check],
-         "transients": [{"cylinder": "boom", "start": 0.5, "stop": 1.4, "recorded": ring, "simulated": ring}], "failure": "",
-         "warnings": [], "passed": False},
-        {"name": "broken", "payload": "none", "status": "failed", "moved": ["boom"], "channels": [], "checks": [],
-         "transients": [], "failure": "the simulation left the finite range", "warnings": [], "passed": False},
-        {"name": "lost", "payload": "none", "status": "still", "moved": [], "channels": [], "checks": [], "transients": [],
-         "failure": "", "warnings": ["the log carries no motion"], "passed": False},
-    ]  # fmt: skip
+        {
+            "name": "held",
+            "payload": "none",
+            "status": "held_out",
+            "moved": ["boom"],
+            "channels": channels,
+            "checks": [check],
+            "transients": [
+                {"cylinder": "boom", "start": 0.5, "stop": 1.4, "recorded": ring, "simulated": ring}
+            ],
+            "failure": "",
+            "warnings": [],
+            "passed": False,
+        },
+        {
+            "name": "broken",
+            "payload": "none",
+            "status": "failed",
+            "moved": ["boom"],
+            "channels": [],
+            "checks": [],
+            "transients": [],
+            "failure": "the simulation left the finite range",
+            "warnings": [],
+            "passed": False,
+        },
+        {
+            "name": "lost",
+            "payload": "none",
+            "status": "still",
+            "moved": [],
+            "channels": [],
+            "checks": [],
+            "transients": [],
+            "failure": "",
+            "warnings": ["the log carries no motion"],
+            "passed": False,
+        },
+    ]
     write_json(
         folder / "validation.json",
-        {"rig": "thesis_arm", "accepted": False, "reasons": [f"held: {check['sentence']}"], "logs": logs},
+        {
+            "rig": "thesis_arm",
+            "accepted": False,
+            "reasons": [f"held: {check['sentence']}"],
+            "logs": logs,
+        },
     )
     write_series(folder, "held", FOUR)
     write_series(folder, "broken", {"boom.q": 0.5}, simulated=False)
-    facts(folder, "validate", "judged", what="validation", title="Held-out logs", accepted=False, warnings=[])
+    facts(
+        folder,
+        "validate",
+        "judged",
+        what="validation",
+        title="Held-out logs",
+        accepted=False,
+        warnings=[],
+    )
     return folder
 
 
 def trial_run(
-    root: Path, rig: str = "slide_servo", stopped: str = "carriage.p_head = 9 MPa passed pressure_max at t = 0.8 s"
+    root: Path,
+    rig: str = "slide_servo",
+    stopped: str = "carriage.p_head = 9 MPa passed pressure_max at t = 0.8 s",
 ) -> Path:
     folder = made(root, f"trial_{rig}", rig)
     machine = load_rig(folder)
@@ -228,10 +411,13 @@ def trial_run(
     t = np.arange(0.0, 1.0, 1e-3)
     base = cylinder.name
     channels = {
-        f"{base}.x": 0.1 * t, f"{base}.v": np.full_like(t, 0.1), f"{base}.p_head": 1e6 + 1e5 * np.sin(20 * t),
-        f"{base}.p_rod": np.full_like(t, 5e5), f"{base}.{valve.name}.command": np.where(t > 0.3, 2.0, 0.0),
+        f"{base}.x": 0.1 * t,
+        f"{base}.v": np.full_like(t, 0.1),
+        f"{base}.p_head": 1e6 + 1e5 * np.sin(20 * t),
+        f"{base}.p_rod": np.full_like(t, 5e5),
+        f"{base}.{valve.name}.command": np.where(t > 0.3, 2.0, 0.0),
         "p_supply": np.full_like(t, 7e6),
-    }  # fmt: skip
+    }
     write_log(folder / "log.mcap", Record(t, channels, {"stopped": stopped} if stopped else {}))
     write_json(
         folder / "trial.json",
@@ -245,7 +431,9 @@ def trial_run(
             "stopped": stopped,
         },
     )
-    facts(folder, "trial", f"trial_{rig}", what="trial", title="A step", stopped=stopped, warnings=[])
+    facts(
+        folder, "trial", f"trial_{rig}", what="trial", title="A step", stopped=stopped, warnings=[]
+    )
     return folder
 
 
@@ -280,9 +468,9 @@ class Page(HTMLParser):
         named = dict(attributes)
         self.ids += [named["id"]] if "id" in named else []
         self.links += [value for key, value in attributes if key in ("href", "xlink:href")]
-        self.loads += [value for key, value in attributes if key in ("src", "srcset", "data", "action")] + [tag] * (
-            tag in ("script", "link", "iframe")
-        )
+        self.loads += [
+            value for key, value in attributes if key in ("src", "srcset", "data", "action")
+        ] + [tag] * (tag in ("script", "link", "iframe"))
         for value in named.values():
             self.links += re.findall(r"url\((#[^)]+)\)", value or "")
         if tag not in VOID:
@@ -319,30 +507,54 @@ def test_the_page_is_whole_and_needs_no_network(runs, tmp_path):
 
 def test_runs_stand_in_the_order_of_the_data(runs):
     heads = re.findall(r"<h2>(.*?) ?(?:<|$)", build(runs, None), re.M)
-    assert heads[:5] == ["At a glance", "Flow maps", "Bulk modulus", "Held-out logs", "A step"] and heads[-1] == "Provenance"
+    assert (
+        heads[:5] == ["At a glance", "Flow maps", "Bulk modulus", "Held-out logs", "A step"]
+        and heads[-1] == "Provenance"
+    )
 
 
 def test_figures_are_the_saved_ones(runs):
     text = build(runs, None)
-    index = [one for folder in runs for one in json.loads((folder / "figures/index.json").read_text())["figures"]]
-    assert text.count("<svg") == len(index) == sum(len(list((folder / "figures").glob("*.svg"))) for folder in runs)
+    index = [
+        one
+        for folder in runs
+        for one in json.loads((folder / "figures/index.json").read_text())["figures"]
+    ]
+    assert (
+        text.count("<svg")
+        == len(index)
+        == sum(len(list((folder / "figures").glob("*.svg"))) for folder in runs)
+    )
     for folder in runs:
         for svg in (folder / "figures").glob("*.svg"):
             ids = set(re.findall(r'id="([^"]+)"', svg.read_text()))
             assert {link for link in re.findall(r'href="#([^"]+)"', svg.read_text())} <= ids
             assert "nan" not in svg.read_text().lower()
     kinds = {one["about"]["kind"] for one in index}
-    assert kinds == {"flow_map", "inverse_map", "parameters", "fit", "validation", "residuals", "trial"}
+    assert kinds == {
+        "flow_map",
+        "inverse_map",
+        "parameters",
+        "fit",
+        "validation",
+        "residuals",
+        "trial",
+    }
 
 
 def test_same_files_same_bytes(runs, tmp_path):
-    copies = [Path(shutil.copytree(folder, tmp_path / "elsewhere" / folder.name)) for folder in runs]
+    copies = [
+        Path(shutil.copytree(folder, tmp_path / "elsewhere" / folder.name)) for folder in runs
+    ]
     for copy, folder in zip(copies, runs, strict=True):
         shutil.rmtree(copy / "figures")
         draw(copy)
         names = sorted(path.name for path in (folder / "figures").iterdir())
         assert names == sorted(path.name for path in (copy / "figures").iterdir())
-        assert all((folder / "figures" / n).read_bytes() == (copy / "figures" / n).read_bytes() for n in names)
+        assert all(
+            (folder / "figures" / n).read_bytes() == (copy / "figures" / n).read_bytes()
+            for n in names
+        )
     assert build(copies, None) == build(runs, None)
 
 
@@ -362,21 +574,33 @@ def test_numbers_have_error_unit_status_and_source(runs):
     assert "271.3 ± 2.4 MPa 266.5 … 276.1" in page
     assert "at bound" in page and "not excited" in page
     assert "bulk_modulus and boom.joint_damping correlate by −0.97" in page
-    assert re.search(r"joint_damping 400 N·m·s/rad restored", page) and "companion lost in the text" in page
+    assert (
+        re.search(r"joint_damping 400 N·m·s/rad restored", page)
+        and "companion lost in the text" in page
+    )
     assert "x.csv:26" in page and "−41.2" in page
     assert "2 ± 0.2" in page and "undecided" in page and "not measured" in page
     assert "eq_2_12 eq_2_17 error relative to the best 1 1.012" in page
     assert "1" * 64 in page and "2" * 64 in page and "5" * 64 in page
-    assert "3.98 ± 0.05" not in page and f"{25 / 2 / np.pi:.3f} ± {0.3 / 2 / np.pi:.3f}" in page  # rad/s shown in Hz
+    assert (
+        "3.98 ± 0.05" not in page and f"{25 / 2 / np.pi:.3f} ± {0.3 / 2 / np.pi:.3f}" in page
+    )  # rad/s shown in Hz
 
 
 def test_a_campaign_titles_figures_and_adds_sections(runs, tmp_path):
-    chosen = campaign(tmp_path, '"flow_map_hect_forward" = "Fig. A.4 HECT"\n"judged/validation_held_boom" = "Fig. A.12"')
+    chosen = campaign(
+        tmp_path,
+        '"flow_map_hect_forward" = "Fig. A.4 HECT"\n"judged/validation_held_boom" = "Fig. A.12"',
+    )
     text = build(runs, chosen)
     assert "<strong>Fig. A.4 HECT</strong>" in text and "<strong>Fig. A.12</strong>" in text
     page = Page(text).text
     assert "Two contradictions One. first second" in page and "Nothing was measured." in page
-    assert page.index("At a glance") < page.index("Two contradictions One.") < page.index("Inverse map of hect, forward")
+    assert (
+        page.index("At a glance")
+        < page.index("Two contradictions One.")
+        < page.index("Inverse map of hect, forward")
+    )
 
 
 def test_a_title_for_no_figure_is_refused_with_its_line(runs, tmp_path):
@@ -387,9 +611,14 @@ def test_a_title_for_no_figure_is_refused_with_its_line(runs, tmp_path):
 
 @pytest.mark.parametrize(
     ("which", "file", "keys"),
-    [(3, "summary.json", ["deadband"]), (2, "parameters.json", ["parameters"]), (1, "validation.json", ["reasons"]),
-     (0, "trial.json", ["on"]), (0, "run.json", ["stage", "recipe", "commit"])],
-)  # fmt: skip
+    [
+        (3, "summary.json", ["deadband"]),
+        (2, "parameters.json", ["parameters"]),
+        (1, "validation.json", ["reasons"]),
+        (0, "trial.json", ["on"]),
+        (0, "run.json", ["stage", "recipe", "commit"]),
+    ],
+)
 def test_a_missing_key_is_named_with_its_file(runs, tmp_path, which, file, keys):
     for key in keys:
         copy = Path(shutil.copytree(runs[which], tmp_path / key))
@@ -416,7 +645,11 @@ def test_optional_parts_may_be_missing(tmp_path):
     shutil.rmtree(folder / "series")
     draw(folder)
     page = Page(build([folder], None)).text
-    assert "Correlation of the estimates" not in page and "What was matched" not in page and "271.3 ± 2.4" in page
+    assert (
+        "Correlation of the estimates" not in page
+        and "What was matched" not in page
+        and "271.3 ± 2.4" in page
+    )
 
 
 def test_a_stage_of_later_days_is_shown_with_its_files(tmp_path):
@@ -468,10 +701,14 @@ def test_saved_tables_say_what_is_wrong(tmp_path):
 
 def test_series_are_read_in_si_whatever_their_unit(tmp_path):
     path = tmp_path / "s.csv"
-    path.write_text("t [ms],boom.q [deg],simulated.boom.q [rad],boom.hect.command\n0,180,3,1\n500,90,2,1\n")
+    path.write_text(
+        "t [ms],boom.q [deg],simulated.boom.q [rad],boom.hect.command\n0,180,3,1\n500,90,2,1\n"
+    )
     series = read_series(path)
     assert series.t.tolist() == [0.0, 0.5]
-    np.testing.assert_allclose(series.recorded["boom.q"], [np.pi, np.pi / 2], rtol=1e-12)  # rounding of the unit's factor
+    np.testing.assert_allclose(
+        series.recorded["boom.q"], [np.pi, np.pi / 2], rtol=1e-12
+    )  # rounding of the unit's factor
     assert series.simulated["boom.q"].tolist() == [3.0, 2.0]
     assert series.cylinders() == {"boom": ["boom.q"]}
 
@@ -492,7 +729,11 @@ def test_labels_are_moved_apart_in_order(count):
     moved = np.array(spread(places, 0.03, 0.0, 1.0))
     rank = np.argsort(places, kind="stable")
     gap = min(0.03, 1.0 / max(count - 1, 1))
-    assert np.all(np.diff(moved[rank]) >= gap - 1e-9) and moved.min() >= -1e-9 and moved.max() <= 1 + 1e-9
+    assert (
+        np.all(np.diff(moved[rank]) >= gap - 1e-9)
+        and moved.min() >= -1e-9
+        and moved.max() <= 1 + 1e-9
+    )
 
 
 def test_labels_with_room_stay():
@@ -502,28 +743,56 @@ def test_labels_with_room_stay():
 
 @pytest.mark.parametrize(
     ("value", "std", "said"),
-    [(271.34, 2.44, "271.3 ± 2.4"), (12346.0, 240.0, "12350 ± 240"), (5.0, 50.0, "5 ± 50"), (0.0, 0.01, "0.000 ± 0.010"),
-     (-3.2, 0.0996, "−3.20 ± 0.10"), (3.59e-8, 1e-10, "(3.590 ± 0.010) × 10⁻⁸"), (2.0, None, "2"),
-     (None, None, "–"), (2.0, 0.0, "2")],
-)  # fmt: skip
+    [
+        (271.34, 2.44, "271.3 ± 2.4"),
+        (12346.0, 240.0, "12350 ± 240"),
+        (5.0, 50.0, "5 ± 50"),
+        (0.0, 0.01, "0.000 ± 0.010"),
+        (-3.2, 0.0996, "−3.20 ± 0.10"),
+        (3.59e-8, 1e-10, "(3.590 ± 0.010) × 10⁻⁸"),
+        (2.0, None, "2"),
+        (None, None, "–"),
+        (2.0, 0.0, "2"),
+    ],
+)
 def test_an_error_sets_the_digits_of_its_value(value, std, said):
     assert with_error(value, std) == said
 
 
 @pytest.mark.parametrize(
     ("value", "said"),
-    [(0.0, "0"), (99999.6, "100000"), (1234567.0, "1.235 × 10⁶"), (0.00012346, "1.235 × 10⁻⁴"), (-0.5, "−0.5"), (99.996, "100"),
-     (float("nan"), "–"), (float("-inf"), "−∞"), (None, "–")],
-)  # fmt: skip
+    [
+        (0.0, "0"),
+        (99999.6, "100000"),
+        (1234567.0, "1.235 × 10⁶"),
+        (0.00012346, "1.235 × 10⁻⁴"),
+        (-0.5, "−0.5"),
+        (99.996, "100"),
+        (float("nan"), "–"),
+        (float("-inf"), "−∞"),
+        (None, "–"),
+    ],
+)
 def test_numbers_are_short(value, said):
     assert number(value) == said
 
 
 def test_intervals_and_units():
-    assert interval(266.52, 276.13) == "266.5 … 276.1" and interval(None, 2.0) == "–" and interval(2.0, 2.0) == "2 … 2"
-    assert [pretty(u) for u in ("m^3/(s*Pa)", "gpm/V/MPa^0.5", "degC", "deg/s", "us", "dimensionless")] == [
-        "m³/(s·Pa)", "gpm/V/√MPa", "°C", "°/s", "µs", "",
-    ]  # fmt: skip
+    assert (
+        interval(266.52, 276.13) == "266.5 … 276.1"
+        and interval(None, 2.0) == "–"
+        and interval(2.0, 2.0) == "2 … 2"
+    )
+    assert [
+        pretty(u) for u in ("m^3/(s*Pa)", "gpm/V/MPa^0.5", "degC", "deg/s", "us", "dimensionless")
+    ] == [
+        "m³/(s·Pa)",
+        "gpm/V/√MPa",
+        "°C",
+        "°/s",
+        "µs",
+        "",
+    ]
 
 
 def test_inlined_figures_keep_to_themselves():
@@ -533,7 +802,11 @@ def test_inlined_figures_keep_to_themselves():
     )
     text = inline(svg, "f1-", 'A "title"')
     assert (
-        'id="f1-a"' in text and 'href="#f1-a"' in text and "url(#f1-a)" in text and "metadata" not in text and "http" not in text
+        'id="f1-a"' in text
+        and 'href="#f1-a"' in text
+        and "url(#f1-a)" in text
+        and "metadata" not in text
+        and "http" not in text
     )
     assert "A &#34;title&#34;" in text and "max-width:400px" in text
 
@@ -557,19 +830,25 @@ def points(path: str) -> list[tuple[float, float]]:
 
 
 def test_figures_are_made_small_and_stay_the_same_picture(tmp_path, monkeypatch):
-    """Text stays text, every line and marker stays where it was to a tenth of a point, and nothing points to nothing."""
+    """Text stays text, every line and marker stays where it was to a tenth of a point, and nothing
+    points to nothing.
+    """
     whole = []
     monkeypatch.setattr("ehbench.report.style.shrink", lambda svg: whole.append(svg) or shrink(svg))
     t = np.linspace(0.0, 9.0, 400)
     with canvas(tmp_path / "a.svg") as (_, ax):
-        ax.plot(t, 1e-3 * np.cumsum(np.random.default_rng(1).standard_normal(400)), label="a < b & c")
+        ax.plot(
+            t, 1e-3 * np.cumsum(np.random.default_rng(1).standard_normal(400)), label="a < b & c"
+        )
         ax.plot(t[::40], np.cos(t[::40]), "o", label="marks")
         ax.fill_between(t, -np.sin(t), np.sin(t), alpha=0.2)
         ax.annotate("turned\nthrice", (3.0, 0.5), rotation=30)
         ax.legend()
     short = (tmp_path / "a.svg").read_text()
     assert len(short) < 0.5 * len(whole[0])
-    assert re.findall(r">([^<>\s][^<>]*)</text>", short) == re.findall(r">([^<>\s][^<>]*)</text>", whole[0])
+    assert re.findall(r">([^<>\s][^<>]*)</text>", short) == re.findall(
+        r">([^<>\s][^<>]*)</text>", whole[0]
+    )
     assert (
         short.count("<use ") == whole[0].count("<use ")
         and "font-family=" in short
@@ -581,12 +860,18 @@ def test_figures_are_made_small_and_stay_the_same_picture(tmp_path, monkeypatch)
     old, new = (re.findall(r'<path[^>]*? d="([^"]*)"', one) for one in (whole[0], short))
     assert len(old) == len(new)
     for a, b in zip(map(points, old), map(points, new), strict=True):
-        kept = [a[i] for i in range(len(a)) if i < 2 or np.abs(np.round(a[i], 1) - np.round(a[i - 1], 1)).max() > 1e-6]
+        kept = [
+            a[i]
+            for i in range(len(a))
+            if i < 2 or np.abs(np.round(a[i], 1) - np.round(a[i - 1], 1)).max() > 1e-6
+        ]
         assert len(b) <= len(a) and (len(b) < len(a) or np.abs(np.array(a) - b).max() <= 0.051)
         assert (
             max(min(np.hypot(x - u, y - v) for u, v in b) for x, y in kept) < 0.08
         )  # no point is lost, and errors do not add up
-    assert set(re.findall(r'(?:href="|url\()#([^")]+)', short)) == set(re.findall(r' id="([^"]+)"', short))
+    assert set(re.findall(r'(?:href="|url\()#([^")]+)', short)) == set(
+        re.findall(r' id="([^"]+)"', short)
+    )
 
 
 def test_styles_of_a_page_are_said_once():
@@ -598,5 +883,8 @@ def test_styles_of_a_page_are_said_once():
 
 
 def test_prose_makes_paragraphs_and_lists():
-    kinds = [(one.kind, getattr(one, "text", None) or list(one.items)) for one in prose("One\ntwo.\n\nBefore:\n- a\n  b\n- c")]
+    kinds = [
+        (one.kind, getattr(one, "text", None) or list(one.items))
+        for one in prose("One\ntwo.\n\nBefore:\n- a\n  b\n- c")
+    ]
     assert kinds == [("text", "One two."), ("text", "Before:"), ("bullets", ["a b", "c"])]

@@ -1,4 +1,6 @@
-"""Tunings and trials under a controller in the report: drawn from files alone, sentences that follow the numbers."""
+"""Tunings and trials under a controller in the report: drawn from files alone, sentences that
+follow the numbers.
+"""
 
 from __future__ import annotations
 
@@ -31,11 +33,20 @@ def facts(folder: Path, stage: str, **more) -> None:
     write_json(
         folder / "run.json",
         {
-            "stage": stage, "name": folder.name, "hash": "0a1b2c3d", "recipe": {"path": "r.toml", "sha256": "1" * 64},
-            "inputs": [], "seeds": {},
-            "versions": {"ehbench": "0.1.0"}, "code_sha256": "3" * 64, "commit": "4" * 12, "outputs": {}, "warnings": [], **more,
+            "stage": stage,
+            "name": folder.name,
+            "hash": "0a1b2c3d",
+            "recipe": {"path": "r.toml", "sha256": "1" * 64},
+            "inputs": [],
+            "seeds": {},
+            "versions": {"ehbench": "0.1.0"},
+            "code_sha256": "3" * 64,
+            "commit": "4" * 12,
+            "outputs": {},
+            "warnings": [],
+            **more,
         },
-    )  # fmt: skip
+    )
 
 
 def made(root: Path, name: str, rig: str = "thesis_arm") -> Path:
@@ -45,31 +56,53 @@ def made(root: Path, name: str, rig: str = "thesis_arm") -> Path:
     return folder
 
 
-# --- a tuning as its file has it ------------------------------------------------------------------------------------------
+# --- a tuning as its file has it
+# ------------------------------------------------------------------------------------------
 
 GAINS = [0.0, *np.geomspace(1e-12, 1e-9, 20).tolist()]
 
 
 def point(function: str, payload: str, x: float, counts: bool, **more) -> dict:
     at = {
-        "cylinder": "boom", "function": function, "payload": payload, "x": x,
-        "v": 0.05 if function.startswith("extend") else -0.05, "mass": 1e3 + 1e4 * x,
-        "gravity_force": 2e3, "damping": 6e3, "load_force": 2e3, "p_head": 1e6, "p_rod": 3e5,
-    }  # fmt: skip
+        "cylinder": "boom",
+        "function": function,
+        "payload": payload,
+        "x": x,
+        "v": 0.05 if function.startswith("extend") else -0.05,
+        "mass": 1e3 + 1e4 * x,
+        "gravity_force": 2e3,
+        "damping": 6e3,
+        "load_force": 2e3,
+        "p_head": 1e6,
+        "p_rod": 3e5,
+    }
     return {
-        "name": f"{function}, {payload}, x = {x:g}", "point": at, "counts": counts, "natural_frequency_open": 30.0,
+        "name": f"{function}, {payload}, x = {x:g}",
+        "point": at,
+        "counts": counts,
+        "natural_frequency_open": 30.0,
         "natural_frequency_closed": 40.0,
-        "damping_ratio_open": 0.1, "damping_ratio_closed": 0.6, "damping_ratio_plain": 0.65, "bias": -0.03, "gain_limit": 8e-10,
+        "damping_ratio_open": 0.1,
+        "damping_ratio_closed": 0.6,
+        "damping_ratio_plain": 0.65,
+        "bias": -0.03,
+        "gain_limit": 8e-10,
         "margins": {"gain_margin": 6.0, "phase_margin": 1.0, "bandwidth": 20.0},
         "curve": [0.6 - 0.2 * abs(np.log10(g / 1e-10)) if g else 0.1 for g in GAINS],
-    } | more  # fmt: skip
+    } | more
 
 
 def locus(name: str, parameter: str, crossing: float | None) -> dict:
-    """A pair that leaves (−4, ±40) and crosses the axis at ±60, a real pole, and a slow one near the origin."""
+    """A pair that leaves (−4, ±40) and crosses the axis at ±60, a real pole, and a slow one near
+    the origin.
+    """
     values = sorted({0.0, 1e-10, 8e-10, *np.geomspace(1e-12, 2e-9, 30).tolist()})
     poles = [
-        [complex(-4 - 60 * g / 1e-10 + 7.58 * (g / 1e-10) ** 2, 40 + 2.5e10 * g), complex(-200 - 1e11 * g), complex(-0.01)]
+        [
+            complex(-4 - 60 * g / 1e-10 + 7.58 * (g / 1e-10) ** 2, 40 + 2.5e10 * g),
+            complex(-200 - 1e11 * g),
+            complex(-0.01),
+        ]
         for g in values
     ]
     poles = [[p[0], p[0].conjugate(), p[1], p[2]] for p in poles]
@@ -79,54 +112,104 @@ def locus(name: str, parameter: str, crossing: float | None) -> dict:
 
     edge = [[0.0, 60.0], [0.0, -60.0], [-280.0, 0.0], [-0.01, 0.0]]
     return {
-        "name": name, "parameter": parameter, "values": values, "real": [[p.real for p in row] for row in poles],
-        "imag": [[p.imag for p in row] for row in poles], "chosen": 1e-10, "chosen_poles": at(1e-10), "crossing": crossing,
-        "crossing_poles": edge if crossing else [], "frame": [-120.0, 30.0, 100.0],
-    }  # fmt: skip
+        "name": name,
+        "parameter": parameter,
+        "values": values,
+        "real": [[p.real for p in row] for row in poles],
+        "imag": [[p.imag for p in row] for row in poles],
+        "chosen": 1e-10,
+        "chosen_poles": at(1e-10),
+        "crossing": crossing,
+        "crossing_poles": edge if crossing else [],
+        "frame": [-120.0, 30.0, 100.0],
+    }
 
 
 def tuning(**more) -> dict:
-    points = [point("extend_resistive", load, x, True) for load in ("none", "50 lb") for x in (0.05, 0.2)]
-    points += [point("retract_resistive", "none", 0.1, False, gain_limit=None, bias=None, damping_ratio_plain=None)]
+    points = [
+        point("extend_resistive", load, x, True) for load in ("none", "50 lb") for x in (0.05, 0.2)
+    ]
+    points += [
+        point(
+            "retract_resistive",
+            "none",
+            0.1,
+            False,
+            gain_limit=None,
+            bias=None,
+            damping_ratio_plain=None,
+        )
+    ]
     points[1]["damping_ratio_closed"] = 0.55
     points[2]["margins"] = {"gain_margin": None, "phase_margin": None, "bandwidth": 3.5}
     shown = [points[1], points[2], points[4]]
     t = np.linspace(0.0, 25 * np.pi / 40, 400)  # v_open then ends at 1
     x = np.linspace(0.0, 0.254, 15).tolist()
     return {
-        "rig": "thesis_arm", "cylinder": "boom", "feedback_gain": {"extend_resistive": 1e-10, "retract_resistive": 1e-10},
-        "washout": 2.5, "off_gain": 6e-11,
-        "low_pressure": 3.4e5, "cross_drop": 3.4e5, "tick": 1e-3, "delay": 1e-3, "target": 0.5, "damping_ratio": 0.55,
+        "rig": "thesis_arm",
+        "cylinder": "boom",
+        "feedback_gain": {"extend_resistive": 1e-10, "retract_resistive": 1e-10},
+        "washout": 2.5,
+        "off_gain": 6e-11,
+        "low_pressure": 3.4e5,
+        "cross_drop": 3.4e5,
+        "tick": 1e-3,
+        "delay": 1e-3,
+        "target": 0.5,
+        "damping_ratio": 0.55,
         "damping_ratio_open": 0.1,
-        "damping_ratio_open_most": 0.25, "met": True,
+        "damping_ratio_open_most": 0.25,
+        "met": True,
         "constraints": {"gain_margin": 2.0, "phase_margin": 0.785398163, "bandwidth": 3.14159265},
-        "gains": GAINS, "worst_curve": points[0]["curve"], "points": points,
+        "gains": GAINS,
+        "worst_curve": points[0]["curve"],
+        "points": points,
         "equivalents": [
             {
-                "payload": load, "x": x, "q": [0.7 - 4 * v for v in x], "mass": [s * (1e3 + 1e4 * v) for v in x],
-                "gravity_force": [s * 2e3] * 15, "damping": [6e3] * 15,
+                "payload": load,
+                "x": x,
+                "q": [0.7 - 4 * v for v in x],
+                "mass": [s * (1e3 + 1e4 * v) for v in x],
+                "gravity_force": [s * 2e3] * 15,
+                "damping": [6e3] * 15,
             }
             for s, load in ((1.0, "none"), (2.0, "50 lb"))
         ],
         "loci": [
             locus(p["name"], kind, p["gain_limit"] if kind == "feedback_gain" else None)
-            for p in shown for kind in ("feedback_gain", "washout")
+            for p in shown
+            for kind in ("feedback_gain", "washout")
         ],
         "steps": [
             {
-                "name": p["name"], "t": t.tolist(), "v_open": (1 - np.exp(-2 * t) * np.cos(20 * t)).tolist(),
+                "name": p["name"],
+                "t": t.tolist(),
+                "v_open": (1 - np.exp(-2 * t) * np.cos(20 * t)).tolist(),
                 "v_closed": (1 - np.exp(-15 * t)).tolist(),
             }
             for p in shown
         ],
         "alternatives": [
-            {"what": what, "washout": 2.5, "off_gain": 6e-11, "feedback": "metered", "feedback_gain": 1e-10, "damping_ratio": z}
+            {
+                "what": what,
+                "washout": 2.5,
+                "off_gain": 6e-11,
+                "feedback": "metered",
+                "feedback_gain": 1e-10,
+                "damping_ratio": z,
+            }
             for what, z in (("chosen law", 0.55), ("no washout", 0.6), ("no delay", 0.5))
         ],
-        "robustness": {"draws": 40, "parameters": ["bulk_modulus"], "points": 4, "share": 0.925, "quantiles": [0.48, 0.55, 0.6],
-                       "damping_ratios": np.linspace(0.46, 0.62, 40).tolist()},
+        "robustness": {
+            "draws": 40,
+            "parameters": ["bulk_modulus"],
+            "points": 4,
+            "share": 0.925,
+            "quantiles": [0.48, 0.55, 0.6],
+            "damping_ratios": np.linspace(0.46, 0.62, 40).tolist(),
+        },
         "warnings": [],
-    } | more  # fmt: skip
+    } | more
 
 
 def tune_run(root: Path, name: str = "tuning", rig: str = "thesis_arm", **more) -> Path:
@@ -136,20 +219,35 @@ def tune_run(root: Path, name: str = "tuning", rig: str = "thesis_arm", **more) 
     return folder
 
 
-# --- trials as their files have them --------------------------------------------------------------------------------------
+# --- trials as their files have them
+# --------------------------------------------------------------------------------------
 
 
-def log(path: Path, *, own: str = "boom", gain: float = 1.0, notes: bool = True, learns: bool = False, stopped: str = "") -> None:
+def log(
+    path: Path,
+    *,
+    own: str = "boom",
+    gain: float = 1.0,
+    notes: bool = True,
+    learns: bool = False,
+    stopped: str = "",
+) -> None:
     t = np.arange(3001) * 1e-3
     on = (t >= 0.5) & (t < 2.0)
     v_d = np.where(on, 0.1, 0.0)
     v = np.where(on, 0.1 * (1 - gain * np.exp(-3 * (t - 0.5)) * np.cos(25 * (t - 0.5))), 0.0)
     x_d = 0.05 + np.cumsum(v_d) * 1e-3
     channels = {
-        f"{own}.x": x_d + gain * 1e-3 * on, f"{own}.v": v, f"{own}.p_head": 1e6 + 1e6 * v, f"{own}.p_rod": np.full_like(t, 3e5),
-        f"{own}.hepc.command": np.where(on, 5.0, 0.0), f"{own}.rect.command": np.zeros_like(t), "p_supply": np.full_like(t, 7e6),
-        f"{own}.x_desired": x_d, f"{own}.v_desired": v_d,
-    }  # fmt: skip
+        f"{own}.x": x_d + gain * 1e-3 * on,
+        f"{own}.v": v,
+        f"{own}.p_head": 1e6 + 1e6 * v,
+        f"{own}.p_rod": np.full_like(t, 3e5),
+        f"{own}.hepc.command": np.where(on, 5.0, 0.0),
+        f"{own}.rect.command": np.zeros_like(t),
+        "p_supply": np.full_like(t, 7e6),
+        f"{own}.x_desired": x_d,
+        f"{own}.v_desired": v_d,
+    }
     if notes:
         channels |= {
             f"{own}.function": on * 1.0,
@@ -163,27 +261,49 @@ def log(path: Path, *, own: str = "boom", gain: float = 1.0, notes: bool = True,
             f"{own}.disturbance": 5 * np.sin(t),
         }
     text = b'[[motion]]\nname = "70 %"\nlevels = ["70 %"]\n[[controller]]\nkind = "arc"\ngains = { adapt = false }\n'
-    write_log(path, Record(t, channels, {"stopped": stopped} if stopped else {}, {"recipe.toml": text}))
+    write_log(
+        path, Record(t, channels, {"stopped": stopped} if stopped else {}, {"recipe.toml": text})
+    )
 
 
 STEP = {
-    "start": 0.5, "duration": 1.5, "speed": 0.1, "share": 0.7, "steady_speed": 0.098, "steady_error": -0.02, "overshoot": 0.6,
+    "start": 0.5,
+    "duration": 1.5,
+    "speed": 0.1,
+    "share": 0.7,
+    "steady_speed": 0.098,
+    "steady_error": -0.02,
+    "overshoot": 0.6,
     "settling_time": None,
-    "rms_error": 0.01, "damping_ratio": 0.08, "natural_frequency": 25.0, "ringing": "",
-}  # fmt: skip
+    "rms_error": 0.01,
+    "damping_ratio": 0.08,
+    "natural_frequency": 25.0,
+    "ringing": "",
+}
 
 
 def measures(energy: float, error: float, steps: list[dict]) -> dict:
     return {
-        "steps": steps, "tracking": {"max_error": error, "rms_error": 0.3 * error, "final_error": -0.1 * error},
+        "steps": steps,
+        "tracking": {"max_error": error, "rms_error": 0.3 * error, "final_error": -0.1 * error},
         "speed_rms_error": 0.01,
-        "energy": {"pump": energy, "cylinder_work": 150.0, "oil_drawn": 3e-4, "source": "edge flows of the model"},
+        "energy": {
+            "pump": energy,
+            "cylinder_work": 150.0,
+            "oil_drawn": 3e-4,
+            "source": "edge flows of the model",
+        },
         "limits": {"saturated": 0.033, "against": 0.0},
-    }  # fmt: skip
+    }
 
 
 def trials_run(
-    root: Path, name: str, controllers: dict[str, dict], on: str = "model", payloads=("none", "50 lb"), **more
+    root: Path,
+    name: str,
+    controllers: dict[str, dict],
+    on: str = "model",
+    payloads=("none", "50 lb"),
+    **more,
 ) -> Path:
     folder = made(root, name)
     (folder / "logs").mkdir()
@@ -191,25 +311,47 @@ def trials_run(
     for payload in payloads:
         for controller, found in controllers.items():
             stem = trial_figures.stem_of(f"{payload} {controller}")
-            log(folder / "logs" / f"{stem}.mcap", gain=found["tracking"]["max_error"] / 1e-3, **more)
-            rows.append({
-                "case": f"{payload} 70 % {controller}", "payload": payload, "motion": "70 %", "controller": controller, "on": on,
-                "rig": "thesis_arm",
-                "cylinder": "boom", "log": f"logs/{stem}.mcap", "duration": 3.0, "stopped": "", **found,
-            })  # fmt: skip
+            log(
+                folder / "logs" / f"{stem}.mcap", gain=found["tracking"]["max_error"] / 1e-3, **more
+            )
+            rows.append(
+                {
+                    "case": f"{payload} 70 % {controller}",
+                    "payload": payload,
+                    "motion": "70 %",
+                    "controller": controller,
+                    "on": on,
+                    "rig": "thesis_arm",
+                    "cylinder": "boom",
+                    "log": f"logs/{stem}.mcap",
+                    "duration": 3.0,
+                    "stopped": "",
+                    **found,
+                }
+            )
     write_json(folder / "table.json", {"rows": rows})
     facts(folder, "trials", what="trials", title="Steps", on=on, stopped="")
     return folder
 
 
-DAMPED = STEP | {"overshoot": 0.2, "damping_ratio": None, "settling_time": 0.3, "ringing": "only 0.9 cycles in the window"}
+DAMPED = STEP | {
+    "overshoot": 0.2,
+    "damping_ratio": None,
+    "settling_time": 0.3,
+    "ringing": "only 0.9 cycles in the window",
+}
 PAIR = {
     "open loop": measures(2000.0, 2e-3, [STEP]),
     "pressure feedback": measures(1900.0, 5e-3, [DAMPED]),
-}  # fmt: skip
+}
 TRACKED = {
     name: measures(energy, error, [])
-    for name, energy, error in (("arc", 2100.0, 1e-4), ("frozen", 2050.0, 4e-3), ("four-way", 3300.0, 3e-4), ("x", 1.0, 1e-3))
+    for name, energy, error in (
+        ("arc", 2100.0, 1e-4),
+        ("frozen", 2050.0, 4e-3),
+        ("four-way", 3300.0, 3e-4),
+        ("x", 1.0, 1e-3),
+    )
 }
 
 
@@ -217,11 +359,22 @@ def trial_run(root: Path, name: str = "arc", stopped: str = "", **more) -> Path:
     folder = made(root, name)
     log(folder / "log.mcap", learns=True, stopped=stopped)
     row = {
-        "on": "virtual bench", "rig": "thesis_arm", "payload": "50 lb", "posture": {}, "seed": 0, "duration": 3.0,
-        "samples": 3001, "rate": 1e3, "stop": None,
-        "warnings": [], "controller": "arc", "cylinder": "boom", "measures": measures(2100.0, 1e-4, []), "stopped": stopped,
+        "on": "virtual bench",
+        "rig": "thesis_arm",
+        "payload": "50 lb",
+        "posture": {},
+        "seed": 0,
+        "duration": 3.0,
+        "samples": 3001,
+        "rate": 1e3,
+        "stop": None,
+        "warnings": [],
+        "controller": "arc",
+        "cylinder": "boom",
+        "measures": measures(2100.0, 1e-4, []),
+        "stopped": stopped,
         "estimate_bounds": {"payload_estimate": [0.0, 42.0], "inverse_bulk": [0.7, 1.4]},
-    }  # fmt: skip
+    }
     write_json(folder / "trial.json", row | more)
     facts(folder, "trial", what="trial", title="ARC, slow, 50 lb")
     return folder
@@ -229,14 +382,20 @@ def trial_run(root: Path, name: str = "arc", stopped: str = "", **more) -> Path:
 
 def ledger(pump: float) -> dict:
     parts = [
-        ("pump", pump, "supply", "pump", None), ("pump_compression", 0.0, "supply", "compression", None),
+        ("pump", pump, "supply", "pump", None),
+        ("pump_compression", 0.0, "supply", "compression", None),
         ("boom.hepc.throttling", 0.7 * pump, "valve", "boom.hepc, supply → head", "boom"),
         ("boom.damping", 0.3 * pump, "loss", "joint damping", "boom"),
-        ("potential", 0.0, "load", "potential", None), ("residual", 0.0, "residual", "residual", None),
+        ("potential", 0.0, "load", "potential", None),
+        ("residual", 0.0, "residual", "residual", None),
         ("boom.drawn", pump, "cylinder", "drawn", "boom"),
-        ("boom.drawn_compression", 0.0, "cylinder", "compression", "boom"), ("boom.work", 0.3 * pump, "cylinder", "work", "boom"),
-    ]  # fmt: skip
-    rows = [dict(zip(("name", "energy", "group", "label", "cylinder"), one, strict=True), interval=None) for one in parts]
+        ("boom.drawn_compression", 0.0, "cylinder", "compression", "boom"),
+        ("boom.work", 0.3 * pump, "cylinder", "work", "boom"),
+    ]
+    rows = [
+        dict(zip(("name", "energy", "group", "label", "cylinder"), one, strict=True), interval=None)
+        for one in parts
+    ]
     return {
         "source": "model",
         "rig": "thesis_arm",
@@ -252,19 +411,27 @@ def ledger(pump: float) -> dict:
 def runs(tmp_path_factory) -> list[Path]:
     root = tmp_path_factory.mktemp("runs")
     folders = [
-        tune_run(root), trials_run(root, "steps", PAIR),
-        trials_run(root, "cycles", TRACKED, "virtual bench", ["50 lb"], learns=True), trial_run(root),
-    ]  # fmt: skip
+        tune_run(root),
+        trials_run(root, "steps", PAIR),
+        trials_run(root, "cycles", TRACKED, "virtual bench", ["50 lb"], learns=True),
+        trial_run(root),
+    ]
     (folders[2] / "ledgers").mkdir()
     for row in json.loads((folders[2] / "table.json").read_text())["rows"]:
-        write_json(folders[2] / "ledgers" / (Path(row["log"]).stem + ".json"), ledger(row["energy"]["pump"]))
+        write_json(
+            folders[2] / "ledgers" / (Path(row["log"]).stem + ".json"),
+            ledger(row["energy"]["pump"]),
+        )
     for folder in folders:
         draw(folder)
     return folders
 
 
 def captions(folder: Path) -> dict[str, str]:
-    return {one["key"]: one["caption"] for one in json.loads((folder / "figures/index.json").read_text())["figures"]}
+    return {
+        one["key"]: one["caption"]
+        for one in json.loads((folder / "figures/index.json").read_text())["figures"]
+    }
 
 
 def depth(html: str, text: str) -> int:
@@ -275,7 +442,9 @@ def depth(html: str, text: str) -> int:
 
 def plain(html: str) -> str:
     """The text of a page."""
-    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", re.sub(r"<svg.*?</svg>", " ", html, flags=re.DOTALL)))
+    return re.sub(
+        r"\s+", " ", re.sub(r"<[^>]+>", " ", re.sub(r"<svg.*?</svg>", " ", html, flags=re.DOTALL))
+    )
 
 
 def test_numbers_of_functions_and_limits_are_those_of_the_controllers():
@@ -289,16 +458,29 @@ def test_numbers_of_functions_and_limits_are_those_of_the_controllers():
 def test_keys_are_the_stable_ones(runs):
     tune, steps, cycles, arc = map(captions, runs)
     assert list(tune) == [
-        "equivalent_mass", "equivalent_gravity", "damping_over_gain", *(
-            f"{lead}_{function}" for function in ("extend_resistive", "retract_resistive")
+        "equivalent_mass",
+        "equivalent_gravity",
+        "damping_over_gain",
+        *(
+            f"{lead}_{function}"
+            for function in ("extend_resistive", "retract_resistive")
             for lead in ("locus", "locus_washout", "step_response")
-        ), "draws",
-    ]  # fmt: skip
+        ),
+        "draws",
+    ]
     assert list(steps) == [
-        "compare_no_load_70", "compare_50_lb_70", "energy_70",
-        *(f"trial_{load}_{name}" for load in ("none", "50_lb") for name in ("open_loop", "pressure_feedback")),
-    ]  # fmt: skip
-    assert {"sankey_50_lb_arc", "estimates_50_lb_four_way", "energy_70"} <= set(cycles) and list(arc) == [
+        "compare_no_load_70",
+        "compare_50_lb_70",
+        "energy_70",
+        *(
+            f"trial_{load}_{name}"
+            for load in ("none", "50_lb")
+            for name in ("open_loop", "pressure_feedback")
+        ),
+    ]
+    assert {"sankey_50_lb_arc", "estimates_50_lb_four_way", "energy_70"} <= set(cycles) and list(
+        arc
+    ) == [
         "trial_boom",
         "estimates_boom",
     ]
@@ -308,11 +490,17 @@ def test_the_page_is_whole(runs):
     text = build(runs)
     ids = re.findall(r'\bid="([^"]+)"', text)
     assert len(ids) == len(set(ids))
-    assert set(re.findall(r'href="#([^"]+)"', text)) | set(re.findall(r"url\(#([^)]+)\)", text)) <= set(ids)
-    assert not re.search(r"\bnan\b|\bNone\b|\binf\b|Undefined|_boom|e-\d\d", plain(text.split('<section id="rig')[0]))
+    assert set(re.findall(r'href="#([^"]+)"', text)) | set(
+        re.findall(r"url\(#([^)]+)\)", text)
+    ) <= set(ids)
+    assert not re.search(
+        r"\bnan\b|\bNone\b|\binf\b|Undefined|_boom|e-\d\d", plain(text.split('<section id="rig')[0])
+    )
     assert text.count("<svg") == sum(len(captions(folder)) for folder in runs)
     kinds = {
-        one["about"]["kind"] for folder in runs for one in json.loads((folder / "figures/index.json").read_text())["figures"]
+        one["about"]["kind"]
+        for folder in runs
+        for one in json.loads((folder / "figures/index.json").read_text())["figures"]
     }
     assert kinds == {
         "equivalents",
@@ -335,7 +523,10 @@ def test_same_files_same_bytes(runs, tmp_path):
         draw(copy_)
         for one in (folder / "figures").iterdir():
             assert one.read_bytes() == (copy_ / "figures" / one.name).read_bytes(), one.name
-    assert max(path.stat().st_size for folder in runs for path in (folder / "figures").glob("*.svg")) < 200_000
+    assert (
+        max(path.stat().st_size for folder in runs for path in (folder / "figures").glob("*.svg"))
+        < 200_000
+    )
 
 
 def test_the_tuning_tells_what_its_file_holds(runs):
@@ -343,13 +534,20 @@ def test_the_tuning_tells_what_its_file_holds(runs):
     text = plain(build(runs[:1]))
     gain = from_si(1e-10, rig.unit_of("feedback_gain"), VOCABULARY["feedback_gain"])
     assert (
-        f"One gain K_p = {gain:g} mL/min/bar, washout 0.398 Hz: worst damping ratio 0.55 over 4 operating points of boom" in text
+        f"One gain K_p = {gain:g} mL/min/bar, washout 0.398 Hz: worst damping ratio 0.55 over 4 operating points of boom"
+        in text
     )
     assert "without feedback 0.1 to 0.25; target 0.5, reached by 92.5 % of 40 draws." in text
     assert "Better than the chosen law by this number: no washout." in text
-    assert "gain margin ≥ 2 6" in text and "phase margin ° ≥ 45 57.3" in text and "bandwidth Hz ≥ 0.5 0.557" in text
+    assert (
+        "gain margin ≥ 2 6" in text
+        and "phase margin ° ≥ 45 57.3" in text
+        and "bandwidth Hz ≥ 0.5 0.557" in text
+    )
     said = captions(runs[0])
-    assert "extend resistive, no load, x = 200 mm" in said["damping_over_gain"]  # the worst of those that count
+    assert (
+        "extend resistive, no load, x = 200 mm" in said["damping_over_gain"]
+    )  # the worst of those that count
     assert (
         "No load: damping ratio 0.1 without feedback, 0.55 at K_p = 600 mL/min/bar, unstable above 8 times that"
         in said["locus_extend_resistive"]
@@ -359,12 +557,24 @@ def test_the_tuning_tells_what_its_file_holds(runs):
         and "No load calls for this function" in said["locus_retract_resistive"]
     )
     assert "50 lb: 2000 to 7080 kg" in said["equivalent_mass"]
-    overshoot = 100 * np.exp(-0.1 * (np.pi - np.arctan(0.1))) / np.hypot(1.0, 0.1)  # where tan 20t = −0.1
-    assert f"overshoot over the last value {overshoot:.0f} % without feedback, 0 % with" in said["step_response_extend_resistive"]
+    overshoot = (
+        100 * np.exp(-0.1 * (np.pi - np.arctan(0.1))) / np.hypot(1.0, 0.1)
+    )  # where tan 20t = −0.1
+    assert (
+        f"overshoot over the last value {overshoot:.0f} % without feedback, 0 % with"
+        in said["step_response_extend_resistive"]
+    )
 
 
 def test_a_tuning_that_fails_says_so(tmp_path):
-    few = {"draws": 0, "parameters": [], "points": 0, "share": None, "quantiles": [], "damping_ratios": []}
+    few = {
+        "draws": 0,
+        "parameters": [],
+        "points": 0,
+        "share": None,
+        "quantiles": [],
+        "damping_ratios": [],
+    }
     gains = {"extend_resistive": 1e-10, "retract_resistive": 3e-10}
     known = tuning()
     folder = tune_run(
@@ -380,16 +590,25 @@ def test_a_tuning_that_fails_says_so(tmp_path):
     draw(folder)
     assert not {"draws", "locus_washout_extend_resistive"} & set(captions(folder))
     text = plain(build([folder]))
-    assert "Target and demands are not met" in text and "2 gains K_p = 600 to 1800 mL/min/bar, no washout" in text
+    assert (
+        "Target and demands are not met" in text
+        and "2 gains K_p = 600 to 1800 mL/min/bar, no washout" in text
+    )
     assert "No draws were made." in text and "draws." not in text.split("Operating points")[0]
 
 
 def test_a_second_washout_is_told(tmp_path):
-    others = [one | {"ramp_washout": 2.5 * (one["what"] == "chosen law")} for one in tuning()["alternatives"]]
+    others = [
+        one | {"ramp_washout": 2.5 * (one["what"] == "chosen law")}
+        for one in tuning()["alternatives"]
+    ]
     folder = tune_run(tmp_path, "two", ramp_washout=2.5, alternatives=others)
     draw(folder)
     text = plain(build([folder]))
-    assert "two washouts 0.398 Hz: worst damping ratio" in text and "corner of the second washout ω_r 0.3979 Hz" in text
+    assert (
+        "two washouts 0.398 Hz: worst damping ratio" in text
+        and "corner of the second washout ω_r 0.3979 Hz" in text
+    )
     assert "second washout [Hz]" in text and "chosen law metered chamber 0.398 0.398" in text
 
 
@@ -404,13 +623,18 @@ def test_units_are_those_of_the_rig_file(tmp_path):
 
 
 def test_captions_follow_the_numbers(runs):
-    assert "Best by overshoot: pressure feedback; worst: open loop, 3 times as much." in captions(runs[1])["compare_no_load_70"]
+    assert (
+        "Best by overshoot: pressure feedback; worst: open loop, 3 times as much."
+        in captions(runs[1])["compare_no_load_70"]
+    )
     cases = trial_figures.cases_of(Saved(runs[1]))[:2]
     rows = [
         dict(case.row) | {"steps": [dict(case.steps[0]) | {"overshoot": value}]}
         for case, value in zip(cases, (0.1, 0.2), strict=True)
     ]
-    changed = [replace(case, row=Table(row, case.log)) for case, row in zip(cases, rows, strict=True)]
+    changed = [
+        replace(case, row=Table(row, case.log)) for case, row in zip(cases, rows, strict=True)
+    ]
     said = trial_figures.compared_said(load_rig(runs[1]), changed)
     assert "Open loop: overshoot 10 %" in said and said.endswith(
         "Best by overshoot: open loop; worst: pressure feedback, 2 times as much."
@@ -419,12 +643,19 @@ def test_captions_follow_the_numbers(runs):
 
 def test_what_could_not_be_read_off_is_said(runs):
     said = captions(runs[1])
-    assert "not settled" in said["trial_none_open_loop"] and "damping ratio 0.08 at 4 Hz" in said["trial_none_open_loop"]
+    assert (
+        "not settled" in said["trial_none_open_loop"]
+        and "damping ratio 0.08 at 4 Hz" in said["trial_none_open_loop"]
+    )
     assert "no damping ratio: only 0.9 cycles in the window" in said["trial_none_pressure_feedback"]
-    assert "saturated 3.3 % of the time" in said["trial_none_open_loop"] and "against" not in said["trial_none_open_loop"]
+    assert (
+        "saturated 3.3 % of the time" in said["trial_none_open_loop"]
+        and "against" not in said["trial_none_open_loop"]
+    )
     text = plain(build(runs[1:2]))
     assert (
-        "Open loop: steady error −2 %, overshoot 60 %, damping ratio 0.08. Pressure feedback:" in text
+        "Open loop: steady error −2 %, overshoot 60 %, damping ratio 0.08. Pressure feedback:"
+        in text
         and "no damping ratio to read" in text
     )
     assert "only 0.9 cycles in the window" in text
@@ -433,7 +664,9 @@ def test_what_could_not_be_read_off_is_said(runs):
 def test_energy_is_compared_within_a_payload_and_says_where_it_ended(runs):
     said = captions(runs[1])["energy_70"]
     best = "pressure feedback, 1900 J (ended −0.5 mm from the desired stroke)"
-    assert f"Least from the pump, no load: {best}; 5 % less than the most, open loop, 2000 J" in said
+    assert (
+        f"Least from the pump, no load: {best}; 5 % less than the most, open loop, 2000 J" in said
+    )
     assert said.endswith("Source: edge flows of the model.")
 
 
@@ -442,26 +675,43 @@ def test_a_stopped_trial_wins_nothing(runs):
     row = Table(dict(cases[1].row) | {"stopped": "a limit"}, cases[1].log)
     mine = [cases[0], replace(cases[1], row=row)]
     rig = load_rig(runs[1])
-    assert "Best" not in trial_figures.compared_said(rig, mine) and "stopped by a limit" in trial_figures.compared_said(rig, mine)
+    assert "Best" not in trial_figures.compared_said(
+        rig, mine
+    ) and "stopped by a limit" in trial_figures.compared_said(rig, mine)
     said = trial_figures.energy_said(rig, mine)
-    assert "Least from the pump, no load: open loop, 2000 J" in said and "left out" in said and "less than" not in said
+    assert (
+        "Least from the pump, no load: open loop, 2000 J" in said
+        and "left out" in said
+        and "less than" not in said
+    )
 
 
 def test_model_or_virtual_bench_is_in_the_titles(runs):
-    titles = [one["title"] for folder in runs[1:3] for one in json.loads((folder / "figures/index.json").read_text())["figures"]]
+    titles = [
+        one["title"]
+        for folder in runs[1:3]
+        for one in json.loads((folder / "figures/index.json").read_text())["figures"]
+    ]
     assert all(re.search("on the (model|virtual bench)", title) for title in titles)
     assert "measured" not in plain(build(runs[2:])).lower()
 
 
 def test_estimates_stand_beside_bounds_and_the_payload(runs):
     said = captions(runs[3])["estimates_boom"]
-    assert "The payload has the moment of 26 kg at the end of the last link." in said and "payload estimate 24.7 kg" in said
+    assert (
+        "The payload has the moment of 26 kg at the end of the last link." in said
+        and "payload estimate 24.7 kg" in said
+    )
 
 
-@pytest.mark.parametrize(("rig", "payload", "mass"), [
-    ("thesis_arm", "50 lb", (52.51 * (0.95 - 0.195) - 27.958 * (0.95 - 0.416)) / 0.95), ("slide_servo", "100 kg", 100.0),
-    ("thesis_arm", "none", None),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("rig", "payload", "mass"),
+    [
+        ("thesis_arm", "50 lb", (52.51 * (0.95 - 0.195) - 27.958 * (0.95 - 0.416)) / 0.95),
+        ("slide_servo", "100 kg", 100.0),
+        ("thesis_arm", "none", None),
+    ],
+)
 def test_payload_at_the_end_of_the_last_link(rig, payload, mass):
     found = trial_figures.payload_at_end(load_rig(RIGS / f"{rig}.toml"), payload)
     assert found == (None if mass is None else pytest.approx(mass, rel=1e-12))
@@ -470,7 +720,9 @@ def test_payload_at_the_end_of_the_last_link(rig, payload, mass):
 def test_a_stopped_trial_and_one_of_the_users_own(tmp_path):
     sentence = "boom.p_head = 9 MPa passed pressure_max, which sets in at 8 MPa, at t = 1.2 s"
     stopped = trial_run(tmp_path, "stopped", sentence)
-    own = trials_run(tmp_path, "own", {"a": TRACKED["arc"], "b": TRACKED["arc"]}, payloads=["none"], notes=False)
+    own = trials_run(
+        tmp_path, "own", {"a": TRACKED["arc"], "b": TRACKED["arc"]}, payloads=["none"], notes=False
+    )
     for folder in (stopped, own):
         draw(folder)
     text = plain(build([stopped, own]))
@@ -483,17 +735,28 @@ def test_tables_and_figures_take_a_campaigns_titles(runs, tmp_path):
     path = tmp_path / "campaign.toml"
     lead = 'stage = "campaign"\nrecipes = ["a.toml"]\n[figures]\n'
     path.write_text(
-        lead + '"steps/steps" = "Table B.4"\n"operating_points" = "Table B.1"\n"locus_extend_resistive" = "Fig. B.11"\n'
+        lead
+        + '"steps/steps" = "Table B.4"\n"operating_points" = "Table B.1"\n"locus_extend_resistive" = "Fig. B.11"\n'
     )
     text = build(runs, load_recipe(path))
-    assert "<strong>Table B.4</strong>" in text and "<strong>Table B.1</strong>" in text and "<strong>Fig. B.11</strong>" in text
-    path.write_text(lead + '"locus_retract_resistive" = "Fig. B.13"\n"steps/trial_none_open_loop" = "Alone"\n')
+    assert (
+        "<strong>Table B.4</strong>" in text
+        and "<strong>Table B.1</strong>" in text
+        and "<strong>Fig. B.11</strong>" in text
+    )
+    path.write_text(
+        lead + '"locus_retract_resistive" = "Fig. B.13"\n"steps/trial_none_open_loop" = "Alone"\n'
+    )
     named, plainly = build(runs, load_recipe(path)), build(runs)
     for title, own in (
         ("Fig. B.13", "Root locus over the feedback gain: boom, retract resistive"),
         ("Alone", "none 70 % open loop, on the model"),
     ):  # what a campaign names stands open
-        assert depth(named, f"<figcaption><strong>{title}") == 0 < depth(plainly, f"<figcaption><strong>{own}")
+        assert (
+            depth(named, f"<figcaption><strong>{title}")
+            == 0
+            < depth(plainly, f"<figcaption><strong>{own}")
+        )
     path.write_text(lead + '"step" = "Table B.4"\n')
     with pytest.raises(InputError, match="'figures' names 'step'") as caught:
         build(runs, load_recipe(path))
@@ -532,12 +795,19 @@ def test_runs_cover_what_holds_and_close_small_gaps():
 
 
 def test_the_crossing_is_the_pair_on_the_axis_and_not_the_slow_pole():
-    assert tuning_figures._crossing([[0.0, -60.0], [-280.0, 0.0], [-0.01, 0.0], [0.0, 60.0]], 100.0) == [
+    assert tuning_figures._crossing(
+        [[0.0, -60.0], [-280.0, 0.0], [-0.01, 0.0], [0.0, 60.0]], 100.0
+    ) == [
         [0.0, -60.0],
         [0.0, 60.0],
     ]
     assert tuning_figures._crossing([[-5.0, 3.0], [1e-9, 0.0]], 100.0) == [[1e-9, 0.0]]
-    slow = [[-0.05, 0.4], [-0.05, -0.4], [1e-6, 70.0], [1e-6, -70.0]]  # two washouts are nearly as slow
+    slow = [
+        [-0.05, 0.4],
+        [-0.05, -0.4],
+        [1e-6, 70.0],
+        [1e-6, -70.0],
+    ]  # two washouts are nearly as slow
     assert tuning_figures._crossing(slow, 100.0) == slow[2:]
 
 
@@ -550,15 +820,20 @@ def test_rays_of_the_grid_have_their_damping_ratio():
         (x0, x1), (y0, y1) = line.get_xdata(), line.get_ydata()
         assert (x0, y0) == (0.0, 0.0) and x1 >= -120.0 and y1 <= 100.0 + 1e-9
         assert -x1 / np.hypot(x1, y1) == pytest.approx(ratio, rel=1e-12)
-    assert [text.get_text() for text in ax.texts] == [f"{ratio:g}" for ratio in tuning_figures.RATIOS]
+    assert [text.get_text() for text in ax.texts] == [
+        f"{ratio:g}" for ratio in tuning_figures.RATIOS
+    ]
     plt.close(figure)
 
 
 @pytest.mark.parametrize(
-    ("values", "overshoot"), [([0, 1.5, 1.0], 0.5), ([0, -1.2, -1.0], 0.2), ([0, 0.5, 1.0], 0.0), ([0, 1.0, 0.0], None)]
+    ("values", "overshoot"),
+    [([0, 1.5, 1.0], 0.5), ([0, -1.2, -1.0], 0.2), ([0, 0.5, 1.0], 0.0), ([0, 1.0, 0.0], None)],
 )
 def test_overshoot_over_the_last_value(values, overshoot):
-    assert tuning_figures.overshoot_of(values) == (None if overshoot is None else pytest.approx(overshoot))
+    assert tuning_figures.overshoot_of(values) == (
+        None if overshoot is None else pytest.approx(overshoot)
+    )
 
 
 def test_far_apart_errors_stand_on_a_logarithmic_axis(runs):
@@ -571,33 +846,64 @@ def test_far_apart_errors_stand_on_a_logarithmic_axis(runs):
         mine = [(case.row["controller"], case, case.record()) for case in cases[:count]]
         trial_figures._errors(ax, rig, mine, [{}] * count)
         assert ax.get_yscale() == scale
-        assert max(float(np.max(line.get_ydata())) for line in ax.lines) == pytest.approx(4.0 if count == 2 else 0.1)
+        assert max(float(np.max(line.get_ydata())) for line in ax.lines) == pytest.approx(
+            4.0 if count == 2 else 0.1
+        )
         plt.close(figure)
 
 
 def test_cases_know_their_files(runs):
     (case,) = trial_figures.cases_of(Saved(runs[3]))
-    assert case.cylinder == "boom" and case.energy() is None and case.row["tracking"]["max_error"] == 1e-4
+    assert (
+        case.cylinder == "boom"
+        and case.energy() is None
+        and case.row["tracking"]["max_error"] == 1e-4
+    )
     cases = trial_figures.cases_of(Saved(runs[2]))
-    assert all(one.energy() is not None for one in cases) and len(trial_figures.groups_of(cases)) == 1
+    assert (
+        all(one.energy() is not None for one in cases) and len(trial_figures.groups_of(cases)) == 1
+    )
 
 
 def test_a_trial_without_a_controller_is_none_of_these(runs, tmp_path):
     folder = Path(shutil.copytree(runs[3], tmp_path / "plain"))
-    write_json(folder / "trial.json", json.loads((folder / "trial.json").read_text()) | {"controller": "", "measures": {}})
+    write_json(
+        folder / "trial.json",
+        json.loads((folder / "trial.json").read_text()) | {"controller": "", "measures": {}},
+    )
     assert trial_figures.cases_of(Saved(folder)) == []
     draw(folder)
     assert captions(folder) == {"trial_boom": "Commands, motion and pressures."}
 
 
-def cycle_ledger(drawn: dict[str, tuple[float, float, float, float]], source: str = "model", four_way: bool = False) -> dict:
-    """A ledger of a closed cycle with what each function drew: way [m], drawn, bound and compression [J]."""
+def cycle_ledger(
+    drawn: dict[str, tuple[float, float, float, float]],
+    source: str = "model",
+    four_way: bool = False,
+) -> dict:
+    """A ledger of a closed cycle with what each function drew: way [m], drawn, bound and
+    compression [J].
+    """
     half = 20.0 if source == "log" else None
     total = sum(one[1] for one in drawn.values())
-    edges = {"hepc": "supply → head", "rect": "rod → tank", "hect": "head → tank", "repc": "supply → rod"}
-    parts = [("pump", total, "supply", "pump", None), ("boom.drawn", total, "cylinder", "drawn", "boom")]
+    edges = {
+        "hepc": "supply → head",
+        "rect": "rod → tank",
+        "hect": "head → tank",
+        "repc": "supply → rod",
+    }
+    parts = [
+        ("pump", total, "supply", "pump", None),
+        ("boom.drawn", total, "cylinder", "drawn", "boom"),
+    ]
     parts += [
-        (f"boom.{name}.throttling", 0.2 * total, "valve", f"{'spool' if four_way else name}, {joins}", "boom")
+        (
+            f"boom.{name}.throttling",
+            0.2 * total,
+            "valve",
+            f"{'spool' if four_way else name}, {joins}",
+            "boom",
+        )
         for name, joins in edges.items()
     ]
     parts += [("boom.damping", 0.2 * total - 7.0, "loss", "joint damping", "boom")]
@@ -610,49 +916,82 @@ def cycle_ledger(drawn: dict[str, tuple[float, float, float, float]], source: st
         for one in parts
     ]
     functions = {
-        name: {"boom.drawn": one[1], "boom.rect.throttling": 0.1 * one[1], "boom.damping": 1.0} for name, one in drawn.items()
+        name: {"boom.drawn": one[1], "boom.rect.throttling": 0.1 * one[1], "boom.damping": 1.0}
+        for name, one in drawn.items()
     }
     bound = sum(one[2] for one in drawn.values())
     limits = {
-        "cylinder": "boom", "closed": True, "used": total, "standard": 3200.0, "six": 2096.0, "seventh": 992.0,
+        "cylinder": "boom",
+        "closed": True,
+        "used": total,
+        "standard": 3200.0,
+        "six": 2096.0,
+        "seventh": 992.0,
         "saving": 1 - total / 3200.0,
         "against": {3200.0: "standard", 2096.0: "six", 992.0: "seventh"}[bound],
         "beyond": [
-            dict(zip(("way", "drawn", "bound", "compression"), one, strict=True), function=name) for name, one in drawn.items()
+            dict(zip(("way", "drawn", "bound", "compression"), one, strict=True), function=name)
+            for name, one in drawn.items()
         ],
-    }  # fmt: skip
-    return {"source": source, "rows": rows, "functions": {"boom": functions}, "bounds": [limits], "notes": []}
+    }
+    return {
+        "source": source,
+        "rows": rows,
+        "functions": {"boom": functions},
+        "bounds": [limits],
+        "notes": [],
+    }
 
 
 SIX = {
-    "hold": (0.0, 4.0, 0.0, 1.0), "extend_resistive": (0.15, 2120.0, 2096.0, 20.0),
+    "hold": (0.0, 4.0, 0.0, 1.0),
+    "extend_resistive": (0.15, 2120.0, 2096.0, 20.0),
     "retract_overrunning": (-0.02, 170.0, 0.0, 5.0),
     "retract_overrunning_regeneration": (-0.13, 6.0, 0.0, -40.0),
-}  # fmt: skip
-SPOOL = {"extend_resistive": (0.15, 2130.0, 2096.0, 40.0), "retract_overrunning": (-0.15, 1230.0, 1104.0, 150.0)}
+}
+SPOOL = {
+    "extend_resistive": (0.15, 2130.0, 2096.0, 40.0),
+    "retract_overrunning": (-0.15, 1230.0, 1104.0, 150.0),
+}
 
 
 def cycles(root: Path, **made_of: dict) -> tuple:
     """(rig, cases) of a set with a ledger a controller, none of them drawn."""
-    folder = trials_run(root, "energies", {name: measures(2000.0, 1e-4, []) for name in made_of}, payloads=["none"])
+    folder = trials_run(
+        root, "energies", {name: measures(2000.0, 1e-4, []) for name in made_of}, payloads=["none"]
+    )
     (folder / "ledgers").mkdir()
     for row in json.loads((folder / "table.json").read_text())["rows"]:
-        write_json(folder / "ledgers" / (Path(row["log"]).stem + ".json"), made_of[row["controller"]])
+        write_json(
+            folder / "ledgers" / (Path(row["log"]).stem + ".json"), made_of[row["controller"]]
+        )
     run = Saved(folder)
     return run.rig, trial_figures.cases_of(run)
 
 
 def test_what_was_saved_and_what_ate_the_rest(tmp_path):
-    """Against the four-way valve that ran, against the bound of the functions that ran, and by cause, which add up."""
+    """Against the four-way valve that ran, against the bound of the functions that ran, and by
+    cause, which add up.
+    """
     rig, cases = cycles(tmp_path, six=cycle_ledger(SIX), spool=cycle_ledger(SPOOL, four_way=True))
     six, spool = energy_tables.savings_of(cases)
-    assert six.reference == spool.reference == spool.used == 3360.0 and six.used == 2300.0 and six.bound == 2096.0
+    assert (
+        six.reference == spool.reference == spool.used == 3360.0
+        and six.used == 2300.0
+        and six.bound == 2096.0
+    )
     assert six.causes == {
-        "compression": 20.0 + 5.0 + 1.0, "hold": 3.0, "extend_resistive": 4.0, "retract_overrunning": 165.0,
+        "compression": 20.0 + 5.0 + 1.0,
+        "hold": 3.0,
+        "extend_resistive": 4.0,
+        "retract_overrunning": 165.0,
         "retract_overrunning_regeneration": 6.0,
-    }  # fmt: skip
+    }
     assert sum(six.causes.values()) == six.used - six.bound
-    assert sum(spool.causes.values()) == spool.used - spool.bound == 160.0 and spool.causes["compression"] == 34.0 + 126.0
+    assert (
+        sum(spool.causes.values()) == spool.used - spool.bound == 160.0
+        and spool.causes["compression"] == 34.0 + 126.0
+    )
     sentences, _, table, _, lost, losses = energy_tables.saving_blocks(rig, cases)[1:]
     assert sentences.items[0] == (
         "Six: 31.5 % less than the four-way valve; the bound of six functions is 34.5 % less. Drawn 2300 J, 204 J above its bound; "
@@ -666,32 +1005,51 @@ def test_what_was_saved_and_what_ate_the_rest(tmp_path):
     assert texts[1][3:] == ["3360", "0", "0", "3200", "160", "160", "0", "0", "0"]
     assert "pressure left in the off-side chamber of resistive motion 9.2 %" in lost.items[0]
     texts = dict(zip(losses.head, losses.rows[0], strict=True))
-    assert texts["of all this pressure of the off-side"].text == "212" and texts["of all this holding"].text == "1.4"
+    assert (
+        texts["of all this pressure of the off-side"].text == "212"
+        and texts["of all this holding"].text == "1.4"
+    )
     assert texts["supply → head"].text == "460" and texts["not accounted for"].text == "7"
 
 
 def test_a_log_tells_its_unexplained_row_with_its_interval(tmp_path):
-    """From measured channels alone, without a four-way valve to compare with: against what such a valve must draw."""
+    """From measured channels alone, without a four-way valve to compare with: against what such a
+    valve must draw.
+    """
     rig, cases = cycles(tmp_path, six=cycle_ledger(SIX, "log"))
     (one,) = energy_tables.savings_of(cases)
     assert one.reference is None and one.half == pytest.approx(20.0)
     blocks = energy_tables.saving_blocks(rig, cases)
-    assert "28.1 % less than a four-way valve must draw; the bound of six functions is 34.5 % less" in blocks[1].items[0]
+    assert (
+        "28.1 % less than a four-way valve must draw; the bound of six functions is 34.5 % less"
+        in blocks[1].items[0]
+    )
     assert "(± 20 J)" in blocks[1].items[0]
     losses = blocks[-1]
-    assert losses.rows[0][losses.head.index("unexplained")].text == "7\u00a0±\u00a020" and "95 % interval" in losses.caption
+    assert (
+        losses.rows[0][losses.head.index("unexplained")].text == "7\u00a0±\u00a020"
+        and "95 % interval" in losses.caption
+    )
     open_ended = cycle_ledger(SIX)
     open_ended["bounds"][0]["closed"] = False
-    assert energy_tables.saving_blocks(*cycles(tmp_path / "open", six=open_ended)) == []  # a bound is that of a cycle
+    assert (
+        energy_tables.saving_blocks(*cycles(tmp_path / "open", six=open_ended)) == []
+    )  # a bound is that of a cycle
 
 
 def test_gains_and_bounds_are_those_that_ran_with_their_units(tmp_path):
     known = {
-        "gains": {"low_pressure": 344737.865, "adapt": 1.0, "extend_resistive.feedback_gain": 1e-10},
+        "gains": {
+            "low_pressure": 344737.865,
+            "adapt": 1.0,
+            "extend_resistive.feedback_gain": 1e-10,
+        },
         "estimate_bounds": {"disturbance": [-419.0, 419.0]},
     }
     lean = {"gains": {"low_pressure": 5e5, "adapt": 0.0}}
-    folder = trials_run(tmp_path, "gains", {"a": TRACKED["arc"] | known, "b": TRACKED["arc"] | lean})
+    folder = trials_run(
+        tmp_path, "gains", {"a": TRACKED["arc"] | known, "b": TRACKED["arc"] | lean}
+    )
     rows = json.loads((folder / "table.json").read_text())["rows"]
     rows[2]["gains"] = rows[2]["gains"] | {"low_pressure": 2 * 344737.865}  # a's other payload
     write_json(folder / "table.json", {"rows": rows})
@@ -699,9 +1057,15 @@ def test_gains_and_bounds_are_those_that_ran_with_their_units(tmp_path):
     text = plain(build([folder]))
     assert "p_low set-point of the off-side chamber above tank 345 to 689 500 kPa" in text
     gain = from_si(1e-10, "mL/min/bar", VOCABULARY["feedback_gain"])
-    assert f"K_p extend resistive: pressure feedback: flow per pressure {gain:g} – mL/min/bar" in text
-    assert "n_a 1 where the estimates follow" in text and re.search(r"Bounds of the estimates\. .* −419 … 419 N", text)
-    (tmp_path / "c.toml").write_text('stage = "campaign"\nrecipes = ["a.toml"]\n[figures]\n"settings_controller" = "Table C.1"\n')
+    assert (
+        f"K_p extend resistive: pressure feedback: flow per pressure {gain:g} – mL/min/bar" in text
+    )
+    assert "n_a 1 where the estimates follow" in text and re.search(
+        r"Bounds of the estimates\. .* −419 … 419 N", text
+    )
+    (tmp_path / "c.toml").write_text(
+        'stage = "campaign"\nrecipes = ["a.toml"]\n[figures]\n"settings_controller" = "Table C.1"\n'
+    )
     assert "<strong>Table C.1</strong>" in build([folder], load_recipe(tmp_path / "c.toml"))
 
 
@@ -711,8 +1075,14 @@ def test_estimates_outside_and_at_their_bounds_are_said(runs):
     top = float(record["boom.inverse_bulk"].max())
     for bounds, said in (
         ({"disturbance": [-9.0, 9.0]}, "All estimates stay within their bounds."),
-        ({"disturbance": [-9.0, 4.0], "inverse_bulk": [0.5, 2.0]}, "Not within its bounds all the time: disturbance."),
-        ({"inverse_bulk": [1.0, top]}, "within their bounds; at its bound in the end: inverse bulk."),
+        (
+            {"disturbance": [-9.0, 4.0], "inverse_bulk": [0.5, 2.0]},
+            "Not within its bounds all the time: disturbance.",
+        ),
+        (
+            {"inverse_bulk": [1.0, top]},
+            "within their bounds; at its bound in the end: inverse bulk.",
+        ),
     ):
         mine = replace(case, row=Table(dict(case.row) | {"estimate_bounds": bounds}, case.log))
         assert trial_figures.estimates_said(rig, mine, record).endswith(said)
@@ -721,9 +1091,16 @@ def test_estimates_outside_and_at_their_bounds_are_said(runs):
 
 
 def test_three_controllers_stand_in_one_comparison_with_error_and_damping_each(tmp_path):
-    """A speed that hardly rings has a rough damping ratio; one that misses what was asked by far wins nothing."""
+    """A speed that hardly rings has a rough damping ratio; one that misses what was asked by far
+    wins nothing.
+    """
     hardly = DAMPED | {"ringing": "damped too well to ring", "damping_ratio_fitted": 0.68}
-    stuck = STEP | {"steady_error": -1.0, "steady_speed": 1e-15, "overshoot": None, "damping_ratio": 0.3}
+    stuck = STEP | {
+        "steady_error": -1.0,
+        "steady_speed": 1e-15,
+        "overshoot": None,
+        "damping_ratio": 0.3,
+    }
     laws = {
         "open loop": PAIR["open loop"],
         "pressure feedback": measures(1900.0, 5e-3, [hardly]),
@@ -744,18 +1121,24 @@ def test_three_controllers_stand_in_one_comparison_with_error_and_damping_each(t
     assert "Left out, more than 20 % off the speed asked: no washout." in said["energy_70"]
     text = plain(build([folder]))
     assert (
-        "damping ratio about 0.68 where it hardly rings" in text and "0.68 (1)" in text and "(1) damped too well to ring." in text
+        "damping ratio about 0.68 where it hardly rings" in text
+        and "0.68 (1)" in text
+        and "(1) damped too well to ring." in text
     )
     assert "No washout: steady error −100 %, no overshoot to read, damping ratio 0.3." in text
     assert "no load 70 % no washout 100 0 −100" in text  # not a speed of 1e-13 mm/s
 
 
 def test_a_root_locus_is_filled_in_exactly():
-    """``s (s + 1)(s + 4) + K (s + 0.2)``, twice on the way of K² as well: every point between is a root, every branch goes on."""
+    """``s (s + 1)(s + 4) + K (s + 0.2)``, twice on the way of K² as well: every point between is a
+    root, every branch goes on.
+    """
     for power in (1, 2):
         values = np.geomspace(0.1, 60.0, 25)
         poles = np.array([np.roots([1.0, 5.0, 4.0 + k**power, 0.2 * k**power]) for k in values])
-        shuffled = np.array([row[np.random.default_rng(i).permutation(3)] for i, row in enumerate(poles)])
+        shuffled = np.array(
+            [row[np.random.default_rng(i).permutation(3)] for i, row in enumerate(poles)]
+        )
         fine, branches = tuning_figures.refined(values, shuffled)
         assert fine.size == 24 * (tuning_figures.BETWEEN + 1) + 1 and np.all(np.diff(fine) > 0.0)
         for k, row in zip(fine, branches, strict=True):

@@ -27,4 +27,6 @@ def test_every_parameter_can_be_replaced(path):
     rig = load_rig(path)
     for name, value in rig.parameters().items():
         other = float(value) * 1.01 + 1e-6
-        assert float(rig.with_values({name: other}).parameters()[name]) == pytest.approx(other, rel=1e-12), name
+        assert float(rig.with_values({name: other}).parameters()[name]) == pytest.approx(
+            other, rel=1e-12
+        ), name

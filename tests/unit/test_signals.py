@@ -27,7 +27,8 @@ def coloured(rng, n, pole):
 
 
 @pytest.mark.parametrize(
-    "hertz, zeta, duration", [(4.0, 0.1, 1.5), (4.0, 0.1, 3.0), (20.0, 0.05, 2.0), (3.0, 0.3, 1.0), (40.0, 0.2, 3.0)]
+    "hertz, zeta, duration",
+    [(4.0, 0.1, 1.5), (4.0, 0.1, 3.0), (20.0, 0.05, 2.0), (3.0, 0.3, 1.0), (40.0, 0.2, 3.0)],
 )
 def test_ringing_in_noise_offset_and_drift(hertz, zeta, duration):
     omega = 2 * math.pi * hertz
@@ -66,13 +67,18 @@ def test_channels_share_one_oscillation():
     _, other = oscillation(25.0, 0.1, 1.0, phase=2.0)
     rng = np.random.default_rng(2)
     both = np.column_stack(
-        [1e5 * (wave + 0.3 * rng.standard_normal(t.size)) + 2e6, 0.01 * (other + 0.3 * rng.standard_normal(t.size))]
+        [
+            1e5 * (wave + 0.3 * rng.standard_normal(t.size)) + 2e6,
+            0.01 * (other + 0.3 * rng.standard_normal(t.size)),
+        ]
     )
     alone, joint = signals.ringing(t, both[:, 0]), signals.ringing(t, both)
     assert joint.ok and abs(joint.natural_frequency - 25.0) < 4 * joint.natural_frequency_std
     assert joint.natural_frequency_std < alone.natural_frequency_std
     dead = np.column_stack([both, np.full(t.size, 3.0)])
-    assert signals.ringing(t, dead).natural_frequency == pytest.approx(joint.natural_frequency, rel=1e-9)
+    assert signals.ringing(t, dead).natural_frequency == pytest.approx(
+        joint.natural_frequency, rel=1e-9
+    )
 
 
 def test_ringing_says_why_there_is_none():
@@ -91,8 +97,14 @@ def test_ringing_says_why_there_is_none():
 
 def test_noise_seldom_passes_for_ringing():
     t = np.arange(0.0, 1.0, 1.0 / RATE)
-    white = sum(signals.ringing(t, np.random.default_rng(seed).standard_normal(t.size)).ok for seed in range(30))
-    slow = sum(signals.ringing(t, coloured(np.random.default_rng(seed), t.size, 0.95)).ok for seed in range(30))
+    white = sum(
+        signals.ringing(t, np.random.default_rng(seed).standard_normal(t.size)).ok
+        for seed in range(30)
+    )
+    slow = sum(
+        signals.ringing(t, coloured(np.random.default_rng(seed), t.size, 0.95)).ok
+        for seed in range(30)
+    )
     assert white == 0
     assert slow <= 5  # measured 5 %; a slow random walk does look like a decaying wave now and then
 
@@ -153,14 +165,21 @@ def test_correlation_sign_and_scale():
     assert np.argmax(r) == 10 + 3 and r[13] == pytest.approx(1.0, abs=0.01)
     assert signals.autocorrelation(u, 5)[0] == pytest.approx(1.0)
     assert np.array_equal(signals.correlation(np.ones(50), u[:50], 4), np.zeros(9))
-    direct = [np.sum((x - x.mean())[k:] * (u - u.mean())[: x.size - k]) / (x.size * x.std() * u.std()) for k in range(11)]
+    direct = [
+        np.sum((x - x.mean())[k:] * (u - u.mean())[: x.size - k]) / (x.size * x.std() * u.std())
+        for k in range(11)
+    ]
     assert np.allclose(r[10:], direct)
 
 
 def test_correlation_time_of_a_first_order_process():
     for pole in (0.0, 0.5, 0.9):
-        times = [signals.correlation_time(coloured(np.random.default_rng(seed), 4000, pole)) for seed in range(20)]
-        # Σ ρ^k = (1 + ρ)/(1 − ρ), of which the sum to five correlation times misses up to 10 %, and as much scatter
+        times = [
+            signals.correlation_time(coloured(np.random.default_rng(seed), 4000, pole))
+            for seed in range(20)
+        ]
+        # Σ ρ^k = (1 + ρ)/(1 − ρ), of which the sum to five correlation times misses up to 10 %, and
+        # as much scatter
         assert np.mean(times) == pytest.approx((1 + pole) / (1 - pole), rel=0.15)
 
 
@@ -185,5 +204,7 @@ def test_correlation_band_of_independent_coloured_series():
         r = signals.correlation(x, u, 20)
         outside.append(np.mean(np.abs(r) > signals.correlation_band(x, u)))
         white.append(np.mean(np.abs(r) > 1.96 / math.sqrt(1500)))
-    assert np.mean(outside) == pytest.approx(0.05, abs=0.03)  # 150 series of 41 strongly correlated lags
+    assert np.mean(outside) == pytest.approx(
+        0.05, abs=0.03
+    )  # 150 series of 41 strongly correlated lags
     assert np.mean(white) > 0.3

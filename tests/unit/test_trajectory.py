@@ -19,7 +19,9 @@ PROFILES = ["ramp", "seventh"]
 
 
 def move(distance, profile, **changes):
-    return tr.point_to_point([0.03, 0.03 + distance], profile=profile, **({"tick": TICK} | LIMITS | changes))
+    return tr.point_to_point(
+        [0.03, 0.03 + distance], profile=profile, **({"tick": TICK} | LIMITS | changes)
+    )
 
 
 @pytest.mark.parametrize("profile", PROFILES)
@@ -35,10 +37,16 @@ def test_from_rest_to_rest(distance, profile):
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("distance", DISTANCES)
 def test_columns_are_each_others_derivatives(distance, profile):
-    """Central differences on h = 50 µs are off by h²/6 of the third derivative, and by h/4 of its jump where the slope of the jerk jumps."""
+    """Central differences on h = 50 µs are off by h²/6 of the third derivative, and by h/4 of its
+    jump where the slope of the jerk jumps.
+    """
     h = 5e-5
     table = move(distance, profile, tick=h)
-    for column, scale in ((tr.X, LIMITS["speed"]), (tr.V, LIMITS["acceleration"]), (tr.A, LIMITS["jerk"])):
+    for column, scale in (
+        (tr.X, LIMITS["speed"]),
+        (tr.V, LIMITS["acceleration"]),
+        (tr.A, LIMITS["jerk"]),
+    ):
         slope = (table[2:, column] - table[:-2, column]) / (2 * h)
         assert np.abs(slope - table[1:-1, column + 1]).max() < 5e-3 * scale
 
@@ -54,9 +62,15 @@ def test_limits_are_kept_and_one_is_reached(distance, profile):
 
 @pytest.mark.parametrize("profile", PROFILES)
 def test_jerk_is_continuous(profile):
-    """Halving the tick halves the largest step of the jerk, also over the seams to rest and to constant speed."""
+    """Halving the tick halves the largest step of the jerk, also over the seams to rest and to
+    constant speed.
+    """
     steps = [
-        np.abs(np.diff(tr.there_and_back(0.0, 0.2, tick=h, hold=0.1, profile=profile, **LIMITS)[:, tr.J])).max()
+        np.abs(
+            np.diff(
+                tr.there_and_back(0.0, 0.2, tick=h, hold=0.1, profile=profile, **LIMITS)[:, tr.J]
+            )
+        ).max()
         for h in (2e-4, 1e-4)
     ]
     assert steps[0] / steps[1] == pytest.approx(2.0, rel=0.02)
@@ -64,7 +78,9 @@ def test_jerk_is_continuous(profile):
 
 
 def test_shortest_times_in_closed_form():
-    """Seventh order: T = 35/16 D/v when the speed limits. Ramp: D/v + 15/8 v/a when speed and acceleration do."""
+    """Seventh order: T = 35/16 D/v when the speed limits. Ramp: D/v + 15/8 v/a when speed and
+    acceleration do.
+    """
     free = {"acceleration": 1e3, "jerk": 1e6}
     seventh = tr.point_to_point([0.0, 0.2], speed=0.1, tick=TICK, profile="seventh", **free)
     assert seventh.shape[0] - 1 == math.ceil(35 / 16 * 0.2 / 0.1 / TICK)
@@ -76,9 +92,9 @@ def test_waypoints_holds_and_cycles():
     points = [0.05, 0.2, 0.2, 0.1]
     table = tr.point_to_point(points, tick=TICK, hold=[0.0, 0.1, 0.2, 0.3], **LIMITS)
     resting = np.flatnonzero((table[:, 1:] == 0).all(axis=1))
-    assert [np.isclose(table[resting, tr.X], x, atol=1e-15).sum() for x in (0.05, 0.2, 0.1)] == pytest.approx(
-        [1, 300, 300], abs=1
-    )
+    assert [
+        np.isclose(table[resting, tr.X], x, atol=1e-15).sum() for x in (0.05, 0.2, 0.1)
+    ] == pytest.approx([1, 300, 300], abs=1)
     back = tr.there_and_back(0.1, 0.15, cycles=2, tick=TICK, hold=0.1, **LIMITS)
     assert back[-1, tr.X] == pytest.approx(0.1, abs=1e-15)
     assert (np.diff(np.sign(back[:, tr.V])) != 0).sum() == 8
@@ -89,20 +105,32 @@ def test_waypoints_holds_and_cycles():
 
 
 def test_a_move_back_mirrors_the_move_forth():
-    there, back = tr.point_to_point([0.1, 0.3], tick=TICK, **LIMITS), tr.point_to_point([0.3, 0.1], tick=TICK, **LIMITS)
+    there, back = (
+        tr.point_to_point([0.1, 0.3], tick=TICK, **LIMITS),
+        tr.point_to_point([0.3, 0.1], tick=TICK, **LIMITS),
+    )
     assert there[:, tr.X] + back[:, tr.X] == pytest.approx(0.4, abs=1e-15)
     assert (there[:, 1:] == -back[:, 1:]).all()
 
 
 def test_velocity_steps():
     full = 0.18
-    table = tr.velocity_steps([0.3 * full, 0.7 * full, -full], duration=[0.5, 0.2, 0.1], tick=TICK, rest=0.1, x=0.02)
+    table = tr.velocity_steps(
+        [0.3 * full, 0.7 * full, -full], duration=[0.5, 0.2, 0.1], tick=TICK, rest=0.1, x=0.02
+    )
     assert table.shape == (100 + 500 + 100 + 200 + 100 + 100 + 100 + 1, 4)
     assert not table[:, 2:].any()
-    assert table[:, tr.X] == pytest.approx(0.02 + np.concatenate([[0], np.cumsum(table[:-1, tr.V])]) * TICK, abs=1e-15)
+    assert table[:, tr.X] == pytest.approx(
+        0.02 + np.concatenate([[0], np.cumsum(table[:-1, tr.V])]) * TICK, abs=1e-15
+    )
     assert table[-1, tr.X] == pytest.approx(0.02 + full * (0.15 + 0.14 - 0.1), abs=1e-12)
     values, counts = np.unique(table[:, tr.V], return_counts=True)
-    assert values == pytest.approx([-full, 0.0, 0.3 * full, 0.7 * full]) and counts.tolist() == [100, 401, 500, 200]
+    assert values == pytest.approx([-full, 0.0, 0.3 * full, 0.7 * full]) and counts.tolist() == [
+        100,
+        401,
+        500,
+        200,
+    ]
 
 
 def shaped(v_d, tick=TICK, **kind):
@@ -127,13 +155,17 @@ def test_a_limited_step_keeps_its_limits_and_does_not_overshoot(steps, jerk):
     for index, (before, after) in enumerate(zip((0.0, *steps), steps, strict=False)):
         part = out[600 * (index + 1) : 600 * (index + 2), 0]
         low, high = sorted((before, after))
-        slack = (jerk or 0.0) * TICK**2 + 1e-15  # a sampled jerk can only aim to within one tick of it
+        slack = (
+            jerk or 0.0
+        ) * TICK**2 + 1e-15  # a sampled jerk can only aim to within one tick of it
         assert part.min() >= low - slack and part.max() <= high + slack
         assert part[-1] == pytest.approx(after, abs=1e-9)
 
 
 def test_a_limited_step_is_as_fast_as_its_limits_allow():
-    """Time of the S-curve: v/a + a/j where the acceleration is reached, else 2 √(v/j); sampling costs a few ticks."""
+    """Time of the S-curve: v/a + a/j where the acceleration is reached, else 2 √(v/j); sampling
+    costs a few ticks.
+    """
     for v, a, j in ((0.18, 1.0, 40.0), (0.01, 1.0, 40.0)):
         ideal = v / a + a / j if v > a * a / j else 2 * math.sqrt(v / j)
         out = shaped(np.full(1000, v), acceleration_max=a, jerk_max=j)[:, 0]
@@ -146,8 +178,15 @@ def test_the_filter_is_the_second_order_one(zeta):
     rng = np.random.default_rng(0)
     v_d = np.repeat(rng.uniform(-0.2, 0.2, 20), 37)
     omega = 2 * math.pi * 4.0
-    plant = ([[0.0, 1.0], [-(omega**2), -2 * zeta * omega]], [[0.0], [omega**2]], [[1.0, 0.0]], [[0.0]])
-    _, expected, _ = signal.dlsim((*signal.cont2discrete([np.array(m) for m in plant], TICK, "zoh")[:4], TICK), v_d)
+    plant = (
+        [[0.0, 1.0], [-(omega**2), -2 * zeta * omega]],
+        [[0.0], [omega**2]],
+        [[1.0, 0.0]],
+        [[0.0]],
+    )
+    _, expected, _ = signal.dlsim(
+        (*signal.cont2discrete([np.array(m) for m in plant], TICK, "zoh")[:4], TICK), v_d
+    )
     ours = shaped(v_d, natural_frequency=omega, damping_ratio=zeta)[:, 0]
     assert ours[:-1] == pytest.approx(expected[1:, 0], abs=1e-11)
 

@@ -14,12 +14,27 @@ from ehbench.logs import write_log
 from ehbench.recipe import TrialRecipe, TrialSetRecipe, load_recipe, load_rig
 from ehbench.record import Record
 from ehbench.simulation import simulate
-from ehbench.trial import RUN_OUT, Case, code_file, command_table, controllers, file_names, gains_file, run_trial
+from ehbench.trial import (
+    RUN_OUT,
+    Case,
+    code_file,
+    command_table,
+    controllers,
+    file_names,
+    gains_file,
+    run_trial,
+)
 from ehbench.trial.measures import followed, integral, step_measures, tracking_measures
 from ehbench.trial.motion import wishes
 
 RECIPES = Path(__file__).parents[2] / "recipes"
-STEP = {"valve": "press.servo", "kind": "step", "amplitude": "4 V", "start": "0.1 s", "stop": "0.6 s"}
+STEP = {
+    "valve": "press.servo",
+    "kind": "step",
+    "amplitude": "4 V",
+    "start": "0.1 s",
+    "stop": "0.6 s",
+}
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +43,9 @@ def rig():
 
 
 def recipe(*command, **given):
-    return TrialRecipe(stage="trial", rig="x.toml", command=command, **({"duration": "1 s"} | given))
+    return TrialRecipe(
+        stage="trial", rig="x.toml", command=command, **({"duration": "1 s"} | given)
+    )
 
 
 def played(rig, *command, duration=1.0, rate=1000):
@@ -50,12 +67,37 @@ def test_entries_for_one_valve_add_up(rig):
 
 
 def test_a_ramp_arrives_and_stays(rig):
-    u = played(rig, {**STEP, "kind": "ramp", "offset": "1 V", "amplitude": "2 V", "start": "0.2 s", "stop": "0.4 s"})
-    assert u[200] == 1.0 and u[300] == pytest.approx(2.0) and u[400] == pytest.approx(3.0) and u[-1] == 3.0
+    u = played(
+        rig,
+        {
+            **STEP,
+            "kind": "ramp",
+            "offset": "1 V",
+            "amplitude": "2 V",
+            "start": "0.2 s",
+            "stop": "0.4 s",
+        },
+    )
+    assert (
+        u[200] == 1.0
+        and u[300] == pytest.approx(2.0)
+        and u[400] == pytest.approx(3.0)
+        and u[-1] == 3.0
+    )
 
 
 def test_a_sine_has_its_frequency_and_window(rig):
-    u = played(rig, {**STEP, "kind": "sine", "amplitude": "2 V", "frequency": "5 Hz", "start": "0.2 s", "stop": "0.8 s"})
+    u = played(
+        rig,
+        {
+            **STEP,
+            "kind": "sine",
+            "amplitude": "2 V",
+            "frequency": "5 Hz",
+            "start": "0.2 s",
+            "stop": "0.8 s",
+        },
+    )
     t = np.arange(1001) / 1000
     inside = (t > 0.1995) & (t < 0.7995)
     assert u[inside] == pytest.approx(2 * np.sin(2 * np.pi * 5 * (t[inside] - 0.2)), abs=1e-9)
@@ -77,11 +119,20 @@ def test_a_multisine_has_its_lines_and_its_amplitude_and_its_seed(rig):
 
 def test_a_file_is_played_as_it_was_recorded(rig, tmp_path):
     t = 7.0 + np.arange(6) * 0.01
-    write_log(tmp_path / "u.mcap", Record(t, {"press.servo.command": np.array([0.0, 1, 2, 3, 4, 5])}))
+    write_log(
+        tmp_path / "u.mcap", Record(t, {"press.servo.command": np.array([0.0, 1, 2, 3, 4, 5])})
+    )
     given = recipe({"valve": "press.servo", "kind": "file", "file": "u.mcap", "start": "0.1 s"})
     given = given.model_copy(update={"path": tmp_path / "trial.toml"})
     u = command_table(given, rig, np.arange(301) / 1000)[:, 0]
-    assert u[99] == 0.0 and u[110] == 1.0 and u[119] == 1.0 and u[120] == 2.0 and u[150] == 5.0 and u[151] == 0.0
+    assert (
+        u[99] == 0.0
+        and u[110] == 1.0
+        and u[119] == 1.0
+        and u[120] == 2.0
+        and u[150] == 5.0
+        and u[151] == 0.0
+    )
     write_log(tmp_path / "other.mcap", Record(t, {"press.x": np.zeros(6)}))
     other = recipe({"valve": "press.servo", "kind": "file", "file": "other.mcap"})
     other = other.model_copy(update={"path": tmp_path / "trial.toml"})
@@ -115,8 +166,15 @@ def test_a_trial_on_the_model_is_what_simulate_gives(rig):
     assert list(record.channels) == list(plain.channels)
     for name in plain.channels:
         # the trial's step is the same one, taken one by one
-        assert np.allclose(record[name], plain[name], rtol=1e-9, atol=1e-12 * max(1.0, np.abs(plain[name]).max())), name
-    assert not facts.stopped and facts.samples == 1001 and record.meta["payload"] == "100 kg" and record.meta["on"] == "model"
+        assert np.allclose(
+            record[name], plain[name], rtol=1e-9, atol=1e-12 * max(1.0, np.abs(plain[name]).max())
+        ), name
+    assert (
+        not facts.stopped
+        and facts.samples == 1001
+        and record.meta["payload"] == "100 kg"
+        and record.meta["on"] == "model"
+    )
     json.dumps(facts.as_json(), allow_nan=False)
 
 
@@ -137,12 +195,19 @@ LIMIT_CASES = [
 
 
 @pytest.mark.parametrize("on", ("model", "bench"))
-@pytest.mark.parametrize(("limit", "channel", "beyond"), LIMIT_CASES, ids=[next(iter(case[0])) for case in LIMIT_CASES])
+@pytest.mark.parametrize(
+    ("limit", "channel", "beyond"), LIMIT_CASES, ids=[next(iter(case[0])) for case in LIMIT_CASES]
+)
 def test_a_limit_stops_within_one_tick(rig, on, limit, channel, beyond):
     amplitude = {"pressure_min": "-6 V", "pressure_max": "-6 V"}.get(next(iter(limit)), "4 V")
-    record, facts = run_trial(rig, recipe({**STEP, "amplitude": amplitude}, limits=limit, on=on, posture={"press": "200 mm"}))
+    record, facts = run_trial(
+        rig,
+        recipe({**STEP, "amplitude": amplitude}, limits=limit, on=on, posture={"press": "200 mm"}),
+    )
     stop = facts.stop
-    assert stop is not None, f"{channel} from {record[channel].min():.6g} to {record[channel].max():.6g}"
+    assert stop is not None, (
+        f"{channel} from {record[channel].min():.6g} to {record[channel].max():.6g}"
+    )
     row = round(stop.t * 1000)
     assert (stop.limit, stop.channel) == (next(iter(limit)), channel)
     assert beyond(stop.value, stop.bound)
@@ -163,9 +228,13 @@ def test_a_limit_reached_before_the_start_is_refused(rig):
 
 def test_the_bench_of_another_rig_is_refused(rig):
     with pytest.raises(InputError, match="other cylinders"):
-        run_trial(rig, recipe(STEP, on="bench", bench=str(RECIPES / "bench" / "crane_proportional.toml")))
+        run_trial(
+            rig, recipe(STEP, on="bench", bench=str(RECIPES / "bench" / "crane_proportional.toml"))
+        )
     with pytest.raises(InputError, match="no bench file"):
-        run_trial(rig, recipe(STEP, on="bench", bench=str(RECIPES / "datasets" / "slide_servo.toml")))
+        run_trial(
+            rig, recipe(STEP, on="bench", bench=str(RECIPES / "datasets" / "slide_servo.toml"))
+        )
 
 
 def test_progress_rises_to_one(rig):
@@ -174,7 +243,8 @@ def test_progress_rises_to_one(rig):
     assert seen == sorted(seen) and seen[-1] == 1.0 and len(seen) > 2
 
 
-# --- measures -----------------------------------------------------------------------------------------------------------
+# --- measures
+# -----------------------------------------------------------------------------------------------------------
 
 
 def second_order(t, omega, zeta):
@@ -186,13 +256,21 @@ def second_order(t, omega, zeta):
 @pytest.mark.parametrize("zeta", [0.05, 0.1, 0.3])
 @pytest.mark.parametrize(("speed", "reached"), [(0.08, 0.076), (-0.05, -0.05)])
 def test_a_step_is_read_off_as_its_formula_says(zeta, speed, reached):
-    """Overshoot e^(−πζ/√(1−ζ²)), and the time after which the response stays within 5 %, on 1 ms samples."""
+    """Overshoot e^(−πζ/√(1−ζ²)), and the time after which the response stays within 5 %, on 1 ms
+    samples.
+    """
     t, omega = 0.5 + np.arange(4000) * 1e-3, 2 * np.pi * 4.0
     y = second_order(t - t[0], omega, zeta)
     found = step_measures(t, reached * y, speed, share=0.3)
     assert found.overshoot == pytest.approx(np.exp(-np.pi * zeta / np.sqrt(1 - zeta**2)), rel=5e-3)
-    assert found.steady_error == pytest.approx(reached / speed - 1, abs=2e-4) and found.share == 0.3 and found.start == 0.5
-    assert found.settling_time == pytest.approx((np.flatnonzero(np.abs(y - 1) > 0.05)[-1] + 1) * 1e-3, abs=2e-3)
+    assert (
+        found.steady_error == pytest.approx(reached / speed - 1, abs=2e-4)
+        and found.share == 0.3
+        and found.start == 0.5
+    )
+    assert found.settling_time == pytest.approx(
+        (np.flatnonzero(np.abs(y - 1) > 0.05)[-1] + 1) * 1e-3, abs=2e-3
+    )
     assert found.damping_ratio == pytest.approx(zeta, rel=0.03)
     assert found.natural_frequency == pytest.approx(omega, rel=0.01)
     assert found.rms_error == pytest.approx(np.sqrt(np.mean((reached * y - speed) ** 2)), rel=1e-12)
@@ -215,33 +293,40 @@ def test_tracking_and_integral():
     t = np.arange(1001) * 1e-3
     found = tracking_measures(t, np.where(t < 0.5, 0.01, 0.002), np.zeros(t.size))
     assert found["max_error"] == 0.01 and found["final_error"] == pytest.approx(0.002, rel=1e-12)
-    assert found["rms_error"] == pytest.approx(np.sqrt((500 * 0.01**2 + 501 * 0.002**2) / 1001), rel=1e-12)
+    assert found["rms_error"] == pytest.approx(
+        np.sqrt((500 * 0.01**2 + 501 * 0.002**2) / 1001), rel=1e-12
+    )
     assert integral(t, 3 * t**2) == pytest.approx(1.0, abs=1e-6) and integral(t[:1], t[:1]) == 0.0
 
 
 @pytest.mark.parametrize("zeta", [0.7, 1.0, 1.6])
 def test_a_followed_command_is_the_valves_answer(zeta):
-    """Against its closed form and, for all dampings, against a finer tick, which the exact answer does not depend on."""
+    """Against its closed form and, for all dampings, against a finer tick, which the exact answer
+    does not depend on.
+    """
     omega, t = 60.0, np.arange(300) * 1e-3
     u = np.where(t < 0.1, 0.0, 4.0)
     got = followed(u, 1e-3, omega**2, 2 * zeta * omega)
     fine = followed(np.repeat(u, 10), 1e-4, omega**2, 2 * zeta * omega)[::10]
-    assert got == pytest.approx(fine, abs=1e-6)  # ten times the steps round ten times as much near the double root
+    assert got == pytest.approx(
+        fine, abs=1e-6
+    )  # ten times the steps round ten times as much near the double root
     if zeta < 1:
         assert got[100:] == pytest.approx(4 * second_order(t[100:] - 0.1, omega, zeta), abs=1e-9)
     assert followed(u, 1e-3, 0.0, 0.0) is u
 
 
-# --- closed loop: what a recipe may say -------------------------------------------------------------------------------------
+# --- closed loop: what a recipe may say
+# -------------------------------------------------------------------------------------
 
-TOML = '''stage = "trial"
+TOML = """stage = "trial"
 rig = "x.toml"
 [motion]
 kind = "point_to_point"
 waypoints = ["100 mm", "200 mm"]
 speed = "100 mm/s"
 [controller]
-'''
+"""
 
 
 def closed(tmp_path, controller, motion=TOML):
@@ -258,24 +343,56 @@ def closed(tmp_path, controller, motion=TOML):
         ('kind = "arc"\n[controller.shaping]\njerk_max = "1 m/s^3"', 7, "shaping", None),
         ('kind = "pressure_feedback"', 7, "needs its gain", "tune recipe"),
         ('kind = "open_loop"\n[controller.gains]\nwash = "1 Hz"', 10, "no gains 'wash'", "washout"),
-        ('kind = "open_loop"\n[controller.gains]\nwashout = "1 bar"', 10, "'bar' cannot be turned into rad/s", None),
+        (
+            'kind = "open_loop"\n[controller.gains]\nwashout = "1 bar"',
+            10,
+            "'bar' cannot be turned into rad/s",
+            None,
+        ),
         ('kind = "arc"\n[controller.gains]\npayload = "20 kg"', 10, "payload", None),
         ('kind = "arc"\n[controller.gains]\nadapt = 1', 10, "adapt = 1", "true or false"),
         ('kind = "arc"\n[controller.gains]\npayload = ["10 kg", "2 kg"]', 9, "bounds", None),
-        ('kind = "arc"\n[controller.gains]\nstandbye = 0.5', 10, "no gains 'standbye'", "did you mean 'standby'?"),
+        (
+            'kind = "arc"\n[controller.gains]\nstandbye = 0.5',
+            10,
+            "no gains 'standbye'",
+            "did you mean 'standby'?",
+        ),
         ('kind = "arc"\n[controller.gains]\nstandby = 1.0', 9, "gain 'standby' is 1", "below 1"),
-        ('kind = "pressure_feedback"\ngains = { feedback_gain = { up = "1 mL/s/bar" } }', 9, "no working function 'up'", None),
-        ('kind = "arc"\n[controller.rules]\nallow_eighth = true', 10, "no rules 'allow_eighth'", "allow_seventh"),
+        (
+            'kind = "pressure_feedback"\ngains = { feedback_gain = { up = "1 mL/s/bar" } }',
+            9,
+            "no working function 'up'",
+            None,
+        ),
+        (
+            'kind = "arc"\n[controller.rules]\nallow_eighth = true',
+            10,
+            "no rules 'allow_eighth'",
+            "allow_seventh",
+        ),
         ('kind = "arc"\n[controller.rules]\ndwell = "-1 s"', 10, "dwell", None),
-        ('kind = "arc"\n[controller.rules]\nspeed_stop = "1 m/s"', 9, "ends a state above where it begins", None),
-        ('kind = "open_loop"\n[controller.shaping]\nnatural_frequency = "2 Hz"', 9, "incomplete", "damping_ratio"),
+        (
+            'kind = "arc"\n[controller.rules]\nspeed_stop = "1 m/s"',
+            9,
+            "ends a state above where it begins",
+            None,
+        ),
+        (
+            'kind = "open_loop"\n[controller.shaping]\nnatural_frequency = "2 Hz"',
+            9,
+            "incomplete",
+            "damping_ratio",
+        ),
         ('kind = "arc"\nunused = ["press.spool"]', 9, "no valve 'press.spool'", "press.servo"),
         ('kind = "arc"\nunused = ["press.servo"]', 9, "no metering edge", None),
         ('class = "nowhere:C"', 8, "no module 'nowhere'", "nowhere.py"),
         ('class = "nowhere"', 8, "no class of a module", "my_module:MyController"),
     ],
 )
-def test_a_controller_that_cannot_be_is_refused_with_its_line(rig, tmp_path, controller, line, says, hint):
+def test_a_controller_that_cannot_be_is_refused_with_its_line(
+    rig, tmp_path, controller, line, says, hint
+):
     with pytest.raises(InputError, match=says.replace("(", r"\(")) as error:
         run_trial(rig, closed(tmp_path, controller), allow_code=True)
     assert error.value.file.endswith("trial.toml") and error.value.line == line
@@ -285,32 +402,59 @@ def test_a_controller_that_cannot_be_is_refused_with_its_line(rig, tmp_path, con
 @pytest.mark.parametrize(
     ("motion", "says"),
     [
-        ('kind = "point_to_point"\nwaypoints = ["100 mm", "900 mm"]\nspeed = "100 mm/s"', "leaves the stroke at t ="),
-        ('kind = "point_to_point"\nwaypoints = ["900 mm", "100 mm"]\nspeed = "100 mm/s"', "outside the stroke"),
-        ('kind = "point_to_point"\nwaypoints = ["100 mm"]\nspeed = "100 mm/s"', "two strokes or more"),
+        (
+            'kind = "point_to_point"\nwaypoints = ["100 mm", "900 mm"]\nspeed = "100 mm/s"',
+            "leaves the stroke at t =",
+        ),
+        (
+            'kind = "point_to_point"\nwaypoints = ["900 mm", "100 mm"]\nspeed = "100 mm/s"',
+            "outside the stroke",
+        ),
+        (
+            'kind = "point_to_point"\nwaypoints = ["100 mm"]\nspeed = "100 mm/s"',
+            "two strokes or more",
+        ),
         ('kind = "point_to_point"\nwaypoints = ["100 mm", "200 mm"]', "needs 'speed'"),
-        ('kind = "point_to_point"\nwaypoints = ["100 mm", "200 mm"]\nspeed = "1 m/s"\nhold = ["1 s", "1 s", "1 s"]', "3 times for 2"),
+        (
+            'kind = "point_to_point"\nwaypoints = ["100 mm", "200 mm"]\nspeed = "1 m/s"\nhold = ["1 s", "1 s", "1 s"]',
+            "3 times for 2",
+        ),
         ('kind = "velocity_steps"\nlevels = ["30 %"]', "'duration' or 'travel'"),
         ('kind = "velocity_steps"\nlevels = ["0 %"]\nduration = "1 s"', "level 1 is no speed"),
         ('kind = "velocity_steps"\nlevels = ["30"]\nduration = "1 s"', "no unit"),
         ('kind = "velocity_steps"\nlevels = ["100 %"]\nduration = "60 s"', "leaves the stroke"),
         ('kind = "file"', "needs 'file'"),
-        ('kind = "point_to_point"\ncylinder = "boom"\nwaypoints = ["1 mm", "2 mm"]\nspeed = "1 m/s"', "no cylinder 'boom'"),
+        (
+            'kind = "point_to_point"\ncylinder = "boom"\nwaypoints = ["1 mm", "2 mm"]\nspeed = "1 m/s"',
+            "no cylinder 'boom'",
+        ),
     ],
 )
 def test_a_motion_that_cannot_be_is_refused(rig, tmp_path, motion, says):
     with pytest.raises(InputError, match=says):
-        run_trial(rig, closed(tmp_path, 'kind = "open_loop"', f'stage = "trial"\nrig = "x.toml"\n[motion]\n{motion}\n[controller]\n'))
+        run_trial(
+            rig,
+            closed(
+                tmp_path,
+                'kind = "open_loop"',
+                f'stage = "trial"\nrig = "x.toml"\n[motion]\n{motion}\n[controller]\n',
+            ),
+        )
 
 
 @pytest.mark.parametrize(
     ("line", "says"),
     [
-        ('payload = "one tonne"', "no payload 'one tonne'"), ('posture = { elbow = "3 deg" }', "posture names 'elbow'"),
+        ('payload = "one tonne"', "no payload 'one tonne'"),
+        ('posture = { elbow = "3 deg" }', "posture names 'elbow'"),
         ('posture = { press = "3 kg" }', "'kg' cannot be turned into m"),
     ],
-)  # fmt: skip
-@pytest.mark.parametrize("rest", [TOML.split("\n", 2)[2] + 'kind = "open_loop"\n', 'duration = "1 s"\n'], ids=["closed", "open"])
+)
+@pytest.mark.parametrize(
+    "rest",
+    [TOML.split("\n", 2)[2] + 'kind = "open_loop"\n', 'duration = "1 s"\n'],
+    ids=["closed", "open"],
+)
 @pytest.mark.parametrize("on", ["model", "bench"])
 def test_a_machine_that_cannot_be_is_refused_with_its_line(rig, tmp_path, line, says, rest, on):
     text = f'stage = "trial"\nrig = "x.toml"\non = "{on}"\n{line}\n{rest}'
@@ -321,30 +465,52 @@ def test_a_machine_that_cannot_be_is_refused_with_its_line(rig, tmp_path, line, 
 
 def test_a_waypoint_that_cannot_be_is_refused_with_its_line(rig, tmp_path):
     with pytest.raises(InputError, match="outside the stroke") as error:
-        run_trial(rig, closed(tmp_path, 'kind = "open_loop"', TOML.replace('["100 mm"', '["900 mm"')))
+        run_trial(
+            rig, closed(tmp_path, 'kind = "open_loop"', TOML.replace('["100 mm"', '["900 mm"'))
+        )
     assert error.value.line == 5
 
 
 def test_every_gain_of_a_law_can_be_written_in_a_recipe(rig, tmp_path):
-    """By the very name it is saved under, with the value it is saved with: the same gains come back."""
+    """By the very name it is saved under, with the value it is saved with: the same gains come
+    back.
+    """
     from ehbench.quantities import quantity
 
     fed = 'kind = "pressure_feedback"\n[controller.gains]\nfeedback_gain = "3e-12 m^3/(s*Pa)"\n'
     for law in ('kind = "arc"\n[controller.gains]\n', fed):
         short = TOML.replace("[motion]", 'duration = "0.01 s"\n[motion]')
         first = run_trial(rig, closed(tmp_path, law, short))[1].measures["gains"]
-        moved = {name: 0.9 * value for name, value in first.items() if name not in ("tick", "adapt", "feedback_gain")}
+        moved = {
+            name: 0.9 * value
+            for name, value in first.items()
+            if name not in ("tick", "adapt", "feedback_gain")
+        }
         units = {name: quantity(name).unit for name in moved}
-        lines = [f"{name} = {value!r}" for name, value in moved.items() if units[name] == "dimensionless"]
-        lines += [f'{name} = "{value!r} {units[name]}"' for name, value in moved.items() if units[name] != "dimensionless"]
+        lines = [
+            f"{name} = {value!r}" for name, value in moved.items() if units[name] == "dimensionless"
+        ]
+        lines += [
+            f'{name} = "{value!r} {units[name]}"'
+            for name, value in moved.items()
+            if units[name] != "dimensionless"
+        ]
         again = run_trial(rig, closed(tmp_path, law + "\n".join(lines), short))[1].measures["gains"]
-        assert again == {name: pytest.approx(moved.get(name, value), rel=1e-12) for name, value in first.items()}
+        assert again == {
+            name: pytest.approx(moved.get(name, value), rel=1e-12) for name, value in first.items()
+        }
 
 
 def test_a_controller_needs_a_motion_and_a_trial_a_duration(tmp_path):
     for text, says in (
-        ('stage = "trial"\nrig = "x"\nduration = "1 s"\n[controller]\nkind = "arc"\n', "controller 'arc' needs a"),
-        ('stage = "trial"\nrig = "x"\nduration = "1 s"\n[motion]\nkind = "file"\nfile = "a.csv"\n', "a motion needs a"),
+        (
+            'stage = "trial"\nrig = "x"\nduration = "1 s"\n[controller]\nkind = "arc"\n',
+            "controller 'arc' needs a",
+        ),
+        (
+            'stage = "trial"\nrig = "x"\nduration = "1 s"\n[motion]\nkind = "file"\nfile = "a.csv"\n',
+            "a motion needs a",
+        ),
         ('stage = "trial"\nrig = "x"\n', "'duration' is missing"),
     ):
         (tmp_path / "t.toml").write_text(text)
@@ -360,18 +526,44 @@ def test_levels_are_shares_speeds_and_rows(rig, tmp_path):
     text = 'stage = "trial"\nrig = "x"\nposture = { press = "50 mm" }\n[motion]\nkind = "velocity_steps"\n'
     text += 'levels = ["50 %", "-40 mm/s"]\nfull_speed = "0.2 m/s"\ntravel = "20 mm"\nrest = "0.1 s"\n[controller]\n'
     made = table_of(rig, closed(tmp_path, 'kind = "open_loop"', text))
-    assert [(one.first, one.stop, one.speed, one.share) for one in made.levels] == [(100, 300, 0.1, 0.5), (400, 900, -0.04, None)]
+    assert [(one.first, one.stop, one.speed, one.share) for one in made.levels] == [
+        (100, 300, 0.1, 0.5),
+        (400, 900, -0.04, None),
+    ]
     v = made.table[:, 1]
-    assert v[99] == 0 and v[100] == 0.1 and v[299] == 0.1 and v[300] == 0 and v[400] == v[899] == -0.04 and v[900] == 0
-    assert made.table[0, 0] == pytest.approx(0.05, abs=1e-12) and made.table[300, 0] == pytest.approx(0.07, abs=1e-12)
+    assert (
+        v[99] == 0
+        and v[100] == 0.1
+        and v[299] == 0.1
+        and v[300] == 0
+        and v[400] == v[899] == -0.04
+        and v[900] == 0
+    )
+    assert made.table[0, 0] == pytest.approx(0.05, abs=1e-12) and made.table[
+        300, 0
+    ] == pytest.approx(0.07, abs=1e-12)
 
 
 def test_a_trial_lasts_as_long_as_its_motion_or_as_it_says(rig, tmp_path):
     alone = table_of(rig, closed(tmp_path, 'kind = "open_loop"')).table
     assert alone[-1, 0] == 0.2 and not alone[-1, 1:].any()
-    long = table_of(rig, closed(tmp_path, 'kind = "open_loop"', TOML.replace("[motion]", 'duration = "9 s"\n[motion]'))).table
-    assert len(long) == 9001 and np.array_equal(long[: len(alone)], alone) and (long[len(alone) :] == [0.2, 0, 0, 0]).all()
-    short = table_of(rig, closed(tmp_path, 'kind = "open_loop"', TOML.replace("[motion]", 'duration = "0.8 s"\n[motion]'))).table
+    long = table_of(
+        rig,
+        closed(
+            tmp_path, 'kind = "open_loop"', TOML.replace("[motion]", 'duration = "9 s"\n[motion]')
+        ),
+    ).table
+    assert (
+        len(long) == 9001
+        and np.array_equal(long[: len(alone)], alone)
+        and (long[len(alone) :] == [0.2, 0, 0, 0]).all()
+    )
+    short = table_of(
+        rig,
+        closed(
+            tmp_path, 'kind = "open_loop"', TOML.replace("[motion]", 'duration = "0.8 s"\n[motion]')
+        ),
+    ).table
     assert np.array_equal(short, alone[:801])
 
 
@@ -380,19 +572,45 @@ def test_a_motion_from_a_file_is_the_curve_through_its_samples(rig, tmp_path):
     t = np.arange(101) * 0.01
     write_log(tmp_path / "m.mcap", Record(t, {"press.x_desired": 0.2 + 0.02 * np.sin(4 * t)}))
     text = 'stage = "trial"\nrig = "x"\n[motion]\nkind = "file"\nfile = "m.mcap"\n[controller]\n'
-    table, at = table_of(rig, closed(tmp_path, 'kind = "open_loop"', text)).table, np.arange(1001) * 1e-3
-    exact = np.column_stack([0.2 + 0.02 * np.sin(4 * at), 0.08 * np.cos(4 * at), -0.32 * np.sin(4 * at), -1.28 * np.cos(4 * at)])
+    table, at = (
+        table_of(rig, closed(tmp_path, 'kind = "open_loop"', text)).table,
+        np.arange(1001) * 1e-3,
+    )
+    exact = np.column_stack(
+        [
+            0.2 + 0.02 * np.sin(4 * at),
+            0.08 * np.cos(4 * at),
+            -0.32 * np.sin(4 * at),
+            -1.28 * np.cos(4 * at),
+        ]
+    )
     assert np.abs(table - exact).max(axis=0) == pytest.approx([0, 0, 0, 0], abs=1e-4)
-    write_log(tmp_path / "m.mcap", Record(t, {"press.x_desired": 0.2 + 0.0 * t, "press.v_desired": 0.08 * np.cos(4 * t)}))
-    assert np.abs(table_of(rig, closed(tmp_path, 'kind = "open_loop"', text)).table[:, 1] - exact[:, 1]).max() < 1e-6
+    write_log(
+        tmp_path / "m.mcap",
+        Record(t, {"press.x_desired": 0.2 + 0.0 * t, "press.v_desired": 0.08 * np.cos(4 * t)}),
+    )
+    assert (
+        np.abs(
+            table_of(rig, closed(tmp_path, 'kind = "open_loop"', text)).table[:, 1] - exact[:, 1]
+        ).max()
+        < 1e-6
+    )
     write_log(tmp_path / "m.mcap", Record(t, {"press.x": t}))
     with pytest.raises(InputError, match=r"no channel 'press.x_desired'"):
         table_of(rig, closed(tmp_path, 'kind = "open_loop"', text))
 
 
 def test_gains_come_from_a_tune_run_and_what_is_written_goes_first(rig, tmp_path):
-    tuned = {"cylinder": "press", "feedback_gain": {"extend_resistive": 3e-12}, "washout": 5.0, "off_gain": 2e-12, "low_pressure": 3e5,
-             "cross_drop": 4e5, "damping_ratio": 0.6, "tick": 1e-3}  # fmt: skip
+    tuned = {
+        "cylinder": "press",
+        "feedback_gain": {"extend_resistive": 3e-12},
+        "washout": 5.0,
+        "off_gain": 2e-12,
+        "low_pressure": 3e5,
+        "cross_drop": 4e5,
+        "damping_ratio": 0.6,
+        "tick": 1e-3,
+    }
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "tuning.json").write_text(json.dumps(tuned))
 
@@ -401,24 +619,37 @@ def test_gains_come_from_a_tune_run_and_what_is_written_goes_first(rig, tmp_path
         made = controllers.design(recipe, rig, None)
         tuning = controllers.read_tuning(recipe, None)
         assert gains_file(recipe) == "run"
-        assert controllers.low_pressure(recipe, rig, tuning) == (1e5 if "low_pressure" in controller else 3e5)
+        assert controllers.low_pressure(recipe, rig, tuning) == (
+            1e5 if "low_pressure" in controller else 3e5
+        )
         return controllers.compiled(recipe, made, tuning, np.zeros((2, 4)), 1000.0).gains
 
     plain = packed('kind = "pressure_feedback"\ngains = "run"')
-    assert plain[[pf.WASHOUT, pf.OFF_GAIN, pf.LOW_PRESSURE, pf.FEEDBACK_GAIN + 1, pf.FEEDBACK_GAIN + 4]].tolist() == [5.0, 2e-12, 3e5, 3e-12, 0]
-    over = packed('kind = "pressure_feedback"\ngains = { from = "run", washout = "0 Hz", low_pressure = "1 bar" }')
+    assert plain[
+        [pf.WASHOUT, pf.OFF_GAIN, pf.LOW_PRESSURE, pf.FEEDBACK_GAIN + 1, pf.FEEDBACK_GAIN + 4]
+    ].tolist() == [5.0, 2e-12, 3e5, 3e-12, 0]
+    over = packed(
+        'kind = "pressure_feedback"\ngains = { from = "run", washout = "0 Hz", low_pressure = "1 bar" }'
+    )
     assert over[[pf.WASHOUT, pf.LOW_PRESSURE, pf.FEEDBACK_GAIN + 1]].tolist() == [0.0, 1e5, 3e-12]
     loose = packed('kind = "open_loop"\ngains = "run"')
-    assert loose[[pf.WASHOUT, pf.OFF_GAIN]].tolist() == [0.0, 2e-12] and not loose[pf.FEEDBACK_GAIN : pf.AT_SHAPING].any()
+    assert (
+        loose[[pf.WASHOUT, pf.OFF_GAIN]].tolist() == [0.0, 2e-12]
+        and not loose[pf.FEEDBACK_GAIN : pf.AT_SHAPING].any()
+    )
     (tmp_path / "run" / "tuning.json").write_text(json.dumps(tuned | {"cylinder": "boom"}))
     with pytest.raises(InputError, match="tuned for cylinder 'boom', not 'press'"):
         packed('kind = "pressure_feedback"\ngains = "run"')
 
 
-# --- a user's class -------------------------------------------------------------------------------------------------------
+# --- a user's class
+# -------------------------------------------------------------------------------------------------------
 
 HEAD = "class C:\n    channels = ['press.x']\n"
-START, STEPS = "    def start(self, rig, tick, sample): pass\n", "    def step(self, t, sample, wish): return {}\n"
+START, STEPS = (
+    "    def start(self, rig, tick, sample): pass\n",
+    "    def step(self, t, sample, wish): return {}\n",
+)
 
 
 @pytest.mark.parametrize(
@@ -429,18 +660,60 @@ START, STEPS = "    def start(self, rig, tick, sample): pass\n", "    def step(s
         ("class D: pass\n", r"has no class 'C' \(it has D\)", None),
         (HEAD + STEPS, "has no method 'start'", None),
         ("class C:\n" + START + STEPS, "does not say which channels", None),
-        ("class C:\n    channels = ['boom.x']\n" + START + STEPS, "asks for channel 'boom.x'", None),
-        (HEAD + "    notes = ['press.wow']\n" + START + STEPS, "notes 'press.wow': no quantity 'wow'", None),
-        (HEAD + "    notes = ['press.force']\n" + START + STEPS, "note does not hold 1 numbers", None),
+        (
+            "class C:\n    channels = ['boom.x']\n" + START + STEPS,
+            "asks for channel 'boom.x'",
+            None,
+        ),
+        (
+            HEAD + "    notes = ['press.wow']\n" + START + STEPS,
+            "notes 'press.wow': no quantity 'wow'",
+            None,
+        ),
+        (
+            HEAD + "    notes = ['press.force']\n" + START + STEPS,
+            "note does not hold 1 numbers",
+            None,
+        ),
         (HEAD + "    def __init__(self, gain): pass\n" + START + STEPS, "raised TypeError", None),
-        (HEAD + "    def start(self, rig, tick, sample):\n        rig.nothing\n" + STEPS, "C.start raised AttributeError", 4),
-        (HEAD + START + "    def step(self, t, sample, wish):\n        return [][int(t > 0.1)]\n", r"C.step raised IndexError at t = 0 s.*\[\]", 5),
-        (HEAD + START + "    def step(self, t, sample, wish): return {'press.valve': 1.0}\n", "'press.valve', which is no valve", None),
-        (HEAD + START + "    def step(self, t, sample, wish): return [1.0, 2.0]\n", r"gave \[1.0, 2.0\] at t = 0 s", None),
-        (HEAD + START + "    def step(self, t, sample, wish):\n        raise SystemExit\n", "C.step raised SystemExit at t = 0", 5),
+        (
+            HEAD + "    def start(self, rig, tick, sample):\n        rig.nothing\n" + STEPS,
+            "C.start raised AttributeError",
+            4,
+        ),
+        (
+            HEAD
+            + START
+            + "    def step(self, t, sample, wish):\n        return [][int(t > 0.1)]\n",
+            r"C.step raised IndexError at t = 0 s.*\[\]",
+            5,
+        ),
+        (
+            HEAD + START + "    def step(self, t, sample, wish): return {'press.valve': 1.0}\n",
+            "'press.valve', which is no valve",
+            None,
+        ),
+        (
+            HEAD + START + "    def step(self, t, sample, wish): return [1.0, 2.0]\n",
+            r"gave \[1.0, 2.0\] at t = 0 s",
+            None,
+        ),
+        (
+            HEAD + START + "    def step(self, t, sample, wish):\n        raise SystemExit\n",
+            "C.step raised SystemExit at t = 0",
+            5,
+        ),
         ("raise SystemExit\n", "raised SystemExit", 1),
-        (HEAD + START + "    def step(self, t, sample, wish): return [float('nan')]\n", "nan.* at t = 0 s, which is not fin", None),
-        (HEAD + START + "    def step(self, t, sample, wish): return None\n", "gave None at t = 0 s, which is no set", None),
+        (
+            HEAD + START + "    def step(self, t, sample, wish): return [float('nan')]\n",
+            "nan.* at t = 0 s, which is not fin",
+            None,
+        ),
+        (
+            HEAD + START + "    def step(self, t, sample, wish): return None\n",
+            "gave None at t = 0 s, which is no set",
+            None,
+        ),
     ],
 )
 def test_code_that_goes_wrong_says_where(rig, tmp_path, code, says, line):
@@ -448,7 +721,9 @@ def test_code_that_goes_wrong_says_where(rig, tmp_path, code, says, line):
     with pytest.raises(InputError, match=says) as error:
         run_trial(rig, closed(tmp_path, 'class = "mine:C"'), allow_code=True)
     assert error.value.file.endswith("mine.py") and error.value.line == line
-    assert [p.name for p in sorted(tmp_path.iterdir())] == ["mine.py", "trial.toml"], "nothing is left, not even bytecode"
+    assert [p.name for p in sorted(tmp_path.iterdir())] == ["mine.py", "trial.toml"], (
+        "nothing is left, not even bytecode"
+    )
 
 
 @pytest.mark.parametrize(
@@ -458,7 +733,7 @@ def test_code_that_goes_wrong_says_where(rig, tmp_path, code, says, line):
         ('gains = { from = "run" }', 9, "is given no gains of a tune run"),
         ('gains = "run"', 9, "is given no gains of a tune run"),
     ],
-)  # fmt: skip
+)
 def test_what_a_class_would_not_see_is_refused(rig, tmp_path, more, line, says):
     (tmp_path / "mine.py").write_text(HEAD + START + STEPS)
     (tmp_path / "run").mkdir()
@@ -473,7 +748,11 @@ def test_code_runs_only_when_allowed(rig, tmp_path):
     recipe = closed(tmp_path, 'class = "mine:C"')
     with pytest.raises(InputError, match="may not run code by itself") as error:
         run_trial(rig, recipe)
-    assert error.value.line == 8 and "--allow-code" in error.value.hint and not Path("touched").exists()
+    assert (
+        error.value.line == 8
+        and "--allow-code" in error.value.hint
+        and not Path("touched").exists()
+    )
     assert code_file(recipe) == (tmp_path / "mine.py").resolve()
 
 
@@ -487,21 +766,35 @@ def test_a_class_gets_its_gains_and_is_held_to_the_drivers_range(rig, tmp_path):
     )
     gains = '[controller.gains]\nlow_pressure = "2 bar"\nmode = "3 V"\n'
     record, facts = run_trial(rig, closed(tmp_path, f'class = "mine:C"\n{gains}'), allow_code=True)
-    assert record["press.servo.command"].max() == 10.0 and (record["press.servo.command"] == 10.0).sum() == 100
-    assert facts.warnings == (f"C asked for more than a driver takes in 100 of {facts.samples} ticks, and got the end of its range",)
+    assert (
+        record["press.servo.command"].max() == 10.0
+        and (record["press.servo.command"] == 10.0).sum() == 100
+    )
+    assert facts.warnings == (
+        f"C asked for more than a driver takes in 100 of {facts.samples} ticks, and got the end of its range",
+    )
     assert facts.measures["gains"] == {"low_pressure": 2e5}, "numbers, SI"
-    assert np.array_equal(record["press.force"], record.t) and np.array_equal(record["press.pressure_drop"], record["press.v_desired"])
+    assert np.array_equal(record["press.force"], record.t) and np.array_equal(
+        record["press.pressure_drop"], record["press.v_desired"]
+    )
 
 
 def test_a_class_may_do_without_a_motion(rig, tmp_path):
-    (tmp_path / "mine.py").write_text(HEAD + START + "    def step(self, t, sample, wish): return {'press.servo': 10 * (wish.x - sample['press.x'])}\n")
+    (tmp_path / "mine.py").write_text(
+        HEAD
+        + START
+        + "    def step(self, t, sample, wish): return {'press.servo': 10 * (wish.x - sample['press.x'])}\n"
+    )
     text = 'stage = "trial"\nrig = "x"\nduration = "0.5 s"\nposture = { press = "120 mm" }\n[controller]\n'
     record, facts = run_trial(rig, closed(tmp_path, 'class = "mine:C"', text), allow_code=True)
-    assert (record["press.x_desired"] == record["press.x_desired"][0]).all() and record["press.x"][0] == pytest.approx(0.12, abs=1e-9)
+    assert (record["press.x_desired"] == record["press.x_desired"][0]).all() and record["press.x"][
+        0
+    ] == pytest.approx(0.12, abs=1e-9)
     assert facts.measures["steps"] == [] and facts.cylinder == "press"
 
 
-# --- sets ---------------------------------------------------------------------------------------------------------------
+# --- sets
+# ---------------------------------------------------------------------------------------------------------------
 
 
 def test_a_set_names_each_of_its_lists_without_doubles(tmp_path):
@@ -509,13 +802,26 @@ def test_a_set_names_each_of_its_lists_without_doubles(tmp_path):
     p2p = {"kind": "point_to_point", "waypoints": ["1 mm", "2 mm"], "speed": "1 m/s"}
     with pytest.raises(ValueError, match="two entries of controller are called 'arc'"):
         TrialSetRecipe(stage="trials", rig="x", motion=[p2p], controller=[arc, arc])
-    made = TrialSetRecipe(stage="trials", rig="x", motion=[p2p], controller=[arc, {**arc, "name": "ARC/2", "rig": "y"}, {**arc, "name": "arc 2"}])
+    made = TrialSetRecipe(
+        stage="trials",
+        rig="x",
+        motion=[p2p],
+        controller=[arc, {**arc, "name": "ARC/2", "rig": "y"}, {**arc, "name": "arc 2"}],
+    )
     cases = [Case(name, one, None, None) for name, _, one in made.cases()]
-    assert [c.recipe.rig for c in cases] == ["x", "y", "x"] and [c.recipe.controller.where for c in cases] == [("controller", i) for i in range(3)]
-    assert file_names(cases) == ["no_load_point_to_point_arc", "no_load_point_to_point_arc_2", "no_load_point_to_point_arc_2_2"]
+    assert [c.recipe.rig for c in cases] == ["x", "y", "x"] and [
+        c.recipe.controller.where for c in cases
+    ] == [("controller", i) for i in range(3)]
+    assert file_names(cases) == [
+        "no_load_point_to_point_arc",
+        "no_load_point_to_point_arc_2",
+        "no_load_point_to_point_arc_2_2",
+    ]
 
 
 @pytest.mark.parametrize("path", sorted((RECIPES / "trials").glob("*.toml")), ids=lambda p: p.stem)
 def test_the_examples_load_and_name_what_is_there(path):
     recipe = load_recipe(path)
-    assert recipe.file(recipe.rig).exists() and (recipe.bench is None or recipe.file(recipe.bench).exists())
+    assert recipe.file(recipe.rig).exists() and (
+        recipe.bench is None or recipe.file(recipe.bench).exists()
+    )

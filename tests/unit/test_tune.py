@@ -1,4 +1,6 @@
-"""Gains of the pressure feedback: demands kept, the worst case at its best, loci and margins right, draws as asked."""
+"""Gains of the pressure feedback: demands kept, the worst case at its best, loci and margins right,
+draws as asked.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +15,24 @@ import pytest
 
 from ehbench import rundir
 from ehbench.control.functions import FUNCTIONS, HEAD, METERED, pack_rules
-from ehbench.control.pressure_feedback import FEEDBACK_GAIN, OFF_GAIN, WASHOUT, pack_pressure_feedback
+from ehbench.control.pressure_feedback import (
+    FEEDBACK_GAIN,
+    OFF_GAIN,
+    WASHOUT,
+    pack_pressure_feedback,
+)
 from ehbench.errors import InputError, InsufficientData, ModelRejected
 from ehbench.recipe import TuneRecipe, load_recipe, load_rig
 from ehbench.rig import Value
 from ehbench.tune import gains as module
-from ehbench.tune.gains import bandwidth, draw_parameters, gain_limit, locus, margins, tune_pressure_feedback
+from ehbench.tune.gains import (
+    bandwidth,
+    draw_parameters,
+    gain_limit,
+    locus,
+    margins,
+    tune_pressure_feedback,
+)
 from ehbench.tune.linear import Law, damping_ratio
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
@@ -30,7 +44,9 @@ def machine(name="boom_four_valve", **values):
 
 
 def recipe(**fields):
-    return TuneRecipe(**{"stage": "tune", "rig": "x", "postures": 2, "speed_shares": (0.4,), "draws": 0} | fields)
+    return TuneRecipe(
+        **{"stage": "tune", "rig": "x", "postures": 2, "speed_shares": (0.4,), "draws": 0} | fields
+    )
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +62,9 @@ def sites():
 
 
 def test_thesis_boom_reaches_its_target_with_one_gain():
-    """What is wanted of the linear models: 0.5 at worst, against 0.05 to 0.2 of the thesis's six functions in open loop."""
+    """What is wanted of the linear models: 0.5 at worst, against 0.05 to 0.2 of the thesis's six
+    functions in open loop.
+    """
 
     t = tune_pressure_feedback(machine("thesis_arm"), recipe(cylinder="boom", postures=3))
     assert t.met and t.damping_ratio >= 0.5 and len(set(t.feedback_gain.values())) == 1
@@ -64,7 +82,11 @@ def test_demands_are_kept_and_no_neighbour_is_better(tuned, sites):
     law = Law(tuned.washout, tuned.off_gain, tuned.delay)
     counted = [p for p in tuned.points if p.counts]
     for p in counted:
-        assert p.margins.gain_margin >= 2.0 and p.margins.phase_margin >= math.radians(30) and p.margins.bandwidth >= math.pi
+        assert (
+            p.margins.gain_margin >= 2.0
+            and p.margins.phase_margin >= math.radians(30)
+            and p.margins.bandwidth >= math.pi
+        )
     assert min(p.damping_ratio_closed for p in counted) == tuned.damping_ratio
 
     def worst(at):
@@ -120,12 +142,15 @@ def test_margins_and_bandwidth_agree_with_poles_and_python_control(sites):
 
     law, gain = Law(20.0, 0.0, 1e-3), 1e-10
     loop = next(s for s in sites if s.counts).loop(law)
-    # with no off-side control there is one loop, and its gain margin is the factor to the stability limit
+    # with no off-side control there is one loop, and its gain margin is the factor to the stability
+    # limit
     limit = gain_limit(loop, np.geomspace(1e-12, 1e-8, 60))
     assert margins(loop, gain).gain_margin == pytest.approx(limit / gain, rel=1e-3)
     loop = next(s for s in sites if s.counts).loop(replace(law, off_gain=4e-11))
     # the grid is 1.7 % wide and interpolated
-    assert bandwidth(loop, gain) == pytest.approx(float(control.bandwidth(module._speed(loop, gain))), rel=2e-3)
+    assert bandwidth(loop, gain) == pytest.approx(
+        float(control.bandwidth(module._speed(loop, gain))), rel=2e-3
+    )
     assert margins(loop, 2 * gain_limit(loop, np.geomspace(1e-12, 1e-8, 60))).gain_margin == 0.0
 
 
@@ -140,11 +165,13 @@ def test_limit_is_a_limit(sites):
 def test_steps_and_bias(tuned):
     for step in tuned.steps:
         opened, closed = np.array(step.v_open), np.array(step.v_closed)
-        # with a washout the speed comes out as wished; python-control's samples end after ten open-loop periods
+        # with a washout the speed comes out as wished; python-control's samples end after ten
+        # open-loop periods
         assert closed[-1] == pytest.approx(1.0, abs=0.15)
         assert closed.max() < opened.max()
     for p in tuned.points:
-        # without a washout pressure takes from the inflow of the metered chamber: slower by meter-in, faster by meter-out
+        # without a washout pressure takes from the inflow of the metered chamber: slower by
+        # meter-in, faster by meter-out
         assert (p.bias < 0) == (METERED[FUNCTIONS.index(p.point.function)] == HEAD), p.name
 
 
@@ -155,7 +182,9 @@ def test_bias_without_washout_is_the_steady_error(sites):
     bias = module._bias(site.loop(Law(0.0, 4e-11, 1e-3)), point, gain)
     area, rest = site.circuit.area_head, site.circuit.area_rod
     # off-side: A2 δv_d flow is as before, so its pressure gives way by A2 δv/off
-    stiff = (point.damping + point.friction - point.bend * point.mass) / area + rest**2 / (4e-11 * area)
+    stiff = (point.damping + point.friction - point.bend * point.mass) / area + rest**2 / (
+        4e-11 * area
+    )
     assert bias == pytest.approx(-gain * point.p_head / (area + gain * stiff), rel=1e-3)
 
 
@@ -166,10 +195,15 @@ def test_draws_follow_the_covariance():
     }
     rig = machine(**values).rig
     names = ("bulk_modulus", "boom.joint_damping")
-    table = draw_parameters(rig, names, (names[::-1], [[1.0, -0.8], [-0.8, 1.0]]), 20000, np.random.default_rng(1))
-    # 20 000 draws: means to 0.7 % of a deviation, deviations and correlation to about 1 %; clipping at 2 σ moves them by 2 %
+    table = draw_parameters(
+        rig, names, (names[::-1], [[1.0, -0.8], [-0.8, 1.0]]), 20000, np.random.default_rng(1)
+    )
+    # 20 000 draws: means to 0.7 % of a deviation, deviations and correlation to about 1 %; clipping
+    # at 2 σ moves them by 2 %
     assert table[:, 0].min() == 6e8
-    assert table[:, 1].mean() == pytest.approx(2500, abs=5) and table[:, 1].std() == pytest.approx(200, rel=0.03)
+    assert table[:, 1].mean() == pytest.approx(2500, abs=5) and table[:, 1].std() == pytest.approx(
+        200, rel=0.03
+    )
     assert np.corrcoef(table.T)[0, 1] == pytest.approx(-0.8, abs=0.02)
     alone = draw_parameters(rig, names, None, 20000, np.random.default_rng(1))
     assert abs(np.corrcoef(alone.T)[0, 1]) < 0.03
@@ -178,7 +212,11 @@ def test_draws_follow_the_covariance():
 
 
 def test_share_of_draws(tuned):
-    wide = {"boom.joint_damping": Value(2500.0, sure="identified", std=1200.0, lower=50.0, upper=40000.0)}
+    wide = {
+        "boom.joint_damping": Value(
+            2500.0, sure="identified", std=1200.0, lower=50.0, upper=40000.0
+        )
+    }
     options = {
         "draws": 16,
         "phase_margin": "30 deg",
@@ -187,10 +225,16 @@ def test_share_of_draws(tuned):
     }
 
     def share(target, **extra):
-        return tune_pressure_feedback(machine(**wide), recipe(**options, damping_ratio=target, **extra)).robustness
+        return tune_pressure_feedback(
+            machine(**wide), recipe(**options, damping_ratio=target, **extra)
+        ).robustness
 
     middle = share(str(tuned.damping_ratio))
-    assert 0.0 < middle.share < 1.0 and middle.draws == 16 and middle.parameters == ("boom.joint_damping",)
+    assert (
+        0.0 < middle.share < 1.0
+        and middle.draws == 16
+        and middle.parameters == ("boom.joint_damping",)
+    )
     assert middle.share == np.mean(np.array(middle.damping_ratios) >= tuned.damping_ratio)
     assert share("0.95").share == 0.0 and share("0.01").share == 1.0
     assert share("0.01").damping_ratios == middle.damping_ratios
@@ -201,7 +245,12 @@ def test_share_of_draws(tuned):
 def test_each_function_with_its_own_gain_is_no_worse(tuned):
     own = tune_pressure_feedback(
         machine(),
-        recipe(phase_margin="30 deg", one_gain=False, washout=f"{tuned.washout} rad/s", off_gain=f"{tuned.off_gain} m^3/(s*Pa)"),
+        recipe(
+            phase_margin="30 deg",
+            one_gain=False,
+            washout=f"{tuned.washout} rad/s",
+            off_gain=f"{tuned.off_gain} m^3/(s*Pa)",
+        ),
     )
     assert own.damping_ratio >= tuned.damping_ratio - 1e-6
     assert own.feedback_gain["extend_resistive"] != own.feedback_gain["retract_overrunning"]
@@ -211,19 +260,25 @@ def test_result_is_plain_and_feeds_the_controller(tuned, tmp_path):
     rundir.write_json(tmp_path / "tuning.json", tuned.as_json())
     back = json.loads((tmp_path / "tuning.json").read_text())
     assert back["feedback_gain"] == pytest.approx(tuned.feedback_gain, rel=1e-8)
-    assert len(back["points"]) == len(tuned.points) and len(back["points"][0]["curve"]) == len(back["gains"])
+    assert len(back["points"]) == len(tuned.points) and len(back["points"][0]["curve"]) == len(
+        back["gains"]
+    )
     packed = pack_pressure_feedback(rules=pack_rules(1e-3, 1.6e7), **tuned.controller())
     assert packed[WASHOUT] == tuned.washout and packed[OFF_GAIN] == tuned.off_gain
     assert packed[FEEDBACK_GAIN + 1] == tuned.feedback_gain["extend_resistive"]
 
 
 def test_same_input_same_result(tuned):
-    assert tune_pressure_feedback(machine(), recipe(phase_margin="30 deg")).as_json() == tuned.as_json()
+    assert (
+        tune_pressure_feedback(machine(), recipe(phase_margin="30 deg")).as_json()
+        == tuned.as_json()
+    )
 
 
 def test_alternatives_are_at_their_best(tuned):
     by = {a.what: a for a in tuned.alternatives}
-    # the constraint may cost the chosen law something, its coarse grid of gains the alternative: 5 %
+    # the constraint may cost the chosen law something, its coarse grid of gains the alternative: 5
+    # %
     assert by["chosen law"].damping_ratio >= 0.95 * tuned.damping_ratio
     assert {"no washout", "load force fed back", "valves ten times as fast", "no delay"} <= set(by)
 
@@ -270,8 +325,12 @@ def test_recipe_file(tmp_path):
         'phase_margin = "40 deg"\nbandwidth = "1 Hz"\n'
     )
     read = load_recipe(path)
-    assert isinstance(read, TuneRecipe) and float(read.phase_margin) == pytest.approx(math.radians(40))
-    assert float(read.washout) == pytest.approx(2 * math.pi * 0.6) and float(read.off_gain) == pytest.approx(300e-6 / 60 / 1e5)
+    assert isinstance(read, TuneRecipe) and float(read.phase_margin) == pytest.approx(
+        math.radians(40)
+    )
+    assert float(read.washout) == pytest.approx(2 * math.pi * 0.6) and float(
+        read.off_gain
+    ) == pytest.approx(300e-6 / 60 / 1e5)
     path.write_text('stage = "tune"\nrig = "x"\nwashot = "0.6 Hz"\n')
     with pytest.raises(InputError, match="did you mean 'washout'"):
         load_recipe(path)

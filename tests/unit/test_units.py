@@ -41,9 +41,13 @@ def test_parse(text, name, si):
             parse(text, VOCABULARY[name])
         return
     value = parse(text, VOCABULARY[name])
-    assert value == pytest.approx(si, rel=1e-9)  # conversion factors are exact to more digits than this
+    assert value == pytest.approx(
+        si, rel=1e-9
+    )  # conversion factors are exact to more digits than this
     unit = text.split(" ", 1)[1] if " " in text else "dimensionless"
-    assert to_si(from_si(value, unit, VOCABULARY[name]), unit, VOCABULARY[name]) == pytest.approx(value, rel=1e-12)
+    assert to_si(from_si(value, unit, VOCABULARY[name]), unit, VOCABULARY[name]) == pytest.approx(
+        value, rel=1e-12
+    )
 
 
 @pytest.mark.parametrize("text", ["12", "kPa", "", "12 kg", "12 furlongz", "12 kPa kPa(", "nan Pa"])

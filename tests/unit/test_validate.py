@@ -21,8 +21,15 @@ T = np.arange(2401) * 1e-3
 
 
 def recorded(rig, valves: dict[str, float], payload: str | None = None, seed: int = 1) -> Record:
-    """What a rig with sensors would record of a step there and back: no openings or flows, noise on what is measured."""
-    made = simulate(rig, {v: np.where((T >= 0.3) & (T < 1.4), a, 0.0) for v, a in valves.items()}, 2.4, payload=payload)
+    """What a rig with sensors would record of a step there and back: no openings or flows, noise on
+    what is measured.
+    """
+    made = simulate(
+        rig,
+        {v: np.where((T >= 0.3) & (T < 1.4), a, 0.0) for v, a in valves.items()},
+        2.4,
+        payload=payload,
+    )
     rng = np.random.default_rng(seed)
     channels = {}
     for name, values in made.channels.items():
@@ -33,7 +40,11 @@ def recorded(rig, valves: dict[str, float], payload: str | None = None, seed: in
 
 
 def without(record: Record, *words: str) -> Record:
-    return Record(record.t, {n: v for n, v in record.channels.items() if n.rsplit(".", 1)[-1] not in words}, record.meta)
+    return Record(
+        record.t,
+        {n: v for n, v in record.channels.items() if n.rsplit(".", 1)[-1] not in words},
+        record.meta,
+    )
 
 
 BOOM = {"boom.hepc": 4.0, "boom.rect": 8.0}
@@ -66,7 +77,9 @@ def rejected(arm, boom, swing) -> Validation:
 
 
 def test_the_true_rig_is_accepted(accepted):
-    """Noise is all that is left: fits as high as the noise allows, residuals of the noise's size, ringing alike."""
+    """Noise is all that is left: fits as high as the noise allows, residuals of the noise's size,
+    ringing alike.
+    """
     assert accepted.accepted and accepted.verdict == "accepted" and not accepted.reasons
     boom, swing = accepted.logs
     assert boom.passed and boom.status == "held_out"
@@ -78,8 +91,12 @@ def test_the_true_rig_is_accepted(accepted):
         assert result.fit_percent > 95
     assert {r.channel for r in boom.channels} == {"boom.q", "boom.qd", "boom.p_head", "boom.p_rod"}
     for window in boom.transients:
-        assert window.simulated.natural_frequency == pytest.approx(window.recorded.natural_frequency, rel=0.01)
-        assert window.simulated.damping_ratio == pytest.approx(window.recorded.damping_ratio, rel=0.05)
+        assert window.simulated.natural_frequency == pytest.approx(
+            window.recorded.natural_frequency, rel=0.01
+        )
+        assert window.simulated.damping_ratio == pytest.approx(
+            window.recorded.damping_ratio, rel=0.05
+        )
     assert [w.start for w in boom.transients] == pytest.approx([0.3, 1.4])
     accepted.require()
 
@@ -98,16 +115,22 @@ def test_a_wrong_bulk_modulus_is_rejected_for_the_right_reasons(rejected):
 
 
 def test_the_numbers_are_the_textbook_ones(arm, boom):
-    """Fit, bias and largest error against their definitions, with an offset put on a channel by hand."""
+    """Fit, bias and largest error against their definitions, with an offset put on a channel by
+    hand.
+    """
     shifted = Record(boom.t, boom.channels | {"boom.p_head": boom["boom.p_head"] - 3e5}, boom.meta)
     result = validate_rig(arm, [("boom", shifted)])
     channel = next(c for c in result.logs[0].channels if c.channel == "boom.p_head")
-    y, simulated = (result.logs[0].series[name] for name in ("boom.p_head", "simulated.boom.p_head"))
+    y, simulated = (
+        result.logs[0].series[name] for name in ("boom.p_head", "simulated.boom.p_head")
+    )
     error = simulated - y
     assert channel.bias == pytest.approx(np.mean(error)) and channel.bias > 1e5
     assert channel.rms_error == pytest.approx(np.sqrt(np.mean(error**2)))
     assert channel.max_error == error[np.argmax(np.abs(error))]
-    assert channel.fit_percent == pytest.approx(100 * (1 - np.linalg.norm(error) / np.linalg.norm(y - y.mean())))
+    assert channel.fit_percent == pytest.approx(
+        100 * (1 - np.linalg.norm(error) / np.linalg.norm(y - y.mean()))
+    )
     assert channel.unit == "Pa"
 
 
@@ -133,7 +156,9 @@ def test_thresholds_decide(arm, boom):
 
 
 def test_ringing_that_is_not_clear_is_shown_and_not_judged(arm, swing):
-    """Fewer than 1.5 cycles, or damped above 0.35: drift and ringing cannot be told apart well enough to reject a model by."""
+    """Fewer than 1.5 cycles, or damped above 0.35: drift and ringing cannot be told apart well
+    enough to reject a model by.
+    """
     known = {"natural_frequency": 20.0, "natural_frequency_std": 0.1, "damping_ratio_std": 0.01}
     assert Ring(**known, damping_ratio=0.2, cycles=2.0).clear
     assert not Ring(**known, damping_ratio=0.2, cycles=1.2).clear
@@ -148,22 +173,37 @@ def test_ringing_that_is_not_clear_is_shown_and_not_judged(arm, swing):
 
 
 def test_white_residuals_pass_and_unmodelled_motion_does_not(arm, boom):
-    """With the true rig only white noise is left; one lag in twenty lies outside of a 95 % band, and 15 % is allowed."""
+    """With the true rig only white noise is left; one lag in twenty lies outside of a 95 % band,
+    and 15 % is allowed.
+    """
     asked = Thresholds(whiteness=True, independence=True)
     assert validate_rig(arm, [("boom", boom)], thresholds=asked).accepted
-    wrong = validate_rig(arm.with_values({"bulk_modulus": 3.2e8}), [("boom", boom)], thresholds=asked)
-    assert any("boom rod pressure residual autocorrelation leaves its band" in reason for reason in wrong.reasons)
+    wrong = validate_rig(
+        arm.with_values({"bulk_modulus": 3.2e8}), [("boom", boom)], thresholds=asked
+    )
+    assert any(
+        "boom rod pressure residual autocorrelation leaves its band" in reason
+        for reason in wrong.reasons
+    )
     auto = wrong.logs[0].channels[2].autocorrelation
     assert auto.lag[0] == pytest.approx(0.01) and auto.lag[-1] == pytest.approx(0.5)
     assert len(auto.lag) == len(auto.value) == len(auto.band)
-    assert auto.outside_percent == pytest.approx(100 * np.mean(np.abs(auto.value) > np.array(auto.band)), abs=2.1)
-    assert {c.of for c in wrong.logs[0].channels[2].cross_correlation} == {"boom.hepc.command", "boom.rect.command"}
+    assert auto.outside_percent == pytest.approx(
+        100 * np.mean(np.abs(auto.value) > np.array(auto.band)), abs=2.1
+    )
+    assert {c.of for c in wrong.logs[0].channels[2].cross_correlation} == {
+        "boom.hepc.command",
+        "boom.rect.command",
+    }
 
 
 def test_a_log_the_model_was_fitted_to_does_not_count(arm, boom, swing):
     stiff = arm.with_values({"bulk_modulus": 1.5 * 2.71e8})
     alone = validate_rig(arm, [("boom", boom)], fitted_on=["boom"])
-    assert not alone.accepted and "the model was fitted to boom, so none is held out" in alone.reasons[0]
+    assert (
+        not alone.accepted
+        and "the model was fitted to boom, so none is held out" in alone.reasons[0]
+    )
     assert alone.logs[0].status == "fitted" and alone.logs[0].channels, "it is shown all the same"
     assert any("THE MODEL WAS FITTED TO THIS LOG" in text for text in alone.warnings)
     both = validate_rig(stiff, [("boom", boom), ("swing", swing)], fitted_on=["boom"])
@@ -174,13 +214,18 @@ def test_a_log_without_motion_is_marked(arm, boom):
     still = recorded(arm, {})
     result = validate_rig(arm, [("still", still), ("boom", boom)])
     assert result.accepted and result.logs[0].status == "still"
-    assert "still: the log carries no motion: no valve was commanded, so nothing is judged on it" in result.warnings
+    assert (
+        "still: the log carries no motion: no valve was commanded, so nothing is judged on it"
+        in result.warnings
+    )
     alone = validate_rig(arm, [("still", still)])
     assert not alone.accepted and "nothing was judged" in alone.reasons[0]
 
 
 def test_constant_and_noisy_channels_have_no_fit(arm, boom):
-    """A stuck sensor has no fit, nor has one that only shows noise: both are said, neither is judged."""
+    """A stuck sensor has no fit, nor has one that only shows noise: both are said, neither is
+    judged.
+    """
     stuck = Record(boom.t, boom.channels | {"boom.p_rod": np.full(boom.t.shape, 7e5)}, boom.meta)
     result = validate_rig(arm, [("boom", stuck)])
     channel = result.logs[0].channels[-1]
@@ -202,11 +247,20 @@ def test_rates_are_taken_from_positions_where_they_were_not_recorded(arm, boom):
 
 
 def test_a_stroke_sensor_stands_in_for_a_joint_encoder(arm, boom):
-    """A machine that measures strokes only is judged on stroke and speed, by the thresholds asked of position and rate."""
+    """A machine that measures strokes only is judged on stroke and speed, by the thresholds asked
+    of position and rate.
+    """
     result = validate_rig(arm, [("boom", without(boom, "q", "qd"))])
-    assert {c.channel for c in result.logs[0].channels} == {"boom.x", "boom.v", "boom.p_head", "boom.p_rod"}
+    assert {c.channel for c in result.logs[0].channels} == {
+        "boom.x",
+        "boom.v",
+        "boom.p_head",
+        "boom.p_rod",
+    }
     assert any(check.what == "boom.v fit" for check in result.logs[0].checks) and result.accepted
-    bare = validate_rig(arm, [("boom", without(boom, "q", "qd", "p_rod", "v"))], channels=("qd", "p_rod", "p_head"))
+    bare = validate_rig(
+        arm, [("boom", without(boom, "q", "qd", "p_rod", "v"))], channels=("qd", "p_rod", "p_head")
+    )
     assert any("the log has nothing to judge 'boom.p_rod' by" in text for text in bare.warnings)
     assert {c.channel for c in bare.logs[0].channels} == {"boom.v", "boom.p_head"}
 
@@ -217,9 +271,14 @@ def test_a_log_that_cannot_be_simulated_is_kept_and_rejects(arm, boom):
     gap = Record(boom.t[keep], {n: v[keep] for n, v in boom.channels.items()}, boom.meta)
     result = validate_rig(arm, [("far", far), ("gap", gap), ("boom", boom)])
     assert [log.status for log in result.logs] == ["failed", "failed", "held_out"]
-    assert "outside the stroke" in result.logs[0].failure and "not evenly sampled" in result.logs[1].failure
+    assert (
+        "outside the stroke" in result.logs[0].failure
+        and "not evenly sampled" in result.logs[1].failure
+    )
     assert "boom.q" in result.logs[0].series and not result.logs[0].passed
-    assert not result.accepted and result.reasons[0].startswith("far: could not be simulated: posture boom")
+    assert not result.accepted and result.reasons[0].startswith(
+        "far: could not be simulated: posture boom"
+    )
 
 
 def test_bad_input_is_refused(arm, boom):
@@ -234,12 +293,18 @@ def test_bad_input_is_refused(arm, boom):
 def test_a_valve_the_rig_does_not_have_is_named(arm, boom):
     odd = Record(boom.t, boom.channels | {"bucket.servo.command": np.zeros(T.size)}, boom.meta)
     result = validate_rig(arm, [("boom", odd)])
-    assert any("'bucket.servo.command', a valve that rig 'thesis_arm' does not have" in text for text in result.warnings)
+    assert any(
+        "'bucket.servo.command', a valve that rig 'thesis_arm' does not have" in text
+        for text in result.warnings
+    )
 
 
 def test_noise_on_recorded_commands_makes_no_steps_and_moves_no_cylinder(arm, boom):
     rng = np.random.default_rng(2)
-    channels = {n: v + rng.uniform(-0.01, 0.01, v.shape) if n.endswith(".command") else v for n, v in boom.channels.items()}
+    channels = {
+        n: v + rng.uniform(-0.01, 0.01, v.shape) if n.endswith(".command") else v
+        for n, v in boom.channels.items()
+    }
     result = validate_rig(arm, [("boom", Record(boom.t, channels, boom.meta))])
     assert result.logs[0].moved == ("boom",)
     assert [w.start for w in result.logs[0].transients] == pytest.approx([0.3, 1.4])
@@ -253,7 +318,10 @@ def test_logs_of_one_name_stay_apart(arm, boom, swing):
 def test_series_are_recorded_and_simulated_columns_in_si(accepted):
     columns = accepted.series()["boom"]
     names = ["q [rad]", "qd [rad/s]", "p_head [Pa]", "p_rod [Pa]"]
-    assert list(columns) == ["t [s]", *(f"{side}boom.{name}" for name in names for side in ("", "simulated."))]
+    assert list(columns) == [
+        "t [s]",
+        *(f"{side}boom.{name}" for name in names for side in ("", "simulated.")),
+    ]
     assert {len(values) for values in columns.values()} == {T.size}
 
 
@@ -271,7 +339,9 @@ def test_json_there_and_back(accepted, rejected, arm, boom, tmp_path):
 def test_threads_and_order_do_not_change_the_result(arm, boom, swing, accepted):
     told = []
     logs = [("boom", boom), ("swing", swing)]
-    again = validate_rig(arm, logs, workers=1, progress=lambda name, share: told.append((name, share)))
+    again = validate_rig(
+        arm, logs, workers=1, progress=lambda name, share: told.append((name, share))
+    )
     assert again == accepted
     assert told == [("boom", 0.5), ("swing", 1.0)]
 
@@ -296,7 +366,9 @@ def test_thresholds_are_read_with_units_and_refused_by_name(tmp_path):
     path = tmp_path / "v.toml"
 
     def read(line: str) -> Thresholds:
-        path.write_text(f'stage = "validate"\nrig = "r.toml"\ndata = ["a.mcap"]\n[thresholds]\n{line}\n')
+        path.write_text(
+            f'stage = "validate"\nrig = "r.toml"\ndata = ["a.mcap"]\n[thresholds]\n{line}\n'
+        )
         return load_recipe(path).thresholds
 
     assert float(read('max_error = { q = "180 deg" }').max_error["q"]) == pytest.approx(math.pi)

@@ -1,4 +1,6 @@
-"""Valve level: chamber flows become commands that give exactly those flows, and every limit met is told."""
+"""Valve level: chamber flows become commands that give exactly those flows, and every limit met is
+told.
+"""
 
 from __future__ import annotations
 
@@ -21,15 +23,30 @@ FLOOR = 2e4
 
 
 def a_map(seed: int, valve: str, direction: str = "forward") -> FlowMap:
-    """A map with random positive increments: no analytic law; measured from 0.1 to 5 MPa, less at large commands."""
+    """A map with random positive increments: no analytic law; measured from 0.1 to 5 MPa, less at
+    large commands.
+    """
     rng = np.random.default_rng(seed)
     knots = np.array([1.6, 2.0, 2.5, 3.0, 4.0, 6.0, 8.0, 10.0])
     steps = rng.exponential(0.8 * GPM, (knots.size, 9)) * np.linspace(0.2, 1.0, 9) + 1e-9
     command, std = np.array([0.0, 2.0, 4.0, 10.0]), np.full((2, 2), 0.01 * GPM)
     return FlowMap(
-        valve, direction, 1.6, (1.5, 1.7), knots, 6e6, 2e4, steps, command, np.array([1e5, 1e5, 2e5, 4e5]),
-        np.array([5e6, 5e6, 4e6, 2e6]), np.array([0.0, 10.0]), np.array([0.0, 2500.0]), std, 8 * GPM,
-    )  # fmt: skip
+        valve,
+        direction,
+        1.6,
+        (1.5, 1.7),
+        knots,
+        6e6,
+        2e4,
+        steps,
+        command,
+        np.array([1e5, 1e5, 2e5, 4e5]),
+        np.array([5e6, 5e6, 4e6, 2e6]),
+        np.array([0.0, 10.0]),
+        np.array([0.0, 2500.0]),
+        std,
+        8 * GPM,
+    )
 
 
 def shipped(rig: str, cylinder: str, maps: dict | None = None) -> fn.Circuit:
@@ -38,11 +55,21 @@ def shipped(rig: str, cylinder: str, maps: dict | None = None) -> fn.Circuit:
     index = [c.name for c in made.cylinder].index(cylinder)
     areas = plant.cylinders[index, [AREA_HEAD, AREA_ROD]]
     measured = [(maps or {}).get(v.edge_name(e)) for _, v, e in made.edges()]
-    return fn.circuit(index, *areas, plant.edges, plant.wiring, plant.maps, plant.valves[:, [LOWEST, HIGHEST]], measured)
+    return fn.circuit(
+        index,
+        *areas,
+        plant.edges,
+        plant.wiring,
+        plant.maps,
+        plant.valves[:, [LOWEST, HIGHEST]],
+        measured,
+    )
 
 
 MAPS = {
-    name: ValveMaps(a_map(seed, name), a_map(seed + 9, name, "reverse") if name == "regen" else None)
+    name: ValveMaps(
+        a_map(seed, name), a_map(seed + 9, name, "reverse") if name == "regen" else None
+    )
     for seed, name in enumerate(("hect", "hepc", "regen", "repc", "rect"))
 }
 CIRCUITS = {
@@ -57,10 +84,28 @@ CIRCUITS = {
 class Given:
     """What `give` writes, from a command vector of sevens."""
 
-    def __init__(self, c: fn.Circuit, function: int, flow_head: float, flow_rod: float, pressures, floor: float = FLOOR) -> None:
+    def __init__(
+        self,
+        c: fn.Circuit,
+        function: int,
+        flow_head: float,
+        flow_rod: float,
+        pressures,
+        floor: float = FLOOR,
+    ) -> None:
         self.command = np.full(c.lowest.size, 7.0)
         self.flows, self.limits = np.full(c.count, 7.0), np.full(c.count, 7.0)
-        self.met = vl.give(function, flow_head, flow_rod, *pressures, floor, c, self.command, self.flows, self.limits)
+        self.met = vl.give(
+            function,
+            flow_head,
+            flow_rod,
+            *pressures,
+            floor,
+            c,
+            self.command,
+            self.flows,
+            self.limits,
+        )
 
 
 def passed(c: fn.Circuit, edge: int, command: np.ndarray, pressures) -> float:
@@ -72,20 +117,30 @@ def passed(c: fn.Circuit, edge: int, command: np.ndarray, pressures) -> float:
 
 
 def states(c: fn.Circuit, count: int, seed: int):
-    """Random functions of the circuit at pressures at which its drops point the right way, well above the floor."""
+    """Random functions of the circuit at pressures at which its drops point the right way, well
+    above the floor.
+    """
     rng = np.random.default_rng(seed)
     able = [f for f in range(1, 8) if c.able[f]]
     for _ in range(count):
         function = int(rng.choice(able))
         p_supply, p_tank = rng.uniform(5e6, 8e6), rng.uniform(0.0, 2e5)
-        p_head, p_rod = np.sort(rng.uniform(p_tank + 3e5, p_supply - 3e5, 2))[:: 1 if function in (3, 7) else -1]
+        p_head, p_rod = np.sort(rng.uniform(p_tank + 3e5, p_supply - 3e5, 2))[
+            :: 1 if function in (3, 7) else -1
+        ]
         if abs(p_head - p_rod) > 3e5:
-            yield function, rng.uniform(0.002, 0.05) * fn.DIRECTION[function], (p_head, p_rod, p_supply, p_tank)
+            yield (
+                function,
+                rng.uniform(0.002, 0.05) * fn.DIRECTION[function],
+                (p_head, p_rod, p_supply, p_tank),
+            )
 
 
 @pytest.mark.parametrize("name", CIRCUITS)
 def test_the_commands_give_the_flows(name):
-    """At the measured drops every edge that decides its command passes what it is asked for, to rounding."""
+    """At the measured drops every edge that decides its command passes what it is asked for, to
+    rounding.
+    """
     c = CIRCUITS[name]
     kept = 0
     for function, v, pressures in states(c, 2000, 1):
@@ -104,11 +159,16 @@ def test_the_commands_give_the_flows(name):
             through = c.along[path] * passed(c, edge, given.command, pressures)
             if limits & vl.SATURATED:
                 valve = c.wiring[edge, VALVE]
-                assert given.command[valve] == (c.highest if c.edges[edge, SIGN] > 0 else c.lowest)[valve]
+                assert (
+                    given.command[valve]
+                    == (c.highest if c.edges[edge, SIGN] > 0 else c.lowest)[valve]
+                )
                 assert through < flow
             else:
                 kept += 1
-                assert through == pytest.approx(flow, rel=1e-9)  # a map's root loses digits near its deadband
+                assert through == pytest.approx(
+                    flow, rel=1e-9
+                )  # a map's root loses digits near its deadband
         for valve in range(c.lowest.size):
             if valve not in own:
                 assert given.command[valve] == 7.0
@@ -124,7 +184,10 @@ def test_saturation_begins_at_the_top_speed(name):
         if fn.coupled(c, function):
             continue
         top = vl.top_speed(function, *pressures, c) * fn.DIRECTION[function]
-        below, above = (Given(c, function, c.area_head * v, c.area_rod * v, pressures) for v in (0.9999 * top, 1.0001 * top))
+        below, above = (
+            Given(c, function, c.area_head * v, c.area_rod * v, pressures)
+            for v in (0.9999 * top, 1.0001 * top)
+        )
         assert not below.met & vl.SATURATED
         assert above.met & vl.SATURATED and (above.limits.astype(int) & vl.SATURATED).any()
     assert vl.top_speed(fn.HOLD, 1e6, 1e6, 7e6, 0.0, c) == 0.0
@@ -133,14 +196,21 @@ def test_saturation_begins_at_the_top_speed(name):
 def test_a_spool_follows_the_edge_that_meters():
     c = CIRCUITS["spool"]
     pressures = (4e6, 1e6, 18e6, 3e5)
-    for function, sign, path in ((1, 1, fn.SUPPLY_HEAD), (2, 1, fn.ROD_TANK), (4, -1, fn.SUPPLY_ROD), (5, -1, fn.HEAD_TANK)):
+    for function, sign, path in (
+        (1, 1, fn.SUPPLY_HEAD),
+        (2, 1, fn.ROD_TANK),
+        (4, -1, fn.SUPPLY_ROD),
+        (5, -1, fn.HEAD_TANK),
+    ):
         asked = sign * 0.02 * np.array([c.area_head, c.area_rod])
         given = Given(c, function, *asked, pressures)
         assert given.met == 0 and given.command[0] * sign > 1.5
         other = next(p for p in np.flatnonzero(fn.PATH_FLOWS[function].any(axis=1)) if p != path)
         metered, follower = (passed(c, c.paths[p], given.command, pressures) for p in (path, other))
         assert metered == pytest.approx(fn.PATH_FLOWS[function, path] @ asked, rel=1e-12)
-        assert follower > 0 and follower != pytest.approx(fn.PATH_FLOWS[function, other] @ asked, rel=0.01)
+        assert follower > 0 and follower != pytest.approx(
+            fn.PATH_FLOWS[function, other] @ asked, rel=0.01
+        )
 
 
 def test_what_a_drop_cannot_do_is_told():
@@ -150,7 +220,11 @@ def test_what_a_drop_cannot_do_is_told():
     def vent(p_rod, flow_rod=5e-5):
         given = Given(c, fn.EXTEND_RESISTIVE, 1e-4, flow_rod, (2e6, p_rod, 7e6, 1e5))
         assert given.limits[c.paths[fn.SUPPLY_HEAD] - c.first] == 0
-        return given.command[valve[fn.ROD_TANK]], int(given.limits[c.paths[fn.ROD_TANK] - c.first]), given.met
+        return (
+            given.command[valve[fn.ROD_TANK]],
+            int(given.limits[c.paths[fn.ROD_TANK] - c.first]),
+            given.met,
+        )
 
     at_floor, limits, met = vent(1e5 + FLOOR)
     assert (limits, met) == (0, 0) and at_floor > 2.0
@@ -167,7 +241,9 @@ def test_the_edge_of_the_measured_range_is_that_of_the_map():
     rng = np.random.default_rng(3)
     seen = set()
     for name, edge in zip(MAPS, range(c.first, c.first + c.count), strict=True):
-        for drop, command in zip(rng.uniform(-6e6, 6e6, 400), rng.uniform(0.0, 11.0, 400), strict=True):
+        for drop, command in zip(
+            rng.uniform(-6e6, 6e6, 400), rng.uniform(0.0, 11.0, 400), strict=True
+        ):
             expected = bool(MAPS[name].inside(drop, command))
             seen.add((drop > 0, expected))
             assert vl.inside(c, edge, drop, command) == expected
@@ -184,7 +260,10 @@ def test_leaving_the_measured_range_is_told():
     one_way = {**MAPS, "regen": ValveMaps(MAPS["regen"].forward)}
     other = shipped("thesis_arm", "boom", one_way)
     pressures = (1e6, 2e6, 7e6, 0.0)
-    limits = [Given(k, 3, 2e-5, 1e-5, pressures).limits[k.paths[fn.ROD_HEAD] - k.first] for k in (c, other)]
+    limits = [
+        Given(k, 3, 2e-5, 1e-5, pressures).limits[k.paths[fn.ROD_HEAD] - k.first]
+        for k in (c, other)
+    ]
     assert limits == [0, vl.OUTSIDE]
 
 
@@ -206,7 +285,9 @@ def test_a_driver_that_cannot_go_to_zero_rests_at_its_lowest():
 
 @pytest.mark.parametrize("name", CIRCUITS)
 def test_a_withheld_channel_poisons_the_commands(name):
-    """NaN in a pressure or flow that a function uses comes out as NaN in each command that it decides."""
+    """NaN in a pressure or flow that a function uses comes out as NaN in each command that it
+    decides.
+    """
     c = CIRCUITS[name]
     used = {
         fn.SUPPLY_HEAD: (0, 2),
@@ -221,7 +302,11 @@ def test_a_withheld_channel_poisons_the_commands(name):
             continue
         pressures = [1e6, 2e6, 7e6, 0.0] if function in (3, 7) else [2e6, 1e6, 7e6, 0.0]
         asked = 0.02 * fn.DIRECTION[function] * np.array([c.area_head, c.area_rod])
-        paths = [fn.METERING[function]] if fn.coupled(c, function) else np.flatnonzero(fn.PATH_FLOWS[function].any(axis=1))
+        paths = (
+            [fn.METERING[function]]
+            if fn.coupled(c, function)
+            else np.flatnonzero(fn.PATH_FLOWS[function].any(axis=1))
+        )
         for path in paths:
             valve = c.wiring[c.paths[path], VALVE]
             for gone in used[path]:
@@ -234,8 +319,16 @@ def test_an_edge_drawn_the_other_way_round_serves_as_well():
     c = CIRCUITS["four"]
     turned = c.wiring.copy()
     turned[:, [FROM, TO]] = turned[:, [TO, FROM]]
-    other = fn.circuit(0, c.area_head, c.area_rod, c.edges, turned, c.maps, np.column_stack([c.lowest, c.highest]))
+    other = fn.circuit(
+        0, c.area_head, c.area_rod, c.edges, turned, c.maps, np.column_stack([c.lowest, c.highest])
+    )
     assert (other.along[:4] == -1).all() and (other.able == c.able).all()
     for function, v, pressures in states(c, 50, 4):
-        one, two = (Given(k, function, k.area_head * v, k.area_rod * v, pressures) for k in (c, other))
-        assert (one.command == two.command).all() and (one.flows == -two.flows).all() and (one.limits == two.limits).all()
+        one, two = (
+            Given(k, function, k.area_head * v, k.area_rod * v, pressures) for k in (c, other)
+        )
+        assert (
+            (one.command == two.command).all()
+            and (one.flows == -two.flows).all()
+            and (one.limits == two.limits).all()
+        )

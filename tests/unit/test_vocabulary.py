@@ -1,4 +1,6 @@
-"""Every unit of the vocabulary is one that pint knows, and every float field of a rig or recipe has a row."""
+"""Every unit of the vocabulary is one that pint knows, and every float field of a rig or recipe has
+a row.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +15,20 @@ from ehbench.units import from_si, to_si
 
 @pytest.mark.parametrize("row", list(VOCABULARY.values()), ids=lambda r: r.name)
 def test_units_convert_both_ways(row):
-    assert to_si(from_si(1.234, row.display, row), row.display, row) == pytest.approx(1.234, rel=1e-12)
+    assert to_si(from_si(1.234, row.display, row), row.display, row) == pytest.approx(
+        1.234, rel=1e-12
+    )
     assert row.meaning and row.symbol and row.lower < row.upper
 
 
 def models():
     for module in (rig, recipe):
         for item in vars(module).values():
-            if isinstance(item, type) and issubclass(item, rig.Model) and item.__module__ == module.__name__:
+            if (
+                isinstance(item, type)
+                and issubclass(item, rig.Model)
+                and item.__module__ == module.__name__
+            ):
                 yield item
 
 
@@ -29,5 +37,7 @@ def test_every_quantity_field_has_a_row(model):
     for name, field in model.model_fields.items():
         kinds = (field.annotation, *get_args(field.annotation))
         if rig.Value in kinds or any(rig.Value in get_args(kind) for kind in kinds):
-            marks = list(field.metadata) + [m for kind in kinds for m in getattr(kind, "__metadata__", ())]
+            marks = list(field.metadata) + [
+                m for kind in kinds for m in getattr(kind, "__metadata__", ())
+            ]
             assert any(isinstance(mark, Quantity) for mark in marks), f"{model.__name__}.{name}"
