@@ -11,32 +11,11 @@ from numba import njit
 
 from ehbench.control import arc
 from ehbench.control.functions import circuit, pack_rules
-from ehbench.plant import (
-    AREA_HEAD,
-    AREA_ROD,
-    BULK,
-    COULOMB,
-    COULOMB_SPEED,
-    GEOMETRY,
-    HIGHEST,
-    L_A,
-    L_B,
-    LEAK_HEAD,
-    LEAK_INTERNAL,
-    LEAK_ROD,
-    LOWEST,
-    PHASE,
-    RETRACTED,
-    SIDE,
-    VISCOUS,
-    VOLUME_HEAD,
-    VOLUME_ROD,
-    derivatives,
-    workspace_size,
-)
+from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.integrate import STEP
 from ehbench.rigs.bench import bench_tick
 from ehbench.rigs.model import model_sample, model_tick
-from ehbench.simulation import STEP
 
 TICK = 1.0e-3
 

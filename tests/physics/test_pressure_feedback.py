@@ -16,20 +16,11 @@ from ehbench.control import pressure_feedback as pf
 from ehbench.control import trajectory as tr
 from ehbench.control import valve_level as vl
 from ehbench.errors import InputError
-from ehbench.plant import (
-    AREA_HEAD,
-    AREA_ROD,
-    BULK,
-    HIGHEST,
-    LOWEST,
-    VOLUME_HEAD,
-    VOLUME_ROD,
-    workspace_size,
-)
+from ehbench.plant.integrate import rk4
+from ehbench.plant.model import Model
 from ehbench.quantities import quantity
 from ehbench.recipe import load_rig
 from ehbench.rigs.model import model_sample
-from ehbench.simulation import Model, rk4
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 TICK = 1e-3
