@@ -340,4 +340,4 @@ def test_circuits_that_are_none_are_refused():
     with pytest.raises(InputError, match="no metering edge leads to cylinder 1"):
         fn.circuit(1, A1, A2, c.edges, c.maps, ranges)
     with pytest.raises(InputError, match="not those of a plant"):
-        fn.circuit(0, A1, A2, np.zeros((3, 4)), c.wiring, c.maps, ranges)
+        fn.circuit(0, A1, A2, np.zeros((3, 4)), c.maps, ranges)
