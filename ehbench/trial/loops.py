@@ -13,12 +13,12 @@ from ehbench.control import arc
 from ehbench.control import pressure_feedback as feedback
 from ehbench.plant import STROKE, derivatives
 from ehbench.recipe import Limits
-from ehbench.rigs.bench import BenchRig, bench_tick
-from ehbench.rigs.model import ModelRig, model_sample
+from ehbench.machines.virtual import VirtualMachine, bench_tick
+from ehbench.machines.simulated import SimulatedMachine, model_sample
 from ehbench.simulation import advance, rk4
 from ehbench.trial.controllers import ARC, Compiled
 
-Machine = ModelRig | BenchRig
+Machine = SimulatedMachine | VirtualMachine
 LIMITS = ("pressure_max", "pressure_min", "stroke_margin", "speed_max", "command_max")
 NO_LIMITS = (math.inf, -math.inf, -math.inf, math.inf, math.inf)
 PRESSURE_MAX, PRESSURE_MIN, MARGIN, SPEED, COMMAND = range(5)
@@ -41,7 +41,7 @@ def violated(sample, command, limits, strokes, found):
     or valve, entry of the sample).
 
     Args:
-        sample: as in ``ehbench.rigs``.
+        sample: as in ``ehbench.machines``.
         command: [V], shape (valves,).
         limits: (pressure_max, pressure_min, stroke_margin, speed_max, command_max), SI; infinite
             where there is none.
@@ -265,7 +265,7 @@ class Runner:
             commands,
             limits,
         )
-        self.is_model = isinstance(machine, ModelRig)
+        self.is_model = isinstance(machine, SimulatedMachine)
         width = machine.layout.states + len(machine.layout.edges) + 1 if self.is_model else 0
         self.log, self.samples = np.empty((t.size, width)), np.empty((t.size, sample.size))
         self.found = np.zeros(3, dtype=np.int64)

@@ -20,8 +20,8 @@ from ehbench.quantities import VOCABULARY
 from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
 from ehbench.record import Record
 from ehbench.rig import Rig
-from ehbench.rigs.bench import BenchRig
-from ehbench.rigs.model import ModelRig
+from ehbench.machines.virtual import VirtualMachine
+from ehbench.machines.simulated import SimulatedMachine
 from ehbench.simulation import Model
 from ehbench.trial import controllers
 from ehbench.trial.commands import command_table
@@ -174,7 +174,7 @@ def run_trial(
             )
     if stop is not None:
         meta["stopped"] = stop.sentence
-    if isinstance(machine, ModelRig):
+    if isinstance(machine, SimulatedMachine):
         record = machine.model.record(t[:end], table[:end], run.log[:end], meta)
     else:
         columns = {name: run.samples[:end, i].copy() for i, name in enumerate(machine.channels)}
@@ -353,7 +353,7 @@ def _drawn(record: Record, design: Design, machine: Machine) -> tuple[np.ndarray
     """(flow drawn from the supply by all edges [m³/s], where it is from)."""
     plant, names = design.model.plant, design.model.layout
     total = np.zeros(record.t.size)
-    own = isinstance(machine, ModelRig)
+    own = isinstance(machine, SimulatedMachine)
     for e, edge in enumerate(names.edges):
         ends = plant.wiring[e, [FROM, TO]]
         if 0 not in ends:
@@ -405,9 +405,11 @@ def _machine(rig: Rig, recipe: TrialRecipe, maps: Maps | None) -> Machine:
     with located(recipe, "payload"):
         rig.with_payload(recipe.payload)
     if recipe.on == "model":
-        return ModelRig(Model.of(rig, maps, recipe.payload), float(recipe.rate), float(recipe.step))
+        return SimulatedMachine(
+            Model.of(rig, maps, recipe.payload), float(recipe.rate), float(recipe.step)
+        )
     if recipe.bench is None:
-        return BenchRig(rig, None, recipe.payload, float(recipe.rate), seed=recipe.seed)
+        return VirtualMachine(rig, None, recipe.payload, float(recipe.rate), seed=recipe.seed)
     bench = load_recipe(recipe.file(recipe.bench))
     if not isinstance(bench, BenchRecipe):
         raise InputError(
@@ -428,4 +430,4 @@ def _machine(rig: Rig, recipe: TrialRecipe, maps: Maps | None) -> Machine:
                 **recipe.at("bench"),
                 hint=f"the bench has {', '.join(its)}",
             )
-    return BenchRig(own, bench, recipe.payload, float(recipe.rate), seed=recipe.seed)
+    return VirtualMachine(own, bench, recipe.payload, float(recipe.rate), seed=recipe.seed)

@@ -34,8 +34,8 @@ from ehbench.plant import (
     derivatives,
     workspace_size,
 )
-from ehbench.rigs.bench import bench_tick
-from ehbench.rigs.model import model_sample, model_tick
+from ehbench.machines.virtual import bench_tick
+from ehbench.machines.simulated import model_sample, model_tick
 from ehbench.simulation import STEP
 
 TICK = 1.0e-3

@@ -18,7 +18,7 @@ from ehbench.control.valve_level import SATURATED
 from ehbench.errors import InputError
 from ehbench.quantities import quantity
 from ehbench.recipe import TrialRecipe, TrialSetRecipe, load_rig
-from ehbench.rigs.model import sample_channels
+from ehbench.machines.simulated import sample_channels
 from ehbench.trial import RUN_OUT, Case, controllers, run_cases, run_trial, table_csv, table_rows
 from ehbench.trial import run as running
 from ehbench.trial.motion import full_speed

@@ -58,7 +58,7 @@ def model_tick(y, command, plant, tick, steps, k, work, sample):
     model_sample(y, plant, sample)
 
 
-class ModelRig:
+class SimulatedMachine:
     """A model as a rig: ``start`` puts it at rest in a posture, ``tick`` lets a command act;
     samples are exact.
 

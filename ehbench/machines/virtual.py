@@ -64,7 +64,7 @@ from ehbench.plant import (
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import BenchRecipe
 from ehbench.rig import Edge, Rig, Value, Valve, read_value
-from ehbench.rigs.model import sample_channels
+from ehbench.machines.simulated import sample_channels
 from ehbench.simulation import Model
 
 NAME = "virtual bench"
@@ -89,7 +89,7 @@ LAG, NOISE, RESOLUTION, ZERO = 0, 1, 2, 3
 AIR, POLYTROPIC, DROOP, PUMP_LAG, SUPPLY_RELIEF = range(5)
 
 
-class Bench(NamedTuple):
+class VirtualPlant(NamedTuple):
     """A bench as flat arrays. ``timing``: whole ticks of delay, rest of it as a share of a tick;
     ``speed`` the speed filter.
     """
@@ -636,7 +636,7 @@ def _tune(valve: Valve, row: np.ndarray, drop: float, width: float) -> tuple[flo
     return gain, s0 - gain * u0
 
 
-class BenchRig:
+class VirtualMachine:
     """The virtual bench behind the protocol of a real machine.
 
     ``channels`` names the sample's entries, ``rate`` [Hz] the ticks a second. ``start`` puts it at
@@ -791,7 +791,7 @@ class BenchRig:
         return np.array(flows).reshape(command.shape)
 
 
-def _build(recipe: BenchRecipe, model: Model, tick: float) -> Bench:
+def _build(recipe: BenchRecipe, model: Model, tick: float) -> VirtualPlant:
     """The compiled form of a bench whose truth ``model`` is."""
     plant, names, rig, seed = model.plant, model.layout, model.rig, recipe.seed
     p_supply = float(rig.supply.pressure)
@@ -881,7 +881,7 @@ def _build(recipe: BenchRecipe, model: Model, tick: float) -> Bench:
 
     ticks = float(recipe.delay) / tick
     timing = np.array([math.floor(ticks), ticks - math.floor(ticks)])
-    return Bench(
+    return VirtualPlant(
         plant.kind,
         plant.gravity,
         plant.links,
