@@ -2,29 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from ehbench.compiled import kernel
-from ehbench.errors import InputError, SimulationError
+from ehbench.errors import SimulationError
+from ehbench.machines.protocol import Inputs, Posture, sample_channels
+from ehbench.machines.rows import LawRows, Rows, control, violated
 from ehbench.physics.cylinder import linkage
-from ehbench.plant import GEOMETRY, L_A, L_B, PHASE, RETRACTED, SIDE, Layout, workspace_size
-from ehbench.simulation import STEP, Model, rk4
+from ehbench.plant import (
+    GEOMETRY,
+    L_A,
+    L_B,
+    PHASE,
+    RETRACTED,
+    SIDE,
+    STROKE,
+    Plant,
+    derivatives,
+    workspace_size,
+)
+from ehbench.recipe import TrialRecipe
+from ehbench.rig import Rig
+from ehbench.simulation import STEP, Maps, Model, advance, rk4
 
 NAME = "model"
 
 
-def sample_channels(names: Layout) -> tuple[str, ...]:
-    """Channel names of a sample: ``q, qd, x, v, p_head, p_rod`` of each cylinder, then ``p_supply,
-    p_tank``.
+class Running(NamedTuple):
+    """A model at work: its state ``y``, the plant, the ``tick`` [s] and the integration ``steps``
+    in it, and the scratch of both.
     """
-    own = tuple(
-        f"{name}.{key}"
-        for name in names.cylinders
-        for key in ("q", "qd", "x", "v", "p_head", "p_rod")
-    )
-    return (*own, "p_supply", "p_tank")
+
+    y: np.ndarray
+    plant: Plant
+    tick: float
+    steps: int
+    k: np.ndarray
+    work: np.ndarray
 
 
 @kernel
@@ -58,8 +74,42 @@ def model_tick(y, command, plant, tick, steps, k, work, sample):
     model_sample(y, plant, sample)
 
 
+@kernel
+def model_truth(own, command, row):
+    """Write the state, the edge flows and the pump's flow into ``row``; ``own.k[0]`` then holds the
+    derivatives, whose fastest rate [1/s] is returned.
+    """
+    size, flows = own.y.shape[0], own.plant.edges.shape[0] + 1
+    at = own.work.shape[0] - flows
+    rate = derivatives(own.y, command, own.plant, own.k[0], own.work)
+    for j in range(size):
+        row[j] = own.y[j]
+    for j in range(flows):
+        row[size + j] = own.work[at + j]
+    return rate
+
+
+@kernel
+def _advance(first, stop, own, rows, law):
+    sample, h = rows.sample, own.tick / own.steps
+    for i in range(first, stop):
+        if law is not None:
+            control(law, i, rows)
+        if violated(rows, i):
+            return i
+        command = rows.commands[i]
+        rate = model_truth(own, command, rows.truth[i])
+        for j in range(sample.shape[0]):
+            rows.samples[i, j] = sample[j]
+        advance(own.y, command, own.plant, h, own.k, own.work, rate)
+        for _ in range(1, own.steps):
+            rk4(own.y, command, own.plant, h, own.k, own.work)
+        model_sample(own.y, own.plant, sample)
+    return -1
+
+
 class SimulatedMachine:
-    """A model as a rig: ``start`` puts it at rest in a posture, ``tick`` lets a command act;
+    """A model as a machine: ``start`` puts it at rest in a posture, ``tick`` lets a command act;
     samples are exact.
 
     Args:
@@ -69,60 +119,70 @@ class SimulatedMachine:
     """
 
     name = NAME
+    latency = 0.0
 
     def __init__(self, model: Model, rate: float = 1000.0, step: float = STEP) -> None:
         self.model, self.layout, self.rate = model, model.layout, float(rate)
-        self.channels = sample_channels(model.layout)
+        self.channels, self.commands = sample_channels(model.layout), Inputs.of(model)
+        self.strokes = model.plant.cylinders[:, STROKE].copy()
         self.steps = max(1, round(1.0 / (self.rate * step)))
-        plant = model.plant
-        self.state = np.zeros(model.layout.states)
-        self._k = np.empty((5, model.layout.states))
-        self._work = np.empty(
-            workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0])
+        plant, states = model.plant, model.layout.states
+        work = workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0])
+        self.state = np.zeros(states)
+        self._own = Running(
+            self.state, plant, 1.0 / self.rate, self.steps, np.empty((5, states)), np.empty(work)
         )
+        self.truth = ModelTruth(model, self._own)
 
-    def start(
-        self,
-        posture: Mapping[str, str | float] | None = None,
-        payload: str | None = None,
-        low_side: float | None = None,
-    ) -> np.ndarray:
-        """Come to rest in a posture (as `Model.posture` reads it), valves at rest; returns the
-        sample at t = 0.
+    @classmethod
+    def of(cls, recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> SimulatedMachine:
+        """The model that a trial runs on."""
+        model = Model.of(rig, maps, recipe.payload)
+        return cls(model, float(recipe.rate), float(recipe.step))
 
-        The unloaded chambers stand at ``low_side`` [Pa], as in `Model.trim`.
+    def check_posture(self, posture: Posture) -> None:
+        """As `Machine.check_posture`."""
+        self.model.posture(posture)
 
-        Raises:
-            InputError: a posture outside the stroke; a payload, which belongs to the model.
-        """
-        if payload is not None:
-            raise InputError(
-                "a model carries the payload it was made with",
-                hint="make it with Model.of(rig, maps, payload)",
-            )
-        self.state = self.model.trim(self.model.posture(posture), low_side)
+    def start(self, posture: Posture = None, low_side: float | None = None) -> np.ndarray:
+        """As `Machine.start`."""
+        self.state[:] = self.model.trim(self.model.posture(posture), low_side)
         sample = np.empty(len(self.channels))
         model_sample(self.state, self.model.plant, sample)
         return sample
 
     def tick(self, command: np.ndarray) -> np.ndarray:
-        """Let ``command`` [V], shape (valves,), act for one tick; returns the sample at its end.
-
-        Raises:
-            SimulationError: the numbers left the finite range.
-        """
+        """As `Machine.tick`."""
         sample = np.empty(len(self.channels))
-        held = np.asarray(command, dtype=float)
-        model_tick(
-            self.state,
-            held,
-            self.model.plant,
-            1.0 / self.rate,
-            self.steps,
-            self._k,
-            self._work,
-            sample,
-        )
+        own, held = self._own, np.asarray(command, dtype=float)
+        model_tick(own.y, held, own.plant, own.tick, own.steps, own.k, own.work, sample)
         if not np.isfinite(self.state).all():
             raise SimulationError("the simulation left finite numbers", hint="take a smaller step")
         return sample
+
+    def advance(self, first: int, stop: int, rows: Rows, law: LawRows | None) -> int:
+        """As `advance_of` says."""
+        return _advance(first, stop, self._own, rows, law)
+
+    def close(self) -> None:
+        """There is nothing to let go."""
+
+
+class ModelTruth:
+    """The states of a running model, its edge flows and the pump's flow, in the order of
+    `Model.run`'s log.
+    """
+
+    def __init__(self, model: Model, own: Running) -> None:
+        self.model, self._own = model, own
+        self.width = model.layout.states + len(model.layout.edges) + 1
+
+    def read(self, command: np.ndarray, row: np.ndarray) -> None:
+        """As `Truth.read`."""
+        model_truth(self._own, command, row)
+
+    def channels(
+        self, t: np.ndarray, commands: np.ndarray, rows: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        """As `Truth.channels`: all that `Model.record` gives."""
+        return self.model.record(t, commands, rows).channels

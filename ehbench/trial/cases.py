@@ -8,14 +8,16 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ehbench.errors import SimulationError
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import TrialRecipe
 from ehbench.record import Record
 from ehbench.rig import Rig
-from ehbench.trial.run import Facts, run_trial
+from ehbench.trial.accounts import Account, account
+from ehbench.trial.preparation import prepare
+from ehbench.trial.running import run
 from ehbench.units import from_si
 
 if TYPE_CHECKING:
@@ -38,18 +40,27 @@ class Case:
         return self.recipe.motion.name or self.recipe.motion.kind
 
 
+class CaseResult(NamedTuple):
+    """What a trial of a set leaves: its record and its account."""
+
+    record: Record
+    account: Account
+
+
 def run_cases(
     cases: Sequence[Case],
     *,
+    logs: Path | None = None,
     allow_code: bool = False,
     workers: int = 0,
     progress: Callable[[str, float], None] | None = None,
-) -> list[tuple[Record, Facts]]:
+) -> list[CaseResult]:
     """Run trials in parallel threads (the compiled loops let go of the interpreter); results in the
     order of ``cases``.
 
     Args:
         cases: what to run.
+        logs: the folder of their logs, each under its `file_names`; none are written by default.
         allow_code: as in `run_trial`.
         workers: threads; by default one a core.
         progress: told which case is done and the share done.
@@ -58,22 +69,24 @@ def run_cases(
         EhbenchError: the first case that fails; the rest is given up.
     """
 
-    def one(case: Case) -> tuple[Record, Facts]:
+    def one(case: Case, file: str) -> CaseResult:
+        log = None if logs is None else logs / f"{file}.mcap"
         try:
-            return run_trial(
-                case.rig, case.recipe, case.maps, gains=case.gains, allow_code=allow_code
-            )
+            made = prepare(case.recipe, case.rig, case.maps, case.gains, allow_code)
+            result = run(made, log=log)
+            return CaseResult(result.record, account(made, result))
         except SimulationError as error:
             raise SimulationError(f"{case.name}: {error.message}", hint=error.hint) from None
 
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        jobs = [pool.submit(one, case) for case in cases]
+        jobs = [pool.submit(one, *item) for item in zip(cases, file_names(cases), strict=True)]
+
+        def told(name: str) -> None:
+            if progress is not None:
+                progress(name, sum(job.done() for job in jobs) / len(jobs))
+
         for case, job in zip(cases, jobs, strict=True):
-            job.add_done_callback(
-                lambda _, name=case.name: (
-                    progress(name, sum(j.done() for j in jobs) / len(jobs)) if progress else None
-                )
-            )
+            job.add_done_callback(lambda _, name=case.name: told(name))
         wait(jobs, return_when=FIRST_EXCEPTION)
         failed = [
             job
@@ -100,10 +113,9 @@ def file_names(cases: Sequence[Case]) -> list[str]:
     return names
 
 
-def table_rows(
-    cases: Sequence[Case], results: Sequence[tuple[Record, Facts]]
-) -> list[dict[str, Any]]:
+def table_rows(cases: Sequence[Case], results: Sequence[CaseResult]) -> list[dict[str, Any]]:
     """One table a case, SI: what it was, where its log lies, what stopped it, and its measures."""
+    facts_of = [result.account.facts for result in results]
     return [
         {
             "case": case.name,
@@ -118,7 +130,7 @@ def table_rows(
             "stopped": facts.stopped,
             **facts.measures,
         }
-        for case, file, (_, facts) in zip(cases, file_names(cases), results, strict=True)
+        for case, file, facts in zip(cases, file_names(cases), facts_of, strict=True)
     ]
 
 
