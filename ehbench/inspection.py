@@ -566,10 +566,7 @@ class _Look:
                 "maps allow",
             )
         prepared = trial.prepare(recipe, machine.rig, machine.flow_maps, tuning, True, blind)
-        runs_on = prepared.open()
-        if truth_of(runs_on) is not None:
-            trial.first_rows(prepared, runs_on)
-        elif recipe.limits != type(recipe.limits)():
+        if truth_of(prepared.machine) is None and recipe.limits != type(recipe.limits)():
             found.say(
                 "open", "whether a limit is reached at the start: the virtual bench settles first"
             )
@@ -580,7 +577,7 @@ class _Look:
                 f"'{recipe.controller.code}' is Python code: it runs only with --allow-code",
             )
             found.say("open", f"what '{recipe.controller.code}' does: code is not run here")
-        return None if blind else float(prepared.t[-1])
+        return None if blind else prepared.duration
 
     def _gains(self, recipe: TrialRecipe, cylinder: str, found: _Found) -> dict[str, Any] | None:
         """What the tune run says that a recipe names; of one that has not been run only what its

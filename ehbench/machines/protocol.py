@@ -39,7 +39,8 @@ class Inputs(NamedTuple):
 
 
 class Machine(Protocol):
-    """A machine that a trial runs on.
+    """A machine that a trial runs on. Making one moves nothing and reaches for nothing outside: that
+    begins with `start`, which may be called again and then begins anew.
 
     Attributes:
         name: what logs and reports call it.

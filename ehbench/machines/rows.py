@@ -39,21 +39,27 @@ class Rows(NamedTuple):
     found: np.ndarray
 
 
-class LawRows(NamedTuple):
-    """A built-in controller over a trial's rows.
-
-    ``mask`` says which channels of the sample it is given, in ``given``; the others are NaN there.
-    ``wish`` and ``notes`` have a row a tick; ``axis``, ``gains`` and ``memory`` are the law's own.
+class Controller(NamedTuple):
+    """A built-in controller. ``mask`` says which channels of the sample it is given, in ``given``;
+    the others are NaN there. ``axis``, ``gains`` and ``memory`` are the law's own.
     """
 
     kind: int
     mask: np.ndarray
     given: np.ndarray
-    wish: np.ndarray
     axis: arc.Axis
     gains: np.ndarray
     memory: np.ndarray
-    notes: np.ndarray
+
+
+class LawRows(NamedTuple):
+    """A built-in controller over a trial's rows: ``references`` that it shall follow and the
+    ``telemetry`` that it leaves have a row a tick.
+    """
+
+    references: np.ndarray
+    controller: Controller
+    telemetry: np.ndarray
 
 
 def limit_array(limits: Limits) -> np.ndarray:
@@ -96,13 +102,12 @@ def violated(rows, i):
 
 @kernel
 def control(law, i, rows):
-    """One tick of a built-in controller: its command and its note of row ``i``."""
+    """One tick of a built-in controller: its command and its telemetry of row ``i``."""
+    c, reference, telemetry = law.controller, law.references[i], law.telemetry[i]
+    t, command = rows.t[i], rows.commands[i]
     for j in range(rows.sample.shape[0]):
-        law.given[j] = rows.sample[j] if law.mask[j] else math.nan
-    t, command, note = rows.t[i], rows.commands[i], law.notes[i]
-    if law.kind == ARC:
-        arc.step(t, law.given, law.wish[i], law.axis, law.gains, law.memory, command, note)
+        c.given[j] = rows.sample[j] if c.mask[j] else math.nan
+    if c.kind == ARC:
+        arc.step(t, c.given, reference, c.axis, c.gains, c.memory, command, telemetry)
     else:
-        feedback.step(
-            t, law.given, law.wish[i], law.axis.circuit, law.gains, law.memory, command, note
-        )
+        feedback.step(t, c.given, reference, c.axis.circuit, c.gains, c.memory, command, telemetry)

@@ -729,7 +729,7 @@ class VirtualMachine:
             np.zeros((6, max(self.size, self.raw + nv))),
             np.zeros(workspace_size(len(names.joints), nc)),
         )
-        self._rng = np.random.default_rng([seed, crc32(b"noise")])
+        self._rng = self._new_noise()
         self._noise, self._used = np.empty((0, self.raw)), 0
 
     @classmethod
@@ -760,6 +760,9 @@ class VirtualMachine:
                 )
         return cls(own, bench, **given)
 
+    def _new_noise(self) -> np.random.Generator:
+        return np.random.default_rng([self.seed, crc32(b"noise")])
+
     def noise(self, ticks: int) -> np.ndarray:
         """The next ``ticks`` rows of the sensors' noise, shape (ticks, raw channels)."""
         left = self._noise[self._used :]
@@ -775,6 +778,7 @@ class VirtualMachine:
 
     def start(self, posture: Posture = None, low_side: float | None = None) -> np.ndarray:
         """As `Machine.start`; the unloaded chambers begin to settle at ``low_side``."""
+        self._rng, self._used = self._new_noise(), len(self._noise)
         bench, size, nv = self.bench, self.size, len(self.layout.valves)
         y = self.model.trim(self.model.posture(posture), low_side)
         rest = self.commands.rest

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,12 +16,19 @@ from ehbench.recipe import TrialRecipe
 from ehbench.record import Record
 from ehbench.rig import Rig
 from ehbench.trial.accounts import Account, account
-from ehbench.trial.preparation import prepare
+from ehbench.trial.preparation import Prepared, prepare
 from ehbench.trial.running import run
 from ehbench.units import from_si
 
 if TYPE_CHECKING:
     from ehbench.simulation import Maps
+
+
+class CaseResult(NamedTuple):
+    """What a trial of a set leaves: its record and its account."""
+
+    record: Record
+    account: Account
 
 
 @dataclass(frozen=True)
@@ -32,7 +39,23 @@ class Case:
     recipe: TrialRecipe
     rig: Rig
     maps: Maps | None
-    gains: Path | None = None
+    gains: Path | Mapping[str, Any] | None = None
+
+    def prepare(self, *, allow_code: bool = False, standing: bool = False) -> Prepared:
+        """This trial before its first tick: `ehbench.trial.prepare`."""
+        return prepare(self.recipe, self.rig, self.maps, self.gains, allow_code, standing)
+
+    def run(self, prepared: Prepared, log: Path | None = None) -> CaseResult:
+        """Its record and account, with the case's name on what goes wrong.
+
+        Raises:
+            EhbenchError: as `ehbench.trial.run`.
+        """
+        try:
+            result = run(prepared, log=log)
+        except SimulationError as error:
+            raise SimulationError(f"{self.name}: {error.message}", hint=error.hint) from None
+        return CaseResult(result.record, account(prepared, result))
 
     @property
     def motion(self) -> str:
@@ -40,15 +63,9 @@ class Case:
         return self.recipe.motion.name or self.recipe.motion.kind
 
 
-class CaseResult(NamedTuple):
-    """What a trial of a set leaves: its record and its account."""
-
-    record: Record
-    account: Account
-
-
 def run_cases(
     cases: Sequence[Case],
+    prepared: Sequence[Prepared] = (),
     *,
     logs: Path | None = None,
     allow_code: bool = False,
@@ -60,6 +77,7 @@ def run_cases(
 
     Args:
         cases: what to run.
+        prepared: what `Case.prepare` gave for each; without, each is prepared when it is its turn.
         logs: the folder of their logs, each under its `file_names`; none are written by default.
         allow_code: as in `run_trial`.
         workers: threads; by default one a core.
@@ -69,17 +87,16 @@ def run_cases(
         EhbenchError: the first case that fails; the rest is given up.
     """
 
-    def one(case: Case, file: str) -> CaseResult:
-        log = None if logs is None else logs / f"{file}.mcap"
-        try:
-            made = prepare(case.recipe, case.rig, case.maps, case.gains, allow_code)
-            result = run(made, log=log)
-            return CaseResult(result.record, account(made, result))
-        except SimulationError as error:
-            raise SimulationError(f"{case.name}: {error.message}", hint=error.hint) from None
+    names = file_names(cases)
+
+    def one(index: int) -> CaseResult:
+        log = None if logs is None else logs / f"{names[index]}.mcap"
+        case = cases[index]
+        made = prepared[index] if prepared else case.prepare(allow_code=allow_code)
+        return case.run(made, log)
 
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        jobs = [pool.submit(one, *item) for item in zip(cases, file_names(cases), strict=True)]
+        jobs = [pool.submit(one, index) for index in range(len(cases))]
 
         def told(name: str) -> None:
             if progress is not None:

@@ -19,8 +19,8 @@ from ehbench.record import Record
 from ehbench.rig import Rig
 from ehbench.trial.controllers import Compiled, UserCode
 from ehbench.trial.measures import step_measures, tracking_measures
-from ehbench.trial.preparation import Loop, Prepared, prepare
-from ehbench.trial.session import LiveLog, Session, Stop
+from ehbench.trial.preparation import Loop, Prepared, Stop, prepare
+from ehbench.trial.session import LiveLog, Session
 
 if TYPE_CHECKING:
     from ehbench.simulation import Maps, Model
@@ -131,7 +131,7 @@ def run(
     Raises:
         EhbenchError: as `run_trial`.
     """
-    with closing(prepared.open() if machine is None else machine) as at_work:
+    with closing(prepared.machine if machine is None else machine) as at_work:
         session = Session(prepared, at_work, fast)
         meta = _meta(prepared, at_work)
         if log is None:

@@ -7,30 +7,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ehbench.control.functions import HOLD
-from ehbench.errors import InputError, SimulationError
+from ehbench.errors import SimulationError
 from ehbench.machines.protocol import Machine, advance_of, truth_of
-from ehbench.machines.rows import (
-    COMMAND,
-    LIMITS,
-    MARGIN,
-    NO_LIMITS,
-    LawRows,
-    Rows,
-    control,
-    violated,
-)
-from ehbench.quantities import VOCABULARY
+from ehbench.machines.rows import NO_LIMITS, Controller, LawRows, control, violated
 from ehbench.record import Record
-from ehbench.trial.controllers import Compiled, UserCode, located
-from ehbench.trial.preparation import Prepared
-from ehbench.units import from_si
+from ehbench.trial.controllers import Compiled, UserCode
+from ehbench.trial.preparation import Prepared, Stop
 
 if TYPE_CHECKING:
     from ehbench.logs import LogWriter
@@ -40,51 +28,6 @@ CHUNK = 1000  # ticks between two reports of progress
 WAIT = 0.2  # [s] of wall time after which rows go to the log, however few
 SYNC = 0.7  # [s] of wall time between two syncs of the log: with WAIT, less than a second is lost
 WISHED = ("x_desired", "v_desired", "a_desired", "j_desired")
-
-
-@dataclass(frozen=True)
-class Stop:
-    """Why a trial stopped: which limit, on which channel, the value [SI] that reached it, its bound
-    [SI] and when [s].
-
-    ``sentence`` says so in the units of the rig file.
-    """
-
-    limit: str
-    channel: str
-    value: float
-    bound: float
-    t: float
-    sentence: str
-
-
-def first_rows(prepared: Prepared, machine: Machine) -> Rows:
-    """The rows of a trial before the first tick, the machine at rest.
-
-    Raises:
-        InputError: a posture that the machine cannot take; a limit reached before the start.
-    """
-    truth, t, recipe = truth_of(machine), prepared.t, prepared.recipe
-    with located(recipe, "posture"):
-        sample = machine.start(prepared.posture, prepared.low_side)
-    rows = Rows(
-        t,
-        prepared.table.copy(),
-        np.empty((t.size, sample.size)),
-        np.empty((t.size, 0 if truth is None else truth.width)),
-        sample,
-        prepared.limits.copy(),
-        machine.strokes,
-        np.zeros(3, dtype=np.int64),
-    )
-    if violated(rows, 0):
-        reached = _reached(prepared, machine, rows, 0)
-        raise InputError(
-            "the trial cannot start: " + reached.sentence,
-            **recipe.at("limits", reached.limit),
-            hint="change the posture or the limit",
-        )
-    return rows
 
 
 class Session:
@@ -104,7 +47,7 @@ class Session:
         self.prepared, self.machine = prepared, machine
         self._advance = advance_of(machine) if fast else None
         self._truth = truth_of(machine)
-        self.rows = first_rows(prepared, machine)
+        self.rows = prepared.first_rows(machine)
         self.law = prepared.law(machine)
         self._packed = None if self.law is None else _packed(self.law)
         self._step = getattr(self.law, "step", None)
@@ -184,7 +127,7 @@ class Session:
         silent.
         """
         rows = self.rows
-        self.stop = _reached(self.prepared, self.machine, rows, row)
+        self.stop = self.prepared.reached(self.machine, rows, row)
         rows.limits[:] = NO_LIMITS
         self.end = min(self.end, row + 1 + round(RUN_OUT * self.machine.rate))
         rows.commands[row:] = self.machine.commands.rest
@@ -256,30 +199,8 @@ def _packed(law: Compiled | UserCode) -> LawRows | None:
     """A built-in controller as compiled code takes it; None for a class that steps in Python."""
     if isinstance(law, UserCode):
         return None
-    return LawRows(
-        law.kind, law.mask, law.given, law.wish, law.axis, law.gains, law.memory, law.notes
-    )
-
-
-def _reached(prepared: Prepared, machine: Machine, rows: Rows, row: int) -> Stop:
-    """The limit that `violated` found in a row."""
-    which, index, entry = (int(v) for v in rows.found)
-    bound, t = float(rows.limits[which]), float(rows.t[row])
-    if which == COMMAND:
-        channel = f"{machine.commands.names[index]}.command"
-        value = float(rows.commands[row, index])
-    else:
-        channel, value = machine.channels[entry], float(rows.sample[entry])
-    if which == MARGIN and value >= bound:  # then it is the far end that came too near
-        bound = float(rows.strokes[index]) - bound
-    word = channel.rsplit(".", 1)[-1]
-    unit = prepared.rig.unit_of(word)
-    shown, edge = (from_si(v, unit, VOCABULARY[word]) for v in (value, bound))
-    sentence = (
-        f"{channel} = {shown:.4g} {unit} passed {LIMITS[which]}, which sets in at {edge:.4g} "
-        f"{unit}, at t = {t:.4g} s"
-    )
-    return Stop(LIMITS[which], channel, value, bound, t, sentence)
+    controller = Controller(law.kind, law.mask, law.given, law.axis, law.gains, law.memory)
+    return LawRows(law.wish, controller, law.notes)
 
 
 def _let_go(law: Compiled | UserCode, row: int, end: int) -> None:
