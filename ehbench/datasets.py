@@ -14,6 +14,7 @@ from zlib import crc32
 
 import numpy as np
 
+from ehbench.blas import one_thread
 from ehbench.errors import EhbenchError, InputError
 from ehbench.logs import write_log
 from ehbench.quantities import VOCABULARY
@@ -129,6 +130,7 @@ def _log(recipe: DatasetRecipe, rig: Rig, item: DatasetLog, path: Path) -> None:
     write_log(path, record)
 
 
+@one_thread()
 def make(path: Path, out: Path) -> Path:
     """Record the dataset of a recipe file into ``out/<its stem>`` (replaced when whole); returns
     that folder.

@@ -14,9 +14,8 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from ehbench.compiled import kernel
+from ehbench.compiled import allocating_kernel, kernel
 from ehbench.control.functions import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.errors import InputError, InsufficientData, LogError
 from ehbench.physics import arm, metering
@@ -318,7 +317,7 @@ def follow_valves(t, commands, valves, known, opening, rate):
 # ---------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel
 def _integrate(t, states, commands, plant, owner, step, flows, energies, ends):
     """Integrate each tick anew from its logged state with the plant's own kernel, and the powers
     with it by Simpson's rule.
@@ -361,7 +360,7 @@ def _integrate(t, states, commands, plant, owner, step, flows, energies, ends):
         ends[i] = y
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel
 def _flows_at(states, commands, tank, plant, flows):
     """Edge flows and the pump's at given states; ``tank`` [Pa] is written into ``plant.supply`` as
     it goes along.
@@ -376,14 +375,14 @@ def _flows_at(states, commands, tank, plant, flows):
         flows[i] = work[work.shape[0] - flows.shape[1] :]
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel
 def _powers_at(states, flows, tank, plant, owner, out):
     for i in range(states.shape[0]):
         plant.supply[P_TANK] = tank[i]
         powers(states[i], flows[i], plant, owner, out[i])
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel
 def _stores_at(states, plant, out):
     work = np.empty(arm.work_size(plant.links.shape[0]))
     for i in range(states.shape[0]):

@@ -13,11 +13,14 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ehbench import rundir
+from ehbench.blas import one_thread
 from ehbench.errors import InputError, ModelRejected
+from ehbench.notebook import label, plural, shown, table
 from ehbench.recipe import (
     Campaign,
     DataFile,
@@ -34,6 +37,8 @@ from ehbench.recipe import (
 )
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from ehbench.physics.flow_map import FlowMaps
     from ehbench.record import Record
     from ehbench.rig import Rig
@@ -61,11 +66,57 @@ class Outcome:
         """The flow maps that the run leaves behind, if any."""
         return _maps_in(self.folder)
 
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """Identified parameters by name [SI]: value, standard error ``std``, 95 % interval ``low``
+        and ``high``, unit, status.
+        """
+        import pandas as pd
+
+        rows = {
+            one["name"]: {
+                "value": one["value"],
+                "std": one["std"],
+                "low": one["interval"] and one["interval"][0],
+                "high": one["interval"] and one["interval"][1],
+                "unit": one["unit"],
+                "status": one["status"],
+            }
+            for one in self.json("parameters")["parameters"]
+        }
+        return pd.DataFrame.from_dict(rows, orient="index")
+
     def json(self, name: str) -> Any:
         """A JSON result of the run, by its name without ending, such as ``parameters`` or
         ``validation``.
+
+        Raises:
+            InputError: the run left none of that name; says which it left.
         """
-        return rundir.read_json(self.folder / f"{name}.json")
+        path = self.folder / f"{name}.json"
+        if not path.is_file():
+            there = ", ".join(sorted(file.stem for file in self.folder.glob("*.json")))
+            raise InputError(f"has no {path.name}", file=self.folder, hint=f"it has {there}")
+        return rundir.read_json(path)
+
+    def __repr__(self) -> str:
+        notes = plural(len(self.notes), "note")
+        return f"<Outcome '{self.folder}': code {self.code}, {notes}>"
+
+    def _repr_html_(self) -> str:
+        notes = "".join(f"<li>{escape(note)}</li>" for note in self.notes)
+        head = f"<p><code>{escape(str(self.folder))}</code>, code {self.code}</p><ul>{notes}</ul>"
+        if not (self.folder / "parameters.json").is_file():
+            return head
+        rig, rows = self.rig, []
+        for one in self.json("parameters")["parameters"]:
+            name = one["name"]
+            unit = rig.unit_of(name)
+            value, error = (shown(one[key], name, unit) for key in ("value", "std"))
+            interval = " … ".join(shown(end, name, unit) for end in one["interval"] or ())
+            rows.append((name, value, error, interval, label(unit), one["status"]))
+        header = ("parameter", "value", "standard error", "95 % interval", "unit", "status")
+        return head + table(header, rows)
 
 
 @dataclass(frozen=True)
@@ -116,6 +167,7 @@ class Desk:
         return self.out if self.out is not None else rundir.place(recipe.path, inputs, self.root)
 
 
+@one_thread()
 def run(path: Path | str, desk: Desk | None = None) -> Outcome:
     """Run a recipe of any stage.
 
@@ -489,7 +541,7 @@ def _behind(recipe: TrialRecipe, desk: Desk) -> tuple[list[tuple[str, Path]], Pa
 
 def report(folders: Sequence[Path], desk: Desk, campaign: Campaign | None = None) -> Outcome:
     """Run folders → one self-contained ``report.html``; reads saved files only."""
-    from ehbench import report as pages
+    from ehbench.report import build
 
     for folder in folders:
         if not rundir.is_whole(folder):
@@ -507,7 +559,7 @@ def report(folders: Sequence[Path], desk: Desk, campaign: Campaign | None = None
     )
     _tell(desk, campaign, "writing the report", 0.5)
     with rundir.open_run(final, "report", source, inputs) as made:
-        (made.path / "report.html").write_text(pages.build(folders, campaign), encoding="utf-8")
+        (made.path / "report.html").write_text(build(folders, campaign), encoding="utf-8")
     return Outcome(made.final, DONE)
 
 
@@ -694,7 +746,7 @@ def _run(
     """Open the run's folder, do the work in it, draw its figures. A run that stands with these very
     inputs is kept if it may.
     """
-    from ehbench import report as pages
+    from ehbench.report import draw
 
     final = desk.place(recipe, inputs)
     if desk.keep and rundir.is_whole(final):
@@ -705,7 +757,7 @@ def _run(
         made.facts |= {"code": code, "notes": notes}
         _tell(desk, recipe, "drawing figures", 0.95)
         made.save()
-        pages.draw(made.path)
+        draw(made.path)
     return Outcome(final, code, tuple(notes))
 
 
