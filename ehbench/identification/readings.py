@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.errors import InputError
-from ehbench.identification.flow_map import FlowMapFit, Units, fit_flow_map
+from ehbench.identification.flow_map import FlowMapFit, FlowMapOptions, Units, fit_flow_map
 from ehbench.quantities import VOCABULARY
 from ehbench.readers import FlowmeterData, merge_flowmeter
 from ehbench.rig import Edge, Rig
@@ -82,21 +82,13 @@ def fit_readings(
             progress(f"{name} {side}", index / len(groups))
         rows = found[0] if len(found) == 1 else merge_flowmeter(found)
         show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"), sign)
-        fit = fit_flow_map(
-            name,
-            side,
-            rows.command,
-            rows.pressure_drop,
-            rows.flow,
-            method=rows.method,
-            trial=rows.trial,
-            line=rows.line,
-            file=rows.file,
+        options = FlowMapOptions(
             meter_limit=meter_limit,
             calibration=calibration,
             reference_drop=reference_drop,
             show=show,
         )
+        fit = fit_flow_map(name, side, rows, options)
         said = [
             text for file in np.unique(rows.file).tolist() for text in doubts.pop(file, ())
         ]  # of a file once
