@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,7 @@ from ehbench.quantities import VOCABULARY
 from ehbench.recipe import TrialRecipe
 from ehbench.record import Record
 from ehbench.rig import Rig
-from ehbench.trial.run import Facts, run_trial
+from ehbench.trial.run import Facts, PreparedTrial, prepare_trial, run_prepared
 from ehbench.units import from_si
 
 if TYPE_CHECKING:
@@ -30,7 +31,31 @@ class Case:
     recipe: TrialRecipe
     rig: Rig
     maps: Maps | None
-    gains: Path | None = None
+    gains: Path | Mapping[str, Any] | None = None
+
+    def prepare(self, *, allow_code: bool = False, standing: bool = False) -> PreparedTrial:
+        """This trial before its first tick: `prepare_trial`."""
+        with self._named():
+            return prepare_trial(
+                self.rig,
+                self.recipe,
+                self.maps,
+                gains=self.gains,
+                allow_code=allow_code,
+                standing=standing,
+            )
+
+    def run(self, prepared: PreparedTrial) -> tuple[Record, Facts]:
+        """`run_prepared`, with the case's name on what goes wrong."""
+        with self._named():
+            return run_prepared(prepared)
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        try:
+            yield
+        except SimulationError as error:
+            raise SimulationError(f"{self.name}: {error.message}", hint=error.hint) from None
 
     @property
     def motion(self) -> str:
@@ -40,6 +65,7 @@ class Case:
 
 def run_cases(
     cases: Sequence[Case],
+    prepared: Sequence[PreparedTrial] = (),
     *,
     allow_code: bool = False,
     workers: int = 0,
@@ -50,6 +76,7 @@ def run_cases(
 
     Args:
         cases: what to run.
+        prepared: what `Case.prepare` gave for each; without, each is prepared when it is its turn.
         allow_code: as in `run_trial`.
         workers: threads; by default one a core.
         progress: told which case is done and the share done.
@@ -58,16 +85,12 @@ def run_cases(
         EhbenchError: the first case that fails; the rest is given up.
     """
 
-    def one(case: Case) -> tuple[Record, Facts]:
-        try:
-            return run_trial(
-                case.rig, case.recipe, case.maps, gains=case.gains, allow_code=allow_code
-            )
-        except SimulationError as error:
-            raise SimulationError(f"{case.name}: {error.message}", hint=error.hint) from None
+    def one(index: int) -> tuple[Record, Facts]:
+        case = cases[index]
+        return case.run(prepared[index] if prepared else case.prepare(allow_code=allow_code))
 
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        jobs = [pool.submit(one, case) for case in cases]
+        jobs = [pool.submit(one, index) for index in range(len(cases))]
         for case, job in zip(cases, jobs, strict=True):
             job.add_done_callback(
                 lambda _, name=case.name: (

@@ -4,8 +4,8 @@ safely at a limit.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -87,13 +87,103 @@ class Facts:
         return {**asdict(self), "stopped": self.stopped, "warnings": list(self.warnings)}
 
 
+@dataclass(frozen=True)
+class PreparedTrial:
+    """A trial with all that can be known of it before the first tick; `run_prepared` takes it once.
+
+    ``run`` stands at the start on the model; the virtual bench settles first, which is work. A
+    built-in controller is made, a class of the user's own is not even imported."""
+
+    recipe: TrialRecipe
+    rig: Rig
+    machine: Machine
+    posture: dict[str, str]
+    t: np.ndarray
+    commands: np.ndarray
+    closed: _Closed | None
+    law: Compiled | None
+    run: Runner | None
+
+    @property
+    def duration(self) -> float:
+        """Length [s] where no limit stops it."""
+        return float(self.t[-1])
+
+    def at_rest(self) -> Runner:
+        """The machine at the start, within the limits.
+
+        Raises:
+            InputError: a posture that the machine does not have, or a limit reached there.
+        """
+        low = {} if self.closed is None else {"low_side": self.closed.low_side}
+        with located(self.recipe, "posture"):
+            sample = self.machine.start(self.posture, **low)
+        limits = limit_array(self.recipe.limits)
+        run = Runner(self.machine, sample, self.t, self.commands, limits)
+        if run.reached(0):
+            reached = _stop_of(run, 0)
+            raise InputError(
+                "the trial cannot start: " + reached.sentence,
+                **self.recipe.at("limits", reached.limit),
+                hint="change the posture or the limit",
+            )
+        return run
+
+
+def prepare_trial(
+    rig: Rig,
+    recipe: TrialRecipe,
+    maps: Maps | None = None,
+    *,
+    gains: Path | Mapping[str, Any] | None = None,
+    allow_code: bool = False,
+    standing: bool = False,
+) -> PreparedTrial:
+    """Take in what a trial needs, without a tick.
+
+    Args:
+        rig, recipe, maps, allow_code: as in `run_trial`.
+        gains: as in `run_trial`, or what the tune run says.
+        standing: leave the desired motion out, where its speeds cannot be known.
+
+    Raises:
+        InputError: as in `run_trial`, but for what code of the user's own does and what the virtual
+            bench does at the start.
+    """
+    rate = float(recipe.rate)
+    closed = None
+    if recipe.controller is not None:
+        closed = _Closed.of(recipe, rig, maps, gains, allow_code, standing)
+    count = round(float(recipe.duration) * rate) + 1 if closed is None else len(closed.wishes.table)
+    if count < 2:
+        raise InputError(
+            "the trial is shorter than one sample",
+            **recipe.at("duration"),
+            hint="raise duration or rate",
+        )
+    t = np.arange(count) / rate
+    table = command_table(recipe, rig, t, closed.valves if closed is not None else ())
+    machine = _machine(rig, recipe, maps)
+    posture = (
+        recipe.posture if closed is None else controllers.posture_of(recipe, closed.design.cylinder)
+    )
+    with located(recipe, "posture"):
+        machine.model.posture(posture)
+    prepared = PreparedTrial(recipe, rig, machine, posture, t, table, closed, None, None)
+    if recipe.on == "model":
+        prepared = replace(prepared, run=prepared.at_rest())
+    if closed is not None and recipe.controller.code is None:
+        prepared = replace(prepared, law=closed.law(machine))
+    return prepared
+
+
 def run_trial(
     rig: Rig,
     recipe: TrialRecipe,
     maps: Maps | None = None,
     progress: Callable[[str, float], None] | None = None,
     *,
-    gains: Path | None = None,
+    gains: Path | Mapping[str, Any] | None = None,
     allow_code: bool = False,
 ) -> tuple[Record, Facts]:
     """Run one trial from rest: its record and the facts about it.
@@ -117,39 +207,18 @@ def run_trial(
             rig; a limit reached before the start; code that is not allowed, or raised.
         SimulationError: the numbers left the finite range.
     """
-    rate = float(recipe.rate)
-    closed = (
-        _Closed.of(recipe, rig, maps, gains, allow_code) if recipe.controller is not None else None
-    )
-    count = round(float(recipe.duration) * rate) + 1 if closed is None else len(closed.wishes.table)
-    if count < 2:
-        raise InputError(
-            "the trial is shorter than one sample",
-            **recipe.at("duration"),
-            hint="raise duration or rate",
-        )
-    t = np.arange(count) / rate
-    table = command_table(recipe, rig, t, closed.valves if closed is not None else ())
-    machine = _machine(rig, recipe, maps)
-    posture = (
-        recipe.posture if closed is None else controllers.posture_of(recipe, closed.design.cylinder)
-    )
-    with located(recipe, "posture"):
-        sample = (
-            machine.start(posture)
-            if closed is None
-            else machine.start(posture, low_side=closed.low_side)
-        )
-    run = Runner(machine, sample, t, table, limit_array(recipe.limits))
-    if run.reached(0):
-        reached = _stop_of(run, 0)
-        where = recipe.at("limits", reached.limit)
-        raise InputError(
-            "the trial cannot start: " + reached.sentence,
-            **where,
-            hint="change the posture or the limit",
-        )
-    law = None if closed is None else closed.law(machine)
+    prepared = prepare_trial(rig, recipe, maps, gains=gains, allow_code=allow_code)
+    return run_prepared(prepared, progress)
+
+
+def run_prepared(
+    prepared: PreparedTrial, progress: Callable[[str, float], None] | None = None
+) -> tuple[Record, Facts]:
+    """Run a trial that `prepare_trial` took in, once; returns and raises as `run_trial`."""
+    recipe, rig, machine, closed = prepared.recipe, prepared.rig, prepared.machine, prepared.closed
+    rate, posture, t = float(recipe.rate), prepared.posture, prepared.t
+    run = prepared.run or prepared.at_rest()
+    law = prepared.law or (None if closed is None else closed.law(machine))
     stop, end = _go(run, law, progress)
     table = run.commands
     if not np.isfinite(table[:end]).all():
@@ -287,15 +356,22 @@ class _Closed:
 
     @classmethod
     def of(
-        cls, recipe: TrialRecipe, rig: Rig, maps: Maps | None, gains: Path | None, allow_code: bool
+        cls,
+        recipe: TrialRecipe,
+        rig: Rig,
+        maps: Maps | None,
+        gains: Path | Mapping[str, Any] | None,
+        allow_code: bool,
+        standing: bool = False,
     ) -> _Closed:
         controllers.refuse_code(recipe, allow_code)
         made = controllers.design(recipe, rig, maps)
-        tuning = controllers.read_tuning(recipe, gains)
+        known = isinstance(gains, Mapping)
+        tuning = dict(gains) if known else controllers.read_tuning(recipe, gains)
         low = controllers.low_pressure(recipe, rig, tuning)
-        return cls(
-            recipe, made, wishes(recipe, made, low), tuning, float(rig.supply.tank_pressure) + low
-        )
+        still = Wishes(np.tile([made.x, 0.0, 0.0, 0.0], (2, 1)))
+        wanted = still if standing else wishes(recipe, made, low)
+        return cls(recipe, made, wanted, tuning, float(rig.supply.tank_pressure) + low)
 
     @property
     def valves(self) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ PACKAGE = Path(__file__).parents[2] / "ehbench"
 FLOORS = [
     {"errors", "quantities", "compiled"},
     {"units"},
+    {"fields"},
     {"record", "rig"},
     {"recipe", "readers", "logs", "rundir", "signals", "physics"},
     {"control"},
