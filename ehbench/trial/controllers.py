@@ -33,6 +33,7 @@ from ehbench.control.functions import (
 )
 from ehbench.control.trajectory import A, J, V, X, pack_shaping
 from ehbench.errors import InputError
+from ehbench.machines.rows import ARC, FEEDBACK
 from ehbench.parts.cylinder import chamber_oil, linkage_arrays
 from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
 from ehbench.parts.nodes import SUPPLY
@@ -47,7 +48,6 @@ from ehbench.rundir import read_json
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps
 
-FEEDBACK, ARC = 1, 2
 OFF_RATE = 10.0  # [rad/s]: how fast the off-side pressure follows where no gain is given
 RULES = (
     "speed_start",

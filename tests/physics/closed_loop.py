@@ -11,13 +11,13 @@ from numba import njit
 
 from ehbench.control import arc
 from ehbench.control.functions import circuit, pack_rules
+from ehbench.machines.simulated import model_sample, model_tick
+from ehbench.machines.virtual import bench_tick
+from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
 from ehbench.parts.sample import sample_size
 from ehbench.parts.valve import valve_lag as lag_of
-from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import STEP
-from ehbench.rigs.bench import bench_tick
-from ehbench.rigs.model import model_sample, model_tick
 
 TICK = 1.0e-3
 
@@ -226,7 +226,7 @@ def run_bench(rig, model, ax, gains, wish, posture=None):
         rig.bench,
         TICK,
         rig.steps,
-        rig._scratch,
+        rig._own.scratch,
         rig.noise(len(wish)),
         log,
         notes,

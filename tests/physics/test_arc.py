@@ -21,13 +21,13 @@ from ehbench.control.functions import (
 from ehbench.control.trajectory import point_to_point, there_and_back
 from ehbench.control.valve_level import SATURATED
 from ehbench.errors import InputError
+from ehbench.machines.virtual import VirtualMachine
 from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
 from ehbench.physics.cylinder import linkage
 from ehbench.plant.model import Model
 from ehbench.quantities import quantity
 from ehbench.recipe import load_rig
 from ehbench.rig import Value
-from ehbench.rigs.bench import BenchRig
 
 sys.path.append(str(Path(__file__).parent))
 from closed_loop import TICK, axis_of, gains_of, run_bench, run_model  # noqa: E402
@@ -555,7 +555,7 @@ def test_on_the_bench(load):
         profile="seventh",
     )
     gains = gains_of(design, ax)
-    run = run_bench(BenchRig(rig, None, load), design, ax, gains, wish, {"boom": "0.1 m"})
+    run = run_bench(VirtualMachine(rig, None, load), design, ax, gains, wish, {"boom": "0.1 m"})
     error = np.abs(run.note["x_error"])
     assert error.max() < 3.0e-3
     assert np.count_nonzero(np.diff(run.note["function"])) < 12

@@ -24,6 +24,7 @@ from ehbench.ledger import (
     noise_of,
     travels,
 )
+from ehbench.machines.virtual import CREEP, VirtualMachine
 from ehbench.parts.cylinder import linkage_arrays
 from ehbench.physics.flow_map import FlowMap, ValveMaps, root_drop
 from ehbench.physics.friction import stribeck
@@ -31,7 +32,6 @@ from ehbench.plant.model import Model
 from ehbench.recipe import TrialRecipe, load_recipe, load_rig
 from ehbench.record import Record
 from ehbench.rig import Rig, Value
-from ehbench.rigs.bench import CREEP, BenchRig
 from ehbench.trial import run_trial
 
 ROOT = Path(__file__).parents[2]
@@ -617,12 +617,12 @@ def vars_of(one: FlowMap) -> dict:
 
 def on_bench(
     name: str, commands, duration: float = 4.0
-) -> tuple[Rig, BenchRig, Record, np.ndarray]:
+) -> tuple[Rig, VirtualMachine, Record, np.ndarray]:
     """A trial on the virtual bench: its rig, the bench, what it logged, and its true states at each
     sample.
     """
     rig = load_rig(ROOT / "recipes" / "rigs" / f"{name}.toml")
-    bench = BenchRig(rig, load_recipe(ROOT / "recipes" / "bench" / f"{name}.toml"), seed=7)
+    bench = VirtualMachine(rig, load_recipe(ROOT / "recipes" / "bench" / f"{name}.toml"), seed=7)
     t = np.arange(round(1000 * duration) + 1) * 1e-3
     table = bench.model.rest_commands(t.size)
     for valve, u in commands.items():

@@ -16,11 +16,11 @@ from ehbench.control import pressure_feedback as pf
 from ehbench.control import trajectory as tr
 from ehbench.control import valve_level as vl
 from ehbench.errors import InputError
+from ehbench.machines.simulated import model_sample
 from ehbench.plant.integrate import rk4
 from ehbench.plant.model import Model
 from ehbench.quantities import quantity
 from ehbench.recipe import load_rig
-from ehbench.rigs.model import model_sample
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 TICK = 1e-3

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.compiled import table
 from ehbench.control import functions as fn
 from ehbench.errors import InputError
-from ehbench.compiled import table
-from ehbench.parts.edge import EDGE, COMPENSATED, ORIFICE
+from ehbench.parts.edge import COMPENSATED, EDGE, ORIFICE
 from ehbench.plant.build import build
 from ehbench.recipe import load_rig
 

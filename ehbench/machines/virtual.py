@@ -21,6 +21,8 @@ import numpy as np
 
 from ehbench.compiled import kernel, record, table
 from ehbench.errors import InputError, SimulationError
+from ehbench.machines.protocol import Inputs, Posture
+from ehbench.machines.rows import LawRows, Rows, control, violated
 from ehbench.parts.cylinder import (
     CYLINDER_COLUMNS,
     RELIEF_GAIN,
@@ -37,19 +39,20 @@ from ehbench.parts.supply import pump_flow
 from ehbench.parts.valve import VALVE_COLUMNS, limited, valve_rates, valve_settle
 from ehbench.physics.cylinder import chamber_rate, relief_flow
 from ehbench.physics.friction import stribeck
-from ehbench.plant.build import set_second_order
+from ehbench.plant.build import Maps, set_second_order
 from ehbench.plant.derivatives import derivatives_of, finish_of, move
 from ehbench.plant.integrate import rk4
-from ehbench.plant.layout import Layout, Offsets
+from ehbench.plant.layout import Layout, Offsets, layout
 from ehbench.plant.model import Model
 from ehbench.quantities import VOCABULARY
-from ehbench.recipe import BenchRecipe
+from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
 from ehbench.rig import Edge, Rig, Value, Valve, read_value
 
 NAME = "virtual bench"
 STEP = 2.5e-4  # [s]
 ATMOSPHERE = 101325.0
 CREEP = 1.0e-3  # [m/s]: over which friction turns round
+NOISE_ROWS = 256  # drawn at a time
 SETTLE = 0.25  # [s] of rest before t = 0, so that lags and delays have filled
 RAW = (OF.q, OF.x, OF.p_head, OF.p_rod)  # a cylinder's raw channels
 _RAW, _RAW_LINES, _FILTER = len(RAW), 2, 3
@@ -142,7 +145,7 @@ def _offsets(names: Layout, depth: int) -> BenchOffsets:
     )
 
 
-class Bench(NamedTuple):
+class VirtualPlant(NamedTuple):
     """A bench as flat tables. ``delay``: whole ticks of the sensors' delay, ``share`` the rest of
     it as a share of a tick; ``speed`` the numbers of the speed filter, see `_speed_filter`.
     """
@@ -176,7 +179,7 @@ class Scratch(NamedTuple):
     raw: np.ndarray
 
 
-def scratch_of(bench: Bench) -> Scratch:
+def scratch_of(bench: VirtualPlant) -> Scratch:
     """A scratch for a bench."""
     at = bench.at
     return Scratch(
@@ -331,7 +334,7 @@ def _supply(y, bench, dy, work):
     return max(stiffness * work[at.slope + SUPPLY], pumping)
 
 
-@derivatives_of(Bench)
+@derivatives_of(VirtualPlant)
 @kernel
 def derivatives(y, target, bench, dy, work):
     """Write ẏ of the bench's continuous states into ``dy``; return the fastest rate [1/s] of the
@@ -347,7 +350,7 @@ def derivatives(y, target, bench, dy, work):
     return max(fastest, _supply(y, bench, dy, work))
 
 
-@finish_of(Bench)
+@finish_of(VirtualPlant)
 @kernel
 def _finish(y, target, bench, slope, d):
     """The bench leaves a Runge–Kutta step as it is."""
@@ -632,7 +635,42 @@ def _tune(
     return gain, s0 - gain * u0
 
 
-class BenchRig:
+class Running(NamedTuple):
+    """A virtual machine at work: its ``state``, memory included, its numbers, the ``tick`` [s] and
+    the integration ``steps`` in it, and the scratch of both.
+    """
+
+    state: np.ndarray
+    bench: VirtualPlant
+    tick: float
+    steps: int
+    scratch: Scratch
+
+
+@kernel
+def _advance(first, stop, own, rows, law, noise):
+    sample = rows.sample
+    for i in range(first, stop):
+        if law is not None:
+            control(law, i, rows)
+        if violated(rows, i):
+            return i
+        for j in range(sample.shape[0]):
+            rows.samples[i, j] = sample[j]
+        bench_tick(
+            own.state,
+            rows.commands[i],
+            own.bench,
+            own.tick,
+            own.steps,
+            own.scratch,
+            noise[i - first],
+            sample,
+        )
+    return -1
+
+
+class VirtualMachine:
     """The virtual bench behind the protocol of a real machine.
 
     ``channels`` names the sample's entries, ``rate`` [Hz] the ticks a second. ``start`` puts it at
@@ -664,42 +702,72 @@ class BenchRig:
     ) -> None:
         recipe = recipe or BenchRecipe(stage="bench", rig="")
         self.model = Model.of(_truth(recipe, rig), None, payload)
-        self.rig, self.payload, self.rate, self.seed = rig, payload, float(rate), seed
+        self.rig, self.rate, self.seed = rig, float(rate), seed
+        self.latency = float(recipe.delay)
         names = self.layout = self.model.layout
-        self.channels = sample_channels(names.cylinders)
+        self.channels, self.commands = sample_channels(names.cylinders), Inputs.of(self.model)
         _check_names(recipe, names)
         self.bench = _build(recipe, self.model, 1.0 / self.rate)
+        self.strokes = self.bench.cylinders.stroke.copy()
         self.steps = max(1, round(1.0 / (self.rate * step)))
-        self._scratch = scratch_of(self.bench)
-        self.size = self.bench.at.states
-        self.state = np.zeros(self.bench.at.size)
-        self._noise = np.random.default_rng([seed, crc32(b"noise")])
+        at = self.bench.at
+        self.size, self.raw = at.states, at.channels
+        self.state = np.zeros(at.size)
+        self._own = Running(
+            self.state, self.bench, 1.0 / self.rate, self.steps, scratch_of(self.bench)
+        )
+        self._rng = self._new_noise()
+        self._noise, self._used = np.empty((0, self.raw)), 0
+
+    @classmethod
+    def of(cls, recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> VirtualMachine:
+        """The virtual bench that a trial runs on; measured maps are none of its business.
+
+        Raises:
+            InputError: no bench file, or one of other cylinders or valves than the rig's.
+        """
+        given = {"payload": recipe.payload, "rate": float(recipe.rate), "seed": recipe.seed}
+        if recipe.bench is None:
+            return cls(rig, None, **given)
+        bench = load_recipe(recipe.file(recipe.bench))
+        if not isinstance(bench, BenchRecipe):
+            raise InputError(
+                "is no bench file", file=bench.path, hint='a bench file has stage = "bench"'
+            )
+        own = load_rig(bench.file(bench.rig))
+        for what, mine, its in (
+            ("cylinders", [c.name for c in rig.cylinder], [c.name for c in own.cylinder]),
+            ("valves", layout(rig).valves, layout(own).valves),
+        ):
+            if mine != its:
+                raise InputError(
+                    f"the bench of rig '{own.name}' has other {what} than rig '{rig.name}'",
+                    **recipe.at("bench"),
+                    hint=f"the bench has {', '.join(its)}",
+                )
+        return cls(own, bench, **given)
+
+    def _new_noise(self) -> np.random.Generator:
+        return np.random.default_rng([self.seed, crc32(b"noise")])
 
     def noise(self, ticks: int) -> np.ndarray:
         """The next ``ticks`` rows of the sensors' noise, shape (ticks, raw channels)."""
-        return self._noise.standard_normal((ticks, self.bench.at.channels))
+        left = self._noise[self._used :]
+        if len(left) < ticks:
+            fresh = self._rng.standard_normal((max(ticks - len(left), NOISE_ROWS), self.raw))
+            self._noise, self._used = np.concatenate([left, fresh]), 0
+        self._used += ticks
+        return self._noise[self._used - ticks : self._used]
 
-    def start(
-        self,
-        posture: Mapping[str, str | float] | None = None,
-        payload: str | None = None,
-        low_side: float | None = None,
-    ) -> np.ndarray:
-        """Come to rest in a posture (as `Model.posture` reads it), valves at rest; returns the
-        sample at t = 0.
+    def check_posture(self, posture: Posture) -> None:
+        """As `Machine.check_posture`."""
+        self.model.posture(posture)
 
-        The unloaded chambers begin to settle at ``low_side`` [Pa], as in `Model.trim`.
-
-        Raises:
-            InputError: a posture outside the stroke, or another payload than the bench was made
-                with.
-        """
-        if payload is not None and payload != self.payload:
-            raise InputError(
-                f"this bench carries payload '{self.payload or 'none'}', not '{payload}'"
-            )
+    def start(self, posture: Posture = None, low_side: float | None = None) -> np.ndarray:
+        """As `Machine.start`; the unloaded chambers begin to settle at ``low_side``."""
+        self._rng, self._used = self._new_noise(), len(self._noise)
         bench, at, state = self.bench, self.bench.at, self.state
-        rest = self.model.rest_commands(1)[0]
+        rest = self.commands.rest
         state[:] = 0.0
         state[: at.pump] = self.model.trim(self.model.posture(posture), low_side)
         state[at.hysteresis : at.lags] = rest
@@ -710,39 +778,41 @@ class BenchRig:
             k = at.filters + _FILTER * c
             state[[k, k + 2]] = state[at.lags + _RAW * c + RAW.index(OF.x)]
         sample = np.zeros(len(self.channels))
-        for noise_row in self.noise(max(round(SETTLE * self.rate), bench.delay + 3)):
-            bench_tick(
-                state,
-                rest,
-                bench,
-                1.0 / self.rate,
-                self.steps,
-                self._scratch,
-                noise_row,
-                sample,
-            )
+        for _ in range(max(round(SETTLE * self.rate), bench.delay + 3)):
+            self._tick(rest, sample)
         self._must_be_finite()
         return sample
 
     def tick(self, command: np.ndarray) -> np.ndarray:
-        """Let ``command`` [V], shape (valves,), act for one tick; returns the sample at its end.
-
-        Raises:
-            SimulationError: the numbers left the finite range.
-        """
+        """As `Machine.tick`."""
         sample = np.zeros(len(self.channels))
-        bench_tick(
-            self.state,
-            np.asarray(command, dtype=float),
-            self.bench,
-            1.0 / self.rate,
-            self.steps,
-            self._scratch,
-            self.noise(1)[0],
-            sample,
-        )
+        self._tick(np.asarray(command, dtype=float), sample)
         self._must_be_finite()
         return sample
+
+    def _tick(self, command: np.ndarray, sample: np.ndarray) -> None:
+        own = self._own
+        noise = self.noise(1)[0]
+        bench_tick(
+            own.state,
+            command,
+            own.bench,
+            own.tick,
+            own.steps,
+            own.scratch,
+            noise,
+            sample,
+        )
+
+    def advance(self, first: int, stop: int, rows: Rows, law: LawRows | None) -> int:
+        """As `advance_of` says."""
+        row = _advance(first, stop, self._own, rows, law, self.noise(stop - first))
+        if row >= 0:  # noise that no tick used is the next one's, however long the call was
+            self._used -= stop - row
+        return row
+
+    def close(self) -> None:
+        """There is nothing to let go."""
 
     def _must_be_finite(self) -> None:
         if not np.isfinite(self.state).all():
@@ -764,7 +834,7 @@ class BenchRig:
         index = self.layout.edges.index(edge)
         row = self.bench.edges[index]
         valve = self.bench.valves[row.valve]
-        rest = self.model.rest_commands(1)[0, row.valve]
+        rest = self.commands.rest[row.valve]
         command, drop = np.broadcast_arrays(
             np.asarray(command, dtype=float), np.asarray(drop, dtype=float)
         )
@@ -784,7 +854,7 @@ class _Seeded(NamedTuple):
     p_supply: float
 
 
-def _build(recipe: BenchRecipe, model: Model, tick: float) -> Bench:
+def _build(recipe: BenchRecipe, model: Model, tick: float) -> VirtualPlant:
     """The compiled form of a bench whose truth ``model`` is."""
     plant = model.plant
     of = _Seeded(recipe, model, recipe.seed, float(model.rig.supply.pressure))
@@ -792,7 +862,7 @@ def _build(recipe: BenchRecipe, model: Model, tick: float) -> Bench:
     valves, elements = _valves(of, edges, curves)
     ticks = float(recipe.delay) / tick
     omega, zeta = 2 * math.pi * float(recipe.velocity_cutoff), float(recipe.velocity_damping)
-    return Bench(
+    return VirtualPlant(
         kind=plant.kind,
         gravity=plant.gravity,
         links=plant.links,
