@@ -257,6 +257,19 @@ def edge_flow(drop, spool, edge, curves):
     return flow - curve_flow(-drop, reach, curves[edge.reverse])
 
 
+@kernel
+def _spool_for(flow, drop, most, edge, curves):
+    """Spool position [V], at most ``most`` from closed, at which an edge passes a flow [m³/s]."""
+    low, high = 0.0, most
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        if edge_flow(drop, edge.sign * middle, edge, curves) > flow:
+            high = middle
+        else:
+            low = middle
+    return edge.sign * 0.5 * (low + high)
+
+
 @part_kernel
 def play(memory, value, width):
     """Backlash of ``width``: where the output goes from ``memory`` when the input is ``value``."""
@@ -356,7 +369,7 @@ def _finish(y, target, bench, slope, d):
     """The bench leaves a Runge–Kutta step as it is."""
 
 
-@kernel
+@part_kernel
 def _raw(y, bench, raw):
     """What the sensors would say were they perfect, in the order of the raw channels."""
     cylinders = bench.cylinders.shape[0]
@@ -396,7 +409,7 @@ def _delayed(state, bench, channel):
     )
 
 
-@kernel
+@part_kernel
 def _measure(state, bench, noise_row, sample):
     """Noise, offset and quantization of the lagged channels, then the delay line, then speed from
     position.
@@ -615,19 +628,13 @@ def _tune(
     )
 
     def spool(flow: float) -> float:
-        low, high = 0.0, 4.0 * float(valve.command_max)
-        if edge_flow(drop, row.sign * high, row, curves) < flow:
+        most = 4.0 * float(valve.command_max)
+        if edge_flow(drop, row.sign * most, row, curves) < flow:
             raise InputError(
-                f"valve '{valve.name}' of the bench never passes its calibration flow {flow:g} m^3/s"
+                f"valve '{valve.name}' of the bench never passes its calibration flow {flow:g} "
+                "m^3/s"
             )
-        for _ in range(200):
-            middle = 0.5 * (low + high)
-            low, high = (
-                (low, middle)
-                if edge_flow(drop, row.sign * middle, row, curves) > flow
-                else (middle, high)
-            )
-        return row.sign * 0.5 * (low + high)
+        return _spool_for(flow, drop, most, row, curves)
 
     ends = [(command - 0.5 * width, spool(flow)) for command, flow in (points[0], points[-1])]
     (u0, s0), (u1, s1) = ends
