@@ -419,7 +419,8 @@ class Ledger:
     cylinder and by the working function that its controller logged, the energies [J] of the rows
     while that function was at work; they add up to the rows. ``series`` holds cumulated energies
     [J] by row at times ``t`` [s], if asked for; ``sources`` the standard error [J] that each source
-    of doubt gives to the residual; ``notes`` what had to be assumed."""
+    of doubt gives to the residual; ``notes`` what had to be assumed; ``oil_drawn`` [m³] what all
+    edges took from the supply."""
 
     source: str
     rig: str
@@ -431,6 +432,7 @@ class Ledger:
     functions: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
     t: np.ndarray | None = None
     series: dict[str, np.ndarray] = field(default_factory=dict)
+    oil_drawn: float = 0.0
 
     def __getitem__(self, name: str) -> Row:
         """The row of that name.
@@ -680,6 +682,17 @@ def _function(record: Record, cylinder: str) -> np.ndarray | None:
     )
 
 
+def _oil_drawn(model: Model, t: np.ndarray, flows: np.ndarray) -> float:
+    """Oil [m³] that the edges took from the supply, by trapezes of their flows, shape (samples,
+    edges + 1).
+    """
+    sign = np.zeros(flows.shape[1])
+    for column, way in ((FROM, 1.0), (TO, -1.0)):
+        sign[:-1] += way * (model.plant.wiring[:, column] == 0)
+    drawn = flows @ sign
+    return float(np.sum(0.5 * (drawn[1:] + drawn[:-1]) * np.diff(t)))
+
+
 def _check(record: Record) -> None:
     if record.t.size < 2:
         raise LogError(
@@ -772,7 +785,7 @@ def ledger_of_model(
     held = np.empty((t.size, sheet.stores))
     _stores_at(states, plant, held)
     table = sheet.expand(np.concatenate([spent, held - held[0]], axis=1))
-    told = sheet.told(record, table, points)
+    told = sheet.told(record, table, points) | {"oil_drawn": _oil_drawn(model, t, flows)}
     return sheet.ledger(
         model, record, _held_payload(model, record), table[-1], None, notes=tuple(notes), **told
     )
@@ -1138,6 +1151,7 @@ def ledger_of_log(
     sources = dict(sorted(sources.items(), key=lambda item: -item[1]))
     every = np.arange(readings.t.size)
     told = sheet.told(record, account.energies(model, readings, states, power, every), points)
+    told |= {"oil_drawn": _oil_drawn(model, readings.t, flows)}
     return sheet.ledger(
         model, record, payload, base, std, sources=sources, notes=tuple(notes), **told
     )

@@ -19,14 +19,14 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from ehbench.errors import InputError
+from ehbench.fields import Q, Value
 from ehbench.quantities import VOCABULARY, Quantity
-from ehbench.rig import Rig, Value
+from ehbench.rig import Rig
 from ehbench.units import from_si
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 HEADER = ("key", "symbol", "unit", "range", "default", "what for")
 _BLOCK = re.compile(r"<!-- (\w[\w ]*) -->\n((?:\|.*\n)*)")
-_ENTRIES = {"com": "3 × ", "inertia": "6 × "}
 
 
 @dataclass(frozen=True)
@@ -176,12 +176,14 @@ def _default(field: FieldInfo, row: Quantity | None) -> str:
 
 def key_of(name: str, field: FieldInfo) -> Key:
     """A field of a model as a row."""
-    row = next((mark for mark in marks(field) if isinstance(mark, Quantity)), None)
+    number = next((mark for mark in marks(field) if isinstance(mark, Q)), None)
     given, words = f"`{field.alias or name}`", field.description or ""
-    default = _default(field, row)
-    if row is not None:
+    default = _default(field, number and number.row)
+    if number is not None:
+        row = number.row
         many = any(get_origin(part) is tuple for part in parts(field.annotation))
-        unit = ("list of " if many else _ENTRIES.get(name, "")) + _unit(row)
+        count = f"{number.count} × " if number.count > 1 else ""
+        unit = ("list of " if many else count) + _unit(row)
         return Key(given, row.symbol, unit, _span(row), default, words)
     kind = _kind(field.annotation)
     choices = next(
@@ -210,10 +212,11 @@ def gain_key(name: str, row: Quantity | None, pair: bool = False) -> Key:
 
 
 def recipe_models() -> list[type[BaseModel]]:
-    """The models of the recipes, one a stage."""
-    from ehbench.recipe import _STAGES
+    """The package's models of recipes, one a stage, all of which the workflow knows."""
+    from ehbench import workflow  # noqa: F401
+    from ehbench.recipe import recipe_kinds
 
-    return list(_STAGES.values())
+    return [kind for kind in recipe_kinds().values() if kind.__module__.startswith("ehbench.")]
 
 
 def gain_tables() -> dict[str, list[Key]]:

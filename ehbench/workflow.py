@@ -430,24 +430,12 @@ def run_trial(recipe: TrialRecipe, desk: Desk) -> Outcome:
     inputs = [*machine.inputs, *extra]
 
     def work(made: rundir.Run) -> tuple[int, list[str]]:
-        record, facts = trial.run_trial(
-            machine.rig,
-            recipe,
-            machine.flow_maps,
-            progress=desk.tell(recipe.name),
-            gains=gains,
-            allow_code=desk.allow_code,
-        )
+        prepared = trial.prepare(recipe, machine.rig, machine.flow_maps, gains, desk.allow_code)
+        result = trial.run(prepared, log=made.path / "log.mcap", progress=desk.tell(recipe.name))
         _write_rig(made.path, machine.rig, machine.flow_maps)
-        _write_log(made.path / "log.mcap", record, recipe, machine.rig)
-        doubts = _write_ledger(
-            made.path / "ledger.json",
-            record,
-            recipe,
-            machine.rig,
-            machine.flow_maps,
-            facts.cylinder,
-        )
+        facts, ledger, doubts = trial.account(prepared, result)
+        if ledger is not None:
+            rundir.write_json(made.path / "ledger.json", ledger)
         rundir.write_json(made.path / "trial.json", facts.as_json())
         made.facts |= {
             "what": "trial",
@@ -486,33 +474,25 @@ def run_trials(recipe: TrialSetRecipe, desk: Desk) -> Outcome:
         cases.append(trial.Case(name, one, machines[key].rig, machines[key].flow_maps, gains))
 
     def work(made: rundir.Run) -> tuple[int, list[str]]:
-        results = trial.run_cases(
-            cases, allow_code=desk.allow_code, progress=desk.tell(recipe.name)
-        )
-        _write_rig(made.path, base.rig, base.flow_maps)
         (made.path / "logs").mkdir()
         (made.path / "ledgers").mkdir()
-        doubts = []
-        for case, file, (record, facts) in zip(
-            cases, trial.file_names(cases), results, strict=True
-        ):
-            _write_log(made.path / "logs" / f"{file}.mcap", record, case.recipe, case.rig)
-            place = made.path / "ledgers" / f"{file}.json"
-            said = _write_ledger(place, record, case.recipe, case.rig, case.maps, facts.cylinder)
-            doubts += [f"{case.name}: {text}" for text in said]
+        results = trial.run_cases(
+            cases,
+            logs=made.path / "logs",
+            allow_code=desk.allow_code,
+            progress=desk.tell(recipe.name),
+        )
+        _write_rig(made.path, base.rig, base.flow_maps)
+        named = [(case.name, result.account) for case, result in zip(cases, results, strict=True)]
+        for file, (_, account) in zip(trial.file_names(cases), named, strict=True):
+            if account.ledger is not None:
+                rundir.write_json(made.path / "ledgers" / f"{file}.json", account.ledger)
         rows = trial.table_rows(cases, results)
         rundir.write_json(made.path / "table.json", {"rows": rows})
         (made.path / "table.csv").write_text(trial.table_csv(rows, base.rig), encoding="utf-8")
-        stopped = [
-            f"{case.name}: {facts.stopped}"
-            for case, (_, facts) in zip(cases, results, strict=True)
-            if facts.stopped
-        ]
-        warnings = [
-            f"{case.name}: {text}"
-            for case, (_, facts) in zip(cases, results, strict=True)
-            for text in facts.warnings
-        ] + doubts
+        stopped = [f"{name}: {one.facts.stopped}" for name, one in named if one.facts.stopped]
+        warnings = [f"{name}: {text}" for name, one in named for text in one.facts.warnings]
+        warnings += [f"{name}: {text}" for name, one in named for text in one.doubts]
         made.facts |= {
             "what": "trials",
             "title": recipe.title,
@@ -557,42 +537,6 @@ def _behind(recipe: TrialRecipe, desk: Desk) -> tuple[list[tuple[str, Path]], Pa
     if gains.is_file() and gains.suffix == ".toml":
         gains = make(gains, desk).folder
     return [*inputs, ("gains", gains)], gains
-
-
-def _write_log(path: Path, record: Record, recipe: TrialRecipe, rig: Rig) -> None:
-    """A trial's log with its recipe and rig attached."""
-    import tomli_w
-
-    from ehbench.logs import write_log
-
-    rig_file = tomli_w.dumps(rig.as_toml()).encode()
-    attached = {**record.attachments, "recipe.toml": recipe.path.read_bytes(), "rig.toml": rig_file}
-    write_log(path, type(record)(record.t, record.channels, record.meta, attached, record.losses))
-
-
-def _write_ledger(
-    path: Path, record: Record, recipe: TrialRecipe, rig: Rig, maps: FlowMaps | None, cylinder: str
-) -> list[str]:
-    """Where a trial's energy went: exact on the model, from measured channels on the bench. Says
-    why, where none can be made.
-    """
-    from ehbench.errors import EhbenchError, InsufficientData
-    from ehbench.ledger import bounds, ledger_of_log, ledger_of_model
-    from ehbench.simulation import Model
-
-    try:
-        if recipe.on == "model":
-            ledger = ledger_of_model(Model.of(rig, maps, recipe.payload), record)
-        else:
-            ledger = ledger_of_log(rig, maps, record, payload=recipe.payload)
-    except EhbenchError as error:
-        return [f"no energy ledger: {error.message}"]
-    try:
-        limits = [bounds(rig, record, cylinder, ledger).as_json()] if cylinder else []
-    except InsufficientData:  # it did not move
-        limits = []
-    rundir.write_json(path, ledger.as_json() | {"bounds": limits})
-    return []
 
 
 def report(folders: Sequence[Path], desk: Desk, campaign: Campaign | None = None) -> Outcome:

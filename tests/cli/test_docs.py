@@ -17,7 +17,7 @@ from pydantic import BaseModel, Field
 
 from ehbench import inspection, recipe, reference, rig
 from ehbench.errors import InputError
-from ehbench.quantities import VOCABULARY
+from ehbench.fields import Q, SURENESS
 from ehbench.recipe import load_rig
 from ehbench.workflow import init
 
@@ -71,7 +71,7 @@ def test_every_key_stands_in_a_table_and_no_other(page, model):
 
 
 def test_every_stage_stands_on_the_page_of_recipes():
-    for stage, what in recipe._STAGES:
+    for stage, what in recipe.recipe_kinds():
         asked = f'`stage = "{stage}"`' + ("" if what is None else f', `what = "{what}"`')
         assert f"\n{asked}" in PAGES["recipes.md"], asked
 
@@ -85,14 +85,14 @@ def test_every_kind_of_command_and_motion_is_told(model, page):
 
 
 def test_every_word_for_how_sure_a_number_is_stands_on_the_page():
-    assert all(f"| `{word}` |" in PAGES["rig_file.md"] for word in rig.SURENESS)
+    assert all(f"| `{word}` |" in PAGES["rig_file.md"] for word in SURENESS)
 
 
 class Part(BaseModel):
     """A part as a new one would come."""
 
     kind: Literal["soft", "hard"] = "soft"
-    stroke: Annotated[float, VOCABULARY["stroke"]] | None = None
+    stroke: Annotated[float, Q("stroke")] | None = None
     count: int = Field(default=3, ge=1, le=9, description="how many there are")
     share: float = Field(default=0.5, gt=0)
 
