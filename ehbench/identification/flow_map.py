@@ -18,6 +18,7 @@ from ehbench.errors import InsufficientData
 from ehbench.identification.flow_spline import SPANS_U, Axis, Spline
 from ehbench.physics.flow_map import FlowMap, root_drop
 from ehbench.quantities import VOCABULARY
+from ehbench.terms import Z95
 from ehbench.units import from_si
 
 if TYPE_CHECKING:
@@ -39,7 +40,6 @@ _LEAST_WIDTH = 5e-4
 _REPEATS = 12
 _SPANS_S = 24
 _COARSE = (-9.0, -7.0, -5.0, -3.0, -1.0)
-_Z95 = 1.959964
 
 
 @dataclass(frozen=True)
@@ -1103,7 +1103,7 @@ def _check(
     drops = np.linspace(low, high, 21)
     flows = found.flow(drops, command)
     flow, std = float(flows.mean()), float(found.flow_std(drops, command).mean())
-    bounds = flow - _Z95 * std, flow + _Z95 * std
+    bounds = flow - Z95 * std, flow + Z95 * std
     band = target * (1 - tolerance), target * (1 + tolerance)
     if not found.hull_command[0] <= command <= found.hull_command[-1]:
         verdict = "not_measured"

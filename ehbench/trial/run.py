@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ehbench.control.functions import HOLD
-from ehbench.control.valve_level import LIMITS as LIMIT_BITS
 from ehbench.errors import InputError, SimulationError
 from ehbench.physics.metering import FROM, TO, VALVE
 from ehbench.plant import AREA_HEAD, AREA_ROD, DAMPING, HIGHEST, LOWEST, STIFFNESS, STROKE
@@ -23,6 +22,7 @@ from ehbench.rig import Rig
 from ehbench.rigs.bench import BenchRig
 from ehbench.rigs.model import ModelRig
 from ehbench.simulation import Model
+from ehbench.terms import LIMITS as LIMIT_BITS
 from ehbench.trial import controllers
 from ehbench.trial.commands import command_table
 from ehbench.trial.controllers import ARC, Compiled, Design, UserCode, located
