@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from ehbench.fields import Value
 from ehbench.report.blocks import Block, Bullets, Cell, Grid
 from ehbench.report.captions import plus
 from ehbench.report.content import num
 from ehbench.report.words import number, pretty, row_of, shown, unit_of
-from ehbench.rig import Rig, Slide, Value
+from ehbench.rig import Rig, Slide
 
 
 def rig_table(rig: Rig) -> list[Block]:

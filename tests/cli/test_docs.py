@@ -13,6 +13,7 @@ import pytest
 import tomli_w
 
 from ehbench import inspection, recipe, rig
+from ehbench.fields import Q
 from ehbench.quantities import Quantity
 from ehbench.recipe import load_rig
 from ehbench.units import from_si
@@ -21,7 +22,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "rig_file.md"
 MODELS = [
     item
     for item in vars(rig).values()
-    if isinstance(item, type) and issubclass(item, rig.Model) and item is not rig.Model
+    if isinstance(item, type) and issubclass(item, rig.FileModel) and item is not rig.FileModel
 ]
 EXAMPLES = (
     re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)
@@ -55,7 +56,7 @@ def cells(name: str, field: Any) -> tuple[str, str, str, str, str]:
     """(key, symbol, unit or kind, range, default) of a field, as the page has to have them."""
     key = f"`{field.alias or name}`"
     default = "needed" if field.is_required() else "none"
-    row = next((mark for mark in marks(field) if isinstance(mark, Quantity)), None)
+    row = next((mark.row for mark in marks(field) if isinstance(mark, Q)), None)
     if row is not None:
         count = {"com": "3 × ", "inertia": "6 × "}.get(name, "")
         low, high = (number(value, row) for value in (row.lower, row.upper))
@@ -64,7 +65,7 @@ def cells(name: str, field: Any) -> tuple[str, str, str, str, str]:
         return key, row.symbol, count + unit(row), f"{low} … {high}", default
     kinds = parts(field.annotation)
     choices = next((get_args(kind) for kind in kinds if get_origin(kind) is Literal), ())
-    tables = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, rig.Model)]
+    tables = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, rig.FileModel)]
     if get_origin(field.annotation) is dict:
         kind = "tables by name" if tables else "units by name"
     elif tables:
@@ -82,7 +83,7 @@ def cells(name: str, field: Any) -> tuple[str, str, str, str, str]:
     return key, "", kind, ", ".join(f"`{choice}`" for choice in choices), default
 
 
-def rows(model: type[rig.Model]) -> list[tuple[str, ...]]:
+def rows(model: type[rig.FileModel]) -> list[tuple[str, ...]]:
     """The rows of the table under the heading that names a model."""
     found = re.search(
         rf"<!-- {model.__name__} -->\n(.*?)(?:\n\n|\Z)", PAGE.read_text(encoding="utf-8"), re.S
@@ -105,7 +106,7 @@ def test_every_key_of_a_rig_file_has_its_row(model):
 
 def test_every_stage_and_every_key_of_a_campaign_stands_on_the_page_of_recipes(tmp_path):
     page = (PAGE.parent / "recipes.md").read_text(encoding="utf-8")
-    for stage, what in recipe._STAGES:
+    for stage, what in recipe.recipe_kinds():
         assert f"`{stage}`" in page and (what is None or f'`what = "{what}"`' in page)
     (tmp_path / "campaign.toml").write_text(
         *re.findall(r"```toml\n(.*?)```", page, re.S), encoding="utf-8"

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ehbench.fields import Value
 from ehbench.report.blocks import Block, Bullets, Cell, Grid, Heat, Part
 from ehbench.report.captions import plus, range_of
 from ehbench.report.comparisons import draw_comparisons, log_cell, ringing_table
@@ -15,7 +16,7 @@ from ehbench.report.figures.channels import title_of
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
 from ehbench.report.words import axis, count, number, pretty, row_of, shown, unit_of, words
-from ehbench.rig import Rig, Value
+from ehbench.rig import Rig
 from ehbench.terms import CORRELATED
 
 _METHODS = {"thesis": "matching frequency and decay"}
