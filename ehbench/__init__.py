@@ -92,7 +92,5 @@ def _run(
 ) -> Outcome:
     from ehbench import workflow
 
-    workflow.expect_stage(Path(recipe), stage)
-    return workflow.run(
-        Path(recipe), workflow.Desk(out=None if out is None else Path(out), progress=progress)
-    )
+    session = workflow.Session(out=None if out is None else Path(out), progress=progress)
+    return workflow.run(workflow.expect_stage(recipe, stage), session)

@@ -9,11 +9,14 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ehbench.errors import EhbenchError
+
+if TYPE_CHECKING:
+    from ehbench.workflow import Outcome
 
 app = typer.Typer(
     name="ehbench",
@@ -48,13 +51,11 @@ def init(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="New folder for the workspace.")],
 ) -> None:
     """Make a workspace: a commented rig file and recipes that run as they are."""
-    from ehbench import workflow
+    from ehbench import starter
 
-    made = workflow.init(folder)
-    print(f"made {made.folder}/")
-    print(
-        f"next: ehbench check {made.folder}/rig.toml, then the commands in {made.folder}/README.md"
-    )
+    made = starter.init(folder)
+    print(f"made {made}/")
+    print(f"next: ehbench check {made}/rig.toml, then the commands in {made}/README.md")
 
 
 @app.command(epilog="Example:  ehbench check recipes/rigs/thesis_arm.toml")
@@ -111,7 +112,7 @@ def run_trial(
     """Run a trial, or a set of trials, on the model or on the virtual bench; exit 5 when a limit
     stops one.
     """
-    _run("trial", recipe, out, quiet, allow_code=allow_code)
+    _run("run-trial", recipe, out, quiet, allow_code=allow_code)
 
 
 @app.command(
@@ -126,7 +127,7 @@ def report(
     from ehbench import workflow
 
     with _progress(quiet) as tell:
-        made = workflow.report(runs, workflow.Desk(out=out, progress=tell))
+        made = workflow.report(runs, workflow.Session(out=out, progress=tell))
     _leave(made, "report.html")
 
 
@@ -143,27 +144,38 @@ def reproduce(
     allow_code: AllowCode = False,
 ) -> None:
     """Run a whole campaign and write its report; runs that stand already are not run again."""
-    from ehbench import workflow
+    from ehbench import starter, workflow
 
-    recipe = workflow.find_campaign(campaign)
-    workflow.expect_stage(recipe, "campaign")
+    recipe = workflow.expect_stage(starter.find_campaign(campaign), "reproduce")
     with _progress(quiet) as tell:
         made = workflow.run(
-            recipe, workflow.Desk(root=out or workflow.ROOT, progress=tell, allow_code=allow_code)
+            recipe,
+            workflow.Session(root=out or workflow.ROOT, progress=tell, allow_code=allow_code),
         )
     _leave(made, "report.html")
 
 
-def _run(stage: str, recipe: Path, out: Path | None, quiet: bool, **allowed: bool) -> None:
+def _run(
+    command: str,
+    file: Path,
+    out: Path | None,
+    quiet: bool,
+    *,
+    unvalidated: bool = False,
+    allow_code: bool = False,
+) -> None:
     from ehbench import workflow
 
-    workflow.expect_stage(recipe, stage, *(["trials"] if stage == "trial" else []))
+    recipe = workflow.expect_stage(file, command)
     with _progress(quiet) as tell:
-        made = workflow.run(recipe, workflow.Desk(out=out, progress=tell, **allowed))
+        session = workflow.Session(
+            out=out, progress=tell, unvalidated=unvalidated, allow_code=allow_code
+        )
+        made = workflow.run(recipe, session)
     _leave(made)
 
 
-def _leave(made, page: str = "") -> None:
+def _leave(made: Outcome, page: str = "") -> None:
     """Say what the run noted on stderr and where it lies on stdout, and leave with its code."""
     for note in made.notes:
         print(f"note: {note}", file=sys.stderr)
@@ -178,7 +190,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
         yield None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True)
     columns = (
@@ -190,7 +202,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
     with Progress(
         *columns, console=console, transient=True, disable=not console.is_terminal
     ) as bar:
-        tasks: dict[str, int] = {}
+        tasks: dict[str, TaskID] = {}
 
         def tell(what: str, share: float) -> None:
             name = what.split(":")[0]
