@@ -25,11 +25,10 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="""Workbench for electrohydraulic test rigs: flowmeter readings and step logs in; flow maps, bulk modulus and
-damping with error bars, a judged model and a report out.
-
-Exit codes: 0 done, 1 a bug, 2 usage or a bad file, 3 finished with data loss, 4 model rejected or data not sufficient,
-5 a trial stopped on a limit.""",
+    help="Workbench for electrohydraulic test rigs: flowmeter readings and step logs in; "
+    "flow maps, bulk modulus and\ndamping with error bars, a judged model and a report out.\n\n"
+    "Exit codes: 0 done, 1 a bug, 2 usage or a bad file, 3 finished with data loss, "
+    "4 model rejected or data not sufficient,\n5 a trial stopped on a limit.",
     epilog="Example:  ehbench reproduce thesis",
 )
 
@@ -66,8 +65,8 @@ def check(
 ) -> None:
     """Check a rig, recipe, data file or log without running anything.
 
-    Of a recipe, all that its run takes in: the rig, maps, data and recipes it names. What only a
-        run can tell is said."""
+    Of a recipe, all that its run takes in: the rig, maps, data and recipes it names.
+    What only a run can tell is said."""
     from ehbench import inspection
 
     found = inspection.check(file)
@@ -90,7 +89,11 @@ def validate(recipe: RecipeFile, out: Out = None, quiet: Quiet = False) -> None:
     _run("validate", recipe, out, quiet)
 
 
-@app.command(epilog="Example:  ehbench tune recipes/thesis/tuning.toml")
+@app.command(
+    short_help="Choose a controller's gains by root locus over postures, loads and functions, "
+    "on a validated rig.",
+    epilog="Example:  ehbench tune recipes/thesis/tuning.toml",
+)
 def tune(
     recipe: RecipeFile,
     out: Out = None,
@@ -105,7 +108,12 @@ def tune(
     _run("tune", recipe, out, quiet, unvalidated=unvalidated)
 
 
-@app.command("run-trial", epilog="Example:  ehbench run-trial recipes/trials/arc_slow.toml")
+@app.command(
+    "run-trial",
+    short_help="Run a trial, or a set of trials, on the model or on the virtual bench; "
+    "exit 5 when a limit stops one.",
+    epilog="Example:  ehbench run-trial recipes/trials/arc_slow.toml",
+)
 def run_trial(
     recipe: RecipeFile, out: Out = None, quiet: Quiet = False, allow_code: AllowCode = False
 ) -> None:

@@ -108,12 +108,13 @@ def _rig(path: Path) -> Inspection:
             span += " mm" if slide else " deg"
             head, rod = (float(state[model.layout.state(p, index)]) for p in ("p_head", "p_rod"))
             lines.append(
-                f"  {load or 'no payload'}: {cylinder.name} moves {span}; at mid-stroke it rests at "
-                f"{in_rig_unit(rig, 'p_head', head)} head, {in_rig_unit(rig, 'p_rod', rod)} rod"
+                f"  {load or 'no payload'}: {cylinder.name} moves {span}; "
+                f"at mid-stroke it rests at {in_rig_unit(rig, 'p_head', head)} head, {in_rig_unit(rig, 'p_rod', rod)} rod"
             )
             if max(head, rod) > supply:
                 notes.append(
-                    f"{load or 'no payload'}: the supply cannot carry the load of '{cylinder.name}' at mid-stroke"
+                    f"{load or 'no payload'}: the supply cannot carry the load of "
+                    f"'{cylinder.name}' at mid-stroke"
                 )
     lines += [f"  note: {text}" for text in notes]
     sure: dict[str, int] = {}
@@ -126,7 +127,7 @@ def _rig(path: Path) -> Inspection:
 
 
 def _cut_off(rig: Rig) -> list[str]:
-    """A sentence for each node that the edges of a cylinder leave out: odd, and now and then meant."""
+    """A sentence for each node that the edges of a cylinder leave out: odd, but at times meant"""
     told = []
     for cylinder in rig.cylinder:
         joined = {
@@ -160,8 +161,10 @@ def _flowmeter(path: Path) -> Inspection:
     for valve, direction in data.groups():
         rows = data.select(valve, direction)
         lines.append(
-            f"  {valve} {direction}: {rows.flow.size} readings at {len(set(rows.command.tolist()))} commands, "
-            f"drops {rows.pressure_drop.min() / 1e3:.0f} to {rows.pressure_drop.max() / 1e3:.0f} kPa, "
+            f"  {valve} {direction}: {rows.flow.size} readings "
+            f"at {len(set(rows.command.tolist()))} commands, "
+            f"drops {rows.pressure_drop.min() / 1e3:.0f} "
+            f"to {rows.pressure_drop.max() / 1e3:.0f} kPa, "
             f"flow up to {abs(rows.flow).max() * 6e4:.3g} L/min"
         )
     return Inspection((*lines, "ok"))
@@ -173,8 +176,8 @@ def _log(path: Path) -> Inspection:
 
     record = read_record(path)
     lines = [
-        f"log: {record.t.size} samples of {len(record.channels)} channels, {record.t[0]:g} to {record.t[-1]:g} s, "
-        f"every {record.sample_time * 1e3:.4g} ms"
+        f"log: {record.t.size} samples of {len(record.channels)} channels, "
+        f"{record.t[0]:g} to {record.t[-1]:g} s, every {record.sample_time * 1e3:.4g} ms"
     ]
     lines += [f"  {key}: {value}" for key, value in record.meta.items() if len(value) < 200]
     for name, values in record.channels.items():
@@ -184,7 +187,8 @@ def _log(path: Path) -> Inspection:
     lines += [f"  lost: {loss}" for loss in record.losses]
     if record.t.size < LEAST_SAMPLES:
         lines.append(
-            f"  unfit for identification: it has only {record.t.size} sample{'s' * (record.t.size != 1)}"
+            "  unfit for identification: "
+            f"it has only {record.t.size} sample{'s' * (record.t.size != 1)}"
         )
         return Inspection((*lines, "ok, with losses"), 3)
     try:

@@ -1,4 +1,4 @@
-"""The stages, one file each; `REGISTRY` is where the command line, a check and a run look one up."""
+"""The stages, one file each; a run, a check and the command line look them up in `REGISTRY`."""
 
 from __future__ import annotations
 

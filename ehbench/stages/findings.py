@@ -1,4 +1,4 @@
-"""What is to be said of a recipe beside what it makes: what it reads, what is open, what is wrong."""
+"""What is to be said of a recipe beside what it makes: what it reads, what is open or wrong."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class Findings:
     them all.
 
     ``first`` are recipes to be run before, ``open`` what only a run can tell, ``losses`` data that
-    are gone, ``refused`` why a run of this recipe is refused unless the user insists, ``stands`` whether its
-    run is there."""
+    are gone, ``refused`` why a run of this recipe is refused unless the user insists, ``stands``
+    whether its run is there."""
 
     recipe: Recipe
     collects: bool = False
@@ -61,7 +61,7 @@ class Findings:
             self.errors.append(error)
 
     def refuse(self, error: EhbenchError, why: str, note: str) -> None:
-        """A run stops with ``error``; a check says ``note`` and goes on, since the user may insist."""
+        """A run stops with ``error``; a check says ``note`` and goes on: the user may insist."""
         if not self.collects:
             raise error
         self.refused = why

@@ -55,7 +55,7 @@ class ValidatedRig(RigState):
 
     @classmethod
     def insisted(cls, state: RigState) -> ValidatedRig:
-        """A rig taken as it is because the user said ``--unvalidated``; its ``stage`` still tells."""
+        """A rig as it is because the user said ``--unvalidated``; its ``stage`` still tells."""
         return cls(**{name: getattr(state, name) for name in cls.__dataclass_fields__})
 
 
@@ -71,7 +71,7 @@ class Runs(Protocol):
     """Where the runs of recipes come from that another recipe names."""
 
     def folder(self, path: Path, found: Findings) -> Path | None:
-        """The run folder of a recipe; None where a check finds none, which it notes in ``found``."""
+        """The run folder of a recipe; None where a check finds none and notes it in ``found``."""
         ...
 
     def findings(self, path: Path) -> Findings | None:
