@@ -12,7 +12,7 @@ test: setup              ## pass the tests, in parallel
 	$(BIN)/python -m pytest -n $(CORES)
 
 bench: setup             ## measure speed and accuracy, print the table
-	$(BIN)/python -m ehbench.bench
+	$(BIN)/python -m ehbench.benchmark
 
 datasets: setup          ## let the virtual bench record datasets/ again, byte for byte
 	$(BIN)/python -m ehbench.datasets

@@ -1,23 +1,18 @@
 """How the hot functions are compiled: one decorator for the laws, the plant and the integrator, one
-cache for their code.
+for loops that allocate, one cache for their code.
 """
 
 from __future__ import annotations
 
 import hashlib
-import shutil
-import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numba
 
 PACKAGE = Path(__file__).resolve().parent
-
-# Without numba's reference counting a kernel cannot allocate (the compiler refuses it), and passing
-# rows and slices of
-# arrays from kernel to kernel costs nothing: 1.4 times as fast a plant. Arguments are the caller's,
-# who holds them.
-kernel = numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+_MARKS = (b"njit", b"@kernel", b"@allocating_kernel")
 
 
 def _cache_folder() -> Path:
@@ -27,22 +22,32 @@ def _cache_folder() -> Path:
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted(PACKAGE.rglob("*.py")):
         content = path.read_bytes()
-        if b"njit" in content or b"@kernel" in content:
+        if any(mark in content for mark in _MARKS):
             digest.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0" + content)
     return PACKAGE / "__pycache__" / f"kernels_{digest.hexdigest()[:12]}"
 
 
-def _use_cache() -> None:
-    """Point numba to the cache; those of other sources go when a day old, as another process may
-    still work with them.
+def _compiler(folder: Path, **options: Any) -> Callable[[Callable], Any]:
+    """A decorator that compiles when first called and keeps the code in ``folder``.
+
+    numba reads where to keep code when it wraps a function, and from its global settings only;
+    they are as before once the function is wrapped.
     """
-    folder = _cache_folder()
-    if not folder.is_dir():
-        for old in folder.parent.glob("kernels_*"):
-            if time.time() - old.stat().st_mtime > 86400:
-                shutil.rmtree(old, ignore_errors=True)
-    numba.config.CACHE_DIR = str(folder)
+
+    def compiled(function: Callable) -> Any:
+        before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
+        try:
+            return numba.njit(cache=True, nogil=True, **options)(function)
+        finally:
+            numba.config.CACHE_DIR = before
+
+    return compiled
 
 
-if not numba.config.CACHE_DIR:
-    _use_cache()
+_FOLDER = _cache_folder()
+
+# Without numba's reference counting a kernel cannot allocate (the compiler refuses it), and passing
+# rows and slices of arrays costs nothing: 1.4 times as fast a plant. Arguments are the caller's.
+kernel = _compiler(_FOLDER, error_model="numpy", _nrt=False)
+
+allocating_kernel = _compiler(_FOLDER)

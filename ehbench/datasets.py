@@ -14,6 +14,7 @@ from zlib import crc32
 
 import numpy as np
 
+from ehbench.blas import one_thread
 from ehbench.errors import EhbenchError, InputError
 from ehbench.logs import write_log
 from ehbench.quantities import VOCABULARY
@@ -27,7 +28,7 @@ from ehbench.recipe import (
     load_rig,
 )
 from ehbench.rig import Rig, read_value
-from ehbench.rigs.bench import BenchRig
+from ehbench.machines.virtual import VirtualMachine
 from ehbench.trial import run_trial
 from ehbench.units import from_si
 
@@ -37,7 +38,9 @@ def seed_of(seed: int, name: str) -> int:
     return crc32(f"{seed} {name}".encode()) & 0x7FFFFFFF
 
 
-def flowmeter_csv(bench: BenchRig, plan: Flowmeter, edge: str, reverse: bool, seed: int) -> str:
+def flowmeter_csv(
+    bench: VirtualMachine, plan: Flowmeter, edge: str, reverse: bool, seed: int
+) -> str:
     """The readings of one edge in one direction as the text of a CSV file.
 
     A needle valve sets each drop anew for every trial; the command comes up from rest. The turbine
@@ -127,7 +130,9 @@ def _log(recipe: DatasetRecipe, rig: Rig, item: DatasetLog, path: Path) -> None:
     write_log(path, record)
 
 
-def _readings(bench: BenchRig, plan: Flowmeter, seed: int, folder: Path) -> list[tuple[str, str]]:
+def _readings(
+    bench: VirtualMachine, plan: Flowmeter, seed: int, folder: Path
+) -> list[tuple[str, str]]:
     """Write the flowmeter readings; (file, what it holds) of each."""
     rows = []
     for edge in plan.edges:
@@ -144,6 +149,7 @@ def _readings(bench: BenchRig, plan: Flowmeter, seed: int, folder: Path) -> list
     return rows
 
 
+@one_thread()
 def make(path: Path, out: Path) -> Path:
     """Record the dataset of a recipe file into ``out/<its stem>`` (replaced when whole); returns
     that folder.
@@ -168,7 +174,7 @@ def make(path: Path, out: Path) -> Path:
     try:
         rows = []
         if recipe.flowmeter is not None:
-            rows += _readings(BenchRig(rig, bench), recipe.flowmeter, recipe.seed, scratch)
+            rows += _readings(VirtualMachine(rig, bench), recipe.flowmeter, recipe.seed, scratch)
         for item in recipe.log:
             _log(recipe, rig, item, scratch / f"{item.name}.mcap")
             facts = [

@@ -109,7 +109,8 @@ def _rig(path: Path) -> Inspection:
             head, rod = (float(state[model.layout.state(p, index)]) for p in ("p_head", "p_rod"))
             lines.append(
                 f"  {load or 'no payload'}: {cylinder.name} moves {span}; "
-                f"at mid-stroke it rests at {in_rig_unit(rig, 'p_head', head)} head, {in_rig_unit(rig, 'p_rod', rod)} rod"
+                f"at mid-stroke it rests at {in_rig_unit(rig, 'p_head', head)} head, "
+                f"{in_rig_unit(rig, 'p_rod', rod)} rod"
             )
             if max(head, rod) > supply:
                 notes.append(

@@ -21,6 +21,7 @@ from ehbench.errors import InputError, UnitError
 from ehbench.fields import SURENESS as SURENESS
 from ehbench.fields import FileModel, Q, Value
 from ehbench.fields import read_value as read_value
+from ehbench.notebook import label, plural, shown, table
 from ehbench.quantities import VOCABULARY, Quantity
 
 NODES = ("supply", "tank", "head", "rod")
@@ -430,6 +431,28 @@ class Rig(FileModel):
                         link,
                     )
         return self
+
+    def __repr__(self) -> str:
+        counts = (
+            (len(self.joint_names), "slide" if isinstance(self.mechanism, Slide) else "joint"),
+            (len(self.cylinder), "cylinder"),
+            (sum(1 for _ in self.valves()), "valve"),
+            (sum(1 for _ in self.edges()), "metering edge"),
+            (len(self.payload), "payload"),
+        )
+        return f"<Rig '{self.name}': {', '.join(plural(*item) for item in counts)}>"
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        """Its parameters by name, in the units of its file, each with where it came from."""
+        rows = []
+        for name, value in self.parameters().items():
+            unit = self.unit_of(name)
+            number, error = (shown(one, name, unit) for one in (float(value), value.std))
+            rows.append((name, number, error, label(unit), value.sure, value.source))
+        header = ("parameter", "value", "standard error", "unit", "sure", "source")
+        return table(header, rows, self.title or self.name)
 
     @property
     def joint_names(self) -> tuple[str, ...]:

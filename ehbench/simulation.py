@@ -7,9 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
-from ehbench.compiled import kernel
+from ehbench.compiled import allocating_kernel, kernel
 from ehbench.errors import InputError, LogError, SimulationError
 from ehbench.physics.arm import gravity_torque, work_size
 from ehbench.physics.cylinder import joint_angle, joint_range, linkage
@@ -116,7 +115,7 @@ def _finish_valves(y, command, plant, d, slope):
             y[at_open + i], y[at_open + nv + i] = u, 0.0
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel
 def run(y, commands, plant, tick, steps, log):
     """Integrate from ``y`` (in place) through a table of commands, held over each tick; returns the
     most substeps.
@@ -467,6 +466,11 @@ def simulate(
     step: float = STEP,
 ) -> Record:
     """Simulate a rig from rest under open-loop commands.
+
+    Example:
+        rig = ehbench.load_rig("recipes/rigs/slide_servo.toml")
+        record = ehbench.simulate(rig, {"press.servo": 2.0}, duration=0.5, posture={"press": "50 mm"})
+        record.frame()["press.x"].iloc[-1]
 
     Args:
         rig: the machine.

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ehbench import stages
+from ehbench.blas import one_thread
 from ehbench.errors import InputError
 from ehbench.recipe import Recipe, load_recipe
 from ehbench.stages.base import DONE, INCOMPLETE, REJECTED, STOPPED, Outcome, Progress, Stage
@@ -99,6 +100,7 @@ class Session:
         """Nothing: a run finds out when its turn comes."""
 
 
+@one_thread()
 def run(recipe: Recipe | Path | str, session: Session | None = None) -> Outcome:
     """Run a recipe of any stage.
 

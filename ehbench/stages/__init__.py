@@ -13,7 +13,7 @@ from ehbench.stages.trial import TrialStage
 from ehbench.stages.trials import TrialsStage
 from ehbench.stages.tuning import TuningStage
 from ehbench.stages.validation import ValidationStage
-from ehbench.stages.virtual import BenchFile, Dataset
+from ehbench.stages.bench import BenchFile, Dataset
 
 # in the order of the data
 REGISTRY: dict[tuple[str, str | None], Checked[Any]] = {

@@ -8,14 +8,19 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
 from ehbench import rundir
+from ehbench.errors import InputError
+from ehbench.notebook import label, plural, shown, table
 from ehbench.recipe import Recipe, load_rig
 from ehbench.stages.inputs import Inputs, NamedFiles, maps_in
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from ehbench.physics.flow_map import FlowMaps
     from ehbench.record import Record
     from ehbench.rig import Rig
@@ -42,11 +47,57 @@ class Outcome:
         """The flow maps that the run leaves behind, if any."""
         return maps_in(self.folder)
 
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """Identified parameters by name [SI]: value, standard error ``std``, 95 % interval ``low``
+        and ``high``, unit, status.
+        """
+        import pandas as pd
+
+        rows = {
+            one["name"]: {
+                "value": one["value"],
+                "std": one["std"],
+                "low": one["interval"] and one["interval"][0],
+                "high": one["interval"] and one["interval"][1],
+                "unit": one["unit"],
+                "status": one["status"],
+            }
+            for one in self.json("parameters")["parameters"]
+        }
+        return pd.DataFrame.from_dict(rows, orient="index")
+
     def json(self, name: str) -> Any:
         """A JSON result of the run, by its name without ending, such as ``parameters`` or
         ``validation``.
+
+        Raises:
+            InputError: the run left none of that name; says which it left.
         """
-        return rundir.read_json(self.folder / f"{name}.json")
+        path = self.folder / f"{name}.json"
+        if not path.is_file():
+            there = ", ".join(sorted(file.stem for file in self.folder.glob("*.json")))
+            raise InputError(f"has no {path.name}", file=self.folder, hint=f"it has {there}")
+        return rundir.read_json(path)
+
+    def __repr__(self) -> str:
+        notes = plural(len(self.notes), "note")
+        return f"<Outcome '{self.folder}': code {self.code}, {notes}>"
+
+    def _repr_html_(self) -> str:
+        notes = "".join(f"<li>{escape(note)}</li>" for note in self.notes)
+        head = f"<p><code>{escape(str(self.folder))}</code>, code {self.code}</p><ul>{notes}</ul>"
+        if not (self.folder / "parameters.json").is_file():
+            return head
+        rig, rows = self.rig, []
+        for one in self.json("parameters")["parameters"]:
+            name = one["name"]
+            unit = rig.unit_of(name)
+            value, error = (shown(one[key], name, unit) for key in ("value", "std"))
+            interval = " … ".join(shown(end, name, unit) for end in one["interval"] or ())
+            rows.append((name, value, error, interval, label(unit), one["status"]))
+        header = ("parameter", "value", "standard error", "95 % interval", "unit", "status")
+        return head + table(header, rows)
 
 
 @dataclass(frozen=True)
@@ -138,7 +189,7 @@ class Stage(Checked[R], Generic[R, P]):
         """Do the work in a new run folder and draw its figures; a run that stands with these very
         inputs is kept if the host keeps.
         """
-        from ehbench import report
+        from ehbench.report import draw
 
         recipe, inputs = prepared.recipe, prepared.inputs or ()
         final = host.out or rundir.place(recipe.path, inputs, host.root)
@@ -154,7 +205,7 @@ class Stage(Checked[R], Generic[R, P]):
             if tell is not None:
                 tell("drawing figures", 0.95)
             made.save()
-            report.draw(made.path)
+            draw(made.path)
         return Outcome(final, work.code, tuple(notes))
 
 

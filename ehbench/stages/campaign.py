@@ -92,7 +92,7 @@ def write_report(folders: Sequence[Path], host: Host, campaign: Campaign | None 
     Raises:
         InputError: a folder is no whole run, or lacks what its section needs.
     """
-    from ehbench import report
+    from ehbench.report import build
 
     for folder in folders:
         if not rundir.is_whole(folder):
@@ -109,6 +109,6 @@ def write_report(folders: Sequence[Path], host: Host, campaign: Campaign | None 
     if tell is not None:
         tell("writing the report", 0.5)
     with rundir.open_run(final, "report", source, inputs) as made:
-        page = report.build(folders, campaign)
+        page = build(folders, campaign)
         (made.path / "report.html").write_text(page, encoding="utf-8")
     return Outcome(made.final, DONE)

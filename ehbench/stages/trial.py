@@ -16,9 +16,9 @@ from ehbench.stages.base import DONE, STOPPED, Prepared, Progress, Stage, Work, 
 from ehbench.stages.inputs import Inputs, NamedFiles, RigState
 
 if TYPE_CHECKING:
-    from ehbench.record import Record
     from ehbench.rig import Rig
-    from ehbench.trial import Case, Facts, PreparedTrial
+    from ehbench.trial import Case
+    from ehbench.trial.preparation import Prepared as Ready
 
 _TUNED = ("washout", "ramp_washout", "off_gain", "low_pressure", "cross_drop")
 
@@ -29,8 +29,7 @@ class PreparedOne(Prepared):
 
     recipe: TrialRecipe
     state: RigState
-    case: Case
-    trial: PreparedTrial
+    trial: Ready
 
 
 class TrialStage(Stage[TrialRecipe, PreparedOne]):
@@ -46,7 +45,7 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
 
         trial.refuse_code(recipe, inputs.allow_code)
         state = inputs.rig_state(recipe.rig, recipe.flow_maps)
-        case, files, prepared = prepared_case("", recipe, state, inputs)
+        _, files, prepared = prepared_case("", recipe, state, inputs)
         law = recipe.controller
         what = "open loop" if law is None else f"controller '{law.label}'"
         lengths = [prepared.duration] if time_is_known(recipe, state) else []
@@ -55,18 +54,17 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
             f"{length_of(lengths, float(recipe.rate))}, payload {recipe.payload or 'none'}"
         )
         seeds = {"trial": recipe.seed}
-        return PreparedOne(
-            recipe, (*state.inputs, *files), does, state, case, prepared, seeds=seeds
-        )
+        return PreparedOne(recipe, (*state.inputs, *files), does, state, prepared, seeds=seeds)
 
     def work(self, prepared: PreparedOne, folder: Path, progress: Progress | None) -> Work:
-        from ehbench.trial import run_prepared
+        from ehbench import trial
 
         state = prepared.state
-        record, facts = run_prepared(prepared.trial, progress)
+        result = trial.run(prepared.trial, log=folder / "log.mcap", progress=progress)
         write_rig(folder, state.rig, state.flow_maps)
-        write_trial_log(folder / "log.mcap", record, prepared.case)
-        doubts = write_ledger(folder / "ledger.json", record, prepared.case, facts)
+        facts, ledger, doubts = trial.account(prepared.trial, result)
+        if ledger is not None:
+            rundir.write_json(folder / "ledger.json", ledger)
         rundir.write_json(folder / "trial.json", facts.as_json())
         about = {
             "rig": state.rig.name,
@@ -74,11 +72,9 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
             "stopped": facts.stopped,
             "warnings": [*facts.warnings, *doubts],
         }
-        return Work(about, [facts.stopped] if facts.stopped else [], _code(facts.stopped))
-
-
-def _code(stopped: str) -> int:
-    return STOPPED if stopped else DONE
+        if facts.stopped:
+            return Work(about, [facts.stopped], STOPPED)
+        return Work(about, code=DONE)
 
 
 def place_of(on: str) -> str:
@@ -94,7 +90,7 @@ def length_of(lengths: list[float], rate: float) -> str:
 
 def prepared_case(
     name: str, recipe: TrialRecipe, state: RigState, inputs: Inputs
-) -> tuple[Case, NamedFiles, PreparedTrial]:
+) -> tuple[Case, NamedFiles, Ready]:
     """(one trial, its inputs beside the rig, the trial before its first tick)."""
     from ehbench.trial import Case
 
@@ -108,7 +104,7 @@ def prepared_case(
             "allow",
         )
     prepared = case.prepare(allow_code=inputs.allow_code, standing=not timed)
-    _say_unknown(recipe, inputs)
+    _say_unknown(recipe, prepared, inputs)
     return case, files, prepared
 
 
@@ -120,10 +116,12 @@ def time_is_known(recipe: TrialRecipe, state: RigState) -> bool:
     return not any("%" in level for level in motion.levels)
 
 
-def _say_unknown(recipe: TrialRecipe, inputs: Inputs) -> None:
+def _say_unknown(recipe: TrialRecipe, prepared: Ready, inputs: Inputs) -> None:
     """What only the run can tell of a trial."""
+    from ehbench.machines.protocol import truth_of
+
     found = inputs.found
-    if recipe.on == "bench" and recipe.limits != type(recipe.limits)():
+    if truth_of(prepared.machine) is None and recipe.limits != type(recipe.limits)():
         found.say(
             "open", "whether a limit is reached at the start: the virtual bench settles first"
         )
@@ -189,40 +187,3 @@ def _gains(recipe: TrialRecipe, rig: Rig, inputs: Inputs) -> Path | Mapping[str,
     wrong = inputs.runs.findings(place)
     tuned = own if wrong is not None and wrong.errors else behind.cylinder or own
     return {"cylinder": tuned, "feedback_gain": 0.0, **given}
-
-
-def write_trial_log(path: Path, record: Record, case: Case) -> None:
-    """A trial's log with its recipe and rig attached."""
-    import tomli_w
-
-    from ehbench.logs import write_log
-
-    rig_file = tomli_w.dumps(case.rig.as_toml()).encode()
-    recipe_file = case.recipe.path.read_bytes()
-    attached = {**record.attachments, "recipe.toml": recipe_file, "rig.toml": rig_file}
-    write_log(path, type(record)(record.t, record.channels, record.meta, attached, record.losses))
-
-
-def write_ledger(path: Path, record: Record, case: Case, facts: Facts) -> list[str]:
-    """Where a trial's energy went: exact on the model, from measured channels on the bench. Says
-    why, where none can be made.
-    """
-    from ehbench.errors import EhbenchError, InsufficientData
-    from ehbench.ledger import bounds, ledger_of_log, ledger_of_model
-    from ehbench.simulation import Model
-
-    rig, maps, payload = case.rig, case.maps, case.recipe.payload
-    try:
-        if case.recipe.on == "model":
-            ledger = ledger_of_model(Model.of(rig, maps, payload), record)
-        else:
-            ledger = ledger_of_log(rig, maps, record, payload=payload)
-    except EhbenchError as error:
-        return [f"no energy ledger: {error.message}"]
-    try:
-        own = facts.cylinder
-        limits = [bounds(rig, record, own, ledger).as_json()] if own else []
-    except InsufficientData:  # it did not move
-        limits = []
-    rundir.write_json(path, ledger.as_json() | {"bounds": limits})
-    return []

@@ -18,13 +18,12 @@ from ehbench.stages.trial import (
     place_of,
     prepared_case,
     time_is_known,
-    write_ledger,
-    write_trial_log,
 )
 
 if TYPE_CHECKING:
     from ehbench.rig import Rig
-    from ehbench.trial import Case, PreparedTrial
+    from ehbench.trial import Case
+    from ehbench.trial.preparation import Prepared as Ready
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,7 @@ class PreparedSet(Prepared):
     recipe: TrialSetRecipe
     base: RigState
     cases: list[Case]
-    trials: list[PreparedTrial]
+    trials: list[Ready]
 
 
 class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
@@ -84,27 +83,25 @@ class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
         from ehbench import trial
 
         cases, rig = prepared.cases, prepared.base.rig
-        results = trial.run_cases(cases, prepared.trials, progress=progress)
-        write_rig(folder, rig, prepared.base.flow_maps)
         (folder / "logs").mkdir()
         (folder / "ledgers").mkdir()
-        doubts, warnings, stopped = [], [], []
-        for case, file, (record, facts) in zip(
-            cases, trial.file_names(cases), results, strict=True
-        ):
-            write_trial_log(folder / "logs" / f"{file}.mcap", record, case)
-            lacks = write_ledger(folder / "ledgers" / f"{file}.json", record, case, facts)
-            doubts += [f"{case.name}: {text}" for text in lacks]
-            warnings += [f"{case.name}: {text}" for text in facts.warnings]
-            stopped += [f"{case.name}: {facts.stopped}"] if facts.stopped else []
+        results = trial.run_cases(cases, prepared.trials, logs=folder / "logs", progress=progress)
+        write_rig(folder, rig, prepared.base.flow_maps)
+        named = [(case.name, one.account) for case, one in zip(cases, results, strict=True)]
+        for file, (_, account) in zip(trial.file_names(cases), named, strict=True):
+            if account.ledger is not None:
+                rundir.write_json(folder / "ledgers" / f"{file}.json", account.ledger)
         rows = trial.table_rows(cases, results)
         rundir.write_json(folder / "table.json", {"rows": rows})
         (folder / "table.csv").write_text(trial.table_csv(rows, rig), encoding="utf-8")
+        stopped = [f"{name}: {one.facts.stopped}" for name, one in named if one.facts.stopped]
+        warnings = [f"{name}: {text}" for name, one in named for text in one.facts.warnings]
+        warnings += [f"{name}: {text}" for name, one in named for text in one.doubts]
         about = {
             "rig": rig.name,
             "on": prepared.recipe.on,
             "stopped": "; ".join(stopped),
-            "warnings": [*warnings, *doubts],
+            "warnings": warnings,
         }
         return Work(about, stopped, STOPPED if stopped else DONE)
 

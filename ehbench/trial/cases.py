@@ -4,23 +4,31 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ehbench.errors import SimulationError
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import TrialRecipe
 from ehbench.record import Record
 from ehbench.rig import Rig
-from ehbench.trial.run import Facts, PreparedTrial, prepare_trial, run_prepared
+from ehbench.trial.accounts import Account, account
+from ehbench.trial.preparation import Prepared, prepare
+from ehbench.trial.running import run
 from ehbench.units import from_si
 
 if TYPE_CHECKING:
     from ehbench.simulation import Maps
+
+
+class CaseResult(NamedTuple):
+    """What a trial of a set leaves: its record and its account."""
+
+    record: Record
+    account: Account
 
 
 @dataclass(frozen=True)
@@ -33,29 +41,21 @@ class Case:
     maps: Maps | None
     gains: Path | Mapping[str, Any] | None = None
 
-    def prepare(self, *, allow_code: bool = False, standing: bool = False) -> PreparedTrial:
-        """This trial before its first tick: `prepare_trial`."""
-        with self._named():
-            return prepare_trial(
-                self.rig,
-                self.recipe,
-                self.maps,
-                gains=self.gains,
-                allow_code=allow_code,
-                standing=standing,
-            )
+    def prepare(self, *, allow_code: bool = False, standing: bool = False) -> Prepared:
+        """This trial before its first tick: `ehbench.trial.prepare`."""
+        return prepare(self.recipe, self.rig, self.maps, self.gains, allow_code, standing)
 
-    def run(self, prepared: PreparedTrial) -> tuple[Record, Facts]:
-        """`run_prepared`, with the case's name on what goes wrong."""
-        with self._named():
-            return run_prepared(prepared)
+    def run(self, prepared: Prepared, log: Path | None = None) -> CaseResult:
+        """Its record and account, with the case's name on what goes wrong.
 
-    @contextmanager
-    def _named(self) -> Iterator[None]:
+        Raises:
+            EhbenchError: as `ehbench.trial.run`.
+        """
         try:
-            yield
+            result = run(prepared, log=log)
         except SimulationError as error:
             raise SimulationError(f"{self.name}: {error.message}", hint=error.hint) from None
+        return CaseResult(result.record, account(prepared, result))
 
     @property
     def motion(self) -> str:
@@ -65,18 +65,20 @@ class Case:
 
 def run_cases(
     cases: Sequence[Case],
-    prepared: Sequence[PreparedTrial] = (),
+    prepared: Sequence[Prepared] = (),
     *,
+    logs: Path | None = None,
     allow_code: bool = False,
     workers: int = 0,
     progress: Callable[[str, float], None] | None = None,
-) -> list[tuple[Record, Facts]]:
+) -> list[CaseResult]:
     """Run trials in parallel threads (the compiled loops let go of the interpreter); results in the
     order of ``cases``.
 
     Args:
         cases: what to run.
         prepared: what `Case.prepare` gave for each; without, each is prepared when it is its turn.
+        logs: the folder of their logs, each under its `file_names`; none are written by default.
         allow_code: as in `run_trial`.
         workers: threads; by default one a core.
         progress: told which case is done and the share done.
@@ -85,18 +87,23 @@ def run_cases(
         EhbenchError: the first case that fails; the rest is given up.
     """
 
-    def one(index: int) -> tuple[Record, Facts]:
+    names = file_names(cases)
+
+    def one(index: int) -> CaseResult:
+        log = None if logs is None else logs / f"{names[index]}.mcap"
         case = cases[index]
-        return case.run(prepared[index] if prepared else case.prepare(allow_code=allow_code))
+        made = prepared[index] if prepared else case.prepare(allow_code=allow_code)
+        return case.run(made, log)
 
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
         jobs = [pool.submit(one, index) for index in range(len(cases))]
+
+        def told(name: str) -> None:
+            if progress is not None:
+                progress(name, sum(job.done() for job in jobs) / len(jobs))
+
         for case, job in zip(cases, jobs, strict=True):
-            job.add_done_callback(
-                lambda _, name=case.name: (
-                    progress(name, sum(j.done() for j in jobs) / len(jobs)) if progress else None
-                )
-            )
+            job.add_done_callback(lambda _, name=case.name: told(name))
         wait(jobs, return_when=FIRST_EXCEPTION)
         failed = [
             job
@@ -123,10 +130,9 @@ def file_names(cases: Sequence[Case]) -> list[str]:
     return names
 
 
-def table_rows(
-    cases: Sequence[Case], results: Sequence[tuple[Record, Facts]]
-) -> list[dict[str, Any]]:
+def table_rows(cases: Sequence[Case], results: Sequence[CaseResult]) -> list[dict[str, Any]]:
     """One table a case, SI: what it was, where its log lies, what stopped it, and its measures."""
+    facts_of = [result.account.facts for result in results]
     return [
         {
             "case": case.name,
@@ -141,7 +147,7 @@ def table_rows(
             "stopped": facts.stopped,
             **facts.measures,
         }
-        for case, file, (_, facts) in zip(cases, file_names(cases), results, strict=True)
+        for case, file, facts in zip(cases, file_names(cases), facts_of, strict=True)
     ]
 
 

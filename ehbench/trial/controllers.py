@@ -33,6 +33,7 @@ from ehbench.control.functions import (
 )
 from ehbench.control.trajectory import A, J, V, X, pack_shaping
 from ehbench.errors import InputError
+from ehbench.machines.rows import ARC, FEEDBACK
 from ehbench.physics.cylinder import chamber_volume
 from ehbench.physics.metering import FROM, TO, VALVE
 from ehbench.plant import (
@@ -67,7 +68,6 @@ from ehbench.simulation import Model, linkage_arrays
 if TYPE_CHECKING:
     from ehbench.simulation import Maps
 
-FEEDBACK, ARC = 1, 2
 OFF_RATE = 10.0  # [rad/s]: how fast the off-side pressure follows where no gain is given
 RULES = (
     "speed_start",

@@ -34,8 +34,8 @@ from ehbench.plant import (
     derivatives,
     workspace_size,
 )
-from ehbench.rigs.bench import bench_tick
-from ehbench.rigs.model import model_sample, model_tick
+from ehbench.machines.virtual import bench_tick
+from ehbench.machines.simulated import model_sample, model_tick
 from ehbench.simulation import STEP
 
 TICK = 1.0e-3
@@ -239,8 +239,8 @@ def run_bench(rig, model, ax, gains, wish, posture=None):
         rig.bench,
         TICK,
         rig.steps,
-        rig._scratch,
-        rig._work,
+        rig._own.scratch,
+        rig._own.work,
         rig.noise(len(wish)),
         log,
         notes,

@@ -26,7 +26,7 @@ from ehbench.physics.cylinder import linkage
 from ehbench.quantities import quantity
 from ehbench.recipe import load_rig
 from ehbench.rig import Value
-from ehbench.rigs.bench import BenchRig
+from ehbench.machines.virtual import VirtualMachine
 from ehbench.simulation import Model
 
 sys.path.append(str(Path(__file__).parent))
@@ -555,7 +555,7 @@ def test_on_the_bench(load):
         profile="seventh",
     )
     gains = gains_of(design, ax)
-    run = run_bench(BenchRig(rig, None, load), design, ax, gains, wish, {"boom": "0.1 m"})
+    run = run_bench(VirtualMachine(rig, None, load), design, ax, gains, wish, {"boom": "0.1 m"})
     error = np.abs(run.note["x_error"])
     assert error.max() < 3.0e-3
     assert np.count_nonzero(np.diff(run.note["function"])) < 12

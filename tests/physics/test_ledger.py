@@ -39,7 +39,7 @@ from ehbench.plant import (
 from ehbench.recipe import TrialRecipe, load_recipe, load_rig
 from ehbench.record import Record
 from ehbench.rig import Rig, Value
-from ehbench.rigs.bench import CREEP, STATIC, STRIBECK_SPEED, BenchRig
+from ehbench.machines.virtual import CREEP, STATIC, STRIBECK_SPEED, VirtualMachine
 from ehbench.simulation import Model, linkage_arrays
 from ehbench.trial import run_trial
 
@@ -621,12 +621,12 @@ def vars_of(one: FlowMap) -> dict:
 
 def on_bench(
     name: str, commands, duration: float = 4.0
-) -> tuple[Rig, BenchRig, Record, np.ndarray]:
+) -> tuple[Rig, VirtualMachine, Record, np.ndarray]:
     """A trial on the virtual bench: its rig, the bench, what it logged, and its true states at each
     sample.
     """
     rig = load_rig(ROOT / "recipes" / "rigs" / f"{name}.toml")
-    bench = BenchRig(rig, load_recipe(ROOT / "recipes" / "bench" / f"{name}.toml"), seed=7)
+    bench = VirtualMachine(rig, load_recipe(ROOT / "recipes" / "bench" / f"{name}.toml"), seed=7)
     t = np.arange(round(1000 * duration) + 1) * 1e-3
     table = bench.model.rest_commands(t.size)
     for valve, u in commands.items():

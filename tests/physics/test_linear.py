@@ -31,7 +31,7 @@ from ehbench.plant import (
     workspace_size,
 )
 from ehbench.recipe import load_rig
-from ehbench.rigs.model import model_sample, model_tick
+from ehbench.machines.simulated import model_sample, model_tick
 from ehbench.simulation import Model
 from ehbench.tune.linear import (
     Law,

@@ -28,7 +28,7 @@ from ehbench.plant import (
 )
 from ehbench.quantities import quantity
 from ehbench.recipe import load_rig
-from ehbench.rigs.model import model_sample
+from ehbench.machines.simulated import model_sample
 from ehbench.simulation import Model, rk4
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"

@@ -14,7 +14,7 @@ from ehbench.control.functions import FUNCTIONS, pack_rules
 from ehbench.physics.cylinder import linkage
 from ehbench.plant import GEOMETRY, L_A, L_B, PHASE, RETRACTED, SIDE, workspace_size
 from ehbench.recipe import TuneRecipe, load_rig
-from ehbench.rigs.model import model_sample, model_tick
+from ehbench.machines.simulated import model_sample, model_tick
 from ehbench.simulation import Model
 from ehbench.tune.gains import NONE, tune_pressure_feedback
 from ehbench.tune.linear import circuit_of, state_of

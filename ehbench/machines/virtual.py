@@ -60,12 +60,14 @@ from ehbench.plant import (
     VOLUME_HEAD,
     VOLUME_ROD,
     Layout,
+    layout,
 )
 from ehbench.quantities import VOCABULARY
-from ehbench.recipe import BenchRecipe
+from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
 from ehbench.rig import Edge, Rig, Value, Valve, read_value
-from ehbench.rigs.model import sample_channels
-from ehbench.simulation import Model
+from ehbench.machines.protocol import Inputs, Posture, sample_channels
+from ehbench.machines.rows import LawRows, Rows, control, violated
+from ehbench.simulation import Maps, Model
 
 NAME = "virtual bench"
 STEP = 2.5e-4  # [s]
@@ -73,6 +75,7 @@ STIFF = 1.0
 MOST_SUBSTEPS = 400
 ATMOSPHERE = 101325.0
 CREEP = 1.0e-3  # [m/s]: over which friction turns round
+NOISE_ROWS = 256  # drawn at a time
 SETTLE = 0.25  # [s] of rest before t = 0, so that lags and delays have filled
 
 # columns of a cylinder's row after those of the model
@@ -89,7 +92,7 @@ LAG, NOISE, RESOLUTION, ZERO = 0, 1, 2, 3
 AIR, POLYTROPIC, DROOP, PUMP_LAG, SUPPLY_RELIEF = range(5)
 
 
-class Bench(NamedTuple):
+class VirtualPlant(NamedTuple):
     """A bench as flat arrays. ``timing``: whole ticks of delay, rest of it as a share of a tick;
     ``speed`` the speed filter.
     """
@@ -636,7 +639,44 @@ def _tune(valve: Valve, row: np.ndarray, drop: float, width: float) -> tuple[flo
     return gain, s0 - gain * u0
 
 
-class BenchRig:
+class Running(NamedTuple):
+    """A virtual machine at work: its ``state``, memory included, its numbers, the ``tick`` [s] and
+    the integration ``steps`` in it, and the scratch of both.
+    """
+
+    state: np.ndarray
+    bench: VirtualPlant
+    tick: float
+    steps: int
+    scratch: np.ndarray
+    work: np.ndarray
+
+
+@kernel
+def _advance(first, stop, own, rows, law, noise):
+    sample = rows.sample
+    for i in range(first, stop):
+        if law is not None:
+            control(law, i, rows)
+        if violated(rows, i):
+            return i
+        for j in range(sample.shape[0]):
+            rows.samples[i, j] = sample[j]
+        bench_tick(
+            own.state,
+            rows.commands[i],
+            own.bench,
+            own.tick,
+            own.steps,
+            own.scratch,
+            own.work,
+            noise[i - first],
+            sample,
+        )
+    return -1
+
+
+class VirtualMachine:
     """The virtual bench behind the protocol of a real machine.
 
     ``channels`` names the sample's entries, ``rate`` [Hz] the ticks a second. ``start`` puts it at
@@ -668,47 +708,80 @@ class BenchRig:
     ) -> None:
         recipe = recipe or BenchRecipe(stage="bench", rig="")
         self.model = Model.of(_truth(recipe, rig), None, payload)
-        self.rig, self.payload, self.rate, self.seed = rig, payload, float(rate), seed
+        self.rig, self.rate, self.seed = rig, float(rate), seed
+        self.latency = float(recipe.delay)
         names = self.layout = self.model.layout
-        self.channels = sample_channels(names)
+        self.channels, self.commands = sample_channels(names), Inputs.of(self.model)
         _check_names(recipe, names)
         self.bench = _build(recipe, self.model, 1.0 / self.rate)
+        self.strokes = self.bench.cylinders[:, STROKE].copy()
         self.steps = max(1, round(1.0 / (self.rate * step)))
         nc, nv = len(names.cylinders), len(names.valves)
         self.size = continuous_states(len(names.joints), nc, nv)
         self.raw = 4 * nc + 2
-        self._scratch = np.zeros((6, max(self.size, self.raw + nv)))
-        self._work = np.zeros(workspace_size(len(names.joints), nc))
         depth = int(self.bench.timing[0]) + 2
         self.state = np.zeros(self.size + nv + self.raw + 3 * nc + depth * self.raw + 1)
-        self._noise = np.random.default_rng([seed, crc32(b"noise")])
+        self._own = Running(
+            self.state,
+            self.bench,
+            1.0 / self.rate,
+            self.steps,
+            np.zeros((6, max(self.size, self.raw + nv))),
+            np.zeros(workspace_size(len(names.joints), nc)),
+        )
+        self._rng = self._new_noise()
+        self._noise, self._used = np.empty((0, self.raw)), 0
+
+    @classmethod
+    def of(cls, recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> VirtualMachine:
+        """The virtual bench that a trial runs on; measured maps are none of its business.
+
+        Raises:
+            InputError: no bench file, or one of other cylinders or valves than the rig's.
+        """
+        given = {"payload": recipe.payload, "rate": float(recipe.rate), "seed": recipe.seed}
+        if recipe.bench is None:
+            return cls(rig, None, **given)
+        bench = load_recipe(recipe.file(recipe.bench))
+        if not isinstance(bench, BenchRecipe):
+            raise InputError(
+                "is no bench file", file=bench.path, hint='a bench file has stage = "bench"'
+            )
+        own = load_rig(bench.file(bench.rig))
+        for what, mine, its in (
+            ("cylinders", [c.name for c in rig.cylinder], [c.name for c in own.cylinder]),
+            ("valves", layout(rig).valves, layout(own).valves),
+        ):
+            if mine != its:
+                raise InputError(
+                    f"the bench of rig '{own.name}' has other {what} than rig '{rig.name}'",
+                    **recipe.at("bench"),
+                    hint=f"the bench has {', '.join(its)}",
+                )
+        return cls(own, bench, **given)
+
+    def _new_noise(self) -> np.random.Generator:
+        return np.random.default_rng([self.seed, crc32(b"noise")])
 
     def noise(self, ticks: int) -> np.ndarray:
         """The next ``ticks`` rows of the sensors' noise, shape (ticks, raw channels)."""
-        return self._noise.standard_normal((ticks, self.raw))
+        left = self._noise[self._used :]
+        if len(left) < ticks:
+            fresh = self._rng.standard_normal((max(ticks - len(left), NOISE_ROWS), self.raw))
+            self._noise, self._used = np.concatenate([left, fresh]), 0
+        self._used += ticks
+        return self._noise[self._used - ticks : self._used]
 
-    def start(
-        self,
-        posture: Mapping[str, str | float] | None = None,
-        payload: str | None = None,
-        low_side: float | None = None,
-    ) -> np.ndarray:
-        """Come to rest in a posture (as `Model.posture` reads it), valves at rest; returns the
-        sample at t = 0.
+    def check_posture(self, posture: Posture) -> None:
+        """As `Machine.check_posture`."""
+        self.model.posture(posture)
 
-        The unloaded chambers begin to settle at ``low_side`` [Pa], as in `Model.trim`.
-
-        Raises:
-            InputError: a posture outside the stroke, or another payload than the bench was made
-                with.
-        """
-        if payload is not None and payload != self.payload:
-            raise InputError(
-                f"this bench carries payload '{self.payload or 'none'}', not '{payload}'"
-            )
+    def start(self, posture: Posture = None, low_side: float | None = None) -> np.ndarray:
+        """As `Machine.start`; the unloaded chambers begin to settle at ``low_side``."""
+        self._rng, self._used = self._new_noise(), len(self._noise)
         bench, size, nv = self.bench, self.size, len(self.layout.valves)
         y = self.model.trim(self.model.posture(posture), low_side)
-        rest = self.model.rest_commands(1)[0]
+        rest = self.commands.rest
         state = self.state
         state[:] = 0.0
         state[: size - 1] = y
@@ -722,41 +795,42 @@ class BenchRig:
         for c in range(len(self.layout.cylinders)):
             state[[filters + 3 * c, filters + 3 * c + 2]] = state[size + nv + 4 * c + 1]
         sample = np.zeros(len(self.channels))
-        for noise_row in self.noise(max(round(SETTLE * self.rate), int(bench.timing[0]) + 3)):
-            bench_tick(
-                state,
-                rest,
-                bench,
-                1.0 / self.rate,
-                self.steps,
-                self._scratch,
-                self._work,
-                noise_row,
-                sample,
-            )
+        for _ in range(max(round(SETTLE * self.rate), int(bench.timing[0]) + 3)):
+            self._tick(rest, sample)
         self._must_be_finite()
         return sample
 
     def tick(self, command: np.ndarray) -> np.ndarray:
-        """Let ``command`` [V], shape (valves,), act for one tick; returns the sample at its end.
-
-        Raises:
-            SimulationError: the numbers left the finite range.
-        """
+        """As `Machine.tick`."""
         sample = np.zeros(len(self.channels))
-        bench_tick(
-            self.state,
-            np.asarray(command, dtype=float),
-            self.bench,
-            1.0 / self.rate,
-            self.steps,
-            self._scratch,
-            self._work,
-            self.noise(1)[0],
-            sample,
-        )
+        self._tick(np.asarray(command, dtype=float), sample)
         self._must_be_finite()
         return sample
+
+    def _tick(self, command: np.ndarray, sample: np.ndarray) -> None:
+        own = self._own
+        noise = self.noise(1)[0]
+        bench_tick(
+            own.state,
+            command,
+            own.bench,
+            own.tick,
+            own.steps,
+            own.scratch,
+            own.work,
+            noise,
+            sample,
+        )
+
+    def advance(self, first: int, stop: int, rows: Rows, law: LawRows | None) -> int:
+        """As `advance_of` says."""
+        row = _advance(first, stop, self._own, rows, law, self.noise(stop - first))
+        if row >= 0:  # noise that no tick used is the next one's, however long the call was
+            self._used -= stop - row
+        return row
+
+    def close(self) -> None:
+        """There is nothing to let go."""
 
     def _must_be_finite(self) -> None:
         if not np.isfinite(self.state).all():
@@ -780,7 +854,7 @@ class BenchRig:
         _, _, gain, offset, width = self.bench.valves[
             valve, [LOWEST, HIGHEST, DRIVER_GAIN, DRIVER_OFFSET, HYSTERESIS]
         ]
-        rest = self.model.rest_commands(1)[0, valve]
+        rest = self.commands.rest[valve]
         command, drop = np.broadcast_arrays(
             np.asarray(command, dtype=float), np.asarray(drop, dtype=float)
         )
@@ -791,7 +865,7 @@ class BenchRig:
         return np.array(flows).reshape(command.shape)
 
 
-def _build(recipe: BenchRecipe, model: Model, tick: float) -> Bench:
+def _build(recipe: BenchRecipe, model: Model, tick: float) -> VirtualPlant:
     """The compiled form of a bench whose truth ``model`` is."""
     plant, names, rig, seed = model.plant, model.layout, model.rig, recipe.seed
     p_supply = float(rig.supply.pressure)
@@ -881,7 +955,7 @@ def _build(recipe: BenchRecipe, model: Model, tick: float) -> Bench:
 
     ticks = float(recipe.delay) / tick
     timing = np.array([math.floor(ticks), ticks - math.floor(ticks)])
-    return Bench(
+    return VirtualPlant(
         plant.kind,
         plant.gravity,
         plant.links,

@@ -1,5 +1,5 @@
 """The numbers that are measured, not tested: speed, accuracy, fit time, log time, start-up.
-``python -m ehbench.bench``.
+``python -m ehbench.benchmark``.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ehbench.blas import one_thread
 from ehbench.plant import derivatives, workspace_size
 from ehbench.recipe import load_recipe, load_rig
 from ehbench.rig import Rig, Value
@@ -299,6 +300,7 @@ def _maps(rig: Rig) -> FlowMaps:
     return collect([fit.map for data in readings for fit in fit_flow_maps(data)])
 
 
+@one_thread()
 def main() -> None:
     """Measure everything and print the table."""
     from rich.console import Console

@@ -1,0 +1,113 @@
+"""The rows of a trial as compiled code sees them: what every tick reads and writes, where a limit
+stops it, and one tick of a built-in controller.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ehbench.compiled import kernel
+from ehbench.control import arc
+from ehbench.control import pressure_feedback as feedback
+from ehbench.recipe import Limits
+
+FEEDBACK, ARC = 1, 2  # kinds of built-in controllers
+LIMITS = ("pressure_max", "pressure_min", "stroke_margin", "speed_max", "command_max")
+NO_LIMITS = (math.inf, -math.inf, -math.inf, math.inf, math.inf)
+PRESSURE_MAX, PRESSURE_MIN, MARGIN, SPEED, COMMAND = range(5)
+
+
+class Rows(NamedTuple):
+    """A trial's rows, one a tick, and what is checked in each.
+
+    ``t`` [s]; ``commands`` [V], shape (samples, valves), into which a controller writes its own;
+    ``samples`` what was measured, shape (samples, channels); ``truth`` what only a simulation
+    knows, shape (samples, width). ``sample`` is the present sample, which no row holds yet.
+    ``limits`` are in the order of LIMITS, SI; ``strokes`` the full strokes [m]; ``found`` says of a
+    limit that was reached (which, cylinder or valve, entry of the sample)."""
+
+    t: np.ndarray
+    commands: np.ndarray
+    samples: np.ndarray
+    truth: np.ndarray
+    sample: np.ndarray
+    limits: np.ndarray
+    strokes: np.ndarray
+    found: np.ndarray
+
+
+class Controller(NamedTuple):
+    """A built-in controller. ``mask`` says which channels of the sample it is given, in ``given``;
+    the others are NaN there. ``axis``, ``gains`` and ``memory`` are the law's own.
+    """
+
+    kind: int
+    mask: np.ndarray
+    given: np.ndarray
+    axis: arc.Axis
+    gains: np.ndarray
+    memory: np.ndarray
+
+
+class LawRows(NamedTuple):
+    """A built-in controller over a trial's rows: ``references`` that it shall follow and the
+    ``telemetry`` that it leaves have a row a tick.
+    """
+
+    references: np.ndarray
+    controller: Controller
+    telemetry: np.ndarray
+
+
+def limit_array(limits: Limits) -> np.ndarray:
+    """A recipe's limits in the order of LIMITS, SI; infinite where there is none."""
+    given = (getattr(limits, name) for name in LIMITS)
+    return np.array(
+        [
+            none if value is None else float(value)
+            for value, none in zip(given, NO_LIMITS, strict=True)
+        ]
+    )
+
+
+@kernel
+def violated(rows, i):
+    """Whether the present sample or the command of row ``i`` reached a limit; ``rows.found`` then
+    says which.
+    """
+    sample, command, limits, found = rows.sample, rows.commands[i], rows.limits, rows.found
+    for c in range(rows.strokes.shape[0]):
+        for entry in range(6 * c + 4, 6 * c + 6):
+            p = sample[entry]
+            if p > limits[PRESSURE_MAX] or p < limits[PRESSURE_MIN]:
+                found[0] = PRESSURE_MAX if p > limits[PRESSURE_MAX] else PRESSURE_MIN
+                found[1], found[2] = c, entry
+                return True
+        x = sample[6 * c + 2]
+        if x < limits[MARGIN] or x > rows.strokes[c] - limits[MARGIN]:
+            found[0], found[1], found[2] = MARGIN, c, 6 * c + 2
+            return True
+        if abs(sample[6 * c + 3]) > limits[SPEED]:
+            found[0], found[1], found[2] = SPEED, c, 6 * c + 3
+            return True
+    for v in range(command.shape[0]):
+        if abs(command[v]) > limits[COMMAND]:
+            found[0], found[1], found[2] = COMMAND, v, -1
+            return True
+    return False
+
+
+@kernel
+def control(law, i, rows):
+    """One tick of a built-in controller: its command and its telemetry of row ``i``."""
+    c, reference, telemetry = law.controller, law.references[i], law.telemetry[i]
+    t, command = rows.t[i], rows.commands[i]
+    for j in range(rows.sample.shape[0]):
+        c.given[j] = rows.sample[j] if c.mask[j] else math.nan
+    if c.kind == ARC:
+        arc.step(t, c.given, reference, c.axis, c.gains, c.memory, command, telemetry)
+    else:
+        feedback.step(t, c.given, reference, c.axis.circuit, c.gains, c.memory, command, telemetry)
