@@ -15,7 +15,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -169,7 +169,7 @@ def open_run(
     recipe: Path,
     inputs: Iterable[tuple[str, Path]],
     seeds: Mapping[str, int] | None = None,
-):
+) -> Iterator[Run]:
     """A ``Run`` whose folder becomes ``final`` when the block ends well; else nothing stays.
 
     Raises:
@@ -194,7 +194,24 @@ def open_run(
         raise InputError(
             f"no run can be written here: {error.strerror}", file=final, hint="choose another --out"
         ) from None
-    record = {
+    run = Run(scratch, final, _record(stage, recipe, inputs, seeds or {}))
+    began = time.time()
+    try:
+        yield run
+        run.save()
+        write_json(scratch / "volatile.json", _volatile(began))
+        if final.exists():
+            shutil.rmtree(final)
+        scratch.rename(final)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _record(
+    stage: str, recipe: Path, inputs: Sequence[tuple[str, Path]], seeds: Mapping[str, int]
+) -> dict[str, Any]:
+    """What ``run.json`` says of a run whatever its stage: the same from the same inputs."""
+    return {
         "stage": stage,
         "name": recipe.stem,
         "argv": ["ehbench", stage, recipe.name],
@@ -204,7 +221,7 @@ def open_run(
             {"role": role, "path": _relative(path, recipe.parent), "sha256": sha256(path)}
             for role, path in inputs
         ],
-        "seeds": dict(seeds or {}),
+        "seeds": dict(seeds),
         "versions": {
             "ehbench": metadata.version("ehbench"),
             "python": platform.python_version(),
@@ -213,27 +230,18 @@ def open_run(
         "code_sha256": code_version(),
         "commit": commit(),
     }
-    run = Run(scratch, final, record)
-    began = time.time()
-    try:
-        yield run
-        run.save()
-        write_json(
-            scratch / "volatile.json",
-            {
-                "argv": sys.argv,
-                "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(began)),
-                "seconds": round(time.time() - began, 3),
-                "machine": platform.machine(),
-                "system": platform.system(),
-                "cores": os.cpu_count(),
-            },
-        )
-        if final.exists():
-            shutil.rmtree(final)
-        scratch.rename(final)
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _volatile(began: float) -> dict[str, Any]:
+    """What differs from run to run; ``began`` is when [s since 1970]."""
+    return {
+        "argv": sys.argv,
+        "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(began)),
+        "seconds": round(time.time() - began, 3),
+        "machine": platform.machine(),
+        "system": platform.system(),
+        "cores": os.cpu_count(),
+    }
 
 
 def _relative(path: Path, folder: Path) -> str:

@@ -21,7 +21,8 @@ FLOORS = [
     {"machines"},
     {"ledger", "intake"},
     {"identification", "validation", "tune", "trial", "report"},
-    {"workflow"},
+    {"stages"},
+    {"workflow", "starter"},
     {"inspection"},
     {"__init__", "cli", "datasets", "benchmark", "reference"},
 ]
