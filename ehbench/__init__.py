@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from ehbench.inspection import Inspection
     from ehbench.logs import read_log as read_log
     from ehbench.physics.flow_map import load_flow_maps as load_flow_maps
+    from ehbench.plant.model import simulate as simulate
     from ehbench.recipe import load_rig as load_rig
-    from ehbench.simulation import simulate as simulate
     from ehbench.workflow import Outcome, Progress
 
 __all__ = [
@@ -45,7 +45,7 @@ _HOME = {
     "load_flow_maps": "ehbench.physics.flow_map",
     "load_rig": "ehbench.recipe",
     "read_log": "ehbench.logs",
-    "simulate": "ehbench.simulation",
+    "simulate": "ehbench.plant.model",
 }
 
 

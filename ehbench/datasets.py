@@ -17,6 +17,7 @@ import numpy as np
 from ehbench.blas import one_thread
 from ehbench.errors import EhbenchError, InputError
 from ehbench.logs import write_log
+from ehbench.machines.virtual import VirtualMachine
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import (
     BenchRecipe,
@@ -28,7 +29,6 @@ from ehbench.recipe import (
     load_rig,
 )
 from ehbench.rig import Rig, read_value
-from ehbench.machines.virtual import VirtualMachine
 from ehbench.trial import run_trial
 from ehbench.units import from_si
 
