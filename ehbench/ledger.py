@@ -68,8 +68,8 @@ from ehbench.plant import (
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
 from ehbench.simulation import MOST_SUBSTEPS, STEP, STIFF, Maps, Model, advance, linkage_arrays
+from ehbench.terms import Z95
 
-Z95 = 1.959964
 GROUPS = ("supply", "valve", "loss", "store", "load", "residual", "cylinder", "part")
 FOLLOWS = 1.0e-2  # share of a state's range that a tick of the model may miss the next sample by
 SETTLED_TRAVEL = 0.005  # share of the stroke below which a motion to and fro is no travel

@@ -32,17 +32,8 @@ from ehbench.physics.metering import (
     VALVE,
     edge_flow,
 )
+from ehbench.terms import FUNCTIONS
 
-FUNCTIONS = (
-    "hold",
-    "extend_resistive",
-    "extend_overrunning",
-    "extend_overrunning_regeneration",
-    "retract_resistive",
-    "retract_overrunning",
-    "retract_overrunning_regeneration",
-    "extend_resistive_regeneration",
-)
 (
     HOLD,
     EXTEND_RESISTIVE,

@@ -27,7 +27,6 @@ from ehbench.physics.metering import LAW, MAP, SIGN, VALVE, edge_command, edge_f
 # taken at the floor.
 # OUTSIDE: drop and command lie beyond what the edge's map was measured at.
 SATURATED, AGAINST, REVERSED, FAINT, OUTSIDE = 1, 2, 4, 8, 16
-LIMITS = {1: "saturated", 2: "against", 4: "reversed", 8: "faint", 16: "outside"}
 
 
 @kernel

@@ -64,6 +64,7 @@ from ehbench.recipe import TrialRecipe
 from ehbench.rig import Rig, read_value
 from ehbench.rundir import read_json
 from ehbench.simulation import Model, linkage_arrays
+from ehbench.text import shortened
 
 if TYPE_CHECKING:
     from ehbench.simulation import Maps
@@ -682,7 +683,7 @@ class UserCode:
                 self.made.valves
             )
             raise self._error(
-                f".step gave {_short(answer)} at t = {t:.4g} s, which is no set of commands",
+                f".step gave {shortened(answer, 80)} at t = {t:.4g} s, which is no set of commands",
                 hint=hint,
             ) from None
         if kept is not None:
@@ -693,7 +694,8 @@ class UserCode:
             if not np.isfinite(command).all():
                 hint = "channels that it does not name in `channels` are nan"
                 raise self._error(
-                    f".step gave {_short(answer)} at t = {t:.4g} s, which is not finite", hint=hint
+                    f".step gave {shortened(answer, 80)} at t = {t:.4g} s, which is not finite",
+                    hint=hint,
                 )
             self.beyond += 1
             np.clip(command, self.low, self.high, out=command)
@@ -790,8 +792,3 @@ class UserCode:
         return InputError(
             f"{self.label}{'' if message[0] == '.' else ' '}{message}", file=self.file, hint=hint
         )
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) < 80 else text[:77] + "…"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,86 +13,74 @@ from ehbench.report.saved import Points
 from ehbench.report.style import ACCENT, INK, MUTED, canvas, legend, shades, spread
 from ehbench.report.words import axis, number, pretty, shown, unit_of
 from ehbench.rig import Rig
+from ehbench.terms import Z95
 
-Z95 = 1.959964
 _LABEL = 0.034  # height of an end label as a share of the axis
 _MARKS = {"flowmeter": ("o", "flowmeter"), "cylinder": ("D", "cylinder speed")}
+
+Ends = dict[str, tuple[float, Any]]  # label of a curve → (where it ends, its colour)
 
 
 def flow_map(path: Path, rig: Rig, one: FlowMap, points: Points) -> None:
     """Flow over pressure drop, one curve a measured command, with readings, outliers and bands;
     residuals below.
     """
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    shut = one.hull_command[one.hull_command <= one.deadband]
     commands = one.hull_command[one.hull_command > one.deadband]
     colours = dict(zip(commands, shades(commands.size), strict=True))
+    colour_of = _colour_of(one, colours)
     drop = np.linspace(0.0, 1.0, 161) ** 2 * max(one.drop_max, float(one.hull_high.max()))
     kept = points.flow.size and not points.outlier.all()
     ratios = [4.2, 1] if kept else [1]
-    with canvas(
-        path,
-        len(ratios),
-        1,
-        (7.2, 5.6),
-        sharex=True,
-        squeeze=False,
-        gridspec_kw={"height_ratios": ratios},
-    ) as (
-        figure,
-        axes,
-    ):
+    look = {"sharex": True, "squeeze": False, "gridspec_kw": {"height_ratios": ratios}}
+    with canvas(path, len(ratios), 1, (7.2, 5.6), **look) as (figure, axes):
         main = axes[0, 0]
-        ends = {}
-        for command, colour in colours.items():
-            flow, std, inside = (
-                one.flow(drop, command),
-                one.flow_std(drop, command),
-                one.inside(drop, command),
-            )
-            x, y, band = (
-                shown(rig, "pressure_drop", drop),
-                shown(rig, "flow", flow),
-                shown(rig, "flow", Z95 * std),
-            )
-            main.fill_between(
-                x, y - band, y + band, where=inside, color=colour, alpha=0.22, linewidth=0
-            )
-            _in_and_out(main, x, y, inside, colour)
-            ends[f"{number(command, 3)} V"] = (float(y[-1]), colour)
-        main.axhline(0.0, color=MUTED, linewidth=0.8)
-        if shut.size:
-            ends[
-                (f"≤ {number(shut[-1], 3)} V" if shut.size > 1 else f"{number(shut[-1], 3)} V")
-                + ", shut"
-            ] = (0.0, MUTED)
-        low, high = _limits(
-            [y for y, _ in ends.values()], shown(rig, "flow", points.flow[~points.outlier])
-        )
-        main.set_ylim(low, high)
+        ends = _curves(main, rig, one, drop, colours)
+        flows = shown(rig, "flow", points.flow[~points.outlier])
+        limits = _limits([y for y, _ in ends.values()], flows)
+        main.set_ylim(*limits)
         main.set_xlim(0.0, 1.01 * float(shown(rig, "pressure_drop", drop[-1])))
-        handles = _readings(main, rig, points, _colour_of(one, colours), (low, high))
+        handles = _readings(main, rig, points, colour_of)
+        handles += _outliers(main, rig, points, limits)
         _end_labels(main, ends)
         main.set_ylabel(axis(rig, "flow"))
-        handles.append(Patch(color=MUTED, alpha=0.3, linewidth=0, label="95 % band"))
-        if any(not one.inside(drop[1:], command).all() for command in commands):
-            handles.append(
-                Line2D(
-                    [],
-                    [],
-                    color=MUTED,
-                    alpha=0.6,
-                    linestyle=(0, (3, 2)),
-                    linewidth=1.1,
-                    label="beyond the readings",
-                )
-            )
+        handles += _band_handles(
+            beyond=any(not one.inside(drop[1:], command).all() for command in commands)
+        )
         if kept:
-            _residuals(axes[1, 0], rig, points, _colour_of(one, colours))
+            _residuals(axes[1, 0], rig, points, colour_of)
         axes[-1, 0].set_xlabel(axis(rig, "pressure_drop"))
         legend(figure, handles)
+
+
+def _curves(ax, rig: Rig, one: FlowMap, drop: np.ndarray, colours: dict) -> Ends:
+    """A curve a command with its band, and the line of a shut valve; gives where they end."""
+    ends: Ends = {}
+    x = shown(rig, "pressure_drop", drop)
+    for command, colour in colours.items():
+        inside = one.inside(drop, command)
+        y = shown(rig, "flow", one.flow(drop, command))
+        band = shown(rig, "flow", Z95 * one.flow_std(drop, command))
+        ax.fill_between(x, y - band, y + band, where=inside, color=colour, alpha=0.22, linewidth=0)
+        _in_and_out(ax, x, y, inside, colour)
+        ends[f"{number(command, 3)} V"] = (float(y[-1]), colour)
+    ax.axhline(0.0, color=MUTED, linewidth=0.8)
+    shut = one.hull_command[one.hull_command <= one.deadband]
+    if shut.size:
+        most = f"{number(shut[-1], 3)} V"
+        ends[(f"≤ {most}" if shut.size > 1 else most) + ", shut"] = (0.0, MUTED)
+    return ends
+
+
+def _band_handles(beyond: bool) -> list:
+    """Legend handles of bands, and of curves beyond the readings."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list = [Patch(color=MUTED, alpha=0.3, linewidth=0, label="95 % band")]
+    if beyond:
+        look = {"color": MUTED, "alpha": 0.6, "linestyle": (0, (3, 2)), "linewidth": 1.1}
+        handles.append(Line2D([], [], label="beyond the readings", **look))
+    return handles
 
 
 def inverse_map(path: Path, rig: Rig, one: FlowMap) -> None:
@@ -177,82 +166,44 @@ def _colour_of(one: FlowMap, colours: dict) -> Callable[[float], object]:
     )
 
 
-def _readings(ax, rig: Rig, points: Points, colour: Callable, limits: tuple[float, float]) -> list:
-    """Readings by method in the colour of their curve, outliers crossed (at the edge where they lie
-    outside); legend handles.
-    """
+def _readings(ax, rig: Rig, points: Points, colour: Callable) -> list:
+    """Readings by method in the colour of their curve; legend handles."""
     from matplotlib.lines import Line2D
 
     x, y = shown(rig, "pressure_drop", points.pressure_drop), shown(rig, "flow", points.flow)
     handles = []
     for method in dict.fromkeys(points.method.tolist()):
         marker, text = _MARKS.get(method, ("s", method))
+        look = {"marker": marker, "linestyle": "", "markerfacecolor": "none"}
         for command in np.unique(points.command):
             at = (points.method == method) & (points.command == command) & ~points.outlier
-            if not at.any():
-                continue
-            ax.plot(
-                x[at],
-                y[at],
-                marker,
-                markersize=2.6,
-                markerfacecolor="none",
-                markeredgewidth=0.6,
-                color=colour(command),
-                alpha=0.8,
-            )
-        handles.append(
-            Line2D(
-                [],
-                [],
-                marker=marker,
-                linestyle="",
-                markersize=4,
-                markerfacecolor="none",
-                color=MUTED,
-                label=text,
-            )
-        )
-    out = points.outlier
-    if out.any():
-        seen = np.clip(y[out], *limits)
-        gone = seen != y[out]
-        for marker, at in (("x", ~gone), ("^", y[out] > limits[1]), ("v", y[out] < limits[0])):
             if at.any():
-                ax.plot(
-                    x[out][at],
-                    seen[at],
-                    marker,
-                    color=ACCENT,
-                    markersize=6,
-                    markeredgewidth=1.6,
-                    zorder=5,
-                    clip_on=marker == "x",
-                )
-        handles.append(
-            Line2D(
-                [],
-                [],
-                marker="x",
-                linestyle="",
-                markersize=6,
-                markeredgewidth=1.6,
-                color=ACCENT,
-                label=f"left out ({out.sum()})",
-            )
-        )
-        if gone.any():
-            handles.append(
-                Line2D(
-                    [],
-                    [],
-                    marker="^",
-                    linestyle="",
-                    markersize=5,
-                    color=ACCENT,
-                    label="left out, off the scale",
-                )
-            )
+                edge = {"markersize": 2.6, "markeredgewidth": 0.6, "alpha": 0.8}
+                ax.plot(x[at], y[at], color=colour(command), **look, **edge)
+        handles.append(Line2D([], [], markersize=4, color=MUTED, label=text, **look))
+    return handles
+
+
+def _outliers(ax, rig: Rig, points: Points, limits: tuple[float, float]) -> list:
+    """Readings left out, crossed; at the edge where they lie outside; legend handles."""
+    from matplotlib.lines import Line2D
+
+    out = points.outlier
+    if not out.any():
+        return []
+    x = shown(rig, "pressure_drop", points.pressure_drop)[out]
+    y = shown(rig, "flow", points.flow)[out]
+    seen = np.clip(y, *limits)
+    gone = seen != y
+    look = {"color": ACCENT, "markersize": 6, "markeredgewidth": 1.6}
+    for marker, at in (("x", ~gone), ("^", y > limits[1]), ("v", y < limits[0])):
+        if at.any():
+            ax.plot(x[at], seen[at], marker, zorder=5, clip_on=marker == "x", **look)
+    crossed = {"marker": "x", "linestyle": "", "label": f"left out ({out.sum()})"}
+    handles = [Line2D([], [], **crossed, **look)]
+    if gone.any():
+        moved = {"marker": "^", "linestyle": "", "markersize": 5, "color": ACCENT}
+        handles.append(Line2D([], [], label="left out, off the scale", **moved))
     return handles
 
 
