@@ -508,7 +508,7 @@ def report(folders: Sequence[Path], desk: Desk, campaign: Campaign | None = None
     _tell(desk, campaign, "writing the report", 0.5)
     with rundir.open_run(final, "report", source, inputs) as made:
         (made.path / "report.html").write_text(pages.build(folders, campaign), encoding="utf-8")
-    return Outcome(made.final, DONE)
+    return Outcome(made.final, DONE, made.found)
 
 
 def run_campaign(recipe: Campaign, desk: Desk) -> Outcome:
@@ -706,7 +706,7 @@ def _run(
         _tell(desk, recipe, "drawing figures", 0.95)
         made.save()
         pages.draw(made.path)
-    return Outcome(final, code, tuple(notes))
+    return Outcome(final, code, (*notes, *made.found))
 
 
 def _tell(desk: Desk, recipe: Recipe | None, what: str, share: float) -> None:
