@@ -1,16 +1,20 @@
 """Run folders: results in plain files, with every input named by its SHA-256.
 
 A run is written into a temporary folder beside its place and renamed when it is whole, so nothing
-half-written stays. ``run.json`` holds only what the same inputs give again; what differs from run
-to run is in ``volatile.json``."""
+half-written stays. What a killed process left is cleared by the next run, and the logs in it are
+kept. ``run.json`` holds only what the same inputs give again; what differs from run to run is in
+``volatile.json``."""
 
 from __future__ import annotations
 
+import errno
 import hashlib
+import itertools
 import json
 import math
 import os
 import platform
+import re
 import shutil
 import subprocess
 import sys
@@ -23,9 +27,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from ehbench.errors import InputError
+from ehbench.errors import EhbenchError, InputError
 
 PACKAGE = Path(__file__).resolve().parent
+_PART = re.compile(r"\.(?P<name>.+)\.(?P<pid>[1-9]\d*)\.part")
 _LIBRARIES = (
     "numpy",
     "scipy",
@@ -119,12 +124,16 @@ def read_json(path: Path) -> Any:
 
 @dataclass
 class Run:
-    """A run being written: put files into ``path``; ``facts`` become part of ``run.json``."""
+    """A run being written: put files into ``path``; ``facts`` become part of ``run.json``.
+
+    ``found`` says what killed runs had left beside it.
+    """
 
     path: Path
     final: Path
     record: dict[str, Any]
     facts: dict[str, Any] = field(default_factory=dict)
+    found: tuple[str, ...] = ()
 
     def save(self) -> None:
         """Write ``run.json`` over the files that are there; figures are drawn from a folder that
@@ -186,6 +195,7 @@ def open_run(
             file=final,
             hint="choose another --out",
         )
+    found = clear_left(final.parent)
     scratch = final.parent / f".{final.name}.{os.getpid()}.part"
     shutil.rmtree(scratch, ignore_errors=True)
     try:
@@ -194,17 +204,17 @@ def open_run(
         raise InputError(
             f"no run can be written here: {error.strerror}", file=final, hint="choose another --out"
         ) from None
-    run = Run(scratch, final, _record(stage, recipe, inputs, seeds or {}))
-    began = time.time()
+    run = Run(scratch, final, _record(stage, recipe, inputs, seeds or {}), found=found)
+    began, hold = time.time(), _held(scratch)
     try:
         yield run
         run.save()
         write_json(scratch / "volatile.json", _volatile(began))
-        if final.exists():
-            shutil.rmtree(final)
-        scratch.rename(final)
+        _put(scratch, final)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
+        if hold is not None:
+            os.close(hold)
 
 
 def _record(
@@ -242,6 +252,98 @@ def _volatile(began: float) -> dict[str, Any]:
         "system": platform.system(),
         "cores": os.cpu_count(),
     }
+
+
+def _put(scratch: Path, final: Path) -> None:
+    """Move a whole run to its place; of two processes that make the same run, the last one stays."""
+    for _ in range(100):
+        shutil.rmtree(final, ignore_errors=True)
+        try:
+            scratch.rename(final)
+            return
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                raise
+    raise InputError("another process keeps writing this run", file=final, hint="wait for it")
+
+
+# --- what killed processes left
+# ------------------------------------------------------------------------------------------------
+
+
+def clear_left(folder: Path) -> tuple[str, ...]:
+    """Clear the temporary folders of processes that are gone, and keep the logs in them that hold
+    samples, as ``salvaged/<name>_<pid>/…``; a sentence for each log kept.
+    """
+    said = []
+    for left in sorted(folder.glob(".*.part")):
+        match = _PART.fullmatch(left.name)
+        if match is None or not left.is_dir() or not _abandoned(left, int(match["pid"])):
+            continue
+        logs = [path for path in sorted(left.rglob("*.mcap")) if _holds_samples(path)]
+        kept = _free(folder / "salvaged" / f"{match['name']}_{match['pid']}")
+        for path in logs:
+            target = kept / path.relative_to(left)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                os.replace(path, target)
+            except FileNotFoundError:  # another process was quicker
+                continue
+            said.append(f"a run of '{match['name']}' was killed; what it had logged is in {target}")
+        shutil.rmtree(left, ignore_errors=True)
+    return tuple(said)
+
+
+def _free(place: Path) -> Path:
+    """A folder name that is not taken."""
+    tries = (place if n == 1 else place.with_name(f"{place.name}_{n}") for n in itertools.count(1))
+    return next(each for each in tries if not each.exists())
+
+
+def _holds_samples(path: Path) -> bool:
+    from ehbench.logs import read_record
+
+    try:
+        return read_record(path, check=False).t.size > 0
+    except EhbenchError:
+        return False
+
+
+def _abandoned(folder: Path, pid: int) -> bool:
+    """Whether no process works in a temporary folder: neither one of that number nor, where
+    processes of several containers share a disk, one that holds the folder.
+    """
+    if os.name != "posix":
+        return False
+    try:
+        os.kill(pid, 0)
+        return False
+    except ProcessLookupError:
+        pass
+    except (OSError, OverflowError):
+        return False
+    hold = _held(folder)
+    if hold is not None:
+        os.close(hold)
+    return hold is not None
+
+
+def _held(folder: Path) -> int | None:
+    """An open folder that this process alone holds until it is closed, or ends; None where another
+    one holds it, or the system knows no such hold.
+    """
+    try:
+        import fcntl
+
+        hold = os.open(folder, os.O_RDONLY)
+    except (ImportError, OSError):
+        return None
+    try:
+        fcntl.flock(hold, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(hold)
+        return None
+    return hold
 
 
 def _relative(path: Path, folder: Path) -> str:

@@ -206,7 +206,7 @@ class Stage(Checked[R], Generic[R, P]):
                 tell("drawing figures", 0.95)
             made.save()
             draw(made.path)
-        return Outcome(final, work.code, tuple(notes))
+        return Outcome(final, work.code, (*notes, *made.found))
 
 
 def write_rig(folder: Path, rig: Rig, maps: FlowMaps | None) -> None:

@@ -111,4 +111,4 @@ def write_report(folders: Sequence[Path], host: Host, campaign: Campaign | None 
     with rundir.open_run(final, "report", source, inputs) as made:
         page = build(folders, campaign)
         (made.path / "report.html").write_text(page, encoding="utf-8")
-    return Outcome(made.final, DONE)
+    return Outcome(made.final, DONE, made.found)
