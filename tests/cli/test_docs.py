@@ -19,7 +19,7 @@ from ehbench import inspection, recipe, reference, rig
 from ehbench.errors import InputError
 from ehbench.fields import Q, SURENESS
 from ehbench.recipe import load_rig
-from ehbench.workflow import init
+from ehbench.starter import init
 
 ROOT = Path(__file__).parents[2]
 PAGES = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "docs").glob("*.md")}
