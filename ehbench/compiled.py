@@ -17,7 +17,8 @@ PACKAGE = Path(__file__).resolve().parent
 # rows and slices of
 # arrays from kernel to kernel costs nothing: 1.4 times as fast a plant. Arguments are the caller's,
 # who holds them.
-kernel = numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+OPTIONS = {"nogil": True, "error_model": "numpy", "_nrt": False}
+kernel = numba.njit(cache=True, **OPTIONS)
 
 
 def _cache_folder() -> Path:

@@ -546,7 +546,7 @@ class _Look:
         from ehbench import trial
         from ehbench.trial import controllers, run
         from ehbench.trial.loops import Runner, limit_array
-        from ehbench.trial.motion import Wishes, wishes
+        from ehbench.trial.motion import References, references
 
         for name in (
             recipe.bench,
@@ -574,19 +574,21 @@ class _Look:
                 and motion.full_speed is None
                 and any("%" in level for level in motion.levels)
             ):
-                timed, wanted = False, Wishes(np.tile([made.x, 0.0, 0.0, 0.0], (2, 1)))
+                timed, wanted = False, References(np.tile([made.x, 0.0, 0.0, 0.0], (2, 1)))
                 found.say(
                     "open",
                     "whether the motion stays in the stroke: its speeds are shares of what the flow maps allow",
                 )
             else:
-                wanted = wishes(recipe, made, low)
+                wanted = references(recipe, made, low)
             closed = run._Closed(
                 recipe, made, wanted, tuning, float(rig.supply.tank_pressure) + low
             )
             posture = controllers.posture_of(recipe, made.cylinder)
         count = (
-            round(float(recipe.duration) * rate) + 1 if closed is None else len(closed.wishes.table)
+            round(float(recipe.duration) * rate) + 1
+            if closed is None
+            else len(closed.references.table)
         )
         if count < 2:
             raise InputError(

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.compiled import kernel
-from ehbench.control.functions import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.errors import InputError, InsufficientData, LogError
 from ehbench.physics import arm, metering
 from ehbench.physics.cylinder import (

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ehbench.codes import ESTIMATES, FUNCTIONS, LIMITS
 from ehbench.record import Record
 from ehbench.report import energy_figures, series_figures
 from ehbench.report.saved import Saved, Table
@@ -25,21 +26,10 @@ from ehbench.rundir import read_json
 if TYPE_CHECKING:
     from ehbench.report.figures import Album
 
-# by the numbers that a log holds; a test keeps both lists those of `ehbench.control`
-FUNCTIONS = (
-    "hold",
-    "extend resistive",
-    "extend overrunning",
-    "extend overrunning regeneration",
-    "retract resistive",
-    "retract overrunning",
-    "retract overrunning regeneration",
-    "extend resistive regeneration",
-)
-LIMITS = {1: "saturated", 2: "against", 4: "reversed", 8: "faint", 16: "outside"}
 _SHADES = ("#e5e7eb", "#1f3f66", "#5b8fb9", "#a9c8e0", "#8a4b08", "#e08214", "#f3c583", "#2e7d5b")
 _LIMIT_SHADES = {1: ACCENT, 2: "#8e4585", 4: "#7a6a4f", 8: "#9ca3af", 16: "#d4a017"}
-ESTIMATES = ("payload_estimate", "inverse_inertia", "disturbance", "inverse_bulk")
+# what the adaptive law's estimates are shown as: the payload instead of its share
+SHOWN_ESTIMATES = ("payload_estimate", *(one for one in ESTIMATES if one != "payload_share"))
 MANY = 3  # from so many controllers on, a comparison leaves out the commands
 FAR_APART = 8.0  # ratio of largest errors from which a comparison takes a logarithmic axis
 SLOW = 0.2  # share by which a steady speed may miss what was asked and still be compared
@@ -205,7 +195,7 @@ def _alone(run: Saved, album: Album, case: Case, record: Record, name: str) -> N
     )
     if any(
         name in record and np.ptp(record[name]) > 0.0
-        for name in (f"{case.cylinder}.{word}" for word in ESTIMATES)
+        for name in (f"{case.cylinder}.{word}" for word in SHOWN_ESTIMATES)
     ):
         path = album.add(
             f"estimates_{case.stem}",
@@ -401,7 +391,7 @@ def energy_said(rig: Rig, mine: Sequence[Case]) -> str:
 def estimates_said(rig: Rig, case: Case, record: Record) -> str:
     """Where the estimates ended, beside what they should be where that is known."""
     said = []
-    for word in ESTIMATES:
+    for word in SHOWN_ESTIMATES:
         name = f"{case.cylinder}.{word}"
         if name in record:
             said.append(f"{words(word)} {measure(rig, word, float(record[name][-1]))}")
@@ -417,7 +407,9 @@ def estimates_said(rig: Rig, case: Case, record: Record) -> str:
 def _bounds_said(case: Case, record: Record) -> str:
     """Whether the estimates kept to their bounds, and which ended at one."""
     bounds, outside, at_end = case.row.get("estimate_bounds", {}), [], []
-    known = [word for word in ESTIMATES if word in bounds and f"{case.cylinder}.{word}" in record]
+    known = [
+        word for word in SHOWN_ESTIMATES if word in bounds and f"{case.cylinder}.{word}" in record
+    ]
     for word in known:
         values, (low, high) = record[f"{case.cylinder}.{word}"], bounds[word]
         room = ROUNDING * (high - low)
@@ -538,7 +530,7 @@ def _strip(ax, cases: Sequence[tuple[str, Case, Record]], limits: bool) -> list:
     ax.set_yticks(range(len(rows)), rows, fontsize=7.5)
     ax.grid(False, axis="y")
     ax.tick_params(axis="y", length=0)
-    return [Patch(color=_SHADES[one], label=FUNCTIONS[one]) for one in sorted(seen)]
+    return [Patch(color=_SHADES[one], label=words(FUNCTIONS[one])) for one in sorted(seen)]
 
 
 def _flagged(record: Record, cylinder: str) -> Iterator[str]:
@@ -708,7 +700,7 @@ def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
     one.
     """
     own, bounds = case.cylinder, case.row.get("estimate_bounds", {})
-    words_of = [word for word in ESTIMATES if f"{own}.{word}" in record]
+    words_of = [word for word in SHOWN_ESTIMATES if f"{own}.{word}" in record]
     rows = -(-len(words_of) // 2)
     with canvas(path, rows, 2, (7.4, 1.95 * rows + 0.4), sharex=True, squeeze=False) as (_, axes):
         for ax in axes.flat[len(words_of) :]:

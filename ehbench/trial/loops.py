@@ -9,14 +9,13 @@ import math
 import numpy as np
 
 from ehbench.compiled import kernel
-from ehbench.control import arc
-from ehbench.control import pressure_feedback as feedback
+from ehbench.control import registry
 from ehbench.plant import STROKE, derivatives
 from ehbench.recipe import Limits
 from ehbench.rigs.bench import BenchRig, bench_tick
 from ehbench.rigs.model import ModelRig, model_sample
 from ehbench.simulation import advance, rk4
-from ehbench.trial.controllers import ARC, Compiled
+from ehbench.trial.controllers import Compiled
 
 Machine = ModelRig | BenchRig
 LIMITS = ("pressure_max", "pressure_min", "stroke_margin", "speed_max", "command_max")
@@ -73,17 +72,6 @@ def violated(sample, command, limits, strokes, found):
 
 
 @kernel
-def _control(kind, t, sample, mask, given, wish, axis, gains, memory, command, note):
-    """One tick of a built-in controller; what it is not entitled to is NaN in what it gets."""
-    for j in range(sample.shape[0]):
-        given[j] = sample[j] if mask[j] else math.nan
-    if kind == ARC:
-        arc.step(t, given, wish, axis, gains, memory, command, note)
-    else:
-        feedback.step(t, given, wish, axis.circuit, gains, memory, command, note)
-
-
-@kernel
 def _model_row(y, sample, command, plant, tick, steps, k, work, log, samples):
     """Log a row and let the command act for a tick; ``log`` has the state, the edge flows and the
     pump flow.
@@ -129,30 +117,13 @@ def _model_closed(
     log,
     samples,
     found,
-    kind,
     t,
-    mask,
-    given,
-    wishes,
-    axis,
-    gains,
-    memory,
-    notes,
+    references,
+    controller,
+    telemetry,
 ):
     for i in range(commands.shape[0]):
-        _control(
-            kind,
-            t + i * tick,
-            sample,
-            mask,
-            given,
-            wishes[i],
-            axis,
-            gains,
-            memory,
-            commands[i],
-            notes[i],
-        )
+        registry.tick(t + i * tick, sample, references[i], controller, commands[i], telemetry[i])
         if violated(sample, commands[i], limits, strokes, found):
             return i
         _model_row(y, sample, commands[i], plant, tick, steps, k, work, log[i], samples[i])
@@ -206,30 +177,13 @@ def _bench_closed(
     noise,
     samples,
     found,
-    kind,
     t,
-    mask,
-    given,
-    wishes,
-    axis,
-    gains,
-    memory,
-    notes,
+    references,
+    controller,
+    telemetry,
 ):
     for i in range(commands.shape[0]):
-        _control(
-            kind,
-            t + i * tick,
-            sample,
-            mask,
-            given,
-            wishes[i],
-            axis,
-            gains,
-            memory,
-            commands[i],
-            notes[i],
-        )
+        registry.tick(t + i * tick, sample, references[i], controller, commands[i], telemetry[i])
         if violated(sample, commands[i], limits, strokes, found):
             return i
         _bench_row(
@@ -297,19 +251,13 @@ class Runner:
         if controller is None:
             row = (_model_loop if self.is_model else _bench_loop)(*start, *ends)
         else:
-            c = controller
             row = (_model_closed if self.is_model else _bench_closed)(
                 *start,
                 *ends,
-                c.kind,
                 float(self.t[first]),
-                c.mask,
-                c.given,
-                c.wish[rows],
-                c.axis,
-                c.gains,
-                c.memory,
-                c.notes[rows],
+                controller.references[rows],
+                controller.controller,
+                controller.telemetry[rows],
             )
         return row if row < 0 else first + row
 

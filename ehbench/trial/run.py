@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ehbench.control.functions import HOLD
-from ehbench.control.valve_level import LIMITS as LIMIT_BITS
+from ehbench.codes import HOLD
+from ehbench.codes import LIMITS as LIMIT_BITS
 from ehbench.errors import InputError, SimulationError
 from ehbench.physics.metering import FROM, TO, VALVE
 from ehbench.plant import AREA_HEAD, AREA_ROD, DAMPING, HIGHEST, LOWEST, STIFFNESS, STROKE
@@ -25,10 +25,11 @@ from ehbench.rigs.model import ModelRig
 from ehbench.simulation import Model
 from ehbench.trial import controllers
 from ehbench.trial.commands import command_table
-from ehbench.trial.controllers import ARC, Compiled, Design, UserCode, located
+from ehbench.trial.controllers import Compiled, Design, located
 from ehbench.trial.loops import COMMAND, LIMITS, MARGIN, NO_LIMITS, Machine, Runner, limit_array
 from ehbench.trial.measures import edge_flows, followed, integral, step_measures, tracking_measures
-from ehbench.trial.motion import Wishes, wishes
+from ehbench.trial.motion import References, references
+from ehbench.trial.user_code import UserCode
 from ehbench.units import from_si
 
 if TYPE_CHECKING:
@@ -121,7 +122,9 @@ def run_trial(
     closed = (
         _Closed.of(recipe, rig, maps, gains, allow_code) if recipe.controller is not None else None
     )
-    count = round(float(recipe.duration) * rate) + 1 if closed is None else len(closed.wishes.table)
+    count = (
+        round(float(recipe.duration) * rate) + 1 if closed is None else len(closed.references.table)
+    )
     if count < 2:
         raise InputError(
             "the trial is shorter than one sample",
@@ -183,14 +186,14 @@ def run_trial(
         record = Record(t[:end], {**columns, **commands, **lines}, meta)
     measures = {}
     if law is not None:
-        notes = {name: law.notes[:end, i].copy() for i, name in enumerate(law.channels)}
+        notes = {name: law.telemetry[:end, i].copy() for i, name in enumerate(law.channels)}
         record = Record(record.t, {**record.channels, **notes}, record.meta)
         measures = law.used | _measures(
             record, closed, machine, end if stop is None else round(stop.t * rate) + 1
         )
         if (
             isinstance(law, Compiled)
-            and law.kind == ARC
+            and law.law.warns_saturated
             and (share := measures["limits"]["saturated"]) > 0.0
         ):
             warnings.append(
@@ -260,7 +263,7 @@ def _let_go(law: Compiled | UserCode, row: int, end: int) -> None:
     """Notes after a stop: the last estimates and the desired stroke stay, nothing is asked for any
     more.
     """
-    law.notes[row:end] = law.notes[row]
+    law.telemetry[row:end] = law.telemetry[row]
     for column, name in enumerate(law.channels):
         word = name.rsplit(".", 1)[-1]
         if (
@@ -268,20 +271,20 @@ def _let_go(law: Compiled | UserCode, row: int, end: int) -> None:
             or word in ("v_shaped", "function_status", "limits", "feedback_flow")
             or word.startswith("flow")
         ):
-            law.notes[row:end, column] = 0.0
+            law.telemetry[row:end, column] = 0.0
         elif word == "function":
-            law.notes[row:end, column] = HOLD
+            law.telemetry[row:end, column] = HOLD
 
 
 @dataclass(frozen=True)
 class _Closed:
-    """The closed loop of a recipe before there is a machine: design model, wishes, where the
+    """The closed loop of a recipe before there is a machine: design model, references, where the
     off-side stands at the start.
     """
 
     recipe: TrialRecipe
     design: Design
-    wishes: Wishes
+    references: References
     tuning: dict[str, Any] | None
     low_side: float
 
@@ -294,7 +297,11 @@ class _Closed:
         tuning = controllers.read_tuning(recipe, gains)
         low = controllers.low_pressure(recipe, rig, tuning)
         return cls(
-            recipe, made, wishes(recipe, made, low), tuning, float(rig.supply.tank_pressure) + low
+            recipe,
+            made,
+            references(recipe, made, low),
+            tuning,
+            float(rig.supply.tank_pressure) + low,
         )
 
     @property
@@ -311,7 +318,7 @@ class _Closed:
         )
 
     def law(self, machine: Machine) -> Compiled | UserCode:
-        table = self.wishes.table
+        table = self.references.table
         if self.recipe.controller.code is not None:
             return UserCode(self.recipe, self.design, machine.channels, machine.rate, table)
         return controllers.compiled(self.recipe, self.design, self.tuning, table, machine.rate)
@@ -324,11 +331,11 @@ def _measures(record: Record, closed: _Closed, machine: Machine, rows: int) -> d
     own, t = closed.design.cylinder, record.t[:rows]
     v, x, p_head, p_rod = (record[f"{own}.{name}"][:rows] for name in ("v", "x", "p_head", "p_rod"))
     found: dict[str, Any] = {"steps": []}
-    for level in closed.wishes.levels:
+    for level in closed.references.levels:
         stop = min(level.stop, rows)
         if stop - level.first >= 3:
             part = slice(level.first, stop)
-            before = float(closed.wishes.table[level.first - 1, 1]) if level.first else 0.0
+            before = float(closed.references.table[level.first - 1, 1]) if level.first else 0.0
             one = step_measures(
                 t[part], v[part], level.speed, before, (p_head[part], p_rod[part]), level.share
             )

@@ -10,7 +10,7 @@ import pytest
 PACKAGE = Path(__file__).parents[2] / "ehbench"
 # lowest first; within a row nobody imports a neighbour
 FLOORS = [
-    {"errors", "quantities", "compiled"},
+    {"codes", "errors", "quantities", "compiled"},
     {"units"},
     {"record", "rig"},
     {"recipe", "readers", "logs", "rundir", "signals", "physics"},
