@@ -22,8 +22,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 if TYPE_CHECKING:
     from ehbench.logs import read_log as read_log
     from ehbench.physics.flow_map import load_flow_maps as load_flow_maps
+    from ehbench.plant.model import simulate as simulate
     from ehbench.recipe import load_rig as load_rig
-    from ehbench.simulation import simulate as simulate
     from ehbench.workflow import Outcome, Progress
 
 __all__ = ["identify", "load_flow_maps", "load_rig", "read_log", "simulate", "validate"]

@@ -804,7 +804,7 @@ def _shown(rig: Rig, name: str, value: float) -> str:
 
 
 def _rig(path: Path) -> Inspection:
-    from ehbench.simulation import Model
+    from ehbench.plant.model import Model
 
     rig = load_rig(path)
     whole, _ = _with_laws(rig, None)

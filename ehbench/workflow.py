@@ -526,7 +526,7 @@ def _write_ledger(
     """
     from ehbench.errors import EhbenchError, InsufficientData
     from ehbench.ledger import bounds, ledger_of_log, ledger_of_model
-    from ehbench.simulation import Model
+    from ehbench.plant.model import Model
 
     try:
         if recipe.on == "model":

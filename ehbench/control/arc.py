@@ -28,7 +28,7 @@ from ehbench.codes import (
     SATURATED,
     WEIGHED,
 )
-from ehbench.compiled import kernel
+from ehbench.compiled import kernel, record
 from ehbench.control.arc_gains import GAINS, VOCABULARY_OF_GAINS, pack
 from ehbench.control.axis import Axis, inertias, load_at
 from ehbench.control.functions import (
@@ -46,34 +46,34 @@ from ehbench.control.functions import (
     widest,
 )
 from ehbench.control.law import Law
-from ehbench.control.measured import entries, load_force, pressures, write
-from ehbench.control.records import blank, record_type
+from ehbench.control.measured import load_force, pressure_entries, pressures, write
+from ehbench.control.records import blank
 from ehbench.control.trajectory import reference_of
 from ehbench.control.valve_level import Flows, allocate
+from ehbench.parts.cylinder import chamber_oil
+from ehbench.parts.edge import edge_flow
+from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
+from ehbench.parts.sample import OF, entry
 from ehbench.physics.arm import work_size
-from ehbench.physics.cylinder import chamber_volume
-from ehbench.physics.metering import VALVE, edge_flow
 
 LOST = 0.01  # [m] between observed and measured stroke, at which the observer starts anew
 AHEAD = 1.0e-3  # [s] by which the laws look along the motion for their rates
 COUNT = len(ESTIMATES)
 
-STATE = record_type(
-    [
-        ("started", "i8"),
-        ("function", "i8"),
-        ("age", "f8"),
-        ("metered", "i8"),
-        ("set_point", "f8"),
-        ("slow_load", "f8"),
-        ("slow_error", "f8"),
-        ("learning", "i8"),
-        ("x", "f8"),
-        ("v", "f8"),
-        ("bias", "f8"),
-        ("acceleration", "f8"),
-        ("estimates", "f8", (COUNT,)),
-    ]
+STATE = record(
+    ("started", "i8"),
+    ("function", "i8"),
+    ("age", "f8"),
+    ("metered", "i8"),
+    ("set_point", "f8"),
+    ("slow_load", "f8"),
+    ("slow_error", "f8"),
+    ("learning", "i8"),
+    ("x", "f8"),
+    ("v", "f8"),
+    ("bias", "f8"),
+    ("acceleration", "f8"),
+    ("estimates", "f8", (COUNT,)),
 )
 
 
@@ -202,9 +202,7 @@ def adapt(estimates, rates, lower, upper, tick):
 def flow_along(path, drop, opening, circuit):
     """Flow [m³/s] along a path at a drop [Pa] along it and an opening [V] of its edge."""
     edge, along = circuit.paths[path], circuit.along[path]
-    return along * edge_flow(
-        along * drop, opening, circuit.edges[edge], circuit.wiring[edge], circuit.maps
-    )
+    return along * edge_flow(along * drop, opening, circuit.edges[edge], circuit.maps)
 
 
 @kernel
@@ -258,7 +256,7 @@ def stand_by(axis, share, command):
     circuit = axis.circuit
     for i in range(circuit.count):
         edge = circuit.first + i
-        valve = circuit.wiring[edge, VALVE]
+        valve = circuit.edges[edge].valve
         waits = share * axis.onset[i]
         if abs(command[valve]) < abs(waits):
             command[valve] = waits
@@ -279,7 +277,7 @@ def place_joints(sample, axis, angles):
     for i in range(angles.shape[0]):
         angles[i] = mechanism.posture[i]
     for c in range(mechanism.joints.shape[0]):
-        angles[mechanism.joints[c]] = sample[entries(c).q]
+        angles[mechanism.joints[c]] = sample[entry(c, OF.q)]
 
 
 @kernel
@@ -371,12 +369,16 @@ def robust(gain, unsure, tolerance, limit):
 @kernel
 def track_force(reference, v, load_force, load, stroke, axis, gains, estimates):
     """Step 2: the `ForceLaw`."""
-    friction, lower, upper = axis.friction, gains.lower, gains.upper
+    cylinder, lower, upper = axis.cylinder, gains.lower, gains.upper
     inverse = estimates[INVERSE_INERTIA]
     share, offset = estimates[PAYLOAD_SHARE], estimates[DISTURBANCE]
-    turn = math.tanh(reference.v / friction.speed)
+    turn = math.tanh(reference.v / COULOMB_SPEED)
     kappa = load.curve * v * v
-    force = load.gravity + (load.damping + friction.viscous) * v + friction.coulomb * turn
+    force = (
+        load.gravity
+        + (load.damping + cylinder.friction_viscous) * v
+        + cylinder.friction_coulomb * turn
+    )
     phi1, phi2, phi3 = (load_force - force) / load.mass, -load.pull / load.mass, -1.0 / load.mass
     unsure = abs(phi1) * (upper[0] - lower[0])
     unsure += abs(phi2) * (upper[1] - lower[1]) + abs(phi3) * (upper[2] - lower[2])
@@ -393,7 +395,7 @@ def track_force(reference, v, load_force, load, stroke, axis, gains, estimates):
         k2,
         turn,
         load.damping
-        + friction.viscous
+        + cylinder.friction_viscous
         - load.mass / inverse * (stroke.k1 + 2.0 * load.curve * v + k2),
         kappa + inverse * phi1 + share * phi2 + offset * phi3,
         phi1,
@@ -406,10 +408,10 @@ def track_force(reference, v, load_force, load, stroke, axis, gains, estimates):
 @kernel
 def oil_at(x, p, load, axis, gains, estimates):
     """The `Oil` at a stroke [m]."""
-    circuit, chambers = axis.circuit, axis.chambers
-    head = circuit.area_head / chamber_volume(chambers.volume_head, circuit.area_head * x)
-    rod = circuit.area_rod / chamber_volume(chambers.volume_rod, -circuit.area_rod * x)
-    coupling = chambers.bulk * (head * circuit.area_head + rod * circuit.area_rod)
+    circuit, cylinder = axis.circuit, axis.cylinder
+    head = circuit.area_head / chamber_oil(cylinder, 0, x)
+    rod = circuit.area_rod / chamber_oil(cylinder, 1, x)
+    coupling = cylinder.bulk_modulus * (head * circuit.area_head + rod * circuit.area_rod)
     if gains.coupling_frequency > 0.0:
         coupling = (
             estimates[INVERSE_INERTIA]
@@ -417,14 +419,14 @@ def oil_at(x, p, load, axis, gains, estimates):
             * gains.coupling_frequency**2
             / load.mass
         )
-    across = chambers.leak_internal * (p.head - p.rod)
+    across = cylinder.leakage_internal * (p.head - p.rod)
     return Oil(
         head,
         rod,
-        chambers.bulk,
+        cylinder.bulk_modulus,
         coupling,
-        across + chambers.leak_head * (p.head - p.tank),
-        across - chambers.leak_rod * (p.rod - p.tank),
+        across + cylinder.leakage_head * (p.head - p.tank),
+        across - cylinder.leakage_rod * (p.rod - p.tank),
     )
 
 
@@ -450,7 +452,7 @@ def load_rate(reference, load, ahead, stroke, force, v, axis, memory):
     """Rate [N/s] of the wanted load force: with speed, along the stroke (``ahead`` is the `Load`
     there), with time, by what is learnt.
     """
-    estimates, rates, friction = memory.state.estimates, memory.rates, axis.friction
+    estimates, rates, coulomb = memory.state.estimates, memory.rates, axis.cylinder.friction_coulomb
     inverse, share = estimates[INVERSE_INERTIA], estimates[PAYLOAD_SHARE]
     moved = (
         (ahead.mass - load.mass) * force.pushed
@@ -460,7 +462,7 @@ def load_rate(reference, load, ahead, stroke, force, v, axis, memory):
     along = (
         ahead.gravity - load.gravity + (ahead.damping - load.damping) * v + moved / inverse
     ) / AHEAD
-    turned = friction.coulomb * (1.0 - force.turn * force.turn) * reference.a / friction.speed
+    turned = coulomb * (1.0 - force.turn * force.turn) * reference.a / COULOMB_SPEED
     timed = turned + load.mass / inverse * (
         reference.j + stroke.k1 * reference.a + force.k2 * stroke.a_eq
     )
@@ -680,9 +682,9 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
         telemetry: out, shape (COLUMNS + 2·edges of the cylinder,).
     """
     circuit, state = axis.circuit, memory.state
-    wish, p = reference_of(reference), pressures(sample, circuit.cylinder)
-    at = entries(circuit.cylinder)
-    q, x, v = sample[at.q], sample[at.x], sample[at.v]
+    number = circuit.cylinder
+    wish, p = reference_of(reference), pressures(sample, number)
+    q, x, v = sample[entry(number, OF.q)], sample[entry(number, OF.x)], sample[entry(number, OF.v)]
     measured = load_force(p, circuit.area_head, circuit.area_rod)
     place_joints(sample, axis, memory.angles)
     own, tip = inertias(axis, memory.angles, memory.mass, memory.work)
@@ -732,9 +734,9 @@ def memory_of(axis: Axis) -> Memory:
 def observed(axis: Axis, channels: int) -> np.ndarray:
     """True for the channels of a rig's sample that the controller is given, shape (channels,)."""
     mask = np.zeros(channels, bool)
-    mask[[entries(c).q for c in range(axis.mechanism.joints.size)]] = True
-    at = entries(axis.circuit.cylinder)
-    mask[list(at)] = True
+    mask[[entry(c, OF.q) for c in range(axis.mechanism.joints.size)]] = True
+    mask[[entry(axis.circuit.cylinder, channel) for channel in OF]] = True
+    mask[pressure_entries(axis.circuit.cylinder, channels)] = True
     return mask
 
 

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from ehbench.codes import ESTIMATES, INVERSE_BULK, INVERSE_INERTIA
+from ehbench.compiled import record
 from ehbench.control.axis import hydraulic_frequency, reference_load
 from ehbench.control.functions import RULES
 from ehbench.control.law import Packed, Site
-from ehbench.control.records import blank, numbers, reals, record_type
+from ehbench.control.records import blank, numbers, reals
 from ehbench.errors import InputError
-from ehbench.physics import arm
 from ehbench.quantities import VOCABULARY
 
 GAIN_NAMES = (
@@ -58,12 +58,10 @@ MAY_BE_ZERO = {
 }
 COUNT = len(ESTIMATES)
 # lower, upper: bounds of the estimates; rate: gains of their adaptation; start: the design model's
-GAINS = record_type(
-    [
-        *reals(GAIN_NAMES),
-        *((name, "f8", (COUNT,)) for name in ("lower", "upper", "rate", "start")),
-        ("rules", RULES),
-    ]
+GAINS = record(
+    *reals(GAIN_NAMES),
+    *((name, "f8", (COUNT,)) for name in ("lower", "upper", "rate", "start")),
+    ("rules", RULES),
 )
 # what a recipe may say beyond GAIN_NAMES, see `Adaptation`
 VOCABULARY_OF_GAINS = {
@@ -209,8 +207,8 @@ def _bounds(site: Site, unsure: Adaptation) -> _Bounds:
     """Bounds of the estimates; a payload's are those of inertia and gravity that it makes."""
     axis = site.axis
     _, ratio = reference_load(axis)
-    beta = axis.chambers.bulk
-    mass = 1.5 * float(axis.mechanism.links[-1, arm.MASS])
+    beta = axis.cylinder.bulk_modulus
+    mass = 1.5 * float(axis.mechanism.links[-1].mass)
     low, high = unsure.payload or (0.0, mass)
     worst = unsure.disturbance
     if worst is None:

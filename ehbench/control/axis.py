@@ -8,13 +8,19 @@ from typing import NamedTuple
 import numpy as np
 
 from ehbench.codes import FUNCTIONS, HOLD
-from ehbench.compiled import kernel
+from ehbench.compiled import kernel, table
 from ehbench.control.functions import Circuit, coupled
 from ehbench.errors import InputError
-from ehbench.physics import arm
-from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
-from ehbench.physics.cylinder import chamber_volume, linkage
-from ehbench.physics.metering import VALVE, edge_command
+from ehbench.parts.cylinder import chamber_oil, linkage_of
+from ehbench.parts.edge import edge_command
+from ehbench.physics.arm import CHAIN, LINK, gravity_torque, mass_matrix, work_size
+
+# what must be known of the cylinder
+NEEDED = (
+    *("l_a", "l_b", "side", "phase", "retracted_length", "area_head", "area_rod"),
+    *("volume_head", "volume_rod", "bulk_modulus"),
+    *("leakage_internal", "leakage_head", "leakage_rod", "friction_viscous", "friction_coulomb"),
+)
 
 
 class Mechanism(NamedTuple):
@@ -30,43 +36,11 @@ class Mechanism(NamedTuple):
     posture: np.ndarray
 
 
-class Pins(NamedTuple):
-    """Arguments of `ehbench.physics.cylinder.linkage` before the angle: kind, lengths [m], side,
-    phase [rad], retracted length [m].
-    """
-
-    kind: int
-    l_a: float
-    l_b: float
-    side: float
-    phase: float
-    retracted: float
-
-
-class Chambers(NamedTuple):
-    """Dead volumes [m³], bulk modulus β [Pa], leakages internal, head, rod [m³/(s·Pa)]."""
-
-    volume_head: float
-    volume_rod: float
-    bulk: float
-    leak_internal: float
-    leak_head: float
-    leak_rod: float
-
-
-class Friction(NamedTuple):
-    """Of the cylinder: viscous [N·s/m], Coulomb [N], speed over which it turns round [m/s]."""
-
-    viscous: float = 0.0
-    coulomb: float = 0.0
-    speed: float = 1.0
-
-
 class Axis(NamedTuple):
     """One cylinder and what it moves; made by `axis_of`.
 
     ``tip`` are the links of the mechanism without mass, but 1 kg at the end of the last link.
-    ``joint`` is the one that this cylinder drives. ``spool`` [8] is 1 for each working function
+    ``cylinder`` is its row of `ehbench.parts.cylinder.CYLINDER`. ``spool`` [8] is 1 for each working function
     whose two edges hang on one command, and for hold if there is such a one. ``onset`` [V] of each
     of the cylinder's edges: where it begins to pass oil, 0 where its valve has other edges as
     well."""
@@ -74,10 +48,7 @@ class Axis(NamedTuple):
     circuit: Circuit
     mechanism: Mechanism
     tip: np.ndarray
-    joint: int
-    pins: Pins
-    chambers: Chambers
-    friction: Friction
+    cylinder: np.record
     spool: np.ndarray
     onset: np.ndarray
 
@@ -102,7 +73,7 @@ def inertias(axis, angles, mass, work):
     """(D_jj, what 1 kg at the tip adds to it) about the axis's joint [kg·m²], or [kg] of a slide;
     q_j does not matter.
     """
-    j, mechanism = axis.joint, axis.mechanism
+    j, mechanism = axis.cylinder.joint, axis.mechanism
     mass_matrix(mechanism.kind, mechanism.links, angles, mass, work)
     own = mass[j, j]
     mass_matrix(mechanism.kind, axis.tip, angles, mass, work)
@@ -112,10 +83,8 @@ def inertias(axis, angles, mass, work):
 @kernel
 def load_at(axis, q, own, angles, work):
     """The `Load` at joint coordinate q; ``own`` is D_jj, ``angles`` the other joints'."""
-    j, mechanism, pins = axis.joint, axis.mechanism, axis.pins
-    _, lever, curve = linkage(
-        pins.kind, pins.l_a, pins.l_b, pins.side, pins.phase, pins.retracted, q
-    )
+    j, mechanism = axis.cylinder.joint, axis.mechanism
+    _, lever, curve = linkage_of(axis.cylinder, q)
     torque = work[work.shape[0] - mechanism.links.shape[0] :]
     per = 1.0 / lever
     angles[j] = q
@@ -125,85 +94,58 @@ def load_at(axis, q, own, angles, work):
     return Load(
         own * per * per,
         held,
-        mechanism.links[j, arm.DAMPING] * per * per,
+        mechanism.links[j].damping * per * per,
         curve * per * per,
         torque[j] * per,
         lever,
     )
 
 
-def axis_of(
-    circuit: Circuit,
-    mechanism: Mechanism,
-    pins: Pins,
-    chambers: Chambers,
-    friction: Friction | None = None,
-) -> Axis:
+def axis_of(circuit: Circuit, mechanism: Mechanism, cylinder: np.record) -> Axis:
     """The axis of one cylinder.
 
     Args:
         circuit: the cylinder's, `ehbench.control.functions.circuit`.
         mechanism: of the design model.
-        pins, chambers, friction: of the cylinder; no friction by default.
+        cylinder: its row of the plant.
 
     Raises:
         InputError: parts that do not fit each other, or a number that is not finite.
     """
-    links = np.ascontiguousarray(mechanism.links, float)
     mechanism = Mechanism(
         int(mechanism.kind),
         np.ascontiguousarray(mechanism.gravity, float),
-        links,
+        mechanism.links,
         np.ascontiguousarray(mechanism.joints, np.int64),
         np.ascontiguousarray(mechanism.posture, float),
     )
-    friction = Friction() if friction is None else friction
-    spool = np.array([coupled(circuit, f) for f in range(len(FUNCTIONS))], dtype=np.int64)
-    spool[HOLD] = spool.max()
-    made = Axis(
-        circuit,
-        mechanism,
-        _tip(mechanism.kind, links),
-        int(mechanism.joints[circuit.cylinder]),
-        Pins(int(pins[0]), *map(float, pins[1:])),
-        Chambers(*map(float, chambers)),
-        Friction(*map(float, friction)),
-        spool,
-        _onsets(circuit),
-    )
-    if mechanism.posture.shape != (links.shape[0],):
+    if mechanism.posture.shape != mechanism.links.shape:
         raise InputError(
             "the parts of an axis do not fit each other", hint="posture: one coordinate a joint"
         )
-    parts = (mechanism.gravity, links, mechanism.posture, made.pins, made.chambers, made.friction)
-    if (
-        not all(np.isfinite(part).all() for part in parts)
-        or made.friction.speed <= 0.0
-        or min(made.chambers[:3]) <= 0.0
+    spool = np.array([coupled(circuit, f) for f in range(len(FUNCTIONS))], dtype=np.int64)
+    spool[HOLD] = spool.max()
+    parts = (mechanism.gravity, mechanism.links.view(float), mechanism.posture)
+    own = [cylinder[name] for name in NEEDED]
+    if not all(np.isfinite(part).all() for part in (*parts, own)) or not (
+        min(cylinder.volume_head, cylinder.volume_rod, cylinder.bulk_modulus) > 0.0
     ):
-        raise InputError(
-            "an axis needs finite numbers, and volumes, bulk modulus and friction speed above 0"
-        )
-    return made
+        raise InputError("an axis needs finite numbers, and volumes and bulk modulus above 0")
+    tip = _tip(mechanism.kind, mechanism.links)
+    return Axis(circuit, mechanism, tip, cylinder, spool, _onsets(circuit))
 
 
 def _tip(kind: int, links: np.ndarray) -> np.ndarray:
     """The links without mass, but 1 kg at the end of the last."""
-    tip = np.zeros_like(links)
-    keep = [arm.A, arm.D, arm.COS_ALPHA, arm.SIN_ALPHA, arm.THETA0]
-    tip[:, keep] = links[:, keep]
+    tip = table(links.shape[0], LINK)
+    for key in ("a", "d", "cos_alpha", "sin_alpha", "theta0"):
+        tip[key] = links[key]
     end = tip[-1]
-    end[arm.MASS] = 1.0
-    if kind == arm.CHAIN:
-        a, d = end[arm.A], end[arm.D]
-        end[[arm.HX, arm.HZ, arm.JXX, arm.JYY, arm.JZZ, arm.JXZ]] = (
-            a,
-            d,
-            d * d,
-            a * a + d * d,
-            a * a,
-            -a * d,
-        )
+    end.mass = 1.0
+    if kind == CHAIN:
+        a, d = end.a, end.d
+        end.hx, end.hz = a, d
+        end.jxx, end.jyy, end.jzz, end.jxz = d * d, a * a + d * d, a * a, -a * d
     return tip
 
 
@@ -211,10 +153,9 @@ def _onsets(circuit: Circuit) -> np.ndarray:
     """Command [V] at which each edge begins to pass oil, 0 where it shares its valve."""
     onset = np.zeros(circuit.count)
     for i in range(circuit.count):
-        e = circuit.first + i
-        row = circuit.wiring[e]
-        if np.count_nonzero(circuit.wiring[:, VALVE] == row[VALVE]) == 1:
-            onset[i] = edge_command(1.0e6, 1.0e-12, circuit.edges[e], row, circuit.maps)
+        edge = circuit.edges[circuit.first + i]
+        if np.count_nonzero(circuit.edges.valve == edge.valve) == 1:
+            onset[i] = edge_command(1.0e6, 1.0e-12, edge, circuit.maps)
     return onset
 
 
@@ -227,7 +168,7 @@ def reference_load(axis: Axis) -> tuple[Load, float]:
     n = axis.mechanism.links.shape[0]
     angles, work = axis.mechanism.posture.copy(), np.zeros(work_size(n) + n)
     own, tip = inertias(axis, angles, np.zeros((n, n)), work)
-    load = load_at(axis, float(angles[axis.joint]), own, angles, work)
+    load = load_at(axis, float(angles[axis.cylinder.joint]), own, angles, work)
     if abs(load.lever) < 1e-6 or not math.isfinite(load.mass):
         raise InputError(
             "the cylinder has no lever in the posture for which the controller is designed"
@@ -240,10 +181,8 @@ def hydraulic_frequency(axis: Axis) -> float:
     (A1²/V1 + A2²/V2)/m0``.
     """
     load, _ = reference_load(axis)
-    x, _, _ = linkage(*axis.pins, float(axis.mechanism.posture[axis.joint]))
-    head, rod = axis.circuit.area_head, axis.circuit.area_rod
-    volumes = (
-        chamber_volume(axis.chambers.volume_head, head * x),
-        chamber_volume(axis.chambers.volume_rod, -rod * x),
-    )
-    return math.sqrt(axis.chambers.bulk * (head**2 / volumes[0] + rod**2 / volumes[1]) / load.mass)
+    cylinder = axis.cylinder
+    x, _, _ = linkage_of(cylinder, float(axis.mechanism.posture[cylinder.joint]))
+    head, rod = cylinder.area_head, cylinder.area_rod
+    spring = head**2 / chamber_oil(cylinder, 0, x) + rod**2 / chamber_oil(cylinder, 1, x)
+    return math.sqrt(cylinder.bulk_modulus * spring / load.mass)

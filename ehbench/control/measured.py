@@ -1,23 +1,11 @@
-"""Where a controller finds its channels in a machine's sample."""
+"""What controllers take from a machine's sample, and what they write of themselves."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 from ehbench.compiled import kernel
-
-
-class Entries(NamedTuple):
-    """Where the channels of one cylinder, and those of the supply, stand in a sample."""
-
-    q: int
-    qd: int
-    x: int
-    v: int
-    p_head: int
-    p_rod: int
-    p_supply: int
-    p_tank: int
+from ehbench.parts.sample import LINE, OF, cylinders_in, entry, line_entry
 
 
 class Pressures(NamedTuple):
@@ -30,17 +18,22 @@ class Pressures(NamedTuple):
 
 
 @kernel
-def entries(cylinder):
-    """The `Entries` of a cylinder by its number."""
-    at = 6 * cylinder
-    return Entries(at, at + 1, at + 2, at + 3, at + 4, at + 5, -2, -1)
-
-
-@kernel
 def pressures(sample, cylinder):
-    """The `Pressures` in a sample."""
-    at = entries(cylinder)
-    return Pressures(sample[at.p_head], sample[at.p_rod], sample[at.p_supply], sample[at.p_tank])
+    """The `Pressures` of a cylinder in a sample."""
+    cylinders = cylinders_in(sample.shape[0])
+    return Pressures(
+        sample[entry(cylinder, OF.p_head)],
+        sample[entry(cylinder, OF.p_rod)],
+        sample[line_entry(cylinders, LINE.p_supply)],
+        sample[line_entry(cylinders, LINE.p_tank)],
+    )
+
+
+def pressure_entries(cylinder: int, channels: int) -> list[int]:
+    """Where the `Pressures` of a cylinder stand in a sample of so many channels."""
+    cylinders = cylinders_in(channels)
+    own = [entry(cylinder, channel) for channel in (OF.p_head, OF.p_rod)]
+    return [*own, *(line_entry(cylinders, channel) for channel in LINE)]
 
 
 @kernel

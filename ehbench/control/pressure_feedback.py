@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS, HOLD
-from ehbench.compiled import kernel
+from ehbench.compiled import kernel, record
 from ehbench.control.axis import Axis
 from ehbench.control.functions import HEAD, METERED, ROD, RULES, Circuit, select
 from ehbench.control.law import Law, Packed, Required, Site
-from ehbench.control.measured import entries, load_force, pressures, write
-from ehbench.control.records import blank, numbers, reals, record_type
+from ehbench.control.measured import load_force, pressure_entries, pressures, write
+from ehbench.control.records import blank, numbers, reals
 from ehbench.control.trajectory import (
     SHAPED,
     SHAPING,
@@ -30,7 +30,7 @@ from ehbench.control.trajectory import (
 )
 from ehbench.control.valve_level import Flows, allocate, rest
 from ehbench.errors import InputError
-from ehbench.physics.cylinder import chamber_volume
+from ehbench.parts.cylinder import chamber_oil
 from ehbench.quantities import VOCABULARY
 
 OFF_RATE = 10.0  # [rad/s]: how fast the off-side pressure follows where no gain is given
@@ -43,25 +43,21 @@ SCALARS = (
     "washout",
     "ramp_washout",
 )
-GAINS = record_type(
-    [
-        *reals(SCALARS),
-        ("feedback_gain", "f8", (len(FUNCTIONS),)),
-        ("shaping", SHAPING),
-        ("rules", RULES),
-    ]
+GAINS = record(
+    *reals(SCALARS),
+    ("feedback_gain", "f8", (len(FUNCTIONS),)),
+    ("shaping", SHAPING),
+    ("rules", RULES),
 )
 # a chamber's pressure as measured, behind one washout, behind both [Pa]
-END = record_type(reals(("pressure", "washed", "ramp_washed")))
-MEMORY = record_type(
-    [
-        ("started", "i8"),
-        ("function", "i8"),
-        ("age", "f8"),
-        ("slow_load", "f8"),
-        ("ends", END, (2,)),
-        ("shaped", SHAPED),
-    ]
+END = record(*reals(("pressure", "washed", "ramp_washed")))
+MEMORY = record(
+    ("started", "i8"),
+    ("function", "i8"),
+    ("age", "f8"),
+    ("slow_load", "f8"),
+    ("ends", END, (2,)),
+    ("shaped", SHAPED),
 )
 
 
@@ -281,19 +277,16 @@ def pack(site: Site, gains: Mapping[str, Any], rules: np.record, shaping: np.rec
     """The gains on a site; by default the off-side pressure follows with OFF_RATE in the larger
     chamber.
     """
-    circuit, chambers = site.axis.circuit, site.axis.chambers
-    volume = max(
-        chamber_volume(chambers.volume_head, circuit.area_head * site.stroke),
-        chamber_volume(chambers.volume_rod, -circuit.area_rod * site.stroke),
-    )
+    cylinder = site.axis.cylinder
+    volume = max(chamber_oil(cylinder, side, site.stroke) for side in range(2))
     defaults = {
-        "off_gain": OFF_RATE * volume / chambers.bulk,
+        "off_gain": OFF_RATE * volume / cylinder.bulk_modulus,
         "low_pressure": site.low_pressure,
     }
     packed = pack_pressure_feedback(
         tick=site.tick, rules=rules, shaping=shaping, **{**defaults, **gains}
     )
-    return Packed(packed, {"gains": named_gains(packed, circuit)})
+    return Packed(packed, {"gains": named_gains(packed, site.axis.circuit)})
 
 
 def named_gains(packed: np.record, circuit: Circuit) -> dict[str, float]:
@@ -320,8 +313,7 @@ def named_gains(packed: np.record, circuit: Circuit) -> dict[str, float]:
 def observed(circuit: Circuit, channels: int) -> np.ndarray:
     """True for the channels of a rig's sample that the controller is given, shape (channels,)."""
     mask = np.zeros(channels, bool)
-    at = entries(circuit.cylinder)
-    mask[[at.p_head, at.p_rod, at.p_supply, at.p_tank]] = True
+    mask[pressure_entries(circuit.cylinder, channels)] = True
     return mask
 
 

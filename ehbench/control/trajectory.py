@@ -12,8 +12,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import kernel
-from ehbench.control.records import blank, reals, record_type
+from ehbench.compiled import kernel, record
+from ehbench.control.records import blank, reals
 from ehbench.errors import InputError
 
 
@@ -238,9 +238,9 @@ def velocity_steps(
 
 SHAPING_NAMES = ("acceleration_max", "jerk_max", "natural_frequency", "damping_ratio")
 # the shaping of a commanded speed ("trajectory modification", thesis Table B.2), see `pack_shaping`
-SHAPING = record_type(reals(SHAPING_NAMES))
+SHAPING = record(*reals(SHAPING_NAMES))
 # its memory: shaped speed [m/s], acceleration [m/s²], jerk [m/s³]
-SHAPED = record_type(reals(("speed", "acceleration", "jerk")))
+SHAPED = record(*reals(("speed", "acceleration", "jerk")))
 
 
 @kernel

@@ -23,7 +23,7 @@ from ehbench.control.functions import (
     widest,
 )
 from ehbench.control.measured import Pressures
-from ehbench.physics.metering import LAW, MAP, SIGN, VALVE, edge_command, edge_flow
+from ehbench.parts.edge import MAP, edge_command, edge_flow
 
 
 class Flows(NamedTuple):
@@ -50,14 +50,14 @@ def inside(circuit, edge, drop, command):
     """True where readings surround (drop [Pa] along the edge, command [V]), as `FlowMap.inside`;
     always for analytic laws.
     """
-    if circuit.wiring[edge, LAW] != MAP:
+    if circuit.edges[edge].law != MAP:
         return True
     at = circuit.hull_at[edge, 0 if drop >= 0.0 else 1]
     if at < 0:
         return False
     count = int(circuit.hull[at])
     grid = at + 1
-    reach, size = circuit.edges[edge, SIGN] * command, abs(drop)
+    reach, size = circuit.edges[edge].sign * command, abs(drop)
     if not (circuit.hull[grid] <= reach <= circuit.hull[grid + count - 1]):
         return False
     low = _at(reach, circuit.hull, grid, grid + count, count)
@@ -83,17 +83,15 @@ def edge_order(circuit, path, flow, drop, floor):
     if drop < floor:
         limits, drop = FAINT, floor
     along = circuit.along[path]
-    command = edge_command(
-        along * drop, along * flow, circuit.edges[edge], circuit.wiring[edge], circuit.maps
-    )
+    command = edge_command(along * drop, along * flow, circuit.edges[edge], circuit.maps)
     most = widest(circuit, edge, along * drop)
-    sign = circuit.edges[edge, SIGN]
+    sign = circuit.edges[edge].sign
     # a map's inverse stops at its last command by itself, so the flow decides
     if sign * command >= sign * most:
         command = most
-        if edge_flow(
-            along * drop, most, circuit.edges[edge], circuit.wiring[edge], circuit.maps
-        ) * along < flow * (1.0 - 1e-9):
+        if edge_flow(along * drop, most, circuit.edges[edge], circuit.maps) * along < flow * (
+            1.0 - 1e-9
+        ):
             limits += SATURATED
     return command, limits
 
@@ -104,7 +102,7 @@ def rest(circuit, command, flows, limits):
     ``flows, limits``.
     """
     for i in range(circuit.count):
-        valve = circuit.wiring[circuit.first + i, VALVE]
+        valve = circuit.edges[circuit.first + i].valve
         command[valve] = min(max(0.0, circuit.lowest[valve]), circuit.highest[valve])
         flows[i] = limits[i] = 0.0
 
@@ -144,13 +142,13 @@ def allocate(function, wanted, p, floor, circuit, command, flows, limits):
         flow = share_head * wanted.head + share_rod * wanted.rod
         drop = path_drop(path, p)
         order, bits = edge_order(circuit, path, flow, drop, floor)
-        valve = circuit.wiring[edge, VALVE]
+        valve = circuit.edges[edge].valve
         if turn == 0:
             decided = valve
             command[valve] = order
         elif valve == decided:
             bits &= ~SATURATED  # it does not decide how far it opens
-        elif math.isnan(order) or circuit.edges[edge, SIGN] * (order - command[valve]) > 0.0:
+        elif math.isnan(order) or circuit.edges[edge].sign * (order - command[valve]) > 0.0:
             command[valve] = order
         bits |= beyond_measured(circuit, path, flow, drop, command[valve], bits)
         flows[edge - circuit.first] = circuit.along[path] * flow
@@ -173,7 +171,7 @@ def beyond_measured(circuit, path, flow, drop, command, bits):
 def bring_to_rest(circuit, command):
     """Set commands of 0 V to the nearest that the driver takes."""
     for i in range(circuit.count):
-        valve = circuit.wiring[circuit.first + i, VALVE]
+        valve = circuit.edges[circuit.first + i].valve
         if command[valve] == 0.0:
             command[valve] = min(max(0.0, circuit.lowest[valve]), circuit.highest[valve])
 

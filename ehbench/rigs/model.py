@@ -8,42 +8,31 @@ import numpy as np
 
 from ehbench.compiled import kernel
 from ehbench.errors import InputError, SimulationError
-from ehbench.physics.cylinder import linkage
-from ehbench.plant import GEOMETRY, L_A, L_B, PHASE, RETRACTED, SIDE, Layout, workspace_size
-from ehbench.simulation import STEP, Model, rk4
+from ehbench.parts.cylinder import linkage_of
+from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
+from ehbench.parts.sample import LINE, OF, entry, line_entry, sample_channels
+from ehbench.plant.integrate import STEP, rk4
+from ehbench.plant.model import Model
 
 NAME = "model"
 
 
-def sample_channels(names: Layout) -> tuple[str, ...]:
-    """Channel names of a sample: ``q, qd, x, v, p_head, p_rod`` of each cylinder, then ``p_supply,
-    p_tank``.
-    """
-    own = tuple(
-        f"{name}.{key}"
-        for name in names.cylinders
-        for key in ("q", "qd", "x", "v", "p_head", "p_rod")
-    )
-    return (*own, "p_supply", "p_tank")
-
-
 @kernel
 def model_sample(y, plant, sample):
-    """Write what perfect sensors say of state ``y`` into ``sample``, shape (6·cylinders + 2,)."""
-    n, nc, nv = plant.links.shape[0], plant.cylinders.shape[0], plant.valves.shape[0]
-    for c in range(nc):
-        row, j = plant.cylinders[c], plant.joints[c]
-        x, lever, _ = linkage(
-            int(row[GEOMETRY]), row[L_A], row[L_B], row[SIDE], row[PHASE], row[RETRACTED], y[j]
-        )
-        sample[6 * c] = y[j]
-        sample[6 * c + 1] = y[n + j]
-        sample[6 * c + 2] = x
-        sample[6 * c + 3] = lever * y[n + j]
-        sample[6 * c + 4] = y[2 * n + 2 * c]
-        sample[6 * c + 5] = y[2 * n + 2 * c + 1]
-    sample[6 * nc] = y[2 * n + 2 * nc + 2 * nv]
-    sample[6 * nc + 1] = plant.supply[1]
+    """Write what perfect sensors say of state ``y`` into ``sample``."""
+    cylinders = plant.cylinders.shape[0]
+    for c in range(cylinders):
+        row = plant.cylinders[c]
+        q, rate = y[row.joint], y[plant.at.rates + row.joint]
+        x, lever, _ = linkage_of(row, q)
+        sample[entry(c, OF.q)] = q
+        sample[entry(c, OF.qd)] = rate
+        sample[entry(c, OF.x)] = x
+        sample[entry(c, OF.v)] = lever * rate
+        sample[entry(c, OF.p_head)] = node_pressure(y, plant, row.node_head)
+        sample[entry(c, OF.p_rod)] = node_pressure(y, plant, row.node_rod)
+    sample[line_entry(cylinders, LINE.p_supply)] = node_pressure(y, plant, SUPPLY)
+    sample[line_entry(cylinders, LINE.p_tank)] = node_pressure(y, plant, TANK)
 
 
 @kernel
@@ -72,14 +61,11 @@ class ModelRig:
 
     def __init__(self, model: Model, rate: float = 1000.0, step: float = STEP) -> None:
         self.model, self.layout, self.rate = model, model.layout, float(rate)
-        self.channels = sample_channels(model.layout)
+        self.channels = sample_channels(model.layout.cylinders)
         self.steps = max(1, round(1.0 / (self.rate * step)))
-        plant = model.plant
         self.state = np.zeros(model.layout.states)
         self._k = np.empty((5, model.layout.states))
-        self._work = np.empty(
-            workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0])
-        )
+        self._work = np.empty(model.plant.at.work)
 
     def start(
         self,

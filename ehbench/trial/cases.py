@@ -19,7 +19,7 @@ from ehbench.trial.run import Facts, run_trial
 from ehbench.units import from_si
 
 if TYPE_CHECKING:
-    from ehbench.simulation import Maps
+    from ehbench.plant.build import Maps
 
 
 @dataclass(frozen=True)

@@ -17,45 +17,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ehbench.control.axis import Chambers, Friction, Mechanism, Pins, axis_of
+from ehbench.control.axis import Mechanism, axis_of
 from ehbench.control.functions import RULE_NAMES, RULES, Circuit, circuit, pack_rules
 from ehbench.control.law import Controller, Law, Site
 from ehbench.control.records import numbers
 from ehbench.control.registry import LAWS
 from ehbench.control.trajectory import SHAPING_NAMES, pack_shaping
 from ehbench.errors import InputError
-from ehbench.physics.metering import FROM, TO, VALVE
-from ehbench.plant import (
-    AREA_HEAD,
-    AREA_ROD,
-    BULK,
-    COULOMB,
-    COULOMB_SPEED,
-    DAMPING,
-    GEOMETRY,
-    HIGHEST,
-    L_A,
-    L_B,
-    LEAK_HEAD,
-    LEAK_INTERNAL,
-    LEAK_ROD,
-    LOWEST,
-    PHASE,
-    RETRACTED,
-    SIDE,
-    STIFFNESS,
-    VISCOUS,
-    VOLUME_HEAD,
-    VOLUME_ROD,
-)
+from ehbench.parts.cylinder import linkage_arrays
+from ehbench.parts.nodes import SUPPLY
+from ehbench.parts.sample import sample_size
+from ehbench.parts.valve import valve_lag
+from ehbench.plant.model import Model
 from ehbench.quantities import VOCABULARY, Quantity
 from ehbench.recipe import TrialRecipe
 from ehbench.rig import Rig, read_value
 from ehbench.rundir import read_json
-from ehbench.simulation import Model, linkage_arrays
 
 if TYPE_CHECKING:
-    from ehbench.simulation import Maps
+    from ehbench.plant.build import Maps
 
 
 @dataclass(frozen=True)
@@ -75,7 +55,7 @@ class Design:
     circuit: Circuit
 
     @property
-    def row(self) -> np.ndarray:
+    def row(self) -> np.record:
         """The cylinder's row of the plant."""
         return self.model.plant.cylinders[self.index]
 
@@ -97,7 +77,7 @@ class Design:
     @property
     def x(self) -> float:
         """The cylinder's stroke [m] at the start."""
-        joint = int(self.model.plant.joints[self.index])
+        joint = int(self.row.joint)
         return float(linkage_arrays(self.row, self.q[joint : joint + 1])[0][0])
 
 
@@ -157,7 +137,7 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> Design:
     measured = [
         (maps or {}).get(edge) or (maps or {}).get(edge.split(".", 1)[1]) for edge in layout.edges
     ]
-    wiring = plant.wiring.copy()
+    edges = plant.edges.copy()
     for valve in controller.unused:
         if valve not in layout.valves:
             raise InputError(
@@ -166,13 +146,12 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> Design:
                 hint="there are " + ", ".join(layout.valves),
             )
         # an edge from supply to supply is on no path
-        wiring[np.ix_(wiring[:, VALVE] == layout.valves.index(valve), [FROM, TO])] = 0
+        off = edges.valve == layout.valves.index(valve)
+        edges.from_node[off] = edges.to_node[off] = SUPPLY
     row = plant.cylinders[index]
     with located(recipe, *controller.where, "unused"):
-        reach = plant.valves[:, [LOWEST, HIGHEST]]
-        made = circuit(
-            index, row[AREA_HEAD], row[AREA_ROD], plant.edges, wiring, plant.maps, reach, measured
-        )
+        reach = np.column_stack([plant.valves.lowest, plant.valves.highest])
+        made = circuit(index, row.area_head, row.area_rod, edges, plant.maps, reach, measured)
     with located(recipe, "posture"):
         model.posture(recipe.posture)
     with located(recipe, *(motion.where if motion is not None else ()), "waypoints"):
@@ -271,7 +250,7 @@ def compiled(
         raise InputError(need.message, **recipe.at(*chosen.where), hint=need.hint)
     with located(recipe, *chosen.where, "gains"):
         packed = law.pack(site, gains, rules, shaping)
-    channels = 6 * len(made.model.layout.cylinders) + 2
+    channels = sample_size(len(made.model.layout.cylinders))
     controller = Controller(
         site.axis,
         packed.gains,
@@ -292,21 +271,16 @@ def compiled(
 
 def _site(recipe: TrialRecipe, made: Design, tick: float) -> Site:
     """What a controller of the design is designed for."""
-    plant, row = made.model.plant, made.row
-    axis = axis_of(
-        made.circuit,
-        Mechanism(plant.kind, plant.gravity, plant.links, plant.joints, made.q),
-        Pins(*row[[GEOMETRY, L_A, L_B, SIDE, PHASE, RETRACTED]]),
-        Chambers(*row[[VOLUME_HEAD, VOLUME_ROD, BULK, LEAK_INTERNAL, LEAK_HEAD, LEAK_ROD]]),
-        Friction(row[VISCOUS], row[COULOMB], COULOMB_SPEED),
-    )
+    plant = made.model.plant
+    mechanism = Mechanism(plant.kind, plant.gravity, plant.links, plant.cylinders.joint, made.q)
+    axis = axis_of(made.circuit, mechanism, made.row)
     unused = [made.valves.index(name) for name in recipe.controller.unused]
-    still = np.isin(plant.wiring[made.own, VALVE], unused)
+    still = np.isin(plant.edges.valve[made.own], unused)
     axis = axis._replace(onset=np.where(still, 0.0, axis.onset))  # no standing by for them
-    limit = float(plant.supply[2])
+    limit = float(plant.supply.flow_limit)
     if not math.isfinite(limit):
         limit = 0.5 * made.circuit.area_head  # half a metre a second
-    return Site(axis, tick, float(plant.supply[0]), limit, _valve_lag(made), made.x)
+    return Site(axis, tick, float(plant.supply.pressure), limit, _valve_lag(made), made.x)
 
 
 def low_pressure(recipe: TrialRecipe, rig: Rig, tuning: Mapping[str, Any] | None) -> float:
@@ -414,7 +388,6 @@ def _number(name: str, raw: Any, row: Quantity | None, pair: bool) -> Any:
 def _valve_lag(made: Design) -> float:
     """Lag 2ζ/ω_n [s] of the slowest valve that the controller uses."""
     own = range(made.circuit.first, made.circuit.first + made.circuit.count)
-    rows = made.model.plant.valves[
-        sorted({int(made.circuit.wiring[e, VALVE]) for e in own if e in made.circuit.paths})
-    ]
-    return max((float(r[DAMPING] / r[STIFFNESS]) for r in rows if r[STIFFNESS] > 0.0), default=0.0)
+    plant = made.model.plant
+    used = {int(made.circuit.edges[e].valve) for e in own if e in made.circuit.paths}
+    return max((valve_lag(plant.valves[i], plant) for i in used), default=0.0)

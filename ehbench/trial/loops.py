@@ -10,11 +10,12 @@ import numpy as np
 
 from ehbench.compiled import kernel
 from ehbench.control import registry
-from ehbench.plant import STROKE, derivatives
+from ehbench.parts.sample import OF, entry
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.integrate import advance, rk4
 from ehbench.recipe import Limits
 from ehbench.rigs.bench import BenchRig, bench_tick
 from ehbench.rigs.model import ModelRig, model_sample
-from ehbench.simulation import advance, rk4
 from ehbench.trial.controllers import Compiled
 
 Machine = ModelRig | BenchRig
@@ -48,21 +49,21 @@ def violated(sample, command, limits, strokes, found):
         found: out, int64 (3,).
     """
     for c in range(strokes.shape[0]):
-        for entry in range(4, 6):
-            p = sample[6 * c + entry]
+        for channel in (OF.p_head, OF.p_rod):
+            p = sample[entry(c, channel)]
             if p > limits[PRESSURE_MAX] or p < limits[PRESSURE_MIN]:
                 found[0], found[1], found[2] = (
                     (PRESSURE_MAX if p > limits[PRESSURE_MAX] else PRESSURE_MIN),
                     c,
-                    6 * c + entry,
+                    entry(c, channel),
                 )
                 return True
-        x = sample[6 * c + 2]
+        x = sample[entry(c, OF.x)]
         if x < limits[MARGIN] or x > strokes[c] - limits[MARGIN]:
-            found[0], found[1], found[2] = MARGIN, c, 6 * c + 2
+            found[0], found[1], found[2] = MARGIN, c, entry(c, OF.x)
             return True
-        if abs(sample[6 * c + 3]) > limits[SPEED]:
-            found[0], found[1], found[2] = SPEED, c, 6 * c + 3
+        if abs(sample[entry(c, OF.v)]) > limits[SPEED]:
+            found[0], found[1], found[2] = SPEED, c, entry(c, OF.v)
             return True
     for i in range(command.shape[0]):
         if abs(command[i]) > limits[COMMAND]:
@@ -131,10 +132,10 @@ def _model_closed(
 
 
 @kernel
-def _bench_row(state, sample, command, bench, tick, steps, scratch, work, noise, samples):
+def _bench_row(state, sample, command, bench, tick, steps, scratch, noise, samples):
     for j in range(sample.shape[0]):
         samples[j] = sample[j]
-    bench_tick(state, command, bench, tick, steps, scratch, work, noise, sample)
+    bench_tick(state, command, bench, tick, steps, scratch, noise, sample)
 
 
 @kernel
@@ -146,7 +147,6 @@ def _bench_loop(
     tick,
     steps,
     scratch,
-    work,
     limits,
     strokes,
     noise,
@@ -156,9 +156,7 @@ def _bench_loop(
     for i in range(commands.shape[0]):
         if violated(sample, commands[i], limits, strokes, found):
             return i
-        _bench_row(
-            state, sample, commands[i], bench, tick, steps, scratch, work, noise[i], samples[i]
-        )
+        _bench_row(state, sample, commands[i], bench, tick, steps, scratch, noise[i], samples[i])
     return -1
 
 
@@ -171,7 +169,6 @@ def _bench_closed(
     tick,
     steps,
     scratch,
-    work,
     limits,
     strokes,
     noise,
@@ -186,9 +183,7 @@ def _bench_closed(
         registry.tick(t + i * tick, sample, references[i], controller, commands[i], telemetry[i])
         if violated(sample, commands[i], limits, strokes, found):
             return i
-        _bench_row(
-            state, sample, commands[i], bench, tick, steps, scratch, work, noise[i], samples[i]
-        )
+        _bench_row(state, sample, commands[i], bench, tick, steps, scratch, noise[i], samples[i])
     return -1
 
 
@@ -224,12 +219,12 @@ class Runner:
         self.log, self.samples = np.empty((t.size, width)), np.empty((t.size, sample.size))
         self.found = np.zeros(3, dtype=np.int64)
         numbers = machine.model.plant if self.is_model else machine.bench
-        self.strokes = numbers.cylinders[:, STROKE].copy()
+        self.strokes = numbers.cylinders.stroke.copy()
         tick = 1.0 / machine.rate
         if self.is_model:
             self._own = (numbers, tick, machine.steps, machine._k, machine._work)
         else:
-            self._own = (numbers, tick, machine.steps, machine._scratch, machine._work)
+            self._own = (numbers, tick, machine.steps, machine._scratch)
 
     def go(self, first: int, stop: int, controller: Compiled | None = None) -> int:
         """Run rows ``first`` to ``stop`` under a compiled controller, or as the table says; the row

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ehbench.compiled import kernel
-from ehbench.physics.metering import edge_flow
+from ehbench.parts.edge import edge_flow
 from ehbench.signals import ringing, rms
 
 BAND = 0.05  # a step has settled once it stays this near to its steady speed
@@ -110,35 +110,7 @@ def integral(t: np.ndarray, y: np.ndarray) -> float:
 
 
 @kernel
-def _follow(command, stiffness, transition, opening):
-    x, rate = command[0], 0.0
-    for i in range(command.shape[0]):
-        opening[i] = x
-        e = x - command[i]
-        x = command[i] + transition[0] * e + transition[1] * rate
-        rate = transition[2] * rate - stiffness * transition[1] * e
-
-
-def followed(command: np.ndarray, tick: float, stiffness: float, damping: float) -> np.ndarray:
-    """Opening [V] of a valve ``ẍ = stiffness·(u − x) − damping·ẋ`` that starts at rest, exact for
-    commands held over a tick.
-
-    ``stiffness`` ω_n² [1/s²] and ``damping`` 2ζω_n [1/s]; 0 and 0 is a valve without dynamics.
-    """
-    if stiffness == 0.0:
-        return command
-    root = complex(damping * damping / 4.0 - stiffness) ** 0.5
-    root = root if abs(root) > 1e-6 * math.sqrt(stiffness) else complex(1e-6 * math.sqrt(stiffness))
-    first, second = -0.5 * damping + root, -0.5 * damping - root
-    grow, fall = np.exp(first * tick), np.exp(second * tick)
-    rows = [first * fall - second * grow, grow - fall, first * grow - second * fall]
-    opening = np.empty(command.size)
-    _follow(command, stiffness, np.real(np.array(rows) / (first - second)), opening)
-    return opening
-
-
-@kernel
-def edge_flows(drop, opening, row, wiring, maps, flow):
+def edge_flows(drop, opening, row, maps, flow):
     """Write the flow [m³/s] along an edge at drops [Pa] and openings [V] into ``flow``."""
     for i in range(drop.shape[0]):
-        flow[i] = edge_flow(drop[i], opening[i], row, wiring, maps)
+        flow[i] = edge_flow(drop[i], opening[i], row, maps)

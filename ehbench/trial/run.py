@@ -14,26 +14,25 @@ import numpy as np
 from ehbench.codes import HOLD
 from ehbench.codes import LIMITS as LIMIT_BITS
 from ehbench.errors import InputError, SimulationError
-from ehbench.physics.metering import FROM, TO, VALVE
-from ehbench.plant import AREA_HEAD, AREA_ROD, DAMPING, HIGHEST, LOWEST, STIFFNESS, STROKE
+from ehbench.plant.model import Model
+from ehbench.plant.valves import opening_over
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
 from ehbench.record import Record
 from ehbench.rig import Rig
 from ehbench.rigs.bench import BenchRig
 from ehbench.rigs.model import ModelRig
-from ehbench.simulation import Model
 from ehbench.trial import controllers
 from ehbench.trial.commands import command_table
 from ehbench.trial.controllers import Compiled, Design, located
 from ehbench.trial.loops import COMMAND, LIMITS, MARGIN, NO_LIMITS, Machine, Runner, limit_array
-from ehbench.trial.measures import edge_flows, followed, integral, step_measures, tracking_measures
+from ehbench.trial.measures import edge_flows, integral, step_measures, tracking_measures
 from ehbench.trial.motion import References, references
 from ehbench.trial.user_code import UserCode
 from ehbench.units import from_si
 
 if TYPE_CHECKING:
-    from ehbench.simulation import Maps
+    from ehbench.plant.build import Maps
 
 RUN_OUT = 0.3  # [s] logged after a stop, valves at rest
 CHUNK = 1000  # ticks between two reports of progress
@@ -314,7 +313,7 @@ class _Closed:
         c = self.design.circuit
         return tuple(
             self.design.valves[i]
-            for i in sorted({int(v) for v in c.wiring[c.first : c.first + c.count, VALVE]})
+            for i in sorted({int(v) for v in c.edges.valve[c.first : c.first + c.count]})
         )
 
     def law(self, machine: Machine) -> Compiled | UserCode:
@@ -342,7 +341,7 @@ def _measures(record: Record, closed: _Closed, machine: Machine, rows: int) -> d
             found["steps"].append(asdict(one))
     found["tracking"] = tracking_measures(t, x, record[f"{own}.x_desired"][:rows])
     found["speed_rms_error"] = float(np.sqrt(np.mean((v - record[f"{own}.v_desired"][:rows]) ** 2)))
-    force = p_head * closed.design.row[AREA_HEAD] - p_rod * closed.design.row[AREA_ROD]
+    force = p_head * closed.design.row.area_head - p_rod * closed.design.row.area_rod
     flow, source = _drawn(record, closed.design, machine)
     found["energy"] = {
         "pump": integral(t, record["p_supply"][:rows] * flow[:rows]),
@@ -362,21 +361,20 @@ def _drawn(record: Record, design: Design, machine: Machine) -> tuple[np.ndarray
     total = np.zeros(record.t.size)
     own = isinstance(machine, ModelRig)
     for e, edge in enumerate(names.edges):
-        ends = plant.wiring[e, [FROM, TO]]
+        row = plant.edges[e]
+        ends = row.from_node, row.to_node
         if 0 not in ends:
             continue
         sign = 1.0 if ends[0] == 0 else -1.0
         if own:
             total += sign * record[f"{edge}.flow"]
             continue
-        valve = int(plant.wiring[e, VALVE])
-        low, high = plant.valves[valve, [LOWEST, HIGHEST]]
-        command = np.clip(record[f"{names.valves[valve]}.command"], low, high)
-        opening = followed(command, record.sample_time, *plant.valves[valve, [STIFFNESS, DAMPING]])
+        valve = int(row.valve)
+        opening = opening_over(plant, valve, record.t, record[f"{names.valves[valve]}.command"])
         pressures = [_node(record, names.cylinders, node) for node in ends]
         drop = pressures[0] - pressures[1]
         flow = np.empty(drop.size)
-        edge_flows(drop, opening, plant.edges[e], plant.wiring[e], plant.maps, flow)
+        edge_flows(drop, opening, row, plant.maps, flow)
         total += sign * flow
     return (
         total,
@@ -400,7 +398,7 @@ def _stop_of(run: Runner, row: int) -> Stop:
     else:
         channel, value = machine.channels[entry], float(run.sample[entry])
     if which == MARGIN and value >= bound:  # then it is the far end that came too near
-        bound = float(machine.model.plant.cylinders[index, STROKE]) - bound
+        bound = float(machine.model.plant.cylinders[index].stroke) - bound
     word = channel.rsplit(".", 1)[-1]
     unit = machine.model.rig.unit_of(word)
     shown, edge = (from_si(v, unit, VOCABULARY[word]) for v in (value, bound))

@@ -17,7 +17,6 @@ import numpy as np
 
 from ehbench.control.trajectory import Reference
 from ehbench.errors import InputError
-from ehbench.plant import HIGHEST, LOWEST
 from ehbench.quantities import VOCABULARY, quantity
 from ehbench.recipe import TrialRecipe
 from ehbench.trial.controllers import Design, code_file, gains_file, quantities
@@ -62,7 +61,7 @@ class UserCode:
         self.references = references
         self.telemetry = np.zeros((len(references), len(self.channels)))
         valves = made.model.plant.valves
-        self.low, self.high = valves[:, LOWEST].copy(), valves[:, HIGHEST].copy()
+        self.low, self.high = valves.lowest.copy(), valves.highest.copy()
         self.beyond = 0
         self._commanded = {
             name: i for i, name in enumerate(made.valves) if name not in chosen.unused

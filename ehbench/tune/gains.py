@@ -18,11 +18,11 @@ import numpy as np
 from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.control.functions import HEAD, METERED, Circuit
 from ehbench.errors import InputError, InsufficientData, ModelRejected
-from ehbench.plant import BULK, STROKE
+from ehbench.plant.build import Maps
+from ehbench.plant.model import Model
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import TuneRecipe
 from ehbench.rig import Rig, read_value
-from ehbench.simulation import Maps, Model
 from ehbench.tune.linear import (
     AT_ZERO,
     Law,
@@ -410,7 +410,7 @@ def _sites(
     for payload in payloads:
         model = Model.of(rig, maps, None if payload == NONE else payload)
         cylinder = model.layout.cylinders.index(name)
-        stroke = model.plant.cylinders[cylinder, STROKE]
+        stroke = model.plant.cylinders[cylinder].stroke
         shown = equivalent(model, cylinder, np.linspace(0.0, stroke, POSTURES), recipe.posture)
         curves.append(
             Curves(
@@ -503,7 +503,9 @@ def _natural_gain(sites: Sequence[_Site]) -> float:
         volume = site.point.volume_head if head else site.point.volume_rod
         logs.append(
             math.log(
-                _swing(site) * volume / site.model.plant.cylinders[site.circuit.cylinder, BULK]
+                _swing(site)
+                * volume
+                / site.model.plant.cylinders[site.circuit.cylinder].bulk_modulus
             )
         )
     return math.exp(float(np.mean(logs)))
@@ -511,7 +513,7 @@ def _natural_gain(sites: Sequence[_Site]) -> float:
 
 def _swing(site: _Site) -> float:
     """Natural frequency [rad/s] of the mass between two shut chambers: β_e (A1²/V1 + A2²/V2)/m_eq."""
-    bulk, point = site.model.plant.cylinders[site.circuit.cylinder, BULK], site.point
+    bulk, point = site.model.plant.cylinders[site.circuit.cylinder].bulk_modulus, site.point
     return math.sqrt(
         bulk
         * (

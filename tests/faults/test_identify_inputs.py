@@ -16,9 +16,9 @@ from ehbench.errors import InputError, InsufficientData, LogError
 from ehbench.identification.hydraulics import identify_hydraulics
 from ehbench.intake import distinct_names, evened, take_in
 from ehbench.logs import write_log
+from ehbench.plant.model import Model, simulate
 from ehbench.recipe import load_recipe, load_rig
 from ehbench.record import Record
-from ehbench.simulation import Model, simulate
 from ehbench.validation import validate_rig
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"

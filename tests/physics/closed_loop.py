@@ -11,36 +11,14 @@ from numba import njit
 
 from ehbench.control import arc
 from ehbench.control.arc_gains import Adaptation, pack_arc
-from ehbench.control.axis import Chambers, Friction, Mechanism, Pins
+from ehbench.control.axis import Mechanism
 from ehbench.control.axis import axis_of as make_axis
 from ehbench.control.functions import circuit, pack_rules
 from ehbench.control.law import Site
-from ehbench.plant import (
-    AREA_HEAD,
-    AREA_ROD,
-    BULK,
-    COULOMB,
-    COULOMB_SPEED,
-    GEOMETRY,
-    HIGHEST,
-    L_A,
-    L_B,
-    LEAK_HEAD,
-    LEAK_INTERNAL,
-    LEAK_ROD,
-    LOWEST,
-    PHASE,
-    RETRACTED,
-    SIDE,
-    VISCOUS,
-    VOLUME_HEAD,
-    VOLUME_ROD,
-    derivatives,
-    workspace_size,
-)
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.integrate import STEP
 from ehbench.rigs.bench import bench_tick
 from ehbench.rigs.model import model_sample, model_tick
-from ehbench.simulation import STEP
 
 TICK = 1.0e-3
 
@@ -152,13 +130,10 @@ def axis_of(model, number, posture, measured=None):
     """The axis of a cylinder of a model, its design posture as `Model.posture` reads it."""
     plant = model.plant
     row = plant.cylinders[number]
-    return make_axis(
-        circuit_of(model, number, measured),
-        Mechanism(plant.kind, plant.gravity, plant.links, plant.joints, model.posture(posture)),
-        Pins(*row[[GEOMETRY, L_A, L_B, SIDE, PHASE, RETRACTED]]),
-        Chambers(*row[[VOLUME_HEAD, VOLUME_ROD, BULK, LEAK_INTERNAL, LEAK_HEAD, LEAK_ROD]]),
-        Friction(row[VISCOUS], row[COULOMB], COULOMB_SPEED),
+    mechanism = Mechanism(
+        plant.kind, plant.gravity, plant.links, plant.cylinders.joint, model.posture(posture)
     )
+    return make_axis(circuit_of(model, number, measured), mechanism, row)
 
 
 def valve_lag(model, number):

@@ -25,13 +25,13 @@ from ehbench.control import arc
 from ehbench.control.axis import inertias, load_at, reference_load
 from ehbench.control.trajectory import point_to_point, there_and_back
 from ehbench.errors import InputError
+from ehbench.parts.cylinder import linkage_of
 from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
-from ehbench.physics.cylinder import linkage
+from ehbench.plant.model import Model
 from ehbench.quantities import quantity
 from ehbench.recipe import load_rig
 from ehbench.rig import Value
 from ehbench.rigs.bench import BenchRig
-from ehbench.simulation import Model
 
 sys.path.append(str(Path(__file__).parent))
 from closed_loop import TICK, axis_of, gains_of, run_bench, run_model  # noqa: E402
@@ -314,12 +314,12 @@ def test_a_point_mass_at_the_tip_is_what_the_regressors_say(rig):
     """
     design = Model.of(load_rig(RIGS / f"{rig}.toml"))
     ax = axis_of(design, len(design.layout.cylinders) // 2, {})
-    n, j = len(design.layout.joints), ax.joint
+    n, j = len(design.layout.joints), ax.cylinder.joint
     q = ax.mechanism.posture + 0.1
     mass, torque, work = np.zeros((n, n)), np.zeros(n), np.zeros(work_size(n) + n)
     links = ax.mechanism.links.copy()
     links[-1, 5:15] += 7.0 * ax.tip[-1, 5:15]
-    _, lever, _ = linkage(*ax.pins, q[j])
+    _, lever, _ = linkage_of(ax.cylinder, q[j])
     heavy = []
     for rows in (ax.mechanism.links, links):
         mass_matrix(ax.mechanism.kind, rows, q, mass, work)

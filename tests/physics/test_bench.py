@@ -11,14 +11,14 @@ import pytest
 from ehbench.datasets import main, make
 from ehbench.errors import InputError
 from ehbench.logs import write_log
+from ehbench.parts.cylinder import linkage_arrays
 from ehbench.physics.arm import energy, work_size
-from ehbench.plant import AREA_HEAD, AREA_ROD
+from ehbench.plant.model import Model
 from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
 from ehbench.rig import Value
 from ehbench.rigs.bench import ATMOSPHERE, BenchRig, bulk, play
 from ehbench.rigs.bench import _follow as follow
 from ehbench.rigs.bench import _speed_filter as speed_filter
-from ehbench.simulation import Model, linkage_arrays
 from ehbench.trial import run_trial
 
 ROOT = Path(__file__).parents[2]

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ehbench.simulation import Model
 
 from ehbench.codes import ESTIMATES, FROZEN, FUNCTIONS, SATURATED
 from ehbench.control import pressure_feedback as pf
@@ -19,7 +20,6 @@ from ehbench.errors import InputError
 from ehbench.quantities import quantity
 from ehbench.recipe import TrialRecipe, TrialSetRecipe, load_rig
 from ehbench.rigs.model import sample_channels
-from ehbench.simulation import Model
 from ehbench.trial import RUN_OUT, Case, controllers, run_cases, run_trial, table_csv, table_rows
 from ehbench.trial import run as running
 from ehbench.trial.motion import full_speed

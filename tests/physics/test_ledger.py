@@ -24,23 +24,14 @@ from ehbench.ledger import (
     noise_of,
     travels,
 )
+from ehbench.parts.cylinder import linkage_arrays
 from ehbench.physics.flow_map import FlowMap, ValveMaps, root_drop
 from ehbench.physics.friction import stribeck
-from ehbench.plant import (
-    AREA_HEAD,
-    AREA_ROD,
-    COULOMB,
-    LEAK_HEAD,
-    LEAK_INTERNAL,
-    LEAK_ROD,
-    STROKE,
-    VISCOUS,
-)
+from ehbench.plant.model import Model
 from ehbench.recipe import TrialRecipe, load_recipe, load_rig
 from ehbench.record import Record
 from ehbench.rig import Rig, Value
 from ehbench.rigs.bench import CREEP, STATIC, STRIBECK_SPEED, BenchRig
-from ehbench.simulation import Model, linkage_arrays
 from ehbench.trial import run_trial
 
 ROOT = Path(__file__).parents[2]

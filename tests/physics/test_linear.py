@@ -18,23 +18,10 @@ from ehbench.control.records import blank
 from ehbench.errors import InputError
 from ehbench.physics import arm
 from ehbench.physics.cylinder import joint_angle
-from ehbench.plant import (
-    AREA_HEAD,
-    AREA_ROD,
-    BULK,
-    GEOMETRY,
-    L_A,
-    L_B,
-    PHASE,
-    RETRACTED,
-    SIDE,
-    STROKE,
-    derivatives,
-    workspace_size,
-)
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
 from ehbench.rigs.model import model_sample, model_tick
-from ehbench.simulation import Model
 from ehbench.tune.linear import (
     Law,
     circuit_of,

@@ -12,31 +12,15 @@ import pytest
 from scipy.linalg import eigh
 
 from ehbench import signals
+from ehbench.parts.cylinder import RELIEF_GAIN, linkage_arrays
 from ehbench.physics import arm
 from ehbench.physics.cylinder import CAVITATION_BAND, makeup_flow, relief_flow
-from ehbench.physics.metering import FROM, TO
-from ehbench.plant import (
-    AREA_HEAD,
-    AREA_ROD,
-    BULK,
-    FLOOR,
-    LEAK_HEAD,
-    LEAK_INTERNAL,
-    LEAK_ROD,
-    RELIEF,
-    RELIEF_GAIN,
-    STOP,
-    STROKE,
-    VISCOUS,
-    VOLUME_HEAD,
-    VOLUME_ROD,
-    build,
-    derivatives,
-    workspace_size,
-)
+from ehbench.plant.build import build
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.integrate import rk4
+from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
 from ehbench.rig import Rig, Slide, Value
-from ehbench.simulation import Model, linkage_arrays, rk4
 
 RIGS = sorted((Path(__file__).parents[2] / "recipes" / "rigs").glob("*.toml"))
 LEAK = 2.0e-13  # [m³/(s·Pa)]: 1.2 mL/min/bar, a worn cylinder

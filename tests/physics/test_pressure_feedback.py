@@ -15,23 +15,14 @@ from ehbench import codes
 from ehbench.control import functions as fn
 from ehbench.control import pressure_feedback as pf
 from ehbench.control import trajectory as tr
-from ehbench.control.measured import entries
+from ehbench.control.measured import pressure_entries
 from ehbench.control.records import blank
 from ehbench.errors import InputError
-from ehbench.plant import (
-    AREA_HEAD,
-    AREA_ROD,
-    BULK,
-    HIGHEST,
-    LOWEST,
-    VOLUME_HEAD,
-    VOLUME_ROD,
-    workspace_size,
-)
+from ehbench.plant.integrate import rk4
+from ehbench.plant.model import Model
 from ehbench.quantities import quantity
 from ehbench.recipe import load_rig
 from ehbench.rigs.model import model_sample, sample_channels
-from ehbench.simulation import Model, rk4
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 TICK = 1e-3
@@ -119,9 +110,10 @@ class Trial:
             self.notes,
             self.commands,
         )
-        at = entries(self.index)
-        self.x, self.v = self.samples[:, at.x], self.samples[:, at.v]
-        self.p_head, self.p_rod = self.samples[:, at.p_head], self.samples[:, at.p_rod]
+        self.x, self.v, self.p_head, self.p_rod = (
+            self.samples[:, entry(self.index, channel)]
+            for channel in (OF.x, OF.v, OF.p_head, OF.p_rod)
+        )
 
     def note(self, name: str) -> np.ndarray:
         return self.notes[:, COLUMN[name]]
@@ -257,8 +249,8 @@ class Alone:
 
     def tick(self, v_d, p_head, p_rod, p_supply=7e6, p_tank=0.0):
         sample = np.full(20, np.nan)
-        at = entries(self.circuit.cylinder)
-        sample[[at.p_head, at.p_rod, at.p_supply, at.p_tank]] = p_head, p_rod, p_supply, p_tank
+        at = pressure_entries(self.circuit.cylinder, sample.size)
+        sample[at] = p_head, p_rod, p_supply, p_tank
         pf.step(
             0.0,
             sample,

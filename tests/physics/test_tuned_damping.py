@@ -14,10 +14,9 @@ from ehbench.control import pressure_feedback as pf
 from ehbench.control.functions import pack_rules
 from ehbench.control.records import blank
 from ehbench.physics.cylinder import linkage
-from ehbench.plant import GEOMETRY, L_A, L_B, PHASE, RETRACTED, SIDE, workspace_size
+from ehbench.plant.model import Model
 from ehbench.recipe import TuneRecipe, load_rig
 from ehbench.rigs.model import model_sample, model_tick
-from ehbench.simulation import Model
 from ehbench.tune.gains import NONE, tune_pressure_feedback
 from ehbench.tune.linear import circuit_of, state_of
 

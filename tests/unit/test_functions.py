@@ -12,18 +12,8 @@ from ehbench import codes
 from ehbench.control import functions as fn
 from ehbench.control.measured import Pressures
 from ehbench.errors import InputError
-from ehbench.physics.metering import (
-    COMPENSATED,
-    DEADBAND,
-    DROP,
-    EDGE_FLOATS,
-    EDGE_INTS,
-    GAIN,
-    LAW,
-    ORIFICE,
-    SIGN,
-)
-from ehbench.plant import AREA_HEAD, AREA_ROD, HIGHEST, LOWEST, build
+from ehbench.parts.edge import COMPENSATED, ORIFICE
+from ehbench.plant.build import build
 from ehbench.recipe import load_rig
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"

@@ -14,9 +14,9 @@ from ehbench import codes
 from ehbench.control import functions as fn
 from ehbench.control import valve_level as vl
 from ehbench.control.measured import Pressures
+from ehbench.parts.edge import edge_flow
 from ehbench.physics.flow_map import FlowMap, ValveMaps
-from ehbench.physics.metering import FROM, SIGN, TO, VALVE, edge_flow
-from ehbench.plant import AREA_HEAD, AREA_ROD, HIGHEST, LOWEST, build
+from ehbench.plant.build import build
 from ehbench.recipe import load_rig
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
