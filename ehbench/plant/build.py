@@ -21,7 +21,7 @@ from ehbench.parts.valve import ELEMENT, VALVE
 from ehbench.physics import arm
 from ehbench.physics.cylinder import DIRECT, PINS
 from ehbench.physics.flow_map import FlowMap, ValveMaps, pack
-from ehbench.plant.layout import SIDES, Layout, Offsets
+from ehbench.plant.layout import SIDES, Layout, Offsets, layout
 from ehbench.rig import Chain, Edge, Rig, Slide, Valve
 
 Maps = Mapping[str, ValveMaps]
@@ -65,18 +65,18 @@ class Plant(NamedTuple):
         return self._replace(supply=line[0], nodes=nodes)
 
 
-def build(rig: Rig, names: Layout, maps: Maps | None = None) -> Plant:
+def build(rig: Rig, maps: Maps | None = None) -> Plant:
     """The compiled form of a rig.
 
     Args:
         rig: with its payload already applied (``rig.with_payload``).
-        names: its layout.
         maps: measured flow maps by edge name (``edge`` or ``cylinder.edge``); they replace the
             edge's analytic law.
 
     Raises:
         InputError: an edge asks for a map that is not given.
     """
+    names = layout(rig)
     kind, links, up = _mechanism(rig)
     edge_rows, data = _edges(rig, names, maps or {})
     valve_rows, elements = _valves(rig, names)

@@ -671,6 +671,7 @@ class BenchRig:
         self.bench = _build(recipe, self.model, 1.0 / self.rate)
         self.steps = max(1, round(1.0 / (self.rate * step)))
         self._scratch = scratch_of(self.bench)
+        self.size = self.bench.at.states
         self.state = np.zeros(self.bench.at.size)
         self._noise = np.random.default_rng([seed, crc32(b"noise")])
 

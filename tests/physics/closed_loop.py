@@ -15,6 +15,8 @@ from ehbench.control.axis import Mechanism
 from ehbench.control.axis import axis_of as make_axis
 from ehbench.control.functions import circuit, pack_rules
 from ehbench.control.law import Site
+from ehbench.parts.sample import sample_size
+from ehbench.parts.valve import valve_lag as lag_of
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import STEP
 from ehbench.rigs.bench import bench_tick
@@ -43,9 +45,8 @@ def on_model(
     """Run a controller on the model; a channel with ``mask`` False is NaN in what the controller
     gets.
     """
-    size, ne = y.shape[0], plant.edges.shape[0]
-    k = np.empty((5, size))
-    work = np.empty(workspace_size(plant.links.shape[0], plant.cylinders.shape[0], ne))
+    k = np.empty((5, y.shape[0]))
+    work = np.empty(plant.at.work)
     sample, given = np.empty(log.shape[1]), np.empty(log.shape[1])
     model_sample(y, plant, sample)
     for i in range(reference.shape[0]):
@@ -54,7 +55,7 @@ def on_model(
         arc.step(i * tick, given, reference[i], design, gains, memory, command, telemetry[i])
         log[i], commands[i] = sample, command
         derivatives(y, command, plant, k[0], work)
-        flows[i] = work[work.shape[0] - ne - 1 :]
+        flows[i] = work[plant.at.flow :]
         model_tick(y, command, plant, tick, steps, k, work, sample)
 
 
@@ -72,7 +73,6 @@ def on_bench(
     tick,
     steps,
     scratch,
-    work,
     noise,
     log,
     telemetry,
@@ -92,7 +92,7 @@ def on_bench(
             state[: log.shape[1] - channels],
             command,
         )
-        bench_tick(state, command, bench, tick, steps, scratch, work, noise[i], sample)
+        bench_tick(state, command, bench, tick, steps, scratch, noise[i], sample)
 
 
 @dataclass
@@ -116,12 +116,11 @@ def circuit_of(model, number, measured=None):
     row = plant.cylinders[number]
     return circuit(
         number,
-        row[AREA_HEAD],
-        row[AREA_ROD],
+        row.area_head,
+        row.area_rod,
         plant.edges,
-        plant.wiring,
         plant.maps,
-        plant.valves[:, [LOWEST, HIGHEST]],
+        np.column_stack([plant.valves.lowest, plant.valves.highest]),
         measured,
     )
 
@@ -129,22 +128,21 @@ def circuit_of(model, number, measured=None):
 def axis_of(model, number, posture, measured=None):
     """The axis of a cylinder of a model, its design posture as `Model.posture` reads it."""
     plant = model.plant
-    row = plant.cylinders[number]
     mechanism = Mechanism(
         plant.kind, plant.gravity, plant.links, plant.cylinders.joint, model.posture(posture)
     )
-    return make_axis(circuit_of(model, number, measured), mechanism, row)
+    return make_axis(circuit_of(model, number, measured), mechanism, plant.cylinders[number])
 
 
 def valve_lag(model, number):
     """Lag 2ζ/ω_n [s] of the slowest valve of a cylinder."""
     name = model.layout.cylinders[number]
     rows = [
-        r
-        for r, v in zip(model.plant.valves, model.layout.valves, strict=True)
-        if v.startswith(name + ".")
+        row
+        for row, valve in zip(model.plant.valves, model.layout.valves, strict=True)
+        if valve.startswith(name + ".")
     ]
-    return max(float(r[1] / r[0]) if r[0] else 0.0 for r in rows)
+    return max(lag_of(row, model.plant) for row in rows)
 
 
 def gains_of(model, ax, seventh=False, rules=None, gains=None, **options):
@@ -152,11 +150,13 @@ def gains_of(model, ax, seventh=False, rules=None, gains=None, **options):
     does not know.
     """
     supply = model.plant.supply
-    packed = pack_rules(ax.circuit.area_rod, supply[0], allow_seventh=seventh, **(rules or {}))
+    packed = pack_rules(
+        ax.circuit.area_rod, supply.pressure, allow_seventh=seventh, **(rules or {})
+    )
     site = {
         "tick": TICK,
-        "supply_pressure": supply[0],
-        "flow_limit": supply[2],
+        "supply_pressure": supply.pressure,
+        "flow_limit": supply.flow_limit,
         "valve_lag": valve_lag(model, ax.circuit.cylinder),
     }
     site |= {name: options.pop(name) for name in site if name in options}
@@ -184,7 +184,7 @@ def run_model(model, ax, gains, reference, posture=None, mask=None, memory=None)
     """
     y = model.trim(model.posture(posture))
     telemetry, names, commands, command = _arrays(model, ax, reference)
-    channels = 6 * len(model.layout.cylinders) + 2
+    channels = sample_size(len(model.layout.cylinders))
     log = np.zeros((len(reference), channels))
     memory = arc.memory_of(ax) if memory is None else memory
     flows, tick = np.zeros((len(reference), len(model.layout.edges) + 1)), float(gains.tick)
@@ -235,7 +235,6 @@ def run_bench(rig, model, ax, gains, reference, posture=None):
         TICK,
         rig.steps,
         rig._scratch,
-        rig._work,
         rig.noise(len(reference)),
         log,
         telemetry,

@@ -26,7 +26,7 @@ from ehbench.control.axis import inertias, load_at, reference_load
 from ehbench.control.trajectory import point_to_point, there_and_back
 from ehbench.errors import InputError
 from ehbench.parts.cylinder import linkage_of
-from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
+from ehbench.physics.arm import LINK, gravity_torque, mass_matrix, work_size
 from ehbench.plant.model import Model
 from ehbench.quantities import quantity
 from ehbench.recipe import load_rig
@@ -318,7 +318,8 @@ def test_a_point_mass_at_the_tip_is_what_the_regressors_say(rig):
     q = ax.mechanism.posture + 0.1
     mass, torque, work = np.zeros((n, n)), np.zeros(n), np.zeros(work_size(n) + n)
     links = ax.mechanism.links.copy()
-    links[-1, 5:15] += 7.0 * ax.tip[-1, 5:15]
+    for name in LINK.names[LINK.names.index("mass") : LINK.names.index("damping")]:
+        links[name][-1] += 7.0 * ax.tip[name][-1]
     _, lever, _ = linkage_of(ax.cylinder, q[j])
     heavy = []
     for rows in (ax.mechanism.links, links):
@@ -346,7 +347,7 @@ def test_tracks_with_the_payload_unknown(payload, quick):
     assert np.abs(error[-200:]).max() < RESOLUTION
     # the joint's encoder has 4096 counts a turn
     q_end = run.log[-1, 6]
-    lever = linkage(int(thesis()[2].pins[0]), *thesis()[2].pins[1:], q_end)[1]
+    lever = linkage_of(thesis()[2].cylinder, q_end)[1]
     assert abs(error[-1] / lever) < 2 * np.pi / 4096
     inside_bounds(run, gains_of(thesis()[1], thesis()[2]))
     # 50 lb: 24.55 kg more than the bare stick, its centre 57 mm beyond the tip, where the law looks

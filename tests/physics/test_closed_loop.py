@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ehbench.simulation import Model
 
 from ehbench.codes import ESTIMATES, FROZEN, FUNCTIONS, SATURATED
 from ehbench.control import pressure_feedback as pf
 from ehbench.control.arc_gains import GAIN_NAMES
 from ehbench.control.functions import PATH_FLOWS, RULES
 from ehbench.errors import InputError
+from ehbench.plant.model import Model
 from ehbench.quantities import quantity
 from ehbench.recipe import TrialRecipe, TrialSetRecipe, load_rig
 from ehbench.rigs.model import sample_channels
@@ -208,7 +208,7 @@ def test_a_log_of_the_bench_has_what_a_machine_measures_the_commands_and_the_not
     record, _ = run_trial(ARM, recipe(law, on="bench", bench=BENCH, duration="0.1 s"))
     layout, notes = closed_layout(), closed(recipe(law)).channels
     assert set(record.channels) == {
-        *sample_channels(layout),
+        *sample_channels(layout.cylinders),
         *(f"{valve}.command" for valve in layout.valves),
         *notes,
     }
@@ -372,7 +372,7 @@ def test_a_built_in_law_is_given_its_channels_only(law, given, on, monkeypatch):
         lambda self, first, stop, law=None: seen.append(law) or go(self, first, stop, law),
     )
     record, _ = run_trial(ARM, recipe(law, on=on, payload="50 lb"))
-    names = sample_channels(closed_layout())
+    names = sample_channels(closed_layout().cylinders)
     last = seen[-1].controller.given
     assert {name for name, value in zip(names, last, strict=True) if not math.isnan(value)} == given
     assert all(np.isfinite(values).all() for values in record.channels.values())

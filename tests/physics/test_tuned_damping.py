@@ -13,7 +13,7 @@ from ehbench.codes import FUNCTIONS
 from ehbench.control import pressure_feedback as pf
 from ehbench.control.functions import pack_rules
 from ehbench.control.records import blank
-from ehbench.physics.cylinder import linkage
+from ehbench.parts.cylinder import linkage_of
 from ehbench.plant.model import Model
 from ehbench.recipe import TuneRecipe, load_rig
 from ehbench.rigs.model import model_sample, model_tick
@@ -67,11 +67,7 @@ class Running:
         for name, ends in zip(pf.END.names, (self.memory + push[size:]).reshape(3, 2), strict=True):
             memory.ends[name] = ends
         k, sample = np.empty((5, size)), np.empty(6 * len(self.layout.cylinders) + 2)
-        work = np.empty(
-            workspace_size(
-                len(self.layout.joints), len(self.layout.cylinders), len(self.layout.edges)
-            )
-        )
+        work = np.empty(self.plant.at.work)
         model_sample(y, self.plant, sample)
         for i in range(ticks):
             pf.step(
@@ -94,12 +90,10 @@ class Running:
         """
         row, j, n = (
             self.plant.cylinders[self.index],
-            int(self.plant.joints[self.index]),
+            int(self.plant.cylinders[self.index].joint),
             len(self.layout.joints),
         )
-        _, lever, curve = linkage(
-            int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]], y[j]
-        )
+        _, lever, curve = linkage_of(row, y[j])
         turn = np.eye(y.size)
         turn[j, j] = turn[n + j, n + j] = lever
         turn[n + j, j] = curve * y[n + j]
@@ -122,7 +116,11 @@ class Running:
         )
         grown, right = np.linalg.eig(matrix)
         part = np.abs(np.linalg.pinv(right).T * right)
-        layout, j, n = self.layout, int(self.plant.joints[self.index]), len(self.layout.joints)
+        layout, j, n = (
+            self.layout,
+            int(self.plant.cylinders[self.index].joint),
+            len(self.layout.joints),
+        )
         own = [j, n + j, layout.state("p_head", self.index), layout.state("p_rod", self.index)]
         for i, valve in enumerate(layout.valves):
             if valve.startswith(self.point.cylinder + "."):
