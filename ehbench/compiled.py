@@ -1,12 +1,10 @@
 """How the hot functions are compiled: one decorator for the laws, the plant and the integrator, one
-cache for their code.
+for loops that allocate, one cache for their code.
 """
 
 from __future__ import annotations
 
 import hashlib
-import shutil
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,13 +14,46 @@ import numpy as np
 from numba.extending import overload
 
 PACKAGE = Path(__file__).resolve().parent
+_MARKS = (b"njit", b"@kernel", b"@allocating_kernel", b"choice(", b"Generic(")
+
+
+def _cache_folder() -> Path:
+    """A cache for these very sources: numba looks only at a function's own file, and would keep
+    what it inlined of others.
+    """
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in sorted(PACKAGE.rglob("*.py")):
+        content = path.read_bytes()
+        if any(mark in content for mark in _MARKS):
+            digest.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0" + content)
+    return PACKAGE / "__pycache__" / f"kernels_{digest.hexdigest()[:12]}"
+
+
+def _compiler(folder: Path, **options: Any) -> Callable[[Callable], Any]:
+    """A decorator that compiles when first called and keeps the code in ``folder``.
+
+    numba reads where to keep code when it wraps a function, and from its global settings only;
+    they are as before once the function is wrapped.
+    """
+
+    def compiled(function: Callable) -> Any:
+        before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
+        try:
+            return numba.njit(cache=True, **options)(function)
+        finally:
+            numba.config.CACHE_DIR = before
+
+    return compiled
+
+
+_FOLDER = _cache_folder()
 
 # Without numba's reference counting a kernel cannot allocate (the compiler refuses it), and passing
-# rows and slices of
-# arrays from kernel to kernel costs nothing: 1.4 times as fast a plant. Arguments are the caller's,
-# who holds them.
+# rows and slices of arrays costs nothing: 1.4 times as fast a plant. Arguments are the caller's.
 OPTIONS = {"nogil": True, "error_model": "numpy", "_nrt": False}
-kernel = numba.njit(cache=True, **OPTIONS)
+kernel = _compiler(_FOLDER, **OPTIONS)
+
+allocating_kernel = _compiler(_FOLDER, nogil=True)
 
 # for what is made at import, which no cache can find again: it goes into the code of its callers
 inlined = numba.njit(**OPTIONS)
@@ -96,31 +127,3 @@ def record(*columns: tuple[str, str]) -> np.dtype:
 def table(rows: int, layout: np.dtype) -> np.recarray:
     """A table of rows of a layout, all zero; ``table[i].field`` reads in kernels and in Python."""
     return np.zeros(rows, layout).view(np.recarray)
-
-
-def _cache_folder() -> Path:
-    """A cache for these very sources: numba looks only at a function's own file, and would keep
-    what it inlined of others.
-    """
-    digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(PACKAGE.rglob("*.py")):
-        content = path.read_bytes()
-        if any(word in content for word in (b"njit", b"@kernel", b"choice(", b"Generic(")):
-            digest.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0" + content)
-    return PACKAGE / "__pycache__" / f"kernels_{digest.hexdigest()[:12]}"
-
-
-def _use_cache() -> None:
-    """Point numba to the cache; those of other sources go when a day old, as another process may
-    still work with them.
-    """
-    folder = _cache_folder()
-    if not folder.is_dir():
-        for old in folder.parent.glob("kernels_*"):
-            if time.time() - old.stat().st_mtime > 86400:
-                shutil.rmtree(old, ignore_errors=True)
-    numba.config.CACHE_DIR = str(folder)
-
-
-if not numba.config.CACHE_DIR:
-    _use_cache()

@@ -14,8 +14,10 @@ from zlib import crc32
 
 import numpy as np
 
+from ehbench.blas import one_thread
 from ehbench.errors import EhbenchError, InputError
 from ehbench.logs import write_log
+from ehbench.machines.virtual import VirtualMachine
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import (
     BenchRecipe,
@@ -27,7 +29,6 @@ from ehbench.recipe import (
     load_rig,
 )
 from ehbench.rig import Rig, read_value
-from ehbench.rigs.bench import BenchRig
 from ehbench.trial import run_trial
 from ehbench.units import from_si
 
@@ -37,7 +38,9 @@ def seed_of(seed: int, name: str) -> int:
     return crc32(f"{seed} {name}".encode()) & 0x7FFFFFFF
 
 
-def flowmeter_csv(bench: BenchRig, plan: Flowmeter, edge: str, reverse: bool, seed: int) -> str:
+def flowmeter_csv(
+    bench: VirtualMachine, plan: Flowmeter, edge: str, reverse: bool, seed: int
+) -> str:
     """The readings of one edge in one direction as the text of a CSV file.
 
     A needle valve sets each drop anew for every trial; the command comes up from rest. The turbine
@@ -127,6 +130,7 @@ def _log(recipe: DatasetRecipe, rig: Rig, item: DatasetLog, path: Path) -> None:
     write_log(path, record)
 
 
+@one_thread()
 def make(path: Path, out: Path) -> Path:
     """Record the dataset of a recipe file into ``out/<its stem>`` (replaced when whole); returns
     that folder.
@@ -151,7 +155,7 @@ def make(path: Path, out: Path) -> Path:
     try:
         rows = []
         if recipe.flowmeter is not None:
-            still = BenchRig(rig, bench)
+            still = VirtualMachine(rig, bench)
             for edge in recipe.flowmeter.edges:
                 both = edge in recipe.flowmeter.reverse
                 for reverse in (False, True) if both else (False,):

@@ -541,12 +541,9 @@ class _Look:
         Raises:
             EhbenchError: what the run would refuse before it begins.
         """
-        import numpy as np
-
         from ehbench import trial
-        from ehbench.trial import controllers, run
-        from ehbench.trial.loops import Runner, limit_array
-        from ehbench.trial.motion import References, references
+        from ehbench.machines.protocol import truth_of
+        from ehbench.trial import controllers
 
         for name in (
             recipe.bench,
@@ -556,76 +553,31 @@ class _Look:
             if name:
                 found.say("reads", name)
                 workflow.existing(recipe, name)
-        rig, rate, posture, timed, closed = (
-            machine.rig,
-            float(recipe.rate),
-            recipe.posture,
-            True,
-            None,
-        )
+        tuning, motion = None, recipe.motion
         if recipe.controller is not None:
-            made = controllers.design(recipe, rig, machine.flow_maps)
+            made = controllers.design(recipe, machine.rig, machine.flow_maps)
             tuning = self._gains(recipe, made.cylinder, found)
-            low = controllers.low_pressure(recipe, rig, tuning)
-            motion = recipe.motion
-            if (
-                blind
-                and motion is not None
-                and motion.full_speed is None
-                and any("%" in level for level in motion.levels)
-            ):
-                timed, wanted = False, References(np.tile([made.x, 0.0, 0.0, 0.0], (2, 1)))
-                found.say(
-                    "open",
-                    "whether the motion stays in the stroke: its speeds are shares of what the flow maps allow",
-                )
-            else:
-                wanted = references(recipe, made, low)
-            closed = run._Closed(
-                recipe, made, wanted, tuning, float(rig.supply.tank_pressure) + low
+        shares = motion is not None and any("%" in level for level in motion.levels)
+        blind = blind and shares and motion.full_speed is None
+        if blind:
+            found.say(
+                "open",
+                "whether the motion stays in the stroke: its speeds are shares of what the flow "
+                "maps allow",
             )
-            posture = controllers.posture_of(recipe, made.cylinder)
-        count = (
-            round(float(recipe.duration) * rate) + 1
-            if closed is None
-            else len(closed.references.table)
-        )
-        if count < 2:
-            raise InputError(
-                "the trial is shorter than one sample",
-                **recipe.at("duration"),
-                hint="raise duration or rate",
-            )
-        t = np.arange(count) / rate
-        table = trial.command_table(recipe, rig, t, closed.valves if closed else ())
-        runs_on = run._machine(rig, recipe, machine.flow_maps)
-        with controllers.located(recipe, "posture"):
-            runs_on.model.posture(posture)
-        if recipe.on == "model":
-            sample = runs_on.start(posture, low_side=closed.low_side if closed else None)
-            first = Runner(runs_on, sample, t[:1], table[:1], limit_array(recipe.limits))
-            if first.reached(0):
-                reached = run._stop_of(first, 0)
-                where = recipe.at("limits", reached.limit)
-                raise InputError(
-                    "the trial cannot start: " + reached.sentence,
-                    **where,
-                    hint="change the posture or the limit",
-                )
-        elif recipe.limits != type(recipe.limits)():
+        prepared = trial.prepare(recipe, machine.rig, machine.flow_maps, tuning, True, blind)
+        if truth_of(prepared.machine) is None and recipe.limits != type(recipe.limits)():
             found.say(
                 "open", "whether a limit is reached at the start: the virtual bench settles first"
             )
-        if closed is not None and recipe.controller.code is None:
-            closed.law(runs_on)
-        elif closed is not None:
+        if recipe.controller is not None and recipe.controller.code is not None:
             found.say("reads", _shown_path(recipe, trial.code_file(recipe)))
             found.say(
                 "notes",
                 f"'{recipe.controller.code}' is Python code: it runs only with --allow-code",
             )
             found.say("open", f"what '{recipe.controller.code}' does: code is not run here")
-        return (count - 1) / rate if timed else None
+        return None if blind else prepared.duration
 
     def _gains(self, recipe: TrialRecipe, cylinder: str, found: _Found) -> dict[str, Any] | None:
         """What the tune run says that a recipe names; of one that has not been run only what its
@@ -694,11 +646,11 @@ class _Look:
         found.does = f"runs {_count(recipe.recipes, 'recipe')} in order; those that stand are kept"
 
     def _bench(self, recipe: BenchRecipe, found: _Found) -> None:
-        from ehbench.trial import run
+        from ehbench.machines.registry import open_machine
 
         rig = load_rig(workflow.existing(recipe, recipe.rig))
         own = {"on": "bench", "bench": recipe.path.name, "rig": recipe.rig, "path": recipe.path}
-        run._machine(rig, TrialRecipe(stage="trial", duration=Value(1.0), **own), None)
+        open_machine(TrialRecipe(stage="trial", duration=Value(1.0), **own), rig)
         found.reads.append(f"{recipe.rig} (rig '{rig.name}')")
         found.does = 'is a virtual bench for trials with on = "bench"'
 

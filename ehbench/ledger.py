@@ -14,10 +14,9 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
-from ehbench.compiled import kernel
+from ehbench.compiled import allocating_kernel, kernel
 from ehbench.errors import InputError, InsufficientData, LogError
 from ehbench.parts.cylinder import (
     chamber_inflow,
@@ -42,8 +41,8 @@ from ehbench.plant.model import Model
 from ehbench.plant.valves import follow_valves, opening_of
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
+from ehbench.terms import Z95
 
-Z95 = 1.959964
 GROUPS = ("supply", "valve", "loss", "store", "load", "residual", "cylinder", "part")
 FOLLOWS = 1.0e-2  # share of a state's range that a tick of the model may miss the next sample by
 SETTLED_TRAVEL = 0.005  # share of the stroke below which a motion to and fro is no travel
@@ -191,7 +190,7 @@ def stores(y, plant, work, out):
 # ---------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel
 def _integrate(t, states, commands, plant, owner, step, flows, energies, ends):
     """Integrate each tick anew from its logged state with the plant's own kernel, and the powers
     with it by Simpson's rule.
@@ -231,7 +230,7 @@ def _integrate(t, states, commands, plant, owner, step, flows, energies, ends):
         ends[i] = y
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel
 def _flows_at(states, commands, tank, plant, flows):
     """Edge flows and the pump's at given states; ``tank`` [Pa] is written into the plant's nodes as
     it goes along.
@@ -244,14 +243,14 @@ def _flows_at(states, commands, tank, plant, flows):
         flows[i] = work[plant.at.flow :]
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel
 def _powers_at(states, flows, tank, plant, owner, out):
     for i in range(states.shape[0]):
         plant.nodes[TANK].pressure = tank[i]
         powers(states[i], flows[i], plant, owner, out[i])
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel
 def _stores_at(states, plant, out):
     work = np.empty(arm.work_size(plant.links.shape[0]))
     for i in range(states.shape[0]):
@@ -288,7 +287,8 @@ class Ledger:
     cylinder and by the working function that its controller logged, the energies [J] of the rows
     while that function was at work; they add up to the rows. ``series`` holds cumulated energies
     [J] by row at times ``t`` [s], if asked for; ``sources`` the standard error [J] that each source
-    of doubt gives to the residual; ``notes`` what had to be assumed."""
+    of doubt gives to the residual; ``notes`` what had to be assumed; ``oil_drawn`` [m³] what all
+    edges took from the supply."""
 
     source: str
     rig: str
@@ -300,6 +300,7 @@ class Ledger:
     functions: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
     t: np.ndarray | None = None
     series: dict[str, np.ndarray] = field(default_factory=dict)
+    oil_drawn: float = 0.0
 
     def __getitem__(self, name: str) -> Row:
         """The row of that name.
@@ -549,6 +550,16 @@ def _function(record: Record, cylinder: str) -> np.ndarray | None:
     )
 
 
+def _oil_drawn(model: Model, t: np.ndarray, flows: np.ndarray) -> float:
+    """Oil [m³] that the edges took from the supply, by trapezes of their flows, shape (samples,
+    edges + 1).
+    """
+    sign, edges = np.zeros(flows.shape[1]), model.plant.edges
+    sign[:-1] = 1.0 * (edges.from_node == SUPPLY) - 1.0 * (edges.to_node == SUPPLY)
+    drawn = flows @ sign
+    return float(np.sum(0.5 * (drawn[1:] + drawn[:-1]) * np.diff(t)))
+
+
 def _check(record: Record) -> None:
     if record.t.size < 2:
         raise LogError(
@@ -635,7 +646,7 @@ def ledger_of_model(
     held = np.empty((t.size, sheet.stores))
     _stores_at(states, plant, held)
     table = sheet.expand(np.concatenate([spent, held - held[0]], axis=1))
-    told = sheet.told(record, table, points)
+    told = sheet.told(record, table, points) | {"oil_drawn": _oil_drawn(model, t, flows)}
     return sheet.ledger(
         model, record, _held_payload(model, record), table[-1], None, notes=tuple(notes), **told
     )
@@ -995,6 +1006,7 @@ def ledger_of_log(
     sources = dict(sorted(sources.items(), key=lambda item: -item[1]))
     every = np.arange(readings.t.size)
     told = sheet.told(record, account.energies(model, readings, states, power, every), points)
+    told |= {"oil_drawn": _oil_drawn(model, readings.t, flows)}
     return sheet.ledger(
         model, record, payload, base, std, sources=sources, notes=tuple(notes), **told
     )

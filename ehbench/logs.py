@@ -111,9 +111,10 @@ class LogWriter:
     read.
 
     Finished chunks are flushed and synced to disk every ``sync`` seconds of wall time;
-    ``sync=None`` leaves that to the end, and then the bytes depend on the samples alone. Use it as
-    a context manager: leaving the block, also by an exception, writes the index. A file that exists
-    is never overwritten.
+    ``sync=None`` leaves that to the end, and then the bytes depend on the samples alone; ``cut``
+    says whether a sync ended a chunk before it was full, so that they do not. Use it as a context
+    manager: leaving the block, also by an exception, writes the index. A file that exists is never
+    overwritten.
 
     Args:
         path: the file to make.
@@ -161,6 +162,7 @@ class LogWriter:
         self._indexes: list[McapRecord] = []
         self._chunks: list[McapRecord] = []
         self._span: tuple[int, int] | None = None
+        self.cut = False
         self._new_chunk()
         try:
             self._file = open(self.path, "xb")  # noqa: SIM115
@@ -321,6 +323,7 @@ class LogWriter:
 
     def flush(self) -> None:
         """Bring all samples so far to the disk."""
+        self.cut |= bool(self._entries)
         self._finish_chunk()
         self._file.flush()
         os.fsync(self._file.fileno())
@@ -480,6 +483,10 @@ def _pack(record: McapRecord) -> bytes:
 def read_log(path: str | Path, check: bool = True) -> pd.DataFrame:
     """A log as a pandas frame: column ``t`` [s], one SI column a channel; units, meta and losses
     are in ``frame.attrs``.
+
+    Example:
+        frame = ehbench.read_log("datasets/slide_servo/steps/press_no_load.mcap")
+        frame.attrs["units"]["press.p_head"], frame["press.p_head"].max()
 
     Arguments and errors as in `read_record`.
     """

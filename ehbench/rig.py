@@ -10,26 +10,20 @@ import math
 import re
 import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from difflib import get_close_matches
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    PlainSerializer,
-    field_validator,
-    model_validator,
-)
+from pydantic import AfterValidator, BaseModel, Field, field_validator, model_validator
 
 from ehbench import units
 from ehbench.errors import InputError, UnitError
+from ehbench.fields import SURENESS as SURENESS
+from ehbench.fields import FileModel, Q, Value
+from ehbench.fields import read_value as read_value
+from ehbench.notebook import label, plural, shown, table
 from ehbench.quantities import VOCABULARY, Quantity
 
-SURENESS = ("printed", "restored", "companion", "assumed", "datasheet", "identified")
 NODES = ("supply", "tank", "head", "rod")
 
 
@@ -41,140 +35,6 @@ class Misplaced(ValueError):
     def __init__(self, message: str, *where: str | int) -> None:
         super().__init__(message)
         self.where = where
-
-
-@dataclass(frozen=True)
-class Value:
-    """A number in SI (or a tuple of them) with where it came from.
-
-    ``sure`` is one of ``SURENESS``; ``source`` the words of the file; ``lower``, ``upper`` bounds
-    and ``std`` the standard error, all SI; ``text`` what the file said, kept so that a rig can be
-    written back as it was read."""
-
-    value: float | tuple[float, ...]
-    sure: str = "assumed"
-    source: str = ""
-    lower: float | None = None
-    upper: float | None = None
-    std: float | None = None
-    text: Any = None
-
-    def __float__(self) -> float:
-        return float(self.value)  # type: ignore[arg-type]
-
-
-def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
-    """A TOML value as a ``Value``: ``"1000 psi"``, a list of such, or ``{ value, source, sure,
-    lower, upper, std }``.
-
-    Raises:
-        UnitError: no unit, wrong unit, implausible value, bounds that do not hold it.
-        InputError: a key that does not belong there.
-    """
-    if isinstance(raw, Value):
-        return raw
-    table = dict(raw) if isinstance(raw, Mapping) else {"value": raw}
-    unknown = set(table) - {"value", "source", "sure", "lower", "upper", "std", "note"}
-    if unknown:
-        raise InputError(
-            f"{row.name} has unknown key '{sorted(unknown)[0]}'",
-            hint="a value takes value, source, sure, lower, upper, std, note",
-        )
-    if "value" not in table:
-        raise InputError(f"{row.name} has no 'value'")
-
-    def number(item: Any, what: str, check: bool = True) -> float:
-        if isinstance(item, bool) or not isinstance(item, (str, int, float)):
-            raise UnitError(
-                f"{what} of {row.name} is {item!r}, not a number with a unit",
-                hint=f'write "1.5 {row.display}"',
-            )
-        if not isinstance(item, str):
-            if row.unit != "dimensionless":
-                raise UnitError(
-                    f"{row.name} = {item} has no unit", hint=f'write "{item} {row.display}"'
-                )
-            return float(item)
-        bare = Quantity(row.name, row.symbol, row.unit, row.display, row.meaning)
-        result = units.parse(item, row if check else bare)
-        if not math.isfinite(result):
-            raise UnitError(f"{row.name} = {item} is not finite")
-        return result
-
-    raw_value = table["value"]
-    if count == 1:
-        value: float | tuple[float, ...] = number(raw_value, "the value")
-    else:
-        if not isinstance(raw_value, (list, tuple)) or len(raw_value) != count:
-            raise InputError(
-                f"{row.name} takes a list of {count} values with units, not {raw_value!r}"
-            )
-        value = tuple(number(item, "an entry") for item in raw_value)
-    limits = {
-        key: number(table[key], key, check=False)
-        for key in ("lower", "upper", "std")
-        if key in table
-    }
-    if count == 1 and not limits.get("lower", -math.inf) <= value <= limits.get("upper", math.inf):
-        bounds = " and ".join(f"{key} = {table[key]}" for key in ("lower", "upper") if key in table)
-        raise UnitError(f"{row.name} = {raw_value} lies outside its own bounds: {bounds}")
-    source = str(table.get("source", ""))
-    first = source.replace(":", " ").replace(",", " ").split(" ")[0]
-    sure = table.get("sure", first if first in SURENESS else "assumed")
-    if sure not in SURENESS:
-        raise InputError(f"{row.name} is '{sure}'", hint="sure is one of " + ", ".join(SURENESS))
-    return Value(value=value, sure=sure, source=source, text=raw, **limits)
-
-
-def write_value(value: Value, row: Quantity) -> Any:
-    """A ``Value`` as TOML would hold it: its own text if it was read from a file, else SI with all
-    digits.
-    """
-    if value.text is not None:
-        return dict(value.text) if isinstance(value.text, Mapping) else value.text
-    unit = "" if row.unit == "dimensionless" else f" {row.unit}"
-
-    def show(number: float) -> str:
-        return f"{float(number)!r}{unit}"
-
-    table: dict[str, Any] = {
-        "value": [show(v) for v in value.value]
-        if isinstance(value.value, tuple)
-        else show(value.value)
-    }
-    table["sure"] = value.sure
-    if value.source:
-        table["source"] = value.source
-    for key in ("lower", "upper", "std"):
-        number = getattr(value, key)
-        if number is not None and math.isfinite(number):
-            table[key] = show(number)
-    return table
-
-
-def _typed(name: str, count: int = 1) -> Any:
-    row = VOCABULARY[name]
-
-    def validate(raw: Any) -> Value:
-        try:
-            return read_value(raw, row, count)
-        except InputError as error:
-            raise ValueError(str(error)) from None
-
-    return Annotated[
-        Value,
-        BeforeValidator(validate),
-        PlainSerializer(lambda value: write_value(value, row)),
-        row,
-    ]
-
-
-class Model(BaseModel):
-    """Base of all file-backed models: frozen, no unknown keys."""
-
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", arbitrary_types_allowed=True, populate_by_name=True
-    )
 
 
 def _name(name: str) -> str:
@@ -198,23 +58,23 @@ def _plain_name(name: str) -> str:
 Name = Annotated[str, AfterValidator(_name)]
 
 
-class Joint(Model):
+class Joint(FileModel):
     """A revolute joint and the link it carries; frame i sits at the end of link i (standard
     Denavit–Hartenberg).
     """
 
     name: Name
-    dh_a: _typed("dh_a") = Value(0.0)
-    dh_d: _typed("dh_d") = Value(0.0)
-    dh_alpha: _typed("dh_alpha") = Value(0.0)
-    dh_theta: _typed("dh_theta") = Value(0.0)
-    mass: _typed("mass")
-    com: _typed("com", 3)
-    inertia: _typed("inertia", 6)
-    joint_damping: _typed("joint_damping") = Value(0.0)
+    dh_a: Annotated[Value, Q("dh_a")] = Value(0.0)
+    dh_d: Annotated[Value, Q("dh_d")] = Value(0.0)
+    dh_alpha: Annotated[Value, Q("dh_alpha")] = Value(0.0)
+    dh_theta: Annotated[Value, Q("dh_theta")] = Value(0.0)
+    mass: Annotated[Value, Q("mass")]
+    com: Annotated[Value, Q("com", 3)]
+    inertia: Annotated[Value, Q("inertia", 6)]
+    joint_damping: Annotated[Value, Q("joint_damping")] = Value(0.0)
 
 
-class Chain(Model):
+class Chain(FileModel):
     """A serial chain of revolute joints, base first.
 
     The first joint's axis z0 is vertical (pointing up), or horizontal with y0 pointing up.
@@ -225,47 +85,47 @@ class Chain(Model):
     joint: tuple[Joint, ...] = Field(min_length=1)
 
 
-class Slide(Model):
+class Slide(FileModel):
     """A mass on a slide, moved directly by one cylinder; ``incline`` is positive where extension
     goes uphill.
     """
 
     kind: Literal["slide"]
     name: Name
-    mass: _typed("mass")
-    damping: _typed("damping") = Value(0.0)
-    incline: _typed("incline") = Value(0.0)
+    mass: Annotated[Value, Q("mass")]
+    damping: Annotated[Value, Q("damping")] = Value(0.0)
+    incline: Annotated[Value, Q("incline")] = Value(0.0)
 
 
-class LinkLoad(Model):
+class LinkLoad(FileModel):
     """What a payload changes of one link (or of the slide); what is not named stays."""
 
-    mass: _typed("mass") | None = None
-    com: _typed("com", 3) | None = None
-    inertia: _typed("inertia", 6) | None = None
+    mass: Annotated[Value, Q("mass")] | None = None
+    com: Annotated[Value, Q("com", 3)] | None = None
+    inertia: Annotated[Value, Q("inertia", 6)] | None = None
 
 
-class Pins(Model):
+class Pins(FileModel):
     """Cylinder between two pins: c² = l_A² + l_B² − 2 l_A l_B cos θ, θ = sign·q + phase, x = c −
     retracted_length (SPEC 1).
     """
 
-    l_a: _typed("l_a")
-    l_b: _typed("l_b")
-    retracted_length: _typed("retracted_length")
+    l_a: Annotated[Value, Q("l_a")]
+    l_b: Annotated[Value, Q("l_b")]
+    retracted_length: Annotated[Value, Q("retracted_length")]
     sign: Literal[1, -1] = 1
-    phase: _typed("phase") = Value(0.0)
+    phase: Annotated[Value, Q("phase")] = Value(0.0)
 
 
-class Dynamics(Model):
+class Dynamics(FileModel):
     """Second-order valve dynamics opening/command, as ω_n and ζ or as the denominator s2·s² + s1·s
     + 1.
     """
 
-    natural_frequency: _typed("natural_frequency") | None = None
-    damping_ratio: _typed("damping_ratio") | None = None
-    s2: _typed("s2") | None = None
-    s1: _typed("s1") | None = None
+    natural_frequency: Annotated[Value, Q("natural_frequency")] | None = None
+    damping_ratio: Annotated[Value, Q("damping_ratio")] | None = None
+    s2: Annotated[Value, Q("s2")] | None = None
+    s1: Annotated[Value, Q("s1")] | None = None
     note: str = ""
 
     @model_validator(mode="after")
@@ -289,7 +149,7 @@ class Dynamics(Model):
         return omega, 0.5 * omega * float(self.s1)  # type: ignore[arg-type]
 
 
-class Edge(Model):
+class Edge(FileModel):
     """One metering edge: flow from ``from`` to ``to`` when upstream pressure is higher.
 
     law ``orifice``: Q = flow_gain·(opening − deadband)·√Δp. law ``compensated``: Q =
@@ -304,10 +164,10 @@ class Edge(Model):
     law: Literal["orifice", "compensated", "map"]
     sign: Literal[1, -1] = 1
     reverse: Literal["mirror", "blocked"] = "mirror"
-    deadband: _typed("deadband") = Value(0.0)
-    flow_gain: _typed("flow_gain") | None = None
-    compensated_gain: _typed("compensated_gain") | None = None
-    compensation_drop: _typed("compensation_drop") = Value(2.0e5)
+    deadband: Annotated[Value, Q("deadband")] = Value(0.0)
+    flow_gain: Annotated[Value, Q("flow_gain")] | None = None
+    compensated_gain: Annotated[Value, Q("compensated_gain")] | None = None
+    compensation_drop: Annotated[Value, Q("compensation_drop")] = Value(2.0e5)
 
     @model_validator(mode="after")
     def _law_is_whole(self) -> Edge:
@@ -319,7 +179,7 @@ class Edge(Model):
         return self
 
 
-class Valve(Model):
+class Valve(FileModel):
     """One command, its dynamics (a name in the rig's ``dynamics``, or none: opening follows at
     once) and its edges.
     """
@@ -327,8 +187,8 @@ class Valve(Model):
     name: Name
     title: str = ""
     dynamics: str | None = None
-    command_min: _typed("command_min")
-    command_max: _typed("command_max")
+    command_min: Annotated[Value, Q("command_min")]
+    command_max: Annotated[Value, Q("command_max")]
     edge: tuple[Edge, ...] = Field(min_length=1)
     calibration: tuple[tuple[str, str], ...] = ()
 
@@ -378,28 +238,28 @@ class Valve(Model):
         return min(max(0.0, float(self.command_min)), float(self.command_max))
 
 
-class Cylinder(Model):
+class Cylinder(FileModel):
     """A cylinder, the joint it drives, its oil volumes, losses and valves. Areas, or bore and rod
     diameters.
     """
 
     name: Name
     joint: str
-    area_head: _typed("area_head") | None = None
-    area_rod: _typed("area_rod") | None = None
-    bore: _typed("bore") | None = None
-    rod: _typed("rod") | None = None
-    stroke: _typed("stroke")
-    volume_head: _typed("volume_head")
-    volume_rod: _typed("volume_rod")
+    area_head: Annotated[Value, Q("area_head")] | None = None
+    area_rod: Annotated[Value, Q("area_rod")] | None = None
+    bore: Annotated[Value, Q("bore")] | None = None
+    rod: Annotated[Value, Q("rod")] | None = None
+    stroke: Annotated[Value, Q("stroke")]
+    volume_head: Annotated[Value, Q("volume_head")]
+    volume_rod: Annotated[Value, Q("volume_rod")]
     pins: Pins | None = None
-    bulk_modulus: _typed("bulk_modulus") | None = None
-    leakage_internal: _typed("leakage_internal") = Value(0.0)
-    leakage_head: _typed("leakage_head") = Value(0.0)
-    leakage_rod: _typed("leakage_rod") = Value(0.0)
-    friction_viscous: _typed("friction_viscous") = Value(0.0)
-    friction_coulomb: _typed("friction_coulomb") = Value(0.0)
-    relief_pressure: _typed("relief_pressure") | None = None
+    bulk_modulus: Annotated[Value, Q("bulk_modulus")] | None = None
+    leakage_internal: Annotated[Value, Q("leakage_internal")] = Value(0.0)
+    leakage_head: Annotated[Value, Q("leakage_head")] = Value(0.0)
+    leakage_rod: Annotated[Value, Q("leakage_rod")] = Value(0.0)
+    friction_viscous: Annotated[Value, Q("friction_viscous")] = Value(0.0)
+    friction_coulomb: Annotated[Value, Q("friction_coulomb")] = Value(0.0)
+    relief_pressure: Annotated[Value, Q("relief_pressure")] | None = None
     valve: tuple[Valve, ...] = Field(min_length=1)
 
     @model_validator(mode="after")
@@ -420,7 +280,8 @@ class Cylinder(Model):
         if float(self.volume_rod) <= swept:
             given = f"{float(self.volume_rod) * 1e6:g} cm^3"
             raise Misplaced(
-                f"volume_rod at x = 0 is {given}, but the full stroke displaces {swept * 1e6:.6g} cm^3",
+                f"volume_rod at x = 0 is {given}, "
+                f"but the full stroke displaces {swept * 1e6:.6g} cm^3",
                 "volume_rod",
             )
         return self
@@ -435,8 +296,9 @@ class Cylinder(Model):
             )
             if not (low < ends[0] and ends[1] < high):
                 raise Misplaced(
-                    f"from pin to pin the cylinder is {ends[0] * 1e3:g} mm long retracted and {ends[1] * 1e3:g} mm extended, "
-                    f"while l_a and l_b allow {low * 1e3:g} to {high * 1e3:g} mm, the ends excluded",
+                    f"from pin to pin the cylinder is {ends[0] * 1e3:g} mm long retracted "
+                    f"and {ends[1] * 1e3:g} mm extended, while l_a and l_b allow "
+                    f"{low * 1e3:g} to {high * 1e3:g} mm, the ends excluded",
                     "pins",
                     "retracted_length",
                 )
@@ -471,15 +333,15 @@ class Cylinder(Model):
         return math.pi / 4 * bore**2, math.pi / 4 * (bore**2 - rod**2)
 
 
-class Supply(Model):
+class Supply(FileModel):
     """Constant-pressure supply: holds ``pressure`` up to ``flow_limit``, above which the pressure
     falls.
     """
 
-    pressure: _typed("pressure")
-    tank_pressure: _typed("tank_pressure") = Value(0.0)
-    flow_limit: _typed("flow_limit")
-    volume: _typed("volume") = Value(2.0e-3)
+    pressure: Annotated[Value, Q("pressure")]
+    tank_pressure: Annotated[Value, Q("tank_pressure")] = Value(0.0)
+    flow_limit: Annotated[Value, Q("flow_limit")]
+    volume: Annotated[Value, Q("volume")] = Value(2.0e-3)
 
     @model_validator(mode="after")
     def _above_tank(self) -> Supply:
@@ -488,21 +350,21 @@ class Supply(Model):
         return self
 
 
-class Oil(Model):
+class Oil(FileModel):
     """The oil. ``bulk_modulus`` is effective: oil, entrained air and hose together."""
 
-    bulk_modulus: _typed("bulk_modulus")
-    cavitation_pressure: _typed("cavitation_pressure") = Value(-9.0e4)
+    bulk_modulus: Annotated[Value, Q("bulk_modulus")]
+    cavitation_pressure: Annotated[Value, Q("cavitation_pressure")] = Value(-9.0e4)
 
 
-class Rig(Model):
+class Rig(FileModel):
     """A whole machine, as its file gives it."""
 
     name: Annotated[str, AfterValidator(_plain_name)]
     title: str = ""
     note: str = ""
     display: dict[str, str] = {}
-    gravity: _typed("gravity") = Value(9.80665)
+    gravity: Annotated[Value, Q("gravity")] = Value(9.80665)
     oil: Oil
     supply: Supply
     mechanism: Annotated[Chain | Slide, Field(discriminator="kind")]
@@ -569,6 +431,28 @@ class Rig(Model):
                         link,
                     )
         return self
+
+    def __repr__(self) -> str:
+        counts = (
+            (len(self.joint_names), "slide" if isinstance(self.mechanism, Slide) else "joint"),
+            (len(self.cylinder), "cylinder"),
+            (sum(1 for _ in self.valves()), "valve"),
+            (sum(1 for _ in self.edges()), "metering edge"),
+            (len(self.payload), "payload"),
+        )
+        return f"<Rig '{self.name}': {', '.join(plural(*item) for item in counts)}>"
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        """Its parameters by name, in the units of its file, each with where it came from."""
+        rows = []
+        for name, value in self.parameters().items():
+            unit = self.unit_of(name)
+            number, error = (shown(one, name, unit) for one in (float(value), value.std))
+            rows.append((name, number, error, label(unit), value.sure, value.source))
+        header = ("parameter", "value", "standard error", "unit", "sure", "source")
+        return table(header, rows, self.title or self.name)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -678,14 +562,13 @@ class Rig(Model):
                 }
         for name, dynamics in self.dynamics.items():
             found |= {f"{name}.{key}": value for key, value in _scalars(dynamics)}
-            if dynamics.natural_frequency is None:
+            if dynamics.s1 is not None and dynamics.s2 is not None:
                 omega, zeta = dynamics.frequency_and_damping()
-                found[f"{name}.natural_frequency"] = Value(
-                    omega, sure=dynamics.s2.sure, source=dynamics.s2.source
-                )
-                found[f"{name}.damping_ratio"] = Value(
-                    zeta, sure=dynamics.s1.sure, source=dynamics.s1.source
-                )
+                for key, value, given in (
+                    ("natural_frequency", omega, dynamics.s2),
+                    ("damping_ratio", zeta, dynamics.s1),
+                ):
+                    found[f"{name}.{key}"] = Value(value, sure=given.sure, source=given.source)
         for cylinder, valve, edge in self.edges():
             found |= {
                 f"{cylinder.name}.{valve.edge_name(edge)}.{name}": value
@@ -726,12 +609,12 @@ class Rig(Model):
                 return model
             if model.natural_frequency is None and not {"s1", "s2"} & set(wanted):
                 omega, zeta = model.frequency_and_damping()
-                base = {
+                base: dict[str, Any] = {
                     "natural_frequency": Value(omega),
                     "damping_ratio": Value(zeta),
                     "note": model.note,
                 }
-                return Dynamics.model_construct(**({"s1": None, "s2": None} | base | wanted))
+                return Dynamics.model_construct(None, **({"s1": None, "s2": None} | base | wanted))
             return model.model_copy(update=wanted)
 
         def cylinder(model: Cylinder) -> Cylinder:

@@ -304,23 +304,86 @@ def validate_rig(
         InputError: a payload or channel that the rig does not have, no logs, or one that
             `intake.take_in` refuses.
     """
-    models = models_of(rig, logs, channels, flow_maps, where)
-    asked = thresholds or Thresholds()
+    prepared = prepare_validation(rig, logs, channels, flow_maps, fitted_on, where)
+    return run_validation(prepared, thresholds, progress, workers)
 
-    def judge(entry: tuple[str, bool, Record]) -> LogResult:
-        name, fitted, record = entry
-        return _judge(name, record, models[_payload(record)], tuple(channels), asked, fitted)
+
+@dataclass(frozen=True)
+class TakenLog:
+    """A log as the judge takes it: evenly sampled, with the doubts about it.
+
+    ``fitted`` says that the model was fitted to it, ``failure`` why it cannot be judged."""
+
+    name: str
+    record: Record
+    model: Model
+    fitted: bool = False
+    warnings: tuple[str, ...] = ()
+    failure: LogError | None = None
+
+
+@dataclass(frozen=True)
+class PreparedValidation:
+    """What a validation takes in, before anything is simulated."""
+
+    rig: Rig
+    channels: tuple[str, ...]
+    logs: tuple[TakenLog, ...]
+
+
+def prepare_validation(
+    rig: Rig,
+    logs: Sequence[tuple[str, Record]],
+    channels: Sequence[str] = CHANNELS,
+    flow_maps: Maps | None = None,
+    fitted_on: Collection[str] = (),
+    where: Callable[..., Mapping[str, Any]] = lambda *location: {},
+) -> PreparedValidation:
+    """Take in the logs of a validation; arguments and errors as in `validate_rig`."""
+    models = models_of(rig, logs, channels, flow_maps, where)
+    taken = tuple(
+        _taken(name, record, models[_payload(record)], fitted)
+        for name, fitted, record in _distinct(logs, fitted_on)
+    )
+    return PreparedValidation(rig, tuple(channels), taken)
+
+
+def run_validation(
+    prepared: PreparedValidation,
+    thresholds: Thresholds | None = None,
+    progress: Progress | None = None,
+    workers: int = 0,
+) -> Validation:
+    """Judge what `prepare_validation` took in; arguments as in `validate_rig`."""
+    asked = thresholds or Thresholds()
+    logs = prepared.logs
+
+    def judge(log: TakenLog) -> LogResult:
+        return _judge(log, prepared.channels, asked)
 
     results = []
     with ThreadPoolExecutor(max(1, min(workers or os.cpu_count() or 1, len(logs)))) as pool:
-        for result in pool.map(judge, _distinct(logs, fitted_on)):
+        for result in pool.map(judge, logs):
             results.append(result)
             if progress is not None:
                 progress(result.name, len(results) / len(logs))
     reasons, warnings = _verdict(results)
     return Validation(
-        rig.name, not reasons, tuple(reasons), tuple(warnings), _plain(asked), tuple(results)
+        prepared.rig.name,
+        not reasons,
+        tuple(reasons),
+        tuple(warnings),
+        _plain(asked),
+        tuple(results),
     )
+
+
+def _taken(name: str, record: Record, model: Model, fitted: bool) -> TakenLog:
+    try:
+        record, warnings = take_in(name, record, model)
+    except LogError as error:
+        return TakenLog(name, record, model, fitted, failure=error)
+    return TakenLog(name, record, model, fitted, warnings)
 
 
 def models_of(
@@ -413,20 +476,9 @@ def _verdict(results: Sequence[LogResult]) -> tuple[list[str], list[str]]:
     return reasons, warnings
 
 
-def _judge(
-    name: str,
-    record: Record,
-    model: Model,
-    channels: tuple[str, ...],
-    asked: Thresholds,
-    fitted: bool,
-) -> LogResult:
-    uneven, warnings = "", []
-    try:
-        record, told = take_in(name, record, model)
-        warnings += told
-    except LogError as error:
-        uneven = str(error).removeprefix(f"{name}: ")
+def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogResult:
+    name, record, model, fitted = log.name, log.record, log.model, log.fitted
+    warnings = list(log.warnings)
     moved, held = _moved(model, record)
     status = "fitted" if fitted else "held_out" if moved else "still"
     if fitted:
@@ -446,8 +498,8 @@ def _judge(
         "held": held,
     }
     try:
-        if uneven:
-            raise LogError(uneven)
+        if log.failure is not None:
+            raise LogError(str(log.failure).removeprefix(f"{name}: "))
         simulated = model.replay(record)
     except EhbenchError as error:
         return LogResult(

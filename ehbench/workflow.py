@@ -13,11 +13,14 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ehbench import rundir
+from ehbench.blas import one_thread
 from ehbench.errors import InputError, ModelRejected
+from ehbench.notebook import label, plural, shown, table
 from ehbench.recipe import (
     Campaign,
     DataFile,
@@ -34,6 +37,8 @@ from ehbench.recipe import (
 )
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from ehbench.physics.flow_map import FlowMaps
     from ehbench.record import Record
     from ehbench.rig import Rig
@@ -61,11 +66,57 @@ class Outcome:
         """The flow maps that the run leaves behind, if any."""
         return _maps_in(self.folder)
 
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """Identified parameters by name [SI]: value, standard error ``std``, 95 % interval ``low``
+        and ``high``, unit, status.
+        """
+        import pandas as pd
+
+        rows = {
+            one["name"]: {
+                "value": one["value"],
+                "std": one["std"],
+                "low": one["interval"] and one["interval"][0],
+                "high": one["interval"] and one["interval"][1],
+                "unit": one["unit"],
+                "status": one["status"],
+            }
+            for one in self.json("parameters")["parameters"]
+        }
+        return pd.DataFrame.from_dict(rows, orient="index")
+
     def json(self, name: str) -> Any:
         """A JSON result of the run, by its name without ending, such as ``parameters`` or
         ``validation``.
+
+        Raises:
+            InputError: the run left none of that name; says which it left.
         """
-        return rundir.read_json(self.folder / f"{name}.json")
+        path = self.folder / f"{name}.json"
+        if not path.is_file():
+            there = ", ".join(sorted(file.stem for file in self.folder.glob("*.json")))
+            raise InputError(f"has no {path.name}", file=self.folder, hint=f"it has {there}")
+        return rundir.read_json(path)
+
+    def __repr__(self) -> str:
+        notes = plural(len(self.notes), "note")
+        return f"<Outcome '{self.folder}': code {self.code}, {notes}>"
+
+    def _repr_html_(self) -> str:
+        notes = "".join(f"<li>{escape(note)}</li>" for note in self.notes)
+        head = f"<p><code>{escape(str(self.folder))}</code>, code {self.code}</p><ul>{notes}</ul>"
+        if not (self.folder / "parameters.json").is_file():
+            return head
+        rig, rows = self.rig, []
+        for one in self.json("parameters")["parameters"]:
+            name = one["name"]
+            unit = rig.unit_of(name)
+            value, error = (shown(one[key], name, unit) for key in ("value", "std"))
+            interval = " … ".join(shown(end, name, unit) for end in one["interval"] or ())
+            rows.append((name, value, error, interval, label(unit), one["status"]))
+        header = ("parameter", "value", "standard error", "95 % interval", "unit", "status")
+        return head + table(header, rows)
 
 
 @dataclass(frozen=True)
@@ -116,6 +167,7 @@ class Desk:
         return self.out if self.out is not None else rundir.place(recipe.path, inputs, self.root)
 
 
+@one_thread()
 def run(path: Path | str, desk: Desk | None = None) -> Outcome:
     """Run a recipe of any stage.
 
@@ -378,24 +430,12 @@ def run_trial(recipe: TrialRecipe, desk: Desk) -> Outcome:
     inputs = [*machine.inputs, *extra]
 
     def work(made: rundir.Run) -> tuple[int, list[str]]:
-        record, facts = trial.run_trial(
-            machine.rig,
-            recipe,
-            machine.flow_maps,
-            progress=desk.tell(recipe.name),
-            gains=gains,
-            allow_code=desk.allow_code,
-        )
+        prepared = trial.prepare(recipe, machine.rig, machine.flow_maps, gains, desk.allow_code)
+        result = trial.run(prepared, log=made.path / "log.mcap", progress=desk.tell(recipe.name))
         _write_rig(made.path, machine.rig, machine.flow_maps)
-        _write_log(made.path / "log.mcap", record, recipe, machine.rig)
-        doubts = _write_ledger(
-            made.path / "ledger.json",
-            record,
-            recipe,
-            machine.rig,
-            machine.flow_maps,
-            facts.cylinder,
-        )
+        facts, ledger, doubts = trial.account(prepared, result)
+        if ledger is not None:
+            rundir.write_json(made.path / "ledger.json", ledger)
         rundir.write_json(made.path / "trial.json", facts.as_json())
         made.facts |= {
             "what": "trial",
@@ -434,33 +474,25 @@ def run_trials(recipe: TrialSetRecipe, desk: Desk) -> Outcome:
         cases.append(trial.Case(name, one, machines[key].rig, machines[key].flow_maps, gains))
 
     def work(made: rundir.Run) -> tuple[int, list[str]]:
-        results = trial.run_cases(
-            cases, allow_code=desk.allow_code, progress=desk.tell(recipe.name)
-        )
-        _write_rig(made.path, base.rig, base.flow_maps)
         (made.path / "logs").mkdir()
         (made.path / "ledgers").mkdir()
-        doubts = []
-        for case, file, (record, facts) in zip(
-            cases, trial.file_names(cases), results, strict=True
-        ):
-            _write_log(made.path / "logs" / f"{file}.mcap", record, case.recipe, case.rig)
-            place = made.path / "ledgers" / f"{file}.json"
-            said = _write_ledger(place, record, case.recipe, case.rig, case.maps, facts.cylinder)
-            doubts += [f"{case.name}: {text}" for text in said]
+        results = trial.run_cases(
+            cases,
+            logs=made.path / "logs",
+            allow_code=desk.allow_code,
+            progress=desk.tell(recipe.name),
+        )
+        _write_rig(made.path, base.rig, base.flow_maps)
+        named = [(case.name, result.account) for case, result in zip(cases, results, strict=True)]
+        for file, (_, account) in zip(trial.file_names(cases), named, strict=True):
+            if account.ledger is not None:
+                rundir.write_json(made.path / "ledgers" / f"{file}.json", account.ledger)
         rows = trial.table_rows(cases, results)
         rundir.write_json(made.path / "table.json", {"rows": rows})
         (made.path / "table.csv").write_text(trial.table_csv(rows, base.rig), encoding="utf-8")
-        stopped = [
-            f"{case.name}: {facts.stopped}"
-            for case, (_, facts) in zip(cases, results, strict=True)
-            if facts.stopped
-        ]
-        warnings = [
-            f"{case.name}: {text}"
-            for case, (_, facts) in zip(cases, results, strict=True)
-            for text in facts.warnings
-        ] + doubts
+        stopped = [f"{name}: {one.facts.stopped}" for name, one in named if one.facts.stopped]
+        warnings = [f"{name}: {text}" for name, one in named for text in one.facts.warnings]
+        warnings += [f"{name}: {text}" for name, one in named for text in one.doubts]
         made.facts |= {
             "what": "trials",
             "title": recipe.title,
@@ -507,45 +539,9 @@ def _behind(recipe: TrialRecipe, desk: Desk) -> tuple[list[tuple[str, Path]], Pa
     return [*inputs, ("gains", gains)], gains
 
 
-def _write_log(path: Path, record: Record, recipe: TrialRecipe, rig: Rig) -> None:
-    """A trial's log with its recipe and rig attached."""
-    import tomli_w
-
-    from ehbench.logs import write_log
-
-    rig_file = tomli_w.dumps(rig.as_toml()).encode()
-    attached = {**record.attachments, "recipe.toml": recipe.path.read_bytes(), "rig.toml": rig_file}
-    write_log(path, type(record)(record.t, record.channels, record.meta, attached, record.losses))
-
-
-def _write_ledger(
-    path: Path, record: Record, recipe: TrialRecipe, rig: Rig, maps: FlowMaps | None, cylinder: str
-) -> list[str]:
-    """Where a trial's energy went: exact on the model, from measured channels on the bench. Says
-    why, where none can be made.
-    """
-    from ehbench.errors import EhbenchError, InsufficientData
-    from ehbench.ledger import bounds, ledger_of_log, ledger_of_model
-    from ehbench.plant.model import Model
-
-    try:
-        if recipe.on == "model":
-            ledger = ledger_of_model(Model.of(rig, maps, recipe.payload), record)
-        else:
-            ledger = ledger_of_log(rig, maps, record, payload=recipe.payload)
-    except EhbenchError as error:
-        return [f"no energy ledger: {error.message}"]
-    try:
-        limits = [bounds(rig, record, cylinder, ledger).as_json()] if cylinder else []
-    except InsufficientData:  # it did not move
-        limits = []
-    rundir.write_json(path, ledger.as_json() | {"bounds": limits})
-    return []
-
-
 def report(folders: Sequence[Path], desk: Desk, campaign: Campaign | None = None) -> Outcome:
     """Run folders → one self-contained ``report.html``; reads saved files only."""
-    from ehbench import report as pages
+    from ehbench.report import build
 
     for folder in folders:
         if not rundir.is_whole(folder):
@@ -563,7 +559,7 @@ def report(folders: Sequence[Path], desk: Desk, campaign: Campaign | None = None
     )
     _tell(desk, campaign, "writing the report", 0.5)
     with rundir.open_run(final, "report", source, inputs) as made:
-        (made.path / "report.html").write_text(pages.build(folders, campaign), encoding="utf-8")
+        (made.path / "report.html").write_text(build(folders, campaign), encoding="utf-8")
     return Outcome(made.final, DONE)
 
 
@@ -750,7 +746,7 @@ def _run(
     """Open the run's folder, do the work in it, draw its figures. A run that stands with these very
     inputs is kept if it may.
     """
-    from ehbench import report as pages
+    from ehbench.report import draw
 
     final = desk.place(recipe, inputs)
     if desk.keep and rundir.is_whole(final):
@@ -761,7 +757,7 @@ def _run(
         made.facts |= {"code": code, "notes": notes}
         _tell(desk, recipe, "drawing figures", 0.95)
         made.save()
-        pages.draw(made.path)
+        draw(made.path)
     return Outcome(final, code, tuple(notes))
 
 

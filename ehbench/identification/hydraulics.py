@@ -21,12 +21,14 @@ from typing import Any
 import numpy as np
 
 from ehbench.errors import InputError
-from ehbench.identification.matching import Matching
+from ehbench.identification.matching import Matching, refuse_unmatched
 from ehbench.identification.output_error import OutputError
 from ehbench.identification.steps import (
     Bench,
+    Coordinate,
     FittedParameter,
     HydraulicsFit,
+    Log,
     LogFit,
     Match,
     Progress,
@@ -97,6 +99,57 @@ def identify_hydraulics(
             take; a log that `intake.take_in` refuses; a cutoff above half the rate of a log.
         InsufficientData: no log tells anything about any parameter, or the fit follows none.
     """
+    prepared = prepare_fit(
+        rig,
+        records,
+        parameters,
+        method,
+        start,
+        lower,
+        upper,
+        channels,
+        flow_maps,
+        cutoff,
+        where=where,
+    )
+    return run_fit(
+        prepared, workers=workers, max_iterations=max_iterations, step=step, progress=progress
+    )
+
+
+@dataclass(frozen=True)
+class PreparedFit:
+    """What a fit takes in, before anything is simulated."""
+
+    rig: Rig
+    parameters: tuple[str, ...]
+    method: str
+    search: list[Coordinate]
+    logs: tuple[Log, ...]
+    flow_maps: Maps | None = None
+    cutoff: float | None = None
+
+
+def prepare_fit(
+    rig: Rig,
+    records: Sequence[tuple[str, Record]],
+    parameters: Sequence[str],
+    method: str = "output_error",
+    start: Mapping[str, str | float] | None = None,
+    lower: Mapping[str, str | float] | None = None,
+    upper: Mapping[str, str | float] | None = None,
+    channels: Sequence[str] = CHANNELS,
+    flow_maps: Maps | None = None,
+    cutoff: float | None = None,
+    *,
+    where: Where = lambda *location: {},
+) -> PreparedFit:
+    """Take in the logs and parameters of a fit; arguments as in `identify_hydraulics`.
+
+    Raises:
+        InputError: as in `identify_hydraulics`.
+        InsufficientData: a log in which nothing is commanded.
+    """
     if method not in ("output_error", "thesis"):
         raise InputError(f"unknown method '{method}'", hint="output_error or thesis")
     if not records or len({name for name, _ in records}) < len(records):
@@ -116,12 +169,31 @@ def identify_hydraulics(
                 f"a cutoff of {cutoff:g} Hz is not below half the rate of {name}, {0.5 / logs[-1].record.sample_time:.4g} Hz",
                 **where("cutoff"),
             )
-    bench = Bench(rig, logs, parameters, flow_maps, workers, step)
+    if method == "thesis":
+        refuse_unmatched(search)
+    return PreparedFit(rig, tuple(parameters), method, search, tuple(logs), flow_maps, cutoff)
+
+
+def run_fit(
+    prepared: PreparedFit,
+    *,
+    workers: int = 0,
+    max_iterations: int = 30,
+    step: float = STEP,
+    progress: Progress | None = None,
+) -> HydraulicsFit:
+    """Fit what `prepare_fit` took in; arguments as in `identify_hydraulics`.
+
+    Raises:
+        InsufficientData: no log tells anything about any parameter, or the fit follows none.
+    """
+    one = prepared
+    bench = Bench(one.rig, one.logs, one.parameters, one.flow_maps, workers, step)
     tell = progress or (lambda sentence, share: None)
     with bench.pool:
-        if method == "thesis":
-            return Matching(bench, search, tell, max_iterations).fit()
-        return OutputError(bench, search, tell, max_iterations, cutoff).fit()
+        if one.method == "thesis":
+            return Matching(bench, one.search, tell, max_iterations).fit()
+        return OutputError(bench, one.search, tell, max_iterations, one.cutoff).fit()
 
 
 @dataclass(frozen=True)
@@ -159,6 +231,19 @@ def compare_dynamics(
     Raises:
         InputError: a variant the rig does not have, or no valve on any of them.
     """
+    rigs = with_each_dynamics(rig, variants)
+    fits = {
+        name: identify_hydraulics(one, records, parameters, **options) for name, one in rigs.items()
+    }
+    return ranked(fits)
+
+
+def with_each_dynamics(rig: Rig, variants: Sequence[str]) -> dict[str, Rig]:
+    """The rig with each named valve dynamics in place of any of the others, by name.
+
+    Raises:
+        InputError: a variant the rig does not have, or no valve on any of them.
+    """
     for name in variants:
         if name not in rig.dynamics:
             raise InputError(
@@ -184,10 +269,11 @@ def compare_dynamics(
         )
         return rig.model_copy(update={"cylinder": cylinders})
 
-    fits = {
-        name: identify_hydraulics(with_dynamics(name), records, parameters, **options)
-        for name in variants
-    }
+    return {name: with_dynamics(name) for name in variants}
+
+
+def ranked(fits: Mapping[str, HydraulicsFit]) -> tuple[Variant, ...]:
+    """Fits of the same logs with one valve dynamics each, best first."""
     level = {
         name: np.mean(
             [math.log(max(x, 1e-300)) for log in fit.logs for x in log.residual_rms.values()]
@@ -197,5 +283,5 @@ def compare_dynamics(
     best = min(level.values())
     return tuple(
         Variant(name, math.exp(level[name] - best), fits[name])
-        for name in sorted(variants, key=lambda name: level[name])
+        for name in sorted(fits, key=lambda name: level[name])
     )

@@ -64,6 +64,23 @@ def _counting(span: slice, counts: np.ndarray) -> slice:
     return slice(first, first + int(void[0]) if void.size else span.stop)
 
 
+def refuse_unmatched(search: Sequence[Coordinate]) -> None:
+    """Refuse parameters that ringing does not tell.
+
+    Raises:
+        InputError: names the first.
+    """
+    for c in search:
+        if c.name != "bulk_modulus" and c.name.rsplit(".", 1)[-1] not in (
+            "joint_damping",
+            "damping",
+        ):
+            raise InputError(
+                f"method 'thesis' cannot fit {c.name}",
+                hint="it takes bulk_modulus and joint dampings; use method 'output_error'",
+            )
+
+
 class Matching:
     """The thesis's way (2.3): bulk modulus from the frequency of the ringing, then damping from its
     decay, and again.
@@ -71,15 +88,7 @@ class Matching:
 
     def __init__(self, bench: Bench, search: list[Coordinate], tell: Progress, most: int) -> None:
         self.bench, self.search, self.tell, self.most = bench, search, tell, most
-        for c in search:
-            if c.name != "bulk_modulus" and c.name.rsplit(".", 1)[-1] not in (
-                "joint_damping",
-                "damping",
-            ):
-                raise InputError(
-                    f"method 'thesis' cannot fit {c.name}",
-                    hint="it takes bulk_modulus and joint dampings; use method 'output_error'",
-                )
+        refuse_unmatched(search)
         self.windows = self._windows()
 
     def _windows(self) -> list[_Window]:

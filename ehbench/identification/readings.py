@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.errors import InputError
-from ehbench.identification.flow_map import FlowMapFit, Units, fit_flow_map
+from ehbench.identification.flow_map import FlowMapFit, FlowMapOptions, Units, fit_flow_map
 from ehbench.quantities import VOCABULARY
 from ehbench.readers import FlowmeterData, merge_flowmeter
 from ehbench.rig import Edge, Rig
@@ -62,6 +62,37 @@ def fit_readings(
             zero.
         InsufficientData: too few readings for a map.
     """
+    return run_readings(
+        prepare_readings(rig, parts), calibration, reference_drop, progress, meter_limit=meter_limit
+    )
+
+
+@dataclass(frozen=True)
+class EdgeReadings:
+    """The readings of one edge in one direction, commands as openings, with doubts about them."""
+
+    edge: str
+    side: str
+    sign: int
+    rows: FlowmeterData
+    doubts: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class PreparedReadings:
+    """Readings by the edge they belong to."""
+
+    rig: Rig
+    edges: tuple[EdgeReadings, ...]
+
+
+def prepare_readings(rig: Rig, parts: Sequence[FlowmeterData]) -> PreparedReadings:
+    """Sort readings to the rig's edges; arguments as in `fit_readings`.
+
+    Raises:
+        InputError: readings of an edge that the rig does not have, or commands on the wrong side of
+            zero.
+    """
     data = merge_flowmeter(parts)
     data = replace(
         data, file=np.array([Path(file).name for file in data.file])
@@ -76,32 +107,46 @@ def fit_readings(
         groups.setdefault((name, side, sign), []).append(
             replace(rows, command=sign * rows.command + 0.0)
         )
-    fits = []
-    for index, ((name, side, sign), found) in enumerate(groups.items()):
-        if progress is not None:
-            progress(f"{name} {side}", index / len(groups))
+    edges = []
+    for (name, side, sign), found in groups.items():
         rows = found[0] if len(found) == 1 else merge_flowmeter(found)
+        said = [
+            text for file in np.unique(rows.file).tolist() for text in doubts.pop(file, ())
+        ]  # of a file once
         show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"), sign)
-        fit = fit_flow_map(
-            name,
-            side,
-            rows.command,
-            rows.pressure_drop,
-            rows.flow,
-            method=rows.method,
-            trial=rows.trial,
-            line=rows.line,
-            file=rows.file,
+        said += _flow_doubts(rig, rows, show)
+        edges.append(EdgeReadings(name, side, sign, rows, tuple(said)))
+    return PreparedReadings(rig, tuple(edges))
+
+
+def run_readings(
+    prepared: PreparedReadings,
+    calibration: Sequence[tuple[float, float, float]] = (),
+    reference_drop: float | None = None,
+    progress: Progress | None = None,
+    *,
+    meter_limit: float = 0.0,
+) -> list[EdgeFit]:
+    """Fit a map to the readings of each edge; arguments as in `fit_readings`.
+
+    Raises:
+        InsufficientData: too few readings for a map.
+    """
+    rig, fits = prepared.rig, []
+    for index, one in enumerate(prepared.edges):
+        if progress is not None:
+            progress(f"{one.edge} {one.side}", index / len(prepared.edges))
+        rows = one.rows
+        show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"), one.sign)
+        options = FlowMapOptions(
             meter_limit=meter_limit,
             calibration=calibration,
             reference_drop=reference_drop,
             show=show,
         )
-        said = [
-            text for file in np.unique(rows.file).tolist() for text in doubts.pop(file, ())
-        ]  # of a file once
-        fit = replace(fit, warnings=(*said, *_flow_doubts(rig, rows, show), *fit.warnings))
-        fits.append(EdgeFit(fit, rows, sign))
+        fit = fit_flow_map(one.edge, one.side, rows, options)
+        fit = replace(fit, warnings=(*one.doubts, *fit.warnings))
+        fits.append(EdgeFit(fit, rows, one.sign))
     return fits
 
 

@@ -7,9 +7,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from ehbench.compiled import kernel
+from ehbench.compiled import allocating_kernel, kernel
 from ehbench.plant.derivatives import any_derivatives, any_finish
 
 STEP = 5.0e-4  # [s]
@@ -53,7 +52,7 @@ def advance(y, command, plant, h, k, work, rate):
     return substeps
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel
 def run(y, commands, plant, tick, steps, log):
     """Integrate from ``y`` (in place) through a table of commands, held over each tick; returns the
     most substeps.

@@ -50,12 +50,3 @@ def opening_of(plant: Plant, valve: int, commands: np.ndarray, states: np.ndarra
     if row.output < 0:
         return np.clip(commands, row.lowest, row.highest)
     return states[:, row.output]
-
-
-def opening_over(plant: Plant, valve: int, t: np.ndarray, command: np.ndarray) -> np.ndarray:
-    """Opening [V] at every sample of a valve that starts at rest under its first command [V]."""
-    one = plant._replace(valves=plant.valves[valve : valve + 1])
-    states = np.zeros((t.size, plant.at.states))
-    commands = np.ascontiguousarray(command, dtype=float)[:, None]
-    follow_valves(np.ascontiguousarray(t, dtype=float), commands, one, False, states)
-    return opening_of(plant, valve, command, states)

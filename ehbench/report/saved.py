@@ -17,11 +17,11 @@ import numpy as np
 from ehbench.errors import InputError
 from ehbench.quantities import VOCABULARY, quantity
 from ehbench.recipe import load_rig
+from ehbench.report.index import INDEX
 from ehbench.rig import Rig
 from ehbench.rundir import read_json
 from ehbench.units import to_si
 
-INDEX = "index.json"
 _HEAD = re.compile(r"\s*(.*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*$")
 _SIDE = re.compile(r"^(?:(recorded|simulated)\.)?(.*?)(?:[ .](recorded|simulated))?$")
 

@@ -4,21 +4,32 @@ when a limit is reached.
 
 from __future__ import annotations
 
-from ehbench.trial.cases import Case, file_names, run_cases, table_csv, table_rows
+from ehbench.trial.accounts import Account, account
+from ehbench.trial.cases import Case, CaseResult, file_names, run_cases, table_csv, table_rows
 from ehbench.trial.commands import command_table
 from ehbench.trial.controllers import code_file, gains_file, refuse_code
-from ehbench.trial.run import RUN_OUT, Facts, Stop, run_trial
+from ehbench.trial.preparation import Prepared, Stop, prepare
+from ehbench.trial.running import Facts, Result, run, run_trial
+from ehbench.trial.session import RUN_OUT, Session
 
 __all__ = [
     "RUN_OUT",
+    "Account",
     "Case",
+    "CaseResult",
     "Facts",
+    "Prepared",
+    "Result",
+    "Session",
     "Stop",
+    "account",
     "code_file",
     "command_table",
     "file_names",
     "gains_file",
+    "prepare",
     "refuse_code",
+    "run",
     "run_cases",
     "run_trial",
     "table_csv",

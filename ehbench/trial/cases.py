@@ -4,22 +4,32 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ehbench.errors import SimulationError
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import TrialRecipe
 from ehbench.record import Record
 from ehbench.rig import Rig
-from ehbench.trial.run import Facts, run_trial
+from ehbench.text import quoted
+from ehbench.trial.accounts import Account, account
+from ehbench.trial.preparation import Prepared, prepare
+from ehbench.trial.running import run
 from ehbench.units import from_si
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps
+
+
+class CaseResult(NamedTuple):
+    """What a trial of a set leaves: its record and its account."""
+
+    record: Record
+    account: Account
 
 
 @dataclass(frozen=True)
@@ -30,7 +40,23 @@ class Case:
     recipe: TrialRecipe
     rig: Rig
     maps: Maps | None
-    gains: Path | None = None
+    gains: Path | Mapping[str, Any] | None = None
+
+    def prepare(self, *, allow_code: bool = False, standing: bool = False) -> Prepared:
+        """This trial before its first tick: `ehbench.trial.prepare`."""
+        return prepare(self.recipe, self.rig, self.maps, self.gains, allow_code, standing)
+
+    def run(self, prepared: Prepared, log: Path | None = None) -> CaseResult:
+        """Its record and account, with the case's name on what goes wrong.
+
+        Raises:
+            EhbenchError: as `ehbench.trial.run`.
+        """
+        try:
+            result = run(prepared, log=log)
+        except SimulationError as error:
+            raise SimulationError(f"{self.name}: {error.message}", hint=error.hint) from None
+        return CaseResult(result.record, account(prepared, result))
 
     @property
     def motion(self) -> str:
@@ -40,16 +66,20 @@ class Case:
 
 def run_cases(
     cases: Sequence[Case],
+    prepared: Sequence[Prepared] = (),
     *,
+    logs: Path | None = None,
     allow_code: bool = False,
     workers: int = 0,
     progress: Callable[[str, float], None] | None = None,
-) -> list[tuple[Record, Facts]]:
+) -> list[CaseResult]:
     """Run trials in parallel threads (the compiled loops let go of the interpreter); results in the
     order of ``cases``.
 
     Args:
         cases: what to run.
+        prepared: what `Case.prepare` gave for each; without, each is prepared when it is its turn.
+        logs: the folder of their logs, each under its `file_names`; none are written by default.
         allow_code: as in `run_trial`.
         workers: threads; by default one a core.
         progress: told which case is done and the share done.
@@ -58,22 +88,23 @@ def run_cases(
         EhbenchError: the first case that fails; the rest is given up.
     """
 
-    def one(case: Case) -> tuple[Record, Facts]:
-        try:
-            return run_trial(
-                case.rig, case.recipe, case.maps, gains=case.gains, allow_code=allow_code
-            )
-        except SimulationError as error:
-            raise SimulationError(f"{case.name}: {error.message}", hint=error.hint) from None
+    names = file_names(cases)
+
+    def one(index: int) -> CaseResult:
+        log = None if logs is None else logs / f"{names[index]}.mcap"
+        case = cases[index]
+        made = prepared[index] if prepared else case.prepare(allow_code=allow_code)
+        return case.run(made, log)
 
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        jobs = [pool.submit(one, case) for case in cases]
+        jobs = [pool.submit(one, index) for index in range(len(cases))]
+
+        def told(name: str) -> None:
+            if progress is not None:
+                progress(name, sum(job.done() for job in jobs) / len(jobs))
+
         for case, job in zip(cases, jobs, strict=True):
-            job.add_done_callback(
-                lambda _, name=case.name: (
-                    progress(name, sum(j.done() for j in jobs) / len(jobs)) if progress else None
-                )
-            )
+            job.add_done_callback(lambda _, name=case.name: told(name))
         wait(jobs, return_when=FIRST_EXCEPTION)
         failed = [
             job
@@ -100,10 +131,9 @@ def file_names(cases: Sequence[Case]) -> list[str]:
     return names
 
 
-def table_rows(
-    cases: Sequence[Case], results: Sequence[tuple[Record, Facts]]
-) -> list[dict[str, Any]]:
+def table_rows(cases: Sequence[Case], results: Sequence[CaseResult]) -> list[dict[str, Any]]:
     """One table a case, SI: what it was, where its log lies, what stopped it, and its measures."""
+    facts_of = [result.account.facts for result in results]
     return [
         {
             "case": case.name,
@@ -118,7 +148,7 @@ def table_rows(
             "stopped": facts.stopped,
             **facts.measures,
         }
-        for case, file, (_, facts) in zip(cases, file_names(cases), results, strict=True)
+        for case, file, facts in zip(cases, file_names(cases), facts_of, strict=True)
     ]
 
 
@@ -175,9 +205,5 @@ def table_csv(rows: Sequence[dict[str, Any]], rig: Rig) -> str:
                 row["on"],
                 str(number) if step else "",
             ]
-            lines.append(",".join(_quoted(text) for text in [*front, *cells, row["stopped"]]))
+            lines.append(",".join(quoted(text) for text in [*front, *cells, row["stopped"]]))
     return "\n".join(lines) + "\n"
-
-
-def _quoted(text: str) -> str:
-    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text

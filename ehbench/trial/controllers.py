@@ -10,7 +10,7 @@ import importlib.util
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -94,6 +94,14 @@ class Compiled:
     references: np.ndarray
     telemetry: np.ndarray
     used: dict[str, Any]
+
+    def afresh(self) -> Compiled:
+        """The same at its beginning, for a run of its own."""
+        own, telemetry = self.controller, np.zeros_like(self.telemetry)
+        memory, given = self.law.memory(own.axis), np.zeros_like(own.given)
+        return replace(
+            self, controller=own._replace(memory=memory, given=given), telemetry=telemetry
+        )
 
 
 @contextmanager

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ehbench.compiled import kernel
-from ehbench.parts.edge import edge_flow
 from ehbench.signals import ringing, rms
 
 BAND = 0.05  # a step has settled once it stays this near to its steady speed
@@ -102,15 +100,3 @@ def tracking_measures(t: np.ndarray, x: np.ndarray, x_desired: np.ndarray) -> di
         "rms_error": rms(e),
         "final_error": float(np.mean(e[t >= t[-1] - FINAL])),
     }
-
-
-def integral(t: np.ndarray, y: np.ndarray) -> float:
-    """∫ y dt by trapezes."""
-    return float(np.sum(0.5 * (y[1:] + y[:-1]) * np.diff(t)))
-
-
-@kernel
-def edge_flows(drop, opening, row, maps, flow):
-    """Write the flow [m³/s] along an edge at drops [Pa] and openings [V] into ``flow``."""
-    for i in range(drop.shape[0]):
-        flow[i] = edge_flow(drop[i], opening[i], row, maps)

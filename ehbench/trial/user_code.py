@@ -19,6 +19,7 @@ from ehbench.control.trajectory import Reference
 from ehbench.errors import InputError
 from ehbench.quantities import VOCABULARY, quantity
 from ehbench.recipe import TrialRecipe
+from ehbench.text import shortened
 from ehbench.trial.controllers import Design, code_file, gains_file, quantities
 
 
@@ -119,14 +120,14 @@ class UserCode:
                 self.made.valves
             )
             raise self.code.error(
-                f".step gave {_short(answer)} at t = {t:.4g} s, which is no set of commands",
+                f".step gave {shortened(answer, 80)} at t = {t:.4g} s, which is no set of commands",
                 hint=hint,
             ) from None
 
     def _bring_in_range(self, answer: Any, t: float, command: np.ndarray) -> None:
         if not np.isfinite(command).all():
             raise self.code.error(
-                f".step gave {_short(answer)} at t = {t:.4g} s, which is not finite",
+                f".step gave {shortened(answer, 80)} at t = {t:.4g} s, which is not finite",
                 hint="channels that it does not name in `channels` are nan",
             )
         self.beyond += 1
@@ -275,8 +276,3 @@ def _gain(recipe: TrialRecipe, name: str, raw: Any) -> Any:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and math.isfinite(value)
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) < 80 else text[:77] + "…"

@@ -278,12 +278,36 @@ def tune_pressure_feedback(
         InputError: no such cylinder, payload, function or posture.
         InsufficientData: no operating point at which a function can work.
     """
+    if progress is not None:
+        progress("operating points", 0.0)
+    study = prepare_tuning(machine, recipe, validated=validated)
+    return tune_prepared(study, correlation=correlation, progress=progress)
+
+
+@dataclass(frozen=True)
+class Study:
+    """What is tuned on: every operating point, linearised, with what is known without a search.
+
+    ``low`` and ``cross`` [Pa] as in `Tuning`, ``notes`` what is odd about the points."""
+
+    rig: Rig
+    maps: Maps | None
+    recipe: TuneRecipe
+    cylinder: str
+    low: float
+    cross: float
+    sites: tuple[_Site, ...]
+    curves: tuple[Curves, ...]
+    notes: tuple[str, ...]
+
+
+def prepare_tuning(machine: Machine, recipe: TuneRecipe, *, validated: type | None = None) -> Study:
+    """Find the operating points; arguments and errors as in `tune_pressure_feedback`."""
     if validated is not None and not isinstance(machine, validated):
         raise ModelRejected(
             f"rig '{machine.rig.name}' was not validated, and gains are tuned on validated rigs only",
             hint="run a validate recipe on it first",
         )
-    tell = progress or (lambda what, share: None)
     rig, maps = machine.rig, machine.flow_maps
     name = recipe.cylinder or rig.cylinder[0].name
     if recipe.cylinder is None and len(rig.cylinder) > 1:
@@ -296,8 +320,21 @@ def tune_pressure_feedback(
     low = supply / 20.0 if recipe.low_pressure is None else float(recipe.low_pressure)
     cross = supply / 20.0 if recipe.cross_drop is None else float(recipe.cross_drop)
     notes: list[str] = []
-    tell("operating points", 0.0)
     sites, curves = _sites(rig, maps, recipe, name, low, cross, notes)
+    return Study(rig, maps, recipe, name, low, cross, tuple(sites), curves, tuple(notes))
+
+
+def tune_prepared(
+    study: Study,
+    *,
+    correlation: tuple[Sequence[str], Any] | None = None,
+    progress: Progress | None = None,
+) -> Tuning:
+    """Search the gains over what `prepare_tuning` found; as in `tune_pressure_feedback`."""
+    tell = progress or (lambda what, share: None)
+    rig, maps, recipe, name = study.rig, study.maps, study.recipe, study.cylinder
+    low, cross, sites, curves = study.low, study.cross, study.sites, study.curves
+    notes = list(study.notes)
     counted = [site for site in sites if site.counts]
     scale = _natural_gain(counted)
     gains = np.concatenate([[0.0], np.geomspace(scale / GAIN_SPAN, scale * GAIN_SPAN, GAIN_POINTS)])

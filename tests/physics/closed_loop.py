@@ -15,12 +15,12 @@ from ehbench.control.axis import Mechanism
 from ehbench.control.axis import axis_of as make_axis
 from ehbench.control.functions import circuit, pack_rules
 from ehbench.control.law import Site
+from ehbench.machines.simulated import model_sample, model_tick
+from ehbench.machines.virtual import bench_tick
 from ehbench.parts.sample import sample_size
 from ehbench.parts.valve import valve_lag as lag_of
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import STEP
-from ehbench.rigs.bench import bench_tick
-from ehbench.rigs.model import model_sample, model_tick
 
 TICK = 1.0e-3
 
@@ -234,7 +234,7 @@ def run_bench(rig, model, ax, gains, reference, posture=None):
         rig.bench,
         TICK,
         rig.steps,
-        rig._scratch,
+        rig._own.scratch,
         rig.noise(len(reference)),
         log,
         telemetry,

@@ -25,13 +25,13 @@ from ehbench.control import arc
 from ehbench.control.axis import inertias, load_at, reference_load
 from ehbench.control.trajectory import point_to_point, there_and_back
 from ehbench.errors import InputError
+from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.cylinder import linkage_of
 from ehbench.physics.arm import LINK, gravity_torque, mass_matrix, work_size
 from ehbench.plant.model import Model
 from ehbench.quantities import quantity
 from ehbench.recipe import load_rig
 from ehbench.rig import Value
-from ehbench.rigs.bench import BenchRig
 
 sys.path.append(str(Path(__file__).parent))
 from closed_loop import TICK, axis_of, gains_of, run_bench, run_model  # noqa: E402
@@ -564,7 +564,8 @@ def test_on_the_bench(load):
         profile="seventh",
     )
     gains = gains_of(design, ax)
-    run = run_bench(BenchRig(rig, None, load), design, ax, gains, reference, {"boom": "0.1 m"})
+    machine = VirtualMachine(rig, None, load)
+    run = run_bench(machine, design, ax, gains, reference, {"boom": "0.1 m"})
     error = np.abs(run.telemetry["x_error"])
     assert error.max() < 3.0e-3
     assert np.count_nonzero(np.diff(run.telemetry["function"])) < 12

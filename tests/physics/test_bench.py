@@ -11,14 +11,14 @@ import pytest
 from ehbench.datasets import main, make
 from ehbench.errors import InputError
 from ehbench.logs import write_log
+from ehbench.machines.virtual import ATMOSPHERE, VirtualMachine, bulk, play
+from ehbench.machines.virtual import _follow as follow
+from ehbench.machines.virtual import _speed_filter as speed_filter
 from ehbench.parts.cylinder import linkage_arrays
 from ehbench.physics.arm import energy, work_size
 from ehbench.plant.model import Model
 from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
 from ehbench.rig import Value
-from ehbench.rigs.bench import ATMOSPHERE, BenchRig, bulk, play
-from ehbench.rigs.bench import _follow as follow
-from ehbench.rigs.bench import _speed_filter as speed_filter
 from ehbench.trial import run_trial
 
 ROOT = Path(__file__).parents[2]
@@ -104,7 +104,7 @@ def drive(bench, commands):
 
 @pytest.mark.parametrize("name", RIGS)
 def test_a_shipped_bench_starts_quiet_and_stays_so(name):
-    bench = BenchRig(rig_of(name), bench_file(name))
+    bench = VirtualMachine(rig_of(name), bench_file(name))
     bench.start()
     n = len(bench.layout.joints)
     first = bench.state[: bench.size].copy()
@@ -123,7 +123,7 @@ def test_a_shipped_bench_starts_quiet_and_stays_so(name):
 @pytest.mark.parametrize("name", RIGS)
 def test_a_bench_without_a_file_is_plausible(name):
     rig = rig_of(name)
-    bench = BenchRig(rig)
+    bench = VirtualMachine(rig)
     bench.start()
     table = bench.model.rest_commands(300)
     valves = [v for _, v in rig.valves()]
@@ -145,7 +145,7 @@ def test_a_bench_without_a_file_is_plausible(name):
 def test_with_all_richness_off_the_bench_is_the_model(name):
     rig = rig_of(name)
     step = 1.25e-4  # the model takes its valves to order 8, the bench to order 4: small enough for 80 Hz valves to agree
-    bench = BenchRig(rig, plain(rig), step=step)
+    bench = VirtualMachine(rig, plain(rig), step=step)
     bench.start()
     model = Model.of(rig)
     y = bench.state[: bench.size - 1].copy()
@@ -166,7 +166,7 @@ def test_with_all_richness_off_the_bench_is_the_model(name):
 
 def test_lossless_chambers_give_back_what_they_take():
     rig = rig_of("slide_servo").with_values({"carriage.damping": 0.0})
-    bench = BenchRig(rig, plain(rig, air_fraction="0.5 %"), rate=4000.0, step=1.25e-4)
+    bench = VirtualMachine(rig, plain(rig, air_fraction="0.5 %"), rate=4000.0, step=1.25e-4)
     bench.start({"press": "200 mm"})
     bench.state[1] = 0.05
     speed = drive(bench, bench.model.rest_commands(4000))[0][:, 1]
@@ -177,7 +177,7 @@ def test_lossless_chambers_give_back_what_they_take():
 
 
 def test_friction_and_damping_only_take_energy():
-    bench = BenchRig(rig_of("thesis_arm"), bench_file("thesis_arm"), rate=4000.0)
+    bench = VirtualMachine(rig_of("thesis_arm"), bench_file("thesis_arm"), rate=4000.0)
     bench.start()
     plant, n = bench.model.plant, 3
     bench.state[n : 2 * n] = 0.3, 0.4, -0.5
@@ -232,7 +232,7 @@ def test_hysteresis_is_a_backlash():
 
 
 def test_every_cartridge_is_tuned_to_its_calibration_and_none_is_like_another():
-    bench = BenchRig(rig_of("thesis_arm"), bench_file("thesis_arm"))
+    bench = VirtualMachine(rig_of("thesis_arm"), bench_file("thesis_arm"))
     edges = [f"boom.{name}" for name in ("hect", "hepc", "regen", "repc", "rect")]
     middle = []
     for edge in edges:
@@ -263,7 +263,7 @@ def test_noise_has_the_stated_spread_and_no_memory():
             "pressure_offset": "0 Pa",
         }
     }
-    bench = BenchRig(rig, BenchRecipe(stage="bench", rig="", sensors=sensors), seed=3)
+    bench = VirtualMachine(rig, BenchRecipe(stage="bench", rig="", sensors=sensors), seed=3)
     bench.start()
     _, samples = drive(bench, bench.model.rest_commands(4000))
     p = samples[:, bench.channels.index("p_supply")]
@@ -287,7 +287,9 @@ def test_delay_and_lag_are_late_by_what_they_say():
     def heads(delay, lag):
         quiet = plain(rig)
         sensors = {"all": quiet.sensors["all"].model_copy(update={"pressure_lag": Value(lag)})}
-        bench = BenchRig(rig, quiet.model_copy(update={"sensors": sensors, "delay": Value(delay)}))
+        bench = VirtualMachine(
+            rig, quiet.model_copy(update={"sensors": sensors, "delay": Value(delay)})
+        )
         bench.start()
         return drive(bench, table)[1][:, 4]
 
@@ -328,7 +330,7 @@ def test_the_speed_filter_gives_the_slope_of_a_ramp_and_its_own_gain_at_a_sine(z
 
 def test_the_pump_droops_and_gives_in_above_its_limit():
     rig = rig_of("slide_servo")
-    bench = BenchRig(rig, bench_file("slide_servo"))
+    bench = VirtualMachine(rig, bench_file("slide_servo"))
     bench.start({"press": "20 mm"})
     at, limit, droop = bench.size - 2, bench.bench.supply.flow_limit, bench.bench.fluid.droop
     p_set = bench.bench.supply.pressure
@@ -346,7 +348,7 @@ def test_the_step_is_fine_enough():
     rig, file = rig_of("thesis_arm"), bench_file("thesis_arm")
     runs = []
     for step in (2.5e-4, 6.25e-5):
-        bench = BenchRig(rig, file, step=step)
+        bench = VirtualMachine(rig, file, step=step)
         bench.start()
         table = bench.model.rest_commands(600)
         table[100:, bench.layout.valves.index("boom.hepc")] = 5.0
@@ -430,5 +432,5 @@ def test_a_wrong_bench_file_is_refused_with_its_line(tmp_path, text, line, says)
         f'stage = "bench"\nrig = "{ROOT / "recipes" / "rigs" / "slide_servo.toml"}"\n' + text
     )
     with pytest.raises(InputError, match=says) as error:
-        BenchRig(rig_of("slide_servo"), load_recipe(path))
+        VirtualMachine(rig_of("slide_servo"), load_recipe(path))
     assert error.value.file == str(path) and error.value.line == line

@@ -16,12 +16,23 @@ from ehbench.control import pressure_feedback as pf
 from ehbench.control.arc_gains import GAIN_NAMES
 from ehbench.control.functions import PATH_FLOWS, RULES
 from ehbench.errors import InputError
+from ehbench.parts.sample import sample_channels
 from ehbench.plant.model import Model
 from ehbench.quantities import quantity
 from ehbench.recipe import TrialRecipe, TrialSetRecipe, load_rig
-from ehbench.rigs.model import sample_channels
-from ehbench.trial import RUN_OUT, Case, controllers, run_cases, run_trial, table_csv, table_rows
-from ehbench.trial import run as running
+from ehbench.trial import (
+    RUN_OUT,
+    Case,
+    Session,
+    account,
+    controllers,
+    prepare,
+    run,
+    run_cases,
+    run_trial,
+    table_csv,
+    table_rows,
+)
 from ehbench.trial.motion import full_speed
 from ehbench.tune.linear import circuit_of
 
@@ -60,22 +71,24 @@ def recipe(controller, motion=UP_DOWN, path="trial.toml", **given):
 
 def closed(recipe, rig=ARM):
     """The compiled controller of a recipe, as its trial would run it."""
-    loop = running._Closed.of(recipe, rig, None, None, False)
-    return controllers.compiled(
-        recipe, loop.design, None, loop.references.table, float(recipe.rate)
-    )
+    return prepare(recipe, rig).loop.law
 
 
 def working_edges(rig, cylinder, functions):
     """Names of the edges that some working functions meter through."""
-    index = [c.name for c in rig.cylinder].index(cylinder)
     model = Model.of(rig)
-    paths = circuit_of(model, index).paths
+    paths = circuit_of(model, model.layout.cylinders.index(cylinder)).paths
     return {
         model.layout.edges[paths[path]]
         for function in functions
         for path in np.flatnonzero(PATH_FLOWS[function].any(axis=1))
     }
+
+
+def energy(recipe, rig=ARM):
+    """The energies of a recipe's trial."""
+    prepared = prepare(recipe, rig)
+    return account(prepared, run(prepared)).facts.measures["energy"]
 
 
 # rig: its cylinder, a stroke in the middle of its range [m], a payload, a feedback gain
@@ -365,11 +378,11 @@ def test_a_built_in_law_is_given_its_channels_only(law, given, on, monkeypatch):
     touched by it.
     """
     seen = []
-    go = running.Runner.go
+    through = Session._through
     monkeypatch.setattr(
-        running.Runner,
-        "go",
-        lambda self, first, stop, law=None: seen.append(law) or go(self, first, stop, law),
+        Session,
+        "_through",
+        lambda self, first, stop: seen.append(self.law) or through(self, first, stop),
     )
     record, _ = run_trial(ARM, recipe(law, on=on, payload="50 lb"))
     names = sample_channels(closed_layout().cylinders)
@@ -614,33 +627,32 @@ def test_an_unused_valve_stays_at_rest():
 # ----------------------------------------------------------------------------------------------------------------
 
 
-def test_pump_energy_from_measured_channels_is_that_of_the_edge_flows():
-    """On a model record, whose valves are those of the design model: what the estimate adds is
-    sampling, under 1 %.
-    """
-    given = recipe(ARC)
-    record, facts = run_trial(ARM, given)
-    loop = running._Closed.of(given, ARM, None, None, False)
-    flow, source = running._drawn(record, loop.design, object())
-    exact, _ = running._drawn(record, loop.design, running._machine(ARM, given, None))
-    assert (
-        source.startswith("estimated")
-        and facts.measures["energy"]["source"] == "edge flows of the model"
-    )
-    assert (
-        flow.sum() == pytest.approx(exact.sum(), rel=0.01)
-        and np.abs(flow - exact).max() < 0.05 * exact.max()
-    )
+@pytest.mark.parametrize("on", ["model", "bench"])
+def test_the_energies_of_a_trial_are_those_of_its_ledger(on):
+    """One code gives both: the pump's energy, the cylinder's work, and where the flow is from."""
+    prepared = prepare(recipe(ARC, on=on, bench=BENCH), ARM)
+    result = run(prepared)
+    made = account(prepared, result)
+    found, rows = made.facts.measures["energy"], {row["name"]: row for row in made.ledger["rows"]}
+    assert found["pump"] == rows["pump"]["energy"] > 100.0
+    assert found["cylinder_work"] == rows["boom.work"]["energy"]
+    # the supply stands at its set pressure all the while, but for what the pump's droop takes
+    mean = found["pump"] / found["oil_drawn"]
+    assert mean == pytest.approx(np.mean(result.record["p_supply"]), rel=0.03)
+    assert found["source"].startswith("edge flows" if on == "model" else "estimated")
+    known = list(made.facts.measures)
+    assert known.index("energy") == known.index("limits") - 1 and not made.doubts
 
 
 def test_the_energy_saving_law_takes_a_third_less_than_the_four_way_valve():
     """Bound over a closed cycle: 34.5 % with regenerated lowering (SPEC 4); tracking no worse."""
-    five, four = (
-        run_trial(RIGS[name], recipe(ARC, payload="50 lb"))[1].measures
-        for name in ("thesis_arm", "thesis_arm_standard")
-    )
-    saved = 1.0 - five["energy"]["pump"] / four["energy"]["pump"]
+    given = recipe(ARC, payload="50 lb")
+    five, four = (energy(given, RIGS[name]) for name in ("thesis_arm", "thesis_arm_standard"))
+    saved = 1.0 - five["pump"] / four["pump"]
     assert 0.30 < saved < 0.45
+    five, four = (
+        run_trial(RIGS[name], given)[1].measures for name in ("thesis_arm", "thesis_arm_standard")
+    )
     assert five["tracking"]["rms_error"] < 1.5 * four["tracking"]["rms_error"]
 
 
@@ -677,8 +689,8 @@ def test_a_set_is_the_product_in_order_and_its_bytes_do_not_depend_on_threads():
         len(cases) == 8 and cases[-1].recipe.payload == "50 lb" and cases[0].recipe.payload is None
     )
     serial, parallel = run_cases(cases, workers=1), run_cases(cases, workers=4)
-    for (a, fa), (b, fb) in zip(serial, parallel, strict=True):
-        assert all(np.array_equal(a[name], b[name]) for name in a.channels) and fa == fb
+    for (a, own_a), (b, own_b) in zip(serial, parallel, strict=True):
+        assert all(np.array_equal(a[name], b[name]) for name in a.channels) and own_a == own_b
     rows = table_rows(cases, serial)
     text = table_csv(rows, ARM).splitlines()
     assert (

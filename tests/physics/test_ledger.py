@@ -24,6 +24,7 @@ from ehbench.ledger import (
     noise_of,
     travels,
 )
+from ehbench.machines.virtual import CREEP, VirtualMachine
 from ehbench.parts.cylinder import linkage_arrays
 from ehbench.physics.flow_map import FlowMap, ValveMaps, root_drop
 from ehbench.physics.friction import stribeck
@@ -31,7 +32,6 @@ from ehbench.plant.model import Model
 from ehbench.recipe import TrialRecipe, load_recipe, load_rig
 from ehbench.record import Record
 from ehbench.rig import Rig, Value
-from ehbench.rigs.bench import CREEP, BenchRig
 from ehbench.trial import run_trial
 
 ROOT = Path(__file__).parents[2]
@@ -617,12 +617,12 @@ def vars_of(one: FlowMap) -> dict:
 
 def on_bench(
     name: str, commands, duration: float = 4.0
-) -> tuple[Rig, BenchRig, Record, np.ndarray]:
+) -> tuple[Rig, VirtualMachine, Record, np.ndarray]:
     """A trial on the virtual bench: its rig, the bench, what it logged, and its true states at each
     sample.
     """
     rig = load_rig(ROOT / "recipes" / "rigs" / f"{name}.toml")
-    bench = BenchRig(rig, load_recipe(ROOT / "recipes" / "bench" / f"{name}.toml"), seed=7)
+    bench = VirtualMachine(rig, load_recipe(ROOT / "recipes" / "bench" / f"{name}.toml"), seed=7)
     t = np.arange(round(1000 * duration) + 1) * 1e-3
     table = bench.model.rest_commands(t.size)
     for valve, u in commands.items():
@@ -835,9 +835,9 @@ def overlaps(monkeypatch):
     """Counts of labels that lie on one another, or out of the picture, one entry a figure drawn."""
     from contextlib import contextmanager
 
-    from ehbench.report import energy_figures
+    from ehbench.report.figures import energy_bars, sankey
 
-    found, plain = [], energy_figures.canvas
+    found, plain = [], sankey.canvas
 
     @contextmanager
     def watched(*args, **kwargs):
@@ -855,7 +855,8 @@ def overlaps(monkeypatch):
             )
             found.append((crowded, outside))
 
-    monkeypatch.setattr(energy_figures, "canvas", watched)
+    for figures in (energy_bars, sankey):
+        monkeypatch.setattr(figures, "canvas", watched)
     return found
 
 
@@ -863,7 +864,8 @@ def test_pictures_are_legible_and_the_same_each_time(model, made, overlaps, tmp_
     """Every label of the Sankey picture and of the bars stands free and inside; same ledger, same
     bytes.
     """
-    from ehbench.report.energy_figures import bars, sankey
+    from ehbench.report.figures.energy_bars import bars
+    from ehbench.report.figures.sankey import sankey
 
     one = ledger_of_model(model, made).as_json()
     log = ledger_of_log(model.rig, None, measured(made, model)).as_json()

@@ -16,12 +16,12 @@ from ehbench.control import pressure_feedback
 from ehbench.control.functions import pack_rules
 from ehbench.control.records import blank
 from ehbench.errors import InputError
+from ehbench.machines.simulated import model_sample, model_tick
 from ehbench.physics import arm
 from ehbench.physics.cylinder import joint_angle
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
-from ehbench.rigs.model import model_sample, model_tick
 from ehbench.tune.linear import (
     Law,
     circuit_of,

@@ -18,12 +18,12 @@ from ehbench.control import trajectory as tr
 from ehbench.control.measured import pressure_entries
 from ehbench.control.records import blank
 from ehbench.errors import InputError
-from ehbench.parts.sample import OF, entry
+from ehbench.machines.simulated import model_sample
+from ehbench.parts.sample import OF, entry, sample_channels
 from ehbench.plant.integrate import rk4
 from ehbench.plant.model import Model
 from ehbench.quantities import quantity
 from ehbench.recipe import load_rig
-from ehbench.rigs.model import model_sample, sample_channels
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 TICK = 1e-3

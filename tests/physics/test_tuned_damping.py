@@ -13,10 +13,10 @@ from ehbench.codes import FUNCTIONS
 from ehbench.control import pressure_feedback as pf
 from ehbench.control.functions import pack_rules
 from ehbench.control.records import blank
+from ehbench.machines.simulated import model_sample, model_tick
 from ehbench.parts.cylinder import linkage_of
 from ehbench.plant.model import Model
 from ehbench.recipe import TuneRecipe, load_rig
-from ehbench.rigs.model import model_sample, model_tick
 from ehbench.tune.gains import NONE, tune_pressure_feedback
 from ehbench.tune.linear import circuit_of, state_of
 

@@ -1,0 +1,173 @@
+"""Typed fields of files: a number with unit, source, bounds and standard error.
+
+    mass: Annotated[Value, Q("mass")]
+    com: Annotated[Value, Q("com", 3)]
+
+reads ``"12 kg"`` or ``{ value = "12 kg", source = "datasheet", std = "0.1 kg" }`` by the vocabulary
+row of its name, and writes it back as it was read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
+
+from ehbench import units
+from ehbench.errors import InputError, UnitError
+from ehbench.quantities import VOCABULARY, Quantity
+
+SURENESS = ("printed", "restored", "companion", "assumed", "datasheet", "identified")
+
+
+class FileModel(BaseModel):
+    """Base of all file-backed models: frozen, no unknown keys."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", arbitrary_types_allowed=True, populate_by_name=True
+    )
+
+
+@dataclass(frozen=True)
+class Value:
+    """A number in SI (or a tuple of them) with where it came from.
+
+    ``sure`` is one of ``SURENESS``; ``source`` the words of the file; ``lower``, ``upper`` bounds
+    and ``std`` the standard error, all SI; ``text`` what the file said, kept so that a rig can be
+    written back as it was read."""
+
+    value: float | tuple[float, ...]
+    sure: str = "assumed"
+    source: str = ""
+    lower: float | None = None
+    upper: float | None = None
+    std: float | None = None
+    text: Any = None
+
+    def __float__(self) -> float:
+        return float(self.value)  # type: ignore[arg-type]
+
+
+def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
+    """A TOML value as a ``Value``: ``"1000 psi"``, a list of such, or ``{ value, source, sure,
+    lower, upper, std }``.
+
+    Raises:
+        UnitError: no unit, wrong unit, implausible value, bounds that do not hold it.
+        InputError: a key that does not belong there.
+    """
+    if isinstance(raw, Value):
+        return raw
+    table = dict(raw) if isinstance(raw, Mapping) else {"value": raw}
+    unknown = set(table) - {"value", "source", "sure", "lower", "upper", "std", "note"}
+    if unknown:
+        raise InputError(
+            f"{row.name} has unknown key '{sorted(unknown)[0]}'",
+            hint="a value takes value, source, sure, lower, upper, std, note",
+        )
+    if "value" not in table:
+        raise InputError(f"{row.name} has no 'value'")
+
+    def number(item: Any, what: str, check: bool = True) -> float:
+        if isinstance(item, bool) or not isinstance(item, (str, int, float)):
+            raise UnitError(
+                f"{what} of {row.name} is {item!r}, not a number with a unit",
+                hint=f'write "1.5 {row.display}"',
+            )
+        if not isinstance(item, str):
+            if row.unit != "dimensionless":
+                raise UnitError(
+                    f"{row.name} = {item} has no unit", hint=f'write "{item} {row.display}"'
+                )
+            return float(item)
+        bare = Quantity(row.name, row.symbol, row.unit, row.display, row.meaning)
+        result = units.parse(item, row if check else bare)
+        if not math.isfinite(result):
+            raise UnitError(f"{row.name} = {item} is not finite")
+        return result
+
+    raw_value = table["value"]
+    if count == 1:
+        value: float | tuple[float, ...] = number(raw_value, "the value")
+    else:
+        if not isinstance(raw_value, (list, tuple)) or len(raw_value) != count:
+            raise InputError(
+                f"{row.name} takes a list of {count} values with units, not {raw_value!r}"
+            )
+        value = tuple(number(item, "an entry") for item in raw_value)
+    limits = {
+        key: number(table[key], key, check=False)
+        for key in ("lower", "upper", "std")
+        if key in table
+    }
+    if isinstance(value, float) and not (
+        limits.get("lower", -math.inf) <= value <= limits.get("upper", math.inf)
+    ):
+        bounds = " and ".join(f"{key} = {table[key]}" for key in ("lower", "upper") if key in table)
+        raise UnitError(f"{row.name} = {raw_value} lies outside its own bounds: {bounds}")
+    source = str(table.get("source", ""))
+    first = source.replace(":", " ").replace(",", " ").split(" ")[0]
+    sure = table.get("sure", first if first in SURENESS else "assumed")
+    if sure not in SURENESS:
+        raise InputError(f"{row.name} is '{sure}'", hint="sure is one of " + ", ".join(SURENESS))
+    return Value(value=value, sure=sure, source=source, text=raw, **limits)
+
+
+def write_value(value: Value, row: Quantity) -> Any:
+    """A ``Value`` as TOML would hold it: its own text if it was read from a file, else SI with all
+    digits.
+    """
+    if value.text is not None:
+        return dict(value.text) if isinstance(value.text, Mapping) else value.text
+    unit = "" if row.unit == "dimensionless" else f" {row.unit}"
+
+    def show(number: float) -> str:
+        return f"{float(number)!r}{unit}"
+
+    table: dict[str, Any] = {
+        "value": [show(v) for v in value.value]
+        if isinstance(value.value, tuple)
+        else show(value.value)
+    }
+    table["sure"] = value.sure
+    if value.source:
+        table["source"] = value.source
+    for key in ("lower", "upper", "std"):
+        number = getattr(value, key)
+        if number is not None and math.isfinite(number):
+            table[key] = show(number)
+    return table
+
+
+@dataclass(frozen=True)
+class Q:
+    """Marks a ``Value`` as one quantity of the vocabulary, or as ``count`` of them in a list."""
+
+    name: str
+    count: int = 1
+
+    @property
+    def row(self) -> Quantity:
+        """The vocabulary's row: symbol, unit, range, meaning."""
+        return VOCABULARY[self.name]
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(
+            self._read,
+            handler(source),
+            serialization=core_schema.plain_serializer_function_ser_schema(self._write),
+        )
+
+    def _read(self, raw: Any) -> Value:
+        try:
+            return read_value(raw, self.row, self.count)
+        except InputError as error:
+            raise ValueError(str(error)) from None
+
+    def _write(self, value: Value) -> Any:
+        return write_value(value, self.row)

@@ -1,0 +1,128 @@
+"""What a machine is to a trial: the one protocol of the model, of the virtual bench and of hardware.
+
+Once a tick a machine takes a command for each valve and gives a sample: ``[q, qd, x, v, p_head,
+p_rod]`` of each cylinder in the rig file's order, then ``p_supply, p_tank``, all SI. Nothing else
+comes from it by the protocol, so a controller sees what a sensor could give. What more a simulation
+can do stands behind an attribute of its own that a machine may have or lack: see `truth_of` and
+`advance_of`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from ehbench.machines.rows import LawRows, Rows
+from ehbench.plant.model import Model
+
+Posture = Mapping[str, str | float] | None
+Advance = Callable[[int, int, Rows, LawRows | None], int]
+
+
+class Inputs(NamedTuple):
+    """The commands that a machine takes: names of its valves, the ends of each driver's range [V]
+    and where each rests [V], shape (valves,).
+    """
+
+    names: tuple[str, ...]
+    lowest: np.ndarray
+    highest: np.ndarray
+    rest: np.ndarray
+
+    @classmethod
+    def of(cls, model: Model) -> Inputs:
+        """The commands of a model's valves."""
+        low, high = model.plant.valves.lowest.copy(), model.plant.valves.highest.copy()
+        return cls(model.layout.valves, low, high, model.rest_commands(1)[0])
+
+
+class Machine(Protocol):
+    """A machine that a trial runs on. Making one moves nothing and reaches for nothing outside: that
+    begins with `start`, which may be called again and then begins anew.
+
+    Attributes:
+        name: what logs and reports call it.
+        channels: names of the sample's entries.
+        commands: what it takes.
+        strokes: full stroke of each cylinder [m], in the order of the sample.
+        rate: ticks a second [Hz].
+        latency: how much older than its tick a sample is [s].
+    """
+
+    name: str
+    channels: tuple[str, ...]
+    commands: Inputs
+    strokes: np.ndarray
+    rate: float
+    latency: float
+
+    def check_posture(self, posture: Posture) -> None:
+        """Say, without moving, whether `start` can take a posture.
+
+        Raises:
+            InputError: a posture that it cannot take.
+        """
+        ...
+
+    def start(self, posture: Posture = None, low_side: float | None = None) -> np.ndarray:
+        """Come to rest, valves at rest; the sample at t = 0.
+
+        Args:
+            posture: by cylinder or joint, as `Model.posture` reads it; mid-stroke where it says
+                nothing.
+            low_side: pressure [Pa] of the chambers that no load presses on.
+
+        Raises:
+            InputError: a posture that it cannot take.
+        """
+        ...
+
+    def tick(self, command: np.ndarray) -> np.ndarray:
+        """Let ``command`` [V], shape (valves,), act for one tick; the sample at its end.
+
+        Raises:
+            SimulationError: the numbers left the finite range.
+        """
+        ...
+
+    def close(self) -> None:
+        """Let the machine go, its valves at rest; closing twice does nothing."""
+        ...
+
+
+class Truth(Protocol):
+    """What only a simulation can say of itself, as the attribute ``truth`` of a machine.
+
+    Attributes:
+        model: whose states they are.
+        width: numbers in a row.
+    """
+
+    model: Model
+    width: int
+
+    def read(self, command: np.ndarray, row: np.ndarray) -> None:
+        """Write what is true now, with ``command`` [V] about to act, into ``row``, shape (width,)."""
+        ...
+
+    def channels(
+        self, t: np.ndarray, commands: np.ndarray, rows: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        """Rows of a trial as named SI channels, measured ones and commands among them."""
+        ...
+
+
+def truth_of(machine: Machine) -> Truth | None:
+    """What a simulated machine can say of itself beyond its sensors; None of one that cannot."""
+    return getattr(machine, "truth", None)
+
+
+def advance_of(machine: Machine) -> Advance | None:
+    """The fast path of a machine that has one: ``advance(first, stop, rows, law)`` runs many ticks
+    in one compiled call.
+
+    It does what a session does tick by tick (`ehbench.trial.session`), to the bit, and returns the
+    row at which a limit was reached, before its tick, or −1.
+    """
+    return getattr(machine, "advance", None)

@@ -1,0 +1,36 @@
+"""Which machines there are, by the ``on`` of a trial's recipe."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from ehbench.errors import InputError
+from ehbench.machines.protocol import Machine
+from ehbench.machines.simulated import SimulatedMachine
+from ehbench.machines.virtual import VirtualMachine
+from ehbench.plant.build import Maps
+from ehbench.recipe import TrialRecipe
+from ehbench.rig import Rig
+
+MACHINES: dict[str, Callable[[TrialRecipe, Rig, Maps | None], Machine]] = {
+    "model": SimulatedMachine.of,
+    "bench": VirtualMachine.of,
+}
+
+
+def open_machine(recipe: TrialRecipe, rig: Rig, maps: Maps | None = None) -> Machine:
+    """The machine that a trial's recipe asks for.
+
+    Args:
+        recipe: its ``on`` names the machine.
+        rig: as the recipe names it, without payload.
+        maps: measured flow maps of the rig.
+
+    Raises:
+        InputError: no such payload, or a bench file that does not fit the rig.
+    """
+    try:
+        rig.with_payload(recipe.payload)
+    except InputError as error:
+        raise InputError(error.message, **recipe.at("payload"), hint=error.hint) from None
+    return MACHINES[recipe.on](recipe, rig, maps)

@@ -1,0 +1,100 @@
+"""The rows of a trial as compiled code sees them: what every tick reads and writes, where a limit
+stops it, and one tick of a built-in controller.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ehbench.compiled import kernel
+from ehbench.control.law import Controller
+from ehbench.control.registry import tick
+from ehbench.parts.sample import OF, entry
+from ehbench.recipe import Limits
+
+LIMITS = ("pressure_max", "pressure_min", "stroke_margin", "speed_max", "command_max")
+NO_LIMITS = (math.inf, -math.inf, -math.inf, math.inf, math.inf)
+PRESSURE_MAX, PRESSURE_MIN, MARGIN, SPEED, COMMAND = range(5)
+
+
+class Rows(NamedTuple):
+    """A trial's rows, one a tick, and what is checked in each.
+
+    ``t`` [s]; ``commands`` [V], shape (samples, valves), into which a controller writes its own;
+    ``samples`` what was measured, shape (samples, channels); ``truth`` what only a simulation
+    knows, shape (samples, width). ``sample`` is the present sample, which no row holds yet.
+    ``limits`` are in the order of LIMITS, SI; ``strokes`` the full strokes [m]; ``found`` says of a
+    limit that was reached (which, cylinder or valve, entry of the sample)."""
+
+    t: np.ndarray
+    commands: np.ndarray
+    samples: np.ndarray
+    truth: np.ndarray
+    sample: np.ndarray
+    limits: np.ndarray
+    strokes: np.ndarray
+    found: np.ndarray
+
+
+class LawRows(NamedTuple):
+    """A built-in controller over a trial's rows: ``references`` that it shall follow and the
+    ``telemetry`` that it leaves have a row a tick.
+    """
+
+    references: np.ndarray
+    controller: Controller
+    telemetry: np.ndarray
+
+
+def limit_array(limits: Limits) -> np.ndarray:
+    """A recipe's limits in the order of LIMITS, SI; infinite where there is none."""
+    given = (getattr(limits, name) for name in LIMITS)
+    return np.array(
+        [
+            none if value is None else float(value)
+            for value, none in zip(given, NO_LIMITS, strict=True)
+        ]
+    )
+
+
+@kernel
+def violated(rows, i):
+    """Whether the present sample or the command of row ``i`` reached a limit; ``rows.found`` then
+    says which.
+    """
+    sample, command, limits, found = rows.sample, rows.commands[i], rows.limits, rows.found
+    for c in range(rows.strokes.shape[0]):
+        for channel in (OF.p_head, OF.p_rod):
+            p = sample[entry(c, channel)]
+            if p > limits[PRESSURE_MAX] or p < limits[PRESSURE_MIN]:
+                found[0] = PRESSURE_MAX if p > limits[PRESSURE_MAX] else PRESSURE_MIN
+                found[1], found[2] = c, entry(c, channel)
+                return True
+        x = sample[entry(c, OF.x)]
+        if x < limits[MARGIN] or x > rows.strokes[c] - limits[MARGIN]:
+            found[0], found[1], found[2] = MARGIN, c, entry(c, OF.x)
+            return True
+        if abs(sample[entry(c, OF.v)]) > limits[SPEED]:
+            found[0], found[1], found[2] = SPEED, c, entry(c, OF.v)
+            return True
+    for v in range(command.shape[0]):
+        if abs(command[v]) > limits[COMMAND]:
+            found[0], found[1], found[2] = COMMAND, v, -1
+            return True
+    return False
+
+
+@kernel
+def control(law, i, rows):
+    """One tick of a built-in controller: its command and its telemetry of row ``i``."""
+    tick(
+        rows.t[i],
+        rows.sample,
+        law.references[i],
+        law.controller,
+        rows.commands[i],
+        law.telemetry[i],
+    )

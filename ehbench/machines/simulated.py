@@ -1,0 +1,183 @@
+"""The identified model behind the protocol of a real machine, with perfect sensors."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ehbench.compiled import kernel
+from ehbench.errors import SimulationError
+from ehbench.machines.protocol import Inputs, Posture
+from ehbench.machines.rows import LawRows, Rows, control, violated
+from ehbench.parts.cylinder import linkage_of
+from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
+from ehbench.parts.sample import LINE, OF, entry, line_entry, sample_channels
+from ehbench.plant.build import Maps, Plant
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.integrate import STEP, advance, rk4
+from ehbench.plant.model import Model
+from ehbench.recipe import TrialRecipe
+from ehbench.rig import Rig
+
+NAME = "model"
+
+
+class Running(NamedTuple):
+    """A model at work: its state ``y``, the plant, the ``tick`` [s] and the integration ``steps``
+    in it, and the scratch of both.
+    """
+
+    y: np.ndarray
+    plant: Plant
+    tick: float
+    steps: int
+    k: np.ndarray
+    work: np.ndarray
+
+
+@kernel
+def model_sample(y, plant, sample):
+    """Write what perfect sensors say of state ``y`` into ``sample``."""
+    cylinders = plant.cylinders.shape[0]
+    for c in range(cylinders):
+        row = plant.cylinders[c]
+        q, rate = y[row.joint], y[plant.at.rates + row.joint]
+        x, lever, _ = linkage_of(row, q)
+        sample[entry(c, OF.q)] = q
+        sample[entry(c, OF.qd)] = rate
+        sample[entry(c, OF.x)] = x
+        sample[entry(c, OF.v)] = lever * rate
+        sample[entry(c, OF.p_head)] = node_pressure(y, plant, row.node_head)
+        sample[entry(c, OF.p_rod)] = node_pressure(y, plant, row.node_rod)
+    sample[line_entry(cylinders, LINE.p_supply)] = node_pressure(y, plant, SUPPLY)
+    sample[line_entry(cylinders, LINE.p_tank)] = node_pressure(y, plant, TANK)
+
+
+@kernel
+def model_tick(y, command, plant, tick, steps, k, work, sample):
+    """Let ``command`` [V] act for one ``tick`` [s] on state ``y``, in place, then write the sample
+    at its end.
+
+    ``k`` is a (5, states) scratch and ``work`` the workspace of the plant; ``steps`` integration
+    steps a tick."""
+    for _ in range(steps):
+        rk4(y, command, plant, tick / steps, k, work)
+    model_sample(y, plant, sample)
+
+
+@kernel
+def model_truth(own, command, row):
+    """Write the state, the edge flows and the pump's flow into ``row``; ``own.k[0]`` then holds the
+    derivatives, whose fastest rate [1/s] is returned.
+    """
+    size, at = own.y.shape[0], own.plant.at.flow
+    rate = derivatives(own.y, command, own.plant, own.k[0], own.work)
+    for j in range(size):
+        row[j] = own.y[j]
+    for j in range(own.work.shape[0] - at):
+        row[size + j] = own.work[at + j]
+    return rate
+
+
+@kernel
+def _advance(first, stop, own, rows, law):
+    sample, h = rows.sample, own.tick / own.steps
+    for i in range(first, stop):
+        if law is not None:
+            control(law, i, rows)
+        if violated(rows, i):
+            return i
+        command = rows.commands[i]
+        rate = model_truth(own, command, rows.truth[i])
+        for j in range(sample.shape[0]):
+            rows.samples[i, j] = sample[j]
+        advance(own.y, command, own.plant, h, own.k, own.work, rate)
+        for _ in range(1, own.steps):
+            rk4(own.y, command, own.plant, h, own.k, own.work)
+        model_sample(own.y, own.plant, sample)
+    return -1
+
+
+class SimulatedMachine:
+    """A model as a machine: ``start`` puts it at rest in a posture, ``tick`` lets a command act;
+    samples are exact.
+
+    Args:
+        model: with its payload and flow maps.
+        rate: ticks a second [Hz].
+        step: integration step [s].
+    """
+
+    name = NAME
+    latency = 0.0
+
+    def __init__(self, model: Model, rate: float = 1000.0, step: float = STEP) -> None:
+        self.model, self.layout, self.rate = model, model.layout, float(rate)
+        self.channels, self.commands = sample_channels(model.layout.cylinders), Inputs.of(model)
+        self.strokes = model.plant.cylinders.stroke.copy()
+        self.steps = max(1, round(1.0 / (self.rate * step)))
+        plant, states = model.plant, model.layout.states
+        self.state = np.zeros(states)
+        self._own = Running(
+            self.state,
+            plant,
+            1.0 / self.rate,
+            self.steps,
+            np.empty((5, states)),
+            np.empty(plant.at.work),
+        )
+        self.truth = ModelTruth(model, self._own)
+
+    @classmethod
+    def of(cls, recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> SimulatedMachine:
+        """The model that a trial runs on."""
+        model = Model.of(rig, maps, recipe.payload)
+        return cls(model, float(recipe.rate), float(recipe.step))
+
+    def check_posture(self, posture: Posture) -> None:
+        """As `Machine.check_posture`."""
+        self.model.posture(posture)
+
+    def start(self, posture: Posture = None, low_side: float | None = None) -> np.ndarray:
+        """As `Machine.start`."""
+        self.state[:] = self.model.trim(self.model.posture(posture), low_side)
+        sample = np.empty(len(self.channels))
+        model_sample(self.state, self.model.plant, sample)
+        return sample
+
+    def tick(self, command: np.ndarray) -> np.ndarray:
+        """As `Machine.tick`."""
+        sample = np.empty(len(self.channels))
+        own, held = self._own, np.asarray(command, dtype=float)
+        model_tick(own.y, held, own.plant, own.tick, own.steps, own.k, own.work, sample)
+        if not np.isfinite(self.state).all():
+            raise SimulationError("the simulation left finite numbers", hint="take a smaller step")
+        return sample
+
+    def advance(self, first: int, stop: int, rows: Rows, law: LawRows | None) -> int:
+        """As `advance_of` says."""
+        return _advance(first, stop, self._own, rows, law)
+
+    def close(self) -> None:
+        """There is nothing to let go."""
+
+
+class ModelTruth:
+    """The states of a running model, its edge flows and the pump's flow, in the order of
+    `Model.run`'s log.
+    """
+
+    def __init__(self, model: Model, own: Running) -> None:
+        self.model, self._own = model, own
+        self.width = model.layout.states + len(model.layout.edges) + 1
+
+    def read(self, command: np.ndarray, row: np.ndarray) -> None:
+        """As `Truth.read`."""
+        model_truth(self._own, command, row)
+
+    def channels(
+        self, t: np.ndarray, commands: np.ndarray, rows: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        """As `Truth.channels`: all that `Model.record` gives."""
+        return self.model.record(t, commands, rows).channels

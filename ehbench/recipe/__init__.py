@@ -1,0 +1,61 @@
+"""Rigs and recipes from TOML, one file a kind of recipe."""
+
+from __future__ import annotations
+
+from ehbench.recipe.base import ByParameter, DataFile, DataFiles, Recipe
+from ehbench.recipe.campaign import Campaign, TextSection
+from ehbench.recipe.dataset import DatasetLog, DatasetRecipe, Flowmeter
+from ehbench.recipe.flow_map import CalibrationPoint, FlowMapRecipe
+from ehbench.recipe.hydraulics import HydraulicsRecipe
+from ehbench.recipe.loading import kind_of, load_recipe, load_rig, recipe_kinds
+from ehbench.recipe.toml import line_of, read_toml
+from ehbench.recipe.trial import AnyTrial, Command, Controller, Limits, Motion, TrialRecipe
+from ehbench.recipe.trials import SetController, TrialSetRecipe
+from ehbench.recipe.tune import TuneRecipe
+from ehbench.recipe.validate import Thresholds, ValidateRecipe
+from ehbench.recipe.virtual import (
+    BenchCurve,
+    BenchCylinder,
+    BenchEdge,
+    BenchRecipe,
+    BenchSensors,
+    BenchValve,
+)
+
+__all__ = [
+    "AnyTrial",
+    "BenchCurve",
+    "BenchCylinder",
+    "BenchEdge",
+    "BenchRecipe",
+    "BenchSensors",
+    "BenchValve",
+    "ByParameter",
+    "CalibrationPoint",
+    "Campaign",
+    "Command",
+    "Controller",
+    "DataFile",
+    "DataFiles",
+    "DatasetLog",
+    "DatasetRecipe",
+    "FlowMapRecipe",
+    "Flowmeter",
+    "HydraulicsRecipe",
+    "Limits",
+    "Motion",
+    "Recipe",
+    "SetController",
+    "TextSection",
+    "Thresholds",
+    "TrialRecipe",
+    "TrialSetRecipe",
+    "TuneRecipe",
+    "ValidateRecipe",
+    "kind_of",
+    "line_of",
+    "load_recipe",
+    "load_rig",
+    "read_toml",
+    "recipe_kinds",
+]

@@ -1,0 +1,94 @@
+"""What every recipe has, and the pieces that several recipes share.
+
+Paths in a recipe are relative to the recipe. A rig or a flow map may be named by a file, by a run
+folder, or by the recipe that makes it: the workflow then makes it first if it is not there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, get_args
+
+from pydantic import BeforeValidator, Field
+
+from ehbench.fields import FileModel, Q, Value
+from ehbench.recipe.toml import line_of
+
+
+class DataFile(FileModel):
+    """A log to use: its path, the payload carried (else what the log's own meta says), a window of
+    its time, a note.
+    """
+
+    path: str
+    payload: str | None = None
+    start: Annotated[Value, Q("start")] | None = None
+    stop: Annotated[Value, Q("stop")] | None = None
+    note: str = ""
+
+
+def _data_file(raw: Any) -> Any:
+    return {"path": raw} if isinstance(raw, str) else raw
+
+
+DataFiles = Annotated[
+    tuple[Annotated[DataFile, BeforeValidator(_data_file)], ...], Field(min_length=1)
+]
+
+
+class Recipe(FileModel):
+    """What every recipe has. ``path`` is the recipe's own file; names of other files are relative
+    to it.
+    """
+
+    title: str = ""
+    note: str = ""
+    path: Path = Field(default=Path("recipe.toml"), exclude=True)
+
+    @classmethod
+    def kind(cls) -> tuple[str, str | None]:
+        """(stage, what) that a file of this kind has; what is None where the stage has one kind."""
+        fields = cls.model_fields
+        (stage,) = get_args(fields["stage"].annotation)
+        what = get_args(fields["what"].annotation)[0] if "what" in fields else None
+        return stage, what
+
+    @property
+    def name(self) -> str:
+        """The recipe's name: its file's stem."""
+        return self.path.stem
+
+    def file(self, name: str) -> Path:
+        """A path of this recipe, as written in it, relative to its folder."""
+        return (self.path.parent / name).resolve()
+
+    def at(self, *location: str | int) -> dict[str, Any]:
+        """``file`` and ``line`` of a key of this recipe, as the errors take them; no line where the
+        file cannot say.
+        """
+        try:
+            line = line_of(self.path.read_text(encoding="utf-8"), location)
+        except OSError:
+            line = None
+        return {"file": self.path, "line": line}
+
+
+def _flat(raw: Any) -> Any:
+    """Tables within a table of parameters as dotted names, as unquoted keys such as
+    ``boom.joint_damping`` make them.
+    """
+    if not isinstance(raw, dict):
+        return raw
+    found: dict[str, Any] = {}
+    for name, value in raw.items():
+        inner = (
+            {f"{name}.{key}": item for key, item in _flat(value).items()}
+            if isinstance(value, dict)
+            else {name: value}
+        )
+        if twice := sorted(set(inner) & set(found)):
+            raise ValueError(f"'{twice[0]}' is given twice")
+        found |= inner
+    return found
+
+
+ByParameter = Annotated[dict[str, str], BeforeValidator(_flat)]

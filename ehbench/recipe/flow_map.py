@@ -1,0 +1,36 @@
+"""The recipe of flow maps."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from ehbench.fields import FileModel, Q, Value
+from ehbench.recipe.base import Recipe
+
+
+class CalibrationPoint(FileModel):
+    """A flow that a command is supposed to give, e.g. 2 gpm at 4 V, to be met within ``tolerance``
+    of that flow.
+    """
+
+    command: Annotated[Value, Q("command")]
+    flow: Annotated[Value, Q("flow")]
+    tolerance: float = Field(default=0.1, gt=0, lt=1)
+
+
+class FlowMapRecipe(Recipe):
+    """Flowmeter readings to flow maps.
+
+    ``calibration`` is checked on every map at ``calibration_drop``. A flowmeter reading below
+    ``meter_limit`` only says that the flow lies below it; readings of the method ``cylinder`` have
+    no such limit."""
+
+    stage: Literal["identify"]
+    what: Literal["flow_map"]
+    rig: str
+    data: Annotated[tuple[str, ...], Field(min_length=1)]
+    calibration: tuple[CalibrationPoint, ...] = ()
+    calibration_drop: Annotated[Value, Q("pressure_drop")] | None = None
+    meter_limit: Annotated[Value, Q("meter_limit")] = Value(0.0)

@@ -1,0 +1,33 @@
+"""The recipe of an identification from step logs."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from ehbench.fields import Q, Value
+from ehbench.recipe.base import ByParameter, DataFiles, Recipe
+
+
+class HydraulicsRecipe(Recipe):
+    """Step logs to bulk modulus, damping, friction and whatever else ``parameters`` names.
+
+    ``compare_dynamics`` names valve dynamics of the rig file; the logs are fitted with each in
+    turn, so that the data decide."""
+
+    stage: Literal["identify"]
+    what: Literal["hydraulics"]
+    method: Literal["thesis", "output_error"] = "output_error"
+    rig: str
+    flow_maps: str | None = None
+    data: DataFiles
+    parameters: Annotated[tuple[str, ...], Field(min_length=1)]
+    start: ByParameter = {}
+    lower: ByParameter = {}
+    upper: ByParameter = {}
+    channels: tuple[str, ...] = ("qd", "p_head", "p_rod")
+    cutoff: Annotated[Value, Q("frequency")] | None = None
+    compare_dynamics: tuple[str, ...] = ()
+    max_iterations: int = Field(default=30, ge=1, le=1000)
+    workers: int = Field(default=0, ge=0, le=256)

@@ -1,0 +1,77 @@
+"""Rigs and recipes from their files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from ehbench.errors import InputError
+from ehbench.recipe.base import Recipe
+from ehbench.recipe.toml import line_of, read_toml, validated
+from ehbench.rig import Rig
+
+
+def load_rig(path: str | Path) -> Rig:
+    """The rig of a TOML file, or of a run folder that holds an identified rig (``rig.toml``).
+
+    Example:
+        rig = ehbench.load_rig("recipes/rigs/slide_servo.toml")
+        rig.parameters()["bulk_modulus"]
+
+    Raises:
+        InputError: with file, line, key, value and the nearest valid key.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / "rig.toml"
+    table, text = read_toml(path)
+    return validated(Rig, table, text, path)
+
+
+def recipe_kinds() -> dict[tuple[str, str | None], type[Recipe]]:
+    """Every recipe model by its ``stage`` and ``what`` (None where the stage has one kind): all
+    subclasses of `Recipe` with a stage of their own, those of stages elsewhere once imported.
+    """
+    found: dict[tuple[str, str | None], type[Recipe]] = {}
+    waiting = Recipe.__subclasses__()
+    while waiting:
+        model = waiting.pop(0)
+        waiting += model.__subclasses__()
+        if "stage" in model.model_fields:
+            found[model.kind()] = model
+    return found
+
+
+def load_recipe(path: str | Path) -> Recipe:
+    """The recipe of a TOML file, of the type its ``stage`` (and ``what``) names.
+
+    Raises:
+        InputError: with file, line, key, value and the nearest valid key.
+    """
+    path = Path(path)
+    table, text = read_toml(path)
+    known = recipe_kinds()
+    stage, what = table.get("stage"), table.get("what")
+    stages = sorted({s for s, _ in known})
+    if stage not in stages:
+        raise InputError(
+            "'stage' is missing" if stage is None else f"unknown stage '{stage}'",
+            file=path,
+            line=line_of(text, ("stage",)),
+            hint="stage is one of " + ", ".join(stages),
+        )
+    model = next((known[key] for key in ((stage, what), (stage, None)) if key in known), None)
+    if model is None:
+        raise InputError(
+            "'what' is missing" if what is None else f"unknown what = '{what}'",
+            file=path,
+            line=line_of(text, ("what",)),
+            hint="what is one of " + ", ".join(w for s, w in known if s == stage and w),
+        )
+    return validated(model, table, text, path).model_copy(update={"path": path.resolve()})
+
+
+def kind_of(path: Path) -> Literal["rig", "recipe"]:
+    """Whether a TOML file is a rig (has a mechanism) or a recipe (has a stage)."""
+    table, _ = read_toml(path)
+    return "recipe" if "stage" in table or "mechanism" not in table else "rig"

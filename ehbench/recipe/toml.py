@@ -1,0 +1,235 @@
+"""TOML in, with errors that name file, line, key, value and the nearest valid key."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import TypeAdapter, ValidationError
+
+from ehbench.errors import InputError
+from ehbench.fields import FileModel
+from ehbench.text import shortened
+
+_HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(?:#.*)?$")
+_KEY = re.compile(
+    r"""\s*((?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*'))*)\s*="""
+)
+
+
+def line_of(text: str, location: tuple[Any, ...]) -> int | None:
+    """The line of a TOML text at which the key at ``location`` (names and list indices) stands, or
+    its nearest parent.
+    """
+    flat: dict[tuple[Any, ...], int] = {}
+    for known, number in _lines(text).items():
+        flat.setdefault(_pieces(known), number)
+    wanted = _pieces(location)
+    return next(
+        (flat[wanted[:size]] for size in range(len(wanted), 0, -1) if wanted[:size] in flat), None
+    )
+
+
+def _lines(text: str) -> dict[tuple[Any, ...], int]:
+    """The line of every header and key of a TOML text, by location."""
+    lines: dict[tuple[Any, ...], int] = {}
+    counts: dict[tuple[Any, ...], int] = {}
+    prefix: tuple[Any, ...] = ()
+    for number, line in enumerate(text.splitlines(), 1):
+        if header := _HEADER.match(line):
+            prefix = _table_at(_words(header[2]), header[1] == "[[", counts)
+            lines.setdefault(prefix, number)
+            if isinstance(prefix[-1], int):
+                lines.setdefault(prefix[:-1], number)
+        elif key := _KEY.match(line):
+            lines.setdefault(prefix + tuple(_words(key[1])), number)
+    return lines
+
+
+def _table_at(
+    parts: list[str], is_entry: bool, counts: dict[tuple[Any, ...], int]
+) -> tuple[Any, ...]:
+    """The location of a header, with the number of each list entry it lies in; ``counts`` holds the
+    entries so far.
+    """
+    path: tuple[Any, ...] = ()
+    for index, part in enumerate(parts):
+        path += (part,)
+        if is_entry and index == len(parts) - 1:
+            counts[path] = counts.get(path, -1) + 1
+        if path in counts:
+            path += (counts[path],)
+    for known in list(counts):
+        if len(known) >= len(path) and known[: len(path)] == path and known != path[:-1]:
+            del counts[known]
+    return path
+
+
+def _words(dotted: str) -> list[str]:
+    return [
+        part[1:-1] if part[:1] in "\"'" else part
+        for part in re.findall(r'"[^"]*"|\'[^\']*\'|[A-Za-z0-9_-]+', dotted)
+    ]
+
+
+def _pieces(location: tuple[Any, ...]) -> tuple[Any, ...]:
+    """A key's parts, dotted names taken apart, so that quoted and unquoted keys are the same."""
+    return tuple(
+        piece
+        for part in location
+        for piece in (part.split(".") if isinstance(part, str) else (part,))
+    )
+
+
+def read_toml(path: Path) -> tuple[dict[str, Any], str]:
+    """The table and the text of a TOML file.
+
+    Raises:
+        InputError: no such file, not UTF-8, or not TOML, with the line.
+    """
+    try:
+        text = path.read_bytes().decode("utf-8")
+    except FileNotFoundError:
+        near = (
+            get_close_matches(path.name, [p.name for p in path.parent.glob("*.toml")], 1)
+            if path.parent.is_dir()
+            else []
+        )
+        raise InputError(
+            "no such file", file=path, hint=f"did you mean '{near[0]}'?" if near else None
+        ) from None
+    except (UnicodeDecodeError, IsADirectoryError, PermissionError) as error:
+        raise InputError(
+            f"cannot be read as a text file: {type(error).__name__}", file=path
+        ) from None
+    if not text.strip():
+        raise InputError("the file is empty", file=path)
+    try:
+        return tomllib.loads(text), text
+    except tomllib.TOMLDecodeError as error:
+        found = re.search(r"\(at line (\d+)", str(error))
+        reason = str(error).split(" (at ")[0]
+        raise InputError(
+            f"not TOML: {reason}", file=path, line=int(found[1]) if found else None
+        ) from None
+
+
+def validated(model: Any, table: dict[str, Any], text: str, path: Path) -> Any:
+    """A table of a file as the model it has to be.
+
+    Raises:
+        InputError: with file, line, key, value and the nearest valid key.
+    """
+    try:
+        return TypeAdapter(model).validate_python(table)
+    except ValidationError as error:
+        found = error.errors()
+    first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
+    message, location, hint = _explained(model, table, dict(first))
+    raise InputError(message, file=path, line=line_of(text, location), hint=hint)
+
+
+def _explained(
+    model: Any, table: dict[str, Any], first: dict[str, Any]
+) -> tuple[str, tuple[Any, ...], str | None]:
+    """(message, location, hint) of one of pydantic's errors."""
+    reason = first.get("ctx", {}).get("error")
+    location = tuple(
+        part for part in first["loc"] if part not in ("chain", "slide", "[key]")
+    ) + getattr(reason, "where", ())
+    kind, hint, given = first["type"], None, first["input"]
+    expected = first.get("ctx", {}).get("expected", "")
+    if kind.startswith("union_tag"):
+        given = given.get("kind") if isinstance(given, dict) else given
+        location = (*location, "kind")
+        kind = "missing" if kind == "union_tag_not_found" else "literal_error"
+        expected = first["ctx"].get("expected_tags", "'chain', 'slide'")
+    place, key = _spoken(table, location)
+    if kind == "extra_forbidden":
+        message, hint = f"unknown key '{key}'", _valid_hint(model, table, location, first["loc"])
+    elif kind == "missing":
+        message, location = f"'{key}' is missing", location[:-1] or location
+    elif kind == "value_error":
+        message = str(reason) if not key or str(reason).startswith(key) else f"{key}: {reason}"
+    elif kind == "literal_error":
+        message = f"{key} = {given!r} is none of {expected.replace(' or ', ', ')}"
+        near = get_close_matches(str(given), re.findall(r"'([^']*)'", expected), 1)
+        hint = f"did you mean '{near[0]}'?" if near else None
+    elif kind == "tuple_type":
+        message = f"{key} is no list"
+        if isinstance(given, dict):
+            hint = f"write [[{_header(location)}]] for each entry"
+    else:
+        message = f"{key} = {shortened(given, 60)}: {first['msg'][0].lower() + first['msg'][1:]}"
+    return ": ".join(part for part in (place, message) if part), location, hint
+
+
+def _valid_hint(
+    model: Any, table: dict[str, Any], location: tuple[Any, ...], within: tuple[Any, ...]
+) -> str | None:
+    """What to write in place of an unknown key: the nearest one, the table it belongs to, or the
+    valid keys.
+    """
+    valid = _valid_keys(model, within[:-1])
+    near = get_close_matches(str(location[-1]), valid, 1, 0.6)
+    if near:
+        return f"did you mean '{near[0]}'?"
+    ends = range(len(location) - 2, 0, -1)
+    above = next((at for at in ends if location[-1] in _valid_keys(model, location[:at])), None)
+    if above is not None:
+        owner = _spoken(table, location[:above])[0]
+        return f"a key of {owner}: put it above the table [{_header(location[:-1])}]"
+    return "valid keys: " + ", ".join(valid) if valid else None
+
+
+def _spoken(table: Any, location: tuple[Any, ...]) -> tuple[str, str]:
+    """(the entries of lists that a location lies in, by name or number; the key below them)."""
+    places, words = [], []
+    for part in location:
+        try:
+            table = table[part]
+        except (KeyError, IndexError, TypeError):
+            table = None
+        if not isinstance(part, int):
+            words.append(str(part))
+            continue
+        name = table.get("name") if isinstance(table, dict) else None
+        places.append(".".join(words) + (f" '{name}'" if isinstance(name, str) else f" {part + 1}"))
+        words = []
+    return ", ".join(places), ".".join(words)
+
+
+def _header(location: tuple[Any, ...]) -> str:
+    """The header of a table in TOML."""
+    return ".".join(part for part in location if isinstance(part, str))
+
+
+def _valid_keys(model: Any, location: tuple[Any, ...]) -> list[str]:
+    """Keys that the model at ``location`` takes, as the file spells them."""
+
+    def models(annotation: Any) -> list[Any]:
+        if isinstance(annotation, type) and issubclass(annotation, FileModel):
+            return [annotation]
+        return [found for part in get_args(annotation) for found in models(part)]
+
+    here = [model]
+    for part in location:
+        if isinstance(part, int) or part in ("chain", "slide"):
+            continue
+        deeper = []
+        for candidate in here:
+            for name, field in candidate.model_fields.items():
+                if part in (name, field.alias):
+                    deeper += models(field.annotation)
+        here = deeper or here
+    return sorted(
+        {
+            field.alias or name
+            for candidate in here
+            for name, field in candidate.model_fields.items()
+            if name != "path"
+        }
+    )

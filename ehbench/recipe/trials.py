@@ -1,0 +1,76 @@
+"""The recipe of a set of trials."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from ehbench.recipe.trial import AnyTrial, Controller, Motion, TrialRecipe
+
+
+class SetController(Controller):
+    """A controller of a set of trials; it may run on a rig of its own, such as the same machine
+    with another valve.
+
+    What was identified on the set's rig holds for that one as well, by name.
+    """
+
+    rig: str | None = None
+    flow_maps: str | None = None
+    bench: str | None = None
+
+
+class TrialSetRecipe(AnyTrial):
+    """The product of ``payloads`` (``none`` is none) × ``[[motion]]`` × ``[[controller]]``: one log
+    each, and one table over all.
+    """
+
+    stage: Literal["trials"]
+    payloads: Annotated[tuple[str, ...], Field(min_length=1)] = ("none",)
+    motion: Annotated[tuple[Motion, ...], Field(min_length=1)]
+    controller: Annotated[tuple[SetController, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> TrialSetRecipe:
+        for what, names in (
+            ("payload", list(self.payloads)),
+            ("motion", [m.name or m.kind for m in self.motion]),
+            ("controller", [c.label for c in self.controller]),
+        ):
+            twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+            if twice is not None:
+                raise ValueError(
+                    f"two entries of {what} are called '{twice}'; give each its own name"
+                )
+        return self
+
+    def cases(self) -> tuple[tuple[str, SetController, TrialRecipe], ...]:
+        """(name, controller, recipe) of each trial, payloads outermost, controllers innermost."""
+        shared = {name: getattr(self, name) for name in AnyTrial.model_fields if name != "path"}
+        made = []
+        for payload in self.payloads:
+            for m, motion in enumerate(self.motion):
+                for c, law in enumerate(self.controller):
+                    name = " ".join(
+                        [
+                            payload if payload != "none" else "no load",
+                            motion.name or motion.kind,
+                            law.label,
+                        ]
+                    )
+                    own = {
+                        key: value
+                        for key in ("rig", "flow_maps", "bench")
+                        if (value := getattr(law, key)) is not None
+                    }
+                    case = TrialRecipe.model_construct(
+                        **{**shared, **own},
+                        stage="trial",
+                        payload=None if payload == "none" else payload,
+                        path=self.path,
+                        controller=law.model_copy(update={"where": ("controller", c)}),
+                        motion=motion.model_copy(update={"where": ("motion", m)}),
+                    )
+                    made.append((name, law, case.model_copy(update={"title": name})))
+        return tuple(made)

@@ -1,0 +1,54 @@
+"""Where a trial's energy went, by the ledger alone: the numbers of a trial and of its ledger are the
+same ones.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+from ehbench.errors import EhbenchError, InsufficientData
+from ehbench.ledger import Ledger, bounds, ledger_of_log, ledger_of_model
+from ehbench.trial.preparation import Prepared
+from ehbench.trial.running import Facts, Result
+
+MODEL = "edge flows of the model"
+LOG = "estimated: measured pressures and commands through the design model's maps"
+
+
+class Account(NamedTuple):
+    """A trial's facts with its energies, its ledger with its bounds as plain values, and why there
+    is none.
+    """
+
+    facts: Facts
+    ledger: dict[str, Any] | None
+    doubts: tuple[str, ...] = ()
+
+
+def account(prepared: Prepared, result: Result) -> Account:
+    """The account of a trial: exact where the machine told its states, else from what was measured."""
+    recipe, record, facts = prepared.recipe, result.record, result.facts
+    try:
+        if result.model is not None:
+            ledger = ledger_of_model(result.model, record)
+        else:
+            ledger = ledger_of_log(prepared.rig, prepared.maps, record, payload=recipe.payload)
+    except EhbenchError as error:
+        return Account(facts, None, (f"no energy ledger: {error.message}",))
+    limits = []
+    if facts.cylinder:
+        facts = facts.with_energy(_energy(ledger, facts.cylinder))
+        with suppress(InsufficientData):  # it did not move
+            limits = [bounds(prepared.rig, record, facts.cylinder, ledger).as_json()]
+    return Account(facts, ledger.as_json() | {"bounds": limits})
+
+
+def _energy(ledger: Ledger, cylinder: str) -> dict[str, Any]:
+    """Energies [J] of a trial under a controller, and the oil [m³] that all valves drew."""
+    return {
+        "pump": ledger.pump,
+        "cylinder_work": ledger[f"{cylinder}.work"].energy,
+        "oil_drawn": ledger.oil_drawn,
+        "source": MODEL if ledger.source == "model" else LOG,
+    }

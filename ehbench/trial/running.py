@@ -1,0 +1,248 @@
+"""Run one prepared trial on its machine, and say what is to be said of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ehbench.codes import LIMITS as LIMIT_BITS
+from ehbench.errors import SimulationError
+from ehbench.machines.protocol import Machine, truth_of
+from ehbench.recipe import TrialRecipe
+from ehbench.record import Record
+from ehbench.rig import Rig
+from ehbench.trial.controllers import Compiled
+from ehbench.trial.measures import step_measures, tracking_measures
+from ehbench.trial.preparation import Loop, Prepared, Stop, prepare
+from ehbench.trial.session import LiveLog, Session
+from ehbench.trial.user_code import UserCode
+
+if TYPE_CHECKING:
+    from ehbench.plant.build import Maps
+    from ehbench.plant.model import Model
+
+Progress = Callable[[str, float], None]  # (what, share done from 0 to 1)
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What is to be said of a trial beside its record.
+
+    ``stopped`` is empty, or the sentence that says which limit stopped it; ``stop`` has the same as
+    numbers. ``measures`` says how well a controlled cylinder did and with which gains
+    (docs/trials.md), SI; empty without a controller. Its energies are the ledger's: see
+    `ehbench.trial.accounts`."""
+
+    on: str
+    rig: str
+    payload: str
+    posture: dict[str, str]
+    seed: int
+    duration: float
+    samples: int
+    rate: float
+    stop: Stop | None = None
+    warnings: tuple[str, ...] = ()
+    controller: str = ""
+    cylinder: str = ""
+    measures: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def stopped(self) -> str:
+        """Why the trial stopped, or ''."""
+        return "" if self.stop is None else self.stop.sentence
+
+    def with_energy(self, energy: Mapping[str, Any]) -> Facts:
+        """The same with the energies of the controlled cylinder among its measures."""
+        known = dict(self.measures)
+        last = {"limits": known.pop("limits")} if "limits" in known else {}
+        return replace(self, measures={**known, "energy": dict(energy), **last})
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values for a JSON file."""
+        return {**asdict(self), "stopped": self.stopped, "warnings": list(self.warnings)}
+
+
+class Result(NamedTuple):
+    """What a trial leaves: its record, the facts about it, and the model whose states are in the
+    record, where the machine could tell them.
+    """
+
+    record: Record
+    facts: Facts
+    model: Model | None
+
+
+def run_trial(
+    rig: Rig,
+    recipe: TrialRecipe,
+    maps: Maps | None = None,
+    progress: Progress | None = None,
+    *,
+    gains: Path | None = None,
+    allow_code: bool = False,
+) -> tuple[Record, Facts]:
+    """Run one trial from rest: its record and the facts about it.
+
+    On the model the record has all that `Model.record` gives; on the virtual bench only what a
+    machine measures, and the commands; under a controller also its notes. When a limit is reached
+    the valves go to rest in that very tick, and RUN_OUT seconds more are logged.
+
+    Args:
+        rig: as the recipe names it.
+        recipe: what to do; its ``bench`` names the bench file, without which the bench is a
+            plausible one of this rig.
+        maps: measured flow maps of the rig, for the model and for the controller.
+        progress: told what is at work and the share done, from 0 to 1.
+        gains: the run folder of the tune run that the recipe takes gains from; by default where the
+            recipe points.
+        allow_code: lets a controller of the user's own run.
+
+    Raises:
+        InputError: a command, posture, payload, motion, gain or bench file that does not fit the
+            rig; a limit reached before the start; code that is not allowed, or raised.
+        SimulationError: the numbers left the finite range.
+    """
+    record, facts, _ = run(prepare(recipe, rig, maps, gains, allow_code), progress=progress)
+    return record, facts
+
+
+def run(
+    prepared: Prepared,
+    machine: Machine | None = None,
+    log: Path | None = None,
+    progress: Progress | None = None,
+    fast: bool = True,
+) -> Result:
+    """Run a prepared trial.
+
+    Args:
+        prepared: the trial.
+        machine: that it runs on, closed afterwards; by default the one that the recipe names.
+        log: where to write the log, sample by sample, with recipe and rig attached; none by
+            default.
+        progress: told the share done, from 0 to 1.
+        fast: advance many rows at a time where the machine can; the same bits either way.
+
+    Raises:
+        EhbenchError: as `run_trial`.
+    """
+    with closing(prepared.machine if machine is None else machine) as at_work:
+        session = Session(prepared, at_work, fast)
+        meta = _meta(prepared, at_work)
+        if log is None:
+            session.run(None, progress)
+            record = _record(session, meta)
+        else:
+            names = list(session.channels(slice(0, 0)))
+            with closing(LiveLog(log, names, meta, _attachments(prepared))) as live:
+                session.run(live, progress)
+                record = _record(session, meta)
+                live.finish(record)
+        truth = truth_of(at_work)
+        facts = _facts(prepared, session, record)
+    return Result(record, facts, None if truth is None else truth.model)
+
+
+def _meta(prepared: Prepared, machine: Machine) -> dict[str, str]:
+    recipe, loop = prepared.recipe, prepared.loop
+    posture = ", ".join(f"{name} {value}" for name, value in prepared.posture.items())
+    meta = {
+        "rig": prepared.rig.name,
+        "payload": recipe.payload or "none",
+        "on": machine.name,
+        "seed": str(recipe.seed),
+        "posture": posture or "mid-stroke",
+        "title": recipe.title,
+    }
+    if loop is not None and recipe.controller is not None:
+        meta |= {"controller": recipe.controller.label, "cylinder": loop.design.cylinder}
+    return meta
+
+
+def _attachments(prepared: Prepared) -> dict[str, bytes]:
+    """The files that travel with a trial's log."""
+    import tomli_w
+
+    rig_file = tomli_w.dumps(prepared.rig.as_toml()).encode()
+    return {"recipe.toml": prepared.recipe.path.read_bytes(), "rig.toml": rig_file}
+
+
+def _record(session: Session, meta: dict[str, str]) -> Record:
+    if not np.isfinite(session.rows.commands[: session.end]).all():
+        raise SimulationError(
+            "the controller asked for no number", hint="a gain, or a channel that it was not given"
+        )
+    if session.stop is not None:
+        meta = meta | {"stopped": session.stop.sentence}
+    whole = slice(0, session.end)
+    return Record(session.rows.t[whole], session.channels(whole), meta)
+
+
+def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
+    recipe, law, stop, rate = prepared.recipe, session.law, session.stop, session.machine.rate
+    warnings, measures = [], {}
+    if isinstance(law, UserCode) and law.beyond:
+        warnings.append(
+            f"{law.label} asked for more than a driver takes in {law.beyond} of {session.end} "
+            "ticks, and got the end of its range"
+        )
+    if law is not None and prepared.loop is not None:
+        rows = session.end if stop is None else round(stop.t * rate) + 1
+        measures = law.used | _measures(record, prepared.loop, rows)
+        if isinstance(law, Compiled) and law.law.warns_saturated:
+            warnings += _saturated(measures["limits"]["saturated"], prepared.loop.design.cylinder)
+    return Facts(
+        session.machine.name,
+        prepared.rig.name,
+        record.meta["payload"],
+        prepared.posture,
+        recipe.seed,
+        float(record.t[-1]),
+        record.t.size,
+        rate,
+        stop,
+        tuple(warnings),
+        record.meta.get("controller", ""),
+        record.meta.get("cylinder", ""),
+        measures,
+    )
+
+
+def _saturated(share: float, cylinder: str) -> list[str]:
+    """A sentence where the valves were at their end in a share of the ticks."""
+    if share == 0.0:
+        return []
+    return [
+        f"the valves of '{cylinder}' were at their end in {100.0 * share:.2g} % of the ticks "
+        "and gave less than the controller asked for"
+    ]
+
+
+def _measures(record: Record, loop: Loop, rows: int) -> dict[str, Any]:
+    """Steps and tracking of the controlled cylinder, up to the row at which a limit stopped the
+    trial.
+    """
+    own, t = loop.design.cylinder, record.t[:rows]
+    v, x, p_head, p_rod = (record[f"{own}.{name}"][:rows] for name in ("v", "x", "p_head", "p_rod"))
+    found: dict[str, Any] = {"steps": []}
+    for level in loop.references.levels:
+        stop = min(level.stop, rows)
+        if stop - level.first >= 3:
+            part = slice(level.first, stop)
+            before = float(loop.references.table[level.first - 1, 1]) if level.first else 0.0
+            one = step_measures(
+                t[part], v[part], level.speed, before, (p_head[part], p_rod[part]), level.share
+            )
+            found["steps"].append(asdict(one))
+    found["tracking"] = tracking_measures(t, x, record[f"{own}.x_desired"][:rows])
+    found["speed_rms_error"] = float(np.sqrt(np.mean((v - record[f"{own}.v_desired"][:rows]) ** 2)))
+    if f"{own}.limits" in record:
+        met = record[f"{own}.limits"][:rows].astype(int)
+        found["limits"] = {name: float(np.mean(met & bit > 0)) for bit, name in LIMIT_BITS.items()}
+    return found
