@@ -342,7 +342,7 @@ def prepare_validation(
     """Take in the logs of a validation; arguments and errors as in `validate_rig`."""
     models = models_of(rig, logs, channels, flow_maps, where)
     taken = tuple(
-        _taken(name, record, models[_payload(record)], fitted)
+        taken_log(name, record, models[_payload(record)], fitted)
         for name, fitted, record in _distinct(logs, fitted_on)
     )
     return PreparedValidation(rig, tuple(channels), taken)
@@ -378,7 +378,12 @@ def run_validation(
     )
 
 
-def _taken(name: str, record: Record, model: Model, fitted: bool) -> TakenLog:
+def taken_log(name: str, record: Record, model: Model, fitted: bool) -> TakenLog:
+    """A log as the judge takes it.
+
+    Raises:
+        InputError: one that `intake.take_in` refuses.
+    """
     try:
         record, warnings = take_in(name, record, model)
     except LogError as error:

@@ -70,8 +70,11 @@ Progress = Callable[[str, float], None]
 class Machine(Protocol):
     """What tuning needs of a validated rig."""
 
-    rig: Rig
-    flow_maps: Maps | None
+    @property
+    def rig(self) -> Rig: ...
+
+    @property
+    def flow_maps(self) -> Maps | None: ...
 
 
 @dataclass(frozen=True)
