@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
@@ -221,16 +221,19 @@ def recipe_models() -> list[type[BaseModel]]:
 
 def gain_tables() -> dict[str, list[Key]]:
     """The gains, rules and shaping of the built-in controllers."""
-    from ehbench.trial import controllers as laws
+    from ehbench.control.functions import RULE_NAMES
+    from ehbench.control.registry import LAWS
+    from ehbench.control.trajectory import SHAPING_NAMES
 
-    def keys(rows: Mapping[str, Quantity | None]) -> list[Key]:
-        return [gain_key(name, row, name in laws._PAIRS) for name, row in rows.items()]
+    def keys(rows: Mapping[str, Quantity | None], bounds: Sequence[str] = ()) -> list[Key]:
+        return [gain_key(name, row, name in bounds) for name, row in rows.items()]
 
+    # laws that share a table of gains have it on the page once, under the last of them
+    apart = {id(law.gains): law for law in LAWS.values()}.values()
     return {
-        "gains of pressure_feedback": keys(laws._FEEDBACK),
-        "gains of arc": keys(laws._ARC),
-        "rules": keys({name: VOCABULARY[name] for name in laws.RULES} | {"allow_seventh": None}),
-        "shaping": keys({name: VOCABULARY[name] for name in laws.SHAPING}),
+        **{f"gains of {law.name}": keys(law.gains, law.bounds) for law in apart},
+        "rules": keys({name: VOCABULARY[name] for name in RULE_NAMES} | {"allow_seventh": None}),
+        "shaping": keys({name: VOCABULARY[name] for name in SHAPING_NAMES}),
     }
 
 
