@@ -83,7 +83,7 @@ def choice(name: str, laws: Sequence[Callable], arguments: str) -> Callable:
         f"def chosen(law, {arguments}):\n{chain}    return law_{last}({arguments})\n",
         space,
     )
-    overload(space[name], jit_options=OPTIONS)(space["typed"])
+    overload(space[name], jit_options=_INLINED)(space["typed"])
     return space[name]
 
 
@@ -117,7 +117,7 @@ class Generic:
                 "    if getattr(plant, 'instance_class', None) is wanted: return chosen\n",
                 space,
             )
-            overload(self.call, jit_options=OPTIONS)(space["typed"])
+            overload(self.call, jit_options=_INLINED)(space["typed"])
             return function
 
         return register

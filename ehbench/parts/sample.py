@@ -51,7 +51,7 @@ def sample_size(cylinders):
     return _CYLINDER * cylinders + _LINES
 
 
-@kernel
+@part_kernel
 def cylinders_in(channels):
     """How many cylinders a sample of so many channels is of."""
     return (channels - _LINES) // _CYLINDER
