@@ -373,33 +373,38 @@ class _Look:
 
     def _hydraulics(self, recipe: HydraulicsRecipe, found: _Found) -> None:
         from ehbench.identification import hydraulics
-        from ehbench.identification.steps import coordinates
+        from ehbench.identification.search import coordinates
 
         machine, _ = self.machine(recipe, found)
         coordinates(
             machine.rig, recipe.parameters, recipe.start, recipe.lower, recipe.upper, recipe.at
         )
         logs = self.logs(recipe, found)
-        options: dict[str, Any] = {
-            "method": recipe.method,
-            "start": recipe.start,
-            "lower": recipe.lower,
-            "upper": recipe.upper,
-            "workers": 1,
-            "channels": recipe.channels,
-            "flow_maps": machine.flow_maps,
-            "where": recipe.at,
-            "cutoff": None if recipe.cutoff is None else float(recipe.cutoff),
-        }
+        options = hydraulics.FitOptions(
+            method=recipe.method,
+            start=recipe.start,
+            lower=recipe.lower,
+            upper=recipe.upper,
+            channels=recipe.channels,
+            cutoff=None if recipe.cutoff is None else float(recipe.cutoff),
+            workers=1,
+        )
         if logs:
             given = (machine.rig, logs, recipe.parameters)
             _until_work(
-                lambda tell: hydraulics.identify_hydraulics(*given, progress=tell, **options)
+                lambda tell: hydraulics.identify_hydraulics(
+                    *given, options, machine.flow_maps, tell, recipe.at
+                )
             )
             if recipe.compare_dynamics:
                 _until_work(
                     lambda tell: hydraulics.compare_dynamics(
-                        *given, recipe.compare_dynamics, progress=tell, **options
+                        *given,
+                        recipe.compare_dynamics,
+                        options,
+                        machine.flow_maps,
+                        tell,
+                        recipe.at,
                     )
                 )
         way = "matching frequency and decay" if recipe.method == "thesis" else "output error"
@@ -410,8 +415,8 @@ class _Look:
 
     def _validation(self, recipe: ValidateRecipe, found: _Found) -> None:
         from ehbench import validation
-        from ehbench.identification.steps import payload_of
-        from ehbench.intake import take_in
+        from ehbench.observations import payload_of
+        from ehbench.preprocessing import preprocess
 
         machine, _ = self.machine(recipe, found)
         logs = self.logs(recipe, found)
@@ -424,7 +429,7 @@ class _Look:
             with found.noting():
                 found.notes += [
                     f"{name}: {text}"
-                    for text in take_in(name, record, models[payload_of(record) or ""])[1]
+                    for text in preprocess(name, record, models[payload_of(record) or ""])[1]
                 ]
         fitted = {rundir.sha256(path): recipe_path for recipe_path, path in self._fitted(recipe)}
         for item in recipe.data:
@@ -850,7 +855,7 @@ def _flowmeter(path: Path) -> Inspection:
 
 
 def _log(path: Path) -> Inspection:
-    from ehbench.intake import LEAST_SAMPLES, evened
+    from ehbench.preprocessing import LEAST_SAMPLES, evened
     from ehbench.logs import read_record
 
     record = read_record(path)

@@ -19,7 +19,7 @@ import numpy as np
 
 from ehbench import signals
 from ehbench.errors import EhbenchError, InputError, LogError, ModelRejected
-from ehbench.intake import take_in
+from ehbench.preprocessing import preprocess
 from ehbench.plant import HIGHEST, LOWEST
 from ehbench.quantities import quantity
 from ehbench.recipe import Thresholds
@@ -302,7 +302,7 @@ def validate_rig(
 
     Raises:
         InputError: a payload or channel that the rig does not have, no logs, or one that
-            `intake.take_in` refuses.
+            `preprocessing.preprocess` refuses.
     """
     prepared = prepare_validation(rig, logs, channels, flow_maps, fitted_on, where)
     return run_validation(prepared, thresholds, progress, workers)
@@ -380,7 +380,7 @@ def run_validation(
 
 def _taken(name: str, record: Record, model: Model, fitted: bool) -> TakenLog:
     try:
-        record, warnings = take_in(name, record, model)
+        record, warnings = preprocess(name, record, model)
     except LogError as error:
         return TakenLog(name, record, model, fitted, failure=error)
     return TakenLog(name, record, model, fitted, warnings)

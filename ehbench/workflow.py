@@ -284,26 +284,24 @@ def identify_hydraulics(recipe: HydraulicsRecipe, desk: Desk) -> Outcome:
     machine = machine_of(recipe, recipe.rig, recipe.flow_maps, desk)
     logs, inputs, losses = logs_of(recipe, recipe.data, desk)
     inputs = [*machine.inputs, *inputs]
-    options = {
-        "method": recipe.method,
-        "start": recipe.start,
-        "lower": recipe.lower,
-        "upper": recipe.upper,
-        "channels": recipe.channels,
-        "flow_maps": machine.flow_maps,
-        "workers": recipe.workers,
-        "cutoff": None if recipe.cutoff is None else float(recipe.cutoff),
-        "max_iterations": recipe.max_iterations,
-        "progress": desk.tell(recipe.name),
-        "where": recipe.at,
-    }
+    options = hydraulics.FitOptions(
+        method=recipe.method,
+        start=recipe.start,
+        lower=recipe.lower,
+        upper=recipe.upper,
+        channels=recipe.channels,
+        cutoff=None if recipe.cutoff is None else float(recipe.cutoff),
+        max_iterations=recipe.max_iterations,
+        workers=recipe.workers,
+    )
+    given = (options, machine.flow_maps, desk.tell(recipe.name), recipe.at)
 
     def work(made: rundir.Run) -> tuple[int, list[str]]:
-        fit = hydraulics.identify_hydraulics(machine.rig, logs, recipe.parameters, **options)
+        fit = hydraulics.identify_hydraulics(machine.rig, logs, recipe.parameters, *given)
         variants = ()
         if recipe.compare_dynamics:
             variants = hydraulics.compare_dynamics(
-                machine.rig, logs, recipe.parameters, recipe.compare_dynamics, **options
+                machine.rig, logs, recipe.parameters, recipe.compare_dynamics, *given
             )
         compared = [variant.as_json() for variant in variants]
         _write_rig(made.path, fit.rig, machine.flow_maps)
@@ -628,7 +626,7 @@ def logs_of(
     """(name and record of each log, inputs, losses). Data may be a log, or the recipe or run folder
     of a trial.
     """
-    from ehbench.intake import distinct_names
+    from ehbench.preprocessing import distinct_names
     from ehbench.logs import read_record
 
     places = []

@@ -13,8 +13,8 @@ import pytest
 
 from ehbench import inspection, workflow
 from ehbench.errors import InputError, InsufficientData, LogError
-from ehbench.identification.hydraulics import identify_hydraulics
-from ehbench.intake import distinct_names, evened, take_in
+from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
+from ehbench.preprocessing import distinct_names, evened, preprocess
 from ehbench.logs import write_log
 from ehbench.recipe import load_recipe, load_rig
 from ehbench.record import Record
@@ -25,6 +25,11 @@ RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 MEASURED = ("q", "qd", "x", "v", "p_head", "p_rod", "p_supply", "p_tank", "command")
 NOISE = {"qd": 1e-3, "v": 1e-3, "p_head": 1e4, "p_rod": 1e4, "q": 1e-5, "x": 1e-5, "p_supply": 1e4}
 CRANE = ["bulk_modulus", "arm.joint_damping"]
+
+
+def identify(machine, logs, parameters, flow_maps=None, where=lambda *location: {}, **options):
+    given = FitOptions(**options)
+    return identify_hydraulics(machine, logs, parameters, given, flow_maps, where=where)
 
 
 @cache
@@ -79,7 +84,9 @@ def changed(record, **edits):
 def taken(record, machine=None):
     machine = machine or rig()
     payload = record.meta.get("payload", "none")
-    return take_in("log", record, Model.of(machine, payload=None if payload == "none" else payload))
+    return preprocess(
+        "log", record, Model.of(machine, payload=None if payload == "none" else payload)
+    )
 
 
 def test_a_sound_log_passes_as_it_is():
@@ -119,8 +126,8 @@ def test_what_the_log_excites_comes_back_without_bounds(machine, valve, volts, n
         }
     )
     start = 0.0 if factor is None else factor * truth
-    fit = identify_hydraulics(
-        bare, [("log", record)], [name], start={name: start}, upper={name: upper} if upper else None
+    fit = identify(
+        bare, [("log", record)], [name], start={name: start}, upper={name: upper} if upper else {}
     )
     found = fit[name]
     assert found.status == "estimated", found
@@ -129,7 +136,7 @@ def test_what_the_log_excites_comes_back_without_bounds(machine, valve, volts, n
 
 
 def test_a_rod_volume_is_not_tried_below_what_the_stroke_displaces():
-    fit = identify_hydraulics(rig(), [("log", crane())], ["lift.volume_rod"])
+    fit = identify(rig(), [("log", crane())], ["lift.volume_rod"])
     cylinder = rig().cylinder[0]
     assert fit["lift.volume_rod"].lower > cylinder.areas()[1] * float(cylinder.stroke)
 
@@ -139,7 +146,7 @@ def test_a_zero_start_asks_for_an_upper_bound():
         InputError,
         match=r'starts at zero and has no upper bound \(give it one.*\[upper\] "lift.leakage_head"',
     ):
-        identify_hydraulics(rig(), [("log", crane())], ["lift.leakage_head"])
+        identify(rig(), [("log", crane())], ["lift.leakage_head"])
 
 
 # --- names ---
@@ -167,7 +174,7 @@ def test_channels_of_nothing_on_the_rig_are_named():
         "the log has 'lift.spol.command', a valve that rig 'crane_proportional' does not have; nearest is 'lift.spool'"
         in told
     )
-    fit = identify_hydraulics(rig(), [("log", odd)], CRANE)
+    fit = identify(rig(), [("log", odd)], CRANE)
     assert sum(text.startswith("log: the log has '") for text in fit.warnings) == 2
 
 
@@ -176,7 +183,7 @@ def test_a_log_of_another_rig_is_refused():
         InputError,
         match=r"log: no channel is of a cylinder of rig 'crane_proportional'.*nearest is 'lift'.*it has lift",
     ):
-        identify_hydraulics(rig(), [("log", renamed(crane(), "lift.", "lifts."))], CRANE)
+        identify(rig(), [("log", renamed(crane(), "lift.", "lifts."))], CRANE)
     with pytest.raises(InputError, match="no channel is of a cylinder"):
         validate_rig(rig(), [("log", renamed(crane(), "lift.", "lifts."))])
 
@@ -223,7 +230,7 @@ def test_logs_of_one_name_take_their_folder():
 def test_pressures_in_a_wrong_unit_are_refused(edits, says, payload):
     wrong = changed(crane(payload), **edits)
     with pytest.raises(InputError, match=says):
-        identify_hydraulics(rig(), [("log", wrong)], CRANE)
+        identify(rig(), [("log", wrong)], CRANE)
     with pytest.raises(InputError, match=says):
         validate_rig(rig(), [("log", wrong)])
 
@@ -263,13 +270,13 @@ def test_a_fit_that_follows_nothing_is_no_fit():
         InsufficientData,
         match=r"follows no channel of any log better than its mean would .*is it this rig's log",
     ):
-        identify_hydraulics(rig(), [("log", crane())], [gain], channels=("qd",), **wrong)
+        identify(rig(), [("log", crane())], [gain], channels=("qd",), **wrong)
     wrong = {
         "start": {gain: 2.5 * truth},
         "lower": {gain: 2.4 * truth},
         "upper": {gain: 8.0 * truth},
     }
-    fit = identify_hydraulics(rig(), [("log", crane())], [gain], **wrong)
+    fit = identify(rig(), [("log", crane())], [gain], **wrong)
     poor = [name for name, percent in fit.logs[0].fit_percent.items() if percent < 0.0]
     assert 0 < len(poor) < 3
     assert fit.warnings[0].startswith(f"THE FITTED MODEL DOES NOT FOLLOW {len(poor)} OF 3 CHANNELS")
@@ -282,7 +289,7 @@ def test_commands_outside_the_driver_are_refused():
     with pytest.raises(
         InputError, match=r"log: lift.spool.command = 12 V at t = 0.201 s lies outside -10 to 10 V"
     ):
-        identify_hydraulics(rig(), [("log", over)], CRANE)
+        identify(rig(), [("log", over)], CRANE)
     noise = np.random.default_rng(1).uniform(-0.19, 0.19, u.size)  # 1 % of the range is 0.2 V
     assert taken(changed(crane(), lift_spool_command=np.where(u > 0, 10.0, u) + noise))[1] == ()
 
@@ -296,7 +303,7 @@ def test_commands_outside_the_driver_are_refused():
 )
 def test_time_in_another_unit_is_refused_at_once(scale, says):
     with pytest.raises(InputError, match=says):
-        identify_hydraulics(rig(), [("log", replace(crane(), t=crane().t * scale))], CRANE)
+        identify(rig(), [("log", replace(crane(), t=crane().t * scale))], CRANE)
 
 
 def test_a_gap_is_named():
@@ -307,7 +314,7 @@ def test_a_gap_is_named():
     with pytest.raises(
         LogError, match=r"log: not evenly sampled: 9 ms pass after t = 0.699 s, 1 ms elsewhere"
     ):
-        identify_hydraulics(rig(), [("log", gap)], CRANE)
+        identify(rig(), [("log", gap)], CRANE)
     assert "9 ms pass after t = 0.699 s" in validate_rig(rig(), [("log", gap)]).logs[0].failure
 
 
@@ -337,7 +344,7 @@ def test_jitter_is_resampled_and_told(tmp_path):
         error, unmended = (np.abs(v - on_grid[name]).max() for v in (even[name], late[name]))
         assert error < 0.2 * unmended, name
     assert np.array_equal(even["lift.spool.command"], on_grid["lift.spool.command"])
-    fit = identify_hydraulics(rig(), [("log", late)], CRANE)
+    fit = identify(rig(), [("log", late)], CRANE)
     assert "log: " + told[0] in fit.warnings
     write_log(tmp_path / "late.mcap", late)
     found = inspection.check(tmp_path / "late.mcap")
@@ -362,7 +369,7 @@ def test_too_few_samples_are_counted(count, says):
         crane(), t=crane().t[:count], channels={n: v[:count] for n, v in crane().channels.items()}
     )
     with pytest.raises(InputError, match=says):
-        identify_hydraulics(rig(), [("log", short)], CRANE)
+        identify(rig(), [("log", short)], CRANE)
     with pytest.raises(InputError, match=says):
         validate_rig(rig(), [("log", short)])
 
@@ -442,7 +449,7 @@ def test_bad_starts_and_bounds_say_file_and_line(tmp_path, text, line, says):
     recipe = load_recipe(tmp_path / "h.toml")
     tables = {"start": recipe.start, "lower": recipe.lower, "upper": recipe.upper}
     with pytest.raises(InputError, match=says) as caught:
-        identify_hydraulics(rig(), [("log", crane())], recipe.parameters, **tables, where=recipe.at)
+        identify(rig(), [("log", crane())], recipe.parameters, **tables, where=recipe.at)
     assert (caught.value.file, caught.value.line) == (str(recipe.path), line)
 
 
@@ -450,13 +457,13 @@ def test_unknown_parameters_and_payloads_say_file_and_line(tmp_path):
     (tmp_path / "h.toml").write_text(HEAD.replace("arm.joint_damping", "arm.joint_dampin"))
     recipe = load_recipe(tmp_path / "h.toml")
     with pytest.raises(InputError, match="nearest is 'arm.joint_damping'") as caught:
-        identify_hydraulics(rig(), [("log", crane())], recipe.parameters, where=recipe.at)
+        identify(rig(), [("log", crane())], recipe.parameters, where=recipe.at)
     assert caught.value.line == 5
     heavy = replace(crane(), meta={"payload": "300 kg"})
     with pytest.raises(
         InputError, match=r"log: rig 'crane_proportional' has no payload '300 kg' \(it has 200 kg\)"
     ) as caught:
-        identify_hydraulics(rig(), [("log", heavy)], CRANE, where=recipe.at)
+        identify(rig(), [("log", heavy)], CRANE, where=recipe.at)
     assert caught.value.line == 4
     with pytest.raises(
         InputError, match="log: rig 'crane_proportional' has no payload '300 kg'"
@@ -469,7 +476,7 @@ def test_a_cutoff_above_half_the_rate_is_refused():
     with pytest.raises(
         InputError, match="a cutoff of 500 Hz is not below half the rate of log, 500 Hz"
     ):
-        identify_hydraulics(rig(), [("log", crane())], CRANE, cutoff=500.0)
+        identify(rig(), [("log", crane())], CRANE, cutoff=500.0)
 
 
 @pytest.mark.parametrize(

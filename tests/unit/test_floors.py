@@ -19,7 +19,7 @@ FLOORS = [
     {"plant"},
     {"simulation"},
     {"machines"},
-    {"ledger", "intake"},
+    {"ledger", "observations", "preprocessing"},
     {"identification", "validation", "tune", "trial", "report"},
     {"workflow"},
     {"inspection"},

@@ -41,7 +41,7 @@ ONGOING = 0.1  # share of the largest speed above which a log begins mid-motion
 _MIXED = ("Pa", "kPa", "psi", "bar", "MPa")
 
 
-def take_in(name: str, record: Record, model: Model) -> tuple[Record, tuple[str, ...]]:
+def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[str, ...]]:
     """(the log, evenly sampled; what is odd about it) for a rig carrying the log's payload.
 
     Raises:
