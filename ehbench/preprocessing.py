@@ -118,11 +118,17 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
         f"{path.parent.name}_{name}" if crowd[name] > 1 else name
         for path, name in zip(paths, names, strict=True)
     ]
+    return numbered(names)
+
+
+def numbered(names: Sequence[str]) -> list[str]:
+    """The names, those that come again numbered from the second on."""
     seen: Counter[str] = Counter()
-    for i, name in enumerate(names):
+    found = []
+    for name in names:
         seen[name] += 1
-        names[i] = name if seen[name] == 1 else f"{name}_{seen[name]}"
-    return names
+        found.append(name if seen[name] == 1 else f"{name}_{seen[name]}")
+    return found
 
 
 def _foreign(name: str, record: Record, rig: Rig) -> list[str]:
