@@ -1,4 +1,4 @@
-"""The thesis's matching: the bulk modulus from the frequency of ringing, the dampings from its decay
+"""The thesis's matching: bulk modulus from the frequency of ringing, dampings from its decay
 (thesis 2.3).
 """
 
@@ -120,7 +120,7 @@ def _ringing_of(log: Log, span: slice, cylinder: str) -> tuple[slice, tuple[int,
     columns = tuple(
         i for i, channel in enumerate(log.channels) if channel.startswith(cylinder + ".")
     )
-    part = _counting(span, log.counts[:, columns].all(axis=1))
+    part = _counting(span, np.all(log.counts[:, columns], axis=1))
     if not columns:
         return part, columns, Ringing(reason="nothing recorded")
     return part, columns, ringing(log.record.t[part], log.recorded[part][:, columns])

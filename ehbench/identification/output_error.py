@@ -26,8 +26,8 @@ FAINT = 2.0e-3
 DIFFERENCE = 1.0e-3  # step of finite differences, in units of a parameter
 NEAR = 5.0e-3  # share of its reach within which a parameter is tried at its bound
 SCAN = math.log(10.0)  # how far the first look goes either way
-# its points over other parameters: 5 % apart, 2.4 % in frequency, which twenty cycles of ringing can
-# still tell
+# its points over other parameters: 5 % apart, 2.4 % in frequency, which twenty cycles of ringing
+# can still tell
 FINER = 97
 
 
@@ -194,7 +194,7 @@ class OutputError:
         found = least_squares(
             lambda x: np.concatenate([part.ravel() for part in self.scaled(self.at(whole(x)))]),
             np.clip(self.theta[free], low + 1e-9, high - 1e-9),
-            slopes,
+            slopes,  # pyright: ignore[reportArgumentType]
             bounds=(low, high),
             method="trf",
             x_scale="jac",
@@ -239,8 +239,8 @@ class OutputError:
         return self._result(found, converged)
 
     def _effects(self, slopes: Sequence[np.ndarray], which: Sequence[int]) -> dict[int, float]:
-        """Largest rms change of a channel in a log when one of the parameters ``which`` moves by its
-        unit, as a share of the channel's spread.
+        """Largest rms change of a channel in a log when one of the parameters ``which`` moves by
+        its unit, as a share of the channel's spread.
         """
         ratio = [
             self._per(self.scales, log) / self._per(self.spread, log) for log in self.simulator.logs

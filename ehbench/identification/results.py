@@ -269,7 +269,8 @@ def _poor(logs: Sequence[LogFit]) -> list[str]:
             hint="is it this rig's log, with the right payload, units, commands and flow maps?",
         )
     return [
-        f"THE FITTED MODEL DOES NOT FOLLOW {len(poor)} OF {len(fits)} CHANNELS (worse than their mean): {some}; "
+        f"THE FITTED MODEL DOES NOT FOLLOW {len(poor)} OF {len(fits)} CHANNELS (worse than their "
+        f"mean): {some}; "
         "do not trust its numbers"
     ]
 

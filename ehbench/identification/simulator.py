@@ -70,7 +70,7 @@ def prepare(model: Model, record: Record, name: str, wanted: Sequence[str]) -> L
         void = _cavitates(rig, cylinder, record)
         own = [i for i, channel in enumerate(columns) if channel.startswith(cylinder.name + ".")]
         if own and void.any():
-            counts[np.ix_(void, own)] = False
+            counts[np.ix_(void, np.array(own))] = False
             when = record.t[int(np.argmax(void))]
             warnings.append(
                 f"{name}: {cylinder.name} cavitates at {when:.3g} s, which the model has only as a "
@@ -222,6 +222,6 @@ class Simulator:
 
 
 def channels_of(log: Log, replayed: Record) -> np.ndarray:
-    """The log's channels of its replay, taken as they were from the log, shape (samples, channels)."""
+    """A replay's values of the log's channels, shape (samples, channels)."""
     columns = [column(replayed, channel, log.record) for channel in log.channels]
     return np.column_stack([values for values in columns if values is not None])

@@ -15,14 +15,14 @@ from ehbench.record import Record
 from ehbench.simulation import Model
 from ehbench.validation.results import ChannelResult, Correlation
 
-# von Neumann ratio (1 for white noise, 0 for a smooth signal) above which a channel only shows noise
+# von Neumann ratio (1 for white noise, 0 for a smooth signal) above which a channel shows noise
 NOISE = 0.5
 # [s]: residuals are averaged over LAG_STEP before they are correlated up to LAG_SPAN
 LAG_STEP, LAG_SPAN = 0.01, 0.5
 
 
 class Pair(NamedTuple):
-    """A channel recorded and simulated [SI], and whether both are taken from the position's rate."""
+    """A channel recorded and simulated [SI]; ``derived``: both are the position's rate."""
 
     recorded: np.ndarray
     simulated: np.ndarray

@@ -1,4 +1,4 @@
-"""What a validation leaves: the verdict on a rig, log by log, as it stands in ``validation.json``."""
+"""What a validation leaves: the verdict on a rig, log by log, as ``validation.json`` has it."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ class LogResult:
 
     @property
     def passed(self) -> bool:
-        """Whether everything asked of the model on this log was reached, and something was asked."""
+        """Whether everything asked on this log was reached, and something was asked."""
         return not self.failure and bool(self.checks) and all(check.passed for check in self.checks)
 
 
@@ -162,7 +162,7 @@ class Validation:
 
     def as_json(self) -> dict[str, Any]:
         """Plain values for ``validation.json``; `read_validation` is the way back."""
-        table = asdict(self) | {"verdict": self.verdict}
+        table: dict[str, Any] = asdict(self) | {"verdict": self.verdict}
         for log, result in zip(table["logs"], self.logs, strict=True):
             del log["series"]
             log["passed"] = result.passed
