@@ -7,7 +7,7 @@ import numpy as np
 from ehbench.record import Record
 from ehbench.rig import Valve
 from ehbench.signals import lowpass
-from ehbench.simulation import MOVED
+from ehbench.plant.model import MOVED
 
 RATE_CUTOFF = 20.0  # [Hz] of the low-pass before a rate is taken from a position
 # what stands in for a channel that a log lacks, and moves with it

@@ -9,9 +9,8 @@ import numpy as np
 
 from ehbench.physics.flow_map import FlowMap
 from ehbench.quantities import VOCABULARY
+from ehbench.terms import Z95
 from ehbench.units import from_si
-
-_Z95 = 1.959964
 
 
 @dataclass(frozen=True)
@@ -170,7 +169,7 @@ def check_calibration(
     drops = np.linspace(low, high, 21)
     flows = found.flow(drops, command)
     flow, std = float(np.mean(flows)), float(np.mean(found.flow_std(drops, command)))
-    bounds = flow - _Z95 * std, flow + _Z95 * std
+    bounds = flow - Z95 * std, flow + Z95 * std
     band = target * (1 - tolerance), target * (1 + tolerance)
     if not found.hull_command[0] <= command <= found.hull_command[-1]:
         verdict = "not_measured"

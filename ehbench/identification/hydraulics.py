@@ -35,7 +35,9 @@ from ehbench.identification.simulator import Log, Simulator, prepare
 from ehbench.observations import payload_of
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
-from ehbench.simulation import STEP, Maps, Model
+from ehbench.plant.build import Maps
+from ehbench.plant.integrate import STEP
+from ehbench.plant.model import Model
 
 __all__ = [
     "FitOptions",

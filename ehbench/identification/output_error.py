@@ -16,8 +16,8 @@ from ehbench.identification.results import Estimate, HydraulicsFit, Progress, fi
 from ehbench.identification.search import VAGUE, Coordinate
 from ehbench.identification.simulator import Log, Simulator
 from ehbench.signals import lowpass, rms
+from ehbench.terms import CORRELATED
 
-CORRELATED = 0.95
 # a scale's floor as a share of the channel's spread: no sensor makes a channel worth more than that
 SCALE_FLOOR = 5.0e-3
 # a parameter is not excited if moving it by its unit (a factor e, or its whole range) changes no

@@ -21,7 +21,8 @@ from ehbench.preprocessing import numbered, preprocess
 from ehbench.recipe import Thresholds
 from ehbench.record import Record
 from ehbench.rig import Rig, Valve
-from ehbench.simulation import Maps, Model
+from ehbench.plant.build import Maps
+from ehbench.plant.model import Model
 from ehbench.validation.checks import checks_of
 from ehbench.validation.residuals import Pair, compare, pair_of
 from ehbench.validation.results import (

@@ -19,7 +19,7 @@ from ehbench.identification.hydraulics import FitOptions, compare_dynamics, iden
 from ehbench.recipe import load_rig
 from ehbench.record import Record
 from ehbench.signals import ringing
-from ehbench.simulation import simulate
+from ehbench.plant.model import simulate
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 NOISE = {"qd": 4e-3, "v": 1e-3, "p_head": 6e3, "p_rod": 6e3, "q": 1e-4, "x": 1e-5, "p_supply": 6e3}

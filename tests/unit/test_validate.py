@@ -12,7 +12,7 @@ from ehbench.errors import InputError, ModelRejected
 from ehbench.recipe import Thresholds, load_recipe, load_rig
 from ehbench.record import Record
 from ehbench.rundir import write_json
-from ehbench.simulation import simulate
+from ehbench.plant.model import simulate
 from ehbench.validation import (
     Ring,
     Validation,
