@@ -167,12 +167,12 @@ def test_channels_of_nothing_on_the_rig_are_named():
     )
     _, told = taken(odd)
     assert (
-        "the log has 'lft.p_head', a cylinder that rig 'crane_proportional' does not have; nearest is 'lift'"
-        in told
+        "the log has 'lft.p_head', a cylinder that rig 'crane_proportional' does not have; "
+        "nearest is 'lift'" in told
     )
     assert (
-        "the log has 'lift.spol.command', a valve that rig 'crane_proportional' does not have; nearest is 'lift.spool'"
-        in told
+        "the log has 'lift.spol.command', a valve that rig 'crane_proportional' does not have; "
+        "nearest is 'lift.spool'" in told
     )
     fit = identify(rig(), [("log", odd)], CRANE)
     assert sum(text.startswith("log: the log has '") for text in fit.warnings) == 2
@@ -181,7 +181,8 @@ def test_channels_of_nothing_on_the_rig_are_named():
 def test_a_log_of_another_rig_is_refused():
     with pytest.raises(
         InputError,
-        match=r"log: no channel is of a cylinder of rig 'crane_proportional'.*nearest is 'lift'.*it has lift",
+        match=r"log: no channel is of a cylinder of rig 'crane_proportional'.*"
+        r"nearest is 'lift'.*it has lift",
     ):
         identify(rig(), [("log", renamed(crane(), "lift.", "lifts."))], CRANE)
     with pytest.raises(InputError, match="no channel is of a cylinder"):
@@ -422,8 +423,8 @@ HEAD += 'parameters = ["bulk_modulus", "arm.joint_damping"]\n'
 @pytest.mark.parametrize("key", ["arm.joint_damping", '"arm.joint_damping"'])
 def test_dotted_keys_do_with_or_without_quotes(tmp_path, key):
     (tmp_path / "h.toml").write_text(
-        HEAD
-        + f'[start]\nbulk_modulus = "1 GPa"\n{key} = "700 N*m*s/rad"\n[upper]\n{key} = "9 kN*m*s/rad"\n'
+        HEAD + f'[start]\nbulk_modulus = "1 GPa"\n{key} = "700 N*m*s/rad"\n'
+        f'[upper]\n{key} = "9 kN*m*s/rad"\n'
     )
     recipe = load_recipe(tmp_path / "h.toml")
     assert recipe.start == {"bulk_modulus": "1 GPa", "arm.joint_damping": "700 N*m*s/rad"}
@@ -506,8 +507,8 @@ def test_sines_that_samples_cannot_hold_are_refused(tmp_path, command, says):
     with pytest.raises(InputError, match=says):
         load_recipe(path)
     path.write_text(
-        head
-        + 'command = [{ valve = "lift.spool", amplitude = "1 V", kind = "sine", frequency = "99 Hz" }]\n'
+        head + 'command = [{ valve = "lift.spool", amplitude = "1 V", '
+        'kind = "sine", frequency = "99 Hz" }]\n'
     )
     assert float(load_recipe(path).command[0].frequency) == pytest.approx(99.0)
 
@@ -528,9 +529,8 @@ def test_the_lower_limit_of_the_meter_goes_from_the_recipe_to_the_fit(tmp_path):
                     * np.sqrt(drop)
                     * (1.0 + 0.005 * rng.standard_normal())
                 )
-                rows.append(
-                    f"sh,forward,{u},{drop / 1e3},{6e4 * flow if flow >= limit else 0.0:.5f},{trial}"
-                )
+                shown = 6e4 * flow if flow >= limit else 0.0
+                rows.append(f"sh,forward,{u},{drop / 1e3},{shown:.5f},{trial}")
     (tmp_path / "sh.csv").write_text("\n".join(rows) + "\n")
     (tmp_path / "rig.toml").write_text((RIGS / "boom_four_valve.toml").read_text())
     head = 'stage = "identify"\nwhat = "flow_map"\nrig = "rig.toml"\ndata = ["sh.csv"]\n'
