@@ -39,7 +39,7 @@ def _compiler(folder: Path, **options: Any) -> Callable[[Callable], Any]:
     def compiled(function: Callable) -> Any:
         before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
         try:
-            return numba.njit(cache=True, nogil=True, **options)(function)
+            return numba.njit(cache=True, **options)(function)
         finally:
             numba.config.CACHE_DIR = before
 
@@ -50,14 +50,15 @@ _FOLDER = _cache_folder()
 
 # Without numba's reference counting a kernel cannot allocate (the compiler refuses it), and passing
 # rows and slices of arrays costs nothing: 1.4 times as fast a plant. Arguments are the caller's.
-kernel = _compiler(_FOLDER, error_model="numpy", _nrt=False)
+OPTIONS = {"nogil": True, "error_model": "numpy", "_nrt": False}
+kernel = _compiler(_FOLDER, **OPTIONS)
 
 # for the small kernels of which a large one is made: they go into its code, without a call
-part_kernel = _compiler(_FOLDER, error_model="numpy", _nrt=False, forceinline=True)
+part_kernel = _compiler(_FOLDER, **OPTIONS, forceinline=True)
 
-allocating_kernel = _compiler(_FOLDER)
+allocating_kernel = _compiler(_FOLDER, nogil=True)
 
-_INLINED = {"nogil": True, "error_model": "numpy", "_nrt": False, "forceinline": True}
+_INLINED = {**OPTIONS, "forceinline": True}
 # for what is made at import, which no cache can find again: it goes into the code of its callers
 inlined = numba.njit(**_INLINED)
 

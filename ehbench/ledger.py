@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.compiled import allocating_kernel, kernel
-from ehbench.control.functions import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.errors import InputError, InsufficientData, LogError
 from ehbench.parts.cylinder import (
     chamber_inflow,
@@ -41,8 +41,8 @@ from ehbench.plant.model import Model
 from ehbench.plant.valves import follow_valves, opening_of
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
+from ehbench.terms import Z95
 
-Z95 = 1.959964
 GROUPS = ("supply", "valve", "loss", "store", "load", "residual", "cylinder", "part")
 FOLLOWS = 1.0e-2  # share of a state's range that a tick of the model may miss the next sample by
 SETTLED_TRAVEL = 0.005  # share of the stroke below which a motion to and fro is no travel

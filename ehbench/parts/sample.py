@@ -51,6 +51,12 @@ def sample_size(cylinders):
     return _CYLINDER * cylinders + _LINES
 
 
+@part_kernel
+def cylinders_in(channels):
+    """How many cylinders a sample of so many channels is of."""
+    return (channels - _LINES) // _CYLINDER
+
+
 def sample_channels(cylinders: Sequence[str]) -> tuple[str, ...]:
     """Channel names of a sample, in order."""
     own = (f"{name}.{key}" for name in cylinders for key in CylinderEntries._fields)

@@ -835,9 +835,9 @@ def overlaps(monkeypatch):
     """Counts of labels that lie on one another, or out of the picture, one entry a figure drawn."""
     from contextlib import contextmanager
 
-    from ehbench.report import energy_figures
+    from ehbench.report.figures import energy_bars, sankey
 
-    found, plain = [], energy_figures.canvas
+    found, plain = [], sankey.canvas
 
     @contextmanager
     def watched(*args, **kwargs):
@@ -855,7 +855,8 @@ def overlaps(monkeypatch):
             )
             found.append((crowded, outside))
 
-    monkeypatch.setattr(energy_figures, "canvas", watched)
+    for figures in (energy_bars, sankey):
+        monkeypatch.setattr(figures, "canvas", watched)
     return found
 
 
@@ -863,7 +864,8 @@ def test_pictures_are_legible_and_the_same_each_time(model, made, overlaps, tmp_
     """Every label of the Sankey picture and of the bars stands free and inside; same ledger, same
     bytes.
     """
-    from ehbench.report.energy_figures import bars, sankey
+    from ehbench.report.figures.energy_bars import bars
+    from ehbench.report.figures.sankey import sankey
 
     one = ledger_of_model(model, made).as_json()
     log = ledger_of_log(model.rig, None, measured(made, model)).as_json()

@@ -16,7 +16,8 @@ import pytest
 import ehbench
 from ehbench.errors import InputError
 from ehbench.record import Record
-from ehbench.workflow import Outcome, init
+from ehbench.starter import init
+from ehbench.workflow import Outcome
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = {

@@ -1,0 +1,397 @@
+"""What a log must be before a rig is identified or judged on it: of this rig, evenly sampled, and
+in the units it says.
+
+A slip of a unit or a name gives a fit that looks like one. So every log passes here first: what
+cannot be right is refused with what would be right, what is merely odd comes back as a warning."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ehbench.errors import EhbenchError, InputError, LogError
+from ehbench.quantities import VOCABULARY
+from ehbench.record import Record
+from ehbench.rig import Cylinder, Rig
+from ehbench.units import factor, from_si
+
+if TYPE_CHECKING:
+    from ehbench.plant.model import Model
+
+LEAST_SAMPLES = 3
+EVEN = 0.01  # share of the sample time by which time may be off and still count as even
+JITTER = 0.25  # share of the sample time by which a sample may be early or late and be put right
+COARSE, FINE = 0.05, 1.0e-5  # [s]: no rig is logged slower, or faster
+MOST_PERIODS = 5.0  # a sample time of more periods of a valve shows nothing of it
+APART = 5.0  # factor between recorded and expected pressure beyond which the unit is wrong
+FAR_APART = 50.0  # the same where only the supply is known: chambers may well stand far below it
+LOADED = (
+    0.03  # share of the supply's force beyond which a load is heavy enough to check pressures by
+)
+OVERSHOOT = 0.01  # share of a driver's range that a recorded command may lie outside of it
+TRAVEL = 0.02  # share of the stroke beyond which a cylinder has surely moved
+ONGOING = 0.1  # share of the largest speed above which a log begins mid-motion
+_MIXED = ("Pa", "kPa", "psi", "bar", "MPa")
+
+
+def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[str, ...]]:
+    """(the log, evenly sampled; what is odd about it) for a rig carrying the log's payload.
+
+    Raises:
+        LogError: not evenly sampled, with the worst gap.
+        InputError: too few or too coarse samples, a sample that is no number, no channel of the
+            rig, a command outside its valve's range, pressures that cannot be in the unit they say.
+    """
+    count = record.t.size
+    if count < LEAST_SAMPLES:
+        raise InputError(
+            f"{name}: the log has only {count} sample{'s' * (count != 1)}",
+            hint=f"at least {LEAST_SAMPLES} are needed",
+        )
+    for channel, values in record.channels.items():
+        if not np.isfinite(values).all():
+            when = record.t[int(np.argmin(np.isfinite(values)))]
+            raise InputError(f"{name}: channel '{channel}' is not a number at t = {when:g} s")
+    told = list(_foreign(name, record, model.rig))
+    _sample_time(name, record, model.rig)
+    record, jitter = evened(name, record)
+    told += jitter
+    if model.rig.payload and not record.meta.get("payload"):
+        told.append(
+            "the log names no payload: taken as unloaded (the rig has "
+            f"{', '.join(model.rig.payload)})"
+        )
+    _commands(name, record, model.rig)
+    rest = model.rest_samples(model.commands_of(record))
+    begun = _begun(record, model.rig, rest)
+    _pressures(name, record, model, rest, still=not begun)
+    return record, (*told, *begun, *_stuck(record, model.rig))
+
+
+def evened(name: str, record: Record) -> tuple[Record, list[str]]:
+    """The record on an even time base, and a sentence if that took resampling: readings
+    interpolated, commands held.
+
+    Raises:
+        LogError: samples are missing or their time is off by more than a quarter of the sample
+            time.
+    """
+    steps = np.diff(record.t)
+    tick = record.sample_time
+    if np.abs(steps - tick).max() <= EVEN * tick:
+        return record, []
+    even = (record.t[-1] - record.t[0]) / (record.t.size - 1)
+    off = np.abs(steps - even)
+    worst = int(np.argmax(off))
+    if (
+        off[worst] > (2.0 * JITTER + EVEN) * even
+    ):  # a step ends in two samples, one early and one late
+        at = int(np.argmax(np.abs(steps - tick)))
+        raise LogError(
+            f"{name}: not evenly sampled: {steps[at] * 1e3:.4g} ms pass after t = "
+            f"{record.t[at]:.6g} s, "
+            f"{tick * 1e3:.4g} ms elsewhere",
+            hint="resample it to one rate, or use a window without gaps (start, stop)",
+        )
+    t = np.linspace(record.t[0], record.t[-1], record.t.size)
+    held = np.searchsorted(record.t, t + (JITTER + EVEN) * even, side="right") - 1
+    channels = {
+        channel: values[held] if channel.endswith(".command") else np.interp(t, record.t, values)
+        for channel, values in record.channels.items()
+    }
+    warning = (
+        f"not evenly sampled: {steps[worst] * 1e3:.4g} ms after t = {record.t[worst]:.6g} s; "
+        f"resampled to {1.0 / even:.5g} Hz"
+    )
+    return replace(record, t=t, channels=channels), [warning]
+
+
+def distinct_names(paths: Sequence[Path]) -> list[str]:
+    """A name for each log: its file's stem, with the folder before it where others have the same,
+    numbered if need be.
+    """
+    names = [path.stem for path in paths]
+    crowd = Counter(names)
+    names = [
+        f"{path.parent.name}_{name}" if crowd[name] > 1 else name
+        for path, name in zip(paths, names, strict=True)
+    ]
+    return numbered(names)
+
+
+def numbered(names: Sequence[str]) -> list[str]:
+    """The names, those that come again numbered from the second on."""
+    seen: Counter[str] = Counter()
+    found = []
+    for name in names:
+        seen[name] += 1
+        found.append(name if seen[name] == 1 else f"{name}_{seen[name]}")
+    return found
+
+
+def _foreign(name: str, record: Record, rig: Rig) -> list[str]:
+    """Warnings of channels that belong to nothing on the rig; refuses a log of which no cylinder
+    has any.
+    """
+    cylinders = {c.name for c in rig.cylinder}
+    valves = {f"{c.name}.{v.name}" for c, v in rig.valves()}
+    known = (
+        cylinders
+        | set(rig.joint_names)
+        | valves
+        | {f"{c.name}.{v.edge_name(e)}" for c, v, e in rig.edges()}
+    )
+    odd: dict[str, list[str]] = {}
+    for channel in record.channels:
+        head = channel.rpartition(".")[0]
+        if head and head not in known:
+            owner = head.partition(".")[0]
+            odd.setdefault(head if owner in cylinders else owner, []).append(channel)
+    told = []
+    for owner, channels in odd.items():
+        near = get_close_matches(owner, valves if "." in owner else cylinders, 1)
+        what = (
+            "a valve" if all(channel.endswith(".command") for channel in channels) else "a cylinder"
+        )
+        some = ", ".join(f"'{channel}'" for channel in channels[:3]) + ", …" * (len(channels) > 3)
+        told.append(
+            f"the log has {some}, {what} that rig '{rig.name}' does not have"
+            + (f"; nearest is '{near[0]}'" if near else "")
+        )
+    if not any(channel.partition(".")[0] in cylinders for channel in record.channels):
+        raise InputError(
+            f"{name}: no channel is of a cylinder of rig '{rig.name}'"
+            + (f": {told[0]}" if told else ""),
+            hint="it has "
+            + ", ".join(c.name for c in rig.cylinder)
+            + "; the log has "
+            + ", ".join(record.channels),
+        )
+    return told
+
+
+def _sample_time(name: str, record: Record, rig: Rig) -> None:
+    """Refuse a time that can only be in another unit than it says."""
+    tick = record.sample_time
+    used = {valve.dynamics for _, valve in rig.valves() if valve.dynamics is not None}
+    periods = [2.0 * math.pi / rig.dynamics[one].frequency_and_damping()[0] for one in used]
+    most = min([COARSE, *(MOST_PERIODS * period for period in periods)])
+    if tick > most:
+        raise InputError(
+            f"{name}: {tick:g} s pass between samples, too long to see this rig move; at most "
+            f"{most * 1e3:.3g} ms would do",
+            hint="is the time in ms?",
+        )
+    if tick < FINE:
+        raise InputError(
+            f"{name}: only {tick:.3g} s pass between samples, {np.ptp(record.t):.3g} s in all",
+            hint="is the time in s, not in ms?",
+        )
+
+
+def _commands(name: str, record: Record, rig: Rig) -> None:
+    """Refuse commands that no driver of the rig takes."""
+    for cylinder, valve in rig.valves():
+        channel = f"{cylinder.name}.{valve.name}.command"
+        if channel not in record:
+            continue
+        low, high = float(valve.command_min), float(valve.command_max)
+        slack = OVERSHOOT * (high - low)
+        out = np.flatnonzero((record[channel] < low - slack) | (record[channel] > high + slack))
+        if out.size:
+            raise InputError(
+                f"{name}: {channel} = {record[channel][out[0]]:g} V at t = {record.t[out[0]]:g} s "
+                f"lies outside {low:g} to {high:g} V",
+                hint="check the unit, and command_min and command_max of the rig file",
+            )
+
+
+def _shown(rig: Rig, pressure: float) -> str:
+    unit = rig.unit_of("p_head")
+    return f"{from_si(pressure, unit, VOCABULARY['p_head']):.3g} {unit}"
+
+
+def _right(ratio: float) -> str:
+    """A hint which mistake of units makes a pressure ``ratio`` times as large as it should be."""
+    pairs = [
+        (abs(math.log(ratio * factor(b, "Pa") / factor(a, "Pa"))), a, b)
+        for a in _MIXED
+        for b in _MIXED
+        if a != b
+    ]
+    miss, a, b = min(pairs)
+    return "is the unit right?" + (
+        f" it looks like {b} labelled {a}" if miss < math.log(1.3) else ""
+    )
+
+
+def _pressures(name: str, record: Record, model: Model, rest: int, still: bool) -> None:
+    """Refuse pressures that neither the supply nor the load can have made."""
+    rig, plant, names = model.rig, model.plant, model.layout
+    supply = float(plant.supply.pressure)
+    if "p_supply" in record:
+        seen = float(np.percentile(record["p_supply"], 90))
+        if not supply / APART <= seen <= supply * APART:
+            raise InputError(
+                f"{name}: p_supply is {_shown(rig, seen)}, while the supply of rig '{rig.name}' "
+                f"holds {_shown(rig, supply)}",
+                hint=_right(max(seen, 1.0) / supply),
+            )
+    try:
+        start = model.start_of(record, rest)
+    except EhbenchError:
+        return  # a posture outside the stroke: the simulation says so
+    for index, cylinder in enumerate(rig.cylinder):
+        ends = {"p_head": f"{cylinder.name}.p_head", "p_rod": f"{cylinder.name}.p_rod"}
+        seen = {word: record[channel] for word, channel in ends.items() if channel in record}
+        if not seen:
+            continue
+        areas = dict(zip(ends, cylinder.areas(), strict=True))
+        force = (
+            start[names.state("p_head", index)] * areas["p_head"]
+            - start[names.state("p_rod", index)] * areas["p_rod"]
+        )
+        carrying, other = ("p_head", "p_rod") if force > 0 else ("p_rod", "p_head")
+        need = abs(force) / areas[carrying]
+        peak = _peak(name, rig, cylinder, seen, supply, need)
+        if len(seen) == 2 and peak < supply / FAR_APART and _fed(cylinder, record):
+            raise InputError(
+                f"{name}: {cylinder.name} is fed from a supply of {_shown(rig, supply)}, "
+                f"and its pressures stay below {_shown(rig, peak)}",
+                hint="is the unit right?",
+            )
+        light = need < LOADED * supply
+        if not still or carrying not in seen or light or _at_end(record, cylinder, rest):
+            continue
+        back = 0.0
+        if other in seen:
+            back = float(np.mean(seen[other][:rest])) * areas[other] / areas[carrying]
+        held = float(np.mean(seen[carrying][:rest])) - back
+        # dry friction may hold a light load without oil, but not keep the pressures down in motion
+        if (held < need / APART and peak < supply / APART) or (
+            other in seen and held > need * APART
+        ):
+            raise InputError(
+                f"{name}: at rest {cylinder.name}.{carrying} holds {_shown(rig, held)} against "
+                f"its other end, while the load of rig '{rig.name}' asks for {_shown(rig, need)}",
+                hint="is the unit right? and does the load hang free?",
+            )
+
+
+def _peak(
+    name: str,
+    rig: Rig,
+    cylinder: Cylinder,
+    seen: Mapping[str, np.ndarray],
+    supply: float,
+    need: float,
+) -> float:
+    """The largest pressure seen in a cylinder [Pa]; refuses one that nothing can have made.
+
+    Args:
+        supply: its pressure [Pa].
+        need: pressure [Pa] that carries the load.
+    """
+    relief = 0.0 if cylinder.relief_pressure is None else float(cylinder.relief_pressure)
+    peaks = {word: float(np.percentile(values, 99)) for word, values in seen.items()}
+    for word, peak in peaks.items():
+        if peak > APART * max(supply, relief, need):
+            raise InputError(
+                f"{name}: {cylinder.name}.{word} reaches {_shown(rig, peak)}, while the supply of "
+                f"rig '{rig.name}' holds {_shown(rig, supply)}",
+                hint="is the unit right?",
+            )
+    return max(peaks.values())
+
+
+def _fed(cylinder: Cylinder, record: Record) -> bool:
+    """Whether a recorded command opens an edge from the supply."""
+    return any(
+        (command := f"{cylinder.name}.{valve.name}.command") in record
+        and bool(np.any(edge.sign * record[command] > float(edge.deadband)))
+        for valve in cylinder.valve
+        for edge in valve.edge
+        if edge.from_ == "supply"
+    )
+
+
+def _at_end(record: Record, cylinder: Cylinder, rest: int) -> bool:
+    """Whether the recorded stroke begins at an end stop, which carries what the oil does not."""
+    channel = f"{cylinder.name}.x"
+    if channel not in record:
+        return False
+    x = float(np.mean(record[channel][:rest]))
+    return not TRAVEL < x / float(cylinder.stroke) < 1.0 - TRAVEL
+
+
+def _span(cylinder: Cylinder, word: str) -> float:
+    """A full stroke [m], or an angle [rad] of the size that a stroke makes."""
+    return 1.0 if word in ("q", "qd") and cylinder.pins is not None else float(cylinder.stroke)
+
+
+def _stuck(record: Record, rig: Rig) -> list[str]:
+    """Warnings of channels that stay constant while their cylinder moves."""
+    return [
+        f"{cylinder.name}.{word} is constant while {cylinder.name} moves: is the sensor stuck?"
+        for cylinder in rig.cylinder
+        if _travels(record, cylinder)
+        for word in ("q", "x", "qd", "v", "p_head", "p_rod")
+        if (channel := f"{cylinder.name}.{word}") in record and np.ptp(record[channel]) == 0.0
+    ]
+
+
+def _travels(record: Record, cylinder: Cylinder) -> bool:
+    """Whether a position, or the integral of a speed, changes by more than sensors err."""
+    for word in ("q", "x", "qd", "v"):
+        channel = f"{cylinder.name}.{word}"
+        if channel not in record:
+            continue
+        way = (
+            record[channel]
+            if word in ("q", "x")
+            else np.cumsum(record[channel]) * record.sample_time
+        )
+        if np.ptp(way) > TRAVEL * _span(cylinder, word):
+            return True
+    return False
+
+
+def _begun(record: Record, rig: Rig, rest: int) -> list[str]:
+    """Warnings of what is already on, or already moves, at the first sample: the simulation starts
+    at rest.
+    """
+    told = []
+    for cylinder in rig.cylinder:
+        for valve in cylinder.valve:
+            channel = f"{cylinder.name}.{valve.name}.command"
+            if channel not in record:
+                continue
+            first = float(np.median(record[channel][:rest]))
+            least = 0.01 * (float(valve.command_max) - float(valve.command_min))
+            if any(edge.sign * first > float(edge.deadband) + least for edge in valve.edge):
+                told.append(
+                    f"{channel} is already on at the first sample ({first:g} V): the model starts "
+                    "at rest"
+                )
+        for word in ("qd", "v"):
+            channel = f"{cylinder.name}.{word}"
+            if channel not in record or not _travels(record, cylinder):
+                continue
+            speed, count = record[channel], min(rest, max(1, round(0.02 / record.sample_time)))
+            noise = 1.5 * float(np.median(np.abs(np.diff(speed)))) / math.sqrt(count)
+            if (
+                abs(float(np.mean(speed[:count])))
+                > ONGOING * float(np.abs(speed).max()) + 4.0 * noise
+            ):
+                told.append(
+                    f"{cylinder.name} already moves at the first sample: the model starts at rest"
+                )
+                break
+    return told
