@@ -19,7 +19,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -204,26 +204,7 @@ def open_run(
         raise InputError(
             f"no run can be written here: {error.strerror}", file=final, hint="choose another --out"
         ) from None
-    record = {
-        "stage": stage,
-        "name": recipe.stem,
-        "argv": ["ehbench", stage, recipe.name],
-        "hash": run_hash(recipe, inputs),
-        "recipe": {"path": recipe.name, "sha256": sha256(recipe)},
-        "inputs": [
-            {"role": role, "path": _relative(path, recipe.parent), "sha256": sha256(path)}
-            for role, path in inputs
-        ],
-        "seeds": dict(seeds or {}),
-        "versions": {
-            "ehbench": metadata.version("ehbench"),
-            "python": platform.python_version(),
-            **{name: metadata.version(name) for name in _LIBRARIES},
-        },
-        "code_sha256": code_version(),
-        "commit": commit(),
-    }
-    run = Run(scratch, final, record, found=found)
+    run = Run(scratch, final, _record(stage, recipe, inputs, seeds), found=found)
     began = time.time()
     hold = _held(scratch)
     try:
@@ -247,8 +228,36 @@ def open_run(
             os.close(hold)
 
 
+def _record(
+    stage: str,
+    recipe: Path,
+    inputs: Sequence[tuple[str, Path]],
+    seeds: Mapping[str, int] | None,
+) -> dict[str, Any]:
+    """What ``run.json`` says of a run before it has begun."""
+    return {
+        "stage": stage,
+        "name": recipe.stem,
+        "argv": ["ehbench", stage, recipe.name],
+        "hash": run_hash(recipe, inputs),
+        "recipe": {"path": recipe.name, "sha256": sha256(recipe)},
+        "inputs": [
+            {"role": role, "path": _relative(path, recipe.parent), "sha256": sha256(path)}
+            for role, path in inputs
+        ],
+        "seeds": dict(seeds or {}),
+        "versions": {
+            "ehbench": metadata.version("ehbench"),
+            "python": platform.python_version(),
+            **{name: metadata.version(name) for name in _LIBRARIES},
+        },
+        "code_sha256": code_version(),
+        "commit": commit(),
+    }
+
+
 def _put(scratch: Path, final: Path) -> None:
-    """Move a whole run to its place; of two processes that make the same run, the last one stays."""
+    """Move a whole run to its place; of two processes that make one run, the last stays."""
     for _ in range(100):
         shutil.rmtree(final, ignore_errors=True)
         try:

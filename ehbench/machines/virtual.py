@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -113,7 +113,7 @@ class VirtualPlant(NamedTuple):
 
 
 # --- laws
-# ---------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------
 
 
 @kernel
@@ -458,7 +458,7 @@ def bench_tick(state, command, bench, tick, steps, scratch, work, noise_row, sam
 
 
 # --- putting a bench together
-# ---------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------
 
 
 def _scalar(value) -> float | None:
@@ -468,7 +468,7 @@ def _scalar(value) -> float | None:
 class _Given:
     """What a bench file says of one thing: its own entry, else that of ``all``, else a default."""
 
-    def __init__(self, table: Mapping[str, object], name: str) -> None:
+    def __init__(self, table: Mapping[str, Any], name: str) -> None:
         self.entries = [table[key] for key in (name, "all") if key in table]
 
     def __call__(self, key: str, default: float) -> float:
@@ -577,9 +577,9 @@ def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) ->
     row[SATURATION] = (
         given("saturation", sat * full if compensated else 1.6 * sat * full) or math.inf
     )
-    gain = float(edge.compensated_gain if compensated else edge.flow_gain) * given(
-        "gain_factor", factor
-    )
+    nominal = edge.compensated_gain if compensated else edge.flow_gain
+    assert nominal is not None  # `_truth` sees to it
+    gain = float(nominal) * given("gain_factor", factor)
     row[E_GAIN] = gain
     if compensated:
         row[SETTING] = given("compensation_drop", setting * float(edge.compensation_drop))
@@ -622,7 +622,8 @@ def _tune(valve: Valve, row: np.ndarray, drop: float, width: float) -> tuple[flo
         low, high = 0.0, 4.0 * float(valve.command_max)
         if edge_flow(drop, row[E_SIGN] * high, row) < flow:
             raise InputError(
-                f"valve '{valve.name}' of the bench never passes its calibration flow {flow:g} m^3/s"
+                f"valve '{valve.name}' of the bench never passes its calibration flow "
+                f"{flow:g} m^3/s"
             )
         for _ in range(200):
             middle = 0.5 * (low + high)
