@@ -1,39 +1,51 @@
 """ehbench: the workbench for people who run electrohydraulic test rigs.
 
     import ehbench
-    rig = ehbench.load_rig("recipes/rigs/thesis_arm.toml")
-    log = ehbench.simulate(rig, {"boom.hepc": 4.0, "boom.rect": 8.0}, duration=1.0)
-    run = ehbench.identify("recipes/thesis/flow_maps.toml")
-    maps = ehbench.load_flow_maps(run.folder)
+    rig = ehbench.load_rig("recipes/rigs/slide_servo.toml")
+    log = ehbench.simulate(rig, {"press.servo": 2.0}, duration=0.5)
+    run = ehbench.identify("recipes/slide_servo/hydraulics.toml")
+    run.parameters
 
-Everything is SI inside; `ehbench.quantities` names each quantity with its unit.
+Everything is SI inside; `ehbench.quantities` names each quantity with its unit. What a command of
+the command line does, the function of its name does: `check`, `identify`, `validate`, `tune`,
+`run_trial`, `report`. Importing the package changes nothing else in the process.
 """
 
 from __future__ import annotations
 
-import os
+import sys
+from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-# Sums of one BLAS thread have one order, so the same input gives the same bytes; small systems are
-# quicker that way too.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 if TYPE_CHECKING:
+    from ehbench.inspection import Inspection
     from ehbench.logs import read_log as read_log
     from ehbench.physics.flow_map import load_flow_maps as load_flow_maps
+    from ehbench.plant.model import simulate as simulate
     from ehbench.recipe import load_rig as load_rig
-    from ehbench.simulation import simulate as simulate
-    from ehbench.workflow import Outcome, Progress
+    from ehbench.workflow import Outcome, Progress, Session
 
-__all__ = ["identify", "load_flow_maps", "load_rig", "read_log", "simulate", "validate"]
+__all__ = [
+    "check",
+    "identify",
+    "load_flow_maps",
+    "load_rig",
+    "read_log",
+    "report",
+    "run_trial",
+    "simulate",
+    "tune",
+    "validate",
+]
 
 # imported when first used, so that `import ehbench` and `ehbench --help` are quick
 _HOME = {
     "load_flow_maps": "ehbench.physics.flow_map",
     "load_rig": "ehbench.recipe",
     "read_log": "ehbench.logs",
-    "simulate": "ehbench.simulation",
+    "simulate": "ehbench.plant.model",
 }
 
 
@@ -49,10 +61,49 @@ def __dir__() -> list[str]:
     return sorted(__all__)
 
 
+class _Face(ModuleType):
+    """The package: its functions stay what they are when the packages `ehbench.tune` and
+    `ehbench.report` are imported, which Python would set in their place.
+    """
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (name in __all__ and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Face
+
+
+def check(file: str | Path) -> Inspection:
+    """Look at a rig, recipe, flowmeter CSV or log without running anything.
+
+    Example:
+        found = ehbench.check("recipes/slide_servo/hydraulics.toml")
+        print(*found.lines, *found.errors, sep="\\n")
+
+    Args:
+        file: TOML, CSV or MCAP.
+
+    Returns:
+        What was found: ``.lines`` to read, ``.errors``, and ``.code``: that of the first error,
+            else 3 with data loss, else 0.
+
+    Raises:
+        InputError: the file cannot be taken for what it is.
+    """
+    from ehbench import inspection
+
+    return inspection.check(Path(file))
+
+
 def identify(
     recipe: str | Path, *, out: str | Path | None = None, progress: Progress | None = None
 ) -> Outcome:
     """Run a recipe of stage ``identify``: flow maps from readings, or hydraulics from step logs.
+
+    Example:
+        run = ehbench.identify("recipes/slide_servo/hydraulics.toml")
+        run.parameters.loc["bulk_modulus"]
 
     Args:
         recipe: its TOML file.
@@ -61,7 +112,7 @@ def identify(
 
     Returns:
         The outcome: ``.folder``, ``.code``, ``.notes``, and what the run saved: ``.rig``,
-            ``.flow_maps``, ``.json("parameters")``.
+            ``.flow_maps``, ``.parameters``, ``.json("parameters")``.
 
     Raises:
         InputError: a bad recipe or bad data; says file, line and what would be right.
@@ -76,6 +127,10 @@ def validate(
     """Run a recipe of stage ``validate``; ``.code`` is 4 when the rig is rejected and
     ``.json("validation")`` says why.
 
+    Example:
+        run = ehbench.validate("recipes/slide_servo/validation.toml")
+        run.code, run.json("validation")["verdict"]
+
     Args:
         recipe: its TOML file.
         out: the run's folder; ``reports/<recipe>_<hash8>/`` by default.
@@ -87,12 +142,111 @@ def validate(
     return _run(recipe, "validate", out, progress)
 
 
+def tune(
+    recipe: str | Path,
+    *,
+    out: str | Path | None = None,
+    progress: Progress | None = None,
+    unvalidated: bool = False,
+) -> Outcome:
+    """Run a recipe of stage ``tune``: gains of the pressure feedback in ``.json("tuning")``.
+
+    Example:
+        run = ehbench.tune("recipes/slide_servo/tuning.toml")
+        run.json("tuning")["gains"]
+
+    Args:
+        recipe: its TOML file.
+        out: the run's folder; ``reports/<recipe>_<hash8>/`` by default.
+        progress: called with a sentence and the share done.
+        unvalidated: tune on a rig that no validation accepted.
+
+    Raises:
+        InputError: a bad recipe; says file, line and what would be right.
+        ModelRejected: the rig is not validated.
+    """
+    return _run(recipe, "tune", out, progress, unvalidated=unvalidated)
+
+
+def run_trial(
+    recipe: str | Path,
+    *,
+    out: str | Path | None = None,
+    progress: Progress | None = None,
+    allow_code: bool = False,
+) -> Outcome:
+    """Run a recipe of stage ``trial`` or ``trials``; ``.code`` is 5 when a limit stopped one.
+
+    Example:
+        run = ehbench.run_trial("my_rig/recipes/step_small.toml")
+        log = ehbench.read_log(run.folder / "log.mcap")
+
+    Args:
+        recipe: its TOML file.
+        out: the run's folder; ``reports/<recipe>_<hash8>/`` by default.
+        progress: called with a sentence and the share done.
+        allow_code: let the recipe run a controller of your own, which is Python code.
+
+    Raises:
+        InputError: a bad recipe; says file, line and what would be right.
+    """
+    return _run(recipe, "run-trial", out, progress, allow_code=allow_code)
+
+
+def report(
+    runs: Sequence[Outcome | str | Path],
+    *,
+    out: str | Path | None = None,
+    progress: Progress | None = None,
+) -> Outcome:
+    """Write one HTML page over finished runs, from their saved files only.
+
+    Example:
+        run = ehbench.validate("recipes/slide_servo/validation.toml")
+        page = ehbench.report([run]).folder / "report.html"
+
+    Args:
+        runs: outcomes, or run folders.
+        out: the page's folder; ``reports/report_<hash8>/`` by default.
+        progress: called with a sentence and the share done.
+
+    Returns:
+        The outcome, in whose ``.folder`` the page is: ``report.html``.
+
+    Raises:
+        InputError: a folder is no whole run.
+    """
+    from ehbench import workflow
+
+    folders = [Path(run) if isinstance(run, str | Path) else run.folder for run in runs]
+    return workflow.report(folders, _session(out, progress))
+
+
+def _session(
+    out: str | Path | None,
+    progress: Progress | None,
+    *,
+    unvalidated: bool = False,
+    allow_code: bool = False,
+) -> Session:
+    from ehbench import workflow
+
+    return workflow.Session(
+        out=None if out is None else Path(out),
+        progress=progress,
+        unvalidated=unvalidated,
+        allow_code=allow_code,
+    )
+
+
 def _run(
-    recipe: str | Path, stage: str, out: str | Path | None, progress: Progress | None
+    recipe: str | Path,
+    command: str,
+    out: str | Path | None,
+    progress: Progress | None,
+    **allowed: bool,
 ) -> Outcome:
     from ehbench import workflow
 
-    workflow.expect_stage(Path(recipe), stage)
-    return workflow.run(
-        Path(recipe), workflow.Desk(out=None if out is None else Path(out), progress=progress)
-    )
+    session = _session(out, progress, **allowed)
+    return workflow.run(workflow.expect_stage(recipe, command), session)

@@ -1,23 +1,20 @@
 """How the hot functions are compiled: one decorator for the laws, the plant and the integrator, one
-cache for their code.
+for loops that allocate, one cache for their code.
 """
 
 from __future__ import annotations
 
 import hashlib
-import shutil
-import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numba
+import numpy as np
+from numba.extending import overload
 
 PACKAGE = Path(__file__).resolve().parent
-
-# Without numba's reference counting a kernel cannot allocate (the compiler refuses it), and passing
-# rows and slices of
-# arrays from kernel to kernel costs nothing: 1.4 times as fast a plant. Arguments are the caller's,
-# who holds them.
-kernel = numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+_MARKS = (b"njit", b"@kernel", b"@allocating_kernel", b"choice(", b"Generic(")
 
 
 def _cache_folder() -> Path:
@@ -27,22 +24,106 @@ def _cache_folder() -> Path:
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted(PACKAGE.rglob("*.py")):
         content = path.read_bytes()
-        if b"njit" in content or b"@kernel" in content:
+        if any(mark in content for mark in _MARKS):
             digest.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0" + content)
     return PACKAGE / "__pycache__" / f"kernels_{digest.hexdigest()[:12]}"
 
 
-def _use_cache() -> None:
-    """Point numba to the cache; those of other sources go when a day old, as another process may
-    still work with them.
+def _compiler(folder: Path, **options: Any) -> Callable[[Callable], Any]:
+    """A decorator that compiles when first called and keeps the code in ``folder``.
+
+    numba reads where to keep code when it wraps a function, and from its global settings only;
+    they are as before once the function is wrapped.
     """
-    folder = _cache_folder()
-    if not folder.is_dir():
-        for old in folder.parent.glob("kernels_*"):
-            if time.time() - old.stat().st_mtime > 86400:
-                shutil.rmtree(old, ignore_errors=True)
-    numba.config.CACHE_DIR = str(folder)
+
+    def compiled(function: Callable) -> Any:
+        before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
+        try:
+            return numba.njit(cache=True, nogil=True, **options)(function)
+        finally:
+            numba.config.CACHE_DIR = before
+
+    return compiled
 
 
-if not numba.config.CACHE_DIR:
-    _use_cache()
+_FOLDER = _cache_folder()
+
+# Without numba's reference counting a kernel cannot allocate (the compiler refuses it), and passing
+# rows and slices of arrays costs nothing: 1.4 times as fast a plant. Arguments are the caller's.
+kernel = _compiler(_FOLDER, error_model="numpy", _nrt=False)
+
+allocating_kernel = _compiler(_FOLDER)
+
+_INLINED = {"nogil": True, "error_model": "numpy", "_nrt": False}
+# for what is made at import, which no cache can find again: it goes into the code of its callers
+inlined = numba.njit(**_INLINED)
+
+
+def choice(name: str, laws: Sequence[Callable], arguments: str) -> Callable:
+    """A function ``name(law, …)`` that calls one of several kernels by its number ``law``.
+
+    In a kernel the choice is a chain of comparisons over calls that the compiler may inline, and
+    its machine code goes to the cache; tuples of functions do neither. In plain Python it is the
+    same chain.
+
+    Args:
+        laws: the kernels, all of the same arguments and the same type of result.
+        arguments: their arguments as a signature has them, such as ``"row, v"``.
+    """
+    space: dict[str, Any] = {f"law_{i}": law for i, law in enumerate(laws)}
+    last = len(laws) - 1
+    chain = "".join(f"    if law == {i}: return law_{i}({arguments})\n" for i in range(last))
+    exec(
+        f"def {name}(law, {arguments}):\n{chain}    return law_{last}({arguments})\n"
+        f"def typed(law, {arguments}): return chosen\n"
+        f"def chosen(law, {arguments}):\n{chain}    return law_{last}({arguments})\n",
+        space,
+    )
+    overload(space[name], jit_options=_INLINED)(space["typed"])
+    return space[name]
+
+
+class Generic:
+    """A function of a plant that each type of plant has a kernel of its own for.
+
+    ``of(Plant)`` decorates the kernel of that type. Kernels call ``call``; which one it is, is
+    settled by the type of the argument ``plant`` when they are compiled.
+
+    Args:
+        name: of the function.
+        arguments: as a signature has them, one of them ``plant``.
+    """
+
+    def __init__(self, name: str, arguments: str) -> None:
+        self.kernels: dict[type, Callable] = {}
+        self.arguments = arguments
+        space: dict[str, Any] = {"kernels": self.kernels}
+        exec(f"def {name}({arguments}): return kernels[type(plant)]({arguments})\n", space)
+        self.call: Callable = space[name]
+
+    def of(self, plant: type) -> Callable[[Callable], Callable]:
+        """Decorate the kernel that serves this type of plant."""
+
+        def register(function: Callable) -> Callable:
+            self.kernels[plant] = function
+            space: dict[str, Any] = {"function": function, "wanted": plant}
+            exec(
+                f"def chosen({self.arguments}): return function({self.arguments})\n"
+                f"def typed({self.arguments}):\n"
+                "    if getattr(plant, 'instance_class', None) is wanted: return chosen\n",
+                space,
+            )
+            overload(self.call, jit_options=_INLINED)(space["typed"])
+            return function
+
+        return register
+
+
+def record(*columns: tuple[str, str]) -> np.dtype:
+    """The layout of one row of a table: pairs of a field's name and its type, ``f8`` or ``i8``."""
+    return np.dtype((np.record, list(columns)), align=True)
+
+
+def table(rows: int, layout: np.dtype) -> np.recarray:
+    """A table of rows of a layout, all zero; ``table[i].field`` reads in kernels and in Python."""
+    return np.zeros(rows, layout).view(np.recarray)

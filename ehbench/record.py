@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ehbench.errors import LogError
+from ehbench.notebook import label, plural, shown, table
 from ehbench.quantities import quantity
 
 if TYPE_CHECKING:
@@ -51,6 +52,25 @@ class Record:
                 f"the log has no channel '{name}'", hint="it has " + ", ".join(self.channels)
             )
         return self.channels[name]
+
+    def __repr__(self) -> str:
+        span = f" from {self.t[0]:g} to {self.t[-1]:g} s" if self.t.size else ""
+        names = list(self.channels)
+        some = ", ".join(names[:4]) + (", …" if len(names) > 4 else "")
+        size = f"{plural(self.t.size, 'sample')}{span}, {plural(len(names), 'channel')}"
+        return f"<Record: {size}: {some}>" if names else f"<Record: {size}>"
+
+    def _repr_html_(self) -> str:
+        """Its channels with their unit, range and meaning."""
+        rows = []
+        for name, values in self.channels.items():
+            row = quantity(name)
+            ends = (values.min(), values.max()) if values.size else (None, None)
+            least, most = (shown(end, name, row.display) for end in ends)
+            rows.append((name, label(row.display), least, most, row.meaning))
+        header = ("channel", "unit", "least", "most", "meaning")
+        span = f"{self.t[0]:g} … {self.t[-1]:g} s, " if self.t.size else ""
+        return table(header, rows, span + plural(self.t.size, "sample"))
 
     def __contains__(self, name: str) -> bool:
         return name == "t" or name in self.channels

@@ -19,7 +19,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -178,7 +178,7 @@ def open_run(
     recipe: Path,
     inputs: Iterable[tuple[str, Path]],
     seeds: Mapping[str, int] | None = None,
-):
+) -> Iterator[Run]:
     """A ``Run`` whose folder becomes ``final`` when the block ends well; else nothing stays.
 
     Raises:
@@ -204,23 +204,12 @@ def open_run(
         raise InputError(
             f"no run can be written here: {error.strerror}", file=final, hint="choose another --out"
         ) from None
-    run = Run(scratch, final, _record(stage, recipe, inputs, seeds), found=found)
-    began = time.time()
-    hold = _held(scratch)
+    run = Run(scratch, final, _record(stage, recipe, inputs, seeds or {}), found=found)
+    began, hold = time.time(), _held(scratch)
     try:
         yield run
         run.save()
-        write_json(
-            scratch / "volatile.json",
-            {
-                "argv": sys.argv,
-                "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(began)),
-                "seconds": round(time.time() - began, 3),
-                "machine": platform.machine(),
-                "system": platform.system(),
-                "cores": os.cpu_count(),
-            },
-        )
+        write_json(scratch / "volatile.json", _volatile(began))
         _put(scratch, final)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
@@ -229,12 +218,9 @@ def open_run(
 
 
 def _record(
-    stage: str,
-    recipe: Path,
-    inputs: Sequence[tuple[str, Path]],
-    seeds: Mapping[str, int] | None,
+    stage: str, recipe: Path, inputs: Sequence[tuple[str, Path]], seeds: Mapping[str, int]
 ) -> dict[str, Any]:
-    """What ``run.json`` says of a run before it has begun."""
+    """What ``run.json`` says of a run whatever its stage: the same from the same inputs."""
     return {
         "stage": stage,
         "name": recipe.stem,
@@ -245,7 +231,7 @@ def _record(
             {"role": role, "path": _relative(path, recipe.parent), "sha256": sha256(path)}
             for role, path in inputs
         ],
-        "seeds": dict(seeds or {}),
+        "seeds": dict(seeds),
         "versions": {
             "ehbench": metadata.version("ehbench"),
             "python": platform.python_version(),
@@ -253,6 +239,18 @@ def _record(
         },
         "code_sha256": code_version(),
         "commit": commit(),
+    }
+
+
+def _volatile(began: float) -> dict[str, Any]:
+    """What differs from run to run; ``began`` is when [s since 1970]."""
+    return {
+        "argv": sys.argv,
+        "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(began)),
+        "seconds": round(time.time() - began, 3),
+        "machine": platform.machine(),
+        "system": platform.system(),
+        "cores": os.cpu_count(),
     }
 
 

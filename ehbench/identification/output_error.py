@@ -24,8 +24,8 @@ from ehbench.identification.steps import (
 )
 from ehbench.rig import parameter_row
 from ehbench.signals import correlation_time, lowpass, rms
+from ehbench.terms import CORRELATED
 
-CORRELATED = 0.95
 # a scale's floor as a share of the channel's spread: no sensor makes a channel worth more than that
 SCALE_FLOOR = 5.0e-3
 # a parameter is not excited if moving it by its unit (a factor e, or its whole range) changes no

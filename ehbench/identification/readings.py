@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.errors import InputError
-from ehbench.identification.flow_map import FlowMapFit, Units, fit_flow_map
+from ehbench.identification.flow_map import FlowMapFit, FlowMapOptions, Units, fit_flow_map
 from ehbench.quantities import VOCABULARY
 from ehbench.readers import FlowmeterData, merge_flowmeter
 from ehbench.rig import Edge, Rig
@@ -138,21 +138,13 @@ def run_readings(
             progress(f"{one.edge} {one.side}", index / len(prepared.edges))
         rows = one.rows
         show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"), one.sign)
-        fit = fit_flow_map(
-            one.edge,
-            one.side,
-            rows.command,
-            rows.pressure_drop,
-            rows.flow,
-            method=rows.method,
-            trial=rows.trial,
-            line=rows.line,
-            file=rows.file,
+        options = FlowMapOptions(
             meter_limit=meter_limit,
             calibration=calibration,
             reference_drop=reference_drop,
             show=show,
         )
+        fit = fit_flow_map(one.edge, one.side, rows, options)
         fit = replace(fit, warnings=(*one.doubts, *fit.warnings))
         fits.append(EdgeFit(fit, rows, one.sign))
     return fits

@@ -29,6 +29,10 @@ def read_log(path: str | Path, check: bool = True) -> pd.DataFrame:
     """A log as a pandas frame: column ``t`` [s], one SI column a channel; units, meta and losses
     are in ``frame.attrs``.
 
+    Example:
+        frame = ehbench.read_log("datasets/slide_servo/steps/press_no_load.mcap")
+        frame.attrs["units"]["press.p_head"], frame["press.p_head"].max()
+
     Arguments and errors as in `read_record`.
     """
     return read_record(path, check).frame()

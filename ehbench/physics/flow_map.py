@@ -19,6 +19,7 @@ import numpy as np
 
 from ehbench.compiled import kernel
 from ehbench.errors import InputError
+from ehbench.text import quoted
 
 FORMAT, VERSION = "ehbench flow maps", 1
 FILE_NAME = "flow_maps.json"
@@ -521,6 +522,11 @@ def save_flow_maps(maps: FlowMaps, path: str | Path) -> Path:
 def load_flow_maps(path: str | Path) -> FlowMaps:
     """The flow maps of a run folder or of a ``flow_maps.json``.
 
+    Example:
+        run = ehbench.identify("recipes/boom_four_valve/flow_maps.toml")
+        maps = ehbench.load_flow_maps(run.folder)
+        maps["sh"].flow(2.0e6, 4.0)  # m³/s at 2 MPa and 4 V
+
     Raises:
         InputError: no such file, or not a flow map file of this version.
     """
@@ -591,14 +597,10 @@ def table(
                 from_si(std, flow_unit, VOCABULARY["flow"]),
                 one.inside(drop, command),
             )
-            names = f"{_quoted(one.valve)},{one.direction},{command:.6g}"
+            names = f"{quoted(one.valve)},{one.direction},{command:.6g}"
             names += f",{signs[one.valve, one.direction] * command + 0.0:.6g}" if signs else ""
             lines += [
                 f"{names},{p:.6g},{q:.6g},{e:.3g},{int(i)}"
                 for p, q, e, i in zip(*columns, strict=True)
             ]
     return "\n".join(lines) + "\n"
-
-
-def _quoted(text: str) -> str:
-    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text

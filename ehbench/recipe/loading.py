@@ -14,6 +14,10 @@ from ehbench.rig import Rig
 def load_rig(path: str | Path) -> Rig:
     """The rig of a TOML file, or of a run folder that holds an identified rig (``rig.toml``).
 
+    Example:
+        rig = ehbench.load_rig("recipes/rigs/slide_servo.toml")
+        rig.parameters()["bulk_modulus"]
+
     Raises:
         InputError: with file, line, key, value and the nearest valid key.
     """

@@ -12,6 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from ehbench.errors import InputError
 from ehbench.fields import FileModel
+from ehbench.text import shortened
 
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(?:#.*)?$")
 _KEY = re.compile(
@@ -162,7 +163,7 @@ def _explained(
         if isinstance(given, dict):
             hint = f"write [[{_header(location)}]] for each entry"
     else:
-        message = f"{key} = {_short(given)}: {first['msg'][0].lower() + first['msg'][1:]}"
+        message = f"{key} = {shortened(given, 60)}: {first['msg'][0].lower() + first['msg'][1:]}"
     return ": ".join(part for part in (place, message) if part), location, hint
 
 
@@ -204,11 +205,6 @@ def _spoken(table: Any, location: tuple[Any, ...]) -> tuple[str, str]:
 def _header(location: tuple[Any, ...]) -> str:
     """The header of a table in TOML."""
     return ".".join(part for part in location if isinstance(part, str))
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) < 60 else text[:57] + "…"
 
 
 def _valid_keys(model: Any, location: tuple[Any, ...]) -> list[str]:

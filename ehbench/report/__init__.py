@@ -4,7 +4,25 @@ only, re-runs nothing.
 
 from __future__ import annotations
 
-from ehbench.report.figures import draw
+from pathlib import Path
+
+from ehbench.report.index import FigureIndex
 from ehbench.report.page import build
+from ehbench.report.saved import Saved
+from ehbench.report.stages import report_of
 
 __all__ = ["build", "draw"]
+
+
+def draw(folder: Path) -> None:
+    """Draw a run folder's figures; which ones, its ``run.json`` says. A kind without figures
+    leaves an empty index.
+
+    Raises:
+        InputError: a saved file is missing or lacks what its figure needs.
+    """
+    run = Saved(folder)
+    index = FigureIndex(run.folder)
+    index.folder.mkdir(exist_ok=True)
+    report_of(run).draw(run, index)
+    index.save()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, TypeAlias
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,10 @@ class Fold:
 
     kind: ClassVar[str] = "fold"
     title: str
-    inside: Sequence[object]
+    inside: Sequence[Block]
+
+
+Block: TypeAlias = Text | Bullets | Grid | Heat | Picture | Fold
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,7 @@ class Part:
 
     kind: ClassVar[str] = "part"
     title: str
-    inside: Sequence[object]
+    inside: Sequence[Block]
     id: str = ""
 
 
@@ -101,7 +104,7 @@ class Section:
     """
 
     title: str
-    inside: Sequence[object]
+    inside: Sequence[Block]
     id: str
     chip: Cell | None = None
     parts: Sequence[Part] = field(default_factory=tuple)
@@ -109,14 +112,14 @@ class Section:
 
 def prose(text: str) -> list[Text | Bullets]:
     """Paragraphs of plain text: blank lines part them; lines that begin with ``- `` are a list."""
-    found: list[Text | Bullets] = []
+    blocks: list[Text | Bullets] = []
     for paragraph in re.split(r"\n\s*\n", text.strip()):
         lead, *items = re.split(r"(?:^|\n)\s*- ", paragraph)
         if lead.strip():
-            found.append(Text(" ".join(lead.split())))
+            blocks.append(Text(" ".join(lead.split())))
         if items:
-            found.append(Bullets([" ".join(item.split()) for item in items]))
-    return found
+            blocks.append(Bullets([" ".join(item.split()) for item in items]))
+    return blocks
 
 
 def slug(text: str) -> str:
@@ -124,12 +127,11 @@ def slug(text: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "x"
 
 
+# places in a saved SVG that become the page's own
 _ID = re.compile(r'(?<=[\s"])id="([^"]+)"')
 _LINK = re.compile(r'((?:xlink:)?href)="#([^"]+)"')
 _URL = re.compile(r"url\(#([^)]+)\)")
 _WIDE = re.compile(r'<svg[^>]*?viewBox="([^"]*)"[^>]*>', re.S)
-
-
 _STYLE = re.compile(r' style="([^"]*)"')
 
 
@@ -153,6 +155,9 @@ def inline(svg: str, prefix: str, title: str, looks: dict[str, str] | None = Non
     box = _WIDE.match(body)
     shape = box[1] if box else "0 0 525 300"
     width = float(shape.split()[2]) * 4 / 3  # points to CSS pixels
-    head = f'<svg viewBox="{shape}" style="max-width:{width:.0f}px" role="img" aria-label="{escape(title)}">'
+    head = (
+        f'<svg viewBox="{shape}" style="max-width:{width:.0f}px" '
+        f'role="img" aria-label="{escape(title)}">'
+    )
     body = head + body[body.index(">") + 1 :]
     return re.sub(r">\s+<", "><", body).strip()

@@ -8,18 +8,23 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
-from ehbench.report.blocks import Bullets, Cell, Grid, Text
-from ehbench.report.energy_figures import SEEN, half_of, part_of
+from ehbench.report.blocks import Block, Bullets, Cell, Grid, Text
+from ehbench.report.captions import capital, load_name, percent, span
+from ehbench.report.cases import Case
+from ehbench.report.content import num
+from ehbench.report.figures.energy import half_of, part_of
+from ehbench.report.figures.energy_bars import SEEN
 from ehbench.report.saved import Table
-from ehbench.report.telling import capital, num, span
-from ehbench.report.trial_figures import Case, percent
-from ehbench.report.tuning_figures import load_name
+from ehbench.report.trial_tables import WHO, who
 from ehbench.report.words import DASH, axis, number, pretty, shown, unit_of, with_error, words
 from ehbench.rig import Rig
 
-BOUNDS = {"standard": "a four-way valve", "six": "six functions", "seventh": "the seventh function"}
+_BOUNDS = {
+    "standard": "a four-way valve",
+    "six": "six functions",
+    "seventh": "the seventh function",
+}
 NOTHING = 1e-4  # share of what was drawn that a table shows as nought
 TELLING = 0.01  # share of what was drawn from which a cause is named
 _JOINS = {"supply → head", "head → tank", "supply → rod", "rod → tank"}
@@ -31,11 +36,15 @@ _KINDS = {
     "rest": "not accounted for",
 }
 _VOLUME = (
-    "The supply keeps its pressure and is paid for the volume drawn. Load, friction and the low pressure of the off-side "
-    "chamber decide where that energy is lost, not how much is drawn; that grows where oil is compressed, and where a function "
-    "draws what its bound does without."
+    "The supply keeps its pressure and is paid for the volume drawn. "
+    "Load, friction and the low pressure of the off-side chamber decide where that energy is lost, "
+    "not how much is drawn; that grows where oil is compressed, "
+    "and where a function draws what its bound does without."
 )
-_UNEXPLAINED = " Unexplained: what measured channels and the identified model do not account for, with its 95 % interval."
+_UNEXPLAINED = (
+    " Unexplained: what measured channels and the identified model do not account for, "
+    "with its 95 % interval."
+)
 
 
 @dataclass(frozen=True)
@@ -68,24 +77,27 @@ class Saving:
             if row["name"] == f"{self.case.cylinder}.drawn"
         )
 
+    @property
+    def given(self) -> float:
+        """What the supply gave in all [J]."""
+        return math.fsum(row["energy"] for row in self.ledger["rows"] if row["group"] == "supply")
+
     @cached_property
     def causes(self) -> dict[str, float]:
         """What was drawn beyond the bound [J], by cause; they add up to ``used − bound``."""
-        found = {"compression": 0.0}
+        by_cause = {"compression": 0.0}
         for one in self.limits.get("beyond", []):
             more = one["drawn"] - one["bound"]
             pressed = min(max(one["compression"], 0.0), max(more, 0.0))
-            found["compression"] += pressed
-            found[one["function"]] = more - pressed
-        return found
+            by_cause["compression"] += pressed
+            by_cause[one["function"]] = more - pressed
+        return by_cause
 
 
 def valves_of(ledger: Table, cylinder: str) -> list[tuple[str, str, float]]:
     """(valve, what it joins, throttling loss [J]) of every edge of a cylinder."""
-    mine = [
-        row for row in ledger["rows"] if row["group"] == "valve" and row["cylinder"] == cylinder
-    ]
-    return [(*row["label"].rsplit(", ", 1), row["energy"]) for row in mine]
+    own = [row for row in ledger["rows"] if row["group"] == "valve" and row["cylinder"] == cylinder]
+    return [(*row["label"].rsplit(", ", 1), row["energy"]) for row in own]
 
 
 def four_way(ledger: Table, cylinder: str) -> bool:
@@ -108,62 +120,75 @@ def savings_of(cases: Sequence[Case]) -> list[Saving]:
         if four_way(ledger, case.cylinder)
     }
     return [
-        Saving(*one, valves.get((one[0].row["payload"], one[0].row["motion"]))) for one in known
+        Saving(case, ledger, limits, valves.get((case.row["payload"], case.row["motion"])))
+        for case, ledger, limits in known
     ]
 
 
-def saved_said(rig: Rig, mine: Sequence[Saving], controller: str) -> str:
+def saved_caption(rig: Rig, savings: Sequence[Saving], controller: str) -> str:
     """What one controller saved over all its cycles, what its bound is, and what ate the
     difference.
     """
-    unit = pretty(unit_of(rig, "energy"))
+    drawn = _energies(rig, [one.used for one in savings], 4)
+    above = _energies(rig, [one.used - one.bound for one in savings])
+    text = f"{capital(words(controller))}: {_saved_share(savings)}{_bound_caption(savings)}. "
+    text += f"Drawn {drawn}, {above} above its bound"
+    halves = [one.half for one in savings if one.half]
+    text += f" (± {_energies(rig, halves, 2)})" if halves else ""
+    return text + f"; {_eaters(rig, savings)}."
 
-    def energies(values: Sequence[float], digits: int = 3) -> str:
-        return f"{span([float(shown(rig, 'energy', v)) for v in values], digits)} {unit}"
 
-    limits = " or ".join(
-        dict.fromkeys(BOUNDS[one.limits.get("against") or "standard"] for one in mine)
-    )
-    bound = span([100.0 * (1.0 - one.bound / one.limits["standard"]) for one in mine])
-    text = f"{capital(words(controller))}: "
+def _energies(rig: Rig, values: Sequence[float], digits: int = 3) -> str:
+    """The span of some energies [J], with unit."""
+    shown_values = [float(shown(rig, "energy", value)) for value in values]
+    return f"{span(shown_values, digits)} {pretty(unit_of(rig, 'energy'))}"
+
+
+def _saved_share(savings: Sequence[Saving]) -> str:
+    """How much less than a four-way valve: the one that ran, or the least that any must draw."""
     against = [
-        one
-        for one in mine
+        1.0 - one.used / one.reference
+        for one in savings
         if one.reference is not None and not four_way(one.ledger, one.case.cylinder)
     ]
     if against:
-        text += (
-            f"{_less([1.0 - one.used / one.reference for one in against])} than the four-way valve"
-        )
-    else:
-        text += f"{_less([one.limits['saving'] for one in mine])} than a four-way valve must draw"
-    if any(one.limits.get("against", "standard") != "standard" for one in mine):
-        text += f"; the bound of {limits} is {bound} % less"
-    text += f". Drawn {energies([one.used for one in mine], 4)}, {energies([one.used - one.bound for one in mine])} above its bound"
-    halves = [one.half for one in mine if one.half]
-    text += f" (± {energies(halves, 2)})" if halves else ""
+        return f"{_less(against)} than the four-way valve"
+    return f"{_less([one.limits['saving'] for one in savings])} than a four-way valve must draw"
+
+
+def _bound_caption(savings: Sequence[Saving]) -> str:
+    """The bound of its functions, where it is another than the four-way valve's."""
+    if all(one.limits.get("against", "standard") == "standard" for one in savings):
+        return ""
+    limits = " or ".join(
+        dict.fromkeys(_BOUNDS[one.limits.get("against") or "standard"] for one in savings)
+    )
+    bound = span([100.0 * (1.0 - one.bound / one.limits["standard"]) for one in savings])
+    return f"; the bound of {limits} is {bound} % less"
+
+
+def _eaters(rig: Rig, savings: Sequence[Saving]) -> str:
+    """What ate the difference to the bound, the largest causes first, each at its worst."""
     worst = {
-        name: max(mine, key=lambda one, n=name: one.causes.get(n, 0.0))
-        for one in mine
+        name: max(savings, key=lambda one, n=name: one.causes.get(n, 0.0))
+        for one in savings
         for name in one.causes
     }
-    eaters = [(one.causes.get(name, 0.0), name, one) for name, one in worst.items()]
-    eaters = sorted((e for e in eaters if e[0] > TELLING * e[2].used), key=lambda e: -e[0])
-    if eaters:
-        said = [
-            f"{_cause(name)} (up to {energies([most])}, {_where(one.case)})"
-            for most, name, one in eaters[:3]
-        ]
-        text += "; the difference is " + ", ".join(said)
-    else:
-        text += f"; no single cause takes more than {percent(TELLING, 1)} of what was drawn"
-    return text + "."
+    eaten = [(one.causes.get(name, 0.0), name, one) for name, one in worst.items()]
+    eaten = sorted((e for e in eaten if e[0] > TELLING * e[2].used), key=lambda e: -e[0])
+    if not eaten:
+        return f"no single cause takes more than {percent(TELLING, 1)} of what was drawn"
+    return "the difference is " + ", ".join(
+        f"{_cause(name)} (up to {_energies(rig, [most])}, {_where(one.case)})"
+        for most, name, one in eaten[:3]
+    )
 
 
 def _less(shares: Sequence[float]) -> str:
     """``34.1 to 36.9 % less``; ``more`` where all are negative."""
     more = max(shares) < 0.0
-    return f"{span([100.0 * (-share if more else share) for share in shares])} % {'more' if more else 'less'}"
+    told = span([100.0 * (-share if more else share) for share in shares])
+    return f"{told} % {'more' if more else 'less'}"
 
 
 def _cause(name: str) -> str:
@@ -176,50 +201,46 @@ def _where(case: Case) -> str:
     return f"{load_name(case.row['payload'])}, {words(case.row['motion'])}".rstrip(", ")
 
 
-def went_said(mine: Sequence[Saving], controller: str) -> str:
+def went_caption(savings: Sequence[Saving], controller: str) -> str:
     """Where one controller's energy was lost, the largest shares first."""
-    tables = [went(one.ledger, one.case.cylinder) for one in mine]
-    given = [
-        math.fsum(row["energy"] for row in one.ledger["rows"] if row["group"] == "supply")
-        for one in mine
-    ]
+    tables = [went(one.ledger, one.case.cylinder) for one in savings]
+    given = [one.given for one in savings]
     shares = {
         name: [
-            100.0 * table.get(name, 0.0) / all_ for table, all_ in zip(tables, given, strict=True)
+            100.0 * table.get(name, 0.0) / whole for table, whole in zip(tables, given, strict=True)
         ]
         for table in tables
         for name in table
     }
-    top = sorted(
+    lost = sorted(
         (name for name in shares if name not in ("rest", "load", "store")),
         key=lambda name: -max(shares[name]),
-    )[:4]
-    low = [
-        100.0 * low_side(one.ledger, one.case.cylinder) / all_
-        for one, all_ in zip(mine, given, strict=True)
-    ]
-    said = [f"{_KINDS.get(n, f'throttling {n}')} {span(shares[n], 2)} %" for n in top]
-    said += (
-        [f"pressure left in the off-side chamber of resistive motion {span(low, 2)} %"]
-        if max(low) > 0.0
-        else []
     )
-    return f"{capital(words(controller))}: {', '.join(said)}."
+    told = [
+        f"{_KINDS.get(name, f'throttling {name}')} {span(shares[name], 2)} %" for name in lost[:4]
+    ]
+    low = [
+        100.0 * low_side(one.ledger, one.case.cylinder) / whole
+        for one, whole in zip(savings, given, strict=True)
+    ]
+    if max(low) > 0.0:
+        told.append(f"pressure left in the off-side chamber of resistive motion {span(low, 2)} %")
+    return f"{capital(words(controller))}: {', '.join(told)}."
 
 
 def went(ledger: Table, cylinder: str) -> dict[str, float]:
     """Energies [J] by what they went into: throttling by what an edge joins, then the kinds of the
     bar chart.
     """
-    found: dict[str, float] = {}
+    sums: dict[str, float] = {}
     for _, joins, energy in valves_of(ledger, cylinder):
-        found[joins] = found.get(joins, 0.0) + energy
+        sums[joins] = sums.get(joins, 0.0) + energy
     for row in ledger["rows"]:
         kind = part_of(row)
         if kind is not None and not (row["group"] == "valve" and row["cylinder"] == cylinder):
             kind = kind if kind in _KINDS else "throttling of others"
-            found[kind] = found.get(kind, 0.0) + row["energy"]
-    return found
+            sums[kind] = sums.get(kind, 0.0) + row["energy"]
+    return sums
 
 
 def spent_in(
@@ -249,21 +270,25 @@ def low_side(ledger: Table, cylinder: str) -> float:
     )
 
 
-def saving_blocks(rig: Rig, cases: Sequence[Case]) -> list[Any]:
-    """Sentences and tables on the closed cycles of a set of trials; nothing where there are none."""
-    found = savings_of(cases)
-    if not found:
+def saving_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
+    """Sentences and tables on the closed cycles of a set of trials; nothing where there are
+    none.
+    """
+    savings = savings_of(cases)
+    if not savings:
         return []
-    names = list(dict.fromkeys(one.case.row["controller"] for one in found))
-    by_name = {name: [one for one in found if one.case.row["controller"] == name] for name in names}
+    names = list(dict.fromkeys(one.case.row["controller"] for one in savings))
+    by_name = {
+        name: [one for one in savings if one.case.row["controller"] == name] for name in names
+    }
     return [
         Text("What was saved, and what ate the rest:"),
-        Bullets([saved_said(rig, mine, name) for name, mine in by_name.items()]),
+        Bullets([saved_caption(rig, own, name) for name, own in by_name.items()]),
         Text(_VOLUME, "note"),
-        _saved_table(rig, found),
+        _saved_table(rig, savings),
         Text("Where it was lost, as shares of what the supply gave:"),
-        Bullets([went_said(mine, name) for name, mine in by_name.items()]),
-        _went_table(rig, found),
+        Bullets([went_caption(own, name) for name, own in by_name.items()]),
+        _went_table(rig, savings),
     ]
 
 
@@ -274,48 +299,11 @@ def _energy(rig: Rig, value: float | None, whole: float, half: float | None = No
     return num(with_error(*shown_ones).replace(" ", "\u00a0") if half else number(shown_ones[0], 3))
 
 
-def who(case: Case) -> list[Cell | str]:
-    """The cells that say which trial a row is of."""
-    return [
-        load_name(case.row["payload"]),
-        words(case.row["motion"]) or DASH,
-        words(case.row["controller"]),
-    ]
-
-
-def _saved_table(rig: Rig, found: Sequence[Saving]) -> Grid:
-    compared = any(one.reference is not None for one in found)
+def _saved_table(rig: Rig, savings: Sequence[Saving]) -> Grid:
+    compared = any(one.reference is not None for one in savings)
     unit = pretty(unit_of(rig, "energy"))
-    rows = []
-    for one in found:
-        ways = {item["function"]: item["way"] for item in one.limits.get("beyond", [])}
-        kinds = {"compression": 0.0, "out": 0.0, "in": 0.0, "hold": 0.0}
-        for name, energy in one.causes.items():
-            kinds[name if name in kinds else "out" if ways[name] > 0.0 else "in"] += energy
-        saving = (
-            one.limits["saving"]
-            if not compared
-            else None
-            if one.reference is None
-            else 1.0 - one.used / one.reference
-        )
-        rows.append(
-            [
-                *who(one.case),
-                _energy(rig, one.used, 0.0, one.half),
-                num(DASH if saving is None else number(100.0 * saving, 3)),
-                num(number(100.0 * (1.0 - one.bound / one.limits["standard"]), 3)),
-                _energy(rig, one.bound, 0.0),
-                *(
-                    _energy(rig, energy, one.used)
-                    for energy in (one.used - one.bound, *kinds.values())
-                ),
-            ]
-        )
     head = [
-        "payload",
-        "motion",
-        "controller",
+        *WHO,
         axis(rig, "energy", "drawn"),
         "less than the four-way valve [%]"
         if compared
@@ -329,55 +317,84 @@ def _saved_table(rig: Rig, found: Sequence[Saving]) -> Grid:
         ),
     ]
     note = (
-        "Bounds for the way that was really made; for a cycle with the load on the head end a four-way valve Ps (A1 + A2) Δx, "
-        "six functions Ps A1 Δx, the seventh Ps (A1 − A2) Δx."
+        "Bounds for the way that was really made; for a cycle with the load on the head end "
+        "a four-way valve Ps (A1 + A2) Δx, six functions Ps A1 Δx, the seventh Ps (A1 − A2) Δx."
     )
+    rows = [_saved_row(rig, one, compared) for one in savings]
     return Grid(head, rows, note, "saving", "Energy saved.")
 
 
-def _went_table(rig: Rig, found: Sequence[Saving]) -> Grid:
-    tables = [went(one.ledger, one.case.cylinder) for one in found]
-    names = [
-        name
-        for name in dict.fromkeys(name for table in tables for name in table)
-        if any(
-            abs(table.get(name, 0.0)) > SEEN * one.used
-            for table, one in zip(tables, found, strict=True)
-        )
-        or name == "rest"
-        and any(one.ledger["source"] == "log" for one in found)
+def _saved_row(rig: Rig, one: Saving, compared: bool) -> list[Cell | str]:
+    if not compared:
+        saving = one.limits["saving"]
+    else:
+        saving = None if one.reference is None else 1.0 - one.used / one.reference
+    above = (one.used - one.bound, *_by_motion(one).values())
+    return [
+        *who(one.case),
+        _energy(rig, one.used, 0.0, one.half),
+        num(DASH if saving is None else number(100.0 * saving, 3)),
+        num(number(100.0 * (1.0 - one.bound / one.limits["standard"]), 3)),
+        _energy(rig, one.bound, 0.0),
+        *(_energy(rig, energy, one.used) for energy in above),
     ]
-    names.sort(key=lambda name: list(_KINDS).index(name) if name in _KINDS else -1)
-    rows = []
-    for one, table in zip(found, tables, strict=True):
-        own, ledger = one.case.cylinder, one.ledger
-        half = half_of(next(row for row in ledger["rows"] if row["group"] == "residual"))
-        whole = 0.0 if half else one.used
-        cells = [
-            _energy(
-                rig,
-                table.get(name),
-                whole if name == "rest" else one.used,
-                half if name == "rest" else None,
-            )
-            for name in names
-        ]
-        also = (low_side(ledger, own), spent_in(ledger, own, "hold", ("valve", "loss")))
-        rows.append([*who(one.case), *cells, *(_energy(rig, value, one.used) for value in also)])
-    logged = (
-        "unexplained" if any(one.ledger["source"] == "log" for one in found) else _KINDS["rest"]
-    )
+
+
+def _by_motion(one: Saving) -> dict[str, float]:
+    """What was drawn beyond the bound [J]: compressed, moving out, moving in, holding."""
+    ways = {item["function"]: item["way"] for item in one.limits.get("beyond", [])}
+    sums = {"compression": 0.0, "out": 0.0, "in": 0.0, "hold": 0.0}
+    for name, energy in one.causes.items():
+        sums[name if name in sums else "out" if ways[name] > 0.0 else "in"] += energy
+    return sums
+
+
+def _went_table(rig: Rig, savings: Sequence[Saving]) -> Grid:
+    names = _went_names(savings)
+    logged = any(one.ledger["source"] == "log" for one in savings)
+    rest = "unexplained" if logged else _KINDS["rest"]
     head = [
-        "payload",
-        "motion",
-        "controller",
-        *(logged if name == "rest" else _KINDS.get(name, name) for name in names),
+        *WHO,
+        *(rest if name == "rest" else _KINDS.get(name, name) for name in names),
         "of all this pressure of the off-side",
         "of all this holding",
     ]
     note = (
-        f"Energies in {pretty(unit_of(rig, 'energy'))}; negative: given back. Arrows: throttling on the edges that join the two. "
+        f"Energies in {pretty(unit_of(rig, 'energy'))}; negative: given back. "
+        "Arrows: throttling on the edges that join the two. "
         "Pressure of the off-side: throttled at the outlet where the load resists."
-        + (_UNEXPLAINED if logged == "unexplained" else "")
+        + (_UNEXPLAINED if logged else "")
     )
+    rows = [_went_row(rig, one, names) for one in savings]
     return Grid(head, rows, note, "losses", "Where the energy went.")
+
+
+def _went_names(savings: Sequence[Saving]) -> list[str]:
+    """What any trial's energy went into, as far as one can see it: throttling first."""
+    tables = [went(one.ledger, one.case.cylinder) for one in savings]
+    logged = any(one.ledger["source"] == "log" for one in savings)
+    names = [
+        name
+        for name in dict.fromkeys(name for table in tables for name in table)
+        if name == "rest"
+        and logged
+        or any(
+            abs(table.get(name, 0.0)) > SEEN * one.used
+            for table, one in zip(tables, savings, strict=True)
+        )
+    ]
+    return sorted(names, key=lambda name: list(_KINDS).index(name) if name in _KINDS else -1)
+
+
+def _went_row(rig: Rig, one: Saving, names: Sequence[str]) -> list[Cell | str]:
+    cylinder, ledger = one.case.cylinder, one.ledger
+    table = went(ledger, cylinder)
+    half = half_of(next(row for row in ledger["rows"] if row["group"] == "residual"))
+    cells = [
+        _energy(rig, table.get(name), 0.0 if half else one.used, half)
+        if name == "rest"
+        else _energy(rig, table.get(name), one.used)
+        for name in names
+    ]
+    also = (low_side(ledger, cylinder), spent_in(ledger, cylinder, "hold", ("valve", "loss")))
+    return [*who(one.case), *cells, *(_energy(rig, value, one.used) for value in also)]

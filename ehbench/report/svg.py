@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from xml.etree import ElementTree
 
-FONTS = "DejaVu Sans, Verdana, sans-serif"  # drawn for the first; Verdana is as wide, most others are narrower
+# drawn for the first; Verdana is as wide, most others are narrower
+FONTS = "DejaVu Sans, Verdana, sans-serif"
 FONT_SIZE = "9px"
 _SVG = "{http://www.w3.org/2000/svg}"
 _LINK = "{http://www.w3.org/1999/xlink}href"
@@ -58,11 +59,11 @@ def _kept(
             kept.text = one.text if tag == "text" else None
             kept.extend(inner)
             found.append(kept)
-    return _said_once(found)
+    return _grouped(found)
 
 
 def _attributes(one: ElementTree.Element, used: dict[str, str], places: int) -> dict[str, str]:
-    found = {}
+    attributes = {}
     for name, value in one.attrib.items():
         if (
             name == "id"
@@ -76,12 +77,12 @@ def _attributes(one: ElementTree.Element, used: dict[str, str], places: int) -> 
         elif name == "style":
             value = _style(value)
         elif name in _ROUNDED:
-            value = _short(round(float(value) * 10**places), places)
+            value = _decimal(round(float(value) * 10**places), places)
         elif name == "transform":
             value = re.sub(r"(\.\d)\d+", r"\1", value)
         if value:
-            found["href" if name == _LINK else name] = value
-    return found
+            attributes["href" if name == _LINK else name] = value
+    return attributes
 
 
 def _style(text: str) -> str:
@@ -93,30 +94,31 @@ def _style(text: str) -> str:
     )
 
 
-def _said_once(elements: list[ElementTree.Element]) -> list[ElementTree.Element]:
+def _grouped(elements: list[ElementTree.Element]) -> list[ElementTree.Element]:
     """Runs of markers with one style as a group that says it once."""
-    found: list[ElementTree.Element] = []
+    groups: list[ElementTree.Element] = []
     for one in elements:
         style = one.get("style")
-        last = found[-1] if found else None
+        last = groups[-1] if groups else None
         if (
             one.tag == "use"
+            and style is not None
             and last is not None
             and last.get("style") == style
             and last.tag in ("use", "g")
         ):
             if last.tag == "use":
-                found[-1] = ElementTree.Element("g", {"style": style})
-                found[-1].append(last)
+                groups[-1] = ElementTree.Element("g", {"style": style})
+                groups[-1].append(last)
                 del last.attrib["style"]
             del one.attrib["style"]
-            found[-1].append(one)
+            groups[-1].append(one)
         else:
-            found.append(one)
-    return found
+            groups.append(one)
+    return groups
 
 
-def _short(value: int, places: int) -> str:
+def _decimal(value: int, places: int) -> str:
     """An integer count of ``10**-places`` as the shortest decimal number."""
     text = f"{value / 10**places:.{places}f}".rstrip("0").rstrip(".")
     return re.sub(r"^(-?)0\.", r"\1.", text) if text not in ("-0", "") else "0"
@@ -137,7 +139,7 @@ def _path(text: str, places: int) -> str:
             x, y = x_start, y_start
         elif command == "L" and ends == [x, y] and last == "L":
             continue
-        numbers = [_short(value - (y if i % 2 else x), places) for i, value in enumerate(ends)]
+        numbers = [_decimal(value - (y if i % 2 else x), places) for i, value in enumerate(ends)]
         joined = "".join(n if n[0] == "-" or not i else f" {n}" for i, n in enumerate(numbers))
         same = command == last and command != "M" or command == "L" and last == "M"
         out.append((("" if joined[:1] == "-" else " ") if same else command.lower()) + joined)

@@ -35,7 +35,9 @@ def shown(rig: Rig, name: str, value):
 
 
 def pretty(unit: str) -> str:
-    """A unit with real powers and dots: ``m^3/(s*Pa)`` → ``m³/(s·Pa)``; nothing for a pure number."""
+    """A unit with real powers and dots: ``m^3/(s*Pa)`` → ``m³/(s·Pa)``; nothing for a
+    pure number.
+    """
     if unit in ("dimensionless", "1", ""):
         return ""
     unit = re.sub(r"(\w+)(?:\^|\*\*)0\.5", r"√\1", unit)
@@ -46,7 +48,9 @@ def pretty(unit: str) -> str:
 
 
 def axis(rig: Rig, name: str, text: str = "") -> str:
-    """``joint angle [°]``: an axis label or table head of a quantity, with its unit if it has one."""
+    """``joint angle [°]``: an axis label or table head of a quantity, with its unit if it has
+    one.
+    """
     unit = pretty(unit_of(rig, name))
     return (text or words(name)) + (f" [{unit}]" if unit else "")
 
@@ -75,9 +79,8 @@ def number(value: float | None, digits: int = 4) -> str:
 
 def fixed(value: float, places: int) -> str:
     """A number to so many decimals (negative: rounded to tens, hundreds…)."""
-    return f"{round(value, places) + 0.0:.{max(places, 0)}f}".replace(
-        "-", "−"
-    )  # no minus before a nought
+    nought_without_minus = round(value, places) + 0.0
+    return f"{nought_without_minus:.{max(places, 0)}f}".replace("-", "−")
 
 
 def places_of(std: float) -> int:

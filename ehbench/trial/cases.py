@@ -15,13 +15,14 @@ from ehbench.quantities import VOCABULARY
 from ehbench.recipe import TrialRecipe
 from ehbench.record import Record
 from ehbench.rig import Rig
+from ehbench.text import quoted
 from ehbench.trial.accounts import Account, account
 from ehbench.trial.preparation import Prepared, prepare
 from ehbench.trial.running import run
 from ehbench.units import from_si
 
 if TYPE_CHECKING:
-    from ehbench.simulation import Maps
+    from ehbench.plant.build import Maps
 
 
 class CaseResult(NamedTuple):
@@ -206,9 +207,5 @@ def table_csv(rows: Sequence[dict[str, Any]], rig: Rig) -> str:
                 row["on"],
                 str(number) if step else "",
             ]
-            lines.append(",".join(_quoted(text) for text in [*front, *cells, row["stopped"]]))
+            lines.append(",".join(quoted(text) for text in [*front, *cells, row["stopped"]]))
     return "\n".join(lines) + "\n"
-
-
-def _quoted(text: str) -> str:
-    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text

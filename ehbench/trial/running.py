@@ -10,20 +10,21 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ehbench.control.valve_level import LIMITS as LIMIT_BITS
 from ehbench.errors import SimulationError
 from ehbench.machines.protocol import Machine, truth_of
 from ehbench.machines.rows import ARC
 from ehbench.recipe import TrialRecipe
 from ehbench.record import Record
 from ehbench.rig import Rig
+from ehbench.terms import LIMITS as LIMIT_BITS
 from ehbench.trial.controllers import Compiled, UserCode
 from ehbench.trial.measures import step_measures, tracking_measures
 from ehbench.trial.preparation import Loop, Prepared, Stop, prepare
 from ehbench.trial.session import LiveLog, Session
 
 if TYPE_CHECKING:
-    from ehbench.simulation import Maps, Model
+    from ehbench.plant.build import Maps
+    from ehbench.plant.model import Model
 
 Progress = Callable[[str, float], None]  # (what, share done from 0 to 1)
 

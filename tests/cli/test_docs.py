@@ -1,128 +1,186 @@
-"""The docs say what the models say: every key of a rig file with its symbol, unit, range and
-default; every example loads.
+"""The docs say what the models say: every key of a rig file and of a recipe with its symbol, unit,
+range and default; every example loads, every snippet runs, every name is there.
 """
 
 from __future__ import annotations
 
+import importlib
 import re
 import tomllib
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal
 
 import pytest
 import tomli_w
+from matplotlib import pyplot
+from pydantic import BaseModel, Field
 
-from ehbench import inspection, recipe, rig
-from ehbench.fields import Q
-from ehbench.quantities import Quantity
+from ehbench import inspection, recipe, reference, rig
+from ehbench.errors import InputError
+from ehbench.fields import Q, SURENESS
 from ehbench.recipe import load_rig
-from ehbench.units import from_si
+from ehbench.workflow import init
 
-PAGE = Path(__file__).parents[2] / "docs" / "rig_file.md"
+ROOT = Path(__file__).parents[2]
+PAGES = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "docs").glob("*.md")}
+PAGES |= {
+    name: (ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "CONTRIBUTING.md")
+}
+TABLES = reference.pages()
 MODELS = [
-    item
-    for item in vars(rig).values()
-    if isinstance(item, type) and issubclass(item, rig.FileModel) and item is not rig.FileModel
+    (page, model)
+    for page, roots in (("rig_file.md", [rig.Rig]), ("recipes.md", reference.recipe_models()))
+    for model in reference.models(roots)
 ]
-EXAMPLES = (
-    re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)
-    if PAGE.exists()
-    else []
+
+
+def blocks(page: str, kind: str) -> list[str]:
+    """The fenced blocks of a language in a page."""
+    return re.findall(rf"```{kind}\n(.*?)```", PAGES[page], re.S)
+
+
+RIGS = blocks("rig_file.md", "toml")
+RECIPES = [
+    text for page in PAGES for text in blocks(page, "toml") if re.search("^stage", text, re.M)
+]
+
+
+# --- the reference of all keys
+# -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("page", TABLES)
+def test_the_tables_are_as_the_models_make_them(page):
+    """``make reference`` would change nothing."""
+    assert reference.made(PAGES[page], TABLES[page], page) == PAGES[page]
+
+
+@pytest.mark.parametrize(
+    ("page", "model"), MODELS, ids=lambda item: getattr(item, "__name__", item)
 )
+def test_every_key_stands_in_a_table_and_no_other(page, model):
+    """Of a model and those that it inherits from, as the page has them and as pydantic takes them."""
+    written = {
+        key.strip("`")
+        for base in model.__mro__
+        if (found := re.search(rf"<!-- {base.__name__} -->\n((?:\|.*\n)+)", PAGES[page]))
+        for key in reference.read_table(found[1])
+    }
+    fields = model.model_fields.items()
+    assert written == {field.alias or name for name, field in fields if not field.exclude}
 
 
-def parts(annotation: Any) -> list[Any]:
-    """An annotation and all that it is made of."""
-    return [annotation, *(found for part in get_args(annotation) for found in parts(part))]
-
-
-def marks(field: Any) -> list[Any]:
-    """What a field's annotation carries beside its type."""
-    return [
-        *field.metadata,
-        *(mark for part in parts(field.annotation) for mark in getattr(part, "__metadata__", ())),
-    ]
-
-
-def number(value: float, row: Quantity) -> str:
-    return f"{from_si(value, row.display, row):.4g}"
-
-
-def unit(row: Quantity) -> str:
-    return "–" if row.display == "dimensionless" else row.display
-
-
-def cells(name: str, field: Any) -> tuple[str, str, str, str, str]:
-    """(key, symbol, unit or kind, range, default) of a field, as the page has to have them."""
-    key = f"`{field.alias or name}`"
-    default = "needed" if field.is_required() else "none"
-    row = next((mark.row for mark in marks(field) if isinstance(mark, Q)), None)
-    if row is not None:
-        count = {"com": "3 × ", "inertia": "6 × "}.get(name, "")
-        low, high = (number(value, row) for value in (row.lower, row.upper))
-        if isinstance(field.default, rig.Value):
-            default = number(float(field.default), row)
-        return key, row.symbol, count + unit(row), f"{low} … {high}", default
-    kinds = parts(field.annotation)
-    choices = next((get_args(kind) for kind in kinds if get_origin(kind) is Literal), ())
-    tables = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, rig.FileModel)]
-    if get_origin(field.annotation) is dict:
-        kind = "tables by name" if tables else "units by name"
-    elif tables:
-        kind = "list of tables" if any(get_origin(kind) is tuple for kind in kinds) else "table"
-    else:
-        kind = (
-            "choice"
-            if choices
-            else "list of pairs"
-            if any(get_origin(kind) is tuple for kind in kinds)
-            else "text"
-        )
-    if choices and not field.is_required():
-        default = f"`{field.default}`"
-    return key, "", kind, ", ".join(f"`{choice}`" for choice in choices), default
-
-
-def rows(model: type[rig.FileModel]) -> list[tuple[str, ...]]:
-    """The rows of the table under the heading that names a model."""
-    found = re.search(
-        rf"<!-- {model.__name__} -->\n(.*?)(?:\n\n|\Z)", PAGE.read_text(encoding="utf-8"), re.S
-    )
-    assert found, f"docs/rig_file.md has no table <!-- {model.__name__} -->"
-    lines = [
-        tuple(cell.strip() for cell in line.strip("| ").split(" | "))
-        for line in found[1].splitlines()
-    ]
-    return lines[2:]
-
-
-@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.__name__)
-def test_every_key_of_a_rig_file_has_its_row(model):
-    expected = [cells(name, field) for name, field in model.model_fields.items()]
-    written = rows(model)
-    assert [row[:5] for row in written] == expected
-    assert all(len(row) == 6 and len(row[5]) > 3 for row in written)
-
-
-def test_every_stage_and_every_key_of_a_campaign_stands_on_the_page_of_recipes(tmp_path):
-    page = (PAGE.parent / "recipes.md").read_text(encoding="utf-8")
+def test_every_stage_stands_on_the_page_of_recipes():
     for stage, what in recipe.recipe_kinds():
-        assert f"`{stage}`" in page and (what is None or f'`what = "{what}"`' in page)
-    (tmp_path / "campaign.toml").write_text(
-        *re.findall(r"```toml\n(.*?)```", page, re.S), encoding="utf-8"
-    )
-    given = recipe.load_recipe(tmp_path / "campaign.toml").model_fields_set
-    assert given >= set(recipe.Campaign.model_fields) - {"path", "note"}
+        asked = f'`stage = "{stage}"`' + ("" if what is None else f', `what = "{what}"`')
+        assert f"\n{asked}" in PAGES["recipes.md"], asked
+
+
+@pytest.mark.parametrize(
+    ("model", "page"), [(recipe.Command, "recipes.md"), (recipe.Motion, "trials.md")]
+)
+def test_every_kind_of_command_and_motion_is_told(model, page):
+    for kind in model.model_fields["kind"].annotation.__args__:
+        assert f"\n| `{kind}` | " in PAGES[page]
 
 
 def test_every_word_for_how_sure_a_number_is_stands_on_the_page():
-    assert all(f"| `{word}` |" in PAGE.read_text(encoding="utf-8") for word in rig.SURENESS)
+    assert all(f"| `{word}` |" in PAGES["rig_file.md"] for word in SURENESS)
 
 
-@pytest.mark.parametrize("text", EXAMPLES, ids=lambda text: text.splitlines()[0].strip("# "))
+class Part(BaseModel):
+    """A part as a new one would come."""
+
+    kind: Literal["soft", "hard"] = "soft"
+    stroke: Annotated[float, Q("stroke")] | None = None
+    count: int = Field(default=3, ge=1, le=9, description="how many there are")
+    share: float = Field(default=0.5, gt=0)
+
+
+class Whole(BaseModel):
+    name: str
+    part: dict[str, Part] = {}
+    hidden: Path = Field(default=Path(), exclude=True)
+
+
+def tables_of(model: type[BaseModel]) -> dict[str, list[reference.Key]]:
+    return {
+        item.__name__: [reference.key_of(*field) for field in reference.own_fields(item).items()]
+        for item in reference.models([model])
+    }
+
+
+def test_a_new_key_comes_into_the_page_and_one_that_is_gone_leaves_it():
+    page = """# Page
+
+<!-- Whole -->
+| key | what for |
+| --- | --- |
+| `name` | of the whole |
+| `gone` | of nothing |
+| `part` | its parts |
+
+more
+"""
+    words = {"`kind`": "soft or hard", "`share`": "of it"}
+    tables = tables_of(Whole)
+    tables["Part"] = [
+        reference.replace(key, words=key.words or words.get(key.name, "")) for key in tables["Part"]
+    ]
+    made = reference.made(page, tables, "page")
+    assert "gone" not in made and "hidden" not in made
+    assert "| `part` | tables by name | none | its parts |\n\nmore\n" in made
+    assert made.endswith(
+        """## Part
+
+<!-- Part -->
+| key | symbol | unit | range | default | what for |
+| --- | --- | --- | --- | --- | --- |
+| `kind` |  | choice | `soft`, `hard` | `soft` | soft or hard |
+| `stroke` | s | mm | 1 … 2e+04 | none | full cylinder stroke |
+| `count` |  | whole number | 1 … 9 | `3` | how many there are |
+| `share` |  | number | above 0 | `0.5` | of it |
+"""
+    )
+    assert reference.made(made, tables, "page") == made
+
+
+@pytest.mark.parametrize(
+    ("page", "words"),
+    [
+        ("<!-- Whole -->\n", "page, Whole: nothing says what `name` is for"),
+        ("<!-- Hole -->\n", "page: there is nothing called 'Hole' any more"),
+    ],
+)
+def test_a_key_without_words_and_a_table_of_nothing_are_refused(page, words):
+    with pytest.raises(InputError, match=re.escape(words)):
+        reference.made(page, tables_of(Whole), "page")
+
+
+def test_the_generator_writes_and_checks(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(reference, "DOCS", tmp_path)
+    for name in TABLES:
+        (tmp_path / name).write_text(PAGES[name], encoding="utf-8")
+    assert reference.main(["--check"]) == 0
+    page = tmp_path / "recipes.md"
+    page.write_text(PAGES["recipes.md"].replace("| `max_iterations` |", "| `iterations` |"))
+    changed = page.read_text()
+    assert reference.main(["--check"]) == 2
+    assert "`max_iterations`" in capsys.readouterr().err and page.read_text() == changed
+    page.write_text(PAGES["recipes.md"].replace("| 1 … 1000 | `30` |", "| 1 … 10 | `20` |"))
+    assert reference.main(["--check"]) == 1
+    assert "docs/recipes.md: make reference" in capsys.readouterr().err
+    assert reference.main([]) == 0 and page.read_text() == PAGES["recipes.md"]
+
+
+# --- examples of files
+# -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("text", RIGS, ids=lambda text: text.splitlines()[0].strip("# "))
 def test_every_example_is_part_of_a_rig_that_checks(text, tmp_path):
     """Each example takes the place of what the whole one at the top of the page has."""
-    made, part = tomllib.loads(EXAMPLES[0]), tomllib.loads(text)
+    made, part = tomllib.loads(RIGS[0]), tomllib.loads(text)
     if isinstance(
         part.get("cylinder"), dict
     ):  # [[cylinder.valve]] alone belongs to the cylinder of the whole one
@@ -132,3 +190,80 @@ def test_every_example_is_part_of_a_rig_that_checks(text, tmp_path):
     assert lines[-1] == "ok" and not any("note:" in line for line in lines)
     given = load_rig(tmp_path / "rig.toml").as_toml()
     assert all(key in given for key in part)
+
+
+@pytest.mark.parametrize("text", RECIPES, ids=lambda text: tomllib.loads(text)["stage"])
+def test_every_recipe_in_the_docs_loads(text, tmp_path):
+    (tmp_path / "recipe.toml").write_text(text, encoding="utf-8")
+    assert recipe.load_recipe(tmp_path / "recipe.toml").stage == tomllib.loads(text)["stage"]
+
+
+def test_the_recipes_of_the_reference_check(tmp_path):
+    """Beside the rig that they name; and the campaign of the page has every key."""
+    (tmp_path / "rigs").symlink_to(ROOT / "recipes" / "rigs")
+    seen = set()
+    for text in blocks("recipes.md", "toml"):
+        (tmp_path / "recipe.toml").write_text(text, encoding="utf-8")
+        given = recipe.load_recipe(tmp_path / "recipe.toml")
+        seen.add(given.stage)
+        if given.stage == "campaign":
+            assert given.model_fields_set >= set(recipe.Campaign.model_fields) - {"path", "note"}
+        else:
+            found = inspection.check(tmp_path / "recipe.toml")
+            assert found.errors == () and found.lines[-1] == "ok", found
+    assert seen == {"trial", "bench", "campaign"}
+
+
+# --- Python
+# -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory) -> Path:
+    """Where the snippets of the docs run: beside the repository's recipes and datasets."""
+    folder = tmp_path_factory.mktemp("docs")
+    for name in ("recipes", "datasets"):
+        (folder / name).symlink_to(ROOT / name)
+    init(folder / "my_rig")
+    return folder
+
+
+@pytest.mark.parametrize("page", [name for name in PAGES if blocks(name, "python")])
+def test_every_snippet_runs(page, workspace, monkeypatch):
+    """In the order of the page, whose CSV is the ``step.csv`` that it reads."""
+    monkeypatch.chdir(workspace)
+    for text in blocks(page, "csv"):
+        Path("step.csv").write_text(text, encoding="utf-8")
+    names: dict[str, Any] = {}
+    for number, text in enumerate(blocks(page, "python"), 1):
+        exec(compile(text, f"{page}, snippet {number}", "exec"), names)
+    pyplot.close("all")
+
+
+def test_pages_with_snippets_are_found():
+    found = {name for name in PAGES if blocks(name, "python")}
+    assert found >= {"README.md", "flow_maps.md", "identification.md", "logs.md", "validation.md"}
+
+
+def resolved(dotted: str) -> Any:
+    """What a dotted name of the package names."""
+    parts = dotted.split(".")
+    for size in range(len(parts), 0, -1):
+        try:
+            found = importlib.import_module(".".join(parts[:size]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[size:]:
+            found = getattr(found, part)
+        return found
+    raise ModuleNotFoundError(dotted)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_name_of_the_package_in_the_docs_is_there(page):
+    for dotted in re.findall(r"\b(?<![/\w])ehbench(?:\.[A-Za-z_]\w*)+", PAGES[page]):
+        assert resolved(dotted) is not None
+    for path in re.findall(
+        r"`((?:ehbench|tests|recipes|datasets|docs)/[\w/.]*(?:/|\.\w+))`", PAGES[page]
+    ):
+        assert (ROOT / path).exists() or path == "ehbench/facts.json", path  # a name inside a log

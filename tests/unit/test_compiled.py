@@ -1,21 +1,24 @@
-"""The kernel decorator and its cache."""
+"""The kernel decorators and their cache."""
 
 from __future__ import annotations
+
+import importlib
+import os
 
 import numba
 import numpy as np
 import pytest
 from numba.core.errors import NumbaError
 
-from ehbench import compiled
+from ehbench import compiled, simulation
+
+
+def grows(n):
+    return np.zeros(n).sum()
 
 
 def test_a_kernel_cannot_allocate():
     """What numba compiles by itself, a kernel refuses when it is first called."""
-
-    def grows(n):
-        return np.zeros(n).sum()
-
     assert numba.njit(grows)(3) == 0.0
     with pytest.raises(NumbaError):
         compiled.kernel(grows)(3)
@@ -25,15 +28,37 @@ def test_the_cache_is_that_of_these_sources(tmp_path, monkeypatch):
     """A changed kernel file gives another folder, a file without kernels does not: callers are
     compiled again where they must.
     """
-    (tmp_path / "law.py").write_text("@kernel\ndef f(x): return x\n")
-    (tmp_path / "words.py").write_text("A = 1\n")
     monkeypatch.setattr(compiled, "PACKAGE", tmp_path)
-    first = compiled._cache_folder()
-    (tmp_path / "words.py").write_text("A = 2\n")
-    assert compiled._cache_folder() == first
-    (tmp_path / "law.py").write_text("@kernel\ndef f(x): return 2 * x\n")
-    assert compiled._cache_folder() != first
+    folders = set()
+    for mark in ("kernel", "allocating_kernel"):
+        (tmp_path / "words.py").write_text("A = 1\n")
+        (tmp_path / "law.py").write_text(f"@{mark}\ndef f(x): return x\n")
+        first = compiled._cache_folder()
+        (tmp_path / "words.py").write_text("A = 2\n")
+        assert compiled._cache_folder() == first
+        (tmp_path / "law.py").write_text(f"@{mark}\ndef f(x): return 2 * x\n")
+        folders |= {first, compiled._cache_folder()}
+    assert len(folders) == 4
 
 
-def test_numba_uses_it():
-    assert numba.config.CACHE_DIR
+@pytest.mark.parametrize("where", ["", "/elsewhere"])
+def test_kernels_use_it_and_numba_keeps_its_own(where, monkeypatch):
+    """Also where the host has told numba of a place of its own."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", where)
+    mine = compiled.allocating_kernel(grows)
+    assert numba.config.CACHE_DIR == where
+    folder = str(compiled._cache_folder())
+    for function in (mine, simulation.run, simulation.advance):
+        assert function.stats.cache_path.startswith(folder)
+
+
+def test_old_caches_stay_until_they_are_cleaned():
+    """Importing removes nothing: another process may work with the cache of other sources."""
+    old = compiled.PACKAGE / "__pycache__" / "kernels_of_older_sources"
+    old.mkdir(exist_ok=True)
+    try:
+        os.utime(old, (0, 0))
+        importlib.reload(compiled)
+        assert old.is_dir()
+    finally:
+        old.rmdir()

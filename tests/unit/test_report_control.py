@@ -13,17 +13,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.control.functions import FUNCTIONS
-from ehbench.control.valve_level import LIMITS
 from ehbench.errors import InputError
 from ehbench.logs import write_log
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import load_recipe, load_rig
 from ehbench.record import Record
-from ehbench.report import build, draw, energy_tables, trial_figures, tuning_figures
+from ehbench.report import build, draw, energy_tables
+from ehbench.report.cases import cases_of, groups_of, payload_at_end, stem_of, true_payload
+from ehbench.report.figures import root_locus
+from ehbench.report.figures.trial import _LIMIT_SHADES, _SHADES, stretches
+from ehbench.report.figures.trials import _errors
 from ehbench.report.saved import Saved, Table
-from ehbench.report.words import words
+from ehbench.report.trial_captions import (
+    ESTIMATES,
+    compared_caption,
+    energy_caption,
+    estimates_caption,
+)
+from ehbench.report.tuning_words import overshoot_of
 from ehbench.rundir import write_json
+from ehbench.terms import FUNCTIONS, LIMITS
 from ehbench.units import from_si
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
@@ -310,7 +319,7 @@ def trials_run(
     rows = []
     for payload in payloads:
         for controller, found in controllers.items():
-            stem = trial_figures.stem_of(f"{payload} {controller}")
+            stem = stem_of(f"{payload} {controller}")
             log(
                 folder / "logs" / f"{stem}.mcap", gain=found["tracking"]["max_error"] / 1e-3, **more
             )
@@ -447,12 +456,14 @@ def plain(html: str) -> str:
     )
 
 
-def test_numbers_of_functions_and_limits_are_those_of_the_controllers():
-    assert tuple(map(words, FUNCTIONS)) == trial_figures.FUNCTIONS
-    assert trial_figures.LIMITS == LIMITS
-    assert len(trial_figures._SHADES) == len(set(trial_figures._SHADES)) == len(FUNCTIONS)
-    assert set(trial_figures._LIMIT_SHADES) == set(LIMITS)
-    assert set(trial_figures.ESTIMATES) <= set(VOCABULARY)
+def test_every_function_and_limit_has_its_own_colour():
+    assert len(_SHADES) == len(set(_SHADES)) == len(FUNCTIONS)
+    assert set(_LIMIT_SHADES) == set(LIMITS)
+    assert len(set(_LIMIT_SHADES.values())) == len(LIMITS)
+
+
+def test_drawn_estimates_are_quantities():
+    assert set(ESTIMATES) <= set(VOCABULARY)
 
 
 def test_keys_are_the_stable_ones(runs):
@@ -627,7 +638,7 @@ def test_captions_follow_the_numbers(runs):
         "Best by overshoot: pressure feedback; worst: open loop, 3 times as much."
         in captions(runs[1])["compare_no_load_70"]
     )
-    cases = trial_figures.cases_of(Saved(runs[1]))[:2]
+    cases = cases_of(Saved(runs[1]))[:2]
     rows = [
         dict(case.row) | {"steps": [dict(case.steps[0]) | {"overshoot": value}]}
         for case, value in zip(cases, (0.1, 0.2), strict=True)
@@ -635,7 +646,7 @@ def test_captions_follow_the_numbers(runs):
     changed = [
         replace(case, row=Table(row, case.log)) for case, row in zip(cases, rows, strict=True)
     ]
-    said = trial_figures.compared_said(load_rig(runs[1]), changed)
+    said = compared_caption(load_rig(runs[1]), changed)
     assert "Open loop: overshoot 10 %" in said and said.endswith(
         "Best by overshoot: open loop; worst: pressure feedback, 2 times as much."
     )
@@ -671,14 +682,14 @@ def test_energy_is_compared_within_a_payload_and_says_where_it_ended(runs):
 
 
 def test_a_stopped_trial_wins_nothing(runs):
-    cases = trial_figures.cases_of(Saved(runs[1]))[:2]
+    cases = cases_of(Saved(runs[1]))[:2]
     row = Table(dict(cases[1].row) | {"stopped": "a limit"}, cases[1].log)
     mine = [cases[0], replace(cases[1], row=row)]
     rig = load_rig(runs[1])
-    assert "Best" not in trial_figures.compared_said(
+    assert "Best" not in compared_caption(rig, mine) and "stopped by a limit" in compared_caption(
         rig, mine
-    ) and "stopped by a limit" in trial_figures.compared_said(rig, mine)
-    said = trial_figures.energy_said(rig, mine)
+    )
+    said = energy_caption(rig, mine)
     assert (
         "Least from the pump, no load: open loop, 2000 J" in said
         and "left out" in said
@@ -713,7 +724,7 @@ def test_estimates_stand_beside_bounds_and_the_payload(runs):
     ],
 )
 def test_payload_at_the_end_of_the_last_link(rig, payload, mass):
-    found = trial_figures.payload_at_end(load_rig(RIGS / f"{rig}.toml"), payload)
+    found = payload_at_end(load_rig(RIGS / f"{rig}.toml"), payload)
     assert found == (None if mass is None else pytest.approx(mass, rel=1e-12))
 
 
@@ -782,47 +793,45 @@ def test_runs_cover_what_holds_and_close_small_gaps():
     t = np.arange(0.0, 1.0, 1e-3)
     random = np.random.default_rng(3)
     mask = np.repeat(random.random(100) > 0.5, 10)
-    found = trial_figures._runs(t, mask, 1e-4)
+    found = stretches(t, mask, 1e-4)
     inside = np.zeros(t.size, bool)
     for start, length in found:
         inside |= (t >= start - 1e-9) & (t < start + length - 1e-9)
     inside[-1] = mask[-1]  # the last sample has no length
     assert np.array_equal(inside, mask)
-    assert len(trial_figures._runs(t, mask, 2.0)) == 1
+    assert len(stretches(t, mask, 2.0)) == 1
     blink = np.zeros(t.size, bool)
     blink[500] = True
-    assert trial_figures._runs(t, blink, 0.01) == [(t[500], 0.01)]  # still seen
+    assert stretches(t, blink, 0.01) == [(t[500], 0.01)]  # still seen
 
 
 def test_the_crossing_is_the_pair_on_the_axis_and_not_the_slow_pole():
-    assert tuning_figures._crossing(
+    assert root_locus._crossing(
         [[0.0, -60.0], [-280.0, 0.0], [-0.01, 0.0], [0.0, 60.0]], 100.0
     ) == [
         [0.0, -60.0],
         [0.0, 60.0],
     ]
-    assert tuning_figures._crossing([[-5.0, 3.0], [1e-9, 0.0]], 100.0) == [[1e-9, 0.0]]
+    assert root_locus._crossing([[-5.0, 3.0], [1e-9, 0.0]], 100.0) == [[1e-9, 0.0]]
     slow = [
         [-0.05, 0.4],
         [-0.05, -0.4],
         [1e-6, 70.0],
         [1e-6, -70.0],
     ]  # two washouts are nearly as slow
-    assert tuning_figures._crossing(slow, 100.0) == slow[2:]
+    assert root_locus._crossing(slow, 100.0) == slow[2:]
 
 
 def test_rays_of_the_grid_have_their_damping_ratio():
     import matplotlib.pyplot as plt
 
     figure, ax = plt.subplots()
-    tuning_figures._damping_grid(ax, -120.0, 100.0)
-    for ratio, line in zip(tuning_figures.RATIOS, ax.lines, strict=True):
+    root_locus._damping_grid(ax, -120.0, 100.0)
+    for ratio, line in zip(root_locus.RATIOS, ax.lines, strict=True):
         (x0, x1), (y0, y1) = line.get_xdata(), line.get_ydata()
         assert (x0, y0) == (0.0, 0.0) and x1 >= -120.0 and y1 <= 100.0 + 1e-9
         assert -x1 / np.hypot(x1, y1) == pytest.approx(ratio, rel=1e-12)
-    assert [text.get_text() for text in ax.texts] == [
-        f"{ratio:g}" for ratio in tuning_figures.RATIOS
-    ]
+    assert [text.get_text() for text in ax.texts] == [f"{ratio:g}" for ratio in root_locus.RATIOS]
     plt.close(figure)
 
 
@@ -831,20 +840,18 @@ def test_rays_of_the_grid_have_their_damping_ratio():
     [([0, 1.5, 1.0], 0.5), ([0, -1.2, -1.0], 0.2), ([0, 0.5, 1.0], 0.0), ([0, 1.0, 0.0], None)],
 )
 def test_overshoot_over_the_last_value(values, overshoot):
-    assert tuning_figures.overshoot_of(values) == (
-        None if overshoot is None else pytest.approx(overshoot)
-    )
+    assert overshoot_of(values) == (None if overshoot is None else pytest.approx(overshoot))
 
 
 def test_far_apart_errors_stand_on_a_logarithmic_axis(runs):
     import matplotlib.pyplot as plt
 
-    cases = trial_figures.cases_of(Saved(runs[2]))
+    cases = cases_of(Saved(runs[2]))
     rig = load_rig(runs[2])
     for count, scale in ((1, "linear"), (2, "log")):  # largest errors of 0.1 and 4 mm
         figure, ax = plt.subplots()
         mine = [(case.row["controller"], case, case.record()) for case in cases[:count]]
-        trial_figures._errors(ax, rig, mine, [{}] * count)
+        _errors(ax, rig, mine, [{}] * count)
         assert ax.get_yscale() == scale
         assert max(float(np.max(line.get_ydata())) for line in ax.lines) == pytest.approx(
             4.0 if count == 2 else 0.1
@@ -853,16 +860,14 @@ def test_far_apart_errors_stand_on_a_logarithmic_axis(runs):
 
 
 def test_cases_know_their_files(runs):
-    (case,) = trial_figures.cases_of(Saved(runs[3]))
+    (case,) = cases_of(Saved(runs[3]))
     assert (
         case.cylinder == "boom"
         and case.energy() is None
         and case.row["tracking"]["max_error"] == 1e-4
     )
-    cases = trial_figures.cases_of(Saved(runs[2]))
-    assert (
-        all(one.energy() is not None for one in cases) and len(trial_figures.groups_of(cases)) == 1
-    )
+    cases = cases_of(Saved(runs[2]))
+    assert all(one.energy() is not None for one in cases) and len(groups_of(cases)) == 1
 
 
 def test_a_trial_without_a_controller_is_none_of_these(runs, tmp_path):
@@ -871,7 +876,7 @@ def test_a_trial_without_a_controller_is_none_of_these(runs, tmp_path):
         folder / "trial.json",
         json.loads((folder / "trial.json").read_text()) | {"controller": "", "measures": {}},
     )
-    assert trial_figures.cases_of(Saved(folder)) == []
+    assert cases_of(Saved(folder)) == []
     draw(folder)
     assert captions(folder) == {"trial_boom": "Commands, motion and pressures."}
 
@@ -966,7 +971,7 @@ def cycles(root: Path, **made_of: dict) -> tuple:
             folder / "ledgers" / (Path(row["log"]).stem + ".json"), made_of[row["controller"]]
         )
     run = Saved(folder)
-    return run.rig, trial_figures.cases_of(run)
+    return run.rig, cases_of(run)
 
 
 def test_what_was_saved_and_what_ate_the_rest(tmp_path):
@@ -1070,7 +1075,7 @@ def test_gains_and_bounds_are_those_that_ran_with_their_units(tmp_path):
 
 
 def test_estimates_outside_and_at_their_bounds_are_said(runs):
-    (case,) = trial_figures.cases_of(Saved(runs[3]))
+    (case,) = cases_of(Saved(runs[3]))
     record, rig = case.record(), load_rig(runs[3])
     top = float(record["boom.inverse_bulk"].max())
     for bounds, said in (
@@ -1085,9 +1090,9 @@ def test_estimates_outside_and_at_their_bounds_are_said(runs):
         ),
     ):
         mine = replace(case, row=Table(dict(case.row) | {"estimate_bounds": bounds}, case.log))
-        assert trial_figures.estimates_said(rig, mine, record).endswith(said)
-    assert "The estimate ends 1.31 kg from it." in trial_figures.estimates_said(rig, case, record)
-    assert trial_figures.true_payload(rig, "none") == 0.0
+        assert estimates_caption(rig, mine, record).endswith(said)
+    assert "The estimate ends 1.31 kg from it." in estimates_caption(rig, case, record)
+    assert true_payload(rig, "none") == 0.0
 
 
 def test_three_controllers_stand_in_one_comparison_with_error_and_damping_each(tmp_path):
@@ -1139,8 +1144,8 @@ def test_a_root_locus_is_filled_in_exactly():
         shuffled = np.array(
             [row[np.random.default_rng(i).permutation(3)] for i, row in enumerate(poles)]
         )
-        fine, branches = tuning_figures.refined(values, shuffled)
-        assert fine.size == 24 * (tuning_figures.BETWEEN + 1) + 1 and np.all(np.diff(fine) > 0.0)
+        fine, branches = root_locus.refined(values, shuffled)
+        assert fine.size == 24 * (root_locus.BETWEEN + 1) + 1 and np.all(np.diff(fine) > 0.0)
         for k, row in zip(fine, branches, strict=True):
             left = row * (row + 1.0) * (row + 4.0) + k**power * (row + 0.2)
             assert np.abs(left).max() < 1e-7 * (1.0 + k**power) * (1.0 + np.abs(row).max())

@@ -1,0 +1,327 @@
+"""The numbers that are measured, not tested: speed, accuracy, fit time, log time, start-up.
+``python -m ehbench.benchmark``.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ehbench.blas import one_thread
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.model import Model, simulate
+from ehbench.recipe import load_recipe, load_rig
+from ehbench.rig import Rig, Value
+
+if TYPE_CHECKING:
+    from ehbench.physics.flow_map import FlowMaps
+    from ehbench.recipe import TrialRecipe
+
+RECIPES = Path(__file__).resolve().parents[1] / "recipes"
+RIG = RECIPES / "rigs" / "thesis_arm.toml"
+TRIAL = 10.0  # [s]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measured number and the limit it is meant to keep; ``lower`` says that smaller is better."""
+
+    what: str
+    value: float
+    limit: float
+    unit: str
+    lower: bool = True
+
+    @property
+    def kept(self) -> bool:
+        """Whether the limit is kept."""
+        return self.value <= self.limit if self.lower else self.value >= self.limit
+
+
+def thesis_trial(rig: Rig, rate: float = 1000.0) -> tuple[Model, np.ndarray]:
+    """(model, table of commands [V]) of a 10 s trial of the thesis's arm: steps of all three
+    cylinders there and back.
+    """
+    model = Model.of(rig)
+    samples = round(TRIAL * rate) + 1
+    table = model.rest_commands(samples)
+    t = np.arange(samples) / rate
+    for valve, start, stop, volts in (
+        ("boom.hepc", 0.5, 1.5, 5.0),
+        ("boom.rect", 0.5, 1.5, 9.0),
+        ("boom.repc", 5.0, 6.5, 4.0),
+        ("boom.hect", 5.0, 6.5, 5.0),
+        ("swing.servo", 1.0, 2.5, 1.5),
+        ("swing.servo", 5.5, 7.5, -1.5),
+        ("stick.servo", 2.0, 3.5, -1.5),
+        ("stick.servo", 7.0, 8.5, 1.5),
+    ):
+        table[
+            (t > start - 0.5 / rate) & (t < stop - 0.5 / rate), model.layout.valves.index(valve)
+        ] = volts
+    return model, table
+
+
+def radau_error(
+    model: Model, table: np.ndarray, tick: float = 1e-3, rtol: float = 1e-9
+) -> dict[str, float]:
+    """Largest error of `Model.run` against SciPy's Radau, as a share of each state's range, by the
+    state's name.
+
+    Radau starts anew wherever a command changes. States that do not move are left out.
+    """
+    from scipy.integrate import solve_ivp
+
+    plant, names = model.plant, model.layout
+    start = model.trim(model.posture(None))
+    log = model.run(start, table, tick)[:, : start.size]
+    spans = np.ptp(log, axis=0)
+    scale = np.maximum(spans, 1e-9)
+    work = np.empty(plant.at.work)
+    changes = np.flatnonzero(np.any(np.diff(table, axis=0) != 0.0, axis=1)) + 1
+    y, worst = start, np.zeros(start.size)
+    for first, last in zip([0, *changes], [*changes, len(table) - 1], strict=True):
+        command = table[first].copy()
+
+        def slope(_: float, y: np.ndarray, command: np.ndarray = command) -> np.ndarray:
+            dy = np.empty_like(y)
+            derivatives(np.ascontiguousarray(y), command, plant, dy, work)
+            return dy
+
+        at = tick * np.arange(first, last + 1)
+        found = solve_ivp(
+            slope, (at[0], at[-1]), y, method="Radau", rtol=rtol, atol=rtol * scale, t_eval=at
+        )
+        worst = np.maximum(worst, np.abs(log[first : last + 1] - found.y.T).max(axis=0))
+        y = found.y[:, -1]
+    return {
+        label: float(e / s)
+        for label, e, s, span in zip(names.state_names, worst, scale, spans, strict=True)
+        if span > 1e-6
+    }
+
+
+def speed(rig: Rig, repeats: int = 30) -> Iterator[Row]:
+    """How many times faster than the machine the model runs once warm, on the analytic laws and on
+    measured maps.
+    """
+    for label, maps in (
+        ("flow laws of the rig file", None),
+        ("flow maps fitted to the dataset", _maps(rig)),
+    ):
+        model, table = thesis_trial(rig)
+        model = Model.of(rig, maps)
+        start = model.trim(model.posture(None))
+        best = _best(lambda model=model, start=start, table=table: model.run(start, table), repeats)
+        yield Row(
+            f"10 s trial, 1 kHz log, 500 µs steps, {label}",
+            TRIAL / best,
+            200.0,
+            "× real time",
+            lower=False,
+        )
+
+
+def closed_loop(rig: Rig, repeats: int = 10) -> Iterator[Row]:
+    """How many times faster than the machine a trial under a controller runs once warm: all that
+    `run_trial` does.
+
+    The boom up and down under the adaptive robust controller, and the stick under the Python class
+    of the example recipe."""
+    from ehbench.trial import run_trial
+
+    up_down = _lasting_as_long(load_recipe(RECIPES / "trials" / "arc_slow.toml"))
+    own = _lasting_as_long(
+        load_recipe(RECIPES / "trials" / "own_controller.toml"), cylinder="stick"
+    )
+    for label, maps in (
+        ("flow laws of the rig file", None),
+        ("flow maps fitted to the dataset", _maps(rig)),
+    ):
+        for recipe, what, limit in (
+            (up_down, "adaptive robust control", 150.0),
+            (own, "a user's Python class", 20.0),
+        ):
+
+            def trial(recipe: TrialRecipe = recipe, maps: FlowMaps | None = maps) -> None:
+                _, facts = run_trial(rig, recipe, maps, allow_code=True)
+                if facts.stopped or facts.duration != TRIAL:
+                    raise AssertionError(
+                        f"{recipe.name} lasted {facts.duration} s: {facts.stopped}"
+                    )
+
+            best = _best(trial, repeats)
+            yield Row(
+                f"10 s closed-loop trial, 1 kHz, {what}, {label}",
+                TRIAL / best,
+                limit,
+                "× real time",
+                lower=False,
+            )
+
+
+def accuracy(rig: Rig) -> Iterator[Row]:
+    """The worst state's error in that trial."""
+    errors = radau_error(*thesis_trial(rig))
+    worst = max(errors, key=errors.__getitem__)
+    yield Row(
+        f"error against SciPy Radau, rtol 1e-9 (worst: {worst})", errors[worst], 1e-5, "of range"
+    )
+
+
+def fitting(rig: Rig) -> Iterator[Row]:
+    """Time of an output-error fit of six parameters on six noisy logs of 3 s, started well off the
+    truth.
+    """
+    from ehbench.identification.hydraulics import identify_hydraulics
+
+    t = np.arange(3001) * 1e-3
+    pulse = ((t >= 0.3) & (t < 1.6)).astype(float)
+    steps = (
+        ("swing.servo", 1.5),
+        ("swing.servo", -2.0),
+        ("stick.servo", 1.5),
+        ("stick.servo", -2.0),
+    )
+    commands = [{name: volts * pulse} for name, volts in steps]
+    commands += [
+        {"boom.hepc": 4.0 * pulse, "boom.rect": 8.0 * pulse},
+        {"boom.repc": 4.0 * pulse, "boom.hect": 5.0 * pulse},
+    ]
+    rng = np.random.default_rng(1)
+    logs = []
+    for index, command in enumerate(commands):
+        made = simulate(rig, command, 3.0)
+        channels = {
+            name: y + 1e-3 * np.ptp(y) * rng.standard_normal(y.shape)
+            for name, y in made.channels.items()
+            if "command" not in name
+        }
+        kept = {name: made[name] for name in made.channels if name.endswith(".command")}
+        logs.append((f"log_{index}", type(made)(made.t, channels | kept, made.meta)))
+    truth = {
+        name: float(rig.parameters()[name])
+        for name in ("bulk_modulus", *(f"{joint}.joint_damping" for joint in rig.joint_names))
+    }
+    free = {"boom.leakage_internal": 1e-13, "swing.leakage_internal": 1e-13}
+    began = time.perf_counter()
+    identify_hydraulics(
+        rig,
+        logs,
+        [*truth, *free],
+        start={name: 1.6 * value for name, value in truth.items()} | free,
+    )
+    yield Row("fit of 6 parameters on 6 logs of 3 s", time.perf_counter() - began, 8.0, "s")
+
+
+def logging(samples: int = 600_000, channels: int = 40) -> Iterator[Row]:
+    """Time to write a long log as MCAP and to read it into pandas."""
+    from ehbench.logs import read_log, write_log
+    from ehbench.record import Record
+
+    t = np.arange(samples) * 1e-3
+    rng = np.random.default_rng(1)
+    values = {
+        f"c{i}.p_head": 1e6 * (2.0 + np.sin(0.1 * i * t)) + rng.normal(0.0, 1e3, samples)
+        for i in range(channels)
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "log.mcap"
+        began = time.perf_counter()
+        write_log(path, Record(t, values))
+        written = time.perf_counter()
+        frame = read_log(path)
+        read = time.perf_counter()
+    if frame.shape != (samples, channels + 1):
+        raise AssertionError(f"the log came back with shape {frame.shape}")
+    yield Row(f"MCAP log of {samples} × {channels} written", written - began, 8.0, "s")
+    yield Row(f"MCAP log of {samples} × {channels} read into pandas", read - written, 2.0, "s")
+
+
+def start_up() -> Iterator[Row]:
+    """Time of ``ehbench --help`` in a process of its own."""
+    command = [str(Path(sys.executable).with_name("ehbench")), "--help"]
+    best = _best(lambda: subprocess.run(command, check=True, capture_output=True), 5)
+    yield Row("ehbench --help", best, 0.4, "s")
+
+
+def _best(call: Callable[[], object], repeats: int) -> float:
+    """Least time [s] of some calls, after one that does not count: the least disturbed one."""
+    call()
+    times = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - began)
+    return min(times)
+
+
+def _lasting_as_long(recipe: TrialRecipe, cylinder: str | None = None) -> TrialRecipe:
+    """A trial of the thesis's arm made to last TRIAL seconds with the payload, of another cylinder
+    if named.
+    """
+    motion = (
+        recipe.motion
+        if cylinder is None
+        else recipe.motion.model_copy(update={"cylinder": cylinder})
+    )
+    return recipe.model_copy(
+        update={"duration": Value(TRIAL), "payload": "50 lb", "motion": motion}
+    )
+
+
+def _maps(rig: Rig) -> FlowMaps:
+    """Flow maps of the thesis arm's valves from the shipped dataset."""
+    from ehbench.identification.flow_map import fit_flow_maps
+    from ehbench.physics.flow_map import collect
+    from ehbench.readers import read_flowmeter
+
+    recipe = load_recipe(RECIPES / "thesis" / "flow_maps.toml")
+    readings = [
+        read_flowmeter(recipe.file(name), supply_pressure=float(rig.supply.pressure))
+        for name in recipe.data
+    ]
+    return collect([fit.map for data in readings for fit in fit_flow_maps(data)])
+
+
+@one_thread()
+def main() -> None:
+    """Measure everything and print the table."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    rig = load_rig(RIG)
+    table = Table("what", "measured", "wanted", "", title=f"ehbench, {os.cpu_count()} cores")
+    for part in (
+        lambda: speed(rig),
+        lambda: closed_loop(rig),
+        lambda: accuracy(rig),
+        lambda: fitting(rig),
+        logging,
+        start_up,
+    ):
+        with console.status("measuring"):
+            rows = list(part())
+        for row in rows:
+            wanted = f"{'at most' if row.lower else 'at least'} {row.limit:g} {row.unit}"
+            table.add_row(
+                row.what,
+                f"{row.value:.3g} {row.unit}",
+                wanted,
+                "kept" if row.kept else "[red]missed",
+            )
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()

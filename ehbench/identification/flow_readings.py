@@ -1,0 +1,311 @@
+"""Flowmeter readings made ready for the fit of one flow map: in a fixed order, gathered in cells,
+scaled.
+
+Readings at one command and nearly one drop form a cell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ehbench.errors import InsufficientData
+from ehbench.identification.flow_results import Units
+from ehbench.identification.flow_spline import Axis
+from ehbench.physics.flow_map import root_drop
+
+if TYPE_CHECKING:
+    from ehbench.readers import FlowmeterData
+
+# below this the readings are not those of a valve that opens with its command
+_LEAST_EFFECT = 0.1
+_SPANS_S = 24
+
+
+@dataclass(frozen=True, eq=False)
+class FlowReadings:
+    """Readings of one edge in one direction, SI, one-dimensional and of one length.
+
+    Args:
+        command: openings [V], positive where the edge opens (times −1 for a spool's other half).
+        pressure_drop: [Pa] along the direction; readings at a drop of zero or less say nothing and
+            are left out.
+        flow: [m³/s] along the direction.
+        method: ``flowmeter`` or ``cylinder`` per reading; each has its own noise.
+        trial: number per reading; trials that differ as a whole widen the intervals.
+        line, file: where each reading stands, for naming outliers; ``file`` may be one for all.
+    """
+
+    command: np.ndarray
+    pressure_drop: np.ndarray
+    flow: np.ndarray
+    method: np.ndarray | None = None
+    trial: np.ndarray | None = None
+    line: np.ndarray | None = None
+    file: str | np.ndarray = ""
+
+
+@dataclass(frozen=True)
+class FlowMapOptions:
+    """What a fit of a flow map may be told.
+
+    Args:
+        meter_limit: [m³/s] a flowmeter reading below it only says that the flow lies below it.
+        rated_flow: [m³/s]; the largest fitted flow among the cells if not given.
+        calibration: (command [V], flow [m³/s], tolerance as a share of the flow) to check.
+        reference_drop: [Pa] or a range, where the calibration is checked; the upper half of the
+            drops measured at the command if not given.
+        show: units of the sentences.
+    """
+
+    meter_limit: float = 0.0
+    rated_flow: float | None = None
+    calibration: Sequence[tuple[float, float, float]] = ()
+    reference_drop: float | tuple[float, float] | None = None
+    show: Units = field(default_factory=Units)
+
+
+@dataclass(frozen=True, eq=False)
+class Sorted:
+    """Readings at positive drops, in an order that does not depend on the file's.
+
+    ``size`` is how many were given, ``row`` where each stood among them; ``u`` the command [V],
+    ``q`` the flow [m³/s], zero for the ``silent`` ones: those below the lower ``limit`` [m³/s] of
+    their meter. ``cell`` and ``level`` count cells and commands from zero."""
+
+    size: int
+    row: np.ndarray
+    u: np.ndarray
+    drop: np.ndarray
+    q: np.ndarray
+    method: np.ndarray
+    trial: np.ndarray
+    file: np.ndarray
+    line: np.ndarray
+    cell: np.ndarray
+    level: np.ndarray
+    limit: np.ndarray
+    silent: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One map to fit: its readings, scaled, and what is known of it before the fit.
+
+    ``y`` is the flow over ``rated`` [m³/s], ``s`` the root of the drop over that of ``drop_max``
+    [Pa], bent below ``delta`` [Pa]. ``levels`` [V] are the commands read, ``cell_level`` that of
+    each cell. ``roots`` are the scaled roots of the drops read, with zero; empty where they are too
+    many to leave gaps. ``axis`` spans the roots. ``digit`` is the rounding error of each method's
+    display."""
+
+    who: str
+    show: Units
+    readings: Sorted
+    rated: float
+    y: np.ndarray
+    s: np.ndarray
+    drop_max: float
+    delta: float
+    levels: np.ndarray
+    cell_level: np.ndarray
+    roots: np.ndarray
+    axis: Axis
+    digit: dict[str, float]
+
+    @property
+    def spans(self) -> int:
+        """Spans along the root of the drop."""
+        return self.axis.breaks.size - 1
+
+    def places(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Commands and roots counted in commands measured and spans, shape (points, 2)."""
+        return np.column_stack(
+            [np.interp(u, self.levels, np.arange(self.levels.size)), s * self.spans]
+        )
+
+
+def clusters(values: np.ndarray, share: float, width: float) -> np.ndarray:
+    """Label of the cluster of each value; a cluster spans at most share·(its least value) + width."""
+    order = np.argsort(values, kind="stable")
+    labels = np.empty(values.size, int)
+    start, label = -np.inf, -1
+    for i in order:
+        if values[i] > start + share * abs(start) + width or label < 0:
+            start, label = values[i], label + 1
+        labels[i] = label
+    return labels
+
+
+def medians(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Median of the values of each group 0, 1, 2, …"""
+    order = np.argsort(group, kind="stable")
+    return np.array(
+        [np.median(part) for part in np.split(values[order], np.cumsum(np.bincount(group))[:-1])]
+    )
+
+
+def sort_readings(who: str, given: FlowReadings | FlowmeterData, meter_limit: float) -> Sorted:
+    """Readings at positive drops, sorted and gathered in cells.
+
+    Raises:
+        ValueError: shapes that differ, a number that is not finite, a negative opening.
+        InsufficientData: no drop above zero, fewer than 4 commands or 4 drops.
+    """
+    u, drop, q = (np.asarray(a, float) for a in (given.command, given.pressure_drop, given.flow))
+    _refuse_malformed(u, drop, q)
+    n = u.size
+    method = np.full(n, "flowmeter") if given.method is None else np.asarray(given.method)
+    method = method.astype(str)
+    file = np.full(n, given.file) if isinstance(given.file, str) else np.asarray(given.file)
+    file = file.astype(str)
+    trial = np.zeros(n, int) if given.trial is None else np.asarray(given.trial, int)
+    line = np.arange(1, n + 1) if given.line is None else np.asarray(given.line, int)
+    use = np.flatnonzero(drop > 0)
+    if use.size == 0:
+        raise InsufficientData(f"the {who} has no reading at a pressure drop above zero")
+    use = use[np.lexsort((line[use], q[use], drop[use], u[use]))]
+    # trial 1 of two files is two trials
+    trial = np.unique(file, return_inverse=True)[1] * (trial.max() + 1) + trial
+    u, drop, q, method, trial, file, line = (
+        a[use] for a in (u, drop, q, method, trial, file, line)
+    )
+    level, cell = _cells_of(who, u, drop, method)
+    limit = np.where(method != "cylinder", meter_limit, 0.0)
+    silent = (limit > 0) & (q < limit)
+    return Sorted(
+        size=n,
+        row=use,
+        u=u,
+        drop=drop,
+        q=np.where(silent, 0.0, q),
+        method=method,
+        trial=trial,
+        file=file,
+        line=line,
+        cell=cell,
+        level=level,
+        limit=limit,
+        silent=silent,
+    )
+
+
+def _refuse_malformed(u: np.ndarray, drop: np.ndarray, q: np.ndarray) -> None:
+    if not (u.ndim == 1 and u.shape == drop.shape == q.shape):
+        raise ValueError(
+            "command, pressure_drop and flow must be one-dimensional and of one length"
+        )
+    if not np.all(np.isfinite([u, drop, q])):
+        raise ValueError("command, pressure_drop and flow must be finite")
+    if np.any(u < 0):
+        raise ValueError(
+            "openings must not be negative: multiply the command by the sign of the edge"
+        )
+
+
+def _cells_of(
+    who: str, u: np.ndarray, drop: np.ndarray, method: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(level, cell) of each reading; refuses too few commands or drops."""
+    level = clusters(u, 0.0, 0.005 * max(u.max(), 1e-12))
+    levels = int(level.max()) + 1
+    key = np.empty((u.size, 3), int)
+    key[:, 0], key[:, 2] = level, method == "cylinder"
+    for k in range(levels):
+        at = level == k
+        key[at, 1] = clusters(drop[at], 0.03, 0.003 * drop.max())
+    cell = np.unique(key, axis=0, return_inverse=True)[1].ravel()
+    drops = np.unique(_drop_clusters(drop)).size
+    if levels < 4:
+        raise InsufficientData(
+            f"the {who} has readings at {levels} commands",
+            hint="4 or more are needed, 3 of them passing flow",
+        )
+    if drops < 4:
+        raise InsufficientData(
+            f"the {who} has readings at {drops} pressure drops",
+            hint="4 or more different ones are needed",
+        )
+    return level, cell
+
+
+def _drop_clusters(drop: np.ndarray) -> np.ndarray:
+    """Which of the drops measured each reading is at."""
+    return clusters(drop, 0.03, 0.003 * float(drop.max()))
+
+
+def make_task(who: str, readings: Sorted, rated: float | None, show: Units) -> Task:
+    """The readings scaled, with the axes of the fit.
+
+    Raises:
+        InsufficientData: no flow at any command, or one that does not depend on the command.
+    """
+    rated = float(rated) if rated else _largest_flow(readings)
+    if not rated > 0:
+        raise InsufficientData(
+            f"the {who} passes no flow at any command",
+            hint="3 or more commands above the deadband are needed",
+        )
+    y = readings.q / rated
+    drop_max = float(readings.drop.max())
+    least = float(np.quantile(readings.drop, 0.02))
+    # an orifice bends by 1 % at five times delta; the bounds keep the slope at zero finite and
+    # the bend out of sight
+    delta = float(np.clip(least / 5.0, 1e-3 * drop_max, 1e-2 * drop_max))
+    s = root_drop(readings.drop, delta) / root_drop(drop_max, delta)
+    cluster = _drop_clusters(readings.drop)
+    _refuse_idle(who, show, readings, y, cluster)
+    places = np.sort(np.bincount(cluster, s) / np.bincount(cluster))
+    roots = np.append(0.0, places) if places.size <= 2 * _SPANS_S else places[:0]
+    # as narrow as the closest drops measured, the penalty sees to the rest
+    spans = int(np.clip(np.ceil(1.0 / np.diff(places).min()), 3, _SPANS_S))
+    methods = sorted(set(readings.method.tolist()))
+    return Task(
+        who=who,
+        show=show,
+        readings=readings,
+        rated=rated,
+        y=y,
+        s=s,
+        drop_max=drop_max,
+        delta=delta,
+        levels=np.bincount(readings.level, readings.u) / np.bincount(readings.level),
+        cell_level=medians(readings.level, readings.cell).astype(int),
+        roots=roots,
+        axis=Axis(np.linspace(0.0, 1.0, spans + 1), 3),
+        digit={name: _last_digit(y[readings.method == name]) / 12**0.5 for name in methods},
+    )
+
+
+def _largest_flow(readings: Sorted) -> float:
+    """The largest median flow [m³/s] of a cell, but for slips of the pen."""
+    largest = np.sort(medians(readings.q, readings.cell))
+    while largest.size > 4 and largest[-1] > 4.0 * largest[-2] > 0.0:
+        largest = largest[:-1]
+    return float(largest[-1])
+
+
+def _last_digit(flows: np.ndarray) -> float:
+    """The last digit of a meter, if it shows so few that values repeat: the least distance between
+    two values.
+    """
+    apart = np.diff(np.unique(flows))
+    return float(apart[apart > 1e-9].min(initial=np.inf)) if np.any(apart > 1e-9) else 0.0
+
+
+def _refuse_idle(
+    who: str, show: Units, readings: Sorted, y: np.ndarray, cluster: np.ndarray
+) -> None:
+    """Refuses readings whose flow at one drop is nearly the same at every command."""
+    pair = np.column_stack([cluster, readings.level])
+    pairs, index = np.unique(pair, axis=0, return_inverse=True)
+    middle, drop = medians(y, index.ravel()), pairs[:, 0]
+    spread = [np.ptp(middle[drop == k]) for k in np.unique(drop) if np.count_nonzero(drop == k) > 1]
+    if spread and np.median(spread) < _LEAST_EFFECT:
+        low, high = show.volts(readings.u.min()), show.volts(readings.u.max())
+        raise InsufficientData(
+            f"the {who} does not depend on the command: at one drop the flow changes by "
+            f"{100 * np.median(spread):.2g} % of the largest flow between {low} and {high}",
+            hint="check that the command reached the valve, and the columns of the file",
+        )

@@ -1,0 +1,263 @@
+"""The steps of the fit of a flow map: smoothing, bends, cells that stand alone, least squares.
+
+Each takes the cells and the shape so far, and gives the next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ehbench.identification.flow_cells import OUTLIER_SIGMAS, Cells
+from ehbench.identification.flow_readings import Task
+from ehbench.identification.flow_spline import Axis, Spline
+
+# what must be gained in −2 log likelihood for a curve over the drop that bends more at low drops,
+# for one that bends sharply somewhere, and for taking a cell for one that stands alone: a sound
+# one out of some hundreds gains less
+_GRADED_GAIN, _BEND_GAIN, _LONE_GAIN = 4.0, 45.0, 30.0
+_MOST_LONE = 0.05
+# degrees of freedom of repeats from which on they tell the noise to some 20 %
+_REPEATS = 12
+_COARSE = (-9.0, -7.0, -5.0, -3.0, -1.0)
+
+Normal = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """What a spline and its penalties hang on: the deadband [V], the commands [V] ``above`` it, the
+    axis along the root of the drop, the penalties along opening and root."""
+
+    deadband: float
+    above: np.ndarray
+    along_s: Axis
+    smoothing: np.ndarray
+
+    def spline(self, deadband: float | None = None, soft: bool = False) -> Spline:
+        start = self.deadband if deadband is None else deadband
+        return Spline(start, self.above, self.along_s, soft)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A fitted spline: coefficients, Cholesky factor of the penalised normal matrix, effective
+    number of parameters, the cells it was judged on and which of them stand alone.
+
+    ``lack`` is the variance of the cells' means about the map over what the noise explains, at
+    least 1, and ``widening`` the same without the cells that stand alone: these widen the intervals
+    about themselves only. ``flow``: scaled, at each reading."""
+
+    spline: Spline
+    coefficients: np.ndarray
+    factor: np.ndarray
+    parameters: float
+    cells: Cells
+    lone: np.ndarray
+    lack: float
+    widening: float
+    flow: np.ndarray
+
+    def at(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Scaled flow at openings [V] and scaled roots, shape (points,)."""
+        return self.spline.design(u, s) @ self.coefficients
+
+    def variance(self, design: np.ndarray) -> np.ndarray:
+        """Variance of the scaled flow at rows of a design, from the noise alone."""
+        from scipy.linalg import solve_triangular
+
+        return np.sum(solve_triangular(self.factor, design.T, lower=True) ** 2, axis=0)
+
+
+def normal_equations(spline: Spline, cells: Cells) -> Normal:
+    """(design, normal matrix, right side) of the cells' means."""
+    design = spline.design(cells.u, cells.s)
+    used, root = (cells.weight > 0) & (cells.u > spline.deadband), np.sqrt(cells.weight)
+    rows = root[used, None] * design[used]
+    return design, rows.T @ rows, rows.T @ (root * cells.y)[used]
+
+
+def deviance(misfit: float, cells: Cells) -> float:
+    """−2 log likelihood of a penalised misfit; its scale is free, but where repeats tell the
+    noise not below that.
+
+    Were it free below, a map through every cell could pass for one without noise. Without
+    repeats the noise of the last turn counts as much as a quarter of the cells, for the same
+    reason."""
+    free = cells.weighed - 1
+    scale = misfit / free
+    if cells.replicates >= _REPEATS and scale < 1.0:
+        return misfit - free
+    if not cells.replicates:
+        scale = (scale + 0.25) / 1.25
+    return free * np.log(scale)
+
+
+def likeliest_smoothing(
+    shape: Shape,
+    cells: Cells,
+    u: Sequence[float] = _COARSE,
+    s: Sequence[float] = _COARSE,
+    fine: bool = True,
+    normal: Normal | None = None,
+) -> tuple[Shape, float]:
+    """(shape with penalties by restricted maximum likelihood, −2 log of it), the scale of the noise
+    left free (Wood 2011).
+
+    ``u``, ``s``: decadic logarithms of the penalties to begin with; the shape's if none are given.
+    """
+    spline = shape.spline()
+    _, gram, right = normal or normal_equations(spline, cells)
+    band = spline.banded(gram)
+    total, unit = float(cells.weight @ cells.y**2), float(cells.weight.sum())
+
+    def score(point: tuple[float, float]) -> float:
+        free, determinant = spline.free(band, right, 10.0 ** np.array(point) * unit)
+        return deviance(max(total - right @ free, 1e-12 * total), cells) + determinant
+
+    now = np.clip(np.round(4 * np.log10(shape.smoothing / unit)) / 4, -12, 0)
+    steps = (1.0, 0.5, 0.25) if fine else ()
+    best, value = _lattice_minimum(score, u or now[:1].tolist(), s or now[1:].tolist(), steps)
+    return replace(shape, smoothing=10.0 ** np.array(best) * unit), value
+
+
+def _lattice_minimum(
+    score: Callable[[tuple[float, float]], float],
+    first: Sequence[float],
+    second: Sequence[float],
+    steps: Sequence[float],
+) -> tuple[tuple[float, float], float]:
+    """(point, value) of the least of ``score`` over decadic logarithms, on a lattice that is
+    refined about the best.
+
+    Points come from a fixed lattice, so that the last bits of a linear algebra library do not move
+    the result."""
+    known: dict[tuple[float, float], float] = {}
+
+    def value(point: tuple[float, float]) -> float:
+        if point not in known:
+            known[point] = float(score(point))
+        return known[point]
+
+    best = min(((float(a), float(b)) for a in first for b in second), key=value)
+    for step in steps:
+        for _ in range(5):
+            a, b = best
+            around = [(a + i * step, b + j * step) for i, j in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+            better = min((p for p in around if all(-12 <= x <= 0 for x in p)), key=value)
+            if value(better) >= value(best):
+                break
+            best = better
+    return best, value(best)
+
+
+def bend(shape: Shape, cells: Cells) -> Shape:
+    """Lets the map bend more towards low drops, and sharply at one drop, where that makes the
+    readings likelier.
+    """
+    normal = normal_equations(shape.spline(), cells)  # the same for all
+    options = []
+    for power in (0.0, 1.0, 2.0, 4.0):
+        graded = replace(shape, along_s=shape.along_s.graded(power))
+        graded, value = likeliest_smoothing(graded, cells, normal=normal)
+        options.append((value + _GRADED_GAIN * (power > 0), graded))
+    plain, straight = min(options, key=lambda one: one[0])
+    kinks = (
+        replace(straight, along_s=straight.along_s.bent(k))
+        for k in range(1, straight.along_s.breaks.size - 1)
+    )
+    bent = [likeliest_smoothing(kink, cells, (), _COARSE, False, normal) for kink in kinks]
+    sharp, value = likeliest_smoothing(min(bent, key=lambda one: one[1])[0], cells, normal=normal)
+    return straight if value > plain - _BEND_GAIN else sharp
+
+
+def solve(shape: Shape, spline: Spline, cells: Cells) -> tuple[np.ndarray, float]:
+    """(coefficients, −2 log likelihood of the spline's deadband with the scale of the noise left
+    free).
+    """
+    _, gram, right = normal_equations(spline, cells)
+    c, determinant = spline.solve(gram, right, shape.smoothing)
+    misfit = float(cells.weight @ cells.y**2) + c @ (
+        spline.matrix(gram, shape.smoothing) @ c - 2 * right
+    )
+    return c, deviance(max(misfit, 1e-12), cells) + determinant
+
+
+def judge(task: Task, shape: Shape, cells: Cells, lone: np.ndarray) -> Solution:
+    """The fit to the cells but those that stand alone, and how well it meets all."""
+    spline, used = shape.spline(), cells.without(lone)
+    design, gram, right = normal_equations(spline, used)
+    factor = np.linalg.cholesky(spline.matrix(gram, shape.smoothing))
+    coefficients, _ = spline.solve(gram, right, shape.smoothing)
+    half = np.linalg.solve(factor, gram)
+    parameters = float(np.trace(np.linalg.solve(factor.T, half)))
+
+    def lack(judged: Cells) -> float:
+        misfit = float(judged.weight @ (judged.y - design @ coefficients) ** 2)
+        return max(1.0, misfit / max(judged.weighed - parameters, 1.0))
+
+    return Solution(
+        spline=spline,
+        coefficients=coefficients,
+        factor=factor,
+        parameters=parameters,
+        cells=cells,
+        lone=lone,
+        lack=lack(cells),
+        widening=lack(used),
+        flow=spline.design(task.readings.u, task.s) @ coefficients,
+    )
+
+
+def distances(
+    task: Task, solution: Solution, noise: np.ndarray, keep: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(distance of each reading from the map in standard deviations of that distance, leverage).
+
+    A reading in the fit draws the map to itself, one left out stands against the map's own error.
+
+    Args:
+        noise: variance of each scaled reading.
+    """
+    r = task.readings
+    design = solution.spline.design(r.u, task.s) * (r.u > solution.spline.deadband)[:, None]
+    error = solution.variance(design)
+    inside = keep & ~solution.lone[r.cell]
+    spread = np.where(inside, np.maximum(noise - error, 0.1 * noise), noise + error)
+    return (solution.cells.heard - solution.flow) / np.sqrt(spread), error / noise
+
+
+def lone_cells(task: Task, shape: Shape, cells: Cells) -> np.ndarray:
+    """Which cells stand alone: repeats back them, and no map smooth enough for the others passes
+    near, shape (cells,).
+
+    One such cell would free the whole map to bend, which then goes near it and shows no lack of
+    fit. A cell stands alone if without it the others, smoothed anew, are likelier by _LONE_GAIN: a
+    shift of its own is worth that much. The cell that lies farthest off by the others' account
+    (externally studentised) is tried first."""
+    lone = np.zeros(cells.weight.size, bool)
+    most = max(3, int(_MOST_LONE * cells.weighed))
+    shape, value = likeliest_smoothing(shape, cells)
+    while lone.sum() < most:
+        far = _studentised(task, shape, cells, lone)
+        worst = int(np.argmax(far))
+        if far[worst] < OUTLIER_SIGMAS:
+            break
+        lone[worst] = True
+        shape, without = likeliest_smoothing(shape, cells.without(lone))
+        if value - without < _LONE_GAIN:
+            lone[worst] = False
+            break
+        value = without
+    return lone
+
+
+def _studentised(task: Task, shape: Shape, cells: Cells, lone: np.ndarray) -> np.ndarray:
+    """Distance of each backed cell from the map that the others make, in standard errors."""
+    found = judge(task, shape, cells, lone)
+    used = (cells.weight > 0) & (cells.u > shape.deadband) & (cells.count > 1) & ~lone
+    design = found.spline.design(cells.u, cells.s)
+    own = np.minimum(found.variance(design) * cells.weight, 0.999)  # a cell's part in its own fit
+    miss = np.abs(cells.y - design @ found.coefficients) * np.sqrt(cells.weight / (1.0 - own))
+    return np.where(used, miss / np.sqrt(found.widening), 0.0)

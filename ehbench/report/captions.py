@@ -1,0 +1,55 @@
+"""What captions and sentences are made of: values in the reader's units, spans, names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ehbench.report.words import interval, number, pretty, shown, unit_of, with_error
+from ehbench.rig import Rig
+
+
+def plus(rig: Rig, name: str, value: float | None, std: float | None) -> str:
+    """An SI value with its standard error, in the rig's unit of the quantity."""
+    return with_error(*(None if v is None else float(shown(rig, name, v)) for v in (value, std)))
+
+
+def range_of(rig: Rig, name: str, ends: Sequence[float | None] | None) -> str:
+    """An SI interval in the rig's unit of the quantity."""
+    return interval(
+        *(None if v is None else float(shown(rig, name, v)) for v in (ends or (None, None)))
+    )
+
+
+def capital(text: str) -> str:
+    """A text that begins a sentence."""
+    return text[:1].upper() + text[1:]
+
+
+def span(values: Sequence[float], digits: int = 3) -> str:
+    """``0.45 to 0.71``: from the least to the largest of some values."""
+    low, high = number(min(values), digits), number(max(values), digits)
+    return low if low == high else f"{low} to {high}"
+
+
+def percent(share: float | None, digits: int = 2) -> str:
+    """A share as percent."""
+    return f"{number(None if share is None else 100.0 * share, digits)} %"
+
+
+def sentence(text: str) -> str:
+    return capital(text).rstrip(".") + "."
+
+
+def load_name(payload: str) -> str:
+    """A payload as people say it."""
+    return "no load" if payload == "none" else payload
+
+
+def measure(rig: Rig, name: str, value: float | None, digits: int = 3) -> str:
+    """An SI value in the rig's unit, with the unit."""
+    if value is None:
+        return number(None)
+    unit = pretty(unit_of(rig, name))
+    return f"{number(float(shown(rig, name, value)), digits)}" + (
+        f"{'' if unit == '°' else ' '}{unit}" if unit else ""
+    )

@@ -1,0 +1,137 @@
+"""Trials under a controller as run folders hold them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.fields import Value
+from ehbench.record import Record
+from ehbench.report.captions import load_name
+from ehbench.report.saved import Saved, Table
+from ehbench.rig import Rig, Slide
+from ehbench.rundir import read_json
+
+SLOW = 0.2  # share by which a steady speed may miss what was asked and still be compared
+
+
+@dataclass(frozen=True)
+class Case:
+    """One trial under a controller as a run saved it: its row of the table, its log, and its energy
+    ledger if there is one.
+    """
+
+    row: Table
+    stem: str
+    log: Path
+    ledger: Path
+
+    def record(self) -> Record:
+        """Its log."""
+        from ehbench.logs import read_record
+
+        return read_record(self.log)
+
+    @property
+    def cylinder(self) -> str:
+        """The controlled cylinder."""
+        return self.row["cylinder"]
+
+    @property
+    def steps(self) -> list[Table]:
+        """Its steps of desired speed, if it has any."""
+        return self.row["steps"]
+
+    @property
+    def fit(self) -> bool:
+        """Whether it did what was asked, so that it may be compared: not stopped, and no step far
+        slower than asked.
+        """
+        return not self.row.get("stopped") and all(
+            abs(one["steady_error"]) < SLOW for one in self.steps
+        )
+
+    @property
+    def where(self) -> str:
+        """What it ran with and on: ``no load, on the virtual bench``."""
+        return f"{load_name(self.row['payload'])}, on the {self.row['on']}"
+
+    def energy(self) -> Table | None:
+        """Its energy ledger."""
+        return Table(read_json(self.ledger), self.ledger) if self.ledger.is_file() else None
+
+
+def stem_of(text: str) -> str:
+    """A text as part of a key: ``30 %`` → ``30``."""
+    return re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_") or "x"
+
+
+def cases_of(run: Saved) -> list[Case]:
+    """The trials under a controller that a run holds: one of a ``trial`` run, all of a ``trials``
+    run.
+    """
+    if run.stage == "trials":
+        rows = run.json("table.json")["rows"]
+        return [
+            Case(
+                row,
+                Path(row["log"]).stem,
+                run.folder / row["log"],
+                run.folder / "ledgers" / f"{Path(row['log']).stem}.json",
+            )
+            for row in rows
+        ]
+    path = run.folder / "trial.json"
+    facts = read_json(path)
+    if not facts.get("controller"):
+        return []
+    row = Table({**facts, **facts["measures"], "case": run.title, "motion": ""}, path)
+    return [Case(row, facts["cylinder"], run.folder / "log.mcap", run.folder / "ledger.json")]
+
+
+def groups_of(cases: Sequence[Case]) -> dict[tuple[str, str], list[Case]]:
+    """Cases that differ in their controller only, by (payload, motion)."""
+    groups: dict[tuple[str, str], list[Case]] = {}
+    for case in cases:
+        groups.setdefault((case.row["payload"], case.row["motion"]), []).append(case)
+    return groups
+
+
+def damping(one: Table) -> tuple[float | None, str]:
+    """(damping ratio of a step's decay, doubt about it); of a speed that hardly rings it is that of
+    the fit.
+    """
+    return one.get("damping_ratio_fitted", one.get("damping_ratio")), one["ringing"]
+
+
+def true_payload(rig: Rig, payload: str) -> float | None:
+    """What a payload estimate should find [kg]: `payload_at_end`, nothing without a payload."""
+    return 0.0 if payload == "none" else payload_at_end(rig, payload)
+
+
+def payload_at_end(rig: Rig, payload: str) -> float | None:
+    """Mass [kg] at the end of the last link with the moment that a payload adds about the last
+    joint.
+
+    ``(m'(a + r') − m(a + r))/a``, r along the link from its end to the centre of mass. On a slide
+    the added mass. None without a payload, or where it changes another link than the last."""
+    changes, mechanism = rig.payload.get(payload, {}), rig.mechanism
+    last = mechanism if isinstance(mechanism, Slide) else mechanism.joint[-1]
+    if set(changes) != {last.name}:
+        return None
+    change, mass = changes[last.name], float(last.mass)
+    loaded = mass if change.mass is None else float(change.mass)
+    if isinstance(last, Slide):
+        return loaded - mass
+    length, before = float(last.dh_a), _along(last.com)
+    after = before if change.com is None else _along(change.com)
+    return (loaded * (length + after) - mass * (length + before)) / length if length else None
+
+
+def _along(centre: Value) -> float:
+    """The first component of a centre of mass [m]."""
+    return float(np.atleast_1d(centre.value)[0])

@@ -1,0 +1,84 @@
+"""What identification and validation share: recorded against simulated, and ringing side by
+side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ehbench.report.blocks import Cell, Grid
+from ehbench.report.captions import plus
+from ehbench.report.content import num
+from ehbench.report.figures.comparison import comparison
+from ehbench.report.index import FigureIndex, FigureKey
+from ehbench.report.saved import Saved, Table
+from ehbench.report.words import interval, pretty, unit_of, words
+from ehbench.rig import Rig
+
+_TWINS = {"x": "q", "v": "qd"}  # a joint's angle and its cylinder's stroke say the same
+
+
+def draw_comparisons(run: Saved, index: FigureIndex, log: str, kind: str, lead: str) -> None:
+    """A figure a cylinder of a log, recorded against simulated.
+
+    Args:
+        kind: of the figure: ``fit`` leaves a stroke out where its joint's angle is there.
+        lead: what the title begins with.
+    """
+    series = run.series(log)
+    if series is None:
+        return
+    for cylinder, channels in series.cylinders().items():
+        if kind == "fit":
+            channels = [
+                channel
+                for channel in channels
+                if f"{cylinder}.{_TWINS.get(channel.rpartition('.')[2])}" not in channels
+            ]
+        caption = (
+            "Solid: recorded. Dashed: simulated. The narrow strips show simulated minus recorded."
+        )
+        if not any(channel in series.simulated for channel in channels):
+            caption = "Recorded only: this log could not be simulated."
+        title = f"{lead}: {words(log)}" + (f", {cylinder}" if cylinder else "")
+        about = FigureKey(kind, log=log, cylinder=cylinder)
+        path = index.add(f"{kind}_{log}_{cylinder}", title, caption, about)
+        comparison(path, run.rig, series, channels)
+
+
+def log_cell(log: Table) -> Cell:
+    """A log's name."""
+    return Cell(words(log["name"]), "name")
+
+
+def ringing_table(
+    rig: Rig, matches: Sequence[Table], caption: str = "", with_log: bool = False
+) -> Grid:
+    """Ringing of recorded and simulated transients, a row each, with the log's name if asked."""
+    unit = pretty(unit_of(rig, "natural_frequency"))
+    omega = "ωₙ" + (f" [{unit}]" if unit else "")
+    head = [
+        *(["log"] if with_log else []),
+        "cylinder",
+        "window [s]",
+        f"{omega} recorded",
+        f"{omega} simulated",
+        "ζ recorded",
+        "ζ simulated",
+    ]
+    rows = []
+    for one in matches:
+        row = _ringing_row(rig, one)
+        rows.append([Cell(words(one.get("log", "")), "name"), *row] if with_log else row)
+    return Grid(head, rows, caption)
+
+
+def _ringing_row(rig: Rig, one: Table) -> list[Cell | str]:
+    cells: list[Cell | str] = [one["cylinder"], num(interval(one["start"], one["stop"]))]
+    for key in ("natural_frequency", "damping_ratio"):
+        for side in ("recorded", "simulated"):
+            ring = one[side]
+            value = ring.get(key)
+            text = plus(rig, key, value, ring.get(f"{key}_std")) if value is not None else "–"
+            cells.append(Cell(text, "number", hint=ring.get("reason", "")))
+    return cells

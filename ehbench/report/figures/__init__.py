@@ -1,0 +1,1 @@
+"""How figures are drawn: plain functions from numbers to an SVG file."""

@@ -1,0 +1,98 @@
+"""Recorded against simulated, over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.report.figures.channels import title_of
+from ehbench.report.saved import Series
+from ehbench.report.style import MUTED, RECORDED, SIMULATED, canvas, legend, thin
+from ehbench.report.words import axis, shown
+from ehbench.rig import Rig
+
+_DASHES = (0, (4, 1.6))
+
+
+def comparison(path: Path, rig: Rig, series: Series, channels: Sequence[str]) -> None:
+    """A panel a channel, two in a row: recorded solid and thin, simulated dashed; below each the
+    error (thesis Fig. 2.12).
+    """
+    both = {c for c in channels if c in series.recorded and c in series.simulated}
+    columns = min(2, len(channels))
+    rows = -(-len(channels) // columns)
+    deep = 2 if both else 1
+    size = (7.4, (2.7 if both else 2.0) * rows + 0.3)
+    ratios = [3.4, 1] * rows if both else [1] * rows
+    look = {"sharex": True, "squeeze": False, "height_ratios": ratios}
+    with canvas(path, deep * rows, columns, size, **look) as (figure, axes):
+        for place in range(rows * columns):
+            top = deep * (place // columns)
+            cells = axes[top : top + deep, place % columns]
+            if place >= len(channels):
+                for ax in cells:
+                    ax.remove()
+                continue
+            last = place + columns >= len(channels)
+            _panel(cells, rig, series, channels[place], last)
+        legend(figure, _handles(series))
+
+
+def _panel(cells: np.ndarray, rig: Rig, series: Series, channel: str, last: bool) -> None:
+    """One channel, above its error if it has one; the time axis is told in the last of a column."""
+    _overlay(cells[0], rig, series, channel)
+    bottom = cells[0]
+    if channel in series.recorded and channel in series.simulated:
+        bottom = cells[1]
+        _error(bottom, rig, series, channel)
+    elif len(cells) == 2:
+        cells[1].remove()
+    bottom.tick_params(labelbottom=last)
+    if last:
+        bottom.set_xlabel("time [s]")
+
+
+def _error(ax, rig: Rig, series: Series, channel: str) -> None:
+    recorded, simulated = (
+        shown(rig, channel, side[channel]) for side in (series.recorded, series.simulated)
+    )
+    error = simulated - recorded
+    ax.plot(*thin(series.t, error), color=MUTED, linewidth=0.8)
+    ax.axhline(0.0, color="#111827", linewidth=0.6)
+    most = 1.1 * float(np.nanmax(np.abs(error), initial=1e-12))
+    ax.set_ylim(-most, most)
+    ax.set_ylabel("error", fontsize=8)
+    ax.locator_params(axis="y", nbins=3)
+
+
+def _handles(series: Series) -> list:
+    from matplotlib.lines import Line2D
+
+    handles = []
+    if series.recorded:
+        handles.append(Line2D([], [], color=RECORDED, linewidth=1.0, label="recorded"))
+    if series.simulated:
+        look = {"color": SIMULATED, "linewidth": 1.7, "linestyle": _DASHES}
+        handles.append(Line2D([], [], label="simulated", **look))
+    return handles
+
+
+def _overlay(ax, rig: Rig, series: Series, channel: str) -> None:
+    if channel in series.recorded:
+        ax.plot(
+            *thin(series.t, shown(rig, channel, series.recorded[channel])),
+            color=RECORDED,
+            linewidth=0.9,
+        )
+    if channel in series.simulated:
+        ax.plot(
+            *thin(series.t, shown(rig, channel, series.simulated[channel])),
+            color=SIMULATED,
+            linewidth=1.7,
+            linestyle=(0, (4, 1.6)),
+            alpha=0.95,
+        )
+    ax.set_title(axis(rig, channel, title_of(channel)))
+    ax.margins(y=0.08)

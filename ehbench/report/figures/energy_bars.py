@@ -1,0 +1,135 @@
+"""How the energies of several trials compare, as stacked bars."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ehbench.report.figures.energy import Ledger, Unit, energy_text, half_of, part_of, unit_for
+from ehbench.report.style import ACCENT, INK, MUTED, canvas
+from ehbench.report.words import DASH, number
+
+SEEN = 2e-3  # share of the longest bar below which nobody sees a part
+_TOLD = 0.065  # share of the axis from which a part has room for its number
+_PARTS = {
+    "load": ("load", "#2e7d5b"),
+    "mechanical": ("friction, damping, end stops", "#b59f3b"),
+    "in": ("throttling, supply side", "#e08214"),
+    "cross": ("throttling, head ↔ rod", "#f3b96b"),
+    "out": ("throttling, tank side", "#8e4585"),
+    "oil": ("leakage, relief, expansion, return line", "#8a7f72"),
+    "store": ("stored in oil", "#5b8fb9"),
+    "rest": ("not accounted for", ACCENT),
+}
+_LIMITS: dict[str, tuple[str, Any]] = {
+    "standard": ("four-way valve", "-"),
+    "six": ("six functions", "--"),
+    "seventh": ("with the seventh", ":"),
+}
+
+
+def bars(
+    path: Path,
+    ledgers: Sequence[tuple[str, Ledger]],
+    bounds: Sequence[Sequence[Mapping[str, Any]]] | None = None,
+) -> None:
+    """A stacked bar a trial: what its energy went into; what was given back lies left of zero.
+
+    Args:
+        path: of the SVG.
+        ledgers: (title of the trial, its ledger).
+        bounds: for each trial the bounds of its cylinders (``Bounds.as_json``), drawn as marks on
+            the bar; empty for none.
+    """
+    unit = unit_for([ledger for _, ledger in ledgers])
+    stacks = [_stack(ledger, unit) for _, ledger in ledgers]
+    most = max(sum(max(v, 0.0) for v in parts.values()) for parts in stacks)
+    least = min(sum(min(v, 0.0) for v in parts.values()) for parts in stacks)
+    limits = [_sum_of(one, unit) for one in bounds] if bounds is not None else [{}] * len(ledgers)
+    reach = max([most, *(value for one in limits for value in one.values())])
+    drawn = [key for key in _PARTS if any(abs(parts[key]) > SEEN * most for parts in stacks)]
+    with canvas(path, size=(7.4, 0.62 * len(ledgers) + 1.7)) as (figure, ax):
+        for i, (_, ledger) in enumerate(ledgers):
+            parts = {key: stacks[i][key] for key in drawn}
+            ahead = _draw_stack(ax, i, parts, _TOLD * (reach - least))
+            _draw_total(ax, i, ledger, unit, [ahead, *limits[i].values()])
+            for key, value in limits[i].items():
+                style = {"color": INK, "linestyle": _LIMITS[key][1], "linewidth": 1.5, "zorder": 5}
+                ax.plot([value] * 2, [i - 0.38, i + 0.38], **style)
+        ax.axvline(0.0, color=MUTED, linewidth=0.8)
+        ax.set_yticks(range(len(ledgers)), [title for title, _ in ledgers])
+        ax.set_ylim(len(ledgers) - 0.45, -0.55)
+        ax.set_xlim(1.05 * least, 1.24 * reach)
+        ax.grid(False, axis="y")
+        ax.set_xlabel(f"energy [{unit[1]}]; at the bar's end what the pump gave")
+        handles = _handles(drawn, limits)
+        figure.legend(handles=handles, loc="outside lower center", ncols=3)
+
+
+def _stack(ledger: Ledger, unit: Unit) -> dict[str, float]:
+    """Energies of the parts of a bar, in the unit."""
+    parts = dict.fromkeys(_PARTS, 0.0)
+    for row in ledger["rows"]:
+        part = part_of(row)
+        if part is not None:
+            parts[part] += row["energy"] / unit[0]
+    return parts
+
+
+def _draw_stack(ax, place: int, parts: Mapping[str, float], room: float) -> float:
+    """The parts of a bar, each with its number where it is longer than ``room``; gives where the
+    bar ends.
+    """
+    ahead, behind = 0.0, 0.0
+    for key, value in parts.items():
+        start = ahead if value >= 0.0 else behind
+        colour = _PARTS[key][1]
+        edge = {"edgecolor": "white", "linewidth": 0.6, "zorder": 2}
+        ax.barh(place, value, left=start, height=0.56, color=colour, **edge)
+        if abs(value) > room:
+            look = {"ha": "center", "va": "center", "fontsize": 7.5, "color": "white", "zorder": 6}
+            box = {"facecolor": colour, "edgecolor": "none", "pad": 1.0}
+            ax.text(start + 0.5 * value, place, number(value, 3), bbox=box, **look)
+        if value >= 0.0:
+            ahead += value
+        else:
+            behind += value
+    return ahead
+
+
+def _draw_total(ax, place: int, ledger: Ledger, unit: Unit, ends: Sequence[float]) -> None:
+    """What the pump gave, right of all that ends in this row, and its interval."""
+    pump = next(row for row in ledger["rows"] if row["name"] == "pump")
+    half = half_of(pump)
+    total = sum(row["energy"] for row in ledger["rows"] if row["group"] == "supply")
+    if half:
+        look = {"color": INK, "capsize": 3, "linewidth": 1.0, "zorder": 5}
+        ax.errorbar(total / unit[0], place, xerr=half / unit[0], **look)
+    right = max(*ends, (total + (half or 0.0)) / unit[0])
+    words = energy_text(pump["energy"], half, unit) if pump["energy"] else DASH
+    look = {"textcoords": "offset points", "va": "center", "fontsize": 8, "weight": "bold"}
+    ax.annotate(words, (right, place), (6, 0), **look)
+
+
+def _handles(drawn: Sequence[str], limits: Sequence[Mapping[str, float]]) -> list:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list = [Patch(color=_PARTS[key][1], label=_PARTS[key][0]) for key in drawn]
+    for key, (name, style) in _LIMITS.items():
+        if any(key in one for one in limits):
+            handles.append(Line2D([], [], color=INK, linestyle=style, label=f"bound: {name}"))
+    return handles
+
+
+def _sum_of(bounds: Sequence[Mapping[str, Any]], unit: Unit) -> dict[str, float]:
+    """Bounds of several cylinders added up, in the unit; one that a cylinder has not is left
+    out.
+    """
+    sums = {}
+    for key in _LIMITS:
+        values = [value for one in bounds if (value := one.get(key)) is not None]
+        if values and len(values) == len(bounds):
+            sums[key] = float(sum(values)) / unit[0]
+    return sums

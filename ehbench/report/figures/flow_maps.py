@@ -1,0 +1,255 @@
+"""Flow maps and their inverses as curves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ehbench.physics.flow_map import FlowMap
+from ehbench.report.saved import Points
+from ehbench.report.style import ACCENT, INK, MUTED, Look, canvas, legend, shades, spread
+from ehbench.report.words import axis, number, pretty, shown, unit_of
+from ehbench.rig import Rig
+from ehbench.terms import Z95
+
+_LABEL = 0.034  # height of an end label as a share of the axis
+_MARKS = {"flowmeter": ("o", "flowmeter"), "cylinder": ("D", "cylinder speed")}
+
+Ends = dict[str, tuple[float, Any]]  # label of a curve → (where it ends, its colour)
+
+
+def flow_map(path: Path, rig: Rig, one: FlowMap, points: Points) -> None:
+    """Flow over pressure drop, one curve a measured command, with readings, outliers and bands;
+    residuals below.
+    """
+    commands = one.hull_command[one.hull_command > one.deadband]
+    colours = dict(zip(commands, shades(commands.size), strict=True))
+    colour_of = _colour_of(one, colours)
+    drop = np.linspace(0.0, 1.0, 161) ** 2 * max(one.drop_max, float(one.hull_high.max()))
+    kept = points.flow.size and not points.outlier.all()
+    ratios = [4.2, 1] if kept else [1]
+    look = {"sharex": True, "squeeze": False, "gridspec_kw": {"height_ratios": ratios}}
+    with canvas(path, len(ratios), 1, (7.2, 5.6), **look) as (figure, axes):
+        main = axes[0, 0]
+        ends = _curves(main, rig, one, drop, colours)
+        flows = shown(rig, "flow", points.flow[~points.outlier])
+        limits = _limits([y for y, _ in ends.values()], flows)
+        main.set_ylim(*limits)
+        main.set_xlim(0.0, 1.01 * float(shown(rig, "pressure_drop", drop[-1])))
+        handles = _readings(main, rig, points, colour_of)
+        handles += _outliers(main, rig, points, limits)
+        _end_labels(main, ends)
+        main.set_ylabel(axis(rig, "flow"))
+        handles += _band_handles(
+            beyond=any(not one.inside(drop[1:], command).all() for command in commands)
+        )
+        if kept:
+            _residuals(axes[1, 0], rig, points, colour_of)
+        axes[-1, 0].set_xlabel(axis(rig, "pressure_drop"))
+        legend(figure, handles)
+
+
+def _curves(ax, rig: Rig, one: FlowMap, drop: np.ndarray, colours: dict) -> Ends:
+    """A curve a command with its band, and the line of a shut valve; gives where they end."""
+    ends: Ends = {}
+    x = shown(rig, "pressure_drop", drop)
+    for command, colour in colours.items():
+        inside = one.inside(drop, command)
+        y = shown(rig, "flow", one.flow(drop, command))
+        band = shown(rig, "flow", Z95 * one.flow_std(drop, command))
+        ax.fill_between(x, y - band, y + band, where=inside, color=colour, alpha=0.22, linewidth=0)
+        _in_and_out(ax, x, y, inside, colour)
+        ends[f"{number(command, 3)} V"] = (float(y[-1]), colour)
+    ax.axhline(0.0, color=MUTED, linewidth=0.8)
+    shut = one.hull_command[one.hull_command <= one.deadband]
+    if shut.size:
+        most = f"{number(shut[-1], 3)} V"
+        ends[(f"≤ {most}" if shut.size > 1 else most) + ", shut"] = (0.0, MUTED)
+    return ends
+
+
+def _band_handles(beyond: bool) -> list:
+    """Legend handles of bands, and of curves beyond the readings."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list = [Patch(color=MUTED, alpha=0.3, linewidth=0, label="95 % band")]
+    if beyond:
+        look: Look = {"color": MUTED, "alpha": 0.6, "linestyle": (0, (3, 2)), "linewidth": 1.1}
+        handles.append(Line2D([], [], label="beyond the readings", **look))
+    return handles
+
+
+def inverse_map(path: Path, rig: Rig, one: FlowMap) -> None:
+    """Command over flow at several pressure drops: the curves a controller looks up."""
+    drops = _round_drops(rig, one)
+    span = np.linspace(one.deadband, one.command_max, 121)
+    with canvas(path, size=(7.2, 4.2)) as (figure, ax):
+        for drop, colour in zip(drops, shades(len(drops)), strict=True):
+            flow, std, inside = (
+                one.flow(drop, span),
+                one.flow_std(drop, span),
+                one.inside(drop, span),
+            )
+            x, band = shown(rig, "flow", flow), shown(rig, "flow", Z95 * std)
+            ax.fill_betweenx(
+                span, x - band, x + band, where=inside, color=colour, alpha=0.2, linewidth=0
+            )
+            _in_and_out(ax, x, span, inside, colour)
+            unit = pretty(unit_of(rig, "pressure_drop"))
+            ax.plot(
+                [],
+                [],
+                color=colour,
+                label=f"{number(float(shown(rig, 'pressure_drop', drop)), 3)} {unit}",
+            )
+        ax.axhspan(*one.deadband_interval, color=MUTED, alpha=0.25, linewidth=0)
+        ax.axhline(one.deadband, color=MUTED, linewidth=0.9, linestyle=(0, (4, 3)))
+        ax.annotate(
+            f"deadband {number(one.deadband, 3)} V",
+            (1.0, one.deadband),
+            (0, -3),
+            ("axes fraction", "data"),
+            "offset points",
+            ha="right",
+            va="top",
+            color=MUTED,
+            fontsize=8,
+        )
+        ax.set_ylim(0.0, one.command_max * 1.02)
+        ax.set_xlim(left=0.0)
+        ax.set_xlabel(axis(rig, "flow"))
+        ax.set_ylabel("command [V]")
+        ax.legend(
+            title="pressure drop",
+            loc="center left",
+            bbox_to_anchor=(1.01, 0.5),
+            title_fontsize=8,
+            alignment="left",
+        )
+
+
+def _in_and_out(ax, x: np.ndarray, y: np.ndarray, inside: np.ndarray, colour) -> None:
+    """A curve, solid where readings surround it, dashed and pale elsewhere; the two touch."""
+    grown = inside | np.append(inside[1:], False) | np.insert(inside[:-1], 0, False)
+    # an empty line counts as a point at the figure's corner and would upset the layout
+    if not grown.all():
+        ax.plot(
+            x,
+            np.where(grown, np.nan, y),
+            color=colour,
+            alpha=0.45,
+            linewidth=1.1,
+            linestyle=(0, (3, 2)),
+        )
+    if inside.any():
+        ax.plot(x, np.where(inside, y, np.nan), color=colour, linewidth=1.4)
+
+
+def _limits(ends: list[float], flows: np.ndarray) -> tuple[float, float]:
+    high = max([*ends, *flows.tolist(), 1e-12])
+    low = min([0.0, *flows.tolist()])
+    return low - 0.025 * (high - low), high + 0.05 * (high - low)
+
+
+def _colour_of(one: FlowMap, colours: dict) -> Callable[[float], object]:
+    """The colour of a reading by its command: that of the nearest curve, grey where the valve is
+    shut.
+    """
+    return lambda command: (
+        colours[min(colours, key=lambda known: abs(known - command))]
+        if colours and command > one.deadband
+        else MUTED
+    )
+
+
+def _readings(ax, rig: Rig, points: Points, colour: Callable) -> list:
+    """Readings by method in the colour of their curve; legend handles."""
+    from matplotlib.lines import Line2D
+
+    x, y = shown(rig, "pressure_drop", points.pressure_drop), shown(rig, "flow", points.flow)
+    handles = []
+    for method in dict.fromkeys(points.method.tolist()):
+        marker, text = _MARKS.get(method, ("s", method))
+        look: Look = {"marker": marker, "linestyle": "", "markerfacecolor": "none"}
+        for command in np.unique(points.command):
+            at = (points.method == method) & (points.command == command) & ~points.outlier
+            if at.any():
+                edge = {"markersize": 2.6, "markeredgewidth": 0.6, "alpha": 0.8}
+                ax.plot(x[at], y[at], color=colour(command), **look, **edge)
+        handles.append(Line2D([], [], markersize=4, color=MUTED, label=text, **look))
+    return handles
+
+
+def _outliers(ax, rig: Rig, points: Points, limits: tuple[float, float]) -> list:
+    """Readings left out, crossed; at the edge where they lie outside; legend handles."""
+    from matplotlib.lines import Line2D
+
+    out = points.outlier
+    if not out.any():
+        return []
+    x = shown(rig, "pressure_drop", points.pressure_drop)[out]
+    y = shown(rig, "flow", points.flow)[out]
+    seen = np.clip(y, *limits)
+    gone = seen != y
+    look: Look = {"color": ACCENT, "markersize": 6, "markeredgewidth": 1.6}
+    for marker, at in (("x", ~gone), ("^", y > limits[1]), ("v", y < limits[0])):
+        if at.any():
+            ax.plot(x[at], seen[at], marker, zorder=5, clip_on=marker == "x", **look)
+    crossed: Look = {"marker": "x", "linestyle": "", "label": f"left out ({out.sum()})"}
+    handles = [Line2D([], [], **crossed, **look)]
+    if gone.any():
+        moved: Look = {"marker": "^", "linestyle": "", "markersize": 5, "color": ACCENT}
+        handles.append(Line2D([], [], label="left out, off the scale", **moved))
+    return handles
+
+
+def _residuals(ax, rig: Rig, points: Points, colour: Callable) -> None:
+    used = ~points.outlier & np.isfinite(points.fitted)
+    error = shown(rig, "flow", points.flow - points.fitted)
+    for command in np.unique(points.command):
+        at = used & (points.command == command)
+        if not at.any():
+            continue
+        ax.plot(
+            shown(rig, "pressure_drop", points.pressure_drop[at]),
+            error[at],
+            ".",
+            markersize=2.2,
+            color=colour(command),
+        )
+    ax.axhline(0.0, color=MUTED, linewidth=0.8)
+    most = 1.08 * float(np.max(np.abs(error[used]), initial=1e-12))
+    ax.set_ylim(-most, most)
+    ax.set_ylabel(axis(rig, "flow", "residual\n").replace("\n ", "\n"), fontsize=8)
+
+
+def _end_labels(ax, ends: dict) -> None:
+    """Labels at the right ends of the curves, moved apart where they would overlap, with a leader
+    to the curve.
+    """
+    low, high = ax.get_ylim()
+    places = spread(
+        [y for y, _ in ends.values()], _LABEL * (high - low), low + 0.01 * (high - low), high
+    )
+    across = ax.get_yaxis_transform()
+    for (text, (y, colour)), place in zip(ends.items(), places, strict=True):
+        ax.plot(
+            [1.0, 1.018], [y, place], color=colour, linewidth=0.7, transform=across, clip_on=False
+        )
+        ax.text(1.023, place, text, color=INK, transform=across, va="center", fontsize=7.5)
+
+
+def _round_drops(rig: Rig, one: FlowMap, count: int = 6) -> list[float]:
+    """Drops [Pa] that are round numbers to the reader, spread by ratio over what was measured."""
+    passing = one.hull_command > one.deadband
+    low = float(np.median(one.hull_low[passing])) if passing.any() else one.drop_max / 50
+    high = float(np.quantile(one.hull_high[passing], 0.1)) if passing.any() else one.drop_max
+    low = min(max(low, high / 50), high / 2)
+    per = one.drop_max / float(shown(rig, "pressure_drop", one.drop_max))
+    wished = np.geomspace(low / per, high / per, count)
+    step = 10.0 ** (np.floor(np.log10(wished)) - 1.0)
+    return [float(drop) * per for drop in dict.fromkeys(np.floor(wished / step + 1e-9) * step)]

@@ -1,0 +1,194 @@
+"""Root loci."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.report.captions import load_name
+from ehbench.report.saved import Table
+from ehbench.report.style import ACCENT, INK, MUTED, RECORDED, SIMULATED, Look, canvas, legend
+
+RATIOS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)  # damping ratios of the grid
+BETWEEN = 7  # points of a root locus drawn between two saved ones
+_ROOM = 0.06  # share of a root locus below the real axis
+# a stability limit this many times as far out as what swings makes a second look worth while
+_FAR = 3.0
+# share of a root locus's height that counts as on an axis, and damping ratio that counts as none
+_ON_AXIS = 1e-3
+_PALE, _BEYOND = "#d1d5db", "#9db4cf"
+
+Frame = Sequence[float]  # left, right, top [rad/s]
+
+
+def loci(path: Path, loci: Sequence[Table], by_name: dict[str, Table]) -> None:
+    """A root locus a payload, upper half plane, on a grid of damping ratios: choice and stability
+    limit marked.
+
+    Where the stability limit lies far out, what swings is shown a second time, near the origin.
+    """
+    whole = tuple(pick(one["frame"][i] for one in loci) for i, pick in enumerate((min, max, max)))
+    reach = max(_swing(one) for one in loci)
+    panels: list[tuple[Table, Frame, str]] = [(one, whole, "") for one in loci]
+    if whole[2] > _FAR * 1.4 * reach:
+        near = (-1.6 * reach, 0.4 * reach, 1.4 * reach)
+        panels += [(one, near, ", near the origin") for one in loci]
+    columns = min(2, len(loci))
+    rows = -(-len(panels) // columns)
+    with canvas(path, rows, columns, (7.4, 3.7 * rows + 0.5), squeeze=False) as (figure, axes):
+        for ax in axes.flat[len(panels) :]:
+            ax.remove()
+        for ax, (one, frame, where) in zip(axes.flat, panels, strict=False):
+            _locus(ax, one, frame)
+            ax.set_title(load_name(by_name[one["name"]]["point"]["payload"]) + where)
+            ax.set_xlabel("real part [rad/s]")
+        for ax in axes[:, 0]:
+            ax.set_ylabel("imaginary part [rad/s]")
+        crossing = any(one.get("crossing") is not None for one in loci)
+        symbol = "K_p" if loci[0]["parameter"] == "feedback_gain" else "ω_w"
+        legend(figure, _handles(symbol, crossing))
+
+
+def _handles(symbol: str, crossing: bool) -> list:
+    from matplotlib.lines import Line2D
+
+    handles = [
+        Line2D([], [], color=RECORDED, linewidth=1.6, label=f"{symbol} up to the choice"),
+        Line2D([], [], color=_BEYOND, linewidth=1.3, label="beyond"),
+        Line2D([], [], marker="x", linestyle="", color=INK, label=f"{symbol} = 0"),
+        Line2D([], [], marker="o", linestyle="", color=SIMULATED, label="chosen"),
+    ]
+    if crossing:
+        look: Look = {"marker": "D", "linestyle": "", "markerfacecolor": "white", "color": ACCENT}
+        handles.append(Line2D([], [], label="stability limit", **look))
+    return handles
+
+
+def _swing(one: Table) -> float:
+    """Size [rad/s] of the least damped pair of poles at the start of a locus, or of the slowest
+    pole where none swings.
+    """
+    start = np.array(one["real"][0], float) + 1j * np.array(one["imag"][0], float)
+    start = start[np.abs(start) > 0.0]
+    pairs = start[start.imag > _ON_AXIS * np.abs(start)]
+    return float(
+        np.abs(pairs[np.argmin(-pairs.real / np.abs(pairs))]) if pairs.size else np.abs(start).min()
+    )
+
+
+def _locus(ax, one: Table, frame: Frame) -> None:
+    left, right, top = frame
+    _damping_grid(ax, left, top)
+    ax.axvspan(0.0, right, color=ACCENT, alpha=0.06, linewidth=0)
+    ax.axhline(0.0, color=MUTED, linewidth=0.8)
+    ax.axvline(0.0, color=MUTED, linewidth=0.8)
+    poles = np.array(one["real"], float) + 1j * np.array(one["imag"], float)
+    _branches(ax, np.array(one["values"], float), poles, one["chosen"], frame)
+    start = zip(poles[0].real, poles[0].imag, strict=True)
+    cross = {"marker": "x", "color": INK, "markersize": 5.5, "markeredgewidth": 1.3}
+    _poles(ax, start, frame, zorder=4, **cross)
+    if one.get("crossing") is not None:
+        diamond = {"marker": "D", "color": ACCENT, "markersize": 6, "markeredgewidth": 1.4}
+        limit = _crossing(one["crossing_poles"], top)
+        _poles(ax, limit, frame, markerfacecolor="white", zorder=6, **diamond)
+    dot = {"marker": "o", "color": SIMULATED, "markersize": 5.5, "markeredgewidth": 0.6}
+    _poles(ax, one["chosen_poles"], frame, markeredgecolor="white", zorder=5, **dot)
+    ax.set_xlim(left, right)
+    ax.set_ylim(-_ROOM * top, top)
+    ax.grid(False)
+
+
+def _branches(ax, values: np.ndarray, poles: np.ndarray, chosen: float, frame: Frame) -> None:
+    """The branches of a root locus, dark up to the choice and pale beyond."""
+    left, right, top = frame
+    fine, branches = refined(values, poles)
+    here = int(np.searchsorted(fine, chosen))
+    for branch in branches.T:
+        x, y = branch.real.copy(), branch.imag.copy()
+        below = 6.0 * -_ROOM * top
+        away = (x < 1.3 * left) | (x > 2.0 * right) | (y > 1.3 * top) | (y < below)
+        x[away] = np.nan
+        for part, colour, width in (
+            (slice(here, None), _BEYOND, 1.3),
+            (slice(None, here + 1), RECORDED, 1.6),
+        ):
+            if np.isfinite(x[part]).sum() > 1:
+                look = {"color": colour, "linewidth": width, "solid_capstyle": "round"}
+                ax.plot(x[part], y[part], zorder=3, **look)
+
+
+def refined(values: np.ndarray, poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(values, poles) of a root locus with BETWEEN more points in every interval, each column one
+    branch.
+
+    Between saved points the characteristic polynomial, at most of second degree in the parameter,
+    goes through that of three neighbours; branches are told apart by the least way in all from one
+    point to the next."""
+    from scipy.optimize import linear_sum_assignment
+
+    scale = float(np.median(np.abs(poles))) or 1.0
+    polynomials = np.array([np.poly(row / scale).real for row in poles])
+    fine, rows = [float(values[0])], [poles[0]]
+    for i in range(values.size - 1):
+        near = slice(max(min(i, values.size - 3), 0), max(min(i, values.size - 3), 0) + 3)
+        for value in np.linspace(values[i], values[i + 1], BETWEEN + 2)[1:]:
+            there = (
+                poles[i + 1]
+                if value == values[i + 1]
+                else scale * np.roots(_through(values[near], polynomials[near], value))
+            )
+            _, order = linear_sum_assignment(np.abs(rows[-1][:, None] - there[None, :]))
+            fine.append(float(value))
+            rows.append(there[order])
+    return np.array(fine), np.array(rows)
+
+
+def _through(x: np.ndarray, y: np.ndarray, at: float) -> np.ndarray:
+    """The polynomial of least degree through points, at a value: Lagrange's form."""
+    others = [np.delete(x, j) for j in range(x.size)]
+    terms = (
+        row * np.prod((at - other) / (own - other))
+        for own, other, row in zip(x, others, y, strict=True)
+    )
+    return sum(terms, np.zeros(y.shape[1]))
+
+
+def _crossing(poles: Sequence[Sequence[float]], top: float) -> list[Sequence[float]]:
+    """Of the poles at the stability limit the pair without damping; slow ones may lie as near to
+    the imaginary axis.
+    """
+    near = [pole for pole in poles if abs(pole[0]) < _ON_AXIS * top]
+    return [pole for pole in near if abs(pole[0]) < _ON_AXIS * abs(pole[1])] or near[-1:]
+
+
+def _poles(ax, poles, frame: Sequence[float], **look) -> None:
+    left, right, top = frame
+    inside = [(x, y) for x, y in poles if left <= x <= right and -_ROOM * top <= y <= top]
+    if inside:
+        ax.plot(*np.array(inside).T, linestyle="", **look)
+
+
+def _damping_grid(ax, left: float, top: float) -> None:
+    """Rays of equal damping ratio ζ = cos φ, φ from the negative real axis, each labelled where it
+    leaves the frame.
+    """
+    box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
+    for ratio in RATIOS:
+        slope = math.sqrt(1.0 - ratio**2) / ratio
+        x = max(left, -top / slope)
+        ax.plot([0.0, x], [0.0, -slope * x], color=_PALE, linewidth=0.7, zorder=1)
+        side = "left" if x == left else "center"
+        ax.text(
+            0.98 * x,
+            -0.965 * slope * x,
+            f"{ratio:g}",
+            fontsize=6.5,
+            color=MUTED,
+            ha=side,
+            va="center",
+            bbox=box,
+            zorder=2,
+        )

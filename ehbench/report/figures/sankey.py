@@ -1,0 +1,458 @@
+"""Where one trial's energy went, as ribbons to scale."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ehbench.report.figures.energy import Ledger, Unit, energy_text, half_of, unit_for
+from ehbench.report.style import ACCENT, INK, MUTED, canvas, legend
+
+SMALL = 0.012  # share of all energy below which a row is drawn together with others
+COLOURS = {
+    "supply": "#1f3f66",
+    "valve": "#e08214",
+    "loss": "#8a7f72",
+    "store": "#5b8fb9",
+    "load": "#2e7d5b",
+    "residual": ACCENT,
+}
+WORDS = {
+    "supply": "supply",
+    "valve": "throttling",
+    "loss": "other losses",
+    "store": "stored in oil",
+    "load": "load",
+    "residual": "not accounted for",
+}
+PUMP, MECHANISM = "pump", "mechanism"
+_MECHANICAL = ("friction", "end_stop", "stop", "damping")
+_GAP = 0.012
+_BAR = 0.022  # width of a node
+
+
+@dataclass(frozen=True)
+class _Node:
+    """A bar of the picture, and where it stands."""
+
+    x: float
+    label: str
+    colour: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Flow:
+    """A ribbon. ``end`` is a node, or None for a leaf at the right; ``start`` None for a source at
+    the left.
+    """
+
+    start: str | None
+    end: str | None
+    energy: float
+    group: str
+    label: str
+    half: float | None = None
+
+    @property
+    def feeds_pump(self) -> bool:
+        """Whether it is what drives the pump."""
+        return self.start is None and self.end == PUMP
+
+
+@dataclass(frozen=True)
+class _Account:
+    """A ledger prepared for the picture: energies in J."""
+
+    rows: Sequence[Mapping[str, Any]]
+    named: Mapping[str, Mapping[str, Any]]
+    works: Mapping[str, float]  # of every cylinder
+    busy: Sequence[str]  # cylinders worth a node
+    given: float  # by the supply
+    whole: float  # what is small is small beside it
+
+    @property
+    def uphill(self) -> bool:
+        """Whether the load drives the oil: then the mechanism stands before it."""
+        return sum(self.works.values()) < 0.0
+
+    def prefix(self, node: str | None) -> str:
+        """The cylinder's name before a label, where there are several."""
+        told = len(self.busy) > 1 and node not in (None, PUMP, MECHANISM)
+        return f"{node}: " if told else ""
+
+
+def _account(ledger: Ledger) -> _Account:
+    rows = ledger["rows"]
+    named = {row["name"]: row for row in rows}
+    cylinders = list(dict.fromkeys(row["cylinder"] for row in rows if row["cylinder"] is not None))
+    works = {cylinder: named[f"{cylinder}.work"]["energy"] for cylinder in cylinders}
+    given = sum(row["energy"] for row in rows if row["group"] == "supply")
+    whole = max(given, sum(abs(work) for work in works.values()), 1e-12)
+    most = {
+        cylinder: max(abs(row["energy"]) for row in rows if row["cylinder"] == cylinder)
+        for cylinder in cylinders
+    }
+    busy = [cylinder for cylinder in cylinders if most[cylinder] > SMALL * whole]
+    return _Account(rows, named, works, busy or cylinders[:1], given, whole)
+
+
+def _nodes(account: _Account) -> dict[str, _Node]:
+    return {
+        PUMP: _Node(0.0, PUMP, COLOURS["supply"]),
+        **{cylinder: _Node(0.36, cylinder, INK) for cylinder in account.busy},
+        MECHANISM: _Node(0.16 if account.uphill else 0.62, MECHANISM, COLOURS["load"]),
+    }
+
+
+def _flows(account: _Account) -> list[_Flow]:
+    """The ribbons of a ledger: pump → oil of each cylinder → mechanism, and what leaves or enters
+    on the way.
+    """
+    flows = [flow for row in account.rows if (flow := _leaf(row, account)) is not None]
+    for cylinder in account.busy:
+        flows += _drawn(account, cylinder)
+        flows += _work(account, cylinder)
+    if account.given > 0.0 and any(flow.start == PUMP for flow in flows):
+        half = half_of(account.named["pump"])
+        flows.append(_Flow(None, PUMP, account.given, "supply", PUMP, half))
+    return _merged(flows, account)
+
+
+def _leaf(row: Mapping[str, Any], account: _Account) -> _Flow | None:
+    """The ribbon of a row that ends outside, or begins there where it is negative; None for rows
+    that are told otherwise.
+    """
+    cylinder, name = row["cylinder"], row["name"]
+    if row["group"] in ("supply", "cylinder", "residual"):
+        return None
+    if cylinder is not None and cylinder not in account.busy:
+        return None
+    rest = row["group"] == "part"  # of what is not accounted for
+    group = "residual" if rest else row["group"]
+    label = row["label"].split(",")[0] if rest else row["label"]
+    moving = name.rsplit(".", 1)[-1] in _MECHANICAL or name.endswith(".mechanism")
+    if name == "supply_line" or name.endswith(".supply_line"):
+        node, label = PUMP, f"{label}, supply line" if rest else label
+    elif group == "load" or moving:
+        node = MECHANISM
+        label = f"{label}, mechanism" if rest else account.prefix(cylinder) + label
+    else:
+        node = cylinder
+        label = f"{label}, oil of {cylinder}" if rest else account.prefix(cylinder) + label
+    energy = row["energy"]
+    start, end = (node, None) if energy >= 0.0 else (None, node)
+    return _Flow(start, end, abs(energy), group, label, half_of(row))
+
+
+def _drawn(account: _Account, cylinder: str) -> list[_Flow]:
+    """From the pump to a cylinder's oil, or pressed back into the supply line."""
+    drawn = sum(
+        account.named[f"{cylinder}.{word}"]["energy"] for word in ("drawn", "drawn_compression")
+    )
+    if drawn > 0.0:
+        return [_Flow(PUMP, cylinder, drawn, "supply", "")]
+    if drawn < 0.0:
+        return [_Flow(cylinder, None, -drawn, "supply", f"{cylinder}: back into the supply")]
+    return []
+
+
+def _work(account: _Account, cylinder: str) -> list[_Flow]:
+    """From a cylinder to the mechanism or back; where that runs against the picture, out of it and
+    in again.
+    """
+    work = account.works[cylinder]
+    if work >= 0.0 and not account.uphill:
+        return [_Flow(cylinder, MECHANISM, work, "load", "")]
+    if work < 0.0 and account.uphill:
+        return [_Flow(MECHANISM, cylinder, -work, "load", "")]
+    if work >= 0.0:
+        label = f"work of {cylinder}"
+        return [
+            _Flow(cylinder, None, work, "load", label),
+            _Flow(None, MECHANISM, work, "load", label),
+        ]
+    return [
+        _Flow(None, cylinder, -work, "load", f"load on {cylinder}"),
+        _Flow(MECHANISM, None, -work, "load", f"into {cylinder}"),
+    ]
+
+
+def _merged(flows: Sequence[_Flow], account: _Account) -> list[_Flow]:
+    """Leaves and sources below SMALL drawn together, by node, so that labels do not crowd; the
+    least are not drawn.
+    """
+    kept: list[_Flow] = []
+    little: dict[tuple[str | None, str | None, bool], list[_Flow]] = {}
+    small = SMALL * account.whole
+    for flow in flows:
+        ends = flow.start is None or flow.end is None
+        if ends and flow.energy < small and flow.group != "supply":
+            little.setdefault((flow.start, flow.end, flow.group == "residual"), []).append(flow)
+        else:
+            kept.append(flow)
+    for (_, _, rest), few in little.items():
+        energy = sum(flow.energy for flow in few)
+        if energy >= (0.5 if rest else 0.15) * small:
+            kept.append(_together(few, energy, account))
+    return kept
+
+
+def _together(few: Sequence[_Flow], energy: float, account: _Account) -> _Flow:
+    first = few[0]
+    halves = [flow.half for flow in few]
+    known = [half for half in halves if half is not None]
+    half = math.sqrt(sum(h * h for h in known)) if len(known) == len(halves) else None
+    label = account.prefix(first.start or first.end) + f"{len(few)} smaller ones"
+    group = first.group if len({flow.group for flow in few}) == 1 else "loss"
+    return _Flow(
+        first.start, first.end, energy, group, first.label if len(few) == 1 else label, half
+    )
+
+
+def _fit(sizes: Sequence[float], line: float) -> float:
+    """Height per energy at which slots of max(size, label) and the gaps between them fill the
+    picture.
+    """
+    low, high = 0.0, 0.94 / max(sum(sizes), 1e-12)
+    room = 1.0 - _GAP * max(len(sizes) - 1, 0)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (
+            (middle, high) if sum(max(s * middle, line) for s in sizes) <= room else (low, middle)
+        )
+    return low
+
+
+def _slots(sizes: Sequence[float], scale: float, line: float) -> list[float]:
+    """Middles of slots stacked from the top, as high as their ribbon or label, spread a little over
+    the picture.
+    """
+    heights = [max(size * scale, line) for size in sizes]
+    gap = min((1.0 - sum(heights)) / max(len(heights) - 1, 1), 3 * _GAP)
+    y = 0.5 + 0.5 * (sum(heights) + gap * (len(heights) - 1))
+    middles = []
+    for height in heights:
+        middles.append(y - 0.5 * height)
+        y -= height + gap
+    return middles
+
+
+class _Dock:
+    """A node in place: as high as what passes it, ribbons stacked on both sides from the top."""
+
+    def __init__(self, node: _Node, middle: float, size: float) -> None:
+        self.node, self.middle, self.size = node, middle, size
+        self._taken = {"left": 0.0, "right": 0.0}
+
+    def dock(self, side: str, thick: float) -> float:
+        """The height at which the next ribbon of a side meets the node."""
+        y = self.middle + 0.5 * self.size - self._taken[side] - 0.5 * thick
+        self._taken[side] += thick
+        return y
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where everything stands: nodes, and the outer ends of leaves and sources by their flow."""
+
+    flows: Sequence[_Flow]
+    docks: Mapping[str, _Dock]
+    outer: Mapping[_Flow, float]
+    scale: float  # height per J
+    line: float  # height of a line of text
+    tall: float  # [in]
+
+
+def _layout(account: _Account) -> _Layout:
+    nodes, flows = _nodes(account), _flows(account)
+    order = {name: i for i, name in enumerate([MECHANISM, *account.busy, PUMP])}
+    ranks = list(COLOURS)
+    leaves = sorted(
+        (f for f in flows if f.end is None),
+        key=lambda f: (order[f.start or ""], -ranks.index(f.group), -f.energy),
+    )
+    sources = sorted(
+        (f for f in flows if f.start is None),
+        key=lambda f: (f.end != MECHANISM, f.end != PUMP, order[f.end or ""], -f.energy),
+    )
+    tall = min(max(3.0, 0.21 * len(leaves) + 1.3), 8.5)
+    line, line_left = 0.175 / tall, 0.36 / tall
+    out, into = [f.energy for f in leaves], [f.energy for f in sources]
+    scale = min(_fit(out, line), _fit(into, line_left))
+    outer = dict(zip(leaves, _slots(out, scale, line), strict=True))
+    outer |= zip(sources, _slots(into, scale, line_left), strict=True)
+    sizes = _sizes(nodes, flows, scale)
+    middles = _middles(nodes, sizes, flows, outer)
+    _make_room(nodes, sizes, middles, line)
+    if len(sources) == 1:
+        outer[sources[0]] = middles[sources[0].end or ""]
+    for flow in sources:
+        if flow.feeds_pump and flow.group == "supply" and flow.label == PUMP:
+            middles[PUMP] = outer[flow]
+    docks = {name: _Dock(nodes[name], middles[name], size) for name, size in sizes.items()}
+    return _Layout(flows, docks, outer, scale, line, tall)
+
+
+def _sizes(nodes: Mapping[str, _Node], flows: Sequence[_Flow], scale: float) -> dict[str, float]:
+    """Heights of the nodes that have ribbons."""
+    sizes = {}
+    for name in nodes:
+        if any(name in (f.start, f.end) for f in flows):
+            out = sum(f.energy for f in flows if f.start == name)
+            into = sum(f.energy for f in flows if f.end == name)
+            sizes[name] = max(out, into) * scale
+    return sizes
+
+
+def _middles(
+    nodes: Mapping[str, _Node],
+    sizes: Mapping[str, float],
+    flows: Sequence[_Flow],
+    outer: Mapping[_Flow, float],
+) -> dict[str, float]:
+    """Heights at which nodes stand, from right to left: where most of what leaves them goes."""
+    middles = dict.fromkeys(sizes, 0.0)
+    for name in sorted(sizes, key=lambda n: -nodes[n].x):
+        out = [f for f in flows if f.start == name]
+        ends = [(outer[f] if f.end is None else middles[f.end], f.energy) for f in out]
+        weight = sum(e for _, e in ends)
+        middles[name] = sum(y * e for y, e in ends) / weight if weight > 0.0 else 0.5
+    return middles
+
+
+def _make_room(
+    nodes: Mapping[str, _Node],
+    sizes: Mapping[str, float],
+    middles: dict[str, float],
+    line: float,
+) -> None:
+    """Move cylinders apart: their names need room above."""
+    column = sorted((n for n in sizes if n not in (PUMP, MECHANISM)), key=lambda n: -middles[n])
+    reach = 1.0
+    for name in column:
+        middles[name] = min(middles[name], reach - 0.5 * sizes[name] - line)
+        reach = middles[name] - 0.5 * sizes[name]
+    for name in column:
+        middles[name] -= min(reach, 0.0)
+
+
+def sankey(path: Path, ledger: Ledger) -> None:
+    """Where the energy of one trial went: ribbons from the pump through the oil of each cylinder
+    and the mechanism, to scale.
+
+    What is given back (a load that sinks, oil that expands) enters from the left. Rows under 1.2 %
+    are drawn together."""
+    from matplotlib.patches import Patch
+
+    account = _account(ledger)
+    layout, unit = _layout(account), unit_for([ledger])
+    with canvas(path, size=(7.4, layout.tall)) as (figure, ax):
+        ax.set_xlim(-0.36, 1.98)
+        ax.set_ylim(-0.04, 1.03)
+        ax.axis("off")
+        heights: dict[_Flow | str, float] = {
+            **layout.outer,
+            **{name: dock.middle for name, dock in layout.docks.items()},
+        }
+        for flow in sorted(
+            layout.flows,
+            key=lambda f: (-heights[f.start or f], -heights[f.end or f]),
+        ):
+            if flow.start is None:
+                _draw_source(ax, layout, flow, unit, account)
+            if not flow.feeds_pump:
+                _draw_flow(ax, layout, flow)
+            if flow.end is None:
+                _draw_leaf(ax, layout, flow, unit, account.given)
+        for name, dock in layout.docks.items():
+            if name != PUMP:
+                _draw_node(ax, dock)
+        rest = next(row for row in ledger["rows"] if row["group"] == "residual")
+        told = energy_text(rest["energy"], half_of(rest), unit, account.given)
+        ax.text(-0.36, -0.03, f"{rest['label']} in all: {told}", fontsize=8, color=MUTED)
+        present = [g for g in COLOURS if any(f.group == g for f in layout.flows)]
+        legend(figure, [Patch(color=COLOURS[g], alpha=0.75, label=WORDS[g]) for g in present])
+
+
+def _draw_source(ax, layout: _Layout, flow: _Flow, unit: Unit, account: _Account) -> None:
+    """Bar and label at the left; of the pump in bold, with what compression gave apart."""
+    at, thick = layout.outer[flow], flow.energy * layout.scale
+    energy, style = flow.energy, {"fontsize": 8}
+    if flow.feeds_pump and flow.label == PUMP:
+        gained = account.named["pump_compression"]["energy"]
+        energy, style = flow.energy - gained, {"fontsize": 8.5, "weight": "bold"}
+        below = f"+ {energy_text(gained, None, unit)} compression"
+        look = {"va": "center", "ha": "right", "fontsize": 7, "color": MUTED}
+        ax.text(-0.025, at - 1.35 * layout.line, below, **look)
+        thick = max(thick, layout.docks[PUMP].size)
+    words = f"{flow.label}\n{energy_text(energy, flow.half, unit)}"
+    ax.text(-0.025, at, words, va="center", ha="right", linespacing=1.2, **style)
+    ax.add_patch(_bar(0.0, at, thick, COLOURS[flow.group]))
+
+
+def _draw_flow(ax, layout: _Layout, flow: _Flow) -> None:
+    thick, docks = flow.energy * layout.scale, layout.docks
+    if flow.start is None:
+        start = (_BAR, layout.outer[flow])
+    else:
+        dock = docks[flow.start]
+        start = (dock.node.x + _BAR, dock.dock("right", thick))
+    if flow.end is None:
+        end = (1.0, layout.outer[flow])
+    else:
+        end = (docks[flow.end].node.x, docks[flow.end].dock("left", thick))
+    _ribbon(ax, start, end, thick, COLOURS[flow.group])
+
+
+def _draw_leaf(ax, layout: _Layout, flow: _Flow, unit: Unit, given: float) -> None:
+    """Bar, label and energy at the right."""
+    at = layout.outer[flow]
+    ax.add_patch(_bar(1.0, at, flow.energy * layout.scale, COLOURS[flow.group]))
+    ax.text(1.0 + 2.0 * _BAR, at, flow.label, va="center", fontsize=8)
+    words = energy_text(flow.energy, flow.half, unit, given)
+    ax.text(1.98, at, words, va="center", ha="right", fontsize=8)
+
+
+def _draw_node(ax, dock: _Dock) -> None:
+    node = dock.node
+    ax.add_patch(_bar(node.x, dock.middle, dock.size, node.colour))
+    ax.text(
+        node.x + 0.5 * _BAR,
+        dock.middle + 0.5 * dock.size + 0.008,
+        node.label,
+        va="bottom",
+        ha="center",
+        fontsize=8.5,
+        weight="bold",
+        bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 0.6},
+        zorder=5,
+    )
+
+
+def _bar(x: float, y: float, thick: float, colour: str):
+    from matplotlib.patches import Rectangle
+
+    return Rectangle(
+        (x, y - 0.5 * thick), _BAR, thick, facecolor=colour, edgecolor="none", zorder=3
+    )
+
+
+def _ribbon(
+    ax, start: tuple[float, float], end: tuple[float, float], thick: float, colour: str
+) -> None:
+    """A band of even height that leaves and arrives level."""
+    from matplotlib.patches import Polygon
+
+    s = np.linspace(0.0, 1.0, 60)
+    x = start[0] + s * (end[0] - start[0])
+    y = start[1] + (3 * s**2 - 2 * s**3) * (end[1] - start[1])
+    half = 0.5 * max(thick, 0.0012)
+    edge = np.concatenate([np.stack([x, y + half], 1), np.stack([x, y - half], 1)[::-1]])
+    ax.add_patch(
+        Polygon(edge, closed=True, facecolor=colour, alpha=0.42, edgecolor="none", zorder=2)
+    )

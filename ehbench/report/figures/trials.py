@@ -1,0 +1,195 @@
+"""Several controllers on one motion, and what they took from the pump."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ehbench.record import Record
+from ehbench.report.cases import Case
+from ehbench.report.figures.channels import title_of
+from ehbench.report.figures.trial import (
+    function_bars,
+    plot_channel,
+    plot_commands,
+    shade_saturation,
+    tracking_error,
+)
+from ehbench.report.style import CYCLE, INK, MARKS, MUTED, canvas, thin
+from ehbench.report.words import axis, number, shown, words
+from ehbench.rig import Rig
+
+Named = tuple[str, Case, Record]  # (controller, its trial, the log)
+MANY = 3  # from so many controllers on, a comparison leaves out the commands
+FAR_APART = 8.0  # ratio of largest errors from which a comparison takes a logarithmic axis
+WINDOW = 0.1  # [s] over which an envelope takes the largest error
+_DESIRED = {"color": INK, "linewidth": 1.1, "linestyle": (0, (4, 2))}
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """The rows of a comparison: panels over the whole width, then a panel of commands a
+    controller.
+    """
+
+    panels: Sequence[str]
+    heights: Sequence[float]
+    columns: int
+    commands: bool
+
+    @property
+    def tall(self) -> float:
+        return 1.15 * sum(self.heights) + 0.3 * len(self.heights) + 0.6
+
+
+def _grid(cases: Sequence[Named]) -> _Grid:
+    case = cases[0][1]
+    first, second = ("v", "x") if case.steps else ("error", "v")
+    panels = [first, second, "p_head", "p_rod"]
+    heights = [1.7, 1.0, 1.0, 1.0]
+    if any(f"{case.cylinder}.function" in record for _, _, record in cases):
+        panels.append("strip")
+        heights.append(0.2 * len(cases) + 0.12)
+    commands = len(cases) <= MANY
+    return _Grid(panels, heights + [1.1] * commands, len(cases) if commands else 1, commands)
+
+
+def compare(path: Path, rig: Rig, cases: Sequence[Named]) -> None:
+    """Several controllers on one motion: speed (steps) or tracking error, both pressures,
+    functions, and their commands.
+    """
+    looks = [
+        {
+            "color": CYCLE[i % len(CYCLE)],
+            "linestyle": MARKS[i // len(CYCLE) % len(MARKS)],
+            "linewidth": 1.2,
+        }
+        for i in range(len(cases))
+    ]
+    grid = _grid(cases)
+    shape = {"squeeze": False, "height_ratios": grid.heights}
+    with canvas(path, len(grid.heights), grid.columns, (7.4, grid.tall), **shape) as (figure, axes):
+        places = _wide_panels(figure, axes, grid.panels)
+        for word, ax in places.items():
+            if word not in ("error", "strip"):
+                _overlay(ax, rig, cases, looks, word)
+        if "error" in places:
+            _errors(places["error"], rig, cases, looks)
+        handles = function_bars(places["strip"], cases, False) if "strip" in places else []
+        bottom = places[grid.panels[-1]]
+        bottom.set_xlabel("time [s]")
+        bottom.set_xlim(min(r.t[0] for *_, r in cases), max(r.t[-1] for *_, r in cases))
+        if grid.commands:
+            _commands_row(axes[-1], rig, cases)
+        lines = _line_handles(cases, looks)
+        figure.legend(handles=lines, loc="outside upper center", ncols=min(len(lines), 4))
+        if handles:
+            figure.legend(handles=handles, loc="outside lower center", ncols=3)
+
+
+def _line_handles(cases: Sequence[Named], looks: Sequence[dict[str, Any]]) -> list:
+    from matplotlib.lines import Line2D
+
+    lines = [
+        Line2D([], [], label=words(name), **look)
+        for (name, _, _), look in zip(cases, looks, strict=True)
+    ]
+    return [*lines, Line2D([], [], label="desired", **_DESIRED)]
+
+
+def _wide_panels(figure, axes: np.ndarray, panels: Sequence[str]) -> dict[str, Any]:
+    """One panel over all columns of a row each, with one time axis, told in the last."""
+    grid = axes[0, 0].get_gridspec()
+    places: dict[str, Any] = {}
+    for row, panel in enumerate(panels):
+        for ax in axes[row]:
+            ax.remove()
+        first = next(iter(places.values()), None)
+        places[panel] = figure.add_subplot(grid[row, :], sharex=first)
+    for panel in panels[:-1]:
+        places[panel].tick_params(labelbottom=False)
+    return places
+
+
+def _overlay(
+    ax, rig: Rig, cases: Sequence[Named], looks: Sequence[dict[str, Any]], word: str
+) -> None:
+    """A channel of every controller, and what was desired."""
+    name = f"{cases[0][1].cylinder}.{word}"
+    for (_, _, record), look in zip(cases, looks, strict=True):
+        plot_channel(ax, rig, record, name, **look)
+    if f"{name}_desired" in cases[0][2]:
+        plot_channel(ax, rig, cases[0][2], f"{name}_desired", zorder=1.5, **_DESIRED)
+    ax.set_title(axis(rig, word, title_of(word)))
+    ax.margins(y=0.06)
+
+
+def _commands_row(axes: Sequence[Any], rig: Rig, cases: Sequence[Named]) -> None:
+    """A panel of commands a controller, on one axis; one legend at the right."""
+    for index, (ax, (name, _, record)) in enumerate(zip(axes, cases, strict=True)):
+        cylinder = cases[0][1].cylinder
+        plot_commands(ax, rig, record, cylinder)
+        shade_saturation(ax, record, cylinder)
+        ax.set_title(words(name), fontsize=8.5)
+        ax.set_xlabel("time [s]")
+        if index:
+            ax.sharey(axes[0])
+            ax.tick_params(labelleft=False)
+    axes[0].set_ylabel(axis(rig, "command", "commands"))
+    labelled = {
+        label: handle
+        for ax in axes
+        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)
+    }
+    if labelled:
+        where = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5), "handlelength": 1.8}
+        axes[-1].legend(labelled.values(), labelled.keys(), **where)
+
+
+def _errors(ax, rig: Rig, cases: Sequence[Named], looks: Sequence[dict[str, Any]]) -> None:
+    """Tracking errors; where they are far apart the largest of each WINDOW on a logarithmic
+    axis.
+    """
+    errors = [(record.t, tracking_error(rig, record, case.cylinder)) for _, case, record in cases]
+    largest = [float(np.abs(error).max()) for _, error in errors]
+    if max(largest) > FAR_APART * max(min(largest), 1e-12):
+        title = f"Tracking error, largest in every {number(WINDOW)} s"
+        for (t, error), look in zip(errors, looks, strict=True):
+            cut = np.arange(0, t.size, max(1, round(WINDOW / float(t[1] - t[0]))))
+            envelope = np.maximum.reduceat(np.abs(error), cut)
+            floor = np.maximum(envelope, 1e-3 * min(largest))
+            ax.semilogy(t[cut], floor, drawstyle="steps-post", **look)
+        ax.yaxis.set_major_formatter(lambda tick, _: number(tick))
+    else:
+        title = "Tracking error, actual minus desired"
+        for (t, error), look in zip(errors, looks, strict=True):
+            ax.plot(*thin(t, error), **look)
+        ax.axhline(0.0, color=MUTED, linewidth=0.7)
+    ax.set_title(axis(rig, "x", title))
+
+
+def pump_energies(path: Path, rig: Rig, cases: Sequence[Case], names: Sequence[str]) -> None:
+    """A bar a trial: what it took from the pump."""
+    values = [float(shown(rig, "energy", case.row["energy"]["pump"])) for case in cases]
+    controllers = list(dict.fromkeys(case.row["controller"] for case in cases))
+    with canvas(path, size=(7.4, 0.3 * len(cases) + 0.9)) as (_, ax):
+        colours = [CYCLE[controllers.index(case.row["controller"]) % len(CYCLE)] for case in cases]
+        ax.barh(range(len(cases)), values, height=0.66, color=colours, zorder=2)
+        for place, value in enumerate(values):
+            ax.annotate(
+                number(value, 4),
+                (max(value, 0.0), place),
+                (4, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=8,
+            )
+        ax.set_yticks(range(len(cases)), [words(name) for name in names])
+        ax.set_ylim(len(cases) - 0.4, -0.6)
+        ax.set_xlim(min(0.0, *values), 1.12 * max(*values, 1e-12))
+        ax.grid(False, axis="y")
+        ax.set_xlabel(axis(rig, "energy", "energy from the pump"))

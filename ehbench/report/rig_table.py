@@ -1,0 +1,81 @@
+"""Every parameter of a rig as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ehbench.fields import Value
+from ehbench.report.blocks import Block, Bullets, Cell, Grid
+from ehbench.report.captions import plus
+from ehbench.report.content import num
+from ehbench.report.words import number, pretty, row_of, shown, unit_of
+from ehbench.rig import Rig, Slide
+
+
+def rig_table(rig: Rig) -> list[Block]:
+    """Every parameter of a rig, with value, unit, how sure it is, and source; the notes on its
+    valve dynamics before.
+    """
+    groups: dict[str, list[list[Cell | str]]] = {}
+    for name, value in _values(rig):
+        groups.setdefault(name.rpartition(".")[0], []).append(_value_row(rig, name, value))
+    rows = [[group, *row] for group, members in groups.items() for row in members]
+    notes = [f"{name}: {dynamics.note}" for name, dynamics in rig.dynamics.items() if dynamics.note]
+    head = ["of", "parameter", "value", "unit", "how sure", "source"]
+    return [*([Bullets(notes)] if notes else []), Grid(head, rows)]
+
+
+def _vectors(rig: Rig) -> dict[str, Value]:
+    """Centres of mass, inertias, and what payloads change."""
+    bodies = [rig.mechanism] if isinstance(rig.mechanism, Slide) else rig.mechanism.joint
+    vectors: dict[str, Value] = {
+        f"{body.name}.{key}": getattr(body, key)
+        for body in bodies
+        for key in ("com", "inertia")
+        if hasattr(body, key)
+    }
+    for load, links in rig.payload.items():
+        for link, change in links.items():
+            for key in ("mass", "com", "inertia"):
+                if getattr(change, key) is not None:
+                    vectors[f"payload {load}: {link}.{key}"] = getattr(change, key)
+    return vectors
+
+
+def _values(rig: Rig) -> Iterator[tuple[str, Value]]:
+    """(name, value) of all scalars, then of all vectors and payloads, in the order of the rig's own
+    parts.
+    """
+    vectors = _vectors(rig)
+    heads = {name.rpartition(".")[0] for name in rig.parameters()}
+    seen = set()
+    for name, value in rig.parameters().items():
+        yield name, value
+        head = name.rpartition(".")[0]
+        if head not in seen:
+            seen.add(head)
+            for other, vector in vectors.items():
+                if other.rpartition(".")[0] == head:
+                    yield other, vector
+    for name, value in vectors.items():
+        if name.rpartition(".")[0] not in heads:
+            yield name, value
+
+
+def _value_row(rig: Rig, name: str, value: Value) -> list[Cell | str]:
+    if isinstance(value.value, tuple):
+        text = "(" + ", ".join(number(float(shown(rig, name, v)), 5) for v in value.value) + ")"
+    else:
+        text = (
+            plus(rig, name, value.value, value.std)
+            if value.std
+            else number(float(shown(rig, name, value.value)), 6)
+        )
+    source = value.source.removeprefix(value.sure).lstrip(":, ")
+    return [
+        Cell(name.rsplit(".", 1)[-1], "code", hint=row_of(name).meaning),
+        text if isinstance(value.value, tuple) else num(text),
+        pretty(unit_of(rig, name)),
+        value.sure,
+        source,
+    ]

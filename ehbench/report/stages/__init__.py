@@ -1,0 +1,45 @@
+"""What the report knows of each kind of run, by the ``what`` of its ``run.json``.
+
+A new section is one file here and one line in ``SECTIONS``; the order is that of the page."""
+
+from __future__ import annotations
+
+from ehbench.report.blocks import Cell, Grid, Part
+from ehbench.report.content import Pictures, SectionContent, StageReport
+from ehbench.report.index import FigureIndex, FigureKey
+from ehbench.report.saved import Saved
+from ehbench.report.stages import flow_maps, hydraulics, trial, trials, tuning, validation
+from ehbench.report.words import count, words
+
+SECTIONS: dict[str, StageReport] = {
+    "flow_map": flow_maps.REPORT,
+    "hydraulics": hydraulics.REPORT,
+    "validation": validation.REPORT,
+    "tuning": tuning.REPORT,
+    "trial": trial.REPORT,
+    "trials": trials.REPORT,
+}
+
+
+def report_of(run: Saved) -> StageReport:
+    """How a run is drawn and told; one of a kind this version does not know by its files alone."""
+    unknown = StageReport(words(run.stage), _files_section, _draw_nothing)
+    return SECTIONS.get(run.what, unknown)
+
+
+def place_of(run: Saved) -> int:
+    """The place of a run on the page; unknown kinds come last."""
+    kinds = [*SECTIONS]
+    return kinds.index(run.what) if run.what in SECTIONS else len(kinds)
+
+
+def _files_section(run: Saved, pictures: Pictures) -> SectionContent:
+    """Its figures and its files."""
+    figures = pictures(FigureKey())
+    files = [[Cell(name, "code")] for name in run.facts.get("outputs", {})]
+    parts = [Part("Results", [*figures, Grid(["file"], files)])]
+    return SectionContent("done", f"{count(len(files), 'file')}.", parts)
+
+
+def _draw_nothing(run: Saved, index: FigureIndex) -> None:
+    """No figures, an empty index."""

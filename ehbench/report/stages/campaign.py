@@ -1,0 +1,65 @@
+"""What a campaign adds to the page: title, note, sections of text, and titles of figures and
+tables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ehbench.errors import InputError
+from ehbench.recipe import Campaign
+from ehbench.report.blocks import Block, Section, prose, slug
+from ehbench.report.saved import Saved
+from ehbench.report.words import words
+
+
+class Titles:
+    """Titles that a campaign gives to figures and tables by their keys, ``key`` or ``run/key``;
+    remembers which keys there were.
+    """
+
+    def __init__(self, campaign: Campaign | None) -> None:
+        self._campaign = campaign
+        self._given = dict(campaign.figures) if campaign else {}
+        self._keys: set[str] = set()
+
+    def of(self, run: Saved, key: str) -> str | None:
+        """The campaign's title of a figure or table; None where it gives none."""
+        names = (f"{run.name}/{key}", key)
+        self._keys.update(names)
+        return next((self._given[name] for name in names if name in self._given), None)
+
+    def refuse_unused(self) -> None:
+        """See that every title found its figure.
+
+        Raises:
+            InputError: one did not; names the nearest key.
+        """
+        for key in self._given:
+            if key not in self._keys:
+                from difflib import get_close_matches
+
+                near = get_close_matches(key, self._keys, 1, 0.3)
+                place = self._campaign.at("figures", key) if self._campaign else {}
+                raise InputError(
+                    f"'figures' names '{key}', which no run of the report has",
+                    hint=f"nearest is '{near[0]}'" if near else None,
+                    **place,
+                )
+
+
+def heading(campaign: Campaign | None) -> tuple[str, Sequence[Block]]:
+    """(title, note) of the page."""
+    if campaign is None:
+        return "Report", []
+    title = campaign.title or words(campaign.name).capitalize()
+    return title, prose(campaign.note)
+
+
+def campaign_sections(campaign: Campaign | None) -> list[Section]:
+    """The campaign's own sections, which stand before those of the runs."""
+    written = campaign.section if campaign else []
+    return [
+        Section(one.title, prose(one.text), f"section-{i}-{slug(one.title)}")
+        for i, one in enumerate(written, 1)
+    ]

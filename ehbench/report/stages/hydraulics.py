@@ -1,0 +1,176 @@
+"""Identification of hydraulic parameters: values with intervals, correlation, what was matched,
+and the fit to each log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ehbench.fields import Value
+from ehbench.report.blocks import Block, Bullets, Cell, Grid, Heat, Part
+from ehbench.report.captions import plus, range_of
+from ehbench.report.comparisons import draw_comparisons, log_cell, ringing_table
+from ehbench.report.content import Pictures, SectionContent, StageReport, chip, folded, num
+from ehbench.report.figures import hydraulics as figures
+from ehbench.report.figures.channels import title_of
+from ehbench.report.index import FigureIndex, FigureKey
+from ehbench.report.saved import Saved, Table
+from ehbench.report.words import axis, count, number, pretty, row_of, shown, unit_of, words
+from ehbench.rig import Rig
+from ehbench.terms import CORRELATED
+
+_METHODS = {"thesis": "matching frequency and decay"}
+_PARAMETERS_CAPTION = (
+    "Dot and bar: value and 95 % interval. Grey: the bounds of the search. "
+    "Hollow: where the search started."
+)
+
+
+def draw(run: Saved, index: FigureIndex) -> None:
+    """The parameters within their bounds, then each log recorded and simulated."""
+    fit = run.json("parameters.json")
+    parameters = [one for one in fit["parameters"] if one.number("value") is not None]
+    if parameters:
+        title, about = "Parameters within their bounds", FigureKey("parameters")
+        path = index.add("parameters", title, _PARAMETERS_CAPTION, about)
+        figures.parameters(path, run.rig, parameters)
+    for log in fit["logs"]:
+        draw_comparisons(run, index, log["name"], "fit", "Fitted to")
+
+
+def section(run: Saved, pictures: Pictures) -> SectionContent:
+    """Parameters with intervals, correlation, what was matched, and the fit to each log."""
+    rig, fit = run.rig, run.json("parameters.json")
+    table = _parameters_table(rig, fit["parameters"])
+    parts = [Part("Parameters", [table, *pictures(FigureKey("parameters"))])]
+    names, matrix = fit.get("correlated_names", []), fit.get("correlation", [])
+    if len(names) > 1:
+        parts.append(Part("Correlation of the estimates", _correlation(names, matrix)))
+    if matches := fit.get("matches", []):
+        caption = "Ringing of recorded and simulated transients over the same window."
+        parts.append(Part("What was matched", [ringing_table(rig, matches, caption, True)]))
+    drawn = folded(pictures(FigureKey("fit")), "recorded and simulated")
+    parts.append(Part("Fit to each log", [*_log_fits(rig, fit["logs"]), *drawn]))
+    if variants := fit.get("dynamics_comparison", []):
+        parts.append(Part("Valve dynamics compared", [_dynamics(rig, variants)]))
+    weak = any(one["status"] != "estimated" for one in fit["parameters"])
+    return SectionContent("partly_estimated" if weak else "done", _sentence(rig, fit), parts)
+
+
+def _sentence(rig: Rig, fit: Table) -> str:
+    parameters = fit["parameters"]
+    weak = [one for one in parameters if one["status"] != "estimated"]
+    first = next((one for one in parameters if one not in weak), parameters[0])
+    name = first["name"]
+    value = plus(rig, name, first.number("value"), first.number("std"))
+    method = _METHODS.get(fit["method"], words(fit["method"]))
+    sentence = (
+        f"{count(len(parameters), 'parameter')} from {count(len(fit['logs']), 'log')} "
+        f"by {method}: {words(name)} " + f"{value} {pretty(unit_of(rig, name))}".strip()
+    )
+    if weak:
+        sentence += "; not simply estimated: " + ", ".join(
+            f"{one['name']} ({words(one['status'])})" for one in weak
+        )
+    return sentence + "."
+
+
+def _parameters_table(rig: Rig, parameters: Sequence[Table]) -> Grid:
+    head = [
+        "parameter",
+        "value",
+        "unit",
+        "95 % interval",
+        "bounds",
+        "start",
+        "status",
+        "how sure",
+        "samples",
+        "error from",
+    ]
+    known = rig.parameters()
+    rows = [_parameter_row(rig, one, known.get(one["name"])) for one in parameters]
+    note = "± is one standard error, corrected for residuals that are not white."
+    return Grid(head, rows, note)
+
+
+def _parameter_row(rig: Rig, one: Table, value: Value | None) -> list[Cell | str]:
+    name = one["name"]
+    low, high = (plus(rig, name, one.number(key), None) for key in ("lower", "upper"))
+    return [
+        Cell(name, "code", hint=row_of(name).meaning),
+        num(plus(rig, name, one.number("value"), one.number("std"))),
+        pretty(unit_of(rig, name)),
+        num(range_of(rig, name, one.get("interval"))),
+        num(f"{low} … {high}"),
+        num(plus(rig, name, one.number("start"), None)),
+        chip(one["status"]),
+        value.sure if value is not None else "–",
+        num(str(one["samples"])),
+        words(one.get("error_from") or "–"),
+    ]
+
+
+def _correlation(names: Sequence[str], matrix: Sequence[Sequence[float | None]]) -> list[Block]:
+    """Strongly correlated pairs in words, then the matrix."""
+    strong = []
+    for a, row in enumerate(matrix[: len(names)]):
+        for b, value in enumerate(row[:a]):
+            if value is not None and abs(value) > CORRELATED:
+                strong.append(
+                    f"{names[b]} and {names[a]} correlate by {number(value, 3)}: "
+                    "the logs tell them only together."
+                )
+    return [*([Bullets(strong, "warn")] if strong else []), Heat(names, matrix)]
+
+
+def _log_fits(rig: Rig, logs: Sequence[Table]) -> list[Block]:
+    fitted = list(
+        dict.fromkeys(channel.rsplit(".", 1)[1] for log in logs for channel in log["fit_percent"])
+    )
+    head = [
+        "log",
+        "payload",
+        "cylinder",
+        *(f"{title_of(word).lower()} [%]" for word in fitted),
+        *(axis(rig, word, f"rms error, {title_of(word).lower()}") for word in fitted),
+    ]
+    rows = [
+        _log_fit_row(rig, log, cylinder, fitted)
+        for log in logs
+        for cylinder in dict.fromkeys(channel.rpartition(".")[0] for channel in log["fit_percent"])
+    ]
+    note = "Fit: 100 % is exact, 0 % no better than the mean of the recording."
+    return [Grid(head, rows, note)] if rows else []
+
+
+def _log_fit_row(rig: Rig, log: Table, cylinder: str, fitted: Sequence[str]) -> list[Cell | str]:
+    cells: list[Cell | str] = [log_cell(log), log.get("payload", "none"), cylinder]
+    errors = log["residual_rms"] if log.get("residual_rms") else {}
+    names = [f"{cylinder}.{word}" for word in fitted]
+    cells += [num(number(log["fit_percent"].get(name), 3)) for name in names]
+    for name in names:
+        error = errors.get(name)
+        cells.append(num(number(None if error is None else float(shown(rig, name, error)), 3)))
+    return cells
+
+
+def _dynamics(rig: Rig, variants: Sequence[Table]) -> Grid:
+    fits = [
+        {one["name"]: one for one in variant["fit"]["parameters"]} if variant.get("fit") else {}
+        for variant in variants
+    ]
+    errors = [num(number(variant["relative_rms"], 4)) for variant in variants]
+    rows: list[list[Cell | str]] = [["error relative to the best", *errors]]
+    for name in dict.fromkeys(name for fitted in fits for name in fitted):
+        cells = [_fitted_cell(rig, name, fitted.get(name)) for fitted in fits]
+        rows.append([axis(rig, name, name), *cells])
+    note = "The same logs, fitted with each valve dynamics in turn."
+    return Grid(["", *(variant["dynamics"] for variant in variants)], rows, note)
+
+
+def _fitted_cell(rig: Rig, name: str, one: Table | None) -> Cell:
+    return num("–" if one is None else plus(rig, name, one.number("value"), one.number("std")))
+
+
+REPORT = StageReport("identification", section, draw, standing=1)

@@ -1,0 +1,113 @@
+"""A set of trials: controllers compared, one table over all, energies, and each trial alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ehbench.report.blocks import Block, Bullets, Fold, Part, Text
+from ehbench.report.captions import load_name
+from ehbench.report.cases import Case, cases_of, groups_of, stem_of
+from ehbench.report.content import Pictures, SectionContent, StageReport, folded, stopped_status
+from ehbench.report.energy_tables import saving_blocks
+from ehbench.report.figures import trials as figures
+from ehbench.report.figures.energy_bars import bars
+from ehbench.report.index import FigureIndex, FigureKey
+from ehbench.report.saved import Saved
+from ehbench.report.stages.trial import draw_case, draw_sankey
+from ehbench.report.trial_captions import compared_caption, energy_caption, trials_caption
+from ehbench.report.trial_tables import measure_tables, settings_blocks
+from ehbench.report.words import words
+from ehbench.rig import Rig
+
+
+def draw(run: Saved, index: FigureIndex) -> None:
+    """Every controller of a payload and motion in one, energies, then each trial alone."""
+    rig, cases = run.rig, cases_of(run)
+    for group in groups_of(cases).values():
+        if len(group) > 1:
+            _draw_comparison(rig, index, group)
+    for motion in dict.fromkeys(case.row["motion"] for case in cases):
+        _draw_energies(rig, index, motion, [c for c in cases if c.row["motion"] == motion])
+    for case in cases:
+        name = case.row["case"]
+        title = f"{name}, on the {case.row['on']}"
+        draw_case(run, index, case, case.record(), title)
+        about = FigureKey("sankey", case=name)
+        draw_sankey(index, case, f"sankey_{case.stem}", title, about)
+
+
+def _draw_comparison(rig: Rig, index: FigureIndex, cases: Sequence[Case]) -> None:
+    """All controllers on one motion with one payload."""
+    first = cases[0]
+    payload, motion = first.row["payload"], first.row["motion"]
+    path = index.add(
+        f"compare_{stem_of(load_name(payload))}_{stem_of(motion)}",
+        f"{words(first.cylinder).capitalize()}: {words(motion)}, {first.where}",
+        compared_caption(rig, cases),
+        FigureKey("compare", payload=payload, motion=motion),
+    )
+    figures.compare(path, rig, [(case.row["controller"], case, case.record()) for case in cases])
+
+
+def _draw_energies(rig: Rig, index: FigureIndex, motion: str, cases: Sequence[Case]) -> None:
+    """The bars of one motion: from the ledgers where all trials have one, else the pump's energy
+    alone.
+    """
+    names = [f"{case.row['controller']}, {load_name(case.row['payload'])}" for case in cases]
+    title = f"Energy: {words(motion)}, on the {cases[0].row['on']}"
+    about = FigureKey("energy", motion=motion)
+    path = index.add(f"energy_{stem_of(motion)}", title, energy_caption(rig, cases), about)
+    ledgers = [ledger for case in cases if (ledger := case.energy()) is not None]
+    if len(ledgers) == len(cases):
+        limits = [[one for one in ledger.get("bounds", []) if one["closed"]] for ledger in ledgers]
+        bars(path, list(zip(names, ledgers, strict=True)), limits if any(limits) else None)
+    else:
+        figures.pump_energies(path, rig, cases, names)
+
+
+def section(run: Saved, pictures: Pictures) -> SectionContent:
+    """A set of trials: controllers compared, one table over all, energies, and each trial folded
+    away.
+    """
+    rig, cases = run.rig, cases_of(run)
+    stopped = [case for case in cases if case.row.get("stopped")]
+    first: list[Block] = []
+    if stopped:
+        reasons = [f"{case.row['case']}: {case.row['stopped']}" for case in stopped]
+        first = [Text("Stopped by a limit:", "bad"), Bullets(reasons)]
+    parts = [
+        Part("Compared", [*first, *pictures(FigureKey("compare"))]),
+        Part("Measures", measure_tables(rig, cases)),
+        Part("Energy", _energy_blocks(rig, cases, pictures)),
+        Part("Each trial", _each_trial(cases, pictures)),
+        Part("Settings", settings_blocks(rig, cases)),
+    ]
+    return SectionContent(stopped_status(stopped), trials_caption(rig, cases), parts)
+
+
+def _energy_blocks(rig: Rig, cases: Sequence[Case], pictures: Pictures) -> list[Block]:
+    return [
+        *saving_blocks(rig, cases),
+        *pictures(FigureKey("energy")),
+        *folded(pictures(FigureKey("sankey")), "where the energy of each trial went"),
+    ]
+
+
+def _each_trial(cases: Sequence[Case], pictures: Pictures) -> list[Block]:
+    """Trials that a campaign names stand open, the others are folded."""
+    open_ones: list[Block] = []
+    folds: list[Block] = []
+    for case in cases:
+        name = case.row["case"]
+        drawn = [
+            *pictures(FigureKey("trial", case=name)),
+            *pictures(FigureKey("estimates", case=name)),
+        ]
+        if any(picture.named for picture in drawn):
+            open_ones += drawn
+        else:
+            folds.append(Fold(f"{name}, on the {case.row['on']}", drawn))
+    return [*open_ones, *folds]
+
+
+REPORT = StageReport("trials", section, draw)

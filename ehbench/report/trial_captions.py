@@ -1,0 +1,250 @@
+"""Trials under a controller in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from ehbench.record import Record
+from ehbench.report.captions import capital, load_name, measure, percent, sentence, span
+from ehbench.report.cases import SLOW, Case, damping, true_payload
+from ehbench.report.saved import Table
+from ehbench.report.words import count, number, pretty, shown, unit_of, words
+from ehbench.rig import Rig
+
+# channels of what an adaptive law has learnt, in the order of the figure
+ESTIMATES = ("payload_estimate", "inverse_inertia", "disturbance", "inverse_bulk")
+ROUNDING = 1e-9  # share of its bounds by which a logged estimate may lie outside
+
+
+def step_caption(rig: Rig, one: Table) -> str:
+    """What came of a step, with what could not be read off."""
+    share = f" ({percent(one['share'], 3)})" if one.get("share") is not None else ""
+    asked = f"asked for {measure(rig, 'v', one['speed'])}{share}"
+    steady = f"steady at {measure(rig, 'v', one['steady_speed'])} ({percent(one['steady_error'])})"
+    ringing = _damping_caption(one)
+    if one.get("natural_frequency") is not None:
+        ringing += f" at {measure(rig, 'natural_frequency', one['natural_frequency'], 2)}"
+    overshoot = _overshoot_caption(one, "overshoot not to be told")
+    return ", ".join([asked, steady, overshoot, _settling_caption(one), ringing])
+
+
+def _overshoot_caption(one: Table, unknown: str) -> str:
+    return unknown if one.get("overshoot") is None else f"overshoot {percent(one['overshoot'])}"
+
+
+def _settling_caption(one: Table) -> str:
+    if one.get("settling_time") is None:
+        return "not settled"
+    return f"settled after {number(one['settling_time'], 2)} s"
+
+
+def tracking_caption(rig: Rig, row: Table) -> str:
+    """How well a motion was tracked."""
+    largest, rms, final = (
+        measure(rig, "x", row["tracking"][key]) for key in ("max_error", "rms_error", "final_error")
+    )
+    return f"largest error {largest}, rms {rms}, at the end {final}"
+
+
+def limits_caption(row: Table) -> str:
+    """Share of the time that edges were at each limit; nothing where they never were."""
+    met = {name: share for name, share in row.get("limits", {}).items() if share > 0.0}
+    shares = [f"{words(name)} {percent(share)} of the time" for name, share in met.items()]
+    return "; at a limit: " + ", ".join(shares) if shares else ""
+
+
+def case_caption(rig: Rig, case: Case) -> str:
+    """What one trial came to."""
+    row = case.row
+    steps = "; ".join(step_caption(rig, one) for one in case.steps)
+    text = (
+        f"{load_name(row['payload'])}, {words(row['controller'])}, on the {row['on']}: "
+        f"{steps or tracking_caption(rig, row)}"
+        f"; the pump gave {measure(rig, 'energy', row['energy']['pump'], 4)}"
+    )
+    stopped = f". Stopped: {row['stopped']}" if row.get("stopped") else ""
+    return sentence(text + limits_caption(row) + stopped)
+
+
+def compared_caption(rig: Rig, cases: Sequence[Case]) -> str:
+    """What each controller came to on one motion."""
+    sentences = []
+    for case in cases:
+        text = "; ".join(_step_in_short(one) for one in case.steps)
+        stopped = ", stopped by a limit" if case.row.get("stopped") else ""
+        result = text or tracking_caption(rig, case.row)
+        sentences.append(capital(f"{words(case.row['controller'])}: {result}{stopped}"))
+    return sentence(". ".join(sentences)) + _best(cases)
+
+
+def _step_in_short(one: Table) -> str:
+    overshoot = _overshoot_caption(one, "no overshoot to be told")
+    steady = f"steady error {percent(one['steady_error'])}"
+    return f"{overshoot}, {steady}, {_settling_caption(one)}, {_damping_caption(one)}"
+
+
+def _damping_caption(one: Table) -> str:
+    ratio, doubt = damping(one)
+    if ratio is None:
+        return "no damping ratio" + (f": {doubt}" if doubt else "")
+    if doubt:
+        return f"damping ratio about {number(ratio, 2)} ({doubt})"
+    return f"damping ratio {number(ratio, 2)}"
+
+
+def _best(cases: Sequence[Case]) -> str:
+    """Which controller does best and which worst by one number, where they differ; one that was
+    stopped is no match.
+    """
+    results = []
+    for case in cases:
+        values = [one.get("overshoot") for one in case.steps] or [case.row["tracking"]["max_error"]]
+        if None not in values and case.fit:
+            results.append((max(values), case.row["controller"]))
+    if len(results) < 2 or min(results)[0] == max(results)[0]:
+        return ""
+    (low, best), (high, worst) = min(results), max(results)
+    what = "overshoot" if cases[0].steps else "largest error"
+    times = f", {number(high / low, 3)} times as much" if low > 0.0 else ""
+    return f" Best by {what}: {words(best)}; worst: {words(worst)}{times}."
+
+
+def energy_caption(rig: Rig, cases: Sequence[Case]) -> str:
+    """For each payload, who takes least and most from the pump, and how far from where it should be
+    it ended.
+    """
+    sentences = []
+    for payload in dict.fromkeys(case.row["payload"] for case in cases):
+        fit = [case for case in cases if case.row["payload"] == payload and case.fit]
+        fit.sort(key=lambda case: case.row["energy"]["pump"])
+        if fit:
+            sentences.append(capital(_least_and_most(rig, payload, fit[0], fit[-1])))
+    if any(case.row.get("stopped") for case in cases):
+        sentences.append("Trials that a limit stopped are left out")
+    slow = dict.fromkeys(
+        words(case.row["controller"])
+        for case in cases
+        if not case.fit and not case.row.get("stopped")
+    )
+    if slow:
+        names = ", ".join(slow)
+        sentences.append(f"Left out, more than {percent(SLOW)} off the speed asked: {names}")
+    sources = dict.fromkeys(case.row["energy"]["source"] for case in cases)
+    return ". ".join([*sentences, f"Source: {'; '.join(sources)}"]) + "."
+
+
+def _least_and_most(rig: Rig, payload: str, least: Case, most: Case) -> str:
+    low, high = (case.row["energy"]["pump"] for case in (least, most))
+    text = f"least from the pump, {load_name(payload)}: {_energy_of(rig, least)}"
+    if high > low:
+        text += f"; {percent(1.0 - low / high)} less than the most, {_energy_of(rig, most)}"
+    return text
+
+
+def _energy_of(rig: Rig, case: Case) -> str:
+    off = measure(rig, "x", case.row["tracking"]["final_error"], 2)
+    energy = measure(rig, "energy", case.row["energy"]["pump"], 4)
+    return f"{words(case.row['controller'])}, {energy} (ended {off} from the desired stroke)"
+
+
+def estimates_caption(rig: Rig, case: Case, record: Record) -> str:
+    """Where the estimates ended, beside what they should be where that is known."""
+    ends = {
+        word: float(record[name][-1])
+        for word in ESTIMATES
+        if (name := f"{case.cylinder}.{word}") in record
+    }
+    told = ", ".join(f"{words(word)} {measure(rig, word, end)}" for word, end in ends.items())
+    text = f"At the end: {told}"
+    truth = true_payload(rig, case.row["payload"])
+    if truth is not None and "payload_estimate" in ends:
+        off = measure(rig, "mass", abs(ends["payload_estimate"] - truth))
+        text += (
+            f". The payload has the moment of {measure(rig, 'mass', truth)} "
+            f"at the end of the last link. The estimate ends {off} from it"
+        )
+    return text + _bounds_caption(case, record) + "."
+
+
+def _bounds_caption(case: Case, record: Record) -> str:
+    """Whether the estimates kept to their bounds, and which ended at one."""
+    bounds, outside, at_end = case.row.get("estimate_bounds", {}), [], []
+    known = [word for word in ESTIMATES if word in bounds and f"{case.cylinder}.{word}" in record]
+    for word in known:
+        values, (low, high) = record[f"{case.cylinder}.{word}"], bounds[word]
+        room = ROUNDING * (high - low)
+        if values.min() < low - room or values.max() > high + room:
+            outside.append(words(word))
+        elif values[-1] <= low + room or values[-1] >= high - room:
+            at_end.append(words(word))
+    if not known:
+        return ""
+    text = ". All estimates stay within their bounds"
+    if outside:
+        text = f". Not within its bounds all the time: {', '.join(outside)}"
+    return text + (f"; at its bound in the end: {', '.join(at_end)}" if at_end else "")
+
+
+def sankey_caption(ledger: Table) -> str:
+    """How far a ledger closes."""
+    share = ledger.get("residual_share")
+    from_model = ledger["source"] == "model"
+    source = "the model's own flows" if from_model else "measured channels and the rig file's maps"
+    rest = "" if share is None else f"; {percent(share)} of the pump's energy is not accounted for"
+    return f"From {source}{rest}."
+
+
+def trials_caption(rig: Rig, cases: Sequence[Case]) -> str:
+    """Counts, then for each controller how it did over all payloads and motions."""
+    if not cases:
+        return "No trial."
+    machines = ", ".join(dict.fromkeys(case.row["on"] for case in cases))
+    payloads = count(len({case.row["payload"] for case in cases}), "payload")
+    motions = count(len({case.row["motion"] for case in cases}), "motion")
+    sentences = list(_by_controller(rig, cases))
+    lead = f"{count(len(cases), 'trial')} on the {machines}: {payloads}, {motions}. "
+    return lead + ". ".join(sentences) + "."
+
+
+def _by_controller(rig: Rig, cases: Sequence[Case]) -> Iterator[str]:
+    for controller in dict.fromkeys(case.row["controller"] for case in cases):
+        own = [case for case in cases if case.row["controller"] == controller]
+        steps = [one for case in own for one in case.steps]
+        if steps:
+            text = _steps_in_all(steps)
+        elif len(own) == 1:
+            text = tracking_caption(rig, own[0].row)
+        else:
+            text = _motions_in_all(rig, own)
+        yield f"{capital(words(controller))}: {text}"
+
+
+def _steps_in_all(steps: Sequence[Table]) -> str:
+    """Spans of steady error, overshoot and damping ratio over some steps."""
+    overshoots = [100.0 * one["overshoot"] for one in steps if one.get("overshoot") is not None]
+    overshoot = "no overshoot to read"
+    if overshoots:
+        overshoot = f"overshoot {span(overshoots, 2)} %{_of(overshoots, steps)}"
+    ringing = [(ratio, doubt) for one in steps for ratio, doubt in [damping(one)]]
+    clear = [ratio for ratio, doubt in ringing if ratio is not None and not doubt]
+    rough = [ratio for ratio, doubt in ringing if ratio is not None and doubt]
+    ratios = [f"{span(clear, 2)}{_of(clear, steps)}"] if clear else []
+    if rough:
+        ratios.append(f"about {span(rough, 2)} where it hardly rings{_of(rough, steps)}")
+    damped = f"damping ratio {', '.join(ratios)}" if ratios else "no damping ratio to read"
+    steady = f"steady error {span([100.0 * one['steady_error'] for one in steps], 2)} %"
+    return f"{steady}, {overshoot}, {damped}"
+
+
+def _of(some: Sequence[float], steps: Sequence[Table]) -> str:
+    """How many of the steps a range is of, where not of all."""
+    return f" ({len(some)} of {len(steps)})" if len(some) < len(steps) else ""
+
+
+def _motions_in_all(rig: Rig, cases: Sequence[Case]) -> str:
+    most = span([float(shown(rig, "x", case.row["tracking"]["max_error"])) for case in cases])
+    energy = span([float(shown(rig, "energy", case.row["energy"]["pump"])) for case in cases], 4)
+    return (
+        f"largest error {most} {pretty(unit_of(rig, 'x'))}, "
+        f"{energy} {pretty(unit_of(rig, 'energy'))} from the pump"
+    )

@@ -1,0 +1,252 @@
+"""Tables of trials under a controller: steps of speed, tracking with energy, limits met,
+settings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ehbench.report.blocks import Block, Cell, Fold, Grid
+from ehbench.report.captions import load_name, span
+from ehbench.report.cases import Case, damping, groups_of
+from ehbench.report.content import chip, num, quantity_cell
+from ehbench.report.saved import Table
+from ehbench.report.words import DASH, axis, number, pretty, row_of, shown, unit_of, words
+from ehbench.rig import Rig
+
+STANDS = 1e-3  # share of the speed asked that counts as standing still
+
+
+def measure_tables(rig: Rig, cases: Sequence[Case]) -> list[Block]:
+    """Steps of speed, tracking with energy, and limits met; each only where it has rows."""
+    tables: list[Block] = []
+    if any(case.steps for case in cases):
+        tables.append(_steps(rig, cases))
+    tables.append(_tracking(rig, cases))
+    if limits := _limits(cases):
+        tables.append(limits)
+    return tables
+
+
+def who(case: Case) -> list[Cell | str]:
+    """The cells that say which trial a row is of."""
+    return [
+        load_name(case.row["payload"]),
+        words(case.row["motion"]) or DASH,
+        words(case.row["controller"]),
+    ]
+
+
+WHO = ("payload", "motion", "controller")
+
+
+def _ordered(cases: Sequence[Case]) -> list[Case]:
+    return [case for group in groups_of(cases).values() for case in group]
+
+
+def _steps(rig: Rig, cases: Sequence[Case]) -> Grid:
+    steps = [(case, one) for case in _ordered(cases) for one in case.steps]
+    doubts = list(dict.fromkeys(doubt for _, one in steps if (doubt := damping(one)[1])))
+    head = [
+        *WHO,
+        axis(rig, "v", "asked"),
+        axis(rig, "v", "steady"),
+        "steady error [%]",
+        "overshoot [%]",
+        axis(rig, "t", "settling time"),
+        axis(rig, "v", "rms error"),
+        "damping ratio",
+        axis(rig, "natural_frequency", "ωₙ"),
+        axis(rig, "energy", "pump energy of the trial"),
+    ]
+    note = (
+        "Overshoot beyond the steady speed; settled within 5 %; "
+        "damping ratio and ωₙ from the decay."
+    )
+    if doubts:
+        reasons = "; ".join(f"({i}) {doubt}" for i, doubt in enumerate(doubts, 1))
+        note += f" No damping ratio, or a rough one: {reasons}."
+    rows = [_step_row(rig, case, one, doubts) for case, one in steps]
+    return Grid(head, rows, note, "steps", "Steps of speed.")
+
+
+def _step_row(rig: Rig, case: Case, one: Table, doubts: Sequence[str]) -> list[Cell | str]:
+    stands = abs(1.0 + one["steady_error"]) <= STANDS
+    overshoot, settled = one.get("overshoot"), one.get("settling_time")
+    ratio, doubt = damping(one)
+    mark = f" ({doubts.index(doubt) + 1})" if doubt else ""
+    return [
+        *who(case),
+        quantity_cell(rig, "v", one["speed"], 3),
+        quantity_cell(rig, "v", 0.0 if stands else one["steady_speed"], 3),
+        num(number(100.0 * one["steady_error"], 2)),
+        num(number(None if overshoot is None else 100.0 * overshoot, 2)),
+        quantity_cell(rig, "t", settled, 2) if settled is not None else "not settled",
+        quantity_cell(rig, "v", one["rms_error"], 3),
+        num(number(ratio, 2) + mark),
+        quantity_cell(rig, "natural_frequency", one.get("natural_frequency"), 2),
+        quantity_cell(rig, "energy", case.row["energy"]["pump"]),
+    ]
+
+
+def _tracking(rig: Rig, cases: Sequence[Case]) -> Grid:
+    groups = groups_of(cases)
+    several = any(len(group) > 1 for group in groups.values())
+    head = [
+        *WHO,
+        axis(rig, "x", "largest error"),
+        axis(rig, "x", "rms error"),
+        axis(rig, "x", "final error"),
+        axis(rig, "v", "rms error of speed"),
+        axis(rig, "energy", "pump energy"),
+        *(["relative to the least"] if several else []),
+        axis(rig, "energy", "cylinder work"),
+        "",
+    ]
+    rows = [
+        _tracking_row(rig, case, group if several else [])
+        for group in groups.values()
+        for case in group
+    ]
+    sources = "; ".join(dict.fromkeys(case.row["energy"]["source"] for case in cases))
+    note = f"Stroke against the desired stroke. Pump energy: {sources}."
+    return Grid(head, rows, note, "tracking", "Tracking and energy.")
+
+
+def _tracking_row(rig: Rig, case: Case, rivals: Sequence[Case]) -> list[Cell | str]:
+    """A trial's row; its energy relative to the least of its rivals, itself among them, where there
+    are any.
+    """
+    track, pump = case.row["tracking"], case.row["energy"]["pump"]
+    relative = []
+    if rivals:
+        least = min((one.row["energy"]["pump"] for one in rivals if one.fit), default=0.0)
+        ratio = number(pump / least, 3) if case.fit and least > 0.0 else DASH
+        relative = [num(ratio)]
+    return [
+        *who(case),
+        *(quantity_cell(rig, "x", track[f"{key}_error"], 3) for key in ("max", "rms", "final")),
+        quantity_cell(rig, "v", case.row["speed_rms_error"], 3),
+        quantity_cell(rig, "energy", pump),
+        *relative,
+        quantity_cell(rig, "energy", case.row["energy"]["cylinder_work"]),
+        chip("stopped") if case.row.get("stopped") else "",
+    ]
+
+
+def _limits(cases: Sequence[Case]) -> Grid | None:
+    shares = [(case, case.row.get("limits", {})) for case in _ordered(cases)]
+    met = dict.fromkeys(
+        name for case in cases for name, share in case.row.get("limits", {}).items() if share > 0.0
+    )
+    if not met:
+        return None
+    rows = [
+        [*who(case), *(num(number(100.0 * limits.get(name, 0.0), 2)) for name in met)]
+        for case, limits in shares
+    ]
+    head = [*WHO, *(f"{words(name)} [%]" for name in met)]
+    note = "Share of the time with an edge at a limit."
+    return Grid(head, rows, note, "limits", "Limits met.")
+
+
+def settings_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
+    """Gains really used (thesis Tables B.3, C.1, C.3); motions and controllers as the recipe has
+    them (Table B.2).
+    """
+    if not cases:
+        return []
+    recipe = _recipe_of(cases[0])
+    blocks: list[Block] = []
+    if motions := _recipe_rows(recipe, "motion"):
+        blocks.append(_recipe_table(motions, "settings_motion", "Trajectories."))
+    gains = _by_controller(rig, cases, "gains")
+    if gains:
+        note = "As they were really used, defaults and what follows from them included."
+        blocks.append(Grid(*gains, note, "settings_controller", "Gains."))
+    if bounds := _by_controller(rig, cases, "estimate_bounds"):
+        note, title = "The estimates are projected onto these.", "Bounds of the estimates."
+        blocks.append(Grid(*bounds, note, "estimate_bounds", title))
+    if rules := _by_controller(rig, cases, "rules"):
+        blocks.append(Fold("Rules by which working functions are chosen", [Grid(*rules)]))
+    if controllers := _recipe_rows(recipe, "controller"):
+        if gains:
+            table = _recipe_table(controllers)
+            blocks.append(Fold("Controllers as the recipe has them", [table]))
+        else:
+            blocks.append(_recipe_table(controllers, "settings_controller", "Controllers."))
+    return blocks
+
+
+def _recipe_of(case: Case) -> dict[str, Any]:
+    """The recipe that a trial's log holds; empty where it holds none."""
+    import tomllib
+
+    text = case.record().attachments.get("recipe.toml")
+    return tomllib.loads(text.decode("utf-8")) if text else {}
+
+
+def _recipe_rows(recipe: Mapping[str, Any], key: str) -> list[list[Cell | str]]:
+    """The entries of a table or a list of tables, each under its name."""
+    entries = recipe.get(key, [])
+    rows: list[list[Cell | str]] = []
+    for entry in entries if isinstance(entries, list) else [entries]:
+        name = entry.get("name") or entry.get("kind") or entry.get("class", "")
+        rows.append([Cell(f"{key}: {name}", "name"), ""])
+        for field, value in entry.items():
+            if field != "name":
+                rows.append([Cell(field, "code"), Cell(_plain(value), "code")])
+    return rows
+
+
+def _recipe_table(rows: Sequence[Sequence[Cell | str]], key: str = "", title: str = "") -> Grid:
+    note = "What is not named has its default."
+    return Grid(["", "as the recipe has it"], rows, note, key, title)
+
+
+def _by_controller(
+    rig: Rig, cases: Sequence[Case], key: str
+) -> tuple[list[str], list[list[Cell | str]]] | None:
+    """(head, rows) of the numbers by name that trials hold under ``key``, a column a controller;
+    None where none has any.
+    """
+    tables: dict[str, list[Table]] = {}
+    for case in cases:
+        if len(case.row.get(key, {})):
+            tables.setdefault(case.row["controller"], []).append(case.row[key])
+    names = dict.fromkeys(name for own in tables.values() for table in own for name in table)
+    rows: list[list[Cell | str]] = []
+    for name in names:
+        of, _, word = name.rpartition(".")
+        row = row_of(name)
+        cells = [
+            _values(rig, name, [table[name] for table in own if name in table])
+            for own in tables.values()
+        ]
+        meaning = f"{words(of)}: {row.meaning}" if of else row.meaning
+        rows.append([Cell(row.symbol, "name"), meaning, *cells, pretty(unit_of(rig, word))])
+    return (["", "", *(words(name) for name in tables), "unit"], rows) if rows else None
+
+
+def _values(rig: Rig, name: str, values: Sequence[Any]) -> Cell:
+    """A number that a controller had in all trials, or from the least to the largest; a pair of
+    bounds as ``low … high``.
+    """
+    if not values:
+        return num(DASH)
+    lows, highs = zip(
+        *(value if isinstance(value, list) else (value, value) for value in values), strict=True
+    )
+    low, high = (span([float(shown(rig, name, one)) for one in ends]) for ends in (lows, highs))
+    return num(low if lows == highs else f"{low} … {high}")
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name} = {_plain(one)}" for name, one in value.items())
+    if isinstance(value, list):
+        return ", ".join(_plain(one) for one in value)
+    return (
+        {True: "yes", False: "no"}.get(value, str(value)) if isinstance(value, bool) else str(value)
+    )

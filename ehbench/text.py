@@ -1,0 +1,16 @@
+"""Text as files and messages take it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def quoted(text: str) -> str:
+    """A text as a cell of a CSV file: in quotes where it must be."""
+    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text
+
+
+def shortened(value: Any, most: int) -> str:
+    """A value as Python writes it, cut where it would take ``most`` characters."""
+    text = repr(value)
+    return text if len(text) < most else text[: most - 3] + "…"
