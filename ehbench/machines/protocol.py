@@ -1,4 +1,4 @@
-"""What a machine is to a trial: the one protocol of the model, of the virtual bench and of hardware.
+"""What a machine is to a trial: the one protocol of model, virtual bench and hardware.
 
 Once a tick a machine takes a command for each valve and gives a sample: ``[q, qd, x, v, p_head,
 p_rod]`` of each cylinder in the rig file's order, then ``p_supply, p_tank``, all SI. Nothing else
@@ -38,8 +38,10 @@ class Inputs(NamedTuple):
 
 
 class Machine(Protocol):
-    """A machine that a trial runs on. Making one moves nothing and reaches for nothing outside: that
-    begins with `start`, which may be called again and then begins anew.
+    """A machine that a trial runs on.
+
+    Making one moves nothing and reaches for nothing outside: that begins with `start`, which may be
+    called again and then begins anew.
 
     Attributes:
         name: what logs and reports call it.
@@ -103,7 +105,7 @@ class Truth(Protocol):
     width: int
 
     def read(self, command: np.ndarray, row: np.ndarray) -> None:
-        """Write what is true now, with ``command`` [V] about to act, into ``row``, shape (width,)."""
+        """Write what is true now, ``command`` [V] about to act, into ``row``, shape (width,)."""
         ...
 
     def channels(
