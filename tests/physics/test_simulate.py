@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.bench import radau_error, thesis_trial
+from ehbench.benchmark import radau_error, thesis_trial
 from ehbench.errors import InputError, LogError, SimulationError
 from ehbench.recipe import load_rig
 from ehbench.record import Record
