@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from ehbench.inspection import Inspection
     from ehbench.logs import read_log as read_log
     from ehbench.physics.flow_map import load_flow_maps as load_flow_maps
+    from ehbench.plant.model import simulate as simulate
     from ehbench.recipe import load_rig as load_rig
-    from ehbench.simulation import simulate as simulate
-    from ehbench.workflow import Outcome, Progress
+    from ehbench.workflow import Outcome, Progress, Session
 
 __all__ = [
     "check",
@@ -45,7 +45,7 @@ _HOME = {
     "load_flow_maps": "ehbench.physics.flow_map",
     "load_rig": "ehbench.recipe",
     "read_log": "ehbench.logs",
-    "simulate": "ehbench.simulation",
+    "simulate": "ehbench.plant.model",
 }
 
 
@@ -118,7 +118,7 @@ def identify(
         InputError: a bad recipe or bad data; says file, line and what would be right.
         InsufficientData: the data do not support the fit.
     """
-    return _run(recipe, ("identify",), out, progress)
+    return _run(recipe, "identify", out, progress)
 
 
 def validate(
@@ -139,7 +139,7 @@ def validate(
     Raises:
         InputError: a bad recipe or bad data; says file, line and what would be right.
     """
-    return _run(recipe, ("validate",), out, progress)
+    return _run(recipe, "validate", out, progress)
 
 
 def tune(
@@ -165,7 +165,7 @@ def tune(
         InputError: a bad recipe; says file, line and what would be right.
         ModelRejected: the rig is not validated.
     """
-    return _run(recipe, ("tune",), out, progress, unvalidated=unvalidated)
+    return _run(recipe, "tune", out, progress, unvalidated=unvalidated)
 
 
 def run_trial(
@@ -190,7 +190,7 @@ def run_trial(
     Raises:
         InputError: a bad recipe; says file, line and what would be right.
     """
-    return _run(recipe, ("trial", "trials"), out, progress, allow_code=allow_code)
+    return _run(recipe, "run-trial", out, progress, allow_code=allow_code)
 
 
 def report(
@@ -219,23 +219,34 @@ def report(
     from ehbench import workflow
 
     folders = [Path(run) if isinstance(run, str | Path) else run.folder for run in runs]
-    return workflow.report(folders, _desk(out, progress))
+    return workflow.report(folders, _session(out, progress))
 
 
-def _desk(out: str | Path | None, progress: Progress | None, **allowed: bool) -> Any:
+def _session(
+    out: str | Path | None,
+    progress: Progress | None,
+    *,
+    unvalidated: bool = False,
+    allow_code: bool = False,
+) -> Session:
     from ehbench import workflow
 
-    return workflow.Desk(out=None if out is None else Path(out), progress=progress, **allowed)
+    return workflow.Session(
+        out=None if out is None else Path(out),
+        progress=progress,
+        unvalidated=unvalidated,
+        allow_code=allow_code,
+    )
 
 
 def _run(
     recipe: str | Path,
-    stages: tuple[str, ...],
+    command: str,
     out: str | Path | None,
     progress: Progress | None,
     **allowed: bool,
 ) -> Outcome:
     from ehbench import workflow
 
-    workflow.expect_stage(Path(recipe), *stages)
-    return workflow.run(Path(recipe), _desk(out, progress, **allowed))
+    session = _session(out, progress, **allowed)
+    return workflow.run(workflow.expect_stage(recipe, command), session)

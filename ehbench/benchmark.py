@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ehbench.blas import one_thread
-from ehbench.plant import derivatives, workspace_size
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.model import Model, simulate
 from ehbench.recipe import load_recipe, load_rig
 from ehbench.rig import Rig, Value
-from ehbench.simulation import Model, simulate
 
 if TYPE_CHECKING:
     from ehbench.physics.flow_map import FlowMaps
@@ -86,7 +86,7 @@ def radau_error(
     log = model.run(start, table, tick)[:, : start.size]
     spans = np.ptp(log, axis=0)
     scale = np.maximum(spans, 1e-9)
-    work = np.empty(workspace_size(len(names.joints), len(names.cylinders), len(names.edges)))
+    work = np.empty(plant.at.work)
     changes = np.flatnonzero(np.any(np.diff(table, axis=0) != 0.0, axis=1)) + 1
     y, worst = start, np.zeros(start.size)
     for first, last in zip([0, *changes], [*changes, len(table) - 1], strict=True):
@@ -103,16 +103,9 @@ def radau_error(
         )
         worst = np.maximum(worst, np.abs(log[first : last + 1] - found.y.T).max(axis=0))
         y = found.y[:, -1]
-    labels = [f"{joint}.{kind}" for kind in ("q", "qd") for joint in names.joints]
-    labels += [f"{cylinder}.{kind}" for cylinder in names.cylinders for kind in ("p_head", "p_rod")]
-    labels += (
-        [f"{valve}.opening" for valve in names.valves]
-        + [f"{valve}.opening_rate" for valve in names.valves]
-        + ["p_supply"]
-    )
     return {
         label: float(e / s)
-        for label, e, s, span in zip(labels, worst, scale, spans, strict=True)
+        for label, e, s, span in zip(names.state_names, worst, scale, spans, strict=True)
         if span > 1e-6
     }
 

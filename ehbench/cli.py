@@ -9,11 +9,14 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ehbench.errors import EhbenchError
+
+if TYPE_CHECKING:
+    from ehbench.workflow import Outcome
 
 app = typer.Typer(
     name="ehbench",
@@ -22,11 +25,10 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="""Workbench for electrohydraulic test rigs: flowmeter readings and step logs in; flow maps, bulk modulus and
-damping with error bars, a judged model and a report out.
-
-Exit codes: 0 done, 1 a bug, 2 usage or a bad file, 3 finished with data loss, 4 model rejected or data not sufficient,
-5 a trial stopped on a limit.""",
+    help="Workbench for electrohydraulic test rigs: flowmeter readings and step logs in; "
+    "flow maps, bulk modulus and\ndamping with error bars, a judged model and a report out.\n\n"
+    "Exit codes: 0 done, 1 a bug, 2 usage or a bad file, 3 finished with data loss, "
+    "4 model rejected or data not sufficient,\n5 a trial stopped on a limit.",
     epilog="Example:  ehbench reproduce thesis",
 )
 
@@ -48,13 +50,11 @@ def init(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="New folder for the workspace.")],
 ) -> None:
     """Make a workspace: a commented rig file and recipes that run as they are."""
-    from ehbench import workflow
+    from ehbench import starter
 
-    made = workflow.init(folder)
-    print(f"made {made.folder}/")
-    print(
-        f"next: ehbench check {made.folder}/rig.toml, then the commands in {made.folder}/README.md"
-    )
+    made = starter.init(folder)
+    print(f"made {made}/")
+    print(f"next: ehbench check {made}/rig.toml, then the commands in {made}/README.md")
 
 
 @app.command(epilog="Example:  ehbench check recipes/rigs/thesis_arm.toml")
@@ -65,8 +65,8 @@ def check(
 ) -> None:
     """Check a rig, recipe, data file or log without running anything.
 
-    Of a recipe, all that its run takes in: the rig, maps, data and recipes it names. What only a
-        run can tell is said."""
+    Of a recipe, all that its run takes in: the rig, maps, data and recipes it names.
+    What only a run can tell is said."""
     from ehbench import inspection
 
     found = inspection.check(file)
@@ -89,7 +89,11 @@ def validate(recipe: RecipeFile, out: Out = None, quiet: Quiet = False) -> None:
     _run("validate", recipe, out, quiet)
 
 
-@app.command(epilog="Example:  ehbench tune recipes/thesis/tuning.toml")
+@app.command(
+    short_help="Choose a controller's gains by root locus over postures, loads and functions, "
+    "on a validated rig.",
+    epilog="Example:  ehbench tune recipes/thesis/tuning.toml",
+)
 def tune(
     recipe: RecipeFile,
     out: Out = None,
@@ -104,14 +108,19 @@ def tune(
     _run("tune", recipe, out, quiet, unvalidated=unvalidated)
 
 
-@app.command("run-trial", epilog="Example:  ehbench run-trial recipes/trials/arc_slow.toml")
+@app.command(
+    "run-trial",
+    short_help="Run a trial, or a set of trials, on the model or on the virtual bench; "
+    "exit 5 when a limit stops one.",
+    epilog="Example:  ehbench run-trial recipes/trials/arc_slow.toml",
+)
 def run_trial(
     recipe: RecipeFile, out: Out = None, quiet: Quiet = False, allow_code: AllowCode = False
 ) -> None:
     """Run a trial, or a set of trials, on the model or on the virtual bench; exit 5 when a limit
     stops one.
     """
-    _run("trial", recipe, out, quiet, allow_code=allow_code)
+    _run("run-trial", recipe, out, quiet, allow_code=allow_code)
 
 
 @app.command(
@@ -126,7 +135,7 @@ def report(
     from ehbench import workflow
 
     with _progress(quiet) as tell:
-        made = workflow.report(runs, workflow.Desk(out=out, progress=tell))
+        made = workflow.report(runs, workflow.Session(out=out, progress=tell))
     _leave(made, "report.html")
 
 
@@ -143,27 +152,38 @@ def reproduce(
     allow_code: AllowCode = False,
 ) -> None:
     """Run a whole campaign and write its report; runs that stand already are not run again."""
-    from ehbench import workflow
+    from ehbench import starter, workflow
 
-    recipe = workflow.find_campaign(campaign)
-    workflow.expect_stage(recipe, "campaign")
+    recipe = workflow.expect_stage(starter.find_campaign(campaign), "reproduce")
     with _progress(quiet) as tell:
         made = workflow.run(
-            recipe, workflow.Desk(root=out or workflow.ROOT, progress=tell, allow_code=allow_code)
+            recipe,
+            workflow.Session(root=out or workflow.ROOT, progress=tell, allow_code=allow_code),
         )
     _leave(made, "report.html")
 
 
-def _run(stage: str, recipe: Path, out: Path | None, quiet: bool, **allowed: bool) -> None:
+def _run(
+    command: str,
+    file: Path,
+    out: Path | None,
+    quiet: bool,
+    *,
+    unvalidated: bool = False,
+    allow_code: bool = False,
+) -> None:
     from ehbench import workflow
 
-    workflow.expect_stage(recipe, stage, *(["trials"] if stage == "trial" else []))
+    recipe = workflow.expect_stage(file, command)
     with _progress(quiet) as tell:
-        made = workflow.run(recipe, workflow.Desk(out=out, progress=tell, **allowed))
+        session = workflow.Session(
+            out=out, progress=tell, unvalidated=unvalidated, allow_code=allow_code
+        )
+        made = workflow.run(recipe, session)
     _leave(made)
 
 
-def _leave(made, page: str = "") -> None:
+def _leave(made: Outcome, page: str = "") -> None:
     """Say what the run noted on stderr and where it lies on stdout, and leave with its code."""
     for note in made.notes:
         print(f"note: {note}", file=sys.stderr)
@@ -178,7 +198,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
         yield None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True)
     columns = (
@@ -190,7 +210,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
     with Progress(
         *columns, console=console, transient=True, disable=not console.is_terminal
     ) as bar:
-        tasks: dict[str, int] = {}
+        tasks: dict[str, TaskID] = {}
 
         def tell(what: str, share: float) -> None:
             name = what.split(":")[0]

@@ -5,14 +5,16 @@ for loops that allocate, one cache for their code.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
+from numba.extending import overload
 
 PACKAGE = Path(__file__).resolve().parent
-_MARKS = (b"njit", b"@kernel", b"@allocating_kernel")
+_MARKS = (b"njit", b"@kernel", b"@allocating_kernel", b"choice(", b"Generic(")
 
 
 def _cache_folder() -> Path:
@@ -51,3 +53,77 @@ _FOLDER = _cache_folder()
 kernel = _compiler(_FOLDER, error_model="numpy", _nrt=False)
 
 allocating_kernel = _compiler(_FOLDER)
+
+_INLINED = {"nogil": True, "error_model": "numpy", "_nrt": False}
+# for what is made at import, which no cache can find again: it goes into the code of its callers
+inlined = numba.njit(**_INLINED)
+
+
+def choice(name: str, laws: Sequence[Callable], arguments: str) -> Callable:
+    """A function ``name(law, …)`` that calls one of several kernels by its number ``law``.
+
+    In a kernel the choice is a chain of comparisons over calls that the compiler may inline, and
+    its machine code goes to the cache; tuples of functions do neither. In plain Python it is the
+    same chain.
+
+    Args:
+        laws: the kernels, all of the same arguments and the same type of result.
+        arguments: their arguments as a signature has them, such as ``"row, v"``.
+    """
+    space: dict[str, Any] = {f"law_{i}": law for i, law in enumerate(laws)}
+    last = len(laws) - 1
+    chain = "".join(f"    if law == {i}: return law_{i}({arguments})\n" for i in range(last))
+    exec(
+        f"def {name}(law, {arguments}):\n{chain}    return law_{last}({arguments})\n"
+        f"def typed(law, {arguments}): return chosen\n"
+        f"def chosen(law, {arguments}):\n{chain}    return law_{last}({arguments})\n",
+        space,
+    )
+    overload(space[name], jit_options=_INLINED)(space["typed"])
+    return space[name]
+
+
+class Generic:
+    """A function of a plant that each type of plant has a kernel of its own for.
+
+    ``of(Plant)`` decorates the kernel of that type. Kernels call ``call``; which one it is, is
+    settled by the type of the argument ``plant`` when they are compiled.
+
+    Args:
+        name: of the function.
+        arguments: as a signature has them, one of them ``plant``.
+    """
+
+    def __init__(self, name: str, arguments: str) -> None:
+        self.kernels: dict[type, Callable] = {}
+        self.arguments = arguments
+        space: dict[str, Any] = {"kernels": self.kernels}
+        exec(f"def {name}({arguments}): return kernels[type(plant)]({arguments})\n", space)
+        self.call: Callable = space[name]
+
+    def of(self, plant: type) -> Callable[[Callable], Callable]:
+        """Decorate the kernel that serves this type of plant."""
+
+        def register(function: Callable) -> Callable:
+            self.kernels[plant] = function
+            space: dict[str, Any] = {"function": function, "wanted": plant}
+            exec(
+                f"def chosen({self.arguments}): return function({self.arguments})\n"
+                f"def typed({self.arguments}):\n"
+                "    if getattr(plant, 'instance_class', None) is wanted: return chosen\n",
+                space,
+            )
+            overload(self.call, jit_options=_INLINED)(space["typed"])
+            return function
+
+        return register
+
+
+def record(*columns: tuple[str, str]) -> np.dtype:
+    """The layout of one row of a table: pairs of a field's name and its type, ``f8`` or ``i8``."""
+    return np.dtype((np.record, list(columns)), align=True)
+
+
+def table(rows: int, layout: np.dtype) -> np.recarray:
+    """A table of rows of a layout, all zero; ``table[i].field`` reads in kernels and in Python."""
+    return np.zeros(rows, layout).view(np.recarray)

@@ -17,6 +17,7 @@ import numpy as np
 from ehbench.blas import one_thread
 from ehbench.errors import EhbenchError, InputError
 from ehbench.logs import write_log
+from ehbench.machines.virtual import VirtualMachine
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import (
     BenchRecipe,
@@ -28,7 +29,6 @@ from ehbench.recipe import (
     load_rig,
 )
 from ehbench.rig import Rig, read_value
-from ehbench.machines.virtual import VirtualMachine
 from ehbench.trial import run_trial
 from ehbench.units import from_si
 
@@ -130,6 +130,25 @@ def _log(recipe: DatasetRecipe, rig: Rig, item: DatasetLog, path: Path) -> None:
     write_log(path, record)
 
 
+def _readings(
+    bench: VirtualMachine, plan: Flowmeter, seed: int, folder: Path
+) -> list[tuple[str, str]]:
+    """Write the flowmeter readings; (file, what it holds) of each."""
+    rows = []
+    for edge in plan.edges:
+        both = edge in plan.reverse
+        for reverse in (False, True) if both else (False,):
+            ending = ("_reverse" if reverse else "_forward") if both else ""
+            name = f"flowmeter/{edge.split('.')[1]}{ending}.csv"
+            target = folder / name
+            target.parent.mkdir(exist_ok=True)
+            text = flowmeter_csv(bench, plan, edge, reverse, seed_of(seed, name))
+            target.write_text(text, encoding="utf-8", newline="\n")
+            way = ", back through it" if reverse else ""
+            rows.append((name, f"{text.count(chr(10)) - 1} readings of `{edge}`{way}"))
+    return rows
+
+
 @one_thread()
 def make(path: Path, out: Path) -> Path:
     """Record the dataset of a recipe file into ``out/<its stem>`` (replaced when whole); returns
@@ -155,24 +174,7 @@ def make(path: Path, out: Path) -> Path:
     try:
         rows = []
         if recipe.flowmeter is not None:
-            still = VirtualMachine(rig, bench)
-            for edge in recipe.flowmeter.edges:
-                both = edge in recipe.flowmeter.reverse
-                for reverse in (False, True) if both else (False,):
-                    name = (
-                        "flowmeter/"
-                        + edge.split(".")[1]
-                        + (("_reverse" if reverse else "_forward") if both else "")
-                        + ".csv"
-                    )
-                    target = scratch / name
-                    target.parent.mkdir(exist_ok=True)
-                    text = flowmeter_csv(
-                        still, recipe.flowmeter, edge, reverse, seed_of(recipe.seed, name)
-                    )
-                    target.write_text(text, encoding="utf-8", newline="\n")
-                    way = ", back through it" if reverse else ""
-                    rows.append((name, f"{text.count(chr(10)) - 1} readings of `{edge}`{way}"))
+            rows += _readings(VirtualMachine(rig, bench), recipe.flowmeter, recipe.seed, scratch)
         for item in recipe.log:
             _log(recipe, rig, item, scratch / f"{item.name}.mcap")
             facts = [
@@ -200,24 +202,23 @@ def make(path: Path, out: Path) -> Path:
 def _readme(recipe: DatasetRecipe, rig: Rig, rows: list[tuple[str, str]]) -> str:
     table = "\n".join(f"| `{name}` | {what} |" for name, what in rows)
     note = f"\n{recipe.note.strip()}\n" if recipe.note else ""
-    return f"""# {rig.title or rig.name}: recorded on the virtual bench, not a measurement
-
-A simulated machine, richer than the model that is fitted to it, recorded this: air in the oil, leakage, Stribeck friction,
-valves of which no two are alike, hysteresis, a pump that droops, sensors with noise, steps, lag and delay.
-{note}
-| file | what |
-| --- | --- |
-{table}
-
-`make datasets` records it again, byte for byte, from `recipes/datasets/{recipe.path.name}` (seed {recipe.seed}) and the bench
-file that it names.
-"""
+    return (
+        f"# {rig.title or rig.name}: recorded on the virtual bench, not a measurement\n\n"
+        "A simulated machine, richer than the model that is fitted to it, recorded this: "
+        "air in the oil, leakage, Stribeck friction,\n"
+        "valves of which no two are alike, hysteresis, a pump that droops, "
+        "sensors with noise, steps, lag and delay.\n"
+        f"{note}\n| file | what |\n| --- | --- |\n{table}\n\n"
+        "`make datasets` records it again, byte for byte, "
+        f"from `recipes/datasets/{recipe.path.name}` (seed {recipe.seed}) and the bench\n"
+        "file that it names.\n"
+    )
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Record the named datasets, or all of them; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m ehbench.datasets", description=__doc__.splitlines()[0]
+        prog="python -m ehbench.datasets", description=(__doc__ or "").partition("\n")[0]
     )
     parser.add_argument("names", nargs="*", help="datasets to record; all by default")
     parser.add_argument(

@@ -71,35 +71,17 @@ def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
     if "value" not in table:
         raise InputError(f"{row.name} has no 'value'")
 
-    def number(item: Any, what: str, check: bool = True) -> float:
-        if isinstance(item, bool) or not isinstance(item, (str, int, float)):
-            raise UnitError(
-                f"{what} of {row.name} is {item!r}, not a number with a unit",
-                hint=f'write "1.5 {row.display}"',
-            )
-        if not isinstance(item, str):
-            if row.unit != "dimensionless":
-                raise UnitError(
-                    f"{row.name} = {item} has no unit", hint=f'write "{item} {row.display}"'
-                )
-            return float(item)
-        bare = Quantity(row.name, row.symbol, row.unit, row.display, row.meaning)
-        result = units.parse(item, row if check else bare)
-        if not math.isfinite(result):
-            raise UnitError(f"{row.name} = {item} is not finite")
-        return result
-
     raw_value = table["value"]
     if count == 1:
-        value: float | tuple[float, ...] = number(raw_value, "the value")
+        value: float | tuple[float, ...] = _number(raw_value, row, "the value")
     else:
         if not isinstance(raw_value, (list, tuple)) or len(raw_value) != count:
             raise InputError(
                 f"{row.name} takes a list of {count} values with units, not {raw_value!r}"
             )
-        value = tuple(number(item, "an entry") for item in raw_value)
+        value = tuple(_number(item, row, "an entry") for item in raw_value)
     limits = {
-        key: number(table[key], key, check=False)
+        key: _number(table[key], row, key, check=False)
         for key in ("lower", "upper", "std")
         if key in table
     }
@@ -114,6 +96,30 @@ def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
     if sure not in SURENESS:
         raise InputError(f"{row.name} is '{sure}'", hint="sure is one of " + ", ".join(SURENESS))
     return Value(value=value, sure=sure, source=source, text=raw, **limits)
+
+
+def _number(item: Any, row: Quantity, what: str, check: bool = True) -> float:
+    """A number of a file in SI; ``check`` holds it against the row's plausible range.
+
+    Raises:
+        UnitError: no unit, wrong unit, implausible, not finite.
+    """
+    if isinstance(item, bool) or not isinstance(item, (str, int, float)):
+        raise UnitError(
+            f"{what} of {row.name} is {item!r}, not a number with a unit",
+            hint=f'write "1.5 {row.display}"',
+        )
+    if not isinstance(item, str):
+        if row.unit != "dimensionless":
+            raise UnitError(
+                f"{row.name} = {item} has no unit", hint=f'write "{item} {row.display}"'
+            )
+        return float(item)
+    bare = Quantity(row.name, row.symbol, row.unit, row.display, row.meaning)
+    result = units.parse(item, row if check else bare)
+    if not math.isfinite(result):
+        raise UnitError(f"{row.name} = {item} is not finite")
+    return result
 
 
 def write_value(value: Value, row: Quantity) -> Any:

@@ -23,7 +23,7 @@ from ehbench.rig import Cylinder, Rig
 from ehbench.units import factor, from_si
 
 if TYPE_CHECKING:
-    from ehbench.simulation import Model
+    from ehbench.plant.model import Model
 
 LEAST_SAMPLES = 3
 EVEN = 0.01  # share of the sample time by which time may be off and still count as even
@@ -223,7 +223,7 @@ def _right(ratio: float) -> str:
 def _pressures(name: str, record: Record, model: Model, rest: int, still: bool) -> None:
     """Refuse pressures that neither the supply nor the load can have made."""
     rig, plant, names = model.rig, model.plant, model.layout
-    supply = float(plant.supply[0])
+    supply = float(plant.supply.pressure)
     if "p_supply" in record:
         seen = float(np.percentile(record["p_supply"], 90))
         if not supply / APART <= seen <= supply * APART:

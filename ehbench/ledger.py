@@ -18,56 +18,29 @@ import numpy as np
 from ehbench.compiled import allocating_kernel, kernel
 from ehbench.control.functions import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.errors import InputError, InsufficientData, LogError
-from ehbench.physics import arm, metering
-from ehbench.physics.cylinder import (
-    PINS,
-    chamber_volume,
-    end_stop,
-    inflows,
-    joint_angle,
-    linkage,
-    makeup_flow,
-    relief_flow,
+from ehbench.parts.cylinder import (
+    chamber_inflow,
+    chamber_makeup,
+    chamber_of,
+    chamber_oil,
+    joint_of,
+    linkage_arrays,
+    linkage_of,
+    relief_out,
 )
-from ehbench.physics.friction import coulomb_viscous
-from ehbench.physics.metering import FROM, TO, VALVE
-from ehbench.physics.supply import BULK as SUPPLY_BULK
-from ehbench.physics.supply import P_TANK, VOLUME
-from ehbench.plant import (
-    AREA_HEAD,
-    AREA_ROD,
-    BULK,
-    COULOMB,
-    COULOMB_SPEED,
-    DAMPING,
-    FLOOR,
-    GEOMETRY,
-    HIGHEST,
-    L_A,
-    L_B,
-    LEAK_HEAD,
-    LEAK_INTERNAL,
-    LEAK_ROD,
-    LOWEST,
-    PHASE,
-    RELIEF,
-    RELIEF_GAIN,
-    RETRACTED,
-    SIDE,
-    STIFFNESS,
-    STOP,
-    STOP_DISSIPATION,
-    STROKE,
-    TANK,
-    VISCOUS,
-    VOLUME_HEAD,
-    VOLUME_ROD,
-    derivatives,
-    workspace_size,
-)
+from ehbench.parts.edge import MAP
+from ehbench.parts.end_stop import stop_held, stop_loss
+from ehbench.parts.friction import friction_force
+from ehbench.parts.nodes import SUPPLY, TANK, node_bulk_modulus, node_pressure
+from ehbench.physics import arm
+from ehbench.physics.cylinder import PINS, linkage
+from ehbench.plant.build import Maps, map_of
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.integrate import MOST_SUBSTEPS, STEP, STIFF, advance
+from ehbench.plant.model import Model
+from ehbench.plant.valves import follow_valves, opening_of
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
-from ehbench.simulation import MOST_SUBSTEPS, STEP, STIFF, Maps, Model, advance, linkage_arrays
 from ehbench.terms import Z95
 
 GROUPS = ("supply", "valve", "loss", "store", "load", "residual", "cylinder", "part")
@@ -116,13 +89,8 @@ def compressed(pressure, bulk_modulus):
 @kernel
 def _node(node, y, plant):
     """(pressure [Pa], energy of its compression [J/m³]) of the oil at a node of the circuit."""
-    at = 2 * plant.links.shape[0]
-    if node < 2:
-        supply = at + 2 * (plant.cylinders.shape[0] + plant.valves.shape[0])
-        p = y[supply] if node == 0 else plant.supply[P_TANK]
-        return p, compressed(p, plant.supply[SUPPLY_BULK])
-    p = y[at + node - 2]
-    return p, compressed(p, plant.cylinders[(node - 2) // 2, BULK])
+    p = node_pressure(y, plant, node)
+    return p, compressed(p, node_bulk_modulus(plant, node))
 
 
 @kernel
@@ -144,14 +112,15 @@ def powers(y, flows, plant, owner, out):
     first = FIRST_EDGE + ne
     for i in range(out.shape[0]):
         out[i] = 0.0
-    p_supply, u_supply = _node(0, y, plant)
+    p_supply, u_supply = _node(SUPPLY, y, plant)
     p_tank, u_tank = _node(TANK, y, plant)
     out[PUMP], out[COMPRESSION] = p_supply * flows[ne], u_supply * flows[ne]
     for e in range(ne):
         flow = flows[e]
         if flow == 0.0:
             continue
-        a, b, at = plant.wiring[e, FROM], plant.wiring[e, TO], first + PER_CYLINDER * owner[e]
+        a, b = plant.edges[e].from_node, plant.edges[e].to_node
+        at = first + PER_CYLINDER * owner[e]
         p_a, u_a = _node(a, y, plant)
         p_b, u_b = _node(b, y, plant)
         out[FIRST_EDGE + e] = (p_a - p_b) * flow
@@ -163,68 +132,37 @@ def powers(y, flows, plant, owner, out):
             elif node == TANK:
                 out[at + RETURNED] -= sign * (p_tank + u_tank) * flow
     for c in range(nc):
-        row, j, at = plant.cylinders[c], plant.joints[c], first + PER_CYLINDER * c
-        x, lever, _ = linkage(
-            int(row[GEOMETRY]), row[L_A], row[L_B], row[SIDE], row[PHASE], row[RETRACTED], y[j]
-        )
-        v = lever * y[n + j]
-        p_head, u_head = _node(2 + 2 * c, y, plant)
-        p_rod, u_rod = _node(3 + 2 * c, y, plant)
-        net_head, net_rod = 0.0, 0.0
-        for e in range(ne):
-            for column, sign in ((FROM, -1.0), (TO, 1.0)):
-                if plant.wiring[e, column] == 2 + 2 * c:
-                    net_head += sign * flows[e]
-                elif plant.wiring[e, column] == 3 + 2 * c:
-                    net_rod += sign * flows[e]
-        relief_head, relief_rod = (
-            relief_flow(p_head, row[RELIEF], RELIEF_GAIN),
-            relief_flow(p_rod, row[RELIEF], RELIEF_GAIN),
-        )
-        into_head, into_rod = inflows(
-            v,
-            net_head - relief_head,
-            relief_rod - net_rod,
-            p_head,
-            p_rod,
-            p_tank,
-            row[AREA_HEAD],
-            row[AREA_ROD],
-            row[LEAK_INTERNAL],
-            row[LEAK_HEAD],
-            row[LEAK_ROD],
-        )
-        makeup_head, makeup_rod = (
-            makeup_flow(into_head, p_head, row[FLOOR]),
-            makeup_flow(into_rod, p_rod, row[FLOOR]),
-        )
-        across = row[LEAK_INTERNAL] * (p_head - p_rod)
-        leak_head, leak_rod = row[LEAK_HEAD] * (p_head - p_tank), row[LEAK_ROD] * (p_rod - p_tank)
-        head_to_tank, rod_to_tank = (
-            relief_head + leak_head - makeup_head,
-            relief_rod + leak_rod - makeup_rod,
-        )
-        out[at + LEAKAGE] = (
-            across * (p_head - p_rod) + leak_head * (p_head - p_tank) + leak_rod * (p_rod - p_tank)
-        )
-        out[at + RELIEVED] = relief_head * (p_head - p_tank) + relief_rod * (p_rod - p_tank)
-        out[at + MAKEUP] = makeup_head * (p_tank - p_head) + makeup_rod * (p_tank - p_rod)
-        out[at + RETURNED] += (p_tank + u_tank) * (head_to_tank + rod_to_tank)
-        out[at + EXPANSION] += (
-            (u_head - u_rod) * across
-            + (u_head - u_tank) * head_to_tank
-            + (u_rod - u_tank) * rod_to_tank
-        )
-        out[at + WORK] = (p_head * row[AREA_HEAD] - p_rod * row[AREA_ROD]) * v
-        out[at + FRICTION] = coulomb_viscous(v, row[VISCOUS], row[COULOMB], COULOMB_SPEED) * v
-        if x < 0.0 or x > row[STROKE]:
-            depth, closing = (-x, -v) if x < 0.0 else (x - row[STROKE], v)
-            out[at + STOPPED] = (
-                -end_stop(x, v, row[STROKE], row[STOP], STOP_DISSIPATION) * v
-                - row[STOP] * depth * closing
-            )
+        row, at = plant.cylinders[c], first + PER_CYLINDER * c
+        x, lever, _ = linkage_of(row, y[row.joint])
+        v = lever * y[n + row.joint]
+        p_head, u_head = _node(row.node_head, y, plant)
+        p_rod, u_rod = _node(row.node_rod, y, plant)
+        across = row.leakage_internal * (p_head - p_rod)
+        out[at + EXPANSION] += (u_head - u_rod) * across
+        out[at + LEAKAGE] = across * (p_head - p_rod)
+        for side in range(2):
+            node, area, _, leakage = chamber_of(row, side)
+            p, u = _node(node, y, plant)
+            net = 0.0
+            for e in range(ne):
+                if plant.edges[e].from_node == node:
+                    net -= flows[e]
+                if plant.edges[e].to_node == node:
+                    net += flows[e]
+            relief = relief_out(row, p)
+            makeup = chamber_makeup(row, p, chamber_inflow(row, side, v, net, y, plant))
+            leak = leakage * (p - p_tank)
+            to_tank = relief + leak - makeup
+            out[at + LEAKAGE] += leak * (p - p_tank)
+            out[at + RELIEVED] += relief * (p - p_tank)
+            out[at + MAKEUP] += makeup * (p_tank - p)
+            out[at + RETURNED] += (p_tank + u_tank) * to_tank
+            out[at + EXPANSION] += (u - u_tank) * to_tank
+            out[at + WORK] += p * area * v
+        out[at + FRICTION] = friction_force(row, v, y) * v
+        out[at + STOPPED] = stop_loss(row, x, v)
     for j in range(n):
-        out[first + PER_CYLINDER * nc + j] = plant.links[j, arm.DAMPING] * y[n + j] * y[n + j]
+        out[first + PER_CYLINDER * nc + j] = plant.links[j].damping * y[n + j] * y[n + j]
 
 
 @kernel
@@ -234,83 +172,18 @@ def stores(y, plant, work, out):
     Oil: ``V u(p)``. The mechanism: kinetic and potential energy. An end stop: ``k δ²/2`` of its
     depth δ."""
     n = plant.links.shape[0]
-    _, held = _node(0, y, plant)
-    out[SUPPLY_LINE] = plant.supply[VOLUME] * held
+    _, held = _node(SUPPLY, y, plant)
+    out[SUPPLY_LINE] = plant.supply.volume * held
     out[KINETIC], out[POTENTIAL] = arm.energy(
         plant.kind, plant.links, plant.gravity, y[:n], y[n : 2 * n], work
     )
     for c in range(plant.cylinders.shape[0]):
         row, at = plant.cylinders[c], FIRST_CYLINDER + 3 * c
-        x, _, _ = linkage(
-            int(row[GEOMETRY]),
-            row[L_A],
-            row[L_B],
-            row[SIDE],
-            row[PHASE],
-            row[RETRACTED],
-            y[plant.joints[c]],
-        )
-        _, head = _node(2 + 2 * c, y, plant)
-        _, rod = _node(3 + 2 * c, y, plant)
-        out[at + HEAD] = chamber_volume(row[VOLUME_HEAD], row[AREA_HEAD] * x) * head
-        out[at + ROD] = chamber_volume(row[VOLUME_ROD], -row[AREA_ROD] * x) * rod
-        depth = max(-x, x - row[STROKE], 0.0)
-        out[at + SPRING] = 0.5 * row[STOP] * depth * depth
-
-
-@kernel
-def _transition(stiffness, damping, dt):
-    """The 2 × 2 transition (row by row) of ``ë + damping ė + stiffness e = 0`` over ``dt`` [s]."""
-    s = 0.5 * damping
-    root = s * s - stiffness
-    if root < 0.0:
-        w = math.sqrt(-root)
-        c, z = math.exp(-s * dt) * math.cos(w * dt), math.exp(-s * dt) * math.sin(w * dt) / w
-    elif root == 0.0:
-        c, z = math.exp(-s * dt), math.exp(-s * dt) * dt
-    else:
-        w = math.sqrt(root)
-        slow, fast = math.exp((w - s) * dt), math.exp(-(w + s) * dt)
-        c, z = 0.5 * (slow + fast), 0.5 * (slow - fast) / w
-    return c + s * z, z, -stiffness * z, c - s * z
-
-
-@kernel
-def follow_valves(t, commands, valves, known, opening, rate):
-    """Write the openings [V] and their rates [V/s] at every sample, exact for commands held over
-    each tick.
-
-    Args:
-        t: [s], shape (samples,).
-        commands: [V], shape (samples, valves), limited here to each driver's range.
-        known: True where ``opening`` is given and only the rates are missing; else valves start at
-        rest at their command. opening, rate: in and out, shape (samples, valves).
-    """
-    for i in range(valves.shape[0]):
-        k, c = valves[i, STIFFNESS], valves[i, DAMPING]
-        rate[0, i] = 0.0
-        if k == 0.0 or not known:
-            opening[0, i] = min(max(commands[0, i], valves[i, LOWEST]), valves[i, HIGHEST])
-        before = -1.0
-        a, b, d, e = 1.0, 0.0, 0.0, 1.0
-        for s in range(t.shape[0] - 1):
-            u = min(max(commands[s, i], valves[i, LOWEST]), valves[i, HIGHEST])
-            if k == 0.0:
-                opening[s + 1, i] = min(
-                    max(commands[s + 1, i], valves[i, LOWEST]), valves[i, HIGHEST]
-                )
-                rate[s + 1, i] = 0.0
-                continue
-            dt = t[s + 1] - t[s]
-            if dt != before:
-                a, b, d, e = _transition(k, c, dt)
-                before = dt
-            off = opening[s, i] - u
-            if known and s == 0 and b > 0.0:
-                rate[0, i] = (opening[1, i] - u - a * off) / b
-            if not known:
-                opening[s + 1, i] = u + a * off + b * rate[s, i]
-            rate[s + 1, i] = d * off + e * rate[s, i]
+        x, _, _ = linkage_of(row, y[row.joint])
+        for side in range(2):
+            _, held = _node(chamber_of(row, side)[0], y, plant)
+            out[at + side] = chamber_oil(row, side, x) * held
+        out[at + SPRING] = stop_held(row, x)
 
 
 # --- over a trial
@@ -328,12 +201,9 @@ def _integrate(t, states, commands, plant, owner, step, flows, energies, ends):
         energies: out, of each tick [J], shape (samples − 1, columns).
         ends: out, where each tick ended, shape (samples − 1, states).
     """
-    size, many, columns = states.shape[1], flows.shape[1], energies.shape[1]
+    size, columns = states.shape[1], energies.shape[1]
     k = np.empty((5, size))
-    work = np.empty(
-        workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0])
-    )
-    at = work.shape[0] - many
+    work, at = np.empty(plant.at.work), plant.at.flow
     y, start, middle = np.empty(size), np.empty(columns), np.empty(columns)
     for i in range(t.shape[0]):
         y[:] = states[i]
@@ -362,23 +232,21 @@ def _integrate(t, states, commands, plant, owner, step, flows, energies, ends):
 
 @allocating_kernel
 def _flows_at(states, commands, tank, plant, flows):
-    """Edge flows and the pump's at given states; ``tank`` [Pa] is written into ``plant.supply`` as
+    """Edge flows and the pump's at given states; ``tank`` [Pa] is written into the plant's nodes as
     it goes along.
     """
     k = np.empty(states.shape[1])
-    work = np.empty(
-        workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0])
-    )
+    work = np.empty(plant.at.work)
     for i in range(states.shape[0]):
-        plant.supply[P_TANK] = tank[i]
+        plant.nodes[TANK].pressure = tank[i]
         derivatives(states[i], commands[i], plant, k, work)
-        flows[i] = work[work.shape[0] - flows.shape[1] :]
+        flows[i] = work[plant.at.flow :]
 
 
 @allocating_kernel
 def _powers_at(states, flows, tank, plant, owner, out):
     for i in range(states.shape[0]):
-        plant.supply[P_TANK] = tank[i]
+        plant.nodes[TANK].pressure = tank[i]
         powers(states[i], flows[i], plant, owner, out[i])
 
 
@@ -534,7 +402,7 @@ class _Sheet:
                     ("end_stop", "loss", "end stops"),
                 )
             ]
-        driven = {int(j): names.cylinders[i] for i, j in enumerate(model.plant.joints)}
+        driven = {int(j): names.cylinders[i] for i, j in enumerate(model.plant.cylinders.joint)}
         rows += [
             (f"{name}.damping", "loss", "joint damping", driven.get(j))
             for j, name in enumerate(names.joints)
@@ -686,9 +554,8 @@ def _oil_drawn(model: Model, t: np.ndarray, flows: np.ndarray) -> float:
     """Oil [m³] that the edges took from the supply, by trapezes of their flows, shape (samples,
     edges + 1).
     """
-    sign = np.zeros(flows.shape[1])
-    for column, way in ((FROM, 1.0), (TO, -1.0)):
-        sign[:-1] += way * (model.plant.wiring[:, column] == 0)
+    sign, edges = np.zeros(flows.shape[1]), model.plant.edges
+    sign[:-1] = 1.0 * (edges.from_node == SUPPLY) - 1.0 * (edges.to_node == SUPPLY)
     drawn = flows @ sign
     return float(np.sum(0.5 * (drawn[1:] + drawn[:-1]) * np.diff(t)))
 
@@ -717,25 +584,22 @@ def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
         LogError: a channel of the model is missing.
     """
     names, plant = model.layout, model.plant
-    samples, nv, n = record.t.size, len(names.valves), len(names.joints)
+    samples, n = record.t.size, plant.at.rates
     states = np.zeros((samples, names.states))
-    driven = {int(j): names.cylinders[i] for i, j in enumerate(plant.joints)}
+    driven = {int(j): names.cylinders[i] for i, j in enumerate(plant.cylinders.joint)}
     for j, joint in enumerate(names.joints):
         own = driven.get(j, joint)
         states[:, j], states[:, n + j] = record[f"{own}.q"], record[f"{own}.qd"]
     for i, name in enumerate(names.cylinders):
         for key in ("p_head", "p_rod"):
             states[:, names.state(key, i)] = record[f"{name}.{key}"]
-    columns = [
-        np.stack([record[f"{name}.{key}"] for name in names.valves], axis=1)
-        for key in ("command", "opening")
-    ]
-    commands, opening = (np.ascontiguousarray(column, dtype=float) for column in columns)
-    rate = np.zeros((samples, nv))
-    follow_valves(np.ascontiguousarray(record.t), commands, plant.valves, True, opening, rate)
-    at = names.state("opening", 0)
-    states[:, at : at + nv], states[:, at + nv : at + 2 * nv] = opening, rate
-    states[:, names.state("p_supply", 0)] = record["p_supply"]
+    commands = np.stack([record[f"{name}.command"] for name in names.valves], axis=1)
+    commands = np.ascontiguousarray(commands, dtype=float)
+    for name, valve in zip(names.valves, plant.valves, strict=True):
+        if valve.output >= 0:
+            states[:, valve.output] = record[f"{name}.opening"]
+    follow_valves(np.ascontiguousarray(record.t), commands, plant, True, states)
+    states[:, plant.at.supply] = record["p_supply"]
     return states, commands
 
 
@@ -763,11 +627,8 @@ def ledger_of_model(
     _check(record)
     t = np.ascontiguousarray(record.t, dtype=float)
     states, commands = states_of(model, record)
-    supply = model.plant.supply.copy()
-    if "p_tank" in record:
-        supply[P_TANK] = record["p_tank"][0]
-    plant = model.plant._replace(supply=supply)
-    tank = np.full(t.size, supply[P_TANK])
+    plant = model.plant.at_pressures(tank=record["p_tank"][0] if "p_tank" in record else None)
+    tank = np.full(t.size, plant.tank_pressure)
     sheet, notes = _Sheet(model, "residual"), []
     flows = np.empty((t.size, len(model.layout.edges) + 1))
     spent = np.zeros((t.size, sheet.powers))
@@ -889,7 +750,7 @@ def _read(model: Model, record: Record) -> tuple[_Readings, list[str]]:
         else:
             notes.append(f"no command of {name}: taken to be at rest")
     q, qd, x, p = (np.zeros((samples, many)) for many in (n, n, nc, 2 * nc))
-    driven = {int(j): i for i, j in enumerate(plant.joints)}
+    driven = {int(j): i for i, j in enumerate(plant.cylinders.joint)}
     for j, joint in enumerate(names.joints):
         if j in driven:
             continue
@@ -901,7 +762,8 @@ def _read(model: Model, record: Record) -> tuple[_Readings, list[str]]:
         else:
             notes.append(f"no angle of joint {joint}: taken to stand at zero")
     for i, name in enumerate(names.cylinders):
-        row, j = plant.cylinders[i], int(plant.joints[i])
+        row = plant.cylinders[i]
+        j = int(row.joint)
         if f"{name}.q" not in record and f"{name}.x" not in record:
             raise LogError(
                 f"the log has neither '{name}.q' nor '{name}.x'",
@@ -912,10 +774,7 @@ def _read(model: Model, record: Record) -> tuple[_Readings, list[str]]:
         if f"{name}.q" in record:
             q[:, j] = get(f"{name}.q")
         else:
-            stroke = np.clip(x[:, i], 0.0, row[STROKE])
-            q[:, j] = joint_angle(
-                int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]], stroke
-            )
+            q[:, j] = joint_of(row, np.clip(x[:, i], 0.0, row.stroke))
         found, lever = linkage_arrays(row, q[:, j])
         if f"{name}.x" not in record:
             x[:, i] = found
@@ -934,7 +793,7 @@ def _read(model: Model, record: Record) -> tuple[_Readings, list[str]]:
                 )
             p[:, 2 * i + side] = get(f"{name}.{key}")
     lines = []
-    for channel, usual in (("p_supply", plant.supply[0]), ("p_tank", plant.supply[P_TANK])):
+    for channel, usual in (("p_supply", plant.supply.pressure), ("p_tank", plant.tank_pressure)):
         if channel in record:
             lines.append(get(channel))
         else:
@@ -960,24 +819,22 @@ class _Account:
 
     def states(self, model: Model, m: _Readings) -> np.ndarray:
         """States, shape (samples, states), with the openings that follow from the commands."""
-        names, n, nv = model.layout, len(model.layout.joints), len(model.layout.valves)
+        names, n = model.layout, model.plant.at.rates
         states = np.zeros((m.t.size, names.states))
         states[:, :n], states[:, n : 2 * n], states[:, 2 * n : 2 * n + m.p.shape[1]] = (
             m.q,
             m.qd,
             m.p,
         )
-        opening, rate = np.zeros((m.t.size, nv)), np.zeros((m.t.size, nv))
-        follow_valves(m.t, m.commands, model.plant.valves, False, opening, rate)
-        at = names.state("opening", 0)
-        states[:, at : at + nv], states[:, names.state("p_supply", 0)] = opening, m.p_supply
+        follow_valves(m.t, m.commands, model.plant, False, states)
+        states[:, model.plant.at.supply] = m.p_supply
         return states
 
     def flows(self, model: Model, m: _Readings, states: np.ndarray) -> np.ndarray:
         """Edge flows [m³/s] at the states, shape (samples, edges + 1); the last column is the
         measured flow of the pump, or 0.
         """
-        plant = model.plant._replace(supply=model.plant.supply.copy())
+        plant = model.plant.at_pressures()
         flows = np.empty((m.t.size, len(model.layout.edges) + 1))
         _flows_at(states, m.commands, m.p_tank, plant, flows)
         flows[:, -1] = 0.0 if m.flow_supply is None else m.flow_supply
@@ -987,7 +844,7 @@ class _Account:
         self, model: Model, m: _Readings, states: np.ndarray, flows: np.ndarray
     ) -> np.ndarray:
         """Powers [W] of the columns, shape (samples, columns)."""
-        plant = model.plant._replace(supply=model.plant.supply.copy())
+        plant = model.plant.at_pressures()
         power = np.empty((m.t.size, self.sheet.powers))
         _powers_at(states, flows, m.p_tank, plant, self.sheet.owner, power)
         return power
@@ -1014,16 +871,14 @@ class _Account:
         first = FIRST_EDGE + len(model.layout.edges)
         for c in range(m.x.shape[1]):
             # ∫ P_L dx over the measured stroke: a filtered speed lags behind the pressures
-            force = (
-                m.p[:, 2 * c] * plant.cylinders[c, AREA_HEAD]
-                - m.p[:, 2 * c + 1] * plant.cylinders[c, AREA_ROD]
-            )
+            row = plant.cylinders[c]
+            force = m.p[:, 2 * c] * row.area_head - m.p[:, 2 * c + 1] * row.area_rod
             spent[:, first + PER_CYLINDER * c + WORK] = _cumulated(
                 0.5 * np.diff(m.x[:, c]), force[:, None], at
             )[:, 0]
         if m.flow_supply is None:
             drawn = first + PER_CYLINDER * np.arange(m.x.shape[1])
-            volume, bulk = plant.supply[VOLUME], plant.supply[SUPPLY_BULK]
+            volume, bulk = plant.supply.volume, plant.supply.bulk_modulus
             pressed = 0.5 * volume / bulk * (m.p_supply[at] ** 2 - m.p_supply[0] ** 2)
             spent[:, PUMP] = spent[:, drawn + DRAWN].sum(axis=1) + pressed
             spent[:, COMPRESSION] = (
@@ -1181,20 +1036,21 @@ def _flow_std(
     if not flow.any():
         return np.zeros_like(flow), []
     share = accuracy.flow * np.abs(flow)
-    if plant.wiring[e, metering.LAW] != metering.MAP:
+    row = plant.edges[e]
+    if row.law != MAP:
         gain = edge.flow_gain if edge.law == "orifice" else edge.compensated_gain
         if gain is not None and gain.std:
             return np.zeros_like(flow), []
         said = f"the law of {name} states no error: its flow is taken to be good to {100 * accuracy.flow:g} %"
         return share * np.sign(flow), [said]
-    one = (maps or {}).get(name) or (maps or {}).get(name.split(".", 1)[1])
-    valve = int(plant.wiring[e, VALVE])
-    opening = plant.edges[e, metering.SIGN] * states[:, names.state("opening", valve)]
+    one = map_of(maps, name)
+    valve = int(row.valve)
+    opening = row.sign * opening_of(plant, valve, m.commands[:, valve], states)
 
     def pressure(node: int) -> np.ndarray:
         return m.p_supply if node == 0 else (m.p_tank if node == TANK else m.p[:, node - 2])
 
-    drop = pressure(int(plant.wiring[e, FROM])) - pressure(int(plant.wiring[e, TO]))
+    drop = pressure(int(row.from_node)) - pressure(int(row.to_node))
     std = np.where(flow == 0.0, 0.0, one.flow_std(drop, opening))
     outside = (flow != 0.0) & ~one.inside(drop, opening)
     std = np.where(outside, np.maximum(std, share), std)
@@ -1209,13 +1065,13 @@ def _doubts(model: Model, m: _Readings, accuracy: Accuracy) -> Iterator[tuple[st
     """Readings moved by one standard error of each sensor, and of the alignment of commands with
     them.
     """
-    zero = accuracy.pressure * model.plant.supply[0]
+    zero = accuracy.pressure * model.plant.supply.pressure
     for i, name in enumerate(model.layout.cylinders):
         for side, key in enumerate(("p_head", "p_rod")):
             p = m.p.copy()
             p[:, 2 * i + side] += zero
             yield f"zero of {name}.{key}", replace(m, p=p)
-        x, q, qd, j = m.x.copy(), m.q.copy(), m.qd.copy(), int(model.plant.joints[i])
+        x, q, qd, j = m.x.copy(), m.q.copy(), m.qd.copy(), int(model.plant.cylinders[i].joint)
         x[:, i] += accuracy.position * (x[:, i] - x[0, i])
         q[:, j] += accuracy.position * (q[:, j] - q[0, j])
         qd[:, j] *= 1.0 + accuracy.position

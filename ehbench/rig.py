@@ -598,40 +598,7 @@ class Rig(FileModel):
         }
 
         def own(prefix: str, model: Any) -> Any:
-            update = {
-                key: new[prefix + key] for key in type(model).model_fields if prefix + key in new
-            }
-            return model.model_copy(update=update) if update else model
-
-        def dynamics(name: str, model: Dynamics) -> Dynamics:
-            wanted = {k: new[f"{name}.{k}"] for k in Dynamics.model_fields if f"{name}.{k}" in new}
-            if not wanted:
-                return model
-            if model.natural_frequency is None and not {"s1", "s2"} & set(wanted):
-                omega, zeta = model.frequency_and_damping()
-                base: dict[str, Any] = {
-                    "natural_frequency": Value(omega),
-                    "damping_ratio": Value(zeta),
-                    "note": model.note,
-                }
-                return Dynamics.model_construct(None, **({"s1": None, "s2": None} | base | wanted))
-            return model.model_copy(update=wanted)
-
-        def cylinder(model: Cylinder) -> Cylinder:
-            result = own(f"{model.name}.", model)
-            pins = None if model.pins is None else own(f"{model.name}.", model.pins)
-            valves = tuple(
-                valve.model_copy(
-                    update={
-                        "edge": tuple(
-                            own(f"{model.name}.{valve.edge_name(edge)}.", edge)
-                            for edge in valve.edge
-                        )
-                    }
-                )
-                for valve in model.valve
-            )
-            return result.model_copy(update={"pins": pins, "valve": valves})
+            return _replaced(model, prefix, new)
 
         mechanism = (
             own(f"{self.mechanism.name}.", self.mechanism)
@@ -645,8 +612,10 @@ class Rig(FileModel):
                 "oil": own("", self.oil),
                 "supply": own("supply.", self.supply),
                 "mechanism": mechanism,
-                "cylinder": tuple(cylinder(c) for c in self.cylinder),
-                "dynamics": {name: dynamics(name, model) for name, model in self.dynamics.items()},
+                "cylinder": tuple(_cylinder_with(c, new) for c in self.cylinder),
+                "dynamics": {
+                    name: _dynamics_with(name, model, new) for name, model in self.dynamics.items()
+                },
             }
         )
 
@@ -666,6 +635,42 @@ class Rig(FileModel):
 def _second(names: Sequence[str]) -> int | None:
     """Where a name stands for the second time."""
     return next((at for at, name in enumerate(names) if name in names[:at]), None)
+
+
+def _replaced(model: Any, prefix: str, new: Mapping[str, Value]) -> Any:
+    """A part with those of its own fields replaced that ``new`` names with ``prefix``."""
+    update = {key: new[prefix + key] for key in type(model).model_fields if prefix + key in new}
+    return model.model_copy(update=update) if update else model
+
+
+def _dynamics_with(name: str, model: Dynamics, new: Mapping[str, Value]) -> Dynamics:
+    """Valve dynamics with new values; those by s1 and s2 turn into ω_n and ζ where one is given."""
+    wanted = {k: new[f"{name}.{k}"] for k in Dynamics.model_fields if f"{name}.{k}" in new}
+    if not wanted:
+        return model
+    if model.natural_frequency is not None or {"s1", "s2"} & set(wanted):
+        return model.model_copy(update=wanted)
+    omega, zeta = model.frequency_and_damping()
+    base: dict[str, Any] = {
+        "s1": None,
+        "s2": None,
+        "natural_frequency": Value(omega),
+        "damping_ratio": Value(zeta),
+        "note": model.note,
+    }
+    return Dynamics.model_construct(None, **(base | wanted))
+
+
+def _cylinder_with(model: Cylinder, new: Mapping[str, Value]) -> Cylinder:
+    """A cylinder with new values of its own, its pins and its edges."""
+    prefix = f"{model.name}."
+    valves = []
+    for valve in model.valve:
+        edges = (_replaced(e, f"{prefix}{valve.edge_name(e)}.", new) for e in valve.edge)
+        valves.append(valve.model_copy(update={"edge": tuple(edges)}))
+    pins = None if model.pins is None else _replaced(model.pins, prefix, new)
+    whole = _replaced(model, prefix, new)
+    return whole.model_copy(update={"pins": pins, "valve": tuple(valves)})
 
 
 def _scalars(model: BaseModel) -> Iterator[tuple[str, Value]]:

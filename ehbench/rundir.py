@@ -1,21 +1,25 @@
 """Run folders: results in plain files, with every input named by its SHA-256.
 
 A run is written into a temporary folder beside its place and renamed when it is whole, so nothing
-half-written stays. ``run.json`` holds only what the same inputs give again; what differs from run
-to run is in ``volatile.json``."""
+half-written stays. What a killed process left is cleared by the next run, and the logs in it are
+kept. ``run.json`` holds only what the same inputs give again; what differs from run to run is in
+``volatile.json``."""
 
 from __future__ import annotations
 
+import errno
 import hashlib
+import itertools
 import json
 import math
 import os
 import platform
+import re
 import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -23,9 +27,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from ehbench.errors import InputError
+from ehbench.errors import EhbenchError, InputError
 
 PACKAGE = Path(__file__).resolve().parent
+_PART = re.compile(r"\.(?P<name>.+)\.(?P<pid>[1-9]\d*)\.part")
 _LIBRARIES = (
     "numpy",
     "scipy",
@@ -119,12 +124,16 @@ def read_json(path: Path) -> Any:
 
 @dataclass
 class Run:
-    """A run being written: put files into ``path``; ``facts`` become part of ``run.json``."""
+    """A run being written: put files into ``path``; ``facts`` become part of ``run.json``.
+
+    ``found`` says what killed runs had left beside it.
+    """
 
     path: Path
     final: Path
     record: dict[str, Any]
     facts: dict[str, Any] = field(default_factory=dict)
+    found: tuple[str, ...] = ()
 
     def save(self) -> None:
         """Write ``run.json`` over the files that are there; figures are drawn from a folder that
@@ -169,7 +178,7 @@ def open_run(
     recipe: Path,
     inputs: Iterable[tuple[str, Path]],
     seeds: Mapping[str, int] | None = None,
-):
+) -> Iterator[Run]:
     """A ``Run`` whose folder becomes ``final`` when the block ends well; else nothing stays.
 
     Raises:
@@ -186,6 +195,7 @@ def open_run(
             file=final,
             hint="choose another --out",
         )
+    found = clear_left(final.parent)
     scratch = final.parent / f".{final.name}.{os.getpid()}.part"
     shutil.rmtree(scratch, ignore_errors=True)
     try:
@@ -194,7 +204,24 @@ def open_run(
         raise InputError(
             f"no run can be written here: {error.strerror}", file=final, hint="choose another --out"
         ) from None
-    record = {
+    run = Run(scratch, final, _record(stage, recipe, inputs, seeds or {}), found=found)
+    began, hold = time.time(), _held(scratch)
+    try:
+        yield run
+        run.save()
+        write_json(scratch / "volatile.json", _volatile(began))
+        _put(scratch, final)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+        if hold is not None:
+            os.close(hold)
+
+
+def _record(
+    stage: str, recipe: Path, inputs: Sequence[tuple[str, Path]], seeds: Mapping[str, int]
+) -> dict[str, Any]:
+    """What ``run.json`` says of a run whatever its stage: the same from the same inputs."""
+    return {
         "stage": stage,
         "name": recipe.stem,
         "argv": ["ehbench", stage, recipe.name],
@@ -204,7 +231,7 @@ def open_run(
             {"role": role, "path": _relative(path, recipe.parent), "sha256": sha256(path)}
             for role, path in inputs
         ],
-        "seeds": dict(seeds or {}),
+        "seeds": dict(seeds),
         "versions": {
             "ehbench": metadata.version("ehbench"),
             "python": platform.python_version(),
@@ -213,27 +240,110 @@ def open_run(
         "code_sha256": code_version(),
         "commit": commit(),
     }
-    run = Run(scratch, final, record)
-    began = time.time()
+
+
+def _volatile(began: float) -> dict[str, Any]:
+    """What differs from run to run; ``began`` is when [s since 1970]."""
+    return {
+        "argv": sys.argv,
+        "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(began)),
+        "seconds": round(time.time() - began, 3),
+        "machine": platform.machine(),
+        "system": platform.system(),
+        "cores": os.cpu_count(),
+    }
+
+
+def _put(scratch: Path, final: Path) -> None:
+    """Move a whole run to its place; of two processes that make the same run, the last one stays."""
+    for _ in range(100):
+        shutil.rmtree(final, ignore_errors=True)
+        try:
+            scratch.rename(final)
+            return
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                raise
+    raise InputError("another process keeps writing this run", file=final, hint="wait for it")
+
+
+# --- what killed processes left
+# ------------------------------------------------------------------------------------------------
+
+
+def clear_left(folder: Path) -> tuple[str, ...]:
+    """Clear the temporary folders of processes that are gone, and keep the logs in them that hold
+    samples, as ``salvaged/<name>_<pid>/…``; a sentence for each log kept.
+    """
+    said = []
+    for left in sorted(folder.glob(".*.part")):
+        match = _PART.fullmatch(left.name)
+        if match is None or not left.is_dir() or not _abandoned(left, int(match["pid"])):
+            continue
+        logs = [path for path in sorted(left.rglob("*.mcap")) if _holds_samples(path)]
+        kept = _free(folder / "salvaged" / f"{match['name']}_{match['pid']}")
+        for path in logs:
+            target = kept / path.relative_to(left)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                os.replace(path, target)
+            except FileNotFoundError:  # another process was quicker
+                continue
+            said.append(f"a run of '{match['name']}' was killed; what it had logged is in {target}")
+        shutil.rmtree(left, ignore_errors=True)
+    return tuple(said)
+
+
+def _free(place: Path) -> Path:
+    """A folder name that is not taken."""
+    tries = (place if n == 1 else place.with_name(f"{place.name}_{n}") for n in itertools.count(1))
+    return next(each for each in tries if not each.exists())
+
+
+def _holds_samples(path: Path) -> bool:
+    from ehbench.logs import read_record
+
     try:
-        yield run
-        run.save()
-        write_json(
-            scratch / "volatile.json",
-            {
-                "argv": sys.argv,
-                "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(began)),
-                "seconds": round(time.time() - began, 3),
-                "machine": platform.machine(),
-                "system": platform.system(),
-                "cores": os.cpu_count(),
-            },
-        )
-        if final.exists():
-            shutil.rmtree(final)
-        scratch.rename(final)
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+        return read_record(path, check=False).t.size > 0
+    except EhbenchError:
+        return False
+
+
+def _abandoned(folder: Path, pid: int) -> bool:
+    """Whether no process works in a temporary folder: neither one of that number nor, where
+    processes of several containers share a disk, one that holds the folder.
+    """
+    if os.name != "posix":
+        return False
+    try:
+        os.kill(pid, 0)
+        return False
+    except ProcessLookupError:
+        pass
+    except (OSError, OverflowError):
+        return False
+    hold = _held(folder)
+    if hold is not None:
+        os.close(hold)
+    return hold is not None
+
+
+def _held(folder: Path) -> int | None:
+    """An open folder that this process alone holds until it is closed, or ends; None where another
+    one holds it, or the system knows no such hold.
+    """
+    try:
+        import fcntl
+
+        hold = os.open(folder, os.O_RDONLY)
+    except (ImportError, OSError):
+        return None
+    try:
+        fcntl.flock(hold, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(hold)
+        return None
+    return hold
 
 
 def _relative(path: Path, folder: Path) -> str:

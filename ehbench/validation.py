@@ -20,13 +20,13 @@ import numpy as np
 from ehbench import signals
 from ehbench.errors import EhbenchError, InputError, LogError, ModelRejected
 from ehbench.intake import take_in
-from ehbench.plant import HIGHEST, LOWEST
+from ehbench.plant.build import Maps
+from ehbench.plant.model import MOVED, Model
 from ehbench.quantities import quantity
 from ehbench.recipe import Thresholds
 from ehbench.record import Record
 from ehbench.rig import Rig, Valve
 from ehbench.rundir import read_json
-from ehbench.simulation import MOVED, Maps, Model
 from ehbench.units import from_si
 
 CHANNELS = ("q", "qd", "p_head", "p_rod")
@@ -342,7 +342,7 @@ def prepare_validation(
     """Take in the logs of a validation; arguments and errors as in `validate_rig`."""
     models = models_of(rig, logs, channels, flow_maps, where)
     taken = tuple(
-        _taken(name, record, models[_payload(record)], fitted)
+        taken_log(name, record, models[_payload(record)], fitted)
         for name, fitted, record in _distinct(logs, fitted_on)
     )
     return PreparedValidation(rig, tuple(channels), taken)
@@ -378,7 +378,12 @@ def run_validation(
     )
 
 
-def _taken(name: str, record: Record, model: Model, fitted: bool) -> TakenLog:
+def taken_log(name: str, record: Record, model: Model, fitted: bool) -> TakenLog:
+    """A log as the judge takes it.
+
+    Raises:
+        InputError: one that `intake.take_in` refuses.
+    """
     try:
         record, warnings = take_in(name, record, model)
     except LogError as error:
@@ -691,8 +696,7 @@ def _transients(
     rows = zip(model.layout.valves, model.plant.valves, strict=True)
     names = {f"{valve}.command": row for valve, row in rows if f"{valve}.command" in record}
     given = [
-        _held(record[name], MOVED * (valve[HIGHEST] - valve[LOWEST]))
-        for name, valve in names.items()
+        _held(record[name], MOVED * (valve.highest - valve.lowest)) for name, valve in names.items()
     ]
     own = np.column_stack(
         [

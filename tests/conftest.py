@@ -13,7 +13,7 @@ from pathlib import Path  # noqa: E402
 
 import pytest  # noqa: E402
 
-from ehbench import workflow  # noqa: E402
+from ehbench import starter, workflow  # noqa: E402
 
 ROOT = Path(__file__).parents[1]
 
@@ -26,12 +26,12 @@ def workspace(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("docs")
     for name in ("recipes", "datasets"):
         (folder / name).symlink_to(ROOT / name)
-    workflow.init(folder / "my_rig")
+    starter.init(folder / "my_rig")
     recipe = folder / "one_valve.toml"
     recipe.write_text(
         'stage = "identify"\nwhat = "flow_map"\nrig = "recipes/rigs/boom_four_valve.toml"\n'
         'data = ["datasets/boom_four_valve/flowmeter/sh.csv"]\n',
         encoding="utf-8",
     )
-    workflow.run(recipe, workflow.Desk(out=folder / "reports" / "flow_maps"))
+    workflow.run(recipe, workflow.Session(out=folder / "reports" / "flow_maps"))
     return folder

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import kernel
+from ehbench.compiled import kernel, table
 from ehbench.control.functions import (
     CROSS_DROP,
     DIRECTION,
@@ -40,10 +40,10 @@ from ehbench.control.functions import (
 from ehbench.control.trajectory import A, J, V, X
 from ehbench.control.valve_level import AGAINST, REVERSED, SATURATED, give
 from ehbench.errors import InputError
+from ehbench.parts.edge import edge_command, edge_flow
 from ehbench.physics import arm
 from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
 from ehbench.physics.cylinder import chamber_volume, linkage
-from ehbench.physics.metering import VALVE, edge_command, edge_flow
 
 # a sample of a rig: this many channels a cylinder, then p_supply and p_tank
 PER_CYLINDER, AT_Q, AT_X, AT_V, AT_HEAD, AT_ROD = 6, 0, 2, 3, 4, 5
@@ -255,7 +255,7 @@ def mechanics(axis, q, own, angles, work):
     return (
         own * per * per,
         held,
-        axis.links[j, arm.DAMPING] * per * per,
+        axis.links[j].damping * per * per,
         curve * per * per,
         torque[j] * per,
         lever,
@@ -286,12 +286,8 @@ def spool_flows(function, wanted, head_gain, rod_gain, p_head, p_rod, p_supply, 
     side = 0
     for turn in range(19):
         at = high if turn == 0 else high - at_high * (high - low) / (at_high - at_low)
-        flow_one = along_one * edge_flow(
-            along_one * drop_one, at, circuit.edges[one], circuit.wiring[one], circuit.maps
-        )
-        flow_two = along_two * edge_flow(
-            along_two * drop_two, at, circuit.edges[two], circuit.wiring[two], circuit.maps
-        )
+        flow_one = along_one * edge_flow(along_one * drop_one, at, circuit.edges[one], circuit.maps)
+        flow_two = along_two * edge_flow(along_two * drop_two, at, circuit.edges[two], circuit.maps)
         given = head_gain * flow_one + rod_gain * flow_two
         if turn == 0:
             at_high = given - goal
@@ -322,7 +318,7 @@ def stand_by(axis, share, command):
     circuit = axis.circuit
     for i in range(circuit.count):
         edge = circuit.first + i
-        valve = circuit.wiring[edge, VALVE]
+        valve = circuit.edges[edge].valve
         waits = share * axis.onset[i]
         if abs(command[valve]) < abs(waits):
             command[valve] = waits
@@ -722,32 +718,21 @@ def axis(
     Raises:
         InputError: arrays that do not fit each other, or a number that is not finite.
     """
-    links = np.ascontiguousarray(links, float)
-    tip = np.zeros_like(links)
-    keep = [arm.A, arm.D, arm.COS_ALPHA, arm.SIN_ALPHA, arm.THETA0]
-    tip[:, keep] = links[:, keep]
+    tip = table(links.shape[0], arm.LINK)
+    for key in ("a", "d", "cos_alpha", "sin_alpha", "theta0"):
+        tip[key] = links[key]
     end = tip[-1]
-    end[arm.MASS] = 1.0
+    end.mass = 1.0
     if kind == arm.CHAIN:
-        a, d = end[arm.A], end[arm.D]
-        end[[arm.HX, arm.HZ, arm.JXX, arm.JYY, arm.JZZ, arm.JXZ]] = (
-            a,
-            d,
-            d * d,
-            a * a + d * d,
-            a * a,
-            -a * d,
-        )
+        a, d = end.a, end.d
+        end.hx, end.hz = a, d
+        end.jxx, end.jyy, end.jzz, end.jxz = d * d, a * a + d * d, a * a, -a * d
     spool = np.array([coupled(circuit, f) for f in range(len(FUNCTIONS))], dtype=np.int64)
     spool[HOLD] = spool.max()
     own = range(circuit.first, circuit.first + circuit.count)
-    alone = [
-        np.count_nonzero(circuit.wiring[:, VALVE] == circuit.wiring[e, VALVE]) == 1 for e in own
-    ]
+    alone = [np.count_nonzero(circuit.edges.valve == circuit.edges[e].valve) == 1 for e in own]
     onset = [
-        edge_command(1.0e6, 1.0e-12, circuit.edges[e], circuit.wiring[e], circuit.maps)
-        if one
-        else 0.0
+        edge_command(1.0e6, 1.0e-12, circuit.edges[e], circuit.maps) if one else 0.0
         for e, one in zip(own, alone, strict=True)
     ]
     made = Axis(
@@ -771,7 +756,14 @@ def axis(
             "the arrays of an axis do not fit each other",
             hint="posture: one a joint; 6 pins, 6 chambers",
         )
-    numbers = (made.gravity, links, made.posture, made.pins, made.chambers, made.friction)
+    numbers = (
+        made.gravity,
+        links.view(float),
+        made.posture,
+        made.pins,
+        made.chambers,
+        made.friction,
+    )
     if (
         not all(np.isfinite(part).all() for part in numbers)
         or made.friction[2] <= 0
@@ -886,7 +878,7 @@ def pack_arc(
             )
     mass, pull, ratio = reference(axis)
     area, beta = axis.circuit.area_head, axis.chambers[BULK]
-    low, high = (0.0, 1.5 * float(axis.links[-1, arm.MASS])) if payload is None else payload
+    low, high = (0.0, 1.5 * float(axis.links[-1].mass)) if payload is None else payload
     worst = 0.03 * supply_pressure * area if disturbance is None else disturbance
     softest, hardest = (beta / 1.4, 1.4 * beta) if bulk_modulus is None else bulk_modulus
     lower = np.array([0.9 / (1.0 + high * ratio), low, -worst, beta / hardest])

@@ -17,21 +17,8 @@ import numpy as np
 
 from ehbench.compiled import kernel
 from ehbench.errors import InputError
-from ehbench.physics.flow_map import ValveMaps, map_command
-from ehbench.physics.metering import (
-    BLOCKED,
-    EDGE_FLOATS,
-    EDGE_INTS,
-    FORWARD,
-    FROM,
-    LAW,
-    MAP,
-    REVERSE,
-    SIGN,
-    TO,
-    VALVE,
-    edge_flow,
-)
+from ehbench.parts.edge import EDGE, MAP, edge_flow, edge_known
+from ehbench.physics.flow_map import ValveMaps
 from ehbench.terms import FUNCTIONS
 
 (
@@ -96,7 +83,7 @@ class Circuit(NamedTuple):
     """One cylinder's metering edges as controllers take them: plain numbers and arrays, made by
     `circuit`.
 
-    ``edges, wiring, maps`` are the plant's (all cylinders'); ``lowest, highest`` [V] the range of
+    ``edges, maps`` are the plant's (all cylinders'); ``lowest, highest`` [V] the range of
     every valve's command; ``first, count`` where this cylinder's edges stand in ``edges``.
     ``paths`` [6] is the edge that serves each path, −1 for none, ``along`` [6] its direction: +1
     where the edge points along the path, else −1. ``able`` [8] is 1 for each working function that
@@ -109,7 +96,6 @@ class Circuit(NamedTuple):
     first: int
     count: int
     edges: np.ndarray
-    wiring: np.ndarray
     maps: np.ndarray
     lowest: np.ndarray
     highest: np.ndarray
@@ -125,20 +111,10 @@ def widest(circuit, edge, drop):
     """Command [V] that opens an edge as far as its driver, and its map if it has one, allow;
     ``drop`` [Pa] along the edge.
     """
-    valve = circuit.wiring[edge, VALVE]
-    sign = circuit.edges[edge, SIGN]
+    valve = circuit.edges[edge].valve
+    sign = circuit.edges[edge].sign
     reach = circuit.highest[valve] if sign > 0.0 else -circuit.lowest[valve]
-    if circuit.wiring[edge, LAW] == MAP:
-        back = drop < 0.0 and circuit.wiring[edge, REVERSE] >= 0
-        reach = min(
-            reach,
-            map_command(
-                abs(drop),
-                math.inf,
-                circuit.maps,
-                circuit.wiring[edge, REVERSE if back else FORWARD],
-            ),
-        )
+    reach = min(reach, edge_known(drop, circuit.edges[edge], circuit.maps))
     return sign * max(reach, 0.0)
 
 
@@ -166,9 +142,7 @@ def capacity(circuit, path, drop):
         return 0.0
     along = circuit.along[path]
     opening = widest(circuit, edge, along * drop)
-    return along * edge_flow(
-        along * drop, opening, circuit.edges[edge], circuit.wiring[edge], circuit.maps
-    )
+    return along * edge_flow(along * drop, opening, circuit.edges[edge], circuit.maps)
 
 
 @kernel
@@ -353,7 +327,6 @@ def circuit(
     area_head: float,
     area_rod: float,
     edges: np.ndarray,
-    wiring: np.ndarray,
     maps: np.ndarray,
     ranges: np.ndarray,
     measured: Sequence[ValveMaps | None] | None = None,
@@ -367,8 +340,8 @@ def circuit(
 
     Args:
         cylinder: its number; nodes are 0 supply, 1 tank, 2 + 2·cylinder its head end, 3 +
-        2·cylinder its rod end. area_head, area_rod: [m²]. edges, wiring, maps: the plant's, see
-        `ehbench.physics.metering`.
+        2·cylinder its rod end. area_head, area_rod: [m²]. edges, maps: the plant's, see
+        `ehbench.parts.edge`.
         ranges: lowest and highest command [V] of every valve, shape (valves, 2).
         measured: the flow maps of every edge, None for an edge with an analytic law; needed where
             an edge follows a map.
@@ -376,19 +349,19 @@ def circuit(
     Raises:
         InputError: no edge touches the cylinder, or an edge with a map has none in ``measured``.
     """
-    edges, wiring = np.ascontiguousarray(edges, float), np.ascontiguousarray(wiring, np.int64)
-    if edges.shape[1:] != (EDGE_FLOATS,) or wiring.shape != (edges.shape[0], EDGE_INTS):
+    if edges.dtype != EDGE:
         raise InputError(
-            "edges and wiring are not those of a plant",
-            hint=f"shapes (n, {EDGE_FLOATS}) and (n, {EDGE_INTS})",
+            "edges are not those of a plant", hint="records of ehbench.parts.edge.EDGE"
         )
     ranges = np.asarray(ranges, float)
     lowest, highest = np.ascontiguousarray(ranges[:, 0]), np.ascontiguousarray(ranges[:, 1])
     head, rod = 2 + 2 * cylinder, 3 + 2 * cylinder
-    own = np.flatnonzero(np.isin(wiring[:, [FROM, TO]], (head, rod)).any(axis=1))
+    own = np.flatnonzero(
+        np.isin(edges.from_node, (head, rod)) | np.isin(edges.to_node, (head, rod))
+    )
     if not own.size:
         raise InputError(f"no metering edge leads to cylinder {cylinder}")
-    hull, hull_at = _hulls(wiring, measured)
+    hull, hull_at = _hulls(edges, measured)
     paths, along = np.full(len(PATHS), -1, np.int64), np.ones(len(PATHS))
     able = np.zeros(len(FUNCTIONS), np.int64)
     made = Circuit(
@@ -398,7 +371,6 @@ def circuit(
         int(own[0]),
         int(own[-1] - own[0] + 1),
         edges,
-        wiring,
         np.ascontiguousarray(maps, float),
         lowest,
         highest,
@@ -412,15 +384,12 @@ def circuit(
     for path, (a, b) in enumerate(ends):
         most = 0.0
         for edge in own:
-            forward = (wiring[edge, FROM], wiring[edge, TO]) == (a, b)
-            if not forward and (
-                (wiring[edge, TO], wiring[edge, FROM]) != (a, b) or wiring[edge, BLOCKED] == 1
-            ):
+            row = edges[edge]
+            forward = (row.from_node, row.to_node) == (a, b)
+            if not forward and ((row.to_node, row.from_node) != (a, b) or row.blocked == 1):
                 continue
             way = 1.0 if forward else -1.0
-            flow = way * edge_flow(
-                way * 1.0e6, widest(made, edge, way * 1.0e6), edges[edge], wiring[edge], made.maps
-            )
+            flow = way * edge_flow(way * 1.0e6, widest(made, edge, way * 1.0e6), row, made.maps)
             if flow > most:
                 paths[path], along[path], most = edge, way, flow
     able[:] = [_able(made, function) for function in range(len(FUNCTIONS))]
@@ -431,26 +400,26 @@ def _able(circuit: Circuit, function: int) -> bool:
     chosen = [int(circuit.paths[p]) for p in np.flatnonzero(PATH_FLOWS[function].any(axis=1))]
     if min(chosen, default=0) < 0:
         return False
-    opened = {(int(circuit.wiring[e, VALVE]), float(circuit.edges[e, SIGN])) for e in chosen}
+    opened = {(int(circuit.edges[e].valve), float(circuit.edges[e].sign)) for e in chosen}
     if len({valve for valve, _ in opened}) < len(opened):
         return False
-    touching = (circuit.wiring[:, [FROM, TO]] >= 2).any(axis=1)
+    touching = (circuit.edges.from_node >= 2) | (circuit.edges.to_node >= 2)
     return all(
         e in chosen
         or not touching[e]
-        or (int(circuit.wiring[e, VALVE]), float(circuit.edges[e, SIGN])) not in opened
+        or (int(circuit.edges[e].valve), float(circuit.edges[e].sign)) not in opened
         for e in range(circuit.edges.shape[0])
     )
 
 
-def _hulls(wiring: np.ndarray, measured: Sequence | None) -> tuple[np.ndarray, np.ndarray]:
+def _hulls(edges: np.ndarray, measured: Sequence | None) -> tuple[np.ndarray, np.ndarray]:
     """(all hulls back to back: count, commands, lowest drops, highest drops; where each edge's two
     start, −1 for none).
     """
-    parts, at, size = [np.zeros(1)], np.full((wiring.shape[0], 2), -1, np.int64), 1
-    for edge, row in enumerate(wiring):
+    parts, at, size = [np.zeros(1)], np.full((edges.shape[0], 2), -1, np.int64), 1
+    for edge, row in enumerate(edges):
         pair = None if measured is None else measured[edge]
-        if row[LAW] != MAP:
+        if row.law != MAP:
             continue
         if pair is None:
             raise InputError(
@@ -479,5 +448,5 @@ def coupled(circuit: Circuit, function: int) -> bool:
     return (
         circuit.able[function] == 1
         and chosen.size > 1
-        and bool((circuit.wiring[chosen, VALVE] == circuit.wiring[chosen[0], VALVE]).all())
+        and bool((circuit.edges.valve[chosen] == circuit.edges.valve[chosen[0]]).all())
     )

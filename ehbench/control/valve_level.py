@@ -19,7 +19,7 @@ from ehbench.control.functions import (
     path_drop,
     widest,
 )
-from ehbench.physics.metering import LAW, MAP, SIGN, VALVE, edge_command, edge_flow
+from ehbench.parts.edge import MAP, edge_command, edge_flow
 
 # SATURATED: even the widest command passes less than asked. AGAINST: flow asked the other way along
 # the path, shut.
@@ -46,14 +46,14 @@ def inside(circuit, edge, drop, command):
     """True where readings surround (drop [Pa] along the edge, command [V]), as `FlowMap.inside`;
     always for analytic laws.
     """
-    if circuit.wiring[edge, LAW] != MAP:
+    if circuit.edges[edge].law != MAP:
         return True
     at = circuit.hull_at[edge, 0 if drop >= 0.0 else 1]
     if at < 0:
         return False
     count = int(circuit.hull[at])
     grid = at + 1
-    reach, size = circuit.edges[edge, SIGN] * command, abs(drop)
+    reach, size = circuit.edges[edge].sign * command, abs(drop)
     if not (circuit.hull[grid] <= reach <= circuit.hull[grid + count - 1]):
         return False
     low = _at(reach, circuit.hull, grid, grid + count, count)
@@ -79,17 +79,15 @@ def edge_order(circuit, path, flow, drop, floor):
     if drop < floor:
         limits, drop = FAINT, floor
     along = circuit.along[path]
-    command = edge_command(
-        along * drop, along * flow, circuit.edges[edge], circuit.wiring[edge], circuit.maps
-    )
+    command = edge_command(along * drop, along * flow, circuit.edges[edge], circuit.maps)
     most = widest(circuit, edge, along * drop)
-    sign = circuit.edges[edge, SIGN]
+    sign = circuit.edges[edge].sign
     # a map's inverse stops at its last command by itself, so the flow decides
     if sign * command >= sign * most:
         command = most
-        if edge_flow(
-            along * drop, most, circuit.edges[edge], circuit.wiring[edge], circuit.maps
-        ) * along < flow * (1.0 - 1e-9):
+        if edge_flow(along * drop, most, circuit.edges[edge], circuit.maps) * along < flow * (
+            1.0 - 1e-9
+        ):
             limits += SATURATED
     return command, limits
 
@@ -100,7 +98,7 @@ def rest(circuit, command, flows, limits):
     ``flows, limits``.
     """
     for i in range(circuit.count):
-        valve = circuit.wiring[circuit.first + i, VALVE]
+        valve = circuit.edges[circuit.first + i].valve
         command[valve] = min(max(0.0, circuit.lowest[valve]), circuit.highest[valve])
         flows[i] = limits[i] = 0.0
 
@@ -153,12 +151,12 @@ def give(
         flow = share_head * flow_head + share_rod * flow_rod
         drop = path_drop(path, p_head, p_rod, p_supply, p_tank)
         order, bits = edge_order(circuit, path, flow, drop, floor)
-        valve = circuit.wiring[edge, VALVE]
+        valve = circuit.edges[edge].valve
         if turn == 0:
             decided = valve
             command[valve] = order
         elif valve != decided:
-            if math.isnan(order) or circuit.edges[edge, SIGN] * (order - command[valve]) > 0.0:
+            if math.isnan(order) or circuit.edges[edge].sign * (order - command[valve]) > 0.0:
                 command[valve] = order
         else:
             bits &= ~SATURATED  # it does not decide how far it opens
@@ -173,7 +171,7 @@ def give(
         limits[edge - circuit.first] = bits
         met |= bits
     for i in range(circuit.count):
-        valve = circuit.wiring[circuit.first + i, VALVE]
+        valve = circuit.edges[circuit.first + i].valve
         if command[valve] == 0.0:
             command[valve] = min(max(0.0, circuit.lowest[valve]), circuit.highest[valve])
     return met

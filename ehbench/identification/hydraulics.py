@@ -37,9 +37,11 @@ from ehbench.identification.steps import (
     payload_of,
     prepare,
 )
+from ehbench.plant.build import Maps
+from ehbench.plant.integrate import STEP
+from ehbench.plant.model import Model
 from ehbench.record import Record
 from ehbench.rig import Rig
-from ehbench.simulation import STEP, Maps, Model
 
 __all__ = [
     "FittedParameter",

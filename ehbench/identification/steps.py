@@ -15,11 +15,12 @@ import numpy as np
 from ehbench import units
 from ehbench.errors import InputError, InsufficientData, SimulationError
 from ehbench.intake import take_in
+from ehbench.plant.build import Maps
+from ehbench.plant.model import MOVED, Model
 from ehbench.quantities import quantity
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig, Value, Valve, parameter_row
 from ehbench.signals import Ringing, correlation_time, fit_percent, lowpass, rms, transients
-from ehbench.simulation import MOVED, Maps, Model
 
 LEVEL = 0.95
 # a standard error of more than this many units of a parameter says nothing: 95 % then span a factor

@@ -14,8 +14,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from ehbench.machines.rows import LawRows, Rows
-from ehbench.plant import HIGHEST, LOWEST, Layout
-from ehbench.simulation import Model
+from ehbench.plant.model import Model
 
 Posture = Mapping[str, str | float] | None
 Advance = Callable[[int, int, Rows, LawRows | None], int]
@@ -34,7 +33,7 @@ class Inputs(NamedTuple):
     @classmethod
     def of(cls, model: Model) -> Inputs:
         """The commands of a model's valves."""
-        low, high = model.plant.valves[:, LOWEST].copy(), model.plant.valves[:, HIGHEST].copy()
+        low, high = model.plant.valves.lowest.copy(), model.plant.valves.highest.copy()
         return cls(model.layout.valves, low, high, model.rest_commands(1)[0])
 
 
@@ -127,15 +126,3 @@ def advance_of(machine: Machine) -> Advance | None:
     row at which a limit was reached, before its tick, or −1.
     """
     return getattr(machine, "advance", None)
-
-
-def sample_channels(names: Layout) -> tuple[str, ...]:
-    """Channel names of a sample: ``q, qd, x, v, p_head, p_rod`` of each cylinder, then ``p_supply,
-    p_tank``.
-    """
-    own = tuple(
-        f"{name}.{key}"
-        for name in names.cylinders
-        for key in ("q", "qd", "x", "v", "p_head", "p_rod")
-    )
-    return (*own, "p_supply", "p_tank")

@@ -8,9 +8,9 @@ from ehbench.errors import InputError
 from ehbench.machines.protocol import Machine
 from ehbench.machines.simulated import SimulatedMachine
 from ehbench.machines.virtual import VirtualMachine
+from ehbench.plant.build import Maps
 from ehbench.recipe import TrialRecipe
 from ehbench.rig import Rig
-from ehbench.simulation import Maps
 
 MACHINES: dict[str, Callable[[TrialRecipe, Rig, Maps | None], Machine]] = {
     "model": SimulatedMachine.of,

@@ -12,6 +12,7 @@ import numpy as np
 from ehbench.compiled import kernel
 from ehbench.control import arc
 from ehbench.control import pressure_feedback as feedback
+from ehbench.parts.sample import OF, entry
 from ehbench.recipe import Limits
 
 FEEDBACK, ARC = 1, 2  # kinds of built-in controllers
@@ -80,18 +81,18 @@ def violated(rows, i):
     """
     sample, command, limits, found = rows.sample, rows.commands[i], rows.limits, rows.found
     for c in range(rows.strokes.shape[0]):
-        for entry in range(6 * c + 4, 6 * c + 6):
-            p = sample[entry]
+        for channel in (OF.p_head, OF.p_rod):
+            p = sample[entry(c, channel)]
             if p > limits[PRESSURE_MAX] or p < limits[PRESSURE_MIN]:
                 found[0] = PRESSURE_MAX if p > limits[PRESSURE_MAX] else PRESSURE_MIN
-                found[1], found[2] = c, entry
+                found[1], found[2] = c, entry(c, channel)
                 return True
-        x = sample[6 * c + 2]
+        x = sample[entry(c, OF.x)]
         if x < limits[MARGIN] or x > rows.strokes[c] - limits[MARGIN]:
-            found[0], found[1], found[2] = MARGIN, c, 6 * c + 2
+            found[0], found[1], found[2] = MARGIN, c, entry(c, OF.x)
             return True
-        if abs(sample[6 * c + 3]) > limits[SPEED]:
-            found[0], found[1], found[2] = SPEED, c, 6 * c + 3
+        if abs(sample[entry(c, OF.v)]) > limits[SPEED]:
+            found[0], found[1], found[2] = SPEED, c, entry(c, OF.v)
             return True
     for v in range(command.shape[0]):
         if abs(command[v]) > limits[COMMAND]:

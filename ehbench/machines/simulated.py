@@ -8,24 +8,17 @@ import numpy as np
 
 from ehbench.compiled import kernel
 from ehbench.errors import SimulationError
-from ehbench.machines.protocol import Inputs, Posture, sample_channels
+from ehbench.machines.protocol import Inputs, Posture
 from ehbench.machines.rows import LawRows, Rows, control, violated
-from ehbench.physics.cylinder import linkage
-from ehbench.plant import (
-    GEOMETRY,
-    L_A,
-    L_B,
-    PHASE,
-    RETRACTED,
-    SIDE,
-    STROKE,
-    Plant,
-    derivatives,
-    workspace_size,
-)
+from ehbench.parts.cylinder import linkage_of
+from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
+from ehbench.parts.sample import LINE, OF, entry, line_entry, sample_channels
+from ehbench.plant.build import Maps, Plant
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.integrate import STEP, advance, rk4
+from ehbench.plant.model import Model
 from ehbench.recipe import TrialRecipe
 from ehbench.rig import Rig
-from ehbench.simulation import STEP, Maps, Model, advance, rk4
 
 NAME = "model"
 
@@ -45,21 +38,20 @@ class Running(NamedTuple):
 
 @kernel
 def model_sample(y, plant, sample):
-    """Write what perfect sensors say of state ``y`` into ``sample``, shape (6·cylinders + 2,)."""
-    n, nc, nv = plant.links.shape[0], plant.cylinders.shape[0], plant.valves.shape[0]
-    for c in range(nc):
-        row, j = plant.cylinders[c], plant.joints[c]
-        x, lever, _ = linkage(
-            int(row[GEOMETRY]), row[L_A], row[L_B], row[SIDE], row[PHASE], row[RETRACTED], y[j]
-        )
-        sample[6 * c] = y[j]
-        sample[6 * c + 1] = y[n + j]
-        sample[6 * c + 2] = x
-        sample[6 * c + 3] = lever * y[n + j]
-        sample[6 * c + 4] = y[2 * n + 2 * c]
-        sample[6 * c + 5] = y[2 * n + 2 * c + 1]
-    sample[6 * nc] = y[2 * n + 2 * nc + 2 * nv]
-    sample[6 * nc + 1] = plant.supply[1]
+    """Write what perfect sensors say of state ``y`` into ``sample``."""
+    cylinders = plant.cylinders.shape[0]
+    for c in range(cylinders):
+        row = plant.cylinders[c]
+        q, rate = y[row.joint], y[plant.at.rates + row.joint]
+        x, lever, _ = linkage_of(row, q)
+        sample[entry(c, OF.q)] = q
+        sample[entry(c, OF.qd)] = rate
+        sample[entry(c, OF.x)] = x
+        sample[entry(c, OF.v)] = lever * rate
+        sample[entry(c, OF.p_head)] = node_pressure(y, plant, row.node_head)
+        sample[entry(c, OF.p_rod)] = node_pressure(y, plant, row.node_rod)
+    sample[line_entry(cylinders, LINE.p_supply)] = node_pressure(y, plant, SUPPLY)
+    sample[line_entry(cylinders, LINE.p_tank)] = node_pressure(y, plant, TANK)
 
 
 @kernel
@@ -79,12 +71,11 @@ def model_truth(own, command, row):
     """Write the state, the edge flows and the pump's flow into ``row``; ``own.k[0]`` then holds the
     derivatives, whose fastest rate [1/s] is returned.
     """
-    size, flows = own.y.shape[0], own.plant.edges.shape[0] + 1
-    at = own.work.shape[0] - flows
+    size, at = own.y.shape[0], own.plant.at.flow
     rate = derivatives(own.y, command, own.plant, own.k[0], own.work)
     for j in range(size):
         row[j] = own.y[j]
-    for j in range(flows):
+    for j in range(own.work.shape[0] - at):
         row[size + j] = own.work[at + j]
     return rate
 
@@ -123,14 +114,18 @@ class SimulatedMachine:
 
     def __init__(self, model: Model, rate: float = 1000.0, step: float = STEP) -> None:
         self.model, self.layout, self.rate = model, model.layout, float(rate)
-        self.channels, self.commands = sample_channels(model.layout), Inputs.of(model)
-        self.strokes = model.plant.cylinders[:, STROKE].copy()
+        self.channels, self.commands = sample_channels(model.layout.cylinders), Inputs.of(model)
+        self.strokes = model.plant.cylinders.stroke.copy()
         self.steps = max(1, round(1.0 / (self.rate * step)))
         plant, states = model.plant, model.layout.states
-        work = workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0])
         self.state = np.zeros(states)
         self._own = Running(
-            self.state, plant, 1.0 / self.rate, self.steps, np.empty((5, states)), np.empty(work)
+            self.state,
+            plant,
+            1.0 / self.rate,
+            self.steps,
+            np.empty((5, states)),
+            np.empty(plant.at.work),
         )
         self.truth = ModelTruth(model, self._own)
 

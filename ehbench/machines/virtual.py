@@ -1,15 +1,14 @@
 """The virtual bench: a separate, richer plant that plays the machine; only trials and datasets may
 import it.
 
-It shares the arm, the cylinder's geometry and the friction kernel with the model, and has its own
-laws for all that a model leaves out: air in the oil, leakage, Stribeck friction, valves that are no
-two alike, hysteresis, a pump that droops, and sensors that are late, noisy and coarse. Its
-parameters are read by nothing but itself.
+It shares the mechanism, the cylinder's geometry, the valves' dynamics and the integrator with the
+model, and has its own laws for all that a model leaves out: air in the oil, leakage, Stribeck
+friction, valves that are no two alike, hysteresis, a pump that droops, and sensors that are late,
+noisy and coarse. Its parameters are read by nothing but itself.
 
-State, one flat array: ``q, qd, [p_head, p_rod] per cylinder, spool per valve, spool rate per valve,
-p_supply, pump flow``; then memory: hysteresis per valve, sensor lags per raw channel, speed filter
-(3) per cylinder, delay line, its position. Raw channels: ``q, x, p_head, p_rod`` of each cylinder,
-then ``p_supply, p_tank``."""
+State, one flat array: the states of the model's plant, the pump's flow; then memory: hysteresis per
+valve, sensor lags per raw channel, speed filter (3) per cylinder, delay line, its position. Raw
+channels: ``q, x, p_head, p_rod`` of each cylinder, then ``p_supply, p_tank``."""
 
 from __future__ import annotations
 
@@ -20,100 +19,178 @@ from zlib import crc32
 
 import numpy as np
 
-from ehbench.compiled import kernel
+from ehbench.compiled import kernel, record, table
 from ehbench.errors import InputError, SimulationError
-from ehbench.physics.arm import forward, work_size
-from ehbench.physics.cylinder import chamber_rates, chamber_volume, end_stop, linkage, relief_flow
-from ehbench.physics.friction import stribeck
-from ehbench.physics.metering import ORIFICE_DROP
-from ehbench.physics.supply import BULK as SUPPLY_BULK
-from ehbench.physics.supply import FLOW_LIMIT, P_SET, P_TANK, VOLUME, pump_flow
-from ehbench.plant import (
-    AREA_HEAD,
-    AREA_ROD,
-    BULK,
-    COULOMB,
-    CYLINDER_FLOATS,
-    DAMPING,
-    FLOOR,
-    GEOMETRY,
-    HIGHEST,
-    L_A,
-    L_B,
-    LEAK_HEAD,
-    LEAK_INTERNAL,
-    LEAK_ROD,
-    LOWEST,
-    MOBILITY,
-    PHASE,
-    RELIEF,
+from ehbench.machines.protocol import Inputs, Posture
+from ehbench.machines.rows import LawRows, Rows, control, violated
+from ehbench.parts.cylinder import (
+    CYLINDER_COLUMNS,
     RELIEF_GAIN,
-    RETRACTED,
-    SIDE,
-    STIFFNESS,
-    STOP,
-    STOP_DISSIPATION,
-    STROKE,
-    TANK,
-    VALVE_FLOATS,
-    VISCOUS,
-    VOLUME_HEAD,
-    VOLUME_ROD,
-    Layout,
-    layout,
+    chamber_inflow,
+    chamber_of,
+    chamber_oil,
+    linkage_of,
 )
+from ehbench.parts.edge.orifice import ORIFICE_DROP
+from ehbench.parts.end_stop import stop_force, stop_rate
+from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
+from ehbench.parts.sample import OF, entry, line_entry, sample_channels
+from ehbench.parts.supply import pump_flow
+from ehbench.parts.valve import VALVE_COLUMNS, limited, valve_rates, valve_settle
+from ehbench.physics.cylinder import chamber_rate, relief_flow
+from ehbench.physics.friction import stribeck
+from ehbench.plant.build import Maps, set_second_order
+from ehbench.plant.derivatives import derivatives_of, finish_of, move
+from ehbench.plant.integrate import rk4
+from ehbench.plant.layout import Layout, Offsets, layout
+from ehbench.plant.model import Model
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
 from ehbench.rig import Edge, Rig, Value, Valve, read_value
-from ehbench.machines.protocol import Inputs, Posture, sample_channels
-from ehbench.machines.rows import LawRows, Rows, control, violated
-from ehbench.simulation import Maps, Model
 
 NAME = "virtual bench"
 STEP = 2.5e-4  # [s]
-STIFF = 1.0
-MOST_SUBSTEPS = 400
 ATMOSPHERE = 101325.0
 CREEP = 1.0e-3  # [m/s]: over which friction turns round
 NOISE_ROWS = 256  # drawn at a time
 SETTLE = 0.25  # [s] of rest before t = 0, so that lags and delays have filled
+RAW = (OF.q, OF.x, OF.p_head, OF.p_rod)  # a cylinder's raw channels
+_RAW, _RAW_LINES, _FILTER = len(RAW), 2, 3
 
-# columns of a cylinder's row after those of the model
-STATIC, STRIBECK_SPEED = CYLINDER_FLOATS, CYLINDER_FLOATS + 1
-# columns of a valve's row after those of the model
-DRIVER_GAIN, DRIVER_OFFSET, HYSTERESIS = VALVE_FLOATS, VALVE_FLOATS + 1, VALVE_FLOATS + 2
-# columns of an edge: SIGN, NULL, NULL_WIDTH, BLOCKED, then one curve forward and one in reverse
-E_SIGN, NULL, NULL_WIDTH, E_BLOCKED, CURVE = 0, 1, 2, 3, 4
-ONSET, SOFTNESS, SATURATION, E_GAIN, SETTING, WIDE_OPEN, FLOW_FORCE = range(7)
-CURVE_FLOATS = 7
-# columns of a sensor's row
-LAG, NOISE, RESOLUTION, ZERO = 0, 1, 2, 3
-# fluid: air fraction, polytropic exponent; pump: droop, lag, relief of the supply line
-AIR, POLYTROPIC, DROOP, PUMP_LAG, SUPPLY_RELIEF = range(5)
+# Wider rows begin with the columns of their own: numba would else take one for the other.
+# A cylinder: its friction at break-away [N], the speed [m/s] over which that falls to Coulomb's,
+# the model's columns.
+BENCH_CYLINDER = record(("friction_static", "f8"), ("stribeck_speed", "f8"), *CYLINDER_COLUMNS)
+# A valve: ``gain`` and ``offset`` [V] of its driver, its ``hysteresis`` [V], the model's columns.
+BENCH_VALVE = record(("gain", "f8"), ("offset", "f8"), ("hysteresis", "f8"), *VALVE_COLUMNS)
+# An edge: its nodes, its valve and sign, its leakage at null [m³/(s·Pa)] over ``null_width`` [V],
+# ``blocked`` 1 where nothing passes in reverse, and its two curves.
+BENCH_EDGE = record(
+    *((name, "i8") for name in ("from_node", "to_node", "valve", "blocked", "forward", "reverse")),
+    *((name, "f8") for name in ("sign", "null", "null_width")),
+)
+# A curve, see `curve_flow`: ``onset, softness, saturation`` and ``wide_open`` [V], ``gain``
+# [m³/(s·V·√Pa)], ``setting`` of the compensator [Pa], 0 for none, its ``flow_force`` [1/V].
+CURVE = record(
+    *((name, "f8") for name in ("onset", "softness", "saturation", "gain")),
+    *((name, "f8") for name in ("setting", "wide_open", "flow_force")),
+)
+# A sensor: ``lag`` [s]; standard deviation of its ``noise``, ``resolution`` and ``zero`` offset in
+# its channel's unit.
+SENSOR = record(*((name, "f8") for name in ("lag", "noise", "resolution", "zero")))
+# Fluid and pump: share of free ``air``, ``polytropic`` exponent; ``droop`` [Pa], ``pump_lag`` [s],
+# ``supply_relief`` of the supply line [Pa].
+FLUID = record(
+    *((name, "f8") for name in ("air", "polytropic", "droop", "pump_lag", "supply_relief"))
+)
+
+
+class BenchOffsets(NamedTuple):
+    """Where things begin.
+
+    In the state: as `ehbench.plant.layout.Offsets`, then the ``pump``'s flow; ``states`` that are
+    integrated; then memory: ``hysteresis``, ``lags``, ``filters``, ``ring`` of the delay line,
+    ``depth`` rows of it, its ``place``; ``size`` in all. ``channels`` raw ones. In the workspace:
+    as there.
+    """
+
+    joints: int
+    rates: int
+    supply: int
+    pump: int
+    states: int
+    hysteresis: int
+    lags: int
+    filters: int
+    ring: int
+    depth: int
+    place: int
+    size: int
+    channels: int
+    torque: int
+    net: int
+    slope: int
+    opening: int
+    work: int
+
+
+def _offsets(names: Layout, depth: int) -> BenchOffsets:
+    at: Offsets = names.offsets()
+    nc, nv = len(names.cylinders), len(names.valves)
+    channels = _RAW * nc + _RAW_LINES
+    states = at.states + 1
+    lags = states + nv
+    filters = lags + channels
+    ring = filters + _FILTER * nc
+    place = ring + depth * channels
+    return BenchOffsets(
+        joints=at.joints,
+        rates=at.rates,
+        supply=at.supply,
+        pump=at.states,
+        states=states,
+        hysteresis=states,
+        lags=lags,
+        filters=filters,
+        ring=ring,
+        depth=depth,
+        place=place,
+        size=place + 1,
+        channels=channels,
+        torque=at.torque,
+        net=at.net,
+        slope=at.slope,
+        opening=at.opening,
+        work=at.flow,
+    )
 
 
 class VirtualPlant(NamedTuple):
-    """A bench as flat arrays. ``timing``: whole ticks of delay, rest of it as a share of a tick;
-    ``speed`` the speed filter.
+    """A bench as flat tables. ``delay``: whole ticks of the sensors' delay, ``share`` the rest of
+    it as a share of a tick; ``speed`` the numbers of the speed filter, see `_speed_filter`.
     """
 
     kind: int
     gravity: np.ndarray
-    links: np.ndarray
-    joints: np.ndarray
-    cylinders: np.ndarray
-    valves: np.ndarray
-    edges: np.ndarray
-    wiring: np.ndarray
-    supply: np.ndarray
-    extra: np.ndarray
-    sensors: np.ndarray
-    timing: np.ndarray
+    links: np.recarray
+    cylinders: np.recarray
+    nodes: np.recarray
+    valves: np.recarray
+    elements: np.recarray
+    edges: np.recarray
+    curves: np.recarray
+    supply: np.record
+    fluid: np.record
+    sensors: np.recarray
+    delay: int
+    share: float
     speed: np.ndarray
+    at: BenchOffsets
+
+
+class Scratch(NamedTuple):
+    """What a tick of the bench works in: ``k`` (5, states), ``work`` (at.work,), ``target`` [V]
+    (valves,), ``raw`` (channels,).
+    """
+
+    k: np.ndarray
+    work: np.ndarray
+    target: np.ndarray
+    raw: np.ndarray
+
+
+def scratch_of(bench: VirtualPlant) -> Scratch:
+    """A scratch for a bench."""
+    at = bench.at
+    return Scratch(
+        np.zeros((5, at.states)),
+        np.zeros(at.work),
+        np.zeros(bench.valves.shape[0]),
+        np.zeros(at.channels),
+    )
 
 
 # --- laws
-# ---------------------------------------------------------------------------------------------------------
 
 
 @kernel
@@ -143,41 +220,41 @@ def opening_area(wide, softness, saturation):
 
 
 @kernel
-def curve_flow(drop, spool, row, at):
-    """Flow [m³/s] at drop ≥ 0 through the curve that begins at ``row[at]``.
+def curve_flow(drop, spool, curve):
+    """Flow [m³/s] at drop ≥ 0 through a curve at a spool position [V].
 
     Orifice: ``γ a √Δp``. Behind a pressure compensator, the metering drop p_m that the spool holds
     obeys ``p_m = setting − κ a √Δp √p_m`` (spring against flow force, which grows with flow and
     with the drop taken), and cannot exceed what the wide open compensator in series leaves, ``Δp/(1
     + (a/a_c)²)``; the two blend by a fourth power."""
-    a = opening_area(spool - row[at + ONSET], row[at + SOFTNESS], row[at + SATURATION])
+    a = opening_area(spool - curve.onset, curve.softness, curve.saturation)
     if a == 0.0:
         return 0.0
     p = drop
-    if row[at + SETTING] > 0.0:
-        share = a / row[at + WIDE_OPEN]
+    if curve.setting > 0.0:
+        share = a / curve.wide_open
         p = drop / (1.0 + share * share)
-        b = row[at + FLOW_FORCE] * a * math.sqrt(drop)
-        root = 0.5 * (math.sqrt(b * b + 4.0 * row[at + SETTING]) - b)
-        ratio = p / (root * root)
+        b = curve.flow_force * a * math.sqrt(drop)
+        level = 0.5 * (math.sqrt(b * b + 4.0 * curve.setting) - b)
+        ratio = p / (level * level)
         ratio *= ratio
         p /= math.sqrt(math.sqrt(1.0 + ratio * ratio))
-    return row[at + E_GAIN] * a * p / math.sqrt(math.sqrt(p * p + ORIFICE_DROP * ORIFICE_DROP))
+    return curve.gain * a * p / math.sqrt(math.sqrt(p * p + ORIFICE_DROP * ORIFICE_DROP))
 
 
 @kernel
-def edge_flow(drop, spool, row):
+def edge_flow(drop, spool, edge, curves):
     """Flow [m³/s] along an edge at a drop [Pa] of either sign and a spool position [V], null
     leakage included.
     """
-    reach = row[E_SIGN] * spool
-    closed = reach / row[NULL_WIDTH]
-    flow = row[NULL] * drop / (1.0 + closed * closed)
+    reach = edge.sign * spool
+    closed = reach / edge.null_width
+    flow = edge.null * drop / (1.0 + closed * closed)
     if drop >= 0.0:
-        return flow + curve_flow(drop, reach, row, CURVE)
-    if row[E_BLOCKED] != 0.0:
+        return flow + curve_flow(drop, reach, curves[edge.forward])
+    if edge.blocked == 1:
         return 0.0
-    return flow - curve_flow(-drop, reach, row, CURVE + CURVE_FLOATS)
+    return flow - curve_flow(-drop, reach, curves[edge.reverse])
 
 
 @kernel
@@ -187,153 +264,112 @@ def play(memory, value, width):
 
 
 @kernel
+def _valves_and_edges(y, target, bench, dy, work):
+    """Rates of the valves, net inflow and its slope of every node; the fastest rate [1/s]."""
+    at, fastest = bench.at, 0.0
+    for i in range(bench.valves.shape[0]):
+        spool, rate = valve_rates(bench.valves[i], target[i], bench, y, dy)
+        work[at.opening + i] = spool
+        fastest = max(fastest, rate)
+    for i in range(at.net, at.opening):
+        work[i] = 0.0
+    for e in range(bench.edges.shape[0]):
+        edge = bench.edges[e]
+        a, b = edge.from_node, edge.to_node
+        drop = node_pressure(y, bench, a) - node_pressure(y, bench, b)
+        flow = edge_flow(drop, work[at.opening + edge.valve], edge, bench.curves)
+        if flow != 0.0:
+            work[at.net + a] -= flow
+            work[at.net + b] += flow
+            work[at.slope + a] += flow / drop
+            work[at.slope + b] += flow / drop
+    return fastest
+
+
+@kernel
+def _cylinders(y, bench, dy, work):
+    """Pressure rates of the chambers, torques of the cylinders; the fastest rate [1/s]."""
+    at, fluid, fastest = bench.at, bench.fluid, 0.0
+    for c in range(bench.cylinders.shape[0]):
+        row = bench.cylinders[c]
+        x, lever, _ = linkage_of(row, y[row.joint])
+        v = lever * y[at.rates + row.joint]
+        force = 0.0
+        for side in range(2):
+            node, area, _, _ = chamber_of(row, side)
+            p, volume = node_pressure(y, bench, node), chamber_oil(row, side, x)
+            beta = bulk(p, row.bulk_modulus, fluid.air, fluid.polytropic)
+            inflow = chamber_inflow(row, side, v, work[at.net + node], y, bench)
+            dy[bench.nodes[node].state] = chamber_rate(
+                inflow, p, volume, beta, row.cavitation_pressure
+            )
+            fastest = max(fastest, beta / volume * work[at.slope + node])
+            force += p * area
+        viscous, static = row.friction_viscous, row.friction_static
+        force -= stribeck(v, viscous, row.friction_coulomb, static, row.stribeck_speed, CREEP)
+        steep = 0.0 if abs(v) > 4.0 * CREEP else static / CREEP
+        fastest = max(fastest, row.mobility * (steep + viscous))
+        if x < 0.0 or x > row.stroke:
+            force += stop_force(row, x, v)
+            fastest = max(fastest, stop_rate(row))
+        work[at.torque + row.joint] = lever * force
+    return fastest
+
+
+@kernel
+def _supply(y, bench, dy, work):
+    """Rates of the supply line and the pump; the fastest of them [1/s]."""
+    at, line, fluid = bench.at, bench.supply, bench.fluid
+    p, demand = y[at.supply], -work[at.net + SUPPLY]
+    stiffness = line.bulk_modulus / line.volume
+    if fluid.pump_lag == 0.0:  # the model's ideal compensator
+        dy[at.supply] = stiffness * (pump_flow(p, demand, line) - demand)
+        dy[at.pump] = 0.0
+        return 0.0
+    stroke = min(max((line.pressure - p) / fluid.droop, 0.0), 1.0)
+    dy[at.pump] = (line.flow_limit * stroke - y[at.pump]) / fluid.pump_lag
+    spilt = relief_flow(p, fluid.supply_relief, RELIEF_GAIN)
+    dy[at.supply] = stiffness * (y[at.pump] - demand - spilt)
+    pumping = math.sqrt(stiffness * line.flow_limit / (fluid.droop * fluid.pump_lag))
+    return max(stiffness * work[at.slope + SUPPLY], pumping)
+
+
+@derivatives_of(VirtualPlant)
+@kernel
 def derivatives(y, target, bench, dy, work):
     """Write ẏ of the bench's continuous states into ``dy``; return the fastest rate [1/s] of the
     stiff blocks.
 
     ``target`` [V] is where each driver wants its spool, shape (valves,).
     """
-    n, nc, nv, ne = (
-        bench.links.shape[0],
-        bench.cylinders.shape[0],
-        bench.valves.shape[0],
-        bench.edges.shape[0],
-    )
-    at_p = 2 * n
-    at_open = at_p + 2 * nc
-    at_rate = at_open + nv
-    at_supply = at_rate + nv
-    torque_at = work_size(n)
-    net_at = torque_at + n
-    slope_at = net_at + 2 + 2 * nc
-    end = slope_at + 2 + 2 * nc
-    fastest = 0.0
-    for i in range(nv):
-        k, rate = bench.valves[i, STIFFNESS], y[at_rate + i]
-        dy[at_open + i] = rate
-        dy[at_rate + i] = k * (target[i] - y[at_open + i]) - bench.valves[i, DAMPING] * rate
-        fastest = max(fastest, k)
-    fastest = math.sqrt(fastest)
-    for i in range(net_at, end):
+    fastest = _valves_and_edges(y, target, bench, dy, work)
+    for i in range(bench.at.torque, bench.at.net):
         work[i] = 0.0
-    p_tank = bench.supply[P_TANK]
-    for e in range(ne):
-        a, b, i = bench.wiring[e, 0], bench.wiring[e, 1], bench.wiring[e, 2]
-        spool = target[i] if bench.valves[i, STIFFNESS] == 0.0 else y[at_open + i]
-        p_a = y[at_supply] if a == 0 else (p_tank if a == TANK else y[at_p + a - 2])
-        p_b = y[at_supply] if b == 0 else (p_tank if b == TANK else y[at_p + b - 2])
-        drop = p_a - p_b
-        flow = edge_flow(drop, spool, bench.edges[e])
-        if flow != 0.0:
-            work[net_at + a] -= flow
-            work[net_at + b] += flow
-            work[slope_at + a] += flow / drop
-            work[slope_at + b] += flow / drop
-    for i in range(n):
-        dy[i] = y[n + i]
-        work[torque_at + i] = 0.0
-    air, exponent = bench.extra[AIR], bench.extra[POLYTROPIC]
-    for c in range(nc):
-        row = bench.cylinders[c]
-        j = bench.joints[c]
-        p_head, p_rod = y[at_p + 2 * c], y[at_p + 2 * c + 1]
-        x, lever, _ = linkage(
-            int(row[GEOMETRY]), row[L_A], row[L_B], row[SIDE], row[PHASE], row[RETRACTED], y[j]
-        )
-        v = lever * y[n + j]
-        volume_head = chamber_volume(row[VOLUME_HEAD], row[AREA_HEAD] * x)
-        volume_rod = chamber_volume(row[VOLUME_ROD], -row[AREA_ROD] * x)
-        bulk_head, bulk_rod = (
-            bulk(p_head, row[BULK], air, exponent),
-            bulk(p_rod, row[BULK], air, exponent),
-        )
-        head_in = work[net_at + 2 + 2 * c] - relief_flow(p_head, row[RELIEF], RELIEF_GAIN)
-        rod_out = -work[net_at + 3 + 2 * c] + relief_flow(p_rod, row[RELIEF], RELIEF_GAIN)
-        dy[at_p + 2 * c], dy[at_p + 2 * c + 1] = chamber_rates(
-            v,
-            head_in,
-            rod_out,
-            p_head,
-            p_rod,
-            p_tank,
-            bulk_head,
-            bulk_rod,
-            volume_head,
-            volume_rod,
-            row[AREA_HEAD],
-            row[AREA_ROD],
-            row[LEAK_INTERNAL],
-            row[LEAK_HEAD],
-            row[LEAK_ROD],
-            row[FLOOR],
-        )
-        fastest = max(fastest, bulk_head / volume_head * work[slope_at + 2 + 2 * c])
-        fastest = max(fastest, bulk_rod / volume_rod * work[slope_at + 3 + 2 * c])
-        force = p_head * row[AREA_HEAD] - p_rod * row[AREA_ROD]
-        force -= stribeck(v, row[VISCOUS], row[COULOMB], row[STATIC], row[STRIBECK_SPEED], CREEP)
-        steep = 0.0 if abs(v) > 4.0 * CREEP else row[STATIC] / CREEP
-        fastest = max(fastest, row[MOBILITY] * (steep + row[VISCOUS]))
-        if x < 0.0 or x > row[STROKE]:
-            force += end_stop(x, v, row[STROKE], row[STOP], STOP_DISSIPATION)
-            fastest = max(fastest, 2.0 * math.sqrt(row[MOBILITY] * row[STOP]))
-        work[torque_at + j] = lever * force
-    forward(
-        bench.kind,
-        bench.links,
-        bench.gravity,
-        y[:n],
-        y[n : 2 * n],
-        work[torque_at : torque_at + n],
-        dy[n : 2 * n],
-        work,
-    )
-
-    p, demand = y[at_supply], -work[net_at]
-    stiffness = bench.supply[SUPPLY_BULK] / bench.supply[VOLUME]
-    if bench.extra[PUMP_LAG] == 0.0:  # the model's ideal compensator
-        dy[at_supply] = stiffness * (pump_flow(p, demand, bench.supply) - demand)
-        dy[at_supply + 1] = 0.0
-        return fastest
-    stroke = min(max((bench.supply[P_SET] - p) / bench.extra[DROOP], 0.0), 1.0)
-    dy[at_supply + 1] = (bench.supply[FLOW_LIMIT] * stroke - y[at_supply + 1]) / bench.extra[
-        PUMP_LAG
-    ]
-    spilt = relief_flow(p, bench.extra[SUPPLY_RELIEF], RELIEF_GAIN)
-    dy[at_supply] = stiffness * (y[at_supply + 1] - demand - spilt)
-    pumping = math.sqrt(
-        stiffness * bench.supply[FLOW_LIMIT] / (bench.extra[DROOP] * bench.extra[PUMP_LAG])
-    )
-    return max(fastest, stiffness * work[slope_at], pumping)
+    fastest = max(fastest, _cylinders(y, bench, dy, work))
+    move(y, bench, dy, work)
+    return max(fastest, _supply(y, bench, dy, work))
 
 
+@finish_of(VirtualPlant)
 @kernel
-def continuous_states(n, cylinders, valves):
-    """How many of the bench's states are integrated."""
-    return 2 * n + 2 * cylinders + 2 * valves + 2
-
-
-@kernel
-def workspace_size(n, cylinders):
-    """Length of the float64 workspace of `bench_tick`."""
-    return work_size(n) + n + 2 * (2 + 2 * cylinders)
+def _finish(y, target, bench, slope, d):
+    """The bench leaves a Runge–Kutta step as it is."""
 
 
 @kernel
 def _raw(y, bench, raw):
     """What the sensors would say were they perfect, in the order of the raw channels."""
-    n, nc = bench.links.shape[0], bench.cylinders.shape[0]
-    for c in range(nc):
+    cylinders = bench.cylinders.shape[0]
+    for c in range(cylinders):
         row = bench.cylinders[c]
-        q = y[bench.joints[c]]
-        x, _, _ = linkage(
-            int(row[GEOMETRY]), row[L_A], row[L_B], row[SIDE], row[PHASE], row[RETRACTED], q
-        )
-        raw[4 * c] = q
-        raw[4 * c + 1] = x
-        raw[4 * c + 2] = y[2 * n + 2 * c]
-        raw[4 * c + 3] = y[2 * n + 2 * c + 1]
-    raw[4 * nc] = y[2 * n + 2 * nc + 2 * bench.valves.shape[0]]
-    raw[4 * nc + 1] = bench.supply[P_TANK]
+        q = y[row.joint]
+        x, _, _ = linkage_of(row, q)
+        raw[_RAW * c] = q
+        raw[_RAW * c + 1] = x
+        raw[_RAW * c + 2] = node_pressure(y, bench, row.node_head)
+        raw[_RAW * c + 3] = node_pressure(y, bench, row.node_rod)
+    raw[_RAW * cylinders] = node_pressure(y, bench, SUPPLY)
+    raw[_RAW * cylinders + 1] = node_pressure(y, bench, TANK)
 
 
 @kernel
@@ -350,59 +386,46 @@ def _follow(a, b, before, z, speed):
 
 
 @kernel
-def _measure(state, bench, memory, noise_row, sample):
-    """Noise, offset and quantization of the lagged channels, then the delay line, then speed from
-    position.
-    """
-    nc = bench.cylinders.shape[0]
-    channels = 4 * nc + 2
-    lags = memory + bench.valves.shape[0]
-    filters = lags + channels
-    ring = filters + 3 * nc
-    depth = int(bench.timing[0]) + 2
-    place = int(state[ring + depth * channels])
-    for i in range(channels):
-        value = state[lags + i] + bench.sensors[i, ZERO] + bench.sensors[i, NOISE] * noise_row[i]
-        if bench.sensors[i, RESOLUTION] > 0.0:
-            value = bench.sensors[i, RESOLUTION] * math.floor(
-                value / bench.sensors[i, RESOLUTION] + 0.5
-            )
-        state[ring + place * channels + i] = value
-    late = (place - int(bench.timing[0]) + depth) % depth
-    later = (late - 1 + depth) % depth
-    share = bench.timing[1]
-    state[ring + depth * channels] = (place + 1) % depth
-    for c in range(nc):
-        row = bench.cylinders[c]
-        for i in range(4):
-            at = 4 * c + i
-            value = (1.0 - share) * state[ring + late * channels + at] + share * state[
-                ring + later * channels + at
-            ]
-            sample[6 * c + (0, 2, 4, 5)[i]] = value
-        z, at = sample[6 * c + 2], filters + 3 * c
-        state[at], state[at + 1] = _follow(state[at], state[at + 1], state[at + 2], z, bench.speed)
-        state[at + 2] = z
-        sample[6 * c + 3] = state[at + 1]
-        _, lever, _ = linkage(
-            int(row[GEOMETRY]),
-            row[L_A],
-            row[L_B],
-            row[SIDE],
-            row[PHASE],
-            row[RETRACTED],
-            sample[6 * c],
-        )
-        sample[6 * c + 1] = state[at + 1] / lever if abs(lever) > 1.0e-3 else 0.0
-    for i in range(2):
-        at = 4 * nc + i
-        sample[6 * nc + i] = (1.0 - share) * state[ring + late * channels + at] + share * state[
-            ring + later * channels + at
-        ]
+def _delayed(state, bench, channel):
+    """A raw channel as late as the delay line makes it; the line's present row is written."""
+    at = bench.at
+    late = (int(state[at.place]) - 1 - bench.delay + 2 * at.depth) % at.depth
+    later = (late - 1 + at.depth) % at.depth
+    return (1.0 - bench.share) * state[at.ring + late * at.channels + channel] + (
+        bench.share * state[at.ring + later * at.channels + channel]
+    )
 
 
 @kernel
-def bench_tick(state, command, bench, tick, steps, scratch, work, noise_row, sample):
+def _measure(state, bench, noise_row, sample):
+    """Noise, offset and quantization of the lagged channels, then the delay line, then speed from
+    position.
+    """
+    at, cylinders = bench.at, bench.cylinders.shape[0]
+    place = int(state[at.place])
+    for i in range(at.channels):
+        sensor = bench.sensors[i]
+        value = state[at.lags + i] + sensor.zero + sensor.noise * noise_row[i]
+        if sensor.resolution > 0.0:
+            value = sensor.resolution * math.floor(value / sensor.resolution + 0.5)
+        state[at.ring + place * at.channels + i] = value
+    state[at.place] = (place + 1) % at.depth
+    for c in range(cylinders):
+        row = bench.cylinders[c]
+        for i in range(_RAW):
+            sample[entry(c, RAW[i])] = _delayed(state, bench, _RAW * c + i)
+        z, k = sample[entry(c, OF.x)], at.filters + _FILTER * c
+        state[k], state[k + 1] = _follow(state[k], state[k + 1], state[k + 2], z, bench.speed)
+        state[k + 2] = z
+        sample[entry(c, OF.v)] = state[k + 1]
+        _, lever, _ = linkage_of(row, sample[entry(c, OF.q)])
+        sample[entry(c, OF.qd)] = state[k + 1] / lever if abs(lever) > 1.0e-3 else 0.0
+    for i in range(_RAW_LINES):
+        sample[line_entry(cylinders, i)] = _delayed(state, bench, _RAW * cylinders + i)
+
+
+@kernel
+def bench_tick(state, command, bench, tick, steps, scratch, noise_row, sample):
     """Let ``command`` act for one tick, in place, then write what the machine measures into
     ``sample``.
 
@@ -411,54 +434,28 @@ def bench_tick(state, command, bench, tick, steps, scratch, work, noise_row, sam
         command: [V], shape (valves,), limited to each driver's range.
         tick: [s].
         steps: integration steps a tick; more substeps are taken where the bench is stiff.
-        scratch: float64 (6, continuous states or raw channels, whichever is more).
-        work: float64 workspace of `workspace_size`.
+        scratch: of `scratch_of`.
         noise_row: standard normal numbers, shape (raw channels,).
-        sample: out, shape (6·cylinders + 2,).
+        sample: out, as `ehbench.parts.sample`.
     """
-    n, nc, nv = bench.links.shape[0], bench.cylinders.shape[0], bench.valves.shape[0]
-    size, channels = continuous_states(n, nc, nv), 4 * nc + 2
-    y, lags = state[:size], size + nv
-    target, raw = scratch[5, channels : channels + nv], scratch[5, :channels]
-    for i in range(nv):
-        u = min(max(command[i], bench.valves[i, LOWEST]), bench.valves[i, HIGHEST])
-        state[size + i] = play(state[size + i], u, bench.valves[i, HYSTERESIS])
-        target[i] = bench.valves[i, DRIVER_GAIN] * state[size + i] + bench.valves[i, DRIVER_OFFSET]
+    at = bench.at
+    y = state[: at.states]
+    for i in range(bench.valves.shape[0]):
+        valve, k = bench.valves[i], at.hysteresis + i
+        state[k] = play(state[k], limited(command[i], valve), valve.hysteresis)
+        scratch.target[i] = valve.gain * state[k] + valve.offset
     h = tick / steps
     for _ in range(steps):
-        rate = derivatives(y, target, bench, scratch[0], work)
-        substeps = 1
-        if rate * h > STIFF:
-            substeps = min(MOST_SUBSTEPS, int(math.ceil(rate * h / STIFF)))
-        d = h / substeps
-        for s in range(substeps):
-            if s > 0:
-                derivatives(y, target, bench, scratch[0], work)
-            for i in range(size):
-                scratch[4, i] = y[i] + 0.5 * d * scratch[0, i]
-            derivatives(scratch[4, :size], target, bench, scratch[1], work)
-            for i in range(size):
-                scratch[4, i] = y[i] + 0.5 * d * scratch[1, i]
-            derivatives(scratch[4, :size], target, bench, scratch[2], work)
-            for i in range(size):
-                scratch[4, i] = y[i] + d * scratch[2, i]
-            derivatives(scratch[4, :size], target, bench, scratch[3], work)
-            for i in range(size):
-                y[i] += (
-                    d
-                    / 6.0
-                    * (scratch[0, i] + 2.0 * (scratch[1, i] + scratch[2, i]) + scratch[3, i])
-                )
-        _raw(y, bench, raw)
-        for i in range(channels):
-            lag = bench.sensors[i, LAG]
+        rk4(y, scratch.target, bench, h, scratch.k, scratch.work)
+        _raw(y, bench, scratch.raw)
+        for i in range(at.channels):
+            lag = bench.sensors[i].lag
             keep = math.exp(-h / lag) if lag > 0.0 else 0.0
-            state[lags + i] = raw[i] + keep * (state[lags + i] - raw[i])
-    _measure(state, bench, size, noise_row, sample)
+            state[at.lags + i] = scratch.raw[i] + keep * (state[at.lags + i] - scratch.raw[i])
+    _measure(state, bench, noise_row, sample)
 
 
 # --- putting a bench together
-# ---------------------------------------------------------------------------------------
 
 
 def _scalar(value) -> float | None:
@@ -472,15 +469,15 @@ class _Given:
         self.entries = [table[key] for key in (name, "all") if key in table]
 
     def __call__(self, key: str, default: float) -> float:
-        for entry in self.entries:
-            value = _scalar(getattr(entry, key))
+        for own in self.entries:
+            value = _scalar(getattr(own, key))
             if value is not None:
                 return value
         return default
 
     def reverse(self) -> _Given:
         found = _Given({}, "")
-        found.entries = [entry.reverse for entry in self.entries]
+        found.entries = [own.reverse for own in self.entries]
         return found
 
 
@@ -543,23 +540,23 @@ def _truth(recipe: BenchRecipe, rig: Rig) -> Rig:
 
 
 def _check_names(recipe: BenchRecipe, names: Layout) -> None:
-    for table, allowed in (
+    for kind, allowed in (
         ("cylinder", names.cylinders),
         ("valve", names.valves),
         ("edge", names.edges),
         ("sensors", (*names.cylinders, "supply")),
     ):
-        for name in getattr(recipe, table):
+        for name in getattr(recipe, kind):
             if name != "all" and name not in allowed:
                 there = "there are all, " + ", ".join(allowed)
                 raise InputError(
-                    f"{table}.{name}: the rig has no such {table}",
-                    **recipe.at(table, name),
+                    f"{kind}.{name}: the rig has no such {kind}",
+                    **recipe.at(kind, name),
                     hint=there,
                 )
 
 
-def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) -> np.ndarray:
+def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) -> np.record:
     """One direction of an edge. All draws are made whatever is given, so that giving one value
     leaves the others.
     """
@@ -570,44 +567,43 @@ def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) ->
         np.array([1.1, 0.06, 1.4, 1.03, 2.0, 1.8, 0.18]),
     )
     onset, soft, sat, factor, setting, wide, force = rng.uniform(low, high)
-    row = np.zeros(CURVE_FLOATS)
+    row = table(1, CURVE)[0]
     dead = float(edge.deadband)
-    row[ONSET] = given("onset", onset * dead if dead > 0 else 0.1 * soft * full)
-    row[SOFTNESS] = given("softness", soft * full if compensated else 0.3 * soft * full)
-    row[SATURATION] = (
+    row.onset = given("onset", onset * dead if dead > 0 else 0.1 * soft * full)
+    row.softness = given("softness", soft * full if compensated else 0.3 * soft * full)
+    row.saturation = (
         given("saturation", sat * full if compensated else 1.6 * sat * full) or math.inf
     )
     gain = float(edge.compensated_gain if compensated else edge.flow_gain) * given(
         "gain_factor", factor
     )
-    row[E_GAIN] = gain
+    row.gain = gain
     if compensated:
-        row[SETTING] = given("compensation_drop", setting * float(edge.compensation_drop))
-        row[E_GAIN] = gain / math.sqrt(row[SETTING])
-        row[WIDE_OPEN] = given("compensator_opening", wide * full)
-        row[FLOW_FORCE] = given("flow_force", force / full)
+        row.setting = given("compensation_drop", setting * float(edge.compensation_drop))
+        row.gain = gain / math.sqrt(row.setting)
+        row.wide_open = given("compensator_opening", wide * full)
+        row.flow_force = given("flow_force", force / full)
     return row
 
 
-def _edge_row(
-    given: _Given, name: str, edge: Edge, valve: Valve, seed: int, p_supply: float
-) -> np.ndarray:
+def _set_edge(
+    row: np.record, curves: np.recarray, given: _Given, item: tuple[str, Edge, Valve], rig: _Seeded
+) -> None:
+    """Fill an edge's row and its two curves."""
+    name, edge, valve = item
     full = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
-    rng = _draws(seed, name)
-    row = np.zeros(CURVE + 2 * CURVE_FLOATS)
-    row[E_SIGN], row[E_BLOCKED], row[NULL_WIDTH] = edge.sign, edge.reverse == "blocked", 0.05 * full
-    forward_curve, reverse_curve = (
-        _curve(given, edge, valve, rng),
-        _curve(given.reverse(), edge, valve, rng),
-    )
-    row[CURVE : CURVE + CURVE_FLOATS], row[CURVE + CURVE_FLOATS :] = forward_curve, reverse_curve
-    rated = forward_curve[E_GAIN] * full * math.sqrt(forward_curve[SETTING] or p_supply)
+    rng = _draws(rig.seed, name)
+    row.sign, row.blocked, row.null_width = edge.sign, edge.reverse == "blocked", 0.05 * full
+    curves[row.forward] = forward = _curve(given, edge, valve, rng)
+    curves[row.reverse] = _curve(given.reverse(), edge, valve, rng)
+    rated = forward.gain * full * math.sqrt(forward.setting or rig.p_supply)
     spool = len(valve.edge) > 1
-    row[NULL] = given("null_leakage", (1e-4 if spool else 1e-5) * rated / p_supply)
-    return row
+    row.null = given("null_leakage", (1e-4 if spool else 1e-5) * rated / rig.p_supply)
 
 
-def _tune(valve: Valve, row: np.ndarray, drop: float, width: float) -> tuple[float, float]:
+def _tune(
+    valve: Valve, row: np.record, curves: np.recarray, drop: float, width: float
+) -> tuple[float, float]:
     """(gain, offset) of a driver turned until the rig file's calibration holds, the command coming
     up from rest.
 
@@ -620,7 +616,7 @@ def _tune(valve: Valve, row: np.ndarray, drop: float, width: float) -> tuple[flo
 
     def spool(flow: float) -> float:
         low, high = 0.0, 4.0 * float(valve.command_max)
-        if edge_flow(drop, row[E_SIGN] * high, row) < flow:
+        if edge_flow(drop, row.sign * high, row, curves) < flow:
             raise InputError(
                 f"valve '{valve.name}' of the bench never passes its calibration flow {flow:g} m^3/s"
             )
@@ -628,10 +624,10 @@ def _tune(valve: Valve, row: np.ndarray, drop: float, width: float) -> tuple[flo
             middle = 0.5 * (low + high)
             low, high = (
                 (low, middle)
-                if edge_flow(drop, row[E_SIGN] * middle, row) > flow
+                if edge_flow(drop, row.sign * middle, row, curves) > flow
                 else (middle, high)
             )
-        return row[E_SIGN] * 0.5 * (low + high)
+        return row.sign * 0.5 * (low + high)
 
     ends = [(command - 0.5 * width, spool(flow)) for command, flow in (points[0], points[-1])]
     (u0, s0), (u1, s1) = ends
@@ -648,8 +644,7 @@ class Running(NamedTuple):
     bench: VirtualPlant
     tick: float
     steps: int
-    scratch: np.ndarray
-    work: np.ndarray
+    scratch: Scratch
 
 
 @kernel
@@ -669,7 +664,6 @@ def _advance(first, stop, own, rows, law, noise):
             own.tick,
             own.steps,
             own.scratch,
-            own.work,
             noise[i - first],
             sample,
         )
@@ -711,23 +705,16 @@ class VirtualMachine:
         self.rig, self.rate, self.seed = rig, float(rate), seed
         self.latency = float(recipe.delay)
         names = self.layout = self.model.layout
-        self.channels, self.commands = sample_channels(names), Inputs.of(self.model)
+        self.channels, self.commands = sample_channels(names.cylinders), Inputs.of(self.model)
         _check_names(recipe, names)
         self.bench = _build(recipe, self.model, 1.0 / self.rate)
-        self.strokes = self.bench.cylinders[:, STROKE].copy()
+        self.strokes = self.bench.cylinders.stroke.copy()
         self.steps = max(1, round(1.0 / (self.rate * step)))
-        nc, nv = len(names.cylinders), len(names.valves)
-        self.size = continuous_states(len(names.joints), nc, nv)
-        self.raw = 4 * nc + 2
-        depth = int(self.bench.timing[0]) + 2
-        self.state = np.zeros(self.size + nv + self.raw + 3 * nc + depth * self.raw + 1)
+        at = self.bench.at
+        self.size, self.raw = at.states, at.channels
+        self.state = np.zeros(at.size)
         self._own = Running(
-            self.state,
-            self.bench,
-            1.0 / self.rate,
-            self.steps,
-            np.zeros((6, max(self.size, self.raw + nv))),
-            np.zeros(workspace_size(len(names.joints), nc)),
+            self.state, self.bench, 1.0 / self.rate, self.steps, scratch_of(self.bench)
         )
         self._rng = self._new_noise()
         self._noise, self._used = np.empty((0, self.raw)), 0
@@ -779,23 +766,19 @@ class VirtualMachine:
     def start(self, posture: Posture = None, low_side: float | None = None) -> np.ndarray:
         """As `Machine.start`; the unloaded chambers begin to settle at ``low_side``."""
         self._rng, self._used = self._new_noise(), len(self._noise)
-        bench, size, nv = self.bench, self.size, len(self.layout.valves)
-        y = self.model.trim(self.model.posture(posture), low_side)
+        bench, at, state = self.bench, self.bench.at, self.state
         rest = self.commands.rest
-        state = self.state
         state[:] = 0.0
-        state[: size - 1] = y
-        state[size : size + nv] = rest
-        spools = self.layout.state("opening", 0) if nv else 0
-        state[spools : spools + nv] = (
-            bench.valves[:, DRIVER_GAIN] * rest + bench.valves[:, DRIVER_OFFSET]
-        )
-        _raw(state[:size], bench, state[size + nv : size + nv + self.raw])
-        filters = size + nv + self.raw
+        state[: at.pump] = self.model.trim(self.model.posture(posture), low_side)
+        state[at.hysteresis : at.lags] = rest
+        for valve, command in zip(bench.valves, rest, strict=True):
+            valve_settle(valve, valve.gain * command + valve.offset, bench, state)
+        _raw(state[: at.states], bench, state[at.lags : at.filters])
         for c in range(len(self.layout.cylinders)):
-            state[[filters + 3 * c, filters + 3 * c + 2]] = state[size + nv + 4 * c + 1]
+            k = at.filters + _FILTER * c
+            state[[k, k + 2]] = state[at.lags + _RAW * c + RAW.index(OF.x)]
         sample = np.zeros(len(self.channels))
-        for _ in range(max(round(SETTLE * self.rate), int(bench.timing[0]) + 3)):
+        for _ in range(max(round(SETTLE * self.rate), bench.delay + 3)):
             self._tick(rest, sample)
         self._must_be_finite()
         return sample
@@ -817,7 +800,6 @@ class VirtualMachine:
             own.tick,
             own.steps,
             own.scratch,
-            own.work,
             noise,
             sample,
         )
@@ -850,152 +832,171 @@ class VirtualMachine:
                 f"the bench has no edge '{edge}'", hint="it has " + ", ".join(self.layout.edges)
             )
         index = self.layout.edges.index(edge)
-        valve = int(self.bench.wiring[index, 2])
-        _, _, gain, offset, width = self.bench.valves[
-            valve, [LOWEST, HIGHEST, DRIVER_GAIN, DRIVER_OFFSET, HYSTERESIS]
-        ]
-        rest = self.commands.rest[valve]
+        row = self.bench.edges[index]
+        valve = self.bench.valves[row.valve]
+        rest = self.commands.rest[row.valve]
         command, drop = np.broadcast_arrays(
             np.asarray(command, dtype=float), np.asarray(drop, dtype=float)
         )
-        flows = [
-            edge_flow(dp, gain * play(rest, u, width) + offset, self.bench.edges[index])
-            for u, dp in zip(command.ravel(), drop.ravel(), strict=True)
-        ]
+        flows = []
+        for u, dp in zip(command.ravel(), drop.ravel(), strict=True):
+            spool = valve.gain * play(rest, u, valve.hysteresis) + valve.offset
+            flows.append(edge_flow(dp, spool, row, self.bench.curves))
         return np.array(flows).reshape(command.shape)
+
+
+class _Seeded(NamedTuple):
+    """What a bench is drawn for."""
+
+    recipe: BenchRecipe
+    model: Model
+    seed: int
+    p_supply: float
 
 
 def _build(recipe: BenchRecipe, model: Model, tick: float) -> VirtualPlant:
     """The compiled form of a bench whose truth ``model`` is."""
-    plant, names, rig, seed = model.plant, model.layout, model.rig, recipe.seed
-    p_supply = float(rig.supply.pressure)
-    air = float(recipe.air_fraction)
+    plant = model.plant
+    of = _Seeded(recipe, model, recipe.seed, float(model.rig.supply.pressure))
+    edges, curves = _edges(of)
+    valves, elements = _valves(of, edges, curves)
+    ticks = float(recipe.delay) / tick
+    omega, zeta = 2 * math.pi * float(recipe.velocity_cutoff), float(recipe.velocity_damping)
+    return VirtualPlant(
+        kind=plant.kind,
+        gravity=plant.gravity,
+        links=plant.links,
+        cylinders=_bench_cylinders(of),
+        nodes=plant.nodes,
+        valves=valves,
+        elements=elements,
+        edges=edges,
+        curves=curves,
+        supply=plant.supply,
+        fluid=_fluid(of),
+        sensors=_sensors(of),
+        delay=math.floor(ticks),
+        share=ticks - math.floor(ticks),
+        speed=_speed_filter(omega, zeta, tick),
+        at=_offsets(model.layout, math.floor(ticks) + 2),
+    )
 
-    cylinders = np.hstack([plant.cylinders, np.zeros((len(names.cylinders), 2))])
-    for name, item, row in zip(names.cylinders, rig.cylinder, cylinders, strict=True):
+
+def _copied(rows: np.recarray, columns: np.dtype) -> np.recarray:
+    """The rows of a table in a wider layout."""
+    wide = table(rows.shape[0], columns)
+    for name in rows.dtype.names:
+        wide[name] = rows[name]
+    return wide
+
+
+def _bench_cylinders(of: _Seeded) -> np.recarray:
+    recipe, p_supply = of.recipe, of.p_supply
+    cylinders = _copied(of.model.plant.cylinders, BENCH_CYLINDER)
+    names, items = of.model.layout.cylinders, of.model.rig.cylinder
+    for name, item, row in zip(names, items, cylinders, strict=True):
         given = _Given(recipe.cylinder, name)
-        force = p_supply * row[AREA_HEAD]
-        rng = _draws(seed, name)
+        force = p_supply * row.area_head
+        rng = _draws(of.seed, name)
         coulomb, static, viscous, speed = rng.uniform(
             [0.004, 1.4, 0.015, 0.006], [0.007, 1.8, 0.03, 0.012]
         )
-        row[COULOMB] = given("friction_coulomb", float(item.friction_coulomb) or coulomb * force)
-        row[STATIC] = given("friction_static", static * row[COULOMB])
-        row[VISCOUS] = given("friction_viscous", float(item.friction_viscous) or viscous * force)
-        row[STRIBECK_SPEED] = given("stribeck_speed", speed)
-        if row[STATIC] < row[COULOMB]:
+        plain, damper = float(item.friction_coulomb), float(item.friction_viscous)
+        row.friction_coulomb = given("friction_coulomb", plain or coulomb * force)
+        row.friction_static = given("friction_static", static * row.friction_coulomb)
+        row.friction_viscous = given("friction_viscous", damper or viscous * force)
+        row.stribeck_speed = given("stribeck_speed", speed)
+        if row.friction_static < row.friction_coulomb:
             where = recipe.at("cylinder", name)
             raise InputError(
                 f"cylinder.{name}: friction_static must not lie below friction_coulomb", **where
             )
-        for key, column in (
-            ("leakage_internal", LEAK_INTERNAL),
-            ("leakage_head", LEAK_HEAD),
-            ("leakage_rod", LEAK_ROD),
-        ):
-            if f"{name}.{key}" not in recipe.truth and row[column] == 0.0:
-                row[column] = (
-                    rng.uniform(0.5, 1.5)
-                    * (1e-4 if column == LEAK_INTERNAL else 1e-5)
-                    * row[AREA_HEAD]
-                    / p_supply
-                )
-        if air > 0.0:
-            row[FLOOR] = -math.inf  # the air itself keeps a chamber above vacuum
+        for key in ("leakage_internal", "leakage_head", "leakage_rod"):
+            if f"{name}.{key}" not in recipe.truth and row[key] == 0.0:
+                typical = 1e-4 if key == "leakage_internal" else 1e-5
+                row[key] = rng.uniform(0.5, 1.5) * typical * row.area_head / p_supply
+        if float(recipe.air_fraction) > 0.0:
+            row.cavitation_pressure = -math.inf  # the air itself keeps a chamber above vacuum
+    return cylinders
 
-    edges, wiring = [], plant.wiring[:, :3].copy()
-    for name, (_, valve, edge) in zip(names.edges, rig.edges(), strict=True):
-        edges.append(_edge_row(_Given(recipe.edge, name), name, edge, valve, seed, p_supply))
-    edges = np.array(edges)
 
-    valves = np.hstack([plant.valves, np.zeros((len(names.valves), 3))])
-    for index, (name, (_, valve), row) in enumerate(
-        zip(names.valves, rig.valves(), valves, strict=True)
+def _edges(of: _Seeded) -> tuple[np.recarray, np.recarray]:
+    """(edges, their curves)."""
+    plant, names = of.model.plant, of.model.layout.edges
+    edges, curves = table(len(names), BENCH_EDGE), table(2 * len(names), CURVE)
+    for index, (name, (_, valve, edge)) in enumerate(zip(names, of.model.rig.edges(), strict=True)):
+        row = edges[index]
+        for key in ("from_node", "to_node", "valve"):
+            row[key] = plant.edges[index][key]
+        row.forward, row.reverse = 2 * index, 2 * index + 1
+        _set_edge(row, curves, _Given(of.recipe.edge, name), (name, edge, valve), of)
+    return edges, curves
+
+
+def _valves(
+    of: _Seeded, edges: np.recarray, curves: np.recarray
+) -> tuple[np.recarray, np.recarray]:
+    """(valves with their drivers, the elements of their dynamics)."""
+    recipe, rig = of.recipe, of.model.rig
+    valves = _copied(of.model.plant.valves, BENCH_VALVE)
+    elements = of.model.plant.elements.copy()
+    for index, (name, (_, valve)) in enumerate(
+        zip(of.model.layout.valves, rig.valves(), strict=True)
     ):
-        given, rng = _Given(recipe.valve, name), _draws(seed, name)
+        row = valves[index]
+        given, rng = _Given(recipe.valve, name), _draws(of.seed, name)
         full = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
         width, gain, offset, faster, damper = rng.uniform(
             [0.002, 0.97, -0.003, 0.93, 0.9], [0.006, 1.03, 0.003, 1.07, 1.1]
         )
-        row[HYSTERESIS] = given("hysteresis", width * full)
+        row.hysteresis = given("hysteresis", width * full)
         if valve.calibration:
-            tuned = _tune(
-                valve,
-                edges[np.flatnonzero(wiring[:, 2] == index)[0]],
-                float(recipe.calibration_drop),
-                row[HYSTERESIS],
-            )
-            gain, offset = tuned[0], tuned[1] / full
-        row[DRIVER_GAIN], row[DRIVER_OFFSET] = (
-            given("driver_gain", gain),
-            given("driver_offset", offset * full),
-        )
+            own = edges[np.flatnonzero(edges.valve == index)[0]]
+            drop = float(recipe.calibration_drop)
+            gain, offset = _tune(valve, own, curves, drop, row.hysteresis)
+            offset /= full
+        row.gain, row.offset = given("driver_gain", gain), given("driver_offset", offset * full)
         if valve.dynamics is not None:
             omega, zeta = rig.dynamics[valve.dynamics].frequency_and_damping()
-            omega, zeta = (
-                given("natural_frequency", faster * omega),
-                given("damping_ratio", damper * zeta),
-            )
-            row[[STIFFNESS, DAMPING]] = omega**2, 2 * zeta * omega
+            omega = given("natural_frequency", faster * omega)
+            set_second_order(elements[row.first], omega, given("damping_ratio", damper * zeta))
+    return valves, elements
 
-    droop = _scalar(recipe.droop)
-    relief = _scalar(recipe.supply_relief)
-    extra = np.array(
-        [
-            air,
-            float(recipe.polytropic_exponent),
-            0.03 * p_supply if droop is None else droop,
-            float(recipe.pump_lag),
-            1.15 * p_supply if relief is None else relief,
-        ]
-    )
-    if extra[PUMP_LAG] > 0.0 and extra[DROOP] == 0.0:
+
+def _fluid(of: _Seeded) -> np.record:
+    recipe, row = of.recipe, table(1, FLUID)[0]
+    droop, relief = _scalar(recipe.droop), _scalar(recipe.supply_relief)
+    row.air, row.polytropic = float(recipe.air_fraction), float(recipe.polytropic_exponent)
+    row.droop = 0.03 * of.p_supply if droop is None else droop
+    row.pump_lag = float(recipe.pump_lag)
+    row.supply_relief = 1.15 * of.p_supply if relief is None else relief
+    if row.pump_lag > 0.0 and row.droop == 0.0:
         hint = "give droop, or pump_lag = '0 s' for an ideal one"
         raise InputError("a pump with a lag needs a droop", **recipe.at("droop"), hint=hint)
-
-    ticks = float(recipe.delay) / tick
-    timing = np.array([math.floor(ticks), ticks - math.floor(ticks)])
-    return VirtualPlant(
-        plant.kind,
-        plant.gravity,
-        plant.links,
-        plant.joints,
-        np.ascontiguousarray(cylinders),
-        np.ascontiguousarray(valves),
-        np.ascontiguousarray(edges),
-        np.ascontiguousarray(wiring),
-        plant.supply,
-        extra,
-        _sensors(recipe, model, p_supply),
-        timing,
-        _speed_filter(
-            2 * math.pi * float(recipe.velocity_cutoff), float(recipe.velocity_damping), tick
-        ),
-    )
+    return row
 
 
-def _sensors(recipe: BenchRecipe, model: Model, p_supply: float) -> np.ndarray:
+def _sensors(of: _Seeded) -> np.recarray:
     """Lag, noise, resolution and zero offset of every raw channel."""
-    slide = model.rig.mechanism.kind == "slide"
-    rows = []
-    for name in (*model.layout.cylinders, "supply"):
-        given, rng = _Given(recipe.sensors, name), _draws(recipe.seed, f"sensors {name}")
+    slide = of.model.rig.mechanism.kind == "slide"
+    rows: list[tuple[float, ...]] = []
+    for name in (*of.model.layout.cylinders, "supply"):
+        given, rng = _Given(of.recipe.sensors, name), _draws(of.seed, f"sensors {name}")
         step = given("position_resolution", 2.54e-5)
-        position = [0.0, given("position_noise", 0.2 * step), step, 0.0]
+        position = (0.0, given("position_noise", 0.2 * step), step, 0.0)
         counts = given("encoder_counts", 4096)
         turn = 2 * math.pi / counts if counts else 0.0
-        angle = position if slide else [0.0, 0.1 * turn, turn, 0.0]
-        resolution = given("pressure_resolution", p_supply / 2048)
-        pressure = [
-            given("pressure_lag", 5.3e-5),
-            given("pressure_noise", 5e-4 * p_supply),
-            resolution,
-        ]
-        spread = given("pressure_offset", 1e-3 * p_supply)
+        angle = position if slide else (0.0, 0.1 * turn, turn, 0.0)
+        resolution = given("pressure_resolution", of.p_supply / 2048)
+        lag = given("pressure_lag", 5.3e-5)
+        noise = given("pressure_noise", 5e-4 * of.p_supply)
+        spread = given("pressure_offset", 1e-3 * of.p_supply)
         zeros = np.clip(rng.standard_normal(2), -2, 2) * spread
-        both = [[*pressure, zero] for zero in zeros]
+        both = [(lag, noise, resolution, float(zero)) for zero in zeros]
         rows += both if name == "supply" else [angle, position, *both]
-    return np.array(rows)
+    sensors = table(len(rows), SENSOR)
+    sensors[:] = rows
+    return sensors
 
 
 def _speed_filter(omega: float, zeta: float, tick: float) -> np.ndarray:

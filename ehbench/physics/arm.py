@@ -11,7 +11,7 @@ link. There the axis is (0, 0, 1), the next joint lies at (a, 0, d) and mass, fi
 inertia about the origin are constants, in which all the equations are linear. `pack_link` puts
 link-end values into that form, one row of ``links`` a link.
 
-Kernels share their leading arguments: ``kind`` CHAIN or SLIDE; ``links`` float64 (n, COLUMNS);
+Kernels share their leading arguments: ``kind`` CHAIN or SLIDE; ``links`` records of LINK (n,);
 ``gravity`` float64 (3,), g times the base-frame direction that points up [m/s²] (a slide takes its
 last entry); ``q, qd, qdd, torque`` float64 (n,) [rad…, N·m], for a slide (1,) [m…, N]; ``work``
 float64 (work_size(n),), overwritten. They allocate nothing, check nothing, and give inf or nan
@@ -23,17 +23,18 @@ import math
 
 import numpy as np
 
-from ehbench.compiled import kernel
+from ehbench.compiled import kernel, record, table
 
 CHAIN, SLIDE = 0, 1
 
-# Columns of `links`. Moments and inertia are about the joint axis' origin, in joint-frame axes; a
-# slide uses MASS,
-# DAMPING and, for its incline, COS_ALPHA and SIN_ALPHA.
-(A, D, COS_ALPHA, SIN_ALPHA, THETA0, MASS, HX, HY, HZ, JXX, JYY, JZZ, JXY, JXZ, JYZ, DAMPING) = (
-    range(16)
+# A link, described in its joint frame: where the next joint lies (``a``, 0, ``d``) [m], the twist to
+# it, the angle ``theta0`` at q = 0 [rad], ``mass`` [kg], first moment (hx, hy, hz) [kg·m] and
+# inertia about the origin (jxx … jyz) [kg·m²], viscous ``damping`` [N·m·s/rad]. A slide has mass,
+# damping [N·s/m] and, for its incline, cos_alpha and sin_alpha.
+LINK = record(
+    *((name, "f8") for name in "a d cos_alpha sin_alpha theta0 mass hx hy hz".split()),
+    *((name, "f8") for name in "jxx jyy jzz jxy jxz jyz damping".split()),
 )
-COLUMNS = 16
 
 # Work a joint: cosine and sine of its angle, then (force, moment) or the composite (mass, moments,
 # inertia).
@@ -41,8 +42,8 @@ _COS, _SIN, _BODY = 0, 1, 2
 _STRIDE = 12
 
 
-def pack_link(dh_a, dh_d, dh_alpha, dh_theta, mass, com, inertia, damping) -> np.ndarray:
-    """One row of ``links`` for a revolute joint and its link; shape (COLUMNS,).
+def pack_link(dh_a, dh_d, dh_alpha, dh_theta, mass, com, inertia, damping) -> np.record:
+    """One row of ``links`` for a revolute joint and its link.
 
     Args:
         dh_a, dh_d: Denavit–Hartenberg link length and offset [m].
@@ -59,31 +60,26 @@ def pack_link(dh_a, dh_d, dh_alpha, dh_theta, mass, com, inertia, damping) -> np
     j = twist @ np.asarray(inertia, dtype=float) @ twist.T + mass * (
         r @ r * np.eye(3) - np.outer(r, r)
     )
-    row = np.empty(COLUMNS)
-    row[[A, D, COS_ALPHA, SIN_ALPHA, THETA0, MASS, DAMPING]] = (
-        dh_a,
-        dh_d,
-        cosine,
-        sine,
-        dh_theta,
-        mass,
-        damping,
-    )
-    row[[HX, HY, HZ]] = mass * r
-    row[[JXX, JYY, JZZ, JXY, JXZ, JYZ]] = j[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    row = table(1, LINK)[0]
+    row.a, row.d, row.cos_alpha, row.sin_alpha = dh_a, dh_d, cosine, sine
+    row.theta0, row.mass, row.damping = dh_theta, mass, damping
+    row.hx, row.hy, row.hz = mass * r
+    row.jxx, row.jyy, row.jzz = np.diag(j)
+    row.jxy, row.jxz, row.jyz = j[0, 1], j[0, 2], j[1, 2]
     return row
 
 
-def pack_slide(mass, damping, incline) -> np.ndarray:
-    """The one row of ``links`` for a sliding mass; shape (COLUMNS,).
+def pack_slide(mass, damping, incline) -> np.record:
+    """The one row of ``links`` for a sliding mass.
 
     Args:
         mass: [kg].
         damping: viscous damping [N·s/m].
         incline: slope [rad], positive when x grows uphill; π/2 lifts straight up.
     """
-    row = np.zeros(COLUMNS)
-    row[[MASS, DAMPING, COS_ALPHA, SIN_ALPHA]] = mass, damping, math.cos(incline), math.sin(incline)
+    row = table(1, LINK)[0]
+    row.mass, row.damping = mass, damping
+    row.cos_alpha, row.sin_alpha = math.cos(incline), math.sin(incline)
     return row
 
 
@@ -111,7 +107,7 @@ def _inward(c, s, ca, sa, x, y, z):
 def _turn(links, q, work):
     """Cosine and sine of every joint angle into ``work``."""
     for i in range(links.shape[0]):
-        angle = links[i, THETA0] + q[i]
+        angle = links[i].theta0 + q[i]
         work[i * _STRIDE + _COS] = math.cos(angle)
         work[i * _STRIDE + _SIN] = math.sin(angle)
 
@@ -128,9 +124,9 @@ def _newton_euler(links, gravity, qd, out, work):
     ax, ay, az = _outward(work[_COS], work[_SIN], 1.0, 0.0, gravity[0], gravity[1], gravity[2])
     for i in range(n):
         b = i * _STRIDE
-        m, hx, hy, hz = links[i, MASS], links[i, HX], links[i, HY], links[i, HZ]
-        jxx, jyy, jzz = links[i, JXX], links[i, JYY], links[i, JZZ]
-        jxy, jxz, jyz = links[i, JXY], links[i, JXZ], links[i, JYZ]
+        m, hx, hy, hz = links[i].mass, links[i].hx, links[i].hy, links[i].hz
+        jxx, jyy, jzz = links[i].jxx, links[i].jyy, links[i].jzz
+        jxy, jxz, jyz = links[i].jxy, links[i].jxz, links[i].jyz
         # k = [e]× + [w]×[w]×, so that a point r fixed to the link accelerates by a + k r
         xx, yy, zz, xy, xz, yz = wx * wx, wy * wy, wz * wz, wx * wy, wx * wz, wy * wz
         k00, k01, k02 = -yy - zz, xy - ez, xz + ey
@@ -148,7 +144,7 @@ def _newton_euler(links, gravity, qd, out, work):
         work[b + _BODY + 4] = jxy * ex + jyy * ey + jyz * ez + wz * lx - wx * lz + hz * ax - hx * az
         work[b + _BODY + 5] = jxz * ex + jyz * ey + jzz * ez + wx * ly - wy * lx + hx * ay - hy * ax
         if i + 1 < n:
-            pa, pd, ca, sa = links[i, A], links[i, D], links[i, COS_ALPHA], links[i, SIN_ALPHA]
+            pa, pd, ca, sa = links[i].a, links[i].d, links[i].cos_alpha, links[i].sin_alpha
             c, s, rate = work[b + _STRIDE + _COS], work[b + _STRIDE + _SIN], qd[i + 1]
             ax, ay, az = (
                 ax + k00 * pa + k02 * pd,
@@ -161,13 +157,13 @@ def _newton_euler(links, gravity, qd, out, work):
             ex, ey, wz = ex + wy * rate, ey - wx * rate, wz + rate
     for i in range(n - 1, -1, -1):
         b = i * _STRIDE
-        out[i] = work[b + _BODY + 5] + links[i, DAMPING] * qd[i]
+        out[i] = work[b + _BODY + 5] + links[i].damping * qd[i]
         if i > 0:
             pa, pd, ca, sa = (
-                links[i - 1, A],
-                links[i - 1, D],
-                links[i - 1, COS_ALPHA],
-                links[i - 1, SIN_ALPHA],
+                links[i - 1].a,
+                links[i - 1].d,
+                links[i - 1].cos_alpha,
+                links[i - 1].sin_alpha,
             )
             c, s, p = work[b + _COS], work[b + _SIN], b - _STRIDE + _BODY
             fx, fy, fz = _inward(
@@ -194,22 +190,22 @@ def _composite(links, work):
     m, hx, hy, hz, jxx, jyy, jzz, jxy, jxz, jyz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n - 1, -1, -1):
         # (m, h, j) is what hangs outside of link i, about joint i's origin
-        m += links[i, MASS]
-        hx += links[i, HX]
-        hy += links[i, HY]
-        hz += links[i, HZ]
-        jxx += links[i, JXX]
-        jyy += links[i, JYY]
-        jzz += links[i, JZZ]
-        jxy += links[i, JXY]
-        jxz += links[i, JXZ]
-        jyz += links[i, JYZ]
+        m += links[i].mass
+        hx += links[i].hx
+        hy += links[i].hy
+        hz += links[i].hz
+        jxx += links[i].jxx
+        jyy += links[i].jyy
+        jzz += links[i].jzz
+        jxy += links[i].jxy
+        jxz += links[i].jxz
+        jyz += links[i].jyz
         work[tail + i * n + i] = jzz
         # force and moment of a unit acceleration of joint i, felt at each joint inward
         fx, fy, fz, nx, ny, nz = -hy, hx, 0.0, jxz, jyz, jzz
         for k in range(i - 1, -1, -1):
             b = (k + 1) * _STRIDE
-            pa, pd, ca, sa = links[k, A], links[k, D], links[k, COS_ALPHA], links[k, SIN_ALPHA]
+            pa, pd, ca, sa = links[k].a, links[k].d, links[k].cos_alpha, links[k].sin_alpha
             c, s = work[b + _COS], work[b + _SIN]
             fx, fy, fz = _inward(c, s, ca, sa, fx, fy, fz)
             nx, ny, nz = _inward(c, s, ca, sa, nx, ny, nz)
@@ -217,8 +213,8 @@ def _composite(links, work):
             work[tail + i * n + k] = nz
         if i > 0:
             b = i * _STRIDE
-            c, s, pa, pd = work[b + _COS], work[b + _SIN], links[i - 1, A], links[i - 1, D]
-            ca, sa = links[i - 1, COS_ALPHA], links[i - 1, SIN_ALPHA]
+            c, s, pa, pd = work[b + _COS], work[b + _SIN], links[i - 1].a, links[i - 1].d
+            ca, sa = links[i - 1].cos_alpha, links[i - 1].sin_alpha
             hx, hy, hz = _inward(c, s, ca, sa, hx, hy, hz)
             # Rz j Rzᵀ, then Rx (…) Rxᵀ
             shift = s * (s * (jxx - jyy) + 2.0 * c * jxy)
@@ -250,7 +246,7 @@ def bias(kind, links, gravity, q, qd, out, work):
     Recursive Newton–Euler; with the mass matrix D(q), ``D q̈ + h + c + B q̇ = τ`` (thesis 2.2).
     """
     if kind == SLIDE:
-        out[0] = links[0, MASS] * gravity[2] * links[0, SIN_ALPHA] + links[0, DAMPING] * qd[0]
+        out[0] = links[0].mass * gravity[2] * links[0].sin_alpha + links[0].damping * qd[0]
         return
     _turn(links, q, work)
     _newton_euler(links, gravity, qd, out, work)
@@ -262,7 +258,7 @@ def mass_matrix(kind, links, q, out, work):
     bodies.
     """
     if kind == SLIDE:
-        out[0, 0] = links[0, MASS]
+        out[0, 0] = links[0].mass
         return
     _turn(links, q, work)
     tail, n = _composite(links, work), links.shape[0]
@@ -279,8 +275,8 @@ def forward(kind, links, gravity, q, qd, torque, qdd, work):
     ``torque`` is what drives the joints beside gravity and joint damping; ``qdd`` may be ``torque``
     itself."""
     if kind == SLIDE:
-        m = links[0, MASS]
-        qdd[0] = (torque[0] - links[0, DAMPING] * qd[0]) / m - gravity[2] * links[0, SIN_ALPHA]
+        m = links[0].mass
+        qdd[0] = (torque[0] - links[0].damping * qd[0]) / m - gravity[2] * links[0].sin_alpha
         return
     n = links.shape[0]
     _turn(links, q, work)
@@ -320,7 +316,7 @@ def gravity_torque(kind, links, gravity, q, out, work):
     ``c = ∂PE/∂q``: the moment of all that hangs outside of a joint, in that joint's frame.
     """
     if kind == SLIDE:
-        out[0] = links[0, MASS] * gravity[2] * links[0, SIN_ALPHA]
+        out[0] = links[0].mass * gravity[2] * links[0].sin_alpha
         return
     n = links.shape[0]
     _turn(links, q, work)
@@ -328,27 +324,27 @@ def gravity_torque(kind, links, gravity, q, out, work):
     for i in range(n):
         b = i * _STRIDE
         if i > 0:
-            ca, sa = links[i - 1, COS_ALPHA], links[i - 1, SIN_ALPHA]
+            ca, sa = links[i - 1].cos_alpha, links[i - 1].sin_alpha
             ux, uy, uz = _outward(work[b + _COS], work[b + _SIN], ca, sa, ux, uy, uz)
         work[b + _BODY] = ux
         work[b + _BODY + 1] = uy
     m, hx, hy, hz = 0.0, 0.0, 0.0, 0.0
     for i in range(n - 1, -1, -1):
         b = i * _STRIDE
-        m, hx, hy, hz = m + links[i, MASS], hx + links[i, HX], hy + links[i, HY], hz + links[i, HZ]
+        m, hx, hy, hz = m + links[i].mass, hx + links[i].hx, hy + links[i].hy, hz + links[i].hz
         out[i] = hx * work[b + _BODY + 1] - hy * work[b + _BODY]
         if i > 0:
             hx, hy, hz = _inward(
                 work[b + _COS],
                 work[b + _SIN],
-                links[i - 1, COS_ALPHA],
-                links[i - 1, SIN_ALPHA],
+                links[i - 1].cos_alpha,
+                links[i - 1].sin_alpha,
                 hx,
                 hy,
                 hz,
             )
-            hx += m * links[i - 1, A]
-            hz += m * links[i - 1, D]
+            hx += m * links[i - 1].a
+            hz += m * links[i - 1].d
 
 
 @kernel
@@ -357,27 +353,27 @@ def energy(kind, links, gravity, q, qd, work):
     a slide.
     """
     if kind == SLIDE:
-        m = links[0, MASS]
-        return 0.5 * m * qd[0] * qd[0], m * gravity[2] * q[0] * links[0, SIN_ALPHA]
+        m = links[0].mass
+        return 0.5 * m * qd[0] * qd[0], m * gravity[2] * q[0] * links[0].sin_alpha
     n = links.shape[0]
     _turn(links, q, work)
     kinetic, potential, height = 0.0, 0.0, 0.0
     wx, wy, wz, vx, vy, vz = 0.0, 0.0, qd[0], 0.0, 0.0, 0.0
     ux, uy, uz = _outward(work[_COS], work[_SIN], 1.0, 0.0, gravity[0], gravity[1], gravity[2])
     for i in range(n):
-        m, hx, hy, hz = links[i, MASS], links[i, HX], links[i, HY], links[i, HZ]
-        spin = links[i, JXX] * wx * wx + links[i, JYY] * wy * wy + links[i, JZZ] * wz * wz
-        spin += 2.0 * (links[i, JXY] * wx * wy + links[i, JXZ] * wx * wz + links[i, JYZ] * wy * wz)
+        m, hx, hy, hz = links[i].mass, links[i].hx, links[i].hy, links[i].hz
+        spin = links[i].jxx * wx * wx + links[i].jyy * wy * wy + links[i].jzz * wz * wz
+        spin += 2.0 * (links[i].jxy * wx * wy + links[i].jxz * wx * wz + links[i].jyz * wy * wz)
         mixed = vx * (wy * hz - wz * hy) + vy * (wz * hx - wx * hz) + vz * (wx * hy - wy * hx)
         kinetic += 0.5 * (m * (vx * vx + vy * vy + vz * vz) + spin) + mixed
         potential += m * height + ux * hx + uy * hy + uz * hz
         if i + 1 < n:
             b, pa, pd, ca, sa = (
                 (i + 1) * _STRIDE,
-                links[i, A],
-                links[i, D],
-                links[i, COS_ALPHA],
-                links[i, SIN_ALPHA],
+                links[i].a,
+                links[i].d,
+                links[i].cos_alpha,
+                links[i].sin_alpha,
             )
             c, s = work[b + _COS], work[b + _SIN]
             height += ux * pa + uz * pd
@@ -395,11 +391,11 @@ def tip(kind, links, q):
     Rows ``links[:i], q[:i]`` give the end of link i, so a picture of the chain is n calls.
     """
     if kind == SLIDE:
-        return q[0] * links[0, COS_ALPHA], 0.0, q[0] * links[0, SIN_ALPHA]
+        return q[0] * links[0].cos_alpha, 0.0, q[0] * links[0].sin_alpha
     x, y, z = 0.0, 0.0, 0.0
     for i in range(links.shape[0] - 1, -1, -1):
-        x, y, z = _inward(1.0, 0.0, links[i, COS_ALPHA], links[i, SIN_ALPHA], x, y, z)
-        angle = links[i, THETA0] + q[i]
-        c, s, x, z = math.cos(angle), math.sin(angle), x + links[i, A], z + links[i, D]
+        x, y, z = _inward(1.0, 0.0, links[i].cos_alpha, links[i].sin_alpha, x, y, z)
+        angle = links[i].theta0 + q[i]
+        c, s, x, z = math.cos(angle), math.sin(angle), x + links[i].a, z + links[i].d
         x, y = c * x - s * y, s * x + c * y
     return x, y, z

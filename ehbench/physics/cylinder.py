@@ -2,8 +2,7 @@
 compiled.
 
 Scalars in, scalars out; SI, gauge pressures, extension positive. ``flow_head`` goes into the head
-end, ``flow_rod`` out of the rod end (thesis 2.4, 2.5). Head and rod are one chamber law called
-twice."""
+end, ``flow_rod`` out of the rod end (thesis 2.4, 2.5)."""
 
 from __future__ import annotations
 
@@ -126,77 +125,6 @@ def makeup_flow(inflow, pressure, floor):
     if inflow >= 0.0 or pressure >= floor + CAVITATION_BAND:
         return 0.0
     return -inflow * (1.0 - (pressure - floor) / CAVITATION_BAND)
-
-
-@kernel
-def inflows(
-    v,
-    flow_head,
-    flow_rod,
-    p_head,
-    p_rod,
-    p_tank,
-    area_head,
-    area_rod,
-    leak_internal,
-    leak_head,
-    leak_rod,
-):
-    """What compresses the oil of (head, rod) [m³/s]: the right-hand sides of thesis 2.4 and 2.5.
-
-    ``−A1 v − C_tm (P1 − P2) − C_em1 (P1 − Pt) + Q1`` and ``+A2 v + C_tm (P1 − P2) − C_em2 (P2 − Pt)
-    − Q2``."""
-    across = leak_internal * (p_head - p_rod)
-    head = flow_head - area_head * v - across - leak_head * (p_head - p_tank)
-    rod = area_rod * v - flow_rod + across - leak_rod * (p_rod - p_tank)
-    return head, rod
-
-
-@kernel
-def chamber_rates(
-    v,
-    flow_head,
-    flow_rod,
-    p_head,
-    p_rod,
-    p_tank,
-    bulk_head,
-    bulk_rod,
-    volume_head,
-    volume_rod,
-    area_head,
-    area_rod,
-    leak_internal,
-    leak_head,
-    leak_rod,
-    floor,
-):
-    """(ṗ_head, ṗ_rod) [Pa/s]: thesis 2.4 and 2.5 with the cavitation floor of `chamber_rate`.
-
-    Args:
-        v: cylinder speed [m/s]. flow_head, flow_rod: into the head end, out of the rod end [m³/s];
-        a relief valve's flow belongs in them. p_head, p_rod, p_tank: [Pa]. bulk_head, bulk_rod:
-        bulk modulus of the two chambers [Pa], equal unless it depends on pressure. volume_head,
-        volume_rod: present volumes, see `chamber_volume` [m³]. area_head, area_rod: [m²].
-        leak_internal, leak_head, leak_rod: C_tm head → rod, C_em1 and C_em2 to tank [m³/(s·Pa)].
-        floor: cavitation pressure [Pa].
-    """
-    head, rod = inflows(
-        v,
-        flow_head,
-        flow_rod,
-        p_head,
-        p_rod,
-        p_tank,
-        area_head,
-        area_rod,
-        leak_internal,
-        leak_head,
-        leak_rod,
-    )
-    return chamber_rate(head, p_head, volume_head, bulk_head, floor), chamber_rate(
-        rod, p_rod, volume_rod, bulk_rod, floor
-    )
 
 
 @kernel

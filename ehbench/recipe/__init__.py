@@ -13,7 +13,7 @@ from ehbench.recipe.trial import AnyTrial, Command, Controller, Limits, Motion, 
 from ehbench.recipe.trials import SetController, TrialSetRecipe
 from ehbench.recipe.tune import TuneRecipe
 from ehbench.recipe.validate import Thresholds, ValidateRecipe
-from ehbench.recipe.virtual import (
+from ehbench.recipe.bench import (
     BenchCurve,
     BenchCylinder,
     BenchEdge,

@@ -53,6 +53,11 @@ class Recipe(FileModel):
         return stage, what
 
     @property
+    def stage_name(self) -> str:
+        """The word that the file has for its stage."""
+        return self.kind()[0]
+
+    @property
     def name(self) -> str:
         """The recipe's name: its file's stem."""
         return self.path.stem

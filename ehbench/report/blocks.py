@@ -112,14 +112,14 @@ class Section:
 
 def prose(text: str) -> list[Text | Bullets]:
     """Paragraphs of plain text: blank lines part them; lines that begin with ``- `` are a list."""
-    found: list[Text | Bullets] = []
+    blocks: list[Text | Bullets] = []
     for paragraph in re.split(r"\n\s*\n", text.strip()):
         lead, *items = re.split(r"(?:^|\n)\s*- ", paragraph)
         if lead.strip():
-            found.append(Text(" ".join(lead.split())))
+            blocks.append(Text(" ".join(lead.split())))
         if items:
-            found.append(Bullets([" ".join(item.split()) for item in items]))
-    return found
+            blocks.append(Bullets([" ".join(item.split()) for item in items]))
+    return blocks
 
 
 def slug(text: str) -> str:

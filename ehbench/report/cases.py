@@ -7,6 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from ehbench.fields import Value
 from ehbench.record import Record
 from ehbench.report.captions import load_name
 from ehbench.report.saved import Saved, Table
@@ -116,14 +119,19 @@ def payload_at_end(rig: Rig, payload: str) -> float | None:
 
     ``(m'(a + r') − m(a + r))/a``, r along the link from its end to the centre of mass. On a slide
     the added mass. None without a payload, or where it changes another link than the last."""
-    changes = rig.payload.get(payload, {})
-    last = rig.mechanism if isinstance(rig.mechanism, Slide) else rig.mechanism.joint[-1]
+    changes, mechanism = rig.payload.get(payload, {}), rig.mechanism
+    last = mechanism if isinstance(mechanism, Slide) else mechanism.joint[-1]
     if set(changes) != {last.name}:
         return None
     change, mass = changes[last.name], float(last.mass)
     loaded = mass if change.mass is None else float(change.mass)
-    if isinstance(rig.mechanism, Slide):
+    if isinstance(last, Slide):
         return loaded - mass
-    length, before = float(last.dh_a), float(last.com.value[0])
-    after = before if change.com is None else float(change.com.value[0])
+    length, before = float(last.dh_a), _along(last.com)
+    after = before if change.com is None else _along(change.com)
     return (loaded * (length + after) - mass * (length + before)) / length if length else None
+
+
+def _along(centre: Value) -> float:
+    """The first component of a centre of mass [m]."""
+    return float(np.atleast_1d(centre.value)[0])

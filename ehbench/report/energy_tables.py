@@ -85,13 +85,13 @@ class Saving:
     @cached_property
     def causes(self) -> dict[str, float]:
         """What was drawn beyond the bound [J], by cause; they add up to ``used − bound``."""
-        found = {"compression": 0.0}
+        by_cause = {"compression": 0.0}
         for one in self.limits.get("beyond", []):
             more = one["drawn"] - one["bound"]
             pressed = min(max(one["compression"], 0.0), max(more, 0.0))
-            found["compression"] += pressed
-            found[one["function"]] = more - pressed
-        return found
+            by_cause["compression"] += pressed
+            by_cause[one["function"]] = more - pressed
+        return by_cause
 
 
 def valves_of(ledger: Table, cylinder: str) -> list[tuple[str, str, float]]:
@@ -120,7 +120,8 @@ def savings_of(cases: Sequence[Case]) -> list[Saving]:
         if four_way(ledger, case.cylinder)
     }
     return [
-        Saving(*one, valves.get((one[0].row["payload"], one[0].row["motion"]))) for one in known
+        Saving(case, ledger, limits, valves.get((case.row["payload"], case.row["motion"])))
+        for case, ledger, limits in known
     ]
 
 
@@ -231,15 +232,15 @@ def went(ledger: Table, cylinder: str) -> dict[str, float]:
     """Energies [J] by what they went into: throttling by what an edge joins, then the kinds of the
     bar chart.
     """
-    found: dict[str, float] = {}
+    sums: dict[str, float] = {}
     for _, joins, energy in valves_of(ledger, cylinder):
-        found[joins] = found.get(joins, 0.0) + energy
+        sums[joins] = sums.get(joins, 0.0) + energy
     for row in ledger["rows"]:
         kind = part_of(row)
         if kind is not None and not (row["group"] == "valve" and row["cylinder"] == cylinder):
             kind = kind if kind in _KINDS else "throttling of others"
-            found[kind] = found.get(kind, 0.0) + row["energy"]
-    return found
+            sums[kind] = sums.get(kind, 0.0) + row["energy"]
+    return sums
 
 
 def spent_in(
@@ -273,19 +274,21 @@ def saving_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
     """Sentences and tables on the closed cycles of a set of trials; nothing where there are
     none.
     """
-    found = savings_of(cases)
-    if not found:
+    savings = savings_of(cases)
+    if not savings:
         return []
-    names = list(dict.fromkeys(one.case.row["controller"] for one in found))
-    by_name = {name: [one for one in found if one.case.row["controller"] == name] for name in names}
+    names = list(dict.fromkeys(one.case.row["controller"] for one in savings))
+    by_name = {
+        name: [one for one in savings if one.case.row["controller"] == name] for name in names
+    }
     return [
         Text("What was saved, and what ate the rest:"),
         Bullets([saved_caption(rig, own, name) for name, own in by_name.items()]),
         Text(_VOLUME, "note"),
-        _saved_table(rig, found),
+        _saved_table(rig, savings),
         Text("Where it was lost, as shares of what the supply gave:"),
         Bullets([went_caption(own, name) for name, own in by_name.items()]),
-        _went_table(rig, found),
+        _went_table(rig, savings),
     ]
 
 

@@ -163,14 +163,14 @@ class Saved:
             InputError: not there, not JSON, no list of tables.
         """
         path = self.folder / name
-        found = read_json(path)
-        if not isinstance(found, list):
+        tables = read_json(path)
+        if not isinstance(tables, list):
             raise InputError(
                 "holds no list of tables",
                 file=path,
                 hint="make the run again with this version of ehbench",
             )
-        return [Table(row, path, f"[{i}]") for i, row in enumerate(found)]
+        return [Table(row, path, f"[{i}]") for i, row in enumerate(tables)]
 
     def figures(self) -> list[Table]:
         """What the run's figures are, in order: file, key, title, caption, about."""
@@ -185,8 +185,8 @@ class Saved:
 
 
 def _head(text: str) -> tuple[str, str | None]:
-    found = _HEAD.match(text)
-    return found[1], found[2]
+    name, unit = next(_HEAD.finditer(text)).groups()
+    return name, unit
 
 
 def _columns(path: Path) -> tuple[list[str], list[list[str]]]:
@@ -225,7 +225,7 @@ def read_series(path: Path) -> Series:
     t, sides = None, {"recorded": {}, "simulated": {}}
     for index, name in enumerate(names):
         text, unit = _head(name)
-        front, channel, back = _SIDE.match(text).groups()
+        front, channel, back = next(_SIDE.finditer(text)).groups()
         values = _floats(path, name, [row[index] for row in rows])
         try:
             row = quantity(channel)
@@ -253,7 +253,7 @@ def read_points(path: Path) -> Points:
         _head(name)[0]: (name, _head(name)[1], [row[i] for row in rows])
         for i, name in enumerate(names)
     }
-    found: dict[str, np.ndarray] = {}
+    values_of: dict[str, np.ndarray] = {}
     for name in Points.__dataclass_fields__:
         if name not in columns:
             raise InputError(
@@ -261,13 +261,13 @@ def read_points(path: Path) -> Points:
             )
         label, unit, cells = columns[name]
         if name in ("valve", "direction", "method"):
-            found[name] = np.array(cells, dtype=str)
+            values_of[name] = np.array(cells, dtype=str)
         elif name == "outlier":
-            found[name] = np.array(
+            values_of[name] = np.array(
                 [cell.strip().lower() in ("1", "true", "yes") for cell in cells], dtype=bool
             )
         else:
             row = VOCABULARY["flow" if name == "fitted" else name]
             values = _floats(path, label, cells)
-            found[name] = values if unit is None else to_si(values, unit, row)
-    return Points(**found)
+            values_of[name] = values if unit is None else to_si(values, unit, row)
+    return Points(**values_of)

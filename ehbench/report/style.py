@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,8 @@ from ehbench.report.svg import shrink
 RECORDED, SIMULATED, ACCENT, MUTED = "#1f3f66", "#e08214", "#b3261e", "#6b7280"
 INK = "#1f2937"
 CYCLE = ("#1f3f66", "#e08214", "#2e7d5b", "#8e4585", "#7a6a4f", "#b3261e")
-MARKS = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)))
+MARKS: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)))
+Look = dict[str, Any]  # how a line or a text is drawn, by matplotlib's words
 BUCKETS = 320  # half a figure is about as many pixels wide
 
 _RC = {
@@ -60,8 +62,10 @@ def canvas(
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.rcsetup import cycler
 
-    with matplotlib.rc_context(_RC | {"axes.prop_cycle": matplotlib.cycler(color=CYCLE)}):
+    settings: Any = _RC | {"axes.prop_cycle": cycler(color=CYCLE)}
+    with matplotlib.rc_context(settings):
         figure, axes = plt.subplots(rows, columns, figsize=size, **kwargs)
         try:
             yield figure, axes

@@ -59,11 +59,11 @@ def _kept(
             kept.text = one.text if tag == "text" else None
             kept.extend(inner)
             found.append(kept)
-    return _said_once(found)
+    return _grouped(found)
 
 
 def _attributes(one: ElementTree.Element, used: dict[str, str], places: int) -> dict[str, str]:
-    found = {}
+    attributes = {}
     for name, value in one.attrib.items():
         if (
             name == "id"
@@ -81,8 +81,8 @@ def _attributes(one: ElementTree.Element, used: dict[str, str], places: int) -> 
         elif name == "transform":
             value = re.sub(r"(\.\d)\d+", r"\1", value)
         if value:
-            found["href" if name == _LINK else name] = value
-    return found
+            attributes["href" if name == _LINK else name] = value
+    return attributes
 
 
 def _style(text: str) -> str:
@@ -94,27 +94,28 @@ def _style(text: str) -> str:
     )
 
 
-def _said_once(elements: list[ElementTree.Element]) -> list[ElementTree.Element]:
+def _grouped(elements: list[ElementTree.Element]) -> list[ElementTree.Element]:
     """Runs of markers with one style as a group that says it once."""
-    found: list[ElementTree.Element] = []
+    groups: list[ElementTree.Element] = []
     for one in elements:
         style = one.get("style")
-        last = found[-1] if found else None
+        last = groups[-1] if groups else None
         if (
             one.tag == "use"
+            and style is not None
             and last is not None
             and last.get("style") == style
             and last.tag in ("use", "g")
         ):
             if last.tag == "use":
-                found[-1] = ElementTree.Element("g", {"style": style})
-                found[-1].append(last)
+                groups[-1] = ElementTree.Element("g", {"style": style})
+                groups[-1].append(last)
                 del last.attrib["style"]
             del one.attrib["style"]
-            found[-1].append(one)
+            groups[-1].append(one)
         else:
-            found.append(one)
-    return found
+            groups.append(one)
+    return groups
 
 
 def _decimal(value: int, places: int) -> str:

@@ -194,11 +194,9 @@ def _recipe_rows(recipe: Mapping[str, Any], key: str) -> list[list[Cell | str]]:
     for entry in entries if isinstance(entries, list) else [entries]:
         name = entry.get("name") or entry.get("kind") or entry.get("class", "")
         rows.append([Cell(f"{key}: {name}", "name"), ""])
-        rows += [
-            [Cell(field, "code"), Cell(_plain(value), "code")]
-            for field, value in entry.items()
-            if field != "name"
-        ]
+        for field, value in entry.items():
+            if field != "name":
+                rows.append([Cell(field, "code"), Cell(_plain(value), "code")])
     return rows
 
 

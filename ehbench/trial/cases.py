@@ -22,7 +22,7 @@ from ehbench.trial.running import run
 from ehbench.units import from_si
 
 if TYPE_CHECKING:
-    from ehbench.simulation import Maps
+    from ehbench.plant.build import Maps
 
 
 class CaseResult(NamedTuple):

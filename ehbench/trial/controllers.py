@@ -34,40 +34,20 @@ from ehbench.control.functions import (
 from ehbench.control.trajectory import A, J, V, X, pack_shaping
 from ehbench.errors import InputError
 from ehbench.machines.rows import ARC, FEEDBACK
-from ehbench.physics.cylinder import chamber_volume
-from ehbench.physics.metering import FROM, TO, VALVE
-from ehbench.plant import (
-    AREA_HEAD,
-    AREA_ROD,
-    BULK,
-    COULOMB,
-    COULOMB_SPEED,
-    DAMPING,
-    GEOMETRY,
-    HIGHEST,
-    L_A,
-    L_B,
-    LEAK_HEAD,
-    LEAK_INTERNAL,
-    LEAK_ROD,
-    LOWEST,
-    PHASE,
-    RETRACTED,
-    SIDE,
-    STIFFNESS,
-    VISCOUS,
-    VOLUME_HEAD,
-    VOLUME_ROD,
-)
+from ehbench.parts.cylinder import chamber_oil, linkage_arrays
+from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
+from ehbench.parts.nodes import SUPPLY
+from ehbench.parts.sample import sample_size
+from ehbench.parts.valve import valve_lag
+from ehbench.plant.model import Model
 from ehbench.quantities import VOCABULARY, Quantity, quantity
 from ehbench.recipe import TrialRecipe
 from ehbench.rig import Rig, read_value
 from ehbench.rundir import read_json
-from ehbench.simulation import Model, linkage_arrays
 from ehbench.text import shortened
 
 if TYPE_CHECKING:
-    from ehbench.simulation import Maps
+    from ehbench.plant.build import Maps
 
 OFF_RATE = 10.0  # [rad/s]: how fast the off-side pressure follows where no gain is given
 RULES = (
@@ -129,7 +109,7 @@ class Design:
     circuit: Circuit
 
     @property
-    def row(self) -> np.ndarray:
+    def row(self) -> np.record:
         """The cylinder's row of the plant."""
         return self.model.plant.cylinders[self.index]
 
@@ -141,7 +121,7 @@ class Design:
     @property
     def x(self) -> float:
         """The cylinder's stroke [m] at the start."""
-        joint = int(self.model.plant.joints[self.index])
+        joint = int(self.row.joint)
         return float(linkage_arrays(self.row, self.q[joint : joint + 1])[0][0])
 
 
@@ -206,7 +186,7 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> Design:
     measured = [
         (maps or {}).get(edge) or (maps or {}).get(edge.split(".", 1)[1]) for edge in layout.edges
     ]
-    wiring = plant.wiring.copy()
+    edges = plant.edges.copy()
     for valve in controller.unused:
         if valve not in layout.valves:
             raise InputError(
@@ -215,13 +195,12 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> Design:
                 hint="there are " + ", ".join(layout.valves),
             )
         # an edge from supply to supply is on no path
-        wiring[np.ix_(wiring[:, VALVE] == layout.valves.index(valve), [FROM, TO])] = 0
+        off = edges.valve == layout.valves.index(valve)
+        edges.from_node[off] = edges.to_node[off] = SUPPLY
     row = plant.cylinders[index]
     with located(recipe, *controller.where, "unused"):
-        reach = plant.valves[:, [LOWEST, HIGHEST]]
-        made = circuit(
-            index, row[AREA_HEAD], row[AREA_ROD], plant.edges, wiring, plant.maps, reach, measured
-        )
+        reach = np.column_stack([plant.valves.lowest, plant.valves.highest])
+        made = circuit(index, row.area_head, row.area_rod, edges, plant.maps, reach, measured)
     with located(recipe, "posture"):
         model.posture(recipe.posture)
     with located(recipe, *(motion.where if motion is not None else ()), "waypoints"):
@@ -309,7 +288,7 @@ def compiled(
     """
     chosen, model = recipe.controller, made.model
     plant, row, tick = model.plant, made.row, 1.0 / rate
-    supply = float(plant.supply[0])
+    supply = float(plant.supply.pressure)
     rows = {"open_loop": _FEEDBACK, "pressure_feedback": _FEEDBACK, "arc": _ARC}[chosen.kind]
     gains, rules = _taken(recipe, rows, tuning, made.cylinder)
     low = gains.setdefault("low_pressure", supply / 20.0)
@@ -326,16 +305,23 @@ def compiled(
         plant.kind,
         plant.gravity,
         plant.links,
-        plant.joints,
+        plant.cylinders.joint,
         made.q,
-        row[[GEOMETRY, L_A, L_B, SIDE, PHASE, RETRACTED]],
-        row[[VOLUME_HEAD, VOLUME_ROD, BULK, LEAK_INTERNAL, LEAK_HEAD, LEAK_ROD]],
-        (row[VISCOUS], row[COULOMB], COULOMB_SPEED),
+        (row.geometry, row.l_a, row.l_b, row.side, row.phase, row.retracted_length),
+        (
+            row.volume_head,
+            row.volume_rod,
+            row.bulk_modulus,
+            row.leakage_internal,
+            row.leakage_head,
+            row.leakage_rod,
+        ),
+        (row.friction_viscous, row.friction_coulomb, COULOMB_SPEED),
     )
     own = slice(made.circuit.first, made.circuit.first + made.circuit.count)
-    unused = np.isin(plant.wiring[own, VALVE], [made.valves.index(name) for name in chosen.unused])
+    unused = np.isin(plant.edges.valve[own], [made.valves.index(name) for name in chosen.unused])
     axis = axis._replace(onset=np.where(unused, 0.0, axis.onset))  # no standing by for them
-    channels = 6 * len(model.layout.cylinders) + 2
+    channels = sample_size(len(model.layout.cylinders))
     edges = model.layout.edges[own]
     with located(recipe, *chosen.where, "gains"):
         if chosen.kind == "arc":
@@ -350,7 +336,7 @@ def compiled(
                 for name in list(gains)
                 if name == "adapt" or name not in arc.GAIN_NAMES
             }
-            limit = float(plant.supply[2])
+            limit = float(plant.supply.flow_limit)
             limit = (
                 limit if math.isfinite(limit) else 0.5 * made.circuit.area_head
             )  # half a metre a second
@@ -374,10 +360,10 @@ def compiled(
             )
             names = feedback.note_channels(made.cylinder, edges)
             volume = max(
-                chamber_volume(row[VOLUME_HEAD], row[AREA_HEAD] * made.x),
-                chamber_volume(row[VOLUME_ROD], -row[AREA_ROD] * made.x),
+                chamber_oil(row, 0, made.x),
+                chamber_oil(row, 1, made.x),
             )
-            gains.setdefault("off_gain", OFF_RATE * volume / row[BULK])
+            gains.setdefault("off_gain", OFF_RATE * volume / row.bulk_modulus)
             if chosen.kind == "open_loop":
                 gains |= {"feedback_gain": 0.0, "washout": 0.0, "ramp_washout": 0.0}
             elif "feedback_gain" not in gains:
@@ -559,10 +545,9 @@ def _quantities(
 def _valve_lag(made: Design) -> float:
     """Lag 2ζ/ω_n [s] of the slowest valve that the controller uses."""
     own = range(made.circuit.first, made.circuit.first + made.circuit.count)
-    rows = made.model.plant.valves[
-        sorted({int(made.circuit.wiring[e, VALVE]) for e in own if e in made.circuit.paths})
-    ]
-    return max((float(r[DAMPING] / r[STIFFNESS]) for r in rows if r[STIFFNESS] > 0.0), default=0.0)
+    plant = made.model.plant
+    used = {int(made.circuit.edges[e].valve) for e in own if e in made.circuit.paths}
+    return max((valve_lag(plant.valves[i], plant) for i in used), default=0.0)
 
 
 # --- a user's class
@@ -638,8 +623,8 @@ class UserCode:
         )
         self.wish, self.notes = wish, np.zeros((len(wish), len(self.channels)))
         self.low, self.high = (
-            made.model.plant.valves[:, LOWEST].copy(),
-            made.model.plant.valves[:, HIGHEST].copy(),
+            made.model.plant.valves.lowest.copy(),
+            made.model.plant.valves.highest.copy(),
         )
         self.beyond = 0
         self._columns = {name: i for i, name in enumerate(made.valves) if name not in chosen.unused}

@@ -23,7 +23,6 @@ from ehbench.control.functions import (
 from ehbench.control.trajectory import WISH, A, J, V, X, point_to_point, velocity_steps
 from ehbench.control.valve_level import top_speed
 from ehbench.errors import InputError
-from ehbench.plant import AREA_HEAD, AREA_ROD, STROKE
 from ehbench.quantities import VOCABULARY, Quantity
 from ehbench.recipe import Motion, TrialRecipe
 from ehbench.rig import read_value
@@ -80,7 +79,7 @@ def wishes(recipe: TrialRecipe, design: Design, low_pressure: float) -> Wishes:
         still = np.zeros((max(count - len(table), 0), WISH))
         still[:, X] = table[-1, X]
         table = np.ascontiguousarray(np.concatenate([table, still])[:count])
-    stroke = float(design.row[STROKE])
+    stroke = float(design.row.stroke)
     out = np.flatnonzero((table[:, X] < 0.0) | (table[:, X] > stroke))
     if out.size:
         where = recipe.at(*motion.where) if motion is not None else {}
@@ -109,12 +108,13 @@ def full_speed(design: Design, way: int, low_pressure: float) -> float:
         InputError: the valves have no function for it.
     """
     circuit, model = design.circuit, design.model
-    p_supply, p_tank, limit = (float(v) for v in model.plant.supply[:3])
+    line, p_tank = model.plant.supply, model.plant.tank_pressure
+    p_supply, limit = float(line.pressure), float(line.flow_limit)
     start = model.trim(design.q, p_tank + low_pressure)
     p_head, p_rod = (
         float(start[model.layout.state(name, design.index)]) for name in ("p_head", "p_rod")
     )
-    area_head, area_rod = (float(v) for v in design.row[[AREA_HEAD, AREA_ROD]])
+    area_head, area_rod = float(design.row.area_head), float(design.row.area_rod)
     force = p_head * area_head - p_rod * area_rod
     along = int(-way * force > 0.0)
     fits = [

@@ -15,7 +15,6 @@ from ehbench.errors import InputError
 from ehbench.machines.protocol import Machine, truth_of
 from ehbench.machines.registry import open_machine
 from ehbench.machines.rows import COMMAND, LIMITS, MARGIN, Rows, limit_array, violated
-from ehbench.physics.metering import VALVE
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import TrialRecipe
 from ehbench.rig import Rig
@@ -26,7 +25,7 @@ from ehbench.trial.motion import Wishes, wishes
 from ehbench.units import from_si
 
 if TYPE_CHECKING:
-    from ehbench.simulation import Maps
+    from ehbench.plant.build import Maps
 
 
 @dataclass(frozen=True)
@@ -232,5 +231,5 @@ def _taken(recipe: TrialRecipe, design: Design) -> tuple[str, ...]:
         return ()
     own = slice(design.circuit.first, design.circuit.first + design.circuit.count)
     return tuple(
-        design.valves[i] for i in sorted({int(v) for v in design.circuit.wiring[own, VALVE]})
+        design.valves[i] for i in sorted({int(v) for v in design.circuit.edges.valve[own]})
     )

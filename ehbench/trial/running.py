@@ -23,7 +23,8 @@ from ehbench.trial.preparation import Loop, Prepared, Stop, prepare
 from ehbench.trial.session import LiveLog, Session
 
 if TYPE_CHECKING:
-    from ehbench.simulation import Maps, Model
+    from ehbench.plant.build import Maps
+    from ehbench.plant.model import Model
 
 Progress = Callable[[str, float], None]  # (what, share done from 0 to 1)
 

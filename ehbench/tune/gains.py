@@ -23,11 +23,11 @@ from ehbench.control.functions import (
     Circuit,
 )
 from ehbench.errors import InputError, InsufficientData, ModelRejected
-from ehbench.plant import BULK, STROKE
+from ehbench.plant.build import Maps
+from ehbench.plant.model import Model
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import TuneRecipe
 from ehbench.rig import Rig, read_value
-from ehbench.simulation import Maps, Model
 from ehbench.tune.linear import (
     AT_ZERO,
     Law,
@@ -75,8 +75,11 @@ Progress = Callable[[str, float], None]
 class Machine(Protocol):
     """What tuning needs of a validated rig."""
 
-    rig: Rig
-    flow_maps: Maps | None
+    @property
+    def rig(self) -> Rig: ...
+
+    @property
+    def flow_maps(self) -> Maps | None: ...
 
 
 @dataclass(frozen=True)
@@ -452,7 +455,7 @@ def _sites(
     for payload in payloads:
         model = Model.of(rig, maps, None if payload == NONE else payload)
         cylinder = model.layout.cylinders.index(name)
-        stroke = model.plant.cylinders[cylinder, STROKE]
+        stroke = model.plant.cylinders[cylinder].stroke
         shown = equivalent(model, cylinder, np.linspace(0.0, stroke, POSTURES), recipe.posture)
         curves.append(
             Curves(
@@ -545,7 +548,9 @@ def _natural_gain(sites: Sequence[_Site]) -> float:
         volume = site.point.volume_head if head else site.point.volume_rod
         logs.append(
             math.log(
-                _swing(site) * volume / site.model.plant.cylinders[site.circuit.cylinder, BULK]
+                _swing(site)
+                * volume
+                / site.model.plant.cylinders[site.circuit.cylinder].bulk_modulus
             )
         )
     return math.exp(float(np.mean(logs)))
@@ -553,7 +558,7 @@ def _natural_gain(sites: Sequence[_Site]) -> float:
 
 def _swing(site: _Site) -> float:
     """Natural frequency [rad/s] of the mass between two shut chambers: β_e (A1²/V1 + A2²/V2)/m_eq."""
-    bulk, point = site.model.plant.cylinders[site.circuit.cylinder, BULK], site.point
+    bulk, point = site.model.plant.cylinders[site.circuit.cylinder].bulk_modulus, site.point
     return math.sqrt(
         bulk
         * (

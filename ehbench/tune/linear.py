@@ -32,39 +32,15 @@ from ehbench.control.functions import (
 )
 from ehbench.control.valve_level import top_speed
 from ehbench.errors import InputError
-from ehbench.physics.arm import DAMPING as JOINT_DAMPING
+from ehbench.parts.cylinder import chamber_oil, joint_of, linkage_of
+from ehbench.parts.edge import edge_command, edge_flow
+from ehbench.parts.friction import friction_steady
+from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
+from ehbench.parts.valve import valve_settle
 from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
-from ehbench.physics.cylinder import chamber_volume, joint_angle, linkage
-from ehbench.physics.friction import coulomb_viscous
-from ehbench.physics.metering import SIGN, VALVE, edge_command, edge_flow
-from ehbench.physics.supply import FLOW_LIMIT
-from ehbench.plant import (
-    AREA_HEAD,
-    AREA_ROD,
-    BULK,
-    COULOMB,
-    COULOMB_SPEED,
-    DAMPING,
-    GEOMETRY,
-    HIGHEST,
-    L_A,
-    L_B,
-    LEAK_HEAD,
-    LEAK_INTERNAL,
-    LEAK_ROD,
-    LOWEST,
-    PHASE,
-    RELIEF,
-    RETRACTED,
-    SIDE,
-    STIFFNESS,
-    VISCOUS,
-    VOLUME_HEAD,
-    VOLUME_ROD,
-    derivatives,
-    workspace_size,
-)
-from ehbench.simulation import Maps, Model
+from ehbench.plant.build import Maps, map_of
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.model import Model
 
 # what a path adds to the oil of (head, rod); its drop changes with their pressures by the negative
 # of this
@@ -109,18 +85,18 @@ def equivalent(
         held: posture of the other joints, as `Model.posture`; mid-stroke by default.
     """
     plant = model.plant
-    row, joint = plant.cylinders[cylinder], int(plant.joints[cylinder])
-    geometry = (int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]])
+    row = plant.cylinders[cylinder]
+    joint = int(row.joint)
     q = model.posture(held)
     n = q.size
     mass, gravity, work = np.empty((n, n)), np.empty(n), np.empty(work_size(n))
     table = np.empty((len(x), 6))
     for at, stroke in zip(table, x, strict=True):
-        q[joint] = joint_angle(*geometry, stroke)
-        _, lever, bend = linkage(*geometry, q[joint])
+        q[joint] = joint_of(row, stroke)
+        _, lever, bend = linkage_of(row, q[joint])
         mass_matrix(plant.kind, plant.links, q, mass, work)
         gravity_torque(plant.kind, plant.links, plant.gravity, q, gravity, work)
-        damping = plant.links[joint, JOINT_DAMPING]
+        damping = plant.links[joint].damping
         at[:] = (
             q[joint],
             lever,
@@ -197,17 +173,15 @@ def circuit_of(model: Model, cylinder: int, maps: Maps | None = None) -> Circuit
     """The circuit of a cylinder as controllers take it, from a model and the measured maps it was
     built on.
     """
-    maps = maps or {}
     plant = model.plant
-    measured = [maps.get(name) or maps.get(name.split(".", 1)[1]) for name in model.layout.edges]
+    measured = [map_of(maps, name) for name in model.layout.edges]
     row = plant.cylinders[cylinder]
-    ranges = plant.valves[:, [LOWEST, HIGHEST]]
+    ranges = np.column_stack([plant.valves.lowest, plant.valves.highest])
     return circuit(
         cylinder,
-        row[AREA_HEAD],
-        row[AREA_ROD],
+        row.area_head,
+        row.area_rod,
         plant.edges,
-        plant.wiring,
         plant.maps,
         ranges,
         measured,
@@ -257,11 +231,11 @@ def operating_point(
         raise InputError(f"the valves of the cylinder are not able of '{FUNCTIONS[function]}'")
     plant = model.plant
     row = plant.cylinders[circuit.cylinder]
-    areas = row[AREA_HEAD], row[AREA_ROD]
+    areas = row.area_head, row.area_rod
     head = METERED[function] == HEAD
     way = DIRECTION[function]
-    p_supply, p_tank = plant.supply[0], plant.supply[1]
-    leaks = row[LEAK_INTERNAL], row[LEAK_HEAD], row[LEAK_ROD]
+    p_supply, p_tank = plant.supply.pressure, plant.tank_pressure
+    leaks = row.leakage_internal, row.leakage_head, row.leakage_rod
 
     def flows(v: float, p_head: float, p_rod: float) -> np.ndarray:
         """Flow along each path [m³/s] that keeps both chambers steady (thesis 2.4, 2.5)."""
@@ -282,7 +256,7 @@ def operating_point(
         """(load force, p_head, p_rod, what had to give) at speed v."""
         bend = here.curvature[index] * v * v / here.lever[index] ** 2
         force = here.gravity_force[index] + here.damping[index] * v - here.mass[index] * bend
-        force += coulomb_viscous(v, row[VISCOUS], row[COULOMB], COULOMB_SPEED)
+        force += friction_steady(row, v)
         if function == EXTEND_RESISTIVE_REGENERATION:
             p_head = (force + cross_drop * areas[1]) / (areas[0] - areas[1])
             return force, p_head, p_head + cross_drop, ""
@@ -325,7 +299,7 @@ def operating_point(
         troubles += [
             f"{p.edge} cannot pass its flow" for p in paths if p.drop > 0.0 and not p.reachable
         ]
-        if max(settled[1:3]) > row[RELIEF]:
+        if max(settled[1:3]) > row.relief_pressure:
             troubles.append("a relief valve would open")
         return settled, tuple(paths), troubles
 
@@ -334,7 +308,7 @@ def operating_point(
     if speed is None:
         top = top_speed(function, *settle(0.0)[1:3], p_supply, p_tank, circuit)
         drawn = supply_draw(function, circuit)
-        top = min(top, plant.supply[FLOW_LIMIT] / drawn) if drawn > 0 else top
+        top = min(top, plant.supply.flow_limit / drawn) if drawn > 0 else top
         if at(way * top)[2]:
             low = 0.0
             for _ in range(SPEED_HALVINGS):
@@ -350,10 +324,9 @@ def operating_point(
     if OVERRUNNING[function] != (-way * force > 0.0) and not note:
         note = "the load does not suit this function"
     q = model.posture(held)
-    q[plant.joints[circuit.cylinder]] = here.q[index]
+    q[row.joint] = here.q[index]
     around = DIFFERENCE * max(abs(v), COULOMB_SPEED)
-    slope = coulomb_viscous(v + around, row[VISCOUS], row[COULOMB], COULOMB_SPEED)
-    slope -= coulomb_viscous(v - around, row[VISCOUS], row[COULOMB], COULOMB_SPEED)
+    slope = friction_steady(row, v + around) - friction_steady(row, v - around)
     return OperatingPoint(
         cylinder=model.layout.cylinders[circuit.cylinder],
         function=FUNCTIONS[function],
@@ -372,8 +345,8 @@ def operating_point(
         p_rod=float(p_rod),
         p_supply=float(p_supply),
         p_tank=float(p_tank),
-        volume_head=float(chamber_volume(row[VOLUME_HEAD], areas[0] * here.x[index])),
-        volume_rod=float(chamber_volume(row[VOLUME_ROD], -areas[1] * here.x[index])),
+        volume_head=float(chamber_oil(row, 0, here.x[index])),
+        volume_rod=float(chamber_oil(row, 1, here.x[index])),
         paths=paths,
         possible=not troubles,
         fits=not troubles and not note,
@@ -384,17 +357,13 @@ def operating_point(
 def _flow(circuit: Circuit, path: int, drop: float, command: float) -> float:
     """Flow [m³/s] along a path at a drop [Pa] along it and an opening [V]."""
     edge, along = circuit.paths[path], circuit.along[path]
-    return along * edge_flow(
-        along * drop, command, circuit.edges[edge], circuit.wiring[edge], circuit.maps
-    )
+    return along * edge_flow(along * drop, command, circuit.edges[edge], circuit.maps)
 
 
 def _command(circuit: Circuit, path: int, flow: float, drop: float) -> float:
     """Command [V] at which a path passes a flow [m³/s] at a drop [Pa], both along it."""
     edge, along = circuit.paths[path], circuit.along[path]
-    return edge_command(
-        along * drop, along * flow, circuit.edges[edge], circuit.wiring[edge], circuit.maps
-    )
+    return edge_command(along * drop, along * flow, circuit.edges[edge], circuit.maps)
 
 
 def _path(
@@ -422,14 +391,14 @@ def _path(
     gain = (_flow(circuit, path, drop, command + du) - _flow(circuit, path, drop, command - du)) / (
         2 * du
     )
-    most, sign = widest(circuit, edge, circuit.along[path] * drop), circuit.edges[edge, SIGN]
+    most, sign = widest(circuit, edge, circuit.along[path] * drop), circuit.edges[edge].sign
     reachable = sign * command <= sign * most * (1 + 1e-9) and _flow(
         circuit, path, drop, command
     ) >= flow * (1 - 1e-6)
     return Path(
         int(path),
         names[edge],
-        int(circuit.wiring[edge, VALVE]),
+        int(circuit.edges[edge].valve),
         float(flow),
         float(drop),
         float(command),
@@ -479,7 +448,7 @@ def _states(
     model: Model, point: OperatingPoint
 ) -> tuple[tuple[int, ...], list[int], tuple[str, ...]]:
     valves = tuple(dict.fromkeys(p.valve for p in point.paths))
-    moving = [i for i in valves if model.plant.valves[i, STIFFNESS] > 0.0]
+    moving = [i for i in valves if model.plant.valves[i].count]
     names = ["v", "p_head", "p_rod"]
     for i in moving:
         names += [f"{model.layout.valves[i]}.opening", f"{model.layout.valves[i]}.rate"]
@@ -497,18 +466,18 @@ def development_model(model: Model, point: OperatingPoint) -> LinearModel:
     valves, moving, names = _states(model, point)
     size = len(names)
     a, b, e = np.zeros((size, size)), np.zeros((size, len(valves))), np.zeros(size)
-    areas = row[[AREA_HEAD, AREA_ROD]]
+    areas = np.array([row.area_head, row.area_rod])
     a[0, :3] = (
         point.bend - (point.damping + point.friction) / point.mass,
         areas[0] / point.mass,
         -areas[1] / point.mass,
     )
     e[0] = 1.0 / point.mass
-    stiff = row[BULK] / np.array([point.volume_head, point.volume_rod])
+    stiff = row.bulk_modulus / np.array([point.volume_head, point.volume_rod])
     inflow = np.zeros((2, size))
     inflow[:, 0] = -areas[0], areas[1]
-    inflow[0, 1:3] = -row[LEAK_INTERNAL] - row[LEAK_HEAD], row[LEAK_INTERNAL]
-    inflow[1, 1:3] = row[LEAK_INTERNAL], -row[LEAK_INTERNAL] - row[LEAK_ROD]
+    inflow[0, 1:3] = -row.leakage_internal - row.leakage_head, row.leakage_internal
+    inflow[1, 1:3] = row.leakage_internal, -row.leakage_internal - row.leakage_rod
     into_u = np.zeros((2, len(valves)))
     for path in point.paths:
         side = INTO[path.path]
@@ -521,8 +490,9 @@ def development_model(model: Model, point: OperatingPoint) -> LinearModel:
     for k, i in enumerate(moving):
         at = 3 + 2 * k
         a[at, at + 1] = 1.0
-        a[at + 1, at : at + 2] = -plant.valves[i, STIFFNESS], -plant.valves[i, DAMPING]
-        b[at + 1, valves.index(i)] = plant.valves[i, STIFFNESS]
+        element = plant.elements[plant.valves[i].first]
+        a[at + 1, at : at + 2] = -element.stiffness, -element.damping
+        b[at + 1, valves.index(i)] = element.stiffness
     return LinearModel(names, valves, a, b, e)
 
 
@@ -542,10 +512,11 @@ def state_of(model: Model, point: OperatingPoint) -> tuple[np.ndarray, np.ndarra
     index = names.cylinders.index(point.cylinder)
     y = model.trim(np.array(point.q))
     command = model.rest_commands(1)[0]
-    y[names.state("qd", int(model.plant.joints[index]))] = point.v / point.lever
+    y[names.state("qd", int(model.plant.cylinders[index].joint))] = point.v / point.lever
     y[names.state("p_head", index)], y[names.state("p_rod", index)] = point.p_head, point.p_rod
     for path in point.paths:
-        y[names.state("opening", path.valve)] = command[path.valve] = path.command
+        command[path.valve] = path.command
+        valve_settle(model.plant.valves[path.valve], path.command, model.plant, y)
     return y, command
 
 
@@ -563,14 +534,13 @@ def plant_model(
     stroke ``x`` as first state: what the development model leaves out."""
     plant, layout = model.plant, model.layout
     index = layout.cylinders.index(point.cylinder)
-    joint = int(plant.joints[index])
     row = plant.cylinders[index]
-    geometry = (int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]])
+    joint = int(row.joint)
     valves, moving, names = _states(model, point)
     base, rest = state_of(model, point)
     n = len(layout.joints)
     at_qd, at_head = layout.state("qd", joint), layout.state("p_head", index)
-    work = np.empty(workspace_size(n, plant.cylinders.shape[0], plant.edges.shape[0]))
+    work = np.empty(plant.at.work)
     arm_work, mass, rate = np.empty(work_size(n)), np.empty((n, n)), np.empty(base.size)
     names = (("x",) if position else ()) + names
     picks = [(layout.state("opening", i), layout.state("rate", i)) for i in moving]
@@ -580,8 +550,8 @@ def plant_model(
         commands).
         """
         y, u = base.copy(), rest.copy()
-        y[joint] = joint_angle(*geometry, point.x + z[0]) if z[0] else base[joint]
-        _, lever, bend = linkage(*geometry, y[joint])
+        y[joint] = joint_of(row, point.x + z[0]) if z[0] else base[joint]
+        _, lever, bend = linkage_of(row, y[joint])
         y[at_qd] = (point.v + z[1]) / lever
         y[at_head : at_head + 2] += z[2:4]
         for k, (opening, speed) in enumerate(picks):

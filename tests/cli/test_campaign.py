@@ -49,7 +49,8 @@ def contents(folder: Path) -> dict[str, bytes]:
 def test_the_same_campaign_twice_gives_the_same_bytes(tmp_path):
     for name in ("one", "two"):
         made = workflow.run(
-            ROOT / "recipes" / "slide_servo" / "campaign.toml", workflow.Desk(root=tmp_path / name)
+            ROOT / "recipes" / "slide_servo" / "campaign.toml",
+            workflow.Session(root=tmp_path / name),
         )
         assert made.code == workflow.DONE
     one, two = contents(tmp_path / "one"), contents(tmp_path / "two")
@@ -58,15 +59,15 @@ def test_the_same_campaign_twice_gives_the_same_bytes(tmp_path):
 
 
 def test_a_run_that_stands_is_kept_and_a_damaged_one_is_made_again(tmp_path):
-    desk = workflow.Desk(root=tmp_path)
+    desk = workflow.Session(root=tmp_path)
     recipe = ROOT / "recipes" / "slide_servo" / "validation.toml"
     made = workflow.run(recipe, desk)
     (source,) = (p for p in tmp_path.iterdir() if p.name.startswith("hydraulics_"))
     before = (source / "volatile.json").stat().st_mtime_ns
-    workflow.run(recipe, workflow.Desk(root=tmp_path))
+    workflow.run(recipe, workflow.Session(root=tmp_path))
     assert (source / "volatile.json").stat().st_mtime_ns == before
     (source / "parameters.json").write_text("{}")
-    workflow.run(recipe, workflow.Desk(root=tmp_path))
+    workflow.run(recipe, workflow.Session(root=tmp_path))
     assert json.loads((source / "parameters.json").read_text())["parameters"]
     assert (
         made.json("validation")["accepted"]

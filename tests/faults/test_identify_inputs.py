@@ -16,9 +16,9 @@ from ehbench.errors import InputError, InsufficientData, LogError
 from ehbench.identification.hydraulics import identify_hydraulics
 from ehbench.intake import distinct_names, evened, take_in
 from ehbench.logs import write_log
+from ehbench.plant.model import Model, simulate
 from ehbench.recipe import load_recipe, load_rig
 from ehbench.record import Record
-from ehbench.simulation import Model, simulate
 from ehbench.validation import validate_rig
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
@@ -531,7 +531,7 @@ def test_the_lower_limit_of_the_meter_goes_from_the_recipe_to_the_fit(tmp_path):
     for name, line in (("blind", ""), ("told", 'meter_limit = "1 L/min"\n')):
         (tmp_path / f"{name}.toml").write_text(head + line)
         (found[name],) = workflow.run(
-            tmp_path / f"{name}.toml", workflow.Desk(out=tmp_path / f"run_{name}")
+            tmp_path / f"{name}.toml", workflow.Session(out=tmp_path / f"run_{name}")
         ).json("summary")
     assert abs(found["told"]["deadband"] - deadband) < 3.0 * found["told"]["deadband_std"] < 0.3
     assert abs(found["blind"]["deadband"] - deadband) > 2.0 * abs(

@@ -11,32 +11,13 @@ from numba import njit
 
 from ehbench.control import arc
 from ehbench.control.functions import circuit, pack_rules
-from ehbench.plant import (
-    AREA_HEAD,
-    AREA_ROD,
-    BULK,
-    COULOMB,
-    COULOMB_SPEED,
-    GEOMETRY,
-    HIGHEST,
-    L_A,
-    L_B,
-    LEAK_HEAD,
-    LEAK_INTERNAL,
-    LEAK_ROD,
-    LOWEST,
-    PHASE,
-    RETRACTED,
-    SIDE,
-    VISCOUS,
-    VOLUME_HEAD,
-    VOLUME_ROD,
-    derivatives,
-    workspace_size,
-)
-from ehbench.machines.virtual import bench_tick
 from ehbench.machines.simulated import model_sample, model_tick
-from ehbench.simulation import STEP
+from ehbench.machines.virtual import bench_tick
+from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
+from ehbench.parts.sample import sample_size
+from ehbench.parts.valve import valve_lag as lag_of
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.integrate import STEP
 
 TICK = 1.0e-3
 
@@ -48,9 +29,8 @@ def on_model(
     """Run a controller on the model; a channel with ``mask`` False is NaN in what the controller
     gets.
     """
-    size, ne = y.shape[0], plant.edges.shape[0]
-    k = np.empty((5, size))
-    work = np.empty(workspace_size(plant.links.shape[0], plant.cylinders.shape[0], ne))
+    k = np.empty((5, y.shape[0]))
+    work = np.empty(plant.at.work)
     sample, given = np.empty(log.shape[1]), np.empty(log.shape[1])
     model_sample(y, plant, sample)
     for i in range(wish.shape[0]):
@@ -59,7 +39,7 @@ def on_model(
         arc.step(i * tick, given, wish[i], design, gains, memory, command, notes[i])
         log[i], commands[i] = sample, command
         derivatives(y, command, plant, k[0], work)
-        flows[i] = work[work.shape[0] - ne - 1 :]
+        flows[i] = work[plant.at.flow :]
         model_tick(y, command, plant, tick, steps, k, work, sample)
 
 
@@ -77,7 +57,6 @@ def on_bench(
     tick,
     steps,
     scratch,
-    work,
     noise,
     log,
     notes,
@@ -97,7 +76,7 @@ def on_bench(
             state[: log.shape[1] - channels],
             command,
         )
-        bench_tick(state, command, bench, tick, steps, scratch, work, noise[i], sample)
+        bench_tick(state, command, bench, tick, steps, scratch, noise[i], sample)
 
 
 @dataclass
@@ -121,12 +100,11 @@ def circuit_of(model, number, measured=None):
     row = plant.cylinders[number]
     return circuit(
         number,
-        row[AREA_HEAD],
-        row[AREA_ROD],
+        row.area_head,
+        row.area_rod,
         plant.edges,
-        plant.wiring,
         plant.maps,
-        plant.valves[:, [LOWEST, HIGHEST]],
+        np.column_stack([plant.valves.lowest, plant.valves.highest]),
         measured,
     )
 
@@ -140,11 +118,18 @@ def axis_of(model, number, posture, measured=None):
         plant.kind,
         plant.gravity,
         plant.links,
-        plant.joints,
+        plant.cylinders.joint,
         model.posture(posture),
-        row[[GEOMETRY, L_A, L_B, SIDE, PHASE, RETRACTED]],
-        row[[VOLUME_HEAD, VOLUME_ROD, BULK, LEAK_INTERNAL, LEAK_HEAD, LEAK_ROD]],
-        (row[VISCOUS], row[COULOMB], COULOMB_SPEED),
+        (row.geometry, row.l_a, row.l_b, row.side, row.phase, row.retracted_length),
+        (
+            row.volume_head,
+            row.volume_rod,
+            row.bulk_modulus,
+            row.leakage_internal,
+            row.leakage_head,
+            row.leakage_rod,
+        ),
+        (row.friction_viscous, row.friction_coulomb, COULOMB_SPEED),
     )
 
 
@@ -152,21 +137,23 @@ def valve_lag(model, number):
     """Lag 2ζ/ω_n [s] of the slowest valve of a cylinder."""
     name = model.layout.cylinders[number]
     rows = [
-        r
-        for r, v in zip(model.plant.valves, model.layout.valves, strict=True)
-        if v.startswith(name + ".")
+        row
+        for row, valve in zip(model.plant.valves, model.layout.valves, strict=True)
+        if valve.startswith(name + ".")
     ]
-    return max(float(r[1] / r[0]) if r[0] else 0.0 for r in rows)
+    return max(lag_of(row, model.plant) for row in rows)
 
 
 def gains_of(model, ax, seventh=False, rules=None, **options):
     """Gains of the controller with defaults for a model."""
     supply = model.plant.supply
-    packed = pack_rules(ax.circuit.area_rod, supply[0], allow_seventh=seventh, **(rules or {}))
+    packed = pack_rules(
+        ax.circuit.area_rod, supply.pressure, allow_seventh=seventh, **(rules or {})
+    )
     given = {
         "tick": TICK,
-        "supply_pressure": supply[0],
-        "flow_limit": supply[2],
+        "supply_pressure": supply.pressure,
+        "flow_limit": supply.flow_limit,
         "valve_lag": valve_lag(model, ax.circuit.cylinder),
     }
     return arc.pack_arc(ax, packed, **(given | options))
@@ -193,7 +180,7 @@ def run_model(model, ax, gains, wish, posture=None, mask=None, memory=None):
     """
     y = model.trim(model.posture(posture))
     notes, names, commands, command = _arrays(model, ax, wish)
-    channels = 6 * len(model.layout.cylinders) + 2
+    channels = sample_size(len(model.layout.cylinders))
     log, memory = (
         np.zeros((len(wish), channels)),
         np.zeros(arc.memory_size(ax)) if memory is None else memory,
@@ -240,7 +227,6 @@ def run_bench(rig, model, ax, gains, wish, posture=None):
         TICK,
         rig.steps,
         rig._own.scratch,
-        rig._own.work,
         rig.noise(len(wish)),
         log,
         notes,

@@ -21,13 +21,13 @@ from ehbench.control.functions import (
 from ehbench.control.trajectory import point_to_point, there_and_back
 from ehbench.control.valve_level import SATURATED
 from ehbench.errors import InputError
+from ehbench.machines.virtual import VirtualMachine
 from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
 from ehbench.physics.cylinder import linkage
+from ehbench.plant.model import Model
 from ehbench.quantities import quantity
 from ehbench.recipe import load_rig
 from ehbench.rig import Value
-from ehbench.machines.virtual import VirtualMachine
-from ehbench.simulation import Model
 
 sys.path.append(str(Path(__file__).parent))
 from closed_loop import TICK, axis_of, gains_of, run_bench, run_model  # noqa: E402

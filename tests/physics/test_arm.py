@@ -36,7 +36,7 @@ def random_chain(n, rng):
         (*rng.uniform(-1, 1, 2), *rng.uniform(-3, 3, 2), *random_body(rng), rng.uniform(0, 5))
         for _ in range(n)
     ]
-    return np.array([arm.pack_link(*row) for row in given]), given
+    return np.array([arm.pack_link(*row) for row in given]).view(np.recarray), given
 
 
 def mujoco_model(given):
@@ -165,7 +165,7 @@ def test_power_is_the_rate_of_energy(n):
         rate = sum(w * (along(k * h) - along(-k * h)) for k, w in ((1, 45), (2, -9), (3, 1))) / (
             60 * h
         )
-        power = qd @ (torque - links[:, arm.DAMPING] * qd)
+        power = qd @ (torque - links.damping * qd)
         assert rate == pytest.approx(power, rel=0, abs=1e-7 * np.abs(qd) @ np.abs(torque))
 
 
@@ -222,7 +222,7 @@ def test_prefix_of_the_rows_is_the_shorter_chain():
     end = np.array(arm.tip(arm.CHAIN, links, q))
     before = np.array(arm.tip(arm.CHAIN, links[:2], q[:2]))
     assert np.linalg.norm(end - before) == pytest.approx(
-        math.hypot(links[2, arm.A], links[2, arm.D]), rel=1e-13
+        math.hypot(links[2].a, links[2].d), rel=1e-13
     )
 
 

@@ -11,14 +11,14 @@ import pytest
 from ehbench.datasets import main, make
 from ehbench.errors import InputError
 from ehbench.logs import write_log
-from ehbench.physics.arm import energy, work_size
-from ehbench.plant import AREA_HEAD, AREA_ROD
-from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
-from ehbench.rig import Value
 from ehbench.machines.virtual import ATMOSPHERE, VirtualMachine, bulk, play
 from ehbench.machines.virtual import _follow as follow
 from ehbench.machines.virtual import _speed_filter as speed_filter
-from ehbench.simulation import Model, linkage_arrays
+from ehbench.parts.cylinder import linkage_arrays
+from ehbench.physics.arm import energy, work_size
+from ehbench.plant.model import Model
+from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
+from ehbench.rig import Value
 from ehbench.trial import run_trial
 
 ROOT = Path(__file__).parents[2]
@@ -109,9 +109,9 @@ def test_a_shipped_bench_starts_quiet_and_stays_so(name):
     n = len(bench.layout.joints)
     first = bench.state[: bench.size].copy()
     states, samples = drive(bench, bench.model.rest_commands(500))
-    supply = bench.bench.supply[0]
+    supply = bench.bench.supply.pressure
     pressures = slice(2 * n, 2 * n + 2 * len(bench.layout.cylinders))
-    for c, joint in enumerate(bench.bench.joints):
+    for c, joint in enumerate(bench.bench.cylinders.joint):
         _, lever = linkage_arrays(bench.bench.cylinders[c], states[:, joint])
         # leakage lets the load creep and nothing else moves: a hundredth of the slowest step that
         # is recorded
@@ -134,11 +134,11 @@ def test_a_bench_without_a_file_is_plausible(name):
             table[20:, column] = 0.4 * float(valve.command_max)
     states, _ = drive(bench, table)
     n = len(bench.layout.joints)
-    for c, joint in enumerate(bench.bench.joints):
+    for c, joint in enumerate(bench.bench.cylinders.joint):
         moved = abs(states[-1, joint] - states[0, joint])
         assert moved > 1e-3, f"cylinder {c} does not move"
     pressures = states[:, 2 * n : 2 * n + 2 * len(bench.layout.cylinders)]
-    assert pressures.min() > -ATMOSPHERE and pressures.max() < 3 * bench.bench.supply[0]
+    assert pressures.min() > -ATMOSPHERE and pressures.max() < 3 * bench.bench.supply.pressure
 
 
 @pytest.mark.parametrize("name", ("slide_servo", "crane_proportional", "boom_four_valve"))
@@ -194,8 +194,8 @@ def test_friction_and_damping_only_take_energy():
     for c in range(3):
         _, lever = linkage_arrays(rows[c], states[:, c])
         force = (
-            states[:, 2 * n + 2 * c] * rows[c, AREA_HEAD]
-            - states[:, 2 * n + 2 * c + 1] * rows[c, AREA_ROD]
+            states[:, 2 * n + 2 * c] * rows[c].area_head
+            - states[:, 2 * n + 2 * c + 1] * rows[c].area_rod
         )
         power += force * lever * states[:, n + c]
     done = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]))]) / 4000.0
@@ -332,8 +332,8 @@ def test_the_pump_droops_and_gives_in_above_its_limit():
     rig = rig_of("slide_servo")
     bench = VirtualMachine(rig, bench_file("slide_servo"))
     bench.start({"press": "20 mm"})
-    at, limit, droop = bench.size - 2, bench.bench.supply[2], bench.bench.extra[2]
-    p_set = bench.bench.supply[0]
+    at, limit, droop = bench.size - 2, bench.bench.supply.flow_limit, bench.bench.fluid.droop
+    p_set = bench.bench.supply.pressure
     small, _ = drive(bench, np.full((250, 1), 2.5))
     flow = small[-1, at + 1]
     assert 0.1 * limit < flow < 0.5 * limit

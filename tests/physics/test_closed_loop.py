@@ -16,9 +16,9 @@ from ehbench.control import pressure_feedback as pf
 from ehbench.control.functions import FUNCTIONS
 from ehbench.control.valve_level import SATURATED
 from ehbench.errors import InputError
+from ehbench.parts.sample import sample_channels
 from ehbench.quantities import quantity
 from ehbench.recipe import TrialRecipe, TrialSetRecipe, load_rig
-from ehbench.machines.protocol import sample_channels
 from ehbench.trial import (
     RUN_OUT,
     Case,
@@ -207,7 +207,7 @@ def test_a_log_of_the_bench_has_what_a_machine_measures_the_commands_and_the_not
     record, _ = run_trial(ARM, recipe(law, on="bench", bench=BENCH, duration="0.1 s"))
     layout, notes = closed_layout(), closed(recipe(law)).channels
     assert set(record.channels) == {
-        *sample_channels(layout),
+        *sample_channels(layout.cylinders),
         *(f"{valve}.command" for valve in layout.valves),
         *notes,
     }
@@ -373,7 +373,7 @@ def test_a_built_in_law_is_given_its_channels_only(law, given, on, monkeypatch):
         lambda self, first, stop: seen.append(self.law) or through(self, first, stop),
     )
     record, _ = run_trial(ARM, recipe(law, on=on, payload="50 lb"))
-    names = sample_channels(closed_layout())
+    names = sample_channels(closed_layout().cylinders)
     last = seen[-1].given
     assert {name for name, value in zip(names, last, strict=True) if not math.isnan(value)} == given
     assert all(np.isfinite(values).all() for values in record.channels.values())

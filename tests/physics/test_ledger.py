@@ -24,23 +24,14 @@ from ehbench.ledger import (
     noise_of,
     travels,
 )
+from ehbench.machines.virtual import CREEP, VirtualMachine
+from ehbench.parts.cylinder import linkage_arrays
 from ehbench.physics.flow_map import FlowMap, ValveMaps, root_drop
 from ehbench.physics.friction import stribeck
-from ehbench.plant import (
-    AREA_HEAD,
-    AREA_ROD,
-    COULOMB,
-    LEAK_HEAD,
-    LEAK_INTERNAL,
-    LEAK_ROD,
-    STROKE,
-    VISCOUS,
-)
+from ehbench.plant.model import Model
 from ehbench.recipe import TrialRecipe, load_recipe, load_rig
 from ehbench.record import Record
 from ehbench.rig import Rig, Value
-from ehbench.machines.virtual import CREEP, STATIC, STRIBECK_SPEED, VirtualMachine
-from ehbench.simulation import Model, linkage_arrays
 from ehbench.trial import run_trial
 
 ROOT = Path(__file__).parents[2]
@@ -160,9 +151,12 @@ def test_regeneration_edges_take_part():
     assert abs(ledger.residual.energy) < 1e-5 * ledger.pump
     rise, area = (
         float(np.diff(record["boom.x"][[100, 700]])[0]),
-        float(model.plant.cylinders[1, AREA_HEAD]),
+        float(model.plant.cylinders[1].area_head),
     )
-    assert rise > 0.02 and ledger["boom.drawn"].energy < 0.75 * model.plant.supply[0] * area * rise
+    assert (
+        rise > 0.02
+        and ledger["boom.drawn"].energy < 0.75 * model.plant.supply.pressure * area * rise
+    )
 
 
 def test_agrees_with_an_independent_count_at_fine_steps(model):
@@ -197,12 +191,12 @@ def test_agrees_with_an_independent_count_at_fine_steps(model):
     for index, c in enumerate(model.rig.cylinder):
         row, v = model.plant.cylinders[index], fine[f"{c.name}.v"]
         head, rod = fine[f"{c.name}.p_head"], fine[f"{c.name}.p_rod"]
-        expected[f"{c.name}.work"] = total((head * row[AREA_HEAD] - rod * row[AREA_ROD]) * v)
+        expected[f"{c.name}.work"] = total((head * row.area_head - rod * row.area_rod) * v)
         expected[f"{c.name}.friction"] = total(
-            (row[VISCOUS] * v + row[COULOMB] * np.tanh(v / 2e-3)) * v
+            (row.friction_viscous * v + row.friction_coulomb * np.tanh(v / 2e-3)) * v
         )
-        leaks = row[LEAK_INTERNAL] * (head - rod) ** 2
-        leaks += row[LEAK_HEAD] * (head - p_tank) ** 2 + row[LEAK_ROD] * (rod - p_tank) ** 2
+        leaks = row.leakage_internal * (head - rod) ** 2
+        leaks += row.leakage_head * (head - p_tank) ** 2 + row.leakage_rod * (rod - p_tank) ** 2
         expected[f"{c.name}.leakage"] = total(leaks)
     damping = (
         [float(j.joint_damping) for j in model.rig.mechanism.joint]
@@ -232,7 +226,7 @@ def test_a_load_that_rings_on_locked_oil_pays_from_what_it_had(model):
     1e-6 of what it was.
     """
     plain = Model.of(rig_of(model.rig.name, lossy=False))
-    y = plain.trim(plain.posture(None), low_side=0.4 * plain.plant.supply[0])
+    y = plain.trim(plain.posture(None), low_side=0.4 * plain.plant.supply.pressure)
     n = len(plain.layout.joints)
     y[n : 2 * n] = 0.02
     table = plain.rest_commands(801)
@@ -273,15 +267,17 @@ def test_valve_rates_follow_from_openings(model):
     """The rates that a record has not are found again to 1e-6 of their range."""
     table = lively(model, 400)
     log = model.run(model.trim(model.posture(None)), table)
-    at, nv = model.layout.state("opening", 0), len(model.layout.valves)
-    opening, rate = log[:, at : at + nv].copy(), np.empty((400, nv))
+    names = model.layout
+    at = [[names.state(key, i) for i in range(len(names.valves))] for key in ("opening", "rate")]
+    opening, truth = (log[:, columns] for columns in at)
     t = np.arange(400) * 1e-3
-    follow_valves(t, table, model.plant.valves, True, opening, rate)
-    truth = log[:, at + nv : at + 2 * nv]
-    assert np.abs(rate - truth).max() < 1e-6 * np.abs(truth).max()
-    free = np.empty_like(opening)
-    follow_valves(t, table, model.plant.valves, False, free, rate)
-    assert np.abs(free - opening).max() < 1e-6 * np.abs(opening).max()
+    known = np.zeros((400, names.states))
+    known[:, at[0]] = opening
+    follow_valves(t, table, model.plant, True, known)
+    assert np.abs(known[:, at[1]] - truth).max() < 1e-6 * np.abs(truth).max()
+    free = np.zeros((400, names.states))
+    follow_valves(t, table, model.plant, False, free)
+    assert np.abs(free[:, at[0]] - opening).max() < 1e-6 * np.abs(opening).max()
 
 
 def test_the_parts_of_a_ledger(model, made):
@@ -527,7 +523,7 @@ def test_intervals_cover_sensors_that_are_wrong_by_what_is_said_of_them():
         for name, values in log.channels.items():
             word = name.rsplit(".", 1)[-1]
             if word.startswith("p_"):
-                zero = said.pressure * float(machine.plant.supply[0]) * rng.standard_normal()
+                zero = said.pressure * float(machine.plant.supply.pressure) * rng.standard_normal()
                 channels[name] = values + zero + rng.normal(0.0, 5e3, values.size)
             elif word in ("q", "x", "qd", "v"):
                 channels[name] = (
@@ -656,18 +652,26 @@ def test_on_the_bench_the_unexplained_row_covers_what_is_unexplained():
             name, {valve: lambda t, a=amplitude, T=period: a * np.sin(2 * np.pi * t / T)}
         )
         row = bench.bench.cylinders[0]
-        x, lever = linkage_arrays(np.ascontiguousarray(row[:21]), truth[:, 0].copy())
+        x, lever = linkage_arrays(row, truth[:, 0].copy())
         v, head, rod = lever * truth[:, 1], truth[:, 2], truth[:, 3]
-        assert 0.0 < x.min() and x.max() < row[STROKE]
+        assert 0.0 < x.min() and x.max() < row.stroke
         rubs = [
-            stribeck(one, row[VISCOUS], row[COULOMB], row[STATIC], row[STRIBECK_SPEED], CREEP) * one
+            stribeck(
+                one,
+                row.friction_viscous,
+                row.friction_coulomb,
+                row.friction_static,
+                row.stribeck_speed,
+                CREEP,
+            )
+            * one
             for one in v
         ]
-        tank = bench.bench.supply[1]
+        tank = bench.model.plant.tank_pressure
         leaks = (
-            row[LEAK_INTERNAL] * (head - rod) ** 2
-            + row[LEAK_HEAD] * (head - tank) ** 2
-            + row[LEAK_ROD] * (rod - tank) ** 2
+            row.leakage_internal * (head - rod) ** 2
+            + row.leakage_head * (head - tank) ** 2
+            + row.leakage_rod * (rod - tank) ** 2
         )
         friction, leakage = float(np.trapezoid(rubs, log.t)), float(np.trapezoid(leaks, log.t))
         ledger = ledger_of_log(rig, None, log)

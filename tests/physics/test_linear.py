@@ -14,25 +14,12 @@ import pytest
 from ehbench.control import pressure_feedback
 from ehbench.control.functions import EXTEND_RESISTIVE, FUNCTIONS, RETRACT_OVERRUNNING, pack_rules
 from ehbench.errors import InputError
+from ehbench.machines.simulated import model_sample, model_tick
 from ehbench.physics import arm
 from ehbench.physics.cylinder import joint_angle
-from ehbench.plant import (
-    AREA_HEAD,
-    AREA_ROD,
-    BULK,
-    GEOMETRY,
-    L_A,
-    L_B,
-    PHASE,
-    RETRACTED,
-    SIDE,
-    STROKE,
-    derivatives,
-    workspace_size,
-)
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
-from ehbench.machines.simulated import model_sample, model_tick
-from ehbench.simulation import Model
 from ehbench.tune.linear import (
     Law,
     circuit_of,
@@ -67,11 +54,11 @@ def machine(rig, cylinder, payload=None, **values):
 
 def points(model, index, circuit, shares=(0.2, 0.8), strokes=(0.15, 0.5, 0.85)):
     """Every possible operating point of every working function."""
-    here = equivalent(model, index, np.array(strokes) * model.plant.cylinders[index, STROKE])
+    here = equivalent(model, index, np.array(strokes) * model.plant.cylinders[index].stroke)
     for function in range(1, len(FUNCTIONS)):
         for at in range(len(strokes) if circuit.able[function] else 0):
             for share in shares:
-                low = model.plant.supply[0] / 20
+                low = model.plant.supply.pressure / 20
                 point = operating_point(
                     model,
                     circuit,
@@ -136,25 +123,28 @@ def test_leakage_and_friction_too(case):
 def test_an_operating_point_is_a_steady_motion(case):
     model, index, circuit = machine(*case)
     plant, layout = model.plant, model.layout
-    work = np.empty(workspace_size(len(layout.joints), len(layout.cylinders), len(layout.edges)))
+    work = np.empty(plant.at.work)
     rate = np.empty(layout.states)
     for point in points(model, index, circuit):
         y, command = state_of(model, point)
         derivatives(y, command, plant, rate, work)
         for key, area, volume in (
-            ("p_head", AREA_HEAD, point.volume_head),
-            ("p_rod", AREA_ROD, point.volume_rod),
+            ("p_head", "area_head", point.volume_head),
+            ("p_rod", "area_rod", point.volume_rod),
         ):
             # against what shutting one of the two flows would give; a common opening is found to
             # 1e-3 Pa
             whole = (
-                plant.cylinders[index, BULK] / volume * plant.cylinders[index, area] * abs(point.v)
+                plant.cylinders[index].bulk_modulus
+                / volume
+                * plant.cylinders[index][area]
+                * abs(point.v)
             )
             assert abs(rate[layout.state(key, index)]) < 1e-6 * whole, point.name
         n = len(layout.joints)
         mass = np.empty((n, n))
         arm.mass_matrix(plant.kind, plant.links, y[:n], mass, np.empty(arm.work_size(n)))
-        joint = plant.joints[index]
+        joint = plant.cylinders[index].joint
         held = mass[joint] @ rate[n : 2 * n] / mass[joint, joint]
         bend = (
             0.5 * point.bend * point.v
@@ -167,17 +157,23 @@ def test_an_operating_point_is_a_steady_motion(case):
 @pytest.mark.parametrize("case", MACHINES, ids=lambda c: "-".join(map(str, c)))
 def test_equivalents_against_energy(case):
     model, index, _ = machine(*case)
-    plant, joint = model.plant, int(model.plant.joints[index])
+    plant, joint = model.plant, int(model.plant.cylinders[index].joint)
     row = plant.cylinders[index]
     n = len(model.layout.joints)
     work, v = np.empty(arm.work_size(n)), 0.3
-    for x in np.linspace(0.1, 0.9, 5) * row[STROKE]:
+    for x in np.linspace(0.1, 0.9, 5) * row.stroke:
         here = equivalent(model, index, np.array([x - 1e-4, x, x + 1e-4]))
         potential = []
         for at in range(3):
             q, qd = model.posture(None), np.zeros(n)
             q[joint] = joint_angle(
-                int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]], here.x[at]
+                row.geometry,
+                row.l_a,
+                row.l_b,
+                row.side,
+                row.phase,
+                row.retracted_length,
+                here.x[at],
             )
             qd[joint] = v / here.lever[at]
             kinetic, height = arm.energy(plant.kind, plant.links, plant.gravity, q, qd, work)
@@ -203,8 +199,8 @@ def test_natural_frequency_of_the_locked_boom():
     for point in points(model, index, circuit, shares=(0.5,)):
         shut = replace(point, paths=(), v=0.0, bend=0.0)
         exact = math.sqrt(
-            row[BULK]
-            * (row[AREA_HEAD] ** 2 / point.volume_head + row[AREA_ROD] ** 2 / point.volume_rod)
+            row.bulk_modulus
+            * (row.area_head**2 / point.volume_head + row.area_rod**2 / point.volume_rod)
             / point.mass
         )
         for linear in (development_model(model, shut), plant_model(model, shut)):
@@ -264,8 +260,8 @@ def test_closed_loop_agrees_with_the_compiled_controller(function, washout, ramp
     """A push on the mass of the running machine: its speed, tick by tick, against the linear loop."""
     model, index, circuit = machine("boom_four_valve", "boom", None)
     plant, off, tick = model.plant, 4e-11, 1e-3
-    low = plant.supply[0] / 20
-    here = equivalent(model, index, np.array([0.5]) * plant.cylinders[index, STROKE])
+    low = plant.supply.pressure / 20
+    here = equivalent(model, index, np.array([0.5]) * plant.cylinders[index].stroke)
     point = operating_point(
         model, circuit, function, here, 0, share=0.2, low_pressure=low, cross_drop=low
     )
@@ -273,7 +269,7 @@ def test_closed_loop_agrees_with_the_compiled_controller(function, washout, ramp
     loop = close(
         development_model(model, point), point, circuit, Law(washout, off, 0.5 * tick, ramp)
     )
-    rules = pack_rules(circuit.area_rod, plant.supply[0])
+    rules = pack_rules(circuit.area_rod, plant.supply.pressure)
     gains = pressure_feedback.pack_pressure_feedback(
         # without a washout the static pressure would bias the speed: one that forgets in 10 s takes
         # just that off
@@ -289,17 +285,13 @@ def test_closed_loop_agrees_with_the_compiled_controller(function, washout, ramp
 
     def run(push):
         y, command = state_of(model, point)
-        y[model.layout.state("qd", int(plant.joints[index]))] += push / point.lever
+        y[model.layout.state("qd", int(plant.cylinders[index].joint))] += push / point.lever
         memory, note = (
             np.zeros(pressure_feedback.MEMORY),
             np.zeros(pressure_feedback.NOTES + 2 * circuit.count),
         )
         k = np.empty((5, model.layout.states))
-        work = np.empty(
-            workspace_size(
-                len(model.layout.joints), len(model.layout.cylinders), len(model.layout.edges)
-            )
-        )
+        work = np.empty(plant.at.work)
         sample = np.empty(6 * len(model.layout.cylinders) + 2)
         model_sample(y, plant, sample)
         # as if it had run for long: the function chosen, the washout at rest (or, without one, the

@@ -12,31 +12,16 @@ import pytest
 from scipy.linalg import eigh
 
 from ehbench import signals
+from ehbench.parts.cylinder import RELIEF_GAIN, linkage_arrays
+from ehbench.parts.valve import valve_settle
 from ehbench.physics import arm
 from ehbench.physics.cylinder import CAVITATION_BAND, makeup_flow, relief_flow
-from ehbench.physics.metering import FROM, TO
-from ehbench.plant import (
-    AREA_HEAD,
-    AREA_ROD,
-    BULK,
-    FLOOR,
-    LEAK_HEAD,
-    LEAK_INTERNAL,
-    LEAK_ROD,
-    RELIEF,
-    RELIEF_GAIN,
-    STOP,
-    STROKE,
-    VISCOUS,
-    VOLUME_HEAD,
-    VOLUME_ROD,
-    build,
-    derivatives,
-    workspace_size,
-)
+from ehbench.plant.build import build
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.integrate import rk4
+from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
 from ehbench.rig import Rig, Slide, Value
-from ehbench.simulation import Model, linkage_arrays, rk4
 
 RIGS = sorted((Path(__file__).parents[2] / "recipes" / "rigs").glob("*.toml"))
 LEAK = 2.0e-13  # [m³/(s·Pa)]: 1.2 mL/min/bar, a worn cylinder
@@ -50,9 +35,7 @@ def rig(request) -> Rig:
 def rate(model: Model, y: np.ndarray, command: np.ndarray) -> np.ndarray:
     """ẏ at a state."""
     plant, dy = model.plant, np.empty_like(y)
-    work = np.empty(
-        workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0])
-    )
+    work = np.empty(plant.at.work)
     derivatives(np.ascontiguousarray(y), command, plant, dy, work)
     return dy
 
@@ -95,33 +78,33 @@ class Ledger:
         self.q, self.qd = log[:, :n], log[:, n : 2 * n]
         self.edges, self.pump = log[:, states:-1], log[:, -1]
         self.supply = log[:, names.state("p_supply", 0)]
-        tank = np.full_like(self.supply, plant.supply[1])
+        tank = np.full_like(self.supply, plant.tank_pressure)
         self.nodes = np.column_stack(
             [self.supply, tank, log[:, 2 * n : 2 * n + 2 * len(names.cylinders)]]
         )
         into = np.zeros_like(self.nodes)
-        for index, wiring in enumerate(plant.wiring):
-            into[:, wiring[FROM]] -= self.edges[:, index]
-            into[:, wiring[TO]] += self.edges[:, index]
+        for index, edge in enumerate(plant.edges):
+            into[:, edge.from_node] -= self.edges[:, index]
+            into[:, edge.to_node] += self.edges[:, index]
         self.into = into
 
     def cylinders(self):
         """(row, x, v, [(inflow through edges, pressure, volume, the other pressure, sign, area,
         leak) of head and rod]).
         """
-        tank = self.model.plant.supply[1]
+        tank = self.model.plant.tank_pressure
         for index, row in enumerate(self.model.plant.cylinders):
-            joint = self.model.plant.joints[index]
+            joint = self.model.plant.cylinders[index].joint
             x, lever = linkage_arrays(row, self.q[:, joint])
             v = lever * self.qd[:, joint]
             head, rod = 2 + 2 * index, 3 + 2 * index
             sides = []
             for node, other, sign, area, dead, leak in (
-                (head, rod, 1.0, row[AREA_HEAD], row[VOLUME_HEAD], row[LEAK_HEAD]),
-                (rod, head, -1.0, row[AREA_ROD], row[VOLUME_ROD], row[LEAK_ROD]),
+                (head, rod, 1.0, row.area_head, row.volume_head, row.leakage_head),
+                (rod, head, -1.0, row.area_rod, row.volume_rod, row.leakage_rod),
             ):
                 p = self.nodes[:, node]
-                leaking = row[LEAK_INTERNAL] * (p - self.nodes[:, other]) + leak * (p - tank)
+                leaking = row.leakage_internal * (p - self.nodes[:, other]) + leak * (p - tank)
                 sides.append(
                     (self.into[:, node] - leaking, p, dead + sign * area * x, sign * area, leaking)
                 )
@@ -142,13 +125,13 @@ def test_oil_volume_is_conserved_in_every_chamber(ledger):
     for row, x, v, sides in ledger.cylinders():
         assert np.ptp(x) > 1e-3, "the cylinder must move for the balance to mean anything"
         for inflow, p, volume, area, _ in sides:
-            assert p.min() > row[FLOOR] + 1e5 and p.max() < row[RELIEF]
+            assert p.min() > row.cavitation_pressure + 1e5 and p.max() < row.relief_pressure
             oil = integral(inflow, ledger.step)
             displaced = area * (x[::2] - x[0])
             moved = np.abs(displaced).max()
             # ∫ V/β dp by parts: V p/β minus ∫ A v p/β dt
             squeezed = (volume * p)[::2] - volume[0] * p[0] - integral(area * v * p, ledger.step)
-            assert np.abs(oil - displaced - squeezed / row[BULK]).max() < 1e-6 * moved
+            assert np.abs(oil - displaced - squeezed / row.bulk_modulus).max() < 1e-6 * moved
 
 
 def test_pump_tank_and_machine_balance(ledger):
@@ -157,14 +140,16 @@ def test_pump_tank_and_machine_balance(ledger):
     """
     plant = ledger.model.plant
     pumped = integral(ledger.pump, ledger.step)
-    stored = plant.supply[3] / plant.supply[4] * (ledger.supply[::2] - ledger.supply[0])
+    stored = (
+        plant.supply.volume / plant.supply.bulk_modulus * (ledger.supply[::2] - ledger.supply[0])
+    )
     drained = integral(ledger.into[:, 1], ledger.step)
     for row, _, v, sides in ledger.cylinders():
         for inflow, p, volume, area, _ in sides:
             squeezed = (volume * p)[::2] - volume[0] * p[0] - integral(area * v * p, ledger.step)
-            stored = stored + squeezed / row[BULK] + integral(area * v, ledger.step)
-        tank = plant.supply[1]
-        for leak, side in zip(row[[LEAK_HEAD, LEAK_ROD]], sides, strict=True):
+            stored = stored + squeezed / row.bulk_modulus + integral(area * v, ledger.step)
+        tank = plant.tank_pressure
+        for leak, side in zip((row.leakage_head, row.leakage_rod), sides, strict=True):
             drained = drained + integral(leak * (side[1] - tank), ledger.step)
     assert pumped[-1] > 1e-6
     assert np.abs(pumped - stored - drained).max() < 1e-6 * pumped[-1]
@@ -179,10 +164,13 @@ def test_energy_is_conserved(ledger):
     plant, step = ledger.model.plant, ledger.step
     given = integral(ledger.supply * ledger.pump, step)
     spent = (
-        0.5 * plant.supply[3] / plant.supply[4] * (ledger.supply[::2] ** 2 - ledger.supply[0] ** 2)
+        0.5
+        * plant.supply.volume
+        / plant.supply.bulk_modulus
+        * (ledger.supply[::2] ** 2 - ledger.supply[0] ** 2)
     )
-    for index, wiring in enumerate(plant.wiring):
-        drop = ledger.nodes[:, wiring[FROM]] - ledger.nodes[:, wiring[TO]]
+    for index, edge in enumerate(plant.edges):
+        drop = ledger.nodes[:, edge.from_node] - ledger.nodes[:, edge.to_node]
         throttled = integral(drop * ledger.edges[:, index], step)
         assert throttled[-1] >= 0.0
         spent = spent + throttled
@@ -206,9 +194,9 @@ def test_energy_is_conserved(ledger):
             for q, qd in motion
         ]
     )
-    lost = integral(np.sum(plant.links[:, arm.DAMPING] * ledger.qd**2, axis=1), step)
+    lost = integral(np.sum(plant.links.damping * ledger.qd**2, axis=1), step)
     for row, _, v, _ in ledger.cylinders():
-        lost = lost + integral(row[VISCOUS] * v**2, step)
+        lost = lost + integral(row.friction_viscous * v**2, step)
     assert np.abs(work - (held - held[0]) - lost).max() < 1e-6 * scale
 
 
@@ -221,14 +209,10 @@ def test_fourth_order(rig):
     model = Model.of(rig)
     command = gentle(model, 1)[0]
     y0 = model.trim(model.posture(None))
-    for index in range(len(command)):
-        y0[model.layout.state("opening", index)] = command[index]
+    for valve, volts in zip(model.plant.valves, command, strict=True):
+        valve_settle(valve, volts, model.plant, y0)
     span = 0.032
-    work = np.empty(
-        workspace_size(
-            *(len(part) for part in (model.plant.links, model.plant.cylinders, model.plant.edges))
-        )
-    )
+    work = np.empty(model.plant.at.work)
 
     def after(steps: int) -> np.ndarray:
         y, k = y0.copy(), np.empty((5, y0.size))
@@ -256,14 +240,14 @@ def locked_modes(model: Model, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     arm.mass_matrix(plant.kind, plant.links, q, mass, work)
     y = model.trim(q)
     stiffness = np.zeros((n, n))
-    for index, (row, joint) in enumerate(zip(plant.cylinders, plant.joints, strict=True)):
+    for index, (row, joint) in enumerate(zip(plant.cylinders, plant.cylinders.joint, strict=True)):
         at = q[joint] + np.array([-1e-6, 0.0, 1e-6])
         x, lever = linkage_arrays(row, at)
-        volumes = row[VOLUME_HEAD] + row[AREA_HEAD] * x[1], row[VOLUME_ROD] - row[AREA_ROD] * x[1]
-        spring = row[BULK] * (row[AREA_HEAD] ** 2 / volumes[0] + row[AREA_ROD] ** 2 / volumes[1])
+        volumes = row.volume_head + row.area_head * x[1], row.volume_rod - row.area_rod * x[1]
+        spring = row.bulk_modulus * (row.area_head**2 / volumes[0] + row.area_rod**2 / volumes[1])
         force = (
-            y[model.layout.state("p_head", index)] * row[AREA_HEAD]
-            - y[model.layout.state("p_rod", index)] * row[AREA_ROD]
+            y[model.layout.state("p_head", index)] * row.area_head
+            - y[model.layout.state("p_rod", index)] * row.area_rod
         )
         stiffness[joint, joint] += spring * lever[1] ** 2 - force * (lever[2] - lever[0]) / 2e-6
     for joint in range(n):
@@ -361,7 +345,7 @@ def test_head_and_rod_are_mirror_images():
     Sums of three terms may round in another order, and the contact divides what is left by its
     stiffness: 1e-9 of the range."""
     right, left = slide(False), slide(True)
-    stroke = right.plant.cylinders[0, STROKE]
+    stroke = right.plant.cylinders[0].stroke
     table = right.rest_commands(3000)
     table[100:1500], table[1500:] = 6.0, -4.0
     start = right.trim(np.array([0.3 * stroke]))
@@ -391,7 +375,7 @@ def test_trim_is_an_equilibrium(rig):
         model = Model.of(rig, payload=load)
         for _ in range(10):
             q = model.posture(None)
-            for index, joint in enumerate(model.plant.joints):
+            for index, joint in enumerate(model.plant.cylinders.joint):
                 low, high = model.stroke_range(index)
                 q[joint] = low + (high - low) * rng.uniform(0.02, 0.98)
             y = model.trim(q)
@@ -427,22 +411,24 @@ def test_violent_commands_stay_finite_and_bounded(rig):
             while at < len(table):
                 until = at + int(rng.integers(5, 200))
                 table[at:until, column] = rng.choice(
-                    [plant.valves[column, 2], 0.0, plant.valves[column, 3]]
+                    [plant.valves[column].lowest, 0.0, plant.valves[column].highest]
                 )
                 at = until
         log = model.run(model.trim(model.posture(None)), table)
         assert np.isfinite(log).all()
         reached = False
         for index, row in enumerate(plant.cylinders):
-            joint = plant.joints[index]
+            joint = plant.cylinders[index].joint
             x, lever = linkage_arrays(row, log[:, joint])
             v = np.abs(lever * log[:, n + joint]).max()
             reached |= np.ptp(x) > 0.02 and v > 0.1
-            assert x.min() > -0.01 and x.max() < row[STROKE] + 0.01
+            assert x.min() > -0.01 and x.max() < row.stroke + 0.01
             pressures = log[:, 2 * n + 2 * index : 2 * n + 2 * index + 2]
             inflow = np.abs(log[:, model.layout.states :]).sum(axis=1).max()
-            assert pressures.min() > row[FLOOR] - 1e3
-            assert pressures.max() < row[RELIEF] + (row[AREA_HEAD] * v + inflow) / RELIEF_GAIN
+            assert pressures.min() > row.cavitation_pressure - 1e3
+            assert (
+                pressures.max() < row.relief_pressure + (row.area_head * v + inflow) / RELIEF_GAIN
+            )
         assert reached, "the commands must throw the machine about"
 
 
@@ -459,10 +445,10 @@ def test_chambers_hold_the_cavitation_floor_and_the_relief_pressure():
     log = model.run(y, model.rest_commands(400), tick=1e-3)
     head, rod = log[:, 2], log[:, 3]
     assert head[:20].max() <= y[2], "a chamber that only loses oil cannot gain pressure"
-    assert head.min() == pytest.approx(row[FLOOR], abs=1e3)
-    assert rod.max() > row[RELIEF]
-    assert relief_flow(rod.max(), row[RELIEF], RELIEF_GAIN) <= row[AREA_ROD] * 3.0
-    assert makeup_flow(-1e-3, float(head.min()), row[FLOOR]) > 0.9e-3
+    assert head.min() == pytest.approx(row.cavitation_pressure, abs=1e3)
+    assert rod.max() > row.relief_pressure
+    assert relief_flow(rod.max(), row.relief_pressure, RELIEF_GAIN) <= row.area_rod * 3.0
+    assert makeup_flow(-1e-3, float(head.min()), row.cavitation_pressure) > 0.9e-3
 
 
 def test_the_stop_holds_full_supply_pressure():
@@ -472,8 +458,8 @@ def test_the_stop_holds_full_supply_pressure():
     model = Model.of(load_rig(RIGS[0].with_name("slide_servo.toml")))
     row = model.plant.cylinders[0]
     log = model.run(model.trim(np.array([0.38])), np.full((1500, 1), 10.0))
-    depth = (log[-1, 2] * row[AREA_HEAD] - log[-1, 3] * row[AREA_ROD]) / row[STOP]
-    assert log[-1, 0] - row[STROKE] == pytest.approx(depth, rel=1e-3)
+    depth = (log[-1, 2] * row.area_head - log[-1, 3] * row.area_rod) / row.stop_stiffness
+    assert log[-1, 0] - row.stroke == pytest.approx(depth, rel=1e-3)
     assert 0 < depth <= 1.001e-3
     assert abs(log[-1, 1]) < 1e-6
 
@@ -514,7 +500,7 @@ def test_the_guard_sees_relief_and_cavitation():
     model = Model.of(load_rig(RIGS[0].with_name("slide_servo.toml")))
     row, command = model.plant.cylinders[0], np.zeros(1)
     work, dy = np.empty(200), np.empty(model.layout.states)
-    volume = row[VOLUME_HEAD] + row[AREA_HEAD] * 0.2
+    volume = row.volume_head + row.area_head * 0.2
 
     def fastest(p_head: float, v: float) -> float:
         y = model.trim(np.array([0.2]))
@@ -522,16 +508,21 @@ def test_the_guard_sees_relief_and_cavitation():
         return derivatives(y, command, model.plant, dy, work)
 
     calm = fastest(1e6, 0.0)
-    open_relief, per_flow = RELIEF_GAIN * row[BULK] / volume, row[BULK] / volume * row[AREA_HEAD]
+    open_relief, per_flow = (
+        RELIEF_GAIN * row.bulk_modulus / volume,
+        row.bulk_modulus / volume * row.area_head,
+    )
     assert open_relief > calm
-    assert fastest(row[RELIEF] + 1e5, 0.0) == pytest.approx(open_relief, rel=0.01), (
+    assert fastest(row.relief_pressure + 1e5, 0.0) == pytest.approx(open_relief, rel=0.01), (
         "what it lets out also nears the floor"
     )
-    assert fastest(row[RELIEF] - 1e5, -2.0) == pytest.approx(open_relief), (
+    assert fastest(row.relief_pressure - 1e5, -2.0) == pytest.approx(open_relief), (
         "relief opens within the step"
     )
-    assert fastest(row[FLOOR] + 1e4, 2.0) == pytest.approx(per_flow * 2.0 / CAVITATION_BAND)
-    assert fastest(row[FLOOR] + 1e6, 2.0) == pytest.approx(per_flow * 2.0 / 1e6), (
+    assert fastest(row.cavitation_pressure + 1e4, 2.0) == pytest.approx(
+        per_flow * 2.0 / CAVITATION_BAND
+    )
+    assert fastest(row.cavitation_pressure + 1e6, 2.0) == pytest.approx(per_flow * 2.0 / 1e6), (
         "the floor is one step away"
     )
 

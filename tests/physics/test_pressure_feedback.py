@@ -16,20 +16,11 @@ from ehbench.control import pressure_feedback as pf
 from ehbench.control import trajectory as tr
 from ehbench.control import valve_level as vl
 from ehbench.errors import InputError
-from ehbench.plant import (
-    AREA_HEAD,
-    AREA_ROD,
-    BULK,
-    HIGHEST,
-    LOWEST,
-    VOLUME_HEAD,
-    VOLUME_ROD,
-    workspace_size,
-)
+from ehbench.machines.simulated import model_sample
+from ehbench.plant.integrate import rk4
+from ehbench.plant.model import Model
 from ehbench.quantities import quantity
 from ehbench.recipe import load_rig
-from ehbench.machines.simulated import model_sample
-from ehbench.simulation import Model, rk4
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 TICK = 1e-3
@@ -40,9 +31,7 @@ COLUMN = {name: index for index, name in enumerate(pf.NOTE)}
 def closed_loop(y, wish, plant, circuit, gains, given, command, samples, notes, commands):
     """The plant under `pressure_feedback.step`; channels not ``given`` are NaN to the controller."""
     k, memory = np.empty((5, y.shape[0])), np.zeros(pf.MEMORY)
-    work = np.empty(
-        workspace_size(plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0])
-    )
+    work = np.empty(plant.at.work)
     seen = np.empty(samples.shape[1])
     for i in range(wish.shape[0]):
         model_sample(y, plant, samples[i])
@@ -79,15 +68,17 @@ class Trial:
         row = plant.cylinders[self.index]
         self.circuit = fn.circuit(
             self.index,
-            *row[[AREA_HEAD, AREA_ROD]],
+            row.area_head,
+            row.area_rod,
             plant.edges,
-            plant.wiring,
             plant.maps,
-            plant.valves[:, [LOWEST, HIGHEST]],
+            np.column_stack([plant.valves.lowest, plant.valves.highest]),
         )
-        low = plant.supply[0] / 20
-        rules = fn.pack_rules(row[AREA_ROD], plant.supply[0], low_pressure=low, **(rules or {}))
-        off_gain = off_rate * row[VOLUME_ROD] / row[BULK]
+        low = plant.supply.pressure / 20
+        rules = fn.pack_rules(
+            row.area_rod, plant.supply.pressure, low_pressure=low, **(rules or {})
+        )
+        off_gain = off_rate * row.volume_rod / row.bulk_modulus
         packed = pf.pack_pressure_feedback(
             tick=TICK, rules=rules, off_gain=off_gain, low_pressure=low, **gains
         )
@@ -100,7 +91,7 @@ class Trial:
         )
         self.commands = np.empty((count, len(names.valves)))
         start = self.model.trim(
-            self.model.posture({cylinder: at} if at else None), plant.supply[1] + low
+            self.model.posture({cylinder: at} if at else None), plant.tank_pressure + low
         )
         closed_loop(
             start,
@@ -208,8 +199,8 @@ def test_without_washout_the_load_biases_the_steady_speed(name):
     trial, v_d = step(name, 2e-11, washout=0.0)
     row = trial.model.plant.cylinders[trial.index]
     slope = np.polyfit(np.arange(300) * TICK, trial.p_head[-300:], 1)[0]
-    compression = (row[VOLUME_HEAD] + row[AREA_HEAD] * trial.x[-150]) / row[BULK] * slope
-    expected = v_d - (2e-11 * trial.p_head[-300:].mean() + compression) / row[AREA_HEAD]
+    compression = (row.volume_head + row.area_head * trial.x[-150]) / row.bulk_modulus * slope
+    expected = v_d - (2e-11 * trial.p_head[-300:].mean() + compression) / row.area_head
     assert abs(expected - v_d) > 0.05 * abs(v_d)
     assert trial.v[-300:].mean() == pytest.approx(expected, abs=0.01 * abs(v_d))
 
@@ -393,7 +384,7 @@ def test_hold_shuts_and_others_are_left_alone():
     note = alone.tick(0.0, 2e6, 5e5)
     assert note["function"] == fn.HOLD and note["flow_head_desired"] == note["feedback_flow"] == 0.0
     valves = sorted(
-        set(alone.circuit.wiring[alone.circuit.first :][: alone.circuit.count, 2].tolist())
+        set(alone.circuit.edges.valve[alone.circuit.first :][: alone.circuit.count].tolist())
     )
     assert not alone.command[valves].any() and (np.delete(alone.command, valves) == 3.0).all()
 

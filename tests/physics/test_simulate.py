@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from ehbench.benchmark import radau_error, thesis_trial
+
 from ehbench.errors import InputError, LogError, SimulationError
+from ehbench.parts.valve.second_order import SETTLED
+from ehbench.plant.model import Model, simulate
 from ehbench.recipe import load_rig
 from ehbench.record import Record
 from ehbench.rig import Rig
-from ehbench.simulation import SETTLED, Model, simulate
 
 RIGS = sorted((Path(__file__).parents[2] / "recipes" / "rigs").glob("*.toml"))
 THESIS = RIGS[0].with_name("thesis_arm.toml")

@@ -11,11 +11,10 @@ import pytest
 
 from ehbench.control import pressure_feedback as pf
 from ehbench.control.functions import FUNCTIONS, pack_rules
-from ehbench.physics.cylinder import linkage
-from ehbench.plant import GEOMETRY, L_A, L_B, PHASE, RETRACTED, SIDE, workspace_size
-from ehbench.recipe import TuneRecipe, load_rig
 from ehbench.machines.simulated import model_sample, model_tick
-from ehbench.simulation import Model
+from ehbench.parts.cylinder import linkage_of
+from ehbench.plant.model import Model
+from ehbench.recipe import TuneRecipe, load_rig
 from ehbench.tune.gains import NONE, tune_pressure_feedback
 from ehbench.tune.linear import circuit_of, state_of
 
@@ -70,11 +69,7 @@ class Running:
         )
         memory[self.kept] = self.memory + push[size:]
         k, sample = np.empty((5, size)), np.empty(6 * len(self.layout.cylinders) + 2)
-        work = np.empty(
-            workspace_size(
-                len(self.layout.joints), len(self.layout.cylinders), len(self.layout.edges)
-            )
-        )
+        work = np.empty(self.plant.at.work)
         model_sample(y, self.plant, sample)
         for i in range(ticks):
             pf.step(
@@ -97,12 +92,10 @@ class Running:
         """
         row, j, n = (
             self.plant.cylinders[self.index],
-            int(self.plant.joints[self.index]),
+            int(self.plant.cylinders[self.index].joint),
             len(self.layout.joints),
         )
-        _, lever, curve = linkage(
-            int(row[GEOMETRY]), *row[[L_A, L_B, SIDE, PHASE, RETRACTED]], y[j]
-        )
+        _, lever, curve = linkage_of(row, y[j])
         turn = np.eye(y.size)
         turn[j, j] = turn[n + j, n + j] = lever
         turn[n + j, j] = curve * y[n + j]
@@ -125,7 +118,11 @@ class Running:
         )
         grown, right = np.linalg.eig(matrix)
         part = np.abs(np.linalg.pinv(right).T * right)
-        layout, j, n = self.layout, int(self.plant.joints[self.index]), len(self.layout.joints)
+        layout, j, n = (
+            self.layout,
+            int(self.plant.cylinders[self.index].joint),
+            len(self.layout.joints),
+        )
         own = [j, n + j, layout.state("p_head", self.index), layout.state("p_rod", self.index)]
         for i, valve in enumerate(layout.valves):
             if valve.startswith(self.point.cylinder + "."):

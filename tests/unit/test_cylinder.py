@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
+from ehbench.compiled import table
 from ehbench.errors import InputError
+from ehbench.parts.cylinder import CYLINDER, chamber_inflow, chamber_pressure_rate
+from ehbench.parts.nodes import NODE
 from ehbench.physics import cylinder, friction
 
 # SPEC 1: (kind, l_A, l_B, sign, phase, retracted), stroke, joint range in degrees
@@ -17,6 +21,7 @@ THESIS = {
     "stick": ((cylinder.PINS, 0.70, 0.22, -1, 0.0, 0.55), 12 * 0.0254, (-40, -129)),
 }
 AREA_HEAD, AREA_ROD, BULK, FLOOR = 2.0268e-3, 1.0688e-3, 2.71e8, -0.9e5
+AREAS = (AREA_HEAD, AREA_ROD)
 SLIDE = (cylinder.DIRECT, 0.0, 0.0, 1, 0.0, 0.0)
 THESIS_CASES = pytest.mark.parametrize(
     ("geometry", "stroke", "degrees"), THESIS.values(), ids=THESIS
@@ -85,39 +90,38 @@ def test_slide_is_moved_directly():
     assert cylinder.joint_range(*SLIDE, 0.5) == (0.0, 0.5)
 
 
+class Chambers(NamedTuple):
+    """One cylinder whose pressures are the whole state: head, rod; tank pressure fixed."""
+
+    nodes: np.recarray
+
+
 def rates(
-    v=0.0,
-    flow_head=0.0,
-    flow_rod=0.0,
-    p_head=1e6,
-    p_rod=2e6,
-    p_tank=1e5,
-    leaks=(0.0, 0.0, 0.0),
-    volumes=(4e-4, 9e-4),
+    v=0.0, into=(0.0, 0.0), p=(1e6, 2e6), leaks=(0.0, 0.0, 0.0), volumes=(4e-4, 9e-4), areas=AREAS
 ):
-    return cylinder.chamber_rates(
-        v,
-        flow_head,
-        flow_rod,
-        p_head,
-        p_rod,
-        p_tank,
-        BULK,
-        BULK,
-        *volumes,
-        AREA_HEAD,
-        AREA_ROD,
-        *leaks,
-        FLOOR,
-    )
+    """(ṗ_head, ṗ_rod) [Pa/s] for the speed, what the edges bring to each end, the pressures, and
+    leakages internal, head and rod.
+    """
+    nodes, row = table(4, NODE), table(1, CYLINDER)[0]
+    nodes.state = (-1, -1, 0, 1)
+    nodes[1].pressure = 1e5
+    row.node_head, row.node_rod = 2, 3
+    row.area_head, row.area_rod = areas
+    row.leakage_internal, row.leakage_head, row.leakage_rod = leaks
+    row.bulk_modulus, row.relief_pressure, row.cavitation_pressure = BULK, math.inf, FLOOR
+    found = []
+    for side in range(2):
+        inflow = chamber_inflow(row, side, v, into[side], np.array(p), Chambers(nodes))
+        found.append(chamber_pressure_rate(row, p[side], volumes[side], inflow))
+    return tuple(found)
 
 
 def test_chamber_rates_term_by_term():
     """Each term of thesis 2.4 and 2.5 alone."""
     head, rod = BULK / 4e-4, BULK / 9e-4
     c = 1e-12
-    assert rates(flow_head=1e-4) == pytest.approx((head * 1e-4, 0.0), rel=1e-14)
-    assert rates(flow_rod=1e-4) == pytest.approx((0.0, -rod * 1e-4), rel=1e-14)
+    assert rates(into=(1e-4, 0.0)) == pytest.approx((head * 1e-4, 0.0), rel=1e-14)
+    assert rates(into=(0.0, -1e-4)) == pytest.approx((0.0, -rod * 1e-4), rel=1e-14)
     assert rates(v=0.1) == pytest.approx((-head * AREA_HEAD * 0.1, rod * AREA_ROD * 0.1), rel=1e-14)
     assert rates(leaks=(c, 0, 0)) == pytest.approx((head * c * 1e6, -rod * c * 1e6), rel=1e-14)
     assert rates(leaks=(0, c, 0)) == pytest.approx((-head * c * 0.9e6, 0.0), rel=1e-14)
@@ -127,26 +131,9 @@ def test_chamber_rates_term_by_term():
 def test_head_and_rod_mirror():
     """Swap the ends, the areas and the directions: the two rates swap."""
     c = (2e-12, 3e-12, 5e-12)
-    one = cylinder.chamber_rates(
-        0.2, 1e-4, 3e-4, 1e6, 2e6, 1e5, 2e8, 3e8, 4e-4, 9e-4, AREA_HEAD, AREA_ROD, *c, FLOOR
-    )
+    one = rates(0.2, (1e-4, -3e-4), (1e6, 2e6), c)
     swapped = (c[0], c[2], c[1])
-    two = cylinder.chamber_rates(
-        -0.2,
-        -3e-4,
-        -1e-4,
-        2e6,
-        1e6,
-        1e5,
-        3e8,
-        2e8,
-        9e-4,
-        4e-4,
-        AREA_ROD,
-        AREA_HEAD,
-        *swapped,
-        FLOOR,
-    )
+    two = rates(-0.2, (-3e-4, 1e-4), (2e6, 1e6), swapped, (9e-4, 4e-4), AREAS[::-1])
     assert two == pytest.approx(one[::-1], rel=1e-14)
 
 
@@ -164,9 +151,7 @@ def test_chambers_conserve_oil():
         )
 
     def rate(state):
-        return np.array(
-            [v, *rates(v=v, p_head=state[1], p_rod=state[2], volumes=volumes(state[0]))]
-        )
+        return np.array([v, *rates(v, p=state[1:3], volumes=volumes(state[0]))])
 
     x, p_head, p_rod = rk4(rate, [x0, 2e7, 1e6], 1e-3, 1000)[-1]
     before, after = volumes(x0), volumes(x)
@@ -178,7 +163,7 @@ def test_chambers_conserve_oil():
 def test_internal_leak_moves_oil_and_keeps_its_sum():
     leaks, volumes = (1e-10, 0.0, 0.0), (4e-4, 9e-4)
     path = rk4(
-        lambda p: np.array(rates(p_head=p[0], p_rod=p[1], leaks=leaks, volumes=volumes)),
+        lambda p: np.array(rates(p=p, leaks=leaks, volumes=volumes)),
         [5e6, 1e6],
         1e-3,
         500,

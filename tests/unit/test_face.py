@@ -60,7 +60,7 @@ def test_every_function_has_an_example_that_runs(name, workspace, monkeypatch):
 
 def test_functions_stay_functions_whatever_was_imported():
     python(
-        "import ehbench, ehbench.workflow, ehbench.simulation, ehbench.validation\n"
+        "import ehbench, ehbench.workflow, ehbench.plant.model, ehbench.validation\n"
         "import ehbench.identification.hydraulics, ehbench.tune.gains, ehbench.report\n"
         "from ehbench.tune.gains import tune_pressure_feedback\n"
         "from ehbench.report import build\n"

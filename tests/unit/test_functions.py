@@ -8,20 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.compiled import table
 from ehbench.control import functions as fn
 from ehbench.errors import InputError
-from ehbench.physics.metering import (
-    COMPENSATED,
-    DEADBAND,
-    DROP,
-    EDGE_FLOATS,
-    EDGE_INTS,
-    GAIN,
-    LAW,
-    ORIFICE,
-    SIGN,
-)
-from ehbench.plant import AREA_HEAD, AREA_ROD, HIGHEST, LOWEST, build
+from ehbench.parts.edge import COMPENSATED, EDGE, ORIFICE
+from ehbench.plant.build import build
 from ehbench.recipe import load_rig
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
@@ -41,9 +32,14 @@ def shipped(rig: str, cylinder: str) -> fn.Circuit:
     made = load_rig(RIGS / f"{rig}.toml")
     plant = build(made)
     index = [c.name for c in made.cylinder].index(cylinder)
-    areas = plant.cylinders[index, [AREA_HEAD, AREA_ROD]]
+    row = plant.cylinders[index]
+    areas = row.area_head, row.area_rod
     return fn.circuit(
-        index, *areas, plant.edges, plant.wiring, plant.maps, plant.valves[:, [LOWEST, HIGHEST]]
+        index,
+        *areas,
+        plant.edges,
+        plant.maps,
+        np.column_stack([plant.valves.lowest, plant.valves.highest]),
     )
 
 
@@ -51,14 +47,15 @@ def circuit(rows, areas=(A1, A2), ranges=(0.0, 10.0), law=COMPENSATED, gain=6.3e
     """One cylinder with edges (from, to, valve, sign = 1, blocked = 0); 1 gpm/V or what ``gain``
     says.
     """
-    edges, wiring = np.zeros((len(rows), EDGE_FLOATS)), np.full((len(rows), EDGE_INTS), -1)
-    for edge, ints, row in zip(edges, wiring, rows, strict=True):
+    edges = table(len(rows), EDGE)
+    edges.law, edges.forward, edges.reverse = law, -1, -1
+    edges.gain, edges.deadband, edges.compensation_drop = gain, 1.0, 2e5
+    for edge, row in zip(edges, rows, strict=True):
         a, b, valve, sign, blocked = (*row, 1, 0)[:5] if len(row) == 3 else (*row, 0)[:5]
-        edge[[SIGN, GAIN, DEADBAND, DROP]] = sign, gain, 1.0, 2e5
-        ints[[0, 1, 2, 6]] = a, b, valve, blocked
-        ints[LAW] = law
+        edge.from_node, edge.to_node, edge.valve = a, b, valve
+        edge.sign, edge.blocked = sign, blocked
     valves = 1 + max(row[2] for row in rows)
-    return fn.circuit(0, *areas, edges, wiring, np.zeros(1), np.tile(ranges, (valves, 1)))
+    return fn.circuit(0, *areas, edges, np.zeros(1), np.tile(ranges, (valves, 1)))
 
 
 def choose(c, rules, v_d, p_head, p_rod, now=fn.HOLD, age=1e9, p_supply=PS, p_tank=0.0):
@@ -134,8 +131,8 @@ def test_what_other_circuits_can_do():
     # of two valves on one path the larger one serves
     both = circuit((*FIVE, (SUPPLY, HEAD, 5)))
     assert both.paths[fn.SUPPLY_HEAD] == 1
-    both.edges[5, GAIN] *= 2
-    again = fn.circuit(0, A1, A2, both.edges, both.wiring, both.maps, np.tile([0.0, 10.0], (6, 1)))
+    both.edges[5].gain *= 2
+    again = fn.circuit(0, A1, A2, both.edges, both.maps, np.tile([0.0, 10.0], (6, 1)))
     assert again.paths[fn.SUPPLY_HEAD] == 5
 
 
@@ -341,6 +338,6 @@ def test_circuits_that_are_none_are_refused():
     c = circuit(FIVE)
     ranges = np.tile([0.0, 10.0], (5, 1))
     with pytest.raises(InputError, match="no metering edge leads to cylinder 1"):
-        fn.circuit(1, A1, A2, c.edges, c.wiring, c.maps, ranges)
+        fn.circuit(1, A1, A2, c.edges, c.maps, ranges)
     with pytest.raises(InputError, match="not those of a plant"):
-        fn.circuit(0, A1, A2, c.edges[:, :2], c.wiring, c.maps, ranges)
+        fn.circuit(0, A1, A2, np.zeros((3, 4)), c.maps, ranges)

@@ -11,9 +11,9 @@ import pytest
 from ehbench.control import pressure_feedback as pf
 from ehbench.errors import InputError
 from ehbench.logs import write_log
+from ehbench.plant.model import simulate
 from ehbench.recipe import TrialRecipe, TrialSetRecipe, load_recipe, load_rig
 from ehbench.record import Record
-from ehbench.simulation import simulate
 from ehbench.trial import (
     RUN_OUT,
     Case,

@@ -12,9 +12,9 @@ import pytest
 
 from ehbench.control import functions as fn
 from ehbench.control import valve_level as vl
+from ehbench.parts.edge import edge_flow
 from ehbench.physics.flow_map import FlowMap, ValveMaps
-from ehbench.physics.metering import FROM, SIGN, TO, VALVE, edge_flow
-from ehbench.plant import AREA_HEAD, AREA_ROD, HIGHEST, LOWEST, build
+from ehbench.plant.build import build
 from ehbench.recipe import load_rig
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
@@ -53,15 +53,15 @@ def shipped(rig: str, cylinder: str, maps: dict | None = None) -> fn.Circuit:
     made = load_rig(RIGS / f"{rig}.toml")
     plant = build(made, maps)
     index = [c.name for c in made.cylinder].index(cylinder)
-    areas = plant.cylinders[index, [AREA_HEAD, AREA_ROD]]
+    row = plant.cylinders[index]
+    areas = row.area_head, row.area_rod
     measured = [(maps or {}).get(v.edge_name(e)) for _, v, e in made.edges()]
     return fn.circuit(
         index,
         *areas,
         plant.edges,
-        plant.wiring,
         plant.maps,
-        plant.valves[:, [LOWEST, HIGHEST]],
+        np.column_stack([plant.valves.lowest, plant.valves.highest]),
         measured,
     )
 
@@ -112,8 +112,8 @@ def passed(c: fn.Circuit, edge: int, command: np.ndarray, pressures) -> float:
     """Flow along an edge at a command, by the plant's law."""
     p_head, p_rod, p_supply, p_tank = pressures
     nodes = {0: p_supply, 1: p_tank, 2 + 2 * c.cylinder: p_head, 3 + 2 * c.cylinder: p_rod}
-    drop = nodes[c.wiring[edge, FROM]] - nodes[c.wiring[edge, TO]]
-    return edge_flow(drop, command[c.wiring[edge, VALVE]], c.edges[edge], c.wiring[edge], c.maps)
+    drop = nodes[c.edges[edge].from_node] - nodes[c.edges[edge].to_node]
+    return edge_flow(drop, command[c.edges[edge].valve], c.edges[edge], c.maps)
 
 
 def states(c: fn.Circuit, count: int, seed: int):
@@ -146,22 +146,22 @@ def test_the_commands_give_the_flows(name):
     for function, v, pressures in states(c, 2000, 1):
         asked = np.array([c.area_head, c.area_rod]) * v
         given = Given(c, function, *asked, pressures)
-        own = set(c.wiring[c.first : c.first + c.count, VALVE].tolist())
+        own = set(c.edges.valve[c.first : c.first + c.count].tolist())
         used = set()
         for path in np.flatnonzero(fn.PATH_FLOWS[function].any(axis=1)):
             edge = c.paths[path]
             flow = fn.PATH_FLOWS[function, path] @ asked
             assert c.along[path] * given.flows[edge - c.first] == pytest.approx(flow, rel=1e-14)
-            used.add(int(c.wiring[edge, VALVE]))
+            used.add(int(c.edges[edge].valve))
             if fn.coupled(c, function) and path != fn.METERING[function]:
                 continue
             limits = int(given.limits[edge - c.first])
             through = c.along[path] * passed(c, edge, given.command, pressures)
             if limits & vl.SATURATED:
-                valve = c.wiring[edge, VALVE]
+                valve = c.edges[edge].valve
                 assert (
                     given.command[valve]
-                    == (c.highest if c.edges[edge, SIGN] > 0 else c.lowest)[valve]
+                    == (c.highest if c.edges[edge].sign > 0 else c.lowest)[valve]
                 )
                 assert through < flow
             else:
@@ -215,7 +215,7 @@ def test_a_spool_follows_the_edge_that_meters():
 
 def test_what_a_drop_cannot_do_is_told():
     c = CIRCUITS["five, laws"]
-    valve = {path: int(c.wiring[c.paths[path], VALVE]) for path in range(6)}
+    valve = {path: int(c.edges[c.paths[path]].valve) for path in range(6)}
 
     def vent(p_rod, flow_rod=5e-5):
         given = Given(c, fn.EXTEND_RESISTIVE, 1e-4, flow_rod, (2e6, p_rod, 7e6, 1e5))
@@ -271,7 +271,7 @@ def test_leaving_the_measured_range_is_told():
 def test_hold_shuts_this_cylinder_only(name):
     c = CIRCUITS[name]
     given = Given(c, fn.HOLD, 1e-4, 1e-4, (1e6, 1e6, 7e6, 0.0))
-    own = sorted(set(c.wiring[c.first : c.first + c.count, VALVE].tolist()))
+    own = sorted(set(c.edges.valve[c.first : c.first + c.count].tolist()))
     assert given.met == 0 and not given.flows.any() and not given.limits.any()
     assert not given.command[own].any() and (np.delete(given.command, own) == 7.0).all()
 
@@ -308,7 +308,7 @@ def test_a_withheld_channel_poisons_the_commands(name):
             else np.flatnonzero(fn.PATH_FLOWS[function].any(axis=1))
         )
         for path in paths:
-            valve = c.wiring[c.paths[path], VALVE]
+            valve = c.edges[c.paths[path]].valve
             for gone in used[path]:
                 with_gap = [math.nan if i == gone else p for i, p in enumerate(pressures)]
                 assert math.isnan(Given(c, function, *asked, with_gap).command[valve])
@@ -317,10 +317,10 @@ def test_a_withheld_channel_poisons_the_commands(name):
 
 def test_an_edge_drawn_the_other_way_round_serves_as_well():
     c = CIRCUITS["four"]
-    turned = c.wiring.copy()
-    turned[:, [FROM, TO]] = turned[:, [TO, FROM]]
+    turned = c.edges.copy()
+    turned.from_node, turned.to_node = c.edges.to_node, c.edges.from_node
     other = fn.circuit(
-        0, c.area_head, c.area_rod, c.edges, turned, c.maps, np.column_stack([c.lowest, c.highest])
+        0, c.area_head, c.area_rod, turned, c.maps, np.column_stack([c.lowest, c.highest])
     )
     assert (other.along[:4] == -1).all() and (other.able == c.able).all()
     for function, v, pressures in states(c, 50, 4):

@@ -22,7 +22,7 @@ _PARTS = {
     "store": ("stored in oil", "#5b8fb9"),
     "rest": ("not accounted for", ACCENT),
 }
-_LIMITS = {
+_LIMITS: dict[str, tuple[str, Any]] = {
     "standard": ("four-way valve", "-"),
     "six": ("six functions", "--"),
     "seventh": ("with the seventh", ":"),
@@ -129,7 +129,7 @@ def _sum_of(bounds: Sequence[Mapping[str, Any]], unit: Unit) -> dict[str, float]
     """
     sums = {}
     for key in _LIMITS:
-        values = [one.get(key) for one in bounds]
-        if values and None not in values:
+        values = [value for one in bounds if (value := one.get(key)) is not None]
+        if values and len(values) == len(bounds):
             sums[key] = float(sum(values)) / unit[0]
     return sums

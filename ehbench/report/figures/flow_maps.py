@@ -10,7 +10,7 @@ import numpy as np
 
 from ehbench.physics.flow_map import FlowMap
 from ehbench.report.saved import Points
-from ehbench.report.style import ACCENT, INK, MUTED, canvas, legend, shades, spread
+from ehbench.report.style import ACCENT, INK, MUTED, Look, canvas, legend, shades, spread
 from ehbench.report.words import axis, number, pretty, shown, unit_of
 from ehbench.rig import Rig
 from ehbench.terms import Z95
@@ -78,7 +78,7 @@ def _band_handles(beyond: bool) -> list:
 
     handles: list = [Patch(color=MUTED, alpha=0.3, linewidth=0, label="95 % band")]
     if beyond:
-        look = {"color": MUTED, "alpha": 0.6, "linestyle": (0, (3, 2)), "linewidth": 1.1}
+        look: Look = {"color": MUTED, "alpha": 0.6, "linestyle": (0, (3, 2)), "linewidth": 1.1}
         handles.append(Line2D([], [], label="beyond the readings", **look))
     return handles
 
@@ -174,7 +174,7 @@ def _readings(ax, rig: Rig, points: Points, colour: Callable) -> list:
     handles = []
     for method in dict.fromkeys(points.method.tolist()):
         marker, text = _MARKS.get(method, ("s", method))
-        look = {"marker": marker, "linestyle": "", "markerfacecolor": "none"}
+        look: Look = {"marker": marker, "linestyle": "", "markerfacecolor": "none"}
         for command in np.unique(points.command):
             at = (points.method == method) & (points.command == command) & ~points.outlier
             if at.any():
@@ -195,14 +195,14 @@ def _outliers(ax, rig: Rig, points: Points, limits: tuple[float, float]) -> list
     y = shown(rig, "flow", points.flow)[out]
     seen = np.clip(y, *limits)
     gone = seen != y
-    look = {"color": ACCENT, "markersize": 6, "markeredgewidth": 1.6}
+    look: Look = {"color": ACCENT, "markersize": 6, "markeredgewidth": 1.6}
     for marker, at in (("x", ~gone), ("^", y > limits[1]), ("v", y < limits[0])):
         if at.any():
             ax.plot(x[at], seen[at], marker, zorder=5, clip_on=marker == "x", **look)
-    crossed = {"marker": "x", "linestyle": "", "label": f"left out ({out.sum()})"}
+    crossed: Look = {"marker": "x", "linestyle": "", "label": f"left out ({out.sum()})"}
     handles = [Line2D([], [], **crossed, **look)]
     if gone.any():
-        moved = {"marker": "^", "linestyle": "", "markersize": 5, "color": ACCENT}
+        moved: Look = {"marker": "^", "linestyle": "", "markersize": 5, "color": ACCENT}
         handles.append(Line2D([], [], label="left out, off the scale", **moved))
     return handles
 

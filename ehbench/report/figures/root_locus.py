@@ -10,7 +10,7 @@ import numpy as np
 
 from ehbench.report.captions import load_name
 from ehbench.report.saved import Table
-from ehbench.report.style import ACCENT, INK, MUTED, RECORDED, SIMULATED, canvas, legend
+from ehbench.report.style import ACCENT, INK, MUTED, RECORDED, SIMULATED, Look, canvas, legend
 
 RATIOS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)  # damping ratios of the grid
 BETWEEN = 7  # points of a root locus drawn between two saved ones
@@ -62,7 +62,7 @@ def _handles(symbol: str, crossing: bool) -> list:
         Line2D([], [], marker="o", linestyle="", color=SIMULATED, label="chosen"),
     ]
     if crossing:
-        look = {"marker": "D", "linestyle": "", "markerfacecolor": "white", "color": ACCENT}
+        look: Look = {"marker": "D", "linestyle": "", "markerfacecolor": "white", "color": ACCENT}
         handles.append(Line2D([], [], label="stability limit", **look))
     return handles
 
@@ -135,24 +135,25 @@ def refined(values: np.ndarray, poles: np.ndarray) -> tuple[np.ndarray, np.ndarr
     for i in range(values.size - 1):
         near = slice(max(min(i, values.size - 3), 0), max(min(i, values.size - 3), 0) + 3)
         for value in np.linspace(values[i], values[i + 1], BETWEEN + 2)[1:]:
-            found = (
+            there = (
                 poles[i + 1]
                 if value == values[i + 1]
                 else scale * np.roots(_through(values[near], polynomials[near], value))
             )
-            _, order = linear_sum_assignment(np.abs(rows[-1][:, None] - found[None, :]))
+            _, order = linear_sum_assignment(np.abs(rows[-1][:, None] - there[None, :]))
             fine.append(float(value))
-            rows.append(found[order])
+            rows.append(there[order])
     return np.array(fine), np.array(rows)
 
 
 def _through(x: np.ndarray, y: np.ndarray, at: float) -> np.ndarray:
     """The polynomial of least degree through points, at a value: Lagrange's form."""
     others = [np.delete(x, j) for j in range(x.size)]
-    return sum(
+    terms = (
         row * np.prod((at - other) / (own - other))
         for own, other, row in zip(x, others, y, strict=True)
     )
+    return sum(terms, np.zeros(y.shape[1]))
 
 
 def _crossing(poles: Sequence[Sequence[float]], top: float) -> list[Sequence[float]]:

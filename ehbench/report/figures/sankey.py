@@ -355,7 +355,10 @@ def sankey(path: Path, ledger: Ledger) -> None:
         ax.set_xlim(-0.36, 1.98)
         ax.set_ylim(-0.04, 1.03)
         ax.axis("off")
-        heights = layout.outer | {name: dock.middle for name, dock in layout.docks.items()}
+        heights: dict[_Flow | str, float] = {
+            **layout.outer,
+            **{name: dock.middle for name, dock in layout.docks.items()},
+        }
         for flow in sorted(
             layout.flows,
             key=lambda f: (-heights[f.start or f], -heights[f.end or f]),
@@ -394,14 +397,16 @@ def _draw_source(ax, layout: _Layout, flow: _Flow, unit: Unit, account: _Account
 
 def _draw_flow(ax, layout: _Layout, flow: _Flow) -> None:
     thick, docks = flow.energy * layout.scale, layout.docks
-    x_start, x_end, y_start, y_end = _BAR, 1.0, layout.outer.get(flow), layout.outer.get(flow)
-    if flow.start is not None:
-        x_start = docks[flow.start].node.x + _BAR
-        y_start = docks[flow.start].dock("right", thick)
-    if flow.end is not None:
-        x_end = docks[flow.end].node.x
-        y_end = docks[flow.end].dock("left", thick)
-    _ribbon(ax, (x_start, y_start), (x_end, y_end), thick, COLOURS[flow.group])
+    if flow.start is None:
+        start = (_BAR, layout.outer[flow])
+    else:
+        dock = docks[flow.start]
+        start = (dock.node.x + _BAR, dock.dock("right", thick))
+    if flow.end is None:
+        end = (1.0, layout.outer[flow])
+    else:
+        end = (docks[flow.end].node.x, docks[flow.end].dock("left", thick))
+    _ribbon(ax, start, end, thick, COLOURS[flow.group])
 
 
 def _draw_leaf(ax, layout: _Layout, flow: _Flow, unit: Unit, given: float) -> None:

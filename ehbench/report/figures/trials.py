@@ -172,13 +172,13 @@ def _errors(ax, rig: Rig, cases: Sequence[Named], looks: Sequence[dict[str, Any]
     ax.set_title(axis(rig, "x", title))
 
 
-def pump_energies(path: Path, rig: Rig, mine: Sequence[Case], names: Sequence[str]) -> None:
+def pump_energies(path: Path, rig: Rig, cases: Sequence[Case], names: Sequence[str]) -> None:
     """A bar a trial: what it took from the pump."""
-    values = [float(shown(rig, "energy", case.row["energy"]["pump"])) for case in mine]
-    controllers = list(dict.fromkeys(case.row["controller"] for case in mine))
-    with canvas(path, size=(7.4, 0.3 * len(mine) + 0.9)) as (_, ax):
-        colours = [CYCLE[controllers.index(case.row["controller"]) % len(CYCLE)] for case in mine]
-        ax.barh(range(len(mine)), values, height=0.66, color=colours, zorder=2)
+    values = [float(shown(rig, "energy", case.row["energy"]["pump"])) for case in cases]
+    controllers = list(dict.fromkeys(case.row["controller"] for case in cases))
+    with canvas(path, size=(7.4, 0.3 * len(cases) + 0.9)) as (_, ax):
+        colours = [CYCLE[controllers.index(case.row["controller"]) % len(CYCLE)] for case in cases]
+        ax.barh(range(len(cases)), values, height=0.66, color=colours, zorder=2)
         for place, value in enumerate(values):
             ax.annotate(
                 number(value, 4),
@@ -188,8 +188,8 @@ def pump_energies(path: Path, rig: Rig, mine: Sequence[Case], names: Sequence[st
                 va="center",
                 fontsize=8,
             )
-        ax.set_yticks(range(len(mine)), [words(name) for name in names])
-        ax.set_ylim(len(mine) - 0.4, -0.6)
+        ax.set_yticks(range(len(cases)), [words(name) for name in names])
+        ax.set_ylim(len(cases) - 0.4, -0.6)
         ax.set_xlim(min(0.0, *values), 1.12 * max(*values, 1e-12))
         ax.grid(False, axis="y")
         ax.set_xlabel(axis(rig, "energy", "energy from the pump"))

@@ -160,12 +160,12 @@ def _damping_handles(tuning: Table, colours: Mapping[str, str]) -> list:
     return handles
 
 
-def step_responses(path: Path, mine: Sequence[Table], by_name: dict[str, Table]) -> None:
+def step_responses(path: Path, steps: Sequence[Table], by_name: dict[str, Table]) -> None:
     """A panel a payload: speed over desired speed, without and with feedback."""
     from matplotlib.lines import Line2D
 
-    with canvas(path, 1, len(mine), (7.4, 3.1), squeeze=False, sharey=True) as (figure, axes):
-        for ax, one in zip(axes[0], mine, strict=True):
+    with canvas(path, 1, len(steps), (7.4, 3.1), squeeze=False, sharey=True) as (figure, axes):
+        for ax, one in zip(axes[0], steps, strict=True):
             t = np.array(one["t"], float)
             ax.axhline(1.0, color=MUTED, linewidth=0.8)
             ax.plot(t, one["v_open"], color=RECORDED, linewidth=1.0)
@@ -186,8 +186,8 @@ def draws(path: Path, tuning: Table) -> None:
     """A histogram of the worst damping ratio of each draw, with the target and the value at the
     identified parameters.
     """
-    found = tuning["robustness"]
-    values = np.array(found["damping_ratios"], float)
+    robustness = tuning["robustness"]
+    values = np.array(robustness["damping_ratios"], float)
     with canvas(path, size=(7.2, 2.6)) as (_, ax):
         width = max(float(np.ptp(values)), 1e-3)
         ax.hist(

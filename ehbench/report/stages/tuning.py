@@ -148,9 +148,9 @@ def _by_count(pictures: Pictures, kind: str) -> list[Block]:
     """Figures of the functions that count and those that a campaign names; the others folded."""
     shown_only = pictures(FigureKey(counts="no"))
     rest = {picture.id for picture in shown_only if not picture.named}
-    found = pictures(FigureKey(kind))
-    counting = [picture for picture in found if picture.id not in rest]
-    others = [picture for picture in found if picture.id in rest]
+    drawn = pictures(FigureKey(kind))
+    counting = [picture for picture in drawn if picture.id not in rest]
+    others = [picture for picture in drawn if picture.id in rest]
     return [*counting, *folded(others, "functions that no load calls for")]
 
 

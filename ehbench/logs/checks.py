@@ -1,0 +1,138 @@
+"""What a log must be: known channels with units, a time that goes on, plausible values."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.errors import LogError, UnitError
+from ehbench.quantities import VOCABULARY, quantity
+from ehbench.record import Record
+from ehbench.units import from_si, to_si
+
+LABEL = re.compile(r"\s*(.*?)\s*\[([^\[\]]*)\]\s*$")
+
+
+def check_record(
+    record: Record,
+    file: str | Path | None = None,
+    *,
+    lines: Sequence[int] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> None:
+    """Refuse data that no rig can have recorded.
+
+    Args:
+        record: what was read.
+        file: where it came from, for the message.
+        lines: the line of each sample in a text file.
+        units: the unit each channel was written in, for the message.
+
+    Raises:
+        LogError: no samples, a time or value that is not finite, a time that stands still or goes
+            back.
+        UnitError: a value outside the plausible range of its quantity; says which unit would fit.
+    """
+    if not record.t.size:
+        raise LogError("the log holds no samples", file=file)
+    check_time(record.t, file=file, lines=lines)
+    for name, values in record.channels.items():
+        row, low, high = quantity(name), values.min(), values.max()
+        if row.lower <= low and high <= row.upper and np.isfinite(low) and np.isfinite(high):
+            continue
+        finite = np.isfinite(values)
+        at = int(np.argmin(finite & (values >= row.lower) & (values <= row.upper)))
+        line = lines[at] if lines is not None else None
+        where = "" if line else f" at t = {record.t[at]:.9g} s"
+        if not finite[at]:
+            raise LogError(
+                f"{name} is {values[at]}{where}",
+                file=file,
+                line=line,
+                hint="a log holds finite numbers only",
+            )
+        unit = (units or {}).get(name, row.unit)
+        written = from_si(values[at], unit, row)
+        hint = "check the unit and the sign"
+        fits = [
+            u
+            for u in (row.display, row.unit)
+            if u != unit and row.lower <= to_si(written, u, row) <= row.upper
+        ]
+        if fits:
+            hint = f"in {fits[0]} it would be plausible: check the unit"
+        bounds = " to ".join(f"{from_si(bound, unit, row):g}" for bound in (row.lower, row.upper))
+        raise UnitError(
+            f"{name} = {written:g} {unit}{where} lies outside {bounds} {unit}",
+            file=file,
+            line=line,
+            hint=hint,
+        )
+
+
+def check_time(
+    t: np.ndarray,
+    file: str | Path | None = None,
+    lines: Sequence[int] | None = None,
+    name: str = "the time",
+) -> None:
+    """Raise LogError unless ``t`` [s] is finite and increases strictly."""
+    finite = np.isfinite(t)
+    good = finite & np.concatenate([[True], np.diff(np.where(finite, t, 0.0)) > 0])
+    if good.all():
+        return
+    at = int(np.argmin(good))
+    line = lines[at] if lines is not None else None
+    before, now = float(t[at - 1]), float(t[at])
+    if not finite[at]:
+        raise LogError(
+            f"{name} is {now}", file=file, line=line, hint="a log holds finite numbers only"
+        )
+    how = "stands still at" if now == before else f"goes back from {before:.9g} s to"
+    raise LogError(
+        f"{name} {how} {now:.9g} s",
+        file=file,
+        line=line,
+        hint="each sample must be later than the one before",
+    )
+
+
+def check_known(name: str, *, file: str | Path | None = None, line: int | None = None) -> None:
+    """Raise LogError, naming the nearest name, unless ``name`` is a channel of the vocabulary."""
+    *path, word = name.split(".")
+    if word in VOCABULARY and all(path):
+        return
+    near = get_close_matches(word.strip().lower(), VOCABULARY, 1, cutoff=0.5)
+    nearest = ".".join([*path, *near])
+    hint = (
+        f"nearest is '{nearest}'"
+        if near
+        else "a name ends in a word such as q, x, p_head, p_rod or command"
+    )
+    raise LogError(f"unknown channel '{name}'", file=file, line=line, hint=hint)
+
+
+def label_of(text: str, *, file: str | Path, line: int | None = None) -> tuple[str, str]:
+    """``boom.p_head [kPa]`` as (name, unit), both known."""
+    match = LABEL.match(text)
+    name, unit = match.groups() if match else (text.split("(")[0].strip(), "")
+    check_known(name, file=file, line=line)
+    row = quantity(name)
+    if not unit.strip() and row.unit != "dimensionless":
+        raise UnitError(
+            f"'{text.strip()}' has no unit",
+            file=file,
+            line=line,
+            hint=f"write it like '{name} [{row.display}]'",
+        )
+    try:
+        to_si(0.0, unit, row)
+    except UnitError as error:
+        raise UnitError(
+            f"'{text.strip()}': {error.message}", file=file, line=line, hint=error.hint
+        ) from None
+    return name, unit

@@ -1,0 +1,85 @@
+"""How an MCAP log is laid out: records, the head of a message, CDR."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from mcap.records import McapRecord
+
+MAGIC = b"\x89MCAP0\r\n"
+
+
+FORMAT = "1"
+
+
+FACTS = "ehbench/facts.json"  # an attachment and not only a metadata record, because attachments carry a CRC
+
+
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, INDEX, ATTACHMENT, METADATA, DATA_END = (
+    0x01,
+    0x02,
+    0x03,
+    0x04,
+    0x05,
+    0x06,
+    0x07,
+    0x09,
+    0x0C,
+    0x0F,
+)
+
+
+MESSAGE_HEAD = [
+    ("opcode", "u1"),
+    ("length", "<u8"),
+    ("channel", "<u2"),
+    ("sequence", "<u4"),
+    ("log_time", "<u8"),
+    ("publish_time", "<u8"),
+    ("cdr", "<u4"),
+]
+
+
+HEAD_SIZE = np.dtype(MESSAGE_HEAD).itemsize
+
+
+CDR_LITTLE_ENDIAN = 0x0100  # bytes 00 01 00 00
+
+
+CDR_TYPES = {
+    "bool": "u1",
+    "byte": "u1",
+    "char": "u1",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "<i2",
+    "uint16": "<u2",
+    "int32": "<i4",
+    "uint32": "<u4",
+    "int64": "<i8",
+    "uint64": "<u8",
+    "float32": "<f4",
+    "float64": "<f8",
+}
+
+
+def pack(record: McapRecord) -> bytes:
+    from mcap.data_stream import RecordBuilder
+
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()
+
+
+def unpack(kind: type[McapRecord], raw: bytes) -> McapRecord:
+    from mcap.data_stream import ReadDataStream
+
+    stream = ReadDataStream(io.BytesIO(raw))
+    record = kind.read(stream)
+    if stream.count != len(raw):
+        raise ValueError
+    return record

@@ -1,0 +1,174 @@
+"""Logs read into a `Record`: MCAP and CSV, SI, with what is missing said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ehbench.errors import LogError
+from ehbench.logs.checks import check_record, check_time, label_of
+from ehbench.logs.layout import MAGIC
+from ehbench.logs.salvage import Salvage, Stream
+from ehbench.logs.text import read_csv
+from ehbench.quantities import quantity
+from ehbench.record import Record
+from ehbench.units import to_si
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_READS = (
+    "ehbench reads cdr messages of plain numbers with a ros2msg schema whose channel metadata name each field, "
+    "like p_head = 'boom.p_head [Pa]'"
+)
+
+
+def read_log(path: str | Path, check: bool = True) -> pd.DataFrame:
+    """A log as a pandas frame: column ``t`` [s], one SI column a channel; units, meta and losses
+    are in ``frame.attrs``.
+
+    Example:
+        frame = ehbench.read_log("datasets/slide_servo/steps/press_no_load.mcap")
+        frame.attrs["units"]["press.p_head"], frame["press.p_head"].max()
+
+    Arguments and errors as in `read_record`.
+    """
+    return read_record(path, check).frame()
+
+
+def read_record(path: str | Path, check: bool = True) -> Record:
+    """A log in SI from ``.mcap`` or ``.csv``.
+
+    A truncated, killed or damaged MCAP gives its sound chunks; ``losses`` then says what is
+    missing. Topics of different rates come on the time base of the fastest, the others held at
+    their last value.
+
+    Args:
+        path: the file.
+        check: refuse data that `check_record` refuses.
+
+    Raises:
+        LogError: no log, nothing in it, or nothing that can be read; what `check_record` finds.
+        UnitError: a channel without unit or with a wrong one; a value outside the plausible range.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise LogError(f"cannot be read: {error.strerror}", file=path) from error
+    if not data:
+        raise LogError("the file is empty", file=path)
+    if path.suffix.lower() == ".csv":
+        return read_csv(path, data, check)
+    if path.suffix.lower() == ".mcap" or data.startswith(MAGIC):
+        record = read_mcap(path, data)
+        if check:
+            check_record(record, path)
+        return record
+    raise LogError("is no log", file=path, hint="logs are .mcap or .csv")
+
+
+def read_mcap(path: Path, data: bytes) -> Record:
+    found = Salvage(data)
+    if not data.startswith(MAGIC) and not found.streams:
+        raise LogError(
+            "is no MCAP file",
+            file=path,
+            hint=f"MCAP begins with {MAGIC!r}, this begins with {data[:8]!r}",
+        )
+    streams = [stream for stream in found.streams.values() if stream.size]
+    losses = list(found.damage)
+    if not streams:
+        if losses:
+            raise LogError("no sample can be recovered: " + "; ".join(losses), file=path)
+        if found.unread:
+            raise LogError(
+                "holds no topic that ehbench reads: " + ", ".join(found.unread),
+                file=path,
+                hint=_READS,
+            )
+        raise LogError(
+            "the log holds no samples" + ("" if found.closed else " and breaks off"), file=path
+        )
+    first = min(int(stream.stamps[0][0]) for stream in streams)
+    groups = [_group(stream, first, path, losses) for stream in streams]
+    t, channels = _merge(groups, path, losses)
+    if not found.closed:
+        last = f"{t[-1]:.9g} s" if t.size else "unknown"
+        losses.append(
+            f"the log breaks off: its last good sample is at t = {last}, what came after it is missing"
+        )
+    losses += [f"topic not read: {topic}" for topic in found.unread]
+    order = [name for name in found.facts.get("channels", ()) if name in channels]
+    if without := [name for name in found.facts.get("channels", ()) if name not in channels]:
+        losses.append("no samples of " + ", ".join(without))
+    channels = {name: channels[name] for name in dict.fromkeys([*order, *channels])}
+    if any(stream.numbered for stream in streams) and not found.facts:
+        losses.append("the run's facts (meta) are lost")
+    meta = {**found.meta, **found.facts.get("meta", {})}
+    return Record(t, channels, meta, found.attachments, (*found.facts.get("losses", ()), *losses))
+
+
+def _group(
+    stream: Stream, first: int, path: Path, losses: list[str]
+) -> tuple[str, np.ndarray, dict[str, np.ndarray]]:
+    """One topic as (topic, t [s], channels in SI); appends to ``losses`` what the message numbers
+    show to be missing.
+    """
+    channels: dict[str, np.ndarray] = {}
+    for values, text in zip(stream.table[:, : stream.size], stream.labels.values()):
+        name, unit = label_of(text, file=path)
+        if name in channels:
+            raise LogError(f"topic {stream.topic} has '{name}' twice", file=path)
+        channels[name] = to_si(values, unit, quantity(name))
+    t = channels.pop("t", None)
+    if t is None:
+        t = (np.concatenate(stream.stamps).astype(np.int64) - first) / 1e9
+    if stream.numbered:
+        numbers = np.concatenate(stream.sequences)
+        if numbers[0]:
+            losses.append(
+                f"{stream.topic}: the first {numbers[0]} samples, before t = {t[0]:.9g} s, are missing"
+            )
+        missing = np.diff(numbers).astype(np.int64) - 1
+        for at in np.flatnonzero(missing):
+            losses.append(
+                f"{stream.topic}: {missing[at]} samples between t = {t[at]:.9g} and {t[at + 1]:.9g} s are missing"
+            )
+    return stream.topic, t, channels
+
+
+def _merge(
+    groups: list[tuple[str, np.ndarray, dict[str, np.ndarray]]], path: Path, losses: list[str]
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """All topics on the time base of the fastest, the slower ones held at their last value
+    (zero-order hold).
+    """
+
+    def period(t: np.ndarray) -> float:
+        return float(np.median(np.diff(t))) if t.size > 1 else np.inf
+
+    _, base, _ = min(groups, key=lambda group: period(group[1]))
+    channels: dict[str, np.ndarray] = {}
+    start, stop = -np.inf, np.inf
+    for topic, t, values in groups:
+        if twice := next((name for name in values if name in channels), None):
+            raise LogError(
+                f"'{twice}' is in two topics", file=path, hint="a channel is logged once"
+            )
+        if not np.array_equal(t, base):
+            for name, times in ((topic, t), ("the time", base)):
+                check_time(times, file=path, name=name)
+            held = np.searchsorted(t, base, side="right") - 1
+            values = {name: each[held.clip(0)] for name, each in values.items()}
+            start, stop = max(start, t[0]), min(stop, t[-1] + period(t))
+        channels.update(values)
+    keep = (base >= start) & (base <= stop)
+    if not keep.all():
+        losses.append(
+            f"{int((~keep).sum())} samples are left out: not all topics have values there"
+        )
+        base, channels = base[keep], {name: values[keep] for name, values in channels.items()}
+    return base, channels

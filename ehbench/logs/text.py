@@ -1,0 +1,98 @@
+"""CSV logs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.errors import LogError
+from ehbench.logs.checks import check_record, label_of
+from ehbench.quantities import quantity
+from ehbench.record import Record
+from ehbench.units import to_si
+
+
+def read_csv(path: Path, data: bytes, check: bool) -> Record:
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise LogError(
+            "is not UTF-8 text", file=path, line=line, hint="save the table as CSV in UTF-8"
+        ) from None
+    rows = [
+        (n, row)
+        for n, row in enumerate(text.splitlines(), 1)
+        if row.strip() and not row.lstrip().startswith("#")
+    ]
+    if not rows:
+        raise LogError(
+            "the file holds no header and no samples",
+            file=path,
+            hint="the header is like t [s],boom.q [rad]",
+        )
+    head, header = rows.pop(0)
+    comma = max(",;\t", key=header.count)
+    cells = [cell.strip().strip('"') for cell in header.split(comma)]
+    if all(_number(cell) is not None for cell in cells):
+        raise LogError(
+            "the header is missing",
+            file=path,
+            line=head,
+            hint="the header is like t [s],boom.q [rad]",
+        )
+    labels = [label_of(cell, file=path, line=head) for cell in cells]
+    names = [name for name, _ in labels]
+    for name in names:
+        if names.count(name) > 1:
+            raise LogError(f"there are {names.count(name)} columns '{name}'", file=path, line=head)
+    if "t" not in names or len(names) < 2:
+        hint = "the header is like t [s],boom.q [rad]"
+        raise LogError(
+            "a log needs a column 't [s]' and at least one channel", file=path, line=head, hint=hint
+        )
+    if not rows:
+        raise LogError("there are no samples below the header", file=path, line=head)
+    try:
+        table = np.loadtxt((row for _, row in rows), delimiter=comma, ndmin=2, comments=None)
+    except ValueError:
+        table = None
+    if table is None or table.shape[1] != len(names):
+        raise _first_bad_cell(path, rows, comma, names)
+    values = {
+        name: to_si(table[:, i].copy(), unit, quantity(name))
+        for i, (name, unit) in enumerate(labels)
+    }
+    record = Record(values.pop("t"), values)
+    if check:
+        check_record(record, path, lines=[n for n, _ in rows], units=dict(labels))
+    return record
+
+
+def _number(cell: str) -> float | None:
+    try:
+        return None if "_" in cell else float(cell)
+    except ValueError:
+        return None
+
+
+def _first_bad_cell(
+    path: Path, rows: list[tuple[int, str]], comma: str, names: list[str]
+) -> LogError:
+    """The error for a table that is no table of numbers."""
+    for line, row in rows:
+        cells = row.split(comma)
+        if len(cells) != len(names):
+            return LogError(
+                f"{len(cells)} values, but the header names {len(names)} columns",
+                file=path,
+                line=line,
+            )
+        for name, cell in zip(names, cells):
+            if _number(cell) is None:
+                what = f"'{cell.strip()}' is no number" if cell.strip() else "is empty"
+                return LogError(
+                    f"{name}: {what}", file=path, line=line, hint="numbers are like 1.5 or -2e3"
+                )
+    return LogError("is no table of numbers", file=path)

@@ -1,0 +1,167 @@
+"""A cylinder: how it sits on its joint, its two chambers, its relief valves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ehbench.compiled import kernel, record
+from ehbench.parts.friction import COLUMNS as FRICTION
+from ehbench.parts.nodes import node_pressure
+from ehbench.physics.cylinder import (
+    CAVITATION_BAND,
+    chamber_rate,
+    chamber_volume,
+    joint_angle,
+    joint_range,
+    linkage,
+    makeup_flow,
+    relief_flow,
+)
+
+RELIEF_GAIN = 1.0e-9  # [m³/(s·Pa)]: 30 L/min over 5 bar
+
+# A cylinder. The number of the ``joint`` it drives; how it sits there, `ehbench.physics.cylinder`:
+# ``geometry`` DIRECT or PINS, ``l_a, l_b, retracted_length`` [m], ``side`` ±1, ``phase`` [rad];
+# ``stroke`` [m]; areas [m²]; dead volumes [m³], hoses included; ``bulk_modulus`` β_e [Pa]; leakages
+# C_tm, C_em1, C_em2 [m³/(s·Pa)]; ``relief_pressure`` [Pa], inf for none; ``cavitation_pressure``
+# [Pa], −inf for none; ``stop_stiffness`` [N/m]; ``mobility`` [1/kg], the largest acceleration per
+# force on it; the number of its law of ``friction``, where that law's states stand
+# (``friction_state``), and the columns of the laws, as the rig file has them.
+CYLINDER_COLUMNS = (
+    ("joint", "i8"),
+    ("geometry", "i8"),
+    ("l_a", "f8"),
+    ("l_b", "f8"),
+    ("side", "f8"),
+    ("phase", "f8"),
+    ("retracted_length", "f8"),
+    ("stroke", "f8"),
+    ("area_head", "f8"),
+    ("area_rod", "f8"),
+    ("volume_head", "f8"),
+    ("volume_rod", "f8"),
+    ("bulk_modulus", "f8"),
+    ("leakage_internal", "f8"),
+    ("leakage_head", "f8"),
+    ("leakage_rod", "f8"),
+    ("relief_pressure", "f8"),
+    ("cavitation_pressure", "f8"),
+    ("stop_stiffness", "f8"),
+    ("mobility", "f8"),
+    ("node_head", "i8"),
+    ("node_rod", "i8"),
+    ("friction", "i8"),
+    ("friction_state", "i8"),
+    *FRICTION,
+)
+CYLINDER = record(*CYLINDER_COLUMNS)
+
+
+@kernel
+def linkage_of(row, q):
+    """(stroke x [m], lever ∂x/∂q [m/rad], ∂lever/∂q [m/rad²]) of a cylinder at its joint's q."""
+    return linkage(row.geometry, row.l_a, row.l_b, row.side, row.phase, row.retracted_length, q)
+
+
+def _pins(row: Any) -> tuple[Any, ...]:
+    return (row.geometry, row.l_a, row.l_b, row.side, row.phase, row.retracted_length)
+
+
+def joint_of(row: Any, x: Any) -> Any:
+    """Joint coordinate q [rad], or [m] of a slide, at stroke x [m], scalar or array.
+
+    Raises:
+        InputError: the pins cannot be that far apart, or that near.
+    """
+    return joint_angle(*_pins(row), x)
+
+
+def joint_range_of(row: Any) -> tuple[float, float]:
+    """(q at x = 0, q at full stroke) [rad], or [m] of a slide."""
+    return joint_range(*_pins(row), row.stroke)
+
+
+@kernel
+def _linkages(row, q, x, lever):
+    for i in range(q.shape[0]):
+        x[i], lever[i], _ = linkage_of(row, q[i])
+
+
+def linkage_arrays(row: Any, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(x [m], lever [m/rad]) of a cylinder over an array of joint coordinates."""
+    x, lever = np.empty(q.shape[0]), np.empty(q.shape[0])
+    _linkages(row, np.ascontiguousarray(q), x, lever)
+    return x, lever
+
+
+@kernel
+def chamber_of(row, side):
+    """(node, signed area [m²], dead volume [m³], leakage to tank [m³/(s·Pa)]) of the head end
+    (side 0) or the rod end (1); the area is positive where the chamber grows with the stroke.
+    """
+    if side == 0:
+        return row.node_head, row.area_head, row.volume_head, row.leakage_head
+    return row.node_rod, -row.area_rod, row.volume_rod, row.leakage_rod
+
+
+@kernel
+def chamber_oil(row, side, x):
+    """Oil volume [m³] of a chamber at stroke x [m]."""
+    _, area, dead, _ = chamber_of(row, side)
+    return chamber_volume(dead, area * x)
+
+
+@kernel
+def relief_out(row, pressure):
+    """Flow [m³/s] out of a chamber through its relief valve."""
+    return relief_flow(pressure, row.relief_pressure, RELIEF_GAIN)
+
+
+@kernel
+def chamber_inflow(row, side, v, net, y, plant):
+    """What compresses the oil of a chamber [m³/s]: the right-hand sides of thesis 2.4 and 2.5.
+
+    ``net − relief − A v ∓ C_tm (P1 − P2) − C_em (P − Pt)``, A signed.
+
+    Args:
+        v: speed [m/s], extension positive.
+        net: what the edges bring [m³/s].
+    """
+    node, area, _, leakage = chamber_of(row, side)
+    p = node_pressure(y, plant, node)
+    across = row.leakage_internal * (
+        node_pressure(y, plant, row.node_head) - node_pressure(y, plant, row.node_rod)
+    )
+    drained = leakage * (p - node_pressure(y, plant, 1))
+    inflow = net - relief_out(row, p) - area * v
+    return (inflow - across if side == 0 else inflow + across) - drained
+
+
+@kernel
+def chamber_slope(row, pressure, inflow, slope):
+    """How fast a chamber's inflow changes with its pressure [m³/(s·Pa)], for the substep guard.
+
+    To ``slope``, that of its edges, comes what the chamber would run into within the step, as soon
+    as it is that near: the cavitation floor and the relief valve.
+    """
+    if inflow < 0.0:
+        slope -= inflow / max(pressure - row.cavitation_pressure, CAVITATION_BAND)
+    elif pressure < row.relief_pressure:
+        slope += min(inflow / (row.relief_pressure - pressure), RELIEF_GAIN)
+    if pressure > row.relief_pressure:
+        slope += RELIEF_GAIN
+    return slope
+
+
+@kernel
+def chamber_pressure_rate(row, pressure, volume, inflow):
+    """Rate of pressure [Pa/s] of a chamber, held above its cavitation floor."""
+    return chamber_rate(inflow, pressure, volume, row.bulk_modulus, row.cavitation_pressure)
+
+
+@kernel
+def chamber_makeup(row, pressure, inflow):
+    """Oil [m³/s], ≥ 0, that the cavitation floor adds to a chamber."""
+    return makeup_flow(inflow, pressure, row.cavitation_pressure)

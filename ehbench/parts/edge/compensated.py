@@ -1,0 +1,37 @@
+"""An edge behind a pressure compensator: flow goes with opening, and hardly with the drop."""
+
+from __future__ import annotations
+
+import math
+
+from ehbench.compiled import kernel
+from ehbench.parts.edge.law import EdgeLaw
+
+
+@kernel
+def level(drop, reference):
+    """``Δp/√(Δp² + Δp0²)`` [1] for drop ≥ 0, which levels off above the reference drop Δp0 [Pa]."""
+    return drop / math.sqrt(drop * drop + reference * reference)
+
+
+@kernel
+def flow(drop, reach, edge, maps):
+    """``compensated_gain·(opening − deadband)`` [m³/s], reached over ``compensation_drop``."""
+    wide = reach - edge.deadband
+    if wide <= 0.0:
+        return 0.0
+    return math.copysign(edge.gain * wide * level(abs(drop), edge.compensation_drop), drop)
+
+
+@kernel
+def opening(drop, flow, edge, maps):
+    """Opening [V] at which ``flow`` passes."""
+    return edge.deadband + abs(flow) / (edge.gain * level(abs(drop), edge.compensation_drop))
+
+
+LAW = EdgeLaw(
+    name="compensated",
+    columns=(("gain", "f8"), ("deadband", "f8"), ("compensation_drop", "f8")),
+    flow=flow,
+    opening=opening,
+)

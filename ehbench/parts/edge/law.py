@@ -1,0 +1,36 @@
+"""What the flow law of a metering edge is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ehbench.compiled import kernel
+
+
+@kernel
+def _everywhere(drop, edge, maps):
+    """An analytic law holds at every opening."""
+    return np.inf
+
+
+@dataclass(frozen=True)
+class EdgeLaw:
+    """A flow law of a metering edge.
+
+    Its kernels read the edge's row, where ``columns`` are its own, and ``maps``, the packed flow
+    maps. Openings are counted from closed in the direction that opens the edge.
+
+    ``flow(drop, reach, edge, maps)`` is the flow [m³/s], of the sign of the drop [Pa], at an
+    opening ``reach`` > 0 [V]. ``opening(drop, flow, edge, maps)`` is its inverse: the opening [V]
+    at which ``flow`` passes, both of one sign and not zero. ``known(drop, edge, maps)`` is the
+    largest opening [V] that the law speaks of at that drop.
+    """
+
+    name: str
+    columns: tuple[tuple[str, str], ...]
+    flow: Callable
+    opening: Callable
+    known: Callable = _everywhere

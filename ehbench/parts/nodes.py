@@ -1,0 +1,25 @@
+"""Nodes of the hydraulic circuit: supply, tank, and the two chambers of each cylinder."""
+
+from __future__ import annotations
+
+from ehbench.compiled import kernel, record
+
+SUPPLY, TANK = 0, 1
+
+# A node. Where its pressure stands in the ``state`` (−1: it stays at ``pressure`` [Pa]); the number
+# of the ``cylinder`` whose chamber it is (−1: none) and its ``side``, 0 head and 1 rod.
+NODE = record(("state", "i8"), ("pressure", "f8"), ("cylinder", "i8"), ("side", "i8"))
+
+
+@kernel
+def node_pressure(y, plant, node):
+    """Pressure [Pa] of a node at plant state y."""
+    row = plant.nodes[node]
+    return row.pressure if row.state < 0 else y[row.state]
+
+
+@kernel
+def node_bulk_modulus(plant, node):
+    """Effective bulk modulus [Pa] of the oil at a node."""
+    cylinder = plant.nodes[node].cylinder
+    return plant.supply.bulk_modulus if cylinder < 0 else plant.cylinders[cylinder].bulk_modulus

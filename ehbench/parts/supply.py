@@ -1,0 +1,23 @@
+"""The constant-pressure supply: a pressure-compensated pump on a line of oil."""
+
+from __future__ import annotations
+
+from ehbench.compiled import kernel, record
+
+RECOVERY_TIME = 0.02  # [s]
+
+# ``pressure`` the set pressure [Pa], ``flow_limit`` [m³/s], ``volume`` of the line [m³], its
+# ``bulk_modulus`` [Pa]
+SUPPLY = record(("pressure", "f8"), ("flow_limit", "f8"), ("volume", "f8"), ("bulk_modulus", "f8"))
+
+
+@kernel
+def pump_flow(p_supply, demand, supply):
+    """Flow [m³/s] a pressure-compensated pump delivers at ``p_supply`` [Pa] and ``demand`` [m³/s].
+
+    The compensator covers the demand exactly and brings a lost pressure back with time constant
+    RECOVERY_TIME, both only up to the flow limit: below it the pressure is constant, above it the
+    pressure falls."""
+    missing = supply.pressure - p_supply
+    wanted = demand + supply.volume / (supply.bulk_modulus * RECOVERY_TIME) * missing
+    return min(max(wanted, 0.0), supply.flow_limit)

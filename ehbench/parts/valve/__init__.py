@@ -1,0 +1,109 @@
+"""Valves: a command, limited to its driver's range, and the elements in series that lead from it to
+the opening, a file an element.
+
+To add an element: write its file after ``second_order.py`` and name it in LAWS.
+"""
+
+from __future__ import annotations
+
+from ehbench.compiled import choice, kernel, record
+from ehbench.parts.valve import second_order
+
+LAWS = (second_order.LAW,)
+BY_NAME = {law.name: number for number, law in enumerate(LAWS)}
+
+# A valve. ``lowest, highest`` command of its driver [V]; its ``count`` elements stand from ``first``
+# on in the plant's elements; ``output`` is where its opening [V] stands in the state, −1 where the
+# opening is the command.
+VALVE_COLUMNS = (
+    ("lowest", "f8"),
+    ("highest", "f8"),
+    ("first", "i8"),
+    ("count", "i8"),
+    ("output", "i8"),
+)
+VALVE = record(*VALVE_COLUMNS)
+
+# An element. ``law`` its number in LAWS; where its ``states`` stand from in the plant's
+# state (``state``); its
+# ``fastest`` rate [1/s]; then the columns of the laws: ``stiffness`` ω_n² [1/s²] and ``damping``
+# 2 ζ ω_n [1/s].
+ELEMENT = record(
+    ("law", "i8"),
+    ("state", "i8"),
+    ("states", "i8"),
+    ("fastest", "f8"),
+    *dict.fromkeys(column for law in LAWS for column in law.columns),
+)
+
+_rates = choice("rates", [law.rates for law in LAWS], "element, signal, y, dy")
+_settle = choice("settle", [law.settle for law in LAWS], "element, value, y")
+_advance = choice("advance", [law.advance for law in LAWS], "element, signal, dt, y")
+_finish = choice("finish", [law.finish for law in LAWS], "element, signal, y, slope, d")
+_lag = choice("lag", [law.lag for law in LAWS], "element")
+_recover = choice("recover", [law.recover for law in LAWS], "element, signal, dt, y, later")
+
+
+@kernel
+def limited(command, valve):
+    """A command [V] within the range of a valve's driver."""
+    return min(max(command, valve.lowest), valve.highest)
+
+
+@kernel
+def valve_rates(valve, signal, plant, y, dy):
+    """(opening [V], fastest rate [1/s]) of a valve under a signal [V]; writes its states' rates."""
+    fastest = 0.0
+    for i in range(valve.first, valve.first + valve.count):
+        element = plant.elements[i]
+        signal = _rates(element.law, element, signal, y, dy)
+        fastest = max(fastest, element.fastest)
+    return signal, fastest
+
+
+@kernel
+def valve_settle(valve, value, plant, y):
+    """Put a valve's states at rest where command and opening are ``value`` [V]."""
+    for i in range(valve.first, valve.first + valve.count):
+        element = plant.elements[i]
+        _settle(element.law, element, value, y)
+
+
+@kernel
+def valve_finish(valve, signal, plant, y, slope, d):
+    """Better a valve's states after a Runge–Kutta step of ``d`` [s] under a held signal [V].
+
+    Only its first element has a signal that was held.
+    """
+    if valve.count > 0:
+        element = plant.elements[valve.first]
+        _finish(element.law, element, signal, y, slope, d)
+
+
+@kernel
+def valve_advance(valve, signal, dt, plant, y):
+    """Bring a valve's states on by ``dt`` [s], exact for a held signal [V] on one element."""
+    for i in range(valve.first, valve.first + valve.count):
+        element = plant.elements[i]
+        _advance(element.law, element, signal, dt, y)
+        signal = y[element.state]
+
+
+@kernel
+def valve_recover(valve, signal, dt, plant, y, later):
+    """Find what a known opening in ``y`` says nothing of, from the opening ``later`` [V] by ``dt``
+    [s].
+    """
+    if valve.count > 0:
+        element = plant.elements[valve.first]
+        _recover(element.law, element, signal, dt, y, later)
+
+
+@kernel
+def valve_lag(valve, plant):
+    """Time [s] by which a valve's opening trails a steady ramp of its command."""
+    lag = 0.0
+    for i in range(valve.first, valve.first + valve.count):
+        element = plant.elements[i]
+        lag += _lag(element.law, element)
+    return lag

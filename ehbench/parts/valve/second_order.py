@@ -1,0 +1,111 @@
+"""A second-order valve: ``ẍ = ω_n² (u − x) − 2 ζ ω_n ẋ`` (thesis 2.12)."""
+
+from __future__ import annotations
+
+import math
+
+from ehbench.compiled import kernel
+from ehbench.parts.valve.law import ValveElement
+
+SETTLED = 1.0e-12  # [V]: a valve this near to its command has arrived
+
+
+@kernel
+def rates(element, signal, y, dy):
+    """Write opening rate [V/s] and acceleration [V/s²]; gives the opening [V]."""
+    at = element.state
+    dy[at] = y[at + 1]
+    dy[at + 1] = element.stiffness * (signal - y[at]) - element.damping * y[at + 1]
+    return y[at]
+
+
+@kernel
+def settle(element, value, y):
+    """The opening stands at ``value`` [V]."""
+    y[element.state], y[element.state + 1] = value, 0.0
+
+
+@kernel
+def transition(stiffness, damping, dt):
+    """The 2 × 2 transition (row by row) of ``ë + damping ė + stiffness e = 0`` over ``dt`` [s].
+
+    Args:
+        stiffness: ω_n² > 0 [1/s²].
+        damping: 2 ζ ω_n [1/s].
+    """
+    s = 0.5 * damping
+    root = s * s - stiffness
+    if root < 0.0:
+        w = math.sqrt(-root)
+        c, z = math.exp(-s * dt) * math.cos(w * dt), math.exp(-s * dt) * math.sin(w * dt) / w
+    elif root == 0.0:
+        c, z = math.exp(-s * dt), math.exp(-s * dt) * dt
+    else:
+        w = math.sqrt(root)
+        slow, fast = math.exp((w - s) * dt), math.exp(-(w + s) * dt)
+        c, z = 0.5 * (slow + fast), 0.5 * (slow - fast) / w
+    return c + s * z, z, -stiffness * z, c - s * z
+
+
+@kernel
+def advance(element, signal, dt, y):
+    """The exact answer over ``dt`` [s] under a held signal [V]."""
+    at = element.state
+    a, b, c, d = transition(element.stiffness, element.damping, dt)
+    off, rate = y[at] - signal, y[at + 1]
+    y[at], y[at + 1] = signal + a * off + b * rate, c * off + d * rate
+
+
+@kernel
+def recover(element, signal, dt, y, later):
+    """The rate [V/s] that brings the opening to ``later`` [V] within ``dt`` [s]."""
+    at = element.state
+    a, b, _, _ = transition(element.stiffness, element.damping, dt)
+    if b > 0.0:
+        y[at + 1] = (later - signal - a * (y[at] - signal)) / b
+
+
+@kernel
+def finish(element, signal, y, slope, d):
+    """From the fourth to the eighth order of ``d`` [s]; a valve that has arrived is set down.
+
+    The valve is linear and its signal is held, so a Runge–Kutta step is the Taylor series of its
+    exact answer up to d⁴; the next four terms follow from ``x⁽ⁿ⁺²⁾ = −ω² x⁽ⁿ⁾ − 2ζω x⁽ⁿ⁺¹⁾``.
+    """
+    at = element.state
+    low, high = slope[at], slope[at + 1]
+    if low == 0.0 and high == 0.0:
+        return
+    k, c = element.stiffness, element.damping
+    for _ in range(3):
+        low, high = high, -k * low - c * high
+    share, more, rate = d * d * d * d / 24.0, 0.0, 0.0
+    for n in range(5, 9):
+        low, high = high, -k * low - c * high
+        share *= d / n
+        more += share * low
+        rate += share * high
+    y[at] += more
+    y[at + 1] += rate
+    # an exponential tail would end in subnormal numbers, with which processors are slow
+    if abs(y[at] - signal) < SETTLED and abs(y[at + 1]) < SETTLED * element.fastest:
+        y[at], y[at + 1] = signal, 0.0
+
+
+@kernel
+def lag(element):
+    """2 ζ/ω_n [s]."""
+    return element.damping / element.stiffness
+
+
+LAW = ValveElement(
+    name="second_order",
+    columns=(("stiffness", "f8"), ("damping", "f8")),
+    states=("opening", "rate"),
+    rates=rates,
+    settle=settle,
+    advance=advance,
+    finish=finish,
+    recover=recover,
+    lag=lag,
+)

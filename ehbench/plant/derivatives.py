@@ -1,0 +1,156 @@
+"""The laws of SPEC 2 put together into derivatives for any rig."""
+
+from __future__ import annotations
+
+from ehbench.compiled import Generic, kernel
+from ehbench.parts.cylinder import (
+    chamber_inflow,
+    chamber_of,
+    chamber_oil,
+    chamber_pressure_rate,
+    chamber_slope,
+    linkage_of,
+)
+from ehbench.parts.edge import edge_flow
+from ehbench.parts.end_stop import stop_force, stop_rate
+from ehbench.parts.friction import friction_force, friction_rates, friction_steepness
+from ehbench.parts.nodes import SUPPLY, node_pressure
+from ehbench.parts.supply import pump_flow
+from ehbench.parts.valve import limited, valve_finish, valve_rates
+from ehbench.physics.arm import forward
+from ehbench.plant.build import Plant
+
+_derivatives = Generic("derivatives", "y, command, plant, dy, work")
+_finish = Generic("finish", "y, command, plant, slope, d")
+derivatives_of, finish_of = _derivatives.of, _finish.of
+any_derivatives, any_finish = _derivatives.call, _finish.call
+
+
+@kernel
+def _valves(y, command, plant, dy, work):
+    """Rates of the valves' elements; openings into ``work``."""
+    fastest = 0.0
+    for i in range(plant.valves.shape[0]):
+        valve = plant.valves[i]
+        opening, rate = valve_rates(valve, limited(command[i], valve), plant, y, dy)
+        work[plant.at.opening + i] = opening
+        fastest = max(fastest, rate)
+    return fastest
+
+
+@kernel
+def _edges(y, plant, work):
+    """Flows along the edges; net inflow and its slope of every node."""
+    at = plant.at
+    for i in range(at.net, at.opening):
+        work[i] = 0.0
+    for e in range(plant.edges.shape[0]):
+        edge = plant.edges[e]
+        opening, flow = work[at.opening + edge.valve], 0.0
+        if edge.sign * opening > 0.0:
+            a, b = edge.from_node, edge.to_node
+            drop = node_pressure(y, plant, a) - node_pressure(y, plant, b)
+            flow = edge_flow(drop, opening, edge, plant.maps)
+            if flow != 0.0:
+                slope = flow / drop
+                work[at.net + a] -= flow
+                work[at.net + b] += flow
+                work[at.slope + a] += slope
+                work[at.slope + b] += slope
+        work[at.flow + e] = flow
+
+
+@kernel
+def _cylinders(y, plant, dy, work):
+    """Pressure rates of the chambers; torques of the cylinders into ``work``."""
+    at, fastest = plant.at, 0.0
+    for c in range(plant.cylinders.shape[0]):
+        row = plant.cylinders[c]
+        x, lever, _ = linkage_of(row, y[row.joint])
+        v = lever * y[at.rates + row.joint]
+        force = 0.0
+        for side in range(2):
+            node, area, _, _ = chamber_of(row, side)
+            p, volume = y[plant.nodes[node].state], chamber_oil(row, side, x)
+            inflow = chamber_inflow(row, side, v, work[at.net + node], y, plant)
+            dy[plant.nodes[node].state] = chamber_pressure_rate(row, p, volume, inflow)
+            slope = chamber_slope(row, p, inflow, work[at.slope + node])
+            fastest = max(fastest, row.bulk_modulus / volume * slope)
+            force += p * area
+        force -= friction_force(row, v, y)
+        friction_rates(row, v, y, dy)
+        fastest = max(fastest, row.mobility * friction_steepness(row, v))
+        if x < 0.0 or x > row.stroke:
+            force += stop_force(row, x, v)
+            fastest = max(fastest, stop_rate(row))
+        work[at.torque + row.joint] = lever * force
+    return fastest
+
+
+@kernel
+def move(y, plant, dy, work):
+    """Rates of the joints under the torques in ``work``: ``D(q) q̈ + h + c + B q̇ = Jᵀ P_load``
+    (thesis 2.1, 2.2).
+    """
+    n, at = plant.at.joints, plant.at
+    for i in range(n):
+        dy[i] = y[at.rates + i]
+    forward(
+        plant.kind,
+        plant.links,
+        plant.gravity,
+        y[:n],
+        y[at.rates : at.rates + n],
+        work[at.torque : at.torque + n],
+        dy[at.rates : at.rates + n],
+        work,
+    )
+
+
+@kernel
+def _supply(y, plant, dy, work):
+    """Pressure rate of the supply line; the pump's flow into ``work``."""
+    at, supply = plant.at, plant.supply
+    demand = -work[at.net + SUPPLY]
+    pump = pump_flow(y[at.supply], demand, supply)
+    work[at.pump] = pump
+    stiffness = supply.bulk_modulus / supply.volume
+    dy[at.supply] = stiffness * (pump - demand)
+    held = 0.0 < pump < supply.flow_limit
+    return 0.0 if held else stiffness * work[at.slope + SUPPLY]
+
+
+@derivatives_of(Plant)
+@kernel
+def derivatives(y, command, plant, dy, work):
+    """Write ẏ into ``dy``; return the fastest rate [1/s] of the pressure, valve and friction
+    blocks.
+
+    Valves (thesis 2.12), flows along the metering edges (2.10, 2.11), chambers (2.4, 2.5), the
+    mechanism (2.1, 2.2), the supply. After the call ``work`` holds the edge flows from
+    ``plant.at.flow`` on, then the pump flow [m³/s].
+
+    Args:
+        y: state, shape (plant.at.states,).
+        command: valve commands [V], shape (valves,), limited here to each driver's range.
+        dy: out, shape (plant.at.states,).
+        work: workspace of plant.at.work.
+    """
+    fastest = _valves(y, command, plant, dy, work)
+    _edges(y, plant, work)
+    for i in range(plant.at.torque, plant.at.net):
+        work[i] = 0.0
+    fastest = max(fastest, _cylinders(y, plant, dy, work))
+    move(y, plant, dy, work)
+    return max(fastest, _supply(y, plant, dy, work))
+
+
+@finish_of(Plant)
+@kernel
+def finish(y, command, plant, slope, d):
+    """Better the valves' states after a Runge–Kutta step of ``d`` [s]; ``slope`` holds the rates
+    where it began.
+    """
+    for i in range(plant.valves.shape[0]):
+        valve = plant.valves[i]
+        valve_finish(valve, limited(command[i], valve), plant, y, slope, d)

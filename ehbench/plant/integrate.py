@@ -1,0 +1,82 @@
+"""Time: one integrator for every type of plant, the fourth-order method of Runge and Kutta with a
+fixed step, and more steps where the plant is stiff.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ehbench.compiled import allocating_kernel, kernel
+from ehbench.plant.derivatives import any_derivatives, any_finish
+
+STEP = 5.0e-4  # [s]
+STIFF = 1.0  # substeps are taken so that rate·step stays below this
+MOST_SUBSTEPS = 400
+
+
+@kernel
+def rk4(y, command, plant, h, k, work):
+    """One classical Runge–Kutta step of ``h`` [s] in place, more substeps where the plant is stiff;
+    returns the substeps.
+
+    ``k`` is a (5, states) scratch. ``k[0]`` holds the derivatives at the step's start and ``work``
+    the edge flows there only if one substep was taken."""
+    return advance(y, command, plant, h, k, work, any_derivatives(y, command, plant, k[0], work))
+
+
+@kernel
+def advance(y, command, plant, h, k, work, rate):
+    """`rk4` where ``k[0]`` and ``rate`` already hold what the derivatives give at ``y``."""
+    size = y.shape[0]
+    substeps = 1
+    if rate * h > STIFF:
+        substeps = min(MOST_SUBSTEPS, int(math.ceil(rate * h / STIFF)))
+    d = h / substeps
+    for s in range(substeps):
+        if s > 0:
+            any_derivatives(y, command, plant, k[0], work)
+        for i in range(size):
+            k[4, i] = y[i] + 0.5 * d * k[0, i]
+        any_derivatives(k[4], command, plant, k[1], work)
+        for i in range(size):
+            k[4, i] = y[i] + 0.5 * d * k[1, i]
+        any_derivatives(k[4], command, plant, k[2], work)
+        for i in range(size):
+            k[4, i] = y[i] + d * k[2, i]
+        any_derivatives(k[4], command, plant, k[3], work)
+        for i in range(size):
+            y[i] += d / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
+        any_finish(y, command, plant, k[0], d)
+    return substeps
+
+
+@allocating_kernel
+def run(y, commands, plant, tick, steps, log):
+    """Integrate from ``y`` (in place) through a table of commands, held over each tick; returns the
+    most substeps.
+
+    Args:
+        y: state at the first sample.
+        commands: [V], shape (samples, valves); row i acts from sample i on.
+        tick: time between samples [s].
+        steps: integration steps a tick.
+        log: out, shape (samples, states + edges + 1): the state, the edge flows and the pump flow
+            at each sample, before the tick that starts there.
+    """
+    size, at = y.shape[0], plant.at.flow
+    k, work = np.empty((5, size)), np.empty(plant.at.work)
+    most = 1
+    for sample in range(commands.shape[0]):
+        command = commands[sample]
+        rate = any_derivatives(y, command, plant, k[0], work)
+        for i in range(size):
+            log[sample, i] = y[i]
+        for i in range(work.shape[0] - at):
+            log[sample, size + i] = work[at + i]
+        if sample + 1 < commands.shape[0]:
+            most = max(most, advance(y, command, plant, tick / steps, k, work, rate))
+            for _ in range(1, steps):
+                most = max(most, rk4(y, command, plant, tick / steps, k, work))
+    return most

@@ -1,0 +1,274 @@
+"""A rig ready to simulate, and its simulation from rest or along a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ehbench.errors import InputError, LogError, SimulationError
+from ehbench.parts.cylinder import joint_range_of, linkage_arrays
+from ehbench.parts.valve import valve_settle
+from ehbench.plant import trim as starts
+from ehbench.plant.build import Maps, Plant, build
+from ehbench.plant.integrate import STEP, run
+from ehbench.plant.layout import SIDES, Layout, layout
+from ehbench.record import Record
+from ehbench.rig import Rig
+
+MOVED = 0.005  # share of a driver's range by which a command must change to be more than noise
+
+
+@dataclass(frozen=True)
+class Model:
+    """A rig ready to simulate: its numbers, their compiled form, and the names in it."""
+
+    rig: Rig
+    plant: Plant
+    layout: Layout
+
+    @classmethod
+    def of(cls, rig: Rig, maps: Maps | None = None, payload: str | None = None) -> Model:
+        """The model of a rig carrying ``payload``, its edges on measured ``maps`` where given.
+
+        Raises:
+            InputError: no such payload, or an edge without its map.
+        """
+        loaded = rig.with_payload(payload)
+        return cls(loaded, build(loaded, maps), layout(loaded))
+
+    def stroke_range(self, index: int) -> tuple[float, float]:
+        """Joint angle [rad] (or position [m]) at zero and at full stroke of cylinder ``index``."""
+        return joint_range_of(self.plant.cylinders[index])
+
+    def posture(self, wanted: Mapping[str, str | float] | None) -> np.ndarray:
+        """Joint coordinates [rad or m], shape (n,), from postures by cylinder or joint name.
+
+        A number or text with an angle is a joint angle, a text with a length a stroke; what is not
+        named stands at mid-stroke.
+
+        Raises:
+            InputError: unknown name, or a posture outside the stroke; says what the stroke allows.
+        """
+        return starts.posture(self.plant, self.layout, wanted)
+
+    def trim(self, q: np.ndarray, low_side: float | None = None) -> np.ndarray:
+        """The state at rest at joint coordinates ``q``: valves shut, supply at its set pressure,
+        loads carried.
+
+        The chamber that the load does not press on stands at ``low_side`` [Pa], by default a tenth
+        of the supply pressure.
+
+        Raises:
+            SimulationError: a cylinder has no lever there, so no pressure holds the load.
+        """
+        return starts.trim(self.plant, self.layout, self.rig, q, low_side)
+
+    def rest_commands(self, samples: int) -> np.ndarray:
+        """A table of commands [V], shape (samples, valves), that leaves every valve at rest."""
+        return np.tile([valve.rest for _, valve in self.rig.valves()], (samples, 1))
+
+    def commands_of(self, record: Record) -> np.ndarray:
+        """A recording's commands [V], shape (samples, valves); valves that it lacks stay at rest."""
+        table = self.rest_commands(record.t.size)
+        for index, valve in enumerate(self.layout.valves):
+            if f"{valve}.command" in record:
+                table[:, index] = record[f"{valve}.command"]
+        return table
+
+    def rest_samples(self, commands: np.ndarray) -> int:
+        """How many samples pass before a command [V], shape (samples, valves), changes by more than
+        noise; at least one.
+        """
+        span = MOVED * (self.plant.valves.highest - self.plant.valves.lowest)
+        moved = np.flatnonzero(np.any(np.abs(commands - commands[0]) > span, axis=1))
+        return max(1, int(moved[0]) if moved.size else commands.shape[0])
+
+    def run(
+        self, y: np.ndarray, commands: np.ndarray, tick: float = 1e-3, step: float = STEP
+    ) -> np.ndarray:
+        """Integrate from state ``y`` (left as it is) through ``commands``; returns the log table of
+        `run`.
+
+        Raises:
+            SimulationError: the state stopped being finite; says when.
+        """
+        steps = max(1, round(tick / step))
+        log = np.empty((commands.shape[0], y.shape[0] + self.plant.edges.shape[0] + 1))
+        run(y.copy(), np.ascontiguousarray(commands, dtype=float), self.plant, tick, steps, log)
+        if not np.isfinite(log[-1]).all():
+            bad = int(np.argmin(np.isfinite(log).all(axis=1)))
+            raise SimulationError(
+                f"the simulation left finite numbers at t = {bad * tick:.4g} s",
+                hint="take a smaller step",
+            )
+        return log
+
+    def start_of(self, record: Record, rest: int) -> np.ndarray:
+        """The state at the first sample of a recording, from the mean of its first ``rest``
+        samples.
+
+        Joint angles (or strokes), chamber and supply pressures are the recording's where it has
+        them, else those of `trim`. The two pressures of a cylinder are moved, as little as possible
+        together, until they carry the load exactly: friction and sensor offsets would otherwise
+        start the simulation with a jolt that the machine did not make. Rates are zero.
+
+        Raises:
+            InputError: a posture outside the stroke.
+        """
+        plant, names = self.plant, self.layout
+
+        def first(channel: str) -> float | None:
+            return float(np.mean(record[channel][:rest])) if channel in record else None
+
+        wanted: dict[str, str | float] = {}
+        for index, name in enumerate(names.cylinders):
+            angle, stroke = first(f"{name}.q"), first(f"{name}.x")
+            if angle is not None:
+                low, high = sorted(self.stroke_range(index))
+                slack = 0.01 * (high - low)
+                wanted[name] = (
+                    min(max(angle, low), high) if low - slack <= angle <= high + slack else angle
+                )
+            elif stroke is not None:
+                wanted[name] = f"{min(max(stroke, 0.0), float(plant.cylinders[index].stroke))!r} m"
+        for joint in names.joints:
+            angle = first(f"{joint}.q")
+            if joint not in wanted and angle is not None:
+                wanted[joint] = angle
+        y = self.trim(self.posture(wanted))
+        for index, name in enumerate(names.cylinders):
+            head, rod = names.state("p_head", index), names.state("p_rod", index)
+            seen = [first(f"{name}.p_{side}") for side in SIDES]
+            y[head], y[rod] = starts.carry(plant.cylinders[index], (y[head], y[rod]), seen)
+        for valve, name in zip(plant.valves, names.valves, strict=True):
+            if f"{name}.command" in record:
+                valve_settle(valve, float(record[f"{name}.command"][0]), plant, y)
+        supply = first("p_supply")
+        if supply is not None:
+            y[plant.at.supply] = supply
+        return y
+
+    def replay(self, record: Record, step: float = STEP, rest: int | None = None) -> Record:
+        """Simulate what a recording's commands do, from the recording's own start.
+
+        Commands of valves that the recording lacks stay at rest; each recorded command acts from
+        its sample on. Where the recording has ``p_supply`` and ``p_tank``, their means over the
+        ``rest`` samples are the set and the tank pressure.
+
+        Args:
+            record: evenly sampled.
+            step: integration step [s].
+            rest: samples at the start over which nothing moves yet; found from the commands by
+                default.
+
+        Raises:
+            LogError: uneven time.
+            SimulationError: the numbers left the finite range.
+        """
+        tick = record.sample_time
+        if record.t.size < 3 or np.abs(np.diff(record.t) - tick).max() > 0.01 * tick:
+            raise LogError(
+                "the recording is not evenly sampled, so it cannot be replayed",
+                hint="resample it to one rate",
+            )
+        table = self.commands_of(record)
+        rest = self.rest_samples(table) if rest is None else rest
+        supply, tank = (
+            float(np.mean(record[channel][:rest])) if channel in record else None
+            for channel in ("p_supply", "p_tank")
+        )
+        model = replace(self, plant=self.plant.at_pressures(supply, tank))
+        log = model.run(model.start_of(record, rest), table, tick, step)
+        return model.record(record.t, table, log, record.meta)
+
+    def record(
+        self,
+        t: np.ndarray,
+        commands: np.ndarray,
+        log: np.ndarray,
+        meta: Mapping[str, str] | None = None,
+    ) -> Record:
+        """The log table as a record of named SI channels."""
+        names, plant = self.layout, self.plant
+        n = plant.at.rates
+        channels: dict[str, np.ndarray] = {}
+        driven = {int(j): i for i, j in enumerate(plant.cylinders.joint)}
+        for joint, joint_name in enumerate(names.joints):
+            name = names.cylinders[driven[joint]] if joint in driven else joint_name
+            channels[f"{name}.q"], channels[f"{name}.qd"] = log[:, joint], log[:, n + joint]
+            if joint not in driven:
+                continue
+            index = driven[joint]
+            x, lever = linkage_arrays(plant.cylinders[index], log[:, joint])
+            channels[f"{name}.x"], channels[f"{name}.v"] = x, lever * log[:, n + joint]
+            for key in (f"p_{side}" for side in SIDES):
+                channels[f"{name}.{key}"] = log[:, names.state(key, index)]
+        for index, valve in enumerate(names.valves):
+            channels[f"{valve}.command"] = commands[:, index]
+        for index, valve in enumerate(names.valves):
+            output = plant.valves[index].output
+            channels[f"{valve}.opening"] = commands[:, index] if output < 0 else log[:, output]
+        for index, edge in enumerate(names.edges):
+            channels[f"{edge}.flow"] = log[:, names.states + index]
+        channels["p_supply"] = log[:, plant.at.supply]
+        channels["p_tank"] = np.full(len(t), plant.tank_pressure)
+        channels["flow_supply"] = log[:, -1]
+        return Record(t, channels, dict(meta or {}))
+
+
+def simulate(
+    rig: Rig,
+    commands: Mapping[str, np.ndarray | float],
+    duration: float,
+    *,
+    posture: Mapping[str, str | float] | None = None,
+    payload: str | None = None,
+    flow_maps: Maps | None = None,
+    rate: float = 1000.0,
+    step: float = STEP,
+) -> Record:
+    """Simulate a rig from rest under open-loop commands.
+
+    Example:
+        rig = ehbench.load_rig("recipes/rigs/slide_servo.toml")
+        record = ehbench.simulate(rig, {"press.servo": 2.0}, duration=0.5, posture={"press": "50 mm"})
+        record.frame()["press.x"].iloc[-1]
+
+    Args:
+        rig: the machine.
+        commands: [V] by ``<cylinder>.<valve>``: a number, or an array of one value a sample; others
+            stay at rest.
+        duration: [s].
+        posture: where the joints start, as in `Model.posture`.
+        payload: a payload of the rig file.
+        flow_maps: measured maps by edge name, as ``load_flow_maps`` gives them.
+        rate: samples per second.
+        step: integration step [s].
+
+    Returns:
+        A record of ``rate·duration + 1`` samples: joints, cylinders, commands, openings, edge
+        flows, supply.
+
+    Raises:
+        InputError: unknown valve or posture, wrong array length.
+        SimulationError: the numbers left the finite range.
+    """
+    model = Model.of(rig, flow_maps, payload)
+    samples = round(duration * rate) + 1
+    t = np.arange(samples) / rate
+    table = model.rest_commands(samples)
+    for name, values in commands.items():
+        if name not in model.layout.valves:
+            raise InputError(
+                f"rig '{rig.name}' has no valve '{name}'",
+                hint="it has " + ", ".join(model.layout.valves),
+            )
+        if np.ndim(values) and np.shape(values) != (samples,):
+            raise InputError(
+                f"the command of '{name}' has {np.shape(values)[0]} values, the trial {samples} samples"
+            )
+        table[:, model.layout.valves.index(name)] = values
+    log = model.run(model.trim(model.posture(posture)), table, 1.0 / rate, step)
+    return model.record(t, table, log, {"rig": rig.name, "payload": payload or "none"})

@@ -1,0 +1,141 @@
+"""Where a motion starts: postures, and the state at rest in one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from ehbench.errors import InputError, SimulationError
+from ehbench.parts.cylinder import joint_of, joint_range_of, linkage_of
+from ehbench.parts.valve import valve_settle
+from ehbench.physics.arm import SLIDE, gravity_torque, work_size
+from ehbench.plant.build import Plant
+from ehbench.plant.layout import Layout
+from ehbench.quantities import VOCABULARY
+from ehbench.rig import Rig, read_value
+
+LOW_SIDE = 0.1  # share of the supply pressure at which a chamber that carries nothing stands
+
+
+def posture(plant: Plant, names: Layout, wanted: Mapping[str, str | float] | None) -> np.ndarray:
+    """Joint coordinates [rad or m], shape (n,), from postures by cylinder or joint name.
+
+    Raises:
+        InputError: unknown name, or a posture outside the stroke; says what the stroke allows.
+    """
+    q = np.zeros(len(names.joints))
+    for row in plant.cylinders:
+        q[row.joint] = joint_of(row, 0.5 * row.stroke)
+    for name, value in (wanted or {}).items():
+        joint, index = _joint_called(plant, names, name)
+        number = _coordinate(plant, index, name, value) if isinstance(value, str) else float(value)
+        if index >= 0:
+            _must_lie_on_the_stroke(plant, index, name, number)
+        q[joint] = number
+    return q
+
+
+def _joint_called(plant: Plant, names: Layout, name: str) -> tuple[int, int]:
+    """(joint, the cylinder that drives it or −1) of a cylinder's or a joint's name."""
+    if name in names.cylinders:
+        index = names.cylinders.index(name)
+        return int(plant.cylinders[index].joint), index
+    if name in names.joints:
+        joint = names.joints.index(name)
+        drives = np.flatnonzero(plant.cylinders.joint == joint)
+        return joint, int(drives[0]) if drives.size else -1
+    raise InputError(
+        f"posture names '{name}', which is no cylinder or joint",
+        hint="there are " + ", ".join(names.cylinders),
+    )
+
+
+def _coordinate(plant: Plant, index: int, name: str, text: str) -> float:
+    """A joint coordinate from a text: an angle, or a length that is a stroke."""
+    try:
+        return float(read_value(text, VOCABULARY["x" if plant.kind == SLIDE else "q"]))
+    except InputError:
+        row = plant.cylinders[index]
+        stroke = float(read_value(text, VOCABULARY["x"]))
+        if not 0 <= stroke <= row.stroke:
+            raise InputError(
+                f"posture {name} = {text} lies outside the stroke",
+                hint=f"0 to {row.stroke * 1e3:.1f} mm",
+            ) from None
+        return float(joint_of(row, stroke))
+
+
+def _must_lie_on_the_stroke(plant: Plant, index: int, name: str, number: float) -> None:
+    low, high = sorted(joint_range_of(plant.cylinders[index]))
+    if low - 1e-9 <= number <= high + 1e-9:
+        return
+    if plant.kind == SLIDE:
+        shown, at = f"{low * 1e3:.1f} to {high * 1e3:.1f} mm", f"{number * 1e3:.1f} mm"
+    else:
+        shown = f"{math.degrees(low):.2f} to {math.degrees(high):.2f} deg"
+        at = f"{math.degrees(number):.2f} deg"
+    raise InputError(
+        f"posture {name} = {at} lies outside the stroke", hint=f"the stroke allows {shown}"
+    )
+
+
+def trim(
+    plant: Plant, names: Layout, rig: Rig, q: np.ndarray, low_side: float | None = None
+) -> np.ndarray:
+    """The state at rest at joint coordinates ``q``: valves shut, supply at its set pressure, loads
+    carried.
+
+    The chamber that the load does not press on stands at ``low_side`` [Pa], by default a tenth of
+    the supply pressure.
+
+    Raises:
+        SimulationError: a cylinder has no lever there, so no pressure holds the load.
+    """
+    n = len(names.joints)
+    y = np.zeros(names.states)
+    y[:n] = q
+    torque = np.empty(n)
+    gravity_torque(plant.kind, plant.links, plant.gravity, q, torque, np.empty(work_size(n)))
+    low = LOW_SIDE * plant.supply.pressure if low_side is None else low_side
+    for index, row in enumerate(plant.cylinders):
+        _, lever, _ = linkage_of(row, q[row.joint])
+        if abs(lever) < 1e-6:
+            raise SimulationError(
+                f"cylinder '{names.cylinders[index]}' has no lever at this posture, so nothing "
+                "holds the load"
+            )
+        force = torque[row.joint] / lever
+        head, rod = low, low
+        if force + low * row.area_rod >= low * row.area_head:
+            head = (force + low * row.area_rod) / row.area_head
+        else:
+            rod = (low * row.area_head - force) / row.area_rod
+        y[names.state("p_head", index)], y[names.state("p_rod", index)] = head, rod
+    for valve, (_, item) in zip(plant.valves, rig.valves(), strict=True):
+        valve_settle(valve, item.rest, plant, y)
+    y[plant.at.supply] = plant.supply.pressure
+    return y
+
+
+def carry(row: np.record, held: tuple[float, float], seen: list[float | None]) -> tuple[float, ...]:
+    """(p_head, p_rod) [Pa] as a recording has them, moved as little as possible together until they
+    carry the load that ``held`` carries.
+
+    Args:
+        row: of the cylinder.
+        held: pressures that carry the load [Pa].
+        seen: mean pressures of the recording [Pa], None where it has none.
+    """
+    force = held[0] * row.area_head - held[1] * row.area_rod
+    p_head, p_rod = seen
+    if p_head is None and p_rod is None:
+        return held
+    if p_head is None:
+        p_head = (force + p_rod * row.area_rod) / row.area_head
+    elif p_rod is None:
+        p_rod = (p_head * row.area_head - force) / row.area_rod
+    missing = force - p_head * row.area_head + p_rod * row.area_rod
+    missing /= row.area_head**2 + row.area_rod**2
+    return p_head + missing * row.area_head, p_rod - missing * row.area_rod

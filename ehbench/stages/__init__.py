@@ -1,0 +1,37 @@
+"""The stages, one file each; a run, a check and the command line look them up in `REGISTRY`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ehbench.recipe import Recipe
+from ehbench.stages.base import Checked
+from ehbench.stages.campaign import CampaignStage
+from ehbench.stages.flow_map import FlowMapStage
+from ehbench.stages.hydraulics import HydraulicsStage
+from ehbench.stages.trial import TrialStage
+from ehbench.stages.trials import TrialsStage
+from ehbench.stages.tuning import TuningStage
+from ehbench.stages.validation import ValidationStage
+from ehbench.stages.bench import BenchFile, Dataset
+
+# in the order of the data
+REGISTRY: dict[tuple[str, str | None], Checked[Any]] = {
+    stage.recipe.kind(): stage
+    for stage in (
+        FlowMapStage(),
+        HydraulicsStage(),
+        ValidationStage(),
+        TuningStage(),
+        TrialStage(),
+        TrialsStage(),
+        CampaignStage(),
+        BenchFile(),
+        Dataset(),
+    )
+}
+
+
+def stage_of(recipe: Recipe) -> Checked[Any]:
+    """The stage of a recipe."""
+    return REGISTRY[recipe.kind()]

@@ -1,0 +1,236 @@
+"""What a stage is: it takes in what its recipe names, does its one job, leaves one run folder.
+
+To add a stage, write one file with its recipe model and its `Stage`, name it in `stages.REGISTRY`,
+and write its section in ``report/stages/`` under the same name."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
+
+from ehbench import rundir
+from ehbench.errors import InputError
+from ehbench.notebook import label, plural, shown, table
+from ehbench.recipe import Recipe, load_rig
+from ehbench.stages.inputs import Inputs, NamedFiles, maps_in
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from ehbench.physics.flow_map import FlowMaps
+    from ehbench.record import Record
+    from ehbench.rig import Rig
+
+DONE, INCOMPLETE, REJECTED, STOPPED = 0, 3, 4, 5
+Progress = Callable[[str, float], None]  # (what, share done from 0 to 1)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run leaves: the run folder, the exit code, and what to tell the user."""
+
+    folder: Path
+    code: int = DONE
+    notes: tuple[str, ...] = ()
+
+    @property
+    def rig(self) -> Rig:
+        """The rig that the run leaves behind."""
+        return load_rig(self.folder)
+
+    @property
+    def flow_maps(self) -> FlowMaps | None:
+        """The flow maps that the run leaves behind, if any."""
+        return maps_in(self.folder)
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """Identified parameters by name [SI]: value, standard error ``std``, 95 % interval ``low``
+        and ``high``, unit, status.
+        """
+        import pandas as pd
+
+        rows = {
+            one["name"]: {
+                "value": one["value"],
+                "std": one["std"],
+                "low": one["interval"] and one["interval"][0],
+                "high": one["interval"] and one["interval"][1],
+                "unit": one["unit"],
+                "status": one["status"],
+            }
+            for one in self.json("parameters")["parameters"]
+        }
+        return pd.DataFrame.from_dict(rows, orient="index")
+
+    def json(self, name: str) -> Any:
+        """A JSON result of the run, by its name without ending, such as ``parameters`` or
+        ``validation``.
+
+        Raises:
+            InputError: the run left none of that name; says which it left.
+        """
+        path = self.folder / f"{name}.json"
+        if not path.is_file():
+            there = ", ".join(sorted(file.stem for file in self.folder.glob("*.json")))
+            raise InputError(f"has no {path.name}", file=self.folder, hint=f"it has {there}")
+        return rundir.read_json(path)
+
+    def __repr__(self) -> str:
+        notes = plural(len(self.notes), "note")
+        return f"<Outcome '{self.folder}': code {self.code}, {notes}>"
+
+    def _repr_html_(self) -> str:
+        notes = "".join(f"<li>{escape(note)}</li>" for note in self.notes)
+        head = f"<p><code>{escape(str(self.folder))}</code>, code {self.code}</p><ul>{notes}</ul>"
+        if not (self.folder / "parameters.json").is_file():
+            return head
+        rig, rows = self.rig, []
+        for one in self.json("parameters")["parameters"]:
+            name = one["name"]
+            unit = rig.unit_of(name)
+            value, error = (shown(one[key], name, unit) for key in ("value", "std"))
+            interval = " … ".join(shown(end, name, unit) for end in one["interval"] or ())
+            rows.append((name, value, error, interval, label(unit), one["status"]))
+        header = ("parameter", "value", "standard error", "95 % interval", "unit", "status")
+        return head + table(header, rows)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """All that can be known of a run before its work: each stage adds what it has taken in.
+
+    ``inputs`` name the run folder, with the recipe; None where only the run can tell them. ``does``
+    says in words what the run does."""
+
+    recipe: Recipe
+    inputs: NamedFiles | None
+    does: str
+    seeds: Mapping[str, int] = field(default_factory=dict, kw_only=True)
+
+
+@dataclass(frozen=True)
+class Work:
+    """What a stage's work leaves beside its files: facts for ``run.json`` with their ``warnings``,
+    reasons why it is not simply done, and the exit code.
+    """
+
+    facts: Mapping[str, Any]
+    reasons: Sequence[str] = ()
+    code: int = DONE
+
+
+class Host(Protocol):
+    """The session that runs a stage, as far as a stage sees it."""
+
+    @property
+    def root(self) -> Path: ...
+
+    @property
+    def out(self) -> Path | None: ...
+
+    @property
+    def keep(self) -> bool: ...
+
+    def tell(self, name: str) -> Progress | None:
+        """A progress callback labelled with the recipe at work."""
+        ...
+
+    def made(self, path: Path) -> Outcome:
+        """The outcome of a recipe, run only if it has not been run with these very inputs."""
+        ...
+
+
+R = TypeVar("R", bound=Recipe)
+P = TypeVar("P", bound=Prepared)
+
+
+class Checked(ABC, Generic[R]):
+    """A kind of recipe that can be checked; one that can be run is a `Stage`."""
+
+    recipe: ClassVar[type[Recipe]]
+
+    @abstractmethod
+    def prepare(self, recipe: R, inputs: Inputs) -> Prepared:
+        """Take in what the recipe names and refuse what does not fit, without running anything.
+
+        A run and ``ehbench check`` both call it; what is to be said goes into ``inputs.found``.
+
+        Raises:
+            EhbenchError: what the run would refuse before it begins.
+        """
+
+
+class Stage(Checked[R], Generic[R, P]):
+    """One stage: ``name`` is also that of its section in the report, ``command`` runs its recipes,
+    ``writes`` says which files a run leaves.
+    """
+
+    name: ClassVar[str]
+    command: ClassVar[str]
+    writes: ClassVar[str]
+
+    @abstractmethod
+    def prepare(self, recipe: R, inputs: Inputs) -> P: ...
+
+    @abstractmethod
+    def work(self, prepared: P, folder: Path, progress: Progress | None) -> Work:
+        """Do the work and write its files into ``folder``.
+
+        Raises:
+            EhbenchError: the data do not support the claim, the numbers left the finite range, …
+        """
+
+    def run(self, prepared: P, host: Host) -> Outcome:
+        """Do the work in a new run folder and draw its figures; a run that stands with these very
+        inputs is kept if the host keeps.
+        """
+        from ehbench.report import draw
+
+        recipe, inputs = prepared.recipe, prepared.inputs or ()
+        final = host.out or rundir.place(recipe.path, inputs, host.root)
+        if host.keep and rundir.is_whole(final):
+            facts = rundir.read_json(final / "run.json")
+            return Outcome(final, facts["code"], tuple(facts["notes"]))
+        tell = host.tell(recipe.name)
+        with rundir.open_run(final, recipe.stage_name, recipe.path, inputs, prepared.seeds) as made:
+            work = self.work(prepared, made.path, tell)
+            notes = [*work.facts["warnings"], *work.reasons]
+            about = {"what": self.name, "title": recipe.title}
+            made.facts |= about | {**work.facts, "code": work.code, "notes": notes}
+            if tell is not None:
+                tell("drawing figures", 0.95)
+            made.save()
+            draw(made.path)
+        return Outcome(final, work.code, (*notes, *made.found))
+
+
+def write_rig(folder: Path, rig: Rig, maps: FlowMaps | None) -> None:
+    """``rig.toml``, and ``flow_maps.json`` where there are maps."""
+    import tomli_w
+
+    from ehbench.physics.flow_map import save_flow_maps
+
+    (folder / "rig.toml").write_text(tomli_w.dumps(rig.as_toml()), encoding="utf-8")
+    if maps is not None:
+        save_flow_maps(maps, folder / "flow_maps.json")
+
+
+def write_series(folder: Path, series: Mapping[str, Mapping[str, Any]]) -> None:
+    """One CSV log for each recording: ``<name>.csv`` with recorded and simulated channels."""
+    import numpy as np
+
+    folder.mkdir()
+    for name, columns in series.items():
+        table = np.column_stack(list(columns.values()))
+        header = ",".join(columns)
+        np.savetxt(folder / f"{name}.csv", table, "%.9g", ",", header=header, comments="")
+
+
+def recorded_on(logs: Sequence[tuple[str, Record]]) -> list[str]:
+    """What the logs say they were recorded on, such as the virtual bench."""
+    return sorted({record.meta["on"] for _, record in logs if "on" in record.meta})

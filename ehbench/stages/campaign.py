@@ -1,0 +1,114 @@
+"""Several recipes in order, then one report over their runs. A rejected or stopped run is shown,
+not dropped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ehbench import rundir
+from ehbench.errors import InputError
+from ehbench.recipe import Campaign, load_recipe
+from ehbench.stages.base import DONE, Host, Outcome, Prepared, Progress, Stage, Work
+from ehbench.stages.findings import STANDS, counted
+from ehbench.stages.inputs import Inputs
+
+
+@dataclass(frozen=True)
+class PreparedCampaign(Prepared):
+    """The recipe files to run, in order."""
+
+    recipe: Campaign
+    files: tuple[Path, ...]
+
+
+class CampaignStage(Stage[Campaign, PreparedCampaign]):
+    """`Campaign`."""
+
+    recipe = Campaign
+    name = "campaign"
+    command = "reproduce"
+    writes = "one report.html over all runs, each of which has a folder of its own"
+
+    def prepare(self, recipe: Campaign, inputs: Inputs) -> PreparedCampaign:
+        from ehbench.stages import stage_of
+
+        found, files = inputs.found, []
+        told: dict[str, dict[str, list[str]]] = {"notes": {}, "open": {}}
+        for index, name in enumerate(recipe.recipes):
+            with found.noting():
+                files.append(inputs.existing(name))
+                behind = load_recipe(files[-1])
+                if not isinstance(stage_of(behind), Stage):
+                    raise InputError(
+                        f"'{name}' is of stage '{behind.stage_name}', which no campaign runs",
+                        **recipe.at("recipes", index),
+                    )
+                self._gather(name, files[-1], inputs, told)
+        for kind, texts in told.items():
+            found.say(kind, *(f"{', '.join(names)}: {text}" for text, names in texts.items()))
+        if recipe.figures:
+            found.say("open", "the names under [figures]: the runs make them")
+        does = f"runs {counted(recipe.recipes, 'recipe')} in order; those that stand are kept"
+        return PreparedCampaign(recipe, None, does, tuple(files))
+
+    @staticmethod
+    def _gather(
+        name: str, path: Path, inputs: Inputs, told: dict[str, dict[str, list[str]]]
+    ) -> None:
+        """What a check finds of one recipe; notes that several have are told once, with their
+        names.
+        """
+        found, behind = inputs.found, inputs.runs.findings(path)
+        if behind is None:
+            return
+        found.reads.append(f"{name}: {behind.does}" + f", {STANDS}" * behind.stands)
+        for kind, texts in told.items():
+            for text in getattr(behind, kind):
+                texts.setdefault(text, []).append(name)
+        found.say("losses", *behind.losses)
+        for error in behind.errors:
+            found.mistake(error)
+
+    def work(self, prepared: PreparedCampaign, folder: Path, progress: Progress | None) -> Work:
+        raise NotImplementedError("a campaign's work is that of its recipes")
+
+    def run(self, prepared: PreparedCampaign, host: Host) -> Outcome:
+        recipe, tell, outcomes = prepared.recipe, host.tell(prepared.recipe.name), []
+        for index, (name, path) in enumerate(zip(recipe.recipes, prepared.files, strict=True)):
+            if tell is not None:
+                tell(name, index / len(recipe.recipes))
+            outcomes.append(host.made(path))
+        page = write_report([outcome.folder for outcome in outcomes], host, recipe)
+        notes = (f"{one.folder.name}: {note}" for one in outcomes for note in one.notes)
+        return Outcome(page.folder, max(one.code for one in outcomes), tuple(notes))
+
+
+def write_report(folders: Sequence[Path], host: Host, campaign: Campaign | None = None) -> Outcome:
+    """Run folders → one self-contained ``report.html``; reads saved files only.
+
+    Raises:
+        InputError: a folder is no whole run, or lacks what its section needs.
+    """
+    from ehbench.report import build
+
+    for folder in folders:
+        if not rundir.is_whole(folder):
+            raise InputError(
+                "is no whole run folder",
+                file=folder,
+                hint="name folders that hold a run.json and all outputs it lists",
+            )
+    inputs = [("run", folder) for folder in folders]
+    source = campaign.path if campaign else folders[0] / "run.json"
+    name = campaign.name if campaign else "report"
+    final = host.out or host.root / f"{name}_{rundir.run_hash(source, inputs)}"
+    tell = host.tell(campaign.name if campaign else "")
+    if tell is not None:
+        tell("writing the report", 0.5)
+    with rundir.open_run(final, "report", source, inputs) as made:
+        page = build(folders, campaign)
+        (made.path / "report.html").write_text(page, encoding="utf-8")
+    return Outcome(made.final, DONE, made.found)

@@ -1,0 +1,121 @@
+"""Step logs → identified rig: ``rig.toml`` with its maps, ``parameters.json``, a series for each
+log.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ehbench import rundir
+from ehbench.recipe import HydraulicsRecipe
+from ehbench.stages.base import (
+    DONE,
+    INCOMPLETE,
+    Prepared,
+    Progress,
+    Stage,
+    Work,
+    recorded_on,
+    write_rig,
+    write_series,
+)
+from ehbench.stages.findings import counted
+from ehbench.stages.inputs import Inputs, Logs, RigState
+
+if TYPE_CHECKING:
+    from ehbench.identification.hydraulics import HydraulicsFit, PreparedFit
+    from ehbench.rig import Rig
+
+
+@dataclass(frozen=True)
+class PreparedHydraulics(Prepared):
+    """The fit, and one with each of the dynamics to compare; None without a log, in a check."""
+
+    recipe: HydraulicsRecipe
+    state: RigState
+    logs: Logs
+    fit: PreparedFit | None
+    variants: dict[str, PreparedFit]
+
+
+class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
+    """`HydraulicsRecipe`."""
+
+    recipe = HydraulicsRecipe
+    name = "hydraulics"
+    command = "identify"
+    writes = "rig.toml, parameters.json, a series for each log, figures"
+
+    def prepare(self, recipe: HydraulicsRecipe, inputs: Inputs) -> PreparedHydraulics:
+        from ehbench.identification.hydraulics import with_each_dynamics
+        from ehbench.identification.steps import coordinates
+
+        state = inputs.rig_state(recipe.rig, recipe.flow_maps)
+        given = (recipe.start, recipe.lower, recipe.upper)
+        coordinates(state.rig, recipe.parameters, *given, recipe.at)
+        logs = inputs.logs(recipe.data)
+        fit, variants = None, {}
+        if logs.records:
+            fit = _prepared_fit(recipe, state, logs, state.rig)
+            compared = recipe.compare_dynamics
+            rigs = with_each_dynamics(state.rig, compared) if compared else {}
+            variants = {name: _prepared_fit(recipe, state, logs, rig) for name, rig in rigs.items()}
+        way = "matching frequency and decay" if recipe.method == "thesis" else "output error"
+        does = f"fits {', '.join(recipe.parameters)} to {counted(recipe.data, 'log')} by {way}"
+        if recipe.compare_dynamics:
+            does += f", with each of the dynamics {', '.join(recipe.compare_dynamics)}"
+        inputs.found.say("open", "whether the logs carry these parameters")
+        return PreparedHydraulics(
+            recipe, (*state.inputs, *logs.inputs), does, state, logs, fit, variants
+        )
+
+    def work(self, prepared: PreparedHydraulics, folder: Path, progress: Progress | None) -> Work:
+        from ehbench.identification.hydraulics import ranked, run_fit
+
+        recipe, logs = prepared.recipe, prepared.logs
+
+        def fitted(one: PreparedFit) -> HydraulicsFit:
+            return run_fit(
+                one,
+                workers=recipe.workers,
+                max_iterations=recipe.max_iterations,
+                progress=progress,
+            )
+
+        assert prepared.fit is not None  # a run has all its logs
+        fit = fitted(prepared.fit)
+        fits = {name: fitted(one) for name, one in prepared.variants.items()}
+        compared = [variant.as_json() for variant in (ranked(fits) if fits else ())]
+        write_rig(folder, fit.rig, prepared.state.flow_maps)
+        rundir.write_json(
+            folder / "parameters.json", fit.as_json() | {"dynamics_comparison": compared}
+        )
+        write_series(folder / "series", fit.series())
+        facts = {
+            "rig": fit.rig.name,
+            "method": recipe.method,
+            "warnings": [*logs.losses, *fit.warnings],
+            "recorded_on": recorded_on(logs.records),
+            "fitted_on": [rundir.sha256(path) for _, path in logs.inputs],
+        }
+        return Work(facts, code=INCOMPLETE if logs.losses else DONE)
+
+
+def _prepared_fit(recipe: HydraulicsRecipe, state: RigState, logs: Logs, rig: Rig) -> PreparedFit:
+    from ehbench.identification.hydraulics import prepare_fit
+
+    return prepare_fit(
+        rig,
+        logs.records,
+        recipe.parameters,
+        recipe.method,
+        recipe.start,
+        recipe.lower,
+        recipe.upper,
+        recipe.channels,
+        state.flow_maps,
+        None if recipe.cutoff is None else float(recipe.cutoff),
+        where=recipe.at,
+    )

@@ -1,0 +1,118 @@
+"""Payloads × motions × controllers → ``logs/<case>.mcap`` and one table over all, ``table.json``
+and ``table.csv``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ehbench import rundir
+from ehbench.recipe import TrialSetRecipe
+from ehbench.stages.base import DONE, STOPPED, Prepared, Progress, Stage, Work, write_rig
+from ehbench.stages.findings import counted
+from ehbench.stages.inputs import Inputs, RigState
+from ehbench.stages.trial import (
+    length_of,
+    place_of,
+    prepared_case,
+    time_is_known,
+)
+
+if TYPE_CHECKING:
+    from ehbench.rig import Rig
+    from ehbench.trial import Case
+    from ehbench.trial.preparation import Prepared as Ready
+
+
+@dataclass(frozen=True)
+class PreparedSet(Prepared):
+    """All trials of a set before their first tick."""
+
+    recipe: TrialSetRecipe
+    base: RigState
+    cases: list[Case]
+    trials: list[Ready]
+
+
+class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
+    """`TrialSetRecipe`."""
+
+    recipe = TrialSetRecipe
+    name = "trials"
+    command = "run-trial"
+    writes = "a log and a ledger for each trial, table.json, table.csv, rig.toml, figures"
+
+    def prepare(self, recipe: TrialSetRecipe, inputs: Inputs) -> PreparedSet:
+        from ehbench import trial
+
+        planned = recipe.cases()
+        for _, _, one in planned:
+            trial.refuse_code(one, inputs.allow_code)
+        base = inputs.rig_state(recipe.rig, recipe.flow_maps)
+        states = {(recipe.rig, recipe.flow_maps): base}
+        files = list(base.inputs)
+        cases, trials, lengths = [], [], []
+        for name, _, one in planned:
+            with inputs.found.noting():
+                key = (one.rig, one.flow_maps)
+                if key not in states:
+                    other = inputs.rig_state(*key)
+                    states[key] = replace(other, rig=with_identified(other.rig, base.rig))
+                case, own, prepared = prepared_case(name, one, states[key], inputs)
+                files += [item for item in (*states[key].inputs, *own) if item not in files]
+                cases.append(case)
+                trials.append(prepared)
+                if time_is_known(one, states[key]):
+                    lengths.append(prepared.duration)
+        factors = {
+            "payload": recipe.payloads,
+            "motion": recipe.motion,
+            "controller": recipe.controller,
+        }
+        counts = " × ".join(counted(items, word) for word, items in factors.items())
+        does = (
+            f"runs {counted(planned, 'trial')} ({counts}) on {place_of(recipe.on)}, "
+            f"{length_of(lengths, float(recipe.rate))}"
+        )
+        seeds = {"trial": recipe.seed}
+        return PreparedSet(recipe, tuple(files), does, base, cases, trials, seeds=seeds)
+
+    def work(self, prepared: PreparedSet, folder: Path, progress: Progress | None) -> Work:
+        from ehbench import trial
+
+        cases, rig = prepared.cases, prepared.base.rig
+        (folder / "logs").mkdir()
+        (folder / "ledgers").mkdir()
+        results = trial.run_cases(cases, prepared.trials, logs=folder / "logs", progress=progress)
+        write_rig(folder, rig, prepared.base.flow_maps)
+        named = [(case.name, one.account) for case, one in zip(cases, results, strict=True)]
+        for file, (_, account) in zip(trial.file_names(cases), named, strict=True):
+            if account.ledger is not None:
+                rundir.write_json(folder / "ledgers" / f"{file}.json", account.ledger)
+        rows = trial.table_rows(cases, results)
+        rundir.write_json(folder / "table.json", {"rows": rows})
+        (folder / "table.csv").write_text(trial.table_csv(rows, rig), encoding="utf-8")
+        stopped = [f"{name}: {one.facts.stopped}" for name, one in named if one.facts.stopped]
+        warnings = [f"{name}: {text}" for name, one in named for text in one.facts.warnings]
+        warnings += [f"{name}: {text}" for name, one in named for text in one.doubts]
+        about = {
+            "rig": rig.name,
+            "on": prepared.recipe.on,
+            "stopped": "; ".join(stopped),
+            "warnings": warnings,
+        }
+        return Work(about, stopped, STOPPED if stopped else DONE)
+
+
+def with_identified(rig: Rig, source: Rig) -> Rig:
+    """A variant of a machine with the numbers that were identified on ``source``, by name."""
+    known = rig.parameters()
+    return rig.with_values(
+        {
+            name: value
+            for name, value in source.parameters().items()
+            if value.sure == "identified" and name in known
+        }
+    )

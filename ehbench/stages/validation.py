@@ -1,0 +1,163 @@
+"""Held-out logs → validated rig: ``validation.json`` with the verdict, a series for each log, the
+rig judged.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ehbench import rundir
+from ehbench.quantities import quantity
+from ehbench.recipe import HydraulicsRecipe, Recipe, ValidateRecipe, kind_of, load_recipe
+from ehbench.stages.base import (
+    DONE,
+    INCOMPLETE,
+    REJECTED,
+    Prepared,
+    Progress,
+    Stage,
+    Work,
+    recorded_on,
+    write_rig,
+    write_series,
+)
+from ehbench.stages.findings import counted
+from ehbench.stages.inputs import Inputs, Logs, NamedFiles, RigState
+from ehbench.units import from_si
+
+if TYPE_CHECKING:
+    from ehbench.rig import Rig
+    from ehbench.validation import PreparedValidation
+
+
+@dataclass(frozen=True)
+class PreparedJudgement(Prepared):
+    """The logs as the judge takes them."""
+
+    recipe: ValidateRecipe
+    state: RigState
+    logs: Logs
+    taken: PreparedValidation
+
+
+class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
+    """`ValidateRecipe`."""
+
+    recipe = ValidateRecipe
+    name = "validation"
+    command = "validate"
+    writes = "validation.json, rig.toml, a series for each log, figures"
+
+    def prepare(self, recipe: ValidateRecipe, inputs: Inputs) -> PreparedJudgement:
+        from ehbench.identification.steps import payload_of
+        from ehbench.validation import PreparedValidation, models_of, taken_log
+
+        found = inputs.found
+        state = inputs.rig_state(recipe.rig, recipe.flow_maps)
+        logs = inputs.logs(recipe.data)
+        used = _fitted_on(state.inputs)
+        seen = [
+            name
+            for (name, _), (_, path) in zip(logs.records, logs.inputs, strict=True)
+            if rundir.sha256(path) in used
+        ]
+        taken = []
+        models = {}
+        if logs.records:
+            models = models_of(state.rig, logs.records, recipe.channels, state.flow_maps, recipe.at)
+        for name, record in logs.records:
+            with found.noting():
+                log = taken_log(name, record, models[payload_of(record) or ""], name in seen)
+                taken.append(log)
+                found.notes += [f"{name}: {text}" for text in log.warnings]
+                if log.failure is not None:
+                    found.mistake(log.failure)
+        _say_fitted(recipe, inputs)
+        asked = ", ".join(_asked(recipe, state.rig)) or "nothing is asked"
+        does = f"judges the rig on {counted(recipe.data, 'log')}: {asked}"
+        return PreparedJudgement(
+            recipe,
+            (*state.inputs, *logs.inputs),
+            does,
+            state,
+            logs,
+            PreparedValidation(state.rig, recipe.channels, tuple(taken)),
+        )
+
+    def work(self, prepared: PreparedJudgement, folder: Path, progress: Progress | None) -> Work:
+        from ehbench.validation import run_validation
+
+        state, losses = prepared.state, prepared.logs.losses
+        verdict = run_validation(prepared.taken, prepared.recipe.thresholds, progress)
+        write_rig(folder, state.rig, state.flow_maps)
+        rundir.write_json(folder / "validation.json", verdict.as_json())
+        intervals = state.origin / "parameters.json"
+        if intervals.is_file():  # they travel with the rig they belong to
+            shutil.copyfile(intervals, folder / "parameters.json")
+        write_series(folder / "series", verdict.series())
+        facts = {
+            "rig": state.rig.name,
+            "accepted": verdict.accepted,
+            "warnings": [*losses, *verdict.warnings],
+            "recorded_on": recorded_on(prepared.logs.records),
+        }
+        if not verdict.accepted:
+            return Work(facts, verdict.reasons, REJECTED)
+        return Work(facts, code=INCOMPLETE if losses else DONE)
+
+
+def _asked(recipe: ValidateRecipe, rig: Rig) -> list[str]:
+    """What a model must reach, in words."""
+    asked = recipe.thresholds
+    words = [f"fit of {name} at least {least:g} %" for name, least in asked.fit_percent.items()]
+    words += [
+        f"error of {name} at most {in_rig_unit(rig, name, float(most))}"
+        for name, most in asked.max_error.items()
+    ]
+    for name in ("natural_frequency", "damping_ratio"):
+        if share := getattr(asked, f"{name}_error"):
+            words.append(f"{name.replace('_', ' ')} within {100.0 * share:g} %")
+    return words + [word for word in ("whiteness", "independence") if getattr(asked, word)]
+
+
+def in_rig_unit(rig: Rig, name: str, value: float) -> str:
+    """An SI value in the rig file's unit of its quantity."""
+    unit = rig.unit_of(name)
+    return f"{float(f'{from_si(value, unit, quantity(name)):.4g}'):g} {unit}"
+
+
+def _fitted_on(inputs: NamedFiles) -> set[str]:
+    """SHA-256 of the logs that the runs behind these inputs were fitted on."""
+    runs = [path for _, path in inputs if path.is_dir()]
+    return {
+        digest
+        for folder in runs
+        for digest in rundir.read_json(folder / "run.json").get("fitted_on", [])
+    }
+
+
+def _say_fitted(recipe: ValidateRecipe, inputs: Inputs) -> None:
+    """Note the logs of this recipe that the recipes behind it fit its rig to."""
+    fitted = {rundir.sha256(log): by for by, log in _fit_logs(recipe)}
+    for item in recipe.data:
+        path = recipe.file(item.path)
+        if path.is_file() and (by := fitted.get(rundir.sha256(path))):
+            who = inputs.found.shown(by)
+            inputs.found.say("notes", f"{item.path} does not count: {who} fits the rig to it")
+
+
+def _fit_logs(recipe: ValidateRecipe) -> Iterator[tuple[Path, Path]]:
+    """(recipe, log) of every log that the recipes behind this one fit its rig to."""
+    behind: Recipe = recipe
+    while (rig := getattr(behind, "rig", None)) is not None:
+        path = behind.file(rig)
+        if not path.is_file() or kind_of(path) != "recipe":
+            return
+        behind = load_recipe(path)
+        if isinstance(behind, HydraulicsRecipe):
+            logs = (behind.file(item.path) for item in behind.data)
+            yield from ((path, log) for log in logs if log.is_file() and log.suffix != ".toml")

@@ -1,0 +1,167 @@
+"""The one session: its compiled path is its tick-by-tick path to the bit, on every machine, under
+every kind of controller, with and without a limit that stops it; and a log streamed is the log
+written at once.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.errors import InputError
+from ehbench.logs import read_record, write_log
+from ehbench.machines.protocol import advance_of, truth_of
+from ehbench.machines.simulated import SimulatedMachine
+from ehbench.recipe import TrialRecipe, load_rig
+from ehbench.record import Record
+from ehbench.simulation import Model
+from ehbench.trial import prepare, run, session
+
+RECIPES = Path(__file__).parents[2] / "recipes"
+RIG = load_rig(RECIPES / "rigs" / "slide_servo.toml")
+STEP = {
+    "valve": "press.servo",
+    "kind": "step",
+    "amplitude": "4 V",
+    "start": "0.1 s",
+    "stop": "0.6 s",
+}
+MOTION = {
+    "kind": "point_to_point",
+    "waypoints": ["150 mm", "200 mm", "150 mm"],
+    "speed": "80 mm/s",
+    "hold": "0.3 s",
+}
+FED = {
+    "kind": "pressure_feedback",
+    "gains": {"feedback_gain": "5e-12 m^3/(s*Pa)", "washout": "1 Hz"},
+}
+CODE = """
+class Mine:
+    channels = ["press.x", "press.v"]
+    notes = ["press.force"]
+    def start(self, rig, tick, sample):
+        self.note = [0.0]
+    def step(self, t, sample, wish):
+        self.note = [1e3 * sample["press.v"]]
+        return [40.0 * (wish.x - sample["press.x"]) + 20.0 * wish.v]
+"""
+LAWS = {
+    "open loop": {"command": [STEP], "duration": "1.1 s"},
+    "pressure_feedback": {"controller": FED, "motion": MOTION},
+    "arc": {"controller": {"kind": "arc"}, "motion": MOTION},
+    "class": {"controller": {"class": "mine:Mine"}, "motion": MOTION},
+}
+SPEED = {"speed_max": "70 mm/s"}
+
+
+def trial(law, folder, **given):
+    (folder / "mine.py").write_text(CODE)
+    (folder / "trial.toml").write_text("# the recipe\n")
+    recipe = TrialRecipe(
+        stage="trial", rig="x.toml", path=folder / "trial.toml", seed=3, **LAWS[law], **given
+    )
+    return prepare(recipe, RIG, allow_code=True)
+
+
+def same(one: Record, other: Record) -> bool:
+    return (
+        np.array_equal(one.t, other.t)
+        and list(one.channels) == list(other.channels)
+        and all(np.array_equal(one[name], other[name]) for name in one.channels)
+        and one.meta == other.meta
+    )
+
+
+@pytest.mark.parametrize("limits", [{}, SPEED], ids=["free", "stopped"])
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("on", ["model", "bench"])
+def test_the_compiled_path_is_the_path_tick_by_tick(on, law, limits, tmp_path):
+    prepared = trial(law, tmp_path, on=on, limits=limits)
+    assert advance_of(prepared.machine) is not None
+    many, one = run(prepared), run(prepared, fast=False)
+    assert same(many.record, one.record) and many.facts == one.facts
+    assert bool(many.facts.stopped) == bool(limits) and many.record.t.size > 300
+
+
+class Plain:
+    """A machine that only knows the protocol, as hardware would: the model without what a
+    simulation can do beside it.
+    """
+
+    def __init__(self) -> None:
+        self._model = SimulatedMachine(Model.of(RIG))
+        self.name, self.latency, self.closed = "plain", 0.0, 0
+        for name in ("channels", "commands", "strokes", "rate"):
+            setattr(self, name, getattr(self._model, name))
+
+    def check_posture(self, posture):
+        self._model.check_posture(posture)
+
+    def start(self, posture=None, low_side=None):
+        return self._model.start(posture, low_side)
+
+    def tick(self, command):
+        return self._model.tick(command)
+
+    def close(self):
+        self.closed += 1
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_machine_needs_no_more_than_the_protocol(law, tmp_path):
+    """What it measures is what the model measures, and the log has no more than that."""
+    prepared, machine = trial(law, tmp_path), Plain()
+    assert advance_of(machine) is None and truth_of(machine) is None
+    model, result = run(prepared), run(prepared, machine)
+    for name in machine.channels:
+        if name != "p_tank":
+            # the model's log has stroke and speed from the same linkage, over arrays
+            assert np.allclose(result.record[name], model.record[name], rtol=1e-12, atol=1e-15)
+    assert "press.servo.opening" in model.record and "press.servo.opening" not in result.record
+    assert machine.closed == 1 and result.model is None and result.facts.on == "plain"
+
+
+def test_a_machine_is_let_go_when_its_trial_fails(tmp_path):
+    machine = Plain()
+    prepared = trial("class", tmp_path)
+    (tmp_path / "mine.py").write_text(CODE.replace("return [", "return [1 / 0, "))
+    with pytest.raises(InputError, match="ZeroDivisionError"):
+        run(prepared, machine, log=tmp_path / "log.mcap")
+    assert machine.closed == 1
+
+
+@pytest.mark.parametrize("limits", [{}, SPEED], ids=["free", "stopped"])
+@pytest.mark.parametrize("sync", [1e9, 0.0], ids=["at leisure", "each chunk"])
+@pytest.mark.parametrize("on", ["model", "bench"])
+def test_the_log_of_a_trial_is_the_log_of_its_record(on, sync, limits, tmp_path, monkeypatch):
+    """Byte for byte, whether syncs cut it up or not, and also where its facts were known late."""
+    monkeypatch.setattr(session, "SYNC", sync)
+    prepared = trial("arc", tmp_path, on=on, limits=limits)
+    record = run(prepared, log=tmp_path / "live.mcap").record
+    back = read_record(tmp_path / "live.mcap")
+    assert same(back, record) and not back.losses
+    attached = back.attachments
+    assert attached["recipe.toml"] == b"# the recipe\n" and b"press" in attached["rig.toml"]
+    write_log(tmp_path / "once.mcap", Record(record.t, record.channels, record.meta, attached))
+    assert (tmp_path / "live.mcap").read_bytes() == (tmp_path / "once.mcap").read_bytes()
+
+
+def test_rows_of_a_slow_controller_are_in_the_log_while_it_runs(tmp_path, monkeypatch):
+    """Not a thousand ticks later."""
+    monkeypatch.setattr(session, "WAIT", 0.01)
+    monkeypatch.setattr(session, "SYNC", 0.0)
+    prepared, seen = trial("class", tmp_path), []
+    slow = CODE.replace(
+        "        return [", "        import time; time.sleep(2e-3)\n        return ["
+    )
+    (tmp_path / "mine.py").write_text(slow)
+
+    def told(_: str, share: float) -> None:
+        seen.append((share * prepared.t.size, read_record(tmp_path / "live.mcap").t.size))
+
+    run(prepared, log=tmp_path / "live.mcap", progress=told)
+    assert len(seen) > 50
+    assert all(rows == pytest.approx(asked) for asked, rows in seen)
