@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ehbench.control.functions import HOLD
+from ehbench.codes import HOLD
 from ehbench.errors import SimulationError
 from ehbench.machines.protocol import Machine, advance_of, truth_of
-from ehbench.machines.rows import NO_LIMITS, Controller, LawRows, control, violated
+from ehbench.machines.rows import NO_LIMITS, LawRows, control, violated
 from ehbench.record import Record
-from ehbench.trial.controllers import Compiled, UserCode
+from ehbench.trial.controllers import Compiled
 from ehbench.trial.preparation import Prepared, Stop
+from ehbench.trial.user_code import UserCode
 
 if TYPE_CHECKING:
     from ehbench.logs import LogWriter
@@ -149,7 +150,7 @@ class Session:
             found |= {f"{name}.command": commands[:, i].copy() for i, name in enumerate(valves)}
             found |= lines
         if self.law is not None:
-            notes = self.law.notes[part]
+            notes = self.law.telemetry[part]
             found |= {name: notes[:, i].copy() for i, name in enumerate(self.law.channels)}
         return found
 
@@ -199,15 +200,14 @@ def _packed(law: Compiled | UserCode) -> LawRows | None:
     """A built-in controller as compiled code takes it; None for a class that steps in Python."""
     if isinstance(law, UserCode):
         return None
-    controller = Controller(law.kind, law.mask, law.given, law.axis, law.gains, law.memory)
-    return LawRows(law.wish, controller, law.notes)
+    return LawRows(law.references, law.controller, law.telemetry)
 
 
 def _let_go(law: Compiled | UserCode, row: int, end: int) -> None:
     """Notes after a stop: the last estimates and the desired stroke stay, nothing is asked for any
     more.
     """
-    law.notes[row:end] = law.notes[row]
+    law.telemetry[row:end] = law.telemetry[row]
     for column, name in enumerate(law.channels):
         word = name.rsplit(".", 1)[-1]
         if (
@@ -215,6 +215,6 @@ def _let_go(law: Compiled | UserCode, row: int, end: int) -> None:
             or word in ("v_shaped", "function_status", "limits", "feedback_flow")
             or word.startswith("flow")
         ):
-            law.notes[row:end, column] = 0.0
+            law.telemetry[row:end, column] = 0.0
         elif word == "function":
-            law.notes[row:end, column] = HOLD
+            law.telemetry[row:end, column] = HOLD

@@ -15,13 +15,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ehbench.control.functions import (
-    EXTEND_RESISTIVE_REGENERATION,
-    FUNCTIONS,
-    HEAD,
-    METERED,
-    Circuit,
-)
+from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
+from ehbench.control.functions import HEAD, METERED, Circuit
 from ehbench.errors import InputError, InsufficientData, ModelRejected
 from ehbench.plant.build import Maps
 from ehbench.plant.model import Model

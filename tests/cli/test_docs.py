@@ -17,7 +17,7 @@ from pydantic import BaseModel, Field
 
 from ehbench import inspection, recipe, reference, rig
 from ehbench.errors import InputError
-from ehbench.fields import Q, SURENESS
+from ehbench.fields import SURENESS, Q
 from ehbench.recipe import load_rig
 
 ROOT = Path(__file__).parents[2]

@@ -16,7 +16,7 @@ from ehbench.machines.protocol import advance_of, truth_of
 from ehbench.machines.simulated import SimulatedMachine
 from ehbench.recipe import TrialRecipe, load_rig
 from ehbench.record import Record
-from ehbench.simulation import Model
+from ehbench.plant.model import Model
 from ehbench.trial import prepare, run, session
 
 RECIPES = Path(__file__).parents[2] / "recipes"

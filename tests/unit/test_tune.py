@@ -14,13 +14,9 @@ import numpy as np
 import pytest
 
 from ehbench import rundir
-from ehbench.control.functions import FUNCTIONS, HEAD, METERED, pack_rules
-from ehbench.control.pressure_feedback import (
-    FEEDBACK_GAIN,
-    OFF_GAIN,
-    WASHOUT,
-    pack_pressure_feedback,
-)
+from ehbench.codes import EXTEND_RESISTIVE, FUNCTIONS
+from ehbench.control.functions import HEAD, METERED, pack_rules
+from ehbench.control.pressure_feedback import pack_pressure_feedback
 from ehbench.errors import InputError, InsufficientData, ModelRejected
 from ehbench.recipe import TuneRecipe, load_recipe, load_rig
 from ehbench.rig import Value
@@ -264,8 +260,8 @@ def test_result_is_plain_and_feeds_the_controller(tuned, tmp_path):
         back["gains"]
     )
     packed = pack_pressure_feedback(rules=pack_rules(1e-3, 1.6e7), **tuned.controller())
-    assert packed[WASHOUT] == tuned.washout and packed[OFF_GAIN] == tuned.off_gain
-    assert packed[FEEDBACK_GAIN + 1] == tuned.feedback_gain["extend_resistive"]
+    assert packed.washout == tuned.washout and packed.off_gain == tuned.off_gain
+    assert packed.feedback_gain[EXTEND_RESISTIVE] == tuned.feedback_gain["extend_resistive"]
 
 
 def test_same_input_same_result(tuned):
