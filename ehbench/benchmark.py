@@ -179,7 +179,7 @@ def fitting(rig: Rig) -> Iterator[Row]:
     """Time of an output-error fit of six parameters on six noisy logs of 3 s, started well off the
     truth.
     """
-    from ehbench.identification.hydraulics import identify_hydraulics
+    from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 
     t = np.arange(3001) * 1e-3
     pulse = ((t >= 0.3) & (t < 1.6)).astype(float)
@@ -215,7 +215,7 @@ def fitting(rig: Rig) -> Iterator[Row]:
         rig,
         logs,
         [*truth, *free],
-        start={name: 1.6 * value for name, value in truth.items()} | free,
+        FitOptions(start={name: 1.6 * value for name, value in truth.items()} | free),
     )
     yield Row("fit of 6 parameters on 6 logs of 3 s", time.perf_counter() - began, 8.0, "s")
 

@@ -19,7 +19,7 @@ FLOORS = [
     {"control"},
     {"plant"},
     {"machines"},
-    {"ledger", "intake"},
+    {"ledger", "observations", "preprocessing"},
     {"identification", "validation", "tune", "trial", "report"},
     {"stages"},
     {"workflow", "starter"},
