@@ -45,12 +45,15 @@ class Session:
 
     def __init__(self, prepared: Prepared, machine: Machine, fast: bool = True) -> None:
         self.prepared, self.machine = prepared, machine
-        self._advance = advance_of(machine) if fast else None
         self._truth = truth_of(machine)
         self.rows = prepared.first_rows(machine)
         self.law = prepared.law(machine)
         self._packed = None if self.law is None else _packed(self.law)
         self._step = getattr(self.law, "step", None)
+        advance = advance_of(machine) if fast else None
+        # under its law and, when that is silent or steps in Python, as the table says
+        self._by_law = None if advance is None else advance(self.rows, self._packed)
+        self._by_table = None if advance is None else advance(self.rows, None)
         self.stop: Stop | None = None
         self.end = prepared.t.size
 
@@ -94,26 +97,33 @@ class Session:
         """
         at_work = self.stop is None
         step = self._step if at_work else None
-        if self._advance is not None and step is None:
-            row = self._advance(first, stop, self.rows, self._packed if at_work else None)
+        advance = self._by_law if at_work else self._by_table
+        if advance is not None and step is None:
+            row = advance(first, stop)
             return row, stop if row < 0 else row
-        until = time.monotonic() + WAIT
-        for i in range(first, stop):
+        return self._row_by_row(first, stop, step)
+
+    def _row_by_row(
+        self, first: int, stop: int, step: Callable[..., None] | None
+    ) -> tuple[int, int]:
+        """As `_through`, a row at a time; ``step`` is that of a controller in Python."""
+        rows, advance = self.rows, self._by_table
+        packed = self._packed if self.stop is None else None
+        now, until = time.monotonic, time.monotonic() + WAIT
+        for i, t in enumerate(rows.t[first:stop].tolist(), first):
             if step is not None:
-                step(i, float(self.rows.t[i]), self.rows.sample, self.rows.commands[i])
-            elif at_work and self._packed is not None:
-                control(self._packed, i, self.rows)
-            if self._tick(i):
+                step(i, t, rows.sample, rows.commands[i])
+            elif packed is not None:
+                control(packed, i, rows)
+            if self._tick(i) if advance is None else advance(i, i + 1) >= 0:
                 return i, i
-            if time.monotonic() > until:
+            if now() > until:
                 return -1, i + 1
         return -1, stop
 
     def _tick(self, i: int) -> bool:
         """Check row ``i``, log it and let its command act; whether it is at a limit instead."""
         rows = self.rows
-        if self._advance is not None:
-            return self._advance(i, i + 1, rows, None) >= 0
         if violated(rows, i):
             return True
         rows.samples[i] = rows.sample
