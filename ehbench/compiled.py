@@ -5,16 +5,18 @@ for loops that allocate, one cache for their code.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numba
 import numpy as np
+from numba.core import config
 from numba.extending import overload
 
 PACKAGE = Path(__file__).resolve().parent
-_MARKS = (b"njit", b"@kernel", b"@allocating_kernel", b"choice(", b"Generic(")
+_SETTINGS: Any = config
+_MARKS = (b"njit", b"@kernel", b"@part_kernel", b"@allocating_kernel", b"choice(", b"Generic(")
 
 
 def _cache_folder() -> Path:
@@ -37,11 +39,11 @@ def _compiler(folder: Path, **options: Any) -> Callable[[Callable], Any]:
     """
 
     def compiled(function: Callable) -> Any:
-        before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
+        before, _SETTINGS.CACHE_DIR = _SETTINGS.CACHE_DIR, str(folder)
         try:
-            return numba.njit(cache=True, nogil=True, **options)(function)
+            return numba.njit(cache=True, **options)(function)
         finally:
-            numba.config.CACHE_DIR = before
+            _SETTINGS.CACHE_DIR = before
 
     return compiled
 
@@ -50,11 +52,15 @@ _FOLDER = _cache_folder()
 
 # Without numba's reference counting a kernel cannot allocate (the compiler refuses it), and passing
 # rows and slices of arrays costs nothing: 1.4 times as fast a plant. Arguments are the caller's.
-kernel = _compiler(_FOLDER, error_model="numpy", _nrt=False)
+OPTIONS = {"nogil": True, "error_model": "numpy", "_nrt": False}
+kernel = _compiler(_FOLDER, **OPTIONS)
 
-allocating_kernel = _compiler(_FOLDER)
+# for the small kernels of which a large one is made: they go into its code, without a call
+part_kernel = _compiler(_FOLDER, **OPTIONS, forceinline=True)
 
-_INLINED = {"nogil": True, "error_model": "numpy", "_nrt": False}
+allocating_kernel = _compiler(_FOLDER, nogil=True)
+
+_INLINED: dict[str, Any] = {**OPTIONS, "forceinline": True}
 # for what is made at import, which no cache can find again: it goes into the code of its callers
 inlined = numba.njit(**_INLINED)
 
@@ -138,3 +144,10 @@ def record(*columns: tuple[str, str]) -> np.dtype:
 def table(rows: int, layout: np.dtype) -> np.recarray:
     """A table of rows of a layout, all zero; ``table[i].field`` reads in kernels and in Python."""
     return np.zeros(rows, layout).view(np.recarray)
+
+
+def table_of(rows: Sequence[Mapping[str, Any]], layout: np.dtype) -> np.recarray:
+    """A table of rows given by the names of their fields; what a row does not name is zero."""
+    names = layout.names or ()
+    values = [tuple(row.get(name, 0) for name in names) for row in rows]
+    return np.array(values, layout).view(np.recarray)

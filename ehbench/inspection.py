@@ -172,7 +172,7 @@ def _flowmeter(path: Path) -> Inspection:
 
 
 def _log(path: Path) -> Inspection:
-    from ehbench.intake import LEAST_SAMPLES, evened
+    from ehbench.preprocessing import LEAST_SAMPLES, evened
     from ehbench.logs import read_record
 
     record = read_record(path)

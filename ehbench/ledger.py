@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.compiled import allocating_kernel, kernel
-from ehbench.control.functions import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.errors import InputError, InsufficientData, LogError
 from ehbench.parts.cylinder import (
     chamber_inflow,

@@ -137,7 +137,9 @@ def correlation(x: np.ndarray, u: np.ndarray, lags: int) -> np.ndarray:
 
 
 def autocorrelation(x: np.ndarray, lags: int) -> np.ndarray:
-    """Sample autocorrelation at lags 0 … lags, shape (lags + 1,); 1 at lag 0 unless x is constant."""
+    """Sample autocorrelation at lags 0 … lags, shape (lags + 1,); 1 at lag 0 unless x is
+    constant.
+    """
     return correlation(x, x, lags)[lags:]
 
 
@@ -363,7 +365,7 @@ def _refine(s, y, omega, zeta, taus, free_drift=True):
     from scipy.optimize import least_squares
 
     n = y.size
-    best = None
+    best = (math.inf, omega, zeta, 0.0)
     for tau in taus:
 
         def residual(p, tau=tau):
@@ -395,7 +397,7 @@ def _refine(s, y, omega, zeta, taus, free_drift=True):
         score = n * math.log(max(2.0 * found.cost / n, 1e-300)) + (
             (y.shape[1] + 1) * math.log(n) if tau > 0.0 else 0.0
         )
-        if best is None or score < best[0]:
+        if score < best[0]:
             best = (
                 score,
                 math.exp(found.x[0]),
@@ -434,28 +436,17 @@ def _judge(s, y, weight, omega, zeta, tau, start) -> Ringing:
     covariance = (
         np.linalg.pinv(slopes.T @ slopes) * residual / max(1, y.size - 6 * y.shape[1] - 2) * colour
     )
-    std_omega, std_zeta = (
-        float(omega * math.sqrt(covariance[0, 0])),
-        float(math.sqrt(covariance[1, 1])),
-    )
+    std_omega = float(omega * math.sqrt(covariance[0, 0]))
+    std_zeta = float(math.sqrt(covariance[1, 1]))
     evidence = n / colour * math.log(total / max(residual, 1e-12 * total)) if total > 0.0 else 0.0
-    found = {
-        "natural_frequency": omega,
-        "damping_ratio": zeta,
-        "natural_frequency_std": std_omega,
-        "damping_ratio_std": std_zeta,
-        "cycles": cycles,
-        "r_squared": share,
-        "stop": start + span,
-        "drift_time": float(tau),
-        "weights": weights,
-    }
     reason, fitted = "", math.nan
-    plain = (
-        share > 0.9 and cycles > 2.0 * LEAST_CYCLES
-    )  # what is left over is then the model's error, not noise to be judged by
+    # what is left over is then the model's error, not noise to be judged by
+    plain = share > 0.9 and cycles > 2.0 * LEAST_CYCLES
     if not plain and (evidence < SIGNIFICANT or share < 0.3):
-        reason = f"no oscillation stands out of noise and drift (it explains {100 * max(share, 0.0):.0f} % of what the drift leaves)"
+        reason = (
+            "no oscillation stands out of noise and drift (it explains "
+            f"{100 * max(share, 0.0):.0f} % of what the drift leaves)"
+        )
     elif zeta > MOST_DAMPED or (cycles < LEAST_CYCLES and zeta * omega * span > 3.0):
         reason, fitted = "damped too well to ring", zeta
     elif cycles < LEAST_CYCLES:
@@ -466,4 +457,15 @@ def _judge(s, y, weight, omega, zeta, tau, start) -> Ringing:
         return Ringing(
             reason=reason, cycles=cycles, r_squared=share, stop=start + span, fitted_damping=fitted
         )
-    return Ringing(**found, ok=True)
+    return Ringing(
+        natural_frequency=omega,
+        damping_ratio=zeta,
+        natural_frequency_std=std_omega,
+        damping_ratio_std=std_zeta,
+        cycles=cycles,
+        r_squared=share,
+        stop=start + span,
+        drift_time=float(tau),
+        weights=weights,
+        ok=True,
+    )

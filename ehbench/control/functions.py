@@ -1,5 +1,5 @@
-"""Working functions of a cylinder: which metering edges move it, chosen from wish, load and
-pressures (thesis 3.1, 3.2).
+"""Working functions of a cylinder: which metering edges move it, chosen from desired speed,
+load and pressures (thesis 3.1, 3.2).
 
 A circuit is seen as six directed paths between supply, tank, head and rod end. A working function
 uses two of them; its chamber flows, ``flow_head`` Q1 into the head end and ``flow_rod`` Q2 out of
@@ -15,27 +15,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import kernel
+from ehbench.codes import (
+    EXTEND_RESISTIVE_REGENERATION,
+    FUNCTIONS,
+    HOLD,
+    OK,
+    STALLED,
+    UNABLE,
+)
+from ehbench.compiled import kernel, record
+from ehbench.control.records import blank, numbers, reals
 from ehbench.errors import InputError
 from ehbench.parts.edge import EDGE, MAP, edge_flow, edge_known
 from ehbench.physics.flow_map import ValveMaps
-from ehbench.terms import FUNCTIONS
 
-(
-    HOLD,
-    EXTEND_RESISTIVE,
-    EXTEND_OVERRUNNING,
-    EXTEND_OVERRUNNING_REGENERATION,
-    RETRACT_RESISTIVE,
-    RETRACT_OVERRUNNING,
-    RETRACT_OVERRUNNING_REGENERATION,
-    EXTEND_RESISTIVE_REGENERATION,
-) = range(8)
 PATHS = ("supply_head", "head_tank", "supply_rod", "rod_tank", "head_rod", "rod_head")
 SUPPLY_HEAD, HEAD_TANK, SUPPLY_ROD, ROD_TANK, HEAD_ROD, ROD_HEAD = range(6)
 NONE, HEAD, ROD = 0, 1, 2
-# what `select` says of its choice
-OK, STALLED, UNABLE = 0, 1, 2
 
 # direction, load along the motion, chamber that sets the motion, its path, then (path, share of Q1,
 # share of Q2)
@@ -62,21 +58,20 @@ CROSS = np.array(
     [next((p for p, _, _ in row[4] if p in (HEAD_ROD, ROD_HEAD)), -1) for row in _TABLE]
 )
 
-# columns of the rules of selection, see `pack_rules`
-(
-    SPEED_START,
-    SPEED_STOP,
-    FORCE_BAND,
-    DROP_START,
-    DROP_STOP,
-    RESERVE,
-    SUPPLY_MARGIN,
-    SUPPLY_BAND,
-    CROSS_DROP,
-    DWELL,
-    ALLOW_SEVENTH,
-) = range(11)
-RULES = 11
+RULE_NAMES = (
+    "speed_start",
+    "speed_stop",
+    "force_band",
+    "drop_start",
+    "drop_stop",
+    "reserve",
+    "supply_margin",
+    "supply_band",
+    "cross_drop",
+    "dwell",
+)
+# the rules of selection, see `pack_rules`; allow_seventh is 0 or 1
+RULES = record(*reals((*RULE_NAMES, "allow_seventh")))
 
 
 class Circuit(NamedTuple):
@@ -95,7 +90,7 @@ class Circuit(NamedTuple):
     area_rod: float
     first: int
     count: int
-    edges: np.ndarray
+    edges: np.recarray
     maps: np.ndarray
     lowest: np.ndarray
     highest: np.ndarray
@@ -119,17 +114,17 @@ def widest(circuit, edge, drop):
 
 
 @kernel
-def path_drop(path, p_head, p_rod, p_supply, p_tank):
-    """Pressure drop [Pa] along a path, positive where oil flows its way."""
+def path_drop(path, p):
+    """Pressure drop [Pa] along a path at `Pressures`, positive where oil flows its way."""
     if path == SUPPLY_HEAD:
-        return p_supply - p_head
+        return p.supply - p.head
     if path == HEAD_TANK:
-        return p_head - p_tank
+        return p.head - p.tank
     if path == SUPPLY_ROD:
-        return p_supply - p_rod
+        return p.supply - p.rod
     if path == ROD_TANK:
-        return p_rod - p_tank
-    return p_head - p_rod if path == HEAD_ROD else p_rod - p_head
+        return p.rod - p.tank
+    return p.head - p.rod if path == HEAD_ROD else p.rod - p.head
 
 
 @kernel
@@ -159,40 +154,71 @@ def supply_draw(function, circuit):
 
 
 @kernel
-def feasible(function, active, v_d, load_force, p_head, p_rod, p_supply, p_tank, circuit, rules):
+def feasible(function, active, v_d, load_force, p, circuit, rules):
     """True where a function can move the load at the present pressures; a function that is
     ``active`` is held more easily.
 
-    Meter-in: the supply carries the load. Regeneration: the drop across the ends is enough and the cross-port edge at full
-    command carries A2 |v_d| at it. The seventh, whose drop only comes about in use: at the planned drop Δp3,
-    ``p_head = (F + Δp3 A2)/(A1 − A2) < Ps − margin`` (SPEC 4), and both edges carry their flows there.
+    Meter-in: the supply carries the load. Regeneration: the drop across the ends is enough and the
+    cross-port edge at full command carries A2 |v_d| at it. The seventh: see `seventh_feasible`.
     """
-    speed = abs(v_d)
     cross = CROSS[function]
     if cross < 0:
         metered = circuit.area_head if METERED[function] == HEAD else circuit.area_rod
-        return OVERRUNNING[function] == 1 or abs(load_force) < metered * p_supply
-    room = 1.0 if active else 1.0 + rules[RESERVE]
+        return OVERRUNNING[function] == 1 or abs(load_force) < metered * p.supply
     if function == EXTEND_RESISTIVE_REGENERATION:
-        difference = circuit.area_head - circuit.area_rod
-        if difference <= 0.0:
-            return False
-        needed = (load_force + rules[CROSS_DROP] * circuit.area_rod) / difference
-        left = p_supply - needed
-        return (
-            left > rules[SUPPLY_MARGIN] + (0.0 if active else rules[SUPPLY_BAND])
-            and capacity(circuit, cross, rules[CROSS_DROP]) >= room * circuit.area_rod * speed
-            and capacity(circuit, SUPPLY_HEAD, left) >= room * difference * speed
-        )
-    drop = path_drop(cross, p_head, p_rod, p_supply, p_tank)
+        return seventh_feasible(active, v_d, load_force, p.supply, circuit, rules)
+    room = 1.0 if active else 1.0 + rules.reserve
+    drop = path_drop(cross, p)
+    return drop > (rules.drop_stop if active else rules.drop_start) and capacity(
+        circuit, cross, drop
+    ) >= room * circuit.area_rod * abs(v_d)
+
+
+@kernel
+def seventh_feasible(active, v_d, load_force, p_supply, circuit, rules):
+    """True where the seventh function can move the load, at the planned drop Δp3, as its drop only
+    comes about in use.
+
+    ``p_head = (F + Δp3 A2)/(A1 − A2) < Ps − margin`` (SPEC 4), and both edges carry their flows
+    there."""
+    room, speed = 1.0 if active else 1.0 + rules.reserve, abs(v_d)
+    difference = circuit.area_head - circuit.area_rod
+    if difference <= 0.0:
+        return False
+    needed = (load_force + rules.cross_drop * circuit.area_rod) / difference
+    left = p_supply - needed
+    cross = CROSS[EXTEND_RESISTIVE_REGENERATION]
     return (
-        drop > rules[DROP_STOP if active else DROP_START]
-        and capacity(circuit, cross, drop) >= room * circuit.area_rod * speed
+        left > rules.supply_margin + (0.0 if active else rules.supply_band)
+        and capacity(circuit, cross, rules.cross_drop) >= room * circuit.area_rod * speed
+        and capacity(circuit, SUPPLY_HEAD, left) >= room * difference * speed
     )
 
 
 @kernel
-def select(now, age, v_d, load_force, p_head, p_rod, p_supply, p_tank, circuit, rules):
+def suits(function, way, along, circuit, rules):
+    """True for a working function of this direction (±1) and load (1 along the motion) that the
+    circuit can do and the rules allow.
+    """
+    return (
+        DIRECTION[function] == way
+        and OVERRUNNING[function] == along
+        and circuit.able[function] == 1
+        and (function != EXTEND_RESISTIVE_REGENERATION or rules.allow_seventh != 0.0)
+    )
+
+
+@kernel
+def direction(now, v_d, rules):
+    """Direction of the desired speed, ±1 or 0, with a dead zone that is narrower once it moves."""
+    way = DIRECTION[now]
+    if way == 0 or way * v_d <= rules.speed_stop:
+        way = 0 if abs(v_d) <= rules.speed_start else (1 if v_d > 0.0 else -1)
+    return way
+
+
+@kernel
+def select(now, age, v_d, load_force, p, circuit, rules):
     """(working function, status) for this tick: of those that suit, the one that draws least from
     the supply.
 
@@ -206,127 +232,111 @@ def select(now, age, v_d, load_force, p_head, p_rod, p_supply, p_tank, circuit, 
         age: time since it was taken up [s].
         v_d: desired speed [m/s], extension positive.
         load_force: P_L = p_head A1 − p_rod A2 [N], measured or desired.
-        p_head, p_rod, p_supply, p_tank: [Pa].
+        p: `Pressures` [Pa].
         circuit: of the cylinder.
-        rules: of `pack_rules`, shape (RULES,).
+        rules: of `pack_rules`.
 
     Returns:
         Index into FUNCTIONS, and OK; STALLED: none that suits is feasible, this is the plainest of
         them;
         UNABLE: the circuit has no function for this motion and load, so it holds.
     """
-    way = DIRECTION[now]
-    if way == 0 or way * v_d <= rules[SPEED_STOP]:
-        way = 0 if abs(v_d) <= rules[SPEED_START] else (1 if v_d > 0.0 else -1)
+    way = direction(now, v_d, rules)
     if way == 0:
         return HOLD, OK
     same = DIRECTION[now] == way
-    band = 0.0 if not same else (-rules[FORCE_BAND] if OVERRUNNING[now] == 1 else rules[FORCE_BAND])
+    band = 0.0 if not same else (-rules.force_band if OVERRUNNING[now] == 1 else rules.force_band)
     along = 1 if -way * load_force > band else 0
     best, least, plain, most = HOLD, math.inf, HOLD, -1.0
     for function in range(1, len(FUNCTIONS)):
-        if (
-            DIRECTION[function] != way
-            or OVERRUNNING[function] != along
-            or circuit.able[function] == 0
-        ):
-            continue
-        if function == EXTEND_RESISTIVE_REGENERATION and rules[ALLOW_SEVENTH] == 0.0:
+        if not suits(function, way, along, circuit, rules):
             continue
         draw = supply_draw(function, circuit)
         if draw > most:
             plain, most = function, draw
-        fits = feasible(
-            function,
-            function == now,
-            v_d,
-            load_force,
-            p_head,
-            p_rod,
-            p_supply,
-            p_tank,
-            circuit,
-            rules,
-        )
-        if fits and draw < least:
+        if draw < least and feasible(function, function == now, v_d, load_force, p, circuit, rules):
             best, least = function, draw
     status = OK
     if best == HOLD:
         best, status = plain, UNABLE if plain == HOLD else STALLED
-    if same and best != now and age < rules[DWELL]:
+    if same and best != now and age < rules.dwell:
         return now, OK
     return best, status
 
 
 def pack_rules(
-    area_rod: float,
-    supply_pressure: float,
-    *,
-    low_pressure: float | None = None,
-    speed_start: float = 2.0e-4,
-    speed_stop: float = 1.0e-4,
-    force_band: float | None = None,
-    drop_start: float | None = None,
-    drop_stop: float | None = None,
-    reserve: float = 0.2,
-    supply_margin: float | None = None,
-    supply_band: float | None = None,
-    cross_drop: float | None = None,
-    dwell: float = 0.1,
-    allow_seventh: bool = False,
-) -> np.ndarray:
-    """The rules of `select` as its array, shape (RULES,), with defaults in shares of the supply
-    pressure Ps.
+    area_rod: float, supply_pressure: float, low_pressure: float | None = None, **given: float
+) -> np.record:
+    """The rules of `select`, a record of type RULES, with defaults in shares of the supply pressure
+    Ps.
 
     Args:
         area_rod: A2 [m²].
         supply_pressure: Ps [Pa].
         low_pressure: set-point of the off-side chamber above tank [Pa], Ps/20; the default of
-        ``force_band`` follows from it. speed_start, speed_stop: desired speed [m/s] above which a
-        motion begins and at which it ends.
-        force_band: half the hysteresis of the load's sign [N]: half of ``low_pressure``·A2, so that
-            in the band neither the function before nor the one after lets a chamber cavitate.
-        drop_start, drop_stop: drop between the ends [Pa] above which regeneration begins, Ps/20,
-            and below which it ends, Ps/40.
-        reserve: share by which the edges of regeneration must carry more than the flow, to begin
-        [1]. supply_margin, supply_band: what the seventh function must leave of Ps for metering
-        [Pa], Ps/20, and as much more to begin.
-        cross_drop: planned drop Δp3 across the cross-port edge in the seventh [Pa], Ps/20.
-        dwell: least time between two changes in one direction of motion [s].
-        allow_seventh: True lets the seventh function be chosen.
+            ``force_band`` follows from it.
+        given: rules by name instead of their defaults: ``speed_start``, ``speed_stop``, desired
+            speed [m/s] above which a motion begins and at which it ends; ``force_band``, half the
+            hysteresis of the load's sign [N]: half of ``low_pressure``·A2, so that in the band
+            neither the function before nor the one after lets a chamber cavitate; ``drop_start``,
+            ``drop_stop``, drop between the ends [Pa] above which regeneration begins, Ps/20, and
+            below which it ends, half of that; ``reserve``, share by which the edges of regeneration
+            must carry more than the flow, to begin [1]; ``supply_margin``, ``supply_band``, what
+            the seventh function must leave of Ps for metering [Pa], Ps/20, and as much more to
+            begin; ``cross_drop``, planned drop Δp3 across the cross-port edge in the seventh [Pa],
+            Ps/20; ``dwell``, least time between two changes in one direction of motion [s];
+            ``allow_seventh``, True lets the seventh function be chosen.
 
     Raises:
-        InputError: a number is negative or not finite, or ends a state above where it begins.
+        InputError: an unknown rule, a number that is negative or not finite, or that ends a state
+            above where it begins.
     """
+    for name in given:
+        if name not in RULES.names:
+            raise InputError(
+                f"function selection has no rule '{name}'", hint="it has " + ", ".join(RULES.names)
+            )
     part = supply_pressure / 20.0
     low = part if low_pressure is None else low_pressure
-    rules = np.zeros(RULES)
-    rules[SPEED_START], rules[SPEED_STOP] = speed_start, speed_stop
-    rules[FORCE_BAND] = 0.5 * low * area_rod if force_band is None else force_band
-    rules[DROP_START] = part if drop_start is None else drop_start
-    rules[DROP_STOP] = 0.5 * rules[DROP_START] if drop_stop is None else drop_stop
-    rules[RESERVE], rules[DWELL], rules[ALLOW_SEVENTH] = reserve, dwell, float(allow_seventh)
-    rules[SUPPLY_MARGIN] = part if supply_margin is None else supply_margin
-    rules[SUPPLY_BAND] = rules[SUPPLY_MARGIN] if supply_band is None else supply_band
-    rules[CROSS_DROP] = part if cross_drop is None else cross_drop
-    if not (np.isfinite(rules).all() and (rules >= 0.0).all()):
+    margin = given.get("supply_margin", part)
+    defaults = {
+        "speed_start": 2.0e-4,
+        "speed_stop": 1.0e-4,
+        "force_band": 0.5 * low * area_rod,
+        "drop_start": part,
+        "drop_stop": 0.5 * given.get("drop_start", part),
+        "reserve": 0.2,
+        "supply_margin": margin,
+        "supply_band": margin,
+        "cross_drop": part,
+        "dwell": 0.1,
+        "allow_seventh": 0.0,
+    }
+    rules = blank(RULES)
+    for name, value in (defaults | given).items():
+        rules[name] = value
+    _check_rules(rules)
+    return rules
+
+
+def _check_rules(rules: np.record) -> None:
+    if not all(0.0 <= value < math.inf for value in numbers(rules, RULES.names).values()):
         raise InputError(
             "a rule of function selection is negative or not finite",
             hint="all of them are 0 or more",
         )
-    if speed_stop > speed_start or rules[DROP_STOP] > rules[DROP_START]:
+    if rules.speed_stop > rules.speed_start or rules.drop_stop > rules.drop_start:
         raise InputError(
             "a rule of function selection ends a state above where it begins",
             hint="stop is at most start",
         )
-    return rules
 
 
 def circuit(
     cylinder: int,
     area_head: float,
     area_rod: float,
-    edges: np.ndarray,
+    edges: np.recarray,
     maps: np.ndarray,
     ranges: np.ndarray,
     measured: Sequence[ValveMaps | None] | None = None,
@@ -340,8 +350,9 @@ def circuit(
 
     Args:
         cylinder: its number; nodes are 0 supply, 1 tank, 2 + 2·cylinder its head end, 3 +
-        2·cylinder its rod end. area_head, area_rod: [m²]. edges, maps: the plant's, see
-        `ehbench.parts.edge`.
+            2·cylinder its rod end.
+        area_head, area_rod: [m²].
+        edges, maps: the plant's, see `ehbench.parts.edge`.
         ranges: lowest and highest command [V] of every valve, shape (valves, 2).
         measured: the flow maps of every edge, None for an edge with an analytic law; needed where
             an edge follows a map.
@@ -356,11 +367,7 @@ def circuit(
     ranges = np.asarray(ranges, float)
     lowest, highest = np.ascontiguousarray(ranges[:, 0]), np.ascontiguousarray(ranges[:, 1])
     head, rod = 2 + 2 * cylinder, 3 + 2 * cylinder
-    own = np.flatnonzero(
-        np.isin(edges.from_node, (head, rod)) | np.isin(edges.to_node, (head, rod))
-    )
-    if not own.size:
-        raise InputError(f"no metering edge leads to cylinder {cylinder}")
+    own = _edges_at(edges, cylinder, (head, rod))
     hull, hull_at = _hulls(edges, measured)
     paths, along = np.full(len(PATHS), -1, np.int64), np.ones(len(PATHS))
     able = np.zeros(len(FUNCTIONS), np.int64)
@@ -381,22 +388,42 @@ def circuit(
         hull_at,
     )
     ends = ((0, head), (head, 1), (0, rod), (rod, 1), (head, rod), (rod, head))
-    for path, (a, b) in enumerate(ends):
-        most = 0.0
-        for edge in own:
-            row = edges[edge]
-            forward = (row.from_node, row.to_node) == (a, b)
-            if not forward and ((row.to_node, row.from_node) != (a, b) or row.blocked == 1):
-                continue
-            way = 1.0 if forward else -1.0
-            flow = way * edge_flow(way * 1.0e6, widest(made, edge, way * 1.0e6), row, made.maps)
-            if flow > most:
-                paths[path], along[path], most = edge, way, flow
+    for path, between in enumerate(ends):
+        paths[path], along[path] = _serving(made, own, between)
     able[:] = [_able(made, function) for function in range(len(FUNCTIONS))]
     return made
 
 
+def _edges_at(edges: np.recarray, cylinder: int, nodes: tuple[int, int]) -> np.ndarray:
+    """Numbers of the edges that touch some nodes.
+
+    Raises:
+        InputError: none does.
+    """
+    own = np.flatnonzero(np.isin(edges.from_node, nodes) | np.isin(edges.to_node, nodes))
+    if not own.size:
+        raise InputError(f"no metering edge leads to cylinder {cylinder}")
+    return own
+
+
+def _serving(circuit: Circuit, own: np.ndarray, between: tuple[int, int]) -> tuple[int, float]:
+    """(edge that carries most at 1 MPa from one node to another, its direction); −1 for none."""
+    found, along, most = -1, 1.0, 0.0
+    for edge in own:
+        row = circuit.edges[edge]
+        forward = (row.from_node, row.to_node) == between
+        if not forward and ((row.to_node, row.from_node) != between or row.blocked == 1):
+            continue
+        way = 1.0 if forward else -1.0
+        opening = widest(circuit, edge, way * 1.0e6)
+        flow = way * edge_flow(way * 1.0e6, opening, row, circuit.maps)
+        if flow > most:
+            found, along, most = int(edge), way, flow
+    return found, along
+
+
 def _able(circuit: Circuit, function: int) -> bool:
+    """True where every path of a function has an edge whose command opens no other."""
     chosen = [int(circuit.paths[p]) for p in np.flatnonzero(PATH_FLOWS[function].any(axis=1))]
     if min(chosen, default=0) < 0:
         return False

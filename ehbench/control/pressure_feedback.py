@@ -8,62 +8,77 @@ pressures, the supply's and the tank's, and nothing else."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import kernel
-from ehbench.control.functions import (
-    CROSS_DROP,
-    EXTEND_RESISTIVE_REGENERATION,
-    FUNCTIONS,
-    HEAD,
-    HOLD,
-    METERED,
-    ROD,
-    RULES,
-    Circuit,
-    select,
+from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS, HOLD
+from ehbench.compiled import kernel, record
+from ehbench.control.axis import Axis
+from ehbench.control.functions import HEAD, METERED, ROD, RULES, Circuit, select
+from ehbench.control.law import Law, Packed, Required, Site
+from ehbench.control.measured import load_force, pressure_entries, pressures, write
+from ehbench.control.records import blank, numbers, reals
+from ehbench.control.trajectory import (
+    SHAPED,
+    SHAPING,
+    SHAPING_NAMES,
+    pack_shaping,
+    reference_of,
+    shape_speed,
 )
-from ehbench.control.trajectory import SHAPED, SHAPING, A, J, V, X, pack_shaping, shape_speed
-from ehbench.control.valve_level import give, rest
+from ehbench.control.valve_level import Flows, allocate, rest
 from ehbench.errors import InputError
+from ehbench.parts.cylinder import chamber_oil
+from ehbench.quantities import VOCABULARY
 
-# a sample of a rig: this many channels a cylinder, its pressures at these places, then p_supply and
-# p_tank
-PER_CYLINDER, P_HEAD, P_ROD = 6, 4, 5
-# gains
-TICK, WASHOUT, RAMP_WASHOUT, OFF_GAIN, LOW_PRESSURE, DROP_FLOOR, LOAD_CORNER, FEEDBACK_GAIN = range(
-    8
+OFF_RATE = 10.0  # [rad/s]: how fast the off-side pressure follows where no gain is given
+SCALARS = (
+    "tick",
+    "off_gain",
+    "low_pressure",
+    "drop_floor",
+    "load_corner",
+    "washout",
+    "ramp_washout",
 )
-AT_SHAPING = FEEDBACK_GAIN + len(FUNCTIONS)
-AT_RULES = AT_SHAPING + SHAPING
-GAINS = AT_RULES + RULES
-# memory
-STARTED, FUNCTION, AGE, SLOW_LOAD = range(4)
-AT_PRESSURE, AT_WASHED, AT_RAMP_WASHED, AT_SHAPED = (
-    4,
-    6,
-    8,
-    10,
-)  # of (head, rod): measured, behind one washout, behind both
-MEMORY = AT_SHAPED + SHAPED
-# note: these, then (flow, limits) of each of the cylinder's edges
-NOTE = (
-    "x_desired",
-    "v_desired",
-    "a_desired",
-    "j_desired",
-    "v_shaped",
-    "function",
-    "function_status",
-    "load_force",
-    "feedback_flow",
-    "flow_head_desired",
-    "flow_rod_desired",
-    "limits",
+GAINS = record(
+    *reals(SCALARS),
+    ("feedback_gain", "f8", (len(FUNCTIONS),)),
+    ("shaping", SHAPING),
+    ("rules", RULES),
 )
-NOTES = len(NOTE)
+# a chamber's pressure as measured, behind one washout, behind both [Pa]
+END = record(*reals(("pressure", "washed", "ramp_washed")))
+MEMORY = record(
+    ("started", "i8"),
+    ("function", "i8"),
+    ("age", "f8"),
+    ("slow_load", "f8"),
+    ("ends", END, (2,)),
+    ("shaped", SHAPED),
+)
+
+
+class Telemetry(NamedTuple):
+    """The law's own columns of a row of telemetry."""
+
+    x_desired: float
+    v_desired: float
+    a_desired: float
+    j_desired: float
+    v_shaped: float
+    function: float
+    function_status: float
+    load_force: float
+    feedback_flow: float
+    flow_head_desired: float
+    flow_rod_desired: float
+    limits: float
+
+
+COLUMNS = len(Telemetry._fields)
 
 
 @kernel
@@ -80,173 +95,252 @@ def wash(corner, tick, x, last, passed):
 
 
 @kernel
-def step(t, sample, wish, circuit, gains, memory, command, note):
-    """One tick: read the pressures, choose the function, write commands and note.
+def wash_pressures(p, load, gains, memory):
+    """Move both ends' washouts in ``memory`` one tick; the first tick starts them at rest."""
+    starting = memory.started == 0
+    if starting:
+        memory.started, memory.function, memory.slow_load = 1, HOLD, load
+    for i in range(2):
+        end = memory.ends[i]
+        pressure = p.head if i == 0 else p.rod
+        if starting:
+            end.pressure = pressure
+            end.washed = 0.0 if gains.washout > 0.0 else pressure
+        washed = wash(gains.washout, gains.tick, pressure, end.pressure, end.washed)
+        end.ramp_washed = wash(gains.ramp_washout, gains.tick, washed, end.washed, end.ramp_washed)
+        end.pressure, end.washed = pressure, washed
+
+
+@kernel
+def choose(v_d, load, p, circuit, gains, memory):
+    """(working function, status, slow load force [N]) of this tick.
+
+    The swing of an undamped load changes the sign of its force, and choosing by it would feed the
+    swing: the function is chosen by the load behind a low-pass."""
+    slow = -math.expm1(-gains.load_corner * gains.tick) if gains.load_corner > 0.0 else 1.0
+    memory.slow_load += slow * (load - memory.slow_load)
+    function, status = select(
+        memory.function, memory.age, v_d, memory.slow_load, p, circuit, gains.rules
+    )
+    if function != memory.function:
+        memory.age = 0.0
+    memory.age += gains.tick
+    memory.function = function
+    return function, status, memory.slow_load
+
+
+@kernel
+def feed_back(function, v_d, p, circuit, gains, memory):
+    """(`Flows` of the chambers, what the feedback takes from them [m³/s]).
+
+    The metered chamber gets ``A v_d − K_p F(s) P``, the other what holds it at its set-point."""
+    gain, off = gains.feedback_gain[function], gains.off_gain
+    flow_head, flow_rod, back = circuit.area_head * v_d, circuit.area_rod * v_d, 0.0
+    if METERED[function] == HEAD:
+        back = gain * memory.ends[0].ramp_washed
+        low = (
+            p.head + gains.rules.cross_drop
+            if function == EXTEND_RESISTIVE_REGENERATION
+            else p.tank + gains.low_pressure
+        )
+        flow_head -= back
+        flow_rod += off * (p.rod - low)
+    elif METERED[function] == ROD:
+        back = gain * memory.ends[1].ramp_washed
+        flow_rod += back
+        flow_head -= off * (p.head - (p.tank + gains.low_pressure))
+    return Flows(flow_head, flow_rod), back
+
+
+@kernel
+def step(t, sample, reference, circuit, gains, memory, command, telemetry):
+    """One tick: read the pressures, choose the function, write commands and telemetry.
 
     Args:
         t: time [s], unused.
-        sample: what the rig measured, shape (6·cylinders + 2,); only the four pressures are read.
-        wish: x_d, v_d, a_d, j_d of the cylinder; only v_d acts.
+        sample: what the machine measured; only the four pressures are read.
+        reference: x_d, v_d, a_d, j_d of the cylinder; only v_d acts.
         circuit: of the cylinder, a `Circuit`.
         gains: of `pack_pressure_feedback`.
-        memory: state of the controller, shape (MEMORY,), zeros before the first tick.
+        memory: state of the controller, a record of type MEMORY, zeros before the first tick.
         command: out, [V], one per valve of the rig; only this cylinder's are written.
-        note: out, shape (NOTES + 2·edges of the cylinder,), columns as `note_channels`.
+        telemetry: out, shape (COLUMNS + 2·edges of the cylinder,).
     """
-    at = PER_CYLINDER * circuit.cylinder
-    p_head, p_rod = sample[at + P_HEAD], sample[at + P_ROD]
-    p_supply, p_tank = sample[sample.shape[0] - 2], sample[sample.shape[0] - 1]
-    tick, washout, ramp_washout = gains[TICK], gains[WASHOUT], gains[RAMP_WASHOUT]
-    load = p_head * circuit.area_head - p_rod * circuit.area_rod
-    if memory[STARTED] == 0.0:
-        memory[STARTED], memory[FUNCTION], memory[SLOW_LOAD] = 1.0, HOLD, load
-        for side in range(2):
-            memory[AT_PRESSURE + side] = p_head if side == 0 else p_rod
-            memory[AT_WASHED + side] = 0.0 if washout > 0.0 else memory[AT_PRESSURE + side]
-    for side in range(2):
-        p = p_head if side == 0 else p_rod
-        washed = wash(washout, tick, p, memory[AT_PRESSURE + side], memory[AT_WASHED + side])
-        memory[AT_RAMP_WASHED + side] = wash(
-            ramp_washout, tick, washed, memory[AT_WASHED + side], memory[AT_RAMP_WASHED + side]
-        )
-        memory[AT_PRESSURE + side], memory[AT_WASHED + side] = p, washed
-    v_d = shape_speed(wish[V], tick, gains[AT_SHAPING:AT_RULES], memory[AT_SHAPED:MEMORY])
-    # the swing of an undamped load changes the sign of its force, and choosing by it would feed the
-    # swing
-    slow = -math.expm1(-gains[LOAD_CORNER] * tick) if gains[LOAD_CORNER] > 0.0 else 1.0
-    memory[SLOW_LOAD] += slow * (load - memory[SLOW_LOAD])
-    load = memory[SLOW_LOAD]
-    rules = gains[AT_RULES:]
-    now = int(memory[FUNCTION])
-    function, status = select(
-        now, memory[AGE], v_d, load, p_head, p_rod, p_supply, p_tank, circuit, rules
-    )
-    if function != now:
-        memory[AGE] = 0.0
-    memory[AGE] += tick
-    memory[FUNCTION] = function
-
-    gain, off = gains[FEEDBACK_GAIN + function], gains[OFF_GAIN]
-    flow_head, flow_rod, back = circuit.area_head * v_d, circuit.area_rod * v_d, 0.0
-    if METERED[function] == HEAD:
-        back = gain * memory[AT_RAMP_WASHED]
-        low = (
-            p_head + rules[CROSS_DROP]
-            if function == EXTEND_RESISTIVE_REGENERATION
-            else p_tank + gains[LOW_PRESSURE]
-        )
-        flow_head -= back
-        flow_rod += off * (p_rod - low)
-    elif METERED[function] == ROD:
-        back = gain * memory[AT_RAMP_WASHED + 1]
-        flow_rod += back
-        flow_head -= off * (p_head - (p_tank + gains[LOW_PRESSURE]))
-
-    edges = NOTES + circuit.count
+    wish = reference_of(reference)
+    p = pressures(sample, circuit.cylinder)
+    load = load_force(p, circuit.area_head, circuit.area_rod)
+    wash_pressures(p, load, gains, memory)
+    v_d = shape_speed(wish.v, gains.tick, gains.shaping, memory.shaped)
+    function, status, slow = choose(v_d, load, p, circuit, gains, memory)
+    flows, back = feed_back(function, v_d, p, circuit, gains, memory)
+    edges = COLUMNS + circuit.count
+    edge_flows, edge_limits = telemetry[COLUMNS:edges], telemetry[edges:]
+    limits = 0
     if function == HOLD:
-        flow_head = flow_rod = 0.0
-        rest(circuit, command, note[NOTES:edges], note[edges:])
-        limits = 0
+        flows = Flows(0.0, 0.0)
+        rest(circuit, command, edge_flows, edge_limits)
     else:
-        limits = give(
-            function,
-            flow_head,
-            flow_rod,
-            p_head,
-            p_rod,
-            p_supply,
-            p_tank,
-            gains[DROP_FLOOR],
-            circuit,
-            command,
-            note[NOTES:edges],
-            note[edges:],
+        limits = allocate(
+            function, flows, p, gains.drop_floor, circuit, command, edge_flows, edge_limits
         )
-    note[0], note[1], note[2], note[3] = wish[X], wish[V], wish[A], wish[J]
-    note[4], note[5], note[6], note[7] = v_d, function, status, load
-    note[8], note[9], note[10], note[11] = back, flow_head, flow_rod, limits
+    write(
+        Telemetry(
+            wish.x,
+            wish.v,
+            wish.a,
+            wish.j,
+            v_d,
+            float(function),
+            float(status),
+            slow,
+            back,
+            flows.head,
+            flows.rod,
+            float(limits),
+        ),
+        telemetry,
+    )
+
+
+@kernel
+def _axis_step(t, sample, reference, axis, gains, memory, command, telemetry):
+    step(t, sample, reference, axis.circuit, gains, memory, command, telemetry)
 
 
 def pack_pressure_feedback(
     *,
-    tick: float,
-    rules: np.ndarray,
-    off_gain: float,
-    low_pressure: float,
+    rules: np.record,
     feedback_gain: float | Mapping[str, float] = 0.0,
-    washout: float = 0.0,
-    ramp_washout: float = 0.0,
-    drop_floor: float = 2.0e4,
-    load_corner: float = 2.0 * math.pi,
-    shaping: np.ndarray | None = None,
-) -> np.ndarray:
-    """The gains of `step`, shape (GAINS,).
+    shaping: np.record | None = None,
+    **gains: float,
+) -> np.record:
+    """The gains of `step`, a record of type GAINS.
 
     Args:
-        tick: between samples [s].
         rules: of function selection, `ehbench.control.functions.pack_rules`.
-        off_gain: inflow of the off-side chamber per pressure below its set-point [m³/(s·Pa)]; its
-            pressure then follows with about off_gain·β_e/V [rad/s].
-        low_pressure: set-point of the off-side chamber above tank [Pa].
         feedback_gain: K_p [m³/(s·Pa)], one number or one for each working function by name (others
             0); 0 is open loop.
-        washout: corner ω_w [rad/s]; 0 for none, F(s) = 1.
-        ramp_washout: corner ω_r [rad/s] of a second washout, ``F(s) = s/(s + ω_w)·s/(s + ω_r)``,
-            which forgets a load that ramps along the stroke as well; 0 for none.
-        drop_floor: least drop at which the inverse of a valve is taken [Pa].
-        load_corner: of the low-pass through which the load force chooses the function [rad/s]; 0
-            for none.
         shaping: of the commanded speed, `ehbench.control.trajectory.pack_shaping`; none by default.
+        gains: ``tick`` between samples [s]; ``off_gain``, inflow of the off-side chamber per
+            pressure below its set-point [m³/(s·Pa)], whose pressure then follows with about
+            off_gain·β_e/V [rad/s]; ``low_pressure``, set-point of the off-side chamber above tank
+            [Pa]; ``washout``, corner ω_w [rad/s], 0 (the default) for none, F(s) = 1;
+            ``ramp_washout``, corner ω_r [rad/s] of a second washout, ``F(s) = s/(s + ω_w)·s/(s +
+            ω_r)``, which forgets a load that ramps along the stroke as well, 0 (the default) for
+            none; ``drop_floor``, least drop at which the inverse of a valve is taken [Pa], 20 kPa;
+            ``load_corner`` of the low-pass through which the load force chooses the function
+            [rad/s], 1 Hz, 0 for none.
 
     Raises:
-        InputError: a number that is negative or not finite, an unknown function.
+        InputError: a gain that is missing, unknown, negative or not finite, an unknown function.
     """
-    gains = np.zeros(GAINS)
-    gains[[TICK, WASHOUT, RAMP_WASHOUT, OFF_GAIN, LOW_PRESSURE]] = (
-        tick,
-        washout,
-        ramp_washout,
-        off_gain,
-        low_pressure,
-    )
-    gains[[DROP_FLOOR, LOAD_CORNER]] = drop_floor, load_corner
-    if isinstance(feedback_gain, Mapping):
-        for name, value in feedback_gain.items():
-            if name not in FUNCTIONS[1:]:
-                raise InputError(
-                    f"no working function '{name}'", hint="there are " + ", ".join(FUNCTIONS[1:])
-                )
-            gains[FEEDBACK_GAIN + FUNCTIONS.index(name)] = value
-    else:
-        gains[FEEDBACK_GAIN:AT_SHAPING] = feedback_gain
-    gains[AT_SHAPING:AT_RULES] = pack_shaping() if shaping is None else shaping
-    gains[AT_RULES:] = rules
-    if not (np.isfinite(gains).all() and (gains >= 0.0).all() and tick > 0 and drop_floor > 0):
+    packed = blank(GAINS)
+    scalars = {
+        "washout": 0.0,
+        "ramp_washout": 0.0,
+        "drop_floor": 2.0e4,
+        "load_corner": 2.0 * math.pi,
+    } | gains
+    if set(scalars) != set(SCALARS):
+        raise InputError(
+            "pressure feedback lacks a gain or is given one that it has not: "
+            + ", ".join(sorted(set(scalars) ^ set(SCALARS))),
+            hint="it has " + ", ".join(SCALARS),
+        )
+    for name, value in scalars.items():
+        packed[name] = value
+    packed.feedback_gain[:] = _by_function(feedback_gain)
+    packed.shaping = pack_shaping() if shaping is None else shaping
+    packed.rules = rules
+    every = [*numbers(packed, SCALARS).values(), *packed.feedback_gain.tolist()]
+    if not (
+        all(0.0 <= value < math.inf for value in every)
+        and packed.tick > 0.0
+        and packed.drop_floor > 0.0
+    ):
         raise InputError(
             "a gain of the pressure feedback is negative or not finite",
             hint="tick and drop_floor are above 0, the rest 0 or more",
         )
-    return gains
+    return packed
 
 
-def note_channels(cylinder: str, edges: Sequence[str]) -> tuple[str, ...]:
-    """Channel names of the note: ``<cylinder>.<name>``, then ``<edge>.flow_desired`` and
-    ``<edge>.limits`` of each edge.
+def _by_function(gain: float | Mapping[str, float]) -> np.ndarray:
+    """K_p of each working function [m³/(s·Pa)], shape (8,)."""
+    if not isinstance(gain, Mapping):
+        return np.full(len(FUNCTIONS), gain)
+    found = np.zeros(len(FUNCTIONS))
+    for name, value in gain.items():
+        if name not in FUNCTIONS[1:]:
+            raise InputError(
+                f"no working function '{name}'", hint="there are " + ", ".join(FUNCTIONS[1:])
+            )
+        found[FUNCTIONS.index(name)] = value
+    return found
 
-    Args:
-        cylinder: its name.
-        edges: names of the cylinder's edges as ``<cylinder>.<edge>``, in the rig file's order.
+
+def pack(site: Site, gains: Mapping[str, Any], rules: np.record, shaping: np.record) -> Packed:
+    """The gains on a site; by default the off-side pressure follows with OFF_RATE in the larger
+    chamber.
     """
+    cylinder = site.axis.cylinder
+    volume = max(chamber_oil(cylinder, side, site.stroke) for side in range(2))
+    defaults = {
+        "off_gain": OFF_RATE * volume / cylinder.bulk_modulus,
+        "low_pressure": site.low_pressure,
+    }
+    packed = pack_pressure_feedback(
+        tick=site.tick, rules=rules, shaping=shaping, **{**defaults, **gains}
+    )
+    return Packed(packed, {"gains": named_gains(packed, site.axis.circuit)})
+
+
+def named_gains(packed: np.record, circuit: Circuit) -> dict[str, float]:
+    """Gains by name [SI].
+
+    The feedback gain is one number, or ``<working function>.feedback_gain`` of each that may be
+    chosen where they differ. Shaping is named where there is some."""
+    may = [
+        f
+        for f in range(1, len(FUNCTIONS))
+        if circuit.able[f] and (packed.rules.allow_seventh or f != EXTEND_RESISTIVE_REGENERATION)
+    ]
+    by_function = {f"{FUNCTIONS[f]}.feedback_gain": float(packed.feedback_gain[f]) for f in may}
+    one = set(by_function.values())
+    feedback = {"feedback_gain": one.pop()} if len(one) == 1 else by_function
+    shaping = numbers(packed.shaping, SHAPING_NAMES)
     return (
-        *(f"{cylinder}.{name}" for name in NOTE),
-        *(f"{edge}.flow_desired" for edge in edges),
-        *(f"{edge}.limits" for edge in edges),
+        numbers(packed, SCALARS)
+        | feedback
+        | {name: value for name, value in shaping.items() if value > 0.0}
     )
 
 
-def entitled(circuit: Circuit, channels: int) -> np.ndarray:
+def observed(circuit: Circuit, channels: int) -> np.ndarray:
     """True for the channels of a rig's sample that the controller is given, shape (channels,)."""
     mask = np.zeros(channels, bool)
-    at = PER_CYLINDER * circuit.cylinder
-    mask[[at + P_HEAD, at + P_ROD, channels - 2, channels - 1]] = True
+    mask[pressure_entries(circuit.cylinder, channels)] = True
     return mask
+
+
+def _memory(axis: Axis) -> np.record:
+    return blank(MEMORY)
+
+
+LAW = Law(
+    name="pressure_feedback",
+    record=GAINS,
+    step=_axis_step,
+    gains={name: VOCABULARY[name] for name in (*SCALARS[1:5], "feedback_gain", *SCALARS[5:])},
+    pack=pack,
+    memory=_memory,
+    observed=lambda axis, channels: observed(axis.circuit, channels),
+    telemetry=Telemetry._fields,
+    required=Required(
+        "feedback_gain",
+        "pressure feedback needs its gain",
+        'write gains = { feedback_gain = "…", washout = "…" }, or gains = "<a tune recipe or its '
+        'run>"',
+    ),
+    shaped=True,
+)

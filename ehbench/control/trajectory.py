@@ -8,15 +8,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import kernel
+from ehbench.compiled import kernel, record
+from ehbench.control.records import blank, reals
 from ehbench.errors import InputError
 
-X, V, A, J = 0, 1, 2, 3
-WISH = 4
+
+class Reference(NamedTuple):
+    """What the cylinder shall do now: stroke x [m], speed v [m/s], acceleration a [m/s²], jerk j
+    [m/s³], extension positive; a row of a table.
+    """
+
+    x: float
+    v: float
+    a: float
+    j: float
+
+
+X, V, A, J = range(4)  # columns of a table, the orders of the derivative
+ORDERS = 4
 Profile = Literal["ramp", "seventh"]
 # peaks of the seventh-order polynomial s(τ) = 35τ⁴ − 84τ⁵ + 70τ⁶ − 20τ⁷ and of the quintic speed
 # ramp 10τ³ − 15τ⁴ + 6τ⁵
@@ -39,7 +52,7 @@ def _polynomial(coefficients: np.ndarray, tau: np.ndarray, order: int) -> np.nda
 
 
 def _ramp_time(speed: float, acceleration: float, jerk: float) -> float:
-    """Least time [s] of a quintic ramp from rest to ``speed`` [m/s] within the limits [m/s², m/s³]."""
+    """Least time [s] of a quintic ramp from rest to ``speed`` within limits [m/s², m/s³]."""
     return max(_QUINTIC_SLOPE * speed / acceleration, math.sqrt(_QUINTIC_CURVE * speed / jerk))
 
 
@@ -69,9 +82,9 @@ class _Move:
         self.time = self.ramp + distance / self.speed
 
     def at(self, t: np.ndarray) -> np.ndarray:
-        out = np.zeros((t.size, WISH))
+        out = np.zeros((t.size, ORDERS))
         if self.profile == "seventh":
-            for order in range(WISH):
+            for order in range(ORDERS):
                 out[:, order] = (
                     self.distance * _polynomial(_SEVENTH, t / self.time, order) / self.time**order
                 )
@@ -118,12 +131,7 @@ def point_to_point(
     Raises:
         InputError: a limit, tick or hold that is none, fewer than one waypoint.
     """
-    limits = {"speed": speed, "acceleration": acceleration, "jerk": jerk, "tick": tick}
-    for name, value in limits.items():
-        if not (math.isfinite(value) and value > 0):
-            raise InputError(
-                f"{name} of a trajectory is {value:g}", hint="it must be a positive number"
-            )
+    _check_limits(speed=speed, acceleration=acceleration, jerk=jerk, tick=tick)
     points = np.asarray(waypoints, float)
     holds = np.full(points.size, float(hold)) if np.ndim(hold) == 0 else np.asarray(hold, float)
     if points.ndim != 1 or not points.size or not np.isfinite(points).all():
@@ -141,7 +149,7 @@ def point_to_point(
     # the last row is the first at or after the end, so that the table ends at rest
     samples = math.ceil(starts[-1] / tick - 1e-9) + 1
     t = np.arange(samples) * tick
-    table = np.zeros((samples, WISH))
+    table = np.zeros((samples, ORDERS))
     table[:, X] = points[
         np.clip(np.searchsorted(starts[1::2], t, side="right"), 0, points.size - 1)
     ]
@@ -154,6 +162,14 @@ def point_to_point(
         part[:, X] += points[index]
         table[during] = part
     return table
+
+
+def _check_limits(**limits: float) -> None:
+    for name, value in limits.items():
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(
+                f"{name} of a trajectory is {value:g}", hint="it must be a positive number"
+            )
 
 
 def there_and_back(start: float, end: float, *, cycles: int = 1, **limits) -> np.ndarray:
@@ -208,74 +224,92 @@ def velocity_steps(
         and np.isfinite(times).all()
     ):
         raise InputError(
-            "velocity steps need levels, a tick, a duration above 0 for all or for each, and a rest of 0 s or more"
+            "velocity steps need levels, a tick, a duration above 0 for all or for each, and a "
+            "rest of 0 s or more"
         )
     idle = np.zeros(round(rest / tick))
     parts = [idle]
     for speed, time in zip(speeds, times, strict=True):
         parts += [np.full(max(1, round(time / tick)), speed), idle]
     v = np.concatenate([*parts, [0.0]])
-    table = np.zeros((v.size, WISH))
+    table = np.zeros((v.size, ORDERS))
     table[:, V] = v
     table[1:, X] = np.cumsum(v[:-1]) * tick
     table[:, X] += x
     return table
 
 
-# columns of the shaping of a commanded speed ("trajectory modification", thesis Table B.2), see
-# `pack_shaping`
-ACCELERATION_MAX, JERK_MAX, NATURAL_FREQUENCY, DAMPING_RATIO = 0, 1, 2, 3
-SHAPING = 4
+SHAPING_NAMES = ("acceleration_max", "jerk_max", "natural_frequency", "damping_ratio")
+# the shaping of a commanded speed ("trajectory modification", thesis Table B.2), see `pack_shaping`
+SHAPING = record(*reals(SHAPING_NAMES))
 # its memory: shaped speed [m/s], acceleration [m/s²], jerk [m/s³]
-SHAPED = 3
+SHAPED = record(*reals(("speed", "acceleration", "jerk")))
 
 
 @kernel
-def shape_speed(v_d, tick, shaping, memory):
-    """Move the shaped speed in ``memory`` one tick towards ``v_d`` [m/s], in place; returns it.
+def reference_of(row):
+    """The `Reference` in a row of a table."""
+    return Reference(row[0], row[1], row[2], row[3])
 
-    Second-order filter ω²/(s² + 2ζω s + ω²), exact for a ``v_d`` held over the tick; or, with
-    limits, the time-optimal approach within ACCELERATION_MAX and JERK_MAX that does not overshoot
-    (Han's discrete fhan); or ``v_d`` itself."""
-    if shaping[NATURAL_FREQUENCY] > 0.0:
-        omega, zeta = shaping[NATURAL_FREQUENCY], shaping[DAMPING_RATIO]
-        e, rate = memory[0] - v_d, memory[1]
-        decay = math.exp(-zeta * omega * tick)
-        if zeta < 1.0:
-            wd = omega * math.sqrt(1.0 - zeta * zeta)
-            c, s = math.cos(wd * tick), math.sin(wd * tick) / wd
-        elif zeta > 1.0:
-            wd = omega * math.sqrt(zeta * zeta - 1.0)
-            c, s = math.cosh(wd * tick), math.sinh(wd * tick) / wd
-        else:
-            c, s = 1.0, tick
-        memory[0] = v_d + decay * (e * (c + zeta * omega * s) + rate * s)
-        memory[1] = decay * (rate * (c - zeta * omega * s) - e * omega * omega * s)
-        memory[2] = -omega * omega * (memory[0] - v_d) - 2.0 * zeta * omega * memory[1]
-        return memory[0]
-    most, jerk = shaping[ACCELERATION_MAX], shaping[JERK_MAX]
-    if most <= 0.0:
-        memory[0], memory[1], memory[2] = v_d, 0.0, 0.0
-        return v_d
-    e = v_d - memory[0]
+
+@kernel
+def shape_speed(v_d, tick, shaping, shaped):
+    """Move the ``shaped`` speed one tick towards ``v_d`` [m/s], in place; returns it.
+
+    Second-order filter ω²/(s² + 2ζω s + ω²); or, with limits, the time-optimal approach within
+    them; or ``v_d`` itself."""
+    if shaping.natural_frequency > 0.0:
+        filter_speed(v_d, tick, shaping, shaped)
+    elif shaping.acceleration_max > 0.0:
+        limit_speed(v_d, tick, shaping, shaped)
+    else:
+        shaped.speed, shaped.acceleration, shaped.jerk = v_d, 0.0, 0.0
+    return shaped.speed
+
+
+@kernel
+def filter_speed(v_d, tick, shaping, shaped):
+    """One tick of the second-order filter, exact for a ``v_d`` held over the tick."""
+    omega, zeta = shaping.natural_frequency, shaping.damping_ratio
+    e, rate = shaped.speed - v_d, shaped.acceleration
+    decay = math.exp(-zeta * omega * tick)
+    if zeta < 1.0:
+        wd = omega * math.sqrt(1.0 - zeta * zeta)
+        c, s = math.cos(wd * tick), math.sin(wd * tick) / wd
+    elif zeta > 1.0:
+        wd = omega * math.sqrt(zeta * zeta - 1.0)
+        c, s = math.cosh(wd * tick), math.sinh(wd * tick) / wd
+    else:
+        c, s = 1.0, tick
+    shaped.speed = v_d + decay * (e * (c + zeta * omega * s) + rate * s)
+    shaped.acceleration = decay * (rate * (c - zeta * omega * s) - e * omega * omega * s)
+    shaped.jerk = -omega * omega * (shaped.speed - v_d) - 2.0 * zeta * omega * shaped.acceleration
+
+
+@kernel
+def limit_speed(v_d, tick, shaping, shaped):
+    """One tick of the time-optimal approach within acceleration_max and jerk_max that does not
+    overshoot (Han's discrete fhan).
+    """
+    most, jerk = shaping.acceleration_max, shaping.jerk_max
+    e = v_d - shaped.speed
     if jerk <= 0.0:
-        memory[1] = math.copysign(min(abs(e) / tick, most), e)
-        memory[0] += tick * memory[1]
-        return memory[0]
+        shaped.acceleration = math.copysign(min(abs(e) / tick, most), e)
+        shaped.speed += tick * shaped.acceleration
+        return
     step = jerk * tick
-    y = tick * memory[1] - e
+    y = tick * shaped.acceleration - e
     if abs(y) > step * tick:
-        aim = memory[1] + math.copysign(
+        aim = shaped.acceleration + math.copysign(
             0.5 * (math.sqrt(step * step + 8.0 * jerk * abs(y)) - step), y
         )
     else:
-        aim = memory[1] + y / tick
+        aim = shaped.acceleration + y / tick
     change = -aim * jerk / step if abs(aim) <= step else -math.copysign(jerk, aim)
-    memory[0] += tick * memory[1]
-    before = memory[1]
-    memory[1] = min(max(memory[1] + tick * change, -most), most)
-    memory[2] = (memory[1] - before) / tick
-    return memory[0]
+    shaped.speed += tick * shaped.acceleration
+    before = shaped.acceleration
+    shaped.acceleration = min(max(before + tick * change, -most), most)
+    shaped.jerk = (shaped.acceleration - before) / tick
 
 
 def pack_shaping(
@@ -284,8 +318,8 @@ def pack_shaping(
     jerk_max: float | None = None,
     natural_frequency: float | None = None,
     damping_ratio: float | None = None,
-) -> np.ndarray:
-    """The array of `shape_speed`, shape (SHAPING,). Nothing given: the step goes through as it is.
+) -> np.record:
+    """The record of type SHAPING for `shape_speed`. Nothing given: the step goes through as it is.
 
     Args:
         acceleration_max, jerk_max: limits [m/s², m/s³]; the jerk only with the acceleration.
@@ -295,9 +329,7 @@ def pack_shaping(
         InputError: a number that is not positive, half a pair, or both kinds at once.
     """
     given = (acceleration_max, jerk_max, natural_frequency, damping_ratio)
-    for name, value in zip(
-        ("acceleration_max", "jerk_max", "natural_frequency", "damping_ratio"), given, strict=True
-    ):
+    for name, value in zip(SHAPING_NAMES, given, strict=True):
         if value is not None and not (math.isfinite(value) and value > 0):
             raise InputError(
                 f"{name} of the trajectory modification is {value:g}",
@@ -312,6 +344,10 @@ def pack_shaping(
     ):
         raise InputError(
             "the trajectory modification is incomplete or double",
-            hint="give acceleration_max with or without jerk_max, or natural_frequency and damping_ratio, or none",
+            hint="give acceleration_max with or without jerk_max, or natural_frequency and "
+            "damping_ratio, or none",
         )
-    return np.array([0.0 if value is None else value for value in given])
+    shaping = blank(SHAPING)
+    for name, value in zip(SHAPING_NAMES, given, strict=True):
+        shaping[name] = 0.0 if value is None else value
+    return shaping

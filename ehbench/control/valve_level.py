@@ -1,13 +1,16 @@
 """Valve level: chamber flows to edge flows to commands, through the inverse laws or maps at the
 measured drops (thesis 3).
 
-What a valve cannot do is flagged for each edge, never hidden: a sum of the bits below.
+What a valve cannot do is flagged for each edge, never hidden: a sum of the bits of
+`ehbench.codes.LIMITS`.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+from ehbench.codes import AGAINST, FAINT, OUTSIDE, REVERSED, SATURATED
 from ehbench.compiled import kernel
 from ehbench.control.functions import (
     DIRECTION,
@@ -19,14 +22,15 @@ from ehbench.control.functions import (
     path_drop,
     widest,
 )
+from ehbench.control.measured import Pressures
 from ehbench.parts.edge import MAP, edge_command, edge_flow
 
-# SATURATED: even the widest command passes less than asked. AGAINST: flow asked the other way along
-# the path, shut.
-# REVERSED: the drop is against the flow, shut. FAINT: the drop is below the floor, the inverse is
-# taken at the floor.
-# OUTSIDE: drop and command lie beyond what the edge's map was measured at.
-SATURATED, AGAINST, REVERSED, FAINT, OUTSIDE = 1, 2, 4, 8, 16
+
+class Flows(NamedTuple):
+    """Q1 into the head end, Q2 out of the rod end [m³/s], negative in retraction."""
+
+    head: float
+    rod: float
 
 
 @kernel
@@ -104,20 +108,7 @@ def rest(circuit, command, flows, limits):
 
 
 @kernel
-def give(
-    function,
-    flow_head,
-    flow_rod,
-    p_head,
-    p_rod,
-    p_supply,
-    p_tank,
-    floor,
-    circuit,
-    command,
-    flows,
-    limits,
-):
+def allocate(function, wanted, p, floor, circuit, command, flows, limits):
     """Write the commands that give a working function its chamber flows; return all limits met,
     or'ed.
 
@@ -126,9 +117,9 @@ def give(
     the widest.
 
     Args:
-        function: index into FUNCTIONS; hold shuts all. flow_head, flow_rod: Q1 into the head end,
-        Q2 out of the rod end [m³/s], negative in retraction. p_head, p_rod, p_supply, p_tank:
-        measured [Pa].
+        function: index into FUNCTIONS; hold shuts all.
+        wanted: `Flows` of the chambers.
+        p: `Pressures`, measured [Pa].
         floor: least drop [Pa] at which the inverse is taken.
         circuit: of the cylinder.
         command: out, [V], one per valve of the rig; only this cylinder's are written.
@@ -148,48 +139,51 @@ def give(
         edge = circuit.paths[path]
         # 0·NaN stays NaN: a channel withheld from the controller shows in every command that it
         # could have touched
-        flow = share_head * flow_head + share_rod * flow_rod
-        drop = path_drop(path, p_head, p_rod, p_supply, p_tank)
+        flow = share_head * wanted.head + share_rod * wanted.rod
+        drop = path_drop(path, p)
         order, bits = edge_order(circuit, path, flow, drop, floor)
         valve = circuit.edges[edge].valve
         if turn == 0:
             decided = valve
             command[valve] = order
-        elif valve != decided:
-            if math.isnan(order) or circuit.edges[edge].sign * (order - command[valve]) > 0.0:
-                command[valve] = order
-        else:
+        elif valve == decided:
             bits &= ~SATURATED  # it does not decide how far it opens
-        along = circuit.along[path]
-        if (
-            flow > 0.0
-            and not bits & (AGAINST | REVERSED)
-            and not inside(circuit, edge, along * drop, command[valve])
-        ):
-            bits |= OUTSIDE
-        flows[edge - circuit.first] = along * flow
+        elif math.isnan(order) or circuit.edges[edge].sign * (order - command[valve]) > 0.0:
+            command[valve] = order
+        bits |= beyond_measured(circuit, path, flow, drop, command[valve], bits)
+        flows[edge - circuit.first] = circuit.along[path] * flow
         limits[edge - circuit.first] = bits
         met |= bits
+    bring_to_rest(circuit, command)
+    return met
+
+
+@kernel
+def beyond_measured(circuit, path, flow, drop, command, bits):
+    """OUTSIDE where a path passes oil beyond what its edge's map was measured at, else 0."""
+    if flow > 0.0 and not bits & (AGAINST | REVERSED):
+        if not inside(circuit, circuit.paths[path], circuit.along[path] * drop, command):
+            return OUTSIDE
+    return 0
+
+
+@kernel
+def bring_to_rest(circuit, command):
+    """Set commands of 0 V to the nearest that the driver takes."""
     for i in range(circuit.count):
         valve = circuit.edges[circuit.first + i].valve
         if command[valve] == 0.0:
             command[valve] = min(max(0.0, circuit.lowest[valve]), circuit.highest[valve])
-    return met
 
 
-def top_speed(
-    function: int, p_head: float, p_rod: float, p_supply: float, p_tank: float, circuit: Circuit
-) -> float:
+def top_speed(function: int, p: Pressures, circuit: Circuit) -> float:
     """Largest speed [m/s], ≥ 0, at which every edge of a working function carries its share at
-    these pressures [Pa].
+    these pressures.
     """
     fastest = math.inf
     for path in range(len(PATHS)):
         a, b = PATH_FLOWS[function, path]
         need = DIRECTION[function] * (a * circuit.area_head + b * circuit.area_rod)
         if need > 0.0:
-            fastest = min(
-                fastest,
-                capacity(circuit, path, path_drop(path, p_head, p_rod, p_supply, p_tank)) / need,
-            )
+            fastest = min(fastest, capacity(circuit, path, path_drop(path, p)) / need)
     return 0.0 if math.isinf(fastest) else fastest

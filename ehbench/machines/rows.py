@@ -10,12 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ehbench.compiled import kernel
-from ehbench.control import arc
-from ehbench.control import pressure_feedback as feedback
+from ehbench.control.law import Controller
+from ehbench.control.registry import tick
 from ehbench.parts.sample import OF, entry
 from ehbench.recipe import Limits
 
-FEEDBACK, ARC = 1, 2  # kinds of built-in controllers
 LIMITS = ("pressure_max", "pressure_min", "stroke_margin", "speed_max", "command_max")
 NO_LIMITS = (math.inf, -math.inf, -math.inf, math.inf, math.inf)
 PRESSURE_MAX, PRESSURE_MIN, MARGIN, SPEED, COMMAND = range(5)
@@ -38,19 +37,6 @@ class Rows(NamedTuple):
     limits: np.ndarray
     strokes: np.ndarray
     found: np.ndarray
-
-
-class Controller(NamedTuple):
-    """A built-in controller. ``mask`` says which channels of the sample it is given, in ``given``;
-    the others are NaN there. ``axis``, ``gains`` and ``memory`` are the law's own.
-    """
-
-    kind: int
-    mask: np.ndarray
-    given: np.ndarray
-    axis: arc.Axis
-    gains: np.ndarray
-    memory: np.ndarray
 
 
 class LawRows(NamedTuple):
@@ -104,11 +90,11 @@ def violated(rows, i):
 @kernel
 def control(law, i, rows):
     """One tick of a built-in controller: its command and its telemetry of row ``i``."""
-    c, reference, telemetry = law.controller, law.references[i], law.telemetry[i]
-    t, command = rows.t[i], rows.commands[i]
-    for j in range(rows.sample.shape[0]):
-        c.given[j] = rows.sample[j] if c.mask[j] else math.nan
-    if c.kind == ARC:
-        arc.step(t, c.given, reference, c.axis, c.gains, c.memory, command, telemetry)
-    else:
-        feedback.step(t, c.given, reference, c.axis.circuit, c.gains, c.memory, command, telemetry)
+    tick(
+        rows.t[i],
+        rows.sample,
+        law.references[i],
+        law.controller,
+        rows.commands[i],
+        law.telemetry[i],
+    )

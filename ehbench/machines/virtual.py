@@ -19,7 +19,7 @@ from zlib import crc32
 
 import numpy as np
 
-from ehbench.compiled import bound, kernel, record, table
+from ehbench.compiled import bound, kernel, part_kernel, record, table
 from ehbench.errors import InputError, SimulationError
 from ehbench.machines.protocol import Advance, Inputs, Posture
 from ehbench.machines.rows import LawRows, Rows, control, violated
@@ -39,7 +39,7 @@ from ehbench.parts.supply import pump_flow
 from ehbench.parts.valve import VALVE_COLUMNS, limited, valve_rates, valve_settle
 from ehbench.physics.cylinder import chamber_rate, relief_flow
 from ehbench.physics.friction import stribeck
-from ehbench.plant.build import Maps, set_second_order
+from ehbench.plant.build import Maps, second_order
 from ehbench.plant.derivatives import derivatives_of, finish_of, move
 from ehbench.plant.integrate import rk4
 from ehbench.plant.layout import Layout, Offsets, layout
@@ -193,7 +193,7 @@ def scratch_of(bench: VirtualPlant) -> Scratch:
 # --- laws
 
 
-@kernel
+@part_kernel
 def bulk(pressure, solid, air, exponent):
     """Bulk modulus [Pa] of oil with free air: ``1/β = 1/β_solid + α/(n p) (p0/p)^(1/n)``, p
     absolute.
@@ -206,7 +206,7 @@ def bulk(pressure, solid, air, exponent):
     return 1.0 / (1.0 / solid + air / (exponent * p) * (ATMOSPHERE / p) ** (1.0 / exponent))
 
 
-@kernel
+@part_kernel
 def opening_area(wide, softness, saturation):
     """Opening [V of ideal travel] at ``wide`` [V] beyond the onset: ``w²/(w + softness)``, then
     levelling off at saturation.
@@ -219,7 +219,7 @@ def opening_area(wide, softness, saturation):
     return soft / math.sqrt(math.sqrt(1.0 + ratio * ratio))
 
 
-@kernel
+@part_kernel
 def curve_flow(drop, spool, curve):
     """Flow [m³/s] at drop ≥ 0 through a curve at a spool position [V].
 
@@ -242,7 +242,7 @@ def curve_flow(drop, spool, curve):
     return curve.gain * a * p / math.sqrt(math.sqrt(p * p + ORIFICE_DROP * ORIFICE_DROP))
 
 
-@kernel
+@part_kernel
 def edge_flow(drop, spool, edge, curves):
     """Flow [m³/s] along an edge at a drop [Pa] of either sign and a spool position [V], null
     leakage included.
@@ -258,12 +258,25 @@ def edge_flow(drop, spool, edge, curves):
 
 
 @kernel
+def _spool_for(flow, drop, most, edge, curves):
+    """Spool position [V], at most ``most`` from closed, at which an edge passes a flow [m³/s]."""
+    low, high = 0.0, most
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        if edge_flow(drop, edge.sign * middle, edge, curves) > flow:
+            high = middle
+        else:
+            low = middle
+    return edge.sign * 0.5 * (low + high)
+
+
+@part_kernel
 def play(memory, value, width):
     """Backlash of ``width``: where the output goes from ``memory`` when the input is ``value``."""
     return min(max(memory, value - 0.5 * width), value + 0.5 * width)
 
 
-@kernel
+@part_kernel
 def _valves_and_edges(y, target, bench, dy, work):
     """Rates of the valves, net inflow and its slope of every node; the fastest rate [1/s]."""
     at, fastest = bench.at, 0.0
@@ -286,7 +299,7 @@ def _valves_and_edges(y, target, bench, dy, work):
     return fastest
 
 
-@kernel
+@part_kernel
 def _cylinders(y, bench, dy, work):
     """Pressure rates of the chambers, torques of the cylinders; the fastest rate [1/s]."""
     at, fluid, fastest = bench.at, bench.fluid, 0.0
@@ -316,7 +329,7 @@ def _cylinders(y, bench, dy, work):
     return fastest
 
 
-@kernel
+@part_kernel
 def _supply(y, bench, dy, work):
     """Rates of the supply line and the pump; the fastest of them [1/s]."""
     at, line, fluid = bench.at, bench.supply, bench.fluid
@@ -351,12 +364,12 @@ def derivatives(y, target, bench, dy, work):
 
 
 @finish_of(VirtualPlant)
-@kernel
+@part_kernel
 def _finish(y, target, bench, slope, d):
     """The bench leaves a Runge–Kutta step as it is."""
 
 
-@kernel
+@part_kernel
 def _raw(y, bench, raw):
     """What the sensors would say were they perfect, in the order of the raw channels."""
     cylinders = bench.cylinders.shape[0]
@@ -372,7 +385,7 @@ def _raw(y, bench, raw):
     raw[_RAW * cylinders + 1] = node_pressure(y, bench, TANK)
 
 
-@kernel
+@part_kernel
 def _follow(a, b, before, z, speed):
     """One tick of the filter ``s ω²/(s² + 2 ζ ω s + ω²)``, exact for an input that runs straight
     from ``before`` to ``z``.
@@ -385,7 +398,7 @@ def _follow(a, b, before, z, speed):
     return z - behind + speed[0] * e + speed[1] * f, slope + speed[2] * e + speed[3] * f
 
 
-@kernel
+@part_kernel
 def _delayed(state, bench, channel):
     """A raw channel as late as the delay line makes it; the line's present row is written."""
     at = bench.at
@@ -396,7 +409,7 @@ def _delayed(state, bench, channel):
     )
 
 
-@kernel
+@part_kernel
 def _measure(state, bench, noise_row, sample):
     """Noise, offset and quantization of the lagged channels, then the delay line, then speed from
     position.
@@ -615,20 +628,13 @@ def _tune(
     )
 
     def spool(flow: float) -> float:
-        low, high = 0.0, 4.0 * float(valve.command_max)
-        if edge_flow(drop, row.sign * high, row, curves) < flow:
+        most = 4.0 * float(valve.command_max)
+        if edge_flow(drop, row.sign * most, row, curves) < flow:
             raise InputError(
-                f"valve '{valve.name}' of the bench never passes its calibration flow "
-                f"{flow:g} m^3/s"
+                f"valve '{valve.name}' of the bench never passes its calibration flow {flow:g} "
+                "m^3/s"
             )
-        for _ in range(200):
-            middle = 0.5 * (low + high)
-            low, high = (
-                (low, middle)
-                if edge_flow(drop, row.sign * middle, row, curves) > flow
-                else (middle, high)
-            )
-        return row.sign * 0.5 * (low + high)
+        return _spool_for(flow, drop, most, row, curves)
 
     ends = [(command - 0.5 * width, spool(flow)) for command, flow in (points[0], points[-1])]
     (u0, s0), (u1, s1) = ends
@@ -966,7 +972,9 @@ def _valves(
         if valve.dynamics is not None:
             omega, zeta = rig.dynamics[valve.dynamics].frequency_and_damping()
             omega = given("natural_frequency", faster * omega)
-            set_second_order(elements[row.first], omega, given("damping_ratio", damper * zeta))
+            zeta = given("damping_ratio", damper * zeta)
+            for key, value in second_order(omega, zeta).items():
+                elements[row.first][key] = value
     return valves, elements
 
 

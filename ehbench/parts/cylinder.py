@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.compiled import kernel, record
+from ehbench.compiled import part_kernel, record
 from ehbench.parts.friction import COLUMNS as FRICTION
 from ehbench.parts.nodes import node_pressure
 from ehbench.physics.cylinder import (
@@ -57,16 +57,23 @@ CYLINDER_COLUMNS = (
     *FRICTION,
 )
 CYLINDER = record(*CYLINDER_COLUMNS)
+# fields that are those of the rig file, and those that `linkage` takes before the angle
+CYLINDER_FIELDS = (
+    *("stroke", "volume_head", "volume_rod"),
+    *("leakage_internal", "leakage_head", "leakage_rod"),
+    *(name for name, _ in FRICTION),
+)
+PINS_OF = ("geometry", "l_a", "l_b", "side", "phase", "retracted_length")
 
 
-@kernel
+@part_kernel
 def linkage_of(row, q):
     """(stroke x [m], lever ∂x/∂q [m/rad], ∂lever/∂q [m/rad²]) of a cylinder at its joint's q."""
     return linkage(row.geometry, row.l_a, row.l_b, row.side, row.phase, row.retracted_length, q)
 
 
 def _pins(row: Any) -> tuple[Any, ...]:
-    return (row.geometry, row.l_a, row.l_b, row.side, row.phase, row.retracted_length)
+    return tuple(row[name] for name in PINS_OF)
 
 
 def joint_of(row: Any, x: Any) -> Any:
@@ -83,7 +90,7 @@ def joint_range_of(row: Any) -> tuple[float, float]:
     return joint_range(*_pins(row), row.stroke)
 
 
-@kernel
+@part_kernel
 def _linkages(row, q, x, lever):
     for i in range(q.shape[0]):
         x[i], lever[i], _ = linkage_of(row, q[i])
@@ -96,7 +103,7 @@ def linkage_arrays(row: Any, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return x, lever
 
 
-@kernel
+@part_kernel
 def chamber_of(row, side):
     """(node, signed area [m²], dead volume [m³], leakage to tank [m³/(s·Pa)]) of the head end
     (side 0) or the rod end (1); the area is positive where the chamber grows with the stroke.
@@ -106,20 +113,20 @@ def chamber_of(row, side):
     return row.node_rod, -row.area_rod, row.volume_rod, row.leakage_rod
 
 
-@kernel
+@part_kernel
 def chamber_oil(row, side, x):
     """Oil volume [m³] of a chamber at stroke x [m]."""
     _, area, dead, _ = chamber_of(row, side)
     return chamber_volume(dead, area * x)
 
 
-@kernel
+@part_kernel
 def relief_out(row, pressure):
     """Flow [m³/s] out of a chamber through its relief valve."""
     return relief_flow(pressure, row.relief_pressure, RELIEF_GAIN)
 
 
-@kernel
+@part_kernel
 def chamber_inflow(row, side, v, net, y, plant):
     """What compresses the oil of a chamber [m³/s]: the right-hand sides of thesis 2.4 and 2.5.
 
@@ -139,7 +146,7 @@ def chamber_inflow(row, side, v, net, y, plant):
     return (inflow - across if side == 0 else inflow + across) - drained
 
 
-@kernel
+@part_kernel
 def chamber_slope(row, pressure, inflow, slope):
     """How fast a chamber's inflow changes with its pressure [m³/(s·Pa)], for the substep guard.
 
@@ -155,13 +162,13 @@ def chamber_slope(row, pressure, inflow, slope):
     return slope
 
 
-@kernel
+@part_kernel
 def chamber_pressure_rate(row, pressure, volume, inflow):
     """Rate of pressure [Pa/s] of a chamber, held above its cavitation floor."""
     return chamber_rate(inflow, pressure, volume, row.bulk_modulus, row.cavitation_pressure)
 
 
-@kernel
+@part_kernel
 def chamber_makeup(row, pressure, inflow):
     """Oil [m³/s], ≥ 0, that the cavitation floor adds to a chamber."""
     return makeup_flow(inflow, pressure, row.cavitation_pressure)

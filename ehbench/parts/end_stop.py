@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 
-from ehbench.compiled import kernel
+from ehbench.compiled import part_kernel
 from ehbench.physics.cylinder import end_stop
 
 STOP_DEPTH = 1.0e-3  # [m]: how deep full supply pressure sinks a piston into its end stop
 STOP_DISSIPATION = 5.0  # [s/m]
 
 
-@kernel
+@part_kernel
 def stop_force(row, x, v):
     """Force [N] of a cylinder's end stops on the rod at stroke x [m] and speed v [m/s], extension
     positive.
@@ -19,20 +19,20 @@ def stop_force(row, x, v):
     return end_stop(x, v, row.stroke, row.stop_stiffness, STOP_DISSIPATION)
 
 
-@kernel
+@part_kernel
 def stop_rate(row):
     """Fastest rate [1/s] of a cylinder in its end stop."""
     return 2.0 * math.sqrt(row.mobility * row.stop_stiffness)
 
 
-@kernel
+@part_kernel
 def stop_held(row, x):
     """Energy [J] that the end stops hold as springs at stroke x [m]."""
     depth = max(-x, x - row.stroke, 0.0)
     return 0.5 * row.stop_stiffness * depth * depth
 
 
-@kernel
+@part_kernel
 def stop_loss(row, x, v):
     """Power [W] that the end stops take beyond what they hold as springs."""
     if 0.0 <= x <= row.stroke:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ehbench.compiled import kernel, record
+from ehbench.compiled import part_kernel, record
 
 SUPPLY, TANK = 0, 1
 
@@ -11,14 +11,14 @@ SUPPLY, TANK = 0, 1
 NODE = record(("state", "i8"), ("pressure", "f8"), ("cylinder", "i8"), ("side", "i8"))
 
 
-@kernel
+@part_kernel
 def node_pressure(y, plant, node):
     """Pressure [Pa] of a node at plant state y."""
     row = plant.nodes[node]
     return row.pressure if row.state < 0 else y[row.state]
 
 
-@kernel
+@part_kernel
 def node_bulk_modulus(plant, node):
     """Effective bulk modulus [Pa] of the oil at a node."""
     cylinder = plant.nodes[node].cylinder

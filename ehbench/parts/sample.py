@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from ehbench.compiled import kernel
+from ehbench.compiled import part_kernel
 
 
 class CylinderEntries(NamedTuple):
@@ -33,22 +33,28 @@ OF, LINE = CylinderEntries(), LineEntries()
 _CYLINDER, _LINES = len(OF), len(LINE)
 
 
-@kernel
+@part_kernel
 def entry(cylinder, channel):
     """Where a cylinder's channel stands in a sample, such as ``entry(c, OF.p_head)``."""
     return _CYLINDER * cylinder + channel
 
 
-@kernel
+@part_kernel
 def line_entry(cylinders, channel):
     """Where a channel of the supply lines stands in a sample, such as ``line_entry(nc, LINE.p_tank)``."""
     return _CYLINDER * cylinders + channel
 
 
-@kernel
+@part_kernel
 def sample_size(cylinders):
     """How many channels a sample has."""
     return _CYLINDER * cylinders + _LINES
+
+
+@part_kernel
+def cylinders_in(channels):
+    """How many cylinders a sample of so many channels is of."""
+    return (channels - _LINES) // _CYLINDER
 
 
 def sample_channels(cylinders: Sequence[str]) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ehbench.compiled import kernel, record
+from ehbench.compiled import part_kernel, record
 
 RECOVERY_TIME = 0.02  # [s]
 
@@ -11,7 +11,7 @@ RECOVERY_TIME = 0.02  # [s]
 SUPPLY = record(("pressure", "f8"), ("flow_limit", "f8"), ("volume", "f8"), ("bulk_modulus", "f8"))
 
 
-@kernel
+@part_kernel
 def pump_flow(p_supply, demand, supply):
     """Flow [m³/s] a pressure-compensated pump delivers at ``p_supply`` [Pa] and ``demand`` [m³/s].
 

@@ -23,7 +23,7 @@ import math
 
 import numpy as np
 
-from ehbench.compiled import kernel, record, table
+from ehbench.compiled import kernel, record
 
 CHAIN, SLIDE = 0, 1
 
@@ -42,8 +42,8 @@ _COS, _SIN, _BODY = 0, 1, 2
 _STRIDE = 12
 
 
-def pack_link(dh_a, dh_d, dh_alpha, dh_theta, mass, com, inertia, damping) -> np.record:
-    """One row of ``links`` for a revolute joint and its link.
+def pack_link(dh_a, dh_d, dh_alpha, dh_theta, mass, com, inertia, damping) -> dict[str, float]:
+    """One row of ``links`` for a revolute joint and its link, by the fields of LINK.
 
     Args:
         dh_a, dh_d: Denavit–Hartenberg link length and offset [m].
@@ -60,27 +60,23 @@ def pack_link(dh_a, dh_d, dh_alpha, dh_theta, mass, com, inertia, damping) -> np
     j = twist @ np.asarray(inertia, dtype=float) @ twist.T + mass * (
         r @ r * np.eye(3) - np.outer(r, r)
     )
-    row = table(1, LINK)[0]
-    row.a, row.d, row.cos_alpha, row.sin_alpha = dh_a, dh_d, cosine, sine
-    row.theta0, row.mass, row.damping = dh_theta, mass, damping
-    row.hx, row.hy, row.hz = mass * r
-    row.jxx, row.jyy, row.jzz = np.diag(j)
-    row.jxy, row.jxz, row.jyz = j[0, 1], j[0, 2], j[1, 2]
-    return row
+    frame = {"a": dh_a, "d": dh_d, "cos_alpha": cosine, "sin_alpha": sine, "theta0": dh_theta}
+    moments = dict(zip(("hx", "hy", "hz"), mass * r, strict=True))
+    squares = {"jxx": j[0, 0], "jyy": j[1, 1], "jzz": j[2, 2]}
+    products = {"jxy": j[0, 1], "jxz": j[0, 2], "jyz": j[1, 2]}
+    return frame | {"mass": mass, "damping": damping} | moments | squares | products
 
 
-def pack_slide(mass, damping, incline) -> np.record:
-    """The one row of ``links`` for a sliding mass.
+def pack_slide(mass, damping, incline) -> dict[str, float]:
+    """The one row of ``links`` for a sliding mass, by the fields of LINK.
 
     Args:
         mass: [kg].
         damping: viscous damping [N·s/m].
         incline: slope [rad], positive when x grows uphill; π/2 lifts straight up.
     """
-    row = table(1, LINK)[0]
-    row.mass, row.damping = mass, damping
-    row.cos_alpha, row.sin_alpha = math.cos(incline), math.sin(incline)
-    return row
+    slope = {"cos_alpha": math.cos(incline), "sin_alpha": math.sin(incline)}
+    return {"mass": mass, "damping": damping, **slope}
 
 
 @kernel

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import table
+from ehbench.compiled import table, table_of
 from ehbench.errors import InputError
 from ehbench.parts import edge as edges
 from ehbench.parts import valve as valves
-from ehbench.parts.cylinder import CYLINDER, joint_of, linkage_of
+from ehbench.parts.cylinder import CYLINDER, CYLINDER_FIELDS, PINS_OF
 from ehbench.parts.edge import EDGE
 from ehbench.parts.end_stop import STOP_DEPTH
-from ehbench.parts.nodes import NODE, SUPPLY, TANK
+from ehbench.parts.nodes import NODE, TANK
 from ehbench.parts.supply import SUPPLY as SUPPLY_LINE
 from ehbench.parts.valve import ELEMENT, VALVE
 from ehbench.physics import arm
-from ehbench.physics.cylinder import DIRECT, PINS
+from ehbench.physics.cylinder import DIRECT, PINS, joint_angle, linkage
 from ehbench.physics.flow_map import FlowMap, ValveMaps, pack
 from ehbench.plant.layout import SIDES, Layout, Offsets, layout
-from ehbench.rig import Chain, Edge, Rig, Slide, Valve
+from ehbench.rig import Chain, Cylinder, Edge, Rig, Slide
 
 Maps = Mapping[str, ValveMaps]
 
@@ -97,11 +97,11 @@ def build(rig: Rig, maps: Maps | None = None) -> Plant:
 
 def _mechanism(rig: Rig) -> tuple[int, np.recarray, tuple[float, float, float]]:
     """(kind, links, the base-frame direction that points up)."""
-    if isinstance(rig.mechanism, Slide):
-        body, links = rig.mechanism, table(1, arm.LINK)
-        links[0] = arm.pack_slide(float(body.mass), float(body.damping), float(body.incline))
-        return arm.SLIDE, links, (0.0, 0.0, 1.0)
-    return arm.CHAIN, _links(rig.mechanism), _up(rig.mechanism)
+    body = rig.mechanism
+    if isinstance(body, Slide):
+        link = arm.pack_slide(float(body.mass), float(body.damping), float(body.incline))
+        return arm.SLIDE, table_of([link], arm.LINK), (0.0, 0.0, 1.0)
+    return arm.CHAIN, _links(body), _up(body)
 
 
 def _up(chain: Chain) -> tuple[float, float, float]:
@@ -109,8 +109,8 @@ def _up(chain: Chain) -> tuple[float, float, float]:
 
 
 def _links(chain: Chain) -> np.recarray:
-    links = table(len(chain.joint), arm.LINK)
-    for at, joint in enumerate(chain.joint):
+    links = []
+    for joint in chain.joint:
         xx, yy, zz, xy, xz, yz = joint.inertia.value
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         if np.linalg.eigvalsh(inertia).min() < 0 or float(joint.mass) < 0:
@@ -119,100 +119,130 @@ def _links(chain: Chain) -> np.recarray:
                 "principal moment"
             )
         frame = (joint.dh_a, joint.dh_d, joint.dh_alpha, joint.dh_theta, joint.mass)
-        links[at] = arm.pack_link(
-            *map(float, frame), joint.com.value, inertia, float(joint.joint_damping)
+        links.append(
+            arm.pack_link(*map(float, frame), joint.com.value, inertia, float(joint.joint_damping))
         )
-    return links
+    return table_of(links, arm.LINK)
 
 
 def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.recarray:
-    rows = table(len(rig.cylinder), CYLINDER)
-    for index, (row, item) in enumerate(zip(rows, rig.cylinder, strict=True)):
-        row.joint, row.geometry = names.joints.index(item.joint), DIRECT
-        if item.pins is not None:
-            row.geometry = PINS
-            row.l_a, row.l_b = float(item.pins.l_a), float(item.pins.l_b)
-            row.side, row.phase = item.pins.sign, float(item.pins.phase)
-            row.retracted_length = float(item.pins.retracted_length)
-        row.area_head, row.area_rod = item.areas()
-        for key in ("stroke", "volume_head", "volume_rod", "friction_viscous", "friction_coulomb"):
-            row[key] = float(getattr(item, key))
-        for key in ("leakage_internal", "leakage_head", "leakage_rod"):
-            row[key] = float(getattr(item, key))
-        oil, relief = item.bulk_modulus or rig.oil.bulk_modulus, item.relief_pressure
-        row.bulk_modulus = float(oil)
-        row.relief_pressure = math.inf if relief is None else float(relief)
-        row.cavitation_pressure = float(rig.oil.cavitation_pressure)
-        row.stop_stiffness = float(rig.supply.pressure) * row.area_head / STOP_DEPTH
-        row.node_head, row.node_rod = (names.node(index, side) for side in SIDES)
-        row.friction = names.frictions[index]
-        row.mobility = _mobility(kind, links, row)
-    return rows
+    rows = []
+    for index, item in enumerate(rig.cylinder):
+        head, rod = item.areas()
+        relief, pins = item.relief_pressure, _pins(item)
+        joint = names.joints.index(item.joint)
+        own = {key: float(getattr(item, key)) for key in CYLINDER_FIELDS}
+        rows.append(
+            own
+            | dict(zip(PINS_OF, pins, strict=True))
+            | {
+                "joint": joint,
+                "area_head": head,
+                "area_rod": rod,
+                "bulk_modulus": float(item.bulk_modulus or rig.oil.bulk_modulus),
+                "relief_pressure": math.inf if relief is None else float(relief),
+                "cavitation_pressure": float(rig.oil.cavitation_pressure),
+                "stop_stiffness": float(rig.supply.pressure) * head / STOP_DEPTH,
+                "mobility": _mobility((kind, links), pins, joint, own["stroke"]),
+                "node_head": names.node(index, "head"),
+                "node_rod": names.node(index, "rod"),
+                "friction": names.frictions[index],
+            }
+        )
+    return table_of(rows, CYLINDER)
 
 
-def _mobility(kind: int, links: np.recarray, row: np.record) -> float:
+def _pins(item: Cylinder) -> tuple[Any, ...]:
+    """Arguments of `ehbench.physics.cylinder.linkage` before the angle."""
+    pins = item.pins
+    if pins is None:
+        return (DIRECT, 0.0, 0.0, 0.0, 0.0, 0.0)
+    lengths, phase = (float(pins.l_a), float(pins.l_b)), float(pins.phase)
+    return (PINS, *lengths, float(pins.sign), phase, float(pins.retracted_length))
+
+
+def _mobility(
+    mechanism: tuple[int, np.recarray], pins: tuple[Any, ...], joint: int, stroke: float
+) -> float:
     """Largest acceleration at the cylinder per force on it [1/kg] over its stroke, the other joints
     at zero and free.
     """
-    n, joint = links.shape[0], int(row.joint)
+    kind, links = mechanism
+    n = links.shape[0]
     mass, work, most = np.empty((n, n)), np.empty(arm.work_size(n)), 0.0
-    for x in np.linspace(0.0, row.stroke, 5):
+    for angle in joint_angle(*pins, np.linspace(0.0, stroke, 5)):
         q = np.zeros(n)
-        q[joint] = joint_of(row, x)
+        q[joint] = angle
         arm.mass_matrix(kind, links, q, mass, work)
-        _, lever, _ = linkage_of(row, q[joint])
+        _, lever, _ = linkage(*pins, angle)
         most = max(most, lever**2 * float(np.linalg.inv(mass)[joint, joint]))
     return most
 
 
 def _nodes(rig: Rig, names: Layout) -> np.recarray:
-    rows = table(names.nodes, NODE)
-    rows.state = rows.cylinder = -1
-    rows[SUPPLY].state = names.state("p_supply")
-    rows[TANK].pressure = float(rig.supply.tank_pressure)
+    rows = [
+        {"state": names.state("p_supply"), "cylinder": -1},
+        {"state": -1, "pressure": float(rig.supply.tank_pressure), "cylinder": -1},
+    ]
     for index in range(len(names.cylinders)):
-        for side, end in enumerate(SIDES):
-            row = rows[names.node(index, end)]
-            row.state, row.cylinder, row.side = names.state(f"p_{end}", index), index, side
-    return rows
+        rows += [
+            {"state": names.state(f"p_{end}", index), "cylinder": index, "side": side}
+            for side, end in enumerate(SIDES)
+        ]
+    return table_of(rows, NODE)
 
 
 def _valves(rig: Rig, names: Layout) -> tuple[np.recarray, np.recarray]:
-    rows, elements = table(len(names.valves), VALVE), table(len(names.elements), ELEMENT)
-    at = 0
-    for index, (row, (_, item)) in enumerate(zip(rows, rig.valves(), strict=True)):
-        row.lowest, row.highest = float(item.command_min), float(item.command_max)
-        row.first, row.output = at, -1
+    rows, elements = [], []
+    for index, (_, item) in enumerate(rig.valves()):
+        first, output = len(elements), -1
         for law in (law for valve, law in names.elements if valve == index):
             omega, zeta = rig.dynamics[item.dynamics].frequency_and_damping()
-            set_second_order(elements[at], omega, zeta)
-            elements[at].law, elements[at].states = law, len(valves.LAWS[law].states)
-            elements[at].state = row.output = names.state("opening", index)
-            at += 1
-        row.count = at - row.first
-    return rows, elements
+            output = names.state("opening", index)
+            states = len(valves.LAWS[law].states)
+            place = {"law": law, "state": output, "states": states}
+            elements.append(place | second_order(omega, zeta))
+        ends = {"lowest": float(item.command_min), "highest": float(item.command_max)}
+        count = len(elements) - first
+        rows.append(ends | {"first": first, "count": count, "output": output})
+    return table_of(rows, VALVE), table_of(elements, ELEMENT)
 
 
-def set_second_order(element: np.record, omega: float, zeta: float) -> None:
-    """Give an element its natural frequency [rad/s] and damping ratio."""
-    element.stiffness, element.damping = omega**2, 2 * zeta * omega
-    element.fastest = math.sqrt(element.stiffness)
+def second_order(omega: float, zeta: float) -> dict[str, float]:
+    """Fields of an element of natural frequency [rad/s] and damping ratio."""
+    stiffness = omega**2
+    return {
+        "stiffness": stiffness,
+        "damping": 2 * zeta * omega,
+        "fastest": math.sqrt(stiffness),
+    }
 
 
 def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray]:
     """(rows, packed flow maps)."""
-    rows, packed = table(len(names.edges), EDGE), []
-    for row, name, (item, valve, edge) in zip(rows, names.edges, rig.edges(), strict=True):
-        cylinder = names.cylinders.index(item.name)
-        row.from_node, row.to_node = names.node(cylinder, edge.from_), names.node(cylinder, edge.to)
-        row.valve = names.valves.index(f"{item.name}.{valve.name}")
-        row.sign, row.blocked = edge.sign, edge.reverse == "blocked"
-        _law(row, edge, map_of(maps, name), packed, rig, valve)
+    rows: list[dict[str, Any]] = []
+    packed: list[FlowMap] = []
+    for name, (item, valve, edge) in zip(names.edges, rig.edges(), strict=True):
+        cylinder, given = names.cylinders.index(item.name), map_of(maps, name)
+        if edge.law == "map" and given is None:
+            raise InputError(
+                f"edge '{valve.edge_name(edge)}' of rig '{rig.name}' follows a flow map, and none "
+                "is given for it",
+                hint="name a run with flow_maps",
+            )
+        row = {
+            "from_node": names.node(cylinder, edge.from_),
+            "to_node": names.node(cylinder, edge.to),
+            "valve": names.valves.index(f"{item.name}.{valve.name}"),
+            "sign": edge.sign,
+            "blocked": edge.reverse == "blocked",
+        }
+        rows.append(row | _law(edge, given, packed))
     data, offsets = pack(packed) if packed else (np.zeros(1), np.zeros(0, dtype=np.int64))
-    for key in ("forward", "reverse"):
-        chosen = rows[key] >= 0
-        rows[key][chosen] = np.asarray(offsets)[rows[key][chosen]]
-    return rows, data
+    for row in rows:
+        for key in ("forward", "reverse"):
+            row[key] = int(offsets[row[key]]) if row[key] >= 0 else -1
+    return table_of(rows, EDGE), data
 
 
 def map_of(maps: Maps | None, edge: str) -> ValveMaps | None:
@@ -221,35 +251,26 @@ def map_of(maps: Maps | None, edge: str) -> ValveMaps | None:
     return maps.get(edge) or maps.get(edge.split(".", 1)[1])
 
 
-def _law(
-    row: np.record,
-    edge: Edge,
-    given: ValveMaps | None,
-    packed: list[FlowMap],
-    rig: Rig,
-    valve: Valve,
-) -> None:
-    if edge.law == "map" and given is None:
-        raise InputError(
-            f"edge '{valve.edge_name(edge)}' of rig '{rig.name}' follows a flow map, and none is "
-            "given for it",
-            hint="name a run with flow_maps",
-        )
+def _law(edge: Edge, given: ValveMaps | None, packed: list[FlowMap]) -> dict[str, Any]:
+    """Fields of an edge's law; its maps go to ``packed``, their numbers there into the row."""
     gain = edge.flow_gain if edge.law == "orifice" else edge.compensated_gain
-    row.law = edges.MAP if given is not None else edges.BY_NAME[edge.law]
-    row.gain = 0.0 if gain is None else float(gain)
-    row.deadband, row.compensation_drop = float(edge.deadband), float(edge.compensation_drop)
-    row.forward = row.reverse = -1
-    if given is not None:
-        for key in ("forward", "reverse"):
-            one = getattr(given, key)
-            if one is not None:
-                row[key] = len(packed)
-                packed.append(one)
+    row = {
+        "law": edges.MAP if given is not None else edges.BY_NAME[edge.law],
+        "gain": 0.0 if gain is None else float(gain),
+        "deadband": float(edge.deadband),
+        "compensation_drop": float(edge.compensation_drop),
+        "forward": -1,
+        "reverse": -1,
+    }
+    for key in ("forward", "reverse"):
+        one = getattr(given, key, None)
+        if one is not None:
+            row[key] = len(packed)
+            packed.append(one)
+    return row
 
 
 def _supply(rig: Rig) -> np.record:
-    row = table(1, SUPPLY_LINE)[0]
-    row.pressure, row.flow_limit = float(rig.supply.pressure), float(rig.supply.flow_limit)
-    row.volume, row.bulk_modulus = float(rig.supply.volume), float(rig.oil.bulk_modulus)
-    return row
+    own, beta = rig.supply, float(rig.oil.bulk_modulus)
+    row = {key: float(getattr(own, key)) for key in ("pressure", "flow_limit", "volume")}
+    return table_of([row | {"bulk_modulus": beta}], SUPPLY_LINE)[0]

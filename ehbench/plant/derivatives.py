@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ehbench.compiled import Generic, kernel
+from ehbench.compiled import Generic, kernel, part_kernel
 from ehbench.parts.cylinder import (
     chamber_inflow,
     chamber_of,
@@ -26,7 +26,7 @@ derivatives_of, finish_of = _derivatives.of, _finish.of
 any_derivatives, any_finish = _derivatives.call, _finish.call
 
 
-@kernel
+@part_kernel
 def _valves(y, command, plant, dy, work):
     """Rates of the valves' elements; openings into ``work``."""
     fastest = 0.0
@@ -38,7 +38,7 @@ def _valves(y, command, plant, dy, work):
     return fastest
 
 
-@kernel
+@part_kernel
 def _edges(y, plant, work):
     """Flows along the edges; net inflow and its slope of every node."""
     at = plant.at
@@ -60,7 +60,7 @@ def _edges(y, plant, work):
         work[at.flow + e] = flow
 
 
-@kernel
+@part_kernel
 def _cylinders(y, plant, dy, work):
     """Pressure rates of the chambers; torques of the cylinders into ``work``."""
     at, fastest = plant.at, 0.0
@@ -87,7 +87,7 @@ def _cylinders(y, plant, dy, work):
     return fastest
 
 
-@kernel
+@part_kernel
 def move(y, plant, dy, work):
     """Rates of the joints under the torques in ``work``: ``D(q) q̈ + h + c + B q̇ = Jᵀ P_load``
     (thesis 2.1, 2.2).
@@ -107,7 +107,7 @@ def move(y, plant, dy, work):
     )
 
 
-@kernel
+@part_kernel
 def _supply(y, plant, dy, work):
     """Pressure rate of the supply line; the pump's flow into ``work``."""
     at, supply = plant.at, plant.supply
@@ -146,7 +146,7 @@ def derivatives(y, command, plant, dy, work):
 
 
 @finish_of(Plant)
-@kernel
+@part_kernel
 def finish(y, command, plant, slope, d):
     """Better the valves' states after a Runge–Kutta step of ``d`` [s]; ``slope`` holds the rates
     where it began.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from ehbench import codes
 from ehbench.record import Record
 from ehbench.report.captions import capital, load_name, measure, percent, sentence, span
 from ehbench.report.cases import SLOW, Case, damping, true_payload
@@ -11,8 +12,9 @@ from ehbench.report.saved import Table
 from ehbench.report.words import count, number, pretty, shown, unit_of, words
 from ehbench.rig import Rig
 
-# channels of what an adaptive law has learnt, in the order of the figure
-ESTIMATES = ("payload_estimate", "inverse_inertia", "disturbance", "inverse_bulk")
+# channels of what an adaptive law has learnt, in the order of the figure: the payload, not its
+# share
+ESTIMATES = ("payload_estimate", *(word for word in codes.ESTIMATES if word != "payload_share"))
 ROUNDING = 1e-9  # share of its bounds by which a logged estimate may lie outside
 
 

@@ -1,7 +1,7 @@
 """What a stage is: it takes in what its recipe names, does its one job, leaves one run folder.
 
-To add a stage, write one file with its recipe model and its `Stage`, name it in `stages.REGISTRY`,
-and write its section in ``report/stages/`` under the same name."""
+To add a stage, write one file here with its recipe model and its `Stage`, add it to
+`stages.REGISTRY`, and give it a section in `ehbench.report.stages` under the same name."""
 
 from __future__ import annotations
 

@@ -15,11 +15,11 @@ class BenchFile(Checked[BenchRecipe]):
     recipe = BenchRecipe
 
     def prepare(self, recipe: BenchRecipe, inputs: Inputs) -> Prepared:
-        from ehbench.machines.registry import open_machine
+        from ehbench import trial
 
         rig = load_rig(inputs.existing(recipe.rig))
         own = {"on": "bench", "bench": recipe.path.name, "rig": recipe.rig, "path": recipe.path}
-        open_machine(TrialRecipe(stage="trial", duration=Value(1.0), **own), rig)
+        trial.prepare(TrialRecipe(stage="trial", duration=Value(1.0), **own), rig)
         inputs.found.say("reads", f"{recipe.rig} (rig '{rig.name}')")
         return Prepared(recipe, None, 'is a virtual bench for trials with on = "bench"')
 

@@ -201,7 +201,7 @@ class Inputs:
         """
         import numpy as np
 
-        from ehbench.intake import distinct_names
+        from ehbench.preprocessing import distinct_names
         from ehbench.logs import read_record
 
         items, places = [], []

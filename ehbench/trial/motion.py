@@ -1,4 +1,4 @@
-"""What the controlled cylinder shall do, as a table of wishes, one row a tick."""
+"""What the controlled cylinder shall do, as a table of references, one row a tick."""
 
 from __future__ import annotations
 
@@ -6,21 +6,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ehbench.codes import FUNCTIONS
 from ehbench.control.functions import (
     CROSS,
     DIRECTION,
-    FUNCTIONS,
     HEAD_TANK,
     OVERRUNNING,
     ROD_TANK,
     SUPPLY_HEAD,
     SUPPLY_ROD,
+    Circuit,
     capacity,
     coupled,
     path_drop,
     supply_draw,
 )
-from ehbench.control.trajectory import WISH, A, J, V, X, point_to_point, velocity_steps
+from ehbench.control.measured import Pressures
+from ehbench.control.trajectory import ORDERS, A, J, V, X, point_to_point, velocity_steps
 from ehbench.control.valve_level import top_speed
 from ehbench.errors import InputError
 from ehbench.quantities import VOCABULARY, Quantity
@@ -48,14 +50,14 @@ class Level:
 
 
 @dataclass(frozen=True)
-class Wishes:
+class References:
     """``table`` of x_d, v_d, a_d, j_d, shape (samples, 4), and the levels of speed in it."""
 
     table: np.ndarray
     levels: tuple[Level, ...] = ()
 
 
-def wishes(recipe: TrialRecipe, design: Design, low_pressure: float) -> Wishes:
+def references(recipe: TrialRecipe, design: Design, low_pressure: float) -> References:
     """The table of a trial, as long as the recipe's duration or, without one, as its motion.
 
     Raises:
@@ -63,7 +65,7 @@ def wishes(recipe: TrialRecipe, design: Design, low_pressure: float) -> Wishes:
     """
     rate, motion = float(recipe.rate), recipe.motion
     if motion is None:
-        made = Wishes(np.tile([design.x, 0.0, 0.0, 0.0], (2, 1)))
+        made = References(np.tile([design.x, 0.0, 0.0, 0.0], (2, 1)))
     else:
         try:
             made = {"velocity_steps": _steps, "point_to_point": _points, "file": _file}[
@@ -76,7 +78,7 @@ def wishes(recipe: TrialRecipe, design: Design, low_pressure: float) -> Wishes:
     table = made.table
     if recipe.duration is not None:
         count = round(float(recipe.duration) * rate) + 1
-        still = np.zeros((max(count - len(table), 0), WISH))
+        still = np.zeros((max(count - len(table), 0), ORDERS))
         still[:, X] = table[-1, X]
         table = np.ascontiguousarray(np.concatenate([table, still])[:count])
     stroke = float(design.row.stroke)
@@ -84,7 +86,8 @@ def wishes(recipe: TrialRecipe, design: Design, low_pressure: float) -> Wishes:
     if out.size:
         where = recipe.at(*motion.where) if motion is not None else {}
         raise InputError(
-            f"the desired motion of '{design.cylinder}' leaves the stroke at t = {out[0] / rate:.4g} s",
+            f"the desired motion of '{design.cylinder}' leaves the stroke at t = "
+            f"{out[0] / rate:.4g} s",
             **where,
             hint=f"the stroke is {stroke * 1e3:.4g} mm and it starts at {design.x * 1e3:.4g} mm",
         )
@@ -93,7 +96,7 @@ def wishes(recipe: TrialRecipe, design: Design, low_pressure: float) -> Wishes:
         for one in made.levels
         if one.first < len(table)
     )
-    return Wishes(table, levels)
+    return References(table, levels)
 
 
 def full_speed(design: Design, way: int, low_pressure: float) -> float:
@@ -126,30 +129,37 @@ def full_speed(design: Design, way: int, low_pressure: float) -> float:
         word = "extend" if way > 0 else "retract"
         raise InputError(f"the valves of '{design.cylinder}' cannot {word} it at this load")
     function = fits[0]
-    if not coupled(circuit, function):
-        speed = top_speed(function, p_head, p_rod, p_supply, p_tank, circuit)
+    if coupled(circuit, function):
+        speed = _spool_speed(circuit, way, force, p_supply, p_tank)
     else:
-        into, out = (SUPPLY_HEAD, ROD_TANK) if way > 0 else (SUPPLY_ROD, HEAD_TANK)
-        area_in, area_out = (area_head, area_rod) if way > 0 else (area_rod, area_head)
-
-        def speeds(rod: float) -> tuple[float, float]:
-            ends = ((force + area_rod * rod) / area_head, rod, p_supply, p_tank)
-            return capacity(circuit, into, path_drop(into, *ends)) / area_in, capacity(
-                circuit, out, path_drop(out, *ends)
-            ) / area_out
-
-        # the higher both pressures, the less comes in and the more goes out (extending; retracting
-        # the same): bisect the balance
-        low, high = p_tank - abs(force) / area_rod, p_supply + abs(force) / area_rod
-        for _ in range(60):
-            middle = 0.5 * (low + high)
-            entering, leaving = speeds(middle)
-            low, high = (middle, high) if entering > leaving else (low, middle)
-        speed = min(speeds(0.5 * (low + high)))
+        speed = top_speed(function, Pressures(p_head, p_rod, p_supply, p_tank), circuit)
     return float(min(speed, limit / supply_draw(function, circuit)))
 
 
-def _steps(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: float) -> Wishes:
+def _spool_speed(circuit: Circuit, way: int, force: float, p_supply: float, p_tank: float) -> float:
+    """Speed [m/s] of a cylinder on one spool that stands wide open, under a load force [N]."""
+    area_head, area_rod = circuit.area_head, circuit.area_rod
+    into, out = (SUPPLY_HEAD, ROD_TANK) if way > 0 else (SUPPLY_ROD, HEAD_TANK)
+    area_in, area_out = (area_head, area_rod) if way > 0 else (area_rod, area_head)
+
+    def speeds(rod: float) -> tuple[float, float]:
+        p = Pressures((force + area_rod * rod) / area_head, rod, p_supply, p_tank)
+        return (
+            capacity(circuit, into, path_drop(into, p)) / area_in,
+            capacity(circuit, out, path_drop(out, p)) / area_out,
+        )
+
+    # the higher both pressures, the less comes in and the more goes out (extending; retracting the
+    # same): bisect the balance
+    low, high = p_tank - abs(force) / area_rod, p_supply + abs(force) / area_rod
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        entering, leaving = speeds(middle)
+        low, high = (middle, high) if entering > leaving else (low, middle)
+    return min(speeds(0.5 * (low + high)))
+
+
+def _steps(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: float) -> References:
     tick = 1.0 / float(recipe.rate)
     speeds, shares, times = [], [], []
     for index, text in enumerate(motion.levels):
@@ -186,10 +196,10 @@ def _steps(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: fl
         rows = max(1, round(time / tick))
         levels.append(Level(at, at + rows, speed, share))
         at += rows + round(rest / tick)
-    return Wishes(table, tuple(levels))
+    return References(table, tuple(levels))
 
 
-def _points(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: float) -> Wishes:
+def _points(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: float) -> References:
     speed = float(motion.speed)
     acceleration = speed / SPEED_UP if motion.acceleration is None else float(motion.acceleration)
     jerk = 4.0 * acceleration / SPEED_UP if motion.jerk is None else float(motion.jerk)
@@ -201,7 +211,7 @@ def _points(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: f
             **recipe.at(*motion.where, "hold"),
         )
     hold = holds[0] if len(holds) == 1 else holds
-    return Wishes(
+    return References(
         point_to_point(
             points,
             speed=speed,
@@ -214,7 +224,7 @@ def _points(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: f
     )
 
 
-def _file(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: float) -> Wishes:
+def _file(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: float) -> References:
     """A log with ``<cylinder>.x_desired`` and, where it has them, speed, acceleration and jerk;
     else a quintic spline's.
     """
@@ -234,7 +244,7 @@ def _file(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: flo
     t = record.t - record.t[0]
     tick = 1.0 / float(recipe.rate)
     at = np.arange(round(t[-1] / tick) + 1) * tick
-    table = np.zeros((at.size, WISH))
+    table = np.zeros((at.size, ORDERS))
     inside = np.minimum(at, t[-1])
     curve = make_interp_spline(t, record[own[X]], k=5)
     for column in (X, V, A, J):
@@ -243,4 +253,4 @@ def _file(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: flo
         elif column > X:
             curve = curve.derivative()
         table[:, column] = curve(inside)
-    return Wishes(table)
+    return References(table)

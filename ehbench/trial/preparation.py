@@ -5,7 +5,7 @@ it stops.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,8 +20,9 @@ from ehbench.recipe import TrialRecipe
 from ehbench.rig import Rig
 from ehbench.trial import controllers
 from ehbench.trial.commands import command_table
-from ehbench.trial.controllers import Compiled, Design, UserCode
-from ehbench.trial.motion import Wishes, wishes
+from ehbench.trial.controllers import Compiled, Design
+from ehbench.trial.motion import References, references
+from ehbench.trial.user_code import UserCode
 from ehbench.units import from_si
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class Loop:
     """
 
     design: Design
-    references: Wishes
+    references: References
     law: Compiled | None
     low_side: float
 
@@ -98,8 +99,7 @@ class Prepared:
         law, table = self.loop.law, self.loop.references.table
         if law is None:
             return UserCode(self.recipe, self.loop.design, machine.channels, machine.rate, table)
-        own = {"given": law.given.copy(), "memory": law.memory.copy(), "notes": law.notes.copy()}
-        return replace(law, **own)
+        return law.afresh()
 
     def first_rows(self, machine: Machine) -> Rows:
         """The rows before the first tick, the machine at rest.
@@ -215,12 +215,12 @@ def _loop(
     tuning = dict(gains) if told else controllers.read_tuning(recipe, gains)
     low = controllers.low_pressure(recipe, rig, tuning)
     still = np.tile([design.x, 0.0, 0.0, 0.0], (2, 1))
-    references = Wishes(still) if standing else wishes(recipe, design, low)
+    motion = References(still) if standing else references(recipe, design, low)
     law = None
     if recipe.controller is not None and recipe.controller.code is None:
         rate = float(recipe.rate)
-        law = controllers.compiled(recipe, design, tuning, references.table, rate)
-    return Loop(design, references, law, float(rig.supply.tank_pressure) + low)
+        law = controllers.compiled(recipe, design, tuning, motion.table, rate)
+    return Loop(design, motion, law, float(rig.supply.tank_pressure) + low)
 
 
 def _taken(recipe: TrialRecipe, design: Design) -> tuple[str, ...]:

@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from ehbench.codes import LIMITS as LIMIT_BITS
 from ehbench.errors import SimulationError
 from ehbench.machines.protocol import Machine, truth_of
-from ehbench.machines.rows import ARC
 from ehbench.recipe import TrialRecipe
 from ehbench.record import Record
 from ehbench.rig import Rig
-from ehbench.terms import LIMITS as LIMIT_BITS
-from ehbench.trial.controllers import Compiled, UserCode
+from ehbench.trial.controllers import Compiled
 from ehbench.trial.measures import step_measures, tracking_measures
 from ehbench.trial.preparation import Loop, Prepared, Stop, prepare
 from ehbench.trial.session import LiveLog, Session
+from ehbench.trial.user_code import UserCode
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps
@@ -195,7 +195,7 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
     if law is not None and prepared.loop is not None:
         rows = session.end if stop is None else round(stop.t * rate) + 1
         measures = law.used | _measures(record, prepared.loop, rows)
-        if isinstance(law, Compiled) and law.kind == ARC:
+        if isinstance(law, Compiled) and law.law.warns_saturated:
             warnings += _saturated(measures["limits"]["saturated"], prepared.loop.design.cylinder)
     return Facts(
         session.machine.name,

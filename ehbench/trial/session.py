@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ehbench.control.functions import HOLD
+from ehbench.codes import HOLD
 from ehbench.errors import SimulationError
 from ehbench.machines.protocol import Machine, advance_of, truth_of
-from ehbench.machines.rows import NO_LIMITS, Controller, LawRows, control, violated
+from ehbench.machines.rows import NO_LIMITS, LawRows, control, violated
 from ehbench.record import Record
-from ehbench.trial.controllers import Compiled, UserCode
+from ehbench.trial.controllers import Compiled
 from ehbench.trial.preparation import Prepared, Stop
+from ehbench.trial.user_code import UserCode
 
 if TYPE_CHECKING:
     from ehbench.logs import LogWriter
@@ -50,10 +51,8 @@ class Session:
         self.law = prepared.law(machine)
         self._packed = None if self.law is None else _packed(self.law)
         self._step = getattr(self.law, "step", None)
-        advance = advance_of(machine) if fast else None
-        # under its law and, when that is silent or steps in Python, as the table says
-        self._by_law = None if advance is None else advance(self.rows, self._packed)
-        self._by_table = None if advance is None else advance(self.rows, None)
+        self._bind = advance_of(machine) if fast else None
+        self._advance = None if self._bind is None else self._bind(self.rows, self._packed)
         self.stop: Stop | None = None
         self.end = prepared.t.size
 
@@ -95,20 +94,10 @@ class Session:
         """Run rows from ``first`` on: the row at a limit, or −1, and the row up to which there are
         rows now: ``stop``, or sooner when WAIT is over.
         """
-        at_work = self.stop is None
-        step = self._step if at_work else None
-        advance = self._by_law if at_work else self._by_table
-        if advance is not None and step is None:
-            row = advance(first, stop)
+        if self._advance is not None and self._step is None:
+            row = self._advance(first, stop)
             return row, stop if row < 0 else row
-        return self._row_by_row(first, stop, step)
-
-    def _row_by_row(
-        self, first: int, stop: int, step: Callable[..., None] | None
-    ) -> tuple[int, int]:
-        """As `_through`, a row at a time; ``step`` is that of a controller in Python."""
-        rows, advance = self.rows, self._by_table
-        packed = self._packed if self.stop is None else None
+        rows, advance, step, packed = self.rows, self._advance, self._step, self._packed
         now, until = time.monotonic, time.monotonic() + WAIT
         for i, t in enumerate(rows.t[first:stop].tolist(), first):
             if step is not None:
@@ -143,6 +132,9 @@ class Session:
         rows.commands[row:] = self.machine.commands.rest
         if self.law is not None:
             _let_go(self.law, row, self.end)
+        self._packed = self._step = None
+        if self._bind is not None:
+            self._advance = self._bind(rows, None)
 
     def channels(self, part: slice) -> dict[str, np.ndarray]:
         """Rows of the trial by channel, SI: what the machine measured, or all that a simulation
@@ -159,7 +151,7 @@ class Session:
             found |= {f"{name}.command": commands[:, i].copy() for i, name in enumerate(valves)}
             found |= lines
         if self.law is not None:
-            notes = self.law.notes[part]
+            notes = self.law.telemetry[part]
             found |= {name: notes[:, i].copy() for i, name in enumerate(self.law.channels)}
         return found
 
@@ -209,15 +201,14 @@ def _packed(law: Compiled | UserCode) -> LawRows | None:
     """A built-in controller as compiled code takes it; None for a class that steps in Python."""
     if isinstance(law, UserCode):
         return None
-    controller = Controller(law.kind, law.mask, law.given, law.axis, law.gains, law.memory)
-    return LawRows(law.wish, controller, law.notes)
+    return LawRows(law.references, law.controller, law.telemetry)
 
 
 def _let_go(law: Compiled | UserCode, row: int, end: int) -> None:
     """Notes after a stop: the last estimates and the desired stroke stay, nothing is asked for any
     more.
     """
-    law.notes[row:end] = law.notes[row]
+    law.telemetry[row:end] = law.telemetry[row]
     for column, name in enumerate(law.channels):
         word = name.rsplit(".", 1)[-1]
         if (
@@ -225,6 +216,6 @@ def _let_go(law: Compiled | UserCode, row: int, end: int) -> None:
             or word in ("v_shaped", "function_status", "limits", "feedback_flow")
             or word.startswith("flow")
         ):
-            law.notes[row:end, column] = 0.0
+            law.telemetry[row:end, column] = 0.0
         elif word == "function":
-            law.notes[row:end, column] = HOLD
+            law.telemetry[row:end, column] = HOLD

@@ -14,10 +14,9 @@ from typing import Literal
 
 import numpy as np
 
+from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.control.functions import (
     DIRECTION,
-    EXTEND_RESISTIVE_REGENERATION,
-    FUNCTIONS,
     HEAD,
     METERED,
     METERING,
@@ -30,6 +29,7 @@ from ehbench.control.functions import (
     supply_draw,
     widest,
 )
+from ehbench.control.measured import Pressures
 from ehbench.control.valve_level import top_speed
 from ehbench.errors import InputError
 from ehbench.parts.cylinder import chamber_oil, joint_of, linkage_of
@@ -285,7 +285,7 @@ def operating_point(
         """(what `settle` says, paths, what is impossible) at speed v."""
         settled = settle(v)
         need = flows(v, *settled[1:3])
-        drops = [path_drop(p, *settled[1:3], p_supply, p_tank) for p in used]
+        drops = [path_drop(p, Pressures(*settled[1:3], p_supply, p_tank)) for p in used]
         paths = [
             _path(circuit, function, p, need[p], drop, names)
             for p, drop in zip(used, drops, strict=True)
@@ -306,7 +306,7 @@ def operating_point(
     names, together = model.layout.edges, coupled(circuit, function)
     used = np.flatnonzero(PATH_FLOWS[function].any(axis=1))
     if speed is None:
-        top = top_speed(function, *settle(0.0)[1:3], p_supply, p_tank, circuit)
+        top = top_speed(function, Pressures(*settle(0.0)[1:3], p_supply, p_tank), circuit)
         drawn = supply_draw(function, circuit)
         top = min(top, plant.supply.flow_limit / drawn) if drawn > 0 else top
         if at(way * top)[2]:
@@ -417,10 +417,10 @@ def _common_opening(circuit: Circuit, function: int, pressures, flows) -> float:
     follow = next(p for p in np.flatnonzero(PATH_FLOWS[function].any(axis=1)) if p != lead)
 
     def excess(off: float) -> float:
-        at = pressures(off)
-        need = flows(*at[:2])
-        command = _command(circuit, lead, need[lead], max(path_drop(lead, *at), 1.0))
-        return _flow(circuit, follow, path_drop(follow, *at), command) - need[follow]
+        at = Pressures(*pressures(off))
+        need = flows(at.head, at.rod)
+        command = _command(circuit, lead, need[lead], max(path_drop(lead, at), 1.0))
+        return _flow(circuit, follow, path_drop(follow, at), command) - need[follow]
 
     low, high = pressures(0.0)[3], pressures(0.0)[2]
     ends = excess(low + 1.0), excess(high - 1.0)

@@ -179,5 +179,5 @@ def test_a_living_run_is_left_alone_and_two_of_one_recipe_do_not_disturb_each_ot
 def test_an_error_leaves_nothing(place):
     Path("slow.py").write_text(SLOW.replace("return [2.0]", "return [1 / (100 - self.n)]"))
     with pytest.raises(InputError, match="raised ZeroDivisionError at t = 0.099"):
-        workflow.run(load_recipe("slow.toml").path, workflow.Desk(allow_code=True))
+        workflow.run(load_recipe("slow.toml").path, workflow.Session(allow_code=True))
     assert not list(Path("reports").iterdir())

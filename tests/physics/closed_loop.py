@@ -10,10 +10,13 @@ import numpy as np
 from numba import njit
 
 from ehbench.control import arc
+from ehbench.control.arc_gains import Adaptation, pack_arc
+from ehbench.control.axis import Mechanism
+from ehbench.control.axis import axis_of as make_axis
 from ehbench.control.functions import circuit, pack_rules
+from ehbench.control.law import Site
 from ehbench.machines.simulated import model_sample, model_tick
 from ehbench.machines.virtual import bench_tick
-from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
 from ehbench.parts.sample import sample_size
 from ehbench.parts.valve import valve_lag as lag_of
 from ehbench.plant.derivatives import derivatives
@@ -24,7 +27,20 @@ TICK = 1.0e-3
 
 @njit(cache=True, nogil=True)
 def on_model(
-    y, wish, mask, design, gains, memory, command, plant, tick, steps, log, notes, commands, flows
+    y,
+    reference,
+    mask,
+    design,
+    gains,
+    memory,
+    command,
+    plant,
+    tick,
+    steps,
+    log,
+    telemetry,
+    commands,
+    flows,
 ):
     """Run a controller on the model; a channel with ``mask`` False is NaN in what the controller
     gets.
@@ -33,10 +49,10 @@ def on_model(
     work = np.empty(plant.at.work)
     sample, given = np.empty(log.shape[1]), np.empty(log.shape[1])
     model_sample(y, plant, sample)
-    for i in range(wish.shape[0]):
+    for i in range(reference.shape[0]):
         for c in range(sample.shape[0]):
             given[c] = sample[c] if mask[c] else np.nan
-        arc.step(i * tick, given, wish[i], design, gains, memory, command, notes[i])
+        arc.step(i * tick, given, reference[i], design, gains, memory, command, telemetry[i])
         log[i], commands[i] = sample, command
         derivatives(y, command, plant, k[0], work)
         flows[i] = work[plant.at.flow :]
@@ -47,7 +63,7 @@ def on_model(
 def on_bench(
     state,
     sample,
-    wish,
+    reference,
     mask,
     design,
     gains,
@@ -59,7 +75,7 @@ def on_bench(
     scratch,
     noise,
     log,
-    notes,
+    telemetry,
     commands,
 ):
     """Run a controller on the virtual bench; the log is what it measured, the truth follows in its
@@ -67,10 +83,10 @@ def on_bench(
     """
     channels = sample.shape[0]
     given = np.empty(channels)
-    for i in range(wish.shape[0]):
+    for i in range(reference.shape[0]):
         for c in range(channels):
             given[c] = sample[c] if mask[c] else np.nan
-        arc.step(i * tick, given, wish[i], design, gains, memory, command, notes[i])
+        arc.step(i * tick, given, reference[i], design, gains, memory, command, telemetry[i])
         log[i, :channels], log[i, channels:], commands[i] = (
             sample,
             state[: log.shape[1] - channels],
@@ -85,9 +101,9 @@ class Run:
     ``flows`` edges then pump.
     """
 
-    wish: np.ndarray
+    reference: np.ndarray
     log: np.ndarray
-    note: dict[str, np.ndarray]
+    telemetry: dict[str, np.ndarray]
     commands: np.ndarray
     flows: np.ndarray | None
     memory: np.ndarray
@@ -112,25 +128,10 @@ def circuit_of(model, number, measured=None):
 def axis_of(model, number, posture, measured=None):
     """The axis of a cylinder of a model, its design posture as `Model.posture` reads it."""
     plant = model.plant
-    row = plant.cylinders[number]
-    return arc.axis(
-        circuit_of(model, number, measured),
-        plant.kind,
-        plant.gravity,
-        plant.links,
-        plant.cylinders.joint,
-        model.posture(posture),
-        (row.geometry, row.l_a, row.l_b, row.side, row.phase, row.retracted_length),
-        (
-            row.volume_head,
-            row.volume_rod,
-            row.bulk_modulus,
-            row.leakage_internal,
-            row.leakage_head,
-            row.leakage_rod,
-        ),
-        (row.friction_viscous, row.friction_coulomb, COULOMB_SPEED),
+    mechanism = Mechanism(
+        plant.kind, plant.gravity, plant.links, plant.cylinders.joint, model.posture(posture)
     )
+    return make_axis(circuit_of(model, number, measured), mechanism, plant.cylinders[number])
 
 
 def valve_lag(model, number):
@@ -144,53 +145,54 @@ def valve_lag(model, number):
     return max(lag_of(row, model.plant) for row in rows)
 
 
-def gains_of(model, ax, seventh=False, rules=None, **options):
-    """Gains of the controller with defaults for a model."""
+def gains_of(model, ax, seventh=False, rules=None, gains=None, **options):
+    """Gains of the controller with defaults for a model; ``options`` are of its site and of what it
+    does not know.
+    """
     supply = model.plant.supply
     packed = pack_rules(
         ax.circuit.area_rod, supply.pressure, allow_seventh=seventh, **(rules or {})
     )
-    given = {
+    site = {
         "tick": TICK,
         "supply_pressure": supply.pressure,
         "flow_limit": supply.flow_limit,
         "valve_lag": valve_lag(model, ax.circuit.cylinder),
     }
-    return arc.pack_arc(ax, packed, **(given | options))
+    site |= {name: options.pop(name) for name in site if name in options}
+    return pack_arc(Site(ax, **site), packed, Adaptation(**options), gains)
 
 
-def _arrays(model, ax, wish):
+def _arrays(model, ax, reference):
     layout = model.layout
-    names = arc.note_channels("c", [f"e{i}" for i in range(ax.circuit.count)])
+    names = arc.LAW.channels("c", tuple(f"e{i}" for i in range(ax.circuit.count)))
     return (
-        np.zeros((len(wish), len(names))),
+        np.zeros((len(reference), len(names))),
         names,
-        np.zeros((len(wish), len(layout.valves))),
+        np.zeros((len(reference), len(layout.valves))),
         model.rest_commands(1)[0],
     )
 
 
-def _noted(notes, names):
-    return {name.removeprefix("c."): notes[:, i] for i, name in enumerate(names)}
+def _by_name(telemetry, names):
+    return {name.removeprefix("c."): telemetry[:, i] for i, name in enumerate(names)}
 
 
-def run_model(model, ax, gains, wish, posture=None, mask=None, memory=None):
-    """A trial of the controller on a model that starts at rest in a posture; ``memory`` is zeros
-    unless given.
+def run_model(model, ax, gains, reference, posture=None, mask=None, memory=None):
+    """A trial of the controller on a model that starts at rest in a posture; ``memory`` is that
+    before the first tick unless given.
     """
     y = model.trim(model.posture(posture))
-    notes, names, commands, command = _arrays(model, ax, wish)
+    telemetry, names, commands, command = _arrays(model, ax, reference)
     channels = sample_size(len(model.layout.cylinders))
-    log, memory = (
-        np.zeros((len(wish), channels)),
-        np.zeros(arc.memory_size(ax)) if memory is None else memory,
-    )
-    flows, tick = np.zeros((len(wish), len(model.layout.edges) + 1)), gains[arc.TICK]
-    mask = arc.entitled(ax, channels) if mask is None else mask
+    log = np.zeros((len(reference), channels))
+    memory = arc.memory_of(ax) if memory is None else memory
+    flows, tick = np.zeros((len(reference), len(model.layout.edges) + 1)), float(gains.tick)
+    mask = arc.observed(ax, channels) if mask is None else mask
     steps = max(1, round(tick / STEP))
     on_model(
         y,
-        wish,
+        reference,
         mask,
         ax,
         gains,
@@ -200,25 +202,31 @@ def run_model(model, ax, gains, wish, posture=None, mask=None, memory=None):
         tick,
         steps,
         log,
-        notes,
+        telemetry,
         commands,
         flows,
     )
     return Run(
-        wish, log, _noted(notes, names), commands, flows, memory, np.arange(len(wish)) * tick
+        reference,
+        log,
+        _by_name(telemetry, names),
+        commands,
+        flows,
+        memory,
+        np.arange(len(reference)) * tick,
     )
 
 
-def run_bench(rig, model, ax, gains, wish, posture=None):
+def run_bench(rig, model, ax, gains, reference, posture=None):
     """A trial of the controller, designed on ``model``, on a virtual bench."""
     sample = rig.start(posture)
-    notes, names, commands, command = _arrays(model, ax, wish)
-    log, memory = np.zeros((len(wish), sample.size + rig.size)), np.zeros(arc.memory_size(ax))
+    telemetry, names, commands, command = _arrays(model, ax, reference)
+    log, memory = np.zeros((len(reference), sample.size + rig.size)), arc.memory_of(ax)
     on_bench(
         rig.state,
         sample,
-        wish,
-        arc.entitled(ax, sample.size),
+        reference,
+        arc.observed(ax, sample.size),
         ax,
         gains,
         memory,
@@ -227,9 +235,17 @@ def run_bench(rig, model, ax, gains, wish, posture=None):
         TICK,
         rig.steps,
         rig._own.scratch,
-        rig.noise(len(wish)),
+        rig.noise(len(reference)),
         log,
-        notes,
+        telemetry,
         commands,
     )
-    return Run(wish, log, _noted(notes, names), commands, None, memory, np.arange(len(wish)) * TICK)
+    return Run(
+        reference,
+        log,
+        _by_name(telemetry, names),
+        commands,
+        None,
+        memory,
+        np.arange(len(reference)) * TICK,
+    )

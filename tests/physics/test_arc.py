@@ -11,19 +11,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.control import arc
-from ehbench.control.functions import (
+from ehbench.codes import (
+    ESTIMATES,
     EXTEND_RESISTIVE,
     EXTEND_RESISTIVE_REGENERATION,
+    FREE,
+    FROZEN,
     HOLD,
     RETRACT_OVERRUNNING_REGENERATION,
+    SATURATED,
 )
+from ehbench.control import arc
+from ehbench.control.axis import inertias, load_at, reference_load
 from ehbench.control.trajectory import point_to_point, there_and_back
-from ehbench.control.valve_level import SATURATED
 from ehbench.errors import InputError
 from ehbench.machines.virtual import VirtualMachine
-from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
-from ehbench.physics.cylinder import linkage
+from ehbench.parts.cylinder import linkage_of
+from ehbench.physics.arm import LINK, gravity_torque, mass_matrix, work_size
 from ehbench.plant.model import Model
 from ehbench.quantities import quantity
 from ehbench.recipe import load_rig
@@ -94,16 +98,14 @@ def trial(payload=None, adapt=True, seventh=False, valve="cartridges", quick=Fal
 
 
 def inside_bounds(run, gains):
-    for i, name in enumerate(arc.ESTIMATES):
-        values = run.note[name]
-        assert (
-            gains[arc.AT_LOWER + i] <= values.min() and values.max() <= gains[arc.AT_UPPER + i]
-        ), name
+    for i, name in enumerate(ESTIMATES):
+        values = run.telemetry[name]
+        assert gains.lower[i] <= values.min() and values.max() <= gains.upper[i], name
 
 
 def functions(run):
     """The working functions in the order in which they were taken up."""
-    f = run.note["function"].astype(int)
+    f = run.telemetry["function"].astype(int)
     return f[np.concatenate([[True], np.diff(f) != 0])].tolist()
 
 
@@ -147,14 +149,14 @@ def nominal(payload):
 
 
 def nominal_run(payload, estimates, adapt, span=1.6, **gains):
-    """Sampled at 5 kHz, so that a held command is near enough a continuous one; the wish oscillates
+    """Sampled at 5 kHz, so that a held command is near enough a continuous one; the reference oscillates
     from t = 0.
     """
     design, loaded, ax = nominal(payload)
     tick = 2.0e-4
     t = np.arange(round(span / tick)) * tick
     w = 2 * np.pi / 1.6
-    wish = np.stack(
+    reference = np.stack(
         [
             0.2 + 0.04 * (1 - np.cos(w * t)),
             0.04 * w * np.sin(w * t),
@@ -183,18 +185,23 @@ def nominal_run(payload, estimates, adapt, span=1.6, **gains):
     packed = gains_of(
         design, ax, adapt=adapt, tick=tick, valve_lag=0.0, gains=chosen | gains, **bounds
     )
-    memory = np.zeros(arc.memory_size(ax))
-    memory[[arc.STARTED, arc.FUNCTION, arc.SEEN_X]] = 1.0, HOLD, 0.2
-    memory[arc.AT_ESTIMATES : arc.AT_WORK] = estimates(packed)
-    run = run_model(loaded, ax, packed, wish, {design.layout.cylinders[0]: "0.2 m"}, memory=memory)
-    mass, _, ratio = arc.reference(ax)
+    memory = arc.memory_of(ax)
+    memory.state.started, memory.state.function, memory.state.x = 1, HOLD, 0.2
+    memory.state.estimates[:] = estimates(packed)
+    run = run_model(
+        loaded, ax, packed, reference, {design.layout.cylinders[0]: "0.2 m"}, memory=memory
+    )
+    load, ratio = reference_load(ax)
+    mass = load.mass
     truth = np.array([1 / (1 + ratio * payload), payload / (1 + ratio * payload), 0.0, 1.0])
-    z2 = run.note["v_error"] + 10.0 * run.note["x_error"]
-    z3 = run.note["load_force"] - run.note["load_force_desired"]
+    z2 = run.telemetry["v_error"] + 10.0 * run.telemetry["x_error"]
+    z3 = run.telemetry["load_force"] - run.telemetry["load_force_desired"]
     weight = 1.0 / (mass * 60.0) ** 2
-    # the motion proper: the wish is away from rest and no limit is met
+    # the motion proper: the reference is away from rest and no limit is met
     moving = (
-        (np.abs(wish[:, 1]) > 0.01) & (run.note["function"] != HOLD) & (run.note["limits"] == 0)
+        (np.abs(reference[:, 1]) > 0.01)
+        & (run.telemetry["function"] != HOLD)
+        & (run.telemetry["limits"] == 0)
     )
     return run, packed, truth, z2, z3, weight, moving, tick
 
@@ -206,25 +213,22 @@ def test_lyapunov_function_falls_as_derived(payload):
     """
 
     def off(packed):
-        lower, upper = packed[arc.AT_LOWER : arc.AT_UPPER], packed[arc.AT_UPPER : arc.AT_RATE]
+        lower, upper = packed.lower, packed.upper
         return lower + np.array([0.8, 0.45, 0.55, 0.6]) * (upper - lower)
 
     run, packed, truth, z2, z3, weight, moving, tick = nominal_run(
         payload, off, True, robust_limit=0.0
     )
-    # the note holds the estimates after the tick's adaptation, the errors are from before it
+    # telemetry holds the estimates after the tick's adaptation, the errors are from before it
     error = (
-        np.stack([np.concatenate([[np.nan], run.note[name][:-1]]) for name in arc.ESTIMATES], 1)
+        np.stack([np.concatenate([[np.nan], run.telemetry[name][:-1]]) for name in ESTIMATES], 1)
         - truth
     )
-    gamma = packed[arc.AT_RATE : arc.AT_START]
+    gamma = packed.rate
     value = 0.5 * z2**2 + 0.5 * weight * z3**2 + 0.5 * (error**2 / gamma).sum(1)
     derived = -20.0 * z2**2 - 40.0 * weight * z3**2
-    at_bound = (
-        (error + truth == packed[arc.AT_LOWER : arc.AT_UPPER])
-        | (error + truth == packed[arc.AT_UPPER : arc.AT_RATE])
-    ).any(1)
-    free = moving & (run.note["learning"] == arc.FREE) & ~at_bound
+    at_bound = ((error + truth == packed.lower) | (error + truth == packed.upper)).any(1)
+    free = moving & (run.telemetry["learning"] == FREE) & ~at_bound
     free[1:] &= free[:-1]
     free[0] = False
     assert free.sum() > 2000
@@ -243,7 +247,7 @@ def test_transient_bound_holds_for_any_estimates_without_adaptation(seed):
     rng = np.random.default_rng(seed)
 
     def drawn(packed):
-        lower, upper = packed[arc.AT_LOWER : arc.AT_UPPER], packed[arc.AT_UPPER : arc.AT_RATE]
+        lower, upper = packed.lower, packed.upper
         return (
             np.where(rng.random(4) < 0.5, lower, upper) if seed < 2 else rng.uniform(lower, upper)
         )
@@ -281,8 +285,8 @@ def test_estimates_stay_inside_whatever_the_sensors_say():
     _, design, ax = thesis()
     gains = gains_of(design, ax)
     rng = np.random.default_rng(2)
-    memory, command = np.zeros(arc.memory_size(ax)), np.zeros(len(design.layout.valves))
-    note = np.zeros(arc.NOTES + 2 * ax.circuit.count)
+    memory, command = arc.memory_of(ax), np.zeros(len(design.layout.valves))
+    telemetry = np.zeros(arc.COLUMNS + 2 * ax.circuit.count)
     scale = np.tile([0.5, 1.0, 0.2, 0.5, 7e6, 7e6], 3)
     for tick in range(3000):
         sample = np.concatenate(
@@ -296,12 +300,10 @@ def test_estimates_stay_inside_whatever_the_sensors_say():
             gains,
             memory,
             command,
-            note,
+            telemetry,
         )
         for i in range(4):
-            assert (
-                gains[arc.AT_LOWER + i] <= memory[arc.AT_ESTIMATES + i] <= gains[arc.AT_UPPER + i]
-            )
+            assert gains.lower[i] <= memory.state.estimates[i] <= gains.upper[i]
         assert (command >= -10.0).all() and (command <= 10.0).all()
 
 
@@ -312,22 +314,23 @@ def test_a_point_mass_at_the_tip_is_what_the_regressors_say(rig):
     """
     design = Model.of(load_rig(RIGS / f"{rig}.toml"))
     ax = axis_of(design, len(design.layout.cylinders) // 2, {})
-    n, j = len(design.layout.joints), ax.joint
-    q = ax.posture + 0.1
+    n, j = len(design.layout.joints), ax.cylinder.joint
+    q = ax.mechanism.posture + 0.1
     mass, torque, work = np.zeros((n, n)), np.zeros(n), np.zeros(work_size(n) + n)
-    links = ax.links.copy()
-    links[-1, 5:15] += 7.0 * ax.tip[-1, 5:15]
-    _, lever, _ = linkage(int(ax.pins[0]), *ax.pins[1:], q[j])
+    links = ax.mechanism.links.copy()
+    for name in LINK.names[LINK.names.index("mass") : LINK.names.index("damping")]:
+        links[name][-1] += 7.0 * ax.tip[name][-1]
+    _, lever, _ = linkage_of(ax.cylinder, q[j])
     heavy = []
-    for rows in (ax.links, links):
-        mass_matrix(ax.kind, rows, q, mass, work)
-        gravity_torque(ax.kind, rows, ax.gravity, q, torque, work)
+    for rows in (ax.mechanism.links, links):
+        mass_matrix(ax.mechanism.kind, rows, q, mass, work)
+        gravity_torque(ax.mechanism.kind, rows, ax.mechanism.gravity, q, torque, work)
         heavy.append((mass[j, j] / lever**2, torque[j] / lever))
-    own, tip = arc.inertias(ax, q.copy(), mass, work)
-    m0, held, _, _, pull, _ = arc.mechanics(ax, q[j], own, q.copy(), work)
-    assert heavy[0] == pytest.approx((m0, held), rel=1e-12)
+    own, tip = inertias(ax, q.copy(), mass, work)
+    load = load_at(ax, q[j], own, q.copy(), work)
+    assert heavy[0] == pytest.approx((load.mass, load.gravity), rel=1e-12)
     assert heavy[1] == pytest.approx(
-        (m0 * (1 + 7.0 * tip / own), held + 7.0 * pull), rel=1e-9, abs=1e-9
+        (load.mass * (1 + 7.0 * tip / own), load.gravity + 7.0 * load.pull), rel=1e-9, abs=1e-9
     )
 
 
@@ -339,21 +342,26 @@ def test_a_point_mass_at_the_tip_is_what_the_regressors_say(rig):
 @pytest.mark.parametrize("payload", [None, "50 lb"])
 def test_tracks_with_the_payload_unknown(payload, quick):
     run = trial(payload, quick=quick)
-    error = run.note["x_error"]
+    error = run.telemetry["x_error"]
     assert np.abs(error).max() < (1.0e-3 if not quick else 2.0e-3)
     assert np.abs(error[-200:]).max() < RESOLUTION
     # the joint's encoder has 4096 counts a turn
     q_end = run.log[-1, 6]
-    lever = linkage(int(thesis()[2].pins[0]), *thesis()[2].pins[1:], q_end)[1]
+    lever = linkage_of(thesis()[2].cylinder, q_end)[1]
     assert abs(error[-1] / lever) < 2 * np.pi / 4096
     inside_bounds(run, gains_of(thesis()[1], thesis()[2]))
     # 50 lb: 24.55 kg more than the bare stick, its centre 57 mm beyond the tip, where the law looks
     # for it
-    assert run.note["payload_estimate"][-1] == pytest.approx(24.55 if payload else 0.0, abs=2.0)
+    assert run.telemetry["payload_estimate"][-1] == pytest.approx(
+        24.55 if payload else 0.0, abs=2.0
+    )
 
 
 def test_adaptation_beats_none():
-    with_it, without = trial("50 lb").note["x_error"], trial("50 lb", adapt=False).note["x_error"]
+    with_it, without = (
+        trial("50 lb").telemetry["x_error"],
+        trial("50 lb", adapt=False).telemetry["x_error"],
+    )
     assert np.abs(without[-200:]).max() > 3.0 * np.abs(with_it[-200:]).max()
     assert np.abs(without).max() > 3.0 * np.abs(with_it).max()
 
@@ -388,39 +396,40 @@ def test_saves_pump_energy(payload):
         run = trial(payload, seventh=seventh)
         assert energy(run) < (1.0 - least) * energy(standard)
         assert (
-            np.abs(run.note["x_error"]).max() < np.abs(standard.note["x_error"]).max() + RESOLUTION
+            np.abs(run.telemetry["x_error"]).max()
+            < np.abs(standard.telemetry["x_error"]).max() + RESOLUTION
         )
 
 
 def test_off_side_pressure_follows_its_set_point():
     run = trial("50 lb")
-    up = (run.note["function"] == EXTEND_RESISTIVE) & (run.wish[:, 1] > 0.04)
+    up = (run.telemetry["function"] == EXTEND_RESISTIVE) & (run.reference[:, 1] > 0.04)
     supply = float(thesis()[0].supply.pressure)
-    assert np.abs(run.log[up, 11] - run.note["pressure_set"][up]).max() < 0.01 * supply
-    assert run.note["pressure_set"][up].max() == pytest.approx(supply / 20, rel=1e-6)
+    assert np.abs(run.log[up, 11] - run.telemetry["pressure_set"][up]).max() < 0.01 * supply
+    assert run.telemetry["pressure_set"][up].max() == pytest.approx(supply / 20, rel=1e-6)
 
 
 def test_saturation_is_said_and_leaves_no_wind_up():
-    """A wish twice as fast as the pump: the valves end, the estimates keep still, and the stroke
+    """A reference twice as fast as the pump: the valves end, the estimates keep still, and the stroke
     comes home without overshoot.
     """
     rig, design, ax = thesis()
-    wish = point_to_point(
+    reference = point_to_point(
         [LOW, HIGH], speed=0.5, acceleration=4.0, jerk=100.0, tick=TICK, hold=[0.3, 2.5]
     )
     run = run_model(
-        Model.of(rig, None, "50 lb"), ax, gains_of(design, ax), wish, {"boom": f"{LOW} m"}
+        Model.of(rig, None, "50 lb"), ax, gains_of(design, ax), reference, {"boom": f"{LOW} m"}
     )
     limits = np.stack(
-        [values for name, values in run.note.items() if name.endswith(".limits")]
+        [values for name, values in run.telemetry.items() if name.endswith(".limits")]
     ).astype(int)
     saturated = (limits & SATURATED).any(axis=0)
-    error = run.note["x_error"]
+    error = run.telemetry["x_error"]
     assert saturated.sum() > 50 and error.min() < -0.02
-    still = saturated[1:] & saturated[:-1] & (run.note["learning"][:-1] == arc.FROZEN)
+    still = saturated[1:] & saturated[:-1] & (run.telemetry["learning"][:-1] == FROZEN)
     assert still.sum() > 50
-    for name in arc.ESTIMATES:
-        assert np.abs(np.diff(run.note[name])[still]).max() == 0.0
+    for name in ESTIMATES:
+        assert np.abs(np.diff(run.telemetry[name])[still]).max() == 0.0
     assert error.max() < 2.0e-3
     assert np.abs(error[-200:]).max() < 2 * RESOLUTION
     inside_bounds(run, gains_of(design, ax))
@@ -445,18 +454,18 @@ def test_the_same_trial_twice_gives_the_same_bytes():
 
 
 def test_sees_only_its_channels():
-    """Channels that it is not entitled to change nothing; NaN in one that it is entitled to reaches
+    """Channels that it does not observe change nothing; NaN in one that it observes reaches
     the commands.
     """
     _, design, ax = thesis()
-    wish = slow()[:2500]
+    reference = slow()[:2500]
     channels = 6 * len(design.layout.cylinders) + 2
     posture, gains = {"boom": f"{LOW} m"}, gains_of(design, ax)
-    mask = arc.entitled(ax, channels)
+    mask = arc.observed(ax, channels)
     own = set(range(6, 12)) | {0, 12, 18, 19}
     assert set(np.flatnonzero(mask)) == own
     masked, open_ = (
-        run_model(design, ax, gains, wish, posture, m) for m in (mask, np.ones(channels, bool))
+        run_model(design, ax, gains, reference, posture, m) for m in (mask, np.ones(channels, bool))
     )
     assert (
         np.isfinite(masked.commands).all() and masked.commands.tobytes() == open_.commands.tobytes()
@@ -464,9 +473,9 @@ def test_sees_only_its_channels():
     for channel in (6, 8, 10, 11, 18):
         poor = mask.copy()
         poor[channel] = False
-        assert np.isnan(run_model(design, ax, gains, wish[1500:], posture, poor).commands).any(), (
-            channel
-        )
+        assert np.isnan(
+            run_model(design, ax, gains, reference[1500:], posture, poor).commands
+        ).any(), channel
 
 
 @pytest.mark.parametrize(
@@ -485,7 +494,7 @@ def test_other_rigs_on_their_models(name, payload, low, high, kilograms):
     design = Model.of(rig)
     cylinder = design.layout.cylinders[0]
     ax = axis_of(design, 0, {cylinder: f"{0.5 * (low + high)} m"})
-    wish = there_and_back(
+    reference = there_and_back(
         low,
         high,
         speed=0.07,
@@ -497,12 +506,12 @@ def test_other_rigs_on_their_models(name, payload, low, high, kilograms):
     )
     for load in (None, payload):
         run = run_model(
-            Model.of(rig, None, load), ax, gains_of(design, ax), wish, {cylinder: f"{low} m"}
+            Model.of(rig, None, load), ax, gains_of(design, ax), reference, {cylinder: f"{low} m"}
         )
-        assert np.abs(run.note["x_error"]).max() < 1.0e-3
-        assert np.abs(run.note["x_error"][-200:]).max() < RESOLUTION
+        assert np.abs(run.telemetry["x_error"]).max() < 1.0e-3
+        assert np.abs(run.telemetry["x_error"][-200:]).max() < RESOLUTION
         if kilograms is not None:
-            assert run.note["payload_estimate"][-1] == pytest.approx(
+            assert run.telemetry["payload_estimate"][-1] == pytest.approx(
                 kilograms if load else 0.0, abs=0.05 * kilograms
             )
 
@@ -514,7 +523,7 @@ def test_an_inclined_slide_weighs_its_load():
     )
     design = Model.of(rig)
     ax = axis_of(design, 0, {"press": "0.2 m"})
-    wish = there_and_back(
+    reference = there_and_back(
         0.05,
         0.3,
         speed=0.1,
@@ -525,11 +534,11 @@ def test_an_inclined_slide_weighs_its_load():
         profile="seventh",
     )
     run = run_model(
-        Model.of(rig, None, "100 kg"), ax, gains_of(design, ax), wish, {"press": "0.05 m"}
+        Model.of(rig, None, "100 kg"), ax, gains_of(design, ax), reference, {"press": "0.05 m"}
     )
-    assert run.note["payload_estimate"][-1] == pytest.approx(100.0, abs=5.0)
-    assert run.note["inverse_inertia"][-1] == pytest.approx(250 / 350, abs=0.05)
-    assert np.abs(run.note["x_error"]).max() < 1.0e-3
+    assert run.telemetry["payload_estimate"][-1] == pytest.approx(100.0, abs=5.0)
+    assert run.telemetry["inverse_inertia"][-1] == pytest.approx(250 / 350, abs=0.05)
+    assert np.abs(run.telemetry["x_error"]).max() < 1.0e-3
 
 
 # --- what the bench adds: noise, quantization, lag, delay, friction, hysteresis, unlike valves
@@ -544,7 +553,7 @@ def test_on_the_bench(load):
     rig = load_rig(RIGS / "boom_four_valve.toml")
     design = Model.of(rig)
     ax = axis_of(design, 0, {"boom": "0.225 m"})
-    wish = there_and_back(
+    reference = there_and_back(
         0.1,
         0.35,
         speed=0.1,
@@ -555,12 +564,13 @@ def test_on_the_bench(load):
         profile="seventh",
     )
     gains = gains_of(design, ax)
-    run = run_bench(VirtualMachine(rig, None, load), design, ax, gains, wish, {"boom": "0.1 m"})
-    error = np.abs(run.note["x_error"])
+    machine = VirtualMachine(rig, None, load)
+    run = run_bench(machine, design, ax, gains, reference, {"boom": "0.1 m"})
+    error = np.abs(run.telemetry["x_error"])
     assert error.max() < 3.0e-3
-    assert np.count_nonzero(np.diff(run.note["function"])) < 12
+    assert np.count_nonzero(np.diff(run.telemetry["function"])) < 12
     inside_bounds(run, gains)
-    assert run.note["payload_estimate"][-1] == pytest.approx(120.0 if load else 0.0, abs=25.0)
+    assert run.telemetry["payload_estimate"][-1] == pytest.approx(120.0 if load else 0.0, abs=25.0)
 
 
 # --- packing
@@ -586,8 +596,8 @@ def test_bad_gains_are_refused(options, says):
         gains_of(design, ax, **options)
 
 
-def test_every_channel_of_the_note_has_a_row():
-    names = arc.note_channels("boom", [f"boom.e{i}" for i in range(5)])
-    assert len(names) == arc.NOTES + 10
+def test_every_channel_of_the_telemetry_has_a_row():
+    names = arc.LAW.channels("boom", tuple(f"boom.e{i}" for i in range(5)))
+    assert len(names) == arc.COLUMNS + 10
     for name in names:
         quantity(name)

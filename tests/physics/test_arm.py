@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from ehbench.compiled import table_of
 from ehbench.physics import arm
 
 G = 9.81
@@ -36,7 +37,7 @@ def random_chain(n, rng):
         (*rng.uniform(-1, 1, 2), *rng.uniform(-3, 3, 2), *random_body(rng), rng.uniform(0, 5))
         for _ in range(n)
     ]
-    return np.array([arm.pack_link(*row) for row in given]).view(np.recarray), given
+    return table_of([arm.pack_link(*row) for row in given], arm.LINK), given
 
 
 def mujoco_model(given):
@@ -196,11 +197,12 @@ def test_gravity_torque_is_the_slope_of_potential_energy(n):
 def test_pendulum_by_hand():
     """One link about a horizontal axis: D = I + m l², c = m g l cos q."""
     # joint 1 turns about the vertical, so the pendulum is joint 2
-    links = np.array(
+    links = table_of(
         [
             arm.pack_link(0, 0, math.pi / 2, 0, 1.0, (0, 0, 0), np.eye(3), 0.0),
             arm.pack_link(2.0, 0, 0, 0, 3.0, (-0.5, 0, 0), np.diag([0.1, 0.2, 0.3]), 0.7),
-        ]
+        ],
+        arm.LINK,
     )
     bias, mass, _, _, _ = kernels(links)
     q, qd = np.array([0.3, 0.4]), np.array([0.0, 2.0])
@@ -228,7 +230,7 @@ def test_prefix_of_the_rows_is_the_shorter_chain():
 
 def test_slide_on_an_incline():
     incline, m, b = 0.3, 20.0, 50.0
-    links = arm.pack_slide(m, b, incline)[None]
+    links = table_of([arm.pack_slide(m, b, incline)], arm.LINK)
     q, qd, force = np.array([0.4]), np.array([0.2]), np.array([100.0])
     out, full, work = np.empty(1), np.empty((1, 1)), np.empty(arm.work_size(1))
     weight = m * G * math.sin(incline)

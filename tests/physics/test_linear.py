@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.codes import EXTEND_RESISTIVE, FUNCTIONS, RETRACT_OVERRUNNING
 from ehbench.control import pressure_feedback
-from ehbench.control.functions import EXTEND_RESISTIVE, FUNCTIONS, RETRACT_OVERRUNNING, pack_rules
+from ehbench.control.functions import pack_rules
+from ehbench.control.records import blank
 from ehbench.errors import InputError
 from ehbench.machines.simulated import model_sample, model_tick
 from ehbench.physics import arm
@@ -281,14 +283,14 @@ def test_closed_loop_agrees_with_the_compiled_controller(function, washout, ramp
         washout=washout or 0.1,
         ramp_washout=ramp,
     )
-    wish = np.array([0.0, point.v, 0.0, 0.0])
+    reference = np.array([0.0, point.v, 0.0, 0.0])
 
     def run(push):
         y, command = state_of(model, point)
         y[model.layout.state("qd", int(plant.cylinders[index].joint))] += push / point.lever
         memory, note = (
-            np.zeros(pressure_feedback.MEMORY),
-            np.zeros(pressure_feedback.NOTES + 2 * circuit.count),
+            blank(pressure_feedback.MEMORY),
+            np.zeros(pressure_feedback.COLUMNS + 2 * circuit.count),
         )
         k = np.empty((5, model.layout.states))
         work = np.empty(plant.at.work)
@@ -296,18 +298,15 @@ def test_closed_loop_agrees_with_the_compiled_controller(function, washout, ramp
         model_sample(y, plant, sample)
         # as if it had run for long: the function chosen, the washout at rest (or, without one, the
         # static pressure taken off)
-        (
-            memory[pressure_feedback.STARTED],
-            memory[pressure_feedback.FUNCTION],
-            memory[pressure_feedback.AGE],
-        ) = 1.0, function, 10.0
-        memory[pressure_feedback.SLOW_LOAD] = point.load_force
-        at = pressure_feedback.AT_PRESSURE
-        memory[at : at + 2] = point.p_head, point.p_rod
+        memory.started, memory.function, memory.age = 1, function, 10.0
+        memory.slow_load = point.load_force
+        memory.ends["pressure"] = point.p_head, point.p_rod
         speed = []
         for i in range(250):
             speed.append(sample[6 * index + 3])
-            pressure_feedback.step(i * tick, sample, wish, circuit, gains, memory, command, note)
+            pressure_feedback.step(
+                i * tick, sample, reference, circuit, gains, memory, command, note
+            )
             assert note[5] == function and note[-circuit.count :].max() == 0
             model_tick(y, command, plant, tick, 2, k, work, sample)
         return np.array(speed)

@@ -11,12 +11,15 @@ import numpy as np
 import pytest
 from numba import njit
 
+from ehbench import codes
 from ehbench.control import functions as fn
 from ehbench.control import pressure_feedback as pf
 from ehbench.control import trajectory as tr
-from ehbench.control import valve_level as vl
+from ehbench.control.measured import pressure_entries
+from ehbench.control.records import blank
 from ehbench.errors import InputError
 from ehbench.machines.simulated import model_sample
+from ehbench.parts.sample import OF, entry, sample_channels
 from ehbench.plant.integrate import rk4
 from ehbench.plant.model import Model
 from ehbench.quantities import quantity
@@ -24,20 +27,22 @@ from ehbench.recipe import load_rig
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 TICK = 1e-3
-COLUMN = {name: index for index, name in enumerate(pf.NOTE)}
+COLUMN = {name: index for index, name in enumerate(pf.Telemetry._fields)}
 
 
 @njit
-def closed_loop(y, wish, plant, circuit, gains, given, command, samples, notes, commands):
+def closed_loop(
+    y, reference, plant, circuit, gains, memory, given, command, samples, notes, commands
+):
     """The plant under `pressure_feedback.step`; channels not ``given`` are NaN to the controller."""
-    k, memory = np.empty((5, y.shape[0])), np.zeros(pf.MEMORY)
+    k = np.empty((5, y.shape[0]))
     work = np.empty(plant.at.work)
     seen = np.empty(samples.shape[1])
-    for i in range(wish.shape[0]):
+    for i in range(reference.shape[0]):
         model_sample(y, plant, samples[i])
         for j in range(seen.shape[0]):
             seen[j] = samples[i, j] if given[j] else np.nan
-        pf.step(i * 1e-3, seen, wish[i], circuit, gains, memory, command, notes[i])
+        pf.step(i * 1e-3, seen, reference[i], circuit, gains, memory, command, notes[i])
         for j in range(command.shape[0]):
             commands[i, j] = command[j]
         for _ in range(2):
@@ -51,7 +56,7 @@ class Trial:
         self,
         rig,
         cylinder,
-        wish,
+        reference,
         *,
         at=None,
         payload=None,
@@ -82,12 +87,12 @@ class Trial:
         packed = pf.pack_pressure_feedback(
             tick=TICK, rules=rules, off_gain=off_gain, low_pressure=low, **gains
         )
-        channels = pf.PER_CYLINDER * len(names.cylinders) + 2
-        given = pf.entitled(self.circuit, channels) if given is None else np.full(channels, given)
-        count = wish.shape[0]
+        channels = len(sample_channels(names.cylinders))
+        given = pf.observed(self.circuit, channels) if given is None else np.full(channels, given)
+        count = reference.shape[0]
         self.samples, self.notes = (
             np.empty((count, channels)),
-            np.zeros((count, pf.NOTES + 2 * self.circuit.count)),
+            np.zeros((count, pf.COLUMNS + 2 * self.circuit.count)),
         )
         self.commands = np.empty((count, len(names.valves)))
         start = self.model.trim(
@@ -95,20 +100,21 @@ class Trial:
         )
         closed_loop(
             start,
-            wish,
+            reference,
             plant,
             self.circuit,
             packed,
+            blank(pf.MEMORY),
             given,
             self.model.rest_commands(1)[0],
             self.samples,
             self.notes,
             self.commands,
         )
-        x, v, p_head, p_rod = (
-            self.samples[:, pf.PER_CYLINDER * self.index + c] for c in (2, 3, 4, 5)
+        self.x, self.v, self.p_head, self.p_rod = (
+            self.samples[:, entry(self.index, channel)]
+            for channel in (OF.x, OF.v, OF.p_head, OF.p_rod)
         )
-        self.x, self.v, self.p_head, self.p_rod = x, v, p_head, p_rod
 
     def note(self, name: str) -> np.ndarray:
         return self.notes[:, COLUMN[name]]
@@ -148,8 +154,10 @@ WASHOUT = 2 * math.pi * 1.5
 
 def step(name, gain, washout=WASHOUT, **more):
     (rig, cylinder, v_d), where, _ = STEPS[name]
-    wish = tr.velocity_steps([v_d], duration=1.2, tick=TICK, rest=0.3)[:1500]
-    return Trial(rig, cylinder, wish, feedback_gain=gain, washout=washout, **(where | more)), v_d
+    reference = tr.velocity_steps([v_d], duration=1.2, tick=TICK, rest=0.3)[:1500]
+    return Trial(
+        rig, cylinder, reference, feedback_gain=gain, washout=washout, **(where | more)
+    ), v_d
 
 
 @pytest.mark.parametrize("name", STEPS)
@@ -235,15 +243,15 @@ class Alone:
         }
         self.gains = pf.pack_pressure_feedback(**({"tick": TICK} | defaults | gains))
         self.memory, self.note, self.command = (
-            np.zeros(pf.MEMORY),
-            np.zeros(pf.NOTES + 2 * c.count),
+            blank(pf.MEMORY),
+            np.zeros(pf.COLUMNS + 2 * c.count),
             np.zeros(7),
         )
 
     def tick(self, v_d, p_head, p_rod, p_supply=7e6, p_tank=0.0):
         sample = np.full(20, np.nan)
-        at = pf.PER_CYLINDER * self.circuit.cylinder
-        sample[[at + 4, at + 5, 18, 19]] = p_head, p_rod, p_supply, p_tank
+        at = pressure_entries(self.circuit.cylinder, sample.size)
+        sample[at] = p_head, p_rod, p_supply, p_tank
         pf.step(
             0.0,
             sample,
@@ -279,7 +287,7 @@ def test_pressure_above_its_mean_takes_inflow_from_the_metered_chamber(function)
     inflow = []
     for more in (0.0, 3e4):
         alone = Alone(
-            feedback_gain={fn.FUNCTIONS[function]: 2e-10}, washout=5.0, off_gain=0.0, rules=rules
+            feedback_gain={codes.FUNCTIONS[function]: 2e-10}, washout=5.0, off_gain=0.0, rules=rules
         )
         alone.tick(v_d, p_head, p_rod)
         head = fn.METERED[function] == fn.HEAD
@@ -291,7 +299,9 @@ def test_pressure_above_its_mean_takes_inflow_from_the_metered_chamber(function)
     first = 0.5 * (1.0 + math.exp(-5.0 * TICK))  # of a step, as a washout sees it half a tick later
     assert inflow[1] - inflow[0] == pytest.approx(-2e-10 * 3e4 * first, rel=1e-12)
     # a gain of another function does not act
-    other = Alone(feedback_gain={fn.FUNCTIONS[1 + function % 7]: 2e-10}, washout=5.0, rules=rules)
+    other = Alone(
+        feedback_gain={codes.FUNCTIONS[1 + function % 7]: 2e-10}, washout=5.0, rules=rules
+    )
     other.tick(v_d, p_head, p_rod)
     assert other.tick(v_d, p_head + 3e4, p_rod + 3e4)["feedback_flow"] == 0.0
 
@@ -306,7 +316,7 @@ def test_the_off_side_is_driven_to_its_set_point(function):
     alone = Alone(off_gain=2e-11, rules=rules)
     note = alone.tick(v_d, p_head, p_rod, p_tank=1e5)
     assert note["function"] == function
-    low = p_head + rules[fn.CROSS_DROP] if function == 7 else 1e5 + 3.5e5
+    low = p_head + rules.cross_drop if function == 7 else 1e5 + 3.5e5
     if fn.METERED[function] == fn.HEAD:
         assert note["flow_rod_desired"] == pytest.approx(
             alone.circuit.area_rod * v_d - 2e-11 * (low - p_rod), rel=1e-12
@@ -362,7 +372,7 @@ def test_a_change_of_function_brings_no_bump():
     for _ in range(3000):
         alone.tick(0.0, 2e5, 9e5)
     after = alone.tick(-0.05, 2e5, 9e5)
-    assert after["function"] == fn.RETRACT_RESISTIVE
+    assert after["function"] == codes.RETRACT_RESISTIVE
     assert after["feedback_flow"] == pytest.approx(0.0, abs=1e-10 * 9e5 * math.exp(-20))
 
 
@@ -382,7 +392,9 @@ def test_hold_shuts_and_others_are_left_alone():
     alone = Alone(feedback_gain=1e-10)
     alone.command[:] = 3.0
     note = alone.tick(0.0, 2e6, 5e5)
-    assert note["function"] == fn.HOLD and note["flow_head_desired"] == note["feedback_flow"] == 0.0
+    assert (
+        note["function"] == codes.HOLD and note["flow_head_desired"] == note["feedback_flow"] == 0.0
+    )
     valves = sorted(
         set(alone.circuit.edges.valve[alone.circuit.first :][: alone.circuit.count].tolist())
     )
@@ -407,21 +419,21 @@ def test_beyond_what_the_supply_gives_it_saturates_says_so_and_comes_back():
     speeds = tr.velocity_steps([0.4, 0.03], duration=[0.3, 0.9], tick=TICK)
     trial = Trial("thesis_arm", "boom", speeds, at="0.03 m", feedback_gain=8e-11, washout=WASHOUT)
     limits = trial.note("limits").astype(int)
-    assert (limits[20:300] & vl.SATURATED).all() and trial.commands.max() == 10.0
+    assert (limits[20:300] & codes.SATURATED).all() and trial.commands.max() == 10.0
     assert not limits[600:1200].any()
     assert trial.v[-400:-1].mean() == pytest.approx(0.03, rel=0.06)
 
 
 def test_channels_have_words_and_masks_have_four():
-    names = pf.note_channels("boom", [f"boom.{edge}" for edge in ("a", "b")])
-    assert len(names) == pf.NOTES + 4 == len(set(names)) and names[-4:] == (
+    names = pf.LAW.channels("boom", tuple(f"boom.{edge}" for edge in ("a", "b")))
+    assert len(names) == pf.COLUMNS + 4 == len(set(names)) and names[-4:] == (
         "boom.a.flow_desired",
         "boom.b.flow_desired",
         "boom.a.limits",
         "boom.b.limits",
     )
     assert all(quantity(name) for name in names)
-    mask = pf.entitled(FIVE.circuit, 20)
+    mask = pf.observed(FIVE.circuit, 20)
     assert np.flatnonzero(mask).tolist() == [10, 11, 18, 19]
 
 

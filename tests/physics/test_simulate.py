@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ehbench.benchmark import radau_error, thesis_trial
 
+from ehbench.benchmark import radau_error, thesis_trial
 from ehbench.errors import InputError, LogError, SimulationError
 from ehbench.parts.valve.second_order import SETTLED
 from ehbench.plant.model import Model, simulate

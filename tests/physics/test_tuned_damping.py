@@ -9,14 +9,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from ehbench.codes import FUNCTIONS
 from ehbench.control import pressure_feedback as pf
-from ehbench.control.functions import FUNCTIONS, pack_rules
+from ehbench.control.functions import pack_rules
+from ehbench.control.records import blank
 from ehbench.machines.simulated import model_sample, model_tick
 from ehbench.parts.cylinder import linkage_of
 from ehbench.plant.model import Model
 from ehbench.recipe import TuneRecipe, load_rig
-from ehbench.tune.gains import NONE, tune_pressure_feedback
+from ehbench.tune.gains import tune_pressure_feedback
 from ehbench.tune.linear import circuit_of, state_of
+from ehbench.tune.study import NONE
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 TICK = 1e-3
@@ -40,7 +43,7 @@ class Running:
             **tuning.controller(),
         )
         self.start, self.command = state_of(self.model, point)
-        self.kept = range(pf.AT_PRESSURE, pf.AT_SHAPED)  # behind washouts at rest is nothing
+        # as the pressures of both ends, behind one washout, behind both: there at rest is nothing
         last = (point.p_head, point.p_rod)
         self.memory = np.array([*last, *((0.0, 0.0) if tuning.washout > 0 else last), 0.0, 0.0])
         n = len(self.layout.joints)
@@ -52,22 +55,18 @@ class Running:
             (2 * len(self.layout.cylinders), 300.0),
             (len(self.layout.valves), 1e-4),
         ]
-        sizes += [(len(self.layout.valves), 1e-2), (1 + len(self.kept), 300.0)]
+        sizes += [(len(self.layout.valves), 1e-2), (1 + self.memory.size, 300.0)]
         self.sizes = np.concatenate([np.full(count, size) for count, size in sizes])
 
     def after(self, push, ticks):
         """State of machine and controller after some ticks from the operating point and a push."""
         size, c = self.layout.states, self.circuit
         y, command = self.start + push[:size], self.command.copy()
-        memory, note = np.zeros(pf.MEMORY), np.zeros(pf.NOTES + 2 * c.count)
+        memory, telemetry = blank(pf.MEMORY), np.zeros(pf.COLUMNS + 2 * c.count)
         function = FUNCTIONS.index(self.point.function)
-        memory[[pf.STARTED, pf.FUNCTION, pf.AGE, pf.SLOW_LOAD]] = (
-            1.0,
-            function,
-            0.0,
-            self.point.load_force,
-        )
-        memory[self.kept] = self.memory + push[size:]
+        memory.started, memory.function, memory.slow_load = 1, function, self.point.load_force
+        for name, ends in zip(pf.END.names, (self.memory + push[size:]).reshape(3, 2), strict=True):
+            memory.ends[name] = ends
         k, sample = np.empty((5, size)), np.empty(6 * len(self.layout.cylinders) + 2)
         work = np.empty(self.plant.at.work)
         model_sample(y, self.plant, sample)
@@ -80,11 +79,11 @@ class Running:
                 self.gains,
                 memory,
                 command,
-                note,
+                telemetry,
             )
-            assert note[5] == function and not note[-c.count :].any()
+            assert telemetry[5] == function and not telemetry[-c.count :].any()
             model_tick(y, command, self.plant, TICK, 2, k, work, sample)
-        return np.concatenate([y, memory[self.kept]])
+        return np.concatenate([y, *(memory.ends[name] for name in pf.END.names)])
 
     def speeds(self, y):
         """∂(x, v)/∂(q, q̇) of the cylinder in a state of all: what swings is judged as speed, as

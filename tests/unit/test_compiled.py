@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from numba.core.errors import NumbaError
 
-from ehbench import compiled, simulation
+from ehbench import compiled
+from ehbench.plant import integrate
 
 
 def grows(n):
@@ -48,7 +49,7 @@ def test_kernels_use_it_and_numba_keeps_its_own(where, monkeypatch):
     mine = compiled.allocating_kernel(grows)
     assert numba.config.CACHE_DIR == where
     folder = str(compiled._cache_folder())
-    for function in (mine, simulation.run, simulation.advance):
+    for function in (mine, integrate.run, integrate.advance):
         assert function.stats.cache_path.startswith(folder)
 
 

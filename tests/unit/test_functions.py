@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench import codes
 from ehbench.compiled import table
 from ehbench.control import functions as fn
+from ehbench.control.measured import Pressures
 from ehbench.errors import InputError
 from ehbench.parts.edge import COMPENSATED, EDGE, ORIFICE
 from ehbench.plant.build import build
@@ -58,9 +60,9 @@ def circuit(rows, areas=(A1, A2), ranges=(0.0, 10.0), law=COMPENSATED, gain=6.3e
     return fn.circuit(0, *areas, edges, np.zeros(1), np.tile(ranges, (valves, 1)))
 
 
-def choose(c, rules, v_d, p_head, p_rod, now=fn.HOLD, age=1e9, p_supply=PS, p_tank=0.0):
+def choose(c, rules, v_d, p_head, p_rod, now=codes.HOLD, age=1e9, p_supply=PS, p_tank=0.0):
     load = p_head * c.area_head - p_rod * c.area_rod
-    return fn.select(now, age, v_d, load, p_head, p_rod, p_supply, p_tank, c, rules)
+    return fn.select(now, age, v_d, load, Pressures(p_head, p_rod, p_supply, p_tank), c, rules)
 
 
 def test_the_table_balances_the_oil():
@@ -75,7 +77,7 @@ def test_the_table_balances_the_oil():
         steady = fn.PATH_FLOWS[function] @ (fn.DIRECTION[function] * np.array([A1, A2]))
         assert (steady >= 0).all() and (steady > 0).sum() == 2
         assert steady[fn.METERING[function]] > 0
-    assert not fn.PATH_FLOWS[fn.HOLD].any()
+    assert not fn.PATH_FLOWS[codes.HOLD].any()
 
 
 def test_oil_drawn_from_the_supply():
@@ -87,7 +89,7 @@ def test_oil_drawn_from_the_supply():
 @pytest.mark.parametrize(
     ("rig", "cylinder", "expected", "one_command"),
     [
-        ("thesis_arm", "boom", set(fn.FUNCTIONS), False),
+        ("thesis_arm", "boom", set(codes.FUNCTIONS), False),
         ("thesis_arm", "swing", PLAIN, True),
         ("boom_four_valve", "boom", PLAIN, False),
         ("crane_proportional", "lift", PLAIN, True),
@@ -114,7 +116,7 @@ def test_what_other_circuits_can_do():
     # a cross-port check valve lets oil through one way only, an edge drawn the other way round
     # serves as well
     checked = (*FIVE[:2], (ROD, HEAD, 2, 1, 1), (ROD, SUPPLY, 3), FIVE[4])
-    assert set(fn.available(circuit(checked))) == set(fn.FUNCTIONS) - {
+    assert set(fn.available(circuit(checked))) == set(codes.FUNCTIONS) - {
         "retract_overrunning_regeneration"
     }
     # a spool that opens a third edge with the two of a function cannot do that function
@@ -169,18 +171,18 @@ def test_every_state_has_one_function_and_it_suits(name, seventh):
         chosen, status = choose(c, rules, v_d, p_head, p_rod, now, age, p_supply)
         assert c.able[chosen]
         if v_d == 0.0:
-            assert (chosen, status) == (fn.HOLD, fn.OK)
+            assert (chosen, status) == (codes.HOLD, codes.OK)
             continue
         load = p_head * c.area_head - p_rod * c.area_rod
-        if chosen == fn.HOLD:
-            assert status == fn.UNABLE
+        if chosen == codes.HOLD:
+            assert status == codes.UNABLE
             lacking = [
                 f
                 for f in range(1, 8)
                 if fn.DIRECTION[f] * v_d > 0 and c.able[f] and (f < 7 or seventh)
             ]
             assert all(
-                fn.OVERRUNNING[f] != (-v_d * load > 0) or abs(load) <= rules[fn.FORCE_BAND]
+                fn.OVERRUNNING[f] != (-v_d * load > 0) or abs(load) <= rules.force_band
                 for f in lacking
             )
             continue
@@ -190,9 +192,9 @@ def test_every_state_has_one_function_and_it_suits(name, seventh):
             continue
         seen.add(chosen)
         against = -np.sign(v_d) * load
-        if abs(load) > rules[fn.FORCE_BAND]:
+        if abs(load) > rules.force_band:
             assert fn.OVERRUNNING[chosen] == (against > 0)
-        state = (v_d, load, p_head, p_rod, p_supply, 0.0, c, rules)
+        state = (v_d, load, Pressures(p_head, p_rod, p_supply, 0.0), c, rules)
         rivals = [
             f
             for f in range(1, 8)
@@ -202,10 +204,10 @@ def test_every_state_has_one_function_and_it_suits(name, seventh):
             and (f < 7 or seventh)
         ]
         fit = [f for f in rivals if fn.feasible(f, f == now, *state)]
-        assert status == (fn.OK if fit else fn.STALLED)
+        assert status == (codes.OK if fit else codes.STALLED)
         draw = {f: fn.supply_draw(f, c) for f in rivals}
         assert draw[chosen] == (min(draw[f] for f in fit) if fit else max(draw.values()))
-        if status == fn.OK and chosen in (3, 6):
+        if status == codes.OK and chosen in (3, 6):
             drop = p_rod - p_head if chosen == 3 else p_head - p_rod
             assert fn.capacity(c, fn.CROSS[chosen], drop) >= c.area_rod * abs(v_d)
     expected = {
@@ -217,10 +219,13 @@ def test_every_state_has_one_function_and_it_suits(name, seventh):
 def test_regeneration_needs_drop_and_an_edge_that_carries_it():
     rules = fn.pack_rules(A2, PS)
     wide, narrow = circuit(FIVE), circuit(FIVE, gain=1.2e-5)
-    assert choose(wide, rules, -0.1, 2e6, 3e5) == (fn.RETRACT_OVERRUNNING_REGENERATION, fn.OK)
-    assert choose(narrow, rules, -0.1, 2e6, 3e5) == (fn.RETRACT_OVERRUNNING, fn.OK)
-    assert choose(narrow, rules, -0.03, 2e6, 3e5) == (fn.RETRACT_OVERRUNNING_REGENERATION, fn.OK)
-    start, stop = rules[fn.DROP_START], rules[fn.DROP_STOP]
+    assert choose(wide, rules, -0.1, 2e6, 3e5) == (codes.RETRACT_OVERRUNNING_REGENERATION, codes.OK)
+    assert choose(narrow, rules, -0.1, 2e6, 3e5) == (codes.RETRACT_OVERRUNNING, codes.OK)
+    assert choose(narrow, rules, -0.03, 2e6, 3e5) == (
+        codes.RETRACT_OVERRUNNING_REGENERATION,
+        codes.OK,
+    )
+    start, stop = rules.drop_start, rules.drop_stop
     for drop, now, expected in (
         (1.01 * start, 5, 6),
         (0.99 * start, 5, 5),
@@ -234,28 +239,29 @@ def test_regeneration_needs_drop_and_an_edge_that_carries_it():
 def test_the_seventh_where_the_supply_carries_the_load_on_the_area_difference():
     c = circuit(FIVE)
     rules = fn.pack_rules(A2, PS, allow_seventh=True)
-    most = (PS - rules[fn.SUPPLY_MARGIN] - rules[fn.SUPPLY_BAND]) * (A1 - A2) - rules[
-        fn.CROSS_DROP
-    ] * A2
+    most = (PS - rules.supply_margin - rules.supply_band) * (A1 - A2) - rules.cross_drop * A2
     p_rod = 1e5
-    for share, expected in ((0.99, fn.EXTEND_RESISTIVE_REGENERATION), (1.01, fn.EXTEND_RESISTIVE)):
+    for share, expected in (
+        (0.99, codes.EXTEND_RESISTIVE_REGENERATION),
+        (1.01, codes.EXTEND_RESISTIVE),
+    ):
         p_head = (share * most + p_rod * A2) / A1
         assert choose(c, rules, 0.05, p_head, p_rod)[0] == expected
-        assert choose(c, fn.pack_rules(A2, PS), 0.05, p_head, p_rod)[0] == fn.EXTEND_RESISTIVE
+        assert choose(c, fn.pack_rules(A2, PS), 0.05, p_head, p_rod)[0] == codes.EXTEND_RESISTIVE
     # once begun it holds through the band
     p_head = (1.01 * most + p_rod * A2) / A1
-    assert choose(c, rules, 0.05, p_head, p_rod, now=7)[0] == fn.EXTEND_RESISTIVE_REGENERATION
+    assert choose(c, rules, 0.05, p_head, p_rod, now=7)[0] == codes.EXTEND_RESISTIVE_REGENERATION
 
 
 def test_a_load_beyond_the_supply_is_called_stalled():
     assert choose(circuit(FIVE), fn.pack_rules(A2, PS), 0.1, 1.02 * PS, 0.0) == (
-        fn.EXTEND_RESISTIVE,
-        fn.STALLED,
+        codes.EXTEND_RESISTIVE,
+        codes.STALLED,
     )
 
 
 def run(c, rules, v_d, p_head, p_rod, tick=1e-3):
-    now, age, history = fn.HOLD, 0.0, []
+    now, age, history = codes.HOLD, 0.0, []
     for v, head, rod in np.broadcast(v_d, p_head, p_rod):
         chosen, _ = choose(c, rules, v, head, rod, now, age)
         age = tick if chosen != now else age + tick
@@ -279,7 +285,7 @@ def test_no_chatter_on_noisy_pressures():
         noisy = run(c, rules, v_d, head + noise[0], rod + noise[1])
         assert (np.diff(noisy) != 0).sum() == (np.diff(quiet) != 0).sum() <= 3
         bare = fn.pack_rules(
-            A2, PS, dwell=0.0, force_band=0.0, drop_stop=rules[fn.DROP_START], reserve=0.0
+            A2, PS, dwell=0.0, force_band=0.0, drop_stop=rules.drop_start, reserve=0.0
         )
         assert (np.diff(run(c, bare, v_d, head + noise[0], rod + noise[1])) != 0).sum() > 20
 
@@ -341,3 +347,8 @@ def test_circuits_that_are_none_are_refused():
         fn.circuit(1, A1, A2, c.edges, c.maps, ranges)
     with pytest.raises(InputError, match="not those of a plant"):
         fn.circuit(0, A1, A2, np.zeros((3, 4)), c.maps, ranges)
+
+
+def test_an_unknown_rule_is_refused():
+    with pytest.raises(InputError, match="no rule 'dwel'.*dwell"):
+        fn.pack_rules(A2, PS, dwel=0.2)

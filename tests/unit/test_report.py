@@ -17,7 +17,7 @@ from ehbench.physics.flow_map import FlowMap, collect, save_flow_maps
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import load_recipe, load_rig
 from ehbench.record import Record
-from ehbench.report import build, draw
+from ehbench.report import build, draw, style
 from ehbench.report.blocks import inline, prose
 from ehbench.report.saved import Table, read_points, read_series
 from ehbench.report.style import canvas, spread, thin
@@ -834,7 +834,7 @@ def test_figures_are_made_small_and_stay_the_same_picture(tmp_path, monkeypatch)
     points to nothing.
     """
     whole = []
-    monkeypatch.setattr("ehbench.report.style.shrink", lambda svg: whole.append(svg) or shrink(svg))
+    monkeypatch.setattr(style, "shrink", lambda svg: whole.append(svg) or shrink(svg))
     t = np.linspace(0.0, 9.0, 400)
     with canvas(tmp_path / "a.svg") as (_, ax):
         ax.plot(

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.codes import FUNCTIONS, LIMITS
 from ehbench.errors import InputError
 from ehbench.logs import write_log
 from ehbench.quantities import VOCABULARY
@@ -32,7 +33,6 @@ from ehbench.report.trial_captions import (
 )
 from ehbench.report.tuning_words import overshoot_of
 from ehbench.rundir import write_json
-from ehbench.terms import FUNCTIONS, LIMITS
 from ehbench.units import from_si
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"

@@ -9,6 +9,7 @@ import pytest
 from scipy import signal
 
 from ehbench.control import trajectory as tr
+from ehbench.control.records import blank
 from ehbench.errors import InputError
 
 TICK = 1e-3
@@ -134,8 +135,10 @@ def test_velocity_steps():
 
 
 def shaped(v_d, tick=TICK, **kind):
-    memory, shaping = np.zeros(tr.SHAPED), tr.pack_shaping(**kind)
-    return np.array([[tr.shape_speed(v, tick, shaping, memory), *memory[1:]] for v in v_d])
+    shaped, shaping = blank(tr.SHAPED), tr.pack_shaping(**kind)
+    return np.array(
+        [[tr.shape_speed(v, tick, shaping, shaped), shaped.acceleration, shaped.jerk] for v in v_d]
+    )
 
 
 def test_no_shaping_passes_the_step():

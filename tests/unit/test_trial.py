@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.control import pressure_feedback as pf
 from ehbench.errors import InputError
 from ehbench.logs import write_log
 from ehbench.plant.model import simulate
@@ -25,7 +24,7 @@ from ehbench.trial import (
     run_trial,
 )
 from ehbench.trial.measures import step_measures, tracking_measures
-from ehbench.trial.motion import wishes
+from ehbench.trial.motion import references
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 STEP = {
@@ -501,7 +500,7 @@ def test_a_controller_needs_a_motion_and_a_trial_a_duration(tmp_path):
 
 
 def table_of(rig, recipe):
-    return wishes(recipe, controllers.design(recipe, rig, None), 1e5)
+    return references(recipe, controllers.design(recipe, rig, None), 1e5)
 
 
 def test_levels_are_shares_speeds_and_rows(rig, tmp_path):
@@ -604,21 +603,17 @@ def test_gains_come_from_a_tune_run_and_what_is_written_goes_first(rig, tmp_path
         assert controllers.low_pressure(recipe, rig, tuning) == (
             1e5 if "low_pressure" in controller else 3e5
         )
-        return controllers.compiled(recipe, made, tuning, np.zeros((2, 4)), 1000.0).gains
+        return controllers.compiled(recipe, made, tuning, np.zeros((2, 4)), 1000.0).controller.gains
 
     plain = packed('kind = "pressure_feedback"\ngains = "run"')
-    assert plain[
-        [pf.WASHOUT, pf.OFF_GAIN, pf.LOW_PRESSURE, pf.FEEDBACK_GAIN + 1, pf.FEEDBACK_GAIN + 4]
-    ].tolist() == [5.0, 2e-12, 3e5, 3e-12, 0]
+    assert (plain.washout, plain.off_gain, plain.low_pressure) == (5.0, 2e-12, 3e5)
+    assert plain.feedback_gain.tolist() == [0.0, 3e-12, *6 * [0.0]]
     over = packed(
         'kind = "pressure_feedback"\ngains = { from = "run", washout = "0 Hz", low_pressure = "1 bar" }'
     )
-    assert over[[pf.WASHOUT, pf.LOW_PRESSURE, pf.FEEDBACK_GAIN + 1]].tolist() == [0.0, 1e5, 3e-12]
+    assert (over.washout, over.low_pressure, over.feedback_gain[1]) == (0.0, 1e5, 3e-12)
     loose = packed('kind = "open_loop"\ngains = "run"')
-    assert (
-        loose[[pf.WASHOUT, pf.OFF_GAIN]].tolist() == [0.0, 2e-12]
-        and not loose[pf.FEEDBACK_GAIN : pf.AT_SHAPING].any()
-    )
+    assert (loose.washout, loose.off_gain) == (0.0, 2e-12) and not loose.feedback_gain.any()
     (tmp_path / "run" / "tuning.json").write_text(json.dumps(tuned | {"cylinder": "boom"}))
     with pytest.raises(InputError, match="tuned for cylinder 'boom', not 'press'"):
         packed('kind = "pressure_feedback"\ngains = "run"')

@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench import codes
 from ehbench.control import functions as fn
 from ehbench.control import valve_level as vl
+from ehbench.control.measured import Pressures
 from ehbench.parts.edge import edge_flow
 from ehbench.physics.flow_map import FlowMap, ValveMaps
 from ehbench.plant.build import build
@@ -82,7 +84,7 @@ CIRCUITS = {
 
 
 class Given:
-    """What `give` writes, from a command vector of sevens."""
+    """What `allocate` writes, from a command vector of sevens."""
 
     def __init__(
         self,
@@ -95,11 +97,10 @@ class Given:
     ) -> None:
         self.command = np.full(c.lowest.size, 7.0)
         self.flows, self.limits = np.full(c.count, 7.0), np.full(c.count, 7.0)
-        self.met = vl.give(
+        self.met = vl.allocate(
             function,
-            flow_head,
-            flow_rod,
-            *pressures,
+            vl.Flows(flow_head, flow_rod),
+            Pressures(*pressures),
             floor,
             c,
             self.command,
@@ -157,7 +158,7 @@ def test_the_commands_give_the_flows(name):
                 continue
             limits = int(given.limits[edge - c.first])
             through = c.along[path] * passed(c, edge, given.command, pressures)
-            if limits & vl.SATURATED:
+            if limits & codes.SATURATED:
                 valve = c.edges[edge].valve
                 assert (
                     given.command[valve]
@@ -183,14 +184,14 @@ def test_saturation_begins_at_the_top_speed(name):
     for function, _, pressures in states(c, 50, 2):
         if fn.coupled(c, function):
             continue
-        top = vl.top_speed(function, *pressures, c) * fn.DIRECTION[function]
+        top = vl.top_speed(function, Pressures(*pressures), c) * fn.DIRECTION[function]
         below, above = (
             Given(c, function, c.area_head * v, c.area_rod * v, pressures)
             for v in (0.9999 * top, 1.0001 * top)
         )
-        assert not below.met & vl.SATURATED
-        assert above.met & vl.SATURATED and (above.limits.astype(int) & vl.SATURATED).any()
-    assert vl.top_speed(fn.HOLD, 1e6, 1e6, 7e6, 0.0, c) == 0.0
+        assert not below.met & codes.SATURATED
+        assert above.met & codes.SATURATED and (above.limits.astype(int) & codes.SATURATED).any()
+    assert vl.top_speed(codes.HOLD, Pressures(1e6, 1e6, 7e6, 0.0), c) == 0.0
 
 
 def test_a_spool_follows_the_edge_that_meters():
@@ -218,7 +219,7 @@ def test_what_a_drop_cannot_do_is_told():
     valve = {path: int(c.edges[c.paths[path]].valve) for path in range(6)}
 
     def vent(p_rod, flow_rod=5e-5):
-        given = Given(c, fn.EXTEND_RESISTIVE, 1e-4, flow_rod, (2e6, p_rod, 7e6, 1e5))
+        given = Given(c, codes.EXTEND_RESISTIVE, 1e-4, flow_rod, (2e6, p_rod, 7e6, 1e5))
         assert given.limits[c.paths[fn.SUPPLY_HEAD] - c.first] == 0
         return (
             given.command[valve[fn.ROD_TANK]],
@@ -229,11 +230,11 @@ def test_what_a_drop_cannot_do_is_told():
     at_floor, limits, met = vent(1e5 + FLOOR)
     assert (limits, met) == (0, 0) and at_floor > 2.0
     for drop in (0.3 * FLOOR, 0.0, -0.9 * FLOOR):
-        assert vent(1e5 + drop) == (at_floor, vl.FAINT, vl.FAINT)
-    assert vent(1e5 - FLOOR) == (0.0, vl.REVERSED, vl.REVERSED)
-    assert vent(1e6, -1e-6) == (0.0, vl.AGAINST, vl.AGAINST)
+        assert vent(1e5 + drop) == (at_floor, codes.FAINT, codes.FAINT)
+    assert vent(1e5 - FLOOR) == (0.0, codes.REVERSED, codes.REVERSED)
+    assert vent(1e6, -1e-6) == (0.0, codes.AGAINST, codes.AGAINST)
     assert vent(1e6, 0.0) == (0.0, 0, 0)
-    assert vent(1e5, 5e-4) == (10.0, vl.FAINT | vl.SATURATED, vl.FAINT | vl.SATURATED)
+    assert vent(1e5, 5e-4) == (10.0, codes.FAINT | codes.SATURATED, codes.FAINT | codes.SATURATED)
 
 
 def test_the_edge_of_the_measured_range_is_that_of_the_map():
@@ -254,8 +255,8 @@ def test_leaving_the_measured_range_is_told():
     c = CIRCUITS["five, maps"]
     edge = c.paths[fn.SUPPLY_HEAD]
     for p_head, outside in ((1.95e6, True), (2.05e6, False), (6.95e6, True)):
-        given = Given(c, fn.EXTEND_RESISTIVE, 2e-5, 1e-5, (p_head, 1e6, 7e6, 0.0))
-        assert bool(int(given.limits[edge - c.first]) & vl.OUTSIDE) == outside
+        given = Given(c, codes.EXTEND_RESISTIVE, 2e-5, 1e-5, (p_head, 1e6, 7e6, 0.0))
+        assert bool(int(given.limits[edge - c.first]) & codes.OUTSIDE) == outside
     # the reverse direction of a valve that was not measured that way
     one_way = {**MAPS, "regen": ValveMaps(MAPS["regen"].forward)}
     other = shipped("thesis_arm", "boom", one_way)
@@ -264,13 +265,13 @@ def test_leaving_the_measured_range_is_told():
         Given(k, 3, 2e-5, 1e-5, pressures).limits[k.paths[fn.ROD_HEAD] - k.first]
         for k in (c, other)
     ]
-    assert limits == [0, vl.OUTSIDE]
+    assert limits == [0, codes.OUTSIDE]
 
 
 @pytest.mark.parametrize("name", CIRCUITS)
 def test_hold_shuts_this_cylinder_only(name):
     c = CIRCUITS[name]
-    given = Given(c, fn.HOLD, 1e-4, 1e-4, (1e6, 1e6, 7e6, 0.0))
+    given = Given(c, codes.HOLD, 1e-4, 1e-4, (1e6, 1e6, 7e6, 0.0))
     own = sorted(set(c.edges.valve[c.first : c.first + c.count].tolist()))
     assert given.met == 0 and not given.flows.any() and not given.limits.any()
     assert not given.command[own].any() and (np.delete(given.command, own) == 7.0).all()
@@ -278,8 +279,8 @@ def test_hold_shuts_this_cylinder_only(name):
 
 def test_a_driver_that_cannot_go_to_zero_rests_at_its_lowest():
     c = CIRCUITS["four"]._replace(lowest=np.full(4, 0.5))
-    assert Given(c, fn.HOLD, 0.0, 0.0, (1e6, 1e6, 7e6, 0.0)).command.tolist() == [0.5] * 4
-    moving = Given(c, fn.EXTEND_RESISTIVE, 1e-4, 0.0, (1e6, 1e6, 7e6, 0.0)).command
+    assert Given(c, codes.HOLD, 0.0, 0.0, (1e6, 1e6, 7e6, 0.0)).command.tolist() == [0.5] * 4
+    moving = Given(c, codes.EXTEND_RESISTIVE, 1e-4, 0.0, (1e6, 1e6, 7e6, 0.0)).command
     assert moving[1] > 1.0 and moving[[0, 2, 3]].tolist() == [0.5] * 3
 
 

@@ -6,7 +6,7 @@ To add a law: write its file after ``orifice.py`` and name it in LAWS.
 
 from __future__ import annotations
 
-from ehbench.compiled import choice, kernel, record
+from ehbench.compiled import choice, part_kernel, record
 from ehbench.parts.edge import compensated, measured, orifice
 
 LAWS = (orifice.LAW, compensated.LAW, measured.LAW)
@@ -33,7 +33,7 @@ _opening = choice("opening", [law.opening for law in LAWS], "drop, flow, edge, m
 _known = choice("known", [law.known for law in LAWS], "drop, edge, maps")
 
 
-@kernel
+@part_kernel
 def edge_flow(drop, opening, edge, maps):
     """Flow [m³/s] along an edge, positive from → to, at a pressure drop [Pa] of either sign and a
     valve opening [V].
@@ -50,7 +50,7 @@ def edge_flow(drop, opening, edge, maps):
     return _flow(edge.law, drop, reach, edge, maps)
 
 
-@kernel
+@part_kernel
 def edge_command(drop, flow, edge, maps):
     """Command [V] at which an edge passes ``flow`` [m³/s] at ``drop`` [Pa]: the exact inverse of
     ``edge_flow``.
@@ -63,7 +63,7 @@ def edge_command(drop, flow, edge, maps):
     return edge.sign * _opening(edge.law, drop, flow, edge, maps)
 
 
-@kernel
+@part_kernel
 def edge_known(drop, edge, maps):
     """Largest opening [V], counted in the direction that opens the edge, that its law speaks of at
     a drop [Pa]; inf for an analytic law.

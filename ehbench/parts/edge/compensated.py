@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 
-from ehbench.compiled import kernel
+from ehbench.compiled import part_kernel
 from ehbench.parts.edge.law import EdgeLaw
 
 
-@kernel
+@part_kernel
 def level(drop, reference):
     """``Δp/√(Δp² + Δp0²)`` [1] for drop ≥ 0, which levels off above the reference drop Δp0 [Pa]."""
     return drop / math.sqrt(drop * drop + reference * reference)
 
 
-@kernel
+@part_kernel
 def flow(drop, reach, edge, maps):
     """``compensated_gain·(opening − deadband)`` [m³/s], reached over ``compensation_drop``."""
     wide = reach - edge.deadband
@@ -23,7 +23,7 @@ def flow(drop, reach, edge, maps):
     return math.copysign(edge.gain * wide * level(abs(drop), edge.compensation_drop), drop)
 
 
-@kernel
+@part_kernel
 def opening(drop, flow, edge, maps):
     """Opening [V] at which ``flow`` passes."""
     return edge.deadband + abs(flow) / (edge.gain * level(abs(drop), edge.compensation_drop))

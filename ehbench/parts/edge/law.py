@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ehbench.compiled import kernel
+from ehbench.compiled import part_kernel
 
 
-@kernel
+@part_kernel
 def _everywhere(drop, edge, maps):
     """An analytic law holds at every opening."""
     return np.inf

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 
-from ehbench.compiled import kernel
+from ehbench.compiled import part_kernel
 from ehbench.parts.edge.law import EdgeLaw
 from ehbench.physics.flow_map import map_command, map_flow
 
 
-@kernel
+@part_kernel
 def map_of(drop, edge):
     """Where the map of an edge for drops of this sign [Pa] begins."""
     return edge.reverse if drop < 0.0 and edge.reverse >= 0 else edge.forward
 
 
-@kernel
+@part_kernel
 def flow(drop, reach, edge, maps):
     """Flow [m³/s] by the map."""
     if drop > 0.0:
@@ -23,13 +23,13 @@ def flow(drop, reach, edge, maps):
     return -map_flow(-drop, reach, maps, map_of(drop, edge))
 
 
-@kernel
+@part_kernel
 def opening(drop, flow, edge, maps):
     """Opening [V] at which ``flow`` passes."""
     return map_command(abs(drop), abs(flow), maps, map_of(drop, edge))
 
 
-@kernel
+@part_kernel
 def known(drop, edge, maps):
     """Widest opening [V] of the map at a drop [Pa]."""
     return map_command(abs(drop), math.inf, maps, map_of(drop, edge))

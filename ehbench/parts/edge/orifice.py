@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import math
 
-from ehbench.compiled import kernel
+from ehbench.compiled import part_kernel
 from ehbench.parts.edge.law import EdgeLaw
 
 # below this drop [Pa] the law turns from square root to linear, so that its slope stays finite
 ORIFICE_DROP = 2.0e4
 
 
-@kernel
+@part_kernel
 def root(drop):
     """√Δp [√Pa] for drop ≥ 0, as ``Δp/(Δp² + δ²)^¼``: smooth, and of finite slope at zero."""
     return drop / math.sqrt(math.sqrt(drop * drop + ORIFICE_DROP * ORIFICE_DROP))
 
 
-@kernel
+@part_kernel
 def flow(drop, reach, edge, maps):
     """``flow_gain·(opening − deadband)·√Δp`` [m³/s]."""
     wide = reach - edge.deadband
@@ -26,7 +26,7 @@ def flow(drop, reach, edge, maps):
     return math.copysign(edge.gain * wide * root(abs(drop)), drop)
 
 
-@kernel
+@part_kernel
 def opening(drop, flow, edge, maps):
     """Opening [V] at which ``flow`` passes."""
     return edge.deadband + abs(flow) / (edge.gain * root(abs(drop)))

@@ -6,14 +6,14 @@ coulomb/smoothing [N·s/m].
 
 from __future__ import annotations
 
-from ehbench.compiled import kernel
+from ehbench.compiled import part_kernel
 from ehbench.parts.friction.law import FrictionLaw
 from ehbench.physics.friction import coulomb_viscous
 
 COULOMB_SPEED = 2.0e-3  # [m/s]: over which Coulomb friction turns round
 
 
-@kernel
+@part_kernel
 def steady(row, v):
     """Resistance [N] at a steady speed v [m/s]."""
     if row.friction_coulomb == 0.0:
@@ -21,7 +21,7 @@ def steady(row, v):
     return coulomb_viscous(v, row.friction_viscous, row.friction_coulomb, COULOMB_SPEED)
 
 
-@kernel
+@part_kernel
 def steepness(row, v):
     """Largest slope of the resistance near speed v [N·s/m]."""
     steep = 0.0 if abs(v) > 4.0 * COULOMB_SPEED else row.friction_coulomb / COULOMB_SPEED

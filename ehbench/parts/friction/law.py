@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ehbench.compiled import inlined, kernel
+from ehbench.compiled import inlined, part_kernel
 
 
-@kernel
+@part_kernel
 def _no_rates(row, v, y, dy):
     """A law without states has no rates."""
 
 
-@kernel
+@part_kernel
 def _nothing_held(row, y):
     """A law without states holds no energy [J]."""
     return 0.0

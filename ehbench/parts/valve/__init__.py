@@ -6,7 +6,7 @@ To add an element: write its file after ``second_order.py`` and name it in LAWS.
 
 from __future__ import annotations
 
-from ehbench.compiled import choice, kernel, record
+from ehbench.compiled import choice, part_kernel, record
 from ehbench.parts.valve import second_order
 
 LAWS = (second_order.LAW,)
@@ -44,13 +44,13 @@ _lag = choice("lag", [law.lag for law in LAWS], "element")
 _recover = choice("recover", [law.recover for law in LAWS], "element, signal, dt, y, later")
 
 
-@kernel
+@part_kernel
 def limited(command, valve):
     """A command [V] within the range of a valve's driver."""
     return min(max(command, valve.lowest), valve.highest)
 
 
-@kernel
+@part_kernel
 def valve_rates(valve, signal, plant, y, dy):
     """(opening [V], fastest rate [1/s]) of a valve under a signal [V]; writes its states' rates."""
     fastest = 0.0
@@ -61,7 +61,7 @@ def valve_rates(valve, signal, plant, y, dy):
     return signal, fastest
 
 
-@kernel
+@part_kernel
 def valve_settle(valve, value, plant, y):
     """Put a valve's states at rest where command and opening are ``value`` [V]."""
     for i in range(valve.first, valve.first + valve.count):
@@ -69,7 +69,7 @@ def valve_settle(valve, value, plant, y):
         _settle(element.law, element, value, y)
 
 
-@kernel
+@part_kernel
 def valve_finish(valve, signal, plant, y, slope, d):
     """Better a valve's states after a Runge–Kutta step of ``d`` [s] under a held signal [V].
 
@@ -80,7 +80,7 @@ def valve_finish(valve, signal, plant, y, slope, d):
         _finish(element.law, element, signal, y, slope, d)
 
 
-@kernel
+@part_kernel
 def valve_advance(valve, signal, dt, plant, y):
     """Bring a valve's states on by ``dt`` [s], exact for a held signal [V] on one element."""
     for i in range(valve.first, valve.first + valve.count):
@@ -89,7 +89,7 @@ def valve_advance(valve, signal, dt, plant, y):
         signal = y[element.state]
 
 
-@kernel
+@part_kernel
 def valve_recover(valve, signal, dt, plant, y, later):
     """Find what a known opening in ``y`` says nothing of, from the opening ``later`` [V] by ``dt``
     [s].
@@ -99,7 +99,7 @@ def valve_recover(valve, signal, dt, plant, y, later):
         _recover(element.law, element, signal, dt, y, later)
 
 
-@kernel
+@part_kernel
 def valve_lag(valve, plant):
     """Time [s] by which a valve's opening trails a steady ramp of its command."""
     lag = 0.0

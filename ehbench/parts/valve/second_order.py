@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
-from ehbench.compiled import kernel
+from ehbench.compiled import part_kernel
 from ehbench.parts.valve.law import ValveElement
 
 SETTLED = 1.0e-12  # [V]: a valve this near to its command has arrived
 
 
-@kernel
+@part_kernel
 def rates(element, signal, y, dy):
     """Write opening rate [V/s] and acceleration [V/s²]; gives the opening [V]."""
     at = element.state
@@ -19,13 +19,13 @@ def rates(element, signal, y, dy):
     return y[at]
 
 
-@kernel
+@part_kernel
 def settle(element, value, y):
     """The opening stands at ``value`` [V]."""
     y[element.state], y[element.state + 1] = value, 0.0
 
 
-@kernel
+@part_kernel
 def transition(stiffness, damping, dt):
     """The 2 × 2 transition (row by row) of ``ë + damping ė + stiffness e = 0`` over ``dt`` [s].
 
@@ -47,7 +47,7 @@ def transition(stiffness, damping, dt):
     return c + s * z, z, -stiffness * z, c - s * z
 
 
-@kernel
+@part_kernel
 def advance(element, signal, dt, y):
     """The exact answer over ``dt`` [s] under a held signal [V]."""
     at = element.state
@@ -56,7 +56,7 @@ def advance(element, signal, dt, y):
     y[at], y[at + 1] = signal + a * off + b * rate, c * off + d * rate
 
 
-@kernel
+@part_kernel
 def recover(element, signal, dt, y, later):
     """The rate [V/s] that brings the opening to ``later`` [V] within ``dt`` [s]."""
     at = element.state
@@ -65,7 +65,7 @@ def recover(element, signal, dt, y, later):
         y[at + 1] = (later - signal - a * (y[at] - signal)) / b
 
 
-@kernel
+@part_kernel
 def finish(element, signal, y, slope, d):
     """From the fourth to the eighth order of ``d`` [s]; a valve that has arrived is set down.
 
@@ -92,7 +92,7 @@ def finish(element, signal, y, slope, d):
         y[at], y[at + 1] = signal, 0.0
 
 
-@kernel
+@part_kernel
 def lag(element):
     """2 ζ/ω_n [s]."""
     return element.damping / element.stiffness

@@ -1,0 +1,50 @@
+"""What the coded channels of a log mean: working functions, limits of the valve level, estimates.
+
+Plain words and numbers, for controllers that write them and reports that read them."""
+
+from __future__ import annotations
+
+# channel `function`
+FUNCTIONS = (
+    "hold",
+    "extend_resistive",
+    "extend_overrunning",
+    "extend_overrunning_regeneration",
+    "retract_resistive",
+    "retract_overrunning",
+    "retract_overrunning_regeneration",
+    "extend_resistive_regeneration",
+)
+(
+    HOLD,
+    EXTEND_RESISTIVE,
+    EXTEND_OVERRUNNING,
+    EXTEND_OVERRUNNING_REGENERATION,
+    RETRACT_RESISTIVE,
+    RETRACT_OVERRUNNING,
+    RETRACT_OVERRUNNING_REGENERATION,
+    EXTEND_RESISTIVE_REGENERATION,
+) = range(8)
+
+# channel `function_status`: STALLED, no function that suits is feasible; UNABLE, there is none
+OK, STALLED, UNABLE = 0, 1, 2
+
+# channel `limits`, a sum of bits. SATURATED: even the widest command passes less than asked.
+# AGAINST: flow asked the other way along the path, shut. REVERSED: the drop is against the flow,
+# shut. FAINT: the drop is below the floor, the inverse is taken at the floor. OUTSIDE: drop and
+# command lie beyond what the edge's map was measured at.
+SATURATED, AGAINST, REVERSED, FAINT, OUTSIDE = 1, 2, 4, 8, 16
+LIMITS = {
+    SATURATED: "saturated",
+    AGAINST: "against",
+    REVERSED: "reversed",
+    FAINT: "faint",
+    OUTSIDE: "outside",
+}
+
+# the four estimates of the adaptive law, in its order
+ESTIMATES = ("inverse_inertia", "payload_share", "disturbance", "inverse_bulk")
+INVERSE_INERTIA, PAYLOAD_SHARE, DISTURBANCE, INVERSE_BULK = range(4)
+
+# channel `learning`: estimates learn from the errors of tracking, not, or from the load at rest
+FREE, FROZEN, WEIGHED = 0, 1, 2

@@ -1,0 +1,319 @@
+"""Gains of the energy-saving adaptive robust controller: their names, defaults and bounds;
+derivation in docs/arc.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ehbench.codes import ESTIMATES, INVERSE_BULK, INVERSE_INERTIA
+from ehbench.compiled import record
+from ehbench.control.axis import hydraulic_frequency, reference_load
+from ehbench.control.functions import RULES
+from ehbench.control.law import Packed, Site
+from ehbench.control.records import blank, numbers, reals
+from ehbench.errors import InputError
+from ehbench.quantities import VOCABULARY
+
+GAIN_NAMES = (
+    "tick",
+    "adapt",
+    "position_bandwidth",
+    "speed_bandwidth",
+    "force_bandwidth",
+    "coupling_frequency",
+    "speed_tolerance",
+    "force_tolerance",
+    "robust_limit",
+    "pressure_bandwidth",
+    "low_pressure",
+    "pressure_rate",
+    "observer_bandwidth",
+    "speed_correction",
+    "speed_nudge",
+    "stroke_resolution",
+    "load_corner",
+    "standby",
+    "valve_lead",
+    "drop_floor",
+    "weighing_time",
+    "reference_mass",
+)
+MAY_BE_ZERO = {
+    "adapt",
+    "coupling_frequency",
+    "robust_limit",
+    "low_pressure",
+    "observer_bandwidth",
+    "speed_nudge",
+    "stroke_resolution",
+    "standby",
+    "valve_lead",
+    "weighing_time",
+}
+COUNT = len(ESTIMATES)
+# lower, upper: bounds of the estimates; rate: gains of their adaptation; start: the design model's
+GAINS = record(
+    *reals(GAIN_NAMES),
+    *((name, "f8", (COUNT,)) for name in ("lower", "upper", "rate", "start")),
+    ("rules", RULES),
+)
+# what a recipe may say beyond GAIN_NAMES, see `Adaptation`
+VOCABULARY_OF_GAINS = {
+    **{name: VOCABULARY[name] for name in GAIN_NAMES if name not in ("tick", "adapt")},
+    **{name: VOCABULARY[name] for name in ("adaptation", "adaptation_bulk", "lag_budget")},
+    "adapt": None,
+    "disturbance": VOCABULARY["force"],
+    "payload": VOCABULARY["mass"],
+    "bulk_modulus": VOCABULARY["bulk_modulus"],
+}
+# share of each estimate's bounds that scales its adaptation: inertia and disturbance shall not take
+# what the payload explains
+SHARES = np.array([0.3, 1.0, 0.2])
+
+
+@dataclass(frozen=True)
+class Adaptation:
+    """What the controller does not know, and how fast it learns.
+
+    Args:
+        adapt: False for the same law with its estimates left at the design model.
+        lag_budget: phase [rad] that the loop's lag may take at k1 + k2 + k3.
+        payload: bounds of the payload at the end of the last link [kg]; 0 to 1.5 times that link's
+            mass by default.
+        disturbance: bound ± of the unknown force [N]; 3 % of supply pressure on the head end by
+            default.
+        bulk_modulus: its bounds [Pa]; the design's through and times 1.4 by default.
+        adaptation: rate at which the mechanical estimates together follow [rad/s]; k1/4 by default.
+        adaptation_bulk: the same of the bulk modulus [rad/s]; a fiftieth of ``adaptation`` by
+            default.
+    """
+
+    adapt: bool = True
+    lag_budget: float = 0.5
+    payload: tuple[float, float] | None = None
+    disturbance: float | None = None
+    bulk_modulus: tuple[float, float] | None = None
+    adaptation: float | None = None
+    adaptation_bulk: float | None = None
+
+
+@dataclass(frozen=True)
+class _Bounds:
+    """Bounds of the estimates, shape (COUNT,), and ``span`` [kg] of the payload."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+    start: np.ndarray
+    span: float
+
+    @property
+    def hold(self) -> bool:
+        """Whether they hold the design model."""
+        return bool(
+            self.start[1] >= 0.0
+            and np.isfinite([self.lower, self.upper]).all()
+            and ((self.lower <= self.start) & (self.start <= self.upper)).all()
+        )
+
+
+def pack_arc(
+    site: Site,
+    rules: np.record,
+    adaptation: Adaptation | None = None,
+    gains: Mapping[str, float] | None = None,
+) -> np.record:
+    """The gains of `ehbench.control.arc.step`, a record of type GAINS, with defaults from what the
+    valves and the supply allow.
+
+    The valves are asked for phase up to the sum of the bandwidths k1 + k2 + k3 [rad/s]. By default
+    that sum times the loop's lag is ``lag_budget``, shared out 1 : 2 : 4. ``docs/arc.md`` derives
+    the other defaults.
+
+    Args:
+        site: what it is designed for.
+        rules: of function selection, `ehbench.control.functions.pack_rules`.
+        adaptation: what is not known.
+        gains: any of GAIN_NAMES by name instead of its default: ``position_bandwidth``,
+            ``speed_bandwidth``, ``force_bandwidth`` k1, k2, k3 [rad/s]; ``coupling_frequency`` ω3
+            [rad/s], 0 for that of the oil's own spring at each stroke; ``speed_tolerance`` [m/s]
+            and ``force_tolerance`` [N] to which the robust terms hold the errors, by at most
+            ``robust_limit`` [1] of k2 and k3; ``pressure_bandwidth`` [rad/s] of the off-side, its
+            set-point ``low_pressure`` [Pa] above tank and the rate of it ``pressure_rate`` [Pa/s];
+            ``observer_bandwidth`` [rad/s], 0 for the measured speed; ``speed_correction`` [m/s]
+            that a stroke error asks for at most; ``speed_nudge`` [m/s] and ``stroke_resolution``
+            [m] at a reference at rest; ``load_corner`` [rad/s] of the load that chooses the
+            function; ``standby`` [1] share of its deadband at which a shut valve waits;
+            ``valve_lead`` [s] by which desired flows lead; ``drop_floor`` [Pa] of the inverse maps;
+            ``weighing_time`` [s], the gain of adaptation at rest; ``reference_mass`` [kg].
+
+    Raises:
+        InputError: an unknown gain, a number out of its range, bounds that do not hold the design
+            model.
+    """
+    unsure, given = adaptation or Adaptation(), dict(gains or {})
+    _check(given, site.tick, unsure.lag_budget)
+    bounds = _bounds(site, unsure)
+    total = unsure.lag_budget / (site.valve_lag + site.tick)
+    chosen = {
+        name: given.get(name, total * part / 7.0)
+        for name, part in zip(GAIN_NAMES[2:5], (1, 2, 4), strict=True)
+    }
+    rate, answer, unknown = _rates(site, unsure, bounds, chosen, given)
+    chosen |= _defaults(site, chosen, total, answer, unknown) | given
+    chosen |= {"tick": given.get("tick", site.tick), "adapt": given.get("adapt", unsure.adapt)}
+    _check_whole(chosen, bounds, rate)
+    packed = blank(GAINS)
+    for name in GAIN_NAMES:
+        packed[name] = chosen[name]
+    packed.lower[:], packed.upper[:], packed.start[:] = bounds.lower, bounds.upper, bounds.start
+    packed.rate[:] = rate
+    packed.rules = rules
+    return packed
+
+
+def _check(given: Mapping[str, float], tick: float, lag_budget: float) -> None:
+    for name in given:
+        if name not in GAIN_NAMES:
+            raise InputError(
+                f"the adaptive robust controller has no gain '{name}'",
+                hint="it has " + ", ".join(GAIN_NAMES),
+            )
+    for name, value in {"tick": tick, "lag_budget": lag_budget, **given}.items():
+        if not math.isfinite(value) or value < 0.0 or (value == 0.0 and name not in MAY_BE_ZERO):
+            raise InputError(
+                f"gain '{name}' of the adaptive robust controller is {value:g}",
+                hint="it must be a number above 0",
+            )
+
+
+def _check_whole(chosen: Mapping[str, float], bounds: _Bounds, rate: np.ndarray) -> None:
+    if chosen["standby"] >= 1.0:
+        raise InputError(
+            f"gain 'standby' is {chosen['standby']:g}",
+            hint="a share below 1, or shut valves would leak",
+        )
+    if not bounds.hold or not (rate >= 0.0).all():
+        raise InputError(
+            "the bounds of the estimates do not hold the design model, or a rate of adaptation is "
+            "negative",
+            hint="payload 0 kg or more, lower bound first; disturbance 0 N or more; bulk_modulus "
+            "around the design's",
+        )
+
+
+def _bounds(site: Site, unsure: Adaptation) -> _Bounds:
+    """Bounds of the estimates; a payload's are those of inertia and gravity that it makes."""
+    axis = site.axis
+    _, ratio = reference_load(axis)
+    beta = axis.cylinder.bulk_modulus
+    mass = 1.5 * float(axis.mechanism.links[-1].mass)
+    low, high = unsure.payload or (0.0, mass)
+    worst = unsure.disturbance
+    if worst is None:
+        worst = 0.03 * site.supply_pressure * axis.circuit.area_head
+    softest, hardest = unsure.bulk_modulus or (beta / 1.4, 1.4 * beta)
+    return _Bounds(
+        np.array([0.9 / (1.0 + high * ratio), low, -worst, beta / hardest]),
+        np.array([1.1 / (1.0 + low * ratio), high, worst, beta / softest]),
+        np.array([1.0, low, 0.0, 1.0]),
+        high - low,
+    )
+
+
+def _rates(
+    site: Site,
+    unsure: Adaptation,
+    bounds: _Bounds,
+    bandwidths: Mapping[str, float],
+    given: Mapping[str, float],
+) -> tuple[np.ndarray, float, float]:
+    """(rates of adaptation, answer [s] of the loop to an error of acceleration, what the
+    acceleration may be wrong by [m/s²]).
+    """
+    load, _ = reference_load(site.axis)
+    k1, k2, k3 = bandwidths.values()
+    omega = given.get("coupling_frequency") or hydraulic_frequency(site.axis)
+    # regressors at a middling payload; 1 m/s² stands for the accelerations that tell the inertia
+    phi = np.array(
+        [
+            1.0 + 0.5 * abs(load.pull) * bounds.span / load.mass,
+            load.pull / load.mass,
+            1.0 / load.mass,
+        ]
+    )
+    width = (bounds.upper - bounds.lower)[:3]
+    # in quiet motion an acceleration error Δ shows as mixed = −answer·Δ, so that θ̂' = Γ φ mixed
+    # makes Δ' = −adaptation·Δ
+    at_speed = (1.0 + (k1 + k2) / k3) / (k2 + omega**2 / k3)
+    answer = max(at_speed + (k1 + k2) / omega**2 * (k2 * at_speed - 1.0), 0.2 * at_speed)
+    gamma = 0.25 * k1 if unsure.adaptation is None else unsure.adaptation
+    variance = (width * SHARES) ** 2
+    rate = np.zeros(COUNT)
+    rate[:3] = gamma * variance / (answer * float(phi**2 @ variance))
+    # 10 m/s³ times the reference mass stands for the force rates that tell the bulk modulus
+    slow = 0.02 * gamma if unsure.adaptation_bulk is None else unsure.adaptation_bulk
+    rate[INVERSE_BULK] = slow * k3 * (omega / 10.0) ** 2
+    return rate, answer, float(np.abs(phi) @ width)
+
+
+def _defaults(
+    site: Site, bandwidths: Mapping[str, float], total: float, answer: float, unknown: float
+) -> dict[str, float]:
+    """Defaults of all gains but the bandwidths k1, k2, k3, whose sum by default is ``total``."""
+    load, _ = reference_load(site.axis)
+    k1, k2, k3 = bandwidths.values()
+    area, mass = site.axis.circuit.area_head, load.mass
+    return {
+        "coupling_frequency": 0.0,
+        "speed_tolerance": unknown / (1.1 * k2),
+        "force_tolerance": mass * (k1 + k2) * unknown / (1.1 * k3),
+        "robust_limit": 0.3,
+        "pressure_bandwidth": 0.5 * total,
+        "low_pressure": site.low_pressure,
+        "pressure_rate": 3.0 * site.supply_pressure,
+        "observer_bandwidth": 90.0,
+        "speed_correction": site.flow_limit / area,
+        "speed_nudge": 0.01 * site.flow_limit / area,
+        "stroke_resolution": 2.5e-5,
+        "load_corner": 2.0 * math.pi,
+        "standby": 0.8,
+        "valve_lead": site.valve_lag + 0.5 * site.tick,
+        "drop_floor": 2.0e4,
+        "weighing_time": answer,
+        "reference_mass": mass,
+    }
+
+
+def pack(site: Site, gains: Mapping[str, Any], rules: np.record, shaping: np.record) -> Packed:
+    """The gains on a site, and what is known of them: see `named_gains`."""
+    known = {name: v for name, v in gains.items() if name in GAIN_NAMES and name != "adapt"}
+    unsure = {name: v for name, v in gains.items() if name not in known}
+    packed = pack_arc(site, rules, Adaptation(**unsure), known)
+    unit = unsure | {"adaptation": 1.0, "adaptation_bulk": 1.0}
+    return Packed(packed, named_gains(packed, pack_arc(site, rules, Adaptation(**unit), known)))
+
+
+def named_gains(packed: np.record, slow: np.record) -> dict[str, Any]:
+    """``gains`` by name [SI] and ``estimate_bounds``, (lower, upper) [SI] of each estimate.
+
+    ``slow`` is the same packed for adaptation at 1 rad/s, in which the rates are proportional.
+    Projected are the estimates of the law; ``payload_estimate`` is payload_share/inverse_inertia,
+    so its bounds are those of the quotient."""
+    gains = numbers(packed, GAIN_NAMES)
+    for name, which in (("adaptation", INVERSE_INERTIA), ("adaptation_bulk", INVERSE_BULK)):
+        gains[name] = float(packed.rate[which] / slow.rate[which])
+    bounds = {
+        name: [low, high]
+        for name, low, high in zip(
+            ESTIMATES, packed.lower.tolist(), packed.upper.tolist(), strict=True
+        )
+    }
+    share, inverse = bounds["payload_share"], bounds["inverse_inertia"]
+    bounds["payload_estimate"] = [share[0] / inverse[1], share[1] / inverse[0]]
+    return {"gains": gains, "estimate_bounds": bounds}

@@ -1,0 +1,189 @@
+"""One cylinder of the design model and what it moves, as model-based controllers take it."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ehbench.codes import FUNCTIONS, HOLD
+from ehbench.compiled import kernel, table
+from ehbench.control.functions import Circuit, coupled
+from ehbench.errors import InputError
+from ehbench.parts.cylinder import chamber_oil, linkage_of
+from ehbench.parts.edge import edge_command
+from ehbench.physics.arm import CHAIN, LINK, gravity_torque, mass_matrix, work_size
+
+# what must be known of the cylinder
+NEEDED = (
+    *("l_a", "l_b", "side", "phase", "retracted_length", "area_head", "area_rod"),
+    *("volume_head", "volume_rod", "bulk_modulus"),
+    *("leakage_internal", "leakage_head", "leakage_rod", "friction_viscous", "friction_coulomb"),
+)
+
+
+class Mechanism(NamedTuple):
+    """The rig without payload, as `ehbench.physics.arm` has it.
+
+    ``joints`` is the joint that each cylinder drives, ``posture`` [rad or m] the joint coordinates
+    in which gains are scaled and joints without a cylinder stand."""
+
+    kind: int
+    gravity: np.ndarray
+    links: np.ndarray
+    joints: np.ndarray
+    posture: np.ndarray
+
+
+class Axis(NamedTuple):
+    """One cylinder and what it moves; made by `axis_of`.
+
+    ``tip`` are the links of the mechanism without mass, but 1 kg at the end of the last link.
+    ``cylinder`` is its row of `ehbench.parts.cylinder.CYLINDER`. ``spool`` [8] is 1 for each
+    working function
+    whose two edges hang on one command, and for hold if there is such a one. ``onset`` [V] of each
+    of the cylinder's edges: where it begins to pass oil, 0 where its valve has other edges as
+    well."""
+
+    circuit: Circuit
+    mechanism: Mechanism
+    tip: np.ndarray
+    cylinder: np.record
+    spool: np.ndarray
+    onset: np.ndarray
+
+
+class Load(NamedTuple):
+    """What a cylinder moves, seen at its rod, of the rig without payload.
+
+    Equivalent mass ``m0 = D_jj/l²`` [kg], ``gravity`` force c/l [N], joint ``damping`` b/l²
+    [N·s/m], ``curve`` κ/v² [1/m] of the linkage's own acceleration ``κ = l′ q̇²``, ``pull`` G [N/kg]
+    of 1 kg at the tip, ``lever`` l [m/rad]."""
+
+    mass: float
+    gravity: float
+    damping: float
+    curve: float
+    pull: float
+    lever: float
+
+
+@kernel
+def inertias(axis, angles, mass, work):
+    """(D_jj, what 1 kg at the tip adds to it) about the axis's joint [kg·m²], or [kg] of a slide;
+    q_j does not matter.
+    """
+    j, mechanism = axis.cylinder.joint, axis.mechanism
+    mass_matrix(mechanism.kind, mechanism.links, angles, mass, work)
+    own = mass[j, j]
+    mass_matrix(mechanism.kind, axis.tip, angles, mass, work)
+    return own, mass[j, j]
+
+
+@kernel
+def load_at(axis, q, own, angles, work):
+    """The `Load` at joint coordinate q; ``own`` is D_jj, ``angles`` the other joints'."""
+    j, mechanism = axis.cylinder.joint, axis.mechanism
+    _, lever, curve = linkage_of(axis.cylinder, q)
+    torque = work[work.shape[0] - mechanism.links.shape[0] :]
+    per = 1.0 / lever
+    angles[j] = q
+    gravity_torque(mechanism.kind, mechanism.links, mechanism.gravity, angles, torque, work)
+    held = torque[j] * per
+    gravity_torque(mechanism.kind, axis.tip, mechanism.gravity, angles, torque, work)
+    return Load(
+        own * per * per,
+        held,
+        mechanism.links[j].damping * per * per,
+        curve * per * per,
+        torque[j] * per,
+        lever,
+    )
+
+
+def axis_of(circuit: Circuit, mechanism: Mechanism, cylinder: np.record) -> Axis:
+    """The axis of one cylinder.
+
+    Args:
+        circuit: the cylinder's, `ehbench.control.functions.circuit`.
+        mechanism: of the design model.
+        cylinder: its row of the plant.
+
+    Raises:
+        InputError: parts that do not fit each other, or a number that is not finite.
+    """
+    mechanism = Mechanism(
+        int(mechanism.kind),
+        np.ascontiguousarray(mechanism.gravity, float),
+        mechanism.links,
+        np.ascontiguousarray(mechanism.joints, np.int64),
+        np.ascontiguousarray(mechanism.posture, float),
+    )
+    if mechanism.posture.shape != mechanism.links.shape:
+        raise InputError(
+            "the parts of an axis do not fit each other", hint="posture: one coordinate a joint"
+        )
+    spool = np.array([coupled(circuit, f) for f in range(len(FUNCTIONS))], dtype=np.int64)
+    spool[HOLD] = spool.max()
+    parts = (mechanism.gravity, mechanism.links.view(float), mechanism.posture)
+    own = [cylinder[name] for name in NEEDED]
+    if not all(np.isfinite(part).all() for part in (*parts, own)) or not (
+        min(cylinder.volume_head, cylinder.volume_rod, cylinder.bulk_modulus) > 0.0
+    ):
+        raise InputError("an axis needs finite numbers, and volumes and bulk modulus above 0")
+    tip = _tip(mechanism.kind, mechanism.links)
+    return Axis(circuit, mechanism, tip, cylinder, spool, _onsets(circuit))
+
+
+def _tip(kind: int, links: np.ndarray) -> np.ndarray:
+    """The links without mass, but 1 kg at the end of the last."""
+    tip = table(links.shape[0], LINK)
+    for key in ("a", "d", "cos_alpha", "sin_alpha", "theta0"):
+        tip[key] = links[key]
+    end = tip[-1]
+    end.mass = 1.0
+    if kind == CHAIN:
+        a, d = end.a, end.d
+        end.hx, end.hz = a, d
+        end.jxx, end.jyy, end.jzz, end.jxz = d * d, a * a + d * d, a * a, -a * d
+    return tip
+
+
+def _onsets(circuit: Circuit) -> np.ndarray:
+    """Command [V] at which each edge begins to pass oil, 0 where it shares its valve."""
+    onset = np.zeros(circuit.count)
+    for i in range(circuit.count):
+        edge = circuit.edges[circuit.first + i]
+        if np.count_nonzero(circuit.edges.valve == edge.valve) == 1:
+            onset[i] = edge_command(1.0e6, 1.0e-12, edge, circuit.maps)
+    return onset
+
+
+def reference_load(axis: Axis) -> tuple[Load, float]:
+    """(`Load`, share of D_jj that 1 kg at the tip adds [1/kg]) in the axis's posture.
+
+    Raises:
+        InputError: no lever there.
+    """
+    n = axis.mechanism.links.shape[0]
+    angles, work = axis.mechanism.posture.copy(), np.zeros(work_size(n) + n)
+    own, tip = inertias(axis, angles, np.zeros((n, n)), work)
+    load = load_at(axis, float(angles[axis.cylinder.joint]), own, angles, work)
+    if abs(load.lever) < 1e-6 or not math.isfinite(load.mass):
+        raise InputError(
+            "the cylinder has no lever in the posture for which the controller is designed"
+        )
+    return load, tip / own
+
+
+def hydraulic_frequency(axis: Axis) -> float:
+    """ω_h [rad/s] of the bare rig on its oil, valves shut, in the axis's posture: ``ω_h² = β
+    (A1²/V1 + A2²/V2)/m0``.
+    """
+    load, _ = reference_load(axis)
+    cylinder = axis.cylinder
+    x, _, _ = linkage_of(cylinder, float(axis.mechanism.posture[cylinder.joint]))
+    head, rod = cylinder.area_head, cylinder.area_rod
+    spring = head**2 / chamber_oil(cylinder, 0, x) + rod**2 / chamber_oil(cylinder, 1, x)
+    return math.sqrt(cylinder.bulk_modulus * spring / load.mass)

@@ -1,0 +1,113 @@
+"""What a built-in controller says of itself, and what it is designed for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ehbench.control.axis import Axis
+from ehbench.quantities import Quantity
+
+
+@dataclass(frozen=True)
+class Site:
+    """What a controller is designed for, by the design model: the rig without payload.
+
+    ``axis`` of its cylinder, ``tick`` between samples [s], ``supply_pressure`` [Pa] and
+    ``flow_limit`` [m³/s] of the supply, ``valve_lag`` 2ζ/ω_n of the slowest valve [s], ``stroke``
+    of the cylinder at the start [m]."""
+
+    axis: Axis
+    tick: float
+    supply_pressure: float
+    flow_limit: float
+    valve_lag: float
+    stroke: float = 0.0
+
+    @property
+    def low_pressure(self) -> float:
+        """Set-point of the off-side chamber above tank [Pa] where no gain says otherwise: Ps/20."""
+        return self.supply_pressure / 20.0
+
+
+class Required(NamedTuple):
+    """A gain that has no default, and what is said where it is not given."""
+
+    gain: str
+    message: str
+    hint: str
+
+
+class Packed(NamedTuple):
+    """Numbers of a controller: the record that its ``step`` takes, and what it ran with, by name
+    [SI], for ``measures`` of ``trial.json``.
+    """
+
+    gains: np.record
+    used: dict[str, Any]
+
+
+class Controller(NamedTuple):
+    """A built-in controller at work on one cylinder, as compiled loops take it.
+
+    ``observed`` marks the channels of the sample that it is given, ``given`` holds them, the others
+    NaN. ``gains`` and ``memory`` are of its law."""
+
+    axis: Axis
+    gains: np.record
+    memory: Any
+    observed: np.ndarray
+    given: np.ndarray
+
+
+@dataclass(frozen=True)
+class Law:
+    """A controller that a recipe can name. One file each, one line in `ehbench.control.registry`.
+
+    Attributes:
+        name: what ``kind`` of a recipe's ``[controller]`` says.
+        record: type of its gains; laws of one type share one step.
+        step: kernel ``step(t, sample, reference, axis, gains, memory, command, telemetry)``: reads
+            the sample [SI] (NaN where it may not look) and the row x_d, v_d, a_d, j_d of the
+            reference, writes volts of its cylinder's valves and a row of telemetry.
+        gains: what a recipe's ``gains`` may say, with its row of the vocabulary; None is yes or no.
+        pack: (site, gains [SI], rules, shaping) → `Packed`.
+        memory: state of the controller before the first tick, for an axis.
+        observed: (axis, channels of the sample) → mask of the channels that it is given.
+        telemetry: its own columns of the row, as words of the vocabulary; behind them stand the
+            desired flow and the limits of each of the cylinder's edges.
+        bounds: gains that are a list of two.
+        required: the gain without a default.
+        shaped: whether it shapes steps of speed, so that a recipe may have ``shaping``.
+        warns_saturated: whether a trial warns of the time that its valves were at their end.
+    """
+
+    name: str
+    record: np.dtype
+    step: Callable[..., None]
+    gains: Mapping[str, Quantity | None]
+    pack: Callable[[Site, Mapping[str, Any], np.record, np.record], Packed]
+    memory: Callable[[Axis], Any]
+    observed: Callable[[Axis, int], np.ndarray]
+    telemetry: tuple[str, ...]
+    bounds: tuple[str, ...] = ()
+    required: Required | None = None
+    shaped: bool = False
+    warns_saturated: bool = False
+
+    def channels(self, cylinder: str, edges: tuple[str, ...]) -> tuple[str, ...]:
+        """Channel names of a row of telemetry: ``<cylinder>.<name>``, then ``<edge>.flow_desired``
+        and ``<edge>.limits`` of each edge.
+
+        Args:
+            cylinder: its name.
+            edges: names of the cylinder's edges as ``<cylinder>.<edge>``, in the rig file's order.
+        """
+        return (
+            *(f"{cylinder}.{name}" for name in self.telemetry),
+            *(f"{edge}.flow_desired" for edge in edges),
+            *(f"{edge}.limits" for edge in edges),
+        )

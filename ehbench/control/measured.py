@@ -1,0 +1,49 @@
+"""What controllers take from a machine's sample, and what they write of themselves."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ehbench.compiled import kernel
+from ehbench.parts.sample import LINE, OF, cylinders_in, entry, line_entry
+
+
+class Pressures(NamedTuple):
+    """Gauge pressures at a cylinder's metering edges [Pa]."""
+
+    head: float
+    rod: float
+    supply: float
+    tank: float
+
+
+@kernel
+def pressures(sample, cylinder):
+    """The `Pressures` of a cylinder in a sample."""
+    cylinders = cylinders_in(sample.shape[0])
+    return Pressures(
+        sample[entry(cylinder, OF.p_head)],
+        sample[entry(cylinder, OF.p_rod)],
+        sample[line_entry(cylinders, LINE.p_supply)],
+        sample[line_entry(cylinders, LINE.p_tank)],
+    )
+
+
+def pressure_entries(cylinder: int, channels: int) -> list[int]:
+    """Where the `Pressures` of a cylinder stand in a sample of so many channels."""
+    cylinders = cylinders_in(channels)
+    own = [entry(cylinder, channel) for channel in (OF.p_head, OF.p_rod)]
+    return [*own, *(line_entry(cylinders, channel) for channel in LINE)]
+
+
+@kernel
+def load_force(p, area_head, area_rod):
+    """``P_L = p_head A1 − p_rod A2`` [N]."""
+    return p.head * area_head - p.rod * area_rod
+
+
+@kernel
+def write(values, row):
+    """Write a tuple of numbers into a row, in its order."""
+    for i in range(len(values)):
+        row[i] = values[i]

@@ -1,0 +1,24 @@
+"""Records of a controller's numbers: gains, rules, memory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ehbench.compiled import table
+
+
+def reals(names: Sequence[str]) -> list[tuple[str, str]]:
+    """Fields of one real number each, for `ehbench.compiled.record`."""
+    return [(name, "f8") for name in names]
+
+
+def blank(layout: np.dtype) -> np.record:
+    """One record of a layout, all zero."""
+    return table(1, layout)[0]
+
+
+def numbers(row: np.record, names: Sequence[str]) -> dict[str, float]:
+    """Some fields of a record by name, as plain numbers."""
+    return {name: float(row[name]) for name in names}

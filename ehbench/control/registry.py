@@ -1,0 +1,59 @@
+"""The built-in controllers that a recipe can name, and one tick of any of them.
+
+To add one: write its file, which ends in ``LAW = Law(…)``, and name it in `LAW_NAMES`."""
+
+from __future__ import annotations
+
+import math
+from importlib import import_module
+
+import numba
+from numba.extending import overload
+
+from ehbench.compiled import OPTIONS, kernel
+from ehbench.control import LAW_NAMES
+from ehbench.control.law import Law
+
+LAWS: dict[str, Law] = {name: import_module(f"{__package__}.{name}").LAW for name in LAW_NAMES}
+_STEPS = {numba.from_dtype(law.record): law.step for law in LAWS.values()}
+
+
+def step(t, sample, reference, axis, gains, memory, command, telemetry):
+    """The step of the law that the gains are of; compiled code chooses it by their type."""
+    _STEPS[numba.typeof(gains)](t, sample, reference, axis, gains, memory, command, telemetry)
+
+
+@overload(step, jit_options=OPTIONS)
+def _step(t, sample, reference, axis, gains, memory, command, telemetry):
+    law = _STEPS[gains]
+
+    def call(t, sample, reference, axis, gains, memory, command, telemetry):
+        return law(t, sample, reference, axis, gains, memory, command, telemetry)
+
+    return call
+
+
+@kernel
+def tick(t, sample, reference, controller, command, telemetry):
+    """One tick of a built-in controller; what it does not observe is NaN in what it gets.
+
+    Args:
+        t: time [s].
+        sample: what the machine measured.
+        reference: x_d, v_d, a_d, j_d of the cylinder.
+        controller: a `ehbench.control.law.Controller`.
+        command: out, [V], one per valve; only those of the controller's cylinder are written.
+        telemetry: out, as `Law.channels`.
+    """
+    for i in range(sample.shape[0]):
+        controller.given[i] = sample[i] if controller.observed[i] else math.nan
+    step(
+        t,
+        controller.given,
+        reference,
+        controller.axis,
+        controller.gains,
+        controller.memory,
+        command,
+        telemetry,
+    )

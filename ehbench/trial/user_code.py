@@ -1,0 +1,278 @@
+"""A controller of the user's own: loads the class, asks it tick by tick, and says where it went
+wrong; the protocol is in docs/trials.md.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import traceback
+import types
+from collections.abc import Callable, Mapping, Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ehbench.control.trajectory import Reference
+from ehbench.errors import InputError
+from ehbench.quantities import VOCABULARY, quantity
+from ehbench.recipe import TrialRecipe
+from ehbench.text import shortened
+from ehbench.trial.controllers import Design, code_file, gains_file, quantities
+
+
+class UserCode:
+    """A controller of the user's own, ready to run over the rows of ``references``.
+
+    Args:
+        recipe: names the class.
+        made: what the class is designed on.
+        channels: of the machine's sample.
+        rate: [Hz].
+        references: x_d, v_d, a_d, j_d, a row a tick.
+
+    Attributes:
+        telemetry: a row a tick, its columns ``channels``: the reference and the class's own notes.
+        used: the numbers that it was given as gains.
+        beyond: ticks in which it asked for more than a driver takes.
+
+    Raises:
+        InputError: the file or class is not right, or its code raised.
+    """
+
+    def __init__(
+        self,
+        recipe: TrialRecipe,
+        made: Design,
+        channels: Sequence[str],
+        rate: float,
+        references: np.ndarray,
+    ) -> None:
+        self.made, self.rate, self.names = made, rate, tuple(channels)
+        chosen = recipe.controller
+        self.code = _Code(code_file(recipe), chosen.code.partition(":")[2])
+        _refuse_foreign(recipe)
+        gains = {name: _gain(recipe, name, raw) for name, raw in chosen.gains.items()}
+        self.used = {"gains": {name: float(v) for name, v in gains.items() if _is_number(v)}}
+        self.object = self.code.make(gains)
+        self.mask = self._observed(getattr(self.object, "channels", None))
+        self.channels = self._columns(tuple(getattr(self.object, "notes", ())))
+        self.references = references
+        self.telemetry = np.zeros((len(references), len(self.channels)))
+        valves = made.model.plant.valves
+        self.low, self.high = valves.lowest.copy(), valves.highest.copy()
+        self.beyond = 0
+        self._commanded = {
+            name: i for i, name in enumerate(made.valves) if name not in chosen.unused
+        }
+        self._unused = [made.valves.index(name) for name in chosen.unused]
+
+    @property
+    def label(self) -> str:
+        """Name of the class."""
+        return self.code.label
+
+    def start(self, sample: np.ndarray) -> None:
+        """Hand the class its rig, the time between samples and the first sample."""
+        self.code.call(".start", self.object.start, self.made, 1.0 / self.rate, self._seen(sample))
+
+    def step(self, row: int, t: float, sample: np.ndarray, command: np.ndarray) -> None:
+        """One tick: write what the class asks for into ``command``, where it asks, and its notes
+        into their row.
+        """
+        reference = Reference(*self.references[row].tolist())
+        answer = self.code.call(".step", self.object.step, t, self._seen(sample), reference, t=t)
+        kept = command[self._unused]
+        self._take(answer, t, command)
+        command[self._unused] = kept
+        # one look a tick; nan is in no range
+        if not ((command >= self.low) & (command <= self.high)).all():
+            self._bring_in_range(answer, t, command)
+        note = self.telemetry[row]
+        note[: len(reference)] = reference
+        if note.size > len(reference):
+            self._note(note[len(reference) :])
+
+    def _take(self, answer: Any, t: float, command: np.ndarray) -> None:
+        """Write an answer of the class, a dict by valve or a row of volts, into ``command``."""
+        try:
+            if isinstance(answer, Mapping):
+                for name, value in answer.items():
+                    command[self._commanded[name]] = value
+            elif np.shape(answer) == command.shape:
+                # numpy would spread one number, or None, over all valves
+                command[:] = answer
+            else:
+                raise TypeError
+        except KeyError as error:
+            name = error.args[0]
+            which = "which is no valve"
+            if name in self.made.valves:
+                which = "which the recipe leaves unused"
+            raise self.code.error(
+                f".step names '{name}', {which}",
+                hint="valves are " + ", ".join(self._commanded),
+            ) from None
+        except (TypeError, ValueError):
+            hint = f"a dict of volts by valve, or {len(self.made.valves)} numbers: " + ", ".join(
+                self.made.valves
+            )
+            raise self.code.error(
+                f".step gave {shortened(answer, 80)} at t = {t:.4g} s, which is no set of commands",
+                hint=hint,
+            ) from None
+
+    def _bring_in_range(self, answer: Any, t: float, command: np.ndarray) -> None:
+        if not np.isfinite(command).all():
+            raise self.code.error(
+                f".step gave {shortened(answer, 80)} at t = {t:.4g} s, which is not finite",
+                hint="channels that it does not name in `channels` are nan",
+            )
+        self.beyond += 1
+        np.clip(command, self.low, self.high, out=command)
+
+    def _note(self, row: np.ndarray) -> None:
+        try:
+            row[:] = self.object.note
+        except (AttributeError, TypeError, ValueError):
+            raise self.code.error(
+                f".note does not hold {row.size} numbers", hint="one for each name in `notes`"
+            ) from None
+
+    def _seen(self, sample: np.ndarray) -> dict[str, float]:
+        return dict(zip(self.names, np.where(self.mask, sample, math.nan).tolist(), strict=True))
+
+    def _observed(self, patterns: Any) -> np.ndarray:
+        """True for the channels of the sample that the class is given."""
+        if isinstance(patterns, str) or not isinstance(patterns, Sequence) or not patterns:
+            hint = (
+                'like channels = ["boom.p_head", "p_supply"]; boom.* are all of a cylinder; there '
+                "are " + ", ".join(self.names)
+            )
+            raise self.code.error("does not say which channels it is given", hint=hint)
+        for pattern in patterns:
+            if not any(fnmatchcase(name, pattern) for name in self.names):
+                raise self.code.error(
+                    f"asks for channel '{pattern}', which the machine does not measure",
+                    hint="it has " + ", ".join(self.names),
+                )
+        return np.array(
+            [any(fnmatchcase(name, pattern) for pattern in patterns) for name in self.names]
+        )
+
+    def _columns(self, notes: tuple[str, ...]) -> tuple[str, ...]:
+        """Channels of the telemetry: the reference's, then the notes of the class."""
+        for name in notes:
+            try:
+                quantity(name)
+            except KeyError as error:
+                raise self.code.error(
+                    f"notes '{name}': {error.args[0]}",
+                    hint="a note has a name of the vocabulary, like boom.load_force",
+                ) from None
+        own = f"{self.made.cylinder}."
+        return (*(f"{own}{name}_desired" for name in Reference._fields), *notes)
+
+
+class _Code:
+    """The file and class of the user, and errors that point into it."""
+
+    def __init__(self, file: Path, label: str) -> None:
+        self.file, self.label = file, label
+
+    def make(self, gains: Mapping[str, Any]) -> Any:
+        """An object of the class, with the methods of the protocol."""
+        made = self.call("()", self._load(), **gains)
+        for method in ("start", "step"):
+            if not callable(getattr(made, method, None)):
+                raise self.error(
+                    f"has no method '{method}'",
+                    hint="docs/trials.md has the protocol of a controller",
+                )
+        return made
+
+    def _load(self) -> Callable[..., Any]:
+        module = types.ModuleType(f"ehbench_user_{self.file.stem}")
+        module.__file__ = str(self.file)
+        sys.modules[module.__name__] = module  # where dataclasses and pickles look for it
+        try:
+            source = self.file.read_bytes()
+            exec(compile(source, str(self.file), "exec"), module.__dict__)  # noqa: S102
+        except SyntaxError as error:
+            raise InputError(
+                f"not Python: {error.msg}", file=self.file, line=error.lineno
+            ) from None
+        except (Exception, SystemExit) as error:
+            raise self.raised("", error) from error
+        found = getattr(module, self.label, None)
+        if not isinstance(found, type):
+            there = [
+                name
+                for name, item in vars(module).items()
+                if isinstance(item, type) and item.__module__ == module.__name__
+            ]
+            raise InputError(
+                f"has no class '{self.label}'",
+                file=self.file,
+                hint="it has " + (", ".join(there) or "none"),
+            )
+        return found
+
+    def call(
+        self,
+        what: str,
+        function: Callable[..., Any],
+        *given: Any,
+        t: float | None = None,
+        **named: Any,
+    ) -> Any:
+        try:
+            return function(*given, **named)
+        except (Exception, SystemExit) as error:
+            raise self.raised(what, error, t) from error
+
+    def raised(self, what: str, error: BaseException, t: float | None = None) -> InputError:
+        frames = [
+            f for f in traceback.extract_tb(error.__traceback__) if f.filename == str(self.file)
+        ]
+        line, text = (frames[-1].lineno, f": {frames[-1].line}") if frames else (None, "")
+        at = "" if t is None else f" at t = {t:.4g} s"
+        return InputError(
+            f"{self.label}{what} raised {type(error).__name__}{at}: {error}",
+            file=self.file,
+            line=line,
+            hint=f"in the line{text}" if text else None,
+        )
+
+    def error(self, message: str, hint: str) -> InputError:
+        return InputError(
+            f"{self.label}{'' if message[0] == '.' else ' '}{message}", file=self.file, hint=hint
+        )
+
+
+def _refuse_foreign(recipe: TrialRecipe) -> None:
+    """Refuse rules and tuned gains, which are for the built-in controllers."""
+    chosen = recipe.controller
+    foreign = {
+        "rules": ("rules of function selection", bool(chosen.rules)),
+        "gains": ("gains of a tune run", gains_file(recipe) is not None),
+    }
+    for table, (what, given) in foreign.items():
+        if given:
+            raise InputError(
+                f"a controller of your own is given no {what}",
+                **recipe.at(*chosen.where, table),
+                hint="it chooses for itself; give it numbers by gains = { name = value }",
+            )
+
+
+def _gain(recipe: TrialRecipe, name: str, raw: Any) -> Any:
+    if isinstance(raw, str) and name in VOCABULARY:
+        return quantities(recipe, "gains", {name: raw}, {name: VOCABULARY[name]})[name]
+    return raw
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value)

@@ -1,0 +1,23 @@
+"""Every stage is whole: a recipe model of its own, a command, a section in the report."""
+
+from __future__ import annotations
+
+import pytest
+
+from ehbench import recipe
+from ehbench.cli import app
+from ehbench.report.stages import SECTIONS
+from ehbench.stages import REGISTRY, Stage
+
+STAGES = [stage for stage in REGISTRY.values() if isinstance(stage, Stage)]
+COMMANDS = {one.name or one.callback.__name__ for one in app.registered_commands}
+
+
+def test_every_kind_of_recipe_has_its_stage():
+    assert recipe.recipe_kinds() == {kind: stage.recipe for kind, stage in REGISTRY.items()}
+
+
+@pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
+def test_a_stage_has_a_command_and_a_section(stage):
+    assert stage.command in COMMANDS and stage.writes
+    assert stage.name in SECTIONS or stage.name == "campaign"  # a campaign is the page itself
