@@ -65,6 +65,17 @@ _INLINED: dict[str, Any] = {**OPTIONS, "forceinline": True}
 inlined = numba.njit(**_INLINED)
 
 
+def bound(function: Any, *like: Any) -> Callable:
+    """A kernel for arguments of the types of ``like``, which are not looked at again with each
+    call: that takes longer than a tick. It must be given no others.
+    """
+    if not hasattr(function, "get_overload"):  # nothing is compiled
+        return function
+    types = tuple(numba.typeof(argument) for argument in like)
+    function.compile(types)
+    return function.get_overload(types)
+
+
 def choice(name: str, laws: Sequence[Callable], arguments: str) -> Callable:
     """A function ``name(law, …)`` that calls one of several kernels by its number ``law``.
 

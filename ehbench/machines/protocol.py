@@ -17,7 +17,7 @@ from ehbench.machines.rows import LawRows, Rows
 from ehbench.plant.model import Model
 
 Posture = Mapping[str, str | float] | None
-Advance = Callable[[int, int, Rows, LawRows | None], int]
+Advance = Callable[[int, int], int]  # (first row, row after the last) → row at a limit, or −1
 
 
 class Inputs(NamedTuple):
@@ -120,9 +120,9 @@ def truth_of(machine: Machine) -> Truth | None:
     return getattr(machine, "truth", None)
 
 
-def advance_of(machine: Machine) -> Advance | None:
-    """The fast path of a machine that has one: ``advance(first, stop, rows, law)`` runs many ticks
-    in one compiled call.
+def advance_of(machine: Machine) -> Callable[[Rows, LawRows | None], Advance] | None:
+    """The fast path of a machine that has one: ``advance(rows, law)`` gives a function of (first,
+    stop) that runs these rows in one compiled call, under a law or as the table says.
 
     It does what a session does tick by tick (`ehbench.trial.session`), to the bit, and returns the
     row at which a limit was reached, before its tick, or −1.

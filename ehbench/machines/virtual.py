@@ -19,9 +19,9 @@ from zlib import crc32
 
 import numpy as np
 
-from ehbench.compiled import kernel, part_kernel, record, table
+from ehbench.compiled import bound, kernel, part_kernel, record, table
 from ehbench.errors import InputError, SimulationError
-from ehbench.machines.protocol import Inputs, Posture
+from ehbench.machines.protocol import Advance, Inputs, Posture
 from ehbench.machines.rows import LawRows, Rows, control, violated
 from ehbench.parts.cylinder import (
     CYLINDER_COLUMNS,
@@ -811,12 +811,18 @@ class VirtualMachine:
             sample,
         )
 
-    def advance(self, first: int, stop: int, rows: Rows, law: LawRows | None) -> int:
+    def advance(self, rows: Rows, law: LawRows | None) -> Advance:
         """As `advance_of` says."""
-        row = _advance(first, stop, self._own, rows, law, self.noise(stop - first))
-        if row >= 0:  # noise that no tick used is the next one's, however long the call was
-            self._used -= stop - row
-        return row
+        own = self._own
+        run = bound(_advance, 0, 0, own, rows, law, self._noise)
+
+        def through(first: int, stop: int) -> int:
+            row = run(first, stop, own, rows, law, self.noise(stop - first))
+            if row >= 0:  # noise that no tick used is the next one's, however long the call was
+                self._used -= stop - row
+            return row
+
+        return through
 
     def close(self) -> None:
         """There is nothing to let go."""
