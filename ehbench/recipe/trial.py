@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -121,7 +121,10 @@ class Motion(FileModel):
         return self
 
 
-LawName = Literal[LAW_NAMES]  # pyright: ignore[reportInvalidTypeForm]
+if TYPE_CHECKING:
+    LawName = str
+else:
+    LawName = Literal[LAW_NAMES]
 
 
 class Controller(FileModel):
