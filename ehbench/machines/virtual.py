@@ -14,14 +14,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
 
-from ehbench.compiled import kernel, part_kernel, record, table
+from ehbench.compiled import bound, kernel, part_kernel, record, table
 from ehbench.errors import InputError, SimulationError
-from ehbench.machines.protocol import Inputs, Posture
+from ehbench.machines.protocol import Advance, Inputs, Posture
 from ehbench.machines.rows import LawRows, Rows, control, violated
 from ehbench.parts.cylinder import (
     CYLINDER_COLUMNS,
@@ -479,7 +479,7 @@ def _scalar(value) -> float | None:
 class _Given:
     """What a bench file says of one thing: its own entry, else that of ``all``, else a default."""
 
-    def __init__(self, table: Mapping[str, object], name: str) -> None:
+    def __init__(self, table: Mapping[str, Any], name: str) -> None:
         self.entries = [table[key] for key in (name, "all") if key in table]
 
     def __call__(self, key: str, default: float) -> float:
@@ -588,9 +588,9 @@ def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) ->
     row.saturation = (
         given("saturation", sat * full if compensated else 1.6 * sat * full) or math.inf
     )
-    gain = float(edge.compensated_gain if compensated else edge.flow_gain) * given(
-        "gain_factor", factor
-    )
+    nominal = edge.compensated_gain if compensated else edge.flow_gain
+    assert nominal is not None  # `_truth` sees to it
+    gain = float(nominal) * given("gain_factor", factor)
     row.gain = gain
     if compensated:
         row.setting = given("compensation_drop", setting * float(edge.compensation_drop))
@@ -812,12 +812,18 @@ class VirtualMachine:
             sample,
         )
 
-    def advance(self, first: int, stop: int, rows: Rows, law: LawRows | None) -> int:
+    def advance(self, rows: Rows, law: LawRows | None) -> Advance:
         """As `advance_of` says."""
-        row = _advance(first, stop, self._own, rows, law, self.noise(stop - first))
-        if row >= 0:  # noise that no tick used is the next one's, however long the call was
-            self._used -= stop - row
-        return row
+        own = self._own
+        run = bound(_advance, 0, 0, own, rows, law, self._noise)
+
+        def through(first: int, stop: int) -> int:
+            row = run(first, stop, own, rows, law, self.noise(stop - first))
+            if row >= 0:  # noise that no tick used is the next one's, however long the call was
+                self._used -= stop - row
+            return row
+
+        return through
 
     def close(self) -> None:
         """There is nothing to let go."""
@@ -893,7 +899,7 @@ def _build(recipe: BenchRecipe, model: Model, tick: float) -> VirtualPlant:
 def _copied(rows: np.recarray, columns: np.dtype) -> np.recarray:
     """The rows of a table in a wider layout."""
     wide = table(rows.shape[0], columns)
-    for name in rows.dtype.names:
+    for name in rows.dtype.names or ():
         wide[name] = rows[name]
     return wide
 

@@ -523,8 +523,7 @@ def load_flow_maps(path: str | Path) -> FlowMaps:
     """The flow maps of a run folder or of a ``flow_maps.json``.
 
     Example:
-        run = ehbench.identify("recipes/boom_four_valve/flow_maps.toml")
-        maps = ehbench.load_flow_maps(run.folder)
+        maps = ehbench.load_flow_maps("reports/flow_maps")
         maps["sh"].flow(2.0e6, 4.0)  # m³/s at 2 MPa and 4 V
 
     Raises:

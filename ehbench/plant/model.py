@@ -231,6 +231,11 @@ def simulate(
 ) -> Record:
     """Simulate a rig from rest under open-loop commands.
 
+    Example:
+        rig = ehbench.load_rig("recipes/rigs/slide_servo.toml")
+        record = ehbench.simulate(rig, {"press.servo": 2.0}, duration=0.5, posture={"press": "50 mm"})
+        record.frame()["press.x"].iloc[-1]
+
     Args:
         rig: the machine.
         commands: [V] by ``<cylinder>.<valve>``: a number, or an array of one value a sample; others

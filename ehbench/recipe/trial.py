@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, Protocol
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from ehbench.control import LAW_NAMES
 from ehbench.fields import FileModel, Q, Value
 from ehbench.recipe.base import Recipe
 
@@ -120,6 +121,9 @@ class Motion(FileModel):
         return self
 
 
+LawName = Literal[LAW_NAMES]  # pyright: ignore[reportInvalidTypeForm]
+
+
 class Controller(FileModel):
     """Who moves the cylinder: ``kind`` of a built-in law, or ``class = "module:Class"`` of the
     user's own.
@@ -129,7 +133,7 @@ class Controller(FileModel):
     ``shaping`` of speed steps (pressure feedback), ``unused`` valves that stay at rest."""
 
     name: str = ""
-    kind: Literal["open_loop", "pressure_feedback", "arc"] | None = None
+    kind: LawName | None = None
     code: str | None = Field(default=None, alias="class")
     gains: str | dict[str, Any] = {}
     rules: dict[str, Any] = {}
@@ -146,8 +150,12 @@ class Controller(FileModel):
     def _one_law(self) -> Controller:
         if (self.kind is None) == (self.code is None):
             raise ValueError("give 'kind' or 'class', and not both")
-        if self.shaping and self.kind not in ("open_loop", "pressure_feedback"):
-            raise ValueError("'shaping' is of open_loop and pressure_feedback only")
+        if self.shaping:
+            from ehbench.control.registry import LAWS
+
+            shaped = [name for name, law in LAWS.items() if law.shaped]
+            if self.kind not in shaped:
+                raise ValueError(f"'shaping' is of {' and '.join(shaped)} only")
         return self
 
 

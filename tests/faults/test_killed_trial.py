@@ -68,6 +68,7 @@ def killed(ticks):
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline and (not made or made[-1][1] < ticks):
         time.sleep(0.05)
+        assert process.poll() is None
         text = Path("ticks").read_text() if Path("ticks").exists() else ""
         made.append((time.monotonic(), int(text or (made[-1][1] if made else 0))))
     os.kill(process.pid, signal.SIGKILL)
