@@ -37,9 +37,10 @@ from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
 from ehbench.parts.sample import OF, entry, line_entry, sample_channels
 from ehbench.parts.supply import pump_flow
 from ehbench.parts.valve import VALVE_COLUMNS, limited, valve_rates, valve_settle
+from ehbench.parts.valve.second_order import second_order
 from ehbench.physics.cylinder import chamber_rate, relief_flow
 from ehbench.physics.friction import stribeck
-from ehbench.plant.build import Maps, second_order
+from ehbench.plant.build import Maps
 from ehbench.plant.derivatives import derivatives_of, finish_of, move
 from ehbench.plant.integrate import rk4
 from ehbench.plant.layout import Layout, Offsets, layout

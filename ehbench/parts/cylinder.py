@@ -61,7 +61,6 @@ CYLINDER = record(*CYLINDER_COLUMNS)
 CYLINDER_FIELDS = (
     *("stroke", "volume_head", "volume_rod"),
     *("leakage_internal", "leakage_head", "leakage_rod"),
-    *(name for name, _ in FRICTION),
 )
 PINS_OF = ("geometry", "l_a", "l_b", "side", "phase", "retracted_length")
 
