@@ -846,8 +846,8 @@ class VirtualMachine:
             )
         index = self.layout.edges.index(edge)
         row = self.bench.edges[index]
-        valve = self.bench.valves[row.valve]
-        rest = self.commands.rest[row.valve]
+        index = int(row.valve)
+        valve, rest = self.bench.valves[index], self.commands.rest[index]
         command, drop = np.broadcast_arrays(
             np.asarray(command, dtype=float), np.asarray(drop, dtype=float)
         )
@@ -964,7 +964,7 @@ def _valves(
         )
         row.hysteresis = given("hysteresis", width * full)
         if valve.calibration:
-            own = edges[np.flatnonzero(edges.valve == index)[0]]
+            own = edges[int(np.flatnonzero(edges.valve == index)[0])]
             drop = float(recipe.calibration_drop)
             gain, offset = _tune(valve, own, curves, drop, row.hysteresis)
             offset /= full
