@@ -20,7 +20,7 @@ from ehbench.errors import InputError
 from ehbench.quantities import VOCABULARY, quantity
 from ehbench.recipe import TrialRecipe
 from ehbench.text import shortened
-from ehbench.trial.controllers import Design, code_file, gains_file, quantities
+from ehbench.trial.controllers import Design, code_file, controller_of, quantities
 
 
 class UserCode:
@@ -51,10 +51,11 @@ class UserCode:
         references: np.ndarray,
     ) -> None:
         self.made, self.rate, self.names = made, rate, tuple(channels)
-        chosen = recipe.controller
-        self.code = _Code(code_file(recipe), chosen.code.partition(":")[2])
+        chosen, file = controller_of(recipe), code_file(recipe)
+        assert file is not None  # the recipe names a class
+        self.code = _Code(file, chosen.class_name)
         _refuse_foreign(recipe)
-        gains = {name: _gain(recipe, name, raw) for name, raw in chosen.gains.items()}
+        gains = {name: _gain(recipe, name, raw) for name, raw in chosen.own_gains.items()}
         self.used = {"gains": {name: float(v) for name, v in gains.items() if _is_number(v)}}
         self.object = self.code.make(gains)
         self.mask = self._observed(getattr(self.object, "channels", None))
@@ -254,10 +255,10 @@ class _Code:
 
 def _refuse_foreign(recipe: TrialRecipe) -> None:
     """Refuse rules and tuned gains, which are for the built-in controllers."""
-    chosen = recipe.controller
+    chosen = controller_of(recipe)
     foreign = {
         "rules": ("rules of function selection", bool(chosen.rules)),
-        "gains": ("gains of a tune run", gains_file(recipe) is not None),
+        "gains": ("gains of a tune run", chosen.gains_from is not None),
     }
     for table, (what, given) in foreign.items():
         if given:

@@ -122,7 +122,7 @@ def draw_parameters(
     correlation: tuple[Sequence[str], Any] | None,
     count: int,
     rng: np.random.Generator,
-):
+) -> np.ndarray:
     """Draws [SI], shape (count, names), of parameters from their standard errors and correlation,
     clipped to their bounds.
 
@@ -151,7 +151,7 @@ def draw_parameters(
     level, axes = np.linalg.eigh(matrix)
     root = axes * np.sqrt(np.maximum(level, 0.0))
     draws = rng.standard_normal((count, len(names))) @ root.T
-    draws = np.array([float(v) for v in values]) + draws * [v.std for v in values]
+    draws = np.array([float(v) for v in values]) + draws * [v.std or 0.0 for v in values]
     lower = [-math.inf if v.lower is None else v.lower for v in values]
     upper = [math.inf if v.upper is None else v.upper for v in values]
     return np.clip(draws, lower, upper)
