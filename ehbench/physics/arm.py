@@ -27,8 +27,8 @@ from ehbench.compiled import kernel, record
 
 CHAIN, SLIDE = 0, 1
 
-# A link, described in its joint frame: where the next joint lies (``a``, 0, ``d``) [m], the twist to
-# it, the angle ``theta0`` at q = 0 [rad], ``mass`` [kg], first moment (hx, hy, hz) [kg·m] and
+# A link, described in its joint frame: where the next joint lies (``a``, 0, ``d``) [m], the twist
+# to it, the angle ``theta0`` at q = 0 [rad], ``mass`` [kg], first moment (hx, hy, hz) [kg·m] and
 # inertia about the origin (jxx … jyz) [kg·m²], viscous ``damping`` [N·m·s/rad]. A slide has mass,
 # damping [N·s/m] and, for its incline, cos_alpha and sin_alpha.
 LINK = record(
