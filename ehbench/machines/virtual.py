@@ -847,7 +847,7 @@ class VirtualMachine:
             )
         index = self.layout.edges.index(edge)
         row = self.bench.edges[index]
-        valve = self.bench.valves[row.valve]
+        valve: Any = self.bench.valves[row.valve]
         rest = self.commands.rest[row.valve]
         command, drop = np.broadcast_arrays(
             np.asarray(command, dtype=float), np.asarray(drop, dtype=float)
@@ -965,7 +965,7 @@ def _valves(
         )
         row.hysteresis = given("hysteresis", width * full)
         if valve.calibration:
-            own = edges[np.flatnonzero(edges.valve == index)[0]]
+            own: Any = edges[np.flatnonzero(edges.valve == index)[0]]
             drop = float(recipe.calibration_drop)
             gain, offset = _tune(valve, own, curves, drop, row.hysteresis)
             offset /= full

@@ -70,7 +70,9 @@ class Model:
         return np.tile([valve.rest for _, valve in self.rig.valves()], (samples, 1))
 
     def commands_of(self, record: Record) -> np.ndarray:
-        """A recording's commands [V], shape (samples, valves); those it lacks stay at rest."""
+        """A recording's commands [V], shape (samples, valves); valves that it lacks stay at
+        rest.
+        """
         table = self.rest_commands(record.t.size)
         for index, valve in enumerate(self.layout.valves):
             if f"{valve}.command" in record:
