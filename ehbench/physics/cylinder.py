@@ -65,8 +65,8 @@ def joint_angle(kind, l_a, l_b, sign, phase, retracted, x):
     beyond = c[~((low <= c) & (c <= high))]  # ~ so that nan is refused too
     if beyond.size:
         raise InputError(
-            f"a cylinder {float(beyond.flat[0]) * 1e3:.1f} mm long from pin to pin does not fit its "
-            "linkage",
+            f"a cylinder {float(beyond.flat[0]) * 1e3:.1f} mm long from pin to pin does not fit "
+            "its linkage",
             hint=f"l_a {l_a * 1e3:g} mm and l_b {l_b * 1e3:g} mm allow "
             f"{low * 1e3:g} to {high * 1e3:g} mm; check l_a, l_b, retracted_length and stroke",
         )
