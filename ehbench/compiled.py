@@ -60,7 +60,7 @@ part_kernel = _compiler(_FOLDER, **OPTIONS, forceinline=True)
 
 allocating_kernel = _compiler(_FOLDER, nogil=True)
 
-_INLINED: dict[str, Any] = {**OPTIONS, "forceinline": True}
+_INLINED: Any = {**OPTIONS, "forceinline": True}
 # for what is made at import, which no cache can find again: it goes into the code of its callers
 inlined = numba.njit(**_INLINED)
 

@@ -259,7 +259,9 @@ def test_valves_made_faster_keep_their_damping():
     ],
 )
 def test_closed_loop_agrees_with_the_compiled_controller(function, washout, ramp, feedback):
-    """A push on the mass of the running machine: its speed, tick by tick, against the linear loop."""
+    """A push on the mass of the running machine: its speed, tick by tick, against the linear
+    loop.
+    """
     model, index, circuit = machine("boom_four_valve", "boom", None)
     plant, off, tick = model.plant, 4e-11, 1e-3
     low = plant.supply.pressure / 20

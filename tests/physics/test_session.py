@@ -14,9 +14,9 @@ from ehbench.errors import InputError
 from ehbench.logs import read_record, write_log
 from ehbench.machines.protocol import advance_of, truth_of
 from ehbench.machines.simulated import SimulatedMachine
+from ehbench.plant.model import Model
 from ehbench.recipe import TrialRecipe, load_rig
 from ehbench.record import Record
-from ehbench.plant.model import Model
 from ehbench.trial import prepare, run, session
 
 RECIPES = Path(__file__).parents[2] / "recipes"
