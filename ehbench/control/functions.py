@@ -70,8 +70,8 @@ RULE_NAMES = (
     "cross_drop",
     "dwell",
 )
-# the rules of selection, see `pack_rules`; allow_seventh is 0 or 1
-RULES = record(*reals((*RULE_NAMES, "allow_seventh")))
+ALL_RULES = (*RULE_NAMES, "allow_seventh")  # the last is 0 or 1
+RULES = record(*reals(ALL_RULES))  # the rules of selection, see `pack_rules`
 
 
 class Circuit(NamedTuple):
@@ -292,9 +292,9 @@ def pack_rules(
             above where it begins.
     """
     for name in given:
-        if name not in RULES.names:
+        if name not in ALL_RULES:
             raise InputError(
-                f"function selection has no rule '{name}'", hint="it has " + ", ".join(RULES.names)
+                f"function selection has no rule '{name}'", hint="it has " + ", ".join(ALL_RULES)
             )
     part = supply_pressure / 20.0
     low = part if low_pressure is None else low_pressure
@@ -320,7 +320,7 @@ def pack_rules(
 
 
 def _check_rules(rules: np.record) -> None:
-    if not all(0.0 <= value < math.inf for value in numbers(rules, RULES.names).values()):
+    if not all(0.0 <= value < math.inf for value in numbers(rules, ALL_RULES).values()):
         raise InputError(
             "a rule of function selection is negative or not finite",
             hint="all of them are 0 or more",
@@ -408,8 +408,8 @@ def _edges_at(edges: np.recarray, cylinder: int, nodes: tuple[int, int]) -> np.n
 
 def _serving(circuit: Circuit, own: np.ndarray, between: tuple[int, int]) -> tuple[int, float]:
     """(edge that carries most at 1 MPa from one node to another, its direction); −1 for none."""
-    found, along, most = -1, 1.0, 0.0
-    for edge in own:
+    serving, along, most = -1, 1.0, 0.0
+    for edge in map(int, own):
         row = circuit.edges[edge]
         forward = (row.from_node, row.to_node) == between
         if not forward and ((row.to_node, row.from_node) != between or row.blocked == 1):
@@ -418,8 +418,8 @@ def _serving(circuit: Circuit, own: np.ndarray, between: tuple[int, int]) -> tup
         opening = widest(circuit, edge, way * 1.0e6)
         flow = way * edge_flow(way * 1.0e6, opening, row, circuit.maps)
         if flow > most:
-            found, along, most = int(edge), way, flow
-    return found, along
+            serving, along, most = edge, way, flow
+    return serving, along
 
 
 def _able(circuit: Circuit, function: int) -> bool:

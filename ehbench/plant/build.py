@@ -130,7 +130,7 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
     rows = []
     for index, item in enumerate(rig.cylinder):
         head, rod = item.areas()
-        relief, pins = item.relief_pressure, _pins(item)
+        relief, pins = item.relief_pressure, pins_of(item)
         joint = names.joints.index(item.joint)
         own = {key: float(getattr(item, key)) for key in CYLINDER_FIELDS}
         rows.append(
@@ -154,7 +154,7 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
     return table_of(rows, CYLINDER)
 
 
-def _pins(item: Cylinder) -> tuple[Any, ...]:
+def pins_of(item: Cylinder) -> tuple[Any, ...]:
     """Arguments of `ehbench.physics.cylinder.linkage` before the angle."""
     pins = item.pins
     if pins is None:

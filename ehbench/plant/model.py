@@ -270,7 +270,8 @@ def simulate(
             )
         if np.ndim(values) and np.shape(values) != (samples,):
             raise InputError(
-                f"the command of '{name}' has {np.shape(values)[0]} values, the trial {samples} samples"
+                f"the command of '{name}' has {np.shape(values)[0]} values, the trial {samples} "
+                "samples"
             )
         table[:, model.layout.valves.index(name)] = values
     log = model.run(model.trim(model.posture(posture)), table, 1.0 / rate, step)

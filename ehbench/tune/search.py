@@ -153,13 +153,13 @@ class LawSearch:
         """Of washouts that get slower, the first that reaches the target, then closer in by
         bisection.
         """
-        faster_corner = None
+        faster_corner = 0.0
         for corner, ramp in washouts:
             law = self._reaching(corner, ramp)
             if law is None:
                 faster_corner = corner
                 continue
-            for _ in range(BISECTIONS if faster_corner else 0):
+            for _ in range(BISECTIONS if faster_corner > 0.0 else 0):
                 middle = math.sqrt(law.washout * faster_corner)
                 closer = self._reaching(middle, middle if ramp == corner else ramp)
                 if closer is None:

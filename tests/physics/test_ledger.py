@@ -17,18 +17,18 @@ from ehbench.ledger import (
     Accuracy,
     Ledger,
     bounds,
-    compressed,
-    follow_valves,
     ledger_of_log,
     ledger_of_model,
-    noise_of,
-    travels,
 )
+from ehbench.ledger.bounds import travels
+from ehbench.ledger.powers import compressed
+from ehbench.ledger.readings import noise_of
 from ehbench.machines.virtual import CREEP, VirtualMachine
 from ehbench.parts.cylinder import linkage_arrays
 from ehbench.physics.flow_map import FlowMap, ValveMaps, root_drop
 from ehbench.physics.friction import stribeck
 from ehbench.plant.model import Model
+from ehbench.plant.valves import follow_valves
 from ehbench.recipe import TrialRecipe, load_recipe, load_rig
 from ehbench.record import Record
 from ehbench.rig import Rig, Value
