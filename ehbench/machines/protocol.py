@@ -120,9 +120,10 @@ def truth_of(machine: Machine) -> Truth | None:
     return getattr(machine, "truth", None)
 
 
-def advance_of(machine: Machine) -> Callable[[Rows, LawRows | None], Advance] | None:
-    """The fast path of a machine that has one: ``advance(rows, law)`` gives a function of (first,
-    stop) that runs these rows in one compiled call, under a law or as the table says.
+def advance_of(machine: Machine) -> Callable[[Rows, LawRows | None, bool], Advance] | None:
+    """The fast path of a machine that has one: ``advance(rows, law, often)`` gives a function of
+    (first, stop) that runs these rows in one compiled call, under a law or as the table says;
+    ``often`` says that it will be called for every row.
 
     It does what a session does tick by tick (`ehbench.trial.session`), to the bit, and returns the
     row at which a limit was reached, before its tick, or −1.

@@ -37,9 +37,10 @@ from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
 from ehbench.parts.sample import OF, entry, line_entry, sample_channels
 from ehbench.parts.supply import pump_flow
 from ehbench.parts.valve import VALVE_COLUMNS, limited, valve_rates, valve_settle
+from ehbench.parts.valve.second_order import second_order
 from ehbench.physics.cylinder import chamber_rate, relief_flow
 from ehbench.physics.friction import stribeck
-from ehbench.plant.build import Maps, second_order
+from ehbench.plant.build import Maps
 from ehbench.plant.derivatives import derivatives_of, finish_of, move
 from ehbench.plant.integrate import rk4
 from ehbench.plant.layout import Layout, Offsets, layout
@@ -811,10 +812,10 @@ class VirtualMachine:
             sample,
         )
 
-    def advance(self, rows: Rows, law: LawRows | None) -> Advance:
+    def advance(self, rows: Rows, law: LawRows | None, often: bool) -> Advance:
         """As `advance_of` says."""
         own = self._own
-        run = bound(_advance, 0, 0, own, rows, law, self._noise)
+        run = bound(_advance, 0, 0, own, rows, law, self._noise) if often else _advance
 
         def through(first: int, stop: int) -> int:
             row = run(first, stop, own, rows, law, self.noise(stop - first))
@@ -846,8 +847,8 @@ class VirtualMachine:
             )
         index = self.layout.edges.index(edge)
         row = self.bench.edges[index]
-        index = int(row.valve)
-        valve, rest = self.bench.valves[index], self.commands.rest[index]
+        valve: Any = self.bench.valves[row.valve]
+        rest = self.commands.rest[row.valve]
         command, drop = np.broadcast_arrays(
             np.asarray(command, dtype=float), np.asarray(drop, dtype=float)
         )
@@ -964,7 +965,7 @@ def _valves(
         )
         row.hysteresis = given("hysteresis", width * full)
         if valve.calibration:
-            own = edges[int(np.flatnonzero(edges.valve == index)[0])]
+            own: Any = edges[np.flatnonzero(edges.valve == index)[0]]
             drop = float(recipe.calibration_drop)
             gain, offset = _tune(valve, own, curves, drop, row.hysteresis)
             offset /= full

@@ -11,6 +11,7 @@ import numpy as np
 from ehbench.compiled import table, table_of
 from ehbench.errors import InputError
 from ehbench.parts import edge as edges
+from ehbench.parts import friction
 from ehbench.parts import valve as valves
 from ehbench.parts.cylinder import CYLINDER, CYLINDER_FIELDS, PINS_OF
 from ehbench.parts.edge import EDGE
@@ -129,11 +130,12 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
     rows = []
     for index, item in enumerate(rig.cylinder):
         head, rod = item.areas()
-        relief, pins = item.relief_pressure, _pins(item)
+        relief, pins = item.relief_pressure, pins_of(item)
         joint = names.joints.index(item.joint)
         own = {key: float(getattr(item, key)) for key in CYLINDER_FIELDS}
         rows.append(
             own
+            | friction.LAWS[names.frictions[index]].pack(item)
             | dict(zip(PINS_OF, pins, strict=True))
             | {
                 "joint": joint,
@@ -152,7 +154,7 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
     return table_of(rows, CYLINDER)
 
 
-def _pins(item: Cylinder) -> tuple[Any, ...]:
+def pins_of(item: Cylinder) -> tuple[Any, ...]:
     """Arguments of `ehbench.physics.cylinder.linkage` before the angle."""
     pins = item.pins
     if pins is None:
@@ -197,25 +199,14 @@ def _valves(rig: Rig, names: Layout) -> tuple[np.recarray, np.recarray]:
     for index, (_, item) in enumerate(rig.valves()):
         first, output = len(elements), -1
         for law in (law for valve, law in names.elements if valve == index):
-            omega, zeta = rig.dynamics[item.dynamics].frequency_and_damping()
             output = names.state("opening", index)
             states = len(valves.LAWS[law].states)
             place = {"law": law, "state": output, "states": states}
-            elements.append(place | second_order(omega, zeta))
+            elements.append(place | valves.LAWS[law].pack(rig.dynamics[item.dynamics]))
         ends = {"lowest": float(item.command_min), "highest": float(item.command_max)}
         count = len(elements) - first
         rows.append(ends | {"first": first, "count": count, "output": output})
     return table_of(rows, VALVE), table_of(elements, ELEMENT)
-
-
-def second_order(omega: float, zeta: float) -> dict[str, float]:
-    """Fields of an element of natural frequency [rad/s] and damping ratio."""
-    stiffness = omega**2
-    return {
-        "stiffness": stiffness,
-        "damping": 2 * zeta * omega,
-        "fastest": math.sqrt(stiffness),
-    }
 
 
 def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray]:
@@ -253,15 +244,8 @@ def map_of(maps: Maps | None, edge: str) -> ValveMaps | None:
 
 def _law(edge: Edge, given: ValveMaps | None, packed: list[FlowMap]) -> dict[str, Any]:
     """Fields of an edge's law; its maps go to ``packed``, their numbers there into the row."""
-    gain = edge.flow_gain if edge.law == "orifice" else edge.compensated_gain
-    row = {
-        "law": edges.MAP if given is not None else edges.BY_NAME[edge.law],
-        "gain": 0.0 if gain is None else float(gain),
-        "deadband": float(edge.deadband),
-        "compensation_drop": float(edge.compensation_drop),
-        "forward": -1,
-        "reverse": -1,
-    }
+    law = edges.edge_law("map" if given is not None else edge.law)
+    row = {"law": edges.BY_NAME[law.name], "forward": -1, "reverse": -1} | law.pack(edge)
     for key in ("forward", "reverse"):
         one = getattr(given, key, None)
         if one is not None:

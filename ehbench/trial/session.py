@@ -56,7 +56,8 @@ class Session:
         self._packed = None if self.law is None else _packed(self.law)
         self._step = getattr(self.law, "step", None)
         self._bind = advance_of(machine) if fast else None
-        self._advance = None if self._bind is None else self._bind(self.rows, self._packed)
+        often = self._step is not None
+        self._advance = None if self._bind is None else self._bind(self.rows, self._packed, often)
         self.stop: Stop | None = None
         self.end = prepared.t.size
 
@@ -138,7 +139,7 @@ class Session:
             _let_go(self.law, row, self.end)
         self._packed = self._step = None
         if self._bind is not None:
-            self._advance = self._bind(rows, None)
+            self._advance = self._bind(rows, None, False)
 
     def channels(self, part: slice) -> dict[str, np.ndarray]:
         """Rows of the trial by channel, SI: what the machine measured, or all that a simulation

@@ -87,9 +87,10 @@ class UserCode:
         """
         reference = Reference(*self.references[row].tolist())
         answer = self.code.call(".step", self.object.step, t, self._seen(sample), reference, t=t)
-        kept = command[self._unused]
+        kept = [float(command[i]) for i in self._unused]
         self._take(answer, t, command)
-        command[self._unused] = kept
+        for i, volts in zip(self._unused, kept, strict=True):
+            command[i] = volts
         # one look a tick; nan is in no range
         if not ((command >= self.low) & (command <= self.high)).all():
             self._bring_in_range(answer, t, command)

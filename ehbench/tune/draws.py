@@ -14,6 +14,7 @@ from ehbench.errors import InputError
 from ehbench.plant.model import Model
 from ehbench.rig import Rig
 from ehbench.tune.linear import (
+    Aim,
     Law,
     circuit_of,
     close,
@@ -104,11 +105,13 @@ def _worst_of_draw(
             FUNCTIONS.index(point.function),
             here,
             0,
-            speed=abs(point.v),
-            low_pressure=study.low,
-            cross_drop=study.cross,
-            payload=point.payload,
-            held=recipe.posture,
+            Aim(
+                study.low,
+                study.cross,
+                speed=abs(point.v),
+                payload=point.payload,
+                held=recipe.posture,
+            ),
         )
         if moved.possible:
             loop = close(development_model(model, moved), moved, circuit, law)
