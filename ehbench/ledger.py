@@ -30,7 +30,7 @@ from ehbench.parts.cylinder import (
 )
 from ehbench.parts.edge import MAP
 from ehbench.parts.end_stop import stop_held, stop_loss
-from ehbench.parts.friction import friction_force
+from ehbench.parts.friction import friction_held, friction_loss
 from ehbench.parts.nodes import SUPPLY, TANK, node_bulk_modulus, node_pressure
 from ehbench.physics import arm
 from ehbench.physics.cylinder import PINS, linkage
@@ -38,7 +38,7 @@ from ehbench.plant.build import Maps, map_of
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import MOST_SUBSTEPS, STEP, STIFF, advance
 from ehbench.plant.model import Model
-from ehbench.plant.valves import follow_valves, opening_of
+from ehbench.plant.valves import follow_friction, follow_valves, opening_of
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
 from ehbench.terms import Z95
@@ -69,7 +69,7 @@ PUMP, COMPRESSION, FIRST_EDGE = 0, 1, 2
 ) = range(10)
 PER_CYLINDER = 10
 # columns of what is stored: the supply line, the mechanism, then head, rod and end stops of each
-# cylinder
+# cylinder, then the friction of each whose law has states
 SUPPLY_LINE, KINETIC, POTENTIAL, FIRST_CYLINDER = 0, 1, 2, 3
 HEAD, ROD, SPRING = range(3)
 
@@ -159,7 +159,7 @@ def powers(y, flows, plant, owner, out):
             out[at + RETURNED] += (p_tank + u_tank) * to_tank
             out[at + EXPANSION] += (u - u_tank) * to_tank
             out[at + WORK] += p * area * v
-        out[at + FRICTION] = friction_force(row, v, y) * v
+        out[at + FRICTION] = friction_loss(row, v, y)
         out[at + STOPPED] = stop_loss(row, x, v)
     for j in range(n):
         out[first + PER_CYLINDER * nc + j] = plant.links[j].damping * y[n + j] * y[n + j]
@@ -167,7 +167,8 @@ def powers(y, flows, plant, owner, out):
 
 @kernel
 def stores(y, plant, work, out):
-    """Write every stored energy [J] of a state into ``out``, shape (3 + 3·cylinders,).
+    """Write every stored energy [J] of a state into ``out``, shape (3 + 3·cylinders + frictions with
+    states,).
 
     Oil: ``V u(p)``. The mechanism: kinetic and potential energy. An end stop: ``k δ²/2`` of its
     depth δ."""
@@ -184,6 +185,11 @@ def stores(y, plant, work, out):
             _, held = _node(chamber_of(row, side)[0], y, plant)
             out[at + side] = chamber_oil(row, side, x) * held
         out[at + SPRING] = stop_held(row, x)
+    at = FIRST_CYLINDER + 3 * plant.cylinders.shape[0]
+    for c in range(plant.cylinders.shape[0]):
+        if plant.cylinders[c].friction_state >= 0:
+            out[at] = friction_held(plant.cylinders[c], y)
+            at += 1
 
 
 # --- over a trial
@@ -377,7 +383,8 @@ class _Sheet:
             [names.cylinders.index(c.name) for c, _, _ in model.rig.edges()], dtype=np.int64
         )
         self.powers = FIRST_EDGE + ne + PER_CYLINDER * nc + len(names.joints)
-        self.stores = FIRST_CYLINDER + 3 * nc
+        springy = dict.fromkeys(names.cylinders[c] for c, _ in names.friction_states)
+        self.stores = FIRST_CYLINDER + 3 * nc + len(springy)
         rows: list[tuple[str, str, str, str | None]] = [
             ("pump", "supply", "pump, Ps·Q", None),
             ("pump_compression", "supply", "pump, compression of the oil", None),
@@ -421,6 +428,9 @@ class _Sheet:
                 ("stop", "spring of the end stops"),
             )
             rows += [(f"{name}.{key}", "store", label, name) for key, label in kept]
+        rows += [
+            (f"{name}.friction_spring", "store", "spring of the friction", name) for name in springy
+        ]
         self.rows = rows
         at = {name: i for i, (name, *_) in enumerate(rows)}
 
@@ -431,7 +441,7 @@ class _Sheet:
                     vector[at[name]] += sign
             return vector
 
-        mechanical = ("work", "friction", "end_stop", "stop")
+        mechanical = ("work", "friction", "end_stop", "stop", "friction_spring")
         drawn = [
             f"{name}.{key}" for name in names.cylinders for key in ("drawn", "drawn_compression")
         ]
@@ -599,6 +609,8 @@ def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
         if valve.output >= 0:
             states[:, valve.output] = record[f"{name}.opening"]
     follow_valves(np.ascontiguousarray(record.t), commands, plant, True, states)
+    for index, key in names.friction_states:
+        states[:, names.state(key, index)] = record[f"{names.cylinders[index]}.{key}"]
     states[:, plant.at.supply] = record["p_supply"]
     return states, commands
 
@@ -827,6 +839,7 @@ class _Account:
             m.p,
         )
         follow_valves(m.t, m.commands, model.plant, False, states)
+        follow_friction(m.t, model.plant, states)
         states[:, model.plant.at.supply] = m.p_supply
         return states
 

@@ -12,7 +12,7 @@ import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 from pydantic import AfterValidator, BaseModel, Field, field_validator, model_validator
 
@@ -22,8 +22,13 @@ from ehbench.fields import SURENESS as SURENESS
 from ehbench.fields import FileModel, Q, Value
 from ehbench.fields import read_value as read_value
 from ehbench.notebook import label, plural, shown, table
+from ehbench.parts.friction import TABLES as FRICTIONS
 from ehbench.quantities import VOCABULARY, Quantity
 
+if TYPE_CHECKING:
+    Friction = Any
+else:
+    Friction = Annotated[Union[FRICTIONS], Field(discriminator="law")]  # noqa: UP007
 NODES = ("supply", "tank", "head", "rod")
 
 
@@ -259,6 +264,7 @@ class Cylinder(FileModel):
     leakage_rod: Annotated[Value, Q("leakage_rod")] = Value(0.0)
     friction_viscous: Annotated[Value, Q("friction_viscous")] = Value(0.0)
     friction_coulomb: Annotated[Value, Q("friction_coulomb")] = Value(0.0)
+    friction: Friction | None = None
     relief_pressure: Annotated[Value, Q("relief_pressure")] | None = None
     valve: tuple[Valve, ...] = Field(min_length=1)
 
@@ -284,6 +290,15 @@ class Cylinder(FileModel):
                 f"but the full stroke displaces {swept * 1e6:.6g} cm^3",
                 "volume_rod",
             )
+        return self
+
+    @model_validator(mode="after")
+    def _friction_fits(self) -> Cylinder:
+        if self.friction is not None:
+            found = self.friction.misfit(float(self.friction_coulomb))
+            if found is not None:
+                key, words = found
+                raise Misplaced(words, "friction", key)
         return self
 
     @model_validator(mode="after")
@@ -555,11 +570,8 @@ class Rig(FileModel):
         for body in bodies:
             found |= {f"{body.name}.{name}": value for name, value in _scalars(body)}
         for cylinder in self.cylinder:
-            found |= {f"{cylinder.name}.{name}": value for name, value in _scalars(cylinder)}
-            if cylinder.pins is not None:
-                found |= {
-                    f"{cylinder.name}.{name}": value for name, value in _scalars(cylinder.pins)
-                }
+            for model in (cylinder, *_tables(cylinder).values()):
+                found |= {f"{cylinder.name}.{name}": value for name, value in _scalars(model)}
         for name, dynamics in self.dynamics.items():
             found |= {f"{name}.{key}": value for key, value in _scalars(dynamics)}
             if dynamics.s1 is not None and dynamics.s2 is not None:
@@ -662,15 +674,21 @@ def _dynamics_with(name: str, model: Dynamics, new: Mapping[str, Value]) -> Dyna
 
 
 def _cylinder_with(model: Cylinder, new: Mapping[str, Value]) -> Cylinder:
-    """A cylinder with new values of its own, its pins and its edges."""
+    """A cylinder with new values of its own, of its tables and its edges."""
     prefix = f"{model.name}."
     valves = []
     for valve in model.valve:
         edges = (_replaced(e, f"{prefix}{valve.edge_name(e)}.", new) for e in valve.edge)
         valves.append(valve.model_copy(update={"edge": tuple(edges)}))
-    pins = None if model.pins is None else _replaced(model.pins, prefix, new)
+    tables = {key: _replaced(part, prefix, new) for key, part in _tables(model).items()}
     whole = _replaced(model, prefix, new)
-    return whole.model_copy(update={"pins": pins, "valve": tuple(valves)})
+    return whole.model_copy(update=tables | {"valve": tuple(valves)})
+
+
+def _tables(model: BaseModel) -> dict[str, FileModel]:
+    """The tables that a part of the rig has beside its own values."""
+    own = {name: getattr(model, name) for name in type(model).model_fields}
+    return {name: part for name, part in own.items() if isinstance(part, FileModel)}
 
 
 def _scalars(model: BaseModel) -> Iterator[tuple[str, Value]]:

@@ -24,7 +24,6 @@ from ehbench.errors import InputError, SimulationError
 from ehbench.machines.protocol import Inputs, Posture
 from ehbench.machines.rows import LawRows, Rows, control, violated
 from ehbench.parts.cylinder import (
-    CYLINDER_COLUMNS,
     RELIEF_GAIN,
     chamber_inflow,
     chamber_of,
@@ -58,9 +57,6 @@ RAW = (OF.q, OF.x, OF.p_head, OF.p_rod)  # a cylinder's raw channels
 _RAW, _RAW_LINES, _FILTER = len(RAW), 2, 3
 
 # Wider rows begin with the columns of their own: numba would else take one for the other.
-# A cylinder: its friction at break-away [N], the speed [m/s] over which that falls to Coulomb's,
-# the model's columns.
-BENCH_CYLINDER = record(("friction_static", "f8"), ("stribeck_speed", "f8"), *CYLINDER_COLUMNS)
 # A valve: ``gain`` and ``offset`` [V] of its driver, its ``hysteresis`` [V], the model's columns.
 BENCH_VALVE = record(("gain", "f8"), ("offset", "f8"), ("hysteresis", "f8"), *VALVE_COLUMNS)
 # An edge: its nodes, its valve and sign, its leakage at null [m³/(s·Pa)] over ``null_width`` [V],
@@ -892,7 +888,7 @@ def _copied(rows: np.recarray, columns: np.dtype) -> np.recarray:
 
 def _bench_cylinders(of: _Seeded) -> np.recarray:
     recipe, p_supply = of.recipe, of.p_supply
-    cylinders = _copied(of.model.plant.cylinders, BENCH_CYLINDER)
+    cylinders = of.model.plant.cylinders.copy()
     names, items = of.model.layout.cylinders, of.model.rig.cylinder
     for name, item, row in zip(names, items, cylinders, strict=True):
         given = _Given(recipe.cylinder, name)
@@ -903,9 +899,11 @@ def _bench_cylinders(of: _Seeded) -> np.recarray:
         )
         plain, damper = float(item.friction_coulomb), float(item.friction_viscous)
         row.friction_coulomb = given("friction_coulomb", plain or coulomb * force)
-        row.friction_static = given("friction_static", static * row.friction_coulomb)
+        row.friction_static = given(
+            "friction_static", row.friction_static or static * row.friction_coulomb
+        )
         row.friction_viscous = given("friction_viscous", damper or viscous * force)
-        row.stribeck_speed = given("stribeck_speed", speed)
+        row.stribeck_speed = given("stribeck_speed", row.stribeck_speed or speed)
         if row.friction_static < row.friction_coulomb:
             where = recipe.at("cylinder", name)
             raise InputError(

@@ -11,6 +11,7 @@ import numpy as np
 from ehbench.compiled import table, table_of
 from ehbench.errors import InputError
 from ehbench.parts import edge as edges
+from ehbench.parts import friction as frictions
 from ehbench.parts import valve as valves
 from ehbench.parts.cylinder import CYLINDER, CYLINDER_FIELDS, PINS_OF
 from ehbench.parts.edge import EDGE
@@ -132,6 +133,7 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
         relief, pins = item.relief_pressure, _pins(item)
         joint = names.joints.index(item.joint)
         own = {key: float(getattr(item, key)) for key in CYLINDER_FIELDS}
+        own |= _friction(item, frictions.LAWS[names.frictions[index]].columns)
         rows.append(
             own
             | dict(zip(PINS_OF, pins, strict=True))
@@ -147,9 +149,17 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
                 "node_head": names.node(index, "head"),
                 "node_rod": names.node(index, "rod"),
                 "friction": names.frictions[index],
+                "friction_state": names.friction_state(index),
+                "friction_states": len(frictions.LAWS[names.frictions[index]].states),
             }
         )
     return table_of(rows, CYLINDER)
+
+
+def _friction(item: Cylinder, columns: tuple[tuple[str, str], ...]) -> dict[str, float]:
+    """What a law of friction needs, from its own table, else from the cylinder."""
+    own = (name for name, _ in columns)
+    return {key: float(getattr(item.friction, key, None) or getattr(item, key)) for key in own}
 
 
 def _pins(item: Cylinder) -> tuple[Any, ...]:

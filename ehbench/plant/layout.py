@@ -77,7 +77,7 @@ class Layout:
 
     def state(self, name: str, index: int = 0) -> int:
         """Position in the state of ``q``, ``qd`` of joint ``index``, ``p_head``, ``p_rod`` of a
-        cylinder, ``opening``, ``rate`` of a valve, or ``p_supply``.
+        cylinder or of a state of its friction, ``opening``, ``rate`` of a valve, or ``p_supply``.
 
         Raises:
             KeyError: there is no such state, as of a valve without dynamics.
@@ -86,6 +86,17 @@ class Layout:
             return self._at[name]
         owners = {"q": self.joints, "qd": self.joints, "opening": self.valves, "rate": self.valves}
         return self._at[f"{owners.get(name, self.cylinders)[index]}.{name}"]
+
+    @property
+    def friction_states(self) -> tuple[tuple[int, str], ...]:
+        """(cylinder, name) of each state of the laws of friction."""
+        laws = (friction.LAWS[law] for law in self.frictions)
+        return tuple((index, key) for index, law in enumerate(laws) for key in law.states)
+
+    def friction_state(self, cylinder: int) -> int:
+        """Where the states of a cylinder's friction begin, −1 where it has none."""
+        states = friction.LAWS[self.frictions[cylinder]].states
+        return self.state(states[0], cylinder) if states else -1
 
     def offsets(self) -> Offsets:
         """Where things begin, for kernels."""
@@ -131,4 +142,4 @@ def _elements(item) -> tuple[int, ...]:
 
 def _friction(item: Cylinder) -> int:
     """Number of a cylinder's law of friction."""
-    return 0
+    return 0 if item.friction is None else friction.BY_NAME[item.friction.law]

@@ -205,6 +205,8 @@ class Model:
             channels[f"{name}.x"], channels[f"{name}.v"] = x, lever * log[:, n + joint]
             for key in (f"p_{side}" for side in SIDES):
                 channels[f"{name}.{key}"] = log[:, names.state(key, index)]
+        for index, key in names.friction_states:
+            channels[f"{names.cylinders[index]}.{key}"] = log[:, names.state(key, index)]
         for index, valve in enumerate(names.valves):
             channels[f"{valve}.command"] = commands[:, index]
         for index, valve in enumerate(names.valves):

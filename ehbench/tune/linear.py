@@ -34,8 +34,7 @@ from ehbench.control.valve_level import top_speed
 from ehbench.errors import InputError
 from ehbench.parts.cylinder import chamber_oil, joint_of, linkage_of
 from ehbench.parts.edge import edge_command, edge_flow
-from ehbench.parts.friction import friction_steady
-from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
+from ehbench.parts.friction import friction_settle, friction_slope, friction_steady
 from ehbench.parts.valve import valve_settle
 from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
 from ehbench.plant.build import Maps, map_of
@@ -134,7 +133,7 @@ class OperatingPoint:
     [m/s], extension positive.
 
     ``mass, gravity_force, damping`` are m_eq, F_eq, b_eq of `equivalent`; ``friction`` [N·s/m] is
-    the slope of the cylinder's own friction; ``bend`` [1/s] the part of ∂v̇/∂v from the changing
+    the slope of the cylinder's own steady friction; ``bend`` [1/s] the part of ∂v̇/∂v from the changing
     lever; ``load_force`` P_L [N]; pressures [Pa] gauge; volumes [m³]. ``possible``: every drop is
     along its flow and every valve can open so far. ``fits``: also the off-side chamber stands at
     its set-point. ``note`` says what is missing."""
@@ -325,8 +324,6 @@ def operating_point(
         note = "the load does not suit this function"
     q = model.posture(held)
     q[row.joint] = here.q[index]
-    around = DIFFERENCE * max(abs(v), COULOMB_SPEED)
-    slope = friction_steady(row, v + around) - friction_steady(row, v - around)
     return OperatingPoint(
         cylinder=model.layout.cylinders[circuit.cylinder],
         function=FUNCTIONS[function],
@@ -338,7 +335,7 @@ def operating_point(
         mass=float(here.mass[index]),
         gravity_force=float(here.gravity_force[index]),
         damping=float(here.damping[index]),
-        friction=float(slope / (2 * around)),
+        friction=float(friction_slope(row, v)),
         bend=float(2.0 * here.curvature[index] * v / here.lever[index] ** 2),
         load_force=float(force),
         p_head=float(p_head),
@@ -517,6 +514,7 @@ def state_of(model: Model, point: OperatingPoint) -> tuple[np.ndarray, np.ndarra
     for path in point.paths:
         command[path.valve] = path.command
         valve_settle(model.plant.valves[path.valve], path.command, model.plant, y)
+    friction_settle(model.plant.cylinders[index], point.v, y)
     return y, command
 
 
@@ -527,7 +525,7 @@ def plant_model(
     others: Literal["held", "free"] = "held",
     position: bool = False,
 ) -> LinearModel:
-    """The same linear model from central differences of the compiled plant.
+    """The same linear model from central differences of the compiled plant, its friction steady.
 
     With the other joints held their acceleration is zero, ``q̈_j = (D q̈)_j/D_jj`` with q̈ of the
     free plant; ``free`` leaves them to the reaction forces at this instant. ``position`` adds the
@@ -553,6 +551,7 @@ def plant_model(
         y[joint] = joint_of(row, point.x + z[0]) if z[0] else base[joint]
         _, lever, bend = linkage_of(row, y[joint])
         y[at_qd] = (point.v + z[1]) / lever
+        friction_settle(row, point.v + z[1], y)
         y[at_head : at_head + 2] += z[2:4]
         for k, (opening, speed) in enumerate(picks):
             y[opening] += z[4 + 2 * k]
