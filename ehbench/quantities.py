@@ -181,6 +181,13 @@ _ROWS = [
     ),
     Quantity("friction_coulomb", "F_c", "N", "N", "Coulomb friction of the cylinder", 0, 1e7),
     Quantity(
+        "bristle_stiffness", "σ0", "N/m", "N/mm", "stiffness of friction before it slides", 1, 1e12
+    ),
+    Quantity(
+        "bristle_damping", "σ1", "N*s/m", "N*s/m", "damping of friction before it slides", 0, 1e8
+    ),
+    Quantity("bristle", "z", "m", "um", "how far the bristles of friction are bent", -1, 1),
+    Quantity(
         "joint_damping",
         "b",
         "N*m*s/rad",

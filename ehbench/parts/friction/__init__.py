@@ -1,14 +1,14 @@
 """Friction laws of a cylinder, a file each.
 
-To add one: write its file after ``stribeck.py`` and name it in LAWS.
+To add one: write its file after ``stribeck.py`` (``lugre.py`` has a state) and name it in LAWS.
 """
 
 from __future__ import annotations
 
 from ehbench.compiled import choice, part_kernel
-from ehbench.parts.friction import coulomb_viscous, stribeck
+from ehbench.parts.friction import coulomb_viscous, lugre, stribeck
 
-LAWS = (coulomb_viscous.LAW, stribeck.LAW)
+LAWS = (coulomb_viscous.LAW, stribeck.LAW, lugre.LAW)
 BY_NAME = {law.name: number for number, law in enumerate(LAWS)}
 TABLES = tuple(law.table for law in LAWS)
 COLUMNS = tuple(dict.fromkeys(column for law in LAWS for column in law.columns))
