@@ -12,23 +12,40 @@ import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, Field, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    Field,
+    field_validator,
+    model_validator,
+)
 
 from ehbench import units
 from ehbench.errors import InputError, UnitError
 from ehbench.fields import SURENESS as SURENESS
-from ehbench.fields import FileModel, Q, Value
+from ehbench.fields import FileModel, Q, Value, one_of, scalars
 from ehbench.fields import read_value as read_value
 from ehbench.notebook import label, plural, shown, table
 from ehbench.parts.friction import TABLES as FRICTIONS
+from ehbench.parts.friction.law import FrictionTable
+from ehbench.parts.valve import TABLES as DYNAMICS
+from ehbench.parts.valve.law import DynamicsTable
 from ehbench.quantities import VOCABULARY, Quantity
 
+
+def _of_a_kind(raw: Any) -> Any:
+    """Dynamics that do not say of what kind they are, are of second order."""
+    return {"kind": "second_order"} | dict(raw) if isinstance(raw, Mapping) else raw
+
+
 if TYPE_CHECKING:
-    Friction = Any
+    Friction, Dynamics = FrictionTable, DynamicsTable
 else:
-    Friction = Annotated[Union[FRICTIONS], Field(discriminator="law")]  # noqa: UP007
+    Friction = one_of(FRICTIONS, "law")
+    Dynamics = Annotated[one_of(DYNAMICS, "kind"), BeforeValidator(_of_a_kind)]
 NODES = ("supply", "tank", "head", "rod")
 
 
@@ -122,38 +139,6 @@ class Pins(FileModel):
     phase: Annotated[Value, Q("phase")] = Value(0.0)
 
 
-class Dynamics(FileModel):
-    """Second-order valve dynamics opening/command, as ω_n and ζ or as the denominator s2·s² + s1·s
-    + 1.
-    """
-
-    natural_frequency: Annotated[Value, Q("natural_frequency")] | None = None
-    damping_ratio: Annotated[Value, Q("damping_ratio")] | None = None
-    s2: Annotated[Value, Q("s2")] | None = None
-    s1: Annotated[Value, Q("s1")] | None = None
-    note: str = ""
-
-    @model_validator(mode="after")
-    def _one_form(self) -> Dynamics:
-        pair = self.natural_frequency is not None and self.damping_ratio is not None
-        poly = self.s2 is not None and self.s1 is not None
-        given = sum(
-            v is not None for v in (self.natural_frequency, self.damping_ratio, self.s2, self.s1)
-        )
-        if given != 2 or pair == poly:
-            raise ValueError("give natural_frequency and damping_ratio, or s2 and s1")
-        if poly and float(self.s2) <= 0:  # type: ignore[arg-type]
-            raise ValueError("s2 must be positive")
-        return self
-
-    def frequency_and_damping(self) -> tuple[float, float]:
-        """(ω_n [rad/s], ζ)."""
-        if self.natural_frequency is not None:
-            return float(self.natural_frequency), float(self.damping_ratio)  # type: ignore[arg-type]
-        omega = 1.0 / math.sqrt(float(self.s2))  # type: ignore[arg-type]
-        return omega, 0.5 * omega * float(self.s1)  # type: ignore[arg-type]
-
-
 class Edge(FileModel):
     """One metering edge: flow from ``from`` to ``to`` when upstream pressure is higher.
 
@@ -185,17 +170,26 @@ class Edge(FileModel):
 
 
 class Valve(FileModel):
-    """One command, its dynamics (a name in the rig's ``dynamics``, or none: opening follows at
-    once) and its edges.
+    """One command, its dynamics (names in the rig's ``dynamics``, from the command on, or none:
+    opening follows at once) and its edges.
     """
 
     name: Name
     title: str = ""
-    dynamics: str | None = None
+    dynamics: str | tuple[str, ...] | None = None
     command_min: Annotated[Value, Q("command_min")]
     command_max: Annotated[Value, Q("command_max")]
     edge: tuple[Edge, ...] = Field(min_length=1)
     calibration: tuple[tuple[str, str], ...] = ()
+
+    @field_validator("dynamics")
+    @classmethod
+    def _each_once(cls, names: str | tuple[str, ...] | None) -> str | tuple[str, ...] | None:
+        if isinstance(names, tuple) and (at := _second(names)) is not None:
+            raise ValueError(
+                f"'{names[at]}' stands in the series twice; give one a name of its own"
+            )
+        return names
 
     @field_validator("calibration")
     @classmethod
@@ -236,6 +230,20 @@ class Valve(FileModel):
         if edge.name is not None:
             return edge.name
         return self.name if len(self.edge) == 1 else f"{self.name}_{edge.from_}_{edge.to}"
+
+    @property
+    def series(self) -> tuple[str, ...]:
+        """The names of its dynamics, from its command to its opening."""
+        one = self.dynamics
+        return one if isinstance(one, tuple) else () if one is None else (one,)
+
+    def with_dynamics(self, instead_of: Sequence[str], name: str) -> Valve:
+        """This valve with the dynamics ``name`` in place of any of others."""
+        new = tuple(name if one in instead_of else one for one in self.series)
+        if new == self.series:
+            return self
+        whole = new[0] if isinstance(self.dynamics, str) else tuple(dict.fromkeys(new))
+        return self.model_copy(update={"dynamics": whole})
 
     @property
     def rest(self) -> float:
@@ -428,14 +436,11 @@ class Rig(FileModel):
                     "on a joint a cylinder needs 'pins', on a slide it has none", "cylinder", at
                 )
             for i, valve in enumerate(cylinder.valve):
-                if valve.dynamics is not None and valve.dynamics not in self.dynamics:
-                    there, where = (
-                        ", ".join(self.dynamics) or "none",
-                        ("cylinder", at, "valve", i, "dynamics"),
-                    )
-                    raise Misplaced(
-                        f"there is no [dynamics.{valve.dynamics}]; there are {there}", *where
-                    )
+                for name in valve.series:
+                    if name not in self.dynamics:
+                        there = ", ".join(self.dynamics) or "none"
+                        where = ("cylinder", at, "valve", i, "dynamics")
+                        raise Misplaced(f"there is no [dynamics.{name}]; there are {there}", *where)
         for load, links in self.payload.items():
             for link in links:
                 if link not in joints:
@@ -562,29 +567,22 @@ class Rig(FileModel):
         ``<cylinder>.leakage_internal``, ``<dynamics>.natural_frequency`` (also where the file gives
         s1 and s2), ``<edge>.flow_gain`` and so on."""
         found: dict[str, Value] = {"gravity": self.gravity}
-        found |= {name: value for name, value in _scalars(self.oil)}
-        found |= {f"supply.{name}": value for name, value in _scalars(self.supply)}
+        found |= {name: value for name, value in scalars(self.oil)}
+        found |= {f"supply.{name}": value for name, value in scalars(self.supply)}
         bodies = (
             [self.mechanism] if isinstance(self.mechanism, Slide) else list(self.mechanism.joint)
         )
         for body in bodies:
-            found |= {f"{body.name}.{name}": value for name, value in _scalars(body)}
+            found |= {f"{body.name}.{name}": value for name, value in scalars(body)}
         for cylinder in self.cylinder:
             for model in (cylinder, *_tables(cylinder).values()):
-                found |= {f"{cylinder.name}.{name}": value for name, value in _scalars(model)}
+                found |= {f"{cylinder.name}.{name}": value for name, value in scalars(model)}
         for name, dynamics in self.dynamics.items():
-            found |= {f"{name}.{key}": value for key, value in _scalars(dynamics)}
-            if dynamics.s1 is not None and dynamics.s2 is not None:
-                omega, zeta = dynamics.frequency_and_damping()
-                for key, value, given in (
-                    ("natural_frequency", omega, dynamics.s2),
-                    ("damping_ratio", zeta, dynamics.s1),
-                ):
-                    found[f"{name}.{key}"] = Value(value, sure=given.sure, source=given.source)
+            found |= {f"{name}.{key}": value for key, value in dynamics.parameters().items()}
         for cylinder, valve, edge in self.edges():
             found |= {
                 f"{cylinder.name}.{valve.edge_name(edge)}.{name}": value
-                for name, value in _scalars(edge)
+                for name, value in scalars(edge)
             }
         return found
 
@@ -626,7 +624,8 @@ class Rig(FileModel):
                 "mechanism": mechanism,
                 "cylinder": tuple(_cylinder_with(c, new) for c in self.cylinder),
                 "dynamics": {
-                    name: _dynamics_with(name, model, new) for name, model in self.dynamics.items()
+                    name: model.with_values(_below(f"{name}.", new))
+                    for name, model in self.dynamics.items()
                 },
             }
         )
@@ -655,22 +654,9 @@ def _replaced(model: Any, prefix: str, new: Mapping[str, Value]) -> Any:
     return model.model_copy(update=update) if update else model
 
 
-def _dynamics_with(name: str, model: Dynamics, new: Mapping[str, Value]) -> Dynamics:
-    """Valve dynamics with new values; those by s1 and s2 turn into ω_n and ζ where one is given."""
-    wanted = {k: new[f"{name}.{k}"] for k in Dynamics.model_fields if f"{name}.{k}" in new}
-    if not wanted:
-        return model
-    if model.natural_frequency is not None or {"s1", "s2"} & set(wanted):
-        return model.model_copy(update=wanted)
-    omega, zeta = model.frequency_and_damping()
-    base: dict[str, Any] = {
-        "s1": None,
-        "s2": None,
-        "natural_frequency": Value(omega),
-        "damping_ratio": Value(zeta),
-        "note": model.note,
-    }
-    return Dynamics.model_construct(None, **(base | wanted))
+def _below(prefix: str, new: Mapping[str, Value]) -> dict[str, Value]:
+    """The values whose names begin with ``prefix``, by the rest of their names."""
+    return {name[len(prefix) :]: value for name, value in new.items() if name.startswith(prefix)}
 
 
 def _cylinder_with(model: Cylinder, new: Mapping[str, Value]) -> Cylinder:
@@ -689,13 +675,6 @@ def _tables(model: BaseModel) -> dict[str, FileModel]:
     """The tables that a part of the rig has beside its own values."""
     own = {name: getattr(model, name) for name in type(model).model_fields}
     return {name: part for name, part in own.items() if isinstance(part, FileModel)}
-
-
-def _scalars(model: BaseModel) -> Iterator[tuple[str, Value]]:
-    for name in type(model).model_fields:
-        value = getattr(model, name)
-        if isinstance(value, Value) and not isinstance(value.value, tuple):
-            yield name, value
 
 
 def parameter_row(name: str) -> Quantity:

@@ -36,9 +36,11 @@ from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
 from ehbench.parts.sample import OF, entry, line_entry, sample_channels
 from ehbench.parts.supply import pump_flow
 from ehbench.parts.valve import VALVE_COLUMNS, limited, valve_rates, valve_settle
+from ehbench.parts.valve.second_order import SecondOrder
+from ehbench.parts.valve.second_order import fields as second_order
 from ehbench.physics.cylinder import chamber_rate, relief_flow
 from ehbench.physics.friction import stribeck
-from ehbench.plant.build import Maps, second_order
+from ehbench.plant.build import Maps
 from ehbench.plant.derivatives import derivatives_of, finish_of, move
 from ehbench.plant.integrate import rk4
 from ehbench.plant.layout import Layout, Offsets, layout
@@ -954,12 +956,16 @@ def _valves(
             gain, offset = _tune(valve, own, curves, drop, row.hysteresis)
             offset /= full
         row.gain, row.offset = given("driver_gain", gain), given("driver_offset", offset * full)
-        if valve.dynamics is not None:
-            omega, zeta = rig.dynamics[valve.dynamics].frequency_and_damping()
+        series = [one for one in of.model.layout.elements if one.valve == index]
+        for at, one in enumerate(series, int(row.first)):
+            dynamics = rig.dynamics[one.dynamics]
+            if not isinstance(dynamics, SecondOrder):
+                continue
+            omega, zeta = dynamics.frequency_and_damping()
             omega = given("natural_frequency", faster * omega)
             zeta = given("damping_ratio", damper * zeta)
             for key, value in second_order(omega, zeta).items():
-                elements[row.first][key] = value
+                elements[at][key] = value
     return valves, elements
 
 

@@ -206,26 +206,14 @@ def _valves(rig: Rig, names: Layout) -> tuple[np.recarray, np.recarray]:
     rows, elements = [], []
     for index, (_, item) in enumerate(rig.valves()):
         first, output = len(elements), -1
-        for law in (law for valve, law in names.elements if valve == index):
-            omega, zeta = rig.dynamics[item.dynamics].frequency_and_damping()
-            output = names.state("opening", index)
-            states = len(valves.LAWS[law].states)
-            place = {"law": law, "state": output, "states": states}
-            elements.append(place | second_order(omega, zeta))
+        for one in (one for one in names.elements if one.valve == index):
+            output, states = one.state, len(valves.LAWS[one.law].states)
+            place = {"law": one.law, "state": output, "states": states}
+            elements.append(place | rig.dynamics[one.dynamics].row())
         ends = {"lowest": float(item.command_min), "highest": float(item.command_max)}
         count = len(elements) - first
         rows.append(ends | {"first": first, "count": count, "output": output})
     return table_of(rows, VALVE), table_of(elements, ELEMENT)
-
-
-def second_order(omega: float, zeta: float) -> dict[str, float]:
-    """Fields of an element of natural frequency [rad/s] and damping ratio."""
-    stiffness = omega**2
-    return {
-        "stiffness": stiffness,
-        "damping": 2 * zeta * omega,
-        "fastest": math.sqrt(stiffness),
-    }
 
 
 def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray]:

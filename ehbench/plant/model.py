@@ -212,6 +212,8 @@ class Model:
         for index, valve in enumerate(names.valves):
             output = plant.valves[index].output
             channels[f"{valve}.opening"] = commands[:, index] if output < 0 else log[:, output]
+        for channel, at in names.inner_states:
+            channels[channel] = log[:, at]
         for index, edge in enumerate(names.edges):
             channels[f"{edge}.flow"] = log[:, names.states + index]
         channels["p_supply"] = log[:, plant.at.supply]

@@ -6,27 +6,28 @@ from __future__ import annotations
 
 import numpy as np
 
-from ehbench.compiled import kernel
+from ehbench.compiled import allocating_kernel, kernel
 from ehbench.parts.cylinder import linkage_of
 from ehbench.parts.friction import friction_advance
 from ehbench.parts.valve import limited, valve_advance, valve_recover, valve_settle
 from ehbench.plant.build import Plant
 
 
-@kernel
+@allocating_kernel
 def follow_valves(t, commands, plant, known, states):
     """Write the valves' states at every sample.
 
     Args:
         t: [s], shape (samples,).
         commands: [V], shape (samples, valves), limited here to each driver's range.
-        known: True where ``states`` holds the openings and only what is behind them is missing;
-            else valves start at rest at their command.
+        known: True where ``states`` holds the openings and only what is behind them is missing,
+            which it is not of a series of elements; else valves start at rest at their command.
         states: of the plant, in and out, shape (samples, states).
     """
+    scratch = np.empty((5, states.shape[1]))
     for i in range(plant.valves.shape[0]):
         valve = plant.valves[i]
-        if valve.output < 0:
+        if valve.output < 0 or (known and valve.count > 1):
             continue
         signal = limited(commands[0, i], valve)
         if not known:
@@ -41,7 +42,7 @@ def follow_valves(t, commands, plant, known, states):
                 for k in range(first, first + plant.elements[e].states):
                     states[s + 1, k] = states[s, k]
             signal = limited(commands[s, i], valve)
-            valve_advance(valve, signal, t[s + 1] - t[s], plant, states[s + 1])
+            valve_advance(valve, signal, t[s + 1] - t[s], plant, states[s + 1], scratch)
             if known:
                 states[s + 1, valve.output] = later
 

@@ -2,15 +2,16 @@
 plant (SPEC 3).
 
 All other joints are held. An operating point is a steady motion of a working function at a posture,
-payload and speed; its linear model has the states ``v, p_head, p_rod``, then ``opening`` and
-``rate`` of each valve at work, in SI."""
+payload and speed; its linear model has the states ``v, p_head, p_rod``, then those
+of each valve at work, in SI."""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -35,7 +36,7 @@ from ehbench.errors import InputError
 from ehbench.parts.cylinder import chamber_oil, joint_of, linkage_of
 from ehbench.parts.edge import edge_command, edge_flow
 from ehbench.parts.friction import friction_settle, friction_slope, friction_steady
-from ehbench.parts.valve import valve_settle
+from ehbench.parts.valve import valve_rates, valve_settle
 from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
 from ehbench.plant.build import Maps, map_of
 from ehbench.plant.derivatives import derivatives
@@ -431,8 +432,8 @@ class LinearModel:
     """``ẋ = A x + B u + E f`` about an operating point: u [V] the commands of the valves at work, f
     [N] a force on the rod.
 
-    ``states`` name x: ``v, p_head, p_rod``, then ``opening, rate`` of each valve with dynamics; all
-    SI. ``valves`` number u."""
+    ``states`` name x: ``v, p_head, p_rod``, then the states of each valve with dynamics; all SI.
+    ``valves`` number u."""
 
     states: tuple[str, ...]
     valves: tuple[int, ...]
@@ -441,14 +442,44 @@ class LinearModel:
     e: np.ndarray
 
 
+class ValveBlock(NamedTuple):
+    """A valve as ``ẋ = a x + b u``, opening ``= c x``: its elements one behind the other.
+
+    ``states`` are their positions in the plant's state.
+    """
+
+    states: tuple[int, ...]
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+
+
+def valve_block(model: Model, valve: int) -> ValveBlock:
+    """The elements of a valve, which are linear, from their own rates."""
+    plant, row = model.plant, model.plant.valves[valve]
+    own = plant.elements[row.first : row.first + row.count]
+    states = tuple(k for one in own for k in range(one.state, one.state + one.states))
+    size = len(states)
+    table, c = np.empty((size, size + 1)), np.empty(size)
+    for k in range(size + 1):
+        y, rates = np.zeros(model.layout.states), np.zeros(model.layout.states)
+        if k < size:
+            y[states[k]] = 1.0
+        opening, _ = valve_rates(row, 0.0 if k < size else 1.0, plant, y, rates)
+        table[:, k] = rates[list(states)]
+        if k < size:
+            c[k] = opening
+    return ValveBlock(states, table[:, :size], table[:, size], c)
+
+
 def _states(
     model: Model, point: OperatingPoint
-) -> tuple[tuple[int, ...], list[int], tuple[str, ...]]:
+) -> tuple[tuple[int, ...], dict[int, ValveBlock], tuple[str, ...]]:
     valves = tuple(dict.fromkeys(p.valve for p in point.paths))
-    moving = [i for i in valves if model.plant.valves[i].count]
+    moving = {i: valve_block(model, i) for i in valves if model.plant.valves[i].count}
     names = ["v", "p_head", "p_rod"]
-    for i in moving:
-        names += [f"{model.layout.valves[i]}.opening", f"{model.layout.valves[i]}.rate"]
+    for block in moving.values():
+        names += [model.layout.state_names[k] for k in block.states]
     return valves, moving, tuple(names)
 
 
@@ -456,8 +487,8 @@ def development_model(model: Model, point: OperatingPoint) -> LinearModel:
     """The linear development model from the equations (SPEC 3), valve edges with their own slopes.
 
     ``m_eq v̇ = A1 P1 − A2 P2 − (b_eq + friction) v + m_eq·bend·v + f``; ``V/β_e Ṗ`` = inflow of
-    each chamber, volumes fixed; ``Q = gain·opening + slope·Δp`` along each edge; valves of second
-    order."""
+    each chamber, volumes fixed; ``Q = gain·opening + slope·Δp`` along each edge; valves as their
+    elements are."""
     plant = model.plant
     row = plant.cylinders[model.layout.cylinders.index(point.cylinder)]
     valves, moving, names = _states(model, point)
@@ -476,28 +507,38 @@ def development_model(model: Model, point: OperatingPoint) -> LinearModel:
     inflow[0, 1:3] = -row.leakage_internal - row.leakage_head, row.leakage_internal
     inflow[1, 1:3] = row.leakage_internal, -row.leakage_internal - row.leakage_rod
     into_u = np.zeros((2, len(valves)))
+    at = dict(zip(moving, _starts(moving), strict=True))
     for path in point.paths:
         side = INTO[path.path]
         inflow[:, 1:3] -= path.slope * np.outer(side, side)
         if path.valve in moving:
-            inflow[:, 3 + 2 * moving.index(path.valve)] += path.gain * side
+            first, c = at[path.valve], moving[path.valve].c
+            inflow[:, first : first + c.size] += path.gain * np.outer(side, c)
         else:
             into_u[:, valves.index(path.valve)] += path.gain * side
     a[1:3], b[1:3] = stiff[:, None] * inflow, stiff[:, None] * into_u
-    for k, i in enumerate(moving):
-        at = 3 + 2 * k
-        a[at, at + 1] = 1.0
-        element = plant.elements[plant.valves[i].first]
-        a[at + 1, at : at + 2] = -element.stiffness, -element.damping
-        b[at + 1, valves.index(i)] = element.stiffness
+    for i, block in moving.items():
+        rows = slice(at[i], at[i] + block.b.size)
+        a[rows, rows], b[rows, valves.index(i)] = block.a, block.b
     return LinearModel(names, valves, a, b, e)
+
+
+def _starts(moving: Mapping[int, ValveBlock]) -> list[int]:
+    """Where the states of each moving valve begin in a linear model."""
+    return list(itertools.accumulate([3, *(block.b.size for block in moving.values())]))[:-1]
+
+
+def _are_rates(names: Sequence[str]) -> np.ndarray:
+    """Which states of a linear model are rates of openings."""
+    return np.array([name.endswith(".rate") for name in names])
 
 
 def faster(linear: LinearModel, factor: float) -> LinearModel:
     """The model with valves ``factor`` times as fast at the same damping ratio."""
-    a, b = linear.a.copy(), linear.b.copy()
-    a[4::2], b[4::2] = a[4::2] * factor**2, b[4::2] * factor**2
-    a[range(4, len(a), 2), range(4, len(a), 2)] /= factor
+    a, b, rates = linear.a.copy(), linear.b.copy(), _are_rates(linear.states)
+    quick = np.where(rates, factor**2, factor)[3:, None]
+    a[3:], b[3:] = a[3:] * quick, b[3:] * quick
+    a[3:, rates] /= factor
     return LinearModel(linear.states, linear.valves, a, b, linear.e)
 
 
@@ -541,10 +582,10 @@ def plant_model(
     work = np.empty(plant.at.work)
     arm_work, mass, rate = np.empty(work_size(n)), np.empty((n, n)), np.empty(base.size)
     names = (("x",) if position else ()) + names
-    picks = [(layout.state("opening", i), layout.state("rate", i)) for i in moving]
+    picks = [k for block in moving.values() for k in block.states]
 
     def motion(z: np.ndarray) -> np.ndarray:
-        """Rates of the reduced state for offsets z of (x, v, p_head, p_rod, openings and rates,
+        """Rates of the reduced state for offsets z of (x, v, p_head, p_rod, states of valves,
         commands).
         """
         y, u = base.copy(), rest.copy()
@@ -553,29 +594,27 @@ def plant_model(
         y[at_qd] = (point.v + z[1]) / lever
         friction_settle(row, point.v + z[1], y)
         y[at_head : at_head + 2] += z[2:4]
-        for k, (opening, speed) in enumerate(picks):
-            y[opening] += z[4 + 2 * k]
-            y[speed] += z[5 + 2 * k]
-        u[list(valves)] += z[4 + 2 * len(picks) :]
+        y[picks] += z[4 : 4 + len(picks)]
+        u[list(valves)] += z[4 + len(picks) :]
         derivatives(y, u, plant, rate, work)
         acceleration = rate[at_qd]
         if others == "held":
             mass_matrix(plant.kind, plant.links, y[:n], mass, arm_work)
             acceleration = mass[joint] @ rate[n : 2 * n] / mass[joint, joint]
-        out = [
-            point.v + z[1],
-            lever * acceleration + bend * y[at_qd] ** 2,
-            rate[at_head],
-            rate[at_head + 1],
-        ]
-        for opening, speed in picks:
-            out += [rate[opening], rate[speed]]
-        return np.array(out)
+        return np.array(
+            [
+                point.v + z[1],
+                lever * acceleration + bend * y[at_qd] ** 2,
+                rate[at_head],
+                rate[at_head + 1],
+                *rate[picks],
+            ]
+        )
 
     steps = np.concatenate(
         [
             [1e-5, 1e-5 * max(1.0, abs(point.v) / 0.01), 30.0, 30.0],
-            [1e-4, 1e-2] * len(picks),
+            np.where(_are_rates(layout.state_names)[picks], 1e-2, 1e-4),
             [1e-4] * len(valves),
         ]
     )
@@ -585,7 +624,7 @@ def plant_model(
         z[k] = h
         columns.append((motion(z) - motion(-z)) / (2 * h))
     table = np.array(columns).T
-    first, size = (0 if position else 1), 4 + 2 * len(picks)
+    first, size = (0 if position else 1), 4 + len(picks)
     e = np.zeros(size - first)
     e[1 - first] = 1.0 / point.mass
     if others == "free":
@@ -695,7 +734,7 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
     scale = np.ones(total)
     scale[1:3] = 1.0e6
     scale[size:] = 1.0e6
-    scale[4:size:2] = 100.0
+    scale[:size][_are_rates(linear.states)] = 100.0
     ratio = scale / scale[:, None]
     fastest = 2.5 / law.delay if held else math.inf
     return Loop(

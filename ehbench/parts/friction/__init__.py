@@ -9,7 +9,6 @@ from ehbench.compiled import choice, part_kernel
 from ehbench.parts.friction import coulomb_viscous, lugre, stribeck
 
 LAWS = (coulomb_viscous.LAW, stribeck.LAW, lugre.LAW)
-BY_NAME = {law.name: number for number, law in enumerate(LAWS)}
 TABLES = tuple(law.table for law in LAWS)
 COLUMNS = tuple(dict.fromkeys(column for law in LAWS for column in law.columns))
 
