@@ -83,6 +83,45 @@ FRICTIONS = {
 }
 
 
+VALVES = {
+    "first_order": ({"amplifier": {"lag": "8 ms"}}, ["amplifier"], {"amplifier.lag": 1.8}),
+    "series": (
+        {
+            "amplifier": {"lag": "8 ms"},
+            "spool": {"natural_frequency": "30 Hz", "damping_ratio": 0.8},
+        },
+        ["amplifier", "spool"],
+        {"amplifier.lag": 0.5, "spool.natural_frequency": 1.6},
+    ),
+}
+
+
+def valve_with(dynamics: dict[str, Any], series: list[str]) -> Rig:
+    """The sliding mass with other elements in its valve."""
+    plain = slide(**SEALS).as_toml()
+    (cylinder,) = plain["cylinder"]
+    (valve,) = cylinder["valve"]
+    kinds = {"lag": "first_order", "delay": "delay"}
+    made = {
+        name: {"kind": next((kinds[key] for key in table if key in kinds), "second_order")} | table
+        for name, table in dynamics.items()
+    }
+    cylinder = cylinder | {"valve": [valve | {"dynamics": series}]}
+    return Rig.model_validate(plain | {"dynamics": made, "cylinder": [cylinder]})
+
+
+def jumps(volts: float, hold: int = 100, samples: int = 801) -> np.ndarray:
+    levels = np.random.default_rng(5).uniform(-volts, volts, samples // hold + 1)
+    levels[0] = 0.0
+    return np.repeat(levels, hold)[:samples]
+
+
+@pytest.mark.parametrize("case", VALVES)
+def test_valves(case):
+    dynamics, series, factors = VALVES[case]
+    recovered(valve_with(dynamics, series), factors, [jumps(3.0), -jumps(2.0, hold=61)])
+
+
 @pytest.mark.parametrize("law", FRICTIONS)
 def test_friction(law):
     table, factors = FRICTIONS[law]

@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 from ehbench.compiled import choice, part_kernel, record
-from ehbench.parts.valve import second_order
+from ehbench.parts.valve import first_order, second_order
 
-LAWS = (second_order.LAW,)
+LAWS = (second_order.LAW, first_order.LAW)
 TABLES = tuple(law.table for law in LAWS)
 SHARE = 0.25  # of its fastest period over 2π, over which a series of elements is integrated
 
