@@ -29,6 +29,7 @@ from ehbench.fields import SURENESS as SURENESS
 from ehbench.fields import FileModel, Q, Value, one_of, scalars
 from ehbench.fields import read_value as read_value
 from ehbench.notebook import label, plural, shown, table
+from ehbench.parts.edge import LawFields, LawName, edge_law
 from ehbench.parts.friction import TABLES as FRICTIONS
 from ehbench.parts.friction.law import FrictionTable
 from ehbench.parts.valve import TABLES as DYNAMICS
@@ -139,33 +140,33 @@ class Pins(FileModel):
     phase: Annotated[Value, Q("phase")] = Value(0.0)
 
 
-class Edge(FileModel):
+class MeteringEdge(FileModel):
     """One metering edge: flow from ``from`` to ``to`` when upstream pressure is higher.
 
-    law ``orifice``: Q = flow_gain·(opening − deadband)·√Δp. law ``compensated``: Q =
-    compensated_gain·(opening − deadband), reached over ``compensation_drop``. law ``map``: a
-    measured flow map, from the recipe's ``flow_maps`` or the run behind the rig; where one is given
-    it goes before the other laws, too. ``sign`` −1 opens the edge on negative commands. ``reverse``
-    says what a reversed drop does: ``mirror`` or ``blocked``."""
+    ``law`` is one of `ehbench.parts.edge`, which brings keys of its own. law ``map`` is a measured
+    flow map, from the recipe's ``flow_maps`` or the run behind the rig; where one is given it goes
+    before the other laws, too. ``sign`` −1 opens the edge on negative commands. ``reverse`` says
+    what a reversed drop does: ``mirror`` or ``blocked``."""
 
     name: Name | None = None
     from_: Literal["supply", "tank", "head", "rod"] = Field(alias="from")
     to: Literal["supply", "tank", "head", "rod"]
-    law: Literal["orifice", "compensated", "map"]
+    law: LawName
     sign: Literal[1, -1] = 1
     reverse: Literal["mirror", "blocked"] = "mirror"
     deadband: Annotated[Value, Q("deadband")] = Value(0.0)
-    flow_gain: Annotated[Value, Q("flow_gain")] | None = None
-    compensated_gain: Annotated[Value, Q("compensated_gain")] | None = None
-    compensation_drop: Annotated[Value, Q("compensation_drop")] = Value(2.0e5)
+
+
+class Edge(LawFields, MeteringEdge):
+    """A metering edge with the keys of its law."""
 
     @model_validator(mode="after")
     def _law_is_whole(self) -> Edge:
         if self.from_ == self.to:
             raise ValueError(f"an edge joins two different nodes, not {self.to} with itself")
-        need = {"orifice": "flow_gain", "compensated": "compensated_gain"}.get(self.law)
-        if need is not None and getattr(self, need) is None:
-            raise ValueError(f"law '{self.law}' needs '{need}'")
+        for need in edge_law(self.law).needs:
+            if getattr(self, need) is None:
+                raise ValueError(f"law '{self.law}' needs '{need}'")
         return self
 
 
@@ -208,7 +209,7 @@ class Valve(FileModel):
             raise Misplaced("command_min must lie below command_max", "command_min")
         for index, edge in enumerate(self.edge):
             reach = float(self.command_max) if edge.sign > 0 else -float(self.command_min)
-            opens = 0.0 if edge.law == "map" else float(edge.deadband)
+            opens = float(edge.deadband) if edge_law(edge.law).has_deadband else 0.0
             if reach <= opens:
                 way = (
                     f"commands above {opens:g} V"

@@ -28,7 +28,8 @@ RELIEF_GAIN = 1.0e-9  # [m³/(s·Pa)]: 30 L/min over 5 bar
 # C_tm, C_em1, C_em2 [m³/(s·Pa)]; ``relief_pressure`` [Pa], inf for none; ``cavitation_pressure``
 # [Pa], −inf for none; ``stop_stiffness`` [N/m]; ``mobility`` [1/kg], the largest acceleration per
 # force on it; the number of its law of ``friction``, where that law's states stand
-# (``friction_states`` of them from ``friction_state`` on, −1), and the columns of the laws, as the rig file has them.
+# (``friction_states`` of them from ``friction_state`` on, −1), and the columns of the laws, as the
+# rig file has them.
 CYLINDER_COLUMNS = (
     ("joint", "i8"),
     ("geometry", "i8"),
@@ -72,8 +73,9 @@ def linkage_of(row, q):
     return linkage(row.geometry, row.l_a, row.l_b, row.side, row.phase, row.retracted_length, q)
 
 
-def _pins(row: Any) -> tuple[Any, ...]:
-    return tuple(row[name] for name in PINS_OF)
+def _pins(row: Any) -> tuple[Any, Any, Any, Any, Any, Any]:
+    kind, l_a, l_b, sign, phase, retracted = (row[name] for name in PINS_OF)
+    return kind, l_a, l_b, sign, phase, retracted
 
 
 def joint_of(row: Any, x: Any) -> Any:

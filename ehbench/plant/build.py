@@ -11,7 +11,7 @@ import numpy as np
 from ehbench.compiled import table, table_of
 from ehbench.errors import InputError
 from ehbench.parts import edge as edges
-from ehbench.parts import friction as frictions
+from ehbench.parts import friction
 from ehbench.parts import valve as valves
 from ehbench.parts.cylinder import CYLINDER, CYLINDER_FIELDS, PINS_OF
 from ehbench.parts.edge import EDGE
@@ -130,12 +130,12 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
     rows = []
     for index, item in enumerate(rig.cylinder):
         head, rod = item.areas()
-        relief, pins = item.relief_pressure, _pins(item)
+        relief, pins = item.relief_pressure, pins_of(item)
         joint = names.joints.index(item.joint)
         own = {key: float(getattr(item, key)) for key in CYLINDER_FIELDS}
-        own |= _friction(item, frictions.LAWS[names.frictions[index]].columns)
         rows.append(
             own
+            | friction.LAWS[names.frictions[index]].pack(item)
             | dict(zip(PINS_OF, pins, strict=True))
             | {
                 "joint": joint,
@@ -150,19 +150,13 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
                 "node_rod": names.node(index, "rod"),
                 "friction": names.frictions[index],
                 "friction_state": names.friction_state(index),
-                "friction_states": len(frictions.LAWS[names.frictions[index]].states),
+                "friction_states": len(friction.LAWS[names.frictions[index]].states),
             }
         )
     return table_of(rows, CYLINDER)
 
 
-def _friction(item: Cylinder, columns: tuple[tuple[str, str], ...]) -> dict[str, float]:
-    """What a law of friction needs, from its own table, else from the cylinder."""
-    own = (name for name, _ in columns)
-    return {key: float(getattr(item.friction, key, None) or getattr(item, key)) for key in own}
-
-
-def _pins(item: Cylinder) -> tuple[Any, ...]:
+def pins_of(item: Cylinder) -> tuple[Any, ...]:
     """Arguments of `ehbench.physics.cylinder.linkage` before the angle."""
     pins = item.pins
     if pins is None:
@@ -251,15 +245,8 @@ def map_of(maps: Maps | None, edge: str) -> ValveMaps | None:
 
 def _law(edge: Edge, given: ValveMaps | None, packed: list[FlowMap]) -> dict[str, Any]:
     """Fields of an edge's law; its maps go to ``packed``, their numbers there into the row."""
-    gain = edge.flow_gain if edge.law == "orifice" else edge.compensated_gain
-    row = {
-        "law": edges.MAP if given is not None else edges.BY_NAME[edge.law],
-        "gain": 0.0 if gain is None else float(gain),
-        "deadband": float(edge.deadband),
-        "compensation_drop": float(edge.compensation_drop),
-        "forward": -1,
-        "reverse": -1,
-    }
+    law = edges.edge_law("map" if given is not None else edge.law)
+    row = {"law": edges.BY_NAME[law.name], "forward": -1, "reverse": -1} | law.pack(edge)
     for key in ("forward", "reverse"):
         one = getattr(given, key, None)
         if one is not None:

@@ -49,7 +49,7 @@ def follow_valves(t, commands, plant, known, states):
 
 @kernel
 def follow_friction(t, plant, states):
-    """Write the frictions' own states at every sample, from rest on, as the joints' rates make them.
+    """Write the frictions' own states at every sample, from rest on, by the joints' rates.
 
     Args:
         t: [s], shape (samples,).

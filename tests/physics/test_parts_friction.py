@@ -28,6 +28,7 @@ from ehbench.recipe import load_rig
 from ehbench.recipe.toml import read_toml, validated
 from ehbench.rig import Rig
 from ehbench.tune.linear import (
+    Aim,
     circuit_of,
     development_model,
     equivalent,
@@ -242,9 +243,7 @@ def test_the_linear_model_has_its_steady_slope(law):
     model = Model.of(rig_with(law))
     circuit = circuit_of(model, 0)
     here = equivalent(model, 0, np.array([0.2]))
-    point = operating_point(
-        model, circuit, 1, here, 0, speed=0.03, low_pressure=7e5, cross_drop=7e5
-    )
+    point = operating_point(model, circuit, 1, here, 0, Aim(7e5, 7e5, speed=0.03))
     assert point.friction == pytest.approx((steady(0.0301) - steady(0.0299)) / 2e-4, rel=1e-3)
     ours, plant = development_model(model, point), plant_model(model, point)
     assert ours.states == plant.states

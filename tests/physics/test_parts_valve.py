@@ -19,6 +19,7 @@ from ehbench.recipe import load_rig
 from ehbench.record import Record
 from ehbench.rig import Rig
 from ehbench.tune.linear import (
+    Aim,
     circuit_of,
     development_model,
     equivalent,
@@ -133,9 +134,7 @@ def test_the_linear_model_has_every_element(series):
     model = Model.of(rig_with(*series))
     circuit = circuit_of(model, 0)
     here = equivalent(model, 0, np.array([0.2]))
-    point = operating_point(
-        model, circuit, 1, here, 0, speed=0.05, low_pressure=7e5, cross_drop=7e5
-    )
+    point = operating_point(model, circuit, 1, here, 0, Aim(7e5, 7e5, speed=0.05))
     ours, plant = development_model(model, point), plant_model(model, point)
     assert ours.states == plant.states
     scale = np.ones(len(ours.states))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -27,10 +28,16 @@ class EdgeLaw:
     opening ``reach`` > 0 [V]. ``opening(drop, flow, edge, maps)`` is its inverse: the opening [V]
     at which ``flow`` passes, both of one sign and not zero. ``known(drop, edge, maps)`` is the
     largest opening [V] that the law speaks of at that drop.
+
+    ``pack(edge)`` gives the law's columns of an edge of the rig file by their names; of that
+    edge's keys it ``needs`` some. ``has_deadband`` says whether its ``deadband`` counts.
     """
 
     name: str
     columns: tuple[tuple[str, str], ...]
     flow: Callable
     opening: Callable
+    pack: Callable[[Any], dict[str, float]]
+    needs: tuple[str, ...] = ()
+    has_deadband: bool = True
     known: Callable = _everywhere

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from ehbench.compiled import inlined, part_kernel
 from ehbench.fields import FileModel
@@ -73,6 +74,12 @@ class FrictionLaw:
     settle: Callable = _no_states
     advance: Callable = _nothing_to_advance
     held: Callable = _nothing_held
+
+    def pack(self, cylinder: Any) -> dict[str, float]:
+        """Columns of a cylinder of the rig file: of its own table, else of the cylinder."""
+        own = cylinder.friction
+        names = [name for name, _ in self.columns]
+        return {key: float(getattr(own, key, None) or getattr(cylinder, key)) for key in names}
 
     def resistance(self) -> Callable:
         """``force(row, v, y)`` of a law with or without states."""

@@ -2,9 +2,9 @@
 
     ż = v − σ0 |v|/g(v) z,    F = σ0 z + σ1 ż + viscous v,    g = C + (S − C) e^−(v/v_st)²
 
-Canudas de Wit, Olsson, Åström & Lischinsky 1995. At rest the bristles are a spring of stiffness σ0;
-once a speed has lasted they bear g. What they hold is σ0 z²/2, what they lose ``F v − σ0 z ż``; that
-is ≥ 0 where σ1 |v| < 4 g.
+Canudas de Wit, Olsson, Åström & Lischinsky 1995. At rest the bristles are a spring of stiffness
+σ0; once a speed has lasted they bear g. What they hold is σ0 z²/2, what they lose ``F v − σ0 z ż``;
+that is ≥ 0 where σ1 |v| < 4 g.
 """
 
 from __future__ import annotations

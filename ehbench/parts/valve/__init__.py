@@ -15,9 +15,9 @@ LAWS = (second_order.LAW, first_order.LAW)
 TABLES = tuple(law.table for law in LAWS)
 SHARE = 0.25  # of its fastest period over 2π, over which a series of elements is integrated
 
-# A valve. ``lowest, highest`` command of its driver [V]; its ``count`` elements stand from ``first``
-# on in the plant's elements; ``output`` is where its opening [V] stands in the state, −1 where the
-# opening is the command.
+# A valve. ``lowest, highest`` command of its driver [V]; its ``count`` elements stand from
+# ``first`` on in the plant's elements; ``output`` is where its opening [V] stands in the state, −1
+# where the opening is the command.
 VALVE_COLUMNS = (
     ("lowest", "f8"),
     ("highest", "f8"),

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from ehbench.fields import FileModel, Value, scalars
@@ -35,8 +34,9 @@ class DynamicsTable(FileModel):
 class ValveElement:
     """One element between a valve's command and its opening; a valve has any number in series.
 
-    Its kernels read the element's row, where ``columns`` are its own (``table.row`` fills them) and its ``states`` stand in
-    the plant's state from ``element.state`` on. ``signal`` [V] is what comes in.
+    Its kernels read the element's row, where ``columns`` are its own (``table.row`` fills
+    them) and its ``states`` stand in the plant's state from ``element.state`` on. ``signal`` [V] is
+    what comes in.
 
     ``rates(element, signal, y, dy)`` writes the rates of its states and gives what goes out [V].
     ``settle(element, value, y)`` puts its states at rest where both are ``value`` [V].

@@ -48,7 +48,7 @@ class SecondOrder(DynamicsTable):
 
     def row(self) -> dict[str, float]:
         """As `DynamicsTable.row`."""
-        return fields(*self.frequency_and_damping())
+        return second_order(*self.frequency_and_damping())
 
     def period(self) -> float:
         """As `DynamicsTable.period`."""
@@ -81,8 +81,8 @@ class SecondOrder(DynamicsTable):
         return SecondOrder.model_construct(None, **(base | dict(new)))
 
 
-def fields(omega: float, zeta: float) -> dict[str, float]:
-    """Fields of an element of natural frequency [rad/s] and damping ratio."""
+def second_order(omega: float, zeta: float) -> dict[str, float]:
+    """Columns of an element of natural frequency [rad/s] and damping ratio."""
     stiffness = omega**2
     return {
         "stiffness": stiffness,
