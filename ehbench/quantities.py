@@ -181,6 +181,14 @@ _ROWS = [
     ),
     Quantity("friction_coulomb", "F_c", "N", "N", "Coulomb friction of the cylinder", 0, 1e7),
     Quantity(
+        "bristle_stiffness", "σ0", "N/m", "N/mm", "stiffness of friction before it slides", 1, 1e12
+    ),
+    Quantity(
+        "bristle_damping", "σ1", "N*s/m", "N*s/m", "damping of friction before it slides", 0, 1e8
+    ),
+    Quantity("opening_rate", "ẋ_v", "V/s", "V/s", "rate of a valve's opening", -1e9, 1e9),
+    Quantity("bristle", "z", "m", "um", "how far the bristles of friction are bent", -1, 1),
+    Quantity(
         "joint_damping",
         "b",
         "N*m*s/rad",
@@ -305,6 +313,7 @@ _ROWS = [
         0,
         1e8,
     ),
+    Quantity("corner", "1/τ", "rad/s", "Hz", "corner frequency of a first-order lag", 1e-3, 1e5),
     Quantity("lag", "τ", "s", "ms", "time constant of a first-order lag", 0, 100),
     Quantity("delay", "T_d", "s", "ms", "time by which a reading is late", 0, 1),
     Quantity(

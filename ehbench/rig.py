@@ -12,20 +12,41 @@ import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, Field, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    Field,
+    field_validator,
+    model_validator,
+)
 
 from ehbench import units
 from ehbench.errors import InputError, UnitError
 from ehbench.fields import SURENESS as SURENESS
-from ehbench.fields import FileModel, Q, Value
+from ehbench.fields import FileModel, Q, Value, one_of, scalars
 from ehbench.fields import read_value as read_value
 from ehbench.notebook import label, plural, shown, table
 from ehbench.parts.edge import LawFields, LawName, edge_law
-from ehbench.parts.valve.second_order import Dynamics
+from ehbench.parts.friction import TABLES as FRICTIONS
+from ehbench.parts.friction.law import FrictionTable
+from ehbench.parts.valve import TABLES as DYNAMICS
+from ehbench.parts.valve.law import DynamicsTable
 from ehbench.quantities import VOCABULARY, Quantity
 
+
+def _of_a_kind(raw: Any) -> Any:
+    """Dynamics that do not say of what kind they are, are of second order."""
+    return {"kind": "second_order"} | dict(raw) if isinstance(raw, Mapping) else raw
+
+
+if TYPE_CHECKING:
+    Friction, Dynamics = FrictionTable, DynamicsTable
+else:
+    Friction = one_of(FRICTIONS, "law")
+    Dynamics = Annotated[one_of(DYNAMICS, "kind"), BeforeValidator(_of_a_kind)]
 NODES = ("supply", "tank", "head", "rod")
 
 
@@ -150,17 +171,26 @@ class Edge(LawFields, MeteringEdge):
 
 
 class Valve(FileModel):
-    """One command, its dynamics (a name in the rig's ``dynamics``, or none: opening follows at
-    once) and its edges.
+    """One command, its dynamics (names in the rig's ``dynamics``, from the command on, or none:
+    opening follows at once) and its edges.
     """
 
     name: Name
     title: str = ""
-    dynamics: str | None = None
+    dynamics: str | tuple[str, ...] | None = None
     command_min: Annotated[Value, Q("command_min")]
     command_max: Annotated[Value, Q("command_max")]
     edge: tuple[Edge, ...] = Field(min_length=1)
     calibration: tuple[tuple[str, str], ...] = ()
+
+    @field_validator("dynamics")
+    @classmethod
+    def _each_once(cls, names: str | tuple[str, ...] | None) -> str | tuple[str, ...] | None:
+        if isinstance(names, tuple) and (at := _second(names)) is not None:
+            raise ValueError(
+                f"'{names[at]}' stands in the series twice; give one a name of its own"
+            )
+        return names
 
     @field_validator("calibration")
     @classmethod
@@ -203,6 +233,20 @@ class Valve(FileModel):
         return self.name if len(self.edge) == 1 else f"{self.name}_{edge.from_}_{edge.to}"
 
     @property
+    def series(self) -> tuple[str, ...]:
+        """The names of its dynamics, from its command to its opening."""
+        one = self.dynamics
+        return one if isinstance(one, tuple) else () if one is None else (one,)
+
+    def with_dynamics(self, instead_of: Sequence[str], name: str) -> Valve:
+        """This valve with the dynamics ``name`` in place of any of others."""
+        new = tuple(name if one in instead_of else one for one in self.series)
+        if new == self.series:
+            return self
+        whole = new[0] if isinstance(self.dynamics, str) else tuple(dict.fromkeys(new))
+        return self.model_copy(update={"dynamics": whole})
+
+    @property
     def rest(self) -> float:
         """The command [V] nearest to zero that the driver takes: the valve at rest."""
         return min(max(0.0, float(self.command_min)), float(self.command_max))
@@ -229,6 +273,7 @@ class Cylinder(FileModel):
     leakage_rod: Annotated[Value, Q("leakage_rod")] = Value(0.0)
     friction_viscous: Annotated[Value, Q("friction_viscous")] = Value(0.0)
     friction_coulomb: Annotated[Value, Q("friction_coulomb")] = Value(0.0)
+    friction: Friction | None = None
     relief_pressure: Annotated[Value, Q("relief_pressure")] | None = None
     valve: tuple[Valve, ...] = Field(min_length=1)
 
@@ -254,6 +299,15 @@ class Cylinder(FileModel):
                 f"but the full stroke displaces {swept * 1e6:.6g} cm^3",
                 "volume_rod",
             )
+        return self
+
+    @model_validator(mode="after")
+    def _friction_fits(self) -> Cylinder:
+        if self.friction is not None:
+            found = self.friction.misfit(float(self.friction_coulomb))
+            if found is not None:
+                key, words = found
+                raise Misplaced(words, "friction", key)
         return self
 
     @model_validator(mode="after")
@@ -383,14 +437,11 @@ class Rig(FileModel):
                     "on a joint a cylinder needs 'pins', on a slide it has none", "cylinder", at
                 )
             for i, valve in enumerate(cylinder.valve):
-                if valve.dynamics is not None and valve.dynamics not in self.dynamics:
-                    there, where = (
-                        ", ".join(self.dynamics) or "none",
-                        ("cylinder", at, "valve", i, "dynamics"),
-                    )
-                    raise Misplaced(
-                        f"there is no [dynamics.{valve.dynamics}]; there are {there}", *where
-                    )
+                for name in valve.series:
+                    if name not in self.dynamics:
+                        there = ", ".join(self.dynamics) or "none"
+                        where = ("cylinder", at, "valve", i, "dynamics")
+                        raise Misplaced(f"there is no [dynamics.{name}]; there are {there}", *where)
         for load, links in self.payload.items():
             for link in links:
                 if link not in joints:
@@ -517,32 +568,22 @@ class Rig(FileModel):
         ``<cylinder>.leakage_internal``, ``<dynamics>.natural_frequency`` (also where the file gives
         s1 and s2), ``<edge>.flow_gain`` and so on."""
         found: dict[str, Value] = {"gravity": self.gravity}
-        found |= {name: value for name, value in _scalars(self.oil)}
-        found |= {f"supply.{name}": value for name, value in _scalars(self.supply)}
+        found |= {name: value for name, value in scalars(self.oil)}
+        found |= {f"supply.{name}": value for name, value in scalars(self.supply)}
         bodies = (
             [self.mechanism] if isinstance(self.mechanism, Slide) else list(self.mechanism.joint)
         )
         for body in bodies:
-            found |= {f"{body.name}.{name}": value for name, value in _scalars(body)}
+            found |= {f"{body.name}.{name}": value for name, value in scalars(body)}
         for cylinder in self.cylinder:
-            found |= {f"{cylinder.name}.{name}": value for name, value in _scalars(cylinder)}
-            if cylinder.pins is not None:
-                found |= {
-                    f"{cylinder.name}.{name}": value for name, value in _scalars(cylinder.pins)
-                }
+            for model in (cylinder, *_tables(cylinder).values()):
+                found |= {f"{cylinder.name}.{name}": value for name, value in scalars(model)}
         for name, dynamics in self.dynamics.items():
-            found |= {f"{name}.{key}": value for key, value in _scalars(dynamics)}
-            if dynamics.s1 is not None and dynamics.s2 is not None:
-                omega, zeta = dynamics.frequency_and_damping()
-                for key, value, given in (
-                    ("natural_frequency", omega, dynamics.s2),
-                    ("damping_ratio", zeta, dynamics.s1),
-                ):
-                    found[f"{name}.{key}"] = Value(value, sure=given.sure, source=given.source)
+            found |= {f"{name}.{key}": value for key, value in dynamics.parameters().items()}
         for cylinder, valve, edge in self.edges():
             found |= {
                 f"{cylinder.name}.{valve.edge_name(edge)}.{name}": value
-                for name, value in _scalars(edge)
+                for name, value in scalars(edge)
             }
         return found
 
@@ -584,7 +625,8 @@ class Rig(FileModel):
                 "mechanism": mechanism,
                 "cylinder": tuple(_cylinder_with(c, new) for c in self.cylinder),
                 "dynamics": {
-                    name: _dynamics_with(name, model, new) for name, model in self.dynamics.items()
+                    name: model.with_values(_below(f"{name}.", new))
+                    for name, model in self.dynamics.items()
                 },
             }
         )
@@ -613,41 +655,27 @@ def _replaced(model: Any, prefix: str, new: Mapping[str, Value]) -> Any:
     return model.model_copy(update=update) if update else model
 
 
-def _dynamics_with(name: str, model: Dynamics, new: Mapping[str, Value]) -> Dynamics:
-    """Valve dynamics with new values; those by s1 and s2 turn into ω_n and ζ where one is given."""
-    wanted = {k: new[f"{name}.{k}"] for k in Dynamics.model_fields if f"{name}.{k}" in new}
-    if not wanted:
-        return model
-    if model.natural_frequency is not None or {"s1", "s2"} & set(wanted):
-        return model.model_copy(update=wanted)
-    omega, zeta = model.frequency_and_damping()
-    base: dict[str, Any] = {
-        "s1": None,
-        "s2": None,
-        "natural_frequency": Value(omega),
-        "damping_ratio": Value(zeta),
-        "note": model.note,
-    }
-    return Dynamics.model_construct(None, **(base | wanted))
+def _below(prefix: str, new: Mapping[str, Value]) -> dict[str, Value]:
+    """The values whose names begin with ``prefix``, by the rest of their names."""
+    return {name[len(prefix) :]: value for name, value in new.items() if name.startswith(prefix)}
 
 
 def _cylinder_with(model: Cylinder, new: Mapping[str, Value]) -> Cylinder:
-    """A cylinder with new values of its own, its pins and its edges."""
+    """A cylinder with new values of its own, of its tables and its edges."""
     prefix = f"{model.name}."
     valves = []
     for valve in model.valve:
         edges = (_replaced(e, f"{prefix}{valve.edge_name(e)}.", new) for e in valve.edge)
         valves.append(valve.model_copy(update={"edge": tuple(edges)}))
-    pins = None if model.pins is None else _replaced(model.pins, prefix, new)
+    tables = {key: _replaced(part, prefix, new) for key, part in _tables(model).items()}
     whole = _replaced(model, prefix, new)
-    return whole.model_copy(update={"pins": pins, "valve": tuple(valves)})
+    return whole.model_copy(update=tables | {"valve": tuple(valves)})
 
 
-def _scalars(model: BaseModel) -> Iterator[tuple[str, Value]]:
-    for name in type(model).model_fields:
-        value = getattr(model, name)
-        if isinstance(value, Value) and not isinstance(value.value, tuple):
-            yield name, value
+def _tables(model: BaseModel) -> dict[str, FileModel]:
+    """The tables that a part of the rig has beside its own values."""
+    own = {name: getattr(model, name) for name in type(model).model_fields}
+    return {name: part for name, part in own.items() if isinstance(part, FileModel)}
 
 
 def parameter_row(name: str) -> Quantity:

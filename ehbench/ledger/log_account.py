@@ -17,7 +17,7 @@ from ehbench.parts.edge import MAP
 from ehbench.parts.nodes import TANK
 from ehbench.plant.build import Maps, map_of
 from ehbench.plant.model import Model
-from ehbench.plant.valves import follow_valves, opening_of
+from ehbench.plant.valves import follow_friction, follow_valves, opening_of
 from ehbench.record import Record
 from ehbench.rig import Rig
 
@@ -73,6 +73,7 @@ class Account:
             m.p,
         )
         follow_valves(m.t, m.commands, model.plant, False, states)
+        follow_friction(m.t, model.plant, states)
         states[:, model.plant.at.supply] = m.p_supply
         return states
 

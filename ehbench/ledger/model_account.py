@@ -20,7 +20,8 @@ ROUNDING = 1.0e-12  # smaller than any reading
 def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
     """(states, shape (samples, states); commands [V], shape (samples, valves)) of a model's record.
 
-    The rates of the openings, which a record has not, follow from the openings and the commands.
+    The rates of the openings, which a record has not where a valve has one element, follow from the
+    openings and the commands.
 
     Raises:
         LogError: a channel of the model is missing.
@@ -41,6 +42,10 @@ def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
         if valve.output >= 0:
             states[:, valve.output] = record[f"{name}.opening"]
     follow_valves(np.ascontiguousarray(record.t), commands, plant, True, states)
+    for channel, at in names.inner_states:
+        states[:, at] = record[channel]
+    for index, key in names.friction_states:
+        states[:, names.state(key, index)] = record[f"{names.cylinders[index]}.{key}"]
     states[:, plant.at.supply] = record["p_supply"]
     return states, commands
 

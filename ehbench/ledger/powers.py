@@ -20,7 +20,7 @@ from ehbench.parts.cylinder import (
     relief_out,
 )
 from ehbench.parts.end_stop import stop_held, stop_loss
-from ehbench.parts.friction import friction_force
+from ehbench.parts.friction import friction_held, friction_loss
 from ehbench.parts.nodes import SUPPLY, TANK, node_bulk_modulus, node_pressure
 from ehbench.physics import arm
 
@@ -51,7 +51,8 @@ class CylinderStores(NamedTuple):
 # powers: the pump's, its share for compression, one per edge, those of each cylinder, one per joint
 PUMP, COMPRESSION, FIRST_EDGE = 0, 1, 2
 OF, PER_CYLINDER = CylinderPowers(), len(CylinderPowers())
-# what is stored: in the supply line, in the mechanism, in each cylinder
+# what is stored: in the supply line, in the mechanism, in each cylinder, then in the friction of
+# each whose law has states
 SUPPLY_LINE, KINETIC, POTENTIAL, FIRST_CYLINDER = 0, 1, 2, 3
 STORED, STORES = CylinderStores(), len(CylinderStores())
 
@@ -73,9 +74,9 @@ def powers_of(edges: int, cylinders: int, joints: int) -> int:
     return int(power_at(edges, cylinders, 0)) + joints
 
 
-def stores_of(cylinders: int) -> int:
+def stores_of(cylinders: int, frictions: int) -> int:
     """How many columns of what is stored there are."""
-    return int(store_at(cylinders, 0))
+    return int(store_at(cylinders, frictions))
 
 
 @kernel
@@ -180,7 +181,7 @@ def _cylinder(c, y, flows, plant, at, out):
         out[at + OF.return_line] += (p_tank + u_tank) * to_tank
         out[at + OF.expansion] += (u - u_tank) * to_tank
         out[at + OF.work] += p * area * v
-    out[at + OF.friction] = friction_force(row, v, y) * v
+    out[at + OF.friction] = friction_loss(row, v, y)
     out[at + OF.end_stop] = stop_loss(row, x, v)
 
 
@@ -203,3 +204,8 @@ def stores(y, plant, work, out):
             _, held = _node(chamber_of(row, side)[0], y, plant)
             out[store_at(c, STORED.head + side)] = chamber_oil(row, side, x) * held
         out[store_at(c, STORED.stop)] = stop_held(row, x)
+    at = store_at(plant.cylinders.shape[0], 0)
+    for c in range(plant.cylinders.shape[0]):
+        if plant.cylinders[c].friction_state >= 0:
+            out[at] = friction_held(plant.cylinders[c], y)
+            at += 1

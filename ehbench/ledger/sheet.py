@@ -32,7 +32,8 @@ CYLINDER_ROWS = (
     ("loss", "end stops"),
 )
 STORE_LABELS = ("oil of the head end", "oil of the rod end", "spring of the end stops")
-MECHANICAL = ("friction", "end_stop", "stop", "damping")  # rows that the piston's work pays
+# rows that the piston's work pays
+MECHANICAL = ("friction", "friction_spring", "end_stop", "stop", "damping")
 
 
 class Sheet:
@@ -54,7 +55,7 @@ class Sheet:
         )
         cylinders = len(names.cylinders)
         self.powers = powers_of(len(names.edges), cylinders, len(names.joints))
-        self.stores = stores_of(cylinders)
+        self.stores = stores_of(cylinders, len(_springy(model)))
         self.cylinders, self.word = names.cylinders, word
         self.rows = _power_rows(model) + _store_rows(model)
         parts = _parts(self.rows, names.cylinders, word)
@@ -165,7 +166,16 @@ def _store_rows(model: Model) -> list[Named]:
             (f"{name}.{key}", "store", label, name)
             for key, label in zip(CylinderStores._fields, STORE_LABELS, strict=True)
         ]
-    return rows
+    return rows + [
+        (f"{name}.friction_spring", "store", "spring of the friction", name)
+        for name in _springy(model)
+    ]
+
+
+def _springy(model: Model) -> list[str]:
+    """The cylinders whose friction has states."""
+    names = model.layout
+    return list(dict.fromkeys(names.cylinders[c] for c, _ in names.friction_states))
 
 
 def _parts(rows: list[Named], cylinders: Sequence[str], word: str) -> list[Part]:

@@ -24,7 +24,6 @@ from ehbench.errors import InputError, SimulationError
 from ehbench.machines.protocol import Advance, Inputs, Posture
 from ehbench.machines.rows import LawRows, Rows, control, violated
 from ehbench.parts.cylinder import (
-    CYLINDER_COLUMNS,
     RELIEF_GAIN,
     chamber_inflow,
     chamber_of,
@@ -37,7 +36,7 @@ from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
 from ehbench.parts.sample import OF, entry, line_entry, sample_channels
 from ehbench.parts.supply import pump_flow
 from ehbench.parts.valve import VALVE_COLUMNS, limited, valve_rates, valve_settle
-from ehbench.parts.valve.second_order import second_order
+from ehbench.parts.valve.second_order import SecondOrder, second_order
 from ehbench.physics.cylinder import chamber_rate, relief_flow
 from ehbench.physics.friction import stribeck
 from ehbench.plant.build import Maps
@@ -59,9 +58,6 @@ RAW = (OF.q, OF.x, OF.p_head, OF.p_rod)  # a cylinder's raw channels
 _RAW, _RAW_LINES, _FILTER = len(RAW), 2, 3
 
 # Wider rows begin with the columns of their own: numba would else take one for the other.
-# A cylinder: its friction at break-away [N], the speed [m/s] over which that falls to Coulomb's,
-# the model's columns.
-BENCH_CYLINDER = record(("friction_static", "f8"), ("stribeck_speed", "f8"), *CYLINDER_COLUMNS)
 # A valve: ``gain`` and ``offset`` [V] of its driver, its ``hysteresis`` [V], the model's columns.
 BENCH_VALVE = record(("gain", "f8"), ("offset", "f8"), ("hysteresis", "f8"), *VALVE_COLUMNS)
 # An edge: its nodes, its valve and sign, its leakage at null [m³/(s·Pa)] over ``null_width`` [V],
@@ -906,7 +902,7 @@ def _copied(rows: np.recarray, columns: np.dtype) -> np.recarray:
 
 def _bench_cylinders(of: _Seeded) -> np.recarray:
     recipe, p_supply = of.recipe, of.p_supply
-    cylinders = _copied(of.model.plant.cylinders, BENCH_CYLINDER)
+    cylinders = of.model.plant.cylinders.copy()
     names, items = of.model.layout.cylinders, of.model.rig.cylinder
     for name, item, row in zip(names, items, cylinders, strict=True):
         given = _Given(recipe.cylinder, name)
@@ -917,9 +913,11 @@ def _bench_cylinders(of: _Seeded) -> np.recarray:
         )
         plain, damper = float(item.friction_coulomb), float(item.friction_viscous)
         row.friction_coulomb = given("friction_coulomb", plain or coulomb * force)
-        row.friction_static = given("friction_static", static * row.friction_coulomb)
+        row.friction_static = given(
+            "friction_static", row.friction_static or static * row.friction_coulomb
+        )
         row.friction_viscous = given("friction_viscous", damper or viscous * force)
-        row.stribeck_speed = given("stribeck_speed", speed)
+        row.stribeck_speed = given("stribeck_speed", row.stribeck_speed or speed)
         if row.friction_static < row.friction_coulomb:
             where = recipe.at("cylinder", name)
             raise InputError(
@@ -970,12 +968,16 @@ def _valves(
             gain, offset = _tune(valve, own, curves, drop, row.hysteresis)
             offset /= full
         row.gain, row.offset = given("driver_gain", gain), given("driver_offset", offset * full)
-        if valve.dynamics is not None:
-            omega, zeta = rig.dynamics[valve.dynamics].frequency_and_damping()
+        series = [one for one in of.model.layout.elements if one.valve == index]
+        for at, one in enumerate(series, int(row.first)):
+            dynamics = rig.dynamics[one.dynamics]
+            if not isinstance(dynamics, SecondOrder):
+                continue
+            omega, zeta = dynamics.frequency_and_damping()
             omega = given("natural_frequency", faster * omega)
             zeta = given("damping_ratio", damper * zeta)
             for key, value in second_order(omega, zeta).items():
-                elements[row.first][key] = value
+                elements[at][key] = value
     return valves, elements
 
 

@@ -28,7 +28,8 @@ RELIEF_GAIN = 1.0e-9  # [m³/(s·Pa)]: 30 L/min over 5 bar
 # C_tm, C_em1, C_em2 [m³/(s·Pa)]; ``relief_pressure`` [Pa], inf for none; ``cavitation_pressure``
 # [Pa], −inf for none; ``stop_stiffness`` [N/m]; ``mobility`` [1/kg], the largest acceleration per
 # force on it; the number of its law of ``friction``, where that law's states stand
-# (``friction_state``), and the columns of the laws, as the rig file has them.
+# (``friction_states`` of them from ``friction_state`` on, −1), and the columns of the laws, as the
+# rig file has them.
 CYLINDER_COLUMNS = (
     ("joint", "i8"),
     ("geometry", "i8"),
@@ -54,6 +55,7 @@ CYLINDER_COLUMNS = (
     ("node_rod", "i8"),
     ("friction", "i8"),
     ("friction_state", "i8"),
+    ("friction_states", "i8"),
     *FRICTION,
 )
 CYLINDER = record(*CYLINDER_COLUMNS)

@@ -149,6 +149,8 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
                 "node_head": names.node(index, "head"),
                 "node_rod": names.node(index, "rod"),
                 "friction": names.frictions[index],
+                "friction_state": names.friction_state(index),
+                "friction_states": len(friction.LAWS[names.frictions[index]].states),
             }
         )
     return table_of(rows, CYLINDER)
@@ -198,11 +200,10 @@ def _valves(rig: Rig, names: Layout) -> tuple[np.recarray, np.recarray]:
     rows, elements = [], []
     for index, (_, item) in enumerate(rig.valves()):
         first, output = len(elements), -1
-        for law in (law for valve, law in names.elements if valve == index):
-            output = names.state("opening", index)
-            states = len(valves.LAWS[law].states)
-            place = {"law": law, "state": output, "states": states}
-            elements.append(place | valves.LAWS[law].pack(rig.dynamics[item.dynamics]))
+        for one in (one for one in names.elements if one.valve == index):
+            output, states = one.state, len(valves.LAWS[one.law].states)
+            place = {"law": one.law, "state": output, "states": states}
+            elements.append(place | rig.dynamics[one.dynamics].row())
         ends = {"lowest": float(item.command_min), "highest": float(item.command_max)}
         count = len(elements) - first
         rows.append(ends | {"first": first, "count": count, "output": output})

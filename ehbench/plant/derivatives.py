@@ -13,7 +13,7 @@ from ehbench.parts.cylinder import (
 )
 from ehbench.parts.edge import edge_flow
 from ehbench.parts.end_stop import stop_force, stop_rate
-from ehbench.parts.friction import friction_force, friction_rates, friction_steepness
+from ehbench.parts.friction import friction_fastest, friction_force, friction_rates
 from ehbench.parts.nodes import SUPPLY, node_pressure
 from ehbench.parts.supply import pump_flow
 from ehbench.parts.valve import limited, valve_finish, valve_rates
@@ -79,7 +79,7 @@ def _cylinders(y, plant, dy, work):
             force += p * area
         force -= friction_force(row, v, y)
         friction_rates(row, v, y, dy)
-        fastest = max(fastest, row.mobility * friction_steepness(row, v))
+        fastest = max(fastest, friction_fastest(row, v))
         if x < 0.0 or x > row.stroke:
             force += stop_force(row, x, v)
             fastest = max(fastest, stop_rate(row))

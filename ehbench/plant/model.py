@@ -207,11 +207,15 @@ class Model:
             channels[f"{name}.x"], channels[f"{name}.v"] = x, lever * log[:, n + joint]
             for key in (f"p_{side}" for side in SIDES):
                 channels[f"{name}.{key}"] = log[:, names.state(key, index)]
+        for index, key in names.friction_states:
+            channels[f"{names.cylinders[index]}.{key}"] = log[:, names.state(key, index)]
         for index, valve in enumerate(names.valves):
             channels[f"{valve}.command"] = commands[:, index]
         for index, valve in enumerate(names.valves):
             output = plant.valves[index].output
             channels[f"{valve}.opening"] = commands[:, index] if output < 0 else log[:, output]
+        for channel, at in names.inner_states:
+            channels[channel] = log[:, at]
         for index, edge in enumerate(names.edges):
             channels[f"{edge}.flow"] = log[:, names.states + index]
         channels["p_supply"] = log[:, plant.at.supply]
