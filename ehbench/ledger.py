@@ -1038,8 +1038,7 @@ def _flow_std(
     share = accuracy.flow * np.abs(flow)
     row = plant.edges[e]
     if row.law != MAP:
-        gain = edge.flow_gain if edge.law == "orifice" else edge.compensated_gain
-        if gain is not None and gain.std:
+        if edge.gain is not None and edge.gain.std:
             return np.zeros_like(flow), []
         said = f"the law of {name} states no error: its flow is taken to be good to {100 * accuracy.flow:g} %"
         return share * np.sign(flow), [said]

@@ -242,6 +242,18 @@ _ROWS = [
         1e8,
     ),
     Quantity("deadband", "u0", "V", "V", "command below which a valve stays shut", 0, 100),
+    Quantity(
+        "opening_max", "u_s", "V", "V", "opening beyond which an edge passes nothing more", 0, 100
+    ),
+    Quantity(
+        "saturation_softness",
+        "w_s",
+        "V",
+        "V",
+        "half the travel over which an edge's saturation rounds off",
+        0,
+        100,
+    ),
     Quantity("command_min", "u_min", "V", "V", "lowest command the driver takes", -100, 100),
     Quantity("command_max", "u_max", "V", "V", "highest command the driver takes", -100, 100),
     Quantity("rated_flow", "Q_r", "m^3/s", "gpm", "rated flow", 0, 1),

@@ -152,7 +152,8 @@ class Dynamics(FileModel):
 class Edge(FileModel):
     """One metering edge: flow from ``from`` to ``to`` when upstream pressure is higher.
 
-    law ``orifice``: Q = flow_gain·(opening − deadband)·√Δp. law ``compensated``: Q =
+    law ``orifice``: Q = flow_gain·(opening − deadband)·√Δp. law ``saturating``: as orifice, but
+    nothing more beyond ``opening_max``. law ``compensated``: Q =
     compensated_gain·(opening − deadband), reached over ``compensation_drop``. law ``map``: a
     measured flow map, from the recipe's ``flow_maps`` or the run behind the rig; where one is given
     it goes before the other laws, too. ``sign`` −1 opens the edge on negative commands. ``reverse``
@@ -161,22 +162,47 @@ class Edge(FileModel):
     name: Name | None = None
     from_: Literal["supply", "tank", "head", "rod"] = Field(alias="from")
     to: Literal["supply", "tank", "head", "rod"]
-    law: Literal["orifice", "compensated", "map"]
+    law: Literal["orifice", "compensated", "map", "saturating"]
     sign: Literal[1, -1] = 1
     reverse: Literal["mirror", "blocked"] = "mirror"
     deadband: Annotated[Value, Q("deadband")] = Value(0.0)
     flow_gain: Annotated[Value, Q("flow_gain")] | None = None
     compensated_gain: Annotated[Value, Q("compensated_gain")] | None = None
     compensation_drop: Annotated[Value, Q("compensation_drop")] = Value(2.0e5)
+    opening_max: Annotated[Value, Q("opening_max")] | None = None
+    saturation_softness: Annotated[Value, Q("saturation_softness")] | None = None
 
     @model_validator(mode="after")
     def _law_is_whole(self) -> Edge:
         if self.from_ == self.to:
             raise ValueError(f"an edge joins two different nodes, not {self.to} with itself")
-        need = {"orifice": "flow_gain", "compensated": "compensated_gain"}.get(self.law)
-        if need is not None and getattr(self, need) is None:
-            raise ValueError(f"law '{self.law}' needs '{need}'")
+        needs = {
+            "orifice": ("flow_gain",),
+            "compensated": ("compensated_gain",),
+            "saturating": ("flow_gain", "opening_max"),
+        }
+        for need in needs.get(self.law, ()):
+            if getattr(self, need) is None:
+                raise ValueError(f"law '{self.law}' needs '{need}'")
+        if self.law == "saturating":
+            self._saturates_beyond_its_deadband()
         return self
+
+    def _saturates_beyond_its_deadband(self) -> None:
+        wide = float(self.opening_max) - float(self.deadband)  # type: ignore[arg-type]
+        if wide <= 0.0:
+            raise Misplaced("opening_max must lie above deadband", "opening_max")
+        if float(self.saturation_softness or 0.0) > wide:
+            raise Misplaced(
+                f"saturation_softness must not exceed opening_max − deadband, {wide:g} V",
+                "saturation_softness",
+            )
+
+    @property
+    def gain(self) -> Value | None:
+        """The gain of its law."""
+        by_area = self.law in ("orifice", "saturating")
+        return self.flow_gain if by_area else self.compensated_gain
 
 
 class Valve(FileModel):

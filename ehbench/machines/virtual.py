@@ -571,9 +571,10 @@ def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) ->
     dead = float(edge.deadband)
     row.onset = given("onset", onset * dead if dead > 0 else 0.1 * soft * full)
     row.softness = given("softness", soft * full if compensated else 0.3 * soft * full)
-    row.saturation = (
-        given("saturation", sat * full if compensated else 1.6 * sat * full) or math.inf
-    )
+    usual = sat * full if compensated else 1.6 * sat * full
+    if edge.opening_max is not None:
+        usual = float(edge.opening_max) - dead
+    row.saturation = given("saturation", usual) or math.inf
     gain = float(edge.compensated_gain if compensated else edge.flow_gain) * given(
         "gain_factor", factor
     )

@@ -253,12 +253,13 @@ def map_of(maps: Maps | None, edge: str) -> ValveMaps | None:
 
 def _law(edge: Edge, given: ValveMaps | None, packed: list[FlowMap]) -> dict[str, Any]:
     """Fields of an edge's law; its maps go to ``packed``, their numbers there into the row."""
-    gain = edge.flow_gain if edge.law == "orifice" else edge.compensated_gain
     row = {
         "law": edges.MAP if given is not None else edges.BY_NAME[edge.law],
-        "gain": 0.0 if gain is None else float(gain),
+        "gain": 0.0 if edge.gain is None else float(edge.gain),
         "deadband": float(edge.deadband),
         "compensation_drop": float(edge.compensation_drop),
+        "opening_max": math.inf if edge.opening_max is None else float(edge.opening_max),
+        "saturation_softness": float(edge.saturation_softness or 0.0),
         "forward": -1,
         "reverse": -1,
     }

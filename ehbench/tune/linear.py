@@ -392,9 +392,9 @@ def _path(
         2 * du
     )
     most, sign = widest(circuit, edge, circuit.along[path] * drop), circuit.edges[edge].sign
-    reachable = sign * command <= sign * most * (1 + 1e-9) and _flow(
-        circuit, path, drop, command
-    ) >= flow * (1 - 1e-6)
+    passes = _flow(circuit, path, drop, command) >= flow * (1 - 1e-6)
+    saturated = gain == 0.0 and flow > 0.0
+    reachable = passes and not saturated and sign * command <= sign * most * (1 + 1e-9)
     return Path(
         int(path),
         names[edge],

@@ -299,3 +299,34 @@ def trial(folder: Path, rig: str, valve: str, more: str = ""):
         np.isfinite(values).all() for values in record.channels.values()
     )
     return record
+
+
+SATURATING = EDGE.replace('"orifice"', '"saturating"')
+
+
+# parts that a rig may have: text put in place of another, the sentence, where
+@pytest.mark.parametrize(
+    ("old", "new", "words", "line"),
+    padded(
+        (EDGE, SATURATING, "law 'saturating' needs 'opening_max'", "edge = ["),
+        (
+            EDGE,
+            SATURATING.replace(" }", ', deadband = "1 V", opening_max = "0.5 V" }'),
+            "opening_max must lie above deadband",
+            "edge = [",
+        ),
+        (
+            EDGE,
+            SATURATING.replace(" }", ', opening_max = "2 V", saturation_softness = "3 V" }'),
+            "saturation_softness must not exceed opening_max − deadband, 2 V",
+            "edge = [",
+        ),
+    ),
+)
+def test_a_nonsense_part_is_refused_in_one_sentence(tmp_path, old, new, words, line):
+    assert old in CRANE
+    text = CRANE.replace(old, new, 1)
+    error = refused(tmp_path, text)
+    assert words in error.message and "\n" not in error.message, error.message
+    at = text[: text.index(line or new)].count("\n") + 1
+    assert at <= error.line <= at + new.count("\n"), (error.line, at)

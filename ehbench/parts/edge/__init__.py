@@ -7,17 +7,17 @@ To add a law: write its file after ``orifice.py`` and name it in LAWS.
 from __future__ import annotations
 
 from ehbench.compiled import choice, part_kernel, record
-from ehbench.parts.edge import compensated, measured, orifice
+from ehbench.parts.edge import compensated, measured, orifice, saturating
 
-LAWS = (orifice.LAW, compensated.LAW, measured.LAW)
-ORIFICE, COMPENSATED, MAP = range(3)
+LAWS = (orifice.LAW, compensated.LAW, measured.LAW, saturating.LAW)
 BY_NAME = {law.name: number for number, law in enumerate(LAWS)}
+ORIFICE, COMPENSATED, MAP = (BY_NAME[name] for name in ("orifice", "compensated", "map"))
 
 # An edge. ``from_node, to_node`` it joins, flow positive from → to; the number of its ``valve``;
 # ``sign`` ±1 of the commands that open it; ``law`` its number in LAWS; ``blocked`` 1 where nothing
 # passes against its direction; then the columns of the laws: ``gain`` [m³/(s·V·√Pa)] of an orifice,
 # [m³/(s·V)] of a compensated edge, ``deadband`` [V], ``compensation_drop`` [Pa], where the
-# ``forward`` and the ``reverse`` map begin (−1: none).
+# ``forward`` and the ``reverse`` map begin (−1: none), ``opening_max, saturation_softness`` [V].
 EDGE = record(
     ("from_node", "i8"),
     ("to_node", "i8"),

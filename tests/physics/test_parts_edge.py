@@ -1,0 +1,122 @@
+"""Edge laws against their closed forms, what they do to a linear model, and what logs tell of them."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.identification.hydraulics import identify_hydraulics
+from ehbench.parts.edge import edge_command, edge_flow, edge_known
+from ehbench.plant.model import Model, simulate
+from ehbench.recipe import load_rig
+from ehbench.record import Record
+from ehbench.rig import Edge, Rig, Value
+from ehbench.tune.linear import circuit_of, equivalent, operating_point
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+NOISE = {"v": 1e-3, "qd": 1e-3, "p_head": 6e3, "p_rod": 6e3, "x": 1e-5, "q": 1e-5, "p_supply": 6e3}
+DROPS = (1e2, 1e4, 3e5, 2e6, 1.9e6, 2.1e6, 1.2e7)
+
+
+def with_law(name: str = "slide_servo", **update) -> Rig:
+    """A shipped rig with every edge on another law; numbers in SI."""
+    rig = load_rig(RIGS / f"{name}.toml")
+    given = {k: v if isinstance(v, str) else Value(v) for k, v in update.items()}
+
+    def changed(edge: Edge) -> Edge:
+        return Edge.model_validate(
+            {"from": edge.from_, "to": edge.to, "sign": edge.sign, "flow_gain": edge.flow_gain}
+            | given
+        )
+
+    def cylinder(c):
+        valves = tuple(
+            v.model_copy(update={"edge": tuple(changed(e) for e in v.edge)}) for v in c.valve
+        )
+        return c.model_copy(update={"valve": valves})
+
+    return rig.model_copy(update={"cylinder": tuple(cylinder(c) for c in rig.cylinder)})
+
+
+def noisy(record: Record, seed: int) -> Record:
+    """What sensors would say of a simulated log."""
+    rng, channels = np.random.default_rng(seed), {}
+    for name, values in record.channels.items():
+        word = name.rsplit(".", 1)[-1]
+        if word not in ("flow", "opening", "flow_supply"):
+            size = NOISE.get(word, 0.0)
+            channels[name] = values + size * rng.standard_normal(values.size)
+    return Record(record.t, channels, record.meta)
+
+
+def steps(levels, hold: int = 150) -> np.ndarray:
+    return np.concatenate([np.zeros(60), np.repeat(levels, hold), np.zeros(60)])
+
+
+# --- an edge that saturates
+
+
+@pytest.mark.parametrize("soft", [0.0, 0.6])
+def test_a_saturating_edge_is_an_orifice_of_limited_opening(soft):
+    """Orifice up to the corner, its area at ``opening_max`` beyond; the inverse is exact below."""
+    plain = Model.of(with_law(law="orifice", deadband=0.5)).plant
+    plant = Model.of(
+        with_law(law="saturating", deadband=0.5, opening_max=4.0, saturation_softness=soft)
+    ).plant
+    for edge, whole in zip(plant.edges[:2], plain.edges[:2], strict=True):
+        for drop in (*DROPS, *(-d for d in DROPS)):
+            for u in (0.2, 0.7, 2.0, 3.39, 3.7, 4.0, 4.3, 4.59):
+                flow, open_ = edge_flow(drop, u, edge, plant.maps), (u - 4.0) / (soft or 1.0)
+                if u <= 4.0 - soft:
+                    assert flow == edge_flow(drop, u, whole, plain.maps)
+                elif open_ < 1.0 and soft:
+                    assert 0.0 < flow / edge_flow(drop, u, whole, plain.maps) < 1.0
+                if 0.5 < u < 4.0 + soft:
+                    back = edge_command(drop, flow, edge, plant.maps)
+                    assert back == pytest.approx(u, rel=1e-7)
+            full = edge_flow(drop, 4.0, whole, plain.maps)
+            for u in (4.0 + soft, 7.0, 10.0):
+                assert edge_flow(drop, u, edge, plant.maps) == pytest.approx(full, rel=1e-14)
+            assert edge_command(drop, 2.0 * full, edge, plant.maps) == 4.0 + soft
+            assert edge_known(drop, edge, plant.maps) == 4.0 + soft
+
+
+def test_a_controller_takes_a_saturating_edge_no_faster_than_it_goes():
+    """Full speed of the design is that of the full opening: with one of 4 V of 10, 0.4 times."""
+    speeds = {}
+    for law, more in (("orifice", {}), ("saturating", {"opening_max": 4.0})):
+        model = Model.of(with_law(law=law, **more))
+        circuit = circuit_of(model, 0)
+        here = equivalent(model, 0, np.array([0.2]))
+        point = operating_point(
+            model, circuit, 1, here, 0, share=1.0, low_pressure=5e5, cross_drop=5e5
+        )
+        assert point.possible and all(path.gain > 0.0 for path in point.paths)
+        speeds[law] = point.v
+    pump = 60e-3 / 60 / (math.pi / 4 * 0.05**2)  # what the orifice's own limit is
+    assert speeds["orifice"] <= pump * (1 + 1e-9)
+    assert speeds["saturating"] < 0.7 * speeds["orifice"]
+
+
+def test_a_saturation_comes_back_from_noisy_logs():
+    """``opening_max`` and ``flow_gain`` of one edge, started 1.8 and 0.6 times off."""
+    rig = with_law(law="saturating", opening_max=3.0, saturation_softness=0.4)
+    levels = [1.0, 2.0, 5.0, -2.0, -6.0, 3.5, -3.0]
+    logs = [
+        (
+            f"log {i}",
+            noisy(simulate(rig, {"press.servo": steps(sign * np.array(levels))}, 1.169), i),
+        )
+        for i, sign in enumerate((0.9, 1.1))
+    ]
+    names = [f"press.servo_supply_head.{key}" for key in ("opening_max", "flow_gain")]
+    truth = {name: float(rig.parameters()[name]) for name in names}
+    begin = dict(zip(names, (1.8 * truth[names[0]], 0.6 * truth[names[1]]), strict=True))
+    fit = identify_hydraulics(rig, logs, names, start=begin)
+    for name in names:
+        low, high = fit[name].interval
+        assert fit[name].status == "estimated" and low <= truth[name] <= high, fit[name]
+        assert fit[name].std < 0.05 * truth[name]
