@@ -154,7 +154,8 @@ class Edge(FileModel):
 
     law ``orifice``: Q = flow_gain·(opening − deadband)·√Δp. law ``saturating``: as orifice, but
     nothing more beyond ``opening_max``. law ``compensated``: Q =
-    compensated_gain·(opening − deadband), reached over ``compensation_drop``. law ``map``: a
+    compensated_gain·(opening − deadband), reached over ``compensation_drop``. law ``flow_control``:
+    the same, and flat above ``compensation_drop``. law ``map``: a
     measured flow map, from the recipe's ``flow_maps`` or the run behind the rig; where one is given
     it goes before the other laws, too. ``sign`` −1 opens the edge on negative commands. ``reverse``
     says what a reversed drop does: ``mirror`` or ``blocked``."""
@@ -162,7 +163,7 @@ class Edge(FileModel):
     name: Name | None = None
     from_: Literal["supply", "tank", "head", "rod"] = Field(alias="from")
     to: Literal["supply", "tank", "head", "rod"]
-    law: Literal["orifice", "compensated", "map", "saturating"]
+    law: Literal["orifice", "compensated", "map", "saturating", "flow_control"]
     sign: Literal[1, -1] = 1
     reverse: Literal["mirror", "blocked"] = "mirror"
     deadband: Annotated[Value, Q("deadband")] = Value(0.0)
@@ -180,6 +181,7 @@ class Edge(FileModel):
             "orifice": ("flow_gain",),
             "compensated": ("compensated_gain",),
             "saturating": ("flow_gain", "opening_max"),
+            "flow_control": ("compensated_gain",),
         }
         for need in needs.get(self.law, ()):
             if getattr(self, need) is None:

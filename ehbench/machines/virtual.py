@@ -561,7 +561,7 @@ def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) ->
     leaves the others.
     """
     full = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
-    compensated = edge.law == "compensated"
+    compensated = edge.law in ("compensated", "flow_control")
     low, high = (
         np.array([0.85, 0.03, 0.9, 0.97, 1.4, 1.2, 0.10]),
         np.array([1.1, 0.06, 1.4, 1.03, 2.0, 1.8, 0.18]),

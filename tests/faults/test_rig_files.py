@@ -308,6 +308,12 @@ SATURATING = EDGE.replace('"orifice"', '"saturating"')
 @pytest.mark.parametrize(
     ("old", "new", "words", "line"),
     padded(
+        (
+            EDGE,
+            EDGE.replace('"orifice"', '"flow_control"'),
+            "law 'flow_control' needs 'compensated_gain'",
+            "edge = [",
+        ),
         (EDGE, SATURATING, "law 'saturating' needs 'opening_max'", "edge = ["),
         (
             EDGE,

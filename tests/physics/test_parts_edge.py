@@ -14,10 +14,17 @@ from ehbench.plant.model import Model, simulate
 from ehbench.recipe import load_rig
 from ehbench.record import Record
 from ehbench.rig import Edge, Rig, Value
-from ehbench.tune.linear import circuit_of, equivalent, operating_point
+from ehbench.tune.linear import (
+    circuit_of,
+    damping_ratio,
+    equivalent,
+    operating_point,
+    plant_model,
+)
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 NOISE = {"v": 1e-3, "qd": 1e-3, "p_head": 6e3, "p_rod": 6e3, "x": 1e-5, "q": 1e-5, "p_supply": 6e3}
+LEVELS = (1.0, 2.0, 5.0, -2.0, -6.0, 3.5, -3.0)  # [V]
 DROPS = (1e2, 1e4, 3e5, 2e6, 1.9e6, 2.1e6, 1.2e7)
 
 
@@ -53,7 +60,7 @@ def noisy(record: Record, seed: int) -> Record:
 
 
 def steps(levels, hold: int = 150) -> np.ndarray:
-    return np.concatenate([np.zeros(60), np.repeat(levels, hold), np.zeros(60)])
+    return np.concatenate([np.zeros(400), np.repeat(levels, hold), np.zeros(50)])
 
 
 # --- an edge that saturates
@@ -104,17 +111,95 @@ def test_a_controller_takes_a_saturating_edge_no_faster_than_it_goes():
 def test_a_saturation_comes_back_from_noisy_logs():
     """``opening_max`` and ``flow_gain`` of one edge, started 1.8 and 0.6 times off."""
     rig = with_law(law="saturating", opening_max=3.0, saturation_softness=0.4)
-    levels = [1.0, 2.0, 5.0, -2.0, -6.0, 3.5, -3.0]
     logs = [
         (
             f"log {i}",
-            noisy(simulate(rig, {"press.servo": steps(sign * np.array(levels))}, 1.169), i),
+            noisy(simulate(rig, {"press.servo": steps(sign * np.array(LEVELS))}, 1.499), 2 + i),
         )
         for i, sign in enumerate((0.9, 1.1))
     ]
     names = [f"press.servo_supply_head.{key}" for key in ("opening_max", "flow_gain")]
     truth = {name: float(rig.parameters()[name]) for name in names}
     begin = dict(zip(names, (1.8 * truth[names[0]], 0.6 * truth[names[1]]), strict=True))
+    fit = identify_hydraulics(rig, logs, names, start=begin)
+    for name in names:
+        low, high = fit[name].interval
+        assert fit[name].status == "estimated" and low <= truth[name] <= high, fit[name]
+        assert fit[name].std < 0.05 * truth[name]
+
+
+# --- a compensated edge that holds its flow
+
+
+def test_flow_control_is_flat_above_its_drop_and_smooth_below():
+    """``gain·(u − deadband)`` to the last bit above, slope 0 where they meet, exact inverse."""
+    gain, dead, reference = 5e-6, 0.5, 2e6
+    model = Model.of(
+        with_law(
+            law="flow_control",
+            compensated_gain=gain,
+            compensation_drop=reference,
+            deadband=dead,
+        )
+    )
+    edge, maps = model.plant.edges[0], model.plant.maps
+    for drop in DROPS:
+        flow = edge_flow(drop, 3.0, edge, maps)
+        assert edge_flow(-drop, 3.0, edge, maps) == -flow
+        assert edge_command(drop, flow, edge, maps) == pytest.approx(3.0, rel=1e-14)
+        if drop >= reference:
+            assert flow == gain * (3.0 - dead)
+    small = np.geomspace(1.0, reference, 400)
+    flows = np.array([edge_flow(drop, 3.0, edge, maps) for drop in small])
+    assert (np.diff(flows) > 0.0).all()
+    below = edge_flow(0.999 * reference, 3.0, edge, maps)
+    # slope goes to zero linearly: 0.1 % below, a share of 1e-6 of the flow is missing at most
+    assert 0.0 < 1.0 - below / (gain * (3.0 - dead)) < 1e-6
+    # an orifice's √ below, s (3 − s²)/2; its rounding at zero, over 20 kPa, takes 0.3 % at 0.2 MPa
+    share = math.sqrt(0.1)
+    assert edge_flow(0.1 * reference, 3.0, edge, maps) == pytest.approx(
+        0.5 * share * (3.0 - share**2) * gain * (3.0 - dead), rel=5e-3
+    )
+
+
+def held_ring(law: str, drop: float) -> tuple[float, float]:
+    """(damping ratio of an undamped boom on its two oil columns, valves held at a steady motion;
+    the same with the chambers shut in)."""
+    rig = with_law("boom_four_valve", law=law, compensated_gain=3e-5, compensation_drop=drop)
+    model = Model.of(rig.with_values({"boom.joint_damping": 0.0}))
+    here = equivalent(model, 0, np.array([0.2]))
+    point = operating_point(
+        model, circuit_of(model, 0), 1, here, 0, speed=0.08, low_pressure=2.05e6, cross_drop=4e6
+    )
+    assert point.possible and all(path.drop > drop for path in point.paths)
+    held = plant_model(model, point).a[:3, :3]
+    shut = held.copy()
+    shut[1:, 1:] = 0.0
+    ours, bare = (float(damping_ratio(np.linalg.eigvals(a))) for a in (held, shut))
+    return ours, bare
+
+
+def test_flow_control_adds_no_damping_above_its_drop():
+    """At 20 bar the levelling law adds ζ = 0.04 to an undamped load, the flat one nothing at all."""
+    ours, bare = held_ring("compensated", 2e6)
+    assert ours - bare > 0.02
+    ours, bare = held_ring("flow_control", 2e6)
+    assert abs(ours - bare) < 1e-7
+
+
+def test_a_flow_control_gain_comes_back_from_noisy_logs():
+    """Gain and deadband of one edge, started 1.6 and 0.5 times off."""
+    rig = with_law(law="flow_control", compensated_gain=6e-6, deadband=0.4)
+    logs = [
+        (
+            f"log {i}",
+            noisy(simulate(rig, {"press.servo": steps(sign * np.array(LEVELS))}, 1.499), 2 + i),
+        )
+        for i, sign in enumerate((0.9, 1.1))
+    ]
+    names = [f"press.servo_supply_head.{key}" for key in ("compensated_gain", "deadband")]
+    truth = {name: float(rig.parameters()[name]) for name in names}
+    begin = dict(zip(names, (1.6 * truth[names[0]], 0.5 * truth[names[1]]), strict=True))
     fit = identify_hydraulics(rig, logs, names, start=begin)
     for name in names:
         low, high = fit[name].interval

@@ -7,9 +7,9 @@ To add a law: write its file after ``orifice.py`` and name it in LAWS.
 from __future__ import annotations
 
 from ehbench.compiled import choice, part_kernel, record
-from ehbench.parts.edge import compensated, measured, orifice, saturating
+from ehbench.parts.edge import compensated, flow_control, measured, orifice, saturating
 
-LAWS = (orifice.LAW, compensated.LAW, measured.LAW, saturating.LAW)
+LAWS = (orifice.LAW, compensated.LAW, measured.LAW, saturating.LAW, flow_control.LAW)
 BY_NAME = {law.name: number for number, law in enumerate(LAWS)}
 ORIFICE, COMPENSATED, MAP = (BY_NAME[name] for name in ("orifice", "compensated", "map"))
 
