@@ -31,6 +31,7 @@ from ehbench.parts.cylinder import (
 from ehbench.parts.edge import MAP
 from ehbench.parts.end_stop import stop_held, stop_loss
 from ehbench.parts.friction import friction_force
+from ehbench.parts.load import push_on, spring_held
 from ehbench.parts.nodes import SUPPLY, TANK, node_bulk_modulus, node_pressure
 from ehbench.physics import arm
 from ehbench.physics.cylinder import PINS, linkage
@@ -44,6 +45,8 @@ from ehbench.rig import Cylinder, Rig
 from ehbench.terms import Z95
 
 GROUPS = ("supply", "valve", "loss", "store", "load", "residual", "cylinder", "part")
+# rows of a cylinder that stand in a ledger only where the rig file has the table
+OPTIONAL = {"force": ("external_force", "load_spring")}
 FOLLOWS = 1.0e-2  # share of a state's range that a tick of the model may miss the next sample by
 SETTLED_TRAVEL = 0.005  # share of the stroke below which a motion to and fro is no travel
 CLOSED = 0.02  # share of the travel by which the ends of a closed cycle may differ
@@ -53,7 +56,7 @@ CUT_MEAN = (
 ROUNDING = 1.0e-12  # smaller than any reading
 LOADED = 0.02  # share of the supply's force on the head end below which a mean force is no load
 
-# columns of power: pump, its share for compression, one per edge, ten per cylinder, one per joint
+# columns of power: pump, its share for compression, one per edge, eleven per cylinder, one per joint
 PUMP, COMPRESSION, FIRST_EDGE = 0, 1, 2
 (
     DRAWN,
@@ -66,12 +69,14 @@ PUMP, COMPRESSION, FIRST_EDGE = 0, 1, 2
     RETURNED,
     FRICTION,
     STOPPED,
-) = range(10)
-PER_CYLINDER = 10
-# columns of what is stored: the supply line, the mechanism, then head, rod and end stops of each
-# cylinder
+    EXTERNAL,
+) = range(11)
+PER_CYLINDER = 11
+# columns of what is stored: the supply line, the mechanism, then head, rod, end stops and springs
+# on the rod of each cylinder
 SUPPLY_LINE, KINETIC, POTENTIAL, FIRST_CYLINDER = 0, 1, 2, 3
-HEAD, ROD, SPRING = range(3)
+HEAD, ROD, SPRING, LOAD_SPRING = range(4)
+PER_STORE = 4
 
 
 # --- laws
@@ -94,7 +99,7 @@ def _node(node, y, plant):
 
 
 @kernel
-def powers(y, flows, plant, owner, out):
+def powers(y, command, flows, plant, owner, out):
     """Write every power [W] of a state into ``out``: what is spent positive, the supply's positive
     where it gives.
 
@@ -104,9 +109,10 @@ def powers(y, flows, plant, owner, out):
 
     Args:
         y: state, as in ``ehbench.plant``.
+        command: valve commands [V], then forces that are played [N].
         flows: along the edges, then the pump's [m³/s].
         owner: cylinder to which each edge belongs.
-        out: shape (2 + edges + 10·cylinders + joints,).
+        out: shape (2 + edges + 11·cylinders + joints,).
     """
     n, nc, ne = plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0]
     first = FIRST_EDGE + ne
@@ -161,16 +167,17 @@ def powers(y, flows, plant, owner, out):
             out[at + WORK] += p * area * v
         out[at + FRICTION] = friction_force(row, v, y) * v
         out[at + STOPPED] = stop_loss(row, x, v)
+        out[at + EXTERNAL] = -push_on(c, v, command, plant) * v
     for j in range(n):
         out[first + PER_CYLINDER * nc + j] = plant.links[j].damping * y[n + j] * y[n + j]
 
 
 @kernel
 def stores(y, plant, work, out):
-    """Write every stored energy [J] of a state into ``out``, shape (3 + 3·cylinders,).
+    """Write every stored energy [J] of a state into ``out``, shape (3 + 4·cylinders,).
 
     Oil: ``V u(p)``. The mechanism: kinetic and potential energy. An end stop: ``k δ²/2`` of its
-    depth δ."""
+    depth δ. A spring on the rod: ``k (x − free length)²/2``."""
     n = plant.links.shape[0]
     _, held = _node(SUPPLY, y, plant)
     out[SUPPLY_LINE] = plant.supply.volume * held
@@ -178,12 +185,13 @@ def stores(y, plant, work, out):
         plant.kind, plant.links, plant.gravity, y[:n], y[n : 2 * n], work
     )
     for c in range(plant.cylinders.shape[0]):
-        row, at = plant.cylinders[c], FIRST_CYLINDER + 3 * c
+        row, at = plant.cylinders[c], FIRST_CYLINDER + PER_STORE * c
         x, _, _ = linkage_of(row, y[row.joint])
         for side in range(2):
             _, held = _node(chamber_of(row, side)[0], y, plant)
             out[at + side] = chamber_oil(row, side, x) * held
         out[at + SPRING] = stop_held(row, x)
+        out[at + LOAD_SPRING] = spring_held(c, x, plant)
 
 
 # --- over a trial
@@ -214,17 +222,17 @@ def _integrate(t, states, commands, plant, owner, step, flows, energies, ends):
         tick = t[i + 1] - t[i]
         pieces = min(MOST_SUBSTEPS, max(1, math.ceil(max(tick / step - 1e-6, rate * tick / STIFF))))
         h = tick / pieces
-        powers(y, work[at:], plant, owner, start)
+        powers(y, commands[i], work[at:], plant, owner, start)
         energies[i] = 0.0
         for _ in range(pieces):
             advance(y, commands[i], plant, 0.5 * h, k, work, rate)
             rate = derivatives(y, commands[i], plant, k[0], work)
-            powers(y, work[at:], plant, owner, middle)
+            powers(y, commands[i], work[at:], plant, owner, middle)
             for j in range(columns):
                 energies[i, j] += h / 6.0 * start[j] + h / 1.5 * middle[j]
             advance(y, commands[i], plant, 0.5 * h, k, work, rate)
             rate = derivatives(y, commands[i], plant, k[0], work)
-            powers(y, work[at:], plant, owner, start)
+            powers(y, commands[i], work[at:], plant, owner, start)
             for j in range(columns):
                 energies[i, j] += h / 6.0 * start[j]
         ends[i] = y
@@ -244,10 +252,10 @@ def _flows_at(states, commands, tank, plant, flows):
 
 
 @allocating_kernel
-def _powers_at(states, flows, tank, plant, owner, out):
+def _powers_at(states, commands, flows, tank, plant, owner, out):
     for i in range(states.shape[0]):
         plant.nodes[TANK].pressure = tank[i]
-        powers(states[i], flows[i], plant, owner, out[i])
+        powers(states[i], commands[i], flows[i], plant, owner, out[i])
 
 
 @allocating_kernel
@@ -377,7 +385,7 @@ class _Sheet:
             [names.cylinders.index(c.name) for c, _, _ in model.rig.edges()], dtype=np.int64
         )
         self.powers = FIRST_EDGE + ne + PER_CYLINDER * nc + len(names.joints)
-        self.stores = FIRST_CYLINDER + 3 * nc
+        self.stores = FIRST_CYLINDER + PER_STORE * nc
         rows: list[tuple[str, str, str, str | None]] = [
             ("pump", "supply", "pump, Ps·Q", None),
             ("pump_compression", "supply", "pump, compression of the oil", None),
@@ -400,6 +408,7 @@ class _Sheet:
                     ("return_line", "loss", "return line, Pt·Q"),
                     ("friction", "loss", "cylinder friction"),
                     ("end_stop", "loss", "end stops"),
+                    ("external_force", "load", "force on the rod from outside"),
                 )
             ]
         driven = {int(j): names.cylinders[i] for i, j in enumerate(model.plant.cylinders.joint)}
@@ -419,6 +428,7 @@ class _Sheet:
                 ("head", "oil of the head end"),
                 ("rod", "oil of the rod end"),
                 ("stop", "spring of the end stops"),
+                ("load_spring", "springs on the rod"),
             )
             rows += [(f"{name}.{key}", "store", label, name) for key, label in kept]
         self.rows = rows
@@ -431,7 +441,7 @@ class _Sheet:
                     vector[at[name]] += sign
             return vector
 
-        mechanical = ("work", "friction", "end_stop", "stop")
+        mechanical = ("work", "friction", "end_stop", "stop", "load_spring")
         drawn = [
             f"{name}.{key}" for name in names.cylinders for key in ("drawn", "drawn_compression")
         ]
@@ -470,6 +480,13 @@ class _Sheet:
         self.parts = [(name, where, cylinder) for name, where, cylinder, _ in parts]
         self.combinations = np.stack([vector for *_, vector in parts])
         self.word = word
+        self.absent = {
+            f"{c.name}.{key}"
+            for c in model.rig.cylinder
+            for table, keys in OPTIONAL.items()
+            for key in keys
+            if not getattr(c, table)
+        }
 
     def expand(self, vector: np.ndarray) -> np.ndarray:
         """Energies of columns, shape (..., columns), with the parts of the residual and their sum
@@ -498,6 +515,8 @@ class _Sheet:
         ]
         rows = []
         for i, (name, group, label, cylinder) in enumerate(named):
+            if name in self.absent:
+                continue
             energy = float(energies[i])
             interval = (
                 None
@@ -593,7 +612,8 @@ def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
     for i, name in enumerate(names.cylinders):
         for key in ("p_head", "p_rod"):
             states[:, names.state(key, i)] = record[f"{name}.{key}"]
-    commands = np.stack([record[f"{name}.command"] for name in names.valves], axis=1)
+    channels = [*(f"{name}.command" for name in names.valves), *names.played]
+    commands = np.stack([record[channel] for channel in channels], axis=1)
     commands = np.ascontiguousarray(commands, dtype=float)
     for name, valve in zip(names.valves, plant.valves, strict=True):
         if valve.output >= 0:
@@ -640,7 +660,7 @@ def ledger_of_model(
     else:
         _flows_at(states, commands, tank, plant, flows)
         power = np.empty((t.size, sheet.powers))
-        _powers_at(states, flows, tank, plant, sheet.owner, power)
+        _powers_at(states, commands, flows, tank, plant, sheet.owner, power)
         np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t)[:, None], axis=0, out=spent[1:])
     _same_flows(model, record, flows)
     held = np.empty((t.size, sheet.stores))
@@ -749,6 +769,8 @@ def _read(model: Model, record: Record) -> tuple[_Readings, list[str]]:
             commands[:, i] = get(f"{name}.command")
         else:
             notes.append(f"no command of {name}: taken to be at rest")
+    for i, channel in enumerate(names.played, len(names.valves)):
+        commands[:, i] = get(channel)
     q, qd, x, p = (np.zeros((samples, many)) for many in (n, n, nc, 2 * nc))
     driven = {int(j): i for i, j in enumerate(plant.cylinders.joint)}
     for j, joint in enumerate(names.joints):
@@ -846,7 +868,7 @@ class _Account:
         """Powers [W] of the columns, shape (samples, columns)."""
         plant = model.plant.at_pressures()
         power = np.empty((m.t.size, self.sheet.powers))
-        _powers_at(states, flows, m.p_tank, plant, self.sheet.owner, power)
+        _powers_at(states, m.commands, flows, m.p_tank, plant, self.sheet.owner, power)
         return power
 
     def energies(

@@ -176,6 +176,14 @@ _ROWS = [
     Quantity(
         "friction_viscous", "b_c", "N*s/m", "N*s/m", "viscous friction of the cylinder", 0, 1e8
     ),
+    Quantity("force_extending", "F_out", "N", "N", "force on the rod while it goes out", -1e8, 1e8),
+    Quantity("force_retracting", "F_in", "N", "N", "force on the rod while it goes in", -1e8, 1e8),
+    Quantity("stiffness", "k", "N/m", "kN/mm", "stiffness of a spring or a mount", 0, 1e13),
+    Quantity(
+        "free_length", "x_0", "m", "mm", "stroke at which a spring on the rod is free", -100, 100
+    ),
+    Quantity("pressure_head", "p_1", "Pa", "kPa", "known pressure in another head end", -2e5, 2e8),
+    Quantity("pressure_rod", "p_2", "Pa", "kPa", "known pressure in another rod end", -2e5, 2e8),
     Quantity("friction_coulomb", "F_c", "N", "N", "Coulomb friction of the cylinder", 0, 1e7),
     Quantity(
         "joint_damping", "b", "N*m*s/rad", "N*m*s/rad", "viscous damping at the joint", 0, 1e8

@@ -266,6 +266,56 @@ class Valve(FileModel):
         return min(max(0.0, float(self.command_min)), float(self.command_max))
 
 
+class Force(FileModel):
+    """A force on the rod from outside, positive where it pushes the rod out.
+
+    kind ``constant``: ``force``. ``by_direction``: ``force_extending`` while the rod goes out,
+    ``force_retracting`` while it goes in. ``spring``: −stiffness·(x − free_length). ``channel``:
+    played from a log's ``channel``. ``cylinder``: one that stands against the rod, its
+    ``area_head`` under ``pressure_head`` pushing the rod in, its ``area_rod`` under
+    ``pressure_rod`` pulling it out."""
+
+    name: Name = "force"
+    kind: Literal["constant", "by_direction", "spring", "channel", "cylinder"]
+    force: Annotated[Value, Q("force")] | None = None
+    force_extending: Annotated[Value, Q("force_extending")] | None = None
+    force_retracting: Annotated[Value, Q("force_retracting")] | None = None
+    stiffness: Annotated[Value, Q("stiffness")] | None = None
+    free_length: Annotated[Value, Q("free_length")] | None = None
+    channel: str | None = None
+    area_head: Annotated[Value, Q("area_head")] | None = None
+    area_rod: Annotated[Value, Q("area_rod")] | None = None
+    pressure_head: Annotated[Value, Q("pressure_head")] | None = None
+    pressure_rod: Annotated[Value, Q("pressure_rod")] | None = None
+
+    @model_validator(mode="after")
+    def _kind_is_whole(self) -> Force:
+        takes = {
+            "constant": ("force",),
+            "by_direction": ("force_extending", "force_retracting"),
+            "spring": ("stiffness", "free_length"),
+            "channel": ("channel",),
+            "cylinder": ("area_head", "pressure_head", "area_rod", "pressure_rod"),
+        }[self.kind]
+        needs = takes[:2]
+        for key in needs:
+            if getattr(self, key) is None:
+                raise ValueError(f"a force of kind '{self.kind}' needs '{key}'")
+        for key in set(type(self).model_fields) - {"name", "kind", *takes}:
+            if getattr(self, key) is not None:
+                raise Misplaced(f"a force of kind '{self.kind}' takes no '{key}'", key)
+        if (self.area_rod is None) != (self.pressure_rod is None):
+            raise ValueError("give area_rod and pressure_rod together")
+        if self.channel is not None:
+            row = VOCABULARY.get(self.channel.rsplit(".", 1)[-1])
+            if row is None or row.unit != "N" or "." not in self.channel:
+                raise Misplaced(
+                    f"'{self.channel}' is no channel of a force (such as '<cylinder>.force')",
+                    "channel",
+                )
+        return self
+
+
 class Cylinder(FileModel):
     """A cylinder, the joint it drives, its oil volumes, losses and valves. Areas, or bore and rod
     diameters.
@@ -289,6 +339,7 @@ class Cylinder(FileModel):
     friction_coulomb: Annotated[Value, Q("friction_coulomb")] = Value(0.0)
     relief_pressure: Annotated[Value, Q("relief_pressure")] | None = None
     valve: tuple[Valve, ...] = Field(min_length=1)
+    force: tuple[Force, ...] = ()
 
     @model_validator(mode="after")
     def _areas(self) -> Cylinder:
@@ -345,6 +396,7 @@ class Cylinder(FileModel):
                     for j, e in enumerate(v.edge)
                 ],
             ),
+            ("forces", [(("force", i), f.name) for i, f in enumerate(self.force)]),
         ):
             if (at := _second([name for _, name in places])) is not None:
                 where, name = places[at]
@@ -352,6 +404,18 @@ class Cylinder(FileModel):
                     f"two {what} are called '{name}'; give each a name of its own", *where
                 )
         return self
+
+    def parts(self) -> Iterator[tuple[str, FileModel]]:
+        """Its further parts with what their parameters' names begin with, after the cylinder's."""
+        if self.pins is not None:
+            yield "", self.pins
+        for force in self.force:
+            yield f"{force.name}.", force
+
+    @property
+    def unmodelled(self) -> tuple[str, ...]:
+        """Its tables that a controller's model of a cylinder does not have."""
+        return ("force",) if self.force else ()
 
     def areas(self) -> tuple[float, float]:
         """(area_head, area_rod) [m²]."""
@@ -573,7 +637,7 @@ class Rig(FileModel):
 
         ``bulk_modulus``, ``supply.pressure``, ``<joint>.joint_damping``, ``<joint>.mass``,
         ``<cylinder>.leakage_internal``, ``<dynamics>.natural_frequency`` (also where the file gives
-        s1 and s2), ``<edge>.flow_gain`` and so on."""
+        s1 and s2), ``<edge>.flow_gain``, ``<cylinder>.<force>.stiffness`` and so on."""
         found: dict[str, Value] = {"gravity": self.gravity}
         found |= {name: value for name, value in _scalars(self.oil)}
         found |= {f"supply.{name}": value for name, value in _scalars(self.supply)}
@@ -584,9 +648,9 @@ class Rig(FileModel):
             found |= {f"{body.name}.{name}": value for name, value in _scalars(body)}
         for cylinder in self.cylinder:
             found |= {f"{cylinder.name}.{name}": value for name, value in _scalars(cylinder)}
-            if cylinder.pins is not None:
+            for prefix, part in cylinder.parts():
                 found |= {
-                    f"{cylinder.name}.{name}": value for name, value in _scalars(cylinder.pins)
+                    f"{cylinder.name}.{prefix}{name}": value for name, value in _scalars(part)
                 }
         for name, dynamics in self.dynamics.items():
             found |= {f"{name}.{key}": value for key, value in _scalars(dynamics)}
@@ -697,8 +761,9 @@ def _cylinder_with(model: Cylinder, new: Mapping[str, Value]) -> Cylinder:
         edges = (_replaced(e, f"{prefix}{valve.edge_name(e)}.", new) for e in valve.edge)
         valves.append(valve.model_copy(update={"edge": tuple(edges)}))
     pins = None if model.pins is None else _replaced(model.pins, prefix, new)
+    forces = tuple(_replaced(f, f"{prefix}{f.name}.", new) for f in model.force)
     whole = _replaced(model, prefix, new)
-    return whole.model_copy(update={"pins": pins, "valve": tuple(valves)})
+    return whole.model_copy(update={"pins": pins, "valve": tuple(valves), "force": forces})
 
 
 def _scalars(model: BaseModel) -> Iterator[tuple[str, Value]]:

@@ -33,6 +33,7 @@ from ehbench.parts.cylinder import (
 )
 from ehbench.parts.edge.orifice import ORIFICE_DROP
 from ehbench.parts.end_stop import stop_force, stop_rate
+from ehbench.parts.load import force_on, force_steepness
 from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
 from ehbench.parts.sample import OF, entry, line_entry, sample_channels
 from ehbench.parts.supply import pump_flow
@@ -160,6 +161,7 @@ class VirtualPlant(NamedTuple):
     edges: np.recarray
     curves: np.recarray
     supply: np.record
+    forces: np.recarray
     fluid: np.record
     sensors: np.recarray
     delay: int
@@ -287,7 +289,7 @@ def _valves_and_edges(y, target, bench, dy, work):
 
 
 @part_kernel
-def _cylinders(y, bench, dy, work):
+def _cylinders(y, target, bench, dy, work):
     """Pressure rates of the chambers, torques of the cylinders; the fastest rate [1/s]."""
     at, fluid, fastest = bench.at, bench.fluid, 0.0
     for c in range(bench.cylinders.shape[0]):
@@ -308,6 +310,9 @@ def _cylinders(y, bench, dy, work):
         viscous, static = row.friction_viscous, row.friction_static
         force -= stribeck(v, viscous, row.friction_coulomb, static, row.stribeck_speed, CREEP)
         steep = 0.0 if abs(v) > 4.0 * CREEP else static / CREEP
+        if bench.forces.shape[0] > 0:
+            force += force_on(c, x, v, target, bench)
+            steep += force_steepness(c, v, bench)
         fastest = max(fastest, row.mobility * (steep + viscous))
         if x < 0.0 or x > row.stroke:
             force += stop_force(row, x, v)
@@ -345,7 +350,7 @@ def derivatives(y, target, bench, dy, work):
     fastest = _valves_and_edges(y, target, bench, dy, work)
     for i in range(bench.at.torque, bench.at.net):
         work[i] = 0.0
-    fastest = max(fastest, _cylinders(y, bench, dy, work))
+    fastest = max(fastest, _cylinders(y, target, bench, dy, work))
     move(y, bench, dy, work)
     return max(fastest, _supply(y, bench, dy, work))
 
@@ -874,6 +879,7 @@ def _build(recipe: BenchRecipe, model: Model, tick: float) -> VirtualPlant:
         edges=edges,
         curves=curves,
         supply=plant.supply,
+        forces=plant.forces,
         fluid=_fluid(of),
         sensors=_sensors(of),
         delay=math.floor(ticks),

@@ -15,6 +15,7 @@ from ehbench.parts import valve as valves
 from ehbench.parts.cylinder import CYLINDER, CYLINDER_FIELDS, PINS_OF
 from ehbench.parts.edge import EDGE
 from ehbench.parts.end_stop import STOP_DEPTH
+from ehbench.parts.load import FORCE, force_fields
 from ehbench.parts.nodes import NODE, TANK
 from ehbench.parts.supply import SUPPLY as SUPPLY_LINE
 from ehbench.parts.valve import ELEMENT, VALVE
@@ -32,7 +33,7 @@ class Plant(NamedTuple):
 
     ``kind``, ``gravity`` and ``links`` are those of `ehbench.physics.arm`; the records of the other
     tables are described beside their parts: `ehbench.parts.cylinder`, ``.nodes``, ``.valve``,
-    ``.edge``, ``.supply``. ``maps`` are the packed flow maps, ``at`` says where things lie.
+    ``.edge``, ``.supply``, ``.load``. ``maps`` are the packed flow maps, ``at`` says where things lie.
     """
 
     kind: int
@@ -45,6 +46,7 @@ class Plant(NamedTuple):
     edges: np.recarray
     maps: np.ndarray
     supply: np.record
+    forces: np.recarray
     at: Offsets
 
     @property
@@ -91,6 +93,7 @@ def build(rig: Rig, maps: Maps | None = None) -> Plant:
         edges=edge_rows,
         maps=data,
         supply=_supply(rig),
+        forces=_forces(rig, names),
         at=names.offsets(),
     )
 
@@ -269,6 +272,17 @@ def _law(edge: Edge, given: ValveMaps | None, packed: list[FlowMap]) -> dict[str
             row[key] = len(packed)
             packed.append(one)
     return row
+
+
+def _forces(rig: Rig, names: Layout) -> np.recarray:
+    rows = []
+    for index, item in enumerate(rig.cylinder):
+        for force in item.force:
+            played = -1
+            if force.channel is not None:
+                played = len(names.valves) + names.played.index(force.channel)
+            rows.append({"cylinder": index, "played": played} | force_fields(force))
+    return table_of(rows, FORCE)
 
 
 def _supply(rig: Rig) -> np.record:

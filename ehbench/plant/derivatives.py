@@ -14,6 +14,7 @@ from ehbench.parts.cylinder import (
 from ehbench.parts.edge import edge_flow
 from ehbench.parts.end_stop import stop_force, stop_rate
 from ehbench.parts.friction import friction_force, friction_rates, friction_steepness
+from ehbench.parts.load import force_on, force_steepness
 from ehbench.parts.nodes import SUPPLY, node_pressure
 from ehbench.parts.supply import pump_flow
 from ehbench.parts.valve import limited, valve_finish, valve_rates
@@ -61,7 +62,7 @@ def _edges(y, plant, work):
 
 
 @part_kernel
-def _cylinders(y, plant, dy, work):
+def _cylinders(y, command, plant, dy, work):
     """Pressure rates of the chambers; torques of the cylinders into ``work``."""
     at, fastest = plant.at, 0.0
     for c in range(plant.cylinders.shape[0]):
@@ -79,7 +80,11 @@ def _cylinders(y, plant, dy, work):
             force += p * area
         force -= friction_force(row, v, y)
         friction_rates(row, v, y, dy)
-        fastest = max(fastest, row.mobility * friction_steepness(row, v))
+        steepness = friction_steepness(row, v)
+        if plant.forces.shape[0] > 0:
+            force += force_on(c, x, v, command, plant)
+            steepness += force_steepness(c, v, plant)
+        fastest = max(fastest, row.mobility * steepness)
         if x < 0.0 or x > row.stroke:
             force += stop_force(row, x, v)
             fastest = max(fastest, stop_rate(row))
@@ -132,7 +137,8 @@ def derivatives(y, command, plant, dy, work):
 
     Args:
         y: state, shape (plant.at.states,).
-        command: valve commands [V], shape (valves,), limited here to each driver's range.
+        command: valve commands [V], limited here to each driver's range, then forces that are
+            played [N], shape (valves + played,).
         dy: out, shape (plant.at.states,).
         work: workspace of plant.at.work.
     """
@@ -140,7 +146,7 @@ def derivatives(y, command, plant, dy, work):
     _edges(y, plant, work)
     for i in range(plant.at.torque, plant.at.net):
         work[i] = 0.0
-    fastest = max(fastest, _cylinders(y, plant, dy, work))
+    fastest = max(fastest, _cylinders(y, command, plant, dy, work))
     move(y, plant, dy, work)
     return max(fastest, _supply(y, plant, dy, work))
 

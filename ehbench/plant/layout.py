@@ -46,7 +46,8 @@ class Layout:
     """Names of what a plant's tables hold, in order, and where each of its states stands.
 
     ``valves`` and ``edges`` are called ``<cylinder>.<valve>`` and ``<cylinder>.<edge>``,
-    ``elements`` are (valve, number of its law) of each element of the valves' dynamics, and
+    ``elements`` are (valve, number of its law) of each element of the valves' dynamics, ``played``
+    the channels of forces that stand behind the valves' commands in a row of commands, and
     ``state_names`` say what each state is, such as ``boom.p_head`` or ``boom.hect.opening``.
     """
 
@@ -56,6 +57,7 @@ class Layout:
     edges: tuple[str, ...]
     elements: tuple[tuple[int, int], ...]
     frictions: tuple[int, ...]
+    played: tuple[str, ...]
     state_names: tuple[str, ...]
     _at: dict[str, int] = field(repr=False)
 
@@ -119,6 +121,7 @@ def layout(rig: Rig) -> Layout:
         edges=tuple(f"{c.name}.{v.edge_name(e)}" for c, v, e in rig.edges()),
         elements=elements,
         frictions=frictions,
+        played=tuple(dict.fromkeys(f.channel for c in rig.cylinder for f in c.force if f.channel)),
         state_names=tuple(names),
         _at={name: at for at, name in enumerate(names)},
     )

@@ -288,7 +288,8 @@ def _site(recipe: TrialRecipe, made: Design, tick: float) -> Site:
     limit = float(plant.supply.flow_limit)
     if not math.isfinite(limit):
         limit = 0.5 * made.circuit.area_head  # half a metre a second
-    return Site(axis, tick, float(plant.supply.pressure), limit, _valve_lag(made), made.x)
+    lag, unmodelled = _valve_lag(made), made.rig.cylinder[made.index].unmodelled
+    return Site(axis, tick, float(plant.supply.pressure), limit, lag, made.x, unmodelled)
 
 
 def low_pressure(recipe: TrialRecipe, rig: Rig, tuning: Mapping[str, Any] | None) -> float:

@@ -36,6 +36,7 @@ from ehbench.parts.cylinder import chamber_oil, joint_of, linkage_of
 from ehbench.parts.edge import edge_command, edge_flow
 from ehbench.parts.friction import friction_steady
 from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
+from ehbench.parts.load import force_on
 from ehbench.parts.valve import valve_settle
 from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
 from ehbench.plant.build import Maps, map_of
@@ -134,7 +135,7 @@ class OperatingPoint:
     [m/s], extension positive.
 
     ``mass, gravity_force, damping`` are m_eq, F_eq, b_eq of `equivalent`; ``friction`` [N·s/m] is
-    the slope of the cylinder's own friction; ``bend`` [1/s] the part of ∂v̇/∂v from the changing
+    the slope of the cylinder's own friction less that of forces on its rod; ``bend`` [1/s] the part of ∂v̇/∂v from the changing
     lever; ``load_force`` P_L [N]; pressures [Pa] gauge; volumes [m³]. ``possible``: every drop is
     along its flow and every valve can open so far. ``fits``: also the off-side chamber stands at
     its set-point. ``note`` says what is missing."""
@@ -223,8 +224,14 @@ def operating_point(
 
     Raises:
         InputError: neither or both of share and speed, or a function that the circuit is not able
-            of.
+            of, or a force on its rod that is played from a log.
     """
+    if model.layout.played:
+        raise InputError(
+            f"rig '{model.rig.name}' plays the force '{model.layout.played[0]}' from a log, and a "
+            "steady motion knows no log",
+            hint="give [[cylinder.force]] another kind for tuning",
+        )
     if (share is None) == (speed is None):
         raise InputError("an operating point takes a speed or a share of the full speed")
     if function < 1 or circuit.able[function] == 0:
@@ -252,11 +259,16 @@ def operating_point(
             else (off, (areas[0] * off - force) / areas[1])
         )
 
+    def resistance(v: float) -> float:
+        """What friction takes and no force from outside gives [N]."""
+        stroke, none = float(here.x[index]), np.zeros(0)
+        return friction_steady(row, v) - force_on(circuit.cylinder, stroke, v, none, plant)
+
     def settle(v: float) -> tuple[float, float, float, str]:
         """(load force, p_head, p_rod, what had to give) at speed v."""
         bend = here.curvature[index] * v * v / here.lever[index] ** 2
         force = here.gravity_force[index] + here.damping[index] * v - here.mass[index] * bend
-        force += friction_steady(row, v)
+        force += resistance(v)
         if function == EXTEND_RESISTIVE_REGENERATION:
             p_head = (force + cross_drop * areas[1]) / (areas[0] - areas[1])
             return force, p_head, p_head + cross_drop, ""
@@ -326,7 +338,7 @@ def operating_point(
     q = model.posture(held)
     q[row.joint] = here.q[index]
     around = DIFFERENCE * max(abs(v), COULOMB_SPEED)
-    slope = friction_steady(row, v + around) - friction_steady(row, v - around)
+    slope = resistance(v + around) - resistance(v - around)
     return OperatingPoint(
         cylinder=model.layout.cylinders[circuit.cylinder],
         function=FUNCTIONS[function],

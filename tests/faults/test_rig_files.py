@@ -301,6 +301,7 @@ def trial(folder: Path, rig: str, valve: str, more: str = ""):
     return record
 
 
+FORCE = '[[cylinder.force]]\nkind = "spring"\nstiffness = "5 kN/m"\n'
 SATURATING = EDGE.replace('"orifice"', '"saturating"')
 
 
@@ -308,6 +309,31 @@ SATURATING = EDGE.replace('"orifice"', '"saturating"')
 @pytest.mark.parametrize(
     ("old", "new", "words", "line"),
     padded(
+        (PINS, FORCE + PINS, "a force of kind 'spring' needs 'free_length'", FORCE),
+        (
+            PINS,
+            FORCE.replace('stiffness = "5 kN/m"', 'force = "5 kN"') + PINS,
+            "a force of kind 'spring' needs 'stiffness'",
+            FORCE[:20],
+        ),
+        (
+            PINS,
+            FORCE + 'free_length = "0.1 m"\nchannel = "lift.force"\n' + PINS,
+            "a force of kind 'spring' takes no 'channel'",
+            "channel =",
+        ),
+        (
+            PINS,
+            FORCE.replace("kN/m", "kN") + 'free_length = "0.1 m"\n' + PINS,
+            "'kN' cannot be turned into N/m",
+            "stiffness =",
+        ),
+        (
+            PINS,
+            '[[cylinder.force]]\nkind = "channel"\nchannel = "lift.x"\n' + PINS,
+            "'lift.x' is no channel of a force",
+            "channel =",
+        ),
         (
             EDGE,
             EDGE.replace('"orifice"', '"flow_control"'),

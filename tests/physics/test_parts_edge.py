@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ehbench.identification.hydraulics import identify_hydraulics
 from ehbench.parts.edge import edge_command, edge_flow, edge_known
-from ehbench.plant.model import Model, simulate
+from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
-from ehbench.record import Record
 from ehbench.rig import Edge, Rig, Value
 from ehbench.tune.linear import (
     circuit_of,
@@ -22,9 +21,10 @@ from ehbench.tune.linear import (
     plant_model,
 )
 
+sys.path.insert(0, str(Path(__file__).parent))
+from with_parts import recovered  # noqa: E402
+
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
-NOISE = {"v": 1e-3, "qd": 1e-3, "p_head": 6e3, "p_rod": 6e3, "x": 1e-5, "q": 1e-5, "p_supply": 6e3}
-LEVELS = (1.0, 2.0, 5.0, -2.0, -6.0, 3.5, -3.0)  # [V]
 DROPS = (1e2, 1e4, 3e5, 2e6, 1.9e6, 2.1e6, 1.2e7)
 
 
@@ -46,21 +46,6 @@ def with_law(name: str = "slide_servo", **update) -> Rig:
         return c.model_copy(update={"valve": valves})
 
     return rig.model_copy(update={"cylinder": tuple(cylinder(c) for c in rig.cylinder)})
-
-
-def noisy(record: Record, seed: int) -> Record:
-    """What sensors would say of a simulated log."""
-    rng, channels = np.random.default_rng(seed), {}
-    for name, values in record.channels.items():
-        word = name.rsplit(".", 1)[-1]
-        if word not in ("flow", "opening", "flow_supply"):
-            size = NOISE.get(word, 0.0)
-            channels[name] = values + size * rng.standard_normal(values.size)
-    return Record(record.t, channels, record.meta)
-
-
-def steps(levels, hold: int = 150) -> np.ndarray:
-    return np.concatenate([np.zeros(400), np.repeat(levels, hold), np.zeros(50)])
 
 
 # --- an edge that saturates
@@ -111,21 +96,8 @@ def test_a_controller_takes_a_saturating_edge_no_faster_than_it_goes():
 def test_a_saturation_comes_back_from_noisy_logs():
     """``opening_max`` and ``flow_gain`` of one edge, started 1.8 and 0.6 times off."""
     rig = with_law(law="saturating", opening_max=3.0, saturation_softness=0.4)
-    logs = [
-        (
-            f"log {i}",
-            noisy(simulate(rig, {"press.servo": steps(sign * np.array(LEVELS))}, 1.499), 2 + i),
-        )
-        for i, sign in enumerate((0.9, 1.1))
-    ]
-    names = [f"press.servo_supply_head.{key}" for key in ("opening_max", "flow_gain")]
-    truth = {name: float(rig.parameters()[name]) for name in names}
-    begin = dict(zip(names, (1.8 * truth[names[0]], 0.6 * truth[names[1]]), strict=True))
-    fit = identify_hydraulics(rig, logs, names, start=begin)
-    for name in names:
-        low, high = fit[name].interval
-        assert fit[name].status == "estimated" and low <= truth[name] <= high, fit[name]
-        assert fit[name].std < 0.05 * truth[name]
+    edge = "press.servo_supply_head"
+    recovered(rig, {f"{edge}.opening_max": 1.8, f"{edge}.flow_gain": 0.6}, seed=2)
 
 
 # --- a compensated edge that holds its flow
@@ -190,18 +162,5 @@ def test_flow_control_adds_no_damping_above_its_drop():
 def test_a_flow_control_gain_comes_back_from_noisy_logs():
     """Gain and deadband of one edge, started 1.6 and 0.5 times off."""
     rig = with_law(law="flow_control", compensated_gain=6e-6, deadband=0.4)
-    logs = [
-        (
-            f"log {i}",
-            noisy(simulate(rig, {"press.servo": steps(sign * np.array(LEVELS))}, 1.499), 2 + i),
-        )
-        for i, sign in enumerate((0.9, 1.1))
-    ]
-    names = [f"press.servo_supply_head.{key}" for key in ("compensated_gain", "deadband")]
-    truth = {name: float(rig.parameters()[name]) for name in names}
-    begin = dict(zip(names, (1.6 * truth[names[0]], 0.5 * truth[names[1]]), strict=True))
-    fit = identify_hydraulics(rig, logs, names, start=begin)
-    for name in names:
-        low, high = fit[name].interval
-        assert fit[name].status == "estimated" and low <= truth[name] <= high, fit[name]
-        assert fit[name].std < 0.05 * truth[name]
+    edge = "press.servo_supply_head"
+    recovered(rig, {f"{edge}.compensated_gain": 1.6, f"{edge}.deadband": 0.5}, seed=2)
