@@ -2,7 +2,7 @@
 measured channels alone.
 
 Energies count from oil at zero gauge pressure. A volume of oil that crosses a pressure p carries p,
-and what its own compression holds, ``u(p) = β (e^(p/β) − 1) − p`` per volume; with these two the
+and what its own compression holds, ``u(p)`` of `ehbench.parts.oil.held` per volume, without free air ``β (e^(p/β) − 1) − p``; with these two the
 chamber law ``V/β ṗ = Q − V̇`` is exactly ``(p + u(p)) Q = p V̇ + d/dt (V u(p))``: flow work is
 piston work and a change of what is stored, a function of state."""
 
@@ -32,10 +32,12 @@ from ehbench.parts.edge import MAP
 from ehbench.parts.end_stop import stop_held, stop_loss
 from ehbench.parts.friction import friction_force
 from ehbench.parts.load import push_on, spring_held
-from ehbench.parts.nodes import SUPPLY, TANK, node_bulk_modulus, node_pressure
+from ehbench.parts.nodes import SUPPLY, TANK, node_held, node_pressure
+from ehbench.parts.oil import bulk
+from ehbench.parts.oil import compressed as compressed
 from ehbench.physics import arm
 from ehbench.physics.cylinder import PINS, linkage
-from ehbench.plant.build import Maps, map_of
+from ehbench.plant.build import Maps, map_of, oil_fields
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import MOST_SUBSTEPS, STEP, STIFF, advance
 from ehbench.plant.model import Model
@@ -84,18 +86,10 @@ PER_STORE = 4
 
 
 @kernel
-def compressed(pressure, bulk_modulus):
-    """Energy [J/m³] in oil of bulk modulus β compressed to gauge pressure p: ``u = β (e^(p/β) − 1)
-    − p ≈ p²/2β``.
-    """
-    return bulk_modulus * math.expm1(pressure / bulk_modulus) - pressure
-
-
-@kernel
 def _node(node, y, plant):
     """(pressure [Pa], energy of its compression [J/m³]) of the oil at a node of the circuit."""
     p = node_pressure(y, plant, node)
-    return p, compressed(p, node_bulk_modulus(plant, node))
+    return p, node_held(plant, node, p)
 
 
 @kernel
@@ -900,8 +894,7 @@ class _Account:
             )[:, 0]
         if m.flow_supply is None:
             drawn = first + PER_CYLINDER * np.arange(m.x.shape[1])
-            volume, bulk = plant.supply.volume, plant.supply.bulk_modulus
-            pressed = 0.5 * volume / bulk * (m.p_supply[at] ** 2 - m.p_supply[0] ** 2)
+            pressed = _pressed(plant.supply, m.p_supply)[at]
             spent[:, PUMP] = spent[:, drawn + DRAWN].sum(axis=1) + pressed
             spent[:, COMPRESSION] = (
                 spent[:, drawn + DRAWN_COMPRESSION].sum(axis=1) + held[:, SUPPLY_LINE] - pressed
@@ -915,6 +908,16 @@ class _Account:
         return self.energies(
             model, m, states, self.power(model, m, states, self.flows(model, m, states))
         )
+
+
+def _pressed(supply: np.record, pressure: np.ndarray) -> np.ndarray:
+    """``∫ p V/β dp`` [J] of the supply line from the first of its pressures [Pa] to each."""
+    if supply.air == 0.0:
+        return 0.5 * supply.volume / supply.bulk_modulus * (pressure**2 - pressure[0] ** 2)
+    oil = (supply.bulk_modulus, supply.air, supply.polytropic)
+    per = supply.volume * pressure / np.array([bulk(p, *oil) for p in pressure])
+    steps = 0.5 * (per[1:] + per[:-1]) * np.diff(pressure)
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def _cumulated(half: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -1318,11 +1321,14 @@ def _beyond(
     ``price`` [J/m] each.
     """
     areas, dead = item.areas(), (float(item.volume_head), float(item.volume_rod))
-    bulk = float(item.bulk_modulus or rig.oil.bulk_modulus)
+    oil = oil_fields(rig, item.bulk_modulus)
     squeezed = np.zeros(x.size - 1)
     for key, area, volume, sign in zip(("p_head", "p_rod"), areas, dead, (1.0, -1.0), strict=True):
-        held = volume + sign * area * x
-        squeezed += 0.5 * (held[1:] + held[:-1]) * np.diff(record[f"{item.name}.{key}"]) / bulk
+        held, p = volume + sign * area * x, record[f"{item.name}.{key}"]
+        stiffness = oil["bulk_modulus"]
+        if oil["air"]:
+            stiffness = np.array([bulk(at, *oil.values()) for at in 0.5 * (p[1:] + p[:-1])])
+        squeezed += 0.5 * (held[1:] + held[:-1]) * np.diff(p) / stiffness
     turns = np.flatnonzero(np.diff(function, prepend=-1))
     net, whose = np.add.reduceat(np.diff(x), turns), function[turns]
     shares = []

@@ -415,7 +415,7 @@ class Cylinder(FileModel):
     @property
     def unmodelled(self) -> tuple[str, ...]:
         """Its tables that a controller's model of a cylinder does not have."""
-        return ("force",) if self.force else ()
+        return ("[[cylinder.force]]",) if self.force else ()
 
     def areas(self) -> tuple[float, float]:
         """(area_head, area_rod) [m²]."""
@@ -443,10 +443,19 @@ class Supply(FileModel):
 
 
 class Oil(FileModel):
-    """The oil. ``bulk_modulus`` is effective: oil, entrained air and hose together."""
+    """The oil. ``bulk_modulus`` is effective: oil, entrained air and hose together; with
+    ``air_fraction`` it is of what the air leaves over, and softens as the pressure falls."""
 
     bulk_modulus: Annotated[Value, Q("bulk_modulus")]
+    air_fraction: Annotated[Value, Q("air_fraction")] | None = None
+    polytropic_exponent: Annotated[Value, Q("polytropic_exponent")] | None = None
     cavitation_pressure: Annotated[Value, Q("cavitation_pressure")] = Value(-9.0e4)
+
+    @model_validator(mode="after")
+    def _air_is_whole(self) -> Oil:
+        if self.polytropic_exponent is not None and self.air_fraction is None:
+            raise Misplaced("an exponent of air needs 'air_fraction'", "polytropic_exponent")
+        return self
 
 
 class Rig(FileModel):

@@ -294,7 +294,7 @@ def pack(site: Site, gains: Mapping[str, Any], rules: np.record, shaping: np.rec
     """
     if site.unmodelled:
         raise InputError(
-            f"controller 'arc' knows no [cylinder.{site.unmodelled[0]}], and its model of the "
+            f"controller 'arc' knows no {site.unmodelled[0]}, and its model of the "
             "cylinder would be wrong by it",
             hint="take another controller",
         )

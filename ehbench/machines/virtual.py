@@ -35,6 +35,7 @@ from ehbench.parts.edge.orifice import ORIFICE_DROP
 from ehbench.parts.end_stop import stop_force, stop_rate
 from ehbench.parts.load import force_on, force_steepness
 from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
+from ehbench.parts.oil import bulk
 from ehbench.parts.sample import OF, entry, line_entry, sample_channels
 from ehbench.parts.supply import pump_flow
 from ehbench.parts.valve import VALVE_COLUMNS, limited, valve_rates, valve_settle
@@ -51,7 +52,6 @@ from ehbench.rig import Edge, Rig, Value, Valve, read_value
 
 NAME = "virtual bench"
 STEP = 2.5e-4  # [s]
-ATMOSPHERE = 101325.0
 CREEP = 1.0e-3  # [m/s]: over which friction turns round
 NOISE_ROWS = 256  # drawn at a time
 SETTLE = 0.25  # [s] of rest before t = 0, so that lags and delays have filled
@@ -193,19 +193,6 @@ def scratch_of(bench: VirtualPlant) -> Scratch:
 
 
 # --- laws
-
-
-@part_kernel
-def bulk(pressure, solid, air, exponent):
-    """Bulk modulus [Pa] of oil with free air: ``1/β = 1/β_solid + α/(n p) (p0/p)^(1/n)``, p
-    absolute.
-
-    The air is compressed polytropically from its share α at atmospheric pressure p0, so a chamber
-    gets softer as its pressure falls and cannot be drawn below vacuum."""
-    if air == 0.0:
-        return solid
-    p = max(pressure + ATMOSPHERE, 500.0)
-    return 1.0 / (1.0 / solid + air / (exponent * p) * (ATMOSPHERE / p) ** (1.0 / exponent))
 
 
 @part_kernel
@@ -922,7 +909,7 @@ def _bench_cylinders(of: _Seeded) -> np.recarray:
             if f"{name}.{key}" not in recipe.truth and row[key] == 0.0:
                 typical = 1e-4 if key == "leakage_internal" else 1e-5
                 row[key] = rng.uniform(0.5, 1.5) * typical * row.area_head / p_supply
-        if float(recipe.air_fraction) > 0.0:
+        if _air(of)[0] > 0.0:
             row.cavitation_pressure = -math.inf  # the air itself keeps a chamber above vacuum
     return cylinders
 
@@ -972,10 +959,21 @@ def _valves(
     return valves, elements
 
 
+def _air(of: _Seeded) -> tuple[float, float]:
+    """(share of free air, its exponent): the bench file's, else the rig's, else usual ones."""
+    recipe, oil = of.recipe, of.model.rig.oil
+    given = [
+        getattr(oil, key) if key not in recipe.model_fields_set else None
+        for key in ("air_fraction", "polytropic_exponent")
+    ]
+    share, exponent = given
+    return float(share or recipe.air_fraction), float(exponent or recipe.polytropic_exponent)
+
+
 def _fluid(of: _Seeded) -> np.record:
     recipe, row = of.recipe, table(1, FLUID)[0]
     droop, relief = _scalar(recipe.droop), _scalar(recipe.supply_relief)
-    row.air, row.polytropic = float(recipe.air_fraction), float(recipe.polytropic_exponent)
+    row.air, row.polytropic = _air(of)
     row.droop = 0.03 * of.p_supply if droop is None else droop
     row.pump_lag = float(recipe.pump_lag)
     row.supply_relief = 1.15 * of.p_supply if relief is None else relief

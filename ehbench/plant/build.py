@@ -17,13 +17,14 @@ from ehbench.parts.edge import EDGE
 from ehbench.parts.end_stop import STOP_DEPTH
 from ehbench.parts.load import FORCE, force_fields
 from ehbench.parts.nodes import NODE, TANK
+from ehbench.parts.oil import EXPONENT
 from ehbench.parts.supply import SUPPLY as SUPPLY_LINE
 from ehbench.parts.valve import ELEMENT, VALVE
 from ehbench.physics import arm
 from ehbench.physics.cylinder import DIRECT, PINS, joint_angle, linkage
 from ehbench.physics.flow_map import FlowMap, ValveMaps, pack
 from ehbench.plant.layout import SIDES, Layout, Offsets, layout
-from ehbench.rig import Chain, Cylinder, Edge, Rig, Slide
+from ehbench.rig import Chain, Cylinder, Edge, Rig, Slide, Value
 
 Maps = Mapping[str, ValveMaps]
 
@@ -137,12 +138,12 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
         own = {key: float(getattr(item, key)) for key in CYLINDER_FIELDS}
         rows.append(
             own
+            | oil_fields(rig, item.bulk_modulus)
             | dict(zip(PINS_OF, pins, strict=True))
             | {
                 "joint": joint,
                 "area_head": head,
                 "area_rod": rod,
-                "bulk_modulus": float(item.bulk_modulus or rig.oil.bulk_modulus),
                 "relief_pressure": math.inf if relief is None else float(relief),
                 "cavitation_pressure": float(rig.oil.cavitation_pressure),
                 "stop_stiffness": float(rig.supply.pressure) * head / STOP_DEPTH,
@@ -286,6 +287,16 @@ def _forces(rig: Rig, names: Layout) -> np.recarray:
 
 
 def _supply(rig: Rig) -> np.record:
-    own, beta = rig.supply, float(rig.oil.bulk_modulus)
+    own = rig.supply
     row = {key: float(getattr(own, key)) for key in ("pressure", "flow_limit", "volume")}
-    return table_of([row | {"bulk_modulus": beta}], SUPPLY_LINE)[0]
+    return table_of([row | oil_fields(rig)], SUPPLY_LINE)[0]
+
+
+def oil_fields(rig: Rig, own: Value | None = None) -> dict[str, float]:
+    """Fields of a row of oil, its bulk modulus that of ``own`` where given."""
+    oil = rig.oil
+    return {
+        "bulk_modulus": float(own or oil.bulk_modulus),
+        "air": float(oil.air_fraction or 0.0),
+        "polytropic": float(oil.polytropic_exponent or EXPONENT),
+    }

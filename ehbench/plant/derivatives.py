@@ -16,6 +16,7 @@ from ehbench.parts.end_stop import stop_force, stop_rate
 from ehbench.parts.friction import friction_force, friction_rates, friction_steepness
 from ehbench.parts.load import force_on, force_steepness
 from ehbench.parts.nodes import SUPPLY, node_pressure
+from ehbench.parts.oil import bulk_of
 from ehbench.parts.supply import pump_flow
 from ehbench.parts.valve import limited, valve_finish, valve_rates
 from ehbench.physics.arm import forward
@@ -76,7 +77,7 @@ def _cylinders(y, command, plant, dy, work):
             inflow = chamber_inflow(row, side, v, work[at.net + node], y, plant)
             dy[plant.nodes[node].state] = chamber_pressure_rate(row, p, volume, inflow)
             slope = chamber_slope(row, p, inflow, work[at.slope + node])
-            fastest = max(fastest, row.bulk_modulus / volume * slope)
+            fastest = max(fastest, bulk_of(row, p) / volume * slope)
             force += p * area
         force -= friction_force(row, v, y)
         friction_rates(row, v, y, dy)
@@ -119,7 +120,7 @@ def _supply(y, plant, dy, work):
     demand = -work[at.net + SUPPLY]
     pump = pump_flow(y[at.supply], demand, supply)
     work[at.pump] = pump
-    stiffness = supply.bulk_modulus / supply.volume
+    stiffness = bulk_of(supply, y[at.supply]) / supply.volume
     dy[at.supply] = stiffness * (pump - demand)
     held = 0.0 < pump < supply.flow_limit
     return 0.0 if held else stiffness * work[at.slope + SUPPLY]

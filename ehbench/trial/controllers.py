@@ -289,6 +289,8 @@ def _site(recipe: TrialRecipe, made: Design, tick: float) -> Site:
     if not math.isfinite(limit):
         limit = 0.5 * made.circuit.area_head  # half a metre a second
     lag, unmodelled = _valve_lag(made), made.rig.cylinder[made.index].unmodelled
+    if made.rig.oil.air_fraction is not None:
+        unmodelled += ("air_fraction of [oil]",)
     return Site(axis, tick, float(plant.supply.pressure), limit, lag, made.x, unmodelled)
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.control.functions import HEAD, METERED, Circuit
 from ehbench.errors import InputError, InsufficientData, ModelRejected
+from ehbench.parts.oil import bulk_of
 from ehbench.plant.build import Maps
 from ehbench.plant.model import Model
 from ehbench.quantities import VOCABULARY
@@ -541,27 +542,22 @@ def _natural_gain(sites: Sequence[_Site]) -> float:
     for site in sites:
         head = METERED[FUNCTIONS.index(site.point.function)] == HEAD
         volume = site.point.volume_head if head else site.point.volume_rod
-        logs.append(
-            math.log(
-                _swing(site)
-                * volume
-                / site.model.plant.cylinders[site.circuit.cylinder].bulk_modulus
-            )
-        )
+        logs.append(math.log(_swing(site) * volume / _stiffness(site)[0 if head else 1]))
     return math.exp(float(np.mean(logs)))
 
 
 def _swing(site: _Site) -> float:
-    """Natural frequency [rad/s] of the mass between two shut chambers: β_e (A1²/V1 + A2²/V2)/m_eq."""
-    bulk, point = site.model.plant.cylinders[site.circuit.cylinder].bulk_modulus, site.point
-    return math.sqrt(
-        bulk
-        * (
-            site.circuit.area_head**2 / point.volume_head
-            + site.circuit.area_rod**2 / point.volume_rod
-        )
-        / point.mass
-    )
+    """Natural frequency [rad/s] of the mass between two shut chambers: (β1 A1²/V1 + β2 A2²/V2)/m_eq."""
+    (head, rod), point = _stiffness(site), site.point
+    spring = site.circuit.area_head**2 / point.volume_head
+    spring += rod / head * (site.circuit.area_rod**2 / point.volume_rod)
+    return math.sqrt(head * spring / point.mass)
+
+
+def _stiffness(site: _Site) -> tuple[float, float]:
+    """Bulk moduli [Pa] of the oil in the head and in the rod end."""
+    row, point = site.model.plant.cylinders[site.circuit.cylinder], site.point
+    return bulk_of(row, point.p_head), bulk_of(row, point.p_rod)
 
 
 def _worst(sites: Sequence[_Site], law: Law, gains: np.ndarray) -> np.ndarray:

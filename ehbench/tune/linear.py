@@ -37,6 +37,7 @@ from ehbench.parts.edge import edge_command, edge_flow
 from ehbench.parts.friction import friction_steady
 from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
 from ehbench.parts.load import force_on
+from ehbench.parts.oil import bulk_of
 from ehbench.parts.valve import valve_settle
 from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
 from ehbench.plant.build import Maps, map_of
@@ -470,8 +471,8 @@ def _states(
 def development_model(model: Model, point: OperatingPoint) -> LinearModel:
     """The linear development model from the equations (SPEC 3), valve edges with their own slopes.
 
-    ``m_eq v̇ = A1 P1 − A2 P2 − (b_eq + friction) v + m_eq·bend·v + f``; ``V/β_e Ṗ`` = inflow of
-    each chamber, volumes fixed; ``Q = gain·opening + slope·Δp`` along each edge; valves of second
+    ``m_eq v̇ = A1 P1 − A2 P2 − (b_eq + friction) v + m_eq·bend·v + f``; ``V/β Ṗ`` = inflow of
+    each chamber, volumes fixed, β of the oil at its pressure; ``Q = gain·opening + slope·Δp`` along each edge; valves of second
     order."""
     plant = model.plant
     row = plant.cylinders[model.layout.cylinders.index(point.cylinder)]
@@ -485,7 +486,8 @@ def development_model(model: Model, point: OperatingPoint) -> LinearModel:
         -areas[1] / point.mass,
     )
     e[0] = 1.0 / point.mass
-    stiff = row.bulk_modulus / np.array([point.volume_head, point.volume_rod])
+    stiff = np.array([bulk_of(row, point.p_head), bulk_of(row, point.p_rod)])
+    stiff /= (point.volume_head, point.volume_rod)
     inflow = np.zeros((2, size))
     inflow[:, 0] = -areas[0], areas[1]
     inflow[0, 1:3] = -row.leakage_internal - row.leakage_head, row.leakage_internal

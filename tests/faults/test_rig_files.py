@@ -310,6 +310,13 @@ SATURATING = EDGE.replace('"orifice"', '"saturating"')
     ("old", "new", "words", "line"),
     padded(
         (PINS, FORCE + PINS, "a force of kind 'spring' needs 'free_length'", FORCE),
+        ("[oil]", '[oil]\nair_fraction = "60 %"', "outside 0 to 50 %", "air_fraction ="),
+        (
+            "[oil]",
+            "[oil]\npolytropic_exponent = 1.3",
+            "an exponent of air needs 'air_fraction'",
+            "polytropic_exponent =",
+        ),
         (
             PINS,
             FORCE.replace('stiffness = "5 kN/m"', 'force = "5 kN"') + PINS,
