@@ -40,7 +40,9 @@ class InputError(EhbenchError):
 
 
 class UnitError(InputError):
-    """A unit is missing, unknown, of the wrong dimension, or makes the value implausible (exit 2)."""
+    """A unit is missing, unknown, of the wrong dimension, or makes the value implausible (exit
+    2).
+    """
 
 
 class LogError(InputError):

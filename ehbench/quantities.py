@@ -15,7 +15,8 @@ class Quantity:
 
     ``unit`` is the SI unit used inside, ``display`` the unit people see unless their rig file says
     otherwise, ``lower`` and ``upper`` [SI] the range outside of which a value is surely a slip of
-    unit or sign."""
+    unit or sign. ``rings`` says of a parameter what it sets where a cylinder rings: its
+    ``frequency`` or its ``decay``."""
 
     name: str
     symbol: str
@@ -24,6 +25,7 @@ class Quantity:
     meaning: str
     lower: float = float("-inf")
     upper: float = float("inf")
+    rings: str = ""
 
 
 _INF = float("inf")
@@ -110,6 +112,7 @@ _ROWS = [
         "effective bulk modulus of oil, air and hose together",
         1e6,
         1e10,
+        rings="frequency",
     ),
     Quantity("pressure", "p", "Pa", "kPa", "gauge pressure", -2e5, 2e8),
     Quantity("tank_pressure", "Pt", "Pa", "kPa", "gauge tank pressure", -2e5, 1e7),
@@ -186,9 +189,25 @@ _ROWS = [
     Quantity("pressure_rod", "p_2", "Pa", "kPa", "known pressure in another rod end", -2e5, 2e8),
     Quantity("friction_coulomb", "F_c", "N", "N", "Coulomb friction of the cylinder", 0, 1e7),
     Quantity(
-        "joint_damping", "b", "N*m*s/rad", "N*m*s/rad", "viscous damping at the joint", 0, 1e8
+        "joint_damping",
+        "b",
+        "N*m*s/rad",
+        "N*m*s/rad",
+        "viscous damping at the joint",
+        0,
+        1e8,
+        rings="decay",
     ),
-    Quantity("damping", "b", "N*s/m", "N*s/m", "viscous damping of a sliding mass", 0, 1e8),
+    Quantity(
+        "damping",
+        "b",
+        "N*s/m",
+        "N*s/m",
+        "viscous damping of a sliding mass",
+        0,
+        1e8,
+        rings="decay",
+    ),
     Quantity("lever", "∂x/∂q", "m/rad", "mm/rad", "cylinder stroke per joint angle", -20, 20),
     Quantity(
         "l_a", "l_A", "m", "mm", "distance from the joint to the cylinder's fixed pin", 1e-3, 50

@@ -178,7 +178,8 @@ def _columns(path: Path, line: int, cells: list[str]) -> tuple[list[str], dict[s
     known = _NUMBERS + _WORDS
     for cell in cells:
         match = _HEADER.fullmatch(cell)
-        name = (match[1] if match else cell).lower().replace(" ", "_")
+        said, unit = (match[1], match[2]) if match else (cell, None)
+        name = said.lower().replace(" ", "_")
         if name not in known:
             near = get_close_matches(re.split(r"[\s(\[{]", cell.lower())[0], known, 1, 0.5)
             hint = f"nearest is '{near[0]}'" if near else f"the columns are like {_EXAMPLE}"
@@ -190,7 +191,7 @@ def _columns(path: Path, line: int, cells: list[str]) -> tuple[list[str], dict[s
         names.append(name)
         if name in _NUMBERS:
             row = VOCABULARY[name]
-            if not match[2]:
+            if not unit:
                 raise UnitError(
                     f"column '{name}' has no unit",
                     file=path,
@@ -198,14 +199,14 @@ def _columns(path: Path, line: int, cells: list[str]) -> tuple[list[str], dict[s
                     hint=f'write it like "{name} [{row.display}]"',
                 )
             try:
-                to_si(1.0, match[2], row)
+                to_si(1.0, unit, row)
             except UnitError as error:
                 raise UnitError(
                     f"column '{name}': {error.message}", file=path, line=line, hint=error.hint
                 ) from None
-            units[name] = match[2]
-        elif match[2] not in (None, "", "-", "1"):
-            raise UnitError(f"column '{name}' has no unit, not '{match[2]}'", file=path, line=line)
+            units[name] = unit
+        elif unit not in (None, "", "-", "1"):
+            raise UnitError(f"column '{name}' has no unit, not '{unit}'", file=path, line=line)
     both = {"upstream_pressure", "downstream_pressure"}
     if "pressure_drop" in names and both & set(names):
         raise InputError(
@@ -316,7 +317,8 @@ def _signs(path: Path, rows: list[dict]) -> None:
         flow_zero, drop_zero = (_ZERO_SHARE * value for value in largest[row["valve"]])
         if flow * drop < 0 and abs(flow) > flow_zero and abs(drop) > drop_zero:
             raise InputError(
-                f"the flow of {row['valve']} runs against its drop: one is negative, the other positive",
+                f"the flow of {row['valve']} runs against its drop: one is negative, the other "
+                "positive",
                 file=path,
                 line=row["line"],
                 hint="oil flows down the pressure: both carry the sign of the direction",
@@ -327,7 +329,8 @@ def _signs(path: Path, rows: list[dict]) -> None:
                     f"the drop is negative along the direction {row['direction']}",
                     file=path,
                     line=row["line"],
-                    hint="count drop and flow positive along the direction, or leave the direction out",
+                    hint="count drop and flow positive along the direction, or leave the "
+                    "direction out",
                 )
             row.update(direction="reverse", flow=-flow, pressure_drop=-drop)
         row["direction"] = row["direction"] or "forward"
@@ -347,7 +350,8 @@ def _data(
                     for value in (row["pressure_drop"], supply)
                 )
                 raise UnitError(
-                    f"a drop of {shown} is {row['pressure_drop'] / supply:.3g} times the supply pressure of {limit}",
+                    f"a drop of {shown} is {row['pressure_drop'] / supply:.3g} times the supply "
+                    f"pressure of {limit}",
                     file=path,
                     line=row["line"],
                     hint=f"check the unit in the header: is it really {unit}?",
@@ -355,7 +359,8 @@ def _data(
         most = max(row["pressure_drop"] for row in rows)
         if most < 0.005 * supply:
             warnings.append(
-                f"{path}: the largest drop is {from_si(most, unit, drop_row):g} {unit}, under 0.5 % of the supply pressure: "
+                f"{path}: the largest drop is {from_si(most, unit, drop_row):g} {unit}, under 0.5 "
+                "% of the supply pressure: "
                 f"is it really {unit}?"
             )
     arrays = {

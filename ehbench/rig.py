@@ -22,6 +22,8 @@ from ehbench.fields import SURENESS as SURENESS
 from ehbench.fields import FileModel, Q, Value
 from ehbench.fields import read_value as read_value
 from ehbench.notebook import label, plural, shown, table
+from ehbench.parts.edge import LawFields, LawName, edge_law
+from ehbench.parts.valve.second_order import Dynamics
 from ehbench.quantities import VOCABULARY, Quantity
 
 NODES = ("supply", "tank", "head", "rod")
@@ -117,94 +119,42 @@ class Pins(FileModel):
     phase: Annotated[Value, Q("phase")] = Value(0.0)
 
 
-class Dynamics(FileModel):
-    """Second-order valve dynamics opening/command, as ω_n and ζ or as the denominator s2·s² + s1·s
-    + 1.
-    """
-
-    natural_frequency: Annotated[Value, Q("natural_frequency")] | None = None
-    damping_ratio: Annotated[Value, Q("damping_ratio")] | None = None
-    s2: Annotated[Value, Q("s2")] | None = None
-    s1: Annotated[Value, Q("s1")] | None = None
-    note: str = ""
-
-    @model_validator(mode="after")
-    def _one_form(self) -> Dynamics:
-        pair = self.natural_frequency is not None and self.damping_ratio is not None
-        poly = self.s2 is not None and self.s1 is not None
-        given = sum(
-            v is not None for v in (self.natural_frequency, self.damping_ratio, self.s2, self.s1)
-        )
-        if given != 2 or pair == poly:
-            raise ValueError("give natural_frequency and damping_ratio, or s2 and s1")
-        if poly and float(self.s2) <= 0:  # type: ignore[arg-type]
-            raise ValueError("s2 must be positive")
-        return self
-
-    def frequency_and_damping(self) -> tuple[float, float]:
-        """(ω_n [rad/s], ζ)."""
-        if self.natural_frequency is not None:
-            return float(self.natural_frequency), float(self.damping_ratio)  # type: ignore[arg-type]
-        omega = 1.0 / math.sqrt(float(self.s2))  # type: ignore[arg-type]
-        return omega, 0.5 * omega * float(self.s1)  # type: ignore[arg-type]
-
-
-class Edge(FileModel):
+class MeteringEdge(FileModel):
     """One metering edge: flow from ``from`` to ``to`` when upstream pressure is higher.
 
-    law ``orifice``: Q = flow_gain·(opening − deadband)·√Δp. law ``saturating``: as orifice, but
-    nothing more beyond ``opening_max``. law ``compensated``: Q =
-    compensated_gain·(opening − deadband), reached over ``compensation_drop``. law ``flow_control``:
-    the same, and flat above ``compensation_drop``. law ``map``: a
-    measured flow map, from the recipe's ``flow_maps`` or the run behind the rig; where one is given
-    it goes before the other laws, too. ``sign`` −1 opens the edge on negative commands. ``reverse``
-    says what a reversed drop does: ``mirror`` or ``blocked``."""
+    ``law`` is one of `ehbench.parts.edge`, which brings keys of its own. law ``map`` is a measured
+    flow map, from the recipe's ``flow_maps`` or the run behind the rig; where one is given it goes
+    before the other laws, too. ``sign`` −1 opens the edge on negative commands. ``reverse`` says
+    what a reversed drop does: ``mirror`` or ``blocked``."""
 
     name: Name | None = None
     from_: Literal["supply", "tank", "head", "rod"] = Field(alias="from")
     to: Literal["supply", "tank", "head", "rod"]
-    law: Literal["orifice", "compensated", "map", "saturating", "flow_control"]
+    law: LawName
     sign: Literal[1, -1] = 1
     reverse: Literal["mirror", "blocked"] = "mirror"
     deadband: Annotated[Value, Q("deadband")] = Value(0.0)
-    flow_gain: Annotated[Value, Q("flow_gain")] | None = None
-    compensated_gain: Annotated[Value, Q("compensated_gain")] | None = None
-    compensation_drop: Annotated[Value, Q("compensation_drop")] = Value(2.0e5)
-    opening_max: Annotated[Value, Q("opening_max")] | None = None
-    saturation_softness: Annotated[Value, Q("saturation_softness")] | None = None
+
+
+class Edge(LawFields, MeteringEdge):
+    """A metering edge with the keys of its law."""
 
     @model_validator(mode="after")
     def _law_is_whole(self) -> Edge:
         if self.from_ == self.to:
             raise ValueError(f"an edge joins two different nodes, not {self.to} with itself")
-        needs = {
-            "orifice": ("flow_gain",),
-            "compensated": ("compensated_gain",),
-            "saturating": ("flow_gain", "opening_max"),
-            "flow_control": ("compensated_gain",),
-        }
-        for need in needs.get(self.law, ()):
+        for need in edge_law(self.law).needs:
             if getattr(self, need) is None:
                 raise ValueError(f"law '{self.law}' needs '{need}'")
-        if self.law == "saturating":
-            self._saturates_beyond_its_deadband()
+        if (odd := edge_law(self.law).odd(self)) is not None:
+            raise Misplaced(*odd)
         return self
-
-    def _saturates_beyond_its_deadband(self) -> None:
-        wide = float(self.opening_max) - float(self.deadband)  # type: ignore[arg-type]
-        if wide <= 0.0:
-            raise Misplaced("opening_max must lie above deadband", "opening_max")
-        if float(self.saturation_softness or 0.0) > wide:
-            raise Misplaced(
-                f"saturation_softness must not exceed opening_max − deadband, {wide:g} V",
-                "saturation_softness",
-            )
 
     @property
     def gain(self) -> Value | None:
         """The gain of its law."""
-        by_area = self.law in ("orifice", "saturating")
-        return self.flow_gain if by_area else self.compensated_gain
+        needs = edge_law(self.law).needs
+        return getattr(self, needs[0] if needs else "compensated_gain")
 
 
 class Valve(FileModel):
@@ -237,7 +187,7 @@ class Valve(FileModel):
             raise Misplaced("command_min must lie below command_max", "command_min")
         for index, edge in enumerate(self.edge):
             reach = float(self.command_max) if edge.sign > 0 else -float(self.command_min)
-            opens = 0.0 if edge.law == "map" else float(edge.deadband)
+            opens = float(edge.deadband) if edge_law(edge.law).has_deadband else 0.0
             if reach <= opens:
                 way = (
                     f"commands above {opens:g} V"

@@ -137,7 +137,9 @@ def correlation(x: np.ndarray, u: np.ndarray, lags: int) -> np.ndarray:
 
 
 def autocorrelation(x: np.ndarray, lags: int) -> np.ndarray:
-    """Sample autocorrelation at lags 0 … lags, shape (lags + 1,); 1 at lag 0 unless x is constant."""
+    """Sample autocorrelation at lags 0 … lags, shape (lags + 1,); 1 at lag 0 unless x is
+    constant.
+    """
     return correlation(x, x, lags)[lags:]
 
 
@@ -363,7 +365,7 @@ def _refine(s, y, omega, zeta, taus, free_drift=True):
     from scipy.optimize import least_squares
 
     n = y.size
-    best = None
+    best = (math.inf, omega, zeta, 0.0)
     for tau in taus:
 
         def residual(p, tau=tau):
@@ -395,7 +397,7 @@ def _refine(s, y, omega, zeta, taus, free_drift=True):
         score = n * math.log(max(2.0 * found.cost / n, 1e-300)) + (
             (y.shape[1] + 1) * math.log(n) if tau > 0.0 else 0.0
         )
-        if best is None or score < best[0]:
+        if score < best[0]:
             best = (
                 score,
                 math.exp(found.x[0]),
@@ -403,6 +405,26 @@ def _refine(s, y, omega, zeta, taus, free_drift=True):
                 math.exp(found.x[2]) if len(found.x) > 2 else tau,
             )
     return best[1:]
+
+
+def _standard_errors(s, y, omega, zeta, tau, residual, colour) -> tuple[float, float]:
+    """Of ω [rad/s] and ζ, from the slopes of what the fit leaves over.
+
+    Args:
+        residual: sum of squares of what is left over, in the weights of ``y``.
+        colour: samples of it that count as one independent one.
+    """
+    step = 1e-4
+    moves = np.eye(3)[: 3 if tau > 0.0 else 2] * step
+    slopes = np.empty((y.size, len(moves)))
+    for column, (dw, dz, dt) in enumerate(moves):
+        up = _project(_basis(s, omega * math.exp(dw), zeta + dz, tau * math.exp(dt)), y)[1]
+        down = _project(_basis(s, omega * math.exp(-dw), zeta - dz, tau * math.exp(-dt)), y)[1]
+        slopes[:, column] = ((up - down) / (2 * step)).ravel()
+    covariance = (
+        np.linalg.pinv(slopes.T @ slopes) * residual / max(1, y.size - 6 * y.shape[1] - 2) * colour
+    )
+    return float(omega * math.sqrt(covariance[0, 0])), float(math.sqrt(covariance[1, 1]))
 
 
 def _judge(s, y, weight, omega, zeta, tau, start) -> Ringing:
@@ -424,38 +446,16 @@ def _judge(s, y, weight, omega, zeta, tau, start) -> Ringing:
         if residual > 1e-12 * max(total, 1e-300)
         else 1.0
     )
-    step = 1e-4
-    moves = np.eye(3)[: 3 if tau > 0.0 else 2] * step
-    slopes = np.empty((y.size, len(moves)))
-    for column, (dw, dz, dt) in enumerate(moves):
-        up = _project(_basis(s, omega * math.exp(dw), zeta + dz, tau * math.exp(dt)), y)[1]
-        down = _project(_basis(s, omega * math.exp(-dw), zeta - dz, tau * math.exp(-dt)), y)[1]
-        slopes[:, column] = ((up - down) / (2 * step)).ravel()
-    covariance = (
-        np.linalg.pinv(slopes.T @ slopes) * residual / max(1, y.size - 6 * y.shape[1] - 2) * colour
-    )
-    std_omega, std_zeta = (
-        float(omega * math.sqrt(covariance[0, 0])),
-        float(math.sqrt(covariance[1, 1])),
-    )
+    std_omega, std_zeta = _standard_errors(s, y, omega, zeta, tau, residual, colour)
     evidence = n / colour * math.log(total / max(residual, 1e-12 * total)) if total > 0.0 else 0.0
-    found = {
-        "natural_frequency": omega,
-        "damping_ratio": zeta,
-        "natural_frequency_std": std_omega,
-        "damping_ratio_std": std_zeta,
-        "cycles": cycles,
-        "r_squared": share,
-        "stop": start + span,
-        "drift_time": float(tau),
-        "weights": weights,
-    }
     reason, fitted = "", math.nan
-    plain = (
-        share > 0.9 and cycles > 2.0 * LEAST_CYCLES
-    )  # what is left over is then the model's error, not noise to be judged by
+    # what is left over is then the model's error, not noise to be judged by
+    plain = share > 0.9 and cycles > 2.0 * LEAST_CYCLES
     if not plain and (evidence < SIGNIFICANT or share < 0.3):
-        reason = f"no oscillation stands out of noise and drift (it explains {100 * max(share, 0.0):.0f} % of what the drift leaves)"
+        reason = (
+            "no oscillation stands out of noise and drift (it explains "
+            f"{100 * max(share, 0.0):.0f} % of what the drift leaves)"
+        )
     elif zeta > MOST_DAMPED or (cycles < LEAST_CYCLES and zeta * omega * span > 3.0):
         reason, fitted = "damped too well to ring", zeta
     elif cycles < LEAST_CYCLES:
@@ -466,4 +466,15 @@ def _judge(s, y, weight, omega, zeta, tau, start) -> Ringing:
         return Ringing(
             reason=reason, cycles=cycles, r_squared=share, stop=start + span, fitted_damping=fitted
         )
-    return Ringing(**found, ok=True)
+    return Ringing(
+        natural_frequency=omega,
+        damping_ratio=zeta,
+        natural_frequency_std=std_omega,
+        damping_ratio_std=std_zeta,
+        cycles=cycles,
+        r_squared=share,
+        stop=start + span,
+        drift_time=float(tau),
+        weights=weights,
+        ok=True,
+    )

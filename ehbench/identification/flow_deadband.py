@@ -1,4 +1,4 @@
-"""Where a flow map begins: the commands between which flow starts, the deadband and its interval."""
+"""Where a flow map begins: commands between which flow starts, deadband and its interval."""
 
 from __future__ import annotations
 

@@ -127,7 +127,7 @@ class Task:
 
 
 def clusters(values: np.ndarray, share: float, width: float) -> np.ndarray:
-    """Label of the cluster of each value; a cluster spans at most share·(its least value) + width."""
+    """Label of the cluster of each value; one spans at most share·(its least value) + width."""
     order = np.argsort(values, kind="stable")
     labels = np.empty(values.size, int)
     start, label = -np.inf, -1

@@ -31,7 +31,8 @@ class Units:
         return f"{from_si(value, self.flow_unit, VOCABULARY['flow']):.{digits}g} {self.flow_unit}"
 
     def drop(self, value: float) -> str:
-        return f"{from_si(value, self.pressure_unit, VOCABULARY['pressure_drop']):.4g} {self.pressure_unit}"
+        shown = from_si(value, self.pressure_unit, VOCABULARY["pressure_drop"])
+        return f"{shown:.4g} {self.pressure_unit}"
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,8 @@ class Outlier:
 
     def sentence(self, show: Units) -> str:
         where = f"{self.file}:{self.line}" if self.file else f"line {self.line}"
-        point = f"{show.flow(self.flow)} at {show.volts(self.command)} and {show.drop(self.pressure_drop)}"
+        place = f"{show.volts(self.command)} and {show.drop(self.pressure_drop)}"
+        point = f"{show.flow(self.flow)} at {place}"
         return f"{where}: {point} lies {self.sigmas:+.1f} sigma from the map"
 
 
@@ -75,16 +77,19 @@ class Calibration:
     verdict: str
 
     def sentence(self, show: Units) -> str:
+        volts, target = show.volts(self.command), show.flow(self.target)
         if self.verdict == "not_measured":
-            return f"{show.volts(self.command)} lies outside the measured commands: {show.flow(self.target)} there cannot be checked"
-        gives = f"{show.volts(self.command)} gives {show.flow(self.flow)} ({show.flow(self.low)} to {show.flow(self.high)})"
+            return f"{volts} lies outside the measured commands: {target} there cannot be checked"
+        ends = f"{show.flow(self.low)} to {show.flow(self.high)}"
+        gives = f"{volts} gives {show.flow(self.flow)} ({ends})"
         drops = show.drop(self.drop_low)
         drops = (
             f"at {drops}"
             if self.drop_low == self.drop_high
             else f"from {drops} to {show.drop(self.drop_high)}"
         )
-        return f"{gives} {drops}, asked {show.flow(self.target)} ± {100 * self.tolerance:.3g} %: {self.verdict}"
+        asked = f"asked {target} ± {100 * self.tolerance:.3g} %"
+        return f"{gives} {drops}, {asked}: {self.verdict}"
 
 
 @dataclass(frozen=True)
@@ -163,7 +168,7 @@ def check_calibration(
         low, high = reference if isinstance(reference, tuple) else (reference, reference)
     drops = np.linspace(low, high, 21)
     flows = found.flow(drops, command)
-    flow, std = float(flows.mean()), float(found.flow_std(drops, command).mean())
+    flow, std = float(np.mean(flows)), float(np.mean(found.flow_std(drops, command)))
     bounds = flow - Z95 * std, flow + Z95 * std
     band = target * (1 - tolerance), target * (1 + tolerance)
     if not found.hull_command[0] <= command <= found.hull_command[-1]:
@@ -178,8 +183,8 @@ def check_calibration(
         tolerance,
         flow,
         *bounds,
-        float(flows.min()),
-        float(flows.max()),
+        float(np.min(flows)),
+        float(np.max(flows)),
         low,
         high,
         verdict,

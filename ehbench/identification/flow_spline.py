@@ -89,7 +89,9 @@ class Axis:
 
 
 class Spline:
-    """The spline of one deadband on opening and root-of-drop scaled to 0…1: design, penalties, fit."""
+    """The spline of one deadband on opening and root of drop scaled to 0…1: design, penalties,
+    fit.
+    """
 
     def __init__(
         self, deadband: float, above: np.ndarray, along_s: Axis, soft: bool = False

@@ -178,8 +178,8 @@ def solve(shape: Shape, spline: Spline, cells: Cells) -> tuple[np.ndarray, float
     """
     _, gram, right = normal_equations(spline, cells)
     c, determinant = spline.solve(gram, right, shape.smoothing)
-    misfit = float(cells.weight @ cells.y**2) + c @ (
-        spline.matrix(gram, shape.smoothing) @ c - 2 * right
+    misfit = float(cells.weight @ cells.y**2) + float(
+        c @ (spline.matrix(gram, shape.smoothing) @ c - 2 * right)
     )
     return c, deviance(max(misfit, 1e-12), cells) + determinant
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -23,98 +23,93 @@ import numpy as np
 from ehbench.errors import InputError
 from ehbench.identification.matching import Matching, refuse_unmatched
 from ehbench.identification.output_error import OutputError
-from ehbench.identification.steps import (
-    Bench,
-    Coordinate,
+from ehbench.identification.results import (
     FittedParameter,
     HydraulicsFit,
-    Log,
     LogFit,
     Match,
     Progress,
-    Where,
-    coordinates,
-    payload_of,
-    prepare,
 )
+from ehbench.identification.search import Coordinate, Where, coordinates
+from ehbench.identification.simulator import Log, Simulator, prepare
+from ehbench.observations import payload_of
 from ehbench.plant.build import Maps
 from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model
 from ehbench.record import Record
-from ehbench.rig import Rig
+from ehbench.rig import Cylinder, Rig
 
 __all__ = [
+    "FitOptions",
     "FittedParameter",
     "HydraulicsFit",
     "LogFit",
     "Match",
+    "PreparedFit",
     "Variant",
     "compare_dynamics",
     "identify_hydraulics",
+    "prepare_fit",
+    "run_fit",
 ]
 
 CHANNELS = ("qd", "p_head", "p_rod")
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """What a fit of parameters to step logs may be told.
+
+    Args:
+        method: ``output_error`` or ``thesis``.
+        start, lower, upper: SI numbers or texts with unit, by parameter name.
+        channels: what to compare, of every cylinder that moves or is asked to, or full names. Rates
+            and pressures by default: an angle is the integral of the flow map's error.
+        cutoff: low-pass [Hz] on recorded and simulated alike; output error only.
+        max_iterations: of the solver.
+        step: integration step [s]; output error searches with twice that before it settles.
+        workers: threads; 0 for one per core. The result does not depend on it.
+    """
+
+    method: str = "output_error"
+    start: Mapping[str, str | float] = field(default_factory=dict)
+    lower: Mapping[str, str | float] = field(default_factory=dict)
+    upper: Mapping[str, str | float] = field(default_factory=dict)
+    channels: Sequence[str] = CHANNELS
+    cutoff: float | None = None
+    max_iterations: int = 30
+    step: float = STEP
+    workers: int = 0
 
 
 def identify_hydraulics(
     rig: Rig,
     records: Sequence[tuple[str, Record]],
     parameters: Sequence[str],
-    method: str = "output_error",
-    start: Mapping[str, str | float] | None = None,
-    lower: Mapping[str, str | float] | None = None,
-    upper: Mapping[str, str | float] | None = None,
-    channels: Sequence[str] = CHANNELS,
+    options: FitOptions | None = None,
     flow_maps: Maps | None = None,
-    workers: int = 0,
-    cutoff: float | None = None,
     progress: Progress | None = None,
-    *,
-    max_iterations: int = 30,
-    step: float = STEP,
     where: Where = lambda *location: {},
 ) -> HydraulicsFit:
     """Fit parameters of ``rig.parameters()`` to step logs.
 
     Args:
-        rig: where the search starts, unless ``start`` says otherwise.
+        rig: where the search starts, unless the options say otherwise.
         records: (name, log); a log's ``meta["payload"]`` names the payload carried, or ``none``.
         parameters: names; with method ``thesis`` only ``bulk_modulus`` and joint (or slide)
             dampings.
-        method: ``output_error`` or ``thesis``.
-        start, lower, upper: SI numbers or texts with unit, by parameter name.
-        channels: what to compare, of every cylinder that moves or is asked to, or full names. Rates
-            and pressures by
-            default: an angle is the integral of the flow map's error.
+        options: method, start, bounds, channels and settings of the solver.
         flow_maps: measured maps (forward, reverse or None) by edge name.
-        workers: threads; 0 for one per core. The result does not depend on it.
-        cutoff: low-pass [Hz] on recorded and simulated alike; output error only.
         progress: called with a sentence and the share done.
-        max_iterations: of the solver.
-        step: integration step [s]; output error searches with twice that before it settles.
         where: file and line of a recipe's key, for the errors: `Recipe.at`.
 
     Raises:
         InputError: unknown parameter or payload, a bad start or bound, or one the method does not
-            take; a log that `intake.take_in` refuses; a cutoff above half the rate of a log.
+            take; a log that `preprocessing.preprocess` refuses; a cutoff above half the rate of a
+            log.
         InsufficientData: no log tells anything about any parameter, or the fit follows none.
     """
-    prepared = prepare_fit(
-        rig,
-        records,
-        parameters,
-        method,
-        start,
-        lower,
-        upper,
-        channels,
-        flow_maps,
-        cutoff,
-        where=where,
-    )
-    return run_fit(
-        prepared, workers=workers, max_iterations=max_iterations, step=step, progress=progress
-    )
+    return run_fit(prepare_fit(rig, records, parameters, options, flow_maps, where), progress)
 
 
 @dataclass(frozen=True)
@@ -123,25 +118,18 @@ class PreparedFit:
 
     rig: Rig
     parameters: tuple[str, ...]
-    method: str
     search: list[Coordinate]
     logs: tuple[Log, ...]
+    options: FitOptions
     flow_maps: Maps | None = None
-    cutoff: float | None = None
 
 
 def prepare_fit(
     rig: Rig,
     records: Sequence[tuple[str, Record]],
     parameters: Sequence[str],
-    method: str = "output_error",
-    start: Mapping[str, str | float] | None = None,
-    lower: Mapping[str, str | float] | None = None,
-    upper: Mapping[str, str | float] | None = None,
-    channels: Sequence[str] = CHANNELS,
+    options: FitOptions | None = None,
     flow_maps: Maps | None = None,
-    cutoff: float | None = None,
-    *,
     where: Where = lambda *location: {},
 ) -> PreparedFit:
     """Take in the logs and parameters of a fit; arguments as in `identify_hydraulics`.
@@ -150,11 +138,12 @@ def prepare_fit(
         InputError: as in `identify_hydraulics`.
         InsufficientData: a log in which nothing is commanded.
     """
-    if method not in ("output_error", "thesis"):
-        raise InputError(f"unknown method '{method}'", hint="output_error or thesis")
+    asked = options or FitOptions()
+    if asked.method not in ("output_error", "thesis"):
+        raise InputError(f"unknown method '{asked.method}'", hint="output_error or thesis")
     if not records or len({name for name, _ in records}) < len(records):
         raise InputError("identification needs at least one log, each with a name of its own")
-    search = coordinates(rig, parameters, start, lower, upper, where)
+    search = coordinates(rig, parameters, asked.start, asked.lower, asked.upper, where)
     logs = []
     for index, (name, record) in enumerate(records):
         try:
@@ -163,37 +152,37 @@ def prepare_fit(
             raise InputError(
                 f"{name}: {error.message}", **where("data", index), hint=error.hint
             ) from None
-        logs.append(prepare(Model.of(rig, flow_maps, payload_of(record)), record, name, channels))
-        if cutoff is not None and cutoff * logs[-1].record.sample_time >= 0.5:
+        model = Model.of(rig, flow_maps, payload_of(record))
+        log = prepare(model, record, name, asked.channels)
+        logs.append(log)
+        if asked.cutoff is not None and asked.cutoff * log.record.sample_time >= 0.5:
+            half = 0.5 / log.record.sample_time
             raise InputError(
-                f"a cutoff of {cutoff:g} Hz is not below half the rate of {name}, {0.5 / logs[-1].record.sample_time:.4g} Hz",
+                f"a cutoff of {asked.cutoff:g} Hz is not below half the rate of {name}, "
+                f"{half:.4g} Hz",
                 **where("cutoff"),
             )
-    if method == "thesis":
+    if asked.method == "thesis":
         refuse_unmatched(search)
-    return PreparedFit(rig, tuple(parameters), method, search, tuple(logs), flow_maps, cutoff)
+    return PreparedFit(rig, tuple(parameters), search, tuple(logs), asked, flow_maps)
 
 
-def run_fit(
-    prepared: PreparedFit,
-    *,
-    workers: int = 0,
-    max_iterations: int = 30,
-    step: float = STEP,
-    progress: Progress | None = None,
-) -> HydraulicsFit:
-    """Fit what `prepare_fit` took in; arguments as in `identify_hydraulics`.
+def run_fit(prepared: PreparedFit, progress: Progress | None = None) -> HydraulicsFit:
+    """Fit what `prepare_fit` took in; ``progress`` as in `identify_hydraulics`.
 
     Raises:
         InsufficientData: no log tells anything about any parameter, or the fit follows none.
     """
-    one = prepared
-    bench = Bench(one.rig, one.logs, one.parameters, one.flow_maps, workers, step)
+    one, asked = prepared, prepared.options
+    simulator = Simulator(
+        one.rig, one.logs, one.parameters, one.flow_maps, asked.workers, asked.step
+    )
     tell = progress or (lambda sentence, share: None)
-    with bench.pool:
-        if one.method == "thesis":
-            return Matching(bench, one.search, tell, max_iterations).fit()
-        return OutputError(bench, one.search, tell, max_iterations, one.cutoff).fit()
+    most = asked.max_iterations
+    with simulator.pool:
+        if asked.method == "thesis":
+            return Matching(simulator, one.search, tell, most).fit()
+        return OutputError(simulator, one.search, tell, most, asked.cutoff).fit()
 
 
 @dataclass(frozen=True)
@@ -219,23 +208,24 @@ def compare_dynamics(
     records: Sequence[tuple[str, Record]],
     parameters: Sequence[str],
     variants: Sequence[str],
-    **options: Any,
+    options: FitOptions | None = None,
+    flow_maps: Maps | None = None,
+    progress: Progress | None = None,
+    where: Where = lambda *location: {},
 ) -> tuple[Variant, ...]:
     """The same logs fitted with each named valve dynamics in place of any of the others, best
     first.
 
     Args:
-        variants: names in ``rig.dynamics``; every valve on one of them takes each in turn.
-        options: those of `identify_hydraulics`.
+        variants: names in ``rig.dynamics``; every valve on one of them takes each in turn. The
+            other arguments are those of `identify_hydraulics`.
 
     Raises:
         InputError: a variant the rig does not have, or no valve on any of them.
     """
     rigs = with_each_dynamics(rig, variants)
-    fits = {
-        name: identify_hydraulics(one, records, parameters, **options) for name, one in rigs.items()
-    }
-    return ranked(fits)
+    given = (records, parameters, options, flow_maps, progress, where)
+    return ranked({name: identify_hydraulics(one, *given) for name, one in rigs.items()})
 
 
 def with_each_dynamics(rig: Rig, variants: Sequence[str]) -> dict[str, Rig]:
@@ -255,21 +245,17 @@ def with_each_dynamics(rig: Rig, variants: Sequence[str]) -> dict[str, Rig]:
             f"no valve of rig '{rig.name}' has one of the dynamics " + ", ".join(variants)
         )
 
-    def with_dynamics(name: str) -> Rig:
-        cylinders = tuple(
-            c.model_copy(
-                update={
-                    "valve": tuple(
-                        v.model_copy(update={"dynamics": name}) if v.dynamics in variants else v
-                        for v in c.valve
-                    )
-                }
-            )
-            for c in rig.cylinder
+    def changed(cylinder: Cylinder, name: str) -> Cylinder:
+        valves = (
+            v.model_copy(update={"dynamics": name}) if v.dynamics in variants else v
+            for v in cylinder.valve
         )
-        return rig.model_copy(update={"cylinder": cylinders})
+        return cylinder.model_copy(update={"valve": tuple(valves)})
 
-    return {name: with_dynamics(name) for name in variants}
+    return {
+        name: rig.model_copy(update={"cylinder": tuple(changed(c, name) for c in rig.cylinder)})
+        for name in variants
+    }
 
 
 def ranked(fits: Mapping[str, HydraulicsFit]) -> tuple[Variant, ...]:

@@ -1,5 +1,6 @@
-"""The thesis's way (2.3): turn the bulk modulus until the simulation rings at the recorded
-frequency, then the damping until it decays alike."""
+"""The thesis's matching: bulk modulus from the frequency of ringing, dampings from its decay
+(thesis 2.3).
+"""
 
 from __future__ import annotations
 
@@ -10,34 +11,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ehbench.errors import InputError, InsufficientData
-from ehbench.identification.steps import (
-    LEVEL,
-    VAGUE,
-    Bench,
-    Coordinate,
-    FittedParameter,
+from ehbench.identification.results import (
+    Estimate,
     HydraulicsFit,
     Match,
     Progress,
     finish,
-    least_change,
+    untold,
 )
-from ehbench.rig import parameter_row
+from ehbench.identification.search import LEVEL, VAGUE, Coordinate
+from ehbench.identification.simulator import Log, Simulator
+from ehbench.observations import TOGETHER, least_change, rings_clearly
 from ehbench.signals import Ringing, ringing, ringing_like, rms, transients
 
 # rounds before the matching asks whether a parameter is told at all; of these so many may damp a
-# silent simulation less,
-# and after so many the slopes are kept, so that it can come to rest
+# silent simulation less, and after so many the slopes are kept, so that it can come to rest
 ROUNDS, TAMING, FRESH_SLOPES = 12, 4, 8
-NUDGE = 0.03  # step of finite differences, in units of a parameter: frequency and decay are estimates themselves
-STAND, LITTLE = (
-    1.0e-3,
-    0.02,
-)  # the matching stands when no parameter moves by more, in its unit or in standard errors
-TOGETHER = 0.02  # [s]: commands that change within this before a transient have begun it with it
-# a transient is matched if it shows so many cycles and is not damped more: the rest is told by
-# drift as well as by ringing
-MATCH_CYCLES, MATCH_DAMPING = 1.5, 0.35
+# step of finite differences, in units of a parameter: frequency and decay are estimates themselves
+NUDGE = 0.03
+# the matching stands when no parameter moves by more, in its unit or in standard errors
+STAND, LITTLE = 1.0e-3, 0.02
 
 
 @dataclass(frozen=True)
@@ -71,14 +64,79 @@ def refuse_unmatched(search: Sequence[Coordinate]) -> None:
         InputError: names the first.
     """
     for c in search:
-        if c.name != "bulk_modulus" and c.name.rsplit(".", 1)[-1] not in (
-            "joint_damping",
-            "damping",
-        ):
+        of_the_oil = c.row.rings == "frequency" and not c.owner
+        if not of_the_oil and c.row.rings != "decay":
             raise InputError(
                 f"method 'thesis' cannot fit {c.name}",
                 hint="it takes bulk_modulus and joint dampings; use method 'output_error'",
             )
+
+
+def find_windows(simulator: Simulator, tell: Progress) -> list[_Window]:
+    """Every transient of a cylinder after a change of its own commands that rings.
+
+    Raises:
+        InsufficientData: none does; says why the first do not.
+    """
+    found: list[_Window] = []
+    reasons: list[str] = []
+    for k, log in enumerate(simulator.logs):
+        valves = [
+            (c.name, f"{c.name}.{v.name}.command", least_change(v))
+            for c, v in simulator.rig.valves()
+        ]
+        cylinders, names, least = zip(
+            *(valve for valve in valves if valve[1] in log.record), strict=True
+        )
+        commands = np.column_stack([log.record[name] for name in names])
+        tell("thesis: looking for ringing", 0.2 * k / len(simulator.logs))
+        for span in transients(log.record.t, commands, least=np.array(least)):
+            before = max(0, span.start - 1 - round(TOGETHER / log.record.sample_time))
+            changed = np.abs(commands[before] - np.median(commands[span], axis=0)) > least
+            moved = (c for c, moved in zip(cylinders, changed, strict=True) if moved)
+            for cylinder in dict.fromkeys(moved):
+                part, columns, ring = _ringing_of(log, span, cylinder)
+                reason = ring.reason
+                if ring.ok and not rings_clearly(ring.cycles, ring.damping_ratio):
+                    reason = (
+                        f"{ring.cycles:.1f} cycles at a damping ratio of {ring.damping_ratio:.2f} "
+                        "are too little to match"
+                    )
+                if reason:
+                    reasons.append(f"{log.name} at {log.record.t[span.start]:.3g} s: {reason}")
+                else:
+                    joint = simulator.rig.cylinder_named(cylinder).joint
+                    found.append(_Window(k, part, cylinder, joint, columns, ring))
+    if not found:
+        raise InsufficientData(
+            "no transient of these logs rings clearly, so there is no frequency to match",
+            hint="; ".join(reasons[:3]) or None,
+        )
+    return found
+
+
+def _ringing_of(log: Log, span: slice, cylinder: str) -> tuple[slice, tuple[int, ...], Ringing]:
+    """(samples that count, columns of the cylinder's channels, how they ring)."""
+    columns = tuple(
+        i for i, channel in enumerate(log.channels) if channel.startswith(cylinder + ".")
+    )
+    part = _counting(span, np.all(log.counts[:, columns], axis=1))
+    if not columns:
+        return part, columns, Ringing(reason="nothing recorded")
+    return part, columns, ringing(log.record.t[part], log.recorded[part][:, columns])
+
+
+@dataclass(frozen=True, eq=False)
+class _Stand:
+    """Where some rounds of the matching ended: whether it stands still, the slopes (rows: what is
+    matched, columns: parameters alive), what is missed by window and which parameters are at a
+    bound, by index, and how the simulation rings."""
+
+    converged: bool
+    slope: np.ndarray
+    error: dict[int, np.ndarray]
+    at_bound: list[int]
+    rings: list[Ringing]
 
 
 class Matching:
@@ -86,89 +144,34 @@ class Matching:
     decay, and again.
     """
 
-    def __init__(self, bench: Bench, search: list[Coordinate], tell: Progress, most: int) -> None:
-        self.bench, self.search, self.tell, self.most = bench, search, tell, most
+    def __init__(
+        self, simulator: Simulator, search: list[Coordinate], tell: Progress, most: int
+    ) -> None:
+        self.simulator, self.search, self.tell, self.most = simulator, search, tell, most
         refuse_unmatched(search)
-        self.windows = self._windows()
-
-    def _windows(self) -> list[_Window]:
-        """Every transient of a cylinder after a change of its own commands that rings.
-
-        Raises:
-            InsufficientData: none does; says why the first do not.
-        """
-        found, reasons = [], []
-        for k, log in enumerate(self.bench.logs):
-            valves = [
-                (c.name, f"{c.name}.{v.name}.command", least_change(v))
-                for c, v in self.bench.rig.valves()
-            ]
-            cylinders, names, least = zip(
-                *(valve for valve in valves if valve[1] in log.record), strict=True
-            )
-            commands = np.column_stack([log.record[name] for name in names])
-            self.tell("thesis: looking for ringing", 0.2 * k / len(self.bench.logs))
-            for span in transients(log.record.t, commands, least=np.array(least)):
-                before = max(0, span.start - 1 - round(TOGETHER / log.record.sample_time))
-                changed = np.abs(commands[before] - np.median(commands[span], axis=0)) > least
-                for cylinder in dict.fromkeys(
-                    c for c, moved in zip(cylinders, changed, strict=True) if moved
-                ):
-                    columns = tuple(
-                        i
-                        for i, channel in enumerate(log.channels)
-                        if channel.startswith(cylinder + ".")
-                    )
-                    part = _counting(span, log.counts[:, columns].all(axis=1))
-                    ring = (
-                        ringing(log.record.t[part], log.recorded[part][:, columns])
-                        if columns
-                        else Ringing(reason="nothing recorded")
-                    )
-                    reason = ring.reason
-                    if ring.ok and (
-                        ring.damping_ratio > MATCH_DAMPING or ring.cycles < MATCH_CYCLES
-                    ):
-                        reason = f"{ring.cycles:.1f} cycles at a damping ratio of {ring.damping_ratio:.2f} are too little to match"
-                    if reason:
-                        reasons.append(f"{log.name} at {log.record.t[span.start]:.3g} s: {reason}")
-                    else:
-                        found.append(
-                            _Window(
-                                k,
-                                part,
-                                cylinder,
-                                self.bench.rig.cylinder_named(cylinder).joint,
-                                columns,
-                                ring,
-                            )
-                        )
-        if not found:
-            raise InsufficientData(
-                "no transient of these logs rings clearly, so there is no frequency to match",
-                hint="; ".join(reasons[:3]) or None,
-            )
-        return found
+        self.windows = find_windows(simulator, tell)
+        recorded = [window.recorded for window in self.windows]
+        self.aim = [self._measure(i, recorded) for i in range(len(search))]
+        self.theta = np.array([c.begin for c in search])
+        self.live = [i for i in range(len(search)) if np.isfinite(self.aim[i]).any()]
+        self.rounds = 0
 
     def _rings(self, theta: np.ndarray, before: Sequence[Ringing] | None) -> list[Ringing]:
         """How the simulation rings in each window, seen as the recording was; the search starts
         where it rang before.
         """
-        row = self.bench.simulate([[c.at(x) for c, x in zip(self.search, theta, strict=True)]])[0]
+        values = [c.at(x) for c, x in zip(self.search, theta, strict=True)]
+        row = self.simulator.simulate([values])[0]
         result = []
         for k, window in enumerate(self.windows):
-            if row[window.log] is None:
+            simulated = row[window.log]
+            if simulated is None:
                 result.append(Ringing(reason="the simulation failed"))
                 continue
-            t, y = (
-                self.bench.logs[window.log].record.t[window.span],
-                row[window.log][window.span][:, window.columns],
-            )
-            guess = (
-                (before[k].natural_frequency, before[k].damping_ratio)
-                if before is not None and before[k].ok
-                else None
-            )
+            t = self.simulator.logs[window.log].record.t[window.span]
+            last = before[k] if before is not None else Ringing()
+            guess = (last.natural_frequency, last.damping_ratio) if last.ok else None
+            y = simulated[window.span][:, window.columns]
             result.append(ringing_like(t, y, window.recorded, guess))
         return result
 
@@ -176,12 +179,11 @@ class Matching:
         """What parameter i is matched on, by window: ln ω_n for the bulk modulus, ζ for a damping;
         nan where there is none.
         """
-        if self.search[i].name == "bulk_modulus":
+        if self.search[i].row.rings == "frequency":
             return np.array(
                 [math.log(ring.natural_frequency) if ring.ok else math.nan for ring in rings]
             )
-        joint = self.search[i].name.rsplit(".", 1)[0]
-        own = [window.joint == joint for window in self.windows]
+        own = [window.joint == self.search[i].owner for window in self.windows]
         return np.array(
             [
                 ring.damping_ratio if ring.ok and mine else math.nan
@@ -190,21 +192,20 @@ class Matching:
         )
 
     def fit(self) -> HydraulicsFit:
-        recorded = [window.recorded for window in self.windows]
-        self.aim = [self._measure(i, recorded) for i in range(len(self.search))]
-        self.theta = np.array([c.begin for c in self.search])
-        self.live = [i for i in range(len(self.search)) if np.isfinite(self.aim[i]).any()]
-        self.rings: list[Ringing] | None = None
-        self.rounds, converged = 0, False
+        stand, found, converged = None, {}, False
         while self.live and self.rounds < self.most:
-            converged = self._stand()
-            self.found = {i: self._scatter(i, self.slope[b, b]) for b, i in enumerate(self.live)}
-            vague = [i for i in self.live if not self.found[i][0] < VAGUE[self.search[i].log]]
+            stand = self._stand(stand.rings if stand else None)
+            converged = stand.converged
+            found = {
+                i: self._scatter(i, stand.error[i], stand.slope[b, b])
+                for b, i in enumerate(self.live)
+            }
+            vague = [i for i in self.live if not found[i][0] < VAGUE[self.search[i].log]]
             self._drop(vague)
             if converged and not vague:
                 break
         self.tell("thesis: done", 1.0)
-        return self._result(converged)
+        return self._result(stand, found, converged)
 
     def _drop(self, which: Sequence[int]) -> None:
         """Put parameters back to their start and leave them out."""
@@ -212,60 +213,68 @@ class Matching:
             self.theta[i] = self.search[i].of(self.search[i].start)
         self.live = [i for i in self.live if i not in which]
 
-    def _stand(self) -> bool:
-        """Some rounds of Newton's method on the medians of the windows; whether no parameter moves
+    def _stand(self, rings: list[Ringing] | None) -> _Stand:
+        """Some rounds of Newton's method on the medians of the windows, until no parameter moves
         any more.
 
         A simulation that does not ring at all is damped less first.
         """
         low, high = np.array([c.bounds for c in self.search]).T
+        found = _Stand(False, np.zeros((0, 0)), {}, [], [])
+        slope = found.slope
         for fresh in range(1, ROUNDS + 1):
             self.rounds += 1
-            self.tell(
-                "thesis: matching frequency and decay",
-                0.2 + 0.8 * self.rounds / (self.rounds + 4.0),
-            )
-            self.rings = self._rings(self.theta, self.rings)
-            self.error = {i: self.aim[i] - self._measure(i, self.rings) for i in self.live}
-            silent = [i for i in self.live if not np.isfinite(self.error[i]).any()]
-            tame = [
-                i
-                for i in self.live
-                if self.search[i].name != "bulk_modulus" and self.theta[i] > low[i]
-            ]
-            if silent and tame and fresh <= TAMING:
-                self.theta[tame] = np.maximum(
-                    self.theta[tame] - (0.7 if self.search[tame[0]].log else 0.1), low[tame]
-                )
+            share = 0.2 + 0.8 * self.rounds / (self.rounds + 4.0)
+            self.tell("thesis: matching frequency and decay", share)
+            rings = self._rings(self.theta, rings)
+            error = {i: self.aim[i] - self._measure(i, rings) for i in self.live}
+            silent = [i for i in self.live if not np.isfinite(error[i]).any()]
+            if silent and fresh <= TAMING and self._tame(low):
+                found = replace(found, error=error, rings=rings)
                 continue
             self._drop(silent)
             live = self.live
             if not live:
-                return False
-            miss = np.array([np.nanmedian(self.error[i]) for i in live])
+                return replace(found, error=error, rings=rings)
+            miss = np.array([np.nanmedian(error[i]) for i in live])
             if silent or fresh <= FRESH_SLOPES:
-                self.slope = self._slopes(self.theta, live, self.rings)
-            pull = np.sign(np.diag(self.slope)) * miss
-            self.at_bound = [
+                slope = self._slopes(self.theta, live, rings)
+            pull = np.sign(np.diag(slope)) * miss
+            at_bound = [
                 i
                 for b, i in enumerate(live)
                 if (self.theta[i] <= low[i] and pull[b] < 0)
                 or (self.theta[i] >= high[i] and pull[b] > 0)
             ]
-            inside = [b for b, i in enumerate(live) if i not in self.at_bound]
-            moves = np.zeros(len(live))
-            moves[inside] = np.linalg.lstsq(
-                self.slope[np.ix_(inside, inside)], miss[inside], rcond=1e-3
-            )[0]
-            if all(
-                abs(moves[b]) < max(STAND, LITTLE * self._scatter(i, self.slope[b, b])[0])
+            moves = self._moves(slope, miss, at_bound)
+            stands = all(
+                abs(moves[b]) < max(STAND, LITTLE * self._scatter(i, error[i], slope[b, b])[0])
                 for b, i in enumerate(live)
-            ):
-                return True
+            )
+            found = _Stand(stands, slope, error, at_bound, rings)
+            if stands:
+                break
             self.theta[live] = np.clip(
                 self.theta[live] + np.clip(moves, -0.7, 0.7), low[live], high[live]
             )
-        return False
+        return found
+
+    def _tame(self, low: np.ndarray) -> bool:
+        """Damp the simulation less; whether it can be."""
+        tame = [
+            i for i in self.live if self.search[i].row.rings == "decay" and self.theta[i] > low[i]
+        ]
+        if tame:
+            less = 0.7 if self.search[tame[0]].log else 0.1
+            self.theta[tame] = np.maximum(self.theta[tame] - less, low[tame])
+        return bool(tame)
+
+    def _moves(self, slope: np.ndarray, miss: np.ndarray, at_bound: Sequence[int]) -> np.ndarray:
+        """Newton's step of the parameters alive that are not at a bound; zero for the others."""
+        inside = [b for b, i in enumerate(self.live) if i not in at_bound]
+        moves = np.zeros(len(self.live))
+        moves[inside] = np.linalg.lstsq(slope[np.ix_(inside, inside)], miss[inside], rcond=1e-3)[0]
+        return moves
 
     def _slopes(
         self, theta: np.ndarray, live: Sequence[int], rings: Sequence[Ringing]
@@ -282,87 +291,82 @@ class Matching:
                 slope[a, b] = np.nanmedian(change) if np.isfinite(change).any() else 0.0
         return slope
 
-    def _result(self, converged: bool) -> HydraulicsFit:
+    def _result(
+        self, stand: _Stand | None, found: dict[int, tuple[float, float, int]], converged: bool
+    ) -> HydraulicsFit:
         warnings = []
         if not converged:
             warnings.append(
-                f"the matching stopped after {self.rounds} rounds without standing still; its numbers are not final"
+                f"the matching stopped after {self.rounds} rounds without standing still; its "
+                "numbers are not final"
             )
         fitted = []
         for i, c in enumerate(self.search):
-            one = FittedParameter(
-                c.name,
-                parameter_row(c.name).unit,
-                c.start,
-                None,
-                None,
-                c.lower,
-                c.upper,
-                c.start,
-                "not_excited",
-                0,
-            )
-            if i in self.live:
-                std, quantile, count = self.found[i]
+            one = untold(c, 0)
+            if stand is not None and i in self.live:
+                std, quantile, count = found[i]
                 real, ends = c.spread(self.theta[i], std, quantile)
-                status = "at_bound" if i in self.at_bound else "estimated"
                 one = replace(
                     one,
                     value=c.at(self.theta[i]),
                     std=real,
                     interval=ends,
-                    status=status,
+                    status="at_bound" if i in stand.at_bound else "estimated",
                     samples=count,
                     error_from="windows",
                 )
             fitted.append(one)
-        if all(one.status == "not_excited" for one in fitted):
+        if stand is None or all(one.status == "not_excited" for one in fitted):
             names = ", ".join(c.name for c in self.search)
             raise InsufficientData(
                 f"no transient that rings tells anything about {names}",
                 hint="use steps of these joints' cylinders",
             )
-        matches = [
-            Match(
-                self.bench.logs[w.log].name,
-                w.cylinder,
-                tuple(self.bench.logs[w.log].channels[i] for i in w.columns),
-                float(self.bench.logs[w.log].record.t[w.span.start]),
-                w.recorded.stop,
-                w.recorded,
-                ring,
-            )
-            for w, ring in zip(self.windows, self.rings, strict=True)
-        ]
+        matches = self._matches(stand.rings)
         lost = sum(not match.simulated.ok for match in matches)
         if lost:
             warnings.append(
                 f"in {lost} of {len(matches)} transients the recording rings and the model does not"
             )
-        return finish(
-            self.bench, "thesis", fitted, warnings, (), np.zeros((0, 0)), matches, {}, self.rounds
-        )
+        made = Estimate("thesis", fitted, warnings, self.rounds, matches=matches)
+        return finish(self.simulator, made)
 
-    def _scatter(self, i: int, slope: float) -> tuple[float, float, int]:
+    def _matches(self, rings: Sequence[Ringing]) -> list[Match]:
+        """Each window with how it rings in the recording and in the simulation."""
+        matches = []
+        for w, ring in zip(self.windows, rings, strict=True):
+            log = self.simulator.logs[w.log]
+            matches.append(
+                Match(
+                    log=log.name,
+                    cylinder=w.cylinder,
+                    channels=tuple(log.channels[i] for i in w.columns),
+                    start=float(log.record.t[w.span.start]),
+                    stop=w.recorded.stop,
+                    recorded=w.recorded,
+                    simulated=ring,
+                )
+            )
+        return matches
+
+    def _scatter(self, i: int, error: np.ndarray, slope: float) -> tuple[float, float, int]:
         """(standard error of theta, quantile of the 95 % interval, windows): the scatter of the
         windows about their median, or what the recorded rings' own errors make of it if that is
         more."""
         from scipy.stats import t
 
-        error = self.error[i]
         use = np.isfinite(error)
         count = int(use.sum())
-        bulk = self.search[i].name == "bulk_modulus"
+        recorded = [w.recorded for w, used in zip(self.windows, use, strict=True) if used]
         own = [
-            w.recorded.natural_frequency_std / w.recorded.natural_frequency
-            if bulk
-            else w.recorded.damping_ratio_std
-            for w, used in zip(self.windows, use, strict=True)
-            if used
+            ring.natural_frequency_std / ring.natural_frequency
+            if self.search[i].row.rings == "frequency"
+            else ring.damping_ratio_std
+            for ring in recorded
         ]
         scatter = float(np.std(error[use], ddof=1)) if count > 1 else 0.0
-        median = (
-            math.sqrt(math.pi / 2.0) if count > 2 else 1.0
-        )  # a median's standard error over a mean's
+        # a median's standard error over a mean's
+        median = math.sqrt(math.pi / 2.0) if count > 2 else 1.0
         std = median * max(scatter, rms(np.array(own))) / math.sqrt(count) / max(abs(slope), 1e-12)
-        return std, float(t.ppf(0.5 + 0.5 * LEVEL, max(1, count - 1))) if count > 1 else 1.96, count
+        quantile = float(t.ppf(0.5 + 0.5 * LEVEL, max(1, count - 1))) if count > 1 else 1.96
+        return std, quantile, count

@@ -176,7 +176,8 @@ def _file_doubts(part: FlowmeterData) -> list[str]:
         first = ", ".join(map(str, again[:5])) + (", …" if len(again) > 5 else "")
         count = f"{len(again)} rows repeat" if len(again) > 1 else "1 row repeats"
         said.append(
-            f"{name}: {count} an earlier one in command, drop, flow and trial (line {first}); if copied by mistake, "
+            f"{name}: {count} an earlier one in command, drop, flow and trial (line {first}); if "
+            "copied by mistake, "
             "delete them: they make the noise look smaller than it is"
         )
     return said
@@ -198,7 +199,8 @@ def _flow_doubts(rig: Rig, rows: FlowmeterData, show: Units) -> list[str]:
     times = f"{high / limit:.3g} times" if high > limit else f"{most / limit:.2g} of"
     most = high if high > limit else most
     return [
-        f"the flows reach {show.flow(most)}, {times} the supply's limit of {show.flow(limit)}: check the unit in the header"
+        f"the flows reach {show.flow(most)}, {times} the supply's limit of {show.flow(limit)}: "
+        "check the unit in the header"
     ]
 
 
@@ -241,7 +243,8 @@ def _edge_of(rig: Rig, valve: str, direction: str, rows: FlowmeterData) -> tuple
     if wrong.size:
         at = wrong[0]
         raise InputError(
-            f"'{valve}' opens on {'negative' if edge.sign < 0 else 'positive'} commands, and this reading has {rows.command[at]:g} V",
+            f"'{valve}' opens on {'negative' if edge.sign < 0 else 'positive'} commands, and this "
+            f"reading has {rows.command[at]:g} V",
             file=str(rows.file[at]),
             line=int(rows.line[at]),
             hint=f"the rig file says sign = {edge.sign} for this edge",
@@ -276,13 +279,16 @@ def points_table(fits: Sequence[EdgeFit], rig: Rig) -> str:
     ``command`` is the opening, zero or positive, which the maps take; ``driver_command`` is what
     was sent: sign·command."""
     flow_unit, drop_unit = rig.unit_of("flow"), rig.unit_of("pressure_drop")
-    units = f"command [V],driver_command [V],pressure_drop [{drop_unit}],flow [{flow_unit}],fitted [{flow_unit}]"
+    units = (
+        f"command [V],driver_command [V],pressure_drop [{drop_unit}],flow [{flow_unit}],"
+        f"fitted [{flow_unit}]"
+    )
     lines = [f"valve,direction,{units},method,outlier,file,line"]
     flow_row, drop_row = VOCABULARY["flow"], VOCABULARY["pressure_drop"]
     for one in fits:
         rows, fit = one.readings, one.fit
         out = {(outlier.file, outlier.line) for outlier in fit.outliers}
-        fitted = fit.map.flow(rows.pressure_drop, rows.command)
+        fitted = np.asarray(fit.map.flow(rows.pressure_drop, rows.command))
         for i in range(len(rows)):
             cells = (
                 fit.map.valve,

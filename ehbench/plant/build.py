@@ -11,6 +11,7 @@ import numpy as np
 from ehbench.compiled import table, table_of
 from ehbench.errors import InputError
 from ehbench.parts import edge as edges
+from ehbench.parts import friction
 from ehbench.parts import valve as valves
 from ehbench.parts.cylinder import CYLINDER, CYLINDER_FIELDS, PINS_OF
 from ehbench.parts.edge import EDGE
@@ -34,7 +35,8 @@ class Plant(NamedTuple):
 
     ``kind``, ``gravity`` and ``links`` are those of `ehbench.physics.arm`; the records of the other
     tables are described beside their parts: `ehbench.parts.cylinder`, ``.nodes``, ``.valve``,
-    ``.edge``, ``.supply``, ``.load``. ``maps`` are the packed flow maps, ``at`` says where things lie.
+    ``.edge``, ``.supply``, ``.load``. ``maps`` are the packed flow maps, ``at`` says where
+    things lie.
     """
 
     kind: int
@@ -133,12 +135,13 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
     rows = []
     for index, item in enumerate(rig.cylinder):
         head, rod = item.areas()
-        relief, pins = item.relief_pressure, _pins(item)
+        relief, pins = item.relief_pressure, pins_of(item)
         joint = names.joints.index(item.joint)
         own = {key: float(getattr(item, key)) for key in CYLINDER_FIELDS}
         rows.append(
             own
             | oil_fields(rig, item.bulk_modulus)
+            | friction.LAWS[names.frictions[index]].pack(item)
             | dict(zip(PINS_OF, pins, strict=True))
             | {
                 "joint": joint,
@@ -156,7 +159,7 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
     return table_of(rows, CYLINDER)
 
 
-def _pins(item: Cylinder) -> tuple[Any, ...]:
+def pins_of(item: Cylinder) -> tuple[Any, ...]:
     """Arguments of `ehbench.physics.cylinder.linkage` before the angle."""
     pins = item.pins
     if pins is None:
@@ -201,25 +204,14 @@ def _valves(rig: Rig, names: Layout) -> tuple[np.recarray, np.recarray]:
     for index, (_, item) in enumerate(rig.valves()):
         first, output = len(elements), -1
         for law in (law for valve, law in names.elements if valve == index):
-            omega, zeta = rig.dynamics[item.dynamics].frequency_and_damping()
             output = names.state("opening", index)
             states = len(valves.LAWS[law].states)
             place = {"law": law, "state": output, "states": states}
-            elements.append(place | second_order(omega, zeta))
+            elements.append(place | valves.LAWS[law].pack(rig.dynamics[item.dynamics]))
         ends = {"lowest": float(item.command_min), "highest": float(item.command_max)}
         count = len(elements) - first
         rows.append(ends | {"first": first, "count": count, "output": output})
     return table_of(rows, VALVE), table_of(elements, ELEMENT)
-
-
-def second_order(omega: float, zeta: float) -> dict[str, float]:
-    """Fields of an element of natural frequency [rad/s] and damping ratio."""
-    stiffness = omega**2
-    return {
-        "stiffness": stiffness,
-        "damping": 2 * zeta * omega,
-        "fastest": math.sqrt(stiffness),
-    }
 
 
 def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray]:
@@ -257,16 +249,8 @@ def map_of(maps: Maps | None, edge: str) -> ValveMaps | None:
 
 def _law(edge: Edge, given: ValveMaps | None, packed: list[FlowMap]) -> dict[str, Any]:
     """Fields of an edge's law; its maps go to ``packed``, their numbers there into the row."""
-    row = {
-        "law": edges.MAP if given is not None else edges.BY_NAME[edge.law],
-        "gain": 0.0 if edge.gain is None else float(edge.gain),
-        "deadband": float(edge.deadband),
-        "compensation_drop": float(edge.compensation_drop),
-        "opening_max": math.inf if edge.opening_max is None else float(edge.opening_max),
-        "saturation_softness": float(edge.saturation_softness or 0.0),
-        "forward": -1,
-        "reverse": -1,
-    }
+    law = edges.edge_law("map" if given is not None else edge.law)
+    row = {"law": edges.BY_NAME[law.name], "forward": -1, "reverse": -1} | law.pack(edge)
     for key in ("forward", "reverse"):
         one = getattr(given, key, None)
         if one is not None:

@@ -248,6 +248,12 @@ def simulate(
 ) -> Record:
     """Simulate a rig from rest under open-loop commands.
 
+    Example:
+        rig = ehbench.load_rig("recipes/rigs/slide_servo.toml")
+        start = {"press": "50 mm"}
+        record = ehbench.simulate(rig, {"press.servo": 2.0}, duration=0.5, posture=start)
+        record.frame()["press.x"].iloc[-1]
+
     Args:
         rig: the machine.
         commands: [V] by ``<cylinder>.<valve>``: a number, or an array of one value a sample; others
@@ -279,7 +285,8 @@ def simulate(
             )
         if np.ndim(values) and np.shape(values) != (samples,):
             raise InputError(
-                f"the command of '{name}' has {np.shape(values)[0]} values, the trial {samples} samples"
+                f"the command of '{name}' has {np.shape(values)[0]} values, the trial {samples} "
+                "samples"
             )
         table[:, columns.index(name)] = values
     log = model.run(model.trim(model.posture(posture), None, table[0]), table, 1.0 / rate, step)

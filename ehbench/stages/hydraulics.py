@@ -50,7 +50,7 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
 
     def prepare(self, recipe: HydraulicsRecipe, inputs: Inputs) -> PreparedHydraulics:
         from ehbench.identification.hydraulics import with_each_dynamics
-        from ehbench.identification.steps import coordinates
+        from ehbench.identification.search import coordinates
 
         state = inputs.rig_state(recipe.rig, recipe.flow_maps)
         given = (recipe.start, recipe.lower, recipe.upper)
@@ -77,12 +77,7 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
         recipe, logs = prepared.recipe, prepared.logs
 
         def fitted(one: PreparedFit) -> HydraulicsFit:
-            return run_fit(
-                one,
-                workers=recipe.workers,
-                max_iterations=recipe.max_iterations,
-                progress=progress,
-            )
+            return run_fit(one, progress)
 
         assert prepared.fit is not None  # a run has all its logs
         fit = fitted(prepared.fit)
@@ -104,18 +99,16 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
 
 
 def _prepared_fit(recipe: HydraulicsRecipe, state: RigState, logs: Logs, rig: Rig) -> PreparedFit:
-    from ehbench.identification.hydraulics import prepare_fit
+    from ehbench.identification.hydraulics import FitOptions, prepare_fit
 
-    return prepare_fit(
-        rig,
-        logs.records,
-        recipe.parameters,
-        recipe.method,
-        recipe.start,
-        recipe.lower,
-        recipe.upper,
-        recipe.channels,
-        state.flow_maps,
-        None if recipe.cutoff is None else float(recipe.cutoff),
-        where=recipe.at,
+    options = FitOptions(
+        method=recipe.method,
+        start=recipe.start,
+        lower=recipe.lower,
+        upper=recipe.upper,
+        channels=recipe.channels,
+        cutoff=None if recipe.cutoff is None else float(recipe.cutoff),
+        max_iterations=recipe.max_iterations,
+        workers=recipe.workers,
     )
+    return prepare_fit(rig, logs.records, recipe.parameters, options, state.flow_maps, recipe.at)

@@ -53,7 +53,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
     writes = "validation.json, rig.toml, a series for each log, figures"
 
     def prepare(self, recipe: ValidateRecipe, inputs: Inputs) -> PreparedJudgement:
-        from ehbench.identification.steps import payload_of
+        from ehbench.observations import payload_of
         from ehbench.validation import PreparedValidation, models_of, taken_log
 
         found = inputs.found

@@ -34,7 +34,8 @@ def write(tmp_path):
 def test_reads_any_order_unit_and_comment_and_keeps_the_lines(write):
     path = write(
         "\ufeff# bench of 12 May\n"
-        "flow [L/min], trial, valve, pressure_drop [bar], command [mV], method, temperature [degC], direction, note\n"
+        "flow [L/min], trial, valve, pressure_drop [bar], command [mV], method, temperature "
+        "[degC], direction, note\n"
         "\n"
         "30.0, 2, regen, 10.5, 4000, Cylinder, 40, Head -> Rod, first\n"
         "# pause\n"
@@ -66,7 +67,8 @@ def test_reads_any_order_unit_and_comment_and_keeps_the_lines(write):
 def test_two_pressures_make_the_drop(write):
     data = read_flowmeter(
         write(
-            "valve,downstream_pressure [psi],upstream_pressure [kPa],command [V],flow [gpm]\na,100,6894.757,4,2\n"
+            "valve,downstream_pressure [psi],upstream_pressure [kPa],command [V],flow "
+            "[gpm]\na,100,6894.757,4,2\n"
         )
     )
     assert data.pressure_drop[0] == pytest.approx(6894757 - 100 * 6894.757, rel=1e-6)

@@ -13,10 +13,10 @@ import pytest
 
 from ehbench import inspection, workflow
 from ehbench.errors import InputError, InsufficientData, LogError
-from ehbench.identification.hydraulics import identify_hydraulics
-from ehbench.intake import distinct_names, evened, take_in
+from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.logs import write_log
 from ehbench.plant.model import Model, simulate
+from ehbench.preprocessing import distinct_names, evened, preprocess
 from ehbench.recipe import load_recipe, load_rig
 from ehbench.record import Record
 from ehbench.validation import validate_rig
@@ -25,6 +25,11 @@ RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 MEASURED = ("q", "qd", "x", "v", "p_head", "p_rod", "p_supply", "p_tank", "command")
 NOISE = {"qd": 1e-3, "v": 1e-3, "p_head": 1e4, "p_rod": 1e4, "q": 1e-5, "x": 1e-5, "p_supply": 1e4}
 CRANE = ["bulk_modulus", "arm.joint_damping"]
+
+
+def identify(machine, logs, parameters, flow_maps=None, where=lambda *location: {}, **options):
+    given = FitOptions(**options)
+    return identify_hydraulics(machine, logs, parameters, given, flow_maps, where=where)
 
 
 @cache
@@ -79,7 +84,9 @@ def changed(record, **edits):
 def taken(record, machine=None):
     machine = machine or rig()
     payload = record.meta.get("payload", "none")
-    return take_in("log", record, Model.of(machine, payload=None if payload == "none" else payload))
+    return preprocess(
+        "log", record, Model.of(machine, payload=None if payload == "none" else payload)
+    )
 
 
 def test_a_sound_log_passes_as_it_is():
@@ -119,8 +126,8 @@ def test_what_the_log_excites_comes_back_without_bounds(machine, valve, volts, n
         }
     )
     start = 0.0 if factor is None else factor * truth
-    fit = identify_hydraulics(
-        bare, [("log", record)], [name], start={name: start}, upper={name: upper} if upper else None
+    fit = identify(
+        bare, [("log", record)], [name], start={name: start}, upper={name: upper} if upper else {}
     )
     found = fit[name]
     assert found.status == "estimated", found
@@ -129,7 +136,7 @@ def test_what_the_log_excites_comes_back_without_bounds(machine, valve, volts, n
 
 
 def test_a_rod_volume_is_not_tried_below_what_the_stroke_displaces():
-    fit = identify_hydraulics(rig(), [("log", crane())], ["lift.volume_rod"])
+    fit = identify(rig(), [("log", crane())], ["lift.volume_rod"])
     cylinder = rig().cylinder[0]
     assert fit["lift.volume_rod"].lower > cylinder.areas()[1] * float(cylinder.stroke)
 
@@ -139,7 +146,7 @@ def test_a_zero_start_asks_for_an_upper_bound():
         InputError,
         match=r'starts at zero and has no upper bound \(give it one.*\[upper\] "lift.leakage_head"',
     ):
-        identify_hydraulics(rig(), [("log", crane())], ["lift.leakage_head"])
+        identify(rig(), [("log", crane())], ["lift.leakage_head"])
 
 
 # --- names ---
@@ -160,23 +167,24 @@ def test_channels_of_nothing_on_the_rig_are_named():
     )
     _, told = taken(odd)
     assert (
-        "the log has 'lft.p_head', a cylinder that rig 'crane_proportional' does not have; nearest is 'lift'"
-        in told
+        "the log has 'lft.p_head', a cylinder that rig 'crane_proportional' does not have; "
+        "nearest is 'lift'" in told
     )
     assert (
-        "the log has 'lift.spol.command', a valve that rig 'crane_proportional' does not have; nearest is 'lift.spool'"
-        in told
+        "the log has 'lift.spol.command', a valve that rig 'crane_proportional' does not have; "
+        "nearest is 'lift.spool'" in told
     )
-    fit = identify_hydraulics(rig(), [("log", odd)], CRANE)
+    fit = identify(rig(), [("log", odd)], CRANE)
     assert sum(text.startswith("log: the log has '") for text in fit.warnings) == 2
 
 
 def test_a_log_of_another_rig_is_refused():
     with pytest.raises(
         InputError,
-        match=r"log: no channel is of a cylinder of rig 'crane_proportional'.*nearest is 'lift'.*it has lift",
+        match=r"log: no channel is of a cylinder of rig 'crane_proportional'.*"
+        r"nearest is 'lift'.*it has lift",
     ):
-        identify_hydraulics(rig(), [("log", renamed(crane(), "lift.", "lifts."))], CRANE)
+        identify(rig(), [("log", renamed(crane(), "lift.", "lifts."))], CRANE)
     with pytest.raises(InputError, match="no channel is of a cylinder"):
         validate_rig(rig(), [("log", renamed(crane(), "lift.", "lifts."))])
 
@@ -223,7 +231,7 @@ def test_logs_of_one_name_take_their_folder():
 def test_pressures_in_a_wrong_unit_are_refused(edits, says, payload):
     wrong = changed(crane(payload), **edits)
     with pytest.raises(InputError, match=says):
-        identify_hydraulics(rig(), [("log", wrong)], CRANE)
+        identify(rig(), [("log", wrong)], CRANE)
     with pytest.raises(InputError, match=says):
         validate_rig(rig(), [("log", wrong)])
 
@@ -263,13 +271,13 @@ def test_a_fit_that_follows_nothing_is_no_fit():
         InsufficientData,
         match=r"follows no channel of any log better than its mean would .*is it this rig's log",
     ):
-        identify_hydraulics(rig(), [("log", crane())], [gain], channels=("qd",), **wrong)
+        identify(rig(), [("log", crane())], [gain], channels=("qd",), **wrong)
     wrong = {
         "start": {gain: 2.5 * truth},
         "lower": {gain: 2.4 * truth},
         "upper": {gain: 8.0 * truth},
     }
-    fit = identify_hydraulics(rig(), [("log", crane())], [gain], **wrong)
+    fit = identify(rig(), [("log", crane())], [gain], **wrong)
     poor = [name for name, percent in fit.logs[0].fit_percent.items() if percent < 0.0]
     assert 0 < len(poor) < 3
     assert fit.warnings[0].startswith(f"THE FITTED MODEL DOES NOT FOLLOW {len(poor)} OF 3 CHANNELS")
@@ -282,7 +290,7 @@ def test_commands_outside_the_driver_are_refused():
     with pytest.raises(
         InputError, match=r"log: lift.spool.command = 12 V at t = 0.201 s lies outside -10 to 10 V"
     ):
-        identify_hydraulics(rig(), [("log", over)], CRANE)
+        identify(rig(), [("log", over)], CRANE)
     noise = np.random.default_rng(1).uniform(-0.19, 0.19, u.size)  # 1 % of the range is 0.2 V
     assert taken(changed(crane(), lift_spool_command=np.where(u > 0, 10.0, u) + noise))[1] == ()
 
@@ -296,7 +304,7 @@ def test_commands_outside_the_driver_are_refused():
 )
 def test_time_in_another_unit_is_refused_at_once(scale, says):
     with pytest.raises(InputError, match=says):
-        identify_hydraulics(rig(), [("log", replace(crane(), t=crane().t * scale))], CRANE)
+        identify(rig(), [("log", replace(crane(), t=crane().t * scale))], CRANE)
 
 
 def test_a_gap_is_named():
@@ -307,7 +315,7 @@ def test_a_gap_is_named():
     with pytest.raises(
         LogError, match=r"log: not evenly sampled: 9 ms pass after t = 0.699 s, 1 ms elsewhere"
     ):
-        identify_hydraulics(rig(), [("log", gap)], CRANE)
+        identify(rig(), [("log", gap)], CRANE)
     assert "9 ms pass after t = 0.699 s" in validate_rig(rig(), [("log", gap)]).logs[0].failure
 
 
@@ -337,7 +345,7 @@ def test_jitter_is_resampled_and_told(tmp_path):
         error, unmended = (np.abs(v - on_grid[name]).max() for v in (even[name], late[name]))
         assert error < 0.2 * unmended, name
     assert np.array_equal(even["lift.spool.command"], on_grid["lift.spool.command"])
-    fit = identify_hydraulics(rig(), [("log", late)], CRANE)
+    fit = identify(rig(), [("log", late)], CRANE)
     assert "log: " + told[0] in fit.warnings
     write_log(tmp_path / "late.mcap", late)
     found = inspection.check(tmp_path / "late.mcap")
@@ -362,7 +370,7 @@ def test_too_few_samples_are_counted(count, says):
         crane(), t=crane().t[:count], channels={n: v[:count] for n, v in crane().channels.items()}
     )
     with pytest.raises(InputError, match=says):
-        identify_hydraulics(rig(), [("log", short)], CRANE)
+        identify(rig(), [("log", short)], CRANE)
     with pytest.raises(InputError, match=says):
         validate_rig(rig(), [("log", short)])
 
@@ -415,8 +423,8 @@ HEAD += 'parameters = ["bulk_modulus", "arm.joint_damping"]\n'
 @pytest.mark.parametrize("key", ["arm.joint_damping", '"arm.joint_damping"'])
 def test_dotted_keys_do_with_or_without_quotes(tmp_path, key):
     (tmp_path / "h.toml").write_text(
-        HEAD
-        + f'[start]\nbulk_modulus = "1 GPa"\n{key} = "700 N*m*s/rad"\n[upper]\n{key} = "9 kN*m*s/rad"\n'
+        HEAD + f'[start]\nbulk_modulus = "1 GPa"\n{key} = "700 N*m*s/rad"\n'
+        f'[upper]\n{key} = "9 kN*m*s/rad"\n'
     )
     recipe = load_recipe(tmp_path / "h.toml")
     assert recipe.start == {"bulk_modulus": "1 GPa", "arm.joint_damping": "700 N*m*s/rad"}
@@ -442,7 +450,7 @@ def test_bad_starts_and_bounds_say_file_and_line(tmp_path, text, line, says):
     recipe = load_recipe(tmp_path / "h.toml")
     tables = {"start": recipe.start, "lower": recipe.lower, "upper": recipe.upper}
     with pytest.raises(InputError, match=says) as caught:
-        identify_hydraulics(rig(), [("log", crane())], recipe.parameters, **tables, where=recipe.at)
+        identify(rig(), [("log", crane())], recipe.parameters, **tables, where=recipe.at)
     assert (caught.value.file, caught.value.line) == (str(recipe.path), line)
 
 
@@ -450,13 +458,13 @@ def test_unknown_parameters_and_payloads_say_file_and_line(tmp_path):
     (tmp_path / "h.toml").write_text(HEAD.replace("arm.joint_damping", "arm.joint_dampin"))
     recipe = load_recipe(tmp_path / "h.toml")
     with pytest.raises(InputError, match="nearest is 'arm.joint_damping'") as caught:
-        identify_hydraulics(rig(), [("log", crane())], recipe.parameters, where=recipe.at)
+        identify(rig(), [("log", crane())], recipe.parameters, where=recipe.at)
     assert caught.value.line == 5
     heavy = replace(crane(), meta={"payload": "300 kg"})
     with pytest.raises(
         InputError, match=r"log: rig 'crane_proportional' has no payload '300 kg' \(it has 200 kg\)"
     ) as caught:
-        identify_hydraulics(rig(), [("log", heavy)], CRANE, where=recipe.at)
+        identify(rig(), [("log", heavy)], CRANE, where=recipe.at)
     assert caught.value.line == 4
     with pytest.raises(
         InputError, match="log: rig 'crane_proportional' has no payload '300 kg'"
@@ -469,7 +477,7 @@ def test_a_cutoff_above_half_the_rate_is_refused():
     with pytest.raises(
         InputError, match="a cutoff of 500 Hz is not below half the rate of log, 500 Hz"
     ):
-        identify_hydraulics(rig(), [("log", crane())], CRANE, cutoff=500.0)
+        identify(rig(), [("log", crane())], CRANE, cutoff=500.0)
 
 
 @pytest.mark.parametrize(
@@ -499,8 +507,8 @@ def test_sines_that_samples_cannot_hold_are_refused(tmp_path, command, says):
     with pytest.raises(InputError, match=says):
         load_recipe(path)
     path.write_text(
-        head
-        + 'command = [{ valve = "lift.spool", amplitude = "1 V", kind = "sine", frequency = "99 Hz" }]\n'
+        head + 'command = [{ valve = "lift.spool", amplitude = "1 V", '
+        'kind = "sine", frequency = "99 Hz" }]\n'
     )
     assert float(load_recipe(path).command[0].frequency) == pytest.approx(99.0)
 
@@ -521,9 +529,8 @@ def test_the_lower_limit_of_the_meter_goes_from_the_recipe_to_the_fit(tmp_path):
                     * np.sqrt(drop)
                     * (1.0 + 0.005 * rng.standard_normal())
                 )
-                rows.append(
-                    f"sh,forward,{u},{drop / 1e3},{6e4 * flow if flow >= limit else 0.0:.5f},{trial}"
-                )
+                shown = 6e4 * flow if flow >= limit else 0.0
+                rows.append(f"sh,forward,{u},{drop / 1e3},{shown:.5f},{trial}")
     (tmp_path / "sh.csv").write_text("\n".join(rows) + "\n")
     (tmp_path / "rig.toml").write_text((RIGS / "boom_four_valve.toml").read_text())
     head = 'stage = "identify"\nwhat = "flow_map"\nrig = "rig.toml"\ndata = ["sh.csv"]\n'

@@ -1,4 +1,4 @@
-"""Edge laws against their closed forms, what they do to a linear model, and what logs tell of them."""
+"""Edge laws against their closed forms, what they do to a design, what logs tell of them."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
 from ehbench.rig import Edge, Rig, Value
 from ehbench.tune.linear import (
+    Aim,
     circuit_of,
     damping_ratio,
     equivalent,
@@ -84,7 +85,7 @@ def test_a_controller_takes_a_saturating_edge_no_faster_than_it_goes():
         circuit = circuit_of(model, 0)
         here = equivalent(model, 0, np.array([0.2]))
         point = operating_point(
-            model, circuit, 1, here, 0, share=1.0, low_pressure=5e5, cross_drop=5e5
+            model, circuit, 1, here, 0, Aim(share=1.0, low_pressure=5e5, cross_drop=5e5)
         )
         assert point.possible and all(path.gain > 0.0 for path in point.paths)
         speeds[law] = point.v
@@ -141,7 +142,12 @@ def held_ring(law: str, drop: float) -> tuple[float, float]:
     model = Model.of(rig.with_values({"boom.joint_damping": 0.0}))
     here = equivalent(model, 0, np.array([0.2]))
     point = operating_point(
-        model, circuit_of(model, 0), 1, here, 0, speed=0.08, low_pressure=2.05e6, cross_drop=4e6
+        model,
+        circuit_of(model, 0),
+        1,
+        here,
+        0,
+        Aim(speed=0.08, low_pressure=2.05e6, cross_drop=4e6),
     )
     assert point.possible and all(path.drop > drop for path in point.paths)
     held = plant_model(model, point).a[:3, :3]
@@ -152,7 +158,7 @@ def held_ring(law: str, drop: float) -> tuple[float, float]:
 
 
 def test_flow_control_adds_no_damping_above_its_drop():
-    """At 20 bar the levelling law adds ζ = 0.04 to an undamped load, the flat one nothing at all."""
+    """At 20 bar the levelling law adds ζ = 0.04 to an undamped load, the flat one nothing."""
     ours, bare = held_ring("compensated", 2e6)
     assert ours - bare > 0.02
     ours, bare = held_ring("flow_control", 2e6)

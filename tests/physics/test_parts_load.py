@@ -15,7 +15,7 @@ from ehbench.machines.virtual import VirtualMachine
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model, simulate
 from ehbench.rig import Force, Rig
-from ehbench.tune.linear import circuit_of, equivalent, operating_point
+from ehbench.tune.linear import Aim, circuit_of, equivalent, operating_point
 
 sys.path.insert(0, str(Path(__file__).parent))
 from with_parts import jacobian, recovered, slide, steps, swing  # noqa: E402
@@ -141,13 +141,13 @@ def test_a_design_point_carries_the_force_and_a_played_one_is_refused():
     for forces in ((), (AGAINST,)):
         model = Model.of(pushed(*forces))
         here = equivalent(model, 0, np.array([0.2]))
-        point = operating_point(model, circuit_of(model, 0), 1, here, 0, **given)
+        point = operating_point(model, circuit_of(model, 0), 1, here, 0, Aim(**given))
         loads.append(point.load_force)
     assert loads[1] - loads[0] == pytest.approx(5000.0, rel=1e-9)
     model = Model.of(pushed(CHANNEL))
     here = equivalent(model, 0, np.array([0.2]))
     with pytest.raises(InputError, match=r"plays the force 'press\.force' from a log"):
-        operating_point(model, circuit_of(model, 0), 1, here, 0, **given)
+        operating_point(model, circuit_of(model, 0), 1, here, 0, Aim(**given))
     with pytest.raises(InputError, match="a machine on trial has none"):
         SimulatedMachine(model)
 

@@ -16,6 +16,7 @@ from ehbench.plant.model import Model, simulate
 from ehbench.recipe import BenchRecipe
 from ehbench.rig import Rig, Value
 from ehbench.tune.linear import (
+    Aim,
     circuit_of,
     development_model,
     equivalent,
@@ -89,7 +90,7 @@ def test_a_design_takes_the_stiffness_at_each_pressure():
     model = Model.of(airy())
     here = equivalent(model, 0, np.array([0.2]))
     given = {"speed": 0.1, "low_pressure": 5e5, "cross_drop": 5e5}
-    point = operating_point(model, circuit_of(model, 0), 1, here, 0, **given)
+    point = operating_point(model, circuit_of(model, 0), 1, here, 0, Aim(**given))
     ours, plant = development_model(model, point).a, plant_model(model, point).a
     for side in (1, 2):
         assert np.allclose(ours[side, :3], plant[side, :3], rtol=1e-6)

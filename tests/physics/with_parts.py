@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.identification.hydraulics import identify_hydraulics
+from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.parts.cylinder import chamber_oil
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model, simulate
@@ -79,7 +79,7 @@ def recovered(rig: Rig, factors: dict[str, float], seed: int, accuracy: float = 
         logs.append((f"log {i}", noisy(made, seed + i)))
     truth = {name: float(rig.parameters()[name]) for name in factors}
     start = {name: factor * truth[name] for name, factor in factors.items()}
-    fit = identify_hydraulics(rig, logs, list(factors), start=start)
+    fit = identify_hydraulics(rig, logs, list(factors), FitOptions(start=start))
     for name, value in truth.items():
         low, high = fit[name].interval
         assert fit[name].status == "estimated" and low <= value <= high, fit[name]

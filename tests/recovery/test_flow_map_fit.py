@@ -51,7 +51,7 @@ def servo(drop, command):
 def readings(
     law, seed, *, drops=DROPS, commands=COMMANDS, trials=3, noise=0.01, limit=0.4 * GPM, scale=1.0
 ):
-    """Turbine readings above ``limit`` and cylinder-speed readings below, each with its own noise."""
+    """Turbine readings above ``limit`` and cylinder-speed readings below, each with noise."""
     rng = np.random.default_rng(seed)
     command, drop, trial = (
         a.ravel() for a in np.meshgrid(commands, drops, np.arange(1, trials + 1), indexing="ij")

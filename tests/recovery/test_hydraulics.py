@@ -15,7 +15,7 @@ import pytest
 
 from ehbench import rundir
 from ehbench.errors import InputError, InsufficientData
-from ehbench.identification.hydraulics import compare_dynamics, identify_hydraulics
+from ehbench.identification.hydraulics import FitOptions, compare_dynamics, identify_hydraulics
 from ehbench.plant.model import simulate
 from ehbench.recipe import load_rig
 from ehbench.record import Record
@@ -24,6 +24,11 @@ from ehbench.signals import ringing
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 NOISE = {"qd": 4e-3, "v": 1e-3, "p_head": 6e3, "p_rod": 6e3, "q": 1e-4, "x": 1e-5, "p_supply": 6e3}
 SLIDE = ["bulk_modulus", "carriage.damping"]
+
+
+def identify(machine, logs, parameters, flow_maps=None, where=lambda *location: {}, **options):
+    given = FitOptions(**options)
+    return identify_hydraulics(machine, logs, parameters, given, flow_maps, where=where)
 
 
 @cache
@@ -126,7 +131,7 @@ def test_far_starts_come_back_within_intervals(name):
         for parameter, factor in factors.items()
     }
     logs = [(f"log {i}", noisy(clean(name, load, drive, 1501), i)) for i, load in enumerate(loads)]
-    fit = identify_hydraulics(rig(name), logs, list(factors), start=start)
+    fit = identify(rig(name), logs, list(factors), start=start)
     for parameter, truth in known.items():
         found = fit[parameter]
         assert found.status == "estimated" and found.start == start[parameter]
@@ -159,7 +164,7 @@ def test_six_parameters_of_the_arm_from_six_logs():
         for (name, value), factor in zip(truth.items(), (4.0, 0.25, 3.0, 0.3), strict=True)
     }
     zeros = ["boom.leakage_internal", "stick.friction_coulomb"]
-    fit = identify_hydraulics(rig("thesis_arm"), logs, [*truth, *zeros], start=start)
+    fit = identify(rig("thesis_arm"), logs, [*truth, *zeros], start=start)
     for name, value in truth.items():
         assert fit[name].status == "estimated"
         assert abs(fit[name].value - value) < 4.0 * fit[name].std, fit[name]
@@ -178,7 +183,7 @@ def test_intervals_cover(pole):
     start = {"bulk_modulus": 5e8, "carriage.damping": 1600.0}
     hits, narrow = 0, []
     for seed in range(20):
-        fit = identify_hydraulics(
+        fit = identify(
             rig("slide_servo"), slide_logs(seed + 1, pole), SLIDE, start=start, workers=1
         )
         hits += sum(covers(fit, item) for item in truth.items())
@@ -189,7 +194,7 @@ def test_intervals_cover(pole):
 
 def test_a_fit_is_the_same_however_many_threads():
     results = [
-        identify_hydraulics(
+        identify(
             rig("slide_servo"), slide_logs(3), SLIDE, start={"bulk_modulus": 3e8}, workers=n
         ).as_json()
         for n in (1, 3, 3)
@@ -213,7 +218,7 @@ def test_a_sample_is_the_state_at_its_time():
             for c, v in record.channels.items()
         }
         shifted.append((name, replace(record, channels=moved)))
-    good, late = (identify_hydraulics(rig("slide_servo"), logs, SLIDE) for logs in (right, shifted))
+    good, late = (identify(rig("slide_servo"), logs, SLIDE) for logs in (right, shifted))
     assert all(covers(good, item) for item in (("bulk_modulus", 9e8), ("carriage.damping", 800.0)))
     assert not any("behind" in text for text in good.warnings)
     off = max(
@@ -231,7 +236,7 @@ def test_a_sample_is_the_state_at_its_time():
 
 def test_what_a_closed_valve_hides_is_not_excited():
     logs = [("boom", noisy(clean("boom_four_valve", None, FOUR[:2]), 5))]  # opens sh and rt only
-    fit = identify_hydraulics(
+    fit = identify(
         rig("boom_four_valve"),
         logs,
         ["bulk_modulus", "boom.sr.flow_gain"],
@@ -244,11 +249,11 @@ def test_what_a_closed_valve_hides_is_not_excited():
     assert fit["bulk_modulus"].status == "estimated"
     assert any("boom.sr.flow_gain is not excited" in text for text in fit.warnings)
     with pytest.raises(InsufficientData, match=r"boom.sr.flow_gain"):
-        identify_hydraulics(rig("boom_four_valve"), logs, ["boom.sr.flow_gain"])
+        identify(rig("boom_four_valve"), logs, ["boom.sr.flow_gain"])
 
 
 def test_a_bound_that_holds_is_told():
-    fit = identify_hydraulics(
+    fit = identify(
         rig("slide_servo"),
         slide_logs(6),
         SLIDE,
@@ -263,7 +268,7 @@ def test_a_bound_that_holds_is_told():
 def test_a_pair_that_only_works_together_is_told():
     """Slide damping and the cylinder's viscous friction are one number for the data."""
     pair = ["carriage.damping", "press.friction_viscous"]
-    fit = identify_hydraulics(
+    fit = identify(
         rig("slide_servo"),
         slide_logs(7),
         ["bulk_modulus", *pair],
@@ -286,7 +291,7 @@ def test_a_rate_that_was_not_recorded_comes_from_the_position():
         )
         for name, r in slide_logs(8)
     ]
-    fit = identify_hydraulics(rig("slide_servo"), logs, SLIDE, start={"bulk_modulus": 3e8})
+    fit = identify(rig("slide_servo"), logs, SLIDE, start={"bulk_modulus": 3e8})
     assert "press.qd" in fit.logs[0].fit_percent
     assert abs(fit["bulk_modulus"].value - 9e8) < 4.0 * fit["bulk_modulus"].std
     for text, series in fit.series().items():
@@ -298,7 +303,7 @@ def test_a_rate_that_was_not_recorded_comes_from_the_position():
 
 
 def test_a_low_pass_leaves_the_answer():
-    fit = identify_hydraulics(rig("slide_servo"), slide_logs(9), SLIDE, cutoff=80.0)
+    fit = identify(rig("slide_servo"), slide_logs(9), SLIDE, cutoff=80.0)
     assert all(
         abs(fit[name].value - truth) < 4.0 * fit[name].std
         for name, truth in (("bulk_modulus", 9e8), ("carriage.damping", 800.0))
@@ -328,9 +333,7 @@ def test_the_recorded_ringing_is_the_linear_formula():
 @pytest.mark.parametrize("factor", [0.25, 4.0])
 def test_the_thesis_way_recovers(factor):
     start = {"bulk_modulus": min(9e8 * factor, 1.7e9), "carriage.damping": 800.0 / factor}
-    fit = identify_hydraulics(
-        rig("slide_servo"), slide_logs(10), SLIDE, method="thesis", start=start
-    )
+    fit = identify(rig("slide_servo"), slide_logs(10), SLIDE, method="thesis", start=start)
     # frequency and decay of single rings are known to about 0.2 % and 2 %: twice that in the bulk
     # modulus
     assert fit["bulk_modulus"].value == pytest.approx(9e8, rel=0.01)
@@ -358,9 +361,7 @@ def test_commands_read_back_with_noise_do(method):
         )
         for name, r in slide_logs(12)
     ]
-    fit = identify_hydraulics(
-        rig("slide_servo"), logs, SLIDE, method=method, start={"bulk_modulus": 4e8}
-    )
+    fit = identify(rig("slide_servo"), logs, SLIDE, method=method, start={"bulk_modulus": 4e8})
     # 10 mV on a command moves the slide a little on its own, which no model answers for: 2 % of the
     # bulk modulus at most
     assert fit["bulk_modulus"].value == pytest.approx(9e8, rel=0.02)
@@ -368,15 +369,13 @@ def test_commands_read_back_with_noise_do(method):
 
 def test_the_thesis_way_refuses_what_it_cannot():
     with pytest.raises(InputError, match="cannot fit press.leakage_internal"):
-        identify_hydraulics(
-            rig("slide_servo"), slide_logs(0), ["press.leakage_internal"], method="thesis"
-        )
+        identify(rig("slide_servo"), slide_logs(0), ["press.leakage_internal"], method="thesis")
     still = [
         (name, replace(r, channels={c: np.full_like(v, v[0]) for c, v in r.channels.items()}))
         for name, r in slide_logs(0)
     ]
     with pytest.raises(InsufficientData, match="no valve command"):
-        identify_hydraulics(rig("slide_servo"), still, SLIDE, method="thesis")
+        identify(rig("slide_servo"), still, SLIDE, method="thesis")
     dull = [
         (
             name,
@@ -391,7 +390,7 @@ def test_the_thesis_way_refuses_what_it_cannot():
         for name, r in slide_logs(0)
     ]
     with pytest.raises(InsufficientData, match="no transient of these logs rings"):
-        identify_hydraulics(rig("slide_servo"), dull, SLIDE, method="thesis")
+        identify(rig("slide_servo"), dull, SLIDE, method="thesis")
 
 
 @pytest.mark.parametrize(
@@ -412,7 +411,7 @@ def test_the_thesis_way_refuses_what_it_cannot():
 def test_bad_input_is_named(options, says):
     options = {"parameters": SLIDE} | options
     with pytest.raises(InputError, match=says):
-        identify_hydraulics(rig("slide_servo"), slide_logs(0), **options)
+        identify(rig("slide_servo"), slide_logs(0), **options)
 
 
 def test_a_sample_that_is_no_number_is_named():
@@ -424,9 +423,7 @@ def test_a_sample_that_is_no_number_is_named():
     with pytest.raises(
         InputError, match=r"log 0: channel 'press.p_rod' is not a number at t = 0.007 s"
     ):
-        identify_hydraulics(
-            rig("slide_servo"), [(name, replace(record, channels=hole)), *rest], SLIDE
-        )
+        identify(rig("slide_servo"), [(name, replace(record, channels=hole)), *rest], SLIDE)
 
 
 def test_what_follows_an_empty_chamber_does_not_count():
@@ -441,7 +438,7 @@ def test_what_follows_an_empty_chamber_does_not_count():
     }
     later = (record.t >= 0.3) & (record.t < 0.44)
     spoilt["press.p_rod"] = np.where(later, record["press.p_rod"] + 1e6, record["press.p_rod"])
-    fit = identify_hydraulics(
+    fit = identify(
         rig("slide_servo"),
         [(name, replace(record, channels=spoilt)), *logs[1:]],
         SLIDE,

@@ -13,7 +13,14 @@ from ehbench.plant.model import simulate
 from ehbench.recipe import Thresholds, load_recipe, load_rig
 from ehbench.record import Record
 from ehbench.rundir import write_json
-from ehbench.validation import Ring, Validation, read_validation, validate_rig
+from ehbench.validation import (
+    Ring,
+    Validation,
+    prepare_validation,
+    read_validation,
+    run_validation,
+    validate_rig,
+)
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 NOISE = {"q": 4e-4, "qd": 2e-3, "x": 1e-4, "v": 1e-3, "p_head": 8e3, "p_rod": 8e3, "command": 0.0}
@@ -339,8 +346,9 @@ def test_json_there_and_back(accepted, rejected, arm, boom, tmp_path):
 def test_threads_and_order_do_not_change_the_result(arm, boom, swing, accepted):
     told = []
     logs = [("boom", boom), ("swing", swing)]
-    again = validate_rig(
-        arm, logs, workers=1, progress=lambda name, share: told.append((name, share))
+    taken = prepare_validation(arm, logs)
+    again = run_validation(
+        taken, progress=lambda name, share: told.append((name, share)), workers=1
     )
     assert again == accepted
     assert told == [("boom", 0.5), ("swing", 1.0)]

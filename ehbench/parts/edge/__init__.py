@@ -1,17 +1,37 @@
 """Metering edges: how much oil passes from one node to another at a drop and an opening, a law a
 file.
 
-To add a law: write its file after ``orifice.py`` and name it in LAWS.
+To add a law: write its file after ``orifice.py``, name it in LAWS and its keys in LawFields.
 """
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Literal
+
 from ehbench.compiled import choice, part_kernel, record
 from ehbench.parts.edge import compensated, flow_control, measured, orifice, saturating
+from ehbench.parts.edge.compensated import CompensatedFields
+from ehbench.parts.edge.law import EdgeLaw
+from ehbench.parts.edge.orifice import OrificeFields
+from ehbench.parts.edge.saturating import SaturatingFields
 
 LAWS = (orifice.LAW, compensated.LAW, measured.LAW, saturating.LAW, flow_control.LAW)
 BY_NAME = {law.name: number for number, law in enumerate(LAWS)}
 ORIFICE, COMPENSATED, MAP = (BY_NAME[name] for name in ("orifice", "compensated", "map"))
+if TYPE_CHECKING:
+    LawName = str
+else:
+    LawName = Literal[tuple(BY_NAME)]
+
+
+class LawFields(SaturatingFields, CompensatedFields, OrificeFields):
+    """What the laws add to an edge of the rig file; the last one's keys come first in it."""
+
+
+def edge_law(name: str) -> EdgeLaw:
+    """The law of that name."""
+    return LAWS[BY_NAME[name]]
+
 
 # An edge. ``from_node, to_node`` it joins, flow positive from → to; the number of its ``valve``;
 # ``sign`` ±1 of the commands that open it; ``law`` its number in LAWS; ``blocked`` 1 where nothing

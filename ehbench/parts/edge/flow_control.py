@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 
 from ehbench.compiled import part_kernel
+from ehbench.parts.edge.compensated import pack
 from ehbench.parts.edge.law import EdgeLaw
 from ehbench.parts.edge.orifice import root
 
@@ -42,4 +43,6 @@ LAW = EdgeLaw(
     columns=(("gain", "f8"), ("deadband", "f8"), ("compensation_drop", "f8")),
     flow=flow,
     opening=opening,
+    pack=pack,
+    needs=("compensated_gain",),
 )

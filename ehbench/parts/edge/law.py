@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,10 @@ from ehbench.compiled import part_kernel
 def _everywhere(drop, edge, maps):
     """An analytic law holds at every opening."""
     return np.inf
+
+
+def _nothing_odd(edge: Any) -> None:
+    """A law that takes any numbers its keys allow."""
 
 
 @dataclass(frozen=True)
@@ -27,10 +32,18 @@ class EdgeLaw:
     opening ``reach`` > 0 [V]. ``opening(drop, flow, edge, maps)`` is its inverse: the opening [V]
     at which ``flow`` passes, both of one sign and not zero. ``known(drop, edge, maps)`` is the
     largest opening [V] that the law speaks of at that drop.
+
+    ``pack(edge)`` gives the law's columns of an edge of the rig file by their names; of that
+    edge's keys it ``needs`` some. ``has_deadband`` says whether its ``deadband`` counts.
+    ``odd(edge)`` is (what is wrong with its numbers together, the key to blame), or None.
     """
 
     name: str
     columns: tuple[tuple[str, str], ...]
     flow: Callable
     opening: Callable
+    pack: Callable[[Any], dict[str, float]]
+    needs: tuple[str, ...] = ()
+    has_deadband: bool = True
     known: Callable = _everywhere
+    odd: Callable[[Any], tuple[str, str] | None] = _nothing_odd

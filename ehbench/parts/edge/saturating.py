@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated, Any
 
 from ehbench.compiled import part_kernel
+from ehbench.fields import FileModel, Q, Value
 from ehbench.parts.edge.law import EdgeLaw
 from ehbench.parts.edge.orifice import root
+
+
+class SaturatingFields(FileModel):
+    """What an edge of law ``saturating`` has in the rig file beside what an orifice has."""
+
+    opening_max: Annotated[Value, Q("opening_max")] | None = None
+    saturation_softness: Annotated[Value, Q("saturation_softness")] | None = None
 
 
 @part_kernel
@@ -31,7 +40,7 @@ def flow(drop, reach, edge, maps):
 
 @part_kernel
 def opening(drop, flow, edge, maps):
-    """Opening [V] at which ``flow`` passes; for more than the widest opening gives, that opening."""
+    """Opening [V] at which ``flow`` passes; the widest for more than that gives."""
     most, soft = edge.opening_max - edge.deadband, edge.saturation_softness
     wide = abs(flow) / (edge.gain * root(abs(drop)))
     if wide >= most:
@@ -47,6 +56,27 @@ def known(drop, edge, maps):
     return edge.opening_max + edge.saturation_softness
 
 
+def odd(edge: Any) -> tuple[str, str] | None:
+    """What is wrong where it saturates before it opens."""
+    wide = float(edge.opening_max) - float(edge.deadband)
+    if wide <= 0.0:
+        return "opening_max must lie above deadband", "opening_max"
+    if float(edge.saturation_softness or 0.0) > wide:
+        said = f"saturation_softness must not exceed opening_max − deadband, {wide:g} V"
+        return said, "saturation_softness"
+    return None
+
+
+def pack(edge: Any) -> dict[str, float]:
+    """Columns of an edge."""
+    return {
+        "gain": float(edge.flow_gain),
+        "deadband": float(edge.deadband),
+        "opening_max": float(edge.opening_max),
+        "saturation_softness": float(edge.saturation_softness or 0.0),
+    }
+
+
 LAW = EdgeLaw(
     name="saturating",
     columns=(
@@ -56,4 +86,7 @@ LAW = EdgeLaw(
     flow=flow,
     opening=opening,
     known=known,
+    pack=pack,
+    needs=("flow_gain", "opening_max"),
+    odd=odd,
 )

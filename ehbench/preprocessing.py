@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -41,7 +41,7 @@ ONGOING = 0.1  # share of the largest speed above which a log begins mid-motion
 _MIXED = ("Pa", "kPa", "psi", "bar", "MPa")
 
 
-def take_in(name: str, record: Record, model: Model) -> tuple[Record, tuple[str, ...]]:
+def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[str, ...]]:
     """(the log, evenly sampled; what is odd about it) for a rig carrying the log's payload.
 
     Raises:
@@ -65,7 +65,8 @@ def take_in(name: str, record: Record, model: Model) -> tuple[Record, tuple[str,
     told += jitter
     if model.rig.payload and not record.meta.get("payload"):
         told.append(
-            f"the log names no payload: taken as unloaded (the rig has {', '.join(model.rig.payload)})"
+            "the log names no payload: taken as unloaded (the rig has "
+            f"{', '.join(model.rig.payload)})"
         )
     _commands(name, record, model.rig)
     rest = model.rest_samples(model.commands_of(record))
@@ -94,7 +95,8 @@ def evened(name: str, record: Record) -> tuple[Record, list[str]]:
     ):  # a step ends in two samples, one early and one late
         at = int(np.argmax(np.abs(steps - tick)))
         raise LogError(
-            f"{name}: not evenly sampled: {steps[at] * 1e3:.4g} ms pass after t = {record.t[at]:.6g} s, "
+            f"{name}: not evenly sampled: {steps[at] * 1e3:.4g} ms pass after t = "
+            f"{record.t[at]:.6g} s, "
             f"{tick * 1e3:.4g} ms elsewhere",
             hint="resample it to one rate, or use a window without gaps (start, stop)",
         )
@@ -104,8 +106,11 @@ def evened(name: str, record: Record) -> tuple[Record, list[str]]:
         channel: values[held] if channel.endswith(".command") else np.interp(t, record.t, values)
         for channel, values in record.channels.items()
     }
-    said = f"not evenly sampled: {steps[worst] * 1e3:.4g} ms after t = {record.t[worst]:.6g} s; resampled to {1.0 / even:.5g} Hz"
-    return replace(record, t=t, channels=channels), [said]
+    warning = (
+        f"not evenly sampled: {steps[worst] * 1e3:.4g} ms after t = {record.t[worst]:.6g} s; "
+        f"resampled to {1.0 / even:.5g} Hz"
+    )
+    return replace(record, t=t, channels=channels), [warning]
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:
@@ -118,11 +123,17 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
         f"{path.parent.name}_{name}" if crowd[name] > 1 else name
         for path, name in zip(paths, names, strict=True)
     ]
+    return numbered(names)
+
+
+def numbered(names: Sequence[str]) -> list[str]:
+    """The names, those that come again numbered from the second on."""
     seen: Counter[str] = Counter()
-    for i, name in enumerate(names):
+    found = []
+    for name in names:
         seen[name] += 1
-        names[i] = name if seen[name] == 1 else f"{name}_{seen[name]}"
-    return names
+        found.append(name if seen[name] == 1 else f"{name}_{seen[name]}")
+    return found
 
 
 def _foreign(name: str, record: Record, rig: Rig) -> list[str]:
@@ -169,12 +180,13 @@ def _foreign(name: str, record: Record, rig: Rig) -> list[str]:
 def _sample_time(name: str, record: Record, rig: Rig) -> None:
     """Refuse a time that can only be in another unit than it says."""
     tick = record.sample_time
-    used = {valve.dynamics for _, valve in rig.valves()} - {None}
+    used = {valve.dynamics for _, valve in rig.valves() if valve.dynamics is not None}
     periods = [2.0 * math.pi / rig.dynamics[one].frequency_and_damping()[0] for one in used]
     most = min([COARSE, *(MOST_PERIODS * period for period in periods)])
     if tick > most:
         raise InputError(
-            f"{name}: {tick:g} s pass between samples, too long to see this rig move; at most {most * 1e3:.3g} ms would do",
+            f"{name}: {tick:g} s pass between samples, too long to see this rig move; at most "
+            f"{most * 1e3:.3g} ms would do",
             hint="is the time in ms?",
         )
     if tick < FINE:
@@ -207,7 +219,7 @@ def _shown(rig: Rig, pressure: float) -> str:
 
 
 def _right(ratio: float) -> str:
-    """A hint which mistake of units would make a pressure ``ratio`` times as large as it should be."""
+    """A hint which mistake of units makes a pressure ``ratio`` times as large as it should be."""
     pairs = [
         (abs(math.log(ratio * factor(b, "Pa") / factor(a, "Pa"))), a, b)
         for a in _MIXED
@@ -228,7 +240,8 @@ def _pressures(name: str, record: Record, model: Model, rest: int, still: bool) 
         seen = float(np.percentile(record["p_supply"], 90))
         if not supply / APART <= seen <= supply * APART:
             raise InputError(
-                f"{name}: p_supply is {_shown(rig, seen)}, while the supply of rig '{rig.name}' holds {_shown(rig, supply)}",
+                f"{name}: p_supply is {_shown(rig, seen)}, while the supply of rig '{rig.name}' "
+                f"holds {_shown(rig, supply)}",
                 hint=_right(max(seen, 1.0) / supply),
             )
     try:
@@ -236,62 +249,66 @@ def _pressures(name: str, record: Record, model: Model, rest: int, still: bool) 
     except EhbenchError:
         return  # a posture outside the stroke: the simulation says so
     for index, cylinder in enumerate(rig.cylinder):
-        seen = {
-            word: record[c]
-            for word in ("p_head", "p_rod")
-            if (c := f"{cylinder.name}.{word}") in record
-        }
+        ends = {"p_head": f"{cylinder.name}.p_head", "p_rod": f"{cylinder.name}.p_rod"}
+        seen = {word: record[channel] for word, channel in ends.items() if channel in record}
         if not seen:
             continue
-        areas = dict(zip(("p_head", "p_rod"), cylinder.areas(), strict=True))
+        areas = dict(zip(ends, cylinder.areas(), strict=True))
         force = (
             start[names.state("p_head", index)] * areas["p_head"]
             - start[names.state("p_rod", index)] * areas["p_rod"]
         )
-        carrying, need = (
-            ("p_head", force / areas["p_head"]) if force > 0 else ("p_rod", -force / areas["p_rod"])
-        )
-        relief = 0.0 if cylinder.relief_pressure is None else float(cylinder.relief_pressure)
-        most = APART * max(supply, relief, need)
-        for word, values in seen.items():
-            peak = float(np.percentile(values, 99))
-            if peak > most:
-                raise InputError(
-                    f"{name}: {cylinder.name}.{word} reaches {_shown(rig, peak)}, while the supply of rig '{rig.name}' holds "
-                    f"{_shown(rig, supply)}",
-                    hint="is the unit right?",
-                )
-        peak = max(float(np.percentile(values, 99)) for values in seen.values())
+        carrying, other = ("p_head", "p_rod") if force > 0 else ("p_rod", "p_head")
+        need = abs(force) / areas[carrying]
+        peak = _peak(name, rig, cylinder, seen, supply, need)
         if len(seen) == 2 and peak < supply / FAR_APART and _fed(cylinder, record):
             raise InputError(
                 f"{name}: {cylinder.name} is fed from a supply of {_shown(rig, supply)}, "
                 f"and its pressures stay below {_shown(rig, peak)}",
                 hint="is the unit right?",
             )
-        if (
-            not still
-            or carrying not in seen
-            or need < LOADED * supply
-            or _at_end(record, cylinder, rest)
-        ):
+        light = need < LOADED * supply
+        if not still or carrying not in seen or light or _at_end(record, cylinder, rest):
             continue
-        other = next(word for word in areas if word != carrying)
-        back = (
-            float(np.mean(seen[other][:rest])) * areas[other] / areas[carrying]
-            if other in seen
-            else 0.0
-        )
+        back = 0.0
+        if other in seen:
+            back = float(np.mean(seen[other][:rest])) * areas[other] / areas[carrying]
         held = float(np.mean(seen[carrying][:rest])) - back
         # dry friction may hold a light load without oil, but not keep the pressures down in motion
         if (held < need / APART and peak < supply / APART) or (
             other in seen and held > need * APART
         ):
             raise InputError(
-                f"{name}: at rest {cylinder.name}.{carrying} holds {_shown(rig, held)} against its other end, "
-                f"while the load of rig '{rig.name}' "
-                f"asks for {_shown(rig, need)}",
+                f"{name}: at rest {cylinder.name}.{carrying} holds {_shown(rig, held)} against "
+                f"its other end, while the load of rig '{rig.name}' asks for {_shown(rig, need)}",
                 hint="is the unit right? and does the load hang free?",
             )
+
+
+def _peak(
+    name: str,
+    rig: Rig,
+    cylinder: Cylinder,
+    seen: Mapping[str, np.ndarray],
+    supply: float,
+    need: float,
+) -> float:
+    """The largest pressure seen in a cylinder [Pa]; refuses one that nothing can have made.
+
+    Args:
+        supply: its pressure [Pa].
+        need: pressure [Pa] that carries the load.
+    """
+    relief = 0.0 if cylinder.relief_pressure is None else float(cylinder.relief_pressure)
+    peaks = {word: float(np.percentile(values, 99)) for word, values in seen.items()}
+    for word, peak in peaks.items():
+        if peak > APART * max(supply, relief, need):
+            raise InputError(
+                f"{name}: {cylinder.name}.{word} reaches {_shown(rig, peak)}, while the supply of "
+                f"rig '{rig.name}' holds {_shown(rig, supply)}",
+                hint="is the unit right?",
+            )
+    return max(peaks.values())
 
 
 def _fed(cylinder: Cylinder, record: Record) -> bool:
@@ -360,7 +377,8 @@ def _begun(record: Record, rig: Rig, rest: int) -> list[str]:
             least = 0.01 * (float(valve.command_max) - float(valve.command_min))
             if any(edge.sign * first > float(edge.deadband) + least for edge in valve.edge):
                 told.append(
-                    f"{channel} is already on at the first sample ({first:g} V): the model starts at rest"
+                    f"{channel} is already on at the first sample ({first:g} V): the model starts "
+                    "at rest"
                 )
         for word in ("qd", "v"):
             channel = f"{cylinder.name}.{word}"

@@ -1,0 +1,300 @@
+"""What an identification leaves: the rig with its new values, how each log fits at them, and what
+is doubtful."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ehbench.errors import InsufficientData
+from ehbench.identification.search import Coordinate
+from ehbench.identification.simulator import Log, Simulator, channels_of
+from ehbench.quantities import quantity
+from ehbench.record import Record
+from ehbench.rig import Rig, Value
+from ehbench.signals import Ringing, correlation_time, fit_percent, lowpass, rms
+
+SHOWN = ("q", "qd", "x", "v", "p_head", "p_rod")
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class FittedParameter:
+    """One fitted number, SI. ``std`` and ``interval`` (95 %) are None where the data give none;
+    ``error_from`` says which standard error it is: ``hac`` (coloured residuals within each log),
+    ``jackknife`` (leaving out one log at a time) or ``windows``."""
+
+    name: str
+    unit: str
+    value: float
+    std: float | None
+    interval: tuple[float, float] | None
+    lower: float
+    upper: float
+    start: float
+    status: str
+    samples: int
+    error_from: str = ""
+
+
+@dataclass(frozen=True)
+class Match:
+    """One transient whose ringing was matched: natural frequency [rad/s] and damping ratio,
+    recorded and simulated.
+    """
+
+    log: str
+    cylinder: str
+    channels: tuple[str, ...]
+    start: float
+    stop: float
+    recorded: Ringing
+    simulated: Ringing
+
+
+@dataclass(frozen=True)
+class LogFit:
+    """How well one log is reproduced, by channel: NRMSE fit [%], rms residual [SI] and its
+    correlation time [samples], over the samples that count; ``counted`` is their share [%],
+    ``samples`` how many the log has."""
+
+    name: str
+    payload: str
+    samples: int
+    fit_percent: dict[str, float]
+    residual_rms: dict[str, float]
+    correlation_time: dict[str, float]
+    counted: dict[str, float]
+
+
+@dataclass(frozen=True)
+class HydraulicsFit:
+    """What an identification found. ``rig`` carries the fitted values; ``correlation`` is between
+    the parameters with a standard error, in the order of ``correlated_names``; ``scales`` [SI] is
+    what each channel's residual was divided by."""
+
+    rig: Rig
+    method: str
+    parameters: tuple[FittedParameter, ...]
+    correlated_names: tuple[str, ...]
+    correlation: tuple[tuple[float, ...], ...]
+    logs: tuple[LogFit, ...]
+    matches: tuple[Match, ...]
+    scales: dict[str, float]
+    warnings: tuple[str, ...]
+    evaluations: int
+    iterations: int
+    recordings: tuple[tuple[str, dict[str, np.ndarray]], ...]
+
+    def __getitem__(self, name: str) -> FittedParameter:
+        """The fitted parameter of that name.
+
+        Raises:
+            KeyError: it was not fitted.
+        """
+        for one in self.parameters:
+            if one.name == name:
+                return one
+        raise KeyError(name)
+
+    def as_json(self) -> dict[str, Any]:
+        """Everything but the rig and the time series as plain values, for `rundir.write_json`; what
+        is unknown is None.
+        """
+        return asdict(replace(self, rig=None, recordings=())) | {
+            "rig": self.rig.name,
+            "recordings": [name for name, _ in self.recordings],
+        }
+
+    def series(self) -> dict[str, dict[str, np.ndarray]]:
+        """By log, columns named ``t [s]``, ``boom.q [rad]`` (recorded) and ``simulated.boom.q
+        [rad]``, in SI.
+        """
+        return {
+            log: {f"{name} [{quantity(name).unit}]": y for name, y in columns.items()}
+            for log, columns in self.recordings
+        }
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a method found: its parameters in the order searched, and what belongs to them; fields
+    as in `HydraulicsFit`. ``cutoff`` [Hz]: of the low-pass on what is left of each log."""
+
+    method: str
+    fitted: Sequence[FittedParameter]
+    warnings: Sequence[str]
+    iterations: int
+    names: Sequence[str] = ()
+    correlation: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    matches: Sequence[Match] = ()
+    scales: Mapping[str, float] = field(default_factory=dict)
+    cutoff: float | None = None
+
+
+def untold(c: Coordinate, samples: int) -> FittedParameter:
+    """A parameter that the logs do not tell: it stays at its start."""
+    return FittedParameter(
+        name=c.name,
+        unit=c.row.unit,
+        value=c.start,
+        std=None,
+        interval=None,
+        lower=c.lower,
+        upper=c.upper,
+        start=c.start,
+        status="not_excited",
+        samples=samples,
+    )
+
+
+def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
+    """The result: the rig with its new values, and how each log fits at them.
+
+    Raises:
+        InsufficientData: the fitted model follows no channel of any log better than its mean.
+    """
+    warnings = [text for log in simulator.logs for text in log.warnings]
+    warnings += [*found.warnings, *_statuses(found.fitted)]
+    logs, recordings = [], []
+    replays = simulator.replay([one.value for one in found.fitted])
+    for log, replayed in zip(simulator.logs, replays, strict=True):
+        simulated = channels_of(log, replayed)
+        logs.append(_log_fit(log, simulated, found.cutoff))
+        warnings += _late(log, simulated)
+        recordings.append((log.name, _recording(log, replayed)))
+    return HydraulicsFit(
+        rig=_identified(simulator.rig, found, len(simulator.logs)),
+        method=found.method,
+        parameters=tuple(found.fitted),
+        correlated_names=tuple(found.names),
+        correlation=tuple(tuple(map(float, row)) for row in found.correlation),
+        logs=tuple(logs),
+        matches=tuple(found.matches),
+        scales=dict(found.scales),
+        warnings=tuple(_poor(logs) + warnings),
+        evaluations=simulator.evaluations,
+        iterations=found.iterations,
+        recordings=tuple(recordings),
+    )
+
+
+def _statuses(fitted: Sequence[FittedParameter]) -> list[str]:
+    """A warning of each parameter that is not excited or at a bound."""
+    warnings = []
+    for one in fitted:
+        if one.status == "not_excited":
+            warnings.append(
+                f"{one.name} is not excited by these logs; it stays at {one.value:g} {one.unit}"
+            )
+        elif one.status == "at_bound":
+            side = "lower" if one.value - one.lower < one.upper - one.value else "upper"
+            warnings.append(f"{one.name} ran into its {side} bound, {one.value:g} {one.unit}")
+    return warnings
+
+
+def _identified(rig: Rig, found: Estimate, count: int) -> Rig:
+    """The rig with the values that ``count`` logs tell."""
+    source = f"identified from {count} log{'s' if count > 1 else ''}, {found.method}"
+    return rig.with_values(
+        {
+            one.name: Value(
+                one.value,
+                sure="identified",
+                source=source,
+                std=one.std,
+                lower=one.lower,
+                upper=one.upper,
+            )
+            for one in found.fitted
+            if one.status != "not_excited"
+        }
+    )
+
+
+def _log_fit(log: Log, simulated: np.ndarray, cutoff: float | None) -> LogFit:
+    left = simulated - log.recorded
+    left = lowpass(left, log.record.sample_time, cutoff) if cutoff else left
+    sizes: dict[str, list[float]] = {}
+    for channel, y, model, rest, counts in zip(
+        log.channels, log.recorded.T, simulated.T, left.T, log.counts.T, strict=True
+    ):
+        some = counts if counts.any() else ~counts
+        sizes[channel] = [
+            fit_percent(y[some], model[some]),
+            rms(rest[some]),
+            correlation_time(rest[some]),
+            100.0 * float(np.mean(counts)),
+        ]
+    columns = [{channel: size[k] for channel, size in sizes.items()} for k in range(4)]
+    return LogFit(log.name, log.payload or "none", len(left), *columns)
+
+
+def _recording(log: Log, replayed: Record) -> dict[str, np.ndarray]:
+    """Recorded and simulated channels of the cylinders that move."""
+    shown = [f"{cylinder}.{word}" for cylinder in log.live for word in SHOWN]
+    shown = [channel for channel in shown if channel in log.record and channel in replayed]
+    return (
+        {"t": log.record.t}
+        | {channel: log.record[channel] for channel in shown}
+        | {f"simulated.{channel}": replayed[channel] for channel in shown}
+    )
+
+
+def _poor(logs: Sequence[LogFit]) -> list[str]:
+    """A loud warning of the channels that are followed worse than by their mean; refuses a fit that
+    has nothing else.
+    """
+    fits = {
+        f"{log.name}: {channel}": value
+        for log in logs
+        for channel, value in log.fit_percent.items()
+        if math.isfinite(value)
+    }
+    poor = {name: value for name, value in fits.items() if value < 0.0}
+    if not poor:
+        return []
+    some = ", ".join(
+        f"{name} {value:.0f} %"
+        for name, value in sorted(poor.items(), key=lambda item: item[1])[:4]
+    )
+    if len(poor) == len(fits):
+        raise InsufficientData(
+            f"the fitted model follows no channel of any log better than its mean would ({some})",
+            hint="is it this rig's log, with the right payload, units, commands and flow maps?",
+        )
+    return [
+        f"THE FITTED MODEL DOES NOT FOLLOW {len(poor)} OF {len(fits)} CHANNELS (worse than their "
+        f"mean): {some}; "
+        "do not trust its numbers"
+    ]
+
+
+def _late(log: Log, simulated: np.ndarray) -> list[str]:
+    """A warning if moving the simulation a little would explain a fifth of what is left.
+
+    To first order ``simulated(t) − recorded(t) = delay · d simulated/dt``. Fitted parameters take
+    up more than half of a shift, so a quarter of a sample may well be a whole one."""
+    tick = log.record.sample_time
+    left, slope = (
+        (simulated - log.recorded) * log.counts,
+        np.gradient(simulated, tick, axis=0) * log.counts,
+    )
+    size = np.maximum(np.sqrt(np.mean(left**2, axis=0)), 1e-300)
+    left, slope = left / size, slope / size
+    power = float(np.sum(slope**2))
+    delay = float(np.sum(slope * left)) / power if power > 0.0 else 0.0
+    if not 0.25 * tick <= abs(delay) <= 5.0 * tick or delay**2 * power < 0.2 * float(
+        np.sum(left**2)
+    ):
+        return []
+    word = "behind" if delay > 0 else "ahead of"
+    return [
+        f"{log.name}: the recording is {abs(delay) * 1e3:.2g} ms {word} the model: a sensor's lag, "
+        "or samples that are not the state at their time"
+    ]

@@ -1,0 +1,183 @@
+"""Parameters as search coordinates: where a search starts, between which bounds, in which units."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any
+
+from ehbench import units
+from ehbench.errors import InputError
+from ehbench.quantities import Quantity
+from ehbench.rig import Rig, Value, parameter_row
+
+LEVEL = 0.95
+# a standard error of more than this many units of a parameter says nothing: 95 % then span a factor
+# of 50 (searched as a logarithm), or its whole range
+VAGUE = {True: 1.0, False: 0.5}
+WIDE = 1.0e3  # factor either way that a positive parameter without bounds is searched over
+
+Where = Callable[..., Mapping[str, Any]]
+Given = Mapping[str, str | float]
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """How a parameter is searched: as its logarithm where it is surely positive, else in units of
+    its range or of its start.
+    """
+
+    name: str
+    log: bool
+    unit: float
+    start: float
+    lower: float
+    upper: float
+
+    def at(self, theta: float) -> float:
+        low, high = self.bounds
+        theta = float(min(max(theta, low), high))
+        return min(max(math.exp(theta) if self.log else theta * self.unit, self.lower), self.upper)
+
+    def of(self, value: float) -> float:
+        return math.log(value) if self.log else value / self.unit
+
+    @property
+    def row(self) -> Quantity:
+        """The vocabulary's row of the parameter."""
+        return parameter_row(self.name)
+
+    @property
+    def owner(self) -> str:
+        """Joint, cylinder or edge that the parameter belongs to; empty for the rig's own."""
+        return self.name.rpartition(".")[0]
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        return self.of(self.lower), self.of(self.upper)
+
+    @property
+    def reach(self) -> float:
+        """How far a parameter may sensibly move, in its own units: between its bounds, or a few
+        units if they are far apart.
+        """
+        low, high = self.bounds
+        return min(high - low, 3.0)
+
+    @property
+    def begin(self) -> float:
+        """Where the search starts: inside the bounds, as the solver asks."""
+        low, high = self.bounds
+        margin = 1e-3 * self.reach
+        return min(max(self.of(self.start), low + margin), high - margin)
+
+    def spread(
+        self, theta: float, std: float, quantile: float
+    ) -> tuple[float, tuple[float, float]]:
+        """(standard error, interval inside the bounds), SI, from a standard error of theta."""
+        value = self.at(theta)
+        ends = (self.at(theta - quantile * std), self.at(theta + quantile * std))
+        return (value * std if self.log else self.unit * std), ends
+
+
+def coordinates(
+    rig: Rig,
+    names: Sequence[str],
+    start: Given | None = None,
+    lower: Given | None = None,
+    upper: Given | None = None,
+    where: Where = lambda *location: {},
+) -> list[Coordinate]:
+    """The search coordinates of parameters; start and bounds as given (SI or text with unit), else
+    the rig's, else some.
+
+    A positive start without any bound is searched as a logarithm, a factor `WIDE` either way.
+    ``where`` gives file and line of a recipe's key, for the errors.
+
+    Raises:
+        InputError: unknown or repeated parameter, a start outside its bounds, or a zero start
+            without an upper bound.
+    """
+    given = {"start": dict(start or {}), "lower": dict(lower or {}), "upper": dict(upper or {})}
+    _refuse_unknown(rig, names, given, where)
+    known = rig.parameters()
+    return [_coordinate(rig, name, known[name], given, where) for name in names]
+
+
+def _refuse_unknown(
+    rig: Rig, names: Sequence[str], given: Mapping[str, Given], where: Where
+) -> None:
+    known = rig.parameters()
+    for key, table in {"parameters": names, **given}.items():
+        for name in table:
+            at = where(key) if key == "parameters" else where(key, name)
+            if name not in known:
+                near = get_close_matches(name, known, 1)
+                hint = f"nearest is '{near[0]}'" if near else None
+                raise InputError(f"rig '{rig.name}' has no parameter '{name}'", **at, hint=hint)
+            if name not in names:
+                raise InputError(
+                    f"{key} names '{name}', which is not among the parameters to fit",
+                    **at,
+                    hint=", ".join(names),
+                )
+    if not names or len(set(names)) < len(names):
+        raise InputError("the parameters to fit must be named, each once", **where("parameters"))
+
+
+def _coordinate(
+    rig: Rig, name: str, value: Value, given: Mapping[str, Given], where: Where
+) -> Coordinate:
+    row, least = parameter_row(name), _least(rig, name)
+
+    def bound(key: str, own: float | None) -> float | None:
+        return _number(given[key][name], name, where(key, name)) if name in given[key] else own
+
+    first = _number(given["start"].get(name, float(value)), name, where("start", name))
+    low, high = bound("lower", value.lower), bound("upper", value.upper)
+    bounded = high is not None
+    if first > 0.0 and row.lower >= 0.0 and low is None and high is None:
+        low, high = max(row.lower, first / WIDE, least), min(row.upper, first * WIDE)
+    low = max(row.lower, least) if low is None else low
+    high = row.upper if high is None else high
+    own = where("start", name) if name in given["start"] else where("parameters")
+    if not low < high:
+        raise InputError(
+            f"{name}: the lower bound {low:g} is not below the upper bound {high:g} {row.unit}",
+            **where("upper" if name in given["upper"] else "lower", name),
+        )
+    if not low <= first <= high:
+        raise InputError(
+            f"{name} starts at {first:g} {row.unit}, outside its bounds {low:g} to {high:g}", **own
+        )
+    log = low > 0.0
+    unit = high - low if bounded and math.isfinite(high - low) else abs(first)
+    if unit == 0.0:
+        raise InputError(
+            f"{name} starts at zero and has no upper bound",
+            **own,
+            hint=f'give it one, so that the search has a scale: [upper] "{name}" = '
+            f'"… {row.display}"',
+        )
+    return Coordinate(name, log, 1.0 if log else unit, first, low, high)
+
+
+def _number(raw: str | float, name: str, at: Mapping[str, Any]) -> float:
+    if not isinstance(raw, str):
+        return float(raw)
+    try:
+        return units.parse(raw, parameter_row(name))
+    except InputError as error:
+        raise type(error)(error.message, **at, hint=error.hint) from None
+
+
+def _least(rig: Rig, name: str) -> float:
+    """A bound from the rig's geometry: the rod end holds oil over the whole stroke. Minus infinity
+    where there is none.
+    """
+    for cylinder in rig.cylinder:
+        if name == f"{cylinder.name}.volume_rod":
+            return 1.001 * cylinder.areas()[1] * float(cylinder.stroke)
+    return -math.inf

@@ -1,0 +1,228 @@
+"""Logs made ready for identification, and the simulation of all of them at any parameters."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from ehbench.errors import InputError, InsufficientData, SimulationError
+from ehbench.observations import alternatives, column, least_change, payload_of
+from ehbench.plant.build import Maps
+from ehbench.plant.model import Model
+from ehbench.preprocessing import preprocess
+from ehbench.record import Record
+from ehbench.rig import Cylinder, Rig
+from ehbench.signals import transients
+
+# a chamber counts as empty below this share of the way from zero gauge pressure to the cavitation
+# pressure; so long before and after [s] its cylinder's samples do not count either
+EMPTY, EMPTYING = 0.5, 0.05
+MOVES = 0.01  # share of the stroke beyond which a cylinder counts as moving
+
+
+@dataclass(frozen=True)
+class Log:
+    """A log made ready: the cylinders that are asked to move, those that move, the channels that
+    are compared, what was recorded of them and whether it counts, both of shape (samples,
+    channels)."""
+
+    name: str
+    record: Record
+    payload: str | None
+    asked: tuple[str, ...]
+    live: tuple[str, ...]
+    channels: tuple[str, ...]
+    recorded: np.ndarray
+    counts: np.ndarray
+    warnings: tuple[str, ...] = ()
+
+
+def prepare(model: Model, record: Record, name: str, wanted: Sequence[str]) -> Log:
+    """Take a log in (`preprocessing.preprocess`) for a model that carries its payload, and choose
+    the channels: the wanted ones of every cylinder that is asked to move or moves.
+
+    Raises:
+        InputError: a log that is not of this rig, or not in the units it says; no channel to
+            compare.
+        InsufficientData: no command changes.
+    """
+    rig = model.rig
+    record, doubts = preprocess(name, record, model)
+    warnings = [f"{name}: {text}" for text in doubts]
+    asked = [cylinder.name for cylinder in rig.cylinder if _asked(cylinder, record)]
+    live = [c.name for c in rig.cylinder if c.name in asked or _moves(c, record)]
+    if not asked:
+        raise InsufficientData(
+            f"{name}: no valve command of rig '{rig.name}' changes, so the log shows no response "
+            "to one"
+        )
+    columns = _columns(record, live, wanted)
+    if not columns:
+        raise InputError(
+            f"{name}: of {', '.join(live)} the log has none of {', '.join(wanted)} that changes",
+            hint="it has " + ", ".join(record.channels),
+        )
+    counts = np.ones((record.t.size, len(columns)), dtype=bool)
+    for cylinder in rig.cylinder:
+        void = _cavitates(rig, cylinder, record)
+        own = [i for i, channel in enumerate(columns) if channel.startswith(cylinder.name + ".")]
+        if own and void.any():
+            counts[np.ix_(void, np.array(own))] = False
+            when = record.t[int(np.argmax(void))]
+            warnings.append(
+                f"{name}: {cylinder.name} cavitates at {when:.3g} s, which the model has only as a "
+                f"floor of pressure; {100 * np.mean(void):.0f} % of its samples do not count"
+            )
+    return Log(
+        name,
+        record,
+        payload_of(record),
+        tuple(asked),
+        tuple(live),
+        tuple(columns),
+        np.column_stack(list(columns.values())),
+        counts,
+        tuple(warnings),
+    )
+
+
+def _commands(cylinder: Cylinder, record: Record) -> dict[str, float]:
+    """Least change [V] that is one, by recorded command channel of a cylinder."""
+    least = {
+        f"{cylinder.name}.{valve.name}.command": least_change(valve) for valve in cylinder.valve
+    }
+    return {channel: change for channel, change in least.items() if channel in record}
+
+
+def _asked(cylinder: Cylinder, record: Record) -> bool:
+    """Whether a command of the cylinder changes."""
+    commands = _commands(cylinder, record)
+    return any(np.ptp(record[channel]) > least for channel, least in commands.items())
+
+
+def _moves(cylinder: Cylinder, record: Record) -> bool:
+    """Whether a recorded position of the cylinder changes."""
+    stroke = float(cylinder.stroke)
+    spans = {"x": stroke, "q": 1.0 if cylinder.pins else stroke}
+    return any(
+        (channel := f"{cylinder.name}.{word}") in record and np.ptp(record[channel]) > MOVES * span
+        for word, span in spans.items()
+    )
+
+
+def _columns(record: Record, live: Sequence[str], wanted: Sequence[str]) -> dict[str, np.ndarray]:
+    """What the log has of the wanted quantities of the live cylinders and of the channels wanted by
+    full name, if it changes: the channel, what stands in for it, or the rate of its position.
+    """
+    columns: dict[str, np.ndarray] = {}
+    for word in wanted:
+        for channel in [word] if "." in word else [f"{cylinder}.{word}" for cylinder in live]:
+            choice = next((name for name in alternatives(channel) if name in record), channel)
+            values = column(record, choice, record)
+            if values is not None and np.ptp(values) > 0.0:
+                columns.setdefault(choice, values)
+    return columns
+
+
+def _cavitates(rig: Rig, cylinder: Cylinder, record: Record) -> np.ndarray:
+    """Where a recorded chamber is empty, or has been and no command of the cylinder has changed
+    since, shape (samples,).
+    """
+    pressures = [
+        record[c] for word in ("p_head", "p_rod") if (c := f"{cylinder.name}.{word}") in record
+    ]
+    void = np.zeros(record.t.size, dtype=bool)
+    if not pressures:
+        return void
+    ahead = round(EMPTYING / record.sample_time)
+    empty = np.flatnonzero(np.min(pressures, axis=0) < EMPTY * float(rig.oil.cavitation_pressure))
+    commands = _commands(cylinder, record)
+    table = (
+        np.column_stack([record[channel] for channel in commands])
+        if commands
+        else np.zeros((record.t.size, 1))
+    )
+    least = np.array(list(commands.values())) if commands else 0.0
+    stops = np.array(
+        [window.start for window in transients(record.t, table, least=least)] + [record.t.size]
+    )
+    for first in empty:
+        if not void[first]:
+            stop = int(stops[np.searchsorted(stops, first, side="right")])
+            void[max(0, first - ahead) : stop + ahead] = True
+    return void
+
+
+class Simulator:
+    """All logs, simulated at any parameter values, several at a time.
+
+    Args:
+        names: of the parameters, in the order of the values.
+        workers: threads; 0 for one per core.
+        step: integration step [s].
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        logs: Sequence[Log],
+        names: Sequence[str],
+        maps: Maps | None,
+        workers: int,
+        step: float,
+    ) -> None:
+        self.rig, self.maps, self.step = rig, maps, step
+        self.logs, self.names = tuple(logs), tuple(names)
+        self.pool = ThreadPoolExecutor(workers or os.cpu_count() or 1)
+        self.evaluations = 0
+
+    def models(self, values: Sequence[float]) -> dict[str | None, Model]:
+        """The model at these values by payload."""
+        changed = self.rig.with_values(dict(zip(self.names, values, strict=True)))
+        return {
+            load: Model.of(changed, self.maps, load) for load in {log.payload for log in self.logs}
+        }
+
+    def chosen(self, which: Sequence[int] | None) -> Sequence[Log]:
+        """Some logs by index; None for all."""
+        return self.logs if which is None else [self.logs[i] for i in which]
+
+    def simulate(
+        self, vectors: Sequence[Sequence[float]], chosen: Sequence[int] | None = None
+    ) -> list[list[np.ndarray | None]]:
+        """Simulated channels by vector and log, shape (samples, channels); None where the
+        simulation failed.
+        """
+        logs = self.chosen(chosen)
+        tasks = [(models[log.payload], log) for models in map(self.models, vectors) for log in logs]
+        self.evaluations += len(tasks)
+        done = list(self.pool.map(self._one, tasks))
+        return [done[i : i + len(logs)] for i in range(0, len(done), len(logs))]
+
+    def _one(self, task: tuple[Model, Log]) -> np.ndarray | None:
+        model, log = task
+        try:
+            return channels_of(log, model.replay(log.record, self.step))
+        except SimulationError:
+            return None
+
+    def replay(self, values: Sequence[float]) -> list[Record]:
+        """Every log simulated whole.
+
+        Raises:
+            SimulationError: the numbers left the finite range.
+        """
+        models = self.models(values)
+        return list(
+            self.pool.map(lambda log: models[log.payload].replay(log.record, self.step), self.logs)
+        )
+
+
+def channels_of(log: Log, replayed: Record) -> np.ndarray:
+    """A replay's values of the log's channels, shape (samples, channels)."""
+    columns = [column(replayed, channel, log.record) for channel in log.channels]
+    return np.column_stack([values for values in columns if values is not None])

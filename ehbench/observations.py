@@ -1,0 +1,54 @@
+"""What a log shows of a cylinder, and how: the rules that identification and validation share."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ehbench.plant.model import MOVED
+from ehbench.record import Record
+from ehbench.rig import Valve
+from ehbench.signals import lowpass
+
+RATE_CUTOFF = 20.0  # [Hz] of the low-pass before a rate is taken from a position
+# what stands in for a channel that a log lacks, and moves with it
+STAND_INS = {"q": "x", "x": "q", "qd": "v", "v": "qd"}
+_RATE_OF = {"qd": "q", "v": "x"}
+TOGETHER = 0.02  # [s]: commands that change within this before a transient have begun it with it
+# ringing of fewer cycles, or better damped, is told by drift as well as by oscillation
+CLEAR_CYCLES, CLEAR_DAMPING = 1.5, 0.35
+
+
+def column(record: Record, channel: str, like: Record) -> np.ndarray | None:
+    """A channel [SI]; where ``like`` lacks it, the rate of its position behind a low-pass, None if
+    that is lacking too.
+    """
+    if channel in like:
+        return record[channel]
+    head, word = channel.rsplit(".", 1)
+    position = f"{head}.{_RATE_OF.get(word, word)}"
+    if word not in _RATE_OF or position not in like:
+        return None
+    smooth = lowpass(record[position], record.sample_time, RATE_CUTOFF)
+    return np.gradient(smooth, record.sample_time)
+
+
+def alternatives(channel: str) -> tuple[str, ...]:
+    """A channel, and the one that stands in for it if there is one."""
+    head, word = channel.rsplit(".", 1)
+    return (channel, f"{head}.{STAND_INS[word]}") if word in STAND_INS else (channel,)
+
+
+def least_change(valve: Valve) -> float:
+    """The change of a valve's recorded command [V] that is more than noise."""
+    return MOVED * (float(valve.command_max) - float(valve.command_min))
+
+
+def payload_of(record: Record) -> str | None:
+    """The payload that a log says was carried, None for none."""
+    said = record.meta.get("payload", "none")
+    return None if said in ("", "none") else said
+
+
+def rings_clearly(cycles: float, damping_ratio: float) -> bool:
+    """Whether an oscillation lasts long enough for its frequency to be told from drift."""
+    return cycles >= CLEAR_CYCLES and damping_ratio <= CLEAR_DAMPING

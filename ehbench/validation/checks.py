@@ -1,0 +1,128 @@
+"""What is asked of a model on a log: thresholds held against what was reached, each with a
+sentence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+
+from ehbench.observations import STAND_INS
+from ehbench.quantities import quantity
+from ehbench.recipe import Thresholds
+from ehbench.rig import Rig
+from ehbench.units import from_si
+from ehbench.validation.results import ChannelResult, Check, Correlation, Ring, Transient
+
+
+def checks_of(
+    results: Sequence[ChannelResult], windows: Sequence[Transient], asked: Thresholds, rig: Rig
+) -> list[Check]:
+    """Every check that a log supports: channel by channel, then cylinder by cylinder."""
+    checks = []
+    for result in results:
+        checks += [
+            *_fit_check(result, asked),
+            *_error_check(result, asked, rig),
+            *_residual_checks(result, asked),
+        ]
+    clear = (w for w in windows if w.recorded.clear)
+    for cylinder, mine in groupby(clear, key=lambda w: w.cylinder):
+        group = list(mine)
+        for key, limit in (
+            ("natural_frequency", asked.natural_frequency_error),
+            ("damping_ratio", asked.damping_ratio_error),
+        ):
+            if limit is not None:
+                checks.append(_ringing_check(cylinder, key, group, limit))
+    return checks
+
+
+def _fit_check(result: ChannelResult, asked: Thresholds) -> Iterator[Check]:
+    word = result.channel.rsplit(".", 1)[1]
+    least = asked.fit_percent.get(word, asked.fit_percent.get(STAND_INS.get(word, "")))
+    reached = result.fit_percent
+    if least is not None and reached is not None:
+        passed = reached >= least
+        sentence = (
+            f"{_words(result.channel)} fit {reached:.3g} % is {'not ' * passed}below "
+            f"the {least:g} % asked"
+        )
+        yield Check(f"{result.channel} fit", reached, least, "percent", passed, sentence)
+
+
+def _error_check(result: ChannelResult, asked: Thresholds, rig: Rig) -> Iterator[Check]:
+    word = result.channel.rsplit(".", 1)[1]
+    if word in asked.max_error:
+        row, unit = quantity(word), rig.unit_of(word)
+        reached, most = abs(result.max_error), float(asked.max_error[word])
+        shown = [f"{from_si(value, unit, row):.3g}" for value in (reached, most)]
+        sentence = (
+            f"{_words(result.channel)} error reaches {shown[0]} {unit}; "
+            f"{shown[1]} {unit} is allowed"
+        )
+        what = f"{result.channel} max error"
+        yield Check(what, reached, most, result.unit, reached <= most, sentence)
+
+
+def _residual_checks(result: ChannelResult, asked: Thresholds) -> Iterator[Check]:
+    own = (result.autocorrelation,) if result.autocorrelation else ()
+    kinds: tuple[tuple[bool, str, tuple[Correlation, ...]], ...] = (
+        (asked.whiteness, "autocorrelation", own),
+        (asked.independence, "correlation with commands", result.cross_correlation),
+    )
+    for wanted, kind, found in kinds:
+        if wanted and found:
+            reached = max(one.outside_percent for one in found)
+            sentence = (
+                f"{_words(result.channel)} residual {kind} leaves its band at {reached:.0f} % of "
+                f"the lags; {asked.outside_percent:g} % is allowed"
+            )
+            what, passed = f"{result.channel} residual {kind}", reached <= asked.outside_percent
+            yield Check(what, reached, asked.outside_percent, "percent", passed, sentence)
+
+
+def _ringing_check(cylinder: str, key: str, windows: Sequence[Transient], limit: float) -> Check:
+    """The worst window: fails where the difference exceeds what is allowed by more than two of its
+    standard errors.
+    """
+    what = f"{cylinder} {key.replace('_', ' ')}"
+    silent = [w for w in windows if w.simulated.natural_frequency is None]
+    if silent:
+        when, why = silent[0].start, silent[0].simulated.reason
+        sentence = f"{what}: the recording rings from {when:.2f} s on, the model does not ({why})"
+        return Check(what, None, limit, "share", False, sentence)
+
+    def number(side: Ring) -> tuple[float, float]:
+        return getattr(side, key), getattr(side, f"{key}_std")
+
+    def miss(window: Transient) -> tuple[float, float]:
+        """(difference, its standard error) as shares of the recorded value."""
+        (recorded, one), (simulated, other) = number(window.recorded), number(window.simulated)
+        scale = max(abs(recorded), 1e-9)
+        return abs(simulated - recorded) / scale, math.hypot(one, other) / scale
+
+    worst = max(windows, key=lambda w: miss(w)[0] - 2.0 * miss(w)[1])
+    reached, spread = miss(worst)
+    passed = reached - 2.0 * spread <= limit
+    scale, unit = (0.5 / math.pi, " Hz") if key == "natural_frequency" else (1.0, "")
+    shown = [
+        f"{scale * value:.3g} ± {scale * std:.2g}{unit}"
+        for value, std in map(number, (worst.simulated, worst.recorded))
+    ]
+    apart = f"{100 * reached:.0f} % apart; {100 * limit:g} % is allowed"
+    sentence = f"{what} {shown[0]} against {shown[1]} recorded from {worst.start:.2f} s on, {apart}"
+    return Check(what, reached, limit, "share", passed, sentence)
+
+
+def _words(channel: str) -> str:
+    cylinder, word = channel.rsplit(".", 1)
+    plain = {
+        "q": "position",
+        "qd": "rate",
+        "x": "stroke",
+        "v": "speed",
+        "p_head": "head pressure",
+        "p_rod": "rod pressure",
+    }
+    return f"{cylinder} {plain[word]}"

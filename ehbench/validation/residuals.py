@@ -1,0 +1,100 @@
+"""One channel of one log: how far the model is off, and whether what is left is noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ehbench import signals
+from ehbench.observations import column
+from ehbench.plant.model import Model
+from ehbench.quantities import quantity
+from ehbench.record import Record
+from ehbench.validation.results import ChannelResult, Correlation
+
+# von Neumann ratio (1 for white noise, 0 for a smooth signal) above which a channel shows noise
+NOISE = 0.5
+# [s]: residuals are averaged over LAG_STEP before they are correlated up to LAG_SPAN
+LAG_STEP, LAG_SPAN = 0.01, 0.5
+
+
+class Pair(NamedTuple):
+    """A channel recorded and simulated [SI]; ``derived``: both are the position's rate."""
+
+    recorded: np.ndarray
+    simulated: np.ndarray
+    derived: bool
+
+
+def pair_of(record: Record, simulated: Record, channel: str) -> Pair | None:
+    """Both sides of a channel, None if the log cannot give it."""
+    sides = [column(one, channel, record) for one in (record, simulated)]
+    if sides[0] is None or sides[1] is None:
+        return None
+    return Pair(sides[0], sides[1], channel not in record)
+
+
+def compare(record: Record, model: Model, channel: str, pair: Pair) -> ChannelResult:
+    """How a channel is followed."""
+    recorded, error = pair.recorded, pair.simulated - pair.recorded
+    plain = ChannelResult(
+        channel=channel,
+        unit=quantity(channel).unit,
+        fit_percent=None,
+        max_error=float(error[np.argmax(np.abs(error))]),
+        bias=float(np.mean(error)),
+        rms_error=signals.rms(error),
+        derived=pair.derived,
+    )
+    variance = float(np.var(recorded))
+    if math.sqrt(variance) <= 1e-9 * float(np.max(np.abs(recorded))):
+        return replace(plain, note="the recording is constant, so it has no fit")
+    if float(np.mean(np.diff(recorded) ** 2)) > 2.0 * NOISE * variance:
+        note = "the recording shows no motion beyond its noise, so it has no fit"
+        return replace(plain, note=note)
+    plain = replace(plain, fit_percent=signals.fit_percent(recorded, pair.simulated))
+    block = max(1, round(LAG_STEP / record.sample_time))
+    residual = _averaged(error, block)
+    lags = min(max(1, round(LAG_SPAN / (block * record.sample_time))), len(residual) // 4)
+    if lags < 2 or float(np.ptp(residual)) <= 1e-12 * float(np.max(np.abs(recorded))):
+        return plain
+    lag = block * record.sample_time * np.arange(lags + 1)
+    auto = _correlation(
+        channel,
+        lag[1:],
+        signals.autocorrelation(residual, lags)[1:],
+        signals.autocorrelation_band(residual, lags)[1:],
+    )
+    cross = []
+    for name in _own_commands(record, model, channel):
+        command = _averaged(record[name], block)
+        if float(np.ptp(command)) > 0.0:
+            band = np.full(lags + 1, signals.correlation_band(residual, command))
+            values = signals.correlation(residual, command, lags)[lags:]
+            cross.append(_correlation(name, lag, values, band))
+    return replace(plain, autocorrelation=auto, cross_correlation=tuple(cross))
+
+
+def _own_commands(record: Record, model: Model, channel: str) -> list[str]:
+    """The recorded commands of the channel's cylinder."""
+    cylinder = channel.rsplit(".", 1)[0]
+    return [
+        f"{valve}.command"
+        for valve in model.layout.valves
+        if valve.startswith(f"{cylinder}.") and f"{valve}.command" in record
+    ]
+
+
+def _averaged(y: np.ndarray, block: int) -> np.ndarray:
+    count = len(y) // block
+    return np.mean(y[: count * block].reshape(count, block), axis=1)
+
+
+def _correlation(of: str, lag: np.ndarray, value: np.ndarray, band: np.ndarray) -> Correlation:
+    rounded = [
+        tuple(float(f"{number:.6g}") for number in numbers) for numbers in (lag, value, band)
+    ]
+    return Correlation(of, *rounded, outside_percent=100.0 * float(np.mean(np.abs(value) > band)))

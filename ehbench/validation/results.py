@@ -1,0 +1,246 @@
+"""What a validation leaves: the verdict on a rig, log by log, as ``validation.json`` has it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ehbench.errors import InputError, ModelRejected
+from ehbench.observations import rings_clearly
+from ehbench.quantities import quantity
+from ehbench.rundir import read_json
+from ehbench.signals import Ringing
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """A correlation over lags [s], the half-width of its 95 % band at each lag, and the share [%]
+    of lags outside.
+
+    ``of`` names what the residual is correlated with: itself (lag 0 left out), or a command ``lag``
+    seconds earlier."""
+
+    of: str
+    lag: tuple[float, ...]
+    value: tuple[float, ...]
+    band: tuple[float, ...]
+    outside_percent: float
+
+
+@dataclass(frozen=True)
+class ChannelResult:
+    """One channel of one log, in the SI ``unit``. Errors are simulated minus recorded.
+
+    ``fit_percent`` is the NRMSE fit, None where the recording shows no motion; ``max_error`` the
+    error largest in size, with its sign; ``derived`` says that the log has no such channel and both
+    sides were taken from the position's rate. ``note`` says in words why something is missing."""
+
+    channel: str
+    unit: str
+    fit_percent: float | None
+    max_error: float
+    bias: float
+    rms_error: float
+    derived: bool = False
+    autocorrelation: Correlation | None = None
+    cross_correlation: tuple[Correlation, ...] = ()
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Ring:
+    """Natural frequency [rad/s] and damping ratio of one side of a transient with their standard
+    errors; None: no ringing.
+
+    ``cycles`` pass before it has decayed or the window ends; ``reason`` says why there is none.
+    """
+
+    natural_frequency: float | None = None
+    natural_frequency_std: float | None = None
+    damping_ratio: float | None = None
+    damping_ratio_std: float | None = None
+    cycles: float = 0.0
+    reason: str = ""
+
+    @property
+    def clear(self) -> bool:
+        """Whether it rings long enough for its frequency to be told from drift, so that a model can
+        be judged by it.
+        """
+        return self.damping_ratio is not None and rings_clearly(self.cycles, self.damping_ratio)
+
+    @classmethod
+    def of(cls, found: Ringing) -> Ring:
+        """The part of a ringing that is saved."""
+        if not found.ok:
+            return cls(cycles=found.cycles, reason=found.reason)
+        return cls(
+            natural_frequency=found.natural_frequency,
+            natural_frequency_std=found.natural_frequency_std,
+            damping_ratio=found.damping_ratio,
+            damping_ratio_std=found.damping_ratio_std,
+            cycles=found.cycles,
+        )
+
+
+@dataclass(frozen=True)
+class Transient:
+    """The ringing of a cylinder after a command change, recorded and simulated over the same window
+    [s].
+    """
+
+    cylinder: str
+    start: float
+    stop: float
+    recorded: Ring
+    simulated: Ring
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing asked of the model on one log: what was reached (None: nothing to compare) and what
+    was asked.
+    """
+
+    what: str
+    reached: float | None
+    asked: float
+    unit: str
+    passed: bool
+    sentence: str
+
+
+@dataclass(frozen=True)
+class LogResult:
+    """One log. ``status``: ``held_out`` (it counts), ``fitted`` (the model was fitted to it),
+    ``still``, or ``failed``.
+
+    ``moved`` cylinders had a valve commanded and are judged, ``held`` ones are not. ``failure``
+    says why a log could not be simulated. ``series`` are the recorded and, as
+    ``simulated.<channel>``, the simulated channels; it is not in the JSON."""
+
+    name: str
+    payload: str
+    status: str
+    duration: float
+    sample_time: float
+    moved: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
+    channels: tuple[ChannelResult, ...] = ()
+    transients: tuple[Transient, ...] = ()
+    checks: tuple[Check, ...] = ()
+    failure: str = ""
+    warnings: tuple[str, ...] = ()
+    series: dict[str, np.ndarray] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def passed(self) -> bool:
+        """Whether everything asked on this log was reached, and something was asked."""
+        return not self.failure and bool(self.checks) and all(check.passed for check in self.checks)
+
+
+@dataclass(frozen=True)
+class Validation:
+    """The verdict on a rig: ``accepted`` if some held-out log was judged and all of them passed;
+    else ``reasons`` say why not.
+    """
+
+    rig: str
+    accepted: bool
+    reasons: tuple[str, ...]
+    warnings: tuple[str, ...]
+    thresholds: dict[str, Any]
+    logs: tuple[LogResult, ...]
+
+    @property
+    def verdict(self) -> str:
+        """``accepted`` or ``rejected``."""
+        return "accepted" if self.accepted else "rejected"
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values for ``validation.json``; `read_validation` is the way back."""
+        table: dict[str, Any] = asdict(self) | {"verdict": self.verdict}
+        for log, result in zip(table["logs"], self.logs, strict=True):
+            del log["series"]
+            log["passed"] = result.passed
+        return table
+
+    def series(self) -> dict[str, dict[str, np.ndarray]]:
+        """By log, columns named ``t [s]``, ``boom.q [rad]`` (recorded) and ``simulated.boom.q
+        [rad]``, in SI.
+        """
+        return {
+            log.name: {
+                f"{name} [{quantity(name).unit}]": values for name, values in log.series.items()
+            }
+            for log in self.logs
+            if log.series
+        }
+
+    def require(self) -> None:
+        """Pass if accepted.
+
+        Raises:
+            ModelRejected: with the first reason.
+        """
+        if not self.accepted:
+            raise ModelRejected(
+                f"rig '{self.rig}' is rejected: {self.reasons[0]}",
+                hint="; ".join(self.reasons[1:4]) or None,
+            )
+
+
+def read_validation(path: Path) -> Validation:
+    """The validation of a run folder or of a ``validation.json``, without its series.
+
+    Raises:
+        InputError: no such file, or not a validation.
+    """
+    path = path / "validation.json" if path.is_dir() else path
+    table = read_json(path)
+
+    def many(kind: type, rows: list[dict[str, Any]]) -> tuple[Any, ...]:
+        return tuple(made(kind, row) for row in rows)
+
+    def made(kind: type, row: dict[str, Any]) -> Any:
+        known = {f.name for f in fields(kind)}
+        return kind(
+            **{
+                key: tuple(value) if isinstance(value, list) else value
+                for key, value in row.items()
+                if key in known
+            }
+        )
+
+    def channel(row: dict[str, Any]) -> ChannelResult:
+        auto = row["autocorrelation"] and made(Correlation, row["autocorrelation"])
+        return made(
+            ChannelResult,
+            row
+            | {
+                "autocorrelation": auto,
+                "cross_correlation": many(Correlation, row["cross_correlation"]),
+            },
+        )
+
+    def transient(row: dict[str, Any]) -> Transient:
+        return made(
+            Transient, row | {side: made(Ring, row[side]) for side in ("recorded", "simulated")}
+        )
+
+    def log(row: dict[str, Any]) -> LogResult:
+        nested = {
+            "channels": [channel(c) for c in row["channels"]],
+            "transients": [transient(w) for w in row["transients"]],
+        }
+        return made(LogResult, row | nested | {"checks": many(Check, row["checks"])})
+
+    try:
+        return made(Validation, table | {"logs": [log(row) for row in table["logs"]]})
+    except (KeyError, TypeError) as error:
+        raise InputError(
+            f"is no validation: {error}", file=path, hint="name a finished run of stage 'validate'"
+        ) from None
