@@ -179,6 +179,14 @@ _ROWS = [
     Quantity(
         "friction_viscous", "b_c", "N*s/m", "N*s/m", "viscous friction of the cylinder", 0, 1e8
     ),
+    Quantity("force_extending", "F_out", "N", "N", "force on the rod while it goes out", -1e8, 1e8),
+    Quantity("force_retracting", "F_in", "N", "N", "force on the rod while it goes in", -1e8, 1e8),
+    Quantity("stiffness", "k", "N/m", "kN/mm", "stiffness of a spring or a mount", 0, 1e13),
+    Quantity(
+        "free_length", "x_0", "m", "mm", "stroke at which a spring on the rod is free", -100, 100
+    ),
+    Quantity("pressure_head", "p_1", "Pa", "kPa", "known pressure in another head end", -2e5, 2e8),
+    Quantity("pressure_rod", "p_2", "Pa", "kPa", "known pressure in another rod end", -2e5, 2e8),
     Quantity("friction_coulomb", "F_c", "N", "N", "Coulomb friction of the cylinder", 0, 1e7),
     Quantity(
         "bristle_stiffness", "σ0", "N/m", "N/mm", "stiffness of friction before it slides", 1, 1e12
@@ -269,6 +277,18 @@ _ROWS = [
         1e8,
     ),
     Quantity("deadband", "u0", "V", "V", "command below which a valve stays shut", 0, 100),
+    Quantity(
+        "opening_max", "u_s", "V", "V", "opening beyond which an edge passes nothing more", 0, 100
+    ),
+    Quantity(
+        "saturation_softness",
+        "w_s",
+        "V",
+        "V",
+        "half the travel over which an edge's saturation rounds off",
+        0,
+        100,
+    ),
     Quantity("command_min", "u_min", "V", "V", "lowest command the driver takes", -100, 100),
     Quantity("command_max", "u_max", "V", "V", "highest command the driver takes", -100, 100),
     Quantity("rated_flow", "Q_r", "m^3/s", "gpm", "rated flow", 0, 1),

@@ -167,7 +167,15 @@ class Edge(LawFields, MeteringEdge):
         for need in edge_law(self.law).needs:
             if getattr(self, need) is None:
                 raise ValueError(f"law '{self.law}' needs '{need}'")
+        if (odd := edge_law(self.law).odd(self)) is not None:
+            raise Misplaced(*odd)
         return self
+
+    @property
+    def gain(self) -> Value | None:
+        """The gain of its law."""
+        needs = edge_law(self.law).needs
+        return getattr(self, needs[0] if needs else "compensated_gain")
 
 
 class Valve(FileModel):
@@ -252,6 +260,56 @@ class Valve(FileModel):
         return min(max(0.0, float(self.command_min)), float(self.command_max))
 
 
+class Force(FileModel):
+    """A force on the rod from outside, positive where it pushes the rod out.
+
+    kind ``constant``: ``force``. ``by_direction``: ``force_extending`` while the rod goes out,
+    ``force_retracting`` while it goes in. ``spring``: −stiffness·(x − free_length). ``channel``:
+    played from a log's ``channel``. ``cylinder``: one that stands against the rod, its
+    ``area_head`` under ``pressure_head`` pushing the rod in, its ``area_rod`` under
+    ``pressure_rod`` pulling it out."""
+
+    name: Name = "force"
+    kind: Literal["constant", "by_direction", "spring", "channel", "cylinder"]
+    force: Annotated[Value, Q("force")] | None = None
+    force_extending: Annotated[Value, Q("force_extending")] | None = None
+    force_retracting: Annotated[Value, Q("force_retracting")] | None = None
+    stiffness: Annotated[Value, Q("stiffness")] | None = None
+    free_length: Annotated[Value, Q("free_length")] | None = None
+    channel: str | None = None
+    area_head: Annotated[Value, Q("area_head")] | None = None
+    area_rod: Annotated[Value, Q("area_rod")] | None = None
+    pressure_head: Annotated[Value, Q("pressure_head")] | None = None
+    pressure_rod: Annotated[Value, Q("pressure_rod")] | None = None
+
+    @model_validator(mode="after")
+    def _kind_is_whole(self) -> Force:
+        takes = {
+            "constant": ("force",),
+            "by_direction": ("force_extending", "force_retracting"),
+            "spring": ("stiffness", "free_length"),
+            "channel": ("channel",),
+            "cylinder": ("area_head", "pressure_head", "area_rod", "pressure_rod"),
+        }[self.kind]
+        needs = takes[:2]
+        for key in needs:
+            if getattr(self, key) is None:
+                raise ValueError(f"a force of kind '{self.kind}' needs '{key}'")
+        for key in set(type(self).model_fields) - {"name", "kind", *takes}:
+            if getattr(self, key) is not None:
+                raise Misplaced(f"a force of kind '{self.kind}' takes no '{key}'", key)
+        if (self.area_rod is None) != (self.pressure_rod is None):
+            raise ValueError("give area_rod and pressure_rod together")
+        if self.channel is not None:
+            row = VOCABULARY.get(self.channel.rsplit(".", 1)[-1])
+            if row is None or row.unit != "N" or "." not in self.channel:
+                raise Misplaced(
+                    f"'{self.channel}' is no channel of a force (such as '<cylinder>.force')",
+                    "channel",
+                )
+        return self
+
+
 class Cylinder(FileModel):
     """A cylinder, the joint it drives, its oil volumes, losses and valves. Areas, or bore and rod
     diameters.
@@ -276,6 +334,7 @@ class Cylinder(FileModel):
     friction: Friction | None = None
     relief_pressure: Annotated[Value, Q("relief_pressure")] | None = None
     valve: tuple[Valve, ...] = Field(min_length=1)
+    force: tuple[Force, ...] = ()
 
     @model_validator(mode="after")
     def _areas(self) -> Cylinder:
@@ -341,6 +400,7 @@ class Cylinder(FileModel):
                     for j, e in enumerate(v.edge)
                 ],
             ),
+            ("forces", [(("force", i), f.name) for i, f in enumerate(self.force)]),
         ):
             if (at := _second([name for _, name in places])) is not None:
                 where, name = places[at]
@@ -348,6 +408,18 @@ class Cylinder(FileModel):
                     f"two {what} are called '{name}'; give each a name of its own", *where
                 )
         return self
+
+    def parts(self) -> Iterator[tuple[str, FileModel]]:
+        """Its further parts with what their parameters' names begin with, after the cylinder's."""
+        for own in _tables(self).values():
+            yield "", own
+        for force in self.force:
+            yield f"{force.name}.", force
+
+    @property
+    def unmodelled(self) -> tuple[str, ...]:
+        """Its tables that a controller's model of a cylinder does not have."""
+        return ("[[cylinder.force]]",) if self.force else ()
 
     def areas(self) -> tuple[float, float]:
         """(area_head, area_rod) [m²]."""
@@ -375,10 +447,19 @@ class Supply(FileModel):
 
 
 class Oil(FileModel):
-    """The oil. ``bulk_modulus`` is effective: oil, entrained air and hose together."""
+    """The oil. ``bulk_modulus`` is effective: oil, entrained air and hose together; with
+    ``air_fraction`` it is of what the air leaves over, and softens as the pressure falls."""
 
     bulk_modulus: Annotated[Value, Q("bulk_modulus")]
+    air_fraction: Annotated[Value, Q("air_fraction")] | None = None
+    polytropic_exponent: Annotated[Value, Q("polytropic_exponent")] | None = None
     cavitation_pressure: Annotated[Value, Q("cavitation_pressure")] = Value(-9.0e4)
+
+    @model_validator(mode="after")
+    def _air_is_whole(self) -> Oil:
+        if self.polytropic_exponent is not None and self.air_fraction is None:
+            raise Misplaced("an exponent of air needs 'air_fraction'", "polytropic_exponent")
+        return self
 
 
 class Rig(FileModel):
@@ -566,7 +647,7 @@ class Rig(FileModel):
 
         ``bulk_modulus``, ``supply.pressure``, ``<joint>.joint_damping``, ``<joint>.mass``,
         ``<cylinder>.leakage_internal``, ``<dynamics>.natural_frequency`` (also where the file gives
-        s1 and s2), ``<edge>.flow_gain`` and so on."""
+        s1 and s2), ``<edge>.flow_gain``, ``<cylinder>.<force>.stiffness`` and so on."""
         found: dict[str, Value] = {"gravity": self.gravity}
         found |= {name: value for name, value in scalars(self.oil)}
         found |= {f"supply.{name}": value for name, value in scalars(self.supply)}
@@ -576,8 +657,9 @@ class Rig(FileModel):
         for body in bodies:
             found |= {f"{body.name}.{name}": value for name, value in scalars(body)}
         for cylinder in self.cylinder:
-            for model in (cylinder, *_tables(cylinder).values()):
-                found |= {f"{cylinder.name}.{name}": value for name, value in scalars(model)}
+            found |= {f"{cylinder.name}.{name}": value for name, value in scalars(cylinder)}
+            for prefix, part in cylinder.parts():
+                found |= {f"{cylinder.name}.{prefix}{name}": value for name, value in scalars(part)}
         for name, dynamics in self.dynamics.items():
             found |= {f"{name}.{key}": value for key, value in dynamics.parameters().items()}
         for cylinder, valve, edge in self.edges():
@@ -668,8 +750,9 @@ def _cylinder_with(model: Cylinder, new: Mapping[str, Value]) -> Cylinder:
         edges = (_replaced(e, f"{prefix}{valve.edge_name(e)}.", new) for e in valve.edge)
         valves.append(valve.model_copy(update={"edge": tuple(edges)}))
     tables = {key: _replaced(part, prefix, new) for key, part in _tables(model).items()}
+    forces = tuple(_replaced(f, f"{prefix}{f.name}.", new) for f in model.force)
     whole = _replaced(model, prefix, new)
-    return whole.model_copy(update=tables | {"valve": tuple(valves)})
+    return whole.model_copy(update=tables | {"valve": tuple(valves), "force": forces})
 
 
 def _tables(model: BaseModel) -> dict[str, FileModel]:

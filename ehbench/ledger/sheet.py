@@ -30,10 +30,16 @@ CYLINDER_ROWS = (
     ("loss", "return line, Pt·Q"),
     ("loss", "cylinder friction"),
     ("loss", "end stops"),
+    ("load", "force on the rod from outside"),
 )
-STORE_LABELS = ("oil of the head end", "oil of the rod end", "spring of the end stops")
+STORE_LABELS = (
+    *("oil of the head end", "oil of the rod end", "spring of the end stops"),
+    "springs on the rod",
+)
+# rows of a cylinder that stand in a ledger only where the rig file has the table
+OPTIONAL = {"force": ("external_force", "load_spring")}
 # rows that the piston's work pays
-MECHANICAL = ("friction", "friction_spring", "end_stop", "stop", "damping")
+MECHANICAL = ("friction", "friction_spring", "end_stop", "stop", "load_spring", "damping")
 
 
 class Sheet:
@@ -44,6 +50,7 @@ class Sheet:
         owner: cylinder to which each edge belongs.
         powers, stores: how many columns of each there are.
         rows: (name, group, label, cylinder) of each column.
+        absent: names of rows that are left out, as of parts which the rig has not.
         parts: (name, where, cylinder) of each part of the residual.
         combinations: how much of each column is in each part, shape (parts, columns).
     """
@@ -57,6 +64,13 @@ class Sheet:
         self.powers = powers_of(len(names.edges), cylinders, len(names.joints))
         self.stores = stores_of(cylinders, len(_springy(model)))
         self.cylinders, self.word = names.cylinders, word
+        self.absent = {
+            f"{c.name}.{key}"
+            for c in model.rig.cylinder
+            for table, keys in OPTIONAL.items()
+            for key in keys
+            if not getattr(c, table)
+        }
         self.rows = _power_rows(model) + _store_rows(model)
         parts = _parts(self.rows, names.cylinders, word)
         self.parts = [(name, where, cylinder) for name, where, cylinder, *_ in parts]
@@ -93,6 +107,8 @@ class Sheet:
         ]
         rows = []
         for i, (name, group, label, cylinder) in enumerate(named):
+            if name in self.absent:
+                continue
             energy = float(energies[i])
             interval = (
                 None

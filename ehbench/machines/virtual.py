@@ -32,7 +32,9 @@ from ehbench.parts.cylinder import (
 )
 from ehbench.parts.edge.orifice import ORIFICE_DROP
 from ehbench.parts.end_stop import stop_force, stop_rate
+from ehbench.parts.load import force_on, force_steepness
 from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
+from ehbench.parts.oil import bulk
 from ehbench.parts.sample import OF, entry, line_entry, sample_channels
 from ehbench.parts.supply import pump_flow
 from ehbench.parts.valve import VALVE_COLUMNS, limited, valve_rates, valve_settle
@@ -50,7 +52,6 @@ from ehbench.rig import Edge, Rig, Value, Valve, read_value
 
 NAME = "virtual bench"
 STEP = 2.5e-4  # [s]
-ATMOSPHERE = 101325.0
 CREEP = 1.0e-3  # [m/s]: over which friction turns round
 NOISE_ROWS = 256  # drawn at a time
 SETTLE = 0.25  # [s] of rest before t = 0, so that lags and delays have filled
@@ -157,6 +158,7 @@ class VirtualPlant(NamedTuple):
     edges: np.recarray
     curves: np.recarray
     supply: np.record
+    forces: np.recarray
     fluid: np.record
     sensors: np.recarray
     delay: int
@@ -188,19 +190,6 @@ def scratch_of(bench: VirtualPlant) -> Scratch:
 
 
 # --- laws
-
-
-@part_kernel
-def bulk(pressure, solid, air, exponent):
-    """Bulk modulus [Pa] of oil with free air: ``1/β = 1/β_solid + α/(n p) (p0/p)^(1/n)``, p
-    absolute.
-
-    The air is compressed polytropically from its share α at atmospheric pressure p0, so a chamber
-    gets softer as its pressure falls and cannot be drawn below vacuum."""
-    if air == 0.0:
-        return solid
-    p = max(pressure + ATMOSPHERE, 500.0)
-    return 1.0 / (1.0 / solid + air / (exponent * p) * (ATMOSPHERE / p) ** (1.0 / exponent))
 
 
 @part_kernel
@@ -297,7 +286,7 @@ def _valves_and_edges(y, target, bench, dy, work):
 
 
 @part_kernel
-def _cylinders(y, bench, dy, work):
+def _cylinders(y, target, bench, dy, work):
     """Pressure rates of the chambers, torques of the cylinders; the fastest rate [1/s]."""
     at, fluid, fastest = bench.at, bench.fluid, 0.0
     for c in range(bench.cylinders.shape[0]):
@@ -318,6 +307,9 @@ def _cylinders(y, bench, dy, work):
         viscous, static = row.friction_viscous, row.friction_static
         force -= stribeck(v, viscous, row.friction_coulomb, static, row.stribeck_speed, CREEP)
         steep = 0.0 if abs(v) > 4.0 * CREEP else static / CREEP
+        if bench.forces.shape[0] > 0:
+            force += force_on(c, x, v, target, bench)
+            steep += force_steepness(c, v, bench)
         fastest = max(fastest, row.mobility * (steep + viscous))
         if x < 0.0 or x > row.stroke:
             force += stop_force(row, x, v)
@@ -355,7 +347,7 @@ def derivatives(y, target, bench, dy, work):
     fastest = _valves_and_edges(y, target, bench, dy, work)
     for i in range(bench.at.torque, bench.at.net):
         work[i] = 0.0
-    fastest = max(fastest, _cylinders(y, bench, dy, work))
+    fastest = max(fastest, _cylinders(y, target, bench, dy, work))
     move(y, bench, dy, work)
     return max(fastest, _supply(y, bench, dy, work))
 
@@ -571,7 +563,7 @@ def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) ->
     leaves the others.
     """
     full = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
-    compensated = edge.law == "compensated"
+    compensated = edge.law in ("compensated", "flow_control")
     low, high = (
         np.array([0.85, 0.03, 0.9, 0.97, 1.4, 1.2, 0.10]),
         np.array([1.1, 0.06, 1.4, 1.03, 2.0, 1.8, 0.18]),
@@ -581,12 +573,12 @@ def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) ->
     dead = float(edge.deadband)
     row.onset = given("onset", onset * dead if dead > 0 else 0.1 * soft * full)
     row.softness = given("softness", soft * full if compensated else 0.3 * soft * full)
-    row.saturation = (
-        given("saturation", sat * full if compensated else 1.6 * sat * full) or math.inf
-    )
-    nominal = edge.compensated_gain if compensated else edge.flow_gain
-    assert nominal is not None  # `_truth` sees to it
-    gain = float(nominal) * given("gain_factor", factor)
+    usual = sat * full if compensated else 1.6 * sat * full
+    if edge.opening_max is not None:
+        usual = float(edge.opening_max) - dead
+    row.saturation = given("saturation", usual) or math.inf
+    assert edge.gain is not None  # `_truth` sees to it
+    gain = float(edge.gain) * given("gain_factor", factor)
     row.gain = gain
     if compensated:
         row.setting = given("compensation_drop", setting * float(edge.compensation_drop))
@@ -883,6 +875,7 @@ def _build(recipe: BenchRecipe, model: Model, tick: float) -> VirtualPlant:
         edges=edges,
         curves=curves,
         supply=plant.supply,
+        forces=plant.forces,
         fluid=_fluid(of),
         sensors=_sensors(of),
         delay=math.floor(ticks),
@@ -927,7 +920,7 @@ def _bench_cylinders(of: _Seeded) -> np.recarray:
             if f"{name}.{key}" not in recipe.truth and row[key] == 0.0:
                 typical = 1e-4 if key == "leakage_internal" else 1e-5
                 row[key] = rng.uniform(0.5, 1.5) * typical * row.area_head / p_supply
-        if float(recipe.air_fraction) > 0.0:
+        if _air(of)[0] > 0.0:
             row.cavitation_pressure = -math.inf  # the air itself keeps a chamber above vacuum
     return cylinders
 
@@ -981,10 +974,21 @@ def _valves(
     return valves, elements
 
 
+def _air(of: _Seeded) -> tuple[float, float]:
+    """(share of free air, its exponent): the bench file's, else the rig's, else usual ones."""
+    recipe, oil = of.recipe, of.model.rig.oil
+    given = [
+        getattr(oil, key) if key not in recipe.model_fields_set else None
+        for key in ("air_fraction", "polytropic_exponent")
+    ]
+    share, exponent = given
+    return float(share or recipe.air_fraction), float(exponent or recipe.polytropic_exponent)
+
+
 def _fluid(of: _Seeded) -> np.record:
     recipe, row = of.recipe, table(1, FLUID)[0]
     droop, relief = _scalar(recipe.droop), _scalar(recipe.supply_relief)
-    row.air, row.polytropic = float(recipe.air_fraction), float(recipe.polytropic_exponent)
+    row.air, row.polytropic = _air(of)
     row.droop = 0.03 * of.p_supply if droop is None else droop
     row.pump_lag = float(recipe.pump_lag)
     row.supply_relief = 1.15 * of.p_supply if relief is None else relief

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from ehbench.compiled import part_kernel, record
+from ehbench.parts.oil import OIL_COLUMNS
 
 RECOVERY_TIME = 0.02  # [s]
 
-# ``pressure`` the set pressure [Pa], ``flow_limit`` [m³/s], ``volume`` of the line [m³], its
-# ``bulk_modulus`` [Pa]
-SUPPLY = record(("pressure", "f8"), ("flow_limit", "f8"), ("volume", "f8"), ("bulk_modulus", "f8"))
+# ``pressure`` the set pressure [Pa], ``flow_limit`` [m³/s], ``volume`` of the line [m³], the
+# OIL_COLUMNS of its oil
+SUPPLY = record(("pressure", "f8"), ("flow_limit", "f8"), ("volume", "f8"), *OIL_COLUMNS)
 
 
 @part_kernel

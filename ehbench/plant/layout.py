@@ -57,7 +57,8 @@ class Layout:
     """Names of what a plant's tables hold, in order, and where each of its states stands.
 
     ``valves`` and ``edges`` are called ``<cylinder>.<valve>`` and ``<cylinder>.<edge>``,
-    ``elements`` are those of the valves' dynamics, in order, and
+    ``elements`` are those of the valves' dynamics, in order, ``played`` the channels of forces that
+    stand behind the valves' commands in a row of commands, and
     ``state_names`` say what each state is, such as ``boom.p_head`` or ``boom.hect.opening``.
     """
 
@@ -67,6 +68,7 @@ class Layout:
     edges: tuple[str, ...]
     elements: tuple[Element, ...]
     frictions: tuple[int, ...]
+    played: tuple[str, ...]
     state_names: tuple[str, ...]
     _at: dict[str, int] = field(repr=False)
 
@@ -157,6 +159,7 @@ def layout(rig: Rig) -> Layout:
         edges=tuple(f"{c.name}.{v.edge_name(e)}" for c, v, e in rig.edges()),
         elements=tuple(elements),
         frictions=frictions,
+        played=tuple(dict.fromkeys(f.channel for c in rig.cylinder for f in c.force if f.channel)),
         state_names=tuple(names),
         _at={name: at for at, name in enumerate(names)},
     )

@@ -9,6 +9,7 @@ import numpy as np
 
 from ehbench.errors import InputError, SimulationError
 from ehbench.parts.cylinder import joint_of, joint_range_of, linkage_of
+from ehbench.parts.load import force_on
 from ehbench.parts.valve import valve_settle
 from ehbench.physics.arm import SLIDE, gravity_torque, work_size
 from ehbench.plant.build import Plant
@@ -82,13 +83,18 @@ def _must_lie_on_the_stroke(plant: Plant, index: int, name: str, number: float) 
 
 
 def trim(
-    plant: Plant, names: Layout, rig: Rig, q: np.ndarray, low_side: float | None = None
+    plant: Plant,
+    names: Layout,
+    rig: Rig,
+    q: np.ndarray,
+    low_side: float | None = None,
+    command: np.ndarray | None = None,
 ) -> np.ndarray:
     """The state at rest at joint coordinates ``q``: valves shut, supply at its set pressure, loads
     carried.
 
     The chamber that the load does not press on stands at ``low_side`` [Pa], by default a tenth of
-    the supply pressure.
+    the supply pressure. Forces that are played are those of ``command``, by default none.
 
     Raises:
         SimulationError: a cylinder has no lever there, so no pressure holds the load.
@@ -98,15 +104,18 @@ def trim(
     y[:n] = q
     torque = np.empty(n)
     gravity_torque(plant.kind, plant.links, plant.gravity, q, torque, np.empty(work_size(n)))
+    played = np.zeros(len(names.valves) + len(names.played)) if command is None else command
     low = LOW_SIDE * plant.supply.pressure if low_side is None else low_side
     for index, row in enumerate(plant.cylinders):
-        _, lever, _ = linkage_of(row, q[row.joint])
+        x, lever, _ = linkage_of(row, q[row.joint])
         if abs(lever) < 1e-6:
             raise SimulationError(
                 f"cylinder '{names.cylinders[index]}' has no lever at this posture, so nothing "
                 "holds the load"
             )
         force = torque[row.joint] / lever
+        if plant.forces.shape[0]:
+            force -= force_on(index, x, 0.0, played, plant)
         head, rod = low, low
         if force + low * row.area_rod >= low * row.area_head:
             head = (force + low * row.area_rod) / row.area_head

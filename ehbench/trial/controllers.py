@@ -294,7 +294,10 @@ def _site(recipe: TrialRecipe, design: Design, tick: float) -> Site:
     limit = float(plant.supply.flow_limit)
     if not math.isfinite(limit):
         limit = 0.5 * design.circuit.area_head  # half a metre a second
-    return Site(axis, tick, float(plant.supply.pressure), limit, _valve_lag(design), design.x)
+    lag, unmodelled = _valve_lag(design), design.rig.cylinder[design.index].unmodelled
+    if design.rig.oil.air_fraction is not None:
+        unmodelled += ("air_fraction of [oil]",)
+    return Site(axis, tick, float(plant.supply.pressure), limit, lag, design.x, unmodelled)
 
 
 def low_pressure(recipe: TrialRecipe, rig: Rig, tuning: Mapping[str, Any] | None) -> float:

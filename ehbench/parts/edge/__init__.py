@@ -9,21 +9,22 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Literal
 
 from ehbench.compiled import choice, part_kernel, record
-from ehbench.parts.edge import compensated, measured, orifice
+from ehbench.parts.edge import compensated, flow_control, measured, orifice, saturating
 from ehbench.parts.edge.compensated import CompensatedFields
 from ehbench.parts.edge.law import EdgeLaw
 from ehbench.parts.edge.orifice import OrificeFields
+from ehbench.parts.edge.saturating import SaturatingFields
 
-LAWS = (orifice.LAW, compensated.LAW, measured.LAW)
-ORIFICE, COMPENSATED, MAP = range(3)
+LAWS = (orifice.LAW, compensated.LAW, measured.LAW, saturating.LAW, flow_control.LAW)
 BY_NAME = {law.name: number for number, law in enumerate(LAWS)}
+ORIFICE, COMPENSATED, MAP = (BY_NAME[name] for name in ("orifice", "compensated", "map"))
 if TYPE_CHECKING:
     LawName = str
 else:
     LawName = Literal[tuple(BY_NAME)]
 
 
-class LawFields(CompensatedFields, OrificeFields):
+class LawFields(SaturatingFields, CompensatedFields, OrificeFields):
     """What the laws add to an edge of the rig file; the last one's keys come first in it."""
 
 
@@ -36,7 +37,7 @@ def edge_law(name: str) -> EdgeLaw:
 # ``sign`` ±1 of the commands that open it; ``law`` its number in LAWS; ``blocked`` 1 where nothing
 # passes against its direction; then the columns of the laws: ``gain`` [m³/(s·V·√Pa)] of an orifice,
 # [m³/(s·V)] of a compensated edge, ``deadband`` [V], ``compensation_drop`` [Pa], where the
-# ``forward`` and the ``reverse`` map begin (−1: none).
+# ``forward`` and the ``reverse`` map begin (−1: none), ``opening_max, saturation_softness`` [V].
 EDGE = record(
     ("from_node", "i8"),
     ("to_node", "i8"),

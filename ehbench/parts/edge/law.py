@@ -17,6 +17,10 @@ def _everywhere(drop, edge, maps):
     return np.inf
 
 
+def _nothing_odd(edge: Any) -> None:
+    """A law that takes any numbers its keys allow."""
+
+
 @dataclass(frozen=True)
 class EdgeLaw:
     """A flow law of a metering edge.
@@ -31,6 +35,7 @@ class EdgeLaw:
 
     ``pack(edge)`` gives the law's columns of an edge of the rig file by their names; of that
     edge's keys it ``needs`` some. ``has_deadband`` says whether its ``deadband`` counts.
+    ``odd(edge)`` is (what is wrong with its numbers together, the key to blame), or None.
     """
 
     name: str
@@ -41,3 +46,4 @@ class EdgeLaw:
     needs: tuple[str, ...] = ()
     has_deadband: bool = True
     known: Callable = _everywhere
+    odd: Callable[[Any], tuple[str, str] | None] = _nothing_odd
