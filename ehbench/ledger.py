@@ -28,7 +28,10 @@ from ehbench.parts.cylinder import (
     linkage_of,
     relief_out,
 )
+from ehbench.parts.accumulator import gas_energy
 from ehbench.parts.edge import MAP
+from ehbench.parts.edge import PUMP as PUMP_LAW
+from ehbench.parts.edge.pump import slip_loss
 from ehbench.parts.end_stop import stop_held, stop_loss
 from ehbench.parts.friction import friction_force
 from ehbench.parts.nodes import SUPPLY, TANK, node_bulk_modulus, node_pressure
@@ -53,7 +56,8 @@ CUT_MEAN = (
 ROUNDING = 1.0e-12  # smaller than any reading
 LOADED = 0.02  # share of the supply's force on the head end below which a mean force is no load
 
-# columns of power: pump, its share for compression, one per edge, ten per cylinder, one per joint
+# columns of power: pump, its share for compression, one per edge, ten per cylinder, one per joint,
+# the shaft of each edge that is a pump
 PUMP, COMPRESSION, FIRST_EDGE = 0, 1, 2
 (
     DRAWN,
@@ -69,7 +73,7 @@ PUMP, COMPRESSION, FIRST_EDGE = 0, 1, 2
 ) = range(10)
 PER_CYLINDER = 10
 # columns of what is stored: the supply line, the mechanism, then head, rod and end stops of each
-# cylinder
+# cylinder, then the accumulator where there is one
 SUPPLY_LINE, KINETIC, POTENTIAL, FIRST_CYLINDER = 0, 1, 2, 3
 HEAD, ROD, SPRING = range(3)
 
@@ -99,17 +103,19 @@ def powers(y, flows, plant, owner, out):
     where it gives.
 
     A throttle of flow Q from a to b takes ``(p_a − p_b) Q`` (SPEC 4) and lets ``(u_a − u_b) Q`` of
-    compression go. What comes to the tank is lost with the tank's own pressure on it. An end stop
-    takes what it does not hold as a spring.
+    compression go. A pump takes what slips, and its shaft gives ``D ω (p_b − p_a)``. What comes to
+    the tank is lost with the tank's own pressure on it. An end stop takes what it does not hold as
+    a spring.
 
     Args:
         y: state, as in ``ehbench.plant``.
         flows: along the edges, then the pump's [m³/s].
         owner: cylinder to which each edge belongs.
-        out: shape (2 + edges + 10·cylinders + joints,).
+        out: shape (2 + edges + 10·cylinders + joints + pumps,).
     """
     n, nc, ne = plant.links.shape[0], plant.cylinders.shape[0], plant.edges.shape[0]
     first = FIRST_EDGE + ne
+    shaft = first + PER_CYLINDER * nc + n
     for i in range(out.shape[0]):
         out[i] = 0.0
     p_supply, u_supply = _node(SUPPLY, y, plant)
@@ -117,13 +123,19 @@ def powers(y, flows, plant, owner, out):
     out[PUMP], out[COMPRESSION] = p_supply * flows[ne], u_supply * flows[ne]
     for e in range(ne):
         flow = flows[e]
+        a, b = plant.edges[e].from_node, plant.edges[e].to_node
+        if plant.edges[e].law == PUMP_LAW:
+            drop = node_pressure(y, plant, a) - node_pressure(y, plant, b)
+            slipped = slip_loss(drop, plant.edges[e])
+            out[FIRST_EDGE + e], out[shaft] = slipped, slipped - drop * flow
+            shaft += 1
         if flow == 0.0:
             continue
-        a, b = plant.edges[e].from_node, plant.edges[e].to_node
         at = first + PER_CYLINDER * owner[e]
         p_a, u_a = _node(a, y, plant)
         p_b, u_b = _node(b, y, plant)
-        out[FIRST_EDGE + e] = (p_a - p_b) * flow
+        if plant.edges[e].law != PUMP_LAW:
+            out[FIRST_EDGE + e] = (p_a - p_b) * flow
         out[at + EXPANSION] += (u_a - u_b) * flow
         for node, sign in ((a, 1.0), (b, -1.0)):
             if node == 0:
@@ -167,7 +179,8 @@ def powers(y, flows, plant, owner, out):
 
 @kernel
 def stores(y, plant, work, out):
-    """Write every stored energy [J] of a state into ``out``, shape (3 + 3·cylinders,).
+    """Write every stored energy [J] of a state into ``out``, shape (3 + 3·cylinders,), one more
+    with an accumulator.
 
     Oil: ``V u(p)``. The mechanism: kinetic and potential energy. An end stop: ``k δ²/2`` of its
     depth δ."""
@@ -184,6 +197,9 @@ def stores(y, plant, work, out):
             _, held = _node(chamber_of(row, side)[0], y, plant)
             out[at + side] = chamber_oil(row, side, x) * held
         out[at + SPRING] = stop_held(row, x)
+    if plant.supply.gas_volume > 0.0:
+        p_supply = node_pressure(y, plant, SUPPLY)
+        out[FIRST_CYLINDER + 3 * plant.cylinders.shape[0]] = gas_energy(p_supply, plant.supply)
 
 
 # --- over a trial
@@ -330,8 +346,9 @@ class Ledger:
 
     @property
     def pump(self) -> float:
-        """Pump energy ``∫ Ps Q dt`` [J] (SPEC 4)."""
-        return self["pump"].energy
+        """Pump energy [J]: ``∫ Ps Q dt`` (SPEC 4), and what the shafts of pumps at cylinders gave."""
+        shafts = (row.energy for row in self.rows if row.name.endswith(".shaft"))
+        return math.fsum([self["pump"].energy, *shafts])
 
     @property
     def residual(self) -> Row:
@@ -373,19 +390,29 @@ class _Sheet:
 
     def __init__(self, model: Model, word: str) -> None:
         names, nc, ne = model.layout, len(model.layout.cylinders), len(model.layout.edges)
-        self.owner = np.array(
-            [names.cylinders.index(c.name) for c, _, _ in model.rig.edges()], dtype=np.int64
-        )
-        self.powers = FIRST_EDGE + ne + PER_CYLINDER * nc + len(names.joints)
-        self.stores = FIRST_CYLINDER + 3 * nc
+        owners = [name.split(".", 1)[0] for name in names.edges]
+        self.owner = np.array([names.cylinders.index(name) for name in owners], dtype=np.int64)
+        pumps = [name for name, row in zip(names.edges, model.plant.edges) if row.law == PUMP_LAW]
+        charged = model.rig.supply.accumulator is not None
+        self.powers = FIRST_EDGE + ne + PER_CYLINDER * nc + len(names.joints) + len(pumps)
+        self.stores = FIRST_CYLINDER + 3 * nc + charged
         rows: list[tuple[str, str, str, str | None]] = [
             ("pump", "supply", "pump, Ps·Q", None),
             ("pump_compression", "supply", "pump, compression of the oil", None),
         ]
-        for (c, valve, edge), name in zip(model.rig.edges(), names.edges, strict=True):
-            joins = f"{edge.from_} → {edge.to}"
-            shown = valve.edge_name(edge) if len(valve.edge) == 1 else valve.name
-            rows.append((f"{name}.throttling", "valve", f"{shown}, {joins}", c.name))
+        valves = {
+            f"{c.name}.{valve.edge_name(edge)}": valve.name
+            for c, valve, edge in model.rig.edges()
+            if len(valve.edge) > 1
+        }
+        for (name, edge), owner in zip(model.rig.all_edges().items(), owners, strict=True):
+            shown = valves.get(name, name.split(".", 1)[1])
+            if name in pumps:
+                rows.append((f"{name}.slip", "loss", f"{shown}, slip", owner))
+                continue
+            rows.append(
+                (f"{name}.throttling", "valve", f"{shown}, {edge.from_} → {edge.to}", owner)
+            )
         for name in names.cylinders:
             rows += [
                 (f"{name}.{key}", group, label, name)
@@ -409,6 +436,10 @@ class _Sheet:
         ]
         if model.rig.mechanism.kind == "slide":
             rows[-1] = (rows[-1][0], "loss", "slide damping", rows[-1][3])
+        shafts = [f"{name}.shaft" for name in pumps]
+        for name in shafts:
+            owner, edge, _ = name.split(".")
+            rows.append((name, "supply", f"{edge}, shaft of the pump", owner))
         rows += [
             ("supply_line", "store", "oil of the supply line", None),
             ("kinetic", "load", "kinetic energy", None),
@@ -421,6 +452,8 @@ class _Sheet:
                 ("stop", "spring of the end stops"),
             )
             rows += [(f"{name}.{key}", "store", label, name) for key, label in kept]
+        if charged:
+            rows.append(("accumulator", "store", "accumulator", None))
         self.rows = rows
         at = {name: i for i, (name, *_) in enumerate(rows)}
 
@@ -440,7 +473,10 @@ class _Sheet:
                 f"{word}.supply_line",
                 "supply line",
                 None,
-                combination(["pump", "pump_compression"], [*drawn, "supply_line"]),
+                combination(
+                    ["pump", "pump_compression"],
+                    [*drawn, "supply_line", *["accumulator"] * charged],
+                ),
             )
         ]
         for name in names.cylinders:
@@ -451,6 +487,7 @@ class _Sheet:
             ]
             taken = [row for row in taken if row.rsplit(".", 1)[-1] not in (*mechanical, "damping")]
             given = [f"{name}.drawn", f"{name}.drawn_compression"]
+            given += [shaft for shaft in shafts if shaft.startswith(f"{name}.")]
             parts.append(
                 (
                     f"{name}.{word}",
@@ -800,7 +837,7 @@ def _read(model: Model, record: Record) -> tuple[_Readings, list[str]]:
             lines.append(np.full(samples, usual))
             notes.append(f"no {channel}: taken from the rig file")
     flow_supply = get("flow_supply") if "flow_supply" in record else None
-    if flow_supply is None:
+    if flow_supply is None and plant.supply.flow_limit > 0.0:
         notes.append(
             "no flow of the pump: its energy is that of what the valves draw and the supply line stores"
         )
@@ -876,10 +913,12 @@ class _Account:
             spent[:, first + PER_CYLINDER * c + WORK] = _cumulated(
                 0.5 * np.diff(m.x[:, c]), force[:, None], at
             )[:, 0]
-        if m.flow_supply is None:
+        if m.flow_supply is None and plant.supply.flow_limit > 0.0:
             drawn = first + PER_CYLINDER * np.arange(m.x.shape[1])
             volume, bulk = plant.supply.volume, plant.supply.bulk_modulus
             pressed = 0.5 * volume / bulk * (m.p_supply[at] ** 2 - m.p_supply[0] ** 2)
+            if plant.supply.gas_volume > 0.0:
+                pressed = pressed + held[:, -1]
             spent[:, PUMP] = spent[:, drawn + DRAWN].sum(axis=1) + pressed
             spent[:, COMPRESSION] = (
                 spent[:, drawn + DRAWN_COMPRESSION].sum(axis=1) + held[:, SUPPLY_LINE] - pressed
@@ -1032,14 +1071,13 @@ def _flow_std(
     """
     plant, names = model.plant, model.layout
     name = names.edges[e]
-    _, _, edge = list(model.rig.edges())[e]
+    edge = model.rig.all_edges()[name]
     if not flow.any():
         return np.zeros_like(flow), []
     share = accuracy.flow * np.abs(flow)
     row = plant.edges[e]
     if row.law != MAP:
-        gain = edge.flow_gain if edge.law == "orifice" else edge.compensated_gain
-        if gain is not None and gain.std:
+        if edge.gain is not None and edge.gain.std:
             return np.zeros_like(flow), []
         said = f"the law of {name} states no error: its flow is taken to be good to {100 * accuracy.flow:g} %"
         return share * np.sign(flow), [said]
@@ -1324,10 +1362,10 @@ def _drawn(rig: Rig, record: Record, cylinder: str) -> float | None:
     their flows.
     """
     total = 0.0
-    for item, valve, edge in rig.edges():
-        if item.name != cylinder or "supply" not in (edge.from_, edge.to):
+    for name, edge in rig.all_edges().items():
+        if name.split(".")[0] != cylinder or "supply" not in (edge.from_, edge.to):
             continue
-        channel = f"{cylinder}.{valve.edge_name(edge)}.flow"
+        channel = f"{name}.flow"
         if channel not in record or "p_supply" not in record:
             return None
         sign = 1.0 if edge.from_ == "supply" else -1.0

@@ -155,28 +155,91 @@ class Edge(FileModel):
     law ``orifice``: Q = flow_gain·(opening − deadband)·√Δp. law ``compensated``: Q =
     compensated_gain·(opening − deadband), reached over ``compensation_drop``. law ``map``: a
     measured flow map, from the recipe's ``flow_maps`` or the run behind the rig; where one is given
-    it goes before the other laws, too. ``sign`` −1 opens the edge on negative commands. ``reverse``
+    it goes before the other laws, too. law ``pump``: displacement·speed_gain·opening, of either
+    sign, less what slips back. ``sign`` −1 opens the edge on negative commands. ``reverse``
     says what a reversed drop does: ``mirror`` or ``blocked``."""
 
     name: Name | None = None
     from_: Literal["supply", "tank", "head", "rod"] = Field(alias="from")
     to: Literal["supply", "tank", "head", "rod"]
-    law: Literal["orifice", "compensated", "map"]
+    law: Literal["orifice", "compensated", "map", "pump"]
     sign: Literal[1, -1] = 1
     reverse: Literal["mirror", "blocked"] = "mirror"
     deadband: Annotated[Value, Q("deadband")] = Value(0.0)
     flow_gain: Annotated[Value, Q("flow_gain")] | None = None
     compensated_gain: Annotated[Value, Q("compensated_gain")] | None = None
     compensation_drop: Annotated[Value, Q("compensation_drop")] = Value(2.0e5)
+    displacement: Annotated[Value, Q("displacement")] | None = None
+    speed_gain: Annotated[Value, Q("speed_gain")] | None = None
+    slip: Annotated[Value, Q("slip")] = Value(0.0)
 
     @model_validator(mode="after")
     def _law_is_whole(self) -> Edge:
-        if self.from_ == self.to:
-            raise ValueError(f"an edge joins two different nodes, not {self.to} with itself")
-        need = {"orifice": "flow_gain", "compensated": "compensated_gain"}.get(self.law)
-        if need is not None and getattr(self, need) is None:
-            raise ValueError(f"law '{self.law}' needs '{need}'")
+        needs = {
+            "orifice": ("flow_gain",),
+            "compensated": ("compensated_gain",),
+            "pump": ("displacement", "speed_gain"),
+        }
+        _must_be_whole(self, needs)
+        if self.law == "pump" and self.reverse == "blocked":
+            raise Misplaced("a pump passes oil both ways; put a check valve beside it", "reverse")
+        if self.law == "pump" and float(self.deadband) > 0.0:
+            raise Misplaced("a pump has no deadband", "deadband")
         return self
+
+    @property
+    def gain(self) -> Value | None:
+        """What its flow goes with."""
+        gains = {"orifice": self.flow_gain, "pump": self.displacement}
+        return gains.get(self.law, self.compensated_gain)
+
+
+class FixedEdge(FileModel):
+    """An edge without a command: oil goes as the pressures have it.
+
+    law ``check``: a check valve, open from ``from`` to ``to`` above ``cracking_pressure``; one with
+    a ``pilot`` also passes oil back once ``pilot_ratio`` times what the pilot exceeds ``from`` by
+    overcomes drop and spring. law ``pump``: a pump of constant ``pump_speed``."""
+
+    name: Name
+    from_: Literal["supply", "tank", "head", "rod"] = Field(alias="from")
+    to: Literal["supply", "tank", "head", "rod"]
+    law: Literal["check", "pump"]
+    orifice_gain: Annotated[Value, Q("orifice_gain")] | None = None
+    cracking_pressure: Annotated[Value, Q("cracking_pressure")] = Value(0.0)
+    opening_range: Annotated[Value, Q("opening_range")] = Value(5.0e4)
+    pilot: Literal["supply", "tank", "head", "rod"] | None = None
+    pilot_ratio: Annotated[Value, Q("pilot_ratio")] | None = None
+    displacement: Annotated[Value, Q("displacement")] | None = None
+    pump_speed: Annotated[Value, Q("pump_speed")] | None = None
+    slip: Annotated[Value, Q("slip")] = Value(0.0)
+
+    @model_validator(mode="after")
+    def _law_is_whole(self) -> FixedEdge:
+        _must_be_whole(self, {"check": ("orifice_gain",), "pump": ("displacement", "pump_speed")})
+        if (self.pilot is None) != (self.pilot_ratio is None):
+            raise ValueError(
+                "a pilot-operated check valve takes pilot and pilot_ratio, another none"
+            )
+        if self.pilot is not None and self.law != "check":
+            raise Misplaced("only a check valve has a pilot", "pilot")
+        if self.pilot == self.from_:
+            raise Misplaced("the pilot is at 'from', where it opens nothing", "pilot")
+        return self
+
+    @property
+    def gain(self) -> Value | None:
+        """What its flow goes with."""
+        return self.displacement if self.law == "pump" else self.orifice_gain
+
+
+def _must_be_whole(edge: Edge | FixedEdge, needs: Mapping[str, tuple[str, ...]]) -> None:
+    """Refuse an edge from a node to itself, or without a number that its law needs."""
+    if edge.from_ == edge.to:
+        raise ValueError(f"an edge joins two different nodes, not {edge.to} with itself")
+    for need in needs.get(edge.law, ()):
+        if getattr(edge, need) is None:
+            raise ValueError(f"law '{edge.law}' needs '{need}'")
 
 
 class Valve(FileModel):
@@ -239,8 +302,8 @@ class Valve(FileModel):
 
 
 class Cylinder(FileModel):
-    """A cylinder, the joint it drives, its oil volumes, losses and valves. Areas, or bore and rod
-    diameters.
+    """A cylinder, the joint it drives, its oil volumes, losses, valves and the edges that have no
+    command. Areas, or bore and rod diameters.
     """
 
     name: Name
@@ -261,6 +324,7 @@ class Cylinder(FileModel):
     friction_coulomb: Annotated[Value, Q("friction_coulomb")] = Value(0.0)
     relief_pressure: Annotated[Value, Q("relief_pressure")] | None = None
     valve: tuple[Valve, ...] = Field(min_length=1)
+    edge: tuple[FixedEdge, ...] = ()
 
     @model_validator(mode="after")
     def _areas(self) -> Cylinder:
@@ -315,7 +379,8 @@ class Cylinder(FileModel):
                     (("valve", i, "edge", j), v.edge_name(e))
                     for i, v in valves
                     for j, e in enumerate(v.edge)
-                ],
+                ]
+                + [(("edge", j), e.name) for j, e in enumerate(self.edge)],
             ),
         ):
             if (at := _second([name for _, name in places])) is not None:
@@ -325,6 +390,14 @@ class Cylinder(FileModel):
                 )
         return self
 
+    @property
+    def pump(self) -> str | None:
+        """Name of a pump that feeds or drains an end of it, None where valves meter all its oil."""
+        for edge in (*(e for v in self.valve for e in v.edge), *self.edge):
+            if edge.law == "pump" and {edge.from_, edge.to} & {"head", "rod"}:
+                return edge.name or next(v.edge_name(edge) for v in self.valve if edge in v.edge)
+        return None
+
     def areas(self) -> tuple[float, float]:
         """(area_head, area_rod) [m²]."""
         if self.area_head is not None:
@@ -333,20 +406,44 @@ class Cylinder(FileModel):
         return math.pi / 4 * bore**2, math.pi / 4 * (bore**2 - rod**2)
 
 
+class Accumulator(FileModel):
+    """A gas-charged accumulator on the supply line: ``p V_gas^n`` stays, p absolute; ``gas_volume``
+    at ``precharge``, without oil.
+    """
+
+    gas_volume: Annotated[Value, Q("gas_volume")]
+    precharge: Annotated[Value, Q("precharge")]
+    polytropic_exponent: Annotated[Value, Q("polytropic_exponent")] = Value(1.2)
+
+    @model_validator(mode="after")
+    def _gas(self) -> Accumulator:
+        if not 1.0 <= float(self.polytropic_exponent) <= 1.7:
+            raise Misplaced("polytropic_exponent must lie between 1 and 1.7", "polytropic_exponent")
+        return self
+
+
 class Supply(FileModel):
     """Constant-pressure supply: holds ``pressure`` up to ``flow_limit``, above which the pressure
-    falls.
+    falls. With an accumulator and no ``flow_limit`` it is a charge line, at ``pressure`` when a
+    motion begins.
     """
 
     pressure: Annotated[Value, Q("pressure")]
     tank_pressure: Annotated[Value, Q("tank_pressure")] = Value(0.0)
     flow_limit: Annotated[Value, Q("flow_limit")]
     volume: Annotated[Value, Q("volume")] = Value(2.0e-3)
+    accumulator: Accumulator | None = None
 
     @model_validator(mode="after")
     def _above_tank(self) -> Supply:
         if float(self.pressure) <= float(self.tank_pressure):
             raise Misplaced("the supply's pressure must lie above tank_pressure", "pressure")
+        gas = self.accumulator
+        if gas is not None and float(self.pressure) <= float(gas.precharge):
+            raise Misplaced(
+                "the accumulator holds no oil: its precharge must lie below the supply's pressure",
+                *("accumulator", "precharge"),
+            )
         return self
 
 
@@ -491,6 +588,17 @@ class Rig(FileModel):
             for edge in valve.edge:
                 yield cylinder, valve, edge
 
+    def fixed_edges(self) -> Iterator[tuple[Cylinder, FixedEdge]]:
+        """Every edge without a command with its cylinder, in the order of the file."""
+        for cylinder in self.cylinder:
+            for edge in cylinder.edge:
+                yield cylinder, edge
+
+    def all_edges(self) -> dict[str, Edge | FixedEdge]:
+        """Every edge by ``<cylinder>.<edge>``: those of valves, then those without a command."""
+        metering = {f"{c.name}.{v.edge_name(e)}": e for c, v, e in self.edges()}
+        return metering | {f"{c.name}.{e.name}": e for c, e in self.fixed_edges()}
+
     def unit_of(self, name: str) -> str:
         """The unit people see for a quantity or channel: the rig file's choice, else the
         vocabulary's.
@@ -548,7 +656,9 @@ class Rig(FileModel):
         s1 and s2), ``<edge>.flow_gain`` and so on."""
         found: dict[str, Value] = {"gravity": self.gravity}
         found |= {name: value for name, value in _scalars(self.oil)}
-        found |= {f"supply.{name}": value for name, value in _scalars(self.supply)}
+        for line in (self.supply, self.supply.accumulator):
+            if line is not None:
+                found |= {f"supply.{name}": value for name, value in _scalars(line)}
         bodies = (
             [self.mechanism] if isinstance(self.mechanism, Slide) else list(self.mechanism.joint)
         )
@@ -569,11 +679,8 @@ class Rig(FileModel):
                     ("damping_ratio", zeta, dynamics.s1),
                 ):
                     found[f"{name}.{key}"] = Value(value, sure=given.sure, source=given.source)
-        for cylinder, valve, edge in self.edges():
-            found |= {
-                f"{cylinder.name}.{valve.edge_name(edge)}.{name}": value
-                for name, value in _scalars(edge)
-            }
+        for edge_name, edge in self.all_edges().items():
+            found |= {f"{edge_name}.{name}": value for name, value in _scalars(edge)}
         return found
 
     def with_values(self, values: Mapping[str, Value | float]) -> Rig:
@@ -607,10 +714,13 @@ class Rig(FileModel):
                 update={"joint": tuple(own(f"{j.name}.", j) for j in self.mechanism.joint)}
             )
         )
+        supply, gas = own("supply.", self.supply), self.supply.accumulator
+        if gas is not None:
+            supply = supply.model_copy(update={"accumulator": own("supply.", gas)})
         return own("", self).model_copy(
             update={
                 "oil": own("", self.oil),
-                "supply": own("supply.", self.supply),
+                "supply": supply,
                 "mechanism": mechanism,
                 "cylinder": tuple(_cylinder_with(c, new) for c in self.cylinder),
                 "dynamics": {
@@ -669,8 +779,9 @@ def _cylinder_with(model: Cylinder, new: Mapping[str, Value]) -> Cylinder:
         edges = (_replaced(e, f"{prefix}{valve.edge_name(e)}.", new) for e in valve.edge)
         valves.append(valve.model_copy(update={"edge": tuple(edges)}))
     pins = None if model.pins is None else _replaced(model.pins, prefix, new)
+    fixed = tuple(_replaced(e, f"{prefix}{e.name}.", new) for e in model.edge)
     whole = _replaced(model, prefix, new)
-    return whole.model_copy(update={"pins": pins, "valve": tuple(valves)})
+    return whole.model_copy(update={"pins": pins, "valve": tuple(valves), "edge": fixed})
 
 
 def _scalars(model: BaseModel) -> Iterator[tuple[str, Value]]:

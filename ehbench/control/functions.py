@@ -26,7 +26,7 @@ from ehbench.codes import (
 from ehbench.compiled import kernel, record
 from ehbench.control.records import blank, numbers, reals
 from ehbench.errors import InputError
-from ehbench.parts.edge import EDGE, MAP, edge_flow, edge_known
+from ehbench.parts.edge import EDGE, MAP, PUMP, edge_flow, edge_known
 from ehbench.physics.flow_map import ValveMaps
 
 PATHS = ("supply_head", "head_tank", "supply_rod", "rod_tank", "head_rod", "rod_head")
@@ -353,7 +353,8 @@ def circuit(
             an edge follows a map.
 
     Raises:
-        InputError: no edge touches the cylinder, or an edge with a map has none in ``measured``.
+        InputError: no edge touches the cylinder, a pump does, or an edge with a map has none in
+            ``measured``.
     """
     if edges.dtype != EDGE:
         raise InputError(
@@ -367,6 +368,11 @@ def circuit(
     )
     if not own.size:
         raise InputError(f"no metering edge leads to cylinder {cylinder}")
+    if (edges.law[own] == PUMP).any():
+        raise InputError(
+            "a pump moves this cylinder, and the built-in controllers meter oil through valves",
+            hint="give it commands without a controller: [[command]]",
+        )
     hull, hull_at = _hulls(edges, measured)
     paths, along = np.full(len(PATHS), -1, np.int64), np.ones(len(PATHS))
     able = np.zeros(len(FUNCTIONS), np.int64)

@@ -1,14 +1,30 @@
-"""The constant-pressure supply: a pressure-compensated pump on a line of oil."""
+"""The supply: a pressure-compensated pump on a line of oil, an accumulator on it or in its place."""
 
 from __future__ import annotations
 
 from ehbench.compiled import part_kernel, record
+from ehbench.parts.accumulator import COLUMNS as ACCUMULATOR
+from ehbench.parts.accumulator import gas_capacity
 
 RECOVERY_TIME = 0.02  # [s]
 
 # ``pressure`` the set pressure [Pa], ``flow_limit`` [m³/s], ``volume`` of the line [m³], its
-# ``bulk_modulus`` [Pa]
-SUPPLY = record(("pressure", "f8"), ("flow_limit", "f8"), ("volume", "f8"), ("bulk_modulus", "f8"))
+# ``bulk_modulus`` [Pa], the columns of its accumulator
+SUPPLY = record(
+    ("pressure", "f8"),
+    ("flow_limit", "f8"),
+    ("volume", "f8"),
+    ("bulk_modulus", "f8"),
+    *ACCUMULATOR,
+)
+
+
+@part_kernel
+def line_stiffness(p_supply, supply):
+    """Rise of pressure per oil [Pa/m³] of the supply line at ``p_supply`` [Pa]."""
+    if supply.gas_volume == 0.0:
+        return supply.bulk_modulus / supply.volume
+    return 1.0 / (supply.volume / supply.bulk_modulus + gas_capacity(p_supply, supply))
 
 
 @part_kernel
@@ -20,4 +36,6 @@ def pump_flow(p_supply, demand, supply):
     pressure falls."""
     missing = supply.pressure - p_supply
     wanted = demand + supply.volume / (supply.bulk_modulus * RECOVERY_TIME) * missing
+    if supply.gas_volume > 0.0:
+        wanted += gas_capacity(p_supply, supply) / RECOVERY_TIME * missing
     return min(max(wanted, 0.0), supply.flow_limit)

@@ -45,7 +45,8 @@ class Offsets(NamedTuple):
 class Layout:
     """Names of what a plant's tables hold, in order, and where each of its states stands.
 
-    ``valves`` and ``edges`` are called ``<cylinder>.<valve>`` and ``<cylinder>.<edge>``,
+    ``valves`` and ``edges`` are called ``<cylinder>.<valve>`` and ``<cylinder>.<edge>``, those of
+    valves first,
     ``elements`` are (valve, number of its law) of each element of the valves' dynamics, and
     ``state_names`` say what each state is, such as ``boom.p_head`` or ``boom.hect.opening``.
     """
@@ -116,7 +117,7 @@ def layout(rig: Rig) -> Layout:
         joints=rig.joint_names,
         cylinders=tuple(c.name for c in rig.cylinder),
         valves=valves,
-        edges=tuple(f"{c.name}.{v.edge_name(e)}" for c, v, e in rig.edges()),
+        edges=tuple(rig.all_edges()),
         elements=elements,
         frictions=frictions,
         state_names=tuple(names),

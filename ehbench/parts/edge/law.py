@@ -16,6 +16,12 @@ def _everywhere(drop, edge, maps):
     return np.inf
 
 
+@part_kernel
+def _chord(drop, flow, reach, edge):
+    """Flow over drop [m³/(s·Pa)]: no metering law is steeper."""
+    return flow / drop
+
+
 @dataclass(frozen=True)
 class EdgeLaw:
     """A flow law of a metering edge.
@@ -26,7 +32,11 @@ class EdgeLaw:
     ``flow(drop, reach, edge, maps)`` is the flow [m³/s], of the sign of the drop [Pa], at an
     opening ``reach`` > 0 [V]. ``opening(drop, flow, edge, maps)`` is its inverse: the opening [V]
     at which ``flow`` passes, both of one sign and not zero. ``known(drop, edge, maps)`` is the
-    largest opening [V] that the law speaks of at that drop.
+    largest opening [V] that the law speaks of at that drop. ``slope(drop, flow, reach, edge)``
+    bounds how fast a flow other than zero changes with a pressure at either end [m³/(s·Pa)], for
+    the substep guard.
+
+    A law that is not ``metering`` passes oil at any opening and drop, and gives flows of any sign.
     """
 
     name: str
@@ -34,3 +44,5 @@ class EdgeLaw:
     flow: Callable
     opening: Callable
     known: Callable = _everywhere
+    slope: Callable = _chord
+    metering: bool = True
