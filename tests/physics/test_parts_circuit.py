@@ -23,6 +23,7 @@ from ehbench.plant.model import Model
 from ehbench.recipe import TrialRecipe, load_recipe, load_rig
 from ehbench.record import Record
 from ehbench.rig import Rig
+from ehbench.signals import ringing
 from ehbench.trial import run_trial
 from ehbench.tune.linear import circuit_of
 
@@ -287,6 +288,33 @@ def test_the_virtual_rig_of_a_pump_stays_quiet_and_moves():
     assert moved[at] > still[at] + 1e-2
     with pytest.raises(InputError, match="'lift.check_rod' of the bench does not meter"):
         bench.static_flow("lift.check_rod", np.zeros(1), np.full(1, 1e5))
+
+
+@pytest.mark.parametrize("payload", [None, "150 kg"])
+def test_trim_is_an_equilibrium_where_nothing_slips(payload):
+    """The load stands on the pump, the rod end on the charge line: two seconds later still."""
+    model = Model.of(RIG.with_values({"lift.pump.slip": 0.0}), payload=payload)
+    for stroke in ("10 mm", "0.2 m", "390 mm"):
+        y = model.trim(model.posture({"lift": stroke}))
+        log = model.run(y, np.zeros((2001, 1)))
+        assert np.abs(log[-1, : y.size] - y).max() < 1e-9 * np.abs(y).max()
+
+
+def test_the_head_end_alone_is_the_spring():
+    """A pump at rest shuts the head end in, an open check valve ties the rod end to the charge line:
+    ``ω² = β A1²/(V1 m)``, where the gas of the line is too soft to count.
+    """
+    values = {"lift.pump.slip": 0.0, "table.damping": 0.0, "supply.gas_volume": 1.0}
+    model = Model.of(RIG.with_values(values | {"lift.check_rod.orifice_gain": 1e-5}))
+    row, y = model.plant.cylinders[0], model.trim(model.posture({"lift": "200 mm"}))
+    mass = float(RIG.parameters()["table.mass"])
+    volume = row.volume_head + 0.2 * row.area_head
+    omega = row.area_head * math.sqrt(row.bulk_modulus / (volume * mass))
+    y[1] = 1e-5 * omega
+    samples = round(6 * 2 * math.pi / omega / 5e-4)
+    speed = model.run(y, np.zeros((samples, 1)), 5e-4)[:, 1]
+    found = ringing(5e-4 * np.arange(samples), speed, guess=(0.9 * omega, 0.01), trim=False)
+    assert found.ok and found.natural_frequency == pytest.approx(omega, rel=1e-3)
 
 
 # --- what is not for it
