@@ -19,12 +19,11 @@ import numpy as np
 from ehbench.blas import one_thread
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model, simulate
-from ehbench.recipe import load_recipe, load_rig
+from ehbench.recipe import FlowMapRecipe, TrialRecipe, load_recipe, load_rig
 from ehbench.rig import Rig, Value
 
 if TYPE_CHECKING:
     from ehbench.physics.flow_map import FlowMaps
-    from ehbench.recipe import TrialRecipe
 
 RECIPES = Path(__file__).resolve().parents[1] / "recipes"
 RIG = RECIPES / "rigs" / "thesis_arm.toml"
@@ -33,7 +32,7 @@ TRIAL = 10.0  # [s]
 
 @dataclass(frozen=True)
 class Row:
-    """One measured number and the limit it is meant to keep; ``lower`` says that smaller is better."""
+    """One measured number and its limit; ``lower`` says that smaller is better."""
 
     what: str
     value: float
@@ -139,10 +138,8 @@ def closed_loop(rig: Rig, repeats: int = 10) -> Iterator[Row]:
     of the example recipe."""
     from ehbench.trial import run_trial
 
-    up_down = _lasting_as_long(load_recipe(RECIPES / "trials" / "arc_slow.toml"))
-    own = _lasting_as_long(
-        load_recipe(RECIPES / "trials" / "own_controller.toml"), cylinder="stick"
-    )
+    up_down = _lasting_as_long("arc_slow.toml", "boom")
+    own = _lasting_as_long("own_controller.toml", "stick")
     for label, maps in (
         ("flow laws of the rig file", None),
         ("flow maps fitted to the dataset", _maps(rig)),
@@ -265,15 +262,14 @@ def _best(call: Callable[[], object], repeats: int) -> float:
     return min(times)
 
 
-def _lasting_as_long(recipe: TrialRecipe, cylinder: str | None = None) -> TrialRecipe:
-    """A trial of the thesis's arm made to last TRIAL seconds with the payload, of another cylinder
-    if named.
+def _lasting_as_long(name: str, cylinder: str) -> TrialRecipe:
+    """A shipped trial of the thesis's arm made to last TRIAL seconds with the payload, of a given
+    cylinder.
     """
-    motion = (
-        recipe.motion
-        if cylinder is None
-        else recipe.motion.model_copy(update={"cylinder": cylinder})
-    )
+    recipe = load_recipe(RECIPES / "trials" / name)
+    if not (isinstance(recipe, TrialRecipe) and recipe.motion is not None):
+        raise AssertionError(f"{name} is no trial with a motion")
+    motion = recipe.motion.model_copy(update={"cylinder": cylinder})
     return recipe.model_copy(
         update={"duration": Value(TRIAL), "payload": "50 lb", "motion": motion}
     )
@@ -286,6 +282,8 @@ def _maps(rig: Rig) -> FlowMaps:
     from ehbench.readers import read_flowmeter
 
     recipe = load_recipe(RECIPES / "thesis" / "flow_maps.toml")
+    if not isinstance(recipe, FlowMapRecipe):
+        raise AssertionError("flow_maps.toml makes no flow maps")
     readings = [
         read_flowmeter(recipe.file(name), supply_pressure=float(rig.supply.pressure))
         for name in recipe.data

@@ -11,9 +11,11 @@ from typing import Any
 
 import numba
 import numpy as np
+from numba.core import config
 from numba.extending import overload
 
 PACKAGE = Path(__file__).resolve().parent
+_SETTINGS: Any = config
 _MARKS = (b"njit", b"@kernel", b"@part_kernel", b"@allocating_kernel", b"choice(", b"Generic(")
 
 
@@ -37,11 +39,11 @@ def _compiler(folder: Path, **options: Any) -> Callable[[Callable], Any]:
     """
 
     def compiled(function: Callable) -> Any:
-        before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
+        before, _SETTINGS.CACHE_DIR = _SETTINGS.CACHE_DIR, str(folder)
         try:
             return numba.njit(cache=True, **options)(function)
         finally:
-            numba.config.CACHE_DIR = before
+            _SETTINGS.CACHE_DIR = before
 
     return compiled
 
@@ -50,7 +52,7 @@ _FOLDER = _cache_folder()
 
 # Without numba's reference counting a kernel cannot allocate (the compiler refuses it), and passing
 # rows and slices of arrays costs nothing: 1.4 times as fast a plant. Arguments are the caller's.
-OPTIONS = {"nogil": True, "error_model": "numpy", "_nrt": False}
+OPTIONS: Any = {"nogil": True, "error_model": "numpy", "_nrt": False}
 kernel = _compiler(_FOLDER, **OPTIONS)
 
 # for the small kernels of which a large one is made: they go into its code, without a call
@@ -58,9 +60,20 @@ part_kernel = _compiler(_FOLDER, **OPTIONS, forceinline=True)
 
 allocating_kernel = _compiler(_FOLDER, nogil=True)
 
-_INLINED = {**OPTIONS, "forceinline": True}
+_INLINED: Any = {**OPTIONS, "forceinline": True}
 # for what is made at import, which no cache can find again: it goes into the code of its callers
 inlined = numba.njit(**_INLINED)
+
+
+def bound(function: Any, *like: Any) -> Callable:
+    """A kernel for arguments of the types of ``like``, which are not looked at again with each
+    call: that takes longer than a tick. It must be given no others.
+    """
+    if not hasattr(function, "get_overload"):  # nothing is compiled
+        return function
+    types = tuple(numba.typeof(argument) for argument in like)
+    function.compile(types)
+    return function.get_overload(types)
 
 
 def choice(name: str, laws: Sequence[Callable], arguments: str) -> Callable:
@@ -123,8 +136,13 @@ class Generic:
         return register
 
 
-def record(*columns: tuple[str, str]) -> np.dtype:
-    """The layout of one row of a table: pairs of a field's name and its type, ``f8`` or ``i8``."""
+Column = tuple[str, Any] | tuple[str, Any, tuple[int, ...]]
+
+
+def record(*columns: Column) -> np.dtype:
+    """The layout of one row of a table: a field's name, its type (``f8``, ``i8`` or another layout)
+    and, of an array, its shape.
+    """
     return np.dtype((np.record, list(columns)), align=True)
 
 

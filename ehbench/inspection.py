@@ -173,8 +173,8 @@ def _flowmeter(path: Path) -> Inspection:
 
 
 def _log(path: Path) -> Inspection:
-    from ehbench.preprocessing import LEAST_SAMPLES, evened
     from ehbench.logs import read_record
+    from ehbench.preprocessing import LEAST_SAMPLES, evened
 
     record = read_record(path)
     lines = [

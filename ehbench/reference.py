@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
@@ -32,7 +32,7 @@ _BLOCK = re.compile(r"<!-- (\w[\w ]*) -->\n((?:\|.*\n)*)")
 @dataclass(frozen=True)
 class Key:
     """One row of a table, in the order of its columns. An empty ``default`` or ``words`` is taken
-    from the page.
+    from the page; a law that says no default derives it.
     """
 
     name: str
@@ -220,21 +220,24 @@ def recipe_models() -> list[type[BaseModel]]:
 
 
 def gain_tables() -> dict[str, list[Key]]:
-    """The gains, rules and shaping of the built-in controllers."""
+    """The gains of each built-in controller, the rules and the shaping."""
     from ehbench.control.functions import RULE_NAMES
     from ehbench.control.registry import LAWS
     from ehbench.control.trajectory import SHAPING_NAMES
 
-    def keys(rows: Mapping[str, Quantity | None], bounds: Sequence[str] = ()) -> list[Key]:
-        return [gain_key(name, row, name in bounds) for name, row in rows.items()]
-
-    # laws that share a table of gains have it on the page once, under the last of them
-    apart = {id(law.gains): law for law in LAWS.values()}.values()
-    return {
-        **{f"gains of {law.name}": keys(law.gains, law.bounds) for law in apart},
-        "rules": keys({name: VOCABULARY[name] for name in RULE_NAMES} | {"allow_seventh": None}),
-        "shaping": keys({name: VOCABULARY[name] for name in SHAPING_NAMES}),
+    tables = {
+        f"gains of {law.name}": [
+            gain_key(*item, item[0] in law.bounds) for item in law.gains.items()
+        ]
+        for law in LAWS.values()
     }
+    rules = {name: VOCABULARY[name] for name in RULE_NAMES}
+    for title, rows in (
+        ("rules", {**rules, "allow_seventh": None}),
+        ("shaping", {name: VOCABULARY[name] for name in SHAPING_NAMES}),
+    ):
+        tables[title] = [gain_key(*item) for item in rows.items()]
+    return tables
 
 
 def pages() -> dict[str, dict[str, list[Key]]]:
@@ -284,13 +287,13 @@ def write_table(keys: Iterable[Key], place: str, page: Mapping[str, Mapping[str,
         row = VOCABULARY.get(word)
         known = replace(
             key,
-            default=key.default or old.get("default", ""),
+            default=key.default or old.get("default", "") or "the law's",
             words=key.words or old.get("what for", "") or (row.meaning if row else ""),
         )
-        if not (known.words and known.default):
+        if not known.words:
             raise InputError(
-                f"{place}: nothing says what {key.name} is for and what it is by default",
-                hint="write it into the table's last cells, or give the field a description",
+                f"{place}: nothing says what {key.name} is for",
+                hint="write it into the table's last cell, or give the field a description",
             )
         rows.append(astuple(known))
     used = [i for i in range(len(HEADER)) if any(row[i] for row in rows)]

@@ -22,6 +22,8 @@ from ehbench.fields import SURENESS as SURENESS
 from ehbench.fields import FileModel, Q, Value
 from ehbench.fields import read_value as read_value
 from ehbench.notebook import label, plural, shown, table
+from ehbench.parts.edge import FixedLawFields, FixedLawName, LawFields, LawName, edge_law
+from ehbench.parts.valve.second_order import Dynamics
 from ehbench.quantities import VOCABULARY, Quantity
 
 NODES = ("supply", "tank", "head", "rod")
@@ -117,74 +119,36 @@ class Pins(FileModel):
     phase: Annotated[Value, Q("phase")] = Value(0.0)
 
 
-class Dynamics(FileModel):
-    """Second-order valve dynamics opening/command, as ω_n and ζ or as the denominator s2·s² + s1·s
-    + 1.
-    """
-
-    natural_frequency: Annotated[Value, Q("natural_frequency")] | None = None
-    damping_ratio: Annotated[Value, Q("damping_ratio")] | None = None
-    s2: Annotated[Value, Q("s2")] | None = None
-    s1: Annotated[Value, Q("s1")] | None = None
-    note: str = ""
-
-    @model_validator(mode="after")
-    def _one_form(self) -> Dynamics:
-        pair = self.natural_frequency is not None and self.damping_ratio is not None
-        poly = self.s2 is not None and self.s1 is not None
-        given = sum(
-            v is not None for v in (self.natural_frequency, self.damping_ratio, self.s2, self.s1)
-        )
-        if given != 2 or pair == poly:
-            raise ValueError("give natural_frequency and damping_ratio, or s2 and s1")
-        if poly and float(self.s2) <= 0:  # type: ignore[arg-type]
-            raise ValueError("s2 must be positive")
-        return self
-
-    def frequency_and_damping(self) -> tuple[float, float]:
-        """(ω_n [rad/s], ζ)."""
-        if self.natural_frequency is not None:
-            return float(self.natural_frequency), float(self.damping_ratio)  # type: ignore[arg-type]
-        omega = 1.0 / math.sqrt(float(self.s2))  # type: ignore[arg-type]
-        return omega, 0.5 * omega * float(self.s1)  # type: ignore[arg-type]
-
-
-class Edge(FileModel):
+class MeteringEdge(FileModel):
     """One metering edge: flow from ``from`` to ``to`` when upstream pressure is higher.
 
-    law ``orifice``: Q = flow_gain·(opening − deadband)·√Δp. law ``compensated``: Q =
-    compensated_gain·(opening − deadband), reached over ``compensation_drop``. law ``map``: a
-    measured flow map, from the recipe's ``flow_maps`` or the run behind the rig; where one is given
-    it goes before the other laws, too. law ``pump``: displacement·speed_gain·opening, of either
-    sign, less what slips back. ``sign`` −1 opens the edge on negative commands. ``reverse``
-    says what a reversed drop does: ``mirror`` or ``blocked``."""
+    ``law`` is one of `ehbench.parts.edge`, which brings keys of its own. law ``map`` is a measured
+    flow map, from the recipe's ``flow_maps`` or the run behind the rig; where one is given it goes
+    before the other laws, too. ``sign`` −1 opens the edge on negative commands. ``reverse`` says
+    what a reversed drop does: ``mirror`` or ``blocked``."""
 
     name: Name | None = None
     from_: Literal["supply", "tank", "head", "rod"] = Field(alias="from")
     to: Literal["supply", "tank", "head", "rod"]
-    law: Literal["orifice", "compensated", "map", "pump"]
+    law: LawName
     sign: Literal[1, -1] = 1
     reverse: Literal["mirror", "blocked"] = "mirror"
     deadband: Annotated[Value, Q("deadband")] = Value(0.0)
-    flow_gain: Annotated[Value, Q("flow_gain")] | None = None
-    compensated_gain: Annotated[Value, Q("compensated_gain")] | None = None
-    compensation_drop: Annotated[Value, Q("compensation_drop")] = Value(2.0e5)
-    displacement: Annotated[Value, Q("displacement")] | None = None
-    speed_gain: Annotated[Value, Q("speed_gain")] | None = None
-    slip: Annotated[Value, Q("slip")] = Value(0.0)
+
+
+class Edge(LawFields, MeteringEdge):
+    """A metering edge with the keys of its law, or a pump with a command."""
 
     @model_validator(mode="after")
     def _law_is_whole(self) -> Edge:
-        needs = {
-            "orifice": ("flow_gain",),
-            "compensated": ("compensated_gain",),
-            "pump": ("displacement", "speed_gain"),
-        }
-        _must_be_whole(self, needs)
-        if self.law == "pump" and self.reverse == "blocked":
-            raise Misplaced("a pump passes oil both ways; put a check valve beside it", "reverse")
-        if self.law == "pump" and float(self.deadband) > 0.0:
-            raise Misplaced("a pump has no deadband", "deadband")
+        law = edge_law(self.law)
+        _must_be_whole(self, law.needs)
+        if not law.metering and self.reverse == "blocked":
+            raise Misplaced(
+                f"a {self.law} passes oil both ways; put a check valve beside it", "reverse"
+            )
+        if not law.metering and float(self.deadband) > 0.0:
+            raise Misplaced(f"a {self.law} has no deadband", "deadband")
         return self
 
     @property
@@ -194,29 +158,23 @@ class Edge(FileModel):
         return gains.get(self.law, self.compensated_gain)
 
 
-class FixedEdge(FileModel):
-    """An edge without a command: oil goes as the pressures have it.
-
-    law ``check``: a check valve, open from ``from`` to ``to`` above ``cracking_pressure``; one with
-    a ``pilot`` also passes oil back once ``pilot_ratio`` times what the pilot exceeds ``from`` by
-    overcomes drop and spring. law ``pump``: a pump of constant ``pump_speed``."""
+class UnmeteredEdge(FileModel):
+    """An edge without a command: oil goes as the pressures have it. ``law`` is one of
+    `ehbench.parts.edge`, which brings keys of its own.
+    """
 
     name: Name
     from_: Literal["supply", "tank", "head", "rod"] = Field(alias="from")
     to: Literal["supply", "tank", "head", "rod"]
-    law: Literal["check", "pump"]
-    orifice_gain: Annotated[Value, Q("orifice_gain")] | None = None
-    cracking_pressure: Annotated[Value, Q("cracking_pressure")] = Value(0.0)
-    opening_range: Annotated[Value, Q("opening_range")] = Value(5.0e4)
-    pilot: Literal["supply", "tank", "head", "rod"] | None = None
-    pilot_ratio: Annotated[Value, Q("pilot_ratio")] | None = None
-    displacement: Annotated[Value, Q("displacement")] | None = None
-    pump_speed: Annotated[Value, Q("pump_speed")] | None = None
-    slip: Annotated[Value, Q("slip")] = Value(0.0)
+    law: FixedLawName
+
+
+class FixedEdge(FixedLawFields, UnmeteredEdge):
+    """An edge without a command, with the keys of its law."""
 
     @model_validator(mode="after")
     def _law_is_whole(self) -> FixedEdge:
-        _must_be_whole(self, {"check": ("orifice_gain",), "pump": ("displacement", "pump_speed")})
+        _must_be_whole(self, edge_law(self.law).needs_fixed)
         if (self.pilot is None) != (self.pilot_ratio is None):
             raise ValueError(
                 "a pilot-operated check valve takes pilot and pilot_ratio, another none"
@@ -233,11 +191,11 @@ class FixedEdge(FileModel):
         return self.displacement if self.law == "pump" else self.orifice_gain
 
 
-def _must_be_whole(edge: Edge | FixedEdge, needs: Mapping[str, tuple[str, ...]]) -> None:
+def _must_be_whole(edge: Edge | FixedEdge, needs: Sequence[str]) -> None:
     """Refuse an edge from a node to itself, or without a number that its law needs."""
     if edge.from_ == edge.to:
         raise ValueError(f"an edge joins two different nodes, not {edge.to} with itself")
-    for need in needs.get(edge.law, ()):
+    for need in needs:
         if getattr(edge, need) is None:
             raise ValueError(f"law '{edge.law}' needs '{need}'")
 
@@ -272,7 +230,7 @@ class Valve(FileModel):
             raise Misplaced("command_min must lie below command_max", "command_min")
         for index, edge in enumerate(self.edge):
             reach = float(self.command_max) if edge.sign > 0 else -float(self.command_min)
-            opens = 0.0 if edge.law == "map" else float(edge.deadband)
+            opens = float(edge.deadband) if edge_law(edge.law).has_deadband else 0.0
             if reach <= opens:
                 way = (
                     f"commands above {opens:g} V"

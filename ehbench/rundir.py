@@ -255,7 +255,7 @@ def _volatile(began: float) -> dict[str, Any]:
 
 
 def _put(scratch: Path, final: Path) -> None:
-    """Move a whole run to its place; of two processes that make the same run, the last one stays."""
+    """Move a whole run to its place; of two processes that make one run, the last stays."""
     for _ in range(100):
         shutil.rmtree(final, ignore_errors=True)
         try:

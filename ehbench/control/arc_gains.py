@@ -167,18 +167,7 @@ def pack_arc(
     rate, answer, unknown = _rates(site, unsure, bounds, chosen, given)
     chosen |= _defaults(site, chosen, total, answer, unknown) | given
     chosen |= {"tick": given.get("tick", site.tick), "adapt": given.get("adapt", unsure.adapt)}
-    if chosen["standby"] >= 1.0:
-        raise InputError(
-            f"gain 'standby' is {chosen['standby']:g}",
-            hint="a share below 1, or shut valves would leak",
-        )
-    if not bounds.hold or not (rate >= 0.0).all():
-        raise InputError(
-            "the bounds of the estimates do not hold the design model, or a rate of adaptation is "
-            "negative",
-            hint="payload 0 kg or more, lower bound first; disturbance 0 N or more; bulk_modulus "
-            "around the design's",
-        )
+    _check_whole(chosen, bounds, rate)
     packed = blank(GAINS)
     for name in GAIN_NAMES:
         packed[name] = chosen[name]
@@ -201,6 +190,21 @@ def _check(given: Mapping[str, float], tick: float, lag_budget: float) -> None:
                 f"gain '{name}' of the adaptive robust controller is {value:g}",
                 hint="it must be a number above 0",
             )
+
+
+def _check_whole(chosen: Mapping[str, float], bounds: _Bounds, rate: np.ndarray) -> None:
+    if chosen["standby"] >= 1.0:
+        raise InputError(
+            f"gain 'standby' is {chosen['standby']:g}",
+            hint="a share below 1, or shut valves would leak",
+        )
+    if not bounds.hold or not (rate >= 0.0).all():
+        raise InputError(
+            "the bounds of the estimates do not hold the design model, or a rate of adaptation is "
+            "negative",
+            hint="payload 0 kg or more, lower bound first; disturbance 0 N or more; bulk_modulus "
+            "around the design's",
+        )
 
 
 def _bounds(site: Site, unsure: Adaptation) -> _Bounds:
@@ -289,9 +293,9 @@ def _defaults(
 def pack(site: Site, gains: Mapping[str, Any], rules: np.record, shaping: np.record) -> Packed:
     """The gains on a site, and what is known of them: see `named_gains`."""
     known = {name: v for name, v in gains.items() if name in GAIN_NAMES and name != "adapt"}
-    unsure = {name: v for name, v in gains.items() if name not in known}
+    unsure: dict[str, Any] = {name: v for name, v in gains.items() if name not in known}
     packed = pack_arc(site, rules, Adaptation(**unsure), known)
-    unit = unsure | {"adaptation": 1.0, "adaptation_bulk": 1.0}
+    unit: dict[str, Any] = unsure | {"adaptation": 1.0, "adaptation_bulk": 1.0}
     return Packed(packed, named_gains(packed, pack_arc(site, rules, Adaptation(**unit), known)))
 
 

@@ -70,8 +70,8 @@ RULE_NAMES = (
     "cross_drop",
     "dwell",
 )
-# the rules of selection, see `pack_rules`; allow_seventh is 0 or 1
-RULES = record(*reals((*RULE_NAMES, "allow_seventh")))
+ALL_RULES = (*RULE_NAMES, "allow_seventh")  # the last is 0 or 1
+RULES = record(*reals(ALL_RULES))  # the rules of selection, see `pack_rules`
 
 
 class Circuit(NamedTuple):
@@ -90,7 +90,7 @@ class Circuit(NamedTuple):
     area_rod: float
     first: int
     count: int
-    edges: np.ndarray
+    edges: np.recarray
     maps: np.ndarray
     lowest: np.ndarray
     highest: np.ndarray
@@ -292,9 +292,9 @@ def pack_rules(
             above where it begins.
     """
     for name in given:
-        if name not in RULES.names:
+        if name not in ALL_RULES:
             raise InputError(
-                f"function selection has no rule '{name}'", hint="it has " + ", ".join(RULES.names)
+                f"function selection has no rule '{name}'", hint="it has " + ", ".join(ALL_RULES)
             )
     part = supply_pressure / 20.0
     low = part if low_pressure is None else low_pressure
@@ -315,7 +315,12 @@ def pack_rules(
     rules = blank(RULES)
     for name, value in (defaults | given).items():
         rules[name] = value
-    if not all(0.0 <= value < math.inf for value in numbers(rules, RULES.names).values()):
+    _check_rules(rules)
+    return rules
+
+
+def _check_rules(rules: np.record) -> None:
+    if not all(0.0 <= value < math.inf for value in numbers(rules, ALL_RULES).values()):
         raise InputError(
             "a rule of function selection is negative or not finite",
             hint="all of them are 0 or more",
@@ -325,14 +330,13 @@ def pack_rules(
             "a rule of function selection ends a state above where it begins",
             hint="stop is at most start",
         )
-    return rules
 
 
 def circuit(
     cylinder: int,
     area_head: float,
     area_rod: float,
-    edges: np.ndarray,
+    edges: np.recarray,
     maps: np.ndarray,
     ranges: np.ndarray,
     measured: Sequence[ValveMaps | None] | None = None,
@@ -346,8 +350,9 @@ def circuit(
 
     Args:
         cylinder: its number; nodes are 0 supply, 1 tank, 2 + 2·cylinder its head end, 3 +
-        2·cylinder its rod end. area_head, area_rod: [m²]. edges, maps: the plant's, see
-        `ehbench.parts.edge`.
+            2·cylinder its rod end.
+        area_head, area_rod: [m²].
+        edges, maps: the plant's, see `ehbench.parts.edge`.
         ranges: lowest and highest command [V] of every valve, shape (valves, 2).
         measured: the flow maps of every edge, None for an edge with an analytic law; needed where
             an edge follows a map.
@@ -363,16 +368,7 @@ def circuit(
     ranges = np.asarray(ranges, float)
     lowest, highest = np.ascontiguousarray(ranges[:, 0]), np.ascontiguousarray(ranges[:, 1])
     head, rod = 2 + 2 * cylinder, 3 + 2 * cylinder
-    own = np.flatnonzero(
-        np.isin(edges.from_node, (head, rod)) | np.isin(edges.to_node, (head, rod))
-    )
-    if not own.size:
-        raise InputError(f"no metering edge leads to cylinder {cylinder}")
-    if (edges.law[own] == PUMP).any():
-        raise InputError(
-            "a pump moves this cylinder, and the built-in controllers meter oil through valves",
-            hint="give it commands without a controller: [[command]]",
-        )
+    own = _edges_at(edges, cylinder, (head, rod))
     hull, hull_at = _hulls(edges, measured)
     paths, along = np.full(len(PATHS), -1, np.int64), np.ones(len(PATHS))
     able = np.zeros(len(FUNCTIONS), np.int64)
@@ -399,10 +395,27 @@ def circuit(
     return made
 
 
+def _edges_at(edges: np.recarray, cylinder: int, nodes: tuple[int, int]) -> np.ndarray:
+    """Numbers of the edges that touch some nodes.
+
+    Raises:
+        InputError: none does, or one is a pump.
+    """
+    own = np.flatnonzero(np.isin(edges.from_node, nodes) | np.isin(edges.to_node, nodes))
+    if not own.size:
+        raise InputError(f"no metering edge leads to cylinder {cylinder}")
+    if (edges.law[own] == PUMP).any():
+        raise InputError(
+            "a pump moves this cylinder, and the built-in controllers meter oil through valves",
+            hint="give it commands without a controller: [[command]]",
+        )
+    return own
+
+
 def _serving(circuit: Circuit, own: np.ndarray, between: tuple[int, int]) -> tuple[int, float]:
     """(edge that carries most at 1 MPa from one node to another, its direction); −1 for none."""
-    found, along, most = -1, 1.0, 0.0
-    for edge in own:
+    serving, along, most = -1, 1.0, 0.0
+    for edge in map(int, own):
         row = circuit.edges[edge]
         forward = (row.from_node, row.to_node) == between
         if not forward and ((row.to_node, row.from_node) != between or row.blocked == 1):
@@ -411,8 +424,8 @@ def _serving(circuit: Circuit, own: np.ndarray, between: tuple[int, int]) -> tup
         opening = widest(circuit, edge, way * 1.0e6)
         flow = way * edge_flow(way * 1.0e6, opening, row, circuit.maps)
         if flow > most:
-            found, along, most = int(edge), way, flow
-    return found, along
+            serving, along, most = edge, way, flow
+    return serving, along
 
 
 def _able(circuit: Circuit, function: int) -> bool:

@@ -249,15 +249,7 @@ def pack_pressure_feedback(
         )
     for name, value in scalars.items():
         packed[name] = value
-    if isinstance(feedback_gain, Mapping):
-        for name, value in feedback_gain.items():
-            if name not in FUNCTIONS[1:]:
-                raise InputError(
-                    f"no working function '{name}'", hint="there are " + ", ".join(FUNCTIONS[1:])
-                )
-            packed.feedback_gain[FUNCTIONS.index(name)] = value
-    else:
-        packed.feedback_gain[:] = feedback_gain
+    packed.feedback_gain[:] = _by_function(feedback_gain)
     packed.shaping = pack_shaping() if shaping is None else shaping
     packed.rules = rules
     every = [*numbers(packed, SCALARS).values(), *packed.feedback_gain.tolist()]
@@ -271,6 +263,20 @@ def pack_pressure_feedback(
             hint="tick and drop_floor are above 0, the rest 0 or more",
         )
     return packed
+
+
+def _by_function(gain: float | Mapping[str, float]) -> np.ndarray:
+    """K_p of each working function [m³/(s·Pa)], shape (8,)."""
+    if not isinstance(gain, Mapping):
+        return np.full(len(FUNCTIONS), gain)
+    found = np.zeros(len(FUNCTIONS))
+    for name, value in gain.items():
+        if name not in FUNCTIONS[1:]:
+            raise InputError(
+                f"no working function '{name}'", hint="there are " + ", ".join(FUNCTIONS[1:])
+            )
+        found[FUNCTIONS.index(name)] = value
+    return found
 
 
 def pack(site: Site, gains: Mapping[str, Any], rules: np.record, shaping: np.record) -> Packed:

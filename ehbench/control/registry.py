@@ -1,20 +1,25 @@
 """The built-in controllers that a recipe can name, and one tick of any of them.
 
-To add one: write its file, which ends in a `Law`, and name it here."""
+To add one: write its file, which ends in ``LAW = Law(…)``, and name it in `LAW_NAMES`."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any
 
 import numba
 from numba.extending import overload
 
 from ehbench.compiled import OPTIONS, kernel
-from ehbench.control import arc, open_loop, pressure_feedback
+from ehbench.control import LAW_NAMES
 from ehbench.control.law import Law
 
-LAWS: dict[str, Law] = {law.name: law for law in (open_loop.LAW, pressure_feedback.LAW, arc.LAW)}
-_STEPS = {numba.from_dtype(law.record): law.step for law in LAWS.values()}
+LAWS: dict[str, Law] = {name: import_module(f"{__package__}.{name}").LAW for name in LAW_NAMES}
+_STEPS: dict[Any, Callable[..., None]] = {
+    numba.from_dtype(law.record): law.step for law in LAWS.values()
+}
 
 
 def step(t, sample, reference, axis, gains, memory, command, telemetry):

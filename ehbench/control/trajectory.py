@@ -131,14 +131,9 @@ def point_to_point(
     Raises:
         InputError: a limit, tick or hold that is none, fewer than one waypoint.
     """
-    limits = {"speed": speed, "acceleration": acceleration, "jerk": jerk, "tick": tick}
-    for name, value in limits.items():
-        if not (math.isfinite(value) and value > 0):
-            raise InputError(
-                f"{name} of a trajectory is {value:g}", hint="it must be a positive number"
-            )
+    _check_limits(speed=speed, acceleration=acceleration, jerk=jerk, tick=tick)
     points = np.asarray(waypoints, float)
-    holds = np.full(points.size, float(hold)) if np.ndim(hold) == 0 else np.asarray(hold, float)
+    holds = np.full(points.size, hold, float) if np.ndim(hold) == 0 else np.asarray(hold, float)
     if points.ndim != 1 or not points.size or not np.isfinite(points).all():
         raise InputError("a trajectory needs waypoints, each a finite stroke")
     if holds.shape != points.shape or not np.isfinite(holds).all() or (holds < 0).any():
@@ -167,6 +162,14 @@ def point_to_point(
         part[:, X] += points[index]
         table[during] = part
     return table
+
+
+def _check_limits(**limits: float) -> None:
+    for name, value in limits.items():
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(
+                f"{name} of a trajectory is {value:g}", hint="it must be a positive number"
+            )
 
 
 def there_and_back(start: float, end: float, *, cycles: int = 1, **limits) -> np.ndarray:
@@ -207,7 +210,7 @@ def velocity_steps(
     """
     speeds = np.asarray(levels, float)
     times = (
-        np.full(speeds.size, float(duration))
+        np.full(speeds.size, duration, float)
         if np.ndim(duration) == 0
         else np.asarray(duration, float)
     )
@@ -221,8 +224,8 @@ def velocity_steps(
         and np.isfinite(times).all()
     ):
         raise InputError(
-            "velocity steps need levels, a tick, a duration above 0 for all or for each, and a rest "
-            "of 0 s or more"
+            "velocity steps need levels, a tick, a duration above 0 for all or for each, and a "
+            "rest of 0 s or more"
         )
     idle = np.zeros(round(rest / tick))
     parts = [idle]

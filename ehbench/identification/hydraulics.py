@@ -33,11 +33,11 @@ from ehbench.identification.results import (
 from ehbench.identification.search import Coordinate, Where, coordinates
 from ehbench.identification.simulator import Log, Simulator, prepare
 from ehbench.observations import payload_of
-from ehbench.record import Record
-from ehbench.rig import Cylinder, Rig
 from ehbench.plant.build import Maps
 from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model
+from ehbench.record import Record
+from ehbench.rig import Cylinder, Rig
 
 __all__ = [
     "FitOptions",

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, Self, TypeVar
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from mcap.data_stream import ReadDataStream
     from mcap.records import McapRecord
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -16,7 +17,8 @@ MAGIC = b"\x89MCAP0\r\n"
 FORMAT = "1"
 
 
-FACTS = "ehbench/facts.json"  # an attachment and not only a metadata record, because attachments carry a CRC
+# an attachment and not only a metadata record, because attachments carry a CRC
+FACTS = "ehbench/facts.json"
 
 
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, INDEX, ATTACHMENT, METADATA, DATA_END = (
@@ -67,7 +69,20 @@ CDR_TYPES = {
 }
 
 
+class Readable(Protocol):
+    """A kind of MCAP record that reads itself."""
+
+    @classmethod
+    def read(cls, stream: ReadDataStream) -> Self:
+        """The record at the head of a stream."""
+        ...
+
+
+Kind = TypeVar("Kind", bound=Readable)
+
+
 def pack(record: McapRecord) -> bytes:
+    """A record as it lies in the file."""
     from mcap.data_stream import RecordBuilder
 
     builder = RecordBuilder()
@@ -75,7 +90,12 @@ def pack(record: McapRecord) -> bytes:
     return builder.end()
 
 
-def unpack(kind: type[McapRecord], raw: bytes) -> McapRecord:
+def unpack(kind: type[Kind], raw: bytes) -> Kind:
+    """A record of that kind from its bytes, behind opcode and length.
+
+    Raises:
+        ValueError: it is longer or shorter than its bytes.
+    """
     from mcap.data_stream import ReadDataStream
 
     stream = ReadDataStream(io.BytesIO(raw))

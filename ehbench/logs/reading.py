@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _READS = (
-    "ehbench reads cdr messages of plain numbers with a ros2msg schema whose channel metadata name each field, "
-    "like p_head = 'boom.p_head [Pa]'"
+    "ehbench reads cdr messages of plain numbers with a ros2msg schema whose channel metadata "
+    "name each field, like p_head = 'boom.p_head [Pa]'"
 )
 
 
@@ -98,7 +98,8 @@ def read_mcap(path: Path, data: bytes) -> Record:
     if not found.closed:
         last = f"{t[-1]:.9g} s" if t.size else "unknown"
         losses.append(
-            f"the log breaks off: its last good sample is at t = {last}, what came after it is missing"
+            f"the log breaks off: its last good sample is at t = {last}, "
+            "what came after it is missing"
         )
     losses += [f"topic not read: {topic}" for topic in found.unread]
     order = [name for name in found.facts.get("channels", ()) if name in channels]
@@ -130,12 +131,14 @@ def _group(
         numbers = np.concatenate(stream.sequences)
         if numbers[0]:
             losses.append(
-                f"{stream.topic}: the first {numbers[0]} samples, before t = {t[0]:.9g} s, are missing"
+                f"{stream.topic}: the first {numbers[0]} samples, before t = {t[0]:.9g} s, "
+                "are missing"
             )
         missing = np.diff(numbers).astype(np.int64) - 1
         for at in np.flatnonzero(missing):
             losses.append(
-                f"{stream.topic}: {missing[at]} samples between t = {t[at]:.9g} and {t[at + 1]:.9g} s are missing"
+                f"{stream.topic}: {missing[at]} samples between t = {t[at]:.9g} and "
+                f"{t[at + 1]:.9g} s are missing"
             )
     return stream.topic, t, channels
 

@@ -1,4 +1,4 @@
-"""What can be read of an MCAP file, and what cannot: damage is named and never passed on as data."""
+"""What can be read of an MCAP file, and what cannot: damage is named, never passed on as data."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from ehbench.logs.layout import (
 from ehbench.quantities import VOCABULARY
 
 if TYPE_CHECKING:
-    from mcap.records import McapRecord
+    from mcap.records import Channel, Schema
 
 
 @dataclass
@@ -89,7 +89,7 @@ class Salvage:
         self.attachments: dict[str, bytes] = {}
         self.damage: list[str] = []
         self.closed = False
-        self.schemas: dict[int, McapRecord] = {}
+        self.schemas: dict[int, Schema] = {}
         self._seen: set[bytes] = set()
         self._loose = bytearray()
         self._chunks = 0
@@ -206,7 +206,8 @@ class Salvage:
             self.closed = True
             if crc and not self.damage and crc != crc32(memoryview(data)[: start - 9]):
                 self.damage.append(
-                    "the file's checksum does not match: something besides the samples read is damaged"
+                    "the file's checksum does not match: "
+                    "something besides the samples read is damaged"
                 )
         elif opcode == HEADER:
             unpack(Header, data[start:stop])
@@ -312,9 +313,7 @@ class Unreadable(ValueError):
     """Damage that has a name."""
 
 
-def _fields(
-    schema: McapRecord | None, channel: McapRecord
-) -> tuple[np.dtype, dict[str, str]] | None:
+def _fields(schema: Schema | None, channel: Channel) -> tuple[np.dtype, dict[str, str]] | None:
     """The message layout and the labels (field → ``boom.p_head [Pa]``) of a channel, None when it
     cannot be read.
 
@@ -322,13 +321,10 @@ def _fields(
     CDR it is."""
     if schema is None or schema.encoding != "ros2msg" or channel.message_encoding != "cdr":
         return None
-    names, formats, offsets, labels, end = (
-        ["#sequence", "#log_time", "#cdr"],
-        ["<u4", "<u8", "<u4"],
-        [11, 15, 31],
-        {},
-        0,
-    )
+    names, offsets = ["#sequence", "#log_time", "#cdr"], [11, 15, 31]
+    formats: list[str | np.dtype] = ["<u4", "<u8", "<u4"]
+    labels: dict[str, str] = {}
+    end = 0
     for text in schema.data.decode().splitlines():
         code, _, comment = text.partition("#")
         words = code.split()

@@ -10,7 +10,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from zlib import crc32
 
 import numpy as np
@@ -98,7 +98,7 @@ class LogWriter:
         sync: float | None = 1.0,
         losses: Sequence[str] = (),
     ) -> None:
-        from mcap.records import Attachment, AttachmentIndex, Header, Metadata, MetadataIndex
+        from mcap.records import Header, Metadata, MetadataIndex
         from zstandard import ZstdCompressor
 
         self.path = Path(path)
@@ -134,21 +134,20 @@ class LogWriter:
         self._write(MAGIC + pack(Header("ros2", "ehbench")))
         record = Metadata("ehbench", meta)
         self._indexes.append(MetadataIndex(self._offset, self._write(pack(record)), record.name))
-        facts = json.dumps(
-            {"channels": self.channels, "losses": list(losses), "meta": meta}, indent=1
-        ).encode()
-        for name, data in {FACTS: facts, **attachments}.items():
-            record = Attachment(
-                0, 0, name, _MEDIA.get(Path(name).suffix, "application/octet-stream"), data
-            )
-            offset = self._offset
-            length = self._write(pack(record))
-            self._indexes.append(
-                AttachmentIndex(offset, length, 0, 0, len(data), name, record.media_type)
-            )
+        facts = {"channels": self.channels, "losses": list(losses), "meta": meta}
+        self._attach({FACTS: json.dumps(facts, indent=1).encode(), **attachments})
         self._sync = sync
         self._synced = -np.inf
         self._maybe_sync()
+
+    def _attach(self, files: Mapping[str, bytes]) -> None:
+        from mcap.records import Attachment, AttachmentIndex
+
+        for name, data in files.items():
+            kind = _MEDIA.get(Path(name).suffix, "application/octet-stream")
+            offset = self._offset
+            length = self._write(pack(Attachment(0, 0, name, kind, data)))
+            self._indexes.append(AttachmentIndex(offset, length, 0, 0, len(data), name, kind))
 
     def __enter__(self) -> Self:
         return self
@@ -219,8 +218,9 @@ class LogWriter:
         )
         self._chunk_span = (min(first, self._chunk_span[0]), max(last, self._chunk_span[1]))
         rows = np.zeros(t.size, row)
+        places: Any = row.fields
         for topic in topics:
-            part, start = rows[str(topic.id)], row.fields[str(topic.id)][1]
+            part, start = rows[str(topic.id)], places[str(topic.id)][1]
             count = self._count[topic.id]
             part["opcode"] = MESSAGE
             part["length"] = topic.layout.itemsize - 9

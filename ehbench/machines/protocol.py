@@ -1,4 +1,4 @@
-"""What a machine is to a trial: the one protocol of the model, of the virtual bench and of hardware.
+"""What a machine is to a trial: the one protocol of model, virtual bench and hardware.
 
 Once a tick a machine takes a command for each valve and gives a sample: ``[q, qd, x, v, p_head,
 p_rod]`` of each cylinder in the rig file's order, then ``p_supply, p_tank``, all SI. Nothing else
@@ -17,7 +17,7 @@ from ehbench.machines.rows import LawRows, Rows
 from ehbench.plant.model import Model
 
 Posture = Mapping[str, str | float] | None
-Advance = Callable[[int, int, Rows, LawRows | None], int]
+Advance = Callable[[int, int], int]  # (first row, row after the last) → row at a limit, or −1
 
 
 class Inputs(NamedTuple):
@@ -38,8 +38,10 @@ class Inputs(NamedTuple):
 
 
 class Machine(Protocol):
-    """A machine that a trial runs on. Making one moves nothing and reaches for nothing outside: that
-    begins with `start`, which may be called again and then begins anew.
+    """A machine that a trial runs on.
+
+    Making one moves nothing and reaches for nothing outside: that begins with `start`, which may be
+    called again and then begins anew.
 
     Attributes:
         name: what logs and reports call it.
@@ -103,7 +105,7 @@ class Truth(Protocol):
     width: int
 
     def read(self, command: np.ndarray, row: np.ndarray) -> None:
-        """Write what is true now, with ``command`` [V] about to act, into ``row``, shape (width,)."""
+        """Write what is true now, ``command`` [V] about to act, into ``row``, shape (width,)."""
         ...
 
     def channels(
@@ -118,9 +120,10 @@ def truth_of(machine: Machine) -> Truth | None:
     return getattr(machine, "truth", None)
 
 
-def advance_of(machine: Machine) -> Advance | None:
-    """The fast path of a machine that has one: ``advance(first, stop, rows, law)`` runs many ticks
-    in one compiled call.
+def advance_of(machine: Machine) -> Callable[[Rows, LawRows | None, bool], Advance] | None:
+    """The fast path of a machine that has one: ``advance(rows, law, often)`` gives a function of
+    (first, stop) that runs these rows in one compiled call, under a law or as the table says;
+    ``often`` says that it will be called for every row.
 
     It does what a session does tick by tick (`ehbench.trial.session`), to the bit, and returns the
     row at which a limit was reached, before its tick, or −1.

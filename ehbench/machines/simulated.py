@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import kernel
+from ehbench.compiled import bound, kernel
 from ehbench.errors import SimulationError
-from ehbench.machines.protocol import Inputs, Posture
+from ehbench.machines.protocol import Advance, Inputs, Posture
 from ehbench.machines.rows import LawRows, Rows, control, violated
 from ehbench.parts.cylinder import linkage_of
 from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
@@ -155,9 +155,11 @@ class SimulatedMachine:
             raise SimulationError("the simulation left finite numbers", hint="take a smaller step")
         return sample
 
-    def advance(self, first: int, stop: int, rows: Rows, law: LawRows | None) -> int:
+    def advance(self, rows: Rows, law: LawRows | None, often: bool) -> Advance:
         """As `advance_of` says."""
-        return _advance(first, stop, self._own, rows, law)
+        own = self._own
+        run = bound(_advance, 0, 0, own, rows, law) if often else _advance
+        return lambda first, stop: run(first, stop, own, rows, law)
 
     def close(self) -> None:
         """There is nothing to let go."""

@@ -14,14 +14,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
 
-from ehbench.compiled import kernel, part_kernel, record, table
+from ehbench.compiled import bound, kernel, part_kernel, record, table
 from ehbench.errors import InputError, SimulationError
-from ehbench.machines.protocol import Inputs, Posture
+from ehbench.machines.protocol import Advance, Inputs, Posture
 from ehbench.machines.rows import LawRows, Rows, control, violated
 from ehbench.parts.cylinder import (
     CYLINDER_COLUMNS,
@@ -38,9 +38,10 @@ from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
 from ehbench.parts.sample import OF, entry, line_entry, sample_channels
 from ehbench.parts.supply import line_stiffness, pump_flow
 from ehbench.parts.valve import VALVE_COLUMNS, limited, valve_rates, valve_settle
+from ehbench.parts.valve.second_order import second_order
 from ehbench.physics.cylinder import ATMOSPHERE, chamber_rate, relief_flow
 from ehbench.physics.friction import stribeck
-from ehbench.plant.build import Maps, second_order
+from ehbench.plant.build import Maps
 from ehbench.plant.derivatives import derivatives_of, finish_of, move
 from ehbench.plant.integrate import rk4
 from ehbench.plant.layout import Layout, Offsets, layout
@@ -265,6 +266,19 @@ def edge_flow(drop, spool, edge, curves):
     return flow - curve_flow(-drop, reach, curves[edge.reverse])
 
 
+@kernel
+def _spool_for(flow, drop, most, edge, curves):
+    """Spool position [V], at most ``most`` from closed, at which an edge passes a flow [m³/s]."""
+    low, high = 0.0, most
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        if edge_flow(drop, edge.sign * middle, edge, curves) > flow:
+            high = middle
+        else:
+            low = middle
+    return edge.sign * 0.5 * (low + high)
+
+
 @part_kernel
 def edge_slope(drop, flow, spool, edge):
     """Bound of how fast a flow changes with a pressure at either end [m³/(s·Pa)]."""
@@ -376,7 +390,7 @@ def _finish(y, target, bench, slope, d):
     """The bench leaves a Runge–Kutta step as it is."""
 
 
-@kernel
+@part_kernel
 def _raw(y, bench, raw):
     """What the sensors would say were they perfect, in the order of the raw channels."""
     cylinders = bench.cylinders.shape[0]
@@ -416,7 +430,7 @@ def _delayed(state, bench, channel):
     )
 
 
-@kernel
+@part_kernel
 def _measure(state, bench, noise_row, sample):
     """Noise, offset and quantization of the lagged channels, then the delay line, then speed from
     position.
@@ -485,7 +499,7 @@ def _scalar(value) -> float | None:
 class _Given:
     """What a bench file says of one thing: its own entry, else that of ``all``, else a default."""
 
-    def __init__(self, table: Mapping[str, object], name: str) -> None:
+    def __init__(self, table: Mapping[str, Any], name: str) -> None:
         self.entries = [table[key] for key in (name, "all") if key in table]
 
     def __call__(self, key: str, default: float) -> float:
@@ -594,9 +608,9 @@ def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) ->
     row.saturation = (
         given("saturation", sat * full if compensated else 1.6 * sat * full) or math.inf
     )
-    gain = float(edge.compensated_gain if compensated else edge.flow_gain) * given(
-        "gain_factor", factor
-    )
+    nominal = edge.compensated_gain if compensated else edge.flow_gain
+    assert nominal is not None  # `_truth` sees to it
+    gain = float(nominal) * given("gain_factor", factor)
     row.gain = gain
     if compensated:
         row.setting = given("compensation_drop", setting * float(edge.compensation_drop))
@@ -648,19 +662,13 @@ def _tune(
     )
 
     def spool(flow: float) -> float:
-        low, high = 0.0, 4.0 * float(valve.command_max)
-        if edge_flow(drop, row.sign * high, row, curves) < flow:
+        most = 4.0 * float(valve.command_max)
+        if edge_flow(drop, row.sign * most, row, curves) < flow:
             raise InputError(
-                f"valve '{valve.name}' of the bench never passes its calibration flow {flow:g} m^3/s"
+                f"valve '{valve.name}' of the bench never passes its calibration flow {flow:g} "
+                "m^3/s"
             )
-        for _ in range(200):
-            middle = 0.5 * (low + high)
-            low, high = (
-                (low, middle)
-                if edge_flow(drop, row.sign * middle, row, curves) > flow
-                else (middle, high)
-            )
-        return row.sign * 0.5 * (low + high)
+        return _spool_for(flow, drop, most, row, curves)
 
     ends = [(command - 0.5 * width, spool(flow)) for command, flow in (points[0], points[-1])]
     (u0, s0), (u1, s1) = ends
@@ -837,12 +845,18 @@ class VirtualMachine:
             sample,
         )
 
-    def advance(self, first: int, stop: int, rows: Rows, law: LawRows | None) -> int:
+    def advance(self, rows: Rows, law: LawRows | None, often: bool) -> Advance:
         """As `advance_of` says."""
-        row = _advance(first, stop, self._own, rows, law, self.noise(stop - first))
-        if row >= 0:  # noise that no tick used is the next one's, however long the call was
-            self._used -= stop - row
-        return row
+        own = self._own
+        run = bound(_advance, 0, 0, own, rows, law, self._noise) if often else _advance
+
+        def through(first: int, stop: int) -> int:
+            row = run(first, stop, own, rows, law, self.noise(stop - first))
+            if row >= 0:  # noise that no tick used is the next one's, however long the call was
+                self._used -= stop - row
+            return row
+
+        return through
 
     def close(self) -> None:
         """There is nothing to let go."""
@@ -868,7 +882,7 @@ class VirtualMachine:
         row = self.bench.edges[index]
         if row.law in (PUMP, CHECK):
             raise InputError(f"edge '{edge}' of the bench does not meter, so no flowmeter reads it")
-        valve = self.bench.valves[row.valve]
+        valve: Any = self.bench.valves[row.valve]
         rest = self.commands.rest[row.valve]
         command, drop = np.broadcast_arrays(
             np.asarray(command, dtype=float), np.asarray(drop, dtype=float)
@@ -920,7 +934,7 @@ def _build(recipe: BenchRecipe, model: Model, tick: float) -> VirtualPlant:
 def _copied(rows: np.recarray, columns: np.dtype) -> np.recarray:
     """The rows of a table in a wider layout."""
     wide = table(rows.shape[0], columns)
-    for name in rows.dtype.names:
+    for name in rows.dtype.names or ():
         wide[name] = rows[name]
     return wide
 
@@ -990,7 +1004,7 @@ def _valves(
         )
         row.hysteresis = given("hysteresis", width * full)
         if valve.calibration:
-            own = edges[np.flatnonzero(edges.valve == index)[0]]
+            own: Any = edges[np.flatnonzero(edges.valve == index)[0]]
             drop = float(recipe.calibration_drop)
             gain, offset = _tune(valve, own, curves, drop, row.hysteresis)
             offset /= full

@@ -31,7 +31,7 @@ def gas_capacity(pressure, row):
 
 @part_kernel
 def gas_energy(pressure, row):
-    """Energy [J] that oil of the supply line has brought into the accumulator up to a pressure [Pa].
+    """Energy [J] that oil of the supply line brought into the accumulator up to a pressure [Pa].
 
     ``∫ (p + u) V_gas/(n p_abs) dp`` from the precharge: the work on the gas against the atmosphere,
     and the oil's own compression energy u per volume. Gauss–Legendre in ln p, exact to rounding.

@@ -61,7 +61,6 @@ CYLINDER = record(*CYLINDER_COLUMNS)
 CYLINDER_FIELDS = (
     *("stroke", "volume_head", "volume_rod"),
     *("leakage_internal", "leakage_head", "leakage_rod"),
-    *(name for name, _ in FRICTION),
 )
 PINS_OF = ("geometry", "l_a", "l_b", "side", "phase", "retracted_length")
 
@@ -72,8 +71,9 @@ def linkage_of(row, q):
     return linkage(row.geometry, row.l_a, row.l_b, row.side, row.phase, row.retracted_length, q)
 
 
-def _pins(row: Any) -> tuple[Any, ...]:
-    return tuple(row[name] for name in PINS_OF)
+def _pins(row: Any) -> tuple[Any, Any, Any, Any, Any, Any]:
+    kind, l_a, l_b, sign, phase, retracted = (row[name] for name in PINS_OF)
+    return kind, l_a, l_b, sign, phase, retracted
 
 
 def joint_of(row: Any, x: Any) -> Any:

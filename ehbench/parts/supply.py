@@ -1,4 +1,4 @@
-"""The supply: a pressure-compensated pump on a line of oil, an accumulator on it or in its place."""
+"""The supply: a pressure-compensated pump on a line of oil, an accumulator beside or instead."""
 
 from __future__ import annotations
 

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -523,8 +524,7 @@ def load_flow_maps(path: str | Path) -> FlowMaps:
     """The flow maps of a run folder or of a ``flow_maps.json``.
 
     Example:
-        run = ehbench.identify("recipes/boom_four_valve/flow_maps.toml")
-        maps = ehbench.load_flow_maps(run.folder)
+        maps = ehbench.load_flow_maps("reports/flow_maps")
         maps["sh"].flow(2.0e6, 4.0)  # m³/s at 2 MPa and 4 V
 
     Raises:
@@ -591,7 +591,7 @@ def table(
         drop = np.linspace(0.0, one.drop_max, drops)
         for command in one.hull_command:
             flow, std = one.flow(drop, command), one.flow_std(drop, command)
-            columns = (
+            columns: tuple[Any, ...] = (
                 from_si(drop, pressure_unit, VOCABULARY["pressure_drop"]),
                 from_si(flow, flow_unit, VOCABULARY["flow"]),
                 from_si(std, flow_unit, VOCABULARY["flow"]),

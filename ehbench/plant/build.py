@@ -11,6 +11,7 @@ import numpy as np
 from ehbench.compiled import table, table_of
 from ehbench.errors import InputError
 from ehbench.parts import edge as edges
+from ehbench.parts import friction
 from ehbench.parts import valve as valves
 from ehbench.parts.accumulator import COLUMNS as ACCUMULATOR
 from ehbench.parts.cylinder import CYLINDER, CYLINDER_FIELDS, PINS_OF
@@ -26,7 +27,6 @@ from ehbench.plant.layout import SIDES, Layout, Offsets, layout
 from ehbench.rig import Chain, Cylinder, Edge, FixedEdge, Rig, Slide
 
 Maps = Mapping[str, ValveMaps]
-_PUMP = ("displacement", "speed_gain", "pump_speed", "slip")
 
 
 class Plant(NamedTuple):
@@ -131,11 +131,12 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
     rows = []
     for index, item in enumerate(rig.cylinder):
         head, rod = item.areas()
-        relief, pins = item.relief_pressure, _pins(item)
+        relief, pins = item.relief_pressure, pins_of(item)
         joint = names.joints.index(item.joint)
         own = {key: float(getattr(item, key)) for key in CYLINDER_FIELDS}
         rows.append(
             own
+            | friction.LAWS[names.frictions[index]].pack(item)
             | dict(zip(PINS_OF, pins, strict=True))
             | {
                 "joint": joint,
@@ -164,7 +165,7 @@ def _stop_pressure(rig: Rig, item: Cylinder) -> float:
     return max(supply, float(item.relief_pressure))
 
 
-def _pins(item: Cylinder) -> tuple[Any, ...]:
+def pins_of(item: Cylinder) -> tuple[Any, ...]:
     """Arguments of `ehbench.physics.cylinder.linkage` before the angle."""
     pins = item.pins
     if pins is None:
@@ -209,25 +210,14 @@ def _valves(rig: Rig, names: Layout) -> tuple[np.recarray, np.recarray]:
     for index, (_, item) in enumerate(rig.valves()):
         first, output = len(elements), -1
         for law in (law for valve, law in names.elements if valve == index):
-            omega, zeta = rig.dynamics[item.dynamics].frequency_and_damping()
             output = names.state("opening", index)
             states = len(valves.LAWS[law].states)
             place = {"law": law, "state": output, "states": states}
-            elements.append(place | second_order(omega, zeta))
+            elements.append(place | valves.LAWS[law].pack(rig.dynamics[item.dynamics]))
         ends = {"lowest": float(item.command_min), "highest": float(item.command_max)}
         count = len(elements) - first
         rows.append(ends | {"first": first, "count": count, "output": output})
     return table_of(rows, VALVE), table_of(elements, ELEMENT)
-
-
-def second_order(omega: float, zeta: float) -> dict[str, float]:
-    """Fields of an element of natural frequency [rad/s] and damping ratio."""
-    stiffness = omega**2
-    return {
-        "stiffness": stiffness,
-        "damping": 2 * zeta * omega,
-        "fastest": math.sqrt(stiffness),
-    }
 
 
 def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray]:
@@ -250,7 +240,7 @@ def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray
             "valve": names.valves.index(f"{item.name}.{valve.name}"),
             "sign": edge.sign,
             "blocked": edge.reverse == "blocked",
-            "unmetered": not edges.LAWS[edges.BY_NAME[edge.law]].metering,
+            "unmetered": not edges.edge_law(edge.law).metering,
         }
         rows.append(row | _law(edge, given, packed))
     rows += [
@@ -265,24 +255,15 @@ def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray
 
 def _fixed(names: Layout, cylinder: int, edge: FixedEdge) -> dict[str, Any]:
     """Fields of an edge without a command."""
-    own = _numbers(edge, ("cracking_pressure", "opening_range", "pilot_ratio", *_PUMP))
-    return own | {
+    place = {
         "from_node": names.node(cylinder, edge.from_),
         "to_node": names.node(cylinder, edge.to),
         "valve": -1,
         "sign": 1.0,
-        "law": edges.BY_NAME[edge.law],
         "unmetered": 1,
         "pilot": -1 if edge.pilot is None else names.node(cylinder, edge.pilot),
-        "gain": float(edge.orifice_gain or 0.0),
-        "forward": -1,
-        "reverse": -1,
     }
-
-
-def _numbers(item: Any, keys: tuple[str, ...]) -> dict[str, float]:
-    """Values of some keys of a part, 0 where it has none."""
-    return {key: float(getattr(item, key, None) or 0.0) for key in keys}
+    return place | _law(edge, None, [])
 
 
 def map_of(maps: Maps | None, edge: str) -> ValveMaps | None:
@@ -291,17 +272,10 @@ def map_of(maps: Maps | None, edge: str) -> ValveMaps | None:
     return maps.get(edge) or maps.get(edge.split(".", 1)[1])
 
 
-def _law(edge: Edge, given: ValveMaps | None, packed: list[FlowMap]) -> dict[str, Any]:
+def _law(edge: Edge | FixedEdge, given: ValveMaps | None, packed: list[FlowMap]) -> dict[str, Any]:
     """Fields of an edge's law; its maps go to ``packed``, their numbers there into the row."""
-    gain = edge.flow_gain if edge.law == "orifice" else edge.compensated_gain
-    row = {
-        "law": edges.MAP if given is not None else edges.BY_NAME[edge.law],
-        "gain": 0.0 if gain is None else float(gain),
-        "deadband": float(edge.deadband),
-        "compensation_drop": float(edge.compensation_drop),
-        "forward": -1,
-        "reverse": -1,
-    } | _numbers(edge, _PUMP)
+    law = edges.edge_law("map" if given is not None else edge.law)
+    row = {"law": edges.BY_NAME[law.name], "forward": -1, "reverse": -1} | law.pack(edge)
     for key in ("forward", "reverse"):
         one = getattr(given, key, None)
         if one is not None:
@@ -314,5 +288,5 @@ def _supply(rig: Rig) -> np.record:
     own, beta = rig.supply, float(rig.oil.bulk_modulus)
     row = {key: float(getattr(own, key)) for key in ("pressure", "flow_limit", "volume")}
     if own.accumulator is not None:
-        row |= _numbers(own.accumulator, tuple(name for name, _ in ACCUMULATOR))
+        row |= {key: float(getattr(own.accumulator, key)) for key, _ in ACCUMULATOR}
     return table_of([row | {"bulk_modulus": beta}], SUPPLY_LINE)[0]

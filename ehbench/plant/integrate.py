@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from ehbench.compiled import allocating_kernel, kernel
+from ehbench.compiled import allocating_kernel, part_kernel
 from ehbench.plant.derivatives import any_derivatives, any_finish
 
 STEP = 5.0e-4  # [s]
@@ -16,7 +16,7 @@ STIFF = 1.0  # substeps are taken so that rate·step stays below this
 MOST_SUBSTEPS = 400
 
 
-@kernel
+@part_kernel
 def rk4(y, command, plant, h, k, work):
     """One classical Runge–Kutta step of ``h`` [s] in place, more substeps where the plant is stiff;
     returns the substeps.
@@ -26,7 +26,7 @@ def rk4(y, command, plant, h, k, work):
     return advance(y, command, plant, h, k, work, any_derivatives(y, command, plant, k[0], work))
 
 
-@kernel
+@part_kernel
 def advance(y, command, plant, h, k, work, rate):
     """`rk4` where ``k[0]`` and ``rate`` already hold what the derivatives give at ``y``."""
     size = y.shape[0]

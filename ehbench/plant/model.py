@@ -70,7 +70,9 @@ class Model:
         return np.tile([valve.rest for _, valve in self.rig.valves()], (samples, 1))
 
     def commands_of(self, record: Record) -> np.ndarray:
-        """A recording's commands [V], shape (samples, valves); valves that it lacks stay at rest."""
+        """A recording's commands [V], shape (samples, valves); valves that it lacks stay at
+        rest.
+        """
         table = self.rest_commands(record.t.size)
         for index, valve in enumerate(self.layout.valves):
             if f"{valve}.command" in record:
@@ -231,6 +233,12 @@ def simulate(
 ) -> Record:
     """Simulate a rig from rest under open-loop commands.
 
+    Example:
+        rig = ehbench.load_rig("recipes/rigs/slide_servo.toml")
+        start = {"press": "50 mm"}
+        record = ehbench.simulate(rig, {"press.servo": 2.0}, duration=0.5, posture=start)
+        record.frame()["press.x"].iloc[-1]
+
     Args:
         rig: the machine.
         commands: [V] by ``<cylinder>.<valve>``: a number, or an array of one value a sample; others
@@ -262,7 +270,8 @@ def simulate(
             )
         if np.ndim(values) and np.shape(values) != (samples,):
             raise InputError(
-                f"the command of '{name}' has {np.shape(values)[0]} values, the trial {samples} samples"
+                f"the command of '{name}' has {np.shape(values)[0]} values, the trial {samples} "
+                "samples"
             )
         table[:, model.layout.valves.index(name)] = values
     log = model.run(model.trim(model.posture(posture)), table, 1.0 / rate, step)

@@ -1,4 +1,4 @@
-"""Openings of valves over a whole record, exact for commands that are held from sample to sample."""
+"""Openings of valves over a whole record, exact for commands held from sample to sample."""
 
 from __future__ import annotations
 

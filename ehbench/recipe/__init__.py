@@ -3,6 +3,14 @@
 from __future__ import annotations
 
 from ehbench.recipe.base import ByParameter, DataFile, DataFiles, Recipe
+from ehbench.recipe.bench import (
+    BenchCurve,
+    BenchCylinder,
+    BenchEdge,
+    BenchRecipe,
+    BenchSensors,
+    BenchValve,
+)
 from ehbench.recipe.campaign import Campaign, TextSection
 from ehbench.recipe.dataset import DatasetLog, DatasetRecipe, Flowmeter
 from ehbench.recipe.flow_map import CalibrationPoint, FlowMapRecipe
@@ -13,14 +21,6 @@ from ehbench.recipe.trial import AnyTrial, Command, Controller, Limits, Motion, 
 from ehbench.recipe.trials import SetController, TrialSetRecipe
 from ehbench.recipe.tune import TuneRecipe
 from ehbench.recipe.validate import Thresholds, ValidateRecipe
-from ehbench.recipe.bench import (
-    BenchCurve,
-    BenchCylinder,
-    BenchEdge,
-    BenchRecipe,
-    BenchSensors,
-    BenchValve,
-)
 
 __all__ = [
     "AnyTrial",

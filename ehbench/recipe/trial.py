@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from ehbench.control import LAW_NAMES
 from ehbench.fields import FileModel, Q, Value
 from ehbench.recipe.base import Recipe
 
@@ -120,6 +121,12 @@ class Motion(FileModel):
         return self
 
 
+if TYPE_CHECKING:
+    LawName = str
+else:
+    LawName = Literal[LAW_NAMES]
+
+
 class Controller(FileModel):
     """Who moves the cylinder: ``kind`` of a built-in law, or ``class = "module:Class"`` of the
     user's own.
@@ -129,7 +136,7 @@ class Controller(FileModel):
     ``shaping`` of speed steps (pressure feedback), ``unused`` valves that stay at rest."""
 
     name: str = ""
-    kind: Literal["open_loop", "pressure_feedback", "arc"] | None = None
+    kind: LawName | None = None
     code: str | None = Field(default=None, alias="class")
     gains: str | dict[str, Any] = {}
     rules: dict[str, Any] = {}
@@ -138,16 +145,36 @@ class Controller(FileModel):
     where: tuple[str | int, ...] = Field(default=("controller",), exclude=True)
 
     @property
+    def class_name(self) -> str:
+        """Name of the user's class; empty for a built-in law."""
+        return (self.code or "").partition(":")[2]
+
+    @property
     def label(self) -> str:
         """Its name, else its kind or class."""
-        return self.name or self.kind or (self.code or "").partition(":")[2]
+        return self.name or self.kind or self.class_name
+
+    @property
+    def gains_from(self) -> str | None:
+        """The tune recipe, run folder or file that gains come from, as written."""
+        return self.gains if isinstance(self.gains, str) else self.gains.get("from")
+
+    @property
+    def own_gains(self) -> dict[str, Any]:
+        """The gains that stand in the recipe itself, by name, as written."""
+        table = {} if isinstance(self.gains, str) else self.gains
+        return {name: raw for name, raw in table.items() if name != "from"}
 
     @model_validator(mode="after")
     def _one_law(self) -> Controller:
         if (self.kind is None) == (self.code is None):
             raise ValueError("give 'kind' or 'class', and not both")
-        if self.shaping and self.kind not in ("open_loop", "pressure_feedback"):
-            raise ValueError("'shaping' is of open_loop and pressure_feedback only")
+        if self.shaping:
+            from ehbench.control.registry import LAWS
+
+            shaped = [name for name, law in LAWS.items() if law.shaped]
+            if self.kind not in shaped:
+                raise ValueError(f"'shaping' is of {' and '.join(shaped)} only")
         return self
 
 

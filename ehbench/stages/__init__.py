@@ -6,6 +6,7 @@ from typing import Any
 
 from ehbench.recipe import Recipe
 from ehbench.stages.base import Checked, Stage
+from ehbench.stages.bench import BenchFile, Dataset
 from ehbench.stages.campaign import CampaignStage
 from ehbench.stages.flow_map import FlowMapStage
 from ehbench.stages.hydraulics import HydraulicsStage
@@ -13,7 +14,6 @@ from ehbench.stages.trial import TrialStage
 from ehbench.stages.trials import TrialsStage
 from ehbench.stages.tuning import TuningStage
 from ehbench.stages.validation import ValidationStage
-from ehbench.stages.bench import BenchFile, Dataset
 
 __all__ = ["REGISTRY", "Checked", "Stage", "stage_of"]
 # in the order of the data

@@ -201,8 +201,8 @@ class Inputs:
         """
         import numpy as np
 
-        from ehbench.preprocessing import distinct_names
         from ehbench.logs import read_record
+        from ehbench.preprocessing import distinct_names
 
         items, places = [], []
         for item in data:

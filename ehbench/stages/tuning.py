@@ -16,7 +16,7 @@ from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs, ValidatedRig
 
 if TYPE_CHECKING:
-    from ehbench.tune.gains import Study
+    from ehbench.tune.study import Study
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def _validated(recipe: TuneRecipe, inputs: Inputs) -> ValidatedRig:
 
 
 def _study(recipe: TuneRecipe, state: ValidatedRig) -> Study | None:
-    from ehbench.tune.gains import prepare_tuning
+    from ehbench.tune.study import prepare_tuning
 
     try:
         return prepare_tuning(state, recipe)

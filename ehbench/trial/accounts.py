@@ -1,6 +1,4 @@
-"""Where a trial's energy went, by the ledger alone: the numbers of a trial and of its ledger are the
-same ones.
-"""
+"""Where a trial's energy went, by the ledger alone: a trial's numbers are those of its ledger."""
 
 from __future__ import annotations
 
@@ -27,7 +25,7 @@ class Account(NamedTuple):
 
 
 def account(prepared: Prepared, result: Result) -> Account:
-    """The account of a trial: exact where the machine told its states, else from what was measured."""
+    """The account of a trial: exact where the machine told its states, else as it was measured."""
     recipe, record, facts = prepared.recipe, result.record, result.facts
     try:
         if result.model is not None:

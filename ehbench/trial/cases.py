@@ -61,7 +61,8 @@ class Case:
     @property
     def motion(self) -> str:
         """Name of its motion."""
-        return self.recipe.motion.name or self.recipe.motion.kind
+        motion = self.recipe.motion
+        return "" if motion is None else motion.name or motion.kind
 
 
 def run_cases(
@@ -190,7 +191,8 @@ def table_csv(rows: Sequence[dict[str, Any]], rig: Rig) -> str:
     def cell(value: float | None, name: str, word: str) -> str:
         if value is None:
             return ""
-        return f"{100.0 * value if units[name] == '%' else from_si(value, units[name], VOCABULARY[word]):.6g}"
+        share = units[name] == "%"
+        return f"{100.0 * value if share else from_si(value, units[name], VOCABULARY[word]):.6g}"
 
     for row in rows:
         for number, step in enumerate(row["steps"] or [{}], 1):

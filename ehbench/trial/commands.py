@@ -10,7 +10,13 @@ import numpy as np
 from ehbench.errors import InputError
 from ehbench.recipe import Command, TrialRecipe
 from ehbench.record import Record
-from ehbench.rig import Rig
+from ehbench.rig import Rig, Value, Valve
+
+
+def _si(value: Value | None) -> float:
+    """A number that the recipe's model demands of this kind of command."""
+    assert value is not None
+    return float(value)
 
 
 def _shape(command: Command, t: np.ndarray, record: Record | None) -> np.ndarray:
@@ -26,9 +32,9 @@ def _shape(command: Command, t: np.ndarray, record: Record | None) -> np.ndarray
     if command.kind == "ramp":
         return offset + amplitude * np.clip((t - start) / (stop - start), 0.0, 1.0)
     if command.kind == "sine":
-        return offset + amplitude * on * np.sin(2 * np.pi * float(command.frequency) * (t - start))
+        return offset + amplitude * on * np.sin(2 * np.pi * _si(command.frequency) * (t - start))
     if command.kind == "multisine":
-        low, high = float(command.frequency), float(command.frequency_max)
+        low, high = _si(command.frequency), _si(command.frequency_max)
         phases = np.random.default_rng(command.seed).uniform(0, 2 * np.pi, command.lines)
         waves = (
             np.sin(
@@ -66,49 +72,70 @@ def command_table(
     table = np.tile([v.rest for v in valves.values()], (t.size, 1))
     last: dict[str, int] = {}  # the last entry for each valve
     for index, entry in enumerate(recipe.command):
-        where = f"command {index + 1}"
-        if entry.valve not in valves:
-            raise InputError(
-                f"{where}: rig '{rig.name}' has no valve '{entry.valve}'",
-                **recipe.at("command", index, "valve"),
-                hint="it has " + ", ".join(names),
-            )
-        if entry.valve in taken:
-            raise InputError(
-                f"{where}: '{entry.valve}' is the controller's",
-                **recipe.at("command", index, "valve"),
-                hint="open-loop commands go to the valves of other cylinders",
-            )
-        if entry.stop is not None and float(entry.stop) <= float(entry.start):
-            raise InputError(
-                f"{where} to '{entry.valve}' stops before it starts",
-                **recipe.at("command", index, "stop"),
-            )
+        _check_entry(recipe, index, rig, taken)
         if entry.valve not in last:
             table[:, names.index(entry.valve)] = 0.0
         last[entry.valve] = index
-        record = None
-        if entry.kind == "file":
-            from ehbench.logs import read_record
-
-            path = recipe.file(entry.file)
-            record = read_record(path)
-            if f"{entry.valve}.command" not in record:
-                there = ", ".join(record.channels)
-                raise InputError(
-                    f"has no channel '{entry.valve}.command' to play",
-                    file=path,
-                    hint=f"it has {there}",
-                )
+        record = _played(recipe, entry) if entry.kind == "file" else None
         table[:, names.index(entry.valve)] += _shape(entry, t, record)
     for column, (name, valve) in enumerate(valves.items()):
-        low, high = float(valve.command_min), float(valve.command_max)
-        values = table[:, column]
-        bad = np.flatnonzero((values < low - 1e-9) | (values > high + 1e-9) | ~np.isfinite(values))
-        if bad.size:
-            raise InputError(
-                f"the command of '{name}' is {values[bad[0]]:.4g} V at t = {t[bad[0]]:.4g} s, which its driver does not take",
-                **recipe.at("command", last[name]),
-                hint=f"its range is {low:g} to {high:g} V",
-            )
+        _check_range(recipe, name, valve, t, table[:, column], last.get(name))
     return table
+
+
+def _check_entry(recipe: TrialRecipe, index: int, rig: Rig, taken: Collection[str]) -> None:
+    entry, where = recipe.command[index], f"command {index + 1}"
+    names = [f"{c.name}.{v.name}" for c, v in rig.valves()]
+    if entry.valve not in names:
+        raise InputError(
+            f"{where}: rig '{rig.name}' has no valve '{entry.valve}'",
+            **recipe.at("command", index, "valve"),
+            hint="it has " + ", ".join(names),
+        )
+    if entry.valve in taken:
+        raise InputError(
+            f"{where}: '{entry.valve}' is the controller's",
+            **recipe.at("command", index, "valve"),
+            hint="open-loop commands go to the valves of other cylinders",
+        )
+    if entry.stop is not None and float(entry.stop) <= float(entry.start):
+        raise InputError(
+            f"{where} to '{entry.valve}' stops before it starts",
+            **recipe.at("command", index, "stop"),
+        )
+
+
+def _played(recipe: TrialRecipe, entry: Command) -> Record:
+    """The log that an entry plays."""
+    from ehbench.logs import read_record
+
+    assert entry.file is not None
+    path = recipe.file(entry.file)
+    record = read_record(path)
+    if f"{entry.valve}.command" not in record:
+        there = ", ".join(record.channels)
+        raise InputError(
+            f"has no channel '{entry.valve}.command' to play", file=path, hint=f"it has {there}"
+        )
+    return record
+
+
+def _check_range(
+    recipe: TrialRecipe,
+    name: str,
+    valve: Valve,
+    t: np.ndarray,
+    values: np.ndarray,
+    entry: int | None,
+) -> None:
+    """Refuse commands [V] that a valve's driver does not take; ``entry`` is the last one for it."""
+    low, high = float(valve.command_min), float(valve.command_max)
+    bad = np.flatnonzero((values < low - 1e-9) | (values > high + 1e-9) | ~np.isfinite(values))
+    if bad.size:
+        where = recipe.at("command", entry) if entry is not None else {}
+        raise InputError(
+            f"the command of '{name}' is {values[bad[0]]:.4g} V at t = {t[bad[0]]:.4g} s, which "
+            "its driver does not take",
+            **where,
+            hint=f"its range is {low:g} to {high:g} V",
+        )

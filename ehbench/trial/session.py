@@ -46,12 +46,14 @@ class Session:
 
     def __init__(self, prepared: Prepared, machine: Machine, fast: bool = True) -> None:
         self.prepared, self.machine = prepared, machine
-        self._advance = advance_of(machine) if fast else None
         self._truth = truth_of(machine)
         self.rows = prepared.first_rows(machine)
         self.law = prepared.law(machine)
         self._packed = None if self.law is None else _packed(self.law)
         self._step = getattr(self.law, "step", None)
+        self._bind = advance_of(machine) if fast else None
+        often = self._step is not None
+        self._advance = None if self._bind is None else self._bind(self.rows, self._packed, often)
         self.stop: Stop | None = None
         self.end = prepared.t.size
 
@@ -93,28 +95,25 @@ class Session:
         """Run rows from ``first`` on: the row at a limit, or −1, and the row up to which there are
         rows now: ``stop``, or sooner when WAIT is over.
         """
-        at_work = self.stop is None
-        step = self._step if at_work else None
-        if self._advance is not None and step is None:
-            row = self._advance(first, stop, self.rows, self._packed if at_work else None)
+        if self._advance is not None and self._step is None:
+            row = self._advance(first, stop)
             return row, stop if row < 0 else row
-        until = time.monotonic() + WAIT
-        for i in range(first, stop):
+        rows, advance, step, packed = self.rows, self._advance, self._step, self._packed
+        now, until = time.monotonic, time.monotonic() + WAIT
+        for i, t in enumerate(rows.t[first:stop].tolist(), first):
             if step is not None:
-                step(i, float(self.rows.t[i]), self.rows.sample, self.rows.commands[i])
-            elif at_work and self._packed is not None:
-                control(self._packed, i, self.rows)
-            if self._tick(i):
+                step(i, t, rows.sample, rows.commands[i])
+            elif packed is not None:
+                control(packed, i, rows)
+            if self._tick(i) if advance is None else advance(i, i + 1) >= 0:
                 return i, i
-            if time.monotonic() > until:
+            if now() > until:
                 return -1, i + 1
         return -1, stop
 
     def _tick(self, i: int) -> bool:
         """Check row ``i``, log it and let its command act; whether it is at a limit instead."""
         rows = self.rows
-        if self._advance is not None:
-            return self._advance(i, i + 1, rows, None) >= 0
         if violated(rows, i):
             return True
         rows.samples[i] = rows.sample
@@ -134,6 +133,9 @@ class Session:
         rows.commands[row:] = self.machine.commands.rest
         if self.law is not None:
             _let_go(self.law, row, self.end)
+        self._packed = self._step = None
+        if self._bind is not None:
+            self._advance = self._bind(rows, None, False)
 
     def channels(self, part: slice) -> dict[str, np.ndarray]:
         """Rows of the trial by channel, SI: what the machine measured, or all that a simulation

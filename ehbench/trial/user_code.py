@@ -20,7 +20,7 @@ from ehbench.errors import InputError
 from ehbench.quantities import VOCABULARY, quantity
 from ehbench.recipe import TrialRecipe
 from ehbench.text import shortened
-from ehbench.trial.controllers import Design, code_file, gains_file, quantities
+from ehbench.trial.controllers import Design, code_file, controller_of, quantities
 
 
 class UserCode:
@@ -51,10 +51,11 @@ class UserCode:
         references: np.ndarray,
     ) -> None:
         self.made, self.rate, self.names = made, rate, tuple(channels)
-        chosen = recipe.controller
-        self.code = _Code(code_file(recipe), chosen.code.partition(":")[2])
+        chosen, file = controller_of(recipe), code_file(recipe)
+        assert file is not None  # the recipe names a class
+        self.code = _Code(file, chosen.class_name)
         _refuse_foreign(recipe)
-        gains = {name: _gain(recipe, name, raw) for name, raw in chosen.gains.items()}
+        gains = {name: _gain(recipe, name, raw) for name, raw in chosen.own_gains.items()}
         self.used = {"gains": {name: float(v) for name, v in gains.items() if _is_number(v)}}
         self.object = self.code.make(gains)
         self.mask = self._observed(getattr(self.object, "channels", None))
@@ -84,9 +85,10 @@ class UserCode:
         """
         reference = Reference(*self.references[row].tolist())
         answer = self.code.call(".step", self.object.step, t, self._seen(sample), reference, t=t)
-        kept = command[self._unused]
+        kept = [float(command[i]) for i in self._unused]
         self._take(answer, t, command)
-        command[self._unused] = kept
+        for i, volts in zip(self._unused, kept, strict=True):
+            command[i] = volts
         # one look a tick; nan is in no range
         if not ((command >= self.low) & (command <= self.high)).all():
             self._bring_in_range(answer, t, command)
@@ -254,10 +256,10 @@ class _Code:
 
 def _refuse_foreign(recipe: TrialRecipe) -> None:
     """Refuse rules and tuned gains, which are for the built-in controllers."""
-    chosen = recipe.controller
+    chosen = controller_of(recipe)
     foreign = {
         "rules": ("rules of function selection", bool(chosen.rules)),
-        "gains": ("gains of a tune run", gains_file(recipe) is not None),
+        "gains": ("gains of a tune run", chosen.gains_from is not None),
     }
     for table, (what, given) in foreign.items():
         if given:

@@ -59,7 +59,7 @@ def test_the_same_campaign_twice_gives_the_same_bytes(tmp_path):
 
 
 def test_the_pump_cylinder_is_identified_and_accepted(tmp_path):
-    """From the logs of its virtual rig: slip and damping are found, and the held-out log follows."""
+    """From the logs of its virtual rig slip and damping are found; the held-out log follows."""
     made = workflow.run(
         ROOT / "recipes" / "pump_cylinder" / "campaign.toml", workflow.Session(root=tmp_path)
     )

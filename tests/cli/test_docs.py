@@ -19,7 +19,6 @@ from ehbench import inspection, recipe, reference, rig
 from ehbench.errors import InputError
 from ehbench.fields import SURENESS, Q
 from ehbench.recipe import load_rig
-from ehbench.starter import init
 
 ROOT = Path(__file__).parents[2]
 PAGES = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "docs").glob("*.md")}
@@ -59,7 +58,9 @@ def test_the_tables_are_as_the_models_make_them(page):
     ("page", "model"), MODELS, ids=lambda item: getattr(item, "__name__", item)
 )
 def test_every_key_stands_in_a_table_and_no_other(page, model):
-    """Of a model and those that it inherits from, as the page has them and as pydantic takes them."""
+    """Of a model and those that it inherits from, as the page has them and as pydantic takes
+    them.
+    """
     written = {
         key.strip("`")
         for base in model.__mro__
@@ -173,6 +174,18 @@ def test_the_generator_writes_and_checks(tmp_path, monkeypatch, capsys):
     assert reference.main([]) == 0 and page.read_text() == PAGES["recipes.md"]
 
 
+def heading_anchors(page: str) -> set[str]:
+    """The anchors of a page's headings, as a web page makes them."""
+    headings = re.findall(r"^#+ (.+)$", PAGES[page], re.M)
+    return {re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-") for text in headings}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_link_to_a_heading_finds_it(page):
+    for name, anchor in re.findall(r"\]\((?:docs/)?([\w.]*)#([\w-]+)\)", PAGES[page]):
+        assert anchor in heading_anchors(name or page), f"{page} links {name}#{anchor}"
+
+
 # --- examples of files
 # -------------------------------------------------------------------------------------------------
 
@@ -216,16 +229,6 @@ def test_the_recipes_of_the_reference_check(tmp_path):
 
 # --- Python
 # -------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def workspace(tmp_path_factory) -> Path:
-    """Where the snippets of the docs run: beside the repository's recipes and datasets."""
-    folder = tmp_path_factory.mktemp("docs")
-    for name in ("recipes", "datasets"):
-        (folder / name).symlink_to(ROOT / name)
-    init(folder / "my_rig")
-    return folder
 
 
 @pytest.mark.parametrize("page", [name for name in PAGES if blocks(name, "python")])

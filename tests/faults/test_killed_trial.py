@@ -63,11 +63,14 @@ def started(*arguments):
 
 
 def killed(ticks):
-    """A trial killed once its class has made so many ticks; (process, ticks made a second before)."""
+    """A trial killed once its class has made so many ticks; (process, ticks made a second
+    before).
+    """
     process, made = started("run-trial", "slow.toml", "--allow-code", "-q"), []
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline and (not made or made[-1][1] < ticks):
         time.sleep(0.05)
+        assert process.poll() is None
         text = Path("ticks").read_text() if Path("ticks").exists() else ""
         made.append((time.monotonic(), int(text or (made[-1][1] if made else 0))))
     os.kill(process.pid, signal.SIGKILL)

@@ -21,7 +21,8 @@ PAGE = (Path(__file__).parents[2] / "docs" / "rig_file.md").read_text(encoding="
 CRANE, *_ = EXAMPLES = re.findall(r"```toml\n(.*?)```", PAGE, re.S)
 (PRESS,) = (text for text in EXAMPLES if text.startswith("# a press"))
 PRESS = (
-    'name = "press"\n[oil]\nbulk_modulus = "1.1 GPa"\n[supply]\npressure = "250 bar"\nflow_limit = "200 L/min"\n'
+    'name = "press"\n[oil]\nbulk_modulus = "1.1 GPa"\n[supply]\npressure = "250 bar"\n'
+    'flow_limit = "200 L/min"\n'
     + ('[dynamics.spool]\nnatural_frequency = "60 Hz"\ndamping_ratio = 0.7\n' + PRESS)
 )
 PUMP = (
@@ -141,7 +142,8 @@ def padded(*cases):
         (
             'phase = "60 deg"',
             'phase = "60 deg"\nfriction_coulomb = "90 N"',
-            "unknown key 'pins.friction_coulomb' (a key of cylinder 'lift': put it above the table [cylinder.pins])",
+            "unknown key 'pins.friction_coulomb' (a key of cylinder 'lift': put it above the "
+            "table [cylinder.pins])",
             "friction_c",
         ),
         ('l_a = "1.2 m"\n', "", "cylinder 'lift': 'pins.l_a' is missing", "[cylinder.pins]"),

@@ -36,7 +36,9 @@ def bench_file(name):
 
 
 def plain(rig, **given):
-    """A bench file with every richness switched off that a file can switch off, on an orifice rig."""
+    """A bench file with every richness switched off that a file can switch off, on an orifice
+    rig.
+    """
     edges = {}
     for c, v, e in rig.edges():
         curve = {
@@ -145,7 +147,9 @@ def test_a_bench_without_a_file_is_plausible(name):
 @pytest.mark.parametrize("name", ("slide_servo", "crane_proportional", "boom_four_valve"))
 def test_with_all_richness_off_the_bench_is_the_model(name):
     rig = rig_of(name)
-    step = 1.25e-4  # the model takes its valves to order 8, the bench to order 4: small enough for 80 Hz valves to agree
+    # the model takes its valves to order 8, the bench to order 4: small enough for 80 Hz valves to
+    # agree
+    step = 1.25e-4
     bench = VirtualMachine(rig, plain(rig), step=step)
     bench.start()
     model = Model.of(rig)

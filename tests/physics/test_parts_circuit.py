@@ -1,4 +1,4 @@
-"""Pump, check valve and accumulator against their closed forms, and their part of the energy sum."""
+"""Pump, check valve and accumulator against their closed forms, and in the energy sum."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from scipy.integrate import quad
 
 from ehbench.compiled import table_of
 from ehbench.errors import InputError
-from ehbench.ledger import compressed, ledger_of_model
+from ehbench.ledger import ledger_of_model
+from ehbench.ledger.powers import compressed
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.accumulator import gas_capacity, gas_energy
 from ehbench.parts.edge import CHECK, EDGE, PUMP, edge_command, edge_flow, edge_slope
@@ -70,7 +71,7 @@ def test_a_pump_moves_its_displacement_less_its_slip(sign):
 
 
 def test_a_load_sinks_by_the_slip_of_a_pump_at_rest():
-    """Ringing damped out: ``v A1 = −slip (p_head − p_rod)`` at the pressures that carry the load."""
+    """Ringing damped out: ``v A1 = −slip (p_head − p_rod)`` at pressures that carry the load."""
     rig = RIG.with_values({"table.damping": 5e4, "lift.pump.slip": 1e-11})
     record = trial(rig, np.zeros(1501))
     row = Model.of(rig).plant.cylinders[0]
@@ -301,8 +302,8 @@ def test_trim_is_an_equilibrium_where_nothing_slips(payload):
 
 
 def test_the_head_end_alone_is_the_spring():
-    """A pump at rest shuts the head end in, an open check valve ties the rod end to the charge line:
-    ``ω² = β A1²/(V1 m)``, where the gas of the line is too soft to count.
+    """A pump at rest shuts the head end in, an open check valve ties the rod end to the charge
+    line: ``ω² = β A1²/(V1 m)``, where the gas of the line is too soft to count.
     """
     values = {"lift.pump.slip": 0.0, "table.damping": 0.0, "supply.gas_volume": 1.0}
     model = Model.of(RIG.with_values(values | {"lift.check_rod.orifice_gain": 1e-5}))

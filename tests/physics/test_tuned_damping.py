@@ -17,8 +17,9 @@ from ehbench.machines.simulated import model_sample, model_tick
 from ehbench.parts.cylinder import linkage_of
 from ehbench.plant.model import Model
 from ehbench.recipe import TuneRecipe, load_rig
-from ehbench.tune.gains import NONE, tune_pressure_feedback
+from ehbench.tune.gains import tune_pressure_feedback
 from ehbench.tune.linear import circuit_of, state_of
+from ehbench.tune.study import NONE
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 TICK = 1e-3
@@ -100,7 +101,9 @@ class Running:
         return turn
 
     def modes(self, ticks):
-        """(poles [rad/s], share of each that lies in this cylinder, its valves and its controller)."""
+        """(poles [rad/s], share of each that lies in this cylinder, its valves and its
+        controller).
+        """
         pushes = np.diag(self.sizes)
         columns = [(self.after(p, ticks) - self.after(-p, ticks)) / 2.0 for p in pushes]
         first, last = (

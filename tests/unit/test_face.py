@@ -16,7 +16,6 @@ import pytest
 import ehbench
 from ehbench.errors import InputError
 from ehbench.record import Record
-from ehbench.starter import init
 from ehbench.workflow import Outcome
 
 ROOT = Path(__file__).parents[2]
@@ -28,19 +27,9 @@ EXAMPLES = {
 
 
 @pytest.fixture(scope="module")
-def workspace(tmp_path_factory) -> Path:
-    """Where an example of the docs stands: beside the repository's recipes and a new workspace."""
-    folder = tmp_path_factory.mktemp("face")
-    for name in ("recipes", "datasets"):
-        (folder / name).symlink_to(ROOT / name)
-    init(folder / "my_rig")
-    return folder
-
-
-@pytest.fixture(scope="module")
 def identified(workspace) -> Outcome:
     return ehbench.identify(
-        workspace / "recipes/slide_servo/hydraulics.toml", out=workspace / "identified"
+        workspace / "recipes/slide_servo/hydraulics.toml", out=workspace / "reports" / "identified"
     )
 
 

@@ -21,15 +21,12 @@ from ehbench.errors import InputError, InsufficientData, ModelRejected
 from ehbench.recipe import TuneRecipe, load_recipe, load_rig
 from ehbench.rig import Value
 from ehbench.tune import gains as module
-from ehbench.tune.gains import (
-    bandwidth,
-    draw_parameters,
-    gain_limit,
-    locus,
-    margins,
-    tune_pressure_feedback,
-)
+from ehbench.tune.draws import draw_parameters
+from ehbench.tune.gains import tune_pressure_feedback
 from ehbench.tune.linear import Law, damping_ratio
+from ehbench.tune.loci import locus
+from ehbench.tune.margins import bandwidth, gain_limit, margins, speed_of, violations
+from ehbench.tune.study import prepare_tuning
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 
@@ -52,9 +49,8 @@ def tuned():
 
 @pytest.fixture(scope="module")
 def sites():
-    r, notes = recipe(), []
-    m = machine()
-    return module._sites(m.rig, None, r, "boom", 8e5, 8e5, notes)[0]
+    pressures = {"low_pressure": "8 bar", "cross_drop": "8 bar"}
+    return prepare_tuning(machine(), recipe(**pressures)).sites
 
 
 def test_thesis_boom_reaches_its_target_with_one_gain():
@@ -87,7 +83,7 @@ def test_demands_are_kept_and_no_neighbour_is_better(tuned, sites):
 
     def worst(at):
         loops = [s.loop(law) for s in sites if s.counts]
-        kept = all(not module._violations(margins(loop, at), tuned.constraints) for loop in loops)
+        kept = all(not violations(margins(loop, at), tuned.constraints) for loop in loops)
         return min(float(loop.damping_ratio(at)) for loop in loops) if kept else -1.0
 
     assert worst(gain) == pytest.approx(tuned.damping_ratio, rel=1e-6)
@@ -116,7 +112,7 @@ def test_locus_is_that_of_the_closed_loop(sites):
     site = next(s for s in sites if s.counts)
     loop, gain = site.loop(law), 1e-10
     limit = gain_limit(loop, np.geomspace(1e-12, 1e-8, 60))
-    one = locus(loop, site, law, gain, "feedback_gain", limit)
+    one = locus(site, law, gain, "feedback_gain", limit)
     for k in range(0, len(one.values), 7):
         exact = np.linalg.eigvals(loop.closed(one.values[k]))
         found = np.array(one.real[k]) + 1j * np.array(one.imag[k])
@@ -127,7 +123,7 @@ def test_locus_is_that_of_the_closed_loop(sites):
     assert limit > gain and sum(abs(v / limit - 1) < 0.2 for v in one.values) >= 20
     closed = damping_ratio(np.array([complex(*p) for p in one.chosen_poles]), loop.fastest)
     assert closed == pytest.approx(float(loop.damping_ratio(gain)), rel=1e-5)
-    corner = locus(loop, site, law, gain, "washout", limit)
+    corner = locus(site, law, gain, "washout", limit)
     exact = np.linalg.eigvals(loop.closed(gain))
     found = np.array([complex(*p) for p in corner.chosen_poles])
     assert all(np.abs(found - pole).min() < 1e-4 * abs(pole) for pole in exact)
@@ -145,7 +141,7 @@ def test_margins_and_bandwidth_agree_with_poles_and_python_control(sites):
     loop = next(s for s in sites if s.counts).loop(replace(law, off_gain=4e-11))
     # the grid is 1.7 % wide and interpolated
     assert bandwidth(loop, gain) == pytest.approx(
-        float(control.bandwidth(module._speed(loop, gain))), rel=2e-3
+        float(control.bandwidth(speed_of(loop, gain))), rel=2e-3
     )
     assert margins(loop, 2 * gain_limit(loop, np.geomspace(1e-12, 1e-8, 60))).gain_margin == 0.0
 
@@ -172,7 +168,9 @@ def test_steps_and_bias(tuned):
 
 
 def test_bias_without_washout_is_the_steady_error(sites):
-    """The linear loop settles where flow in = A·v: A v_d − K p = A v with p carrying the load at v."""
+    """The linear loop settles where flow in = A·v: A v_d − K p = A v with p carrying the load
+    at v.
+    """
     site = next(s for s in sites if s.counts and s.point.function == "extend_resistive")
     gain, point = 2e-11, site.point
     bias = module._bias(site.loop(Law(0.0, 4e-11, 1e-3)), point, gain)
@@ -317,7 +315,8 @@ def test_nothing_to_tune_on():
 def test_recipe_file(tmp_path):
     path = tmp_path / "tune.toml"
     path.write_text(
-        'stage = "tune"\nrig = "validate.toml"\ncylinder = "boom"\nwashout = "0.6 Hz"\noff_gain = "300 mL/min/bar"\n'
+        'stage = "tune"\nrig = "validate.toml"\ncylinder = "boom"\nwashout = "0.6 Hz"\n'
+        'off_gain = "300 mL/min/bar"\n'
         'phase_margin = "40 deg"\nbandwidth = "1 Hz"\n'
     )
     read = load_recipe(path)

@@ -1,19 +1,45 @@
 """Metering edges: how much oil passes from one node to another at a drop and an opening, a law a
 file.
 
-To add a law: write its file after ``orifice.py`` and name it in LAWS.
+To add a law: write its file after ``orifice.py``, name it in LAWS and its keys in LawFields.
 """
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Literal
+
 from ehbench.compiled import choice, part_kernel, record
 from ehbench.parts.edge import check, compensated, measured, orifice, pump
+from ehbench.parts.edge.check import CheckFields
+from ehbench.parts.edge.compensated import CompensatedFields
+from ehbench.parts.edge.law import EdgeLaw
+from ehbench.parts.edge.orifice import OrificeFields
+from ehbench.parts.edge.pump import FixedPumpFields, PumpFields
 from ehbench.parts.nodes import node_pressure
 
 LAWS = (orifice.LAW, compensated.LAW, measured.LAW, pump.LAW, check.LAW)
 BY_NAME = {law.name: number for number, law in enumerate(LAWS)}
 ORIFICE, COMPENSATED, MAP = (BY_NAME[name] for name in ("orifice", "compensated", "map"))
 PUMP, CHECK = BY_NAME["pump"], BY_NAME["check"]
+if TYPE_CHECKING:
+    LawName = FixedLawName = str
+else:
+    LawName = Literal[tuple(law.name for law in LAWS if law.commanded)]
+    FixedLawName = Literal[tuple(law.name for law in LAWS if not law.metering)]
+
+
+class LawFields(PumpFields, CompensatedFields, OrificeFields):
+    """What the laws add to an edge of the rig file; the last one's keys come first in it."""
+
+
+class FixedLawFields(FixedPumpFields, CheckFields):
+    """What the laws add to an edge without a command; the last one's keys come first in it."""
+
+
+def edge_law(name: str) -> EdgeLaw:
+    """The law of that name."""
+    return LAWS[BY_NAME[name]]
+
 
 # An edge. ``from_node, to_node`` it joins, flow positive from → to; the number of its ``valve``, −1
 # where it has no command; ``sign`` ±1 of the commands that open it; ``law`` its number in LAWS;
@@ -21,9 +47,9 @@ PUMP, CHECK = BY_NAME["pump"], BY_NAME["check"]
 # open it; then the columns of the laws: ``gain`` [m³/(s·V·√Pa)] of an orifice,
 # [m³/(s·V)] of a compensated edge, ``deadband`` [V], ``compensation_drop`` [Pa], where the
 # ``forward`` and the ``reverse`` map begin (−1: none); of a pump ``displacement`` [m³/rad],
-# ``speed_gain`` [rad/(s·V)], ``pump_speed`` [rad/s], ``slip`` [m³/(s·Pa)]; of a check valve ``gain``
-# [m³/(s·√Pa)], ``cracking_pressure, opening_range`` [Pa], its ``pilot`` node (−1: none) and
-# ``pilot_ratio``.
+# ``speed_gain`` [rad/(s·V)], ``pump_speed`` [rad/s], ``slip`` [m³/(s·Pa)]; of a check valve
+# ``gain`` [m³/(s·√Pa)], ``cracking_pressure, opening_range`` [Pa], its ``pilot`` node (−1: none)
+# and ``pilot_ratio``.
 EDGE = record(
     ("from_node", "i8"),
     ("to_node", "i8"),
@@ -65,8 +91,8 @@ def edge_command(drop, flow, edge, maps):
     ``edge_flow``.
 
     Flow and drop must have one sign, but for a pump; where they have not, or the edge is blocked,
-    no opening gives that flow and the valve's closed command 0 is returned. The result is not limited to the
-    driver's range by the analytic laws."""
+    no opening gives that flow and the valve's closed command 0 is returned. The result is not
+    limited to the driver's range by the analytic laws."""
     if edge.unmetered == 0 and (flow * drop <= 0.0 or (drop < 0.0 and edge.blocked == 1)):
         return 0.0
     return edge.sign * _opening(edge.law, drop, flow, edge, maps)

@@ -3,10 +3,22 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated, Any, Literal
 
 from ehbench.compiled import part_kernel
+from ehbench.fields import FileModel, Q, Value
 from ehbench.parts.edge.law import EdgeLaw
 from ehbench.parts.edge.orifice import ORIFICE_DROP, root
+
+
+class CheckFields(FileModel):
+    """What a check valve has in the rig file."""
+
+    orifice_gain: Annotated[Value, Q("orifice_gain")] | None = None
+    cracking_pressure: Annotated[Value, Q("cracking_pressure")] = Value(0.0)
+    opening_range: Annotated[Value, Q("opening_range")] = Value(5.0e4)
+    pilot: Literal["supply", "tank", "head", "rod"] | None = None
+    pilot_ratio: Annotated[Value, Q("pilot_ratio")] | None = None
 
 
 NEAR = 4.0  # opening ranges by which a poppet at rest may come to move within a step
@@ -55,6 +67,16 @@ def slope(drop, flow, reach, edge):
     return edge.gain * (steep * root(abs(drop)) * max(1.0, edge.pilot_ratio) + chord)
 
 
+def pack(edge: Any) -> dict[str, float]:
+    """Columns of a check valve but for its pilot's node."""
+    return {
+        "gain": float(edge.orifice_gain),
+        "cracking_pressure": float(edge.cracking_pressure),
+        "opening_range": float(edge.opening_range),
+        "pilot_ratio": float(edge.pilot_ratio or 0.0),
+    }
+
+
 LAW = EdgeLaw(
     name="check",
     columns=(
@@ -66,6 +88,10 @@ LAW = EdgeLaw(
     ),
     flow=flow,
     opening=opening,
+    pack=pack,
+    needs_fixed=("orifice_gain",),
+    has_deadband=False,
     slope=slope,
     metering=False,
+    commanded=False,
 )

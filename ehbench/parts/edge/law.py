@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -36,13 +37,24 @@ class EdgeLaw:
     bounds how fast a flow other than zero changes with a pressure at either end [m³/(s·Pa)], for
     the substep guard.
 
-    A law that is not ``metering`` passes oil at any opening and drop, and gives flows of any sign.
+    ``pack(edge)`` gives the law's columns of an edge of the rig file by their names; of that
+    edge's keys it ``needs`` some, ``needs_fixed`` where the edge has no command. ``has_deadband``
+    says whether its ``deadband`` counts.
+
+    A law that is not ``metering`` passes oil at any opening and drop, gives flows of any sign, and
+    may be that of an edge without a command; it is only of such edges where it is not
+    ``commanded``.
     """
 
     name: str
     columns: tuple[tuple[str, str], ...]
     flow: Callable
     opening: Callable
+    pack: Callable[[Any], dict[str, float]]
+    needs: tuple[str, ...] = ()
+    needs_fixed: tuple[str, ...] = ()
+    has_deadband: bool = True
     known: Callable = _everywhere
     slope: Callable = _chord
     metering: bool = True
+    commanded: bool = True

@@ -2,8 +2,27 @@
 
 from __future__ import annotations
 
+from typing import Annotated, Any
+
 from ehbench.compiled import part_kernel
+from ehbench.fields import FileModel, Q, Value
 from ehbench.parts.edge.law import EdgeLaw
+
+
+class PumpFields(FileModel):
+    """What an edge of law ``pump`` has in the rig file."""
+
+    displacement: Annotated[Value, Q("displacement")] | None = None
+    speed_gain: Annotated[Value, Q("speed_gain")] | None = None
+    slip: Annotated[Value, Q("slip")] = Value(0.0)
+
+
+class FixedPumpFields(FileModel):
+    """What a pump without a command has in the rig file."""
+
+    displacement: Annotated[Value, Q("displacement")] | None = None
+    pump_speed: Annotated[Value, Q("pump_speed")] | None = None
+    slip: Annotated[Value, Q("slip")] = Value(0.0)
 
 
 @part_kernel
@@ -34,11 +53,20 @@ def slip_loss(drop, edge):
     return edge.slip * drop * drop
 
 
+def pack(edge: Any) -> dict[str, float]:
+    """Columns of a pump with a command, or of one without."""
+    return {key: float(getattr(edge, key, None) or 0.0) for key, _ in LAW.columns}
+
+
 LAW = EdgeLaw(
     name="pump",
     columns=(("displacement", "f8"), ("speed_gain", "f8"), ("pump_speed", "f8"), ("slip", "f8")),
     flow=flow,
     opening=opening,
+    pack=pack,
+    needs=("displacement", "speed_gain"),
+    needs_fixed=("displacement", "pump_speed"),
+    has_deadband=False,
     slope=slope,
     metering=False,
 )

@@ -6,6 +6,8 @@ coulomb/smoothing [N·s/m].
 
 from __future__ import annotations
 
+from typing import Any
+
 from ehbench.compiled import part_kernel
 from ehbench.parts.friction.law import FrictionLaw
 from ehbench.physics.friction import coulomb_viscous
@@ -28,9 +30,15 @@ def steepness(row, v):
     return steep + row.friction_viscous
 
 
+def pack(cylinder: Any) -> dict[str, float]:
+    """Columns of a cylinder."""
+    return {key: float(getattr(cylinder, key)) for key in ("friction_viscous", "friction_coulomb")}
+
+
 LAW = FrictionLaw(
     name="coulomb_viscous",
     columns=(("friction_viscous", "f8"), ("friction_coulomb", "f8")),
     steady=steady,
+    pack=pack,
     steepness=steepness,
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from ehbench.compiled import inlined, part_kernel
 
@@ -27,6 +28,8 @@ class FrictionLaw:
     resistance [N], of the sign of v, once a speed [m/s] has lasted; ``steepness(row, v)`` the
     largest slope [N·s/m] near that speed, for the substep guard.
 
+    ``pack(cylinder)`` gives its columns of a cylinder of the rig file.
+
     A law with ``states`` has them from ``row.friction_state`` on, and three more kernels:
     ``force(row, v, y)`` is the resistance now [N], ``rates(row, v, y, dy)`` writes their rates, and
     ``held(row, y)`` is the energy in them [J]. Without states the resistance is the steady one.
@@ -35,6 +38,7 @@ class FrictionLaw:
     name: str
     columns: tuple[tuple[str, str], ...]
     steady: Callable
+    pack: Callable[[Any], dict[str, float]]
     steepness: Callable
     states: tuple[str, ...] = ()
     force: Callable | None = None

@@ -12,9 +12,9 @@ from ehbench.parts.valve import second_order
 LAWS = (second_order.LAW,)
 BY_NAME = {law.name: number for number, law in enumerate(LAWS)}
 
-# A valve. ``lowest, highest`` command of its driver [V]; its ``count`` elements stand from ``first``
-# on in the plant's elements; ``output`` is where its opening [V] stands in the state, −1 where the
-# opening is the command.
+# A valve. ``lowest, highest`` command of its driver [V]; its ``count`` elements stand from
+# ``first`` on in the plant's elements; ``output`` is where its opening [V] stands in the state, −1
+# where the opening is the command.
 VALVE_COLUMNS = (
     ("lowest", "f8"),
     ("highest", "f8"),

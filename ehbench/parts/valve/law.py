@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,8 @@ class ValveElement:
     ``lag(element)`` is the time [s] by which it trails a steady ramp.
     ``recover(element, signal, dt, y, later)`` finds the states behind its first one in ``y`` from
     that one, and from what goes out ``later`` by ``dt`` [s] under a held signal [V].
+    ``pack(dynamics)`` gives its columns and its ``fastest`` rate [1/s], from a ``[dynamics.…]`` of
+    the rig file.
     """
 
     name: str
@@ -32,3 +35,4 @@ class ValveElement:
     finish: Callable
     recover: Callable
     lag: Callable
+    pack: Callable[[Any], dict[str, float]]

@@ -3,11 +3,62 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated
+
+from pydantic import model_validator
 
 from ehbench.compiled import part_kernel
+from ehbench.fields import FileModel, Q, Value
 from ehbench.parts.valve.law import ValveElement
 
 SETTLED = 1.0e-12  # [V]: a valve this near to its command has arrived
+
+
+class Dynamics(FileModel):
+    """Second-order valve dynamics opening/command, as ω_n and ζ or as the denominator s2·s² + s1·s
+    + 1.
+    """
+
+    natural_frequency: Annotated[Value, Q("natural_frequency")] | None = None
+    damping_ratio: Annotated[Value, Q("damping_ratio")] | None = None
+    s2: Annotated[Value, Q("s2")] | None = None
+    s1: Annotated[Value, Q("s1")] | None = None
+    note: str = ""
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Dynamics:
+        pair = self.natural_frequency is not None and self.damping_ratio is not None
+        poly = self.s2 is not None and self.s1 is not None
+        given = sum(
+            v is not None for v in (self.natural_frequency, self.damping_ratio, self.s2, self.s1)
+        )
+        if given != 2 or pair == poly:
+            raise ValueError("give natural_frequency and damping_ratio, or s2 and s1")
+        if poly and float(self.s2) <= 0:  # type: ignore[arg-type]
+            raise ValueError("s2 must be positive")
+        return self
+
+    def frequency_and_damping(self) -> tuple[float, float]:
+        """(ω_n [rad/s], ζ)."""
+        if self.natural_frequency is not None:
+            return float(self.natural_frequency), float(self.damping_ratio)  # type: ignore[arg-type]
+        omega = 1.0 / math.sqrt(float(self.s2))  # type: ignore[arg-type]
+        return omega, 0.5 * omega * float(self.s1)  # type: ignore[arg-type]
+
+
+def second_order(omega: float, zeta: float) -> dict[str, float]:
+    """Columns of an element of natural frequency [rad/s] and damping ratio."""
+    stiffness = omega**2
+    return {
+        "stiffness": stiffness,
+        "damping": 2 * zeta * omega,
+        "fastest": math.sqrt(stiffness),
+    }
+
+
+def pack(dynamics: Dynamics) -> dict[str, float]:
+    """Columns of an element."""
+    return second_order(*dynamics.frequency_and_damping())
 
 
 @part_kernel
@@ -108,4 +159,5 @@ LAW = ValveElement(
     finish=finish,
     recover=recover,
     lag=lag,
+    pack=pack,
 )

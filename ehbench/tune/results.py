@@ -1,0 +1,192 @@
+"""What tuning leaves: the gains, and what they rest on at every operating point."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from ehbench.tune.linear import OperatingPoint
+
+DIGITS = 9  # of the numbers in the file
+
+
+@dataclass(frozen=True)
+class Margins:
+    """``gain_margin`` (factor), ``phase_margin`` [rad], the least of the feedback loop and the
+    off-side's, each with the other closed; ``bandwidth`` [rad/s] of speed over desired speed, −3
+    dB."""
+
+    gain_margin: float
+    phase_margin: float
+    bandwidth: float
+
+
+@dataclass(frozen=True)
+class PointResult:
+    """One operating point. Poles [rad/s] as (real, imaginary); ``curve`` is the least damping ratio
+    over ``Tuning.gains``.
+
+    ``counts``: the gain was chosen on it. Others are shown only: no load makes the controller use
+    that function there. ``open``: no pressure feedback, off-side held. ``natural_frequency_*``
+    [rad/s] and ``damping_ratio_*`` of the least damped pair. ``gain_limit`` [m³/(s·Pa)]: where the
+    loop becomes unstable, inf if not in the range looked at. ``bias`` [m/s]: what feedback without
+    a washout would take from the steady speed, and ``damping_ratio_plain`` what it would reach."""
+
+    name: str
+    point: OperatingPoint
+    counts: bool
+    open_poles: tuple[tuple[float, float], ...]
+    closed_poles: tuple[tuple[float, float], ...]
+    natural_frequency_open: float
+    natural_frequency_closed: float
+    damping_ratio_open: float
+    damping_ratio_closed: float
+    damping_ratio_plain: float
+    bias: float
+    gain_limit: float
+    margins: Margins
+    curve: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Locus:
+    """A root locus at one operating point: poles [rad/s], shape (parameters, poles), over
+    ``parameter``, ``feedback_gain`` or ``washout``.
+
+    ``chosen`` the parameter used and its poles; ``crossing`` the parameter at the stability limit
+    and its poles there, None where it has none; ``frame`` (least real, most real, most imaginary
+    part) that shows the poles that matter."""
+
+    name: str
+    parameter: str
+    values: tuple[float, ...]
+    real: tuple[tuple[float, ...], ...]
+    imag: tuple[tuple[float, ...], ...]
+    chosen: float
+    chosen_poles: tuple[tuple[float, float], ...]
+    crossing: float | None
+    crossing_poles: tuple[tuple[float, float], ...]
+    frame: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class StepResponse:
+    """Speed [m/s] after a step of 1 m/s in desired speed, without and with pressure feedback, over
+    ``t`` [s].
+    """
+
+    name: str
+    t: tuple[float, ...]
+    v_open: tuple[float, ...]
+    v_closed: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Another law at its own best gain: its least damping ratio over the operating points that
+    count.
+    """
+
+    what: str
+    washout: float
+    ramp_washout: float
+    off_gain: float
+    feedback: str
+    feedback_gain: float
+    damping_ratio: float
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Equivalent mass, gravity force, damping over the stroke for one payload (thesis B.1–B.4)."""
+
+    payload: str
+    x: tuple[float, ...]
+    q: tuple[float, ...]
+    mass: tuple[float, ...]
+    gravity_force: tuple[float, ...]
+    damping: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """Draws of the identified parameters: the share that reaches the target, and the range of the
+    worst damping ratio (5, 50, 95 %).
+
+    ``points``: how many operating points, the least damped ones, each draw was judged at.
+    """
+
+    draws: int
+    parameters: tuple[str, ...]
+    points: int
+    share: float | None
+    quantiles: tuple[float, ...]
+    damping_ratios: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Gains of the pressure feedback and what they rest on; all SI.
+
+    ``feedback_gain`` K_p [m³/(s·Pa)] by working function, ``washout`` ω_w and ``ramp_washout`` ω_r
+    [rad/s] (0 for none), ``off_gain`` [m³/(s·Pa)], ``low_pressure`` and ``cross_drop`` [Pa],
+    ``tick`` and ``delay`` [s]. ``damping_ratio`` the least over the operating points that count,
+    ``damping_ratio_open`` without feedback. ``met``: target and constraints hold at each of them.
+    ``gains`` the abscissa of the curves."""
+
+    rig: str
+    cylinder: str
+    feedback_gain: dict[str, float]
+    washout: float
+    ramp_washout: float
+    off_gain: float
+    low_pressure: float
+    cross_drop: float
+    tick: float
+    delay: float
+    target: float
+    damping_ratio: float
+    damping_ratio_open: float
+    damping_ratio_open_most: float
+    met: bool
+    constraints: dict[str, float]
+    gains: tuple[float, ...]
+    worst_curve: tuple[float, ...]
+    points: tuple[PointResult, ...]
+    equivalents: tuple[Curves, ...]
+    loci: tuple[Locus, ...]
+    steps: tuple[StepResponse, ...]
+    alternatives: tuple[Alternative, ...]
+    robustness: Robustness
+    warnings: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain numbers, texts and lists, for `rundir.write_json`; numbers to DIGITS digits."""
+        return _rounded(asdict(self))
+
+    def controller(self) -> dict[str, Any]:
+        """Keywords for `ehbench.control.pressure_feedback.pack_pressure_feedback`."""
+        return {
+            "tick": self.tick,
+            "feedback_gain": self.feedback_gain,
+            "washout": self.washout,
+            "ramp_washout": self.ramp_washout,
+            "off_gain": self.off_gain,
+            "low_pressure": self.low_pressure,
+        }
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_rounded(item) for item in value]
+    return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
+
+
+def pairs(poles: np.ndarray) -> tuple[tuple[float, float], ...]:
+    """Poles as (real, imaginary), sorted."""
+    order = np.lexsort((np.imag(poles), np.real(poles)))
+    return tuple((float(p.real), float(p.imag)) for p in poles[order])
