@@ -276,6 +276,48 @@ _ROWS = [
         1e2,
         1e8,
     ),
+    Quantity("displacement", "D", "m^3/rad", "mL/rev", "oil that a pump moves a turn", 1e-12, 1e-2),
+    Quantity(
+        "speed_gain", "k_ω", "rad/(s*V)", "rpm/V", "pump speed per volt of command", 1e-3, 1e4
+    ),
+    Quantity("pump_speed", "ω", "rad/s", "rpm", "speed of a pump without a command", -1e4, 1e4),
+    Quantity(
+        "slip", "C_s", "m^3/(s*Pa)", "mL/min/bar", "oil that slips back through a pump", 0, 1e-6
+    ),
+    Quantity(
+        "orifice_gain", "k_o", "m^3/(s*Pa^0.5)", "gpm/MPa^0.5", "flow per root of drop", 0, 10
+    ),
+    Quantity(
+        "cracking_pressure",
+        "p_c",
+        "Pa",
+        "kPa",
+        "drop at which a check valve begins to open",
+        0,
+        1e7,
+    ),
+    Quantity(
+        "opening_range",
+        "p_o",
+        "Pa",
+        "kPa",
+        "pressure from a check valve's cracking to where it stands open",
+        1e2,
+        1e7,
+    ),
+    Quantity(
+        "pilot_ratio",
+        "r_p",
+        "dimensionless",
+        "dimensionless",
+        "area of a check valve's pilot over that of its seat",
+        0,
+        100,
+    ),
+    Quantity(
+        "precharge", "p_0", "Pa", "kPa", "gauge gas pressure of an accumulator without oil", 0, 1e8
+    ),
+    Quantity("gas_volume", "V_g", "m^3", "L", "gas of an accumulator without oil", 1e-6, 10),
     Quantity("deadband", "u0", "V", "V", "command below which a valve stays shut", 0, 100),
     Quantity(
         "opening_max", "u_s", "V", "V", "opening beyond which an edge passes nothing more", 0, 100
@@ -310,7 +352,7 @@ _ROWS = [
         "n",
         "dimensionless",
         "dimensionless",
-        "exponent of the air's compression",
+        "exponent of a gas's compression",
         1,
         1.7,
     ),

@@ -26,7 +26,7 @@ from ehbench.codes import (
 from ehbench.compiled import kernel, record
 from ehbench.control.records import blank, numbers, reals
 from ehbench.errors import InputError
-from ehbench.parts.edge import EDGE, MAP, edge_flow, edge_known
+from ehbench.parts.edge import EDGE, MAP, PUMP, edge_flow, edge_known
 from ehbench.physics.flow_map import ValveMaps
 
 PATHS = ("supply_head", "head_tank", "supply_rod", "rod_tank", "head_rod", "rod_head")
@@ -358,7 +358,8 @@ def circuit(
             an edge follows a map.
 
     Raises:
-        InputError: no edge touches the cylinder, or an edge with a map has none in ``measured``.
+        InputError: no edge touches the cylinder, a pump does, or an edge with a map has none in
+            ``measured``.
     """
     if edges.dtype != EDGE:
         raise InputError(
@@ -398,11 +399,16 @@ def _edges_at(edges: np.recarray, cylinder: int, nodes: tuple[int, int]) -> np.n
     """Numbers of the edges that touch some nodes.
 
     Raises:
-        InputError: none does.
+        InputError: none does, or one is a pump.
     """
     own = np.flatnonzero(np.isin(edges.from_node, nodes) | np.isin(edges.to_node, nodes))
     if not own.size:
         raise InputError(f"no metering edge leads to cylinder {cylinder}")
+    if (edges.law[own] == PUMP).any():
+        raise InputError(
+            "a pump moves this cylinder, and the built-in controllers meter oil through valves",
+            hint="give it commands without a controller: [[command]]",
+        )
     return own
 
 

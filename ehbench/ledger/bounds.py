@@ -264,10 +264,10 @@ def _drawn(rig: Rig, record: Record, cylinder: str) -> float | None:
     their flows.
     """
     total = 0.0
-    for item, valve, edge in rig.edges():
-        if item.name != cylinder or "supply" not in (edge.from_, edge.to):
+    for name, edge in rig.all_edges().items():
+        if name.split(".", 1)[0] != cylinder or "supply" not in (edge.from_, edge.to):
             continue
-        channel = f"{cylinder}.{valve.edge_name(edge)}.flow"
+        channel = f"{name}.flow"
         if channel not in record or "p_supply" not in record:
             return None
         sign = 1.0 if edge.from_ == "supply" else -1.0

@@ -122,13 +122,15 @@ class Account:
             spent[:, power_at(edges, c, OF.work)] = _cumulated(
                 0.5 * np.diff(m.x[:, c]), force[:, None], at
             )[:, 0]
-        if m.flow_supply is None:
+        if m.flow_supply is None and plant.supply.flow_limit > 0.0:
             drawn, drawn_compression = (
                 [power_at(edges, c, which) for c in cylinders]
                 for which in (OF.drawn, OF.drawn_compression)
             )
             pressed = _pressed(plant.supply, m.p_supply)[at]
             spent[:, PUMP] = spent[:, drawn].sum(axis=1) + pressed
+            if plant.supply.gas_volume > 0.0:
+                spent[:, PUMP] += held[:, -1]
             spent[:, COMPRESSION] = (
                 spent[:, drawn_compression].sum(axis=1) + held[:, SUPPLY_LINE] - pressed
             )
@@ -297,7 +299,7 @@ def _flow_std(
     """
     model, m, states, flow = found.model, found.readings, found.states, found.flows[:, e]
     plant, name = model.plant, model.layout.edges[e]
-    _, _, edge = list(model.rig.edges())[e]
+    edge = model.rig.all_edges()[name]
     if not flow.any():
         return np.zeros_like(flow), []
     share = accuracy.flow * np.abs(flow)

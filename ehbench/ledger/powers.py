@@ -18,6 +18,9 @@ from ehbench.parts.cylinder import (
     linkage_of,
     relief_out,
 )
+from ehbench.parts.accumulator import gas_energy
+from ehbench.parts.edge import PUMP as PUMP_LAW
+from ehbench.parts.edge.pump import slip_loss
 from ehbench.parts.end_stop import stop_held, stop_loss
 from ehbench.parts.friction import friction_held, friction_loss
 from ehbench.parts.load import push_on, spring_held
@@ -51,11 +54,12 @@ class CylinderStores(NamedTuple):
     load_spring: int = 3
 
 
-# powers: the pump's, its share for compression, one per edge, those of each cylinder, one per joint
+# powers: the pump's, its share for compression, one per edge, those of each cylinder, one per
+# joint, the shaft of each edge that is a pump
 PUMP, COMPRESSION, FIRST_EDGE = 0, 1, 2
 OF, PER_CYLINDER = CylinderPowers(), len(CylinderPowers())
 # what is stored: in the supply line, in the mechanism, in each cylinder, then in the friction of
-# each whose law has states
+# each whose law has states, then in an accumulator
 SUPPLY_LINE, KINETIC, POTENTIAL, FIRST_CYLINDER = 0, 1, 2, 3
 STORED, STORES = CylinderStores(), len(CylinderStores())
 
@@ -72,14 +76,14 @@ def store_at(cylinder, which):
     return FIRST_CYLINDER + STORES * cylinder + which
 
 
-def powers_of(edges: int, cylinders: int, joints: int) -> int:
+def powers_of(edges: int, cylinders: int, joints: int, pumps: int) -> int:
     """How many columns of powers there are."""
-    return int(power_at(edges, cylinders, 0)) + joints
+    return int(power_at(edges, cylinders, 0)) + joints + pumps
 
 
-def stores_of(cylinders: int, frictions: int) -> int:
+def stores_of(cylinders: int, frictions: int, accumulators: int) -> int:
     """How many columns of what is stored there are."""
-    return int(store_at(cylinders, frictions))
+    return int(store_at(cylinders, frictions)) + accumulators
 
 
 @kernel
@@ -124,6 +128,22 @@ def powers(y, command, flows, plant, owner, out):
     for j in range(at.joints):
         rate = y[at.rates + j]
         out[first + j] = plant.links[j].damping * rate * rate
+    shaft = first + at.joints
+    for e in range(edges):
+        if plant.edges[e].law == PUMP_LAW:
+            _pump(e, y, flows[e], plant, shaft, out)
+            shaft += 1
+
+
+@kernel
+def _pump(e, y, flow, plant, shaft, out):
+    """Write what an edge takes that is a pump, the slip, and what its shaft gives, ``D ω (p_b −
+    p_a)``, into column ``shaft``.
+    """
+    edge = plant.edges[e]
+    drop = node_pressure(y, plant, edge.from_node) - node_pressure(y, plant, edge.to_node)
+    out[FIRST_EDGE + e] = slip_loss(drop, edge)
+    out[shaft] = out[FIRST_EDGE + e] - drop * flow
 
 
 @kernel
@@ -211,3 +231,5 @@ def stores(y, plant, work, out):
         if plant.cylinders[c].friction_state >= 0:
             out[at] = friction_held(plant.cylinders[c], y)
             at += 1
+    if plant.supply.gas_volume > 0.0:
+        out[at] = gas_energy(node_pressure(y, plant, SUPPLY), plant.supply)

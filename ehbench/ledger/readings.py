@@ -51,7 +51,7 @@ def read_log(model: Model, record: Record) -> tuple[Readings, list[str]]:
         )
     ]
     flow_supply = log.get("flow_supply") if "flow_supply" in record else None
-    if flow_supply is None:
+    if flow_supply is None and model.plant.supply.flow_limit > 0.0:
         log.notes.append(
             "no flow of the pump: its energy is that of what the valves draw and the supply line "
             "stores"

@@ -30,13 +30,14 @@ from ehbench.parts.cylinder import (
     chamber_oil,
     linkage_of,
 )
+from ehbench.parts.edge import CHECK, PUMP, check, edge_opening, pump
 from ehbench.parts.edge.orifice import ORIFICE_DROP
 from ehbench.parts.end_stop import stop_force, stop_rate
 from ehbench.parts.load import force_on, force_steepness
 from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
 from ehbench.parts.oil import bulk
 from ehbench.parts.sample import OF, entry, line_entry, sample_channels
-from ehbench.parts.supply import pump_flow
+from ehbench.parts.supply import line_stiffness, pump_flow
 from ehbench.parts.valve import VALVE_COLUMNS, limited, valve_rates, valve_settle
 from ehbench.parts.valve.second_order import SecondOrder, second_order
 from ehbench.physics.cylinder import chamber_rate, relief_flow
@@ -61,11 +62,15 @@ _RAW, _RAW_LINES, _FILTER = len(RAW), 2, 3
 # Wider rows begin with the columns of their own: numba would else take one for the other.
 # A valve: ``gain`` and ``offset`` [V] of its driver, its ``hysteresis`` [V], the model's columns.
 BENCH_VALVE = record(("gain", "f8"), ("offset", "f8"), ("hysteresis", "f8"), *VALVE_COLUMNS)
-# An edge: its nodes, its valve and sign, its leakage at null [m³/(s·Pa)] over ``null_width`` [V],
-# ``blocked`` 1 where nothing passes in reverse, and its two curves.
+# An edge: its nodes, its valve and sign, its law, its leakage at null [m³/(s·Pa)] over
+# ``null_width`` [V], ``blocked`` 1 where nothing passes in reverse, and its two curves; a pump or a
+# check valve has the model's columns with numbers of its own instead.
 BENCH_EDGE = record(
     *((name, "i8") for name in ("from_node", "to_node", "valve", "blocked", "forward", "reverse")),
     *((name, "f8") for name in ("sign", "null", "null_width")),
+    ("law", "i8"),
+    *pump.LAW.columns,
+    *check.LAW.columns,
 )
 # A curve, see `curve_flow`: ``onset, softness, saturation`` and ``wide_open`` [V], ``gain``
 # [m³/(s·V·√Pa)], ``setting`` of the compensator [Pa], 0 for none, its ``flow_force`` [1/V].
@@ -234,6 +239,10 @@ def edge_flow(drop, spool, edge, curves):
     leakage included.
     """
     reach = edge.sign * spool
+    if edge.law == PUMP:
+        return pump.flow(drop, reach, edge, curves)
+    if edge.law == CHECK:
+        return check.flow(drop, reach, edge, curves)
     closed = reach / edge.null_width
     flow = edge.null * drop / (1.0 + closed * closed)
     if drop >= 0.0:
@@ -257,6 +266,16 @@ def _spool_for(flow, drop, most, edge, curves):
 
 
 @part_kernel
+def edge_slope(drop, flow, spool, edge):
+    """Bound of how fast a flow changes with a pressure at either end [m³/(s·Pa)]."""
+    if edge.law == PUMP:
+        return pump.slope(drop, flow, edge.sign * spool, edge)
+    if edge.law == CHECK:
+        return check.slope(drop, flow, edge.sign * spool, edge)
+    return flow / drop
+
+
+@part_kernel
 def play(memory, value, width):
     """Backlash of ``width``: where the output goes from ``memory`` when the input is ``value``."""
     return min(max(memory, value - 0.5 * width), value + 0.5 * width)
@@ -276,12 +295,14 @@ def _valves_and_edges(y, target, bench, dy, work):
         edge = bench.edges[e]
         a, b = edge.from_node, edge.to_node
         drop = node_pressure(y, bench, a) - node_pressure(y, bench, b)
-        flow = edge_flow(drop, work[at.opening + edge.valve], edge, bench.curves)
-        if flow != 0.0:
+        spool = edge_opening(y, bench, edge, work[at.opening :])
+        flow = edge_flow(drop, spool, edge, bench.curves)
+        if flow != 0.0 or edge.law >= PUMP:
+            slope = edge_slope(drop, flow, spool, edge)
             work[at.net + a] -= flow
             work[at.net + b] += flow
-            work[at.slope + a] += flow / drop
-            work[at.slope + b] += flow / drop
+            work[at.slope + a] += slope
+            work[at.slope + b] += slope
     return fastest
 
 
@@ -323,7 +344,7 @@ def _supply(y, bench, dy, work):
     """Rates of the supply line and the pump; the fastest of them [1/s]."""
     at, line, fluid = bench.at, bench.supply, bench.fluid
     p, demand = y[at.supply], -work[at.net + SUPPLY]
-    stiffness = line.bulk_modulus / line.volume
+    stiffness = line_stiffness(p, line)
     if fluid.pump_lag == 0.0:  # the model's ideal compensator
         dy[at.supply] = stiffness * (pump_flow(p, demand, line) - demand)
         dy[at.pump] = 0.0
@@ -603,6 +624,19 @@ def _set_edge(
     row.null = given("null_leakage", (1e-4 if spool else 1e-5) * rated / rig.p_supply)
 
 
+def _set_unmetered(row: np.record, own: np.record, given: _Given, rng: np.random.Generator) -> None:
+    """Fill the row of a pump or of a check valve: like the model's, and none like another."""
+    for key, _ in (*pump.LAW.columns, *check.LAW.columns):
+        row[key] = own[key]
+    row.sign = own.sign
+    size, second = rng.uniform([0.97, 0.7], [1.0, 1.4])
+    size = given("gain_factor", size)
+    row.displacement *= size
+    row.gain *= size
+    row.slip = given("null_leakage", second * own.slip)
+    row.cracking_pressure *= second
+
+
 def _tune(
     valve: Valve, row: np.record, curves: np.recarray, drop: float, width: float
 ) -> tuple[float, float]:
@@ -835,6 +869,8 @@ class VirtualMachine:
             )
         index = self.layout.edges.index(edge)
         row = self.bench.edges[index]
+        if row.law in (PUMP, CHECK):
+            raise InputError(f"edge '{edge}' of the bench does not meter, so no flowmeter reads it")
         valve: Any = self.bench.valves[row.valve]
         rest = self.commands.rest[row.valve]
         command, drop = np.broadcast_arrays(
@@ -929,12 +965,16 @@ def _edges(of: _Seeded) -> tuple[np.recarray, np.recarray]:
     """(edges, their curves)."""
     plant, names = of.model.plant, of.model.layout.edges
     edges, curves = table(len(names), BENCH_EDGE), table(2 * len(names), CURVE)
-    for index, (name, (_, valve, edge)) in enumerate(zip(names, of.model.rig.edges(), strict=True)):
-        row = edges[index]
-        for key in ("from_node", "to_node", "valve"):
-            row[key] = plant.edges[index][key]
+    metering = [(edge, valve) for _, valve, edge in of.model.rig.edges()]
+    for index, name in enumerate(names):
+        row, own, given = edges[index], plant.edges[index], _Given(of.recipe.edge, name)
+        for key in ("from_node", "to_node", "valve", "law"):
+            row[key] = own[key]
         row.forward, row.reverse = 2 * index, 2 * index + 1
-        _set_edge(row, curves, _Given(of.recipe.edge, name), (name, edge, valve), of)
+        if own.law in (PUMP, CHECK):
+            _set_unmetered(row, own, given, _draws(of.seed, name))
+        else:
+            _set_edge(row, curves, given, (name, *metering[index]), of)
     return edges, curves
 
 
@@ -991,7 +1031,8 @@ def _fluid(of: _Seeded) -> np.record:
     row.air, row.polytropic = _air(of)
     row.droop = 0.03 * of.p_supply if droop is None else droop
     row.pump_lag = float(recipe.pump_lag)
-    row.supply_relief = 1.15 * of.p_supply if relief is None else relief
+    usual = math.inf if of.model.rig.supply.accumulator is not None else 1.15 * of.p_supply
+    row.supply_relief = usual if relief is None else relief
     if row.pump_lag > 0.0 and row.droop == 0.0:
         hint = "give droop, or pump_lag = '0 s' for an ideal one"
         raise InputError("a pump with a lag needs a droop", **recipe.at("droop"), hint=hint)

@@ -9,8 +9,8 @@ import math
 import numpy as np
 
 from ehbench.compiled import part_kernel
+from ehbench.physics.cylinder import ATMOSPHERE
 
-ATMOSPHERE = 101325.0  # [Pa], absolute: where the share of free air is counted
 LEAST = 500.0  # [Pa], absolute: below it the air grows no further
 EXPONENT = 1.4  # of air that is compressed without heat
 # the columns of a record of oil: bulk modulus of oil alone [Pa], share of free air, its exponent

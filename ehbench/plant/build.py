@@ -13,6 +13,7 @@ from ehbench.errors import InputError
 from ehbench.parts import edge as edges
 from ehbench.parts import friction
 from ehbench.parts import valve as valves
+from ehbench.parts.accumulator import COLUMNS as ACCUMULATOR
 from ehbench.parts.cylinder import CYLINDER, CYLINDER_FIELDS, PINS_OF
 from ehbench.parts.edge import EDGE
 from ehbench.parts.end_stop import STOP_DEPTH
@@ -25,7 +26,7 @@ from ehbench.physics import arm
 from ehbench.physics.cylinder import DIRECT, PINS, joint_angle, linkage
 from ehbench.physics.flow_map import FlowMap, ValveMaps, pack
 from ehbench.plant.layout import SIDES, Layout, Offsets, layout
-from ehbench.rig import Chain, Cylinder, Edge, Rig, Slide, Value
+from ehbench.rig import Chain, Cylinder, Edge, FixedEdge, Rig, Slide, Value
 
 Maps = Mapping[str, ValveMaps]
 
@@ -149,7 +150,7 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
                 "area_rod": rod,
                 "relief_pressure": math.inf if relief is None else float(relief),
                 "cavitation_pressure": float(rig.oil.cavitation_pressure),
-                "stop_stiffness": float(rig.supply.pressure) * head / STOP_DEPTH,
+                "stop_stiffness": _stop_pressure(rig, item) * head / STOP_DEPTH,
                 "mobility": _mobility((kind, links), pins, joint, own["stroke"]),
                 "node_head": names.node(index, "head"),
                 "node_rod": names.node(index, "rod"),
@@ -159,6 +160,16 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
             }
         )
     return table_of(rows, CYLINDER)
+
+
+def _stop_pressure(rig: Rig, item: Cylinder) -> float:
+    """The most [Pa] that presses a piston into its end stop: the supply's pressure, or on a charge
+    line what a pump may come up to.
+    """
+    supply = float(rig.supply.pressure)
+    if rig.supply.accumulator is None or item.relief_pressure is None:
+        return supply
+    return max(supply, float(item.relief_pressure))
 
 
 def pins_of(item: Cylinder) -> tuple[Any, ...]:
@@ -219,8 +230,10 @@ def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray
     """(rows, packed flow maps)."""
     rows: list[dict[str, Any]] = []
     packed: list[FlowMap] = []
-    for name, (item, valve, edge) in zip(names.edges, rig.edges(), strict=True):
+    for name, (item, valve, edge) in zip(names.edges, rig.edges(), strict=False):
         cylinder, given = names.cylinders.index(item.name), map_of(maps, name)
+        if edge.law == "pump" and given is not None:
+            raise InputError(f"edge '{name}' of rig '{rig.name}' is a pump: no flow map is of it")
         if edge.law == "map" and given is None:
             raise InputError(
                 f"edge '{valve.edge_name(edge)}' of rig '{rig.name}' follows a flow map, and none "
@@ -233,13 +246,30 @@ def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray
             "valve": names.valves.index(f"{item.name}.{valve.name}"),
             "sign": edge.sign,
             "blocked": edge.reverse == "blocked",
+            "unmetered": not edges.edge_law(edge.law).metering,
         }
         rows.append(row | _law(edge, given, packed))
+    rows += [
+        _fixed(names, names.cylinders.index(item.name), edge) for item, edge in rig.fixed_edges()
+    ]
     data, offsets = pack(packed) if packed else (np.zeros(1), np.zeros(0, dtype=np.int64))
     for row in rows:
         for key in ("forward", "reverse"):
             row[key] = int(offsets[row[key]]) if row[key] >= 0 else -1
     return table_of(rows, EDGE), data
+
+
+def _fixed(names: Layout, cylinder: int, edge: FixedEdge) -> dict[str, Any]:
+    """Fields of an edge without a command."""
+    place = {
+        "from_node": names.node(cylinder, edge.from_),
+        "to_node": names.node(cylinder, edge.to),
+        "valve": -1,
+        "sign": 1.0,
+        "unmetered": 1,
+        "pilot": -1 if edge.pilot is None else names.node(cylinder, edge.pilot),
+    }
+    return place | _law(edge, None, [])
 
 
 def map_of(maps: Maps | None, edge: str) -> ValveMaps | None:
@@ -248,7 +278,7 @@ def map_of(maps: Maps | None, edge: str) -> ValveMaps | None:
     return maps.get(edge) or maps.get(edge.split(".", 1)[1])
 
 
-def _law(edge: Edge, given: ValveMaps | None, packed: list[FlowMap]) -> dict[str, Any]:
+def _law(edge: Edge | FixedEdge, given: ValveMaps | None, packed: list[FlowMap]) -> dict[str, Any]:
     """Fields of an edge's law; its maps go to ``packed``, their numbers there into the row."""
     law = edges.edge_law("map" if given is not None else edge.law)
     row = {"law": edges.BY_NAME[law.name], "forward": -1, "reverse": -1} | law.pack(edge)
@@ -274,6 +304,8 @@ def _forces(rig: Rig, names: Layout) -> np.recarray:
 def _supply(rig: Rig) -> np.record:
     own = rig.supply
     row = {key: float(getattr(own, key)) for key in ("pressure", "flow_limit", "volume")}
+    if own.accumulator is not None:
+        row |= {key: float(getattr(own.accumulator, key)) for key, _ in ACCUMULATOR}
     return table_of([row | oil_fields(rig)], SUPPLY_LINE)[0]
 
 

@@ -11,13 +11,13 @@ from ehbench.parts.cylinder import (
     chamber_slope,
     linkage_of,
 )
-from ehbench.parts.edge import edge_flow
+from ehbench.parts.edge import edge_flow, edge_opening, edge_slope
 from ehbench.parts.end_stop import stop_force, stop_rate
 from ehbench.parts.friction import friction_fastest, friction_force, friction_rates
 from ehbench.parts.load import force_on, force_steepness
 from ehbench.parts.nodes import SUPPLY, node_pressure
 from ehbench.parts.oil import bulk_of
-from ehbench.parts.supply import pump_flow
+from ehbench.parts.supply import line_stiffness, pump_flow
 from ehbench.parts.valve import limited, valve_finish, valve_rates
 from ehbench.physics.arm import forward
 from ehbench.plant.build import Plant
@@ -48,13 +48,13 @@ def _edges(y, plant, work):
         work[i] = 0.0
     for e in range(plant.edges.shape[0]):
         edge = plant.edges[e]
-        opening, flow = work[at.opening + edge.valve], 0.0
-        if edge.sign * opening > 0.0:
+        opening, flow = edge_opening(y, plant, edge, work[at.opening :]), 0.0
+        if edge.unmetered == 1 or edge.sign * opening > 0.0:
             a, b = edge.from_node, edge.to_node
             drop = node_pressure(y, plant, a) - node_pressure(y, plant, b)
             flow = edge_flow(drop, opening, edge, plant.maps)
-            if flow != 0.0:
-                slope = flow / drop
+            if flow != 0.0 or edge.unmetered == 1:
+                slope = edge_slope(drop, flow, opening, edge)
                 work[at.net + a] -= flow
                 work[at.net + b] += flow
                 work[at.slope + a] += slope
@@ -120,7 +120,7 @@ def _supply(y, plant, dy, work):
     demand = -work[at.net + SUPPLY]
     pump = pump_flow(y[at.supply], demand, supply)
     work[at.pump] = pump
-    stiffness = bulk_of(supply, y[at.supply]) / supply.volume
+    stiffness = line_stiffness(y[at.supply], supply)
     dy[at.supply] = stiffness * (pump - demand)
     held = 0.0 < pump < supply.flow_limit
     return 0.0 if held else stiffness * work[at.slope + SUPPLY]

@@ -56,9 +56,9 @@ class Element(NamedTuple):
 class Layout:
     """Names of what a plant's tables hold, in order, and where each of its states stands.
 
-    ``valves`` and ``edges`` are called ``<cylinder>.<valve>`` and ``<cylinder>.<edge>``,
-    ``elements`` are those of the valves' dynamics, in order, ``played`` the channels of forces that
-    stand behind the valves' commands in a row of commands, and
+    ``valves`` and ``edges`` are called ``<cylinder>.<valve>`` and ``<cylinder>.<edge>``, those of
+    valves first, ``elements`` are those of the valves' dynamics, in order, ``played`` the channels
+    of forces that stand behind the valves' commands in a row of commands, and
     ``state_names`` say what each state is, such as ``boom.p_head`` or ``boom.hect.opening``.
     """
 
@@ -156,7 +156,7 @@ def layout(rig: Rig) -> Layout:
         joints=rig.joint_names,
         cylinders=tuple(c.name for c in rig.cylinder),
         valves=valves,
-        edges=tuple(f"{c.name}.{v.edge_name(e)}" for c, v, e in rig.edges()),
+        edges=tuple(rig.all_edges()),
         elements=tuple(elements),
         frictions=frictions,
         played=tuple(dict.fromkeys(f.channel for c in rig.cylinder for f in c.force if f.channel)),

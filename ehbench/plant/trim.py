@@ -9,7 +9,9 @@ import numpy as np
 
 from ehbench.errors import InputError, SimulationError
 from ehbench.parts.cylinder import joint_of, joint_range_of, linkage_of
+from ehbench.parts.edge import CHECK
 from ehbench.parts.load import force_on
+from ehbench.parts.nodes import SUPPLY
 from ehbench.parts.valve import valve_settle
 from ehbench.physics.arm import SLIDE, gravity_torque, work_size
 from ehbench.plant.build import Plant
@@ -94,7 +96,8 @@ def trim(
     carried.
 
     The chamber that the load does not press on stands at ``low_side`` [Pa], by default a tenth of
-    the supply pressure. Forces that are played are those of ``command``, by default none.
+    the supply pressure; at the supply pressure where a check valve feeds the cylinder from there.
+    Forces that are played are those of ``command``, by default none.
 
     Raises:
         SimulationError: a cylinder has no lever there, so no pressure holds the load.
@@ -105,8 +108,8 @@ def trim(
     torque = np.empty(n)
     gravity_torque(plant.kind, plant.links, plant.gravity, q, torque, np.empty(work_size(n)))
     played = np.zeros(len(names.valves) + len(names.played)) if command is None else command
-    low = LOW_SIDE * plant.supply.pressure if low_side is None else low_side
     for index, row in enumerate(plant.cylinders):
+        low = _low_side(plant, row) if low_side is None else low_side
         x, lever, _ = linkage_of(row, q[row.joint])
         if abs(lever) < 1e-6:
             raise SimulationError(
@@ -126,6 +129,13 @@ def trim(
         valve_settle(valve, item.rest, plant, y)
     y[plant.at.supply] = plant.supply.pressure
     return y
+
+
+def _low_side(plant: Plant, row: np.record) -> float:
+    """Pressure [Pa] of a cylinder's chamber that carries nothing."""
+    fed = (plant.edges.law == CHECK) & (plant.edges.from_node == SUPPLY)
+    fed &= np.isin(plant.edges.to_node, (row.node_head, row.node_rod))
+    return plant.supply.pressure * (1.0 if fed.any() else LOW_SIDE)
 
 
 def carry(row: np.record, held: tuple[float, float], seen: list[float | None]) -> tuple[float, ...]:

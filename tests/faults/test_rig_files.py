@@ -25,6 +25,9 @@ PRESS = (
     'flow_limit = "200 L/min"\n'
     + ('[dynamics.spool]\nnatural_frequency = "60 Hz"\ndamping_ratio = 0.7\n' + PRESS)
 )
+PUMP = (
+    Path(__file__).parents[2].joinpath("recipes", "rigs", "pump_cylinder.toml").read_text("utf-8")
+)
 PINS = CRANE[CRANE.index("[cylinder.pins]") : CRANE.index("[[cylinder.valve]]")]
 EDGE = '{ from = "supply", to = "head", law = "orifice", flow_gain = "2 L/min/V/bar^0.5" },'
 FIRST, BACK = "cylinder 'lift', valve 'spool', edge 1", '{ from = "head", to = "tank", sign = -1,'
@@ -244,6 +247,40 @@ def test_a_slip_is_one_sentence_with_its_line(tmp_path, old, new, words, line):
 def test_a_slip_in_a_press(tmp_path, old, new, words):
     assert old in PRESS
     assert words in str(refused(tmp_path, PRESS.replace(old, new, 1)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            'displacement = { value = "8 mL/rev", source = "datasheet" }\n',
+            "",
+            "law 'pump' needs 'displacement'",
+        ),
+        (
+            '"8 mL/rev"',
+            '"8 mL"',
+            "'mL' says no angle for displacement (displacement is in m^3/rad, mL/rev or the like)",
+        ),
+        ('"8 mL/rev"', '"-8 mL/rev"', "displacement = -8 mL/rev lies outside"),
+        ('"150 rpm/V"', '"150 rpm"', "'rpm' cannot be turned into rad/(s*V)"),
+        ('law = "pump"', 'law = "pump"\nreverse = "blocked"', "a pump passes oil both ways"),
+        ('law = "pump"', 'law = "pump"\ndeadband = "1 V"', "a pump has no deadband"),
+        ('"check_rod"', '"check_head"', "two edges are called 'check_head'"),
+        ('"check_rod"', '"pump"', "two edges are called 'pump'"),
+        ('pilot = "head"\n', "", "a pilot-operated check valve takes pilot and pilot_ratio"),
+        ('pilot = "head"', 'pilot = "supply"', "the pilot is at 'from', where it opens nothing"),
+        ('to = "rod"', 'to = "supply"', "an edge joins two different nodes"),
+        ('pilot = "head"', 'pilto = "head"', "unknown key 'pilto' (did you mean 'pilot'?)"),
+        ('"4 bar"', '"8 bar"', "the accumulator holds no oil: its precharge must lie below"),
+        ('"1 L"', '"1 kg"', "gas_volume: 'kg' cannot be turned into m^3"),
+        ("value = 1.2,", "value = 2.5,", "polytropic_exponent must lie between 1 and 1.7"),
+    ],
+)
+def test_a_slip_in_a_pump_circuit(tmp_path, old, new, words):
+    assert old in PUMP
+    assert words in str(error := refused(tmp_path, PUMP.replace(old, new, 1)))
+    assert error.line is not None
 
 
 @pytest.mark.parametrize("node", ["supply", "tank", "head", "rod"])
