@@ -15,8 +15,10 @@ from pathlib import Path
 
 import pytest
 
+from ehbench.cli import app
+
 ROOT = Path(__file__).parents[2]
-COMMANDS = ("init", "check", "identify", "validate", "tune", "run-trial", "report", "reproduce")
+COMMANDS = tuple(str(one.name or one.callback.__name__) for one in app.registered_commands)
 
 
 def ehbench(*words: str | Path, cwd: Path = ROOT, **options) -> subprocess.CompletedProcess:
