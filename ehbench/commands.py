@@ -25,6 +25,11 @@ COMMANDS = (
         "recipes/thesis/flow_maps.toml",
     ),
     Command(
+        "response",
+        "Estimate a frequency response from logs, with intervals, delay and bandwidth.",
+        "recipes/trials/response.toml",
+    ),
+    Command(
         "validate",
         "Judge an identified rig on logs it was not fitted to; exit 4 when it is rejected.",
         "recipes/thesis/validation.toml",
