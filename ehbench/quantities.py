@@ -485,6 +485,24 @@ _ROWS = [
         20,
     ),
     Quantity(
+        "v_asked",
+        "v_c",
+        "m/s",
+        "mm/s",
+        "cylinder speed that a position controller asks for, extension positive",
+        -20,
+        20,
+    ),
+    Quantity(
+        "v_integral",
+        "v_i",
+        "m/s",
+        "mm/s",
+        "part of the speed asked for that leads a lasting stroke error back",
+        -20,
+        20,
+    ),
+    Quantity(
         "v_error",
         "ė",
         "m/s",
@@ -715,6 +733,15 @@ _ROWS = [
     ),
     Quantity(
         "position_bandwidth", "k_1", "rad/s", "rad/s", "bandwidth of the stroke error", 0, 1e5
+    ),
+    Quantity(
+        "integral_bandwidth",
+        "ω_i",
+        "rad/s",
+        "rad/s",
+        "how fast the integral of the stroke error follows, 0 for none",
+        0,
+        1e5,
     ),
     Quantity("speed_bandwidth", "k_2", "rad/s", "rad/s", "bandwidth of the speed error", 0, 1e5),
     Quantity(

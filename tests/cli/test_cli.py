@@ -19,7 +19,7 @@ import pytest
 from ehbench import cli
 
 ROOT = Path(__file__).parents[2]
-COMMANDS = ("init", "check", "identify", "validate", "tune", "run-trial", "report", "reproduce")
+COMMANDS = tuple(str(one.name or one.callback.__name__) for one in cli.app.registered_commands)
 
 
 def ehbench(*words: str | Path, cwd: Path = ROOT, **options) -> subprocess.CompletedProcess:
