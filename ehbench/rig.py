@@ -43,7 +43,8 @@ def _of_a_kind(raw: Any) -> Any:
 
 
 if TYPE_CHECKING:
-    Friction, Dynamics = FrictionTable, DynamicsTable
+    Friction = FrictionTable
+    Dynamics = DynamicsTable
 else:
     Friction = one_of(FRICTIONS, "law")
     Dynamics = Annotated[one_of(DYNAMICS, "kind"), BeforeValidator(_of_a_kind)]

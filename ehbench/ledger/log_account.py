@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ehbench.fields import scalars
 from ehbench.ledger.powers import COMPRESSION, OF, PUMP, SUPPLY_LINE, power_at
 from ehbench.ledger.quadrature import flows_at, powers_at, stores_at
 from ehbench.ledger.readings import Readings, noise_of, read_log
@@ -279,16 +280,15 @@ def _parameter_effects(
     lags = {}
     for name, dynamics in rig.dynamics.items():
         omega = f"{name}.natural_frequency"
-        given = (dynamics.natural_frequency, dynamics.damping_ratio, dynamics.s1, dynamics.s2)
-        if not any(value.std for value in given if value is not None):
+        stated_error = any(value.std for _, value in scalars(dynamics))
+        if omega in parameters and not stated_error:
             lags[f"lag of {name}"] = effect(omega, float(parameters[omega]) / (1.0 + accuracy.lag))
     return stated, lags
 
 
 def _at(m: Readings, kept: np.ndarray) -> Readings:
-    return Readings(
-        **{name: None if value is None else value[kept] for name, value in vars(m).items()}
-    )
+    given = {name: value[kept] for name, value in vars(m).items() if value is not None}
+    return replace(m, **given)
 
 
 def _flow_std(
@@ -309,7 +309,7 @@ def _flow_std(
             return np.zeros_like(flow), []
         good = f"its flow is taken to be good to {100 * accuracy.flow:g} %"
         return share * np.sign(flow), [f"the law of {name} states no error: {good}"]
-    one = map_of(maps, name)
+    one: Any = map_of(maps, name)
     valve = int(row.valve)
     opening = row.sign * opening_of(plant, valve, m.commands[:, valve], states)
 

@@ -43,13 +43,8 @@ def read_log(model: Model, record: Record) -> tuple[Readings, list[str]]:
     log = _Log(model, record, [])
     commands = log.commands()
     q, qd, x, p = log.motion()
-    lines = [
-        log.line(channel, usual)
-        for channel, usual in (
-            ("p_supply", model.plant.supply.pressure),
-            ("p_tank", model.plant.tank_pressure),
-        )
-    ]
+    p_supply = log.line("p_supply", model.plant.supply.pressure)
+    p_tank = log.line("p_tank", model.plant.tank_pressure)
     flow_supply = log.get("flow_supply") if "flow_supply" in record else None
     if flow_supply is None and model.plant.supply.flow_limit > 0.0:
         log.notes.append(
@@ -57,7 +52,7 @@ def read_log(model: Model, record: Record) -> tuple[Readings, list[str]]:
             "stores"
         )
     t = np.ascontiguousarray(record.t, dtype=float)
-    return Readings(t, commands, q, qd, x, p, *lines, flow_supply), log.notes
+    return Readings(t, commands, q, qd, x, p, p_supply, p_tank, flow_supply), log.notes
 
 
 @dataclass(frozen=True)
@@ -135,7 +130,7 @@ class _Log:
                 hint="a ledger needs the position of every cylinder",
             )
         x = self.get(f"{name}.x") if f"{name}.x" in record else None
-        if f"{name}.q" in record:
+        if x is None or f"{name}.q" in record:
             q = self.get(f"{name}.q")
         else:
             q = joint_of(row, np.clip(x, 0.0, row.stroke))

@@ -29,6 +29,8 @@ from ehbench.plant.layout import SIDES, Layout, Offsets, layout
 from ehbench.rig import Chain, Cylinder, Edge, FixedEdge, Rig, Slide, Value
 
 Maps = Mapping[str, ValveMaps]
+# as `linkage` takes them
+PinNumbers = tuple[int, float, float, float, float, float]
 
 
 class Plant(NamedTuple):
@@ -118,16 +120,26 @@ def _up(chain: Chain) -> tuple[float, float, float]:
 def _links(chain: Chain) -> np.recarray:
     links = []
     for joint in chain.joint:
-        xx, yy, zz, xy, xz, yz = joint.inertia.value
+        moments: Any = joint.inertia.value
+        xx, yy, zz, xy, xz, yz = moments
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         if np.linalg.eigvalsh(inertia).min() < 0 or float(joint.mass) < 0:
             raise InputError(
                 f"the inertia of link '{joint.name}' is that of no body: it has a negative "
                 "principal moment"
             )
-        frame = (joint.dh_a, joint.dh_d, joint.dh_alpha, joint.dh_theta, joint.mass)
+        com: Any = joint.com.value
         links.append(
-            arm.pack_link(*map(float, frame), joint.com.value, inertia, float(joint.joint_damping))
+            arm.pack_link(
+                float(joint.dh_a),
+                float(joint.dh_d),
+                float(joint.dh_alpha),
+                float(joint.dh_theta),
+                float(joint.mass),
+                com,
+                inertia,
+                float(joint.joint_damping),
+            )
         )
     return table_of(links, arm.LINK)
 
@@ -172,7 +184,7 @@ def _stop_pressure(rig: Rig, item: Cylinder) -> float:
     return max(supply, float(item.relief_pressure))
 
 
-def pins_of(item: Cylinder) -> tuple[Any, ...]:
+def pins_of(item: Cylinder) -> PinNumbers:
     """Arguments of `ehbench.physics.cylinder.linkage` before the angle."""
     pins = item.pins
     if pins is None:
@@ -182,7 +194,7 @@ def pins_of(item: Cylinder) -> tuple[Any, ...]:
 
 
 def _mobility(
-    mechanism: tuple[int, np.recarray], pins: tuple[Any, ...], joint: int, stroke: float
+    mechanism: tuple[int, np.recarray], pins: PinNumbers, joint: int, stroke: float
 ) -> float:
     """Largest acceleration at the cylinder per force on it [1/kg] over its stroke, the other joints
     at zero and free.

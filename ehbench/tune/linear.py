@@ -314,7 +314,7 @@ class _Motion:
         need = self.flows(v, settled.p_head, settled.p_rod)
         paths = [
             _path(circuit, function, p, need[p], path_drop(p, pressures), names)
-            for p in np.flatnonzero(PATH_FLOWS[function].any(axis=1))
+            for p in map(int, np.flatnonzero(PATH_FLOWS[function].any(axis=1)))
         ]
         if self.together:
             lead = next(p for p in paths if p.metering)
@@ -490,7 +490,8 @@ def _common_opening(circuit: Circuit, function: int, pressures, flows) -> float:
     from scipy.optimize import brentq
 
     lead = int(METERING[function])
-    follow = next(p for p in np.flatnonzero(PATH_FLOWS[function].any(axis=1)) if p != lead)
+    at_work = map(int, np.flatnonzero(PATH_FLOWS[function].any(axis=1)))
+    follow = next(path for path in at_work if path != lead)
 
     def excess(off: float) -> float:
         at = Pressures(*pressures(off))
@@ -502,7 +503,8 @@ def _common_opening(circuit: Circuit, function: int, pressures, flows) -> float:
     ends = excess(low + 1.0), excess(high - 1.0)
     if ends[0] * ends[1] > 0:
         return low if abs(ends[0]) < abs(ends[1]) else high
-    return float(brentq(excess, low + 1.0, high - 1.0, xtol=1e-3, rtol=1e-14))
+    root: Any = brentq(excess, low + 1.0, high - 1.0, xtol=1e-3, rtol=np.float64(1e-14))
+    return float(root)
 
 
 @dataclass(frozen=True)
@@ -674,7 +676,8 @@ class _Offsets:
         _, lever, bend = linkage_of(row, y[joint])
         y[own] = (point.v + z[1]) / lever
         friction_settle(row, point.v + z[1], y)
-        ends = [plant.nodes[node].state for node in (row.node_head, row.node_rod)]
+        nodes: Any = plant.nodes
+        ends = [nodes[node].state for node in (row.node_head, row.node_rod)]
         y[ends] += z[2:4]
         y[list(picks)] += z[4 : 4 + len(picks)]
         u[list(valves)] += z[4 + len(picks) :]
@@ -851,7 +854,7 @@ def _seen(a: np.ndarray, size: int, delay: float) -> np.ndarray:
     return seen
 
 
-def damping_ratio(poles: np.ndarray, fastest: float = math.inf) -> np.ndarray:
+def damping_ratio(poles: Any, fastest: float = math.inf) -> np.ndarray:
     """Least damping ratio of the poles along the last axis: −Re s/|s|; 1 for real stable poles, −1
     for real unstable ones.
 
@@ -864,7 +867,7 @@ def damping_ratio(poles: np.ndarray, fastest: float = math.inf) -> np.ndarray:
     return np.where(counts, -poles.real / np.where(counts, size, 1.0), 1.0).min(axis=-1)
 
 
-def dominant(poles: np.ndarray, fastest: float = math.inf) -> complex:
+def dominant(poles: Any, fastest: float = math.inf) -> complex:
     """The least damped of the poles that `damping_ratio` counts, upper half plane; the slowest
     where all are real.
     """
