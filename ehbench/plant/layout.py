@@ -57,7 +57,8 @@ class Layout:
     """Names of what a plant's tables hold, in order, and where each of its states stands.
 
     ``valves`` and ``edges`` are called ``<cylinder>.<valve>`` and ``<cylinder>.<edge>``,
-    ``elements`` are those of the valves' dynamics, in order, and
+    ``elements`` are those of the valves' dynamics, in order, ``several`` the valves with more than
+    one dynamics, and
     ``state_names`` say what each state is, such as ``boom.p_head`` or ``boom.hect.opening``.
     """
 
@@ -66,6 +67,7 @@ class Layout:
     valves: tuple[str, ...]
     edges: tuple[str, ...]
     elements: tuple[Element, ...]
+    several: tuple[int, ...]
     frictions: tuple[int, ...]
     state_names: tuple[str, ...]
     _at: dict[str, int] = field(repr=False)
@@ -100,15 +102,14 @@ class Layout:
 
     @property
     def inner_states(self) -> tuple[tuple[str, int], ...]:
-        """(channel, position) of the states of valves with several elements, but for the opening:
+        """(channel, position) of the states of valves with several dynamics, but for the opening:
         what a command and an opening do not tell.
         """
-        count = [one.valve for one in self.elements]
         found = []
         for one in self.elements:
             for at in range(one.state, one.state + len(valve.LAWS[one.law].states)):
                 name = self.state_names[at]
-                if count.count(one.valve) > 1 and name != f"{self.valves[one.valve]}.opening":
+                if one.valve in self.several and name != f"{self.valves[one.valve]}.opening":
                     found.append((name.replace(".rate", ".opening_rate"), at))
         return tuple(found)
 
@@ -156,6 +157,7 @@ def layout(rig: Rig) -> Layout:
         valves=valves,
         edges=tuple(f"{c.name}.{v.edge_name(e)}" for c, v, e in rig.edges()),
         elements=tuple(elements),
+        several=tuple(i for i, (_, item) in enumerate(rig.valves()) if len(item.series) > 1),
         frictions=frictions,
         state_names=tuple(names),
         _at={name: at for at, name in enumerate(names)},
@@ -165,7 +167,7 @@ def layout(rig: Rig) -> Layout:
 def _series(rig: Rig, item: Valve) -> list[tuple[str, int]]:
     """(name, number of its law) of each of a valve's elements, from its command to its opening."""
     kinds = ((one, type(rig.dynamics[one])) for one in item.series)
-    return [(one, valve.TABLES.index(kind)) for one, kind in kinds if kind in valve.TABLES]
+    return [(one, valve.ELEMENTS.index(kind)) for one, kind in kinds if kind in valve.ELEMENTS]
 
 
 def _friction(item: Cylinder) -> int:
