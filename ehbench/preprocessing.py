@@ -142,12 +142,7 @@ def _foreign(name: str, record: Record, rig: Rig) -> list[str]:
     """
     cylinders = {c.name for c in rig.cylinder}
     valves = {f"{c.name}.{v.name}" for c, v in rig.valves()}
-    known = (
-        cylinders
-        | set(rig.joint_names)
-        | valves
-        | {f"{c.name}.{v.edge_name(e)}" for c, v, e in rig.edges()}
-    )
+    known = cylinders | set(rig.joint_names) | valves | set(rig.all_edges())
     odd: dict[str, list[str]] = {}
     for channel in record.channels:
         head = channel.rpartition(".")[0]

@@ -26,7 +26,7 @@ from ehbench.codes import (
 from ehbench.compiled import kernel, record
 from ehbench.control.records import blank, numbers, reals
 from ehbench.errors import InputError
-from ehbench.parts.edge import EDGE, MAP, edge_flow, edge_known
+from ehbench.parts.edge import EDGE, MAP, PUMP, edge_flow, edge_known
 from ehbench.physics.flow_map import ValveMaps
 
 PATHS = ("supply_head", "head_tank", "supply_rod", "rod_tank", "head_rod", "rod_head")
@@ -358,7 +358,8 @@ def circuit(
             an edge follows a map.
 
     Raises:
-        InputError: no edge touches the cylinder, or an edge with a map has none in ``measured``.
+        InputError: no edge touches the cylinder, a pump does, or an edge with a map has none in
+            ``measured``.
     """
     if edges.dtype != EDGE:
         raise InputError(
@@ -371,7 +372,7 @@ def circuit(
     hull, hull_at = _hulls(edges, measured)
     paths, along = np.full(len(PATHS), -1, np.int64), np.ones(len(PATHS))
     able = np.zeros(len(FUNCTIONS), np.int64)
-    made = Circuit(
+    whole = Circuit(
         int(cylinder),
         float(area_head),
         float(area_rod),
@@ -389,20 +390,25 @@ def circuit(
     )
     ends = ((0, head), (head, 1), (0, rod), (rod, 1), (head, rod), (rod, head))
     for path, between in enumerate(ends):
-        paths[path], along[path] = _serving(made, own, between)
-    able[:] = [_able(made, function) for function in range(len(FUNCTIONS))]
-    return made
+        paths[path], along[path] = _serving(whole, own, between)
+    able[:] = [_able(whole, function) for function in range(len(FUNCTIONS))]
+    return whole
 
 
 def _edges_at(edges: np.recarray, cylinder: int, nodes: tuple[int, int]) -> np.ndarray:
     """Numbers of the edges that touch some nodes.
 
     Raises:
-        InputError: none does.
+        InputError: none does, or one is a pump.
     """
     own = np.flatnonzero(np.isin(edges.from_node, nodes) | np.isin(edges.to_node, nodes))
     if not own.size:
         raise InputError(f"no metering edge leads to cylinder {cylinder}")
+    if (edges.law[own] == PUMP).any():
+        raise InputError(
+            "a pump moves this cylinder, and the built-in controllers meter oil through valves",
+            hint="give it commands without a controller: [[command]]",
+        )
     return own
 
 

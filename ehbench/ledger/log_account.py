@@ -15,6 +15,7 @@ from ehbench.ledger.rows import Ledger
 from ehbench.ledger.sheet import Sheet, must_have_samples, oil_drawn
 from ehbench.parts.edge import MAP
 from ehbench.parts.nodes import TANK
+from ehbench.parts.oil import bulk
 from ehbench.plant.build import Maps, map_of
 from ehbench.plant.model import Model
 from ehbench.plant.valves import follow_friction, follow_valves, opening_of
@@ -91,7 +92,7 @@ class Account:
         """Powers [W] of the columns, shape (samples, columns)."""
         plant = model.plant.at_pressures()
         power = np.empty((m.t.size, self.sheet.powers))
-        powers_at(states, flows, m.p_tank, plant, self.sheet.owner, power)
+        powers_at(states, m.commands, flows, m.p_tank, plant, self.sheet.owner, power)
         return power
 
     def energies(
@@ -121,14 +122,15 @@ class Account:
             spent[:, power_at(edges, c, OF.work)] = _cumulated(
                 0.5 * np.diff(m.x[:, c]), force[:, None], at
             )[:, 0]
-        if m.flow_supply is None:
+        if m.flow_supply is None and plant.supply.flow_limit > 0.0:
             drawn, drawn_compression = (
                 [power_at(edges, c, which) for c in cylinders]
                 for which in (OF.drawn, OF.drawn_compression)
             )
-            volume, bulk = plant.supply.volume, plant.supply.bulk_modulus
-            pressed = 0.5 * volume / bulk * (m.p_supply[at] ** 2 - m.p_supply[0] ** 2)
+            pressed = _pressed(plant.supply, m.p_supply)[at]
             spent[:, PUMP] = spent[:, drawn].sum(axis=1) + pressed
+            if plant.supply.gas_volume > 0.0:
+                spent[:, PUMP] += held[:, -1]
             spent[:, COMPRESSION] = (
                 spent[:, drawn_compression].sum(axis=1) + held[:, SUPPLY_LINE] - pressed
             )
@@ -141,6 +143,16 @@ class Account:
         return self.energies(
             model, m, states, self.power(model, m, states, self.flows(model, m, states))
         )
+
+
+def _pressed(supply: np.record, pressure: np.ndarray) -> np.ndarray:
+    """``∫ p V/β dp`` [J] of the supply line from the first of its pressures [Pa] to each."""
+    if supply.air == 0.0:
+        return 0.5 * supply.volume / supply.bulk_modulus * (pressure**2 - pressure[0] ** 2)
+    oil = (supply.bulk_modulus, supply.air, supply.polytropic)
+    per = supply.volume * pressure / np.array([bulk(p, *oil) for p in pressure])
+    steps = 0.5 * (per[1:] + per[:-1]) * np.diff(pressure)
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def _cumulated(half: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -287,14 +299,13 @@ def _flow_std(
     """
     model, m, states, flow = found.model, found.readings, found.states, found.flows[:, e]
     plant, name = model.plant, model.layout.edges[e]
-    _, _, edge = list(model.rig.edges())[e]
+    edge = model.rig.all_edges()[name]
     if not flow.any():
         return np.zeros_like(flow), []
     share = accuracy.flow * np.abs(flow)
     row = plant.edges[e]
     if row.law != MAP:
-        gain = edge.flow_gain if edge.law == "orifice" else edge.compensated_gain
-        if gain is not None and gain.std:
+        if edge.gain is not None and edge.gain.std:
             return np.zeros_like(flow), []
         good = f"its flow is taken to be good to {100 * accuracy.flow:g} %"
         return share * np.sign(flow), [f"the law of {name} states no error: {good}"]

@@ -37,7 +37,8 @@ def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
     for i, name in enumerate(names.cylinders):
         for key in ("p_head", "p_rod"):
             states[:, names.state(key, i)] = record[f"{name}.{key}"]
-    commands = np.stack([record[f"{name}.command"] for name in names.valves], axis=1)
+    channels = [*(f"{name}.command" for name in names.valves), *names.played]
+    commands = np.stack([record[channel] for channel in channels], axis=1)
     commands = np.ascontiguousarray(commands, dtype=float)
     for name, valve in zip(names.valves, plant.valves, strict=True):
         if valve.output >= 0:
@@ -93,7 +94,7 @@ def ledger_of_model(
         felt = felt_commands(plant, commands, tick, tick / max(1, round(tick / step)))
         flows_at(states, felt, tank, plant, flows)
         power = np.empty((t.size, sheet.powers))
-        powers_at(states, flows, tank, plant, sheet.owner, power)
+        powers_at(states, commands, flows, tank, plant, sheet.owner, power)
         np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t)[:, None], axis=0, out=spent[1:])
     _same_flows(model, record, flows)
     held = np.empty((t.size, sheet.stores))

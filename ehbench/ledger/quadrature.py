@@ -54,21 +54,21 @@ def integrate(t, states, commands, plant, line, owner, step, out):
             break
         pieces = min(MOST_SUBSTEPS, max(1, math.ceil(max(tick / step - 1e-6, rate * tick / STIFF))))
         h = tick / pieces
-        powers(y, work[at:], plant, owner, start)
+        powers(y, held, work[at:], plant, owner, start)
         energies[i] = 0.0
         for piece in range(pieces):
             if line.past.shape[0] > 1 and piece > 0:  # what is late may come in between
                 line_felt(line, commands[i], plant, (piece * steps // pieces) * felt, felt)
                 rate = derivatives(y, held, plant, k[0], work)
-                powers(y, work[at:], plant, owner, start)
+                powers(y, held, work[at:], plant, owner, start)
             advance(y, held, plant, 0.5 * h, k, work, rate)
             rate = derivatives(y, held, plant, k[0], work)
-            powers(y, work[at:], plant, owner, middle)
+            powers(y, held, work[at:], plant, owner, middle)
             for j in range(columns):
                 energies[i, j] += h / 6.0 * start[j] + h / 1.5 * middle[j]
             advance(y, held, plant, 0.5 * h, k, work, rate)
             rate = derivatives(y, held, plant, k[0], work)
-            powers(y, work[at:], plant, owner, start)
+            powers(y, held, work[at:], plant, owner, start)
             for j in range(columns):
                 energies[i, j] += h / 6.0 * start[j]
         line_push(line, commands[i])
@@ -89,11 +89,11 @@ def flows_at(states, commands, tank, plant, flows):
 
 
 @allocating_kernel
-def powers_at(states, flows, tank, plant, owner, out):
+def powers_at(states, commands, flows, tank, plant, owner, out):
     """Powers [W] at given states and flows; ``tank`` as in `flows_at`."""
     for i in range(states.shape[0]):
         plant.nodes[TANK].pressure = tank[i]
-        powers(states[i], flows[i], plant, owner, out[i])
+        powers(states[i], commands[i], flows[i], plant, owner, out[i])
 
 
 @allocating_kernel

@@ -82,8 +82,9 @@ class Ledger:
 
     @property
     def pump(self) -> float:
-        """Pump energy ``∫ Ps Q dt`` [J] (SPEC 4)."""
-        return self["pump"].energy
+        """Pump energy [J]: ``∫ Ps Q dt`` (SPEC 4), and that of pumps at cylinders."""
+        shafts = (row.energy for row in self.rows if row.name.endswith(".shaft"))
+        return math.fsum([self["pump"].energy, *shafts])
 
     @property
     def residual(self) -> Row:

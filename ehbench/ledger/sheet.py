@@ -30,10 +30,16 @@ CYLINDER_ROWS = (
     ("loss", "return line, Pt·Q"),
     ("loss", "cylinder friction"),
     ("loss", "end stops"),
+    ("load", "force on the rod from outside"),
 )
-STORE_LABELS = ("oil of the head end", "oil of the rod end", "spring of the end stops")
+STORE_LABELS = (
+    *("oil of the head end", "oil of the rod end", "spring of the end stops"),
+    "springs on the rod",
+)
+# rows of a cylinder that stand in a ledger only where the rig file has the table
+OPTIONAL = {"force": ("external_force", "load_spring")}
 # rows that the piston's work pays
-MECHANICAL = ("friction", "friction_spring", "end_stop", "stop", "damping")
+MECHANICAL = ("friction", "friction_spring", "end_stop", "stop", "load_spring", "damping")
 
 
 class Sheet:
@@ -44,19 +50,27 @@ class Sheet:
         owner: cylinder to which each edge belongs.
         powers, stores: how many columns of each there are.
         rows: (name, group, label, cylinder) of each column.
+        absent: names of rows that are left out, as of parts which the rig has not.
         parts: (name, where, cylinder) of each part of the residual.
         combinations: how much of each column is in each part, shape (parts, columns).
     """
 
     def __init__(self, model: Model, word: str) -> None:
         names = model.layout
-        self.owner = np.array(
-            [names.cylinders.index(c.name) for c, _, _ in model.rig.edges()], dtype=np.int64
-        )
-        cylinders = len(names.cylinders)
-        self.powers = powers_of(len(names.edges), cylinders, len(names.joints))
-        self.stores = stores_of(cylinders, len(_springy(model)))
+        owners = [names.cylinders.index(_owner(name)) for name in names.edges]
+        self.owner = np.array(owners, dtype=np.int64)
+        cylinders, pumps = len(names.cylinders), len(_pumps(model))
+        accumulators = int(model.rig.supply.accumulator is not None)
+        self.powers = powers_of(len(names.edges), cylinders, len(names.joints), pumps)
+        self.stores = stores_of(cylinders, len(_springy(model)), accumulators)
         self.cylinders, self.word = names.cylinders, word
+        self.absent = {
+            f"{c.name}.{key}"
+            for c in model.rig.cylinder
+            for table, keys in OPTIONAL.items()
+            for key in keys
+            if not getattr(c, table)
+        }
         self.rows = _power_rows(model) + _store_rows(model)
         parts = _parts(self.rows, names.cylinders, word)
         self.parts = [(name, where, cylinder) for name, where, cylinder, *_ in parts]
@@ -93,6 +107,8 @@ class Sheet:
         ]
         rows = []
         for i, (name, group, label, cylinder) in enumerate(named):
+            if name in self.absent:
+                continue
             energy = float(energies[i])
             interval = (
                 None
@@ -133,16 +149,35 @@ class Sheet:
         return found
 
 
+def _owner(edge: str) -> str:
+    """The cylinder of an edge."""
+    return edge.split(".", 1)[0]
+
+
+def _pumps(model: Model) -> list[str]:
+    """The edges that are pumps."""
+    return [name for name, edge in model.rig.all_edges().items() if edge.law == "pump"]
+
+
 def _power_rows(model: Model) -> list[Named]:
     names = model.layout
     rows: list[Named] = [
         ("pump", "supply", "pump, Ps·Q", None),
         ("pump_compression", "supply", "pump, compression of the oil", None),
     ]
-    for (c, valve, edge), name in zip(model.rig.edges(), names.edges, strict=True):
+    pumps = _pumps(model)
+    spools = {
+        f"{c.name}.{valve.edge_name(edge)}": valve.name
+        for c, valve, edge in model.rig.edges()
+        if len(valve.edge) > 1
+    }
+    for name, edge in model.rig.all_edges().items():
         joins = f"{edge.from_} → {edge.to}"
-        shown = valve.edge_name(edge) if len(valve.edge) == 1 else valve.name
-        rows.append((f"{name}.throttling", "valve", f"{shown}, {joins}", c.name))
+        shown = spools.get(name, name.split(".", 1)[1])
+        if name in pumps:
+            rows.append((f"{name}.slip", "loss", f"{shown}, slip", _owner(name)))
+        else:
+            rows.append((f"{name}.throttling", "valve", f"{shown}, {joins}", _owner(name)))
     for name in names.cylinders:
         rows += [
             (f"{name}.{key}", *told, name)
@@ -150,8 +185,12 @@ def _power_rows(model: Model) -> list[Named]:
         ]
     driven = {int(j): names.cylinders[i] for i, j in enumerate(model.plant.cylinders.joint)}
     label = "slide damping" if model.rig.mechanism.kind == "slide" else "joint damping"
-    return rows + [
+    rows += [
         (f"{name}.damping", "loss", label, driven.get(j)) for j, name in enumerate(names.joints)
+    ]
+    return rows + [
+        (f"{name}.shaft", "supply", f"{name.split('.', 1)[1]}, shaft of the pump", _owner(name))
+        for name in pumps
     ]
 
 
@@ -166,10 +205,13 @@ def _store_rows(model: Model) -> list[Named]:
             (f"{name}.{key}", "store", label, name)
             for key, label in zip(CylinderStores._fields, STORE_LABELS, strict=True)
         ]
-    return rows + [
+    rows += [
         (f"{name}.friction_spring", "store", "spring of the friction", name)
         for name in _springy(model)
     ]
+    if model.rig.supply.accumulator is not None:
+        rows.append(("accumulator", "store", "accumulator", None))
+    return rows
 
 
 def _springy(model: Model) -> list[str]:
@@ -182,9 +224,8 @@ def _parts(rows: list[Named], cylinders: Sequence[str], word: str) -> list[Part]
     """Where the residual may have arisen, each with the rows that it is the difference of."""
     drawn = [f"{name}.{key}" for name in cylinders for key in ("drawn", "drawn_compression")]
     given = ("pump", "pump_compression")
-    parts: list[Part] = [
-        (f"{word}.supply_line", "supply line", None, given, (*drawn, "supply_line"))
-    ]
+    kept = [row for row, group, *_ in rows if row in ("supply_line", "accumulator")]
+    parts: list[Part] = [(f"{word}.supply_line", "supply line", None, given, (*drawn, *kept))]
     for name in cylinders:
         taken = [
             row
@@ -193,7 +234,8 @@ def _parts(rows: list[Named], cylinders: Sequence[str], word: str) -> list[Part]
             and group in ("valve", "loss", "store")
             and row.rsplit(".", 1)[-1] not in ("work", *MECHANICAL)
         ]
-        own = (f"{name}.drawn", f"{name}.drawn_compression")
+        shafts = [row for row, group, _, owner in rows if owner == name and group == "supply"]
+        own = (f"{name}.drawn", f"{name}.drawn_compression", *shafts)
         taken.append(f"{name}.work")
         parts.append((f"{name}.{word}", "oil of the cylinder", name, own, taken))
     work = [f"{name}.work" for name in cylinders]

@@ -15,6 +15,7 @@ from ehbench.errors import InputError
 
 PINS, DIRECT = 0, 1
 
+ATMOSPHERE = 101325.0  # [Pa], absolute
 CAVITATION_BAND = 0.9e5  # [Pa] above the floor, over which a chamber stops yielding to outflow
 VOLUME_MARGIN = 0.02  # share of a chamber's dead volume that is left at the least
 

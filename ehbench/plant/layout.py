@@ -56,9 +56,10 @@ class Element(NamedTuple):
 class Layout:
     """Names of what a plant's tables hold, in order, and where each of its states stands.
 
-    ``valves`` and ``edges`` are called ``<cylinder>.<valve>`` and ``<cylinder>.<edge>``,
-    ``elements`` are those of the valves' dynamics, in order, ``several`` the valves with more than
-    one dynamics, and
+    ``valves`` and ``edges`` are called ``<cylinder>.<valve>`` and ``<cylinder>.<edge>``, those of
+    valves first, ``elements`` are those of the valves' dynamics, in order, ``several`` the valves
+    with more than one dynamics, ``played`` the channels of forces that stand behind the valves'
+    commands in a row of commands, and
     ``state_names`` say what each state is, such as ``boom.p_head`` or ``boom.hect.opening``.
     """
 
@@ -69,6 +70,7 @@ class Layout:
     elements: tuple[Element, ...]
     several: tuple[int, ...]
     frictions: tuple[int, ...]
+    played: tuple[str, ...]
     state_names: tuple[str, ...]
     _at: dict[str, int] = field(repr=False)
 
@@ -155,10 +157,11 @@ def layout(rig: Rig) -> Layout:
         joints=rig.joint_names,
         cylinders=tuple(c.name for c in rig.cylinder),
         valves=valves,
-        edges=tuple(f"{c.name}.{v.edge_name(e)}" for c, v, e in rig.edges()),
+        edges=tuple(rig.all_edges()),
         elements=tuple(elements),
         several=tuple(i for i, (_, item) in enumerate(rig.valves()) if len(item.series) > 1),
         frictions=frictions,
+        played=tuple(dict.fromkeys(f.channel for c in rig.cylinder for f in c.force if f.channel)),
         state_names=tuple(names),
         _at={name: at for at, name in enumerate(names)},
     )

@@ -36,6 +36,9 @@ from ehbench.errors import InputError
 from ehbench.parts.cylinder import chamber_oil, joint_of, linkage_of
 from ehbench.parts.edge import edge_command, edge_flow
 from ehbench.parts.friction import friction_settle, friction_slope, friction_steady
+from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
+from ehbench.parts.load import force_on
+from ehbench.parts.oil import bulk_of
 from ehbench.parts.valve import valve_rates, valve_settle
 from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
 from ehbench.plant.build import Maps, map_of
@@ -134,10 +137,10 @@ class OperatingPoint:
     [m/s], extension positive.
 
     ``mass, gravity_force, damping`` are m_eq, F_eq, b_eq of `equivalent`; ``friction`` [N·s/m] is
-    the slope of the cylinder's own steady friction; ``bend`` [1/s] the part of ∂v̇/∂v from the
-    changing lever; ``load_force`` P_L [N]; pressures [Pa] gauge; volumes [m³]. ``possible``: every
-    drop is along its flow and every valve can open so far. ``fits``: also the off-side chamber
-    stands at its set-point. ``note`` says what is missing."""
+    the slope of the cylinder's own steady friction less that of forces on its rod; ``bend`` [1/s]
+    the part of ∂v̇/∂v from the changing lever; ``load_force`` P_L [N]; pressures [Pa] gauge; volumes
+    [m³]. ``possible``: every drop is along its flow and every valve can open so far. ``fits``: also
+    the off-side chamber stands at its set-point. ``note`` says what is missing."""
 
     cylinder: str
     function: str
@@ -261,12 +264,23 @@ class _Motion:
             return (force + rod * off) / head, off
         return off, (head * off - force) / rod
 
+    def resistance(self, v: float) -> float:
+        """What friction takes and no force from outside gives [N]."""
+        return friction_steady(self.row, v) - self.push(v)
+
+    def push(self, v: float) -> float:
+        """Force from outside on the rod [N], positive pushes it out."""
+        stroke, plant, played = float(self.here.x[self.index]), self.model.plant, np.zeros(0)
+        if not plant.forces.shape[0]:
+            return 0.0
+        return float(force_on(self.circuit.cylinder, stroke, v, played, plant))
+
     def settle(self, v: float) -> _Settled:
         """What carries the motion at speed v."""
         here, i, row, (p_supply, p_tank) = self.here, self.index, self.row, self.lines
         bend = here.curvature[i] * v * v / here.lever[i] ** 2
         force = here.gravity_force[i] + here.damping[i] * v - here.mass[i] * bend
-        force += friction_steady(row, v)
+        force += self.resistance(v)
         if self.function == EXTEND_RESISTIVE_REGENERATION:
             cross = self.aim.cross_drop
             p_head = (force + cross * row.area_rod) / (row.area_head - row.area_rod)
@@ -361,8 +375,15 @@ def operating_point(
         aim: what is asked for.
 
     Raises:
-        InputError: a function that the circuit is not able of.
+        InputError: a function that the circuit is not able of, or a force on a rod that is played
+            from a log.
     """
+    if model.layout.played:
+        raise InputError(
+            f"rig '{model.rig.name}' plays the force '{model.layout.played[0]}' from a log, and a "
+            "steady motion knows no log",
+            hint="give [[cylinder.force]] another kind for tuning",
+        )
     if function < 1 or circuit.able[function] == 0:
         raise InputError(f"the valves of the cylinder are not able of '{FUNCTIONS[function]}'")
     motion = _Motion(model, circuit, function, here, index, aim)
@@ -387,7 +408,7 @@ def operating_point(
         mass=float(here.mass[index]),
         gravity_force=float(here.gravity_force[index]),
         damping=float(here.damping[index]),
-        friction=float(friction_slope(row, v)),
+        friction=float(friction_slope(row, v)) - _push_slope(motion, v),
         bend=float(2.0 * here.curvature[index] * v / here.lever[index] ** 2),
         load_force=float(settled.force),
         p_head=float(settled.p_head),
@@ -401,6 +422,12 @@ def operating_point(
         fits=not troubles and not note,
         note="; ".join([note] * bool(note) + troubles),
     )
+
+
+def _push_slope(motion: _Motion, v: float) -> float:
+    """Slope [N·s/m] of the outer forces on the rod at speed v, by central differences."""
+    around = DIFFERENCE * max(abs(v), COULOMB_SPEED)
+    return float((motion.push(v + around) - motion.push(v - around)) / (2 * around))
 
 
 def _flow(circuit: Circuit, path: int, drop: float, command: float) -> float:
@@ -441,9 +468,9 @@ def _path(
         2 * du
     )
     most, sign = widest(circuit, edge, circuit.along[path] * drop), circuit.edges[edge].sign
-    reachable = sign * command <= sign * most * (1 + 1e-9) and _flow(
-        circuit, path, drop, command
-    ) >= flow * (1 - 1e-6)
+    passes = _flow(circuit, path, drop, command) >= flow * (1 - 1e-6)
+    saturated = gain == 0.0 and flow > 0.0
+    reachable = passes and not saturated and sign * command <= sign * most * (1 + 1e-9)
     return Path(
         int(path),
         names[edge],
@@ -539,9 +566,9 @@ def _states(
 def development_model(model: Model, point: OperatingPoint) -> LinearModel:
     """The linear development model from the equations (SPEC 3), valve edges with their own slopes.
 
-    ``m_eq v̇ = A1 P1 − A2 P2 − (b_eq + friction) v + m_eq·bend·v + f``; ``V/β_e Ṗ`` = inflow of
-    each chamber, volumes fixed; ``Q = gain·opening + slope·Δp`` along each edge; valves as their
-    elements are."""
+    ``m_eq v̇ = A1 P1 − A2 P2 − (b_eq + friction) v + m_eq·bend·v + f``; ``V/β Ṗ`` = inflow of
+    each chamber, volumes fixed, β of the oil at its pressure; ``Q = gain·opening + slope·Δp`` along
+    each edge; valves as their elements are."""
     plant = model.plant
     row = plant.cylinders[model.layout.cylinders.index(point.cylinder)]
     valves, moving, names = _states(model, point)
@@ -554,7 +581,8 @@ def development_model(model: Model, point: OperatingPoint) -> LinearModel:
         -areas[1] / point.mass,
     )
     e[0] = 1.0 / point.mass
-    stiff = row.bulk_modulus / np.array([point.volume_head, point.volume_rod])
+    stiff = np.array([bulk_of(row, point.p_head), bulk_of(row, point.p_rod)])
+    stiff /= (point.volume_head, point.volume_rod)
     inflow = np.zeros((2, size))
     inflow[:, 0] = -areas[0], areas[1]
     inflow[0, 1:3] = -row.leakage_internal - row.leakage_head, row.leakage_internal

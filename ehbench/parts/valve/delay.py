@@ -33,8 +33,8 @@ class Line(NamedTuple):
     """The commands of past ticks.
 
     ``tick`` [s]; ``past`` [V], shape (depth, valves), a ring by tick of as many as the longest
-    delay needs, of one where there is none; ``count`` of ticks so far, shape (1,); ``held`` [V]
-    what each valve feels over a step, shape (valves,).
+    delay needs, of one where there is none; ``count`` of ticks so far, shape (1,); ``held`` what
+    the plant feels of a row of commands over a step: forces that are played are never late.
     """
 
     tick: float
@@ -45,10 +45,11 @@ class Line(NamedTuple):
 
 def line_of(plant: Any, tick: float) -> Line:
     """The line of a plant that was commanded ``valves.before`` until now."""
-    before, delay = plant.valves.before, plant.valves.delay
+    before, delay = np.array(plant.valves.before, float), plant.valves.delay
     depth = math.ceil(delay.max() / tick) + 2 if delay.any() else 1
-    past = np.tile(np.asarray(before, float), (depth, 1))
-    return Line(float(tick), past, np.zeros(1, np.int64), np.array(before, float))
+    played = max(0, 1 + int(plant.forces.played.max(initial=-1)) - before.size)
+    held = np.append(before, np.zeros(played))
+    return Line(float(tick), np.tile(before, (depth, 1)), np.zeros(1, np.int64), held)
 
 
 @part_kernel
@@ -56,12 +57,12 @@ def line_felt(line, command, plant, start, h):
     """Write what the valves feel over ``h`` [s] from ``start`` [s] of the present tick on into
     ``line.held``, under its ``command`` [V].
     """
-    for i in range(line.held.shape[0]):
+    for i in range(command.shape[0]):
         line.held[i] = command[i]
     depth = line.past.shape[0]
     if depth == 1:
         return
-    for i in range(line.held.shape[0]):
+    for i in range(line.past.shape[1]):
         since = start - plant.valves[i].delay
         if plant.valves[i].delay > 0.0:
             first = int(math.floor(since / line.tick))
@@ -76,6 +77,6 @@ def line_push(line, command):
     """The present tick, of this ``command`` [V], is over."""
     depth = line.past.shape[0]
     if depth > 1:
-        for i in range(line.held.shape[0]):
+        for i in range(line.past.shape[1]):
             line.past[line.count[0] % depth, i] = command[i]
         line.count[0] += 1
