@@ -8,9 +8,10 @@ from ehbench.errors import InputError, LogError
 from ehbench.ledger.quadrature import Integrated, flows_at, integrate, powers_at, stores_at
 from ehbench.ledger.rows import Ledger
 from ehbench.ledger.sheet import Sheet, must_have_samples, oil_drawn, payload_of
+from ehbench.parts.valve.delay import line_of
 from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model
-from ehbench.plant.valves import follow_valves
+from ehbench.plant.valves import felt_commands, follow_valves
 from ehbench.record import Record
 
 FOLLOWS = 1.0e-2  # share of a state's range that a tick of the model may miss the next sample by
@@ -76,6 +77,7 @@ def ledger_of_model(
     t = np.ascontiguousarray(record.t, dtype=float)
     states, commands = states_of(model, record)
     plant = model.plant.at_pressures(tank=record["p_tank"][0] if "p_tank" in record else None)
+    plant = plant.held_before(_before(model, record))
     tank = np.full(t.size, plant.tank_pressure)
     sheet, notes = Sheet(model, "residual"), []
     flows = np.empty((t.size, len(model.layout.edges) + 1))
@@ -83,11 +85,14 @@ def ledger_of_model(
     if quadrature == "exact":
         ticks, ends = np.empty((t.size - 1, sheet.powers)), np.empty((t.size - 1, states.shape[1]))
         out = Integrated(flows, ticks, ends)
-        integrate(t, states, commands, plant, sheet.owner, step, out)
+        line = line_of(plant, t[1] - t[0])
+        integrate(t, states, commands, plant, line, sheet.owner, step, out)
         np.cumsum(ticks, axis=0, out=spent[1:])
         notes += _missed(model, states, ends)
     else:
-        flows_at(states, commands, tank, plant, flows)
+        tick = t[1] - t[0]
+        felt = felt_commands(plant, commands, tick, tick / max(1, round(tick / step)))
+        flows_at(states, felt, tank, plant, flows)
         power = np.empty((t.size, sheet.powers))
         powers_at(states, commands, flows, tank, plant, sheet.owner, power)
         np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t)[:, None], axis=0, out=spent[1:])
@@ -99,6 +104,12 @@ def ledger_of_model(
     return sheet.ledger(
         model, record, payload_of(record), table[-1], None, notes=tuple(notes), **told
     )
+
+
+def _before(model: Model, record: Record) -> np.ndarray:
+    """Commands [V] before the record: valves with a delay had arrived at their openings."""
+    first = [float(record[f"{name}.opening"][0]) for name in model.layout.valves]
+    return np.where(model.plant.valves.delay > 0.0, first, model.plant.valves.before)
 
 
 def _same_flows(model: Model, record: Record, flows: np.ndarray) -> None:

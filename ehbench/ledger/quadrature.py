@@ -10,6 +10,7 @@ import numpy as np
 from ehbench.compiled import allocating_kernel
 from ehbench.ledger.powers import powers, stores
 from ehbench.parts.nodes import TANK
+from ehbench.parts.valve.delay import line_felt, line_push
 from ehbench.physics import arm
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import MOST_SUBSTEPS, STIFF, advance
@@ -27,11 +28,12 @@ class Integrated(NamedTuple):
 
 
 @allocating_kernel
-def integrate(t, states, commands, plant, owner, step, out):
+def integrate(t, states, commands, plant, line, owner, step, out):
     """Integrate each tick anew from its logged state with the plant's own kernel, and the powers
     with it by Simpson's rule.
 
     Args:
+        line: of past commands.
         owner: cylinder to which each edge belongs.
         step: longest piece [s]; shorter ones are taken where the plant is stiff.
         out: where it goes.
@@ -42,26 +44,34 @@ def integrate(t, states, commands, plant, owner, step, out):
     y, start, middle = np.empty(size), np.empty(columns), np.empty(columns)
     for i in range(t.shape[0]):
         y[:] = states[i]
-        rate = derivatives(y, commands[i], plant, k[0], work)
+        tick = t[min(i + 1, t.shape[0] - 1)] - t[min(i, t.shape[0] - 2)]
+        steps = max(1, math.ceil(tick / step - 1e-6))
+        felt, held = tick / steps, line.held
+        line_felt(line, commands[i], plant, 0.0, felt)
+        rate = derivatives(y, held, plant, k[0], work)
         out.flows[i] = work[at:]
         if i + 1 == t.shape[0]:
             break
-        tick = t[i + 1] - t[i]
         pieces = min(MOST_SUBSTEPS, max(1, math.ceil(max(tick / step - 1e-6, rate * tick / STIFF))))
         h = tick / pieces
-        powers(y, commands[i], work[at:], plant, owner, start)
+        powers(y, held, work[at:], plant, owner, start)
         energies[i] = 0.0
-        for _ in range(pieces):
-            advance(y, commands[i], plant, 0.5 * h, k, work, rate)
-            rate = derivatives(y, commands[i], plant, k[0], work)
-            powers(y, commands[i], work[at:], plant, owner, middle)
+        for piece in range(pieces):
+            if line.past.shape[0] > 1 and piece > 0:  # what is late may come in between
+                line_felt(line, commands[i], plant, (piece * steps // pieces) * felt, felt)
+                rate = derivatives(y, held, plant, k[0], work)
+                powers(y, held, work[at:], plant, owner, start)
+            advance(y, held, plant, 0.5 * h, k, work, rate)
+            rate = derivatives(y, held, plant, k[0], work)
+            powers(y, held, work[at:], plant, owner, middle)
             for j in range(columns):
                 energies[i, j] += h / 6.0 * start[j] + h / 1.5 * middle[j]
-            advance(y, commands[i], plant, 0.5 * h, k, work, rate)
-            rate = derivatives(y, commands[i], plant, k[0], work)
-            powers(y, commands[i], work[at:], plant, owner, start)
+            advance(y, held, plant, 0.5 * h, k, work, rate)
+            rate = derivatives(y, held, plant, k[0], work)
+            powers(y, held, work[at:], plant, owner, start)
             for j in range(columns):
                 energies[i, j] += h / 6.0 * start[j]
+        line_push(line, commands[i])
         out.ends[i] = y
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from ehbench.errors import LogError
 from ehbench.parts.cylinder import joint_of, linkage_arrays
 from ehbench.plant.model import Model
+from ehbench.plant.valves import felt_commands
 from ehbench.record import Record
 
 CUT_MEAN = 0.7561  # mean of |z|, z standard normal, what exceeds its 90 % quantile cut to it
@@ -52,7 +53,9 @@ def read_log(model: Model, record: Record) -> tuple[Readings, list[str]]:
             "stores"
         )
     t = np.ascontiguousarray(record.t, dtype=float)
-    return Readings(t, commands, q, qd, x, p, p_supply, p_tank, flow_supply), log.notes
+    tick = float(t[1] - t[0])
+    felt = felt_commands(model.plant.held_before(commands[0]), commands, tick, tick)
+    return Readings(t, felt, q, qd, x, p, p_supply, p_tank, flow_supply), log.notes
 
 
 @dataclass(frozen=True)

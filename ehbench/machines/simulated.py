@@ -13,6 +13,7 @@ from ehbench.machines.rows import LawRows, Rows, control, violated
 from ehbench.parts.cylinder import linkage_of
 from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
 from ehbench.parts.sample import LINE, OF, entry, line_entry, sample_channels
+from ehbench.parts.valve.delay import Line, line_felt, line_of, line_push
 from ehbench.plant.build import Maps, Plant
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import STEP, advance, rk4
@@ -25,11 +26,12 @@ NAME = "model"
 
 class Running(NamedTuple):
     """A model at work: its state ``y``, the plant, the ``tick`` [s] and the integration ``steps``
-    in it, and the scratch of both.
+    in it, the ``line`` of past commands, and the scratch of both.
     """
 
     y: np.ndarray
     plant: Plant
+    line: Line
     tick: float
     steps: int
     k: np.ndarray
@@ -55,14 +57,17 @@ def model_sample(y, plant, sample):
 
 
 @kernel
-def model_tick(y, command, plant, tick, steps, k, work, sample):
-    """Let ``command`` [V] act for one ``tick`` [s] on state ``y``, in place, then write the sample
-    at its end.
+def model_tick(y, command, plant, line, steps, k, work, sample):
+    """Let ``command`` [V] act for one tick of its ``line`` on state ``y``, in place, then write the
+    sample at its end.
 
     ``k`` is a (5, states) scratch and ``work`` the workspace of the plant; ``steps`` integration
     steps a tick."""
-    for _ in range(steps):
-        rk4(y, command, plant, tick / steps, k, work)
+    h = line.tick / steps
+    for step in range(steps):
+        line_felt(line, command, plant, step * h, h)
+        rk4(y, line.held, plant, h, k, work)
+    line_push(line, command)
     model_sample(y, plant, sample)
 
 
@@ -72,7 +77,8 @@ def model_truth(own, command, row):
     derivatives, whose fastest rate [1/s] is returned.
     """
     size, at = own.y.shape[0], own.plant.at.flow
-    rate = derivatives(own.y, command, own.plant, own.k[0], own.work)
+    line_felt(own.line, command, own.plant, 0.0, own.tick / own.steps)
+    rate = derivatives(own.y, own.line.held, own.plant, own.k[0], own.work)
     for j in range(size):
         row[j] = own.y[j]
     for j in range(own.work.shape[0] - at):
@@ -92,9 +98,11 @@ def _advance(first, stop, own, rows, law):
         rate = model_truth(own, command, rows.truth[i])
         for j in range(sample.shape[0]):
             rows.samples[i, j] = sample[j]
-        advance(own.y, command, own.plant, h, own.k, own.work, rate)
-        for _ in range(1, own.steps):
-            rk4(own.y, command, own.plant, h, own.k, own.work)
+        advance(own.y, own.line.held, own.plant, h, own.k, own.work, rate)
+        for step in range(1, own.steps):
+            line_felt(own.line, command, own.plant, step * h, h)
+            rk4(own.y, own.line.held, own.plant, h, own.k, own.work)
+        line_push(own.line, command)
         model_sample(own.y, own.plant, sample)
     return -1
 
@@ -122,6 +130,7 @@ class SimulatedMachine:
         self._own = Running(
             self.state,
             plant,
+            line_of(plant, 1.0 / self.rate),
             1.0 / self.rate,
             self.steps,
             np.empty((5, states)),
@@ -142,6 +151,7 @@ class SimulatedMachine:
     def start(self, posture: Posture = None, low_side: float | None = None) -> np.ndarray:
         """As `Machine.start`."""
         self.state[:] = self.model.trim(self.model.posture(posture), low_side)
+        self._own.line.past[:] = self.model.plant.valves.before
         sample = np.empty(len(self.channels))
         model_sample(self.state, self.model.plant, sample)
         return sample
@@ -150,7 +160,7 @@ class SimulatedMachine:
         """As `Machine.tick`."""
         sample = np.empty(len(self.channels))
         own, held = self._own, np.asarray(command, dtype=float)
-        model_tick(own.y, held, own.plant, own.tick, own.steps, own.k, own.work, sample)
+        model_tick(own.y, held, own.plant, own.line, own.steps, own.k, own.work, sample)
         if not np.isfinite(self.state).all():
             raise SimulationError("the simulation left finite numbers", hint="take a smaller step")
         return sample

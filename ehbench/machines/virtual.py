@@ -39,6 +39,7 @@ from ehbench.parts.oil import bulk
 from ehbench.parts.sample import OF, entry, line_entry, sample_channels
 from ehbench.parts.supply import line_stiffness, pump_flow
 from ehbench.parts.valve import VALVE_COLUMNS, limited, valve_rates, valve_settle
+from ehbench.parts.valve.delay import Line, line_felt, line_of, line_push
 from ehbench.parts.valve.second_order import SecondOrder, second_order
 from ehbench.physics.cylinder import chamber_rate, relief_flow
 from ehbench.physics.friction import stribeck
@@ -174,16 +175,17 @@ class VirtualPlant(NamedTuple):
 
 class Scratch(NamedTuple):
     """What a tick of the bench works in: ``k`` (5, states), ``work`` (at.work,), ``target`` [V]
-    (valves,), ``raw`` (channels,).
+    (valves,), ``raw`` (channels,), and the ``line`` of past targets.
     """
 
     k: np.ndarray
     work: np.ndarray
     target: np.ndarray
     raw: np.ndarray
+    line: Line
 
 
-def scratch_of(bench: VirtualPlant) -> Scratch:
+def scratch_of(bench: VirtualPlant, tick: float) -> Scratch:
     """A scratch for a bench."""
     at = bench.at
     return Scratch(
@@ -191,6 +193,7 @@ def scratch_of(bench: VirtualPlant) -> Scratch:
         np.zeros(at.work),
         np.zeros(bench.valves.shape[0]),
         np.zeros(at.channels),
+        line_of(bench, tick),
     )
 
 
@@ -468,13 +471,16 @@ def bench_tick(state, command, bench, tick, steps, scratch, noise_row, sample):
         state[k] = play(state[k], limited(command[i], valve), valve.hysteresis)
         scratch.target[i] = valve.gain * state[k] + valve.offset
     h = tick / steps
-    for _ in range(steps):
-        rk4(y, scratch.target, bench, h, scratch.k, scratch.work)
+    line = scratch.line
+    for step in range(steps):
+        line_felt(line, scratch.target, bench, step * h, h)
+        rk4(y, line.held, bench, h, scratch.k, scratch.work)
         _raw(y, bench, scratch.raw)
         for i in range(at.channels):
             lag = bench.sensors[i].lag
             keep = math.exp(-h / lag) if lag > 0.0 else 0.0
             state[at.lags + i] = scratch.raw[i] + keep * (state[at.lags + i] - scratch.raw[i])
+    line_push(line, scratch.target)
     _measure(state, bench, noise_row, sample)
 
 
@@ -744,7 +750,11 @@ class VirtualMachine:
         self.size, self.raw = at.states, at.channels
         self.state = np.zeros(at.size)
         self._own = Running(
-            self.state, self.bench, 1.0 / self.rate, self.steps, scratch_of(self.bench)
+            self.state,
+            self.bench,
+            1.0 / self.rate,
+            self.steps,
+            scratch_of(self.bench, 1.0 / self.rate),
         )
         self._rng = self._new_noise()
         self._noise, self._used = np.empty((0, self.raw)), 0
@@ -801,8 +811,10 @@ class VirtualMachine:
         state[:] = 0.0
         state[: at.pump] = self.model.trim(self.model.posture(posture), low_side)
         state[at.hysteresis : at.lags] = rest
-        for valve, command in zip(bench.valves, rest, strict=True):
-            valve_settle(valve, valve.gain * command + valve.offset, bench, state)
+        for index, (valve, command) in enumerate(zip(bench.valves, rest, strict=True)):
+            target = valve.gain * command + valve.offset
+            valve_settle(valve, target, bench, state)
+            self._own.scratch.line.past[:, index] = target
         _raw(state[: at.states], bench, state[at.lags : at.filters])
         for c in range(len(self.layout.cylinders)):
             k = at.filters + _FILTER * c

@@ -60,6 +60,12 @@ class Plant(NamedTuple):
         """[Pa]"""
         return float(self.nodes[TANK].pressure)
 
+    def held_before(self, command: np.ndarray) -> Plant:
+        """This plant, commanded ``command`` [V] before the first tick, the valves' first."""
+        valves = self.valves.copy()
+        valves["before"] = command[: valves.shape[0]]
+        return self._replace(valves=valves)
+
     def at_pressures(self, supply: float | None = None, tank: float | None = None) -> Plant:
         """This plant with a set pressure and a tank pressure [Pa] of their own; what is not given
         stays.
@@ -234,7 +240,11 @@ def _valves(rig: Rig, names: Layout) -> tuple[np.recarray, np.recarray]:
             elements.append(place | rig.dynamics[one.dynamics].row())
         ends = {"lowest": float(item.command_min), "highest": float(item.command_max)}
         count = len(elements) - first
-        rows.append(ends | {"first": first, "count": count, "output": output})
+        late = {
+            "delay": sum(rig.dynamics[one].late() for one in item.series),
+            "before": item.rest,
+        }
+        rows.append(ends | late | {"first": first, "count": count, "output": output})
     return table_of(rows, VALVE), table_of(elements, ELEMENT)
 
 

@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from ehbench.compiled import allocating_kernel, part_kernel
+from ehbench.parts.valve.delay import line_felt, line_push
 from ehbench.plant.derivatives import any_derivatives, any_finish
 
 STEP = 5.0e-4  # [s]
@@ -53,30 +54,32 @@ def advance(y, command, plant, h, k, work, rate):
 
 
 @allocating_kernel
-def run(y, commands, plant, tick, steps, log):
+def run(y, commands, plant, line, steps, log):
     """Integrate from ``y`` (in place) through a table of commands, held over each tick; returns the
     most substeps.
 
     Args:
         y: state at the first sample.
         commands: [V], shape (samples, valves); row i acts from sample i on.
-        tick: time between samples [s].
+        line: of past commands; its ``tick`` is the time between samples [s].
         steps: integration steps a tick.
         log: out, shape (samples, states + edges + 1): the state, the edge flows and the pump flow
             at each sample, before the tick that starts there.
     """
     size, at = y.shape[0], plant.at.flow
     k, work = np.empty((5, size)), np.empty(plant.at.work)
-    most = 1
+    most, h = 1, line.tick / steps
     for sample in range(commands.shape[0]):
-        command = commands[sample]
-        rate = any_derivatives(y, command, plant, k[0], work)
+        line_felt(line, commands[sample], plant, 0.0, h)
+        rate = any_derivatives(y, line.held, plant, k[0], work)
         for i in range(size):
             log[sample, i] = y[i]
         for i in range(work.shape[0] - at):
             log[sample, size + i] = work[at + i]
         if sample + 1 < commands.shape[0]:
-            most = max(most, advance(y, command, plant, tick / steps, k, work, rate))
-            for _ in range(1, steps):
-                most = max(most, rk4(y, command, plant, tick / steps, k, work))
+            most = max(most, advance(y, line.held, plant, h, k, work, rate))
+            for step in range(1, steps):
+                line_felt(line, commands[sample], plant, step * h, h)
+                most = max(most, rk4(y, line.held, plant, h, k, work))
+            line_push(line, commands[sample])
     return most

@@ -57,8 +57,9 @@ class Layout:
     """Names of what a plant's tables hold, in order, and where each of its states stands.
 
     ``valves`` and ``edges`` are called ``<cylinder>.<valve>`` and ``<cylinder>.<edge>``, those of
-    valves first, ``elements`` are those of the valves' dynamics, in order, ``played`` the channels
-    of forces that stand behind the valves' commands in a row of commands, and
+    valves first, ``elements`` are those of the valves' dynamics, in order, ``several`` the valves
+    with more than one dynamics, ``played`` the channels of forces that stand behind the valves'
+    commands in a row of commands, and
     ``state_names`` say what each state is, such as ``boom.p_head`` or ``boom.hect.opening``.
     """
 
@@ -67,6 +68,7 @@ class Layout:
     valves: tuple[str, ...]
     edges: tuple[str, ...]
     elements: tuple[Element, ...]
+    several: tuple[int, ...]
     frictions: tuple[int, ...]
     played: tuple[str, ...]
     state_names: tuple[str, ...]
@@ -102,15 +104,14 @@ class Layout:
 
     @property
     def inner_states(self) -> tuple[tuple[str, int], ...]:
-        """(channel, position) of the states of valves with several elements, but for the opening:
+        """(channel, position) of the states of valves with several dynamics, but for the opening:
         what a command and an opening do not tell.
         """
-        count = [one.valve for one in self.elements]
         found = []
         for one in self.elements:
             for at in range(one.state, one.state + len(valve.LAWS[one.law].states)):
                 name = self.state_names[at]
-                if count.count(one.valve) > 1 and name != f"{self.valves[one.valve]}.opening":
+                if one.valve in self.several and name != f"{self.valves[one.valve]}.opening":
                     found.append((name.replace(".rate", ".opening_rate"), at))
         return tuple(found)
 
@@ -158,6 +159,7 @@ def layout(rig: Rig) -> Layout:
         valves=valves,
         edges=tuple(rig.all_edges()),
         elements=tuple(elements),
+        several=tuple(i for i, (_, item) in enumerate(rig.valves()) if len(item.series) > 1),
         frictions=frictions,
         played=tuple(dict.fromkeys(f.channel for c in rig.cylinder for f in c.force if f.channel)),
         state_names=tuple(names),
@@ -168,7 +170,7 @@ def layout(rig: Rig) -> Layout:
 def _series(rig: Rig, item: Valve) -> list[tuple[str, int]]:
     """(name, number of its law) of each of a valve's elements, from its command to its opening."""
     kinds = ((one, type(rig.dynamics[one])) for one in item.series)
-    return [(one, valve.TABLES.index(kind)) for one, kind in kinds if kind in valve.TABLES]
+    return [(one, valve.ELEMENTS.index(kind)) for one, kind in kinds if kind in valve.ELEMENTS]
 
 
 def _friction(item: Cylinder) -> int:

@@ -10,10 +10,12 @@ import numpy as np
 from ehbench.errors import InputError, LogError, SimulationError
 from ehbench.parts.cylinder import joint_range_of, linkage_arrays
 from ehbench.parts.valve import valve_settle
+from ehbench.parts.valve.delay import line_of
 from ehbench.plant import trim as starts
 from ehbench.plant.build import Maps, Plant, build
 from ehbench.plant.integrate import STEP, run
 from ehbench.plant.layout import SIDES, Layout, layout
+from ehbench.plant.valves import felt_commands
 from ehbench.record import Record
 from ehbench.rig import Rig
 
@@ -110,7 +112,8 @@ class Model:
         """
         steps = max(1, round(tick / step))
         log = np.empty((commands.shape[0], y.shape[0] + self.plant.edges.shape[0] + 1))
-        run(y.copy(), np.ascontiguousarray(commands, dtype=float), self.plant, tick, steps, log)
+        table, line = np.ascontiguousarray(commands, dtype=float), line_of(self.plant, tick)
+        run(y.copy(), table, self.plant, line, steps, log)
         if not np.isfinite(log[-1]).all():
             bad = int(np.argmin(np.isfinite(log).all(axis=1)))
             raise SimulationError(
@@ -194,7 +197,8 @@ class Model:
             float(np.mean(record[channel][:rest])) if channel in record else None
             for channel in ("p_supply", "p_tank")
         )
-        model = replace(self, plant=self.plant.at_pressures(supply, tank))
+        plant = self.plant.at_pressures(supply, tank).held_before(table[0])
+        model = replace(self, plant=plant)
         log = model.run(model.start_of(record, rest), table, tick, step)
         return model.record(record.t, table, log, record.meta)
 
@@ -226,9 +230,11 @@ class Model:
             channels[f"{valve}.command"] = commands[:, index]
         for index, channel in enumerate(names.played, len(names.valves)):
             channels[channel] = commands[:, index]
+        tick = float(t[1] - t[0]) if len(t) > 1 else STEP
+        felt = felt_commands(plant, commands, tick, tick / max(1, round(tick / STEP)))
         for index, valve in enumerate(names.valves):
             output = plant.valves[index].output
-            channels[f"{valve}.opening"] = commands[:, index] if output < 0 else log[:, output]
+            channels[f"{valve}.opening"] = felt[:, index] if output < 0 else log[:, output]
         for channel, at in names.inner_states:
             channels[channel] = log[:, at]
         for index, edge in enumerate(names.edges):

@@ -10,6 +10,7 @@ from ehbench.compiled import allocating_kernel, kernel
 from ehbench.parts.cylinder import linkage_of
 from ehbench.parts.friction import friction_advance
 from ehbench.parts.valve import limited, valve_advance, valve_recover, valve_settle
+from ehbench.parts.valve.delay import line_felt, line_of, line_push
 from ehbench.plant.build import Plant
 
 
@@ -45,6 +46,27 @@ def follow_valves(t, commands, plant, known, states):
             valve_advance(valve, signal, t[s + 1] - t[s], plant, states[s + 1], scratch)
             if known:
                 states[s + 1, valve.output] = later
+
+
+@kernel
+def _felt(commands, plant, line, h, out):
+    for s in range(commands.shape[0]):
+        line_felt(line, commands[s], plant, 0.0, h)
+        for i in range(commands.shape[1]):
+            out[s, i] = line.held[i]
+        line_push(line, commands[s])
+
+
+def felt_commands(plant: Plant, commands: np.ndarray, tick: float, h: float) -> np.ndarray:
+    """What the valves feel over ``h`` [s] from each sample on [V], shape (samples, valves), of
+    commands held over each ``tick`` [s]; the commands themselves where no valve has a delay.
+    """
+    if not plant.valves.delay.any():
+        return commands
+    table = np.ascontiguousarray(commands, dtype=float)
+    out = np.empty_like(table)
+    _felt(table, plant, line_of(plant, tick), h, out)
+    return out
 
 
 @kernel

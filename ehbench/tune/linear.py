@@ -512,14 +512,16 @@ class LinearModel:
     """``ẋ = A x + B u + E f`` about an operating point: u [V] the commands of the valves at work, f
     [N] a force on the rod.
 
-    ``states`` name x: ``v, p_head, p_rod``, then the states of each valve with dynamics; all SI.
-    ``valves`` number u."""
+    ``states`` name x: ``v, p_head, p_rod``, then the states of each valve with dynamics, then those
+    of the Padé forms of delays; all SI. ``valves`` number u. Poles beyond ``fastest`` [rad/s] are
+    those of the Padé forms."""
 
     states: tuple[str, ...]
     valves: tuple[int, ...]
     a: np.ndarray
     b: np.ndarray
     e: np.ndarray
+    fastest: float = math.inf
 
 
 class ValveBlock(NamedTuple):
@@ -601,7 +603,29 @@ def development_model(model: Model, point: OperatingPoint) -> LinearModel:
     for i, block in moving.items():
         rows = slice(at[i], at[i] + block.b.size)
         a[rows, rows], b[rows, valves.index(i)] = block.a, block.b
-    return LinearModel(names, valves, a, b, e)
+    return _delayed(LinearModel(names, valves, a, b, e), model)
+
+
+def _delayed(linear: LinearModel, model: Model) -> LinearModel:
+    """The model with the delays of its valves before them, in Padé form: e^(−sT) ≈ 1 − 2 a1 s/(s² +
+    a1 s + a0), a1 = 6/T, a0 = 12/T². Their states stand last.
+    """
+    late = model.plant.valves.delay[list(linear.valves)]
+    size, held = linear.a.shape[0], 2 * int(np.count_nonzero(late))
+    if not held:
+        return linear
+    a, b = np.zeros((size + held, size + held)), np.zeros((size + held, len(late)))
+    a[:size, :size], b[:size] = linear.a, linear.b
+    names = list(linear.states)
+    for i, delay in zip(np.flatnonzero(late), late[late > 0.0], strict=True):
+        at = len(names)
+        root, twice = math.sqrt(12.0) / delay, 12.0 / delay
+        a[at, at + 1], a[at + 1, at], a[at + 1, at + 1] = root, -root, -0.5 * twice
+        b[at + 1, i] = root
+        a[:size, at + 1] = -twice / root * linear.b[:, i]
+        names += [f"{model.layout.valves[linear.valves[i]]}.late_{k}" for k in (1, 2)]
+    e = np.append(linear.e, np.zeros(held))
+    return LinearModel(tuple(names), linear.valves, a, b, e, 2.5 / float(late.max()))
 
 
 def _starts(moving: Mapping[int, ValveBlock]) -> list[int]:
@@ -620,7 +644,7 @@ def faster(linear: LinearModel, factor: float) -> LinearModel:
     quick = np.where(rates, factor**2, factor)[3:, None]
     a[3:], b[3:] = a[3:] * quick, b[3:] * quick
     a[3:, rates] /= factor
-    return LinearModel(linear.states, linear.valves, a, b, linear.e)
+    return LinearModel(linear.states, linear.valves, a, b, linear.e, linear.fastest * factor)
 
 
 def state_of(model: Model, point: OperatingPoint) -> tuple[np.ndarray, np.ndarray]:
@@ -728,7 +752,8 @@ def plant_model(
         joint = int(model.plant.cylinders[about.index].joint)
         mass = about.mass(about.y)
         e[1 - first] = point.lever**2 * np.linalg.inv(mass)[joint, joint]
-    return LinearModel(names, valves, table[first:, first:size], table[first:, size:], e)
+    linear = LinearModel(names, valves, table[first:, first:size], table[first:, size:], e)
+    return _delayed(linear, model)
 
 
 @dataclass(frozen=True)
@@ -824,7 +849,7 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
     scale[1:3], scale[size:] = 1.0e6, 1.0e6
     scale[:size][_are_rates(linear.states)] = 100.0
     ratio = scale / scale[:, None]
-    fastest = 2.5 / law.delay if held else math.inf
+    fastest = min(2.5 / law.delay if held else math.inf, linear.fastest)
     return Loop(
         a * ratio,
         put @ direct / scale,

@@ -20,6 +20,7 @@ from ehbench.machines.simulated import model_sample, model_tick
 from ehbench.machines.virtual import bench_tick
 from ehbench.parts.sample import sample_size
 from ehbench.parts.valve import valve_lag as lag_of
+from ehbench.parts.valve.delay import line_of
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import STEP
 
@@ -64,18 +65,18 @@ def control(t, sample, reference, law, telemetry):
 
 
 @njit(cache=True, nogil=True)
-def on_model(y, reference, law, plant, tick, steps, trace, flows):
+def on_model(y, reference, law, plant, line, steps, trace, flows):
     """Run a controller on the model."""
     k = np.empty((5, y.shape[0]))
     work = np.empty(plant.at.work)
     sample = np.empty(trace.log.shape[1])
     model_sample(y, plant, sample)
     for i in range(reference.shape[0]):
-        control(i * tick, sample, reference[i], law, trace.telemetry[i])
+        control(i * line.tick, sample, reference[i], law, trace.telemetry[i])
         trace.log[i], trace.commands[i] = sample, law.command
         derivatives(y, law.command, plant, k[0], work)
         flows[i] = work[plant.at.flow :]
-        model_tick(y, law.command, plant, tick, steps, k, work, sample)
+        model_tick(y, law.command, plant, line, steps, k, work, sample)
 
 
 @njit(cache=True, nogil=True)
@@ -187,7 +188,8 @@ def run_model(model, ax, gains, reference, posture=None, mask=None, memory=None)
     mask = arc.observed(ax, channels) if mask is None else mask
     law, trace, names = _arrays(model, ax, gains, mask, memory, count, channels)
     flows = np.zeros((count, len(model.layout.edges) + 1))
-    on_model(y, reference, law, model.plant, tick, max(1, round(tick / STEP)), trace, flows)
+    line, steps = line_of(model.plant, tick), max(1, round(tick / STEP))
+    on_model(y, reference, law, model.plant, line, steps, trace, flows)
     return _run(reference, law, trace, names, tick, flows)
 
 

@@ -17,6 +17,7 @@ from ehbench.control.functions import pack_rules
 from ehbench.control.records import blank
 from ehbench.errors import InputError
 from ehbench.machines.simulated import model_sample, model_tick
+from ehbench.parts.valve.delay import line_of
 from ehbench.physics import arm
 from ehbench.physics.cylinder import joint_angle
 from ehbench.plant.derivatives import derivatives
@@ -307,7 +308,7 @@ def test_closed_loop_agrees_with_the_compiled_controller(function, washout, ramp
                 i * tick, sample, reference, circuit, gains, memory, command, note
             )
             assert note[5] == function and note[-circuit.count :].max() == 0
-            model_tick(y, command, plant, tick, 2, k, work, sample)
+            model_tick(y, command, plant, line_of(plant, tick), 2, k, work, sample)
         return np.array(speed)
 
     push = 2e-3

@@ -12,9 +12,11 @@ import pytest
 
 from ehbench.errors import InputError
 from ehbench.ledger import ledger_of_model
+from ehbench.machines.simulated import SimulatedMachine
+from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.valve import valve_lag
 from ehbench.plant.model import Model, simulate
-from ehbench.plant.valves import follow_valves
+from ehbench.plant.valves import felt_commands, follow_valves
 from ehbench.recipe import load_rig
 from ehbench.record import Record
 from ehbench.rig import Rig
@@ -35,8 +37,11 @@ KINDS = {
     "spool": SPOOL,
     "amplifier": {"natural_frequency": "60 Hz", "damping_ratio": 1.0},
     "lag": {"kind": "first_order", "lag": "6 ms"},
+    "bus": {"kind": "delay", "delay": "5.3 ms"},
 }
 SERIES = [("amplifier", "spool"), ("lag",), ("lag", "spool"), ("spool", "lag")]
+SERIES += [("bus", "spool"), ("bus", "lag", "spool")]
+BUS = 5.3e-3
 LAG = 6e-3
 AMPLIFIER = 2 * math.pi * 60.0
 
@@ -91,6 +96,77 @@ def test_a_first_order_valve_is_an_exponential():
     assert float(slower.parameters()["corner.lag"]) == 0.01
 
 
+def test_a_whole_delay_is_a_pure_shift():
+    """Of the command alone, and of the response of what is behind it, wherever it stands; a machine
+    that is ticked says the same.
+    """
+    bus = {"kind": "delay", "delay": "5 ms"}
+    record = step_of(rig_with("whole", whole=bus))
+    assert (record["press.servo.opening"] == np.where(record.t > 0.0149, 1.0, 0.0)).all()
+    plain = step_of(rig_with("spool"))
+    for series in (("whole", "spool"), ("spool", "whole")):
+        late = step_of(rig_with(*series, whole=bus))
+        for name in ("press.servo.opening", "press.p_head", "press.x"):
+            gap = np.abs(late[name][5:] - plain[name][:-5])
+            assert gap.max() < 1e-11 * np.abs(plain[name]).max(), name
+
+
+def test_a_delay_between_ticks_is_one_of_many_short_ticks():
+    """Against ticks of 0.1 ms, of which it is a whole number: the mean over a step of 500 µs leaves
+    what the spool does not smooth.
+    """
+    rig = rig_with("bus", "spool")
+    record = step_of(rig)
+    fine = simulate(
+        rig, {"press.servo": np.where(np.arange(1001) >= 100, 1.0, 0.0)}, 0.1, rate=1e4, step=1e-4
+    )
+    for name, share in (("press.servo.opening", 0.01), ("press.x", 1e-4)):
+        gap = np.abs(record[name] - fine[name][::10])
+        assert gap.max() < share * np.ptp(fine[name]), name
+    after = record.t > 0.0165  # the impulse is exact, so nothing is left behind but of second order
+    gap = np.abs(record["press.servo.opening"] - fine["press.servo.opening"][::10])[after]
+    assert gap.max() < 2e-3
+
+
+def test_a_delay_shorter_than_a_step():
+    record = step_of(rig_with("short", short={"kind": "delay", "delay": "0.2 ms"}))
+    assert record["press.servo.opening"][9:12] == pytest.approx([0.0, 0.6, 1.0], abs=1e-12)
+
+
+@pytest.mark.parametrize("series", [("bus",), ("bus", "lag", "spool")])
+def test_ticks_and_replays_say_the_same(series):
+    model, table, record = steps(rig_with(*series))
+    machine = SimulatedMachine(model)
+    machine.start()
+    log = model.run(model.trim(model.posture(None)), table)
+    for i in range(200):
+        assert (machine.state == log[i, : machine.state.size]).all(), i
+        machine.tick(table[i])
+    again = model.replay(record, rest=10)
+    for name in ("press.x", "press.p_head", "press.servo.opening"):
+        gap = np.abs(again[name] - record[name])
+        assert gap.max() < 1e-6 * np.ptp(record[name]), name
+
+
+def test_the_virtual_rig_is_as_late():
+    """Its valve too: what it logs of a step moves by the whole delay."""
+    made = []
+    for series in (("spool",), ("whole", "spool")):
+        rig = rig_with(*series, whole={"kind": "delay", "delay": "5 ms"})
+        machine = VirtualMachine(rig)
+        machine.start()
+        made.append(
+            [
+                machine.tick(np.array([2.0]))[machine.channels.index("press.p_head")]
+                for _ in range(40)
+            ]
+        )
+    plain, late = np.array(made)
+    start = plain[0]
+    assert np.abs(late[:4] - start).max() < 0.05 * np.ptp(plain)
+    assert np.abs(late[5:] - plain[:-5]).max() < 0.1 * np.ptp(plain)
+
+
 def test_a_series_is_the_convolution():
     """The step response of both is that of one convolved with the impulse response of the other."""
     record = step_of(rig_with("amplifier", "spool"))
@@ -106,7 +182,7 @@ def test_a_series_is_the_convolution():
     assert np.abs(record["press.servo.amplifier.opening"] - inner).max() < 1e-6
 
 
-@pytest.mark.parametrize("series", SERIES)
+@pytest.mark.parametrize("series", [*SERIES, ("bus",)])
 def test_the_ledger_closes(series):
     model, _, record = steps(rig_with(*series))
     ledger = ledger_of_model(model, record)
@@ -120,10 +196,12 @@ def test_the_ledger_closes(series):
 def test_openings_follow_from_commands(series):
     """Without the plant, to what RK4 leaves over in the simulation."""
     model, table, record = steps(rig_with(*series))
-    states = np.zeros((1200, model.layout.states))
-    follow_valves(record.t, table, model.plant, False, states)
-    row = model.plant.valves[0]
-    assert np.abs(states[:, row.output] - record["press.servo.opening"]).max() < 3e-4
+    states, row = np.zeros((1200, model.layout.states)), model.plant.valves[0]
+    felt = felt_commands(model.plant, table, 1e-3, 1e-3)
+    follow_valves(record.t, felt, model.plant, False, states)
+    gap = np.abs(states[:, row.output] - record["press.servo.opening"])
+    # behind a delay, a tick feels the mean of what the model's steps tell apart
+    assert gap.max() < (0.15 if "bus" in series else 3e-4)
 
 
 @pytest.mark.parametrize("series", SERIES)
@@ -152,6 +230,11 @@ def test_the_linear_model_has_every_element(series):
         return found[[name.endswith("servo.opening") for name in linear.states[3:]]][0]
 
     assert opening(ours, 0.0) == pytest.approx(1.0, rel=1e-9)
+    if "bus" in series:
+        assert ours.fastest == pytest.approx(2.5 / BUS)
+        bare = opening(development_model(Model.of(rig_with(*series[1:])), point), 80j)
+        exact = bare * np.exp(-80j * BUS)
+        assert opening(ours, 80j) == pytest.approx(exact, rel=1e-4)
     s = 1e-3j
     lag = valve_lag(model.plant.valves[0], model.plant)
     assert -np.angle(opening(ours, s)) / 1e-3 == pytest.approx(lag, rel=1e-5)

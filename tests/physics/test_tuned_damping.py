@@ -15,6 +15,7 @@ from ehbench.control.functions import pack_rules
 from ehbench.control.records import blank
 from ehbench.machines.simulated import model_sample, model_tick
 from ehbench.parts.cylinder import linkage_of
+from ehbench.parts.valve.delay import line_of
 from ehbench.plant.model import Model
 from ehbench.recipe import TuneRecipe, load_rig
 from ehbench.tune.gains import tune_pressure_feedback
@@ -82,7 +83,7 @@ class Running:
                 telemetry,
             )
             assert telemetry[5] == function and not telemetry[-c.count :].any()
-            model_tick(y, command, self.plant, TICK, 2, k, work, sample)
+            model_tick(y, command, self.plant, line_of(self.plant, TICK), 2, k, work, sample)
         return np.concatenate([y, *(memory.ends[name] for name in pf.END.names)])
 
     def speeds(self, y):

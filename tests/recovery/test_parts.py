@@ -85,6 +85,11 @@ FRICTIONS = {
 
 VALVES = {
     "first_order": ({"amplifier": {"lag": "8 ms"}}, ["amplifier"], {"amplifier.lag": 1.8}),
+    "delay": (
+        {"bus": {"delay": "7.3 ms"}, "spool": {"natural_frequency": "80 Hz", "damping_ratio": 0.8}},
+        ["bus", "spool"],
+        {"bus.delay": 1.8},
+    ),
     "series": (
         {
             "amplifier": {"lag": "8 ms"},

@@ -1,7 +1,8 @@
 """Valves: a command, limited to its driver's range, and the elements in series that lead from it to
 the opening, a file an element.
 
-To add an element: write its file after ``second_order.py`` and name it in LAWS.
+To add an element: write its file after ``first_order.py`` and name it in LAWS. A pure delay is none
+of them: those of a valve stand together before its elements, see ``delay.py``.
 """
 
 from __future__ import annotations
@@ -9,18 +10,22 @@ from __future__ import annotations
 import math
 
 from ehbench.compiled import choice, part_kernel, record
-from ehbench.parts.valve import first_order, second_order
+from ehbench.parts.valve import delay, first_order, second_order
 
 LAWS = (second_order.LAW, first_order.LAW)
-TABLES = tuple(law.table for law in LAWS)
+ELEMENTS = tuple(law.table for law in LAWS)
+TABLES = (*ELEMENTS, delay.Delay)
 SHARE = 0.25  # of its fastest period over 2π, over which a series of elements is integrated
 
-# A valve. ``lowest, highest`` command of its driver [V]; its ``count`` elements stand from
+# A valve. ``lowest, highest`` command of its driver [V]; the ``delay`` [s] with which it feels a
+# command, and the command [V] ``before`` the first; its ``count`` elements stand from
 # ``first`` on in the plant's elements; ``output`` is where its opening [V] stands in the state, −1
 # where the opening is the command.
 VALVE_COLUMNS = (
     ("lowest", "f8"),
     ("highest", "f8"),
+    ("delay", "f8"),
+    ("before", "f8"),
     ("first", "i8"),
     ("count", "i8"),
     ("output", "i8"),
@@ -124,7 +129,7 @@ def valve_recover(valve, signal, dt, plant, y, later):
 @part_kernel
 def valve_lag(valve, plant):
     """Time [s] by which a valve's opening trails a steady ramp of its command."""
-    lag = 0.0
+    lag = valve.delay
     for i in range(valve.first, valve.first + valve.count):
         element = plant.elements[i]
         lag += _lag(element.law, element)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -18,8 +19,12 @@ class DynamicsTable(FileModel):
         return {}
 
     def period(self) -> float:
-        """Period [s] of its own motion."""
-        raise NotImplementedError
+        """Period [s] of its own motion, inf where it has none."""
+        return math.inf
+
+    def late(self) -> float:
+        """Pure delay [s] in it."""
+        return 0.0
 
     def parameters(self) -> dict[str, Value]:
         """Its numbers by name, also those that follow from the ones the file has."""

@@ -1,0 +1,82 @@
+"""A pure delay: what comes out is what came in ``delay`` ago.
+
+The elements of a valve are linear, so that their delays stand together before them all: a valve
+feels the command of ``valve.delay`` ago. Commands are held from tick to tick; where the delay is no
+whole number of integration steps, a step feels the mean of what is late over it. Its impulse is
+exact then, and changes smoothly with the delay.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+
+from ehbench.compiled import part_kernel
+from ehbench.fields import Q, Value
+from ehbench.parts.valve.law import DynamicsTable
+
+
+class Delay(DynamicsTable):
+    """A pure delay."""
+
+    kind: Literal["delay"]
+    delay: Annotated[Value, Q("delay")]
+
+    def late(self) -> float:
+        """As `DynamicsTable.late`."""
+        return float(self.delay)
+
+
+class Line(NamedTuple):
+    """The commands of past ticks.
+
+    ``tick`` [s]; ``past`` [V], shape (depth, valves), a ring by tick of as many as the longest
+    delay needs, of one where there is none; ``count`` of ticks so far, shape (1,); ``held`` what
+    the plant feels of a row of commands over a step: forces that are played are never late.
+    """
+
+    tick: float
+    past: np.ndarray
+    count: np.ndarray
+    held: np.ndarray
+
+
+def line_of(plant: Any, tick: float) -> Line:
+    """The line of a plant that was commanded ``valves.before`` until now."""
+    before, delay = np.array(plant.valves.before, float), plant.valves.delay
+    depth = math.ceil(delay.max() / tick) + 2 if delay.any() else 1
+    played = max(0, 1 + int(plant.forces.played.max(initial=-1)) - before.size)
+    held = np.append(before, np.zeros(played))
+    return Line(float(tick), np.tile(before, (depth, 1)), np.zeros(1, np.int64), held)
+
+
+@part_kernel
+def line_felt(line, command, plant, start, h):
+    """Write what the valves feel over ``h`` [s] from ``start`` [s] of the present tick on into
+    ``line.held``, under its ``command`` [V].
+    """
+    for i in range(command.shape[0]):
+        line.held[i] = command[i]
+    depth = line.past.shape[0]
+    if depth == 1:
+        return
+    for i in range(line.past.shape[1]):
+        since = start - plant.valves[i].delay
+        if plant.valves[i].delay > 0.0:
+            first = int(math.floor(since / line.tick))
+            share = min(max((since + h - (first + 1) * line.tick) / h, 0.0), 1.0)
+            late = command[i] if first >= 0 else line.past[(line.count[0] + first) % depth, i]
+            soon = command[i] if first >= -1 else line.past[(line.count[0] + first + 1) % depth, i]
+            line.held[i] = late + share * (soon - late)
+
+
+@part_kernel
+def line_push(line, command):
+    """The present tick, of this ``command`` [V], is over."""
+    depth = line.past.shape[0]
+    if depth > 1:
+        for i in range(line.past.shape[1]):
+            line.past[line.count[0] % depth, i] = command[i]
+        line.count[0] += 1
