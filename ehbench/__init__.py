@@ -8,7 +8,8 @@
 
 Everything is SI inside; `ehbench.quantities` names each quantity with its unit. What a command of
 the command line does, the function of its name does: `check`, `identify`, `validate`, `tune`,
-`run_trial`, `report`. Importing the package changes nothing else in the process.
+`run_trial`, `report`; `run` takes a recipe of any stage. Importing the package changes nothing else
+in the process.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ __all__ = [
     "load_rig",
     "read_log",
     "report",
+    "run",
     "run_trial",
     "simulate",
     "tune",
@@ -191,6 +193,37 @@ def run_trial(
         InputError: a bad recipe; says file, line and what would be right.
     """
     return _run(recipe, "run-trial", out, progress, allow_code=allow_code)
+
+
+def run(
+    recipe: str | Path,
+    *,
+    out: str | Path | None = None,
+    progress: Progress | None = None,
+    unvalidated: bool = False,
+    allow_code: bool = False,
+) -> Outcome:
+    """Run a recipe of any stage.
+
+    Example:
+        run = ehbench.run("recipes/slide_servo/hydraulics.toml")
+        run.code, run.notes
+
+    Args:
+        recipe: its TOML file.
+        out: the run's folder; ``reports/<recipe>_<hash8>/`` by default.
+        progress: called with a sentence and the share done.
+        unvalidated: tune on a rig that no validation accepted.
+        allow_code: let the recipe run a controller of your own, which is Python code.
+
+    Raises:
+        InputError: a bad recipe or bad data; says file, line and what would be right.
+        InsufficientData: the data do not support the claim.
+    """
+    from ehbench import workflow
+
+    session = _session(out, progress, unvalidated=unvalidated, allow_code=allow_code)
+    return workflow.run(Path(recipe), session)
 
 
 def report(

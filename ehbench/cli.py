@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ehbench.commands import COMMANDS, Command
 from ehbench.errors import EhbenchError
 
 if TYPE_CHECKING:
@@ -41,6 +42,9 @@ Out = Annotated[
 RecipeFile = Annotated[Path, typer.Argument(help="Recipe (TOML).", show_default=False)]
 AllowCode = Annotated[
     bool, typer.Option("--allow-code", help="Let recipes run Python code: controllers of your own.")
+]
+Unvalidated = Annotated[
+    bool, typer.Option("--unvalidated", help="Tune on a rig that no validation accepted.")
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress on stderr.")]
 
@@ -77,50 +81,32 @@ def check(
     raise typer.Exit(found.code)
 
 
-@app.command(epilog="Example:  ehbench identify recipes/thesis/flow_maps.toml")
-def identify(recipe: RecipeFile, out: Out = None, quiet: Quiet = False) -> None:
-    """Identify flow maps or hydraulics from the data a recipe names."""
-    _run("identify", recipe, out, quiet)
+def _runner(command: Command) -> Callable[..., None]:
+    """What typer calls for a command that runs a recipe: its parameters are those of the help."""
+
+    def plain(recipe: RecipeFile, out: Out = None, quiet: Quiet = False) -> None:
+        _run(command.name, recipe, out, quiet)
+
+    def insisting(
+        recipe: RecipeFile, out: Out = None, quiet: Quiet = False, unvalidated: Unvalidated = False
+    ) -> None:
+        _run(command.name, recipe, out, quiet, unvalidated=unvalidated)
+
+    def trusting(
+        recipe: RecipeFile, out: Out = None, quiet: Quiet = False, allow_code: AllowCode = False
+    ) -> None:
+        _run(command.name, recipe, out, quiet, allow_code=allow_code)
+
+    return {"": plain, "unvalidated": insisting, "allow_code": trusting}[command.allows]
 
 
-@app.command(epilog="Example:  ehbench validate recipes/thesis/validation.toml")
-def validate(recipe: RecipeFile, out: Out = None, quiet: Quiet = False) -> None:
-    """Judge an identified rig on logs it was not fitted to; exit 4 when it is rejected."""
-    _run("validate", recipe, out, quiet)
-
-
-@app.command(
-    short_help="Choose a controller's gains by root locus over postures, loads and functions, "
-    "on a validated rig.",
-    epilog="Example:  ehbench tune recipes/thesis/tuning.toml",
-)
-def tune(
-    recipe: RecipeFile,
-    out: Out = None,
-    quiet: Quiet = False,
-    unvalidated: Annotated[
-        bool, typer.Option("--unvalidated", help="Tune on a rig that no validation accepted.")
-    ] = False,
-) -> None:
-    """Choose a controller's gains by root locus over postures, loads and functions, on a validated
-    rig.
-    """
-    _run("tune", recipe, out, quiet, unvalidated=unvalidated)
-
-
-@app.command(
-    "run-trial",
-    short_help="Run a trial, or a set of trials, on the model or on the virtual bench; "
-    "exit 5 when a limit stops one.",
-    epilog="Example:  ehbench run-trial recipes/trials/arc_slow.toml",
-)
-def run_trial(
-    recipe: RecipeFile, out: Out = None, quiet: Quiet = False, allow_code: AllowCode = False
-) -> None:
-    """Run a trial, or a set of trials, on the model or on the virtual bench; exit 5 when a limit
-    stops one.
-    """
-    _run("run-trial", recipe, out, quiet, allow_code=allow_code)
+for _command in COMMANDS:
+    app.command(
+        _command.name,
+        help=_command.help,
+        short_help=_command.help,
+        epilog=f"Example:  ehbench {_command.name} {_command.example}",
+    )(_runner(_command))
 
 
 @app.command(

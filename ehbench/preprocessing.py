@@ -175,8 +175,8 @@ def _foreign(name: str, record: Record, rig: Rig) -> list[str]:
 def _sample_time(name: str, record: Record, rig: Rig) -> None:
     """Refuse a time that can only be in another unit than it says."""
     tick = record.sample_time
-    used = {valve.dynamics for _, valve in rig.valves() if valve.dynamics is not None}
-    periods = [2.0 * math.pi / rig.dynamics[one].frequency_and_damping()[0] for one in used]
+    used = {one for _, valve in rig.valves() for one in valve.series}
+    periods = [rig.dynamics[one].period() for one in used]
     most = min([COARSE, *(MOST_PERIODS * period for period in periods)])
     if tick > most:
         raise InputError(

@@ -179,7 +179,23 @@ _ROWS = [
     Quantity(
         "friction_viscous", "b_c", "N*s/m", "N*s/m", "viscous friction of the cylinder", 0, 1e8
     ),
+    Quantity("force_extending", "F_out", "N", "N", "force on the rod while it goes out", -1e8, 1e8),
+    Quantity("force_retracting", "F_in", "N", "N", "force on the rod while it goes in", -1e8, 1e8),
+    Quantity("stiffness", "k", "N/m", "kN/mm", "stiffness of a spring or a mount", 0, 1e13),
+    Quantity(
+        "free_length", "x_0", "m", "mm", "stroke at which a spring on the rod is free", -100, 100
+    ),
+    Quantity("pressure_head", "p_1", "Pa", "kPa", "known pressure in another head end", -2e5, 2e8),
+    Quantity("pressure_rod", "p_2", "Pa", "kPa", "known pressure in another rod end", -2e5, 2e8),
     Quantity("friction_coulomb", "F_c", "N", "N", "Coulomb friction of the cylinder", 0, 1e7),
+    Quantity(
+        "bristle_stiffness", "σ0", "N/m", "N/mm", "stiffness of friction before it slides", 1, 1e12
+    ),
+    Quantity(
+        "bristle_damping", "σ1", "N*s/m", "N*s/m", "damping of friction before it slides", 0, 1e8
+    ),
+    Quantity("opening_rate", "ẋ_v", "V/s", "V/s", "rate of a valve's opening", -1e9, 1e9),
+    Quantity("bristle", "z", "m", "um", "how far the bristles of friction are bent", -1, 1),
     Quantity(
         "joint_damping",
         "b",
@@ -303,6 +319,18 @@ _ROWS = [
     ),
     Quantity("gas_volume", "V_g", "m^3", "L", "gas of an accumulator without oil", 1e-6, 10),
     Quantity("deadband", "u0", "V", "V", "command below which a valve stays shut", 0, 100),
+    Quantity(
+        "opening_max", "u_s", "V", "V", "opening beyond which an edge passes nothing more", 0, 100
+    ),
+    Quantity(
+        "saturation_softness",
+        "w_s",
+        "V",
+        "V",
+        "half the travel over which an edge's saturation rounds off",
+        0,
+        100,
+    ),
     Quantity("command_min", "u_min", "V", "V", "lowest command the driver takes", -100, 100),
     Quantity("command_max", "u_max", "V", "V", "highest command the driver takes", -100, 100),
     Quantity("rated_flow", "Q_r", "m^3/s", "gpm", "rated flow", 0, 1),
@@ -347,6 +375,7 @@ _ROWS = [
         0,
         1e8,
     ),
+    Quantity("corner", "1/τ", "rad/s", "Hz", "corner frequency of a first-order lag", 1e-3, 1e5),
     Quantity("lag", "τ", "s", "ms", "time constant of a first-order lag", 0, 100),
     Quantity("delay", "T_d", "s", "ms", "time by which a reading is late", 0, 1),
     Quantity(
@@ -452,6 +481,24 @@ _ROWS = [
         "m",
         "mm",
         "cylinder stroke minus the desired one, as the controller sees it",
+        -20,
+        20,
+    ),
+    Quantity(
+        "v_asked",
+        "v_c",
+        "m/s",
+        "mm/s",
+        "cylinder speed that a position controller asks for, extension positive",
+        -20,
+        20,
+    ),
+    Quantity(
+        "v_integral",
+        "v_i",
+        "m/s",
+        "mm/s",
+        "part of the speed asked for that leads a lasting stroke error back",
         -20,
         20,
     ),
@@ -686,6 +733,15 @@ _ROWS = [
     ),
     Quantity(
         "position_bandwidth", "k_1", "rad/s", "rad/s", "bandwidth of the stroke error", 0, 1e5
+    ),
+    Quantity(
+        "integral_bandwidth",
+        "ω_i",
+        "rad/s",
+        "rad/s",
+        "how fast the integral of the stroke error follows, 0 for none",
+        0,
+        1e5,
     ),
     Quantity("speed_bandwidth", "k_2", "rad/s", "rad/s", "bandwidth of the speed error", 0, 1e5),
     Quantity(

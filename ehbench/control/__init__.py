@@ -3,4 +3,4 @@ and areas.
 """
 
 # the built-in controllers that a recipe can name, each in the file of its name
-LAW_NAMES = ("open_loop", "pressure_feedback", "arc")
+LAW_NAMES = ("open_loop", "pressure_feedback", "position", "arc")

@@ -371,7 +371,7 @@ def circuit(
     hull, hull_at = _hulls(edges, measured)
     paths, along = np.full(len(PATHS), -1, np.int64), np.ones(len(PATHS))
     able = np.zeros(len(FUNCTIONS), np.int64)
-    made = Circuit(
+    whole = Circuit(
         int(cylinder),
         float(area_head),
         float(area_rod),
@@ -389,9 +389,9 @@ def circuit(
     )
     ends = ((0, head), (head, 1), (0, rod), (rod, 1), (head, rod), (rod, head))
     for path, between in enumerate(ends):
-        paths[path], along[path] = _serving(made, own, between)
-    able[:] = [_able(made, function) for function in range(len(FUNCTIONS))]
-    return made
+        paths[path], along[path] = _serving(whole, own, between)
+    able[:] = [_able(whole, function) for function in range(len(FUNCTIONS))]
+    return whole
 
 
 def _edges_at(edges: np.recarray, cylinder: int, nodes: tuple[int, int]) -> np.ndarray:

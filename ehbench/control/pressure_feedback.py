@@ -61,14 +61,9 @@ MEMORY = record(
 )
 
 
-class Telemetry(NamedTuple):
-    """The law's own columns of a row of telemetry."""
+class Moved(NamedTuple):
+    """What `move` did, as columns of telemetry."""
 
-    x_desired: float
-    v_desired: float
-    a_desired: float
-    j_desired: float
-    v_shaped: float
     function: float
     function_status: float
     load_force: float
@@ -78,7 +73,8 @@ class Telemetry(NamedTuple):
     limits: float
 
 
-COLUMNS = len(Telemetry._fields)
+TELEMETRY = ("x_desired", "v_desired", "a_desired", "j_desired", "v_shaped", *Moved._fields)
+COLUMNS = len(TELEMETRY)
 
 
 @kernel
@@ -153,6 +149,36 @@ def feed_back(function, v_d, p, circuit, gains, memory):
 
 
 @kernel
+def move(v_d, p, circuit, gains, memory, command, edge_row):
+    """Write the commands that make a speed; what was done, a `Moved`.
+
+    Args:
+        v_d: desired speed [m/s], extension positive.
+        p: `Pressures` of the cylinder [Pa].
+        circuit: of the cylinder, a `Circuit`.
+        gains: of `pack_pressure_feedback`.
+        memory: a record of type MEMORY, zeros before the first tick.
+        command: out, [V], one per valve of the rig; only this cylinder's are written.
+        edge_row: out, desired flow [m³/s] and limits of each of the cylinder's edges, shape
+            (2·edges,).
+    """
+    load = load_force(p, circuit.area_head, circuit.area_rod)
+    wash_pressures(p, load, gains, memory)
+    function, status, slow = choose(v_d, load, p, circuit, gains, memory)
+    flows, back = feed_back(function, v_d, p, circuit, gains, memory)
+    edge_flows, edge_limits = edge_row[: circuit.count], edge_row[circuit.count :]
+    limits = 0
+    if function == HOLD:
+        flows = Flows(0.0, 0.0)
+        rest(circuit, command, edge_flows, edge_limits)
+    else:
+        limits = allocate(
+            function, flows, p, gains.drop_floor, circuit, command, edge_flows, edge_limits
+        )
+    return Moved(float(function), float(status), slow, back, flows.head, flows.rod, float(limits))
+
+
+@kernel
 def step(t, sample, reference, circuit, gains, memory, command, telemetry):
     """One tick: read the pressures, choose the function, write commands and telemetry.
 
@@ -168,38 +194,11 @@ def step(t, sample, reference, circuit, gains, memory, command, telemetry):
     """
     wish = reference_of(reference)
     p = pressures(sample, circuit.cylinder)
-    load = load_force(p, circuit.area_head, circuit.area_rod)
-    wash_pressures(p, load, gains, memory)
     v_d = shape_speed(wish.v, gains.tick, gains.shaping, memory.shaped)
-    function, status, slow = choose(v_d, load, p, circuit, gains, memory)
-    flows, back = feed_back(function, v_d, p, circuit, gains, memory)
-    edges = COLUMNS + circuit.count
-    edge_flows, edge_limits = telemetry[COLUMNS:edges], telemetry[edges:]
-    limits = 0
-    if function == HOLD:
-        flows = Flows(0.0, 0.0)
-        rest(circuit, command, edge_flows, edge_limits)
-    else:
-        limits = allocate(
-            function, flows, p, gains.drop_floor, circuit, command, edge_flows, edge_limits
-        )
-    write(
-        Telemetry(
-            wish.x,
-            wish.v,
-            wish.a,
-            wish.j,
-            v_d,
-            float(function),
-            float(status),
-            slow,
-            back,
-            flows.head,
-            flows.rod,
-            float(limits),
-        ),
-        telemetry,
-    )
+    moved = move(v_d, p, circuit, gains, memory, command, telemetry[COLUMNS:])
+    write(wish, telemetry)
+    telemetry[len(wish)] = v_d
+    write(moved, telemetry[len(wish) + 1 :])
 
 
 @kernel
@@ -335,7 +334,7 @@ LAW = Law(
     pack=pack,
     memory=_memory,
     observed=lambda axis, channels: observed(axis.circuit, channels),
-    telemetry=Telemetry._fields,
+    telemetry=TELEMETRY,
     required=Required(
         "feedback_gain",
         "pressure feedback needs its gain",

@@ -13,6 +13,8 @@ from ehbench.ledger.rows import Ledger
 from ehbench.ledger.sheet import function_of
 from ehbench.physics.cylinder import linkage
 from ehbench.plant.build import pins_of
+from ehbench.parts.oil import bulk
+from ehbench.plant.build import oil_fields
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
 
@@ -232,11 +234,14 @@ def _beyond(
     """
     rig, record, item, x, function = made
     areas, dead = item.areas(), (float(item.volume_head), float(item.volume_rod))
-    bulk = float(item.bulk_modulus or rig.oil.bulk_modulus)
+    oil = oil_fields(rig, item.bulk_modulus)
     squeezed = np.zeros(x.size - 1)
     for key, area, volume, sign in zip(("p_head", "p_rod"), areas, dead, (1.0, -1.0), strict=True):
-        held = volume + sign * area * x
-        squeezed += 0.5 * (held[1:] + held[:-1]) * np.diff(record[f"{item.name}.{key}"]) / bulk
+        held, p = volume + sign * area * x, record[f"{item.name}.{key}"]
+        stiffness = oil["bulk_modulus"]
+        if oil["air"]:
+            stiffness = np.array([bulk(at, *oil.values()) for at in 0.5 * (p[1:] + p[:-1])])
+        squeezed += 0.5 * (held[1:] + held[:-1]) * np.diff(p) / stiffness
     turns = np.flatnonzero(np.diff(function, prepend=-1))
     net, whose = np.add.reduceat(np.diff(x), turns), function[turns]
     shares = []

@@ -15,9 +15,10 @@ from ehbench.ledger.rows import Ledger
 from ehbench.ledger.sheet import Sheet, must_have_samples, oil_drawn
 from ehbench.parts.edge import MAP
 from ehbench.parts.nodes import TANK
+from ehbench.parts.oil import bulk
 from ehbench.plant.build import Maps, map_of
 from ehbench.plant.model import Model
-from ehbench.plant.valves import follow_valves, opening_of
+from ehbench.plant.valves import follow_friction, follow_valves, opening_of
 from ehbench.record import Record
 from ehbench.rig import Rig
 
@@ -73,6 +74,7 @@ class Account:
             m.p,
         )
         follow_valves(m.t, m.commands, model.plant, False, states)
+        follow_friction(m.t, model.plant, states)
         states[:, model.plant.at.supply] = m.p_supply
         return states
 
@@ -90,7 +92,7 @@ class Account:
         """Powers [W] of the columns, shape (samples, columns)."""
         plant = model.plant.at_pressures()
         power = np.empty((m.t.size, self.sheet.powers))
-        powers_at(states, flows, m.p_tank, plant, self.sheet.owner, power)
+        powers_at(states, m.commands, flows, m.p_tank, plant, self.sheet.owner, power)
         return power
 
     def energies(
@@ -125,8 +127,7 @@ class Account:
                 [power_at(edges, c, which) for c in cylinders]
                 for which in (OF.drawn, OF.drawn_compression)
             )
-            volume, bulk = plant.supply.volume, plant.supply.bulk_modulus
-            pressed = 0.5 * volume / bulk * (m.p_supply[at] ** 2 - m.p_supply[0] ** 2)
+            pressed = _pressed(plant.supply, m.p_supply)[at]
             spent[:, PUMP] = spent[:, drawn].sum(axis=1) + pressed
             if plant.supply.gas_volume > 0.0:
                 spent[:, PUMP] += held[:, -1]
@@ -142,6 +143,16 @@ class Account:
         return self.energies(
             model, m, states, self.power(model, m, states, self.flows(model, m, states))
         )
+
+
+def _pressed(supply: np.record, pressure: np.ndarray) -> np.ndarray:
+    """``∫ p V/β dp`` [J] of the supply line from the first of its pressures [Pa] to each."""
+    if supply.air == 0.0:
+        return 0.5 * supply.volume / supply.bulk_modulus * (pressure**2 - pressure[0] ** 2)
+    oil = (supply.bulk_modulus, supply.air, supply.polytropic)
+    per = supply.volume * pressure / np.array([bulk(p, *oil) for p in pressure])
+    steps = 0.5 * (per[1:] + per[:-1]) * np.diff(pressure)
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def _cumulated(half: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:

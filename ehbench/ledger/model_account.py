@@ -20,7 +20,8 @@ ROUNDING = 1.0e-12  # smaller than any reading
 def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
     """(states, shape (samples, states); commands [V], shape (samples, valves)) of a model's record.
 
-    The rates of the openings, which a record has not, follow from the openings and the commands.
+    The rates of the openings, which a record has not where a valve has one element, follow from the
+    openings and the commands.
 
     Raises:
         LogError: a channel of the model is missing.
@@ -35,12 +36,17 @@ def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
     for i, name in enumerate(names.cylinders):
         for key in ("p_head", "p_rod"):
             states[:, names.state(key, i)] = record[f"{name}.{key}"]
-    commands = np.stack([record[f"{name}.command"] for name in names.valves], axis=1)
+    channels = [*(f"{name}.command" for name in names.valves), *names.played]
+    commands = np.stack([record[channel] for channel in channels], axis=1)
     commands = np.ascontiguousarray(commands, dtype=float)
     for name, valve in zip(names.valves, plant.valves, strict=True):
         if valve.output >= 0:
             states[:, valve.output] = record[f"{name}.opening"]
     follow_valves(np.ascontiguousarray(record.t), commands, plant, True, states)
+    for channel, at in names.inner_states:
+        states[:, at] = record[channel]
+    for index, key in names.friction_states:
+        states[:, names.state(key, index)] = record[f"{names.cylinders[index]}.{key}"]
     states[:, plant.at.supply] = record["p_supply"]
     return states, commands
 
@@ -83,7 +89,7 @@ def ledger_of_model(
     else:
         flows_at(states, commands, tank, plant, flows)
         power = np.empty((t.size, sheet.powers))
-        powers_at(states, flows, tank, plant, sheet.owner, power)
+        powers_at(states, commands, flows, tank, plant, sheet.owner, power)
         np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t)[:, None], axis=0, out=spent[1:])
     _same_flows(model, record, flows)
     held = np.empty((t.size, sheet.stores))

@@ -1,13 +1,12 @@
 """The powers of a state and what is stored in it, asked of the parts one by one.
 
 Energies count from oil at zero gauge pressure. A volume of oil that crosses a pressure p carries p,
-and what its own compression holds, ``u(p) = β (e^(p/β) − 1) − p`` per volume; with these two the
-chamber law ``V/β ṗ = Q − V̇`` is exactly ``(p + u(p)) Q = p V̇ + d/dt (V u(p))``: flow work is
+and what its own compression holds, ``u(p)`` of `ehbench.parts.oil.held` per volume; with these two
+the chamber law ``V/β ṗ = Q − V̇`` is exactly ``(p + u(p)) Q = p V̇ + d/dt (V u(p))``: flow work is
 piston work and a change of what is stored, a function of state."""
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 from ehbench.compiled import kernel
@@ -23,8 +22,9 @@ from ehbench.parts.accumulator import gas_energy
 from ehbench.parts.edge import PUMP as PUMP_LAW
 from ehbench.parts.edge.pump import slip_loss
 from ehbench.parts.end_stop import stop_held, stop_loss
-from ehbench.parts.friction import friction_force
-from ehbench.parts.nodes import SUPPLY, TANK, node_bulk_modulus, node_pressure
+from ehbench.parts.friction import friction_held, friction_loss
+from ehbench.parts.load import push_on, spring_held
+from ehbench.parts.nodes import SUPPLY, TANK, node_held, node_pressure
 from ehbench.physics import arm
 
 
@@ -41,21 +41,25 @@ class CylinderPowers(NamedTuple):
     return_line: int = 7
     friction: int = 8
     end_stop: int = 9
+    external_force: int = 10
 
 
 class CylinderStores(NamedTuple):
-    """Where what is stored stands among that of its cylinder: oil of head and rod, end stops."""
+    """Where what is stored stands among that of its cylinder: oil of head and rod, end stops,
+    springs on the rod."""
 
     head: int = 0
     rod: int = 1
     stop: int = 2
+    load_spring: int = 3
 
 
 # powers: the pump's, its share for compression, one per edge, those of each cylinder, one per
 # joint, the shaft of each edge that is a pump
 PUMP, COMPRESSION, FIRST_EDGE = 0, 1, 2
 OF, PER_CYLINDER = CylinderPowers(), len(CylinderPowers())
-# what is stored: in the supply line, in the mechanism, in each cylinder, in an accumulator
+# what is stored: in the supply line, in the mechanism, in each cylinder, then in the friction of
+# each whose law has states, then in an accumulator
 SUPPLY_LINE, KINETIC, POTENTIAL, FIRST_CYLINDER = 0, 1, 2, 3
 STORED, STORES = CylinderStores(), len(CylinderStores())
 
@@ -77,28 +81,20 @@ def powers_of(edges: int, cylinders: int, joints: int, pumps: int) -> int:
     return int(power_at(edges, cylinders, 0)) + joints + pumps
 
 
-def stores_of(cylinders: int, accumulators: int) -> int:
+def stores_of(cylinders: int, frictions: int, accumulators: int) -> int:
     """How many columns of what is stored there are."""
-    return int(store_at(cylinders, 0)) + accumulators
-
-
-@kernel
-def compressed(pressure, bulk_modulus):
-    """Energy [J/m³] in oil of bulk modulus β compressed to gauge pressure p: ``u = β (e^(p/β) − 1)
-    − p ≈ p²/2β``.
-    """
-    return bulk_modulus * math.expm1(pressure / bulk_modulus) - pressure
+    return int(store_at(cylinders, frictions)) + accumulators
 
 
 @kernel
 def _node(node, y, plant):
     """(pressure [Pa], energy of its compression [J/m³]) of the oil at a node of the circuit."""
     p = node_pressure(y, plant, node)
-    return p, compressed(p, node_bulk_modulus(plant, node))
+    return p, node_held(plant, node, p)
 
 
 @kernel
-def powers(y, flows, plant, owner, out):
+def powers(y, command, flows, plant, owner, out):
     """Write every power [W] of a state into ``out``: what is spent positive, the supply's positive
     where it gives.
 
@@ -107,6 +103,7 @@ def powers(y, flows, plant, owner, out):
 
     Args:
         y: state of the plant.
+        command: valve commands [V], then forces that are played [N].
         flows: along the edges, then the pump's [m³/s].
         owner: cylinder to which each edge belongs.
         out: shape (columns,).
@@ -121,7 +118,12 @@ def powers(y, flows, plant, owner, out):
             _throttle(e, y, flows[e], plant, power_at(edges, owner[e], 0), out)
     cylinders = plant.cylinders.shape[0]
     for c in range(cylinders):
-        _cylinder(c, y, flows, plant, power_at(edges, c, 0), out)
+        first = power_at(edges, c, 0)
+        _cylinder(c, y, flows, plant, first, out)
+        row = plant.cylinders[c]
+        _, lever, _ = linkage_of(row, y[row.joint])
+        v = lever * y[at.rates + row.joint]
+        out[first + OF.external_force] = -push_on(c, v, command, plant) * v
     first = power_at(edges, cylinders, 0)
     for j in range(at.joints):
         rate = y[at.rates + j]
@@ -200,7 +202,7 @@ def _cylinder(c, y, flows, plant, at, out):
         out[at + OF.return_line] += (p_tank + u_tank) * to_tank
         out[at + OF.expansion] += (u - u_tank) * to_tank
         out[at + OF.work] += p * area * v
-    out[at + OF.friction] = friction_force(row, v, y) * v
+    out[at + OF.friction] = friction_loss(row, v, y)
     out[at + OF.end_stop] = stop_loss(row, x, v)
 
 
@@ -209,7 +211,7 @@ def stores(y, plant, work, out):
     """Write every stored energy [J] of a state into ``out``, shape (columns,).
 
     Oil: ``V u(p)``. The mechanism: kinetic and potential energy. An end stop: ``k δ²/2`` of its
-    depth δ."""
+    depth δ. A spring on the rod: ``k (x − free length)²/2``."""
     n, rates = plant.at.joints, plant.at.rates
     _, held = _node(SUPPLY, y, plant)
     out[SUPPLY_LINE] = plant.supply.volume * held
@@ -223,6 +225,11 @@ def stores(y, plant, work, out):
             _, held = _node(chamber_of(row, side)[0], y, plant)
             out[store_at(c, STORED.head + side)] = chamber_oil(row, side, x) * held
         out[store_at(c, STORED.stop)] = stop_held(row, x)
+        out[store_at(c, STORED.load_spring)] = spring_held(c, x, plant)
+    at = store_at(plant.cylinders.shape[0], 0)
+    for c in range(plant.cylinders.shape[0]):
+        if plant.cylinders[c].friction_state >= 0:
+            out[at] = friction_held(plant.cylinders[c], y)
+            at += 1
     if plant.supply.gas_volume > 0.0:
-        last = store_at(plant.cylinders.shape[0], 0)
-        out[last] = gas_energy(node_pressure(y, plant, SUPPLY), plant.supply)
+        out[at] = gas_energy(node_pressure(y, plant, SUPPLY), plant.supply)

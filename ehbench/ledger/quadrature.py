@@ -49,17 +49,17 @@ def integrate(t, states, commands, plant, owner, step, out):
         tick = t[i + 1] - t[i]
         pieces = min(MOST_SUBSTEPS, max(1, math.ceil(max(tick / step - 1e-6, rate * tick / STIFF))))
         h = tick / pieces
-        powers(y, work[at:], plant, owner, start)
+        powers(y, commands[i], work[at:], plant, owner, start)
         energies[i] = 0.0
         for _ in range(pieces):
             advance(y, commands[i], plant, 0.5 * h, k, work, rate)
             rate = derivatives(y, commands[i], plant, k[0], work)
-            powers(y, work[at:], plant, owner, middle)
+            powers(y, commands[i], work[at:], plant, owner, middle)
             for j in range(columns):
                 energies[i, j] += h / 6.0 * start[j] + h / 1.5 * middle[j]
             advance(y, commands[i], plant, 0.5 * h, k, work, rate)
             rate = derivatives(y, commands[i], plant, k[0], work)
-            powers(y, work[at:], plant, owner, start)
+            powers(y, commands[i], work[at:], plant, owner, start)
             for j in range(columns):
                 energies[i, j] += h / 6.0 * start[j]
         out.ends[i] = y
@@ -79,11 +79,11 @@ def flows_at(states, commands, tank, plant, flows):
 
 
 @allocating_kernel
-def powers_at(states, flows, tank, plant, owner, out):
+def powers_at(states, commands, flows, tank, plant, owner, out):
     """Powers [W] at given states and flows; ``tank`` as in `flows_at`."""
     for i in range(states.shape[0]):
         plant.nodes[TANK].pressure = tank[i]
-        powers(states[i], flows[i], plant, owner, out[i])
+        powers(states[i], commands[i], flows[i], plant, owner, out[i])
 
 
 @allocating_kernel

@@ -86,13 +86,15 @@ class _Log:
         return np.full(self.record.t.size, usual)
 
     def commands(self) -> np.ndarray:
-        """Commands of all valves."""
+        """Commands of all valves, then forces that are played."""
         commands = self.model.rest_commands(self.record.t.size)
         for i, name in enumerate(self.model.layout.valves):
             if f"{name}.command" in self.record:
                 commands[:, i] = self.get(f"{name}.command")
             else:
                 self.notes.append(f"no command of {name}: taken to be at rest")
+        for i, channel in enumerate(self.model.layout.played, len(self.model.layout.valves)):
+            commands[:, i] = self.get(channel)
         return commands
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

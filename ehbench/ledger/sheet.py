@@ -30,9 +30,16 @@ CYLINDER_ROWS = (
     ("loss", "return line, Pt·Q"),
     ("loss", "cylinder friction"),
     ("loss", "end stops"),
+    ("load", "force on the rod from outside"),
 )
-STORE_LABELS = ("oil of the head end", "oil of the rod end", "spring of the end stops")
-MECHANICAL = ("friction", "end_stop", "stop", "damping")  # rows that the piston's work pays
+STORE_LABELS = (
+    *("oil of the head end", "oil of the rod end", "spring of the end stops"),
+    "springs on the rod",
+)
+# rows of a cylinder that stand in a ledger only where the rig file has the table
+OPTIONAL = {"force": ("external_force", "load_spring")}
+# rows that the piston's work pays
+MECHANICAL = ("friction", "friction_spring", "end_stop", "stop", "load_spring", "damping")
 
 
 class Sheet:
@@ -43,6 +50,7 @@ class Sheet:
         owner: cylinder to which each edge belongs.
         powers, stores: how many columns of each there are.
         rows: (name, group, label, cylinder) of each column.
+        absent: names of rows that are left out, as of parts which the rig has not.
         parts: (name, where, cylinder) of each part of the residual.
         combinations: how much of each column is in each part, shape (parts, columns).
     """
@@ -52,9 +60,17 @@ class Sheet:
         owners = [names.cylinders.index(_owner(name)) for name in names.edges]
         self.owner = np.array(owners, dtype=np.int64)
         cylinders, pumps = len(names.cylinders), len(_pumps(model))
+        accumulators = int(model.rig.supply.accumulator is not None)
         self.powers = powers_of(len(names.edges), cylinders, len(names.joints), pumps)
-        self.stores = stores_of(cylinders, int(model.rig.supply.accumulator is not None))
+        self.stores = stores_of(cylinders, len(_springy(model)), accumulators)
         self.cylinders, self.word = names.cylinders, word
+        self.absent = {
+            f"{c.name}.{key}"
+            for c in model.rig.cylinder
+            for table, keys in OPTIONAL.items()
+            for key in keys
+            if not getattr(c, table)
+        }
         self.rows = _power_rows(model) + _store_rows(model)
         parts = _parts(self.rows, names.cylinders, word)
         self.parts = [(name, where, cylinder) for name, where, cylinder, *_ in parts]
@@ -91,6 +107,8 @@ class Sheet:
         ]
         rows = []
         for i, (name, group, label, cylinder) in enumerate(named):
+            if name in self.absent:
+                continue
             energy = float(energies[i])
             interval = (
                 None
@@ -187,9 +205,19 @@ def _store_rows(model: Model) -> list[Named]:
             (f"{name}.{key}", "store", label, name)
             for key, label in zip(CylinderStores._fields, STORE_LABELS, strict=True)
         ]
+    rows += [
+        (f"{name}.friction_spring", "store", "spring of the friction", name)
+        for name in _springy(model)
+    ]
     if model.rig.supply.accumulator is not None:
         rows.append(("accumulator", "store", "accumulator", None))
     return rows
+
+
+def _springy(model: Model) -> list[str]:
+    """The cylinders whose friction has states."""
+    names = model.layout
+    return list(dict.fromkeys(names.cylinders[c] for c, _ in names.friction_states))
 
 
 def _parts(rows: list[Named], cylinders: Sequence[str], word: str) -> list[Part]:

@@ -13,6 +13,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from ehbench.errors import InputError
 from ehbench.machines.rows import LawRows, Rows
 from ehbench.plant.model import Model
 
@@ -32,7 +33,17 @@ class Inputs(NamedTuple):
 
     @classmethod
     def of(cls, model: Model) -> Inputs:
-        """The commands of a model's valves."""
+        """The commands of a model's valves.
+
+        Raises:
+            InputError: the model has a force that is played from a log.
+        """
+        if model.layout.played:
+            raise InputError(
+                f"rig '{model.rig.name}' plays the force '{model.layout.played[0]}' from a log, "
+                "and a machine on trial has none",
+                hint="give [[cylinder.force]] another kind, or replay a log",
+            )
         low, high = model.plant.valves.lowest.copy(), model.plant.valves.highest.copy()
         return cls(model.layout.valves, low, high, model.rest_commands(1)[0])
 

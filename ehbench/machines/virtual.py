@@ -24,7 +24,6 @@ from ehbench.errors import InputError, SimulationError
 from ehbench.machines.protocol import Advance, Inputs, Posture
 from ehbench.machines.rows import LawRows, Rows, control, violated
 from ehbench.parts.cylinder import (
-    CYLINDER_COLUMNS,
     RELIEF_GAIN,
     chamber_inflow,
     chamber_of,
@@ -34,12 +33,14 @@ from ehbench.parts.cylinder import (
 from ehbench.parts.edge import CHECK, PUMP, check, edge_opening, pump
 from ehbench.parts.edge.orifice import ORIFICE_DROP
 from ehbench.parts.end_stop import stop_force, stop_rate
+from ehbench.parts.load import force_on, force_steepness
 from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
+from ehbench.parts.oil import bulk
 from ehbench.parts.sample import OF, entry, line_entry, sample_channels
 from ehbench.parts.supply import line_stiffness, pump_flow
 from ehbench.parts.valve import VALVE_COLUMNS, limited, valve_rates, valve_settle
-from ehbench.parts.valve.second_order import second_order
-from ehbench.physics.cylinder import ATMOSPHERE, chamber_rate, relief_flow
+from ehbench.parts.valve.second_order import SecondOrder, second_order
+from ehbench.physics.cylinder import chamber_rate, relief_flow
 from ehbench.physics.friction import stribeck
 from ehbench.plant.build import Maps
 from ehbench.plant.derivatives import derivatives_of, finish_of, move
@@ -59,9 +60,6 @@ RAW = (OF.q, OF.x, OF.p_head, OF.p_rod)  # a cylinder's raw channels
 _RAW, _RAW_LINES, _FILTER = len(RAW), 2, 3
 
 # Wider rows begin with the columns of their own: numba would else take one for the other.
-# A cylinder: its friction at break-away [N], the speed [m/s] over which that falls to Coulomb's,
-# the model's columns.
-BENCH_CYLINDER = record(("friction_static", "f8"), ("stribeck_speed", "f8"), *CYLINDER_COLUMNS)
 # A valve: ``gain`` and ``offset`` [V] of its driver, its ``hysteresis`` [V], the model's columns.
 BENCH_VALVE = record(("gain", "f8"), ("offset", "f8"), ("hysteresis", "f8"), *VALVE_COLUMNS)
 # An edge: its nodes, its valve and sign, its law, its leakage at null [m³/(s·Pa)] over
@@ -165,6 +163,7 @@ class VirtualPlant(NamedTuple):
     edges: np.recarray
     curves: np.recarray
     supply: np.record
+    forces: np.recarray
     fluid: np.record
     sensors: np.recarray
     delay: int
@@ -196,19 +195,6 @@ def scratch_of(bench: VirtualPlant) -> Scratch:
 
 
 # --- laws
-
-
-@part_kernel
-def bulk(pressure, solid, air, exponent):
-    """Bulk modulus [Pa] of oil with free air: ``1/β = 1/β_solid + α/(n p) (p0/p)^(1/n)``, p
-    absolute.
-
-    The air is compressed polytropically from its share α at atmospheric pressure p0, so a chamber
-    gets softer as its pressure falls and cannot be drawn below vacuum."""
-    if air == 0.0:
-        return solid
-    p = max(pressure + ATMOSPHERE, 500.0)
-    return 1.0 / (1.0 / solid + air / (exponent * p) * (ATMOSPHERE / p) ** (1.0 / exponent))
 
 
 @part_kernel
@@ -321,7 +307,7 @@ def _valves_and_edges(y, target, bench, dy, work):
 
 
 @part_kernel
-def _cylinders(y, bench, dy, work):
+def _cylinders(y, target, bench, dy, work):
     """Pressure rates of the chambers, torques of the cylinders; the fastest rate [1/s]."""
     at, fluid, fastest = bench.at, bench.fluid, 0.0
     for c in range(bench.cylinders.shape[0]):
@@ -342,6 +328,9 @@ def _cylinders(y, bench, dy, work):
         viscous, static = row.friction_viscous, row.friction_static
         force -= stribeck(v, viscous, row.friction_coulomb, static, row.stribeck_speed, CREEP)
         steep = 0.0 if abs(v) > 4.0 * CREEP else static / CREEP
+        if bench.forces.shape[0] > 0:
+            force += force_on(c, x, v, target, bench)
+            steep += force_steepness(c, v, bench)
         fastest = max(fastest, row.mobility * (steep + viscous))
         if x < 0.0 or x > row.stroke:
             force += stop_force(row, x, v)
@@ -379,7 +368,7 @@ def derivatives(y, target, bench, dy, work):
     fastest = _valves_and_edges(y, target, bench, dy, work)
     for i in range(bench.at.torque, bench.at.net):
         work[i] = 0.0
-    fastest = max(fastest, _cylinders(y, bench, dy, work))
+    fastest = max(fastest, _cylinders(y, target, bench, dy, work))
     move(y, bench, dy, work)
     return max(fastest, _supply(y, bench, dy, work))
 
@@ -595,7 +584,7 @@ def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) ->
     leaves the others.
     """
     full = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
-    compensated = edge.law == "compensated"
+    compensated = edge.law in ("compensated", "flow_control")
     low, high = (
         np.array([0.85, 0.03, 0.9, 0.97, 1.4, 1.2, 0.10]),
         np.array([1.1, 0.06, 1.4, 1.03, 2.0, 1.8, 0.18]),
@@ -605,12 +594,12 @@ def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) ->
     dead = float(edge.deadband)
     row.onset = given("onset", onset * dead if dead > 0 else 0.1 * soft * full)
     row.softness = given("softness", soft * full if compensated else 0.3 * soft * full)
-    row.saturation = (
-        given("saturation", sat * full if compensated else 1.6 * sat * full) or math.inf
-    )
-    nominal = edge.compensated_gain if compensated else edge.flow_gain
-    assert nominal is not None  # `_truth` sees to it
-    gain = float(nominal) * given("gain_factor", factor)
+    usual = sat * full if compensated else 1.6 * sat * full
+    if edge.opening_max is not None:
+        usual = float(edge.opening_max) - dead
+    row.saturation = given("saturation", usual) or math.inf
+    assert edge.gain is not None  # `_truth` sees to it
+    gain = float(edge.gain) * given("gain_factor", factor)
     row.gain = gain
     if compensated:
         row.setting = given("compensation_drop", setting * float(edge.compensation_drop))
@@ -922,6 +911,7 @@ def _build(recipe: BenchRecipe, model: Model, tick: float) -> VirtualPlant:
         edges=edges,
         curves=curves,
         supply=plant.supply,
+        forces=plant.forces,
         fluid=_fluid(of),
         sensors=_sensors(of),
         delay=math.floor(ticks),
@@ -941,7 +931,7 @@ def _copied(rows: np.recarray, columns: np.dtype) -> np.recarray:
 
 def _bench_cylinders(of: _Seeded) -> np.recarray:
     recipe, p_supply = of.recipe, of.p_supply
-    cylinders = _copied(of.model.plant.cylinders, BENCH_CYLINDER)
+    cylinders = of.model.plant.cylinders.copy()
     names, items = of.model.layout.cylinders, of.model.rig.cylinder
     for name, item, row in zip(names, items, cylinders, strict=True):
         given = _Given(recipe.cylinder, name)
@@ -952,9 +942,11 @@ def _bench_cylinders(of: _Seeded) -> np.recarray:
         )
         plain, damper = float(item.friction_coulomb), float(item.friction_viscous)
         row.friction_coulomb = given("friction_coulomb", plain or coulomb * force)
-        row.friction_static = given("friction_static", static * row.friction_coulomb)
+        row.friction_static = given(
+            "friction_static", row.friction_static or static * row.friction_coulomb
+        )
         row.friction_viscous = given("friction_viscous", damper or viscous * force)
-        row.stribeck_speed = given("stribeck_speed", speed)
+        row.stribeck_speed = given("stribeck_speed", row.stribeck_speed or speed)
         if row.friction_static < row.friction_coulomb:
             where = recipe.at("cylinder", name)
             raise InputError(
@@ -964,7 +956,7 @@ def _bench_cylinders(of: _Seeded) -> np.recarray:
             if f"{name}.{key}" not in recipe.truth and row[key] == 0.0:
                 typical = 1e-4 if key == "leakage_internal" else 1e-5
                 row[key] = rng.uniform(0.5, 1.5) * typical * row.area_head / p_supply
-        if float(recipe.air_fraction) > 0.0:
+        if _air(of)[0] > 0.0:
             row.cavitation_pressure = -math.inf  # the air itself keeps a chamber above vacuum
     return cylinders
 
@@ -1009,19 +1001,34 @@ def _valves(
             gain, offset = _tune(valve, own, curves, drop, row.hysteresis)
             offset /= full
         row.gain, row.offset = given("driver_gain", gain), given("driver_offset", offset * full)
-        if valve.dynamics is not None:
-            omega, zeta = rig.dynamics[valve.dynamics].frequency_and_damping()
+        series = [one for one in of.model.layout.elements if one.valve == index]
+        for at, one in enumerate(series, int(row.first)):
+            dynamics = rig.dynamics[one.dynamics]
+            if not isinstance(dynamics, SecondOrder):
+                continue
+            omega, zeta = dynamics.frequency_and_damping()
             omega = given("natural_frequency", faster * omega)
             zeta = given("damping_ratio", damper * zeta)
             for key, value in second_order(omega, zeta).items():
-                elements[row.first][key] = value
+                elements[at][key] = value
     return valves, elements
+
+
+def _air(of: _Seeded) -> tuple[float, float]:
+    """(share of free air, its exponent): the bench file's, else the rig's, else usual ones."""
+    recipe, oil = of.recipe, of.model.rig.oil
+    given = [
+        getattr(oil, key) if key not in recipe.model_fields_set else None
+        for key in ("air_fraction", "polytropic_exponent")
+    ]
+    share, exponent = given
+    return float(share or recipe.air_fraction), float(exponent or recipe.polytropic_exponent)
 
 
 def _fluid(of: _Seeded) -> np.record:
     recipe, row = of.recipe, table(1, FLUID)[0]
     droop, relief = _scalar(recipe.droop), _scalar(recipe.supply_relief)
-    row.air, row.polytropic = float(recipe.air_fraction), float(recipe.polytropic_exponent)
+    row.air, row.polytropic = _air(of)
     row.droop = 0.03 * of.p_supply if droop is None else droop
     row.pump_lag = float(recipe.pump_lag)
     usual = math.inf if of.model.rig.supply.accumulator is not None else 1.15 * of.p_supply

@@ -5,26 +5,24 @@ from __future__ import annotations
 from ehbench.compiled import part_kernel, record
 from ehbench.parts.accumulator import COLUMNS as ACCUMULATOR
 from ehbench.parts.accumulator import gas_capacity
+from ehbench.parts.oil import OIL_COLUMNS, bulk_of
 
 RECOVERY_TIME = 0.02  # [s]
 
-# ``pressure`` the set pressure [Pa], ``flow_limit`` [m³/s], ``volume`` of the line [m³], its
-# ``bulk_modulus`` [Pa], the columns of its accumulator
+# ``pressure`` the set pressure [Pa], ``flow_limit`` [m³/s], ``volume`` of the line [m³], the
+# OIL_COLUMNS of its oil, the columns of its accumulator
 SUPPLY = record(
-    ("pressure", "f8"),
-    ("flow_limit", "f8"),
-    ("volume", "f8"),
-    ("bulk_modulus", "f8"),
-    *ACCUMULATOR,
+    ("pressure", "f8"), ("flow_limit", "f8"), ("volume", "f8"), *OIL_COLUMNS, *ACCUMULATOR
 )
 
 
 @part_kernel
 def line_stiffness(p_supply, supply):
     """Rise of pressure per oil [Pa/m³] of the supply line at ``p_supply`` [Pa]."""
+    bulk_modulus = bulk_of(supply, p_supply)
     if supply.gas_volume == 0.0:
-        return supply.bulk_modulus / supply.volume
-    return 1.0 / (supply.volume / supply.bulk_modulus + gas_capacity(p_supply, supply))
+        return bulk_modulus / supply.volume
+    return 1.0 / (supply.volume / bulk_modulus + gas_capacity(p_supply, supply))
 
 
 @part_kernel

@@ -17,14 +17,16 @@ from ehbench.parts.accumulator import COLUMNS as ACCUMULATOR
 from ehbench.parts.cylinder import CYLINDER, CYLINDER_FIELDS, PINS_OF
 from ehbench.parts.edge import EDGE
 from ehbench.parts.end_stop import STOP_DEPTH
+from ehbench.parts.load import FORCE, force_fields
 from ehbench.parts.nodes import NODE, TANK
+from ehbench.parts.oil import EXPONENT
 from ehbench.parts.supply import SUPPLY as SUPPLY_LINE
 from ehbench.parts.valve import ELEMENT, VALVE
 from ehbench.physics import arm
 from ehbench.physics.cylinder import DIRECT, PINS, joint_angle, linkage
 from ehbench.physics.flow_map import FlowMap, ValveMaps, pack
 from ehbench.plant.layout import SIDES, Layout, Offsets, layout
-from ehbench.rig import Chain, Cylinder, Edge, FixedEdge, Rig, Slide
+from ehbench.rig import Chain, Cylinder, Edge, FixedEdge, Rig, Slide, Value
 
 Maps = Mapping[str, ValveMaps]
 
@@ -34,7 +36,8 @@ class Plant(NamedTuple):
 
     ``kind``, ``gravity`` and ``links`` are those of `ehbench.physics.arm`; the records of the other
     tables are described beside their parts: `ehbench.parts.cylinder`, ``.nodes``, ``.valve``,
-    ``.edge``, ``.supply``. ``maps`` are the packed flow maps, ``at`` says where things lie.
+    ``.edge``, ``.supply``, ``.load``. ``maps`` are the packed flow maps, ``at`` says where
+    things lie.
     """
 
     kind: int
@@ -47,6 +50,7 @@ class Plant(NamedTuple):
     edges: np.recarray
     maps: np.ndarray
     supply: np.record
+    forces: np.recarray
     at: Offsets
 
     @property
@@ -93,6 +97,7 @@ def build(rig: Rig, maps: Maps | None = None) -> Plant:
         edges=edge_rows,
         maps=data,
         supply=_supply(rig),
+        forces=_forces(rig, names),
         at=names.offsets(),
     )
 
@@ -136,13 +141,13 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
         own = {key: float(getattr(item, key)) for key in CYLINDER_FIELDS}
         rows.append(
             own
+            | oil_fields(rig, item.bulk_modulus)
             | friction.LAWS[names.frictions[index]].pack(item)
             | dict(zip(PINS_OF, pins, strict=True))
             | {
                 "joint": joint,
                 "area_head": head,
                 "area_rod": rod,
-                "bulk_modulus": float(item.bulk_modulus or rig.oil.bulk_modulus),
                 "relief_pressure": math.inf if relief is None else float(relief),
                 "cavitation_pressure": float(rig.oil.cavitation_pressure),
                 "stop_stiffness": _stop_pressure(rig, item) * head / STOP_DEPTH,
@@ -150,6 +155,8 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
                 "node_head": names.node(index, "head"),
                 "node_rod": names.node(index, "rod"),
                 "friction": names.frictions[index],
+                "friction_state": names.friction_state(index),
+                "friction_states": len(friction.LAWS[names.frictions[index]].states),
             }
         )
     return table_of(rows, CYLINDER)
@@ -209,11 +216,10 @@ def _valves(rig: Rig, names: Layout) -> tuple[np.recarray, np.recarray]:
     rows, elements = [], []
     for index, (_, item) in enumerate(rig.valves()):
         first, output = len(elements), -1
-        for law in (law for valve, law in names.elements if valve == index):
-            output = names.state("opening", index)
-            states = len(valves.LAWS[law].states)
-            place = {"law": law, "state": output, "states": states}
-            elements.append(place | valves.LAWS[law].pack(rig.dynamics[item.dynamics]))
+        for one in (one for one in names.elements if one.valve == index):
+            output, states = one.state, len(valves.LAWS[one.law].states)
+            place = {"law": one.law, "state": output, "states": states}
+            elements.append(place | rig.dynamics[one.dynamics].row())
         ends = {"lowest": float(item.command_min), "highest": float(item.command_max)}
         count = len(elements) - first
         rows.append(ends | {"first": first, "count": count, "output": output})
@@ -284,9 +290,30 @@ def _law(edge: Edge | FixedEdge, given: ValveMaps | None, packed: list[FlowMap])
     return row
 
 
+def _forces(rig: Rig, names: Layout) -> np.recarray:
+    rows = []
+    for index, item in enumerate(rig.cylinder):
+        for force in item.force:
+            played = -1
+            if force.channel is not None:
+                played = len(names.valves) + names.played.index(force.channel)
+            rows.append({"cylinder": index, "played": played} | force_fields(force))
+    return table_of(rows, FORCE)
+
+
 def _supply(rig: Rig) -> np.record:
-    own, beta = rig.supply, float(rig.oil.bulk_modulus)
+    own = rig.supply
     row = {key: float(getattr(own, key)) for key in ("pressure", "flow_limit", "volume")}
     if own.accumulator is not None:
         row |= {key: float(getattr(own.accumulator, key)) for key, _ in ACCUMULATOR}
-    return table_of([row | {"bulk_modulus": beta}], SUPPLY_LINE)[0]
+    return table_of([row | oil_fields(rig)], SUPPLY_LINE)[0]
+
+
+def oil_fields(rig: Rig, own: Value | None = None) -> dict[str, float]:
+    """Fields of a row of oil, its bulk modulus that of ``own`` where given."""
+    oil = rig.oil
+    return {
+        "bulk_modulus": float(own or oil.bulk_modulus),
+        "air": float(oil.air_fraction or 0.0),
+        "polytropic": float(oil.polytropic_exponent or EXPONENT),
+    }

@@ -13,8 +13,10 @@ from ehbench.parts.cylinder import (
 )
 from ehbench.parts.edge import edge_flow, edge_opening, edge_slope
 from ehbench.parts.end_stop import stop_force, stop_rate
-from ehbench.parts.friction import friction_force, friction_rates, friction_steepness
+from ehbench.parts.friction import friction_fastest, friction_force, friction_rates
+from ehbench.parts.load import force_on, force_steepness
 from ehbench.parts.nodes import SUPPLY, node_pressure
+from ehbench.parts.oil import bulk_of
 from ehbench.parts.supply import line_stiffness, pump_flow
 from ehbench.parts.valve import limited, valve_finish, valve_rates
 from ehbench.physics.arm import forward
@@ -61,7 +63,7 @@ def _edges(y, plant, work):
 
 
 @part_kernel
-def _cylinders(y, plant, dy, work):
+def _cylinders(y, command, plant, dy, work):
     """Pressure rates of the chambers; torques of the cylinders into ``work``."""
     at, fastest = plant.at, 0.0
     for c in range(plant.cylinders.shape[0]):
@@ -75,11 +77,15 @@ def _cylinders(y, plant, dy, work):
             inflow = chamber_inflow(row, side, v, work[at.net + node], y, plant)
             dy[plant.nodes[node].state] = chamber_pressure_rate(row, p, volume, inflow)
             slope = chamber_slope(row, p, inflow, work[at.slope + node])
-            fastest = max(fastest, row.bulk_modulus / volume * slope)
+            fastest = max(fastest, bulk_of(row, p) / volume * slope)
             force += p * area
         force -= friction_force(row, v, y)
         friction_rates(row, v, y, dy)
-        fastest = max(fastest, row.mobility * friction_steepness(row, v))
+        rate = friction_fastest(row, v)
+        if plant.forces.shape[0] > 0:
+            force += force_on(c, x, v, command, plant)
+            rate += row.mobility * force_steepness(c, v, plant)
+        fastest = max(fastest, rate)
         if x < 0.0 or x > row.stroke:
             force += stop_force(row, x, v)
             fastest = max(fastest, stop_rate(row))
@@ -132,7 +138,8 @@ def derivatives(y, command, plant, dy, work):
 
     Args:
         y: state, shape (plant.at.states,).
-        command: valve commands [V], shape (valves,), limited here to each driver's range.
+        command: valve commands [V], limited here to each driver's range, then forces that are
+            played [N], shape (valves + played,).
         dy: out, shape (plant.at.states,).
         work: workspace of plant.at.work.
     """
@@ -140,7 +147,7 @@ def derivatives(y, command, plant, dy, work):
     _edges(y, plant, work)
     for i in range(plant.at.torque, plant.at.net):
         work[i] = 0.0
-    fastest = max(fastest, _cylinders(y, plant, dy, work))
+    fastest = max(fastest, _cylinders(y, command, plant, dy, work))
     move(y, plant, dy, work)
     return max(fastest, _supply(y, plant, dy, work))
 

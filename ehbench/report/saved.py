@@ -241,6 +241,20 @@ def read_series(path: Path) -> Series:
     return Series(t, **sides)
 
 
+def read_columns(path: Path) -> dict[str, np.ndarray]:
+    """A saved table of numbers as it is written: columns by their name without the unit, nan for an
+    empty cell.
+
+    Raises:
+        InputError: a cell is no number.
+    """
+    names, rows = _columns(path)
+    return {
+        _head(name)[0]: _floats(path, name, [row[i] for row in rows])
+        for i, name in enumerate(names)
+    }
+
+
 def read_points(path: Path) -> Points:
     """Flowmeter readings: ``valve, direction, command [V], pressure_drop [..], flow [..], fitted
     [..], method, outlier``.

@@ -10,6 +10,7 @@ from ehbench.stages.bench import BenchFile, Dataset
 from ehbench.stages.campaign import CampaignStage
 from ehbench.stages.flow_map import FlowMapStage
 from ehbench.stages.hydraulics import HydraulicsStage
+from ehbench.stages.response import ResponseStage
 from ehbench.stages.trial import TrialStage
 from ehbench.stages.trials import TrialsStage
 from ehbench.stages.tuning import TuningStage
@@ -22,6 +23,7 @@ REGISTRY: dict[tuple[str, str | None], Checked[Any]] = {
     for stage in (
         FlowMapStage(),
         HydraulicsStage(),
+        ResponseStage(),
         ValidationStage(),
         TuningStage(),
         TrialStage(),

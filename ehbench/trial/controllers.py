@@ -166,12 +166,12 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> Design:
     row = plant.cylinders[index]
     with located(recipe, *controller.where, "unused"):
         reach = np.column_stack([plant.valves.lowest, plant.valves.highest])
-        made = circuit(index, row.area_head, row.area_rod, edges, plant.maps, reach, measured)
+        own = circuit(index, row.area_head, row.area_rod, edges, plant.maps, reach, measured)
     with located(recipe, "posture"):
         model.posture(recipe.posture)
     with located(recipe, *motion_at, "waypoints"):
         q = model.posture(posture_of(recipe, names[index]))
-    return Design(rig, maps, model, names[index], index, q, made)
+    return Design(rig, maps, model, names[index], index, q, own)
 
 
 def posture_of(recipe: TrialRecipe, cylinder: str) -> dict[str, str]:
@@ -237,7 +237,7 @@ def code_file(recipe: TrialRecipe) -> Path | None:
 
 def compiled(
     recipe: TrialRecipe,
-    made: Design,
+    design: Design,
     tuning: Mapping[str, Any] | None,
     references: np.ndarray,
     rate: float,
@@ -249,12 +249,12 @@ def compiled(
     """
     chosen = controller_of(recipe)
     assert chosen.kind is not None  # it is no class of the user's
-    law, site = LAWS[chosen.kind], _site(recipe, made, 1.0 / rate)
-    gains, given_rules = _taken(recipe, law, tuning, made.cylinder)
+    law, site = LAWS[chosen.kind], _site(recipe, design, 1.0 / rate)
+    gains, given_rules = _taken(recipe, law, tuning, design.cylinder)
     low = gains.get("low_pressure", site.low_pressure)
     with located(recipe, *chosen.where, "rules"):
         rules = pack_rules(
-            made.circuit.area_rod, site.supply_pressure, low_pressure=low, **given_rules
+            design.circuit.area_rod, site.supply_pressure, low_pressure=low, **given_rules
         )
     with located(recipe, *chosen.where, "shaping"):
         rows = {name: VOCABULARY[name] for name in SHAPING_NAMES}
@@ -264,7 +264,7 @@ def compiled(
         raise InputError(need.message, **recipe.at(*chosen.where), hint=need.hint)
     with located(recipe, *chosen.where, "gains"):
         packed = law.pack(site, gains, rules, shaping)
-    channels = sample_size(len(made.model.layout.cylinders))
+    channels = sample_size(len(design.model.layout.cylinders))
     controller = Controller(
         site.axis,
         packed.gains,
@@ -272,7 +272,7 @@ def compiled(
         law.observed(site.axis, channels),
         np.zeros(channels),
     )
-    names = law.channels(made.cylinder, made.edges)
+    names = law.channels(design.cylinder, design.edges)
     return Compiled(
         law,
         controller,
@@ -283,18 +283,21 @@ def compiled(
     )
 
 
-def _site(recipe: TrialRecipe, made: Design, tick: float) -> Site:
+def _site(recipe: TrialRecipe, design: Design, tick: float) -> Site:
     """What a controller of the design is designed for."""
-    plant = made.model.plant
-    mechanism = Mechanism(plant.kind, plant.gravity, plant.links, plant.cylinders.joint, made.q)
-    axis = axis_of(made.circuit, mechanism, made.row)
-    unused = [made.valves.index(name) for name in controller_of(recipe).unused]
-    still = np.isin(plant.edges.valve[made.own], unused)
+    plant = design.model.plant
+    mechanism = Mechanism(plant.kind, plant.gravity, plant.links, plant.cylinders.joint, design.q)
+    axis = axis_of(design.circuit, mechanism, design.row)
+    unused = [design.valves.index(name) for name in controller_of(recipe).unused]
+    still = np.isin(plant.edges.valve[design.own], unused)
     axis = axis._replace(onset=np.where(still, 0.0, axis.onset))  # no standing by for them
     limit = float(plant.supply.flow_limit)
     if not math.isfinite(limit):
-        limit = 0.5 * made.circuit.area_head  # half a metre a second
-    return Site(axis, tick, float(plant.supply.pressure), limit, _valve_lag(made), made.x)
+        limit = 0.5 * design.circuit.area_head  # half a metre a second
+    lag, unmodelled = _valve_lag(design), design.rig.cylinder[design.index].unmodelled
+    if design.rig.oil.air_fraction is not None:
+        unmodelled += ("air_fraction of [oil]",)
+    return Site(axis, tick, float(plant.supply.pressure), limit, lag, design.x, unmodelled)
 
 
 def low_pressure(recipe: TrialRecipe, rig: Rig, tuning: Mapping[str, Any] | None) -> float:
@@ -396,9 +399,9 @@ def _number(name: str, raw: Any, row: Quantity | None, pair: bool) -> Any:
     return read_value(raw, row, 2).value if pair else float(read_value(raw, row))
 
 
-def _valve_lag(made: Design) -> float:
+def _valve_lag(design: Design) -> float:
     """Lag 2ζ/ω_n [s] of the slowest valve that the controller uses."""
-    own = range(made.circuit.first, made.circuit.first + made.circuit.count)
-    plant = made.model.plant
-    used = {int(made.circuit.edges[e].valve) for e in own if e in made.circuit.paths}
+    own = range(design.circuit.first, design.circuit.first + design.circuit.count)
+    plant = design.model.plant
+    used = {int(design.circuit.edges[e].valve) for e in own if e in design.circuit.paths}
     return max((valve_lag(plant.valves[i], plant) for i in used), default=0.0)

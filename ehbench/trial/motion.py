@@ -65,17 +65,17 @@ def references(recipe: TrialRecipe, design: Design, low_pressure: float) -> Refe
     """
     rate, motion = float(recipe.rate), recipe.motion
     if motion is None:
-        made = References(np.tile([design.x, 0.0, 0.0, 0.0], (2, 1)))
+        desired = References(np.tile([design.x, 0.0, 0.0, 0.0], (2, 1)))
     else:
         try:
-            made = {"velocity_steps": _steps, "point_to_point": _points, "file": _file}[
+            desired = {"velocity_steps": _steps, "point_to_point": _points, "file": _file}[
                 motion.kind
             ](recipe, motion, design, low_pressure)
         except InputError as error:
             if error.file is not None:
                 raise
             raise InputError(error.message, **recipe.at(*motion.where), hint=error.hint) from None
-    table = made.table
+    table = desired.table
     if recipe.duration is not None:
         count = round(float(recipe.duration) * rate) + 1
         still = np.zeros((max(count - len(table), 0), ORDERS))
@@ -92,9 +92,9 @@ def references(recipe: TrialRecipe, design: Design, low_pressure: float) -> Refe
             hint=f"the stroke is {stroke * 1e3:.4g} mm and it starts at {design.x * 1e3:.4g} mm",
         )
     levels = tuple(
-        Level(one.first, min(one.stop, len(table)), one.speed, one.share)
-        for one in made.levels
-        if one.first < len(table)
+        Level(level.first, min(level.stop, len(table)), level.speed, level.share)
+        for level in desired.levels
+        if level.first < len(table)
     )
     return References(table, levels)
 

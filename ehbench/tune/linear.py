@@ -2,15 +2,16 @@
 plant (SPEC 3).
 
 All other joints are held. An operating point is a steady motion of a working function at a posture,
-payload and speed; its linear model has the states ``v, p_head, p_rod``, then ``opening`` and
-``rate`` of each valve at work, in SI."""
+payload and speed; its linear model has the states ``v, p_head, p_rod``, then those
+of each valve at work, in SI."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -34,9 +35,11 @@ from ehbench.control.valve_level import top_speed
 from ehbench.errors import InputError
 from ehbench.parts.cylinder import chamber_oil, joint_of, linkage_of
 from ehbench.parts.edge import edge_command, edge_flow
-from ehbench.parts.friction import friction_steady
+from ehbench.parts.friction import friction_settle, friction_slope, friction_steady
 from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
-from ehbench.parts.valve import valve_settle
+from ehbench.parts.load import force_on
+from ehbench.parts.oil import bulk_of
+from ehbench.parts.valve import valve_rates, valve_settle
 from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
 from ehbench.plant.build import Maps, map_of
 from ehbench.plant.derivatives import derivatives
@@ -134,10 +137,10 @@ class OperatingPoint:
     [m/s], extension positive.
 
     ``mass, gravity_force, damping`` are m_eq, F_eq, b_eq of `equivalent`; ``friction`` [N·s/m] is
-    the slope of the cylinder's own friction; ``bend`` [1/s] the part of ∂v̇/∂v from the changing
-    lever; ``load_force`` P_L [N]; pressures [Pa] gauge; volumes [m³]. ``possible``: every drop is
-    along its flow and every valve can open so far. ``fits``: also the off-side chamber stands at
-    its set-point. ``note`` says what is missing."""
+    the slope of the cylinder's own steady friction less that of forces on its rod; ``bend`` [1/s]
+    the part of ∂v̇/∂v from the changing lever; ``load_force`` P_L [N]; pressures [Pa] gauge; volumes
+    [m³]. ``possible``: every drop is along its flow and every valve can open so far. ``fits``: also
+    the off-side chamber stands at its set-point. ``note`` says what is missing."""
 
     cylinder: str
     function: str
@@ -261,12 +264,23 @@ class _Motion:
             return (force + rod * off) / head, off
         return off, (head * off - force) / rod
 
+    def resistance(self, v: float) -> float:
+        """What friction takes and no force from outside gives [N]."""
+        return friction_steady(self.row, v) - self.push(v)
+
+    def push(self, v: float) -> float:
+        """Force from outside on the rod [N], positive pushes it out."""
+        stroke, plant, played = float(self.here.x[self.index]), self.model.plant, np.zeros(0)
+        if not plant.forces.shape[0]:
+            return 0.0
+        return float(force_on(self.circuit.cylinder, stroke, v, played, plant))
+
     def settle(self, v: float) -> _Settled:
         """What carries the motion at speed v."""
         here, i, row, (p_supply, p_tank) = self.here, self.index, self.row, self.lines
         bend = here.curvature[i] * v * v / here.lever[i] ** 2
         force = here.gravity_force[i] + here.damping[i] * v - here.mass[i] * bend
-        force += friction_steady(row, v)
+        force += self.resistance(v)
         if self.function == EXTEND_RESISTIVE_REGENERATION:
             cross = self.aim.cross_drop
             p_head = (force + cross * row.area_rod) / (row.area_head - row.area_rod)
@@ -361,8 +375,15 @@ def operating_point(
         aim: what is asked for.
 
     Raises:
-        InputError: a function that the circuit is not able of.
+        InputError: a function that the circuit is not able of, or a force on a rod that is played
+            from a log.
     """
+    if model.layout.played:
+        raise InputError(
+            f"rig '{model.rig.name}' plays the force '{model.layout.played[0]}' from a log, and a "
+            "steady motion knows no log",
+            hint="give [[cylinder.force]] another kind for tuning",
+        )
     if function < 1 or circuit.able[function] == 0:
         raise InputError(f"the valves of the cylinder are not able of '{FUNCTIONS[function]}'")
     motion = _Motion(model, circuit, function, here, index, aim)
@@ -387,7 +408,7 @@ def operating_point(
         mass=float(here.mass[index]),
         gravity_force=float(here.gravity_force[index]),
         damping=float(here.damping[index]),
-        friction=_friction_slope(row, v),
+        friction=float(friction_slope(row, v)) - _push_slope(motion, v),
         bend=float(2.0 * here.curvature[index] * v / here.lever[index] ** 2),
         load_force=float(settled.force),
         p_head=float(settled.p_head),
@@ -403,11 +424,10 @@ def operating_point(
     )
 
 
-def _friction_slope(row: Any, v: float) -> float:
-    """Slope [N·s/m] of the cylinder's own friction at speed v, by central differences."""
+def _push_slope(motion: _Motion, v: float) -> float:
+    """Slope [N·s/m] of the outer forces on the rod at speed v, by central differences."""
     around = DIFFERENCE * max(abs(v), COULOMB_SPEED)
-    slope = friction_steady(row, v + around) - friction_steady(row, v - around)
-    return float(slope / (2 * around))
+    return float((motion.push(v + around) - motion.push(v - around)) / (2 * around))
 
 
 def _flow(circuit: Circuit, path: int, drop: float, command: float) -> float:
@@ -448,9 +468,9 @@ def _path(
         2 * du
     )
     most, sign = widest(circuit, edge, circuit.along[path] * drop), circuit.edges[edge].sign
-    reachable = sign * command <= sign * most * (1 + 1e-9) and _flow(
-        circuit, path, drop, command
-    ) >= flow * (1 - 1e-6)
+    passes = _flow(circuit, path, drop, command) >= flow * (1 - 1e-6)
+    saturated = gain == 0.0 and flow > 0.0
+    reachable = passes and not saturated and sign * command <= sign * most * (1 + 1e-9)
     return Path(
         int(path),
         names[edge],
@@ -490,8 +510,8 @@ class LinearModel:
     """``ẋ = A x + B u + E f`` about an operating point: u [V] the commands of the valves at work, f
     [N] a force on the rod.
 
-    ``states`` name x: ``v, p_head, p_rod``, then ``opening, rate`` of each valve with dynamics; all
-    SI. ``valves`` number u."""
+    ``states`` name x: ``v, p_head, p_rod``, then the states of each valve with dynamics; all SI.
+    ``valves`` number u."""
 
     states: tuple[str, ...]
     valves: tuple[int, ...]
@@ -500,23 +520,53 @@ class LinearModel:
     e: np.ndarray
 
 
+class ValveBlock(NamedTuple):
+    """A valve as ``ẋ = a x + b u``, opening ``= c x``: its elements one behind the other.
+
+    ``states`` are their positions in the plant's state.
+    """
+
+    states: tuple[int, ...]
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+
+
+def valve_block(model: Model, valve: int) -> ValveBlock:
+    """The elements of a valve, which are linear, from their own rates."""
+    plant, row = model.plant, model.plant.valves[valve]
+    own = plant.elements[row.first : row.first + row.count]
+    states = tuple(k for one in own for k in range(one.state, one.state + one.states))
+    size = len(states)
+    table, c = np.empty((size, size + 1)), np.empty(size)
+    for k in range(size + 1):
+        y, rates = np.zeros(model.layout.states), np.zeros(model.layout.states)
+        if k < size:
+            y[states[k]] = 1.0
+        opening, _ = valve_rates(row, 0.0 if k < size else 1.0, plant, y, rates)
+        table[:, k] = rates[list(states)]
+        if k < size:
+            c[k] = opening
+    return ValveBlock(states, table[:, :size], table[:, size], c)
+
+
 def _states(
     model: Model, point: OperatingPoint
-) -> tuple[tuple[int, ...], list[int], tuple[str, ...]]:
+) -> tuple[tuple[int, ...], dict[int, ValveBlock], tuple[str, ...]]:
     valves = tuple(dict.fromkeys(p.valve for p in point.paths))
-    moving = [i for i in valves if model.plant.valves[i].count]
+    moving = {i: valve_block(model, i) for i in valves if model.plant.valves[i].count}
     names = ["v", "p_head", "p_rod"]
-    for i in moving:
-        names += [f"{model.layout.valves[i]}.opening", f"{model.layout.valves[i]}.rate"]
+    for block in moving.values():
+        names += [model.layout.state_names[k] for k in block.states]
     return valves, moving, tuple(names)
 
 
 def development_model(model: Model, point: OperatingPoint) -> LinearModel:
     """The linear development model from the equations (SPEC 3), valve edges with their own slopes.
 
-    ``m_eq v̇ = A1 P1 − A2 P2 − (b_eq + friction) v + m_eq·bend·v + f``; ``V/β_e Ṗ`` = inflow of
-    each chamber, volumes fixed; ``Q = gain·opening + slope·Δp`` along each edge; valves of second
-    order."""
+    ``m_eq v̇ = A1 P1 − A2 P2 − (b_eq + friction) v + m_eq·bend·v + f``; ``V/β Ṗ`` = inflow of
+    each chamber, volumes fixed, β of the oil at its pressure; ``Q = gain·opening + slope·Δp`` along
+    each edge; valves as their elements are."""
     plant = model.plant
     row = plant.cylinders[model.layout.cylinders.index(point.cylinder)]
     valves, moving, names = _states(model, point)
@@ -529,34 +579,45 @@ def development_model(model: Model, point: OperatingPoint) -> LinearModel:
         -areas[1] / point.mass,
     )
     e[0] = 1.0 / point.mass
-    stiff = row.bulk_modulus / np.array([point.volume_head, point.volume_rod])
+    stiff = np.array([bulk_of(row, point.p_head), bulk_of(row, point.p_rod)])
+    stiff /= (point.volume_head, point.volume_rod)
     inflow = np.zeros((2, size))
     inflow[:, 0] = -areas[0], areas[1]
     inflow[0, 1:3] = -row.leakage_internal - row.leakage_head, row.leakage_internal
     inflow[1, 1:3] = row.leakage_internal, -row.leakage_internal - row.leakage_rod
     into_u = np.zeros((2, len(valves)))
+    at = dict(zip(moving, _starts(moving), strict=True))
     for path in point.paths:
         side = INTO[path.path]
         inflow[:, 1:3] -= path.slope * np.outer(side, side)
         if path.valve in moving:
-            inflow[:, 3 + 2 * moving.index(path.valve)] += path.gain * side
+            first, c = at[path.valve], moving[path.valve].c
+            inflow[:, first : first + c.size] += path.gain * np.outer(side, c)
         else:
             into_u[:, valves.index(path.valve)] += path.gain * side
     a[1:3], b[1:3] = stiff[:, None] * inflow, stiff[:, None] * into_u
-    for k, i in enumerate(moving):
-        at = 3 + 2 * k
-        a[at, at + 1] = 1.0
-        element = plant.elements[plant.valves[i].first]
-        a[at + 1, at : at + 2] = -element.stiffness, -element.damping
-        b[at + 1, valves.index(i)] = element.stiffness
+    for i, block in moving.items():
+        rows = slice(at[i], at[i] + block.b.size)
+        a[rows, rows], b[rows, valves.index(i)] = block.a, block.b
     return LinearModel(names, valves, a, b, e)
+
+
+def _starts(moving: Mapping[int, ValveBlock]) -> list[int]:
+    """Where the states of each moving valve begin in a linear model."""
+    return list(itertools.accumulate([3, *(block.b.size for block in moving.values())]))[:-1]
+
+
+def _are_rates(names: Sequence[str]) -> np.ndarray:
+    """Which states of a linear model are rates of openings."""
+    return np.array([name.endswith(".rate") for name in names])
 
 
 def faster(linear: LinearModel, factor: float) -> LinearModel:
     """The model with valves ``factor`` times as fast at the same damping ratio."""
-    a, b = linear.a.copy(), linear.b.copy()
-    a[4::2], b[4::2] = a[4::2] * factor**2, b[4::2] * factor**2
-    a[range(4, len(a), 2), range(4, len(a), 2)] /= factor
+    a, b, rates = linear.a.copy(), linear.b.copy(), _are_rates(linear.states)
+    quick = np.where(rates, factor**2, factor)[3:, None]
+    a[3:], b[3:] = a[3:] * quick, b[3:] * quick
+    a[3:, rates] /= factor
     return LinearModel(linear.states, linear.valves, a, b, linear.e)
 
 
@@ -573,13 +634,14 @@ def state_of(model: Model, point: OperatingPoint) -> tuple[np.ndarray, np.ndarra
     for path in point.paths:
         command[path.valve] = path.command
         valve_settle(model.plant.valves[path.valve], path.command, model.plant, y)
+    friction_settle(model.plant.cylinders[index], point.v, y)
     return y, command
 
 
 @dataclass(frozen=True)
 class _Offsets:
-    """The plant about an operating point, moved by offsets z of (x, v, p_head, p_rod, openings and
-    rates, commands).
+    """The plant about an operating point, moved by offsets z of (x, v, p_head, p_rod, states of
+    valves, commands).
     """
 
     model: Model
@@ -611,6 +673,7 @@ class _Offsets:
             y[joint] = joint_of(row, point.x + z[0])
         _, lever, bend = linkage_of(row, y[joint])
         y[own] = (point.v + z[1]) / lever
+        friction_settle(row, point.v + z[1], y)
         ends = [plant.nodes[node].state for node in (row.node_head, row.node_rod)]
         y[ends] += z[2:4]
         y[list(picks)] += z[4 : 4 + len(picks)]
@@ -632,19 +695,19 @@ def plant_model(
     others: Literal["held", "free"] = "held",
     position: bool = False,
 ) -> LinearModel:
-    """The same linear model from central differences of the compiled plant.
+    """The same linear model from central differences of the compiled plant, its friction steady.
 
     With the other joints held their acceleration is zero, ``q̈_j = (D q̈)_j/D_jj`` with q̈ of the
     free plant; ``free`` leaves them to the reaction forces at this instant. ``position`` adds the
     stroke ``x`` as first state: what the development model leaves out."""
     valves, moving, names = _states(model, point)
     names = (("x",) if position else ()) + names
-    picks = [model.layout.state(key, i) for i in moving for key in ("opening", "rate")]
+    picks = [k for block in moving.values() for k in block.states]
     about = _Offsets(model, point, others == "held", *state_of(model, point))
     steps = np.concatenate(
         [
             [1e-5, 1e-5 * max(1.0, abs(point.v) / 0.01), 30.0, 30.0],
-            [1e-4, 1e-2] * len(moving),
+            np.where(_are_rates(model.layout.state_names)[picks], 1e-2, 1e-4),
             [1e-4] * len(valves),
         ]
     )
@@ -755,7 +818,8 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
     e = np.zeros(total)
     e[:size] = linear.e
     scale = np.ones(total)
-    scale[1:3], scale[size:], scale[4:size:2] = 1.0e6, 1.0e6, 100.0
+    scale[1:3], scale[size:] = 1.0e6, 1.0e6
+    scale[:size][_are_rates(linear.states)] = 100.0
     ratio = scale / scale[:, None]
     fastest = 2.5 / law.delay if held else math.inf
     return Loop(

@@ -338,3 +338,73 @@ def trial(folder: Path, rig: str, valve: str, more: str = ""):
         np.isfinite(values).all() for values in record.channels.values()
     )
     return record
+
+
+FORCE = '[[cylinder.force]]\nkind = "spring"\nstiffness = "5 kN/m"\n'
+SATURATING = EDGE.replace('"orifice"', '"saturating"')
+
+
+# parts that a rig may have: text put in place of another, the sentence, where
+@pytest.mark.parametrize(
+    ("old", "new", "words", "line"),
+    padded(
+        (PINS, FORCE + PINS, "a force of kind 'spring' needs 'free_length'", FORCE),
+        ("[oil]", '[oil]\nair_fraction = "60 %"', "outside 0 to 50 %", "air_fraction ="),
+        (
+            "[oil]",
+            "[oil]\npolytropic_exponent = 1.3",
+            "an exponent of air needs 'air_fraction'",
+            "polytropic_exponent =",
+        ),
+        (
+            PINS,
+            FORCE.replace('stiffness = "5 kN/m"', 'force = "5 kN"') + PINS,
+            "a force of kind 'spring' needs 'stiffness'",
+            FORCE[:20],
+        ),
+        (
+            PINS,
+            FORCE + 'free_length = "0.1 m"\nchannel = "lift.force"\n' + PINS,
+            "a force of kind 'spring' takes no 'channel'",
+            "channel =",
+        ),
+        (
+            PINS,
+            FORCE.replace("kN/m", "kN") + 'free_length = "0.1 m"\n' + PINS,
+            "'kN' cannot be turned into N/m",
+            "stiffness =",
+        ),
+        (
+            PINS,
+            '[[cylinder.force]]\nkind = "channel"\nchannel = "lift.x"\n' + PINS,
+            "'lift.x' is no channel of a force",
+            "channel =",
+        ),
+        (
+            EDGE,
+            EDGE.replace('"orifice"', '"flow_control"'),
+            "law 'flow_control' needs 'compensated_gain'",
+            "edge = [",
+        ),
+        (EDGE, SATURATING, "law 'saturating' needs 'opening_max'", "edge = ["),
+        (
+            EDGE,
+            SATURATING.replace(" }", ', deadband = "1 V", opening_max = "0.5 V" }'),
+            "opening_max must lie above deadband",
+            "edge = [",
+        ),
+        (
+            EDGE,
+            SATURATING.replace(" }", ', opening_max = "2 V", saturation_softness = "3 V" }'),
+            "saturation_softness must not exceed opening_max − deadband, 2 V",
+            "edge = [",
+        ),
+    ),
+)
+def test_a_nonsense_part_is_refused_in_one_sentence(tmp_path, old, new, words, line):
+    assert old in CRANE
+    text = CRANE.replace(old, new, 1)
+    error = refused(tmp_path, text)
+    assert words in error.message and "\n" not in error.message, error.message
+    at = text[: text.index(line or new)].count("\n") + 1
+    assert at <= error.line <= at + new.count("\n"), (error.line, at)

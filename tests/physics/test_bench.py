@@ -11,11 +11,12 @@ import pytest
 from ehbench.datasets import main, make
 from ehbench.errors import InputError
 from ehbench.logs import write_log
-from ehbench.machines.virtual import ATMOSPHERE, VirtualMachine, bulk, play
+from ehbench.machines.virtual import VirtualMachine, play
 from ehbench.machines.virtual import _follow as follow
 from ehbench.machines.virtual import _speed_filter as speed_filter
 from ehbench.parts.cylinder import linkage_arrays
 from ehbench.physics.arm import energy, work_size
+from ehbench.parts.oil import ATMOSPHERE, bulk
 from ehbench.plant.model import Model
 from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
 from ehbench.rig import Value

@@ -21,7 +21,7 @@ from ehbench.ledger import (
     ledger_of_model,
 )
 from ehbench.ledger.bounds import travels
-from ehbench.ledger.powers import compressed
+from ehbench.parts.oil import compressed
 from ehbench.ledger.readings import noise_of
 from ehbench.machines.virtual import CREEP, VirtualMachine
 from ehbench.parts.cylinder import linkage_arrays

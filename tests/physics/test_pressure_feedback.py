@@ -28,7 +28,7 @@ from ehbench.recipe import load_rig
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 TICK = 1e-3
-COLUMN = {name: index for index, name in enumerate(pf.Telemetry._fields)}
+COLUMN = {name: index for index, name in enumerate(pf.TELEMETRY)}
 
 
 class Law(NamedTuple):

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.control import LAW_NAMES
 from ehbench.errors import InputError
 from ehbench.logs import read_record, write_log
 from ehbench.machines.protocol import advance_of, truth_of
@@ -34,10 +35,7 @@ MOTION = {
     "speed": "80 mm/s",
     "hold": "0.3 s",
 }
-FED = {
-    "kind": "pressure_feedback",
-    "gains": {"feedback_gain": "5e-12 m^3/(s*Pa)", "washout": "1 Hz"},
-}
+GAINS = {"pressure_feedback": {"feedback_gain": "5e-12 m^3/(s*Pa)", "washout": "1 Hz"}}
 CODE = """
 class Mine:
     channels = ["press.x", "press.v"]
@@ -49,9 +47,11 @@ class Mine:
         return [40.0 * (wish.x - sample["press.x"]) + 20.0 * wish.v]
 """
 LAWS = {
-    "open loop": {"command": [STEP], "duration": "1.1 s"},
-    "pressure_feedback": {"controller": FED, "motion": MOTION},
-    "arc": {"controller": {"kind": "arc"}, "motion": MOTION},
+    "commands": {"command": [STEP], "duration": "1.1 s"},
+    **{
+        name: {"controller": {"kind": name, "gains": GAINS.get(name, {})}, "motion": MOTION}
+        for name in LAW_NAMES
+    },
     "class": {"controller": {"class": "mine:Mine"}, "motion": MOTION},
 }
 SPEED = {"speed_max": "70 mm/s"}

@@ -10,7 +10,7 @@ import pytest
 PACKAGE = Path(__file__).parents[2] / "ehbench"
 # lowest first; within a row nobody imports a neighbour
 FLOORS = [
-    {"codes", "errors", "quantities", "compiled", "blas", "terms", "text"},
+    {"codes", "commands", "errors", "quantities", "compiled", "blas", "terms", "text"},
     {"units"},
     {"fields", "notebook"},
     {"physics", "signals"},

@@ -6,11 +6,12 @@ import pytest
 
 from ehbench import recipe
 from ehbench.cli import app
+from ehbench.commands import COMMANDS
 from ehbench.report.stages import SECTIONS
 from ehbench.stages import REGISTRY, Stage
 
 STAGES = [stage for stage in REGISTRY.values() if isinstance(stage, Stage)]
-COMMANDS = {one.name or one.callback.__name__ for one in app.registered_commands}
+KNOWN = {one.name or one.callback.__name__ for one in app.registered_commands}
 
 
 def test_every_kind_of_recipe_has_its_stage():
@@ -19,5 +20,9 @@ def test_every_kind_of_recipe_has_its_stage():
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
 def test_a_stage_has_a_command_and_a_section(stage):
-    assert stage.command in COMMANDS and stage.writes
+    assert stage.command in KNOWN and stage.writes
     assert stage.name in SECTIONS or stage.name == "campaign"  # a campaign is the page itself
+
+
+def test_every_command_that_runs_recipes_has_a_stage():
+    assert {one.name for one in COMMANDS} < {stage.command for stage in STAGES} <= KNOWN

@@ -9,15 +9,24 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Literal
 
 from ehbench.compiled import choice, part_kernel, record
-from ehbench.parts.edge import check, compensated, measured, orifice, pump
+from ehbench.parts.edge import check, compensated, flow_control, measured, orifice, pump, saturating
 from ehbench.parts.edge.check import CheckFields
 from ehbench.parts.edge.compensated import CompensatedFields
 from ehbench.parts.edge.law import EdgeLaw
 from ehbench.parts.edge.orifice import OrificeFields
 from ehbench.parts.edge.pump import FixedPumpFields, PumpFields
+from ehbench.parts.edge.saturating import SaturatingFields
 from ehbench.parts.nodes import node_pressure
 
-LAWS = (orifice.LAW, compensated.LAW, measured.LAW, pump.LAW, check.LAW)
+LAWS = (
+    orifice.LAW,
+    compensated.LAW,
+    measured.LAW,
+    saturating.LAW,
+    flow_control.LAW,
+    pump.LAW,
+    check.LAW,
+)
 BY_NAME = {law.name: number for number, law in enumerate(LAWS)}
 ORIFICE, COMPENSATED, MAP = (BY_NAME[name] for name in ("orifice", "compensated", "map"))
 PUMP, CHECK = BY_NAME["pump"], BY_NAME["check"]
@@ -28,7 +37,7 @@ else:
     FixedLawName = Literal[tuple(law.name for law in LAWS if not law.metering)]
 
 
-class LawFields(PumpFields, CompensatedFields, OrificeFields):
+class LawFields(PumpFields, SaturatingFields, CompensatedFields, OrificeFields):
     """What the laws add to an edge of the rig file; the last one's keys come first in it."""
 
 
@@ -46,10 +55,10 @@ def edge_law(name: str) -> EdgeLaw:
 # ``blocked`` 1 where nothing passes against its direction; ``unmetered`` 1 where no command has to
 # open it; then the columns of the laws: ``gain`` [m³/(s·V·√Pa)] of an orifice,
 # [m³/(s·V)] of a compensated edge, ``deadband`` [V], ``compensation_drop`` [Pa], where the
-# ``forward`` and the ``reverse`` map begin (−1: none); of a pump ``displacement`` [m³/rad],
-# ``speed_gain`` [rad/(s·V)], ``pump_speed`` [rad/s], ``slip`` [m³/(s·Pa)]; of a check valve
-# ``gain`` [m³/(s·√Pa)], ``cracking_pressure, opening_range`` [Pa], its ``pilot`` node (−1: none)
-# and ``pilot_ratio``.
+# ``forward`` and the ``reverse`` map begin (−1: none), ``opening_max, saturation_softness`` [V];
+# of a pump ``displacement`` [m³/rad], ``speed_gain`` [rad/(s·V)], ``pump_speed`` [rad/s], ``slip``
+# [m³/(s·Pa)]; of a check valve ``gain`` [m³/(s·√Pa)], ``cracking_pressure, opening_range`` [Pa],
+# its ``pilot`` node (−1: none) and ``pilot_ratio``.
 EDGE = record(
     ("from_node", "i8"),
     ("to_node", "i8"),

@@ -17,6 +17,10 @@ def _everywhere(drop, edge, maps):
     return np.inf
 
 
+def _nothing_odd(edge: Any) -> None:
+    """A law that takes any numbers its keys allow."""
+
+
 @part_kernel
 def _chord(drop, flow, reach, edge):
     """Flow over drop [m³/(s·Pa)]: no metering law is steeper."""
@@ -39,7 +43,8 @@ class EdgeLaw:
 
     ``pack(edge)`` gives the law's columns of an edge of the rig file by their names; of that
     edge's keys it ``needs`` some, ``needs_fixed`` where the edge has no command. ``has_deadband``
-    says whether its ``deadband`` counts.
+    says whether its ``deadband`` counts. ``odd(edge)`` is (what is wrong with its numbers together,
+    the key to blame), or None.
 
     A law that is not ``metering`` passes oil at any opening and drop, gives flows of any sign, and
     may be that of an edge without a command; it is only of such edges where it is not
@@ -55,6 +60,7 @@ class EdgeLaw:
     needs_fixed: tuple[str, ...] = ()
     has_deadband: bool = True
     known: Callable = _everywhere
+    odd: Callable[[Any], tuple[str, str] | None] = _nothing_odd
     slope: Callable = _chord
     metering: bool = True
     commanded: bool = True

@@ -31,7 +31,7 @@ WORDS = {
     "residual": "not accounted for",
 }
 PUMP, MECHANISM = "pump", "mechanism"
-_MECHANICAL = ("friction", "end_stop", "stop", "damping")
+_MECHANICAL = ("friction", "friction_spring", "end_stop", "stop", "damping")
 _GAP = 0.012
 _BAR = 0.022  # width of a node
 

@@ -1,0 +1,51 @@
+"""The commands that run a recipe, one row each; every stage names the one that runs its recipes.
+
+A table by itself, so that ``ehbench --help`` need not load the stages."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+
+class Command(NamedTuple):
+    """A command of the command line: its name, what its help says, a recipe for the help's example,
+    and what the user may allow it.
+    """
+
+    name: str
+    help: str
+    example: str
+    allows: Literal["", "unvalidated", "allow_code"] = ""
+
+
+COMMANDS = (
+    Command(
+        "identify",
+        "Identify flow maps or hydraulics from the data a recipe names.",
+        "recipes/thesis/flow_maps.toml",
+    ),
+    Command(
+        "response",
+        "Estimate a frequency response from logs, with intervals, delay and bandwidth.",
+        "recipes/trials/response.toml",
+    ),
+    Command(
+        "validate",
+        "Judge an identified rig on logs it was not fitted to; exit 4 when it is rejected.",
+        "recipes/thesis/validation.toml",
+    ),
+    Command(
+        "tune",
+        "Choose a controller's gains by root locus over postures, loads and functions, on a "
+        "validated rig.",
+        "recipes/thesis/tuning.toml",
+        "unvalidated",
+    ),
+    Command(
+        "run-trial",
+        "Run a trial, or a set of trials, on the model or on the virtual bench; exit 5 when a "
+        "limit stops one.",
+        "recipes/trials/arc_slow.toml",
+        "allow_code",
+    ),
+)

@@ -1,0 +1,114 @@
+"""Logs → frequency response: ``response.json``, ``response.csv``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import Field
+
+from ehbench import rundir
+from ehbench.fields import Q, Value
+from ehbench.quantities import quantity
+from ehbench.recipe import DataFiles, Recipe
+from ehbench.stages.base import (
+    DONE,
+    INCOMPLETE,
+    Prepared,
+    Progress,
+    Stage,
+    Work,
+    recorded_on,
+    write_rig,
+)
+from ehbench.stages.findings import counted
+from ehbench.stages.inputs import Inputs, Logs, RigState
+
+if TYPE_CHECKING:
+    from ehbench.identification.response import Signals
+
+
+class ResponseRecipe(Recipe):
+    """The frequency response from one channel of the logs to another."""
+
+    stage: Literal["response"]
+    rig: str = Field(description="whose units the report uses, and whose logs these are")
+    data: DataFiles
+    input: str = Field(description="channel, such as `boom.hect.command`")
+    output: str = Field(description="channel, such as `boom.v`")
+    segment: Annotated[Value, Q("duration")] | None = Field(
+        default=None,
+        description="length of a segment; none averages 8 of the shortest log. "
+        "Its inverse is the resolution in frequency",
+    )
+    window: Literal["hann", "boxcar"] = Field(
+        default="hann",
+        description="of a segment: `hann`, half overlapping; `boxcar`, end to end, "
+        "for an input that repeats with the segment",
+    )
+    coherence_min: float = Field(
+        default=0.8, gt=0, lt=1, description="from which a frequency counts"
+    )
+    frequency_max: Annotated[Value, Q("frequency")] | None = Field(
+        default=None, description="what lies above is not looked at; none is half the logs' rate"
+    )
+
+
+@dataclass(frozen=True)
+class PreparedResponse(Prepared):
+    """Input and output of the logs; None without a log, in a check."""
+
+    recipe: ResponseRecipe
+    state: RigState
+    logs: Logs
+    signals: Signals | None
+
+
+class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
+    """`ResponseRecipe`."""
+
+    recipe = ResponseRecipe
+    name = "response"
+    command = "response"
+    writes = "response.json, response.csv, rig.toml, figures"
+
+    def prepare(self, recipe: ResponseRecipe, inputs: Inputs) -> PreparedResponse:
+        from ehbench.identification.response import Averaging, prepare_signals
+
+        state, logs = inputs.rig_state(recipe.rig), inputs.logs(recipe.data)
+        choice = Averaging(window=recipe.window, coherence=recipe.coherence_min)
+        if recipe.segment is not None:
+            choice = choice._replace(segment=float(recipe.segment))
+        if recipe.frequency_max is not None:
+            choice = choice._replace(frequency=float(recipe.frequency_max))
+        signals = None
+        with inputs.found.noting():
+            if logs.records:
+                signals = prepare_signals(logs.records, (recipe.input, recipe.output), choice)
+        inputs.found.say("open", "which frequencies are coherent")
+        does = f"estimates {recipe.output} over {recipe.input} from {counted(recipe.data, 'log')}"
+        return PreparedResponse(recipe, (*state.inputs, *logs.inputs), does, state, logs, signals)
+
+    def work(self, prepared: PreparedResponse, folder: Path, progress: Progress | None) -> Work:
+        from ehbench.identification.response import estimate
+
+        recipe, losses = prepared.recipe, prepared.logs.losses
+        assert prepared.signals is not None  # a run stops where a check has none
+        found = estimate(prepared.signals)
+        unit = f"({quantity(recipe.output).unit})/({quantity(recipe.input).unit})"
+        names = {"input": recipe.input, "output": recipe.output, "gain_unit": unit}
+        asked = {"window": recipe.window, "coherence_min": recipe.coherence_min}
+        logs = [name for name, _ in prepared.logs.records]
+        rundir.write_json(
+            folder / "response.json",
+            {**names, **asked, "logs": logs, **found.as_json(), "warnings": found.warnings},
+        )
+        (folder / "response.csv").write_text(found.table(unit), encoding="utf-8")
+        write_rig(folder, prepared.state.rig, None)
+        facts = {
+            "rig": prepared.state.rig.name,
+            "warnings": [*losses, *found.warnings],
+            "recorded_on": recorded_on(prepared.logs.records),
+        }
+        return Work(facts, code=INCOMPLETE if losses else DONE)

@@ -1,0 +1,235 @@
+"""Frequency response: a known system is found again within intervals that hold, and data that do
+not carry a response are refused.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from ehbench import inspection, recipe, workflow
+from ehbench.errors import InputError, InsufficientData, LogError
+from ehbench.identification.response import Averaging, Signals, estimate, prepare_signals
+from ehbench.logs import write_log
+from ehbench.record import Record
+
+RATE = 1000.0
+NATURAL, DAMPING, GAIN = 2.0 * math.pi * 12.0, 0.5, 0.03  # of the system [rad/s, 1, m/s per V]
+LATE = 7  # samples of delay
+NAMES = ("boom.hect.command", "boom.v")
+SYSTEM = signal.cont2discrete(
+    ([GAIN * NATURAL**2], [1.0, 2.0 * DAMPING * NATURAL, NATURAL**2]), 1.0 / RATE, "zoh"
+)
+
+
+def truth(frequency: np.ndarray) -> np.ndarray:
+    """The sampled system's own response, with its delay."""
+    numerator, denominator, _ = SYSTEM
+    _, found = signal.freqz(np.squeeze(numerator), denominator, frequency, fs=RATE)
+    return found * np.exp(-2j * math.pi * frequency * LATE / RATE)
+
+
+def log(seed: int, seconds: float = 30.0, noise: float = 0.004) -> tuple[str, Record]:
+    """White commands held from sample to sample about a working point, the speed with noise."""
+    random = np.random.default_rng(seed)
+    x = random.standard_normal(round(seconds * RATE))
+    y = signal.lfilter(np.squeeze(SYSTEM[0]), SYSTEM[1], np.r_[np.zeros(LATE), x[:-LATE]])
+    y += 0.1 + noise * random.standard_normal(x.size)
+    t = np.arange(x.size) / RATE
+    return f"log_{seed}", Record(t, dict(zip(NAMES, (2.0 + x, y), strict=True)))
+
+
+def signals(*logs: tuple[str, Record], **choice) -> Signals:
+    return prepare_signals(logs, NAMES, Averaging(**{"segment": 1.0, "coherence": 0.3} | choice))
+
+
+def test_without_noise_it_is_the_system_itself():
+    found = estimate(signals(log(1, noise=0.0), frequency=40.0, segment=4.0))
+    exact = truth(found.frequency)
+    assert found.coherent.all() and found.frequency[-1] == 40.0
+    np.testing.assert_allclose(found.gain, np.abs(exact), rtol=0.02)
+    np.testing.assert_allclose(found.phase, np.unwrap(np.angle(exact)), atol=0.02)
+    # −3 dB of its first gain and −90° of system and delay, by the closed form on a fine grid
+    fine = np.linspace(0.25, 40.0, 100_000)
+    curve = truth(fine)
+    fallen = fine[np.argmax(np.abs(curve) < GAIN / math.sqrt(2.0))]
+    turned = fine[np.argmax(np.unwrap(np.angle(curve)) < -0.5 * math.pi)]
+    assert found.bandwidth.value == pytest.approx(fallen, rel=0.02)
+    assert found.quadrature.value == pytest.approx(turned, rel=0.01)
+
+
+def test_gain_and_phase_lie_in_their_intervals_as_often_as_they_should():
+    """Over 40 logs with noise: 95 % of all gains and phases, and −90° itself."""
+    hits = {"gain": [], "phase": [], "quadrature": []}
+    fine = np.linspace(1.0, 40.0, 100_000)
+    turned = fine[np.argmax(np.unwrap(np.angle(truth(fine))) < -0.5 * math.pi)]
+    for seed in range(40):
+        found = estimate(signals(log(seed), frequency=40.0, segment=2.0))
+        exact, at = truth(found.frequency), found.coherent
+        phase = np.unwrap(np.angle(exact))
+        gain = np.abs(exact)
+        hits["gain"] += list(((found.gain_low < gain) & (gain < found.gain_high))[at])
+        hits["phase"] += list(((found.phase_low < phase) & (phase < found.phase_high))[at])
+        hits["quadrature"].append(found.quadrature.low < turned < found.quadrature.high)
+    assert len(hits["gain"]) > 2000
+    assert 0.93 < np.mean(hits["gain"]) < 0.97 and 0.93 < np.mean(hits["phase"]) < 0.97
+    assert np.mean(hits["quadrature"]) > 0.9
+
+
+def delayed(seed: int, delay: int, noise: float = 0.5) -> tuple[str, Record]:
+    """A pure delay behind a gain of −2, with noise."""
+    random = np.random.default_rng(seed)
+    x = random.standard_normal(20_000)
+    y = -2.0 * np.r_[np.zeros(delay), x[:-delay]] + noise * random.standard_normal(x.size)
+    return f"log_{seed}", Record(np.arange(x.size) / RATE, dict(zip(NAMES, (x, y), strict=True)))
+
+
+@pytest.mark.parametrize("window", ["hann", "boxcar"])
+def test_the_delay_is_found_and_its_interval_holds(window):
+    """A gain below 0 is a constant turn: the slope is the delay alone. 95 % of 150 intervals."""
+    inside, errors, halves = [], [], []
+    for seed in range(150):
+        found = estimate(signals(delayed(seed, 5), segment=0.5, window=window, frequency=100.0))
+        delay = found.delay
+        inside.append(delay.low < 5e-3 < delay.high)
+        errors.append(delay.value - 5e-3)
+        halves.append(0.5 * (delay.high - delay.low))
+    assert 0.9 <= np.mean(inside) <= 0.99
+    assert np.std(errors) * 1.96 == pytest.approx(np.mean(halves), rel=0.2)
+    assert not any("straight" in text for text in found.warnings)
+
+
+def test_a_phase_that_is_no_line_is_told():
+    found = estimate(signals(log(3), frequency=40.0))
+    assert any("no straight line" in text for text in found.warnings)
+
+
+def test_logs_are_averaged_together():
+    """Four logs of 8 s weigh as one of 32 s."""
+    many = signals(*(log(seed, 8.0) for seed in range(4)))
+    one = signals(log(9, 32.0))
+    assert many.averages == pytest.approx(one.averages, rel=0.06)
+    apart = estimate(many)
+    widths = [np.median((r.gain_high - r.gain_low)[r.coherent]) for r in (apart, estimate(one))]
+    assert widths[0] == pytest.approx(widths[1], rel=0.15)
+
+
+def test_overlapping_segments_count_for_less():
+    """Half of a Hann window is shared: (1/6)² of each neighbour's power."""
+    found = signals(log(1, 16.5), segment=1.0)
+    assert found.segments == (32,)
+    assert found.averages == pytest.approx(32 / (1 + 2 * (31 / 32) / 36), rel=1e-3)
+    assert signals(log(1, 16.5), segment=1.0, window="boxcar").averages == 16.0
+
+
+def test_frequencies_without_power_or_coherence_are_told():
+    """A multisine on the segment's own lines excites these and no others."""
+    t = np.arange(16_000) / RATE
+    lines = (4.0, 8.0, 16.0)
+    x = sum(np.sin(2 * math.pi * f * t + f) for f in lines)
+    y = 0.5 * x + np.where(t < 8.0, 0.0, 0.2 * np.random.default_rng(2).standard_normal(t.size))
+    record = Record(t, dict(zip(NAMES, (x, y), strict=True)))
+    found = estimate(signals(("lines", record), segment=1.0, window="boxcar", coherence=0.8))
+    assert found.frequency[found.coherent].tolist() == list(lines)
+    np.testing.assert_allclose(found.gain[found.coherent], 0.5, rtol=0.05)
+    assert any("no power" in text for text in found.warnings)
+    assert found.delay is None and any("no delay" in text for text in found.warnings)
+    noisy = estimate(signals(log(4, noise=0.02), coherence=0.8, frequency=100.0))
+    assert any("coherence is below 0.8 at" in text for text in noisy.warnings)
+
+
+def test_a_delay_that_is_long_for_the_segment_is_told():
+    found = estimate(signals(delayed(1, 40, 0.01), segment=0.2, frequency=100.0))
+    assert any("of a segment" in text for text in found.warnings)
+
+
+def still(name, record):
+    held = {NAMES[0]: np.full(record.t.size, 2.0), NAMES[1]: record[NAMES[1]]}
+    return name, Record(record.t, held)
+
+
+def slower(name, record):
+    return name, Record(record.t[::2], {key: v[::2] for key, v in record.channels.items()})
+
+
+def gap(name, record):
+    keep = np.ones(record.t.size, bool)
+    keep[100:200] = False
+    return name, Record(record.t[keep], {key: v[keep] for key, v in record.channels.items()})
+
+
+@pytest.mark.parametrize(
+    ("logs", "error", "words"),
+    [
+        ([log(1, 2.0)], InsufficientData, "only 3 segments of 1 s"),
+        ([log(1, 0.02)], InsufficientData, "only 0 segments"),
+        ([still(*log(1))], InsufficientData, "stays at 2"),
+        ([log(1), slower(*log(2))], InputError, "sampled at 500 and at 1000 Hz"),
+        ([gap(*log(1))], LogError, "not evenly sampled"),
+    ],
+)
+def test_logs_that_cannot_carry_a_response_are_refused(logs, error, words):
+    with pytest.raises(error, match=words):
+        signals(*logs)
+
+
+def test_noise_alone_is_refused_and_short_segments_too():
+    name, record = log(1)
+    other = np.random.default_rng(5).standard_normal(record.t.size)
+    both = {NAMES[0]: record[NAMES[0]], NAMES[1]: other}
+    with pytest.raises(InsufficientData, match="no frequency reaches a coherence of 0.8"):
+        estimate(signals((name, Record(record.t, both)), coherence=0.8))
+    with pytest.raises(InsufficientData, match="only 10 samples"):
+        signals(log(1), segment=0.01)
+    with pytest.raises(InsufficientData, match="no frequency up to 0.5 Hz"):
+        estimate(signals(log(1), frequency=0.5))
+
+
+TEXT = """# a response
+stage = "response"
+rig = "{rig}"
+data = ["log.mcap"]
+input = "boom.hect.command"
+output = "boom.v"
+segment = "1 s"
+frequency_max = "40 Hz"
+coherence_min = 0.3
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, workspace):
+    write_log(tmp_path / "log.mcap", log(1)[1])
+    rig = workspace / "recipes" / "rigs" / "thesis_arm.toml"
+    (tmp_path / "response.toml").write_text(TEXT.format(rig=rig), encoding="utf-8")
+    return tmp_path
+
+
+def test_a_run_leaves_numbers_curves_and_a_figure(folder):
+    made = workflow.run(folder / "response.toml", workflow.Session(out=folder / "run"))
+    saved = made.json("response")
+    found = estimate(signals(log(1), frequency=40.0))
+    assert made.code == workflow.DONE and saved["gain_unit"] == "(m/s)/(V)"
+    assert saved["delay"]["value"] == pytest.approx(found.delay.value, rel=1e-9)
+    assert list(made.notes) == saved["warnings"]
+    head, *rows = (folder / "run" / "response.csv").read_text().splitlines()
+    assert head.startswith("frequency [Hz],gain [(m/s)/(V)],") and len(rows) == 40
+    assert float(rows[9].split(",")[1]) == pytest.approx(found.gain[9], rel=1e-8)
+    index = json.loads((folder / "run" / "figures" / "index.json").read_text())
+    assert [one["key"] for one in index["figures"]] == ["response"]
+    page = workflow.report([folder / "run"], workflow.Session(out=folder / "page")).folder
+    text = (page / "report.html").read_text()
+    assert "phase passes −90°" in text and f"Gain [({made.rig.unit_of('v')})/V]" in text
+
+
+def test_a_check_names_a_channel_that_is_not_there(folder):
+    path = folder / "response.toml"
+    assert inspection.check(path).lines[-1] == "ok"
+    path.write_text(path.read_text().replace('"boom.v"', '"boom.w"'))
+    found = inspection.check(path)
+    assert "no channel 'boom.w'" in str(found.errors[0]) and f"{path}:6" in str(found.errors[0])
+    assert recipe.load_recipe(path).kind() == ("response", None)
