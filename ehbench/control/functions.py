@@ -358,8 +358,7 @@ def circuit(
             an edge follows a map.
 
     Raises:
-        InputError: no edge touches the cylinder, a pump does, or an edge with a map has none in
-            ``measured``.
+        InputError: no edge touches the cylinder, a pump does, or an edge lacks its map.
     """
     if edges.dtype != EDGE:
         raise InputError(
