@@ -32,7 +32,7 @@ TRIAL = 10.0  # [s]
 
 @dataclass(frozen=True)
 class Row:
-    """One measured number and the limit it is meant to keep; ``lower`` says that smaller is better."""
+    """One measured number and its limit; ``lower`` says that smaller is better."""
 
     what: str
     value: float

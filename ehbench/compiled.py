@@ -52,7 +52,7 @@ _FOLDER = _cache_folder()
 
 # Without numba's reference counting a kernel cannot allocate (the compiler refuses it), and passing
 # rows and slices of arrays costs nothing: 1.4 times as fast a plant. Arguments are the caller's.
-OPTIONS = {"nogil": True, "error_model": "numpy", "_nrt": False}
+OPTIONS: Any = {"nogil": True, "error_model": "numpy", "_nrt": False}
 kernel = _compiler(_FOLDER, **OPTIONS)
 
 # for the small kernels of which a large one is made: they go into its code, without a call
@@ -60,7 +60,7 @@ part_kernel = _compiler(_FOLDER, **OPTIONS, forceinline=True)
 
 allocating_kernel = _compiler(_FOLDER, nogil=True)
 
-_INLINED: dict[str, Any] = {**OPTIONS, "forceinline": True}
+_INLINED: Any = {**OPTIONS, "forceinline": True}
 # for what is made at import, which no cache can find again: it goes into the code of its callers
 inlined = numba.njit(**_INLINED)
 
@@ -136,8 +136,13 @@ class Generic:
         return register
 
 
-def record(*columns: tuple[str, str]) -> np.dtype:
-    """The layout of one row of a table: pairs of a field's name and its type, ``f8`` or ``i8``."""
+Column = tuple[str, Any] | tuple[str, Any, tuple[int, ...]]
+
+
+def record(*columns: Column) -> np.dtype:
+    """The layout of one row of a table: a field's name, its type (``f8``, ``i8`` or another layout)
+    and, of an array, its shape.
+    """
     return np.dtype((np.record, list(columns)), align=True)
 
 

@@ -67,9 +67,3 @@ class SimulationError(EhbenchError):
     """A simulation left the range in which its numbers mean anything (exit 5)."""
 
     exit_code = 5
-
-
-class LimitStop(EhbenchError):
-    """A trial was stopped safely because a limit was reached (exit 5)."""
-
-    exit_code = 5

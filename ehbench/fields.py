@@ -9,11 +9,11 @@ row of its name, and writes it back as it was read."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Union
 
-from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from ehbench import units
@@ -49,6 +49,21 @@ class Value:
 
     def __float__(self) -> float:
         return float(self.value)  # type: ignore[arg-type]
+
+
+def scalars(model: BaseModel) -> Iterator[tuple[str, Value]]:
+    """The single numbers of a table, by their keys."""
+    for name in type(model).model_fields:
+        value = getattr(model, name)
+        if isinstance(value, Value) and not isinstance(value.value, tuple):
+            yield name, value
+
+
+def one_of(models: Sequence[type[BaseModel]], key: str) -> Any:
+    """The type of a table that is of one of several kinds, told apart by what its ``key`` says."""
+    if len(models) == 1:
+        return models[0]
+    return Annotated[Union[tuple(models)], Field(discriminator=key)]  # noqa: UP007
 
 
 def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:

@@ -85,6 +85,8 @@ def _rig(path: Path) -> Inspection:
         "valve": [*rig.valves()],
         "metering edge": [*rig.edges()],
     }
+    if fixed := [*rig.fixed_edges()]:
+        parts["fixed edge"] = fixed
     most = in_rig_unit(rig, "flow_limit", float(rig.supply.flow_limit))
     lines = [f"rig '{rig.name}'" + (f": {rig.title}" if rig.title else "")]
     counts = ", ".join(counted(items, word) for word, items in parts.items())
@@ -112,7 +114,7 @@ def _rig(path: Path) -> Inspection:
                 f"at mid-stroke it rests at {in_rig_unit(rig, 'p_head', head)} head, "
                 f"{in_rig_unit(rig, 'p_rod', rod)} rod"
             )
-            if max(head, rod) > supply:
+            if max(head, rod) > supply and cylinder.pump is None:
                 notes.append(
                     f"{load or 'no payload'}: the supply cannot carry the load of "
                     f"'{cylinder.name}' at mid-stroke"
@@ -131,11 +133,10 @@ def _cut_off(rig: Rig) -> list[str]:
     """A sentence for each node that the edges of a cylinder leave out: odd, but at times meant"""
     told = []
     for cylinder in rig.cylinder:
-        joined = {
-            end for valve in cylinder.valve for edge in valve.edge for end in (edge.from_, edge.to)
-        }
+        own = [*(edge for valve in cylinder.valve for edge in valve.edge), *cylinder.edge]
+        joined = {end for edge in own for end in (edge.from_, edge.to)}
         for node in NODES:
-            if node not in joined:
+            if node not in joined and (node != "tank" or cylinder.pump is None):
                 what = f"the {node} end" if node in ("head", "rod") else f"the {node}"
                 told.append(
                     f"no metering edge of '{cylinder.name}' touches {what}: is one missing?"
@@ -172,8 +173,8 @@ def _flowmeter(path: Path) -> Inspection:
 
 
 def _log(path: Path) -> Inspection:
-    from ehbench.preprocessing import LEAST_SAMPLES, evened
     from ehbench.logs import read_record
+    from ehbench.preprocessing import LEAST_SAMPLES, evened
 
     record = read_record(path)
     lines = [

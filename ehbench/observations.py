@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ehbench.plant.model import MOVED
 from ehbench.record import Record
 from ehbench.rig import Valve
 from ehbench.signals import lowpass
-from ehbench.plant.model import MOVED
 
 RATE_CUTOFF = 20.0  # [Hz] of the low-pass before a rate is taken from a position
 # what stands in for a channel that a log lacks, and moves with it

@@ -142,12 +142,7 @@ def _foreign(name: str, record: Record, rig: Rig) -> list[str]:
     """
     cylinders = {c.name for c in rig.cylinder}
     valves = {f"{c.name}.{v.name}" for c, v in rig.valves()}
-    known = (
-        cylinders
-        | set(rig.joint_names)
-        | valves
-        | {f"{c.name}.{v.edge_name(e)}" for c, v, e in rig.edges()}
-    )
+    known = cylinders | set(rig.joint_names) | valves | set(rig.all_edges())
     odd: dict[str, list[str]] = {}
     for channel in record.channels:
         head = channel.rpartition(".")[0]
@@ -180,8 +175,8 @@ def _foreign(name: str, record: Record, rig: Rig) -> list[str]:
 def _sample_time(name: str, record: Record, rig: Rig) -> None:
     """Refuse a time that can only be in another unit than it says."""
     tick = record.sample_time
-    used = {valve.dynamics for _, valve in rig.valves() if valve.dynamics is not None}
-    periods = [2.0 * math.pi / rig.dynamics[one].frequency_and_damping()[0] for one in used]
+    used = {one for _, valve in rig.valves() for one in valve.series}
+    periods = [rig.dynamics[one].period() for one in used]
     most = min([COARSE, *(MOST_PERIODS * period for period in periods)])
     if tick > most:
         raise InputError(

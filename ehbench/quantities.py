@@ -179,7 +179,23 @@ _ROWS = [
     Quantity(
         "friction_viscous", "b_c", "N*s/m", "N*s/m", "viscous friction of the cylinder", 0, 1e8
     ),
+    Quantity("force_extending", "F_out", "N", "N", "force on the rod while it goes out", -1e8, 1e8),
+    Quantity("force_retracting", "F_in", "N", "N", "force on the rod while it goes in", -1e8, 1e8),
+    Quantity("stiffness", "k", "N/m", "kN/mm", "stiffness of a spring or a mount", 0, 1e13),
+    Quantity(
+        "free_length", "x_0", "m", "mm", "stroke at which a spring on the rod is free", -100, 100
+    ),
+    Quantity("pressure_head", "p_1", "Pa", "kPa", "known pressure in another head end", -2e5, 2e8),
+    Quantity("pressure_rod", "p_2", "Pa", "kPa", "known pressure in another rod end", -2e5, 2e8),
     Quantity("friction_coulomb", "F_c", "N", "N", "Coulomb friction of the cylinder", 0, 1e7),
+    Quantity(
+        "bristle_stiffness", "σ0", "N/m", "N/mm", "stiffness of friction before it slides", 1, 1e12
+    ),
+    Quantity(
+        "bristle_damping", "σ1", "N*s/m", "N*s/m", "damping of friction before it slides", 0, 1e8
+    ),
+    Quantity("opening_rate", "ẋ_v", "V/s", "V/s", "rate of a valve's opening", -1e9, 1e9),
+    Quantity("bristle", "z", "m", "um", "how far the bristles of friction are bent", -1, 1),
     Quantity(
         "joint_damping",
         "b",
@@ -260,7 +276,61 @@ _ROWS = [
         1e2,
         1e8,
     ),
+    Quantity("displacement", "D", "m^3/rad", "mL/rev", "oil that a pump moves a turn", 1e-12, 1e-2),
+    Quantity(
+        "speed_gain", "k_ω", "rad/(s*V)", "rpm/V", "pump speed per volt of command", 1e-3, 1e4
+    ),
+    Quantity("pump_speed", "ω", "rad/s", "rpm", "speed of a pump without a command", -1e4, 1e4),
+    Quantity(
+        "slip", "C_s", "m^3/(s*Pa)", "mL/min/bar", "oil that slips back through a pump", 0, 1e-6
+    ),
+    Quantity(
+        "orifice_gain", "k_o", "m^3/(s*Pa^0.5)", "gpm/MPa^0.5", "flow per root of drop", 0, 10
+    ),
+    Quantity(
+        "cracking_pressure",
+        "p_c",
+        "Pa",
+        "kPa",
+        "drop at which a check valve begins to open",
+        0,
+        1e7,
+    ),
+    Quantity(
+        "opening_range",
+        "p_o",
+        "Pa",
+        "kPa",
+        "pressure from a check valve's cracking to where it stands open",
+        1e2,
+        1e7,
+    ),
+    Quantity(
+        "pilot_ratio",
+        "r_p",
+        "dimensionless",
+        "dimensionless",
+        "area of a check valve's pilot over that of its seat",
+        0,
+        100,
+    ),
+    Quantity(
+        "precharge", "p_0", "Pa", "kPa", "gauge gas pressure of an accumulator without oil", 0, 1e8
+    ),
+    Quantity("gas_volume", "V_g", "m^3", "L", "gas of an accumulator without oil", 1e-6, 10),
     Quantity("deadband", "u0", "V", "V", "command below which a valve stays shut", 0, 100),
+    Quantity(
+        "opening_max", "u_s", "V", "V", "opening beyond which an edge passes nothing more", 0, 100
+    ),
+    Quantity(
+        "saturation_softness",
+        "w_s",
+        "V",
+        "V",
+        "half the travel over which an edge's saturation rounds off",
+        0,
+        100,
+    ),
     Quantity("command_min", "u_min", "V", "V", "lowest command the driver takes", -100, 100),
     Quantity("command_max", "u_max", "V", "V", "highest command the driver takes", -100, 100),
     Quantity("rated_flow", "Q_r", "m^3/s", "gpm", "rated flow", 0, 1),
@@ -282,7 +352,7 @@ _ROWS = [
         "n",
         "dimensionless",
         "dimensionless",
-        "exponent of the air's compression",
+        "exponent of a gas's compression",
         1,
         1.7,
     ),
@@ -305,6 +375,7 @@ _ROWS = [
         0,
         1e8,
     ),
+    Quantity("corner", "1/τ", "rad/s", "Hz", "corner frequency of a first-order lag", 1e-3, 1e5),
     Quantity("lag", "τ", "s", "ms", "time constant of a first-order lag", 0, 100),
     Quantity("delay", "T_d", "s", "ms", "time by which a reading is late", 0, 1),
     Quantity(

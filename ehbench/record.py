@@ -35,7 +35,8 @@ class Record:
         for name, values in self.channels.items():
             if values.shape != self.t.shape:
                 raise LogError(
-                    f"channel '{name}' has {values.shape[0]} samples, the time has {self.t.shape[0]}"
+                    f"channel '{name}' has {values.shape[0]} samples, "
+                    f"the time has {self.t.shape[0]}"
                 )
             quantity(name)
 

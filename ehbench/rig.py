@@ -12,18 +12,41 @@ import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, Field, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    Field,
+    field_validator,
+    model_validator,
+)
 
 from ehbench import units
 from ehbench.errors import InputError, UnitError
 from ehbench.fields import SURENESS as SURENESS
-from ehbench.fields import FileModel, Q, Value
+from ehbench.fields import FileModel, Q, Value, one_of, scalars
 from ehbench.fields import read_value as read_value
 from ehbench.notebook import label, plural, shown, table
+from ehbench.parts.edge import FixedLawFields, FixedLawName, LawFields, LawName, edge_law
+from ehbench.parts.friction import TABLES as FRICTIONS
+from ehbench.parts.friction.law import FrictionTable
+from ehbench.parts.valve import TABLES as DYNAMICS
+from ehbench.parts.valve.law import DynamicsTable
 from ehbench.quantities import VOCABULARY, Quantity
 
+
+def _of_a_kind(raw: Any) -> Any:
+    """Dynamics that do not say of what kind they are, are of second order."""
+    return {"kind": "second_order"} | dict(raw) if isinstance(raw, Mapping) else raw
+
+
+if TYPE_CHECKING:
+    Friction, Dynamics = FrictionTable, DynamicsTable
+else:
+    Friction = one_of(FRICTIONS, "law")
+    Dynamics = Annotated[one_of(DYNAMICS, "kind"), BeforeValidator(_of_a_kind)]
 NODES = ("supply", "tank", "head", "rod")
 
 
@@ -117,80 +140,110 @@ class Pins(FileModel):
     phase: Annotated[Value, Q("phase")] = Value(0.0)
 
 
-class Dynamics(FileModel):
-    """Second-order valve dynamics opening/command, as ω_n and ζ or as the denominator s2·s² + s1·s
-    + 1.
-    """
-
-    natural_frequency: Annotated[Value, Q("natural_frequency")] | None = None
-    damping_ratio: Annotated[Value, Q("damping_ratio")] | None = None
-    s2: Annotated[Value, Q("s2")] | None = None
-    s1: Annotated[Value, Q("s1")] | None = None
-    note: str = ""
-
-    @model_validator(mode="after")
-    def _one_form(self) -> Dynamics:
-        pair = self.natural_frequency is not None and self.damping_ratio is not None
-        poly = self.s2 is not None and self.s1 is not None
-        given = sum(
-            v is not None for v in (self.natural_frequency, self.damping_ratio, self.s2, self.s1)
-        )
-        if given != 2 or pair == poly:
-            raise ValueError("give natural_frequency and damping_ratio, or s2 and s1")
-        if poly and float(self.s2) <= 0:  # type: ignore[arg-type]
-            raise ValueError("s2 must be positive")
-        return self
-
-    def frequency_and_damping(self) -> tuple[float, float]:
-        """(ω_n [rad/s], ζ)."""
-        if self.natural_frequency is not None:
-            return float(self.natural_frequency), float(self.damping_ratio)  # type: ignore[arg-type]
-        omega = 1.0 / math.sqrt(float(self.s2))  # type: ignore[arg-type]
-        return omega, 0.5 * omega * float(self.s1)  # type: ignore[arg-type]
-
-
-class Edge(FileModel):
+class MeteringEdge(FileModel):
     """One metering edge: flow from ``from`` to ``to`` when upstream pressure is higher.
 
-    law ``orifice``: Q = flow_gain·(opening − deadband)·√Δp. law ``compensated``: Q =
-    compensated_gain·(opening − deadband), reached over ``compensation_drop``. law ``map``: a
-    measured flow map, from the recipe's ``flow_maps`` or the run behind the rig; where one is given
-    it goes before the other laws, too. ``sign`` −1 opens the edge on negative commands. ``reverse``
-    says what a reversed drop does: ``mirror`` or ``blocked``."""
+    ``law`` is one of `ehbench.parts.edge`, which brings keys of its own. law ``map`` is a measured
+    flow map, from the recipe's ``flow_maps`` or the run behind the rig; where one is given it goes
+    before the other laws, too. ``sign`` −1 opens the edge on negative commands. ``reverse`` says
+    what a reversed drop does: ``mirror`` or ``blocked``."""
 
     name: Name | None = None
     from_: Literal["supply", "tank", "head", "rod"] = Field(alias="from")
     to: Literal["supply", "tank", "head", "rod"]
-    law: Literal["orifice", "compensated", "map"]
+    law: LawName
     sign: Literal[1, -1] = 1
     reverse: Literal["mirror", "blocked"] = "mirror"
     deadband: Annotated[Value, Q("deadband")] = Value(0.0)
-    flow_gain: Annotated[Value, Q("flow_gain")] | None = None
-    compensated_gain: Annotated[Value, Q("compensated_gain")] | None = None
-    compensation_drop: Annotated[Value, Q("compensation_drop")] = Value(2.0e5)
+
+
+class Edge(LawFields, MeteringEdge):
+    """A metering edge with the keys of its law, or a pump with a command."""
 
     @model_validator(mode="after")
     def _law_is_whole(self) -> Edge:
-        if self.from_ == self.to:
-            raise ValueError(f"an edge joins two different nodes, not {self.to} with itself")
-        need = {"orifice": "flow_gain", "compensated": "compensated_gain"}.get(self.law)
-        if need is not None and getattr(self, need) is None:
-            raise ValueError(f"law '{self.law}' needs '{need}'")
+        law = edge_law(self.law)
+        _must_be_whole(self, law.needs)
+        if not law.metering and self.reverse == "blocked":
+            raise Misplaced(
+                f"a {self.law} passes oil both ways; put a check valve beside it", "reverse"
+            )
+        if not law.metering and float(self.deadband) > 0.0:
+            raise Misplaced(f"a {self.law} has no deadband", "deadband")
+        if (odd := law.odd(self)) is not None:
+            raise Misplaced(*odd)
         return self
+
+    @property
+    def gain(self) -> Value | None:
+        """What its flow goes with: the gain of its law."""
+        needs = edge_law(self.law).needs
+        return getattr(self, needs[0] if needs else "compensated_gain")
+
+
+class UnmeteredEdge(FileModel):
+    """An edge without a command: oil goes as the pressures have it. ``law`` is one of
+    `ehbench.parts.edge`, which brings keys of its own.
+    """
+
+    name: Name
+    from_: Literal["supply", "tank", "head", "rod"] = Field(alias="from")
+    to: Literal["supply", "tank", "head", "rod"]
+    law: FixedLawName
+
+
+class FixedEdge(FixedLawFields, UnmeteredEdge):
+    """An edge without a command, with the keys of its law."""
+
+    @model_validator(mode="after")
+    def _law_is_whole(self) -> FixedEdge:
+        _must_be_whole(self, edge_law(self.law).needs_fixed)
+        if (self.pilot is None) != (self.pilot_ratio is None):
+            raise ValueError(
+                "a pilot-operated check valve takes pilot and pilot_ratio, another none"
+            )
+        if self.pilot is not None and self.law != "check":
+            raise Misplaced("only a check valve has a pilot", "pilot")
+        if self.pilot == self.from_:
+            raise Misplaced("the pilot is at 'from', where it opens nothing", "pilot")
+        return self
+
+    @property
+    def gain(self) -> Value | None:
+        """What its flow goes with."""
+        return self.displacement if self.law == "pump" else self.orifice_gain
+
+
+def _must_be_whole(edge: Edge | FixedEdge, needs: Sequence[str]) -> None:
+    """Refuse an edge from a node to itself, or without a number that its law needs."""
+    if edge.from_ == edge.to:
+        raise ValueError(f"an edge joins two different nodes, not {edge.to} with itself")
+    for need in needs:
+        if getattr(edge, need) is None:
+            raise ValueError(f"law '{edge.law}' needs '{need}'")
 
 
 class Valve(FileModel):
-    """One command, its dynamics (a name in the rig's ``dynamics``, or none: opening follows at
-    once) and its edges.
+    """One command, its dynamics (names in the rig's ``dynamics``, from the command on, or none:
+    opening follows at once) and its edges.
     """
 
     name: Name
     title: str = ""
-    dynamics: str | None = None
+    dynamics: str | tuple[str, ...] | None = None
     command_min: Annotated[Value, Q("command_min")]
     command_max: Annotated[Value, Q("command_max")]
     edge: tuple[Edge, ...] = Field(min_length=1)
     calibration: tuple[tuple[str, str], ...] = ()
+
+    @field_validator("dynamics")
+    @classmethod
+    def _each_once(cls, names: str | tuple[str, ...] | None) -> str | tuple[str, ...] | None:
+        if isinstance(names, tuple) and (at := _second(names)) is not None:
+            raise ValueError(
+                f"'{names[at]}' stands in the series twice; give one a name of its own"
+            )
+        return names
 
     @field_validator("calibration")
     @classmethod
@@ -209,7 +262,7 @@ class Valve(FileModel):
             raise Misplaced("command_min must lie below command_max", "command_min")
         for index, edge in enumerate(self.edge):
             reach = float(self.command_max) if edge.sign > 0 else -float(self.command_min)
-            opens = 0.0 if edge.law == "map" else float(edge.deadband)
+            opens = float(edge.deadband) if edge_law(edge.law).has_deadband else 0.0
             if reach <= opens:
                 way = (
                     f"commands above {opens:g} V"
@@ -233,14 +286,78 @@ class Valve(FileModel):
         return self.name if len(self.edge) == 1 else f"{self.name}_{edge.from_}_{edge.to}"
 
     @property
+    def series(self) -> tuple[str, ...]:
+        """The names of its dynamics, from its command to its opening."""
+        one = self.dynamics
+        return one if isinstance(one, tuple) else () if one is None else (one,)
+
+    def with_dynamics(self, instead_of: Sequence[str], name: str) -> Valve:
+        """This valve with the dynamics ``name`` in place of any of others."""
+        new = tuple(name if one in instead_of else one for one in self.series)
+        if new == self.series:
+            return self
+        whole = new[0] if isinstance(self.dynamics, str) else tuple(dict.fromkeys(new))
+        return self.model_copy(update={"dynamics": whole})
+
+    @property
     def rest(self) -> float:
         """The command [V] nearest to zero that the driver takes: the valve at rest."""
         return min(max(0.0, float(self.command_min)), float(self.command_max))
 
 
+class Force(FileModel):
+    """A force on the rod from outside, positive where it pushes the rod out.
+
+    kind ``constant``: ``force``. ``by_direction``: ``force_extending`` while the rod goes out,
+    ``force_retracting`` while it goes in. ``spring``: −stiffness·(x − free_length). ``channel``:
+    played from a log's ``channel``. ``cylinder``: one that stands against the rod, its
+    ``area_head`` under ``pressure_head`` pushing the rod in, its ``area_rod`` under
+    ``pressure_rod`` pulling it out."""
+
+    name: Name = "force"
+    kind: Literal["constant", "by_direction", "spring", "channel", "cylinder"]
+    force: Annotated[Value, Q("force")] | None = None
+    force_extending: Annotated[Value, Q("force_extending")] | None = None
+    force_retracting: Annotated[Value, Q("force_retracting")] | None = None
+    stiffness: Annotated[Value, Q("stiffness")] | None = None
+    free_length: Annotated[Value, Q("free_length")] | None = None
+    channel: str | None = None
+    area_head: Annotated[Value, Q("area_head")] | None = None
+    area_rod: Annotated[Value, Q("area_rod")] | None = None
+    pressure_head: Annotated[Value, Q("pressure_head")] | None = None
+    pressure_rod: Annotated[Value, Q("pressure_rod")] | None = None
+
+    @model_validator(mode="after")
+    def _kind_is_whole(self) -> Force:
+        takes = {
+            "constant": ("force",),
+            "by_direction": ("force_extending", "force_retracting"),
+            "spring": ("stiffness", "free_length"),
+            "channel": ("channel",),
+            "cylinder": ("area_head", "pressure_head", "area_rod", "pressure_rod"),
+        }[self.kind]
+        needs = takes[:2]
+        for key in needs:
+            if getattr(self, key) is None:
+                raise ValueError(f"a force of kind '{self.kind}' needs '{key}'")
+        for key in set(type(self).model_fields) - {"name", "kind", *takes}:
+            if getattr(self, key) is not None:
+                raise Misplaced(f"a force of kind '{self.kind}' takes no '{key}'", key)
+        if (self.area_rod is None) != (self.pressure_rod is None):
+            raise ValueError("give area_rod and pressure_rod together")
+        if self.channel is not None:
+            row = VOCABULARY.get(self.channel.rsplit(".", 1)[-1])
+            if row is None or row.unit != "N" or "." not in self.channel:
+                raise Misplaced(
+                    f"'{self.channel}' is no channel of a force (such as '<cylinder>.force')",
+                    "channel",
+                )
+        return self
+
+
 class Cylinder(FileModel):
-    """A cylinder, the joint it drives, its oil volumes, losses and valves. Areas, or bore and rod
-    diameters.
+    """A cylinder, the joint it drives, its oil volumes, losses, valves and the edges that have no
+    command. Areas, or bore and rod diameters.
     """
 
     name: Name
@@ -259,8 +376,11 @@ class Cylinder(FileModel):
     leakage_rod: Annotated[Value, Q("leakage_rod")] = Value(0.0)
     friction_viscous: Annotated[Value, Q("friction_viscous")] = Value(0.0)
     friction_coulomb: Annotated[Value, Q("friction_coulomb")] = Value(0.0)
+    friction: Friction | None = None
     relief_pressure: Annotated[Value, Q("relief_pressure")] | None = None
     valve: tuple[Valve, ...] = Field(min_length=1)
+    force: tuple[Force, ...] = ()
+    edge: tuple[FixedEdge, ...] = ()
 
     @model_validator(mode="after")
     def _areas(self) -> Cylinder:
@@ -284,6 +404,15 @@ class Cylinder(FileModel):
                 f"but the full stroke displaces {swept * 1e6:.6g} cm^3",
                 "volume_rod",
             )
+        return self
+
+    @model_validator(mode="after")
+    def _friction_fits(self) -> Cylinder:
+        if self.friction is not None:
+            found = self.friction.misfit(float(self.friction_coulomb))
+            if found is not None:
+                key, words = found
+                raise Misplaced(words, "friction", key)
         return self
 
     @model_validator(mode="after")
@@ -315,8 +444,10 @@ class Cylinder(FileModel):
                     (("valve", i, "edge", j), v.edge_name(e))
                     for i, v in valves
                     for j, e in enumerate(v.edge)
-                ],
+                ]
+                + [(("edge", j), e.name) for j, e in enumerate(self.edge)],
             ),
+            ("forces", [(("force", i), f.name) for i, f in enumerate(self.force)]),
         ):
             if (at := _second([name for _, name in places])) is not None:
                 where, name = places[at]
@@ -324,6 +455,26 @@ class Cylinder(FileModel):
                     f"two {what} are called '{name}'; give each a name of its own", *where
                 )
         return self
+
+    def parts(self) -> Iterator[tuple[str, FileModel]]:
+        """Its further parts with what their parameters' names begin with, after the cylinder's."""
+        for own in _tables(self).values():
+            yield "", own
+        for force in self.force:
+            yield f"{force.name}.", force
+
+    @property
+    def unmodelled(self) -> tuple[str, ...]:
+        """Its tables that a controller's model of a cylinder does not have."""
+        return ("[[cylinder.force]]",) if self.force else ()
+
+    @property
+    def pump(self) -> str | None:
+        """Name of a pump that feeds or drains an end of it, None where valves meter all its oil."""
+        for edge in (*(e for v in self.valve for e in v.edge), *self.edge):
+            if edge.law == "pump" and {edge.from_, edge.to} & {"head", "rod"}:
+                return edge.name or next(v.edge_name(edge) for v in self.valve if edge in v.edge)
+        return None
 
     def areas(self) -> tuple[float, float]:
         """(area_head, area_rod) [m²]."""
@@ -333,28 +484,61 @@ class Cylinder(FileModel):
         return math.pi / 4 * bore**2, math.pi / 4 * (bore**2 - rod**2)
 
 
+class Accumulator(FileModel):
+    """A gas-charged accumulator on the supply line: ``p V_gas^n`` stays, p absolute; ``gas_volume``
+    at ``precharge``, without oil.
+    """
+
+    gas_volume: Annotated[Value, Q("gas_volume")]
+    precharge: Annotated[Value, Q("precharge")]
+    polytropic_exponent: Annotated[Value, Q("polytropic_exponent")] = Value(1.2)
+
+    @model_validator(mode="after")
+    def _gas(self) -> Accumulator:
+        if not 1.0 <= float(self.polytropic_exponent) <= 1.7:
+            raise Misplaced("polytropic_exponent must lie between 1 and 1.7", "polytropic_exponent")
+        return self
+
+
 class Supply(FileModel):
     """Constant-pressure supply: holds ``pressure`` up to ``flow_limit``, above which the pressure
-    falls.
+    falls. With an accumulator and no ``flow_limit`` it is a charge line, at ``pressure`` when a
+    motion begins.
     """
 
     pressure: Annotated[Value, Q("pressure")]
     tank_pressure: Annotated[Value, Q("tank_pressure")] = Value(0.0)
     flow_limit: Annotated[Value, Q("flow_limit")]
     volume: Annotated[Value, Q("volume")] = Value(2.0e-3)
+    accumulator: Accumulator | None = None
 
     @model_validator(mode="after")
     def _above_tank(self) -> Supply:
         if float(self.pressure) <= float(self.tank_pressure):
             raise Misplaced("the supply's pressure must lie above tank_pressure", "pressure")
+        gas = self.accumulator
+        if gas is not None and float(self.pressure) <= float(gas.precharge):
+            raise Misplaced(
+                "the accumulator holds no oil: its precharge must lie below the supply's pressure",
+                *("accumulator", "precharge"),
+            )
         return self
 
 
 class Oil(FileModel):
-    """The oil. ``bulk_modulus`` is effective: oil, entrained air and hose together."""
+    """The oil. ``bulk_modulus`` is effective: oil, entrained air and hose together; with
+    ``air_fraction`` it is of what the air leaves over, and softens as the pressure falls."""
 
     bulk_modulus: Annotated[Value, Q("bulk_modulus")]
+    air_fraction: Annotated[Value, Q("air_fraction")] | None = None
+    polytropic_exponent: Annotated[Value, Q("polytropic_exponent")] | None = None
     cavitation_pressure: Annotated[Value, Q("cavitation_pressure")] = Value(-9.0e4)
+
+    @model_validator(mode="after")
+    def _air_is_whole(self) -> Oil:
+        if self.polytropic_exponent is not None and self.air_fraction is None:
+            raise Misplaced("an exponent of air needs 'air_fraction'", "polytropic_exponent")
+        return self
 
 
 class Rig(FileModel):
@@ -413,14 +597,11 @@ class Rig(FileModel):
                     "on a joint a cylinder needs 'pins', on a slide it has none", "cylinder", at
                 )
             for i, valve in enumerate(cylinder.valve):
-                if valve.dynamics is not None and valve.dynamics not in self.dynamics:
-                    there, where = (
-                        ", ".join(self.dynamics) or "none",
-                        ("cylinder", at, "valve", i, "dynamics"),
-                    )
-                    raise Misplaced(
-                        f"there is no [dynamics.{valve.dynamics}]; there are {there}", *where
-                    )
+                for name in valve.series:
+                    if name not in self.dynamics:
+                        there = ", ".join(self.dynamics) or "none"
+                        where = ("cylinder", at, "valve", i, "dynamics")
+                        raise Misplaced(f"there is no [dynamics.{name}]; there are {there}", *where)
         for load, links in self.payload.items():
             for link in links:
                 if link not in joints:
@@ -491,6 +672,17 @@ class Rig(FileModel):
             for edge in valve.edge:
                 yield cylinder, valve, edge
 
+    def fixed_edges(self) -> Iterator[tuple[Cylinder, FixedEdge]]:
+        """Every edge without a command with its cylinder, in the order of the file."""
+        for cylinder in self.cylinder:
+            for edge in cylinder.edge:
+                yield cylinder, edge
+
+    def all_edges(self) -> dict[str, Edge | FixedEdge]:
+        """Every edge by ``<cylinder>.<edge>``: those of valves, then those without a command."""
+        metering = {f"{c.name}.{v.edge_name(e)}": e for c, v, e in self.edges()}
+        return metering | {f"{c.name}.{e.name}": e for c, e in self.fixed_edges()}
+
     def unit_of(self, name: str) -> str:
         """The unit people see for a quantity or channel: the rig file's choice, else the
         vocabulary's.
@@ -545,35 +737,25 @@ class Rig(FileModel):
 
         ``bulk_modulus``, ``supply.pressure``, ``<joint>.joint_damping``, ``<joint>.mass``,
         ``<cylinder>.leakage_internal``, ``<dynamics>.natural_frequency`` (also where the file gives
-        s1 and s2), ``<edge>.flow_gain`` and so on."""
+        s1 and s2), ``<edge>.flow_gain``, ``<cylinder>.<force>.stiffness`` and so on."""
         found: dict[str, Value] = {"gravity": self.gravity}
-        found |= {name: value for name, value in _scalars(self.oil)}
-        found |= {f"supply.{name}": value for name, value in _scalars(self.supply)}
+        found |= {name: value for name, value in scalars(self.oil)}
+        for line in (self.supply, self.supply.accumulator):
+            if line is not None:
+                found |= {f"supply.{name}": value for name, value in scalars(line)}
         bodies = (
             [self.mechanism] if isinstance(self.mechanism, Slide) else list(self.mechanism.joint)
         )
         for body in bodies:
-            found |= {f"{body.name}.{name}": value for name, value in _scalars(body)}
+            found |= {f"{body.name}.{name}": value for name, value in scalars(body)}
         for cylinder in self.cylinder:
-            found |= {f"{cylinder.name}.{name}": value for name, value in _scalars(cylinder)}
-            if cylinder.pins is not None:
-                found |= {
-                    f"{cylinder.name}.{name}": value for name, value in _scalars(cylinder.pins)
-                }
+            found |= {f"{cylinder.name}.{name}": value for name, value in scalars(cylinder)}
+            for prefix, part in cylinder.parts():
+                found |= {f"{cylinder.name}.{prefix}{name}": value for name, value in scalars(part)}
         for name, dynamics in self.dynamics.items():
-            found |= {f"{name}.{key}": value for key, value in _scalars(dynamics)}
-            if dynamics.s1 is not None and dynamics.s2 is not None:
-                omega, zeta = dynamics.frequency_and_damping()
-                for key, value, given in (
-                    ("natural_frequency", omega, dynamics.s2),
-                    ("damping_ratio", zeta, dynamics.s1),
-                ):
-                    found[f"{name}.{key}"] = Value(value, sure=given.sure, source=given.source)
-        for cylinder, valve, edge in self.edges():
-            found |= {
-                f"{cylinder.name}.{valve.edge_name(edge)}.{name}": value
-                for name, value in _scalars(edge)
-            }
+            found |= {f"{name}.{key}": value for key, value in dynamics.parameters().items()}
+        for edge_name, edge in self.all_edges().items():
+            found |= {f"{edge_name}.{name}": value for name, value in scalars(edge)}
         return found
 
     def with_values(self, values: Mapping[str, Value | float]) -> Rig:
@@ -607,14 +789,18 @@ class Rig(FileModel):
                 update={"joint": tuple(own(f"{j.name}.", j) for j in self.mechanism.joint)}
             )
         )
+        supply, gas = own("supply.", self.supply), self.supply.accumulator
+        if gas is not None:
+            supply = supply.model_copy(update={"accumulator": own("supply.", gas)})
         return own("", self).model_copy(
             update={
                 "oil": own("", self.oil),
-                "supply": own("supply.", self.supply),
+                "supply": supply,
                 "mechanism": mechanism,
                 "cylinder": tuple(_cylinder_with(c, new) for c in self.cylinder),
                 "dynamics": {
-                    name: _dynamics_with(name, model, new) for name, model in self.dynamics.items()
+                    name: model.with_values(_below(f"{name}.", new))
+                    for name, model in self.dynamics.items()
                 },
             }
         )
@@ -643,41 +829,30 @@ def _replaced(model: Any, prefix: str, new: Mapping[str, Value]) -> Any:
     return model.model_copy(update=update) if update else model
 
 
-def _dynamics_with(name: str, model: Dynamics, new: Mapping[str, Value]) -> Dynamics:
-    """Valve dynamics with new values; those by s1 and s2 turn into ω_n and ζ where one is given."""
-    wanted = {k: new[f"{name}.{k}"] for k in Dynamics.model_fields if f"{name}.{k}" in new}
-    if not wanted:
-        return model
-    if model.natural_frequency is not None or {"s1", "s2"} & set(wanted):
-        return model.model_copy(update=wanted)
-    omega, zeta = model.frequency_and_damping()
-    base: dict[str, Any] = {
-        "s1": None,
-        "s2": None,
-        "natural_frequency": Value(omega),
-        "damping_ratio": Value(zeta),
-        "note": model.note,
-    }
-    return Dynamics.model_construct(None, **(base | wanted))
+def _below(prefix: str, new: Mapping[str, Value]) -> dict[str, Value]:
+    """The values whose names begin with ``prefix``, by the rest of their names."""
+    return {name[len(prefix) :]: value for name, value in new.items() if name.startswith(prefix)}
 
 
 def _cylinder_with(model: Cylinder, new: Mapping[str, Value]) -> Cylinder:
-    """A cylinder with new values of its own, its pins and its edges."""
+    """A cylinder with new values of its own, of its tables and its edges."""
     prefix = f"{model.name}."
     valves = []
     for valve in model.valve:
         edges = (_replaced(e, f"{prefix}{valve.edge_name(e)}.", new) for e in valve.edge)
         valves.append(valve.model_copy(update={"edge": tuple(edges)}))
-    pins = None if model.pins is None else _replaced(model.pins, prefix, new)
+    tables = {key: _replaced(part, prefix, new) for key, part in _tables(model).items()}
+    forces = tuple(_replaced(f, f"{prefix}{f.name}.", new) for f in model.force)
+    fixed = tuple(_replaced(e, f"{prefix}{e.name}.", new) for e in model.edge)
     whole = _replaced(model, prefix, new)
-    return whole.model_copy(update={"pins": pins, "valve": tuple(valves)})
+    parts = tables | {"valve": tuple(valves), "force": forces, "edge": fixed}
+    return whole.model_copy(update=parts)
 
 
-def _scalars(model: BaseModel) -> Iterator[tuple[str, Value]]:
-    for name in type(model).model_fields:
-        value = getattr(model, name)
-        if isinstance(value, Value) and not isinstance(value.value, tuple):
-            yield name, value
+def _tables(model: BaseModel) -> dict[str, FileModel]:
+    """The tables that a part of the rig has beside its own values."""
+    own = {name: getattr(model, name) for name in type(model).model_fields}
+    return {name: part for name, part in own.items() if isinstance(part, FileModel)}
 
 
 def parameter_row(name: str) -> Quantity:

@@ -126,14 +126,14 @@ def read_json(path: Path) -> Any:
 class Run:
     """A run being written: put files into ``path``; ``facts`` become part of ``run.json``.
 
-    ``found`` says what killed runs had left beside it.
+    ``left_over`` says what killed runs had left beside it.
     """
 
     path: Path
     final: Path
     record: dict[str, Any]
     facts: dict[str, Any] = field(default_factory=dict)
-    found: tuple[str, ...] = ()
+    left_over: tuple[str, ...] = ()
 
     def save(self) -> None:
         """Write ``run.json`` over the files that are there; figures are drawn from a folder that
@@ -195,7 +195,7 @@ def open_run(
             file=final,
             hint="choose another --out",
         )
-    found = clear_left(final.parent)
+    left_over = clear_left(final.parent)
     scratch = final.parent / f".{final.name}.{os.getpid()}.part"
     shutil.rmtree(scratch, ignore_errors=True)
     try:
@@ -204,7 +204,7 @@ def open_run(
         raise InputError(
             f"no run can be written here: {error.strerror}", file=final, hint="choose another --out"
         ) from None
-    run = Run(scratch, final, _record(stage, recipe, inputs, seeds or {}), found=found)
+    run = Run(scratch, final, _record(stage, recipe, inputs, seeds or {}), left_over=left_over)
     began, hold = time.time(), _held(scratch)
     try:
         yield run

@@ -407,6 +407,26 @@ def _refine(s, y, omega, zeta, taus, free_drift=True):
     return best[1:]
 
 
+def _standard_errors(s, y, omega, zeta, tau, residual, colour) -> tuple[float, float]:
+    """Of ω [rad/s] and ζ, from the slopes of what the fit leaves over.
+
+    Args:
+        residual: sum of squares of what is left over, in the weights of ``y``.
+        colour: samples of it that count as one independent one.
+    """
+    step = 1e-4
+    moves = np.eye(3)[: 3 if tau > 0.0 else 2] * step
+    slopes = np.empty((y.size, len(moves)))
+    for column, (dw, dz, dt) in enumerate(moves):
+        up = _project(_basis(s, omega * math.exp(dw), zeta + dz, tau * math.exp(dt)), y)[1]
+        down = _project(_basis(s, omega * math.exp(-dw), zeta - dz, tau * math.exp(-dt)), y)[1]
+        slopes[:, column] = ((up - down) / (2 * step)).ravel()
+    covariance = (
+        np.linalg.pinv(slopes.T @ slopes) * residual / max(1, y.size - 6 * y.shape[1] - 2) * colour
+    )
+    return float(omega * math.sqrt(covariance[0, 0])), float(math.sqrt(covariance[1, 1]))
+
+
 def _judge(s, y, weight, omega, zeta, tau, start) -> Ringing:
     """The result with standard errors, or the reason why it is none."""
     weights, y = tuple(float(w) for w in weight), y[:, weight > 0.0] * weight[weight > 0.0]
@@ -426,18 +446,7 @@ def _judge(s, y, weight, omega, zeta, tau, start) -> Ringing:
         if residual > 1e-12 * max(total, 1e-300)
         else 1.0
     )
-    step = 1e-4
-    moves = np.eye(3)[: 3 if tau > 0.0 else 2] * step
-    slopes = np.empty((y.size, len(moves)))
-    for column, (dw, dz, dt) in enumerate(moves):
-        up = _project(_basis(s, omega * math.exp(dw), zeta + dz, tau * math.exp(dt)), y)[1]
-        down = _project(_basis(s, omega * math.exp(-dw), zeta - dz, tau * math.exp(-dt)), y)[1]
-        slopes[:, column] = ((up - down) / (2 * step)).ravel()
-    covariance = (
-        np.linalg.pinv(slopes.T @ slopes) * residual / max(1, y.size - 6 * y.shape[1] - 2) * colour
-    )
-    std_omega = float(omega * math.sqrt(covariance[0, 0]))
-    std_zeta = float(math.sqrt(covariance[1, 1]))
+    std_omega, std_zeta = _standard_errors(s, y, omega, zeta, tau, residual, colour)
     evidence = n / colour * math.log(total / max(residual, 1e-12 * total)) if total > 0.0 else 0.0
     reason, fitted = "", math.nan
     # what is left over is then the model's error, not noise to be judged by

@@ -35,6 +35,7 @@ def _registry() -> pint.UnitRegistry:
 
     registry = pint.UnitRegistry(cache_folder=":auto:")
     registry.define("lb_mass = pound = lbm")
+    registry.define("@alias turn = rev")
     return registry
 
 
@@ -63,6 +64,8 @@ def _affine(unit: str, si: str) -> tuple[float, float]:
         Exception
     ) as error:  # pint raises tokenizer, attribute and assertion errors on malformed text
         raise UnitError(f"unknown unit '{unit}'") from error
+    if si == "m^3/rad" and not _ANGLES.search(text):  # a turn or a radian is a factor of 6.28
+        raise UnitError(f"'{unit}' says no angle")
     turns = 1.0
     if _CYCLES.search(text) and "rad" in si:  # the registry counts a cycle and a radian alike as 1
         turns = 2 * math.pi

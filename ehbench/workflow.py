@@ -45,7 +45,7 @@ ROOT = Path("reports")
 
 
 class FinishedRuns:
-    """The runs that a session has made or found, by recipe file: each is made once."""
+    """The runs that a session has made or met, by recipe file: each is made once."""
 
     def __init__(self) -> None:
         self._by_recipe: dict[Path, Outcome] = {}
@@ -85,16 +85,16 @@ class Session:
             return None
         return lambda text, share: progress(": ".join(t for t in (name, text) if t), share)
 
-    def made(self, path: Path) -> Outcome:
+    def outcome_of(self, path: Path) -> Outcome:
         """The outcome of a recipe, run only if it has not been run with these very inputs; it goes
         to ``root``.
         """
-        done = self.finished.of(path)
-        return done or self.finished.add(path, run(path, replace(self, out=None, keep=True)))
+        finished = self.finished.of(path)
+        return finished or self.finished.add(path, run(path, replace(self, out=None, keep=True)))
 
-    def folder(self, path: Path, found: Findings) -> Path:
+    def folder(self, path: Path, findings: Findings) -> Path:
         """The run folder of a recipe that another one names: made first, if need be."""
-        return self.made(path).folder
+        return self.outcome_of(path).folder
 
     def findings(self, path: Path) -> None:
         """Nothing: a run finds out when its turn comes."""

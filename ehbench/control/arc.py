@@ -206,7 +206,7 @@ def flow_along(path, drop, opening, circuit):
 
 
 @kernel
-def spool_flows(function, wanted, head_gain, rod_gain, p, circuit):
+def spool_flows(function: int, wanted, head_gain, rod_gain, p, circuit):
     """`Flows` of the one opening at which a spool gives ``head_gain·Q1 + rod_gain·Q2 = wanted``.
 
     False position with Illinois weights over the opening, in which both flows grow. What even the

@@ -291,11 +291,21 @@ def _defaults(
 
 
 def pack(site: Site, gains: Mapping[str, Any], rules: np.record, shaping: np.record) -> Packed:
-    """The gains on a site, and what is known of them: see `named_gains`."""
+    """The gains on a site, and what is known of them: see `named_gains`.
+
+    Raises:
+        InputError: the rig has a part that the law's model of the cylinder lacks.
+    """
+    if site.unmodelled:
+        raise InputError(
+            f"controller 'arc' knows no {site.unmodelled[0]}, and its model of the "
+            "cylinder would be wrong by it",
+            hint="take another controller",
+        )
     known = {name: v for name, v in gains.items() if name in GAIN_NAMES and name != "adapt"}
-    unsure = {name: v for name, v in gains.items() if name not in known}
+    unsure: dict[str, Any] = {name: v for name, v in gains.items() if name not in known}
     packed = pack_arc(site, rules, Adaptation(**unsure), known)
-    unit = unsure | {"adaptation": 1.0, "adaptation_bulk": 1.0}
+    unit: dict[str, Any] = unsure | {"adaptation": 1.0, "adaptation_bulk": 1.0}
     return Packed(packed, named_gains(packed, pack_arc(site, rules, Adaptation(**unit), known)))
 
 

@@ -26,7 +26,7 @@ from ehbench.codes import (
 from ehbench.compiled import kernel, record
 from ehbench.control.records import blank, numbers, reals
 from ehbench.errors import InputError
-from ehbench.parts.edge import EDGE, MAP, edge_flow, edge_known
+from ehbench.parts.edge import EDGE, MAP, PUMP, edge_flow, edge_known
 from ehbench.physics.flow_map import ValveMaps
 
 PATHS = ("supply_head", "head_tank", "supply_rod", "rod_tank", "head_rod", "rod_head")
@@ -70,8 +70,8 @@ RULE_NAMES = (
     "cross_drop",
     "dwell",
 )
-# the rules of selection, see `pack_rules`; allow_seventh is 0 or 1
-RULES = record(*reals((*RULE_NAMES, "allow_seventh")))
+ALL_RULES = (*RULE_NAMES, "allow_seventh")  # the last is 0 or 1
+RULES = record(*reals(ALL_RULES))  # the rules of selection, see `pack_rules`
 
 
 class Circuit(NamedTuple):
@@ -292,9 +292,9 @@ def pack_rules(
             above where it begins.
     """
     for name in given:
-        if name not in RULES.names:
+        if name not in ALL_RULES:
             raise InputError(
-                f"function selection has no rule '{name}'", hint="it has " + ", ".join(RULES.names)
+                f"function selection has no rule '{name}'", hint="it has " + ", ".join(ALL_RULES)
             )
     part = supply_pressure / 20.0
     low = part if low_pressure is None else low_pressure
@@ -320,7 +320,7 @@ def pack_rules(
 
 
 def _check_rules(rules: np.record) -> None:
-    if not all(0.0 <= value < math.inf for value in numbers(rules, RULES.names).values()):
+    if not all(0.0 <= value < math.inf for value in numbers(rules, ALL_RULES).values()):
         raise InputError(
             "a rule of function selection is negative or not finite",
             hint="all of them are 0 or more",
@@ -358,7 +358,8 @@ def circuit(
             an edge follows a map.
 
     Raises:
-        InputError: no edge touches the cylinder, or an edge with a map has none in ``measured``.
+        InputError: no edge touches the cylinder, a pump does, or an edge with a map has none in
+            ``measured``.
     """
     if edges.dtype != EDGE:
         raise InputError(
@@ -371,7 +372,7 @@ def circuit(
     hull, hull_at = _hulls(edges, measured)
     paths, along = np.full(len(PATHS), -1, np.int64), np.ones(len(PATHS))
     able = np.zeros(len(FUNCTIONS), np.int64)
-    made = Circuit(
+    whole = Circuit(
         int(cylinder),
         float(area_head),
         float(area_rod),
@@ -389,27 +390,32 @@ def circuit(
     )
     ends = ((0, head), (head, 1), (0, rod), (rod, 1), (head, rod), (rod, head))
     for path, between in enumerate(ends):
-        paths[path], along[path] = _serving(made, own, between)
-    able[:] = [_able(made, function) for function in range(len(FUNCTIONS))]
-    return made
+        paths[path], along[path] = _serving(whole, own, between)
+    able[:] = [_able(whole, function) for function in range(len(FUNCTIONS))]
+    return whole
 
 
 def _edges_at(edges: np.recarray, cylinder: int, nodes: tuple[int, int]) -> np.ndarray:
     """Numbers of the edges that touch some nodes.
 
     Raises:
-        InputError: none does.
+        InputError: none does, or one is a pump.
     """
     own = np.flatnonzero(np.isin(edges.from_node, nodes) | np.isin(edges.to_node, nodes))
     if not own.size:
         raise InputError(f"no metering edge leads to cylinder {cylinder}")
+    if (edges.law[own] == PUMP).any():
+        raise InputError(
+            "a pump moves this cylinder, and the built-in controllers meter oil through valves",
+            hint="give it commands without a controller: [[command]]",
+        )
     return own
 
 
 def _serving(circuit: Circuit, own: np.ndarray, between: tuple[int, int]) -> tuple[int, float]:
     """(edge that carries most at 1 MPa from one node to another, its direction); −1 for none."""
-    found, along, most = -1, 1.0, 0.0
-    for edge in own:
+    serving, along, most = -1, 1.0, 0.0
+    for edge in map(int, own):
         row = circuit.edges[edge]
         forward = (row.from_node, row.to_node) == between
         if not forward and ((row.to_node, row.from_node) != between or row.blocked == 1):
@@ -418,8 +424,8 @@ def _serving(circuit: Circuit, own: np.ndarray, between: tuple[int, int]) -> tup
         opening = widest(circuit, edge, way * 1.0e6)
         flow = way * edge_flow(way * 1.0e6, opening, row, circuit.maps)
         if flow > most:
-            found, along, most = int(edge), way, flow
-    return found, along
+            serving, along, most = edge, way, flow
+    return serving, along
 
 
 def _able(circuit: Circuit, function: int) -> bool:

@@ -18,7 +18,8 @@ class Site:
 
     ``axis`` of its cylinder, ``tick`` between samples [s], ``supply_pressure`` [Pa] and
     ``flow_limit`` [m³/s] of the supply, ``valve_lag`` 2ζ/ω_n of the slowest valve [s], ``stroke``
-    of the cylinder at the start [m]."""
+    of the cylinder at the start [m]; ``unmodelled`` names the tables of the rig file that an axis
+    knows nothing of."""
 
     axis: Axis
     tick: float
@@ -26,6 +27,7 @@ class Site:
     flow_limit: float
     valve_lag: float
     stroke: float = 0.0
+    unmodelled: tuple[str, ...] = ()
 
     @property
     def low_pressure(self) -> float:

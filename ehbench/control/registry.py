@@ -5,7 +5,9 @@ To add one: write its file, which ends in ``LAW = Law(…)``, and name it in `LA
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from importlib import import_module
+from typing import Any
 
 import numba
 from numba.extending import overload
@@ -15,7 +17,9 @@ from ehbench.control import LAW_NAMES
 from ehbench.control.law import Law
 
 LAWS: dict[str, Law] = {name: import_module(f"{__package__}.{name}").LAW for name in LAW_NAMES}
-_STEPS = {numba.from_dtype(law.record): law.step for law in LAWS.values()}
+_STEPS: dict[Any, Callable[..., None]] = {
+    numba.from_dtype(law.record): law.step for law in LAWS.values()
+}
 
 
 def step(t, sample, reference, axis, gains, memory, command, telemetry):

@@ -133,7 +133,7 @@ def point_to_point(
     """
     _check_limits(speed=speed, acceleration=acceleration, jerk=jerk, tick=tick)
     points = np.asarray(waypoints, float)
-    holds = np.full(points.size, float(hold)) if np.ndim(hold) == 0 else np.asarray(hold, float)
+    holds = np.full(points.size, hold, float) if np.ndim(hold) == 0 else np.asarray(hold, float)
     if points.ndim != 1 or not points.size or not np.isfinite(points).all():
         raise InputError("a trajectory needs waypoints, each a finite stroke")
     if holds.shape != points.shape or not np.isfinite(holds).all() or (holds < 0).any():
@@ -210,7 +210,7 @@ def velocity_steps(
     """
     speeds = np.asarray(levels, float)
     times = (
-        np.full(speeds.size, float(duration))
+        np.full(speeds.size, duration, float)
         if np.ndim(duration) == 0
         else np.asarray(duration, float)
     )

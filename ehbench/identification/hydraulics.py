@@ -33,11 +33,11 @@ from ehbench.identification.results import (
 from ehbench.identification.search import Coordinate, Where, coordinates
 from ehbench.identification.simulator import Log, Simulator, prepare
 from ehbench.observations import payload_of
-from ehbench.record import Record
-from ehbench.rig import Cylinder, Rig
 from ehbench.plant.build import Maps
 from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model
+from ehbench.record import Record
+from ehbench.rig import Cylinder, Rig
 
 __all__ = [
     "FitOptions",
@@ -240,16 +240,13 @@ def with_each_dynamics(rig: Rig, variants: Sequence[str]) -> dict[str, Rig]:
                 f"rig '{rig.name}' has no dynamics '{name}'",
                 hint="it has " + (", ".join(rig.dynamics) or "none"),
             )
-    if not any(valve.dynamics in variants for _, valve in rig.valves()):
+    if not any(set(valve.series) & set(variants) for _, valve in rig.valves()):
         raise InputError(
             f"no valve of rig '{rig.name}' has one of the dynamics " + ", ".join(variants)
         )
 
     def changed(cylinder: Cylinder, name: str) -> Cylinder:
-        valves = (
-            v.model_copy(update={"dynamics": name}) if v.dynamics in variants else v
-            for v in cylinder.valve
-        )
+        valves = (valve.with_dynamics(variants, name) for valve in cylinder.valve)
         return cylinder.model_copy(update={"valve": tuple(valves)})
 
     return {

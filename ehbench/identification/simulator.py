@@ -11,12 +11,12 @@ import numpy as np
 
 from ehbench.errors import InputError, InsufficientData, SimulationError
 from ehbench.observations import alternatives, column, least_change, payload_of
+from ehbench.plant.build import Maps
+from ehbench.plant.model import Model
 from ehbench.preprocessing import preprocess
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
 from ehbench.signals import transients
-from ehbench.plant.build import Maps
-from ehbench.plant.model import Model
 
 # a chamber counts as empty below this share of the way from zero gauge pressure to the cavitation
 # pressure; so long before and after [s] its cylinder's samples do not count either

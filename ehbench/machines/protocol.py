@@ -13,6 +13,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from ehbench.errors import InputError
 from ehbench.machines.rows import LawRows, Rows
 from ehbench.plant.model import Model
 
@@ -32,7 +33,17 @@ class Inputs(NamedTuple):
 
     @classmethod
     def of(cls, model: Model) -> Inputs:
-        """The commands of a model's valves."""
+        """The commands of a model's valves.
+
+        Raises:
+            InputError: the model has a force that is played from a log.
+        """
+        if model.layout.played:
+            raise InputError(
+                f"rig '{model.rig.name}' plays the force '{model.layout.played[0]}' from a log, "
+                "and a machine on trial has none",
+                hint="give [[cylinder.force]] another kind, or replay a log",
+            )
         low, high = model.plant.valves.lowest.copy(), model.plant.valves.highest.copy()
         return cls(model.layout.valves, low, high, model.rest_commands(1)[0])
 
@@ -120,9 +131,10 @@ def truth_of(machine: Machine) -> Truth | None:
     return getattr(machine, "truth", None)
 
 
-def advance_of(machine: Machine) -> Callable[[Rows, LawRows | None], Advance] | None:
-    """The fast path of a machine that has one: ``advance(rows, law)`` gives a function of (first,
-    stop) that runs these rows in one compiled call, under a law or as the table says.
+def advance_of(machine: Machine) -> Callable[[Rows, LawRows | None, bool], Advance] | None:
+    """The fast path of a machine that has one: ``advance(rows, law, often)`` gives a function of
+    (first, stop) that runs these rows in one compiled call, under a law or as the table says;
+    ``often`` says that it will be called for every row.
 
     It does what a session does tick by tick (`ehbench.trial.session`), to the bit, and returns the
     row at which a limit was reached, before its tick, or −1.

@@ -155,10 +155,10 @@ class SimulatedMachine:
             raise SimulationError("the simulation left finite numbers", hint="take a smaller step")
         return sample
 
-    def advance(self, rows: Rows, law: LawRows | None) -> Advance:
+    def advance(self, rows: Rows, law: LawRows | None, often: bool) -> Advance:
         """As `advance_of` says."""
         own = self._own
-        run = bound(_advance, 0, 0, own, rows, law)
+        run = bound(_advance, 0, 0, own, rows, law) if often else _advance
         return lambda first, stop: run(first, stop, own, rows, law)
 
     def close(self) -> None:

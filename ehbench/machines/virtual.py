@@ -24,22 +24,25 @@ from ehbench.errors import InputError, SimulationError
 from ehbench.machines.protocol import Advance, Inputs, Posture
 from ehbench.machines.rows import LawRows, Rows, control, violated
 from ehbench.parts.cylinder import (
-    CYLINDER_COLUMNS,
     RELIEF_GAIN,
     chamber_inflow,
     chamber_of,
     chamber_oil,
     linkage_of,
 )
+from ehbench.parts.edge import CHECK, PUMP, check, edge_opening, pump
 from ehbench.parts.edge.orifice import ORIFICE_DROP
 from ehbench.parts.end_stop import stop_force, stop_rate
+from ehbench.parts.load import force_on, force_steepness
 from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
+from ehbench.parts.oil import bulk
 from ehbench.parts.sample import OF, entry, line_entry, sample_channels
-from ehbench.parts.supply import pump_flow
+from ehbench.parts.supply import line_stiffness, pump_flow
 from ehbench.parts.valve import VALVE_COLUMNS, limited, valve_rates, valve_settle
+from ehbench.parts.valve.second_order import SecondOrder, second_order
 from ehbench.physics.cylinder import chamber_rate, relief_flow
 from ehbench.physics.friction import stribeck
-from ehbench.plant.build import Maps, second_order
+from ehbench.plant.build import Maps
 from ehbench.plant.derivatives import derivatives_of, finish_of, move
 from ehbench.plant.integrate import rk4
 from ehbench.plant.layout import Layout, Offsets, layout
@@ -50,7 +53,6 @@ from ehbench.rig import Edge, Rig, Value, Valve, read_value
 
 NAME = "virtual bench"
 STEP = 2.5e-4  # [s]
-ATMOSPHERE = 101325.0
 CREEP = 1.0e-3  # [m/s]: over which friction turns round
 NOISE_ROWS = 256  # drawn at a time
 SETTLE = 0.25  # [s] of rest before t = 0, so that lags and delays have filled
@@ -58,16 +60,17 @@ RAW = (OF.q, OF.x, OF.p_head, OF.p_rod)  # a cylinder's raw channels
 _RAW, _RAW_LINES, _FILTER = len(RAW), 2, 3
 
 # Wider rows begin with the columns of their own: numba would else take one for the other.
-# A cylinder: its friction at break-away [N], the speed [m/s] over which that falls to Coulomb's,
-# the model's columns.
-BENCH_CYLINDER = record(("friction_static", "f8"), ("stribeck_speed", "f8"), *CYLINDER_COLUMNS)
 # A valve: ``gain`` and ``offset`` [V] of its driver, its ``hysteresis`` [V], the model's columns.
 BENCH_VALVE = record(("gain", "f8"), ("offset", "f8"), ("hysteresis", "f8"), *VALVE_COLUMNS)
-# An edge: its nodes, its valve and sign, its leakage at null [m³/(s·Pa)] over ``null_width`` [V],
-# ``blocked`` 1 where nothing passes in reverse, and its two curves.
+# An edge: its nodes, its valve and sign, its law, its leakage at null [m³/(s·Pa)] over
+# ``null_width`` [V], ``blocked`` 1 where nothing passes in reverse, and its two curves; a pump or a
+# check valve has the model's columns with numbers of its own instead.
 BENCH_EDGE = record(
     *((name, "i8") for name in ("from_node", "to_node", "valve", "blocked", "forward", "reverse")),
     *((name, "f8") for name in ("sign", "null", "null_width")),
+    ("law", "i8"),
+    *pump.LAW.columns,
+    *check.LAW.columns,
 )
 # A curve, see `curve_flow`: ``onset, softness, saturation`` and ``wide_open`` [V], ``gain``
 # [m³/(s·V·√Pa)], ``setting`` of the compensator [Pa], 0 for none, its ``flow_force`` [1/V].
@@ -160,6 +163,7 @@ class VirtualPlant(NamedTuple):
     edges: np.recarray
     curves: np.recarray
     supply: np.record
+    forces: np.recarray
     fluid: np.record
     sensors: np.recarray
     delay: int
@@ -191,19 +195,6 @@ def scratch_of(bench: VirtualPlant) -> Scratch:
 
 
 # --- laws
-
-
-@part_kernel
-def bulk(pressure, solid, air, exponent):
-    """Bulk modulus [Pa] of oil with free air: ``1/β = 1/β_solid + α/(n p) (p0/p)^(1/n)``, p
-    absolute.
-
-    The air is compressed polytropically from its share α at atmospheric pressure p0, so a chamber
-    gets softer as its pressure falls and cannot be drawn below vacuum."""
-    if air == 0.0:
-        return solid
-    p = max(pressure + ATMOSPHERE, 500.0)
-    return 1.0 / (1.0 / solid + air / (exponent * p) * (ATMOSPHERE / p) ** (1.0 / exponent))
 
 
 @part_kernel
@@ -248,6 +239,10 @@ def edge_flow(drop, spool, edge, curves):
     leakage included.
     """
     reach = edge.sign * spool
+    if edge.law == PUMP:
+        return pump.flow(drop, reach, edge, curves)
+    if edge.law == CHECK:
+        return check.flow(drop, reach, edge, curves)
     closed = reach / edge.null_width
     flow = edge.null * drop / (1.0 + closed * closed)
     if drop >= 0.0:
@@ -271,6 +266,16 @@ def _spool_for(flow, drop, most, edge, curves):
 
 
 @part_kernel
+def edge_slope(drop, flow, spool, edge):
+    """Bound of how fast a flow changes with a pressure at either end [m³/(s·Pa)]."""
+    if edge.law == PUMP:
+        return pump.slope(drop, flow, edge.sign * spool, edge)
+    if edge.law == CHECK:
+        return check.slope(drop, flow, edge.sign * spool, edge)
+    return flow / drop
+
+
+@part_kernel
 def play(memory, value, width):
     """Backlash of ``width``: where the output goes from ``memory`` when the input is ``value``."""
     return min(max(memory, value - 0.5 * width), value + 0.5 * width)
@@ -290,17 +295,19 @@ def _valves_and_edges(y, target, bench, dy, work):
         edge = bench.edges[e]
         a, b = edge.from_node, edge.to_node
         drop = node_pressure(y, bench, a) - node_pressure(y, bench, b)
-        flow = edge_flow(drop, work[at.opening + edge.valve], edge, bench.curves)
-        if flow != 0.0:
+        spool = edge_opening(y, bench, edge, work[at.opening :])
+        flow = edge_flow(drop, spool, edge, bench.curves)
+        if flow != 0.0 or edge.law >= PUMP:
+            slope = edge_slope(drop, flow, spool, edge)
             work[at.net + a] -= flow
             work[at.net + b] += flow
-            work[at.slope + a] += flow / drop
-            work[at.slope + b] += flow / drop
+            work[at.slope + a] += slope
+            work[at.slope + b] += slope
     return fastest
 
 
 @part_kernel
-def _cylinders(y, bench, dy, work):
+def _cylinders(y, target, bench, dy, work):
     """Pressure rates of the chambers, torques of the cylinders; the fastest rate [1/s]."""
     at, fluid, fastest = bench.at, bench.fluid, 0.0
     for c in range(bench.cylinders.shape[0]):
@@ -321,6 +328,9 @@ def _cylinders(y, bench, dy, work):
         viscous, static = row.friction_viscous, row.friction_static
         force -= stribeck(v, viscous, row.friction_coulomb, static, row.stribeck_speed, CREEP)
         steep = 0.0 if abs(v) > 4.0 * CREEP else static / CREEP
+        if bench.forces.shape[0] > 0:
+            force += force_on(c, x, v, target, bench)
+            steep += force_steepness(c, v, bench)
         fastest = max(fastest, row.mobility * (steep + viscous))
         if x < 0.0 or x > row.stroke:
             force += stop_force(row, x, v)
@@ -334,7 +344,7 @@ def _supply(y, bench, dy, work):
     """Rates of the supply line and the pump; the fastest of them [1/s]."""
     at, line, fluid = bench.at, bench.supply, bench.fluid
     p, demand = y[at.supply], -work[at.net + SUPPLY]
-    stiffness = line.bulk_modulus / line.volume
+    stiffness = line_stiffness(p, line)
     if fluid.pump_lag == 0.0:  # the model's ideal compensator
         dy[at.supply] = stiffness * (pump_flow(p, demand, line) - demand)
         dy[at.pump] = 0.0
@@ -358,7 +368,7 @@ def derivatives(y, target, bench, dy, work):
     fastest = _valves_and_edges(y, target, bench, dy, work)
     for i in range(bench.at.torque, bench.at.net):
         work[i] = 0.0
-    fastest = max(fastest, _cylinders(y, bench, dy, work))
+    fastest = max(fastest, _cylinders(y, target, bench, dy, work))
     move(y, bench, dy, work)
     return max(fastest, _supply(y, bench, dy, work))
 
@@ -574,7 +584,7 @@ def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) ->
     leaves the others.
     """
     full = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
-    compensated = edge.law == "compensated"
+    compensated = edge.law in ("compensated", "flow_control")
     low, high = (
         np.array([0.85, 0.03, 0.9, 0.97, 1.4, 1.2, 0.10]),
         np.array([1.1, 0.06, 1.4, 1.03, 2.0, 1.8, 0.18]),
@@ -584,12 +594,12 @@ def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) ->
     dead = float(edge.deadband)
     row.onset = given("onset", onset * dead if dead > 0 else 0.1 * soft * full)
     row.softness = given("softness", soft * full if compensated else 0.3 * soft * full)
-    row.saturation = (
-        given("saturation", sat * full if compensated else 1.6 * sat * full) or math.inf
-    )
-    nominal = edge.compensated_gain if compensated else edge.flow_gain
-    assert nominal is not None  # `_truth` sees to it
-    gain = float(nominal) * given("gain_factor", factor)
+    usual = sat * full if compensated else 1.6 * sat * full
+    if edge.opening_max is not None:
+        usual = float(edge.opening_max) - dead
+    row.saturation = given("saturation", usual) or math.inf
+    assert edge.gain is not None  # `_truth` sees to it
+    gain = float(edge.gain) * given("gain_factor", factor)
     row.gain = gain
     if compensated:
         row.setting = given("compensation_drop", setting * float(edge.compensation_drop))
@@ -612,6 +622,19 @@ def _set_edge(
     rated = forward.gain * full * math.sqrt(forward.setting or rig.p_supply)
     spool = len(valve.edge) > 1
     row.null = given("null_leakage", (1e-4 if spool else 1e-5) * rated / rig.p_supply)
+
+
+def _set_unmetered(row: np.record, own: np.record, given: _Given, rng: np.random.Generator) -> None:
+    """Fill the row of a pump or of a check valve: like the model's, and none like another."""
+    for key, _ in (*pump.LAW.columns, *check.LAW.columns):
+        row[key] = own[key]
+    row.sign = own.sign
+    size, second = rng.uniform([0.97, 0.7], [1.0, 1.4])
+    size = given("gain_factor", size)
+    row.displacement *= size
+    row.gain *= size
+    row.slip = given("null_leakage", second * own.slip)
+    row.cracking_pressure *= second
 
 
 def _tune(
@@ -811,10 +834,10 @@ class VirtualMachine:
             sample,
         )
 
-    def advance(self, rows: Rows, law: LawRows | None) -> Advance:
+    def advance(self, rows: Rows, law: LawRows | None, often: bool) -> Advance:
         """As `advance_of` says."""
         own = self._own
-        run = bound(_advance, 0, 0, own, rows, law, self._noise)
+        run = bound(_advance, 0, 0, own, rows, law, self._noise) if often else _advance
 
         def through(first: int, stop: int) -> int:
             row = run(first, stop, own, rows, law, self.noise(stop - first))
@@ -846,7 +869,9 @@ class VirtualMachine:
             )
         index = self.layout.edges.index(edge)
         row = self.bench.edges[index]
-        valve = self.bench.valves[row.valve]
+        if row.law in (PUMP, CHECK):
+            raise InputError(f"edge '{edge}' of the bench does not meter, so no flowmeter reads it")
+        valve: Any = self.bench.valves[row.valve]
         rest = self.commands.rest[row.valve]
         command, drop = np.broadcast_arrays(
             np.asarray(command, dtype=float), np.asarray(drop, dtype=float)
@@ -886,6 +911,7 @@ def _build(recipe: BenchRecipe, model: Model, tick: float) -> VirtualPlant:
         edges=edges,
         curves=curves,
         supply=plant.supply,
+        forces=plant.forces,
         fluid=_fluid(of),
         sensors=_sensors(of),
         delay=math.floor(ticks),
@@ -905,7 +931,7 @@ def _copied(rows: np.recarray, columns: np.dtype) -> np.recarray:
 
 def _bench_cylinders(of: _Seeded) -> np.recarray:
     recipe, p_supply = of.recipe, of.p_supply
-    cylinders = _copied(of.model.plant.cylinders, BENCH_CYLINDER)
+    cylinders = of.model.plant.cylinders.copy()
     names, items = of.model.layout.cylinders, of.model.rig.cylinder
     for name, item, row in zip(names, items, cylinders, strict=True):
         given = _Given(recipe.cylinder, name)
@@ -916,9 +942,11 @@ def _bench_cylinders(of: _Seeded) -> np.recarray:
         )
         plain, damper = float(item.friction_coulomb), float(item.friction_viscous)
         row.friction_coulomb = given("friction_coulomb", plain or coulomb * force)
-        row.friction_static = given("friction_static", static * row.friction_coulomb)
+        row.friction_static = given(
+            "friction_static", row.friction_static or static * row.friction_coulomb
+        )
         row.friction_viscous = given("friction_viscous", damper or viscous * force)
-        row.stribeck_speed = given("stribeck_speed", speed)
+        row.stribeck_speed = given("stribeck_speed", row.stribeck_speed or speed)
         if row.friction_static < row.friction_coulomb:
             where = recipe.at("cylinder", name)
             raise InputError(
@@ -928,7 +956,7 @@ def _bench_cylinders(of: _Seeded) -> np.recarray:
             if f"{name}.{key}" not in recipe.truth and row[key] == 0.0:
                 typical = 1e-4 if key == "leakage_internal" else 1e-5
                 row[key] = rng.uniform(0.5, 1.5) * typical * row.area_head / p_supply
-        if float(recipe.air_fraction) > 0.0:
+        if _air(of)[0] > 0.0:
             row.cavitation_pressure = -math.inf  # the air itself keeps a chamber above vacuum
     return cylinders
 
@@ -937,12 +965,16 @@ def _edges(of: _Seeded) -> tuple[np.recarray, np.recarray]:
     """(edges, their curves)."""
     plant, names = of.model.plant, of.model.layout.edges
     edges, curves = table(len(names), BENCH_EDGE), table(2 * len(names), CURVE)
-    for index, (name, (_, valve, edge)) in enumerate(zip(names, of.model.rig.edges(), strict=True)):
-        row = edges[index]
-        for key in ("from_node", "to_node", "valve"):
-            row[key] = plant.edges[index][key]
+    metering = [(edge, valve) for _, valve, edge in of.model.rig.edges()]
+    for index, name in enumerate(names):
+        row, own, given = edges[index], plant.edges[index], _Given(of.recipe.edge, name)
+        for key in ("from_node", "to_node", "valve", "law"):
+            row[key] = own[key]
         row.forward, row.reverse = 2 * index, 2 * index + 1
-        _set_edge(row, curves, _Given(of.recipe.edge, name), (name, edge, valve), of)
+        if own.law in (PUMP, CHECK):
+            _set_unmetered(row, own, given, _draws(of.seed, name))
+        else:
+            _set_edge(row, curves, given, (name, *metering[index]), of)
     return edges, curves
 
 
@@ -964,27 +996,43 @@ def _valves(
         )
         row.hysteresis = given("hysteresis", width * full)
         if valve.calibration:
-            own = edges[np.flatnonzero(edges.valve == index)[0]]
+            own: Any = edges[np.flatnonzero(edges.valve == index)[0]]
             drop = float(recipe.calibration_drop)
             gain, offset = _tune(valve, own, curves, drop, row.hysteresis)
             offset /= full
         row.gain, row.offset = given("driver_gain", gain), given("driver_offset", offset * full)
-        if valve.dynamics is not None:
-            omega, zeta = rig.dynamics[valve.dynamics].frequency_and_damping()
+        series = [one for one in of.model.layout.elements if one.valve == index]
+        for at, one in enumerate(series, int(row.first)):
+            dynamics = rig.dynamics[one.dynamics]
+            if not isinstance(dynamics, SecondOrder):
+                continue
+            omega, zeta = dynamics.frequency_and_damping()
             omega = given("natural_frequency", faster * omega)
             zeta = given("damping_ratio", damper * zeta)
             for key, value in second_order(omega, zeta).items():
-                elements[row.first][key] = value
+                elements[at][key] = value
     return valves, elements
+
+
+def _air(of: _Seeded) -> tuple[float, float]:
+    """(share of free air, its exponent): the bench file's, else the rig's, else usual ones."""
+    recipe, oil = of.recipe, of.model.rig.oil
+    given = [
+        getattr(oil, key) if key not in recipe.model_fields_set else None
+        for key in ("air_fraction", "polytropic_exponent")
+    ]
+    share, exponent = given
+    return float(share or recipe.air_fraction), float(exponent or recipe.polytropic_exponent)
 
 
 def _fluid(of: _Seeded) -> np.record:
     recipe, row = of.recipe, table(1, FLUID)[0]
     droop, relief = _scalar(recipe.droop), _scalar(recipe.supply_relief)
-    row.air, row.polytropic = float(recipe.air_fraction), float(recipe.polytropic_exponent)
+    row.air, row.polytropic = _air(of)
     row.droop = 0.03 * of.p_supply if droop is None else droop
     row.pump_lag = float(recipe.pump_lag)
-    row.supply_relief = 1.15 * of.p_supply if relief is None else relief
+    usual = math.inf if of.model.rig.supply.accumulator is not None else 1.15 * of.p_supply
+    row.supply_relief = usual if relief is None else relief
     if row.pump_lag > 0.0 and row.droop == 0.0:
         hint = "give droop, or pump_lag = '0 s' for an ideal one"
         raise InputError("a pump with a lag needs a droop", **recipe.at("droop"), hint=hint)

@@ -9,6 +9,7 @@ import numpy as np
 from ehbench.compiled import part_kernel, record
 from ehbench.parts.friction import COLUMNS as FRICTION
 from ehbench.parts.nodes import node_pressure
+from ehbench.parts.oil import OIL_COLUMNS, bulk_of
 from ehbench.physics.cylinder import (
     CAVITATION_BAND,
     chamber_rate,
@@ -24,11 +25,12 @@ RELIEF_GAIN = 1.0e-9  # [m³/(s·Pa)]: 30 L/min over 5 bar
 
 # A cylinder. The number of the ``joint`` it drives; how it sits there, `ehbench.physics.cylinder`:
 # ``geometry`` DIRECT or PINS, ``l_a, l_b, retracted_length`` [m], ``side`` ±1, ``phase`` [rad];
-# ``stroke`` [m]; areas [m²]; dead volumes [m³], hoses included; ``bulk_modulus`` β_e [Pa]; leakages
+# ``stroke`` [m]; areas [m²]; dead volumes [m³], hoses included; the oil's OIL_COLUMNS; leakages
 # C_tm, C_em1, C_em2 [m³/(s·Pa)]; ``relief_pressure`` [Pa], inf for none; ``cavitation_pressure``
 # [Pa], −inf for none; ``stop_stiffness`` [N/m]; ``mobility`` [1/kg], the largest acceleration per
 # force on it; the number of its law of ``friction``, where that law's states stand
-# (``friction_state``), and the columns of the laws, as the rig file has them.
+# (``friction_states`` of them from ``friction_state`` on, −1), and the columns of the laws, as the
+# rig file has them.
 CYLINDER_COLUMNS = (
     ("joint", "i8"),
     ("geometry", "i8"),
@@ -42,7 +44,7 @@ CYLINDER_COLUMNS = (
     ("area_rod", "f8"),
     ("volume_head", "f8"),
     ("volume_rod", "f8"),
-    ("bulk_modulus", "f8"),
+    *OIL_COLUMNS,
     ("leakage_internal", "f8"),
     ("leakage_head", "f8"),
     ("leakage_rod", "f8"),
@@ -54,6 +56,7 @@ CYLINDER_COLUMNS = (
     ("node_rod", "i8"),
     ("friction", "i8"),
     ("friction_state", "i8"),
+    ("friction_states", "i8"),
     *FRICTION,
 )
 CYLINDER = record(*CYLINDER_COLUMNS)
@@ -61,7 +64,6 @@ CYLINDER = record(*CYLINDER_COLUMNS)
 CYLINDER_FIELDS = (
     *("stroke", "volume_head", "volume_rod"),
     *("leakage_internal", "leakage_head", "leakage_rod"),
-    *(name for name, _ in FRICTION),
 )
 PINS_OF = ("geometry", "l_a", "l_b", "side", "phase", "retracted_length")
 
@@ -72,8 +74,9 @@ def linkage_of(row, q):
     return linkage(row.geometry, row.l_a, row.l_b, row.side, row.phase, row.retracted_length, q)
 
 
-def _pins(row: Any) -> tuple[Any, ...]:
-    return tuple(row[name] for name in PINS_OF)
+def _pins(row: Any) -> tuple[Any, Any, Any, Any, Any, Any]:
+    kind, l_a, l_b, sign, phase, retracted = (row[name] for name in PINS_OF)
+    return kind, l_a, l_b, sign, phase, retracted
 
 
 def joint_of(row: Any, x: Any) -> Any:
@@ -165,7 +168,7 @@ def chamber_slope(row, pressure, inflow, slope):
 @part_kernel
 def chamber_pressure_rate(row, pressure, volume, inflow):
     """Rate of pressure [Pa/s] of a chamber, held above its cavitation floor."""
-    return chamber_rate(inflow, pressure, volume, row.bulk_modulus, row.cavitation_pressure)
+    return chamber_rate(inflow, pressure, volume, bulk_of(row, pressure), row.cavitation_pressure)
 
 
 @part_kernel

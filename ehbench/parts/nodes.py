@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ehbench.compiled import part_kernel, record
+from ehbench.parts.oil import held
 
 SUPPLY, TANK = 0, 1
 
@@ -19,7 +20,9 @@ def node_pressure(y, plant, node):
 
 
 @part_kernel
-def node_bulk_modulus(plant, node):
-    """Effective bulk modulus [Pa] of the oil at a node."""
+def node_held(plant, node, pressure):
+    """Energy [J/m³] that compression to a pressure [Pa] holds in the oil of a node."""
     cylinder = plant.nodes[node].cylinder
-    return plant.supply.bulk_modulus if cylinder < 0 else plant.cylinders[cylinder].bulk_modulus
+    if cylinder < 0:
+        return held(plant.supply, pressure)
+    return held(plant.cylinders[cylinder], pressure)

@@ -41,7 +41,7 @@ def entry(cylinder, channel):
 
 @part_kernel
 def line_entry(cylinders, channel):
-    """Where a channel of the supply lines stands in a sample, such as ``line_entry(nc, LINE.p_tank)``."""
+    """Where a channel of the supply lines stands in a sample: ``line_entry(nc, LINE.p_tank)``."""
     return _CYLINDER * cylinders + channel
 
 

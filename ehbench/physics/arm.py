@@ -23,12 +23,12 @@ import math
 
 import numpy as np
 
-from ehbench.compiled import kernel, record
+from ehbench.compiled import kernel, part_kernel, record
 
 CHAIN, SLIDE = 0, 1
 
-# A link, described in its joint frame: where the next joint lies (``a``, 0, ``d``) [m], the twist to
-# it, the angle ``theta0`` at q = 0 [rad], ``mass`` [kg], first moment (hx, hy, hz) [kg·m] and
+# A link, described in its joint frame: where the next joint lies (``a``, 0, ``d``) [m], the twist
+# to it, the angle ``theta0`` at q = 0 [rad], ``mass`` [kg], first moment (hx, hy, hz) [kg·m] and
 # inertia about the origin (jxx … jyz) [kg·m²], viscous ``damping`` [N·m·s/rad]. A slide has mass,
 # damping [N·s/m] and, for its incline, cos_alpha and sin_alpha.
 LINK = record(
@@ -151,7 +151,13 @@ def _newton_euler(links, gravity, qd, out, work):
             wx, wy, wz = _outward(c, s, ca, sa, wx, wy, wz)
             ex, ey, ez = _outward(c, s, ca, sa, ex, ey, ez)
             ex, ey, wz = ex + wy * rate, ey - wx * rate, wz + rate
-    for i in range(n - 1, -1, -1):
+    _sum_inward(links, qd, out, work)
+
+
+@part_kernel
+def _sum_inward(links, qd, out, work):
+    """Torques from each link's own force and moment in ``work``, which are summed from the tip."""
+    for i in range(links.shape[0] - 1, -1, -1):
         b = i * _STRIDE
         out[i] = work[b + _BODY + 5] + links[i].damping * qd[i]
         if i > 0:

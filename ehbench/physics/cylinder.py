@@ -15,6 +15,7 @@ from ehbench.errors import InputError
 
 PINS, DIRECT = 0, 1
 
+ATMOSPHERE = 101325.0  # [Pa], absolute
 CAVITATION_BAND = 0.9e5  # [Pa] above the floor, over which a chamber stops yielding to outflow
 VOLUME_MARGIN = 0.02  # share of a chamber's dead volume that is left at the least
 
@@ -65,9 +66,10 @@ def joint_angle(kind, l_a, l_b, sign, phase, retracted, x):
     beyond = c[~((low <= c) & (c <= high))]  # ~ so that nan is refused too
     if beyond.size:
         raise InputError(
-            f"a cylinder {float(beyond.flat[0]) * 1e3:.1f} mm long from pin to pin does not fit its linkage",
-            hint=f"l_a {l_a * 1e3:g} mm and l_b {l_b * 1e3:g} mm allow {low * 1e3:g} to {high * 1e3:g} mm;"
-            " check l_a, l_b, retracted_length and stroke",
+            f"a cylinder {float(beyond.flat[0]) * 1e3:.1f} mm long from pin to pin does not fit "
+            "its linkage",
+            hint=f"l_a {l_a * 1e3:g} mm and l_b {l_b * 1e3:g} mm allow "
+            f"{low * 1e3:g} to {high * 1e3:g} mm; check l_a, l_b, retracted_length and stroke",
         )
     theta = 2.0 * np.arctan2(np.sqrt(c * c - low * low), np.sqrt(high * high - c * c))
     return (sign * (theta - phase))[()]
@@ -103,11 +105,12 @@ def chamber_volume(dead_volume, displaced):
 def chamber_rate(inflow, pressure, volume, bulk_modulus, floor):
     """Rate of pressure [Pa/s] of one chamber: ``β_e/V · inflow``, held above the cavitation floor.
 
-    While more oil leaves than comes (inflow < 0), the rate is scaled by (p − floor)/CAVITATION_BAND where that is
-    below 1: pressure nears the floor exponentially, comes back to it from below, and rises at full stiffness at once
-    when inflow turns positive. Oil is conserved above the band. In it, oil is supplied as by an anti-cavitation
-    valve (`makeup_flow` says how much): the void leaves no memory, so a cavity needs no time to be refilled.
-    The fastest rate it adds is β_e·|inflow|/(V·CAVITATION_BAND) [1/s].
+    While more oil leaves than comes (inflow < 0), the rate is scaled by (p − floor)/CAVITATION_BAND
+    where that is below 1: pressure nears the floor exponentially, comes back to it from below, and
+    rises at full stiffness at once when inflow turns positive. Oil is conserved above the band. In
+    it, oil is supplied as by an anti-cavitation valve (`makeup_flow` says how much): the void
+    leaves no memory, so a cavity needs no time to be refilled. The fastest rate it adds is
+    β_e·|inflow|/(V·CAVITATION_BAND) [1/s].
 
     Args:
         inflow: oil that comes in plus volume that is taken away by the piston [m³/s].
@@ -121,7 +124,7 @@ def chamber_rate(inflow, pressure, volume, bulk_modulus, floor):
 
 @kernel
 def makeup_flow(inflow, pressure, floor):
-    """Oil [m³/s], ≥ 0, that the cavitation floor adds to a chamber; with it the oil balance closes."""
+    """Oil [m³/s], ≥ 0, that the cavitation floor adds to a chamber; it closes the oil balance."""
     if inflow >= 0.0 or pressure >= floor + CAVITATION_BAND:
         return 0.0
     return -inflow * (1.0 - (pressure - floor) / CAVITATION_BAND)

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -590,7 +591,7 @@ def table(
         drop = np.linspace(0.0, one.drop_max, drops)
         for command in one.hull_command:
             flow, std = one.flow(drop, command), one.flow_std(drop, command)
-            columns = (
+            columns: tuple[Any, ...] = (
                 from_si(drop, pressure_unit, VOCABULARY["pressure_drop"]),
                 from_si(flow, flow_unit, VOCABULARY["flow"]),
                 from_si(std, flow_unit, VOCABULARY["flow"]),

@@ -11,18 +11,22 @@ import numpy as np
 from ehbench.compiled import table, table_of
 from ehbench.errors import InputError
 from ehbench.parts import edge as edges
+from ehbench.parts import friction
 from ehbench.parts import valve as valves
+from ehbench.parts.accumulator import COLUMNS as ACCUMULATOR
 from ehbench.parts.cylinder import CYLINDER, CYLINDER_FIELDS, PINS_OF
 from ehbench.parts.edge import EDGE
 from ehbench.parts.end_stop import STOP_DEPTH
+from ehbench.parts.load import FORCE, force_fields
 from ehbench.parts.nodes import NODE, TANK
+from ehbench.parts.oil import EXPONENT
 from ehbench.parts.supply import SUPPLY as SUPPLY_LINE
 from ehbench.parts.valve import ELEMENT, VALVE
 from ehbench.physics import arm
 from ehbench.physics.cylinder import DIRECT, PINS, joint_angle, linkage
 from ehbench.physics.flow_map import FlowMap, ValveMaps, pack
 from ehbench.plant.layout import SIDES, Layout, Offsets, layout
-from ehbench.rig import Chain, Cylinder, Edge, Rig, Slide
+from ehbench.rig import Chain, Cylinder, Edge, FixedEdge, Rig, Slide, Value
 
 Maps = Mapping[str, ValveMaps]
 
@@ -32,7 +36,8 @@ class Plant(NamedTuple):
 
     ``kind``, ``gravity`` and ``links`` are those of `ehbench.physics.arm`; the records of the other
     tables are described beside their parts: `ehbench.parts.cylinder`, ``.nodes``, ``.valve``,
-    ``.edge``, ``.supply``. ``maps`` are the packed flow maps, ``at`` says where things lie.
+    ``.edge``, ``.supply``, ``.load``. ``maps`` are the packed flow maps, ``at`` says where
+    things lie.
     """
 
     kind: int
@@ -45,6 +50,7 @@ class Plant(NamedTuple):
     edges: np.recarray
     maps: np.ndarray
     supply: np.record
+    forces: np.recarray
     at: Offsets
 
     @property
@@ -91,6 +97,7 @@ def build(rig: Rig, maps: Maps | None = None) -> Plant:
         edges=edge_rows,
         maps=data,
         supply=_supply(rig),
+        forces=_forces(rig, names),
         at=names.offsets(),
     )
 
@@ -129,30 +136,43 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
     rows = []
     for index, item in enumerate(rig.cylinder):
         head, rod = item.areas()
-        relief, pins = item.relief_pressure, _pins(item)
+        relief, pins = item.relief_pressure, pins_of(item)
         joint = names.joints.index(item.joint)
         own = {key: float(getattr(item, key)) for key in CYLINDER_FIELDS}
         rows.append(
             own
+            | oil_fields(rig, item.bulk_modulus)
+            | friction.LAWS[names.frictions[index]].pack(item)
             | dict(zip(PINS_OF, pins, strict=True))
             | {
                 "joint": joint,
                 "area_head": head,
                 "area_rod": rod,
-                "bulk_modulus": float(item.bulk_modulus or rig.oil.bulk_modulus),
                 "relief_pressure": math.inf if relief is None else float(relief),
                 "cavitation_pressure": float(rig.oil.cavitation_pressure),
-                "stop_stiffness": float(rig.supply.pressure) * head / STOP_DEPTH,
+                "stop_stiffness": _stop_pressure(rig, item) * head / STOP_DEPTH,
                 "mobility": _mobility((kind, links), pins, joint, own["stroke"]),
                 "node_head": names.node(index, "head"),
                 "node_rod": names.node(index, "rod"),
                 "friction": names.frictions[index],
+                "friction_state": names.friction_state(index),
+                "friction_states": len(friction.LAWS[names.frictions[index]].states),
             }
         )
     return table_of(rows, CYLINDER)
 
 
-def _pins(item: Cylinder) -> tuple[Any, ...]:
+def _stop_pressure(rig: Rig, item: Cylinder) -> float:
+    """The most [Pa] that presses a piston into its end stop: the supply's pressure, or on a charge
+    line what a pump may come up to.
+    """
+    supply = float(rig.supply.pressure)
+    if rig.supply.accumulator is None or item.relief_pressure is None:
+        return supply
+    return max(supply, float(item.relief_pressure))
+
+
+def pins_of(item: Cylinder) -> tuple[Any, ...]:
     """Arguments of `ehbench.physics.cylinder.linkage` before the angle."""
     pins = item.pins
     if pins is None:
@@ -196,34 +216,24 @@ def _valves(rig: Rig, names: Layout) -> tuple[np.recarray, np.recarray]:
     rows, elements = [], []
     for index, (_, item) in enumerate(rig.valves()):
         first, output = len(elements), -1
-        for law in (law for valve, law in names.elements if valve == index):
-            omega, zeta = rig.dynamics[item.dynamics].frequency_and_damping()
-            output = names.state("opening", index)
-            states = len(valves.LAWS[law].states)
-            place = {"law": law, "state": output, "states": states}
-            elements.append(place | second_order(omega, zeta))
+        for one in (one for one in names.elements if one.valve == index):
+            output, states = one.state, len(valves.LAWS[one.law].states)
+            place = {"law": one.law, "state": output, "states": states}
+            elements.append(place | rig.dynamics[one.dynamics].row())
         ends = {"lowest": float(item.command_min), "highest": float(item.command_max)}
         count = len(elements) - first
         rows.append(ends | {"first": first, "count": count, "output": output})
     return table_of(rows, VALVE), table_of(elements, ELEMENT)
 
 
-def second_order(omega: float, zeta: float) -> dict[str, float]:
-    """Fields of an element of natural frequency [rad/s] and damping ratio."""
-    stiffness = omega**2
-    return {
-        "stiffness": stiffness,
-        "damping": 2 * zeta * omega,
-        "fastest": math.sqrt(stiffness),
-    }
-
-
 def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray]:
     """(rows, packed flow maps)."""
     rows: list[dict[str, Any]] = []
     packed: list[FlowMap] = []
-    for name, (item, valve, edge) in zip(names.edges, rig.edges(), strict=True):
+    for name, (item, valve, edge) in zip(names.edges, rig.edges(), strict=False):
         cylinder, given = names.cylinders.index(item.name), map_of(maps, name)
+        if edge.law == "pump" and given is not None:
+            raise InputError(f"edge '{name}' of rig '{rig.name}' is a pump: no flow map is of it")
         if edge.law == "map" and given is None:
             raise InputError(
                 f"edge '{valve.edge_name(edge)}' of rig '{rig.name}' follows a flow map, and none "
@@ -236,13 +246,30 @@ def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray
             "valve": names.valves.index(f"{item.name}.{valve.name}"),
             "sign": edge.sign,
             "blocked": edge.reverse == "blocked",
+            "unmetered": not edges.edge_law(edge.law).metering,
         }
         rows.append(row | _law(edge, given, packed))
+    rows += [
+        _fixed(names, names.cylinders.index(item.name), edge) for item, edge in rig.fixed_edges()
+    ]
     data, offsets = pack(packed) if packed else (np.zeros(1), np.zeros(0, dtype=np.int64))
     for row in rows:
         for key in ("forward", "reverse"):
             row[key] = int(offsets[row[key]]) if row[key] >= 0 else -1
     return table_of(rows, EDGE), data
+
+
+def _fixed(names: Layout, cylinder: int, edge: FixedEdge) -> dict[str, Any]:
+    """Fields of an edge without a command."""
+    place = {
+        "from_node": names.node(cylinder, edge.from_),
+        "to_node": names.node(cylinder, edge.to),
+        "valve": -1,
+        "sign": 1.0,
+        "unmetered": 1,
+        "pilot": -1 if edge.pilot is None else names.node(cylinder, edge.pilot),
+    }
+    return place | _law(edge, None, [])
 
 
 def map_of(maps: Maps | None, edge: str) -> ValveMaps | None:
@@ -251,17 +278,10 @@ def map_of(maps: Maps | None, edge: str) -> ValveMaps | None:
     return maps.get(edge) or maps.get(edge.split(".", 1)[1])
 
 
-def _law(edge: Edge, given: ValveMaps | None, packed: list[FlowMap]) -> dict[str, Any]:
+def _law(edge: Edge | FixedEdge, given: ValveMaps | None, packed: list[FlowMap]) -> dict[str, Any]:
     """Fields of an edge's law; its maps go to ``packed``, their numbers there into the row."""
-    gain = edge.flow_gain if edge.law == "orifice" else edge.compensated_gain
-    row = {
-        "law": edges.MAP if given is not None else edges.BY_NAME[edge.law],
-        "gain": 0.0 if gain is None else float(gain),
-        "deadband": float(edge.deadband),
-        "compensation_drop": float(edge.compensation_drop),
-        "forward": -1,
-        "reverse": -1,
-    }
+    law = edges.edge_law("map" if given is not None else edge.law)
+    row = {"law": edges.BY_NAME[law.name], "forward": -1, "reverse": -1} | law.pack(edge)
     for key in ("forward", "reverse"):
         one = getattr(given, key, None)
         if one is not None:
@@ -270,7 +290,30 @@ def _law(edge: Edge, given: ValveMaps | None, packed: list[FlowMap]) -> dict[str
     return row
 
 
+def _forces(rig: Rig, names: Layout) -> np.recarray:
+    rows = []
+    for index, item in enumerate(rig.cylinder):
+        for force in item.force:
+            played = -1
+            if force.channel is not None:
+                played = len(names.valves) + names.played.index(force.channel)
+            rows.append({"cylinder": index, "played": played} | force_fields(force))
+    return table_of(rows, FORCE)
+
+
 def _supply(rig: Rig) -> np.record:
-    own, beta = rig.supply, float(rig.oil.bulk_modulus)
+    own = rig.supply
     row = {key: float(getattr(own, key)) for key in ("pressure", "flow_limit", "volume")}
-    return table_of([row | {"bulk_modulus": beta}], SUPPLY_LINE)[0]
+    if own.accumulator is not None:
+        row |= {key: float(getattr(own.accumulator, key)) for key, _ in ACCUMULATOR}
+    return table_of([row | oil_fields(rig)], SUPPLY_LINE)[0]
+
+
+def oil_fields(rig: Rig, own: Value | None = None) -> dict[str, float]:
+    """Fields of a row of oil, its bulk modulus that of ``own`` where given."""
+    oil = rig.oil
+    return {
+        "bulk_modulus": float(own or oil.bulk_modulus),
+        "air": float(oil.air_fraction or 0.0),
+        "polytropic": float(oil.polytropic_exponent or EXPONENT),
+    }

@@ -11,11 +11,13 @@ from ehbench.parts.cylinder import (
     chamber_slope,
     linkage_of,
 )
-from ehbench.parts.edge import edge_flow
+from ehbench.parts.edge import edge_flow, edge_opening, edge_slope
 from ehbench.parts.end_stop import stop_force, stop_rate
-from ehbench.parts.friction import friction_force, friction_rates, friction_steepness
+from ehbench.parts.friction import friction_fastest, friction_force, friction_rates
+from ehbench.parts.load import force_on, force_steepness
 from ehbench.parts.nodes import SUPPLY, node_pressure
-from ehbench.parts.supply import pump_flow
+from ehbench.parts.oil import bulk_of
+from ehbench.parts.supply import line_stiffness, pump_flow
 from ehbench.parts.valve import limited, valve_finish, valve_rates
 from ehbench.physics.arm import forward
 from ehbench.plant.build import Plant
@@ -46,13 +48,13 @@ def _edges(y, plant, work):
         work[i] = 0.0
     for e in range(plant.edges.shape[0]):
         edge = plant.edges[e]
-        opening, flow = work[at.opening + edge.valve], 0.0
-        if edge.sign * opening > 0.0:
+        opening, flow = edge_opening(y, plant, edge, work[at.opening :]), 0.0
+        if edge.unmetered == 1 or edge.sign * opening > 0.0:
             a, b = edge.from_node, edge.to_node
             drop = node_pressure(y, plant, a) - node_pressure(y, plant, b)
             flow = edge_flow(drop, opening, edge, plant.maps)
-            if flow != 0.0:
-                slope = flow / drop
+            if flow != 0.0 or edge.unmetered == 1:
+                slope = edge_slope(drop, flow, opening, edge)
                 work[at.net + a] -= flow
                 work[at.net + b] += flow
                 work[at.slope + a] += slope
@@ -61,7 +63,7 @@ def _edges(y, plant, work):
 
 
 @part_kernel
-def _cylinders(y, plant, dy, work):
+def _cylinders(y, command, plant, dy, work):
     """Pressure rates of the chambers; torques of the cylinders into ``work``."""
     at, fastest = plant.at, 0.0
     for c in range(plant.cylinders.shape[0]):
@@ -75,11 +77,15 @@ def _cylinders(y, plant, dy, work):
             inflow = chamber_inflow(row, side, v, work[at.net + node], y, plant)
             dy[plant.nodes[node].state] = chamber_pressure_rate(row, p, volume, inflow)
             slope = chamber_slope(row, p, inflow, work[at.slope + node])
-            fastest = max(fastest, row.bulk_modulus / volume * slope)
+            fastest = max(fastest, bulk_of(row, p) / volume * slope)
             force += p * area
         force -= friction_force(row, v, y)
         friction_rates(row, v, y, dy)
-        fastest = max(fastest, row.mobility * friction_steepness(row, v))
+        rate = friction_fastest(row, v)
+        if plant.forces.shape[0] > 0:
+            force += force_on(c, x, v, command, plant)
+            rate += row.mobility * force_steepness(c, v, plant)
+        fastest = max(fastest, rate)
         if x < 0.0 or x > row.stroke:
             force += stop_force(row, x, v)
             fastest = max(fastest, stop_rate(row))
@@ -114,7 +120,7 @@ def _supply(y, plant, dy, work):
     demand = -work[at.net + SUPPLY]
     pump = pump_flow(y[at.supply], demand, supply)
     work[at.pump] = pump
-    stiffness = supply.bulk_modulus / supply.volume
+    stiffness = line_stiffness(y[at.supply], supply)
     dy[at.supply] = stiffness * (pump - demand)
     held = 0.0 < pump < supply.flow_limit
     return 0.0 if held else stiffness * work[at.slope + SUPPLY]
@@ -132,7 +138,8 @@ def derivatives(y, command, plant, dy, work):
 
     Args:
         y: state, shape (plant.at.states,).
-        command: valve commands [V], shape (valves,), limited here to each driver's range.
+        command: valve commands [V], limited here to each driver's range, then forces that are
+            played [N], shape (valves + played,).
         dy: out, shape (plant.at.states,).
         work: workspace of plant.at.work.
     """
@@ -140,7 +147,7 @@ def derivatives(y, command, plant, dy, work):
     _edges(y, plant, work)
     for i in range(plant.at.torque, plant.at.net):
         work[i] = 0.0
-    fastest = max(fastest, _cylinders(y, plant, dy, work))
+    fastest = max(fastest, _cylinders(y, command, plant, dy, work))
     move(y, plant, dy, work)
     return max(fastest, _supply(y, plant, dy, work))
 

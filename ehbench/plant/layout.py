@@ -12,7 +12,7 @@ from typing import NamedTuple
 from ehbench.parts import friction, valve
 from ehbench.parts.nodes import SUPPLY, TANK
 from ehbench.physics.arm import work_size
-from ehbench.rig import Cylinder, Rig
+from ehbench.rig import Cylinder, Rig, Valve
 
 SIDES = ("head", "rod")
 
@@ -41,12 +41,24 @@ class Offsets(NamedTuple):
     work: int
 
 
+class Element(NamedTuple):
+    """One element of a valve's dynamics: the number of its ``valve`` and of its ``law``, the name
+    of its ``dynamics`` in the rig, where its states begin (``state``).
+    """
+
+    valve: int
+    law: int
+    dynamics: str
+    state: int
+
+
 @dataclass(frozen=True)
 class Layout:
     """Names of what a plant's tables hold, in order, and where each of its states stands.
 
-    ``valves`` and ``edges`` are called ``<cylinder>.<valve>`` and ``<cylinder>.<edge>``,
-    ``elements`` are (valve, number of its law) of each element of the valves' dynamics, and
+    ``valves`` and ``edges`` are called ``<cylinder>.<valve>`` and ``<cylinder>.<edge>``, those of
+    valves first, ``elements`` are those of the valves' dynamics, in order, ``played`` the channels
+    of forces that stand behind the valves' commands in a row of commands, and
     ``state_names`` say what each state is, such as ``boom.p_head`` or ``boom.hect.opening``.
     """
 
@@ -54,8 +66,9 @@ class Layout:
     cylinders: tuple[str, ...]
     valves: tuple[str, ...]
     edges: tuple[str, ...]
-    elements: tuple[tuple[int, int], ...]
+    elements: tuple[Element, ...]
     frictions: tuple[int, ...]
+    played: tuple[str, ...]
     state_names: tuple[str, ...]
     _at: dict[str, int] = field(repr=False)
 
@@ -77,7 +90,7 @@ class Layout:
 
     def state(self, name: str, index: int = 0) -> int:
         """Position in the state of ``q``, ``qd`` of joint ``index``, ``p_head``, ``p_rod`` of a
-        cylinder, ``opening``, ``rate`` of a valve, or ``p_supply``.
+        cylinder or of a state of its friction, ``opening``, ``rate`` of a valve, or ``p_supply``.
 
         Raises:
             KeyError: there is no such state, as of a valve without dynamics.
@@ -86,6 +99,31 @@ class Layout:
             return self._at[name]
         owners = {"q": self.joints, "qd": self.joints, "opening": self.valves, "rate": self.valves}
         return self._at[f"{owners.get(name, self.cylinders)[index]}.{name}"]
+
+    @property
+    def inner_states(self) -> tuple[tuple[str, int], ...]:
+        """(channel, position) of the states of valves with several elements, but for the opening:
+        what a command and an opening do not tell.
+        """
+        count = [one.valve for one in self.elements]
+        found = []
+        for one in self.elements:
+            for at in range(one.state, one.state + len(valve.LAWS[one.law].states)):
+                name = self.state_names[at]
+                if count.count(one.valve) > 1 and name != f"{self.valves[one.valve]}.opening":
+                    found.append((name.replace(".rate", ".opening_rate"), at))
+        return tuple(found)
+
+    @property
+    def friction_states(self) -> tuple[tuple[int, str], ...]:
+        """(cylinder, name) of each state of the laws of friction."""
+        laws = (friction.LAWS[law] for law in self.frictions)
+        return tuple((index, key) for index, law in enumerate(laws) for key in law.states)
+
+    def friction_state(self, cylinder: int) -> int:
+        """Where the states of a cylinder's friction begin, −1 where it has none."""
+        states = friction.LAWS[self.frictions[cylinder]].states
+        return self.state(states[0], cylinder) if states else -1
 
     def offsets(self) -> Offsets:
         """Where things begin, for kernels."""
@@ -103,11 +141,13 @@ def layout(rig: Rig) -> Layout:
     valves = tuple(f"{c.name}.{v.name}" for c, v in rig.valves())
     names = [f"{joint}.{key}" for key in ("q", "qd") for joint in rig.joint_names]
     names += [f"{c.name}.p_{side}" for c in rig.cylinder for side in SIDES]
-    elements = tuple(
-        (index, law) for index, (_, v) in enumerate(rig.valves()) for law in _elements(v)
-    )
-    for index, law in elements:
-        names += [f"{valves[index]}.{key}" for key in valve.LAWS[law].states]
+    elements: list[Element] = []
+    for index, (_, item) in enumerate(rig.valves()):
+        series = _series(rig, item)
+        for one, law in series:
+            elements.append(Element(index, law, one, len(names)))
+            owner = valves[index] if one == series[-1][0] else f"{valves[index]}.{one}"
+            names += [f"{owner}.{key}" for key in valve.LAWS[law].states]
     frictions = tuple(_friction(c) for c in rig.cylinder)
     for cylinder, law in zip(rig.cylinder, frictions, strict=True):
         names += [f"{cylinder.name}.{key}" for key in friction.LAWS[law].states]
@@ -116,19 +156,21 @@ def layout(rig: Rig) -> Layout:
         joints=rig.joint_names,
         cylinders=tuple(c.name for c in rig.cylinder),
         valves=valves,
-        edges=tuple(f"{c.name}.{v.edge_name(e)}" for c, v, e in rig.edges()),
-        elements=elements,
+        edges=tuple(rig.all_edges()),
+        elements=tuple(elements),
         frictions=frictions,
+        played=tuple(dict.fromkeys(f.channel for c in rig.cylinder for f in c.force if f.channel)),
         state_names=tuple(names),
         _at={name: at for at, name in enumerate(names)},
     )
 
 
-def _elements(item) -> tuple[int, ...]:
-    """Numbers of the laws of a valve's elements, from its command to its opening."""
-    return () if item.dynamics is None else (valve.BY_NAME["second_order"],)
+def _series(rig: Rig, item: Valve) -> list[tuple[str, int]]:
+    """(name, number of its law) of each of a valve's elements, from its command to its opening."""
+    kinds = ((one, type(rig.dynamics[one])) for one in item.series)
+    return [(one, valve.TABLES.index(kind)) for one, kind in kinds if kind in valve.TABLES]
 
 
 def _friction(item: Cylinder) -> int:
     """Number of a cylinder's law of friction."""
-    return 0
+    return 0 if item.friction is None else friction.TABLES.index(type(item.friction))

@@ -53,34 +53,48 @@ class Model:
         """
         return starts.posture(self.plant, self.layout, wanted)
 
-    def trim(self, q: np.ndarray, low_side: float | None = None) -> np.ndarray:
+    def trim(
+        self, q: np.ndarray, low_side: float | None = None, command: np.ndarray | None = None
+    ) -> np.ndarray:
         """The state at rest at joint coordinates ``q``: valves shut, supply at its set pressure,
         loads carried.
 
         The chamber that the load does not press on stands at ``low_side`` [Pa], by default a tenth
-        of the supply pressure.
+        of the supply pressure. Forces that are played are those of a row of commands, by default
+        none.
 
         Raises:
             SimulationError: a cylinder has no lever there, so no pressure holds the load.
         """
-        return starts.trim(self.plant, self.layout, self.rig, q, low_side)
+        return starts.trim(self.plant, self.layout, self.rig, q, low_side, command)
 
     def rest_commands(self, samples: int) -> np.ndarray:
-        """A table of commands [V], shape (samples, valves), that leaves every valve at rest."""
-        return np.tile([valve.rest for _, valve in self.rig.valves()], (samples, 1))
+        """A table of commands [V], shape (samples, valves + played), that leaves every valve at
+        rest, and the forces that are played [N] at zero.
+        """
+        rest = [valve.rest for _, valve in self.rig.valves()]
+        return np.tile([*rest, *(0.0 for _ in self.layout.played)], (samples, 1))
 
     def commands_of(self, record: Record) -> np.ndarray:
-        """A recording's commands [V], shape (samples, valves); valves that it lacks stay at rest."""
+        """A recording's commands [V] and forces to play [N], shape (samples, valves + played);
+        valves that it lacks stay at rest.
+
+        Raises:
+            LogError: it lacks a force.
+        """
         table = self.rest_commands(record.t.size)
         for index, valve in enumerate(self.layout.valves):
             if f"{valve}.command" in record:
                 table[:, index] = record[f"{valve}.command"]
+        for index, channel in enumerate(self.layout.played, len(self.layout.valves)):
+            table[:, index] = record[channel]
         return table
 
     def rest_samples(self, commands: np.ndarray) -> int:
-        """How many samples pass before a command [V], shape (samples, valves), changes by more than
-        noise; at least one.
+        """How many samples pass before a valve's command [V], shape (samples, valves or more),
+        changes by more than noise; at least one.
         """
+        commands = commands[:, : len(self.layout.valves)]
         span = MOVED * (self.plant.valves.highest - self.plant.valves.lowest)
         moved = np.flatnonzero(np.any(np.abs(commands - commands[0]) > span, axis=1))
         return max(1, int(moved[0]) if moved.size else commands.shape[0])
@@ -137,7 +151,8 @@ class Model:
             angle = first(f"{joint}.q")
             if joint not in wanted and angle is not None:
                 wanted[joint] = angle
-        y = self.trim(self.posture(wanted))
+        command = self.commands_of(record)[:rest].mean(axis=0) if names.played else None
+        y = self.trim(self.posture(wanted), None, command)
         for index, name in enumerate(names.cylinders):
             head, rod = names.state("p_head", index), names.state("p_rod", index)
             seen = [first(f"{name}.p_{side}") for side in SIDES]
@@ -205,11 +220,17 @@ class Model:
             channels[f"{name}.x"], channels[f"{name}.v"] = x, lever * log[:, n + joint]
             for key in (f"p_{side}" for side in SIDES):
                 channels[f"{name}.{key}"] = log[:, names.state(key, index)]
+        for index, key in names.friction_states:
+            channels[f"{names.cylinders[index]}.{key}"] = log[:, names.state(key, index)]
         for index, valve in enumerate(names.valves):
             channels[f"{valve}.command"] = commands[:, index]
+        for index, channel in enumerate(names.played, len(names.valves)):
+            channels[channel] = commands[:, index]
         for index, valve in enumerate(names.valves):
             output = plant.valves[index].output
             channels[f"{valve}.opening"] = commands[:, index] if output < 0 else log[:, output]
+        for channel, at in names.inner_states:
+            channels[channel] = log[:, at]
         for index, edge in enumerate(names.edges):
             channels[f"{edge}.flow"] = log[:, names.states + index]
         channels["p_supply"] = log[:, plant.at.supply]
@@ -233,13 +254,14 @@ def simulate(
 
     Example:
         rig = ehbench.load_rig("recipes/rigs/slide_servo.toml")
-        record = ehbench.simulate(rig, {"press.servo": 2.0}, duration=0.5, posture={"press": "50 mm"})
+        start = {"press": "50 mm"}
+        record = ehbench.simulate(rig, {"press.servo": 2.0}, duration=0.5, posture=start)
         record.frame()["press.x"].iloc[-1]
 
     Args:
         rig: the machine.
         commands: [V] by ``<cylinder>.<valve>``: a number, or an array of one value a sample; others
-            stay at rest.
+            stay at rest. Forces that are played [N] likewise by their channel.
         duration: [s].
         posture: where the joints start, as in `Model.posture`.
         payload: a payload of the rig file.
@@ -259,16 +281,17 @@ def simulate(
     samples = round(duration * rate) + 1
     t = np.arange(samples) / rate
     table = model.rest_commands(samples)
+    columns = (*model.layout.valves, *model.layout.played)
     for name, values in commands.items():
-        if name not in model.layout.valves:
+        if name not in columns:
             raise InputError(
-                f"rig '{rig.name}' has no valve '{name}'",
-                hint="it has " + ", ".join(model.layout.valves),
+                f"rig '{rig.name}' has no valve '{name}'", hint="it has " + ", ".join(columns)
             )
         if np.ndim(values) and np.shape(values) != (samples,):
             raise InputError(
-                f"the command of '{name}' has {np.shape(values)[0]} values, the trial {samples} samples"
+                f"the command of '{name}' has {np.shape(values)[0]} values, the trial {samples} "
+                "samples"
             )
-        table[:, model.layout.valves.index(name)] = values
-    log = model.run(model.trim(model.posture(posture)), table, 1.0 / rate, step)
+        table[:, columns.index(name)] = values
+    log = model.run(model.trim(model.posture(posture), None, table[0]), table, 1.0 / rate, step)
     return model.record(t, table, log, {"rig": rig.name, "payload": payload or "none"})

@@ -9,6 +9,9 @@ import numpy as np
 
 from ehbench.errors import InputError, SimulationError
 from ehbench.parts.cylinder import joint_of, joint_range_of, linkage_of
+from ehbench.parts.edge import CHECK
+from ehbench.parts.load import force_on
+from ehbench.parts.nodes import SUPPLY
 from ehbench.parts.valve import valve_settle
 from ehbench.physics.arm import SLIDE, gravity_torque, work_size
 from ehbench.plant.build import Plant
@@ -82,13 +85,19 @@ def _must_lie_on_the_stroke(plant: Plant, index: int, name: str, number: float) 
 
 
 def trim(
-    plant: Plant, names: Layout, rig: Rig, q: np.ndarray, low_side: float | None = None
+    plant: Plant,
+    names: Layout,
+    rig: Rig,
+    q: np.ndarray,
+    low_side: float | None = None,
+    command: np.ndarray | None = None,
 ) -> np.ndarray:
     """The state at rest at joint coordinates ``q``: valves shut, supply at its set pressure, loads
     carried.
 
     The chamber that the load does not press on stands at ``low_side`` [Pa], by default a tenth of
-    the supply pressure.
+    the supply pressure; at the supply pressure where a check valve feeds the cylinder from there.
+    Forces that are played are those of ``command``, by default none.
 
     Raises:
         SimulationError: a cylinder has no lever there, so no pressure holds the load.
@@ -98,15 +107,18 @@ def trim(
     y[:n] = q
     torque = np.empty(n)
     gravity_torque(plant.kind, plant.links, plant.gravity, q, torque, np.empty(work_size(n)))
-    low = LOW_SIDE * plant.supply.pressure if low_side is None else low_side
+    played = np.zeros(len(names.valves) + len(names.played)) if command is None else command
     for index, row in enumerate(plant.cylinders):
-        _, lever, _ = linkage_of(row, q[row.joint])
+        low = _low_side(plant, row) if low_side is None else low_side
+        x, lever, _ = linkage_of(row, q[row.joint])
         if abs(lever) < 1e-6:
             raise SimulationError(
                 f"cylinder '{names.cylinders[index]}' has no lever at this posture, so nothing "
                 "holds the load"
             )
         force = torque[row.joint] / lever
+        if plant.forces.shape[0]:
+            force -= force_on(index, x, 0.0, played, plant)
         head, rod = low, low
         if force + low * row.area_rod >= low * row.area_head:
             head = (force + low * row.area_rod) / row.area_head
@@ -117,6 +129,13 @@ def trim(
         valve_settle(valve, item.rest, plant, y)
     y[plant.at.supply] = plant.supply.pressure
     return y
+
+
+def _low_side(plant: Plant, row: np.record) -> float:
+    """Pressure [Pa] of a cylinder's chamber that carries nothing."""
+    fed = (plant.edges.law == CHECK) & (plant.edges.from_node == SUPPLY)
+    fed &= np.isin(plant.edges.to_node, (row.node_head, row.node_rod))
+    return plant.supply.pressure * (1.0 if fed.any() else LOW_SIDE)
 
 
 def carry(row: np.record, held: tuple[float, float], seen: list[float | None]) -> tuple[float, ...]:

@@ -6,7 +6,7 @@ import re
 import tomllib
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -137,16 +137,15 @@ def _explained(
 ) -> tuple[str, tuple[Any, ...], str | None]:
     """(message, location, hint) of one of pydantic's errors."""
     reason = first.get("ctx", {}).get("error")
-    location = tuple(
-        part for part in first["loc"] if part not in ("chain", "slide", "[key]")
-    ) + getattr(reason, "where", ())
+    location = _untagged(model, first["loc"]) + getattr(reason, "where", ())
     kind, hint, given = first["type"], None, first["input"]
     expected = first.get("ctx", {}).get("expected", "")
     if kind.startswith("union_tag"):
-        given = given.get("kind") if isinstance(given, dict) else given
-        location = (*location, "kind")
+        word = first["ctx"]["discriminator"].strip("'")
+        given = given.get(word) if isinstance(given, dict) else given
+        location = (*location, word)
         kind = "missing" if kind == "union_tag_not_found" else "literal_error"
-        expected = first["ctx"].get("expected_tags", "'chain', 'slide'")
+        expected = first["ctx"].get("expected_tags", "")
     place, key = _spoken(table, location)
     if kind == "extra_forbidden":
         message, hint = f"unknown key '{key}'", _valid_hint(model, table, location, first["loc"])
@@ -165,6 +164,54 @@ def _explained(
     else:
         message = f"{key} = {shortened(given, 60)}: {first['msg'][0].lower() + first['msg'][1:]}"
     return ": ".join(part for part in (place, message) if part), location, hint
+
+
+def _untagged(model: Any, location: tuple[Any, ...]) -> tuple[Any, ...]:
+    """A location as the file has it: without the names by which pydantic tells the kinds of a
+    table apart, which stand behind the table's own.
+    """
+    kept: list[Any] = []
+    here, keys = [model], 0
+    for part in location:
+        chosen = [kind for kind in here if len(here) > 1 and part in _tags(kind)]
+        if part == "[key]":
+            continue
+        if isinstance(part, int) or keys:
+            keys -= not isinstance(part, int)
+        elif chosen:
+            here = chosen
+            continue
+        else:
+            fields = [_field(kind, part) for kind in here]
+            found = next((field.annotation for field in fields if field is not None), None)
+            here, keys = _models(found), _keyed(found)
+        kept.append(part)
+    return tuple(kept)
+
+
+def _field(model: Any, key: Any) -> Any:
+    """The field of a model that a file calls by ``key``."""
+    fields = getattr(model, "model_fields", {}).items()
+    return next((field for name, field in fields if key in (name, field.alias)), None)
+
+
+def _tags(model: Any) -> tuple[Any, ...]:
+    """What the ``kind`` or ``law`` of a table says where it is of this model."""
+    words = (model.model_fields.get(word) for word in ("kind", "law"))
+    return tuple(tag for field in words if field for tag in get_args(field.annotation))
+
+
+def _models(annotation: Any) -> list[Any]:
+    """The models that an annotation holds."""
+    if isinstance(annotation, type) and issubclass(annotation, FileModel):
+        return [annotation]
+    return [found for part in get_args(annotation) for found in _models(part)]
+
+
+def _keyed(annotation: Any) -> int:
+    """How many names stand between an annotation's key and its tables."""
+    inner = [_keyed(part) for part in get_args(annotation)]
+    return (get_origin(annotation) is dict) + max(inner, default=0)
 
 
 def _valid_hint(
@@ -209,21 +256,15 @@ def _header(location: tuple[Any, ...]) -> str:
 
 def _valid_keys(model: Any, location: tuple[Any, ...]) -> list[str]:
     """Keys that the model at ``location`` takes, as the file spells them."""
-
-    def models(annotation: Any) -> list[Any]:
-        if isinstance(annotation, type) and issubclass(annotation, FileModel):
-            return [annotation]
-        return [found for part in get_args(annotation) for found in models(part)]
-
     here = [model]
     for part in location:
-        if isinstance(part, int) or part in ("chain", "slide"):
+        if isinstance(part, int):
             continue
         deeper = []
         for candidate in here:
             for name, field in candidate.model_fields.items():
                 if part in (name, field.alias):
-                    deeper += models(field.annotation)
+                    deeper += _models(field.annotation)
         here = deeper or here
     return sorted(
         {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -121,7 +121,10 @@ class Motion(FileModel):
         return self
 
 
-LawName = Literal[LAW_NAMES]  # pyright: ignore[reportInvalidTypeForm]
+if TYPE_CHECKING:
+    LawName = str
+else:
+    LawName = Literal[LAW_NAMES]
 
 
 class Controller(FileModel):
@@ -142,9 +145,25 @@ class Controller(FileModel):
     where: tuple[str | int, ...] = Field(default=("controller",), exclude=True)
 
     @property
+    def class_name(self) -> str:
+        """Name of the user's class; empty for a built-in law."""
+        return (self.code or "").partition(":")[2]
+
+    @property
     def label(self) -> str:
         """Its name, else its kind or class."""
-        return self.name or self.kind or (self.code or "").partition(":")[2]
+        return self.name or self.kind or self.class_name
+
+    @property
+    def gains_from(self) -> str | None:
+        """The tune recipe, run folder or file that gains come from, as written."""
+        return self.gains if isinstance(self.gains, str) else self.gains.get("from")
+
+    @property
+    def own_gains(self) -> dict[str, Any]:
+        """The gains that stand in the recipe itself, by name, as written."""
+        table = {} if isinstance(self.gains, str) else self.gains
+        return {name: raw for name, raw in table.items() if name != "from"}
 
     @model_validator(mode="after")
     def _one_law(self) -> Controller:

@@ -48,7 +48,7 @@ class TrialSetRecipe(AnyTrial):
     def cases(self) -> tuple[tuple[str, SetController, TrialRecipe], ...]:
         """(name, controller, recipe) of each trial, payloads outermost, controllers innermost."""
         shared = {name: getattr(self, name) for name in AnyTrial.model_fields if name != "path"}
-        made = []
+        cases = []
         for payload in self.payloads:
             for m, motion in enumerate(self.motion):
                 for c, law in enumerate(self.controller):
@@ -72,5 +72,5 @@ class TrialSetRecipe(AnyTrial):
                         controller=law.model_copy(update={"where": ("controller", c)}),
                         motion=motion.model_copy(update={"where": ("motion", m)}),
                     )
-                    made.append((name, law, case.model_copy(update={"title": name})))
-        return tuple(made)
+                    cases.append((name, law, case.model_copy(update={"title": name})))
+        return tuple(cases)

@@ -55,15 +55,15 @@ class Outcome:
         import pandas as pd
 
         rows = {
-            one["name"]: {
-                "value": one["value"],
-                "std": one["std"],
-                "low": one["interval"] and one["interval"][0],
-                "high": one["interval"] and one["interval"][1],
-                "unit": one["unit"],
-                "status": one["status"],
+            row["name"]: {
+                "value": row["value"],
+                "std": row["std"],
+                "low": row["interval"] and row["interval"][0],
+                "high": row["interval"] and row["interval"][1],
+                "unit": row["unit"],
+                "status": row["status"],
             }
-            for one in self.json("parameters")["parameters"]
+            for row in self.json("parameters")["parameters"]
         }
         return pd.DataFrame.from_dict(rows, orient="index")
 
@@ -90,12 +90,12 @@ class Outcome:
         if not (self.folder / "parameters.json").is_file():
             return head
         rig, rows = self.rig, []
-        for one in self.json("parameters")["parameters"]:
-            name = one["name"]
+        for row in self.json("parameters")["parameters"]:
+            name = row["name"]
             unit = rig.unit_of(name)
-            value, error = (shown(one[key], name, unit) for key in ("value", "std"))
-            interval = " … ".join(shown(end, name, unit) for end in one["interval"] or ())
-            rows.append((name, value, error, interval, label(unit), one["status"]))
+            value, error = (shown(row[key], name, unit) for key in ("value", "std"))
+            interval = " … ".join(shown(end, name, unit) for end in row["interval"] or ())
+            rows.append((name, value, error, interval, label(unit), row["status"]))
         header = ("parameter", "value", "standard error", "95 % interval", "unit", "status")
         return head + table(header, rows)
 
@@ -140,7 +140,7 @@ class Host(Protocol):
         """A progress callback labelled with the recipe at work."""
         ...
 
-    def made(self, path: Path) -> Outcome:
+    def outcome_of(self, path: Path) -> Outcome:
         """The outcome of a recipe, run only if it has not been run with these very inputs."""
         ...
 
@@ -158,7 +158,7 @@ class Checked(ABC, Generic[R]):
     def prepare(self, recipe: R, inputs: Inputs) -> Prepared:
         """Take in what the recipe names and refuse what does not fit, without running anything.
 
-        A run and ``ehbench check`` both call it; what is to be said goes into ``inputs.found``.
+        A run and ``ehbench check`` both call it; what is to be said goes into ``inputs.findings``.
 
         Raises:
             EhbenchError: what the run would refuse before it begins.
@@ -197,16 +197,16 @@ class Stage(Checked[R], Generic[R, P]):
             facts = rundir.read_json(final / "run.json")
             return Outcome(final, facts["code"], tuple(facts["notes"]))
         tell = host.tell(recipe.name)
-        with rundir.open_run(final, recipe.stage_name, recipe.path, inputs, prepared.seeds) as made:
-            work = self.work(prepared, made.path, tell)
+        with rundir.open_run(final, recipe.stage_name, recipe.path, inputs, prepared.seeds) as run:
+            work = self.work(prepared, run.path, tell)
             notes = [*work.facts["warnings"], *work.reasons]
             about = {"what": self.name, "title": recipe.title}
-            made.facts |= about | {**work.facts, "code": work.code, "notes": notes}
+            run.facts |= about | {**work.facts, "code": work.code, "notes": notes}
             if tell is not None:
                 tell("drawing figures", 0.95)
-            made.save()
-            draw(made.path)
-        return Outcome(final, work.code, (*notes, *made.found))
+            run.save()
+            draw(run.path)
+        return Outcome(final, work.code, (*notes, *run.left_over))
 
 
 def write_rig(folder: Path, rig: Rig, maps: FlowMaps | None) -> None:

@@ -20,7 +20,7 @@ class BenchFile(Checked[BenchRecipe]):
         rig = load_rig(inputs.existing(recipe.rig))
         own = {"on": "bench", "bench": recipe.path.name, "rig": recipe.rig, "path": recipe.path}
         trial.prepare(TrialRecipe(stage="trial", duration=Value(1.0), **own), rig)
-        inputs.found.say("reads", f"{recipe.rig} (rig '{rig.name}')")
+        inputs.findings.say("reads", f"{recipe.rig} (rig '{rig.name}')")
         return Prepared(recipe, None, 'is a virtual bench for trials with on = "bench"')
 
 
@@ -32,8 +32,8 @@ class Dataset(Checked[DatasetRecipe]):
     def prepare(self, recipe: DatasetRecipe, inputs: Inputs) -> Prepared:
         behind = inputs.runs.findings(inputs.existing(recipe.bench))
         for error in behind.errors if behind is not None else ():
-            inputs.found.mistake(error)
-        inputs.found.say("reads", f"{recipe.bench} (virtual bench)")
+            inputs.findings.mistake(error)
+        inputs.findings.say("reads", f"{recipe.bench} (virtual bench)")
         does = f"is recorded on the virtual bench: {counted(recipe.log, 'log')}"
         if recipe.flowmeter:
             does += f", flowmeter readings of {counted(recipe.flowmeter.edges, 'edge')}"

@@ -35,10 +35,10 @@ class CampaignStage(Stage[Campaign, PreparedCampaign]):
     def prepare(self, recipe: Campaign, inputs: Inputs) -> PreparedCampaign:
         from ehbench.stages import stage_of
 
-        found, files = inputs.found, []
-        told: dict[str, dict[str, list[str]]] = {"notes": {}, "open": {}}
+        findings, files = inputs.findings, []
+        texts_of: dict[str, dict[str, list[str]]] = {"notes": {}, "open": {}}
         for index, name in enumerate(recipe.recipes):
-            with found.noting():
+            with findings.noting():
                 files.append(inputs.existing(name))
                 behind = load_recipe(files[-1])
                 if not isinstance(stage_of(behind), Stage):
@@ -46,31 +46,31 @@ class CampaignStage(Stage[Campaign, PreparedCampaign]):
                         f"'{name}' is of stage '{behind.stage_name}', which no campaign runs",
                         **recipe.at("recipes", index),
                     )
-                self._gather(name, files[-1], inputs, told)
-        for kind, texts in told.items():
-            found.say(kind, *(f"{', '.join(names)}: {text}" for text, names in texts.items()))
+                self._gather(name, files[-1], inputs, texts_of)
+        for kind, texts in texts_of.items():
+            findings.say(kind, *(f"{', '.join(names)}: {text}" for text, names in texts.items()))
         if recipe.figures:
-            found.say("open", "the names under [figures]: the runs make them")
+            findings.say("open", "the names under [figures]: the runs make them")
         does = f"runs {counted(recipe.recipes, 'recipe')} in order; those that stand are kept"
         return PreparedCampaign(recipe, None, does, tuple(files))
 
     @staticmethod
     def _gather(
-        name: str, path: Path, inputs: Inputs, told: dict[str, dict[str, list[str]]]
+        name: str, path: Path, inputs: Inputs, texts_of: dict[str, dict[str, list[str]]]
     ) -> None:
         """What a check finds of one recipe; notes that several have are told once, with their
         names.
         """
-        found, behind = inputs.found, inputs.runs.findings(path)
+        findings, behind = inputs.findings, inputs.runs.findings(path)
         if behind is None:
             return
-        found.reads.append(f"{name}: {behind.does}" + f", {STANDS}" * behind.stands)
-        for kind, texts in told.items():
+        findings.reads.append(f"{name}: {behind.does}" + f", {STANDS}" * behind.stands)
+        for kind, texts in texts_of.items():
             for text in getattr(behind, kind):
                 texts.setdefault(text, []).append(name)
-        found.say("losses", *behind.losses)
+        findings.say("losses", *behind.losses)
         for error in behind.errors:
-            found.mistake(error)
+            findings.mistake(error)
 
     def work(self, prepared: PreparedCampaign, folder: Path, progress: Progress | None) -> Work:
         raise NotImplementedError("a campaign's work is that of its recipes")
@@ -80,10 +80,10 @@ class CampaignStage(Stage[Campaign, PreparedCampaign]):
         for index, (name, path) in enumerate(zip(recipe.recipes, prepared.files, strict=True)):
             if tell is not None:
                 tell(name, index / len(recipe.recipes))
-            outcomes.append(host.made(path))
+            outcomes.append(host.outcome_of(path))
         page = write_report([outcome.folder for outcome in outcomes], host, recipe)
-        notes = (f"{one.folder.name}: {note}" for one in outcomes for note in one.notes)
-        return Outcome(page.folder, max(one.code for one in outcomes), tuple(notes))
+        notes = (f"{run.folder.name}: {note}" for run in outcomes for note in run.notes)
+        return Outcome(page.folder, max(run.code for run in outcomes), tuple(notes))
 
 
 def write_report(folders: Sequence[Path], host: Host, campaign: Campaign | None = None) -> Outcome:
@@ -108,7 +108,7 @@ def write_report(folders: Sequence[Path], host: Host, campaign: Campaign | None 
     tell = host.tell(campaign.name if campaign else "")
     if tell is not None:
         tell("writing the report", 0.5)
-    with rundir.open_run(final, "report", source, inputs) as made:
+    with rundir.open_run(final, "report", source, inputs) as run:
         page = build(folders, campaign)
-        (made.path / "report.html").write_text(page, encoding="utf-8")
-    return Outcome(made.final, DONE, made.found)
+        (run.path / "report.html").write_text(page, encoding="utf-8")
+    return Outcome(run.final, DONE, run.left_over)

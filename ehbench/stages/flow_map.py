@@ -38,19 +38,19 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         from ehbench.identification.readings import prepare_readings
         from ehbench.readers import read_flowmeter
 
-        found = inputs.found
+        findings = inputs.findings
         state = inputs.rig_state(recipe.rig)
         supply = float(state.rig.supply.pressure)
         parts, files = [], []
         for name in recipe.data:
-            with found.noting():
+            with findings.noting():
                 files.append(inputs.existing(name))
                 part = read_flowmeter(files[-1], supply_pressure=supply)
                 parts.append(part)
                 groups = ", ".join(" ".join(group) for group in part.groups())
-                found.say("reads", f"{name} ({len(part)} readings of {groups})")
-                found.notes += [str(text) for text in part.warnings]
-        found.say("open", "whether the readings carry a map")
+                findings.say("reads", f"{name} ({len(part)} readings of {groups})")
+                findings.notes += [str(text) for text in part.warnings]
+        findings.say("open", "whether the readings carry a map")
         count = len({group for part in parts for group in part.groups()})
         return PreparedMaps(
             recipe,

@@ -66,7 +66,7 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
         does = f"fits {', '.join(recipe.parameters)} to {counted(recipe.data, 'log')} by {way}"
         if recipe.compare_dynamics:
             does += f", with each of the dynamics {', '.join(recipe.compare_dynamics)}"
-        inputs.found.say("open", "whether the logs carry these parameters")
+        inputs.findings.say("open", "whether the logs carry these parameters")
         return PreparedHydraulics(
             recipe, (*state.inputs, *logs.inputs), does, state, logs, fit, variants
         )

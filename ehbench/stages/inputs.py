@@ -70,8 +70,8 @@ class Logs(NamedTuple):
 class Runs(Protocol):
     """Where the runs of recipes come from that another recipe names."""
 
-    def folder(self, path: Path, found: Findings) -> Path | None:
-        """The run folder of a recipe; None where a check finds none and notes it in ``found``."""
+    def folder(self, path: Path, findings: Findings) -> Path | None:
+        """The run folder of a recipe; None where a check finds none and says so in ``findings``."""
         ...
 
     def findings(self, path: Path) -> Findings | None:
@@ -86,7 +86,7 @@ class Inputs:
     """
 
     recipe: Recipe
-    found: Findings
+    findings: Findings
     runs: Runs
     allow_code: bool = False
     unvalidated: bool = False
@@ -114,7 +114,7 @@ class Inputs:
         file that is no recipe stays as it is.
         """
         if path.is_file() and path.suffix == ".toml":
-            return self.runs.folder(path, self.found)
+            return self.runs.folder(path, self.findings)
         return path
 
     def rig_state(self, rig: str, flow_maps: str | None = None) -> RigState:
@@ -135,16 +135,16 @@ class Inputs:
                 )
         kind = ValidatedRig if promised or stage == "validated" else RigState
         state = kind(load_rig(path), maps, stage, tuple(inputs), path)
-        said = [f"{self.found.shown(path)} (rig '{state.rig.name}', {stage})"]
+        sources = [f"{self.findings.shown(path)} (rig '{state.rig.name}', {stage})"]
         if maps_path is not None:
-            said.append(f"{self.found.shown(maps_path)} (flow maps)")
-        self.found.say("reads", *said)
-        return self._with_stand_ins(state) if self.found.collects else state
+            sources.append(f"{self.findings.shown(maps_path)} (flow maps)")
+        self.findings.say("reads", *sources)
+        return self._with_stand_ins(state) if self.findings.collects else state
 
     def _with_stand_ins(self, state: RigState) -> RigState:
         rig, blind = with_laws(state.rig, state.flow_maps)
         if blind:
-            self.found.say(
+            self.findings.say(
                 "open", f"what hangs on the flow maps of {', '.join(blind)}: none is given"
             )
         return replace(state, rig=rig, blind=blind)
@@ -155,7 +155,7 @@ class Inputs:
         """
         path, promised = self.existing(rig), False
         if path.is_file() and kind_of(path) == "recipe":
-            folder = self.runs.folder(path, self.found)
+            folder = self.runs.folder(path, self.findings)
             if folder is None:
                 promised = isinstance(load_recipe(path), ValidateRecipe)
                 path, inherited = self._root(rig, path)
@@ -167,9 +167,9 @@ class Inputs:
         source = self.existing(flow_maps)
         maps = self.run_folder(source)
         if maps is None:
-            self.found.say(
+            self.findings.say(
                 "open",
-                f"what hangs on the flow maps: '{self.found.shown(source)}' has not been run",
+                f"what hangs on the flow maps: '{self.findings.shown(source)}' has not been run",
             )
         return path, maps, promised
 
@@ -183,13 +183,13 @@ class Inputs:
                 **self.recipe.at("rig"),
                 hint="name a rig file, or a recipe that has one",
             )
-        inner = replace(self, recipe=behind, found=Findings(behind, collects=True))
+        inner = replace(self, recipe=behind, findings=Findings(behind, collects=True))
         root, maps_path, _ = inner._rig_source(name, maps)
-        self.found.say("open", *inner.found.open)
+        self.findings.say("open", *inner.findings.open)
         if isinstance(behind, FlowMapRecipe):
-            self.found.say("open", f"what hangs on the flow maps: '{rig}' has not been run")
-        self.found.say(
-            "notes", f"'{rig}' has not been run: checked against {self.found.shown(root)}"
+            self.findings.say("open", f"what hangs on the flow maps: '{rig}' has not been run")
+        self.findings.say(
+            "notes", f"'{rig}' has not been run: checked against {self.findings.shown(root)}"
         )
         return root, None if maps_path is None else str(maps_path)
 
@@ -201,14 +201,14 @@ class Inputs:
         """
         import numpy as np
 
-        from ehbench.preprocessing import distinct_names
         from ehbench.logs import read_record
+        from ehbench.preprocessing import distinct_names
 
         items, places = [], []
         for item in data:
             place = self.run_folder(self.existing(item.path))
             if place is None:
-                self.found.say("open", f"the log of '{item.path}': it has not been run")
+                self.findings.say("open", f"the log of '{item.path}': it has not been run")
             else:
                 items.append(item)
                 places.append(place)
@@ -221,8 +221,8 @@ class Inputs:
             records.append((name, record))
             inputs.append(("log", path))
             load = record.meta.get("payload") or "not said"
-            self.found.say("reads", f"{item.path} ({np.ptp(record.t):.4g} s, payload {load})")
-        self.found.say("losses", *(f"lost: {loss}" for loss in losses))
+            self.findings.say("reads", f"{item.path} ({np.ptp(record.t):.4g} s, payload {load})")
+        self.findings.say("losses", *(f"lost: {loss}" for loss in losses))
         return Logs(records, tuple(inputs), losses)
 
 

@@ -29,7 +29,7 @@ class Look:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        self._found: dict[Path, Findings] = {}
+        self._findings: dict[Path, Findings] = {}
         self._standing: dict[Path, Path] = {}
         self._walk: list[Path] = []
 
@@ -42,28 +42,28 @@ class Look:
         path = recipe.path
         if path in self._walk:
             raise Circle.of(self._walk, path)
-        if path in self._found:
-            return self._found[path]
-        found = self._found[path] = Findings(recipe, collects=True)
+        if path in self._findings:
+            return self._findings[path]
+        findings = self._findings[path] = Findings(recipe, collects=True)
         stage, prepared = stage_of(recipe), None
         self._walk.append(path)
-        with found.noting():
-            prepared = stage.prepare(recipe, Inputs(recipe, found, self, allow_code=True))
-            found.does = prepared.does
+        with findings.noting():
+            prepared = stage.prepare(recipe, Inputs(recipe, findings, self, allow_code=True))
+            findings.does = prepared.does
         self._walk.pop()
         if isinstance(stage, Stage):
-            found.writes = f"{self._place(found, prepared)}: {stage.writes}"
-        return found
+            findings.writes = f"{self._place(findings, prepared)}: {stage.writes}"
+        return findings
 
-    def _place(self, found: Findings, prepared: Prepared | None) -> str:
+    def _place(self, findings: Findings, prepared: Prepared | None) -> str:
         """The run folder of a recipe, as far as its name is known."""
-        open_yet = found.first or found.errors or found.refused
+        open_yet = findings.first or findings.errors or findings.refused
         if prepared is None or prepared.inputs is None or open_yet:
-            return f"{self.root / found.recipe.name}_<hash>"
-        folder = rundir.place(found.recipe.path, prepared.inputs, self.root)
+            return f"{self.root / findings.recipe.name}_<hash>"
+        folder = rundir.place(findings.recipe.path, prepared.inputs, self.root)
         if rundir.is_whole(folder):
-            found.stands = True
-            self._standing[found.recipe.path] = folder
+            findings.stands = True
+            self._standing[findings.recipe.path] = folder
             return f"{folder}, {STANDS}"
         return str(folder)
 
@@ -71,9 +71,9 @@ class Look:
         """`Runs.findings`: what is to be said of a recipe file."""
         return self.at(load_recipe(path))
 
-    def folder(self, path: Path, found: Findings) -> Path | None:
-        """`Runs.folder`: the run of a recipe that ``found.recipe`` names; without one, that and its
-        mistakes are noted.
+    def folder(self, path: Path, findings: Findings) -> Path | None:
+        """`Runs.folder`: the run of a recipe that ``findings.recipe`` names; without one, that and
+        its mistakes are noted.
         """
         behind = self.findings(path)
         if path in self._standing:
@@ -81,10 +81,12 @@ class Look:
         for error in behind.errors:
             if isinstance(error, Circle):
                 raise error
-            found.mistake(error)
-        found.say("losses", *behind.losses)
-        shown = found.shown(path)
-        found.say("first", *(found.shown(behind.recipe.file(name)) for name in behind.first), shown)
+            findings.mistake(error)
+        findings.say("losses", *behind.losses)
+        shown = findings.shown(path)
+        findings.say(
+            "first", *(findings.shown(behind.recipe.file(name)) for name in behind.first), shown
+        )
         if behind.refused:
-            found.say("notes", f"'{shown}' is refused as it stands: {behind.refused}")
+            findings.say("notes", f"'{shown}' is refused as it stands: {behind.refused}")
         return None

@@ -83,10 +83,10 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
         if recipe.frequency_max is not None:
             choice = choice._replace(frequency=float(recipe.frequency_max))
         signals = None
-        with inputs.found.noting():
+        with inputs.findings.noting():
             if logs.records:
                 signals = prepare_signals(logs.records, (recipe.input, recipe.output), choice)
-        inputs.found.say("open", "which frequencies are coherent")
+        inputs.findings.say("open", "which frequencies are coherent")
         does = f"estimates {recipe.output} over {recipe.input} from {counted(recipe.data, 'log')}"
         return PreparedResponse(recipe, (*state.inputs, *logs.inputs), does, state, logs, signals)
 

@@ -98,7 +98,7 @@ def prepared_case(
     case = Case(name, recipe, state.rig, state.flow_maps, gains)
     timed = time_is_known(recipe, state)
     if not timed:
-        inputs.found.say(
+        inputs.findings.say(
             "open",
             "whether the motion stays in the stroke: its speeds are shares of what the flow maps "
             "allow",
@@ -120,14 +120,14 @@ def _say_unknown(recipe: TrialRecipe, prepared: Ready, inputs: Inputs) -> None:
     """What only the run can tell of a trial."""
     from ehbench.machines.protocol import truth_of
 
-    found = inputs.found
+    findings = inputs.findings
     if truth_of(prepared.machine) is None and recipe.limits != type(recipe.limits)():
-        found.say(
+        findings.say(
             "open", "whether a limit is reached at the start: the virtual bench settles first"
         )
     if recipe.controller is not None and (code := recipe.controller.code) is not None:
-        found.say("notes", f"'{code}' is Python code: it runs only with --allow-code")
-        found.say("open", f"what '{code}' does: code is not run here")
+        findings.say("notes", f"'{code}' is Python code: it runs only with --allow-code")
+        findings.say("open", f"what '{code}' does: code is not run here")
 
 
 def _behind(
@@ -144,11 +144,11 @@ def _behind(
     for role, name in named:
         if name:
             files.append((role, inputs.existing(name)))
-            inputs.found.say("reads", name)
+            inputs.findings.say("reads", name)
     gains, code = _gains(recipe, rig, inputs), trial.code_file(recipe)
     if code is not None:
         files.append(("code", code))
-        inputs.found.say("reads", inputs.found.shown(code))
+        inputs.findings.say("reads", inputs.findings.shown(code))
     if isinstance(gains, Path):
         files.append(("gains", gains))
     return tuple(files), gains
@@ -168,7 +168,7 @@ def _gains(recipe: TrialRecipe, rig: Rig, inputs: Inputs) -> Path | Mapping[str,
         return None
     place = inputs.existing(name)
     if not (place.is_file() and place.suffix == ".toml"):
-        inputs.found.say("reads", f"{name} (gains)")
+        inputs.findings.say("reads", f"{name} (gains)")
         return place
     behind = load_recipe(place)
     if not isinstance(behind, TuneRecipe):
@@ -179,9 +179,9 @@ def _gains(recipe: TrialRecipe, rig: Rig, inputs: Inputs) -> Path | Mapping[str,
         )
     folder = inputs.run_folder(place)
     if folder is not None:
-        inputs.found.say("reads", f"{folder} (gains)")
+        inputs.findings.say("reads", f"{folder} (gains)")
         return folder
-    inputs.found.say("open", f"what hangs on the gains: '{name}' has not been run")
+    inputs.findings.say("open", f"what hangs on the gains: '{name}' has not been run")
     given = {key: float(value) for key in _TUNED if (value := getattr(behind, key)) is not None}
     own = (motion.cylinder if motion is not None else None) or rig.cylinder[0].name
     wrong = inputs.runs.findings(place)

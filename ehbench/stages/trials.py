@@ -55,7 +55,7 @@ class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
         files = list(base.inputs)
         cases, trials, lengths = [], [], []
         for name, _, one in planned:
-            with inputs.found.noting():
+            with inputs.findings.noting():
                 key = (one.rig, one.flow_maps)
                 if key not in states:
                     other = inputs.rig_state(*key)

@@ -89,7 +89,7 @@ def _validated(recipe: TuneRecipe, inputs: Inputs) -> ValidatedRig:
             file=recipe.path,
             hint="name the recipe or run of its validation as rig, or add --unvalidated",
         )
-        inputs.found.refuse(
+        inputs.findings.refuse(
             refusal,
             "its rig is not validated",
             f"the rig is not validated ({state.stage}): tune refuses it without --unvalidated",

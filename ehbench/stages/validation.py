@@ -56,7 +56,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         from ehbench.observations import payload_of
         from ehbench.validation import PreparedValidation, models_of, taken_log
 
-        found = inputs.found
+        findings = inputs.findings
         state = inputs.rig_state(recipe.rig, recipe.flow_maps)
         logs = inputs.logs(recipe.data)
         used = _fitted_on(state.inputs)
@@ -70,12 +70,12 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         if logs.records:
             models = models_of(state.rig, logs.records, recipe.channels, state.flow_maps, recipe.at)
         for name, record in logs.records:
-            with found.noting():
+            with findings.noting():
                 log = taken_log(name, record, models[payload_of(record) or ""], name in seen)
                 taken.append(log)
-                found.notes += [f"{name}: {text}" for text in log.warnings]
+                findings.notes += [f"{name}: {text}" for text in log.warnings]
                 if log.failure is not None:
-                    found.mistake(log.failure)
+                    findings.mistake(log.failure)
         _say_fitted(recipe, inputs)
         asked = ", ".join(_asked(recipe, state.rig)) or "nothing is asked"
         does = f"judges the rig on {counted(recipe.data, 'log')}: {asked}"
@@ -146,8 +146,8 @@ def _say_fitted(recipe: ValidateRecipe, inputs: Inputs) -> None:
     for item in recipe.data:
         path = recipe.file(item.path)
         if path.is_file() and (by := fitted.get(rundir.sha256(path))):
-            who = inputs.found.shown(by)
-            inputs.found.say("notes", f"{item.path} does not count: {who} fits the rig to it")
+            who = inputs.findings.shown(by)
+            inputs.findings.say("notes", f"{item.path} does not count: {who} fits the rig to it")
 
 
 def _fit_logs(recipe: ValidateRecipe) -> Iterator[tuple[Path, Path]]:

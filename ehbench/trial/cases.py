@@ -94,18 +94,18 @@ def run_cases(
     def one(index: int) -> CaseResult:
         log = None if logs is None else logs / f"{names[index]}.mcap"
         case = cases[index]
-        made = prepared[index] if prepared else case.prepare(allow_code=allow_code)
-        return case.run(made, log)
+        ready = prepared[index] if prepared else case.prepare(allow_code=allow_code)
+        return case.run(ready, log)
 
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
         jobs = [pool.submit(one, index) for index in range(len(cases))]
 
-        def told(name: str) -> None:
+        def tell(name: str) -> None:
             if progress is not None:
                 progress(name, sum(job.done() for job in jobs) / len(jobs))
 
         for case, job in zip(cases, jobs, strict=True):
-            job.add_done_callback(lambda _, name=case.name: told(name))
+            job.add_done_callback(lambda _, name=case.name: tell(name))
         wait(jobs, return_when=FIRST_EXCEPTION)
         failed = [
             job

@@ -10,7 +10,7 @@ import numpy as np
 from ehbench.errors import InputError
 from ehbench.recipe import Command, TrialRecipe
 from ehbench.record import Record
-from ehbench.rig import Rig, Valve, Value
+from ehbench.rig import Rig, Value, Valve
 
 
 def _si(value: Value | None) -> float:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ehbench.control.axis import Mechanism, axis_of
-from ehbench.control.functions import RULE_NAMES, RULES, Circuit, circuit, pack_rules
+from ehbench.control.functions import ALL_RULES, RULE_NAMES, Circuit, circuit, pack_rules
 from ehbench.control.law import Controller, Law, Site
 from ehbench.control.records import numbers
 from ehbench.control.registry import LAWS
@@ -31,6 +31,7 @@ from ehbench.parts.valve import valve_lag
 from ehbench.plant.model import Model
 from ehbench.quantities import VOCABULARY, Quantity
 from ehbench.recipe import TrialRecipe
+from ehbench.recipe.trial import Controller as ChosenController
 from ehbench.rig import Rig, read_value
 from ehbench.rundir import read_json
 
@@ -117,26 +118,32 @@ def located(recipe: TrialRecipe, *keys: str | int) -> Iterator[None]:
         raise InputError(error.message, **recipe.at(*keys), hint=error.hint) from None
 
 
+def controller_of(recipe: TrialRecipe) -> ChosenController:
+    """The ``[controller]`` of a closed-loop trial's recipe."""
+    assert recipe.controller is not None  # nothing here is asked of open loop
+    return recipe.controller
+
+
 def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> Design:
     """The design model of a trial.
 
     Raises:
         InputError: no such cylinder or valve, or a posture outside the stroke.
     """
-    controller, motion = recipe.controller, recipe.motion
+    controller, motion = controller_of(recipe), recipe.motion
+    motion_at = motion.where if motion is not None else ()
     names = [c.name for c in rig.cylinder]
     name = motion.cylinder if motion is not None else None
     if name is None and len(names) > 1:
-        where = recipe.at(*(motion.where if motion is not None else ("controller",)))
         raise InputError(
             "which cylinder is controlled?",
-            **where,
+            **recipe.at(*(motion_at or ("controller",))),
             hint='write cylinder = "…" in [motion]: ' + ", ".join(names),
         )
     if name is not None and name not in names:
         raise InputError(
             f"rig '{rig.name}' has no cylinder '{name}'",
-            **recipe.at(*motion.where, "cylinder"),
+            **recipe.at(*motion_at, "cylinder"),
             hint="it has " + ", ".join(names),
         )
     index = names.index(name) if name is not None else 0
@@ -159,12 +166,12 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> Design:
     row = plant.cylinders[index]
     with located(recipe, *controller.where, "unused"):
         reach = np.column_stack([plant.valves.lowest, plant.valves.highest])
-        made = circuit(index, row.area_head, row.area_rod, edges, plant.maps, reach, measured)
+        own = circuit(index, row.area_head, row.area_rod, edges, plant.maps, reach, measured)
     with located(recipe, "posture"):
         model.posture(recipe.posture)
-    with located(recipe, *(motion.where if motion is not None else ()), "waypoints"):
+    with located(recipe, *motion_at, "waypoints"):
         q = model.posture(posture_of(recipe, names[index]))
-    return Design(rig, maps, model, names[index], index, q, made)
+    return Design(rig, maps, model, names[index], index, q, own)
 
 
 def posture_of(recipe: TrialRecipe, cylinder: str) -> dict[str, str]:
@@ -192,8 +199,7 @@ def refuse_code(recipe: TrialRecipe, allowed: bool) -> None:
 
 def gains_file(recipe: TrialRecipe) -> str | None:
     """The tune recipe, run folder or file that a recipe takes gains from, as written there."""
-    gains = recipe.controller.gains if recipe.controller is not None else {}
-    return gains if isinstance(gains, str) else gains.get("from")
+    return recipe.controller.gains_from if recipe.controller is not None else None
 
 
 def code_file(recipe: TrialRecipe) -> Path | None:
@@ -203,10 +209,9 @@ def code_file(recipe: TrialRecipe) -> Path | None:
     Raises:
         InputError: there is none.
     """
-    text = recipe.controller.code if recipe.controller is not None else None
-    if text is None:
+    if recipe.controller is None or recipe.controller.code is None:
         return None
-    where = recipe.at(*recipe.controller.where, "class")
+    text, where = recipe.controller.code, recipe.at(*recipe.controller.where, "class")
     module, _, name = text.partition(":")
     if not (module and name.isidentifier()):
         raise InputError(
@@ -232,7 +237,7 @@ def code_file(recipe: TrialRecipe) -> Path | None:
 
 def compiled(
     recipe: TrialRecipe,
-    made: Design,
+    design: Design,
     tuning: Mapping[str, Any] | None,
     references: np.ndarray,
     rate: float,
@@ -242,13 +247,14 @@ def compiled(
     Raises:
         InputError: a gain or rule that is unknown or wrong.
     """
-    chosen = recipe.controller
-    law, site = LAWS[chosen.kind], _site(recipe, made, 1.0 / rate)
-    gains, given_rules = _taken(recipe, law, tuning, made.cylinder)
+    chosen = controller_of(recipe)
+    assert chosen.kind is not None  # it is no class of the user's
+    law, site = LAWS[chosen.kind], _site(recipe, design, 1.0 / rate)
+    gains, given_rules = _taken(recipe, law, tuning, design.cylinder)
     low = gains.get("low_pressure", site.low_pressure)
     with located(recipe, *chosen.where, "rules"):
         rules = pack_rules(
-            made.circuit.area_rod, site.supply_pressure, low_pressure=low, **given_rules
+            design.circuit.area_rod, site.supply_pressure, low_pressure=low, **given_rules
         )
     with located(recipe, *chosen.where, "shaping"):
         rows = {name: VOCABULARY[name] for name in SHAPING_NAMES}
@@ -258,7 +264,7 @@ def compiled(
         raise InputError(need.message, **recipe.at(*chosen.where), hint=need.hint)
     with located(recipe, *chosen.where, "gains"):
         packed = law.pack(site, gains, rules, shaping)
-    channels = sample_size(len(made.model.layout.cylinders))
+    channels = sample_size(len(design.model.layout.cylinders))
     controller = Controller(
         site.axis,
         packed.gains,
@@ -266,37 +272,39 @@ def compiled(
         law.observed(site.axis, channels),
         np.zeros(channels),
     )
-    names = law.channels(made.cylinder, made.edges)
+    names = law.channels(design.cylinder, design.edges)
     return Compiled(
         law,
         controller,
         names,
         references,
         np.zeros((len(references), len(names))),
-        {**packed.used, "rules": numbers(rules, RULES.names)},
+        {**packed.used, "rules": numbers(rules, ALL_RULES)},
     )
 
 
-def _site(recipe: TrialRecipe, made: Design, tick: float) -> Site:
+def _site(recipe: TrialRecipe, design: Design, tick: float) -> Site:
     """What a controller of the design is designed for."""
-    plant = made.model.plant
-    mechanism = Mechanism(plant.kind, plant.gravity, plant.links, plant.cylinders.joint, made.q)
-    axis = axis_of(made.circuit, mechanism, made.row)
-    unused = [made.valves.index(name) for name in recipe.controller.unused]
-    still = np.isin(plant.edges.valve[made.own], unused)
+    plant = design.model.plant
+    mechanism = Mechanism(plant.kind, plant.gravity, plant.links, plant.cylinders.joint, design.q)
+    axis = axis_of(design.circuit, mechanism, design.row)
+    unused = [design.valves.index(name) for name in controller_of(recipe).unused]
+    still = np.isin(plant.edges.valve[design.own], unused)
     axis = axis._replace(onset=np.where(still, 0.0, axis.onset))  # no standing by for them
     limit = float(plant.supply.flow_limit)
     if not math.isfinite(limit):
-        limit = 0.5 * made.circuit.area_head  # half a metre a second
-    return Site(axis, tick, float(plant.supply.pressure), limit, _valve_lag(made), made.x)
+        limit = 0.5 * design.circuit.area_head  # half a metre a second
+    lag, unmodelled = _valve_lag(design), design.rig.cylinder[design.index].unmodelled
+    if design.rig.oil.air_fraction is not None:
+        unmodelled += ("air_fraction of [oil]",)
+    return Site(axis, tick, float(plant.supply.pressure), limit, lag, design.x, unmodelled)
 
 
 def low_pressure(recipe: TrialRecipe, rig: Rig, tuning: Mapping[str, Any] | None) -> float:
     """Set-point of the off-side chamber above tank [Pa] that a recipe's controller has, at which
     its trial starts.
     """
-    gains = recipe.controller.gains
-    given = gains.get("low_pressure") if isinstance(gains, Mapping) else None
+    given = controller_of(recipe).own_gains.get("low_pressure")
     if given is not None:
         return quantities(
             recipe, "gains", {"low_pressure": given}, {"low_pressure": VOCABULARY["low_pressure"]}
@@ -320,7 +328,7 @@ def read_tuning(recipe: TrialRecipe, folder: Path | None) -> dict[str, Any] | No
     if path.suffix != ".json":
         raise InputError(
             f"gains come from '{name}', which is a recipe",
-            **recipe.at(*recipe.controller.where, "gains"),
+            **recipe.at(*controller_of(recipe).where, "gains"),
             hint="name its run folder",
         )
     return read_json(path)
@@ -332,7 +340,7 @@ def _taken(
     """(gains, rules) of a recipe, SI: those of the tune run, and over them those that stand in the
     recipe.
     """
-    chosen = recipe.controller
+    chosen = controller_of(recipe)
     gains, rules = {}, {}
     if tuning is not None:
         if tuning.get("cylinder") != cylinder:
@@ -342,9 +350,7 @@ def _taken(
             )
         gains |= {name: tuning[name] for name in law.gains if name in tuning}
         rules |= {name: tuning[name] for name in RULE_NAMES if name in tuning}
-    if isinstance(chosen.gains, Mapping):
-        written = {name: raw for name, raw in chosen.gains.items() if name != "from"}
-        gains |= quantities(recipe, "gains", written, law.gains, law.bounds)
+    gains |= quantities(recipe, "gains", chosen.own_gains, law.gains, law.bounds)
     rows = {**{name: VOCABULARY[name] for name in RULE_NAMES}, "allow_seventh": None}
     return gains, rules | quantities(recipe, "rules", chosen.rules, rows)
 
@@ -362,22 +368,22 @@ def quantities(
     Raises:
         InputError: an unknown name, a wrong unit, with the line.
     """
-    found: dict[str, Any] = {}
+    controller, values = controller_of(recipe), {}
     for name, raw in given.items():
-        where = recipe.at(*recipe.controller.where, table, name)
+        where = recipe.at(*controller.where, table, name)
         if name not in rows:
             near = get_close_matches(name, rows, 1)
             hint = f"did you mean '{near[0]}'?" if near else "it has " + ", ".join(rows)
             raise InputError(
-                f"controller '{recipe.controller.label}' has no {table} '{name}'",
+                f"controller '{controller.label}' has no {table} '{name}'",
                 **where,
                 hint=hint,
             )
         try:
-            found[name] = _number(name, raw, rows[name], name in bounds)
+            values[name] = _number(name, raw, rows[name], name in bounds)
         except InputError as error:
             raise InputError(f"{name}: {error.message}", **where, hint=error.hint) from None
-    return found
+    return values
 
 
 def _number(name: str, raw: Any, row: Quantity | None, pair: bool) -> Any:
@@ -393,9 +399,9 @@ def _number(name: str, raw: Any, row: Quantity | None, pair: bool) -> Any:
     return read_value(raw, row, 2).value if pair else float(read_value(raw, row))
 
 
-def _valve_lag(made: Design) -> float:
+def _valve_lag(design: Design) -> float:
     """Lag 2ζ/ω_n [s] of the slowest valve that the controller uses."""
-    own = range(made.circuit.first, made.circuit.first + made.circuit.count)
-    plant = made.model.plant
-    used = {int(made.circuit.edges[e].valve) for e in own if e in made.circuit.paths}
+    own = range(design.circuit.first, design.circuit.first + design.circuit.count)
+    plant = design.model.plant
+    used = {int(design.circuit.edges[e].valve) for e in own if e in design.circuit.paths}
     return max((valve_lag(plant.valves[i], plant) for i in used), default=0.0)

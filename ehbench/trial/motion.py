@@ -65,17 +65,17 @@ def references(recipe: TrialRecipe, design: Design, low_pressure: float) -> Refe
     """
     rate, motion = float(recipe.rate), recipe.motion
     if motion is None:
-        made = References(np.tile([design.x, 0.0, 0.0, 0.0], (2, 1)))
+        desired = References(np.tile([design.x, 0.0, 0.0, 0.0], (2, 1)))
     else:
         try:
-            made = {"velocity_steps": _steps, "point_to_point": _points, "file": _file}[
+            desired = {"velocity_steps": _steps, "point_to_point": _points, "file": _file}[
                 motion.kind
             ](recipe, motion, design, low_pressure)
         except InputError as error:
             if error.file is not None:
                 raise
             raise InputError(error.message, **recipe.at(*motion.where), hint=error.hint) from None
-    table = made.table
+    table = desired.table
     if recipe.duration is not None:
         count = round(float(recipe.duration) * rate) + 1
         still = np.zeros((max(count - len(table), 0), ORDERS))
@@ -92,9 +92,9 @@ def references(recipe: TrialRecipe, design: Design, low_pressure: float) -> Refe
             hint=f"the stroke is {stroke * 1e3:.4g} mm and it starts at {design.x * 1e3:.4g} mm",
         )
     levels = tuple(
-        Level(one.first, min(one.stop, len(table)), one.speed, one.share)
-        for one in made.levels
-        if one.first < len(table)
+        Level(level.first, min(level.stop, len(table)), level.speed, level.share)
+        for level in desired.levels
+        if level.first < len(table)
     )
     return References(table, levels)
 
@@ -162,6 +162,7 @@ def _spool_speed(circuit: Circuit, way: int, force: float, p_supply: float, p_ta
 def _steps(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: float) -> References:
     tick = 1.0 / float(recipe.rate)
     speeds, shares, times = [], [], []
+    duration, travel = motion.duration, motion.travel
     for index, text in enumerate(motion.levels):
         where = recipe.at(*motion.where, "levels", index)
         share = None
@@ -184,11 +185,11 @@ def _steps(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: fl
             )
         speeds.append(speed)
         shares.append(share)
-        times.append(
-            float(motion.duration)
-            if motion.duration is not None
-            else float(motion.travel) / abs(speed)
-        )
+        if duration is None:
+            assert travel is not None  # the recipe's model sees to it
+            times.append(float(travel) / abs(speed))
+        else:
+            times.append(float(duration))
     rest = REST if motion.rest is None else float(motion.rest)
     table = velocity_steps(speeds, duration=times, tick=tick, rest=rest, x=design.x)
     at, levels = round(rest / tick), []
@@ -200,6 +201,7 @@ def _steps(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: fl
 
 
 def _points(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: float) -> References:
+    assert motion.speed is not None  # the recipe's model sees to it
     speed = float(motion.speed)
     acceleration = speed / SPEED_UP if motion.acceleration is None else float(motion.acceleration)
     jerk = 4.0 * acceleration / SPEED_UP if motion.jerk is None else float(motion.jerk)
@@ -232,6 +234,7 @@ def _file(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: flo
 
     from ehbench.logs import read_record
 
+    assert motion.file is not None  # the recipe's model sees to it
     path = recipe.file(motion.file)
     record = read_record(path)
     own = [f"{design.cylinder}.{name}_desired" for name in "xvaj"]

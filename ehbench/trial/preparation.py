@@ -211,8 +211,10 @@ def _loop(
     standing: bool,
 ) -> Loop:
     design = controllers.design(recipe, rig, maps)
-    told = isinstance(gains, Mapping)
-    tuning = dict(gains) if told else controllers.read_tuning(recipe, gains)
+    if isinstance(gains, Mapping):
+        tuning = dict(gains)
+    else:
+        tuning = controllers.read_tuning(recipe, gains)
     low = controllers.low_pressure(recipe, rig, tuning)
     still = np.tile([design.x, 0.0, 0.0, 0.0], (2, 1))
     motion = References(still) if standing else references(recipe, design, low)

@@ -230,19 +230,23 @@ def _measures(record: Record, loop: Loop, rows: int) -> dict[str, Any]:
     """
     own, t = loop.design.cylinder, record.t[:rows]
     v, x, p_head, p_rod = (record[f"{own}.{name}"][:rows] for name in ("v", "x", "p_head", "p_rod"))
-    found: dict[str, Any] = {"steps": []}
+    measures: dict[str, Any] = {"steps": []}
     for level in loop.references.levels:
         stop = min(level.stop, rows)
         if stop - level.first >= 3:
             part = slice(level.first, stop)
             before = float(loop.references.table[level.first - 1, 1]) if level.first else 0.0
-            one = step_measures(
+            step = step_measures(
                 t[part], v[part], level.speed, before, (p_head[part], p_rod[part]), level.share
             )
-            found["steps"].append(asdict(one))
-    found["tracking"] = tracking_measures(t, x, record[f"{own}.x_desired"][:rows])
-    found["speed_rms_error"] = float(np.sqrt(np.mean((v - record[f"{own}.v_desired"][:rows]) ** 2)))
+            measures["steps"].append(asdict(step))
+    measures["tracking"] = tracking_measures(t, x, record[f"{own}.x_desired"][:rows])
+    measures["speed_rms_error"] = float(
+        np.sqrt(np.mean((v - record[f"{own}.v_desired"][:rows]) ** 2))
+    )
     if f"{own}.limits" in record:
         met = record[f"{own}.limits"][:rows].astype(int)
-        found["limits"] = {name: float(np.mean(met & bit > 0)) for bit, name in LIMIT_BITS.items()}
-    return found
+        measures["limits"] = {
+            name: float(np.mean(met & bit > 0)) for bit, name in LIMIT_BITS.items()
+        }
+    return measures

@@ -28,7 +28,11 @@ RUN_OUT = 0.3  # [s] logged after a stop, valves at rest
 CHUNK = 1000  # ticks between two reports of progress
 WAIT = 0.2  # [s] of wall time after which rows go to the log, however few
 SYNC = 0.7  # [s] of wall time between two syncs of the log: with WAIT, less than a second is lost
-WISHED = ("x_desired", "v_desired", "a_desired", "j_desired")
+# telemetry that is 0 after a stop, beside the edges' flows
+DEMANDS = (
+    *("v_desired", "a_desired", "j_desired", "v_shaped"),
+    *("function_status", "limits", "feedback_flow"),
+)
 
 
 class Session:
@@ -52,7 +56,8 @@ class Session:
         self._packed = None if self.law is None else _packed(self.law)
         self._step = getattr(self.law, "step", None)
         self._bind = advance_of(machine) if fast else None
-        self._advance = None if self._bind is None else self._bind(self.rows, self._packed)
+        often = self._step is not None
+        self._advance = None if self._bind is None else self._bind(self.rows, self._packed, often)
         self.stop: Stop | None = None
         self.end = prepared.t.size
 
@@ -72,23 +77,23 @@ class Session:
             SimulationError: the numbers left the finite range.
             InputError: a user's class raised, or gave no commands.
         """
-        at, rate = 0, self.machine.rate
+        first, rate = 0, self.machine.rate
         if isinstance(self.law, UserCode):
             self.law.start(self.rows.sample)
-        while at < self.end:
-            row, upto = self._through(at, min(at + CHUNK, self.end))
+        while first < self.end:
+            stopped_at, upto = self._through(first, min(first + CHUNK, self.end))
             if not np.isfinite(self.rows.sample).all():
                 raise SimulationError(
                     f"the trial left finite numbers before t = {upto / rate:.4g} s",
                     hint="take a smaller step",
                 )
-            if row >= 0:
-                self._halt(row)
+            if stopped_at >= 0:
+                self._halt(stopped_at)
             if log is not None:
-                log.add(self.rows.t[at:upto], self.channels(slice(at, upto)))
-            at = upto
+                log.add(self.rows.t[first:upto], self.channels(slice(first, upto)))
+            first = upto
             if progress is not None:
-                progress("", at / self.end)
+                progress("", first / self.end)
 
     def _through(self, first: int, stop: int) -> tuple[int, int]:
         """Run rows from ``first`` on: the row at a limit, or −1, and the row up to which there are
@@ -134,26 +139,26 @@ class Session:
             _let_go(self.law, row, self.end)
         self._packed = self._step = None
         if self._bind is not None:
-            self._advance = self._bind(rows, None)
+            self._advance = self._bind(rows, None, False)
 
     def channels(self, part: slice) -> dict[str, np.ndarray]:
         """Rows of the trial by channel, SI: what the machine measured, or all that a simulation
-        knows; commands; the controller's notes.
+        knows; commands; the controller's telemetry.
         """
         rows, commands = self.rows, self.rows.commands[part]
         if self._truth is not None:
-            found = self._truth.channels(rows.t[part], commands, rows.truth[part])
+            channels = self._truth.channels(rows.t[part], commands, rows.truth[part])
         else:
             samples = rows.samples[part]
-            found = {name: samples[:, i].copy() for i, name in enumerate(self.machine.channels)}
-            lines = {name: found.pop(name) for name in ("p_supply", "p_tank")}
+            channels = {name: samples[:, i].copy() for i, name in enumerate(self.machine.channels)}
+            lines = {name: channels.pop(name) for name in ("p_supply", "p_tank")}
             valves = self.machine.commands.names
-            found |= {f"{name}.command": commands[:, i].copy() for i, name in enumerate(valves)}
-            found |= lines
+            channels |= {f"{name}.command": commands[:, i].copy() for i, name in enumerate(valves)}
+            channels |= lines
         if self.law is not None:
-            notes = self.law.telemetry[part]
-            found |= {name: notes[:, i].copy() for i, name in enumerate(self.law.channels)}
-        return found
+            telemetry = self.law.telemetry[part]
+            channels |= {name: telemetry[:, i].copy() for i, name in enumerate(self.law.channels)}
+        return channels
 
 
 class LiveLog:
@@ -205,17 +210,13 @@ def _packed(law: Compiled | UserCode) -> LawRows | None:
 
 
 def _let_go(law: Compiled | UserCode, row: int, end: int) -> None:
-    """Notes after a stop: the last estimates and the desired stroke stay, nothing is asked for any
-    more.
+    """Telemetry after a stop: the last estimates and the desired stroke stay, nothing is asked for
+    any more.
     """
     law.telemetry[row:end] = law.telemetry[row]
     for column, name in enumerate(law.channels):
         word = name.rsplit(".", 1)[-1]
-        if (
-            word in WISHED[1:]
-            or word in ("v_shaped", "function_status", "limits", "feedback_flow")
-            or word.startswith("flow")
-        ):
+        if word in DEMANDS or word.startswith("flow"):
             law.telemetry[row:end, column] = 0.0
         elif word == "function":
             law.telemetry[row:end, column] = HOLD

@@ -20,7 +20,7 @@ from ehbench.errors import InputError
 from ehbench.quantities import VOCABULARY, quantity
 from ehbench.recipe import TrialRecipe
 from ehbench.text import shortened
-from ehbench.trial.controllers import Design, code_file, gains_file, quantities
+from ehbench.trial.controllers import Design, code_file, controller_of, quantities
 
 
 class UserCode:
@@ -28,7 +28,7 @@ class UserCode:
 
     Args:
         recipe: names the class.
-        made: what the class is designed on.
+        design: what the class is designed on.
         channels: of the machine's sample.
         rate: [Hz].
         references: x_d, v_d, a_d, j_d, a row a tick.
@@ -45,29 +45,30 @@ class UserCode:
     def __init__(
         self,
         recipe: TrialRecipe,
-        made: Design,
+        design: Design,
         channels: Sequence[str],
         rate: float,
         references: np.ndarray,
     ) -> None:
-        self.made, self.rate, self.names = made, rate, tuple(channels)
-        chosen = recipe.controller
-        self.code = _Code(code_file(recipe), chosen.code.partition(":")[2])
+        self.design, self.rate, self.names = design, rate, tuple(channels)
+        chosen, file = controller_of(recipe), code_file(recipe)
+        assert file is not None  # the recipe names a class
+        self.code = _Code(file, chosen.class_name)
         _refuse_foreign(recipe)
-        gains = {name: _gain(recipe, name, raw) for name, raw in chosen.gains.items()}
+        gains = {name: _gain(recipe, name, raw) for name, raw in chosen.own_gains.items()}
         self.used = {"gains": {name: float(v) for name, v in gains.items() if _is_number(v)}}
         self.object = self.code.make(gains)
         self.mask = self._observed(getattr(self.object, "channels", None))
         self.channels = self._columns(tuple(getattr(self.object, "notes", ())))
         self.references = references
         self.telemetry = np.zeros((len(references), len(self.channels)))
-        valves = made.model.plant.valves
+        valves = design.model.plant.valves
         self.low, self.high = valves.lowest.copy(), valves.highest.copy()
         self.beyond = 0
         self._commanded = {
-            name: i for i, name in enumerate(made.valves) if name not in chosen.unused
+            name: i for i, name in enumerate(design.valves) if name not in chosen.unused
         }
-        self._unused = [made.valves.index(name) for name in chosen.unused]
+        self._unused = [design.valves.index(name) for name in chosen.unused]
 
     @property
     def label(self) -> str:
@@ -76,7 +77,9 @@ class UserCode:
 
     def start(self, sample: np.ndarray) -> None:
         """Hand the class its rig, the time between samples and the first sample."""
-        self.code.call(".start", self.object.start, self.made, 1.0 / self.rate, self._seen(sample))
+        self.code.call(
+            ".start", self.object.start, self.design, 1.0 / self.rate, self._seen(sample)
+        )
 
     def step(self, row: int, t: float, sample: np.ndarray, command: np.ndarray) -> None:
         """One tick: write what the class asks for into ``command``, where it asks, and its notes
@@ -84,9 +87,10 @@ class UserCode:
         """
         reference = Reference(*self.references[row].tolist())
         answer = self.code.call(".step", self.object.step, t, self._seen(sample), reference, t=t)
-        kept = command[self._unused]
+        kept = [float(command[i]) for i in self._unused]
         self._take(answer, t, command)
-        command[self._unused] = kept
+        for i, volts in zip(self._unused, kept, strict=True):
+            command[i] = volts
         # one look a tick; nan is in no range
         if not ((command >= self.low) & (command <= self.high)).all():
             self._bring_in_range(answer, t, command)
@@ -109,15 +113,15 @@ class UserCode:
         except KeyError as error:
             name = error.args[0]
             which = "which is no valve"
-            if name in self.made.valves:
+            if name in self.design.valves:
                 which = "which the recipe leaves unused"
             raise self.code.error(
                 f".step names '{name}', {which}",
                 hint="valves are " + ", ".join(self._commanded),
             ) from None
         except (TypeError, ValueError):
-            hint = f"a dict of volts by valve, or {len(self.made.valves)} numbers: " + ", ".join(
-                self.made.valves
+            hint = f"a dict of volts by valve, or {len(self.design.valves)} numbers: " + ", ".join(
+                self.design.valves
             )
             raise self.code.error(
                 f".step gave {shortened(answer, 80)} at t = {t:.4g} s, which is no set of commands",
@@ -172,7 +176,7 @@ class UserCode:
                     f"notes '{name}': {error.args[0]}",
                     hint="a note has a name of the vocabulary, like boom.load_force",
                 ) from None
-        own = f"{self.made.cylinder}."
+        own = f"{self.design.cylinder}."
         return (*(f"{own}{name}_desired" for name in Reference._fields), *notes)
 
 
@@ -184,14 +188,14 @@ class _Code:
 
     def make(self, gains: Mapping[str, Any]) -> Any:
         """An object of the class, with the methods of the protocol."""
-        made = self.call("()", self._load(), **gains)
+        controller = self.call("()", self._load(), **gains)
         for method in ("start", "step"):
-            if not callable(getattr(made, method, None)):
+            if not callable(getattr(controller, method, None)):
                 raise self.error(
                     f"has no method '{method}'",
                     hint="docs/trials.md has the protocol of a controller",
                 )
-        return made
+        return controller
 
     def _load(self) -> Callable[..., Any]:
         module = types.ModuleType(f"ehbench_user_{self.file.stem}")
@@ -206,8 +210,8 @@ class _Code:
             ) from None
         except (Exception, SystemExit) as error:
             raise self.raised("", error) from error
-        found = getattr(module, self.label, None)
-        if not isinstance(found, type):
+        controller = getattr(module, self.label, None)
+        if not isinstance(controller, type):
             there = [
                 name
                 for name, item in vars(module).items()
@@ -218,7 +222,7 @@ class _Code:
                 file=self.file,
                 hint="it has " + (", ".join(there) or "none"),
             )
-        return found
+        return controller
 
     def call(
         self,
@@ -254,10 +258,10 @@ class _Code:
 
 def _refuse_foreign(recipe: TrialRecipe) -> None:
     """Refuse rules and tuned gains, which are for the built-in controllers."""
-    chosen = recipe.controller
+    chosen = controller_of(recipe)
     foreign = {
         "rules": ("rules of function selection", bool(chosen.rules)),
-        "gains": ("gains of a tune run", gains_file(recipe) is not None),
+        "gains": ("gains of a tune run", chosen.gains_from is not None),
     }
     for table, (what, given) in foreign.items():
         if given:

@@ -14,6 +14,7 @@ from ehbench.errors import InputError
 from ehbench.plant.model import Model
 from ehbench.rig import Rig
 from ehbench.tune.linear import (
+    Aim,
     Law,
     circuit_of,
     close,
@@ -104,11 +105,13 @@ def _worst_of_draw(
             FUNCTIONS.index(point.function),
             here,
             0,
-            speed=abs(point.v),
-            low_pressure=study.low,
-            cross_drop=study.cross,
-            payload=point.payload,
-            held=recipe.posture,
+            Aim(
+                study.low,
+                study.cross,
+                speed=abs(point.v),
+                payload=point.payload,
+                held=recipe.posture,
+            ),
         )
         if moved.possible:
             loop = close(development_model(model, moved), moved, circuit, law)
@@ -122,7 +125,7 @@ def draw_parameters(
     correlation: tuple[Sequence[str], Any] | None,
     count: int,
     rng: np.random.Generator,
-):
+) -> np.ndarray:
     """Draws [SI], shape (count, names), of parameters from their standard errors and correlation,
     clipped to their bounds.
 
@@ -151,7 +154,7 @@ def draw_parameters(
     level, axes = np.linalg.eigh(matrix)
     root = axes * np.sqrt(np.maximum(level, 0.0))
     draws = rng.standard_normal((count, len(names))) @ root.T
-    draws = np.array([float(v) for v in values]) + draws * [v.std for v in values]
+    draws = np.array([float(v) for v in values]) + draws * [v.std or 0.0 for v in values]
     lower = [-math.inf if v.lower is None else v.lower for v in values]
     upper = [math.inf if v.upper is None else v.upper for v in values]
     return np.clip(draws, lower, upper)

@@ -2,15 +2,16 @@
 plant (SPEC 3).
 
 All other joints are held. An operating point is a steady motion of a working function at a posture,
-payload and speed; its linear model has the states ``v, p_head, p_rod``, then ``opening`` and
-``rate`` of each valve at work, in SI."""
+payload and speed; its linear model has the states ``v, p_head, p_rod``, then those
+of each valve at work, in SI."""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -34,9 +35,11 @@ from ehbench.control.valve_level import top_speed
 from ehbench.errors import InputError
 from ehbench.parts.cylinder import chamber_oil, joint_of, linkage_of
 from ehbench.parts.edge import edge_command, edge_flow
-from ehbench.parts.friction import friction_steady
+from ehbench.parts.friction import friction_settle, friction_slope, friction_steady
 from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
-from ehbench.parts.valve import valve_settle
+from ehbench.parts.load import force_on
+from ehbench.parts.oil import bulk_of
+from ehbench.parts.valve import valve_rates, valve_settle
 from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
 from ehbench.plant.build import Maps, map_of
 from ehbench.plant.derivatives import derivatives
@@ -134,10 +137,10 @@ class OperatingPoint:
     [m/s], extension positive.
 
     ``mass, gravity_force, damping`` are m_eq, F_eq, b_eq of `equivalent`; ``friction`` [N·s/m] is
-    the slope of the cylinder's own friction; ``bend`` [1/s] the part of ∂v̇/∂v from the changing
-    lever; ``load_force`` P_L [N]; pressures [Pa] gauge; volumes [m³]. ``possible``: every drop is
-    along its flow and every valve can open so far. ``fits``: also the off-side chamber stands at
-    its set-point. ``note`` says what is missing."""
+    the slope of the cylinder's own steady friction less that of forces on its rod; ``bend`` [1/s]
+    the part of ∂v̇/∂v from the changing lever; ``load_force`` P_L [N]; pressures [Pa] gauge; volumes
+    [m³]. ``possible``: every drop is along its flow and every valve can open so far. ``fits``: also
+    the off-side chamber stands at its set-point. ``note`` says what is missing."""
 
     cylinder: str
     function: str
@@ -166,7 +169,8 @@ class OperatingPoint:
     @property
     def name(self) -> str:
         """What reports call it."""
-        return f"{self.function}, {self.payload}, x = {self.x * 1e3:.0f} mm, v = {self.v * 1e3:+.0f} mm/s"
+        where = f"x = {self.x * 1e3:.0f} mm, v = {self.v * 1e3:+.0f} mm/s"
+        return f"{self.function}, {self.payload}, {where}"
 
 
 def circuit_of(model: Model, cylinder: int, maps: Maps | None = None) -> Circuit:
@@ -188,19 +192,171 @@ def circuit_of(model: Model, cylinder: int, maps: Maps | None = None) -> Circuit
     )
 
 
+@dataclass(frozen=True)
+class Aim:
+    """What steady motion is asked for.
+
+    ``share``: speed as a share of the largest that the valves and the pump carry there, or
+    ``speed``: the speed itself, ≥ 0 [m/s]. ``low_pressure``: set-point of the off-side chamber
+    above tank [Pa]. ``cross_drop``: planned drop of the seventh function [Pa]. ``payload``: what
+    the model carries, by name. ``held``: posture of the other joints, as `Model.posture`."""
+
+    low_pressure: float
+    cross_drop: float
+    share: float | None = None
+    speed: float | None = None
+    payload: str = "none"
+    held: Mapping[str, str | float] | None = None
+
+    def __post_init__(self) -> None:
+        if (self.share is None) == (self.speed is None):
+            raise InputError("an operating point takes a speed or a share of the full speed")
+
+
+@dataclass(frozen=True)
+class _Settled:
+    """What a speed needs: load force [N], pressures [Pa], what had to give for them."""
+
+    force: float
+    p_head: float
+    p_rod: float
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """A working function at a posture, ``here.x[index]``, at any speed v [m/s]."""
+
+    model: Model
+    circuit: Circuit
+    function: int
+    here: Equivalent
+    index: int
+    aim: Aim
+
+    @property
+    def row(self) -> Any:
+        """The cylinder's row."""
+        return self.model.plant.cylinders[self.circuit.cylinder]
+
+    @property
+    def lines(self) -> tuple[float, float]:
+        """(supply, tank) pressure [Pa]."""
+        return self.model.plant.supply.pressure, self.model.plant.tank_pressure
+
+    @property
+    def together(self) -> bool:
+        """Whether one command serves both ends."""
+        return coupled(self.circuit, self.function)
+
+    def flows(self, v: float, p_head: float, p_rod: float) -> np.ndarray:
+        """Flow along each path [m³/s] that keeps both chambers steady (thesis 2.4, 2.5)."""
+        row, p_tank = self.row, self.lines[1]
+        across = row.leakage_internal * (p_head - p_rod)
+        q_head = row.area_head * v + across + row.leakage_head * (p_head - p_tank)
+        q_rod = row.area_rod * v + across - row.leakage_rod * (p_rod - p_tank)
+        return PATH_FLOWS[self.function] @ (q_head, q_rod)
+
+    def chambers(self, force: float, off: float) -> tuple[float, float]:
+        """(p_head, p_rod) [Pa] that carry the force with the off-side at ``off``."""
+        head, rod = self.row.area_head, self.row.area_rod
+        if METERED[self.function] == HEAD:
+            return (force + rod * off) / head, off
+        return off, (head * off - force) / rod
+
+    def resistance(self, v: float) -> float:
+        """What friction takes and no force from outside gives [N]."""
+        return friction_steady(self.row, v) - self.push(v)
+
+    def push(self, v: float) -> float:
+        """Force from outside on the rod [N], positive pushes it out."""
+        stroke, plant, played = float(self.here.x[self.index]), self.model.plant, np.zeros(0)
+        if not plant.forces.shape[0]:
+            return 0.0
+        return float(force_on(self.circuit.cylinder, stroke, v, played, plant))
+
+    def settle(self, v: float) -> _Settled:
+        """What carries the motion at speed v."""
+        here, i, row, (p_supply, p_tank) = self.here, self.index, self.row, self.lines
+        bend = here.curvature[i] * v * v / here.lever[i] ** 2
+        force = here.gravity_force[i] + here.damping[i] * v - here.mass[i] * bend
+        force += self.resistance(v)
+        if self.function == EXTEND_RESISTIVE_REGENERATION:
+            cross = self.aim.cross_drop
+            p_head = (force + cross * row.area_rod) / (row.area_head - row.area_rod)
+            return _Settled(force, p_head, p_head + cross)
+        off = p_tank + self.aim.low_pressure
+        if v != 0.0 and self.together:
+            off = _common_opening(
+                self.circuit,
+                self.function,
+                lambda p: (*self.chambers(force, p), p_supply, p_tank),
+                lambda *p: self.flows(v, *p),
+            )
+        pressures = self.chambers(force, off)
+        if min(pressures) >= p_tank:
+            return _Settled(force, *pressures)
+        other = p_tank + self.aim.low_pressure
+        if METERED[self.function] == HEAD:
+            off = (row.area_head * other - force) / row.area_rod
+        else:
+            off = (force + row.area_rod * other) / row.area_head
+        note = (
+            f"the load does not suit this function: off-side raised to {off / 1e3:.0f} kPa to keep "
+            "the metered chamber full"
+        )
+        return _Settled(force, *self.chambers(force, off), note)
+
+    def paths(self, v: float, settled: _Settled) -> tuple[Path, ...]:
+        """The paths at work at speed v."""
+        circuit, function, names = self.circuit, self.function, self.model.layout.edges
+        pressures = Pressures(settled.p_head, settled.p_rod, *self.lines)
+        need = self.flows(v, settled.p_head, settled.p_rod)
+        paths = [
+            _path(circuit, function, p, need[p], path_drop(p, pressures), names)
+            for p in np.flatnonzero(PATH_FLOWS[function].any(axis=1))
+        ]
+        if self.together:
+            lead = next(p for p in paths if p.metering)
+            paths = [
+                _path(circuit, function, p.path, p.flow, p.drop, names, lead.command) for p in paths
+            ]
+        return tuple(paths)
+
+    def troubles(self, settled: _Settled, paths: Sequence[Path]) -> list[str]:
+        """What is impossible."""
+        found = [f"{p.edge} has no drop along its flow" for p in paths if not p.drop > 0.0]
+        found += [
+            f"{p.edge} cannot pass its flow" for p in paths if p.drop > 0.0 and not p.reachable
+        ]
+        if max(settled.p_head, settled.p_rod) > self.row.relief_pressure:
+            found.append("a relief valve would open")
+        return found
+
+    def impossible(self, v: float) -> bool:
+        """Whether speed v is."""
+        settled = self.settle(v)
+        return bool(self.troubles(settled, self.paths(v, settled)))
+
+    def full_speed(self) -> float:
+        """The largest speed that valves and pump carry, ≥ 0 [m/s]."""
+        way, rest = DIRECTION[self.function], self.settle(0.0)
+        pressures = Pressures(rest.p_head, rest.p_rod, *self.lines)
+        top = top_speed(self.function, pressures, self.circuit)
+        drawn = supply_draw(self.function, self.circuit)
+        if drawn > 0:
+            top = min(top, self.model.plant.supply.flow_limit / drawn)
+        if not self.impossible(way * top):
+            return top
+        low = 0.0
+        for _ in range(SPEED_HALVINGS):
+            middle = 0.5 * (low + top)
+            low, top = (low, middle) if self.impossible(way * middle) else (middle, top)
+        return low
+
+
 def operating_point(
-    model: Model,
-    circuit: Circuit,
-    function: int,
-    here: Equivalent,
-    index: int,
-    *,
-    share: float | None = None,
-    speed: float | None = None,
-    low_pressure: float,
-    cross_drop: float,
-    payload: str = "none",
-    held: Mapping[str, str | float] | None = None,
+    model: Model, circuit: Circuit, function: int, here: Equivalent, index: int, aim: Aim
 ) -> OperatingPoint:
     """The steady motion of a working function at posture ``here.x[index]``.
 
@@ -214,123 +370,37 @@ def operating_point(
         model: with its payload.
         circuit: of the cylinder, able of ``function``.
         function: index into FUNCTIONS, not hold.
-        here: of `equivalent`, with ``held``.
+        here: of `equivalent`, with ``aim.held``.
         index: into ``here``.
-        share: speed as a share of the largest that the valves and the pump carry there, or
-        speed: the speed [m/s] itself, ≥ 0.
-        low_pressure: set-point of the off-side chamber above tank [Pa].
-        cross_drop: planned drop of the seventh function [Pa].
+        aim: what is asked for.
 
     Raises:
-        InputError: neither or both of share and speed, or a function that the circuit is not able
-            of.
+        InputError: a function that the circuit is not able of, or a force on a rod that is played
+            from a log.
     """
-    if (share is None) == (speed is None):
-        raise InputError("an operating point takes a speed or a share of the full speed")
+    if model.layout.played:
+        raise InputError(
+            f"rig '{model.rig.name}' plays the force '{model.layout.played[0]}' from a log, and a "
+            "steady motion knows no log",
+            hint="give [[cylinder.force]] another kind for tuning",
+        )
     if function < 1 or circuit.able[function] == 0:
         raise InputError(f"the valves of the cylinder are not able of '{FUNCTIONS[function]}'")
-    plant = model.plant
-    row = plant.cylinders[circuit.cylinder]
-    areas = row.area_head, row.area_rod
-    head = METERED[function] == HEAD
-    way = DIRECTION[function]
-    p_supply, p_tank = plant.supply.pressure, plant.tank_pressure
-    leaks = row.leakage_internal, row.leakage_head, row.leakage_rod
-
-    def flows(v: float, p_head: float, p_rod: float) -> np.ndarray:
-        """Flow along each path [m³/s] that keeps both chambers steady (thesis 2.4, 2.5)."""
-        across = leaks[0] * (p_head - p_rod)
-        q_head = areas[0] * v + across + leaks[1] * (p_head - p_tank)
-        q_rod = areas[1] * v + across - leaks[2] * (p_rod - p_tank)
-        return PATH_FLOWS[function] @ (q_head, q_rod)
-
-    def chambers(force: float, off: float) -> tuple[float, float]:
-        """(p_head, p_rod) [Pa] that carry the force with the off-side at ``off``."""
-        return (
-            ((force + areas[1] * off) / areas[0], off)
-            if head
-            else (off, (areas[0] * off - force) / areas[1])
-        )
-
-    def settle(v: float) -> tuple[float, float, float, str]:
-        """(load force, p_head, p_rod, what had to give) at speed v."""
-        bend = here.curvature[index] * v * v / here.lever[index] ** 2
-        force = here.gravity_force[index] + here.damping[index] * v - here.mass[index] * bend
-        force += friction_steady(row, v)
-        if function == EXTEND_RESISTIVE_REGENERATION:
-            p_head = (force + cross_drop * areas[1]) / (areas[0] - areas[1])
-            return force, p_head, p_head + cross_drop, ""
-        off = p_tank + low_pressure
-        if v != 0.0 and together:
-            off = _common_opening(
-                circuit,
-                function,
-                lambda p: (*chambers(force, p), p_supply, p_tank),
-                lambda *p: flows(v, *p),
-            )
-        note = ""
-        p_head, p_rod = chambers(force, off)
-        if min(p_head, p_rod) < p_tank:
-            other = p_tank + low_pressure
-            off = (
-                (force + areas[1] * other) / areas[0]
-                if not head
-                else (areas[0] * other - force) / areas[1]
-            )
-            note = f"the load does not suit this function: off-side raised to {off / 1e3:.0f} kPa to keep the metered chamber full"
-            p_head, p_rod = chambers(force, off)
-        return force, p_head, p_rod, note
-
-    def at(v: float) -> tuple[tuple[float, float, float, str], tuple[Path, ...], list[str]]:
-        """(what `settle` says, paths, what is impossible) at speed v."""
-        settled = settle(v)
-        need = flows(v, *settled[1:3])
-        drops = [path_drop(p, Pressures(*settled[1:3], p_supply, p_tank)) for p in used]
-        paths = [
-            _path(circuit, function, p, need[p], drop, names)
-            for p, drop in zip(used, drops, strict=True)
-        ]
-        if together:
-            lead = next(p for p in paths if p.metering)
-            paths = [
-                _path(circuit, function, p.path, p.flow, p.drop, names, lead.command) for p in paths
-            ]
-        troubles = [f"{p.edge} has no drop along its flow" for p in paths if not p.drop > 0.0]
-        troubles += [
-            f"{p.edge} cannot pass its flow" for p in paths if p.drop > 0.0 and not p.reachable
-        ]
-        if max(settled[1:3]) > row.relief_pressure:
-            troubles.append("a relief valve would open")
-        return settled, tuple(paths), troubles
-
-    names, together = model.layout.edges, coupled(circuit, function)
-    used = np.flatnonzero(PATH_FLOWS[function].any(axis=1))
-    if speed is None:
-        top = top_speed(function, Pressures(*settle(0.0)[1:3], p_supply, p_tank), circuit)
-        drawn = supply_draw(function, circuit)
-        top = min(top, plant.supply.flow_limit / drawn) if drawn > 0 else top
-        if at(way * top)[2]:
-            low = 0.0
-            for _ in range(SPEED_HALVINGS):
-                low, top = (
-                    (low, 0.5 * (low + top))
-                    if at(way * 0.5 * (low + top))[2]
-                    else (0.5 * (low + top), top)
-                )
-            top = low
-        speed = share * top
+    motion = _Motion(model, circuit, function, here, index, aim)
+    row, way = motion.row, DIRECTION[function]
+    speed = aim.share * motion.full_speed() if aim.speed is None else aim.speed  # type: ignore[operator]
     v = way * float(speed)
-    (force, p_head, p_rod, note), paths, troubles = at(v)
-    if OVERRUNNING[function] != (-way * force > 0.0) and not note:
+    settled = motion.settle(v)
+    paths = motion.paths(v, settled)
+    troubles, note = motion.troubles(settled, paths), settled.note
+    if OVERRUNNING[function] != (-way * settled.force > 0.0) and not note:
         note = "the load does not suit this function"
-    q = model.posture(held)
+    q = model.posture(aim.held)
     q[row.joint] = here.q[index]
-    around = DIFFERENCE * max(abs(v), COULOMB_SPEED)
-    slope = friction_steady(row, v + around) - friction_steady(row, v - around)
     return OperatingPoint(
         cylinder=model.layout.cylinders[circuit.cylinder],
         function=FUNCTIONS[function],
-        payload=payload,
+        payload=aim.payload,
         x=float(here.x[index]),
         v=float(v),
         q=tuple(map(float, q)),
@@ -338,13 +408,13 @@ def operating_point(
         mass=float(here.mass[index]),
         gravity_force=float(here.gravity_force[index]),
         damping=float(here.damping[index]),
-        friction=float(slope / (2 * around)),
+        friction=float(friction_slope(row, v)) - _push_slope(motion, v),
         bend=float(2.0 * here.curvature[index] * v / here.lever[index] ** 2),
-        load_force=float(force),
-        p_head=float(p_head),
-        p_rod=float(p_rod),
-        p_supply=float(p_supply),
-        p_tank=float(p_tank),
+        load_force=float(settled.force),
+        p_head=float(settled.p_head),
+        p_rod=float(settled.p_rod),
+        p_supply=float(motion.lines[0]),
+        p_tank=float(motion.lines[1]),
         volume_head=float(chamber_oil(row, 0, here.x[index])),
         volume_rod=float(chamber_oil(row, 1, here.x[index])),
         paths=paths,
@@ -352,6 +422,12 @@ def operating_point(
         fits=not troubles and not note,
         note="; ".join([note] * bool(note) + troubles),
     )
+
+
+def _push_slope(motion: _Motion, v: float) -> float:
+    """Slope [N·s/m] of the outer forces on the rod at speed v, by central differences."""
+    around = DIFFERENCE * max(abs(v), COULOMB_SPEED)
+    return float((motion.push(v + around) - motion.push(v - around)) / (2 * around))
 
 
 def _flow(circuit: Circuit, path: int, drop: float, command: float) -> float:
@@ -392,9 +468,9 @@ def _path(
         2 * du
     )
     most, sign = widest(circuit, edge, circuit.along[path] * drop), circuit.edges[edge].sign
-    reachable = sign * command <= sign * most * (1 + 1e-9) and _flow(
-        circuit, path, drop, command
-    ) >= flow * (1 - 1e-6)
+    passes = _flow(circuit, path, drop, command) >= flow * (1 - 1e-6)
+    saturated = gain == 0.0 and flow > 0.0
+    reachable = passes and not saturated and sign * command <= sign * most * (1 + 1e-9)
     return Path(
         int(path),
         names[edge],
@@ -434,8 +510,8 @@ class LinearModel:
     """``ẋ = A x + B u + E f`` about an operating point: u [V] the commands of the valves at work, f
     [N] a force on the rod.
 
-    ``states`` name x: ``v, p_head, p_rod``, then ``opening, rate`` of each valve with dynamics; all
-    SI. ``valves`` number u."""
+    ``states`` name x: ``v, p_head, p_rod``, then the states of each valve with dynamics; all SI.
+    ``valves`` number u."""
 
     states: tuple[str, ...]
     valves: tuple[int, ...]
@@ -444,23 +520,53 @@ class LinearModel:
     e: np.ndarray
 
 
+class ValveBlock(NamedTuple):
+    """A valve as ``ẋ = a x + b u``, opening ``= c x``: its elements one behind the other.
+
+    ``states`` are their positions in the plant's state.
+    """
+
+    states: tuple[int, ...]
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+
+
+def valve_block(model: Model, valve: int) -> ValveBlock:
+    """The elements of a valve, which are linear, from their own rates."""
+    plant, row = model.plant, model.plant.valves[valve]
+    own = plant.elements[row.first : row.first + row.count]
+    states = tuple(k for one in own for k in range(one.state, one.state + one.states))
+    size = len(states)
+    table, c = np.empty((size, size + 1)), np.empty(size)
+    for k in range(size + 1):
+        y, rates = np.zeros(model.layout.states), np.zeros(model.layout.states)
+        if k < size:
+            y[states[k]] = 1.0
+        opening, _ = valve_rates(row, 0.0 if k < size else 1.0, plant, y, rates)
+        table[:, k] = rates[list(states)]
+        if k < size:
+            c[k] = opening
+    return ValveBlock(states, table[:, :size], table[:, size], c)
+
+
 def _states(
     model: Model, point: OperatingPoint
-) -> tuple[tuple[int, ...], list[int], tuple[str, ...]]:
+) -> tuple[tuple[int, ...], dict[int, ValveBlock], tuple[str, ...]]:
     valves = tuple(dict.fromkeys(p.valve for p in point.paths))
-    moving = [i for i in valves if model.plant.valves[i].count]
+    moving = {i: valve_block(model, i) for i in valves if model.plant.valves[i].count}
     names = ["v", "p_head", "p_rod"]
-    for i in moving:
-        names += [f"{model.layout.valves[i]}.opening", f"{model.layout.valves[i]}.rate"]
+    for block in moving.values():
+        names += [model.layout.state_names[k] for k in block.states]
     return valves, moving, tuple(names)
 
 
 def development_model(model: Model, point: OperatingPoint) -> LinearModel:
     """The linear development model from the equations (SPEC 3), valve edges with their own slopes.
 
-    ``m_eq v̇ = A1 P1 − A2 P2 − (b_eq + friction) v + m_eq·bend·v + f``; ``V/β_e Ṗ`` = inflow of
-    each chamber, volumes fixed; ``Q = gain·opening + slope·Δp`` along each edge; valves of second
-    order."""
+    ``m_eq v̇ = A1 P1 − A2 P2 − (b_eq + friction) v + m_eq·bend·v + f``; ``V/β Ṗ`` = inflow of
+    each chamber, volumes fixed, β of the oil at its pressure; ``Q = gain·opening + slope·Δp`` along
+    each edge; valves as their elements are."""
     plant = model.plant
     row = plant.cylinders[model.layout.cylinders.index(point.cylinder)]
     valves, moving, names = _states(model, point)
@@ -473,34 +579,45 @@ def development_model(model: Model, point: OperatingPoint) -> LinearModel:
         -areas[1] / point.mass,
     )
     e[0] = 1.0 / point.mass
-    stiff = row.bulk_modulus / np.array([point.volume_head, point.volume_rod])
+    stiff = np.array([bulk_of(row, point.p_head), bulk_of(row, point.p_rod)])
+    stiff /= (point.volume_head, point.volume_rod)
     inflow = np.zeros((2, size))
     inflow[:, 0] = -areas[0], areas[1]
     inflow[0, 1:3] = -row.leakage_internal - row.leakage_head, row.leakage_internal
     inflow[1, 1:3] = row.leakage_internal, -row.leakage_internal - row.leakage_rod
     into_u = np.zeros((2, len(valves)))
+    at = dict(zip(moving, _starts(moving), strict=True))
     for path in point.paths:
         side = INTO[path.path]
         inflow[:, 1:3] -= path.slope * np.outer(side, side)
         if path.valve in moving:
-            inflow[:, 3 + 2 * moving.index(path.valve)] += path.gain * side
+            first, c = at[path.valve], moving[path.valve].c
+            inflow[:, first : first + c.size] += path.gain * np.outer(side, c)
         else:
             into_u[:, valves.index(path.valve)] += path.gain * side
     a[1:3], b[1:3] = stiff[:, None] * inflow, stiff[:, None] * into_u
-    for k, i in enumerate(moving):
-        at = 3 + 2 * k
-        a[at, at + 1] = 1.0
-        element = plant.elements[plant.valves[i].first]
-        a[at + 1, at : at + 2] = -element.stiffness, -element.damping
-        b[at + 1, valves.index(i)] = element.stiffness
+    for i, block in moving.items():
+        rows = slice(at[i], at[i] + block.b.size)
+        a[rows, rows], b[rows, valves.index(i)] = block.a, block.b
     return LinearModel(names, valves, a, b, e)
+
+
+def _starts(moving: Mapping[int, ValveBlock]) -> list[int]:
+    """Where the states of each moving valve begin in a linear model."""
+    return list(itertools.accumulate([3, *(block.b.size for block in moving.values())]))[:-1]
+
+
+def _are_rates(names: Sequence[str]) -> np.ndarray:
+    """Which states of a linear model are rates of openings."""
+    return np.array([name.endswith(".rate") for name in names])
 
 
 def faster(linear: LinearModel, factor: float) -> LinearModel:
     """The model with valves ``factor`` times as fast at the same damping ratio."""
-    a, b = linear.a.copy(), linear.b.copy()
-    a[4::2], b[4::2] = a[4::2] * factor**2, b[4::2] * factor**2
-    a[range(4, len(a), 2), range(4, len(a), 2)] /= factor
+    a, b, rates = linear.a.copy(), linear.b.copy(), _are_rates(linear.states)
+    quick = np.where(rates, factor**2, factor)[3:, None]
+    a[3:], b[3:] = a[3:] * quick, b[3:] * quick
+    a[3:, rates] /= factor
     return LinearModel(linear.states, linear.valves, a, b, linear.e)
 
 
@@ -517,7 +634,58 @@ def state_of(model: Model, point: OperatingPoint) -> tuple[np.ndarray, np.ndarra
     for path in point.paths:
         command[path.valve] = path.command
         valve_settle(model.plant.valves[path.valve], path.command, model.plant, y)
+    friction_settle(model.plant.cylinders[index], point.v, y)
     return y, command
+
+
+@dataclass(frozen=True)
+class _Offsets:
+    """The plant about an operating point, moved by offsets z of (x, v, p_head, p_rod, states of
+    valves, commands).
+    """
+
+    model: Model
+    point: OperatingPoint
+    held: bool
+    y: np.ndarray
+    command: np.ndarray
+
+    @property
+    def index(self) -> int:
+        """The cylinder's number."""
+        return self.model.layout.cylinders.index(self.point.cylinder)
+
+    def mass(self, y: np.ndarray) -> np.ndarray:
+        """Mass matrix at a state."""
+        plant = self.model.plant
+        n = plant.at.joints
+        mass = np.empty((n, n))
+        mass_matrix(plant.kind, plant.links, y[:n], mass, np.empty(work_size(n)))
+        return mass
+
+    def rates(self, z: np.ndarray, valves: Sequence[int], picks: Sequence[int]) -> np.ndarray:
+        """Rates of (x, v, p_head, p_rod, states ``picks``)."""
+        plant, point = self.model.plant, self.point
+        row, at = plant.cylinders[self.index], plant.at
+        joint, own = int(row.joint), int(at.rates + row.joint)
+        y, u = self.y.copy(), self.command.copy()
+        if z[0]:
+            y[joint] = joint_of(row, point.x + z[0])
+        _, lever, bend = linkage_of(row, y[joint])
+        y[own] = (point.v + z[1]) / lever
+        friction_settle(row, point.v + z[1], y)
+        ends = [plant.nodes[node].state for node in (row.node_head, row.node_rod)]
+        y[ends] += z[2:4]
+        y[list(picks)] += z[4 : 4 + len(picks)]
+        u[list(valves)] += z[4 + len(picks) :]
+        dy = np.empty(at.states)
+        derivatives(y, u, plant, dy, np.empty(at.work))
+        acceleration = dy[own]
+        if self.held:
+            mass = self.mass(y)
+            acceleration = mass[joint] @ dy[at.rates : at.rates + at.joints] / mass[joint, joint]
+        moved = [point.v + z[1], lever * acceleration + bend * y[own] ** 2]
+        return np.array([*moved, *dy[ends], *dy[list(picks)]])
 
 
 def plant_model(
@@ -527,56 +695,19 @@ def plant_model(
     others: Literal["held", "free"] = "held",
     position: bool = False,
 ) -> LinearModel:
-    """The same linear model from central differences of the compiled plant.
+    """The same linear model from central differences of the compiled plant, its friction steady.
 
     With the other joints held their acceleration is zero, ``q̈_j = (D q̈)_j/D_jj`` with q̈ of the
     free plant; ``free`` leaves them to the reaction forces at this instant. ``position`` adds the
     stroke ``x`` as first state: what the development model leaves out."""
-    plant, layout = model.plant, model.layout
-    index = layout.cylinders.index(point.cylinder)
-    row = plant.cylinders[index]
-    joint = int(row.joint)
     valves, moving, names = _states(model, point)
-    base, rest = state_of(model, point)
-    n = len(layout.joints)
-    at_qd, at_head = layout.state("qd", joint), layout.state("p_head", index)
-    work = np.empty(plant.at.work)
-    arm_work, mass, rate = np.empty(work_size(n)), np.empty((n, n)), np.empty(base.size)
     names = (("x",) if position else ()) + names
-    picks = [(layout.state("opening", i), layout.state("rate", i)) for i in moving]
-
-    def motion(z: np.ndarray) -> np.ndarray:
-        """Rates of the reduced state for offsets z of (x, v, p_head, p_rod, openings and rates,
-        commands).
-        """
-        y, u = base.copy(), rest.copy()
-        y[joint] = joint_of(row, point.x + z[0]) if z[0] else base[joint]
-        _, lever, bend = linkage_of(row, y[joint])
-        y[at_qd] = (point.v + z[1]) / lever
-        y[at_head : at_head + 2] += z[2:4]
-        for k, (opening, speed) in enumerate(picks):
-            y[opening] += z[4 + 2 * k]
-            y[speed] += z[5 + 2 * k]
-        u[list(valves)] += z[4 + 2 * len(picks) :]
-        derivatives(y, u, plant, rate, work)
-        acceleration = rate[at_qd]
-        if others == "held":
-            mass_matrix(plant.kind, plant.links, y[:n], mass, arm_work)
-            acceleration = mass[joint] @ rate[n : 2 * n] / mass[joint, joint]
-        out = [
-            point.v + z[1],
-            lever * acceleration + bend * y[at_qd] ** 2,
-            rate[at_head],
-            rate[at_head + 1],
-        ]
-        for opening, speed in picks:
-            out += [rate[opening], rate[speed]]
-        return np.array(out)
-
+    picks = [k for block in moving.values() for k in block.states]
+    about = _Offsets(model, point, others == "held", *state_of(model, point))
     steps = np.concatenate(
         [
             [1e-5, 1e-5 * max(1.0, abs(point.v) / 0.01), 30.0, 30.0],
-            [1e-4, 1e-2] * len(picks),
+            np.where(_are_rates(model.layout.state_names)[picks], 1e-2, 1e-4),
             [1e-4] * len(valves),
         ]
     )
@@ -584,13 +715,15 @@ def plant_model(
     for k, h in enumerate(steps):
         z = np.zeros(steps.size)
         z[k] = h
-        columns.append((motion(z) - motion(-z)) / (2 * h))
+        ahead, behind = about.rates(z, valves, picks), about.rates(-z, valves, picks)
+        columns.append((ahead - behind) / (2 * h))
     table = np.array(columns).T
-    first, size = (0 if position else 1), 4 + 2 * len(picks)
+    first, size = (0 if position else 1), 4 + len(picks)
     e = np.zeros(size - first)
     e[1 - first] = 1.0 / point.mass
     if others == "free":
-        mass_matrix(plant.kind, plant.links, base[:n], mass, arm_work)
+        joint = int(model.plant.cylinders[about.index].joint)
+        mass = about.mass(about.y)
         e[1 - first] = point.lever**2 * np.linalg.inv(mass)[joint, joint]
     return LinearModel(names, valves, table[first:, first:size], table[first:, size:], e)
 
@@ -652,16 +785,7 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
     total = size + held + len(corners)
     a = np.zeros((total, total))
     a[:size, :size] = linear.a
-    seen = np.zeros((2, total))  # pressures as the controller has them
-    seen[:, 1:3] = np.eye(2)
-    if held:
-        # e^(−sT) ≈ 1 − 2 a1 s/(s² + a1 s + a0), a1 = 6/T, a0 = 12/T²
-        root, twice = math.sqrt(12.0) / law.delay, 12.0 / law.delay
-        for k in range(2):
-            at = size + 2 * k
-            a[at, at + 1], a[at + 1, at], a[at + 1, at + 1] = root, -root, -0.5 * twice
-            a[at + 1, 1 + k] = root
-            seen[k, at + 1] = -twice / root
+    seen = _seen(a, size, law.delay)
     back = seen[0 if head else 1].copy()
     if law.feedback == "load":
         back = (areas[0] * seen[0] - areas[1] * seen[1]) / (areas[0] if head else -areas[1])
@@ -694,9 +818,8 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
     e = np.zeros(total)
     e[:size] = linear.e
     scale = np.ones(total)
-    scale[1:3] = 1.0e6
-    scale[size:] = 1.0e6
-    scale[4:size:2] = 100.0
+    scale[1:3], scale[size:] = 1.0e6, 1.0e6
+    scale[:size][_are_rates(linear.states)] = 100.0
     ratio = scale / scale[:, None]
     fastest = 2.5 / law.delay if held else math.inf
     return Loop(
@@ -710,8 +833,27 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
     )
 
 
+def _seen(a: np.ndarray, size: int, delay: float) -> np.ndarray:
+    """Pressures of head and rod as the controller has them, over all states, shape (2, states).
+
+    A delay [s] is written into ``a``: the states from ``size`` on are those of its Padé form,
+    ``e^(−sT) ≈ 1 − 2 a1 s/(s² + a1 s + a0)`` with a1 = 6/T, a0 = 12/T².
+    """
+    seen = np.zeros((2, a.shape[0]))
+    seen[:, 1:3] = np.eye(2)
+    if delay > 0:
+        root, twice = math.sqrt(12.0) / delay, 12.0 / delay
+        for k in range(2):
+            at = size + 2 * k
+            a[at, at + 1], a[at + 1, at], a[at + 1, at + 1] = root, -root, -0.5 * twice
+            a[at + 1, 1 + k] = root
+            seen[k, at + 1] = -twice / root
+    return seen
+
+
 def damping_ratio(poles: np.ndarray, fastest: float = math.inf) -> np.ndarray:
-    """Least damping ratio of the poles along the last axis: −Re s/|s|; 1 for real stable poles, −1 for real unstable ones.
+    """Least damping ratio of the poles along the last axis: −Re s/|s|; 1 for real stable poles, −1
+    for real unstable ones.
 
     Poles at zero, such as that of a chamber which nothing holds, do not count, nor stable ones
     beyond ``fastest`` [rad/s]."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -45,25 +46,26 @@ def locus(site: Site, law: Law, gain: float, parameter: str, limit: float) -> Lo
             ]
         )
     )
-    poles = np.asarray(control.root_locus_map(system, gains=values).loci)
+    root_locus: Any = control.root_locus_map(system, gains=values)
+    poles = np.asarray(root_locus.loci)
     at = poles[int(np.searchsorted(values, chosen))]
     cross = poles[int(np.searchsorted(values, crossing))] if crossing else np.zeros(0, complex)
     # what matters: the pole pair that swings, from no gain to the choice, and the crossing
     reach = max(
         abs(dominant(p, loop.fastest)) for p in (poles[0], at, *([cross] if crossing else []))
     )
-    frame = (-1.6 * reach, 0.4 * reach, 1.4 * reach)
+    reach = float(reach)
     return Locus(
         site.point.name,
         parameter,
         tuple(values.tolist()),
-        tuple(map(tuple, poles.real.tolist())),
-        tuple(map(tuple, poles.imag.tolist())),
+        tuple(map(tuple, np.real(poles).tolist())),
+        tuple(map(tuple, np.imag(poles).tolist())),
         float(chosen),
         pairs(at),
         None if crossing is None else float(crossing),
         pairs(cross),
-        tuple(map(float, frame)),
+        (-1.6 * reach, 0.4 * reach, 1.4 * reach),
     )
 
 

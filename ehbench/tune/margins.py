@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from typing import Any
 
 import numpy as np
 
@@ -116,12 +117,8 @@ def gain_limit(loop: Loop, gains: np.ndarray) -> float:
     if not after.size:
         return math.inf
     at = first + int(after[0])
-    return float(
-        brentq(
-            lambda g: rightmost(g) - calm,
-            gains[at - 1],
-            gains[at],
-            rtol=1e-9,
-            xtol=1e-9 * gains[at],
-        )
+    low, high = gains[at - 1], gains[at]
+    limit: Any = brentq(
+        lambda g: rightmost(g) - calm, low, high, rtol=np.float64(1e-9), xtol=1e-9 * high
     )
+    return float(limit)

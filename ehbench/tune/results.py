@@ -188,5 +188,5 @@ def _rounded(value: Any) -> Any:
 
 def pairs(poles: np.ndarray) -> tuple[tuple[float, float], ...]:
     """Poles as (real, imaginary), sorted."""
-    order = np.lexsort((poles.imag, poles.real))
+    order = np.lexsort((np.imag(poles), np.real(poles)))
     return tuple((float(p.real), float(p.imag)) for p in poles[order])

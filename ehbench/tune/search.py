@@ -10,6 +10,7 @@ import numpy as np
 
 from ehbench.codes import FUNCTIONS
 from ehbench.control.functions import HEAD, METERED
+from ehbench.parts.oil import bulk_of
 from ehbench.recipe import TuneRecipe
 from ehbench.tune.linear import Law, Loop, faster
 from ehbench.tune.margins import margins, violations
@@ -42,27 +43,22 @@ def natural_gain(sites: Sequence[Site]) -> float:
     for site in sites:
         head = METERED[FUNCTIONS.index(site.point.function)] == HEAD
         volume = site.point.volume_head if head else site.point.volume_rod
-        logs.append(
-            math.log(
-                swing(site)
-                * volume
-                / site.model.plant.cylinders[site.circuit.cylinder].bulk_modulus
-            )
-        )
+        logs.append(math.log(swing(site) * volume / _stiffness(site)[0 if head else 1]))
     return math.exp(float(np.mean(logs)))
 
 
 def swing(site: Site) -> float:
-    """Natural frequency [rad/s] between two shut chambers: ω² = β_e (A1²/V1 + A2²/V2)/m_eq."""
-    bulk, point = site.model.plant.cylinders[site.circuit.cylinder].bulk_modulus, site.point
-    return math.sqrt(
-        bulk
-        * (
-            site.circuit.area_head**2 / point.volume_head
-            + site.circuit.area_rod**2 / point.volume_rod
-        )
-        / point.mass
-    )
+    """Natural frequency [rad/s] between two shut chambers: ω² = (β1 A1²/V1 + β2 A2²/V2)/m_eq."""
+    (head, rod), point = _stiffness(site), site.point
+    spring = site.circuit.area_head**2 / point.volume_head
+    spring += rod / head * (site.circuit.area_rod**2 / point.volume_rod)
+    return math.sqrt(head * spring / point.mass)
+
+
+def _stiffness(site: Site) -> tuple[float, float]:
+    """Bulk moduli [Pa] of the oil in the head and in the rod end."""
+    row, point = site.model.plant.cylinders[site.circuit.cylinder], site.point
+    return bulk_of(row, point.p_head), bulk_of(row, point.p_rod)
 
 
 def worst_damping(sites: Sequence[Site], law: Law, gains: np.ndarray) -> np.ndarray:
@@ -153,13 +149,13 @@ class LawSearch:
         """Of washouts that get slower, the first that reaches the target, then closer in by
         bisection.
         """
-        faster_corner = None
+        faster_corner = 0.0
         for corner, ramp in washouts:
             law = self._reaching(corner, ramp)
             if law is None:
                 faster_corner = corner
                 continue
-            for _ in range(BISECTIONS if faster_corner else 0):
+            for _ in range(BISECTIONS if faster_corner > 0.0 else 0):
                 middle = math.sqrt(law.washout * faster_corner)
                 closer = self._reaching(middle, middle if ramp == corner else ramp)
                 if closer is None:

@@ -17,6 +17,7 @@ from ehbench.quantities import VOCABULARY
 from ehbench.recipe import TuneRecipe
 from ehbench.rig import Rig, read_value
 from ehbench.tune.linear import (
+    Aim,
     Law,
     LinearModel,
     Loop,
@@ -155,18 +156,8 @@ def _possible(study: Study, model: Model, payload: str) -> Iterator[Site]:
             continue
         for index in range(here.x.size):
             for share in recipe.speed_shares:
-                point = operating_point(
-                    model,
-                    circuit,
-                    function,
-                    here,
-                    index,
-                    share=share,
-                    low_pressure=study.low,
-                    cross_drop=study.cross,
-                    payload=payload,
-                    held=recipe.posture,
-                )
+                aim = Aim(study.low, study.cross, share=share, payload=payload, held=recipe.posture)
+                point = operating_point(model, circuit, function, here, index, aim)
                 if point.possible and point.v != 0.0:
                     linear = development_model(model, point)
                     yield Site(model, circuit, point, linear, point.fits)

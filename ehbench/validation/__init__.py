@@ -17,12 +17,12 @@ import numpy as np
 from ehbench import signals
 from ehbench.errors import EhbenchError, InputError, LogError
 from ehbench.observations import TOGETHER, alternatives, least_change, payload_of
+from ehbench.plant.build import Maps
+from ehbench.plant.model import Model
 from ehbench.preprocessing import numbered, preprocess
 from ehbench.recipe import Thresholds
 from ehbench.record import Record
 from ehbench.rig import Rig, Valve
-from ehbench.plant.build import Maps
-from ehbench.plant.model import Model
 from ehbench.validation.checks import checks_of
 from ehbench.validation.residuals import Pair, compare, pair_of
 from ehbench.validation.results import (

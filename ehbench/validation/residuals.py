@@ -10,9 +10,9 @@ import numpy as np
 
 from ehbench import signals
 from ehbench.observations import column
+from ehbench.plant.model import Model
 from ehbench.quantities import quantity
 from ehbench.record import Record
-from ehbench.plant.model import Model
 from ehbench.validation.results import ChannelResult, Correlation
 
 # von Neumann ratio (1 for white noise, 0 for a smooth signal) above which a channel shows noise

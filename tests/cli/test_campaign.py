@@ -58,6 +58,20 @@ def test_the_same_campaign_twice_gives_the_same_bytes(tmp_path):
     assert [name for name in one if one[name] != two[name]] == []
 
 
+def test_the_pump_cylinder_is_identified_and_accepted(tmp_path):
+    """From the logs of its virtual rig slip and damping are found; the held-out log follows."""
+    made = workflow.run(
+        ROOT / "recipes" / "pump_cylinder" / "campaign.toml", workflow.Session(root=tmp_path)
+    )
+    assert made.code == workflow.DONE
+    (judged,) = tmp_path.glob("validation_*/validation.json")
+    assert json.loads(judged.read_text())["accepted"]
+    (found,) = tmp_path.glob("hydraulics_*/parameters.json")
+    by_name = {row["name"]: row for row in json.loads(found.read_text())["parameters"]}
+    for name in ("bulk_modulus", "table.damping", "lift.pump.slip"):
+        assert by_name[name]["status"] == "estimated"
+
+
 def test_a_run_that_stands_is_kept_and_a_damaged_one_is_made_again(tmp_path):
     desk = workflow.Session(root=tmp_path)
     recipe = ROOT / "recipes" / "slide_servo" / "validation.toml"

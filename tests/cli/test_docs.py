@@ -58,7 +58,9 @@ def test_the_tables_are_as_the_models_make_them(page):
     ("page", "model"), MODELS, ids=lambda item: getattr(item, "__name__", item)
 )
 def test_every_key_stands_in_a_table_and_no_other(page, model):
-    """Of a model and those that it inherits from, as the page has them and as pydantic takes them."""
+    """Of a model and those that it inherits from, as the page has them and as pydantic takes
+    them.
+    """
     written = {
         key.strip("`")
         for base in model.__mro__

@@ -14,9 +14,9 @@ import pytest
 from ehbench import inspection, workflow
 from ehbench.errors import InputError, InsufficientData, LogError
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
-from ehbench.preprocessing import distinct_names, evened, preprocess
 from ehbench.logs import write_log
 from ehbench.plant.model import Model, simulate
+from ehbench.preprocessing import distinct_names, evened, preprocess
 from ehbench.recipe import load_recipe, load_rig
 from ehbench.record import Record
 from ehbench.validation import validate_rig

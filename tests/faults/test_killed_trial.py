@@ -63,7 +63,9 @@ def started(*arguments):
 
 
 def killed(ticks):
-    """A trial killed once its class has made so many ticks; (process, ticks made a second before)."""
+    """A trial killed once its class has made so many ticks; (process, ticks made a second
+    before).
+    """
     process, made = started("run-trial", "slow.toml", "--allow-code", "-q"), []
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline and (not made or made[-1][1] < ticks):

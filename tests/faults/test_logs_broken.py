@@ -105,8 +105,8 @@ def test_a_cut_says_how_many_bytes_are_gone(log, truth, tmp_path):
     _, first, stop = [each for each in records(log) if each[0] == 6][5]
     back = judge(tmp_path / "a.mcap", log[: stop - 10], truth)
     assert (
-        back.losses[0]
-        == f"bytes {first} to {stop - 10} of {stop - 10} are lost: a record runs past the end of the file"
+        back.losses[0] == f"bytes {first} to {stop - 10} of {stop - 10} are lost: "
+        "a record runs past the end of the file"
     )
 
 

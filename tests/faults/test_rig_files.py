@@ -21,8 +21,12 @@ PAGE = (Path(__file__).parents[2] / "docs" / "rig_file.md").read_text(encoding="
 CRANE, *_ = EXAMPLES = re.findall(r"```toml\n(.*?)```", PAGE, re.S)
 (PRESS,) = (text for text in EXAMPLES if text.startswith("# a press"))
 PRESS = (
-    'name = "press"\n[oil]\nbulk_modulus = "1.1 GPa"\n[supply]\npressure = "250 bar"\nflow_limit = "200 L/min"\n'
+    'name = "press"\n[oil]\nbulk_modulus = "1.1 GPa"\n[supply]\npressure = "250 bar"\n'
+    'flow_limit = "200 L/min"\n'
     + ('[dynamics.spool]\nnatural_frequency = "60 Hz"\ndamping_ratio = 0.7\n' + PRESS)
+)
+PUMP = (
+    Path(__file__).parents[2].joinpath("recipes", "rigs", "pump_cylinder.toml").read_text("utf-8")
 )
 PINS = CRANE[CRANE.index("[cylinder.pins]") : CRANE.index("[[cylinder.valve]]")]
 EDGE = '{ from = "supply", to = "head", law = "orifice", flow_gain = "2 L/min/V/bar^0.5" },'
@@ -138,7 +142,8 @@ def padded(*cases):
         (
             'phase = "60 deg"',
             'phase = "60 deg"\nfriction_coulomb = "90 N"',
-            "unknown key 'pins.friction_coulomb' (a key of cylinder 'lift': put it above the table [cylinder.pins])",
+            "unknown key 'pins.friction_coulomb' (a key of cylinder 'lift': put it above the "
+            "table [cylinder.pins])",
             "friction_c",
         ),
         ('l_a = "1.2 m"\n', "", "cylinder 'lift': 'pins.l_a' is missing", "[cylinder.pins]"),
@@ -244,6 +249,40 @@ def test_a_slip_in_a_press(tmp_path, old, new, words):
     assert words in str(refused(tmp_path, PRESS.replace(old, new, 1)))
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            'displacement = { value = "8 mL/rev", source = "datasheet" }\n',
+            "",
+            "law 'pump' needs 'displacement'",
+        ),
+        (
+            '"8 mL/rev"',
+            '"8 mL"',
+            "'mL' says no angle for displacement (displacement is in m^3/rad, mL/rev or the like)",
+        ),
+        ('"8 mL/rev"', '"-8 mL/rev"', "displacement = -8 mL/rev lies outside"),
+        ('"150 rpm/V"', '"150 rpm"', "'rpm' cannot be turned into rad/(s*V)"),
+        ('law = "pump"', 'law = "pump"\nreverse = "blocked"', "a pump passes oil both ways"),
+        ('law = "pump"', 'law = "pump"\ndeadband = "1 V"', "a pump has no deadband"),
+        ('"check_rod"', '"check_head"', "two edges are called 'check_head'"),
+        ('"check_rod"', '"pump"', "two edges are called 'pump'"),
+        ('pilot = "head"\n', "", "a pilot-operated check valve takes pilot and pilot_ratio"),
+        ('pilot = "head"', 'pilot = "supply"', "the pilot is at 'from', where it opens nothing"),
+        ('to = "rod"', 'to = "supply"', "an edge joins two different nodes"),
+        ('pilot = "head"', 'pilto = "head"', "unknown key 'pilto' (did you mean 'pilot'?)"),
+        ('"4 bar"', '"8 bar"', "the accumulator holds no oil: its precharge must lie below"),
+        ('"1 L"', '"1 kg"', "gas_volume: 'kg' cannot be turned into m^3"),
+        ("value = 1.2,", "value = 2.5,", "polytropic_exponent must lie between 1 and 1.7"),
+    ],
+)
+def test_a_slip_in_a_pump_circuit(tmp_path, old, new, words):
+    assert old in PUMP
+    assert words in str(error := refused(tmp_path, PUMP.replace(old, new, 1)))
+    assert error.line is not None
+
+
 @pytest.mark.parametrize("node", ["supply", "tank", "head", "rod"])
 def test_a_missing_edge_is_noted(tmp_path, node):
     rig = tomllib.loads(CRANE)
@@ -299,3 +338,73 @@ def trial(folder: Path, rig: str, valve: str, more: str = ""):
         np.isfinite(values).all() for values in record.channels.values()
     )
     return record
+
+
+FORCE = '[[cylinder.force]]\nkind = "spring"\nstiffness = "5 kN/m"\n'
+SATURATING = EDGE.replace('"orifice"', '"saturating"')
+
+
+# parts that a rig may have: text put in place of another, the sentence, where
+@pytest.mark.parametrize(
+    ("old", "new", "words", "line"),
+    padded(
+        (PINS, FORCE + PINS, "a force of kind 'spring' needs 'free_length'", FORCE),
+        ("[oil]", '[oil]\nair_fraction = "60 %"', "outside 0 to 50 %", "air_fraction ="),
+        (
+            "[oil]",
+            "[oil]\npolytropic_exponent = 1.3",
+            "an exponent of air needs 'air_fraction'",
+            "polytropic_exponent =",
+        ),
+        (
+            PINS,
+            FORCE.replace('stiffness = "5 kN/m"', 'force = "5 kN"') + PINS,
+            "a force of kind 'spring' needs 'stiffness'",
+            FORCE[:20],
+        ),
+        (
+            PINS,
+            FORCE + 'free_length = "0.1 m"\nchannel = "lift.force"\n' + PINS,
+            "a force of kind 'spring' takes no 'channel'",
+            "channel =",
+        ),
+        (
+            PINS,
+            FORCE.replace("kN/m", "kN") + 'free_length = "0.1 m"\n' + PINS,
+            "'kN' cannot be turned into N/m",
+            "stiffness =",
+        ),
+        (
+            PINS,
+            '[[cylinder.force]]\nkind = "channel"\nchannel = "lift.x"\n' + PINS,
+            "'lift.x' is no channel of a force",
+            "channel =",
+        ),
+        (
+            EDGE,
+            EDGE.replace('"orifice"', '"flow_control"'),
+            "law 'flow_control' needs 'compensated_gain'",
+            "edge = [",
+        ),
+        (EDGE, SATURATING, "law 'saturating' needs 'opening_max'", "edge = ["),
+        (
+            EDGE,
+            SATURATING.replace(" }", ', deadband = "1 V", opening_max = "0.5 V" }'),
+            "opening_max must lie above deadband",
+            "edge = [",
+        ),
+        (
+            EDGE,
+            SATURATING.replace(" }", ', opening_max = "2 V", saturation_softness = "3 V" }'),
+            "saturation_softness must not exceed opening_max − deadband, 2 V",
+            "edge = [",
+        ),
+    ),
+)
+def test_a_nonsense_part_is_refused_in_one_sentence(tmp_path, old, new, words, line):
+    assert old in CRANE
+    text = CRANE.replace(old, new, 1)
+    error = refused(tmp_path, text)
+    assert words in error.message and "\n" not in error.message, error.message
+    at = text[: text.index(line or new)].count("\n") + 1
+    assert at <= error.line <= at + new.count("\n"), (error.line, at)

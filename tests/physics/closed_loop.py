@@ -5,13 +5,14 @@ tick.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
 from ehbench.control import arc
 from ehbench.control.arc_gains import Adaptation, pack_arc
-from ehbench.control.axis import Mechanism
+from ehbench.control.axis import Axis, Mechanism
 from ehbench.control.axis import axis_of as make_axis
 from ehbench.control.functions import circuit, pack_rules
 from ehbench.control.law import Site
@@ -25,74 +26,73 @@ from ehbench.plant.integrate import STEP
 TICK = 1.0e-3
 
 
+class Law(NamedTuple):
+    """Arguments of `arc.step`; a channel with ``mask`` False is NaN in what the controller gets."""
+
+    mask: np.ndarray
+    design: Axis
+    gains: Any
+    memory: Any
+    command: np.ndarray
+
+
+class Trace(NamedTuple):
+    """What is kept of each tick, a row each."""
+
+    log: np.ndarray
+    telemetry: np.ndarray
+    commands: np.ndarray
+
+
+class Bench(NamedTuple):
+    """A virtual bench with its state, its last sample and room to work in."""
+
+    state: np.ndarray
+    sample: np.ndarray
+    plant: Any
+    scratch: Any
+    noise: np.ndarray
+
+
 @njit(cache=True, nogil=True)
-def on_model(
-    y,
-    reference,
-    mask,
-    design,
-    gains,
-    memory,
-    command,
-    plant,
-    tick,
-    steps,
-    log,
-    telemetry,
-    commands,
-    flows,
-):
-    """Run a controller on the model; a channel with ``mask`` False is NaN in what the controller
-    gets.
-    """
+def control(t, sample, reference, law, telemetry):
+    """One tick of a controller, which sees the channels of its mask."""
+    given = np.empty(sample.shape[0])
+    for c in range(sample.shape[0]):
+        given[c] = sample[c] if law.mask[c] else np.nan
+    arc.step(t, given, reference, law.design, law.gains, law.memory, law.command, telemetry)
+
+
+@njit(cache=True, nogil=True)
+def on_model(y, reference, law, plant, tick, steps, trace, flows):
+    """Run a controller on the model."""
     k = np.empty((5, y.shape[0]))
     work = np.empty(plant.at.work)
-    sample, given = np.empty(log.shape[1]), np.empty(log.shape[1])
+    sample = np.empty(trace.log.shape[1])
     model_sample(y, plant, sample)
     for i in range(reference.shape[0]):
-        for c in range(sample.shape[0]):
-            given[c] = sample[c] if mask[c] else np.nan
-        arc.step(i * tick, given, reference[i], design, gains, memory, command, telemetry[i])
-        log[i], commands[i] = sample, command
-        derivatives(y, command, plant, k[0], work)
+        control(i * tick, sample, reference[i], law, trace.telemetry[i])
+        trace.log[i], trace.commands[i] = sample, law.command
+        derivatives(y, law.command, plant, k[0], work)
         flows[i] = work[plant.at.flow :]
-        model_tick(y, command, plant, tick, steps, k, work, sample)
+        model_tick(y, law.command, plant, tick, steps, k, work, sample)
 
 
 @njit(cache=True, nogil=True)
-def on_bench(
-    state,
-    sample,
-    reference,
-    mask,
-    design,
-    gains,
-    memory,
-    command,
-    bench,
-    tick,
-    steps,
-    scratch,
-    noise,
-    log,
-    telemetry,
-    commands,
-):
+def on_bench(bench, reference, law, tick, steps, trace):
     """Run a controller on the virtual bench; the log is what it measured, the truth follows in its
     last columns.
     """
+    state, sample = bench.state, bench.sample
     channels = sample.shape[0]
-    given = np.empty(channels)
     for i in range(reference.shape[0]):
-        for c in range(channels):
-            given[c] = sample[c] if mask[c] else np.nan
-        arc.step(i * tick, given, reference[i], design, gains, memory, command, telemetry[i])
-        log[i, :channels], log[i, channels:], commands[i] = (
-            sample,
-            state[: log.shape[1] - channels],
-            command,
+        control(i * tick, sample, reference[i], law, trace.telemetry[i])
+        trace.log[i, :channels] = sample
+        trace.log[i, channels:] = state[: trace.log.shape[1] - channels]
+        trace.commands[i] = law.command
+        bench_tick(
+            state, law.command, bench.plant, tick, steps, bench.scratch, bench.noise[i], sample
         )
-        bench_tick(state, command, bench, tick, steps, scratch, noise[i], sample)
 
 
 @dataclass
@@ -163,89 +163,39 @@ def gains_of(model, ax, seventh=False, rules=None, gains=None, **options):
     return pack_arc(Site(ax, **site), packed, Adaptation(**options), gains)
 
 
-def _arrays(model, ax, reference):
+def _arrays(model, ax, gains, mask, memory, ticks, channels):
+    """(the law before its first tick, an empty trace, names of its telemetry)."""
     layout = model.layout
     names = arc.LAW.channels("c", tuple(f"e{i}" for i in range(ax.circuit.count)))
-    return (
-        np.zeros((len(reference), len(names))),
-        names,
-        np.zeros((len(reference), len(layout.valves))),
-        model.rest_commands(1)[0],
-    )
+    trace = Trace(*(np.zeros((ticks, n)) for n in (channels, len(names), len(layout.valves))))
+    return Law(mask, ax, gains, memory, model.rest_commands(1)[0]), trace, names
 
 
-def _by_name(telemetry, names):
-    return {name.removeprefix("c."): telemetry[:, i] for i, name in enumerate(names)}
+def _run(reference, law, trace, names, tick, flows=None):
+    telemetry = {name.removeprefix("c."): trace.telemetry[:, i] for i, name in enumerate(names)}
+    t = np.arange(len(reference)) * tick
+    return Run(reference, trace.log, telemetry, trace.commands, flows, law.memory, t)
 
 
 def run_model(model, ax, gains, reference, posture=None, mask=None, memory=None):
     """A trial of the controller on a model that starts at rest in a posture; ``memory`` is that
     before the first tick unless given.
     """
-    y = model.trim(model.posture(posture))
-    telemetry, names, commands, command = _arrays(model, ax, reference)
-    channels = sample_size(len(model.layout.cylinders))
-    log = np.zeros((len(reference), channels))
+    y, count = model.trim(model.posture(posture)), len(reference)
+    channels, tick = sample_size(len(model.layout.cylinders)), float(gains.tick)
     memory = arc.memory_of(ax) if memory is None else memory
-    flows, tick = np.zeros((len(reference), len(model.layout.edges) + 1)), float(gains.tick)
     mask = arc.observed(ax, channels) if mask is None else mask
-    steps = max(1, round(tick / STEP))
-    on_model(
-        y,
-        reference,
-        mask,
-        ax,
-        gains,
-        memory,
-        command,
-        model.plant,
-        tick,
-        steps,
-        log,
-        telemetry,
-        commands,
-        flows,
-    )
-    return Run(
-        reference,
-        log,
-        _by_name(telemetry, names),
-        commands,
-        flows,
-        memory,
-        np.arange(len(reference)) * tick,
-    )
+    law, trace, names = _arrays(model, ax, gains, mask, memory, count, channels)
+    flows = np.zeros((count, len(model.layout.edges) + 1))
+    on_model(y, reference, law, model.plant, tick, max(1, round(tick / STEP)), trace, flows)
+    return _run(reference, law, trace, names, tick, flows)
 
 
 def run_bench(rig, model, ax, gains, reference, posture=None):
     """A trial of the controller, designed on ``model``, on a virtual bench."""
-    sample = rig.start(posture)
-    telemetry, names, commands, command = _arrays(model, ax, reference)
-    log, memory = np.zeros((len(reference), sample.size + rig.size)), arc.memory_of(ax)
-    on_bench(
-        rig.state,
-        sample,
-        reference,
-        arc.observed(ax, sample.size),
-        ax,
-        gains,
-        memory,
-        command,
-        rig.bench,
-        TICK,
-        rig.steps,
-        rig._own.scratch,
-        rig.noise(len(reference)),
-        log,
-        telemetry,
-        commands,
-    )
-    return Run(
-        reference,
-        log,
-        _by_name(telemetry, names),
-        commands,
-        None,
-        memory,
-        np.arange(len(reference)) * TICK,
-    )
+    sample, count = rig.start(posture), len(reference)
+    mask, memory = arc.observed(ax, sample.size), arc.memory_of(ax)
+    law, trace, names = _arrays(model, ax, gains, mask, memory, count, sample.size + rig.size)
+    bench = Bench(rig.state, sample, rig.bench, rig._own.scratch, rig.noise(count))
+    on_bench(bench, reference, law, TICK, rig.steps, trace)
+    return _run(reference, law, trace, names, TICK)

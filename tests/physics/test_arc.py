@@ -149,8 +149,8 @@ def nominal(payload):
 
 
 def nominal_run(payload, estimates, adapt, span=1.6, **gains):
-    """Sampled at 5 kHz, so that a held command is near enough a continuous one; the reference oscillates
-    from t = 0.
+    """Sampled at 5 kHz, so that a held command is near enough a continuous one; the reference
+    oscillates from t = 0.
     """
     design, loaded, ax = nominal(payload)
     tick = 2.0e-4
@@ -410,8 +410,8 @@ def test_off_side_pressure_follows_its_set_point():
 
 
 def test_saturation_is_said_and_leaves_no_wind_up():
-    """A reference twice as fast as the pump: the valves end, the estimates keep still, and the stroke
-    comes home without overshoot.
+    """A reference twice as fast as the pump: the valves end, the estimates keep still, and the
+    stroke comes home without overshoot.
     """
     rig, design, ax = thesis()
     reference = point_to_point(
@@ -574,7 +574,7 @@ def test_on_the_bench(load):
 
 
 # --- packing
-# ----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,9 @@ def random_chain(n, rng):
 
 
 def mujoco_model(given):
-    """The same chain in MuJoCo: bodies are link-end frames, with the joint where the link begins."""
+    """The same chain in MuJoCo: bodies are link-end frames, with the joint where the link
+    begins.
+    """
 
     def text(values):
         return " ".join(repr(float(v)) for v in values)
@@ -53,11 +55,15 @@ def mujoco_model(given):
         full = (j[0, 0], j[1, 1], j[2, 2], j[0, 1], j[0, 2], j[1, 2])
         body += (
             f'<body pos="{text((a * c, a * s, d))}" xyaxes="{text(axes)}">'
-            f'<joint type="hinge" pos="{text((-a, -d * sa, -d * ca))}" axis="{text((0, sa, ca))}" damping="{damping!r}"/>'
+            f'<joint type="hinge" pos="{text((-a, -d * sa, -d * ca))}" axis="{text((0, sa, ca))}" '
+            f'damping="{damping!r}"/>'
             f'<inertial pos="{text(com)}" mass="{float(mass)!r}" fullinertia="{text(full)}"/>'
         )
         close += "</body>"
-    xml = f'<mujoco><compiler angle="radian"/><option gravity="{text(-GRAVITY)}"/><worldbody>{body}{close}</worldbody></mujoco>'
+    xml = (
+        '<mujoco><compiler angle="radian"/><option '
+        f'gravity="{text(-GRAVITY)}"/><worldbody>{body}{close}</worldbody></mujoco>'
+    )
     model = mujoco.MjModel.from_xml_string(xml)
     return model, mujoco.MjData(model)
 

@@ -245,11 +245,13 @@ def test_a_log_of_the_bench_has_what_a_machine_measures_the_commands_and_the_not
 
 
 # --- gains
-# ---------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_the_gains_that_a_trial_ran_with_are_saved_defaults_and_bounds_too():
-    """A payload of 50 lb under a bound of 12 kg: the estimates go to their bounds, and no farther."""
+    """A payload of 50 lb under a bound of 12 kg: the estimates go to their bounds, and no
+    farther.
+    """
     stated = {
         "position_bandwidth": "8 rad/s",
         "observer_bandwidth": "50 rad/s",
@@ -325,8 +327,8 @@ def test_the_gains_that_a_trial_ran_with_are_saved_defaults_and_bounds_too():
 
 @pytest.mark.parametrize("on", ["model", "bench"])
 def test_what_a_weak_pump_cannot_give_saturates_is_said_and_leaves_no_wind_up(on):
-    """A reference twice as fast as the pump: its pressure falls, the valves end, and the stroke comes
-    home without overshoot.
+    """A reference twice as fast as the pump: its pressure falls, the valves end, and the stroke
+    comes home without overshoot.
     """
     weak = ARM.with_values({"supply.flow_limit": 1e-4})
     motion = UP_DOWN | {
@@ -358,7 +360,7 @@ def test_what_a_weak_pump_cannot_give_saturates_is_said_and_leaves_no_wind_up(on
 
 
 # --- channels
-# -----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -423,14 +425,17 @@ class Mine:
         self.seen = [sample]
         self.names, self.circuit, supply = list(sample), rig.circuit, float(rig.rig.supply.pressure)
         rules = pack_rules(rig.circuit.area_rod, supply, low_pressure=supply / 20)
-        self.packed = pf.pack_pressure_feedback(tick=tick, rules=rules, low_pressure=supply / 20, **self.gains)
+        self.packed = pf.pack_pressure_feedback(
+            tick=tick, rules=rules, low_pressure=supply / 20, **self.gains
+        )
         self.memory, self.command = blank(pf.MEMORY), np.zeros(len(rig.valves))
         self.out = np.zeros(pf.COLUMNS + 2 * rig.circuit.count)
     notes = ["boom.load_force"]
     def step(self, t, sample, wish):
         self.seen.append(sample)
         values = np.array([sample[name] for name in self.names])
-        pf.step(t, values, np.array(wish), self.circuit, self.packed, self.memory, self.command, self.out)
+        laws = self.circuit, self.packed, self.memory
+        pf.step(t, values, np.array(wish), *laws, self.command, self.out)
         self.note = [self.out[7]]
         return self.command
 """
@@ -459,12 +464,15 @@ def test_a_users_class_does_what_the_compiled_law_does(tmp_path, on):
 def test_a_channel_not_named_is_nan(tmp_path):
     (tmp_path / "peek.py").write_text(
         "import math\nclass Peek:\n    channels = ['boom.p_head']\n"
-        "    def start(self, rig, tick, sample):\n        assert [n for n, v in sample.items() if not math.isnan(v)] == ['boom.p_head']\n"
-        "    def step(self, t, sample, wish):\n        return {'boom.hepc': 3.0 + 0.0 * sample['boom.x']}\n"
+        "    def start(self, rig, tick, sample):\n"
+        "        assert [n for n, v in sample.items() if not math.isnan(v)] == ['boom.p_head']\n"
+        "    def step(self, t, sample, wish):\n"
+        "        return {'boom.hepc': 3.0 + 0.0 * sample['boom.x']}\n"
     )
     with pytest.raises(
         InputError,
-        match=r"Peek\.step gave .*nan.* at t = 0 s, which is not finite .channels that it does not name",
+        match=r"Peek\.step gave .*nan.* at t = 0 s, which is not finite "
+        r".channels that it does not name",
     ):
         run_trial(
             ARM, recipe({"class": "peek:Peek"}, path=tmp_path / "trial.toml"), allow_code=True
@@ -476,7 +484,8 @@ def test_a_channel_not_named_is_nan(tmp_path):
     [
         (
             "[1.0]",
-            r"gave \[1.0\] at t = 0 s, which is no set of commands .a dict of volts by valve, or 7 numbers",
+            r"gave \[1.0\] at t = 0 s, which is no set of commands .a dict of volts by valve, or "
+            r"7 numbers",
         ),
         ("3.0", "gave 3.0 at t = 0 s, which is no set"),
         ("{'boom.hepc': None}", "gave {'boom.hepc': None} at t = 0 s, which is not finite"),
@@ -577,7 +586,8 @@ def test_pressure_feedback_damps_the_steps_of_the_open_loop():
 def test_a_limit_shuts_the_valves_in_the_very_tick(law, on, tmp_path):
     (tmp_path / "own_controller.py").write_text(
         "class Lift:\n    channels = ['boom.x']\n    def start(self, rig, tick, sample): pass\n"
-        "    def step(self, t, sample, wish): return {'boom.hepc': 4.0 * (wish.v > 0), 'boom.rect': 6.0 * (wish.v > 0)}\n"
+        "    def step(self, t, sample, wish): return {'boom.hepc': 4.0 * (wish.v > 0), "
+        "'boom.rect': 6.0 * (wish.v > 0)}\n"
     )
     given = recipe(
         law,
@@ -624,7 +634,7 @@ def test_an_unused_valve_stays_at_rest():
 
 
 # --- energy
-# ----------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("on", ["model", "bench"])
@@ -657,7 +667,7 @@ def test_the_energy_saving_law_takes_a_third_less_than_the_four_way_valve():
 
 
 # --- sets
-# ---------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_a_set_is_the_product_in_order_and_its_bytes_do_not_depend_on_threads():
@@ -718,8 +728,8 @@ def test_a_case_that_fails_stops_the_set():
 
 
 def test_notes_have_the_columns_they_are_named_by():
-    """The order of telemetry is the law's own: the reference comes first, and each edge's flow and limits
-    last.
+    """The order of telemetry is the law's own: the reference comes first, and each edge's flow and
+    limits last.
     """
     record, _ = run_trial(ARM, recipe(FEEDBACK))
     law = closed(recipe(FEEDBACK))

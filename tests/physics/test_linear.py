@@ -23,6 +23,7 @@ from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
 from ehbench.tune.linear import (
+    Aim,
     Law,
     circuit_of,
     close,
@@ -67,9 +68,7 @@ def points(model, index, circuit, shares=(0.2, 0.8), strokes=(0.15, 0.5, 0.85)):
                     function,
                     here,
                     at,
-                    share=share,
-                    low_pressure=low,
-                    cross_drop=low,
+                    Aim(low, low, share=share),
                 )
                 if point.possible and point.v:
                     yield point
@@ -259,14 +258,14 @@ def test_valves_made_faster_keep_their_damping():
     ],
 )
 def test_closed_loop_agrees_with_the_compiled_controller(function, washout, ramp, feedback):
-    """A push on the mass of the running machine: its speed, tick by tick, against the linear loop."""
+    """A push on the mass of the running machine: its speed, tick by tick, against the linear
+    loop.
+    """
     model, index, circuit = machine("boom_four_valve", "boom", None)
     plant, off, tick = model.plant, 4e-11, 1e-3
     low = plant.supply.pressure / 20
     here = equivalent(model, index, np.array([0.5]) * plant.cylinders[index].stroke)
-    point = operating_point(
-        model, circuit, function, here, 0, share=0.2, low_pressure=low, cross_drop=low
-    )
+    point = operating_point(model, circuit, function, here, 0, Aim(low, low, share=0.2))
     assert point.fits
     loop = close(
         development_model(model, point), point, circuit, Law(washout, off, 0.5 * tick, ramp)
@@ -336,9 +335,7 @@ def test_refusals():
             FUNCTIONS.index("retract_overrunning_regeneration"),
             here,
             0,
-            speed=0.1,
-            low_pressure=1e5,
-            cross_drop=1e5,
+            Aim(1e5, 1e5, speed=0.1),
         )
     with pytest.raises(InputError, match="a speed or a share"):
-        operating_point(model, circuit, EXTEND_RESISTIVE, here, 0, low_pressure=1e5, cross_drop=1e5)
+        operating_point(model, circuit, EXTEND_RESISTIVE, here, 0, Aim(1e5, 1e5))

@@ -23,7 +23,9 @@ from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
 from ehbench.rig import Rig, Slide, Value
 
-RIGS = sorted((Path(__file__).parents[2] / "recipes" / "rigs").glob("*.toml"))
+FILES = sorted((Path(__file__).parents[2] / "recipes" / "rigs").glob("*.toml"))
+# those whose shut valves hold their oil; a pump with its check valves is in test_parts_circuit
+RIGS = [path for path in FILES if load_rig(path).cylinder[0].pump is None]
 LEAK = 2.0e-13  # [m³/(s·Pa)]: 1.2 mL/min/bar, a worn cylinder
 
 

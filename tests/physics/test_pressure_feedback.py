@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -30,23 +31,34 @@ TICK = 1e-3
 COLUMN = {name: index for index, name in enumerate(pf.TELEMETRY)}
 
 
+class Law(NamedTuple):
+    """Arguments of `pressure_feedback.step`, with ``given``: which channels it sees."""
+
+    circuit: fn.Circuit
+    gains: np.record
+    memory: Any
+    given: np.ndarray
+    command: np.ndarray
+
+
 @njit
-def closed_loop(
-    y, reference, plant, circuit, gains, memory, given, command, samples, notes, commands
-):
-    """The plant under `pressure_feedback.step`; channels not ``given`` are NaN to the controller."""
+def closed_loop(y, reference, plant, law, samples, notes, commands):
+    """The plant under `pressure_feedback.step`; channels not ``law.given`` are NaN to the
+    controller.
+    """
     k = np.empty((5, y.shape[0]))
     work = np.empty(plant.at.work)
     seen = np.empty(samples.shape[1])
     for i in range(reference.shape[0]):
         model_sample(y, plant, samples[i])
         for j in range(seen.shape[0]):
-            seen[j] = samples[i, j] if given[j] else np.nan
-        pf.step(i * 1e-3, seen, reference[i], circuit, gains, memory, command, notes[i])
-        for j in range(command.shape[0]):
-            commands[i, j] = command[j]
+            seen[j] = samples[i, j] if law.given[j] else np.nan
+        laws = law.circuit, law.gains, law.memory
+        pf.step(i * 1e-3, seen, reference[i], *laws, law.command, notes[i])
+        for j in range(law.command.shape[0]):
+            commands[i, j] = law.command[j]
         for _ in range(2):
-            rk4(y, command, plant, 5e-4, k, work)
+            rk4(y, law.command, plant, 5e-4, k, work)
 
 
 class Trial:
@@ -62,8 +74,6 @@ class Trial:
         payload=None,
         values=None,
         given=None,
-        off_rate=10.0,
-        rules=None,
         **gains,
     ) -> None:
         made = load_rig(RIGS / f"{rig}.toml").with_values(values or {})
@@ -80,10 +90,8 @@ class Trial:
             np.column_stack([plant.valves.lowest, plant.valves.highest]),
         )
         low = plant.supply.pressure / 20
-        rules = fn.pack_rules(
-            row.area_rod, plant.supply.pressure, low_pressure=low, **(rules or {})
-        )
-        off_gain = off_rate * row.volume_rod / row.bulk_modulus
+        rules = fn.pack_rules(row.area_rod, plant.supply.pressure, low_pressure=low)
+        off_gain = 10.0 * row.volume_rod / row.bulk_modulus
         packed = pf.pack_pressure_feedback(
             tick=TICK, rules=rules, off_gain=off_gain, low_pressure=low, **gains
         )
@@ -102,11 +110,7 @@ class Trial:
             start,
             reference,
             plant,
-            self.circuit,
-            packed,
-            blank(pf.MEMORY),
-            given,
-            self.model.rest_commands(1)[0],
+            Law(self.circuit, packed, blank(pf.MEMORY), given, self.model.rest_commands(1)[0]),
             self.samples,
             self.notes,
             self.commands,

@@ -15,9 +15,9 @@ from ehbench.errors import InputError
 from ehbench.logs import read_record, write_log
 from ehbench.machines.protocol import advance_of, truth_of
 from ehbench.machines.simulated import SimulatedMachine
+from ehbench.plant.model import Model
 from ehbench.recipe import TrialRecipe, load_rig
 from ehbench.record import Record
-from ehbench.plant.model import Model
 from ehbench.trial import prepare, run, session
 
 RECIPES = Path(__file__).parents[2] / "recipes"
@@ -151,7 +151,7 @@ def test_the_log_of_a_trial_is_the_log_of_its_record(on, sync, limits, tmp_path,
 
 def test_rows_of_a_slow_controller_are_in_the_log_while_it_runs(tmp_path, monkeypatch):
     """Not a thousand ticks later."""
-    monkeypatch.setattr(session, "WAIT", 0.01)
+    monkeypatch.setattr(session, "WAIT", 0.1)
     monkeypatch.setattr(session, "SYNC", 0.0)
     prepared, seen = trial("class", tmp_path), []
     slow = CODE.replace(
@@ -163,5 +163,5 @@ def test_rows_of_a_slow_controller_are_in_the_log_while_it_runs(tmp_path, monkey
         seen.append((share * prepared.t.size, read_record(tmp_path / "live.mcap").t.size))
 
     run(prepared, log=tmp_path / "live.mcap", progress=told)
-    assert len(seen) > 50
+    assert len(seen) > 20
     assert all(rows == pytest.approx(asked) for asked, rows in seen)

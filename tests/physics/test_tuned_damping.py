@@ -101,7 +101,9 @@ class Running:
         return turn
 
     def modes(self, ticks):
-        """(poles [rad/s], share of each that lies in this cylinder, its valves and its controller)."""
+        """(poles [rad/s], share of each that lies in this cylinder, its valves and its
+        controller).
+        """
         pushes = np.diag(self.sizes)
         columns = [(self.after(p, ticks) - self.after(-p, ticks)) / 2.0 for p in pushes]
         first, last = (

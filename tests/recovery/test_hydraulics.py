@@ -16,10 +16,10 @@ import pytest
 from ehbench import rundir
 from ehbench.errors import InputError, InsufficientData
 from ehbench.identification.hydraulics import FitOptions, compare_dynamics, identify_hydraulics
+from ehbench.plant.model import simulate
 from ehbench.recipe import load_rig
 from ehbench.record import Record
 from ehbench.signals import ringing
-from ehbench.plant.model import simulate
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 NOISE = {"qd": 4e-3, "v": 1e-3, "p_head": 6e3, "p_rod": 6e3, "q": 1e-4, "x": 1e-5, "p_supply": 6e3}

@@ -60,9 +60,9 @@ def circuit(rows, areas=(A1, A2), ranges=(0.0, 10.0), law=COMPENSATED, gain=6.3e
     return fn.circuit(0, *areas, edges, np.zeros(1), np.tile(ranges, (valves, 1)))
 
 
-def choose(c, rules, v_d, p_head, p_rod, now=codes.HOLD, age=1e9, p_supply=PS, p_tank=0.0):
+def choose(c, rules, v_d, p_head, p_rod, now=codes.HOLD, age=1e9, p_supply=PS):
     load = p_head * c.area_head - p_rod * c.area_rod
-    return fn.select(now, age, v_d, load, Pressures(p_head, p_rod, p_supply, p_tank), c, rules)
+    return fn.select(now, age, v_d, load, Pressures(p_head, p_rod, p_supply, 0.0), c, rules)
 
 
 def test_the_table_balances_the_oil():

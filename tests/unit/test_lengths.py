@@ -23,7 +23,10 @@ def lengths(text: str) -> Iterator[tuple[str, int]]:
 
 
 def test_lengths_are_from_def_to_end():
-    text = 'class A:\n    @property\n    def f(\n        self\n    ):\n        """Doc."""\n        return 1\n'
+    text = (
+        'class A:\n    @property\n    def f(\n        self\n    ):\n        """Doc."""\n'
+        "        return 1\n"
+    )
     assert dict(lengths(text)) == {"f": 5}
 
 

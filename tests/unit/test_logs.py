@@ -277,7 +277,7 @@ def test_frame_has_units_and_losses(tmp_path):
 
 
 # --- CSV
-# ---------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def csv(tmp_path: Path, text: str, encoding: str = "utf-8") -> Path:
@@ -338,7 +338,10 @@ def test_csv_and_mcap_tell_the_same(tmp_path):
 # --- files by others
 # ---------------------------------------------------------------------------------------------
 
-MIXED = "uint8 K=3\nbool on\nfloat32 p  # pressure\nint16 count\nfloat64 angle\nuint8 tail # boom.command [V]\n"
+MIXED = (
+    "uint8 K=3\nbool on\nfloat32 p  # pressure\nint16 count\nfloat64 angle\n"
+    "uint8 tail # boom.command [V]\n"
+)
 LABELS = {"p": "boom.p_head [kPa]", "angle": "boom.q [deg]"}
 
 

@@ -92,7 +92,8 @@ def flow_map_run(root: Path) -> Path:
     save_flow_maps(collect(maps), folder)
     rows, summary = (
         [
-            "valve,direction,command [V],pressure_drop [bar],flow [L/min],fitted [L/min],method,outlier,file,line"
+            "valve,direction,command [V],pressure_drop [bar],flow [L/min],fitted "
+            "[L/min],method,outlier,file,line"
         ],
         [],
     )
@@ -108,8 +109,8 @@ def flow_map_run(root: Path) -> Path:
                 method = "cylinder" if flow < 1e-5 else "flowmeter"
                 shown = [from_si(v, "L/min", VOCABULARY["flow"]) for v in (read, flow)]
                 rows.append(
-                    f"{one.valve},{one.direction},{command:g},{drop / 1e5:.9g},{shown[0]:.9g},{shown[1]:.9g},"
-                    f"{method},{int(out)},x.csv,{line}"
+                    f"{one.valve},{one.direction},{command:g},{drop / 1e5:.9g},"
+                    f"{shown[0]:.9g},{shown[1]:.9g},{method},{int(out)},x.csv,{line}"
                 )
         summary.append(
             {
@@ -449,8 +450,10 @@ def runs(tmp_path_factory) -> list[Path]:
 def campaign(root: Path, figures: str):
     path = root / "campaign.toml"
     path.write_text(
-        'stage = "campaign"\ntitle = "All <of> it"\nnote = "Nothing was measured."\nrecipes = ["maps.toml"]\n'
-        f'[[section]]\ntitle = "Two contradictions"\ntext = """One.\n\n- first\n- second"""\n[figures]\n{figures}\n'
+        'stage = "campaign"\ntitle = "All <of> it"\nnote = "Nothing was measured."\n'
+        'recipes = ["maps.toml"]\n'
+        '[[section]]\ntitle = "Two contradictions"\ntext = """One.\n\n- first\n- second"""\n'
+        f"[figures]\n{figures}\n"
     )
     return load_recipe(path)
 
@@ -676,7 +679,8 @@ def test_no_two_figures_share_a_file(tmp_path):
     maps = [a_map("a b", "forward", 1.0), a_map("a_b", "forward", 1.0)]
     save_flow_maps(collect(maps), folder)
     (folder / "points.csv").write_text(
-        "valve,direction,command [V],pressure_drop [Pa],flow [m^3/s],fitted [m^3/s],method,outlier\n"
+        "valve,direction,command [V],pressure_drop [Pa],flow [m^3/s],fitted "
+        "[m^3/s],method,outlier\n"
     )
     facts(folder, "identify", "twins", what="flow_map")
     draw(folder)

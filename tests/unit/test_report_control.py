@@ -269,7 +269,10 @@ def log(
             f"{own}.inverse_bulk": 1.0 + 0.1 * on,
             f"{own}.disturbance": 5 * np.sin(t),
         }
-    text = b'[[motion]]\nname = "70 %"\nlevels = ["70 %"]\n[[controller]]\nkind = "arc"\ngains = { adapt = false }\n'
+    text = (
+        b'[[motion]]\nname = "70 %"\nlevels = ["70 %"]\n[[controller]]\nkind = "arc"\n'
+        b"gains = { adapt = false }\n"
+    )
     write_log(
         path, Record(t, channels, {"stopped": stopped} if stopped else {}, {"recipe.toml": text})
     )
@@ -545,8 +548,8 @@ def test_the_tuning_tells_what_its_file_holds(runs):
     text = plain(build(runs[:1]))
     gain = from_si(1e-10, rig.unit_of("feedback_gain"), VOCABULARY["feedback_gain"])
     assert (
-        f"One gain K_p = {gain:g} mL/min/bar, washout 0.398 Hz: worst damping ratio 0.55 over 4 operating points of boom"
-        in text
+        f"One gain K_p = {gain:g} mL/min/bar, washout 0.398 Hz: worst damping ratio 0.55 over 4 "
+        "operating points of boom" in text
     )
     assert "without feedback 0.1 to 0.25; target 0.5, reached by 92.5 % of 40 draws." in text
     assert "Better than the chosen law by this number: no washout." in text
@@ -560,8 +563,8 @@ def test_the_tuning_tells_what_its_file_holds(runs):
         "extend resistive, no load, x = 200 mm" in said["damping_over_gain"]
     )  # the worst of those that count
     assert (
-        "No load: damping ratio 0.1 without feedback, 0.55 at K_p = 600 mL/min/bar, unstable above 8 times that"
-        in said["locus_extend_resistive"]
+        "No load: damping ratio 0.1 without feedback, 0.55 at K_p = 600 mL/min/bar, unstable "
+        "above 8 times that" in said["locus_extend_resistive"]
     )
     assert (
         "stable over the whole range" in said["locus_retract_resistive"]
@@ -747,7 +750,8 @@ def test_tables_and_figures_take_a_campaigns_titles(runs, tmp_path):
     lead = 'stage = "campaign"\nrecipes = ["a.toml"]\n[figures]\n'
     path.write_text(
         lead
-        + '"steps/steps" = "Table B.4"\n"operating_points" = "Table B.1"\n"locus_extend_resistive" = "Fig. B.11"\n'
+        + '"steps/steps" = "Table B.4"\n"operating_points" = "Table B.1"\n'
+        + '"locus_extend_resistive" = "Fig. B.11"\n'
     )
     text = build(runs, load_recipe(path))
     assert (
@@ -999,11 +1003,14 @@ def test_what_was_saved_and_what_ate_the_rest(tmp_path):
     )
     sentences, _, table, _, lost, losses = energy_tables.saving_blocks(rig, cases)[1:]
     assert sentences.items[0] == (
-        "Six: 31.5 % less than the four-way valve; the bound of six functions is 34.5 % less. Drawn 2300 J, 204 J above its bound; "
-        "the difference is drawn in retract overrunning (up to 165 J, no load, 70 %), oil compressed (up to 26 J, no load, 70 %)."
+        "Six: 31.5 % less than the four-way valve; the bound of six functions is 34.5 % less. "
+        "Drawn 2300 J, 204 J above its bound; "
+        "the difference is drawn in retract overrunning (up to 165 J, no load, 70 %), oil "
+        "compressed (up to 26 J, no load, 70 %)."
     )
     assert sentences.items[1].startswith(
-        "Spool: 5 % more than a four-way valve must draw. Drawn 3360 J, 160 J above its bound; the difference is oil"
+        "Spool: 5 % more than a four-way valve must draw. Drawn 3360 J, 160 J above its bound; "
+        "the difference is oil"
     )
     texts = [[cell if isinstance(cell, str) else cell.text for cell in row] for row in table.rows]
     assert texts[0][3:] == ["2300", "31.5", "34.5", "2100", "204", "26", "4", "171", "3"]
@@ -1116,7 +1123,8 @@ def test_three_controllers_stand_in_one_comparison_with_error_and_damping_each(t
     said = captions(folder)
     for text in (
         "Open loop: overshoot 60 %, steady error −2 %, not settled, damping ratio 0.08.",
-        "Pressure feedback: overshoot 20 %, steady error −2 %, settled after 0.3 s, damping ratio about 0.68 (damped too well to "
+        "Pressure feedback: overshoot 20 %, steady error −2 %, settled after 0.3 s, damping ratio "
+        "about 0.68 (damped too well to "
         "ring).",
         "No washout: no overshoot to be told, steady error −100 %, not settled, damping ratio 0.3.",
         "Best by overshoot: pressure feedback; worst: open loop, 3 times as much.",

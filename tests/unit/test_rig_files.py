@@ -1,4 +1,6 @@
-"""Every shipped rig loads, survives being written and read, and says where its numbers come from."""
+"""Every shipped rig loads, survives being written and read, and says where its numbers come
+from.
+"""
 
 from __future__ import annotations
 

@@ -243,7 +243,7 @@ def test_progress_rises_to_one(rig):
 
 
 # --- measures
-# -----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def second_order(t, omega, zeta):
@@ -397,7 +397,8 @@ def test_a_controller_that_cannot_be_is_refused_with_its_line(
         ),
         ('kind = "point_to_point"\nwaypoints = ["100 mm", "200 mm"]', "needs 'speed'"),
         (
-            'kind = "point_to_point"\nwaypoints = ["100 mm", "200 mm"]\nspeed = "1 m/s"\nhold = ["1 s", "1 s", "1 s"]',
+            'kind = "point_to_point"\nwaypoints = ["100 mm", "200 mm"]\nspeed = "1 m/s"\n'
+            'hold = ["1 s", "1 s", "1 s"]',
             "3 times for 2",
         ),
         ('kind = "velocity_steps"\nlevels = ["30 %"]', "'duration' or 'travel'"),
@@ -406,7 +407,8 @@ def test_a_controller_that_cannot_be_is_refused_with_its_line(
         ('kind = "velocity_steps"\nlevels = ["100 %"]\nduration = "60 s"', "leaves the stroke"),
         ('kind = "file"', "needs 'file'"),
         (
-            'kind = "point_to_point"\ncylinder = "boom"\nwaypoints = ["1 mm", "2 mm"]\nspeed = "1 m/s"',
+            'kind = "point_to_point"\ncylinder = "boom"\nwaypoints = ["1 mm", "2 mm"]\n'
+            'speed = "1 m/s"',
             "no cylinder 'boom'",
         ),
     ],
@@ -489,7 +491,8 @@ def test_a_controller_needs_a_motion_and_a_trial_a_duration(tmp_path):
             "controller 'arc' needs a",
         ),
         (
-            'stage = "trial"\nrig = "x"\nduration = "1 s"\n[motion]\nkind = "file"\nfile = "a.csv"\n',
+            'stage = "trial"\nrig = "x"\nduration = "1 s"\n[motion]\nkind = "file"\n'
+            'file = "a.csv"\n',
             "a motion needs a",
         ),
         ('stage = "trial"\nrig = "x"\n', "'duration' is missing"),
@@ -504,8 +507,14 @@ def table_of(rig, recipe):
 
 
 def test_levels_are_shares_speeds_and_rows(rig, tmp_path):
-    text = 'stage = "trial"\nrig = "x"\nposture = { press = "50 mm" }\n[motion]\nkind = "velocity_steps"\n'
-    text += 'levels = ["50 %", "-40 mm/s"]\nfull_speed = "0.2 m/s"\ntravel = "20 mm"\nrest = "0.1 s"\n[controller]\n'
+    text = (
+        'stage = "trial"\nrig = "x"\nposture = { press = "50 mm" }\n[motion]\n'
+        'kind = "velocity_steps"\n'
+    )
+    text += (
+        'levels = ["50 %", "-40 mm/s"]\nfull_speed = "0.2 m/s"\ntravel = "20 mm"\n'
+        'rest = "0.1 s"\n[controller]\n'
+    )
     made = table_of(rig, closed(tmp_path, 'kind = "open_loop"', text))
     assert [(one.first, one.stop, one.speed, one.share) for one in made.levels] == [
         (100, 300, 0.1, 0.5),
@@ -609,7 +618,8 @@ def test_gains_come_from_a_tune_run_and_what_is_written_goes_first(rig, tmp_path
     assert (plain.washout, plain.off_gain, plain.low_pressure) == (5.0, 2e-12, 3e5)
     assert plain.feedback_gain.tolist() == [0.0, 3e-12, *6 * [0.0]]
     over = packed(
-        'kind = "pressure_feedback"\ngains = { from = "run", washout = "0 Hz", low_pressure = "1 bar" }'
+        'kind = "pressure_feedback"\n'
+        'gains = { from = "run", washout = "0 Hz", low_pressure = "1 bar" }'
     )
     assert (over.washout, over.low_pressure, over.feedback_gain[1]) == (0.0, 1e5, 3e-12)
     loose = packed('kind = "open_loop"\ngains = "run"')
@@ -620,7 +630,7 @@ def test_gains_come_from_a_tune_run_and_what_is_written_goes_first(rig, tmp_path
 
 
 # --- a user's class
-# -------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 HEAD = "class C:\n    channels = ['press.x']\n"
 START, STEPS = (
@@ -735,11 +745,15 @@ def test_code_runs_only_when_allowed(rig, tmp_path):
 
 def test_a_class_gets_its_gains_and_is_held_to_the_drivers_range(rig, tmp_path):
     (tmp_path / "mine.py").write_text(
-        "from __future__ import annotations\nfrom dataclasses import dataclass\n@dataclass\nclass C:\n    low_pressure: float\n    mode: str\n"
+        "from __future__ import annotations\nfrom dataclasses import dataclass\n@dataclass\n"
+        "class C:\n    low_pressure: float\n    mode: str\n"
         "    channels = ['*']\n    notes = ['press.force', 'press.pressure_drop']\n"
-        "    def start(self, rig, tick, sample):\n        assert (self.low_pressure, self.mode, tick) == (2e5, '3 V', 1e-3)\n"
-        "        assert rig.rig.name == 'slide_servo' and rig.valves == ('press.servo',) and rig.x == 0.1 == round(sample['press.x'], 9)\n"
-        "    def step(self, t, sample, wish):\n        self.note = [t, wish.v]\n        return [25.0 if 0.2 <= t < 0.2995 else 0.0]\n"
+        "    def start(self, rig, tick, sample):\n"
+        "        assert (self.low_pressure, self.mode, tick) == (2e5, '3 V', 1e-3)\n"
+        "        assert rig.rig.name == 'slide_servo' and rig.valves == ('press.servo',) and "
+        "rig.x == 0.1 == round(sample['press.x'], 9)\n"
+        "    def step(self, t, sample, wish):\n        self.note = [t, wish.v]\n"
+        "        return [25.0 if 0.2 <= t < 0.2995 else 0.0]\n"
     )
     gains = '[controller.gains]\nlow_pressure = "2 bar"\nmode = "3 V"\n'
     record, facts = run_trial(rig, closed(tmp_path, f'class = "mine:C"\n{gains}'), allow_code=True)
@@ -748,7 +762,8 @@ def test_a_class_gets_its_gains_and_is_held_to_the_drivers_range(rig, tmp_path):
         and (record["press.servo.command"] == 10.0).sum() == 100
     )
     assert facts.warnings == (
-        f"C asked for more than a driver takes in 100 of {facts.samples} ticks, and got the end of its range",
+        f"C asked for more than a driver takes in 100 of {facts.samples} ticks, and got the end "
+        "of its range",
     )
     assert facts.measures["gains"] == {"low_pressure": 2e5}, "numbers, SI"
     assert np.array_equal(record["press.force"], record.t) and np.array_equal(
@@ -760,9 +775,13 @@ def test_a_class_may_do_without_a_motion(rig, tmp_path):
     (tmp_path / "mine.py").write_text(
         HEAD
         + START
-        + "    def step(self, t, sample, wish): return {'press.servo': 10 * (wish.x - sample['press.x'])}\n"
+        + "    def step(self, t, sample, wish):\n"
+        + "        return {'press.servo': 10 * (wish.x - sample['press.x'])}\n"
     )
-    text = 'stage = "trial"\nrig = "x"\nduration = "0.5 s"\nposture = { press = "120 mm" }\n[controller]\n'
+    text = (
+        'stage = "trial"\nrig = "x"\nduration = "0.5 s"\nposture = { press = "120 mm" }\n'
+        "[controller]\n"
+    )
     record, facts = run_trial(rig, closed(tmp_path, 'class = "mine:C"', text), allow_code=True)
     assert (record["press.x_desired"] == record["press.x_desired"][0]).all() and record["press.x"][
         0
@@ -771,7 +790,7 @@ def test_a_class_may_do_without_a_motion(rig, tmp_path):
 
 
 # --- sets
-# ---------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_a_set_names_each_of_its_lists_without_doubles(tmp_path):

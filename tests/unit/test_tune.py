@@ -168,7 +168,9 @@ def test_steps_and_bias(tuned):
 
 
 def test_bias_without_washout_is_the_steady_error(sites):
-    """The linear loop settles where flow in = A·v: A v_d − K p = A v with p carrying the load at v."""
+    """The linear loop settles where flow in = A·v: A v_d − K p = A v with p carrying the load
+    at v.
+    """
     site = next(s for s in sites if s.counts and s.point.function == "extend_resistive")
     gain, point = 2e-11, site.point
     bias = module._bias(site.loop(Law(0.0, 4e-11, 1e-3)), point, gain)
@@ -313,7 +315,8 @@ def test_nothing_to_tune_on():
 def test_recipe_file(tmp_path):
     path = tmp_path / "tune.toml"
     path.write_text(
-        'stage = "tune"\nrig = "validate.toml"\ncylinder = "boom"\nwashout = "0.6 Hz"\noff_gain = "300 mL/min/bar"\n'
+        'stage = "tune"\nrig = "validate.toml"\ncylinder = "boom"\nwashout = "0.6 Hz"\n'
+        'off_gain = "300 mL/min/bar"\n'
         'phase_margin = "40 deg"\nbandwidth = "1 Hz"\n'
     )
     read = load_recipe(path)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from ehbench.errors import InputError, ModelRejected
+from ehbench.plant.model import simulate
 from ehbench.recipe import Thresholds, load_recipe, load_rig
 from ehbench.record import Record
 from ehbench.rundir import write_json
-from ehbench.plant.model import simulate
 from ehbench.validation import (
     Ring,
     Validation,

@@ -8,7 +8,7 @@ from typing import get_args
 
 import pytest
 
-from ehbench import recipe, rig
+from ehbench import recipe, reference, rig
 from ehbench.fields import Q
 from ehbench.quantities import VOCABULARY
 from ehbench.units import from_si, to_si
@@ -23,6 +23,7 @@ def test_units_convert_both_ways(row):
 
 
 def models():
+    yield from reference.models([rig.Rig])
     for module in (rig, recipe):
         for item in vars(module).values():
             if (

@@ -1,29 +1,71 @@
 """Metering edges: how much oil passes from one node to another at a drop and an opening, a law a
 file.
 
-To add a law: write its file after ``orifice.py`` and name it in LAWS.
+To add a law: write its file after ``orifice.py``, name it in LAWS and its keys in LawFields.
 """
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Literal
+
 from ehbench.compiled import choice, part_kernel, record
-from ehbench.parts.edge import compensated, measured, orifice
+from ehbench.parts.edge import check, compensated, flow_control, measured, orifice, pump, saturating
+from ehbench.parts.edge.check import CheckFields
+from ehbench.parts.edge.compensated import CompensatedFields
+from ehbench.parts.edge.law import EdgeLaw
+from ehbench.parts.edge.orifice import OrificeFields
+from ehbench.parts.edge.pump import FixedPumpFields, PumpFields
+from ehbench.parts.edge.saturating import SaturatingFields
+from ehbench.parts.nodes import node_pressure
 
-LAWS = (orifice.LAW, compensated.LAW, measured.LAW)
-ORIFICE, COMPENSATED, MAP = range(3)
+LAWS = (
+    orifice.LAW,
+    compensated.LAW,
+    measured.LAW,
+    saturating.LAW,
+    flow_control.LAW,
+    pump.LAW,
+    check.LAW,
+)
 BY_NAME = {law.name: number for number, law in enumerate(LAWS)}
+ORIFICE, COMPENSATED, MAP = (BY_NAME[name] for name in ("orifice", "compensated", "map"))
+PUMP, CHECK = BY_NAME["pump"], BY_NAME["check"]
+if TYPE_CHECKING:
+    LawName = FixedLawName = str
+else:
+    LawName = Literal[tuple(law.name for law in LAWS if law.commanded)]
+    FixedLawName = Literal[tuple(law.name for law in LAWS if not law.metering)]
 
-# An edge. ``from_node, to_node`` it joins, flow positive from → to; the number of its ``valve``;
-# ``sign`` ±1 of the commands that open it; ``law`` its number in LAWS; ``blocked`` 1 where nothing
-# passes against its direction; then the columns of the laws: ``gain`` [m³/(s·V·√Pa)] of an orifice,
+
+class LawFields(PumpFields, SaturatingFields, CompensatedFields, OrificeFields):
+    """What the laws add to an edge of the rig file; the last one's keys come first in it."""
+
+
+class FixedLawFields(FixedPumpFields, CheckFields):
+    """What the laws add to an edge without a command; the last one's keys come first in it."""
+
+
+def edge_law(name: str) -> EdgeLaw:
+    """The law of that name."""
+    return LAWS[BY_NAME[name]]
+
+
+# An edge. ``from_node, to_node`` it joins, flow positive from → to; the number of its ``valve``, −1
+# where it has no command; ``sign`` ±1 of the commands that open it; ``law`` its number in LAWS;
+# ``blocked`` 1 where nothing passes against its direction; ``unmetered`` 1 where no command has to
+# open it; then the columns of the laws: ``gain`` [m³/(s·V·√Pa)] of an orifice,
 # [m³/(s·V)] of a compensated edge, ``deadband`` [V], ``compensation_drop`` [Pa], where the
-# ``forward`` and the ``reverse`` map begin (−1: none).
+# ``forward`` and the ``reverse`` map begin (−1: none), ``opening_max, saturation_softness`` [V];
+# of a pump ``displacement`` [m³/rad], ``speed_gain`` [rad/(s·V)], ``pump_speed`` [rad/s], ``slip``
+# [m³/(s·Pa)]; of a check valve ``gain`` [m³/(s·√Pa)], ``cracking_pressure, opening_range`` [Pa],
+# its ``pilot`` node (−1: none) and ``pilot_ratio``.
 EDGE = record(
     ("from_node", "i8"),
     ("to_node", "i8"),
     ("valve", "i8"),
     ("law", "i8"),
     ("blocked", "i8"),
+    ("unmetered", "i8"),
     ("sign", "f8"),
     *dict.fromkeys(column for law in LAWS for column in law.columns),
 )
@@ -31,6 +73,7 @@ EDGE = record(
 _flow = choice("flow", [law.flow for law in LAWS], "drop, reach, edge, maps")
 _opening = choice("opening", [law.opening for law in LAWS], "drop, flow, edge, maps")
 _known = choice("known", [law.known for law in LAWS], "drop, edge, maps")
+_slope = choice("slope", [law.slope for law in LAWS], "drop, flow, reach, edge")
 
 
 @part_kernel
@@ -43,10 +86,11 @@ def edge_flow(drop, opening, edge, maps):
         maps: the plant's packed flow maps.
     """
     reach = edge.sign * opening
-    if reach <= 0.0 or drop == 0.0:
-        return 0.0
-    if drop < 0.0 and edge.blocked == 1:
-        return 0.0
+    if edge.unmetered == 0:
+        if reach <= 0.0 or drop == 0.0:
+            return 0.0
+        if drop < 0.0 and edge.blocked == 1:
+            return 0.0
     return _flow(edge.law, drop, reach, edge, maps)
 
 
@@ -55,10 +99,10 @@ def edge_command(drop, flow, edge, maps):
     """Command [V] at which an edge passes ``flow`` [m³/s] at ``drop`` [Pa]: the exact inverse of
     ``edge_flow``.
 
-    Flow and drop must have one sign; where they have not, or the edge is blocked, no opening gives
-    that flow and the valve's closed command 0 is returned. The result is not limited to the
-    driver's range by the analytic laws."""
-    if flow * drop <= 0.0 or (drop < 0.0 and edge.blocked == 1):
+    Flow and drop must have one sign, but for a pump; where they have not, or the edge is blocked,
+    no opening gives that flow and the valve's closed command 0 is returned. The result is not
+    limited to the driver's range by the analytic laws."""
+    if edge.unmetered == 0 and (flow * drop <= 0.0 or (drop < 0.0 and edge.blocked == 1)):
         return 0.0
     return edge.sign * _opening(edge.law, drop, flow, edge, maps)
 
@@ -69,3 +113,24 @@ def edge_known(drop, edge, maps):
     a drop [Pa]; inf for an analytic law.
     """
     return _known(edge.law, drop, edge, maps)
+
+
+@part_kernel
+def edge_slope(drop, flow, opening, edge):
+    """Bound of how fast a flow [m³/s] other than zero changes with a pressure at either end
+    [m³/(s·Pa)].
+    """
+    return _slope(edge.law, drop, flow, edge.sign * opening, edge)
+
+
+@part_kernel
+def edge_opening(y, plant, edge, openings):
+    """What opens an edge: its valve's opening [V]; without a command the pressure [Pa] by which its
+    pilot exceeds the node where the flow comes from, 0 without a pilot.
+    """
+    if edge.valve >= 0:
+        return openings[edge.valve]
+    if edge.pilot < 0:
+        return 0.0
+    from_pressure = node_pressure(y, plant, edge.from_node)
+    return max(node_pressure(y, plant, edge.pilot) - from_pressure, 0.0)

@@ -3,9 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated, Any
 
 from ehbench.compiled import part_kernel
+from ehbench.fields import FileModel, Q, Value
 from ehbench.parts.edge.law import EdgeLaw
+
+
+class CompensatedFields(FileModel):
+    """What an edge of law ``compensated`` has in the rig file."""
+
+    compensated_gain: Annotated[Value, Q("compensated_gain")] | None = None
+    compensation_drop: Annotated[Value, Q("compensation_drop")] = Value(2.0e5)
 
 
 @part_kernel
@@ -29,9 +38,20 @@ def opening(drop, flow, edge, maps):
     return edge.deadband + abs(flow) / (edge.gain * level(abs(drop), edge.compensation_drop))
 
 
+def pack(edge: Any) -> dict[str, float]:
+    """Columns of an edge."""
+    return {
+        "gain": float(edge.compensated_gain),
+        "deadband": float(edge.deadband),
+        "compensation_drop": float(edge.compensation_drop),
+    }
+
+
 LAW = EdgeLaw(
     name="compensated",
     columns=(("gain", "f8"), ("deadband", "f8"), ("compensation_drop", "f8")),
     flow=flow,
     opening=opening,
+    pack=pack,
+    needs=("compensated_gain",),
 )

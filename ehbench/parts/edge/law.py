@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,16 @@ def _everywhere(drop, edge, maps):
     return np.inf
 
 
+def _nothing_odd(edge: Any) -> None:
+    """A law that takes any numbers its keys allow."""
+
+
+@part_kernel
+def _chord(drop, flow, reach, edge):
+    """Flow over drop [m³/(s·Pa)]: no metering law is steeper."""
+    return flow / drop
+
+
 @dataclass(frozen=True)
 class EdgeLaw:
     """A flow law of a metering edge.
@@ -26,11 +37,30 @@ class EdgeLaw:
     ``flow(drop, reach, edge, maps)`` is the flow [m³/s], of the sign of the drop [Pa], at an
     opening ``reach`` > 0 [V]. ``opening(drop, flow, edge, maps)`` is its inverse: the opening [V]
     at which ``flow`` passes, both of one sign and not zero. ``known(drop, edge, maps)`` is the
-    largest opening [V] that the law speaks of at that drop.
+    largest opening [V] that the law speaks of at that drop. ``slope(drop, flow, reach, edge)``
+    bounds how fast a flow other than zero changes with a pressure at either end [m³/(s·Pa)], for
+    the substep guard.
+
+    ``pack(edge)`` gives the law's columns of an edge of the rig file by their names; of that
+    edge's keys it ``needs`` some, ``needs_fixed`` where the edge has no command. ``has_deadband``
+    says whether its ``deadband`` counts. ``odd(edge)`` is (what is wrong with its numbers together,
+    the key to blame), or None.
+
+    A law that is not ``metering`` passes oil at any opening and drop, gives flows of any sign, and
+    may be that of an edge without a command; it is only of such edges where it is not
+    ``commanded``.
     """
 
     name: str
     columns: tuple[tuple[str, str], ...]
     flow: Callable
     opening: Callable
+    pack: Callable[[Any], dict[str, float]]
+    needs: tuple[str, ...] = ()
+    needs_fixed: tuple[str, ...] = ()
+    has_deadband: bool = True
     known: Callable = _everywhere
+    odd: Callable[[Any], tuple[str, str] | None] = _nothing_odd
+    slope: Callable = _chord
+    metering: bool = True
+    commanded: bool = True

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated, Any
 
 from ehbench.compiled import part_kernel
+from ehbench.fields import FileModel, Q, Value
 from ehbench.parts.edge.law import EdgeLaw
 
 # below this drop [Pa] the law turns from square root to linear, so that its slope stays finite
 ORIFICE_DROP = 2.0e4
+
+
+class OrificeFields(FileModel):
+    """What an edge of law ``orifice`` has in the rig file."""
+
+    flow_gain: Annotated[Value, Q("flow_gain")] | None = None
 
 
 @part_kernel
@@ -32,9 +40,16 @@ def opening(drop, flow, edge, maps):
     return edge.deadband + abs(flow) / (edge.gain * root(abs(drop)))
 
 
+def pack(edge: Any) -> dict[str, float]:
+    """Columns of an edge."""
+    return {"gain": float(edge.flow_gain), "deadband": float(edge.deadband)}
+
+
 LAW = EdgeLaw(
     name="orifice",
     columns=(("gain", "f8"), ("deadband", "f8")),
     flow=flow,
     opening=opening,
+    pack=pack,
+    needs=("flow_gain",),
 )

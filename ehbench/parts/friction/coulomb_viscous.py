@@ -6,11 +6,21 @@ coulomb/smoothing [N·s/m].
 
 from __future__ import annotations
 
+from typing import Literal
+
 from ehbench.compiled import part_kernel
-from ehbench.parts.friction.law import FrictionLaw
+from ehbench.parts.friction.law import FrictionLaw, FrictionTable
 from ehbench.physics.friction import coulomb_viscous
 
 COULOMB_SPEED = 2.0e-3  # [m/s]: over which Coulomb friction turns round
+
+
+class CoulombViscous(FrictionTable):
+    """The law where nothing is said, by the cylinder's ``friction_viscous`` and
+    ``friction_coulomb``.
+    """
+
+    law: Literal["coulomb_viscous"]
 
 
 @part_kernel
@@ -22,15 +32,16 @@ def steady(row, v):
 
 
 @part_kernel
-def steepness(row, v):
-    """Largest slope of the resistance near speed v [N·s/m]."""
+def fastest(row, v):
+    """Fastest rate [1/s] near speed v: the largest slope there, on the lightest mass."""
     steep = 0.0 if abs(v) > 4.0 * COULOMB_SPEED else row.friction_coulomb / COULOMB_SPEED
-    return steep + row.friction_viscous
+    return row.mobility * (steep + row.friction_viscous)
 
 
 LAW = FrictionLaw(
     name="coulomb_viscous",
+    table=CoulombViscous,
     columns=(("friction_viscous", "f8"), ("friction_coulomb", "f8")),
     steady=steady,
-    steepness=steepness,
+    fastest=fastest,
 )

@@ -4,8 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from ehbench.compiled import inlined, part_kernel
+from ehbench.fields import FileModel
+
+ROUND = 1.0e-5  # relative step of central differences
+TURN = 2.0e-3  # [m/s]: speed from which on the step is relative
+
+
+class FrictionTable(FileModel):
+    """Base of the tables ``[cylinder.friction]``, one a law, told apart by ``law``; what a law
+    needs has the names of its columns.
+    """
+
+    def misfit(self, coulomb: float) -> tuple[str, str] | None:
+        """(key, what is wrong with it) beside the cylinder's Coulomb friction [N]."""
+        return None
 
 
 @part_kernel
@@ -19,29 +34,72 @@ def _nothing_held(row, y):
     return 0.0
 
 
+@part_kernel
+def _no_states(row, v, y):
+    """A law without states has nothing to settle."""
+
+
+@part_kernel
+def _nothing_to_advance(row, v, dt, y):
+    """A law without states has nothing to bring on."""
+
+
 @dataclass(frozen=True)
 class FrictionLaw:
     """A friction law of a cylinder.
 
-    Its kernels read the cylinder's row, where ``columns`` are its own. ``steady(row, v)`` is the
-    resistance [N], of the sign of v, once a speed [m/s] has lasted; ``steepness(row, v)`` the
-    largest slope [N·s/m] near that speed, for the substep guard.
+    Its kernels read the cylinder's row, where ``columns`` are its own; ``table`` is what the rig
+    file says of it. ``steady(row, v)`` is the resistance [N], of the sign of v, once a speed [m/s]
+    has lasted; ``fastest(row, v)`` the fastest rate [1/s] that it makes near that speed, for the
+    substep guard; ``slope(row, v)`` [N·s/m] that of the steady resistance, by central differences
+    where the law does not give it.
 
-    A law with ``states`` has them from ``row.friction_state`` on, and three more kernels:
-    ``force(row, v, y)`` is the resistance now [N], ``rates(row, v, y, dy)`` writes their rates, and
+    A law with ``states`` has them from ``row.friction_state`` on, and six more kernels:
+    ``force(row, v, y)`` is the resistance now [N], ``loss(row, v, y)`` the power that turns to heat
+    [W], ``rates(row, v, y, dy)`` writes the states' rates, ``settle(row, v, y)`` puts them where a
+    lasting speed does, ``advance(row, v, dt, y)`` brings them on by ``dt`` [s] at a held speed, and
     ``held(row, y)`` is the energy in them [J]. Without states the resistance is the steady one.
     """
 
     name: str
+    table: type[FrictionTable]
     columns: tuple[tuple[str, str], ...]
     steady: Callable
-    steepness: Callable
+    fastest: Callable
+    slope: Callable | None = None
     states: tuple[str, ...] = ()
     force: Callable | None = None
+    loss: Callable | None = None
     rates: Callable = _no_rates
+    settle: Callable = _no_states
+    advance: Callable = _nothing_to_advance
     held: Callable = _nothing_held
+
+    def pack(self, cylinder: Any) -> dict[str, float]:
+        """Columns of a cylinder of the rig file: of its own table, else of the cylinder."""
+        own = cylinder.friction
+        names = [name for name, _ in self.columns]
+        return {key: float(getattr(own, key, None) or getattr(cylinder, key)) for key in names}
 
     def resistance(self) -> Callable:
         """``force(row, v, y)`` of a law with or without states."""
         steady = self.steady
         return self.force or inlined(lambda row, v, y: steady(row, v))
+
+    def heat(self) -> Callable:
+        """``loss(row, v, y)`` of a law with or without states."""
+        steady = self.steady
+        return self.loss or inlined(lambda row, v, y: steady(row, v) * v)
+
+    def steepness(self) -> Callable:
+        """``slope(row, v)`` of a law that gives it or not."""
+        if self.slope is not None:
+            return self.slope
+        steady = self.steady
+
+        @inlined
+        def slope(row, v):
+            around = ROUND * max(abs(v), TURN)
+            return (steady(row, v + around) - steady(row, v - around)) / (2 * around)
+
+        return slope

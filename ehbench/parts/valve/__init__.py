@@ -6,15 +6,18 @@ To add an element: write its file after ``second_order.py`` and name it in LAWS.
 
 from __future__ import annotations
 
+import math
+
 from ehbench.compiled import choice, part_kernel, record
-from ehbench.parts.valve import second_order
+from ehbench.parts.valve import first_order, second_order
 
-LAWS = (second_order.LAW,)
-BY_NAME = {law.name: number for number, law in enumerate(LAWS)}
+LAWS = (second_order.LAW, first_order.LAW)
+TABLES = tuple(law.table for law in LAWS)
+SHARE = 0.25  # of its fastest period over 2π, over which a series of elements is integrated
 
-# A valve. ``lowest, highest`` command of its driver [V]; its ``count`` elements stand from ``first``
-# on in the plant's elements; ``output`` is where its opening [V] stands in the state, −1 where the
-# opening is the command.
+# A valve. ``lowest, highest`` command of its driver [V]; its ``count`` elements stand from
+# ``first`` on in the plant's elements; ``output`` is where its opening [V] stands in the state, −1
+# where the opening is the command.
 VALVE_COLUMNS = (
     ("lowest", "f8"),
     ("highest", "f8"),
@@ -81,12 +84,31 @@ def valve_finish(valve, signal, plant, y, slope, d):
 
 
 @part_kernel
-def valve_advance(valve, signal, dt, plant, y):
-    """Bring a valve's states on by ``dt`` [s], exact for a held signal [V] on one element."""
-    for i in range(valve.first, valve.first + valve.count):
-        element = plant.elements[i]
+def valve_advance(valve, signal, dt, plant, y, k):
+    """Bring a valve's states on by ``dt`` [s] under a held signal [V]: exact for one element, by
+    Runge and Kutta's method for a series.
+
+    Args:
+        k: scratch of shape (5, states).
+    """
+    if valve.count == 1:
+        element = plant.elements[valve.first]
         _advance(element.law, element, signal, dt, y)
-        signal = y[element.state]
+    elif valve.count > 1:
+        _, fastest = valve_rates(valve, signal, plant, y, k[0])
+        last = plant.elements[valve.first + valve.count - 1]
+        low, high = plant.elements[valve.first].state, last.state + last.states
+        pieces = max(1, int(math.ceil(fastest * dt / SHARE)))
+        d = dt / pieces
+        for _ in range(pieces):
+            valve_rates(valve, signal, plant, y, k[0])
+            for stage in range(1, 4):
+                share = d if stage == 3 else 0.5 * d
+                for j in range(low, high):
+                    k[4, j] = y[j] + share * k[stage - 1, j]
+                valve_rates(valve, signal, plant, k[4], k[stage])
+            for j in range(low, high):
+                y[j] += d / 6.0 * (k[0, j] + 2.0 * (k[1, j] + k[2, j]) + k[3, j])
 
 
 @part_kernel

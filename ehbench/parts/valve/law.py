@@ -2,16 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+
+from ehbench.fields import FileModel, Value, scalars
+
+
+class DynamicsTable(FileModel):
+    """Base of the tables ``[dynamics.<name>]``, one a kind, told apart by ``kind``."""
+
+    note: str = ""
+
+    def row(self) -> dict[str, float]:
+        """Fields of its element: ``fastest`` and its law's columns."""
+        return {}
+
+    def period(self) -> float:
+        """Period [s] of its own motion."""
+        raise NotImplementedError
+
+    def parameters(self) -> dict[str, Value]:
+        """Its numbers by name, also those that follow from the ones the file has."""
+        return dict(scalars(self))
+
+    def with_values(self, new: Mapping[str, Value]) -> DynamicsTable:
+        """These dynamics with some of their `parameters` replaced."""
+        return self.model_copy(update=dict(new)) if new else self
 
 
 @dataclass(frozen=True)
 class ValveElement:
     """One element between a valve's command and its opening; a valve has any number in series.
 
-    Its kernels read the element's row, where ``columns`` are its own and its ``states`` stand in
-    the plant's state from ``element.state`` on. ``signal`` [V] is what comes in.
+    Its kernels read the element's row, where ``columns`` are its own (``table.row`` fills
+    them) and its ``states`` stand in the plant's state from ``element.state`` on. ``signal`` [V] is
+    what comes in.
 
     ``rates(element, signal, y, dy)`` writes the rates of its states and gives what goes out [V].
     ``settle(element, value, y)`` puts its states at rest where both are ``value`` [V].
@@ -24,6 +49,7 @@ class ValveElement:
     """
 
     name: str
+    table: type[DynamicsTable]
     columns: tuple[tuple[str, str], ...]
     states: tuple[str, ...]
     rates: Callable

@@ -3,11 +3,92 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import model_validator
 
 from ehbench.compiled import part_kernel
-from ehbench.parts.valve.law import ValveElement
+from ehbench.fields import Q, Value, scalars
+from ehbench.parts.valve.law import DynamicsTable, ValveElement
 
 SETTLED = 1.0e-12  # [V]: a valve this near to its command has arrived
+
+
+class SecondOrder(DynamicsTable):
+    """Second-order valve dynamics opening/command, as ω_n and ζ or as the denominator s2·s² + s1·s
+    + 1.
+    """
+
+    kind: Literal["second_order"] = "second_order"
+    natural_frequency: Annotated[Value, Q("natural_frequency")] | None = None
+    damping_ratio: Annotated[Value, Q("damping_ratio")] | None = None
+    s2: Annotated[Value, Q("s2")] | None = None
+    s1: Annotated[Value, Q("s1")] | None = None
+
+    @model_validator(mode="after")
+    def _one_form(self) -> SecondOrder:
+        pair = self.natural_frequency is not None and self.damping_ratio is not None
+        poly = self.s2 is not None and self.s1 is not None
+        given = sum(
+            v is not None for v in (self.natural_frequency, self.damping_ratio, self.s2, self.s1)
+        )
+        if given != 2 or pair == poly:
+            raise ValueError("give natural_frequency and damping_ratio, or s2 and s1")
+        if poly and float(self.s2) <= 0:  # type: ignore[arg-type]
+            raise ValueError("s2 must be positive")
+        return self
+
+    def frequency_and_damping(self) -> tuple[float, float]:
+        """(ω_n [rad/s], ζ)."""
+        if self.natural_frequency is not None:
+            return float(self.natural_frequency), float(self.damping_ratio)  # type: ignore[arg-type]
+        omega = 1.0 / math.sqrt(float(self.s2))  # type: ignore[arg-type]
+        return omega, 0.5 * omega * float(self.s1)  # type: ignore[arg-type]
+
+    def row(self) -> dict[str, float]:
+        """As `DynamicsTable.row`."""
+        return second_order(*self.frequency_and_damping())
+
+    def period(self) -> float:
+        """As `DynamicsTable.period`."""
+        return 2.0 * math.pi / self.frequency_and_damping()[0]
+
+    def parameters(self) -> dict[str, Value]:
+        """As `DynamicsTable.parameters`: ω_n and ζ also where the file gives s1 and s2."""
+        found = dict(scalars(self))
+        if self.s1 is not None and self.s2 is not None:
+            omega, zeta = self.frequency_and_damping()
+            for key, value, given in (
+                ("natural_frequency", omega, self.s2),
+                ("damping_ratio", zeta, self.s1),
+            ):
+                found[key] = Value(value, sure=given.sure, source=given.source)
+        return found
+
+    def with_values(self, new: Mapping[str, Value]) -> SecondOrder:
+        """As `DynamicsTable.with_values`; s1 and s2 turn into ω_n and ζ where one is given."""
+        if not new:
+            return self
+        if self.natural_frequency is not None or {"s1", "s2"} & set(new):
+            return self.model_copy(update=dict(new))
+        omega, zeta = self.frequency_and_damping()
+        base: dict[str, Any] = {
+            "natural_frequency": Value(omega),
+            "damping_ratio": Value(zeta),
+            "note": self.note,
+        }
+        return SecondOrder.model_construct(None, **(base | dict(new)))
+
+
+def second_order(omega: float, zeta: float) -> dict[str, float]:
+    """Columns of an element of natural frequency [rad/s] and damping ratio."""
+    stiffness = omega**2
+    return {
+        "stiffness": stiffness,
+        "damping": 2 * zeta * omega,
+        "fastest": math.sqrt(stiffness),
+    }
 
 
 @part_kernel
@@ -100,6 +181,7 @@ def lag(element):
 
 LAW = ValveElement(
     name="second_order",
+    table=SecondOrder,
     columns=(("stiffness", "f8"), ("damping", "f8")),
     states=("opening", "rate"),
     rates=rates,

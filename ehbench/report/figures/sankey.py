@@ -31,7 +31,7 @@ WORDS = {
     "residual": "not accounted for",
 }
 PUMP, MECHANISM = "pump", "mechanism"
-_MECHANICAL = ("friction", "end_stop", "stop", "damping")
+_MECHANICAL = ("friction", "friction_spring", "end_stop", "stop", "damping")
 _GAP = 0.012
 _BAR = 0.022  # width of a node
 
@@ -117,9 +117,11 @@ def _flows(account: _Account) -> list[_Flow]:
     for cylinder in account.busy:
         flows += _drawn(account, cylinder)
         flows += _work(account, cylinder)
-    if account.given > 0.0 and any(flow.start == PUMP for flow in flows):
+    shared = (row for row in account.rows if row["cylinder"] is None)
+    given = sum(row["energy"] for row in shared if row["group"] == "supply")
+    if given > 0.0 and any(flow.start == PUMP for flow in flows):
         half = half_of(account.named["pump"])
-        flows.append(_Flow(None, PUMP, account.given, "supply", PUMP, half))
+        flows.append(_Flow(None, PUMP, given, "supply", PUMP, half))
     return _merged(flows, account)
 
 
@@ -128,15 +130,17 @@ def _leaf(row: Mapping[str, Any], account: _Account) -> _Flow | None:
     that are told otherwise.
     """
     cylinder, name = row["cylinder"], row["name"]
-    if row["group"] in ("supply", "cylinder", "residual"):
+    if row["group"] in ("cylinder", "residual"):
         return None
     if cylinder is not None and cylinder not in account.busy:
         return None
+    if row["group"] == "supply":  # the shaft of a pump at a cylinder, a motor where it is negative
+        return None if cylinder is None else _shaft(row, account)
     rest = row["group"] == "part"  # of what is not accounted for
     group = "residual" if rest else row["group"]
     label = row["label"].split(",")[0] if rest else row["label"]
     moving = name.rsplit(".", 1)[-1] in _MECHANICAL or name.endswith(".mechanism")
-    if name == "supply_line" or name.endswith(".supply_line"):
+    if name in ("supply_line", "accumulator") or name.endswith(".supply_line"):
         node, label = PUMP, f"{label}, supply line" if rest else label
     elif group == "load" or moving:
         node = MECHANISM
@@ -147,6 +151,14 @@ def _leaf(row: Mapping[str, Any], account: _Account) -> _Flow | None:
     energy = row["energy"]
     start, end = (node, None) if energy >= 0.0 else (None, node)
     return _Flow(start, end, abs(energy), group, label, half_of(row))
+
+
+def _shaft(row: Mapping[str, Any], account: _Account) -> _Flow:
+    """From the shaft of a pump to the oil of its cylinder, or back."""
+    cylinder, energy = row["cylinder"], row["energy"]
+    start, end = (None, cylinder) if energy >= 0.0 else (cylinder, None)
+    label = account.prefix(cylinder) + row["label"]
+    return _Flow(start, end, abs(energy), "supply", label, half_of(row))
 
 
 def _drawn(account: _Account, cylinder: str) -> list[_Flow]:

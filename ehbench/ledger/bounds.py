@@ -1,0 +1,275 @@
+"""What a motion must cost on a constant-pressure supply, and what it did cost."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
+from ehbench.errors import InsufficientData
+from ehbench.ledger.rows import Ledger
+from ehbench.ledger.sheet import function_of
+from ehbench.physics.cylinder import linkage
+from ehbench.plant.build import pins_of
+from ehbench.parts.oil import bulk
+from ehbench.plant.build import oil_fields
+from ehbench.record import Record
+from ehbench.rig import Cylinder, Rig
+
+SETTLED_TRAVEL = 0.005  # share of the stroke below which a motion to and fro is no travel
+CLOSED = 0.02  # share of the travel by which the ends of a closed cycle may differ
+LOADED = 0.02  # share of the supply's force on the head end below which a mean force is no load
+
+
+@dataclass(frozen=True)
+class Beyond:
+    """What a cylinder drew beyond its bound while one working function was at work [J].
+
+    ``drawn`` is Ps·Q drawn, ``bound`` what the bound pays for the way [m] made meanwhile, out
+    positive; ``compression`` is ``Ps Σ ∫ V/β dp`` of both chambers: the part of what was drawn that
+    pressed their oil together, negative where it expanded."""
+
+    function: str
+    way: float
+    drawn: float
+    bound: float
+    compression: float
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What a constant-pressure supply pays for the motion of one cylinder, against what was drawn
+    (SPEC 4), all [J].
+
+    ``standard``: a four-way valve draws A1 for every metre out and A2 for every metre in. ``six``:
+    lifting as before, lowering with regeneration. ``seventh``: lifting with regeneration as well,
+    None where the supply cannot carry the load on the area difference, or where the load hangs on
+    the rod end. ``work``: lifting itself, ``∫ P_L v dt`` where positive. ``used`` is Ps·Q drawn,
+    None where nothing says it; ``saving`` its share below ``standard``. ``carries`` is the chamber
+    that holds the load, or none; ``closed`` says whether the motion ended where it began: only then
+    do the bounds mean a cycle. ``against`` names the least bound that the working functions at work
+    can reach, ``beyond`` what was drawn on top of it by each; empty and () where no controller
+    logged its functions. A supply of constant pressure is paid for volume: load, friction and a low
+    pressure on the off-side say where energy is lost, compression and oil let to tank say how much
+    is drawn."""
+
+    cylinder: str
+    travel_out: float
+    travel_in: float
+    closed: bool
+    carries: str
+    standard: float
+    six: float
+    seventh: float | None
+    work: float
+    used: float | None
+    saving: float | None
+    against: str = ""
+    beyond: tuple[Beyond, ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values for a JSON file."""
+        return asdict(self)
+
+
+def travels(x: np.ndarray, least: float) -> tuple[float, float]:
+    """(way out, way in) [m] of a stroke, counted between turning points at least ``least`` [m]
+    apart, so that noise is no way.
+    """
+    anchor, extreme, going = float(x[0]), float(x[0]), 0
+    ways = [0.0, 0.0]
+    for value in x:
+        value = float(value)
+        if going == 0:
+            going = 1 if value - anchor > least else (-1 if anchor - value > least else 0)
+            extreme = value
+        elif going * (value - extreme) > 0.0:
+            extreme = value
+        elif going * (extreme - value) > least:
+            ways[0 if going > 0 else 1] += abs(extreme - anchor)
+            anchor, extreme, going = extreme, value, -going
+    if going:
+        ways[0 if going > 0 else 1] += abs(extreme - anchor)
+    return ways[0], ways[1]
+
+
+def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None) -> Bounds:
+    """What a record's motion of one cylinder must cost on a constant-pressure supply, and what it
+    did cost.
+
+    With Ps the set pressure, L+ and L− the ways out and in: standard ``Ps (A1 L+ + A2 L−)``. A load
+    that the head end carries: six ``Ps A1 L+``, seventh ``Ps (A1 − A2) L+``. One that hangs on the
+    rod end: six ``Ps (A2 L− + (A1 − A2) L+)``. No load: six as standard, seventh ``Ps ((A1 − A2) L+
+    + A2 L−)``. For a cycle of stroke Δx with the load on the head end these are SPEC 4's ``Ps (A1 +
+    A2) Δx``, ``Ps A1 Δx``, ``Ps (A1 − A2) Δx``.
+
+    Args:
+        rig: gives areas, pins and set pressure.
+        record: with ``.p_head``, ``.p_rod`` and ``.x`` or ``.q`` of the cylinder.
+        cylinder: its name.
+        ledger: of the same record, for the energy drawn; without it the record's own edge flows say
+            it, if it has them.
+
+    Raises:
+        InputError: no such cylinder.
+        LogError: a channel is missing.
+        InsufficientData: the cylinder did not move.
+    """
+    item = rig.cylinder_named(cylinder)
+    x = _stroke(item, record)
+    ways = travels(x, SETTLED_TRAVEL * float(item.stroke))
+    if ways == (0.0, 0.0):
+        raise InsufficientData(f"cylinder '{cylinder}' did not move, so nothing bounds its energy")
+    head, rod = item.areas()
+    force = record[f"{cylinder}.p_head"] * head - record[f"{cylinder}.p_rod"] * rod
+    load = _Load.of(record.t, x, force, float(rig.supply.pressure), (head, rod))
+    prices, pressure = load.prices(), load.pressure
+    paid = {name: pressure * (a * ways[0] + b * ways[1]) for name, (a, b) in prices.items()}
+    used = (
+        ledger[f"{cylinder}.drawn"].energy if ledger is not None else _drawn(rig, record, cylinder)
+    )
+    against, beyond = "", ()
+    if ledger is not None and (function := function_of(record, cylinder)) is not None:
+        against = _against(function, "seventh" in paid)
+        price = (pressure * prices[against][0], pressure * prices[against][1])
+        work = _Work(rig, record, item, x, function)
+        beyond = _beyond(work, price, ways, ledger.functions[cylinder])
+    return Bounds(
+        cylinder=cylinder,
+        travel_out=ways[0],
+        travel_in=ways[1],
+        closed=abs(ways[0] - ways[1]) <= CLOSED * max(ways),
+        carries=load.carries,
+        standard=paid["standard"],
+        six=paid["six"],
+        seventh=paid.get("seventh"),
+        work=load.work,
+        used=used,
+        saving=None if used is None else 1.0 - used / paid["standard"],
+        against=against,
+        beyond=beyond,
+    )
+
+
+def _stroke(item: Cylinder, record: Record) -> np.ndarray:
+    """Stroke [m] of a cylinder over a record, from its joint where it has no channel of its own."""
+    if f"{item.name}.x" in record:
+        return record[f"{item.name}.x"]
+    pins = pins_of(item)
+    return np.array([linkage(*pins, angle)[0] for angle in record[f"{item.name}.q"]])
+
+
+def _against(function: np.ndarray, seventh: bool) -> str:
+    """The least bound that the working functions at work can reach."""
+    at_work = {FUNCTIONS[f] for f in np.unique(function)}
+    if seventh and FUNCTIONS[EXTEND_RESISTIVE_REGENERATION] in at_work:
+        return "seventh"
+    regains = any(name.endswith("overrunning_regeneration") for name in at_work)
+    return "six" if regains else "standard"
+
+
+class _Load(NamedTuple):
+    """What a motion worked against: supply ``pressure`` [Pa], ``areas`` [m²], the chamber that
+    carries the load, the ``work`` of lifting it [J], whether the supply carries it on the area
+    difference.
+    """
+
+    pressure: float
+    areas: tuple[float, float]
+    carries: str
+    work: float
+    regenerates: bool
+
+    @classmethod
+    def of(
+        cls,
+        t: np.ndarray,
+        x: np.ndarray,
+        force: np.ndarray,
+        pressure: float,
+        areas: tuple[float, float],
+    ) -> _Load:
+        """The load of a motion x [m] under a force of the pressures [N]."""
+        head, rod = areas
+        steps, middle = np.diff(x), 0.5 * (force[1:] + force[:-1])
+        mean = float(np.trapezoid(force, t) / (t[-1] - t[0]))
+        work = float((middle * steps)[middle * steps > 0.0].sum())
+        lifting = force[:-1][steps > 0.0]
+        carries = "none"
+        if abs(mean) > LOADED * pressure * head:
+            carries = "head" if mean > 0.0 else "rod"
+        light = lifting.size > 0 and float(np.median(lifting)) < pressure * (head - rod)
+        return cls(pressure, areas, carries, work, head > rod and light)
+
+    def prices(self) -> dict[str, tuple[float, float]]:
+        """Oil for a metre (out, in) [m²] by each bound."""
+        head, rod = self.areas
+        six = {"head": (head, 0.0), "rod": (head - rod, rod), "none": (head, rod)}
+        prices = {"standard": (head, rod), "six": six[self.carries]}
+        if self.regenerates and self.carries != "rod":
+            prices["seventh"] = (head - rod, 0.0 if self.carries == "head" else rod)
+        return prices
+
+
+class _Work(NamedTuple):
+    """A cylinder's motion under a controller: its stroke and the working function of each tick."""
+
+    rig: Rig
+    record: Record
+    item: Cylinder
+    x: np.ndarray
+    function: np.ndarray
+
+
+def _beyond(
+    made: _Work,
+    price: tuple[float, float],
+    ways: tuple[float, float],
+    drawn: dict[str, dict[str, float]],
+) -> tuple[Beyond, ...]:
+    """What each working function drew against its share of the way out and in, ``ways`` [m], at
+    ``price`` [J/m] each.
+    """
+    rig, record, item, x, function = made
+    areas, dead = item.areas(), (float(item.volume_head), float(item.volume_rod))
+    oil = oil_fields(rig, item.bulk_modulus)
+    squeezed = np.zeros(x.size - 1)
+    for key, area, volume, sign in zip(("p_head", "p_rod"), areas, dead, (1.0, -1.0), strict=True):
+        held, p = volume + sign * area * x, record[f"{item.name}.{key}"]
+        stiffness = oil["bulk_modulus"]
+        if oil["air"]:
+            stiffness = np.array([bulk(at, *oil.values()) for at in 0.5 * (p[1:] + p[:-1])])
+        squeezed += 0.5 * (held[1:] + held[:-1]) * np.diff(p) / stiffness
+    turns = np.flatnonzero(np.diff(function, prepend=-1))
+    net, whose = np.add.reduceat(np.diff(x), turns), function[turns]
+    shares = []
+    for sign, way in zip((1.0, -1.0), ways, strict=True):
+        gone = np.maximum(sign * net, 0.0)
+        shares.append(gone * (way / gone.sum() if gone.sum() > 0.0 else 0.0))
+    found = []
+    for f in np.unique(function):
+        out, back = (float(share[whose == f].sum()) for share in shares)
+        energy = drawn[FUNCTIONS[f]].get(f"{item.name}.drawn", 0.0)
+        pressed = float(rig.supply.pressure) * float(squeezed[function == f].sum())
+        found.append(
+            Beyond(FUNCTIONS[f], out - back, energy, price[0] * out + price[1] * back, pressed)
+        )
+    return tuple(found)
+
+
+def _drawn(rig: Rig, record: Record, cylinder: str) -> float | None:
+    """``∫ Ps Q dt`` [J] of a cylinder's edges from the supply, None where the record has not all
+    their flows.
+    """
+    total = 0.0
+    for name, edge in rig.all_edges().items():
+        if name.split(".", 1)[0] != cylinder or "supply" not in (edge.from_, edge.to):
+            continue
+        channel = f"{name}.flow"
+        if channel not in record or "p_supply" not in record:
+            return None
+        sign = 1.0 if edge.from_ == "supply" else -1.0
+        total += sign * float(np.trapezoid(record["p_supply"] * record[channel], record.t))
+    return total

@@ -1,0 +1,374 @@
+"""The ledger of a machine's log, from measured channels alone, and how far it can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ehbench.ledger.powers import COMPRESSION, OF, PUMP, SUPPLY_LINE, power_at
+from ehbench.ledger.quadrature import flows_at, powers_at, stores_at
+from ehbench.ledger.readings import Readings, noise_of, read_log
+from ehbench.ledger.rows import Ledger
+from ehbench.ledger.sheet import Sheet, must_have_samples, oil_drawn
+from ehbench.parts.edge import MAP
+from ehbench.parts.nodes import TANK
+from ehbench.parts.oil import bulk
+from ehbench.plant.build import Maps, map_of
+from ehbench.plant.model import Model
+from ehbench.plant.valves import follow_friction, follow_valves, opening_of
+from ehbench.record import Record
+from ehbench.rig import Rig
+
+
+class Found(NamedTuple):
+    """What a log gave: its model, payload and readings; states, flows and powers at each sample;
+    energies [J] of all rows.
+    """
+
+    model: Model
+    payload: str
+    readings: Readings
+    states: np.ndarray
+    flows: np.ndarray
+    power: np.ndarray
+    energies: np.ndarray
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Standard errors that a log and its rig do not state, as shares; the defaults are those of
+    ordinary industrial sensors.
+
+    ``pressure``: zero of a pressure sensor, of the set supply pressure. ``position``: scale of a
+    position sensor. ``flow``: flow of an edge whose law or map states no error, or of a map outside
+    of its readings. ``lag``: natural frequency of a valve that states no error. ``alignment``:
+    samples by which commands and readings may be apart. ``draws``: repetitions from which the
+    effect of the sensors' noise is found."""
+
+    pressure: float = 0.0025
+    position: float = 0.002
+    flow: float = 0.05
+    lag: float = 0.2
+    alignment: float = 1.0
+    draws: int = 12
+
+
+class Account:
+    """Energies of readings on a model: what `ledger_of_log` evaluates again for every source of
+    doubt.
+    """
+
+    def __init__(self, sheet: Sheet) -> None:
+        self.sheet = sheet
+
+    def states(self, model: Model, m: Readings) -> np.ndarray:
+        """States, shape (samples, states), with the openings that follow from the commands."""
+        names, n = model.layout, model.plant.at.rates
+        states = np.zeros((m.t.size, names.states))
+        states[:, :n], states[:, n : 2 * n], states[:, 2 * n : 2 * n + m.p.shape[1]] = (
+            m.q,
+            m.qd,
+            m.p,
+        )
+        follow_valves(m.t, m.commands, model.plant, False, states)
+        follow_friction(m.t, model.plant, states)
+        states[:, model.plant.at.supply] = m.p_supply
+        return states
+
+    def flows(self, model: Model, m: Readings, states: np.ndarray) -> np.ndarray:
+        """Edge flows [m³/s] at the states, shape (samples, edges + 1); the last column is the
+        measured flow of the pump, or 0.
+        """
+        plant = model.plant.at_pressures()
+        flows = np.empty((m.t.size, len(model.layout.edges) + 1))
+        flows_at(states, m.commands, m.p_tank, plant, flows)
+        flows[:, -1] = 0.0 if m.flow_supply is None else m.flow_supply
+        return flows
+
+    def power(self, model: Model, m: Readings, states: np.ndarray, flows: np.ndarray) -> np.ndarray:
+        """Powers [W] of the columns, shape (samples, columns)."""
+        plant = model.plant.at_pressures()
+        power = np.empty((m.t.size, self.sheet.powers))
+        powers_at(states, m.commands, flows, m.p_tank, plant, self.sheet.owner, power)
+        return power
+
+    def energies(
+        self,
+        model: Model,
+        m: Readings,
+        states: np.ndarray,
+        power: np.ndarray,
+        at: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Energies [J] of all rows at the end, shape (rows,); or, cumulated, at the samples ``at``,
+        shape (at, rows).
+        """
+        plant, sheet = model.plant, self.sheet
+        at = np.array([m.t.size - 1]) if at is None else at
+        dt = np.diff(m.t)
+        spent = _cumulated(0.5 * dt, power, at)
+        kept = np.concatenate([[0], at])
+        held = np.empty((kept.size, sheet.stores))
+        stores_at(states[kept], plant, held)
+        held = held[1:] - held[0]
+        edges, cylinders = len(model.layout.edges), range(m.x.shape[1])
+        for c in cylinders:
+            # ∫ P_L dx over the measured stroke: a filtered speed lags behind the pressures
+            row = plant.cylinders[c]
+            force = m.p[:, 2 * c] * row.area_head - m.p[:, 2 * c + 1] * row.area_rod
+            spent[:, power_at(edges, c, OF.work)] = _cumulated(
+                0.5 * np.diff(m.x[:, c]), force[:, None], at
+            )[:, 0]
+        if m.flow_supply is None and plant.supply.flow_limit > 0.0:
+            drawn, drawn_compression = (
+                [power_at(edges, c, which) for c in cylinders]
+                for which in (OF.drawn, OF.drawn_compression)
+            )
+            pressed = _pressed(plant.supply, m.p_supply)[at]
+            spent[:, PUMP] = spent[:, drawn].sum(axis=1) + pressed
+            if plant.supply.gas_volume > 0.0:
+                spent[:, PUMP] += held[:, -1]
+            spent[:, COMPRESSION] = (
+                spent[:, drawn_compression].sum(axis=1) + held[:, SUPPLY_LINE] - pressed
+            )
+        rows = sheet.expand(np.concatenate([spent, held], axis=1))
+        return rows[0] if at.size == 1 else rows
+
+    def __call__(self, model: Model, m: Readings) -> np.ndarray:
+        """Energies [J] of all rows at the end, shape (rows,)."""
+        states = self.states(model, m)
+        return self.energies(
+            model, m, states, self.power(model, m, states, self.flows(model, m, states))
+        )
+
+
+def _pressed(supply: np.record, pressure: np.ndarray) -> np.ndarray:
+    """``∫ p V/β dp`` [J] of the supply line from the first of its pressures [Pa] to each."""
+    if supply.air == 0.0:
+        return 0.5 * supply.volume / supply.bulk_modulus * (pressure**2 - pressure[0] ** 2)
+    oil = (supply.bulk_modulus, supply.air, supply.polytropic)
+    per = supply.volume * pressure / np.array([bulk(p, *oil) for p in pressure])
+    steps = 0.5 * (per[1:] + per[:-1]) * np.diff(pressure)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _cumulated(half: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Trapezoids of columns up to the samples ``at``; ``half`` are half the steps between them."""
+    if at.size == 1:
+        upto = int(at[0])
+        return (half[:upto] @ values[:upto] + half[:upto] @ values[1 : upto + 1])[None]
+    sums = np.zeros(values.shape)
+    np.cumsum(half[:, None] * (values[1:] + values[:-1]), axis=0, out=sums[1:])
+    return sums[at]
+
+
+def ledger_of_log(
+    rig: Rig,
+    maps: Maps | None,
+    record: Record,
+    *,
+    payload: str | None = None,
+    accuracy: Accuracy = Accuracy(),
+    points: int = 0,
+) -> Ledger:
+    """The ledger of a machine's log, from measured channels alone: positions, pressures and
+    commands.
+
+    Edge flows are those of the identified maps or laws at the measured drops, at openings that
+    follow from the commands by the valve dynamics; friction, damping and leakage are the identified
+    model's. What these do not account for is the row ``unexplained``. Every row has a 95 %
+    interval, the root of the sum of squares of independent sources of doubt: every rig parameter
+    with a standard error; every edge's flow by one error common to all its points (a map's
+    ``flow_std``, so an upper bound); valve lag; zeros and scales of sensors; their noise, with the
+    bias it makes; alignment of commands and readings; sampling. A parameter that states no error is
+    taken as exact, but for edges: ``notes`` says what was taken for those.
+
+    Args:
+        rig: identified, without its payload.
+        maps: its flow maps by edge name.
+        record: ``<cylinder>.q`` or ``.x``, ``.qd`` or ``.v``, ``.p_head``, ``.p_rod``,
+            ``<valve>.command``; ``p_supply``, ``p_tank``, ``flow_supply`` where measured.
+        payload: of the rig file; by default the one that the log names.
+        accuracy: what sensors are good for.
+        points: how many times of cumulated energies to keep in ``series``; 0 for none.
+
+    Raises:
+        LogError: a channel is missing or not finite.
+        InputError: no such payload, or an edge without its map.
+    """
+    must_have_samples(record)
+    if payload is None:
+        payload = record.meta.get("payload", "none")
+    load = None if payload in ("none", "") else payload
+    model = Model.of(rig, maps, load)
+    readings, notes = read_log(model, record)
+    sheet = Sheet(model, "unexplained")
+    account = Account(sheet)
+    states = account.states(model, readings)
+    flows = account.flows(model, readings, states)
+    power = account.power(model, readings, states, flows)
+    base = account.energies(model, readings, states, power)
+    found = Found(model, payload, readings, states, flows, power, base)
+    effects, more = _effects(rig, maps, account, found, accuracy)
+    notes += more
+    std = np.sqrt(sum(effect**2 for effect in effects.values()))
+    sources = {name: float(abs(effect[-1])) for name, effect in effects.items()}
+    sources = dict(sorted(sources.items(), key=lambda item: -item[1]))
+    every = np.arange(readings.t.size)
+    told = sheet.told(record, account.energies(model, readings, states, power, every), points)
+    told |= {"oil_drawn": oil_drawn(model, readings.t, flows)}
+    return sheet.ledger(
+        model, record, payload, base, std, sources=sources, notes=tuple(notes), **told
+    )
+
+
+def _effects(
+    rig: Rig, maps: Maps | None, account: Account, found: Found, accuracy: Accuracy
+) -> tuple[dict[str, np.ndarray], list[str]]:
+    """(what one standard error of each source of doubt does to the energies [J], what had to be
+    assumed).
+    """
+    model, readings, states = found.model, found.readings, found.states
+    flows, power, base = found.flows, found.power, found.energies
+    effects = _parameter_effects(rig, maps, account, found, accuracy)
+    flow_effects: dict[str, np.ndarray] = {}
+    notes: list[str] = []
+    for e, name in enumerate(model.layout.edges):
+        std, said = _flow_std(maps, e, found, accuracy)
+        notes += said
+        if std.any():
+            doubtful = flows.copy()
+            doubtful[:, e] += std
+            moved = account.power(model, readings, states, doubtful)
+            flow_effects[f"flow of {name}"] = (
+                account.energies(model, readings, states, moved) - base
+            )
+    effects = effects[0] | flow_effects | effects[1]
+    for name, moved in _doubts(model, readings, accuracy):
+        effects[name] = account(model, moved) - base
+    if readings.t.size > 4:
+        kept = np.unique(np.append(np.arange(0, readings.t.size, 2), readings.t.size - 1))
+        coarse = account.energies(model, _at(readings, kept), states[kept], power[kept])
+        effects["sampling"] = (coarse - base) / 3.0
+    scatter = _noise(account, model, readings, accuracy.draws) - base
+    effects["noise of the sensors"] = np.sqrt(
+        scatter.var(axis=0, ddof=1) + scatter.mean(axis=0) ** 2
+    )
+    return effects, notes
+
+
+def _parameter_effects(
+    rig: Rig, maps: Maps | None, account: Account, found: Found, accuracy: Accuracy
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """(effects of the parameters that state an error, of the lags of valves that do not)."""
+    load = None if found.payload in ("none", "") else found.payload
+
+    def effect(name: str, value: float) -> np.ndarray:
+        changed = Model.of(rig.with_values({name: value}), maps, load)
+        return account(changed, found.readings) - found.energies
+
+    parameters = rig.parameters()
+    stated = {
+        name: effect(name, float(value) + value.std)
+        for name, value in parameters.items()
+        if value.std
+    }
+    lags = {}
+    for name, dynamics in rig.dynamics.items():
+        omega = f"{name}.natural_frequency"
+        given = (dynamics.natural_frequency, dynamics.damping_ratio, dynamics.s1, dynamics.s2)
+        if not any(value.std for value in given if value is not None):
+            lags[f"lag of {name}"] = effect(omega, float(parameters[omega]) / (1.0 + accuracy.lag))
+    return stated, lags
+
+
+def _at(m: Readings, kept: np.ndarray) -> Readings:
+    return Readings(
+        **{name: None if value is None else value[kept] for name, value in vars(m).items()}
+    )
+
+
+def _flow_std(
+    maps: Maps | None, e: int, found: Found, accuracy: Accuracy
+) -> tuple[np.ndarray, list[str]]:
+    """(standard error [m³/s] of an edge's flow at every sample, in the direction of the flow; what
+    had to be assumed).
+    """
+    model, m, states, flow = found.model, found.readings, found.states, found.flows[:, e]
+    plant, name = model.plant, model.layout.edges[e]
+    edge = model.rig.all_edges()[name]
+    if not flow.any():
+        return np.zeros_like(flow), []
+    share = accuracy.flow * np.abs(flow)
+    row = plant.edges[e]
+    if row.law != MAP:
+        if edge.gain is not None and edge.gain.std:
+            return np.zeros_like(flow), []
+        good = f"its flow is taken to be good to {100 * accuracy.flow:g} %"
+        return share * np.sign(flow), [f"the law of {name} states no error: {good}"]
+    one = map_of(maps, name)
+    valve = int(row.valve)
+    opening = row.sign * opening_of(plant, valve, m.commands[:, valve], states)
+
+    def pressure(node: int) -> np.ndarray:
+        return m.p_supply if node == 0 else (m.p_tank if node == TANK else m.p[:, node - 2])
+
+    drop = pressure(int(row.from_node)) - pressure(int(row.to_node))
+    std = np.where(flow == 0.0, 0.0, one.flow_std(drop, opening))
+    outside = (flow != 0.0) & ~one.inside(drop, opening)
+    std = np.where(outside, np.maximum(std, share), std)
+    passed = np.abs(flow).sum()
+    if np.abs(flow[outside]).sum() > 0.01 * passed:
+        beyond = 100 * np.abs(flow[outside]).sum() / passed
+        said = f"{beyond:.0f} % of the oil through {name} went outside of its map's readings"
+        return std * np.sign(flow), [f"{said}: taken to be good to {100 * accuracy.flow:g} % there"]
+    return std * np.sign(flow), []
+
+
+def _doubts(model: Model, m: Readings, accuracy: Accuracy) -> Iterator[tuple[str, Readings]]:
+    """Readings moved by one standard error of each sensor, and of the alignment of commands with
+    them.
+    """
+    zero = accuracy.pressure * model.plant.supply.pressure
+    for i, name in enumerate(model.layout.cylinders):
+        for side, key in enumerate(("p_head", "p_rod")):
+            p = m.p.copy()
+            p[:, 2 * i + side] += zero
+            yield f"zero of {name}.{key}", replace(m, p=p)
+        x, q, qd, j = m.x.copy(), m.q.copy(), m.qd.copy(), int(model.plant.cylinders[i].joint)
+        x[:, i] += accuracy.position * (x[:, i] - x[0, i])
+        q[:, j] += accuracy.position * (q[:, j] - q[0, j])
+        qd[:, j] *= 1.0 + accuracy.position
+        yield f"scale of {name}.x", replace(m, x=x, q=q, qd=qd)
+    yield "zero of p_supply", replace(m, p_supply=m.p_supply + zero)
+    yield "zero of p_tank", replace(m, p_tank=m.p_tank + zero)
+    if m.flow_supply is not None:
+        yield "scale of flow_supply", replace(m, flow_supply=m.flow_supply * (1.0 + accuracy.flow))
+    if accuracy.alignment:
+        earlier = m.t - accuracy.alignment * float(np.median(np.diff(m.t)))
+        late = np.stack([np.interp(earlier, m.t, column) for column in m.commands.T], axis=1)
+        yield "alignment of the commands", replace(m, commands=late)
+
+
+def _noise(account: Account, model: Model, m: Readings, draws: int) -> np.ndarray:
+    """Energies of readings that carry their own noise once more, shape (draws, rows); the same
+    draws every time.
+    """
+    rng = np.random.default_rng(0)
+    names = ("q", "qd", "x", "p", "p_supply", "p_tank")
+    sizes = {name: np.apply_along_axis(noise_of, 0, getattr(m, name)) for name in names}
+
+    def drawn() -> Readings:
+        values = {name: getattr(m, name) for name in names}
+        return replace(
+            m,
+            **{
+                name: value + sizes[name] * rng.standard_normal(value.shape)
+                for name, value in values.items()
+            },
+        )
+
+    return np.stack([account(model, drawn()) for _ in range(max(draws, 2))])

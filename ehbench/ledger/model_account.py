@@ -1,0 +1,137 @@
+"""The ledger of a trial on the model, from what the model logs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ehbench.errors import InputError, LogError
+from ehbench.ledger.quadrature import Integrated, flows_at, integrate, powers_at, stores_at
+from ehbench.ledger.rows import Ledger
+from ehbench.ledger.sheet import Sheet, must_have_samples, oil_drawn, payload_of
+from ehbench.plant.integrate import STEP
+from ehbench.plant.model import Model
+from ehbench.plant.valves import follow_valves
+from ehbench.record import Record
+
+FOLLOWS = 1.0e-2  # share of a state's range that a tick of the model may miss the next sample by
+ROUNDING = 1.0e-12  # smaller than any reading
+
+
+def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
+    """(states, shape (samples, states); commands [V], shape (samples, valves)) of a model's record.
+
+    The rates of the openings, which a record has not where a valve has one element, follow from the
+    openings and the commands.
+
+    Raises:
+        LogError: a channel of the model is missing.
+    """
+    names, plant = model.layout, model.plant
+    samples, n = record.t.size, plant.at.rates
+    states = np.zeros((samples, names.states))
+    driven = {int(j): names.cylinders[i] for i, j in enumerate(plant.cylinders.joint)}
+    for j, joint in enumerate(names.joints):
+        own = driven.get(j, joint)
+        states[:, j], states[:, n + j] = record[f"{own}.q"], record[f"{own}.qd"]
+    for i, name in enumerate(names.cylinders):
+        for key in ("p_head", "p_rod"):
+            states[:, names.state(key, i)] = record[f"{name}.{key}"]
+    channels = [*(f"{name}.command" for name in names.valves), *names.played]
+    commands = np.stack([record[channel] for channel in channels], axis=1)
+    commands = np.ascontiguousarray(commands, dtype=float)
+    for name, valve in zip(names.valves, plant.valves, strict=True):
+        if valve.output >= 0:
+            states[:, valve.output] = record[f"{name}.opening"]
+    follow_valves(np.ascontiguousarray(record.t), commands, plant, True, states)
+    for channel, at in names.inner_states:
+        states[:, at] = record[channel]
+    for index, key in names.friction_states:
+        states[:, names.state(key, index)] = record[f"{names.cylinders[index]}.{key}"]
+    states[:, plant.at.supply] = record["p_supply"]
+    return states, commands
+
+
+def ledger_of_model(
+    model: Model, record: Record, quadrature: str = "exact", points: int = 0, step: float = STEP
+) -> Ledger:
+    """The ledger of a trial on the model, from what the model logs.
+
+    Args:
+        model: with the rig, payload and maps that made the record.
+        record: as `Model.record` gives it: states, commands, openings, at any rate that has every
+            change of the commands.
+        quadrature: ``exact`` integrates every tick anew from its logged state, and the powers with
+            it; ``samples`` takes the trapezoid of the powers at the samples, which is quicker and
+            as good as the sampling.
+        points: how many times of cumulated energies to keep in ``series``; 0 for none.
+        step: longest integration step [s].
+
+    Raises:
+        LogError: a channel is missing, or its flows are not those of this model.
+        InputError: no such quadrature.
+    """
+    if quadrature not in ("exact", "samples"):
+        raise InputError(f"there is no quadrature '{quadrature}'", hint="exact or samples")
+    must_have_samples(record)
+    t = np.ascontiguousarray(record.t, dtype=float)
+    states, commands = states_of(model, record)
+    plant = model.plant.at_pressures(tank=record["p_tank"][0] if "p_tank" in record else None)
+    tank = np.full(t.size, plant.tank_pressure)
+    sheet, notes = Sheet(model, "residual"), []
+    flows = np.empty((t.size, len(model.layout.edges) + 1))
+    spent = np.zeros((t.size, sheet.powers))
+    if quadrature == "exact":
+        ticks, ends = np.empty((t.size - 1, sheet.powers)), np.empty((t.size - 1, states.shape[1]))
+        out = Integrated(flows, ticks, ends)
+        integrate(t, states, commands, plant, sheet.owner, step, out)
+        np.cumsum(ticks, axis=0, out=spent[1:])
+        notes += _missed(model, states, ends)
+    else:
+        flows_at(states, commands, tank, plant, flows)
+        power = np.empty((t.size, sheet.powers))
+        powers_at(states, commands, flows, tank, plant, sheet.owner, power)
+        np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t)[:, None], axis=0, out=spent[1:])
+    _same_flows(model, record, flows)
+    held = np.empty((t.size, sheet.stores))
+    stores_at(states, plant, held)
+    table = sheet.expand(np.concatenate([spent, held - held[0]], axis=1))
+    told = sheet.told(record, table, points) | {"oil_drawn": oil_drawn(model, t, flows)}
+    return sheet.ledger(
+        model, record, payload_of(record), table[-1], None, notes=tuple(notes), **told
+    )
+
+
+def _same_flows(model: Model, record: Record, flows: np.ndarray) -> None:
+    """Raise where the record's flows are not those that the model has at the record's states."""
+    for i, channel in enumerate([*(f"{name}.flow" for name in model.layout.edges), "flow_supply"]):
+        if channel not in record:
+            continue
+        scale = max(np.abs(record[channel]).max(), np.abs(flows[:, i]).max(), ROUNDING)
+        if np.abs(record[channel] - flows[:, i]).max() > FOLLOWS * scale:
+            raise LogError(
+                f"channel '{channel}' is not what this model gives at the record's own pressures "
+                "and openings",
+                hint="give the rig and the flow maps that the record was made with; of a machine's "
+                "log take ledger_of_log",
+            )
+
+
+def _missed(model: Model, states: np.ndarray, ends: np.ndarray) -> list[str]:
+    """A sentence where a tick of the model does not lead from one sample to the next."""
+    n, nc = len(model.layout.joints), len(model.layout.cylinders)
+    kinds = (("joint angle", 0, n), ("joint rate", n, 2 * n), ("pressure", 2 * n, 2 * n + 2 * nc))
+    for what, low, high in kinds:
+        scale = (
+            np.abs(states[:, low:high]).max()
+            if what == "pressure"
+            else np.ptp(states[:, low:high], axis=0).max()
+        )
+        gap = np.abs(ends[:, low:high] - states[1:, low:high]).max()
+        if gap > FOLLOWS * max(scale, ROUNDING):
+            share = 100 * gap / max(scale, ROUNDING)
+            missed = f"the model misses the next sample's {what} by {share:.2g} % of its range"
+            return [
+                missed
+                + ": commands change between samples, or the record was made with another payload"
+            ]
+    return []

@@ -1,0 +1,235 @@
+"""The powers of a state and what is stored in it, asked of the parts one by one.
+
+Energies count from oil at zero gauge pressure. A volume of oil that crosses a pressure p carries p,
+and what its own compression holds, ``u(p)`` of `ehbench.parts.oil.held` per volume; with these two
+the chamber law ``V/β ṗ = Q − V̇`` is exactly ``(p + u(p)) Q = p V̇ + d/dt (V u(p))``: flow work is
+piston work and a change of what is stored, a function of state."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ehbench.compiled import kernel
+from ehbench.parts.cylinder import (
+    chamber_inflow,
+    chamber_makeup,
+    chamber_of,
+    chamber_oil,
+    linkage_of,
+    relief_out,
+)
+from ehbench.parts.accumulator import gas_energy
+from ehbench.parts.edge import PUMP as PUMP_LAW
+from ehbench.parts.edge.pump import slip_loss
+from ehbench.parts.end_stop import stop_held, stop_loss
+from ehbench.parts.friction import friction_held, friction_loss
+from ehbench.parts.load import push_on, spring_held
+from ehbench.parts.nodes import SUPPLY, TANK, node_held, node_pressure
+from ehbench.physics import arm
+
+
+class CylinderPowers(NamedTuple):
+    """Where a power stands among those of its cylinder."""
+
+    drawn: int = 0
+    drawn_compression: int = 1
+    work: int = 2
+    expansion: int = 3
+    leakage: int = 4
+    relief: int = 5
+    makeup: int = 6
+    return_line: int = 7
+    friction: int = 8
+    end_stop: int = 9
+    external_force: int = 10
+
+
+class CylinderStores(NamedTuple):
+    """Where what is stored stands among that of its cylinder: oil of head and rod, end stops,
+    springs on the rod."""
+
+    head: int = 0
+    rod: int = 1
+    stop: int = 2
+    load_spring: int = 3
+
+
+# powers: the pump's, its share for compression, one per edge, those of each cylinder, one per
+# joint, the shaft of each edge that is a pump
+PUMP, COMPRESSION, FIRST_EDGE = 0, 1, 2
+OF, PER_CYLINDER = CylinderPowers(), len(CylinderPowers())
+# what is stored: in the supply line, in the mechanism, in each cylinder, then in the friction of
+# each whose law has states, then in an accumulator
+SUPPLY_LINE, KINETIC, POTENTIAL, FIRST_CYLINDER = 0, 1, 2, 3
+STORED, STORES = CylinderStores(), len(CylinderStores())
+
+
+@kernel
+def power_at(edges, cylinder, which):
+    """Column of a cylinder's power, such as ``power_at(edges, c, OF.work)``."""
+    return FIRST_EDGE + edges + PER_CYLINDER * cylinder + which
+
+
+@kernel
+def store_at(cylinder, which):
+    """Column of what a cylinder stores, such as ``store_at(c, STORED.head)``."""
+    return FIRST_CYLINDER + STORES * cylinder + which
+
+
+def powers_of(edges: int, cylinders: int, joints: int, pumps: int) -> int:
+    """How many columns of powers there are."""
+    return int(power_at(edges, cylinders, 0)) + joints + pumps
+
+
+def stores_of(cylinders: int, frictions: int, accumulators: int) -> int:
+    """How many columns of what is stored there are."""
+    return int(store_at(cylinders, frictions)) + accumulators
+
+
+@kernel
+def _node(node, y, plant):
+    """(pressure [Pa], energy of its compression [J/m³]) of the oil at a node of the circuit."""
+    p = node_pressure(y, plant, node)
+    return p, node_held(plant, node, p)
+
+
+@kernel
+def powers(y, command, flows, plant, owner, out):
+    """Write every power [W] of a state into ``out``: what is spent positive, the supply's positive
+    where it gives.
+
+    What comes to the tank is lost with the tank's own pressure on it. An end stop takes what it
+    does not hold as a spring.
+
+    Args:
+        y: state of the plant.
+        command: valve commands [V], then forces that are played [N].
+        flows: along the edges, then the pump's [m³/s].
+        owner: cylinder to which each edge belongs.
+        out: shape (columns,).
+    """
+    at, edges = plant.at, plant.edges.shape[0]
+    for i in range(out.shape[0]):
+        out[i] = 0.0
+    p_supply, u_supply = _node(SUPPLY, y, plant)
+    out[PUMP], out[COMPRESSION] = p_supply * flows[edges], u_supply * flows[edges]
+    for e in range(edges):
+        if flows[e] != 0.0:
+            _throttle(e, y, flows[e], plant, power_at(edges, owner[e], 0), out)
+    cylinders = plant.cylinders.shape[0]
+    for c in range(cylinders):
+        first = power_at(edges, c, 0)
+        _cylinder(c, y, flows, plant, first, out)
+        row = plant.cylinders[c]
+        _, lever, _ = linkage_of(row, y[row.joint])
+        v = lever * y[at.rates + row.joint]
+        out[first + OF.external_force] = -push_on(c, v, command, plant) * v
+    first = power_at(edges, cylinders, 0)
+    for j in range(at.joints):
+        rate = y[at.rates + j]
+        out[first + j] = plant.links[j].damping * rate * rate
+    shaft = first + at.joints
+    for e in range(edges):
+        if plant.edges[e].law == PUMP_LAW:
+            _pump(e, y, flows[e], plant, shaft, out)
+            shaft += 1
+
+
+@kernel
+def _pump(e, y, flow, plant, shaft, out):
+    """Write what an edge takes that is a pump, the slip, and what its shaft gives, ``D ω (p_b −
+    p_a)``, into column ``shaft``.
+    """
+    edge = plant.edges[e]
+    drop = node_pressure(y, plant, edge.from_node) - node_pressure(y, plant, edge.to_node)
+    out[FIRST_EDGE + e] = slip_loss(drop, edge)
+    out[shaft] = out[FIRST_EDGE + e] - drop * flow
+
+
+@kernel
+def _throttle(e, y, flow, plant, at, out):
+    """Add what an edge takes: a throttle of flow Q from a to b takes ``(p_a − p_b) Q`` (SPEC 4) and
+    lets ``(u_a − u_b) Q`` of compression go. ``at``: the first column of its cylinder.
+    """
+    a, b = plant.edges[e].from_node, plant.edges[e].to_node
+    p_a, u_a = _node(a, y, plant)
+    p_b, u_b = _node(b, y, plant)
+    out[FIRST_EDGE + e] = (p_a - p_b) * flow
+    out[at + OF.expansion] += (u_a - u_b) * flow
+    for node, sign in ((a, 1.0), (b, -1.0)):
+        p, u = _node(node, y, plant)
+        if node == SUPPLY:
+            out[at + OF.drawn] += sign * p * flow
+            out[at + OF.drawn_compression] += sign * u * flow
+        elif node == TANK:
+            out[at + OF.return_line] -= sign * (p + u) * flow
+
+
+@kernel
+def _net_flow(node, flows, plant):
+    """What the edges bring to a node [m³/s]."""
+    net = 0.0
+    for e in range(plant.edges.shape[0]):
+        if plant.edges[e].from_node == node:
+            net -= flows[e]
+        if plant.edges[e].to_node == node:
+            net += flows[e]
+    return net
+
+
+@kernel
+def _cylinder(c, y, flows, plant, at, out):
+    """Add what a cylinder takes and gives, from column ``at`` on."""
+    row = plant.cylinders[c]
+    x, lever, _ = linkage_of(row, y[row.joint])
+    v = lever * y[plant.at.rates + row.joint]
+    p_tank, u_tank = _node(TANK, y, plant)
+    p_head, u_head = _node(row.node_head, y, plant)
+    p_rod, u_rod = _node(row.node_rod, y, plant)
+    across = row.leakage_internal * (p_head - p_rod)
+    out[at + OF.expansion] += (u_head - u_rod) * across
+    out[at + OF.leakage] = across * (p_head - p_rod)
+    for side in range(2):
+        node, area, _, leakage = chamber_of(row, side)
+        p, u = _node(node, y, plant)
+        inflow = chamber_inflow(row, side, v, _net_flow(node, flows, plant), y, plant)
+        relief, makeup = relief_out(row, p), chamber_makeup(row, p, inflow)
+        leak = leakage * (p - p_tank)
+        to_tank = relief + leak - makeup
+        out[at + OF.leakage] += leak * (p - p_tank)
+        out[at + OF.relief] += relief * (p - p_tank)
+        out[at + OF.makeup] += makeup * (p_tank - p)
+        out[at + OF.return_line] += (p_tank + u_tank) * to_tank
+        out[at + OF.expansion] += (u - u_tank) * to_tank
+        out[at + OF.work] += p * area * v
+    out[at + OF.friction] = friction_loss(row, v, y)
+    out[at + OF.end_stop] = stop_loss(row, x, v)
+
+
+@kernel
+def stores(y, plant, work, out):
+    """Write every stored energy [J] of a state into ``out``, shape (columns,).
+
+    Oil: ``V u(p)``. The mechanism: kinetic and potential energy. An end stop: ``k δ²/2`` of its
+    depth δ. A spring on the rod: ``k (x − free length)²/2``."""
+    n, rates = plant.at.joints, plant.at.rates
+    _, held = _node(SUPPLY, y, plant)
+    out[SUPPLY_LINE] = plant.supply.volume * held
+    out[KINETIC], out[POTENTIAL] = arm.energy(
+        plant.kind, plant.links, plant.gravity, y[:n], y[rates : rates + n], work
+    )
+    for c in range(plant.cylinders.shape[0]):
+        row = plant.cylinders[c]
+        x, _, _ = linkage_of(row, y[row.joint])
+        for side in range(2):
+            _, held = _node(chamber_of(row, side)[0], y, plant)
+            out[store_at(c, STORED.head + side)] = chamber_oil(row, side, x) * held
+        out[store_at(c, STORED.stop)] = stop_held(row, x)
+        out[store_at(c, STORED.load_spring)] = spring_held(c, x, plant)
+    at = store_at(plant.cylinders.shape[0], 0)
+    for c in range(plant.cylinders.shape[0]):
+        if plant.cylinders[c].friction_state >= 0:
+            out[at] = friction_held(plant.cylinders[c], y)
+            at += 1
+    if plant.supply.gas_volume > 0.0:
+        out[at] = gas_energy(node_pressure(y, plant, SUPPLY), plant.supply)

@@ -1,0 +1,94 @@
+"""Powers and stores over a whole record: at its samples, or integrated with the plant's motion."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ehbench.compiled import allocating_kernel
+from ehbench.ledger.powers import powers, stores
+from ehbench.parts.nodes import TANK
+from ehbench.physics import arm
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.integrate import MOST_SUBSTEPS, STIFF, advance
+
+
+class Integrated(NamedTuple):
+    """What `integrate` writes: ``flows`` [m³/s] at each sample, shape (samples, edges + 1);
+    ``energies`` of each tick [J], shape (samples − 1, columns); ``ends``, where each tick ended,
+    shape (samples − 1, states).
+    """
+
+    flows: np.ndarray
+    energies: np.ndarray
+    ends: np.ndarray
+
+
+@allocating_kernel
+def integrate(t, states, commands, plant, owner, step, out):
+    """Integrate each tick anew from its logged state with the plant's own kernel, and the powers
+    with it by Simpson's rule.
+
+    Args:
+        owner: cylinder to which each edge belongs.
+        step: longest piece [s]; shorter ones are taken where the plant is stiff.
+        out: where it goes.
+    """
+    size, columns, energies = states.shape[1], out.energies.shape[1], out.energies
+    k = np.empty((5, size))
+    work, at = np.empty(plant.at.work), plant.at.flow
+    y, start, middle = np.empty(size), np.empty(columns), np.empty(columns)
+    for i in range(t.shape[0]):
+        y[:] = states[i]
+        rate = derivatives(y, commands[i], plant, k[0], work)
+        out.flows[i] = work[at:]
+        if i + 1 == t.shape[0]:
+            break
+        tick = t[i + 1] - t[i]
+        pieces = min(MOST_SUBSTEPS, max(1, math.ceil(max(tick / step - 1e-6, rate * tick / STIFF))))
+        h = tick / pieces
+        powers(y, commands[i], work[at:], plant, owner, start)
+        energies[i] = 0.0
+        for _ in range(pieces):
+            advance(y, commands[i], plant, 0.5 * h, k, work, rate)
+            rate = derivatives(y, commands[i], plant, k[0], work)
+            powers(y, commands[i], work[at:], plant, owner, middle)
+            for j in range(columns):
+                energies[i, j] += h / 6.0 * start[j] + h / 1.5 * middle[j]
+            advance(y, commands[i], plant, 0.5 * h, k, work, rate)
+            rate = derivatives(y, commands[i], plant, k[0], work)
+            powers(y, commands[i], work[at:], plant, owner, start)
+            for j in range(columns):
+                energies[i, j] += h / 6.0 * start[j]
+        out.ends[i] = y
+
+
+@allocating_kernel
+def flows_at(states, commands, tank, plant, flows):
+    """Edge flows and the pump's at given states; ``tank`` [Pa] is written into the plant's nodes as
+    it goes along.
+    """
+    k = np.empty(states.shape[1])
+    work = np.empty(plant.at.work)
+    for i in range(states.shape[0]):
+        plant.nodes[TANK].pressure = tank[i]
+        derivatives(states[i], commands[i], plant, k, work)
+        flows[i] = work[plant.at.flow :]
+
+
+@allocating_kernel
+def powers_at(states, commands, flows, tank, plant, owner, out):
+    """Powers [W] at given states and flows; ``tank`` as in `flows_at`."""
+    for i in range(states.shape[0]):
+        plant.nodes[TANK].pressure = tank[i]
+        powers(states[i], commands[i], flows[i], plant, owner, out[i])
+
+
+@allocating_kernel
+def stores_at(states, plant, out):
+    """What is stored [J] at given states."""
+    work = np.empty(arm.work_size(plant.links.shape[0]))
+    for i in range(states.shape[0]):
+        stores(states[i], plant, work, out[i])

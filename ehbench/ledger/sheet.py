@@ -1,0 +1,281 @@
+"""What the columns of a rig's powers and stores are called, and how a ledger is made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ehbench.codes import FUNCTIONS
+from ehbench.errors import LogError
+from ehbench.ledger.powers import CylinderPowers, CylinderStores, powers_of, stores_of
+from ehbench.ledger.rows import GROUPS, Ledger, Row
+from ehbench.parts.nodes import SUPPLY
+from ehbench.plant.model import Model
+from ehbench.record import Record
+from ehbench.terms import Z95
+
+Named = tuple[str, str, str, str | None]  # name, group, label, cylinder
+Part = tuple[str, str, str | None, Sequence[str], Sequence[str]]  # name, where, cylinder, +, −
+# (group, label) of a cylinder's powers, in the order of CylinderPowers
+CYLINDER_ROWS = (
+    ("cylinder", "drawn from the supply, Ps·Q"),
+    ("cylinder", "drawn, compression"),
+    ("cylinder", "cylinder work"),
+    ("loss", "expansion of the oil"),
+    ("loss", "leakage"),
+    ("loss", "relief valve"),
+    ("loss", "cavitation make-up"),
+    ("loss", "return line, Pt·Q"),
+    ("loss", "cylinder friction"),
+    ("loss", "end stops"),
+    ("load", "force on the rod from outside"),
+)
+STORE_LABELS = (
+    *("oil of the head end", "oil of the rod end", "spring of the end stops"),
+    "springs on the rod",
+)
+# rows of a cylinder that stand in a ledger only where the rig file has the table
+OPTIONAL = {"force": ("external_force", "load_spring")}
+# rows that the piston's work pays
+MECHANICAL = ("friction", "friction_spring", "end_stop", "stop", "load_spring", "damping")
+
+
+class Sheet:
+    """What the columns of a rig's powers and stores are called, and how the residuals follow from
+    them.
+
+    Attributes:
+        owner: cylinder to which each edge belongs.
+        powers, stores: how many columns of each there are.
+        rows: (name, group, label, cylinder) of each column.
+        absent: names of rows that are left out, as of parts which the rig has not.
+        parts: (name, where, cylinder) of each part of the residual.
+        combinations: how much of each column is in each part, shape (parts, columns).
+    """
+
+    def __init__(self, model: Model, word: str) -> None:
+        names = model.layout
+        owners = [names.cylinders.index(_owner(name)) for name in names.edges]
+        self.owner = np.array(owners, dtype=np.int64)
+        cylinders, pumps = len(names.cylinders), len(_pumps(model))
+        accumulators = int(model.rig.supply.accumulator is not None)
+        self.powers = powers_of(len(names.edges), cylinders, len(names.joints), pumps)
+        self.stores = stores_of(cylinders, len(_springy(model)), accumulators)
+        self.cylinders, self.word = names.cylinders, word
+        self.absent = {
+            f"{c.name}.{key}"
+            for c in model.rig.cylinder
+            for table, keys in OPTIONAL.items()
+            for key in keys
+            if not getattr(c, table)
+        }
+        self.rows = _power_rows(model) + _store_rows(model)
+        parts = _parts(self.rows, names.cylinders, word)
+        self.parts = [(name, where, cylinder) for name, where, cylinder, *_ in parts]
+        at = {name: i for i, (name, *_) in enumerate(self.rows)}
+        self.combinations = np.zeros((len(parts), len(self.rows)))
+        for vector, (*_, plus, minus) in zip(self.combinations, parts, strict=True):
+            vector[[at[name] for name in plus]] += 1.0
+            vector[[at[name] for name in minus]] -= 1.0
+
+    def expand(self, vector: np.ndarray) -> np.ndarray:
+        """Energies of columns, shape (..., columns), with the parts of the residual and their sum
+        behind them.
+        """
+        parts = vector @ self.combinations.T
+        return np.concatenate([vector, parts, parts.sum(axis=-1, keepdims=True)], axis=-1)
+
+    def ledger(
+        self,
+        model: Model,
+        record: Record,
+        payload: str,
+        energies: np.ndarray,
+        std: np.ndarray | None,
+        **rest: Any,
+    ) -> Ledger:
+        """The ledger of expanded energies and their standard errors."""
+        named = [
+            *self.rows,
+            *(
+                (name, "part", f"{self.word}, {where}", cylinder)
+                for name, where, cylinder in self.parts
+            ),
+            (self.word, "residual", self.word, None),
+        ]
+        rows = []
+        for i, (name, group, label, cylinder) in enumerate(named):
+            if name in self.absent:
+                continue
+            energy = float(energies[i])
+            interval = (
+                None
+                if std is None
+                else (energy - Z95 * float(std[i]), energy + Z95 * float(std[i]))
+            )
+            rows.append(Row(name, energy, group, label, cylinder, interval))
+        rows.sort(key=lambda row: GROUPS.index(row.group))
+        source, duration = "model" if std is None else "log", float(record.t[-1] - record.t[0])
+        return Ledger(source, model.rig.name, payload or "none", duration, tuple(rows), **rest)
+
+    def told(self, record: Record, table: np.ndarray, points: int) -> dict[str, Any]:
+        """What a ledger holds of energies cumulated to every sample, shape (samples, rows): by
+        working function, and, if asked for, at about ``points`` times; rows that stay zero are left
+        out."""
+        names = [name for name, *_ in self.rows] + [name for name, *_ in self.parts] + [self.word]
+        found: dict[str, Any] = {"functions": {}}
+        for cylinder in self.cylinders:
+            if (function := function_of(record, cylinder)) is not None:
+                found["functions"][cylinder] = {
+                    FUNCTIONS[f]: {
+                        name: float(v)
+                        for name, v in zip(
+                            names, np.diff(table, axis=0)[function == f].sum(axis=0), strict=True
+                        )
+                        if v
+                    }
+                    for f in np.unique(function)
+                }
+        if points > 1:
+            at = np.unique(
+                np.linspace(0, record.t.size - 1, max(2, min(points, record.t.size)))
+                .round()
+                .astype(int)
+            )
+            series = {name: table[at, i] for i, name in enumerate(names) if table[at, i].any()}
+            found |= {"t": record.t[at], "series": series}
+        return found
+
+
+def _owner(edge: str) -> str:
+    """The cylinder of an edge."""
+    return edge.split(".", 1)[0]
+
+
+def _pumps(model: Model) -> list[str]:
+    """The edges that are pumps."""
+    return [name for name, edge in model.rig.all_edges().items() if edge.law == "pump"]
+
+
+def _power_rows(model: Model) -> list[Named]:
+    names = model.layout
+    rows: list[Named] = [
+        ("pump", "supply", "pump, Ps·Q", None),
+        ("pump_compression", "supply", "pump, compression of the oil", None),
+    ]
+    pumps = _pumps(model)
+    spools = {
+        f"{c.name}.{valve.edge_name(edge)}": valve.name
+        for c, valve, edge in model.rig.edges()
+        if len(valve.edge) > 1
+    }
+    for name, edge in model.rig.all_edges().items():
+        joins = f"{edge.from_} → {edge.to}"
+        shown = spools.get(name, name.split(".", 1)[1])
+        if name in pumps:
+            rows.append((f"{name}.slip", "loss", f"{shown}, slip", _owner(name)))
+        else:
+            rows.append((f"{name}.throttling", "valve", f"{shown}, {joins}", _owner(name)))
+    for name in names.cylinders:
+        rows += [
+            (f"{name}.{key}", *told, name)
+            for key, told in zip(CylinderPowers._fields, CYLINDER_ROWS, strict=True)
+        ]
+    driven = {int(j): names.cylinders[i] for i, j in enumerate(model.plant.cylinders.joint)}
+    label = "slide damping" if model.rig.mechanism.kind == "slide" else "joint damping"
+    rows += [
+        (f"{name}.damping", "loss", label, driven.get(j)) for j, name in enumerate(names.joints)
+    ]
+    return rows + [
+        (f"{name}.shaft", "supply", f"{name.split('.', 1)[1]}, shaft of the pump", _owner(name))
+        for name in pumps
+    ]
+
+
+def _store_rows(model: Model) -> list[Named]:
+    rows: list[Named] = [
+        ("supply_line", "store", "oil of the supply line", None),
+        ("kinetic", "load", "kinetic energy", None),
+        ("potential", "load", "potential energy", None),
+    ]
+    for name in model.layout.cylinders:
+        rows += [
+            (f"{name}.{key}", "store", label, name)
+            for key, label in zip(CylinderStores._fields, STORE_LABELS, strict=True)
+        ]
+    rows += [
+        (f"{name}.friction_spring", "store", "spring of the friction", name)
+        for name in _springy(model)
+    ]
+    if model.rig.supply.accumulator is not None:
+        rows.append(("accumulator", "store", "accumulator", None))
+    return rows
+
+
+def _springy(model: Model) -> list[str]:
+    """The cylinders whose friction has states."""
+    names = model.layout
+    return list(dict.fromkeys(names.cylinders[c] for c, _ in names.friction_states))
+
+
+def _parts(rows: list[Named], cylinders: Sequence[str], word: str) -> list[Part]:
+    """Where the residual may have arisen, each with the rows that it is the difference of."""
+    drawn = [f"{name}.{key}" for name in cylinders for key in ("drawn", "drawn_compression")]
+    given = ("pump", "pump_compression")
+    kept = [row for row, group, *_ in rows if row in ("supply_line", "accumulator")]
+    parts: list[Part] = [(f"{word}.supply_line", "supply line", None, given, (*drawn, *kept))]
+    for name in cylinders:
+        taken = [
+            row
+            for row, group, _, cylinder in rows
+            if cylinder == name
+            and group in ("valve", "loss", "store")
+            and row.rsplit(".", 1)[-1] not in ("work", *MECHANICAL)
+        ]
+        shafts = [row for row, group, _, owner in rows if owner == name and group == "supply"]
+        own = (f"{name}.drawn", f"{name}.drawn_compression", *shafts)
+        taken.append(f"{name}.work")
+        parts.append((f"{name}.{word}", "oil of the cylinder", name, own, taken))
+    work = [f"{name}.work" for name in cylinders]
+    spent = [
+        row for row, group, _, _ in rows if group == "load" or row.rsplit(".", 1)[-1] in MECHANICAL
+    ]
+    parts.append((f"{word}.mechanism", "mechanism", None, work, spent))
+    return parts
+
+
+def function_of(record: Record, cylinder: str) -> np.ndarray | None:
+    """The working function of every tick, shape (samples − 1,), as a controller logged it; None
+    where none did.
+    """
+    channel = record.channels.get(f"{cylinder}.function")
+    return (
+        None
+        if channel is None
+        else np.clip(channel[:-1].round().astype(int), 0, len(FUNCTIONS) - 1)
+    )
+
+
+def oil_drawn(model: Model, t: np.ndarray, flows: np.ndarray) -> float:
+    """Oil [m³] that the edges took from the supply, by trapezes of their flows, shape (samples,
+    edges + 1).
+    """
+    sign, edges = np.zeros(flows.shape[1]), model.plant.edges
+    sign[:-1] = 1.0 * (edges.from_node == SUPPLY) - 1.0 * (edges.to_node == SUPPLY)
+    drawn = flows @ sign
+    return float(np.sum(0.5 * (drawn[1:] + drawn[:-1]) * np.diff(t)))
+
+
+def must_have_samples(record: Record) -> None:
+    """Raise LogError where a record is too short."""
+    if record.t.size < 2:
+        raise LogError(
+            "the record is too short for a ledger", hint="it takes two samples at the least"
+        )
+
+
+def payload_of(record: Record) -> str:
+    """The payload that a record names, '' for none."""
+    return "" if record.meta.get("payload", "none") == "none" else record.meta["payload"]

@@ -1,0 +1,97 @@
+"""A check valve, and one that a pilot pressure opens against its spring and against the flow."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+from ehbench.compiled import part_kernel
+from ehbench.fields import FileModel, Q, Value
+from ehbench.parts.edge.law import EdgeLaw
+from ehbench.parts.edge.orifice import ORIFICE_DROP, root
+
+
+class CheckFields(FileModel):
+    """What a check valve has in the rig file."""
+
+    orifice_gain: Annotated[Value, Q("orifice_gain")] | None = None
+    cracking_pressure: Annotated[Value, Q("cracking_pressure")] = Value(0.0)
+    opening_range: Annotated[Value, Q("opening_range")] = Value(5.0e4)
+    pilot: Literal["supply", "tank", "head", "rod"] | None = None
+    pilot_ratio: Annotated[Value, Q("pilot_ratio")] | None = None
+
+
+NEAR = 4.0  # opening ranges by which a poppet at rest may come to move within a step
+
+
+@part_kernel
+def lift_of(drop, pilot, edge):
+    """Lift of the poppet as a share of its whole: ``Δp + pilot_ratio·(p_pilot − p_from) −
+    cracking_pressure`` over ``opening_range``; it rests below 0 and above 1.
+    """
+    return (drop + edge.pilot_ratio * pilot - edge.cracking_pressure) / edge.opening_range
+
+
+@part_kernel
+def share_open(lift):
+    """Share of the full opening at a lift, smooth at both ends."""
+    at = min(max(lift, 0.0), 1.0)
+    return at * at * (3.0 - 2.0 * at)
+
+
+@part_kernel
+def flow(drop, reach, edge, maps):
+    """``orifice_gain·share·√Δp`` [m³/s]; ``reach`` is the pilot's pressure above that of the node
+    where the flow comes from [Pa], 0 without a pilot.
+    """
+    share = share_open(lift_of(drop, reach, edge))
+    return math.copysign(edge.gain * share * root(abs(drop)), drop)
+
+
+@part_kernel
+def opening(drop, flow, edge, maps):
+    """It has no command."""
+    return 0.0
+
+
+@part_kernel
+def slope(drop, flow, reach, edge):
+    """How fast the flow changes at most with a pressure at it [m³/(s·Pa)], also where the poppet
+    soon begins to move.
+    """
+    lift = lift_of(drop, reach, edge)
+    share, steep = share_open(lift), 0.0
+    if -NEAR < lift < 1.0 + NEAR:
+        steep = 1.5 / edge.opening_range
+    chord = share / math.sqrt(math.sqrt(drop * drop + ORIFICE_DROP * ORIFICE_DROP))
+    return edge.gain * (steep * root(abs(drop)) * max(1.0, edge.pilot_ratio) + chord)
+
+
+def pack(edge: Any) -> dict[str, float]:
+    """Columns of a check valve but for its pilot's node."""
+    return {
+        "gain": float(edge.orifice_gain),
+        "cracking_pressure": float(edge.cracking_pressure),
+        "opening_range": float(edge.opening_range),
+        "pilot_ratio": float(edge.pilot_ratio or 0.0),
+    }
+
+
+LAW = EdgeLaw(
+    name="check",
+    columns=(
+        ("gain", "f8"),
+        ("cracking_pressure", "f8"),
+        ("opening_range", "f8"),
+        ("pilot", "i8"),
+        ("pilot_ratio", "f8"),
+    ),
+    flow=flow,
+    opening=opening,
+    pack=pack,
+    needs_fixed=("orifice_gain",),
+    has_deadband=False,
+    slope=slope,
+    metering=False,
+    commanded=False,
+)

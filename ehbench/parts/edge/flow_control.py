@@ -1,0 +1,48 @@
+"""An edge behind a pressure compensator that holds its flow: above its drop nothing of it depends
+on the drop, so it damps nothing there.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ehbench.compiled import part_kernel
+from ehbench.parts.edge.compensated import pack
+from ehbench.parts.edge.law import EdgeLaw
+from ehbench.parts.edge.orifice import root
+
+
+@part_kernel
+def level(drop, reference):
+    """Share of the full flow [1] at drop ≥ 0: ``s (3 − s²)/2`` of ``s = √(Δp/Δp0)``, 1 from the
+    reference drop Δp0 [Pa] on; of slope 0 there, and of an orifice's at small drops.
+    """
+    if drop >= reference:
+        return 1.0
+    share = root(drop) / root(reference)
+    return 0.5 * share * (3.0 - share * share)
+
+
+@part_kernel
+def flow(drop, reach, edge, maps):
+    """``compensated_gain·(opening − deadband)`` [m³/s], exactly so above ``compensation_drop``."""
+    wide = reach - edge.deadband
+    if wide <= 0.0:
+        return 0.0
+    return math.copysign(edge.gain * wide * level(abs(drop), edge.compensation_drop), drop)
+
+
+@part_kernel
+def opening(drop, flow, edge, maps):
+    """Opening [V] at which ``flow`` passes."""
+    return edge.deadband + abs(flow) / (edge.gain * level(abs(drop), edge.compensation_drop))
+
+
+LAW = EdgeLaw(
+    name="flow_control",
+    columns=(("gain", "f8"), ("deadband", "f8"), ("compensation_drop", "f8")),
+    flow=flow,
+    opening=opening,
+    pack=pack,
+    needs=("compensated_gain",),
+)

@@ -1,0 +1,72 @@
+"""A pump between two nodes: a displacement at a speed, of either sign, and what slips back."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from ehbench.compiled import part_kernel
+from ehbench.fields import FileModel, Q, Value
+from ehbench.parts.edge.law import EdgeLaw
+
+
+class PumpFields(FileModel):
+    """What an edge of law ``pump`` has in the rig file."""
+
+    displacement: Annotated[Value, Q("displacement")] | None = None
+    speed_gain: Annotated[Value, Q("speed_gain")] | None = None
+    slip: Annotated[Value, Q("slip")] = Value(0.0)
+
+
+class FixedPumpFields(FileModel):
+    """What a pump without a command has in the rig file."""
+
+    displacement: Annotated[Value, Q("displacement")] | None = None
+    pump_speed: Annotated[Value, Q("pump_speed")] | None = None
+    slip: Annotated[Value, Q("slip")] = Value(0.0)
+
+
+@part_kernel
+def flow(drop, reach, edge, maps):
+    """``D ω + slip Δp`` [m³/s], ``ω = pump_speed + speed_gain·opening``: at a negative drop the
+    pump lifts pressure, and oil slips back.
+    """
+    speed = edge.pump_speed + edge.speed_gain * reach
+    return edge.displacement * speed + edge.slip * drop
+
+
+@part_kernel
+def opening(drop, flow, edge, maps):
+    """Opening [V] at which ``flow`` passes."""
+    speed = (flow - edge.slip * drop) / edge.displacement
+    return (speed - edge.pump_speed) / edge.speed_gain
+
+
+@part_kernel
+def slope(drop, flow, reach, edge):
+    """How fast the flow changes with the drop [m³/(s·Pa)]."""
+    return edge.slip
+
+
+@part_kernel
+def slip_loss(drop, edge):
+    """Power [W] that slip takes."""
+    return edge.slip * drop * drop
+
+
+def pack(edge: Any) -> dict[str, float]:
+    """Columns of a pump with a command, or of one without."""
+    return {key: float(getattr(edge, key, None) or 0.0) for key, _ in LAW.columns}
+
+
+LAW = EdgeLaw(
+    name="pump",
+    columns=(("displacement", "f8"), ("speed_gain", "f8"), ("pump_speed", "f8"), ("slip", "f8")),
+    flow=flow,
+    opening=opening,
+    pack=pack,
+    needs=("displacement", "speed_gain"),
+    needs_fixed=("displacement", "pump_speed"),
+    has_deadband=False,
+    slope=slope,
+    metering=False,
+)

@@ -1,0 +1,92 @@
+"""An orifice whose area stops growing at an opening: a spool on its stop, a window fully open."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any
+
+from ehbench.compiled import part_kernel
+from ehbench.fields import FileModel, Q, Value
+from ehbench.parts.edge.law import EdgeLaw
+from ehbench.parts.edge.orifice import root
+
+
+class SaturatingFields(FileModel):
+    """What an edge of law ``saturating`` has in the rig file beside what an orifice has."""
+
+    opening_max: Annotated[Value, Q("opening_max")] | None = None
+    saturation_softness: Annotated[Value, Q("saturation_softness")] | None = None
+
+
+@part_kernel
+def area(reach, edge):
+    """Opening [V] beyond the deadband that counts at ``reach`` > 0: as it is up to ``opening_max −
+    saturation_softness``, ``opening_max − deadband`` from ``opening_max + saturation_softness`` on,
+    a parabola of matching slopes between.
+    """
+    most, soft = edge.opening_max - edge.deadband, edge.saturation_softness
+    wide = max(reach - edge.deadband, 0.0)
+    if wide >= most + soft:
+        return most
+    bent = wide - most + soft
+    return wide if bent <= 0.0 else wide - bent * bent / (4.0 * soft)
+
+
+@part_kernel
+def flow(drop, reach, edge, maps):
+    """``flow_gain·area·√Δp`` [m³/s]."""
+    return math.copysign(edge.gain * area(reach, edge) * root(abs(drop)), drop)
+
+
+@part_kernel
+def opening(drop, flow, edge, maps):
+    """Opening [V] at which ``flow`` passes; the widest for more than that gives."""
+    most, soft = edge.opening_max - edge.deadband, edge.saturation_softness
+    wide = abs(flow) / (edge.gain * root(abs(drop)))
+    if wide >= most:
+        wide = most + soft
+    elif wide > most - soft:
+        wide = most + soft - 2.0 * math.sqrt(soft * (most - wide))
+    return edge.deadband + wide
+
+
+@part_kernel
+def known(drop, edge, maps):
+    """Opening [V] from which on nothing more passes."""
+    return edge.opening_max + edge.saturation_softness
+
+
+def odd(edge: Any) -> tuple[str, str] | None:
+    """What is wrong where it saturates before it opens."""
+    wide = float(edge.opening_max) - float(edge.deadband)
+    if wide <= 0.0:
+        return "opening_max must lie above deadband", "opening_max"
+    if float(edge.saturation_softness or 0.0) > wide:
+        said = f"saturation_softness must not exceed opening_max − deadband, {wide:g} V"
+        return said, "saturation_softness"
+    return None
+
+
+def pack(edge: Any) -> dict[str, float]:
+    """Columns of an edge."""
+    return {
+        "gain": float(edge.flow_gain),
+        "deadband": float(edge.deadband),
+        "opening_max": float(edge.opening_max),
+        "saturation_softness": float(edge.saturation_softness or 0.0),
+    }
+
+
+LAW = EdgeLaw(
+    name="saturating",
+    columns=(
+        *(("gain", "f8"), ("deadband", "f8")),
+        *(("opening_max", "f8"), ("saturation_softness", "f8")),
+    ),
+    flow=flow,
+    opening=opening,
+    known=known,
+    pack=pack,
+    needs=("flow_gain", "opening_max"),
+    odd=odd,
+)

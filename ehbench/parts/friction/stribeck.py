@@ -1,0 +1,60 @@
+"""Stribeck friction, smoothed through zero speed: more at break-away than in motion.
+
+Like Coulomb friction it creeps at rest instead of sticking; its peak comes close to
+``friction_static`` where ``stribeck_speed`` lies well above SMOOTHING.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from ehbench.compiled import part_kernel
+from ehbench.fields import Q, Value
+from ehbench.parts.friction.law import FrictionLaw, FrictionTable
+from ehbench.physics.friction import stribeck
+
+SMOOTHING = 1.0e-3  # [m/s]: over which friction turns round
+
+
+class Stribeck(FrictionTable):
+    """``F = viscous·v + (C + (S − C) e^−(v/v_st)²) tanh(v/v_s)``, with the cylinder's
+    ``friction_viscous`` and ``friction_coulomb``.
+    """
+
+    law: Literal["stribeck"]
+    friction_static: Annotated[Value, Q("friction_static")]
+    stribeck_speed: Annotated[Value, Q("stribeck_speed")]
+
+    def misfit(self, coulomb: float) -> tuple[str, str] | None:
+        """Break-away friction below Coulomb friction."""
+        if float(self.friction_static) < coulomb:
+            return "friction_static", "must not lie below friction_coulomb"
+        return None
+
+
+@part_kernel
+def steady(row, v):
+    """Resistance [N] at a steady speed v [m/s]."""
+    speeds = row.stribeck_speed, SMOOTHING
+    return stribeck(v, row.friction_viscous, row.friction_coulomb, row.friction_static, *speeds)
+
+
+@part_kernel
+def fastest(row, v):
+    """Fastest rate [1/s] near speed v: the largest slope there, on the lightest mass."""
+    most = max(row.friction_static, row.friction_coulomb)
+    steep = 0.0 if abs(v) > 4.0 * SMOOTHING else most / SMOOTHING
+    dip = 0.86 * abs(row.friction_static - row.friction_coulomb) / row.stribeck_speed
+    return row.mobility * (max(steep, dip) + row.friction_viscous)
+
+
+LAW = FrictionLaw(
+    name="stribeck",
+    table=Stribeck,
+    columns=(
+        *(("friction_viscous", "f8"), ("friction_coulomb", "f8")),
+        *(("friction_static", "f8"), ("stribeck_speed", "f8")),
+    ),
+    steady=steady,
+    fastest=fastest,
+)

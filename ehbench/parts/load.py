@@ -1,0 +1,96 @@
+"""Forces on a cylinder's rod that come from outside: constant, by direction, of a spring, of a
+cylinder at known pressures, or played from a log.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from ehbench.compiled import part_kernel, record
+from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
+
+# A force on a rod, positive where it pushes it out. The number of its ``cylinder``; ``extending``
+# and ``retracting`` [N] while the rod moves so; ``stiffness`` [N/m] of a spring that gives no force
+# at stroke ``free_length`` [m]; where among the commands a force that is played stands
+# (``played``, −1: none). Every kind is a sum of these.
+FORCE = record(
+    ("cylinder", "i8"),
+    ("extending", "f8"),
+    ("retracting", "f8"),
+    ("stiffness", "f8"),
+    ("free_length", "f8"),
+    ("played", "i8"),
+)
+
+
+@part_kernel
+def _pushed(row, v, command):
+    """Force [N] of a row but for its spring, turned round over COULOMB_SPEED."""
+    force = row.extending
+    if row.extending != row.retracting:
+        turned = math.tanh(v / COULOMB_SPEED)
+        force = 0.5 * ((1.0 + turned) * row.extending + (1.0 - turned) * row.retracting)
+    return force if row.played < 0 else force + command[row.played]
+
+
+@part_kernel
+def push_on(c, v, command, plant):
+    """Force [N] on the rod of cylinder ``c`` from outside, springs excepted, at speed v [m/s]."""
+    force = 0.0
+    for i in range(plant.forces.shape[0]):
+        if plant.forces[i].cylinder == c:
+            force += _pushed(plant.forces[i], v, command)
+    return force
+
+
+@part_kernel
+def force_on(c, x, v, command, plant):
+    """Force [N] on the rod of cylinder ``c`` from outside at stroke x [m] and speed v [m/s]."""
+    force = push_on(c, v, command, plant)
+    for i in range(plant.forces.shape[0]):
+        row = plant.forces[i]
+        if row.cylinder == c and row.stiffness != 0.0:
+            force -= row.stiffness * (x - row.free_length)
+    return force
+
+
+@part_kernel
+def force_steepness(c, v, plant):
+    """Largest slope [N·s/m] over speed of the forces on a rod near speed v [m/s]."""
+    steep = 0.0
+    if abs(v) <= 4.0 * COULOMB_SPEED:
+        for i in range(plant.forces.shape[0]):
+            row = plant.forces[i]
+            if row.cylinder == c:
+                steep += 0.5 * abs(row.extending - row.retracting) / COULOMB_SPEED
+    return steep
+
+
+@part_kernel
+def spring_held(c, x, plant):
+    """Energy [J] in the springs on the rod of cylinder ``c`` at stroke x [m]."""
+    held = 0.0
+    for i in range(plant.forces.shape[0]):
+        row = plant.forces[i]
+        if row.cylinder == c:
+            held += 0.5 * row.stiffness * (x - row.free_length) ** 2
+    return held
+
+
+def force_fields(item: Any) -> dict[str, float]:
+    """Fields of a row from a rig file's ``[[cylinder.force]]``."""
+    if item.kind == "spring":
+        return {"stiffness": float(item.stiffness), "free_length": float(item.free_length)}
+    if item.kind == "by_direction":
+        both = float(item.force_extending), float(item.force_retracting)
+    elif item.kind == "constant":
+        both = float(item.force), float(item.force)
+    elif item.kind == "cylinder":
+        # it stands against the rod: its own head end pushes the rod in
+        head = float(item.pressure_head) * float(item.area_head)
+        rod = float(item.pressure_rod or 0.0) * float(item.area_rod or 0.0)
+        both = rod - head, rod - head
+    else:
+        both = 0.0, 0.0
+    return dict(zip(("extending", "retracting"), both, strict=True))

@@ -1,0 +1,299 @@
+"""Laws of friction of a cylinder: their closed forms, in motion on a rig, in the ledger, in the
+linear model.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.errors import InputError
+from ehbench.ledger import ledger_of_log, ledger_of_model
+from ehbench.parts.friction import (
+    friction_force,
+    friction_loss,
+    friction_rates,
+    friction_settle,
+    friction_slope,
+    friction_steady,
+)
+from ehbench.parts.friction.stribeck import SMOOTHING
+from ehbench.plant.integrate import rk4
+from ehbench.plant.model import Model, simulate
+from ehbench.record import Record
+from ehbench.recipe import load_rig
+from ehbench.recipe.toml import read_toml, validated
+from ehbench.rig import Rig
+from ehbench.tune.linear import (
+    Aim,
+    circuit_of,
+    development_model,
+    equivalent,
+    operating_point,
+    plant_model,
+)
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+TABLES = {
+    "stribeck": {"friction_static": "160 N", "stribeck_speed": "20 mm/s"},
+}
+TABLES["lugre"] = TABLES["stribeck"] | {
+    "bristle_stiffness": "4000 N/mm",
+    "bristle_damping": "2000 N*s/m",
+}
+STIFFNESS, DAMPING = 4.0e6, 2.0e3
+VISCOUS, COULOMB, STATIC, DIP = 300.0, 80.0, 160.0, 0.02
+
+
+def rig_with(law: str, name: str = "slide_servo", **more) -> Rig:
+    """A shipped rig with a law of friction in each cylinder."""
+    plain = load_rig(RIGS / f"{name}.toml").as_toml()
+    for cylinder in plain["cylinder"]:
+        cylinder |= {"friction_viscous": "300 N*s/m", "friction_coulomb": "80 N"}
+        cylinder["friction"] = {"law": law} | TABLES[law] | more
+    return Rig.model_validate(plain)
+
+
+def to_and_fro(rig: Rig, seconds: float = 1.2, volts: float = 0.4) -> Record:
+    t = np.arange(round(1000 * seconds) + 1) * 1e-3
+    u = volts * np.sin(2 * np.pi * t / 0.6)
+    return simulate(rig, {"press.servo": u}, seconds)
+
+
+def steady(v: float) -> float:
+    """Stribeck's curve of the tables, not smoothed."""
+    dip = (STATIC - COULOMB) * math.exp(-((v / DIP) ** 2))
+    return math.copysign(COULOMB + dip, v) + VISCOUS * v
+
+
+def test_stribeck_is_the_curve_beyond_its_smoothing():
+    row = Model.of(rig_with("stribeck")).plant.cylinders[0]
+    for v in (-0.3, -0.02, 0.008, 0.05):
+        turned = math.tanh(abs(v) / SMOOTHING)
+        bare = steady(v) - VISCOUS * v
+        assert friction_steady(row, v) == pytest.approx(bare * turned + VISCOUS * v, rel=1e-12)
+    assert friction_steady(row, 0.0) == 0.0
+
+
+def test_bristles_that_have_settled_bear_the_curve():
+    model = Model.of(rig_with("lugre"))
+    row, y = model.plant.cylinders[0], np.zeros(model.layout.states)
+    rates = np.full_like(y, np.nan)
+    for v in (-0.3, -0.02, 0.001, 0.05):
+        friction_settle(row, v, y)
+        friction_rates(row, v, y, rates)
+        assert friction_force(row, v, y) == pytest.approx(steady(v), rel=1e-12)
+        assert friction_steady(row, v) == pytest.approx(steady(v), rel=1e-12)
+        assert abs(rates[row.friction_state]) < 1e-12 * abs(v)
+        assert friction_loss(row, v, y) == pytest.approx(steady(v) * v, rel=1e-12)
+
+
+def test_bristles_lose_what_the_rod_gives_and_they_do_not_hold():
+    """``F v = loss + d/dt(σ0 z²/2)`` at any bending, and the loss is none where it must not be."""
+    model = Model.of(rig_with("lugre"))
+    row, y = model.plant.cylinders[0], np.zeros(model.layout.states)
+    rates, rng = np.zeros_like(y), np.random.default_rng(0)
+    for v, share in zip(rng.uniform(-0.05, 0.05, 50), rng.uniform(-1, 1, 50), strict=True):
+        z = y[row.friction_state] = share * COULOMB / STIFFNESS
+        friction_rates(row, v, y, rates)
+        kept = STIFFNESS * z * rates[row.friction_state]
+        lost = friction_loss(row, v, y)
+        assert lost + kept == pytest.approx(friction_force(row, v, y) * v, rel=1e-9, abs=1e-12)
+        assert lost >= 0.0
+
+
+def held_by_friction(law: str, degrees: float) -> tuple[float, np.ndarray, np.ndarray]:
+    """A slide on a slope whose oil leaks away, so that nothing but friction holds it: (the
+    force of the tank pressure [N], its strokes [m] and the last states over
+    two seconds).
+    """
+    plain = rig_with(law).as_toml()
+    plain["mechanism"]["incline"] = f"{degrees} deg"
+    for cylinder in plain["cylinder"]:
+        cylinder |= {f"leakage_{end}": "6000 mL/min/bar" for end in ("head", "rod")}
+    model = Model.of(Rig.model_validate(plain))
+    y = model.trim(model.posture(None))
+    y[model.layout.state("p_head")] = y[model.layout.state("p_rod")] = model.plant.tank_pressure
+    area = model.plant.cylinders[0]
+    push = model.plant.tank_pressure * (area.area_head - area.area_rod)
+    log = model.run(y, model.rest_commands(2001))
+    return push, log[:, 0], log[-1]
+
+
+def test_at_rest_it_sticks_where_a_smoothed_law_creeps():
+    """Under a force below break-away the rod bends the bristles by ``F/σ0`` and stays: no creep."""
+    degrees = 1.5
+    push, x, last = held_by_friction("lugre", degrees)
+    force = push - 250.0 * 9.80665 * math.sin(math.radians(degrees))
+    assert 0.5 * COULOMB < abs(force) < 0.95 * STATIC
+    assert last[4 + 2] == pytest.approx(force / STIFFNESS, rel=1e-6)  # behind opening and rate
+    assert force / STIFFNESS < x[-1] - x[0] < 3 * force / STIFFNESS
+    assert abs(x[-1] - x[1000]) < 1e-12
+    _, creeping, _ = held_by_friction("stribeck", degrees)
+    assert abs(creeping[-1] - creeping[1000]) > 1e-5
+
+
+def test_beyond_break_away_it_slides():
+    _, x, _ = held_by_friction("lugre", 8.0)
+    assert x[-1] - x[0] < -0.02
+
+
+def test_the_rod_rings_on_its_bristles():
+    """Before it slides: ``m ẍ = −σ0 x − (σ1 + viscous + damping) ẋ`` of the slide on its bristles
+    and oil.
+    """
+    model = Model.of(rig_with("lugre"))
+    layout, row = model.layout, model.plant.cylinders[0]
+    y = model.trim(model.posture(None))
+    x = y[0]
+    y[layout.state("qd")] = 1e-5
+    log = model.run(y, model.rest_commands(30), tick=1e-4, step=2e-5)
+    volumes = row.volume_head + row.area_head * x, row.volume_rod - row.area_rod * x
+    oil = row.bulk_modulus * (row.area_head**2 / volumes[0] + row.area_rod**2 / volumes[1])
+    mass, damping = 250.0, DAMPING + VISCOUS + 800.0
+    s = damping / (2 * mass)
+    w = math.sqrt((STIFFNESS + oil) / mass - s * s)
+    t = np.arange(30) * 1e-4
+    expected = 1e-5 * np.exp(-s * t) * np.sin(w * t) / w
+    # σ1 and the bristles' bending give at 1e-5 m/s by σ0 v/g, a share of 4e-3 over these 3 ms
+    assert np.abs(log[:, 0] - x - expected).max() < 5e-3 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("law", TABLES)
+def test_the_slope_is_that_of_the_curve(law):
+    row = Model.of(rig_with(law)).plant.cylinders[0]
+    for v in (-0.1, 0.008, 0.02, 0.3):
+        rise = (friction_steady(row, v * 1.001) - friction_steady(row, v / 1.001)) / (
+            v * 1.001 - v / 1.001
+        )
+        assert friction_slope(row, v) == pytest.approx(rise, rel=1e-4)
+
+
+@pytest.mark.parametrize("law", TABLES)
+@pytest.mark.parametrize("name", ["slide_servo", "crane_proportional"])
+def test_the_ledger_closes(law, name):
+    """To what RK4 leaves over, and friction only takes."""
+    model = Model.of(rig_with(law, name))
+    valve, n = model.layout.valves[0], 1001
+    t = np.arange(n) * 1e-3
+    volts = {"slide_servo": 0.8, "crane_proportional": 5.0}[name]
+    table = model.rest_commands(n)
+    table[:, model.layout.valves.index(valve)] = volts * np.sin(2 * np.pi * t / 0.5)
+    log = model.run(model.trim(model.posture(None)), table)
+    made = model.record(t, table, log)
+    ledger = ledger_of_model(model, made, points=100)
+    for row in ledger.rows:
+        if row.group in ("part", "residual"):
+            assert abs(row.energy) < 1e-5 * ledger.pump, row
+    cylinder = model.layout.cylinders[0]
+    taken = ledger.series[f"{cylinder}.friction"]
+    assert taken[-1] > 1e-3 * ledger.pump
+    assert (np.diff(taken) >= -1e-9 * taken[-1]).all()
+    samples = ledger_of_model(model, made, "samples")
+    assert samples[f"{cylinder}.friction"].energy == pytest.approx(taken[-1], rel=0.02)
+
+
+@pytest.mark.parametrize("law", TABLES)
+def test_the_ledger_of_a_log_counts_it_too(law):
+    """From what sensors tell: the rows of friction are those of the model to 3 %."""
+    rig = rig_with(law)
+    made = to_and_fro(rig)
+    words = ("q", "qd", "x", "v", "p_head", "p_rod", "p_supply", "p_tank", "command")
+    seen = {n: v for n, v in made.channels.items() if n.rsplit(".", 1)[-1] in words}
+    whole = ledger_of_model(Model.of(rig), made)
+    ledger = ledger_of_log(rig, None, Record(made.t, seen, made.meta))
+    assert ledger["press.friction"].energy == pytest.approx(
+        whole["press.friction"].energy, rel=0.03
+    )
+
+
+@pytest.mark.parametrize("law", TABLES)
+def test_the_integrator_keeps_its_order(law):
+    """Fourth order within 0.3 on a motion that does not turn round; with the substeps of the guard
+    a coarse step is as good as the finest without.
+    """
+    model = Model.of(rig_with(law))
+    start = model.trim(model.posture(None))
+    command, work = np.array([2.0]), np.empty(model.plant.at.work)
+    k = np.empty((5, model.layout.states))
+    for _ in range(400):  # under way
+        rk4(start, command, model.plant, 5e-4, k, work)
+    ends = []
+    first = {"stribeck": 50, "lugre": 400}[law]  # so fine that the guard takes no substeps
+    for steps in (first, 2 * first, 16 * first):
+        y = start.copy()
+        for _ in range(steps):
+            rk4(y, command, model.plant, 0.05 / steps, k, work)
+        ends.append(y)
+    coarse, fine = (np.abs(y - ends[2])[1] for y in ends[:2])
+    assert coarse > 1e-13, "nothing to see the order by"
+    assert math.log2(coarse / fine) > 3.7
+    if law == "lugre":
+        y = start.copy()
+        taken = [rk4(y, command, model.plant, 1e-3, k, work) for _ in range(50)]
+        assert min(taken) > 1 and np.abs(y - ends[2])[1] < 1e-8
+
+
+@pytest.mark.parametrize("law", TABLES)
+def test_the_linear_model_has_its_steady_slope(law):
+    """Equations and differences of the plant agree; the slope of the curve is in them."""
+    model = Model.of(rig_with(law))
+    circuit = circuit_of(model, 0)
+    here = equivalent(model, 0, np.array([0.2]))
+    point = operating_point(model, circuit, 1, here, 0, Aim(7e5, 7e5, speed=0.03))
+    assert point.friction == pytest.approx((steady(0.0301) - steady(0.0299)) / 2e-4, rel=1e-3)
+    ours, plant = development_model(model, point), plant_model(model, point)
+    assert ours.states == plant.states
+    # differences over 1e-5 m/s are good to 1e-4 of a slope that bends within millimetres a second
+    assert ours.a[0] == pytest.approx(plant.a[0], rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"160 N"', '"60 N"', "friction.friction_static: must not lie below friction_coulomb"),
+        ('"160 N"', '"160 N/m"', "friction.friction_static: 'N/m' cannot be turned into N"),
+        ('law = "stribeck"', 'law = "stribek"', "is none of 'coulomb_viscous', 'stribeck'"),
+        ('law = "stribeck"', 'law = "lugre"', "'friction.bristle_stiffness' is missing"),
+        ('law = "stribeck"', "", "'friction.law' is missing"),
+        ("stribeck_speed", "stribeck_sped", "'friction.stribeck_sped' (did you mean"),
+        ('friction_static = "160 N"\n', "", "'friction.friction_static' is missing"),
+    ],
+)
+def test_a_slip_is_one_sentence_with_its_line(tmp_path, old, new, words):
+    text = (RIGS / "slide_servo.toml").read_text()
+    table = (
+        '\n[cylinder.friction]\nlaw = "stribeck"\n'
+        'friction_static = "160 N"\nstribeck_speed = "20 mm/s"\n\n[[cylinder.valve]]'
+    )
+    text = text.replace("[[cylinder.valve]]", table, 1).replace('"0 N"', '"80 N"')
+    path = tmp_path / "rig.toml"
+    path.write_text(text)
+    assert load_rig(path).cylinder[0].friction.law == "stribeck"
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        load_rig(path)
+    assert words in str(caught.value) and "\n" not in str(caught.value)
+    there = path.read_text().splitlines()[caught.value.line - 1]
+    assert (new and new.split(" ")[0] in there) or there == "[cylinder.friction]"
+
+
+def test_bristles_need_coulomb_friction():
+    plain = rig_with("lugre").as_toml()
+    plain["cylinder"][0]["friction_coulomb"] = "0 N"
+    with pytest.raises(ValueError, match="needs a friction_coulomb above 0"):
+        Rig.model_validate(plain)
+
+
+def test_a_rig_with_it_is_written_and_read_again(tmp_path):
+    import tomli_w
+
+    rig = rig_with("stribeck")
+    path = tmp_path / "rig.toml"
+    path.write_text(tomli_w.dumps(rig.as_toml()))
+    assert validated(Rig, *read_toml(path), path) == rig
+    other = rig.with_values({"press.stribeck_speed": 0.03})
+    assert float(other.parameters()["press.stribeck_speed"]) == 0.03

@@ -1,0 +1,164 @@
+"""Forces on the rod: closed forms, the energy they give and take, and what logs tell of them."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.errors import InputError, LogError
+from ehbench.ledger import ledger_of_log, ledger_of_model
+from ehbench.machines.simulated import SimulatedMachine
+from ehbench.machines.virtual import VirtualMachine
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.model import Model, simulate
+from ehbench.rig import Force, Rig
+from ehbench.tune.linear import Aim, circuit_of, equivalent, operating_point
+
+sys.path.insert(0, str(Path(__file__).parent))
+from with_parts import jacobian, recovered, slide, steps, swing  # noqa: E402
+
+CONSTANT = {"kind": "constant", "force": "4 kN"}
+DIRECTION = {"kind": "by_direction", "force_extending": "-900 N", "force_retracting": "500 N"}
+SPRING = {"kind": "spring", "stiffness": "80 kN/m", "free_length": "150 mm"}
+CHANNEL = {"kind": "channel", "channel": "press.force"}
+AGAINST = {
+    **{"kind": "cylinder", "area_head": "10 cm^2", "pressure_head": "60 bar"},
+    **{"area_rod": "5 cm^2", "pressure_rod": "20 bar"},
+}
+
+
+def pushed(*forces: dict) -> Rig:
+    """The sliding mass with forces on its rod."""
+    named = [{"name": f"f{i}", **force} for i, force in enumerate(forces)]
+    return slide(force=tuple(Force.model_validate(force) for force in named))
+
+
+def carried(model: Model, y: np.ndarray) -> float:
+    """Force [N] of the oil on the rod."""
+    row, names = model.plant.cylinders[0], model.layout
+    return y[names.state("p_head")] * row.area_head - y[names.state("p_rod")] * row.area_rod
+
+
+@pytest.mark.parametrize(
+    ("force", "newtons"),
+    [(CONSTANT, 4000.0), (DIRECTION, -200.0), (SPRING, -4000.0), (AGAINST, -5000.0)],
+)
+def test_the_oil_carries_the_force_at_rest(force, newtons):
+    """On the level, ``p_head A1 − p_rod A2 = −F`` at 200 mm, and nothing moves from there."""
+    model = Model.of(pushed(force))
+    y = model.trim(model.posture({"press": "200 mm"}))
+    assert carried(model, y) == pytest.approx(-newtons, rel=1e-12)
+    log = model.run(y, model.rest_commands(200))
+    assert np.ptp(log[:, 0]) < 1e-9
+
+
+def test_a_force_by_direction_turns_with_the_speed():
+    model = Model.of(pushed(DIRECTION))
+    y = model.trim(model.posture(None))
+    dy, work = np.empty_like(y), np.empty(model.plant.at.work)
+    for v, newtons in ((0.1, -900.0), (-0.1, 500.0)):
+        y[model.layout.state("qd")] = v
+        derivatives(y, model.rest_commands(1)[0], model.plant, dy, work)
+        pull = 250.0 * dy[model.layout.state("qd")] - carried(model, y) + 800.0 * v
+        assert pull == pytest.approx(newtons, rel=1e-9)
+
+
+def test_a_spring_on_the_rod_stands_beside_that_of_the_oil():
+    """Valves shut: ``ω² = (β A1²/V1 + β A2²/V2 + k)/m``."""
+    stiff = {**SPRING, "stiffness": "20 kN/mm", "free_length": "200 mm"}
+    for forces, k in (((), 0.0), ((stiff,), 2e7)):
+        model = Model.of(pushed(*forces).with_values({"carriage.damping": 0.0}))
+        omega = np.sqrt((swing(model) + k) / 250.0)
+        rings = np.abs(np.linalg.eigvals(jacobian(model)).imag)
+        assert rings[np.argmin(np.abs(rings - omega))] == pytest.approx(omega, rel=1e-5)
+
+
+def test_a_played_force_acts_sample_by_sample_and_comes_back_from_its_log():
+    """A pulse of F on a mass on shut valves gives F/m at once; the log of the run replays to the
+    same states, and without the channel nothing is replayed."""
+    rig = pushed(CHANNEL)
+    t = np.arange(401) * 1e-3
+    force = 3000.0 * np.sin(2 * np.pi * 8.0 * t) * (t > 0.1)
+    record = simulate(rig, {"press.force": force}, 0.4)
+    assert np.array_equal(record["press.force"], force) and np.ptp(record["press.v"]) > 1e-3
+    model = Model.of(rig)
+    y, dy = model.trim(model.posture(None)), np.empty(model.layout.states)
+    command = model.rest_commands(1)[0]
+    command[-1] = 500.0
+    derivatives(y, command, model.plant, dy, np.empty(model.plant.at.work))
+    assert dy[model.layout.state("qd")] == pytest.approx(500.0 / 250.0, rel=1e-9)
+    again = model.replay(record, rest=100)
+    assert np.allclose(again["press.v"], record["press.v"], atol=1e-9)
+    lost = type(record)(record.t, {k: v for k, v in record.channels.items() if k != "press.force"})
+    with pytest.raises(LogError, match=r"press\.force"):
+        model.replay(lost)
+
+
+@pytest.mark.parametrize("force", [CONSTANT, DIRECTION, SPRING, CHANNEL, AGAINST])
+def test_the_ledger_closes_with_a_force_on_the_rod(force):
+    """To what RK4 leaves over, as without; the rows are ``−∫F dx`` and ``k (x − x0)²/2``."""
+    rig = pushed(force)
+    commands = {"press.servo": steps((4.0, -5.0, 2.0))[:801]}
+    if force is CHANNEL:
+        commands["press.force"] = 2000.0 * np.cos(np.arange(801) / 40.0)
+    record = simulate(rig, commands, 0.8)
+    ledger = ledger_of_model(Model.of(rig), record)
+    assert ledger.pump > 500.0
+    for row in ledger.rows:
+        if row.group in ("part", "residual"):
+            assert abs(row.energy) < 1e-5 * ledger.pump, row
+    x = record["press.x"]
+    if force is SPRING:
+        stored = 4e4 * ((x[-1] - 0.15) ** 2 - (x[0] - 0.15) ** 2)
+        assert ledger["press.load_spring"].energy == pytest.approx(stored, rel=1e-9)
+    elif force in (CONSTANT, AGAINST):
+        newtons = 4000.0 if force is CONSTANT else -5000.0
+        given = ledger["press.external_force"].energy
+        assert given == pytest.approx(-newtons * (x[-1] - x[0]), abs=1e-5 * ledger.pump)
+    of_log = ledger_of_log(rig, None, record)
+    mine, exact = of_log["press.external_force"], ledger["press.external_force"]
+    assert mine.energy == pytest.approx(exact.energy, abs=2e-3 * ledger.pump)
+
+
+def test_a_ledger_without_forces_has_no_rows_of_them():
+    record = simulate(slide(), {"press.servo": 2.0}, 0.1)
+    names = {row.name for row in ledger_of_model(Model.of(slide()), record).rows}
+    assert not names & {"press.external_force", "press.load_spring"}
+
+
+def test_forces_come_back_from_noisy_logs():
+    """A constant force and a spring together, started 1.8 and 0.5 times off."""
+    rig = pushed(CONSTANT, {**SPRING, "stiffness": "40 N/mm"})
+    recovered(rig, {"press.f0.force": 1.8, "press.f1.stiffness": 0.5}, seed=2)
+
+
+def test_a_design_point_carries_the_force_and_a_played_one_is_refused():
+    """The oil's load force at a steady speed is less by the force; a design knows no log."""
+    loads, given = [], {"speed": 0.1, "low_pressure": 5e5, "cross_drop": 5e5}
+    for forces in ((), (AGAINST,)):
+        model = Model.of(pushed(*forces))
+        here = equivalent(model, 0, np.array([0.2]))
+        point = operating_point(model, circuit_of(model, 0), 1, here, 0, Aim(**given))
+        loads.append(point.load_force)
+    assert loads[1] - loads[0] == pytest.approx(5000.0, rel=1e-9)
+    model = Model.of(pushed(CHANNEL))
+    here = equivalent(model, 0, np.array([0.2]))
+    with pytest.raises(InputError, match=r"plays the force 'press\.force' from a log"):
+        operating_point(model, circuit_of(model, 0), 1, here, 0, Aim(**given))
+    with pytest.raises(InputError, match="a machine on trial has none"):
+        SimulatedMachine(model)
+
+
+def test_the_virtual_bench_carries_it_too():
+    """At rest its chambers carry the force, but for what sticks and what sensors are off."""
+    loads = []
+    for forces in ((), (CONSTANT,)):
+        machine = VirtualMachine(pushed(*forces))
+        sample = dict(zip(machine.channels, machine.start(), strict=True))
+        row = machine.bench.cylinders[0]
+        head, rod = sample["press.p_head"] * row.area_head, sample["press.p_rod"] * row.area_rod
+        loads.append(head - rod)
+    assert loads[0] - loads[1] == pytest.approx(4000.0, rel=0.1)

@@ -1,0 +1,108 @@
+"""Oil with free air: softer as its pressure falls, energy that closes, and what logs tell of it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from ehbench.ledger import ledger_of_log, ledger_of_model
+from ehbench.machines.virtual import VirtualMachine
+from ehbench.parts.oil import ATMOSPHERE, bulk, bulk_of, compressed, held
+from ehbench.plant.model import Model, simulate
+from ehbench.recipe import BenchRecipe
+from ehbench.rig import Rig, Value
+from ehbench.tune.linear import (
+    Aim,
+    circuit_of,
+    development_model,
+    equivalent,
+    operating_point,
+    plant_model,
+)
+
+sys.path.insert(0, str(Path(__file__).parent))
+from with_parts import jacobian, recovered, slide, steps  # noqa: E402
+
+
+def airy(share: float = 0.02, exponent: float | None = 1.3) -> Rig:
+    """The sliding mass on oil with free air."""
+    rig = slide()
+    n = None if exponent is None else Value(exponent)
+    update = {"air_fraction": Value(share), "polytropic_exponent": n}
+    return rig.model_copy(update={"oil": rig.oil.model_copy(update=update)})
+
+
+def test_the_energy_of_compression_obeys_the_chamber_law():
+    """``β(p) du/dp = p + u`` from u(0) = 0, against an integrator at 1e-12; without air the old
+    closed form to the last bit."""
+    row = Model.of(airy()).plant.supply
+    for end in (2.5e7, 3e6, 1e5, -5e4, -8.9e4):
+        found = solve_ivp(
+            lambda p, u: (p + u) / bulk_of(row, p), (0.0, end), [0.0], rtol=1e-12, atol=1e-9
+        )
+        assert held(row, end) == pytest.approx(found.y[0, -1], rel=1e-9)
+    plain = Model.of(slide()).plant.supply
+    assert held(plain, 1e7) == compressed(1e7, plain.bulk_modulus)
+    assert bulk_of(plain, 1e7) == plain.bulk_modulus
+    p = 5e6 + ATMOSPHERE
+    softer = 1.0 / 9e8 + 0.02 / (1.3 * p) * (ATMOSPHERE / p) ** (1.0 / 1.3)
+    assert bulk(5e6, 9e8, 0.02, 1.3) == pytest.approx(1.0 / softer, rel=1e-14)
+
+
+def test_a_load_rings_on_the_oil_as_stiff_as_its_pressures_make_it():
+    """Valves shut: ``ω² = (β(p1) A1²/V1 + β(p2) A2²/V2)/m``; softer than without air."""
+    model = Model.of(airy().with_values({"carriage.damping": 0.0}))
+    row, y = model.plant.cylinders[0], model.trim(model.posture(None))
+    x, spring = 0.5 * row.stroke, 0.0
+    for key, area, volume in (
+        ("p_head", row.area_head, row.volume_head + row.area_head * x),
+        ("p_rod", row.area_rod, row.volume_rod - row.area_rod * x),
+    ):
+        spring += bulk_of(row, y[model.layout.state(key)]) * area**2 / volume
+    omega = np.sqrt(spring / 250.0)
+    rings = np.abs(np.linalg.eigvals(jacobian(model)).imag)
+    assert rings[np.argmin(np.abs(rings - omega))] == pytest.approx(omega, rel=1e-5)
+    assert bulk_of(row, 1e6) < 0.8 * row.bulk_modulus
+
+
+def test_the_ledger_closes_with_air():
+    record = simulate(airy(), {"press.servo": steps((4.0, -5.0, 2.0))[:801]}, 0.8)
+    ledger = ledger_of_model(Model.of(airy()), record)
+    assert ledger.pump > 500.0
+    for row in ledger.rows:
+        if row.group in ("part", "residual"):
+            assert abs(row.energy) < 1e-5 * ledger.pump, row
+    of_log = ledger_of_log(airy(), None, record)
+    for name in ("pump", "pump_compression", "supply_line", "press.head", "press.rod"):
+        mine, exact = of_log[name].energy, ledger[name].energy
+        assert mine == pytest.approx(exact, abs=2e-3 * ledger.pump), name
+    # oil of one stiffness would keep another energy in its chambers
+    wrong = ledger_of_log(slide(), None, record)["press.head"].energy
+    assert abs(wrong - ledger["press.head"].energy) > 1e-4 * ledger.pump
+
+
+def test_a_design_takes_the_stiffness_at_each_pressure():
+    """The development model against differences of the plant, as without air."""
+    model = Model.of(airy())
+    here = equivalent(model, 0, np.array([0.2]))
+    given = {"speed": 0.1, "low_pressure": 5e5, "cross_drop": 5e5}
+    point = operating_point(model, circuit_of(model, 0), 1, here, 0, Aim(**given))
+    ours, plant = development_model(model, point).a, plant_model(model, point).a
+    for side in (1, 2):
+        assert np.allclose(ours[side, :3], plant[side, :3], rtol=1e-6)
+
+
+def test_the_virtual_bench_takes_the_air_of_the_rig_unless_its_file_says_other():
+    own = BenchRecipe(stage="bench", rig="", air_fraction="0.4 %")
+    for recipe, share in ((None, 0.02), (own, 0.004)):
+        assert VirtualMachine(airy(), recipe).bench.fluid.air == pytest.approx(share)
+    assert VirtualMachine(slide()).bench.fluid.air == 0.003
+
+
+def test_air_comes_back_from_noisy_logs():
+    """Share of air and bulk modulus together, started 2 and 0.7 times off."""
+    recovered(airy(), {"air_fraction": 2.0, "bulk_modulus": 0.7}, seed=2)

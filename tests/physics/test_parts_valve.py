@@ -1,0 +1,203 @@
+"""Elements between a valve's command and its opening: closed forms, series, the ledger, the linear
+model.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.errors import InputError
+from ehbench.ledger import ledger_of_model
+from ehbench.parts.valve import valve_lag
+from ehbench.plant.model import Model, simulate
+from ehbench.plant.valves import follow_valves
+from ehbench.recipe import load_rig
+from ehbench.record import Record
+from ehbench.rig import Rig
+from ehbench.tune.linear import (
+    Aim,
+    circuit_of,
+    development_model,
+    equivalent,
+    faster,
+    operating_point,
+    plant_model,
+)
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+SPOOL = {"natural_frequency": "80 Hz", "damping_ratio": 0.8}
+OMEGA, ZETA = 2 * math.pi * 80.0, 0.8
+KINDS = {
+    "spool": SPOOL,
+    "amplifier": {"natural_frequency": "60 Hz", "damping_ratio": 1.0},
+    "lag": {"kind": "first_order", "lag": "6 ms"},
+}
+SERIES = [("amplifier", "spool"), ("lag",), ("lag", "spool"), ("spool", "lag")]
+LAG = 6e-3
+AMPLIFIER = 2 * math.pi * 60.0
+
+
+def rig_with(*series: str, **more) -> Rig:
+    """The sliding mass with elements in series in its valve."""
+    plain = load_rig(RIGS / "slide_servo.toml").as_toml()
+    (cylinder,) = plain["cylinder"]
+    (valve,) = cylinder["valve"]
+    plain["dynamics"] = KINDS | more
+    changed = [valve | {"dynamics": list(series)}]
+    return Rig.model_validate(plain | {"cylinder": [cylinder | {"valve": changed}]})
+
+
+def step_of(rig: Rig, volts: float = 1.0, samples: int = 101) -> Record:
+    """A step of the command at 10 ms."""
+    u = np.zeros(samples)
+    u[10:] = volts
+    return simulate(rig, {"press.servo": u}, (samples - 1) / 1000)
+
+
+def since(record: Record) -> np.ndarray:
+    return np.maximum(record.t - 0.01, 0.0)
+
+
+def steps(rig: Rig) -> tuple[Model, np.ndarray, Record]:
+    """Random levels, each for a hundred ticks."""
+    model = Model.of(rig)
+    table = np.repeat(np.random.default_rng(1).uniform(-3, 3, (12, 1)), 100, axis=0)
+    table[:10] = 0.0
+    log = model.run(model.trim(model.posture(None)), table)
+    return model, table, model.record(np.arange(1200) * 1e-3, table, log)
+
+
+def test_one_name_and_a_list_of_one_are_the_same():
+    one = step_of(load_rig(RIGS / "slide_servo.toml"))
+    listed = step_of(rig_with("spool"))
+    assert all((one[name] == listed[name]).all() for name in one.channels)
+
+
+def test_a_first_order_valve_is_an_exponential():
+    """To rounding, though the plant takes steps of 500 µs; a corner says the same."""
+    record = step_of(rig_with("lag"))
+    expected = 1 - np.exp(-since(record) / LAG)
+    assert np.abs(record["press.servo.opening"] - expected).max() < 1e-11
+    corner = {"kind": "first_order", "corner": f"{1 / LAG!r} rad/s"}
+    other = step_of(rig_with("corner", corner=corner))
+    assert np.abs(other["press.x"] - record["press.x"]).max() < 1e-15
+    rig = rig_with("corner", corner=corner)
+    assert float(rig.parameters()["corner.lag"]) == pytest.approx(LAG, rel=1e-12)
+    slower = rig.with_values({"corner.lag": 0.01})
+    assert float(slower.parameters()["corner.lag"]) == 0.01
+
+
+def test_a_series_is_the_convolution():
+    """The step response of both is that of one convolved with the impulse response of the other."""
+    record = step_of(rig_with("amplifier", "spool"))
+    fine = np.arange(0.0, 0.09, 1e-6)
+    w = OMEGA * math.sqrt(1 - ZETA**2)
+    impulse = OMEGA**2 / w * np.exp(-ZETA * OMEGA * fine) * np.sin(w * fine)
+    before = 1 - np.exp(-AMPLIFIER * fine) * (1 + AMPLIFIER * fine)
+    whole = np.convolve(impulse, before)[: fine.size] * 1e-6
+    expected = np.interp(since(record), fine, whole)
+    # RK4's at 500 µs on the second element; the convolution is good to 1e-5
+    assert np.abs(record["press.servo.opening"] - expected).max() < 1e-4
+    inner = np.interp(since(record), fine, before)
+    assert np.abs(record["press.servo.amplifier.opening"] - inner).max() < 1e-6
+
+
+@pytest.mark.parametrize("series", SERIES)
+def test_the_ledger_closes(series):
+    model, _, record = steps(rig_with(*series))
+    ledger = ledger_of_model(model, record)
+    assert ledger.notes == ()
+    for row in ledger.rows:
+        if row.group in ("part", "residual"):
+            assert abs(row.energy) < 1e-5 * ledger.pump, row
+
+
+@pytest.mark.parametrize("series", SERIES)
+def test_openings_follow_from_commands(series):
+    """Without the plant, to what RK4 leaves over in the simulation."""
+    model, table, record = steps(rig_with(*series))
+    states = np.zeros((1200, model.layout.states))
+    follow_valves(record.t, table, model.plant, False, states)
+    row = model.plant.valves[0]
+    assert np.abs(states[:, row.output] - record["press.servo.opening"]).max() < 3e-4
+
+
+@pytest.mark.parametrize("series", SERIES)
+def test_the_linear_model_has_every_element(series):
+    """Equations and differences of the plant agree, the steady gain is one, and the lag is that of
+    the low frequencies.
+    """
+    model = Model.of(rig_with(*series))
+    circuit = circuit_of(model, 0)
+    here = equivalent(model, 0, np.array([0.2]))
+    point = operating_point(model, circuit, 1, here, 0, Aim(7e5, 7e5, speed=0.05))
+    ours, plant = development_model(model, point), plant_model(model, point)
+    assert ours.states == plant.states
+    scale = np.ones(len(ours.states))
+    scale[1:3] = 1e6
+    scale[[name.endswith("rate") for name in ours.states]] = 100.0
+    for one, other in ((ours.a, plant.a * 1.0), (ours.b, plant.b * 1.0)):
+        columns = scale if one.shape[1] == scale.size else np.ones(1)
+        gap = np.abs((one - other) * columns / scale[:, None])
+        size = np.abs(one * columns / scale[:, None]).max(axis=1, keepdims=True)
+        assert (gap <= 1e-6 * np.maximum(size, 1e-9)).all()
+
+    def opening(linear, s):
+        a, b = linear.a[3:, 3:], linear.b[3:, 0]
+        found = np.linalg.solve(s * np.eye(b.size) - a, b)
+        return found[[name.endswith("servo.opening") for name in linear.states[3:]]][0]
+
+    assert opening(ours, 0.0) == pytest.approx(1.0, rel=1e-9)
+    s = 1e-3j
+    lag = valve_lag(model.plant.valves[0], model.plant)
+    assert -np.angle(opening(ours, s)) / 1e-3 == pytest.approx(lag, rel=1e-5)
+    quick = faster(ours, 10.0)
+    assert opening(quick, 10 * 50j) == pytest.approx(opening(ours, 50j), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('["amplifier", "spool"]', '["amplifer", "spool"]', "no [dynamics.amplifer]; there are"),
+        (
+            'natural_frequency = "60 Hz"\ndamping_ratio = 1.0',
+            'lag = "6 Hz"\nkind = "first_order"',
+            "dynamics.amplifier.lag: 'Hz' cannot be turned into s",
+        ),
+        ('["amplifier", "spool"]', '["spool", "spool"]', "'spool' stands in the series twice"),
+        ('"60 Hz"', '"60 s"', "natural_frequency: 's' cannot be turned into"),
+        ('natural_frequency = "60 Hz"', 'kind = "third_order"', "kind = 'third_order' is none of"),
+        (
+            "damping_ratio = 1.0",
+            "dampingratio = 1.0",
+            "dampingratio' (did you mean 'damping_ratio'?)",
+        ),
+    ],
+)
+def test_a_slip_is_one_sentence_with_its_line(tmp_path, old, new, words):
+    text = (RIGS / "slide_servo.toml").read_text()
+    text = text.replace('dynamics = "spool"', 'dynamics = ["amplifier", "spool"]', 1)
+    text += '\n[dynamics.amplifier]\nnatural_frequency = "60 Hz"\ndamping_ratio = 1.0\n'
+    path = tmp_path / "rig.toml"
+    path.write_text(text)
+    assert load_rig(path).cylinder[0].valve[0].series == ("amplifier", "spool")
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        load_rig(path)
+    assert words in str(caught.value) and "\n" not in str(caught.value)
+    assert new.splitlines()[0] in path.read_text().splitlines()[caught.value.line - 1]
+
+
+def test_a_rig_with_a_series_is_written_and_read_again(tmp_path):
+    import tomli_w
+
+    rig = rig_with("amplifier", "spool")
+    path = tmp_path / "rig.toml"
+    path.write_text(tomli_w.dumps(rig.as_toml()))
+    assert load_rig(path) == rig
+    valve = rig.cylinder[0].valve[0]
+    assert valve.with_dynamics(["spool"], "quick").series == ("amplifier", "quick")

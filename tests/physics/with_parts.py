@@ -1,0 +1,86 @@
+"""What the tests of a rig's parts share: a rig with a part, its linear form, noise, a fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
+from ehbench.parts.cylinder import chamber_oil
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.model import Model, simulate
+from ehbench.recipe import load_rig
+from ehbench.record import Record
+from ehbench.rig import Rig
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+LEVELS = (1.0, 2.0, 5.0, -2.0, -6.0, 3.5, -3.0)  # [V]
+NOISE = {"v": 1e-3, "qd": 1e-3, "p_head": 6e3, "p_rod": 6e3, "x": 1e-5, "q": 1e-5, "p_supply": 6e3}
+
+
+def slide(**parts: Any) -> Rig:
+    """The sliding mass, its cylinder with further tables."""
+    rig = load_rig(RIGS / "slide_servo.toml")
+    cylinder = rig.cylinder[0].model_copy(update=parts)
+    return rig.model_copy(update={"cylinder": (cylinder,)})
+
+
+def jacobian(model: Model) -> np.ndarray:
+    """∂ẏ/∂y at rest at mid-stroke by central differences."""
+    y = model.trim(model.posture(None))
+    command, work = model.rest_commands(1)[0], np.empty(model.plant.at.work)
+    columns = []
+    for i in range(y.size):
+        rates = []
+        h = 1e-6 * max(abs(y[i]), 1e-1)
+        for sign in (1.0, -1.0):
+            moved, dy = y.copy(), np.empty_like(y)
+            moved[i] += sign * h
+            derivatives(moved, command, model.plant, dy, work)
+            rates.append(dy)
+        columns.append((rates[0] - rates[1]) / (2.0 * h))
+    return np.array(columns).T
+
+
+def swing(model: Model) -> float:
+    """Stiffness [N/m] of the oil of both shut chambers at mid-stroke: ``β A1²/V1 + β A2²/V2``."""
+    row = model.plant.cylinders[0]
+    x = 0.5 * row.stroke
+    ends = row.area_head**2 / chamber_oil(row, 0, x) + row.area_rod**2 / chamber_oil(row, 1, x)
+    return row.bulk_modulus * ends
+
+
+def noisy(record: Record, seed: int) -> Record:
+    """What sensors would say of a simulated log."""
+    rng, channels = np.random.default_rng(seed), {}
+    for name, values in record.channels.items():
+        word = name.rsplit(".", 1)[-1]
+        if word not in ("flow", "opening", "flow_supply", "p_line_head", "p_line_rod"):
+            size = NOISE.get(word, 0.0)
+            channels[name] = values + size * rng.standard_normal(values.size)
+    return Record(record.t, channels, record.meta)
+
+
+def steps(levels: tuple[float, ...] | np.ndarray, hold: int = 150) -> np.ndarray:
+    """Commands [V]: rest, each level for so many samples, rest."""
+    return np.concatenate([np.zeros(400), np.repeat(levels, hold), np.zeros(50)])
+
+
+def recovered(rig: Rig, factors: dict[str, float], seed: int, accuracy: float = 0.05) -> None:
+    """Fail unless parameters, started that many times off, come back from two noisy logs of steps:
+    estimated, inside their 95 % intervals, to that share.
+    """
+    logs = []
+    for i, sign in enumerate((0.9, 1.1)):
+        table = steps(sign * np.array(LEVELS))
+        made = simulate(rig, {"press.servo": table}, 1e-3 * (table.size - 1))
+        logs.append((f"log {i}", noisy(made, seed + i)))
+    truth = {name: float(rig.parameters()[name]) for name in factors}
+    start = {name: factor * truth[name] for name, factor in factors.items()}
+    fit = identify_hydraulics(rig, logs, list(factors), FitOptions(start=start))
+    for name, value in truth.items():
+        low, high = fit[name].interval
+        assert fit[name].status == "estimated" and low <= value <= high, fit[name]
+        assert fit[name].std < accuracy * abs(value), fit[name]

@@ -1,0 +1,129 @@
+"""Numbers of single parts come back from simulated, noisy logs: started 1.5 to 2 times off, with
+intervals that cover.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
+from ehbench.plant.model import simulate
+from ehbench.recipe import load_rig
+from ehbench.record import Record
+from ehbench.rig import Rig
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+NOISE = {"qd": 5e-4, "v": 5e-4, "p_head": 3e3, "p_rod": 3e3, "q": 1e-5, "x": 1e-5}
+
+
+def noisy(record: Record, seed: int) -> Record:
+    """What sensors would say, with white noise."""
+    rng = np.random.default_rng(seed)
+    channels = {}
+    for name, values in record.channels.items():
+        word = name.rsplit(".", 1)[-1]
+        if word in NOISE or word in ("command", "p_supply", "p_tank"):
+            channels[name] = values + NOISE.get(word, 0.0) * rng.standard_normal(values.size)
+    return Record(record.t, channels, record.meta)
+
+
+def slide(**cylinder: Any) -> Rig:
+    """The sliding mass with more in its cylinder."""
+    plain = load_rig(RIGS / "slide_servo.toml").as_toml()
+    (own,) = plain["cylinder"]
+    return Rig.model_validate(plain | {"cylinder": [own | cylinder]})
+
+
+def recovered(rig: Rig, factors: dict[str, float], drives: list[np.ndarray], **options: Any):
+    """Fit logs of a rig from starts that are ``factors`` off; every interval holds the truth."""
+    truth = {name: float(rig.parameters()[name]) for name in factors}
+    logs = [
+        (f"log {i}", noisy(simulate(rig, {"press.servo": u}, (u.size - 1) / 1000), i))
+        for i, u in enumerate(drives)
+    ]
+    start = {name: value * factors[name] for name, value in truth.items()}
+    fit = identify_hydraulics(rig, logs, list(factors), FitOptions(start=start, **options))
+    for name, value in truth.items():
+        low, high = fit[name].interval
+        assert fit[name].status == "estimated", fit[name]
+        assert low <= value <= high, (fit[name], value)
+        assert fit[name].std < 0.1 * value, fit[name]
+    return fit
+
+
+def wave(volts: float, period: float, samples: int = 1201) -> np.ndarray:
+    t = np.arange(samples) * 1e-3
+    return volts * np.sin(2 * np.pi * t / period)
+
+
+SEALS: dict[str, Any] = {"friction_viscous": "300 N*s/m", "friction_coulomb": "200 N"}
+FRICTIONS = {
+    "stribeck": (
+        {"friction_static": "400 N", "stribeck_speed": "20 mm/s"},
+        {"press.friction_static": 1.6, "press.stribeck_speed": 0.6},
+    ),
+    "lugre": (
+        {
+            "friction_static": "400 N",
+            "stribeck_speed": "20 mm/s",
+            "bristle_stiffness": "2000 N/mm",
+            "bristle_damping": "8000 N*s/m",
+        },
+        {
+            "press.friction_static": 1.6,
+            "press.stribeck_speed": 0.6,
+            "press.bristle_stiffness": 2.0,
+            "press.bristle_damping": 0.5,
+        },
+    ),
+}
+
+
+VALVES = {
+    "first_order": ({"amplifier": {"lag": "8 ms"}}, ["amplifier"], {"amplifier.lag": 1.8}),
+    "series": (
+        {
+            "amplifier": {"lag": "8 ms"},
+            "spool": {"natural_frequency": "30 Hz", "damping_ratio": 0.8},
+        },
+        ["amplifier", "spool"],
+        {"amplifier.lag": 0.5, "spool.natural_frequency": 1.6},
+    ),
+}
+
+
+def valve_with(dynamics: dict[str, Any], series: list[str]) -> Rig:
+    """The sliding mass with other elements in its valve."""
+    plain = slide(**SEALS).as_toml()
+    (cylinder,) = plain["cylinder"]
+    (valve,) = cylinder["valve"]
+    kinds = {"lag": "first_order", "delay": "delay"}
+    made = {
+        name: {"kind": next((kinds[key] for key in table if key in kinds), "second_order")} | table
+        for name, table in dynamics.items()
+    }
+    cylinder = cylinder | {"valve": [valve | {"dynamics": series}]}
+    return Rig.model_validate(plain | {"dynamics": made, "cylinder": [cylinder]})
+
+
+def jumps(volts: float, hold: int = 100, samples: int = 801) -> np.ndarray:
+    levels = np.random.default_rng(5).uniform(-volts, volts, samples // hold + 1)
+    levels[0] = 0.0
+    return np.repeat(levels, hold)[:samples]
+
+
+@pytest.mark.parametrize("case", VALVES)
+def test_valves(case):
+    dynamics, series, factors = VALVES[case]
+    recovered(valve_with(dynamics, series), factors, [jumps(3.0), -jumps(2.0, hold=61)])
+
+
+@pytest.mark.parametrize("law", FRICTIONS)
+def test_friction(law):
+    table, factors = FRICTIONS[law]
+    rig = slide(**SEALS, friction={"law": law} | table)
+    recovered(rig, factors, [wave(0.3, 0.6), wave(-0.15, 0.1), wave(0.12, 0.04)])
