@@ -12,7 +12,7 @@ from scipy.integrate import quad
 from ehbench.compiled import table_of
 from ehbench.errors import InputError
 from ehbench.ledger import ledger_of_model
-from ehbench.ledger.powers import compressed
+from ehbench.parts.oil import compressed
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.accumulator import gas_capacity, gas_energy
 from ehbench.parts.edge import CHECK, EDGE, PUMP, edge_command, edge_flow, edge_slope
