@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.control.law import Site
+from ehbench.control.registry import LAWS
 from ehbench.errors import InputError, LogError
 from ehbench.ledger import ledger_of_log, ledger_of_model
 from ehbench.machines.simulated import SimulatedMachine
@@ -162,3 +164,11 @@ def test_the_virtual_bench_carries_it_too():
         head, rod = sample["press.p_head"] * row.area_head, sample["press.p_rod"] * row.area_rod
         loads.append(head - rod)
     assert loads[0] - loads[1] == pytest.approx(4000.0, rel=0.1)
+
+
+def test_a_law_with_a_model_of_the_cylinder_refuses_what_that_lacks():
+    """Said in one sentence, before anything of the site is used."""
+    site = Site(None, 1e-3, 1e7, 1e-3, 0.0, unmodelled=pushed(CONSTANT).cylinder[0].unmodelled)
+    with pytest.raises(InputError, match=r"'arc' knows no \[\[cylinder\.force\]\]"):
+        LAWS["arc"].pack(site, {}, None, None)
+    assert slide().cylinder[0].unmodelled == ()
