@@ -27,7 +27,7 @@ COMMANDS = (
     Command(
         "response",
         "Estimate a frequency response from logs, with intervals, delay and bandwidth.",
-        "recipes/trials/response.toml",
+        "recipes/slide_servo/response.toml",
     ),
     Command(
         "validate",

@@ -378,12 +378,7 @@ def operating_point(
         InputError: a function that the circuit is not able of, or a force on a rod that is played
             from a log.
     """
-    if model.layout.played:
-        raise InputError(
-            f"rig '{model.rig.name}' plays the force '{model.layout.played[0]}' from a log, and a "
-            "steady motion knows no log",
-            hint="give [[cylinder.force]] another kind for tuning",
-        )
+    _refuse_played(model)
     if function < 1 or circuit.able[function] == 0:
         raise InputError(f"the valves of the cylinder are not able of '{FUNCTIONS[function]}'")
     motion = _Motion(model, circuit, function, here, index, aim)
@@ -422,6 +417,16 @@ def operating_point(
         fits=not troubles and not note,
         note="; ".join([note] * bool(note) + troubles),
     )
+
+
+def _refuse_played(model: Model) -> None:
+    """Refuse forces that only a log knows."""
+    if model.layout.played:
+        raise InputError(
+            f"rig '{model.rig.name}' plays the force '{model.layout.played[0]}' from a log, and a "
+            "steady motion knows no log",
+            hint="give [[cylinder.force]] another kind for tuning",
+        )
 
 
 def _push_slope(motion: _Motion, v: float) -> float:
