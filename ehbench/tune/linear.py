@@ -307,6 +307,12 @@ class _Motion:
         )
         return _Settled(force, *self.chambers(force, off), note)
 
+    def misfit(self, way: float, settled: _Settled) -> str:
+        """Why the working function does not fit this motion, or ''."""
+        if OVERRUNNING[self.function] != (-way * settled.force > 0.0) and not settled.note:
+            return "the load does not suit this function"
+        return settled.note
+
     def paths(self, v: float, settled: _Settled) -> tuple[Path, ...]:
         """The paths at work at speed v."""
         circuit, function, names = self.circuit, self.function, self.model.layout.edges
@@ -387,9 +393,7 @@ def operating_point(
     v = way * float(speed)
     settled = motion.settle(v)
     paths = motion.paths(v, settled)
-    troubles, note = motion.troubles(settled, paths), settled.note
-    if OVERRUNNING[function] != (-way * settled.force > 0.0) and not note:
-        note = "the load does not suit this function"
+    troubles, note = motion.troubles(settled, paths), motion.misfit(way, settled)
     q = model.posture(aim.held)
     q[row.joint] = here.q[index]
     return OperatingPoint(
