@@ -10,6 +10,7 @@ from ehbench.ledger.rows import Ledger
 from ehbench.ledger.sheet import Sheet, must_have_samples, oil_drawn, payload_of
 from ehbench.parts.valve.delay import line_of
 from ehbench.plant.integrate import STEP
+from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
 from ehbench.plant.valves import felt_commands, follow_valves
 from ehbench.record import Record
@@ -129,15 +130,17 @@ def _same_flows(model: Model, record: Record, flows: np.ndarray) -> None:
 
 def _missed(model: Model, states: np.ndarray, ends: np.ndarray) -> list[str]:
     """A sentence where a tick of the model does not lead from one sample to the next."""
-    n, nc = len(model.layout.joints), len(model.layout.cylinders)
-    kinds = (("joint angle", 0, n), ("joint rate", n, 2 * n), ("pressure", 2 * n, 2 * n + 2 * nc))
-    for what, low, high in kinds:
-        scale = (
-            np.abs(states[:, low:high]).max()
-            if what == "pressure"
-            else np.ptp(states[:, low:high], axis=0).max()
-        )
-        gap = np.abs(ends[:, low:high] - states[1:, low:high]).max()
+    names = model.layout
+    joints, cylinders = range(len(names.joints)), range(len(names.cylinders))
+    kinds = (
+        ("joint angle", [names.state("q", i) for i in joints]),
+        ("joint rate", [names.state("qd", i) for i in joints]),
+        ("pressure", [names.state(f"p_{side}", i) for i in cylinders for side in SIDES]),
+    )
+    for what, at in kinds:
+        known = states[:, at]
+        scale = np.abs(known).max() if what == "pressure" else np.ptp(known, axis=0).max()
+        gap = np.abs(ends[:, at] - known[1:]).max()
         if gap > FOLLOWS * max(scale, ROUNDING):
             share = 100 * gap / max(scale, ROUNDING)
             missed = f"the model misses the next sample's {what} by {share:.2g} % of its range"
