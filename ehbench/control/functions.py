@@ -432,15 +432,13 @@ def _able(circuit: Circuit, function: int) -> bool:
     chosen = [int(circuit.paths[p]) for p in np.flatnonzero(PATH_FLOWS[function].any(axis=1))]
     if min(chosen, default=0) < 0:
         return False
-    opened = {(int(circuit.edges[e].valve), float(circuit.edges[e].sign)) for e in chosen}
+    commands = list(zip(circuit.edges.valve.tolist(), circuit.edges.sign.tolist(), strict=True))
+    opened = {commands[e] for e in chosen}
     if len({valve for valve, _ in opened}) < len(opened):
         return False
     touching = (circuit.edges.from_node >= 2) | (circuit.edges.to_node >= 2)
     return all(
-        e in chosen
-        or not touching[e]
-        or (int(circuit.edges[e].valve), float(circuit.edges[e].sign)) not in opened
-        for e in range(circuit.edges.shape[0])
+        e in chosen or not touching[e] or commands[e] not in opened for e in range(len(commands))
     )
 
 
