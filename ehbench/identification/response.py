@@ -336,7 +336,7 @@ def _delay(
     if crooked > CROOKED:
         told.append(
             f"the phase is no straight line over {frequency[at[0]]:.4g} … {frequency[at[-1]]:.4g} "
-            f"Hz (off by {crooked:.2g} times its error): the delay is its mean slope there, with "
+            f"Hz (off by {crooked:.0f} times its error): the delay is its mean slope there, with "
             "the lag"
         )
     half = Z95 * math.sqrt(variance) * max(1.0, crooked)
