@@ -52,6 +52,12 @@ _ROWS = [
     Quantity(
         "p_rod", "P2", "Pa", "kPa", "gauge pressure in the rod end (the annular side)", -2e5, 2e8
     ),
+    Quantity(
+        "p_line_head", "P1l", "Pa", "kPa", "gauge pressure in the line of the head end", -2e5, 2e8
+    ),
+    Quantity(
+        "p_line_rod", "P2l", "Pa", "kPa", "gauge pressure in the line of the rod end", -2e5, 2e8
+    ),
     Quantity("p_supply", "Ps", "Pa", "kPa", "gauge supply pressure", -2e5, 2e8),
     Quantity("p_tank", "Pt", "Pa", "kPa", "gauge tank pressure", -2e5, 1e7),
     Quantity("command", "u", "V", "V", "voltage commanded to the valve driver", -100, 100),
@@ -283,6 +289,15 @@ _ROWS = [
     Quantity("pump_speed", "ω", "rad/s", "rpm", "speed of a pump without a command", -1e4, 1e4),
     Quantity(
         "slip", "C_s", "m^3/(s*Pa)", "mL/min/bar", "oil that slips back through a pump", 0, 1e-6
+    ),
+    Quantity(
+        "resistance",
+        "R",
+        "Pa*s/m^3",
+        "bar*min/L",
+        "laminar resistance of a line, drop over flow",
+        0,
+        1e16,
     ),
     Quantity(
         "orifice_gain", "k_o", "m^3/(s*Pa^0.5)", "gpm/MPa^0.5", "flow per root of drop", 0, 10

@@ -32,6 +32,7 @@ from ehbench.notebook import label, plural, shown, table
 from ehbench.parts.edge import FixedLawFields, FixedLawName, LawFields, LawName, edge_law
 from ehbench.parts.friction import TABLES as FRICTIONS
 from ehbench.parts.friction.law import FrictionTable
+from ehbench.parts.line import Line
 from ehbench.parts.valve import TABLES as DYNAMICS
 from ehbench.parts.valve.law import DynamicsTable
 from ehbench.quantities import VOCABULARY, Quantity
@@ -382,6 +383,7 @@ class Cylinder(FileModel):
     valve: tuple[Valve, ...] = Field(min_length=1)
     force: tuple[Force, ...] = ()
     edge: tuple[FixedEdge, ...] = ()
+    line: tuple[Line, ...] = ()
 
     @model_validator(mode="after")
     def _areas(self) -> Cylinder:
@@ -435,6 +437,16 @@ class Cylinder(FileModel):
         return self
 
     @model_validator(mode="after")
+    def _one_line_an_end(self) -> Cylinder:
+        if (at := _second([line.end for line in self.line])) is not None:
+            raise Misplaced(
+                f"the {self.line[at].end} end has a line already; give their volumes and "
+                "resistances in one",
+                *("line", at, "end"),
+            )
+        return self
+
+    @model_validator(mode="after")
     def _names_differ(self) -> Cylinder:
         valves = list(enumerate(self.valve))
         for what, places in (
@@ -461,13 +473,13 @@ class Cylinder(FileModel):
         """Its further parts with what their parameters' names begin with, after the cylinder's."""
         for own in _tables(self).values():
             yield "", own
-        for force in self.force:
-            yield f"{force.name}.", force
+        for part in (*self.force, *self.line):
+            yield f"{part.name}.", part
 
     @property
     def unmodelled(self) -> tuple[str, ...]:
         """Its tables that a controller's model of a cylinder does not have."""
-        return ("[[cylinder.force]]",) if self.force else ()
+        return tuple(f"[[cylinder.{key}]]" for key in ("force", "line") if getattr(self, key))
 
     @property
     def pump(self) -> str | None:
@@ -843,11 +855,17 @@ def _cylinder_with(model: Cylinder, new: Mapping[str, Value]) -> Cylinder:
         edges = (_replaced(e, f"{prefix}{valve.edge_name(e)}.", new) for e in valve.edge)
         valves.append(valve.model_copy(update={"edge": tuple(edges)}))
     tables = {key: _replaced(part, prefix, new) for key, part in _tables(model).items()}
-    forces = tuple(_replaced(f, f"{prefix}{f.name}.", new) for f in model.force)
-    fixed = tuple(_replaced(e, f"{prefix}{e.name}.", new) for e in model.edge)
+    named: dict[str, tuple[Any, ...]] = {
+        "force": model.force,
+        "edge": model.edge,
+        "line": model.line,
+    }
+    lists = {
+        key: tuple(_replaced(part, f"{prefix}{part.name}.", new) for part in parts)
+        for key, parts in named.items()
+    }
     whole = _replaced(model, prefix, new)
-    parts = tables | {"valve": tuple(valves), "force": forces, "edge": fixed}
-    return whole.model_copy(update=parts)
+    return whole.model_copy(update=tables | {"valve": tuple(valves)} | lists)
 
 
 def _tables(model: BaseModel) -> dict[str, FileModel]:

@@ -19,7 +19,7 @@ from ehbench.parts.nodes import TANK
 from ehbench.parts.oil import bulk
 from ehbench.plant.build import Maps, map_of
 from ehbench.plant.model import Model
-from ehbench.plant.valves import follow_friction, follow_valves, opening_of
+from ehbench.plant.valves import follow_friction, follow_parts, follow_valves, opening_of
 from ehbench.record import Record
 from ehbench.rig import Rig
 
@@ -77,6 +77,8 @@ class Account:
         follow_valves(m.t, m.commands, model.plant, False, states)
         follow_friction(m.t, model.plant, states)
         states[:, model.plant.at.supply] = m.p_supply
+        if model.layout.lines:
+            follow_parts(m.t, m.commands, model.plant, states)
         return states
 
     def flows(self, model: Model, m: Readings, states: np.ndarray) -> np.ndarray:
@@ -314,7 +316,7 @@ def _flow_std(
     opening = row.sign * opening_of(plant, valve, m.commands[:, valve], states)
 
     def pressure(node: int) -> np.ndarray:
-        return m.p_supply if node == 0 else (m.p_tank if node == TANK else m.p[:, node - 2])
+        return m.p_tank if node == TANK else states[:, plant.nodes[node].state]
 
     drop = pressure(int(row.from_node)) - pressure(int(row.to_node))
     std = np.where(flow == 0.0, 0.0, one.flow_std(drop, opening))

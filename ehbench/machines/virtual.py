@@ -33,6 +33,7 @@ from ehbench.parts.cylinder import (
 from ehbench.parts.edge import CHECK, PUMP, check, edge_opening, pump
 from ehbench.parts.edge.orifice import ORIFICE_DROP
 from ehbench.parts.end_stop import stop_force, stop_rate
+from ehbench.parts.line import line_rates
 from ehbench.parts.load import force_on, force_steepness
 from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
 from ehbench.parts.oil import bulk
@@ -165,6 +166,7 @@ class VirtualPlant(NamedTuple):
     curves: np.recarray
     supply: np.record
     forces: np.recarray
+    lines: np.recarray
     fluid: np.record
     sensors: np.recarray
     delay: int
@@ -371,6 +373,7 @@ def derivatives(y, target, bench, dy, work):
     fastest = _valves_and_edges(y, target, bench, dy, work)
     for i in range(bench.at.torque, bench.at.net):
         work[i] = 0.0
+    fastest = max(fastest, line_rates(y, bench, dy, work))
     fastest = max(fastest, _cylinders(y, target, bench, dy, work))
     move(y, bench, dy, work)
     return max(fastest, _supply(y, bench, dy, work))
@@ -924,6 +927,7 @@ def _build(recipe: BenchRecipe, model: Model, tick: float) -> VirtualPlant:
         curves=curves,
         supply=plant.supply,
         forces=plant.forces,
+        lines=_lines(of),
         fluid=_fluid(of),
         sensors=_sensors(of),
         delay=math.floor(ticks),
@@ -971,6 +975,15 @@ def _bench_cylinders(of: _Seeded) -> np.recarray:
         if _air(of)[0] > 0.0:
             row.cavitation_pressure = -math.inf  # the air itself keeps a chamber above vacuum
     return cylinders
+
+
+def _lines(of: _Seeded) -> np.recarray:
+    """The model's lines, full of the bench's oil."""
+    lines = of.model.plant.lines.copy()
+    lines.air, lines.polytropic = _air(of)
+    if lines.size and _air(of)[0] > 0.0:
+        lines.cavitation_pressure = -math.inf
+    return lines
 
 
 def _edges(of: _Seeded) -> tuple[np.recarray, np.recarray]:

@@ -14,6 +14,7 @@ from ehbench.parts.cylinder import (
 from ehbench.parts.edge import edge_flow, edge_opening, edge_slope
 from ehbench.parts.end_stop import stop_force, stop_rate
 from ehbench.parts.friction import friction_fastest, friction_force, friction_rates
+from ehbench.parts.line import line_rates
 from ehbench.parts.load import force_on, force_steepness
 from ehbench.parts.nodes import SUPPLY, node_pressure
 from ehbench.parts.oil import bulk_of
@@ -132,8 +133,8 @@ def derivatives(y, command, plant, dy, work):
     """Write ẏ into ``dy``; return the fastest rate [1/s] of the pressure, valve and friction
     blocks.
 
-    Valves (thesis 2.12), flows along the metering edges (2.10, 2.11), chambers (2.4, 2.5), the
-    mechanism (2.1, 2.2), the supply. After the call ``work`` holds the edge flows from
+    Valves (thesis 2.12), flows along the metering edges (2.10, 2.11) and lines, chambers (2.4,
+    2.5), the mechanism (2.1, 2.2), the supply. After the call ``work`` holds the edge flows from
     ``plant.at.flow`` on, then the pump flow [m³/s].
 
     Args:
@@ -147,6 +148,7 @@ def derivatives(y, command, plant, dy, work):
     _edges(y, plant, work)
     for i in range(plant.at.torque, plant.at.net):
         work[i] = 0.0
+    fastest = max(fastest, line_rates(y, plant, dy, work))
     fastest = max(fastest, _cylinders(y, command, plant, dy, work))
     move(y, plant, dy, work)
     return max(fastest, _supply(y, plant, dy, work))

@@ -158,8 +158,10 @@ class Model:
         y = self.trim(self.posture(wanted), None, command)
         for index, name in enumerate(names.cylinders):
             head, rod = names.state("p_head", index), names.state("p_rod", index)
-            seen = [first(f"{name}.p_{side}") for side in SIDES]
+            own = ((first(f"{name}.{at}_{side}") for at in ("p", "p_line")) for side in SIDES)
+            seen = [next((p for p in pair if p is not None), None) for pair in own]
             y[head], y[rod] = starts.carry(plant.cylinders[index], (y[head], y[rod]), seen)
+        starts.settle_parts(plant, y)
         for valve, name in zip(plant.valves, names.valves, strict=True):
             if f"{name}.command" in record:
                 valve_settle(valve, float(record[f"{name}.command"][0]), plant, y)
@@ -224,7 +226,7 @@ class Model:
             channels[f"{name}.x"], channels[f"{name}.v"] = x, lever * log[:, n + joint]
             for key in (f"p_{side}" for side in SIDES):
                 channels[f"{name}.{key}"] = log[:, names.state(key, index)]
-        for index, key in names.friction_states:
+        for index, key in names.part_states:
             channels[f"{names.cylinders[index]}.{key}"] = log[:, names.state(key, index)]
         for index, valve in enumerate(names.valves):
             channels[f"{valve}.command"] = commands[:, index]

@@ -152,7 +152,7 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> Design:
     measured = [
         (maps or {}).get(edge) or (maps or {}).get(edge.split(".", 1)[1]) for edge in layout.edges
     ]
-    edges = plant.edges.copy()
+    edges = plant.edges_at_chambers
     for valve in controller.unused:
         if valve not in layout.valves:
             raise InputError(

@@ -341,6 +341,7 @@ def trial(folder: Path, rig: str, valve: str, more: str = ""):
 
 
 FORCE = '[[cylinder.force]]\nkind = "spring"\nstiffness = "5 kN/m"\n'
+LINE = '[[cylinder.line]]\nend = "head"\nvolume = "1 L"\nresistance = "0.1 bar*min/L"\n'
 SATURATING = EDGE.replace('"orifice"', '"saturating"')
 
 
@@ -379,6 +380,32 @@ SATURATING = EDGE.replace('"orifice"', '"saturating"')
             '[[cylinder.force]]\nkind = "channel"\nchannel = "lift.x"\n' + PINS,
             "'lift.x' is no channel of a force",
             "channel =",
+        ),
+        (
+            PINS,
+            LINE.replace('"head"', '"tank"') + PINS,
+            "line 1: end = 'tank' is none of 'head', 'rod'",
+            'end = "tank"',
+        ),
+        (PINS, LINE.replace("1 L", "0 L") + PINS, "line 1: volume: must be above 0", "volume = "),
+        (PINS, LINE.replace("1 L", "1 m") + PINS, "'m' cannot be turned into m^3", 'volume = "1 m'),
+        (
+            PINS,
+            LINE.replace("resistance", "# resistance") + PINS,
+            "line 1: a line needs 'resistance', 'orifice_gain' or both",
+            "[[cylinder.line]]",
+        ),
+        (
+            PINS,
+            LINE.replace('"0.1 bar*min/L"', '"-2 bar*min/L"') + PINS,
+            "outside 0 to",
+            "resistance =",
+        ),
+        (
+            PINS,
+            LINE + LINE.replace('"head"', '"head" ') + PINS,
+            "the head end has a line already; give their volumes and resistances in one",
+            'end = "head" ',
         ),
         (
             EDGE,
