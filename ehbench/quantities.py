@@ -201,6 +201,15 @@ _ROWS = [
         "bristle_damping", "σ1", "N*s/m", "N*s/m", "damping of friction before it slides", 0, 1e8
     ),
     Quantity("opening_rate", "ẋ_v", "V/s", "V/s", "rate of a valve's opening", -1e9, 1e9),
+    Quantity(
+        "mount_deflection",
+        "δ",
+        "m",
+        "mm",
+        "how far a cylinder's mount has given way, positive where the rod pushes",
+        -1,
+        1,
+    ),
     Quantity("bristle", "z", "m", "um", "how far the bristles of friction are bent", -1, 1),
     Quantity(
         "joint_damping",
@@ -217,7 +226,7 @@ _ROWS = [
         "b",
         "N*s/m",
         "N*s/m",
-        "viscous damping of a sliding mass",
+        "viscous damping of a sliding mass or a mount",
         0,
         1e8,
         rings="decay",

@@ -33,6 +33,7 @@ from ehbench.parts.edge import FixedLawFields, FixedLawName, LawFields, LawName,
 from ehbench.parts.friction import TABLES as FRICTIONS
 from ehbench.parts.friction.law import FrictionTable
 from ehbench.parts.line import Line
+from ehbench.parts.mount import Mount
 from ehbench.parts.valve import TABLES as DYNAMICS
 from ehbench.parts.valve.law import DynamicsTable
 from ehbench.quantities import VOCABULARY, Quantity
@@ -384,6 +385,7 @@ class Cylinder(FileModel):
     force: tuple[Force, ...] = ()
     edge: tuple[FixedEdge, ...] = ()
     line: tuple[Line, ...] = ()
+    mount: Mount | None = None
 
     @model_validator(mode="after")
     def _areas(self) -> Cylinder:
@@ -449,18 +451,21 @@ class Cylinder(FileModel):
     @model_validator(mode="after")
     def _names_differ(self) -> Cylinder:
         valves = list(enumerate(self.valve))
+        own = [(("line", i), line.name) for i, line in enumerate(self.line)]
+        own += [(("mount",), "mount")] if self.mount is not None else []
         for what, places in (
             ("valves", [(("valve", i), v.name) for i, v in valves]),
             (
                 "edges",
-                [
+                own
+                + [
                     (("valve", i, "edge", j), v.edge_name(e))
                     for i, v in valves
                     for j, e in enumerate(v.edge)
                 ]
                 + [(("edge", j), e.name) for j, e in enumerate(self.edge)],
             ),
-            ("forces", [(("force", i), f.name) for i, f in enumerate(self.force)]),
+            ("forces", own + [(("force", i), f.name) for i, f in enumerate(self.force)]),
         ):
             if (at := _second([name for _, name in places])) is not None:
                 where, name = places[at]
@@ -471,15 +476,16 @@ class Cylinder(FileModel):
 
     def parts(self) -> Iterator[tuple[str, FileModel]]:
         """Its further parts with what their parameters' names begin with, after the cylinder's."""
-        for own in _tables(self).values():
-            yield "", own
+        for key, own in _tables(self).items():
+            yield _prefix(key), own
         for part in (*self.force, *self.line):
             yield f"{part.name}.", part
 
     @property
     def unmodelled(self) -> tuple[str, ...]:
         """Its tables that a controller's model of a cylinder does not have."""
-        return tuple(f"[[cylinder.{key}]]" for key in ("force", "line") if getattr(self, key))
+        lists = tuple(f"[[cylinder.{key}]]" for key in ("force", "line") if getattr(self, key))
+        return lists if self.mount is None else (*lists, "[cylinder.mount]")
 
     @property
     def pump(self) -> str | None:
@@ -854,7 +860,9 @@ def _cylinder_with(model: Cylinder, new: Mapping[str, Value]) -> Cylinder:
     for valve in model.valve:
         edges = (_replaced(e, f"{prefix}{valve.edge_name(e)}.", new) for e in valve.edge)
         valves.append(valve.model_copy(update={"edge": tuple(edges)}))
-    tables = {key: _replaced(part, prefix, new) for key, part in _tables(model).items()}
+    tables = {
+        key: _replaced(part, prefix + _prefix(key), new) for key, part in _tables(model).items()
+    }
     named: dict[str, tuple[Any, ...]] = {
         "force": model.force,
         "edge": model.edge,
@@ -872,6 +880,11 @@ def _tables(model: BaseModel) -> dict[str, FileModel]:
     """The tables that a part of the rig has beside its own values."""
     own = {name: getattr(model, name) for name in type(model).model_fields}
     return {name: part for name, part in own.items() if isinstance(part, FileModel)}
+
+
+def _prefix(table: str) -> str:
+    """What the parameters of a cylinder's table begin with, after the cylinder's name."""
+    return "mount." if table == "mount" else ""
 
 
 def parameter_row(name: str) -> Quantity:

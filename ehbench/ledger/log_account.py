@@ -77,7 +77,7 @@ class Account:
         follow_valves(m.t, m.commands, model.plant, False, states)
         follow_friction(m.t, model.plant, states)
         states[:, model.plant.at.supply] = m.p_supply
-        if model.layout.lines:
+        if model.layout.lines or model.layout.mounts:
             follow_parts(m.t, m.commands, model.plant, states)
         return states
 
@@ -122,8 +122,9 @@ class Account:
             # ∫ P_L dx over the measured stroke: a filtered speed lags behind the pressures
             row = plant.cylinders[c]
             force = m.p[:, 2 * c] * row.area_head - m.p[:, 2 * c + 1] * row.area_rod
+            x = m.x[:, c] if row.mount_state < 0 else m.x[:, c] + states[:, row.mount_state]
             spent[:, power_at(edges, c, OF.work)] = _cumulated(
-                0.5 * np.diff(m.x[:, c]), force[:, None], at
+                0.5 * np.diff(x), force[:, None], at
             )[:, 0]
         if m.flow_supply is None and plant.supply.flow_limit > 0.0:
             drawn, drawn_compression = (

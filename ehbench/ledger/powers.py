@@ -25,6 +25,7 @@ from ehbench.parts.end_stop import stop_held, stop_loss
 from ehbench.parts.friction import friction_held, friction_loss
 from ehbench.parts.line import line_drop, line_flow
 from ehbench.parts.load import push_on, spring_held
+from ehbench.parts.mount import mount_held, mount_loss, piston_of
 from ehbench.parts.nodes import SUPPLY, TANK, node_held, node_pressure
 from ehbench.physics import arm
 
@@ -56,11 +57,11 @@ class CylinderStores(NamedTuple):
 
 
 # powers: the pump's, its share for compression, one per edge, those of each cylinder, one per
-# joint, the shaft of each edge that is a pump, what each line takes
+# joint, the shaft of each edge that is a pump, what each line takes, what each mount takes
 PUMP, COMPRESSION, FIRST_EDGE = 0, 1, 2
 OF, PER_CYLINDER = CylinderPowers(), len(CylinderPowers())
 # what is stored: in the supply line, in the mechanism, in each cylinder, then in the friction of
-# each whose law has states, in each line, then in an accumulator
+# each whose law has states, in each line, in each mount, then in an accumulator
 SUPPLY_LINE, KINETIC, POTENTIAL, FIRST_CYLINDER = 0, 1, 2, 3
 STORED, STORES = CylinderStores(), len(CylinderStores())
 
@@ -126,6 +127,14 @@ def powers(y, command, flows, plant, owner, out):
             shaft += 1
     for i in range(plant.lines.shape[0]):
         _line(i, y, flows, plant, shaft + i, out)
+    mount = shaft + plant.lines.shape[0]
+    for c in range(cylinders):
+        row = plant.cylinders[c]
+        if row.mount_state >= 0:
+            x, lever, _ = linkage_of(row, y[row.joint])
+            v = lever * y[at.rates + row.joint]
+            out[mount] = mount_loss(row, piston_of(row, x, v, y, plant)[1], v)
+            mount += 1
 
 
 @kernel
@@ -199,7 +208,7 @@ def _cylinder(c, y, flows, plant, at, out):
     """Add what a cylinder takes and gives, from column ``at`` on."""
     row = plant.cylinders[c]
     x, lever, _ = linkage_of(row, y[row.joint])
-    v = lever * y[plant.at.rates + row.joint]
+    x, v = piston_of(row, x, lever * y[plant.at.rates + row.joint], y, plant)
     p_tank, u_tank = _node(TANK, y, plant)
     p_head, u_head = _node(row.node_head, y, plant)
     p_rod, u_rod = _node(row.node_rod, y, plant)
@@ -228,7 +237,7 @@ def stores(y, plant, work, out):
     """Write every stored energy [J] of a state into ``out``, shape (columns,).
 
     Oil: ``V u(p)``. The mechanism: kinetic and potential energy. An end stop: ``k δ²/2`` of its
-    depth δ. A spring on the rod: ``k (x − free length)²/2``."""
+    depth δ, a mount as much of its deflection. A spring on the rod: ``k (x − free length)²/2``."""
     n, rates = plant.at.joints, plant.at.rates
     _, held = _node(SUPPLY, y, plant)
     out[SUPPLY_LINE] = plant.supply.volume * held
@@ -238,10 +247,11 @@ def stores(y, plant, work, out):
     for c in range(plant.cylinders.shape[0]):
         row = plant.cylinders[c]
         x, _, _ = linkage_of(row, y[row.joint])
+        piston = x if row.mount_state < 0 else x + y[row.mount_state]
         for side in range(2):
             _, held = _node(chamber_of(row, side)[0], y, plant)
-            out[store_at(c, STORED.head + side)] = chamber_oil(row, side, x) * held
-        out[store_at(c, STORED.stop)] = stop_held(row, x)
+            out[store_at(c, STORED.head + side)] = chamber_oil(row, side, piston) * held
+        out[store_at(c, STORED.stop)] = stop_held(row, piston)
         out[store_at(c, STORED.load_spring)] = spring_held(c, x, plant)
     at = store_at(plant.cylinders.shape[0], 0)
     for c in range(plant.cylinders.shape[0]):
@@ -252,5 +262,9 @@ def stores(y, plant, work, out):
         _, held = _node(plant.lines[i].node, y, plant)
         out[at] = plant.lines[i].volume * held
         at += 1
+    for c in range(plant.cylinders.shape[0]):
+        if plant.cylinders[c].mount_state >= 0:
+            out[at] = mount_held(plant.cylinders[c], y)
+            at += 1
     if plant.supply.gas_volume > 0.0:
         out[at] = gas_energy(node_pressure(y, plant, SUPPLY), plant.supply)

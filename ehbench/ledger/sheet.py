@@ -39,7 +39,10 @@ STORE_LABELS = (
 # rows of a cylinder that stand in a ledger only where the rig file has the table
 OPTIONAL = {"force": ("external_force", "load_spring")}
 # rows that the piston's work pays
-MECHANICAL = ("friction", "friction_spring", "end_stop", "stop", "load_spring", "damping")
+MECHANICAL = (
+    *("friction", "friction_spring", "end_stop", "stop", "load_spring", "damping"),
+    *("mount", "mount_spring"),
+)
 
 
 class Sheet:
@@ -189,10 +192,12 @@ def _power_rows(model: Model) -> list[Named]:
         (f"{name}.shaft", "supply", f"{name.split('.', 1)[1]}, shaft of the pump", _owner(name))
         for name in pumps
     ]
-    return rows + [
+    rows += [
         (f"{name}.line_{end}.throttling", "loss", f"line of the {end} end", name)
         for name, end in _lines(model)
     ]
+    mounted = (names.cylinders[c] for c in names.mounts)
+    return rows + [(f"{name}.mount", "loss", "mount", name) for name in mounted]
 
 
 def _store_rows(model: Model) -> list[Named]:
@@ -214,6 +219,8 @@ def _store_rows(model: Model) -> list[Named]:
         (f"{name}.line_{end}", "store", f"oil of the {end} end's line", name)
         for name, end in _lines(model)
     ]
+    mounted = (model.layout.cylinders[c] for c in model.layout.mounts)
+    rows += [(f"{name}.mount_spring", "store", "spring of the mount", name) for name in mounted]
     if model.rig.supply.accumulator is not None:
         rows.append(("accumulator", "store", "accumulator", None))
     return rows

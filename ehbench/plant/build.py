@@ -187,8 +187,11 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
                 "friction": names.frictions[index],
                 "friction_state": names.friction_state(index),
                 "friction_states": len(friction.LAWS[names.frictions[index]].states),
+                "mount_state": -1,
             }
         )
+        if item.mount is not None:
+            rows[-1] |= {"mount_state": names.state("mount_deflection", index)} | item.mount.row()
     return table_of(rows, CYLINDER)
 
 

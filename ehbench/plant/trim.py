@@ -12,6 +12,7 @@ from ehbench.errors import InputError, SimulationError
 from ehbench.parts.cylinder import joint_of, joint_range_of, linkage_of
 from ehbench.parts.edge import CHECK
 from ehbench.parts.load import force_on
+from ehbench.parts.mount import mount_settle
 from ehbench.parts.nodes import SUPPLY
 from ehbench.parts.valve import valve_settle
 from ehbench.physics.arm import SLIDE, gravity_torque, work_size
@@ -134,10 +135,14 @@ def trim(
 
 
 def settle_parts(plant: Plant, y: np.ndarray) -> None:
-    """Put the states of lines in ``y`` where they are at rest, by the pressures of the chambers."""
+    """Put the states of lines and mounts in ``y`` where they are at rest, by the pressures of the
+    chambers.
+    """
     at: Any = plant.nodes.state
     for line in plant.lines:
         y[at[line.node]] = y[at[line.chamber]]
+    for row in plant.cylinders:
+        mount_settle(row, 0.0, y, plant)
 
 
 def _low_side(plant: Plant, row: np.record) -> float:

@@ -1,5 +1,5 @@
 """States that no sensor tells, over a whole record: openings of valves, exact for commands that are
-held from sample to sample, the states of frictions, and those of lines.
+held from sample to sample, the states of frictions, and those of lines and mounts.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import numpy as np
 from ehbench.compiled import allocating_kernel, kernel
 from ehbench.parts.cylinder import linkage_of
 from ehbench.parts.friction import friction_advance
+from ehbench.parts.mount import mount_settle
 from ehbench.parts.valve import limited, valve_advance, valve_recover, valve_settle
 from ehbench.parts.valve.delay import line_felt, line_of, line_push
 from ehbench.plant.build import Plant
@@ -94,8 +95,8 @@ def follow_friction(t, plant, states):
 
 @allocating_kernel
 def follow_parts(t, commands, plant, states):
-    """Write the pressures of the lines at every sample, from rest on: their own rates, by Heun's
-    steps, while all other states run straight from sample to sample.
+    """Write the states of lines and mounts at every sample, from rest on: their own rates, by
+    Heun's steps, while all other states run straight from sample to sample.
 
     Args:
         t: [s], shape (samples,).
@@ -108,6 +109,10 @@ def follow_parts(t, commands, plant, states):
         row = plant.lines[i]
         own[plant.nodes[row.node].state] = True
         states[0, plant.nodes[row.node].state] = states[0, plant.nodes[row.chamber].state]
+    for c in range(plant.cylinders.shape[0]):
+        mount_settle(plant.cylinders[c], 0.0, states[0], plant)
+        if plant.cylinders[c].mount_state >= 0:
+            own[plant.cylinders[c].mount_state] = True
     y, ahead, work = states[0].copy(), np.empty(size), np.empty(plant.at.work)
     first, last = np.empty(size), np.empty(size)
     for s in range(t.shape[0] - 1):

@@ -39,6 +39,7 @@ from ehbench.parts.friction import friction_settle, friction_slope, friction_ste
 from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
 from ehbench.parts.line import drop_for, line_conductance
 from ehbench.parts.load import force_on
+from ehbench.parts.mount import mount_settle
 from ehbench.parts.oil import bulk_of
 from ehbench.parts.valve import valve_rates, valve_settle
 from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
@@ -53,6 +54,9 @@ INTO = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (-1, 1), (1, -1)], dtype=floa
 DIFFERENCE = (
     1.0e-5  # relative step of central differences: their error and the rounding are both near 1e-10
 )
+# steps of differences over states by what their names contain, of others 1e-4 V
+STEPS = {".rate": 1e-2, ".p_line_": 30.0, ".mount_deflection": 1e-8}
+OWN = ("p_line_head", "p_line_rod", "mount_deflection")  # a cylinder's further states
 SPEED_HALVINGS = 12  # to find the full speed to 0.02 %
 AT_ZERO = 1.0e-7  # share of the fastest pole below which a pole is one at zero
 DELAY_ORDER = 2  # of the Padé form of the delay; its phase is exact to 1e-4 rad up to ω·delay = 0.8
@@ -317,6 +321,12 @@ class _Motion:
         )
         return _Settled(force, *self.chambers(force, off), note)
 
+    def give(self, v: float, settled: _Settled) -> float:
+        """How far the mount has given way [m]."""
+        if self.row.mount_state < 0:
+            return 0.0
+        return (settled.force - friction_steady(self.row, v)) / self.row.mount_stiffness
+
     def misfit(self, way: float, settled: _Settled) -> str:
         """Why the working function does not fit this motion, or ''."""
         if OVERRUNNING[self.function] != (-way * settled.force > 0.0) and not settled.note:
@@ -403,7 +413,7 @@ def operating_point(
     settled = motion.settle(v)
     paths = motion.paths(v, settled)
     troubles, note = motion.troubles(settled, paths), motion.misfit(way, settled)
-    q = model.posture(aim.held)
+    q, x = model.posture(aim.held), here.x[index] + motion.give(v, settled)
     q[row.joint] = here.q[index]
     return OperatingPoint(
         cylinder=model.layout.cylinders[circuit.cylinder],
@@ -423,8 +433,8 @@ def operating_point(
         p_rod=float(settled.p_rod),
         p_supply=float(motion.lines[0]),
         p_tank=float(motion.lines[1]),
-        volume_head=float(chamber_oil(row, 0, here.x[index])),
-        volume_rod=float(chamber_oil(row, 1, here.x[index])),
+        volume_head=float(chamber_oil(row, 0, x)),
+        volume_rod=float(chamber_oil(row, 1, x)),
         paths=paths,
         possible=not troubles,
         fits=not troubles and not note,
@@ -531,9 +541,9 @@ class LinearModel:
     """``ẋ = A x + B u + E f`` about an operating point: u [V] the commands of the valves at work, f
     [N] a force on the rod.
 
-    ``states`` name x: ``v, p_head, p_rod``, the pressure of each line, the states of each valve
-    with dynamics, then those of the Padé forms of delays; all SI. ``valves`` number u. Poles beyond
-    ``fastest`` [rad/s] are those of the Padé forms."""
+    ``states`` name x: ``v, p_head, p_rod``, the pressure of each line, the deflection of a mount,
+    the states of each valve with dynamics, then those of the Padé forms of delays; all SI.
+    ``valves`` number u. Poles beyond ``fastest`` [rad/s] are those of the Padé forms."""
 
     states: tuple[str, ...]
     valves: tuple[int, ...]
@@ -604,13 +614,19 @@ def _hoses(model: Model, point: OperatingPoint) -> list[_Hose]:
     return hoses
 
 
+def _own(model: Model, point: OperatingPoint) -> list[int]:
+    """Where the plant has the states of the cylinder's lines and mount."""
+    row = model.plant.cylinders[model.layout.cylinders.index(point.cylinder)]
+    mount = [int(row.mount_state)] if row.mount_state >= 0 else []
+    return [hose.state for hose in _hoses(model, point)] + mount
+
+
 def _states(
     model: Model, point: OperatingPoint
 ) -> tuple[tuple[int, ...], dict[int, ValveBlock], tuple[str, ...]]:
     valves = tuple(dict.fromkeys(p.valve for p in point.paths))
     moving = {i: valve_block(model, i) for i in valves if model.plant.valves[i].count}
-    own = [hose.state for hose in _hoses(model, point)]
-    own += [k for block in moving.values() for k in block.states]
+    own = [*_own(model, point), *(k for block in moving.values() for k in block.states)]
     return valves, moving, ("v", "p_head", "p_rod", *(model.layout.state_names[k] for k in own))
 
 
@@ -641,6 +657,8 @@ def development_model(model: Model, point: OperatingPoint) -> LinearModel:
     inflow[:2, 0] = -areas[0], areas[1]
     inflow[0, 1:3] = -row.leakage_internal - row.leakage_head, row.leakage_internal
     inflow[1, 1:3] = row.leakage_internal, -row.leakage_internal - row.leakage_rod
+    if row.mount_state >= 0:
+        _give_way(row, point, names, a, inflow)
     into_u, port = np.zeros((2 + len(hoses), len(valves))), [0, 1]
     for own, hose in enumerate(hoses, 2):
         port[hose.side] = own
@@ -662,6 +680,23 @@ def development_model(model: Model, point: OperatingPoint) -> LinearModel:
         rows = slice(at[i], at[i] + block.b.size)
         a[rows, rows], b[rows, valves.index(i)] = block.a, block.b
     return _delayed(LinearModel(names, valves, a, b, e), model)
+
+
+def _give_way(
+    row: Any, point: OperatingPoint, names: Sequence[str], a: np.ndarray, inflow: np.ndarray
+) -> None:
+    """Write the row of a mount's deflection, and what the piston's speed u in its barrel changes of
+    the others: ``(c + f) u = c v + A1 P1 − A2 P2 − k δ``, f the slope of the friction.
+    """
+    at, slope = _first_valve(names) - 1, float(friction_slope(row, point.v))
+    slip = np.zeros(len(names))
+    slip[:3] = row.mount_damping, row.area_head, -row.area_rod
+    slip[at] = -row.mount_stiffness
+    slip /= row.mount_damping + slope
+    slip[0] -= 1.0
+    a[0] -= slope / point.mass * slip
+    a[at] = slip
+    inflow[:2] += np.outer((-row.area_head, row.area_rod), slip)
 
 
 def _delayed(linear: LinearModel, model: Model) -> LinearModel:
@@ -694,7 +729,7 @@ def _starts(moving: Mapping[int, ValveBlock], names: Sequence[str]) -> list[int]
 
 def _first_valve(names: Sequence[str]) -> int:
     """How many states of a linear model stand before those of the valves."""
-    return 3 + sum(".p_line_" in name for name in names)
+    return names.index("p_rod") + 1 + sum(name.rsplit(".", 1)[-1] in OWN for name in names)
 
 
 def _are_rates(names: Sequence[str]) -> np.ndarray:
@@ -728,6 +763,7 @@ def state_of(model: Model, point: OperatingPoint) -> tuple[np.ndarray, np.ndarra
     friction_settle(model.plant.cylinders[index], point.v, y)
     for hose in _hoses(model, point):
         y[hose.state] = (point.p_head, point.p_rod)[hose.side] + hose.drop
+    mount_settle(model.plant.cylinders[index], point.v, y, model.plant)
     return y, command
 
 
@@ -796,14 +832,13 @@ def plant_model(
     stroke ``x`` as first state: what the development model leaves out."""
     valves, moving, names = _states(model, point)
     names = (("x",) if position else ()) + names
-    picks = [hose.state for hose in _hoses(model, point)]
-    picks += [k for block in moving.values() for k in block.states]
+    picks = [*_own(model, point), *(k for block in moving.values() for k in block.states)]
     kinds = [model.layout.state_names[k] for k in picks]
     about = _Offsets(model, point, others == "held", *state_of(model, point))
     steps = np.concatenate(
         [
             [1e-5, 1e-5 * max(1.0, abs(point.v) / 0.01), 30.0, 30.0],
-            [1e-2 if k.endswith(".rate") else 30.0 if ".p_line_" in k else 1e-4 for k in kinds],
+            [next((h for word, h in STEPS.items() if word in k), 1e-4) for k in kinds],
             [1e-4] * len(valves),
         ]
     )
@@ -914,9 +949,8 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
     a += put @ (orders + off)
     e = np.zeros(total)
     e[:size] = linear.e
-    scale = np.ones(total)
-    scale[1 : _first_valve(linear.states)], scale[size:] = 1.0e6, 1.0e6
-    scale[:size][_are_rates(linear.states)] = 100.0
+    scale = np.full(total, 1.0e6)
+    scale[:size] = _sizes(linear.states)
     ratio = scale / scale[:, None]
     fastest = min(2.5 / law.delay if held else math.inf, linear.fastest)
     return Loop(
@@ -928,6 +962,15 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
         put @ off * ratio,
         fastest,
     )
+
+
+def _sizes(names: Sequence[str]) -> np.ndarray:
+    """Usual sizes of the states: m/s, MPa, mm, V, 100 V/s."""
+    sizes = np.ones(len(names))
+    sizes[1 : _first_valve(names)] = 1.0e6
+    sizes[_are_rates(names)] = 100.0
+    sizes[[name.endswith(".mount_deflection") for name in names]] = 1.0e-3
+    return sizes
 
 
 def _seen(a: np.ndarray, size: int, delay: float) -> np.ndarray:

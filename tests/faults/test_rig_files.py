@@ -342,6 +342,8 @@ def trial(folder: Path, rig: str, valve: str, more: str = ""):
 
 FORCE = '[[cylinder.force]]\nkind = "spring"\nstiffness = "5 kN/m"\n'
 LINE = '[[cylinder.line]]\nend = "head"\nvolume = "1 L"\nresistance = "0.1 bar*min/L"\n'
+MOUNT = '[cylinder.mount]\nstiffness = "50 kN/mm"\ndamping = "50 kN*s/m"\n'
+NAMED = '[[cylinder.force]]\nname = "line_head"\nkind = "constant"\nforce = "1 N"\n'
 SATURATING = EDGE.replace('"orifice"', '"saturating"')
 
 
@@ -407,6 +409,22 @@ SATURATING = EDGE.replace('"orifice"', '"saturating"')
             "the head end has a line already; give their volumes and resistances in one",
             'end = "head" ',
         ),
+        (
+            PINS,
+            LINE + NAMED + PINS,
+            "two forces are called 'line_head'; give each a name of its own",
+            NAMED[:20],
+        ),
+        (PINS, MOUNT.replace("50 kN/mm", "0 kN/mm") + PINS, "must be above 0", "stiffness = "),
+        (PINS, MOUNT.replace("50 kN/mm", "50 kN") + PINS, "'kN' cannot be turned", "stiffness = "),
+        (
+            PINS,
+            MOUNT.replace("50 kN*s", "0 kN*s") + PINS,
+            "a mount without mass needs damping: 1000 N*s/m at the least, 20 us times its stiff",
+            "damping = ",
+        ),
+        (PINS, MOUNT.replace("stiff", "# s") + PINS, "'mount.stiffness' is missing", MOUNT[:16]),
+        (PINS, MOUNT.replace("damping", "dampin") + PINS, "unknown key 'mount.dampin'", "dampin ="),
         (
             EDGE,
             EDGE.replace('"orifice"', '"flow_control"'),

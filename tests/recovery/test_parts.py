@@ -147,6 +147,14 @@ def test_lines(seed):
     recovered(rig, factors, [jumps(3.0, samples=601), -jumps(2.0, hold=61, samples=601)], seed)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_mounts(seed):
+    mount = {"stiffness": "12 kN/mm", "damping": "15 kN*s/m"}
+    factors = {"press.mount.stiffness": 1.7, "press.mount.damping": 0.6}
+    rig = slide(**SEALS, mount=mount)
+    recovered(rig, factors, [jumps(3.0, samples=601), -jumps(2.0, hold=61, samples=601)], seed)
+
+
 @pytest.mark.parametrize("law", FRICTIONS)
 def test_friction(law):
     table, factors = FRICTIONS[law]
