@@ -16,7 +16,7 @@ from typing import Annotated
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from ehbench.compiled import Generic, part_kernel
+from ehbench.compiled import Generic, kernel, part_kernel
 from ehbench.fields import FileModel, Q, Value
 from ehbench.parts.cylinder import chamber_of
 from ehbench.parts.end_stop import stop_force
@@ -91,19 +91,24 @@ def _left(row, x, v, push, slip, y, plant):
 
 @part_kernel
 def piston_of(row, x, v, y, plant):
-    """(stroke [m], speed [m/s]) of the piston in its barrel, where the linkage has x and v.
-
-    The balance of forces is solved for the speed between two bounds by false position (Illinois):
-    the damper alone takes less than what is left over at dδ/dt = 0.
-    """
+    """(stroke [m], speed [m/s]) of the piston in its barrel, where the linkage has x and v."""
     if row.mount_state < 0:
         return x, v
-    x += y[row.mount_state]
+    return x + y[row.mount_state], _slip(row, x + y[row.mount_state], v, y, plant)
+
+
+@kernel
+def _slip(row, x, v, y, plant):
+    """Speed [m/s] of the piston in its barrel at its stroke x, where the linkage has v.
+
+    The balance of forces is solved for it by false position (Illinois), from v to where the damper
+    alone would take what is left over there: friction takes its share of that.
+    """
     push = push_of(row, y, plant)
     least = _ROUNDING * (abs(push) + row.mount_stiffness * abs(y[row.mount_state]))
     a, f_a = v, _left(row, x, v, push, v, y, plant)
     if abs(f_a) <= least:
-        return x, v
+        return v
     step = f_a / row.mount_damping
     b, f_b = v + step, _left(row, x, v, push, v + step, y, plant)
     for _ in range(_TRIES):
@@ -120,7 +125,7 @@ def piston_of(row, x, v, y, plant):
         elif f_a * f_b < 0.0:
             f_a *= 0.5
         b, f_b = slip, left
-    return x, b
+    return b
 
 
 @part_kernel
