@@ -42,8 +42,8 @@ class EdgeLaw:
     the substep guard.
 
     ``pack(edge)`` gives the law's columns of an edge of the rig file by their names; of that
-    edge's keys it ``needs`` some, ``needs_fixed`` where the edge has no command. ``has_deadband``
-    says whether its ``deadband`` counts. ``odd(edge)`` is (what is wrong with its numbers together,
+    edge's keys it ``needs`` some, ``needs_fixed`` where the edge has no command, and ``takes``
+    others. ``has_deadband`` says whether its ``deadband`` counts. ``odd(edge)`` is (what is wrong with its numbers together,
     the key to blame), or None.
 
     A law that is not ``metering`` passes oil at any opening and drop, gives flows of any sign, and
@@ -58,6 +58,7 @@ class EdgeLaw:
     pack: Callable[[Any], dict[str, float]]
     needs: tuple[str, ...] = ()
     needs_fixed: tuple[str, ...] = ()
+    takes: tuple[str, ...] = ()
     has_deadband: bool = True
     known: Callable = _everywhere
     odd: Callable[[Any], tuple[str, str] | None] = _nothing_odd
