@@ -43,8 +43,8 @@ class EdgeLaw:
 
     ``pack(edge)`` gives the law's columns of an edge of the rig file by their names; of that
     edge's keys it ``needs`` some, ``needs_fixed`` where the edge has no command, and ``takes``
-    others. ``has_deadband`` says whether its ``deadband`` counts. ``odd(edge)`` is (what is wrong with its numbers together,
-    the key to blame), or None.
+    others. ``has_deadband`` says whether its ``deadband`` counts. ``odd(edge)`` is (what is wrong
+    with its numbers together, the key to blame), or None.
 
     A law that is not ``metering`` passes oil at any opening and drop, gives flows of any sign, and
     may be that of an edge without a command; it is only of such edges where it is not
