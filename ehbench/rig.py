@@ -219,17 +219,20 @@ def _must_be_whole(
     edge: Edge | FixedEdge, law: EdgeLaw, needs: Sequence[str], of_laws: set[str]
 ) -> None:
     """Refuse an edge from a node to itself, without a number that its law needs, or with one of
-    the keys ``of_laws`` that only another law takes.
+    the keys ``of_laws`` that only another law takes. An edge on a map may keep the gain that it
+    had before it was measured.
     """
     if edge.from_ == edge.to:
         raise ValueError(f"an edge joins two different nodes, not {edge.to} with itself")
     for need in needs:
         if getattr(edge, need) is None:
             raise ValueError(f"law '{law.name}' needs '{need}'")
+    if law.name == "map":
+        return
     takes = (*needs, *law.takes)
     for key in sorted(edge.model_fields_set & of_laws - set(takes)):
         if getattr(edge, key) is not None:
-            own = ", ".join(takes) or "none: its flow is the measured map"
+            own = ", ".join(takes)
             raise Misplaced(f"law '{law.name}' takes no '{key}'; its own keys: {own}", key)
 
 

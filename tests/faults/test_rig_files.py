@@ -408,12 +408,6 @@ SATURATING = EDGE.replace('"orifice"', '"saturating"')
             "law 'orifice' takes no 'opening_max'; its own keys: flow_gain",
             "edge = [",
         ),
-        (
-            EDGE,
-            EDGE.replace('"orifice"', '"map"'),
-            "law 'map' takes no 'flow_gain'; its own keys: none: its flow is the measured map",
-            "edge = [",
-        ),
     ),
 )
 def test_a_nonsense_part_is_refused_in_one_sentence(tmp_path, old, new, words, line):
