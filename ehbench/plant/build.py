@@ -26,7 +26,7 @@ from ehbench.parts.valve import ELEMENT, VALVE
 from ehbench.physics import arm
 from ehbench.physics.cylinder import DIRECT, PINS, joint_angle, linkage
 from ehbench.physics.flow_map import FlowMap, ValveMaps, pack
-from ehbench.plant.layout import SIDES, Layout, Offsets, layout
+from ehbench.plant.layout import SIDES, Layout, Offsets
 from ehbench.rig import Chain, Cylinder, Edge, FixedEdge, Rig, Slide, Value
 
 Maps = Mapping[str, ValveMaps]
@@ -90,18 +90,18 @@ class Plant(NamedTuple):
         return self._replace(supply=line[0], nodes=nodes)
 
 
-def build(rig: Rig, maps: Maps | None = None) -> Plant:
+def build(rig: Rig, names: Layout, maps: Maps | None = None) -> Plant:
     """The compiled form of a rig.
 
     Args:
         rig: with its payload already applied (``rig.with_payload``).
+        names: its layout.
         maps: measured flow maps by edge name (``edge`` or ``cylinder.edge``); they replace the
             edge's analytic law.
 
     Raises:
         InputError: an edge asks for a map that is not given.
     """
-    names = layout(rig)
     kind, links, up = _mechanism(rig)
     edge_rows, data = _edges(rig, names, maps or {})
     valve_rows, elements = _valves(rig, names)
@@ -222,14 +222,14 @@ def _mobility(
     """
     kind, links = mechanism
     n = links.shape[0]
-    mass, work, most = np.empty((n, n)), np.empty(arm.work_size(n)), 0.0
-    for angle in joint_angle(*pins, np.linspace(0.0, stroke, 5)):
-        q = np.zeros(n)
+    angles = joint_angle(*pins, np.linspace(0.0, stroke, 5))
+    mass, work, q = np.empty((angles.size, n, n)), np.empty(arm.work_size(n)), np.zeros(n)
+    for one, angle in zip(mass, angles, strict=True):
         q[joint] = angle
-        arm.mass_matrix(kind, links, q, mass, work)
-        _, lever, _ = linkage(*pins, angle)
-        most = max(most, lever**2 * float(np.linalg.inv(mass)[joint, joint]))
-    return most
+        arm.mass_matrix(kind, links, q, one, work)
+    free = np.linalg.inv(mass)[:, joint, joint].tolist()
+    levers = (linkage(*pins, angle)[1] for angle in angles.tolist())
+    return max(lever**2 * per for lever, per in zip(levers, free, strict=True))
 
 
 def _nodes(rig: Rig, names: Layout) -> np.recarray:
