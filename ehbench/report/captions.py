@@ -4,13 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ehbench.report.words import interval, number, pretty, shown, unit_of, with_error
+from ehbench.report.saved import Table
+from ehbench.report.words import estimate, interval, number, pretty, shown, unit_of, with_error
 from ehbench.rig import Rig
 
 
-def plus(rig: Rig, name: str, value: float | None, std: float | None) -> str:
-    """An SI value with its standard error, in the rig's unit of the quantity."""
-    return with_error(*(None if v is None else float(shown(rig, name, v)) for v in (value, std)))
+def plus(rig: Rig, name: str, value: float | None, half: float | None) -> str:
+    """An SI value with half the width of its 95 % interval, in the rig's unit of the quantity."""
+    return with_error(*(None if v is None else float(shown(rig, name, v)) for v in (value, half)))
+
+
+def as_fitted(rig: Rig, name: str, one: Table) -> str:
+    """What a fit found of a parameter, in the rig's unit: ``value`` with ± half its ``interval``
+    where that lies about the value, else the value alone.
+    """
+    ends = (one.number("value"), *(one.get("interval") or (None, None)))
+    return estimate(*(None if v is None else float(shown(rig, name, v)) for v in ends))
 
 
 def range_of(rig: Rig, name: str, ends: Sequence[float | None] | None) -> str:

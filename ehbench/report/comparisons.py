@@ -14,6 +14,7 @@ from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
 from ehbench.report.words import interval, pretty, unit_of, words
 from ehbench.rig import Rig
+from ehbench.terms import Z95
 
 _TWINS = {"x": "q", "v": "qd"}  # a joint's angle and its cylinder's stroke say the same
 
@@ -56,7 +57,7 @@ def ringing_table(
 ) -> Grid:
     """Ringing of recorded and simulated transients, a row each, with the log's name if asked."""
     unit = pretty(unit_of(rig, "natural_frequency"))
-    omega = "ωₙ" + (f" [{unit}]" if unit else "")
+    omega = "fₙ" + (f" [{unit}]" if unit else "")
     head = [
         *(["log"] if with_log else []),
         "cylinder",
@@ -79,6 +80,8 @@ def _ringing_row(rig: Rig, one: Table) -> list[Cell | str]:
         for side in ("recorded", "simulated"):
             ring = one[side]
             value = ring.get(key)
-            text = plus(rig, key, value, ring.get(f"{key}_std")) if value is not None else "–"
+            std = ring.get(f"{key}_std")
+            half = None if std is None else Z95 * std
+            text = plus(rig, key, value, half) if value is not None else "–"
             cells.append(Cell(text, "number", hint=ring.get("reason", "")))
     return cells

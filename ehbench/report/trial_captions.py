@@ -51,7 +51,10 @@ def tracking_caption(rig: Rig, row: Table) -> str:
 def limits_caption(row: Table) -> str:
     """Share of the time that edges were at each limit; nothing where they never were."""
     met = {name: share for name, share in row.get("limits", {}).items() if share > 0.0}
-    shares = [f"{words(name)} {percent(share)} of the time" for name, share in met.items()]
+    shares = [
+        f"{words(name)} {percent(share)} of the time ({codes.LIMITS_MEAN.get(name, 'a limit')})"
+        for name, share in met.items()
+    ]
     return "; at a limit: " + ", ".join(shares) if shares else ""
 
 

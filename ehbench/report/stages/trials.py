@@ -103,7 +103,7 @@ def _each_trial(cases: Sequence[Case], pictures: Pictures) -> list[Block]:
             *pictures(FigureKey("trial", case=name)),
             *pictures(FigureKey("estimates", case=name)),
         ]
-        if any(picture.named for picture in drawn):
+        if any(picture.named is not None for picture in drawn):
             open_ones += drawn
         else:
             folds.append(Fold(f"{name}, on the {case.row['on']}", drawn))
