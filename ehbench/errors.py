@@ -67,3 +67,7 @@ class SimulationError(EhbenchError):
     """A simulation left the range in which its numbers mean anything (exit 5)."""
 
     exit_code = 5
+
+
+class Terminated(SystemExit):
+    """The process was asked to end (SIGTERM): what is under way is cleared, and nothing blamed."""

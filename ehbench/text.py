@@ -12,8 +12,13 @@ def quoted(text: str) -> str:
 
 
 def shortened(value: Any, most: int) -> str:
-    """A value as Python writes it, cut where it would take ``most`` characters."""
-    text = repr(value)
+    """A value as Python writes it, cut where it would take ``most`` characters; only its type where
+    that fails.
+    """
+    try:
+        text = repr(value)
+    except Exception:
+        text = f"<{type(value).__name__}>"
     return text if len(text) < most else text[: most - 3] + "…"
 
 

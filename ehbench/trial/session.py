@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ehbench.codes import HOLD
-from ehbench.errors import SimulationError
+from ehbench.errors import InputError, SimulationError
 from ehbench.machines.protocol import Machine, advance_of, truth_of
 from ehbench.machines.rows import NO_LIMITS, LawRows, control, violated
 from ehbench.record import Record
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from ehbench.logs import LogWriter
 
 RUN_OUT = 0.3  # [s] logged after a stop, valves at rest
+PATIENCE = 20.0  # [s] of wall time after which a class's pace is judged
+LONGEST_TRIAL = 36e3  # [s] of wall time that a class may make of a trial
 CHUNK = 1000  # ticks between two reports of progress
 WAIT = 0.2  # [s] of wall time after which rows go to the log, however few
 SYNC = 0.7  # [s] of wall time between two syncs of the log: with WAIT, less than a second is lost
@@ -77,9 +80,14 @@ class Session:
             SimulationError: the numbers left the finite range.
             InputError: a user's class raised, or gave no commands.
         """
+        with self.law.watched() if isinstance(self.law, UserCode) else nullcontext():
+            self._run(log, progress)
+
+    def _run(self, log: LiveLog | None, progress: Callable[[str, float], None] | None) -> None:
         first, rate = 0, self.machine.rate
         if isinstance(self.law, UserCode):
             self.law.start(self.rows.sample)
+        begun = time.monotonic()
         while first < self.end:
             stopped_at, upto = self._through(first, min(first + CHUNK, self.end))
             if not np.isfinite(self.rows.sample).all():
@@ -92,8 +100,27 @@ class Session:
             if log is not None:
                 log.add(self.rows.t[first:upto], self.channels(slice(first, upto)))
             first = upto
+            said = self._pace(first, time.monotonic() - begun)
             if progress is not None:
-                progress("", first / self.end)
+                progress(said, first / self.end)
+
+    def _pace(self, done: int, seconds: float) -> str:
+        """Words on a class that is slow to answer; refuses one that would take for ever.
+
+        Raises:
+            InputError: the trial would take longer than LONGEST_TRIAL.
+        """
+        if not isinstance(self.law, UserCode) or seconds < PATIENCE or done >= self.end:
+            return ""
+        left = (self.end - done) * seconds / done
+        said = f"{self.law.label} takes {seconds / done:.3g} s a tick, {left / 3600:.2g} h to go"
+        if left > LONGEST_TRIAL:
+            raise InputError(
+                said,
+                file=self.law.code.file,
+                hint="make its step faster, or the trial shorter",
+            )
+        return said if left > 60.0 else ""
 
     def _through(self, first: int, stop: int) -> tuple[int, int]:
         """Run rows from ``first`` on: the row at a limit, or −1, and the row up to which there are

@@ -766,8 +766,8 @@ def test_a_class_gets_its_gains_and_is_held_to_the_drivers_range(rig, tmp_path):
         "of its range",
     )
     assert facts.measures["gains"] == {"low_pressure": 2e5}, "numbers, SI"
-    assert np.array_equal(record["press.force"], record.t) and np.array_equal(
-        record["press.pressure_drop"], record["press.v_desired"]
+    assert np.array_equal(record["note.press.force"], record.t) and np.array_equal(
+        record["note.press.pressure_drop"], record["press.v_desired"]
     )
 
 
