@@ -255,8 +255,8 @@ _ROWS = [
         "m^3/(s*V*Pa^0.5)",
         "gpm/V/MPa^0.5",
         "flow coefficient of the orifice law",
-        0,
-        1,
+        1e-14,
+        1e-4,
     ),
     Quantity(
         "compensated_gain",

@@ -147,8 +147,15 @@ def parse(text: str, row: Quantity) -> float:
             hint=f'write it like "{match[1][:20]} {row.display}"',
         )
     value = float(to_si(number, unit, row))
-    plausible(value, row, text)
+    plausible(value, row, text.strip())
     return value
+
+
+def zero_of(text: str, row: Quantity) -> float:
+    """What "0" of the unit of a text is in SI of ``row``: 273.15 of ``"2 degC"``, else mostly 0."""
+    match = _NUMBER.match(text)
+    unit = match[2] if match else ""
+    return 0.0 if unit in ("", row.unit) else _affine(unit, row.unit)[1]
 
 
 def plausible(value: float, row: Quantity, shown: str) -> None:
@@ -162,7 +169,8 @@ def plausible(value: float, row: Quantity, shown: str) -> None:
             from_si(v, row.display, row) if abs(v) != float("inf") else v
             for v in (row.lower, row.upper)
         )
+        unit = "" if row.display == "dimensionless" else f" {row.display}"
         raise UnitError(
-            f"{row.name} = {shown} lies outside {low:g} to {high:g} {row.display}",
-            hint="check the unit and the sign",
+            f"{row.name} = {shown} lies outside {low:g} to {high:g}{unit}",
+            hint="check the unit and the sign" if unit else "check the number and its sign",
         )
