@@ -27,6 +27,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ehbench.disk import DATA, read_bytes
 from ehbench.errors import EhbenchError, InputError
 from ehbench.text import shortened_path
 
@@ -50,7 +51,7 @@ _LIBRARIES = (
 def sha256(path: Path) -> str:
     """SHA-256 of a file, or of a run folder's ``run.json``."""
     target = path / "run.json" if path.is_dir() else path
-    return hashlib.sha256(target.read_bytes()).hexdigest()
+    return hashlib.sha256(read_bytes(target, DATA)).hexdigest()
 
 
 @lru_cache(maxsize=1)
@@ -116,7 +117,7 @@ def read_json(path: Path) -> Any:
         InputError: not there or not JSON.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(read_bytes(path, DATA).decode("utf-8"))
     except FileNotFoundError:
         raise InputError(
             "no such file", file=path, hint="is this a finished run folder of the right stage?"
@@ -124,8 +125,6 @@ def read_json(path: Path) -> Any:
     except (ValueError, RecursionError) as error:
         reason = str(error) or "nested too deeply"
         raise InputError(f"not JSON: {reason}", file=path) from None
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", file=path) from None
 
 
 @dataclass
