@@ -31,7 +31,7 @@ class Command(FileModel):
     frequency: Annotated[Value, Q("frequency")] | None = None
     frequency_max: Annotated[Value, Q("frequency")] | None = None
     lines: int = Field(default=20, ge=1, le=1000)
-    seed: int = Field(default=0, ge=0)
+    seed: int = Field(default=0, ge=0, le=2**63 - 1)
     file: str | None = None
 
     @model_validator(mode="after")
@@ -218,7 +218,7 @@ class AnyTrial(Recipe):
     duration: Annotated[Value, Q("duration")] | None = None
     rate: Annotated[Value, Q("rate")] = Value(1000.0)
     step: Annotated[Value, Q("step")] = Value(5.0e-4)
-    seed: int = Field(default=0, ge=0)
+    seed: int = Field(default=0, ge=0, le=2**63 - 1)
     command: tuple[Command, ...] = ()
     limits: Limits = Limits()
 

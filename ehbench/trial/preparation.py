@@ -15,6 +15,7 @@ from ehbench.errors import InputError
 from ehbench.machines.protocol import Machine, truth_of
 from ehbench.machines.registry import open_machine
 from ehbench.machines.rows import COMMAND, LIMITS, MARGIN, Rows, limit_array, violated
+from ehbench.memory import MOST_STEPS, refuse_beyond, rows_of
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import TrialRecipe
 from ehbench.rig import Rig
@@ -184,13 +185,16 @@ def prepare(
         count = len(loop.references.table)
     else:
         assert recipe.duration is not None  # the recipe's model sees to it
-        count = round(float(recipe.duration) * rate) + 1
+        with controllers.located(recipe, "duration"):
+            count = rows_of(float(recipe.duration), rate) + 1
     if count < 2:
         raise InputError(
             "the trial is shorter than one sample",
             **recipe.at("duration"),
             hint="raise duration or rate",
         )
+    with controllers.located(recipe, "duration"):
+        _refuse_endless(recipe, rig, count)
     t = np.arange(count) / rate
     table = command_table(recipe, rig, t, () if loop is None else _taken(recipe, loop.design))
     machine = open_machine(recipe, rig, maps)
@@ -201,6 +205,27 @@ def prepare(
     if truth_of(machine) is not None:
         prepared.first_rows(machine)
     return prepared
+
+
+# [numbers] of a row beside those of each cylinder, valve and edge, in all copies of it
+_ROW, _EACH = 100, 30
+
+
+def _refuse_endless(recipe: TrialRecipe, rig: Rig, count: int) -> None:
+    """Refuse a trial that no memory holds, or that would compute for hours.
+
+    Raises:
+        InputError: says what it would take.
+    """
+    parts = len(rig.cylinder) + sum(1 for _ in rig.valves()) + sum(1 for _ in rig.edges())
+    waves = sum(entry.lines for entry in recipe.command if entry.kind == "multisine")
+    refuse_beyond(8.0 * count * (_ROW + _EACH * parts + 3 * waves), f"a trial of {count} samples")
+    steps = count * max(1.0, 1.0 / (float(recipe.rate) * float(recipe.step)))
+    if steps > MOST_STEPS:
+        raise InputError(
+            f"the trial would take {steps:.3g} steps of {float(recipe.step):g} s",
+            hint=f"up to {MOST_STEPS:g} are taken: make it shorter, or the step larger",
+        )
 
 
 def _loop(

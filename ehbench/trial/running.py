@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ehbench.codes import LIMITS as LIMIT_BITS
-from ehbench.errors import SimulationError
+from ehbench.errors import InputError, SimulationError
+from ehbench.logs import check_record
 from ehbench.machines.protocol import Machine, truth_of
 from ehbench.recipe import TrialRecipe
 from ehbench.record import Record
@@ -181,7 +182,15 @@ def _record(session: Session, meta: dict[str, str]) -> Record:
     if session.stop is not None:
         meta = meta | {"stopped": session.stop.sentence}
     whole = slice(0, session.end)
-    return Record(session.rows.t[whole], session.channels(whole), meta)
+    record = Record(session.rows.t[whole], session.channels(whole), meta)
+    try:
+        check_record(record)
+    except InputError as error:
+        raise SimulationError(
+            f"the trial ran away: {error.message}",
+            hint="take a smaller step, or set [limits]",
+        ) from None
+    return record
 
 
 def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
