@@ -709,6 +709,7 @@ _ROWS = [
         0,
         2e8,
     ),
+    Quantity("ramp", "T_r", "s", "ms", "time in which valves go to rest after a limit", 0, 10),
     Quantity(
         "dwell", "T_w", "s", "ms", "least time between two changes of the working function", 0, 1e3
     ),

@@ -47,6 +47,33 @@ class Stop:
 
 
 @dataclass(frozen=True)
+class Excess:
+    """How far a quantity went beyond its limit after a stop: limit, channel, the value [SI]
+    farthest out and the bound [SI].
+    """
+
+    limit: str
+    channel: str
+    value: float
+    bound: float
+
+
+@dataclass(frozen=True)
+class Aftermath:
+    """What a trial did after a limit had stopped it.
+
+    ``ramp`` [s] in which the valves went to rest; ``seconds`` [s] from the stop to the end of the
+    log; ``still`` whether it then stood; ``beyond`` what went beyond a limit, by limit and channel;
+    ``sentence`` says so in the units of the rig file."""
+
+    ramp: float
+    seconds: float
+    still: bool
+    beyond: tuple[Excess, ...]
+    sentence: str
+
+
+@dataclass(frozen=True)
 class Loop:
     """A closed loop before there is a machine: design model, references, and the law.
 
@@ -83,6 +110,21 @@ class Prepared:
     def duration(self) -> float:
         """Length [s] where no limit stops it."""
         return float(self.t[-1])
+
+    def shut_at_once(self, stop: Stop, command: np.ndarray) -> np.ndarray:
+        """True for the valves that go to rest without a ramp when a limit stopped the trial under a
+        command [V]: those that only bring oil, behind which no load is caught, and those that
+        bring it to the chamber whose pressure is too high.
+        """
+        full = stop.channel if stop.limit == "pressure_max" else ""
+        shut = []
+        for (cylinder, valve), volts in zip(self.rig.valves(), command.tolist(), strict=True):
+            own = [(edge.sign * volts > 0.0, {edge.from_, edge.to}) for edge in valve.edge]
+            fed = set().union(*(ends for is_open, ends in own if is_open and "supply" in ends))
+            drains = any("tank" in ends for _, ends in own)
+            into = full.removeprefix(f"{cylinder.name}.p_")
+            shut.append(bool(fed) and not drains or into in fed)
+        return np.array(shut)
 
     @property
     def low_side(self) -> float | None:
@@ -149,6 +191,49 @@ class Prepared:
             f"{unit}, at t = {t:.4g} s"
         )
         return Stop(LIMITS[which], channel, value, bound, t, sentence)
+
+    def aftermath(self, machine: Machine, rows: Rows, span: slice, still: bool) -> Aftermath:
+        """What the rows ``span`` after a stop say; ``still`` whether it stood at their end."""
+        ramp, beyond = float(self.recipe.limits.ramp), []
+        samples, bounds = rows.samples[span], dict(zip(LIMITS, self.limits.tolist(), strict=True))
+        for column, channel in enumerate(machine.channels):
+            word = channel.rsplit(".", 1)[-1]
+            values = samples[:, column]
+            if word in ("p_head", "p_rod"):
+                ends = [("pressure_max", values.max()), ("pressure_min", values.min())]
+            elif word == "x":
+                ends = [("stroke_margin", values.min()), ("stroke_margin", values.max())]
+            elif word == "v":
+                ends = [("speed_max", values[np.argmax(np.abs(values))])]
+            else:
+                continue
+            for at, (limit, value) in enumerate(ends):
+                bound = bounds[limit]
+                if limit == "stroke_margin" and at:
+                    bound = float(rows.strokes[_cylinder_of(machine, channel)]) - bound
+                below = limit == "pressure_min" or (limit == "stroke_margin" and not at)
+                if value < bound if below else abs(value) > bound:
+                    beyond.append(Excess(limit, channel, float(value), bound))
+        seconds = (span.stop - span.start - 1) / machine.rate
+        sentence = self._after(ramp, seconds, still, beyond)
+        return Aftermath(ramp, seconds, still, tuple(beyond), sentence)
+
+    def _after(self, ramp: float, seconds: float, still: bool, beyond: list[Excess]) -> str:
+        shut = f"within {ramp:.3g} s" if ramp else "at once"
+        stood = "it stood still" if still else "it still moved"
+        said = f"the valves went to rest {shut}, {seconds:.3g} s later {stood}"
+        for one in beyond:
+            word = one.channel.rsplit(".", 1)[-1]
+            unit = self.rig.unit_of(word)
+            value, bound = (from_si(v, unit, VOCABULARY[word]) for v in (one.value, one.bound))
+            said += f"; {one.channel} went to {value:.4g} {unit}, beyond {one.limit} ({bound:.4g})"
+        return said
+
+
+def _cylinder_of(machine: Machine, channel: str) -> int:
+    """The number of the cylinder that a channel of the sample is of."""
+    names = [name for name in machine.channels if name.endswith(".x")]
+    return names.index(channel)
 
 
 def prepare(

@@ -19,7 +19,7 @@ from ehbench.record import Record
 from ehbench.rig import Rig
 from ehbench.trial.controllers import Compiled
 from ehbench.trial.measures import step_measures, tracking_measures
-from ehbench.trial.preparation import Loop, Prepared, Stop, prepare
+from ehbench.trial.preparation import Aftermath, Loop, Prepared, Stop, prepare
 from ehbench.trial.session import LiveLog, Session
 from ehbench.trial.user_code import UserCode
 
@@ -34,9 +34,9 @@ Progress = Callable[[str, float], None]  # (what, share done from 0 to 1)
 class Facts:
     """What is to be said of a trial beside its record.
 
-    ``stopped`` is empty, or the sentence that says which limit stopped it; ``stop`` has the same as
-    numbers. ``measures`` says how well a controlled cylinder did and with which gains
-    (docs/trials.md), SI; empty without a controller. Its energies are the ledger's: see
+    ``stopped`` is empty, or says which limit stopped it and what came of it; ``stop`` and ``after``
+    have the same as numbers. ``measures`` says how well a controlled cylinder did and with which
+    gains (docs/trials.md), SI; empty without a controller. Its energies are the ledger's: see
     `ehbench.trial.accounts`."""
 
     on: str
@@ -48,6 +48,7 @@ class Facts:
     samples: int
     rate: float
     stop: Stop | None = None
+    after: Aftermath | None = None
     warnings: tuple[str, ...] = ()
     controller: str = ""
     cylinder: str = ""
@@ -55,8 +56,9 @@ class Facts:
 
     @property
     def stopped(self) -> str:
-        """Why the trial stopped, or ''."""
-        return "" if self.stop is None else self.stop.sentence
+        """Why the trial stopped and what came of it, or ''."""
+        told = [each.sentence for each in (self.stop, self.after) if each is not None]
+        return "; ".join(told)
 
     def with_energy(self, energy: Mapping[str, Any]) -> Facts:
         """The same with the energies of the controlled cylinder among its measures."""
@@ -92,7 +94,8 @@ def run_trial(
 
     On the model the record has all that `Model.record` gives; on the virtual bench only what a
     machine measures, and the commands; under a controller also its notes. When a limit is reached
-    the valves go to rest in that very tick, and RUN_OUT seconds more are logged.
+    the valves go to rest from that very tick on, in the recipe's ramp, and what follows is logged
+    until the machine stands, for RUN_OUT seconds at most.
 
     Args:
         rig: as the recipe names it.
@@ -216,6 +219,7 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
         record.t.size,
         rate,
         stop,
+        session.after,
         tuple(warnings),
         record.meta.get("controller", ""),
         record.meta.get("cylinder", ""),

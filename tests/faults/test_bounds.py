@@ -64,7 +64,9 @@ def test_a_trial_that_runs_away_ends_as_such(tmp_path):
     heavy = heavy.replace('"350 kg"', '"9e4 kg"').replace("relief_pressure", "# relief_pressure")
     (tmp_path / "rig.toml").write_text(heavy, encoding="utf-8")
     stop = STEP.replace("'2 V'", "'10 V'\nstop = '1.2 s'")
-    (tmp_path / "trial.toml").write_text(OPEN + "duration = '2 s'\nposture = { press = '20 mm' }\n" + stop)
+    (tmp_path / "trial.toml").write_text(
+        OPEN + "duration = '2 s'\nposture = { press = '20 mm' }\n" + stop
+    )
     with pytest.raises(SimulationError, match="the trial ran away: press.p_") as error:
         run_trial(load_rig(tmp_path / "rig.toml"), load_recipe(tmp_path / "trial.toml"))
     assert error.value.exit_code == 5 and "limits" in str(error.value.hint)
