@@ -10,6 +10,7 @@ from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
+from ehbench.disk import DATA, read_bytes
 from ehbench.errors import InputError
 from ehbench.recipe import Campaign
 from ehbench.report.blocks import (
@@ -32,6 +33,7 @@ from ehbench.report.rig_table import rig_table
 from ehbench.report.saved import Saved, Table
 from ehbench.report.stages import place_of, report_of
 from ehbench.report.stages.campaign import Titles, campaign_sections, heading
+from ehbench.report.svg import sound
 from ehbench.report.words import count, words
 
 
@@ -100,13 +102,15 @@ class RunPictures:
         ]
 
     def _inlined(self, place: int, entry: Table) -> Picture:
-        path = self._run.folder / "figures" / entry["file"]
+        path = self._run.folder / "figures" / Path(entry["file"]).name
         try:
-            svg = path.read_text(encoding="utf-8")
+            svg = sound(read_bytes(path, DATA).decode("utf-8"))
         except FileNotFoundError:
             raise InputError(
                 "no such file, but the run's figures/index.json names it", file=path
             ) from None
+        except ValueError as error:
+            raise InputError(f"is no figure: {error}", file=path) from None
         given = self._titles.of(self._run, entry["key"])
         title = entry["title"] if given is None else given
         drawn = inline(svg, f"{self._anchor}f{place}-", title, self._looks)
