@@ -4,7 +4,7 @@ BIN     = $(VENV)/bin
 CORES  ?= $(shell nproc 2>/dev/null || echo 2)
 CODE    = ehbench tests
 
-.PHONY: thesis test tests format lint types docs reference bench datasets setup requirements clean
+.PHONY: thesis test tests fuzz format lint types docs reference bench datasets setup requirements clean
 
 thesis: setup            ## run the whole thesis campaign and print the report's path
 	$(BIN)/ehbench reproduce thesis
@@ -13,6 +13,9 @@ test: format lint docs types tests  ## all gates: what must hold before a change
 
 tests: setup             ## the tests alone, in parallel
 	$(BIN)/python -m pytest -n $(CORES)
+
+fuzz: setup              ## 100 000 inputs made wrong on purpose, and what became of them
+	$(BIN)/python tests/fuzz/fuzzer.py
 
 format: setup            ## whether the formatter would change anything
 	$(BIN)/ruff format --check $(CODE)

@@ -10,8 +10,9 @@ from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
+from ehbench import rundir
 from ehbench.disk import DATA, read_bytes
-from ehbench.errors import InputError
+from ehbench.errors import EhbenchError, InputError
 from ehbench.recipe import Campaign
 from ehbench.report.blocks import (
     Block,
@@ -44,6 +45,28 @@ def build(folders: Sequence[Path], campaign: Campaign | None = None) -> str:
     Raises:
         InputError: a folder is no run, or a file lacks what its section needs; names file and key.
     """
+    try:
+        return _built(folders, campaign)
+    except EhbenchError:
+        raise
+    except Exception as error:
+        odd = next((folder for folder in folders if not _is_ours(folder)), None)
+        if odd is None:
+            raise
+        raise InputError(
+            f"is not as this version leaves a run: {type(error).__name__}",
+            file=odd,
+            hint="make the run again",
+        ) from error
+
+
+def _is_ours(folder: Path) -> bool:
+    """Whether a run is as this very code wrote it."""
+    facts = rundir.read_json(folder / "run.json")
+    return facts.get("code_sha256") == rundir.code_version() and rundir.is_whole(folder)
+
+
+def _built(folders: Sequence[Path], campaign: Campaign | None) -> str:
     runs = sorted((Saved(folder) for folder in folders), key=place_of)
     titles, looks = Titles(campaign), {}
     sections, glance = [], []
