@@ -270,8 +270,8 @@ _ROWS = [
         "m^3/(s*V*Pa^0.5)",
         "gpm/V/MPa^0.5",
         "flow coefficient of the orifice law",
-        0,
-        1,
+        1e-14,
+        1e-4,
     ),
     Quantity(
         "compensated_gain",
@@ -733,6 +733,7 @@ _ROWS = [
         0,
         2e8,
     ),
+    Quantity("ramp", "T_r", "s", "ms", "time in which valves go to rest after a limit", 0, 10),
     Quantity(
         "dwell", "T_w", "s", "ms", "least time between two changes of the working function", 0, 1e3
     ),
