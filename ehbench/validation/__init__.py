@@ -7,16 +7,15 @@ later corrects it. Errors are simulated minus recorded, in SI."""
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ehbench import signals
 from ehbench.errors import EhbenchError, InputError, LogError
-from ehbench.observations import TOGETHER, alternatives, least_change, payload_of
+from ehbench.observations import alternatives, least_change, payload_of
 from ehbench.plant.build import Maps
 from ehbench.plant.model import Model
 from ehbench.preprocessing import numbered, preprocess
@@ -35,6 +34,7 @@ from ehbench.validation.results import (
     Validation,
     read_validation,
 )
+from ehbench.validation.transients import transients_of, unjudged
 
 __all__ = [
     "ChannelResult",
@@ -294,7 +294,7 @@ def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogRe
         results.append(compare(record, model, name, pair))
         if results[-1].note:
             warnings.append(f"{name}: {results[-1].note}")
-    windows = [w for cylinder in moved for w in _transients(record, model, cylinder, pairs)]
+    windows = [w for cylinder in moved for w in transients_of(record, model, cylinder, pairs)]
     checks = checks_of(results, windows, asked, model.rig)
     if moved and not checks:
         warnings.append("no threshold applies to what the log shows, so nothing is judged on it")
@@ -303,7 +303,7 @@ def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogRe
         channels=tuple(results),
         transients=tuple(windows),
         checks=tuple(checks),
-        warnings=(*warnings, *_unclear(moved, windows)),
+        warnings=(*warnings, *unjudged(moved, windows)),
         series=_series(record, pairs),
     )
 
@@ -313,20 +313,6 @@ def _series(record: Record, pairs: Mapping[str, Pair]) -> dict[str, np.ndarray]:
     for name, pair in pairs.items():
         series |= {name: pair.recorded, f"simulated.{name}": pair.simulated}
     return series
-
-
-def _unclear(moved: Sequence[str], windows: Sequence[Transient]) -> Iterator[str]:
-    """A warning of each cylinder whose ringing cannot be judged."""
-    for cylinder in moved:
-        mine = [w for w in windows if w.cylinder == cylinder]
-        if not any(w.recorded.clear for w in mine):
-            why = (
-                f": {mine[0].recorded.reason or 'too few cycles'}" if mine else ": no command steps"
-            )
-            yield (
-                f"{cylinder} does not ring clearly in the recording{why}; natural frequency and "
-                "decay are not judged"
-            )
 
 
 def _moved(model: Model, record: Record) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -354,50 +340,3 @@ def _recorded(
     wanted = (f"{cylinder}.{word}" for cylinder in moved for word in channels)
     names = [name for channel in wanted for name in alternatives(channel)]
     return {"t": record.t} | {name: record[name] for name in names if name in record}
-
-
-def _transients(
-    record: Record, model: Model, cylinder: str, pairs: Mapping[str, Pair]
-) -> list[Transient]:
-    """The ringing after each change of the cylinder's own commands, until any command changes
-    again.
-    """
-    least = {f"{c.name}.{v.name}.command": least_change(v) for c, v in model.rig.valves()}
-    names = [f"{valve}.command" for valve in model.layout.valves if f"{valve}.command" in record]
-    given = np.column_stack([_held(record[name], least[name]) for name in names])
-    own = given[:, [name.startswith(f"{cylinder}.") for name in names]]
-    seen = [
-        pair
-        for channel, pair in pairs.items()
-        if channel.startswith(f"{cylinder}.") and _rings(channel)
-    ]
-    found = []
-    for window in signals.transients(record.t, given):
-        before = max(0, window.start - 1 - round(TOGETHER / record.sample_time))
-        if not seen or not np.any(own[window.start] != own[before : window.start]):
-            continue
-        t = record.t[window]
-        measured = np.column_stack([pair.recorded[window] for pair in seen])
-        modelled = np.column_stack([pair.simulated[window] for pair in seen])
-        recorded = signals.ringing(t, measured)
-        simulated = signals.ringing_like(t, modelled, recorded)
-        stop = recorded.stop if recorded.ok else float(t[-1])
-        found.append(Transient(cylinder, float(t[0]), stop, Ring.of(recorded), Ring.of(simulated)))
-    return found
-
-
-def _held(command: np.ndarray, span: float) -> np.ndarray:
-    """A command that keeps its value until it has changed by more than ``span`` [V], so that noise
-    makes no steps.
-    """
-    last, held = command[0], np.empty_like(command)
-    for i, value in enumerate(command.tolist()):
-        if abs(value - last) > span:
-            last = value
-        held[i] = last
-    return held
-
-
-def _rings(channel: str) -> bool:
-    """Whether oscillation shows in a channel; a position integrates it away."""
-    return channel.rsplit(".", 1)[1] in ("qd", "v", "p_head", "p_rod")

@@ -36,7 +36,9 @@ class ChannelResult:
 
     ``fit_percent`` is the NRMSE fit, None where the recording shows no motion; ``max_error`` the
     error largest in size, with its sign; ``derived`` says that the log has no such channel and both
-    sides were taken from the position's rate. ``note`` says in words why something is missing."""
+    sides were taken from the position's rate. ``noise_share`` is the recording's white noise over
+    its standard deviation: no model's fit is better than 100 (1 − it). ``note`` says in words why
+    something is missing."""
 
     channel: str
     unit: str
@@ -45,6 +47,7 @@ class ChannelResult:
     bias: float
     rms_error: float
     derived: bool = False
+    noise_share: float = 0.0
     autocorrelation: Correlation | None = None
     cross_correlation: tuple[Correlation, ...] = ()
     note: str = ""
@@ -89,7 +92,7 @@ class Ring:
 @dataclass(frozen=True)
 class Transient:
     """The ringing of a cylinder after a command change, recorded and simulated over the same window
-    [s].
+    [s]; ``note`` says why an oscillation that was found is not judged.
     """
 
     cylinder: str
@@ -97,6 +100,12 @@ class Transient:
     stop: float
     recorded: Ring
     simulated: Ring
+    note: str = ""
+
+    @property
+    def judged(self) -> bool:
+        """Whether the model is judged by this window."""
+        return self.recorded.clear and not self.note
 
 
 @dataclass(frozen=True)
