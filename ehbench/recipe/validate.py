@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from difflib import get_close_matches
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from ehbench.errors import InputError
-from ehbench.fields import FileModel, read_value
+from ehbench.fields import FileModel, Q, Value, read_value
 from ehbench.quantities import VOCABULARY
-from ehbench.recipe.base import DataFiles, Recipe
+from ehbench.recipe.base import DataFile, Recipe, data_file
 
 
 def _share(raw: Any) -> Any:
@@ -60,12 +61,40 @@ class Thresholds(FileModel):
             raise ValueError(str(error)) from None
 
 
+class JudgedFile(DataFile):
+    """A log to judge on; the model runs from ``start`` on, and what it does from ``score_start`` to
+    ``score_stop`` counts.
+    """
+
+    score_start: Annotated[Value, Q("start")] | None = Field(
+        default=None, description="from which time on the log counts; the model runs from `start`"
+    )
+    score_stop: Annotated[Value, Q("stop")] | None = Field(
+        default=None, description="up to which time it counts"
+    )
+
+    @property
+    def scored(self) -> tuple[float, float] | None:
+        """The part of the log that counts [s]; None for all of it."""
+        if self.score_start is None and self.score_stop is None:
+            return None
+        return (
+            -math.inf if self.score_start is None else float(self.score_start),
+            math.inf if self.score_stop is None else float(self.score_stop),
+        )
+
+
+JudgedFiles = Annotated[
+    tuple[Annotated[JudgedFile, BeforeValidator(data_file)], ...], Field(min_length=1)
+]
+
+
 class ValidateRecipe(Recipe):
     """An identified rig against logs it was not fitted to."""
 
     stage: Literal["validate"]
     rig: str
     flow_maps: str | None = None
-    data: DataFiles
+    data: JudgedFiles
     channels: tuple[str, ...] = ("q", "qd", "p_head", "p_rod")
     thresholds: Thresholds = Thresholds()

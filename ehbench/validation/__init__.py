@@ -22,13 +22,14 @@ from ehbench.preprocessing import numbered, preprocess
 from ehbench.recipe import Thresholds
 from ehbench.record import Record
 from ehbench.rig import Rig, Valve
-from ehbench.validation.checks import checks_of
+from ehbench.validation.checks import checks_of, unasked
 from ehbench.validation.residuals import Pair, compare, pair_of
 from ehbench.validation.results import (
     ChannelResult,
     Check,
     Correlation,
     LogResult,
+    Overlap,
     Ring,
     Transient,
     Validation,
@@ -41,6 +42,7 @@ __all__ = [
     "Check",
     "Correlation",
     "LogResult",
+    "Overlap",
     "PreparedValidation",
     "Ring",
     "TakenLog",
@@ -96,12 +98,15 @@ def validate_rig(
 class TakenLog:
     """A log as the judge takes it: evenly sampled, with the doubts about it.
 
-    ``fitted`` says that the model was fitted to it, ``failure`` why it cannot be judged."""
+    ``fitted`` says that the model was fitted to it, ``overlap`` to which of its samples,
+    ``scored`` which part [s] counts (None: all), ``failure`` why it cannot be judged."""
 
     name: str
     record: Record
     model: Model
     fitted: bool = False
+    scored: tuple[float, float] | None = None
+    overlap: tuple[Overlap, ...] = ()
     warnings: tuple[str, ...] = ()
     failure: LogError | None = None
 
@@ -166,17 +171,46 @@ def run_validation(
     )
 
 
-def taken_log(name: str, record: Record, model: Model, fitted: bool) -> TakenLog:
+def taken_log(
+    name: str,
+    record: Record,
+    model: Model,
+    fitted: bool = False,
+    scored: tuple[float, float] | None = None,
+    seen: Callable[[Record], tuple[Overlap, ...]] = lambda record: (),
+) -> TakenLog:
     """A log as the judge takes it.
 
+    Args:
+        name: of the log.
+        record: of the log.
+        model: with the log's payload.
+        fitted: whether the model was fitted to it, whatever its samples.
+        scored: the part [s] that counts, None for all of it.
+        seen: where a record has samples that the model was fitted to.
+
     Raises:
-        InputError: one that `preprocessing.preprocess` refuses.
+        InputError: one that `preprocessing.preprocess` refuses, or no samples in ``scored``.
     """
     try:
         record, warnings = preprocess(name, record, model)
     except LogError as error:
-        return TakenLog(name, record, model, fitted, failure=error)
-    return TakenLog(name, record, model, fitted, warnings)
+        return TakenLog(name, record, model, fitted, scored, failure=error)
+    counted = record if scored is None else _within(record, scored)
+    if counted.t.size < 3:
+        raise InputError(
+            f"{name}: no samples from score_start to score_stop",
+            hint=f"it runs from {record.t[0]:g} to {record.t[-1]:g} s",
+        )
+    overlap = seen(counted)
+    return TakenLog(name, record, model, fitted or bool(overlap), scored, overlap, warnings)
+
+
+def _within(record: Record, span: tuple[float, float]) -> Record:
+    """The part of a record from and to these times [s]."""
+    keep = (record.t >= span[0]) & (record.t <= span[1])
+    channels = {name: values[keep] for name, values in record.channels.items()}
+    return replace(record, t=record.t[keep], channels=channels)
 
 
 def models_of(
@@ -250,25 +284,20 @@ def _verdict(results: Sequence[LogResult]) -> tuple[list[str], list[str]]:
 
 def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogResult:
     record, model = log.record, log.model
-    moved, held = _moved(model, record)
+    counted = record if log.scored is None else _within(record, log.scored)
+    moved, held = _moved(model, counted)
     facts = LogResult(
         name=log.name,
         payload=payload_of(record) or "none",
         status="fitted" if log.fitted else "held_out" if moved else "still",
-        duration=float(np.ptp(record.t)) if record.t.size else 0.0,
+        duration=float(np.ptp(counted.t)) if counted.t.size else 0.0,
         sample_time=record.sample_time,
+        scored=None if log.scored is None else (float(counted.t[0]), float(counted.t[-1])),
+        overlap=log.overlap,
         moved=moved,
         held=held,
     )
-    warnings = list(log.warnings)
-    if log.fitted:
-        warnings.append(
-            "THE MODEL WAS FITTED TO THIS LOG: it is shown, and the verdict rests on the others"
-        )
-    if not moved:
-        warnings.append(
-            "the log carries no motion: no valve was commanded, so nothing is judged on it"
-        )
+    warnings = [*log.warnings, *_doubts(log, moved)]
     try:
         if log.failure is not None:
             raise LogError(str(log.failure).removeprefix(f"{log.name}: "))
@@ -281,20 +310,13 @@ def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogRe
             warnings=tuple(warnings),
             series=_recorded(record, moved, channels),
         )
-    pairs: dict[str, Pair] = {}
-    results = []
-    for wanted in (f"{cylinder}.{word}" for cylinder in moved for word in channels):
-        open_ = [name for name in alternatives(wanted) if name not in pairs]
-        both = ((name, pair_of(record, simulated, name)) for name in open_)
-        name, pair = next(((name, pair) for name, pair in both if pair), (wanted, None))
-        if pair is None:
-            warnings.append(f"the log has nothing to judge '{wanted}' by")
-            continue
-        pairs[name] = pair
-        results.append(compare(record, model, name, pair))
-        if results[-1].note:
-            warnings.append(f"{name}: {results[-1].note}")
-    windows = [w for cylinder in moved for w in transients_of(record, model, cylinder, pairs)]
+    whole, lacking = _pairs(record, simulated, moved, channels)
+    warnings += [f"the log has nothing to judge '{channel}' by" for channel in lacking]
+    keep = (record.t >= counted.t[0]) & (record.t <= counted.t[-1])
+    pairs = {name: pair.part(keep) for name, pair in whole.items()}
+    results = [compare(counted, model, name, pair) for name, pair in pairs.items()]
+    warnings += [f"{one.channel}: {one.note}" for one in results if one.note]
+    windows = [w for cylinder in moved for w in transients_of(counted, model, cylinder, pairs)]
     checks = checks_of(results, windows, asked, model.rig)
     if moved and not checks:
         warnings.append("no threshold applies to what the log shows, so nothing is judged on it")
@@ -303,9 +325,41 @@ def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogRe
         channels=tuple(results),
         transients=tuple(windows),
         checks=tuple(checks),
-        warnings=(*warnings, *unjudged(moved, windows)),
-        series=_series(record, pairs),
+        warnings=(*warnings, *unjudged(moved, windows), *unasked(results, asked, model.rig)),
+        series=_series(record, whole),
     )
+
+
+def _doubts(log: TakenLog, moved: Sequence[str]) -> list[str]:
+    """Why a log does not count, if it does not."""
+    told = []
+    if log.fitted:
+        when = ", ".join(f"{one.start:g} … {one.stop:g} s (of {one.log})" for one in log.overlap)
+        told.append(
+            "THE MODEL WAS FITTED TO THIS LOG"
+            + (f", to its samples at {when}" if when else "")
+            + ": it is shown, and the verdict rests on the others"
+        )
+    if not moved:
+        told.append("the log carries no motion: no valve was commanded, so nothing is judged on it")
+    return told
+
+
+def _pairs(
+    record: Record, simulated: Record, moved: Sequence[str], channels: Sequence[str]
+) -> tuple[dict[str, Pair], list[str]]:
+    """(recorded and simulated by channel, the channels that neither the log nor a stand-in has)."""
+    pairs: dict[str, Pair] = {}
+    lacking = []
+    for wanted in (f"{cylinder}.{word}" for cylinder in moved for word in channels):
+        open_ = [name for name in alternatives(wanted) if name not in pairs]
+        both = ((name, pair_of(record, simulated, name)) for name in open_)
+        name, pair = next(((name, pair) for name, pair in both if pair), (wanted, None))
+        if pair is None:
+            lacking.append(wanted)
+        else:
+            pairs[name] = pair
+    return pairs, lacking
 
 
 def _series(record: Record, pairs: Mapping[str, Pair]) -> dict[str, np.ndarray]:

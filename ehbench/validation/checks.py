@@ -14,6 +14,7 @@ from ehbench.rig import Rig
 from ehbench.units import from_si
 from ehbench.validation.results import ChannelResult, Check, Correlation, Ring, Transient
 
+POOR = 80.0  # percent of fit below which a position is told of although nobody asks
 NOISY = 5.0  # percent above the fit asked below which a recording's noise is allowed for
 
 
@@ -80,10 +81,9 @@ def _error_check(result: ChannelResult, asked: Thresholds, rig: Rig) -> Iterator
 
 
 def _residual_checks(result: ChannelResult, asked: Thresholds) -> Iterator[Check]:
-    own = (result.autocorrelation,) if result.autocorrelation else ()
     kinds: tuple[tuple[bool, str, tuple[Correlation, ...]], ...] = (
-        (asked.whiteness, "autocorrelation", own),
-        (asked.independence, "correlation with commands", result.cross_correlation),
+        (asked.whiteness, "autocorrelation", _own(result)),
+        (asked.independence, "correlation with commands", _crossed(result)),
     )
     for wanted, kind, found in kinds:
         if wanted and found:
@@ -94,6 +94,45 @@ def _residual_checks(result: ChannelResult, asked: Thresholds) -> Iterator[Check
             )
             what, passed = f"{result.channel} residual {kind}", reached <= asked.outside_percent
             yield Check(what, reached, asked.outside_percent, "percent", passed, sentence)
+
+
+def unasked(results: Sequence[ChannelResult], asked: Thresholds, rig: Rig) -> Iterator[str]:
+    """What is poor although no threshold asks for it: a position that is followed badly, residuals
+    outside of their bands.
+    """
+    for result in results:
+        word, reached = result.channel.rsplit(".", 1)[1], result.fit_percent
+        named = {word, STAND_INS.get(word, word)}
+        silent = not named & {*asked.fit_percent, *asked.max_error}
+        if word in ("q", "x") and silent and reached is not None and reached < POOR:
+            row, unit = quantity(word), rig.unit_of(word)
+            far = from_si(abs(result.max_error), unit, row)
+            yield (
+                f"{_words(result.channel)} fit is {reached:.3g} %, its error reaches {far:.3g} "
+                f"{unit}: no threshold asks for it (max_error or fit_percent of {word} would)"
+            )
+    for wanted, kind, found in (
+        (asked.whiteness, "residual autocorrelation", _own),
+        (asked.independence, "residual's correlation with commands", _crossed),
+    ):
+        outside = {
+            result.channel: max(one.outside_percent for one in found(result))
+            for result in results
+            if found(result)
+        }
+        outside = {name: share for name, share in outside.items() if share > asked.outside_percent}
+        if outside and not wanted:
+            told = ", ".join(f"{name} {share:.0f} %" for name, share in outside.items())
+            key = "whiteness" if found is _own else "independence"
+            yield f"{kind} leaves its band at {told} of the lags; {key} is not asked"
+
+
+def _own(result: ChannelResult) -> tuple[Correlation, ...]:
+    return (result.autocorrelation,) if result.autocorrelation else ()
+
+
+def _crossed(result: ChannelResult) -> tuple[Correlation, ...]:
+    return result.cross_correlation
 
 
 def _ringing_check(cylinder: str, key: str, windows: Sequence[Transient], limit: float) -> Check:

@@ -28,6 +28,10 @@ class Pair(NamedTuple):
     simulated: np.ndarray
     derived: bool
 
+    def part(self, keep: np.ndarray) -> Pair:
+        """The samples that are marked."""
+        return Pair(self.recorded[keep], self.simulated[keep], self.derived)
+
 
 def pair_of(record: Record, simulated: Record, channel: str) -> Pair | None:
     """Both sides of a channel, None if the log cannot give it."""

@@ -123,19 +123,34 @@ class Check:
 
 
 @dataclass(frozen=True)
+class Overlap:
+    """Samples of a log, from ``start`` to ``stop`` [s], that are those of ``log``, which the model
+    was fitted to.
+    """
+
+    log: str
+    start: float
+    stop: float
+    samples: int
+
+
+@dataclass(frozen=True)
 class LogResult:
     """One log. ``status``: ``held_out`` (it counts), ``fitted`` (the model was fitted to it),
     ``still``, or ``failed``.
 
-    ``moved`` cylinders had a valve commanded and are judged, ``held`` ones are not. ``failure``
-    says why a log could not be simulated. ``series`` are the recorded and, as
-    ``simulated.<channel>``, the simulated channels; it is not in the JSON."""
+    ``scored`` is the part [s] that is judged, None for all of it; ``overlap`` where the model was
+    fitted to its very samples. ``moved`` cylinders had a valve commanded and are judged, ``held``
+    ones are not. ``failure`` says why a log could not be simulated. ``series`` are the recorded
+    and, as ``simulated.<channel>``, the simulated channels; it is not in the JSON."""
 
     name: str
     payload: str
     status: str
     duration: float
     sample_time: float
+    scored: tuple[float, float] | None = None
+    overlap: tuple[Overlap, ...] = ()
     moved: tuple[str, ...] = ()
     held: tuple[str, ...] = ()
     channels: tuple[ChannelResult, ...] = ()
@@ -244,6 +259,7 @@ def read_validation(path: Path) -> Validation:
         nested = {
             "channels": [channel(c) for c in row["channels"]],
             "transients": [transient(w) for w in row["transients"]],
+            "overlap": many(Overlap, row.get("overlap", [])),
         }
         return made(LogResult, row | nested | {"checks": many(Check, row["checks"])})
 
