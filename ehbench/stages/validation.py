@@ -133,6 +133,11 @@ def _asked(recipe: ValidateRecipe, rig: Rig) -> list[str]:
     for name in ("natural_frequency", "damping_ratio"):
         if share := getattr(asked, f"{name}_error"):
             words.append(f"{name.replace('_', ' ')} within {100.0 * share:g} %")
+    for name in ("gain", "phase", "delay"):
+        most = getattr(asked, f"response_{name}_error")
+        if most is not None:
+            shown = f"{100.0 * most:g} %" if name == "gain" else in_rig_unit(rig, name, float(most))
+            words.append(f"{name} of the response to a sweep within {shown}")
     return words + [word for word in ("whiteness", "independence") if getattr(asked, word)]
 
 

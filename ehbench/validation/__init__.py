@@ -35,6 +35,7 @@ from ehbench.validation.results import (
     Validation,
     read_validation,
 )
+from ehbench.validation.sweeps import sweeps_of
 from ehbench.validation.transients import transients_of, unjudged
 
 __all__ = [
@@ -244,7 +245,9 @@ def models_of(
 def _plain(asked: Thresholds) -> dict[str, Any]:
     """The thresholds as plain values, in SI."""
     return asked.model_dump() | {
-        "max_error": {name: float(value) for name, value in asked.max_error.items()}
+        "max_error": {name: float(value) for name, value in asked.max_error.items()},
+        "response_phase_error": asked.response_phase_error and float(asked.response_phase_error),
+        "response_delay_error": asked.response_delay_error and float(asked.response_delay_error),
     }
 
 
@@ -317,13 +320,19 @@ def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogRe
     results = [compare(counted, model, name, pair) for name, pair in pairs.items()]
     warnings += [f"{one.channel}: {one.note}" for one in results if one.note]
     windows = [w for cylinder in moved for w in transients_of(counted, model, cylinder, pairs)]
-    checks = checks_of(results, windows, asked, model.rig)
+    sweeps = [
+        sweep
+        for cylinder in moved
+        for sweep in sweeps_of(counted, model, cylinder, pairs, asked.response_coherence)
+    ]
+    checks = checks_of(results, windows, sweeps, asked, model.rig)
     if moved and not checks:
         warnings.append("no threshold applies to what the log shows, so nothing is judged on it")
     return replace(
         facts,
         channels=tuple(results),
         transients=tuple(windows),
+        sweeps=tuple(sweeps),
         checks=tuple(checks),
         warnings=(*warnings, *unjudged(moved, windows), *unasked(results, asked, model.rig)),
         series=_series(record, whole),

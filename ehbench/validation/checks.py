@@ -12,16 +12,22 @@ from ehbench.quantities import quantity
 from ehbench.recipe import Thresholds
 from ehbench.rig import Rig
 from ehbench.units import from_si
-from ehbench.validation.results import ChannelResult, Check, Correlation, Ring, Transient
+from ehbench.validation.results import ChannelResult, Check, Correlation, Ring, Sweep, Transient
 
 POOR = 80.0  # percent of fit below which a position is told of although nobody asks
 NOISY = 5.0  # percent above the fit asked below which a recording's noise is allowed for
 
 
 def checks_of(
-    results: Sequence[ChannelResult], windows: Sequence[Transient], asked: Thresholds, rig: Rig
+    results: Sequence[ChannelResult],
+    windows: Sequence[Transient],
+    sweeps: Sequence[Sweep],
+    asked: Thresholds,
+    rig: Rig,
 ) -> list[Check]:
-    """Every check that a log supports: channel by channel, then cylinder by cylinder."""
+    """Every check that a log supports: channel by channel, then cylinder by cylinder, then the
+    responses to commands that sweep.
+    """
     checks = []
     for result in results:
         checks += [
@@ -38,7 +44,30 @@ def checks_of(
         ):
             if limit is not None:
                 checks.append(_ringing_check(cylinder, key, group, limit))
-    return checks
+    return checks + [check for sweep in sweeps for check in _sweep_checks(sweep, asked)]
+
+
+def _sweep_checks(sweep: Sweep, asked: Thresholds) -> Iterator[Check]:
+    """Gain, phase and delay of a channel's response to its command."""
+    band = f"over {sweep.band[0]:.3g} … {sweep.band[1]:.3g} Hz"
+    for what, reached, limit, unit, (shown, factor) in (
+        ("gain", sweep.gain_error, asked.response_gain_error, "share", ("%", 100.0)),
+        ("phase", sweep.phase_error, asked.response_phase_error, "rad", ("°", 180.0 / math.pi)),
+        ("delay", sweep.delay_error, asked.response_delay_error, "s", ("ms", 1000.0)),
+    ):
+        if limit is None:
+            continue
+        most, name = float(limit), f"{_words(sweep.channel)} {what} of the response"
+        if reached is None:
+            sentence = f"{name}: the recording answers the sweep {band}, the model does not"
+        else:
+            gap = "" if shown == "°" else " "
+            sentence = (
+                f"{name} is off by {factor * reached:.3g}{gap}{shown} {band}; "
+                f"{factor * most:.3g}{gap}{shown} is allowed"
+            )
+        passed = reached is not None and reached <= most
+        yield Check(f"{sweep.channel} response {what}", reached, most, unit, passed, sentence)
 
 
 def _fit_check(result: ChannelResult, asked: Thresholds) -> Iterator[Check]:
@@ -113,7 +142,7 @@ def unasked(results: Sequence[ChannelResult], asked: Thresholds, rig: Rig) -> It
             )
     for wanted, kind, found in (
         (asked.whiteness, "residual autocorrelation", _own),
-        (asked.independence, "residual's correlation with commands", _crossed),
+        (asked.independence, "residual correlation with commands", _crossed),
     ):
         outside = {
             result.channel: max(one.outside_percent for one in found(result))

@@ -109,6 +109,45 @@ class Transient:
 
 
 @dataclass(frozen=True)
+class SweepCurve:
+    """A frequency response at ``frequency`` [Hz]: ``gain`` in SI of output over input, ``phase``
+    [deg], ``coherence``, and where it is ``coherent`` enough to count.
+    """
+
+    frequency: tuple[float | None, ...]
+    gain: tuple[float | None, ...]
+    phase: tuple[float | None, ...]
+    coherence: tuple[float | None, ...]
+    coherent: tuple[bool, ...]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The frequency response of a channel to a command that sweeps, recorded and simulated.
+
+    ``band`` [Hz] holds the ``frequencies`` that count; ``averages`` is how many independent
+    segments there are. Pairs are (recorded, simulated): mean ``coherence`` in the band, and
+    ``delay`` [s], the mean slope of the phase there. ``gain_ratio`` is the median of simulated over
+    recorded gain; ``gain_error`` (a share) and ``phase_error`` [rad] are root mean squares over the
+    band, ``delay_error`` [s] the difference, all beyond what the errors of the recording's response
+    make. None: the model does not answer."""
+
+    input: str
+    channel: str
+    band: tuple[float, float]
+    frequencies: int
+    averages: float
+    coherence: tuple[float, float | None]
+    delay: tuple[float, float | None]
+    recorded: SweepCurve
+    simulated: SweepCurve | None = None
+    gain_ratio: float | None = None
+    gain_error: float | None = None
+    phase_error: float | None = None
+    delay_error: float | None = None
+
+
+@dataclass(frozen=True)
 class Check:
     """One thing asked of the model on one log: what was reached (None: nothing to compare) and what
     was asked.
@@ -155,6 +194,7 @@ class LogResult:
     held: tuple[str, ...] = ()
     channels: tuple[ChannelResult, ...] = ()
     transients: tuple[Transient, ...] = ()
+    sweeps: tuple[Sweep, ...] = ()
     checks: tuple[Check, ...] = ()
     failure: str = ""
     warnings: tuple[str, ...] = ()
@@ -255,10 +295,17 @@ def read_validation(path: Path) -> Validation:
             Transient, row | {side: made(Ring, row[side]) for side in ("recorded", "simulated")}
         )
 
+    def sweep(row: dict[str, Any]) -> Sweep:
+        curves = {
+            side: row[side] and made(SweepCurve, row[side]) for side in ("recorded", "simulated")
+        }
+        return made(Sweep, row | curves)
+
     def log(row: dict[str, Any]) -> LogResult:
         nested = {
             "channels": [channel(c) for c in row["channels"]],
             "transients": [transient(w) for w in row["transients"]],
+            "sweeps": [sweep(w) for w in row.get("sweeps", [])],
             "overlap": many(Overlap, row.get("overlap", [])),
         }
         return made(LogResult, row | nested | {"checks": many(Check, row["checks"])})
