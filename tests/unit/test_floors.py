@@ -22,7 +22,7 @@ FLOORS = [
     {"plant"},
     {"machines"},
     {"ledger", "observations", "preprocessing"},
-    {"response"},
+    {"response", "structure"},
     {"identification", "validation", "tune", "trial", "report"},
     {"stages"},
     {"workflow", "starter"},

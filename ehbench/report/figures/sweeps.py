@@ -60,7 +60,7 @@ def _curves(axes: np.ndarray, rig: Rig, sweep: Table, side: str, look: dict) -> 
             continue
         if row == "phase" and side == "simulated":
             values = _beside(values, np.array(sweep["recorded"][row], float))
-        ax.plot(frequency, np.where(coherent, values, np.nan), **look)
+        ax.plot(frequency[coherent], values[coherent], **look)
 
 
 def _beside(phase: np.ndarray, other: np.ndarray) -> np.ndarray:
