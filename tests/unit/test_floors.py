@@ -22,6 +22,7 @@ FLOORS = [
     {"plant"},
     {"machines"},
     {"ledger", "observations", "preprocessing"},
+    {"response", "structure"},
     {"identification", "validation", "tune", "trial", "report"},
     {"stages"},
     {"workflow", "starter"},
