@@ -22,6 +22,7 @@ FLOORS = [
     {"plant"},
     {"machines"},
     {"ledger", "observations", "preprocessing"},
+    {"starts"},
     {"identification", "validation", "tune", "trial", "report"},
     {"stages"},
     {"workflow", "starter"},
