@@ -4,7 +4,7 @@ BIN     = $(VENV)/bin
 CORES  ?= $(shell nproc 2>/dev/null || echo 2)
 CODE    = ehbench tests
 
-.PHONY: thesis test tests format lint types docs reference bench datasets setup requirements clean
+.PHONY: thesis test tests format lint types docs reference bench study datasets setup requirements clean
 
 thesis: setup            ## run the whole thesis campaign and print the report's path
 	$(BIN)/ehbench reproduce thesis
@@ -31,6 +31,9 @@ reference: setup         ## write these tables anew
 
 bench: setup             ## measure speed and accuracy, print the table
 	$(BIN)/python -m ehbench.benchmark
+
+study: setup             ## whether 95 % intervals hold the truth, over random rigs; some 20 minutes
+	CORES=$(CORES) $(BIN)/python -m ehbench.study
 
 datasets: setup          ## let the virtual bench record datasets/ again, byte for byte
 	$(BIN)/python -m ehbench.datasets

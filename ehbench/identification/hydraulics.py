@@ -63,6 +63,8 @@ class FitOptions:
     Args:
         method: ``output_error`` or ``thesis``.
         start, lower, upper: SI numbers or texts with unit, by parameter name.
+        prior: standard deviations about the rig's values that are known beside the data, likewise,
+            or as a share such as ``"3 %"``; output error only.
         channels: what to compare, of every cylinder that moves or is asked to, or full names. Rates
             and pressures by default: an angle is the integral of the flow map's error.
         cutoff: low-pass [Hz] on recorded and simulated alike; output error only.
@@ -75,6 +77,7 @@ class FitOptions:
     start: Mapping[str, str | float] = field(default_factory=dict)
     lower: Mapping[str, str | float] = field(default_factory=dict)
     upper: Mapping[str, str | float] = field(default_factory=dict)
+    prior: Mapping[str, str | float] = field(default_factory=dict)
     channels: Sequence[str] = CHANNELS
     cutoff: float | None = None
     max_iterations: int = 30
@@ -143,7 +146,7 @@ def prepare_fit(
         raise InputError(f"unknown method '{asked.method}'", hint="output_error or thesis")
     if not records or len({name for name, _ in records}) < len(records):
         raise InputError("identification needs at least one log, each with a name of its own")
-    search = coordinates(rig, parameters, asked.start, asked.lower, asked.upper, where)
+    search = coordinates(rig, parameters, asked.start, asked.lower, asked.upper, where, asked.prior)
     logs = []
     for index, (name, record) in enumerate(records):
         try:
@@ -164,6 +167,10 @@ def prepare_fit(
             )
     if asked.method == "thesis":
         refuse_unmatched(search)
+        if asked.prior:
+            raise InputError(
+                "method 'thesis' takes no priors", **where("prior"), hint="use 'output_error'"
+            )
     return PreparedFit(rig, tuple(parameters), search, tuple(logs), asked, flow_maps)
 
 

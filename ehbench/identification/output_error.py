@@ -75,8 +75,8 @@ class OutputError:
         self.shifts = simulator.unshifted()
         self.free = list(range(len(search)))
         self.bound: list[int] = []
-        self.centre = np.array([c.of(c.start) for c in search])
-        self.sharpness = np.array([0.0 for c in search])
+        self.sharpness = np.array([c.sharpness if c.known else 0.0 for c in search])
+        self.centre = np.array([c.of(c.centre) if c.known else 0.0 for c in search])
         self.weight = 1.0
         self.iterations = 0
 
@@ -160,13 +160,15 @@ class OutputError:
                 for simulated, doubt in zip(row, log.start.doubts, strict=True)
             ]
             scale = self._per(self.scales, log)[:, None]
-            found.append(np.stack(columns, axis=-1) / scale if columns else left[..., :0, None])
+            found.append(
+                np.stack(columns, axis=-1) / scale if columns else left[..., None][..., :0]
+            )
         return found
 
     def scan(self) -> None:
         """A coarse look over bulk modulus and damping together, then over each other positive
-        parameter, on one log for each set of cylinders asked: least squares from far off could lock
-        on to the wrong cycle of the ringing."""
+        parameter without a prior, on one log for each set of cylinders asked: least squares from
+        far off could lock on to the wrong cycle of the ringing."""
         first: dict[tuple[str, ...], int] = {}
         for i, log in enumerate(self.simulator.logs):
             first.setdefault(log.asked, i)
@@ -176,7 +178,11 @@ class OutputError:
             for what in ("frequency", "decay")
         )
         low, high = np.array([c.bounds for c in self.search]).T
-        others = [[i] for i, c in enumerate(self.search) if c.log and i not in (*bulk, *damping)]
+        others = [
+            [i]
+            for i, c in enumerate(self.search)
+            if c.log and not c.known and i not in (*bulk, *damping)
+        ]
         for group in [bulk, *others] if bulk else others:
             ends = (
                 max(-SCAN, max(low[group] - self.theta[group])),
@@ -423,6 +429,7 @@ class OutputError:
                     interval=ends,
                     status=error.kind,
                     error_from=error.source,
+                    prior=c.prior if c.known else None,
                     from_data=error.from_data,
                     from_starts=error.from_starts,
                 )

@@ -281,6 +281,45 @@ def test_a_pair_that_only_works_together_is_told():
     assert sum(fit[name].value for name in pair) == pytest.approx(800.0, rel=0.05)
 
 
+def test_a_prior_is_shown_apart_from_the_data():
+    """With every flow gain known to 3 % and one of them off by that, bulk modulus and damping come
+    right, which they do not with the gains held; a prior beside strong data changes nothing.
+    """
+    truth = {"bulk_modulus": 9e8, "carriage.damping": 800.0}
+    machine, wrong = rig("slide_servo"), "press.servo_supply_head.flow_gain"
+    gains = {name: value for name, value in machine.parameters().items() if "flow_gain" in name}
+    off = machine.with_values({wrong: 1.03 * float(gains[wrong])})
+    logs = slide_logs(14)
+    held = identify(off, logs, SLIDE)
+    freed = identify(off, logs, [*SLIDE, *gains], prior=dict.fromkeys(gains, "3 %"))
+    for name, value in truth.items():
+        assert abs(held[name].value / value - 1.0) > 5.0 * abs(freed[name].value / value - 1.0)
+        assert covers(freed, (name, value))
+        assert (freed[name].prior, freed[name].from_data) == (None, 1.0)
+    told = freed[wrong]
+    assert told.value == pytest.approx(float(gains[wrong]), rel=3e-3)
+    assert told.prior == pytest.approx(0.03 * 1.03 * float(gains[wrong]))
+    assert told.from_data > 0.9
+    strong = identify(machine, logs, SLIDE, prior={"bulk_modulus": "90 MPa"})
+    assert strong["bulk_modulus"].prior == 9e7 and strong["bulk_modulus"].from_data > 0.999
+
+
+def test_a_prior_holds_what_the_data_do_not_tell():
+    """Slide damping and viscous friction are one number for the data: a prior on one tells both."""
+    pair = ["carriage.damping", "press.friction_viscous"]
+    fit = identify(
+        rig("slide_servo").with_values({"press.friction_viscous": 1.0}),
+        slide_logs(7),
+        ["bulk_modulus", *pair],
+        upper={"press.friction_viscous": 2000.0},
+        prior={"press.friction_viscous": "20 N*s/m"},
+    )
+    held = fit["press.friction_viscous"]
+    assert held.from_data < 0.05 and held.std == pytest.approx(20.0, rel=0.1)
+    assert abs(held.value - 1.0) < 20.0
+    assert fit["carriage.damping"].std == pytest.approx(20.0, rel=0.2)
+
+
 def test_a_rate_that_was_not_recorded_comes_from_the_position():
     logs = [
         (
@@ -406,6 +445,10 @@ def test_the_thesis_way_refuses_what_it_cannot():
         ({"parameters": ["press.leakage_head"]}, "starts at zero"),
         ({"method": "guess"}, "unknown method"),
         ({"channels": ["flow"]}, "none of flow"),
+        ({"prior": {"press.leakage_head": "3 %"}}, "not among the parameters"),
+        ({"prior": {"bulk_modulus": "0 %"}}, "says nothing of bulk_modulus"),
+        ({"prior": {"bulk_modulus": "3 kg"}}, "cannot be turned into Pa"),
+        ({"method": "thesis", "prior": {"bulk_modulus": "3 %"}}, "takes no priors"),
     ],
 )
 def test_bad_input_is_named(options, says):
