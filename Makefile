@@ -4,7 +4,7 @@ BIN     = $(VENV)/bin
 CORES  ?= $(shell nproc 2>/dev/null || echo 2)
 CODE    = ehbench tests
 
-.PHONY: thesis test tests format lint types docs reference bench study datasets setup requirements clean
+.PHONY: warm thesis test tests format lint types docs reference bench study datasets setup requirements clean
 
 thesis: setup            ## run the whole thesis campaign and print the report's path
 	$(BIN)/ehbench reproduce thesis
@@ -38,12 +38,16 @@ study: setup             ## whether 95 % intervals hold the truth, over random r
 datasets: setup          ## let the virtual bench record datasets/ again, byte for byte
 	$(BIN)/python -m ehbench.datasets
 
+warm: setup              ## compile the kernels again after a change to them
+	$(BIN)/python -m ehbench.warm
+
 setup: $(VENV)/.ready
 
 $(VENV)/.ready: requirements.txt pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps -e .
+	$(BIN)/python -m ehbench.warm
 	touch $@
 
 requirements:            ## pin again (needs uv); hashes only, no addresses

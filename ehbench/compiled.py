@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -154,5 +155,5 @@ def table(rows: int, layout: np.dtype) -> np.recarray:
 def table_of(rows: Sequence[Mapping[str, Any]], layout: np.dtype) -> np.recarray:
     """A table of rows given by the names of their fields; what a row does not name is zero."""
     names = layout.names or ()
-    values = [tuple(row.get(name, 0) for name in names) for row in rows]
+    values = [tuple(map(row.get, names, repeat(0))) for row in rows]
     return np.array(values, layout).view(np.recarray)

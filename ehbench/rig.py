@@ -30,6 +30,7 @@ from ehbench.fields import FileModel, Q, Value, one_of, scalars
 from ehbench.fields import read_value as read_value
 from ehbench.notebook import label, plural, shown, table
 from ehbench.parts.edge import FixedLawFields, FixedLawName, LawFields, LawName, edge_law
+from ehbench.parts.edge.law import EdgeLaw
 from ehbench.parts.friction import TABLES as FRICTIONS
 from ehbench.parts.friction.law import FrictionTable
 from ehbench.parts.valve import TABLES as DYNAMICS
@@ -146,8 +147,8 @@ class MeteringEdge(FileModel):
 
     ``law`` is one of `ehbench.parts.edge`, which brings keys of its own. law ``map`` is a measured
     flow map, from the recipe's ``flow_maps`` or the run behind the rig; where one is given it goes
-    before the other laws, too. ``sign`` −1 opens the edge on negative commands. ``reverse`` says
-    what a reversed drop does: ``mirror`` or ``blocked``."""
+    before the other laws, too, its flow multiplied by ``map_factor``. ``sign`` −1 opens the edge on
+    negative commands. ``reverse`` says what a reversed drop does: ``mirror`` or ``blocked``."""
 
     name: Name | None = None
     from_: Literal["supply", "tank", "head", "rod"] = Field(alias="from")
@@ -156,6 +157,7 @@ class MeteringEdge(FileModel):
     sign: Literal[1, -1] = 1
     reverse: Literal["mirror", "blocked"] = "mirror"
     deadband: Annotated[Value, Q("deadband")] = Value(0.0)
+    map_factor: Annotated[Value, Q("map_factor")] = Value(1.0)
 
 
 class Edge(LawFields, MeteringEdge):
@@ -164,7 +166,7 @@ class Edge(LawFields, MeteringEdge):
     @model_validator(mode="after")
     def _law_is_whole(self) -> Edge:
         law = edge_law(self.law)
-        _must_be_whole(self, law.needs)
+        _must_be_whole(self, law, law.needs, set(LawFields.model_fields))
         if not law.metering and self.reverse == "blocked":
             raise Misplaced(
                 f"a {self.law} passes oil both ways; put a check valve beside it", "reverse"
@@ -198,13 +200,12 @@ class FixedEdge(FixedLawFields, UnmeteredEdge):
 
     @model_validator(mode="after")
     def _law_is_whole(self) -> FixedEdge:
-        _must_be_whole(self, edge_law(self.law).needs_fixed)
+        law = edge_law(self.law)
+        _must_be_whole(self, law, law.needs_fixed, set(FixedLawFields.model_fields))
         if (self.pilot is None) != (self.pilot_ratio is None):
             raise ValueError(
                 "a pilot-operated check valve takes pilot and pilot_ratio, another none"
             )
-        if self.pilot is not None and self.law != "check":
-            raise Misplaced("only a check valve has a pilot", "pilot")
         if self.pilot == self.from_:
             raise Misplaced("the pilot is at 'from', where it opens nothing", "pilot")
         return self
@@ -215,13 +216,22 @@ class FixedEdge(FixedLawFields, UnmeteredEdge):
         return self.displacement if self.law == "pump" else self.orifice_gain
 
 
-def _must_be_whole(edge: Edge | FixedEdge, needs: Sequence[str]) -> None:
-    """Refuse an edge from a node to itself, or without a number that its law needs."""
+def _must_be_whole(
+    edge: Edge | FixedEdge, law: EdgeLaw, needs: Sequence[str], of_laws: set[str]
+) -> None:
+    """Refuse an edge from a node to itself, without a number that its law needs, or with one of
+    the keys ``of_laws`` that only another law takes.
+    """
     if edge.from_ == edge.to:
         raise ValueError(f"an edge joins two different nodes, not {edge.to} with itself")
     for need in needs:
         if getattr(edge, need) is None:
-            raise ValueError(f"law '{edge.law}' needs '{need}'")
+            raise ValueError(f"law '{law.name}' needs '{need}'")
+    takes = (*needs, *law.takes)
+    for key in sorted(edge.model_fields_set & of_laws - set(takes)):
+        if getattr(edge, key) is not None:
+            own = ", ".join(takes) or "none: its flow is the measured map"
+            raise Misplaced(f"law '{law.name}' takes no '{key}'; its own keys: {own}", key)
 
 
 class Valve(FileModel):

@@ -33,7 +33,8 @@ from ehbench.identification.results import (
 from ehbench.identification.search import Coordinate, Where, coordinates
 from ehbench.identification.simulator import Log, Simulator, prepare
 from ehbench.observations import payload_of
-from ehbench.plant.build import Maps
+from ehbench.parts.edge import edge_law
+from ehbench.plant.build import Maps, map_of
 from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model
 from ehbench.record import Record
@@ -146,6 +147,7 @@ def prepare_fit(
         raise InputError(f"unknown method '{asked.method}'", hint="output_error or thesis")
     if not records or len({name for name, _ in records}) < len(records):
         raise InputError("identification needs at least one log, each with a name of its own")
+    _refuse_inert(rig, parameters, flow_maps, where)
     search = coordinates(rig, parameters, asked.start, asked.lower, asked.upper, where, asked.prior)
     logs = []
     for index, (name, record) in enumerate(records):
@@ -172,6 +174,30 @@ def prepare_fit(
                 "method 'thesis' takes no priors", **where("prior"), hint="use 'output_error'"
             )
     return PreparedFit(rig, tuple(parameters), search, tuple(logs), asked, flow_maps)
+
+
+def _refuse_inert(
+    rig: Rig, parameters: Sequence[str], flow_maps: Maps | None, where: Where
+) -> None:
+    """Refuse the law's numbers of an edge that goes by its measured map, and the factor of one that
+    does not.
+    """
+    for edge_name, edge in rig.all_edges().items():
+        measured = map_of(flow_maps, edge_name) is not None
+        for name in (one for one in parameters if one.rpartition(".")[0] == edge_name):
+            word = name.rpartition(".")[2]
+            if measured and word != "map_factor":
+                why, right = f"goes by its measured flow map, not by its {word}", "map_factor"
+            elif not measured and word == "map_factor":
+                needs = edge_law(edge.law).needs
+                why, right = "has no measured flow map", needs[0] if needs else "flow_gain"
+            else:
+                continue
+            raise InputError(
+                f"edge '{edge_name}' of rig '{rig.name}' {why}",
+                **where("parameters"),
+                hint=f"fit {edge_name}.{right}",
+            )
 
 
 def run_fit(prepared: PreparedFit, progress: Progress | None = None) -> HydraulicsFit:

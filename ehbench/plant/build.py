@@ -25,7 +25,7 @@ from ehbench.parts.valve import ELEMENT, VALVE
 from ehbench.physics import arm
 from ehbench.physics.cylinder import DIRECT, PINS, joint_angle, linkage
 from ehbench.physics.flow_map import FlowMap, ValveMaps, pack
-from ehbench.plant.layout import SIDES, Layout, Offsets, layout
+from ehbench.plant.layout import SIDES, Layout, Offsets
 from ehbench.rig import Chain, Cylinder, Edge, FixedEdge, Rig, Slide, Value
 
 Maps = Mapping[str, ValveMaps]
@@ -79,18 +79,18 @@ class Plant(NamedTuple):
         return self._replace(supply=line[0], nodes=nodes)
 
 
-def build(rig: Rig, maps: Maps | None = None) -> Plant:
+def build(rig: Rig, names: Layout, maps: Maps | None = None) -> Plant:
     """The compiled form of a rig.
 
     Args:
         rig: with its payload already applied (``rig.with_payload``).
+        names: its layout.
         maps: measured flow maps by edge name (``edge`` or ``cylinder.edge``); they replace the
             edge's analytic law.
 
     Raises:
         InputError: an edge asks for a map that is not given.
     """
-    names = layout(rig)
     kind, links, up = _mechanism(rig)
     edge_rows, data = _edges(rig, names, maps or {})
     valve_rows, elements = _valves(rig, names)
@@ -207,14 +207,14 @@ def _mobility(
     """
     kind, links = mechanism
     n = links.shape[0]
-    mass, work, most = np.empty((n, n)), np.empty(arm.work_size(n)), 0.0
-    for angle in joint_angle(*pins, np.linspace(0.0, stroke, 5)):
-        q = np.zeros(n)
+    angles = joint_angle(*pins, np.linspace(0.0, stroke, 5))
+    mass, work, q = np.empty((angles.size, n, n)), np.empty(arm.work_size(n)), np.zeros(n)
+    for one, angle in zip(mass, angles, strict=True):
         q[joint] = angle
-        arm.mass_matrix(kind, links, q, mass, work)
-        _, lever, _ = linkage(*pins, angle)
-        most = max(most, lever**2 * float(np.linalg.inv(mass)[joint, joint]))
-    return most
+        arm.mass_matrix(kind, links, q, one, work)
+    free = np.linalg.inv(mass)[:, joint, joint].tolist()
+    levers = (linkage(*pins, angle)[1] for angle in angles.tolist())
+    return max(lever**2 * per for lever, per in zip(levers, free, strict=True))
 
 
 def _nodes(rig: Rig, names: Layout) -> np.recarray:
@@ -251,7 +251,7 @@ def _valves(rig: Rig, names: Layout) -> tuple[np.recarray, np.recarray]:
 def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray]:
     """(rows, packed flow maps)."""
     rows: list[dict[str, Any]] = []
-    packed: list[FlowMap] = []
+    packed: list[tuple[FlowMap, float]] = []
     for name, (item, valve, edge) in zip(names.edges, rig.edges(), strict=False):
         cylinder, given = names.cylinders.index(item.name), map_of(maps, name)
         if edge.law == "pump" and given is not None:
@@ -274,7 +274,11 @@ def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray
     rows += [
         _fixed(names, names.cylinders.index(item.name), edge) for item, edge in rig.fixed_edges()
     ]
-    data, offsets = pack(packed) if packed else (np.zeros(1), np.zeros(0, dtype=np.int64))
+    data, offsets = (
+        pack(*map(list, zip(*packed, strict=True)))
+        if packed
+        else (np.zeros(1), np.zeros(0, dtype=np.int64))
+    )
     for row in rows:
         for key in ("forward", "reverse"):
             row[key] = int(offsets[row[key]]) if row[key] >= 0 else -1
@@ -300,15 +304,19 @@ def map_of(maps: Maps | None, edge: str) -> ValveMaps | None:
     return maps.get(edge) or maps.get(edge.split(".", 1)[1])
 
 
-def _law(edge: Edge | FixedEdge, given: ValveMaps | None, packed: list[FlowMap]) -> dict[str, Any]:
-    """Fields of an edge's law; its maps go to ``packed``, their numbers there into the row."""
+def _law(
+    edge: Edge | FixedEdge, given: ValveMaps | None, packed: list[tuple[FlowMap, float]]
+) -> dict[str, Any]:
+    """Fields of an edge's law; its maps go to ``packed`` with the edge's factor, their numbers
+    there into the row.
+    """
     law = edges.edge_law("map" if given is not None else edge.law)
     row = {"law": edges.BY_NAME[law.name], "forward": -1, "reverse": -1} | law.pack(edge)
     for key in ("forward", "reverse"):
         one = getattr(given, key, None)
         if one is not None:
             row[key] = len(packed)
-            packed.append(one)
+            packed.append((one, float(edge.map_factor) if isinstance(edge, Edge) else 1.0))
     return row
 
 

@@ -49,7 +49,8 @@ class Model:
             InputError: no such payload, or an edge without its map.
         """
         loaded = rig.with_payload(payload)
-        return cls(loaded, build(loaded, maps), layout(loaded))
+        names = layout(loaded)
+        return cls(loaded, build(loaded, names, maps), names)
 
     def stroke_range(self, index: int) -> tuple[float, float]:
         """Joint angle [rad] (or position [m]) at zero and at full stroke of cylinder ``index``."""
