@@ -16,6 +16,7 @@ import pytest
 from ehbench import rundir
 from ehbench.errors import InputError, InsufficientData
 from ehbench.identification.hydraulics import FitOptions, compare_dynamics, identify_hydraulics
+from ehbench.physics.flow_map import FlowMap, ValveMaps
 from ehbench.plant.model import simulate
 from ehbench.recipe import load_rig
 from ehbench.record import Record
@@ -318,6 +319,51 @@ def test_a_prior_holds_what_the_data_do_not_tell():
     assert held.from_data < 0.05 and held.std == pytest.approx(20.0, rel=0.1)
     assert abs(held.value - 1.0) < 20.0
     assert fit["carriage.damping"].std == pytest.approx(20.0, rel=0.2)
+
+
+def a_map(valve, most):
+    """A flow map that grows with opening and root of the drop up to ``most`` [m³/s] at 10 V and
+    10 MPa.
+    """
+    knots = np.linspace(1.0, 10.0, 5)
+    steps = np.outer(np.ones(5), np.linspace(1.0, 6.0, 6)) * most / 30.0
+    hull = (np.array([1.0, 10.0]), np.array([1e5, 1e5]), np.array([1e7, 1e7]))
+    table = (np.array([0.0, 10.0]), np.array([0.0, 3e3]), np.full((2, 2), 1e-7))
+    return ValveMaps(
+        FlowMap(valve, "forward", 1.0, (0.9, 1.1), knots, 1e7, 2e4, steps, *hull, *table, most)
+    )
+
+
+def test_a_measured_map_has_a_factor():
+    """The level of a map of another specimen comes back as its factor; the law's own gain, which
+    does nothing then, is refused, and so is the factor where there is no map.
+    """
+    machine, maps = rig("boom_four_valve"), {"boom.sh": a_map("sh", 1.2e-3)}
+    t = np.arange(801) * 1e-3
+    out, back = (t > 0.06) & (t < 0.24), (t > 0.44) & (t < 0.64)
+    volts = {
+        "boom.sh": 4.0 * out,
+        "boom.rt": 4.0 * out,
+        "boom.sr": 4.0 * back,
+        "boom.ht": 4.0 * back,
+    }
+    logs = []
+    for seed, share in enumerate((1.0, 1.3)):
+        commands = {valve: share * u for valve, u in volts.items()}
+        truth = machine.with_values({"boom.sh.map_factor": 1.06})
+        made = simulate(truth, commands, 0.8, flow_maps=maps)
+        logs.append((f"log {seed}", noisy(made, seed)))
+    factor = "boom.sh.map_factor"
+    fit = identify(machine, logs, ["bulk_modulus", factor], maps, prior={factor: "5 %"})
+    assert covers(fit, (factor, 1.06)) and covers(fit, ("bulk_modulus", 7e8))
+    assert fit[factor].std < 2e-3 and fit[factor].from_data > 0.9
+    assert float(fit.rig.parameters()[factor]) == fit[factor].value
+    with pytest.raises(InputError, match="goes by its measured flow map") as refused:
+        identify(machine, logs, ["boom.sh.flow_gain"], maps)
+    assert refused.value.hint == "fit boom.sh.map_factor"
+    with pytest.raises(InputError, match="has no measured flow map") as refused:
+        identify(machine, logs, ["boom.rt.map_factor"], maps)
+    assert refused.value.hint == "fit boom.rt.flow_gain"
 
 
 def test_a_rate_that_was_not_recorded_comes_from_the_position():
