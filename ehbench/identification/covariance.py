@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -171,9 +172,37 @@ def _inverse_root(normal: np.ndarray) -> np.ndarray:
     """R with ``R Rᵀ`` the inverse of a normal matrix, of whose directions none counts for nothing
     at all.
     """
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    diagonal = np.diag(normal)
+    size = np.sqrt(np.maximum(diagonal, 1e-30 * np.max(diagonal, initial=1e-270)))
     values, vectors = np.linalg.eigh(normal / np.outer(size, size))
     return vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])) / size[:, None]
+
+
+class Release(NamedTuple):
+    """What the last parameter would do if it were free: its step, the step's standard error, what
+    the cost would fall by.
+    """
+
+    move: float
+    std: float
+    gain: float
+
+
+def release_of(blocks: Sequence[Block], prior: Prior) -> Release:
+    """What freeing the last of the parameters would do, all others following it, to first order;
+    its standard error is by what would be left then.
+    """
+    solved = [eliminate(block, prior.weight) for block in blocks]
+    normal = np.sum([one.normal for one in solved], axis=0) + prior.normal
+    pull = np.sum([one.gradient for one in solved], axis=0) + prior.gradient
+    root = _inverse_root(normal)
+    step = -root @ (root.T @ pull)
+    after = []
+    for block, one in zip(blocks, solved, strict=True):
+        left = block.left + block.slopes @ step + block.nudges @ (one.move - one.gain @ step)
+        after.append(replace(block, left=left))
+    std = covariance_of(after, prior).error(len(pull) - 1)[0]
+    return Release(float(step[-1]), std, -float(pull @ step))
 
 
 def _reach(score: np.ndarray) -> int:

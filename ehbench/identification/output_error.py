@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ehbench.errors import InsufficientData
-from ehbench.identification.covariance import Block, Prior, covariance_of, eliminate
+from ehbench.identification.covariance import Block, Prior, covariance_of, eliminate, release_of
 from ehbench.identification.results import Estimate, HydraulicsFit, Progress, finish, untold
 from ehbench.identification.search import VAGUE, Coordinate
 from ehbench.identification.simulator import Log, Shifts, Simulator
@@ -36,6 +36,9 @@ STANDS = 0.03  # share by which scales may still change when a fit stands
 ROUNDS = 8  # of weighing and solving at most
 # of the descent: damping at first, at least and at most, and what a step changes it by
 DAMPING, LEAST_DAMPING, MOST_DAMPING, EASIER, HARDER = 1e-3, 1e-9, 1e9, 0.1, 8.0
+# a held parameter is surely wrong if the logs would move it by so many standard errors, by this
+# share of it, and to the benefit of this share of the squares that are left
+SURELY, SURELY_OFF, WORTH = 4.0, 0.01, 0.05
 FAITHFUL = 0.25  # share of what a step should gain that may be missed before all is linearised anew
 
 
@@ -51,7 +54,17 @@ class _Point:
 
 
 class OutputError:
-    """Weighted least squares over all logs; one instance a fit."""
+    """Weighted least squares over all logs; one instance a fit.
+
+    Args:
+        simulator: of the logs, its parameters those searched and then those watched.
+        search: parameters to fit.
+        tell: progress.
+        most: iterations of a solution.
+        cutoff: of the low-pass [Hz].
+        watched: parameters that are held, and of which the logs are asked at the end whether they
+            should be.
+    """
 
     def __init__(
         self,
@@ -60,9 +73,12 @@ class OutputError:
         tell: Progress,
         most: int,
         cutoff: float | None,
+        watched: Sequence[Coordinate] = (),
     ) -> None:
-        self.simulator, self.search, self.tell = simulator, search, tell
+        self.simulator, self.search, self.tell = simulator, [*search, *watched], tell
         self.most, self.cutoff = most, cutoff
+        self.asked = len(search)
+        search = self.search
         names = sorted({channel for log in simulator.logs for channel in log.channels})
         self.spread = {
             c: self._pooled(
@@ -73,7 +89,7 @@ class OutputError:
         self.scales = dict(self.spread)
         self.theta = np.array([c.begin for c in search])
         self.shifts = simulator.unshifted()
-        self.free = list(range(len(search)))
+        self.free = list(range(self.asked))
         self.bound: list[int] = []
         self.sharpness = np.array([c.sharpness if c.known else 0.0 for c in search])
         self.centre = np.array([c.of(c.centre) if c.known else 0.0 for c in search])
@@ -174,13 +190,13 @@ class OutputError:
             first.setdefault(log.asked, i)
         chosen = list(first.values())
         bulk, damping = (
-            [i for i, c in enumerate(self.search) if c.row.rings == what and c.log]
+            [i for i in self.free if self.search[i].row.rings == what and self.search[i].log]
             for what in ("frequency", "decay")
         )
         low, high = np.array([c.bounds for c in self.search]).T
         others = [
             [i]
-            for i, c in enumerate(self.search)
+            for i, c in enumerate(self.search[: self.asked])
             if c.log and not c.known and i not in (*bulk, *damping)
         ]
         for group in [bulk, *others] if bulk else others:
@@ -296,7 +312,7 @@ class OutputError:
         self.solve(1e-3)
         self.simulator.step = fine
         converged = self._settle()
-        for _ in range(len(self.search)):
+        for _ in range(self.asked):
             found = self._errors()
             lost = [i for i, error in found.by_index.items() if error.kind == "not_excited"]
             near = self._near_bounds(found.by_index)
@@ -353,7 +369,7 @@ class OutputError:
         self.free = [i for i in self.free if i not in which]
         self.bound = [i for i in self.bound if i not in which]
         if not self.free and not self.bound:
-            names = ", ".join(c.name for c in self.search)
+            names = ", ".join(c.name for c in self.search[: self.asked])
             raise InsufficientData(
                 f"the logs tell nothing about {names}",
                 hint="use logs in which the commands excite them",
@@ -410,7 +426,49 @@ class OutputError:
                 std, quantile, source, kind, *map(float, (found.from_data[k], found.from_starts[k]))
             )
         names = tuple(self.search[live[k]].name for k in inside)
-        return _Errors(result, names, correlation[np.ix_(inside, inside)])
+        return _Errors(result, names, correlation[np.ix_(inside, inside)], here, blocks)
+
+    def _wrongly_held(self, found: _Errors) -> list[str]:
+        """A warning of the held parameter whose release would better the fit most, if it is surely
+        wrong: the recipe's line that frees it.
+        """
+        live, suspects = sorted(self.free + self.bound), []
+        for i in range(self.asked, len(self.search)):
+            c, blocks = self.search[i], self._released(found, i)
+            if not blocks:
+                continue
+            release = release_of(blocks, self._prior(found.here.theta, [*live, i]))
+            share = 1.0 if c.log else c.unit / c.start
+            off, less = abs(release.move), release.gain / self.cost(found.here)
+            if off * share > SURELY_OFF and off > SURELY * release.std and less > WORTH:
+                suspects.append((less, share * release.move, share * release.std, c.name))
+        if not suspects:
+            return []
+        less, move, std, name = max(suspects)
+        return [
+            f"{name} is held, and these logs would have it {100.0 * move:+.1f} ± "
+            f"{100.0 * std:.1f} % off: what is left would fall by {100.0 * less:.0f} %. "
+            f'Add "{name}" to parameters, with [prior] "{name}" = "3 %"'
+        ]
+
+    def _released(self, found: _Errors, i: int) -> list[Block]:
+        """What the logs say, with a held parameter behind those that are fitted; nothing where it
+        changes nothing.
+        """
+        logs = self.simulator.logs
+        which = [k for k, log in enumerate(logs) if _concerns(log, self.search[i])]
+        theta = found.here.theta + DIFFERENCE * np.eye(len(self.search))[i]
+        moved = self.residuals([theta], which)[0] if which else []
+        added = [np.zeros((*block.left.shape, 1)) for block in found.blocks]
+        for k, left in zip(which, moved, strict=True):
+            scale = self._per(self.scales, logs[k])
+            added[k][..., 0] = (left - found.here.left[k]) / (DIFFERENCE * scale)
+        if self._effects(added, [i])[i] < FAINT:
+            return []
+        return [
+            replace(block, slopes=np.concatenate([block.slopes, slope], axis=-1))
+            for block, slope in zip(found.blocks, added, strict=True)
+        ]
 
     def _at_bound(self, i: int) -> bool:
         return i in self.bound or self.theta[i] in self.search[i].bounds
@@ -418,7 +476,7 @@ class OutputError:
     def _result(self, found: _Errors, converged: bool) -> HydraulicsFit:
         samples = sum(int(log.counts.any(axis=1).sum()) for log in self.simulator.logs)
         fitted = []
-        for i, c in enumerate(self.search):
+        for i, c in enumerate(self.search[: self.asked]):
             one, error = untold(c, samples), found.by_index.get(i)
             if error is not None and error.kind != "not_excited":
                 std, ends = c.spread(self.theta[i], error.std, error.quantile)
@@ -434,7 +492,7 @@ class OutputError:
                     from_starts=error.from_starts,
                 )
             fitted.append(one)
-        warnings = []
+        warnings = self._wrongly_held(found)
         if not converged:
             warnings.append(
                 f"the fit stopped after {self.most} evaluations without converging; its numbers "
@@ -459,6 +517,7 @@ class OutputError:
                 scales=self.scales,
                 cutoff=self.cutoff,
                 shifts=self.shifts,
+                held=[c.start for c in self.search[self.asked :]],
             ),
         )
 
@@ -480,11 +539,18 @@ class _Error:
 @dataclass(frozen=True, eq=False)
 class _Errors:
     """Errors by index of the parameter, and the correlation between the free ones, in the order of
-    their names."""
+    their names, the point they belong to and what each log says there."""
 
     by_index: dict[int, _Error]
     names: tuple[str, ...]
     correlation: np.ndarray
+    here: _Point
+    blocks: list[Block]
+
+
+def _concerns(log: Log, c: Coordinate) -> bool:
+    """Whether a parameter belongs to a cylinder that the log asks to move."""
+    return c.name.partition(".")[0] in log.asked
 
 
 def bounded_step(

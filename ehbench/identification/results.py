@@ -133,7 +133,8 @@ class HydraulicsFit:
 class Estimate:
     """What a method found: its parameters in the order searched, and what belongs to them; fields
     as in `HydraulicsFit`. ``cutoff`` [Hz]: of the low-pass on what is left of each log; ``shifts``
-    of their starts, None for none."""
+    of their starts, None for none; ``held`` the values of the simulator's parameters behind those
+    that were searched."""
 
     method: str
     fitted: Sequence[FittedParameter]
@@ -145,6 +146,7 @@ class Estimate:
     scales: Mapping[str, float] = field(default_factory=dict)
     cutoff: float | None = None
     shifts: Shifts | None = None
+    held: Sequence[float] = ()
 
 
 def untold(c: Coordinate, samples: int) -> FittedParameter:
@@ -173,7 +175,7 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
     warnings += [*found.warnings, *_statuses(found.fitted)]
     logs, recordings = [], []
     shifts = simulator.unshifted() if found.shifts is None else found.shifts
-    starts, replays = simulator.replay([one.value for one in found.fitted], shifts)
+    starts, replays = simulator.replay([*(one.value for one in found.fitted), *found.held], shifts)
     for k, (log, replayed) in enumerate(zip(simulator.logs, replays, strict=True)):
         simulated = channels_of(log, replayed)
         fit = _log_fit(log, simulated, found.cutoff)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ehbench.errors import InputError, InsufficientData, SimulationError
 from ehbench.observations import alternatives, column, least_change, payload_of
+from ehbench.parts.edge import edge_command
 from ehbench.plant.build import Maps
 from ehbench.plant.model import Model
 from ehbench.preprocessing import preprocess
@@ -102,6 +103,26 @@ def _commands(cylinder: Cylinder, record: Record) -> dict[str, float]:
         f"{cylinder.name}.{valve.name}.command": least_change(valve) for valve in cylinder.valve
     }
     return {channel: change for channel, change in least.items() if channel in record}
+
+
+def shut(model: Model, log: Log) -> str | None:
+    """Why no valve opens in a log, whose commands stay within dead bands; None if one does."""
+    plant, names = model.plant, model.layout
+    closest: tuple[float, str] | None = None
+    for edge, name in zip(plant.edges, names.edges, strict=True):
+        valve = names.valves[edge.valve] if edge.valve >= 0 else ""
+        channel = f"{valve}.command"
+        if valve.partition(".")[0] not in log.asked or channel not in log.record:
+            continue
+        onset = edge.sign * edge_command(1.0e6, 1.0e-12, edge, plant.maps)
+        onset = 0.0 if edge.unmetered else onset
+        most = float(np.max(edge.sign * log.record[channel]))
+        if most > onset:
+            return None
+        if most > 0.0 and (closest is None or onset - most < closest[0]):
+            why = f"{channel} reaches {most:.3g} V, within the dead band of {name}, {onset:.3g} V"
+            closest = onset - most, why
+    return closest[1] if closest else "every command stays on the side that opens nothing"
 
 
 def _asked(cylinder: Cylinder, record: Record) -> bool:

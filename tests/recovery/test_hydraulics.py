@@ -321,6 +321,39 @@ def test_a_prior_holds_what_the_data_do_not_tell():
     assert fit["carriage.damping"].std == pytest.approx(20.0, rel=0.2)
 
 
+def test_a_gain_that_is_wrongly_held_is_named():
+    """One gain 4 % off the datasheet's: the warning names a recipe line, which puts it right; with
+    the right gains nothing is said.
+    """
+    machine, wrong = rig("slide_servo"), "press.servo_rod_tank.flow_gain"
+    gain = float(machine.parameters()[wrong])
+    off, logs = machine.with_values({wrong: 0.96 * gain}), slide_logs(15)
+    told = [text for text in identify(off, logs, SLIDE).warnings if "is held" in text]
+    assert len(told) == 1
+    named = told[0].partition(" ")[0]
+    assert named.endswith("flow_gain") and f'Add "{named}" to parameters' in told[0]
+    fit = identify(off, logs, [*SLIDE, wrong], prior={wrong: "3 %"})
+    assert fit[wrong].value == pytest.approx(gain, rel=3e-3)
+    assert not any("is held" in text for text in fit.warnings)
+    assert not any("is held" in text for text in identify(machine, logs, SLIDE).warnings)
+
+
+def test_commands_within_the_dead_band_are_refused():
+    """1.2 V on a valve that opens at 1.5 V: no data. One such log beside a good one is a warning,
+    and none where the dead band is to be fitted.
+    """
+    machine = rig("crane_proportional")
+    still = ("still", noisy(clean("crane_proportional", None, (("lift.spool", (1.2, -1.2)),)), 1))
+    good = ("good", noisy(clean("crane_proportional", None, SPOOL), 2))
+    asked = ["bulk_modulus", "lift.leakage_internal"]
+    says = r"still: lift.spool.command reaches 1.2 V, within the dead band of lift.spool_\w+, 1.5 V"
+    with pytest.raises(InsufficientData, match=says):
+        identify(machine, [still], asked)
+    fit = identify(machine, [still, good], asked)
+    assert any("within the dead band" in text for text in fit.warnings)
+    identify(machine, [still, good], ["bulk_modulus", "lift.spool_pa.deadband"])
+
+
 def a_map(valve, most):
     """A flow map that grows with opening and root of the drop up to ``most`` [m³/s] at 10 V and
     10 MPa.
