@@ -265,6 +265,15 @@ _ROWS = [
     Quantity("s1", "s1", "s", "ms", "first-order coefficient of a valve's denominator", 0, 100),
     Quantity("s2", "s2", "s^2", "s^2", "second-order coefficient of a valve's denominator", 0, 1e4),
     Quantity(
+        "map_factor",
+        "k_m",
+        "dimensionless",
+        "dimensionless",
+        "what the flow of an edge's measured map is multiplied by",
+        0,
+        100,
+    ),
+    Quantity(
         "flow_gain",
         "k_q",
         "m^3/(s*V*Pa^0.5)",

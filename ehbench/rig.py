@@ -171,8 +171,8 @@ class MeteringEdge(FileModel):
 
     ``law`` is one of `ehbench.parts.edge`, which brings keys of its own. law ``map`` is a measured
     flow map, from the recipe's ``flow_maps`` or the run behind the rig; where one is given it goes
-    before the other laws, too. ``sign`` −1 opens the edge on negative commands. ``reverse`` says
-    what a reversed drop does: ``mirror`` or ``blocked``."""
+    before the other laws, too, its flow multiplied by ``map_factor``. ``sign`` −1 opens the edge on
+    negative commands. ``reverse`` says what a reversed drop does: ``mirror`` or ``blocked``."""
 
     name: Name | None = None
     from_: Literal["supply", "tank", "head", "rod"] = Field(alias="from")
@@ -181,6 +181,7 @@ class MeteringEdge(FileModel):
     sign: Literal[1, -1] = 1
     reverse: Literal["mirror", "blocked"] = "mirror"
     deadband: Annotated[Value, Q("deadband")] = Value(0.0)
+    map_factor: Annotated[Value, Q("map_factor")] = Value(1.0)
 
 
 class Edge(LawFields, MeteringEdge):

@@ -1,6 +1,6 @@
 """How often the residual questions name a built fault, and how often they cry at a sound model.
 
-    python -m tests.structure_study [seeds]
+python -m tests.structure_study [seeds]
 """
 
 from __future__ import annotations
@@ -56,7 +56,12 @@ def faults(name: str, rig: Rig) -> Iterator[tuple[str, str, Rig]]:
     known = rig.parameters()
     cylinder = next(c for c in rig.cylinder if c.name == next(iter(DRIVES[name][0])).split(".")[0])
     valves = [v for v in cylinder.valve]
-    gains = [n for n in known if n.startswith(f"{cylinder.name}.") and n.endswith(("flow_gain", "compensated_gain", "displacement"))]
+    gains = [
+        n
+        for n in known
+        if n.startswith(f"{cylinder.name}.")
+        and n.endswith(("flow_gain", "compensated_gain", "displacement"))
+    ]
     force = cylinder.areas()[0] * float(rig.supply.pressure)
 
     def scaled(names, by):
@@ -73,26 +78,54 @@ def faults(name: str, rig: Rig) -> Iterator[tuple[str, str, Rig]]:
         yield "deadband", "0.3 V more dead band", rig.with_values(wide)
     leak = f"{cylinder.name}.leakage_internal"
     pressure = max(float(rig.supply.pressure), 5e6)
-    yield "leakage", "leakage", rig.with_values({leak: float(known[leak]) + cylinder.areas()[0] * 0.03 / pressure})
+    yield (
+        "leakage",
+        "leakage",
+        rig.with_values({leak: float(known[leak]) + cylinder.areas()[0] * 0.03 / pressure}),
+    )
     friction = f"{cylinder.name}.friction_coulomb"
-    yield "friction", "Coulomb friction", rig.with_values({friction: float(known[friction]) + max(0.03 * force, 200.0)})
+    yield (
+        "friction",
+        "Coulomb friction",
+        rig.with_values({friction: float(known[friction]) + max(0.03 * force, 200.0)}),
+    )
     yield "load", "20 % more mass", scaled([f"{cylinder.joint}.mass"], 1.2)
     yield "bulk modulus", "20 % softer oil", scaled(["bulk_modulus"], 0.8)
-    damping = next(n for n in (f"{cylinder.joint}.damping", f"{cylinder.joint}.joint_damping") if n in known)
+    damping = next(
+        n for n in (f"{cylinder.joint}.damping", f"{cylinder.joint}.joint_damping") if n in known
+    )
     yield "damping", "twice the damping", scaled([damping], 2.0)
 
 
 def of_logs(name: str, rig: Rig) -> Iterator[tuple[str, str, object, object]]:
     """(kind, words, change of the command, change of the log) of faults outside the parameters."""
     cylinder = next(iter(DRIVES[name][0])).split(".")[0]
-    p, v = f"{cylinder}.p_head", f"{cylinder}.v" if name in ("slide_servo", "pump_cylinder") else f"{cylinder}.v"
+    p, v = (
+        f"{cylinder}.p_head",
+        f"{cylinder}.v" if name in ("slide_servo", "pump_cylinder") else f"{cylinder}.v",
+    )
     keep = lambda log: log
     same = lambda u, t: u
-    yield "saturation", "valve shut at 60 %", lambda u, t: np.clip(u, -0.6 * np.abs(u).max(), 0.6 * np.abs(u).max()), keep
+    yield (
+        "saturation",
+        "valve shut at 60 %",
+        lambda u, t: np.clip(u, -0.6 * np.abs(u).max(), 0.6 * np.abs(u).max()),
+        keep,
+    )
     yield "delay", "15 ms late", lambda u, t: np.interp(t - 0.015, t, u), keep
-    yield "sensor offset", "pressure 3 bar high", same, lambda log: spoilt(log, p, lambda y: y + 3e5)
+    yield (
+        "sensor offset",
+        "pressure 3 bar high",
+        same,
+        lambda log: spoilt(log, p, lambda y: y + 3e5),
+    )
     yield "sensor scale", "pressure 10 % high", same, lambda log: spoilt(log, p, lambda y: 1.1 * y)
-    yield "sensor lag", "speed 10 ms late", same, lambda log: spoilt(log, v, lambda y: lagged(y, 0.01))
+    yield (
+        "sensor lag",
+        "speed 10 ms late",
+        same,
+        lambda log: spoilt(log, v, lambda y: lagged(y, 0.01)),
+    )
     yield "sensor sign", "speed turned", same, lambda log: spoilt(log, v, lambda y: -y)
 
 
@@ -115,7 +148,14 @@ def main(seeds: int) -> None:
             sound += 1
             cries += bool(found.findings)
             if found.findings or seed == 0:
-                print(name, "sound", seed, round(time.time() - begun, 1), [(f.kind, f.about, round(f.explains, 2), f.size) for f in found.findings], flush=True)
+                print(
+                    name,
+                    "sound",
+                    seed,
+                    round(time.time() - begun, 1),
+                    [(f.kind, f.about, round(f.explains, 2), f.size) for f in found.findings],
+                    flush=True,
+                )
         for kind, words, machine in faults(name, rig):
             report(name, kind, words, asked(name, rig, machine, 7), hits, tries)
         for kind, words, change, spoil in of_logs(name, rig):
@@ -128,7 +168,13 @@ def report(name, kind, words, found, hits, tries) -> None:
     ok = bool({f.kind for f in found.findings[:2]} & ALIASES.get(kind, {kind}))
     tries[kind] += 1
     hits[kind] += ok
-    print("ok  " if ok else "MISS", name, words, [(f.kind, f.about, round(f.explains, 3), round(f.size, 4)) for f in found.findings], flush=True)
+    print(
+        "ok  " if ok else "MISS",
+        name,
+        words,
+        [(f.kind, f.about, round(f.explains, 3), round(f.size, 4)) for f in found.findings],
+        flush=True,
+    )
 
 
 if __name__ == "__main__":
