@@ -7,7 +7,7 @@ INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 PIN     = --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url \
           --no-annotate -q
 
-.PHONY: thesis test tests format lint types docs reference site bench datasets warm setup dev \
+.PHONY: thesis test tests fuzz format lint types docs reference site bench study datasets warm setup dev \
         requirements clean
 
 thesis: setup            ## run the whole thesis campaign and print the report's path
@@ -17,6 +17,9 @@ test: format lint docs types tests  ## all gates: what must hold before a change
 
 tests: dev             ## the tests alone, in parallel
 	$(BIN)/python -m pytest -n $(CORES)
+
+fuzz: dev                ## 100 000 inputs made wrong on purpose, and what became of them
+	$(BIN)/python tests/fuzz/fuzzer.py
 
 format: dev            ## whether the formatter would change anything
 	$(BIN)/ruff format --check $(CODE)
@@ -38,6 +41,9 @@ site: dev                ## docs as pages to browse, offline, in site/
 
 bench: setup             ## measure speed and accuracy, print the table
 	$(BIN)/python -m ehbench.benchmark
+
+study: setup             ## whether 95 % intervals hold the truth, over random rigs; some 20 minutes
+	CORES=$(CORES) $(BIN)/python -m ehbench.study
 
 datasets: setup          ## let the virtual bench record datasets/ again, byte for byte
 	$(BIN)/python -m ehbench.datasets

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from ehbench.commands import COMMANDS, Command
-from ehbench.errors import EhbenchError
+from ehbench.errors import EhbenchError, Terminated
 
 if TYPE_CHECKING:
     from ehbench.workflow import Outcome
@@ -281,7 +281,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
 
 
 def _terminated(*_: object) -> None:
-    raise SystemExit(143)
+    raise Terminated(143)
 
 
 def main() -> None:

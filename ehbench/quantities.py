@@ -265,13 +265,22 @@ _ROWS = [
     Quantity("s1", "s1", "s", "ms", "first-order coefficient of a valve's denominator", 0, 100),
     Quantity("s2", "s2", "s^2", "s^2", "second-order coefficient of a valve's denominator", 0, 1e4),
     Quantity(
+        "map_factor",
+        "k_m",
+        "dimensionless",
+        "dimensionless",
+        "what the flow of an edge's measured map is multiplied by",
+        0,
+        100,
+    ),
+    Quantity(
         "flow_gain",
         "k_q",
         "m^3/(s*V*Pa^0.5)",
         "gpm/V/MPa^0.5",
         "flow coefficient of the orifice law",
-        0,
-        1,
+        1e-14,
+        1e-4,
     ),
     Quantity(
         "compensated_gain",
@@ -733,6 +742,7 @@ _ROWS = [
         0,
         2e8,
     ),
+    Quantity("ramp", "T_r", "s", "ms", "time in which valves go to rest after a limit", 0, 10),
     Quantity(
         "dwell", "T_w", "s", "ms", "least time between two changes of the working function", 0, 1e3
     ),

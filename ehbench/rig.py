@@ -14,6 +14,7 @@ from dataclasses import replace
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -51,6 +52,9 @@ if TYPE_CHECKING:
 else:
     Friction = one_of(FRICTIONS, "law")
     Dynamics = Annotated[one_of(DYNAMICS, "kind"), BeforeValidator(_of_a_kind)]
+_ROUNDED = 1e-2  # of an inertia that a drawing gives in two or three digits
+_MOST_SUPPLY = 1.0e8  # [Pa]
+_FASTEST = 20.0  # [m/s] that the full flow of one edge may move a cylinder
 NODES = ("supply", "tank", "head", "rod")
 
 
@@ -85,6 +89,24 @@ def _plain_name(name: str) -> str:
 Name = Annotated[str, AfterValidator(_name)]
 
 
+def _solid(inertia: Value) -> Value:
+    """An inertia that a body can have: with that of half its polar moment in each direction it is
+    the spread of its mass, and no spread is negative (the triangle inequality among others).
+    """
+    xx, yy, zz, xy, xz, yz = inertia.value  # type: ignore[misc]
+    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    spread = 0.5 * np.trace(tensor) * np.eye(3) - tensor
+    if np.linalg.eigvalsh(spread)[0] < -_ROUNDED * abs(tensor).max():
+        raise ValueError(
+            "no body has this inertia: of xx, yy, zz none is above the sum of the others, "
+            "and xy, xz, yz are small beside them"
+        )
+    return inertia
+
+
+Inertia = Annotated[Value, Q("inertia", 6), AfterValidator(_solid)]
+
+
 class Joint(FileModel):
     """A revolute joint and the link it carries; frame i sits at the end of link i (standard
     Denavit–Hartenberg).
@@ -97,7 +119,7 @@ class Joint(FileModel):
     dh_theta: Annotated[Value, Q("dh_theta")] = Value(0.0)
     mass: Annotated[Value, Q("mass")]
     com: Annotated[Value, Q("com", 3)]
-    inertia: Annotated[Value, Q("inertia", 6)]
+    inertia: Inertia
     joint_damping: Annotated[Value, Q("joint_damping")] = Value(0.0)
 
 
@@ -129,7 +151,7 @@ class LinkLoad(FileModel):
 
     mass: Annotated[Value, Q("mass")] | None = None
     com: Annotated[Value, Q("com", 3)] | None = None
-    inertia: Annotated[Value, Q("inertia", 6)] | None = None
+    inertia: Inertia | None = None
 
 
 class Pins(FileModel):
@@ -149,8 +171,8 @@ class MeteringEdge(FileModel):
 
     ``law`` is one of `ehbench.parts.edge`, which brings keys of its own. law ``map`` is a measured
     flow map, from the recipe's ``flow_maps`` or the run behind the rig; where one is given it goes
-    before the other laws, too. ``sign`` −1 opens the edge on negative commands. ``reverse`` says
-    what a reversed drop does: ``mirror`` or ``blocked``."""
+    before the other laws, too, its flow multiplied by ``map_factor``. ``sign`` −1 opens the edge on
+    negative commands. ``reverse`` says what a reversed drop does: ``mirror`` or ``blocked``."""
 
     name: Name | None = None
     from_: Literal["supply", "tank", "head", "rod"] = Field(alias="from")
@@ -159,6 +181,7 @@ class MeteringEdge(FileModel):
     sign: Literal[1, -1] = 1
     reverse: Literal["mirror", "blocked"] = "mirror"
     deadband: Annotated[Value, Q("deadband")] = Value(0.0)
+    map_factor: Annotated[Value, Q("map_factor")] = Value(1.0)
 
 
 class Edge(LawFields, MeteringEdge):
@@ -524,12 +547,6 @@ class Accumulator(FileModel):
     precharge: Annotated[Value, Q("precharge")]
     polytropic_exponent: Annotated[Value, Q("polytropic_exponent")] = Value(1.2)
 
-    @model_validator(mode="after")
-    def _gas(self) -> Accumulator:
-        if not 1.0 <= float(self.polytropic_exponent) <= 1.7:
-            raise Misplaced("polytropic_exponent must lie between 1 and 1.7", "polytropic_exponent")
-        return self
-
 
 class Supply(FileModel):
     """Constant-pressure supply: holds ``pressure`` up to ``flow_limit``, above which the pressure
@@ -545,6 +562,12 @@ class Supply(FileModel):
 
     @model_validator(mode="after")
     def _above_tank(self) -> Supply:
+        if float(self.pressure) > _MOST_SUPPLY:
+            raise Misplaced(
+                f"a supply of {float(self.pressure) / 1e5:g} bar is beyond any hydraulics: "
+                f"{_MOST_SUPPLY / 1e5:g} bar at most",
+                "pressure",
+            )
         if float(self.pressure) <= float(self.tank_pressure):
             raise Misplaced("the supply's pressure must lie above tank_pressure", "pressure")
         gas = self.accumulator
@@ -642,6 +665,43 @@ class Rig(FileModel):
                         load,
                         link,
                     )
+        return self
+
+    @model_validator(mode="after")
+    def _bodies_weigh(self) -> Rig:
+        slide = isinstance(self.mechanism, Slide)
+        bodies = (self.mechanism,) if slide else self.mechanism.joint
+        if not float(bodies[-1].mass) > 0.0:
+            where = ("mechanism",) if slide else ("mechanism", "joint", len(bodies) - 1)
+            raise Misplaced(f"'{bodies[-1].name}' has no mass to move", *where, "mass")
+        empty = {body.name: float(body.mass) for body in bodies}
+        for load, links in self.payload.items():
+            for link, change in links.items():
+                if change.mass is not None and float(change.mass) < empty[link]:
+                    raise Misplaced(
+                        f"with '{load}' '{link}' has {float(change.mass):g} kg, less than its "
+                        f"{empty[link]:g} kg without: give the whole link with what it carries",
+                        *("payload", load, link, "mass"),
+                    )
+        return self
+
+    @model_validator(mode="after")
+    def _edges_pass_what_a_cylinder_takes(self) -> Rig:
+        root = math.sqrt(float(self.supply.pressure) - float(self.supply.tank_pressure))
+        for at, cylinder in enumerate(self.cylinder):
+            area = min(cylinder.areas())
+            for i, valve in enumerate(cylinder.valve):
+                reach = max(-float(valve.command_min), float(valve.command_max))
+                for j, edge in enumerate(valve.edge):
+                    if edge.flow_gain is None:
+                        continue
+                    speed = float(edge.flow_gain) * reach * root / area
+                    if speed > _FASTEST:
+                        raise Misplaced(
+                            f"wide open '{valve.edge_name(edge)}' moves '{cylinder.name}' at "
+                            f"{speed:.3g} m/s: check the unit of flow_gain",
+                            *("cylinder", at, "valve", i, "edge", j, "flow_gain"),
+                        )
         return self
 
     def __repr__(self) -> str:

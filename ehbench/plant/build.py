@@ -290,7 +290,7 @@ def _valves(rig: Rig, names: Layout) -> tuple[np.recarray, np.recarray]:
 def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray]:
     """(rows, packed flow maps)."""
     rows: list[dict[str, Any]] = []
-    packed: list[FlowMap] = []
+    packed: list[tuple[FlowMap, float]] = []
     for name, (item, valve, edge) in zip(names.edges, rig.edges(), strict=False):
         cylinder, given = names.cylinders.index(item.name), map_of(maps, name)
         if edge.law == "pump" and given is not None:
@@ -313,7 +313,11 @@ def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray
     rows += [
         _fixed(names, names.cylinders.index(item.name), edge) for item, edge in rig.fixed_edges()
     ]
-    data, offsets = pack(packed) if packed else (np.zeros(1), np.zeros(0, dtype=np.int64))
+    data, offsets = (
+        pack(*map(list, zip(*packed, strict=True)))
+        if packed
+        else (np.zeros(1), np.zeros(0, dtype=np.int64))
+    )
     for row in rows:
         for key in ("forward", "reverse"):
             row[key] = int(offsets[row[key]]) if row[key] >= 0 else -1
@@ -339,15 +343,19 @@ def map_of(maps: Maps | None, edge: str) -> ValveMaps | None:
     return maps.get(edge) or maps.get(edge.split(".", 1)[1])
 
 
-def _law(edge: Edge | FixedEdge, given: ValveMaps | None, packed: list[FlowMap]) -> dict[str, Any]:
-    """Fields of an edge's law; its maps go to ``packed``, their numbers there into the row."""
+def _law(
+    edge: Edge | FixedEdge, given: ValveMaps | None, packed: list[tuple[FlowMap, float]]
+) -> dict[str, Any]:
+    """Fields of an edge's law; its maps go to ``packed`` with the edge's factor, their numbers
+    there into the row.
+    """
     law = edges.edge_law("map" if given is not None else edge.law)
     row = {"law": edges.BY_NAME[law.name], "forward": -1, "reverse": -1} | law.pack(edge)
     for key in ("forward", "reverse"):
         one = getattr(given, key, None)
         if one is not None:
             row[key] = len(packed)
-            packed.append(one)
+            packed.append((one, float(edge.map_factor) if isinstance(edge, Edge) else 1.0))
     return row
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import json
 import re
 from pathlib import Path
@@ -131,3 +133,12 @@ def test_the_page_has_rules_for_paper_phones_and_dark_rooms(folders):
     figures = re.findall(r'<figure id="([^"]+)"( class="paper")?', text)
     on_paper = [name for name, paper in figures if paper]
     assert 1 < len(on_paper) < len(figures) and "first-figure" in on_paper
+
+
+def test_the_policy_lets_the_pages_own_script_run_and_no_other(folders):
+    text = build(folders)
+    (script,) = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text)
+    assert policy and f"script-src 'sha256-{digest}';" in policy[1]
+    assert "default-src 'none'" in policy[1] and "onclick" not in text

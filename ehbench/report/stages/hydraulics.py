@@ -87,11 +87,30 @@ def _parameters_table(rig: Rig, parameters: Sequence[Table]) -> Grid:
         "how sure",
         "samples",
         "error from",
+        "logs' starts [%]",
     ]
     known = rig.parameters()
     rows = [_parameter_row(rig, one, known.get(one["name"])) for one in parameters]
-    note = "± is half the width of the 95 % interval, which allows for coloured residuals."
+    note = (
+        "± is half the width of the 95 % interval, which allows for coloured residuals; where the "
+        "interval is lopsided, the value stands alone. Logs' starts: share of the variance that "
+        "the estimated starts of the logs are to blame for."
+    )
+    if any(one.get("prior") for one in parameters):
+        head += ["prior ±", "from data [%]"]
+        rows = [row + _prior_cells(rig, one) for row, one in zip(rows, parameters, strict=True)]
+        note += " From data: share of what is known that the prior did not bring."
     return Grid(head, rows, note)
+
+
+def _prior_cells(rig: Rig, one: Table) -> list[Cell | str]:
+    """What was known of a parameter beside the data, and the data's share in what is known now."""
+    if not one.get("prior"):
+        return [num("–"), num("–")]
+    return [
+        num(plus(rig, one["name"], one.number("prior"), None)),
+        num(number(100.0 * one["from_data"], 3)),
+    ]
 
 
 def _parameter_row(rig: Rig, one: Table, value: Value | None) -> list[Cell | str]:
@@ -108,6 +127,7 @@ def _parameter_row(rig: Rig, one: Table, value: Value | None) -> list[Cell | str
         value.sure if value is not None else "–",
         num(str(one["samples"])),
         words(one.get("error_from") or "–"),
+        num(number(100.0 * one["from_starts"], 2) if one.get("from_starts") else "–"),
     ]
 
 
