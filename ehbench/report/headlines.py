@@ -7,7 +7,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from ehbench.report.captions import as_fitted, capital, load_name, measure, percent, range_of, span
+from ehbench.report.captions import (
+    MODEL,
+    as_fitted,
+    capital,
+    load_name,
+    measure,
+    percent,
+    range_of,
+    span,
+)
 from ehbench.report.cases import Case, cases_of, damping
 from ehbench.report.energy_tables import Saving, four_way, savings_of
 from ehbench.report.figures.channels import title_of
@@ -17,7 +26,6 @@ from ehbench.report.words import count, interval, number, pretty, shown, unit_of
 from ehbench.rig import Rig
 
 ON_MACHINE = "run the same trials on the machine"
-MODEL = "model"  # what a trial runs on that is no machine
 
 
 @dataclass(frozen=True)

@@ -98,7 +98,7 @@ def _run_section(run: Saved, anchor: str, content: SectionContent, titles: Title
             f"{anchor}-{i}-{slug(part.title)}",
         )
         for i, part in enumerate(content.parts, 1)
-        if part.inside
+        if part.inside and part.title
     ]
     inside: list[Block] = [Text(content.sentence, "lead")]
     if recorded := run.facts.get("recorded_on"):

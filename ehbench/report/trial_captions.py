@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from ehbench import codes
 from ehbench.record import Record
-from ehbench.report.captions import capital, load_name, measure, percent, sentence, span
+from ehbench.report.captions import capital, load_name, measure, percent, sentence, span, stroke
 from ehbench.report.cases import SLOW, Case, damping, true_payload
 from ehbench.report.saved import Table
 from ehbench.report.words import count, number, pretty, shown, unit_of, words
@@ -42,8 +42,10 @@ def _settling_caption(one: Table) -> str:
 
 def tracking_caption(rig: Rig, row: Table) -> str:
     """How well a motion was tracked."""
+    unit = pretty(unit_of(rig, "x"))
     largest, rms, final = (
-        measure(rig, "x", row["tracking"][key]) for key in ("max_error", "rms_error", "final_error")
+        f"{stroke(rig, row, row['tracking'][key])} {unit}"
+        for key in ("max_error", "rms_error", "final_error")
     )
     return f"largest error {largest}, rms {rms}, at the end {final}"
 

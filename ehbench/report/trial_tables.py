@@ -9,7 +9,7 @@ from typing import Any
 
 from ehbench.report.blocks import Block, Cell, Fold, Grid
 from ehbench.codes import LIMITS_MEAN
-from ehbench.report.captions import capital, load_name, span
+from ehbench.report.captions import capital, load_name, span, stroke
 from ehbench.report.cases import Case, damping, groups_of
 from ehbench.report.content import chip, num, quantity_cell
 from ehbench.report.saved import Table
@@ -137,7 +137,7 @@ def _tracking_row(rig: Rig, case: Case, rivals: Sequence[Case]) -> list[Cell | s
         relative = [num(ratio)]
     return [
         *who(case),
-        *(quantity_cell(rig, "x", track[f"{key}_error"], 3) for key in ("max", "rms", "final")),
+        *(num(stroke(rig, case.row, track[f"{key}_error"])) for key in ("max", "rms", "final")),
         quantity_cell(rig, "v", case.row["speed_rms_error"], 3),
         quantity_cell(rig, "energy", pump),
         *relative,
