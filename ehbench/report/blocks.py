@@ -113,12 +113,13 @@ Block: TypeAlias = Text | Bullets | Cards | Grid | Heat | Picture | Fold
 
 @dataclass(frozen=True)
 class Part:
-    """A headed part of a section."""
+    """A headed part of a section; ``paper``: shown in print."""
 
     kind: ClassVar[str] = "part"
     title: str
     inside: Sequence[Block]
     id: str = ""
+    paper: bool = True
 
 
 @dataclass(frozen=True)

@@ -96,6 +96,7 @@ def _run_section(run: Saved, anchor: str, content: SectionContent, titles: Title
             part.title,
             _on_paper(_titled(part.inside, run, titles)),
             f"{anchor}-{i}-{slug(part.title)}",
+            part.paper and not all(isinstance(piece, Fold) for piece in part.inside),
         )
         for i, part in enumerate(content.parts, 1)
         if part.inside and part.title

@@ -128,7 +128,8 @@ def _controlled_section(run: Saved, facts: Table, pictures: Pictures) -> Section
         ["payload", load_name(row["payload"])],
         *_circumstances(facts),
     ]
-    parts.append(Part("Settings", [Grid(["", ""], rows), *settings_blocks(rig, [case])]))
+    settings = [Grid(["", ""], rows), *settings_blocks(rig, [case])]
+    parts.append(Part("Settings", settings, paper=False))
     return SectionContent(stopped_status(stopped), case_caption(rig, case), parts)
 
 

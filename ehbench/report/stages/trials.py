@@ -91,7 +91,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         Part("Measures", measure_tables(rig, cases)),
         Part("Energy", _energy_blocks(rig, cases, pictures)),
         Part("Other trials" if open_ones else "Each trial", folds),
-        Part("Settings", settings_blocks(rig, cases)),
+        Part("Settings", settings_blocks(rig, cases), paper=False),
     ]
     return SectionContent(stopped_status(stopped), trials_caption(rig, cases), parts)
 
