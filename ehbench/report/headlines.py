@@ -75,10 +75,12 @@ def _flow_maps(run: Saved) -> Findings:
             count(len(maps), "flow map"),
         )
     ]
-    open_ones = [
-        f"{one['valve']}, {one['direction']}" for one, p in points if p["verdict"] != "met"
-    ]
-    against = [f"calibration not met: {name}" for name in dict.fromkeys(open_ones)]
+    missing = (
+        f"calibration {words(point['verdict'])}: {one['valve']}, {one['direction']}"
+        for one, point in points
+        if point["verdict"] != "met"
+    )
+    against = list(dict.fromkeys(missing))
     nexts = ["take more readings at the calibration points, or set the driver anew"]
     return Findings(numbers, [FigureKey("flow_map")], against, nexts if against else [])
 

@@ -102,6 +102,8 @@ def _run_section(run: Saved, anchor: str, content: SectionContent, titles: Title
         if part.inside and part.title
     ]
     inside: list[Block] = [Text(content.sentence, "lead")]
+    if content.more:
+        inside.append(Bullets(content.more))
     if recorded := run.facts.get("recorded_on"):
         machines = [recorded] if isinstance(recorded, str) else recorded
         inside.append(Text("Recorded on the " + ", the ".join(machines) + ".", "note"))

@@ -201,19 +201,20 @@ def sankey_caption(ledger: Table) -> str:
     return f"From {source}{rest}."
 
 
-def trials_caption(rig: Rig, cases: Sequence[Case]) -> str:
-    """Counts, then for each controller how it did over all payloads and motions."""
+def trials_caption(cases: Sequence[Case]) -> str:
+    """How many trials there are, of what."""
     if not cases:
         return "No trial."
     machines = ", ".join(dict.fromkeys(case.row["on"] for case in cases))
     payloads = count(len({case.row["payload"] for case in cases}), "payload")
     motions = count(len({case.row["motion"] for case in cases}), "motion")
-    sentences = list(_by_controller(rig, cases))
-    lead = f"{count(len(cases), 'trial')} on the {machines}: {payloads}, {motions}. "
-    return lead + ". ".join(sentences) + "."
+    controllers = count(len({case.row["controller"] for case in cases}), "controller")
+    trials = count(len(cases), "trial")
+    return f"{trials} on the {machines}: {controllers}, {payloads}, {motions}."
 
 
-def _by_controller(rig: Rig, cases: Sequence[Case]) -> Iterator[str]:
+def controller_captions(rig: Rig, cases: Sequence[Case]) -> Iterator[str]:
+    """For each controller how it did over all payloads and motions."""
     for controller in dict.fromkeys(case.row["controller"] for case in cases):
         own = [case for case in cases if case.row["controller"] == controller]
         steps = [one for case in own for one in case.steps]
@@ -223,7 +224,7 @@ def _by_controller(rig: Rig, cases: Sequence[Case]) -> Iterator[str]:
             text = tracking_caption(rig, own[0].row)
         else:
             text = _motions_in_all(rig, own)
-        yield f"{capital(words(controller))}: {text}"
+        yield f"{capital(words(controller))}: {text}."
 
 
 def _steps_in_all(steps: Sequence[Table]) -> str:

@@ -15,7 +15,12 @@ from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.rest_words import rest_caption
 from ehbench.report.saved import Saved
 from ehbench.report.stages.trial import draw_case, draw_sankey
-from ehbench.report.trial_captions import compared_caption, energy_caption, trials_caption
+from ehbench.report.trial_captions import (
+    compared_caption,
+    controller_captions,
+    energy_caption,
+    trials_caption,
+)
 from ehbench.report.trial_tables import measure_tables, settings_blocks
 from ehbench.report.words import words
 from ehbench.rig import Rig
@@ -93,7 +98,8 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         Part("Other trials" if open_ones else "Each trial", folds),
         Part("Settings", settings_blocks(rig, cases), paper=False),
     ]
-    return SectionContent(stopped_status(stopped), trials_caption(rig, cases), parts)
+    more = tuple(controller_captions(rig, cases))
+    return SectionContent(stopped_status(stopped), trials_caption(cases), parts, more)
 
 
 def _energy_blocks(rig: Rig, cases: Sequence[Case], pictures: Pictures) -> list[Block]:
