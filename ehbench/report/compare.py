@@ -24,7 +24,6 @@ from ehbench.rundir import read_json
 from ehbench.terms import Z95
 
 _RUN = re.compile(r"_[0-9a-f]{8}$")  # the end of a run folder's name
-APART = 1.0  # intervals from which two values are told as different
 
 
 @dataclass(frozen=True)
@@ -182,7 +181,8 @@ def lines(first: Path, second: Path, width: int = 100) -> list[str]:
     else:
         told.append("the inputs are the same")
     if said.parameters:
-        head = ["parameter", "first", "second", "unit", "intervals apart", ""]
+        head = ["parameter", "first", "second", "unit", "intervals apart"]
+        told += ["", "above 1 interval apart, the runs do not agree:"]
         told += ["", *table(Grid(head, [_row(rig, one) for one in said.parameters]), width=width)]
     if said.same:
         told += ["", f"{said.same} parameters are the same"]
@@ -203,14 +203,13 @@ def _short(text: str) -> str:
 
 def _row(rig: Rig | None, one: Shift) -> list[Cell | str]:
     apart = DASH if one.intervals is None else number(one.intervals, 2)
-    told = "apart" if one.intervals is not None and one.intervals > APART else ""
     if rig is None:
-        return [one.name, num(number(one.first)), num(number(one.second)), "", num(apart), told]
+        return [one.name, num(number(one.first)), num(number(one.second)), "", num(apart)]
     cells = [
         num(_text(rig, one.name, value, ends))
         for value, ends in ((one.first, one.first_interval), (one.second, one.second_interval))
     ]
-    return [one.name, *cells, pretty(unit_of(rig, one.name)), num(apart), told]
+    return [one.name, *cells, pretty(unit_of(rig, one.name)), num(apart)]
 
 
 def _text(rig: Rig, name: str, value: float | None, ends: tuple[float, float] | None) -> str:
