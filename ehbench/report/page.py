@@ -77,7 +77,9 @@ def _built(folders: Sequence[Path], campaign: Campaign | None) -> str:
     anchors = [f"run-{place}" for place in range(1, len(runs) + 1)]
     pictures = [RunPictures(*one, titles, looks) for one in zip(runs, anchors, strict=True)]
     stages = [report_of(run) for run in runs]
-    contents = [stage.section(*one) for stage, *one in zip(stages, runs, pictures, strict=True)]
+    contents = [
+        stage.section(run, drawn) for stage, run, drawn in zip(stages, runs, pictures, strict=True)
+    ]
     sections = [_run_section(*one, titles) for one in zip(runs, anchors, contents, strict=True)]
     titles.refuse_unused()
     before = [

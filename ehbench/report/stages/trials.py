@@ -123,7 +123,8 @@ def _each_trial(cases: Sequence[Case], pictures: Pictures) -> tuple[list[Block],
         named += [picture for picture in drawn if picture.named is not None]
         if others := [picture for picture in drawn if picture.named is None]:
             folds.append(Fold(f"{name}, on the {case.row['on']}", others))
-    return sorted(named, key=lambda one: one.named or 0), folds
+    named.sort(key=lambda one: one.named or 0)
+    return [*named], folds
 
 
 REPORT = StageReport(
