@@ -13,6 +13,7 @@ from ehbench.observations import rings_clearly
 from ehbench.quantities import quantity
 from ehbench.rundir import read_json
 from ehbench.signals import Ringing
+from ehbench.structure import Finding, Follows, Structure
 
 
 @dataclass(frozen=True)
@@ -209,7 +210,7 @@ class LogResult:
 @dataclass(frozen=True)
 class Validation:
     """The verdict on a rig: ``accepted`` if some held-out log was judged and all of them passed;
-    else ``reasons`` say why not.
+    else ``reasons`` say why not. ``structure`` is what the residuals say of the model.
     """
 
     rig: str
@@ -218,6 +219,7 @@ class Validation:
     warnings: tuple[str, ...]
     thresholds: dict[str, Any]
     logs: tuple[LogResult, ...]
+    structure: Structure = Structure()
 
     @property
     def verdict(self) -> str:
@@ -310,8 +312,13 @@ def read_validation(path: Path) -> Validation:
         }
         return made(LogResult, row | nested | {"checks": many(Check, row["checks"])})
 
+    asked = table.get("structure", {})
+    structure = Structure(
+        many(Finding, asked.get("findings", [])), many(Follows, asked.get("follows", []))
+    )
     try:
-        return made(Validation, table | {"logs": [log(row) for row in table["logs"]]})
+        logs = [log(row) for row in table["logs"]]
+        return made(Validation, table | {"logs": logs, "structure": structure})
     except (KeyError, TypeError) as error:
         raise InputError(
             f"is no validation: {error}", file=path, hint="name a finished run of stage 'validate'"
