@@ -72,7 +72,7 @@ def read_csv(path: Path, data: bytes, check: bool) -> Record:
 
 def _number(cell: str) -> float | None:
     try:
-        return None if "_" in cell else float(cell)
+        return float(cell) if cell.isascii() and "_" not in cell else None
     except ValueError:
         return None
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.compiled import kernel
+from ehbench.disk import DATA, read_bytes
 from ehbench.errors import InputError
 from ehbench.text import quoted
 
@@ -366,11 +367,15 @@ def _locate(grid: np.ndarray, x: np.ndarray):
     return i, (x - grid[i]) / (grid[i + 1] - grid[i])
 
 
-def pack(maps: list[FlowMap]) -> tuple[np.ndarray, np.ndarray]:
+def pack(maps: list[FlowMap], factors: Sequence[float] = ()) -> tuple[np.ndarray, np.ndarray]:
     """(data, offsets): all maps back to back in one float array, and where each one starts
-    (integers).
+    (integers); ``factors`` multiply their flows, one each, by default none.
     """
     parts = [one.data for one in maps]
+    for k, factor in enumerate(factors):
+        if factor != 1.0:
+            parts[k] = parts[k].copy()
+            parts[k][_HEADER + maps[k].opening_knots.size :] *= factor
     sizes = [0, *(part.size for part in parts)]
     data = np.concatenate(parts) if parts else np.zeros(1)
     return data, np.cumsum(sizes, dtype=np.int64)[: len(parts)]
@@ -534,16 +539,16 @@ def load_flow_maps(path: str | Path) -> FlowMaps:
     path = path / FILE_NAME if path.is_dir() else path
     hint = f"give the folder of an identify run, or its {FILE_NAME}"
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_bytes(path, DATA).decode("utf-8"))
     except FileNotFoundError:
         raise InputError("there is no such file", file=path, hint=hint) from None
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", file=path, hint=hint) from None
+    except RecursionError:
+        raise InputError("is nested too deeply", file=path, hint=hint) from None
     except json.JSONDecodeError as error:
         raise InputError(
             f"is no JSON: {error.msg}", file=path, line=error.lineno, hint=hint
         ) from None
-    except UnicodeDecodeError:
+    except ValueError:
         raise InputError("is no JSON text", file=path, hint=hint) from None
     if (
         not isinstance(content, dict)

@@ -68,7 +68,7 @@ def ask(cases: Sequence[Case]) -> Structure:
     follows: list[Follows] = []
     for case in cases:
         try:
-            simulated = case.model.replay(case.record)
+            simulated = case.simulated(case.model, case.record)
         except EhbenchError:
             continue
         if not case.channels:
@@ -143,7 +143,7 @@ class _Search:
         for case in self.cases:
             try:
                 model, record = cure.vary(case, delta)
-                simulated = cure.sense(case, model.replay(record), delta)
+                simulated = cure.sense(case, case.simulated(model, record), delta)
                 left = case.left(simulated)
             except EhbenchError:
                 return None

@@ -1,8 +1,9 @@
 """Judge a model on logs it was not fitted to: simulated against recorded, residuals, ringing, a
 verdict with reasons.
 
-The model runs freely from each log's start on the log's commands (`Model.replay`); nothing recorded
-later corrects it. Errors are simulated minus recorded, in SI."""
+The model runs freely from each log's start on the log's commands (`Model.replay`); where that start
+is, the recording says within what its first samples leave open
+(`estimated_start`). Errors are simulated minus recorded, in SI."""
 
 from __future__ import annotations
 
@@ -15,14 +16,15 @@ from typing import Any
 import numpy as np
 
 from ehbench.errors import EhbenchError, InputError, LogError
-from ehbench.observations import alternatives, least_change, payload_of
+from ehbench.observations import alternatives, column, least_change, payload_of
 from ehbench.plant.build import Maps
-from ehbench.plant.model import Model
+from ehbench.plant.model import Model, Start
 from ehbench.preprocessing import numbered, preprocess
 from ehbench.recipe import Thresholds
 from ehbench.record import Record
 from ehbench.rig import Rig, Valve
 from ehbench.structure import Case
+from ehbench.starts import estimated_start
 from ehbench.validation.checks import checks_of, unasked
 from ehbench.validation.residuals import Pair, compare, pair_of
 from ehbench.validation.results import (
@@ -321,7 +323,7 @@ def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogRe
     try:
         if log.failure is not None:
             raise LogError(str(log.failure).removeprefix(f"{log.name}: "))
-        simulated = model.replay(record)
+        simulated = model.replay(record, start=_start(model, record, moved, channels))
     except EhbenchError as error:
         return replace(
             facts,
@@ -386,6 +388,16 @@ def _pairs(
         else:
             pairs[name] = pair
     return pairs, lacking
+
+
+def _start(model: Model, record: Record, moved: Sequence[str], channels: Sequence[str]) -> Start:
+    """Where the log starts, as the cylinders that are judged tell it."""
+    wanted = [f"{cylinder}.{word}" for cylinder in moved for word in channels]
+    told = [
+        next((name for name in alternatives(one) if column(record, name, record) is not None), None)
+        for one in wanted
+    ]
+    return estimated_start(model, record, moved, list(dict.fromkeys(filter(None, told))))
 
 
 def _series(record: Record, pairs: Mapping[str, Pair]) -> dict[str, np.ndarray]:

@@ -274,4 +274,12 @@ def _channel_row(rig: Rig, one: Table) -> list[Cell | str]:
     ]
 
 
-REPORT = StageReport("validation", section, draw, standing=2)
+REPORT = StageReport(
+    "validation",
+    section,
+    draw,
+    standing=2,
+    shows=("Verdict",),
+    columns=("log", "check", "result"),
+    numbers=("validation.json", ("accepted", "reasons", "thresholds")),
+)
