@@ -175,6 +175,8 @@ def _log_blocks(rig: Rig, log: Table, pictures: Pictures) -> list[Block]:
     blocks: list[Block] = []
     if log.get("failure"):
         blocks.append(Text(f"Could not be simulated: {log['failure']}", "bad"))
+    if scored := log.get("scored"):
+        blocks.append(Text(f"Simulated as a whole; judged is {interval(*scored)} s."))
     blocks += pictures(FigureKey("validation", log=log["name"]))
     blocks += _channel_table(rig, log)
     if rings := log.get("transients", []):
