@@ -195,7 +195,8 @@ class Prepared:
     def aftermath(self, machine: Machine, rows: Rows, span: slice, still: bool) -> Aftermath:
         """What the rows ``span`` after a stop say; ``still`` whether it stood at their end."""
         ramp, beyond = float(self.recipe.limits.ramp), []
-        samples, bounds = rows.samples[span], dict(zip(LIMITS, self.limits.tolist(), strict=True))
+        samples = rows.samples[span]
+        bounds: dict[str, float] = dict(zip(LIMITS, self.limits.tolist(), strict=True))
         for column, channel in enumerate(machine.channels):
             word = channel.rsplit(".", 1)[-1]
             values = samples[:, column]
