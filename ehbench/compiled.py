@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,12 @@ def _compiler(folder: Path, **options: Any) -> Callable[[Callable], Any]:
 
 
 _FOLDER = _cache_folder()
+
+
+def is_cold() -> bool:
+    """Whether nothing is compiled yet, so that a first run takes a minute longer."""
+    return not any(_FOLDER.rglob("*.nbc"))
+
 
 # Without numba's reference counting a kernel cannot allocate (the compiler refuses it), and passing
 # rows and slices of arrays costs nothing: 1.4 times as fast a plant. Arguments are the caller's.
@@ -154,5 +161,5 @@ def table(rows: int, layout: np.dtype) -> np.recarray:
 def table_of(rows: Sequence[Mapping[str, Any]], layout: np.dtype) -> np.recarray:
     """A table of rows given by the names of their fields; what a row does not name is zero."""
     names = layout.names or ()
-    values = [tuple(row.get(name, 0) for name in names) for row in rows]
+    values = [tuple(map(row.get, names, repeat(0))) for row in rows]
     return np.array(values, layout).view(np.recarray)

@@ -37,6 +37,7 @@ LOADED = (
 )
 OVERSHOOT = 0.01  # share of a driver's range that a recorded command may lie outside of it
 TRAVEL = 0.02  # share of the stroke beyond which a cylinder has surely moved
+FIRST = 0.02  # [s] over which the first samples tell a speed
 ONGOING = 0.1  # share of the largest speed above which a log begins mid-motion
 _MIXED = ("Pa", "kPa", "psi", "bar", "MPa")
 
@@ -358,35 +359,62 @@ def _travels(record: Record, cylinder: Cylinder) -> bool:
     return False
 
 
-def _begun(record: Record, rig: Rig, rest: int) -> list[str]:
-    """Warnings of what is already on, or already moves, at the first sample: the simulation starts
-    at rest.
+def moving_at_first(record: Record, rig: Rig, rest: int) -> tuple[str, ...]:
+    """Cylinders that move at the first sample, by their rate or by what their position does in the
+    first samples, of ``rest`` before a command changes.
     """
-    told = []
+    found = []
     for cylinder in rig.cylinder:
-        for valve in cylinder.valve:
-            channel = f"{cylinder.name}.{valve.name}.command"
-            if channel not in record:
-                continue
-            first = float(np.median(record[channel][:rest]))
-            least = 0.01 * (float(valve.command_max) - float(valve.command_min))
-            if any(edge.sign * first > float(edge.deadband) + least for edge in valve.edge):
-                told.append(
-                    f"{channel} is already on at the first sample ({first:g} V): the model starts "
-                    "at rest"
-                )
-        for word in ("qd", "v"):
+        if not _travels(record, cylinder):
+            continue
+        for word in ("qd", "v", "q", "x"):
             channel = f"{cylinder.name}.{word}"
-            if channel not in record or not _travels(record, cylinder):
-                continue
-            speed, count = record[channel], min(rest, max(1, round(0.02 / record.sample_time)))
-            noise = 1.5 * float(np.median(np.abs(np.diff(speed)))) / math.sqrt(count)
-            if (
-                abs(float(np.mean(speed[:count])))
-                > ONGOING * float(np.abs(speed).max()) + 4.0 * noise
-            ):
-                told.append(
-                    f"{cylinder.name} already moves at the first sample: the model starts at rest"
-                )
+            if channel in record:
+                shows = _begins_fast if word in ("qd", "v") else _begins_sloped
+                if shows(record[channel], rest, record.sample_time):
+                    found.append(cylinder.name)
                 break
-    return told
+    return tuple(found)
+
+
+def _begins_fast(speed: np.ndarray, rest: int, tick: float) -> bool:
+    count = min(rest, max(1, round(FIRST / tick)))
+    noise = 1.5 * float(np.median(np.abs(np.diff(speed)))) / math.sqrt(count)
+    return abs(float(np.mean(speed[:count]))) > ONGOING * float(np.abs(speed).max()) + 4.0 * noise
+
+
+def _begins_sloped(place: np.ndarray, rest: int, tick: float) -> bool:
+    count = min(rest, max(8, round(2.5 * FIRST / tick)))
+    if count < 8:
+        return False
+    noise = 1.5 * float(np.median(np.abs(np.diff(place)))) * math.sqrt(12.0 / count)
+    way = float(np.polyfit(np.arange(count), place[:count], 1)[0]) * count
+    most = float(np.abs(place[count:] - place[:-count]).max()) if place.size > count else abs(way)
+    return abs(way) > ONGOING * most + 4.0 * noise
+
+
+def on_at_first(record: Record, rig: Rig, rest: int) -> dict[str, float]:
+    """Commands [V] that are already on at the first sample, by channel."""
+    found = {}
+    for cylinder, valve in rig.valves():
+        channel = f"{cylinder.name}.{valve.name}.command"
+        if channel not in record:
+            continue
+        first = float(np.median(record[channel][:rest]))
+        least = 0.01 * (float(valve.command_max) - float(valve.command_min))
+        if any(edge.sign * first > float(edge.deadband) + least for edge in valve.edge):
+            found[channel] = first
+    return found
+
+
+def _begun(record: Record, rig: Rig, rest: int) -> list[str]:
+    """Warnings of what is already on, or already moves, at the first sample."""
+    told = [
+        f"{channel} is already on at the first sample ({first:g} V): the start is taken from the "
+        "first samples"
+        for channel, first in on_at_first(record, rig, rest).items()
+    ]
+    return told + [
+        f"{cylinder} already moves at the first sample: the start is taken from the first samples"
+        for cylinder in moving_at_first(record, rig, rest)
+    ]

@@ -52,6 +52,12 @@ _ROWS = [
     Quantity(
         "p_rod", "P2", "Pa", "kPa", "gauge pressure in the rod end (the annular side)", -2e5, 2e8
     ),
+    Quantity(
+        "p_line_head", "P1l", "Pa", "kPa", "gauge pressure in the line of the head end", -2e5, 2e8
+    ),
+    Quantity(
+        "p_line_rod", "P2l", "Pa", "kPa", "gauge pressure in the line of the rod end", -2e5, 2e8
+    ),
     Quantity("p_supply", "Ps", "Pa", "kPa", "gauge supply pressure", -2e5, 2e8),
     Quantity("p_tank", "Pt", "Pa", "kPa", "gauge tank pressure", -2e5, 1e7),
     Quantity("command", "u", "V", "V", "voltage commanded to the valve driver", -100, 100),
@@ -195,6 +201,15 @@ _ROWS = [
         "bristle_damping", "σ1", "N*s/m", "N*s/m", "damping of friction before it slides", 0, 1e8
     ),
     Quantity("opening_rate", "ẋ_v", "V/s", "V/s", "rate of a valve's opening", -1e9, 1e9),
+    Quantity(
+        "mount_deflection",
+        "δ",
+        "m",
+        "mm",
+        "how far a cylinder's mount has given way, positive where the rod pushes",
+        -1,
+        1,
+    ),
     Quantity("bristle", "z", "m", "um", "how far the bristles of friction are bent", -1, 1),
     Quantity(
         "joint_damping",
@@ -211,7 +226,7 @@ _ROWS = [
         "b",
         "N*s/m",
         "N*s/m",
-        "viscous damping of a sliding mass",
+        "viscous damping of a sliding mass or a mount",
         0,
         1e8,
         rings="decay",
@@ -250,6 +265,15 @@ _ROWS = [
     Quantity("s1", "s1", "s", "ms", "first-order coefficient of a valve's denominator", 0, 100),
     Quantity("s2", "s2", "s^2", "s^2", "second-order coefficient of a valve's denominator", 0, 1e4),
     Quantity(
+        "map_factor",
+        "k_m",
+        "dimensionless",
+        "dimensionless",
+        "what the flow of an edge's measured map is multiplied by",
+        0,
+        100,
+    ),
+    Quantity(
         "flow_gain",
         "k_q",
         "m^3/(s*V*Pa^0.5)",
@@ -283,6 +307,15 @@ _ROWS = [
     Quantity("pump_speed", "ω", "rad/s", "rpm", "speed of a pump without a command", -1e4, 1e4),
     Quantity(
         "slip", "C_s", "m^3/(s*Pa)", "mL/min/bar", "oil that slips back through a pump", 0, 1e-6
+    ),
+    Quantity(
+        "resistance",
+        "R",
+        "Pa*s/m^3",
+        "bar*min/L",
+        "laminar resistance of a line, drop over flow",
+        0,
+        1e16,
     ),
     Quantity(
         "orifice_gain", "k_o", "m^3/(s*Pa^0.5)", "gpm/MPa^0.5", "flow per root of drop", 0, 10

@@ -31,8 +31,11 @@ from ehbench.fields import FileModel, Q, Value, one_of, scalars
 from ehbench.fields import read_value as read_value
 from ehbench.notebook import label, plural, shown, table
 from ehbench.parts.edge import FixedLawFields, FixedLawName, LawFields, LawName, edge_law
+from ehbench.parts.edge.law import EdgeLaw
 from ehbench.parts.friction import TABLES as FRICTIONS
 from ehbench.parts.friction.law import FrictionTable
+from ehbench.parts.line import Line
+from ehbench.parts.mount import Mount
 from ehbench.parts.valve import TABLES as DYNAMICS
 from ehbench.parts.valve.law import DynamicsTable
 from ehbench.quantities import VOCABULARY, Quantity
@@ -168,8 +171,8 @@ class MeteringEdge(FileModel):
 
     ``law`` is one of `ehbench.parts.edge`, which brings keys of its own. law ``map`` is a measured
     flow map, from the recipe's ``flow_maps`` or the run behind the rig; where one is given it goes
-    before the other laws, too. ``sign`` −1 opens the edge on negative commands. ``reverse`` says
-    what a reversed drop does: ``mirror`` or ``blocked``."""
+    before the other laws, too, its flow multiplied by ``map_factor``. ``sign`` −1 opens the edge on
+    negative commands. ``reverse`` says what a reversed drop does: ``mirror`` or ``blocked``."""
 
     name: Name | None = None
     from_: Literal["supply", "tank", "head", "rod"] = Field(alias="from")
@@ -178,6 +181,7 @@ class MeteringEdge(FileModel):
     sign: Literal[1, -1] = 1
     reverse: Literal["mirror", "blocked"] = "mirror"
     deadband: Annotated[Value, Q("deadband")] = Value(0.0)
+    map_factor: Annotated[Value, Q("map_factor")] = Value(1.0)
 
 
 class Edge(LawFields, MeteringEdge):
@@ -186,7 +190,7 @@ class Edge(LawFields, MeteringEdge):
     @model_validator(mode="after")
     def _law_is_whole(self) -> Edge:
         law = edge_law(self.law)
-        _must_be_whole(self, law.needs)
+        _must_be_whole(self, law, law.needs, set(LawFields.model_fields))
         if not law.metering and self.reverse == "blocked":
             raise Misplaced(
                 f"a {self.law} passes oil both ways; put a check valve beside it", "reverse"
@@ -220,13 +224,12 @@ class FixedEdge(FixedLawFields, UnmeteredEdge):
 
     @model_validator(mode="after")
     def _law_is_whole(self) -> FixedEdge:
-        _must_be_whole(self, edge_law(self.law).needs_fixed)
+        law = edge_law(self.law)
+        _must_be_whole(self, law, law.needs_fixed, set(FixedLawFields.model_fields))
         if (self.pilot is None) != (self.pilot_ratio is None):
             raise ValueError(
                 "a pilot-operated check valve takes pilot and pilot_ratio, another none"
             )
-        if self.pilot is not None and self.law != "check":
-            raise Misplaced("only a check valve has a pilot", "pilot")
         if self.pilot == self.from_:
             raise Misplaced("the pilot is at 'from', where it opens nothing", "pilot")
         return self
@@ -237,13 +240,25 @@ class FixedEdge(FixedLawFields, UnmeteredEdge):
         return self.displacement if self.law == "pump" else self.orifice_gain
 
 
-def _must_be_whole(edge: Edge | FixedEdge, needs: Sequence[str]) -> None:
-    """Refuse an edge from a node to itself, or without a number that its law needs."""
+def _must_be_whole(
+    edge: Edge | FixedEdge, law: EdgeLaw, needs: Sequence[str], of_laws: set[str]
+) -> None:
+    """Refuse an edge from a node to itself, without a number that its law needs, or with one of
+    the keys ``of_laws`` that only another law takes. An edge on a map may keep the gain that it
+    had before it was measured.
+    """
     if edge.from_ == edge.to:
         raise ValueError(f"an edge joins two different nodes, not {edge.to} with itself")
     for need in needs:
         if getattr(edge, need) is None:
-            raise ValueError(f"law '{edge.law}' needs '{need}'")
+            raise ValueError(f"law '{law.name}' needs '{need}'")
+    if law.name == "map":
+        return
+    takes = (*needs, *law.takes)
+    for key in sorted(edge.model_fields_set & of_laws - set(takes)):
+        if getattr(edge, key) is not None:
+            own = ", ".join(takes)
+            raise Misplaced(f"law '{law.name}' takes no '{key}'; its own keys: {own}", key)
 
 
 class Valve(FileModel):
@@ -404,6 +419,8 @@ class Cylinder(FileModel):
     valve: tuple[Valve, ...] = Field(min_length=1)
     force: tuple[Force, ...] = ()
     edge: tuple[FixedEdge, ...] = ()
+    line: tuple[Line, ...] = ()
+    mount: Mount | None = None
 
     @model_validator(mode="after")
     def _areas(self) -> Cylinder:
@@ -457,20 +474,33 @@ class Cylinder(FileModel):
         return self
 
     @model_validator(mode="after")
+    def _one_line_an_end(self) -> Cylinder:
+        if (at := _second([line.end for line in self.line])) is not None:
+            raise Misplaced(
+                f"the {self.line[at].end} end has a line already; give their volumes and "
+                "resistances in one",
+                *("line", at, "end"),
+            )
+        return self
+
+    @model_validator(mode="after")
     def _names_differ(self) -> Cylinder:
         valves = list(enumerate(self.valve))
+        own = [(("line", i), line.name) for i, line in enumerate(self.line)]
+        own += [(("mount",), "mount")] if self.mount is not None else []
         for what, places in (
             ("valves", [(("valve", i), v.name) for i, v in valves]),
             (
                 "edges",
-                [
+                own
+                + [
                     (("valve", i, "edge", j), v.edge_name(e))
                     for i, v in valves
                     for j, e in enumerate(v.edge)
                 ]
                 + [(("edge", j), e.name) for j, e in enumerate(self.edge)],
             ),
-            ("forces", [(("force", i), f.name) for i, f in enumerate(self.force)]),
+            ("forces", own + [(("force", i), f.name) for i, f in enumerate(self.force)]),
         ):
             if (at := _second([name for _, name in places])) is not None:
                 where, name = places[at]
@@ -481,15 +511,16 @@ class Cylinder(FileModel):
 
     def parts(self) -> Iterator[tuple[str, FileModel]]:
         """Its further parts with what their parameters' names begin with, after the cylinder's."""
-        for own in _tables(self).values():
-            yield "", own
-        for force in self.force:
-            yield f"{force.name}.", force
+        for key, own in _tables(self).items():
+            yield _prefix(key), own
+        for part in (*self.force, *self.line):
+            yield f"{part.name}.", part
 
     @property
     def unmodelled(self) -> tuple[str, ...]:
         """Its tables that a controller's model of a cylinder does not have."""
-        return ("[[cylinder.force]]",) if self.force else ()
+        lists = tuple(f"[[cylinder.{key}]]" for key in ("force", "line") if getattr(self, key))
+        return lists if self.mount is None else (*lists, "[cylinder.mount]")
 
     @property
     def pump(self) -> str | None:
@@ -904,18 +935,31 @@ def _cylinder_with(model: Cylinder, new: Mapping[str, Value]) -> Cylinder:
     for valve in model.valve:
         edges = (_replaced(e, f"{prefix}{valve.edge_name(e)}.", new) for e in valve.edge)
         valves.append(valve.model_copy(update={"edge": tuple(edges)}))
-    tables = {key: _replaced(part, prefix, new) for key, part in _tables(model).items()}
-    forces = tuple(_replaced(f, f"{prefix}{f.name}.", new) for f in model.force)
-    fixed = tuple(_replaced(e, f"{prefix}{e.name}.", new) for e in model.edge)
+    tables = {
+        key: _replaced(part, prefix + _prefix(key), new) for key, part in _tables(model).items()
+    }
+    named: dict[str, tuple[Any, ...]] = {
+        "force": model.force,
+        "edge": model.edge,
+        "line": model.line,
+    }
+    lists = {
+        key: tuple(_replaced(part, f"{prefix}{part.name}.", new) for part in parts)
+        for key, parts in named.items()
+    }
     whole = _replaced(model, prefix, new)
-    parts = tables | {"valve": tuple(valves), "force": forces, "edge": fixed}
-    return whole.model_copy(update=parts)
+    return whole.model_copy(update=tables | {"valve": tuple(valves)} | lists)
 
 
 def _tables(model: BaseModel) -> dict[str, FileModel]:
     """The tables that a part of the rig has beside its own values."""
     own = {name: getattr(model, name) for name in type(model).model_fields}
     return {name: part for name, part in own.items() if isinstance(part, FileModel)}
+
+
+def _prefix(table: str) -> str:
+    """What the parameters of a cylinder's table begin with, after the cylinder's name."""
+    return "mount." if table == "mount" else ""
 
 
 def parameter_row(name: str) -> Quantity:

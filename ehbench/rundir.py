@@ -32,6 +32,7 @@ from ehbench.errors import EhbenchError, InputError
 from ehbench.text import shortened_path
 
 PACKAGE = Path(__file__).resolve().parent
+SHIPPED = PACKAGE / "shipped"  # recipes and datasets in a wheel; a checkout has them beside it
 _PART = re.compile(r"\.(?P<name>.+)\.(?P<pid>[1-9]\d*)\.part")
 # what a disk says that takes no more
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
@@ -54,12 +55,18 @@ def sha256(path: Path) -> str:
     return hashlib.sha256(read_bytes(target, DATA)).hexdigest()
 
 
+def shipped(name: str) -> Path:
+    """Where the ``recipes`` or ``datasets`` that ship with the package are."""
+    inside = SHIPPED / name
+    return inside if inside.is_dir() else PACKAGE.parent / name
+
+
 @lru_cache(maxsize=1)
 def code_version() -> str:
     """SHA-256 over the package's own sources: changes whenever the code does."""
-    digest = hashlib.sha256()
+    digest, others = hashlib.sha256(), {"__pycache__", SHIPPED.name}
     for path in sorted(PACKAGE.rglob("*")):
-        if path.suffix in (".py", ".html", ".css", ".toml") and "__pycache__" not in path.parts:
+        if path.suffix in (".py", ".html", ".css", ".toml") and others.isdisjoint(path.parts):
             digest.update(str(path.relative_to(PACKAGE)).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
 

@@ -17,8 +17,8 @@ def find_campaign(name: str) -> Path:
     Raises:
         InputError: there is none.
     """
-    inside = Path("recipes") / name / "campaign.toml"
-    for candidate in (Path(name), inside, rundir.PACKAGE.parent / inside):
+    here = Path(name) / "campaign.toml"
+    for candidate in (Path(name), Path("recipes") / here, rundir.shipped("recipes") / here):
         if not impossible(candidate) and candidate.is_file():
             return candidate
     raise InputError(

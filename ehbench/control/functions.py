@@ -365,7 +365,7 @@ def circuit(
             "edges are not those of a plant", hint="records of ehbench.parts.edge.EDGE"
         )
     ranges = np.asarray(ranges, float)
-    lowest, highest = np.ascontiguousarray(ranges[:, 0]), np.ascontiguousarray(ranges[:, 1])
+    lowest, highest = np.ascontiguousarray(ranges.T)
     head, rod = 2 + 2 * cylinder, 3 + 2 * cylinder
     own = _edges_at(edges, cylinder, (head, rod))
     hull, hull_at = _hulls(edges, measured)
@@ -390,7 +390,7 @@ def circuit(
     ends = ((0, head), (head, 1), (0, rod), (rod, 1), (head, rod), (rod, head))
     for path, between in enumerate(ends):
         paths[path], along[path] = _serving(whole, own, between)
-    able[:] = [_able(whole, function) for function in range(len(FUNCTIONS))]
+    able[:] = _able(paths, edges)
     return whole
 
 
@@ -414,32 +414,36 @@ def _edges_at(edges: np.recarray, cylinder: int, nodes: tuple[int, int]) -> np.n
 def _serving(circuit: Circuit, own: np.ndarray, between: tuple[int, int]) -> tuple[int, float]:
     """(edge that carries most at 1 MPa from one node to another, its direction); −1 for none."""
     serving, along, most = -1, 1.0, 0.0
-    for edge in map(int, own):
-        row = circuit.edges[edge]
-        forward = (row.from_node, row.to_node) == between
-        if not forward and ((row.to_node, row.from_node) != between or row.blocked == 1):
+    edges = circuit.edges
+    ends = list(zip(edges.from_node.tolist(), edges.to_node.tolist(), strict=True))
+    for edge in own.tolist():
+        forward = ends[edge] == between
+        if not forward and (ends[edge] != between[::-1] or edges.blocked[edge] == 1):
             continue
         way = 1.0 if forward else -1.0
         opening = widest(circuit, edge, way * 1.0e6)
-        flow = way * edge_flow(way * 1.0e6, opening, row, circuit.maps)
+        flow = way * edge_flow(way * 1.0e6, opening, edges[edge], circuit.maps)
         if flow > most:
             serving, along, most = edge, way, flow
     return serving, along
 
 
-def _able(circuit: Circuit, function: int) -> bool:
-    """True where every path of a function has an edge whose command opens no other."""
-    chosen = [int(circuit.paths[p]) for p in np.flatnonzero(PATH_FLOWS[function].any(axis=1))]
-    if min(chosen, default=0) < 0:
-        return False
-    commands = list(zip(circuit.edges.valve.tolist(), circuit.edges.sign.tolist(), strict=True))
-    opened = {commands[e] for e in chosen}
-    if len({valve for valve, _ in opened}) < len(opened):
-        return False
-    touching = (circuit.edges.from_node >= 2) | (circuit.edges.to_node >= 2)
-    return all(
-        e in chosen or not touching[e] or commands[e] not in opened for e in range(len(commands))
-    )
+def _able(paths: np.ndarray, edges: np.recarray) -> list[bool]:
+    """Of each function, whether every path has an edge whose command opens no other."""
+    touching = ((edges.from_node >= 2) | (edges.to_node >= 2)).tolist()
+    commands = list(zip(edges.valve.tolist(), edges.sign.tolist(), strict=True))
+    able = []
+    for function in range(len(FUNCTIONS)):
+        chosen = paths[PATH_FLOWS[function].any(axis=1)].tolist()
+        opened = {commands[e] for e in chosen if e >= 0}
+        able.append(
+            min(chosen, default=0) >= 0
+            and len({valve for valve, _ in opened}) == len(opened)
+            and not any(
+                touching[e] and one in opened and e not in chosen for e, one in enumerate(commands)
+            )
+        )
+    return able
 
 
 def _hulls(edges: np.ndarray, measured: Sequence | None) -> tuple[np.ndarray, np.ndarray]:

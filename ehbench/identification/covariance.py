@@ -1,45 +1,119 @@
-"""Standard errors of a least-squares fit to logs whose residuals are coloured."""
+"""Standard errors of a least-squares fit to logs whose residuals are coloured and whose starts are
+estimated with it.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ehbench.identification.search import LEVEL
 from ehbench.signals import correlation_time
 
+# logs disagree where noise alone would make them do so less often than this
+DISAGREE = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """What one log says of its ``channels``: sensitivities of its scaled residuals to the
+    parameters (samples, channels, parameters) and to its start's nuisances (samples, channels,
+    nuisances), the residuals (samples, channels), where the nuisances stand [prior standard
+    deviations]."""
+
+    channels: tuple[str, ...]
+    slopes: np.ndarray
+    nudges: np.ndarray
+    left: np.ndarray
+    shifts: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Eliminated:
+    """A log's least squares with its nuisances taken out: by how much the best nuisances follow the
+    parameters (``gain``, shape (nuisances, parameters)), their own best step ``move``, and what
+    stays for the parameters: normal matrix and gradient; ``known`` is the normal matrix if the
+    nuisances were known.
+    """
+
+    gain: np.ndarray
+    move: np.ndarray
+    normal: np.ndarray
+    gradient: np.ndarray
+    known: np.ndarray
+
+
+def eliminate(block: Block, weight: float) -> Eliminated:
+    """A log's nuisances eliminated; ``weight`` is that of a prior, `starts.prior_weight`."""
+    p, n = block.slopes.shape[-1], len(block.shifts)
+    whole = np.concatenate([block.slopes, block.nudges, block.left[..., None]], axis=-1)
+    whole = whole.reshape(-1, p + n + 1)
+    square = whole.T @ whole
+    inner = square[p : p + n, p : p + n] + weight * np.eye(n)
+    pull = square[p : p + n, -1] + weight * block.shifts
+    gain, move = np.linalg.solve(inner, square[p : p + n, :p]), -np.linalg.solve(inner, pull)
+    normal = square[:p, :p] - square[:p, p : p + n] @ gain
+    gradient = square[:p, -1] - gain.T @ pull
+    return Eliminated(gain, move, 0.5 * (normal + normal.T), gradient, square[:p, :p])
+
 
 @dataclass(frozen=True)
+class Prior:
+    """What is known of the parameters beside the data: inverse standard deviations in search
+    coordinates (zero: nothing), by what the parameters are off their prior values, in the same
+    coordinates, and the weight of a prior beside a sample.
+    """
+
+    sharpness: np.ndarray
+    off: np.ndarray
+    weight: float
+
+    @property
+    def normal(self) -> np.ndarray:
+        return np.diag(self.weight * self.sharpness**2)
+
+    @property
+    def gradient(self) -> np.ndarray:
+        return self.weight * self.sharpness**2 * self.off
+
+
+@dataclass(frozen=True, eq=False)
 class Covariance:
-    """Covariances of the search coordinates: ``hac`` and, with three logs or more, ``jackknife``;
-    ``alone`` is the standard error each parameter would have if all the others were known."""
+    """Covariances of the search coordinates: ``hac`` and ``acf``, and where the logs disagree
+    ``jackknife``.
+
+    ``alone`` is the standard error each parameter would have if all the others were known,
+    ``quantile`` that of the 95 % interval by ``hac`` and ``acf``, ``from_data`` the share of each
+    parameter's information that is not its prior's, ``from_starts`` the share of its variance that
+    it has because the logs' starts are estimated."""
 
     hac: np.ndarray
+    acf: np.ndarray
     jackknife: np.ndarray | None
     logs: int
     alone: np.ndarray
-    meat: np.ndarray
-    gradient: np.ndarray
+    quantile: float
+    from_data: np.ndarray
+    from_starts: np.ndarray
 
     def error(self, k: int) -> tuple[float, float, str]:
         """(standard error, quantile of the 95 % interval, where it is from) of parameter k:
-        whichever gives the wider interval.
+        whichever gives the widest interval.
         """
-        from scipy.stats import norm, t
+        from scipy.stats import t
 
-        normal = float(norm.ppf(0.5 + 0.5 * LEVEL))
-        hac = math.sqrt(max(self.hac[k, k], 0.0))
+        found = [
+            (math.sqrt(max(matrix[k, k], 0.0)), self.quantile, source)
+            for matrix, source in ((self.hac, "hac"), (self.acf, "acf"))
+        ]
         if self.jackknife is not None:
-            jack, quantile = (
-                math.sqrt(max(self.jackknife[k, k], 0.0)),
-                float(t.ppf(0.5 + 0.5 * LEVEL, self.logs - 1)),
-            )
-            if jack * quantile > hac * normal:
-                return jack, quantile, "jackknife"
-        return hac, normal, "hac"
+            quantile = float(t.ppf(0.5 + 0.5 * LEVEL, self.logs - 1))
+            found.append((math.sqrt(max(self.jackknife[k, k], 0.0)), quantile, "jackknife"))
+        return max(found, key=lambda one: one[0] * one[1])
 
     @property
     def correlation(self) -> np.ndarray:
@@ -47,49 +121,177 @@ class Covariance:
         return self.hac / np.outer(size, size)
 
 
-def covariance_of(slopes: Sequence[np.ndarray], left: Sequence[np.ndarray]) -> Covariance:
+def covariance_of(blocks: Sequence[Block], prior: Prior) -> Covariance:
     """Covariance of a least-squares solution whose residuals are coloured.
 
-    Sandwich ``H⁻¹ M H⁻¹`` with ``H = Σ JᵀJ`` and M the long-run covariance of the scores ``s_t =
-    J_tᵀ r_t`` of each log, Bartlett weights to four correlation times of the scores (Newey & West
-    1987). Jackknife: each log left out in turn, one Gauss–Newton step; directions that one log
-    alone informs are left to the sandwich.
-
-    Args:
-        slopes: by log, shape (samples, channels, parameters).
-        left: residuals by log, shape (samples, channels).
+    Sandwiches ``H⁻¹ M H⁻¹`` with ``H = Σ JᵀJ`` over the logs, J without what a log's nuisances can
+    do as well. M is once the long-run covariance of the scores ``s_t = J_tᵀ r_t`` of each log,
+    Bartlett weights to four correlation times of the scores (``hac``, Newey & West 1987), and once
+    ``Σ JᵀRJ``, R the autocovariance of each channel's residual over all logs, flat-top weights to
+    twice its last significant lag (``acf``, Politis 2003). Both take the quantile of fixed b
+    (Kiefer & Vogelsang 2005). Where the scores of three logs or more disagree by more than their
+    long-run covariance explains, each log is left out in turn, one Gauss–Newton step
+    (``jackknife``); directions that one log alone informs are left to the sandwich.
     """
-    information = [np.einsum("tci,tcj->ij", part, part) for part in slopes]
-    scores = [np.einsum("tci,tc->ti", part, rest) for part, rest in zip(slopes, left, strict=True)]
-    total = np.sum(information, axis=0)
-    size = np.sqrt(np.maximum(np.diag(total), 1e-300))
-    values, vectors = np.linalg.eigh(total / np.outer(size, size))
-    root = vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])) / size[:, None]
+    solved = [eliminate(block, prior.weight) for block in blocks]
+    data = np.sum([one.normal for one in solved], axis=0)
+    total = data + prior.normal
+    root = _inverse_root(total)
     inverse = root @ root.T
-    meat = np.sum([_long_run(score) for score in scores], axis=0)
-    alone = np.sqrt(np.maximum(np.diag(meat), 0.0)) / np.maximum(np.diag(total), 1e-300)
-    jackknife = None
-    count = len(slopes)
-    if count >= 3:
-        moves = np.empty((count, len(size)))
-        for k in range(count):
-            keep, turned = np.linalg.eigh(np.eye(len(size)) - root.T @ information[k] @ root)
-            held = np.where(keep > 0.05, 1.0 / np.maximum(keep, 0.05), 0.0)
-            moves[k] = root @ (turned @ (held * (turned.T @ (root.T @ np.sum(scores[k], axis=0)))))
-        moves -= moves.mean(axis=0)
-        jackknife = (count - 1) / count * moves.T @ moves
-    gradient = np.sum([np.sum(score, axis=0) for score in scores], axis=0)
-    return Covariance(inverse @ meat @ inverse, jackknife, count, alone, meat, gradient)
+    known_starts = _inverse_root(np.sum([one.known for one in solved], axis=0) + prior.normal)
+    free = [
+        block.slopes - block.nudges @ one.gain for block, one in zip(blocks, solved, strict=True)
+    ]
+    scores = [np.einsum("tci,tc->ti", j, b.left) for j, b in zip(free, blocks, strict=True)]
+    reaches = [_reach(score) for score in scores]
+    own = [prior.weight**2 * one.gain.T @ one.gain for one in solved]
+    meats = [
+        _weighed(score, 1.0 - np.arange(reach + 1) / (reach + 1.0)) + known
+        for score, reach, known in zip(scores, reaches, own, strict=True)
+    ]
+    known = prior.weight**2 * np.diag(prior.sharpness**2)
+    hac = np.sum(meats, axis=0) + known
+    acf = _by_autocovariance(free, blocks) + np.sum(own, axis=0) + known
+    b = float(np.mean([r / len(s) for r, s in zip(reaches, scores, strict=True)]))
+    pulls = [one.gradient for one in solved]
+    informed = np.maximum(np.diag(total), 1e-300)
+    ideal = np.sum(known_starts**2, axis=1) / np.maximum(np.diag(inverse), 1e-300)
+    return Covariance(
+        inverse @ hac @ inverse,
+        inverse @ acf @ inverse,
+        _jackknife(solved, root) if _disagree(pulls, meats) else None,
+        len(blocks),
+        np.sqrt(np.maximum(np.diag(hac), 0.0)) / informed,
+        1.96 + 2.97 * b + 0.416 * b**2,
+        np.clip(1.0 - np.diag(prior.normal) * np.diag(inverse), 0.0, 1.0),
+        np.clip(1.0 - ideal, 0.0, 1.0),
+    )
 
 
-def _long_run(score: np.ndarray) -> np.ndarray:
-    """n times the long-run covariance of a series of scores, shape (samples, parameters) →
-    (parameters, parameters).
+def _inverse_root(normal: np.ndarray) -> np.ndarray:
+    """R with ``R Rᵀ`` the inverse of a normal matrix, of whose directions none counts for nothing
+    at all.
     """
-    n = len(score)
-    reach = min(n // 4, math.ceil(4.0 * max(correlation_time(column) for column in score.T)))
-    result = score.T @ score
-    for lag in range(1, reach + 1):
-        product = score[lag:].T @ score[:-lag]
-        result += (1.0 - lag / (reach + 1.0)) * (product + product.T)
+    diagonal = np.diag(normal)
+    size = np.sqrt(np.maximum(diagonal, 1e-30 * np.max(diagonal, initial=1e-270)))
+    values, vectors = np.linalg.eigh(normal / np.outer(size, size))
+    return vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])) / size[:, None]
+
+
+class Release(NamedTuple):
+    """What the last parameter would do if it were free: its step, the step's standard error, what
+    the cost would fall by.
+    """
+
+    move: float
+    std: float
+    gain: float
+
+
+def release_of(blocks: Sequence[Block], prior: Prior) -> Release:
+    """What freeing the last of the parameters would do, all others following it, to first order;
+    its standard error is by what would be left then.
+    """
+    solved = [eliminate(block, prior.weight) for block in blocks]
+    normal = np.sum([one.normal for one in solved], axis=0) + prior.normal
+    pull = np.sum([one.gradient for one in solved], axis=0) + prior.gradient
+    root = _inverse_root(normal)
+    step = -root @ (root.T @ pull)
+    after = []
+    for block, one in zip(blocks, solved, strict=True):
+        left = block.left + block.slopes @ step + block.nudges @ (one.move - one.gain @ step)
+        after.append(replace(block, left=left))
+    std = covariance_of(after, prior).error(len(pull) - 1)[0]
+    return Release(float(step[-1]), std, -float(pull @ step))
+
+
+def _reach(score: np.ndarray) -> int:
+    """Lags that the long-run covariance of a series of scores takes in."""
+    return min(
+        len(score) // 4, math.ceil(4.0 * max(correlation_time(column) for column in score.T))
+    )
+
+
+def _weighed(series: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """``Σ_lag w(lag) Σ_t s_t s_{t−lag}ᵀ`` over positive and negative lags of a series (samples,
+    columns), by Fourier transforms; ``weights`` from lag 0 on.
+    """
+    n = len(series)
+    size = 1 << (2 * n - 1).bit_length()
+    kernel = np.zeros(size)
+    kernel[: len(weights)] = weights
+    kernel[size - len(weights) + 1 :] = weights[:0:-1]
+    turned = np.fft.rfft(series, size, axis=0) * np.fft.rfft(kernel).real[:, None]
+    result = series.T @ np.fft.irfft(turned, size, axis=0)[:n]
+    return 0.5 * (result + result.T)
+
+
+def _by_autocovariance(slopes: Sequence[np.ndarray], blocks: Sequence[Block]) -> np.ndarray:
+    """``Σ JᵀRJ`` over logs and channels."""
+    p = slopes[0].shape[-1]
+    result = np.zeros((p, p))
+    for channel in sorted({channel for block in blocks for channel in block.channels}):
+        having = [
+            (part[:, block.channels.index(channel)], block.left[:, block.channels.index(channel)])
+            for part, block in zip(slopes, blocks, strict=True)
+            if channel in block.channels
+        ]
+        weights = _flat_top([left for _, left in having])
+        result += np.sum([_weighed(part, weights[: len(part)]) for part, _ in having], axis=0)
     return result
+
+
+def _flat_top(series: Sequence[np.ndarray]) -> np.ndarray:
+    """Autocovariances of series that share them, from lag 0 on, tapered: whole up to the last
+    significant lag, then down to nothing at twice it.
+    """
+    most = max(1, min(len(one) for one in series) // 4)
+    total, count = np.zeros(most + 1), 0
+    for one in series:
+        size = 1 << (2 * len(one) - 1).bit_length()
+        power = np.abs(np.fft.rfft(one, size)) ** 2
+        total += np.fft.irfft(power, size)[: most + 1]
+        count += int(np.count_nonzero(one))
+    if total[0] <= 0.0:
+        return np.zeros(1)
+    small = np.abs(total / total[0]) < 2.0 * math.sqrt(math.log10(max(count, 10)) / count)
+    quiet = np.convolve(small[1:], np.ones(5), "valid") >= 5.0
+    last = int(np.argmax(quiet)) if quiet.any() else most // 2
+    if last == 0:
+        return total[:1] / count
+    lags = np.arange(min(2 * last, most) + 1)
+    return total[: len(lags)] / count * np.minimum(1.0, 2.0 - lags / last)
+
+
+def _disagree(pulls: Sequence[np.ndarray], meats: Sequence[np.ndarray]) -> bool:
+    """Whether the gradients of three logs or more, which sum to nothing at the solution, are larger
+    than their covariances explain.
+    """
+    from scipy.stats import chi2
+
+    if len(pulls) < 3:
+        return False
+    size = np.sqrt(np.maximum(np.diag(np.sum(meats, axis=0)), 1e-300))
+    total, freedom = 0.0, 0
+    for pull, meat in zip(pulls, meats, strict=True):
+        values, vectors = np.linalg.eigh(meat / np.outer(size, size))
+        some = values > 1e-6 * max(values[-1], 1e-300)
+        along = vectors[:, some].T @ (pull / size)
+        total += float(np.sum(along**2 / values[some]))
+        freedom += int(np.count_nonzero(some))
+    freedom -= len(size)
+    return freedom > 0 and total > float(chi2.ppf(1.0 - DISAGREE, freedom))
+
+
+def _jackknife(solved: Sequence[Eliminated], root: np.ndarray) -> np.ndarray:
+    """Covariance by leaving out one log at a time; ``root`` is a square root of the inverse of the
+    normal matrix.
+    """
+    count, p = len(solved), len(root)
+    moves = np.empty((count, p))
+    for k, one in enumerate(solved):
+        keep, turned = np.linalg.eigh(np.eye(p) - root.T @ one.normal @ root)
+        held = np.where(keep > 0.05, 1.0 / np.maximum(keep, 0.05), 0.0)
+        moves[k] = root @ (turned @ (held * (turned.T @ (root.T @ one.gradient))))
+    moves -= moves.mean(axis=0)
+    return (count - 1) / count * moves.T @ moves

@@ -15,12 +15,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from ehbench.errors import InputError
+from ehbench.errors import InputError, InsufficientData
 from ehbench.identification.matching import Matching, refuse_unmatched
 from ehbench.identification.output_error import OutputError
 from ehbench.identification.results import (
@@ -31,9 +31,10 @@ from ehbench.identification.results import (
     Progress,
 )
 from ehbench.identification.search import Coordinate, Where, coordinates
-from ehbench.identification.simulator import Log, Simulator, prepare
+from ehbench.identification.simulator import Log, Simulator, prepare, shut
 from ehbench.observations import payload_of
-from ehbench.plant.build import Maps
+from ehbench.parts.edge import edge_law
+from ehbench.plant.build import Maps, map_of
 from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model
 from ehbench.record import Record
@@ -63,6 +64,8 @@ class FitOptions:
     Args:
         method: ``output_error`` or ``thesis``.
         start, lower, upper: SI numbers or texts with unit, by parameter name.
+        prior: standard deviations about the rig's values that are known beside the data, likewise,
+            or as a share such as ``"3 %"``; output error only.
         channels: what to compare, of every cylinder that moves or is asked to, or full names. Rates
             and pressures by default: an angle is the integral of the flow map's error.
         cutoff: low-pass [Hz] on recorded and simulated alike; output error only.
@@ -75,6 +78,7 @@ class FitOptions:
     start: Mapping[str, str | float] = field(default_factory=dict)
     lower: Mapping[str, str | float] = field(default_factory=dict)
     upper: Mapping[str, str | float] = field(default_factory=dict)
+    prior: Mapping[str, str | float] = field(default_factory=dict)
     channels: Sequence[str] = CHANNELS
     cutoff: float | None = None
     max_iterations: int = 30
@@ -136,15 +140,16 @@ def prepare_fit(
 
     Raises:
         InputError: as in `identify_hydraulics`.
-        InsufficientData: a log in which nothing is commanded.
+        InsufficientData: a log in which nothing is commanded, or none in which a valve opens.
     """
     asked = options or FitOptions()
     if asked.method not in ("output_error", "thesis"):
         raise InputError(f"unknown method '{asked.method}'", hint="output_error or thesis")
     if not records or len({name for name, _ in records}) < len(records):
         raise InputError("identification needs at least one log, each with a name of its own")
-    search = coordinates(rig, parameters, asked.start, asked.lower, asked.upper, where)
-    logs = []
+    _refuse_inert(rig, parameters, flow_maps, where)
+    search = coordinates(rig, parameters, asked.start, asked.lower, asked.upper, where, asked.prior)
+    logs, closed = [], []
     for index, (name, record) in enumerate(records):
         try:
             rig.with_payload(payload_of(record))
@@ -154,6 +159,9 @@ def prepare_fit(
             ) from None
         model = Model.of(rig, flow_maps, payload_of(record))
         log = prepare(model, record, name, asked.channels)
+        if (why := shut(model, log)) and not any(one.endswith(".deadband") for one in parameters):
+            closed.append(f"{name}: {why}: no valve opens")
+            log = replace(log, warnings=(*log.warnings, closed[-1]))
         logs.append(log)
         if asked.cutoff is not None and asked.cutoff * log.record.sample_time >= 0.5:
             half = 0.5 / log.record.sample_time
@@ -162,9 +170,43 @@ def prepare_fit(
                 f"{half:.4g} Hz",
                 **where("cutoff"),
             )
+    if len(closed) == len(logs):
+        raise InsufficientData(
+            closed[0],
+            hint="use larger steps; where the log shows motion, the rig's dead band is too wide: "
+            "correct it, or add it to the parameters",
+        )
     if asked.method == "thesis":
         refuse_unmatched(search)
+        if asked.prior:
+            raise InputError(
+                "method 'thesis' takes no priors", **where("prior"), hint="use 'output_error'"
+            )
     return PreparedFit(rig, tuple(parameters), search, tuple(logs), asked, flow_maps)
+
+
+def _refuse_inert(
+    rig: Rig, parameters: Sequence[str], flow_maps: Maps | None, where: Where
+) -> None:
+    """Refuse the law's numbers of an edge that goes by its measured map, and the factor of one that
+    does not.
+    """
+    for edge_name, edge in rig.all_edges().items():
+        measured = map_of(flow_maps, edge_name) is not None
+        for name in (one for one in parameters if one.rpartition(".")[0] == edge_name):
+            word = name.rpartition(".")[2]
+            if measured and word != "map_factor":
+                why, right = f"goes by its measured flow map, not by its {word}", "map_factor"
+            elif not measured and word == "map_factor":
+                needs = edge_law(edge.law).needs
+                why, right = "has no measured flow map", needs[0] if needs else "flow_gain"
+            else:
+                continue
+            raise InputError(
+                f"edge '{edge_name}' of rig '{rig.name}' {why}",
+                **where("parameters"),
+                hint=f"fit {edge_name}.{right}",
+            )
 
 
 def run_fit(prepared: PreparedFit, progress: Progress | None = None) -> HydraulicsFit:
@@ -174,15 +216,32 @@ def run_fit(prepared: PreparedFit, progress: Progress | None = None) -> Hydrauli
         InsufficientData: no log tells anything about any parameter, or the fit follows none.
     """
     one, asked = prepared, prepared.options
-    simulator = Simulator(
-        one.rig, one.logs, one.parameters, one.flow_maps, asked.workers, asked.step
-    )
+    watched = []
+    if asked.method == "output_error":
+        watched = coordinates_of_held(one.rig, one.parameters, one.flow_maps)
+    names = [*one.parameters, *(c.name for c in watched)]
+    simulator = Simulator(one.rig, one.logs, names, one.flow_maps, asked.workers, asked.step)
     tell = progress or (lambda sentence, share: None)
     most = asked.max_iterations
     with simulator.pool:
         if asked.method == "thesis":
             return Matching(simulator, one.search, tell, most).fit()
-        return OutputError(simulator, one.search, tell, most, asked.cutoff).fit()
+        return OutputError(simulator, one.search, tell, most, asked.cutoff, watched).fit()
+
+
+def coordinates_of_held(
+    rig: Rig, parameters: Sequence[str], flow_maps: Maps | None
+) -> list[Coordinate]:
+    """Gains of metering edges, or factors of their maps, that are not among the parameters."""
+    known, names = rig.parameters(), []
+    for edge_name, edge in rig.all_edges().items():
+        law = edge_law(edge.law)
+        if map_of(flow_maps, edge_name) is not None:
+            names.append(f"{edge_name}.map_factor")
+        elif law.metering and law.needs:
+            names.append(f"{edge_name}.{law.needs[0]}")
+    held = [name for name in names if name not in parameters and float(known[name]) > 0.0]
+    return coordinates(rig, held) if held else []
 
 
 @dataclass(frozen=True)

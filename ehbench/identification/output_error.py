@@ -1,6 +1,8 @@
 """Output error: the parameters with which the simulation comes nearest to all logs at once, and how
 sure they are.
-"""
+
+Where each log starts is estimated with them: its doubts (`starts.Doubt`) are nuisances of that log
+alone, so they are eliminated block by block."""
 
 from __future__ import annotations
 
@@ -11,11 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ehbench.errors import InsufficientData
-from ehbench.identification.covariance import covariance_of
+from ehbench.identification.covariance import Block, Prior, covariance_of, eliminate, release_of
 from ehbench.identification.results import Estimate, HydraulicsFit, Progress, finish, untold
 from ehbench.identification.search import VAGUE, Coordinate
-from ehbench.identification.simulator import Log, Simulator
+from ehbench.identification.simulator import Log, Shifts, Simulator
 from ehbench.signals import lowpass, rms
+from ehbench.starts import prior_weight
 from ehbench.terms import CORRELATED
 
 # a scale's floor as a share of the channel's spread: no sensor makes a channel worth more than that
@@ -29,10 +32,39 @@ SCAN = math.log(10.0)  # how far the first look goes either way
 # its points over other parameters: 5 % apart, 2.4 % in frequency, which twenty cycles of ringing
 # can still tell
 FINER = 97
+STANDS = 0.03  # share by which scales may still change when a fit stands
+ROUNDS = 8  # of weighing and solving at most
+# of the descent: damping at first, at least and at most, and what a step changes it by
+DAMPING, LEAST_DAMPING, MOST_DAMPING, EASIER, HARDER = 1e-3, 1e-9, 1e9, 0.1, 8.0
+# a held parameter is surely wrong if the logs would move it by so many standard errors, by this
+# share of it, and to the benefit of this share of the squares that are left
+SURELY, SURELY_OFF, WORTH = 4.0, 0.01, 0.05
+FAITHFUL = 0.25  # share of what a step should gain that may be missed before all is linearised anew
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Parameters in search coordinates, the shifts of the logs' starts, and the residuals [SI] by
+    log there.
+    """
+
+    theta: np.ndarray
+    shifts: Shifts
+    left: list[np.ndarray]
 
 
 class OutputError:
-    """Weighted least squares over all logs; one instance a fit."""
+    """Weighted least squares over all logs; one instance a fit.
+
+    Args:
+        simulator: of the logs, its parameters those searched and then those watched.
+        search: parameters to fit.
+        tell: progress.
+        most: iterations of a solution.
+        cutoff: of the low-pass [Hz].
+        watched: parameters that are held, and of which the logs are asked at the end whether they
+            should be.
+    """
 
     def __init__(
         self,
@@ -41,9 +73,12 @@ class OutputError:
         tell: Progress,
         most: int,
         cutoff: float | None,
+        watched: Sequence[Coordinate] = (),
     ) -> None:
-        self.simulator, self.search, self.tell = simulator, search, tell
+        self.simulator, self.search, self.tell = simulator, [*search, *watched], tell
         self.most, self.cutoff = most, cutoff
+        self.asked = len(search)
+        search = self.search
         names = sorted({channel for log in simulator.logs for channel in log.channels})
         self.spread = {
             c: self._pooled(
@@ -53,10 +88,13 @@ class OutputError:
         }
         self.scales = dict(self.spread)
         self.theta = np.array([c.begin for c in search])
-        self.free = list(range(len(search)))
+        self.shifts = simulator.unshifted()
+        self.free = list(range(self.asked))
         self.bound: list[int] = []
+        self.sharpness = np.array([c.sharpness if c.known else 0.0 for c in search])
+        self.centre = np.array([c.of(c.centre) if c.known else 0.0 for c in search])
+        self.weight = 1.0
         self.iterations = 0
-        self.cache: dict[bytes, list[np.ndarray]] = {}
 
     def _pooled(self, channel: str, parts: Sequence[np.ndarray]) -> float:
         """rms of a channel's column over all logs that have it, where it counts."""
@@ -73,35 +111,28 @@ class OutputError:
     def residuals(
         self, thetas: Sequence[np.ndarray], chosen: Sequence[int] | None = None
     ) -> list[list[np.ndarray]]:
-        """Residuals simulated − recorded [SI], low-passed, zero where they do not count, by vector
-        and log; a failed simulation counts ten spreads.
-        """
+        """Residuals simulated − recorded [SI] by vector and log, from the present starts."""
+        rows = self.simulator.simulate([self._values(x) for x in thetas], chosen, self.shifts)
         logs = self.simulator.chosen(chosen)
-        result = []
-        for row in self.simulator.simulate(
-            [[c.at(x) for c, x in zip(self.search, theta, strict=True)] for theta in thetas], chosen
-        ):
-            parts = []
-            for log, simulated in zip(logs, row, strict=True):
-                if simulated is None:
-                    left = np.tile(10.0 * self._per(self.spread, log), (len(log.recorded), 1))
-                else:
-                    left = simulated - log.recorded
-                    left = (
-                        lowpass(left, log.record.sample_time, self.cutoff) if self.cutoff else left
-                    )
-                parts.append(left * log.counts)
-            result.append(parts)
-        return result
+        return [[self._left(*pair) for pair in zip(logs, row, strict=True)] for row in rows]
 
-    def at(self, theta: np.ndarray) -> list[np.ndarray]:
-        """Residuals [SI] by log at one vector, remembered."""
-        key = theta.tobytes()
-        if key not in self.cache:
-            if len(self.cache) > 8:
-                self.cache.pop(next(iter(self.cache)))
-            self.cache[key] = self.residuals([theta])[0]
-        return self.cache[key]
+    def _values(self, theta: np.ndarray) -> list[float]:
+        return [c.at(x) for c, x in zip(self.search, theta, strict=True)]
+
+    def _left(self, log: Log, simulated: np.ndarray | None) -> np.ndarray:
+        """Residual of a log [SI], low-passed, zero where it does not count; a failed simulation
+        counts ten spreads.
+        """
+        if simulated is None:
+            return np.tile(10.0 * self._per(self.spread, log), (len(log.recorded), 1)) * log.counts
+        left = simulated - log.recorded
+        left = lowpass(left, log.record.sample_time, self.cutoff) if self.cutoff else left
+        return left * log.counts
+
+    def _at(self, theta: np.ndarray, shifts: Shifts) -> _Point:
+        row = self.simulator.simulate([self._values(theta)], None, shifts)[0]
+        left = [self._left(*pair) for pair in zip(self.simulator.logs, row, strict=True)]
+        return _Point(theta, shifts, left)
 
     def scaled(
         self, parts: Sequence[np.ndarray], chosen: Sequence[int] | None = None
@@ -112,13 +143,11 @@ class OutputError:
             for part, log in zip(parts, self.simulator.chosen(chosen), strict=True)
         ]
 
-    def slopes(
-        self, theta: np.ndarray, which: Sequence[int], central: bool = False
-    ) -> list[np.ndarray]:
+    def slopes(self, here: _Point, which: Sequence[int], central: bool = False) -> list[np.ndarray]:
         """Scaled sensitivities by log, shape (samples, channels, parameters), by differences that
         stay inside the bounds.
         """
-        ends, vectors = [], [theta]
+        theta, ends, vectors = here.theta, [], []
         for i in which:
             low, high = self.search[i].bounds
             h = DIFFERENCE if theta[i] + DIFFERENCE <= high else -DIFFERENCE
@@ -126,31 +155,50 @@ class OutputError:
             for side, shift in enumerate(pair):
                 if shift != 0.0:
                     vectors.append(theta + shift * np.eye(len(theta))[i])
-                    pair[side] = len(vectors) - 1
+                    pair[side] = len(vectors)
                 else:
                     pair[side] = 0
             ends.append((int(pair[0]), int(pair[1]), 2.0 * h if pair[1] else h))
-        done = [self.at(theta), *self.residuals(vectors[1:])]
+        done = [here.left, *(self.residuals(vectors) if vectors else [])]
         return [
             np.stack([(done[up][k] - done[down][k]) / width for up, down, width in ends], axis=-1)
             / self._per(self.scales, log)[:, None]
             for k, log in enumerate(self.simulator.logs)
         ]
 
+    def nudges(self, here: _Point) -> list[np.ndarray]:
+        """Scaled sensitivities to where each log starts, shape (samples, channels, nuisances)."""
+        found = []
+        moved = self.simulator.nudged(self._values(here.theta), here.shifts)
+        for log, left, row in zip(self.simulator.logs, here.left, moved, strict=True):
+            columns = [
+                (self._left(log, simulated) - left) / doubt.share
+                for simulated, doubt in zip(row, log.start.doubts, strict=True)
+            ]
+            scale = self._per(self.scales, log)[:, None]
+            found.append(
+                np.stack(columns, axis=-1) / scale if columns else left[..., None][..., :0]
+            )
+        return found
+
     def scan(self) -> None:
         """A coarse look over bulk modulus and damping together, then over each other positive
-        parameter, on one log for each set of cylinders asked: least squares from far off could lock
-        on to the wrong cycle of the ringing."""
+        parameter without a prior, on one log for each set of cylinders asked: least squares from
+        far off could lock on to the wrong cycle of the ringing."""
         first: dict[tuple[str, ...], int] = {}
         for i, log in enumerate(self.simulator.logs):
             first.setdefault(log.asked, i)
         chosen = list(first.values())
         bulk, damping = (
-            [i for i, c in enumerate(self.search) if c.row.rings == what and c.log]
+            [i for i in self.free if self.search[i].row.rings == what and self.search[i].log]
             for what in ("frequency", "decay")
         )
         low, high = np.array([c.bounds for c in self.search]).T
-        others = [[i] for i, c in enumerate(self.search) if c.log and i not in (*bulk, *damping)]
+        others = [
+            [i]
+            for i, c in enumerate(self.search[: self.asked])
+            if c.log and not c.known and i not in (*bulk, *damping)
+        ]
         for group in [bulk, *others] if bulk else others:
             ends = (
                 max(-SCAN, max(low[group] - self.theta[group])),
@@ -170,73 +218,132 @@ class OutputError:
             ]
             self.theta = vectors[int(np.argmin(costs))]
 
+    def cost(self, point: _Point) -> float:
+        """What is minimised: scaled residuals and what priors are missed by, squared."""
+        left = sum(float(np.sum(part**2)) for part in self.scaled(point.left))
+        known = sum(float(np.sum(own**2)) for own in point.shifts)
+        known += float(np.sum((self.sharpness * (point.theta - self.centre)) ** 2))
+        return left + self.weight * known
+
     def solve(self, tolerance: float) -> bool:
-        """Move ``theta`` to the minimum over the free parameters; whether it converged."""
-        from scipy.optimize import least_squares
+        """Move ``theta`` over the free parameters, and the logs' starts, to the minimum; whether it
+        converged.
 
-        if not self.free:
-            return True
-        free = np.array(self.free)
-        low, high = np.array([self.search[i].bounds for i in free]).T
-
-        def whole(x: np.ndarray) -> np.ndarray:
-            theta = self.theta.copy()
-            theta[free] = x
-            return theta
-
-        def slopes(x: np.ndarray) -> np.ndarray:
+        Levenberg's and Marquardt's descent within the bounds, each log's start eliminated from its
+        normal equations (`covariance.eliminate`)."""
+        free = np.array(self.free, dtype=int)
+        bounds = np.array([self.search[i].bounds for i in free]).reshape(-1, 2)
+        here = self._at(self.theta, self.shifts)
+        damping, nudges, faithful = DAMPING, None, True
+        for _ in range(self.most):
             self.iterations += 1
             self.tell("output error: fitting", self.iterations / (self.iterations + 6.0))
-            return np.concatenate(
-                [part.reshape(-1, len(free)) for part in self.slopes(whole(x), self.free)]
+            slopes = (
+                self.slopes(here, self.free)
+                if free.size
+                else [p[..., None][..., :0] for p in here.left]
             )
+            nudges = self.nudges(here) if nudges is None or not faithful else nudges
+            blocks = self._blocks(here, slopes, nudges)
+            cost = self.cost(here)
+            while True:
+                step, gain = self._step(here, blocks, free, bounds, damping)
+                if gain <= tolerance * cost:
+                    return True
+                there = self._at(*step)
+                self.tell("output error: fitting", self.iterations / (self.iterations + 6.0))
+                won = cost - self.cost(there)
+                if won > 0.0:
+                    break
+                damping *= HARDER
+                if damping > MOST_DAMPING:
+                    return True
+            faithful = abs(won - gain) < FAITHFUL * gain
+            damping = max(damping * EASIER, LEAST_DAMPING) if won > 0.25 * gain else damping
+            here, self.theta, self.shifts = there, there.theta, there.shifts
+        return False
 
-        found = least_squares(
-            lambda x: np.concatenate([part.ravel() for part in self.scaled(self.at(whole(x)))]),
-            np.clip(self.theta[free], low + 1e-9, high - 1e-9),
-            slopes,  # pyright: ignore[reportArgumentType]
-            bounds=(low, high),
-            method="trf",
-            x_scale="jac",
-            ftol=tolerance,
-            xtol=tolerance,
-            gtol=1e-12,
-            max_nfev=self.most,
+    def _blocks(
+        self, here: _Point, slopes: Sequence[np.ndarray], nudges: Sequence[np.ndarray]
+    ) -> list[Block]:
+        each = zip(
+            self.simulator.logs, slopes, nudges, self.scaled(here.left), here.shifts, strict=True
         )
-        self.theta = whole(found.x)
-        return found.status > 0
+        return [Block(log.channels, *rest) for log, *rest in each]
+
+    def _prior(self, theta: np.ndarray, which: Sequence[int]) -> Prior:
+        some = np.array(which, dtype=int)
+        return Prior(self.sharpness[some], (theta - self.centre)[some], self.weight)
+
+    def _step(
+        self,
+        here: _Point,
+        blocks: Sequence[Block],
+        free: np.ndarray,
+        bounds: np.ndarray,
+        damping: float,
+    ) -> tuple[tuple[np.ndarray, Shifts], float]:
+        """((theta, shifts) after a step, what it should gain of the cost)."""
+        solved = [eliminate(block, self.weight) for block in blocks]
+        prior, count = self._prior(here.theta, free.tolist()), len(free)
+        normal = np.sum([one.normal for one in solved], axis=0) + prior.normal
+        pull = np.sum([one.gradient for one in solved], axis=0) + prior.gradient
+        theta, move = here.theta.copy(), np.zeros(count)
+        if count:
+            move = bounded_step(normal, pull, damping, *(bounds - theta[free][:, None]).T)
+            theta[free] = np.clip(theta[free] + move, *bounds.T)
+        shifts, gain = [], -float(2.0 * pull @ move + move @ normal @ move)
+        for own, one, block in zip(here.shifts, solved, blocks, strict=True):
+            shifts.append(own + one.move - one.gain @ move)
+            inner = np.einsum("tcn,tc->n", block.nudges, block.left) + self.weight * own
+            gain -= float(inner @ one.move)
+        return (theta, shifts), gain
 
     def fit(self) -> HydraulicsFit:
         fine = self.simulator.step
         self.simulator.step = 2.0 * fine
         self.tell("output error: looking over the range of the bulk modulus", 0.0)
         self.scan()
-        self._drop(
-            [
-                i
-                for i, size in self._effects(self.slopes(self.theta, self.free), self.free).items()
-                if size < FAINT
-            ]
+        self._weigh(self._at(self.theta, self.shifts), scales=False)
+        effects = self._effects(
+            self.slopes(self._at(self.theta, self.shifts), self.free), self.free
         )
+        self._drop([i for i, size in effects.items() if size < FAINT])
         self.solve(1e-3)
         self.simulator.step = fine
-        self.cache.clear()
-        converged, released, found = True, False, _Errors({}, (), np.zeros((0, 0)))
-        for _ in range(2 * len(self.search) + 2):
-            self._snap(released)
-            left = self.at(self.theta)
-            for channel, spread in self.spread.items():
-                self.scales[channel] = max(self._pooled(channel, left), SCALE_FLOOR * spread)
-            converged = self.solve(1e-6)
+        converged = self._settle()
+        for _ in range(self.asked):
             found = self._errors()
-            errors = found.by_index
-            lost = [i for i, error in errors.items() if error.kind == "not_excited"]
-            self._drop(lost)
-            released = self._release(errors) or released
-            if not lost and not any(error.inward for error in errors.values()):
+            lost = [i for i, error in found.by_index.items() if error.kind == "not_excited"]
+            near = self._near_bounds(found.by_index)
+            if not lost and not near:
                 break
+            self._drop(lost)
+            self._hold(near)
+            converged = self._settle()
+        else:
+            found = self._errors()
         self.tell("output error: done", 1.0)
         return self._result(found, converged)
+
+    def _settle(self) -> bool:
+        """Weigh and solve until the weights stand; whether it converged."""
+        converged = False
+        for _ in range(ROUNDS):
+            before = dict(self.scales)
+            self._weigh(self._at(self.theta, self.shifts))
+            change = max(abs(math.log(self.scales[c] / before[c])) for c in before)
+            if converged and change < STANDS:
+                break
+            converged = self.solve(1e-6)
+        return converged
+
+    def _weigh(self, here: _Point, scales: bool = True) -> None:
+        """Scales of the channels, and the weight of priors beside them, by what is left."""
+        if scales:
+            for channel, spread in self.spread.items():
+                self.scales[channel] = max(self._pooled(channel, here.left), SCALE_FLOOR * spread)
+        self.weight = prior_weight(self.scaled(here.left))
 
     def _effects(self, slopes: Sequence[np.ndarray], which: Sequence[int]) -> dict[int, float]:
         """Largest rms change of a channel in a log when one of the parameters ``which`` moves by
@@ -262,69 +369,114 @@ class OutputError:
         self.free = [i for i in self.free if i not in which]
         self.bound = [i for i in self.bound if i not in which]
         if not self.free and not self.bound:
-            names = ", ".join(c.name for c in self.search)
+            names = ", ".join(c.name for c in self.search[: self.asked])
             raise InsufficientData(
                 f"the logs tell nothing about {names}",
                 hint="use logs in which the commands excite them",
             )
 
-    def _snap(self, only_exact: bool) -> None:
-        """Try parameters that have come near a bound exactly there: the solver only creeps towards
-        it.
+    def _near_bounds(self, errors: Mapping[int, _Error]) -> dict[int, float]:
+        """Bounds, by index, that free parameters come near and that their intervals do not exclude:
+        the cost grows by less than 3.84 correlation times there.
         """
-        for i in list(self.free):
-            low, high = self.search[i].bounds
-            near = 1e-9 if only_exact else NEAR * self.search[i].reach
-            for bound in (low, high):
-                if abs(self.theta[i] - bound) < near and i in self.free:
-                    self.theta[i] = bound
-                    self.free.remove(i)
-                    self.bound.append(i)
+        found = {}
+        for i in self.free:
+            c, error = self.search[i], errors.get(i)
+            if error is None:
+                continue
+            for bound in c.bounds:
+                off = abs(self.theta[i] - bound)
+                if 0.0 < off < min(NEAR * c.reach, error.quantile * error.std):
+                    found[i] = bound
+        return found
 
-    def _release(self, errors: Mapping[int, _Error]) -> bool:
-        """Free again what is held at a bound although the data pull it inside."""
-        inward = [i for i in self.bound if i in errors and errors[i].inward]
-        self.bound = [i for i in self.bound if i not in inward]
-        self.free = sorted(self.free + inward)
-        return bool(inward)
+    def _hold(self, at: Mapping[int, float]) -> None:
+        """Put parameters on their bounds and leave them there."""
+        for i, bound in at.items():
+            self.theta = self.theta.copy()
+            self.theta[i] = bound
+            self.free.remove(i)
+            self.bound.append(i)
 
     def _errors(self) -> _Errors:
-        """Standard errors of the parameters in search coordinates, and what they mean; of those at
-        a bound as if it were free.
+        """Standard errors of the parameters in search coordinates, and what they mean; all of them
+        as if none were held at a bound.
         """
         live = sorted(self.free + self.bound)
-        slopes = self.slopes(self.theta, live, central=True)
-        left = self.scaled(self.at(self.theta))
-        inside = [k for k, i in enumerate(live) if i in self.free]
-        every = covariance_of(slopes, left)
-        among = covariance_of([part[:, :, inside] for part in slopes], left) if inside else every
-        effects = self._effects(slopes, live)
-        correlation = among.correlation if inside else np.zeros((0, 0))
+        here = self._at(self.theta, self.shifts)
+        slopes = self.slopes(here, live, central=True)
+        blocks = self._blocks(here, slopes, self.nudges(here))
+        found = covariance_of(blocks, self._prior(self.theta, live))
+        effects, correlation = self._effects(slopes, live), found.correlation
+        inside = [k for k, i in enumerate(live) if not self._at_bound(i)]
         result = {}
         for k, i in enumerate(live):
-            held = i in self.bound
-            found, at = (every, k) if held else (among, inside.index(k))
-            std, quantile, source = found.error(at)
-            vague, inward = VAGUE[self.search[i].log], False
-            others = () if held else np.delete(correlation[at], at)
-            if effects[i] < FAINT or found.alone[at] > vague:
+            std, quantile, source = found.error(k)
+            vague = VAGUE[self.search[i].log]
+            others = np.abs(correlation[k, [j for j in inside if j != k]])
+            if effects[i] < FAINT or found.alone[k] > vague:
                 kind = "not_excited"
-            elif held:
+            elif k not in inside:
                 kind = "at_bound"
-                at_lower = self.theta[i] == self.search[i].bounds[0]
-                pull = -every.gradient[k] if at_lower else every.gradient[k]
-                inward = pull > 2.0 * math.sqrt(every.meat[k, k])
-            elif std > vague or np.max(np.abs(others), initial=0.0) > CORRELATED:
+            elif std > vague or np.max(others, initial=0.0) > CORRELATED:
                 kind = "correlated"
             else:
                 kind = "estimated"
-            result[i] = _Error(std, quantile, source, kind, inward)
-        return _Errors(result, tuple(self.search[i].name for i in self.free), correlation)
+            result[i] = _Error(
+                std, quantile, source, kind, *map(float, (found.from_data[k], found.from_starts[k]))
+            )
+        names = tuple(self.search[live[k]].name for k in inside)
+        return _Errors(result, names, correlation[np.ix_(inside, inside)], here, blocks)
+
+    def _wrongly_held(self, found: _Errors) -> list[str]:
+        """A warning of the held parameter whose release would better the fit most, if it is surely
+        wrong: the recipe's line that frees it.
+        """
+        live, suspects = sorted(self.free + self.bound), []
+        for i in range(self.asked, len(self.search)):
+            c, blocks = self.search[i], self._released(found, i)
+            if not blocks:
+                continue
+            release = release_of(blocks, self._prior(found.here.theta, [*live, i]))
+            share = 1.0 if c.log else c.unit / c.start
+            off, less = abs(release.move), release.gain / self.cost(found.here)
+            if off * share > SURELY_OFF and off > SURELY * release.std and less > WORTH:
+                suspects.append((less, share * release.move, share * release.std, c.name))
+        if not suspects:
+            return []
+        less, move, std, name = max(suspects)
+        return [
+            f"{name} is held, and these logs would have it {100.0 * move:+.1f} ± "
+            f"{100.0 * std:.1f} % off: what is left would fall by {100.0 * less:.0f} %. "
+            f'Add "{name}" to parameters, with [prior] "{name}" = "3 %"'
+        ]
+
+    def _released(self, found: _Errors, i: int) -> list[Block]:
+        """What the logs say, with a held parameter behind those that are fitted; nothing where it
+        changes nothing.
+        """
+        logs = self.simulator.logs
+        which = [k for k, log in enumerate(logs) if _concerns(log, self.search[i])]
+        theta = found.here.theta + DIFFERENCE * np.eye(len(self.search))[i]
+        moved = self.residuals([theta], which)[0] if which else []
+        added = [np.zeros((*block.left.shape, 1)) for block in found.blocks]
+        for k, left in zip(which, moved, strict=True):
+            scale = self._per(self.scales, logs[k])
+            added[k][..., 0] = (left - found.here.left[k]) / (DIFFERENCE * scale)
+        if self._effects(added, [i])[i] < FAINT:
+            return []
+        return [
+            replace(block, slopes=np.concatenate([block.slopes, slope], axis=-1))
+            for block, slope in zip(found.blocks, added, strict=True)
+        ]
+
+    def _at_bound(self, i: int) -> bool:
+        return i in self.bound or self.theta[i] in self.search[i].bounds
 
     def _result(self, found: _Errors, converged: bool) -> HydraulicsFit:
         samples = sum(int(log.counts.any(axis=1).sum()) for log in self.simulator.logs)
         fitted = []
-        for i, c in enumerate(self.search):
+        for i, c in enumerate(self.search[: self.asked]):
             one, error = untold(c, samples), found.by_index.get(i)
             if error is not None and error.kind != "not_excited":
                 std, ends = c.spread(self.theta[i], error.std, error.quantile)
@@ -335,9 +487,12 @@ class OutputError:
                     interval=ends,
                     status=error.kind,
                     error_from=error.source,
+                    prior=c.prior if c.known else None,
+                    from_data=error.from_data,
+                    from_starts=error.from_starts,
                 )
             fitted.append(one)
-        warnings = []
+        warnings = self._wrongly_held(found)
         if not converged:
             warnings.append(
                 f"the fit stopped after {self.most} evaluations without converging; its numbers "
@@ -361,6 +516,8 @@ class OutputError:
                 correlation=found.correlation,
                 scales=self.scales,
                 cutoff=self.cutoff,
+                shifts=self.shifts,
+                held=[c.start for c in self.search[self.asked :]],
             ),
         )
 
@@ -368,20 +525,54 @@ class OutputError:
 @dataclass(frozen=True)
 class _Error:
     """A standard error in search coordinates, its interval's quantile, where it is from, what it
-    means, and whether the data pull a parameter held at a bound back inside."""
+    means, the share of what is known of the parameter that is from the data, and the share of its
+    variance that the logs' starts are to blame for."""
 
     std: float
     quantile: float
     source: str
     kind: str
-    inward: bool
+    from_data: float
+    from_starts: float
 
 
 @dataclass(frozen=True, eq=False)
 class _Errors:
     """Errors by index of the parameter, and the correlation between the free ones, in the order of
-    their names."""
+    their names, the point they belong to and what each log says there."""
 
     by_index: dict[int, _Error]
     names: tuple[str, ...]
     correlation: np.ndarray
+    here: _Point
+    blocks: list[Block]
+
+
+def _concerns(log: Log, c: Coordinate) -> bool:
+    """Whether a parameter belongs to a cylinder that the log asks to move."""
+    return c.name.partition(".")[0] in log.asked
+
+
+def bounded_step(
+    normal: np.ndarray, pull: np.ndarray, damping: float, low: np.ndarray, high: np.ndarray
+) -> np.ndarray:
+    """The step ``d`` within ``low ≤ d ≤ high`` that minimises ``dᵀ(H + λ diag H) d/2 + gᵀd``.
+
+    Args:
+        normal: H, shape (n, n), positive semidefinite.
+        pull: the gradient g, shape (n,).
+        damping: λ.
+    """
+    from scipy.optimize import lsq_linear
+
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal / np.outer(size, size) + (damping + 1e-12) * np.eye(len(size))
+    values, vectors = np.linalg.eigh(scaled)
+    values = np.maximum(values, 1e-13 * values[-1])
+    aim = vectors.T @ (pull / size) / np.sqrt(values)
+    root = np.sqrt(values)[:, None] * vectors.T
+    step = -np.linalg.solve(root, aim)
+    if np.any(step < low * size) or np.any(step > high * size):
+        room = (np.minimum(low * size, -1e-12), np.maximum(high * size, 1e-12))
+        step = lsq_linear(root, -aim, room, method="bvls").x
+    return np.clip(step / size, low, high)

@@ -12,7 +12,7 @@ import numpy as np
 
 from ehbench.errors import InsufficientData
 from ehbench.identification.search import Coordinate
-from ehbench.identification.simulator import Log, Simulator, channels_of
+from ehbench.identification.simulator import Log, Shifts, Simulator, channels_of
 from ehbench.quantities import quantity
 from ehbench.record import Record
 from ehbench.rig import Rig, Value
@@ -26,8 +26,10 @@ Progress = Callable[[str, float], None]
 @dataclass(frozen=True)
 class FittedParameter:
     """One fitted number, SI. ``std`` and ``interval`` (95 %) are None where the data give none;
-    ``error_from`` says which standard error it is: ``hac`` (coloured residuals within each log),
-    ``jackknife`` (leaving out one log at a time) or ``windows``."""
+    ``error_from`` says which standard error it is: ``hac`` or ``acf`` (coloured residuals within
+    each log), ``jackknife`` (leaving out one log at a time) or ``windows``. ``from_data`` is the
+    share of what is known of it that is not its ``prior``'s (a standard deviation, None for none),
+    ``from_starts`` the share of its variance that it has because the logs' starts are estimated."""
 
     name: str
     unit: str
@@ -40,6 +42,9 @@ class FittedParameter:
     status: str
     samples: int
     error_from: str = ""
+    prior: float | None = None
+    from_data: float = 1.0
+    from_starts: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -61,7 +66,8 @@ class Match:
 class LogFit:
     """How well one log is reproduced, by channel: NRMSE fit [%], rms residual [SI] and its
     correlation time [samples], over the samples that count; ``counted`` is their share [%],
-    ``samples`` how many the log has."""
+    ``samples`` how many the log has. ``start`` is where the simulation starts [SI] where that was
+    estimated, ``start_shift`` by how much it was moved from what the first samples say."""
 
     name: str
     payload: str
@@ -70,6 +76,8 @@ class LogFit:
     residual_rms: dict[str, float]
     correlation_time: dict[str, float]
     counted: dict[str, float]
+    start: dict[str, float] = field(default_factory=dict)
+    start_shift: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -124,7 +132,9 @@ class HydraulicsFit:
 @dataclass(frozen=True)
 class Estimate:
     """What a method found: its parameters in the order searched, and what belongs to them; fields
-    as in `HydraulicsFit`. ``cutoff`` [Hz]: of the low-pass on what is left of each log."""
+    as in `HydraulicsFit`. ``cutoff`` [Hz]: of the low-pass on what is left of each log; ``shifts``
+    of their starts, None for none; ``held`` the values of the simulator's parameters behind those
+    that were searched."""
 
     method: str
     fitted: Sequence[FittedParameter]
@@ -135,6 +145,8 @@ class Estimate:
     matches: Sequence[Match] = ()
     scales: Mapping[str, float] = field(default_factory=dict)
     cutoff: float | None = None
+    shifts: Shifts | None = None
+    held: Sequence[float] = ()
 
 
 def untold(c: Coordinate, samples: int) -> FittedParameter:
@@ -162,10 +174,14 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
     warnings = [text for log in simulator.logs for text in log.warnings]
     warnings += [*found.warnings, *_statuses(found.fitted)]
     logs, recordings = [], []
-    replays = simulator.replay([one.value for one in found.fitted])
-    for log, replayed in zip(simulator.logs, replays, strict=True):
+    shifts = simulator.unshifted() if found.shifts is None else found.shifts
+    starts, replays = simulator.replay([*(one.value for one in found.fitted), *found.held], shifts)
+    for k, (log, replayed) in enumerate(zip(simulator.logs, replays, strict=True)):
         simulated = channels_of(log, replayed)
-        logs.append(_log_fit(log, simulated, found.cutoff))
+        fit = _log_fit(log, simulated, found.cutoff)
+        if found.shifts is not None:
+            fit = replace(fit, start=starts[k], start_shift=log.start.moved(shifts[k]))
+        logs.append(fit)
         warnings += _late(log, simulated)
         recordings.append((log.name, _recording(log, replayed)))
     return HydraulicsFit(

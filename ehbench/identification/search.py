@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from typing import Any
 
@@ -17,6 +18,7 @@ LEVEL = 0.95
 # a standard error of more than this many units of a parameter says nothing: 95 % then span a factor
 # of 50 (searched as a logarithm), or its whole range
 VAGUE = {True: 1.0, False: 0.5}
+_SHARE = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*$")
 WIDE = 1.0e3  # factor either way that a positive parameter without bounds is searched over
 
 Where = Callable[..., Mapping[str, Any]]
@@ -27,6 +29,9 @@ Given = Mapping[str, str | float]
 class Coordinate:
     """How a parameter is searched: as its logarithm where it is surely positive, else in units of
     its range or of its start.
+
+    ``prior`` is the standard deviation of what is known of it beside the data, about ``centre``,
+    both SI; infinite where nothing is.
     """
 
     name: str
@@ -35,6 +40,8 @@ class Coordinate:
     start: float
     lower: float
     upper: float
+    prior: float = math.inf
+    centre: float = math.nan
 
     def at(self, theta: float) -> float:
         low, high = self.bounds
@@ -57,6 +64,16 @@ class Coordinate:
     @property
     def bounds(self) -> tuple[float, float]:
         return self.of(self.lower), self.of(self.upper)
+
+    @property
+    def known(self) -> bool:
+        """Whether it has a prior."""
+        return self.prior < math.inf
+
+    @property
+    def sharpness(self) -> float:
+        """Inverse standard deviation of the prior in search coordinates."""
+        return (self.centre if self.log else self.unit) / self.prior
 
     @property
     def reach(self) -> float:
@@ -89,18 +106,21 @@ def coordinates(
     lower: Given | None = None,
     upper: Given | None = None,
     where: Where = lambda *location: {},
+    prior: Given | None = None,
 ) -> list[Coordinate]:
     """The search coordinates of parameters; start and bounds as given (SI or text with unit), else
-    the rig's, else some.
+    the rig's, else some; ``prior`` standard deviations about the rig's value, also as ``"3 %"`` of
+    it.
 
     A positive start without any bound is searched as a logarithm, a factor `WIDE` either way.
     ``where`` gives file and line of a recipe's key, for the errors.
 
     Raises:
-        InputError: unknown or repeated parameter, a start outside its bounds, or a zero start
-            without an upper bound.
+        InputError: unknown or repeated parameter, a start outside its bounds, a zero start without
+            an upper bound, a prior that is not positive or a share of zero.
     """
     given = {"start": dict(start or {}), "lower": dict(lower or {}), "upper": dict(upper or {})}
+    given["prior"] = dict(prior or {})
     _refuse_unknown(rig, names, given, where)
     known = rig.parameters()
     return [_coordinate(rig, name, known[name], given, where) for name in names]
@@ -161,14 +181,33 @@ def _coordinate(
             hint=f'give it one, so that the search has a scale: [upper] "{name}" = '
             f'"… {row.display}"',
         )
-    return Coordinate(name, log, 1.0 if log else unit, first, low, high)
+    known = {}
+    if name in given["prior"]:
+        centre = min(max(float(value), low), high)
+        known = {"prior": _prior(given["prior"][name], name, centre, where), "centre": centre}
+    return Coordinate(name, log, 1.0 if log else unit, first, low, high, **known)
 
 
-def _number(raw: str | float, name: str, at: Mapping[str, Any]) -> float:
+def _prior(raw: str | float, name: str, centre: float, where: Where) -> float:
+    """Standard deviation [SI] of a prior about ``centre``."""
+    at = where("prior", name)
+    share = _SHARE.match(raw) if isinstance(raw, str) else None
+    std = abs(centre) * float(share[1]) / 100.0 if share else _number(raw, name, at, False)
+    if not 0.0 < std < math.inf:
+        hint = f'give it in {parameter_row(name).display}, as "… {parameter_row(name).display}"'
+        raise InputError(
+            f"a prior of {raw} about {centre:g} says nothing of {name}", **at, hint=hint
+        )
+    return std
+
+
+def _number(raw: str | float, name: str, at: Mapping[str, Any], check: bool = True) -> float:
+    """A number in SI; ``check`` holds it against the plausible range of the parameter."""
     if not isinstance(raw, str):
         return float(raw)
+    row = parameter_row(name)
     try:
-        return units.parse(raw, parameter_row(name))
+        return units.parse(raw, row if check else replace(row, lower=-math.inf, upper=math.inf))
     except InputError as error:
         raise type(error)(error.message, **at, hint=error.hint) from None
 

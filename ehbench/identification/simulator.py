@@ -11,12 +11,14 @@ import numpy as np
 
 from ehbench.errors import InputError, InsufficientData, SimulationError
 from ehbench.observations import alternatives, column, least_change, payload_of
+from ehbench.parts.edge import edge_command
 from ehbench.plant.build import Maps
 from ehbench.plant.model import Model
 from ehbench.preprocessing import preprocess
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
 from ehbench.signals import transients
+from ehbench.starts import LogStart, start_of_log
 
 # a chamber counts as empty below this share of the way from zero gauge pressure to the cavitation
 # pressure; so long before and after [s] its cylinder's samples do not count either
@@ -24,11 +26,14 @@ EMPTY, EMPTYING = 0.5, 0.05
 MOVES = 0.01  # share of the stroke beyond which a cylinder counts as moving
 
 
+Shifts = list[np.ndarray]  # by log, of its start [prior standard deviations], one a doubt
+
+
 @dataclass(frozen=True)
 class Log:
     """A log made ready: the cylinders that are asked to move, those that move, the channels that
     are compared, what was recorded of them and whether it counts, both of shape (samples,
-    channels)."""
+    channels), and where it starts."""
 
     name: str
     record: Record
@@ -38,6 +43,7 @@ class Log:
     channels: tuple[str, ...]
     recorded: np.ndarray
     counts: np.ndarray
+    start: LogStart
     warnings: tuple[str, ...] = ()
 
 
@@ -86,6 +92,7 @@ def prepare(model: Model, record: Record, name: str, wanted: Sequence[str]) -> L
         tuple(columns),
         np.column_stack(list(columns.values())),
         counts,
+        start_of_log(model, record, live, list(columns)),
         tuple(warnings),
     )
 
@@ -96,6 +103,26 @@ def _commands(cylinder: Cylinder, record: Record) -> dict[str, float]:
         f"{cylinder.name}.{valve.name}.command": least_change(valve) for valve in cylinder.valve
     }
     return {channel: change for channel, change in least.items() if channel in record}
+
+
+def shut(model: Model, log: Log) -> str | None:
+    """Why no valve opens in a log, whose commands stay within dead bands; None if one does."""
+    plant, names = model.plant, model.layout
+    closest: tuple[float, str] | None = None
+    for edge, name in zip(plant.edges, names.edges, strict=True):
+        valve = names.valves[edge.valve] if edge.valve >= 0 else ""
+        channel = f"{valve}.command"
+        if valve.partition(".")[0] not in log.asked or channel not in log.record:
+            continue
+        onset = edge.sign * edge_command(1.0e6, 1.0e-12, edge, plant.maps)
+        onset = 0.0 if edge.unmetered else onset
+        most = float(np.max(edge.sign * log.record[channel]))
+        if most > onset:
+            return None
+        if most > 0.0 and (closest is None or onset - most < closest[0]):
+            why = f"{channel} reaches {most:.3g} V, within the dead band of {name}, {onset:.3g} V"
+            closest = onset - most, why
+    return closest[1] if closest else "every command stays on the side that opens nothing"
 
 
 def _asked(cylinder: Cylinder, record: Record) -> bool:
@@ -121,8 +148,11 @@ def _columns(record: Record, live: Sequence[str], wanted: Sequence[str]) -> dict
     columns: dict[str, np.ndarray] = {}
     for word in wanted:
         for channel in [word] if "." in word else [f"{cylinder}.{word}" for cylinder in live]:
-            choice = next((name for name in alternatives(channel) if name in record), channel)
-            values = column(record, choice, record)
+            names = alternatives(channel)
+            found = {name: column(record, name, record) for name in names}
+            told = [name for name in names if found[name] is not None]
+            choice = next((name for name in told if name in record), told[0] if told else channel)
+            values = found.get(choice)
             if values is not None and np.ptp(values) > 0.0:
                 columns.setdefault(choice, values)
     return columns
@@ -192,34 +222,81 @@ class Simulator:
         return self.logs if which is None else [self.logs[i] for i in which]
 
     def simulate(
-        self, vectors: Sequence[Sequence[float]], chosen: Sequence[int] | None = None
+        self,
+        vectors: Sequence[Sequence[float]],
+        chosen: Sequence[int] | None = None,
+        shifts: Shifts | None = None,
     ) -> list[list[np.ndarray | None]]:
         """Simulated channels by vector and log, shape (samples, channels); None where the
         simulation failed.
-        """
-        logs = self.chosen(chosen)
-        tasks = [(models[log.payload], log) for models in map(self.models, vectors) for log in logs]
-        self.evaluations += len(tasks)
-        done = list(self.pool.map(self._one, tasks))
-        return [done[i : i + len(logs)] for i in range(0, len(done), len(logs))]
 
-    def _one(self, task: tuple[Model, Log]) -> np.ndarray | None:
-        model, log = task
+        Args:
+            chosen: logs by index, all by default.
+            shifts: of all logs' starts, by default none.
+        """
+        shifts = self.unshifted() if shifts is None else shifts
+        which = range(len(self.logs)) if chosen is None else chosen
+        tasks = [
+            (models[self.logs[k].payload], self.logs[k], shifts[k])
+            for models in map(self.models, vectors)
+            for k in which
+        ]
+        done = self._all(tasks)
+        return [done[i : i + len(which)] for i in range(0, len(done), len(which))]
+
+    def nudged(self, values: Sequence[float], shifts: Shifts) -> list[list[np.ndarray | None]]:
+        """Simulated channels by log and doubt about its start, which is moved by its step beyond
+        ``shifts``.
+        """
+        models = self.models(values)
+        tasks = []
+        for log, own in zip(self.logs, shifts, strict=True):
+            for i, doubt in enumerate(log.start.doubts):
+                moved = own.copy()
+                moved[i] += doubt.share
+                tasks.append((models[log.payload], log, moved))
+        done = iter(self._all(tasks))
+        return [[next(done) for _ in log.start.doubts] for log in self.logs]
+
+    def unshifted(self) -> Shifts:
+        """No shift of any log's start."""
+        return [np.zeros(len(log.start.doubts)) for log in self.logs]
+
+    def _all(self, tasks: Sequence[tuple[Model, Log, np.ndarray]]) -> list[np.ndarray | None]:
+        self.evaluations += len(tasks)
+        return list(self.pool.map(self._one, tasks))
+
+    def _one(self, task: tuple[Model, Log, np.ndarray]) -> np.ndarray | None:
         try:
-            return channels_of(log, model.replay(log.record, self.step))
+            return channels_of(task[1], self._replay(task))
         except SimulationError:
             return None
 
-    def replay(self, values: Sequence[float]) -> list[Record]:
-        """Every log simulated whole.
+    def _replay(self, task: tuple[Model, Log, np.ndarray]) -> Record:
+        model, log, shifts = task
+        return model.replay(log.record, self.step, start=log.start.at(model, shifts))
+
+    def replay(
+        self, values: Sequence[float], shifts: Shifts
+    ) -> tuple[list[dict[str, float]], list[Record]]:
+        """Every log simulated whole, its start shifted: where it starts [SI] by doubt, and the
+        record.
 
         Raises:
             SimulationError: the numbers left the finite range.
         """
         models = self.models(values)
-        return list(
-            self.pool.map(lambda log: models[log.payload].replay(log.record, self.step), self.logs)
-        )
+        tasks = [
+            (models[log.payload], log, own) for log, own in zip(self.logs, shifts, strict=True)
+        ]
+        starts = [
+            {
+                doubt.name: float(log.start.at(model, own).y[doubt.state])
+                for doubt in log.start.doubts
+            }
+            for model, log, own in tasks
+        ]
+        return starts, list(self.pool.map(self._replay, tasks))
 
 
 def channels_of(log: Log, replayed: Record) -> np.ndarray:

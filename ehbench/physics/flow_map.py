@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -367,11 +367,15 @@ def _locate(grid: np.ndarray, x: np.ndarray):
     return i, (x - grid[i]) / (grid[i + 1] - grid[i])
 
 
-def pack(maps: list[FlowMap]) -> tuple[np.ndarray, np.ndarray]:
+def pack(maps: list[FlowMap], factors: Sequence[float] = ()) -> tuple[np.ndarray, np.ndarray]:
     """(data, offsets): all maps back to back in one float array, and where each one starts
-    (integers).
+    (integers); ``factors`` multiply their flows, one each, by default none.
     """
     parts = [one.data for one in maps]
+    for k, factor in enumerate(factors):
+        if factor != 1.0:
+            parts[k] = parts[k].copy()
+            parts[k][_HEADER + maps[k].opening_knots.size :] *= factor
     sizes = [0, *(part.size for part in parts)]
     data = np.concatenate(parts) if parts else np.zeros(1)
     return data, np.cumsum(sizes, dtype=np.int64)[: len(parts)]

@@ -17,6 +17,7 @@ from ehbench.parts.accumulator import COLUMNS as ACCUMULATOR
 from ehbench.parts.cylinder import CYLINDER, CYLINDER_FIELDS, PINS_OF
 from ehbench.parts.edge import EDGE
 from ehbench.parts.end_stop import STOP_DEPTH
+from ehbench.parts.line import LINE
 from ehbench.parts.load import FORCE, force_fields
 from ehbench.parts.nodes import NODE, TANK
 from ehbench.parts.oil import EXPONENT
@@ -25,7 +26,7 @@ from ehbench.parts.valve import ELEMENT, VALVE
 from ehbench.physics import arm
 from ehbench.physics.cylinder import DIRECT, PINS, joint_angle, linkage
 from ehbench.physics.flow_map import FlowMap, ValveMaps, pack
-from ehbench.plant.layout import SIDES, Layout, Offsets, layout
+from ehbench.plant.layout import SIDES, Layout, Offsets
 from ehbench.rig import Chain, Cylinder, Edge, FixedEdge, Rig, Slide, Value
 
 Maps = Mapping[str, ValveMaps]
@@ -38,8 +39,8 @@ class Plant(NamedTuple):
 
     ``kind``, ``gravity`` and ``links`` are those of `ehbench.physics.arm`; the records of the other
     tables are described beside their parts: `ehbench.parts.cylinder`, ``.nodes``, ``.valve``,
-    ``.edge``, ``.supply``, ``.load``. ``maps`` are the packed flow maps, ``at`` says where
-    things lie.
+    ``.edge``, ``.line``, ``.supply``, ``.load``. ``maps`` are the packed flow maps, ``at`` says
+    where things lie.
     """
 
     kind: int
@@ -53,12 +54,22 @@ class Plant(NamedTuple):
     maps: np.ndarray
     supply: np.record
     forces: np.recarray
+    lines: np.recarray
     at: Offsets
 
     @property
     def tank_pressure(self) -> float:
         """[Pa]"""
         return float(self.nodes[TANK].pressure)
+
+    @property
+    def edges_at_chambers(self) -> np.recarray:
+        """Its edges as if no line stood between them and the chambers."""
+        edges = self.edges.copy()
+        for line in self.lines:
+            for end in ("from_node", "to_node"):
+                edges[end][edges[end] == line.node] = line.chamber
+        return edges
 
     def held_before(self, command: np.ndarray) -> Plant:
         """This plant, commanded ``command`` [V] before the first tick, the valves' first."""
@@ -79,18 +90,18 @@ class Plant(NamedTuple):
         return self._replace(supply=line[0], nodes=nodes)
 
 
-def build(rig: Rig, maps: Maps | None = None) -> Plant:
+def build(rig: Rig, names: Layout, maps: Maps | None = None) -> Plant:
     """The compiled form of a rig.
 
     Args:
         rig: with its payload already applied (``rig.with_payload``).
+        names: its layout.
         maps: measured flow maps by edge name (``edge`` or ``cylinder.edge``); they replace the
             edge's analytic law.
 
     Raises:
         InputError: an edge asks for a map that is not given.
     """
-    names = layout(rig)
     kind, links, up = _mechanism(rig)
     edge_rows, data = _edges(rig, names, maps or {})
     valve_rows, elements = _valves(rig, names)
@@ -106,6 +117,7 @@ def build(rig: Rig, maps: Maps | None = None) -> Plant:
         maps=data,
         supply=_supply(rig),
         forces=_forces(rig, names),
+        lines=_lines(rig, names),
         at=names.offsets(),
     )
 
@@ -175,8 +187,11 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
                 "friction": names.frictions[index],
                 "friction_state": names.friction_state(index),
                 "friction_states": len(friction.LAWS[names.frictions[index]].states),
+                "mount_state": -1,
             }
         )
+        if item.mount is not None:
+            rows[-1] |= {"mount_state": names.state("mount_deflection", index)} | item.mount.row()
     return table_of(rows, CYLINDER)
 
 
@@ -207,14 +222,14 @@ def _mobility(
     """
     kind, links = mechanism
     n = links.shape[0]
-    mass, work, most = np.empty((n, n)), np.empty(arm.work_size(n)), 0.0
-    for angle in joint_angle(*pins, np.linspace(0.0, stroke, 5)):
-        q = np.zeros(n)
+    angles = joint_angle(*pins, np.linspace(0.0, stroke, 5))
+    mass, work, q = np.empty((angles.size, n, n)), np.empty(arm.work_size(n)), np.zeros(n)
+    for one, angle in zip(mass, angles, strict=True):
         q[joint] = angle
-        arm.mass_matrix(kind, links, q, mass, work)
-        _, lever, _ = linkage(*pins, angle)
-        most = max(most, lever**2 * float(np.linalg.inv(mass)[joint, joint]))
-    return most
+        arm.mass_matrix(kind, links, q, one, work)
+    free = np.linalg.inv(mass)[:, joint, joint].tolist()
+    levers = (linkage(*pins, angle)[1] for angle in angles.tolist())
+    return max(lever**2 * per for lever, per in zip(levers, free, strict=True))
 
 
 def _nodes(rig: Rig, names: Layout) -> np.recarray:
@@ -227,7 +242,31 @@ def _nodes(rig: Rig, names: Layout) -> np.recarray:
             {"state": names.state(f"p_{end}", index), "cylinder": index, "side": side}
             for side, end in enumerate(SIDES)
         ]
+    rows = [row | {"line": -1} for row in rows]
+    rows += [
+        {"state": names.state(f"p_line_{end}", index), "cylinder": index, "line": number}
+        for number, (index, end) in enumerate(names.lines)
+    ]
     return table_of(rows, NODE)
+
+
+def _lines(rig: Rig, names: Layout) -> np.recarray:
+    rows = []
+    items = ((item, line) for item in rig.cylinder for line in item.line)
+    for (index, end), (item, line) in zip(names.lines, items, strict=True):
+        gain = line.orifice_gain
+        row = {
+            "node": names.port(index, end),
+            "chamber": names.node(index, end),
+            "cylinder": index,
+            "volume": float(line.volume),
+            "resistance": float(line.resistance or 0.0),
+            "choke": 0.0 if gain is None else float(gain) ** -2,
+            "relief_pressure": math.inf,
+            "cavitation_pressure": float(rig.oil.cavitation_pressure),
+        }
+        rows.append(row | oil_fields(rig, line.bulk_modulus or item.bulk_modulus))
+    return table_of(rows, LINE)
 
 
 def _valves(rig: Rig, names: Layout) -> tuple[np.recarray, np.recarray]:
@@ -251,7 +290,7 @@ def _valves(rig: Rig, names: Layout) -> tuple[np.recarray, np.recarray]:
 def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray]:
     """(rows, packed flow maps)."""
     rows: list[dict[str, Any]] = []
-    packed: list[FlowMap] = []
+    packed: list[tuple[FlowMap, float]] = []
     for name, (item, valve, edge) in zip(names.edges, rig.edges(), strict=False):
         cylinder, given = names.cylinders.index(item.name), map_of(maps, name)
         if edge.law == "pump" and given is not None:
@@ -263,8 +302,8 @@ def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray
                 hint="name a run with flow_maps",
             )
         row = {
-            "from_node": names.node(cylinder, edge.from_),
-            "to_node": names.node(cylinder, edge.to),
+            "from_node": names.port(cylinder, edge.from_),
+            "to_node": names.port(cylinder, edge.to),
             "valve": names.valves.index(f"{item.name}.{valve.name}"),
             "sign": edge.sign,
             "blocked": edge.reverse == "blocked",
@@ -274,7 +313,11 @@ def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray
     rows += [
         _fixed(names, names.cylinders.index(item.name), edge) for item, edge in rig.fixed_edges()
     ]
-    data, offsets = pack(packed) if packed else (np.zeros(1), np.zeros(0, dtype=np.int64))
+    data, offsets = (
+        pack(*map(list, zip(*packed, strict=True)))
+        if packed
+        else (np.zeros(1), np.zeros(0, dtype=np.int64))
+    )
     for row in rows:
         for key in ("forward", "reverse"):
             row[key] = int(offsets[row[key]]) if row[key] >= 0 else -1
@@ -284,12 +327,12 @@ def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray
 def _fixed(names: Layout, cylinder: int, edge: FixedEdge) -> dict[str, Any]:
     """Fields of an edge without a command."""
     place = {
-        "from_node": names.node(cylinder, edge.from_),
-        "to_node": names.node(cylinder, edge.to),
+        "from_node": names.port(cylinder, edge.from_),
+        "to_node": names.port(cylinder, edge.to),
         "valve": -1,
         "sign": 1.0,
         "unmetered": 1,
-        "pilot": -1 if edge.pilot is None else names.node(cylinder, edge.pilot),
+        "pilot": -1 if edge.pilot is None else names.port(cylinder, edge.pilot),
     }
     return place | _law(edge, None, [])
 
@@ -300,15 +343,19 @@ def map_of(maps: Maps | None, edge: str) -> ValveMaps | None:
     return maps.get(edge) or maps.get(edge.split(".", 1)[1])
 
 
-def _law(edge: Edge | FixedEdge, given: ValveMaps | None, packed: list[FlowMap]) -> dict[str, Any]:
-    """Fields of an edge's law; its maps go to ``packed``, their numbers there into the row."""
+def _law(
+    edge: Edge | FixedEdge, given: ValveMaps | None, packed: list[tuple[FlowMap, float]]
+) -> dict[str, Any]:
+    """Fields of an edge's law; its maps go to ``packed`` with the edge's factor, their numbers
+    there into the row.
+    """
     law = edges.edge_law("map" if given is not None else edge.law)
     row = {"law": edges.BY_NAME[law.name], "forward": -1, "reverse": -1} | law.pack(edge)
     for key in ("forward", "reverse"):
         one = getattr(given, key, None)
         if one is not None:
             row[key] = len(packed)
-            packed.append(one)
+            packed.append((one, float(edge.map_factor) if isinstance(edge, Edge) else 1.0))
     return row
 
 

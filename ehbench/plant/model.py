@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,16 @@ from ehbench.rig import Rig
 MOVED = 0.005  # share of a driver's range by which a command must change to be more than noise
 
 
+class Start(NamedTuple):
+    """Where a simulation along a recording starts: the state, and the supply's set and the tank
+    pressure [Pa], None for the rig's own.
+    """
+
+    y: np.ndarray
+    supply: float | None = None
+    tank: float | None = None
+
+
 @dataclass(frozen=True)
 class Model:
     """A rig ready to simulate: its numbers, their compiled form, and the names in it."""
@@ -38,7 +49,8 @@ class Model:
             InputError: no such payload, or an edge without its map.
         """
         loaded = rig.with_payload(payload)
-        return cls(loaded, build(loaded, maps), layout(loaded))
+        names = layout(loaded)
+        return cls(loaded, build(loaded, names, maps), names)
 
     def stroke_range(self, index: int) -> tuple[float, float]:
         """Joint angle [rad] (or position [m]) at zero and at full stroke of cylinder ``index``."""
@@ -134,14 +146,33 @@ class Model:
         Raises:
             InputError: a posture outside the stroke.
         """
+        seen = {channel: float(np.mean(y[:rest])) for channel, y in record.channels.items()}
+        command = self.commands_of(record)[:rest].mean(axis=0) if self.layout.played else None
+        y = self.posed(seen, command)
+        for index, name in enumerate(self.layout.cylinders):
+            head, rod = (self.layout.state(f"p_{side}", index) for side in SIDES)
+            told = [
+                seen.get(f"{name}.p_{side}", seen.get(f"{name}.p_line_{side}")) for side in SIDES
+            ]
+            y[head], y[rod] = starts.carry(self.plant.cylinders[index], (y[head], y[rod]), told)
+        starts.settle_parts(self.plant, y)
+        for valve, name in zip(self.plant.valves, self.layout.valves, strict=True):
+            if f"{name}.command" in record:
+                valve_settle(valve, float(record[f"{name}.command"][0]), self.plant, y)
+        return y
+
+    def posed(self, seen: Mapping[str, float], command: np.ndarray | None = None) -> np.ndarray:
+        """The state at rest in the posture and at the supply pressure that are seen [SI], by
+        channel; chamber pressures and what is not seen are those of `trim`, which takes
+        ``command``.
+
+        Raises:
+            InputError: a posture outside the stroke.
+        """
         plant, names = self.plant, self.layout
-
-        def first(channel: str) -> float | None:
-            return float(np.mean(record[channel][:rest])) if channel in record else None
-
         wanted: dict[str, str | float] = {}
         for index, name in enumerate(names.cylinders):
-            angle, stroke = first(f"{name}.q"), first(f"{name}.x")
+            angle, stroke = seen.get(f"{name}.q"), seen.get(f"{name}.x")
             if angle is not None:
                 low, high = sorted(self.stroke_range(index))
                 slack = 0.01 * (high - low)
@@ -151,35 +182,45 @@ class Model:
             elif stroke is not None:
                 wanted[name] = f"{min(max(stroke, 0.0), float(plant.cylinders[index].stroke))!r} m"
         for joint in names.joints:
-            angle = first(f"{joint}.q")
+            angle = seen.get(f"{joint}.q")
             if joint not in wanted and angle is not None:
                 wanted[joint] = angle
-        command = self.commands_of(record)[:rest].mean(axis=0) if names.played else None
         y = self.trim(self.posture(wanted), None, command)
-        for index, name in enumerate(names.cylinders):
-            head, rod = names.state("p_head", index), names.state("p_rod", index)
-            seen = [first(f"{name}.p_{side}") for side in SIDES]
-            y[head], y[rod] = starts.carry(plant.cylinders[index], (y[head], y[rod]), seen)
-        for valve, name in zip(plant.valves, names.valves, strict=True):
-            if f"{name}.command" in record:
-                valve_settle(valve, float(record[f"{name}.command"][0]), plant, y)
-        supply = first("p_supply")
-        if supply is not None:
-            y[plant.at.supply] = supply
+        y[plant.at.supply] = seen.get("p_supply", y[plant.at.supply])
         return y
 
-    def replay(self, record: Record, step: float = STEP, rest: int | None = None) -> Record:
+    def rest_start(self, record: Record, rest: int | None = None) -> Start:
+        """Where a recording starts that begins at rest: `start_of`, and the means of ``p_supply``
+        and ``p_tank`` over its first ``rest`` samples, found from the commands by default.
+
+        Raises:
+            InputError: a posture outside the stroke.
+        """
+        rest = self.rest_samples(self.commands_of(record)) if rest is None else rest
+        supply, tank = (
+            float(np.mean(record[channel][:rest])) if channel in record else None
+            for channel in ("p_supply", "p_tank")
+        )
+        model = replace(self, plant=self.plant.at_pressures(supply, tank))
+        return Start(model.start_of(record, rest), supply, tank)
+
+    def replay(
+        self,
+        record: Record,
+        step: float = STEP,
+        rest: int | None = None,
+        start: Start | None = None,
+    ) -> Record:
         """Simulate what a recording's commands do, from the recording's own start.
 
         Commands of valves that the recording lacks stay at rest; each recorded command acts from
-        its sample on. Where the recording has ``p_supply`` and ``p_tank``, their means over the
-        ``rest`` samples are the set and the tank pressure.
+        its sample on.
 
         Args:
             record: evenly sampled.
             step: integration step [s].
-            rest: samples at the start over which nothing moves yet; found from the commands by
-                default.
+            rest: samples at the start over which nothing moves yet, as `rest_start` takes them.
+            start: instead of `rest_start`.
 
         Raises:
             LogError: uneven time.
@@ -192,15 +233,10 @@ class Model:
                 hint="resample it to one rate",
             )
         table = self.commands_of(record)
-        rest = self.rest_samples(table) if rest is None else rest
-        supply, tank = (
-            float(np.mean(record[channel][:rest])) if channel in record else None
-            for channel in ("p_supply", "p_tank")
-        )
-        plant = self.plant.at_pressures(supply, tank).held_before(table[0])
-        model = replace(self, plant=plant)
-        log = model.run(model.start_of(record, rest), table, tick, step)
-        return model.record(record.t, table, log, record.meta)
+        start = start or self.rest_start(record, rest)
+        plant = self.plant.at_pressures(start.supply, start.tank).held_before(table[0])
+        log = replace(self, plant=plant).run(start.y, table, tick, step)
+        return self.record(record.t, table, log, record.meta, start.tank)
 
     def record(
         self,
@@ -208,8 +244,11 @@ class Model:
         commands: np.ndarray,
         log: np.ndarray,
         meta: Mapping[str, str] | None = None,
+        tank: float | None = None,
     ) -> Record:
-        """The log table as a record of named SI channels."""
+        """The log table as a record of named SI channels; ``tank`` [Pa] is the plant's by
+        default.
+        """
         names, plant = self.layout, self.plant
         n = plant.at.rates
         channels: dict[str, np.ndarray] = {}
@@ -224,7 +263,7 @@ class Model:
             channels[f"{name}.x"], channels[f"{name}.v"] = x, lever * log[:, n + joint]
             for key in (f"p_{side}" for side in SIDES):
                 channels[f"{name}.{key}"] = log[:, names.state(key, index)]
-        for index, key in names.friction_states:
+        for index, key in names.part_states:
             channels[f"{names.cylinders[index]}.{key}"] = log[:, names.state(key, index)]
         for index, valve in enumerate(names.valves):
             channels[f"{valve}.command"] = commands[:, index]
@@ -240,7 +279,7 @@ class Model:
         for index, edge in enumerate(names.edges):
             channels[f"{edge}.flow"] = log[:, names.states + index]
         channels["p_supply"] = log[:, plant.at.supply]
-        channels["p_tank"] = np.full(len(t), plant.tank_pressure)
+        channels["p_tank"] = np.full(len(t), plant.tank_pressure if tank is None else tank)
         channels["flow_supply"] = log[:, -1]
         return Record(t, channels, dict(meta or {}))
 

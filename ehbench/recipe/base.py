@@ -29,12 +29,13 @@ class DataFile(FileModel):
     note: str = ""
 
 
-def _data_file(raw: Any) -> Any:
+def data_file(raw: Any) -> Any:
+    """A log's entry in a recipe, which may be its path alone, as a table."""
     return {"path": raw} if isinstance(raw, str) else raw
 
 
 DataFiles = Annotated[
-    tuple[Annotated[DataFile, BeforeValidator(_data_file)], ...], Field(min_length=1)
+    tuple[Annotated[DataFile, BeforeValidator(data_file)], ...], Field(min_length=1)
 ]
 
 

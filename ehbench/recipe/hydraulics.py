@@ -14,7 +14,8 @@ class HydraulicsRecipe(Recipe):
     """Step logs to bulk modulus, damping, friction and whatever else ``parameters`` names.
 
     ``compare_dynamics`` names valve dynamics of the rig file; the logs are fitted with each in
-    turn, so that the data decide."""
+    turn, so that the data decide. ``prior`` is what is known of a parameter beside the data: a
+    standard deviation about the rig file's value, with unit or as a share such as "3 %"."""
 
     stage: Literal["identify"]
     what: Literal["hydraulics"]
@@ -26,6 +27,7 @@ class HydraulicsRecipe(Recipe):
     start: ByParameter = {}
     lower: ByParameter = {}
     upper: ByParameter = {}
+    prior: ByParameter = {}
     channels: tuple[str, ...] = ("qd", "p_head", "p_rod")
     cutoff: Annotated[Value, Q("frequency")] | None = None
     compare_dynamics: tuple[str, ...] = ()

@@ -54,7 +54,7 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
 
         state = inputs.rig_state(recipe.rig, recipe.flow_maps)
         given = (recipe.start, recipe.lower, recipe.upper)
-        coordinates(state.rig, recipe.parameters, *given, recipe.at)
+        coordinates(state.rig, recipe.parameters, *given, recipe.at, recipe.prior)
         logs = inputs.logs(recipe.data)
         fit, variants = None, {}
         if logs.records:
@@ -106,6 +106,7 @@ def _prepared_fit(recipe: HydraulicsRecipe, state: RigState, logs: Logs, rig: Ri
         start=recipe.start,
         lower=recipe.lower,
         upper=recipe.upper,
+        prior=recipe.prior,
         channels=recipe.channels,
         cutoff=None if recipe.cutoff is None else float(recipe.cutoff),
         max_iterations=recipe.max_iterations,

@@ -87,8 +87,8 @@ class Design:
 class Compiled:
     """A built-in controller as the compiled loops take it.
 
-    ``telemetry`` has a row a tick, its columns ``channels``; ``used`` says what it was made of, SI:
-    see `ehbench.control.law.Packed`."""
+    ``telemetry`` has a row a tick, its columns ``channels``, and none before `afresh`; ``used``
+    says what it was made of, SI: see `ehbench.control.law.Packed`."""
 
     law: Law
     controller: Controller
@@ -99,8 +99,8 @@ class Compiled:
 
     def afresh(self) -> Compiled:
         """The same at its beginning, for a run of its own."""
-        own, telemetry = self.controller, np.zeros_like(self.telemetry)
-        memory, given = self.law.memory(own.axis), np.zeros_like(own.given)
+        own, telemetry = self.controller, np.zeros((len(self.references), len(self.channels)))
+        memory, given = self.law.memory(own.axis), np.zeros(own.given.shape)
         return replace(
             self, controller=own._replace(memory=memory, given=given), telemetry=telemetry
         )
@@ -153,7 +153,7 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> Design:
     measured = [
         (maps or {}).get(edge) or (maps or {}).get(edge.split(".", 1)[1]) for edge in layout.edges
     ]
-    edges = plant.edges.copy()
+    edges = plant.edges_at_chambers
     for valve in controller.unused:
         if valve not in layout.valves:
             raise InputError(
@@ -283,7 +283,7 @@ def compiled(
         controller,
         names,
         references,
-        np.zeros((len(references), len(names))),
+        np.empty((0, len(names))),
         {**packed.used, "rules": numbers(rules, ALL_RULES)},
     )
 

@@ -144,18 +144,22 @@ class Prepared:
             return UserCode(self.recipe, self.loop.design, machine.channels, machine.rate, table)
         return law.afresh()
 
-    def first_rows(self, machine: Machine) -> Rows:
+    def first_rows(self, machine: Machine, count: int | None = None) -> Rows:
         """The rows before the first tick, the machine at rest.
+
+        Args:
+            machine: is started.
+            count: how many of the trial's rows; by default all.
 
         Raises:
             InputError: a posture that the machine cannot take; a limit reached before the start.
         """
-        truth, t, recipe = truth_of(machine), self.t, self.recipe
+        truth, t, recipe = truth_of(machine), self.t[:count], self.recipe
         with controllers.located(recipe, "posture"):
             sample = machine.start(self.posture, self.low_side)
         rows = Rows(
             t,
-            self.table.copy(),
+            self.table[:count].copy(),
             np.empty((t.size, sample.size)),
             np.empty((t.size, 0 if truth is None else truth.width)),
             sample,
@@ -284,12 +288,13 @@ def prepare(
     t = np.arange(count) / rate
     table = command_table(recipe, rig, t, () if loop is None else _taken(recipe, loop.design))
     machine = open_machine(recipe, rig, maps)
-    with controllers.located(recipe, "posture"):
-        machine.check_posture(posture)
     limits = limit_array(recipe.limits)
     prepared = Prepared(recipe, rig, maps, machine, t, table, limits, posture, loop)
     if truth_of(machine) is not None:
-        prepared.first_rows(machine)
+        prepared.first_rows(machine, 1)
+    else:
+        with controllers.located(recipe, "posture"):
+            machine.check_posture(posture)
     return prepared
 
 

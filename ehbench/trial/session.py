@@ -209,7 +209,7 @@ class Session:
             channels |= lines
         if self.law is not None:
             telemetry = self.law.telemetry[part]
-            channels |= {name: telemetry[:, i].copy() for i, name in enumerate(self.law.channels)}
+            channels |= {name: telemetry[:, i] for i, name in enumerate(self.law.channels)}
         return channels
 
 

@@ -36,7 +36,9 @@ class ChannelResult:
 
     ``fit_percent`` is the NRMSE fit, None where the recording shows no motion; ``max_error`` the
     error largest in size, with its sign; ``derived`` says that the log has no such channel and both
-    sides were taken from the position's rate. ``note`` says in words why something is missing."""
+    sides were taken from the position's rate. ``noise_share`` is the recording's white noise over
+    its standard deviation: no model's fit is better than 100 (1 − it). ``note`` says in words why
+    something is missing."""
 
     channel: str
     unit: str
@@ -45,6 +47,7 @@ class ChannelResult:
     bias: float
     rms_error: float
     derived: bool = False
+    noise_share: float = 0.0
     autocorrelation: Correlation | None = None
     cross_correlation: tuple[Correlation, ...] = ()
     note: str = ""
@@ -89,7 +92,7 @@ class Ring:
 @dataclass(frozen=True)
 class Transient:
     """The ringing of a cylinder after a command change, recorded and simulated over the same window
-    [s].
+    [s]; ``note`` says why an oscillation that was found is not judged.
     """
 
     cylinder: str
@@ -97,6 +100,51 @@ class Transient:
     stop: float
     recorded: Ring
     simulated: Ring
+    note: str = ""
+
+    @property
+    def judged(self) -> bool:
+        """Whether the model is judged by this window."""
+        return self.recorded.clear and not self.note
+
+
+@dataclass(frozen=True)
+class SweepCurve:
+    """A frequency response at ``frequency`` [Hz]: ``gain`` in SI of output over input, ``phase``
+    [deg], ``coherence``, and where it is ``coherent`` enough to count.
+    """
+
+    frequency: tuple[float | None, ...]
+    gain: tuple[float | None, ...]
+    phase: tuple[float | None, ...]
+    coherence: tuple[float | None, ...]
+    coherent: tuple[bool, ...]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The frequency response of a channel to a command that sweeps, recorded and simulated.
+
+    ``band`` [Hz] holds the ``frequencies`` that count; ``averages`` is how many independent
+    segments there are. Pairs are (recorded, simulated): mean ``coherence`` in the band, and
+    ``delay`` [s], the mean slope of the phase there. ``gain_ratio`` is the median of simulated over
+    recorded gain; ``gain_error`` (a share) and ``phase_error`` [rad] are root mean squares over the
+    band, ``delay_error`` [s] the difference, all beyond what the errors of the recording's response
+    make. None: the model does not answer."""
+
+    input: str
+    channel: str
+    band: tuple[float, float]
+    frequencies: int
+    averages: float
+    coherence: tuple[float, float | None]
+    delay: tuple[float, float | None]
+    recorded: SweepCurve
+    simulated: SweepCurve | None = None
+    gain_ratio: float | None = None
+    gain_error: float | None = None
+    phase_error: float | None = None
+    delay_error: float | None = None
 
 
 @dataclass(frozen=True)
@@ -114,23 +162,39 @@ class Check:
 
 
 @dataclass(frozen=True)
+class Overlap:
+    """Samples of a log, from ``start`` to ``stop`` [s], that are those of ``log``, which the model
+    was fitted to.
+    """
+
+    log: str
+    start: float
+    stop: float
+    samples: int
+
+
+@dataclass(frozen=True)
 class LogResult:
     """One log. ``status``: ``held_out`` (it counts), ``fitted`` (the model was fitted to it),
     ``still``, or ``failed``.
 
-    ``moved`` cylinders had a valve commanded and are judged, ``held`` ones are not. ``failure``
-    says why a log could not be simulated. ``series`` are the recorded and, as
-    ``simulated.<channel>``, the simulated channels; it is not in the JSON."""
+    ``scored`` is the part [s] that is judged, None for all of it; ``overlap`` where the model was
+    fitted to its very samples. ``moved`` cylinders had a valve commanded and are judged, ``held``
+    ones are not. ``failure`` says why a log could not be simulated. ``series`` are the recorded
+    and, as ``simulated.<channel>``, the simulated channels; it is not in the JSON."""
 
     name: str
     payload: str
     status: str
     duration: float
     sample_time: float
+    scored: tuple[float, float] | None = None
+    overlap: tuple[Overlap, ...] = ()
     moved: tuple[str, ...] = ()
     held: tuple[str, ...] = ()
     channels: tuple[ChannelResult, ...] = ()
     transients: tuple[Transient, ...] = ()
+    sweeps: tuple[Sweep, ...] = ()
     checks: tuple[Check, ...] = ()
     failure: str = ""
     warnings: tuple[str, ...] = ()
@@ -231,10 +295,18 @@ def read_validation(path: Path) -> Validation:
             Transient, row | {side: made(Ring, row[side]) for side in ("recorded", "simulated")}
         )
 
+    def sweep(row: dict[str, Any]) -> Sweep:
+        curves = {
+            side: row[side] and made(SweepCurve, row[side]) for side in ("recorded", "simulated")
+        }
+        return made(Sweep, row | curves)
+
     def log(row: dict[str, Any]) -> LogResult:
         nested = {
             "channels": [channel(c) for c in row["channels"]],
             "transients": [transient(w) for w in row["transients"]],
+            "sweeps": [sweep(w) for w in row.get("sweeps", [])],
+            "overlap": many(Overlap, row.get("overlap", [])),
         }
         return made(LogResult, row | nested | {"checks": many(Check, row["checks"])})
 

@@ -274,6 +274,9 @@ def test_a_slip_in_a_press(tmp_path, old, new, words):
         ('pilot = "head"\n', "", "a pilot-operated check valve takes pilot and pilot_ratio"),
         ('pilot = "head"', 'pilot = "supply"', "the pilot is at 'from', where it opens nothing"),
         ('to = "rod"', 'to = "supply"', "an edge joins two different nodes"),
+        ('law = "pump"', 'law = "pump"\npump_speed = "900 rpm"', "unknown key 'pump_speed'"),
+        ('law = "pump"', 'law = "pump"\nflow_gain = "1 L/min/V/bar^0.5"', "takes no 'flow_gain'"),
+        ('law = "check"', 'law = "check"\nslip = "1 mL/min/bar"', "law 'check' takes no 'slip'"),
         ('pilot = "head"', 'pilto = "head"', "unknown key 'pilto' (did you mean 'pilot'?)"),
         ('"4 bar"', '"8 bar"', "the accumulator holds no oil: its precharge must lie below"),
         ('"1 L"', '"1 kg"', "gas_volume: 'kg' cannot be turned into m^3"),
@@ -344,6 +347,9 @@ def trial(folder: Path, rig: str, valve: str, more: str = ""):
 
 
 FORCE = '[[cylinder.force]]\nkind = "spring"\nstiffness = "5 kN/m"\n'
+LINE = '[[cylinder.line]]\nend = "head"\nvolume = "1 L"\nresistance = "0.1 bar*min/L"\n'
+MOUNT = '[cylinder.mount]\nstiffness = "50 kN/mm"\ndamping = "50 kN*s/m"\n'
+NAMED = '[[cylinder.force]]\nname = "line_head"\nkind = "constant"\nforce = "1 N"\n'
 SATURATING = EDGE.replace('"orifice"', '"saturating"')
 
 
@@ -384,6 +390,48 @@ SATURATING = EDGE.replace('"orifice"', '"saturating"')
             "channel =",
         ),
         (
+            PINS,
+            LINE.replace('"head"', '"tank"') + PINS,
+            "line 1: end = 'tank' is none of 'head', 'rod'",
+            'end = "tank"',
+        ),
+        (PINS, LINE.replace("1 L", "0 L") + PINS, "line 1: volume: must be above 0", "volume = "),
+        (PINS, LINE.replace("1 L", "1 m") + PINS, "'m' cannot be turned into m^3", 'volume = "1 m'),
+        (
+            PINS,
+            LINE.replace("resistance", "# resistance") + PINS,
+            "line 1: a line needs 'resistance', 'orifice_gain' or both",
+            "[[cylinder.line]]",
+        ),
+        (
+            PINS,
+            LINE.replace('"0.1 bar*min/L"', '"-2 bar*min/L"') + PINS,
+            "outside 0 to",
+            "resistance =",
+        ),
+        (
+            PINS,
+            LINE + LINE.replace('"head"', '"head" ') + PINS,
+            "the head end has a line already; give their volumes and resistances in one",
+            'end = "head" ',
+        ),
+        (
+            PINS,
+            LINE + NAMED + PINS,
+            "two forces are called 'line_head'; give each a name of its own",
+            NAMED[:20],
+        ),
+        (PINS, MOUNT.replace("50 kN/mm", "0 kN/mm") + PINS, "must be above 0", "stiffness = "),
+        (PINS, MOUNT.replace("50 kN/mm", "50 kN") + PINS, "'kN' cannot be turned", "stiffness = "),
+        (
+            PINS,
+            MOUNT.replace("50 kN*s", "0 kN*s") + PINS,
+            "a mount without mass needs damping: 1000 N*s/m at the least, 20 us times its stiff",
+            "damping = ",
+        ),
+        (PINS, MOUNT.replace("stiff", "# s") + PINS, "'mount.stiffness' is missing", MOUNT[:16]),
+        (PINS, MOUNT.replace("damping", "dampin") + PINS, "unknown key 'mount.dampin'", "dampin ="),
+        (
             EDGE,
             EDGE.replace('"orifice"', '"flow_control"'),
             "law 'flow_control' needs 'compensated_gain'",
@@ -400,6 +448,12 @@ SATURATING = EDGE.replace('"orifice"', '"saturating"')
             EDGE,
             SATURATING.replace(" }", ', opening_max = "2 V", saturation_softness = "3 V" }'),
             "saturation_softness must not exceed opening_max − deadband, 2 V",
+            "edge = [",
+        ),
+        (
+            EDGE,
+            EDGE.replace(" }", ', opening_max = "2 V" }'),
+            "law 'orifice' takes no 'opening_max'; its own keys: flow_gain",
             "edge = [",
         ),
     ),

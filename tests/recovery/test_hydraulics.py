@@ -16,6 +16,7 @@ import pytest
 from ehbench import rundir
 from ehbench.errors import InputError, InsufficientData
 from ehbench.identification.hydraulics import FitOptions, compare_dynamics, identify_hydraulics
+from ehbench.physics.flow_map import FlowMap, ValveMaps
 from ehbench.plant.model import simulate
 from ehbench.recipe import load_rig
 from ehbench.record import Record
@@ -281,6 +282,123 @@ def test_a_pair_that_only_works_together_is_told():
     assert sum(fit[name].value for name in pair) == pytest.approx(800.0, rel=0.05)
 
 
+def test_a_prior_is_shown_apart_from_the_data():
+    """With every flow gain known to 3 % and one of them off by that, bulk modulus and damping come
+    right, which they do not with the gains held; a prior beside strong data changes nothing.
+    """
+    truth = {"bulk_modulus": 9e8, "carriage.damping": 800.0}
+    machine, wrong = rig("slide_servo"), "press.servo_supply_head.flow_gain"
+    gains = {name: value for name, value in machine.parameters().items() if "flow_gain" in name}
+    off = machine.with_values({wrong: 1.03 * float(gains[wrong])})
+    logs = slide_logs(14)
+    held = identify(off, logs, SLIDE)
+    freed = identify(off, logs, [*SLIDE, *gains], prior=dict.fromkeys(gains, "3 %"))
+    for name, value in truth.items():
+        assert abs(held[name].value / value - 1.0) > 5.0 * abs(freed[name].value / value - 1.0)
+        assert covers(freed, (name, value))
+        assert (freed[name].prior, freed[name].from_data) == (None, 1.0)
+    told = freed[wrong]
+    assert told.value == pytest.approx(float(gains[wrong]), rel=3e-3)
+    assert told.prior == pytest.approx(0.03 * 1.03 * float(gains[wrong]))
+    assert told.from_data > 0.9
+    strong = identify(machine, logs, SLIDE, prior={"bulk_modulus": "90 MPa"})
+    assert strong["bulk_modulus"].prior == 9e7 and strong["bulk_modulus"].from_data > 0.999
+
+
+def test_a_prior_holds_what_the_data_do_not_tell():
+    """Slide damping and viscous friction are one number for the data: a prior on one tells both."""
+    pair = ["carriage.damping", "press.friction_viscous"]
+    fit = identify(
+        rig("slide_servo").with_values({"press.friction_viscous": 1.0}),
+        slide_logs(7),
+        ["bulk_modulus", *pair],
+        upper={"press.friction_viscous": 2000.0},
+        prior={"press.friction_viscous": "20 N*s/m"},
+    )
+    held = fit["press.friction_viscous"]
+    assert held.from_data < 0.05 and held.std == pytest.approx(20.0, rel=0.1)
+    assert abs(held.value - 1.0) < 20.0
+    assert fit["carriage.damping"].std == pytest.approx(20.0, rel=0.2)
+
+
+def test_a_gain_that_is_wrongly_held_is_named():
+    """One gain 4 % off the datasheet's: the warning names a recipe line, which puts it right; with
+    the right gains nothing is said.
+    """
+    machine, wrong = rig("slide_servo"), "press.servo_rod_tank.flow_gain"
+    gain = float(machine.parameters()[wrong])
+    off, logs = machine.with_values({wrong: 0.96 * gain}), slide_logs(15)
+    told = [text for text in identify(off, logs, SLIDE).warnings if "is held" in text]
+    assert len(told) == 1
+    named = told[0].partition(" ")[0]
+    assert named.endswith("flow_gain") and f'Add "{named}" to parameters' in told[0]
+    fit = identify(off, logs, [*SLIDE, wrong], prior={wrong: "3 %"})
+    assert fit[wrong].value == pytest.approx(gain, rel=3e-3)
+    assert not any("is held" in text for text in fit.warnings)
+    assert not any("is held" in text for text in identify(machine, logs, SLIDE).warnings)
+
+
+def test_commands_within_the_dead_band_are_refused():
+    """1.2 V on a valve that opens at 1.5 V: no data. One such log beside a good one is a warning,
+    and none where the dead band is to be fitted.
+    """
+    machine = rig("crane_proportional")
+    still = ("still", noisy(clean("crane_proportional", None, (("lift.spool", (1.2, -1.2)),)), 1))
+    good = ("good", noisy(clean("crane_proportional", None, SPOOL), 2))
+    asked = ["bulk_modulus", "lift.leakage_internal"]
+    says = r"still: lift.spool.command reaches 1.2 V, within the dead band of lift.spool_\w+, 1.5 V"
+    with pytest.raises(InsufficientData, match=says):
+        identify(machine, [still], asked)
+    fit = identify(machine, [still, good], asked)
+    assert any("within the dead band" in text for text in fit.warnings)
+    identify(machine, [still, good], ["bulk_modulus", "lift.spool_pa.deadband"])
+
+
+def a_map(valve, most):
+    """A flow map that grows with opening and root of the drop up to ``most`` [m³/s] at 10 V and
+    10 MPa.
+    """
+    knots = np.linspace(1.0, 10.0, 5)
+    steps = np.outer(np.ones(5), np.linspace(1.0, 6.0, 6)) * most / 30.0
+    hull = (np.array([1.0, 10.0]), np.array([1e5, 1e5]), np.array([1e7, 1e7]))
+    table = (np.array([0.0, 10.0]), np.array([0.0, 3e3]), np.full((2, 2), 1e-7))
+    return ValveMaps(
+        FlowMap(valve, "forward", 1.0, (0.9, 1.1), knots, 1e7, 2e4, steps, *hull, *table, most)
+    )
+
+
+def test_a_measured_map_has_a_factor():
+    """The level of a map of another specimen comes back as its factor; the law's own gain, which
+    does nothing then, is refused, and so is the factor where there is no map.
+    """
+    machine, maps = rig("boom_four_valve"), {"boom.sh": a_map("sh", 1.2e-3)}
+    t = np.arange(801) * 1e-3
+    out, back = (t > 0.06) & (t < 0.24), (t > 0.44) & (t < 0.64)
+    volts = {
+        "boom.sh": 4.0 * out,
+        "boom.rt": 4.0 * out,
+        "boom.sr": 4.0 * back,
+        "boom.ht": 4.0 * back,
+    }
+    logs = []
+    for seed, share in enumerate((1.0, 1.3)):
+        commands = {valve: share * u for valve, u in volts.items()}
+        truth = machine.with_values({"boom.sh.map_factor": 1.06})
+        made = simulate(truth, commands, 0.8, flow_maps=maps)
+        logs.append((f"log {seed}", noisy(made, seed)))
+    factor = "boom.sh.map_factor"
+    fit = identify(machine, logs, ["bulk_modulus", factor], maps, prior={factor: "5 %"})
+    assert covers(fit, (factor, 1.06)) and covers(fit, ("bulk_modulus", 7e8))
+    assert fit[factor].std < 2e-3 and fit[factor].from_data > 0.9
+    assert float(fit.rig.parameters()[factor]) == fit[factor].value
+    with pytest.raises(InputError, match="goes by its measured flow map") as refused:
+        identify(machine, logs, ["boom.sh.flow_gain"], maps)
+    assert refused.value.hint == "fit boom.sh.map_factor"
+    with pytest.raises(InputError, match="has no measured flow map") as refused:
+        identify(machine, logs, ["boom.rt.map_factor"], maps)
+    assert refused.value.hint == "fit boom.rt.flow_gain"
+
+
 def test_a_rate_that_was_not_recorded_comes_from_the_position():
     logs = [
         (
@@ -406,6 +524,10 @@ def test_the_thesis_way_refuses_what_it_cannot():
         ({"parameters": ["press.leakage_head"]}, "starts at zero"),
         ({"method": "guess"}, "unknown method"),
         ({"channels": ["flow"]}, "none of flow"),
+        ({"prior": {"press.leakage_head": "3 %"}}, "not among the parameters"),
+        ({"prior": {"bulk_modulus": "0 %"}}, "says nothing of bulk_modulus"),
+        ({"prior": {"bulk_modulus": "3 kg"}}, "cannot be turned into Pa"),
+        ({"method": "thesis", "prior": {"bulk_modulus": "3 %"}}, "takes no priors"),
     ],
 )
 def test_bad_input_is_named(options, says):

@@ -14,7 +14,7 @@ from ehbench.control import functions as fn
 from ehbench.control.measured import Pressures
 from ehbench.errors import InputError
 from ehbench.parts.edge import COMPENSATED, EDGE, ORIFICE
-from ehbench.plant.build import build
+from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
@@ -32,7 +32,7 @@ FIVE = ((HEAD, TANK, 0), (SUPPLY, HEAD, 1), (HEAD, ROD, 2), (SUPPLY, ROD, 3), (R
 
 def shipped(rig: str, cylinder: str) -> fn.Circuit:
     made = load_rig(RIGS / f"{rig}.toml")
-    plant = build(made)
+    plant = Model.of(made).plant
     index = [c.name for c in made.cylinder].index(cylinder)
     row = plant.cylinders[index]
     areas = row.area_head, row.area_rod

@@ -16,7 +16,7 @@ from ehbench.control import valve_level as vl
 from ehbench.control.measured import Pressures
 from ehbench.parts.edge import edge_flow
 from ehbench.physics.flow_map import FlowMap, ValveMaps
-from ehbench.plant.build import build
+from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
@@ -53,7 +53,7 @@ def a_map(seed: int, valve: str, direction: str = "forward") -> FlowMap:
 
 def shipped(rig: str, cylinder: str, maps: dict | None = None) -> fn.Circuit:
     made = load_rig(RIGS / f"{rig}.toml")
-    plant = build(made, maps)
+    plant = Model.of(made, maps).plant
     index = [c.name for c in made.cylinder].index(cylinder)
     row = plant.cylinders[index]
     areas = row.area_head, row.area_rod

@@ -90,6 +90,7 @@ LAW = EdgeLaw(
     opening=opening,
     pack=pack,
     needs_fixed=("orifice_gain",),
+    takes=("cracking_pressure", "opening_range", "pilot", "pilot_ratio"),
     has_deadband=False,
     slope=slope,
     metering=False,

@@ -45,4 +45,5 @@ LAW = EdgeLaw(
     opening=opening,
     pack=pack,
     needs=("compensated_gain",),
+    takes=("compensation_drop",),
 )

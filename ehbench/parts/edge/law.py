@@ -42,9 +42,9 @@ class EdgeLaw:
     the substep guard.
 
     ``pack(edge)`` gives the law's columns of an edge of the rig file by their names; of that
-    edge's keys it ``needs`` some, ``needs_fixed`` where the edge has no command. ``has_deadband``
-    says whether its ``deadband`` counts. ``odd(edge)`` is (what is wrong with its numbers together,
-    the key to blame), or None.
+    edge's keys it ``needs`` some, ``needs_fixed`` where the edge has no command, and ``takes``
+    others. ``has_deadband`` says whether its ``deadband`` counts. ``odd(edge)`` is (what is wrong
+    with its numbers together, the key to blame), or None.
 
     A law that is not ``metering`` passes oil at any opening and drop, gives flows of any sign, and
     may be that of an edge without a command; it is only of such edges where it is not
@@ -58,6 +58,7 @@ class EdgeLaw:
     pack: Callable[[Any], dict[str, float]]
     needs: tuple[str, ...] = ()
     needs_fixed: tuple[str, ...] = ()
+    takes: tuple[str, ...] = ()
     has_deadband: bool = True
     known: Callable = _everywhere
     odd: Callable[[Any], tuple[str, str] | None] = _nothing_odd

@@ -66,6 +66,7 @@ LAW = EdgeLaw(
     pack=pack,
     needs=("displacement", "speed_gain"),
     needs_fixed=("displacement", "pump_speed"),
+    takes=("slip",),
     has_deadband=False,
     slope=slope,
     metering=False,

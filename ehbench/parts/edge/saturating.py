@@ -88,5 +88,6 @@ LAW = EdgeLaw(
     known=known,
     pack=pack,
     needs=("flow_gain", "opening_max"),
+    takes=("saturation_softness",),
     odd=odd,
 )

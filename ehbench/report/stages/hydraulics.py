@@ -87,11 +87,29 @@ def _parameters_table(rig: Rig, parameters: Sequence[Table]) -> Grid:
         "how sure",
         "samples",
         "error from",
+        "logs' starts [%]",
     ]
     known = rig.parameters()
     rows = [_parameter_row(rig, one, known.get(one["name"])) for one in parameters]
-    note = "± is one standard error, corrected for residuals that are not white."
+    note = (
+        "± is one standard error, corrected for residuals that are not white. Logs' starts: share "
+        "of its square that the estimated starts of the logs are to blame for."
+    )
+    if any(one.get("prior") for one in parameters):
+        head += ["prior ±", "from data [%]"]
+        rows = [row + _prior_cells(rig, one) for row, one in zip(rows, parameters, strict=True)]
+        note += " From data: share of what is known that the prior did not bring."
     return Grid(head, rows, note)
+
+
+def _prior_cells(rig: Rig, one: Table) -> list[Cell | str]:
+    """What was known of a parameter beside the data, and the data's share in what is known now."""
+    if not one.get("prior"):
+        return [num("–"), num("–")]
+    return [
+        num(plus(rig, one["name"], one.number("prior"), None)),
+        num(number(100.0 * one["from_data"], 3)),
+    ]
 
 
 def _parameter_row(rig: Rig, one: Table, value: Value | None) -> list[Cell | str]:
@@ -108,6 +126,7 @@ def _parameter_row(rig: Rig, one: Table, value: Value | None) -> list[Cell | str
         value.sure if value is not None else "–",
         num(str(one["samples"])),
         words(one.get("error_from") or "–"),
+        num(number(100.0 * one["from_starts"], 2) if one.get("from_starts") else "–"),
     ]
 
 
@@ -173,4 +192,12 @@ def _fitted_cell(rig: Rig, name: str, one: Table | None) -> Cell:
     return num("–" if one is None else plus(rig, name, one.number("value"), one.number("std")))
 
 
-REPORT = StageReport("identification", section, draw, standing=1)
+REPORT = StageReport(
+    "identification",
+    section,
+    draw,
+    standing=1,
+    shows=("Parameters",),
+    columns=("parameter", "value", "unit", "95 % interval", "status", "bounds"),
+    numbers=("parameters.json", ("parameters", "warnings")),
+)

@@ -4,6 +4,7 @@ residual correlations.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from ehbench.report.blocks import Block, Bullets, Cell, Fold, Grid, Part, Text
@@ -12,14 +13,20 @@ from ehbench.report.comparisons import draw_comparisons, log_cell, ringing_table
 from ehbench.report.content import Pictures, SectionContent, StageReport, chip, look_of, num
 from ehbench.report.figures import validation as figures
 from ehbench.report.figures.channels import title_of
+from ehbench.report.figures.sweeps import sweeps
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
-from ehbench.report.words import count, number, pretty, shown, unit_of, words
+from ehbench.report.words import count, interval, number, pretty, shown, unit_of, words
 from ehbench.rig import Rig
 
 _RESIDUALS_CAPTION = (
     "Correlation of the residual with itself and with earlier commands. "
     "Shaded: 95 % band, which allows for colour."
+)
+
+_SWEEP_CAPTION = (
+    "Frequency response to the command, recorded and simulated, where the recording is coherent. "
+    "Dashed line: the coherence asked for."
 )
 
 
@@ -41,6 +48,23 @@ def draw(run: Saved, index: FigureIndex) -> None:
                 FigureKey("residuals", log=name, cylinder=cylinder),
             )
             figures.correlations(path, channels)
+        _draw_sweeps(run, index, log)
+
+
+def _draw_sweeps(run: Saved, index: FigureIndex, log: Table) -> None:
+    """A figure for each command of a log that sweeps."""
+    least = run.json("validation.json")["thresholds"].get("response_coherence", 0.0)
+    by_command: dict[str, list[Table]] = {}
+    for sweep in log.get("sweeps", []):
+        by_command.setdefault(sweep["input"], []).append(sweep)
+    for command, found in by_command.items():
+        path = index.add(
+            f"sweep_{log['name']}_{command.replace('.', '_')}",
+            f"Response to {command.removesuffix('.command')} in {words(log['name'])}",
+            _SWEEP_CAPTION,
+            FigureKey("sweep", log=log["name"]),
+        )
+        sweeps(path, run.rig, found, least)
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:
@@ -119,11 +143,61 @@ def _log_blocks(rig: Rig, log: Table, pictures: Pictures) -> list[Block]:
     blocks += _channel_table(rig, log)
     if rings := log.get("transients", []):
         blocks.append(ringing_table(rig, rings))
+        blocks += _unjudged(rings)
+    if found := log.get("sweeps", []):
+        blocks += pictures(FigureKey("sweep", log=log["name"]))
+        blocks.append(_sweep_table(found))
     if residuals := pictures(FigureKey("residuals", log=log["name"])):
         blocks.append(Fold("Residual correlations", residuals))
     if log.get("warnings"):
         blocks.append(Bullets(log["warnings"], "note"))
     return blocks
+
+
+def _unjudged(rings: Sequence[Table]) -> list[Block]:
+    """The windows whose ringing was found and is not judged, with the reason."""
+    told = [
+        f"{one['cylinder']}, {interval(one['start'], one['stop'])} s: not judged, {one['note']}"
+        for one in rings
+        if one.get("note")
+    ]
+    return [Bullets(told, "note")] if told else []
+
+
+def _sweep_table(found: Sequence[Table]) -> Grid:
+    """Recording and model compared over the coherent band, a row a channel."""
+    head = [
+        "response of",
+        "band [Hz]",
+        "frequencies",
+        "gain, model/recording",
+        "gain error [%]",
+        "phase error [°]",
+        "delay recorded [ms]",
+        "delay simulated [ms]",
+        "coherence recorded",
+        "coherence simulated",
+    ]
+    rows = [
+        [
+            Cell(one["channel"], "code", hint=one["input"]),
+            num(interval(*one["band"])),
+            num(str(one["frequencies"])),
+            *(
+                num("–" if value is None else number(factor * value, 3))
+                for value, factor in (
+                    (one.get("gain_ratio"), 1.0),
+                    (one.get("gain_error"), 100.0),
+                    (one.get("phase_error"), 180.0 / math.pi),
+                    *((value, 1e3) for value in one["delay"]),
+                    *((value, 1.0) for value in one["coherence"]),
+                )
+            ),
+        ]
+        for one in found
+    ]
+    note = "Errors are root mean squares over the band, beyond what noise makes of them."
+    return Grid(head, rows, note)
 
 
 def _channel_table(rig: Rig, log: Table) -> list[Block]:
@@ -164,4 +238,12 @@ def _channel_row(rig: Rig, one: Table) -> list[Cell | str]:
     ]
 
 
-REPORT = StageReport("validation", section, draw, standing=2)
+REPORT = StageReport(
+    "validation",
+    section,
+    draw,
+    standing=2,
+    shows=("Verdict",),
+    columns=("log", "check", "result"),
+    numbers=("validation.json", ("accepted", "reasons", "thresholds")),
+)

@@ -1,0 +1,361 @@
+"""Where a simulation along a recording starts, and by how much that may be off.
+
+A recording tells its own first state only as well as its sensors do: the mean of a drifting rest is
+not the pressure at the first sample, and a supply's pressure is known to its noise. Each such
+number is a nuisance, in units of the standard deviation that the recording leaves it (its prior);
+identification and validation let the whole log say the rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ehbench.errors import SimulationError
+from ehbench.observations import column
+from ehbench.parts.cylinder import linkage_of
+from ehbench.parts.valve import valve_lag, valve_settle
+from ehbench.plant.integrate import STEP
+from ehbench.plant.layout import SIDES
+from ehbench.plant.model import Model, Start
+from ehbench.plant.trim import settle_parts
+from ehbench.preprocessing import moving_at_first, on_at_first
+from ehbench.record import Record
+from ehbench.signals import correlation_time, rms
+
+# priors as shares: pressures of the supply's, positions of the stroke, speeds of the fastest,
+# openings of the driver's range
+VAGUE_PRESSURE, COMPARED_PRESSURE, SENSOR = 0.2, 0.05, 0.005
+VAGUE_PLACE, FINE_PLACE, VAGUE_SPEED, VAGUE_OPENING = 0.25, 1.0e-5, 0.2, 0.25
+FINE_SUPPLY = 1.0e-5
+BEGINNING = 0.03  # [s] over which the first samples of a motion tell its state
+LEAST = 8  # samples, which do so at least
+DIFFERENCE = 0.3  # of finite differences, in prior standard deviations, …
+SMALLEST, LARGEST = 1.0e-5, 2.0e-3  # … but within these shares of a number's range
+ROUNDS, CONVERGED = 4, 1.0e-3  # of an estimate: most rounds, and the gain that is not worth another
+FLOOR = 5.0e-3  # of a channel's scale, as a share of its spread
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """One number of a start: what it is (``boom.p_head``), where it stands in the state, the
+    standard deviation that the recording leaves it and its step of finite differences, both in SI.
+
+    ``valve`` is the number of the valve that an opening belongs to, −1 for all others."""
+
+    name: str
+    state: int
+    std: float
+    step: float
+    valve: int = -1
+
+    @property
+    def share(self) -> float:
+        """Its step in standard deviations."""
+        return self.step / self.std
+
+
+@dataclass(frozen=True)
+class LogStart:
+    """Where a recording starts: after ``rest`` samples at rest, or in motion; and its doubts."""
+
+    record: Record
+    rest: int
+    moves: bool
+    doubts: tuple[Doubt, ...]
+
+    def at(self, model: Model, shifts: np.ndarray) -> Start:
+        """The start of a model, moved by ``shifts`` [prior standard deviations], one a doubt.
+
+        Raises:
+            InputError: a posture outside the stroke.
+        """
+        first = _moving_start if self.moves else Model.rest_start
+        y, supply, tank = first(model, self.record, self.rest)
+        for doubt, shift in zip(self.doubts, shifts, strict=True):
+            by = doubt.std * float(shift)
+            if doubt.valve >= 0:
+                valve = model.plant.valves[doubt.valve]
+                value = min(max(y[doubt.state] + by, valve.lowest), valve.highest)
+                valve_settle(valve, value, model.plant, y)
+                continue
+            y[doubt.state] += by
+            if doubt.name == "p_supply" and supply is not None:
+                supply += by
+        for index, row in enumerate(model.plant.cylinders):
+            low, high = sorted(model.stroke_range(index))
+            y[row.joint] = min(max(y[row.joint], low), high)
+        settle_parts(model.plant, y)
+        return Start(y, supply, tank)
+
+    def moved(self, shifts: np.ndarray) -> dict[str, float]:
+        """By how much the shifts move each number [SI]."""
+        return {
+            doubt.name: doubt.std * float(shift)
+            for doubt, shift in zip(self.doubts, shifts, strict=True)
+        }
+
+
+def start_of_log(
+    model: Model, record: Record, live: Sequence[str], compared: Sequence[str]
+) -> LogStart:
+    """Where a recording starts, with the doubts about the cylinders that move.
+
+    Args:
+        record: evenly sampled.
+        live: cylinders that move.
+        compared: channels on which the simulation is compared with the recording, which tell a
+            pressure by themselves.
+    """
+    rest = model.rest_samples(model.commands_of(record))
+    moves = bool(moving_at_first(record, model.rig, rest) or on_at_first(record, model.rig, rest))
+    doubts: list[Doubt] = []
+    for cylinder in live:
+        doubts += _of_cylinder(model, record, cylinder, compared, rest, moves)
+    if moves:
+        doubts += _of_valves(model, record, live)
+    if "p_supply" in record:
+        y, most = record["p_supply"], float(model.plant.supply.pressure)
+        std = rms(y - np.mean(y)) if moves else mean_error(y, rest)
+        doubts.append(_doubt("p_supply", model.plant.at.supply, max(std, FINE_SUPPLY * most), most))
+    return LogStart(record, rest, moves, tuple(doubts))
+
+
+def mean_error(y: np.ndarray, rest: int) -> float:
+    """Standard error of the mean of a recorded rest as the value at its first sample: its noise
+    about a line, by the correlation time of the whole series, and half of its drift.
+    """
+    if rest < LEAST:
+        return float(1.5 * np.median(np.abs(np.diff(y)))) / math.sqrt(rest)
+    z = np.linspace(-0.5, 0.5, rest)
+    line = np.polyfit(z, y[:rest], 1)
+    noise = rms(y[:rest] - np.polyval(line, z))
+    share = math.sqrt(min(1.0, correlation_time(y) / rest))
+    drift = max(0.0, abs(float(line[0])) - 2.0 * math.sqrt(12.0) * noise * share)
+    return math.hypot(noise * share, 0.5 * drift)
+
+
+def _doubt(name: str, state: int, std: float, span: float, valve: int = -1) -> Doubt:
+    step = min(max(DIFFERENCE * std, SMALLEST * span), LARGEST * span)
+    return Doubt(name, state, std, step, valve)
+
+
+def _of_cylinder(
+    model: Model, record: Record, cylinder: str, compared: Sequence[str], rest: int, moves: bool
+) -> list[Doubt]:
+    """Doubts about both pressures and the position of a cylinder, and its speed in motion."""
+    names, index = model.layout, model.layout.cylinders.index(cylinder)
+    supply, found = float(model.plant.supply.pressure), []
+    for side in SIDES:
+        channel = f"{cylinder}.p_{side}"
+        std = VAGUE_PRESSURE * supply
+        if channel in compared:
+            std = COMPARED_PRESSURE * supply
+        elif channel in record:
+            error = rms(np.diff(record[channel])) if moves else mean_error(record[channel], rest)
+            std = error + SENSOR * supply
+        found.append(_doubt(channel, names.state(f"p_{side}", index), std, supply))
+    row = model.plant.cylinders[index]
+    low, high = sorted(model.stroke_range(index))
+    std = VAGUE_PLACE * (high - low)
+    for word, scale in (("q", 1.0), ("x", (high - low) / float(row.stroke))):
+        if (channel := f"{cylinder}.{word}") in record:
+            y = record[channel]
+            error = _first(y, rest, record.sample_time)[2] if moves else mean_error(y, rest)
+            std = scale * error + FINE_PLACE * (high - low)
+            break
+    joint = int(row.joint)
+    found.append(_doubt(f"{cylinder}.q", names.state("q", joint), std, high - low))
+    if moves:
+        speed = rate_of(record, cylinder)
+        if speed is not None:
+            most = float(np.abs(speed).max()) or 1.0
+            std = max(VAGUE_SPEED * most, 1e-4 * (high - low))
+            found.append(_doubt(f"{cylinder}.qd", names.state("qd", joint), std, most))
+    return found
+
+
+def _of_valves(model: Model, record: Record, live: Sequence[str]) -> list[Doubt]:
+    """Doubts about the openings of the valves of moving cylinders that have been commanded."""
+    found = []
+    for index, name in enumerate(model.layout.valves):
+        valve, channel = model.plant.valves[index], f"{name}.command"
+        if name.partition(".")[0] not in live or valve.output < 0 or channel not in record:
+            continue
+        span = float(valve.highest - valve.lowest)
+        if np.ptp(record[channel]) > 0.0 or record[channel][0] != 0.0:
+            std = VAGUE_OPENING * span
+            found.append(_doubt(f"{name}.opening", int(valve.output), std, span, index))
+    return found
+
+
+def rate_of(record: Record, cylinder: str) -> np.ndarray | None:
+    """A cylinder's recorded joint rate or speed, else that of its position; None without any."""
+    for word in ("qd", "v"):
+        if f"{cylinder}.{word}" in record:
+            return record[f"{cylinder}.{word}"]
+    both = (column(record, f"{cylinder}.{word}", record) for word in ("qd", "v"))
+    return next((rate for rate in both if rate is not None), None)
+
+
+def _first(y: np.ndarray, rest: int, tick: float) -> tuple[float, float, float]:
+    """(value, rate [1/s], standard error of the value) at the first sample, of a parabola through
+    the first samples, as many as pass before a command changes if those are enough.
+    """
+    count = min(max(LEAST, min(rest, round(BEGINNING / tick))), y.size)
+    t = np.arange(count) * tick
+    order = 2 if count >= LEAST else min(1, count - 1)
+    line = np.polynomial.Polynomial.fit(t, y[:count], order).convert()
+    coefficients = np.append(line.coef, np.zeros(3))
+    noise = rms(y[:count] - line(t)) * math.sqrt(count / max(1, count - order - 1))
+    return float(coefficients[0]), float(coefficients[1]), 3.0 * noise / math.sqrt(count)
+
+
+def _moving_start(model: Model, record: Record, rest: int) -> Start:
+    """The state at the first sample of a recording that begins in motion, from its first samples:
+    places, pressures and speeds as they read, valves where their commands were a lag before.
+    """
+    tick, names = record.sample_time, model.layout
+    seen = {
+        channel: _first(y, rest, tick)
+        for channel, y in record.channels.items()
+        if not channel.endswith(".command")
+    }
+    value = {channel: first for channel, (first, _, _) in seen.items()}
+    table = model.commands_of(record)
+    supply, tank = value.get("p_supply"), value.get("p_tank")
+    model = replace(model, plant=model.plant.at_pressures(supply, tank))
+    y = model.posed(value, table[0] if names.played else None)
+    for index, name in enumerate(names.cylinders):
+        for side in SIDES:
+            at = names.state(f"p_{side}", index)
+            y[at] = value.get(f"{name}.p_{side}", y[at])
+        row = model.plant.cylinders[index]
+        joint = int(row.joint)
+        lever = linkage_of(row, y[joint])[1]
+        speeds = {
+            "qd": value.get(f"{name}.qd"),
+            "v": None if f"{name}.v" not in value else value[f"{name}.v"] / lever,
+            "q": None if f"{name}.q" not in seen else seen[f"{name}.q"][1],
+            "x": None if f"{name}.x" not in seen else seen[f"{name}.x"][1] / lever,
+        }
+        y[names.state("qd", joint)] = next((v for v in speeds.values() if v is not None), 0.0)
+    for index, valve in enumerate(model.plant.valves):
+        slope = (table[min(1, len(table) - 1), index] - table[0, index]) / tick
+        opening = table[0, index] - slope * valve_lag(valve, model.plant)
+        valve_settle(valve, min(max(opening, valve.lowest), valve.highest), model.plant, y)
+    return Start(y, supply, tank)
+
+
+def estimated_start(
+    model: Model,
+    record: Record,
+    live: Sequence[str],
+    channels: Sequence[str],
+    step: float = STEP,
+) -> Start:
+    """The start from which a model follows the whole of a recording best, each number of it held by
+    what the recording's first samples say.
+
+    Least squares of the channels, each by its residual's rms, over the doubts of `start_of_log`,
+    their priors weighted as the residuals' correlation in time asks.
+
+    Args:
+        record: evenly sampled.
+        live: cylinders that move.
+        channels: full names, of which the recording has the values or their position's.
+        step: of the integration [s].
+
+    Raises:
+        InputError: a posture outside the stroke.
+        SimulationError: the numbers left the finite range.
+    """
+    start = start_of_log(model, record, live, channels)
+    follow = _Follow(model, start, channels, step)
+    shifts = np.zeros(len(start.doubts))
+    if not follow.recorded.size or not shifts.size:
+        return start.at(model, shifts)
+    left = follow.left(shifts)
+    for _ in range(ROUNDS):
+        follow.weigh(left)
+        before = follow.cost(shifts, left)
+        move, gain = follow.step(shifts, left)
+        found = next(follow.tries(shifts, move, before), None)
+        if found is None:
+            break
+        shifts, left = found
+        if gain < CONVERGED * before:
+            break
+    return start.at(model, shifts)
+
+
+class _Follow:
+    """A recording followed from a start that may be shifted."""
+
+    def __init__(self, model: Model, start: LogStart, channels: Sequence[str], step: float) -> None:
+        self.model, self.start, self.channels, self.step_time = model, start, channels, step
+        self.recorded = _columns(start.record, channels, start.record)
+        self.floor = np.maximum(FLOOR * np.std(self.recorded, axis=0), 1e-300)
+        self.scale, self.weight = self.floor, 1.0
+
+    def left(self, shifts: np.ndarray) -> np.ndarray:
+        """Simulated minus recorded [SI], shape (samples, channels)."""
+        record, start = self.start.record, self.start.at(self.model, shifts)
+        replayed = self.model.replay(record, self.step_time, start=start)
+        return _columns(replayed, self.channels, record) - self.recorded
+
+    def weigh(self, left: np.ndarray) -> None:
+        """Take scales of the channels and the weight of priors from what is left."""
+        self.scale = np.maximum(np.sqrt(np.mean(left**2, axis=0)), self.floor)
+        self.weight = prior_weight([left / self.scale])
+
+    def cost(self, shifts: np.ndarray, left: np.ndarray) -> float:
+        """What is minimised."""
+        return float(np.sum((left / self.scale) ** 2) + self.weight * np.sum(shifts**2))
+
+    def step(self, shifts: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, float]:
+        """(Gauss's and Newton's step, what it should gain)."""
+        each = np.eye(len(shifts))
+        columns = [
+            (self.left(shifts + doubt.share * each[i]) - left) / (doubt.share * self.scale)
+            for i, doubt in enumerate(self.start.doubts)
+        ]
+        slopes = np.stack([column.ravel() for column in columns], axis=-1)
+        normal = slopes.T @ slopes + self.weight * each
+        pull = slopes.T @ (left / self.scale).ravel() + self.weight * shifts
+        move = -np.linalg.solve(normal, pull)
+        return move, float(-pull @ move)
+
+    def tries(
+        self, shifts: np.ndarray, move: np.ndarray, before: float
+    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """(shifts, what is left) after a step, or a part of it, where that costs less."""
+        for share in (1.0, 0.3, 0.1):
+            there = shifts + share * move
+            try:
+                left = self.left(there)
+            except SimulationError:
+                continue
+            if self.cost(there, left) < before:
+                yield there, left
+
+
+def prior_weight(residuals: Sequence[np.ndarray]) -> float:
+    """What a prior of unit variance weighs beside scaled residuals, each of shape (samples,
+    channels): their variance, by as many samples as count for one independent one; the median of
+    the channels.
+    """
+    sizes = [
+        rms(column) ** 2 * correlation_time(column)
+        for part in residuals
+        for column in part.T
+        if np.any(column)
+    ]
+    return float(np.median(sizes)) if sizes else 1.0
+
+
+def _columns(record: Record, channels: Sequence[str], like: Record) -> np.ndarray:
+    found = (column(record, channel, like) for channel in channels)
+    return np.column_stack([y for y in found if y is not None] or [np.zeros((record.t.size, 0))])

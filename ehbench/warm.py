@@ -1,0 +1,72 @@
+"""Compile the kernels before they are needed: ``python -m ehbench.warm``, as ``make setup`` does.
+
+Every machine runs a short trial under every law. What that compiled stays until a kernel changes.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, get_args
+
+from ehbench import starter
+from ehbench.control import LAW_NAMES
+from ehbench.control.registry import LAWS
+from ehbench.recipe import TrialRecipe, load_rig
+from ehbench.rig import Rig
+
+DURATION = "20 ms"
+
+
+def recipes(rig: Rig, machine: str) -> Iterator[dict[str, Any]]:
+    """What a trial's recipe says, for every law on a machine; the open loop first."""
+    cylinder = rig.cylinder[0]
+    points = [f"{share * float(cylinder.stroke)!r} m" for share in (0.4, 0.401)]
+    motion = {
+        "kind": "point_to_point",
+        "cylinder": cylinder.name,
+        "waypoints": points,
+        "speed": "50 mm/s",
+    }
+    yield {"on": machine, "duration": DURATION}
+    for name in LAW_NAMES:
+        need = LAWS[name].required
+        row = None if need is None else LAWS[name].gains[need.gain]
+        gains = {} if row is None else {row.name: f"{1e-12} {row.unit}"}
+        controller = {"kind": name, "gains": gains}
+        yield {"on": machine, "duration": DURATION, "motion": motion, "controller": controller}
+
+
+def warm(machine: str) -> str:
+    """Run the short trials of one machine; its name."""
+    from ehbench.plant.model import Model
+    from ehbench.trial import prepare, run
+    from ehbench.trial.accounts import account
+
+    with TemporaryDirectory() as folder:
+        starter.init(Path(folder) / "rig")
+        rig = load_rig(Path(folder) / "rig" / "rig.toml")
+        for keys in recipes(rig, machine):
+            recipe = TrialRecipe(stage="trial", rig="rig.toml", path=Path(folder) / "x", **keys)
+            prepared = prepare(recipe, rig)
+            result = run(prepared)
+            account(prepared, result)
+        Model.of(rig).replay(result.record)
+    return machine
+
+
+def main() -> None:
+    """Compile for all machines, a process each, and say how far it is."""
+    names = get_args(TrialRecipe.model_fields["on"].annotation)
+    print("compiling the kernels, once …", file=sys.stderr, flush=True)
+    with ProcessPoolExecutor(len(names), mp_context=get_context("spawn")) as pool:
+        for name in pool.map(warm, names):
+            print(f"compiled: trials on the {name}", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main()
