@@ -23,8 +23,8 @@ from ehbench.preprocessing import numbered, preprocess
 from ehbench.recipe import Thresholds
 from ehbench.record import Record
 from ehbench.rig import Rig, Valve
-from ehbench.structure import Case
 from ehbench.starts import estimated_start
+from ehbench.structure import Case
 from ehbench.validation.checks import checks_of, unasked
 from ehbench.validation.residuals import Pair, compare, pair_of
 from ehbench.validation.results import (
