@@ -29,9 +29,13 @@ FAINT = 2.0e-3
 DIFFERENCE = 1.0e-3  # step of finite differences, in units of a parameter
 NEAR = 5.0e-3  # share of its reach within which a parameter is tried at its bound
 SCAN = math.log(10.0)  # how far the first look goes either way
-# its points over other parameters: 5 % apart, 2.4 % in frequency, which twenty cycles of ringing
-# can still tell
-FINER = 97
+# its points over the bulk modulus, and over other parameters: 5 % apart, 2.4 % in frequency, which
+# twenty cycles of ringing can still tell
+COARSE, FINER = 11, 97
+# of other basins that the look meets: how much worse than the best one may be to be tried, how many
+RIVAL, RIVALS = 3.0, 3
+HEAD = 5.0  # [s] of a log at least that the search begins with
+MUCH = 0.01  # squares of what is left, as a share of the channels' spread, that ask for more starts
 STANDS = 0.03  # share by which scales may still change when a fit stands
 ROUNDS = 8  # of weighing and solving at most
 # of the descent: damping at first, at least and at most, and what a step changes it by
@@ -110,11 +114,18 @@ class OutputError:
 
     def residuals(
         self, thetas: Sequence[np.ndarray], chosen: Sequence[int] | None = None
-    ) -> list[list[np.ndarray]]:
-        """Residuals simulated − recorded [SI] by vector and log, from the present starts."""
+    ) -> list[list[np.ndarray] | None]:
+        """Residuals simulated − recorded [SI] by vector and log, from the present starts; None
+        where a log could not be simulated.
+        """
         rows = self.simulator.simulate([self._values(x) for x in thetas], chosen, self.shifts)
         logs = self.simulator.chosen(chosen)
-        return [[self._left(*pair) for pair in zip(logs, row, strict=True)] for row in rows]
+        return [
+            None
+            if any(one is None for one in row)
+            else [self._left(*pair) for pair in zip(logs, row, strict=True)]
+            for row in rows
+        ]
 
     def _values(self, theta: np.ndarray) -> list[float]:
         return [c.at(x) for c, x in zip(self.search, theta, strict=True)]
@@ -145,26 +156,35 @@ class OutputError:
 
     def slopes(self, here: _Point, which: Sequence[int], central: bool = False) -> list[np.ndarray]:
         """Scaled sensitivities by log, shape (samples, channels, parameters), by differences that
-        stay inside the bounds.
+        stay inside the bounds and where the rig is possible.
         """
-        theta, ends, vectors = here.theta, [], []
+        theta, each = here.theta, np.eye(len(here.theta))
+        up, down = [], []
         for i in which:
             low, high = self.search[i].bounds
-            h = DIFFERENCE if theta[i] + DIFFERENCE <= high else -DIFFERENCE
-            pair = [h, -h if central and low <= theta[i] - h <= high else 0.0]
-            for side, shift in enumerate(pair):
-                if shift != 0.0:
-                    vectors.append(theta + shift * np.eye(len(theta))[i])
-                    pair[side] = len(vectors)
-                else:
-                    pair[side] = 0
-            ends.append((int(pair[0]), int(pair[1]), 2.0 * h if pair[1] else h))
-        done = [here.left, *(self.residuals(vectors) if vectors else [])]
-        return [
-            np.stack([(done[up][k] - done[down][k]) / width for up, down, width in ends], axis=-1)
-            / self._per(self.scales, log)[:, None]
-            for k, log in enumerate(self.simulator.logs)
-        ]
+            up.append(theta[i] + DIFFERENCE <= high)
+            down.append(theta[i] - DIFFERENCE >= low and (central or not up[-1]))
+        vectors = [theta + DIFFERENCE * each[i] for i, can in zip(which, up, strict=True) if can]
+        vectors += [theta - DIFFERENCE * each[i] for i, can in zip(which, down, strict=True) if can]
+        done = iter(self.residuals(vectors) if vectors else [])
+        above = [next(done) if can else None for can in up]
+        below = [next(done) if can else None for can in down]
+        lost = [k for k in range(len(which)) if above[k] is None and not down[k]]
+        if lost:
+            again = self.residuals([theta - DIFFERENCE * each[which[k]] for k in lost])
+            below = [again.pop(0) if k in lost else one for k, one in enumerate(below)]
+        found = []
+        for k, log in enumerate(self.simulator.logs):
+            columns = [
+                _slope(
+                    here.left[k],
+                    None if one is None else one[k],
+                    None if other is None else other[k],
+                )
+                for one, other in zip(above, below, strict=True)
+            ]
+            found.append(np.stack(columns, axis=-1) / self._per(self.scales, log)[:, None])
+        return found
 
     def nudges(self, here: _Point) -> list[np.ndarray]:
         """Scaled sensitivities to where each log starts, shape (samples, channels, nuisances)."""
@@ -181,10 +201,11 @@ class OutputError:
             )
         return found
 
-    def scan(self) -> None:
+    def scan(self) -> list[np.ndarray]:
         """A coarse look over bulk modulus and damping together, then over each other positive
         parameter without a prior, on one log for each set of cylinders asked: least squares from
-        far off could lock on to the wrong cycle of the ringing."""
+        far off could lock on to the wrong cycle of the ringing. The best that it met first, then
+        the bottoms of other basins that are not much worse."""
         first: dict[tuple[str, ...], int] = {}
         for i, log in enumerate(self.simulator.logs):
             first.setdefault(log.asked, i)
@@ -193,30 +214,54 @@ class OutputError:
             [i for i in self.free if self.search[i].row.rings == what and self.search[i].log]
             for what in ("frequency", "decay")
         )
-        low, high = np.array([c.bounds for c in self.search]).T
         others = [
             [i]
             for i, c in enumerate(self.search[: self.asked])
             if c.log and not c.known and i not in (*bulk, *damping)
         ]
+        rivals: list[tuple[float, np.ndarray]] = []
+        best = math.inf
         for group in [bulk, *others] if bulk else others:
-            ends = (
-                max(-SCAN, max(low[group] - self.theta[group])),
-                min(SCAN, min(high[group] - self.theta[group])),
+            vectors, losses = self._looks(group, damping if group is bulk else [])
+            costs = np.array(
+                [
+                    math.inf
+                    if parts is None
+                    else sum(float(np.sum(part**2)) for part in self.scaled(parts, chosen))
+                    for parts in self.residuals(vectors, chosen)
+                ]
             )
-            shifts = np.linspace(*ends, 11 if group is bulk else FINER)
-            vectors = []
-            for shift in (0.0, *shifts):
-                for loss in (0.0, -1.4, 1.4) if damping and group is bulk else (0.0,):
-                    theta = self.theta.copy()
-                    theta[group] += shift
-                    theta[damping] += loss
-                    vectors.append(np.clip(theta, low + 1e-6, high - 1e-6))
-            costs = [
-                sum(float(np.sum(p**2)) for p in self.scaled(parts, chosen))
-                for parts in self.residuals(vectors, chosen)
-            ]
-            self.theta = vectors[int(np.argmin(costs))]
+            at = int(np.argmin(costs))
+            self.theta, best = vectors[at], float(costs[at])
+            valley = np.min(costs[losses:].reshape(-1, losses), axis=1)
+            bottoms = np.flatnonzero((valley[1:-1] < valley[:-2]) & (valley[1:-1] < valley[2:]))
+            for k in bottoms + 1:
+                own = losses + k * losses + int(np.argmin(costs[losses + k * losses :][:losses]))
+                if own != at:
+                    rivals.append((float(costs[own]), vectors[own]))
+        near = sorted((cost, k) for k, (cost, _) in enumerate(rivals) if cost < RIVAL * best)
+        return [self.theta, *(rivals[k][1] for _, k in near[:RIVALS])]
+
+    def _looks(self, group: Sequence[int], damping: Sequence[int]) -> tuple[list[np.ndarray], int]:
+        """(points of a look along a group of parameters, from here and then from one end to the
+        other, how many dampings it takes at each).
+        """
+        low, high = np.array([c.bounds for c in self.search]).T
+        some = list(group)
+        ends = (
+            max(-SCAN, max(low[some] - self.theta[some])),
+            min(SCAN, min(high[some] - self.theta[some])),
+        )
+        count = FINER if self.search[some[0]].row.rings != "frequency" else COARSE
+        losses = (0.0, -1.4, 1.4) if damping else (0.0,)
+        vectors = []
+        for shift in (0.0, *np.linspace(*ends, count)):
+            for loss in losses:
+                theta = self.theta.copy()
+                theta[some] += shift
+                theta[list(damping)] += loss
+                vectors.append(np.clip(theta, low + 1e-6, high - 1e-6))
+        return vectors, len(losses)
 
     def cost(self, point: _Point) -> float:
         """What is minimised: scaled residuals and what priors are missed by, squared."""
@@ -300,18 +345,19 @@ class OutputError:
         return (theta, shifts), gain
 
     def fit(self) -> HydraulicsFit:
-        fine = self.simulator.step
-        self.simulator.step = 2.0 * fine
+        fine, whole = self.simulator.step, self.simulator.logs
+        heads = tuple(log.head(HEAD) for log in whole)
+        self.simulator.step, self.simulator.logs = 2.0 * fine, heads
         self.tell("output error: looking over the range of the bulk modulus", 0.0)
-        self.scan()
-        self._weigh(self._at(self.theta, self.shifts), scales=False)
-        effects = self._effects(
-            self.slopes(self._at(self.theta, self.shifts), self.free), self.free
-        )
+        self.theta = self._arrive(self.scan())
+        self.simulator.logs = whole
+        here = self._at(self.theta, self.shifts)
+        effects = self._effects(self.slopes(here, self.free), self.free)
         self._drop([i for i, size in effects.items() if size < FAINT])
-        self.solve(1e-3)
+        if any(log is not head for log, head in zip(whole, heads, strict=True)):
+            self._settle(1e-4)
         self.simulator.step = fine
-        converged = self._settle()
+        converged = self._settle(1e-6)
         for _ in range(self.asked):
             found = self._errors()
             lost = [i for i, error in found.by_index.items() if error.kind == "not_excited"]
@@ -320,13 +366,37 @@ class OutputError:
                 break
             self._drop(lost)
             self._hold(near)
-            converged = self._settle()
+            converged = self._settle(1e-6)
         else:
             found = self._errors()
         self.tell("output error: done", 1.0)
         return self._result(found, converged)
 
-    def _settle(self) -> bool:
+    def _arrive(self, starts: Sequence[np.ndarray]) -> np.ndarray:
+        """The best that a coarse solution comes to from some starts, and from what the first half
+        of the parameters comes to alone where the first start leaves much.
+        """
+        every, ends = self.free, []
+        samples = sum(part.recorded.size for part in self.simulator.logs)
+
+        def solved(start: np.ndarray, free: list[int]) -> tuple[float, np.ndarray]:
+            self.theta, self.shifts = start, self.simulator.unshifted()
+            here = self._at(start, self.shifts)
+            self._weigh(here, scales=False)
+            effects = self._effects(self.slopes(here, free), free)
+            self.free = [i for i in free if effects[i] >= FAINT]
+            self.solve(1e-3)
+            self.free = every
+            here = self._at(self.theta, self.shifts)
+            return sum(float(np.sum(part**2)) for part in self.scaled(here.left)), self.theta
+
+        ends = [solved(start, every) for start in starts]
+        half = every[: (len(every) + 1) // 2]
+        if len(half) > 1 and min(cost for cost, _ in ends) > MUCH * samples:
+            ends.append(solved(solved(starts[0], half)[1], every))
+        return min(ends, key=lambda end: end[0])[1]
+
+    def _settle(self, tolerance: float) -> bool:
         """Weigh and solve until the weights stand; whether it converged."""
         converged = False
         for _ in range(ROUNDS):
@@ -335,7 +405,7 @@ class OutputError:
             change = max(abs(math.log(self.scales[c] / before[c])) for c in before)
             if converged and change < STANDS:
                 break
-            converged = self.solve(1e-6)
+            converged = self.solve(tolerance)
         return converged
 
     def _weigh(self, here: _Point, scales: bool = True) -> None:
@@ -458,9 +528,9 @@ class OutputError:
         logs = self.simulator.logs
         which = [k for k, log in enumerate(logs) if _concerns(log, self.search[i])]
         theta = found.here.theta + DIFFERENCE * np.eye(len(self.search))[i]
-        moved = self.residuals([theta], which)[0] if which else []
+        moved = (self.residuals([theta], which)[0] or []) if which else []
         added = [np.zeros((*block.left.shape, 1)) for block in found.blocks]
-        for k, left in zip(which, moved, strict=True):
+        for k, left in zip(which, moved, strict=False):
             scale = self._per(self.scales, logs[k])
             added[k][..., 0] = (left - found.here.left[k]) / (DIFFERENCE * scale)
         if self._effects(added, [i])[i] < FAINT:
@@ -546,6 +616,15 @@ class _Errors:
     correlation: np.ndarray
     here: _Point
     blocks: list[Block]
+
+
+def _slope(here: np.ndarray, above: np.ndarray | None, below: np.ndarray | None) -> np.ndarray:
+    """A difference quotient from one side or both; nothing moves where neither could be had."""
+    if above is not None and below is not None:
+        return (above - below) / (2.0 * DIFFERENCE)
+    if above is not None:
+        return (above - here) / DIFFERENCE
+    return (here - below) / DIFFERENCE if below is not None else np.zeros_like(here)
 
 
 def _concerns(log: Log, c: Coordinate) -> bool:
