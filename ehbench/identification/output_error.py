@@ -7,8 +7,9 @@ alone, so they are eliminated block by block."""
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,7 +27,11 @@ SCALE_FLOOR = 5.0e-3
 # a parameter is not excited if moving it by its unit (a factor e, or its whole range) changes no
 # channel by more than this share of the channel's spread, rms
 FAINT = 2.0e-3
-DIFFERENCE = 1.0e-3  # step of finite differences, in units of a parameter
+# step of finite differences, in units of a parameter: over half a minute a larger one bends, and
+# where parameters nearly cancel the bend outweighs what they differ by
+DIFFERENCE = 1.0e-5
+# … and it touches no log in which its effect is less than this share of its largest
+NOTHING = 1.0e-3
 NEAR = 5.0e-3  # share of its reach within which a parameter is tried at its bound
 SCAN = math.log(10.0)  # how far the first look goes either way
 # its points over the bulk modulus, and over other parameters: 5 % apart, 2.4 % in frequency, which
@@ -49,12 +54,15 @@ FAITHFUL = 0.25  # share of what a step should gain that may be missed before al
 @dataclass(frozen=True, eq=False)
 class _Point:
     """Parameters in search coordinates, the shifts of the logs' starts, and the residuals [SI] by
-    log there.
+    log there; ``slopes`` are what is known already of their sensitivities [SI], by parameter and
+    log, ``nudges`` by log and number of its start.
     """
 
     theta: np.ndarray
     shifts: Shifts
     left: list[np.ndarray]
+    slopes: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
+    nudges: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
 
 
 class OutputError:
@@ -99,6 +107,9 @@ class OutputError:
         self.centre = np.array([c.of(c.centre) if c.known else 0.0 for c in search])
         self.weight = 1.0
         self.iterations = 0
+        self.coarse = True
+        self.touches = np.ones((len(search), len(simulator.logs)), dtype=bool)
+        self.last: tuple[tuple[object, ...], _Point] | None = None
 
     def _pooled(self, channel: str, parts: Sequence[np.ndarray]) -> float:
         """rms of a channel's column over all logs that have it, where it counts."""
@@ -141,9 +152,14 @@ class OutputError:
         return left * log.counts
 
     def _at(self, theta: np.ndarray, shifts: Shifts) -> _Point:
-        row = self.simulator.simulate([self._values(theta)], None, shifts)[0]
-        left = [self._left(*pair) for pair in zip(self.simulator.logs, row, strict=True)]
-        return _Point(theta, shifts, left)
+        """The residuals at a point; the last one is remembered."""
+        step, logs = self.simulator.step, self.simulator.logs
+        key = (theta.tobytes(), *(own.tobytes() for own in shifts), step, id(logs))
+        if self.last is None or self.last[0] != key:
+            row = self.simulator.simulate([self._values(theta)], None, shifts)[0]
+            left = [self._left(*pair) for pair in zip(logs, row, strict=True)]
+            self.last = key, _Point(theta, shifts, left)
+        return self.last[1]
 
     def scaled(
         self, parts: Sequence[np.ndarray], chosen: Sequence[int] | None = None
@@ -154,52 +170,59 @@ class OutputError:
             for part, log in zip(parts, self.simulator.chosen(chosen), strict=True)
         ]
 
-    def slopes(self, here: _Point, which: Sequence[int], central: bool = False) -> list[np.ndarray]:
+    def slopes(self, here: _Point, which: Sequence[int]) -> list[np.ndarray]:
         """Scaled sensitivities by log, shape (samples, channels, parameters), by differences that
-        stay inside the bounds and where the rig is possible.
+        stay inside the bounds and where the rig is possible; zero where a parameter has been seen
+        to change nothing in a log.
         """
-        theta, each = here.theta, np.eye(len(here.theta))
-        up, down = [], []
-        for i in which:
-            low, high = self.search[i].bounds
-            up.append(theta[i] + DIFFERENCE <= high)
-            down.append(theta[i] - DIFFERENCE >= low and (central or not up[-1]))
-        vectors = [theta + DIFFERENCE * each[i] for i, can in zip(which, up, strict=True) if can]
-        vectors += [theta - DIFFERENCE * each[i] for i, can in zip(which, down, strict=True) if can]
-        done = iter(self.residuals(vectors) if vectors else [])
-        above = [next(done) if can else None for can in up]
-        below = [next(done) if can else None for can in down]
-        lost = [k for k in range(len(which)) if above[k] is None and not down[k]]
-        if lost:
-            again = self.residuals([theta - DIFFERENCE * each[which[k]] for k in lost])
-            below = [again.pop(0) if k in lost else one for k, one in enumerate(below)]
-        found = []
-        for k, log in enumerate(self.simulator.logs):
-            columns = [
-                _slope(
-                    here.left[k],
-                    None if one is None else one[k],
-                    None if other is None else other[k],
-                )
-                for one, other in zip(above, below, strict=True)
-            ]
-            found.append(np.stack(columns, axis=-1) / self._per(self.scales, log)[:, None])
-        return found
+        logs, known = self.simulator.logs, here.slopes
+        every = [(i, k) for i in which for k in range(len(logs))]
+        asked = [pair for pair in every if pair not in known and self.touches[pair]]
+        for side in (1.0, -1.0):
+            steps = {i: side * self._inward(here.theta, i) * DIFFERENCE for i in which}
+            points = []
+            for i, k in asked:
+                theta = here.theta + steps[i] * np.eye(len(here.theta))[i]
+                points.append((self._values(theta), k, here.shifts[k]))
+            done = zip(asked, self.simulator.each(points), strict=True)
+            for (i, k), simulated in done:
+                if simulated is not None:
+                    known[i, k] = (self._left(logs[k], simulated) - here.left[k]) / steps[i]
+            # where there is no such rig, the other side is asked
+            asked = [pair for pair in asked if pair not in known]
+        return [
+            _stacked([known.get((i, k)) for i in which], left)
+            / self._per(self.scales, log)[:, None]
+            for k, (log, left) in enumerate(zip(logs, here.left, strict=True))
+        ]
+
+    def _inward(self, theta: np.ndarray, i: int) -> float:
+        """The side on which a parameter has room for a difference."""
+        return 1.0 if theta[i] + DIFFERENCE <= self.search[i].bounds[1] else -1.0
 
     def nudges(self, here: _Point) -> list[np.ndarray]:
-        """Scaled sensitivities to where each log starts, shape (samples, channels, nuisances)."""
-        found = []
-        moved = self.simulator.nudged(self._values(here.theta), here.shifts)
-        for log, left, row in zip(self.simulator.logs, here.left, moved, strict=True):
-            columns = [
-                (self._left(log, simulated) - left) / doubt.share
-                for simulated, doubt in zip(row, log.start.doubts, strict=True)
-            ]
-            scale = self._per(self.scales, log)[:, None]
-            found.append(
-                np.stack(columns, axis=-1) / scale if columns else left[..., None][..., :0]
-            )
-        return found
+        """Scaled sensitivities to where each log starts, shape (samples, channels, nuisances); zero
+        for logs that begin at rest while the search is coarse.
+        """
+        logs, known, values = self.simulator.logs, here.nudges, self._values(here.theta)
+        asked = [
+            (k, j, doubt.share)
+            for k, log in enumerate(logs)
+            for j, doubt in enumerate(log.start.doubts)
+            if (log.start.moves or not self.coarse) and (k, j) not in known
+        ]
+        points = [
+            (values, k, here.shifts[k] + share * np.eye(len(here.shifts[k]))[j])
+            for k, j, share in asked
+        ]
+        for (k, j, share), simulated in zip(asked, self.simulator.each(points), strict=True):
+            if simulated is not None:
+                known[k, j] = (self._left(logs[k], simulated) - here.left[k]) / share
+        return [
+            _stacked([known.get((k, j)) for j in range(len(log.start.doubts))], left)
+            / self._per(self.scales, log)[:, None]
+            for k, (log, left) in enumerate(zip(logs, here.left, strict=True))
+        ]
 
     def scan(self) -> list[np.ndarray]:
         """A coarse look over bulk modulus and damping together, then over each other positive
@@ -283,11 +306,7 @@ class OutputError:
         for _ in range(self.most):
             self.iterations += 1
             self.tell("output error: fitting", self.iterations / (self.iterations + 6.0))
-            slopes = (
-                self.slopes(here, self.free)
-                if free.size
-                else [p[..., None][..., :0] for p in here.left]
-            )
+            slopes = self.slopes(here, self.free)
             nudges = self.nudges(here) if nudges is None or not faithful else nudges
             blocks = self._blocks(here, slopes, nudges)
             cost = self.cost(here)
@@ -347,14 +366,21 @@ class OutputError:
     def fit(self) -> HydraulicsFit:
         fine, whole = self.simulator.step, self.simulator.logs
         heads = tuple(log.head(HEAD) for log in whole)
+        heads = whole if all(map(operator.is_, heads, whole)) else heads
         self.simulator.step, self.simulator.logs = 2.0 * fine, heads
         self.tell("output error: looking over the range of the bulk modulus", 0.0)
         self.theta = self._arrive(self.scan())
         self.simulator.logs = whole
         here = self._at(self.theta, self.shifts)
-        effects = self._effects(self.slopes(here, self.free), self.free)
+        slopes = self.slopes(here, self.free)
+        self.coarse = False
+        effects = self._effects(slopes, self.free)
+        for k, part in enumerate(slopes):
+            sizes = self._effects([part], self.free, [k])
+            for i, size in sizes.items():
+                self.touches[i, k] = size > NOTHING * effects[i]
         self._drop([i for i, size in effects.items() if size < FAINT])
-        if any(log is not head for log, head in zip(whole, heads, strict=True)):
+        if heads is not whole:
             self._settle(1e-4)
         self.simulator.step = fine
         converged = self._settle(1e-6)
@@ -415,12 +441,18 @@ class OutputError:
                 self.scales[channel] = max(self._pooled(channel, here.left), SCALE_FLOOR * spread)
         self.weight = prior_weight(self.scaled(here.left))
 
-    def _effects(self, slopes: Sequence[np.ndarray], which: Sequence[int]) -> dict[int, float]:
+    def _effects(
+        self,
+        slopes: Sequence[np.ndarray],
+        which: Sequence[int],
+        chosen: Sequence[int] | None = None,
+    ) -> dict[int, float]:
         """Largest rms change of a channel in a log when one of the parameters ``which`` moves by
         its unit, as a share of the channel's spread.
         """
         ratio = [
-            self._per(self.scales, log) / self._per(self.spread, log) for log in self.simulator.logs
+            self._per(self.scales, log) / self._per(self.spread, log)
+            for log in self.simulator.chosen(chosen)
         ]
         each = [
             np.sqrt(np.mean(part**2, axis=0)) * r[:, None]
@@ -474,7 +506,7 @@ class OutputError:
         """
         live = sorted(self.free + self.bound)
         here = self._at(self.theta, self.shifts)
-        slopes = self.slopes(here, live, central=True)
+        slopes = self.slopes(here, live)
         blocks = self._blocks(here, slopes, self.nudges(here))
         found = covariance_of(blocks, self._prior(self.theta, live))
         effects, correlation = self._effects(slopes, live), found.correlation
@@ -507,10 +539,11 @@ class OutputError:
             c, blocks = self.search[i], self._released(found, i)
             if not blocks:
                 continue
-            release = release_of(blocks, self._prior(found.here.theta, [*live, i]))
+            least = WORTH * self.cost(found.here)
+            release = release_of(blocks, self._prior(found.here.theta, [*live, i]), least)
             share = 1.0 if c.log else c.unit / c.start
             off, less = abs(release.move), release.gain / self.cost(found.here)
-            if off * share > SURELY_OFF and off > SURELY * release.std and less > WORTH:
+            if off * share > SURELY_OFF and off > SURELY * release.std:
                 suspects.append((less, share * release.move, share * release.std, c.name))
         if not suspects:
             return []
@@ -618,13 +651,10 @@ class _Errors:
     blocks: list[Block]
 
 
-def _slope(here: np.ndarray, above: np.ndarray | None, below: np.ndarray | None) -> np.ndarray:
-    """A difference quotient from one side or both; nothing moves where neither could be had."""
-    if above is not None and below is not None:
-        return (above - below) / (2.0 * DIFFERENCE)
-    if above is not None:
-        return (above - here) / DIFFERENCE
-    return (here - below) / DIFFERENCE if below is not None else np.zeros_like(here)
+def _stacked(columns: Sequence[np.ndarray | None], like: np.ndarray) -> np.ndarray:
+    """Columns side by side along a last axis, zero where there is none."""
+    found = [np.zeros_like(like) if one is None else one for one in columns]
+    return np.stack(found, axis=-1) if found else np.zeros((*like.shape, 0))
 
 
 def _concerns(log: Log, c: Coordinate) -> bool:

@@ -271,37 +271,28 @@ class Simulator:
         """
         shifts = self.unshifted() if shifts is None else shifts
         which = range(len(self.logs)) if chosen is None else chosen
-        tasks = [
-            (models[self.logs[k].payload], self.logs[k], shifts[k])
-            for models in map(self.possible_models, vectors)
-            for k in which
-        ]
-        done = self._all(tasks)
+        done = self.each([(values, k, shifts[k]) for values in vectors for k in which])
         return [done[i : i + len(which)] for i in range(0, len(done), len(which))]
 
-    def nudged(self, values: Sequence[float], shifts: Shifts) -> list[list[np.ndarray | None]]:
-        """Simulated channels by log and doubt about its start, which is moved by its step beyond
-        ``shifts``.
+    def each(
+        self, points: Sequence[tuple[Sequence[float], int, np.ndarray]]
+    ) -> list[np.ndarray | None]:
+        """Simulated channels, shape (samples, channels), of each (values, log by index, shifts of
+        its start); None where the simulation failed.
         """
-        models = self.possible_models(values)
+        made: dict[tuple[float, ...], dict[str | None, Model | None]] = {}
         tasks = []
-        for log, own in zip(self.logs, shifts, strict=True):
-            for i, doubt in enumerate(log.start.doubts):
-                moved = own.copy()
-                moved[i] += doubt.share
-                tasks.append((models[log.payload], log, moved))
-        done = iter(self._all(tasks))
-        return [[next(done) for _ in log.start.doubts] for log in self.logs]
+        for values, k, shifts in points:
+            key, log = tuple(values), self.logs[k]
+            if key not in made:
+                made[key] = self.possible_models(values)
+            tasks.append((made[key][log.payload], log, shifts))
+        self.evaluations += len(tasks)
+        return list(self.pool.map(self._one, tasks))
 
     def unshifted(self) -> Shifts:
         """No shift of any log's start."""
         return [np.zeros(len(log.start.doubts)) for log in self.logs]
-
-    def _all(
-        self, tasks: Sequence[tuple[Model | None, Log, np.ndarray]]
-    ) -> list[np.ndarray | None]:
-        self.evaluations += len(tasks)
-        return list(self.pool.map(self._one, tasks))
 
     def _one(self, task: tuple[Model | None, Log, np.ndarray]) -> np.ndarray | None:
         model, log, shifts = task
