@@ -3,31 +3,41 @@ VENV   ?= .venv
 BIN     = $(VENV)/bin
 CORES  ?= $(shell nproc 2>/dev/null || echo 2)
 CODE    = ehbench tests
+INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
+PIN     = --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url \
+          --no-annotate -q
 
-.PHONY: warm thesis test tests format lint types docs reference bench study datasets setup requirements clean
+.PHONY: thesis test tests fuzz format lint types docs reference site bench study datasets warm setup dev \
+        requirements clean
 
 thesis: setup            ## run the whole thesis campaign and print the report's path
 	$(BIN)/ehbench reproduce thesis
 
 test: format lint docs types tests  ## all gates: what must hold before a change goes in
 
-tests: setup             ## the tests alone, in parallel
+tests: dev             ## the tests alone, in parallel
 	$(BIN)/python -m pytest -n $(CORES)
 
-format: setup            ## whether the formatter would change anything
+fuzz: dev                ## 100 000 inputs made wrong on purpose, and what became of them
+	$(BIN)/python tests/fuzz/fuzzer.py
+
+format: dev            ## whether the formatter would change anything
 	$(BIN)/ruff format --check $(CODE)
 
-lint: setup              ## line length, complexity, arguments, likely mistakes
+lint: dev              ## line length, complexity, arguments, likely mistakes
 	$(BIN)/ruff check $(CODE)
 
-types: setup             ## types of the package
+types: dev             ## types of the package
 	$(BIN)/basedpyright
 
-docs: setup              ## whether the key tables in docs/ are those of the models
+docs: dev              ## whether the key tables in docs/ are those of the models
 	$(BIN)/python -m ehbench.reference --check
 
 reference: setup         ## write these tables anew
 	$(BIN)/python -m ehbench.reference
+
+site: dev                ## docs as pages to browse, offline, in site/
+	$(BIN)/mkdocs build --quiet --strict
 
 bench: setup             ## measure speed and accuracy, print the table
 	$(BIN)/python -m ehbench.benchmark
@@ -45,14 +55,20 @@ setup: $(VENV)/.ready
 
 $(VENV)/.ready: requirements.txt pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps -e .
+	$(INSTALL) --require-hashes -r requirements.txt
+	$(INSTALL) --no-build-isolation --no-deps -e .
 	$(BIN)/python -m ehbench.warm
 	touch $@
 
+dev: $(VENV)/.dev          ## what the gates need beside what a run needs
+
+$(VENV)/.dev: $(VENV)/.ready requirements-dev.txt
+	$(INSTALL) --require-hashes -r requirements-dev.txt
+	touch $@
+
 requirements:            ## pin again (needs uv); hashes only, no addresses
-	uv pip compile pyproject.toml --universal --python-version 3.11 --all-extras \
-	  --generate-hashes --no-header --no-emit-index-url --no-annotate -q -o requirements.txt
+	uv pip compile pyproject.toml --extra build $(PIN) -o requirements.txt
+	uv pip compile pyproject.toml --all-extras $(PIN) -c requirements.txt -o requirements-dev.txt
 
 clean:                   ## remove the environment and all compiled code
 	rm -rf $(VENV)

@@ -21,11 +21,12 @@ from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model, simulate
 from ehbench.recipe import FlowMapRecipe, TrialRecipe, load_recipe, load_rig
 from ehbench.rig import Rig, Value
+from ehbench.rundir import shipped
 
 if TYPE_CHECKING:
     from ehbench.physics.flow_map import FlowMaps
 
-RECIPES = Path(__file__).resolve().parents[1] / "recipes"
+RECIPES = shipped("recipes")
 RIG = RECIPES / "rigs" / "thesis_arm.toml"
 TRIAL = 10.0  # [s]
 

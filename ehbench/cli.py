@@ -4,17 +4,20 @@ code.
 
 from __future__ import annotations
 
+import errno
+import shutil
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
 from ehbench.commands import COMMANDS, Command
-from ehbench.errors import EhbenchError
+from ehbench.errors import EhbenchError, Terminated
+from ehbench.text import shortened_path
 
 if TYPE_CHECKING:
     from ehbench.workflow import Outcome
@@ -22,7 +25,6 @@ if TYPE_CHECKING:
 app = typer.Typer(
     name="ehbench",
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -46,7 +48,40 @@ AllowCode = Annotated[
 Unvalidated = Annotated[
     bool, typer.Option("--unvalidated", help="Tune on a rig that no validation accepted.")
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress on stderr.")]
+Quiet = Annotated[
+    bool,
+    typer.Option("--quiet", "-q", help="No progress, and nothing but the run's path on stdout."),
+]
+Verbose = Annotated[
+    bool, typer.Option("--verbose", "-v", help="All tables and columns, all notes of all inputs.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")]
+
+
+class Says(NamedTuple):
+    """How much a command says."""
+
+    quiet: bool = False
+    verbose: bool = False
+    as_json: bool = False
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        print(f"ehbench {version('ehbench')}")
+        raise typer.Exit()
+
+
+@app.callback()
+def _start(
+    version: Annotated[
+        bool,
+        typer.Option("--version", "-V", callback=_version, is_eager=True, help="Which ehbench."),
+    ] = False,
+) -> None:
+    pass
 
 
 @app.command(epilog="Example:  ehbench init my_rig")
@@ -84,18 +119,34 @@ def check(
 def _runner(command: Command) -> Callable[..., None]:
     """What typer calls for a command that runs a recipe: its parameters are those of the help."""
 
-    def plain(recipe: RecipeFile, out: Out = None, quiet: Quiet = False) -> None:
-        _run(command.name, recipe, out, quiet)
+    def plain(
+        recipe: RecipeFile,
+        out: Out = None,
+        quiet: Quiet = False,
+        verbose: Verbose = False,
+        as_json: AsJson = False,
+    ) -> None:
+        _run(command.name, recipe, out, Says(quiet, verbose, as_json))
 
     def insisting(
-        recipe: RecipeFile, out: Out = None, quiet: Quiet = False, unvalidated: Unvalidated = False
+        recipe: RecipeFile,
+        out: Out = None,
+        quiet: Quiet = False,
+        verbose: Verbose = False,
+        as_json: AsJson = False,
+        unvalidated: Unvalidated = False,
     ) -> None:
-        _run(command.name, recipe, out, quiet, unvalidated=unvalidated)
+        _run(command.name, recipe, out, Says(quiet, verbose, as_json), unvalidated=unvalidated)
 
     def trusting(
-        recipe: RecipeFile, out: Out = None, quiet: Quiet = False, allow_code: AllowCode = False
+        recipe: RecipeFile,
+        out: Out = None,
+        quiet: Quiet = False,
+        verbose: Verbose = False,
+        as_json: AsJson = False,
+        allow_code: AllowCode = False,
     ) -> None:
-        _run(command.name, recipe, out, quiet, allow_code=allow_code)
+        _run(command.name, recipe, out, Says(quiet, verbose, as_json), allow_code=allow_code)
 
     return {"": plain, "unvalidated": insisting, "allow_code": trusting}[command.allows]
 
@@ -122,7 +173,7 @@ def report(
 
     with _progress(quiet) as tell:
         made = workflow.report(runs, workflow.Session(out=out, progress=tell))
-    _leave(made, "report.html")
+    _leave(made, Says(quiet), "report.html")
 
 
 @app.command(epilog="Example:  ehbench reproduce thesis")
@@ -146,14 +197,14 @@ def reproduce(
             recipe,
             workflow.Session(root=out or workflow.ROOT, progress=tell, allow_code=allow_code),
         )
-    _leave(made, "report.html")
+    _leave(made, Says(quiet), "report.html")
 
 
 def _run(
     command: str,
     file: Path,
     out: Path | None,
-    quiet: bool,
+    says: Says,
     *,
     unvalidated: bool = False,
     allow_code: bool = False,
@@ -161,18 +212,40 @@ def _run(
     from ehbench import workflow
 
     recipe = workflow.expect_stage(file, command)
-    with _progress(quiet) as tell:
+    _say_first(says.quiet)
+    with _progress(says.quiet) as tell:
         session = workflow.Session(
             out=out, progress=tell, unvalidated=unvalidated, allow_code=allow_code
         )
         made = workflow.run(recipe, session)
-    _leave(made)
+    _leave(made, says)
 
 
-def _leave(made: Outcome, page: str = "") -> None:
-    """Say what the run noted on stderr and where it lies on stdout, and leave with its code."""
-    for note in made.notes:
+def _say_first(quiet: bool) -> None:
+    """Say why a first run takes longer than the next."""
+    from ehbench.compiled import is_cold
+
+    if is_cold() and not quiet:
+        print("compiling the machine's equations, first run only (about a minute)", file=sys.stderr)
+
+
+def _leave(made: Outcome, says: Says, page: str = "") -> None:
+    """Say what the run noted on stderr, what it found and where it lies on stdout, and leave with
+    its code.
+    """
+    from ehbench.report import terminal
+
+    for note in dict.fromkeys(made.notes):
         print(f"note: {note}", file=sys.stderr)
+    if says.as_json:
+        import json
+
+        about = {"folder": str(made.folder), "code": made.code, "notes": list(made.notes)}
+        print(json.dumps(about | terminal.values(made.folder), ensure_ascii=False, indent=1))
+        raise typer.Exit(made.code)
+    if not (says.quiet or page):
+        width = shutil.get_terminal_size((100, 24)).columns
+        print("\n".join(terminal.lines(made.folder, width, says.verbose)))
     print(made.folder / page)
     raise typer.Exit(made.code)
 
@@ -209,8 +282,15 @@ def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
         yield tell
 
 
+# what the system says no to is no bug of ours
+_OUTSIDE = (
+    *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO),
+    *(errno.EACCES, errno.EPERM, errno.ENAMETOOLONG, errno.ELOOP, errno.EMFILE),
+)
+
+
 def _terminated(*_: object) -> None:
-    raise SystemExit(143)
+    raise Terminated(143)
 
 
 def main() -> None:
@@ -220,6 +300,14 @@ def main() -> None:
     signal.signal(signal.SIGTERM, _terminated)
     try:
         app()
+    except OSError as error:
+        if error.errno not in _OUTSIDE:
+            raise
+        where = f"{shortened_path(error.filename)}: " if error.filename else ""
+        print(f"error: {where}{error.strerror}", file=sys.stderr)
+        with suppress(OSError):
+            sys.stdout.close()
+        sys.exit(2)
     except EhbenchError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(error.exit_code)

@@ -51,6 +51,12 @@ def _compiler(folder: Path, **options: Any) -> Callable[[Callable], Any]:
 
 _FOLDER = _cache_folder()
 
+
+def is_cold() -> bool:
+    """Whether nothing is compiled yet, so that a first run takes a minute longer."""
+    return not any(_FOLDER.rglob("*.nbc"))
+
+
 # Without numba's reference counting a kernel cannot allocate (the compiler refuses it), and passing
 # rows and slices of arrays costs nothing: 1.4 times as fast a plant. Arguments are the caller's.
 OPTIONS: Any = {"nogil": True, "error_model": "numpy", "_nrt": False}

@@ -5,6 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 
+_LONGEST = 700  # characters of a sentence
+
+
 class EhbenchError(Exception):
     """Base of all errors that are the user's or the data's, never a bug.
 
@@ -22,10 +25,10 @@ class EhbenchError(Exception):
         line: int | None = None,
         hint: str | None = None,
     ) -> None:
-        self.message = message
-        self.file = None if file is None else str(file)
+        self.message = _one_line(message)
+        self.file = None if file is None else _one_line(str(file))
         self.line = line
-        self.hint = hint
+        self.hint = None if hint is None else _one_line(hint)
         super().__init__(str(self))
 
     def __str__(self) -> str:
@@ -33,6 +36,16 @@ class EhbenchError(Exception):
             "" if self.file is None else self.file + (f":{self.line}" if self.line else "") + ": "
         )
         return where + self.message + (f" ({self.hint})" if self.hint else "")
+
+
+def _one_line(text: str) -> str:
+    """A sentence on one line: what it quotes of a file may be anything, and of any length."""
+    plain = (
+        text
+        if text.isprintable()
+        else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+    )
+    return plain if len(plain) <= _LONGEST else plain[: _LONGEST - 200] + " … " + plain[-190:]
 
 
 class InputError(EhbenchError):
@@ -67,3 +80,7 @@ class SimulationError(EhbenchError):
     """A simulation left the range in which its numbers mean anything (exit 5)."""
 
     exit_code = 5
+
+
+class Terminated(SystemExit):
+    """The process was asked to end (SIGTERM): what is under way is cleared, and nothing blamed."""

@@ -19,6 +19,7 @@ from pydantic_core import CoreSchema, core_schema
 from ehbench import units
 from ehbench.errors import InputError, UnitError
 from ehbench.quantities import VOCABULARY, Quantity
+from ehbench.text import shortened
 
 SURENESS = ("printed", "restored", "companion", "assumed", "datasheet", "identified")
 
@@ -80,7 +81,7 @@ def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
     unknown = set(table) - {"value", "source", "sure", "lower", "upper", "std", "note"}
     if unknown:
         raise InputError(
-            f"{row.name} has unknown key '{sorted(unknown)[0]}'",
+            f"{row.name} has unknown key '{sorted(map(str, unknown))[0]}'",
             hint="a value takes value, source, sure, lower, upper, std, note",
         )
     if "value" not in table:
@@ -92,24 +93,23 @@ def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
     else:
         if not isinstance(raw_value, (list, tuple)) or len(raw_value) != count:
             raise InputError(
-                f"{row.name} takes a list of {count} values with units, not {raw_value!r}"
+                f"{row.name} takes a list of {count} values with units, "
+                f"not {shortened(raw_value, 60)}"
             )
         value = tuple(_number(item, row, "an entry") for item in raw_value)
-    limits = {
-        key: _number(table[key], row, key, check=False)
-        for key in ("lower", "upper", "std")
-        if key in table
-    }
-    if isinstance(value, float) and not (
-        limits.get("lower", -math.inf) <= value <= limits.get("upper", math.inf)
-    ):
+    limits = _limits(table, row)
+    each = value if isinstance(value, tuple) else (value,)
+    lower, upper = limits.get("lower", -math.inf), limits.get("upper", math.inf)
+    if not all(lower <= one <= upper for one in each):
         bounds = " and ".join(f"{key} = {table[key]}" for key in ("lower", "upper") if key in table)
         raise UnitError(f"{row.name} = {raw_value} lies outside its own bounds: {bounds}")
     source = str(table.get("source", ""))
     first = source.replace(":", " ").replace(",", " ").split(" ")[0]
     sure = table.get("sure", first if first in SURENESS else "assumed")
     if sure not in SURENESS:
-        raise InputError(f"{row.name} is '{sure}'", hint="sure is one of " + ", ".join(SURENESS))
+        raise InputError(
+            f"{row.name} is {shortened(sure, 40)}", hint="sure is one of " + ", ".join(SURENESS)
+        )
     return Value(value=value, sure=sure, source=source, text=raw, **limits)
 
 
@@ -121,20 +121,47 @@ def _number(item: Any, row: Quantity, what: str, check: bool = True) -> float:
     """
     if isinstance(item, bool) or not isinstance(item, (str, int, float)):
         raise UnitError(
-            f"{what} of {row.name} is {item!r}, not a number with a unit",
+            f"{what} of {row.name} is {shortened(item, 60)}, not a number with a unit",
             hint=f'write "1.5 {row.display}"',
         )
-    if not isinstance(item, str):
-        if row.unit != "dimensionless":
-            raise UnitError(
-                f"{row.name} = {item} has no unit", hint=f'write "{item} {row.display}"'
-            )
-        return float(item)
-    bare = Quantity(row.name, row.symbol, row.unit, row.display, row.meaning)
-    result = units.parse(item, row if check else bare)
+    shown = shortened(item, 40) if not isinstance(item, str) else item[:40]
+    if isinstance(item, str):
+        bare = Quantity(row.name, row.symbol, row.unit, row.display, row.meaning)
+        result = units.parse(item, row if check else bare)
+    elif row.unit != "dimensionless":
+        raise UnitError(f"{row.name} = {shown} has no unit", hint=f'write "{shown} {row.display}"')
+    else:
+        try:
+            result = float(item)
+        except OverflowError:
+            result = math.inf
+        if check:
+            units.plausible(result, row, shown)
     if not math.isfinite(result):
-        raise UnitError(f"{row.name} = {item} is not finite")
+        raise UnitError(f"{row.name} = {shown} is not finite")
     return result
+
+
+def _limits(table: Mapping[str, Any], row: Quantity) -> dict[str, float]:
+    """The bounds and the standard error of a value, as far as they are given.
+
+    Raises:
+        UnitError: they are no numbers of the quantity, or the standard error is negative.
+    """
+    found = {
+        key: _number(table[key], row, f"the {key}", check=False)
+        for key in ("lower", "upper")
+        if key in table
+    }
+    if "std" in table:
+        found["std"] = _number(table["std"], row, "the std", check=False)
+        if isinstance(table["std"], str):
+            found["std"] -= units.zero_of(table["std"], row)
+        if found["std"] < 0.0:
+            raise UnitError(
+                f"{row.name} has std = {table['std']}", hint="a standard error is not negative"
+            )
+    return found
 
 
 def write_value(value: Value, row: Quantity) -> Any:

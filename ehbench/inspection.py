@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from ehbench.disk import DATA, impossible, read_bytes
 from ehbench.errors import EhbenchError, InputError, LogError
 from ehbench.quantities import quantity
 from ehbench.recipe import Campaign, kind_of, load_recipe, load_rig
@@ -16,6 +17,7 @@ from ehbench.stages.findings import counted, line_naming
 from ehbench.stages.inputs import with_laws
 from ehbench.stages.look import Look
 from ehbench.stages.validation import in_rig_unit
+from ehbench.text import shortened_path
 from ehbench.units import from_si
 from ehbench.workflow import ROOT
 
@@ -38,6 +40,8 @@ def check(path: Path) -> Inspection:
         InputError: the file cannot be taken for what it is; says what, where and what would be
             right. Mistakes in what a recipe asks for are collected in ``errors``.
     """
+    if reason := impossible(path):
+        raise InputError(f"can be no file: {reason}", file=shortened_path(path))
     if not path.exists():
         raise InputError("no such file", file=path)
     if path.suffix == ".toml":
@@ -145,7 +149,7 @@ def _cut_off(rig: Rig) -> list[str]:
 
 
 def _is_flowmeter(path: Path) -> bool:
-    for line in path.read_text(encoding="utf-8-sig", errors="replace").splitlines():
+    for line in read_bytes(path, DATA).decode("utf-8-sig", errors="replace").splitlines():
         if line.strip() and not line.startswith("#"):
             names = [
                 cell.split("[")[0].strip().lower()

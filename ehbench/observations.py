@@ -24,12 +24,17 @@ def column(record: Record, channel: str, like: Record) -> np.ndarray | None:
     """
     if channel in like:
         return record[channel]
-    head, word = channel.rsplit(".", 1)
-    position = f"{head}.{_RATE_OF.get(word, word)}"
-    if word not in _RATE_OF or position not in like:
+    position = position_of(channel)
+    if position == channel or position not in like:
         return None
     smooth = lowpass(record[position], record.sample_time, RATE_CUTOFF)
     return np.gradient(smooth, record.sample_time)
+
+
+def position_of(channel: str) -> str:
+    """The channel whose rate a channel is; itself, if it is no rate."""
+    head, word = channel.rsplit(".", 1)
+    return f"{head}.{_RATE_OF.get(word, word)}"
 
 
 def alternatives(channel: str) -> tuple[str, ...]:

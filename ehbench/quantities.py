@@ -52,6 +52,12 @@ _ROWS = [
     Quantity(
         "p_rod", "P2", "Pa", "kPa", "gauge pressure in the rod end (the annular side)", -2e5, 2e8
     ),
+    Quantity(
+        "p_line_head", "P1l", "Pa", "kPa", "gauge pressure in the line of the head end", -2e5, 2e8
+    ),
+    Quantity(
+        "p_line_rod", "P2l", "Pa", "kPa", "gauge pressure in the line of the rod end", -2e5, 2e8
+    ),
     Quantity("p_supply", "Ps", "Pa", "kPa", "gauge supply pressure", -2e5, 2e8),
     Quantity("p_tank", "Pt", "Pa", "kPa", "gauge tank pressure", -2e5, 1e7),
     Quantity("command", "u", "V", "V", "voltage commanded to the valve driver", -100, 100),
@@ -195,6 +201,15 @@ _ROWS = [
         "bristle_damping", "σ1", "N*s/m", "N*s/m", "damping of friction before it slides", 0, 1e8
     ),
     Quantity("opening_rate", "ẋ_v", "V/s", "V/s", "rate of a valve's opening", -1e9, 1e9),
+    Quantity(
+        "mount_deflection",
+        "δ",
+        "m",
+        "mm",
+        "how far a cylinder's mount has given way, positive where the rod pushes",
+        -1,
+        1,
+    ),
     Quantity("bristle", "z", "m", "um", "how far the bristles of friction are bent", -1, 1),
     Quantity(
         "joint_damping",
@@ -211,7 +226,7 @@ _ROWS = [
         "b",
         "N*s/m",
         "N*s/m",
-        "viscous damping of a sliding mass",
+        "viscous damping of a sliding mass or a mount",
         0,
         1e8,
         rings="decay",
@@ -264,8 +279,8 @@ _ROWS = [
         "m^3/(s*V*Pa^0.5)",
         "gpm/V/MPa^0.5",
         "flow coefficient of the orifice law",
-        0,
-        1,
+        1e-14,
+        1e-4,
     ),
     Quantity(
         "compensated_gain",
@@ -292,6 +307,15 @@ _ROWS = [
     Quantity("pump_speed", "ω", "rad/s", "rpm", "speed of a pump without a command", -1e4, 1e4),
     Quantity(
         "slip", "C_s", "m^3/(s*Pa)", "mL/min/bar", "oil that slips back through a pump", 0, 1e-6
+    ),
+    Quantity(
+        "resistance",
+        "R",
+        "Pa*s/m^3",
+        "bar*min/L",
+        "laminar resistance of a line, drop over flow",
+        0,
+        1e16,
     ),
     Quantity(
         "orifice_gain", "k_o", "m^3/(s*Pa^0.5)", "gpm/MPa^0.5", "flow per root of drop", 0, 10
@@ -718,6 +742,7 @@ _ROWS = [
         0,
         2e8,
     ),
+    Quantity("ramp", "T_r", "s", "ms", "time in which valves go to rest after a limit", 0, 10),
     Quantity(
         "dwell", "T_w", "s", "ms", "least time between two changes of the working function", 0, 1e3
     ),

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ehbench.disk import DATA, read_bytes
 from ehbench.errors import InputError, UnitError
 from ehbench.quantities import VOCABULARY
 from ehbench.units import from_si, plausible, to_si
@@ -138,11 +139,9 @@ def read_flowmeter(path: str | Path, *, supply_pressure: float | None = None) ->
 def _lines(path: Path) -> list[tuple[int, str]]:
     """(line number, text) of all lines that are neither empty nor a comment."""
     try:
-        raw = path.read_bytes()
+        raw = read_bytes(path, DATA)
     except FileNotFoundError:
         raise InputError("there is no such file", file=path) from None
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", file=path) from None
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -246,7 +245,7 @@ def _number(path: Path, line: int, name: str, text: str, decimal_comma: bool) ->
         raise InputError(
             f"{name} is blank", file=path, line=line, hint="fill it in, or take the row out"
         )
-    if not math.isfinite(value) or "_" in plain:
+    if not math.isfinite(value) or "_" in plain or not plain.isascii():
         raise InputError(
             f"{name} is '{text}', which is no number",
             file=path,

@@ -14,6 +14,7 @@ from dataclasses import replace
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -33,6 +34,8 @@ from ehbench.parts.edge import FixedLawFields, FixedLawName, LawFields, LawName,
 from ehbench.parts.edge.law import EdgeLaw
 from ehbench.parts.friction import TABLES as FRICTIONS
 from ehbench.parts.friction.law import FrictionTable
+from ehbench.parts.line import Line
+from ehbench.parts.mount import Mount
 from ehbench.parts.valve import TABLES as DYNAMICS
 from ehbench.parts.valve.law import DynamicsTable
 from ehbench.quantities import VOCABULARY, Quantity
@@ -49,6 +52,9 @@ if TYPE_CHECKING:
 else:
     Friction = one_of(FRICTIONS, "law")
     Dynamics = Annotated[one_of(DYNAMICS, "kind"), BeforeValidator(_of_a_kind)]
+_ROUNDED = 1e-2  # of an inertia that a drawing gives in two or three digits
+_MOST_SUPPLY = 1.0e8  # [Pa]
+_FASTEST = 20.0  # [m/s] that the full flow of one edge may move a cylinder
 NODES = ("supply", "tank", "head", "rod")
 
 
@@ -83,6 +89,24 @@ def _plain_name(name: str) -> str:
 Name = Annotated[str, AfterValidator(_name)]
 
 
+def _solid(inertia: Value) -> Value:
+    """An inertia that a body can have: with that of half its polar moment in each direction it is
+    the spread of its mass, and no spread is negative (the triangle inequality among others).
+    """
+    xx, yy, zz, xy, xz, yz = inertia.value  # type: ignore[misc]
+    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    spread = 0.5 * np.trace(tensor) * np.eye(3) - tensor
+    if np.linalg.eigvalsh(spread)[0] < -_ROUNDED * abs(tensor).max():
+        raise ValueError(
+            "no body has this inertia: of xx, yy, zz none is above the sum of the others, "
+            "and xy, xz, yz are small beside them"
+        )
+    return inertia
+
+
+Inertia = Annotated[Value, Q("inertia", 6), AfterValidator(_solid)]
+
+
 class Joint(FileModel):
     """A revolute joint and the link it carries; frame i sits at the end of link i (standard
     Denavit–Hartenberg).
@@ -95,7 +119,7 @@ class Joint(FileModel):
     dh_theta: Annotated[Value, Q("dh_theta")] = Value(0.0)
     mass: Annotated[Value, Q("mass")]
     com: Annotated[Value, Q("com", 3)]
-    inertia: Annotated[Value, Q("inertia", 6)]
+    inertia: Inertia
     joint_damping: Annotated[Value, Q("joint_damping")] = Value(0.0)
 
 
@@ -127,7 +151,7 @@ class LinkLoad(FileModel):
 
     mass: Annotated[Value, Q("mass")] | None = None
     com: Annotated[Value, Q("com", 3)] | None = None
-    inertia: Annotated[Value, Q("inertia", 6)] | None = None
+    inertia: Inertia | None = None
 
 
 class Pins(FileModel):
@@ -220,17 +244,20 @@ def _must_be_whole(
     edge: Edge | FixedEdge, law: EdgeLaw, needs: Sequence[str], of_laws: set[str]
 ) -> None:
     """Refuse an edge from a node to itself, without a number that its law needs, or with one of
-    the keys ``of_laws`` that only another law takes.
+    the keys ``of_laws`` that only another law takes. An edge on a map may keep the gain that it
+    had before it was measured.
     """
     if edge.from_ == edge.to:
         raise ValueError(f"an edge joins two different nodes, not {edge.to} with itself")
     for need in needs:
         if getattr(edge, need) is None:
             raise ValueError(f"law '{law.name}' needs '{need}'")
+    if law.name == "map":
+        return
     takes = (*needs, *law.takes)
     for key in sorted(edge.model_fields_set & of_laws - set(takes)):
         if getattr(edge, key) is not None:
-            own = ", ".join(takes) or "none: its flow is the measured map"
+            own = ", ".join(takes)
             raise Misplaced(f"law '{law.name}' takes no '{key}'; its own keys: {own}", key)
 
 
@@ -392,6 +419,8 @@ class Cylinder(FileModel):
     valve: tuple[Valve, ...] = Field(min_length=1)
     force: tuple[Force, ...] = ()
     edge: tuple[FixedEdge, ...] = ()
+    line: tuple[Line, ...] = ()
+    mount: Mount | None = None
 
     @model_validator(mode="after")
     def _areas(self) -> Cylinder:
@@ -445,20 +474,33 @@ class Cylinder(FileModel):
         return self
 
     @model_validator(mode="after")
+    def _one_line_an_end(self) -> Cylinder:
+        if (at := _second([line.end for line in self.line])) is not None:
+            raise Misplaced(
+                f"the {self.line[at].end} end has a line already; give their volumes and "
+                "resistances in one",
+                *("line", at, "end"),
+            )
+        return self
+
+    @model_validator(mode="after")
     def _names_differ(self) -> Cylinder:
         valves = list(enumerate(self.valve))
+        own = [(("line", i), line.name) for i, line in enumerate(self.line)]
+        own += [(("mount",), "mount")] if self.mount is not None else []
         for what, places in (
             ("valves", [(("valve", i), v.name) for i, v in valves]),
             (
                 "edges",
-                [
+                own
+                + [
                     (("valve", i, "edge", j), v.edge_name(e))
                     for i, v in valves
                     for j, e in enumerate(v.edge)
                 ]
                 + [(("edge", j), e.name) for j, e in enumerate(self.edge)],
             ),
-            ("forces", [(("force", i), f.name) for i, f in enumerate(self.force)]),
+            ("forces", own + [(("force", i), f.name) for i, f in enumerate(self.force)]),
         ):
             if (at := _second([name for _, name in places])) is not None:
                 where, name = places[at]
@@ -469,15 +511,16 @@ class Cylinder(FileModel):
 
     def parts(self) -> Iterator[tuple[str, FileModel]]:
         """Its further parts with what their parameters' names begin with, after the cylinder's."""
-        for own in _tables(self).values():
-            yield "", own
-        for force in self.force:
-            yield f"{force.name}.", force
+        for key, own in _tables(self).items():
+            yield _prefix(key), own
+        for part in (*self.force, *self.line):
+            yield f"{part.name}.", part
 
     @property
     def unmodelled(self) -> tuple[str, ...]:
         """Its tables that a controller's model of a cylinder does not have."""
-        return ("[[cylinder.force]]",) if self.force else ()
+        lists = tuple(f"[[cylinder.{key}]]" for key in ("force", "line") if getattr(self, key))
+        return lists if self.mount is None else (*lists, "[cylinder.mount]")
 
     @property
     def pump(self) -> str | None:
@@ -504,12 +547,6 @@ class Accumulator(FileModel):
     precharge: Annotated[Value, Q("precharge")]
     polytropic_exponent: Annotated[Value, Q("polytropic_exponent")] = Value(1.2)
 
-    @model_validator(mode="after")
-    def _gas(self) -> Accumulator:
-        if not 1.0 <= float(self.polytropic_exponent) <= 1.7:
-            raise Misplaced("polytropic_exponent must lie between 1 and 1.7", "polytropic_exponent")
-        return self
-
 
 class Supply(FileModel):
     """Constant-pressure supply: holds ``pressure`` up to ``flow_limit``, above which the pressure
@@ -525,6 +562,12 @@ class Supply(FileModel):
 
     @model_validator(mode="after")
     def _above_tank(self) -> Supply:
+        if float(self.pressure) > _MOST_SUPPLY:
+            raise Misplaced(
+                f"a supply of {float(self.pressure) / 1e5:g} bar is beyond any hydraulics: "
+                f"{_MOST_SUPPLY / 1e5:g} bar at most",
+                "pressure",
+            )
         if float(self.pressure) <= float(self.tank_pressure):
             raise Misplaced("the supply's pressure must lie above tank_pressure", "pressure")
         gas = self.accumulator
@@ -622,6 +665,46 @@ class Rig(FileModel):
                         load,
                         link,
                     )
+        return self
+
+    @model_validator(mode="after")
+    def _bodies_weigh(self) -> Rig:
+        bodies: tuple[Slide | Joint, ...]
+        if isinstance(self.mechanism, Slide):
+            bodies, where = (self.mechanism,), ("mechanism",)
+        else:
+            bodies = self.mechanism.joint
+            where = ("mechanism", "joint", len(bodies) - 1)
+        if not float(bodies[-1].mass) > 0.0:
+            raise Misplaced(f"'{bodies[-1].name}' has no mass to move", *where, "mass")
+        empty = {body.name: float(body.mass) for body in bodies}
+        for load, links in self.payload.items():
+            for link, change in links.items():
+                if change.mass is not None and float(change.mass) < empty[link]:
+                    raise Misplaced(
+                        f"with '{load}' '{link}' has {float(change.mass):g} kg, less than its "
+                        f"{empty[link]:g} kg without: give the whole link with what it carries",
+                        *("payload", load, link, "mass"),
+                    )
+        return self
+
+    @model_validator(mode="after")
+    def _edges_pass_what_a_cylinder_takes(self) -> Rig:
+        root = math.sqrt(float(self.supply.pressure) - float(self.supply.tank_pressure))
+        for at, cylinder in enumerate(self.cylinder):
+            area = min(cylinder.areas())
+            for i, valve in enumerate(cylinder.valve):
+                reach = max(-float(valve.command_min), float(valve.command_max))
+                for j, edge in enumerate(valve.edge):
+                    if edge.flow_gain is None:
+                        continue
+                    speed = float(edge.flow_gain) * reach * root / area
+                    if speed > _FASTEST:
+                        raise Misplaced(
+                            f"wide open '{valve.edge_name(edge)}' moves '{cylinder.name}' at "
+                            f"{speed:.3g} m/s: check the unit of flow_gain",
+                            *("cylinder", at, "valve", i, "edge", j, "flow_gain"),
+                        )
         return self
 
     def __repr__(self) -> str:
@@ -852,18 +935,31 @@ def _cylinder_with(model: Cylinder, new: Mapping[str, Value]) -> Cylinder:
     for valve in model.valve:
         edges = (_replaced(e, f"{prefix}{valve.edge_name(e)}.", new) for e in valve.edge)
         valves.append(valve.model_copy(update={"edge": tuple(edges)}))
-    tables = {key: _replaced(part, prefix, new) for key, part in _tables(model).items()}
-    forces = tuple(_replaced(f, f"{prefix}{f.name}.", new) for f in model.force)
-    fixed = tuple(_replaced(e, f"{prefix}{e.name}.", new) for e in model.edge)
+    tables = {
+        key: _replaced(part, prefix + _prefix(key), new) for key, part in _tables(model).items()
+    }
+    named: dict[str, tuple[Any, ...]] = {
+        "force": model.force,
+        "edge": model.edge,
+        "line": model.line,
+    }
+    lists = {
+        key: tuple(_replaced(part, f"{prefix}{part.name}.", new) for part in parts)
+        for key, parts in named.items()
+    }
     whole = _replaced(model, prefix, new)
-    parts = tables | {"valve": tuple(valves), "force": forces, "edge": fixed}
-    return whole.model_copy(update=parts)
+    return whole.model_copy(update=tables | {"valve": tuple(valves)} | lists)
 
 
 def _tables(model: BaseModel) -> dict[str, FileModel]:
     """The tables that a part of the rig has beside its own values."""
     own = {name: getattr(model, name) for name in type(model).model_fields}
     return {name: part for name, part in own.items() if isinstance(part, FileModel)}
+
+
+def _prefix(table: str) -> str:
+    """What the parameters of a cylinder's table begin with, after the cylinder's name."""
+    return "mount." if table == "mount" else ""
 
 
 def parameter_row(name: str) -> Quantity:

@@ -25,12 +25,17 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from ehbench.disk import DATA, impossible, read_bytes
 from ehbench.errors import EhbenchError, InputError
+from ehbench.text import shortened_path
 
 PACKAGE = Path(__file__).resolve().parent
+SHIPPED = PACKAGE / "shipped"  # recipes and datasets in a wheel; a checkout has them beside it
 _PART = re.compile(r"\.(?P<name>.+)\.(?P<pid>[1-9]\d*)\.part")
+# what a disk says that takes no more
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 _LIBRARIES = (
     "numpy",
     "scipy",
@@ -47,15 +52,21 @@ _LIBRARIES = (
 def sha256(path: Path) -> str:
     """SHA-256 of a file, or of a run folder's ``run.json``."""
     target = path / "run.json" if path.is_dir() else path
-    return hashlib.sha256(target.read_bytes()).hexdigest()
+    return hashlib.sha256(read_bytes(target, DATA)).hexdigest()
+
+
+def shipped(name: str) -> Path:
+    """Where the ``recipes`` or ``datasets`` that ship with the package are."""
+    inside = SHIPPED / name
+    return inside if inside.is_dir() else PACKAGE.parent / name
 
 
 @lru_cache(maxsize=1)
 def code_version() -> str:
     """SHA-256 over the package's own sources: changes whenever the code does."""
-    digest = hashlib.sha256()
+    digest, others = hashlib.sha256(), {"__pycache__", SHIPPED.name}
     for path in sorted(PACKAGE.rglob("*")):
-        if path.suffix in (".py", ".html", ".css", ".toml") and "__pycache__" not in path.parts:
+        if path.suffix in (".py", ".html", ".css", ".toml") and others.isdisjoint(path.parts):
             digest.update(str(path.relative_to(PACKAGE)).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
 
@@ -113,13 +124,14 @@ def read_json(path: Path) -> Any:
         InputError: not there or not JSON.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(read_bytes(path, DATA).decode("utf-8"))
     except FileNotFoundError:
         raise InputError(
             "no such file", file=path, hint="is this a finished run folder of the right stage?"
         ) from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"not JSON: {error}", file=path) from None
+    except (ValueError, RecursionError) as error:
+        reason = str(error) or "nested too deeply"
+        raise InputError(f"not JSON: {reason}", file=path) from None
 
 
 @dataclass
@@ -162,9 +174,9 @@ def place(recipe: Path, inputs: Iterable[tuple[str, Path]], root: Path) -> Path:
 
 def is_whole(folder: Path) -> bool:
     """Whether a run folder is there with every output as it was written."""
-    if not (folder / "run.json").is_file():
+    if impossible(folder / "run.json") or not (folder / "run.json").is_file():
         return False
-    outputs = read_json(folder / "run.json").get("outputs", {})
+    outputs = outputs_of(folder / "run.json")
     return all(
         (folder / name).is_file() and sha256(folder / name) == digest
         for name, digest in outputs.items()
@@ -181,36 +193,40 @@ def open_run(
 ) -> Iterator[Run]:
     """A ``Run`` whose folder becomes ``final`` when the block ends well; else nothing stays.
 
+    A run that stands there is replaced, but only where it is as it was written.
+
     Raises:
-        InputError: ``final`` exists and is no run folder, so it is not replaced.
+        InputError: ``final`` holds anything but a run's own files as the run wrote them, or it
+            cannot be written.
     """
-    inputs = list(inputs)
-    if (
-        final.exists()
-        and not (final / "run.json").is_file()
-        and (not final.is_dir() or any(final.iterdir()))
-    ):
-        raise InputError(
-            "exists and is no run folder; it is left as it is",
-            file=final,
-            hint="choose another --out",
-        )
+    inputs, final = list(inputs), _place_of(final)
+    _standing(final)
     left_over = clear_left(final.parent)
     scratch = final.parent / f".{final.name}.{os.getpid()}.part"
     shutil.rmtree(scratch, ignore_errors=True)
     try:
         scratch.mkdir(parents=True)
-    except OSError as error:
-        raise InputError(
-            f"no run can be written here: {error.strerror}", file=final, hint="choose another --out"
-        ) from None
+    except (OSError, ValueError) as error:
+        raise _no_place(final, error) from None
     run = Run(scratch, final, _record(stage, recipe, inputs, seeds or {}), left_over=left_over)
     began, hold = time.time(), _held(scratch)
     try:
         yield run
         run.save()
         write_json(scratch / "volatile.json", _volatile(began))
-        _put(scratch, final)
+        run.left_over += _put(scratch, final)
+    except OSError as error:
+        if error.errno not in FULL:
+            raise
+        raise InputError(
+            f"the run cannot be written: {error.strerror}; nothing of it stays",
+            file=final,
+            hint="make room, or choose another --out",
+        ) from None
+    except EhbenchError as error:  # of a file that is gone by the time the sentence is read
+        if error.file is None or scratch not in Path(error.file).parents:
+            raise
+        raise type(error)(error.message, file=final, hint=error.hint) from None
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
         if hold is not None:
@@ -254,17 +270,144 @@ def _volatile(began: float) -> dict[str, Any]:
     }
 
 
-def _put(scratch: Path, final: Path) -> None:
-    """Move a whole run to its place; of two processes that make one run, the last stays."""
+def _place_of(final: Path) -> Path:
+    """Where a run's folder really lies: a link is followed, never replaced.
+
+    Raises:
+        InputError: the path leads nowhere: a loop of links, a name that no disk can hold.
+    """
+    try:
+        place = final.resolve() if final.is_symlink() else final
+        place.exists()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise _no_place(final, error) from None
+    return place
+
+
+class Standing(NamedTuple):
+    """What lies in the folder of a run that stands: the files that are as the run wrote them, and
+    those of its files that have changed since.
+    """
+
+    own: tuple[Path, ...] = ()
+    changed: tuple[Path, ...] = ()
+
+
+def _standing(final: Path) -> Standing:
+    """What stands where a run shall go.
+
+    Raises:
+        InputError: it is no folder, or holds anything that its run did not write.
+    """
     for _ in range(100):
-        shutil.rmtree(final, ignore_errors=True)
+        try:
+            return _surveyed(final)
+        except FileNotFoundError:  # another process is putting its run there
+            continue
+        except (OSError, ValueError) as error:
+            raise _no_place(final, error) from None
+    raise InputError("another process keeps writing this run", file=final, hint="wait for it")
+
+
+def _surveyed(final: Path) -> Standing:
+    if not final.exists():
+        return Standing()
+    if not final.is_dir():
+        raise InputError("is a file", file=final, hint="choose another --out")
+    there = [path for path in sorted(final.rglob("*")) if path.is_symlink() or not path.is_dir()]
+    if not there:
+        return Standing()
+    facts = final / "run.json"
+    if not facts.is_file():
+        for path in there:
+            path.lstat()
+        raise InputError(
+            "exists and is no run folder; it is left as it is",
+            file=final,
+            hint="choose another --out",
+        )
+    own, changed = outputs_of(facts), []
+    for path in there:
+        name = path.relative_to(final).as_posix()
+        if name in ("run.json", "volatile.json"):
+            continue
+        if name not in own or path.is_symlink() or not path.is_file():
+            raise InputError(
+                f"holds '{name}', which its run did not write; the folder is left as it is",
+                file=final,
+                hint="move that file away, or choose another --out",
+            )
+        if sha256(path) != own[name]:
+            changed.append(path)
+    return Standing(tuple(path for path in there if path not in changed), tuple(changed))
+
+
+def _no_place(final: Path, error: Exception) -> InputError:
+    reason = getattr(error, "strerror", None) or error
+    return InputError(
+        f"no run can be written here: {reason}",
+        file=shortened_path(final),
+        hint="choose another --out",
+    )
+
+
+def outputs_of(facts: Path) -> Mapping[str, Any]:
+    """The files that a run wrote, by name, each with its SHA-256, from its ``run.json``.
+
+    Raises:
+        InputError: it is no ``run.json``.
+    """
+    read = read_json(facts)
+    outputs = read.get("outputs") if isinstance(read, Mapping) else None
+    if not isinstance(outputs, Mapping):
+        raise InputError("names no outputs: it is no run's", file=facts)
+    return outputs
+
+
+def _put(scratch: Path, final: Path) -> tuple[str, ...]:
+    """Move a whole run to its place; of two processes that make one run, the last stays. Files of
+    the run before that someone changed are kept in ``salvaged``; a sentence for each.
+    """
+    before, said = final.with_name(f".{final.name}.{os.getpid()}.before"), []
+    for _ in range(100):
+        try:
+            final.rename(before)
+        except FileNotFoundError:
+            pass
+        else:
+            try:
+                said += _cleared(before, final)
+            except InputError:  # someone put a file there while the run was made
+                before.rename(final)
+                raise
         try:
             scratch.rename(final)
-            return
+            return tuple(said)
         except OSError as error:
             if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
                 raise
     raise InputError("another process keeps writing this run", file=final, hint="wait for it")
+
+
+def _cleared(before: Path, final: Path) -> list[str]:
+    """Take away a run that another one replaces, which now lies at ``before``, but for what someone
+    changed in it.
+    """
+    standing, said = _standing(before), []
+    if standing.changed:
+        kept = _free(final.parent / "salvaged" / final.name)
+        for path in standing.changed:
+            target = kept / path.relative_to(before)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(path, target)
+            name = path.relative_to(before).as_posix()
+            said.append(f"'{name}' of the run before had been changed; it is kept as {target}")
+    for path in standing.own:
+        path.unlink()
+    for folder in sorted((path for path in before.rglob("*") if path.is_dir()), reverse=True):
+        folder.rmdir()
+    before.rmdir()
+    return said
 
 
 # --- what killed processes left

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 from ehbench import rundir
+from ehbench.disk import impossible
 from ehbench.errors import InputError
+from ehbench.text import shortened, shortened_path
 
 
 def find_campaign(name: str) -> Path:
@@ -16,29 +17,39 @@ def find_campaign(name: str) -> Path:
     Raises:
         InputError: there is none.
     """
-    inside = Path("recipes") / name / "campaign.toml"
-    for candidate in (Path(name), inside, rundir.PACKAGE.parent / inside):
-        if candidate.is_file():
+    here = Path(name) / "campaign.toml"
+    for candidate in (Path(name), Path("recipes") / here, rundir.shipped("recipes") / here):
+        if not impossible(candidate) and candidate.is_file():
             return candidate
     raise InputError(
-        f"no campaign '{name}'",
+        f"no campaign {shortened(name, 100)}",
         hint="give a campaign's TOML file, or a name for recipes/<name>/campaign.toml",
     )
 
 
 def init(folder: Path) -> Path:
-    """A new workspace: a commented rig file and recipes that run as they are.
+    """A new workspace: a commented rig file and recipes that run as they are. No file is ever
+    written over.
 
     Raises:
-        InputError: the folder exists and is not empty.
+        InputError: the folder exists and is not empty, or cannot be made.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(
-            "exists and is not empty; nothing was written", file=folder, hint="name a new folder"
-        )
+    template = rundir.PACKAGE / "workspace"
     try:
-        shutil.copytree(rundir.PACKAGE / "workspace", folder, dirs_exist_ok=True)
-    except (OSError, shutil.Error) as error:
+        place = folder.resolve()
+        if place.exists() and (not place.is_dir() or any(place.iterdir())):
+            raise InputError(
+                "exists and is not empty; nothing was written",
+                file=folder,
+                hint="name a new folder",
+            )
+        for source in sorted(template.rglob("*")):
+            target = place / source.relative_to(template)
+            if source.is_file():
+                target.parent.mkdir(parents=True, exist_ok=True)
+                with target.open("xb") as file:
+                    file.write(source.read_bytes())
+    except (OSError, RuntimeError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot be made: {reason}", file=folder) from None
+        raise InputError(f"cannot be made: {reason}", file=shortened_path(folder)) from None
     return folder

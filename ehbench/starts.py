@@ -20,6 +20,7 @@ from ehbench.parts.valve import valve_lag, valve_settle
 from ehbench.plant.integrate import STEP
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model, Start
+from ehbench.plant.trim import settle_parts
 from ehbench.preprocessing import moving_at_first, on_at_first
 from ehbench.record import Record
 from ehbench.signals import correlation_time, rms
@@ -86,6 +87,7 @@ class LogStart:
         for index, row in enumerate(model.plant.cylinders):
             low, high = sorted(model.stroke_range(index))
             y[row.joint] = min(max(y[row.joint], low), high)
+        settle_parts(model.plant, y)
         return Start(y, supply, tank)
 
     def moved(self, shifts: np.ndarray) -> dict[str, float]:

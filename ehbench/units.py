@@ -11,22 +11,35 @@ from typing import TYPE_CHECKING
 
 from ehbench.errors import UnitError
 from ehbench.quantities import Quantity
+from ehbench.text import shortened
 
 if TYPE_CHECKING:
     import pint
 
-_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*$", re.S)
+_NUMBER = re.compile(
+    r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(.*?)\s*$", re.S
+)
 _CYCLES = re.compile(r"(hz|hertz|cps)\b", re.I)
 _ANGLES = re.compile(r"rad|deg|turn|rev|rpm", re.I)
 _ALIASES = {
-    "gpm": "gallon / minute",
-    "lpm": "liter / minute",
+    "gpm": "(gallon / minute)",
+    "lpm": "(liter / minute)",
     "in": "inch",
-    "cc": "cm**3",
-    "": "dimensionless",
-    "-": "dimensionless",
-    "1": "dimensionless",
+    "cc": "(cm**3)",
+    "%": "percent",
+    "°": "degree",
+    "°C": "degC",
+    "°F": "degF",
 }
+_NO_UNIT = ("", "-", "1")
+_LONGEST = 80  # characters of a unit
+_WORD = r"(?:%|°[CF]?|[^\W\d_]\w*)"
+_POWER = r"\s*(?:[²³]|(?:\*\*|\^)\s*[-+]?(?:0?\.5|[1-6](?:\.[05])?)(?![0-9.]))"
+_JOIN = r"(?:\s*[*·⋅/]\s*|\s+)"
+_FACTOR = rf"(?:√{_WORD}|(?:{_WORD}|1(?![0-9.]))(?:{_POWER})?)"
+_PRODUCT = rf"{_FACTOR}(?:{_JOIN}{_FACTOR})*"
+_GROUP = rf"(?:{_FACTOR}|\(\s*{_PRODUCT}\s*\)(?:{_POWER})?)"
+_UNIT = re.compile(rf"{_GROUP}(?:{_JOIN}{_GROUP})*")
 
 
 @lru_cache(maxsize=1)
@@ -39,22 +52,30 @@ def _registry() -> pint.UnitRegistry:
     return registry
 
 
+def _checked(unit: str) -> str:
+    """A unit as the registry takes it: words, products, quotients and small powers, nothing else.
+    The registry by itself would evaluate any number and power in a text, however large.
+
+    Raises:
+        UnitError: it is made of anything else.
+    """
+    text = unit.strip()
+    if text in _NO_UNIT:
+        return "dimensionless"
+    if len(text) > _LONGEST or not _UNIT.fullmatch(text):
+        raise UnitError(f"unknown unit {shortened(unit, 60)}")
+    text = re.sub("[·⋅]", "*", text).replace("²", "**2").replace("³", "**3")
+    text = re.sub(rf"√({_WORD})", r"\1**0.5", text)
+    return re.sub(_WORD, lambda found: _ALIASES.get(found[0], found[0]), text)
+
+
 @lru_cache(maxsize=512)
 def _affine(unit: str, si: str) -> tuple[float, float]:
     """(factor, offset) with value_si = factor·value + offset."""
+    text = _checked(unit)
     import pint
 
     registry = _registry()
-    text = (
-        unit.strip()
-        .replace("²", "**2")
-        .replace("³", "**3")
-        .replace("√Pa", "Pa**0.5")
-        .replace("·", "*")
-        .replace("°C", "degC")
-    )
-    text = re.sub(r"\b(gpm|lpm)\b", lambda m: f"({_ALIASES[m.group(1)]})", text)
-    text = _ALIASES.get(text, text)
     try:
         zero = registry.Quantity(0.0, text).to(si).magnitude
         one = registry.Quantity(1.0, text).to(si).magnitude
@@ -64,6 +85,8 @@ def _affine(unit: str, si: str) -> tuple[float, float]:
         Exception
     ) as error:  # pint raises tokenizer, attribute and assertion errors on malformed text
         raise UnitError(f"unknown unit '{unit}'") from error
+    if not (math.isfinite(one) and math.isfinite(zero) and one != zero):
+        raise UnitError(f"unknown unit '{unit}'")
     if si == "m^3/rad" and not _ANGLES.search(text):  # a turn or a radian is a factor of 6.28
         raise UnitError(f"'{unit}' says no angle")
     turns = 1.0
@@ -111,20 +134,28 @@ def parse(text: str, row: Quantity) -> float:
     Raises:
         UnitError: no number, no unit, wrong unit, or a value that is surely a slip.
     """
-    match = _NUMBER.match(text)
+    match = _NUMBER.match(text) if len(text) <= 3 * _LONGEST else None
     if not match:
         raise UnitError(
-            f"'{text}' is no number with a unit for {row.name}",
+            f"{shortened(text, 60)} is no number with a unit for {row.name}",
             hint=f'write it like "1.5 {row.display}"',
         )
     number, unit = float(match[1]), match[2]
     if not unit and row.unit != "dimensionless":
         raise UnitError(
-            f"'{text}' has no unit for {row.name}", hint=f'write it like "{match[1]} {row.display}"'
+            f"{shortened(text, 60)} has no unit for {row.name}",
+            hint=f'write it like "{match[1][:20]} {row.display}"',
         )
     value = float(to_si(number, unit, row))
-    plausible(value, row, text)
+    plausible(value, row, text.strip())
     return value
+
+
+def zero_of(text: str, row: Quantity) -> float:
+    """What "0" of the unit of a text is in SI of ``row``: 273.15 of ``"2 degC"``, else mostly 0."""
+    match = _NUMBER.match(text)
+    unit = match[2] if match else ""
+    return 0.0 if unit in ("", row.unit) else _affine(unit, row.unit)[1]
 
 
 def plausible(value: float, row: Quantity, shown: str) -> None:
@@ -138,7 +169,8 @@ def plausible(value: float, row: Quantity, shown: str) -> None:
             from_si(v, row.display, row) if abs(v) != float("inf") else v
             for v in (row.lower, row.upper)
         )
+        unit = "" if row.display == "dimensionless" else f" {row.display}"
         raise UnitError(
-            f"{row.name} = {shown} lies outside {low:g} to {high:g} {row.display}",
-            hint="check the unit and the sign",
+            f"{row.name} = {shown} lies outside {low:g} to {high:g}{unit}",
+            hint="check the unit and the sign" if unit else "check the number and its sign",
         )

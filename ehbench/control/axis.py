@@ -178,12 +178,14 @@ def reference_load(axis: Axis) -> tuple[Load, float]:
 
 
 def hydraulic_frequency(axis: Axis) -> float:
-    """ω_h [rad/s] of the bare rig on its oil, valves shut, in the axis's posture: ``ω_h² = β
-    (A1²/V1 + A2²/V2)/m0``.
+    """ω_h [rad/s] of the bare rig on its oil, valves shut, in the axis's posture: ``ω_h² = k/m0``,
+    ``k = β (A1²/V1 + A2²/V2)``, in series with a mount that gives way.
     """
     load, _ = reference_load(axis)
     cylinder = axis.cylinder
     x, _, _ = linkage_of(cylinder, float(axis.mechanism.posture[cylinder.joint]))
     head, rod = cylinder.area_head, cylinder.area_rod
     spring = head**2 / chamber_oil(cylinder, 0, x) + rod**2 / chamber_oil(cylinder, 1, x)
+    if cylinder.mount_state >= 0:
+        spring /= 1.0 + cylinder.bulk_modulus * spring / cylinder.mount_stiffness
     return math.sqrt(cylinder.bulk_modulus * spring / load.mass)

@@ -433,8 +433,8 @@ def _able(paths: np.ndarray, edges: np.recarray) -> list[bool]:
     touching = ((edges.from_node >= 2) | (edges.to_node >= 2)).tolist()
     commands = list(zip(edges.valve.tolist(), edges.sign.tolist(), strict=True))
     able = []
-    for takes in PATH_FLOWS.any(axis=2):
-        chosen = paths[takes].tolist()
+    for function in range(len(FUNCTIONS)):
+        chosen = paths[PATH_FLOWS[function].any(axis=1)].tolist()
         opened = {commands[e] for e in chosen if e >= 0}
         able.append(
             min(chosen, default=0) >= 0

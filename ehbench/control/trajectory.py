@@ -15,6 +15,7 @@ import numpy as np
 from ehbench.compiled import kernel, record
 from ehbench.control.records import blank, reals
 from ehbench.errors import InputError
+from ehbench.memory import rows_of
 
 
 class Reference(NamedTuple):
@@ -147,6 +148,7 @@ def point_to_point(
     spans[0::2], spans[1::2] = holds, [0.0 if move is None else move.time for move in moves]
     starts = np.concatenate([[0.0], np.cumsum(spans)])
     # the last row is the first at or after the end, so that the table ends at rest
+    rows_of(float(starts[-1]), 1.0 / tick)
     samples = math.ceil(starts[-1] / tick - 1e-9) + 1
     t = np.arange(samples) * tick
     table = np.zeros((samples, ORDERS))
@@ -227,6 +229,7 @@ def velocity_steps(
             "velocity steps need levels, a tick, a duration above 0 for all or for each, and a "
             "rest of 0 s or more"
         )
+    rows_of(float(times.sum()) + rest * (times.size + 1), 1.0 / tick)
     idle = np.zeros(round(rest / tick))
     parts = [idle]
     for speed, time in zip(speeds, times, strict=True):

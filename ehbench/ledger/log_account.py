@@ -19,7 +19,7 @@ from ehbench.parts.nodes import TANK
 from ehbench.parts.oil import bulk
 from ehbench.plant.build import Maps, map_of
 from ehbench.plant.model import Model
-from ehbench.plant.valves import follow_friction, follow_valves, opening_of
+from ehbench.plant.valves import follow_friction, follow_parts, follow_valves, opening_of
 from ehbench.record import Record
 from ehbench.rig import Rig
 
@@ -77,6 +77,8 @@ class Account:
         follow_valves(m.t, m.commands, model.plant, False, states)
         follow_friction(m.t, model.plant, states)
         states[:, model.plant.at.supply] = m.p_supply
+        if model.layout.lines or model.layout.mounts:
+            follow_parts(m.t, m.commands, model.plant, states)
         return states
 
     def flows(self, model: Model, m: Readings, states: np.ndarray) -> np.ndarray:
@@ -120,8 +122,9 @@ class Account:
             # ∫ P_L dx over the measured stroke: a filtered speed lags behind the pressures
             row = plant.cylinders[c]
             force = m.p[:, 2 * c] * row.area_head - m.p[:, 2 * c + 1] * row.area_rod
+            x = m.x[:, c] if row.mount_state < 0 else m.x[:, c] + states[:, row.mount_state]
             spent[:, power_at(edges, c, OF.work)] = _cumulated(
-                0.5 * np.diff(m.x[:, c]), force[:, None], at
+                0.5 * np.diff(x), force[:, None], at
             )[:, 0]
         if m.flow_supply is None and plant.supply.flow_limit > 0.0:
             drawn, drawn_compression = (
@@ -314,7 +317,7 @@ def _flow_std(
     opening = row.sign * opening_of(plant, valve, m.commands[:, valve], states)
 
     def pressure(node: int) -> np.ndarray:
-        return m.p_supply if node == 0 else (m.p_tank if node == TANK else m.p[:, node - 2])
+        return m.p_tank if node == TANK else states[:, plant.nodes[node].state]
 
     drop = pressure(int(row.from_node)) - pressure(int(row.to_node))
     std = np.where(flow == 0.0, 0.0, one.flow_std(drop, opening))

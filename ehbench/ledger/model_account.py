@@ -47,7 +47,7 @@ def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
     follow_valves(np.ascontiguousarray(record.t), commands, plant, True, states)
     for channel, at in names.inner_states:
         states[:, at] = record[channel]
-    for index, key in names.friction_states:
+    for index, key in names.part_states:
         states[:, names.state(key, index)] = record[f"{names.cylinders[index]}.{key}"]
     states[:, plant.at.supply] = record["p_supply"]
     return states, commands

@@ -23,7 +23,9 @@ from ehbench.parts.edge import PUMP as PUMP_LAW
 from ehbench.parts.edge.pump import slip_loss
 from ehbench.parts.end_stop import stop_held, stop_loss
 from ehbench.parts.friction import friction_held, friction_loss
+from ehbench.parts.line import line_drop, line_flow
 from ehbench.parts.load import push_on, spring_held
+from ehbench.parts.mount import mount_held, mount_loss, piston_of
 from ehbench.parts.nodes import SUPPLY, TANK, node_held, node_pressure
 from ehbench.physics import arm
 
@@ -55,11 +57,11 @@ class CylinderStores(NamedTuple):
 
 
 # powers: the pump's, its share for compression, one per edge, those of each cylinder, one per
-# joint, the shaft of each edge that is a pump
+# joint, the shaft of each edge that is a pump, what each line takes, what each mount takes
 PUMP, COMPRESSION, FIRST_EDGE = 0, 1, 2
 OF, PER_CYLINDER = CylinderPowers(), len(CylinderPowers())
 # what is stored: in the supply line, in the mechanism, in each cylinder, then in the friction of
-# each whose law has states, then in an accumulator
+# each whose law has states, in each line, in each mount, then in an accumulator
 SUPPLY_LINE, KINETIC, POTENTIAL, FIRST_CYLINDER = 0, 1, 2, 3
 STORED, STORES = CylinderStores(), len(CylinderStores())
 
@@ -74,16 +76,6 @@ def power_at(edges, cylinder, which):
 def store_at(cylinder, which):
     """Column of what a cylinder stores, such as ``store_at(c, STORED.head)``."""
     return FIRST_CYLINDER + STORES * cylinder + which
-
-
-def powers_of(edges: int, cylinders: int, joints: int, pumps: int) -> int:
-    """How many columns of powers there are."""
-    return int(power_at(edges, cylinders, 0)) + joints + pumps
-
-
-def stores_of(cylinders: int, frictions: int, accumulators: int) -> int:
-    """How many columns of what is stored there are."""
-    return int(store_at(cylinders, frictions)) + accumulators
 
 
 @kernel
@@ -133,6 +125,16 @@ def powers(y, command, flows, plant, owner, out):
         if plant.edges[e].law == PUMP_LAW:
             _pump(e, y, flows[e], plant, shaft, out)
             shaft += 1
+    for i in range(plant.lines.shape[0]):
+        _line(i, y, flows, plant, shaft + i, out)
+    mount = shaft + plant.lines.shape[0]
+    for c in range(cylinders):
+        row = plant.cylinders[c]
+        if row.mount_state >= 0:
+            x, lever, _ = linkage_of(row, y[row.joint])
+            v = lever * y[at.rates + row.joint]
+            out[mount] = mount_loss(row, piston_of(row, x, v, y, plant)[1], v)
+            mount += 1
 
 
 @kernel
@@ -144,6 +146,24 @@ def _pump(e, y, flow, plant, shaft, out):
     drop = node_pressure(y, plant, edge.from_node) - node_pressure(y, plant, edge.to_node)
     out[FIRST_EDGE + e] = slip_loss(drop, edge)
     out[shaft] = out[FIRST_EDGE + e] - drop * flow
+
+
+@kernel
+def _line(i, y, flows, plant, at, out):
+    """Write what a line takes into column ``at``; add what its oil lets go and the cavitation floor
+    gives to its cylinder's.
+    """
+    row = plant.lines[i]
+    own = power_at(plant.edges.shape[0], row.cylinder, 0)
+    p, u = _node(row.node, y, plant)
+    _, u_end = _node(row.chamber, y, plant)
+    p_tank, u_tank = _node(TANK, y, plant)
+    drop, flow = line_drop(y, plant, row), line_flow(y, plant, row)
+    makeup = chamber_makeup(row, p, _net_flow(row.node, y, flows, plant))
+    out[at] = drop * flow
+    out[own + OF.expansion] += (u - u_end) * flow - (u - u_tank) * makeup
+    out[own + OF.makeup] += makeup * (p_tank - p)
+    out[own + OF.return_line] -= (p_tank + u_tank) * makeup
 
 
 @kernel
@@ -166,14 +186,20 @@ def _throttle(e, y, flow, plant, at, out):
 
 
 @kernel
-def _net_flow(node, flows, plant):
-    """What the edges bring to a node [m³/s]."""
+def _net_flow(node, y, flows, plant):
+    """What edges and lines bring to a node [m³/s]."""
     net = 0.0
     for e in range(plant.edges.shape[0]):
         if plant.edges[e].from_node == node:
             net -= flows[e]
         if plant.edges[e].to_node == node:
             net += flows[e]
+    for i in range(plant.lines.shape[0]):
+        row = plant.lines[i]
+        if row.node == node:
+            net -= line_flow(y, plant, row)
+        if row.chamber == node:
+            net += line_flow(y, plant, row)
     return net
 
 
@@ -182,7 +208,7 @@ def _cylinder(c, y, flows, plant, at, out):
     """Add what a cylinder takes and gives, from column ``at`` on."""
     row = plant.cylinders[c]
     x, lever, _ = linkage_of(row, y[row.joint])
-    v = lever * y[plant.at.rates + row.joint]
+    x, v = piston_of(row, x, lever * y[plant.at.rates + row.joint], y, plant)
     p_tank, u_tank = _node(TANK, y, plant)
     p_head, u_head = _node(row.node_head, y, plant)
     p_rod, u_rod = _node(row.node_rod, y, plant)
@@ -192,7 +218,7 @@ def _cylinder(c, y, flows, plant, at, out):
     for side in range(2):
         node, area, _, leakage = chamber_of(row, side)
         p, u = _node(node, y, plant)
-        inflow = chamber_inflow(row, side, v, _net_flow(node, flows, plant), y, plant)
+        inflow = chamber_inflow(row, side, v, _net_flow(node, y, flows, plant), y, plant)
         relief, makeup = relief_out(row, p), chamber_makeup(row, p, inflow)
         leak = leakage * (p - p_tank)
         to_tank = relief + leak - makeup
@@ -211,7 +237,7 @@ def stores(y, plant, work, out):
     """Write every stored energy [J] of a state into ``out``, shape (columns,).
 
     Oil: ``V u(p)``. The mechanism: kinetic and potential energy. An end stop: ``k δ²/2`` of its
-    depth δ. A spring on the rod: ``k (x − free length)²/2``."""
+    depth δ, a mount as much of its deflection. A spring on the rod: ``k (x − free length)²/2``."""
     n, rates = plant.at.joints, plant.at.rates
     _, held = _node(SUPPLY, y, plant)
     out[SUPPLY_LINE] = plant.supply.volume * held
@@ -221,15 +247,24 @@ def stores(y, plant, work, out):
     for c in range(plant.cylinders.shape[0]):
         row = plant.cylinders[c]
         x, _, _ = linkage_of(row, y[row.joint])
+        piston = x if row.mount_state < 0 else x + y[row.mount_state]
         for side in range(2):
             _, held = _node(chamber_of(row, side)[0], y, plant)
-            out[store_at(c, STORED.head + side)] = chamber_oil(row, side, x) * held
-        out[store_at(c, STORED.stop)] = stop_held(row, x)
+            out[store_at(c, STORED.head + side)] = chamber_oil(row, side, piston) * held
+        out[store_at(c, STORED.stop)] = stop_held(row, piston)
         out[store_at(c, STORED.load_spring)] = spring_held(c, x, plant)
     at = store_at(plant.cylinders.shape[0], 0)
     for c in range(plant.cylinders.shape[0]):
         if plant.cylinders[c].friction_state >= 0:
             out[at] = friction_held(plant.cylinders[c], y)
+            at += 1
+    for i in range(plant.lines.shape[0]):
+        _, held = _node(plant.lines[i].node, y, plant)
+        out[at] = plant.lines[i].volume * held
+        at += 1
+    for c in range(plant.cylinders.shape[0]):
+        if plant.cylinders[c].mount_state >= 0:
+            out[at] = mount_held(plant.cylinders[c], y)
             at += 1
     if plant.supply.gas_volume > 0.0:
         out[at] = gas_energy(node_pressure(y, plant, SUPPLY), plant.supply)

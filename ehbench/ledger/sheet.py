@@ -9,7 +9,7 @@ import numpy as np
 
 from ehbench.codes import FUNCTIONS
 from ehbench.errors import LogError
-from ehbench.ledger.powers import CylinderPowers, CylinderStores, powers_of, stores_of
+from ehbench.ledger.powers import CylinderPowers, CylinderStores
 from ehbench.ledger.rows import GROUPS, Ledger, Row
 from ehbench.parts.nodes import SUPPLY
 from ehbench.plant.model import Model
@@ -39,7 +39,10 @@ STORE_LABELS = (
 # rows of a cylinder that stand in a ledger only where the rig file has the table
 OPTIONAL = {"force": ("external_force", "load_spring")}
 # rows that the piston's work pays
-MECHANICAL = ("friction", "friction_spring", "end_stop", "stop", "load_spring", "damping")
+MECHANICAL = (
+    *("friction", "friction_spring", "end_stop", "stop", "load_spring", "damping"),
+    *("mount", "mount_spring"),
+)
 
 
 class Sheet:
@@ -59,10 +62,6 @@ class Sheet:
         names = model.layout
         owners = [names.cylinders.index(_owner(name)) for name in names.edges]
         self.owner = np.array(owners, dtype=np.int64)
-        cylinders, pumps = len(names.cylinders), len(_pumps(model))
-        accumulators = int(model.rig.supply.accumulator is not None)
-        self.powers = powers_of(len(names.edges), cylinders, len(names.joints), pumps)
-        self.stores = stores_of(cylinders, len(_springy(model)), accumulators)
         self.cylinders, self.word = names.cylinders, word
         self.absent = {
             f"{c.name}.{key}"
@@ -71,7 +70,8 @@ class Sheet:
             for key in keys
             if not getattr(c, table)
         }
-        self.rows = _power_rows(model) + _store_rows(model)
+        powers, stores = _power_rows(model), _store_rows(model)
+        self.powers, self.stores, self.rows = len(powers), len(stores), powers + stores
         parts = _parts(self.rows, names.cylinders, word)
         self.parts = [(name, where, cylinder) for name, where, cylinder, *_ in parts]
         at = {name: i for i, (name, *_) in enumerate(self.rows)}
@@ -188,10 +188,16 @@ def _power_rows(model: Model) -> list[Named]:
     rows += [
         (f"{name}.damping", "loss", label, driven.get(j)) for j, name in enumerate(names.joints)
     ]
-    return rows + [
+    rows += [
         (f"{name}.shaft", "supply", f"{name.split('.', 1)[1]}, shaft of the pump", _owner(name))
         for name in pumps
     ]
+    rows += [
+        (f"{name}.line_{end}.throttling", "loss", f"line of the {end} end", name)
+        for name, end in _lines(model)
+    ]
+    mounted = (names.cylinders[c] for c in names.mounts)
+    return rows + [(f"{name}.mount", "loss", "mount", name) for name in mounted]
 
 
 def _store_rows(model: Model) -> list[Named]:
@@ -209,9 +215,20 @@ def _store_rows(model: Model) -> list[Named]:
         (f"{name}.friction_spring", "store", "spring of the friction", name)
         for name in _springy(model)
     ]
+    rows += [
+        (f"{name}.line_{end}", "store", f"oil of the {end} end's line", name)
+        for name, end in _lines(model)
+    ]
+    mounted = (model.layout.cylinders[c] for c in model.layout.mounts)
+    rows += [(f"{name}.mount_spring", "store", "spring of the mount", name) for name in mounted]
     if model.rig.supply.accumulator is not None:
         rows.append(("accumulator", "store", "accumulator", None))
     return rows
+
+
+def _lines(model: Model) -> list[tuple[str, str]]:
+    """(cylinder, end) of each line."""
+    return [(model.layout.cylinders[c], end) for c, end in model.layout.lines]
 
 
 def _springy(model: Model) -> list[str]:

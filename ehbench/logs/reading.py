@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ehbench.disk import DATA, read_bytes
 from ehbench.errors import LogError
 from ehbench.logs.checks import check_record, check_time, label_of
 from ehbench.logs.layout import MAGIC
@@ -55,9 +56,9 @@ def read_record(path: str | Path, check: bool = True) -> Record:
     """
     path = Path(path)
     try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise LogError(f"cannot be read: {error.strerror}", file=path) from error
+        data = read_bytes(path, DATA, LogError)
+    except FileNotFoundError:
+        raise LogError("cannot be read: there is no such file", file=path) from None
     if not data:
         raise LogError("the file is empty", file=path)
     if path.suffix.lower() == ".csv":

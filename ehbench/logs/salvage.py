@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from zlib import crc32
 
 import numpy as np
@@ -32,6 +32,12 @@ from ehbench.quantities import VOCABULARY
 
 if TYPE_CHECKING:
     from mcap.records import Channel, Schema
+
+
+# a chunk may unpack to anything: [bytes] that a file may unpack to beside so many times its size
+LEAST_ROOM = 64 * 2**20
+MOST_PACKED = 200
+SCATTERED = 8  # a pattern of messages that repeats less often is read message by message
 
 
 @dataclass
@@ -77,6 +83,7 @@ class Salvage:
             LookupError,
             OverflowError,
             MemoryError,
+            RecursionError,
             McapError,
             zstandard.ZstdError,
         )
@@ -93,6 +100,7 @@ class Salvage:
         self._seen: set[bytes] = set()
         self._loose = bytearray()
         self._chunks = 0
+        self._most = self._room = LEAST_ROOM + MOST_PACKED * len(data)
         self._scan()
 
     def _scan(self) -> None:
@@ -184,13 +192,7 @@ class Salvage:
                 raise Unreadable("the checksum of an attachment does not match")
             record = unpack(Attachment, data[start:stop])
             if record.name == FACTS:
-                self.facts = json.loads(record.data)
-                if [type(self.facts[key]) for key in ("channels", "losses", "meta")] != [
-                    list,
-                    list,
-                    dict,
-                ]:
-                    raise ValueError
+                self.facts = _facts(record.data)
             else:
                 self.attachments[record.name] = record.data
         elif opcode == METADATA:
@@ -223,6 +225,11 @@ class Salvage:
         if kind == b"zstd":
             if self.zstd.frame_content_size(packed) not in (-1, size):
                 raise Unreadable("the sizes of a chunk do not match")
+            if size > self._room:
+                raise Unreadable(
+                    f"the chunks would unpack to more than {self._most / 1e6:.0f} MB, as of no log"
+                )
+            self._room -= size
             body = self.zstd.decompress(packed, size)
         elif kind == b"":
             body = bytes(packed)
@@ -292,25 +299,86 @@ class Salvage:
         rows = np.frombuffer(body, np.uint8, (len(body) - pos) // stride * stride, pos).reshape(
             -1, stride
         )
-        same = np.ones(len(rows), bool)
-        for offset, _ in pattern.values():
-            same &= (rows[:, offset : offset + 11] == rows[0, offset : offset + 11]).all(axis=1)
-        count = len(rows) if same.all() else int(np.argmin(same))
+        count = _repeats(rows, [offset for offset, _ in pattern.values()])
+        if count < SCATTERED < len(rows):
+            return self._scattered(body, pos)
         for id, (offset, length) in pattern.items():
             stream = self.streams.get(id)
             if stream is None:
                 continue
             if 9 + length < stream.layout.itemsize:
-                raise Unreadable(f"a message of {stream.topic} is shorter than its schema says")
+                raise _short(stream)
             messages = np.ndarray(count, stream.layout, body, pos + offset, (stride,))
-            if ((messages["#cdr"] & 0xFFFF) != CDR_LITTLE_ENDIAN).any():
-                raise Unreadable(f"a message of {stream.topic} is not in little-endian CDR")
-            stream.add(messages)
+            self._take_messages(stream, messages)
         return pos + stride * count
+
+    def _scattered(self, body: bytes, pos: int) -> int:
+        """Read a stretch of messages from ``pos`` whose channels follow one another in no pattern;
+        return where it ends.
+        """
+        places: dict[int, list[int]] = {}
+        end = min(len(body), pos + (1 << 20))
+        while pos < end and body[pos] == MESSAGE:
+            _, length, id = struct.unpack_from("<BQH", body, pos)
+            stop, stream = pos + 9 + length, self.streams.get(id)
+            if length < 22 or stop > len(body):
+                raise ValueError
+            if stream is not None:
+                if stop - pos < stream.layout.itemsize:
+                    raise _short(stream)
+                places.setdefault(id, []).append(pos)
+            pos = stop
+        whole = np.frombuffer(body, np.uint8)
+        for id, starts in places.items():
+            stream = self.streams[id]
+            bytes_of = np.add.outer(np.array(starts), np.arange(stream.layout.itemsize))
+            self._take_messages(stream, whole[bytes_of].view(stream.layout)[:, 0])
+        return pos
+
+    @staticmethod
+    def _take_messages(stream: Stream, messages: np.ndarray) -> None:
+        if ((messages["#cdr"] & 0xFFFF) != CDR_LITTLE_ENDIAN).any():
+            raise Unreadable(f"a message of {stream.topic} is not in little-endian CDR")
+        stream.add(messages)
+
+
+def _repeats(rows: np.ndarray, offsets: list[int]) -> int:
+    """How many rows from the first on have its opcodes, lengths and channels at ``offsets``."""
+    count, block = 0, 64
+    while count < len(rows):
+        part = rows[count : count + block]
+        same = np.ones(len(part), bool)
+        for offset in offsets:
+            same &= (part[:, offset : offset + 11] == rows[0, offset : offset + 11]).all(axis=1)
+        if not same.all():
+            return count + int(np.argmin(same))
+        count, block = count + len(part), 4 * block
+    return count
+
+
+def _short(stream: Stream) -> Unreadable:
+    return Unreadable(f"a message of {stream.topic} is shorter than its schema says")
 
 
 class Unreadable(ValueError):
     """Damage that has a name."""
+
+
+def _facts(data: bytes) -> dict[str, Any]:
+    """A run's facts as a log holds them: lists of texts and a table of texts.
+
+    Raises:
+        ValueError: they are anything else.
+    """
+    facts = json.loads(data)
+    if not isinstance(facts, dict):
+        raise ValueError
+    lists, meta = [facts["channels"], facts["losses"]], facts["meta"]
+    if not isinstance(meta, dict) or not all(isinstance(each, list) for each in lists):
+        raise ValueError
+    if not all(isinstance(text, str) for each in (*lists, meta.values()) for text in each):
+        raise ValueError
+    return facts
 
 
 def _fields(schema: Schema | None, channel: Channel) -> tuple[np.dtype, dict[str, str]] | None:

@@ -36,7 +36,9 @@ if TYPE_CHECKING:
 
     from mcap.records import McapRecord
 
-CHUNK_SIZE = 256 * 1024
+# a flipped bit takes one chunk: so much data, or so much time, is in one at most
+CHUNK_SIZE = 64 * 1024  # [bytes], or thrice its schemas where those are large
+CHUNK_TIME = 0.5  # [s]
 
 
 _MEDIA = {
@@ -120,6 +122,7 @@ class LogWriter:
         self._chunks: list[McapRecord] = []
         self._span: tuple[int, int] | None = None
         self.cut = False
+        self._most = max(CHUNK_SIZE, 3 * len(self._prefix))
         self._new_chunk()
         try:
             self._file = open(self.path, "xb")  # noqa: SIM115
@@ -194,10 +197,16 @@ class LogWriter:
         row = np.dtype([(str(each.id), each.layout) for each in topics])
         done = 0
         while done < t.size:
-            stop = min(t.size, done + max(1, (CHUNK_SIZE - self._size) // row.itemsize))
+            if t[done] - self._begin >= CHUNK_TIME:
+                self._finish_chunk()
+            begin = self._begin if self._entries else float(t[done])
+            fit = done + max(1, (self._most - self._size) // row.itemsize)
+            stop = min(fit, int(np.searchsorted(t, begin + CHUNK_TIME)), t.size)
+            stop = max(stop, done + 1)
+            self._begin = begin
             self._add(topics, row, t[done:stop], values[done:stop], own=topic is not None)
             done = stop
-            if self._size + row.itemsize > CHUNK_SIZE:
+            if self._size + row.itemsize > self._most:
                 self._finish_chunk()
         self._maybe_sync()
 
@@ -243,6 +252,7 @@ class LogWriter:
         self._size = len(self._prefix)
         self._entries: dict[int, list[bytes]] = {}
         self._chunk_span = (2**64, 0)
+        self._begin = np.inf  # [s] time of its first sample
 
     def _finish_chunk(self) -> None:
         from mcap.records import Chunk, ChunkIndex

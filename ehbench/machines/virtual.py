@@ -28,12 +28,15 @@ from ehbench.parts.cylinder import (
     chamber_inflow,
     chamber_of,
     chamber_oil,
+    leakage_slope,
     linkage_of,
 )
 from ehbench.parts.edge import CHECK, PUMP, check, edge_opening, pump
 from ehbench.parts.edge.orifice import ORIFICE_DROP
 from ehbench.parts.end_stop import stop_force, stop_rate
+from ehbench.parts.line import line_rates
 from ehbench.parts.load import force_on, force_steepness
+from ehbench.parts.mount import mount_rate, piston_of, resistance_of
 from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
 from ehbench.parts.oil import bulk
 from ehbench.parts.sample import OF, entry, line_entry, sample_channels
@@ -165,6 +168,7 @@ class VirtualPlant(NamedTuple):
     curves: np.recarray
     supply: np.record
     forces: np.recarray
+    lines: np.recarray
     fluid: np.record
     sensors: np.recarray
     delay: int
@@ -309,15 +313,23 @@ def _valves_and_edges(y, target, bench, dy, work):
     return fastest
 
 
+@resistance_of(VirtualPlant)
+@part_kernel
+def _resistance(row, v, y, plant):
+    viscous, static = row.friction_viscous, row.friction_static
+    return stribeck(v, viscous, row.friction_coulomb, static, row.stribeck_speed, CREEP)
+
+
 @part_kernel
 def _cylinders(y, target, bench, dy, work):
     """Pressure rates of the chambers, torques of the cylinders; the fastest rate [1/s]."""
     at, fluid, fastest = bench.at, bench.fluid, 0.0
     for c in range(bench.cylinders.shape[0]):
         row = bench.cylinders[c]
-        x, lever, _ = linkage_of(row, y[row.joint])
-        v = lever * y[at.rates + row.joint]
-        force = 0.0
+        way, lever, _ = linkage_of(row, y[row.joint])
+        speed = lever * y[at.rates + row.joint]
+        x, v = piston_of(row, way, speed, y, bench)
+        force, spring = 0.0, 0.0
         for side in range(2):
             node, area, _, _ = chamber_of(row, side)
             p, volume = node_pressure(y, bench, node), chamber_oil(row, side, x)
@@ -326,18 +338,23 @@ def _cylinders(y, target, bench, dy, work):
             dy[bench.nodes[node].state] = chamber_rate(
                 inflow, p, volume, beta, row.cavitation_pressure
             )
-            fastest = max(fastest, beta / volume * work[at.slope + node])
+            slope = max(work[at.slope + node], leakage_slope(row, side))
+            fastest = max(fastest, beta / volume * slope)
             force += p * area
-        viscous, static = row.friction_viscous, row.friction_static
-        force -= stribeck(v, viscous, row.friction_coulomb, static, row.stribeck_speed, CREEP)
-        steep = 0.0 if abs(v) > 4.0 * CREEP else static / CREEP
+            spring += beta / volume * area * area
+        force -= _resistance(row, v, y, bench)
+        steep = 0.0 if abs(v) > 4.0 * CREEP else row.friction_static / CREEP
         if bench.forces.shape[0] > 0:
-            force += force_on(c, x, v, target, bench)
-            steep += force_steepness(c, v, bench)
-        fastest = max(fastest, row.mobility * (steep + viscous))
+            force += force_on(c, way, speed, target, bench)
+            steep += force_steepness(c, speed, bench)
+        fastest = max(fastest, row.mobility * (steep + row.friction_viscous))
         if x < 0.0 or x > row.stroke:
             force += stop_force(row, x, v)
             fastest = max(fastest, stop_rate(row))
+            spring += row.stop_stiffness
+        if row.mount_state >= 0:
+            dy[row.mount_state] = v - speed
+            fastest = max(fastest, mount_rate(row, spring))
         work[at.torque + row.joint] = lever * force
     return fastest
 
@@ -371,6 +388,7 @@ def derivatives(y, target, bench, dy, work):
     fastest = _valves_and_edges(y, target, bench, dy, work)
     for i in range(bench.at.torque, bench.at.net):
         work[i] = 0.0
+    fastest = max(fastest, line_rates(y, bench, dy, work))
     fastest = max(fastest, _cylinders(y, target, bench, dy, work))
     move(y, bench, dy, work)
     return max(fastest, _supply(y, bench, dy, work))
@@ -924,6 +942,7 @@ def _build(recipe: BenchRecipe, model: Model, tick: float) -> VirtualPlant:
         curves=curves,
         supply=plant.supply,
         forces=plant.forces,
+        lines=_lines(of),
         fluid=_fluid(of),
         sensors=_sensors(of),
         delay=math.floor(ticks),
@@ -971,6 +990,15 @@ def _bench_cylinders(of: _Seeded) -> np.recarray:
         if _air(of)[0] > 0.0:
             row.cavitation_pressure = -math.inf  # the air itself keeps a chamber above vacuum
     return cylinders
+
+
+def _lines(of: _Seeded) -> np.recarray:
+    """The model's lines, full of the bench's oil."""
+    lines = of.model.plant.lines.copy()
+    lines.air, lines.polytropic = _air(of)
+    if lines.size and _air(of)[0] > 0.0:
+        lines.cavitation_pressure = -math.inf
+    return lines
 
 
 def _edges(of: _Seeded) -> tuple[np.recarray, np.recarray]:

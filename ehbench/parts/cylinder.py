@@ -30,7 +30,8 @@ RELIEF_GAIN = 1.0e-9  # [m³/(s·Pa)]: 30 L/min over 5 bar
 # [Pa], −inf for none; ``stop_stiffness`` [N/m]; ``mobility`` [1/kg], the largest acceleration per
 # force on it; the number of its law of ``friction``, where that law's states stand
 # (``friction_states`` of them from ``friction_state`` on, −1), and the columns of the laws, as the
-# rig file has them.
+# rig file has them; where the deflection of its mount stands (``mount_state``, −1: it has none),
+# ``mount_stiffness`` [N/m], ``mount_damping`` [N·s/m].
 CYLINDER_COLUMNS = (
     ("joint", "i8"),
     ("geometry", "i8"),
@@ -58,6 +59,9 @@ CYLINDER_COLUMNS = (
     ("friction_state", "i8"),
     ("friction_states", "i8"),
     *FRICTION,
+    ("mount_state", "i8"),
+    ("mount_stiffness", "f8"),
+    ("mount_damping", "f8"),
 )
 CYLINDER = record(*CYLINDER_COLUMNS)
 # fields that are those of the rig file, and those that `linkage` takes before the angle
@@ -163,6 +167,14 @@ def chamber_slope(row, pressure, inflow, slope):
     if pressure > row.relief_pressure:
         slope += RELIEF_GAIN
     return slope
+
+
+@part_kernel
+def leakage_slope(row, side):
+    """Bound of how fast leakages change with a chamber's pressure and with that of the other
+    [m³/(s·Pa)].
+    """
+    return 2.0 * row.leakage_internal + chamber_of(row, side)[3]
 
 
 @part_kernel

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.compiled import kernel
+from ehbench.disk import DATA, read_bytes
 from ehbench.errors import InputError
 from ehbench.text import quoted
 
@@ -538,16 +539,16 @@ def load_flow_maps(path: str | Path) -> FlowMaps:
     path = path / FILE_NAME if path.is_dir() else path
     hint = f"give the folder of an identify run, or its {FILE_NAME}"
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_bytes(path, DATA).decode("utf-8"))
     except FileNotFoundError:
         raise InputError("there is no such file", file=path, hint=hint) from None
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", file=path, hint=hint) from None
+    except RecursionError:
+        raise InputError("is nested too deeply", file=path, hint=hint) from None
     except json.JSONDecodeError as error:
         raise InputError(
             f"is no JSON: {error.msg}", file=path, line=error.lineno, hint=hint
         ) from None
-    except UnicodeDecodeError:
+    except ValueError:
         raise InputError("is no JSON text", file=path, hint=hint) from None
     if (
         not isinstance(content, dict)

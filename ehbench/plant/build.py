@@ -17,6 +17,7 @@ from ehbench.parts.accumulator import COLUMNS as ACCUMULATOR
 from ehbench.parts.cylinder import CYLINDER, CYLINDER_FIELDS, PINS_OF
 from ehbench.parts.edge import EDGE
 from ehbench.parts.end_stop import STOP_DEPTH
+from ehbench.parts.line import LINE
 from ehbench.parts.load import FORCE, force_fields
 from ehbench.parts.nodes import NODE, TANK
 from ehbench.parts.oil import EXPONENT
@@ -38,8 +39,8 @@ class Plant(NamedTuple):
 
     ``kind``, ``gravity`` and ``links`` are those of `ehbench.physics.arm`; the records of the other
     tables are described beside their parts: `ehbench.parts.cylinder`, ``.nodes``, ``.valve``,
-    ``.edge``, ``.supply``, ``.load``. ``maps`` are the packed flow maps, ``at`` says where
-    things lie.
+    ``.edge``, ``.line``, ``.supply``, ``.load``. ``maps`` are the packed flow maps, ``at`` says
+    where things lie.
     """
 
     kind: int
@@ -53,12 +54,22 @@ class Plant(NamedTuple):
     maps: np.ndarray
     supply: np.record
     forces: np.recarray
+    lines: np.recarray
     at: Offsets
 
     @property
     def tank_pressure(self) -> float:
         """[Pa]"""
         return float(self.nodes[TANK].pressure)
+
+    @property
+    def edges_at_chambers(self) -> np.recarray:
+        """Its edges as if no line stood between them and the chambers."""
+        edges = self.edges.copy()
+        for line in self.lines:
+            for end in ("from_node", "to_node"):
+                edges[end][edges[end] == line.node] = line.chamber
+        return edges
 
     def held_before(self, command: np.ndarray) -> Plant:
         """This plant, commanded ``command`` [V] before the first tick, the valves' first."""
@@ -106,6 +117,7 @@ def build(rig: Rig, names: Layout, maps: Maps | None = None) -> Plant:
         maps=data,
         supply=_supply(rig),
         forces=_forces(rig, names),
+        lines=_lines(rig, names),
         at=names.offsets(),
     )
 
@@ -175,8 +187,11 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
                 "friction": names.frictions[index],
                 "friction_state": names.friction_state(index),
                 "friction_states": len(friction.LAWS[names.frictions[index]].states),
+                "mount_state": -1,
             }
         )
+        if item.mount is not None:
+            rows[-1] |= {"mount_state": names.state("mount_deflection", index)} | item.mount.row()
     return table_of(rows, CYLINDER)
 
 
@@ -227,7 +242,31 @@ def _nodes(rig: Rig, names: Layout) -> np.recarray:
             {"state": names.state(f"p_{end}", index), "cylinder": index, "side": side}
             for side, end in enumerate(SIDES)
         ]
+    rows = [row | {"line": -1} for row in rows]
+    rows += [
+        {"state": names.state(f"p_line_{end}", index), "cylinder": index, "line": number}
+        for number, (index, end) in enumerate(names.lines)
+    ]
     return table_of(rows, NODE)
+
+
+def _lines(rig: Rig, names: Layout) -> np.recarray:
+    rows = []
+    items = ((item, line) for item in rig.cylinder for line in item.line)
+    for (index, end), (item, line) in zip(names.lines, items, strict=True):
+        gain = line.orifice_gain
+        row = {
+            "node": names.port(index, end),
+            "chamber": names.node(index, end),
+            "cylinder": index,
+            "volume": float(line.volume),
+            "resistance": float(line.resistance or 0.0),
+            "choke": 0.0 if gain is None else float(gain) ** -2,
+            "relief_pressure": math.inf,
+            "cavitation_pressure": float(rig.oil.cavitation_pressure),
+        }
+        rows.append(row | oil_fields(rig, line.bulk_modulus or item.bulk_modulus))
+    return table_of(rows, LINE)
 
 
 def _valves(rig: Rig, names: Layout) -> tuple[np.recarray, np.recarray]:
@@ -263,8 +302,8 @@ def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray
                 hint="name a run with flow_maps",
             )
         row = {
-            "from_node": names.node(cylinder, edge.from_),
-            "to_node": names.node(cylinder, edge.to),
+            "from_node": names.port(cylinder, edge.from_),
+            "to_node": names.port(cylinder, edge.to),
             "valve": names.valves.index(f"{item.name}.{valve.name}"),
             "sign": edge.sign,
             "blocked": edge.reverse == "blocked",
@@ -288,12 +327,12 @@ def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray
 def _fixed(names: Layout, cylinder: int, edge: FixedEdge) -> dict[str, Any]:
     """Fields of an edge without a command."""
     place = {
-        "from_node": names.node(cylinder, edge.from_),
-        "to_node": names.node(cylinder, edge.to),
+        "from_node": names.port(cylinder, edge.from_),
+        "to_node": names.port(cylinder, edge.to),
         "valve": -1,
         "sign": 1.0,
         "unmetered": 1,
-        "pilot": -1 if edge.pilot is None else names.node(cylinder, edge.pilot),
+        "pilot": -1 if edge.pilot is None else names.port(cylinder, edge.pilot),
     }
     return place | _law(edge, None, [])
 

@@ -9,12 +9,15 @@ from ehbench.parts.cylinder import (
     chamber_oil,
     chamber_pressure_rate,
     chamber_slope,
+    leakage_slope,
     linkage_of,
 )
 from ehbench.parts.edge import edge_flow, edge_opening, edge_slope
 from ehbench.parts.end_stop import stop_force, stop_rate
 from ehbench.parts.friction import friction_fastest, friction_force, friction_rates
+from ehbench.parts.line import line_rates
 from ehbench.parts.load import force_on, force_steepness
+from ehbench.parts.mount import mount_rate, piston_of, resistance_of
 from ehbench.parts.nodes import SUPPLY, node_pressure
 from ehbench.parts.oil import bulk_of
 from ehbench.parts.supply import line_stiffness, pump_flow
@@ -62,33 +65,46 @@ def _edges(y, plant, work):
         work[at.flow + e] = flow
 
 
+@resistance_of(Plant)
+@part_kernel
+def _resistance(row, v, y, plant):
+    return friction_force(row, v, y)
+
+
 @part_kernel
 def _cylinders(y, command, plant, dy, work):
     """Pressure rates of the chambers; torques of the cylinders into ``work``."""
     at, fastest = plant.at, 0.0
     for c in range(plant.cylinders.shape[0]):
         row = plant.cylinders[c]
-        x, lever, _ = linkage_of(row, y[row.joint])
-        v = lever * y[at.rates + row.joint]
-        force = 0.0
+        way, lever, _ = linkage_of(row, y[row.joint])
+        speed = lever * y[at.rates + row.joint]
+        x, v = piston_of(row, way, speed, y, plant)
+        force, spring = 0.0, 0.0
         for side in range(2):
             node, area, _, _ = chamber_of(row, side)
             p, volume = y[plant.nodes[node].state], chamber_oil(row, side, x)
             inflow = chamber_inflow(row, side, v, work[at.net + node], y, plant)
             dy[plant.nodes[node].state] = chamber_pressure_rate(row, p, volume, inflow)
             slope = chamber_slope(row, p, inflow, work[at.slope + node])
-            fastest = max(fastest, bulk_of(row, p) / volume * slope)
+            stiffness = bulk_of(row, p) / volume
+            fastest = max(fastest, stiffness * max(slope, leakage_slope(row, side)))
             force += p * area
+            spring += stiffness * area * area
         force -= friction_force(row, v, y)
         friction_rates(row, v, y, dy)
         rate = friction_fastest(row, v)
         if plant.forces.shape[0] > 0:
-            force += force_on(c, x, v, command, plant)
-            rate += row.mobility * force_steepness(c, v, plant)
+            force += force_on(c, way, speed, command, plant)
+            rate += row.mobility * force_steepness(c, speed, plant)
         fastest = max(fastest, rate)
         if x < 0.0 or x > row.stroke:
             force += stop_force(row, x, v)
             fastest = max(fastest, stop_rate(row))
+            spring += row.stop_stiffness
+        if row.mount_state >= 0:
+            dy[row.mount_state] = v - speed
+            fastest = max(fastest, mount_rate(row, spring))
         work[at.torque + row.joint] = lever * force
     return fastest
 
@@ -132,8 +148,8 @@ def derivatives(y, command, plant, dy, work):
     """Write ẏ into ``dy``; return the fastest rate [1/s] of the pressure, valve and friction
     blocks.
 
-    Valves (thesis 2.12), flows along the metering edges (2.10, 2.11), chambers (2.4, 2.5), the
-    mechanism (2.1, 2.2), the supply. After the call ``work`` holds the edge flows from
+    Valves (thesis 2.12), flows along the metering edges (2.10, 2.11) and lines, chambers (2.4,
+    2.5), the mechanism (2.1, 2.2), the supply. After the call ``work`` holds the edge flows from
     ``plant.at.flow`` on, then the pump flow [m³/s].
 
     Args:
@@ -147,6 +163,7 @@ def derivatives(y, command, plant, dy, work):
     _edges(y, plant, work)
     for i in range(plant.at.torque, plant.at.net):
         work[i] = 0.0
+    fastest = max(fastest, line_rates(y, plant, dy, work))
     fastest = max(fastest, _cylinders(y, command, plant, dy, work))
     move(y, plant, dy, work)
     return max(fastest, _supply(y, plant, dy, work))

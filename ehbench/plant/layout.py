@@ -58,8 +58,9 @@ class Layout:
 
     ``valves`` and ``edges`` are called ``<cylinder>.<valve>`` and ``<cylinder>.<edge>``, those of
     valves first, ``elements`` are those of the valves' dynamics, in order, ``several`` the valves
-    with more than one dynamics, ``played`` the channels of forces that stand behind the valves'
-    commands in a row of commands, and
+    with more than one dynamics, ``frictions`` the numbers of the cylinders' laws, ``lines`` the
+    cylinder and the end of each line, ``mounts`` the cylinders whose mount gives way, ``played``
+    the channels of forces that stand behind the valves' commands in a row of commands, and
     ``state_names`` say what each state is, such as ``boom.p_head`` or ``boom.hect.opening``.
     """
 
@@ -70,6 +71,8 @@ class Layout:
     elements: tuple[Element, ...]
     several: tuple[int, ...]
     frictions: tuple[int, ...]
+    lines: tuple[tuple[int, str], ...]
+    mounts: tuple[int, ...]
     played: tuple[str, ...]
     state_names: tuple[str, ...]
     _at: dict[str, int] = field(repr=False)
@@ -82,7 +85,7 @@ class Layout:
     @property
     def nodes(self) -> int:
         """How many nodes the circuit has."""
-        return 2 + len(SIDES) * len(self.cylinders)
+        return 2 + len(SIDES) * len(self.cylinders) + len(self.lines)
 
     def node(self, cylinder: int, end: str) -> int:
         """The node of a cylinder's ``head`` or ``rod``, or of ``supply`` or ``tank``."""
@@ -90,9 +93,16 @@ class Layout:
             return 2 + len(SIDES) * cylinder + SIDES.index(end)
         return {"supply": SUPPLY, "tank": TANK}[end]
 
+    def port(self, cylinder: int, end: str) -> int:
+        """The node that edges of an end join: as `node`, but the line's where that end has one."""
+        if (cylinder, end) in self.lines:
+            return self.nodes - len(self.lines) + self.lines.index((cylinder, end))
+        return self.node(cylinder, end)
+
     def state(self, name: str, index: int = 0) -> int:
         """Position in the state of ``q``, ``qd`` of joint ``index``, ``p_head``, ``p_rod`` of a
-        cylinder or of a state of its friction, ``opening``, ``rate`` of a valve, or ``p_supply``.
+        cylinder or of a state of its friction, lines or mount, ``opening``, ``rate`` of a valve, or
+        ``p_supply``.
 
         Raises:
             KeyError: there is no such state, as of a valve without dynamics.
@@ -121,6 +131,13 @@ class Layout:
         laws = (friction.LAWS[law] for law in self.frictions)
         return tuple((index, key) for index, law in enumerate(laws) for key in law.states)
 
+    @property
+    def part_states(self) -> tuple[tuple[int, str], ...]:
+        """(cylinder, name) of each state of the frictions, lines and mounts."""
+        lines = ((cylinder, f"p_line_{end}") for cylinder, end in self.lines)
+        mounts = ((cylinder, "mount_deflection") for cylinder in self.mounts)
+        return (*self.friction_states, *lines, *mounts)
+
     def friction_state(self, cylinder: int) -> int:
         """Where the states of a cylinder's friction begin, −1 where it has none."""
         states = friction.LAWS[self.frictions[cylinder]].states
@@ -137,7 +154,7 @@ class Layout:
 
 def layout(rig: Rig) -> Layout:
     """The layout of a rig's plant: ``q, qd, [p_head, p_rod] per cylinder, the states of each
-    valve's elements, those of each cylinder's friction, p_supply``.
+    valve's elements, those of each cylinder's friction, lines and mount, p_supply``.
     """
     valves = tuple(f"{c.name}.{v.name}" for c, v in rig.valves())
     names = [f"{joint}.{key}" for key in ("q", "qd") for joint in rig.joint_names]
@@ -152,6 +169,8 @@ def layout(rig: Rig) -> Layout:
     frictions = tuple(_friction(c) for c in rig.cylinder)
     for cylinder, law in zip(rig.cylinder, frictions, strict=True):
         names += [f"{cylinder.name}.{key}" for key in friction.LAWS[law].states]
+        names += [f"{cylinder.name}.p_{line.name}" for line in cylinder.line]
+        names += [f"{cylinder.name}.mount_deflection"] if cylinder.mount is not None else []
     names.append("p_supply")
     return Layout(
         joints=rig.joint_names,
@@ -161,6 +180,8 @@ def layout(rig: Rig) -> Layout:
         elements=tuple(elements),
         several=tuple(i for i, (_, item) in enumerate(rig.valves()) if len(item.series) > 1),
         frictions=frictions,
+        lines=tuple((i, line.end) for i, c in enumerate(rig.cylinder) for line in c.line),
+        mounts=tuple(i for i, c in enumerate(rig.cylinder) if c.mount is not None),
         played=tuple(dict.fromkeys(f.channel for c in rig.cylinder for f in c.force if f.channel)),
         state_names=tuple(names),
         _at={name: at for at, name in enumerate(names)},

@@ -151,8 +151,11 @@ class Model:
         y = self.posed(seen, command)
         for index, name in enumerate(self.layout.cylinders):
             head, rod = (self.layout.state(f"p_{side}", index) for side in SIDES)
-            told = [seen.get(f"{name}.p_{side}") for side in SIDES]
+            told = [
+                seen.get(f"{name}.p_{side}", seen.get(f"{name}.p_line_{side}")) for side in SIDES
+            ]
             y[head], y[rod] = starts.carry(self.plant.cylinders[index], (y[head], y[rod]), told)
+        starts.settle_parts(self.plant, y)
         for valve, name in zip(self.plant.valves, self.layout.valves, strict=True):
             if f"{name}.command" in record:
                 valve_settle(valve, float(record[f"{name}.command"][0]), self.plant, y)
@@ -260,7 +263,7 @@ class Model:
             channels[f"{name}.x"], channels[f"{name}.v"] = x, lever * log[:, n + joint]
             for key in (f"p_{side}" for side in SIDES):
                 channels[f"{name}.{key}"] = log[:, names.state(key, index)]
-        for index, key in names.friction_states:
+        for index, key in names.part_states:
             channels[f"{names.cylinders[index]}.{key}"] = log[:, names.state(key, index)]
         for index, valve in enumerate(names.valves):
             channels[f"{valve}.command"] = commands[:, index]

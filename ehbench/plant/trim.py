@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from ehbench.errors import InputError, SimulationError
 from ehbench.parts.cylinder import joint_of, joint_range_of, linkage_of
 from ehbench.parts.edge import CHECK
 from ehbench.parts.load import force_on
+from ehbench.parts.mount import mount_settle
 from ehbench.parts.nodes import SUPPLY
 from ehbench.parts.valve import valve_settle
 from ehbench.physics.arm import SLIDE, gravity_torque, work_size
@@ -128,13 +130,26 @@ def trim(
     for valve, (_, item) in zip(plant.valves, rig.valves(), strict=True):
         valve_settle(valve, item.rest, plant, y)
     y[plant.at.supply] = plant.supply.pressure
+    settle_parts(plant, y)
     return y
+
+
+def settle_parts(plant: Plant, y: np.ndarray) -> None:
+    """Put the states of lines and mounts in ``y`` where they are at rest, by the pressures of the
+    chambers.
+    """
+    at: Any = plant.nodes.state
+    for line in plant.lines:
+        y[at[line.node]] = y[at[line.chamber]]
+    for row in plant.cylinders:
+        mount_settle(row, 0.0, y, plant)
 
 
 def _low_side(plant: Plant, row: np.record) -> float:
     """Pressure [Pa] of a cylinder's chamber that carries nothing."""
-    fed = (plant.edges.law == CHECK) & (plant.edges.from_node == SUPPLY)
-    fed &= np.isin(plant.edges.to_node, (row.node_head, row.node_rod))
+    edges = plant.edges_at_chambers
+    fed = (edges.law == CHECK) & (edges.from_node == SUPPLY)
+    fed &= np.isin(edges.to_node, (row.node_head, row.node_rod))
     return plant.supply.pressure * (1.0 if fed.any() else LOW_SIDE)
 
 

@@ -1,5 +1,5 @@
 """States that no sensor tells, over a whole record: openings of valves, exact for commands that are
-held from sample to sample, and the states of frictions.
+held from sample to sample, the states of frictions, and those of lines and mounts.
 """
 
 from __future__ import annotations
@@ -9,9 +9,12 @@ import numpy as np
 from ehbench.compiled import allocating_kernel, kernel
 from ehbench.parts.cylinder import linkage_of
 from ehbench.parts.friction import friction_advance
+from ehbench.parts.mount import mount_settle
 from ehbench.parts.valve import limited, valve_advance, valve_recover, valve_settle
 from ehbench.parts.valve.delay import line_felt, line_of, line_push
 from ehbench.plant.build import Plant
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.integrate import MOST_SUBSTEPS
 
 
 @allocating_kernel
@@ -88,6 +91,52 @@ def follow_friction(t, plant, states):
                 states[s + 1, k] = states[s, k]
             v = 0.5 * lever * (states[s, n + row.joint] + states[s + 1, n + row.joint])
             friction_advance(row, v, t[s + 1] - t[s], states[s + 1])
+
+
+@allocating_kernel
+def follow_parts(t, commands, plant, states):
+    """Write the states of lines and mounts at every sample, from rest on: their own rates, by
+    Heun's steps, while all other states run straight from sample to sample.
+
+    Args:
+        t: [s], shape (samples,).
+        commands: [V], shape (samples, valves or more).
+        states: of the plant, in and out, shape (samples, states).
+    """
+    size = states.shape[1]
+    own = np.zeros(size, dtype=np.bool_)
+    for i in range(plant.lines.shape[0]):
+        row = plant.lines[i]
+        own[plant.nodes[row.node].state] = True
+        states[0, plant.nodes[row.node].state] = states[0, plant.nodes[row.chamber].state]
+    for c in range(plant.cylinders.shape[0]):
+        mount_settle(plant.cylinders[c], 0.0, states[0], plant)
+        if plant.cylinders[c].mount_state >= 0:
+            own[plant.cylinders[c].mount_state] = True
+    y, ahead, work = states[0].copy(), np.empty(size), np.empty(plant.at.work)
+    first, last = np.empty(size), np.empty(size)
+    for s in range(t.shape[0] - 1):
+        dt, left = t[s + 1] - t[s], 1.0
+        for i in range(size):
+            if not own[i]:
+                y[i] = states[s, i]
+        while left > 0.0:
+            rate = derivatives(y, commands[s], plant, first, work)
+            share = min(left, 1.0 / min(max(rate * dt, 1.0), MOST_SUBSTEPS))
+            left = left - share if left - share > 1e-9 else 0.0
+            for i in range(size):
+                step = (
+                    share * dt * first[i] if own[i] else share * (states[s + 1, i] - states[s, i])
+                )
+                ahead[i] = y[i] + step
+            derivatives(ahead, commands[s], plant, last, work)
+            for i in range(size):
+                if own[i]:
+                    ahead[i] = y[i] + 0.5 * share * dt * (first[i] + last[i])
+            y[:] = ahead
+        for i in range(size):
+            if own[i]:
+                states[s + 1, i] = y[i]
 
 
 def opening_of(plant: Plant, valve: int, commands: np.ndarray, states: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from ehbench.recipe.toml import line_of, read_toml
 from ehbench.recipe.trial import AnyTrial, Command, Controller, Limits, Motion, TrialRecipe
 from ehbench.recipe.trials import SetController, TrialSetRecipe
 from ehbench.recipe.tune import TuneRecipe
-from ehbench.recipe.validate import Thresholds, ValidateRecipe
+from ehbench.recipe.validate import JudgedFile, Thresholds, ValidateRecipe
 
 __all__ = [
     "AnyTrial",
@@ -42,6 +42,7 @@ __all__ = [
     "FlowMapRecipe",
     "Flowmeter",
     "HydraulicsRecipe",
+    "JudgedFile",
     "Limits",
     "Motion",
     "Recipe",

@@ -10,8 +10,11 @@ from typing import Annotated, Any, get_args
 
 from pydantic import BeforeValidator, Field
 
+from ehbench.disk import impossible
+from ehbench.errors import InputError
 from ehbench.fields import FileModel, Q, Value
 from ehbench.recipe.toml import line_of
+from ehbench.text import shortened
 
 
 class DataFile(FileModel):
@@ -26,12 +29,13 @@ class DataFile(FileModel):
     note: str = ""
 
 
-def _data_file(raw: Any) -> Any:
+def data_file(raw: Any) -> Any:
+    """A log's entry in a recipe, which may be its path alone, as a table."""
     return {"path": raw} if isinstance(raw, str) else raw
 
 
 DataFiles = Annotated[
-    tuple[Annotated[DataFile, BeforeValidator(_data_file)], ...], Field(min_length=1)
+    tuple[Annotated[DataFile, BeforeValidator(data_file)], ...], Field(min_length=1)
 ]
 
 
@@ -63,15 +67,24 @@ class Recipe(FileModel):
         return self.path.stem
 
     def file(self, name: str) -> Path:
-        """A path of this recipe, as written in it, relative to its folder."""
-        return (self.path.parent / name).resolve()
+        """A path of this recipe, as written in it, relative to its folder.
+
+        Raises:
+            InputError: no file can have such a path.
+        """
+        path = self.path.parent / name
+        if reason := impossible(path):
+            raise InputError(
+                f"names {shortened(name, 60)}, which can be no file: {reason}", file=self.path
+            )
+        return path.resolve()
 
     def at(self, *location: str | int) -> dict[str, Any]:
         """``file`` and ``line`` of a key of this recipe, as the errors take them; no line where the
         file cannot say.
         """
         try:
-            line = line_of(self.path.read_text(encoding="utf-8"), location)
+            line = line_of(self.path.read_text(encoding="utf-8-sig"), location)
         except OSError:
             line = None
         return {"file": self.path, "line": line}

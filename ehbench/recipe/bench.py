@@ -65,7 +65,7 @@ class BenchSensors(FileModel):
     pressure_lag: Annotated[Value, Q("lag")] | None = None
     position_noise: Annotated[Value, Q("x")] | None = None
     position_resolution: Annotated[Value, Q("x")] | None = None
-    encoder_counts: int | None = Field(default=None, ge=0)
+    encoder_counts: int | None = Field(default=None, ge=0, le=10**9)
 
 
 class BenchRecipe(Recipe):
@@ -78,7 +78,7 @@ class BenchRecipe(Recipe):
 
     stage: Literal["bench"]
     rig: str
-    seed: int = Field(default=0, ge=0)
+    seed: int = Field(default=0, ge=0, le=2**63 - 1)
     truth: ByParameter = {}
     air_fraction: Annotated[Value, Q("air_fraction")] = Value(0.003)
     polytropic_exponent: Annotated[Value, Q("polytropic_exponent")] = Value(1.3)

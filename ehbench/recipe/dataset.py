@@ -23,13 +23,13 @@ class Flowmeter(FileModel):
     reverse: tuple[str, ...] = ()
     commands: Annotated[tuple[str, ...], Field(min_length=1)]
     pressure_drops: Annotated[tuple[str, ...], Field(min_length=1)]
-    trials: int = Field(default=3, ge=1)
+    trials: int = Field(default=3, ge=1, le=1000)
     drop_scatter: float = Field(default=0.03, ge=0, lt=1)
     meter_noise: float = Field(default=0.007, ge=0, lt=1)
     repeat_scatter: float = Field(default=0.005, ge=0, lt=1)
     meter_limit: Annotated[Value, Q("meter_limit")] = Value(1.9e-5)
     cylinder_noise: Annotated[Value, Q("flow")] = Value(2.0e-7)
-    outliers: int = Field(default=2, ge=0)
+    outliers: int = Field(default=2, ge=0, le=10**6)
 
 
 class DatasetLog(FileModel):
@@ -55,6 +55,6 @@ class DatasetRecipe(Recipe):
 
     stage: Literal["dataset"]
     bench: str
-    seed: int = Field(default=0, ge=0)
+    seed: int = Field(default=0, ge=0, le=2**63 - 1)
     flowmeter: Flowmeter | None = None
     log: tuple[DatasetLog, ...] = ()

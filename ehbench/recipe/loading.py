@@ -9,6 +9,7 @@ from ehbench.errors import InputError
 from ehbench.recipe.base import Recipe
 from ehbench.recipe.toml import line_of, read_toml, validated
 from ehbench.rig import Rig
+from ehbench.text import shortened
 
 
 def load_rig(path: str | Path) -> Rig:
@@ -53,17 +54,18 @@ def load_recipe(path: str | Path) -> Recipe:
     known = recipe_kinds()
     stage, what = table.get("stage"), table.get("what")
     stages = sorted({s for s, _ in known})
-    if stage not in stages:
+    if not isinstance(stage, str) or stage not in stages:
         raise InputError(
-            "'stage' is missing" if stage is None else f"unknown stage '{stage}'",
+            "'stage' is missing" if stage is None else f"unknown stage {shortened(stage, 60)}",
             file=path,
             line=line_of(text, ("stage",)),
             hint="stage is one of " + ", ".join(stages),
         )
-    model = next((known[key] for key in ((stage, what), (stage, None)) if key in known), None)
+    kinds = ((stage, what), (stage, None)) if isinstance(what, str) else ((stage, None),)
+    model = next((known[key] for key in kinds if key in known), None)
     if model is None:
         raise InputError(
-            "'what' is missing" if what is None else f"unknown what = '{what}'",
+            "'what' is missing" if what is None else f"unknown what = {shortened(what, 60)}",
             file=path,
             line=line_of(text, ("what",)),
             hint="what is one of " + ", ".join(w for s, w in known if s == stage and w),

@@ -10,6 +10,7 @@ from typing import Any, get_args, get_origin
 
 from pydantic import TypeAdapter, ValidationError
 
+from ehbench.disk import read_bytes
 from ehbench.errors import InputError
 from ehbench.fields import FileModel
 from ehbench.text import shortened
@@ -20,17 +21,31 @@ _KEY = re.compile(
 )
 
 
+_WRITTEN = 'a line is like key = "1.5 mm", a table begins with [name]'
+_REMEDIES = {
+    "string": "close the quotes that were opened",
+    "Invalid value": 'a value with a unit stands in quotes, like "1.5 mm"',
+    "Cannot overwrite": "give each key once",
+    "Cannot declare": "give each table once",
+    "array": "close the list with ]",
+    "inline table": "close the table with }",
+}
+
+
 def line_of(text: str, location: tuple[Any, ...]) -> int | None:
     """The line of a TOML text at which the key at ``location`` (names and list indices) stands, or
-    its nearest parent.
+    the first one below it, or its nearest parent.
     """
     flat: dict[tuple[Any, ...], int] = {}
     for known, number in _lines(text).items():
         flat.setdefault(_pieces(known), number)
     wanted = _pieces(location)
-    return next(
-        (flat[wanted[:size]] for size in range(len(wanted), 0, -1) if wanted[:size] in flat), None
-    )
+    for size in range(len(wanted), 0, -1):
+        head = wanted[:size]
+        below = (number for known, number in flat.items() if known[:size] == head)
+        if (number := flat.get(head) or next(below, None)) is not None:
+            return number
+    return None
 
 
 def _lines(text: str) -> dict[tuple[Any, ...], int]:
@@ -91,7 +106,7 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
         InputError: no such file, not UTF-8, or not TOML, with the line.
     """
     try:
-        text = path.read_bytes().decode("utf-8")
+        data = read_bytes(path)
     except FileNotFoundError:
         near = (
             get_close_matches(path.name, [p.name for p in path.parent.glob("*.toml")], 1)
@@ -101,9 +116,14 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
         raise InputError(
             "no such file", file=path, hint=f"did you mean '{near[0]}'?" if near else None
         ) from None
-    except (UnicodeDecodeError, IsADirectoryError, PermissionError) as error:
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
         raise InputError(
-            f"cannot be read as a text file: {type(error).__name__}", file=path
+            "is not UTF-8 text",
+            file=path,
+            line=data.count(b"\n", 0, error.start) + 1,
+            hint="save it as UTF-8",
         ) from None
     if not text.strip():
         raise InputError("the file is empty", file=path)
@@ -112,9 +132,26 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     except tomllib.TOMLDecodeError as error:
         found = re.search(r"\(at line (\d+)", str(error))
         reason = str(error).split(" (at ")[0]
+        line = int(found[1]) if found else text.rstrip().count("\n") + 1
         raise InputError(
-            f"not TOML: {reason}", file=path, line=int(found[1]) if found else None
+            f"not TOML: {reason}", file=path, line=line, hint=_remedy(reason)
         ) from None
+    except RecursionError:
+        raise InputError("not TOML: it is nested too deeply", file=path) from None
+    except ValueError:  # more digits than Python turns into a number
+        raise InputError(
+            "not TOML: a whole number is too long", file=path, line=_long_number(text)
+        ) from None
+
+
+def _remedy(reason: str) -> str:
+    """What would be right, by what the parser says is wrong."""
+    return next((remedy for word, remedy in _REMEDIES.items() if word in reason), _WRITTEN)
+
+
+def _long_number(text: str) -> int | None:
+    found = re.search(r"\d[\d_]{4000}", text)
+    return text.count("\n", 0, found.start()) + 1 if found else None
 
 
 def validated(model: Any, table: dict[str, Any], text: str, path: Path) -> Any:
@@ -127,8 +164,13 @@ def validated(model: Any, table: dict[str, Any], text: str, path: Path) -> Any:
         return TypeAdapter(model).validate_python(table)
     except ValidationError as error:
         found = error.errors()
+    except RecursionError:
+        raise InputError("a table is nested too deeply", file=path) from None
     first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
-    message, location, hint = _explained(model, table, dict(first))
+    try:
+        message, location, hint = _explained(model, table, dict(first))
+    except RecursionError:
+        raise InputError("a table is nested too deeply", file=path) from None
     raise InputError(message, file=path, line=line_of(text, location), hint=hint)
 
 
@@ -154,7 +196,7 @@ def _explained(
     elif kind == "value_error":
         message = str(reason) if not key or str(reason).startswith(key) else f"{key}: {reason}"
     elif kind == "literal_error":
-        message = f"{key} = {given!r} is none of {expected.replace(' or ', ', ')}"
+        message = f"{key} = {shortened(given, 60)} is none of {expected.replace(' or ', ', ')}"
         near = get_close_matches(str(given), re.findall(r"'([^']*)'", expected), 1)
         hint = f"did you mean '{near[0]}'?" if near else None
     elif kind == "tuple_type":

@@ -31,7 +31,7 @@ class Command(FileModel):
     frequency: Annotated[Value, Q("frequency")] | None = None
     frequency_max: Annotated[Value, Q("frequency")] | None = None
     lines: int = Field(default=20, ge=1, le=1000)
-    seed: int = Field(default=0, ge=0)
+    seed: int = Field(default=0, ge=0, le=2**63 - 1)
     file: str | None = None
 
     @model_validator(mode="after")
@@ -61,7 +61,8 @@ class Command(FileModel):
 
 class Limits(FileModel):
     """Where a trial stops safely. Pressures are of every chamber; ``stroke_margin`` is kept at both
-    ends of every stroke.
+    ends of every stroke. ``ramp`` is the time in which the valves then go to rest: shut at once,
+    they would catch the moving load between them, and the pressure would rise far above its limit.
     """
 
     pressure_max: Annotated[Value, Q("pressure")] | None = None
@@ -69,6 +70,7 @@ class Limits(FileModel):
     stroke_margin: Annotated[Value, Q("stroke")] | None = None
     speed_max: Annotated[Value, Q("v")] | None = None
     command_max: Annotated[Value, Q("command_max")] | None = None
+    ramp: Annotated[Value, Q("ramp")] = Value(0.05)
 
 
 def _one_or_more(raw: Any) -> Any:
@@ -218,7 +220,7 @@ class AnyTrial(Recipe):
     duration: Annotated[Value, Q("duration")] | None = None
     rate: Annotated[Value, Q("rate")] = Value(1000.0)
     step: Annotated[Value, Q("step")] = Value(5.0e-4)
-    seed: int = Field(default=0, ge=0)
+    seed: int = Field(default=0, ge=0, le=2**63 - 1)
     command: tuple[Command, ...] = ()
     limits: Limits = Limits()
 

@@ -47,4 +47,4 @@ class TuneRecipe(Recipe):
     phase_margin: Annotated[Value, Q("phase_margin")] = Value(0.7853981633974483)
     bandwidth: Annotated[Value, Q("frequency")] = Value(0.5)
     draws: int = Field(default=200, ge=0, le=100000)
-    seed: int = Field(default=0, ge=0)
+    seed: int = Field(default=0, ge=0, le=2**63 - 1)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from difflib import get_close_matches
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from ehbench.errors import InputError
-from ehbench.fields import FileModel, read_value
+from ehbench.fields import FileModel, Q, Value, read_value
 from ehbench.quantities import VOCABULARY
-from ehbench.recipe.base import DataFiles, Recipe
+from ehbench.recipe.base import DataFile, Recipe, data_file
 
 
 def _share(raw: Any) -> Any:
@@ -22,13 +23,20 @@ def _share(raw: Any) -> Any:
 _Share = Annotated[Annotated[float, Field(gt=0)] | None, BeforeValidator(_share)]
 
 
+def _unasked(raw: Any) -> Any:
+    if raw is True:
+        raise ValueError("a value with unit, or false to ask for none")
+    return None if raw is False else raw
+
+
 class Thresholds(FileModel):
     """What a model must reach on every held-out log to be accepted; a quantity not named is only
     reported.
 
     ``fit_percent`` is the least NRMSE fit by quantity (100 exact, 0 no better than the mean),
     ``max_error`` the largest error by quantity, with unit. ``natural_frequency_error`` and
-    ``damping_ratio_error`` are shares of the recorded value; ``false`` asks for none. ``whiteness``
+    ``damping_ratio_error`` are shares of the recorded value; ``false`` asks for none. The keys of
+    the ``response`` hold where a command sweeps. ``whiteness``
     and ``independence`` ask that at most ``outside_percent`` of the lags of the residual's
     autocorrelation, and of its correlation with earlier commands, lie outside of their 95 % bands.
     """
@@ -37,6 +45,26 @@ class Thresholds(FileModel):
     max_error: dict[str, Any] = {}
     natural_frequency_error: _Share = 0.15
     damping_ratio_error: _Share = None
+    response_gain_error: _Share = Field(
+        default=0.25,
+        description="where a command sweeps: rms difference of the gain over the coherent band, as "
+        "a share of the recorded one; `false` asks for none",
+    )
+    response_phase_error: Annotated[
+        Annotated[Value, Q("phase")] | None, BeforeValidator(_unasked)
+    ] = Field(
+        default=read_value("20 deg", VOCABULARY["phase"]),
+        description="likewise of the phase; `false` asks for none",
+    )
+    response_delay_error: Annotated[
+        Annotated[Value, Q("delay")] | None, BeforeValidator(_unasked)
+    ] = Field(
+        default=read_value("5 ms", VOCABULARY["delay"]),
+        description="likewise of the delay, the mean slope of the phase; `false` asks for none",
+    )
+    response_coherence: float = Field(
+        default=0.8, gt=0, lt=1, description="of the recording, from which a frequency counts"
+    )
     whiteness: bool = False
     independence: bool = False
     outside_percent: float = Field(default=15.0, gt=0, lt=100)
@@ -60,12 +88,45 @@ class Thresholds(FileModel):
             raise ValueError(str(error)) from None
 
 
+class JudgedFile(DataFile):
+    """A log to judge on; the model runs from ``start`` on, and what it does from ``score_start`` to
+    ``score_stop`` counts.
+    """
+
+    score_start: Annotated[Value, Q("start")] | None = Field(
+        default=None, description="from which time on the log counts; the model runs from `start`"
+    )
+    score_stop: Annotated[Value, Q("stop")] | None = Field(
+        default=None, description="up to which time it counts"
+    )
+
+    @property
+    def scored(self) -> tuple[float, float] | None:
+        """The part of the log that counts [s]; None for all of it."""
+        if self.score_start is None and self.score_stop is None:
+            return None
+        return (
+            -math.inf if self.score_start is None else float(self.score_start),
+            math.inf if self.score_stop is None else float(self.score_stop),
+        )
+
+
+JudgedFiles = Annotated[
+    tuple[Annotated[JudgedFile, BeforeValidator(data_file)], ...], Field(min_length=1)
+]
+
+
 class ValidateRecipe(Recipe):
     """An identified rig against logs it was not fitted to."""
 
     stage: Literal["validate"]
     rig: str
     flow_maps: str | None = None
-    data: DataFiles
+    data: JudgedFiles
     channels: tuple[str, ...] = ("q", "qd", "p_head", "p_rod")
+    structure: bool = Field(
+        default=True,
+        description="whether the residuals are asked what they follow, and the likeliest cures of "
+        "the model are named",
+    )
     thresholds: Thresholds = Thresholds()

@@ -132,6 +132,7 @@ _ID = re.compile(r'(?<=[\s"])id="([^"]+)"')
 _LINK = re.compile(r'((?:xlink:)?href)="#([^"]+)"')
 _URL = re.compile(r"url\(#([^)]+)\)")
 _WIDE = re.compile(r'<svg[^>]*?viewBox="([^"]*)"[^>]*>', re.S)
+_FOUR = re.compile(r"(?:-?[0-9.]+\s+){3}-?[0-9]+(?:\.[0-9]*)?")
 _STYLE = re.compile(r' style="([^"]*)"')
 
 
@@ -153,7 +154,7 @@ def inline(svg: str, prefix: str, title: str, looks: dict[str, str] | None = Non
             lambda found: f' class="{looks.setdefault(found[1], f"k{len(looks)}")}"', body
         )
     box = _WIDE.match(body)
-    shape = box[1] if box else "0 0 525 300"
+    shape = box[1] if box and _FOUR.fullmatch(box[1].strip()) else "0 0 525 300"
     width = float(shape.split()[2]) * 4 / 3  # points to CSS pixels
     head = (
         f'<svg viewBox="{shape}" style="max-width:{width:.0f}px" '

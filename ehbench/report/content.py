@@ -50,13 +50,18 @@ class SectionContent:
 class StageReport:
     """How runs of one kind are called in the glance, drawn and told.
 
-    ``standing`` says how far a run brings its rig: 0 as given, 1 identified, 2 judged.
+    ``standing`` says how far a run brings its rig: 0 as given, 1 identified, 2 judged. A terminal
+    shows the first part that ``shows`` names, of its table the ``columns`` (none: all); scripts
+    get ``numbers``: a JSON file of the run, and keys of it (none: all).
     """
 
     label: str
     section: Callable[[Saved, Pictures], SectionContent]
     draw: Callable[[Saved, FigureIndex], None]
     standing: int = 0
+    shows: tuple[str, ...] = ()
+    columns: tuple[str, ...] = ()
+    numbers: tuple[str, tuple[str, ...]] = ("", ())
 
 
 def look_of(status: str) -> str:

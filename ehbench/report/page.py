@@ -10,7 +10,9 @@ from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
-from ehbench.errors import InputError
+from ehbench import rundir
+from ehbench.disk import DATA, read_bytes
+from ehbench.errors import EhbenchError, InputError
 from ehbench.recipe import Campaign
 from ehbench.report.blocks import (
     Block,
@@ -32,6 +34,7 @@ from ehbench.report.rig_table import rig_table
 from ehbench.report.saved import Saved, Table
 from ehbench.report.stages import place_of, report_of
 from ehbench.report.stages.campaign import Titles, campaign_sections, heading
+from ehbench.report.svg import sound
 from ehbench.report.words import count, words
 
 
@@ -42,6 +45,28 @@ def build(folders: Sequence[Path], campaign: Campaign | None = None) -> str:
     Raises:
         InputError: a folder is no run, or a file lacks what its section needs; names file and key.
     """
+    try:
+        return _built(folders, campaign)
+    except EhbenchError:
+        raise
+    except Exception as error:
+        odd = next((folder for folder in folders if not _is_ours(folder)), None)
+        if odd is None:
+            raise
+        raise InputError(
+            f"is not as this version leaves a run: {type(error).__name__}",
+            file=odd,
+            hint="make the run again",
+        ) from error
+
+
+def _is_ours(folder: Path) -> bool:
+    """Whether a run is as this very code wrote it."""
+    facts = rundir.read_json(folder / "run.json")
+    return facts.get("code_sha256") == rundir.code_version() and rundir.is_whole(folder)
+
+
+def _built(folders: Sequence[Path], campaign: Campaign | None) -> str:
     runs = sorted((Saved(folder) for folder in folders), key=place_of)
     titles, looks = Titles(campaign), {}
     sections, glance = [], []
@@ -100,13 +125,15 @@ class RunPictures:
         ]
 
     def _inlined(self, place: int, entry: Table) -> Picture:
-        path = self._run.folder / "figures" / entry["file"]
+        path = self._run.folder / "figures" / Path(entry["file"]).name
         try:
-            svg = path.read_text(encoding="utf-8")
+            svg = sound(read_bytes(path, DATA).decode("utf-8"))
         except FileNotFoundError:
             raise InputError(
                 "no such file, but the run's figures/index.json names it", file=path
             ) from None
+        except ValueError as error:
+            raise InputError(f"is no figure: {error}", file=path) from None
         given = self._titles.of(self._run, entry["key"])
         title = entry["title"] if given is None else given
         drawn = inline(svg, f"{self._anchor}f{place}-", title, self._looks)

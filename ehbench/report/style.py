@@ -6,11 +6,14 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ehbench.report.svg import shrink
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 RECORDED, SIMULATED, ACCENT, MUTED = "#1f3f66", "#e08214", "#b3261e", "#6b7280"
 INK = "#1f2937"
@@ -70,11 +73,30 @@ def canvas(
         try:
             yield figure, axes
             path.parent.mkdir(parents=True, exist_ok=True)
+            _as_written(figure)
             text = StringIO()
             figure.savefig(text, format="svg", metadata={"Date": None, "Creator": "ehbench"})
             path.write_text(shrink(text.getvalue()), encoding="utf-8")
         finally:
             plt.close(figure)
+
+
+def _as_written(figure: Figure) -> None:
+    """Names stand in a figure as people wrote them, also with dollar signs; only the labels that
+    an axis makes by itself may be formulas.
+    """
+    from matplotlib.text import Text
+    from matplotlib.ticker import LogFormatter
+
+    formulas = set()
+    for axis in (axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)):
+        if isinstance(axis.get_major_formatter(), LogFormatter):
+            formulas |= {id(text) for text in axis.findobj(Text)} - {id(axis.label)}
+        else:
+            axis.get_major_ticks()
+    for text in figure.findobj(Text):
+        if id(text) not in formulas:
+            text.set_parse_math(False)
 
 
 def shades(count: int) -> list:

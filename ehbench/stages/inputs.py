@@ -60,11 +60,14 @@ class ValidatedRig(RigState):
 
 
 class Logs(NamedTuple):
-    """Name and record of each log, the inputs behind them, and what was lost."""
+    """Name and record of each log, the inputs behind them, what was lost, and the number of the
+    recipe's entry of each.
+    """
 
     records: list[tuple[str, Record]]
     inputs: NamedFiles
     losses: list[str]
+    entries: list[int]
 
 
 class Runs(Protocol):
@@ -204,14 +207,15 @@ class Inputs:
         from ehbench.logs import read_record
         from ehbench.preprocessing import distinct_names
 
-        items, places = [], []
-        for item in data:
+        items, places, entries = [], [], []
+        for index, item in enumerate(data):
             place = self.run_folder(self.existing(item.path))
             if place is None:
                 self.findings.say("open", f"the log of '{item.path}': it has not been run")
             else:
                 items.append(item)
                 places.append(place)
+                entries.append(index)
         records, inputs, losses = [], [], []
         for item, place, name in zip(items, places, distinct_names(places), strict=True):
             path = place / "log.mcap" if place.is_dir() else place
@@ -223,7 +227,7 @@ class Inputs:
             load = record.meta.get("payload") or "not said"
             self.findings.say("reads", f"{item.path} ({np.ptp(record.t):.4g} s, payload {load})")
         self.findings.say("losses", *(f"lost: {loss}" for loss in losses))
-        return Logs(records, tuple(inputs), losses)
+        return Logs(records, tuple(inputs), losses, entries)
 
 
 def _stage_of(path: Path) -> str:

@@ -26,7 +26,7 @@ from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs, Logs, RigState
 
 if TYPE_CHECKING:
-    from ehbench.identification.response import Signals
+    from ehbench.response import Signals
 
 
 class ResponseRecipe(Recipe):
@@ -74,7 +74,7 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
     writes = "response.json, response.csv, rig.toml, figures"
 
     def prepare(self, recipe: ResponseRecipe, inputs: Inputs) -> PreparedResponse:
-        from ehbench.identification.response import Averaging, prepare_signals
+        from ehbench.response import Averaging, prepare_signals
 
         state, logs = inputs.rig_state(recipe.rig), inputs.logs(recipe.data)
         choice = Averaging(window=recipe.window, coherence=recipe.coherence_min)
@@ -91,7 +91,7 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
         return PreparedResponse(recipe, (*state.inputs, *logs.inputs), does, state, logs, signals)
 
     def work(self, prepared: PreparedResponse, folder: Path, progress: Progress | None) -> Work:
-        from ehbench.identification.response import estimate
+        from ehbench.response import estimate
 
         recipe, losses = prepared.recipe, prepared.logs.losses
         assert prepared.signals is not None  # a run stops where a check has none

@@ -145,8 +145,8 @@ def _behind(
         if name:
             files.append((role, inputs.existing(name)))
             inputs.findings.say("reads", name)
-    gains, code = _gains(recipe, rig, inputs), trial.code_file(recipe)
-    if code is not None:
+    gains = _gains(recipe, rig, inputs)
+    for code in trial.code_files(recipe):
         files.append(("code", code))
         inputs.findings.say("reads", inputs.findings.shown(code))
     if isinstance(gains, Path):

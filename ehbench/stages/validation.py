@@ -4,15 +4,25 @@ rig judged.
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ehbench import rundir
 from ehbench.quantities import quantity
-from ehbench.recipe import HydraulicsRecipe, Recipe, ValidateRecipe, kind_of, load_recipe
+from ehbench.recipe import (
+    DataFile,
+    HydraulicsRecipe,
+    JudgedFile,
+    Recipe,
+    ValidateRecipe,
+    kind_of,
+    load_recipe,
+)
 from ehbench.stages.base import (
     DONE,
     INCOMPLETE,
@@ -32,6 +42,7 @@ from ehbench.units import from_si
 if TYPE_CHECKING:
     from ehbench.rig import Rig
     from ehbench.validation import PreparedValidation
+    from ehbench.validation.held_out import Rows
 
 
 @dataclass(frozen=True)
@@ -55,23 +66,24 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
     def prepare(self, recipe: ValidateRecipe, inputs: Inputs) -> PreparedJudgement:
         from ehbench.observations import payload_of
         from ehbench.validation import PreparedValidation, models_of, taken_log
+        from ehbench.validation.held_out import overlaps
 
         findings = inputs.findings
         state = inputs.rig_state(recipe.rig, recipe.flow_maps)
         logs = inputs.logs(recipe.data)
-        used = _fitted_on(state.inputs)
-        seen = [
-            name
-            for (name, _), (_, path) in zip(logs.records, logs.inputs, strict=True)
-            if rundir.sha256(path) in used
-        ]
+        used, fitted = _fitted_on(state.inputs)
         taken = []
         models = {}
         if logs.records:
             models = models_of(state.rig, logs.records, recipe.channels, state.flow_maps, recipe.at)
-        for name, record in logs.records:
+        for (name, record), (_, path), index in zip(*logs[:2], logs.entries, strict=True):
+            digest = rundir.sha256(path)
+            seen = partial(overlaps, fitted=fitted, digest=digest)
+            known = digest in used - {rows.digest for rows in fitted}
+            scored = recipe.data[index].scored
             with findings.noting():
-                log = taken_log(name, record, models[payload_of(record) or ""], name in seen)
+                model = models[payload_of(record) or ""]
+                log = taken_log(name, record, model, known, scored, seen)
                 taken.append(log)
                 findings.notes += [f"{name}: {text}" for text in log.warnings]
                 if log.failure is not None:
@@ -85,14 +97,19 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
             does,
             state,
             logs,
-            PreparedValidation(state.rig, recipe.channels, tuple(taken)),
+            PreparedValidation(state.rig, recipe.channels, tuple(taken), state.flow_maps),
         )
 
     def work(self, prepared: PreparedJudgement, folder: Path, progress: Progress | None) -> Work:
+        from ehbench.structure import ask
         from ehbench.validation import run_validation
 
         state, losses = prepared.state, prepared.logs.losses
         verdict = run_validation(prepared.taken, prepared.recipe.thresholds, progress)
+        if prepared.recipe.structure:
+            if progress is not None:
+                progress("asking the residuals what they follow", 0.5)
+            verdict = replace(verdict, structure=ask(prepared.taken.cases()))
         write_rig(folder, state.rig, state.flow_maps)
         rundir.write_json(folder / "validation.json", verdict.as_json())
         intervals = state.origin / "parameters.json"
@@ -106,7 +123,8 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
             "recorded_on": recorded_on(prepared.logs.records),
         }
         if not verdict.accepted:
-            return Work(facts, verdict.reasons, REJECTED)
+            cures = [f"{one.sentence}; {one.cure}" for one in verdict.structure.findings[:2]]
+            return Work(facts, [*verdict.reasons, *cures], REJECTED)
         return Work(facts, code=INCOMPLETE if losses else DONE)
 
 
@@ -121,6 +139,11 @@ def _asked(recipe: ValidateRecipe, rig: Rig) -> list[str]:
     for name in ("natural_frequency", "damping_ratio"):
         if share := getattr(asked, f"{name}_error"):
             words.append(f"{name.replace('_', ' ')} within {100.0 * share:g} %")
+    for name in ("gain", "phase", "delay"):
+        most = getattr(asked, f"response_{name}_error")
+        if most is not None:
+            shown = f"{100.0 * most:g} %" if name == "gain" else in_rig_unit(rig, name, float(most))
+            words.append(f"{name} of the response to a sweep within {shown}")
     return words + [word for word in ("whiteness", "independence") if getattr(asked, word)]
 
 
@@ -130,28 +153,59 @@ def in_rig_unit(rig: Rig, name: str, value: float) -> str:
     return f"{float(f'{from_si(value, unit, quantity(name)):.4g}'):g} {unit}"
 
 
-def _fitted_on(inputs: NamedFiles) -> set[str]:
-    """SHA-256 of the logs that the runs behind these inputs were fitted on."""
-    runs = [path for _, path in inputs if path.is_dir()]
-    return {
-        digest
-        for folder in runs
-        for digest in rundir.read_json(folder / "run.json").get("fitted_on", [])
-    }
+def _fitted_on(inputs: NamedFiles) -> tuple[set[str], list[Rows]]:
+    """(SHA-256 of the logs that the runs behind these inputs were fitted on, their samples as far
+    as the runs have them).
+    """
+    from ehbench.report.saved import read_series
+    from ehbench.validation.held_out import Rows
+
+    digests, found = set(), []
+    for folder in (path for _, path in inputs if path.is_dir()):
+        fitted_on = rundir.read_json(folder / "run.json").get("fitted_on", [])
+        digests.update(fitted_on)
+        if not fitted_on or not (folder / "parameters.json").is_file():
+            continue
+        names = rundir.read_json(folder / "parameters.json").get("recordings", [])
+        for name, digest in zip(names, fitted_on, strict=False):
+            path = folder / "series" / f"{name}.csv"
+            if path.is_file():
+                series = read_series(path)
+                found.append(Rows(name, series.t, series.recorded, digest))
+    return digests, found
 
 
 def _say_fitted(recipe: ValidateRecipe, inputs: Inputs) -> None:
     """Note the logs of this recipe that the recipes behind it fit its rig to."""
-    fitted = {rundir.sha256(log): by for by, log in _fit_logs(recipe)}
+    fits = [(by, entry, rundir.sha256(log)) for by, entry, log in _fit_logs(recipe)]
     for item in recipe.data:
         path = recipe.file(item.path)
-        if path.is_file() and (by := fitted.get(rundir.sha256(path))):
-            who = inputs.findings.shown(by)
+        if not path.is_file():
+            continue
+        digest = rundir.sha256(path)
+        by = [by for by, entry, used in fits if used == digest and _shared(item, entry)]
+        if by:
+            who = inputs.findings.shown(by[0])
             inputs.findings.say("notes", f"{item.path} does not count: {who} fits the rig to it")
 
 
-def _fit_logs(recipe: ValidateRecipe) -> Iterator[tuple[Path, Path]]:
-    """(recipe, log) of every log that the recipes behind this one fit its rig to."""
+def _shared(judged: JudgedFile, fitted: DataFile) -> bool:
+    """Whether two windows of one log have samples in common."""
+
+    def span(entry: DataFile) -> tuple[float, float]:
+        return (
+            -math.inf if entry.start is None else float(entry.start),
+            math.inf if entry.stop is None else float(entry.stop),
+        )
+
+    spans = [span(judged), span(fitted)]
+    if judged.scored is not None:
+        spans.append(judged.scored)
+    return max(low for low, _ in spans) < min(high for _, high in spans)
+
+
+def _fit_logs(recipe: ValidateRecipe) -> Iterator[tuple[Path, DataFile, Path]]:
+    """(recipe, its entry, log) of every log that the recipes behind this one fit its rig to."""
     behind: Recipe = recipe
     while (rig := getattr(behind, "rig", None)) is not None:
         path = behind.file(rig)
@@ -159,5 +213,7 @@ def _fit_logs(recipe: ValidateRecipe) -> Iterator[tuple[Path, Path]]:
             return
         behind = load_recipe(path)
         if isinstance(behind, HydraulicsRecipe):
-            logs = (behind.file(item.path) for item in behind.data)
-            yield from ((path, log) for log in logs if log.is_file() and log.suffix != ".toml")
+            logs = ((item, behind.file(item.path)) for item in behind.data)
+            yield from (
+                (path, item, log) for item, log in logs if log.is_file() and log.suffix != ".toml"
+            )

@@ -6,7 +6,6 @@ observes."""
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -34,6 +33,8 @@ from ehbench.recipe import TrialRecipe
 from ehbench.recipe.trial import Controller as ChosenController
 from ehbench.rig import Rig, read_value
 from ehbench.rundir import read_json
+from ehbench.text import shortened
+from ehbench.trial.imports import files_of, source_of
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps
@@ -152,7 +153,7 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> Design:
     measured = [
         (maps or {}).get(edge) or (maps or {}).get(edge.split(".", 1)[1]) for edge in layout.edges
     ]
-    edges = plant.edges.copy()
+    edges = plant.edges_at_chambers
     for valve in controller.unused:
         if valve not in layout.valves:
             raise InputError(
@@ -213,26 +214,30 @@ def code_file(recipe: TrialRecipe) -> Path | None:
         return None
     text, where = recipe.controller.code, recipe.at(*recipe.controller.where, "class")
     module, _, name = text.partition(":")
-    if not (module and name.isidentifier()):
+    words = module.split(".")
+    if not (name.isidentifier() and all(word.isidentifier() for word in words) and len(text) < 300):
         raise InputError(
-            f"class = '{text}' is no class of a module",
+            f"class = {shortened(text, 100)} is no class of a module",
             **where,
             hint='write it like "my_module:MyController"',
         )
     beside = recipe.path.parent / (module.replace(".", "/") + ".py")
     if beside.is_file():
         return beside.resolve()
-    try:
-        spec = importlib.util.find_spec(module)
-    except (ImportError, ValueError):
-        spec = None
-    if spec is None or not spec.origin or not Path(spec.origin).is_file():
+    found = source_of(module)
+    if found is None:
         raise InputError(
             f"no module '{module}'",
             **where,
             hint=f"looked for {beside.name} beside the recipe, and among the installed modules",
         )
-    return Path(spec.origin).resolve()
+    return found
+
+
+def code_files(recipe: TrialRecipe) -> tuple[Path, ...]:
+    """The code file of a recipe, then those that it imports and that are not installed."""
+    code = code_file(recipe)
+    return () if code is None else files_of(code)
 
 
 def compiled(

@@ -25,10 +25,11 @@ from ehbench.control.measured import Pressures
 from ehbench.control.trajectory import ORDERS, A, J, V, X, point_to_point, velocity_steps
 from ehbench.control.valve_level import top_speed
 from ehbench.errors import InputError
+from ehbench.memory import rows_of
 from ehbench.quantities import VOCABULARY, Quantity
 from ehbench.recipe import Motion, TrialRecipe
 from ehbench.rig import read_value
-from ehbench.trial.controllers import Design
+from ehbench.trial.controllers import Design, located
 
 REST = 0.5  # [s] before the first step of speed and after each
 SPEED_UP = 0.2  # [s] in which a move without stated limits reaches its speed
@@ -77,7 +78,8 @@ def references(recipe: TrialRecipe, design: Design, low_pressure: float) -> Refe
             raise InputError(error.message, **recipe.at(*motion.where), hint=error.hint) from None
     table = desired.table
     if recipe.duration is not None:
-        count = round(float(recipe.duration) * rate) + 1
+        with located(recipe, "duration"):
+            count = rows_of(float(recipe.duration), rate) + 1
         still = np.zeros((max(count - len(table), 0), ORDERS))
         still[:, X] = table[-1, X]
         table = np.ascontiguousarray(np.concatenate([table, still])[:count])
@@ -246,7 +248,7 @@ def _file(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: flo
         raise InputError(f"has {record.t.size} samples of a motion", file=path, hint="6 at least")
     t = record.t - record.t[0]
     tick = 1.0 / float(recipe.rate)
-    at = np.arange(round(t[-1] / tick) + 1) * tick
+    at = np.arange(rows_of(float(t[-1]), float(recipe.rate)) + 1) * tick
     table = np.zeros((at.size, ORDERS))
     inside = np.minimum(at, t[-1])
     curve = make_interp_spline(t, record[own[X]], k=5)

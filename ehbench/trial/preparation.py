@@ -15,6 +15,7 @@ from ehbench.errors import InputError
 from ehbench.machines.protocol import Machine, truth_of
 from ehbench.machines.registry import open_machine
 from ehbench.machines.rows import COMMAND, LIMITS, MARGIN, Rows, limit_array, violated
+from ehbench.memory import MOST_STEPS, refuse_beyond, rows_of
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import TrialRecipe
 from ehbench.rig import Rig
@@ -27,6 +28,9 @@ from ehbench.units import from_si
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps
+
+
+RUN_OUT = 3.0  # [s] that are logged at most after a stop, valves at rest
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,33 @@ class Stop:
     value: float
     bound: float
     t: float
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Excess:
+    """How far a quantity went beyond its limit after a stop: limit, channel, the value [SI]
+    farthest out and the bound [SI].
+    """
+
+    limit: str
+    channel: str
+    value: float
+    bound: float
+
+
+@dataclass(frozen=True)
+class Aftermath:
+    """What a trial did after a limit had stopped it.
+
+    ``ramp`` [s] in which the valves went to rest; ``seconds`` [s] from the stop to the end of the
+    log; ``still`` whether it then stood; ``beyond`` what went beyond a limit, by limit and channel;
+    ``sentence`` says so in the units of the rig file."""
+
+    ramp: float
+    seconds: float
+    still: bool
+    beyond: tuple[Excess, ...]
     sentence: str
 
 
@@ -82,6 +113,21 @@ class Prepared:
     def duration(self) -> float:
         """Length [s] where no limit stops it."""
         return float(self.t[-1])
+
+    def shut_at_once(self, stop: Stop, command: np.ndarray) -> np.ndarray:
+        """True for the valves that go to rest without a ramp when a limit stopped the trial under a
+        command [V]: those that only bring oil, behind which no load is caught, and those that
+        bring it to the chamber whose pressure is too high.
+        """
+        full = stop.channel if stop.limit == "pressure_max" else ""
+        shut = []
+        for (cylinder, valve), volts in zip(self.rig.valves(), command.tolist(), strict=True):
+            own = [(edge.sign * volts > 0.0, {edge.from_, edge.to}) for edge in valve.edge]
+            fed = set().union(*(ends for is_open, ends in own if is_open and "supply" in ends))
+            drains = any("tank" in ends for _, ends in own)
+            into = full.removeprefix(f"{cylinder.name}.p_")
+            shut.append(bool(fed) and not drains or into in fed)
+        return np.array(shut)
 
     @property
     def low_side(self) -> float | None:
@@ -153,6 +199,50 @@ class Prepared:
         )
         return Stop(LIMITS[which], channel, value, bound, t, sentence)
 
+    def aftermath(self, machine: Machine, rows: Rows, span: slice, still: bool) -> Aftermath:
+        """What the rows ``span`` after a stop say; ``still`` whether it stood at their end."""
+        ramp, beyond = float(self.recipe.limits.ramp), []
+        samples = rows.samples[span]
+        bounds: dict[str, float] = dict(zip(LIMITS, self.limits.tolist(), strict=True))
+        for column, channel in enumerate(machine.channels):
+            word = channel.rsplit(".", 1)[-1]
+            values = samples[:, column]
+            if word in ("p_head", "p_rod"):
+                ends = [("pressure_max", values.max()), ("pressure_min", values.min())]
+            elif word == "x":
+                ends = [("stroke_margin", values.min()), ("stroke_margin", values.max())]
+            elif word == "v":
+                ends = [("speed_max", values[np.argmax(np.abs(values))])]
+            else:
+                continue
+            for at, (limit, value) in enumerate(ends):
+                bound = bounds[limit]
+                if limit == "stroke_margin" and at:
+                    bound = float(rows.strokes[_cylinder_of(machine, channel)]) - bound
+                below = limit == "pressure_min" or (limit == "stroke_margin" and not at)
+                if value < bound if below else abs(value) > bound:
+                    beyond.append(Excess(limit, channel, float(value), bound))
+        seconds = (span.stop - span.start - 1) / machine.rate
+        sentence = self._after(ramp, seconds, still, beyond)
+        return Aftermath(ramp, seconds, still, tuple(beyond), sentence)
+
+    def _after(self, ramp: float, seconds: float, still: bool, beyond: list[Excess]) -> str:
+        shut = f"within {ramp:.3g} s" if ramp else "at once"
+        stood = "it stood still" if still else "it still moved"
+        said = f"the valves went to rest {shut}, {seconds:.3g} s later {stood}"
+        for one in beyond:
+            word = one.channel.rsplit(".", 1)[-1]
+            unit = self.rig.unit_of(word)
+            value, bound = (from_si(v, unit, VOCABULARY[word]) for v in (one.value, one.bound))
+            said += f"; {one.channel} went to {value:.4g} {unit}, beyond {one.limit} ({bound:.4g})"
+        return said
+
+
+def _cylinder_of(machine: Machine, channel: str) -> int:
+    """The number of the cylinder that a channel of the sample is of."""
+    names = [name for name in machine.channels if name.endswith(".x")]
+    return names.index(channel)
+
 
 def prepare(
     recipe: TrialRecipe,
@@ -188,13 +278,16 @@ def prepare(
         count = len(loop.references.table)
     else:
         assert recipe.duration is not None  # the recipe's model sees to it
-        count = round(float(recipe.duration) * rate) + 1
+        with controllers.located(recipe, "duration"):
+            count = rows_of(float(recipe.duration), rate) + 1
     if count < 2:
         raise InputError(
             "the trial is shorter than one sample",
             **recipe.at("duration"),
             hint="raise duration or rate",
         )
+    with controllers.located(recipe, "duration"):
+        _refuse_endless(recipe, rig, count)
     t = np.arange(count) / rate
     table = command_table(recipe, rig, t, () if loop is None else _taken(recipe, loop.design))
     machine = open_machine(recipe, rig, maps)
@@ -206,6 +299,29 @@ def prepare(
         with controllers.located(recipe, "posture"):
             machine.check_posture(posture)
     return prepared
+
+
+# [numbers] of a row beside those of each cylinder, valve and edge, in all copies of it
+_ROW, _EACH = 100, 30
+
+
+def _refuse_endless(recipe: TrialRecipe, rig: Rig, count: int) -> None:
+    """Refuse a trial that no memory holds, or that would compute for hours.
+
+    Raises:
+        InputError: says what it would take.
+    """
+    parts = len(rig.cylinder) + sum(1 for _ in rig.valves()) + sum(1 for _ in rig.edges())
+    waves = sum(entry.lines for entry in recipe.command if entry.kind == "multisine")
+    if recipe.limits != type(recipe.limits)():
+        count += round((float(recipe.limits.ramp) + RUN_OUT) * float(recipe.rate))
+    refuse_beyond(8.0 * count * (_ROW + _EACH * parts + 3 * waves), f"a trial of {count} samples")
+    steps = count * max(1.0, 1.0 / (float(recipe.rate) * float(recipe.step)))
+    if steps > MOST_STEPS:
+        raise InputError(
+            f"the trial would take {steps:.3g} steps of {float(recipe.step):g} s",
+            hint=f"up to {MOST_STEPS:g} are taken: make it shorter, or the step larger",
+        )
 
 
 def _loop(

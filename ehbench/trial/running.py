@@ -11,14 +11,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ehbench.codes import LIMITS as LIMIT_BITS
-from ehbench.errors import SimulationError
+from ehbench.errors import InputError, SimulationError
+from ehbench.logs import check_record
 from ehbench.machines.protocol import Machine, truth_of
 from ehbench.recipe import TrialRecipe
 from ehbench.record import Record
 from ehbench.rig import Rig
 from ehbench.trial.controllers import Compiled
 from ehbench.trial.measures import step_measures, tracking_measures
-from ehbench.trial.preparation import Loop, Prepared, Stop, prepare
+from ehbench.trial.preparation import Aftermath, Loop, Prepared, Stop, prepare
 from ehbench.trial.session import LiveLog, Session
 from ehbench.trial.user_code import UserCode
 
@@ -33,9 +34,9 @@ Progress = Callable[[str, float], None]  # (what, share done from 0 to 1)
 class Facts:
     """What is to be said of a trial beside its record.
 
-    ``stopped`` is empty, or the sentence that says which limit stopped it; ``stop`` has the same as
-    numbers. ``measures`` says how well a controlled cylinder did and with which gains
-    (docs/trials.md), SI; empty without a controller. Its energies are the ledger's: see
+    ``stopped`` is empty, or says which limit stopped it and what came of it; ``stop`` and ``after``
+    have the same as numbers. ``measures`` says how well a controlled cylinder did and with which
+    gains (docs/trials.md), SI; empty without a controller. Its energies are the ledger's: see
     `ehbench.trial.accounts`."""
 
     on: str
@@ -47,6 +48,7 @@ class Facts:
     samples: int
     rate: float
     stop: Stop | None = None
+    after: Aftermath | None = None
     warnings: tuple[str, ...] = ()
     controller: str = ""
     cylinder: str = ""
@@ -54,8 +56,9 @@ class Facts:
 
     @property
     def stopped(self) -> str:
-        """Why the trial stopped, or ''."""
-        return "" if self.stop is None else self.stop.sentence
+        """Why the trial stopped and what came of it, or ''."""
+        told = [each.sentence for each in (self.stop, self.after) if each is not None]
+        return "; ".join(told)
 
     def with_energy(self, energy: Mapping[str, Any]) -> Facts:
         """The same with the energies of the controlled cylinder among its measures."""
@@ -91,7 +94,8 @@ def run_trial(
 
     On the model the record has all that `Model.record` gives; on the virtual bench only what a
     machine measures, and the commands; under a controller also its notes. When a limit is reached
-    the valves go to rest in that very tick, and RUN_OUT seconds more are logged.
+    the valves go to rest from that very tick on, in the recipe's ramp, and what follows is logged
+    until the machine stands, for RUN_OUT seconds at most.
 
     Args:
         rig: as the recipe names it.
@@ -181,7 +185,15 @@ def _record(session: Session, meta: dict[str, str]) -> Record:
     if session.stop is not None:
         meta = meta | {"stopped": session.stop.sentence}
     whole = slice(0, session.end)
-    return Record(session.rows.t[whole], session.channels(whole), meta)
+    record = Record(session.rows.t[whole], session.channels(whole), meta)
+    try:
+        check_record(record)
+    except InputError as error:
+        raise SimulationError(
+            f"the trial ran away: {error.message}",
+            hint="take a smaller step, or set [limits]",
+        ) from None
+    return record
 
 
 def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
@@ -207,6 +219,7 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
         record.t.size,
         rate,
         stop,
+        session.after,
         tuple(warnings),
         record.meta.get("controller", ""),
         record.meta.get("cylinder", ""),

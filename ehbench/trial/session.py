@@ -5,26 +5,31 @@ A machine that can advance many rows in one compiled call does (`advance_of`), t
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ehbench.codes import HOLD
-from ehbench.errors import SimulationError
+from ehbench.errors import InputError, SimulationError
 from ehbench.machines.protocol import Machine, advance_of, truth_of
-from ehbench.machines.rows import NO_LIMITS, LawRows, control, violated
+from ehbench.machines.rows import NO_LIMITS, LawRows, Rows, control, violated
 from ehbench.record import Record
 from ehbench.trial.controllers import Compiled
-from ehbench.trial.preparation import Prepared, Stop
+from ehbench.trial.preparation import RUN_OUT, Aftermath, Prepared, Stop
 from ehbench.trial.user_code import UserCode
 
 if TYPE_CHECKING:
     from ehbench.logs import LogWriter
 
-RUN_OUT = 0.3  # [s] logged after a stop, valves at rest
+LOOK = 0.1  # [s] a machine that was so long below STILL stands
+STILL = 5e-3  # [m/s]
+PATIENCE = 20.0  # [s] of wall time after which a class's pace is judged
+LONGEST_TRIAL = 36e3  # [s] of wall time that a class may make of a trial
 CHUNK = 1000  # ticks between two reports of progress
 WAIT = 0.2  # [s] of wall time after which rows go to the log, however few
 SYNC = 0.7  # [s] of wall time between two syncs of the log: with WAIT, less than a second is lost
@@ -59,15 +64,18 @@ class Session:
         often = self._step is not None
         self._advance = None if self._bind is None else self._bind(self.rows, self._packed, often)
         self.stop: Stop | None = None
+        self.after: Aftermath | None = None
         self.end = prepared.t.size
+        self._halted, self._next_look = 0, sys.maxsize
+        self._stretch = max(1, round(LOOK * machine.rate))
 
     def run(
         self,
         log: LiveLog | None = None,
         progress: Callable[[str, float], None] | None = None,
     ) -> None:
-        """Run to the end, or to RUN_OUT after a limit; ``stop`` then says which, ``end`` how many
-        rows there are.
+        """Run to the end, or after a limit until the machine stands, for RUN_OUT at most; ``stop``
+        then says which limit, ``after`` what came of it, ``end`` how many rows there are.
 
         Args:
             log: takes the rows as they come.
@@ -77,11 +85,16 @@ class Session:
             SimulationError: the numbers left the finite range.
             InputError: a user's class raised, or gave no commands.
         """
+        with self.law.watched() if isinstance(self.law, UserCode) else nullcontext():
+            self._run(log, progress)
+
+    def _run(self, log: LiveLog | None, progress: Callable[[str, float], None] | None) -> None:
         first, rate = 0, self.machine.rate
         if isinstance(self.law, UserCode):
             self.law.start(self.rows.sample)
+        begun = time.monotonic()
         while first < self.end:
-            stopped_at, upto = self._through(first, min(first + CHUNK, self.end))
+            stopped_at, upto = self._through(first, min(first + CHUNK, self._next_look, self.end))
             if not np.isfinite(self.rows.sample).all():
                 raise SimulationError(
                     f"the trial left finite numbers before t = {upto / rate:.4g} s",
@@ -92,8 +105,29 @@ class Session:
             if log is not None:
                 log.add(self.rows.t[first:upto], self.channels(slice(first, upto)))
             first = upto
+            if first == self._next_look:
+                self._look(first)
+            said = self._pace(first, time.monotonic() - begun)
             if progress is not None:
-                progress("", first / self.end)
+                progress(said, first / self.end)
+
+    def _pace(self, done: int, seconds: float) -> str:
+        """Words on a class that is slow to answer; refuses one that would take for ever.
+
+        Raises:
+            InputError: the trial would take longer than LONGEST_TRIAL.
+        """
+        if not isinstance(self.law, UserCode) or seconds < PATIENCE or done >= self.end:
+            return ""
+        left = (self.end - done) * seconds / done
+        said = f"{self.law.label} takes {seconds / done:.3g} s a tick, {left / 3600:.2g} h to go"
+        if left > LONGEST_TRIAL:
+            raise InputError(
+                said,
+                file=self.law.code.file,
+                hint="make its step faster, or the trial shorter",
+            )
+        return said if left > 60.0 else ""
 
     def _through(self, first: int, stop: int) -> tuple[int, int]:
         """Run rows from ``first`` on: the row at a limit, or −1, and the row up to which there are
@@ -127,19 +161,37 @@ class Session:
         return False
 
     def _halt(self, row: int) -> None:
-        """A limit was reached: valves to rest from this row on, the limits off, the controller
-        silent.
+        """A limit was reached: valves to rest from this row on, by the recipe's ramp, the limits
+        off, the controller silent.
         """
-        rows = self.rows
-        self.stop = self.prepared.reached(self.machine, rows, row)
+        self.stop = self.prepared.reached(self.machine, self.rows, row)
+        rate, rest = self.machine.rate, self.machine.commands.rest
+        ramp = round(float(self.prepared.recipe.limits.ramp) * rate)
+        self.end = row + 1 + ramp + round(RUN_OUT * rate)
+        self.rows = rows = _with_room(self.rows, self.end, rate)
         rows.limits[:] = NO_LIMITS
-        self.end = min(self.end, row + 1 + round(RUN_OUT * self.machine.rate))
-        rows.commands[row:] = self.machine.commands.rest
+        before = rows.commands[row - 1].copy() if row else rest
+        share = np.minimum(np.arange(1.0, self.end - row + 1) / (ramp + 1), 1.0)[:, None]
+        shut = np.where(self.prepared.shut_at_once(self.stop, before), 1.0, share)
+        rows.commands[row:] = (1.0 - shut) * before + shut * rest
+        self._halted, self._next_look = row, min(row + 1 + ramp + self._stretch, self.end)
         if self.law is not None:
             _let_go(self.law, row, self.end)
         self._packed = self._step = None
         if self._bind is not None:
             self._advance = self._bind(rows, None, False)
+
+    def _look(self, row: int) -> None:
+        """Whether the machine stood all the time since the look before: then the trial ends."""
+        stretch = self.rows.samples[row - self._stretch : row]
+        speeds = [i for i, name in enumerate(self.machine.channels) if name.endswith(".v")]
+        still = bool((np.abs(stretch[:, speeds]) < STILL).all())
+        if still:
+            self.end = row
+        self._next_look = min(row + self._stretch, self.end)
+        if row == self.end:
+            span = slice(self._halted, self.end)
+            self.after = self.prepared.aftermath(self.machine, self.rows, span, still)
 
     def channels(self, part: slice) -> dict[str, np.ndarray]:
         """Rows of the trial by channel, SI: what the machine measured, or all that a simulation
@@ -202,6 +254,17 @@ class LiveLog:
         self.writer.close()
 
 
+def _with_room(rows: Rows, count: int, rate: float) -> Rows:
+    """Rows with room for ``count`` of them; what they hold stays."""
+    more = max(count - rows.t.size, 0)
+
+    def longer(table: np.ndarray) -> np.ndarray:
+        return np.concatenate([table[:count], np.zeros((more, *table.shape[1:]))])
+
+    tables = {name: longer(getattr(rows, name)) for name in ("commands", "samples", "truth")}
+    return rows._replace(t=np.arange(count) / rate, **tables)
+
+
 def _packed(law: Compiled | UserCode) -> LawRows | None:
     """A built-in controller as compiled code takes it; None for a class that steps in Python."""
     if isinstance(law, UserCode):
@@ -213,7 +276,8 @@ def _let_go(law: Compiled | UserCode, row: int, end: int) -> None:
     """Telemetry after a stop: the last estimates and the desired stroke stay, nothing is asked for
     any more.
     """
-    law.telemetry[row:end] = law.telemetry[row]
+    kept = law.telemetry[min(row, len(law.telemetry) - 1)]
+    law.telemetry = np.concatenate([law.telemetry[:row], np.tile(kept, (end - row, 1))])
     for column, name in enumerate(law.channels):
         word = name.rsplit(".", 1)[-1]
         if word in DEMANDS or word.startswith("flow"):

@@ -5,11 +5,14 @@ wrong; the protocol is in docs/trials.md.
 from __future__ import annotations
 
 import math
+import re
 import sys
 import traceback
 import types
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from fnmatch import fnmatchcase
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +20,15 @@ import numpy as np
 
 from ehbench.control.trajectory import Reference
 from ehbench.errors import InputError
-from ehbench.quantities import VOCABULARY, quantity
+from ehbench.quantities import VOCABULARY, Quantity, quantity
 from ehbench.recipe import TrialRecipe
 from ehbench.text import shortened
 from ehbench.trial.controllers import Design, code_file, controller_of, quantities
+from ehbench.trial.guard import LONGEST, Exit, Guard, Overdue, is_users
+
+NOTE = "note."  # what the channel of a note begins with: no machine measures such a one
+_NOTE_NAME = re.compile(r"(?:\w[\w-]{0,99}\.){0,9}\w{1,99}")
+_MOST_NAMES = 1000
 
 
 class UserCode:
@@ -57,9 +65,16 @@ class UserCode:
         _refuse_foreign(recipe)
         gains = {name: _gain(recipe, name, raw) for name, raw in chosen.own_gains.items()}
         self.used = {"gains": {name: float(v) for name, v in gains.items() if _is_number(v)}}
-        self.object = self.code.make(gains)
-        self.mask = self._observed(getattr(self.object, "channels", None))
-        self.channels = self._columns(tuple(getattr(self.object, "notes", ())))
+        with self.code.guard.watched():
+            self.object = self.code.make(gains)
+            self.mask = self._observed(self.code.names_of(self.object, "channels"))
+            notes = self.code.names_of(self.object, "notes") or ()
+        self.noted = [self._note_row(name, notes) for name in notes]
+        own = f"{design.cylinder}."
+        self.channels = (
+            *(f"{own}{name}_desired" for name in Reference._fields),
+            *(NOTE + name for name in notes),
+        )
         self.references = references
         self.telemetry = np.zeros((len(references), len(self.channels)))
         valves = design.model.plant.valves
@@ -75,11 +90,16 @@ class UserCode:
         """Name of the class."""
         return self.code.label
 
+    def watched(self) -> AbstractContextManager[None]:
+        """Within the block a step that does not come back is ended."""
+        return self.code.guard.watched()
+
     def start(self, sample: np.ndarray) -> None:
         """Hand the class its rig, the time between samples and the first sample."""
         self.code.call(
             ".start", self.object.start, self.design, 1.0 / self.rate, self._seen(sample)
         )
+        self.code.guard.longest = LONGEST
 
     def step(self, row: int, t: float, sample: np.ndarray, command: np.ndarray) -> None:
         """One tick: write what the class asks for into ``command``, where it asks, and its notes
@@ -97,28 +117,12 @@ class UserCode:
         note = self.telemetry[row]
         note[: len(reference)] = reference
         if note.size > len(reference):
-            self._note(note[len(reference) :])
+            self._note(note[len(reference) :], t)
 
     def _take(self, answer: Any, t: float, command: np.ndarray) -> None:
         """Write an answer of the class, a dict by valve or a row of volts, into ``command``."""
         try:
-            if isinstance(answer, Mapping):
-                for name, value in answer.items():
-                    command[self._commanded[name]] = value
-            elif np.shape(answer) == command.shape:
-                # numpy would spread one number, or None, over all valves
-                command[:] = answer
-            else:
-                raise TypeError
-        except KeyError as error:
-            name = error.args[0]
-            which = "which is no valve"
-            if name in self.design.valves:
-                which = "which the recipe leaves unused"
-            raise self.code.error(
-                f".step names '{name}', {which}",
-                hint="valves are " + ", ".join(self._commanded),
-            ) from None
+            unknown = self.code.guard(self._write, answer, command)
         except (TypeError, ValueError):
             hint = f"a dict of volts by valve, or {len(self.design.valves)} numbers: " + ", ".join(
                 self.design.valves
@@ -127,6 +131,32 @@ class UserCode:
                 f".step gave {shortened(answer, 80)} at t = {t:.4g} s, which is no set of commands",
                 hint=hint,
             ) from None
+        except BaseException as error:
+            if is_users(error):
+                raise
+            raise self.code.raised("'s answer", error, t) from error
+        for name in unknown:
+            which = "which is no valve"
+            if name in self.design.valves:
+                which = "which the recipe leaves unused"
+            raise self.code.error(
+                f".step names {shortened(name, 60)}, {which}",
+                hint="valves are " + ", ".join(self._commanded),
+            )
+
+    def _write(self, answer: Any, command: np.ndarray) -> tuple[Any, ...]:
+        """The first name in an answer that is none of a valve it may command, if there is one."""
+        if isinstance(answer, Mapping):
+            for name, value in answer.items():
+                if name not in self._commanded:
+                    return (name,)
+                command[self._commanded[name]] = value
+        elif np.shape(answer) == command.shape:
+            # numpy would spread one number, or None, over all valves
+            command[:] = answer
+        else:
+            raise TypeError
+        return ()
 
     def _bring_in_range(self, answer: Any, t: float, command: np.ndarray) -> None:
         if not np.isfinite(command).all():
@@ -137,20 +167,31 @@ class UserCode:
         self.beyond += 1
         np.clip(command, self.low, self.high, out=command)
 
-    def _note(self, row: np.ndarray) -> None:
+    def _note(self, row: np.ndarray, t: float) -> None:
         try:
-            row[:] = self.object.note
+            row[:] = self.code.guard(lambda: np.asarray(self.object.note, float).reshape(row.shape))
         except (AttributeError, TypeError, ValueError):
             raise self.code.error(
                 f".note does not hold {row.size} numbers", hint="one for each name in `notes`"
             ) from None
+        except BaseException as error:
+            if is_users(error):
+                raise
+            raise self.code.raised(".note", error, t) from error
+        for (name, quantity_row), value in zip(self.noted, row.tolist(), strict=True):
+            if not quantity_row.lower <= value <= quantity_row.upper or math.isinf(value):
+                lower, upper = quantity_row.lower, quantity_row.upper
+                raise self.code.error(
+                    f".note has {name} = {value:g} at t = {t:.4g} s, which no log holds",
+                    hint=f"a note is a finite number [{quantity_row.unit}], {lower:g} to {upper:g}",
+                )
 
     def _seen(self, sample: np.ndarray) -> dict[str, float]:
         return dict(zip(self.names, np.where(self.mask, sample, math.nan).tolist(), strict=True))
 
-    def _observed(self, patterns: Any) -> np.ndarray:
+    def _observed(self, patterns: tuple[str, ...] | None) -> np.ndarray:
         """True for the channels of the sample that the class is given."""
-        if isinstance(patterns, str) or not isinstance(patterns, Sequence) or not patterns:
+        if not patterns:
             hint = (
                 'like channels = ["boom.p_head", "p_supply"]; boom.* are all of a cylinder; there '
                 "are " + ", ".join(self.names)
@@ -166,50 +207,65 @@ class UserCode:
             [any(fnmatchcase(name, pattern) for pattern in patterns) for name in self.names]
         )
 
-    def _columns(self, notes: tuple[str, ...]) -> tuple[str, ...]:
-        """Channels of the telemetry: the reference's, then the notes of the class."""
-        for name in notes:
-            try:
-                quantity(name)
-            except KeyError as error:
-                raise self.code.error(
-                    f"notes '{name}': {error.args[0]}",
-                    hint="a note has a name of the vocabulary, like boom.load_force",
-                ) from None
-        own = f"{self.design.cylinder}."
-        return (*(f"{own}{name}_desired" for name in Reference._fields), *notes)
+    def _note_row(self, name: str, notes: Sequence[str]) -> tuple[str, Quantity]:
+        """A note's name with its row of the vocabulary."""
+        hint = "a note has a name of the vocabulary, like boom.load_force"
+        if not _NOTE_NAME.fullmatch(name):
+            raise self.code.error(f"notes {shortened(name, 60)}: no name of a channel", hint=hint)
+        if notes.count(name) > 1:
+            raise self.code.error(f"notes '{name}' twice", hint="each note has a name of its own")
+        try:
+            return name, quantity(name)
+        except KeyError as error:
+            raise self.code.error(f"notes '{name}': {error.args[0]}", hint=hint) from None
 
 
 class _Code:
     """The file and class of the user, and errors that point into it."""
 
     def __init__(self, file: Path, label: str) -> None:
-        self.file, self.label = file, label
+        self.file, self.label, self.guard = file, label, Guard()
 
     def make(self, gains: Mapping[str, Any]) -> Any:
         """An object of the class, with the methods of the protocol."""
         controller = self.call("()", self._load(), **gains)
         for method in ("start", "step"):
-            if not callable(getattr(controller, method, None)):
+            if not callable(self.call(f".{method}", getattr, controller, method, None)):
                 raise self.error(
                     f"has no method '{method}'",
                     hint="docs/trials.md has the protocol of a controller",
                 )
         return controller
 
+    def names_of(self, controller: Any, attribute: str) -> tuple[str, ...] | None:
+        """The texts that an attribute lists; None where there is none, or one text alone."""
+
+        def listed() -> tuple[Any, ...] | None:
+            given = getattr(controller, attribute, None)
+            if isinstance(given, str) or not isinstance(given, Sequence):
+                return None
+            return tuple(islice(given, _MOST_NAMES))
+
+        names = self.call(f".{attribute}", listed)
+        for name in names or ():
+            if type(name) is not str:
+                raise self.error(
+                    f".{attribute} holds {shortened(name, 60)}", hint="it is a list of texts"
+                )
+        return names
+
     def _load(self) -> Callable[..., Any]:
         module = types.ModuleType(f"ehbench_user_{self.file.stem}")
         module.__file__ = str(self.file)
         sys.modules[module.__name__] = module  # where dataclasses and pickles look for it
         try:
-            source = self.file.read_bytes()
-            exec(compile(source, str(self.file), "exec"), module.__dict__)  # noqa: S102
-        except SyntaxError as error:
-            raise InputError(
-                f"not Python: {error.msg}", file=self.file, line=error.lineno
-            ) from None
-        except (Exception, SystemExit) as error:
-            raise self.raised("", error) from error
+            code = self.guard(compile, self.file.read_bytes(), str(self.file), "exec")
+        except OSError as error:
+            raise InputError(f"cannot be read: {error.strerror}", file=self.file) from None
+        except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+            reason, line = getattr(error, "msg", str(error)), getattr(error, "lineno", None)
+            raise InputError(f"not Python: {reason}", file=self.file, line=line) from None
+        self.call("", exec, code, module.__dict__)
         controller = getattr(module, self.label, None)
         if not isinstance(controller, type):
             there = [
@@ -233,8 +289,10 @@ class _Code:
         **named: Any,
     ) -> Any:
         try:
-            return function(*given, **named)
-        except (Exception, SystemExit) as error:
+            return self.guard(function, *given, **named)
+        except BaseException as error:
+            if is_users(error):
+                raise
             raise self.raised(what, error, t) from error
 
     def raised(self, what: str, error: BaseException, t: float | None = None) -> InputError:
@@ -243,8 +301,13 @@ class _Code:
         ]
         line, text = (frames[-1].lineno, f": {frames[-1].line}") if frames else (None, "")
         at = "" if t is None else f" at t = {t:.4g} s"
+        did = f"raised {type(error).__name__}{at}: {_said(error)}"
+        if isinstance(error, Exit):
+            did = f"asked the system to end the process{at}"
+        elif isinstance(error, Overdue):
+            did = f"did not come back within {self.guard.longest:g} s{at}"
         return InputError(
-            f"{self.label}{what} raised {type(error).__name__}{at}: {error}",
+            f"{self.label}{what} {did}",
             file=self.file,
             line=line,
             hint=f"in the line{text}" if text else None,
@@ -254,6 +317,14 @@ class _Code:
         return InputError(
             f"{self.label}{'' if message[0] == '.' else ' '}{message}", file=self.file, hint=hint
         )
+
+
+def _said(error: BaseException) -> str:
+    """What an error says, where it can."""
+    try:
+        return str(error)[:300]
+    except Exception:
+        return "without words"
 
 
 def _refuse_foreign(recipe: TrialRecipe) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -37,12 +37,15 @@ from ehbench.parts.cylinder import chamber_oil, joint_of, linkage_of
 from ehbench.parts.edge import edge_command, edge_flow
 from ehbench.parts.friction import friction_settle, friction_slope, friction_steady
 from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
+from ehbench.parts.line import drop_for, line_conductance
 from ehbench.parts.load import force_on
+from ehbench.parts.mount import mount_settle
 from ehbench.parts.oil import bulk_of
 from ehbench.parts.valve import valve_rates, valve_settle
 from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
 from ehbench.plant.build import Maps, map_of
 from ehbench.plant.derivatives import derivatives
+from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
 
 # what a path adds to the oil of (head, rod); its drop changes with their pressures by the negative
@@ -51,6 +54,9 @@ INTO = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (-1, 1), (1, -1)], dtype=floa
 DIFFERENCE = (
     1.0e-5  # relative step of central differences: their error and the rounding are both near 1e-10
 )
+# steps of differences over states by what their names contain, of others 1e-4 V
+STEPS = {".rate": 1e-2, ".p_line_": 30.0, ".mount_deflection": 1e-8}
+OWN = ("p_line_head", "p_line_rod", "mount_deflection")  # a cylinder's further states
 SPEED_HALVINGS = 12  # to find the full speed to 0.02 %
 AT_ZERO = 1.0e-7  # share of the fastest pole below which a pole is one at zero
 DELAY_ORDER = 2  # of the Padé form of the delay; its phase is exact to 1e-4 rad up to ω·delay = 0.8
@@ -185,7 +191,7 @@ def circuit_of(model: Model, cylinder: int, maps: Maps | None = None) -> Circuit
         cylinder,
         row.area_head,
         row.area_rod,
-        plant.edges,
+        plant.edges_at_chambers,
         plant.maps,
         ranges,
         measured,
@@ -223,6 +229,9 @@ class _Settled:
     note: str = ""
 
 
+_Ports = Callable[[float], tuple[Pressures, np.ndarray]]
+
+
 @dataclass(frozen=True)
 class _Motion:
     """A working function at a posture, ``here.x[index]``, at any speed v [m/s]."""
@@ -249,13 +258,21 @@ class _Motion:
         """Whether one command serves both ends."""
         return coupled(self.circuit, self.function)
 
-    def flows(self, v: float, p_head: float, p_rod: float) -> np.ndarray:
-        """Flow along each path [m³/s] that keeps both chambers steady (thesis 2.4, 2.5)."""
+    def ports(self, v: float, p_head: float, p_rod: float) -> tuple[Pressures, np.ndarray]:
+        """What the edges stand between at chamber pressures [Pa], and the flow along each path
+        [m³/s] that keeps both chambers steady (thesis 2.4, 2.5); a line's drop lies between.
+        """
         row, p_tank = self.row, self.lines[1]
         across = row.leakage_internal * (p_head - p_rod)
         q_head = row.area_head * v + across + row.leakage_head * (p_head - p_tank)
         q_rod = row.area_rod * v + across - row.leakage_rod * (p_rod - p_tank)
-        return PATH_FLOWS[self.function] @ (q_head, q_rod)
+        at, into = [p_head, p_rod], (q_head, -q_rod)
+        for (cylinder, end), line in zip(
+            self.model.layout.lines, self.model.plant.lines, strict=True
+        ):
+            if cylinder == self.circuit.cylinder:
+                at[SIDES.index(end)] += drop_for(into[SIDES.index(end)], line)
+        return Pressures(at[0], at[1], *self.lines), PATH_FLOWS[self.function] @ (q_head, q_rod)
 
     def chambers(self, force: float, off: float) -> tuple[float, float]:
         """(p_head, p_rod) [Pa] that carry the force with the off-side at ``off``."""
@@ -277,7 +294,7 @@ class _Motion:
 
     def settle(self, v: float) -> _Settled:
         """What carries the motion at speed v."""
-        here, i, row, (p_supply, p_tank) = self.here, self.index, self.row, self.lines
+        here, i, row, p_tank = self.here, self.index, self.row, self.lines[1]
         bend = here.curvature[i] * v * v / here.lever[i] ** 2
         force = here.gravity_force[i] + here.damping[i] * v - here.mass[i] * bend
         force += self.resistance(v)
@@ -288,10 +305,7 @@ class _Motion:
         off = p_tank + self.aim.low_pressure
         if v != 0.0 and self.together:
             off = _common_opening(
-                self.circuit,
-                self.function,
-                lambda p: (*self.chambers(force, p), p_supply, p_tank),
-                lambda *p: self.flows(v, *p),
+                self.circuit, self.function, lambda p: self.ports(v, *self.chambers(force, p))
             )
         pressures = self.chambers(force, off)
         if min(pressures) >= p_tank:
@@ -307,6 +321,12 @@ class _Motion:
         )
         return _Settled(force, *self.chambers(force, off), note)
 
+    def give(self, v: float, settled: _Settled) -> float:
+        """How far the mount has given way [m]."""
+        if self.row.mount_state < 0:
+            return 0.0
+        return (settled.force - friction_steady(self.row, v)) / self.row.mount_stiffness
+
     def misfit(self, way: float, settled: _Settled) -> str:
         """Why the working function does not fit this motion, or ''."""
         if OVERRUNNING[self.function] != (-way * settled.force > 0.0) and not settled.note:
@@ -316,8 +336,7 @@ class _Motion:
     def paths(self, v: float, settled: _Settled) -> tuple[Path, ...]:
         """The paths at work at speed v."""
         circuit, function, names = self.circuit, self.function, self.model.layout.edges
-        pressures = Pressures(settled.p_head, settled.p_rod, *self.lines)
-        need = self.flows(v, settled.p_head, settled.p_rod)
+        pressures, need = self.ports(v, settled.p_head, settled.p_rod)
         paths = [
             _path(circuit, function, p, need[p], path_drop(p, pressures), names)
             for p in map(int, np.flatnonzero(PATH_FLOWS[function].any(axis=1)))
@@ -394,7 +413,7 @@ def operating_point(
     settled = motion.settle(v)
     paths = motion.paths(v, settled)
     troubles, note = motion.troubles(settled, paths), motion.misfit(way, settled)
-    q = model.posture(aim.held)
+    q, x = model.posture(aim.held), here.x[index] + motion.give(v, settled)
     q[row.joint] = here.q[index]
     return OperatingPoint(
         cylinder=model.layout.cylinders[circuit.cylinder],
@@ -414,8 +433,8 @@ def operating_point(
         p_rod=float(settled.p_rod),
         p_supply=float(motion.lines[0]),
         p_tank=float(motion.lines[1]),
-        volume_head=float(chamber_oil(row, 0, here.x[index])),
-        volume_rod=float(chamber_oil(row, 1, here.x[index])),
+        volume_head=float(chamber_oil(row, 0, x)),
+        volume_rod=float(chamber_oil(row, 1, x)),
         paths=paths,
         possible=not troubles,
         fits=not troubles and not note,
@@ -494,8 +513,10 @@ def _path(
     )
 
 
-def _common_opening(circuit: Circuit, function: int, pressures, flows) -> float:
-    """Off-side pressure [Pa] at which one opening passes both ends' flows."""
+def _common_opening(circuit: Circuit, function: int, ports: _Ports) -> float:
+    """Off-side pressure [Pa] at which one opening passes both ends' flows; ``ports`` gives what an
+    off-side pressure makes of pressures and flows.
+    """
     from scipy.optimize import brentq
 
     lead = int(METERING[function])
@@ -503,12 +524,11 @@ def _common_opening(circuit: Circuit, function: int, pressures, flows) -> float:
     follow = next(path for path in at_work if path != lead)
 
     def excess(off: float) -> float:
-        at = Pressures(*pressures(off))
-        need = flows(at.head, at.rod)
+        at, need = ports(off)
         command = _command(circuit, lead, need[lead], max(path_drop(lead, at), 1.0))
         return _flow(circuit, follow, path_drop(follow, at), command) - need[follow]
 
-    low, high = pressures(0.0)[3], pressures(0.0)[2]
+    low, high = ports(0.0)[0].tank, ports(0.0)[0].supply
     ends = excess(low + 1.0), excess(high - 1.0)
     if ends[0] * ends[1] > 0:
         return low if abs(ends[0]) < abs(ends[1]) else high
@@ -521,9 +541,9 @@ class LinearModel:
     """``ẋ = A x + B u + E f`` about an operating point: u [V] the commands of the valves at work, f
     [N] a force on the rod.
 
-    ``states`` name x: ``v, p_head, p_rod``, then the states of each valve with dynamics, then those
-    of the Padé forms of delays; all SI. ``valves`` number u. Poles beyond ``fastest`` [rad/s] are
-    those of the Padé forms."""
+    ``states`` name x: ``v, p_head, p_rod``, the pressure of each line, the deflection of a mount,
+    the states of each valve with dynamics, then those of the Padé forms of delays; all SI.
+    ``valves`` number u. Poles beyond ``fastest`` [rad/s] are those of the Padé forms."""
 
     states: tuple[str, ...]
     valves: tuple[int, ...]
@@ -563,15 +583,51 @@ def valve_block(model: Model, valve: int) -> ValveBlock:
     return ValveBlock(states, table[:, :size], table[:, size], c)
 
 
+class _Hose(NamedTuple):
+    """A line about an operating point: the ``side`` of its end, where its pressure stands in the
+    plant's ``state``, its ``row``, its ``drop`` [Pa] towards the chamber.
+    """
+
+    side: int
+    state: int
+    row: Any
+    drop: float
+
+    @property
+    def slope(self) -> float:
+        """Of its flow over its drop [m³/(s·Pa)]."""
+        dp = DIFFERENCE * max(abs(self.drop), 1e4)
+        ahead, behind = self.drop + dp, self.drop - dp
+        gained = ahead * line_conductance(ahead, self.row)
+        return (gained - behind * line_conductance(behind, self.row)) / (2 * dp)
+
+
+def _hoses(model: Model, point: OperatingPoint) -> list[_Hose]:
+    """The lines of the point's cylinder."""
+    index = model.layout.cylinders.index(point.cylinder)
+    into = sum((path.flow * INTO[path.path] for path in point.paths), np.zeros(2))
+    hoses = []
+    for (cylinder, end), row in zip(model.layout.lines, model.plant.lines, strict=True):
+        if cylinder == index:
+            side, state = SIDES.index(end), model.layout.state(f"p_line_{end}", index)
+            hoses.append(_Hose(side, state, row, drop_for(float(into[side]), row)))
+    return hoses
+
+
+def _own(model: Model, point: OperatingPoint) -> list[int]:
+    """Where the plant has the states of the cylinder's lines and mount."""
+    row = model.plant.cylinders[model.layout.cylinders.index(point.cylinder)]
+    mount = [int(row.mount_state)] if row.mount_state >= 0 else []
+    return [hose.state for hose in _hoses(model, point)] + mount
+
+
 def _states(
     model: Model, point: OperatingPoint
 ) -> tuple[tuple[int, ...], dict[int, ValveBlock], tuple[str, ...]]:
     valves = tuple(dict.fromkeys(p.valve for p in point.paths))
     moving = {i: valve_block(model, i) for i in valves if model.plant.valves[i].count}
-    names = ["v", "p_head", "p_rod"]
-    for block in moving.values():
-        names += [model.layout.state_names[k] for k in block.states]
-    return valves, moving, tuple(names)
+    own = [*_own(model, point), *(k for block in moving.values() for k in block.states)]
+    return valves, moving, ("v", "p_head", "p_rod", *(model.layout.state_names[k] for k in own))
 
 
 def development_model(model: Model, point: OperatingPoint) -> LinearModel:
@@ -585,34 +641,62 @@ def development_model(model: Model, point: OperatingPoint) -> LinearModel:
     valves, moving, names = _states(model, point)
     size = len(names)
     a, b, e = np.zeros((size, size)), np.zeros((size, len(valves))), np.zeros(size)
-    areas = np.array([row.area_head, row.area_rod])
+    areas, hoses = np.array([row.area_head, row.area_rod]), _hoses(model, point)
     a[0, :3] = (
         point.bend - (point.damping + point.friction) / point.mass,
         areas[0] / point.mass,
         -areas[1] / point.mass,
     )
     e[0] = 1.0 / point.mass
-    stiff = np.array([bulk_of(row, point.p_head), bulk_of(row, point.p_rod)])
-    stiff /= (point.volume_head, point.volume_rod)
-    inflow = np.zeros((2, size))
-    inflow[:, 0] = -areas[0], areas[1]
+    pressures = (point.p_head, point.p_rod)
+    stiff = [bulk_of(row, p) for p in pressures]
+    stiff += [bulk_of(hose.row, pressures[hose.side] + hose.drop) for hose in hoses]
+    stiff = np.array(stiff)
+    stiff /= (point.volume_head, point.volume_rod, *(hose.row.volume for hose in hoses))
+    inflow = np.zeros((2 + len(hoses), size))
+    inflow[:2, 0] = -areas[0], areas[1]
     inflow[0, 1:3] = -row.leakage_internal - row.leakage_head, row.leakage_internal
     inflow[1, 1:3] = row.leakage_internal, -row.leakage_internal - row.leakage_rod
-    into_u = np.zeros((2, len(valves)))
-    at = dict(zip(moving, _starts(moving), strict=True))
+    if row.mount_state >= 0:
+        _give_way(row, point, names, a, inflow)
+    into_u, port = np.zeros((2 + len(hoses), len(valves))), [0, 1]
+    for own, hose in enumerate(hoses, 2):
+        port[hose.side] = own
+        for node, sign in ((own, -1.0), (hose.side, 1.0)):
+            inflow[node, 1 + own] += sign * hose.slope
+            inflow[node, 1 + hose.side] -= sign * hose.slope
+    at = dict(zip(moving, _starts(moving, names), strict=True))
     for path in point.paths:
         side = INTO[path.path]
-        inflow[:, 1:3] -= path.slope * np.outer(side, side)
+        inflow[np.ix_(port, [1 + node for node in port])] -= path.slope * np.outer(side, side)
         if path.valve in moving:
             first, c = at[path.valve], moving[path.valve].c
-            inflow[:, first : first + c.size] += path.gain * np.outer(side, c)
+            inflow[port, first : first + c.size] += path.gain * np.outer(side, c)
         else:
-            into_u[:, valves.index(path.valve)] += path.gain * side
-    a[1:3], b[1:3] = stiff[:, None] * inflow, stiff[:, None] * into_u
+            into_u[port, valves.index(path.valve)] += path.gain * side
+    nodes = slice(1, 1 + len(stiff))
+    a[nodes], b[nodes] = stiff[:, None] * inflow, stiff[:, None] * into_u
     for i, block in moving.items():
         rows = slice(at[i], at[i] + block.b.size)
         a[rows, rows], b[rows, valves.index(i)] = block.a, block.b
     return _delayed(LinearModel(names, valves, a, b, e), model)
+
+
+def _give_way(
+    row: Any, point: OperatingPoint, names: Sequence[str], a: np.ndarray, inflow: np.ndarray
+) -> None:
+    """Write the row of a mount's deflection, and what the piston's speed u in its barrel changes of
+    the others: ``(c + f) u = c v + A1 P1 − A2 P2 − k δ``, f the slope of the friction.
+    """
+    at, slope = _first_valve(names) - 1, float(friction_slope(row, point.v))
+    slip = np.zeros(len(names))
+    slip[:3] = row.mount_damping, row.area_head, -row.area_rod
+    slip[at] = -row.mount_stiffness
+    slip /= row.mount_damping + slope
+    slip[0] -= 1.0
+    a[0] -= slope / point.mass * slip
+    a[at] = slip
+    inflow[:2] += np.outer((-row.area_head, row.area_rod), slip)
 
 
 def _delayed(linear: LinearModel, model: Model) -> LinearModel:
@@ -637,9 +721,15 @@ def _delayed(linear: LinearModel, model: Model) -> LinearModel:
     return LinearModel(tuple(names), linear.valves, a, b, e, 2.5 / float(late.max()))
 
 
-def _starts(moving: Mapping[int, ValveBlock]) -> list[int]:
+def _starts(moving: Mapping[int, ValveBlock], names: Sequence[str]) -> list[int]:
     """Where the states of each moving valve begin in a linear model."""
-    return list(itertools.accumulate([3, *(block.b.size for block in moving.values())]))[:-1]
+    sizes = (block.b.size for block in moving.values())
+    return list(itertools.accumulate([_first_valve(names), *sizes]))[:-1]
+
+
+def _first_valve(names: Sequence[str]) -> int:
+    """How many states of a linear model stand before those of the valves."""
+    return names.index("p_rod") + 1 + sum(name.rsplit(".", 1)[-1] in OWN for name in names)
 
 
 def _are_rates(names: Sequence[str]) -> np.ndarray:
@@ -650,9 +740,10 @@ def _are_rates(names: Sequence[str]) -> np.ndarray:
 def faster(linear: LinearModel, factor: float) -> LinearModel:
     """The model with valves ``factor`` times as fast at the same damping ratio."""
     a, b, rates = linear.a.copy(), linear.b.copy(), _are_rates(linear.states)
-    quick = np.where(rates, factor**2, factor)[3:, None]
-    a[3:], b[3:] = a[3:] * quick, b[3:] * quick
-    a[3:, rates] /= factor
+    own = slice(_first_valve(linear.states), None)
+    quick = np.where(rates, factor**2, factor)[own, None]
+    a[own], b[own] = a[own] * quick, b[own] * quick
+    a[own, rates] /= factor
     return LinearModel(linear.states, linear.valves, a, b, linear.e, linear.fastest * factor)
 
 
@@ -670,6 +761,9 @@ def state_of(model: Model, point: OperatingPoint) -> tuple[np.ndarray, np.ndarra
         command[path.valve] = path.command
         valve_settle(model.plant.valves[path.valve], path.command, model.plant, y)
     friction_settle(model.plant.cylinders[index], point.v, y)
+    for hose in _hoses(model, point):
+        y[hose.state] = (point.p_head, point.p_rod)[hose.side] + hose.drop
+    mount_settle(model.plant.cylinders[index], point.v, y, model.plant)
     return y, command
 
 
@@ -738,12 +832,13 @@ def plant_model(
     stroke ``x`` as first state: what the development model leaves out."""
     valves, moving, names = _states(model, point)
     names = (("x",) if position else ()) + names
-    picks = [k for block in moving.values() for k in block.states]
+    picks = [*_own(model, point), *(k for block in moving.values() for k in block.states)]
+    kinds = [model.layout.state_names[k] for k in picks]
     about = _Offsets(model, point, others == "held", *state_of(model, point))
     steps = np.concatenate(
         [
             [1e-5, 1e-5 * max(1.0, abs(point.v) / 0.01), 30.0, 30.0],
-            np.where(_are_rates(model.layout.state_names)[picks], 1e-2, 1e-4),
+            [next((h for word, h in STEPS.items() if word in k), 1e-4) for k in kinds],
             [1e-4] * len(valves),
         ]
     )
@@ -854,9 +949,8 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
     a += put @ (orders + off)
     e = np.zeros(total)
     e[:size] = linear.e
-    scale = np.ones(total)
-    scale[1:3], scale[size:] = 1.0e6, 1.0e6
-    scale[:size][_are_rates(linear.states)] = 100.0
+    scale = np.full(total, 1.0e6)
+    scale[:size] = _sizes(linear.states)
     ratio = scale / scale[:, None]
     fastest = min(2.5 / law.delay if held else math.inf, linear.fastest)
     return Loop(
@@ -868,6 +962,15 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
         put @ off * ratio,
         fastest,
     )
+
+
+def _sizes(names: Sequence[str]) -> np.ndarray:
+    """Usual sizes of the states: m/s, MPa, mm, V, 100 V/s."""
+    sizes = np.ones(len(names))
+    sizes[1 : _first_valve(names)] = 1.0e6
+    sizes[_are_rates(names)] = 100.0
+    sizes[[name.endswith(".mount_deflection") for name in names]] = 1.0e-3
+    return sizes
 
 
 def _seen(a: np.ndarray, size: int, delay: float) -> np.ndarray:

@@ -8,16 +8,15 @@ is, the recording says within what its first samples leave open
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ehbench import signals
 from ehbench.errors import EhbenchError, InputError, LogError
-from ehbench.observations import TOGETHER, alternatives, column, least_change, payload_of
+from ehbench.observations import alternatives, column, least_change, payload_of
 from ehbench.plant.build import Maps
 from ehbench.plant.model import Model, Start
 from ehbench.preprocessing import numbered, preprocess
@@ -25,24 +24,29 @@ from ehbench.recipe import Thresholds
 from ehbench.record import Record
 from ehbench.rig import Rig, Valve
 from ehbench.starts import estimated_start
-from ehbench.validation.checks import checks_of
+from ehbench.structure import Case
+from ehbench.validation.checks import checks_of, unasked
 from ehbench.validation.residuals import Pair, compare, pair_of
 from ehbench.validation.results import (
     ChannelResult,
     Check,
     Correlation,
     LogResult,
+    Overlap,
     Ring,
     Transient,
     Validation,
     read_validation,
 )
+from ehbench.validation.sweeps import sweeps_of
+from ehbench.validation.transients import transients_of, unjudged
 
 __all__ = [
     "ChannelResult",
     "Check",
     "Correlation",
     "LogResult",
+    "Overlap",
     "PreparedValidation",
     "Ring",
     "TakenLog",
@@ -98,12 +102,15 @@ def validate_rig(
 class TakenLog:
     """A log as the judge takes it: evenly sampled, with the doubts about it.
 
-    ``fitted`` says that the model was fitted to it, ``failure`` why it cannot be judged."""
+    ``fitted`` says that the model was fitted to it, ``overlap`` to which of its samples,
+    ``scored`` which part [s] counts (None: all), ``failure`` why it cannot be judged."""
 
     name: str
     record: Record
     model: Model
     fitted: bool = False
+    scored: tuple[float, float] | None = None
+    overlap: tuple[Overlap, ...] = ()
     warnings: tuple[str, ...] = ()
     failure: LogError | None = None
 
@@ -115,6 +122,22 @@ class PreparedValidation:
     rig: Rig
     channels: tuple[str, ...]
     logs: tuple[TakenLog, ...]
+    flow_maps: Maps | None = None
+
+    def cases(self) -> list[Case]:
+        """The logs as `ehbench.structure.ask` takes them."""
+        return [
+            Case(
+                log.name,
+                log.record,
+                log.model,
+                _moved(log.model, log.record)[0],
+                self.flow_maps,
+                log.scored,
+            )
+            for log in self.logs
+            if log.failure is None
+        ]
 
 
 def prepare_validation(
@@ -133,7 +156,7 @@ def prepare_validation(
         taken_log(name, record, models[payload_of(record) or ""], fitted)
         for name, fitted, record in zip(names, seen, records, strict=True)
     )
-    return PreparedValidation(rig, tuple(channels), taken)
+    return PreparedValidation(rig, tuple(channels), taken, flow_maps)
 
 
 def run_validation(
@@ -168,17 +191,46 @@ def run_validation(
     )
 
 
-def taken_log(name: str, record: Record, model: Model, fitted: bool) -> TakenLog:
+def taken_log(
+    name: str,
+    record: Record,
+    model: Model,
+    fitted: bool = False,
+    scored: tuple[float, float] | None = None,
+    seen: Callable[[Record], tuple[Overlap, ...]] = lambda record: (),
+) -> TakenLog:
     """A log as the judge takes it.
 
+    Args:
+        name: of the log.
+        record: of the log.
+        model: with the log's payload.
+        fitted: whether the model was fitted to it, whatever its samples.
+        scored: the part [s] that counts, None for all of it.
+        seen: where a record has samples that the model was fitted to.
+
     Raises:
-        InputError: one that `preprocessing.preprocess` refuses.
+        InputError: one that `preprocessing.preprocess` refuses, or no samples in ``scored``.
     """
     try:
         record, warnings = preprocess(name, record, model)
     except LogError as error:
-        return TakenLog(name, record, model, fitted, failure=error)
-    return TakenLog(name, record, model, fitted, warnings)
+        return TakenLog(name, record, model, fitted, scored, failure=error)
+    counted = record if scored is None else _within(record, scored)
+    if counted.t.size < 3:
+        raise InputError(
+            f"{name}: no samples from score_start to score_stop",
+            hint=f"it runs from {record.t[0]:g} to {record.t[-1]:g} s",
+        )
+    overlap = seen(counted)
+    return TakenLog(name, record, model, fitted or bool(overlap), scored, overlap, warnings)
+
+
+def _within(record: Record, span: tuple[float, float]) -> Record:
+    """The part of a record from and to these times [s]."""
+    keep = (record.t >= span[0]) & (record.t <= span[1])
+    channels = {name: values[keep] for name, values in record.channels.items()}
+    return replace(record, t=record.t[keep], channels=channels)
 
 
 def models_of(
@@ -212,7 +264,9 @@ def models_of(
 def _plain(asked: Thresholds) -> dict[str, Any]:
     """The thresholds as plain values, in SI."""
     return asked.model_dump() | {
-        "max_error": {name: float(value) for name, value in asked.max_error.items()}
+        "max_error": {name: float(value) for name, value in asked.max_error.items()},
+        "response_phase_error": asked.response_phase_error and float(asked.response_phase_error),
+        "response_delay_error": asked.response_delay_error and float(asked.response_delay_error),
     }
 
 
@@ -252,25 +306,20 @@ def _verdict(results: Sequence[LogResult]) -> tuple[list[str], list[str]]:
 
 def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogResult:
     record, model = log.record, log.model
-    moved, held = _moved(model, record)
+    counted = record if log.scored is None else _within(record, log.scored)
+    moved, held = _moved(model, counted)
     facts = LogResult(
         name=log.name,
         payload=payload_of(record) or "none",
         status="fitted" if log.fitted else "held_out" if moved else "still",
-        duration=float(np.ptp(record.t)) if record.t.size else 0.0,
+        duration=float(np.ptp(counted.t)) if counted.t.size else 0.0,
         sample_time=record.sample_time,
+        scored=None if log.scored is None else (float(counted.t[0]), float(counted.t[-1])),
+        overlap=log.overlap,
         moved=moved,
         held=held,
     )
-    warnings = list(log.warnings)
-    if log.fitted:
-        warnings.append(
-            "THE MODEL WAS FITTED TO THIS LOG: it is shown, and the verdict rests on the others"
-        )
-    if not moved:
-        warnings.append(
-            "the log carries no motion: no valve was commanded, so nothing is judged on it"
-        )
+    warnings = [*log.warnings, *_doubts(log, moved)]
     try:
         if log.failure is not None:
             raise LogError(str(log.failure).removeprefix(f"{log.name}: "))
@@ -283,31 +332,62 @@ def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogRe
             warnings=tuple(warnings),
             series=_recorded(record, moved, channels),
         )
-    pairs: dict[str, Pair] = {}
-    results = []
-    for wanted in (f"{cylinder}.{word}" for cylinder in moved for word in channels):
-        open_ = [name for name in alternatives(wanted) if name not in pairs]
-        both = ((name, pair_of(record, simulated, name)) for name in open_)
-        name, pair = next(((name, pair) for name, pair in both if pair), (wanted, None))
-        if pair is None:
-            warnings.append(f"the log has nothing to judge '{wanted}' by")
-            continue
-        pairs[name] = pair
-        results.append(compare(record, model, name, pair))
-        if results[-1].note:
-            warnings.append(f"{name}: {results[-1].note}")
-    windows = [w for cylinder in moved for w in _transients(record, model, cylinder, pairs)]
-    checks = checks_of(results, windows, asked, model.rig)
+    whole, lacking = _pairs(record, simulated, moved, channels)
+    warnings += [f"the log has nothing to judge '{channel}' by" for channel in lacking]
+    keep = (record.t >= counted.t[0]) & (record.t <= counted.t[-1])
+    pairs = {name: pair.part(keep) for name, pair in whole.items()}
+    results = [compare(counted, model, name, pair) for name, pair in pairs.items()]
+    warnings += [f"{one.channel}: {one.note}" for one in results if one.note]
+    windows = [w for cylinder in moved for w in transients_of(counted, model, cylinder, pairs)]
+    sweeps = [
+        sweep
+        for cylinder in moved
+        for sweep in sweeps_of(counted, model, cylinder, pairs, asked.response_coherence)
+    ]
+    checks = checks_of(results, windows, sweeps, asked, model.rig)
     if moved and not checks:
         warnings.append("no threshold applies to what the log shows, so nothing is judged on it")
     return replace(
         facts,
         channels=tuple(results),
         transients=tuple(windows),
+        sweeps=tuple(sweeps),
         checks=tuple(checks),
-        warnings=(*warnings, *_unclear(moved, windows)),
-        series=_series(record, pairs),
+        warnings=(*warnings, *unjudged(moved, windows), *unasked(results, asked, model.rig)),
+        series=_series(record, whole),
     )
+
+
+def _doubts(log: TakenLog, moved: Sequence[str]) -> list[str]:
+    """Why a log does not count, if it does not."""
+    told = []
+    if log.fitted:
+        when = ", ".join(f"{one.start:g} … {one.stop:g} s (of {one.log})" for one in log.overlap)
+        told.append(
+            "THE MODEL WAS FITTED TO THIS LOG"
+            + (f", to its samples at {when}" if when else "")
+            + ": it is shown, and the verdict rests on the others"
+        )
+    if not moved:
+        told.append("the log carries no motion: no valve was commanded, so nothing is judged on it")
+    return told
+
+
+def _pairs(
+    record: Record, simulated: Record, moved: Sequence[str], channels: Sequence[str]
+) -> tuple[dict[str, Pair], list[str]]:
+    """(recorded and simulated by channel, the channels that neither the log nor a stand-in has)."""
+    pairs: dict[str, Pair] = {}
+    lacking = []
+    for wanted in (f"{cylinder}.{word}" for cylinder in moved for word in channels):
+        open_ = [name for name in alternatives(wanted) if name not in pairs]
+        both = ((name, pair_of(record, simulated, name)) for name in open_)
+        name, pair = next(((name, pair) for name, pair in both if pair), (wanted, None))
+        if pair is None:
+            lacking.append(wanted)
+        else:
+            pairs[name] = pair
+    return pairs, lacking
 
 
 def _start(model: Model, record: Record, moved: Sequence[str], channels: Sequence[str]) -> Start:
@@ -325,20 +405,6 @@ def _series(record: Record, pairs: Mapping[str, Pair]) -> dict[str, np.ndarray]:
     for name, pair in pairs.items():
         series |= {name: pair.recorded, f"simulated.{name}": pair.simulated}
     return series
-
-
-def _unclear(moved: Sequence[str], windows: Sequence[Transient]) -> Iterator[str]:
-    """A warning of each cylinder whose ringing cannot be judged."""
-    for cylinder in moved:
-        mine = [w for w in windows if w.cylinder == cylinder]
-        if not any(w.recorded.clear for w in mine):
-            why = (
-                f": {mine[0].recorded.reason or 'too few cycles'}" if mine else ": no command steps"
-            )
-            yield (
-                f"{cylinder} does not ring clearly in the recording{why}; natural frequency and "
-                "decay are not judged"
-            )
 
 
 def _moved(model: Model, record: Record) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -366,50 +432,3 @@ def _recorded(
     wanted = (f"{cylinder}.{word}" for cylinder in moved for word in channels)
     names = [name for channel in wanted for name in alternatives(channel)]
     return {"t": record.t} | {name: record[name] for name in names if name in record}
-
-
-def _transients(
-    record: Record, model: Model, cylinder: str, pairs: Mapping[str, Pair]
-) -> list[Transient]:
-    """The ringing after each change of the cylinder's own commands, until any command changes
-    again.
-    """
-    least = {f"{c.name}.{v.name}.command": least_change(v) for c, v in model.rig.valves()}
-    names = [f"{valve}.command" for valve in model.layout.valves if f"{valve}.command" in record]
-    given = np.column_stack([_held(record[name], least[name]) for name in names])
-    own = given[:, [name.startswith(f"{cylinder}.") for name in names]]
-    seen = [
-        pair
-        for channel, pair in pairs.items()
-        if channel.startswith(f"{cylinder}.") and _rings(channel)
-    ]
-    found = []
-    for window in signals.transients(record.t, given):
-        before = max(0, window.start - 1 - round(TOGETHER / record.sample_time))
-        if not seen or not np.any(own[window.start] != own[before : window.start]):
-            continue
-        t = record.t[window]
-        measured = np.column_stack([pair.recorded[window] for pair in seen])
-        modelled = np.column_stack([pair.simulated[window] for pair in seen])
-        recorded = signals.ringing(t, measured)
-        simulated = signals.ringing_like(t, modelled, recorded)
-        stop = recorded.stop if recorded.ok else float(t[-1])
-        found.append(Transient(cylinder, float(t[0]), stop, Ring.of(recorded), Ring.of(simulated)))
-    return found
-
-
-def _held(command: np.ndarray, span: float) -> np.ndarray:
-    """A command that keeps its value until it has changed by more than ``span`` [V], so that noise
-    makes no steps.
-    """
-    last, held = command[0], np.empty_like(command)
-    for i, value in enumerate(command.tolist()):
-        if abs(value - last) > span:
-            last = value
-        held[i] = last
-    return held
-
-
-def _rings(channel: str) -> bool:
-    """Whether oscillation shows in a channel; a position integrates it away."""
-    return channel.rsplit(".", 1)[1] in ("qd", "v", "p_head", "p_rod")

@@ -13,6 +13,7 @@ from ehbench.observations import rings_clearly
 from ehbench.quantities import quantity
 from ehbench.rundir import read_json
 from ehbench.signals import Ringing
+from ehbench.structure import Finding, Follows, Structure
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,9 @@ class ChannelResult:
 
     ``fit_percent`` is the NRMSE fit, None where the recording shows no motion; ``max_error`` the
     error largest in size, with its sign; ``derived`` says that the log has no such channel and both
-    sides were taken from the position's rate. ``note`` says in words why something is missing."""
+    sides were taken from the position's rate. ``noise_share`` is the recording's white noise over
+    its standard deviation: no model's fit is better than 100 (1 − it). ``note`` says in words why
+    something is missing."""
 
     channel: str
     unit: str
@@ -45,6 +48,7 @@ class ChannelResult:
     bias: float
     rms_error: float
     derived: bool = False
+    noise_share: float = 0.0
     autocorrelation: Correlation | None = None
     cross_correlation: tuple[Correlation, ...] = ()
     note: str = ""
@@ -89,7 +93,7 @@ class Ring:
 @dataclass(frozen=True)
 class Transient:
     """The ringing of a cylinder after a command change, recorded and simulated over the same window
-    [s].
+    [s]; ``note`` says why an oscillation that was found is not judged.
     """
 
     cylinder: str
@@ -97,6 +101,51 @@ class Transient:
     stop: float
     recorded: Ring
     simulated: Ring
+    note: str = ""
+
+    @property
+    def judged(self) -> bool:
+        """Whether the model is judged by this window."""
+        return self.recorded.clear and not self.note
+
+
+@dataclass(frozen=True)
+class SweepCurve:
+    """A frequency response at ``frequency`` [Hz]: ``gain`` in SI of output over input, ``phase``
+    [deg], ``coherence``, and where it is ``coherent`` enough to count.
+    """
+
+    frequency: tuple[float | None, ...]
+    gain: tuple[float | None, ...]
+    phase: tuple[float | None, ...]
+    coherence: tuple[float | None, ...]
+    coherent: tuple[bool, ...]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The frequency response of a channel to a command that sweeps, recorded and simulated.
+
+    ``band`` [Hz] holds the ``frequencies`` that count; ``averages`` is how many independent
+    segments there are. Pairs are (recorded, simulated): mean ``coherence`` in the band, and
+    ``delay`` [s], the mean slope of the phase there. ``gain_ratio`` is the median of simulated over
+    recorded gain; ``gain_error`` (a share) and ``phase_error`` [rad] are root mean squares over the
+    band, ``delay_error`` [s] the difference, all beyond what the errors of the recording's response
+    make. None: the model does not answer."""
+
+    input: str
+    channel: str
+    band: tuple[float, float]
+    frequencies: int
+    averages: float
+    coherence: tuple[float, float | None]
+    delay: tuple[float, float | None]
+    recorded: SweepCurve
+    simulated: SweepCurve | None = None
+    gain_ratio: float | None = None
+    gain_error: float | None = None
+    phase_error: float | None = None
+    delay_error: float | None = None
 
 
 @dataclass(frozen=True)
@@ -114,23 +163,39 @@ class Check:
 
 
 @dataclass(frozen=True)
+class Overlap:
+    """Samples of a log, from ``start`` to ``stop`` [s], that are those of ``log``, which the model
+    was fitted to.
+    """
+
+    log: str
+    start: float
+    stop: float
+    samples: int
+
+
+@dataclass(frozen=True)
 class LogResult:
     """One log. ``status``: ``held_out`` (it counts), ``fitted`` (the model was fitted to it),
     ``still``, or ``failed``.
 
-    ``moved`` cylinders had a valve commanded and are judged, ``held`` ones are not. ``failure``
-    says why a log could not be simulated. ``series`` are the recorded and, as
-    ``simulated.<channel>``, the simulated channels; it is not in the JSON."""
+    ``scored`` is the part [s] that is judged, None for all of it; ``overlap`` where the model was
+    fitted to its very samples. ``moved`` cylinders had a valve commanded and are judged, ``held``
+    ones are not. ``failure`` says why a log could not be simulated. ``series`` are the recorded
+    and, as ``simulated.<channel>``, the simulated channels; it is not in the JSON."""
 
     name: str
     payload: str
     status: str
     duration: float
     sample_time: float
+    scored: tuple[float, float] | None = None
+    overlap: tuple[Overlap, ...] = ()
     moved: tuple[str, ...] = ()
     held: tuple[str, ...] = ()
     channels: tuple[ChannelResult, ...] = ()
     transients: tuple[Transient, ...] = ()
+    sweeps: tuple[Sweep, ...] = ()
     checks: tuple[Check, ...] = ()
     failure: str = ""
     warnings: tuple[str, ...] = ()
@@ -145,7 +210,7 @@ class LogResult:
 @dataclass(frozen=True)
 class Validation:
     """The verdict on a rig: ``accepted`` if some held-out log was judged and all of them passed;
-    else ``reasons`` say why not.
+    else ``reasons`` say why not. ``structure`` is what the residuals say of the model.
     """
 
     rig: str
@@ -154,6 +219,7 @@ class Validation:
     warnings: tuple[str, ...]
     thresholds: dict[str, Any]
     logs: tuple[LogResult, ...]
+    structure: Structure = Structure()
 
     @property
     def verdict(self) -> str:
@@ -201,46 +267,52 @@ def read_validation(path: Path) -> Validation:
     """
     path = path / "validation.json" if path.is_dir() else path
     table = read_json(path)
-
-    def many(kind: type, rows: list[dict[str, Any]]) -> tuple[Any, ...]:
-        return tuple(made(kind, row) for row in rows)
-
-    def made(kind: type, row: dict[str, Any]) -> Any:
-        known = {f.name for f in fields(kind)}
-        return kind(
-            **{
-                key: tuple(value) if isinstance(value, list) else value
-                for key, value in row.items()
-                if key in known
-            }
-        )
-
-    def channel(row: dict[str, Any]) -> ChannelResult:
-        auto = row["autocorrelation"] and made(Correlation, row["autocorrelation"])
-        return made(
-            ChannelResult,
-            row
-            | {
-                "autocorrelation": auto,
-                "cross_correlation": many(Correlation, row["cross_correlation"]),
-            },
-        )
-
-    def transient(row: dict[str, Any]) -> Transient:
-        return made(
-            Transient, row | {side: made(Ring, row[side]) for side in ("recorded", "simulated")}
-        )
-
-    def log(row: dict[str, Any]) -> LogResult:
-        nested = {
-            "channels": [channel(c) for c in row["channels"]],
-            "transients": [transient(w) for w in row["transients"]],
-        }
-        return made(LogResult, row | nested | {"checks": many(Check, row["checks"])})
-
     try:
-        return made(Validation, table | {"logs": [log(row) for row in table["logs"]]})
+        asked = table.get("structure", {})
+        structure = Structure(
+            _many(Finding, asked.get("findings", [])), _many(Follows, asked.get("follows", []))
+        )
+        logs = [_log(row) for row in table["logs"]]
+        return _made(Validation, table | {"logs": logs, "structure": structure})
     except (KeyError, TypeError) as error:
         raise InputError(
             f"is no validation: {error}", file=path, hint="name a finished run of stage 'validate'"
         ) from None
+
+
+def _many(kind: type, rows: list[dict[str, Any]]) -> tuple[Any, ...]:
+    return tuple(_made(kind, row) for row in rows)
+
+
+def _made(kind: type, row: dict[str, Any]) -> Any:
+    known = {f.name for f in fields(kind)}
+    return kind(
+        **{
+            key: tuple(value) if isinstance(value, list) else value
+            for key, value in row.items()
+            if key in known
+        }
+    )
+
+
+def _channel(row: dict[str, Any]) -> ChannelResult:
+    auto = row["autocorrelation"] and _made(Correlation, row["autocorrelation"])
+    crossed = _many(Correlation, row["cross_correlation"])
+    return _made(ChannelResult, row | {"autocorrelation": auto, "cross_correlation": crossed})
+
+
+def _sides(kind: type, of: type, row: dict[str, Any]) -> Any:
+    """A result with a recorded and a simulated side, None where a side is missing."""
+    sides = {side: row[side] and _made(of, row[side]) for side in ("recorded", "simulated")}
+    return _made(kind, row | sides)
+
+
+def _log(row: dict[str, Any]) -> LogResult:
+    nested = {
+        "channels": [_channel(one) for one in row["channels"]],
+        "transients": [_sides(Transient, Ring, one) for one in row["transients"]],
+        "sweeps": [_sides(Sweep, SweepCurve, one) for one in row.get("sweeps", [])],
+        "overlap": _many(Overlap, row.get("overlap", [])),
+        "checks": _many(Check, row["checks"]),
+    }
+    return _made(LogResult, row | nested)

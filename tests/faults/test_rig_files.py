@@ -14,9 +14,12 @@ import tomli_w
 
 from ehbench import inspection
 from ehbench.errors import InputError
+from ehbench.fields import read_value
+from ehbench.quantities import VOCABULARY
 from ehbench.recipe import load_recipe, load_rig
 from ehbench.trial import run_trial
 
+ROOT = Path(__file__).parents[2]
 PAGE = (Path(__file__).parents[2] / "docs" / "rig_file.md").read_text(encoding="utf-8")
 CRANE, *_ = EXAMPLES = re.findall(r"```toml\n(.*?)```", PAGE, re.S)
 (PRESS,) = (text for text in EXAMPLES if text.startswith("# a press"))
@@ -277,7 +280,7 @@ def test_a_slip_in_a_press(tmp_path, old, new, words):
         ('pilot = "head"', 'pilto = "head"', "unknown key 'pilto' (did you mean 'pilot'?)"),
         ('"4 bar"', '"8 bar"', "the accumulator holds no oil: its precharge must lie below"),
         ('"1 L"', '"1 kg"', "gas_volume: 'kg' cannot be turned into m^3"),
-        ("value = 1.2,", "value = 2.5,", "polytropic_exponent must lie between 1 and 1.7"),
+        ("value = 1.2,", "value = 2.5,", "polytropic_exponent = 2.5 lies outside 1 to 1.7"),
     ],
 )
 def test_a_slip_in_a_pump_circuit(tmp_path, old, new, words):
@@ -344,6 +347,9 @@ def trial(folder: Path, rig: str, valve: str, more: str = ""):
 
 
 FORCE = '[[cylinder.force]]\nkind = "spring"\nstiffness = "5 kN/m"\n'
+LINE = '[[cylinder.line]]\nend = "head"\nvolume = "1 L"\nresistance = "0.1 bar*min/L"\n'
+MOUNT = '[cylinder.mount]\nstiffness = "50 kN/mm"\ndamping = "50 kN*s/m"\n'
+NAMED = '[[cylinder.force]]\nname = "line_head"\nkind = "constant"\nforce = "1 N"\n'
 SATURATING = EDGE.replace('"orifice"', '"saturating"')
 
 
@@ -384,6 +390,48 @@ SATURATING = EDGE.replace('"orifice"', '"saturating"')
             "channel =",
         ),
         (
+            PINS,
+            LINE.replace('"head"', '"tank"') + PINS,
+            "line 1: end = 'tank' is none of 'head', 'rod'",
+            'end = "tank"',
+        ),
+        (PINS, LINE.replace("1 L", "0 L") + PINS, "line 1: volume: must be above 0", "volume = "),
+        (PINS, LINE.replace("1 L", "1 m") + PINS, "'m' cannot be turned into m^3", 'volume = "1 m'),
+        (
+            PINS,
+            LINE.replace("resistance", "# resistance") + PINS,
+            "line 1: a line needs 'resistance', 'orifice_gain' or both",
+            "[[cylinder.line]]",
+        ),
+        (
+            PINS,
+            LINE.replace('"0.1 bar*min/L"', '"-2 bar*min/L"') + PINS,
+            "outside 0 to",
+            "resistance =",
+        ),
+        (
+            PINS,
+            LINE + LINE.replace('"head"', '"head" ') + PINS,
+            "the head end has a line already; give their volumes and resistances in one",
+            'end = "head" ',
+        ),
+        (
+            PINS,
+            LINE + NAMED + PINS,
+            "two forces are called 'line_head'; give each a name of its own",
+            NAMED[:20],
+        ),
+        (PINS, MOUNT.replace("50 kN/mm", "0 kN/mm") + PINS, "must be above 0", "stiffness = "),
+        (PINS, MOUNT.replace("50 kN/mm", "50 kN") + PINS, "'kN' cannot be turned", "stiffness = "),
+        (
+            PINS,
+            MOUNT.replace("50 kN*s", "0 kN*s") + PINS,
+            "a mount without mass needs damping: 1000 N*s/m at the least, 20 us times its stiff",
+            "damping = ",
+        ),
+        (PINS, MOUNT.replace("stiff", "# s") + PINS, "'mount.stiffness' is missing", MOUNT[:16]),
+        (PINS, MOUNT.replace("damping", "dampin") + PINS, "unknown key 'mount.dampin'", "dampin ="),
+        (
             EDGE,
             EDGE.replace('"orifice"', '"flow_control"'),
             "law 'flow_control' needs 'compensated_gain'",
@@ -408,12 +456,6 @@ SATURATING = EDGE.replace('"orifice"', '"saturating"')
             "law 'orifice' takes no 'opening_max'; its own keys: flow_gain",
             "edge = [",
         ),
-        (
-            EDGE,
-            EDGE.replace('"orifice"', '"map"'),
-            "law 'map' takes no 'flow_gain'; its own keys: none: its flow is the measured map",
-            "edge = [",
-        ),
     ),
 )
 def test_a_nonsense_part_is_refused_in_one_sentence(tmp_path, old, new, words, line):
@@ -423,3 +465,73 @@ def test_a_nonsense_part_is_refused_in_one_sentence(tmp_path, old, new, words, l
     assert words in error.message and "\n" not in error.message, error.message
     at = text[: text.index(line or new)].count("\n") + 1
     assert at <= error.line <= at + new.count("\n"), (error.line, at)
+
+
+SLIDE = (ROOT / "recipes" / "rigs" / "slide_servo.toml").read_text(encoding="utf-8")
+THESIS = (ROOT / "recipes" / "rigs" / "thesis_arm.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("text", "old", "new", "says"),
+    [
+        (SLIDE, r"mass = \{[^}]*\}", 'mass = "0 kg"', "'carriage' has no mass to move"),
+        (
+            SLIDE,
+            r"mass = \{ value = \"350 kg\"[^}]*\}",
+            'mass = "200 kg"',
+            "'carriage' has 200 kg, less than its 250 kg without",
+        ),
+        (
+            SLIDE,
+            r"pressure = \{ value = \"140 bar\"",
+            'pressure = { value = "1800 bar"',
+            "1800 bar",
+        ),
+        (SLIDE, r'"2\.4 L/min/V/MPa\^0\.5"', '"0 L/min/V/MPa^0.5"', "flow_gain = 0 L"),
+        (SLIDE, r'"2\.4 L/min/V/MPa\^0\.5"', '"2.4e9 L/min/V/MPa^0.5"', "flow_gain = 2.4e9 L"),
+        (SLIDE, r'"2\.4 L/min/V/MPa\^0\.5"', '"2400 L/min/V/MPa^0.5"', "m/s: check the unit of fl"),
+        (SLIDE, r"damping_ratio = .*", "damping_ratio = -1.0", "damping_ratio = -1.0 lies outside"),
+        (SLIDE, r"damping_ratio = .*", "damping_ratio = 1e6", "damping_ratio = 1000000.0 lies out"),
+        (SLIDE, r"damping_ratio = .*", "damping_ratio = inf", "damping_ratio = inf lies outside"),
+        (SLIDE, r"damping_ratio = .*", "damping_ratio = nan", "damping_ratio = nan lies outside"),
+        (SLIDE, r"damping_ratio = .*", "damping_ratio = 1" + "0" * 400, "lies outside"),
+        (
+            SLIDE,
+            r"mass = \{ value = \"250 kg\"",
+            'mass = { std = "-1 kg", value = "250 kg"',
+            "a standard error is not negative",
+        ),
+        (
+            SLIDE,
+            r"mass = \{ value = \"250 kg\"",
+            'mass = { lower = inf, value = "250 kg"',
+            "mass = inf has no unit",
+        ),
+        (
+            THESIS,
+            r'"0\.073 kg\*m\^2", "2\.2 kg\*m\^2", "2\.2 kg\*m\^2"',
+            '"0.073 kg*m^2", "2.2 kg*m^2", "3.2 kg*m^2"',
+            "no body has this inertia",
+        ),
+        (
+            THESIS,
+            r'"0\.271 kg\*m\^2", "3\.41 kg\*m\^2", "3\.59 kg\*m\^2", "0\.085',
+            '"0.271 kg*m^2", "3.41 kg*m^2", "3.59 kg*m^2", "1.5',
+            "no body has this inertia",
+        ),
+    ],
+)
+def test_numbers_that_no_machine_has_are_refused_with_their_line(tmp_path, text, old, new, says):
+    path = tmp_path / "rig.toml"
+    changed, count = re.subn(old, lambda _: new, text, count=1)
+    assert count == 1
+    path.write_text(changed, encoding="utf-8")
+    with pytest.raises(InputError, match=re.escape(says)) as error:
+        load_rig(path)
+    assert error.value.line is not None and len(str(error.value)) < 500
+
+
+def test_a_standard_error_of_a_temperature_is_a_difference():
+    row = VOCABULARY["temperature"]
+    value = read_value({"value": "40 degC", "std": "2 degC"}, row)
+    assert value.std == pytest.approx(2.0) and value.value == pytest.approx(313.15)

@@ -455,9 +455,9 @@ def test_a_users_class_does_what_the_compiled_law_does(tmp_path, on):
         ARM, recipe({"class": "mine:Mine", "gains": gains}, **given), allow_code=True
     )
     built, _ = run_trial(ARM, recipe({"kind": "pressure_feedback", "gains": gains}, **given))
-    assert set(mine.channels) < set(built.channels)
+    assert {name.removeprefix("note.") for name in mine.channels} < set(built.channels)
     for name, values in mine.channels.items():
-        assert np.array_equal(values, built[name]), name
+        assert np.array_equal(values, built[name.removeprefix("note.")]), name
     assert facts.controller == "Mine" and np.ptp(mine["boom.x"]) > 0.03 and not facts.warnings
 
 
@@ -596,10 +596,13 @@ def test_a_limit_shuts_the_valves_in_the_very_tick(law, on, tmp_path):
         limits={"stroke_margin": "150 mm"},
         posture={"boom": "60 mm"},
     )
-    given = given.model_copy(update={"limits": type(given.limits)(speed_max="50 mm/s")})
+    limits = type(given.limits)(speed_max="50 mm/s", ramp="0 s")
+    given = given.model_copy(update={"limits": limits})
     record, facts = run_trial(ARM, given, allow_code=True)
     row = round(facts.stop.t * 1000)
-    assert facts.stop.channel == "boom.v" and record.t[-1] == pytest.approx(facts.stop.t + RUN_OUT)
+    end = facts.stop.t + facts.after.seconds
+    assert facts.stop.channel == "boom.v" and record.t[-1] == pytest.approx(end)
+    assert 0.0 < facts.after.seconds <= RUN_OUT
     commands = np.column_stack([record[f"{v}.command"] for v in closed_layout().valves])
     assert commands[row - 1].any() and not commands[row:].any()
     if "kind" in law:

@@ -35,10 +35,9 @@ def with_law(name: str = "slide_servo", **update) -> Rig:
     given = {k: v if isinstance(v, str) else Value(v) for k, v in update.items()}
 
     def changed(edge: Edge) -> Edge:
-        return Edge.model_validate(
-            {"from": edge.from_, "to": edge.to, "sign": edge.sign, "flow_gain": edge.flow_gain}
-            | given
-        )
+        gain = {} if "compensated_gain" in given else {"flow_gain": edge.flow_gain}
+        ends = {"from": edge.from_, "to": edge.to, "sign": edge.sign}
+        return Edge.model_validate(ends | gain | given)
 
     def cylinder(c):
         valves = tuple(

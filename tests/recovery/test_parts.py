@@ -38,12 +38,14 @@ def slide(**cylinder: Any) -> Rig:
     return Rig.model_validate(plain | {"cylinder": [own | cylinder]})
 
 
-def recovered(rig: Rig, factors: dict[str, float], drives: list[np.ndarray], **options: Any):
+def recovered(
+    rig: Rig, factors: dict[str, float], drives: list[np.ndarray], seed: int = 0, **options: Any
+):
     """Fit logs of a rig from starts that are ``factors`` off; every interval holds the truth."""
     truth = {name: float(rig.parameters()[name]) for name in factors}
     logs = [
         (f"log {i}", noisy(simulate(rig, {"press.servo": u}, (u.size - 1) / 1000), i))
-        for i, u in enumerate(drives)
+        for i, u in enumerate(drives, 100 * seed)
     ]
     start = {name: value * factors[name] for name, value in truth.items()}
     fit = identify_hydraulics(rig, logs, list(factors), FitOptions(start=start, **options))
@@ -125,6 +127,32 @@ def jumps(volts: float, hold: int = 100, samples: int = 801) -> np.ndarray:
 def test_valves(case):
     dynamics, series, factors = VALVES[case]
     recovered(valve_with(dynamics, series), factors, [jumps(3.0), -jumps(2.0, hold=61)])
+
+
+LINES = [
+    {"end": "head", "volume": "0.4 L", "resistance": "0.3 bar*min/L"},
+    {"end": "rod", "volume": "0.25 L", "orifice_gain": "15 L/min/bar^0.5"},
+]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_lines(seed):
+    """Of pressures in the chambers alone."""
+    factors = {
+        "press.line_head.volume": 1.8,
+        "press.line_head.resistance": 0.5,
+        "press.line_rod.orifice_gain": 1.7,
+    }
+    rig = slide(**SEALS, line=LINES)
+    recovered(rig, factors, [jumps(3.0, samples=601), -jumps(2.0, hold=61, samples=601)], seed)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_mounts(seed):
+    mount = {"stiffness": "12 kN/mm", "damping": "15 kN*s/m"}
+    factors = {"press.mount.stiffness": 1.7, "press.mount.damping": 0.6}
+    rig = slide(**SEALS, mount=mount)
+    recovered(rig, factors, [jumps(3.0, samples=601), -jumps(2.0, hold=61, samples=601)], seed)
 
 
 @pytest.mark.parametrize("law", FRICTIONS)

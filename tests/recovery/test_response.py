@@ -13,7 +13,7 @@ from scipy import signal
 
 from ehbench import inspection, recipe, workflow
 from ehbench.errors import InputError, InsufficientData, LogError
-from ehbench.identification.response import Averaging, Signals, estimate, prepare_signals
+from ehbench.response import Averaging, Signals, estimate, prepare_signals
 from ehbench.logs import write_log
 from ehbench.record import Record
 

@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).parents[2] / "ehbench"
 # lowest first; within a row nobody imports a neighbour
 FLOORS = [
     {"codes", "commands", "errors", "quantities", "compiled", "blas", "terms", "text"},
-    {"units"},
+    {"units", "disk", "memory"},
     {"fields", "notebook"},
     {"physics", "signals"},
     {"parts"},
@@ -23,6 +23,7 @@ FLOORS = [
     {"machines"},
     {"ledger", "observations", "preprocessing"},
     {"starts"},
+    {"response", "structure"},
     {"identification", "validation", "tune", "trial", "report"},
     {"stages"},
     {"workflow", "starter"},

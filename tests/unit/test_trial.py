@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ehbench.errors import InputError
+from ehbench.fields import Value
 from ehbench.logs import write_log
 from ehbench.plant.model import simulate
 from ehbench.recipe import TrialRecipe, TrialSetRecipe, load_recipe, load_rig
@@ -21,6 +22,8 @@ from ehbench.trial import (
     controllers,
     file_names,
     gains_file,
+    prepare,
+    run,
     run_trial,
 )
 from ehbench.trial.measures import step_measures, tracking_measures
@@ -199,9 +202,10 @@ LIMIT_CASES = [
 )
 def test_a_limit_stops_within_one_tick(rig, on, limit, channel, beyond):
     amplitude = {"pressure_min": "-6 V", "pressure_max": "-6 V"}.get(next(iter(limit)), "4 V")
+    limits = {**limit, "ramp": "0 s"}
     record, facts = run_trial(
         rig,
-        recipe({**STEP, "amplitude": amplitude}, limits=limit, on=on, posture={"press": "200 mm"}),
+        recipe({**STEP, "amplitude": amplitude}, limits=limits, on=on, posture={"press": "200 mm"}),
     )
     stop = facts.stop
     assert stop is not None, (
@@ -215,9 +219,70 @@ def test_a_limit_stops_within_one_tick(rig, on, limit, channel, beyond):
         assert not beyond(record[channel][row - 1], stop.bound)
         assert np.abs(record["press.servo.command"][row - 1]) > 0
     assert not record["press.servo.command"][row:].any(), "valves rest from the very tick"
-    assert record.t[-1] == pytest.approx(min(1.0, stop.t + RUN_OUT))
-    assert next(iter(limit)) in facts.stopped and record.meta["stopped"] == facts.stopped
+    assert facts.after is not None and facts.after.seconds <= RUN_OUT
+    assert record.t[-1] == pytest.approx(stop.t + facts.after.seconds)
+    assert next(iter(limit)) in facts.stopped and facts.stopped.startswith(record.meta["stopped"])
     json.dumps(facts.as_json(), allow_nan=False)
+
+
+@pytest.mark.parametrize("on", ("model", "bench"))
+@pytest.mark.parametrize("ramp", ["0 s", "50 ms", "200 ms"])
+def test_the_valves_go_to_rest_in_the_recipes_ramp_and_the_log_goes_on_until_it_stands(
+    rig, on, ramp
+):
+    """Also beyond the trial's own length."""
+    given = recipe(
+        {**STEP, "amplitude": "6 V"}, limits={"speed_max": "0.1 m/s", "ramp": ramp}, on=on
+    ).model_copy(update={"duration": Value(0.2)})
+    prepared = prepare(given, rig)
+    many, one = run(prepared), run(prepared, fast=False)
+    assert all(np.array_equal(many.record[n], one.record[n]) for n in many.record.channels)
+    assert many.facts == one.facts
+    record, facts = many.record, many.facts
+    command, row = record["press.servo.command"], round(facts.stop.t * 1000)
+    rows = round(float(given.limits.ramp) * 1000)
+    assert command[row - 1] == 6.0 and (command[row + rows :] == 0.0).all()
+    slope = np.diff(command[row - 1 : row + rows + 1])
+    assert slope[: rows + 1] == pytest.approx(np.full(rows + 1, -6.0 / (rows + 1)), abs=1e-12)
+    assert facts.after.ramp == float(given.limits.ramp)
+    assert record.t[-1] == pytest.approx(facts.stop.t + facts.after.seconds) and record.t[-1] > 0.3
+    assert facts.after.still and np.abs(record["press.v"][-90:]).max() < 0.02
+    assert facts.samples == record.t.size and facts.duration == record.t[-1]
+
+
+def test_what_came_of_a_stop_is_said(rig):
+    """How far each quantity went beyond its limit, in numbers and in the rig's units."""
+    limits = {"speed_max": "0.25 m/s", "pressure_max": "100 bar", "stroke_margin": "5 mm"}
+    _, facts = run_trial(rig, recipe({**STEP, "amplitude": "10 V"}, limits=limits))
+    assert facts.stop.limit == "speed_max" and facts.after.still
+    beyond = {one.limit: one for one in facts.after.beyond}
+    fastest = beyond["speed_max"]
+    assert (
+        fastest.channel == "press.v" and fastest.value >= facts.stop.value > fastest.bound == 0.25
+    )
+    said = (
+        f"; the valves went to rest within 0.05 s, {facts.after.seconds:.3g} s later it stood still"
+    )
+    assert said in facts.stopped and "press.v went to" in facts.stopped
+    assert facts.as_json()["after"]["beyond"][0]["limit"] in beyond
+
+
+def test_a_ramp_keeps_the_pressure_lower_than_valves_that_snap_shut(rig):
+    """A load at speed between shut valves: their ramp lets it slow down (m v = A ∫p dt)."""
+    peaks = {}
+    for ramp in ("0 s", "50 ms"):
+        limits = {"speed_max": "0.25 m/s", "ramp": ramp}
+        record, facts = run_trial(rig, recipe({**STEP, "amplitude": "10 V"}, limits=limits))
+        peaks[ramp] = record["press.p_rod"][round(facts.stop.t * 1000) :].max()
+    assert peaks["50 ms"] < 0.8 * peaks["0 s"]
+
+
+def test_valves_that_feed_the_full_chamber_shut_at_once(rig):
+    limits = {"pressure_max": "75 bar", "ramp": "0.1 s"}
+    given = recipe({**STEP, "amplitude": "-8 V"}, limits=limits, posture={"press": "200 mm"})
+    record, facts = run_trial(rig, given)
+    row, fed = round(facts.stop.t * 1000), facts.stop.channel == "press.p_rod"
+    assert bool(record["press.servo.command"][row]) == (not fed)
 
 
 def test_a_limit_reached_before_the_start_is_refused(rig):
@@ -766,8 +831,8 @@ def test_a_class_gets_its_gains_and_is_held_to_the_drivers_range(rig, tmp_path):
         "of its range",
     )
     assert facts.measures["gains"] == {"low_pressure": 2e5}, "numbers, SI"
-    assert np.array_equal(record["press.force"], record.t) and np.array_equal(
-        record["press.pressure_drop"], record["press.v_desired"]
+    assert np.array_equal(record["note.press.force"], record.t) and np.array_equal(
+        record["note.press.pressure_drop"], record["press.v_desired"]
     )
 
 

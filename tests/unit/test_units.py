@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 
 import pytest
 
@@ -54,3 +55,77 @@ def test_parse(text, name, si):
 def test_refused(text):
     with pytest.raises(UnitError):
         parse(text, VOCABULARY["pressure"])
+
+
+@pytest.mark.parametrize(
+    "unit",
+    [
+        "m*9**9**9",
+        "9**9**9*s",
+        "m**9",
+        "m^99",
+        "m^2^2",
+        "(m^6)^6^6",
+        "((m))",
+        "m*1e9",
+        "m 2",
+        "2 m",
+        "m^^2",
+        "m/",
+        "/m",
+        "m()",
+        "m(s)",
+        "m;import os",
+        "m\n*9**9",
+        "m**-9**9",
+        "m" * 5000,
+        "(" * 5000,
+        "m*" * 39 + "m*m",
+        "m^0.25",
+        "__import__('os')",
+        "m\0",
+        "²",
+        "m^²",
+    ],
+)
+def test_a_unit_is_made_of_words_and_small_powers_only(unit):
+    """Nothing of a text is evaluated: each is refused at once."""
+    begun = time.monotonic()
+    for row in ("x", "t", "pressure"):
+        with pytest.raises(UnitError) as error:
+            to_si(1.0, unit, VOCABULARY[row])
+        assert len(str(error.value)) < 400
+        with pytest.raises(UnitError):
+            parse(f"5 {unit}", VOCABULARY[row])
+    assert time.monotonic() - begun < 2.0  # a first look takes the registry 0.5 s
+
+
+@pytest.mark.parametrize(
+    ("unit", "name", "si"),
+    [
+        ("cm²", "area_head", 1e-4),
+        ("m³/(s·Pa)", "leakage_internal", 1.0),
+        ("m^3 / (s * Pa)", "leakage_internal", 1.0),
+        ("L/min/√bar", "orifice_gain", 1e-3 / 60 / math.sqrt(1e5)),
+        ("(L/min)/(V*bar^0.5)", "flow_gain", 1e-3 / 60 / math.sqrt(1e5)),
+        ("L/min/V/bar**0.5", "flow_gain", 1e-3 / 60 / math.sqrt(1e5)),
+        ("m s^-1", "v", 1.0),
+        ("cubic inch", "volume", 0.0254**3),
+        ("cc", "volume", 1e-6),
+        ("in^3", "volume", 0.0254**3),
+        ("cc/rev", "displacement", 1e-6 / (2 * math.pi)),
+        ("1/V", "flow_force", 1.0),
+        ("°", "q", math.pi / 180),
+        ("%", "air_fraction", 0.01),
+        ("µm", "x", 1e-6),
+        ("(kg)*(m^2)", "inertia", 1.0),
+    ],
+)
+def test_units_as_people_write_them(unit, name, si):
+    assert to_si(1.0, unit, VOCABULARY[name]) == pytest.approx(si, rel=1e-9)
+
+
+def test_digits_of_other_scripts_are_no_number():
+    for text in ("１２ mm", "١٢ mm"):
+        with pytest.raises(UnitError, match="no number"):
+            parse(text, VOCABULARY["x"])

@@ -31,7 +31,10 @@ WORDS = {
     "residual": "not accounted for",
 }
 PUMP, MECHANISM = "pump", "mechanism"
-_MECHANICAL = ("friction", "friction_spring", "end_stop", "stop", "damping")
+_MECHANICAL = (
+    *("friction", "friction_spring", "end_stop", "stop", "damping"),
+    *("mount", "mount_spring"),
+)
 _GAP = 0.012
 _BAR = 0.022  # width of a node
 

@@ -199,4 +199,6 @@ def _left_out(rig: Rig, rows: Sequence[Sequence[Cell | str]]) -> Grid:
     return Grid(head, rows)
 
 
-REPORT = StageReport("flow maps", section, draw, standing=1)
+REPORT = StageReport(
+    "flow maps", section, draw, standing=1, shows=("Deadbands",), numbers=("summary.json", ())
+)

@@ -192,4 +192,12 @@ def _fitted_cell(rig: Rig, name: str, one: Table | None) -> Cell:
     return num("–" if one is None else plus(rig, name, one.number("value"), one.number("std")))
 
 
-REPORT = StageReport("identification", section, draw, standing=1)
+REPORT = StageReport(
+    "identification",
+    section,
+    draw,
+    standing=1,
+    shows=("Parameters",),
+    columns=("parameter", "value", "unit", "95 % interval", "status", "bounds"),
+    numbers=("parameters.json", ("parameters", "warnings")),
+)

@@ -163,4 +163,6 @@ def _sentence(table: Table) -> str:
     return f"{lead}: {', '.join(told)}." if told else f"{lead}."
 
 
-REPORT = StageReport("frequency response", section, draw)
+REPORT = StageReport(
+    "frequency response", section, draw, shows=("Numbers",), numbers=("response.json", ())
+)

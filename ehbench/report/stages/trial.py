@@ -131,4 +131,10 @@ def _controlled_section(run: Saved, facts: Table, pictures: Pictures) -> Section
     return SectionContent(stopped_status(stopped), case_caption(rig, case), parts)
 
 
-REPORT = StageReport("trial", section, draw)
+REPORT = StageReport(
+    "trial",
+    section,
+    draw,
+    shows=("Measures", "Trial"),
+    numbers=("trial.json", ("duration", "stopped", "measures")),
+)

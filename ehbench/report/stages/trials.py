@@ -110,4 +110,6 @@ def _each_trial(cases: Sequence[Case], pictures: Pictures) -> list[Block]:
     return [*open_ones, *folds]
 
 
-REPORT = StageReport("trials", section, draw)
+REPORT = StageReport(
+    "trials", section, draw, shows=("Measures",), numbers=("table.json", ("rows",))
+)

@@ -350,4 +350,13 @@ def _draws(tuning: Table, pictures: Pictures) -> list[Block]:
     return [*pictures(FigureKey("draws")), drawn]
 
 
-REPORT = StageReport("tuning", section, draw)
+REPORT = StageReport(
+    "tuning",
+    section,
+    draw,
+    shows=("The gain",),
+    numbers=(
+        "tuning.json",
+        ("met", "feedback_gain", "washout", "damping_ratio", "damping_ratio_open"),
+    ),
+)

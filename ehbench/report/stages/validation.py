@@ -4,6 +4,7 @@ residual correlations.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from ehbench.report.blocks import Block, Bullets, Cell, Fold, Grid, Part, Text
@@ -12,14 +13,20 @@ from ehbench.report.comparisons import draw_comparisons, log_cell, ringing_table
 from ehbench.report.content import Pictures, SectionContent, StageReport, chip, look_of, num
 from ehbench.report.figures import validation as figures
 from ehbench.report.figures.channels import title_of
+from ehbench.report.figures.sweeps import sweeps
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
-from ehbench.report.words import count, number, pretty, shown, unit_of, words
+from ehbench.report.words import count, interval, number, pretty, shown, unit_of, words
 from ehbench.rig import Rig
 
 _RESIDUALS_CAPTION = (
     "Correlation of the residual with itself and with earlier commands. "
     "Shaded: 95 % band, which allows for colour."
+)
+
+_SWEEP_CAPTION = (
+    "Frequency response to the command, recorded and simulated, where the recording is coherent. "
+    "Dashed line: the coherence asked for."
 )
 
 
@@ -41,6 +48,23 @@ def draw(run: Saved, index: FigureIndex) -> None:
                 FigureKey("residuals", log=name, cylinder=cylinder),
             )
             figures.correlations(path, channels)
+        _draw_sweeps(run, index, log)
+
+
+def _draw_sweeps(run: Saved, index: FigureIndex, log: Table) -> None:
+    """A figure for each command of a log that sweeps."""
+    least = run.json("validation.json")["thresholds"].get("response_coherence", 0.0)
+    by_command: dict[str, list[Table]] = {}
+    for sweep in log.get("sweeps", []):
+        by_command.setdefault(sweep["input"], []).append(sweep)
+    for command, found in by_command.items():
+        path = index.add(
+            f"sweep_{log['name']}_{command.replace('.', '_')}",
+            f"Response to {command.removesuffix('.command')} in {words(log['name'])}",
+            _SWEEP_CAPTION,
+            FigureKey("sweep", log=log["name"]),
+        )
+        sweeps(path, run.rig, found, least)
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:
@@ -51,6 +75,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     status = "accepted" if table["accepted"] else "rejected"
     parts = [
         Part("Verdict", _verdict(table, status)),
+        *_structure(table),
         *(
             Part(words(log["name"]).capitalize(), _log_blocks(run.rig, log, pictures))
             for log in table["logs"]
@@ -94,6 +119,41 @@ def _verdict(table: Table, status: str) -> list[Block]:
     return blocks
 
 
+def _structure(table: Table) -> list[Part]:
+    """What the residuals say of the model: the likeliest cures, and what each channel follows."""
+    asked = table.get("structure")
+    if asked is None or not (asked["findings"] or asked["follows"]):
+        return []
+    lead = (
+        "Each likely fault was built into the model or the log. These explain the residuals, the "
+        "likeliest first; several that explain much alike are alternatives, not a sum."
+    )
+    blocks: list[Block] = [Text(lead)]
+    rows = [
+        [one["sentence"], one["cure"], num(f"{100.0 * one['explains']:.0f} %")]
+        for one in asked["findings"]
+    ]
+    if rows:
+        blocks.append(Grid(["what is seen", "what cures it", "of the residuals' squares"], rows))
+    else:
+        blocks = [Text("No likely fault explains the residuals better than chance.")]
+    if asked["follows"]:
+        found = [
+            [
+                words(one["log"]),
+                Cell(one["channel"], "code"),
+                one["what"],
+                num(number(one["correlation"], 2)),
+                num(number(one["band"], 2)),
+            ]
+            for one in asked["follows"]
+        ]
+        head = ["log", "residual of", "follows", "correlation", "95 % band"]
+        title = f"What the residuals go along with: {count(len(found), 'pair')} outside the band"
+        blocks.append(Fold(title, [Grid(head, found)]))
+    return [Part("What the residuals follow", blocks)]
+
+
 def _log_row(log: Table) -> list[Cell | str]:
     if log.get("failure"):
         result = "failed"
@@ -119,11 +179,61 @@ def _log_blocks(rig: Rig, log: Table, pictures: Pictures) -> list[Block]:
     blocks += _channel_table(rig, log)
     if rings := log.get("transients", []):
         blocks.append(ringing_table(rig, rings))
+        blocks += _unjudged(rings)
+    if found := log.get("sweeps", []):
+        blocks += pictures(FigureKey("sweep", log=log["name"]))
+        blocks.append(_sweep_table(found))
     if residuals := pictures(FigureKey("residuals", log=log["name"])):
         blocks.append(Fold("Residual correlations", residuals))
     if log.get("warnings"):
         blocks.append(Bullets(log["warnings"], "note"))
     return blocks
+
+
+def _unjudged(rings: Sequence[Table]) -> list[Block]:
+    """The windows whose ringing was found and is not judged, with the reason."""
+    told = [
+        f"{one['cylinder']}, {interval(one['start'], one['stop'])} s: not judged, {one['note']}"
+        for one in rings
+        if one.get("note")
+    ]
+    return [Bullets(told, "note")] if told else []
+
+
+def _sweep_table(found: Sequence[Table]) -> Grid:
+    """Recording and model compared over the coherent band, a row a channel."""
+    head = [
+        "response of",
+        "band [Hz]",
+        "frequencies",
+        "gain, model/recording",
+        "gain error [%]",
+        "phase error [°]",
+        "delay recorded [ms]",
+        "delay simulated [ms]",
+        "coherence recorded",
+        "coherence simulated",
+    ]
+    rows = [
+        [
+            Cell(one["channel"], "code", hint=one["input"]),
+            num(interval(*one["band"])),
+            num(str(one["frequencies"])),
+            *(
+                num("–" if value is None else number(factor * value, 3))
+                for value, factor in (
+                    (one.get("gain_ratio"), 1.0),
+                    (one.get("gain_error"), 100.0),
+                    (one.get("phase_error"), 180.0 / math.pi),
+                    *((value, 1e3) for value in one["delay"]),
+                    *((value, 1.0) for value in one["coherence"]),
+                )
+            ),
+        ]
+        for one in found
+    ]
+    note = "Errors are root mean squares over the band, beyond what noise makes of them."
+    return Grid(head, rows, note)
 
 
 def _channel_table(rig: Rig, log: Table) -> list[Block]:
@@ -164,4 +274,12 @@ def _channel_row(rig: Rig, one: Table) -> list[Cell | str]:
     ]
 
 
-REPORT = StageReport("validation", section, draw, standing=2)
+REPORT = StageReport(
+    "validation",
+    section,
+    draw,
+    standing=2,
+    shows=("Verdict",),
+    columns=("log", "check", "result"),
+    numbers=("validation.json", ("accepted", "reasons", "thresholds")),
+)

@@ -1,0 +1,74 @@
+"""Frequency responses of recording and model, one over the other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.report.figures.channels import title_of
+from ehbench.report.saved import Table
+from ehbench.report.style import MUTED, RECORDED, SIMULATED, canvas, legend
+from ehbench.report.words import number, pretty, shown, unit_of
+from ehbench.rig import Rig
+
+_LOOKS = {
+    "recorded": {"color": RECORDED, "linestyle": "-", "marker": "o", "markersize": 2.2},
+    "simulated": {"color": SIMULATED, "linestyle": (0, (4, 1.6)), "marker": "", "linewidth": 1.7},
+}
+
+
+def sweeps(path: Path, rig: Rig, found: Sequence[Table], least: float) -> None:
+    """A column a channel: gain and phase where the recording's coherence reaches ``least``, and the
+    coherence.
+    """
+    rows = ("gain", "phase", "coherence")
+    shape = {"sharex": True, "squeeze": False, "height_ratios": (3, 3, 1.6)}
+    with canvas(path, 3, len(found), (7.4, 5.4), **shape) as (figure, axes):
+        for column, sweep in enumerate(found):
+            for side, look in _LOOKS.items():
+                if sweep.get(side) is not None:
+                    _curves(axes[:, column], rig, sweep, side, look)
+            top, middle, bottom = axes[:, column]
+            unit = pretty(unit_of(rig, sweep["channel"]))
+            title = title_of(sweep["channel"])
+            top.set_title(f"{title} [{unit}/V]" if unit else title, fontsize=8.5)
+            top.set_xscale("log")
+            top.set_yscale("log")
+            for way in (top.xaxis, top.yaxis):
+                way.set_major_formatter(lambda tick, _: number(tick))
+                way.set_minor_formatter(lambda tick, _: "")
+            middle.locator_params(axis="y", nbins=6)
+            bottom.axhline(least, color=MUTED, linewidth=0.8, linestyle="--")
+            bottom.set_ylim(0.0, 1.05)
+            bottom.set_xlabel("frequency [Hz]")
+        for ax, row in zip(axes[:, 0], rows, strict=True):
+            ax.set_ylabel("phase [°]" if row == "phase" else row)
+        legend(figure, _handles())
+
+
+def _curves(axes: np.ndarray, rig: Rig, sweep: Table, side: str, look: dict) -> None:
+    curve, channel = sweep[side], sweep["channel"]
+    frequency = np.array(curve["frequency"], float)
+    coherent = np.array(sweep["recorded"]["coherent"], bool)
+    scale = float(shown(rig, channel, 1.0)) - float(shown(rig, channel, 0.0))
+    for ax, row in zip(axes, ("gain", "phase", "coherence"), strict=True):
+        values = np.array(curve[row], float) * (scale if row == "gain" else 1.0)
+        if row == "coherence":
+            ax.plot(frequency, values, **look | {"marker": ""})
+            continue
+        if row == "phase" and side == "simulated":
+            values = _beside(values, np.array(sweep["recorded"][row], float))
+        ax.plot(frequency[coherent], values[coherent], **look)
+
+
+def _beside(phase: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """A phase [deg] on the turn that lies nearest to another's."""
+    return phase + 360.0 * np.round((other - phase) / 360.0)
+
+
+def _handles() -> list:
+    from matplotlib.lines import Line2D
+
+    return [Line2D([], [], label=side, **look) for side, look in _LOOKS.items()]

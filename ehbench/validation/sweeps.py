@@ -1,0 +1,163 @@
+"""The frequency response of recording and model where a command sweeps, one against the other.
+
+Both are estimated alike (`ehbench.response`), from the command to a channel of its cylinder, so
+what windows, averages and laws that are not linear do to one they do to the other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from ehbench.errors import EhbenchError
+from ehbench.observations import least_change
+from ehbench.plant.model import Model
+from ehbench.record import Record
+from ehbench.response import LEAST_LINE, Averaging, Response, estimate, prepare_signals
+from ehbench.terms import Z95
+from ehbench.validation.residuals import Pair
+from ehbench.validation.results import Sweep, SweepCurve
+from ehbench.validation.transients import OSCILLATES, held
+
+LEAST_CHANGES = 40  # of a command that sweeps
+LONGEST_STAND = 0.1  # share of a sweep for which its command may stand
+LEAST_BAND = 2.0  # ratio of the highest to the lowest frequency that counts
+SHOWN = 1.5  # how far beyond the highest frequency that counts the curves go
+
+
+def sweeps_of(
+    record: Record, model: Model, cylinder: str, pairs: Mapping[str, Pair], coherence: float
+) -> list[Sweep]:
+    """The responses of a cylinder's channels to its command that sweeps most, if one does.
+
+    Args:
+        record: what is judged of the log, evenly sampled.
+        model: of the rig.
+        cylinder: whose command and channels.
+        pairs: channels recorded and simulated.
+        coherence: of the recording, from which a frequency counts.
+    """
+    swept = _sweeping(record, model, cylinder)
+    if swept is None:
+        return []
+    command, span = swept
+    found = []
+    for channel, pair in pairs.items():
+        if not channel.startswith(f"{cylinder}.") or channel.rsplit(".", 1)[1] not in OSCILLATES:
+            continue
+        recorded = _response(record, command, channel, pair.recorded, span, coherence)
+        if recorded is None:
+            continue
+        known = recorded.frequency[recorded.coherent]
+        if known.size < LEAST_LINE or known[-1] < LEAST_BAND * known[0]:
+            continue
+        simulated = _response(record, command, channel, pair.simulated, span, 0.0)
+        found.append(_compared(command, channel, recorded, simulated))
+    return found
+
+
+def _sweeping(record: Record, model: Model, cylinder: str) -> tuple[str, slice] | None:
+    """(the command of a cylinder that sweeps most, the samples over which it does), None if none
+    does: one that steps now and then has no spectrum to speak of.
+    """
+    best: tuple[float, str, slice] | None = None
+    for one, valve in model.rig.valves():
+        channel = f"{cylinder}.{valve.name}.command"
+        if one.name != cylinder or channel not in record:
+            continue
+        level = held(record[channel], least_change(valve))
+        changes = np.flatnonzero(np.diff(level)) + 1
+        if changes.size < LEAST_CHANGES:
+            continue
+        span = slice(int(changes[0]), int(changes[-1]) + 1)
+        if np.max(np.diff(changes)) > LONGEST_STAND * (changes[-1] - changes[0]):
+            continue
+        # the least change is a share of the driver's range
+        size = float(np.std(level[span])) / least_change(valve)
+        if best is None or size > best[0]:
+            best = (size, channel, span)
+    return None if best is None else best[1:]
+
+
+def _response(
+    record: Record, command: str, channel: str, y: np.ndarray, span: slice, coherence: float
+) -> Response | None:
+    """The response of a channel to a command; None where no frequency is coherent."""
+    pair = {command: record[command][span], channel: y[span]}
+    try:
+        log = [("log", Record(record.t[span], pair))]
+        return estimate(prepare_signals(log, (command, channel), Averaging(coherence=coherence)))
+    except EhbenchError:
+        return None
+
+
+def _compared(command: str, channel: str, recorded: Response, simulated: Response | None) -> Sweep:
+    at = recorded.coherent
+    known = recorded.frequency[at]
+    facts = Sweep(
+        input=command,
+        channel=channel,
+        band=(float(known[0]), float(known[-1])),
+        frequencies=int(known.size),
+        averages=recorded.averages,
+        coherence=(float(np.mean(recorded.coherence[at])), None),
+        delay=(_delay(recorded, at), None),
+        recorded=_curve(recorded, known[-1]),
+    )
+    if simulated is None:
+        return facts
+    # the standard error of a gain is a share of it, and as many radians of the phase
+    error = (recorded.gain_high[at] / recorded.gain[at] - 1.0) / Z95
+    ratio = simulated.gain[at] / recorded.gain[at]
+    turn = np.angle(np.exp(1j * (simulated.phase - recorded.phase)[at]))
+    known = np.isfinite(error) & np.isfinite(ratio)
+    delay = _delay(simulated, at)
+    return replace(
+        facts,
+        coherence=(facts.coherence[0], float(np.nanmean(simulated.coherence[at]))),
+        delay=(facts.delay[0], delay),
+        delay_error=max(0.0, abs(delay - facts.delay[0]) - _spread(recorded)),
+        gain_ratio=float(np.median(ratio[known])),
+        gain_error=_beyond(ratio[known] - 1.0, error[known]),
+        phase_error=_beyond(turn[known], error[known]),
+        simulated=_curve(simulated, facts.band[1]),
+    )
+
+
+def _beyond(differences: np.ndarray, errors: np.ndarray) -> float:
+    """Root mean square of differences, without what their standard errors make of it."""
+    return math.sqrt(max(0.0, float(np.mean(differences**2 - errors**2))))
+
+
+def _delay(response: Response, at: np.ndarray) -> float:
+    """Mean slope −dφ/dω [s] over the frequencies that count in the recording."""
+    omega = 2.0 * math.pi * response.frequency[at]
+    return -float(np.polyfit(omega, np.unwrap(response.phase[at]), 1)[0])
+
+
+def _spread(response: Response) -> float:
+    """Half the 95 % interval of a delay [s]."""
+    found = response.delay
+    if found is None or found.low is None or found.high is None:
+        return math.inf
+    return 0.5 * (found.high - found.low)
+
+
+def _curve(response: Response, highest: float) -> SweepCurve:
+    shown = response.frequency <= SHOWN * highest
+
+    def column(values: np.ndarray) -> tuple[float | None, ...]:
+        return tuple(
+            float(f"{value:.6g}") if math.isfinite(value) else None
+            for value in values[shown].tolist()
+        )
+
+    return SweepCurve(
+        column(response.frequency),
+        column(response.gain),
+        column(np.degrees(response.phase)),
+        column(response.coherence),
+        tuple(bool(one) for one in response.coherent[shown]),
+    )

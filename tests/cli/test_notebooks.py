@@ -1,0 +1,32 @@
+"""The notebooks run from their first cell to their last."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from matplotlib import pyplot
+
+FOLDER = Path(__file__).parents[2] / "docs" / "notebooks"
+BOOKS = sorted(FOLDER.glob("*.ipynb"))
+
+
+@pytest.mark.parametrize("path", BOOKS, ids=lambda path: path.stem)
+def test_every_cell_runs_and_none_holds_outputs(path, monkeypatch, capsys):
+    """As they stand in the repository: no outputs, so that none can be out of date."""
+    monkeypatch.chdir(path.parent)
+    book, space = json.loads(path.read_text(encoding="utf-8")), {"__name__": "__main__"}
+    for cell in book["cells"]:
+        if cell["cell_type"] == "code":
+            assert cell["outputs"] == [] and cell["execution_count"] is None
+            exec(compile("".join(cell["source"]), path.name, "exec"), space)
+    pyplot.close("all")
+    told = capsys.readouterr().out
+    assert "accepted" in told and "4.000 V for that flow" in told
+    assert space["page"].is_file()
+    assert {"estimated"} >= set(space["found"].parameters.loc[["bulk_modulus"], "status"])
+
+
+def test_there_is_a_notebook():
+    assert BOOKS

@@ -1,0 +1,245 @@
+"""A user's class that does what no class should: each time one sentence that names it, and a log
+that holds only what was measured under the names of what is measured.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.errors import InputError
+from ehbench.logs import read_record
+from ehbench.recipe import TrialRecipe, load_rig
+from ehbench.recipe.trial import Limits
+from ehbench.trial import prepare, run, run_trial
+from ehbench.trial import guard as guards
+
+ROOT = Path(__file__).parents[2]
+RIG = load_rig(ROOT / "recipes" / "rigs" / "slide_servo.toml")
+HEAD = "class C:\n    channels = ['press.x']\n"
+START = "    def start(self, rig, tick, sample): pass\n"
+STEP = "    def step(self, t, sample, wish): return {}\n"
+MOTION = {"kind": "point_to_point", "waypoints": ["100 mm", "110 mm"], "speed": "80 mm/s"}
+
+
+def recipe(folder, code):
+    (folder / "mine.py").write_text(code)
+    (folder / "trial.toml").write_text("# the recipe\n")
+    controller = {"class": "mine:C"}
+    return TrialRecipe(
+        stage="trial",
+        rig="x.toml",
+        path=folder / "trial.toml",
+        controller=controller,
+        motion=MOTION,
+        duration="0.3 s",
+    )
+
+
+def noting(notes, note):
+    return (
+        f"from math import *\n{HEAD}    notes = {notes}\n{START}"
+        f"    def step(self, t, sample, wish):\n        self.note = {note}\n        return {{}}\n"
+    )
+
+
+def test_a_note_never_stands_for_what_was_measured(tmp_path):
+    names = ["press.x", "press.p_head", "press.servo.command", "press.x_desired", "t"]
+    asked = recipe(tmp_path, noting(names, "[0.2, 1e5, 3.0, 0.15, 7.0]"))
+    plain = run_trial(RIG, recipe(tmp_path, HEAD + START + STEP), allow_code=True)
+    (tmp_path / "mine.py").write_text(noting(names, "[0.2, 1e5, 3.0, 0.15, 7.0]"))
+    noted = run(prepare(asked, RIG, allow_code=True), log=tmp_path / "log.mcap")
+    for name, values in plain[0].channels.items():
+        assert np.array_equal(noted.record[name], values), name
+    assert noted.facts.measures["tracking"] == plain[1].measures["tracking"]
+    back = read_record(tmp_path / "log.mcap")
+    assert (back["note.press.x"] == 0.2).all() and (back["note.t"] == 7.0).all()
+    assert np.array_equal(back.t, noted.record.t)
+
+
+@pytest.mark.parametrize(
+    ("notes", "note", "says"),
+    [
+        ("['press.x']", "[nan]", r"\.note has press\.x = nan"),
+        ("['press.x']", "[1e300]", r"\.note has press\.x = 1e\+300"),
+        ("['t']", "[inf]", r"\.note has t = inf"),
+        ("['press.x', 'press.v']", "0.2", "does not hold 2 numbers"),
+        ("['press.x', 'press.x']", "[0.2, 0.3]", "'press.x' twice"),
+        ("['press.x [m]']", "[0.2]", "no name of a channel"),
+        ("['a\\nfloat64 b.x']", "[0.2]", "no name of a channel"),
+        ("[3]", "[0.2]", r"\.notes holds 3"),
+        ("['x' * 5000]", "[0.2]", "no name of a channel"),
+        ("['press.x'] * 100000", "[0.2]", "twice"),
+    ],
+)
+def test_notes_that_no_log_holds_are_refused(tmp_path, notes, note, says):
+    with pytest.raises(InputError, match=says) as error:
+        run_trial(RIG, recipe(tmp_path, noting(notes, note)), allow_code=True)
+    assert error.value.file.endswith("mine.py") and len(str(error.value)) < 1000
+
+
+EVIL = """
+class Evil:
+    def __float__(self): raise ZeroDivisionError('float')
+    def __repr__(self): raise ZeroDivisionError('repr')
+    def __len__(self): raise ZeroDivisionError('len')
+    def __getitem__(self, i): raise ZeroDivisionError('item')
+    def __array__(self, *_, **__): raise ZeroDivisionError('array')
+    def __hash__(self): raise ZeroDivisionError('hash')
+class Mute(Exception):
+    def __str__(self): raise ZeroDivisionError('str')
+class Dark(BaseException): pass
+from collections.abc import Mapping
+class Map(Mapping):
+    def __getitem__(self, key): raise KeyError
+    def __iter__(self): raise KeyError()
+    def __len__(self): return 1
+"""
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        "Evil()",
+        "[Evil()]",
+        "{'press.servo': Evil()}",
+        "{Evil(): 1.0}",
+        "{('a', []): 1.0}",
+        "{'press.servo': [1.0, 2.0]}",
+        "{'press.servo': 1j}",
+        "{None: 1.0}",
+        "Map()",
+        "(_ for _ in ()).throw(Mute())",
+        "(_ for _ in ()).throw(Dark())",
+        "[[[]] * 3, 5]",
+        "'x' * 10**6",
+        "[float('nan')]",
+        "object()",
+        "__import__('os')._exit(0)",
+        "self.step(t, sample, wish)",
+    ],
+)
+def test_an_answer_of_any_kind_is_a_sentence(tmp_path, answer):
+    code = EVIL + HEAD + START + f"    def step(self, t, sample, wish): return {answer}\n"
+    with pytest.raises(InputError) as error:
+        run_trial(RIG, recipe(tmp_path, code), allow_code=True)
+    assert error.value.file.endswith("mine.py") and "C" in error.value.message
+    assert len(str(error.value)) < 1000 and "\n" not in error.value.message
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "    channels = property(lambda self: 1 / 0)\n",
+        "    channels = [Evil()]\n",
+        "    channels = Evil()\n",
+        "    channels = 5\n",
+        "    channels = ['*', 3]\n",
+        "    channels = ['press.x']\n    notes = property(lambda self: 1 / 0)\n",
+        "    channels = ['press.x']\n    notes = [Evil()]\n",
+        "    channels = ['press.x']\n    notes = ['press.v']\n    note = Evil()\n",
+        "    channels = ['press.x']\n    notes = ['press.v']\n    note = [Evil()]\n",
+        "    channels = ['press.x']\n    step = 5\n",
+        "    channels = ['press.x']\n    start = property(lambda self: 1 / 0)\n",
+        "    channels = ['press.x']\n    def __init__(self): raise Dark\n",
+        "    channels = ['press.x']\n    def __new__(cls): return None\n",
+    ],
+)
+def test_a_class_of_any_shape_is_a_sentence(tmp_path, body):
+    start, step = (
+        part * (name not in body) for part, name in ((START, "start ="), (STEP, "step ="))
+    )
+    code = f"{EVIL}class C:\n{start}{step}{body}"
+    with pytest.raises(InputError) as error:
+        run_trial(RIG, recipe(tmp_path, code), allow_code=True)
+    assert error.value.file.endswith("mine.py") and "\n" not in error.value.message
+
+
+@pytest.mark.parametrize(
+    "code",
+    ["\0", "(" * 5000, "\xff\xfe", "x = " + "-" * 200000 + "1", "import nothing_of_the_kind"],
+)
+def test_a_file_that_is_no_code_is_a_sentence(tmp_path, code):
+    asked = recipe(tmp_path, HEAD)
+    (tmp_path / "mine.py").write_bytes(code.encode("latin-1"))
+    with pytest.raises(InputError) as error:
+        run_trial(RIG, asked, allow_code=True)
+    assert error.value.file.endswith("mine.py")
+
+
+def test_code_that_ends_the_process_is_named(tmp_path):
+    before = os._exit
+    code = "from os import _exit\n" + HEAD + START
+    code += "    def step(self, t, sample, wish):\n        _exit(0)\n"
+    with pytest.raises(InputError, match=r"C\.step asked the system to end the process at t") as e:
+        run_trial(RIG, recipe(tmp_path, code), allow_code=True)
+    assert e.value.line == 6 and os._exit is before
+
+
+@pytest.mark.parametrize("body", ["time.sleep(60)", "while True: pass"])
+def test_a_step_that_does_not_come_back_is_ended(tmp_path, monkeypatch, body):
+    monkeypatch.setattr("ehbench.trial.user_code.LONGEST", 0.5)
+    monkeypatch.setattr(guards, "LOOK", 0.1)
+    code = "import time\n" + HEAD + START
+    code += f"    def step(self, t, sample, wish):\n        {body}\n"
+    asked, begun = recipe(tmp_path, code), time.monotonic()
+    with pytest.raises(InputError, match=r"did not come back within 0\.5 s at t = 0 s") as error:
+        run_trial(RIG, asked, allow_code=True)
+    assert error.value.line == 6 and time.monotonic() - begun < 20.0
+
+
+def test_a_class_that_is_slow_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr("ehbench.trial.session.PATIENCE", 0.1)
+    monkeypatch.setattr("ehbench.trial.session.LONGEST_TRIAL", 1.0)
+    code = "import time\n" + HEAD + START
+    code += "    def step(self, t, sample, wish):\n        time.sleep(0.02)\n        return {}\n"
+    with pytest.raises(InputError, match=r"C takes 0\.02\d* s a tick, .* h to go"):
+        run_trial(RIG, recipe(tmp_path, code), allow_code=True)
+
+
+def test_a_command_beyond_its_limit_in_the_first_tick_never_acts(tmp_path):
+    code = HEAD + START + "    def step(self, t, sample, wish): return {'press.servo': 9.0}\n"
+    asked = recipe(tmp_path, code).model_copy(update={"limits": Limits(command_max="5 V")})
+    record, facts = run_trial(RIG, asked, allow_code=True)
+    assert facts.stop.limit == "command_max" and facts.stop.t == 0.0 and facts.stop.value == 9.0
+    assert not record["press.servo.command"].any() and facts.after.still
+
+
+RUN = """
+import sys
+from ehbench.cli import main
+sys.argv = ["ehbench", "run-trial", "trial.toml", "--allow-code", "-q", "--out", "out"]
+main()
+"""
+
+
+def test_a_terminated_trial_does_not_blame_the_class(tmp_path):
+    (tmp_path / "mine.py").write_text(
+        "import time\n" + HEAD + START + "    def step(self, t, sample, wish):\n"
+        "        open('begun', 'w').close()\n        time.sleep(0.01)\n        return {}\n"
+    )
+    rig = ROOT / "recipes" / "rigs" / "slide_servo.toml"
+    (tmp_path / "trial.toml").write_text(
+        f"stage = 'trial'\nrig = '{rig}'\n[controller]\nclass = 'mine:C'\n[motion]\n"
+        "kind = 'point_to_point'\nwaypoints = ['100 mm', '110 mm']\nspeed = '80 mm/s'\n"
+        "hold = '20 s'\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", RUN], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    )
+    deadline = time.monotonic() + 120
+    while not (tmp_path / "begun").exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.terminate()
+    said = process.communicate(timeout=30)[1]
+    assert process.returncode == 143 and "C.step" not in said
+    assert sorted(p.name for p in tmp_path.iterdir() if p.name != "begun") == [
+        "mine.py",
+        "trial.toml",
+    ]

@@ -1,0 +1,189 @@
+"""Only files that a run itself made are ever replaced, whatever is named as its place."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ehbench import rundir, starter
+from ehbench.errors import InputError
+
+RECIPE = "recipe.toml"
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """A folder to work in, with a file that stands for a recipe."""
+    monkeypatch.chdir(tmp_path)
+    Path(RECIPE).write_text("stage = 'trial'\n")
+    return tmp_path
+
+
+def made(final, text="one"):
+    """A run in ``final`` that left one file and one in a folder."""
+    with rundir.open_run(Path(final), "trial", Path(RECIPE), []) as run:
+        (run.path / "result.json").write_text(text)
+        (run.path / "figures").mkdir()
+        (run.path / "figures" / "a.svg").write_text(text)
+    return run
+
+
+def tree(folder):
+    """Every file below a folder with its bytes."""
+    return {str(p.relative_to(folder)): p.read_bytes() for p in Path(folder).rglob("*.*")}
+
+
+def test_a_run_replaces_the_run_before(place):
+    made("out")
+    assert made("out", "two").left_over == ()
+    assert Path("out/result.json").read_text() == Path("out/figures/a.svg").read_text() == "two"
+    assert sorted(p.name for p in place.iterdir()) == ["out", RECIPE]
+
+
+@pytest.mark.parametrize("facts", ["{}", "[]", "", '{"outputs": []}', "[" * 5000, None])
+def test_a_folder_with_other_files_is_left_alone(place, facts):
+    Path("out").mkdir()
+    Path("out/keep.txt").write_text("mine")
+    if facts is not None:
+        Path("out/run.json").write_text(facts)
+    before = tree("out")
+    with pytest.raises(InputError):
+        made("out")
+    assert tree("out") == before and not list(place.glob(".*"))
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "figures/mine.svg", "sub/result.json"])
+def test_a_file_that_a_run_did_not_write_saves_its_folder(place, name):
+    made("out")
+    (place / "out" / name).parent.mkdir(exist_ok=True)
+    (place / "out" / name).write_text("mine")
+    before = tree("out")
+    with pytest.raises(InputError, match=f"holds '{name}', which its run did not write"):
+        made("out", "two")
+    assert tree("out") == before and not list(place.glob(".*"))
+
+
+def test_a_file_put_there_while_the_run_is_made_is_kept(place):
+    made("out")
+    with pytest.raises(InputError, match="holds 'late.txt'"):
+        with rundir.open_run(Path("out"), "trial", Path(RECIPE), []) as run:
+            (run.path / "result.json").write_text("two")
+            Path("out/late.txt").write_text("mine")
+    assert Path("out/late.txt").read_text() == "mine" and not list(place.glob(".*"))
+    assert Path("out/result.json").read_text() == "one"
+
+
+def test_a_file_of_the_run_that_was_changed_is_kept_aside(place):
+    made("out")
+    Path("out/figures/a.svg").write_text("drawn over")
+    (said,) = made("out", "two").left_over
+    kept = Path("salvaged/out/figures/a.svg")
+    assert kept.read_text() == "drawn over" and str(kept) in said and "figures/a.svg" in said
+    assert Path("out/figures/a.svg").read_text() == "two"
+
+
+def test_names_in_a_run_that_lead_out_of_it_are_never_followed(place):
+    made("out")
+    Path("mine.txt").write_text("mine")
+    facts = json.loads(Path("out/run.json").read_text())
+    facts["outputs"]["../mine.txt"] = rundir.sha256(Path("mine.txt"))
+    Path("out/run.json").write_text(json.dumps(facts))
+    made("out", "two")
+    assert Path("mine.txt").read_text() == "mine"
+
+
+def test_a_link_is_followed_and_stays(place):
+    Path("real").mkdir()
+    Path("link").symlink_to("real")
+    made("link")
+    assert Path("link").is_symlink() and Path("real/result.json").read_text() == "one"
+    made("link", "two")
+    assert Path("link").is_symlink() and Path("real/result.json").read_text() == "two"
+
+
+def test_a_link_within_a_run_is_no_file_of_it(place):
+    made("out")
+    Path("mine.txt").write_text("one")
+    Path("out/result.json").unlink()
+    Path("out/result.json").symlink_to(Path("mine.txt").resolve())
+    with pytest.raises(InputError, match=r"holds 'result\.json'"):
+        made("out", "two")
+    assert Path("mine.txt").read_text() == "one"
+
+
+def test_a_place_that_is_none_is_a_sentence(place):
+    Path("a").symlink_to("b")
+    Path("b").symlink_to("a")
+    Path("file").write_text("mine")
+    for final in ("a", "x" * 5000, "a\0b", "file", "file/below"):
+        with pytest.raises(InputError):
+            made(final)
+    assert Path("file").read_text() == "mine"
+
+
+def test_a_full_disk_is_a_sentence_and_leaves_nothing(place, monkeypatch):
+    def full(path, value):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(rundir, "write_json", full)
+    with pytest.raises(InputError, match=r"out: .*No space left on device"):
+        made("out")
+    assert sorted(p.name for p in place.iterdir()) == [RECIPE]
+
+
+def test_init_never_writes_over_a_file(place):
+    Path("a").mkdir()
+    Path("a/rig.toml").write_text("mine")
+    for folder in ("a", "b/../a", "a/rig.toml", "a/rig.toml/sub", "x" * 5000, "a\0"):
+        with pytest.raises(InputError):
+            starter.init(Path(folder))
+    assert tree("a") == {"rig.toml": b"mine"} and not Path("b").exists()
+    os.symlink("a", "link")
+    with pytest.raises(InputError):
+        starter.init(Path("link"))
+    starter.init(Path("new/deep"))
+    assert tree("new/deep") == tree(rundir.PACKAGE / "workspace")
+
+
+def cli(*arguments, cwd, out=subprocess.PIPE, limit=None):
+    def small():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    line = [sys.executable, "-m", "ehbench.cli", *arguments]
+    return subprocess.run(
+        line,
+        cwd=cwd,
+        stdout=out,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+        preexec_fn=small if limit else None,
+    )
+
+
+def test_a_disk_that_takes_no_more_is_one_sentence_of_the_place_that_was_asked_for(place):
+    starter.init(Path("ws"))
+    for limit in (4_000, 60_000, 100_000):
+        done = cli(
+            *("run-trial", "ws/recipes/step_small.toml", "--out", "out", "-q"),
+            cwd=place,
+            limit=limit,
+        )
+        assert done.returncode == 2, done.stderr
+        (sentence,) = done.stderr.splitlines()
+        assert sentence.startswith("error: out: ") and "File too large" in sentence
+        assert not Path("out").exists() and not list(place.glob(".*"))
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full device here")
+def test_words_that_nobody_takes_are_no_traceback(place):
+    starter.init(Path("ws"))
+    with open("/dev/full", "w") as full:
+        done = cli("check", "ws/rig.toml", cwd=place, out=full)
+    assert done.returncode == 2 and done.stderr == "error: No space left on device\n"

@@ -1,0 +1,66 @@
+"""A small fuzz of each kind; `make fuzz` is the large one."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from random import Random
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from fuzzer import KINDS, pieces, several, table  # noqa: E402
+from kinds import Kind  # noqa: E402
+
+from ehbench.errors import InputError  # noqa: E402
+
+COUNT = 60
+FEW = {"run folders": 15, "command lines": 30}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_inputs_of_each_kind_are_taken_or_refused_with_a_sentence(kind):
+    count = FEW.get(kind, COUNT)
+    tally = several(kind, range(count), seed=1)
+    assert not tally.findings, "\n".join(finding.text for finding in tally.findings)
+    assert tally.refused > 0 and tally.taken + tally.refused == count
+
+
+def test_an_input_is_known_by_its_number():
+    for kind, what in KINDS.items():
+        made = [repr(what.make(Random(f"0 {kind} {number}"))) for number in (3, 3, 4, 5)]
+        assert made[0] == made[1] and len(set(made)) > 1
+
+
+def test_what_goes_wrong_is_found_and_counted(monkeypatch):
+    """A traceback, a hang and a sentence that is none."""
+
+    def take(given, folder):
+        if given < 2:
+            raise ZeroDivisionError
+        if given < 3:
+            while True:
+                pass
+        if given < 4:
+            error = InputError("a sentence")
+            error.message = "two\nlines"
+            raise error
+        if given < 6:
+            raise InputError("a sentence")
+
+    monkeypatch.setattr("fuzzer.LONGEST", 0.2)
+    numbers = iter(range(10))
+    monkeypatch.setitem(KINDS, "own", Kind(lambda rng: next(numbers), take, 1.0))
+    tally = several("own", range(10), seed=0)
+    assert [finding.number for finding in tally.findings] == [0, 1, 2, 3]
+    assert (tally.taken, tally.refused) == (4, 2)
+    assert "Hang" in tally.findings[2].what and "no sentence" in tally.findings[3].what
+    said = table({"own": tally})
+    assert "2 × ZeroDivisionError" in said and '--again "own:0"' in said
+
+
+def test_all_inputs_are_shared_out():
+    given = {kind: 0 for kind in KINDS}
+    for kind, part in pieces(100_000):
+        given[kind] += len(part)
+    assert sum(given.values()) >= 100_000 and min(given.values()) >= 2000

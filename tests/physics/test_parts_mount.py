@@ -1,0 +1,203 @@
+"""A mount that gives way: closed forms, energy, linear models; and a guard that sees leakage."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.control.axis import Mechanism, axis_of, hydraulic_frequency
+from ehbench.ledger import ledger_of_log, ledger_of_model
+from ehbench.machines.virtual import VirtualMachine
+from ehbench.parts.friction import friction_force
+from ehbench.parts.friction.lugre import LuGre
+from ehbench.parts.friction.stribeck import Stribeck
+from ehbench.parts.mount import Mount, piston_of, push_of
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.integrate import STEP
+from ehbench.plant.model import Model, simulate
+from ehbench.rig import Rig, Value
+from ehbench.tune.linear import (
+    Aim,
+    circuit_of,
+    development_model,
+    equivalent,
+    operating_point,
+    plant_model,
+    state_of,
+)
+
+sys.path.insert(0, str(Path(__file__).parent))
+from with_parts import jacobian, slide, steps, swing  # noqa: E402
+
+SOFT = {"stiffness": "10 kN/mm", "damping": "6000 N*s/m"}
+SEALS = {"friction_coulomb": Value(200.0), "friction_viscous": Value(400.0)}
+BREAKS = {"friction_static": "400 N", "stribeck_speed": "20 mm/s"}
+BRISTLES = BREAKS | {"bristle_stiffness": "2 kN/mm", "bristle_damping": "4 kN*s/m"}
+FRICTIONS = {
+    "plain": None,
+    "stribeck": Stribeck.model_validate({"law": "stribeck"} | BREAKS),
+    "lugre": LuGre.model_validate({"law": "lugre"} | BRISTLES),
+}
+
+
+def mounted(mount: dict = SOFT, **parts) -> Rig:
+    """The sliding mass on a mount that gives way."""
+    return slide(mount=Mount.model_validate(mount), **parts)
+
+
+def test_oil_and_mount_are_springs_in_series():
+    """Valves shut: ``m s² (c s + k + k_o) + k_o (c s + k) = 0``; where the damper takes little,
+    ``ω² = 1/(1/k_o + 1/k)/m``. The controllers' estimate is that."""
+    little = SOFT | {"damping": "200 N*s/m"}
+    for mount, damping in ((SOFT, 6000.0), (little, 200.0)):
+        model = Model.of(mounted(mount).with_values({"carriage.damping": 0.0}))
+        oil, k, mass = swing(model), 1e7, 250.0
+        exact = np.roots([mass * damping, mass * (k + oil), oil * damping, oil * k])
+        found = np.linalg.eigvals(jacobian(model))
+        for pole in exact:
+            assert found[np.argmin(np.abs(found - pole))] == pytest.approx(pole, rel=1e-5)
+    series = math.sqrt(1.0 / (1.0 / oil + 1.0 / k) / mass)
+    assert np.abs(exact.imag).max() == pytest.approx(series, rel=1e-3)
+    plant, q = model.plant, model.posture(None)
+    mechanism = Mechanism(plant.kind, plant.gravity, plant.links, plant.cylinders.joint, q)
+    axis = axis_of(circuit_of(model, 0), mechanism, plant.cylinders[0])
+    assert hydraulic_frequency(axis) == pytest.approx(series, rel=1e-9)
+
+
+def test_a_mount_rests_where_it_carries_the_load():
+    """Uphill ``k δ = m g sin(incline)``, the piston so much further out; nothing moves then."""
+    model = Model.of(mounted().with_values({"carriage.incline": 0.5}))
+    y = model.trim(model.posture({"press": "200 mm"}))
+    given = y[model.layout.state("mount_deflection")]
+    assert given == pytest.approx(250.0 * 9.80665 * math.sin(0.5) / 1e7, rel=1e-9)
+    row = model.plant.cylinders[0]
+    assert piston_of(row, 0.2, 0.0, y, model.plant) == pytest.approx((0.2 + given, 0.0))
+    log = model.run(y, model.rest_commands(300))
+    assert (
+        np.ptp(log[:, 0]) < 1e-9 and np.ptp(log[:, model.layout.state("mount_deflection")]) < 1e-9
+    )
+
+
+@pytest.mark.parametrize("law", FRICTIONS)
+def test_the_balance_of_forces_holds_at_any_speed(law):
+    """``c (u − v) = A1 P1 − A2 P2 − friction(u) − k δ``, also in the end stops."""
+    model = Model.of(mounted(friction=FRICTIONS[law], **SEALS))
+    row, plant = model.plant.cylinders[0], model.plant
+    rng = np.random.default_rng(4)
+    for _ in range(200):
+        y = model.trim(model.posture(None))
+        y[model.layout.state("p_head")] = rng.uniform(0.0, 1e7)
+        y[row.mount_state], v = rng.uniform(-1e-3, 1e-3), rng.uniform(-0.3, 0.3)
+        if row.friction_state >= 0:
+            y[row.friction_state] = rng.uniform(-1e-4, 1e-4)
+        x, u = piston_of(row, 0.2, v, y, plant)
+        force = push_of(row, y, plant) - friction_force(row, u, y)
+        taken = 6000.0 * (u - v) + 1e7 * y[row.mount_state]
+        assert x == 0.2 + y[row.mount_state]
+        assert taken == pytest.approx(force, abs=1e-8 * abs(push_of(row, y, plant)))
+
+
+@pytest.mark.parametrize("law", FRICTIONS)
+def test_the_ledger_closes_with_a_mount(law):
+    """To what RK4 leaves over, as without; ``k δ²/2`` is stored, ``c ∫(dδ/dt)² dt`` lost. The
+    damper is steeper than any friction here falls, 0.86·200 N/(20 mm/s)."""
+    rig = mounted(SOFT | {"damping": "1e4 N*s/m"}, friction=FRICTIONS[law], **SEALS)
+    record = simulate(rig, {"press.servo": steps((4.0, -5.0, 2.0))[:801]}, 0.8)
+    ledger = ledger_of_model(Model.of(rig), record)
+    assert ledger.pump > 500.0
+    for row in ledger.rows:
+        if row.group in ("part", "residual"):
+            assert abs(row.energy) < 1e-5 * ledger.pump, row
+    given = record["press.mount_deflection"]
+    stored = 0.5e7 * (given[-1] ** 2 - given[0] ** 2)
+    assert ledger["press.mount_spring"].energy == pytest.approx(stored, rel=1e-9)
+    lost = 1e4 * np.trapezoid(np.gradient(given, record.t) ** 2, record.t)
+    assert ledger["press.mount"].energy == pytest.approx(lost, rel=0.05)
+    of_log = ledger_of_log(rig, None, record)
+    for name in ("press.mount", "press.mount_spring", "press.work"):
+        exact = ledger[name].energy
+        assert of_log[name].energy == pytest.approx(exact, abs=1e-3 * ledger.pump), name
+
+
+def test_a_stiff_mount_is_none():
+    """And the guard sees how quick it is: 2e10 N/m over 20 µs times that."""
+    hard = {"stiffness": "20 MN/mm", "damping": "4e5 N*s/m"}
+    commands = {"press.servo": steps((4.0, -3.0))[300:750]}
+    found = [simulate(rig, commands, 0.449)["press.v"] for rig in (mounted(hard), slide())]
+    assert np.abs(found[0] - found[1]).max() < 2e-3 * np.abs(found[1]).max()
+    model = Model.of(mounted(hard))
+    y = model.trim(model.posture(None))
+    dy, work = np.empty_like(y), np.empty(model.plant.at.work)
+    rate = derivatives(y, model.rest_commands(1)[0], model.plant, dy, work)
+    assert rate == pytest.approx((2e10 + swing(model)) / 4e5, rel=1e-6)
+    assert 1e3 * STEP < rate * STEP < 1e5 * STEP
+
+
+def test_a_record_starts_on_its_mount():
+    model = Model.of(mounted().with_values({"carriage.incline": 0.3}))
+    table = model.rest_commands(500)
+    table[100:300, 0] = 3.0
+    start = model.trim(model.posture(None))
+    record = model.record(np.arange(500) * 1e-3, table, model.run(start, table))
+    kept = {k: v for k, v in record.channels.items() if k != "press.mount_deflection"}
+    again = model.replay(type(record)(record.t, kept, record.meta))
+    assert np.allclose(again["press.mount_deflection"], record["press.mount_deflection"], atol=1e-9)
+
+
+@pytest.mark.parametrize("way", [0, 1])
+def test_a_linear_model_has_the_mount(way):
+    """From the equations as from differences of the plant; the point is a steady motion."""
+    model = Model.of(mounted(**SEALS).with_values({"press.leakage_internal": 2e-12}))
+    here, circuit = equivalent(model, 0, np.array([0.2])), circuit_of(model, 0)
+    function = int(np.flatnonzero(circuit.able)[1 + way])
+    point = operating_point(model, circuit, function, here, 0, Aim(5e5, 5e5, speed=0.1))
+    assert point.possible, point.note
+    y, command = state_of(model, point)
+    dy = np.empty_like(y)
+    derivatives(y, command, model.plant, dy, np.empty(model.plant.at.work))
+    names = ("qd", "mount_deflection")
+    assert np.abs([dy[model.layout.state(name)] for name in names]).max() < 1e-6
+    equations, differences = development_model(model, point), plant_model(model, point)
+    assert (
+        equations.states == differences.states and equations.states[3] == "press.mount_deflection"
+    )
+    scale = np.ones(len(equations.states))
+    scale[1:3], scale[3] = 1e6, 1e-3
+    mine, its = (one.a * scale / scale[:, None] for one in (equations, differences))
+    assert (np.abs(mine - its) <= 1e-4 * np.abs(mine).max(axis=1, keepdims=True)).all()
+    assert np.allclose(equations.b, differences.b, rtol=1e-5, atol=1e-3)
+
+
+def test_the_virtual_bench_has_the_mount_too():
+    """Its position channels are the linkage's, its pressures those of the piston's own place."""
+    machine = VirtualMachine(mounted().with_values({"carriage.incline": 0.5}), seed=1)
+    machine.start()
+    at = machine.model.layout.state("mount_deflection")
+    for _ in range(400):
+        machine.tick(np.array([0.0]))
+    row, state = machine.bench.cylinders[0], machine.state
+    carried = push_of(row, state, machine.bench)
+    assert state[at] == pytest.approx(carried / 1e7, rel=0.05) and state[at] > 5e-5
+
+
+def test_parameters_of_a_mount_are_called_by_it():
+    rig = mounted().with_values({"press.mount.stiffness": 3e7})
+    assert float(rig.cylinder[0].mount.stiffness) == 3e7
+    bare = mounted({"stiffness": "10 kN/mm"})
+    assert Model.of(bare).plant.cylinders[0].mount_damping == pytest.approx(1e4)
+    assert "press.mount.damping" not in bare.parameters()
+    assert bare.cylinder[0].unmodelled == ("[cylinder.mount]",)
+    assert Rig.model_validate(rig.as_toml()).parameters().keys() == rig.parameters().keys()
+
+
+@pytest.mark.parametrize("key", ["leakage_internal", "leakage_head", "leakage_rod"])
+def test_a_worn_out_seal_is_seen_by_the_guard(key):
+    """100 000 mL/min/bar evens a chamber out within a step."""
+    rig = slide().with_values({f"press.{key}": 1e-1 / 60.0 / 1e5})
+    record = simulate(rig, {"press.servo": steps((3.0, 3.0))[300:700]}, 0.399)
+    assert np.abs(record["press.p_head"]).max() < 2e7
+    assert np.abs(np.diff(record["press.p_head"])[-40:]).max() < 1e5

@@ -1,0 +1,142 @@
+"""What is held out goes by samples: windows, copies, formats, shifted time; scored windows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.errors import InputError
+from ehbench.logs import read_record
+from ehbench.plant.model import Model
+from ehbench.recipe import load_recipe, load_rig
+from ehbench.record import Record
+from ehbench.validation import PreparedValidation, read_validation, run_validation, taken_log
+from ehbench.validation.held_out import Rows, overlaps
+from ehbench.workflow import Session, run
+from tests.virtual_logs import RIGS, virtual_log
+
+ROOT = Path(__file__).parents[2]
+LOG = ROOT / "datasets" / "slide_servo" / "steps" / "press_no_load.mcap"
+FILES = {"rig": RIGS / "slide_servo.toml"}
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return load_rig(RIGS / "slide_servo.toml")
+
+
+@pytest.fixture(scope="module")
+def log(rig) -> Record:
+    return virtual_log("slide_servo", rig, "steps", 3)
+
+
+def part(record: Record, start: float, stop: float) -> Record:
+    keep = (record.t >= start) & (record.t <= stop)
+    return Record(record.t[keep], {n: v[keep] for n, v in record.channels.items()}, record.meta)
+
+
+def rows_of(record: Record, digits: int = 9) -> Rows:
+    """As a run of an identification saves what it was fitted to."""
+    names = ("press.x", "press.v", "press.p_head", "press.p_rod")
+    saved = {n: np.array([float(f"{y:.{digits}g}") for y in record[n]]) for n in names}
+    return Rows("steps", np.array([float(f"{t:.9g}") for t in record.t]), saved, "abc")
+
+
+def test_a_log_is_itself_and_another_window_of_it_is_not(log):
+    fitted = [rows_of(part(log, 0.0, 2.0))]
+    (found,) = overlaps(log, fitted)
+    assert (found.start, found.stop) == pytest.approx((0.0, 2.0)) and found.log == "steps"
+    assert not overlaps(part(log, 2.0, 4.0), fitted), "they share one sample, the boundary"
+    assert not overlaps(part(log, 2.0, 4.0), fitted, "abc"), "the same file, another window"
+    (found,) = overlaps(part(log, 1.5, 4.0), fitted, "abc")
+    assert (found.start, found.stop) == pytest.approx((1.5, 2.0))
+
+
+def test_a_copy_with_more_samples_or_a_shifted_time_is_no_other_log(log, rig):
+    fitted = [rows_of(part(log, 0.5, 2.0))]
+    assert overlaps(log, fitted)[0].samples == pytest.approx(1501, abs=2)
+    late = Record(log.t + 17.25, log.channels, log.meta)
+    (found,) = overlaps(late, fitted)
+    assert (found.start, found.stop) == pytest.approx((17.75, 19.25))
+    few = Record(log.t[::2], {n: v[::2] for n, v in log.channels.items()}, log.meta)
+    (found,) = overlaps(few, fitted)
+    assert (found.start, found.stop) == pytest.approx((0.5, 2.0))
+    t = np.arange(2 * log.t.size - 1) * 5e-4
+    dense = {n: np.interp(t, log.t, v) for n, v in log.channels.items()}
+    (found,) = overlaps(Record(t, dense, log.meta), fitted)
+    assert (found.start, found.stop) == pytest.approx((0.5, 2.0))
+    bare = Record(log.t, {"press.x": log["press.x"], "press.p_rod": log["press.p_rod"]})
+    assert len(overlaps(bare, fitted)) == 1, "a copy may lack channels"
+
+
+def test_another_recording_of_the_same_test_is_held_out(log, rig):
+    again = virtual_log("slide_servo", rig, "steps", 4)
+    assert not overlaps(again, [rows_of(log)])
+    still = {n: np.full(log.t.shape, v[0]) for n, v in log.channels.items()}
+    assert not overlaps(Record(log.t, still), [rows_of(Record(log.t, still))]), "rest says nothing"
+
+
+def test_only_the_scored_part_is_judged(log, rig):
+    """A disturbance that the model cannot know, before what is scored, costs nothing but drift."""
+    model = Model.of(rig)
+    bad = log["press.p_head"] + np.where(log.t < 0.25, 4e6 * np.sin(300.0 * log.t), 0.0)
+    odd = Record(log.t, log.channels | {"press.p_head": bad}, log.meta)
+    channels = ("x", "v", "p_head", "p_rod")
+
+    def judged(scored):
+        taken = taken_log("odd", odd, model, scored=scored)
+        return run_validation(PreparedValidation(rig, channels, (taken,))).logs[0]
+
+    whole, late = judged(None), judged((2.0, float("inf")))
+    assert late.scored == pytest.approx((2.0, 4.0)) and whole.scored is None
+    assert late.duration == pytest.approx(2.0)
+    assert late.series["t"].size == log.t.size, "the figure shows the whole run"
+    assert min(w.start for w in late.transients) >= 2.0
+    error = late.series["simulated.press.p_head"] - late.series["press.p_head"]
+    channel = next(c for c in late.channels if c.channel == "press.p_head")
+    assert channel.rms_error == pytest.approx(np.sqrt(np.mean(error[log.t >= 2.0] ** 2)))
+    with pytest.raises(InputError, match="no samples from score_start to score_stop"):
+        taken_log("odd", odd, model, scored=(9.0, 10.0))
+
+
+def recipe(folder: Path, name: str, *lines: str) -> Path:
+    path = folder / f"{name}.toml"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def test_windows_of_one_file_fit_and_judge(tmp_path):
+    """Fitted to the first second, judged on the second: held out; an overlap is named."""
+    recipe(
+        tmp_path,
+        "fit",
+        'stage = "identify"\nwhat = "hydraulics"',
+        f'rig = "{FILES["rig"]}"',
+        f'data = [{{ path = "{LOG}", stop = "1 s" }}]',
+        'parameters = ["carriage.damping"]',
+    )
+    record = read_record(LOG)
+    table = np.column_stack([record.t, *record.channels.values()])
+    units = {"x": "m", "q": "rad", "v": "m/s", "qd": "rad/s", "command": "V"}
+    heads = [f"{n} [{units.get(n.rsplit('.', 1)[-1], 'Pa')}]" for n in record.channels]
+    np.savetxt(
+        tmp_path / "copy.csv", table, "%.12g", ",", header=",".join(["t [s]", *heads]), comments=""
+    )
+    judge = recipe(
+        tmp_path,
+        "judge",
+        'stage = "validate"\nrig = "fit.toml"\nchannels = ["x", "v", "p_head", "p_rod"]',
+        f'data = [{{ path = "{LOG}", score_start = "1 s" }}, {{ path = "{LOG}", start = "0.5 s" }},'
+        ' { path = "copy.csv" }]',
+    )
+    assert load_recipe(judge).data[0].scored == (1.0, float("inf"))
+    done = run(judge, Session(root=tmp_path / "reports"))
+    found = read_validation(done.folder)
+    assert [log.status for log in found.logs] == ["held_out", "fitted", "fitted"]
+    spans = [(one.start, one.stop) for log in found.logs for one in log.overlap]
+    assert spans == [pytest.approx((0.5, 1.0)), pytest.approx((0.0, 1.0), abs=0.01)]
+    assert any("TO ITS" in text.upper() and "0.5 … 1 s" in text for text in found.warnings)
+    reasons = "\n".join(found.reasons)
+    assert "copy" not in reasons

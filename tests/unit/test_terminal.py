@@ -1,0 +1,79 @@
+"""What a run found, on a terminal and for scripts."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ehbench import workflow
+from ehbench.report import terminal
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def judged(tmp_path_factory):
+    """The run that validates the sliding mass; that of its identification lies beside it."""
+    root = tmp_path_factory.mktemp("runs")
+    recipe = ROOT / "recipes" / "slide_servo" / "validation.toml"
+    return workflow.run(recipe, workflow.Session(root=root)).folder
+
+
+@pytest.fixture(scope="module")
+def fitted(judged):
+    return next(judged.parent.glob("hydraulics_*"))
+
+
+def test_a_fit_shows_each_parameter_with_interval_unit_and_status(fitted):
+    told = terminal.lines(fitted, 100)
+    known = json.loads((fitted / "parameters.json").read_text())["parameters"]
+    for one in known:
+        (line,) = [line for line in told if line.startswith(one["name"] + " ")]
+        assert "…" in line and one["status"].replace("_", " ") in line
+    assert max(map(len, told)) <= 100
+
+
+def test_a_narrow_terminal_gets_fewer_columns_and_no_broken_line(fitted):
+    wide, narrow = terminal.lines(fitted, 100), terminal.lines(fitted, 40)
+    assert "status" in " ".join(wide) and max(map(len, narrow)) <= 40
+    assert any(line.startswith("bulk_modulus") for line in narrow)
+    assert len(max(terminal.lines(fitted, 40, whole=True), key=len)) > 100
+
+
+def test_a_verdict_comes_first_and_in_capitals(judged):
+    assert terminal.lines(judged)[0].startswith("ACCEPTED on 1 held-out log")
+    table = json.loads((judged / "validation.json").read_text())
+    said = dict(table, accepted=False, verdict="rejected", reasons=["it rings at another rate"])
+    kept = (judged / "validation.json").read_text()
+    (judged / "validation.json").write_text(json.dumps(said))
+    try:
+        told = terminal.lines(judged)
+        assert told[0].startswith("REJECTED") and "- it rings at another rate" in told
+    finally:
+        (judged / "validation.json").write_text(kept)
+
+
+def test_scripts_get_the_same_with_numbers(fitted):
+    found = terminal.values(fitted)
+    known = json.loads((fitted / "parameters.json").read_text())["parameters"]
+    assert [row["parameter"] for row in found["results"]] == [one["name"] for one in known]
+    assert found["numbers"]["parameters"] == known and "parameters.json" in found["files"]
+
+
+@pytest.mark.parametrize("option", ["-q", "--json", ""])
+def test_the_path_ends_what_is_printed_and_is_all_of_it_when_quiet(option, tmp_path):
+    recipe = ROOT / "recipes" / "slide_servo" / "hydraulics.toml"
+    words = ["identify", str(recipe), "--out", str(tmp_path / "run"), *([option] if option else [])]
+    done = subprocess.run(
+        [sys.executable, "-m", "ehbench.cli", *words], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    if option == "--json":
+        assert json.loads(done.stdout)["folder"] == str(tmp_path / "run")
+    else:
+        *told, path = done.stdout.splitlines()
+        assert path == str(tmp_path / "run") and bool(told) == (option == "")
