@@ -4,11 +4,12 @@ code.
 
 from __future__ import annotations
 
+import errno
 import shutil
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -16,6 +17,7 @@ import typer
 
 from ehbench.commands import COMMANDS, Command
 from ehbench.errors import EhbenchError, Terminated
+from ehbench.text import shortened_path
 
 if TYPE_CHECKING:
     from ehbench.workflow import Outcome
@@ -320,6 +322,13 @@ def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
         yield tell
 
 
+# what the system says no to is no bug of ours
+_OUTSIDE = (
+    *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO),
+    *(errno.EACCES, errno.EPERM, errno.ENAMETOOLONG, errno.ELOOP, errno.EMFILE),
+)
+
+
 def _terminated(*_: object) -> None:
     raise Terminated(143)
 
@@ -331,6 +340,14 @@ def main() -> None:
     signal.signal(signal.SIGTERM, _terminated)
     try:
         app()
+    except OSError as error:
+        if error.errno not in _OUTSIDE:
+            raise
+        where = f"{shortened_path(error.filename)}: " if error.filename else ""
+        print(f"error: {where}{error.strerror}", file=sys.stderr)
+        with suppress(OSError):
+            sys.stdout.close()
+        sys.exit(2)
     except EhbenchError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(error.exit_code)

@@ -23,7 +23,8 @@ def read_bytes(path: Path, most: int = TEXT, error: type[InputError] = InputErro
     """
     try:
         # a pipe without a writer would keep the process waiting
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+        flags = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+        descriptor = os.open(path, os.O_RDONLY | flags)
         with open(descriptor, "rb") as file:
             found = os.fstat(descriptor)
             if stat.S_ISDIR(found.st_mode):

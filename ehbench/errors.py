@@ -26,9 +26,9 @@ class EhbenchError(Exception):
         hint: str | None = None,
     ) -> None:
         self.message = _one_line(message)
-        self.file = None if file is None else str(file)
+        self.file = None if file is None else _one_line(str(file))
         self.line = line
-        self.hint = hint
+        self.hint = None if hint is None else _one_line(hint)
         super().__init__(str(self))
 
     def __str__(self) -> str:

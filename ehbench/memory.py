@@ -8,6 +8,7 @@ from functools import lru_cache
 from ehbench.errors import InputError
 
 SHARE = 0.5  # of the memory that one piece of work may fill
+UNSAID = 8e9  # [bytes] where a system does not say how much memory it has
 MOST_ROWS = 10_000_000  # of a trial
 MOST_STEPS = 5e9  # of the integration: hours
 
@@ -15,7 +16,10 @@ MOST_STEPS = 5e9  # of the integration: hours
 @lru_cache(maxsize=1)
 def available() -> float:
     """Memory [bytes] that this process may hold: of the machine, or less where it is given less."""
-    sizes = [float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")]
+    try:
+        sizes = [float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")]
+    except (AttributeError, OSError, ValueError):  # a system that does not say
+        sizes = [UNSAID]
     try:
         with open("/sys/fs/cgroup/memory.max", encoding="ascii") as file:
             sizes.append(float(file.read()))

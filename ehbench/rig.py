@@ -669,10 +669,13 @@ class Rig(FileModel):
 
     @model_validator(mode="after")
     def _bodies_weigh(self) -> Rig:
-        slide = isinstance(self.mechanism, Slide)
-        bodies = (self.mechanism,) if slide else self.mechanism.joint
+        bodies: tuple[Slide | Joint, ...]
+        if isinstance(self.mechanism, Slide):
+            bodies, where = (self.mechanism,), ("mechanism",)
+        else:
+            bodies = self.mechanism.joint
+            where = ("mechanism", "joint", len(bodies) - 1)
         if not float(bodies[-1].mass) > 0.0:
-            where = ("mechanism",) if slide else ("mechanism", "joint", len(bodies) - 1)
             raise Misplaced(f"'{bodies[-1].name}' has no mass to move", *where, "mass")
         empty = {body.name: float(body.mass) for body in bodies}
         for load, links in self.payload.items():

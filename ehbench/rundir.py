@@ -27,7 +27,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ehbench.disk import DATA, read_bytes
+from ehbench.disk import DATA, impossible, read_bytes
 from ehbench.errors import EhbenchError, InputError
 from ehbench.text import shortened_path
 
@@ -174,7 +174,7 @@ def place(recipe: Path, inputs: Iterable[tuple[str, Path]], root: Path) -> Path:
 
 def is_whole(folder: Path) -> bool:
     """Whether a run folder is there with every output as it was written."""
-    if not (folder / "run.json").is_file():
+    if impossible(folder / "run.json") or not (folder / "run.json").is_file():
         return False
     outputs = outputs_of(folder / "run.json")
     return all(

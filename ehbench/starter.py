@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from ehbench import rundir
+from ehbench.disk import impossible
 from ehbench.errors import InputError
-from ehbench.text import shortened_path
+from ehbench.text import shortened, shortened_path
 
 
 def find_campaign(name: str) -> Path:
@@ -18,10 +19,10 @@ def find_campaign(name: str) -> Path:
     """
     here = Path(name) / "campaign.toml"
     for candidate in (Path(name), Path("recipes") / here, rundir.shipped("recipes") / here):
-        if candidate.is_file():
+        if not impossible(candidate) and candidate.is_file():
             return candidate
     raise InputError(
-        f"no campaign '{name}'",
+        f"no campaign {shortened(name, 100)}",
         hint="give a campaign's TOML file, or a name for recipes/<name>/campaign.toml",
     )
 

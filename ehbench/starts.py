@@ -33,7 +33,7 @@ FINE_SUPPLY = 1.0e-5
 BEGINNING = 0.03  # [s] over which the first samples of a motion tell its state
 LEAST = 8  # samples, which do so at least
 DIFFERENCE = 0.3  # of finite differences, in prior standard deviations, …
-SMALLEST, LARGEST = 1.0e-5, 2.0e-3  # … but within these shares of a number's range
+SMALLEST, LARGEST = 1.0e-6, 2.0e-4  # … but within these shares of a number's range
 ROUNDS, CONVERGED = 4, 1.0e-3  # of an estimate: most rounds, and the gain that is not worth another
 FLOOR = 5.0e-3  # of a channel's scale, as a share of its spread
 

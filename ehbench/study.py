@@ -220,9 +220,9 @@ def cases(rigs: int) -> list[Case]:
         (2, "white", True),
     ]
     return [
-        Case(rigs * group + index, *about)
-        for group, about in enumerate(groups)
+        Case(len(groups) * index + group, *about)
         for index in range(rigs)
+        for group, about in enumerate(groups)
     ]
 
 

@@ -188,21 +188,25 @@ class Release(NamedTuple):
     gain: float
 
 
-def release_of(blocks: Sequence[Block], prior: Prior) -> Release:
+def release_of(blocks: Sequence[Block], prior: Prior, least: float) -> Release:
     """What freeing the last of the parameters would do, all others following it, to first order;
-    its standard error is by what would be left then.
+    its standard error is by what would be left then, infinite where the cost would fall by less
+    than ``least``.
     """
     solved = [eliminate(block, prior.weight) for block in blocks]
     normal = np.sum([one.normal for one in solved], axis=0) + prior.normal
     pull = np.sum([one.gradient for one in solved], axis=0) + prior.gradient
     root = _inverse_root(normal)
     step = -root @ (root.T @ pull)
+    gain = -float(pull @ step)
+    if gain < least:
+        return Release(float(step[-1]), math.inf, gain)
     after = []
     for block, one in zip(blocks, solved, strict=True):
         left = block.left + block.slopes @ step + block.nudges @ (one.move - one.gain @ step)
         after.append(replace(block, left=left))
     std = covariance_of(after, prior).error(len(pull) - 1)[0]
-    return Release(float(step[-1]), std, -float(pull @ step))
+    return Release(float(step[-1]), std, gain)
 
 
 def _reach(score: np.ndarray) -> int:

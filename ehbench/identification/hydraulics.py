@@ -81,7 +81,7 @@ class FitOptions:
     prior: Mapping[str, str | float] = field(default_factory=dict)
     channels: Sequence[str] = CHANNELS
     cutoff: float | None = None
-    max_iterations: int = 30
+    max_iterations: int = 100
     step: float = STEP
     workers: int = 0
 

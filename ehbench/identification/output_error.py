@@ -7,8 +7,9 @@ alone, so they are eliminated block by block."""
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,12 +27,20 @@ SCALE_FLOOR = 5.0e-3
 # a parameter is not excited if moving it by its unit (a factor e, or its whole range) changes no
 # channel by more than this share of the channel's spread, rms
 FAINT = 2.0e-3
-DIFFERENCE = 1.0e-3  # step of finite differences, in units of a parameter
+# step of finite differences, in units of a parameter: over half a minute a larger one bends, and
+# where parameters nearly cancel the bend outweighs what they differ by
+DIFFERENCE = 1.0e-5
+# … and it touches no log in which its effect is less than this share of its largest
+NOTHING = 1.0e-3
 NEAR = 5.0e-3  # share of its reach within which a parameter is tried at its bound
 SCAN = math.log(10.0)  # how far the first look goes either way
-# its points over other parameters: 5 % apart, 2.4 % in frequency, which twenty cycles of ringing
-# can still tell
-FINER = 97
+# its points over the bulk modulus, and over other parameters: 5 % apart, 2.4 % in frequency, which
+# twenty cycles of ringing can still tell
+COARSE, FINER = 11, 97
+# of other basins that the look meets: how much worse than the best one may be to be tried, how many
+RIVAL, RIVALS = 3.0, 3
+HEAD = 5.0  # [s] of a log at least that the search begins with
+MUCH = 0.01  # squares of what is left, as a share of the channels' spread, that ask for more starts
 STANDS = 0.03  # share by which scales may still change when a fit stands
 ROUNDS = 8  # of weighing and solving at most
 # of the descent: damping at first, at least and at most, and what a step changes it by
@@ -45,12 +54,15 @@ FAITHFUL = 0.25  # share of what a step should gain that may be missed before al
 @dataclass(frozen=True, eq=False)
 class _Point:
     """Parameters in search coordinates, the shifts of the logs' starts, and the residuals [SI] by
-    log there.
+    log there; ``slopes`` are what is known already of their sensitivities [SI], by parameter and
+    log, ``nudges`` by log and number of its start.
     """
 
     theta: np.ndarray
     shifts: Shifts
     left: list[np.ndarray]
+    slopes: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
+    nudges: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
 
 
 class OutputError:
@@ -95,6 +107,9 @@ class OutputError:
         self.centre = np.array([c.of(c.centre) if c.known else 0.0 for c in search])
         self.weight = 1.0
         self.iterations = 0
+        self.coarse = True
+        self.touches = np.ones((len(search), len(simulator.logs)), dtype=bool)
+        self.last: tuple[tuple[object, ...], _Point] | None = None
 
     def _pooled(self, channel: str, parts: Sequence[np.ndarray]) -> float:
         """rms of a channel's column over all logs that have it, where it counts."""
@@ -110,11 +125,18 @@ class OutputError:
 
     def residuals(
         self, thetas: Sequence[np.ndarray], chosen: Sequence[int] | None = None
-    ) -> list[list[np.ndarray]]:
-        """Residuals simulated − recorded [SI] by vector and log, from the present starts."""
+    ) -> list[list[np.ndarray] | None]:
+        """Residuals simulated − recorded [SI] by vector and log, from the present starts; None
+        where a log could not be simulated.
+        """
         rows = self.simulator.simulate([self._values(x) for x in thetas], chosen, self.shifts)
         logs = self.simulator.chosen(chosen)
-        return [[self._left(*pair) for pair in zip(logs, row, strict=True)] for row in rows]
+        return [
+            None
+            if any(one is None for one in row)
+            else [self._left(*pair) for pair in zip(logs, row, strict=True)]
+            for row in rows
+        ]
 
     def _values(self, theta: np.ndarray) -> list[float]:
         return [c.at(x) for c, x in zip(self.search, theta, strict=True)]
@@ -130,9 +152,14 @@ class OutputError:
         return left * log.counts
 
     def _at(self, theta: np.ndarray, shifts: Shifts) -> _Point:
-        row = self.simulator.simulate([self._values(theta)], None, shifts)[0]
-        left = [self._left(*pair) for pair in zip(self.simulator.logs, row, strict=True)]
-        return _Point(theta, shifts, left)
+        """The residuals at a point; the last one is remembered."""
+        step, logs = self.simulator.step, self.simulator.logs
+        key = (theta.tobytes(), *(own.tobytes() for own in shifts), step, id(logs))
+        if self.last is None or self.last[0] != key:
+            row = self.simulator.simulate([self._values(theta)], None, shifts)[0]
+            left = [self._left(*pair) for pair in zip(logs, row, strict=True)]
+            self.last = key, _Point(theta, shifts, left)
+        return self.last[1]
 
     def scaled(
         self, parts: Sequence[np.ndarray], chosen: Sequence[int] | None = None
@@ -143,48 +170,65 @@ class OutputError:
             for part, log in zip(parts, self.simulator.chosen(chosen), strict=True)
         ]
 
-    def slopes(self, here: _Point, which: Sequence[int], central: bool = False) -> list[np.ndarray]:
+    def slopes(self, here: _Point, which: Sequence[int]) -> list[np.ndarray]:
         """Scaled sensitivities by log, shape (samples, channels, parameters), by differences that
-        stay inside the bounds.
+        stay inside the bounds and where the rig is possible; zero where a parameter has been seen
+        to change nothing in a log.
         """
-        theta, ends, vectors = here.theta, [], []
-        for i in which:
-            low, high = self.search[i].bounds
-            h = DIFFERENCE if theta[i] + DIFFERENCE <= high else -DIFFERENCE
-            pair = [h, -h if central and low <= theta[i] - h <= high else 0.0]
-            for side, shift in enumerate(pair):
-                if shift != 0.0:
-                    vectors.append(theta + shift * np.eye(len(theta))[i])
-                    pair[side] = len(vectors)
-                else:
-                    pair[side] = 0
-            ends.append((int(pair[0]), int(pair[1]), 2.0 * h if pair[1] else h))
-        done = [here.left, *(self.residuals(vectors) if vectors else [])]
+        logs, known = self.simulator.logs, here.slopes
+        every = [(i, k) for i in which for k in range(len(logs))]
+        asked = [pair for pair in every if pair not in known and self.touches[pair]]
+        for side in (1.0, -1.0):
+            steps = {i: side * self._inward(here.theta, i) * DIFFERENCE for i in which}
+            points = []
+            for i, k in asked:
+                theta = here.theta + steps[i] * np.eye(len(here.theta))[i]
+                points.append((self._values(theta), k, here.shifts[k]))
+            done = zip(asked, self.simulator.each(points), strict=True)
+            for (i, k), simulated in done:
+                if simulated is not None:
+                    known[i, k] = (self._left(logs[k], simulated) - here.left[k]) / steps[i]
+            # where there is no such rig, the other side is asked
+            asked = [pair for pair in asked if pair not in known]
         return [
-            np.stack([(done[up][k] - done[down][k]) / width for up, down, width in ends], axis=-1)
+            _stacked([known.get((i, k)) for i in which], left)
             / self._per(self.scales, log)[:, None]
-            for k, log in enumerate(self.simulator.logs)
+            for k, (log, left) in enumerate(zip(logs, here.left, strict=True))
         ]
 
-    def nudges(self, here: _Point) -> list[np.ndarray]:
-        """Scaled sensitivities to where each log starts, shape (samples, channels, nuisances)."""
-        found = []
-        moved = self.simulator.nudged(self._values(here.theta), here.shifts)
-        for log, left, row in zip(self.simulator.logs, here.left, moved, strict=True):
-            columns = [
-                (self._left(log, simulated) - left) / doubt.share
-                for simulated, doubt in zip(row, log.start.doubts, strict=True)
-            ]
-            scale = self._per(self.scales, log)[:, None]
-            found.append(
-                np.stack(columns, axis=-1) / scale if columns else left[..., None][..., :0]
-            )
-        return found
+    def _inward(self, theta: np.ndarray, i: int) -> float:
+        """The side on which a parameter has room for a difference."""
+        return 1.0 if theta[i] + DIFFERENCE <= self.search[i].bounds[1] else -1.0
 
-    def scan(self) -> None:
+    def nudges(self, here: _Point) -> list[np.ndarray]:
+        """Scaled sensitivities to where each log starts, shape (samples, channels, nuisances); zero
+        for logs that begin at rest while the search is coarse.
+        """
+        logs, known, values = self.simulator.logs, here.nudges, self._values(here.theta)
+        asked = [
+            (k, j, doubt.share)
+            for k, log in enumerate(logs)
+            for j, doubt in enumerate(log.start.doubts)
+            if (log.start.moves or not self.coarse) and (k, j) not in known
+        ]
+        points = [
+            (values, k, here.shifts[k] + share * np.eye(len(here.shifts[k]))[j])
+            for k, j, share in asked
+        ]
+        for (k, j, share), simulated in zip(asked, self.simulator.each(points), strict=True):
+            if simulated is not None:
+                known[k, j] = (self._left(logs[k], simulated) - here.left[k]) / share
+        return [
+            _stacked([known.get((k, j)) for j in range(len(log.start.doubts))], left)
+            / self._per(self.scales, log)[:, None]
+            for k, (log, left) in enumerate(zip(logs, here.left, strict=True))
+        ]
+
+    def scan(self) -> list[np.ndarray]:
         """A coarse look over bulk modulus and damping together, then over each other positive
         parameter without a prior, on one log for each set of cylinders asked: least squares from
-        far off could lock on to the wrong cycle of the ringing."""
+        far off could lock on to the wrong cycle of the ringing. The best that it met first, then
+        the bottoms of other basins that are not much worse."""
         first: dict[tuple[str, ...], int] = {}
         for i, log in enumerate(self.simulator.logs):
             first.setdefault(log.asked, i)
@@ -193,30 +237,54 @@ class OutputError:
             [i for i in self.free if self.search[i].row.rings == what and self.search[i].log]
             for what in ("frequency", "decay")
         )
-        low, high = np.array([c.bounds for c in self.search]).T
         others = [
             [i]
             for i, c in enumerate(self.search[: self.asked])
             if c.log and not c.known and i not in (*bulk, *damping)
         ]
+        rivals: list[tuple[float, np.ndarray]] = []
+        best = math.inf
         for group in [bulk, *others] if bulk else others:
-            ends = (
-                max(-SCAN, max(low[group] - self.theta[group])),
-                min(SCAN, min(high[group] - self.theta[group])),
+            vectors, losses = self._looks(group, damping if group is bulk else [])
+            costs = np.array(
+                [
+                    math.inf
+                    if parts is None
+                    else sum(float(np.sum(part**2)) for part in self.scaled(parts, chosen))
+                    for parts in self.residuals(vectors, chosen)
+                ]
             )
-            shifts = np.linspace(*ends, 11 if group is bulk else FINER)
-            vectors = []
-            for shift in (0.0, *shifts):
-                for loss in (0.0, -1.4, 1.4) if damping and group is bulk else (0.0,):
-                    theta = self.theta.copy()
-                    theta[group] += shift
-                    theta[damping] += loss
-                    vectors.append(np.clip(theta, low + 1e-6, high - 1e-6))
-            costs = [
-                sum(float(np.sum(p**2)) for p in self.scaled(parts, chosen))
-                for parts in self.residuals(vectors, chosen)
-            ]
-            self.theta = vectors[int(np.argmin(costs))]
+            at = int(np.argmin(costs))
+            self.theta, best = vectors[at], float(costs[at])
+            valley = np.min(costs[losses:].reshape(-1, losses), axis=1)
+            bottoms = np.flatnonzero((valley[1:-1] < valley[:-2]) & (valley[1:-1] < valley[2:]))
+            for k in bottoms + 1:
+                own = losses + k * losses + int(np.argmin(costs[losses + k * losses :][:losses]))
+                if own != at:
+                    rivals.append((float(costs[own]), vectors[own]))
+        near = sorted((cost, k) for k, (cost, _) in enumerate(rivals) if cost < RIVAL * best)
+        return [self.theta, *(rivals[k][1] for _, k in near[:RIVALS])]
+
+    def _looks(self, group: Sequence[int], damping: Sequence[int]) -> tuple[list[np.ndarray], int]:
+        """(points of a look along a group of parameters, from here and then from one end to the
+        other, how many dampings it takes at each).
+        """
+        low, high = np.array([c.bounds for c in self.search]).T
+        some = list(group)
+        ends = (
+            max(-SCAN, max(low[some] - self.theta[some])),
+            min(SCAN, min(high[some] - self.theta[some])),
+        )
+        count = FINER if self.search[some[0]].row.rings != "frequency" else COARSE
+        losses = (0.0, -1.4, 1.4) if damping else (0.0,)
+        vectors = []
+        for shift in (0.0, *np.linspace(*ends, count)):
+            for loss in losses:
+                theta = self.theta.copy()
+                theta[some] += shift
+                theta[list(damping)] += loss
+                vectors.append(np.clip(theta, low + 1e-6, high - 1e-6))
+        return vectors, len(losses)
 
     def cost(self, point: _Point) -> float:
         """What is minimised: scaled residuals and what priors are missed by, squared."""
@@ -238,11 +306,7 @@ class OutputError:
         for _ in range(self.most):
             self.iterations += 1
             self.tell("output error: fitting", self.iterations / (self.iterations + 6.0))
-            slopes = (
-                self.slopes(here, self.free)
-                if free.size
-                else [p[..., None][..., :0] for p in here.left]
-            )
+            slopes = self.slopes(here, self.free)
             nudges = self.nudges(here) if nudges is None or not faithful else nudges
             blocks = self._blocks(here, slopes, nudges)
             cost = self.cost(here)
@@ -300,18 +364,26 @@ class OutputError:
         return (theta, shifts), gain
 
     def fit(self) -> HydraulicsFit:
-        fine = self.simulator.step
-        self.simulator.step = 2.0 * fine
+        fine, whole = self.simulator.step, self.simulator.logs
+        heads = tuple(log.head(HEAD) for log in whole)
+        heads = whole if all(map(operator.is_, heads, whole)) else heads
+        self.simulator.step, self.simulator.logs = 2.0 * fine, heads
         self.tell("output error: looking over the range of the bulk modulus", 0.0)
-        self.scan()
-        self._weigh(self._at(self.theta, self.shifts), scales=False)
-        effects = self._effects(
-            self.slopes(self._at(self.theta, self.shifts), self.free), self.free
-        )
+        self.theta = self._arrive(self.scan())
+        self.simulator.logs = whole
+        here = self._at(self.theta, self.shifts)
+        slopes = self.slopes(here, self.free)
+        self.coarse = False
+        effects = self._effects(slopes, self.free)
+        for k, part in enumerate(slopes):
+            sizes = self._effects([part], self.free, [k])
+            for i, size in sizes.items():
+                self.touches[i, k] = size > NOTHING * effects[i]
         self._drop([i for i, size in effects.items() if size < FAINT])
-        self.solve(1e-3)
+        if heads is not whole:
+            self._settle(1e-4)
         self.simulator.step = fine
-        converged = self._settle()
+        converged = self._settle(1e-6)
         for _ in range(self.asked):
             found = self._errors()
             lost = [i for i, error in found.by_index.items() if error.kind == "not_excited"]
@@ -320,13 +392,37 @@ class OutputError:
                 break
             self._drop(lost)
             self._hold(near)
-            converged = self._settle()
+            converged = self._settle(1e-6)
         else:
             found = self._errors()
         self.tell("output error: done", 1.0)
         return self._result(found, converged)
 
-    def _settle(self) -> bool:
+    def _arrive(self, starts: Sequence[np.ndarray]) -> np.ndarray:
+        """The best that a coarse solution comes to from some starts, and from what the first half
+        of the parameters comes to alone where the first start leaves much.
+        """
+        every, ends = self.free, []
+        samples = sum(part.recorded.size for part in self.simulator.logs)
+
+        def solved(start: np.ndarray, free: list[int]) -> tuple[float, np.ndarray]:
+            self.theta, self.shifts = start, self.simulator.unshifted()
+            here = self._at(start, self.shifts)
+            self._weigh(here, scales=False)
+            effects = self._effects(self.slopes(here, free), free)
+            self.free = [i for i in free if effects[i] >= FAINT]
+            self.solve(1e-3)
+            self.free = every
+            here = self._at(self.theta, self.shifts)
+            return sum(float(np.sum(part**2)) for part in self.scaled(here.left)), self.theta
+
+        ends = [solved(start, every) for start in starts]
+        half = every[: (len(every) + 1) // 2]
+        if len(half) > 1 and min(cost for cost, _ in ends) > MUCH * samples:
+            ends.append(solved(solved(starts[0], half)[1], every))
+        return min(ends, key=lambda end: end[0])[1]
+
+    def _settle(self, tolerance: float) -> bool:
         """Weigh and solve until the weights stand; whether it converged."""
         converged = False
         for _ in range(ROUNDS):
@@ -335,7 +431,7 @@ class OutputError:
             change = max(abs(math.log(self.scales[c] / before[c])) for c in before)
             if converged and change < STANDS:
                 break
-            converged = self.solve(1e-6)
+            converged = self.solve(tolerance)
         return converged
 
     def _weigh(self, here: _Point, scales: bool = True) -> None:
@@ -345,12 +441,18 @@ class OutputError:
                 self.scales[channel] = max(self._pooled(channel, here.left), SCALE_FLOOR * spread)
         self.weight = prior_weight(self.scaled(here.left))
 
-    def _effects(self, slopes: Sequence[np.ndarray], which: Sequence[int]) -> dict[int, float]:
+    def _effects(
+        self,
+        slopes: Sequence[np.ndarray],
+        which: Sequence[int],
+        chosen: Sequence[int] | None = None,
+    ) -> dict[int, float]:
         """Largest rms change of a channel in a log when one of the parameters ``which`` moves by
         its unit, as a share of the channel's spread.
         """
         ratio = [
-            self._per(self.scales, log) / self._per(self.spread, log) for log in self.simulator.logs
+            self._per(self.scales, log) / self._per(self.spread, log)
+            for log in self.simulator.chosen(chosen)
         ]
         each = [
             np.sqrt(np.mean(part**2, axis=0)) * r[:, None]
@@ -404,7 +506,7 @@ class OutputError:
         """
         live = sorted(self.free + self.bound)
         here = self._at(self.theta, self.shifts)
-        slopes = self.slopes(here, live, central=True)
+        slopes = self.slopes(here, live)
         blocks = self._blocks(here, slopes, self.nudges(here))
         found = covariance_of(blocks, self._prior(self.theta, live))
         effects, correlation = self._effects(slopes, live), found.correlation
@@ -437,10 +539,11 @@ class OutputError:
             c, blocks = self.search[i], self._released(found, i)
             if not blocks:
                 continue
-            release = release_of(blocks, self._prior(found.here.theta, [*live, i]))
+            least = WORTH * self.cost(found.here)
+            release = release_of(blocks, self._prior(found.here.theta, [*live, i]), least)
             share = 1.0 if c.log else c.unit / c.start
             off, less = abs(release.move), release.gain / self.cost(found.here)
-            if off * share > SURELY_OFF and off > SURELY * release.std and less > WORTH:
+            if off * share > SURELY_OFF and off > SURELY * release.std:
                 suspects.append((less, share * release.move, share * release.std, c.name))
         if not suspects:
             return []
@@ -458,9 +561,9 @@ class OutputError:
         logs = self.simulator.logs
         which = [k for k, log in enumerate(logs) if _concerns(log, self.search[i])]
         theta = found.here.theta + DIFFERENCE * np.eye(len(self.search))[i]
-        moved = self.residuals([theta], which)[0] if which else []
+        moved = (self.residuals([theta], which)[0] or []) if which else []
         added = [np.zeros((*block.left.shape, 1)) for block in found.blocks]
-        for k, left in zip(which, moved, strict=True):
+        for k, left in zip(which, moved, strict=False):
             scale = self._per(self.scales, logs[k])
             added[k][..., 0] = (left - found.here.left[k]) / (DIFFERENCE * scale)
         if self._effects(added, [i])[i] < FAINT:
@@ -546,6 +649,12 @@ class _Errors:
     correlation: np.ndarray
     here: _Point
     blocks: list[Block]
+
+
+def _stacked(columns: Sequence[np.ndarray | None], like: np.ndarray) -> np.ndarray:
+    """Columns side by side along a last axis, zero where there is none."""
+    found = [np.zeros_like(like) if one is None else one for one in columns]
+    return np.stack(found, axis=-1) if found else np.zeros((*like.shape, 0))
 
 
 def _concerns(log: Log, c: Coordinate) -> bool:

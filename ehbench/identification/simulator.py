@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ehbench.errors import InputError, InsufficientData, SimulationError
+from ehbench.errors import EhbenchError, InputError, InsufficientData
 from ehbench.observations import alternatives, column, least_change, payload_of
 from ehbench.parts.edge import edge_command
 from ehbench.plant.build import Maps
@@ -45,6 +45,30 @@ class Log:
     counts: np.ndarray
     start: LogStart
     warnings: tuple[str, ...] = ()
+
+    def head(self, seconds: float) -> Log:
+        """The first seconds of the log, as many as it takes every command to have changed as often
+        as two steps out and back; the log itself if it is not much longer.
+        """
+        record = self.record
+        names = [name for name in record.channels if name.endswith(".command")]
+        ends = [round(seconds / record.sample_time)]
+        for name in names:
+            changes = np.flatnonzero(np.abs(np.diff(record[name])) > 0.0)
+            if changes.size:
+                ends.append(int(changes[min(4, changes.size) - 1]) + 1)
+        count = max(ends) + round(0.1 * seconds / record.sample_time)
+        if count > 0.7 * record.t.size:
+            return self
+        channels = {name: y[:count] for name, y in record.channels.items()}
+        short = replace(record, t=record.t[:count], channels=channels)
+        return replace(
+            self,
+            record=short,
+            recorded=self.recorded[:count],
+            counts=self.counts[:count],
+            start=replace(self.start, record=short),
+        )
 
 
 def prepare(model: Model, record: Record, name: str, wanted: Sequence[str]) -> Log:
@@ -211,11 +235,22 @@ class Simulator:
         self.evaluations = 0
 
     def models(self, values: Sequence[float]) -> dict[str | None, Model]:
-        """The model at these values by payload."""
+        """The model at these values by payload.
+
+        Raises:
+            EhbenchError: there is no such rig.
+        """
         changed = self.rig.with_values(dict(zip(self.names, values, strict=True)))
         return {
             load: Model.of(changed, self.maps, load) for load in {log.payload for log in self.logs}
         }
+
+    def possible_models(self, values: Sequence[float]) -> dict[str | None, Model | None]:
+        """`models`, None where these values make no rig: pins that its cylinder cannot join."""
+        try:
+            return dict(self.models(values))
+        except (EhbenchError, ArithmeticError, np.linalg.LinAlgError):
+            return dict.fromkeys(log.payload for log in self.logs)
 
     def chosen(self, which: Sequence[int] | None) -> Sequence[Log]:
         """Some logs by index; None for all."""
@@ -236,40 +271,36 @@ class Simulator:
         """
         shifts = self.unshifted() if shifts is None else shifts
         which = range(len(self.logs)) if chosen is None else chosen
-        tasks = [
-            (models[self.logs[k].payload], self.logs[k], shifts[k])
-            for models in map(self.models, vectors)
-            for k in which
-        ]
-        done = self._all(tasks)
+        done = self.each([(values, k, shifts[k]) for values in vectors for k in which])
         return [done[i : i + len(which)] for i in range(0, len(done), len(which))]
 
-    def nudged(self, values: Sequence[float], shifts: Shifts) -> list[list[np.ndarray | None]]:
-        """Simulated channels by log and doubt about its start, which is moved by its step beyond
-        ``shifts``.
+    def each(
+        self, points: Sequence[tuple[Sequence[float], int, np.ndarray]]
+    ) -> list[np.ndarray | None]:
+        """Simulated channels, shape (samples, channels), of each (values, log by index, shifts of
+        its start); None where the simulation failed.
         """
-        models = self.models(values)
+        made: dict[tuple[float, ...], dict[str | None, Model | None]] = {}
         tasks = []
-        for log, own in zip(self.logs, shifts, strict=True):
-            for i, doubt in enumerate(log.start.doubts):
-                moved = own.copy()
-                moved[i] += doubt.share
-                tasks.append((models[log.payload], log, moved))
-        done = iter(self._all(tasks))
-        return [[next(done) for _ in log.start.doubts] for log in self.logs]
+        for values, k, shifts in points:
+            key, log = tuple(values), self.logs[k]
+            if key not in made:
+                made[key] = self.possible_models(values)
+            tasks.append((made[key][log.payload], log, shifts))
+        self.evaluations += len(tasks)
+        return list(self.pool.map(self._one, tasks))
 
     def unshifted(self) -> Shifts:
         """No shift of any log's start."""
         return [np.zeros(len(log.start.doubts)) for log in self.logs]
 
-    def _all(self, tasks: Sequence[tuple[Model, Log, np.ndarray]]) -> list[np.ndarray | None]:
-        self.evaluations += len(tasks)
-        return list(self.pool.map(self._one, tasks))
-
-    def _one(self, task: tuple[Model, Log, np.ndarray]) -> np.ndarray | None:
+    def _one(self, task: tuple[Model | None, Log, np.ndarray]) -> np.ndarray | None:
+        model, log, shifts = task
+        if model is None:
+            return None
         try:
-            return channels_of(task[1], self._replay(task))
-        except SimulationError:
+            return channels_of(log, self._replay((model, log, shifts)))
+        except (EhbenchError, ArithmeticError):
             return None
 
     def _replay(self, task: tuple[Model, Log, np.ndarray]) -> Record:

@@ -6,14 +6,21 @@ from pathlib import Path
 
 import numpy as np
 
-from ehbench.errors import LogError
+from ehbench.errors import InputError, LogError
 from ehbench.logs.checks import check_record, label_of
+from ehbench.memory import refuse_beyond
 from ehbench.quantities import quantity
 from ehbench.record import Record
 from ehbench.units import to_si
 
+_COPIES = 8  # of a table, as bytes, text, lines and numbers, while it is read
+
 
 def read_csv(path: Path, data: bytes, check: bool) -> Record:
+    try:
+        refuse_beyond(_COPIES * len(data), "reading it")
+    except InputError as error:
+        raise LogError(error.message, file=path, hint=error.hint) from None
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

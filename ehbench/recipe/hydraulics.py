@@ -31,5 +31,5 @@ class HydraulicsRecipe(Recipe):
     channels: tuple[str, ...] = ("qd", "p_head", "p_rod")
     cutoff: Annotated[Value, Q("frequency")] | None = None
     compare_dynamics: tuple[str, ...] = ()
-    max_iterations: int = Field(default=30, ge=1, le=1000)
+    max_iterations: int = Field(default=100, ge=1, le=1000)
     workers: int = Field(default=0, ge=0, le=256)

@@ -34,15 +34,18 @@ _REMEDIES = {
 
 def line_of(text: str, location: tuple[Any, ...]) -> int | None:
     """The line of a TOML text at which the key at ``location`` (names and list indices) stands, or
-    its nearest parent.
+    the first one below it, or its nearest parent.
     """
     flat: dict[tuple[Any, ...], int] = {}
     for known, number in _lines(text).items():
         flat.setdefault(_pieces(known), number)
     wanted = _pieces(location)
-    return next(
-        (flat[wanted[:size]] for size in range(len(wanted), 0, -1) if wanted[:size] in flat), None
-    )
+    for size in range(len(wanted), 0, -1):
+        head = wanted[:size]
+        below = (number for known, number in flat.items() if known[:size] == head)
+        if (number := flat.get(head) or next(below, None)) is not None:
+            return number
+    return None
 
 
 def _lines(text: str) -> dict[tuple[Any, ...], int]:

@@ -124,4 +124,9 @@ class ValidateRecipe(Recipe):
     flow_maps: str | None = None
     data: JudgedFiles
     channels: tuple[str, ...] = ("q", "qd", "p_head", "p_rod")
+    structure: bool = Field(
+        default=True,
+        description="whether the residuals are asked what they follow, and the likeliest cures of "
+        "the model are named",
+    )
     thresholds: Thresholds = Thresholds()

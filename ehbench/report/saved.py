@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
+from typing_extensions import TypedDict
 
 from ehbench.errors import InputError
 from ehbench.quantities import VOCABULARY, quantity
@@ -54,6 +56,10 @@ class Table(Mapping):
     def get(self, key: str, default: Any = None) -> Any:
         """The value, or ``default`` where the key is missing or null."""
         return default if self._values.get(key) is None else self[key]
+
+    def plain(self) -> Mapping[str, Any]:
+        """The object as JSON has it."""
+        return self._values
 
     def number(self, key: str) -> float | None:
         """A number, or None for null.
@@ -128,12 +134,51 @@ class Points:
         return Points(**{name: getattr(self, name)[at] for name in self.__dataclass_fields__})
 
 
+class _File(TypedDict, total=False):
+    role: str
+    path: str
+    sha256: str
+
+
+class _Facts(TypedDict, total=False):
+    """The kinds of what every ``run.json`` holds, as far as it holds it."""
+
+    stage: str
+    name: str
+    what: str | None
+    title: str | None
+    hash: str
+    commit: str
+    code_sha256: str
+    recipe: _File
+    inputs: list[_File]
+    outputs: dict[str, str]
+    versions: dict[str, str]
+    seeds: dict[str, int] | None
+    warnings: list[str] | None
+    recorded_on: str | list[str] | None
+
+
 class Saved:
-    """One run folder."""
+    """One run folder.
+
+    Raises:
+        InputError: its ``run.json`` is not there, or is none.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)
         self.facts = self.json("run.json")
+        try:
+            TypeAdapter(_Facts).validate_python(dict(self.facts.plain()), strict=True)
+        except ValidationError as error:
+            first = error.errors()[0]
+            place = ".".join(map(str, first["loc"]))
+            raise InputError(
+                f"'{place}': {first['msg'][0].lower() + first['msg'][1:]}",
+                file=self.folder / "run.json",
+                hint="make the run again",
+            ) from None
         self.stage, self.name = self.facts["stage"], self.facts["name"]
         self.what = self.facts.get("what", "")
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -97,14 +97,19 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
             does,
             state,
             logs,
-            PreparedValidation(state.rig, recipe.channels, tuple(taken)),
+            PreparedValidation(state.rig, recipe.channels, tuple(taken), state.flow_maps),
         )
 
     def work(self, prepared: PreparedJudgement, folder: Path, progress: Progress | None) -> Work:
+        from ehbench.structure import ask
         from ehbench.validation import run_validation
 
         state, losses = prepared.state, prepared.logs.losses
         verdict = run_validation(prepared.taken, prepared.recipe.thresholds, progress)
+        if prepared.recipe.structure:
+            if progress is not None:
+                progress("asking the residuals what they follow", 0.5)
+            verdict = replace(verdict, structure=ask(prepared.taken.cases()))
         write_rig(folder, state.rig, state.flow_maps)
         rundir.write_json(folder / "validation.json", verdict.as_json())
         intervals = state.origin / "parameters.json"
@@ -118,7 +123,8 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
             "recorded_on": recorded_on(prepared.logs.records),
         }
         if not verdict.accepted:
-            return Work(facts, verdict.reasons, REJECTED)
+            cures = [f"{one.sentence}; {one.cure}" for one in verdict.structure.findings[:2]]
+            return Work(facts, [*verdict.reasons, *cures], REJECTED)
         return Work(facts, code=INCOMPLETE if losses else DONE)
 
 

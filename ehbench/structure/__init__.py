@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 
@@ -27,7 +28,11 @@ NEAR = 0.6  # share of what the best cure explains, from which another is told t
 BESIDE = 0.3  # share of what the best leaves, that one beside it must explain
 ALIKE = 0.97  # of two that explain this nearly alike, the plainer comes first
 TRIED = 8  # cures that are simulated at the size that the slopes tell
-MOST = 4  # findings told
+REFINED = 6  # of these, the size is sought further
+HALVINGS = 5  # of the steps in which it is
+QUIET = 1.3  # mean square of residuals, in those of noise, up to which only slopes are asked
+OF_A_KIND = 2  # findings of one kind that are told
+MOST = 4  # findings told of a cylinder
 
 
 @dataclass(frozen=True)
@@ -56,7 +61,7 @@ class Structure:
 
 
 def ask(cases: Sequence[Case]) -> Structure:
-    """What the residuals of these logs say of the model.
+    """What the residuals of these logs say of the model, the logs of each cylinder by themselves.
 
     A log that cannot be simulated says nothing. Sound models have no findings: noise, and what the
     start state owes to it, is no structure."""
@@ -64,7 +69,7 @@ def ask(cases: Sequence[Case]) -> Structure:
     follows: list[Follows] = []
     for case in cases:
         try:
-            simulated = case.model.replay(case.record)
+            simulated = case.simulated(case.model, case.record)
         except EhbenchError:
             continue
         if not case.channels:
@@ -75,9 +80,15 @@ def ask(cases: Sequence[Case]) -> Structure:
         Finding("pins", about, sentence, cure, 1.0, size)
         for about, sentence, cure, size in disagreements([case for case, _ in known])
     ]
-    if known:
-        findings += _Search(known).findings()
-    return Structure(tuple(findings[:MOST]), tuple(follows))
+    groups: dict[tuple[str, ...], list[tuple[Case, np.ndarray]]] = {}
+    for case, left in known:
+        groups.setdefault(case.cylinders, []).append((case, left))
+    asked = [_Search(group).findings()[:MOST] for group in groups.values()]
+    unique: dict[tuple[str, str], Finding] = {}
+    for row in zip_longest(*asked):  # the first of each cylinder before the second of any
+        for one in filter(None, row):
+            unique.setdefault((one.kind, one.about), one)
+    return Structure((*findings, *unique.values()), tuple(follows))
 
 
 class _Search:
@@ -92,9 +103,16 @@ class _Search:
     def findings(self) -> list[Finding]:
         """The cures that explain the residuals, the likeliest first."""
         slopes = {cure: self._slope(cure) for cure in self._cures()}
-        ranked = sorted(slopes, key=lambda cure: -self._promise(cure, slopes[cure]))
-        tried = [cure for i, cure in enumerate(ranked) if i < TRIED or cure.trials]
+        promises = {cure: self._promise(cure, slope) for cure, slope in slopes.items()}
+        ranked = sorted(slopes, key=lambda cure: -promises[cure])
+        quiet = self.now < QUIET * sum(left.size for left in self.left)
+        tried = [cure for cure in ranked[:TRIED] if promises[cure] > 0.0]
+        if quiet and not any(self._counts(promises[cure], self.now) for cure in tried):
+            return []
+        tried += [cure for cure in ranked[TRIED:] if cure.trials]
         reached = {cure: self._best(cure, slopes[cure]) for cure in tried}
+        for cure in sorted(reached, key=lambda cure: reached[cure][1])[:REFINED]:
+            reached[cure] = self._refined(cure, reached[cure])
         gains = {cure: self.now - cost for cure, (_, cost, _) in reached.items()}
         gains = {cure: gain for cure, gain in gains.items() if self._counts(gain, self.now)}
         if not gains:
@@ -110,7 +128,9 @@ class _Search:
         )
         found = [_finding(cure, reached[cure][0], gains[cure] / self.now) for cure in told]
         beside = self._beside(told, reached[told[0]][2], slopes)
-        return [found[0], *beside, *found[1:]] if len(found) > 2 else [*found, *beside]
+        kinds = [one.kind for one in found]
+        few = [one for i, one in enumerate(found) if kinds[:i].count(one.kind) < OF_A_KIND]
+        return [*few[:2], *beside, *few[2:]]
 
     def _cures(self) -> list[Cure]:
         case = self.cases[0]
@@ -127,10 +147,13 @@ class _Search:
     def _at(self, cure: Cure, delta: float) -> list[np.ndarray] | None:
         """What is left of each case with a cure of this size; None if it cannot be simulated."""
         found = []
-        for case in self.cases:
+        for case, now in zip(self.cases, self.left, strict=True):
+            if cure.cylinder and cure.cylinder not in case.cylinders:
+                found.append(now)
+                continue
             try:
                 model, record = cure.vary(case, delta)
-                simulated = cure.sense(case, model.replay(record), delta)
+                simulated = cure.sense(case, case.simulated(model, record), delta)
                 left = case.left(simulated)
             except EhbenchError:
                 return None
@@ -177,22 +200,22 @@ class _Search:
             left = self._at(cure, delta)
             if left is not None and total(left) < best[1]:
                 best = (delta, total(left), left)
-        if best[0] != 0.0 and slope is not None:
-            best = self._again(cure, slope, best)
         return best
 
-    def _again(
-        self, cure: Cure, slope: list[np.ndarray], best: tuple[float, float, list[np.ndarray]]
+    def _refined(
+        self, cure: Cure, best: tuple[float, float, list[np.ndarray]]
     ) -> tuple[float, float, list[np.ndarray]]:
-        """A parabola through the cost now, its slope, and the best cost."""
-        delta, cost, _ = best
-        along = 2.0 * sum(float(by @ at) for by, at in zip(slope, self.left, strict=True))
-        bend = (cost - self.now - along * delta) / delta**2
-        if bend > 0.0:
-            there = min(max(-0.5 * along / bend, cure.low), cure.high)
-            left = self._at(cure, there) if there != delta else None
-            if left is not None and total(left) < cost:
-                return there, total(left), left
+        """As `_best`, with δ sought to both sides in halving steps."""
+        reach = 0.5 * abs(best[0])
+        for _ in range(HALVINGS):
+            for delta in (best[0] - reach, best[0] + reach):
+                if reach == 0.0 or not cure.low <= delta <= cure.high:
+                    continue
+                left = self._at(cure, delta)
+                if left is not None and total(left) < best[1]:
+                    best = (delta, total(left), left)
+                    break
+            reach *= 0.5
         return best
 
     def _counts(self, gain: float, of: float) -> bool:

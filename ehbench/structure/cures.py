@@ -17,6 +17,7 @@ from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig, Valve
 from ehbench.structure.cases import Case
 
+WIDE = ("lag", "load", "damping")  # dynamics and bodies that several cylinders may share
 GAINS = ("flow_gain", "compensated_gain", "displacement")
 Vary = Callable[[Case, float], tuple[Model, Record]]
 Sense = Callable[[Case, Record, float], Record]
@@ -40,7 +41,7 @@ class Cure:
     ``step`` is a δ small enough for a slope, ``low`` and ``high`` bound it, ``trials`` are values
     to try where a slope says nothing. ``says`` puts δ in words, ``line`` is the line of the recipe,
     the rig file or the log that cures it. Of two that explain alike the one of lower ``rank``
-    comes first."""
+    comes first. ``cylinder`` is the one whose logs it changes, '' for all."""
 
     kind: str
     about: str
@@ -53,6 +54,7 @@ class Cure:
     vary: Vary = as_it_is
     sense: Sense = unsensed
     trials: tuple[float, ...] = ()
+    cylinder: str = ""
 
 
 def cures(rig: Rig, cylinders: Sequence[str], channels: Sequence[str], played: bool) -> list[Cure]:
@@ -67,11 +69,14 @@ def cures(rig: Rig, cylinders: Sequence[str], channels: Sequence[str], played: b
     found: list[Cure] = []
     for cylinder in rig.cylinder:
         if cylinder.name in cylinders:
-            found += [*_valves(rig, cylinder), *_cylinder(rig, cylinder)]
+            own = [*_valves(rig, cylinder), *_commands(cylinder), *_cylinder(rig, cylinder)]
+            found += [
+                cure if cure.kind in WIDE else replace(cure, cylinder=cylinder.name) for cure in own
+            ]
     found += _shared(rig, played)
     for channel in channels:
-        found += _sensor(channel)
-    return found
+        found += [replace(one, cylinder=channel.partition(".")[0]) for one in _sensor(channel)]
+    return list({(cure.kind, cure.about): cure for cure in found}.values())
 
 
 def _share(delta: float) -> str:
@@ -110,26 +115,29 @@ def _free(names: Sequence[str]) -> Words:
 
 
 def _valves(rig: Rig, cylinder: Cylinder) -> Iterator[Cure]:
-    known, every = rig.parameters(), []
+    known = rig.parameters()
+    every: list[str] = []
+    shut: list[str] = []
     for valve in cylinder.valve:
         gains, bands = [], []
         for edge in valve.edge:
             name = f"{cylinder.name}.{valve.edge_name(edge)}"
             gains += [f"{name}.{key}" for key in GAINS if f"{name}.{key}" in known]
             bands += [f"{name}.deadband"] if f"{name}.deadband" in known else []
-        every += gains
         for gain in gains:
             yield _gain(gain.rpartition(".")[0], [gain], 1)
         if 1 < len(gains):
             yield _gain(f"{cylinder.name}.{valve.name}", gains, 0)
         yield from _bands(valve, f"{cylinder.name}.{valve.name}", bands, rig)
-        yield from _command(cylinder, valve)
-        for dynamics in valve.series:
-            name = f"{dynamics}.natural_frequency"
-            if name in known:
-                yield _lag(name)
-    if len(cylinder.valve) > 1 and len(every) > 1:
+        every += gains
+        shut += bands
+    lags = (f"{one}.natural_frequency" for valve in cylinder.valve for one in valve.series)
+    for name in dict.fromkeys(lags):
+        if name in known:
+            yield _lag(name)
+    if len(cylinder.valve) > 1:
         yield _gain(cylinder.name, every, 0)
+        yield _band(cylinder.name, shut, float(cylinder.valve[0].command_max), rig, 2)
 
 
 def _gain(about: str, names: Sequence[str], rank: int) -> Cure:
@@ -149,123 +157,156 @@ def _lag(name: str) -> Cure:
             f"the faster: {name} is {_share(delta)}"
         )
 
-    return Cure("lag", name, -0.05, -0.8, 2.0, says, _free([name]), 4, _scaled([name]))
+    trials = (-0.6, -0.4, -0.2, 0.5)
+    vary = _scaled([name])
+    return Cure("lag", name, -0.05, -0.8, 2.0, says, _free([name]), 4, vary, trials=trials)
 
 
 def _bands(valve: Valve, about: str, names: Sequence[str], rig: Rig) -> Iterator[Cure]:
     unit = float(valve.command_max)
+    if len(names) > 1:
+        yield _band(about, names, unit, rig, 2)
+    for name in names:
+        yield _band(name.rpartition(".")[0], [name], unit, rig, 3)
+
+
+def _band(about: str, names: Sequence[str], unit: float, rig: Rig, rank: int) -> Cure:
+    """Of dead bands, in shares of the largest command [V]."""
     known = rig.parameters()
-    groups = [(about, list(names))] if len(names) > 1 else []
-    groups += [(name.rpartition(".")[0], [name]) for name in names]
-    for index, (who, group) in enumerate(groups):
-        least = min(float(known[name]) for name in group) / unit
+    least = min((float(known[name]) / unit for name in names), default=0.0)
 
-        def says(delta: float, who: str = who) -> str:
-            return (
-                f"the machine is {_more(-delta, 'faster', 'slower')} by the same at every command: "
-                f"{who} has a dead band {abs(delta) * unit:.2g} V "
-                f"{_more(delta, 'wider', 'narrower')}"
-            )
+    def says(delta: float) -> str:
+        return (
+            f"the machine is {_more(-delta, 'faster', 'slower')} by the same at every command: "
+            f"{about} has a dead band {abs(delta) * unit:.2g} V "
+            f"{_more(delta, 'wider', 'narrower')}"
+        )
 
-        vary = _shifted(group, unit)
-        yield Cure("deadband", who, 0.01, -least, 0.4, says, _free(group), 2 + (index > 0), vary)
+    vary = _shifted(names, unit)
+    return Cure("deadband", about, 0.01, -least, 0.4, says, _free(names), rank, vary)
 
 
-def _with_command(channel: str, change: Callable[[np.ndarray, float, Case], np.ndarray]) -> Vary:
+def _with_commands(
+    channels: Sequence[str], change: Callable[[np.ndarray, float, Case], np.ndarray]
+) -> Vary:
+    """Commands altered on their way to the valves."""
+
     def vary(case: Case, delta: float) -> tuple[Model, Record]:
-        if channel not in case.record:
-            return case.model, case.record
-        given = change(case.record[channel], delta, case)
-        return case.model, replace(case.record, channels=case.record.channels | {channel: given})
+        given = {
+            name: change(case.record[name], delta, case) for name in channels if name in case.record
+        }
+        return case.model, replace(case.record, channels=case.record.channels | given)
 
     return vary
 
 
-def _command(cylinder: Cylinder, valve: Valve) -> Iterator[Cure]:
-    """What is wrong between the recorded command and the valve."""
-    about = f"{cylinder.name}.{valve.name}"
-    low, high = float(valve.command_min), float(valve.command_max)
+def _clipped(u: np.ndarray, delta: float, case: Case) -> np.ndarray:
+    most = (1.0 - delta) * float(np.max(np.abs(u)))
+    return np.clip(u, -most, most)
 
-    def clipped(u: np.ndarray, delta: float, case: Case) -> np.ndarray:
-        most = (1.0 - delta) * float(np.max(np.abs(u)))
-        return np.clip(u, -most, most)
 
-    def later(u: np.ndarray, delta: float, case: Case) -> np.ndarray:
-        t = case.record.t
-        return np.interp(t - delta, t, u)
+def _later(u: np.ndarray, delta: float, case: Case) -> np.ndarray:
+    return np.interp(case.record.t - delta, case.record.t, u)
 
-    def moved(u: np.ndarray, delta: float, case: Case) -> np.ndarray:
-        return np.clip(u + np.where(u == valve.rest, 0.0, delta * high), low, high)
 
-    def warmer(u: np.ndarray, delta: float, case: Case) -> np.ndarray:
-        s = (case.record.t - case.record.t[0]) / max(float(np.ptp(case.record.t)), 1.0e-9)
-        return u * (1.0 + delta * s)
+def _warmer(u: np.ndarray, delta: float, case: Case) -> np.ndarray:
+    t = case.record.t
+    return u * (1.0 + delta * (t - t[0]) / max(float(np.ptp(t)), 1.0e-9))
 
-    for kind, change, step, (least, most), says, line, rank, trials in (
-        (
+
+def _commands(cylinder: Cylinder) -> Iterator[Cure]:
+    """What is wrong between recorded commands and valves: of all of a cylinder, and of each."""
+    names = [f"{cylinder.name}.{valve.name}" for valve in cylinder.valve]
+    groups = [(cylinder.name, names)] if len(names) > 1 else []
+    for about, group in [*groups, *((name, [name]) for name in names)]:
+        given = [f"{name}.command" for name in group]
+        yield Cure(
             "saturation",
-            clipped,
+            about,
             0.05,
-            (0.0, 0.8),
-            lambda d: (
+            0.0,
+            0.8,
+            lambda d, about=about: (
                 f"flow falls short at large commands only: {about} opens no further beyond "
                 f"{100.0 * (1.0 - d):.2g} % of the largest command"
             ),
-            lambda d: f'law = "saturating" with its opening_max for {about} in the rig file',
-            5,
-            (0.1, 0.2, 0.35, 0.5),
-        ),
-        (
-            "delay",
-            later,
-            0.001,
-            (-0.05, 0.2),
-            lambda d: (
-                f"the machine answers {1e3 * abs(d):.2g} ms {_more(d, 'later', 'earlier')}, "
-                f"however fast: a delay of {about}"
+            lambda d, about=about: (
+                f'law = "saturating" with its opening_max for {about} in the rig file'
             ),
-            lambda d: f'kind = "delay" among the dynamics of {about} in the rig file',
             5,
-            (),
+            _with_commands(given, _clipped),
+            trials=(0.1, 0.25, 0.4, 0.55),
+        )
+    whole, given = cylinder.name if groups else names[0], [f"{name}.command" for name in names]
+    yield Cure(
+        "delay",
+        whole,
+        0.001,
+        -0.05,
+        0.2,
+        lambda d: (
+            f"the machine answers {1e3 * abs(d):.2g} ms {_more(d, 'later', 'earlier')}, however "
+            f"slow the command: a delay of {whole}"
         ),
-        (
-            "neutral",
-            moved,
-            0.005,
-            (-0.2, 0.2),
-            lambda d: (
-                f"one direction is faster than the other: {about} is neutral at {-d * high:.2g} V"
-            ),
-            lambda d: f"correct the command of {about} in the log by {d * high:.2g} V",
-            5,
-            (),
+        lambda d: f'kind = "delay" among the dynamics of {whole} in the rig file',
+        5,
+        _with_commands(given, _later),
+        trials=(0.005, 0.01, 0.02, 0.04),
+    )
+    yield Cure(
+        "drift",
+        whole,
+        0.02,
+        -0.6,
+        1.0,
+        lambda d: (
+            f"the error grows with time: flow of {whole} is {_share(d)} at the end of a log than "
+            "at its begin"
         ),
-        (
-            "drift",
-            warmer,
-            0.02,
-            (-0.6, 1.0),
-            lambda d: (
-                f"the error grows with time: flow of {about} is {_share(d)} at the end of a "
-                "log than at its begin"
-            ),
-            lambda d: "fit windows of the logs apart, and look at oil temperature and supply",
-            6,
-            (),
+        lambda d: "fit windows of the logs apart, and look at oil temperature and supply",
+        6,
+        _with_commands(given, _warmer),
+    )
+    for valve, name in zip(cylinder.valve, names, strict=True):
+        yield from _level(valve, name)
+
+
+def _level(valve: Valve, about: str) -> Iterator[Cure]:
+    """What is wrong with the zero and the sign of a recorded command."""
+    low, high, rest = float(valve.command_min), float(valve.command_max), float(valve.rest)
+
+    def moved(u: np.ndarray, delta: float, case: Case) -> np.ndarray:
+        return np.clip(u + np.where(u == rest, 0.0, delta * high), low, high)
+
+    def turned(u: np.ndarray, delta: float, case: Case) -> np.ndarray:
+        return u * (1.0 - delta)
+
+    yield Cure(
+        "neutral",
+        about,
+        0.005,
+        -0.2,
+        0.2,
+        lambda d: (
+            f"one direction is faster than the other: {about} is neutral at {-d * high:.2g} V"
         ),
-        (
+        lambda d: f"correct the command of {about} in the log by {d * high:.2g} V",
+        5,
+        _with_commands([f"{about}.command"], moved),
+    )
+    if low < 0.0:
+        yield Cure(
             "command sign",
-            lambda u, d, case: u * (1.0 - d),
+            about,
             0.0,
-            (0.0, 2.0),
-            lambda d: f"the machine moves the other way: the command of {about} has the other sign",
+            0.0,
+            2.0,
+            lambda d: f"the machine moves the other way: the command of {about} is turned",
             lambda d: f"turn the sign of {about}.command in the log, or of its edges",
             7,
-            (2.0,) if low < 0.0 else (),
-        ),
-    ):
-        vary = _with_command(f"{about}.command", change)
-        yield Cure(kind, about, step, least, most, says, line, rank, vary, trials=trials)
+            _with_commands([f"{about}.command"], turned),
+            trials=(2.0,),
+        )
 
 
 def _cylinder(rig: Rig, cylinder: Cylinder) -> Iterator[Cure]:
@@ -292,14 +333,16 @@ def _from_zero(known: dict, kind: str, name: str, unit: float, why: str) -> Cure
     def says(delta: float) -> str:
         return f"{why}: {name} is {_more(delta, 'larger', 'smaller')}"
 
-    return Cure(kind, name, 0.01, -least, 1.0, says, _free([name]), 3, _shifted([name], unit))
+    return Cure(kind, name, 0.01, -least, 30.0, says, _free([name]), 3, _shifted([name], unit))
 
 
 def _scale(kind: str, name: str, step: float, why: str, rank: int) -> Cure:
     def says(delta: float) -> str:
         return f"{why}: {name} is {_share(delta)}"
 
-    return Cure(kind, name, step, -0.8, 4.0, says, _free([name]), rank, _scaled([name]))
+    trials = (-0.3, -0.15, 0.15, 0.4) if kind in ("bulk modulus", "load") else ()
+    vary = _scaled([name])
+    return Cure(kind, name, step, -0.8, 4.0, says, _free([name]), rank, vary, trials=trials)
 
 
 def _shared(rig: Rig, played: bool) -> Iterator[Cure]:
@@ -310,39 +353,49 @@ def _shared(rig: Rig, played: bool) -> Iterator[Cure]:
         yield _scale("supply", "supply.pressure", 0.02, why, 5)
 
 
+Reading = Callable[[np.ndarray, float, Case], np.ndarray]
+
+
+def _corrected(channel: str, change: Reading) -> Vary:
+    """The log with a channel as a sound sensor would have given it: the model starts from it."""
+
+    def vary(case: Case, delta: float) -> tuple[Model, Record]:
+        if channel not in case.record:
+            return case.model, case.record
+        channels = case.record.channels
+        true = change(channels[channel], delta, case)
+        return case.model, replace(case.record, channels=channels | {channel: true})
+
+    return vary
+
+
+def _sensed(channel: str, change: Reading) -> Sense:
+    """The simulation as the faulty sensor would have shown it."""
+
+    def sense(case: Case, simulated: Record, delta: float) -> Record:
+        if channel not in simulated:
+            return simulated
+        channels = simulated.channels
+        seen = change(channels[channel], delta, case)
+        return replace(simulated, channels=channels | {channel: seen})
+
+    return sense
+
+
+def _lagged(y: np.ndarray, delta: float, case: Case) -> np.ndarray:
+    if delta <= 0.0:
+        return y
+    from scipy.signal import lfilter
+
+    pole = math.exp(-case.record.sample_time / delta)
+    return lfilter([1.0 - pole], [1.0, -pole], y, zi=[pole * y[0]])[0]
+
+
 def _sensor(channel: str) -> Iterator[Cure]:
-    """What a channel's sensor may do: δ in units of the channel's spread, of itself, or of time."""
-
-    def corrected(change: Callable[[np.ndarray, float, Case], np.ndarray]) -> Vary:
-        def vary(case: Case, delta: float) -> tuple[Model, Record]:
-            if channel not in case.record:
-                return case.model, case.record
-            channels = case.record.channels
-            true = change(channels[channel], delta, case)
-            return case.model, replace(case.record, channels=channels | {channel: true})
-
-        return vary
-
-    def sensed(change: Callable[[np.ndarray, float, Case], np.ndarray]) -> Sense:
-        def sense(case: Case, simulated: Record, delta: float) -> Record:
-            if channel not in simulated:
-                return simulated
-            channels = simulated.channels
-            seen = change(channels[channel], delta, case)
-            return replace(simulated, channels=channels | {channel: seen})
-
-        return sense
+    """What a channel's sensor may do: δ in spreads of the channel, in shares of itself, in time."""
 
     def spread(case: Case) -> float:
         return float(np.std(case.record[channel])) if channel in case.record else 0.0
-
-    def lagged(y: np.ndarray, delta: float, case: Case) -> np.ndarray:
-        if delta <= 0.0:
-            return y
-        from scipy.signal import lfilter
-
-        pole = math.exp(-case.record.sample_time / delta)
-        return lfilter([1.0 - pole], [1.0, -pole], y, zi=[pole * y[0]])[0]
 
     yield Cure(
         "sensor offset",
@@ -353,8 +406,8 @@ def _sensor(channel: str) -> Iterator[Cure]:
         lambda d: f"{channel} is off by the same all the time ({_more(d, 'high', 'low')})",
         lambda d: f"correct the offset of {channel} in the log",
         4,
-        corrected(lambda y, d, case: y - d * spread(case)),
-        sensed(lambda y, d, case: y + d * spread(case)),
+        _corrected(channel, lambda y, d, case: y - d * spread(case)),
+        _sensed(channel, lambda y, d, case: y + d * spread(case)),
     )
     yield Cure(
         "sensor scale",
@@ -365,21 +418,8 @@ def _sensor(channel: str) -> Iterator[Cure]:
         lambda d: f"{channel} reads {_share(d)} than the model in proportion",
         lambda d: f"check the scale of {channel}: its readings over {1.0 + d:.3g}",
         5,
-        corrected(lambda y, d, case: y / (1.0 + d)),
-        sensed(lambda y, d, case: y * (1.0 + d)),
-    )
-    yield Cure(
-        "sensor sign",
-        channel,
-        0.0,
-        -2.0,
-        0.0,
-        lambda d: f"{channel} goes the other way than the model",
-        lambda d: f"turn the sign of {channel} in the log",
-        6,
-        corrected(lambda y, d, case: y * (1.0 + d)),
-        sensed(lambda y, d, case: y * (1.0 + d)),
-        (-2.0,),
+        _corrected(channel, lambda y, d, case: y / (1.0 + d)),
+        _sensed(channel, lambda y, d, case: y * (1.0 + d)),
     )
     yield Cure(
         "sensor lag",
@@ -390,5 +430,18 @@ def _sensor(channel: str) -> Iterator[Cure]:
         lambda d: f"{channel} is {1e3 * d:.2g} ms behind the model, and no other channel is",
         lambda d: f"shift {channel} in the log, or ask the sensor's maker for its filter",
         5,
-        sense=sensed(lagged),
+        sense=_sensed(channel, _lagged),
+    )
+    yield Cure(
+        "sensor sign",
+        channel,
+        0.0,
+        -2.0,
+        0.0,
+        lambda d: f"{channel} goes the other way than the model",
+        lambda d: f"turn the sign of {channel} in the log",
+        6,
+        _corrected(channel, lambda y, d, case: y * (1.0 + d)),
+        _sensed(channel, lambda y, d, case: y * (1.0 + d)),
+        (-2.0,),
     )

@@ -28,11 +28,11 @@ def disagreements(cases: Sequence[Case]) -> Iterator[tuple[str, str, str, float]
             from_pins, _ = linkage_arrays(case.model.plant.cylinders[index], q)
             off = x - from_pins
             noise = math.sqrt(float(np.mean(np.diff(off, 3) ** 2)) / 20.0)
-            most = float(off[np.argmax(np.abs(off))])
+            level, most = float(np.median(off)), float(off[np.argmax(np.abs(off))])
             allowed = max(OFF * float(cylinder.stroke), NOISES * noise)
-            if abs(float(np.median(off))) > allowed or abs(most) > 2.0 * allowed:
-                if abs(most) > abs(worst.get(cylinder.name, (0.0, ""))[0]):
-                    worst[cylinder.name] = (most, case.name)
+            apart = level if abs(level) > allowed else most if abs(most) > 2.0 * allowed else 0.0
+            if abs(apart) > abs(worst.get(cylinder.name, (0.0, ""))[0]):
+                worst[cylinder.name] = (apart, case.name)
     for name, (off, log) in worst.items():
         unit = cases[0].model.rig.unit_of("x")
         shown = f"{from_si(abs(off), unit, quantity('x')):.3g} {unit}"

@@ -8,9 +8,9 @@ from ehbench.trial.accounts import Account, account
 from ehbench.trial.cases import Case, CaseResult, file_names, run_cases, table_csv, table_rows
 from ehbench.trial.commands import command_table
 from ehbench.trial.controllers import code_file, code_files, gains_file, refuse_code
-from ehbench.trial.preparation import Prepared, Stop, prepare
+from ehbench.trial.preparation import RUN_OUT, Prepared, Stop, prepare
 from ehbench.trial.running import Facts, Result, run, run_trial
-from ehbench.trial.session import RUN_OUT, Session
+from ehbench.trial.session import Session
 
 __all__ = [
     "RUN_OUT",

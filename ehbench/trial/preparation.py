@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from ehbench.plant.build import Maps
 
 
+RUN_OUT = 3.0  # [s] that are logged at most after a stop, valves at rest
+
+
 @dataclass(frozen=True)
 class Stop:
     """Why a trial stopped: which limit, on which channel, the value [SI] that reached it, its bound
@@ -199,7 +202,8 @@ class Prepared:
     def aftermath(self, machine: Machine, rows: Rows, span: slice, still: bool) -> Aftermath:
         """What the rows ``span`` after a stop say; ``still`` whether it stood at their end."""
         ramp, beyond = float(self.recipe.limits.ramp), []
-        samples, bounds = rows.samples[span], dict(zip(LIMITS, self.limits.tolist(), strict=True))
+        samples = rows.samples[span]
+        bounds: dict[str, float] = dict(zip(LIMITS, self.limits.tolist(), strict=True))
         for column, channel in enumerate(machine.channels):
             word = channel.rsplit(".", 1)[-1]
             values = samples[:, column]
@@ -309,6 +313,8 @@ def _refuse_endless(recipe: TrialRecipe, rig: Rig, count: int) -> None:
     """
     parts = len(rig.cylinder) + sum(1 for _ in rig.valves()) + sum(1 for _ in rig.edges())
     waves = sum(entry.lines for entry in recipe.command if entry.kind == "multisine")
+    if recipe.limits != type(recipe.limits)():
+        count += round((float(recipe.limits.ramp) + RUN_OUT) * float(recipe.rate))
     refuse_beyond(8.0 * count * (_ROW + _EACH * parts + 3 * waves), f"a trial of {count} samples")
     steps = count * max(1.0, 1.0 / (float(recipe.rate) * float(recipe.step)))
     if steps > MOST_STEPS:

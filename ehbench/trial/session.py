@@ -20,13 +20,12 @@ from ehbench.machines.protocol import Machine, advance_of, truth_of
 from ehbench.machines.rows import NO_LIMITS, LawRows, Rows, control, violated
 from ehbench.record import Record
 from ehbench.trial.controllers import Compiled
-from ehbench.trial.preparation import Aftermath, Prepared, Stop
+from ehbench.trial.preparation import RUN_OUT, Aftermath, Prepared, Stop
 from ehbench.trial.user_code import UserCode
 
 if TYPE_CHECKING:
     from ehbench.logs import LogWriter
 
-RUN_OUT = 3.0  # [s] that are logged at most after a stop, valves at rest
 LOOK = 0.1  # [s] a machine that was so long below STILL stands
 STILL = 5e-3  # [m/s]
 PATIENCE = 20.0  # [s] of wall time after which a class's pace is judged
@@ -171,9 +170,10 @@ class Session:
         self.end = row + 1 + ramp + round(RUN_OUT * rate)
         self.rows = rows = _with_room(self.rows, self.end, rate)
         rows.limits[:] = NO_LIMITS
+        before = rows.commands[row - 1].copy() if row else rest
         share = np.minimum(np.arange(1.0, self.end - row + 1) / (ramp + 1), 1.0)[:, None]
-        shut = np.where(self.prepared.shut_at_once(self.stop, rows.commands[row - 1]), 1.0, share)
-        rows.commands[row:] = (1.0 - shut) * rows.commands[row - 1] + shut * rest
+        shut = np.where(self.prepared.shut_at_once(self.stop, before), 1.0, share)
+        rows.commands[row:] = (1.0 - shut) * before + shut * rest
         self._halted, self._next_look = row, min(row + 1 + ramp + self._stretch, self.end)
         if self.law is not None:
             _let_go(self.law, row, self.end)

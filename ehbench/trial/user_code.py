@@ -242,8 +242,9 @@ class _Code:
 
         def listed() -> tuple[Any, ...] | None:
             given = getattr(controller, attribute, None)
-            plain = isinstance(given, Sequence) and not isinstance(given, str)
-            return tuple(islice(given, _MOST_NAMES)) if plain else None
+            if isinstance(given, str) or not isinstance(given, Sequence):
+                return None
+            return tuple(islice(given, _MOST_NAMES))
 
         names = self.call(f".{attribute}", listed)
         for name in names or ():

@@ -24,6 +24,7 @@ from ehbench.recipe import Thresholds
 from ehbench.record import Record
 from ehbench.rig import Rig, Valve
 from ehbench.starts import estimated_start
+from ehbench.structure import Case
 from ehbench.validation.checks import checks_of, unasked
 from ehbench.validation.residuals import Pair, compare, pair_of
 from ehbench.validation.results import (
@@ -121,6 +122,22 @@ class PreparedValidation:
     rig: Rig
     channels: tuple[str, ...]
     logs: tuple[TakenLog, ...]
+    flow_maps: Maps | None = None
+
+    def cases(self) -> list[Case]:
+        """The logs as `ehbench.structure.ask` takes them."""
+        return [
+            Case(
+                log.name,
+                log.record,
+                log.model,
+                _moved(log.model, log.record)[0],
+                self.flow_maps,
+                log.scored,
+            )
+            for log in self.logs
+            if log.failure is None
+        ]
 
 
 def prepare_validation(
@@ -139,7 +156,7 @@ def prepare_validation(
         taken_log(name, record, models[payload_of(record) or ""], fitted)
         for name, fitted, record in zip(names, seen, records, strict=True)
     )
-    return PreparedValidation(rig, tuple(channels), taken)
+    return PreparedValidation(rig, tuple(channels), taken, flow_maps)
 
 
 def run_validation(

@@ -13,6 +13,7 @@ from ehbench.observations import rings_clearly
 from ehbench.quantities import quantity
 from ehbench.rundir import read_json
 from ehbench.signals import Ringing
+from ehbench.structure import Finding, Follows, Structure
 
 
 @dataclass(frozen=True)
@@ -209,7 +210,7 @@ class LogResult:
 @dataclass(frozen=True)
 class Validation:
     """The verdict on a rig: ``accepted`` if some held-out log was judged and all of them passed;
-    else ``reasons`` say why not.
+    else ``reasons`` say why not. ``structure`` is what the residuals say of the model.
     """
 
     rig: str
@@ -218,6 +219,7 @@ class Validation:
     warnings: tuple[str, ...]
     thresholds: dict[str, Any]
     logs: tuple[LogResult, ...]
+    structure: Structure = Structure()
 
     @property
     def verdict(self) -> str:
@@ -265,54 +267,52 @@ def read_validation(path: Path) -> Validation:
     """
     path = path / "validation.json" if path.is_dir() else path
     table = read_json(path)
-
-    def many(kind: type, rows: list[dict[str, Any]]) -> tuple[Any, ...]:
-        return tuple(made(kind, row) for row in rows)
-
-    def made(kind: type, row: dict[str, Any]) -> Any:
-        known = {f.name for f in fields(kind)}
-        return kind(
-            **{
-                key: tuple(value) if isinstance(value, list) else value
-                for key, value in row.items()
-                if key in known
-            }
-        )
-
-    def channel(row: dict[str, Any]) -> ChannelResult:
-        auto = row["autocorrelation"] and made(Correlation, row["autocorrelation"])
-        return made(
-            ChannelResult,
-            row
-            | {
-                "autocorrelation": auto,
-                "cross_correlation": many(Correlation, row["cross_correlation"]),
-            },
-        )
-
-    def transient(row: dict[str, Any]) -> Transient:
-        return made(
-            Transient, row | {side: made(Ring, row[side]) for side in ("recorded", "simulated")}
-        )
-
-    def sweep(row: dict[str, Any]) -> Sweep:
-        curves = {
-            side: row[side] and made(SweepCurve, row[side]) for side in ("recorded", "simulated")
-        }
-        return made(Sweep, row | curves)
-
-    def log(row: dict[str, Any]) -> LogResult:
-        nested = {
-            "channels": [channel(c) for c in row["channels"]],
-            "transients": [transient(w) for w in row["transients"]],
-            "sweeps": [sweep(w) for w in row.get("sweeps", [])],
-            "overlap": many(Overlap, row.get("overlap", [])),
-        }
-        return made(LogResult, row | nested | {"checks": many(Check, row["checks"])})
-
     try:
-        return made(Validation, table | {"logs": [log(row) for row in table["logs"]]})
+        asked = table.get("structure", {})
+        structure = Structure(
+            _many(Finding, asked.get("findings", [])), _many(Follows, asked.get("follows", []))
+        )
+        logs = [_log(row) for row in table["logs"]]
+        return _made(Validation, table | {"logs": logs, "structure": structure})
     except (KeyError, TypeError) as error:
         raise InputError(
             f"is no validation: {error}", file=path, hint="name a finished run of stage 'validate'"
         ) from None
+
+
+def _many(kind: type, rows: list[dict[str, Any]]) -> tuple[Any, ...]:
+    return tuple(_made(kind, row) for row in rows)
+
+
+def _made(kind: type, row: dict[str, Any]) -> Any:
+    known = {f.name for f in fields(kind)}
+    return kind(
+        **{
+            key: tuple(value) if isinstance(value, list) else value
+            for key, value in row.items()
+            if key in known
+        }
+    )
+
+
+def _channel(row: dict[str, Any]) -> ChannelResult:
+    auto = row["autocorrelation"] and _made(Correlation, row["autocorrelation"])
+    crossed = _many(Correlation, row["cross_correlation"])
+    return _made(ChannelResult, row | {"autocorrelation": auto, "cross_correlation": crossed})
+
+
+def _sides(kind: type, of: type, row: dict[str, Any]) -> Any:
+    """A result with a recorded and a simulated side, None where a side is missing."""
+    sides = {side: row[side] and _made(of, row[side]) for side in ("recorded", "simulated")}
+    return _made(kind, row | sides)
+
+
+def _log(row: dict[str, Any]) -> LogResult:
+    nested = {
+        "channels": [_channel(one) for one in row["channels"]],
+        "transients": [_sides(Transient, Ring, one) for one in row["transients"]],
+        "sweeps": [_sides(Sweep, SweepCurve, one) for one in row.get("sweeps", [])],
+        "overlap": _many(Overlap, row.get("overlap", [])),
+        "checks": _many(Check, row["checks"]),
+    }
+    return _made(LogResult, row | nested)

@@ -42,6 +42,7 @@ LOOP = (
         ("duration = '1 s'\nstep = '1e-7 s'\nrate = '0.001 Hz'\n" + STEP, "steps of 1e-07 s|short"),
         ("duration = '9000 s'\nstep = '1e-7 s'\nrate = '10 Hz'\n" + STEP, "9e.10 steps of 1e-07 s"),
         ("duration = '1e6 s'\n" + LOOP, r"1e\+09 samples"),
+        ("duration = '1 s'\nrate = '1 MHz'\nlimits.ramp = '10 s'\n" + STEP, "a trial of 140"),
         (LOOP + "acceleration = '1e-9 m/s^2'\n", "samples"),
         (LOOP + "jerk = '1e-12 m/s^3'\n", "samples"),
         (LOOP + "hold = '1e6 s'\n", "samples"),

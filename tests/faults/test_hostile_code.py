@@ -16,6 +16,7 @@ import pytest
 from ehbench.errors import InputError
 from ehbench.logs import read_record
 from ehbench.recipe import TrialRecipe, load_rig
+from ehbench.recipe.trial import Limits
 from ehbench.trial import prepare, run, run_trial
 from ehbench.trial import guard as guards
 
@@ -200,6 +201,14 @@ def test_a_class_that_is_slow_is_named(tmp_path, monkeypatch):
     code += "    def step(self, t, sample, wish):\n        time.sleep(0.02)\n        return {}\n"
     with pytest.raises(InputError, match=r"C takes 0\.02\d* s a tick, .* h to go"):
         run_trial(RIG, recipe(tmp_path, code), allow_code=True)
+
+
+def test_a_command_beyond_its_limit_in_the_first_tick_never_acts(tmp_path):
+    code = HEAD + START + "    def step(self, t, sample, wish): return {'press.servo': 9.0}\n"
+    asked = recipe(tmp_path, code).model_copy(update={"limits": Limits(command_max="5 V")})
+    record, facts = run_trial(RIG, asked, allow_code=True)
+    assert facts.stop.limit == "command_max" and facts.stop.t == 0.0 and facts.stop.value == 9.0
+    assert not record["press.servo.command"].any() and facts.after.still
 
 
 RUN = """

@@ -42,7 +42,9 @@ def test_what_goes_wrong_is_found_and_counted(monkeypatch):
             while True:
                 pass
         if given < 4:
-            raise InputError("x" * 10, file="y" * 9000)
+            error = InputError("a sentence")
+            error.message = "two\nlines"
+            raise error
         if given < 6:
             raise InputError("a sentence")
 

@@ -15,9 +15,15 @@ import pytest
 
 from ehbench import rundir
 from ehbench.errors import InputError, InsufficientData
-from ehbench.identification.hydraulics import FitOptions, compare_dynamics, identify_hydraulics
+from ehbench.identification.hydraulics import (
+    CHANNELS,
+    FitOptions,
+    compare_dynamics,
+    identify_hydraulics,
+)
+from ehbench.identification.simulator import Simulator, prepare
 from ehbench.physics.flow_map import FlowMap, ValveMaps
-from ehbench.plant.model import simulate
+from ehbench.plant.model import Model, simulate
 from ehbench.recipe import load_rig
 from ehbench.record import Record
 from ehbench.signals import ringing
@@ -352,6 +358,43 @@ def test_commands_within_the_dead_band_are_refused():
     fit = identify(machine, [still, good], asked)
     assert any("within the dead band" in text for text in fit.warnings)
     identify(machine, [still, good], ["bulk_modulus", "lift.spool_pa.deadband"])
+
+
+def test_pins_that_cannot_be_do_not_end_the_search():
+    """A pin started so far off that its cylinder cannot reach on the way: the search goes round."""
+    logs = [
+        (f"log {i}", noisy(clean("crane_proportional", load, SPOOL, 1501), i))
+        for i, load in enumerate((None, "200 kg"))
+    ]
+    start = {"lift.l_a": 1.25}
+    fit = identify(rig("crane_proportional"), logs, ["bulk_modulus", *start], start=start)
+    assert covers(fit, ("lift.l_a", 1.1)) and covers(fit, ("bulk_modulus", 8e8))
+    impossible = Simulator(
+        rig("crane_proportional"),
+        [prepare(Model.of(rig("crane_proportional")), logs[0][1], "log", CHANNELS)],
+        ["lift.l_a"],
+        None,
+        1,
+        5e-4,
+    )
+    with impossible.pool:
+        assert impossible.simulate([[0.1]]) == [[None]]
+
+
+def test_more_freedom_ends_no_worse():
+    """Parameters that add nothing leave a fit where it was, however they are started."""
+    logs = slide_logs(16)
+    few = identify(rig("slide_servo"), logs, SLIDE, start={"bulk_modulus": 4e8})
+    more = ["press.friction_coulomb", "press.leakage_internal", "spool.natural_frequency"]
+    many = identify(
+        rig("slide_servo"),
+        logs,
+        [*SLIDE, *more],
+        start={"bulk_modulus": 4e8, "spool.natural_frequency": "25 Hz"},
+    )
+    for one, other in zip(few.logs, many.logs, strict=True):
+        for channel, left in one.residual_rms.items():
+            assert other.residual_rms[channel] < 1.02 * left
 
 
 def a_map(valve, most):

@@ -177,7 +177,9 @@ def test_an_outcome_shows_its_folder_notes_and_parameters(identified, tmp_path):
     rig = ehbench.load_rig(identified.folder)
     shown = f"<td>bulk_modulus</td><td>{bulk['value'] / 1e6:.4g}</td>"
     assert rig.unit_of("bulk_modulus") == "MPa" and shown in identified._repr_html_()
-    assert repr(identified) == f"<Outcome '{identified.folder}': code 0, 0 notes>"
+    count = len(identified.notes)
+    notes = f"{count} note" + "s" * (count != 1)
+    assert repr(identified) == f"<Outcome '{identified.folder}': code 0, {notes}>"
     other = Outcome(tmp_path, 3, ("a < b",))
     assert "code 3" in repr(other) and "<li>a &lt; b</li>" in other._repr_html_()
     with pytest.raises(InputError, match=r"has no parameters\.json"):

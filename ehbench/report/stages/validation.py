@@ -76,6 +76,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     status = "accepted" if table["accepted"] else "rejected"
     parts = [
         Part("Verdict", _verdict(table, status)),
+        *_structure(table),
         *(
             Part(words(log["name"]).capitalize(), _log_blocks(run.rig, log, pictures))
             for log in table["logs"]
@@ -121,6 +122,41 @@ def _verdict(table: Table, status: str) -> list[Block]:
     return blocks
 
 
+def _structure(table: Table) -> list[Part]:
+    """What the residuals say of the model: the likeliest cures, and what each channel follows."""
+    asked = table.get("structure")
+    if asked is None or not (asked["findings"] or asked["follows"]):
+        return []
+    lead = (
+        "Each likely fault was built into the model or the log. These explain the residuals, the "
+        "likeliest first; several that explain much alike are alternatives, not a sum."
+    )
+    blocks: list[Block] = [Text(lead)]
+    rows = [
+        [one["sentence"], one["cure"], num(f"{100.0 * one['explains']:.0f} %")]
+        for one in asked["findings"]
+    ]
+    if rows:
+        blocks.append(Grid(["what is seen", "what cures it", "of the residuals' squares"], rows))
+    else:
+        blocks = [Text("No likely fault explains the residuals better than chance.")]
+    if asked["follows"]:
+        found = [
+            [
+                words(one["log"]),
+                Cell(one["channel"], "code"),
+                one["what"],
+                num(number(one["correlation"], 2)),
+                num(number(one["band"], 2)),
+            ]
+            for one in asked["follows"]
+        ]
+        head = ["log", "residual of", "follows", "correlation", "95 % band"]
+        title = f"What the residuals go along with: {count(len(found), 'pair')} outside the band"
+        blocks.append(Fold(title, [Grid(head, found)]))
+    return [Part("What the residuals follow", blocks)]
+
+
 def _log_row(log: Table) -> list[Cell | str]:
     if log.get("failure"):
         result = "failed"
@@ -142,6 +178,8 @@ def _log_blocks(rig: Rig, log: Table, pictures: Pictures) -> list[Block]:
     blocks: list[Block] = []
     if log.get("failure"):
         blocks.append(Text(f"Could not be simulated: {log['failure']}", "bad"))
+    if scored := log.get("scored"):
+        blocks.append(Text(f"Simulated as a whole; judged is {interval(*scored)} s."))
     blocks += pictures(FigureKey("validation", log=log["name"]))
     blocks += _channel_table(rig, log)
     if rings := log.get("transients", []):

@@ -1,0 +1,86 @@
+"""What residuals say of a model: built faults are named first or second, sound models cry at
+nothing. `tests/structure_study.py` has the long tables."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ehbench.plant.model import Model
+from ehbench.recipe import load_rig
+from ehbench.structure import Case, ask, commanded
+from tests.structure_study import Fault, asked, faults, log_of
+from tests.virtual_logs import RIGS
+
+
+def rig_of(name: str):
+    return load_rig(RIGS / f"{name}.toml")
+
+
+BUILT = {
+    "slide_servo": ("gain", "lag", "friction", "damping", "sensor lag", "sensor sign"),
+    "crane_proportional": ("gain", "deadband", "load", "delay", "sensor scale"),
+    "boom_four_valve": ("bulk modulus", "leakage", "saturation", "sensor offset"),
+}
+
+
+@pytest.mark.parametrize(("name", "kind"), [(n, k) for n, kinds in BUILT.items() for k in kinds])
+def test_a_built_fault_is_named_first_or_second(name, kind):
+    rig = rig_of(name)
+    fault = next(one for one in faults(name, rig) if one.kind == kind)
+    found = asked(name, rig, fault, 7)
+    assert fault.named(found), found.findings
+    first = found.findings[0]
+    assert first.explains > 0.7 and first.cure and first.sentence
+    assert found.follows, "and its residuals follow something"
+
+
+@pytest.mark.parametrize("name", ["slide_servo", "crane_proportional", "thesis_arm"])
+def test_a_sound_model_has_no_findings(name):
+    rig = rig_of(name)
+    for seed in (21, 22):
+        assert not asked(name, rig, Fault("none", "", rig), seed).findings
+
+
+def test_sizes_and_lines_of_the_cure():
+    rig = rig_of("slide_servo")
+    fault = next(one for one in faults("slide_servo", rig) if one.words == "one gain 8 % down")
+    first = asked("slide_servo", rig, fault, 3).findings[0]
+    assert first.about == "press.servo_supply_head" and first.size == pytest.approx(-0.08, abs=0.01)
+    assert "slower than the model whatever the command" in first.sentence
+    assert first.cure == (
+        'add "press.servo_supply_head.flow_gain" to parameters of the identify recipe'
+    )
+
+
+def test_stroke_and_angle_are_held_against_the_pins():
+    rig = rig_of("crane_proportional")
+    log = log_of("crane_proportional", Fault("none", "", rig), "steps", 5)
+    model = Model.of(rig)
+
+    def found(record):
+        return ask([Case("log", record, model, commanded(model, record))]).findings
+
+    assert not any(one.kind == "pins" for one in found(log))
+    off = replace(log, channels=log.channels | {"lift.x": log["lift.x"] + 0.0118})
+    first = found(off)[0]
+    assert first.kind == "pins" and "disagree with the pins by 1" in first.sentence
+    assert first.size == pytest.approx(0.0118, abs=5e-4)
+
+
+def test_only_what_is_scored_is_asked_and_a_log_without_motion_says_nothing():
+    rig = rig_of("slide_servo")
+    fault = next(one for one in faults("slide_servo", rig) if one.kind == "sensor sign")
+    log = log_of("slide_servo", fault, "steps", 5)
+    model = Model.of(rig)
+    case = Case("log", log, model, commanded(model, log))
+    part = replace(case, scored=(1.0, 2.0))
+    assert part.recorded["press.v"].size == pytest.approx(case.recorded["press.v"].size / 4, abs=2)
+    assert ask([part]).findings[0].kind == "sensor sign"
+    still = {name: np.full(log.t.shape, values[0]) for name, values in log.channels.items()}
+    rest = replace(log, channels=still)
+    assert commanded(model, rest) == ()
+    assert ask([Case("rest", rest, model, ())]).findings == ()
+    assert ask([]).findings == ()

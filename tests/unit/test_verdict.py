@@ -1,0 +1,179 @@
+"""The verdict on the exact model and on wrong ones, whatever the command: steps, sine, chirp, slow
+ramps."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ehbench import signals
+from ehbench.plant.model import Model
+from ehbench.recipe import Thresholds, load_rig
+from ehbench.record import Record
+from ehbench.validation import validate_rig
+from ehbench.validation.checks import beyond_noise
+from ehbench.validation.residuals import noise_of, pair_of
+from ehbench.validation.transients import doubt, stands
+from tests.virtual_logs import DRIVES, RIGS, commands_of, virtual_log
+
+CHANNELS = {"slide_servo": ("x", "v", "p_head", "p_rod"), "pump_cylinder": ("x", "v", "p_head")}
+# far narrower than the defaults: what a wrong model must not reach
+STRICT = Thresholds(
+    fit_percent={"qd": 80.0, "p_head": 80.0, "p_rod": 80.0},
+    natural_frequency_error=0.05,
+    damping_ratio_error=0.3,
+    response_gain_error=0.1,
+    response_phase_error="8 deg",
+)
+
+
+def judged(name, rig, log, thresholds=None):
+    channels = CHANNELS.get(name, ("q", "qd", "p_head", "p_rod"))
+    return validate_rig(rig, [("log", log)], channels, thresholds)
+
+
+def held(name: str, kind: str, every: float) -> dict[str, np.ndarray]:
+    """A command that a slow controller gives: a new value each ``every`` seconds."""
+    t = np.arange(4001) * 1e-3
+    at = (np.arange(t.size) // round(every * 1e3)) * round(every * 1e3)
+    return {valve: u[at] for valve, u in commands_of(name, kind, t).items()}
+
+
+@pytest.mark.parametrize("name", DRIVES)
+@pytest.mark.parametrize("kind", ["steps", "sine", "chirp", "ramps"])
+def test_the_exact_model_is_accepted_whatever_the_command(name, kind):
+    rig = load_rig(RIGS / f"{name}.toml")
+    for seed in (1, 2):
+        verdict = judged(name, rig, virtual_log(name, rig, kind, seed), STRICT)
+        assert verdict.accepted, verdict.reasons
+
+
+@pytest.mark.parametrize(("kind", "every"), [("sine", 0.084), ("chirp", 0.02), ("sine", 0.15)])
+def test_a_command_in_small_stairs_makes_no_ringing(kind, every):
+    """Each stair is a step that stands for less than a few periods."""
+    for name in ("slide_servo", "crane_proportional", "thesis_arm"):
+        rig = load_rig(RIGS / f"{name}.toml")
+        log = virtual_log(name, rig, kind, 1, commands=held(name, kind, every))
+        verdict = judged(name, rig, log, STRICT)
+        assert verdict.accepted, verdict.reasons
+        for window in verdict.logs[0].transients:
+            if window.judged and window.start < 3.6:  # then the command stands at rest
+                hertz = window.recorded.natural_frequency / (2.0 * math.pi)
+                assert every * hertz > 2.4, "a stair is too short for that"
+
+
+@pytest.mark.parametrize("name", DRIVES)
+def test_wrong_models_are_rejected(name):
+    """Oil 20 % off, twice the damping, a gain a fifth off: the steps tell each of them."""
+    rig = load_rig(RIGS / f"{name}.toml")
+    known = rig.parameters()
+    damping = [n for n in known if n.endswith((".damping", ".joint_damping"))]
+    gains = [n for n in known if n.endswith(("flow_gain", "compensated_gain", "displacement"))]
+    log = virtual_log(name, rig, "steps", 1)
+    for names, factor in (
+        (["bulk_modulus"], 1.2),
+        (["bulk_modulus"], 0.8),
+        (damping, 2.0),
+        (gains, 0.75),
+    ):
+        wrong = rig.with_values({n: factor * float(known[n]) for n in names})
+        assert not judged(name, wrong, log, STRICT).accepted, (names, factor)
+
+
+def test_a_sweep_is_judged_by_its_response():
+    rig = load_rig(RIGS / "crane_proportional.toml")
+    log = virtual_log("crane_proportional", rig, "chirp", 3)
+    sound = judged("crane_proportional", rig, log)
+    sweeps = {one.channel: one for one in sound.logs[0].sweeps}
+    assert set(sweeps) == {"lift.qd", "lift.p_head", "lift.p_rod"}
+    for one in sweeps.values():
+        assert one.gain_ratio == pytest.approx(1.0, abs=0.02) and one.gain_error < 0.05
+        assert one.phase_error < math.radians(4.0) and one.delay_error < 2e-3
+        assert one.band[1] > 8.0 and one.coherence[0] > 0.8
+    assert sum("response" in check.what for check in sound.logs[0].checks) == 9
+    known = rig.parameters()
+    late = rig.with_values(
+        {"spool.natural_frequency": 0.5 * float(known["spool.natural_frequency"])}
+    )
+    verdict = judged("crane_proportional", late, log)
+    assert any("phase of the response is off by" in reason for reason in verdict.reasons)
+    assert verdict.logs[0].sweeps[0].delay[1] > verdict.logs[0].sweeps[0].delay[0] + 3e-3
+    off = Thresholds(
+        response_gain_error=False, response_phase_error=False, response_delay_error=False
+    )
+    checks = judged("crane_proportional", late, log, off).logs[0].checks
+    assert not any("response" in check.what for check in checks)
+    steps = virtual_log("crane_proportional", rig, "steps", 3)
+    assert not judged("crane_proportional", rig, steps).logs[0].sweeps
+
+
+def test_what_stands_and_what_only_seems_to():
+    t = np.arange(1000) * 1e-3
+    step = np.where(t < 0.1, 0.0, 2.0)[:, None]
+    assert stands(step, 100)
+    noise = np.random.default_rng(1).uniform(-0.02, 0.02, step.shape)
+    assert stands(step + noise, 100)
+    assert not stands(np.clip(0.3 * t, 0.0, None)[:, None], 100), "a slow ramp"
+    assert not stands(np.sin(2.0 * math.pi * 0.3 * t)[:, None], 100)
+
+
+def test_ringing_must_decay_last_and_repeat():
+    t = np.arange(1500) * 1e-3
+    noise = 0.01 * np.random.default_rng(2).standard_normal((t.size, 1))
+    ring = (np.exp(-2.0 * t) * np.sin(2.0 * math.pi * 6.0 * t))[:, None] + noise
+    found = signals.ringing(t, ring)
+    assert found.ok and not doubt(t, ring, found)
+    assert "grows" in doubt(t, ring, replace(found, damping_ratio=-0.02))
+    short = t < 0.3
+    assert "stands for 1.8 periods" in doubt(t[short], ring[short], found)
+    turning = (np.exp(-2.0 * t) * np.sin(2.0 * math.pi * (3.0 * t + 4.0 * t**2)))[:, None] + noise
+    other = replace(found, natural_frequency=2.0 * math.pi * 6.0, stop=1.0)
+    assert "half of the window" in doubt(t, turning, other)
+
+
+def test_noise_is_told_from_motion():
+    """By third differences; of a rate that a position gives, by what the filter makes of it."""
+    t = np.arange(4000) * 1e-3
+    rng = np.random.default_rng(3)
+    x = 0.1 * np.sin(2.0 * math.pi * t) + 1e-4 * rng.standard_normal(t.size)
+    smooth = Record(t, {"press.x": 0.1 * np.sin(2.0 * math.pi * t)})
+    log = Record(t, {"press.x": x})
+    pair = pair_of(log, smooth, "press.x")
+    assert noise_of(log, "press.x", pair) == pytest.approx(1e-4, rel=0.1)
+    rate = pair_of(log, smooth, "press.v")
+    assert rate.derived
+    inner = slice(200, -200)  # at the ends the filter sees less
+    assert noise_of(log, "press.v", rate) == pytest.approx(
+        np.std((rate.recorded - rate.simulated)[inner]), rel=0.15
+    )
+    assert beyond_noise(50.0, 0.0) == pytest.approx(50.0)
+    assert beyond_noise(100.0, 0.3) == pytest.approx(70.0), "an exact model has the noise alone"
+
+
+def test_a_position_that_strays_is_told_though_nobody_asks():
+    rig = load_rig(RIGS / "slide_servo.toml")
+    log = virtual_log("slide_servo", rig, "steps", 1)
+    fast = rig.with_values(
+        {
+            n: 1.5 * float(v)
+            for n, v in rig.parameters().items()
+            if n.endswith("supply_head.flow_gain")
+        }
+    )
+    verdict = judged("slide_servo", fast, log)
+    assert any(
+        "press stroke fit is" in text and "no threshold" in text for text in verdict.warnings
+    )
+    assert any("leaves its band at" in text for text in verdict.warnings)
+    quiet = judged("slide_servo", rig, log)
+    assert not any("no threshold asks" in text for text in quiet.warnings)
+
+
+def test_model_of_the_stairs_is_the_rigs():
+    """The helper drives only valves that the rig has."""
+    for name, (up, down, _) in DRIVES.items():
+        rig = load_rig(RIGS / f"{name}.toml")
+        assert {*up, *(down or {})} <= set(Model.of(rig).layout.valves)
