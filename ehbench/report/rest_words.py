@@ -107,7 +107,7 @@ def _restless(rig: Rig, known: Known) -> str:
     """The command that swings most in a short time while one function is at work."""
     worst = (0.0, "", "")
     for case, record in known:
-        for name in _commands(case, record):
+        for name in () if case.steps else _commands(case, record):
             swing = _within(case, record, record[name])
             if swing > max(worst[0], RESTLESS * float(np.abs(record[name]).max())):
                 valve = name.removesuffix(".command").rpartition(".")[2]

@@ -19,7 +19,9 @@ T = np.arange(0.0, 4.0, 0.001)
 MOVING = (T >= 0.5) & (T < 2.0)
 
 
-def trial(swing: float = 0.0, changes: int = 0, chatter: float = 0.0) -> tuple[Case, Record]:
+def trial(
+    swing: float = 0.0, changes: int = 0, chatter: float = 0.0, steps: bool = True
+) -> tuple[Case, Record]:
     v = np.where(MOVING, 0.1, swing * np.exp(-(T - 2.0)) * np.cos(20.0 * (T - 2.0)) * (T >= 2.0))
     function = np.where(MOVING, 1.0, 0.0)
     for place in range(changes):
@@ -34,7 +36,7 @@ def trial(swing: float = 0.0, changes: int = 0, chatter: float = 0.0) -> tuple[C
     row = {
         "cylinder": "boom",
         "controller": "six_functions",
-        "steps": [{"speed": 0.1, "steady_error": 0.0}],
+        "steps": [{"speed": 0.1, "steady_error": 0.0}] if steps else [],
         "stopped": "",
     }
     return Case(Table(row, Path("x")), "x", Path("x"), Path("x")), Record(T, channels)
@@ -62,9 +64,9 @@ def test_changes_of_the_function_at_rest_are_counted():
 
 
 def test_a_restless_command_is_told_with_its_valve():
-    text = told(trial(chatter=1.0), trial())
+    text = told(trial(chatter=1.0, steps=False), trial())
     assert "the command of hect swings by up to 2 V within 0.1 s" in text
-    assert "swings" not in told(trial(chatter=0.1))
+    assert "swings" not in told(trial(chatter=0.1, steps=False))
 
 
 def test_a_channel_that_lies_off_for_long_is_told():
