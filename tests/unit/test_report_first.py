@@ -156,3 +156,13 @@ def test_a_rigs_table_has_the_interval_of_the_fit_that_a_value_came_from(tmp_pat
     told = [row[2].text for row in grid.rows if isinstance(row[2], Cell) and "±" in row[2].text]
     half = 0.1 * float(shown(rig, name, float(value)))
     assert any(text.endswith(f"± {half:.2g}") for text in told)
+
+
+def test_the_cures_of_a_verdict_are_what_to_do_next(folders, tmp_path):
+    folder = tmp_path / "judged"
+    shutil.copytree(folders[1], folder)
+    table = json.loads((folder / "validation.json").read_text())
+    cures = [{"cure": "free the gain of hect"}, {"cure": "free the gain of hect"}, {"cure": "b"}]
+    write_json(folder / "validation.json", table | {"structure": {"findings": cures}})
+    (step,) = findings_of(Saved(folder)).next
+    assert step.endswith(": free the gain of hect, or b")
