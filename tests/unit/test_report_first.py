@@ -6,6 +6,7 @@ import base64
 import hashlib
 import json
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +18,11 @@ from ehbench.recipe import load_rig
 from ehbench.report.blocks import Cell, Grid
 from ehbench.report.dark import dark
 from ehbench.report.first_screen import _cards
-from ehbench.report.headlines import Findings, Headline, silence
+from ehbench.report.headlines import Findings, Headline, findings_of, silence
 from ehbench.report.saved import Saved, Table
 from ehbench.report.rig_table import rig_table
 from ehbench.report.words import estimate, shown
+from ehbench.rundir import write_json
 from tests.unit.test_report import hydraulics_run, validation_run
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
