@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 from ehbench.fields import Value
 from ehbench.report.blocks import Block, Bullets, Cell, Grid
@@ -23,7 +24,7 @@ def rig_table(rig: Rig, fits: Sequence[Table] = ()) -> list[Block]:
         fits: rows of ``parameters.json``, whose interval a value has that came from one of them;
             the others have 1.96 of their standard error.
     """
-    known = {(one["name"], one.number("value")): one for one in fits}
+    known: dict[tuple[str, Any], Table] = {(one["name"], one.number("value")): one for one in fits}
     groups: dict[str, list[list[Cell | str]]] = {}
     for name, value in _values(rig):
         groups.setdefault(name.rpartition(".")[0], []).append(

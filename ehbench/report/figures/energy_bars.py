@@ -12,6 +12,7 @@ from ehbench.report.words import DASH, number
 
 SEEN = 2e-3  # share of the longest bar below which nobody sees a part
 _INNER, _OUTER = 0.28, 0.46  # half the height of a bar; how far the mark of a bound reaches
+_EMPTY = 0.01  # share of the longest bar below which a trial drew next to nothing
 _TOLD = 0.065  # share of the axis from which a part has room for its number
 _PARTS = {
     "load": ("load", "#2e7d5b"),
@@ -54,7 +55,7 @@ def bars(
         for i, (_, ledger) in enumerate(ledgers):
             parts = {key: stacks[i][key] for key in drawn}
             ahead = _draw_stack(ax, i, parts, _TOLD * (reach - least))
-            _draw_total(ax, i, ledger, unit, ahead)
+            _draw_total(ax, i, ledger, unit, ahead, abs(ahead) < _EMPTY * most)
             for key, value in limits[i].items():
                 look = {"color": INK, "linestyle": _LIMITS[key][1], "linewidth": 1.6, "zorder": 5}
                 for side in (-1, 1):  # above and below the bar, whose numbers stay free
@@ -62,7 +63,7 @@ def bars(
         ax.axvline(0.0, color=MUTED, linewidth=0.8)
         ax.set_yticks(range(len(ledgers)), [title for title, _ in ledgers])
         ax.set_ylim(len(ledgers) - 0.45, -0.55)
-        ax.set_xlim(1.05 * least, 1.24 * reach)
+        ax.set_xlim(1.05 * least, 1.3 * reach)
         ax.grid(False, axis="y")
         ax.set_xlabel(
             f"energy [{unit[1]}]; the bar, less what lies left of zero, is what the supply gave"
@@ -102,8 +103,10 @@ def _draw_stack(ax, place: int, parts: Mapping[str, float], room: float) -> floa
     return ahead
 
 
-def _draw_total(ax, place: int, ledger: Ledger, unit: Unit, end: float) -> None:
-    """What the pump gave and the compression of its oil, right of the bar, with the interval."""
+def _draw_total(ax, place: int, ledger: Ledger, unit: Unit, end: float, empty: bool) -> None:
+    """What the pump gave and the compression of its oil, right of the bar, with the interval; said
+    where it is next to nothing.
+    """
     pump = next(row for row in ledger["rows"] if row["name"] == "pump")
     half = half_of(pump)
     total = sum(row["energy"] for row in ledger["rows"] if row["group"] == "supply")
@@ -115,7 +118,10 @@ def _draw_total(ax, place: int, ledger: Ledger, unit: Unit, end: float) -> None:
     look = {"textcoords": "offset points", "va": "center", "zorder": 6}
     box = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
     told = ax.annotate(words, (right, place), (6, 0), fontsize=8, weight="bold", bbox=box, **look)
-    if abs(rest := total - pump["energy"]) > SEEN * abs(total):
+    if empty:
+        look |= {"xycoords": told, "fontsize": 7.5}
+        ax.annotate("next to nothing was drawn", (1.0, 0.5), (5, 0), **look)
+    elif abs(rest := total - pump["energy"]) > SEEN * abs(total):
         text = (
             f"{'+' if rest > 0.0 else '−'} {number(abs(rest) / unit[0], 2)} {unit[1]} compression"
         )

@@ -179,7 +179,7 @@ def _errors(ax, rig: Rig, cases: Sequence[Named], looks: Sequence[dict[str, Any]
     ax.axhline(0.0, color=MUTED, linewidth=0.7)
     if len(cases) == 1:
         most = number(float(np.abs(errors[0][1]).max()), 2)
-        title = f"Error of {words(cases[0][0])}, at most {most}"
+        title = f"Error, {words(cases[0][0])}: at most {most}"
         ax.locator_params(axis="y", nbins=3)
     else:
         title = "Tracking error, actual minus desired"
