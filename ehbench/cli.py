@@ -200,6 +200,46 @@ def reproduce(
     _leave(made, Says(quiet), "report.html")
 
 
+@app.command(epilog="Example:  ehbench compare reports/identify_1a2b3c4d reports/identify_5e6f7a8b")
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")],
+    second: Annotated[Path, typer.Argument(metavar="RUN", help="Another of the same stage.")],
+    as_json: AsJson = False,
+) -> None:
+    """Say which inputs, parameters and verdicts of two runs differ, and by how many intervals."""
+    from ehbench.report import compare as runs
+
+    if as_json:
+        import json
+
+        print(json.dumps(runs.compare(first, second).as_json(), ensure_ascii=False, indent=1))
+    else:
+        width = shutil.get_terminal_size((100, 24)).columns
+        print("\n".join(runs.lines(first, second, width)))
+
+
+@app.command(epilog="Example:  ehbench show datasets/slide_servo/steps/press_no_load.mcap")
+def show(
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE|RUN...", help="One or two logs, flow maps or run folders."),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="The page. Default: <name>.html here.", show_default=False),
+    ] = None,
+) -> None:
+    """Write a log, flow map or run as an interactive page: zoom, values, curves to hide; two of
+    them over one another."""
+    from ehbench.report import viewer
+
+    if len(files) > 2:
+        raise typer.BadParameter("one or two files can be shown at a time")
+    path = viewer.place(files, out)
+    path.write_text(viewer.page(files), encoding="utf-8")
+    print(path)
+
+
 def _run(
     command: str,
     file: Path,

@@ -29,10 +29,7 @@ FUNCTIONS = (
 # channel `function_status`: STALLED, no function that suits is feasible; UNABLE, there is none
 OK, STALLED, UNABLE = 0, 1, 2
 
-# channel `limits`, a sum of bits. SATURATED: even the widest command passes less than asked.
-# AGAINST: flow asked the other way along the path, shut. REVERSED: the drop is against the flow,
-# shut. FAINT: the drop is below the floor, the inverse is taken at the floor. OUTSIDE: drop and
-# command lie beyond what the edge's map was measured at.
+# channel `limits`, a sum of bits
 SATURATED, AGAINST, REVERSED, FAINT, OUTSIDE = 1, 2, 4, 8, 16
 LIMITS = {
     SATURATED: "saturated",
@@ -40,6 +37,13 @@ LIMITS = {
     REVERSED: "reversed",
     FAINT: "faint",
     OUTSIDE: "outside",
+}
+LIMITS_MEAN = {
+    "saturated": "even the widest command passes less than was asked",
+    "against": "flow was asked the other way along an edge's path, which is kept shut",
+    "reversed": "the pressure drop is against the flow asked, so that the edge is shut",
+    "faint": "the drop is too small to meter by; the command is that of the least drop metered at",
+    "outside": "drop and command lie beyond what the edge's map was measured at",
 }
 
 # the four estimates of the adaptive law, in its order

@@ -22,7 +22,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph; ``look`` may be ``lead``, ``note``, ``warn`` or ``bad``."""
+    """A paragraph; ``look`` may be ``lead``, ``head``, ``note``, ``warn``, ``good`` or ``bad``."""
 
     kind: ClassVar[str] = "text"
     text: str
@@ -41,7 +41,7 @@ class Bullets:
 @dataclass(frozen=True)
 class Grid:
     """A table: head, rows of `Cell` or text, a caption above; ``key`` is what a campaign names it
-    by, ``title`` what it calls it.
+    by, ``title`` what it calls it; ``look`` may be ``stack``: rows become blocks on a phone.
     """
 
     kind: ClassVar[str] = "grid"
@@ -50,6 +50,27 @@ class Grid:
     caption: str = ""
     key: str = ""
     title: str = ""
+    look: str = ""
+
+
+@dataclass(frozen=True)
+class Card:
+    """A number of the first screen: its name, the number with its unit, what is to be known of it,
+    and where it is from.
+    """
+
+    label: str
+    value: str
+    about: str = ""
+    link: str = ""
+
+
+@dataclass(frozen=True)
+class Cards:
+    """Numbers side by side."""
+
+    kind: ClassVar[str] = "cards"
+    cards: Sequence[Card]
 
 
 @dataclass(frozen=True)
@@ -65,14 +86,17 @@ class Heat:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure: inline SVG with its title and caption; ``named`` if the title is the campaign's."""
+    """A figure: inline SVG with its title and caption. ``named``: the place of its title in the
+    campaign's list, None where the campaign has none; ``paper``: shown in print.
+    """
 
     kind: ClassVar[str] = "picture"
     svg: str
     title: str
     caption: str = ""
     id: str = ""
-    named: bool = False
+    named: int | None = None
+    paper: bool = False
 
 
 @dataclass(frozen=True)
@@ -84,17 +108,18 @@ class Fold:
     inside: Sequence[Block]
 
 
-Block: TypeAlias = Text | Bullets | Grid | Heat | Picture | Fold
+Block: TypeAlias = Text | Bullets | Cards | Grid | Heat | Picture | Fold
 
 
 @dataclass(frozen=True)
 class Part:
-    """A headed part of a section."""
+    """A headed part of a section; ``paper``: shown in print."""
 
     kind: ClassVar[str] = "part"
     title: str
     inside: Sequence[Block]
     id: str = ""
+    paper: bool = True
 
 
 @dataclass(frozen=True)

@@ -2,15 +2,37 @@
 
 from __future__ import annotations
 
+import math
+
 from collections.abc import Sequence
 
-from ehbench.report.words import interval, number, pretty, shown, unit_of, with_error
+from ehbench.report.saved import Table
+from ehbench.report.words import (
+    estimate,
+    fixed,
+    interval,
+    number,
+    pretty,
+    shown,
+    unit_of,
+    with_error,
+)
 from ehbench.rig import Rig
 
+MODEL = "model"  # what a trial runs on that is no machine
 
-def plus(rig: Rig, name: str, value: float | None, std: float | None) -> str:
-    """An SI value with its standard error, in the rig's unit of the quantity."""
-    return with_error(*(None if v is None else float(shown(rig, name, v)) for v in (value, std)))
+
+def plus(rig: Rig, name: str, value: float | None, half: float | None) -> str:
+    """An SI value with half the width of its 95 % interval, in the rig's unit of the quantity."""
+    return with_error(*(None if v is None else float(shown(rig, name, v)) for v in (value, half)))
+
+
+def as_fitted(rig: Rig, name: str, one: Table) -> str:
+    """What a fit found of a parameter, in the rig's unit: ``value`` with ± half its ``interval``
+    where that lies about the value, else the value alone.
+    """
+    ends = (one.number("value"), *(one.get("interval") or (None, None)))
+    return estimate(*(None if v is None else float(shown(rig, name, v)) for v in ends))
 
 
 def range_of(rig: Rig, name: str, ends: Sequence[float | None] | None) -> str:
@@ -43,6 +65,18 @@ def sentence(text: str) -> str:
 def load_name(payload: str) -> str:
     """A payload as people say it."""
     return "no load" if payload == "none" else payload
+
+
+def stroke(rig: Rig, row: Table, value: float, digits: int = 3) -> str:
+    """An error of stroke [m] in the rig's unit, no finer than what the machine measured it by."""
+    finest = row.get("gains", {}).get("stroke_resolution", 0.0) if row["on"] != MODEL else 0.0
+    if not finest:
+        return number(float(shown(rig, "x", value)), digits)
+    finest = float(shown(rig, "x", finest))
+    if abs(float(shown(rig, "x", value))) < finest:
+        return f"< {number(finest, 1)}"
+    places = -math.floor(math.log10(finest))
+    return fixed(float(shown(rig, "x", value)), places)
 
 
 def measure(rig: Rig, name: str, value: float | None, digits: int = 3) -> str:

@@ -6,15 +6,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ehbench.report.blocks import Cell, Grid
-from ehbench.report.captions import plus
+from ehbench.report.captions import capital, percent, plus
 from ehbench.report.content import num
+from ehbench.report.figures.channels import title_of
 from ehbench.report.figures.comparison import comparison
 from ehbench.report.index import FigureIndex, FigureKey
-from ehbench.report.saved import Saved, Table
-from ehbench.report.words import interval, pretty, unit_of, words
+from ehbench.report.saved import Saved, Series, Table
+from ehbench.report.words import interval, number, pretty, unit_of, words
 from ehbench.rig import Rig
+from ehbench.terms import Z95
 
+OFF = 0.1  # share of a channel's range that is far off
+LONG = 0.2  # share of a log that is long
 _TWINS = {"x": "q", "v": "qd"}  # a joint's angle and its cylinder's stroke say the same
 
 
@@ -40,10 +46,36 @@ def draw_comparisons(run: Saved, index: FigureIndex, log: str, kind: str, lead: 
         )
         if not any(channel in series.simulated for channel in channels):
             caption = "Recorded only: this log could not be simulated."
+        caption += "".join(f" {text}" for text in lasting(series, channels))
         title = f"{lead}: {words(log)}" + (f", {cylinder}" if cylinder else "")
         about = FigureKey(kind, log=log, cylinder=cylinder)
         path = index.add(f"{kind}_{log}_{cylinder}", title, caption, about)
         comparison(path, run.rig, series, channels)
+
+
+def lasting(series: Series, channels: Sequence[str]) -> list[str]:
+    """A sentence for each channel whose simulation lies on one side of the recording for long."""
+    told = []
+    for channel in channels:
+        if channel not in series.recorded or channel not in series.simulated:
+            continue
+        recorded = series.recorded[channel]
+        error = series.simulated[channel] - recorded
+        off = OFF * float(np.ptp(recorded[np.isfinite(recorded)], axis=0))
+        longest = max(_longest(series.t, side * error > off) for side in (-1.0, 1.0))
+        if off > 0.0 and longest >= LONG * float(series.t[-1] - series.t[0]):
+            told.append(
+                f"{capital(title_of(channel).lower())}: off to one side by more than "
+                f"{percent(OFF)} of its range for {number(longest, 2)} s."
+            )
+    return told
+
+
+def _longest(t: np.ndarray, mask: np.ndarray) -> float:
+    """The longest stretch of time [s] in which a mask holds."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    ends = np.minimum(edges[1::2], t.size - 1)
+    return float(np.max(t[ends] - t[edges[::2]], initial=0.0))
 
 
 def log_cell(log: Table) -> Cell:
@@ -56,7 +88,7 @@ def ringing_table(
 ) -> Grid:
     """Ringing of recorded and simulated transients, a row each, with the log's name if asked."""
     unit = pretty(unit_of(rig, "natural_frequency"))
-    omega = "ωₙ" + (f" [{unit}]" if unit else "")
+    omega = "fₙ" + (f" [{unit}]" if unit else "")
     head = [
         *(["log"] if with_log else []),
         "cylinder",
@@ -79,6 +111,8 @@ def _ringing_row(rig: Rig, one: Table) -> list[Cell | str]:
         for side in ("recorded", "simulated"):
             ring = one[side]
             value = ring.get(key)
-            text = plus(rig, key, value, ring.get(f"{key}_std")) if value is not None else "–"
+            std = ring.get(f"{key}_std")
+            half = None if std is None else Z95 * std
+            text = plus(rig, key, value, half) if value is not None else "–"
             cells.append(Cell(text, "number", hint=ring.get("reason", "")))
     return cells

@@ -37,13 +37,14 @@ _LOOKS = {
 
 @dataclass(frozen=True)
 class SectionContent:
-    """What a stage tells of a run: a status word, one sentence for the glance, and the parts of
-    the section.
+    """What a stage tells of a run: a status word, one sentence, the parts of the section, and
+    more sentences, each of one controller.
     """
 
     status: str
     sentence: str
     parts: Sequence[Part]
+    more: Sequence[str] = ()
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,9 @@ same files.
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import sys
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -28,7 +31,9 @@ from ehbench.report.blocks import (
     prose,
     slug,
 )
-from ehbench.report.content import chip
+from ehbench.report.content import SectionContent, chip
+from ehbench.report.dark import dark
+from ehbench.report.first_screen import chapters, first_screen
 from ehbench.report.index import FigureKey
 from ehbench.report.rig_table import rig_table
 from ehbench.report.saved import Saved, Table
@@ -69,38 +74,55 @@ def _is_ours(folder: Path) -> bool:
 def _built(folders: Sequence[Path], campaign: Campaign | None) -> str:
     runs = sorted((Saved(folder) for folder in folders), key=place_of)
     titles, looks = Titles(campaign), {}
-    sections, glance = [], []
-    for index, run in enumerate(runs, 1):
-        section, row = _run_section(run, f"run-{index}", titles, looks)
-        sections.append(section)
-        glance.append(row)
+    anchors = [f"run-{place}" for place in range(1, len(runs) + 1)]
+    pictures = [RunPictures(*one, titles, looks) for one in zip(runs, anchors, strict=True)]
+    stages = [report_of(run) for run in runs]
+    contents = [stage.section(*one) for stage, *one in zip(stages, runs, pictures, strict=True)]
+    sections = [_run_section(*one, titles) for one in zip(runs, anchors, contents, strict=True)]
     titles.refuse_unused()
-    head = ["run", "stage", "status", "in a sentence"]
-    before = [Section("At a glance", [Grid(head, glance)], "glance"), *campaign_sections(campaign)]
-    title, note = heading(campaign)
+    before = [
+        Section("At a glance", first_screen(runs, contents, pictures), "glance"),
+        Section("Chapters", [chapters(runs, contents, stages)], "chapters"),
+        *campaign_sections(campaign),
+    ]
+    rigs = [run.rig for run in runs if (run.folder / "rig.toml").is_file()]
+    title, note = heading(campaign, rigs)
     return _render(title, note, [*before, *sections, *_rigs(runs), _provenance(runs)], looks)
 
 
-def _run_section(
-    run: Saved, anchor: str, titles: Titles, looks: dict[str, str]
-) -> tuple[Section, list[Cell | str]]:
-    """(section of a run, its row of the glance)."""
-    stage = report_of(run)
-    content = stage.section(run, RunPictures(run, anchor, titles, looks))
+def _run_section(run: Saved, anchor: str, content: SectionContent, titles: Titles) -> Section:
     parts = [
-        Part(part.title, _titled(part.inside, run, titles), f"{anchor}-{i}-{slug(part.title)}")
+        Part(
+            part.title,
+            _on_paper(_titled(part.inside, run, titles)),
+            f"{anchor}-{i}-{slug(part.title)}",
+            part.paper and not all(isinstance(piece, Fold) for piece in part.inside),
+        )
         for i, part in enumerate(content.parts, 1)
-        if part.inside
+        if part.inside and part.title
     ]
     inside: list[Block] = [Text(content.sentence, "lead")]
+    if content.more:
+        inside.append(Bullets(content.more))
     if recorded := run.facts.get("recorded_on"):
         machines = [recorded] if isinstance(recorded, str) else recorded
         inside.append(Text("Recorded on the " + ", the ".join(machines) + ".", "note"))
     if warnings := run.facts.get("warnings", []):
         inside.append(Fold(count(len(warnings), "warning"), [Bullets(warnings, "warn")]))
-    status = chip(content.status)
-    row = [Cell(run.title, link=f"#{anchor}"), stage.label, status, content.sentence]
-    return Section(run.title, inside, anchor, status, parts), row
+    return Section(run.title, inside, anchor, chip(content.status), parts)
+
+
+def _on_paper(inside: Sequence[Block]) -> list[Block]:
+    """The pieces of a part, of which print shows the first figure."""
+    pieces = list(inside)
+    at = next((i for i, piece in enumerate(pieces) if isinstance(piece, Picture)), None)
+    if at is not None:
+        piece = pieces[at]
+        assert isinstance(piece, Picture)
+        pieces[at] = replace(piece, paper=True)
+        if more := sum(isinstance(piece, Picture) for piece in pieces) - 1:
+            pieces.append(Text(f"{count(more, 'more figure')} in the file.", "paper note"))
+    return pieces
 
 
 class RunPictures:
@@ -113,16 +135,18 @@ class RunPictures:
         self._entries = run.figures()
 
     def __call__(self, wanted: FigureKey) -> list[Picture]:
-        """The figures that answer a question, in the order of the index.
+        """The figures that answer a question: those that the campaign names in its order, then the
+        others in that of the index.
 
         Raises:
             InputError: the index names a file that is not there.
         """
-        return [
+        found = [
             self._inlined(place, entry)
             for place, entry in enumerate(self._entries, 1)
             if wanted.takes(FigureKey.of(entry["about"]))
         ]
+        return sorted(found, key=lambda one: sys.maxsize if one.named is None else one.named)
 
     def _inlined(self, place: int, entry: Table) -> Picture:
         path = self._run.folder / "figures" / Path(entry["file"]).name
@@ -135,10 +159,10 @@ class RunPictures:
         except ValueError as error:
             raise InputError(f"is no figure: {error}", file=path) from None
         given = self._titles.of(self._run, entry["key"])
-        title = entry["title"] if given is None else given
+        title, named = (entry["title"], None) if given is None else given
         drawn = inline(svg, f"{self._anchor}f{place}-", title, self._looks)
         anchor = f"{self._anchor}-figure-{place}"
-        return Picture(drawn, title, entry["caption"], anchor, given is not None)
+        return Picture(drawn, title, entry["caption"], anchor, named)
 
 
 def _titled(inside: Sequence[Block], run: Saved, titles: Titles) -> list[Block]:
@@ -151,7 +175,7 @@ def _titled(inside: Sequence[Block], run: Saved, titles: Titles) -> list[Block]:
             piece = replace(piece, inside=_titled(piece.inside, run, titles))
         elif isinstance(piece, Grid) and piece.key:
             given = titles.of(run, piece.key)
-            piece = replace(piece, title=piece.title if given is None else given)
+            piece = replace(piece, title=given[0] if given else piece.title)
         pieces.append(piece)
     return pieces
 
@@ -225,9 +249,19 @@ def _render(
     environment.filters["signed"] = lambda value: (
         "0.00" if abs(value) < 0.005 else f"{value:+.2f}".replace("-", "−")
     )
+    environment.filters["digest"] = lambda text: base64.b64encode(
+        hashlib.sha256(text.encode("utf-8")).digest()
+    ).decode()
     environment.filters["soft"] = lambda name: name.replace(".", ".\u200b").replace("_", "_\u200b")
     template = environment.from_string((package / "page.html").read_text(encoding="utf-8"))
     style = (package / "page.css").read_text(encoding="utf-8") + "".join(
         f".{name}{{{look}}}\n" for look, name in looks.items()
     )
-    return template.render(title=title, note=note, sections=sections, style=style)
+    style += "@media screen and (prefers-color-scheme: dark) {\n"
+    style += "".join(
+        f".{name}{{{found}}}\n" for look, name in looks.items() if (found := dark(look))
+    )
+    script = (package / "page.js").read_text(encoding="utf-8")
+    return template.render(
+        title=title, note=note, sections=sections, style=style + "}\n", script=script
+    )

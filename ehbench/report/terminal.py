@@ -51,9 +51,9 @@ def lines(folder: Path, width: int = 100, whole: bool = False) -> list[str]:
         if isinstance(block, Bullets):
             told += _bullets(block, width)
     tables = [block for block in blocks if isinstance(block, Grid) and block.rows]
-    for table in tables if whole else tables[:1]:
+    for one in tables if whole else tables[:1]:
         columns = () if whole else report_of(run).columns
-        told += ["", *_table(table, columns, sys.maxsize if whole else width), ""]
+        told += ["", *table(one, columns, sys.maxsize if whole else width), ""]
     return told
 
 
@@ -112,8 +112,8 @@ def _bullets(block: Bullets, width: int) -> Iterator[str]:
         yield from textwrap.wrap(item, width, initial_indent="- ", subsequent_indent="  ")
 
 
-def _table(grid: Grid, columns: Sequence[str], width: int) -> Iterator[str]:
-    """A table in columns of one width each: those that are named, as many as fit."""
+def table(grid: Grid, columns: Sequence[str] = (), width: int = 100) -> Iterator[str]:
+    """A table in columns of one width each: those that are named (none: all), as many as fit."""
     at = [grid.head.index(name) for name in columns if name in grid.head] or range(len(grid.head))
     cells = [[grid.head[i] for i in at], *([_text(row[i]) for i in at] for row in grid.rows)]
     digits = [all(_is_number(row[i]) for row in grid.rows) for i in at]

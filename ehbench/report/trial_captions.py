@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from ehbench import codes
 from ehbench.record import Record
-from ehbench.report.captions import capital, load_name, measure, percent, sentence, span
+from ehbench.report.captions import capital, load_name, measure, percent, sentence, span, stroke
 from ehbench.report.cases import SLOW, Case, damping, true_payload
 from ehbench.report.saved import Table
 from ehbench.report.words import count, number, pretty, shown, unit_of, words
@@ -42,8 +42,10 @@ def _settling_caption(one: Table) -> str:
 
 def tracking_caption(rig: Rig, row: Table) -> str:
     """How well a motion was tracked."""
+    unit = pretty(unit_of(rig, "x"))
     largest, rms, final = (
-        measure(rig, "x", row["tracking"][key]) for key in ("max_error", "rms_error", "final_error")
+        f"{stroke(rig, row, row['tracking'][key])} {unit}"
+        for key in ("max_error", "rms_error", "final_error")
     )
     return f"largest error {largest}, rms {rms}, at the end {final}"
 
@@ -51,7 +53,10 @@ def tracking_caption(rig: Rig, row: Table) -> str:
 def limits_caption(row: Table) -> str:
     """Share of the time that edges were at each limit; nothing where they never were."""
     met = {name: share for name, share in row.get("limits", {}).items() if share > 0.0}
-    shares = [f"{words(name)} {percent(share)} of the time" for name, share in met.items()]
+    shares = [
+        f"{words(name)} {percent(share)} of the time ({codes.LIMITS_MEAN.get(name, 'a limit')})"
+        for name, share in met.items()
+    ]
     return "; at a limit: " + ", ".join(shares) if shares else ""
 
 
@@ -196,19 +201,20 @@ def sankey_caption(ledger: Table) -> str:
     return f"From {source}{rest}."
 
 
-def trials_caption(rig: Rig, cases: Sequence[Case]) -> str:
-    """Counts, then for each controller how it did over all payloads and motions."""
+def trials_caption(cases: Sequence[Case]) -> str:
+    """How many trials there are, of what."""
     if not cases:
         return "No trial."
     machines = ", ".join(dict.fromkeys(case.row["on"] for case in cases))
     payloads = count(len({case.row["payload"] for case in cases}), "payload")
     motions = count(len({case.row["motion"] for case in cases}), "motion")
-    sentences = list(_by_controller(rig, cases))
-    lead = f"{count(len(cases), 'trial')} on the {machines}: {payloads}, {motions}. "
-    return lead + ". ".join(sentences) + "."
+    controllers = count(len({case.row["controller"] for case in cases}), "controller")
+    trials = count(len(cases), "trial")
+    return f"{trials} on the {machines}: {controllers}, {payloads}, {motions}."
 
 
-def _by_controller(rig: Rig, cases: Sequence[Case]) -> Iterator[str]:
+def controller_captions(rig: Rig, cases: Sequence[Case]) -> Iterator[str]:
+    """For each controller how it did over all payloads and motions."""
     for controller in dict.fromkeys(case.row["controller"] for case in cases):
         own = [case for case in cases if case.row["controller"] == controller]
         steps = [one for case in own for one in case.steps]
@@ -218,7 +224,7 @@ def _by_controller(rig: Rig, cases: Sequence[Case]) -> Iterator[str]:
             text = tracking_caption(rig, own[0].row)
         else:
             text = _motions_in_all(rig, own)
-        yield f"{capital(words(controller))}: {text}"
+        yield f"{capital(words(controller))}: {text}."
 
 
 def _steps_in_all(steps: Sequence[Table]) -> str:

@@ -8,11 +8,22 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ehbench.report.blocks import Block, Cell, Fold, Grid
-from ehbench.report.captions import load_name, span
+from ehbench.codes import LIMITS_MEAN
+from ehbench.report.captions import capital, load_name, span, stroke
 from ehbench.report.cases import Case, damping, groups_of
 from ehbench.report.content import chip, num, quantity_cell
 from ehbench.report.saved import Table
-from ehbench.report.words import DASH, axis, number, pretty, row_of, shown, unit_of, words
+from ehbench.report.words import (
+    DASH,
+    axis,
+    number,
+    pretty,
+    row_of,
+    shown,
+    symbol_of,
+    unit_of,
+    words,
+)
 from ehbench.rig import Rig
 
 STANDS = 1e-3  # share of the speed asked that counts as standing still
@@ -57,12 +68,12 @@ def _steps(rig: Rig, cases: Sequence[Case]) -> Grid:
         axis(rig, "t", "settling time"),
         axis(rig, "v", "rms error"),
         "damping ratio",
-        axis(rig, "natural_frequency", "ωₙ"),
+        axis(rig, "natural_frequency", "fₙ"),
         axis(rig, "energy", "pump energy of the trial"),
     ]
     note = (
         "Overshoot beyond the steady speed; settled within 5 %; "
-        "damping ratio and ωₙ from the decay."
+        "damping ratio and fₙ from the decay."
     )
     if doubts:
         reasons = "; ".join(f"({i}) {doubt}" for i, doubt in enumerate(doubts, 1))
@@ -126,7 +137,7 @@ def _tracking_row(rig: Rig, case: Case, rivals: Sequence[Case]) -> list[Cell | s
         relative = [num(ratio)]
     return [
         *who(case),
-        *(quantity_cell(rig, "x", track[f"{key}_error"], 3) for key in ("max", "rms", "final")),
+        *(num(stroke(rig, case.row, track[f"{key}_error"])) for key in ("max", "rms", "final")),
         quantity_cell(rig, "v", case.row["speed_rms_error"], 3),
         quantity_cell(rig, "energy", pump),
         *relative,
@@ -147,7 +158,8 @@ def _limits(cases: Sequence[Case]) -> Grid | None:
         for case, limits in shares
     ]
     head = [*WHO, *(f"{words(name)} [%]" for name in met)]
-    note = "Share of the time with an edge at a limit."
+    told = "; ".join(f"{words(name)}: {LIMITS_MEAN[name]}" for name in met if name in LIMITS_MEAN)
+    note = f"Share of the time with an edge at a limit. {capital(told)}."
     return Grid(head, rows, note, "limits", "Limits met.")
 
 
@@ -225,7 +237,9 @@ def _by_controller(
             for own in tables.values()
         ]
         meaning = f"{words(of)}: {row.meaning}" if of else row.meaning
-        rows.append([Cell(row.symbol, "name"), meaning, *cells, pretty(unit_of(rig, word))])
+        rows.append(
+            [Cell(symbol_of(rig, word), "name"), meaning, *cells, pretty(unit_of(rig, word))]
+        )
     return (["", "", *(words(name) for name in tables), "unit"], rows) if rows else None
 
 

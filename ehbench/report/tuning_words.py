@@ -79,7 +79,8 @@ def locus_caption(
     """What each payload's root locus comes to."""
     lead = (
         "At the operating point of each payload that is least damped with feedback. "
-        "Dark: up to the choice; pale: beyond; × at zero, ● at the choice. "
+        "Dark: up to the choice; pale: beyond, towards the zeros (circles); × without feedback, "
+        "orange dot: at the choice. "
     )
     if not counts:
         lead = "No load calls for this function here; shown, not counted. " + lead

@@ -10,6 +10,7 @@ from ehbench.rig import Rig
 from ehbench.units import from_si
 
 DASH = "–"
+SKEW = 0.1  # share of its half width by which a value may stand off an interval's middle for ±
 _UNIT_WORDS = {"degC": "°C", "degF": "°F", "deg": "°", "us": "µs", "um": "µm", "ohm": "Ω"}
 _SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
@@ -27,6 +28,12 @@ def row_of(name: str) -> Quantity:
 def unit_of(rig: Rig, name: str) -> str:
     """The unit in which this rig's people see a channel or parameter."""
     return rig.unit_of(name) if row_of(name).name in VOCABULARY else row_of(name).display
+
+
+def symbol_of(rig: Rig, name: str) -> str:
+    """The symbol of a channel or parameter: f for an ω that this rig's people see in Hz."""
+    symbol = row_of(name).symbol
+    return symbol.replace("ω", "f") if unit_of(rig, name).endswith("Hz") else symbol
 
 
 def shown(rig: Rig, name: str, value):
@@ -83,29 +90,44 @@ def fixed(value: float, places: int) -> str:
     return f"{nought_without_minus:.{max(places, 0)}f}".replace("-", "−")
 
 
-def places_of(std: float) -> int:
+def places_of(half: float) -> int:
     """Decimals that show an error to two significant digits."""
-    return 1 - math.floor(math.log10(float(f"{std:.1e}")))
+    return 1 - math.floor(math.log10(float(f"{half:.1e}")))
 
 
-def with_error(value: float | None, std: float | None) -> str:
-    """``271.3 ± 2.4``: the error to two significant digits, the value as far as that; without error
-    four digits.
+def with_error(value: float | None, half: float | None) -> str:
+    """``271.3 ± 2.4``: half the width of the 95 % interval to two significant digits, the value as
+    far as that; without it four digits.
     """
     if (
         value is None
-        or std is None
-        or not (math.isfinite(value) and math.isfinite(std))
-        or std <= 0.0
+        or half is None
+        or not (math.isfinite(value) and math.isfinite(half))
+        or half <= 0.0
     ):
         return number(value)
-    size = math.floor(math.log10(max(abs(value), std)))
+    size = math.floor(math.log10(max(abs(value), half)))
     if not -4 < size < 6:
         power = 10.0**size
-        inner = with_error(value / power, std / power)
+        inner = with_error(value / power, half / power)
         return f"({inner}) × 10{str(size).translate(_SUPERSCRIPT)}"
-    places = min(places_of(std), 9)
-    return f"{fixed(value, places)} ± {fixed(std, places)}"
+    places = min(places_of(half), 9)
+    return f"{fixed(value, places)} ± {fixed(half, places)}"
+
+
+def estimate(value: float | None, low: float | None, high: float | None) -> str:
+    """``271.3 ± 2.4`` where the value stands about in the middle of its 95 % interval, else the
+    value alone, to the digits that the interval supports.
+    """
+    ends = (value, low, high)
+    if any(one is None or not math.isfinite(one) for one in ends):
+        return number(value)
+    assert value is not None and low is not None and high is not None
+    half = 0.5 * (high - low)
+    if half <= 0.0 or abs(value - 0.5 * (low + high)) <= SKEW * half:
+        return with_error(value, half)
+    size = math.floor(math.log10(max(abs(value), half)))
+    return number(value, min(max(size + 1 + places_of(half), 1), 9))
 
 
 def interval(low: float | None, high: float | None) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 
@@ -31,7 +32,7 @@ REFINED = 6  # of these, the size is sought further
 HALVINGS = 5  # of the steps in which it is
 QUIET = 1.3  # mean square of residuals, in those of noise, up to which only slopes are asked
 OF_A_KIND = 2  # findings of one kind that are told
-MOST = 4  # findings told
+MOST = 4  # findings told of a cylinder
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class Structure:
 
 
 def ask(cases: Sequence[Case]) -> Structure:
-    """What the residuals of these logs say of the model.
+    """What the residuals of these logs say of the model, the logs of each cylinder by themselves.
 
     A log that cannot be simulated says nothing. Sound models have no findings: noise, and what the
     start state owes to it, is no structure."""
@@ -68,7 +69,7 @@ def ask(cases: Sequence[Case]) -> Structure:
     follows: list[Follows] = []
     for case in cases:
         try:
-            simulated = case.model.replay(case.record)
+            simulated = case.simulated(case.model, case.record)
         except EhbenchError:
             continue
         if not case.channels:
@@ -79,9 +80,15 @@ def ask(cases: Sequence[Case]) -> Structure:
         Finding("pins", about, sentence, cure, 1.0, size)
         for about, sentence, cure, size in disagreements([case for case, _ in known])
     ]
-    if known:
-        findings += _Search(known).findings()
-    return Structure(tuple(findings[:MOST]), tuple(follows))
+    groups: dict[tuple[str, ...], list[tuple[Case, np.ndarray]]] = {}
+    for case, left in known:
+        groups.setdefault(case.cylinders, []).append((case, left))
+    asked = [_Search(group).findings()[:MOST] for group in groups.values()]
+    unique: dict[tuple[str, str], Finding] = {}
+    for row in zip_longest(*asked):  # the first of each cylinder before the second of any
+        for one in filter(None, row):
+            unique.setdefault((one.kind, one.about), one)
+    return Structure((*findings, *unique.values()), tuple(follows))
 
 
 class _Search:
@@ -140,10 +147,13 @@ class _Search:
     def _at(self, cure: Cure, delta: float) -> list[np.ndarray] | None:
         """What is left of each case with a cure of this size; None if it cannot be simulated."""
         found = []
-        for case in self.cases:
+        for case, now in zip(self.cases, self.left, strict=True):
+            if cure.cylinder and cure.cylinder not in case.cylinders:
+                found.append(now)
+                continue
             try:
                 model, record = cure.vary(case, delta)
-                simulated = cure.sense(case, model.replay(record), delta)
+                simulated = cure.sense(case, case.simulated(model, record), delta)
                 left = case.left(simulated)
             except EhbenchError:
                 return None

@@ -15,6 +15,7 @@ from ehbench.plant.model import Model
 from ehbench.record import Record
 from ehbench.rig import Rig
 from ehbench.signals import correlation_time
+from ehbench.starts import start_of_log
 
 BLOCK = 0.005  # [s]: residuals are averaged over it
 FINE = 0.005  # share of a channel's spread below which an error does not matter, whatever the noise
@@ -36,6 +37,20 @@ class Case:
     def varied(self, rig: Rig) -> Model:
         """The model of another rig, with the same maps."""
         return Model.of(rig, self.maps)
+
+    def simulated(self, model: Model, record: Record) -> Record:
+        """What a model does on a record, the case's own or a corrected one: from rest, or from what
+        the first samples say where the log begins in motion.
+        """
+        if not self.begins_in_motion:
+            return model.replay(record)
+        start = start_of_log(model, record, self.cylinders, self.channels)
+        return model.replay(record, start=start.at(model, np.zeros(len(start.doubts))))
+
+    @cached_property
+    def begins_in_motion(self) -> bool:
+        """Whether the log does."""
+        return start_of_log(self.model, self.record, self.cylinders, self.channels).moves
 
     @cached_property
     def channels(self) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig, Valve
 from ehbench.structure.cases import Case
 
+WIDE = ("lag", "load", "damping")  # dynamics and bodies that several cylinders may share
 GAINS = ("flow_gain", "compensated_gain", "displacement")
 Vary = Callable[[Case, float], tuple[Model, Record]]
 Sense = Callable[[Case, Record, float], Record]
@@ -40,7 +41,7 @@ class Cure:
     ``step`` is a δ small enough for a slope, ``low`` and ``high`` bound it, ``trials`` are values
     to try where a slope says nothing. ``says`` puts δ in words, ``line`` is the line of the recipe,
     the rig file or the log that cures it. Of two that explain alike the one of lower ``rank``
-    comes first."""
+    comes first. ``cylinder`` is the one whose logs it changes, '' for all."""
 
     kind: str
     about: str
@@ -53,6 +54,7 @@ class Cure:
     vary: Vary = as_it_is
     sense: Sense = unsensed
     trials: tuple[float, ...] = ()
+    cylinder: str = ""
 
 
 def cures(rig: Rig, cylinders: Sequence[str], channels: Sequence[str], played: bool) -> list[Cure]:
@@ -67,11 +69,14 @@ def cures(rig: Rig, cylinders: Sequence[str], channels: Sequence[str], played: b
     found: list[Cure] = []
     for cylinder in rig.cylinder:
         if cylinder.name in cylinders:
-            found += [*_valves(rig, cylinder), *_commands(cylinder), *_cylinder(rig, cylinder)]
+            own = [*_valves(rig, cylinder), *_commands(cylinder), *_cylinder(rig, cylinder)]
+            found += [
+                cure if cure.kind in WIDE else replace(cure, cylinder=cylinder.name) for cure in own
+            ]
     found += _shared(rig, played)
     for channel in channels:
-        found += _sensor(channel)
-    return found
+        found += [replace(one, cylinder=channel.partition(".")[0]) for one in _sensor(channel)]
+    return list({(cure.kind, cure.about): cure for cure in found}.values())
 
 
 def _share(delta: float) -> str:
@@ -232,38 +237,38 @@ def _commands(cylinder: Cylinder) -> Iterator[Cure]:
             _with_commands(given, _clipped),
             trials=(0.1, 0.25, 0.4, 0.55),
         )
-    about, given = groups[0][0] if groups else names[0], [f"{name}.command" for name in names]
+    whole, given = cylinder.name if groups else names[0], [f"{name}.command" for name in names]
     yield Cure(
         "delay",
-        about,
+        whole,
         0.001,
         -0.05,
         0.2,
         lambda d: (
             f"the machine answers {1e3 * abs(d):.2g} ms {_more(d, 'later', 'earlier')}, however "
-            f"slow the command: a delay of {about}"
+            f"slow the command: a delay of {whole}"
         ),
-        lambda d: f'kind = "delay" among the dynamics of {about} in the rig file',
+        lambda d: f'kind = "delay" among the dynamics of {whole} in the rig file',
         5,
         _with_commands(given, _later),
         trials=(0.005, 0.01, 0.02, 0.04),
     )
     yield Cure(
         "drift",
-        about,
+        whole,
         0.02,
         -0.6,
         1.0,
         lambda d: (
-            f"the error grows with time: flow of {about} is {_share(d)} at the end of a log than "
+            f"the error grows with time: flow of {whole} is {_share(d)} at the end of a log than "
             "at its begin"
         ),
         lambda d: "fit windows of the logs apart, and look at oil temperature and supply",
         6,
         _with_commands(given, _warmer),
     )
-    for valve, about in zip(cylinder.valve, names, strict=True):
-        yield from _level(valve, about)
+    for valve, name in zip(cylinder.valve, names, strict=True):
+        yield from _level(valve, name)
 
 
 def _level(valve: Valve, about: str) -> Iterator[Cure]:
@@ -403,7 +408,6 @@ def _sensor(channel: str) -> Iterator[Cure]:
         4,
         _corrected(channel, lambda y, d, case: y - d * spread(case)),
         _sensed(channel, lambda y, d, case: y + d * spread(case)),
-        (-0.2, -0.05, 0.05, 0.2),
     )
     yield Cure(
         "sensor scale",

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -257,3 +258,31 @@ def test_same_recipe_same_bytes(workspace, tmp_path):
             assert (tmp_path / "one" / name).read_bytes() == (
                 tmp_path / "two" / name
             ).read_bytes(), name
+
+
+def test_a_log_becomes_a_page_and_what_is_none_is_named(inside, tmp_path):
+    log, page = "datasets/slide_servo/steps/press_no_load.mcap", tmp_path / "look.html"
+    done = inside("show", log, "--out", page)
+    assert done.returncode == 0 and done.stdout.strip() == str(page)
+    assert "press.p_head" in page.read_text()
+    again = inside("show", ROOT / log, ROOT / log, cwd=tmp_path)
+    assert again.returncode == 0 and (tmp_path / again.stdout.strip()).is_file()
+    for words, says in ((["README.md"], "cannot show '.md'"), ([log] * 3, "one or two")):
+        done = inside("show", *words)
+        assert done.returncode == 2 and says in done.stderr
+
+
+def test_two_runs_are_compared_as_a_table_and_as_json(inside, tmp_path):
+    from tests.unit.test_report import flow_map_run, hydraulics_run
+
+    run, other = hydraulics_run(tmp_path), tmp_path / "other"
+    shutil.copytree(run, other)
+    table = json.loads((other / "parameters.json").read_text())
+    table["parameters"][0]["value"] = 2.8e8
+    (other / "parameters.json").write_text(json.dumps(table))
+    done = inside("compare", run, other)
+    assert done.returncode == 0 and re.search(r"bulk_modulus .* MPa .*0\.61", done.stdout)
+    done = inside("compare", run, other, "--json")
+    assert [one["name"] for one in json.loads(done.stdout)["parameters"]] == ["bulk_modulus"]
+    done = inside("compare", run, flow_map_run(tmp_path))
+    assert done.returncode == 2 and "compare runs of one stage" in done.stderr

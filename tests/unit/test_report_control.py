@@ -23,7 +23,7 @@ from ehbench.report import build, draw, energy_tables
 from ehbench.report.cases import cases_of, groups_of, payload_at_end, stem_of, true_payload
 from ehbench.report.figures import root_locus
 from ehbench.report.figures.trial import _LIMIT_SHADES, _SHADES, stretches
-from ehbench.report.figures.trials import _errors
+from ehbench.report.figures.trials import _errors, _grid
 from ehbench.report.saved import Saved, Table
 from ehbench.report.trial_captions import (
     ESTIMATES,
@@ -510,7 +510,7 @@ def test_the_page_is_whole(runs):
     assert not re.search(
         r"\bnan\b|\bNone\b|\binf\b|Undefined|_boom|e-\d\d", plain(text.split('<section id="rig')[0])
     )
-    assert text.count("<svg") == sum(len(captions(folder)) for folder in runs)
+    assert text.count("<svg") == sum(len(captions(folder)) for folder in runs) + 1
     kinds = {
         one["about"]["kind"]
         for folder in runs
@@ -621,7 +621,7 @@ def test_a_second_washout_is_told(tmp_path):
     text = plain(build([folder]))
     assert (
         "two washouts 0.398 Hz: worst damping ratio" in text
-        and "corner of the second washout ω_r 0.3979 Hz" in text
+        and "corner of the second washout f_r 0.3979 Hz" in text
     )
     assert "second washout [Hz]" in text and "chosen law metered chamber 0.398 0.398" in text
 
@@ -847,20 +847,32 @@ def test_overshoot_over_the_last_value(values, overshoot):
     assert overshoot_of(values) == (None if overshoot is None else pytest.approx(overshoot))
 
 
-def test_far_apart_errors_stand_on_a_logarithmic_axis(runs):
+def test_errors_far_apart_have_a_strip_each(runs):
+    """Largest errors of 0.1 and 4 mm: in one panel the small one could not be read."""
     import matplotlib.pyplot as plt
 
     cases = cases_of(Saved(runs[2]))
     rig = load_rig(runs[2])
-    for count, scale in ((1, "linear"), (2, "log")):  # largest errors of 0.1 and 4 mm
+    named = [(case.row["controller"], case, case.record()) for case in cases]
+    strips = [panel for panel in _grid(named[:2]).panels if panel.startswith("error ")]
+    assert len(strips) == 2 and "error" in _grid(named[:1]).panels
+    for one, most in zip(named[:2], (0.1, 4.0), strict=True):
         figure, ax = plt.subplots()
-        mine = [(case.row["controller"], case, case.record()) for case in cases[:count]]
-        _errors(ax, rig, mine, [{}] * count)
-        assert ax.get_yscale() == scale
-        assert max(float(np.max(line.get_ydata())) for line in ax.lines) == pytest.approx(
-            4.0 if count == 2 else 0.1
-        )
+        _errors(ax, rig, [one], [{}])
+        assert ax.get_title(loc="center").endswith(f"at most {most:g} [mm]")
+        drawn = max(float(np.abs(line.get_ydata()).max()) for line in ax.lines)
+        assert drawn == pytest.approx(most)
         plt.close(figure)
+
+
+def test_zeros_of_a_locus_are_found_from_its_poles():
+    """(s + 2)(s + 5 ± 3j) + K (s + 1)(s + 4): the branches end at −1 and −4."""
+    values = np.linspace(0.0, 20.0, 41)
+    start = np.poly([-2.0, -5.0 + 3.0j, -5.0 - 3.0j]).real
+    poles = np.array([np.roots(start + k * np.array([0.0, 1.0, 5.0, 4.0])) for k in values])
+    assert np.sort(root_locus.zeros(values, poles).real) == pytest.approx([-4.0, -1.0])
+    squared = np.array([np.roots(start + k**2 * np.array([0.0, 1.0, 5.0, 4.0])) for k in values])
+    assert root_locus.zeros(values, squared).size == 0
 
 
 def test_cases_know_their_files(runs):

@@ -11,6 +11,7 @@ from ehbench.report.style import ACCENT, INK, MUTED, canvas
 from ehbench.report.words import DASH, number
 
 SEEN = 2e-3  # share of the longest bar below which nobody sees a part
+_INNER, _OUTER = 0.28, 0.46  # half the height of a bar; how far the mark of a bound reaches
 _TOLD = 0.065  # share of the axis from which a part has room for its number
 _PARTS = {
     "load": ("load", "#2e7d5b"),
@@ -49,20 +50,23 @@ def bars(
     limits = [_sum_of(one, unit) for one in bounds] if bounds is not None else [{}] * len(ledgers)
     reach = max([most, *(value for one in limits for value in one.values())])
     drawn = [key for key in _PARTS if any(abs(parts[key]) > SEEN * most for parts in stacks)]
-    with canvas(path, size=(7.4, 0.62 * len(ledgers) + 1.7)) as (figure, ax):
+    with canvas(path, size=(7.4, 0.72 * len(ledgers) + 1.7)) as (figure, ax):
         for i, (_, ledger) in enumerate(ledgers):
             parts = {key: stacks[i][key] for key in drawn}
             ahead = _draw_stack(ax, i, parts, _TOLD * (reach - least))
-            _draw_total(ax, i, ledger, unit, [ahead, *limits[i].values()])
+            _draw_total(ax, i, ledger, unit, ahead)
             for key, value in limits[i].items():
-                style = {"color": INK, "linestyle": _LIMITS[key][1], "linewidth": 1.5, "zorder": 5}
-                ax.plot([value] * 2, [i - 0.38, i + 0.38], **style)
+                look = {"color": INK, "linestyle": _LIMITS[key][1], "linewidth": 1.6, "zorder": 5}
+                for side in (-1, 1):  # above and below the bar, whose numbers stay free
+                    ax.plot([value] * 2, [i + side * _INNER, i + side * _OUTER], **look)
         ax.axvline(0.0, color=MUTED, linewidth=0.8)
         ax.set_yticks(range(len(ledgers)), [title for title, _ in ledgers])
         ax.set_ylim(len(ledgers) - 0.45, -0.55)
         ax.set_xlim(1.05 * least, 1.24 * reach)
         ax.grid(False, axis="y")
-        ax.set_xlabel(f"energy [{unit[1]}]; at the bar's end what the pump gave")
+        ax.set_xlabel(
+            f"energy [{unit[1]}]; the bar, less what lies left of zero, is what the supply gave"
+        )
         handles = _handles(drawn, limits)
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
 
@@ -98,18 +102,24 @@ def _draw_stack(ax, place: int, parts: Mapping[str, float], room: float) -> floa
     return ahead
 
 
-def _draw_total(ax, place: int, ledger: Ledger, unit: Unit, ends: Sequence[float]) -> None:
-    """What the pump gave, right of all that ends in this row, and its interval."""
+def _draw_total(ax, place: int, ledger: Ledger, unit: Unit, end: float) -> None:
+    """What the pump gave and the compression of its oil, right of the bar, with the interval."""
     pump = next(row for row in ledger["rows"] if row["name"] == "pump")
     half = half_of(pump)
     total = sum(row["energy"] for row in ledger["rows"] if row["group"] == "supply")
     if half:
         look = {"color": INK, "capsize": 3, "linewidth": 1.0, "zorder": 5}
         ax.errorbar(total / unit[0], place, xerr=half / unit[0], **look)
-    right = max(*ends, (total + (half or 0.0)) / unit[0])
+    right = max(end, (total + (half or 0.0)) / unit[0])
     words = energy_text(pump["energy"], half, unit) if pump["energy"] else DASH
-    look = {"textcoords": "offset points", "va": "center", "fontsize": 8, "weight": "bold"}
-    ax.annotate(words, (right, place), (6, 0), **look)
+    look = {"textcoords": "offset points", "va": "center", "zorder": 6}
+    box = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
+    told = ax.annotate(words, (right, place), (6, 0), fontsize=8, weight="bold", bbox=box, **look)
+    if abs(rest := total - pump["energy"]) > SEEN * abs(total):
+        text = (
+            f"{'+' if rest > 0.0 else '−'} {number(abs(rest) / unit[0], 2)} {unit[1]} compression"
+        )
+        ax.annotate(text, (1.0, 0.5), (5, 0), xycoords=told, fontsize=7.5, bbox=box, **look)
 
 
 def _handles(drawn: Sequence[str], limits: Sequence[Mapping[str, float]]) -> list:

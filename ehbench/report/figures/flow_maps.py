@@ -34,9 +34,9 @@ def flow_map(path: Path, rig: Rig, one: FlowMap, points: Points) -> None:
     look = {"sharex": True, "squeeze": False, "gridspec_kw": {"height_ratios": ratios}}
     with canvas(path, len(ratios), 1, (7.2, 5.6), **look) as (figure, axes):
         main = axes[0, 0]
-        ends = _curves(main, rig, one, drop, colours)
+        ends, tops = _curves(main, rig, one, drop, colours)
         flows = shown(rig, "flow", points.flow[~points.outlier])
-        limits = _limits([y for y, _ in ends.values()], flows)
+        limits = _limits([*(y for y, _ in ends.values()), *tops], flows)
         main.set_ylim(*limits)
         main.set_xlim(0.0, 1.01 * float(shown(rig, "pressure_drop", drop[-1])))
         handles = _readings(main, rig, points, colour_of)
@@ -52,15 +52,21 @@ def flow_map(path: Path, rig: Rig, one: FlowMap, points: Points) -> None:
         legend(figure, handles)
 
 
-def _curves(ax, rig: Rig, one: FlowMap, drop: np.ndarray, colours: dict) -> Ends:
-    """A curve a command with its band, and the line of a shut valve; gives where they end."""
+def _curves(
+    ax, rig: Rig, one: FlowMap, drop: np.ndarray, colours: dict
+) -> tuple[Ends, list[float]]:
+    """A curve a command with its band, and the line of a shut valve; gives where they end and the
+    tops of the bands.
+    """
     ends: Ends = {}
+    tops: list[float] = []
     x = shown(rig, "pressure_drop", drop)
     for command, colour in colours.items():
         inside = one.inside(drop, command)
         y = shown(rig, "flow", one.flow(drop, command))
         band = shown(rig, "flow", Z95 * one.flow_std(drop, command))
         ax.fill_between(x, y - band, y + band, where=inside, color=colour, alpha=0.22, linewidth=0)
+        tops.append(float(np.max(np.where(inside, y + band, y))))
         _in_and_out(ax, x, y, inside, colour)
         ends[f"{number(command, 3)} V"] = (float(y[-1]), colour)
     ax.axhline(0.0, color=MUTED, linewidth=0.8)
@@ -68,7 +74,7 @@ def _curves(ax, rig: Rig, one: FlowMap, drop: np.ndarray, colours: dict) -> Ends
     if shut.size:
         most = f"{number(shut[-1], 3)} V"
         ends[(f"≤ {most}" if shut.size > 1 else most) + ", shut"] = (0.0, MUTED)
-    return ends
+    return ends, tops
 
 
 def _band_handles(beyond: bool) -> list:
@@ -88,7 +94,8 @@ def inverse_map(path: Path, rig: Rig, one: FlowMap) -> None:
     drops = _round_drops(rig, one)
     span = np.linspace(one.deadband, one.command_max, 121)
     with canvas(path, size=(7.2, 4.2)) as (figure, ax):
-        for drop, colour in zip(drops, shades(len(drops)), strict=True):
+        beyond = False
+        for i, (drop, colour) in enumerate(zip(drops, shades(len(drops)), strict=True)):
             flow, std, inside = (
                 one.flow(drop, span),
                 one.flow_std(drop, span),
@@ -98,12 +105,14 @@ def inverse_map(path: Path, rig: Rig, one: FlowMap) -> None:
             ax.fill_betweenx(
                 span, x - band, x + band, where=inside, color=colour, alpha=0.2, linewidth=0
             )
-            _in_and_out(ax, x, span, inside, colour)
+            _in_and_out(ax, x, span, inside, colour, ("-", (0, (6, 1, 1, 1)))[i % 2])
+            beyond |= not inside.all()
             unit = pretty(unit_of(rig, "pressure_drop"))
             ax.plot(
                 [],
                 [],
                 color=colour,
+                linestyle=("-", (0, (6, 1, 1, 1)))[i % 2],
                 label=f"{number(float(shown(rig, 'pressure_drop', drop)), 3)} {unit}",
             )
         ax.axhspan(*one.deadband_interval, color=MUTED, alpha=0.25, linewidth=0)
@@ -111,18 +120,22 @@ def inverse_map(path: Path, rig: Rig, one: FlowMap) -> None:
         ax.annotate(
             f"deadband {number(one.deadband, 3)} V",
             (1.0, one.deadband),
-            (0, -3),
+            (0, 2),
             ("axes fraction", "data"),
             "offset points",
             ha="right",
-            va="top",
+            va="bottom",
             color=MUTED,
             fontsize=8,
         )
-        ax.set_ylim(0.0, one.command_max * 1.02)
+        low = 0.94 * min(one.deadband_interval[0], one.deadband)
+        ax.set_ylim(low, one.command_max + 0.02 * (one.command_max - low))
         ax.set_xlim(left=0.0)
         ax.set_xlabel(axis(rig, "flow"))
         ax.set_ylabel("command [V]")
+        figure.legend(
+            handles=_band_handles(beyond), loc="outside lower center", ncols=2, handlelength=2.6
+        )
         ax.legend(
             title="pressure drop",
             loc="center left",
@@ -132,7 +145,9 @@ def inverse_map(path: Path, rig: Rig, one: FlowMap) -> None:
         )
 
 
-def _in_and_out(ax, x: np.ndarray, y: np.ndarray, inside: np.ndarray, colour) -> None:
+def _in_and_out(
+    ax, x: np.ndarray, y: np.ndarray, inside: np.ndarray, colour, mark: Any = "-"
+) -> None:
     """A curve, solid where readings surround it, dashed and pale elsewhere; the two touch."""
     grown = inside | np.append(inside[1:], False) | np.insert(inside[:-1], 0, False)
     # an empty line counts as a point at the figure's corner and would upset the layout
@@ -146,7 +161,7 @@ def _in_and_out(ax, x: np.ndarray, y: np.ndarray, inside: np.ndarray, colour) ->
             linestyle=(0, (3, 2)),
         )
     if inside.any():
-        ax.plot(x, np.where(inside, y, np.nan), color=colour, linewidth=1.4)
+        ax.plot(x, np.where(inside, y, np.nan), color=colour, linewidth=1.4, linestyle=mark)
 
 
 def _limits(ends: list[float], flows: np.ndarray) -> tuple[float, float]:

@@ -7,21 +7,22 @@ from pathlib import Path
 
 import numpy as np
 
+from ehbench.report.captions import as_fitted
 from ehbench.report.saved import Table
 from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas
-from ehbench.report.words import number, pretty, shown, unit_of, with_error, words
+from ehbench.report.words import number, pretty, unit_of, shown, words
 from ehbench.rig import Rig
 
 _WIDE = 30.0  # ratio of the largest to the least number from which an axis is logarithmic
 
 
-def parameters(path: Path, rig: Rig, fitted: Sequence[Table]) -> None:
+def parameters(path: Path, rig: Rig, found: Sequence[Table]) -> None:
     """A strip a parameter, each in its unit: value with 95 % interval on the bounds of the search,
     and its start.
     """
-    size = (7.2, 0.72 * len(fitted) + 0.3)
-    with canvas(path, len(fitted), 1, size, squeeze=False) as (_, axes):
-        for ax, one in zip(axes[:, 0], fitted, strict=True):
+    size = (7.2, 0.72 * len(found) + 0.3)
+    with canvas(path, len(found), 1, size, squeeze=False) as (_, axes):
+        for ax, one in zip(axes[:, 0], found, strict=True):
             _strip(ax, rig, one)
 
 
@@ -45,8 +46,7 @@ def _strip(ax, rig: Rig, one: Table) -> None:
     ax.set_ylim(-1, 1)
     ax.spines["left"].set_visible(False)
     ax.tick_params(axis="x", labelsize=7.5, pad=1)
-    error = _finite(rig, name, one.number("std"))
-    text = f"{with_error(value, error)} {pretty(unit_of(rig, name))}".rstrip()
+    text = f"{as_fitted(rig, name, one)} {pretty(unit_of(rig, name))}".rstrip()
     ax.set_title(f"{name}   {text}", fontsize=8.5, pad=2)
     status = {"fontsize": 8, "pad": 2, "color": colour, "fontweight": "normal"}
     ax.set_title(words(one["status"]), loc="right", **status)

@@ -14,12 +14,23 @@ from ehbench.report.style import ACCENT, INK, MUTED, RECORDED, SIMULATED, Look, 
 
 RATIOS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)  # damping ratios of the grid
 BETWEEN = 7  # points of a root locus drawn between two saved ones
+MOST_BETWEEN = 60  # the same where a pole goes far
+_STEP = 0.02  # share of a frame's height that is far
+_NOT_LINEAR = 1e-6  # share of the linear part that a polynomial may have beside it
 _ROOM = 0.06  # share of a root locus below the real axis
 # a stability limit this many times as far out as what swings makes a second look worth while
 _FAR = 3.0
 # share of a root locus's height that counts as on an axis, and damping ratio that counts as none
 _ON_AXIS = 1e-3
 _PALE, _BEYOND = "#d1d5db", "#9db4cf"
+
+_ZERO: Look = {
+    "marker": "o",
+    "markerfacecolor": "none",
+    "color": MUTED,
+    "markersize": 8,
+    "markeredgewidth": 1.1,
+}
 
 Frame = Sequence[float]  # left, right, top [rad/s]
 
@@ -28,14 +39,15 @@ def loci(path: Path, loci: Sequence[Table], by_name: dict[str, Table]) -> None:
     """A root locus a payload, upper half plane, on a grid of damping ratios: choice and stability
     limit marked.
 
-    Where the stability limit lies far out, what swings is shown a second time, near the origin.
+    Where the stability limit lies far out, what swings comes first, and the way to it below.
     """
     whole = tuple(pick(one["frame"][i] for one in loci) for i, pick in enumerate((min, max, max)))
     reach = max(_swing(one) for one in loci)
     panels: list[tuple[Table, Frame, str]] = [(one, whole, "") for one in loci]
     if whole[2] > _FAR * 1.4 * reach:
         near = (-1.6 * reach, 0.4 * reach, 1.4 * reach)
-        panels += [(one, near, ", near the origin") for one in loci]
+        panels = [(one, near, ", what swings") for one in loci]
+        panels += [(one, whole, ", as far as the stability limit") for one in loci]
     columns = min(2, len(loci))
     rows = -(-len(panels) // columns)
     with canvas(path, rows, columns, (7.4, 3.7 * rows + 0.5), squeeze=False) as (figure, axes):
@@ -49,7 +61,7 @@ def loci(path: Path, loci: Sequence[Table], by_name: dict[str, Table]) -> None:
             ax.set_ylabel("imaginary part [rad/s]")
         crossing = any(one.get("crossing") is not None for one in loci)
         symbol = "K_p" if loci[0]["parameter"] == "feedback_gain" else "ω_w"
-        legend(figure, _handles(symbol, crossing))
+        legend(figure, _handles(symbol, crossing), handletextpad=0.5)
 
 
 def _handles(symbol: str, crossing: bool) -> list:
@@ -60,6 +72,7 @@ def _handles(symbol: str, crossing: bool) -> list:
         Line2D([], [], color=_BEYOND, linewidth=1.3, label="beyond"),
         Line2D([], [], marker="x", linestyle="", color=INK, label=f"{symbol} = 0"),
         Line2D([], [], marker="o", linestyle="", color=SIMULATED, label="chosen"),
+        Line2D([], [], label="zero, where a branch ends", **_ZERO, linestyle=""),
     ]
     if crossing:
         look: Look = {"marker": "D", "linestyle": "", "markerfacecolor": "white", "color": ACCENT}
@@ -86,7 +99,9 @@ def _locus(ax, one: Table, frame: Frame) -> None:
     ax.axhline(0.0, color=MUTED, linewidth=0.8)
     ax.axvline(0.0, color=MUTED, linewidth=0.8)
     poles = np.array(one["real"], float) + 1j * np.array(one["imag"], float)
-    _branches(ax, np.array(one["values"], float), poles, one["chosen"], frame)
+    values = np.array(one["values"], float)
+    _branches(ax, values, poles, one["chosen"], frame)
+    _poles(ax, [(z.real, z.imag) for z in zeros(values, poles)], frame, zorder=3.5, **_ZERO)
     start = zip(poles[0].real, poles[0].imag, strict=True)
     cross = {"marker": "x", "color": INK, "markersize": 5.5, "markeredgewidth": 1.3}
     _poles(ax, start, frame, zorder=4, **cross)
@@ -104,7 +119,7 @@ def _locus(ax, one: Table, frame: Frame) -> None:
 def _branches(ax, values: np.ndarray, poles: np.ndarray, chosen: float, frame: Frame) -> None:
     """The branches of a root locus, dark up to the choice and pale beyond."""
     left, right, top = frame
-    fine, branches = refined(values, poles)
+    fine, branches = refined(values, poles, top)
     here = int(np.searchsorted(fine, chosen))
     for branch in branches.T:
         x, y = branch.real.copy(), branch.imag.copy()
@@ -120,9 +135,31 @@ def _branches(ax, values: np.ndarray, poles: np.ndarray, chosen: float, frame: F
                 ax.plot(x[part], y[part], zorder=3, **look)
 
 
-def refined(values: np.ndarray, poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def zeros(values: np.ndarray, poles: np.ndarray) -> np.ndarray:
+    """Where the branches of a root locus end as its parameter grows [rad/s]: the roots of what the
+    parameter multiplies; none where the characteristic polynomial is not linear in it.
+
+    Args:
+        values: of the parameter, shape (n,), from the least to the largest.
+        poles: at each of them [rad/s], shape (n, m).
+    """
+    scale, most = float(np.median(np.abs(poles))) or 1.0, float(np.abs(values).max())
+    if values.size < 3 or most == 0.0:
+        return np.empty(0)
+    polynomials = np.array([np.poly(row / scale).real for row in poles])
+    parts = np.linalg.lstsq(np.vander(values / most, 3), polynomials, rcond=None)[0]
+    square, linear, _ = (np.abs(part).max() for part in parts)
+    if linear == 0.0 or square > _NOT_LINEAR * linear:
+        return np.empty(0)
+    told = np.abs(parts[1]) > _NOT_LINEAR * linear
+    return scale * np.roots(parts[1][int(np.argmax(told)) :])
+
+
+def refined(
+    values: np.ndarray, poles: np.ndarray, top: float = math.inf
+) -> tuple[np.ndarray, np.ndarray]:
     """(values, poles) of a root locus with BETWEEN more points in every interval, each column one
-    branch.
+    branch; more where a pole goes farther than a share of ``top`` [rad/s], as where two part.
 
     Between saved points the characteristic polynomial, at most of second degree in the parameter,
     goes through that of three neighbours; branches are told apart by the least way in all from one
@@ -134,7 +171,12 @@ def refined(values: np.ndarray, poles: np.ndarray) -> tuple[np.ndarray, np.ndarr
     fine, rows = [float(values[0])], [poles[0]]
     for i in range(values.size - 1):
         near = slice(max(min(i, values.size - 3), 0), max(min(i, values.size - 3), 0) + 3)
-        for value in np.linspace(values[i], values[i + 1], BETWEEN + 2)[1:]:
+        near_axis = np.abs(poles[i : i + 2]) < 4.0 * top
+        way = float(
+            np.abs(np.diff(poles[i : i + 2], axis=0))[:, near_axis.all(axis=0)].max(initial=0.0)
+        )
+        more = BETWEEN if way < _STEP * top else MOST_BETWEEN
+        for value in np.linspace(values[i], values[i + 1], more + 2)[1:]:
             there = (
                 poles[i + 1]
                 if value == values[i + 1]

@@ -19,15 +19,16 @@ from ehbench.report.figures.trial import (
     shade_saturation,
     tracking_error,
 )
-from ehbench.report.style import CYCLE, INK, MARKS, MUTED, canvas, thin
+from ehbench.report.style import ACCENT, CYCLE, INK, MARKS, MUTED, canvas, thin
 from ehbench.report.words import axis, number, shown, words
 from ehbench.rig import Rig
 
 Named = tuple[str, Case, Record]  # (controller, its trial, the log)
 MANY = 3  # from so many controllers on, a comparison leaves out the commands
-FAR_APART = 8.0  # ratio of largest errors from which a comparison takes a logarithmic axis
-WINDOW = 0.1  # [s] over which an envelope takes the largest error
-_DESIRED = {"color": INK, "linewidth": 1.1, "linestyle": (0, (4, 2))}
+FAR_APART = 8.0  # ratio of largest errors from which each controller has a strip of its own
+_ERROR, _STRIP = 1.7, 0.62  # height of the panel of errors, and of a strip
+_THICK, _THIN = 2.6, 1.0  # widths of the first and the last line, so that those below are seen
+_DESIRED = {"color": INK, "linewidth": 0.9, "linestyle": (0, (1, 1.2)), "zorder": 6}
 
 
 @dataclass(frozen=True)
@@ -48,9 +49,15 @@ class _Grid:
 
 def _grid(cases: Sequence[Named]) -> _Grid:
     case = cases[0][1]
-    first, second = ("v", "x") if case.steps else ("error", "v")
-    panels = [first, second, "p_head", "p_rod"]
-    heights = [1.7, 1.0, 1.0, 1.0]
+    if case.steps:
+        panels, heights = ["v", "x"], [1.7, 1.0]
+    elif _far_apart(cases):
+        panels = ["x", *(f"error {i}" for i in range(len(cases))), "v"]
+        heights = [1.0, *[_STRIP] * len(cases), 1.0]
+    else:
+        panels, heights = ["x", "error", "v"], [1.0, _ERROR, 1.0]
+    panels += ["p_head", "p_rod"]
+    heights += [1.0, 1.0]
     if any(f"{case.cylinder}.function" in record for _, _, record in cases):
         panels.append("strip")
         heights.append(0.2 * len(cases) + 0.12)
@@ -58,15 +65,22 @@ def _grid(cases: Sequence[Named]) -> _Grid:
     return _Grid(panels, heights + [1.1] * commands, len(cases) if commands else 1, commands)
 
 
+def _far_apart(cases: Sequence[Named]) -> bool:
+    most = [case.row["tracking"]["max_error"] for _, case, _ in cases]
+    return max(most) > FAR_APART * max(min(most), 1e-12)
+
+
 def compare(path: Path, rig: Rig, cases: Sequence[Named]) -> None:
-    """Several controllers on one motion: speed (steps) or tracking error, both pressures,
+    """Several controllers on one motion: stroke, speed and tracking error, both pressures,
     functions, and their commands.
     """
+    from matplotlib.patches import Patch
+
     looks = [
         {
             "color": CYCLE[i % len(CYCLE)],
-            "linestyle": MARKS[i // len(CYCLE) % len(MARKS)],
-            "linewidth": 1.2,
+            "linestyle": MARKS[i % len(MARKS)],
+            "linewidth": _THICK + (_THIN - _THICK) * i / max(len(cases) - 1, 1),
         }
         for i in range(len(cases))
     ]
@@ -75,16 +89,19 @@ def compare(path: Path, rig: Rig, cases: Sequence[Named]) -> None:
     with canvas(path, len(grid.heights), grid.columns, (7.4, grid.tall), **shape) as (figure, axes):
         places = _wide_panels(figure, axes, grid.panels)
         for word, ax in places.items():
-            if word not in ("error", "strip"):
+            if word.startswith("error "):
+                at = int(word.removeprefix("error "))
+                _errors(ax, rig, cases[at : at + 1], looks[at : at + 1])
+            elif word == "error":
+                _errors(ax, rig, cases, looks)
+            elif word != "strip":
                 _overlay(ax, rig, cases, looks, word)
-        if "error" in places:
-            _errors(places["error"], rig, cases, looks)
         handles = function_bars(places["strip"], cases, False) if "strip" in places else []
         bottom = places[grid.panels[-1]]
         bottom.set_xlabel("time [s]")
         bottom.set_xlim(min(r.t[0] for *_, r in cases), max(r.t[-1] for *_, r in cases))
-        if grid.commands:
-            _commands_row(axes[-1], rig, cases)
+        if grid.commands and _commands_row(axes[-1], rig, cases):
+            handles.append(Patch(facecolor=ACCENT, alpha=0.2, label="an edge is saturated"))
         lines = _line_handles(cases, looks)
         figure.legend(handles=lines, loc="outside upper center", ncols=min(len(lines), 4))
         if handles:
@@ -123,17 +140,20 @@ def _overlay(
     for (_, _, record), look in zip(cases, looks, strict=True):
         plot_channel(ax, rig, record, name, **look)
     if f"{name}_desired" in cases[0][2]:
-        plot_channel(ax, rig, cases[0][2], f"{name}_desired", zorder=1.5, **_DESIRED)
+        plot_channel(ax, rig, cases[0][2], f"{name}_desired", **_DESIRED)
     ax.set_title(axis(rig, word, title_of(word)))
     ax.margins(y=0.06)
 
 
-def _commands_row(axes: Sequence[Any], rig: Rig, cases: Sequence[Named]) -> None:
-    """A panel of commands a controller, on one axis; one legend at the right."""
+def _commands_row(axes: Sequence[Any], rig: Rig, cases: Sequence[Named]) -> bool:
+    """A panel of commands a controller, on one axis; one legend at the right. Whether an edge was
+    ever saturated, which is shaded.
+    """
+    saturated = False
     for index, (ax, (name, _, record)) in enumerate(zip(axes, cases, strict=True)):
         cylinder = cases[0][1].cylinder
         plot_commands(ax, rig, record, cylinder)
-        shade_saturation(ax, record, cylinder)
+        saturated |= shade_saturation(ax, record, cylinder)
         ax.set_title(words(name), fontsize=8.5)
         ax.set_xlabel("time [s]")
         if index:
@@ -148,28 +168,22 @@ def _commands_row(axes: Sequence[Any], rig: Rig, cases: Sequence[Named]) -> None
     if labelled:
         where = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5), "handlelength": 1.8}
         axes[-1].legend(labelled.values(), labelled.keys(), **where)
+    return saturated
 
 
 def _errors(ax, rig: Rig, cases: Sequence[Named], looks: Sequence[dict[str, Any]]) -> None:
-    """Tracking errors; where they are far apart the largest of each WINDOW on a logarithmic
-    axis.
-    """
+    """Tracking errors over time, actual minus desired; a single one is named with its largest."""
     errors = [(record.t, tracking_error(rig, record, case.cylinder)) for _, case, record in cases]
-    largest = [float(np.abs(error).max()) for _, error in errors]
-    if max(largest) > FAR_APART * max(min(largest), 1e-12):
-        title = f"Tracking error, largest in every {number(WINDOW)} s"
-        for (t, error), look in zip(errors, looks, strict=True):
-            cut = np.arange(0, t.size, max(1, round(WINDOW / float(t[1] - t[0]))))
-            envelope = np.maximum.reduceat(np.abs(error), cut)
-            floor = np.maximum(envelope, 1e-3 * min(largest))
-            ax.semilogy(t[cut], floor, drawstyle="steps-post", **look)
-        ax.yaxis.set_major_formatter(lambda tick, _: number(tick))
+    for (t, error), look in zip(errors, looks, strict=True):
+        ax.plot(*thin(t, error), **(look | {"linestyle": "-", "linewidth": 1.0}))
+    ax.axhline(0.0, color=MUTED, linewidth=0.7)
+    if len(cases) == 1:
+        most = number(float(np.abs(errors[0][1]).max()), 2)
+        title = f"Error of {words(cases[0][0])}, at most {most}"
+        ax.locator_params(axis="y", nbins=3)
     else:
         title = "Tracking error, actual minus desired"
-        for (t, error), look in zip(errors, looks, strict=True):
-            ax.plot(*thin(t, error), **look)
-        ax.axhline(0.0, color=MUTED, linewidth=0.7)
-    ax.set_title(axis(rig, "x", title))
+    ax.set_title(axis(rig, "x", title), fontsize=8.5 if len(cases) == 1 else None)
 
 
 def pump_energies(path: Path, rig: Rig, cases: Sequence[Case], names: Sequence[str]) -> None:

@@ -9,8 +9,10 @@ from collections.abc import Sequence
 from ehbench.errors import InputError
 from ehbench.recipe import Campaign
 from ehbench.report.blocks import Block, Section, prose, slug
+from ehbench.report.captions import capital
 from ehbench.report.saved import Saved
 from ehbench.report.words import words
+from ehbench.rig import Rig
 
 
 class Titles:
@@ -23,11 +25,14 @@ class Titles:
         self._given = dict(campaign.figures) if campaign else {}
         self._keys: set[str] = set()
 
-    def of(self, run: Saved, key: str) -> str | None:
-        """The campaign's title of a figure or table; None where it gives none."""
+    def of(self, run: Saved, key: str) -> tuple[str, int] | None:
+        """(the campaign's title of a figure or table, its place among all); None where it gives
+        none.
+        """
         names = (f"{run.name}/{key}", key)
         self._keys.update(names)
-        return next((self._given[name] for name in names if name in self._given), None)
+        name = next((name for name in names if name in self._given), None)
+        return None if name is None else (self._given[name], [*self._given].index(name))
 
     def refuse_unused(self) -> None:
         """See that every title found its figure.
@@ -48,12 +53,13 @@ class Titles:
                 )
 
 
-def heading(campaign: Campaign | None) -> tuple[str, Sequence[Block]]:
-    """(title, note) of the page."""
-    if campaign is None:
-        return "Report", []
-    title = campaign.title or words(campaign.name).capitalize()
-    return title, prose(campaign.note)
+def heading(campaign: Campaign | None, rigs: Sequence[Rig]) -> tuple[str, Sequence[Block]]:
+    """(title, note) of the page: the campaign's, else those of the rigs."""
+    if campaign is not None:
+        return campaign.title or words(campaign.name).capitalize(), prose(campaign.note)
+    titles = dict.fromkeys(rig.title or capital(words(rig.name)) for rig in rigs)
+    notes = prose(rigs[0].note) if len(titles) == 1 else []
+    return ", ".join(titles) or "Report", notes[:1]
 
 
 def campaign_sections(campaign: Campaign | None) -> list[Section]:

@@ -13,24 +13,26 @@ from ehbench.report.saved import Saved, Table, read_points
 from ehbench.report.words import (
     axis,
     count,
+    estimate,
     interval,
     number,
     pretty,
     shown,
     unit_of,
-    with_error,
     words,
 )
 from ehbench.rig import Rig
 
 _MAP_CAPTION = (
     "Flow over pressure drop, one curve a command; below, readings minus curves. "
-    "Bands are 95 % intervals of the curves; "
-    "dashed and pale where no readings surround the curve."
+    "Bands are 95 % intervals of the curves; between two measured drops they also hold a kink that "
+    "may hide in the gap, and so widen where readings lie far apart for the bend of the curve. "
+    "Dashed and pale where no readings surround the curve."
 )
 _INVERSE_CAPTION = (
     "Command that passes a flow, one curve a pressure drop; "
-    "the exact inverse of the flow map, with its 95 % band."
+    "the exact inverse of the flow map, with its 95 % band. The command axis begins at the "
+    "deadband's interval (grey); dashed and pale beyond the readings."
 )
 
 
@@ -102,7 +104,11 @@ def _deadbands(rig: Rig, maps: Sequence[Table]) -> list[Block]:
         f"rms residual [{pretty(unit_of(rig, 'flow'))}]",
         "noise of one reading",
     ]
-    return [Grid(head, [_deadband_row(rig, one) for one in maps], "± is one standard error.")]
+    note = (
+        "The interval also holds where a flow would start that grows softly, so that it reaches "
+        "below the deadband; where it is lopsided, there is no ±."
+    )
+    return [Grid(head, [_deadband_row(rig, one) for one in maps], note)]
 
 
 def _deadband_row(rig: Rig, one: Table) -> list[Cell | str]:
@@ -110,7 +116,7 @@ def _deadband_row(rig: Rig, one: Table) -> list[Cell | str]:
     return [
         one["valve"],
         one["direction"],
-        num(with_error(one.number("deadband"), one.get("deadband_std"))),
+        num(estimate(one.number("deadband"), *one["deadband_interval"])),
         num(interval(*one["deadband_interval"])),
         chip(one.get("status", "estimated")),
         num(number(one["readings"], 9)),

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from ehbench.fields import Value
 from ehbench.report.blocks import Block, Bullets, Cell, Grid, Heat, Part
-from ehbench.report.captions import plus, range_of
+from ehbench.report.captions import as_fitted, plus, range_of
 from ehbench.report.comparisons import draw_comparisons, log_cell, ringing_table
 from ehbench.report.content import Pictures, SectionContent, StageReport, chip, folded, num
 from ehbench.report.figures import hydraulics as figures
@@ -62,7 +62,7 @@ def _sentence(rig: Rig, fit: Table) -> str:
     weak = [one for one in parameters if one["status"] != "estimated"]
     first = next((one for one in parameters if one not in weak), parameters[0])
     name = first["name"]
-    value = plus(rig, name, first.number("value"), first.number("std"))
+    value = as_fitted(rig, name, first)
     method = _METHODS.get(fit["method"], words(fit["method"]))
     sentence = (
         f"{count(len(parameters), 'parameter')} from {count(len(fit['logs']), 'log')} "
@@ -92,8 +92,9 @@ def _parameters_table(rig: Rig, parameters: Sequence[Table]) -> Grid:
     known = rig.parameters()
     rows = [_parameter_row(rig, one, known.get(one["name"])) for one in parameters]
     note = (
-        "± is one standard error, corrected for residuals that are not white. Logs' starts: share "
-        "of its square that the estimated starts of the logs are to blame for."
+        "± is half the width of the 95 % interval, which allows for coloured residuals; where the "
+        "interval is lopsided, the value stands alone. Logs' starts: share of the variance that "
+        "the estimated starts of the logs are to blame for."
     )
     if any(one.get("prior") for one in parameters):
         head += ["prior ±", "from data [%]"]
@@ -117,7 +118,7 @@ def _parameter_row(rig: Rig, one: Table, value: Value | None) -> list[Cell | str
     low, high = (plus(rig, name, one.number(key), None) for key in ("lower", "upper"))
     return [
         Cell(name, "code", hint=row_of(name).meaning),
-        num(plus(rig, name, one.number("value"), one.number("std"))),
+        num(as_fitted(rig, name, one)),
         pretty(unit_of(rig, name)),
         num(range_of(rig, name, one.get("interval"))),
         num(f"{low} … {high}"),
@@ -189,7 +190,7 @@ def _dynamics(rig: Rig, variants: Sequence[Table]) -> Grid:
 
 
 def _fitted_cell(rig: Rig, name: str, one: Table | None) -> Cell:
-    return num("–" if one is None else plus(rig, name, one.number("value"), one.number("std")))
+    return num("–" if one is None else as_fitted(rig, name, one))
 
 
 REPORT = StageReport(

@@ -13,6 +13,7 @@ from ehbench.report.energy_tables import saving_blocks
 from ehbench.report.figures import channels, sankey
 from ehbench.report.figures import trial as figures
 from ehbench.report.index import FigureIndex, FigureKey
+from ehbench.report.rest_words import rest_caption
 from ehbench.report.saved import Saved, Table
 from ehbench.report.trial_captions import (
     ESTIMATES,
@@ -60,7 +61,7 @@ def draw_case(run: Saved, index: FigureIndex, case: Case, record: Record, title:
     def about(kind: str) -> FigureKey:
         return FigureKey(kind, case=case.row["case"], cylinder=case.cylinder)
 
-    caption = case_caption(rig, case)
+    caption = case_caption(rig, case) + rest_caption(rig, case, record)
     path = index.add(f"trial_{case.stem}", title, caption, about("trial"))
     figures.controlled(path, rig, case, record)
     learnt = [name for word in ESTIMATES if (name := f"{case.cylinder}.{word}") in record]
@@ -127,7 +128,8 @@ def _controlled_section(run: Saved, facts: Table, pictures: Pictures) -> Section
         ["payload", load_name(row["payload"])],
         *_circumstances(facts),
     ]
-    parts.append(Part("Settings", [Grid(["", ""], rows), *settings_blocks(rig, [case])]))
+    settings = [Grid(["", ""], rows), *settings_blocks(rig, [case])]
+    parts.append(Part("Settings", settings, paper=False))
     return SectionContent(stopped_status(stopped), case_caption(rig, case), parts)
 
 

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ehbench.report.blocks import Block, Bullets, Fold, Part, Text
-from ehbench.report.captions import load_name
+from ehbench.report.blocks import Block, Bullets, Fold, Part, Picture, Text
+from ehbench.report.captions import capital, load_name
 from ehbench.report.cases import Case, cases_of, groups_of, stem_of
 from ehbench.report.content import Pictures, SectionContent, StageReport, folded, stopped_status
 from ehbench.report.energy_tables import saving_blocks
 from ehbench.report.figures import trials as figures
 from ehbench.report.figures.energy_bars import bars
 from ehbench.report.index import FigureIndex, FigureKey
+from ehbench.report.rest_words import rest_caption
 from ehbench.report.saved import Saved
 from ehbench.report.stages.trial import draw_case, draw_sankey
-from ehbench.report.trial_captions import compared_caption, energy_caption, trials_caption
+from ehbench.report.trial_captions import (
+    compared_caption,
+    controller_captions,
+    energy_caption,
+    trials_caption,
+)
 from ehbench.report.trial_tables import measure_tables, settings_blocks
 from ehbench.report.words import words
 from ehbench.rig import Rig
@@ -40,13 +46,21 @@ def _draw_comparison(rig: Rig, index: FigureIndex, cases: Sequence[Case]) -> Non
     """All controllers on one motion with one payload."""
     first = cases[0]
     payload, motion = first.row["payload"], first.row["motion"]
+    records = [case.record() for case in cases]
+    swinging = (
+        f"{capital(words(case.row['controller']))}: {told[:1].lower()}{told[1:]}"
+        for case, record in zip(cases, records, strict=True)
+        if (told := rest_caption(rig, case, record).strip())
+    )
+    caption = " ".join([compared_caption(rig, cases), *swinging])
     path = index.add(
         f"compare_{stem_of(load_name(payload))}_{stem_of(motion)}",
         f"{words(first.cylinder).capitalize()}: {words(motion)}, {first.where}",
-        compared_caption(rig, cases),
+        caption,
         FigureKey("compare", payload=payload, motion=motion),
     )
-    figures.compare(path, rig, [(case.row["controller"], case, case.record()) for case in cases])
+    names = [case.row["controller"] for case in cases]
+    figures.compare(path, rig, list(zip(names, cases, records, strict=True)))
 
 
 def _draw_energies(rig: Rig, index: FigureIndex, motion: str, cases: Sequence[Case]) -> None:
@@ -75,14 +89,17 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     if stopped:
         reasons = [f"{case.row['case']}: {case.row['stopped']}" for case in stopped]
         first = [Text("Stopped by a limit:", "bad"), Bullets(reasons)]
+    open_ones, folds = _each_trial(cases, pictures)
     parts = [
+        Part("Each trial" if open_ones else "", open_ones),
         Part("Compared", [*first, *pictures(FigureKey("compare"))]),
         Part("Measures", measure_tables(rig, cases)),
         Part("Energy", _energy_blocks(rig, cases, pictures)),
-        Part("Each trial", _each_trial(cases, pictures)),
-        Part("Settings", settings_blocks(rig, cases)),
+        Part("Other trials" if open_ones else "Each trial", folds),
+        Part("Settings", settings_blocks(rig, cases), paper=False),
     ]
-    return SectionContent(stopped_status(stopped), trials_caption(rig, cases), parts)
+    more = tuple(controller_captions(rig, cases))
+    return SectionContent(stopped_status(stopped), trials_caption(cases), parts, more)
 
 
 def _energy_blocks(rig: Rig, cases: Sequence[Case], pictures: Pictures) -> list[Block]:
@@ -93,9 +110,9 @@ def _energy_blocks(rig: Rig, cases: Sequence[Case], pictures: Pictures) -> list[
     ]
 
 
-def _each_trial(cases: Sequence[Case], pictures: Pictures) -> list[Block]:
-    """Trials that a campaign names stand open, the others are folded."""
-    open_ones: list[Block] = []
+def _each_trial(cases: Sequence[Case], pictures: Pictures) -> tuple[list[Block], list[Block]]:
+    """(figures that a campaign names, in its order; the others, folded)."""
+    named: list[Picture] = []
     folds: list[Block] = []
     for case in cases:
         name = case.row["case"]
@@ -103,11 +120,10 @@ def _each_trial(cases: Sequence[Case], pictures: Pictures) -> list[Block]:
             *pictures(FigureKey("trial", case=name)),
             *pictures(FigureKey("estimates", case=name)),
         ]
-        if any(picture.named for picture in drawn):
-            open_ones += drawn
-        else:
-            folds.append(Fold(f"{name}, on the {case.row['on']}", drawn))
-    return [*open_ones, *folds]
+        named += [picture for picture in drawn if picture.named is not None]
+        if others := [picture for picture in drawn if picture.named is None]:
+            folds.append(Fold(f"{name}, on the {case.row['on']}", others))
+    return sorted(named, key=lambda one: one.named or 0), folds
 
 
 REPORT = StageReport(

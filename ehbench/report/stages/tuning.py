@@ -45,8 +45,8 @@ _LOCI = (
 )
 # (vocabulary row, key in the file, text)
 _PARAMETERS = (
-    ("washout", "washout", "washout corner ω_w"),
-    ("washout", "ramp_washout", "corner of the second washout ω_r"),
+    ("washout", "washout", "washout corner f_w"),
+    ("washout", "ramp_washout", "corner of the second washout f_r"),
     ("off_gain", "off_gain", "off-side gain K_o"),
     ("low_pressure", "low_pressure", "off-side set-point above tank"),
     ("cross_drop", "cross_drop", "planned drop across the cross-port edge"),
@@ -147,7 +147,7 @@ def _sentence(rig: Rig, tuning: Table) -> str:
 def _by_count(pictures: Pictures, kind: str) -> list[Block]:
     """Figures of the functions that count and those that a campaign names; the others folded."""
     shown_only = pictures(FigureKey(counts="no"))
-    rest = {picture.id for picture in shown_only if not picture.named}
+    rest = {picture.id for picture in shown_only if picture.named is None}
     drawn = pictures(FigureKey(kind))
     counting = [picture for picture in drawn if picture.id not in rest]
     others = [picture for picture in drawn if picture.id in rest]
@@ -173,7 +173,7 @@ def _points_by_load(rig: Rig, tuning: Table) -> Grid:
         "in the choice",
         axis(rig, "mass", "m_eq"),
         axis(rig, "force", "F_eq"),
-        axis(rig, "natural_frequency", "ωₙ without feedback"),
+        axis(rig, "natural_frequency", "fₙ without feedback"),
         "ζ without feedback",
         "ζ with feedback",
         "least gain margin",
@@ -230,9 +230,9 @@ def _point_head(rig: Rig) -> list[str]:
         axis(rig, "damping", "b_eq"),
         axis(rig, "p_head", "head-end pressure"),
         axis(rig, "p_rod", "rod-end pressure"),
-        axis(rig, "natural_frequency", "ωₙ open"),
+        axis(rig, "natural_frequency", "fₙ open"),
         "ζ open",
-        axis(rig, "natural_frequency", "ωₙ closed"),
+        axis(rig, "natural_frequency", "fₙ closed"),
         "ζ closed",
         "ζ without washout",
         axis(rig, "v", "speed lost without washout"),

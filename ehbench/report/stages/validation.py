@@ -14,6 +14,7 @@ from ehbench.report.content import Pictures, SectionContent, StageReport, chip, 
 from ehbench.report.figures import validation as figures
 from ehbench.report.figures.channels import title_of
 from ehbench.report.figures.sweeps import sweeps
+from ehbench.report.headlines import silence
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
 from ehbench.report.words import count, interval, number, pretty, shown, unit_of, words
@@ -53,7 +54,7 @@ def draw(run: Saved, index: FigureIndex) -> None:
 
 def _draw_sweeps(run: Saved, index: FigureIndex, log: Table) -> None:
     """A figure for each command of a log that sweeps."""
-    least = run.json("validation.json")["thresholds"].get("response_coherence", 0.0)
+    least = run.json("validation.json").get("thresholds", {}).get("response_coherence", 0.0)
     by_command: dict[str, list[Table]] = {}
     for sweep in log.get("sweeps", []):
         by_command.setdefault(sweep["input"], []).append(sweep)
@@ -105,6 +106,8 @@ def _verdict(table: Table, status: str) -> list[Block]:
     blocks: list[Block] = [Text(f"The model is {status}.", look)]
     if table["reasons"]:
         blocks.append(Bullets(table["reasons"]))
+    if unasked := silence(table):
+        blocks.append(Text(unasked, "note"))
     rows = [_log_row(log) for log in table["logs"]]
     blocks.append(Grid(["log", "payload", "how it counts", "moved", "result"], rows))
     checks = [(log, check) for log in table["logs"] for check in log.get("checks", [])]
@@ -175,6 +178,8 @@ def _log_blocks(rig: Rig, log: Table, pictures: Pictures) -> list[Block]:
     blocks: list[Block] = []
     if log.get("failure"):
         blocks.append(Text(f"Could not be simulated: {log['failure']}", "bad"))
+    if scored := log.get("scored"):
+        blocks.append(Text(f"Simulated as a whole; judged is {interval(*scored)} s."))
     blocks += pictures(FigureKey("validation", log=log["name"]))
     blocks += _channel_table(rig, log)
     if rings := log.get("transients", []):

@@ -1,0 +1,222 @@
+"""What differs between two runs of one kind: inputs, parameters (by how many intervals), verdict
+and headline numbers.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from ehbench.errors import InputError
+from ehbench.report.blocks import Cell, Grid
+from ehbench.report.captions import plus, range_of
+from ehbench.report.content import num
+from ehbench.report.headlines import findings_of
+from ehbench.report.saved import Saved, Table
+from ehbench.report.terminal import found, table
+from ehbench.report.words import DASH, estimate, number, pretty, shown, unit_of, words
+from ehbench.rig import Rig
+from ehbench.rundir import read_json
+from ehbench.terms import Z95
+
+_RUN = re.compile(r"_[0-9a-f]{8}$")  # the end of a run folder's name
+
+
+@dataclass(frozen=True)
+class InputChange:
+    """An input that differs: ``what`` it is, and as it was in either run (empty: not there)."""
+
+    what: str
+    first: str
+    second: str
+
+
+@dataclass(frozen=True)
+class Shift:
+    """A parameter [SI] in two runs. ``intervals``: their distance by √(a² + b²), a and b the parts
+    of their 95 % intervals that point to one another; None where neither run has an interval.
+    """
+
+    name: str
+    first: float | None
+    second: float | None
+    first_interval: tuple[float, float] | None
+    second_interval: tuple[float, float] | None
+    intervals: float | None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What differs between two runs. ``same``: parameters that both runs have alike."""
+
+    stage: str
+    verdicts: tuple[str, str]
+    inputs: tuple[InputChange, ...]
+    parameters: tuple[Shift, ...]
+    same: int
+    numbers: tuple[InputChange, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return asdict(self)
+
+
+def compare(first: Path, second: Path) -> Comparison:
+    """What differs between two runs.
+
+    Raises:
+        InputError: no run, or runs of different kinds.
+    """
+    (one, told_one), (two, told_two) = found(first), found(second)
+    if one.what != two.what or one.stage != two.stage:
+        raise InputError(
+            f"is a run of '{words(two.what or two.stage)}', the other of "
+            f"'{words(one.what or one.stage)}'",
+            file=second,
+            hint="compare runs of one stage",
+        )
+    shifts = list(_shifts(_parameters(one), _parameters(two)))
+    changed = [shift for shift in shifts if shift.first != shift.second]
+    changed.sort(key=lambda shift: -(math.inf if shift.intervals is None else shift.intervals))
+    told = one.what not in ("hydraulics", "flow_map")  # their numbers are the parameters
+    heads = [{n.label: n.value for n in findings_of(run).numbers if told} for run in (one, two)]
+    return Comparison(
+        one.what or one.stage,
+        (told_one.status, told_two.status),
+        tuple(_changes(_inputs(one), _inputs(two))),
+        tuple(changed),
+        len(shifts) - len(changed),
+        tuple(_changes(*heads)),
+    )
+
+
+def _inputs(run: Saved) -> dict[str, str]:
+    """What a run was made from: digests by what they are of, run folders without their hash."""
+    facts = run.facts
+    known = {"recipe": facts["recipe"]["sha256"]}
+    for one in facts["inputs"]:
+        known[f"{one['role']} {_RUN.sub('', Path(one['path']).name)}"] = one["sha256"]
+    known["code"] = facts["code_sha256"]
+    known |= {f"version of {name}": str(value) for name, value in facts["versions"].items()}
+    return known | {f"seed of {k}": str(v) for k, v in facts.get("seeds", {}).items()}
+
+
+def _changes(first: Mapping[str, str], second: Mapping[str, str]) -> Iterator[InputChange]:
+    for what in dict.fromkeys([*first, *second]):
+        if first.get(what) != second.get(what):
+            yield InputChange(what, first.get(what, ""), second.get(what, ""))
+
+
+Known = tuple[float | None, tuple[float, float] | None]  # value, its 95 % interval [SI]
+
+
+def _parameters(run: Saved) -> dict[str, Known]:
+    """What the run fitted, else what its maps and gains are, else its rig's numbers."""
+    path = run.folder / "parameters.json"
+    if path.is_file():
+        rows = Table(read_json(path), path)["parameters"]
+        return {one["name"]: (one.number("value"), _ends(one.get("interval"))) for one in rows}
+    if run.what == "flow_map":
+        return {
+            f"{one['valve']}.{one['direction']}.deadband": (
+                one.number("deadband"),
+                _ends(one["deadband_interval"]),
+            )
+            for one in run.rows("summary.json")
+        }
+    if not (run.folder / "rig.toml").is_file():
+        return {}
+    known: dict[str, Known] = {}
+    for name, value in run.rig.parameters().items():
+        centre = float(value)
+        half = Z95 * value.std if value.std else None
+        known[name] = (centre, None if half is None else (centre - half, centre + half))
+    return known
+
+
+def _ends(interval: Any) -> tuple[float, float] | None:
+    if not interval or None in interval:
+        return None
+    return float(interval[0]), float(interval[1])
+
+
+def _shifts(first: Mapping[str, Known], second: Mapping[str, Known]) -> Iterator[Shift]:
+    for name in dict.fromkeys([*first, *second]):
+        (a, ends_a), (b, ends_b) = first.get(name, (None, None)), second.get(name, (None, None))
+        yield Shift(name, a, b, ends_a, ends_b, _distance(a, ends_a, b, ends_b))
+
+
+def _distance(
+    a: float | None,
+    ends_a: tuple[float, float] | None,
+    b: float | None,
+    ends_b: tuple[float, float] | None,
+) -> float | None:
+    if a is None or b is None or (ends_a is None and ends_b is None):
+        return None
+    if a == b:
+        return 0.0
+    towards = [] if ends_a is None else [ends_a[1] - a if b > a else a - ends_a[0]]
+    towards += [] if ends_b is None else [b - ends_b[0] if b > a else ends_b[1] - b]
+    whole = math.hypot(*towards)
+    return abs(b - a) / whole if whole > 0.0 else None
+
+
+def lines(first: Path, second: Path, width: int = 100) -> list[str]:
+    """What differs between two runs, for a terminal.
+
+    Raises:
+        InputError: as `compare`.
+    """
+    said, rig = compare(first, second), _rig(first)
+    before, after = (words(status) for status in said.verdicts)
+    told = [f"{words(said.stage)}: {before} in both" if before == after else f"{before} → {after}"]
+    if said.inputs:
+        rows = [[one.what, _short(one.first), _short(one.second)] for one in said.inputs]
+        told += ["", *table(Grid(["input", "first", "second"], rows), width=width)]
+    else:
+        told.append("the inputs are the same")
+    if said.parameters:
+        head = ["parameter", "first", "second", "unit", "intervals apart"]
+        told += ["", "above 1 interval apart, the runs do not agree:"]
+        told += ["", *table(Grid(head, [_row(rig, one) for one in said.parameters]), width=width)]
+    if said.same:
+        told += ["", f"{said.same} parameters are the same"]
+    if said.numbers:
+        rows = [[one.what, one.first or "–", one.second or "–"] for one in said.numbers]
+        told += ["", *table(Grid(["number", "first", "second"], rows), width=width)]
+    return told
+
+
+def _rig(folder: Path) -> Rig | None:
+    return Saved(folder).rig if (folder / "rig.toml").is_file() else None
+
+
+def _short(text: str) -> str:
+    """A digest by its first letters."""
+    return text[:8] if re.fullmatch("[0-9a-f]{64}", text) else text or "–"
+
+
+def _row(rig: Rig | None, one: Shift) -> list[Cell | str]:
+    apart = DASH if one.intervals is None else number(one.intervals, 2)
+    if rig is None:
+        return [one.name, num(number(one.first)), num(number(one.second)), "", num(apart)]
+    cells = [
+        num(_text(rig, one.name, value, ends))
+        for value, ends in ((one.first, one.first_interval), (one.second, one.second_interval))
+    ]
+    return [one.name, *cells, pretty(unit_of(rig, one.name)), num(apart)]
+
+
+def _text(rig: Rig, name: str, value: float | None, ends: tuple[float, float] | None) -> str:
+    if value is None:
+        return DASH
+    if ends is None:
+        return plus(rig, name, value, None)
+    seen = [float(shown(rig, name, one)) for one in (value, *ends)]
+    text = estimate(*seen)
+    return text if "±" in text else f"{text} ({range_of(rig, name, ends)})"

@@ -1,0 +1,180 @@
+"""The first screen of a report: five numbers, the verdict, one figure, what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from ehbench.report.blocks import Block, Bullets, Card, Cards, Cell, Grid, Picture, Text
+from ehbench.report.captions import capital, sentence
+from ehbench.report.content import Pictures, SectionContent, StageReport, chip
+from ehbench.report.headlines import (
+    OFTEN,
+    ON_MACHINE,
+    SAVED,
+    STEPS,
+    TRACKING,
+    Findings,
+    Headline,
+    findings_of,
+)
+from ehbench.report.saved import Saved
+from ehbench.report.words import count, words
+
+MANY = 5  # numbers on the first screen
+MEASURED = (TRACKING, SAVED, STEPS)  # ranks of numbers that trials give
+TOLD = 4  # reasons and next steps on it
+# what makes a chain whole, in its order, and how to go on where it ends
+_CHAIN = {
+    "flow_map": "identify the hydraulics with these maps: ehbench identify",
+    "hydraulics": "judge the identified rig on logs that were not fitted to: ehbench validate",
+    "validation": "choose gains on the validated rig: ehbench tune",
+    "tuning": "try the controller: ehbench run-trial",
+}
+
+
+def first_screen(
+    runs: Sequence[Saved], contents: Sequence[SectionContent], pictures: Sequence[Pictures]
+) -> list[Block]:
+    """Cards, verdict, figure, next steps, and the table of the chapters.
+
+    Args:
+        runs: in the order of the page; their anchors are ``run-1``, ``run-2``, ….
+        contents: what each of them tells.
+        pictures: the figures of each.
+    """
+    found = [findings_of(run) for run in runs]
+    blocks: list[Block] = []
+    if cards := _cards(runs, found):
+        blocks.append(Cards(cards))
+    blocks += _verdict(runs, contents, found)
+    blocks += _figure(runs, found, pictures)
+    if steps := _next(runs, contents, found):
+        blocks += [Text("What to do next", "head"), Bullets([sentence(step) for step in steps])]
+    return blocks
+
+
+def chapters(
+    runs: Sequence[Saved], contents: Sequence[SectionContent], reports: Sequence[StageReport]
+) -> Grid:
+    """A row a run: its stage, its status and its first numbers."""
+    rows: list[list[Cell | str]] = []
+    for place, (run, content, stage) in enumerate(zip(runs, contents, reports, strict=True), 1):
+        numbers = findings_of(run).numbers[:2]
+        told = "; ".join(f"{one.label[:1].lower()}{one.label[1:]} {one.value}" for one in numbers)
+        link = Cell(run.title, link=f"#run-{place}")
+        rows.append([link, stage.label, chip(content.status), told or content.sentence])
+    return Grid(["run", "stage", "status", "in short"], rows, look="stack")
+
+
+def _cards(runs: Sequence[Saved], found: Sequence[Findings]) -> list[Card]:
+    """One number a rank, from a machine where one was found on it and from the run that others
+    build on, then others of the last ranks.
+    """
+    used = {
+        Path(one["path"]).name
+        for run in runs
+        if run.what == "validation"
+        for one in run.facts["inputs"]
+    }
+    rigs = {run.rig.name for run in runs if (run.folder / "rig.toml").is_file()}
+    best: dict[int, tuple[tuple[bool, bool, int], int, Headline]] = {}
+    others: list[tuple[int, Headline]] = []
+    for place, (run, findings) in enumerate(zip(runs, found, strict=True), 1):
+        for one in findings.numbers:
+            weight = (not one.on_model, run.folder.name in used, place)
+            if one.rank >= OFTEN:
+                others.append((place, one))
+            elif one.rank not in best or weight >= best[one.rank][0]:
+                best[one.rank] = (weight, place, one)
+    chosen = [(place, one) for _, (_, place, one) in sorted(best.items())]
+    chosen = (chosen + others)[:MANY]
+    return [
+        Card(
+            one.label,
+            one.value,
+            one.about if len(rigs) < 2 else f"{words(runs[place - 1].rig.name)}: {one.about}",
+            f"#run-{place}",
+        )
+        for place, one in chosen
+    ]
+
+
+def _verdict(
+    runs: Sequence[Saved], contents: Sequence[SectionContent], found: Sequence[Findings]
+) -> list[Block]:
+    """What validation says of the model, then what speaks against any result."""
+    judged = [
+        (run, content)
+        for run, content in zip(runs, contents, strict=True)
+        if run.what == "validation"
+    ]
+    if not judged:
+        text, look = "No verdict: no model was judged on held-out logs in these runs.", "warn"
+    elif rejected := [run.title for run, content in judged if content.status == "rejected"]:
+        text, look = f"Model rejected: {', '.join(rejected)}.", "bad"
+    else:
+        logs = sum(_held_out(run) for run, _ in judged)
+        text = f"Model accepted on {count(logs, 'log')} that it was not fitted to."
+        look = "good"
+    doubts = [
+        f"{run.title}: {'; '.join(findings.against[:2])}"
+        + (f"; {len(findings.against) - 2} more" if len(findings.against) > 2 else "")
+        for run, findings in zip(runs, found, strict=True)
+        if findings.against
+    ]
+    blocks: list[Block] = [Text(text, look)]
+    if doubts:
+        blocks.append(Text("Against it, or open", "head"))
+        blocks.append(Bullets([sentence(one) for one in doubts[:TOLD]], "warn"))
+    return blocks
+
+
+def _held_out(run: Saved) -> int:
+    return sum(log["status"] == "held_out" for log in run.json("validation.json")["logs"])
+
+
+def _figure(
+    runs: Sequence[Saved], found: Sequence[Findings], pictures: Sequence[Pictures]
+) -> list[Block]:
+    """The first figure of the furthest run that has one, of a machine where one ran."""
+    order = [i for i, one in enumerate(found) if one.figures]
+    machine = [i for i in order if not any(number.on_model for number in found[i].numbers)]
+    for i in [*reversed(machine), *reversed(order)]:
+        for key in found[i].figures:
+            if drawn := pictures[i](key):
+                return [_again(drawn[0], runs[i].title)]
+    return []
+
+
+def _again(picture: Picture, title: str) -> Picture:
+    """A figure that stands a second time, under ids of its own."""
+    prefix = "first-"
+    svg = picture.svg.replace('id="', f'id="{prefix}').replace('href="#', f'href="#{prefix}')
+    svg = svg.replace("url(#", f"url(#{prefix}")
+    where = f"From the chapter '{title}'."
+    return replace(picture, svg=svg, id=f"{prefix}figure", caption=where, paper=True)
+
+
+def _next(
+    runs: Sequence[Saved], contents: Sequence[SectionContent], found: Sequence[Findings]
+) -> list[str]:
+    """What the runs ask for, then the next link of the chain."""
+    steps = list(dict.fromkeys(step for one in found for step in one.next))[:TOLD]
+    kinds = {run.what for run in runs}
+    on_machine = any(
+        number.rank in MEASURED and not number.on_model for one in found for number in one.numbers
+    )
+    if on_machine:
+        steps = [step for step in steps if step != ON_MACHINE]
+    failing = any(content.status in ("rejected", "missed", "stopped") for content in contents)
+    last = next((kind for kind in reversed(_CHAIN) if kind in kinds), None)
+    if last is not None and not failing and not kinds & {"trial", "trials"}:
+        steps.append(_CHAIN[last])
+    if not steps and on_machine and kinds & {"validation"}:
+        steps.append(
+            "nothing is open here; before other loads, speeds or oil temperatures are asked of "
+            "the model, validate it on a log of them"
+        )
+    return [capital(step) for step in steps]

@@ -1,0 +1,351 @@
+"""What the first screen says of each kind of run: its few numbers that people ask for, the figure
+that shows them, and what to do next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from ehbench.report.captions import (
+    MODEL,
+    as_fitted,
+    capital,
+    load_name,
+    measure,
+    percent,
+    range_of,
+    span,
+)
+from ehbench.report.cases import Case, cases_of, damping
+from ehbench.report.energy_tables import Saving, four_way, savings_of
+from ehbench.report.figures.channels import title_of
+from ehbench.report.index import FigureKey
+from ehbench.report.saved import Saved, Table
+from ehbench.report.words import count, interval, number, pretty, shown, unit_of, words
+from ehbench.rig import Rig
+
+ON_MACHINE = "run the same trials on the machine"
+
+
+@dataclass(frozen=True)
+class Headline:
+    """A number that people ask for. ``rank``: its place among those of a report, which shows one
+    of each rank below `OFTEN`; ``on_model``: found on the model, so that a machine's wins.
+    """
+
+    rank: int
+    label: str
+    value: str
+    about: str = ""
+    on_model: bool = False
+
+
+OFTEN = 6  # the first rank of which a report may show several
+PARAMETER, FIT, DAMPING, TRACKING, SAVED, STEPS = range(6)
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a run gives to the first screen: numbers, the figures to choose from (the first that is
+    there), what speaks against its result, and what to do next.
+    """
+
+    numbers: Sequence[Headline] = ()
+    figures: Sequence[FigureKey] = ()
+    against: Sequence[str] = ()
+    next: Sequence[str] = ()
+
+
+def findings_of(run: Saved) -> Findings:
+    """What a run gives to the first screen; nothing where its kind is not known."""
+    told = _TOLD.get(run.what)
+    return told(run) if told else Findings()
+
+
+def _flow_maps(run: Saved) -> Findings:
+    maps, rig = run.rows("summary.json"), run.rig
+    bands = [float(shown(rig, "command", one["deadband"])) for one in maps]
+    points = [(one, point) for one in maps for point in one["calibration"]]
+    numbers = [
+        Headline(
+            OFTEN,
+            "Deadbands",
+            f"{span(bands)} {pretty(unit_of(rig, 'command'))}",
+            count(len(maps), "flow map"),
+        )
+    ]
+    missing = (
+        f"calibration {words(point['verdict'])}: {one['valve']}, {one['direction']}"
+        for one, point in points
+        if point["verdict"] != "met"
+    )
+    against = list(dict.fromkeys(missing))
+    nexts = ["take more readings at the calibration points, or set the driver anew"]
+    return Findings(numbers, [FigureKey("flow_map")], against, nexts if against else [])
+
+
+def _hydraulics(run: Saved) -> Findings:
+    rig, fit = run.rig, run.json("parameters.json")
+    known = [one for one in fit["parameters"] if one.number("value") is not None]
+    known.sort(key=lambda one: (one["status"] != "estimated", one["name"] != "bulk_modulus"))
+    numbers = [_parameter(rig, one, PARAMETER if i == 0 else OFTEN) for i, one in enumerate(known)]
+    weak = [one for one in fit["parameters"] if one["status"] != "estimated"]
+    against = [f"{one['name']} is {words(one['status'])}" for one in weak]
+    return Findings(numbers, [FigureKey("parameters")], against, [_cure(one) for one in weak])
+
+
+_CURES = {
+    "at_bound": "widen the bounds of {} or ask what else could take its part",
+    "not_excited": "record a log that excites {}, or hold it at a known value",
+    "correlated": "record a log that tells {} apart from what it goes along with, or hold one",
+}
+
+
+def _cure(one: Table) -> str:
+    text = _CURES.get(one["status"], "see why {} is " + words(one["status"]))
+    return text.format(one["name"])
+
+
+def _parameter(rig: Rig, one: Table, rank: int) -> Headline:
+    name, unit = one["name"], pretty(unit_of(rig, one["name"]))
+    ends = range_of(rig, name, one.get("interval"))
+    about = f"95 % interval {ends} {unit}".rstrip() if one.get("interval") else "no interval"
+    if one["status"] != "estimated":
+        about += f"; {words(one['status'])}"
+    label = "effective bulk modulus" if name == "bulk_modulus" else words(name).replace(".", " ")
+    return Headline(rank, capital(label), f"{as_fitted(rig, name, one)} {unit}".rstrip(), about)
+
+
+def held_out(table: Table) -> list[Table]:
+    """The logs that a verdict goes by."""
+    return [log for log in table["logs"] if log["status"] == "held_out"]
+
+
+def _validation(run: Saved) -> Findings:
+    table = run.json("validation.json")
+    logs = held_out(table)
+    fits = [
+        (one["fit_percent"], one["channel"], log["name"])
+        for log in logs
+        for one in log.get("channels", [])
+        if one.get("fit_percent") is not None
+    ]
+    numbers, figures = [], [FigureKey("validation")]
+    if fits:
+        worst, channel, log = min(fits)
+        about = f"{channel}, {words(log)}; best {number(max(fits)[0], 2)} %"
+        if channel.rpartition(".")[2] not in judged(table):
+            about += "; not judged"
+        label = f"Worst fit on {count(len(logs), 'held-out log')}"
+        numbers = [Headline(FIT, label, f"{number(worst, 2)} %", about)]
+        figures = [FigureKey("validation", log=log), *figures]
+    cures = [one["cure"] for one in (table.get("structure") or {}).get("findings", [])]
+    asked = list(dict.fromkeys(cure for cure in cures if cure))[:3]
+    if not table["accepted"] and not asked:
+        asked = [
+            "see which channel fails, and free what it depends on: " + "; ".join(_failed(logs))
+        ]
+    return Findings(numbers, figures, table["reasons"], asked)
+
+
+def _failed(logs: Sequence[Table]) -> list[str]:
+    checks = (check for log in logs for check in log.get("checks", []))
+    failed = dict.fromkeys(check["what"] for check in checks if not check["passed"])
+    return list(failed)[:3] or ["no log was judged"]
+
+
+def judged(table: Table) -> list[str]:
+    """The channels whose fit or error a verdict goes by."""
+    asked = table.get("thresholds", {})
+    return [word for key in ("fit_percent", "max_error") for word in asked.get(key, {})]
+
+
+def silence(table: Table) -> str:
+    """What a verdict does not go by, with what it would have found there; empty if it goes by
+    all.
+    """
+    channels = [one for log in held_out(table) for one in log.get("channels", [])]
+    asked, told = judged(table), []
+    fits: dict[str, list[float]] = {}
+    for one in channels:
+        word = one["channel"].rpartition(".")[2]
+        if one.get("fit_percent") is not None and word not in asked:
+            fits.setdefault(word, []).append(one["fit_percent"])
+    told += [f"{title_of(word).lower()} (fit {span(fit, 2)} %)" for word, fit in fits.items()]
+    limit = table.get("thresholds", {}).get("outside_percent")
+    for key, text in _TESTS.items():
+        tested = [shares for one in channels if (shares := _outside(one, key))]
+        beyond = sum(max(shares) > limit for shares in tested) if limit is not None else 0
+        if beyond and not table.get("thresholds", {}).get(key):
+            told.append(
+                f"{text} (outside of their band at more than {number(limit, 3)} % of the lags "
+                f"in {beyond} of {count(len(tested), 'channel')})"
+            )
+    return f"The verdict does not go by {'; '.join(told)}." if told else ""
+
+
+_TESTS = {
+    "whiteness": "correlation of the residuals with themselves",
+    "independence": "correlation of the residuals with the commands",
+}
+
+
+def _outside(one: Table, key: str) -> list[float]:
+    if key == "whiteness":
+        own = one.get("autocorrelation")
+        return [own["outside_percent"]] if own else []
+    return [other["outside_percent"] for other in one.get("cross_correlation", [])]
+
+
+def _tuning(run: Saved) -> Findings:
+    rig, tuning = run.rig, run.json("tuning.json")
+    draws = tuning["robustness"]
+    about = f"without feedback {number(tuning['damping_ratio_open'], 2)}"
+    if draws["draws"]:
+        low, _, high = draws["quantiles"]
+        about += f"; 90 % of {draws['draws']} draws {interval(low, high)}"
+    label = f"Worst damping ratio, {words(tuning['cylinder'])}"
+    gains = sorted(set(tuning["feedback_gain"].values()))
+    unit = pretty(unit_of(rig, "feedback_gain"))
+    gain = f"{span([float(shown(rig, 'feedback_gain', g)) for g in gains])} {unit}"
+    numbers = [
+        Headline(DAMPING, label, number(tuning["damping_ratio"], 2), about),
+        Headline(OFTEN, "Feedback gain K_p", gain),
+    ]
+    against = [] if tuning["met"] else ["target or demands of the tuning are not met"]
+    nexts = ["ask less damping or allow another law: see what else was tried"] if against else []
+    share = draws["share"] if draws["draws"] else 1.0
+    if share < 1.0:
+        against.append(f"{percent(1.0 - share)} of the draws miss the target")
+    return Findings(numbers, [FigureKey("damping")], against, nexts)
+
+
+def _trials(run: Saved) -> Findings:
+    rig, cases = run.rig, cases_of(run)
+    stopped = [case for case in cases if case.row.get("stopped")]
+    against = [f"{case.row['case']}: stopped, {case.row['stopped']}" for case in stopped]
+    numbers = [*_tracked(rig, cases), *_saved(cases), *_damped(cases)]
+    kinds = ("energy", "compare", "trial")
+    nexts = ["see why a trial met its limit before the next one runs"] if stopped else []
+    if cases and all(case.row["on"] == MODEL for case in cases):
+        nexts.append(ON_MACHINE)
+    return Findings(numbers, [FigureKey(kind) for kind in kinds], against, nexts)
+
+
+def by_controller(cases: Sequence[Case]) -> dict[str, list[Case]]:
+    """Trials by their controller, in the order of the run."""
+    groups: dict[str, list[Case]] = {}
+    for case in cases:
+        groups.setdefault(case.row["controller"], []).append(case)
+    return groups
+
+
+def _tracked(rig: Rig, cases: Sequence[Case]) -> list[Headline]:
+    """The largest error of the controller that tracks best, of motions that are no steps."""
+
+    def most(group: Sequence[Case]) -> float:
+        return max(case.row["tracking"]["max_error"] for case in group)
+
+    groups = by_controller([case for case in cases if case.fit and not case.steps])
+    if not groups:
+        return []
+    name = min(groups, key=lambda key: most(groups[key]))
+    group = groups[name]
+    errors = [float(shown(rig, "x", case.row["tracking"]["max_error"])) for case in group]
+    worst = max(group, key=lambda case: case.row["tracking"]["max_error"])
+    about = f"{words(name)}, {worst.where}"
+    if len(group) > 1:
+        unit = pretty(unit_of(rig, "x"))
+        about += f"; {span(errors, 2)} {unit} over {count(len(group), 'trial')}"
+    value = measure(rig, "x", most(group), 2)
+    return [Headline(TRACKING, "Largest tracking error", value, about, _modelled(group))]
+
+
+def _saved(cases: Sequence[Case]) -> list[Headline]:
+    """What the controller that saves most draws less than a four-way valve."""
+    groups: dict[str, list[Saving]] = {}
+    for one in savings_of(cases):
+        if not four_way(one.ledger, one.case.cylinder):
+            groups.setdefault(one.case.row["controller"], []).append(one)
+    if not groups:
+        return []
+    against = all(one.reference is not None for group in groups.values() for one in group)
+
+    def share(one: Saving) -> float:
+        if not against or one.reference is None:
+            return one.limits["saving"]
+        return 1.0 - one.used / one.reference
+
+    name = max(groups, key=lambda key: min(map(share, groups[key])))
+    group = groups[name]
+    value = span([100.0 * share(one) for one in group], 2)
+    whole = "the four-way valve" if against else "a four-way valve must draw"
+    about = f"less than {whole}; {words(name)}, on the {group[0].case.row['on']}"
+    halves = [100.0 * one.half / one.limits["standard"] for one in group if one.half]
+    if halves:
+        about += f"; ± {number(max(halves), 2)} % each"
+    on_model = _modelled([one.case for one in group])
+    return [Headline(SAVED, "Pump energy saved", f"{value} %", about, on_model)]
+
+
+def _damped(cases: Sequence[Case]) -> list[Headline]:
+    """The damping ratio of steps under the best damped controller, and under the least damped."""
+    ratios: dict[str, list[float]] = {}
+    for case in cases:
+        for ratio, _ in map(damping, case.steps if case.fit else []):
+            if ratio is not None:
+                ratios.setdefault(case.row["controller"], []).append(ratio)
+    if not ratios:
+        return []
+    best, least = (pick(ratios, key=lambda key: min(ratios[key])) for pick in (max, min))
+    about = f"{words(best)}, on the {cases[0].row['on']}"
+    if best != least:
+        about += f"; {words(least)} {span(ratios[least], 2)}"
+    value = span(ratios[best], 2)
+    return [Headline(STEPS, "Damping ratio of steps", value, about, _modelled(cases))]
+
+
+def _modelled(cases: Sequence[Case]) -> bool:
+    return all(case.row["on"] == MODEL for case in cases)
+
+
+def _trial(run: Saved) -> Findings:
+    facts = run.json("trial.json")
+    if facts.get("controller"):
+        return _trials(run)
+    stopped = facts.get("stopped", "")
+    against = [f"{run.title}: stopped, {stopped}"] if stopped else []
+    label = f"Trial on the {facts['on']}"
+    payload = load_name(facts.get("payload", "none"))
+    numbers = [Headline(OFTEN, label, f"{number(facts['duration'])} s", payload)]
+    return Findings(numbers, [FigureKey("trial")], against)
+
+
+_RESPONSE = (
+    ("delay", "Delay by the phase's slope", "ms", 1.0e3),
+    ("bandwidth", "Gain 3 dB below its first", "Hz", 1.0),
+    ("quadrature", "Phase passes −90°", "Hz", 1.0),
+)
+
+
+def _response(run: Saved) -> Findings:
+    table, numbers = run.json("response.json"), []
+    for key, label, unit, factor in _RESPONSE:
+        if (found := table.get(key)) is not None:
+            low, high = (None if end is None else factor * end for end in found["interval"])
+            value = f"{number(factor * found['value'], 3)} {unit}"
+            about = f"95 % interval {interval(low, high)} {unit}" if low is not None else ""
+            numbers.append(Headline(OFTEN, label, value, about))
+    return Findings(numbers, [FigureKey("response")], table["warnings"])
+
+
+_TOLD: dict[str, Callable[[Saved], Findings]] = {
+    "flow_map": _flow_maps,
+    "hydraulics": _hydraulics,
+    "response": _response,
+    "validation": _validation,
+    "tuning": _tuning,
+    "trial": _trial,
+    "trials": _trials,
+}

@@ -1,0 +1,279 @@
+"""Logs, flow maps and runs as one interactive HTML page that needs no network: zoom, values under
+the cursor, curves that can be hidden, two of a kind over one another.
+
+The curves are drawn by uPlot (``uplot/``, MIT), which travels inside the page."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ehbench.errors import InputError
+from ehbench.physics.flow_map import FlowMap, load_flow_maps
+from ehbench.quantities import quantity
+from ehbench.report.captions import capital
+from ehbench.report.figures.channels import title_of
+from ehbench.report.saved import Saved, read_points, read_series
+from ehbench.report.words import axis, number, pretty, row_of, shown, unit_of, words
+from ehbench.rig import Rig
+from ehbench.units import from_si
+
+MOST = 4_000_000  # numbers in a page; with more, curves are thinned to their extremes
+MARK = '<meta name="generator" content="ehbench show">'
+_DROPS = 121  # points of a curve of a flow map
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A curve: what it is called, its unit, which of two sources it is of, its points, the
+    quantity in words; ``dots``: readings, not joined.
+    """
+
+    name: str
+    unit: str
+    x: np.ndarray
+    y: np.ndarray
+    of: int = 0
+    dots: bool = False
+    what: str = ""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """Curves over one axis, in panels by unit; ``still`` are channels that never change, in
+    words.
+    """
+
+    title: str
+    across: str
+    curves: tuple[Curve, ...]
+    still: tuple[str, ...] = field(default=())
+
+
+def page(sources: Sequence[Path]) -> str:
+    """The page of one or two logs, maps or runs; sheets of one name lie over one another.
+
+    Raises:
+        InputError: a file that is no log, map or run; nothing in it that can be drawn.
+    """
+    names = _names(sources)
+    found: dict[tuple[str, str], Sheet] = {}
+    for of, source in enumerate(sources):
+        for sheet in _sheets(Path(source), of):
+            title = sheet.title or ("" if len(sources) > 1 else names[0])
+            held = found.get((title, sheet.across))
+            curves = (*(held.curves if held else ()), *sheet.curves)
+            still = (*(held.still if held else ()), *sheet.still)
+            found[title, sheet.across] = Sheet(title, sheet.across, curves, still)
+    if not any(sheet.curves for sheet in found.values()):
+        raise InputError("holds nothing that changes", file=sources[0])
+    sheets = [sheet for sheet in found.values() if sheet.curves]
+    return _render(" and ".join(names), [_data(sheet, len(sheets)) for sheet in sheets], names)
+
+
+def _names(sources: Sequence[Path]) -> list[str]:
+    """What the sources are called: as short as tells them apart."""
+    names = [Path(source).resolve().name for source in sources]
+    if len(set(names)) < len(names):
+        names = ["/".join(Path(source).resolve().parts[-2:]) for source in sources]
+    return names
+
+
+def _sheets(source: Path, of: int) -> Iterator[Sheet]:
+    if not source.exists():
+        raise InputError("no such file", file=source)
+    if source.is_dir():
+        yield from _run(source, of)
+    elif source.suffix == ".json":
+        maps = load_flow_maps(source)
+        yield from (_map(one, None, of) for one in maps.each())
+    elif source.suffix in (".mcap", ".csv"):
+        yield _log(source, None, of, "")
+    else:
+        hint = "it shows logs (.mcap, .csv), flow_maps.json and run folders"
+        raise InputError(f"cannot show '{source.suffix}' files", file=source, hint=hint)
+
+
+def _run(folder: Path, of: int) -> Iterator[Sheet]:
+    """The logs, comparisons and maps of a run folder."""
+    run = Saved(folder)
+    rig = run.rig if (folder / "rig.toml").is_file() else None
+    if run.what == "flow_map":
+        points = folder / "points.csv"
+        for one in load_flow_maps(folder).each():
+            yield _map(one, rig, of, points if points.is_file() else None)
+    for path in [*sorted(folder.glob("*.mcap")), *sorted((folder / "logs").glob("*.mcap"))]:
+        yield _log(path, rig, of, words(path.stem))
+    for path in sorted((folder / "series").glob("*.csv")):
+        yield _comparison(path, rig, of)
+
+
+def _log(path: Path, rig: Rig | None, of: int, title: str) -> Sheet:
+    from ehbench.logs import read_record
+
+    record = read_record(path, check=False)
+    return _over_time(title, record.t, record.channels, rig, of)
+
+
+def _comparison(path: Path, rig: Rig | None, of: int) -> Sheet:
+    """A saved comparison: what was recorded and what was simulated."""
+    series = read_series(path)
+    channels = {f"{name} recorded": values for name, values in series.recorded.items()}
+    channels |= {f"{name} simulated": values for name, values in series.simulated.items()}
+    return _over_time(words(path.stem), series.t, channels, rig, of)
+
+
+def _over_time(
+    title: str, t: np.ndarray, channels: Mapping[str, np.ndarray], rig: Rig | None, of: int
+) -> Sheet:
+    curves: list[Curve] = []
+    still: list[str] = []
+    for label, values in channels.items():
+        name = label.split(" ")[0]
+        unit = unit_of(rig, name) if rig else quantity(name).display
+        y = np.asarray(from_si(values, unit, quantity(name)), float)
+        known = y[np.isfinite(y)]
+        if known.size and np.ptp(known) > 0.0:
+            curves.append(Curve(label, pretty(unit), t, y, of, what=title_of(name)))
+        elif known.size:
+            still.append(f"{label} = {number(float(known[0]))} {pretty(unit)}".rstrip())
+    return Sheet(title, "time [s]", tuple(curves), tuple(still))
+
+
+def _map(one: FlowMap, rig: Rig | None, of: int, readings: Path | None = None) -> Sheet:
+    """Flow over pressure drop, a curve a measured command, and the readings."""
+
+    def seen(name: str, values: np.ndarray) -> np.ndarray:
+        if rig is not None:
+            return np.asarray(shown(rig, name, values), float)
+        return np.asarray(from_si(values, row_of(name).display, row_of(name)), float)
+
+    unit = pretty(unit_of(rig, "flow") if rig else row_of("flow").display)
+    across = axis(rig, "pressure_drop") if rig else f"pressure drop [{_drop_unit()}]"
+    drop = np.linspace(0.0, 1.0, _DROPS) ** 2 * max(one.drop_max, float(one.hull_high.max()))
+    curves = [
+        Curve(
+            f"{number(u, 3)} V",
+            unit,
+            seen("pressure_drop", drop),
+            seen("flow", one.flow(drop, u)),
+            of,
+            what="flow",
+        )
+        for u in one.hull_command[one.hull_command > one.deadband]
+    ]
+    if readings is not None:
+        points = read_points(readings).of(one.valve, one.direction)
+        order = np.argsort(points.pressure_drop)
+        x, y = seen("pressure_drop", points.pressure_drop)[order], seen("flow", points.flow)[order]
+        curves.append(Curve("readings", unit, x, y, of, dots=True, what="flow"))
+    return Sheet(f"{one.valve}, {one.direction}", across, tuple(curves))
+
+
+def _drop_unit() -> str:
+    return pretty(row_of("pressure_drop").display)
+
+
+def _data(sheet: Sheet, sheets: int) -> dict[str, Any]:
+    """A sheet as the page reads it: panels by unit, arrays as base64 of little-endian numbers."""
+    most = max(MOST // (sheets * len(sheet.curves)), 2000)
+    panels: dict[str, list[dict[str, Any]]] = {}
+    axes: dict[tuple[int, int, int], int] = {}
+    xs: list[str] = []
+    for curve in sheet.curves:
+        x, y = extremes(curve.x, curve.y, most)
+        key = (id(curve.x), x.size, curve.of)
+        if key not in axes:
+            axes[key] = len(xs)
+            xs.append(_packed(x, "<f8"))
+        shape = {"name": curve.name, "of": curve.of, "x": axes[key], "dots": curve.dots}
+        panels.setdefault(curve.unit, []).append(shape | {"y": _packed(y, "<f4")})
+    return {
+        "title": sheet.title,
+        "across": sheet.across,
+        "still": list(dict.fromkeys(sheet.still)),
+        "xs": xs,
+        "panels": [
+            {"title": _titled(unit, sheet.curves), "curves": curves}
+            for unit, curves in panels.items()
+        ],
+    }
+
+
+def _titled(unit: str, curves: Sequence[Curve]) -> str:
+    """What a panel shows, with its unit: ``Head-end pressure, rod-end pressure [kPa]``."""
+    own = [curve.what for curve in curves if curve.unit == unit]
+    named = [title for title in dict.fromkeys(own) if title]
+    told = capital(", ".join(title.lower() for title in named[:3]) + ", …" * (len(named) > 3))
+    return f"{told} [{unit}]" if unit else told
+
+
+def _packed(values: np.ndarray, kind: str) -> str:
+    return base64.b64encode(np.ascontiguousarray(values, kind).tobytes()).decode("ascii")
+
+
+def extremes(x: np.ndarray, y: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """At most ``most`` points that keep every extreme: the first and the second half of each
+    stretch stand for its least and largest sample, in the order in which these come.
+    """
+    if x.size <= most:
+        return x, y
+    size = -(-2 * x.size // most)
+    count = x.size // size
+    blocks = np.where(np.isfinite(y), y, np.nan)[: count * size].reshape(count, size)
+    empty = ~np.isfinite(blocks).any(axis=1)
+    filled = np.where(empty[:, None], 0.0, blocks)
+    low, high = np.nanargmin(filled, axis=1), np.nanargmax(filled, axis=1)
+    rows = np.arange(count)
+    pair = np.stack([filled[rows, np.minimum(low, high)], filled[rows, np.maximum(low, high)]], 1)
+    pair[empty] = np.nan
+    starts = x[: count * size].reshape(count, size)
+    kept = np.stack([starts[:, 0], starts[:, size // 2]], 1).ravel()
+    return np.append(kept, x[count * size :]), np.append(pair.ravel(), y[count * size :])
+
+
+def _render(title: str, sheets: Sequence[Mapping[str, Any]], names: Sequence[str]) -> str:
+    from jinja2 import Environment, StrictUndefined
+
+    files = resources.files("ehbench.report") / "viewer"
+
+    def text(name: str) -> str:
+        return (files / name).read_text(encoding="utf-8").strip()
+
+    scripts = [text("uplot/uPlot.iife.min.js"), text("show.js")]
+    digests = (hashlib.sha256(one.encode("utf-8")).digest() for one in scripts)
+    allowed = " ".join(f"'sha256-{base64.b64encode(one).decode()}'" for one in digests)
+    data = json.dumps({"names": list(names), "sheets": list(sheets)}, separators=(",", ":"))
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    return environment.from_string(text("show.html")).render(
+        title=title,
+        names=names,
+        mark=MARK,
+        allowed=allowed,
+        style=text("uplot/uPlot.min.css") + "\n" + text("show.css"),
+        data=data.replace("<", "\\u003c"),
+        scripts=scripts,
+        licence=text("uplot/LICENSE"),
+    )
+
+
+def place(sources: Sequence[Path], out: Path | None) -> Path:
+    """Where the page goes: ``out``, or ``<name>.html`` in the current folder.
+
+    Raises:
+        InputError: something stands there that is no page of this command.
+    """
+    path = out or Path("_and_".join(Path(one).resolve().stem for one in sources) + ".html")
+    if path.is_dir():
+        raise InputError("is a folder", file=path, hint="name a file, like --out look.html")
+    if path.exists() and MARK not in path.read_text(encoding="utf-8", errors="replace")[:2000]:
+        raise InputError("stands already and is no page of `ehbench show`", file=path)
+    return path

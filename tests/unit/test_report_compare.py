@@ -1,0 +1,72 @@
+"""What differs between two runs."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shutil
+
+import pytest
+
+from ehbench.errors import InputError
+from ehbench.report.compare import _distance, compare, lines
+from tests.unit.test_report import flow_map_run, hydraulics_run
+
+
+@pytest.fixture
+def pair(tmp_path):
+    first = hydraulics_run(tmp_path)
+    second = tmp_path / "other"
+    shutil.copytree(first, second)
+    table = json.loads((second / "parameters.json").read_text())
+    table["parameters"][0] |= {"value": 2.9e8, "interval": [2.87e8, 2.93e8]}
+    (second / "parameters.json").write_text(json.dumps(table))
+    facts = json.loads((second / "run.json").read_text())
+    facts["inputs"][0]["sha256"] = "9" * 64
+    (second / "run.json").write_text(json.dumps(facts))
+    return first, second
+
+
+def test_what_differs_is_told_and_by_how_many_intervals(pair):
+    found = compare(*pair)
+    assert [(one.what, one.second) for one in found.inputs] == [("data readings.csv", "9" * 64)]
+    (one,) = found.parameters
+    assert one.name == "bulk_modulus" and found.same == 2
+    # the halves that point to one another: 4.8 MPa up from the first, 3 MPa down from the second
+    assert one.intervals == pytest.approx(18.7 / math.hypot(4.8, 3.0))
+    told = "\n".join(lines(*pair))
+    assert (
+        "271.3 ± 4.8" in told
+        and "290.0 ± 3.0" in told
+        and re.search(r"bulk_modulus .* MPa .* 3\.3\b", told)
+    )
+    assert "99999999" in told and "MPa" in told
+
+
+def test_a_run_is_like_itself(pair):
+    found = compare(pair[0], pair[0])
+    assert not found.inputs and not found.parameters and not found.numbers and found.same == 3
+    assert "the inputs are the same" in lines(pair[0], pair[0])
+
+
+def test_runs_of_two_kinds_are_not_compared(pair, tmp_path):
+    maps = flow_map_run(tmp_path)
+    with pytest.raises(InputError, match="is a run of 'flow map', the other of 'hydraulics'"):
+        compare(pair[0], maps)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "apart"),
+    [
+        ((1.0, (0.9, 1.3)), (2.0, (1.6, 2.1)), 1.0 / math.hypot(0.3, 0.4)),
+        ((2.0, (1.6, 2.1)), (1.0, (0.9, 1.3)), 1.0 / math.hypot(0.3, 0.4)),
+        ((1.0, None), (2.0, (1.5, 2.5)), 2.0),
+        ((1.0, None), (2.0, None), None),
+        ((1.0, (1.0, 1.0)), (1.0, None), 0.0),
+        ((None, None), (1.0, (0.0, 2.0)), None),
+    ],
+)
+def test_distance_in_intervals(first, second, apart):
+    found = _distance(*first, *second)
+    assert found == (apart if apart is None else pytest.approx(apart))

@@ -1,0 +1,144 @@
+"""The first screen of a report, its words and its colours."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.codes import LIMITS, LIMITS_MEAN
+from ehbench.report import build, draw
+from ehbench.report.dark import dark
+from ehbench.report.first_screen import _cards
+from ehbench.report.headlines import Findings, Headline, silence
+from ehbench.report.saved import Saved, Table
+from ehbench.report.words import estimate
+from tests.unit.test_report import hydraulics_run, validation_run
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+
+
+def section(text: str, name: str) -> str:
+    found = re.search(rf'<section id="{name}".*?</section>', text, re.DOTALL)
+    assert found
+    return found[0]
+
+
+def words_of(html: str) -> str:
+    bare = re.sub(r"<svg.*?</svg>", " ", html, flags=re.DOTALL)
+    return " ".join(re.sub(r"<[^>]+>", " ", bare).split())
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    root = tmp_path_factory.mktemp("runs")
+    made = [hydraulics_run(root), validation_run(root)]
+    for folder in made:
+        draw(folder)
+    return made
+
+
+def test_a_fit_alone_shows_its_parameters_and_asks_for_a_validation(tmp_path):
+    folder = hydraulics_run(tmp_path)
+    draw(folder)
+    text = build([folder])
+    told = words_of(section(text, "glance"))
+    assert "Effective bulk modulus 271.3 ± 4.8 MPa 95 % interval 266.5 … 276.1 MPa" in told
+    assert "No verdict" in told and "ehbench validate" in told
+    assert "boom.joint_damping is at bound" in told and "Widen the bounds" in told
+    assert section(text, "glance").count("<svg") == 1
+
+
+def test_the_title_is_the_rigs(folders):
+    assert "<title>Electrohydraulic arm of the thesis</title>" in build(folders)
+
+
+def test_a_verdict_stands_on_the_first_screen_with_its_reasons(folders):
+    told = words_of(section(build(folders), "glance"))
+    table = json.loads((folders[1] / "validation.json").read_text())
+    assert ("Model accepted" if table["accepted"] else "Model rejected") in told
+    assert all(reason.lower().rstrip(".")[:40] in told.lower() for reason in table["reasons"][:2])
+
+
+def test_no_row_of_the_chapters_is_a_wall_of_numbers(folders):
+    rows = re.findall(r"<tr>.*?</tr>", section(build(folders), "chapters"), re.DOTALL)
+    assert len(rows) == 3
+    assert max(len(re.findall(r"\d[\d.]*", words_of(row))) for row in rows) <= 8
+
+
+def test_five_numbers_one_a_rank_the_machine_before_the_model(folders):
+    runs = [Saved(folder) for folder in folders]
+    found = [
+        Findings([Headline(0, "a", "1"), Headline(3, "machine", "2"), Headline(6, "x", "9")]),
+        Findings([Headline(3, "model", "3", on_model=True)] + [Headline(6, "y", "8")] * 4),
+    ]
+    cards = _cards(runs, found)
+    assert [card.label for card in cards] == ["a", "machine", "x", "y", "y"]
+    assert cards[0].link == "#run-1" and cards[-1].link == "#run-2"
+
+
+@pytest.mark.parametrize(
+    ("ends", "told"),
+    [
+        ((271.34, 266.5, 276.1), "271.3 ± 4.8"),
+        ((2.3867, 2.2412, 2.3931), "2.387"),
+        ((513.2, 348.9, 754.9), "510"),
+        ((513.2, None, None), "513.2"),
+    ],
+)
+def test_plus_and_minus_only_about_the_middle_of_an_interval(ends, told):
+    assert estimate(*ends) == told
+
+
+def test_what_a_verdict_does_not_go_by_is_said(tmp_path):
+    channel = {"fit_percent": 52.0, "cross_correlation": [{"of": "u", "outside_percent": 3.0}]}
+    logs = [
+        {
+            "status": "held_out",
+            "channels": [
+                channel | {"channel": "boom.q", "autocorrelation": {"outside_percent": 40.0}},
+                channel | {"channel": "boom.qd", "fit_percent": 88.0, "autocorrelation": None},
+            ],
+        }
+    ]
+    asked = {"fit_percent": {"qd": 50.0}, "outside_percent": 15.0, "whiteness": False}
+    text = silence(Table({"logs": logs, "thresholds": asked}, tmp_path))
+    assert "joint angle (fit 52 %)" in text and "in 1 of 1 channel" in text
+    assert "velocity" not in text and "commands" not in text
+    every = {"fit_percent": {"q": 1.0, "qd": 1.0}, "outside_percent": 15.0, "whiteness": True}
+    assert silence(Table({"logs": logs, "thresholds": every}, tmp_path)) == ""
+
+
+def test_every_limit_of_a_log_is_explained():
+    assert set(LIMITS.values()) == set(LIMITS_MEAN)
+
+
+def test_dark_turns_lightness_about_and_keeps_the_rest():
+    assert dark("fill:none;stroke-width:1") == ""
+    white, black = dark("fill:#ffffff"), dark("stroke:#000000;stroke-width:2")
+    assert white == "fill:#171717" and black == "stroke:#ededed"
+    shades = [int(dark(f"fill:#{v:02x}{v:02x}{v:02x}")[-2:], 16) for v in range(0, 256, 15)]
+    assert np.all(np.diff(shades) < 0)
+
+
+def test_the_page_has_rules_for_paper_phones_and_dark_rooms(folders):
+    text = build(folders)
+    for rule in ("@media print", "@page", "(max-width: 40rem)", "prefers-color-scheme: dark"):
+        assert rule in text
+    figures = re.findall(r'<figure id="([^"]+)"( class="paper")?', text)
+    on_paper = [name for name, paper in figures if paper]
+    assert 1 < len(on_paper) < len(figures) and "first-figure" in on_paper
+
+
+def test_the_policy_lets_the_pages_own_script_run_and_no_other(folders):
+    text = build(folders)
+    (script,) = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text)
+    assert policy and f"script-src 'sha256-{digest}';" in policy[1]
+    assert "default-src 'none'" in policy[1] and "onclick" not in text
