@@ -141,7 +141,8 @@ def _validation(run: Saved) -> Findings:
         numbers = [Headline(FIT, label, f"{number(worst, 2)} %", about)]
         figures = [FigureKey("validation", log=log), *figures]
     cures = [one["cure"] for one in (table.get("structure") or {}).get("findings", [])]
-    asked = list(dict.fromkeys(cure for cure in cures if cure))[:3]
+    likely = list(dict.fromkeys(cure for cure in cures if cure))[:3]
+    asked = ["likeliest to cure what the residuals follow: " + ", or ".join(likely)] * bool(likely)
     if not table["accepted"] and not asked:
         asked = [
             "see which channel fails, and free what it depends on: " + "; ".join(_failed(logs))

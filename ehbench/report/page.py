@@ -77,7 +77,9 @@ def _built(folders: Sequence[Path], campaign: Campaign | None) -> str:
     anchors = [f"run-{place}" for place in range(1, len(runs) + 1)]
     pictures = [RunPictures(*one, titles, looks) for one in zip(runs, anchors, strict=True)]
     stages = [report_of(run) for run in runs]
-    contents = [stage.section(*one) for stage, *one in zip(stages, runs, pictures, strict=True)]
+    contents = [
+        stage.section(run, drawn) for stage, run, drawn in zip(stages, runs, pictures, strict=True)
+    ]
     sections = [_run_section(*one, titles) for one in zip(runs, anchors, contents, strict=True)]
     titles.refuse_unused()
     before = [
@@ -190,18 +192,24 @@ def _rigs(runs: Sequence[Saved]) -> list[Section]:
             held = furthest.get(run.rig.name)
             if held is None or report_of(run).standing >= report_of(held).standing:
                 furthest[run.rig.name] = run
-    return [_rig_section(name, run) for name, run in furthest.items()]
+    fits = [
+        one
+        for run in runs
+        if (run.folder / "parameters.json").is_file()
+        for one in run.json("parameters.json")["parameters"]
+    ]
+    return [_rig_section(name, run, fits) for name, run in furthest.items()]
 
 
-def _rig_section(name: str, run: Saved) -> Section:
+def _rig_section(name: str, run: Saved, fits: Sequence[Table]) -> Section:
     lead = (
         f"As the run '{run.title}' left it. How sure a value is, the rig file says; "
-        "identified is what was found here."
+        "identified is what was found here. ± is half the width of the 95 % interval."
     )
     inside = [
         Text(lead, "note"),
         *prose(run.rig.note),
-        Fold("All parameters", rig_table(run.rig)),
+        Fold("All parameters", rig_table(run.rig, fits)),
     ]
     return Section(f"Rig: {run.rig.title or words(name)}", inside, f"rig-{slug(name)}")
 

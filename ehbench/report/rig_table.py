@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from ehbench.fields import Value
 from ehbench.report.blocks import Block, Bullets, Cell, Grid
-from ehbench.report.captions import plus
+from ehbench.report.captions import as_fitted, plus
 from ehbench.report.content import num
+from ehbench.report.saved import Table
 from ehbench.report.words import number, pretty, row_of, shown, unit_of
 from ehbench.rig import Rig, Slide
+from ehbench.terms import Z95
 
 
-def rig_table(rig: Rig) -> list[Block]:
+def rig_table(rig: Rig, fits: Sequence[Table] = ()) -> list[Block]:
     """Every parameter of a rig, with value, unit, how sure it is, and source; the notes on its
     valve dynamics before.
+
+    Args:
+        rig: the rig.
+        fits: rows of ``parameters.json``, whose interval a value has that came from one of them;
+            the others have 1.96 of their standard error.
     """
+    known = {(one["name"], one.number("value")): one for one in fits}
     groups: dict[str, list[list[Cell | str]]] = {}
     for name, value in _values(rig):
-        groups.setdefault(name.rpartition(".")[0], []).append(_value_row(rig, name, value))
+        groups.setdefault(name.rpartition(".")[0], []).append(
+            _value_row(rig, name, value, known.get((name, value.value)))
+        )
     rows = [[group, *row] for group, members in groups.items() for row in members]
     notes = [f"{name}: {dynamics.note}" for name, dynamics in rig.dynamics.items() if dynamics.note]
     head = ["of", "parameter", "value", "unit", "how sure", "source"]
@@ -62,12 +72,14 @@ def _values(rig: Rig) -> Iterator[tuple[str, Value]]:
             yield name, value
 
 
-def _value_row(rig: Rig, name: str, value: Value) -> list[Cell | str]:
+def _value_row(rig: Rig, name: str, value: Value, fit: Table | None) -> list[Cell | str]:
     if isinstance(value.value, tuple):
         text = "(" + ", ".join(number(float(shown(rig, name, v)), 5) for v in value.value) + ")"
     else:
         text = (
-            plus(rig, name, value.value, value.std)
+            as_fitted(rig, name, fit)
+            if fit is not None
+            else plus(rig, name, value.value, Z95 * value.std)
             if value.std
             else number(float(shown(rig, name, value.value)), 6)
         )

@@ -13,11 +13,14 @@ import pytest
 
 from ehbench.codes import LIMITS, LIMITS_MEAN
 from ehbench.report import build, draw
+from ehbench.recipe import load_rig
+from ehbench.report.blocks import Cell, Grid
 from ehbench.report.dark import dark
 from ehbench.report.first_screen import _cards
 from ehbench.report.headlines import Findings, Headline, silence
 from ehbench.report.saved import Saved, Table
-from ehbench.report.words import estimate
+from ehbench.report.rig_table import rig_table
+from ehbench.report.words import estimate, shown
 from tests.unit.test_report import hydraulics_run, validation_run
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
@@ -142,3 +145,24 @@ def test_the_policy_lets_the_pages_own_script_run_and_no_other(folders):
     policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text)
     assert policy and f"script-src 'sha256-{digest}';" in policy[1]
     assert "default-src 'none'" in policy[1] and "onclick" not in text
+
+
+def test_a_rigs_table_has_the_interval_of_the_fit_that_a_value_came_from(tmp_path):
+    rig = load_rig(RIGS / "slide_servo.toml")
+    name, value = next((n, v) for n, v in rig.parameters().items() if float(v) > 0.0)
+    ends = [0.9 * float(value), 1.1 * float(value)]
+    fit = Table({"name": name, "value": value.value, "interval": ends}, tmp_path)
+    (grid,) = (one for one in rig_table(rig, [fit]) if isinstance(one, Grid))
+    told = [row[2].text for row in grid.rows if isinstance(row[2], Cell) and "±" in row[2].text]
+    half = 0.1 * float(shown(rig, name, float(value)))
+    assert any(text.endswith(f"± {half:.2g}") for text in told)
+
+
+def test_the_cures_of_a_verdict_are_what_to_do_next(folders, tmp_path):
+    folder = tmp_path / "judged"
+    shutil.copytree(folders[1], folder)
+    table = json.loads((folder / "validation.json").read_text())
+    cures = [{"cure": "free the gain of hect"}, {"cure": "free the gain of hect"}, {"cure": "b"}]
+    write_json(folder / "validation.json", table | {"structure": {"findings": cures}})
+    (step,) = findings_of(Saved(folder)).next
+    assert step.endswith(": free the gain of hect, or b")

@@ -61,7 +61,7 @@ def draw_case(run: Saved, index: FigureIndex, case: Case, record: Record, title:
     def about(kind: str) -> FigureKey:
         return FigureKey(kind, case=case.row["case"], cylinder=case.cylinder)
 
-    caption = case_caption(rig, case) + rest_caption(rig, case, record)
+    caption = case_caption(rig, case) + rest_caption(rig, [case], [record])
     path = index.add(f"trial_{case.stem}", title, caption, about("trial"))
     figures.controlled(path, rig, case, record)
     learnt = [name for word in ESTIMATES if (name := f"{case.cylinder}.{word}") in record]

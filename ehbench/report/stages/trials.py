@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ehbench.report.blocks import Block, Bullets, Fold, Part, Picture, Text
-from ehbench.report.captions import capital, load_name
+from ehbench.report.captions import load_name
 from ehbench.report.cases import Case, cases_of, groups_of, stem_of
 from ehbench.report.content import Pictures, SectionContent, StageReport, folded, stopped_status
 from ehbench.report.energy_tables import saving_blocks
@@ -47,12 +47,7 @@ def _draw_comparison(rig: Rig, index: FigureIndex, cases: Sequence[Case]) -> Non
     first = cases[0]
     payload, motion = first.row["payload"], first.row["motion"]
     records = [case.record() for case in cases]
-    swinging = (
-        f"{capital(words(case.row['controller']))}: {told[:1].lower()}{told[1:]}"
-        for case, record in zip(cases, records, strict=True)
-        if (told := rest_caption(rig, case, record).strip())
-    )
-    caption = " ".join([compared_caption(rig, cases), *swinging])
+    caption = compared_caption(rig, cases) + rest_caption(rig, cases, records)
     path = index.add(
         f"compare_{stem_of(load_name(payload))}_{stem_of(motion)}",
         f"{words(first.cylinder).capitalize()}: {words(motion)}, {first.where}",
@@ -123,7 +118,8 @@ def _each_trial(cases: Sequence[Case], pictures: Pictures) -> tuple[list[Block],
         named += [picture for picture in drawn if picture.named is not None]
         if others := [picture for picture in drawn if picture.named is None]:
             folds.append(Fold(f"{name}, on the {case.row['on']}", others))
-    return sorted(named, key=lambda one: one.named or 0), folds
+    named.sort(key=lambda one: one.named or 0)
+    return [*named], folds
 
 
 REPORT = StageReport(

@@ -164,7 +164,7 @@ def _map(one: FlowMap, rig: Rig | None, of: int, readings: Path | None = None) -
             f"{number(u, 3)} V",
             unit,
             seen("pressure_drop", drop),
-            seen("flow", one.flow(drop, u)),
+            seen("flow", np.asarray(one.flow(drop, u))),
             of,
             what="flow",
         )
@@ -229,8 +229,8 @@ def extremes(x: np.ndarray, y: np.ndarray, most: int) -> tuple[np.ndarray, np.nd
     size = -(-2 * x.size // most)
     count = x.size // size
     blocks = np.where(np.isfinite(y), y, np.nan)[: count * size].reshape(count, size)
-    empty = ~np.isfinite(blocks).any(axis=1)
-    filled = np.where(empty[:, None], 0.0, blocks)
+    empty = np.isnan(blocks).all(axis=1)
+    filled = np.where(np.expand_dims(empty, 1), 0.0, blocks)
     low, high = np.nanargmin(filled, axis=1), np.nanargmax(filled, axis=1)
     rows = np.arange(count)
     pair = np.stack([filled[rows, np.minimum(low, high)], filled[rows, np.maximum(low, high)]], 1)
