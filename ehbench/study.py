@@ -257,8 +257,8 @@ def table(outcomes: Sequence[Outcome]) -> str:
 
 
 def main(arguments: Sequence[str] = ()) -> int:
-    """Print the table; the only argument is how many rigs a group has, by default 60."""
-    rigs = int(arguments[0]) if arguments else 60
+    """Print the table; the only argument is how many rigs a group has, by default 50."""
+    rigs = int(arguments[0]) if arguments else 50
     outcomes = study(rigs, int(os.environ.get("CORES", "2")))
     print(table(outcomes))
     for one in outcomes:
