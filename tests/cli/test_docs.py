@@ -168,7 +168,7 @@ def test_the_generator_writes_and_checks(tmp_path, monkeypatch, capsys):
     changed = page.read_text()
     assert reference.main(["--check"]) == 2
     assert "`max_iterations`" in capsys.readouterr().err and page.read_text() == changed
-    page.write_text(PAGES["recipes.md"].replace("| 1 … 1000 | `30` |", "| 1 … 10 | `20` |"))
+    page.write_text(PAGES["recipes.md"].replace("| 1 … 1000 | `100` |", "| 1 … 10 | `20` |"))
     assert reference.main(["--check"]) == 1
     assert "docs/recipes.md: make reference" in capsys.readouterr().err
     assert reference.main([]) == 0 and page.read_text() == PAGES["recipes.md"]

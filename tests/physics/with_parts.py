@@ -68,19 +68,24 @@ def steps(levels: tuple[float, ...] | np.ndarray, hold: int = 150) -> np.ndarray
     return np.concatenate([np.zeros(400), np.repeat(levels, hold), np.zeros(50)])
 
 
-def recovered(rig: Rig, factors: dict[str, float], seed: int, accuracy: float = 0.05) -> None:
+def recovered(rig: Rig, factors: dict[str, float], accuracy: float = 0.05) -> None:
     """Fail unless parameters, started that many times off, come back from two noisy logs of steps:
-    estimated, inside their 95 % intervals, to that share.
+    estimated to that share and, over five draws of the noise, held by their 95 % intervals.
     """
-    logs = []
-    for i, sign in enumerate((0.9, 1.1)):
-        table = steps(sign * np.array(LEVELS))
-        made = simulate(rig, {"press.servo": table}, 1e-3 * (table.size - 1))
-        logs.append((f"log {i}", noisy(made, seed + i)))
     truth = {name: float(rig.parameters()[name]) for name in factors}
     start = {name: factor * truth[name] for name, factor in factors.items()}
-    fit = identify_hydraulics(rig, logs, list(factors), FitOptions(start=start))
-    for name, value in truth.items():
-        low, high = fit[name].interval
-        assert fit[name].status == "estimated" and low <= value <= high, fit[name]
-        assert fit[name].std < accuracy * abs(value), fit[name]
+    made = []
+    for sign in (0.9, 1.1):
+        table = steps(sign * np.array(LEVELS))
+        made.append(simulate(rig, {"press.servo": table}, 1e-3 * (table.size - 1)))
+    held = []
+    for seed in range(5):
+        logs = [(f"log {i}", noisy(log, 10 * seed + i)) for i, log in enumerate(made)]
+        fit = identify_hydraulics(rig, logs, list(factors), FitOptions(start=start))
+        for name, value in truth.items():
+            low, high = fit[name].interval
+            assert fit[name].status == "estimated", fit[name]
+            assert fit[name].std < accuracy * abs(value), fit[name]
+            held.append(low <= value <= high)
+    # of ten intervals of 95 %, more than two miss once in ninety
+    assert held.count(False) <= 2, held
