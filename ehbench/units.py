@@ -69,9 +69,30 @@ def _checked(unit: str) -> str:
     return re.sub(_WORD, lambda found: _ALIASES.get(found[0], found[0]), text)
 
 
-@lru_cache(maxsize=512)
 def _affine(unit: str, si: str) -> tuple[float, float]:
-    """(factor, offset) with value_si = factor·value + offset."""
+    """(factor, offset) with value_si = factor·value + offset.
+
+    Raises:
+        UnitError: no unit, or not of that dimension.
+    """
+    found = _tried(unit, si)
+    if isinstance(found, str):
+        raise UnitError(found)
+    return found
+
+
+@lru_cache(maxsize=512)
+def _tried(unit: str, si: str) -> tuple[float, float] | str:
+    """What `_affine` gives, or why it gives nothing: a text that may be an angle or a length is
+    tried as both, again and again.
+    """
+    try:
+        return _converted(unit, si)
+    except UnitError as error:
+        return error.message
+
+
+def _converted(unit: str, si: str) -> tuple[float, float]:
     text = _checked(unit)
     import pint
 
