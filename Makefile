@@ -7,7 +7,7 @@ INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 PIN     = --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url \
           --no-annotate -q
 
-.PHONY: thesis test tests fuzz format lint types docs reference site bench study datasets warm setup dev \
+.PHONY: thesis test tests fuzz format lint types docs reference site bench example study datasets warm setup dev \
         requirements clean
 
 thesis: setup            ## run the whole thesis campaign and print the report's path
@@ -38,6 +38,10 @@ reference: setup         ## write these tables anew
 
 site: dev                ## docs as pages to browse, offline, in site/
 	$(BIN)/mkdocs build --quiet --strict
+
+example: setup           ## the one report that is in git, made again
+	rm -rf build/example && $(BIN)/ehbench reproduce slide_servo -q --out build/example
+	cp build/example/campaign_*/report.html reports/example/report.html
 
 bench: setup             ## measure speed and accuracy, print the table
 	$(BIN)/python -m ehbench.benchmark
