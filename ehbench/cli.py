@@ -53,7 +53,7 @@ Quiet = Annotated[
     typer.Option("--quiet", "-q", help="No progress, and nothing but the run's path on stdout."),
 ]
 Verbose = Annotated[
-    bool, typer.Option("--verbose", "-v", help="All tables and columns, all notes of all inputs.")
+    bool, typer.Option("--verbose", "-v", help="All tables with all their columns.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")]
 
