@@ -15,8 +15,15 @@ import numpy as np
 
 from ehbench.errors import InsufficientData
 from ehbench.identification.covariance import Block, Prior, covariance_of, eliminate, release_of
-from ehbench.identification.results import Estimate, HydraulicsFit, Progress, finish, untold
-from ehbench.identification.search import VAGUE, Coordinate
+from ehbench.identification.results import (
+    Estimate,
+    HydraulicsFit,
+    Progress,
+    SensorFit,
+    finish,
+    untold,
+)
+from ehbench.identification.search import VAGUE, Coordinate, of_sensors
 from ehbench.identification.simulator import Log, Shifts, Simulator
 from ehbench.signals import lowpass, rms
 from ehbench.starts import prior_weight
@@ -69,7 +76,8 @@ class OutputError:
     """Weighted least squares over all logs; one instance a fit.
 
     Args:
-        simulator: of the logs, its parameters those searched and then those watched.
+        simulator: of the logs, its parameters those searched, what is shared of the logs' sensors
+            (`search.of_sensors`), and then those watched.
         search: parameters to fit.
         tell: progress.
         most: iterations of a solution.
@@ -87,9 +95,10 @@ class OutputError:
         cutoff: float | None,
         watched: Sequence[Coordinate] = (),
     ) -> None:
-        self.simulator, self.search, self.tell = simulator, [*search, *watched], tell
+        sensors = of_sensors(simulator.logs[0].start.terms)
+        self.simulator, self.search, self.tell = simulator, [*search, *sensors, *watched], tell
         self.most, self.cutoff = most, cutoff
-        self.asked = len(search)
+        self.asked, self.fitted = len(search), len(search) + len(sensors)
         search = self.search
         names = sorted({channel for log in simulator.logs for channel in log.channels})
         self.spread = {
@@ -101,7 +110,7 @@ class OutputError:
         self.scales = dict(self.spread)
         self.theta = np.array([c.begin for c in search])
         self.shifts = simulator.unshifted()
-        self.free = list(range(self.asked))
+        self.free = list(range(self.fitted))
         self.bound: list[int] = []
         self.sharpness = np.array([c.sharpness if c.known else 0.0 for c in search])
         self.centre = np.array([c.of(c.centre) if c.known else 0.0 for c in search])
@@ -384,7 +393,7 @@ class OutputError:
             self._settle(1e-4)
         self.simulator.step = fine
         converged = self._settle(1e-6)
-        for _ in range(self.asked):
+        for _ in range(self.fitted):
             found = self._errors()
             lost = [i for i, error in found.by_index.items() if error.kind == "not_excited"]
             near = self._near_bounds(found.by_index)
@@ -470,7 +479,7 @@ class OutputError:
             self.theta[i] = self.search[i].of(self.search[i].start)
         self.free = [i for i in self.free if i not in which]
         self.bound = [i for i in self.bound if i not in which]
-        if not self.free and not self.bound:
+        if not any(i < self.asked for i in (*self.free, *self.bound)):
             names = ", ".join(c.name for c in self.search[: self.asked])
             raise InsufficientData(
                 f"the logs tell nothing about {names}",
@@ -528,14 +537,15 @@ class OutputError:
                 std, quantile, source, kind, *map(float, (found.from_data[k], found.from_starts[k]))
             )
         names = tuple(self.search[live[k]].name for k in inside)
-        return _Errors(result, names, correlation[np.ix_(inside, inside)], here, blocks)
+        among = correlation[np.ix_(inside, inside)]
+        return _Errors(result, names, among, here, blocks, found.hac)
 
     def _wrongly_held(self, found: _Errors) -> list[str]:
         """A warning of the held parameter whose release would better the fit most, if it is surely
         wrong: the recipe's line that frees it.
         """
         live, suspects = sorted(self.free + self.bound), []
-        for i in range(self.asked, len(self.search)):
+        for i in range(self.fitted, len(self.search)):
             c, blocks = self.search[i], self._released(found, i)
             if not blocks:
                 continue
@@ -620,9 +630,36 @@ class OutputError:
                 scales=self.scales,
                 cutoff=self.cutoff,
                 shifts=self.shifts,
-                held=[c.start for c in self.search[self.asked :]],
+                held=[
+                    *(c.at(self.theta[i]) for i, c in self._shared()),
+                    *(c.start for c in self.search[self.fitted :]),
+                ],
+                sensors=self._sensors(found),
             ),
         )
+
+    def _shared(self) -> list[tuple[int, Coordinate]]:
+        """(index, coordinate) of what all logs' sensors share."""
+        return [(i, self.search[i]) for i in range(self.asked, self.fitted)]
+
+    def _sensors(self, found: _Errors) -> list[SensorFit]:
+        """What was found of the sensors: of all logs, then of each."""
+        result = []
+        terms = {term.name: term for term in self.simulator.logs[0].start.terms}
+        for i, c in self._shared():
+            error, quantile = found.by_index.get(i), 1.96
+            std = terms[c.name].std
+            if error is not None:
+                std, quantile = c.unit * error.std, error.quantile
+            result.append(SensorFit.of(terms[c.name], "", c.at(self.theta[i]), std, quantile))
+        for log, shifts, block in zip(self.simulator.logs, self.shifts, found.blocks, strict=True):
+            errors = eliminate(block, self.weight).std(found.covariance)
+            terms = {term.name: term for term in log.start.terms}
+            for doubt, shift, error in zip(log.start.doubts, shifts, errors, strict=True):
+                if doubt.name in terms:
+                    at, std = doubt.std * float(shift), doubt.std * float(error)
+                    result.append(SensorFit.of(terms[doubt.name], log.name, at, std, 1.96))
+        return result
 
 
 @dataclass(frozen=True)
@@ -642,13 +679,15 @@ class _Error:
 @dataclass(frozen=True, eq=False)
 class _Errors:
     """Errors by index of the parameter, and the correlation between the free ones, in the order of
-    their names, the point they belong to and what each log says there."""
+    their names, the point they belong to, what each log says there and the covariance of those
+    that are live."""
 
     by_index: dict[int, _Error]
     names: tuple[str, ...]
     correlation: np.ndarray
     here: _Point
     blocks: list[Block]
+    covariance: np.ndarray
 
 
 def _stacked(columns: Sequence[np.ndarray | None], like: np.ndarray) -> np.ndarray:

@@ -108,6 +108,7 @@ def _prepared_fit(recipe: HydraulicsRecipe, state: RigState, logs: Logs, rig: Ri
         upper=recipe.upper,
         prior=recipe.prior,
         channels=recipe.channels,
+        sensors=recipe.sensor,
         cutoff=None if recipe.cutoff is None else float(recipe.cutoff),
         max_iterations=recipe.max_iterations,
         workers=recipe.workers,
