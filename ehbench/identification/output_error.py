@@ -411,25 +411,59 @@ class OutputError:
         """The best that a coarse solution comes to from some starts, and from what the first half
         of the parameters comes to alone where the first start leaves much.
         """
-        every, ends = self.free, []
+        every = self.free
         samples = sum(part.recorded.size for part in self.simulator.logs)
-
-        def solved(start: np.ndarray, free: list[int]) -> tuple[float, np.ndarray]:
-            self.theta, self.shifts = start, self.simulator.unshifted()
-            here = self._at(start, self.shifts)
-            self._weigh(here, scales=False)
-            effects = self._effects(self.slopes(here, free), free)
-            self.free = [i for i in free if effects[i] >= FAINT]
-            self.solve(1e-3)
-            self.free = every
-            here = self._at(self.theta, self.shifts)
-            return sum(float(np.sum(part**2)) for part in self.scaled(here.left)), self.theta
-
-        ends = [solved(start, every) for start in starts]
+        ends = [self._solved(start, every) for start in starts]
         half = every[: (len(every) + 1) // 2]
         if len(half) > 1 and min(cost for cost, _ in ends) > MUCH * samples:
-            ends.append(solved(solved(starts[0], half)[1], every))
+            ends.append(self._solved(self._solved(starts[0], half)[1], every))
         return min(ends, key=lambda end: end[0])[1]
+
+    def _solved(self, start: np.ndarray, free: list[int]) -> tuple[float, np.ndarray]:
+        """(squares of what is left, parameters) where a coarse solution over some of the free
+        parameters ends.
+        """
+        every = self.free
+        self.theta, self.shifts = start, self.simulator.unshifted()
+        here = self._at(start, self.shifts)
+        self._weigh(here, scales=False)
+        effects = self._effects(self.slopes(here, free), free)
+        self.free = [i for i in free if effects[i] >= FAINT]
+        self.solve(1e-3)
+        self.free = every
+        here = self._at(self.theta, self.shifts)
+        return sum(float(np.sum(part**2)) for part in self.scaled(here.left)), self.theta
+
+    def arrive(self) -> None:
+        """Coarsely to the best that a look over the range of the parameters leads to."""
+        self.theta = self._arrive(self.scan())
+
+    def descend(self, begin: Mapping[str, float]) -> float:
+        """Coarsely from some values, by name, to the nearest minimum, each channel weighed by what
+        is left of it; returns that minimum's cost, whatever its weights.
+        """
+        for i, c in enumerate(self.search):
+            if c.name in begin:
+                low, high = c.bounds
+                margin = 1e-3 * c.reach
+                value = c.of(max(begin[c.name], c.lower))
+                self.theta[i] = min(max(value, low + margin), high - margin)
+        self._solved(self.theta, self.free)
+        self._weigh(self._at(self.theta, self.shifts))
+        self.solve(1e-3)
+        here = self._at(self.theta, self.shifts)
+        return sum(2.0 * math.log(max(self._pooled(c, here.left), 1e-300)) for c in self.spread)
+
+    def named(self) -> dict[str, float]:
+        """Where the search stands, by name; of sensors their excess."""
+        return dict(zip((c.name for c in self.search), self._values(self.theta), strict=True))
+
+    def beside(self, logs: Sequence[Log]) -> list[np.ndarray]:
+        """Residuals of these logs [SI] in place of the search's own, of which other samples count,
+        where it stands; shape (samples, channels).
+        """
+        row = self.simulator.simulate([self._values(self.theta)], None, self.shifts)[0]
+        return [self._left(*pair) for pair in zip(logs, row, strict=True)]
 
     def _settle(self, tolerance: float) -> bool:
         """Weigh and solve until the weights stand; whether it converged."""

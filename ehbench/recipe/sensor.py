@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
 
 from ehbench.errors import InputError
-from ehbench.fields import FileModel, Value, read_value
+from ehbench.fields import FileModel, Value, read_value, write_value
 from ehbench.quantities import VOCABULARY, Quantity, quantity
 
 ESTIMATE = "estimate"
@@ -81,6 +81,16 @@ class Sensor(FileModel):
     def __getitem__(self, word: str) -> Value | str | None:
         """What is said of ``offset``, ``scale``, ``lag`` or ``delay``."""
         return getattr(self, word)
+
+    def as_toml(self) -> dict[str, Any]:
+        """The table as a TOML writer takes it."""
+        plain = self.model_dump(exclude_defaults=True, exclude=set(WORDS))
+        for word in WORDS:
+            given = self[word]
+            if given is not None:
+                row = reading_row(self.channel, word)
+                plain[word] = write_value(given, row) if isinstance(given, Value) else given
+        return plain
 
 
 def _each_once(sensors: tuple[Sensor, ...]) -> tuple[Sensor, ...]:
