@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -72,6 +73,18 @@ def check_record(
             line=line,
             hint=hint,
         )
+
+
+def inside(t: np.ndarray, window: tuple[float, float] | None) -> np.ndarray:
+    """Which times [s] lie inside a window; all where none does."""
+    keep = np.ones(t.size, bool) if window is None else (t >= window[0]) & (t <= window[1])
+    return keep if keep.any() else ~keep
+
+
+def part_of(record: Record, keep: np.ndarray) -> Record:
+    """The samples of a record that a mask keeps."""
+    channels = {name: values[keep] for name, values in record.channels.items()}
+    return replace(record, t=record.t[keep], channels=channels)
 
 
 def check_time(

@@ -1,4 +1,4 @@
-"""Data files by others into arrays in SI: flowmeter readings in CSV."""
+"""Flowmeter readings in CSV as arrays in SI."""
 
 from __future__ import annotations
 
