@@ -17,7 +17,7 @@ from ehbench.readers import Column, Dialect, Source, Table, open_source
 from ehbench.recipe.columns import LEAVE_OUT, ColumnMap, Columns, MappedColumn
 from ehbench.record import Record
 from ehbench.signals import lowpass
-from ehbench.units import from_si, named_unit
+from ehbench.units import from_si
 
 Window = tuple[float, float]
 BRIDGED = 5  # samples in a row that a straight line may stand for
@@ -69,6 +69,7 @@ def read_mapped(
     columns = columns or named_channels(source, path)
     losses = list(source.losses)
     groups = _groups(source, columns, path)
+    began = _one_clock(groups)
     for group in groups:
         _filter(group, columns)
         if check:
@@ -78,8 +79,11 @@ def read_mapped(
     if check:
         if not t.size:
             raise LogError("the log holds no samples", file=path)
-        check_time(inside, file=path)
-    began = next((group.began for group in groups if group.began is not None), None)
+        try:
+            check_time(inside, file=path)
+        except LogError as error:
+            hint = f'{error.hint}; of a time that is rounded, write rate = "1 kHz" in the map'
+            raise LogError(error.message, file=path, hint=hint) from None
     meta = {"rates": "; ".join(rates)} if rates else {}
     if began is not None:
         meta["began"] = datetime.fromtimestamp(began, UTC).isoformat()
@@ -96,7 +100,7 @@ def named_channels(source: Source, path: Path) -> ColumnMap:
     for name, (i, j) in source.names().items():
         column = source.tables[i].columns[j]
         label = LABEL.match(name)
-        channel, unit = label.groups() if label else (name, named_unit(column.unit))
+        channel, unit = label.groups() if label else (name, column.known_unit)
         channel = "t" if channel.lower() in _TIMES else channel.replace("/", ".").strip(".")
         if channel.rpartition(".")[2] in VOCABULARY and unit:
             found[name] = MappedColumn(channel=channel, unit=unit)
@@ -134,7 +138,7 @@ def _si(
     name: str, mapped: MappedColumn, column: Column, columns: ColumnMap, path: Path
 ) -> np.ndarray:
     """A column in SI."""
-    said = named_unit(column.unit)
+    said = column.known_unit
     try:
         gain, zero = mapped.line(said)
     except UnitError as error:
@@ -179,6 +183,17 @@ def _time(
     if good.size and good[0] > _CLOCK:
         began, t = float(good[0]), t - good[0]
     return t, began
+
+
+def _one_clock(groups: list[_Group]) -> float | None:
+    """The wall clock of t = 0 [s since 1970], that of the first table to begin: the others are
+    shifted to it.
+    """
+    known = [group.began for group in groups if group.began is not None]
+    for group in groups:
+        if group.began is not None:
+            group.t = group.t + (group.began - min(known))
+    return min(known, default=None)
 
 
 def _filter(group: _Group, columns: ColumnMap) -> None:

@@ -10,6 +10,7 @@ import logging
 import stat
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
@@ -51,8 +52,8 @@ READERS = (
     Reader("text", (".csv", ".txt", ".tsv", ".dat", ".asc", ".lvm"), "delimited"),
     Reader("MDF", (".mf4", ".mdf", ".dat"), "mdf", "asammdf", (b"MDF     ", b"UnFinMF ")),
     Reader("TDMS", (".tdms",), "tdms", "nptdms", (b"TDSm",)),
-    Reader("MAT v7.3", (".mat",), "hdf5", "h5py", (b"MATLAB 7.3 MAT-file",)),
     Reader("MAT", (".mat",), "mat", "", (b"MATLAB 5.0 MAT-file",)),
+    Reader("MAT v7.3", (".mat",), "hdf5", "h5py", (b"MATLAB 7.3 MAT-file",)),
     Reader("HDF5", (".h5", ".hdf5", ".hdf", ".he5"), "hdf5", "h5py", (b"\x89HDF\r\n\x1a\n",)),
     Reader("Parquet", (".parquet", ".pq"), "parquet", "pyarrow", (b"PAR1",)),
     Reader("Excel", (".xlsx", ".xlsm"), "excel", "openpyxl", (b"PK\x03\x04",)),
@@ -138,6 +139,14 @@ def open_source(path: Path, dialect: Dialect | None = None) -> Source:
         except Exception as error:  # the libraries raise all kinds on a damaged file
             said = str(error) or type(error).__name__
             raise LogError(f"cannot be read as {reader.name}: {said}", file=path) from None
+    asked = dialect.table if dialect else None
+    if asked is not None and len(source.tables) > 0 and source.tables[0].name:
+        there = ", ".join(f"'{table.name}'" for table in source.tables)
+        kept = tuple(table for table in source.tables if table.name == asked)
+        if not kept:
+            raise LogError(f"has no table '{asked}'", file=path, hint=f"it has {there}")
+        source = replace(source, tables=kept)
     if not any(table.size for table in source.tables):
-        raise LogError("holds no column of numbers", file=path)
+        hint = "; ".join(source.losses[:4]) or None
+        raise LogError("holds no column of numbers", file=path, hint=hint)
     return source

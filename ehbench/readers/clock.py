@@ -36,6 +36,19 @@ def clock(cells: Iterable[str]) -> tuple[np.ndarray, float | None]:
     return seconds, whole + parts if dated else None
 
 
+def moments(values: np.ndarray) -> tuple[np.ndarray, float | None]:
+    """(seconds since the first, NaN where there is none; the first in seconds since 1970) of
+    numpy's moments of time.
+    """
+    whole = values.astype("datetime64[ns]")
+    known = ~np.isnat(whole)
+    if not known.any():
+        return np.full(values.size, np.nan), None
+    first = whole[known][0]
+    seconds = np.where(known, (whole - first) / np.timedelta64(1, "ns") / 1e9, np.nan)
+    return seconds, float(first.astype(np.int64)) / 1e9
+
+
 def _stamp(cell: str) -> tuple[int, float, bool] | None:
     """(whole seconds, the rest, whether there is a date) of a text."""
     for order, pattern in _FORMS:

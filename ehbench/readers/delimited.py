@@ -8,7 +8,7 @@ import re
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -96,7 +96,16 @@ class _Layout:
 def read(path: Path, dialect: Dialect) -> Source:
     """The table of a text file; what the dialect leaves open is looked for."""
     text, encoding = text_of(path, dialect.encoding)
-    lines = text.splitlines()
+    table, found = table_of(text.splitlines(), dialect)
+    return Source((table,), replace(found, encoding=encoding))
+
+
+def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[Table, Dialect]:
+    """The table in lines of text, and the dialect that it is in.
+
+    Raises:
+        LogError: no rows of numbers.
+    """
     separator, decimal = _marks(lines, dialect)
     layout = _layout(lines, separator, decimal, dialect)
     top = [] if layout.header is None else split(_bare(lines[layout.header]), separator)
@@ -114,17 +123,16 @@ def read(path: Path, dialect: Dialect) -> Source:
         if kind == "words":
             continue
         own = odd.get(index, {})
-        column, unit = values[:, index], said[index] or unit_in(names[index])
+        column, unit = values[:, index], said[index]
         if kind == "times":
             cells = (_cell(row, separator, index) for row in rows)
             column, start = clock(cells)
             unit, own = "s", {}
             began = start if began is None else began
         columns.append(Column(names[index], column, unit, own))
-    table = Table("", tuple(columns), None, began, [n + 1 for n in at])
+    table = Table(name, tuple(columns), None, began, [n + 1 for n in at])
     skip = layout.first if layout.header is None else layout.header
-    found = Dialect(separator, decimal, skip, layout.units is not None, encoding)
-    return Source((table,), found)
+    return table, Dialect(separator, decimal, skip, layout.units is not None)
 
 
 def split(line: str, separator: str) -> list[str]:
@@ -256,16 +264,6 @@ def _heads(
     if len(wide) == 2 and is_units:
         return wide[1], wide[0]
     return wide[0], None
-
-
-def unit_in(name: str) -> str:
-    """The unit that a column's name ends in: ``p [bar]``, ``p (bar)``, ``p / bar``, ``p in bar``;
-    '' where it says none.
-    """
-    for pattern in (r"[\[({]([^\[\](){}]*)[\])}]\s*$", r"\s(?:/|in)\s+(\S+)\s*$", r",\s*(\S+)$"):
-        if (found := re.search(pattern, name)) and (unit := named_unit(found[1])):
-            return unit
-    return ""
 
 
 def numbers(

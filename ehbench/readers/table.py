@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -10,6 +11,20 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.errors import LogError
+from ehbench.readers.clock import moments
+from ehbench.units import named_unit
+
+WIDEST = 256  # columns that a matrix may have
+
+
+def unit_in(name: str) -> str:
+    """The unit that a column's name ends in: ``p [bar]``, ``p (bar)``, ``p / bar``, ``p in bar``;
+    '' where it says none.
+    """
+    for pattern in (r"[\[({]([^\[\](){}]*)[\])}]\s*$", r"\s(?:/|in)\s+(\S+)\s*$", r",\s*(\S+)$"):
+        if (found := re.search(pattern, name)) and (unit := named_unit(found[1])):
+            return unit
+    return ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +37,11 @@ class Column:
     values: np.ndarray
     unit: str = ""
     odd: Mapping[int, str] = field(default_factory=dict)
+
+    @property
+    def known_unit(self) -> str:
+        """Its unit as it is written here, by what the file says or the name ends in; '' of none."""
+        return named_unit(self.unit) or unit_in(self.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,3 +141,67 @@ def numbered(names: Sequence[str]) -> list[str]:
             again = f"{plain} {count}"
         found.append(again)
     return found
+
+
+def columns_of(
+    name: str, values: np.ndarray, unit: str = "", most: int = WIDEST
+) -> list[tuple[Column, float | None]]:
+    """Columns of what a file has under a name, each with the wall clock of its first value where it
+    is of moments: one of a row or column of numbers, several of a matrix, whose longer side is
+    time, and of records. Empty where it is of no numbers.
+    """
+    values = np.asarray(values)
+    if values.dtype.names:
+        parts = [(f"{name}.{key}", values[key]) for key in values.dtype.names]
+        return [one for key, part in parts for one in columns_of(key, part, unit, most)]
+    values = np.squeeze(values)
+    if values.ndim == 2:
+        table = values if values.shape[0] >= values.shape[1] else values.T
+        if table.shape[1] > most:
+            return []
+        return [
+            one
+            for i in range(table.shape[1])
+            for one in columns_of(f"{name}.{i + 1}", table[:, i], unit, most)
+        ]
+    if values.ndim != 1 or values.size < 2:
+        return []
+    if values.dtype.kind == "M":
+        seconds, began = moments(values)
+        return [(Column(name, seconds, "s"), began)]
+    if values.dtype.kind not in "fiub":
+        return []
+    return [(Column(name, values.astype(float), unit), None)]
+
+
+class Gathered:
+    """Columns gathered into tables by where they stand and how long they are."""
+
+    def __init__(self) -> None:
+        self._columns: dict[tuple[str, int], list[Column]] = {}
+        self._began: dict[tuple[str, int], float | None] = {}
+
+    def add(self, place: str, name: str, values: np.ndarray, unit: str = "") -> bool:
+        """Take what a file has under a name; whether there is a column of numbers in it."""
+        found = columns_of(name, values, unit)
+        for column, began in found:
+            key = (place, column.values.size)
+            self._columns.setdefault(key, []).append(column)
+            if self._began.get(key) is None:
+                self._began[key] = began
+        return bool(found)
+
+    def tables(self) -> tuple[Table, ...]:
+        """The tables, named by where they stand, and by their length too where that is not
+        enough.
+        """
+        places = [place for place, _ in self._columns]
+        return tuple(
+            Table(
+                place if places.count(place) == 1 else f"{place}[{size}]",
+                tuple(columns),
+                None,
+                self._began[place, size],
+            )
+            for (place, size), columns in self._columns.items()
+        )

@@ -202,7 +202,7 @@ class Columns(FileModel):
     @field_validator("names")
     @classmethod
     def _each_once(cls, names: dict[str, MappedColumn]) -> dict[str, MappedColumn]:
-        channels = [column.channel for column in names.values()]
+        channels = [column.channel for column in names.values() if column.channel != "t"]
         if twice := [one for one in channels if channels.count(one) > 1]:
             raise ValueError(f"two columns are '{twice[0]}'")
         return names
