@@ -196,6 +196,11 @@ def ratio(unit: str, other: str) -> float:
     return factor(unit, _checked(other))
 
 
+def is_of(unit: str, row: Quantity) -> bool:
+    """Whether a unit is one of a row's quantity."""
+    return not isinstance(_tried(unit, row.unit), str)
+
+
 def factor(unit: str, si: str) -> float:
     """How many ``si`` one ``unit`` is, for units without offset."""
     return _affine(unit, si)[0]
