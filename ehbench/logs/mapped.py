@@ -20,6 +20,7 @@ from ehbench.signals import lowpass
 from ehbench.units import from_si
 
 Window = tuple[float, float]
+_ALL = (-np.inf, np.inf)
 BRIDGED = 5  # samples in a row that a straight line may stand for
 GAP = 1.5  # sample times between two samples where one is missing
 _CLOCK = 1e8  # [s] from which a time counts from 1970
@@ -62,10 +63,7 @@ def read_mapped(
         LogError: no such column, no time, a bad sample inside of the window.
         UnitError: a unit that does not become the channel's.
     """
-    asked = columns.columns if columns else Columns()
-    marks = columns.marks if columns else (None, None)
-    dialect = Dialect(*marks, asked.skip, asked.unit_row, asked.encoding, asked.table)
-    source = open_source(path, dialect)
+    source = open_source(path, dialect_of(columns))
     columns = columns or named_channels(source, path)
     losses = list(source.losses)
     groups = _groups(source, columns, path)
@@ -73,21 +71,32 @@ def read_mapped(
     for group in groups:
         _filter(group, columns)
         if check:
-            _clean(group, columns, path, window or (-np.inf, np.inf), losses)
-    t, channels, rates = _joined(groups, losses)
-    inside = t if window is None else t[(t >= window[0]) & (t <= window[1])]
-    if check:
-        if not t.size:
-            raise LogError("the log holds no samples", file=path)
-        try:
-            check_time(inside, file=path)
-        except LogError as error:
-            hint = f'{error.hint}; of a time that is rounded, write rate = "1 kHz" in the map'
-            raise LogError(error.message, file=path, hint=hint) from None
+            _clean(group, columns, path, window or _ALL, losses)
+            _check_time(group, path, window or _ALL)
+    t, channels, rates = _joined(groups, losses, window or _ALL)
+    if check and not t.size:
+        raise LogError("the log holds no samples", file=path)
     meta = {"rates": "; ".join(rates)} if rates else {}
     if began is not None:
         meta["began"] = datetime.fromtimestamp(began, UTC).isoformat()
     return Record(t, channels, meta, losses=tuple(losses))
+
+
+def dialect_of(columns: ColumnMap | None) -> Dialect:
+    """How a map says that its files are to be read."""
+    if columns is None:
+        return Dialect()
+    said = columns.columns
+    return Dialect(*columns.marks, said.skip, said.unit_row, said.encoding, said.table)
+
+
+def _check_time(group: _Group, path: Path, window: Window) -> None:
+    """Refuse a time that stands still or goes back inside of the window."""
+    try:
+        check_time(group.t[(group.t >= window[0]) & (group.t <= window[1])], file=path)
+    except LogError as error:
+        hint = f'{error.hint}; for a time that is rounded write rate = "1 kHz" in the map'
+        raise LogError(error.message, file=path, hint=hint) from None
 
 
 def named_channels(source: Source, path: Path) -> ColumnMap:
@@ -127,17 +136,21 @@ def _groups(source: Source, columns: ColumnMap, path: Path) -> list[_Group]:
         if i not in groups:
             groups[i] = _Group(source.tables[i], *_time(source, i, columns, places, path))
         column = source.tables[i].columns[j]
-        groups[i].channels[mapped.channel] = _si(name, mapped, column, columns, path)
+        groups[i].channels[mapped.channel] = si_of(name, mapped, column, columns, path)
         groups[i].columns[mapped.channel] = column
     if not groups:
         raise InputError("maps no column to a channel", **columns.at())
     return list(groups.values())
 
 
-def _si(
+def si_of(
     name: str, mapped: MappedColumn, column: Column, columns: ColumnMap, path: Path
 ) -> np.ndarray:
-    """A column in SI."""
+    """A column in SI, by what a map says of it.
+
+    Raises:
+        UnitError: no unit, or one that does not become the channel's.
+    """
     said = column.known_unit
     try:
         gain, zero = mapped.line(said)
@@ -168,7 +181,7 @@ def _time(
     began, t = table.began, table.t
     for name in [*own, *same][:1]:
         i, j = places[name]
-        t = _si(name, columns.columns.names[name], source.tables[i].columns[j], columns, path)
+        t = si_of(name, columns.columns.names[name], source.tables[i].columns[j], columns, path)
         began = source.tables[i].began if began is None else began
     if columns.columns.rate is not None:
         t = np.arange(table.size) / float(columns.columns.rate)
@@ -203,7 +216,7 @@ def _filter(group: _Group, columns: ColumnMap) -> None:
             continue
         values = group.channels[mapped.channel]
         good = np.isfinite(values)
-        if good.sum() > 3:
+        if good.sum() > 3 and 0.0 < group.period < np.inf:
             at = np.arange(values.size)
             smooth = lowpass(
                 np.interp(at, at[good], values[good]), group.period, float(mapped.filter)
@@ -324,12 +337,12 @@ def _bad_sample(
             f'bad_samples = "{LEAVE_OUT}"',
         )
     odd = column.odd.get(at)
-    what = "is no number" if odd is None else f"'{odd}' is no number" if odd else "is blank"
+    what = f"is {value:g}" if odd is None else f"'{odd}' is no number" if odd else "is blank"
     return LogError(f"{channel}: {what}{where}", file=path, line=line, hint=_CURE)
 
 
 def _joined(
-    groups: list[_Group], losses: list[str]
+    groups: list[_Group], losses: list[str], window: Window
 ) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
     """(time [s], all channels, a sentence on each other rate) on the time base of the fastest
     table; readings of the others lie on straight lines between their samples, commands are held.
@@ -338,7 +351,7 @@ def _joined(
     base = min(groups, key=lambda group: group.period)
     t, channels, keep = base.t, dict(base.channels), np.ones(base.t.size, bool)
     for group in groups:
-        losses += _gaps(group)
+        losses += _gaps(group, window)
         if group is base:
             continue
         good = np.isfinite(group.t) & (np.diff(group.t, prepend=-np.inf) > 0)
@@ -356,7 +369,7 @@ def _joined(
             held = values[good][before.clip(0)]
             line = np.interp(t, own, values[good])
             channels[name] = held if name.endswith(".command") else line
-        if abs(group.period / base.period - 1.0) > 0.01:
+        if abs(group.period - base.period) > 0.01 * base.period:
             rates.append(
                 f"{_called(group)}: {1 / group.period:.4g} Hz, brought to {1 / base.period:.4g} Hz"
             )
@@ -370,13 +383,15 @@ def _called(group: _Group) -> str:
     return f"table '{group.table.name}'" if group.table.name else ", ".join(group.channels)
 
 
-def _gaps(group: _Group) -> list[str]:
-    """A sentence on each place where samples are missing."""
-    t = group.t[np.isfinite(group.t)]
+def _gaps(group: _Group, window: Window) -> list[str]:
+    """A sentence on each place inside of the window where samples are missing."""
+    t = group.t[(group.t >= window[0]) & (group.t <= window[1])]
+    if not 0.0 < group.period < np.inf:
+        return []
     steps = np.diff(t)
     at = np.flatnonzero(steps > GAP * group.period)
     found = [
-        f"{_called(group)}: about {round(steps[one] / group.period) - 1} samples are missing "
+        f"{_called(group)}: about {steps[one] / group.period - 1:.0f} samples are missing "
         f"between t = {t[one]:.6g} and {t[one + 1]:.6g} s"
         for one in at[:_NAMED]
     ]

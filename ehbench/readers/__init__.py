@@ -6,10 +6,13 @@ with a function ``read(path, dialect) -> Source`` and a row in ``READERS``."""
 
 from __future__ import annotations
 
+import gc
 import logging
 import stat
+import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -79,7 +82,9 @@ def reader_of(path: Path) -> Reader:
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
             return READERS[-1]
-        raise LogError("is a folder, and no ROS 2 bag", file=path, hint="name a file in it")
+        raise LogError(
+            "cannot be read: it is a folder, and no ROS 2 bag", file=path, hint="name a file in it"
+        )
     try:
         head = b""
         if stat.S_ISREG(path.stat().st_mode):  # a pipe would keep the process waiting
@@ -122,23 +127,8 @@ def open_source(path: Path, dialect: Dialect | None = None) -> Source:
                 hint='install it with: pip install "ehbench[import]"',
             ) from None
     read: Callable[[Path, Dialect], Source] = import_module(f"{__name__}.{reader.module}").read
-    # what the libraries say of a broken file beside their errors is of no use
-    logging.getLogger(reader.package or __name__).setLevel(logging.CRITICAL)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            source = read(path, dialect or Dialect())
-        except EhbenchError as error:
-            if error.file is not None:
-                raise
-            raise LogError(error.message, file=path, hint=error.hint) from None
-        except RecursionError:
-            raise LogError(f"cannot be read as {reader.name}: it is too deep", file=path) from None
-        except MemoryError:
-            raise LogError(f"cannot be read as {reader.name}: too large", file=path) from None
-        except Exception as error:  # the libraries raise all kinds on a damaged file
-            said = str(error) or type(error).__name__
-            raise LogError(f"cannot be read as {reader.name}: {said}", file=path) from None
+    with _quiet(reader.package or __name__):
+        source = _read(reader, read, path, dialect or Dialect())
     asked = dialect.table if dialect else None
     if asked is not None and len(source.tables) > 0 and source.tables[0].name:
         there = ", ".join(f"'{table.name}'" for table in source.tables)
@@ -150,3 +140,36 @@ def open_source(path: Path, dialect: Dialect | None = None) -> Source:
         hint = "; ".join(source.losses[:4]) or None
         raise LogError("holds no column of numbers", file=path, hint=hint)
     return source
+
+
+def _read(
+    reader: Reader, read: Callable[[Path, Dialect], Source], path: Path, dialect: Dialect
+) -> Source:
+    """What a reader makes of a file; whatever it raises is one sentence."""
+    try:
+        return read(path, dialect)
+    except EhbenchError as error:
+        if error.file is not None:
+            raise
+        raise LogError(error.message, file=path, hint=error.hint) from None
+    except RecursionError:
+        said = "it is too deep"
+    except MemoryError:
+        said = "it is too large"
+    except Exception as error:  # the libraries raise all kinds on a damaged file
+        said = str(error) or type(error).__name__
+    gc.collect()  # what they leave of it complains as it goes
+    raise LogError(f"cannot be read as {reader.name}: {said}", file=path)
+
+
+@contextmanager
+def _quiet(package: str) -> Iterator[None]:
+    """Without what a library says of a broken file beside its errors."""
+    logging.getLogger(package).setLevel(logging.CRITICAL)
+    hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        sys.unraisablehook = hook

@@ -118,9 +118,10 @@ def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[Ta
     at = [n for n in range(layout.first, len(lines)) if _is_row(lines[n], separator)]
     rows = [lines[n] for n in at]
     values, odd = numbers(rows, separator, decimal, layout.kinds)
-    columns, began = [], None
+    columns, began, words = [], None, {}
     for index, kind in enumerate(layout.kinds):
         if kind == "words":
+            words[names[index]] = [_cell(row, separator, index) for row in rows]
             continue
         own = odd.get(index, {})
         column, unit = values[:, index], said[index]
@@ -130,7 +131,7 @@ def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[Ta
             unit, own = "s", {}
             began = start if began is None else began
         columns.append(Column(names[index], column, unit, own))
-    table = Table(name, tuple(columns), None, began, [n + 1 for n in at])
+    table = Table(name, tuple(columns), None, began, [n + 1 for n in at], words)
     skip = layout.first if layout.header is None else layout.header
     return table, Dialect(separator, decimal, skip, layout.units is not None)
 
@@ -221,10 +222,10 @@ def _layout(lines: Sequence[str], separator: str, decimal: str, dialect: Dialect
 
 def _kinds_of(rows: Sequence[Sequence[str]], decimal: str) -> tuple[str, ...]:
     """What each column mostly holds, of the rows as wide as most; the blank ones at the end left
-    out.
+    out. Facts stand above the numbers, so the second half of the file tells.
     """
-    step = -(-len(rows) // _LOOKED_AT) if rows else 1
-    shown = rows[::step]
+    shown = rows[len(rows) // 2 :]
+    shown = shown[:: -(-len(shown) // _LOOKED_AT) if shown else 1]
     widths = Counter(len(row) for row in shown)
     if not widths:
         return ()
@@ -234,7 +235,7 @@ def _kinds_of(rows: Sequence[Sequence[str]], decimal: str) -> tuple[str, ...]:
         kinds = Counter(_kind(cell, decimal) for cell in column)
         holes = kinds.pop("holes", 0)
         found.append(kinds.most_common(1)[0][0] if kinds else "holes" if holes else "words")
-    while found and found[-1] in ("holes", "words"):
+    while found and found[-1] == "holes":
         found.pop()
     found = ["words" if kind == "holes" else kind for kind in found]
     return tuple(found) if "numbers" in found else ()
@@ -244,7 +245,7 @@ def _heads(
     lines: Sequence[str], above: range, separator: str, width: int
 ) -> tuple[int | None, int | None]:
     """(line of the header, line of the units) of the lines above the numbers."""
-    wide = []
+    wide: list[int] = []
     for n in reversed(above):
         plain = lines[n].strip(" \t" + separator)
         if not plain:

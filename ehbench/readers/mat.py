@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ehbench.memory import refuse_beyond
-from ehbench.readers.table import Dialect, Gathered, Source
+from ehbench.readers.table import Dialect, Gathered, Source, Table
 
 _DEEPEST = 8  # structs in structs
 _PACKED = 20  # numbers that a byte of a packed file may stand for
@@ -28,7 +30,22 @@ def read(path: Path, dialect: Dialect) -> Source:
     for name, value in found.items():
         if not name.startswith("__"):
             _add(gathered, "", name, value, losses)
-    return Source(gathered.tables(), losses=tuple(losses))
+    names, units = (getattr(found.get(word), "__dict__", {}) for word in ("names", "units"))
+    tables = tuple(_labelled(table, names, units) for table in gathered.tables())
+    return Source(tables, losses=tuple(losses))
+
+
+def _labelled(table: Table, names: Mapping[str, Any], units: Mapping[str, Any]) -> Table:
+    """A table with the names and units that structs ``names`` and ``units`` of the file give its
+    variables.
+    """
+    columns = tuple(
+        replace(
+            one, name=str(names.get(one.name, one.name)), unit=str(units.get(one.name, one.unit))
+        )
+        for one in table.columns
+    )
+    return replace(table, columns=columns)
 
 
 def _add(gathered: Gathered, place: str, name: str, value: Any, losses: list[str]) -> None:

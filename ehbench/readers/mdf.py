@@ -16,7 +16,7 @@ def read(path: Path, dialect: Dialect) -> Source:
     """The groups of a measurement."""
     from asammdf import MDF
 
-    with MDF(str(path), memory="minimum", use_display_names=False) as file:
+    with MDF(str(path)) as file:
         sizes = [group.channel_group.cycles_nr * len(group.channels) for group in file.groups]
         refuse_beyond(16.0 * sum(sizes), "reading it")
         began = file.start_time.timestamp() if file.start_time else None

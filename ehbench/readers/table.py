@@ -14,6 +14,13 @@ from ehbench.errors import LogError
 from ehbench.readers.clock import moments
 from ehbench.units import named_unit
 
+_UNIT_LAST = (
+    r"\[([^\[\]]*)\]\s*$",
+    r"\(([^()]*)\)\s*$",
+    r"\{([^{}]*)\}\s*$",
+    r"\s(?:/|in)\s+(\S+)\s*$",
+    r",\s*(\S+)$",
+)
 WIDEST = 256  # columns that a matrix may have
 
 
@@ -21,7 +28,7 @@ def unit_in(name: str) -> str:
     """The unit that a column's name ends in: ``p [bar]``, ``p (bar)``, ``p / bar``, ``p in bar``;
     '' where it says none.
     """
-    for pattern in (r"[\[({]([^\[\](){}]*)[\])}]\s*$", r"\s(?:/|in)\s+(\S+)\s*$", r",\s*(\S+)$"):
+    for pattern in _UNIT_LAST:
         if (found := re.search(pattern, name)) and (unit := named_unit(found[1])):
             return unit
     return ""
@@ -51,13 +58,14 @@ class Table:
     ``name`` is that of the group, sheet or topic, '' where a file has one. ``t`` [s] is the time
     where the format itself knows it, else None. ``began`` is the wall clock of t = 0, in seconds
     since 1970 (UTC, or the local time where the file names no zone); None where it says none.
-    ``lines`` are the lines of the rows in a text file."""
+    ``lines`` are the lines of the rows in a text file, ``words`` its columns that hold words."""
 
     name: str
     columns: tuple[Column, ...]
     t: np.ndarray | None = None
     began: float | None = None
     lines: Sequence[int] | None = None
+    words: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     @property
     def size(self) -> int:

@@ -224,7 +224,7 @@ class Inputs:
         for item, place, name, index in named:
             is_run = (place / "log.mcap").is_file()
             path = place / "log.mcap" if is_run else place
-            columns = None if is_run else self._columns(item, index)
+            columns = None if is_run else self.columns(item, index)
             if columns is not None:
                 maps += [("columns", one) for one in columns.files if ("columns", one) not in maps]
             whole = read_record(path, columns=columns, window=_span(item))
@@ -237,10 +237,10 @@ class Inputs:
         self.findings.say("losses", *(f"lost: {loss}" for loss in losses))
         return Logs(records, tuple(inputs), losses, entries, tuple(maps))
 
-    def _columns(self, item: DataFile, index: int) -> ColumnMap | None:
+    def columns(self, item: DataFile | None = None, index: int = 0) -> ColumnMap | None:
         """The map of columns of an entry of ``data``, else that of the recipe."""
         path = self.recipe.path
-        if item.columns is not None:
+        if item is not None and item.columns is not None:
             return whole_map(item.columns, path, ("data", index, "columns"))
         own = getattr(self.recipe, "columns", None)
         return None if own is None else whole_map(own, path, ("columns",))
