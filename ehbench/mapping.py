@@ -18,7 +18,7 @@ from ehbench.logs import read_record
 from ehbench.quantities import VOCABULARY
 from ehbench.readers import Column, Source, Table, open_source, reader_of
 from ehbench.recipe.columns import ENDING
-from ehbench.report.style import MUTED, canvas, thin
+from ehbench.report.style import ACCENT, MUTED, canvas, thin
 from ehbench.rig import Rig
 from ehbench.units import is_of
 
@@ -89,7 +89,7 @@ def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Draft:
             )
     source = open_source(path)
     guesses = guessed(source, rig)
-    text = _toml(path, source, guesses)
+    text = drafted(path, source, guesses)
     try:
         with out.open("x", encoding="utf-8") as file:
             file.write(text)
@@ -225,7 +225,8 @@ def _command(
 # -------------------------------------------------------------------------------------------------
 
 
-def _toml(path: Path, source: Source, guesses: dict[str, Guess]) -> str:
+def drafted(path: Path, source: Source, guesses: dict[str, Guess]) -> str:
+    """The draft of a map as TOML: what is sure as keys, the rest as remarks."""
     lines = [
         f"# What the columns of {_remark(path.name)} are: a draft. Look at each line, "
         "then name this file",
@@ -295,7 +296,7 @@ def _policy(source: Source, guesses: dict[str, Guess]) -> list[str]:
 
 def _line(name: str, guess: Guess, column: Column) -> str:
     """A line of the map; a remark where nothing sure is known."""
-    key, unit = json.dumps(name, ensure_ascii=False), f" [{guess.unit}]" if guess.unit else ""
+    key, unit = _quoted(name), f" [{guess.unit}]" if guess.unit else ""
     if guess.ends is not None:
         first, last, low, high = guess.ends
         value = (
@@ -303,7 +304,7 @@ def _line(name: str, guess: Guess, column: Column) -> str:
             f'to = ["{low}", "{high}"] }}'
         )
     else:
-        value = json.dumps((guess.channel or "?") + unit, ensure_ascii=False)
+        value = _quoted((guess.channel or "?") + unit)
     said = ", ".join(part for part in (_range(column), guess.remark) if part)
     return f"{'' if guess.sure else '# '}{key} = {value}    # {said}"
 
@@ -314,6 +315,13 @@ def _range(column: Column) -> str:
         return "no number"
     unit = f" {column.known_unit or _remark(column.unit)}".rstrip()
     return f"{known.min():.4g} … {known.max():.4g}{unit}"
+
+
+def _quoted(text: str) -> str:
+    """A text of the file as TOML has it."""
+    escaped = {'"': '\\"', "\\": "\\\\"}
+    plain = (escaped.get(c, c) if c.isprintable() else f"\\U{ord(c):08x}" for c in text)
+    return '"' + "".join(plain) + '"'
 
 
 def _remark(text: str) -> str:
@@ -384,7 +392,11 @@ def _tried(path: Path, out: Path, guesses: dict[str, Guess], rig: Rig | None) ->
         return [*lines, f"not yet: {error}"]
     lines.append(f"taken with this map: {record!r}")
     lines += [f"  {loss}" for loss in record.losses]
-    return [*lines, f'next: look at {out}, then write  columns = "{out}"  in the recipe']
+    return [
+        *lines,
+        f"next: look at {out} and its picture, then name it in the recipe, from where that lies: "
+        f'columns = "{out.name}"',
+    ]
 
 
 def _draw(picture: Path, source: Source, guesses: dict[str, Guess]) -> None:
@@ -408,12 +420,13 @@ def _draw(picture: Path, source: Source, guesses: dict[str, Guess]) -> None:
             ax.plot(*thin(t[good], column.values[good]))
             guess = guesses[name]
             told = f" → {guess.channel}{'' if guess.sure else ' ?'}" if guess.channel else ""
+            told += " (red: no number)" if _bad(column) else ""
             unit = column.known_unit or column.unit
             ax.set_title(_remark(name) + told, color="black" if guess.sure else MUTED)
             ax.set_ylabel(unit or "–")
             ax.set_xlabel(across)
             for at in _bad(column):
-                ax.axvline(t[at], color="#b3261e", linewidth=0.8)
+                ax.axvline(t[at], color=ACCENT, linewidth=0.8)
 
 
 def _column(source: Source, at: tuple[int, int]) -> Column:

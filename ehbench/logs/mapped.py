@@ -65,7 +65,7 @@ def read_mapped(
     """
     source = open_source(path, dialect_of(columns))
     columns = columns or named_channels(source, path)
-    losses = list(source.losses)
+    losses: list[str] = []
     groups = _groups(source, columns, path)
     began = _one_clock(groups)
     for group in groups:
@@ -211,9 +211,15 @@ def _one_clock(groups: list[_Group]) -> float | None:
 
 def _filter(group: _Group, columns: ColumnMap) -> None:
     """Low-pass what the map asks it for; over bad samples it goes on along a straight line."""
-    for mapped in columns.columns.names.values():
+    for name, mapped in columns.columns.names.items():
         if mapped.filter is None or mapped.channel not in group.channels:
             continue
+        span = group.period * group.t.size
+        if float(mapped.filter) * span < 1.0:
+            raise InputError(
+                f"a filter of {float(mapped.filter):g} Hz leaves nothing of {span:.4g} s",
+                **columns.at("names", name),
+            )
         values = group.channels[mapped.channel]
         good = np.isfinite(values)
         if good.sum() > 3 and 0.0 < group.period < np.inf:

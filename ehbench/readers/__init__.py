@@ -127,7 +127,7 @@ def open_source(path: Path, dialect: Dialect | None = None) -> Source:
                 hint='install it with: pip install "ehbench[import]"',
             ) from None
     read: Callable[[Path, Dialect], Source] = import_module(f"{__name__}.{reader.module}").read
-    with _quiet(reader.package or __name__):
+    with _quiet():
         source = _read(reader, read, path, dialect or Dialect())
     asked = dialect.table if dialect else None
     if asked is not None and len(source.tables) > 0 and source.tables[0].name:
@@ -163,9 +163,10 @@ def _read(
 
 
 @contextmanager
-def _quiet(package: str) -> Iterator[None]:
+def _quiet() -> Iterator[None]:
     """Without what a library says of a broken file beside its errors."""
-    logging.getLogger(package).setLevel(logging.CRITICAL)
+    level = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
     hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
     try:
         with warnings.catch_warnings():
@@ -173,3 +174,4 @@ def _quiet(package: str) -> Iterator[None]:
             yield
     finally:
         sys.unraisablehook = hook
+        logging.disable(level)
