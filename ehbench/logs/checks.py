@@ -17,6 +17,8 @@ from ehbench.units import from_si, to_si
 
 LABEL = re.compile(r"\s*(.*?)\s*\[([^\[\]]*)\]\s*$")
 
+TIMES = ("t", "time", "zeit", "timestamp", "seconds", "sec")  # what a time may be called
+
 
 def check_record(
     record: Record,
@@ -119,10 +121,11 @@ def check_known(name: str, *, file: str | Path | None = None, line: int | None =
     *path, word = name.split(".")
     if word in VOCABULARY and all(path):
         return
-    near = get_close_matches(word.strip().lower(), VOCABULARY, 1, cutoff=0.5)
+    plain = word.strip().lower()
+    near = ["t"] if plain in TIMES else get_close_matches(plain, VOCABULARY, 1, cutoff=0.5)
     nearest = ".".join([*path, *near])
     hint = (
-        f"nearest is '{nearest}'"
+        f"nearest is '{nearest}'" + ", written 't [s]'" * (near == ["t"])
         if near
         else "a name ends in a word such as q, x, p_head, p_rod or command"
     )

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.errors import InputError, LogError, UnitError
-from ehbench.logs.checks import LABEL, check_known, check_time
+from ehbench.logs.checks import LABEL, TIMES, check_known, check_time
 from ehbench.quantities import VOCABULARY, quantity
 from ehbench.readers import Column, Dialect, Source, Table, open_source
 from ehbench.recipe.columns import LEAVE_OUT, ColumnMap, Columns, MappedColumn
@@ -25,7 +25,6 @@ BRIDGED = 5  # samples in a row that a straight line may stand for
 GAP = 1.5  # sample times between two samples where one is missing
 _CLOCK = 1e8  # [s] from which a time counts from 1970
 _NAMED = 4  # places that are told
-_TIMES = ("t", "time")
 
 
 @dataclass
@@ -110,7 +109,7 @@ def named_channels(source: Source, path: Path) -> ColumnMap:
         column = source.tables[i].columns[j]
         label = LABEL.match(name)
         channel, unit = label.groups() if label else (name, column.known_unit)
-        channel = "t" if channel.lower() in _TIMES else channel.replace("/", ".").strip(".")
+        channel = "t" if channel.lower() in TIMES else channel.replace("/", ".").strip(".")
         if channel.rpartition(".")[2] in VOCABULARY and unit:
             found[name] = MappedColumn(channel=channel, unit=unit)
     if not any(column.channel != "t" for column in found.values()):

@@ -46,7 +46,11 @@ def read_csv(path: Path, data: bytes, check: bool, window: Window | None = None)
             line=head,
             hint="the header is like t [s],boom.q [rad]",
         )
-    labels = [label_of(cell, file=path, line=head) for cell in cells]
+    try:
+        labels = [label_of(cell, file=path, line=head) for cell in cells]
+    except InputError as error:
+        hint = f"{error.hint}; or say what the columns are: ehbench map {path.name}"
+        raise type(error)(error.message, file=path, line=head, hint=hint) from None
     names = [name for name, _ in labels]
     for name in names:
         if names.count(name) > 1:
