@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -15,6 +16,8 @@ from ehbench.record import Record
 from ehbench.units import from_si, to_si
 
 LABEL = re.compile(r"\s*(.*?)\s*\[([^\[\]]*)\]\s*$")
+
+TIMES = ("t", "time", "zeit", "timestamp", "seconds", "sec")  # what a time may be called
 
 
 def check_record(
@@ -75,6 +78,18 @@ def check_record(
         )
 
 
+def inside(t: np.ndarray, window: tuple[float, float] | None) -> np.ndarray:
+    """Which times [s] lie inside a window; all where none does."""
+    keep = np.ones(t.size, bool) if window is None else (t >= window[0]) & (t <= window[1])
+    return keep if keep.any() else ~keep
+
+
+def part_of(record: Record, keep: np.ndarray) -> Record:
+    """The samples of a record that a mask keeps."""
+    channels = {name: values[keep] for name, values in record.channels.items()}
+    return replace(record, t=record.t[keep], channels=channels)
+
+
 def check_time(
     t: np.ndarray,
     file: str | Path | None = None,
@@ -107,10 +122,11 @@ def check_known(name: str, *, file: str | Path | None = None, line: int | None =
     *path, word = name.split(".")
     if word in VOCABULARY and all(path):
         return
-    near = get_close_matches(word.strip().lower(), VOCABULARY, 1, cutoff=0.5)
+    plain = word.strip().lower()
+    near = ["t"] if plain in TIMES else get_close_matches(plain, VOCABULARY, 1, cutoff=0.5)
     nearest = ".".join([*path, *near])
     hint = (
-        f"nearest is '{nearest}'"
+        f"nearest is '{nearest}'" + ", written 't [s]'" * (near == ["t"])
         if near
         else "a name ends in a word such as q, x, p_head, p_rod or command"
     )
