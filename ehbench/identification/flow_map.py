@@ -421,6 +421,10 @@ def _volts(interval: tuple[float, float]) -> tuple[float, float]:
     return round(interval[0], 4), round(interval[1], 4)
 
 
+def _shown(volts: float) -> float:
+    return round(volts, 2)
+
+
 def _ways(result: Result, fit: FlowMapFit) -> Iterator[str]:
     """Sentences on what a valve does beside opening smoothly with its command."""
     found, show = result.found, result.found.task.show
@@ -434,13 +438,14 @@ def _ways(result: Result, fit: FlowMapFit) -> Iterator[str]:
         )
     for value, low, high in fit.kinks:
         yield (
-            f"the flow's slope jumps at {show.volts(value)} ({show.volts(low)} to "
-            f"{show.volts(high)}): a kink between two commands, followed"
+            f"the flow's slope jumps at {show.volts(_shown(value))} ({show.volts(_shown(low))} to "
+            f"{show.volts(_shown(high))}): a kink between two commands, followed"
         )
     if fit.falls:
         yield (
-            f"the flow falls above {show.volts(fit.map.rising_to)}, by {100 * fit.falls:.2g} % up "
-            f"to {show.volts(fit.map.command_max)}: kept; the inverse goes no further than that"
+            f"the flow falls above {show.volts(_shown(fit.map.rising_to))}, by "
+            f"{100 * fit.falls:.2g} % up to {show.volts(_shown(fit.map.command_max))}: kept; the "
+            "inverse goes by the rising branch"
         )
     if result.lag and result.lag.taken_off:
         low, high = fit.hysteresis_interval
