@@ -170,16 +170,7 @@ def sort_readings(
         ValueError: shapes that differ, a number that is not finite, a negative opening.
         InsufficientData: no drop above zero, fewer than 4 commands or 4 drops.
     """
-    u, drop, q = (np.asarray(a, float) for a in (given.command, given.pressure_drop, given.flow))
-    one_drop = drop.size > 0 and bool(np.isnan(drop).all())
-    if one_drop:
-        drop = np.full(drop.shape, options.nominal_drop)
-    elif np.isnan(drop).any():
-        raise InsufficientData(
-            f"the {who} has readings with a pressure drop and readings without",
-            hint="give the drop of all, or of none for a map by the command alone",
-        )
-    _refuse_malformed(u, drop, q)
+    u, drop, q, one_drop = _columns_of(who, given, options.nominal_drop)
     n = u.size
     method = np.full(n, "flowmeter") if given.method is None else np.asarray(given.method)
     method = method.astype(str)
@@ -218,6 +209,25 @@ def sort_readings(
         sweep=sweep,
         one_drop=one_drop,
     )
+
+
+def _columns_of(
+    who: str, given: FlowReadings | FlowmeterData, nominal: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
+    """(command, drop, flow, whether the readings were taken without pressures): the drop is then
+    the ``nominal`` one [Pa].
+    """
+    u, drop, q = (np.asarray(a, float) for a in (given.command, given.pressure_drop, given.flow))
+    one_drop = drop.size > 0 and bool(np.isnan(drop).all())
+    if one_drop:
+        drop = np.full(drop.shape, nominal)
+    elif np.isnan(drop).any():
+        raise InsufficientData(
+            f"the {who} has readings with a pressure drop and readings without",
+            hint="give the drop of all, or of none for a map by the command alone",
+        )
+    _refuse_malformed(u, drop, q)
+    return u, drop, q, one_drop
 
 
 def _sweeps(u: np.ndarray, trial: np.ndarray, line: np.ndarray) -> np.ndarray:

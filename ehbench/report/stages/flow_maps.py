@@ -147,7 +147,7 @@ def _way_rows(rig: Rig, one: Table) -> Iterator[list[Cell | str]]:
         return [one["valve"], one["direction"], what, num(value), num(ends)]
 
     flow = pretty(unit_of(rig, "flow"))
-    leak, ends = one["leakage"], one.get("leakage_interval", (0.0, 0.0))
+    leak, ends = one.get("leakage"), one.get("leakage_interval", (0.0, 0.0))
     if ends[0] > 0.0:
         between = " … ".join(_flow(rig, end, 3) for end in ends)
         yield row(f"leak below the deadband [{flow}]", _flow(rig, leak, 3), between)
