@@ -219,6 +219,28 @@ def compare(
         print("\n".join(runs.lines(first, second, width)))
 
 
+@app.command(epilog="Example:  ehbench why bulk_modulus reports/identify_1a2b3c4d")
+def why(
+    name: Annotated[
+        str, typer.Argument(help="A number: a parameter, or the end of its path in the run's JSON.")
+    ],
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run or report folder.")],
+    as_json: AsJson = False,
+) -> None:
+    """Say where a number of a run or report is from: interval, method, windows, logs, recipe and
+    rig line; exit 3 where these no longer bear it."""
+    from ehbench.report.why import why as origin_of
+
+    found = origin_of(name, run)
+    if as_json:
+        import json
+
+        print(json.dumps(found.as_json(), ensure_ascii=False, indent=1))
+    else:
+        print("\n".join(found.lines()))
+    raise typer.Exit(3 if found.marks else 0)
+
+
 @app.command(epilog="Example:  ehbench show datasets/slide_servo/steps/press_no_load.mcap")
 def show(
     files: Annotated[

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.errors import InsufficientData
+from ehbench.identification.groups import Group
 from ehbench.identification.search import Coordinate
 from ehbench.identification.simulator import Log, Shifts, Simulator, channels_of
 from ehbench.quantities import quantity
@@ -84,7 +85,8 @@ class LogFit:
 class HydraulicsFit:
     """What an identification found. ``rig`` carries the fitted values; ``correlation`` is between
     the parameters with a standard error, in the order of ``correlated_names``; ``scales`` [SI] is
-    what each channel's residual was divided by."""
+    what each channel's residual was divided by; ``groups`` the products of parameters that the
+    logs know though they do not know each."""
 
     rig: Rig
     method: str
@@ -98,6 +100,7 @@ class HydraulicsFit:
     evaluations: int
     iterations: int
     recordings: tuple[tuple[str, dict[str, np.ndarray]], ...]
+    groups: tuple[Group, ...] = ()
 
     def __getitem__(self, name: str) -> FittedParameter:
         """The fitted parameter of that name.
@@ -147,6 +150,7 @@ class Estimate:
     cutoff: float | None = None
     shifts: Shifts | None = None
     held: Sequence[float] = ()
+    groups: Sequence[Group] = ()
 
 
 def untold(c: Coordinate, samples: int) -> FittedParameter:
@@ -197,6 +201,7 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
         evaluations=simulator.evaluations,
         iterations=found.iterations,
         recordings=tuple(recordings),
+        groups=tuple(found.groups),
     )
 
 

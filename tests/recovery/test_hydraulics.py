@@ -631,3 +631,19 @@ def test_valve_dynamics_are_told_apart():
     assert ranking[0].relative_rms == 1.0 and ranking[1].relative_rms > 1.5
     with pytest.raises(InputError, match="no dynamics 'none'"):
         compare_dynamics(machine, slide_logs(11), SLIDE, ["none"])
+
+
+def test_volumes_and_bulk_modulus_are_told_as_ratios_where_the_stroke_does_not_tell_them_apart():
+    large = rig("slide_servo").with_values({"press.volume_head": 0.02, "press.volume_rod": 0.02})
+    made = simulate(large, {"press.servo": pulses(801, (60, 240, 2.0), (440, 640, -2.0))}, 0.8)
+    names = ["bulk_modulus", "press.volume_head", "press.volume_rod", "carriage.damping"]
+    fit = identify(large, [("log", noisy(made, 5))], names)
+    powers = [one.powers for one in fit.groups]
+    assert powers and all(set(one) <= set(names[:3]) and len(one) == 2 for one in powers)
+    for one in fit.groups:
+        # the ratio to under a percent, each to several
+        assert one.std < 0.25 * min(one.alone.values())
+        true = math.prod(float(large.parameters()[n]) ** p for n, p in one.powers.items())
+        assert abs(math.log(one.value / true)) < 4 * one.std
+    assert any("not each so well" in text for text in fit.warnings)
+    assert json.loads(json.dumps(rundir.plain(fit.as_json())))["groups"][0]["powers"]
