@@ -10,6 +10,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -99,10 +100,10 @@ def init(
 @app.command(epilog="Example:  ehbench check recipes/rigs/thesis_arm.toml")
 def check(
     file: Annotated[
-        Path, typer.Argument(help="A rig, recipe, flowmeter CSV or log (MCAP or CSV).")
+        Path, typer.Argument(help="A rig, recipe, map of columns, flowmeter CSV or log.")
     ],
 ) -> None:
-    """Check a rig, recipe, data file or log without running anything.
+    """Check a rig, recipe, map, data file or log without running anything.
 
     Of a recipe, all that its run takes in: the rig, maps, data and recipes it names.
     What only a run can tell is said."""
@@ -242,6 +243,28 @@ def compare(
         print("\n".join(runs.lines(first, second, width)))
 
 
+@app.command(epilog="Example:  ehbench why bulk_modulus reports/identify_1a2b3c4d")
+def why(
+    name: Annotated[
+        str, typer.Argument(help="A number: a parameter, or the end of its path in the run's JSON.")
+    ],
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run or report folder.")],
+    as_json: AsJson = False,
+) -> None:
+    """Say where a number of a run or report is from: interval, method, windows, logs, recipe and
+    rig line; exit 3 where these no longer bear it."""
+    from ehbench.report.why import why as origin_of
+
+    found = origin_of(name, run)
+    if as_json:
+        import json
+
+        print(json.dumps(found.as_json(), ensure_ascii=False, indent=1))
+    else:
+        print("\n".join(found.lines()))
+    raise typer.Exit(3 if found.marks else 0)
+
+
 @app.command(epilog="Example:  ehbench show datasets/slide_servo/steps/press_no_load.mcap")
 def show(
     files: Annotated[
@@ -262,6 +285,65 @@ def show(
     path = viewer.place(files, out)
     path.write_text(viewer.page(files), encoding="utf-8")
     print(path)
+
+
+@app.command("map", epilog="Example:  ehbench map recordings/run_07.tdms --rig rig.toml")
+def map_columns(
+    file: Annotated[Path, typer.Argument(help="A recording of any format that is read.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Default: <name>.map.toml here.", show_default=False),
+    ] = None,
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            "--rig",
+            help="Whose cylinders and valves they are. Default: rig.toml here, if there is one.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """Look at a file of your own recorder and draft a map of its columns, with a picture of each.
+
+    The map says which column is which channel, with its unit. Nothing is written over."""
+    from ehbench import mapping
+    from ehbench.recipe import load_rig
+
+    if rig is None and Path("rig.toml").is_file():
+        rig = Path("rig.toml")
+    made = mapping.draft(file, out, None if rig is None else load_rig(rig))
+    print("\n".join(made.lines))
+    print(made.picture)
+    print(made.path)
+
+
+class Format(StrEnum):
+    """What a log can be written as."""
+
+    parquet = "parquet"
+    mat = "mat"
+
+
+@app.command(
+    epilog="Example:  ehbench convert datasets/slide_servo/steps/press_no_load.mcap --to mat"
+)
+def convert(
+    log: Annotated[
+        Path, typer.Argument(help="A log of any format that is read, or a trial's run.")
+    ],
+    to: Annotated[Format, typer.Option("--to", help="What to write.", show_default=False)],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Default: <name>.<to> here.", show_default=False)
+    ] = None,
+    columns: Annotated[
+        Path | None,
+        typer.Option("--columns", help="A map of the log's columns.", show_default=False),
+    ] = None,
+) -> None:
+    """Write a log as Parquet or MAT, in SI, with its units. Nothing is written over."""
+    from ehbench import converting
+
+    print(converting.convert(log, to.value, out, columns))
 
 
 def _run(

@@ -121,7 +121,7 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
     """A name for each log: its file's stem, with the folder before it where others have the same,
     numbered if need be.
     """
-    names = [path.stem for path in paths]
+    names = [Path(path.name.removesuffix(".gz")).stem for path in paths]
     crowd = Counter(names)
     names = [
         f"{path.parent.name}_{name}" if crowd[name] > 1 else name

@@ -15,6 +15,7 @@ import numpy as np
 
 from ehbench.errors import InsufficientData
 from ehbench.identification.covariance import Block, Prior, covariance_of, eliminate, release_of
+from ehbench.identification.groups import Group, groups_of, sentence
 from ehbench.identification.results import (
     Estimate,
     HydraulicsFit,
@@ -572,7 +573,7 @@ class OutputError:
             )
         names = tuple(self.search[live[k]].name for k in inside)
         among = correlation[np.ix_(inside, inside)]
-        return _Errors(result, names, among, here, blocks, found.hac)
+        return _Errors(result, names, among, here, blocks, found.hac, found.alone)
 
     def _wrongly_held(self, found: _Errors) -> list[str]:
         """A warning of the held parameter whose release would better the fit most, if it is surely
@@ -617,6 +618,23 @@ class OutputError:
             for block, slope in zip(found.blocks, added, strict=True)
         ]
 
+    def _groups(self, found: _Errors) -> tuple[Group, ...]:
+        """The products of parameters that the logs know though they do not know each."""
+        live = sorted(self.free + self.bound)
+        normal = np.sum([eliminate(b, self.weight).normal for b in found.blocks], axis=0)
+        logs = [k for k, i in enumerate(live) if self.search[i].log]
+        rest = [k for k in range(len(live)) if k not in logs]
+        if len(logs) < 2:
+            return ()
+        inner = np.linalg.pinv(normal[np.ix_(rest, rest)])
+        own = normal[np.ix_(logs, logs)]
+        own = own - normal[np.ix_(logs, rest)] @ inner @ normal[np.ix_(rest, logs)]
+        ideal = np.sqrt(1.0 / np.maximum(np.diag(normal), 1e-300))
+        widening = [found.alone[k] / ideal[k] for k in logs]
+        names = [self.search[live[k]].name for k in logs]
+        values = [self.search[live[k]].at(self.theta[live[k]]) for k in logs]
+        return groups_of(names, values, own, float(np.median(widening)))
+
     def _at_bound(self, i: int) -> bool:
         return i in self.bound or self.theta[i] in self.search[i].bounds
 
@@ -652,6 +670,8 @@ class OutputError:
                         f"{other} and {name} are correlated by {found.correlation[a, b]:+.3f}: "
                         "the logs tell them only together"
                     )
+        groups = self._groups(found)
+        warnings += [sentence(groups)] if groups else []
         return finish(
             self.simulator,
             Estimate(
@@ -664,6 +684,7 @@ class OutputError:
                 scales=self.scales,
                 cutoff=self.cutoff,
                 shifts=self.shifts,
+                groups=groups,
                 held=[
                     *(c.at(self.theta[i]) for i, c in self._shared()),
                     *(c.start for c in self.search[self.fitted :]),
@@ -713,8 +734,8 @@ class _Error:
 @dataclass(frozen=True, eq=False)
 class _Errors:
     """Errors by index of the parameter, and the correlation between the free ones, in the order of
-    their names, the point they belong to, what each log says there and the covariance of those
-    that are live."""
+    their names, the point they belong to, what each log says there, the covariance of those that
+    are live, and the standard error each would have if all others were known."""
 
     by_index: dict[int, _Error]
     names: tuple[str, ...]
@@ -722,6 +743,7 @@ class _Errors:
     here: _Point
     blocks: list[Block]
     covariance: np.ndarray
+    alone: np.ndarray
 
 
 def _stacked(columns: Sequence[np.ndarray | None], like: np.ndarray) -> np.ndarray:

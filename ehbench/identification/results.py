@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.errors import InsufficientData
+from ehbench.identification.groups import Group
 from ehbench.identification.search import Coordinate
 from ehbench.identification.simulator import Log, Shifts, Simulator, channels_of
 from ehbench.quantities import quantity
@@ -115,7 +116,8 @@ class SensorFit:
 class HydraulicsFit:
     """What an identification found. ``rig`` carries the fitted values; ``correlation`` is between
     the parameters with a standard error, in the order of ``correlated_names``; ``scales`` [SI] is
-    what each channel's residual was divided by; ``sensors`` what was found of the logs' own."""
+    what each channel's residual was divided by; ``sensors`` what was found of the logs' own,
+    ``groups`` the products of parameters that the logs know though they do not know each."""
 
     rig: Rig
     method: str
@@ -130,6 +132,7 @@ class HydraulicsFit:
     iterations: int
     recordings: tuple[tuple[str, dict[str, np.ndarray]], ...]
     sensors: tuple[SensorFit, ...] = ()
+    groups: tuple[Group, ...] = ()
 
     def __getitem__(self, name: str) -> FittedParameter:
         """The fitted parameter of that name.
@@ -180,6 +183,7 @@ class Estimate:
     shifts: Shifts | None = None
     held: Sequence[float] = ()
     sensors: Sequence[SensorFit] = ()
+    groups: Sequence[Group] = ()
 
 
 def untold(c: Coordinate, samples: int) -> FittedParameter:
@@ -231,6 +235,7 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
         iterations=found.iterations,
         recordings=tuple(recordings),
         sensors=tuple(found.sensors),
+        groups=tuple(found.groups),
     )
 
 

@@ -12,6 +12,14 @@ from ehbench.recipe.bench import (
     BenchValve,
 )
 from ehbench.recipe.campaign import Campaign, TextSection
+from ehbench.recipe.columns import (
+    AnyColumns,
+    ColumnMap,
+    Columns,
+    MappedColumn,
+    load_columns,
+    whole_map,
+)
 from ehbench.recipe.dataset import DatasetLog, DatasetRecipe, Flowmeter
 from ehbench.recipe.flow_map import CalibrationPoint, FlowMapRecipe
 from ehbench.recipe.hydraulics import HydraulicsRecipe
@@ -24,6 +32,12 @@ from ehbench.recipe.tune import TuneRecipe
 from ehbench.recipe.validate import JudgedFile, Thresholds, ValidateRecipe
 
 __all__ = [
+    "AnyColumns",
+    "ColumnMap",
+    "Columns",
+    "MappedColumn",
+    "load_columns",
+    "whole_map",
     "AnyTrial",
     "BenchCurve",
     "BenchCylinder",

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from ehbench.fields import Q, Value
 from ehbench.recipe.base import ByParameter, DataFiles, Recipe
+from ehbench.recipe.columns import AnyColumns
 from ehbench.recipe.sensor import Sensors
 
 
@@ -24,6 +25,10 @@ class HydraulicsRecipe(Recipe):
     rig: str
     flow_maps: str | None = None
     data: DataFiles
+    columns: AnyColumns = Field(
+        default=None,
+        description="which column of a file is which channel: `[columns]`, or the name of a map",
+    )
     parameters: Annotated[tuple[str, ...], Field(min_length=1)]
     start: ByParameter = {}
     lower: ByParameter = {}

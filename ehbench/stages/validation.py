@@ -93,7 +93,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         does = f"judges the rig on {counted(recipe.data, 'log')}: {asked}"
         return PreparedJudgement(
             recipe,
-            (*state.inputs, *logs.inputs),
+            (*state.inputs, *logs.inputs, *logs.maps),
             does,
             state,
             logs,

@@ -17,7 +17,8 @@ FLOORS = [
     {"parts"},
     {"control"},
     {"record", "rig"},
-    {"recipe", "readers", "logs"},
+    {"recipe", "readers"},
+    {"logs"},
     {"rundir"},
     {"plant"},
     {"machines"},
@@ -27,7 +28,7 @@ FLOORS = [
     {"identification", "validation", "tune", "trial", "report"},
     {"stages"},
     {"workflow", "starter"},
-    {"inspection"},
+    {"inspection", "mapping", "converting"},
     {"__init__", "cli", "datasets", "benchmark", "reference", "study", "warm"},
 ]
 RANK = {name: rank for rank, names in enumerate(FLOORS) for name in names}

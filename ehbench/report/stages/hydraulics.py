@@ -15,9 +15,19 @@ from ehbench.report.figures import hydraulics as figures
 from ehbench.report.figures.channels import title_of
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
-from ehbench.report.words import axis, count, number, pretty, row_of, shown, unit_of, words
+from ehbench.report.words import (
+    axis,
+    count,
+    interval,
+    number,
+    pretty,
+    row_of,
+    shown,
+    unit_of,
+    words,
+)
 from ehbench.rig import Rig
-from ehbench.terms import CORRELATED
+from ehbench.terms import CORRELATED, Z95
 
 _METHODS = {"thesis": "matching frequency and decay"}
 _PARAMETERS_CAPTION = (
@@ -46,6 +56,8 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     names, matrix = fit.get("correlated_names", []), fit.get("correlation", [])
     if len(names) > 1:
         parts.append(Part("Correlation of the estimates", _correlation(names, matrix)))
+    if groups := fit.get("groups", []):
+        parts.append(Part("What the logs know together", [_groups(groups)]))
     if matches := fit.get("matches", []):
         caption = "Ringing of recorded and simulated transients over the same window."
         parts.append(Part("What was matched", [ringing_table(rig, matches, caption, True)]))
@@ -164,6 +176,23 @@ def _correlation(names: Sequence[str], matrix: Sequence[Sequence[float | None]])
                     "the logs tell them only together."
                 )
     return [*([Bullets(strong, "warn")] if strong else []), Heat(names, matrix)]
+
+
+def _groups(groups: Sequence[Table]) -> Grid:
+    note = (
+        "Scales that the logs cannot tell change all parameters of a product together: each is "
+        "open, the product is known. Measure one of them, or give it a prior. In SI."
+    )
+    rows: list[list[Cell | str]] = [
+        [
+            Cell(one["text"], "code"),
+            num(number(one["value"], 4)),
+            num(interval(*one["interval"])),
+            num(f"± {number(100.0 * Z95 * one['std'], 2)} %"),
+        ]
+        for one in groups
+    ]
+    return Grid(["product", "value", "95 % interval", "known to"], rows, note)
 
 
 def _log_fits(rig: Rig, logs: Sequence[Table]) -> list[Block]:

@@ -23,6 +23,7 @@ from ehbench.report.captions import capital
 from ehbench.report.figures.channels import title_of
 from ehbench.report.saved import Saved, read_points, read_series
 from ehbench.report.words import axis, number, pretty, row_of, shown, unit_of, words
+from ehbench.readers import suffixes
 from ehbench.rig import Rig
 from ehbench.units import from_si
 
@@ -90,15 +91,15 @@ def _names(sources: Sequence[Path]) -> list[str]:
 def _sheets(source: Path, of: int) -> Iterator[Sheet]:
     if not source.exists():
         raise InputError("no such file", file=source)
-    if source.is_dir():
+    if source.is_dir() and not (source / "metadata.yaml").is_file():
         yield from _run(source, of)
     elif source.suffix == ".json":
         maps = load_flow_maps(source)
         yield from (_map(one, None, of) for one in maps.each())
-    elif source.suffix in (".mcap", ".csv"):
+    elif source.is_dir() or source.name.lower().removesuffix(".gz").endswith(suffixes()):
         yield _log(source, None, of, "")
     else:
-        hint = "it shows logs (.mcap, .csv), flow_maps.json and run folders"
+        hint = "it shows logs, flow_maps.json and run folders"
         raise InputError(f"cannot show '{source.suffix}' files", file=source, hint=hint)
 
 
