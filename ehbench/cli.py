@@ -149,7 +149,31 @@ def _runner(command: Command) -> Callable[..., None]:
     ) -> None:
         _run(command.name, recipe, out, Says(quiet, verbose, as_json), allow_code=allow_code)
 
-    return {"": plain, "unvalidated": insisting, "allow_code": trusting}[command.allows]
+    def asking(
+        recipe: RecipeFile,
+        out: Out = None,
+        quiet: Quiet = False,
+        verbose: Verbose = False,
+        as_json: AsJson = False,
+        suggest: Annotated[
+            bool,
+            typer.Option(
+                "--suggest",
+                help="Try what would better the fit; with --out write the best as a recipe.",
+            ),
+        ] = False,
+        seconds: Annotated[
+            float, typer.Option("--seconds", help="With --suggest: for how long to try.", min=1.0)
+        ] = 120.0,
+    ) -> None:
+        says = Says(quiet, verbose, as_json)
+        if suggest:
+            _suggest(recipe, out, says, seconds)
+        else:
+            _run(command.name, recipe, out, says)
+
+    kinds = {"": plain, "unvalidated": insisting, "allow_code": trusting, "suggest": asking}
+    return kinds[command.allows]
 
 
 for _command in COMMANDS:
@@ -341,6 +365,24 @@ def _run(
         )
         made = workflow.run(recipe, session)
     _leave(made, says)
+
+
+def _suggest(file: Path, out: Path | None, says: Says, seconds: float) -> None:
+    from ehbench import workflow
+
+    recipe = workflow.expect_stage(file, "identify")
+    _say_first(says.quiet)
+    with _progress(says.quiet) as tell:
+        found = workflow.suggest(recipe, workflow.Session(out=out, progress=tell), seconds)
+    if says.as_json:
+        import json
+
+        rows = [row.as_json() for row in found.rows]
+        print(json.dumps({"rows": rows, "untried": found.untried}, ensure_ascii=False, indent=1))
+    else:
+        print("\n".join(found.lines(len(found.rows)) if says.verbose else found.lines()))
+    if out is not None and not says.as_json:
+        print(out / recipe.path.name)
 
 
 def _say_first(quiet: bool) -> None:
