@@ -56,6 +56,10 @@ Quiet = Annotated[
 Verbose = Annotated[
     bool, typer.Option("--verbose", "-v", help="All tables with all their columns.")
 ]
+Columns = Annotated[
+    Path | None,
+    typer.Option("--columns", help="A map of the columns of a log by others.", show_default=False),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")]
 
 
@@ -275,6 +279,7 @@ def show(
         Path | None,
         typer.Option("--out", help="The page. Default: <name>.html here.", show_default=False),
     ] = None,
+    columns: Columns = None,
 ) -> None:
     """Write a log, flow map or run as an interactive page: zoom, values, curves to hide; two of
     them over one another."""
@@ -283,7 +288,7 @@ def show(
     if len(files) > 2:
         raise typer.BadParameter("one or two files can be shown at a time")
     path = viewer.place(files, out)
-    path.write_text(viewer.page(files), encoding="utf-8")
+    path.write_text(viewer.page(files, columns), encoding="utf-8")
     print(path)
 
 
@@ -335,10 +340,7 @@ def convert(
     out: Annotated[
         Path | None, typer.Option("--out", help="Default: <name>.<to> here.", show_default=False)
     ] = None,
-    columns: Annotated[
-        Path | None,
-        typer.Option("--columns", help="A map of the log's columns.", show_default=False),
-    ] = None,
+    columns: Columns = None,
 ) -> None:
     """Write a log as Parquet or MAT, in SI, with its units. Nothing is written over."""
     from ehbench import converting
