@@ -15,6 +15,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from typing import TYPE_CHECKING
+
 from ehbench import stages
 from ehbench.blas import one_thread
 from ehbench.errors import InputError
@@ -24,6 +26,9 @@ from ehbench.stages.campaign import write_report
 from ehbench.stages.findings import Findings
 from ehbench.stages.inputs import Inputs, RigState, ValidatedRig
 from ehbench.stages.look import Circle
+
+if TYPE_CHECKING:
+    from ehbench.stages.planning import NextTest
 
 __all__ = [
     "DONE",
@@ -38,6 +43,7 @@ __all__ = [
     "Session",
     "ValidatedRig",
     "expect_stage",
+    "next_test",
     "report",
     "run",
 ]
@@ -119,6 +125,27 @@ def run(recipe: Recipe | Path | str, session: Session | None = None) -> Outcome:
     allowed = {"allow_code": session.allow_code, "unvalidated": session.unvalidated}
     prepared = stage.prepare(recipe, Inputs(recipe, Findings(recipe), session, **allowed))
     return stage.run(prepared, session)
+
+
+@one_thread()
+def next_test(folder: Path, name: str | None = None, session: Session | None = None) -> NextTest:
+    """The tests that would sharpen a parameter of a run of hydraulics most, by default that which
+    is known least; with ``session.out`` the best is written there as a recipe.
+
+    Raises:
+        EhbenchError: no such run or parameter, a recipe that has changed, no possible test.
+    """
+    from ehbench.report.bearing import Made
+    from ehbench.stages.planning import fit_behind, plan
+
+    made = Made(folder)
+    recipe, session = fit_behind(made), session or Session()
+    within = replace(session, out=None, under_way=(*session.under_way, recipe.path))
+    inputs = Inputs(recipe, Findings(recipe), within)
+    found = plan(made, inputs, name, session.tell(recipe.name))
+    if session.out is not None:
+        found.write(session.out)
+    return found
 
 
 def expect_stage(path: Path | str, *commands: str) -> Recipe:
