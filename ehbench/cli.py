@@ -247,6 +247,38 @@ def compare(
         print("\n".join(runs.lines(first, second, width)))
 
 
+@app.command("next", epilog="Example:  ehbench next reports/identify_1a2b3c4d")
+def next_test(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="The run of a hydraulics fit.")],
+    name: Annotated[
+        str | None,
+        typer.Option(
+            "--for", help="Parameter to sharpen. Default: the least known.", show_default=False
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Write the first test as a trial recipe.", show_default=False),
+    ] = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Propose the test that would sharpen a fitted parameter most, with the interval to expect."""
+    from ehbench import workflow
+
+    _say_first(quiet)
+    with _progress(quiet) as tell:
+        found = workflow.next_test(run, name, workflow.Session(out=out, progress=tell))
+    if as_json:
+        import json
+
+        print(json.dumps(found.as_json(), ensure_ascii=False, indent=1))
+    else:
+        print("\n".join(found.lines(shutil.get_terminal_size((100, 24)).columns)))
+        if out is not None:
+            print(out)
+
+
 @app.command(epilog="Example:  ehbench why bulk_modulus reports/identify_1a2b3c4d")
 def why(
     name: Annotated[
