@@ -56,6 +56,10 @@ Quiet = Annotated[
 Verbose = Annotated[
     bool, typer.Option("--verbose", "-v", help="All tables with all their columns.")
 ]
+Columns = Annotated[
+    Path | None,
+    typer.Option("--columns", help="A map of the columns of a log by others.", show_default=False),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")]
 
 
@@ -243,6 +247,38 @@ def compare(
         print("\n".join(runs.lines(first, second, width)))
 
 
+@app.command("next", epilog="Example:  ehbench next reports/identify_1a2b3c4d")
+def next_test(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="The run of a hydraulics fit.")],
+    name: Annotated[
+        str | None,
+        typer.Option(
+            "--for", help="Parameter to sharpen. Default: the least known.", show_default=False
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Write the first test as a trial recipe.", show_default=False),
+    ] = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Propose the test that would sharpen a fitted parameter most, with the interval to expect."""
+    from ehbench import workflow
+
+    _say_first(quiet)
+    with _progress(quiet) as tell:
+        found = workflow.next_test(run, name, workflow.Session(out=out, progress=tell))
+    if as_json:
+        import json
+
+        print(json.dumps(found.as_json(), ensure_ascii=False, indent=1))
+    else:
+        print("\n".join(found.lines(shutil.get_terminal_size((100, 24)).columns)))
+        if out is not None:
+            print(out)
+
+
 @app.command(epilog="Example:  ehbench why bulk_modulus reports/identify_1a2b3c4d")
 def why(
     name: Annotated[
@@ -275,6 +311,7 @@ def show(
         Path | None,
         typer.Option("--out", help="The page. Default: <name>.html here.", show_default=False),
     ] = None,
+    columns: Columns = None,
 ) -> None:
     """Write a log, flow map or run as an interactive page: zoom, values, curves to hide; two of
     them over one another."""
@@ -283,7 +320,7 @@ def show(
     if len(files) > 2:
         raise typer.BadParameter("one or two files can be shown at a time")
     path = viewer.place(files, out)
-    path.write_text(viewer.page(files), encoding="utf-8")
+    path.write_text(viewer.page(files, columns), encoding="utf-8")
     print(path)
 
 
@@ -335,10 +372,7 @@ def convert(
     out: Annotated[
         Path | None, typer.Option("--out", help="Default: <name>.<to> here.", show_default=False)
     ] = None,
-    columns: Annotated[
-        Path | None,
-        typer.Option("--columns", help="A map of the log's columns.", show_default=False),
-    ] = None,
+    columns: Columns = None,
 ) -> None:
     """Write a log as Parquet or MAT, in SI, with its units. Nothing is written over."""
     from ehbench import converting

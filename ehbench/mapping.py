@@ -29,8 +29,8 @@ _MARKS = {"\t": "tab", " ": "space"}
 _TIME = {"t", "time", "zeit", "temps", "tiempo", "tempo", "timestamp", "zeitstempel", "uhrzeit"}
 _TIME |= {"clock", "datetime", "seconds", "sec"}
 _WORDS = {
-    "p_supply": {"supply", "pump", "system", "sys", "ps", "versorgung", "pumpe", "line", "sup"},
-    "p_tank": {"tank", "return", "reservoir", "rücklauf", "pt0", "drain"},
+    "p_supply": {"supply", "pump", "system", "sys", "ps", "versorgung", "pumpe", "sup"},
+    "p_tank": {"tank", "return", "reservoir", "rücklauf", "drain"},
     "p_rod": {"b", "rod", "annulus", "annular", "ring", "stange", "stangenseite", "2", "p2"},
     "p_head": {"a", "head", "bore", "cap", "piston", "blind", "boden", "kolben", "1", "p1"},
 }
@@ -171,7 +171,8 @@ def _reading(unit: str, words: set[str]) -> str:
         return is_of(unit, VOCABULARY[row]) if unit else bool(words & named)
 
     if may("p_head", _PRESSURE):
-        ends = (end for end in ("p_supply", "p_tank", "p_rod", "p_head") if words & _WORDS[end])
+        named = words if words & _PRESSURE else words - {"1", "2"}  # AI2 is no second chamber
+        ends = (end for end in ("p_supply", "p_tank", "p_rod", "p_head") if named & _WORDS[end])
         return next(ends, "")
     if unit and is_of(unit, VOCABULARY["command"]):
         return ""

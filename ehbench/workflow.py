@@ -28,6 +28,7 @@ from ehbench.stages.look import Circle
 
 if TYPE_CHECKING:
     from ehbench.identification.suggestions import Suggestions
+    from ehbench.stages.planning import NextTest
 
 __all__ = [
     "DONE",
@@ -42,6 +43,7 @@ __all__ = [
     "Session",
     "ValidatedRig",
     "expect_stage",
+    "next_test",
     "report",
     "run",
     "suggest",
@@ -157,6 +159,27 @@ def suggest(
     found = suggested(prepared, session.tell(recipe.name), SECONDS if seconds is None else seconds)
     if session.out is not None:
         write_suggested(prepared, found, session.out)
+    return found
+
+
+@one_thread()
+def next_test(folder: Path, name: str | None = None, session: Session | None = None) -> NextTest:
+    """The tests that would sharpen a parameter of a run of hydraulics most, by default that which
+    is known least; with ``session.out`` the best is written there as a recipe.
+
+    Raises:
+        EhbenchError: no such run or parameter, a recipe that has changed, no possible test.
+    """
+    from ehbench.report.bearing import Made
+    from ehbench.stages.planning import fit_behind, plan
+
+    made = Made(folder)
+    recipe, session = fit_behind(made), session or Session()
+    within = replace(session, out=None, under_way=(*session.under_way, recipe.path))
+    inputs = Inputs(recipe, Findings(recipe), within)
+    found = plan(made, inputs, name, session.tell(recipe.name))
+    if session.out is not None:
+        found.write(session.out)
     return found
 
 

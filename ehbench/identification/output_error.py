@@ -627,7 +627,7 @@ class OutputError:
         """The products of parameters that the logs know though they do not know each."""
         live = sorted(self.free + self.bound)
         normal = np.sum([eliminate(b, self.weight).normal for b in found.blocks], axis=0)
-        logs = [k for k, i in enumerate(live) if self.search[i].log]
+        logs = [k for k, i in enumerate(live) if i < self.asked and self.search[i].log]
         rest = [k for k in range(len(live)) if k not in logs]
         if len(logs) < 2:
             return ()
@@ -639,6 +639,24 @@ class OutputError:
         names = [self.search[live[k]].name for k in logs]
         values = [self.search[live[k]].at(self.theta[live[k]]) for k in logs]
         return groups_of(names, values, own, float(np.median(widening)))
+
+    def settle_starts(self, values: Sequence[float]) -> None:
+        """Stand at given values [SI] of the parameters searched, each log's start and the channels'
+        scales settled there.
+        """
+        self.coarse, self.free = False, []
+        self.theta[: self.asked] = [c.of(x) for c, x in zip(self.search, values, strict=False)]
+        for _ in range(2):
+            self.solve(1e-4)
+            self._weigh(self._at(self.theta, self.shifts))
+
+    def said(self) -> tuple[list[Block], Prior]:
+        """What each log says of the parameters searched where the fit stands, and what is known of
+        them beside.
+        """
+        here, which = self._at(self.theta, self.shifts), list(range(self.asked))
+        blocks = self._blocks(here, self.slopes(here, which), self.nudges(here))
+        return blocks, self._prior(self.theta, which)
 
     def _at_bound(self, i: int) -> bool:
         return i in self.bound or self.theta[i] in self.search[i].bounds

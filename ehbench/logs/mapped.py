@@ -220,7 +220,7 @@ def _filter(group: _Group, columns: ColumnMap) -> None:
                 **columns.at("names", name),
             )
         values = group.channels[mapped.channel]
-        good = np.isfinite(values)
+        good = ~_bad(mapped.channel, values)
         if good.sum() > 3 and 0.0 < group.period < np.inf:
             at = np.arange(values.size)
             smooth = lowpass(
@@ -250,8 +250,7 @@ def _clean(
         losses.append(f"{_rows(lost.size)} without a time are left out{_lines(group, lost)}")
     gone = ~timed
     for channel, values in group.channels.items():
-        row = quantity(channel)
-        bad = ~(np.isfinite(values) & (values >= row.lower) & (values <= row.upper))
+        bad = _bad(channel, values)
         if not bad.any():
             continue
         at = np.flatnonzero(bad & inside)
@@ -270,6 +269,12 @@ def _clean(
 
 
 _CURE = 'bad_samples = "leave out" in the map leaves such samples out and says where'
+
+
+def _bad(channel: str, values: np.ndarray) -> np.ndarray:
+    """Where no number stands that a rig can have."""
+    row = quantity(channel)
+    return ~(np.isfinite(values) & (values >= row.lower) & (values <= row.upper))
 
 
 def _bridge(

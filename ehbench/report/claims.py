@@ -84,7 +84,7 @@ def _claims(run: Saved) -> Iterator[Claim]:
 def _numbers(file: Path, value: Any, where: list[str]) -> Iterator[Claim]:
     if isinstance(value, Mapping):
         own = value.get("value")
-        if _is_number(own):
+        if isinstance(own, bool | int | float):
             yield Claim(
                 file.name,
                 ".".join(where),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,11 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 import foreign  # noqa: E402
 
-from ehbench import converting, inspection, mapping  # noqa: E402
+from ehbench import cli, converting, inspection, mapping  # noqa: E402
 from ehbench.errors import InputError, LogError, UnitError  # noqa: E402
 from ehbench.logs import read_log, read_record  # noqa: E402
 from ehbench.logs.readings import mapped_readings  # noqa: E402
-from ehbench.readers import read_flowmeter  # noqa: E402
+from ehbench.readers import open_source, read_flowmeter  # noqa: E402
 from ehbench.recipe import MappedColumn, load_columns, load_recipe, load_rig  # noqa: E402
 from ehbench.signals import lowpass  # noqa: E402
 
@@ -402,6 +403,47 @@ def test_what_a_draft_is_not_sure_of_stands_as_a_remark(tmp_path):
     assert '# "pressure A" = "cylinder.p_head"' in text
     assert load_columns(made.path).columns.names == {}
     assert made.lines[-1].startswith("next: say in")
+
+
+def test_what_a_name_says_is_guessed(tmp_path):
+    rng = np.random.default_rng(1)
+    names = {
+        "P1 [bar]": "cylinder.p_head",
+        "druckStange (bar)": "cylinder.p_rod",
+        "Supply pressure [psi]": "p_supply",
+        "return line (bar)": "p_tank",
+        "AI2 [bar]": "",
+        "stroke [mm]": "cylinder.x",
+        "winkel [°]": "cylinder.q",
+        "speed [m/s]": "cylinder.v",
+        "valve cmd [V]": "cylinder.valve.command",
+        "oil temp [°C]": "",
+        "who knows": "",
+    }
+    table = rng.normal(size=(50, len(names)))
+    rows = [f"{i};" + ";".join(f"{one:.4f}" for one in row) for i, row in enumerate(table)]
+    header = ";".join(["ms since start [ms]", *names])
+    (tmp_path / "a.csv").write_text("\n".join([header, *rows]), encoding="utf-8")
+    guesses = mapping.guessed(open_source(tmp_path / "a.csv"), None)
+    assert guesses["ms since start [ms]"] == mapping.Guess("t", "ms", True)
+    found = {name: guesses[name].channel for name in names}
+    assert found == names
+    assert not any(guess.sure for name, guess in guesses.items() if not guess.channel)
+
+
+def test_the_commands_say_where_their_files_lie(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    raw_log(tmp_path / "raw.csv")
+    for line, last in (
+        (["map", "raw.csv", "--rig", str(RIG)], "raw.map.toml"),
+        (["check", "raw.map.toml"], "ok"),
+        (["convert", "raw.csv", "--columns", "raw.map.toml", "--to", "mat"], "raw.mat"),
+        (["show", "raw.csv", "--columns", "raw.map.toml"], "raw.html"),
+    ):
+        with suppress(SystemExit):
+            cli.app(line, standalone_mode=False)
+        assert capsys.readouterr().out.splitlines()[-1] == last
+    assert "press.p_head" in (tmp_path / "raw.html").read_text()
 
 
 # --- conversion
