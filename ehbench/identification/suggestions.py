@@ -34,7 +34,7 @@ SHOWN = 10  # rows of the table in a terminal
 COSTLY = ("mount",)  # kinds that are tried where nothing else helps
 ROUNDS = 5  # changes on top of one another, at most
 QUIET = 1.5  # times the noise that fits may leave, beyond which nothing is sought
-WORTH = 0.02  # share of what is left out, by which a change must lessen it to be gone on from
+WORTH = 0.05  # share of what is left out, by which a change must lessen it to be gone on from
 NOT_WORSE = 1.0, 0.02  # standard errors, or share, within which a fit is not worse than the best
 
 
