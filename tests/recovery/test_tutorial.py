@@ -1,0 +1,31 @@
+"""The way of docs/identification.md from a bad first fit to an accepted model, as it is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ehbench import workflow
+
+ROOT = Path(__file__).parents[2]
+TUTORIAL = ROOT / "recipes" / "tutorial"
+
+
+def test_the_tutorial_leads_from_a_rejected_fit_to_an_accepted_model(tmp_path):
+    session = workflow.Session(root=tmp_path)
+    first = workflow.run(TUTORIAL / "first_validation.toml", session)
+    assert first.code == workflow.REJECTED
+    reasons = first.json("validation")["reasons"]
+    assert len(reasons) == 3 and "press speed fit 6" in reasons[0]
+    assert any("press.v is 4.8 ms behind the model" in note for note in first.notes)
+    better = workflow.run(TUTORIAL / "better_validation.toml", session)
+    assert better.code == workflow.DONE and better.json("validation")["accepted"]
+    fits = {
+        name: workflow.run(TUTORIAL / f"{name}_fit.toml", session) for name in ("first", "better")
+    }
+    damping = {name: fit.parameters.loc["carriage.damping"].to_dict() for name, fit in fits.items()}
+    assert damping["first"]["low"] > damping["better"]["high"]  # what a wrong gain does to it
+    (lag,) = fits["better"].json("parameters")["sensors"]
+    assert lag["interval"][0] < 0.005 < lag["interval"][1]
+    text = (ROOT / "docs" / "identification.md").read_text(encoding="utf-8")
+    for name in ("first_fit", "first_validation", "better_fit", "better_validation"):
+        assert f"recipes/tutorial/{name}.toml" in text
