@@ -42,6 +42,13 @@ _PLACE |= {"travel", "extension", "distance"}
 _ANGLE = {"q", "angle", "winkel", "theta", "phi", "encoder", "joint", "rotation"}
 _SPEED = {"v", "vel", "velocity", "speed", "geschwindigkeit", "rate", "xd", "qd"}
 _CURRENTS = {"mA", "A"}
+# what compounds are made of: Systemdruck, Ventilstrom, supplypressure
+_STEMS = tuple(
+    word
+    for words in (*_WORDS.values(), _COMMAND, _PRESSURE, _PLACE, _ANGLE, _SPEED, _TIME)
+    for word in sorted(words)
+    if len(word) >= 4
+)
 
 
 @dataclass(frozen=True)
@@ -136,10 +143,17 @@ def _guess(name: str, column: Column, table: Table, rig: Rig | None) -> Guess:
 
 
 def _words(name: str) -> set[str]:
-    """The words of a name, small: of ``PT-101 cylA [bar]`` pt, 101, cyl, a."""
+    """The words of a name, small: of ``PT-101 cylA [bar]`` pt, 101, cyl, a; and those that a word
+    begins or ends with: of ``Systemdruck`` system and druck too.
+    """
     plain = re.sub(r"[\[({][^\])}]*[\])}]\s*$", "", name)
     parts = re.findall(r"[^\W\d_]+|\d+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain))
-    return {part.lower() for part in parts}
+    words = {part.lower() for part in parts}
+    return words | {stem for stem in _STEMS for word in words if _made_of(word, stem)}
+
+
+def _made_of(word: str, stem: str) -> bool:
+    return word.startswith(stem) or word.endswith(stem)
 
 
 def _time(column: Column, unit: str, words: set[str], table: Table) -> Guess | None:
