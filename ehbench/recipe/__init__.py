@@ -19,11 +19,12 @@ from ehbench.recipe.loading import kind_of, load_recipe, load_rig, recipe_kinds
 from ehbench.recipe.toml import line_of, read_toml
 from ehbench.recipe.trial import AnyTrial, Command, Controller, Limits, Motion, TrialRecipe
 from ehbench.recipe.trials import SetController, TrialSetRecipe
-from ehbench.recipe.tune import TuneRecipe
+from ehbench.recipe.tune import ArcTuneRecipe, TuneRecipe
 from ehbench.recipe.validate import JudgedFile, Thresholds, ValidateRecipe
 
 __all__ = [
     "AnyTrial",
+    "ArcTuneRecipe",
     "BenchCurve",
     "BenchCylinder",
     "BenchEdge",
