@@ -127,7 +127,7 @@ class ArcLoop:
     def growth(self, sensing: Sensing) -> float:
         """Growth [1/s] of what swings, the fastest; negative where all dies out."""
         poles = self.poles(sensing)
-        return float(poles[np.abs(poles.imag) > SLOWEST].real.max())
+        return float(np.real(poles[np.abs(np.imag(poles)) > SLOWEST]).max())
 
     def loci(self, sensing: Sensing) -> tuple[np.ndarray, np.ndarray]:
         """(frequencies [rad/s], characteristic loci): eigenvalues of the loop's frequency response
