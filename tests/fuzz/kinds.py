@@ -332,7 +332,7 @@ def maps() -> tuple[str, ...]:
     every = (
         'separator = ";"\ndecimal = ","\nskip = 3\nunit_row = true\nencoding = "utf-8"\n'
         'bad_samples = "leave out"\n[names]\n"Time (s)" = "t [s]"\n'
-        '"PT-101 cyl A" = { channel = "ram.p_head", unit = "V", scale = "2 bar/V", '
+        '"PT-101 cyl A" = { channel = "ram.p_head", unit = "V", scale = "-2 bar/V", '
         'offset = "-1 bar", neutral = "2 V", sign = -1, filter = "50 Hz", '
         'bad_samples = "refuse" }\n'
         f'"AO0 valve" = {{ channel = "ram.spool.command", {foreign.CURRENTS} }}\n'
