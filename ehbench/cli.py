@@ -153,7 +153,31 @@ def _runner(command: Command) -> Callable[..., None]:
     ) -> None:
         _run(command.name, recipe, out, Says(quiet, verbose, as_json), allow_code=allow_code)
 
-    return {"": plain, "unvalidated": insisting, "allow_code": trusting}[command.allows]
+    def asking(
+        recipe: RecipeFile,
+        out: Out = None,
+        quiet: Quiet = False,
+        verbose: Verbose = False,
+        as_json: AsJson = False,
+        suggest: Annotated[
+            bool,
+            typer.Option(
+                "--suggest",
+                help="Try what would better the fit; with --out write the best as a recipe.",
+            ),
+        ] = False,
+        seconds: Annotated[
+            float, typer.Option("--seconds", help="With --suggest: for how long to try.", min=1.0)
+        ] = 120.0,
+    ) -> None:
+        says = Says(quiet, verbose, as_json)
+        if suggest:
+            _suggest(recipe, out, says, seconds)
+        else:
+            _run(command.name, recipe, out, says)
+
+    kinds = {"": plain, "unvalidated": insisting, "allow_code": trusting, "suggest": asking}
+    return kinds[command.allows]
 
 
 for _command in COMMANDS:
@@ -221,6 +245,60 @@ def compare(
     else:
         width = shutil.get_terminal_size((100, 24)).columns
         print("\n".join(runs.lines(first, second, width)))
+
+
+@app.command("next", epilog="Example:  ehbench next reports/identify_1a2b3c4d")
+def next_test(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="The run of a hydraulics fit.")],
+    name: Annotated[
+        str | None,
+        typer.Option(
+            "--for", help="Parameter to sharpen. Default: the least known.", show_default=False
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Write the first test as a trial recipe.", show_default=False),
+    ] = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Propose the test that would sharpen a fitted parameter most, with the interval to expect."""
+    from ehbench import workflow
+
+    _say_first(quiet)
+    with _progress(quiet) as tell:
+        found = workflow.next_test(run, name, workflow.Session(out=out, progress=tell))
+    if as_json:
+        import json
+
+        print(json.dumps(found.as_json(), ensure_ascii=False, indent=1))
+    else:
+        print("\n".join(found.lines(shutil.get_terminal_size((100, 24)).columns)))
+        if out is not None:
+            print(out)
+
+
+@app.command(epilog="Example:  ehbench why bulk_modulus reports/identify_1a2b3c4d")
+def why(
+    name: Annotated[
+        str, typer.Argument(help="A number: a parameter, or the end of its path in the run's JSON.")
+    ],
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run or report folder.")],
+    as_json: AsJson = False,
+) -> None:
+    """Say where a number of a run or report is from: interval, method, windows, logs, recipe and
+    rig line; exit 3 where these no longer bear it."""
+    from ehbench.report.why import why as origin_of
+
+    found = origin_of(name, run)
+    if as_json:
+        import json
+
+        print(json.dumps(found.as_json(), ensure_ascii=False, indent=1))
+    else:
+        print("\n".join(found.lines()))
+    raise typer.Exit(3 if found.marks else 0)
 
 
 @app.command(epilog="Example:  ehbench show datasets/slide_servo/steps/press_no_load.mcap")
@@ -321,6 +399,24 @@ def _run(
         )
         made = workflow.run(recipe, session)
     _leave(made, says)
+
+
+def _suggest(file: Path, out: Path | None, says: Says, seconds: float) -> None:
+    from ehbench import workflow
+
+    recipe = workflow.expect_stage(file, "identify")
+    _say_first(says.quiet)
+    with _progress(says.quiet) as tell:
+        found = workflow.suggest(recipe, workflow.Session(out=out, progress=tell), seconds)
+    if says.as_json:
+        import json
+
+        rows = [row.as_json() for row in found.rows]
+        print(json.dumps({"rows": rows, "untried": found.untried}, ensure_ascii=False, indent=1))
+    else:
+        print("\n".join(found.lines(len(found.rows)) if says.verbose else found.lines()))
+    if out is not None and not says.as_json:
+        print(out / recipe.path.name)
 
 
 def _say_first(quiet: bool) -> None:

@@ -12,6 +12,7 @@ import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
@@ -786,18 +787,35 @@ class Rig(FileModel):
         return owner + dot + OF_SLIDES.get(word, word) if slide else name
 
     def unit_of(self, name: str) -> str:
-        """The unit people see for a quantity or channel: the rig file's choice, else the
-        vocabulary's.
+        """The unit people see for a quantity, channel or parameter: the choice of ``[display]``,
+        else that in which the rig file has it, else the vocabulary's.
         """
         word = name.rsplit(".", 1)[-1]
-        return self.display.get(word) or self._display_like(word)
+        chosen = self.display.get(word) or self._display_like(word)
+        return (
+            chosen
+            or self.typed_units.get(name)
+            or self.typed_units.get(word)
+            or VOCABULARY[word].display
+        )
 
     def _display_like(self, word: str) -> str:
         row = VOCABULARY[word]
         for other, unit in self.display.items():
             if VOCABULARY[other].unit == row.unit and VOCABULARY[other].display == row.display:
                 return unit
-        return row.display
+        return ""
+
+    @cached_property
+    def typed_units(self) -> dict[str, str]:
+        """The unit of each parameter that the file has in another than SI, and of each word whose
+        parameters all have the same.
+        """
+        own = {name: value.unit for name, value in self.parameters().items() if value.unit}
+        words: dict[str, set[str]] = {}
+        for name, unit in own.items():
+            words.setdefault(name.rsplit(".", 1)[-1], set()).add(unit)
+        return {word: min(units) for word, units in words.items() if len(units) == 1} | own
 
     def with_payload(self, load: str | None) -> Rig:
         """This rig carrying the named payload.
@@ -875,7 +893,7 @@ class Rig(FileModel):
                     hint=f"nearest is '{near[0]}'" if near else None,
                 )
         new = {
-            name: value
+            name: replace(value, unit=value.unit or known[name].unit)
             if isinstance(value, Value)
             else replace(known[name], value=float(value), text=None)
             for name, value in values.items()

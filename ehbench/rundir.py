@@ -161,7 +161,14 @@ class Run:
             for path in sorted(self.path.rglob("*"))
             if path.is_file() and path.name != "run.json"
         }
-        write_json(self.path / "run.json", {**self.record, **self.facts, "outputs": outputs})
+        facts = plain({**self.record, **self.facts, "outputs": outputs})
+        write_json(self.path / "run.json", {**facts, "seal": seal_of(facts)})
+
+
+def seal_of(facts: Mapping[str, Any]) -> str:
+    """SHA-256 over what ``run.json`` says but for the seal: shows an edit, proves no author."""
+    text = json.dumps(facts, ensure_ascii=False, allow_nan=False, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def run_hash(recipe: Path, inputs: Iterable[tuple[str, Path]]) -> str:
@@ -218,7 +225,8 @@ def open_run(
     try:
         yield run
         run.save()
-        write_json(scratch / "volatile.json", _volatile(began))
+        places = {"recipe": recipe.resolve(), "inputs": [path.resolve() for _, path in inputs]}
+        write_json(scratch / "volatile.json", {**_volatile(began), **places})
         run.left_over += _put(scratch, final)
     except OSError as error:
         if error.errno not in FULL:

@@ -255,6 +255,12 @@ def parse(text: str, row: Quantity) -> float:
     return value
 
 
+def unit_of(text: object) -> str:
+    """The unit of a text such as ``"1000 psi"``; nothing for a number, or where there is none."""
+    match = _NUMBER.match(text) if isinstance(text, str) else None
+    return match[2].strip() if match else ""
+
+
 def zero_of(text: str, row: Quantity) -> float:
     """What "0" of the unit of a text is in SI of ``row``: 273.15 of ``"2 degC"``, else mostly 0."""
     match = _NUMBER.match(text)

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ehbench.identification.flow_cells import Noise
 from ehbench.identification.flow_deadband import Deadband, Window
+from ehbench.identification.flow_opening import Kink
 from ehbench.identification.flow_readings import Task
-from ehbench.identification.flow_spline import SPANS_U
+from ehbench.identification.flow_spline import SPANS_U, Spline
 from ehbench.identification.flow_steps import Shape, Solution, solve
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
     """A fit that has come to rest: task, shape, solution, noise, deadband with its window, the
-    readings kept and each one's distance from the map in sigmas; ``leaks`` says that flow at 0 V
-    was taken off."""
+    readings kept and each one's distance from the map in sigmas, where it bends sharply in the
+    opening."""
 
     task: Task
     shape: Shape
@@ -27,7 +29,7 @@ class Found:
     window: Window
     keep: np.ndarray
     sigmas: np.ndarray
-    leaks: bool
+    kinks: tuple[Kink, ...]
 
 
 def trial_scatter(found: Found) -> float:
@@ -59,17 +61,27 @@ def flow_std(found: Found, u: np.ndarray, s: np.ndarray, scatter: float) -> np.n
     variance = solution.widening * solution.variance(design)
     flow = design @ solution.coefficients
     variance += _missed(found, at, root) + _between(found, at, root)
-    if found.deadband.std > 0:
-        sides = (
-            shape.spline(max(found.deadband.value + k * found.deadband.std, 0.0)) for k in (-1, 1)
-        )
-        used = solution.cells.without(solution.lone)
+    used = solution.cells.without(solution.lone)
+    for sides in _uncertain(found):
         moved = [spline.design(at, root) @ solve(shape, spline, used)[0] for spline in sides]
         variance += 0.25 * (moved[1] - moved[0]) ** 2
     scaled = task.delta / task.drop_max  # half of what s and a plain root of the drop differ by
     drop = root * np.sqrt(0.5 * root**2 + np.sqrt(0.25 * root**4 + scaled**2))
     variance += (0.5 * flow * (np.sqrt(drop) / np.maximum(root, 1e-12) - 1.0)) ** 2
     return np.sqrt(variance + (scatter * flow) ** 2).reshape(u.size, s.size)
+
+
+def _uncertain(found: Found) -> Iterator[list[Spline]]:
+    """For the deadband and for each kink, the spline with it a standard error lower and higher."""
+    shape, deadband = found.shape, found.deadband
+    if deadband.std > 0:
+        yield [shape.spline(max(deadband.value + k * deadband.std, 0.0)) for k in (-1, 1)]
+    for kink in found.kinks:
+        others = tuple(one.value for one in found.kinks if one is not kink)
+        sides = [
+            replace(shape, kinks=(*others, kink.value + k * kink.std)).spline() for k in (-1, 1)
+        ]
+        yield sides
 
 
 def _missed(found: Found, u: np.ndarray, s: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ehbench.errors import InsufficientData
 from ehbench.identification.flow_results import Units
-from ehbench.identification.flow_spline import Axis
+from ehbench.identification.flow_spline import Axis, OneColumn
 from ehbench.physics.flow_map import root_drop
 
 if TYPE_CHECKING:
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 # below this the readings are not those of a valve that opens with its command
 _LEAST_EFFECT = 0.1
 _SPANS_S = 24
+# share of the readings that either way of a sweep must have
+_LEAST_WAY = 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +33,11 @@ class FlowReadings:
     Args:
         command: openings [V], positive where the edge opens (times −1 for a spool's other half).
         pressure_drop: [Pa] along the direction; readings at a drop of zero or less say nothing and
-            are left out.
+            are left out. NaN throughout: not measured, the map goes by the opening alone.
         flow: [m³/s] along the direction.
         method: ``flowmeter`` or ``cylinder`` per reading; each has its own noise.
-        trial: number per reading; trials that differ as a whole widen the intervals.
+        trial: number per reading; trials that differ as a whole widen the intervals. Within one,
+            readings in the order of their lines tell rising from falling commands.
         line, file: where each reading stands, for naming outliers; ``file`` may be one for all.
     """
 
@@ -57,6 +60,7 @@ class FlowMapOptions:
         calibration: (command [V], flow [m³/s], tolerance as a share of the flow) to check.
         reference_drop: [Pa] or a range, where the calibration is checked; the upper half of the
             drops measured at the command if not given.
+        nominal_drop: [Pa] the largest drop that a map measured without pressures is said for.
         show: units of the sentences.
     """
 
@@ -64,6 +68,7 @@ class FlowMapOptions:
     rated_flow: float | None = None
     calibration: Sequence[tuple[float, float, float]] = ()
     reference_drop: float | tuple[float, float] | None = None
+    nominal_drop: float = 1e7
     show: Units = field(default_factory=Units)
 
 
@@ -73,7 +78,9 @@ class Sorted:
 
     ``size`` is how many were given, ``row`` where each stood among them; ``u`` the command [V],
     ``q`` the flow [m³/s], zero for the ``silent`` ones: those below the lower ``limit`` [m³/s] of
-    their meter. ``cell`` and ``level`` count cells and commands from zero."""
+    their meter. ``cell`` and ``level`` count cells and commands from zero. ``sweep``: 1 for a
+    reading on the way up, −1 on the way down, 0 where that is not known. ``one_drop``: taken
+    without pressures."""
 
     size: int
     row: np.ndarray
@@ -88,6 +95,8 @@ class Sorted:
     level: np.ndarray
     limit: np.ndarray
     silent: np.ndarray
+    sweep: np.ndarray
+    one_drop: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,15 +155,22 @@ def medians(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     )
 
 
-def sort_readings(who: str, given: FlowReadings | FlowmeterData, meter_limit: float) -> Sorted:
+def sort_readings(
+    who: str,
+    given: FlowReadings | FlowmeterData,
+    options: FlowMapOptions,
+    hysteresis: float = 0.0,
+) -> Sorted:
     """Readings at positive drops, sorted and gathered in cells.
+
+    Args:
+        hysteresis: [V] rising commands act as if lower by half of it, falling ones as if higher.
 
     Raises:
         ValueError: shapes that differ, a number that is not finite, a negative opening.
         InsufficientData: no drop above zero, fewer than 4 commands or 4 drops.
     """
-    u, drop, q = (np.asarray(a, float) for a in (given.command, given.pressure_drop, given.flow))
-    _refuse_malformed(u, drop, q)
+    u, drop, q, one_drop = _columns_of(who, given, options.nominal_drop)
     n = u.size
     method = np.full(n, "flowmeter") if given.method is None else np.asarray(given.method)
     method = method.astype(str)
@@ -171,8 +187,10 @@ def sort_readings(who: str, given: FlowReadings | FlowmeterData, meter_limit: fl
     u, drop, q, method, trial, file, line = (
         a[use] for a in (u, drop, q, method, trial, file, line)
     )
-    level, cell = _cells_of(who, u, drop, method)
-    limit = np.where(method != "cylinder", meter_limit, 0.0)
+    sweep = _sweeps(u, trial, line)
+    u = np.maximum(u - 0.5 * hysteresis * sweep, 0.0)
+    level, cell = _cells_of(who, u, drop, method, one_drop)
+    limit = np.where(method != "cylinder", options.meter_limit, 0.0)
     silent = (limit > 0) & (q < limit)
     return Sorted(
         size=n,
@@ -188,7 +206,43 @@ def sort_readings(who: str, given: FlowReadings | FlowmeterData, meter_limit: fl
         level=level,
         limit=limit,
         silent=silent,
+        sweep=sweep,
+        one_drop=one_drop,
     )
+
+
+def _columns_of(
+    who: str, given: FlowReadings | FlowmeterData, nominal: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
+    """(command, drop, flow, whether the readings were taken without pressures): the drop is then
+    the ``nominal`` one [Pa].
+    """
+    u, drop, q = (np.asarray(a, float) for a in (given.command, given.pressure_drop, given.flow))
+    one_drop = drop.size > 0 and bool(np.isnan(drop).all())
+    if one_drop:
+        drop = np.full(drop.shape, nominal)
+    elif np.isnan(drop).any():
+        raise InsufficientData(
+            f"the {who} has readings with a pressure drop and readings without",
+            hint="give the drop of all, or of none for a map by the command alone",
+        )
+    _refuse_malformed(u, drop, q)
+    return u, drop, q, one_drop
+
+
+def _sweeps(u: np.ndarray, trial: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """1 for each reading whose command was reached from below, −1 from above, by the order of the
+    lines within a trial; all 0 where nearly all go one way: that is an order, not a sweep.
+    """
+    sweep = np.zeros(u.size, int)
+    for one in np.unique(trial):
+        at = np.flatnonzero(trial == one)
+        at = at[np.argsort(line[at], kind="stable")]
+        step = np.sign(np.diff(u[at], prepend=u[at[0]]))
+        last = np.maximum.accumulate(np.where(step != 0, np.arange(at.size), 0))
+        sweep[at] = step[last]
+    ways = np.count_nonzero(sweep > 0), np.count_nonzero(sweep < 0)
+    return sweep if min(ways) >= _LEAST_WAY * u.size else np.zeros(u.size, int)
 
 
 def _refuse_malformed(u: np.ndarray, drop: np.ndarray, q: np.ndarray) -> None:
@@ -205,7 +259,7 @@ def _refuse_malformed(u: np.ndarray, drop: np.ndarray, q: np.ndarray) -> None:
 
 
 def _cells_of(
-    who: str, u: np.ndarray, drop: np.ndarray, method: np.ndarray
+    who: str, u: np.ndarray, drop: np.ndarray, method: np.ndarray, one_drop: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """(level, cell) of each reading; refuses too few commands or drops."""
     level = clusters(u, 0.0, 0.005 * max(u.max(), 1e-12))
@@ -222,7 +276,7 @@ def _cells_of(
             f"the {who} has readings at {levels} commands",
             hint="4 or more are needed, 3 of them passing flow",
         )
-    if drops < 4:
+    if drops < 4 and not one_drop:
         raise InsufficientData(
             f"the {who} has readings at {drops} pressure drops",
             hint="4 or more different ones are needed",
@@ -259,7 +313,7 @@ def make_task(who: str, readings: Sorted, rated: float | None, show: Units) -> T
     places = np.sort(np.bincount(cluster, s) / np.bincount(cluster))
     roots = np.append(0.0, places) if places.size <= 2 * _SPANS_S else places[:0]
     # as narrow as the closest drops measured, the penalty sees to the rest
-    spans = int(np.clip(np.ceil(1.0 / np.diff(places).min()), 3, _SPANS_S))
+    spans = int(np.clip(np.ceil(1.0 / np.diff(places).min(initial=1.0)), 3, _SPANS_S))
     methods = sorted(set(readings.method.tolist()))
     return Task(
         who=who,
@@ -273,7 +327,7 @@ def make_task(who: str, readings: Sorted, rated: float | None, show: Units) -> T
         levels=np.bincount(readings.level, readings.u) / np.bincount(readings.level),
         cell_level=medians(readings.level, readings.cell).astype(int),
         roots=roots,
-        axis=Axis(np.linspace(0.0, 1.0, spans + 1), 3),
+        axis=OneColumn() if readings.one_drop else Axis(np.linspace(0.0, 1.0, spans + 1), 3),
         digit={name: _last_digit(y[readings.method == name]) / 12**0.5 for name in methods},
     )
 

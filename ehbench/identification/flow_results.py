@@ -107,7 +107,12 @@ class FlowMapFit:
     about the map over what the noise explains, at least 1; every interval is widened by its root,
     and further near the cells missed. ``smoothing``: penalty along opening and root of drop;
     ``parameters``: effective number of them. ``rms`` [m³/s]: of the residuals of the readings used.
-    ``leakage`` [m³/s]: mean flow at commands below the deadband, which the map takes as shut.
+    ``leakage`` [m³/s]: mean flow at commands below the deadband, with its interval. Where it ends
+    with the opening the map takes the valve as shut there; where it goes on, the map has it.
+    ``hysteresis`` [V]: what the commands of rising readings lie above those of falling ones at the
+    same flow, with its interval; the map is the middle of both. None where the readings go one way
+    only. ``kinks`` [V]: openings where the slope jumps, each with its interval. ``falls``: what the
+    flow falls by from its largest to the largest command [1]; 0 where it does not.
     ``trial_scatter``: standard error [1] of the mean of the trials' common factors beyond the
     noise. ``residuals`` [m³/s] and ``sigmas`` [1]: one a reading in the order given, NaN at drops
     of zero or less. ``warnings``: plain sentences."""
@@ -128,6 +133,11 @@ class FlowMapFit:
     outliers: tuple[Outlier, ...]
     rms: float
     leakage: float
+    leakage_interval: tuple[float, float]
+    hysteresis: float | None
+    hysteresis_interval: tuple[float, float]
+    kinks: tuple[tuple[float, float, float], ...]
+    falls: float
     trial_scatter: float
     calibration: tuple[Calibration, ...]
     residuals: np.ndarray = field(repr=False)

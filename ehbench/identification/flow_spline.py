@@ -14,12 +14,15 @@ import numpy as np
 
 from ehbench.physics.flow_map import bspline_pieces
 
-# a bend in the drop, a soft start: the penalty on curvature is this share of what it is elsewhere
-_BEND, _SOFT = 1e-4, 1e-9
+# a bend in the drop, a soft start, a kink in the opening: the penalty on curvature is this share of
+# what it is elsewhere
+_BEND, _SOFT, _SHARP = 1e-4, 1e-9, 1e-7
 # a spline slope of this share of the rated flow over the command range keeps the map strictly
 # increasing
 _LEAST_SLOPE = 1e-4
 SPANS_U = 12
+# half the width of the span that bends at a kink, as a share of the gap between two commands
+_NARROW = 0.01
 
 _legendre = cache(np.polynomial.legendre.leggauss)
 
@@ -88,13 +91,36 @@ class Axis:
         return np.einsum("xkp,xp->xk", self.pieces[j, 1:], powers)
 
 
+class OneColumn(Axis):
+    """In place of the root of the drop where no drop was measured: the flow goes by the opening."""
+
+    def __init__(self) -> None:
+        self.breaks, self.size, self.kink = np.array([0.0, 1.0]), 1, False
+        self.mass, self.bend, self.eigen = np.eye(1), np.zeros((1, 1)), np.zeros(1)
+        self.stiffness, self.centres = np.ones(1), np.ones(1)
+
+    def stiffen(self, stiffness: np.ndarray) -> None:
+        self.stiffness = stiffness
+
+    def at(self, x: np.ndarray) -> np.ndarray:
+        return np.ones((x.size, 1))
+
+
 class Spline:
     """The spline of one deadband on opening and root of drop scaled to 0…1: design, penalties,
     fit.
-    """
+
+    It may bend sharply at the openings ``kinks`` [V]. Its flow grows with the opening up to the
+    break nearest to ``rising`` [V], and falls above it."""
 
     def __init__(
-        self, deadband: float, above: np.ndarray, along_s: Axis, soft: bool = False
+        self,
+        deadband: float,
+        above: np.ndarray,
+        along_s: Axis,
+        soft: bool = False,
+        kinks: tuple[float, ...] = (),
+        rising: float = np.inf,
     ) -> None:
         self.deadband, self.top = deadband, float(above[-1])
         inner = 0.5 * (
@@ -104,13 +130,20 @@ class Spline:
             inner = np.quantile(inner, np.linspace(0, 1, SPANS_U + 1)[1:-1])
         if soft:
             inner = np.append(above[0], inner)
+        kinks = tuple(kink for kink in kinks if above[0] < kink < self.top)
+        for kink in kinks:
+            inner = _kinked(inner, above, kink)
         self.along_u = Axis(
             np.concatenate([[0.0], (inner - deadband) / (self.top - deadband), [1.0]]), 2
         )
-        if soft:
-            self.along_u.stiffen(np.r_[_SOFT, _SOFT, np.ones(inner.size - 1)])
+        if soft or kinks:
+            stiffness = np.ones(inner.size + 1)
+            stiffness[: 2 * soft] = _SOFT
+            stiffness[[int(np.searchsorted(inner, kink)) for kink in kinks]] = _SHARP
+            self.along_u.stiffen(stiffness)
         self.along_s = along_s
         self.rows, self.columns = self.along_u.size, along_s.size
+        self.sign = self._signs(rising)
         self.bend_u, self.bend_s = (
             np.kron(self.along_u.bend, along_s.mass),
             np.kron(self.along_u.mass, along_s.bend),
@@ -158,19 +191,32 @@ class Spline:
         return gram + smoothing[0] * self.bend_u + smoothing[1] * self.bend_s
 
     def solve(self, gram: np.ndarray, right: np.ndarray, smoothing: np.ndarray):
-        """(coefficients with increments along u of at least those of ``floor``, determinant as
-        ``free``).
+        """(coefficients with increments along u of at least those of ``floor``, or at most where
+        the flow falls; determinant as ``free``).
         """
         free, determinant = self.free(self.banded(gram), right, smoothing)
-        wrong = self.increments(free - self.floor).ravel() < 0
+        wrong = self.sign * self.increments(free - self.floor).ravel() < 0
         if not wrong.any():
             return free, determinant
         matrix = self.matrix(gram, smoothing)
-        right = self.over_steps(right - matrix @ self.floor)
-        steps = non_negative(self.over_steps(self.over_steps(matrix).T), right, wrong)
+        right = self.sign * self.over_steps(right - matrix @ self.floor)
+        steps = self.over_steps(self.over_steps(matrix).T)
+        steps = self.sign * non_negative(self.sign[:, None] * steps * self.sign, right, wrong)
         return self.floor + np.cumsum(
             steps.reshape(self.rows, self.columns), axis=0
         ).ravel(), determinant
+
+    def _signs(self, rising: float) -> np.ndarray:
+        """1 for each coefficient whose increment along the opening must not be negative, −1 for
+        each whose must not be positive.
+        """
+        row = np.arange(self.rows)
+        if rising < self.top:
+            volts = self.deadband + self.along_u.breaks * (self.top - self.deadband)
+            row = row - max(int(np.argmin(np.abs(volts - rising))), 1)
+        else:
+            row = row - self.rows
+        return np.repeat(np.where(row > 0, -1.0, 1.0), self.columns)
 
     def over_steps(self, values: np.ndarray) -> np.ndarray:
         """Derivatives by the coefficients, along the first axis, as derivatives by their increments
@@ -182,6 +228,14 @@ class Spline:
 
     def increments(self, coefficients: np.ndarray) -> np.ndarray:
         return np.diff(coefficients.reshape(self.rows, self.columns), axis=0, prepend=0.0)
+
+
+def _kinked(inner: np.ndarray, above: np.ndarray, kink: float) -> np.ndarray:
+    """Inner breaks with a narrow span about a kink, and no other between the commands beside it."""
+    k = int(np.searchsorted(above, kink))
+    reach = _NARROW * (above[k] - above[k - 1])
+    kept = inner[(inner <= above[k - 1]) | (inner >= above[k])]
+    return np.sort(np.append(kept, (kink - reach, kink + reach)))
 
 
 def non_negative(matrix: np.ndarray, right: np.ndarray, zero: np.ndarray) -> np.ndarray:

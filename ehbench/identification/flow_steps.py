@@ -28,16 +28,19 @@ Normal = tuple[np.ndarray, np.ndarray, np.ndarray]
 @dataclass(frozen=True, eq=False)
 class Shape:
     """What a spline and its penalties hang on: the deadband [V], the commands [V] ``above`` it, the
-    axis along the root of the drop, the penalties along opening and root."""
+    axis along the root of the drop, the penalties along opening and root, the openings [V] where it
+    may bend sharply, the opening [V] up to which its flow grows."""
 
     deadband: float
     above: np.ndarray
     along_s: Axis
     smoothing: np.ndarray
+    kinks: tuple[float, ...] = ()
+    rising: float = np.inf
 
     def spline(self, deadband: float | None = None, soft: bool = False) -> Spline:
         start = self.deadband if deadband is None else deadband
-        return Spline(start, self.above, self.along_s, soft)
+        return Spline(start, self.above, self.along_s, soft, self.kinks, self.rising)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +159,8 @@ def bend(shape: Shape, cells: Cells) -> Shape:
     """Lets the map bend more towards low drops, and sharply at one drop, where that makes the
     readings likelier.
     """
+    if shape.along_s.size == 1:
+        return shape
     normal = normal_equations(shape.spline(), cells)  # the same for all
     options = []
     for power in (0.0, 1.0, 2.0, 4.0):

@@ -142,6 +142,7 @@ def run_readings(
             meter_limit=meter_limit,
             calibration=calibration,
             reference_drop=reference_drop,
+            nominal_drop=float(rig.supply.pressure),
             show=show,
         )
         fit = fit_flow_map(one.edge, one.side, rows, options)
@@ -288,14 +289,15 @@ def points_table(fits: Sequence[EdgeFit], rig: Rig) -> str:
     for one in fits:
         rows, fit = one.readings, one.fit
         out = {(outlier.file, outlier.line) for outlier in fit.outliers}
-        fitted = np.asarray(fit.map.flow(rows.pressure_drop, rows.command))
+        drop = np.where(np.isnan(rows.pressure_drop), fit.map.drop_max, rows.pressure_drop)
+        fitted = np.asarray(fit.map.flow(drop, rows.command))
         for i in range(len(rows)):
             cells = (
                 fit.map.valve,
                 fit.map.direction,
                 f"{rows.command[i]:.6g}",
                 f"{one.sign * rows.command[i] + 0.0:.6g}",
-                f"{from_si(rows.pressure_drop[i], drop_unit, drop_row):.6g}",
+                f"{from_si(drop[i], drop_unit, drop_row):.6g}",
                 f"{from_si(rows.flow[i], flow_unit, flow_row):.6g}",
                 f"{from_si(fitted[i], flow_unit, flow_row):.6g}",
                 str(rows.method[i]),

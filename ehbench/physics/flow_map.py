@@ -4,7 +4,9 @@ A map is a tensor-product spline, of degree 2 in the opening from the deadband u
 s = Δp/(Δp² + δ²)^¼, the root of the drop made smooth and of finite slope at zero; an orifice is a
 straight line in s. Its coefficients grow by positive increments along the opening and start from
 zero at zero drop, so the flow is zero there, increases strictly with the opening at every drop, and
-is free to level off or fall with the drop."""
+is free to level off or fall with the drop. A valve whose flow falls again above some opening has
+increments of one sign up to there and of the other above; its inverse goes by the rising branch. A
+leak at rest, a function of the drop alone, adds to all of it."""
 
 from __future__ import annotations
 
@@ -26,8 +28,10 @@ from ehbench.text import quoted
 FORMAT, VERSION = "ehbench flow maps", 1
 FILE_NAME = "flow_maps.json"
 # header of a packed map, then the opening knots, then the polynomial pieces
-_DEADBAND, _COMMAND_MAX, _DELTA, _PER_S, _SPANS_S, _SPANS_U, _HEADER = 0, 1, 2, 3, 4, 5, 6
+_DEADBAND, _RISING, _DELTA, _PER_S, _SPANS_S, _SPANS_U = 0, 1, 2, 3, 4, 5
+_LEAK_ROOT, _LEAK_DROP, _HEADER = 6, 7, 8
 _PIECE = 12
+_OPTIONAL = {"leakage", "leakage_std", "rising_to", "level"}
 
 
 @kernel
@@ -40,6 +44,17 @@ def _span(drop, data, at):
 
 
 @kernel
+def _leak(x, data, at):
+    """Leak at rest [m³/s] at a place counted in spans along s: a part that grows with the root of
+    the drop and one that grows with the drop.
+    """
+    if data[at + _LEAK_ROOT] + data[at + _LEAK_DROP] == 0.0:
+        return 0.0
+    share = x / data[at + _SPANS_S]
+    return share * (data[at + _LEAK_ROOT] + share * data[at + _LEAK_DROP])
+
+
+@kernel
 def _cubic(data, k, y):
     return data[k] + y * (data[k + 1] + y * (data[k + 2] + y * data[k + 3]))
 
@@ -49,13 +64,16 @@ def map_flow(pressure_drop, opening, data, at):
     """Flow [m³/s] at a pressure drop [Pa] and an opening [V] of the map that starts at ``data[at]``
     (see ``pack``).
 
-    Zero at zero drop and up to the deadband; odd in the drop. Beyond the largest measured opening
-    the flow goes on along its tangent, beyond the largest drop it grows with s at the rate the
-    whole map shows there, or stays level."""
+    Zero at zero drop, the leak alone up to the deadband; odd in the drop. Beyond the largest
+    measured opening the flow goes on along its tangent, or stays level if it falls there; beyond
+    the largest drop it grows with s at the rate the whole map shows there, or stays level."""
     drop = abs(pressure_drop)
-    if drop == 0.0 or opening <= data[at + _DEADBAND]:
+    if drop == 0.0:
         return 0.0
     i, y = _span(drop, data, at)
+    leak = _leak(i + y, data, at)
+    if opening <= data[at + _DEADBAND]:
+        return math.copysign(leak, pressure_drop)
     spans = int(data[at + _SPANS_U])
     knots = at + _HEADER
     low, high = 0, spans + 1
@@ -68,7 +86,7 @@ def map_flow(pressure_drop, opening, data, at):
     w = opening - data[knots + low]
     k = knots + spans + 1 + (i * (spans + 1) + low) * _PIECE
     flow = _cubic(data, k, y) + w * (_cubic(data, k + 4, y) + w * _cubic(data, k + 8, y))
-    return math.copysign(flow, pressure_drop)
+    return math.copysign(flow + leak, pressure_drop)
 
 
 @kernel
@@ -76,19 +94,22 @@ def map_command(pressure_drop, flow, data, at):
     """Opening [V] at which the map passes ``flow`` [m³/s] at a pressure drop [Pa]: the exact
     inverse of ``map_flow``.
 
-    0 V (shut) for no flow and for flow against the drop; the largest measured command where even
-    that passes less."""
+    0 V (shut) for no flow, for no more than the leak and for flow against the drop; where even the
+    largest command of the rising branch passes less, that command."""
     drop, wanted = abs(pressure_drop), math.copysign(flow, flow * pressure_drop)
     if flow == 0.0 or (drop > 0.0 and wanted < 0.0):
         return 0.0
     i, y = _span(drop, data, at)
-    spans = int(data[at + _SPANS_U])
+    spans, rising = int(data[at + _SPANS_U]), int(data[at + _RISING])
     knots = at + _HEADER
     row = knots + spans + 1 + i * (spans + 1) * _PIECE
-    wanted = abs(flow)
-    if wanted >= _cubic(data, row + spans * _PIECE, y):
-        return data[at + _COMMAND_MAX]
-    low, high = 0, spans
+    leak = _leak(i + y, data, at)
+    wanted = abs(flow) - leak
+    if leak > 0.0 and wanted <= 0.0:
+        return 0.0
+    if wanted >= _cubic(data, row + rising * _PIECE, y):
+        return data[knots + rising]
+    low, high = 0, rising
     while high - low > 1:
         middle = (low + high) >> 1
         if wanted >= _cubic(data, row + middle * _PIECE, y):
@@ -164,6 +185,10 @@ class FlowMap:
     measured at each command. ``std`` [m³/s] over ``std_command`` [V] × ``std_root`` [√Pa]: standard
     error of the flow. ``rated_flow`` [m³/s]: what percentages refer to. ``samples``: readings used;
     ``outliers``: one sentence for each reading left out; ``source``: the data file.
+    ``leakage`` [m³/s, m³/s]: what passes at rest at ``drop_max``, the part that grows with the root
+    of the drop and the part that grows with the drop; ``leakage_std`` [m³/s]: standard error of
+    their sum. ``rising_to`` [V]: the opening knot up to which the flow grows with the opening;
+    above it it falls. ``level``: measured without pressures, so the flow goes by the opening alone.
 
     Raises:
         InputError: the fields do not describe a map, such as an increment that is not positive.
@@ -187,6 +212,10 @@ class FlowMap:
     samples: int = 0
     outliers: tuple[str, ...] = ()
     source: str = ""
+    leakage: tuple[float, float] = (0.0, 0.0)
+    leakage_std: float = 0.0
+    rising_to: float = math.inf
+    level: bool = False
 
     def __post_init__(self) -> None:
         def refuse(why: str) -> None:
@@ -210,8 +239,12 @@ class FlowMap:
             refuse("opening_knots must ascend from the deadband, which is 0 V or more")
         if steps.ndim != 2 or steps.shape[0] != knots.size or steps.shape[1] < 3:
             refuse("increments must have one row for each opening knot and three columns or more")
-        if not np.all(steps > 0):
+        if not self.rising_to > knots[0]:
+            refuse("rising_to must lie above the deadband")
+        if not np.all(steps[: self.rising + 1] > 0):
             refuse("increments must be positive, or the flow would not increase with the command")
+        if not (min(*self.leakage, self.leakage_std) >= 0 and np.all(np.isfinite(self.leakage))):
+            refuse("leakage must not be negative")
         if not (
             0 < self.delta < math.inf
             and 0 < self.drop_max < math.inf
@@ -228,8 +261,13 @@ class FlowMap:
 
     @property
     def command_max(self) -> float:
-        """Largest measured command [V]; the inverse goes no further."""
+        """Largest measured command [V]."""
         return float(self.opening_knots[-1])
+
+    @property
+    def rising(self) -> int:
+        """Index of the opening knot up to which the flow grows; the inverse goes no further."""
+        return int(np.searchsorted(self.opening_knots, self.rising_to, side="right")) - 1
 
     @cached_property
     def data(self) -> np.ndarray:
@@ -250,6 +288,8 @@ class FlowMap:
             ],
             1,
         )
+        if self.rising < knots.size - 1:
+            tangent[:, 1] = 0.0
         tangent = np.concatenate([tangent, np.zeros_like(tangent[:, :1])], 1)
         pieces = np.concatenate([pieces, tangent[:, None]], 1)
 
@@ -260,13 +300,10 @@ class FlowMap:
         pieces = np.concatenate([pieces, beyond[None]], 0)
 
         header = np.empty(_HEADER)
-        header[_DEADBAND], header[_COMMAND_MAX], header[_DELTA] = (
-            self.deadband,
-            self.command_max,
-            self.delta,
-        )
+        header[_DEADBAND], header[_RISING], header[_DELTA] = self.deadband, self.rising, self.delta
         header[_PER_S] = m / root_drop(self.drop_max, self.delta)
         header[_SPANS_S], header[_SPANS_U] = m, knots.size - 1
+        header[_LEAK_ROOT : _LEAK_DROP + 1] = self.leakage
         return np.concatenate([header, knots, pieces.ravel()])
 
     def flow(self, pressure_drop, command):
@@ -279,14 +316,14 @@ class FlowMap:
         """Command [V] that passes ``flow`` [m³/s] at pressure drops [Pa], the exact inverse of
         ``flow``; broadcasts.
 
-        0 V for no flow and for flow against the drop, ``command_max`` where even that passes less:
-        ``reachable`` says."""
+        0 V for no flow and for flow against the drop; the end of the rising branch, which is
+        ``command_max`` but for maps that fall, where even that passes less: ``reachable`` says."""
         return _each(_commands, pressure_drop, flow, self.data)
 
     def reachable(self, pressure_drop, flow):
-        """True where some command up to ``command_max`` passes ``flow`` [m³/s] at the drop [Pa]."""
+        """True where some command of the rising branch passes ``flow`` [m³/s] at the drop [Pa]."""
         drop, flow = np.asarray(pressure_drop, float), np.asarray(flow, float)
-        most = np.asarray(self.flow(np.abs(drop), self.command_max))
+        most = np.asarray(self.flow(np.abs(drop), self.opening_knots[self.rising]))
         return (flow == 0.0) | ((flow * drop > 0.0) & (np.abs(flow) <= most))
 
     def flow_std(self, pressure_drop, command):
@@ -306,6 +343,8 @@ class FlowMap:
         low = table[i, j] * (1 - y) + table[i, j + 1] * y
         high = table[i + 1, j] * (1 - y) + table[i + 1, j + 1] * y
         std = np.where(command < self.std_command[0], 0.0, low * (1 - w) + high * w)
+        if self.leakage_std:
+            std = np.hypot(std, self.leakage_std * x / self.std_root[-1])
         return std if std.ndim else float(std)
 
     def inside(self, pressure_drop, command):
@@ -320,10 +359,14 @@ class FlowMap:
         return among & (drop >= low) & (drop <= high)
 
     def to_dict(self) -> dict:
-        """Plain numbers, strings and lists, as they stand in the file."""
+        """Plain numbers, strings and lists, as they stand in the file; what a valve has not is left
+        out.
+        """
         plain = {}
         for f in fields(self):
             value = getattr(self, f.name)
+            if f.name in _OPTIONAL and value == f.default:
+                continue
             plain[f.name] = (
                 value.tolist()
                 if isinstance(value, np.ndarray)
@@ -341,7 +384,7 @@ class FlowMap:
             InputError: a field is missing, unknown or makes no map.
         """
         names = [f.name for f in fields(cls)]
-        wrong = sorted(set(names) ^ set(plain))
+        wrong = sorted((set(names) ^ set(plain)) - _OPTIONAL)
         if wrong:
             raise InputError(
                 f"a flow map has the wrong fields: {', '.join(wrong)}",
@@ -356,6 +399,8 @@ class FlowMap:
                 "outliers": tuple(str(text) for text in plain["outliers"]),
                 "samples": int(plain["samples"]),
             }
+            if "leakage" in plain:
+                texts["leakage"] = (float(plain["leakage"][0]), float(plain["leakage"][1]))
             return cls(**{**plain, **numbers, **texts, "deadband_interval": (low, high)})
         except (TypeError, ValueError) as error:
             raise InputError(f"a flow map has a field of the wrong kind: {error}") from error

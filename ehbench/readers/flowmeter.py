@@ -41,8 +41,9 @@ class FlowmeterData:
     """Flowmeter readings, one array entry a row, in the order of the file. SI.
 
     ``valve``, ``direction`` (``forward``, ``reverse`` or ``from->to``) and ``method``
-    (``flowmeter``, ``cylinder``) are arrays of text; ``command`` [V]; ``pressure_drop`` [Pa] and
-    ``flow`` [m³/s] along the direction, so positive up to the scatter about zero; ``trial`` counts;
+    (``flowmeter``, ``cylinder``) are arrays of text; ``command`` [V]; ``pressure_drop`` [Pa], NaN
+    where a cylinder's speed was taken without, and ``flow`` [m³/s] along the direction, so positive
+    up to the scatter about zero; ``trial`` counts;
     ``temperature`` [K], NaN where not given; ``line`` is the line in ``file``. ``warnings`` are
     sentences on what looks odd and was kept."""
 
@@ -96,7 +97,8 @@ def read_flowmeter(
 
     The first line that is no comment (``#``) names the columns, in any order, with any unit of the
     right kind: ``valve, command [V], pressure_drop [kPa], flow [gpm]``, or ``upstream_pressure``
-    and ``downstream_pressure`` in place of ``pressure_drop``; optional ``direction`` (``forward``,
+    and ``downstream_pressure`` in place of ``pressure_drop``; neither where all rows are of the
+    method ``cylinder``; optional ``direction`` (``forward``,
     ``reverse``, or nodes as ``head->rod``), ``trial``, ``method`` (``flowmeter`` or ``cylinder``),
     ``temperature [degC]``, ``note``. Columns are separated by commas, or by semicolons or tabs,
     where decimal commas are understood. A row without direction whose drop and flow are both
@@ -225,6 +227,8 @@ def _columns(path: Path, line: int, cells: list[str]) -> tuple[list[str], dict[s
         "flow",
         *(sorted(both, reverse=True) if both & set(names) else ["pressure_drop"]),
     ]
+    if "method" in names and not both & set(names):
+        needed.remove("pressure_drop")  # a cylinder's speed may stand alone, row by row
     missing = [name for name in needed if name not in names]
     if missing:
         shown = [f'"{n} [{VOCABULARY[n].display}]"' if n in _NUMBERS else f'"{n}"' for n in missing]
@@ -279,8 +283,9 @@ def _row(
             plausible(row[name], VOCABULARY[name], f"{cells[name]} {unit}")
         except UnitError as error:
             raise UnitError(error.message, file=path, line=line, hint=error.hint) from None
-    if "pressure_drop" not in row:
+    if "upstream_pressure" in row:
         row["pressure_drop"] = row["upstream_pressure"] - row["downstream_pressure"]
+    row.setdefault("pressure_drop", math.nan)
     row["direction"] = re.sub(r"\s*(->|→)\s*", "->", cells.get("direction", "").lower())
     if row["direction"] not in ("", *_OPPOSITE) and not re.fullmatch(r"\w+->\w+", row["direction"]):
         raise InputError(
@@ -296,6 +301,13 @@ def _row(
             file=path,
             line=line,
             hint="write flowmeter or cylinder",
+        )
+    if row["method"] != "cylinder" and math.isnan(row["pressure_drop"]):
+        raise InputError(
+            "a flowmeter's reading without a pressure drop",
+            file=path,
+            line=line,
+            hint="add the column pressure_drop; only method cylinder may go without",
         )
     trial = cells.get("trial", "") or "1"
     if not re.fullmatch(r"\d{1,9}", trial):
@@ -345,7 +357,7 @@ def _data(
     path: Path, rows: list[dict], supply: float | None, units: dict[str, str]
 ) -> FlowmeterData:
     drop_row = VOCABULARY["pressure_drop"]
-    unit = units.get("pressure_drop") or units["upstream_pressure"]
+    unit = units.get("pressure_drop") or units.get("upstream_pressure", drop_row.display)
     warnings = []
     if supply is not None:
         for row in rows:

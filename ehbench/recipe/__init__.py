@@ -24,6 +24,7 @@ from ehbench.recipe.dataset import DatasetLog, DatasetRecipe, Flowmeter
 from ehbench.recipe.flow_map import CalibrationPoint, FlowMapRecipe
 from ehbench.recipe.hydraulics import HydraulicsRecipe
 from ehbench.recipe.loading import kind_of, load_recipe, load_rig, recipe_kinds
+from ehbench.recipe.sensor import Sensor
 from ehbench.recipe.toml import line_of, read_toml
 from ehbench.recipe.trial import AnyTrial, Command, Controller, Limits, Motion, TrialRecipe
 from ehbench.recipe.trials import SetController, TrialSetRecipe
@@ -60,6 +61,7 @@ __all__ = [
     "Limits",
     "Motion",
     "Recipe",
+    "Sensor",
     "SetController",
     "TextSection",
     "Thresholds",

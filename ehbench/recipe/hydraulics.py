@@ -9,6 +9,7 @@ from pydantic import Field
 from ehbench.fields import Q, Value
 from ehbench.recipe.base import ByParameter, DataFiles, Recipe
 from ehbench.recipe.columns import AnyColumns
+from ehbench.recipe.sensor import Sensors
 
 
 class HydraulicsRecipe(Recipe):
@@ -33,6 +34,9 @@ class HydraulicsRecipe(Recipe):
     lower: ByParameter = {}
     upper: ByParameter = {}
     prior: ByParameter = {}
+    sensor: Sensors = Field(
+        default=(), description="`[[sensor]]`: what is known of sensors and drivers, or estimated"
+    )
     channels: tuple[str, ...] = ("qd", "p_head", "p_rod")
     cutoff: Annotated[Value, Q("frequency")] | None = None
     compare_dynamics: tuple[str, ...] = ()

@@ -13,6 +13,7 @@ from ehbench.fields import FileModel, Q, Value, read_value
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe.base import DataFile, Recipe, data_file
 from ehbench.recipe.columns import AnyColumns
+from ehbench.recipe.sensor import Sensors
 
 
 def _share(raw: Any) -> Any:
@@ -127,6 +128,9 @@ class ValidateRecipe(Recipe):
     columns: AnyColumns = Field(
         default=None,
         description="which column of a file is which channel: `[columns]`, or the name of a map",
+    )
+    sensor: Sensors = Field(
+        default=(), description="`[[sensor]]`: what is known of sensors and drivers, or estimated"
     )
     channels: tuple[str, ...] = ("q", "qd", "p_head", "p_rod")
     structure: bool = Field(

@@ -17,6 +17,7 @@ from ehbench import rundir
 from ehbench.disk import DATA, read_bytes
 from ehbench.errors import EhbenchError, InputError
 from ehbench.recipe import Campaign
+from ehbench.report.bearing import no_longer_bears
 from ehbench.report.blocks import (
     Block,
     Bullets,
@@ -104,6 +105,8 @@ def _run_section(run: Saved, anchor: str, content: SectionContent, titles: Title
         if part.inside and part.title
     ]
     inside: list[Block] = [Text(content.sentence, "lead")]
+    if gone := no_longer_bears(run.folder):
+        inside.append(Bullets([f"No longer borne: {text}" for text in gone], "warn"))
     if content.more:
         inside.append(Bullets(content.more))
     if recorded := run.facts.get("recorded_on"):

@@ -11,7 +11,7 @@ from pathlib import Path
 from ehbench import rundir
 from ehbench.errors import InputError
 from ehbench.recipe import Campaign, load_recipe
-from ehbench.stages.base import DONE, Host, Outcome, Prepared, Progress, Stage, Work
+from ehbench.stages.base import DONE, INCOMPLETE, Host, Outcome, Prepared, Progress, Stage, Work
 from ehbench.stages.findings import STANDS, counted
 from ehbench.stages.inputs import Inputs
 
@@ -83,7 +83,8 @@ class CampaignStage(Stage[Campaign, PreparedCampaign]):
             outcomes.append(host.outcome_of(path))
         page = write_report([outcome.folder for outcome in outcomes], host, recipe)
         notes = (f"{run.folder.name}: {note}" for run in outcomes for note in run.notes)
-        return Outcome(page.folder, max(run.code for run in outcomes), tuple(notes))
+        code = max(page.code, *(run.code for run in outcomes))
+        return Outcome(page.folder, code, (*page.notes, *notes))
 
 
 def write_report(folders: Sequence[Path], host: Host, campaign: Campaign | None = None) -> Outcome:
@@ -93,6 +94,7 @@ def write_report(folders: Sequence[Path], host: Host, campaign: Campaign | None 
         InputError: a folder is no whole run, or lacks what its section needs.
     """
     from ehbench.report import build
+    from ehbench.report.bearing import no_longer_bears
 
     for folder in folders:
         if not rundir.is_whole(folder):
@@ -111,4 +113,5 @@ def write_report(folders: Sequence[Path], host: Host, campaign: Campaign | None 
     with rundir.open_run(final, "report", source, inputs) as run:
         page = build(folders, campaign)
         (run.path / "report.html").write_text(page, encoding="utf-8")
-    return Outcome(run.final, DONE, run.left_over)
+    marks = [text for folder in folders for text in no_longer_bears(folder)]
+    return Outcome(run.final, INCOMPLETE if marks else DONE, (*marks, *run.left_over))

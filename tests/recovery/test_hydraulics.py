@@ -453,7 +453,7 @@ def test_a_rate_that_was_not_recorded_comes_from_the_position():
         for name, r in slide_logs(8)
     ]
     fit = identify(rig("slide_servo"), logs, SLIDE, start={"bulk_modulus": 3e8})
-    assert "press.qd" in fit.logs[0].fit_percent
+    assert "press.v" in fit.logs[0].fit_percent
     assert abs(fit["bulk_modulus"].value - 9e8) < 4.0 * fit["bulk_modulus"].std
     for text, series in fit.series().items():
         assert (
@@ -478,7 +478,7 @@ def test_the_recorded_ringing_is_the_linear_formula():
     window = slice(first, 440)
     found = ringing(
         record.t[window],
-        np.column_stack([record[f"press.{c}"][window] for c in ("qd", "p_head", "p_rod")]),
+        np.column_stack([record[f"press.{c}"][window] for c in ("v", "p_head", "p_rod")]),
     )
     head, rod = machine.cylinder[0].areas()
     x = float(np.mean(record["press.x"][window]))
@@ -631,3 +631,19 @@ def test_valve_dynamics_are_told_apart():
     assert ranking[0].relative_rms == 1.0 and ranking[1].relative_rms > 1.5
     with pytest.raises(InputError, match="no dynamics 'none'"):
         compare_dynamics(machine, slide_logs(11), SLIDE, ["none"])
+
+
+def test_volumes_and_bulk_modulus_are_told_as_ratios_where_the_stroke_does_not_tell_them_apart():
+    large = rig("slide_servo").with_values({"press.volume_head": 0.02, "press.volume_rod": 0.02})
+    made = simulate(large, {"press.servo": pulses(801, (60, 240, 2.0), (440, 640, -2.0))}, 0.8)
+    names = ["bulk_modulus", "press.volume_head", "press.volume_rod", "carriage.damping"]
+    fit = identify(large, [("log", noisy(made, 5))], names)
+    powers = [one.powers for one in fit.groups]
+    assert powers and all(set(one) <= set(names[:3]) and len(one) == 2 for one in powers)
+    for one in fit.groups:
+        # the ratio to under a percent, each to several
+        assert one.std < 0.25 * min(one.alone.values())
+        true = math.prod(float(large.parameters()[n]) ** p for n, p in one.powers.items())
+        assert abs(math.log(one.value / true)) < 4 * one.std
+    assert any("not each so well" in text for text in fit.warnings)
+    assert json.loads(json.dumps(rundir.plain(fit.as_json())))["groups"][0]["powers"]

@@ -22,7 +22,7 @@ FLOORS = [
     {"rundir"},
     {"plant"},
     {"machines"},
-    {"ledger", "observations", "preprocessing"},
+    {"ledger", "observations", "preprocessing", "sensors"},
     {"starts"},
     {"response", "structure"},
     {"identification", "validation", "tune", "trial", "report"},

@@ -52,6 +52,27 @@ def flow_map(path: Path, rig: Rig, one: FlowMap, points: Points) -> None:
         legend(figure, handles)
 
 
+def level_map(path: Path, rig: Rig, one: FlowMap, points: Points) -> None:
+    """Flow over command of a map without pressures, with readings, outliers and band."""
+    from matplotlib.patches import Patch
+
+    command = np.unique(np.append(np.linspace(0.0, one.command_max, 241), one.deadband))
+    flow = shown(rig, "flow", one.flow(one.drop_max, command))
+    band = shown(rig, "flow", Z95 * one.flow_std(one.drop_max, command))
+    with canvas(path, size=(7.2, 4.2)) as (figure, ax):
+        colour = shades(2)[0]
+        ax.axvspan(*one.deadband_interval, color=MUTED, alpha=0.25, linewidth=0)
+        ax.fill_between(command, flow - band, flow + band, color=colour, alpha=0.22, linewidth=0)
+        ax.plot(command, flow, color=colour, linewidth=1.4)
+        kept, read = ~points.outlier, shown(rig, "flow", points.flow)
+        ax.plot(points.command[kept], read[kept], "D", color=colour, markersize=2.6, alpha=0.7)
+        ax.plot(points.command[~kept], read[~kept], "x", color=ACCENT, markersize=6)
+        ax.set_xlim(0.0, 1.01 * one.command_max)
+        ax.set_xlabel("command [V]")
+        ax.set_ylabel(axis(rig, "flow"))
+        legend(figure, [Patch(color=colour, alpha=0.3, linewidth=0, label="95 % band")])
+
+
 def _curves(
     ax, rig: Rig, one: FlowMap, drop: np.ndarray, colours: dict
 ) -> tuple[Ends, list[float]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from ehbench.report.blocks import Block, Cell, Grid, Part
 from ehbench.report.captions import range_of, span
@@ -29,6 +29,10 @@ _MAP_CAPTION = (
     "may hide in the gap, and so widen where readings lie far apart for the bend of the curve. "
     "Dashed and pale where no readings surround the curve."
 )
+_LEVEL_CAPTION = (
+    "Flow over command, from a cylinder's speed without pressures, with its 95 % band; the "
+    "deadband's interval is grey. What flows at other loads than those measured this does not say."
+)
 _INVERSE_CAPTION = (
     "Command that passes a flow, one curve a pressure drop; "
     "the exact inverse of the flow map, with its 95 % band. The command axis begins at the "
@@ -45,11 +49,14 @@ def draw(run: Saved, index: FigureIndex) -> None:
         path = index.add(
             f"flow_map_{one.valve}_{one.direction}",
             f"Flow map of {one.valve}, {one.direction}",
-            _MAP_CAPTION,
+            _LEVEL_CAPTION if one.level else _MAP_CAPTION,
             FigureKey("flow_map", valve=one.valve, direction=one.direction),
         )
-        figures.flow_map(path, run.rig, one, points.of(one.valve, one.direction))
+        picture = figures.level_map if one.level else figures.flow_map
+        picture(path, run.rig, one, points.of(one.valve, one.direction))
     for one in maps.each():
+        if one.level:
+            continue
         path = index.add(
             f"inverse_map_{one.valve}_{one.direction}",
             f"Inverse map of {one.valve}, {one.direction}",
@@ -71,6 +78,9 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         Part("Inverse maps", pictures(FigureKey("inverse_map"))),
         Part("Deadbands", _deadbands(rig, maps)),
     ]
+    ways = [row for one in maps for row in _way_rows(rig, one)]
+    if ways:
+        parts.append(Part("Beside the opening", [_ways(ways)]))
     if calibration:
         parts.append(Part("Calibration", [_calibration(rig, calibration)]))
     if left_out:
@@ -128,6 +138,34 @@ def _deadband_row(rig: Rig, one: Table) -> list[Cell | str]:
             for method, (floor, share) in one.get("noise", {}).items()
         ),
     ]
+
+
+def _way_rows(rig: Rig, one: Table) -> Iterator[list[Cell | str]]:
+    """Rows of what a valve does beside opening smoothly: leak, hysteresis, kinks, a fall."""
+
+    def row(what: str, value: str, ends: str) -> list[Cell | str]:
+        return [one["valve"], one["direction"], what, num(value), num(ends)]
+
+    flow = pretty(unit_of(rig, "flow"))
+    leak, ends = one.get("leakage"), one.get("leakage_interval", (0.0, 0.0))
+    if ends[0] > 0.0:
+        between = " … ".join(_flow(rig, end, 3) for end in ends)
+        yield row(f"leak below the deadband [{flow}]", _flow(rig, leak, 3), between)
+    if one.get("hysteresis") is not None:
+        lag = one["hysteresis"]
+        yield row("hysteresis [V]", number(lag, 3), interval(*one["hysteresis_interval"]))
+    for value, low, high in one.get("kinks", ()):
+        yield row("kink at [V]", number(value, 4), interval(low, high))
+    if one.get("falls"):
+        yield row("falls from its largest flow [%]", number(100.0 * one["falls"], 2), "–")
+
+
+def _ways(rows: Sequence[Sequence[Cell | str]]) -> Grid:
+    note = (
+        "Hysteresis: what rising commands lie above falling ones at the same flow; the map is the "
+        "middle of both. A flow that falls is inverted on its rising branch."
+    )
+    return Grid(["valve", "direction", "what", "value", "95 % interval"], rows, note)
 
 
 def _flow(rig: Rig, value: float, digits: int = 4) -> str:

@@ -15,9 +15,19 @@ from ehbench.report.figures import hydraulics as figures
 from ehbench.report.figures.channels import title_of
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
-from ehbench.report.words import axis, count, number, pretty, row_of, shown, unit_of, words
+from ehbench.report.words import (
+    axis,
+    count,
+    interval,
+    number,
+    pretty,
+    row_of,
+    shown,
+    unit_of,
+    words,
+)
 from ehbench.rig import Rig
-from ehbench.terms import CORRELATED
+from ehbench.terms import CORRELATED, Z95
 
 _METHODS = {"thesis": "matching frequency and decay"}
 _PARAMETERS_CAPTION = (
@@ -41,11 +51,13 @@ def draw(run: Saved, index: FigureIndex) -> None:
 def section(run: Saved, pictures: Pictures) -> SectionContent:
     """Parameters with intervals, correlation, what was matched, and the fit to each log."""
     rig, fit = run.rig, run.json("parameters.json")
-    table = _parameters_table(rig, fit["parameters"])
+    table = _parameters_table(rig, fit["parameters"], fit.get("sensors", []))
     parts = [Part("Parameters", [table, *pictures(FigureKey("parameters"))])]
     names, matrix = fit.get("correlated_names", []), fit.get("correlation", [])
     if len(names) > 1:
         parts.append(Part("Correlation of the estimates", _correlation(names, matrix)))
+    if groups := fit.get("groups", []):
+        parts.append(Part("What the logs know together", [_groups(groups)]))
     if matches := fit.get("matches", []):
         caption = "Ringing of recorded and simulated transients over the same window."
         parts.append(Part("What was matched", [ringing_table(rig, matches, caption, True)]))
@@ -75,7 +87,7 @@ def _sentence(rig: Rig, fit: Table) -> str:
     return sentence + "."
 
 
-def _parameters_table(rig: Rig, parameters: Sequence[Table]) -> Grid:
+def _parameters_table(rig: Rig, parameters: Sequence[Table], sensors: Sequence[Table]) -> Grid:
     head = [
         "parameter",
         "value",
@@ -96,11 +108,33 @@ def _parameters_table(rig: Rig, parameters: Sequence[Table]) -> Grid:
         "interval is lopsided, the value stands alone. Logs' starts: share of the variance that "
         "the estimated starts of the logs are to blame for."
     )
-    if any(one.get("prior") for one in parameters):
+    if sensors or any(one.get("prior") for one in parameters):
         head += ["prior ±", "from data [%]"]
         rows = [row + _prior_cells(rig, one) for row, one in zip(rows, parameters, strict=True)]
+        rows += [_sensor_row(rig, one) for one in sensors]
         note += " From data: share of what is known that the prior did not bring."
     return Grid(head, rows, note)
+
+
+def _sensor_row(rig: Rig, one: Table) -> list[Cell | str]:
+    """What was found of a channel's sensor, below the parameters."""
+    word, channel = one["word"], one["channel"]
+    row = {"offset": channel, "scale": "sensor_scale"}.get(word, word)
+    std, prior = one.number("std"), one.number("prior")
+    share = 100.0 * max(0.0, 1.0 - (std / prior) ** 2) if std is not None and prior else None
+    return [
+        Cell(f"{word} of {channel}" + (f", {one['log']}" if one["log"] else ""), "code"),
+        num(as_fitted(rig, row, one)),
+        pretty(unit_of(rig, row)),
+        num(range_of(rig, row, one.get("interval"))),
+        "–",
+        num(plus(rig, row, one.number("known"), None)),
+        chip("estimated"),
+        "sensor",
+        *(num("–") for _ in range(3)),
+        num(plus(rig, row, prior, None)),
+        num(number(share, 3)),
+    ]
 
 
 def _prior_cells(rig: Rig, one: Table) -> list[Cell | str]:
@@ -142,6 +176,23 @@ def _correlation(names: Sequence[str], matrix: Sequence[Sequence[float | None]])
                     "the logs tell them only together."
                 )
     return [*([Bullets(strong, "warn")] if strong else []), Heat(names, matrix)]
+
+
+def _groups(groups: Sequence[Table]) -> Grid:
+    note = (
+        "Scales that the logs cannot tell change all parameters of a product together: each is "
+        "open, the product is known. Measure one of them, or give it a prior. In SI."
+    )
+    rows: list[list[Cell | str]] = [
+        [
+            Cell(one["text"], "code"),
+            num(number(one["value"], 4)),
+            num(interval(*one["interval"])),
+            num(f"± {number(100.0 * Z95 * one['std'], 2)} %"),
+        ]
+        for one in groups
+    ]
+    return Grid(["product", "value", "95 % interval", "known to"], rows, note)
 
 
 def _log_fits(rig: Rig, logs: Sequence[Table]) -> list[Block]:

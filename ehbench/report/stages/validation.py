@@ -184,6 +184,9 @@ def _log_blocks(rig: Rig, log: Table, pictures: Pictures) -> list[Block]:
         blocks.append(Text(f"Simulated as a whole; judged is {interval(*scored)} s."))
     blocks += pictures(FigureKey("validation", log=log["name"]))
     blocks += _channel_table(rig, log)
+    if sensors := log.get("sensors", {}):
+        told = (_sensor(rig, name, value) for name, value in sensors.items())
+        blocks.append(Text(f"Estimated of its sensors: {', '.join(told)}.", "note"))
     if rings := log.get("transients", []):
         blocks.append(ringing_table(rig, rings))
         blocks += _unjudged(rings)
@@ -195,6 +198,14 @@ def _log_blocks(rig: Rig, log: Table, pictures: Pictures) -> list[Block]:
     if log.get("warnings"):
         blocks.append(Bullets(log["warnings"], "note"))
     return blocks
+
+
+def _sensor(rig: Rig, name: str, value: float) -> str:
+    """``offset of boom.p_head 2 bar``."""
+    channel, _, word = name.rpartition(".")
+    row = {"offset": channel, "scale": "sensor_scale"}.get(word, word)
+    told = f"{word} of {channel} {number(float(shown(rig, row, value)), 3)}"
+    return f"{told} {pretty(unit_of(rig, row))}".strip()
 
 
 def _unjudged(rings: Sequence[Table]) -> list[Block]:

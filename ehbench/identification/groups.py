@@ -1,0 +1,158 @@
+"""Which products and ratios of parameters the data know where they do not know each: directions in
+the parameters' logarithms that the logs hardly tell.
+
+A relative change of the parameters by ``d ln p = v`` that changes no channel is a scale that the
+logs cannot tell. What they do tell are the products ``Π pᵢ^wᵢ`` with ``w`` orthogonal to all such
+``v``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ehbench.terms import Z95
+
+# a product is one of a group where it is known to this share of what its parameters are known to
+_MUCH_BETTER = 0.25
+# exponents are told in halves up to this, where the product stays that much better known
+_HALVES, _MOST_EXPONENT = 2.0, 3.0
+
+
+@dataclass(frozen=True)
+class Group:
+    """A product of powers that the logs know though they do not know each of its parameters:
+    ``text`` as people write it, ``powers`` by name, ``value`` [SI] and its 95 % ``interval``,
+    ``std`` of its logarithm and, by name, of each parameter's (``alone``).
+    """
+
+    text: str
+    powers: dict[str, float]
+    value: float
+    interval: tuple[float, float]
+    std: float
+    alone: dict[str, float]
+
+
+def groups_of(
+    names: Sequence[str], values: Sequence[float], normal: np.ndarray, widening: float
+) -> tuple[Group, ...]:
+    """The products that the logs know, each parameter that they do not know by itself in one of
+    them or in none.
+
+    Args:
+        names, values: of the parameters that are searched by their logarithm, values in SI.
+        normal: ``Σ JᵀJ`` of the scaled residuals to the logarithms, all else eliminated, without
+            priors, shape (names, names).
+        widening: of standard errors because residuals are coloured.
+    """
+    count = len(names)
+    if count < 2:
+        return ()
+    sizes, vectors = np.linalg.eigh(0.5 * (normal + normal.T))
+    sizes = np.maximum(sizes, 1e-13 * sizes[-1])
+    covariance = (vectors / sizes) @ vectors.T * widening**2
+    leaders = _leaders(covariance)
+    groups = []
+    for i in (i for i in range(count) if leaders and i not in leaders):
+        power = np.zeros(count)
+        power[i] = 1.0
+        power[leaders] = -np.linalg.solve(
+            covariance[np.ix_(leaders, leaders)], covariance[leaders, i]
+        )
+        power = _told(power, covariance)
+        std = _std(power, covariance)
+        if np.count_nonzero(power) > 1 and std < _MUCH_BETTER * _least(power, covariance):
+            groups.append(_group(names, values, power, covariance))
+    return tuple(groups)
+
+
+def _std(power: np.ndarray, covariance: np.ndarray) -> float:
+    return float(np.sqrt(power @ covariance @ power))
+
+
+def _least(power: np.ndarray, covariance: np.ndarray) -> float:
+    """The least that one factor of a product alone leaves open of its logarithm."""
+    return float(
+        np.min(np.abs(power) * np.sqrt(np.diag(covariance)), where=power != 0, initial=np.inf)
+    )
+
+
+def _leaders(covariance: np.ndarray) -> list[int]:
+    """The parameters that would have to be known for all others to be: one at a time, that whose
+    knowledge would sharpen another one most.
+    """
+    left, found = covariance.copy(), []
+    own = np.diag(covariance)
+    while len(found) < len(own) - 1:
+        rest = [i for i in range(len(own)) if i not in found and left[i, i] > 1e-9 * own[i]]
+        best, gain = -1, 1.0 / _MUCH_BETTER**2
+        for i in rest:
+            after = np.diag(left) - left[:, i] ** 2 / left[i, i]
+            others = [k for k in rest if k != i]
+            if not others:
+                continue
+            more = max(left[k, k] / max(after[k], 1e-12 * own[k]) for k in others)
+            if more > gain:
+                best, gain = i, more
+        if best < 0:
+            break
+        left = left - np.outer(left[:, best], left[best]) / left[best, best]
+        found.append(best)
+    return sorted(found)
+
+
+def _told(power: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Exponents in halves where the product stays much better known than its factors, else to two
+    digits; whole ones where halves are left.
+    """
+    halves = np.round(_HALVES * power) / _HALVES
+    plain = np.max(np.abs(halves)) <= _MOST_EXPONENT
+    if plain and _std(halves, covariance) < _MUCH_BETTER * _least(halves, covariance):
+        return halves if np.all(halves == np.round(halves)) else 2.0 * halves
+    return np.where(np.abs(power) < 0.05, 0.0, np.round(power, 2))
+
+
+def _group(
+    names: Sequence[str], values: Sequence[float], power: np.ndarray, covariance: np.ndarray
+) -> Group:
+    powers = {name: float(p) for name, p in zip(names, power, strict=True) if p}
+    value = math.exp(sum(p * math.log(v) for p, v in zip(power, values, strict=True) if p))
+    std = _std(power, covariance)
+    reach = math.exp(min(Z95 * std, 50.0))
+    alone = {n: math.sqrt(covariance[i, i]) for i, n in enumerate(names) if n in powers}
+    return Group(_text(powers), powers, value, (value / reach, value * reach), std, alone)
+
+
+def _text(powers: dict[str, float]) -> str:
+    """``mass/area_head^2``."""
+
+    def side(sign: float) -> str:
+        parts = []
+        for name, power in powers.items():
+            if power * sign > 0:
+                size = abs(power)
+                parts.append(name if size == 1.0 else f"{name}^{size:g}")
+        return "·".join(parts)
+
+    above, below = side(1.0), side(-1.0)
+    if not below:
+        return above
+    return f"{above or '1'}/{below if '·' not in below else f'({below})'}"
+
+
+def sentence(groups: Sequence[Group]) -> str:
+    """What people read: the products, and that the logs do not know each."""
+    told = " and ".join(f"{one.text} ({_percent(one.std)})" for one in groups)
+    alone = {name: std for one in groups for name, std in one.alone.items()}
+    each = ", ".join(f"{name} {_percent(std)}" for name, std in alone.items())
+    return f"the logs know {told}, and not each so well: {each}"
+
+
+def _percent(std: float) -> str:
+    """The 95 % interval of a factor whose logarithm has this standard error."""
+    if Z95 * std > 1.0:
+        return f"within a factor {math.exp(min(Z95 * std, 50.0)):.2g}" if std < 3.0 else "unknown"
+    return f"± {100.0 * Z95 * std:.2g} %"

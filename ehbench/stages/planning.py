@@ -1,0 +1,174 @@
+"""The next test after a fit: what it would tell, as lines, as plain values and as a recipe."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ehbench.errors import InputError
+from ehbench.identification.next_test import Known, Proposal, propose, widest
+from ehbench.recipe import HydraulicsRecipe, load_recipe
+from ehbench.report.bearing import Made
+from ehbench.report.blocks import Grid
+from ehbench.report.content import num
+from ehbench.report.terminal import table
+from ehbench.report.words import estimate, interval, number, pretty, shown, unit_of
+from ehbench.rig import Rig
+from ehbench.stages.base import Progress
+from ehbench.stages.hydraulics import HydraulicsStage
+from ehbench.stages.inputs import Inputs
+
+_SHOWN = 8
+
+
+@dataclass(frozen=True)
+class NextTest:
+    """Tests that would sharpen a parameter, the best first; ``rig_file``: what a recipe names."""
+
+    rig: Rig
+    known: Known
+    proposals: tuple[Proposal, ...]
+    rig_file: Path
+
+    def lines(self, width: int) -> Iterator[str]:
+        """What people read."""
+        name, unit = self.known.name, pretty(unit_of(self.rig, self.known.name))
+        now = f"{self._text(self.known.value, self.known.interval)} {unit}".strip()
+        best = self.proposals[0]
+        then = self._text(self.known.value, best.interval)
+        yield f"{name} is {now} now; the first of these tests would leave {then} {unit}".rstrip()
+        yield ""
+        head = ["cylinder", "test", "amplitude [V]", "starts at [mm]", "payload"]
+        head += [f"95 % interval then [{unit}]" if unit else "95 % interval then", "of now"]
+        rows = [
+            [
+                one.trial.cylinder,
+                one.trial.wave,
+                num(number(max(abs(entry["amplitude"]) for entry in one.trial.commands), 3)),
+                num(number(1e3 * one.trial.stroke, 3)),
+                one.trial.payload or "none",
+                num(self._ends(one.interval)),
+                num("–" if one.share is None else f"{100.0 * one.share:.0f} %"),
+            ]
+            for one in self.proposals[:_SHOWN]
+        ]
+        yield from table(Grid(head, rows), (), width)
+
+    def _text(self, value: float, ends: tuple[float, float] | None) -> str:
+        name = self.known.name
+        if ends is None:
+            return f"not known ({number(float(shown(self.rig, name, value)))} is where it starts)"
+        low, high = (float(shown(self.rig, name, end)) for end in ends)
+        return estimate(float(shown(self.rig, name, value)), low, high)
+
+    def _ends(self, ends: tuple[float, float]) -> str:
+        return interval(*(float(shown(self.rig, self.known.name, end)) for end in ends))
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values for scripts, SI."""
+        return {
+            "name": self.known.name,
+            "value": self.known.value,
+            "interval": self.known.interval,
+            "tests": [
+                {
+                    "cylinder": one.trial.cylinder,
+                    "wave": one.trial.wave,
+                    "stroke": one.trial.stroke,
+                    "payload": one.trial.payload,
+                    "duration": one.trial.seconds,
+                    "commands": [dict(entry) for entry in one.trial.commands],
+                    "interval": one.interval,
+                    "share": one.share,
+                }
+                for one in self.proposals
+            ],
+        }
+
+    def write(self, path: Path) -> Path:
+        """The first test as the recipe of a trial on the virtual bench.
+
+        Raises:
+            InputError: the file is there already.
+        """
+        import tomli_w
+
+        if path.exists():
+            raise InputError("is there already; nothing was written", file=path)
+        trial = self.proposals[0].trial
+        recipe: dict[str, Any] = {
+            "stage": "trial",
+            "title": f"{trial.wave.capitalize()} of {trial.cylinder}, for {self.known.name}",
+            "rig": Path(os.path.relpath(self.rig_file, path.resolve().parent)).as_posix(),
+            "on": "bench",
+            "posture": {trial.cylinder: f"{1e3 * trial.stroke:.4g} mm"},
+            "duration": f"{trial.seconds:g} s",
+        }
+        if trial.payload:
+            recipe["payload"] = trial.payload
+        recipe["command"] = [
+            {
+                "valve": entry["valve"],
+                "kind": entry["kind"],
+                "amplitude": f"{entry['amplitude']:g} V",
+                "start": f"{entry['start']:g} s",
+                "stop": f"{entry['stop']:g} s",
+            }
+            for entry in trial.commands
+        ]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(tomli_w.dumps(recipe), encoding="utf-8")
+        return path
+
+
+def fit_behind(made: Made) -> HydraulicsRecipe:
+    """The recipe of a run that fitted hydraulics, as the run read it.
+
+    Raises:
+        InputError: another kind of run; a recipe that is gone or has changed.
+    """
+    if made.run.what != "hydraulics":
+        raise InputError(
+            "fitted no hydraulics",
+            file=made.folder,
+            hint='name a run of stage "identify", what = "hydraulics"',
+        )
+    if made.recipe.place is None or not made.recipe.is_same:
+        why = "is not found" if made.recipe.place is None else "has changed since"
+        raise InputError(
+            f"the run's recipe '{made.recipe.name}' {why}",
+            file=made.folder,
+            hint="run it again: ehbench identify RECIPE",
+        )
+    recipe = load_recipe(made.recipe.place)
+    assert isinstance(recipe, HydraulicsRecipe)  # by what the run says and the recipe's digest
+    return recipe
+
+
+def plan(made: Made, inputs: Inputs, name: str | None, progress: Progress | None) -> NextTest:
+    """The tests that would sharpen a parameter of a run most.
+
+    Raises:
+        InputError: the parameter was not fitted.
+        InsufficientData: no test is possible.
+    """
+    recipe = inputs.recipe
+    assert isinstance(recipe, HydraulicsRecipe)
+    prepared = HydraulicsStage().prepare(recipe, inputs)
+    assert prepared.fit is not None
+    rows = {one["name"]: one for one in made.run.json("parameters.json")["parameters"]}
+    fitted = []
+    for c in prepared.fit.search:
+        row = rows[c.name]
+        ends = row["interval"]
+        known = None if ends is None else (float(ends[0]), float(ends[1]))
+        fitted.append(Known(c.name, float(row["value"]), known, row["status"]))
+    name = name or widest(fitted, prepared.fit.search)
+    proposals = propose(prepared.fit, fitted, name, progress)
+    known = next(one for one in fitted if one.name == name)
+    source = next(one.place for one in made.sources if one.role == "rig")
+    rig_file = source or made.folder
+    return NextTest(made.run.rig, known, tuple(proposals), rig_file)

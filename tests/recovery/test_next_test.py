@@ -1,0 +1,78 @@
+"""The next test: what it is said to tell is what it tells when the virtual rig runs it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from ehbench import rundir, workflow
+from ehbench.errors import InputError
+
+ROOT = Path(__file__).parents[2]
+RECIPE = ROOT / "recipes" / "slide_servo" / "hydraulics.toml"
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory) -> Path:
+    """A fit of the slide's two shipped logs."""
+    root = tmp_path_factory.mktemp("next")
+    text = RECIPE.read_text(encoding="utf-8")
+    text = text.replace("../rigs", f"{ROOT}/recipes/rigs").replace(
+        "../../datasets", f"{ROOT}/datasets"
+    )
+    (root / "fit.toml").write_text(text, encoding="utf-8")
+    workflow.run(root / "fit.toml", workflow.Session(root=root / "runs", out=root / "fit"))
+    return root
+
+
+def rows_of(folder):
+    found = rundir.read_json(folder / "parameters.json")["parameters"]
+    return {row["name"]: row for row in found}
+
+
+def width(ends):
+    """Of an interval, as a ratio: fitted values move with the log that is added."""
+    return math.log(ends[1] / ends[0])
+
+
+@pytest.mark.parametrize("name", ["bulk_modulus", "carriage.damping"])
+def test_the_proposed_test_tells_what_it_was_said_to_when_the_virtual_rig_runs_it(place, name):
+    short = name.rpartition(".")[2]
+    session = workflow.Session(root=place / "runs", out=place / f"next_{short}.toml")
+    found = workflow.next_test(place / "fit", name, session)
+    said = found.proposals[0]
+    assert said.share is not None and said.share < 0.8
+    text = (place / "fit.toml").read_text(encoding="utf-8")
+    again = place / f"again_{short}.toml"
+    again.write_text(text.replace("data = [", f'data = ["next_{short}.toml",'), encoding="utf-8")
+    session = workflow.Session(root=place / "runs", out=place / f"again_{short}")
+    made = workflow.run(again, session)
+    ratio = width(rows_of(made.folder)[name]["interval"]) / width(said.interval)
+    assert 1 / 1.5 < ratio < 1.5
+    assert width(rows_of(made.folder)[name]["interval"]) < width(
+        rows_of(place / "fit")[name]["interval"]
+    )
+
+
+def test_proposals_come_best_first_and_the_least_known_is_meant_by_default(place):
+    found = workflow.next_test(place / "fit")
+    widths = [one.interval[1] - one.interval[0] for one in found.proposals]
+    assert widths == sorted(widths) and len(widths) > 5
+    relative = {n: row["interval"] for n, row in rows_of(place / "fit").items()}
+    assert found.known.name in relative and found.as_json()["tests"][0]["commands"]
+    assert any("would leave" in line for line in found.lines(100))
+
+
+def test_what_cannot_be_planned_is_refused_with_a_sentence(place):
+    with pytest.raises(InputError, match="was not fitted"):
+        workflow.next_test(place / "fit", "press.leakage_internal")
+    copy = place / "fit.toml"
+    text = copy.read_text(encoding="utf-8")
+    copy.write_text(text + "# changed\n", encoding="utf-8")
+    try:
+        with pytest.raises(InputError, match="has changed since"):
+            workflow.next_test(place / "fit")
+    finally:
+        copy.write_text(text, encoding="utf-8")

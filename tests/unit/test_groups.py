@@ -1,0 +1,54 @@
+"""Products and ratios that the data know where they do not know each parameter."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from ehbench.identification.groups import groups_of, sentence
+
+NAMES = ("mass", "area", "volume", "bulk_modulus", "damping")
+VALUES = (250.0, 2e-3, 1e-3, 9e8, 800.0)
+
+
+def normal_of(*known):
+    """JᵀJ of readings that know each of some products of powers to 1 %."""
+    rows = np.array([[power.get(name, 0.0) for name in NAMES] for power in known]) / 0.01
+    return rows.T @ rows
+
+
+def test_unknown_scales_are_told_as_the_products_that_are_known():
+    normal = normal_of({"mass": 1, "area": -2}, {"volume": 1, "bulk_modulus": -1}, {"damping": 1})
+    found = groups_of(NAMES, VALUES, normal, 1.0)
+    powers = [{n: abs(p) for n, p in one.powers.items()} for one in found]
+    assert {"mass": 1.0, "area": 2.0} in powers and {"volume": 1.0, "bulk_modulus": 1.0} in powers
+    assert len(found) == 2
+    for one in found:
+        assert one.std == pytest.approx(0.01, rel=0.01) and min(one.alone.values()) > 1e3
+        value = math.prod(
+            dict(zip(NAMES, VALUES, strict=True))[n] ** p for n, p in one.powers.items()
+        )
+        assert one.interval[0] < one.value < one.interval[1]
+        assert one.value == pytest.approx(value)
+    said = sentence(found)
+    assert "area^2" in said and "damping" not in said and "unknown" in said
+
+
+def test_parameters_that_are_known_each_make_no_group():
+    assert groups_of(NAMES, VALUES, np.diag([1e4, 2e4, 3e4, 1e4, 1e2]), 2.0) == ()
+    # correlated by 0.8: each is known nearly as well as their product
+    pair = np.linalg.inv(np.array([[1.0, 0.8], [0.8, 1.0]]))
+    assert groups_of(NAMES[:2], VALUES[:2], pair, 1.0) == ()
+
+
+def test_a_scale_of_all_is_told_against_one():
+    """Everything that grows with the size of a cylinder whose forces were not measured."""
+    normal = normal_of(
+        {"mass": 1, "area": -1}, {"volume": 1, "area": -1}, {"damping": 1, "area": -1}
+    ) + np.diag([0.0, 0.0, 0.0, 1e4, 0.0])
+    found = groups_of(NAMES, VALUES, normal, 1.0)
+    assert len(found) == 3 and not any("bulk_modulus" in one.powers for one in found)
+    (leader,) = set.intersection(*(set(one.powers) for one in found))
+    assert all(one.powers[leader] == -1.0 for one in found)

@@ -1,0 +1,261 @@
+"""Where a number of a run is from, and that no change of what it was made from goes unmarked."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from ehbench import rundir, workflow
+from ehbench.errors import InputError
+from ehbench.report.bearing import no_longer_bears
+from ehbench.report.why import why
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+RECIPE = """stage = "identify"
+what = "hydraulics"
+rig = "rig.toml"
+flow_maps = "maps.toml"
+data = [
+  { path = "one.csv", start = "0.2 s", stop = "3 s" },
+  "two.csv",
+]
+parameters = ["bulk_modulus", "press.joint_damping"]
+"""
+ROW = {
+    "name": "bulk_modulus",
+    "unit": "Pa",
+    "value": 7.0e8,
+    "interval": [6.9e8, 7.1e8],
+    "status": "estimated",
+    "error_from": "hac",
+    "samples": 400,
+}
+
+
+def write_run(final, stage, recipe, inputs, files, **facts):
+    with rundir.open_run(final, stage, recipe, inputs) as run:
+        for name, content in files.items():
+            rundir.write_json(run.path / name, content)
+        shutil.copy(RIGS / "slide_servo.toml", run.path / "rig.toml")
+        run.facts |= facts
+    return final
+
+
+@pytest.fixture
+def shop(tmp_path) -> Path:
+    """A flow-map run, a fit on it and on two logs, and a report over both."""
+    shutil.copy(RIGS / "slide_servo.toml", tmp_path / "rig.toml")
+    (tmp_path / "maps.csv").write_text("valve,command [V],flow [gpm]\nsh,1,2.0\nsh,2,4.0\n")
+    (tmp_path / "maps.toml").write_text('stage = "identify"\ndata = ["maps.csv"]\n')
+    (tmp_path / "fit.toml").write_text(RECIPE)
+    for number, name in enumerate(("one", "two")):
+        (tmp_path / f"{name}.csv").write_text(f"t [s],x [mm]\n0,{number}\n1,5\n2,7\n")
+    reports = tmp_path / "reports"
+    maps = write_run(
+        reports / "maps_1",
+        "identify",
+        tmp_path / "maps.toml",
+        [("rig", tmp_path / "rig.toml"), ("data", tmp_path / "maps.csv")],
+        {"summary.json": [{"valve": "sh", "direction": "forward", "deadband": 1.25,
+                           "deadband_interval": [1.2, 1.3]}]},
+        what="flow_map",
+    )  # fmt: skip
+    fit = write_run(
+        reports / "fit_1",
+        "identify",
+        tmp_path / "fit.toml",
+        [
+            ("rig", tmp_path / "rig.toml"),
+            ("flow_maps", maps),
+            ("log", tmp_path / "one.csv"),
+            ("log", tmp_path / "two.csv"),
+        ],
+        {
+            "parameters.json": {
+                "method": "output_error",
+                "parameters": [ROW, {**ROW, "name": "press.joint_damping", "unit": "N*s/m"}],
+                "logs": [{"name": "one", "fit_percent": {"press.v": 91.5, "press.p_head": 80.0}}],
+            }
+        },
+        what="hydraulics",
+        method="output_error",
+    )
+    with rundir.open_run(
+        reports / "report_1", "report", fit / "run.json", [("run", maps), ("run", fit)]
+    ) as run:
+        (run.path / "report.html").write_text("<p>bulk modulus 700</p>", encoding="utf-8")
+    return tmp_path
+
+
+def test_a_number_leads_to_interval_method_windows_logs_recipe_and_rig_line(shop):
+    found = why("bulk_modulus", shop / "reports" / "fit_1")
+    assert found.marks == () and found.claim.interval == (6.9e8, 7.1e8)
+    text = "\n".join(found.lines())
+    for wanted in ("output error", "correlated residuals", "400 samples", "0.2 s to 3 s"):
+        assert wanted in text, text
+    for name in ("one", "two"):
+        assert rundir.sha256(shop / f"{name}.csv") in text
+    assert found.recipe is not None and found.recipe.line == 9
+    lines = (shop / "rig.toml").read_text().splitlines()
+    assert found.rig is not None and "bulk_modulus" in lines[found.rig.line - 1]
+    assert found.rig.source and found.rig.source in lines[found.rig.line - 1]
+    plain = json.loads(json.dumps(found.as_json()))
+    assert plain["value"] == 7.0e8 and len(plain["inputs"]) == 4 and plain["marks"] == []
+
+
+@pytest.mark.parametrize(
+    "name, value",
+    [
+        ("press.joint_damping", 7.0e8),
+        ("sh.forward.deadband", 1.25),
+        ("deadband", 1.25),
+        ("one press.v", 91.5),
+        ("fit_percent.press.p_head", 80.0),
+    ],
+)
+def test_any_number_of_a_report_is_found_by_the_end_of_its_path(shop, name, value):
+    found = why(name, shop / "reports" / "report_1")
+    assert found.claim.value == value and found.marks == ()
+
+
+def test_a_name_of_nothing_or_of_several_is_refused_with_what_is_near(shop):
+    with pytest.raises(InputError, match="no number") as error:
+        why("bulk_moduls", shop / "reports" / "fit_1")
+    assert "bulk_modulus" in str(error.value.hint)
+    with pytest.raises(InputError, match="2 numbers"):
+        why("fit_percent", shop / "reports" / "fit_1")
+
+
+def edit(name, old, new):
+    def change(shop):
+        path = shop / name
+        text = path.read_text(encoding="utf-8")
+        assert old in text
+        path.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+    return change
+
+
+def edit_json(name, key, value):
+    def change(shop):
+        path = shop / name
+        content = json.loads(path.read_text(encoding="utf-8"))
+        assert content.get(key) != value
+        path.write_text(json.dumps(content | {key: value}), encoding="utf-8")
+
+    return change
+
+
+def swap(shop):
+    one, two = shop / "one.csv", shop / "two.csv"
+    texts = one.read_text(), two.read_text()
+    one.write_text(texts[1])
+    two.write_text(texts[0])
+
+
+def remade(shop):
+    (shop / "maps.csv").write_text("valve,command [V],flow [gpm]\nsh,1,2.5\nsh,2,4.0\n")
+    shutil.rmtree(shop / "reports" / "maps_1")
+    write_run(
+        shop / "reports" / "maps_1",
+        "identify",
+        shop / "maps.toml",
+        [("rig", shop / "rig.toml"), ("data", shop / "maps.csv")],
+        {"summary.json": []},
+        what="flow_map",
+    )
+
+
+def forge_output(shop):
+    """A number and its digest changed together."""
+    edit("reports/fit_1/parameters.json", "700000000.0", "900000000.0")(shop)
+    path = shop / "reports/fit_1/run.json"
+    facts = json.loads(path.read_text())
+    facts["outputs"]["parameters.json"] = rundir.sha256(shop / "reports/fit_1/parameters.json")
+    path.write_text(json.dumps(facts))
+
+
+def forge_input(shop):
+    """A log and its digest changed together."""
+    edit("one.csv", "1,5", "1,6")(shop)
+    path = shop / "reports/fit_1/run.json"
+    facts = json.loads(path.read_text())
+    facts["inputs"][2]["sha256"] = rundir.sha256(shop / "one.csv")
+    path.write_text(json.dumps(facts))
+
+
+TAMPERINGS = {
+    "a row of the readings": edit("maps.csv", "sh,1,2.0", "sh,1,2.1"),
+    "a row taken out": edit("maps.csv", "sh,2,4.0\n", ""),
+    "the unit of the readings": edit("maps.csv", "flow [gpm]", "flow [L/min]"),
+    "the valve of a row": edit("maps.csv", "sh,1", "sr,1"),
+    "a sample of a log": edit("one.csv", "1,5", "1,6"),
+    "the unit of a log": edit("two.csv", "x [mm]", "x [m]"),
+    "a sample more": edit("two.csv", "2,7\n", "2,7\n3,9\n"),
+    "two logs swapped": swap,
+    "a log gone": lambda shop: (shop / "one.csv").unlink(),
+    "the readings gone": lambda shop: (shop / "maps.csv").unlink(),
+    "the rig's number": edit("rig.toml", "bulk_modulus", "bulk_modulus "),
+    "the rig gone": lambda shop: (shop / "rig.toml").unlink(),
+    "the window in the recipe": edit("fit.toml", "0.2 s", "0.1 s"),
+    "the parameters of the recipe": edit("fit.toml", ', "press.joint_damping"', ""),
+    "the recipe of the maps": edit("maps.toml", "maps.csv", "other.csv"),
+    "the recipe gone": lambda shop: (shop / "fit.toml").unlink(),
+    "the maps made anew": remade,
+    "the run of the maps gone": lambda shop: shutil.rmtree(shop / "reports" / "maps_1"),
+    "a number of the run": edit("reports/fit_1/parameters.json", "700000000.0", "710000000.0"),
+    "an interval of the run": edit("reports/fit_1/parameters.json", "690000000.0", "699000000.0"),
+    "a status of the run": edit("reports/fit_1/parameters.json", "estimated", "certain"),
+    "a number of the run behind": edit("reports/maps_1/summary.json", "1.25", "1.35"),
+    "the rig that the run left": edit("reports/fit_1/rig.toml", "name", "nam"),
+    "a file of the run gone": lambda shop: (shop / "reports/fit_1/rig.toml").unlink(),
+    "the code": edit_json("reports/fit_1/run.json", "code_sha256", "0" * 64),
+    "the method it names": edit_json("reports/fit_1/run.json", "method", "thesis"),
+    "what it warns of": edit_json("reports/fit_1/run.json", "warnings", ["all is well"]),
+    "the inputs it names": edit_json("reports/fit_1/run.json", "inputs", []),
+    "a number and its digest": forge_output,
+    "a log and its digest": forge_input,
+}
+
+
+@pytest.mark.parametrize("what", TAMPERINGS)
+@pytest.mark.parametrize("of", ["fit_1", "report_1"])
+def test_whatever_is_tampered_with_marks_the_number(shop, what, of):
+    TAMPERINGS[what](shop)
+    found = why("bulk_modulus", shop / "reports" / of)
+    assert found.marks and next(found.lines()).startswith("NO LONGER BORNE")
+
+
+def test_the_page_of_a_report_is_part_of_it(shop):
+    edit("reports/report_1/report.html", "700", "800")(shop)
+    assert any("report.html" in mark for mark in why("deadband", shop / "reports/report_1").marks)
+
+
+def test_a_report_over_a_run_whose_log_was_edited_says_so_and_exits_with_3(shop, monkeypatch):
+    monkeypatch.setattr(import_module("ehbench.report"), "build", lambda *_: "<p>")
+    fit = shop / "reports" / "fit_1"
+    assert workflow.report([fit], workflow.Session(out=shop / "first")).code == 0
+    edit("one.csv", "1,5", "1,6")(shop)
+    assert any("one.csv" in text for text in no_longer_bears(fit))
+    made = workflow.report([fit], workflow.Session(out=shop / "second"))
+    assert made.code == 3 and "one.csv" in made.notes[0]
+
+
+def test_a_run_from_other_code_is_marked(shop, monkeypatch):
+    monkeypatch.setattr(rundir, "code_version", lambda: "0" * 64)
+    marks = why("bulk_modulus", shop / "reports" / "fit_1").marks
+    assert any("other code" in mark for mark in marks)
+
+
+def test_a_shop_moved_as_a_whole_still_bears_its_numbers(shop, tmp_path_factory):
+    there = tmp_path_factory.mktemp("moved") / "shop"
+    shutil.move(shop, there)
+    for name in ("fit_1", "maps_1", "report_1"):
+        (there / "reports" / name / "volatile.json").unlink()
+    for file in ("fit.toml", "maps.toml", "maps.csv", "one.csv", "two.csv", "rig.toml"):
+        shutil.copy(there / file, there / "reports" / file)
+    assert why("bulk_modulus", there / "reports" / "fit_1").marks == ()
