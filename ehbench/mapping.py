@@ -119,6 +119,8 @@ def guessed(source: Source, rig: Rig | None) -> dict[str, Guess]:
 
 def _guess(name: str, column: Column, table: Table, rig: Rig | None) -> Guess:
     unit, words = column.known_unit, _words(name)
+    if table.name.startswith("/"):  # a topic is what its field is of
+        words |= _words(table.name)
     known = column.values[np.isfinite(column.values)]
     if not known.size:
         return Guess(remark="holds no number")
@@ -153,7 +155,7 @@ def _time(column: Column, unit: str, words: set[str], table: Table) -> Guess | N
     lvm = words >= {"x", "value"}
     if not (is_time or lvm or (words & _TIME and not unit)):
         even = steps.min() > 0.0 and np.ptp(steps) < 1e-3 * steps.min() and steps[0] != 1.0
-        even &= column is table.columns[0] and not unit
+        even &= column is table.columns[0] and table.t is None and not unit
         return Guess("t", "s", False, "rises evenly: the time?") if even else None
     if table.t is not None:
         return Guess(remark="the file knows its time without it")
