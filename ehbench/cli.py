@@ -148,7 +148,26 @@ def _runner(command: Command) -> Callable[..., None]:
     ) -> None:
         _run(command.name, recipe, out, Says(quiet, verbose, as_json), allow_code=allow_code)
 
-    return {"": plain, "unvalidated": insisting, "allow_code": trusting}[command.allows]
+    def profiling(
+        recipe: RecipeFile,
+        out: Out = None,
+        quiet: Quiet = False,
+        verbose: Verbose = False,
+        as_json: AsJson = False,
+        profile: Annotated[
+            str | None,
+            typer.Option(
+                "--profile",
+                metavar="NAME",
+                help="Profile likelihood of this parameter, with its picture, in place of the fit.",
+                show_default=False,
+            ),
+        ] = None,
+    ) -> None:
+        _run(command.name, recipe, out, Says(quiet, verbose, as_json), profile=profile)
+
+    kinds = {"": plain, "unvalidated": insisting, "allow_code": trusting, "profile": profiling}
+    return kinds[command.allows]
 
 
 for _command in COMMANDS:
@@ -302,6 +321,7 @@ def _run(
     *,
     unvalidated: bool = False,
     allow_code: bool = False,
+    profile: str | None = None,
 ) -> None:
     from ehbench import workflow
 
@@ -311,7 +331,10 @@ def _run(
         session = workflow.Session(
             out=out, progress=tell, unvalidated=unvalidated, allow_code=allow_code
         )
-        made = workflow.run(recipe, session)
+        if profile is None:
+            made = workflow.run(recipe, session)
+        else:
+            made = workflow.profile(recipe, profile, session)
     _leave(made, says)
 
 

@@ -15,7 +15,7 @@ class Command(NamedTuple):
     name: str
     help: str
     example: str
-    allows: Literal["", "unvalidated", "allow_code"] = ""
+    allows: Literal["", "unvalidated", "allow_code", "profile"] = ""
 
 
 COMMANDS = (
@@ -23,6 +23,7 @@ COMMANDS = (
         "identify",
         "Identify flow maps or hydraulics from the data a recipe names.",
         "recipes/thesis/flow_maps.toml",
+        "profile",
     ),
     Command(
         "response",

@@ -602,6 +602,21 @@ class OutputError:
             self.solve(1e-4)
             self._weigh(self._at(self.theta, self.shifts))
 
+    def held_at(self, i: int, theta: float) -> tuple[float, dict[str, float]]:
+        """(least cost with a parameter held at a value of its search coordinate, the values [SI] of
+        all there by name), from where the search stands, which moves there.
+        """
+        free = self.free
+        self.free = [k for k in free if k != i]
+        self.theta = self.theta.copy()
+        self.theta[i] = theta
+        self.solve(1e-7)
+        self.free = free
+        values = self._values(self.theta)[: self.asked]
+        names = [c.name for c in self.search[: self.asked]]
+        cost = self.cost(self._at(self.theta, self.shifts))
+        return cost, dict(zip(names, values, strict=True))
+
     def said(self) -> tuple[list[Block], Prior]:
         """What each log says of the parameters searched where the fit stands, and what is known of
         them beside.
