@@ -10,6 +10,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -55,6 +56,10 @@ Quiet = Annotated[
 Verbose = Annotated[
     bool, typer.Option("--verbose", "-v", help="All tables with all their columns.")
 ]
+Columns = Annotated[
+    Path | None,
+    typer.Option("--columns", help="A map of the columns of a log by others.", show_default=False),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")]
 
 
@@ -99,10 +104,10 @@ def init(
 @app.command(epilog="Example:  ehbench check recipes/rigs/thesis_arm.toml")
 def check(
     file: Annotated[
-        Path, typer.Argument(help="A rig, recipe, flowmeter CSV or log (MCAP or CSV).")
+        Path, typer.Argument(help="A rig, recipe, map of columns, flowmeter CSV or log.")
     ],
 ) -> None:
-    """Check a rig, recipe, data file or log without running anything.
+    """Check a rig, recipe, map, data file or log without running anything.
 
     Of a recipe, all that its run takes in: the rig, maps, data and recipes it names.
     What only a run can tell is said."""
@@ -148,12 +153,22 @@ def _runner(command: Command) -> Callable[..., None]:
     ) -> None:
         _run(command.name, recipe, out, Says(quiet, verbose, as_json), allow_code=allow_code)
 
-    def profiling(
+    def asking(
         recipe: RecipeFile,
         out: Out = None,
         quiet: Quiet = False,
         verbose: Verbose = False,
         as_json: AsJson = False,
+        suggest: Annotated[
+            bool,
+            typer.Option(
+                "--suggest",
+                help="Try what would better the fit; with --out write the best as a recipe.",
+            ),
+        ] = False,
+        seconds: Annotated[
+            float, typer.Option("--seconds", help="With --suggest: for how long to try.", min=1.0)
+        ] = 120.0,
         profile: Annotated[
             str | None,
             typer.Option(
@@ -164,9 +179,13 @@ def _runner(command: Command) -> Callable[..., None]:
             ),
         ] = None,
     ) -> None:
-        _run(command.name, recipe, out, Says(quiet, verbose, as_json), profile=profile)
+        says = Says(quiet, verbose, as_json)
+        if suggest:
+            _suggest(recipe, out, says, seconds)
+        else:
+            _run(command.name, recipe, out, says, profile=profile)
 
-    kinds = {"": plain, "unvalidated": insisting, "allow_code": trusting, "profile": profiling}
+    kinds = {"": plain, "unvalidated": insisting, "allow_code": trusting, "asking": asking}
     return kinds[command.allows]
 
 
@@ -301,6 +320,7 @@ def show(
         Path | None,
         typer.Option("--out", help="The page. Default: <name>.html here.", show_default=False),
     ] = None,
+    columns: Columns = None,
 ) -> None:
     """Write a log, flow map or run as an interactive page: zoom, values, curves to hide; two of
     them over one another."""
@@ -309,8 +329,64 @@ def show(
     if len(files) > 2:
         raise typer.BadParameter("one or two files can be shown at a time")
     path = viewer.place(files, out)
-    path.write_text(viewer.page(files), encoding="utf-8")
+    path.write_text(viewer.page(files, columns), encoding="utf-8")
     print(path)
+
+
+@app.command("map", epilog="Example:  ehbench map recordings/run_07.tdms --rig rig.toml")
+def map_columns(
+    file: Annotated[Path, typer.Argument(help="A recording of any format that is read.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Default: <name>.map.toml here.", show_default=False),
+    ] = None,
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            "--rig",
+            help="Whose cylinders and valves they are. Default: rig.toml here, if there is one.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """Look at a file of your own recorder and draft a map of its columns, with a picture of each.
+
+    The map says which column is which channel, with its unit. Nothing is written over."""
+    from ehbench import mapping
+    from ehbench.recipe import load_rig
+
+    if rig is None and Path("rig.toml").is_file():
+        rig = Path("rig.toml")
+    made = mapping.draft(file, out, None if rig is None else load_rig(rig))
+    print("\n".join(made.lines))
+    print(made.picture)
+    print(made.path)
+
+
+class Format(StrEnum):
+    """What a log can be written as."""
+
+    parquet = "parquet"
+    mat = "mat"
+
+
+@app.command(
+    epilog="Example:  ehbench convert datasets/slide_servo/steps/press_no_load.mcap --to mat"
+)
+def convert(
+    log: Annotated[
+        Path, typer.Argument(help="A log of any format that is read, or a trial's run.")
+    ],
+    to: Annotated[Format, typer.Option("--to", help="What to write.", show_default=False)],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Default: <name>.<to> here.", show_default=False)
+    ] = None,
+    columns: Columns = None,
+) -> None:
+    """Write a log as Parquet or MAT, in SI, with its units. Nothing is written over."""
+    from ehbench import converting
+
+    print(converting.convert(log, to.value, out, columns))
 
 
 def _run(
@@ -336,6 +412,24 @@ def _run(
         else:
             made = workflow.profile(recipe, profile, session)
     _leave(made, says)
+
+
+def _suggest(file: Path, out: Path | None, says: Says, seconds: float) -> None:
+    from ehbench import workflow
+
+    recipe = workflow.expect_stage(file, "identify")
+    _say_first(says.quiet)
+    with _progress(says.quiet) as tell:
+        found = workflow.suggest(recipe, workflow.Session(out=out, progress=tell), seconds)
+    if says.as_json:
+        import json
+
+        rows = [row.as_json() for row in found.rows]
+        print(json.dumps({"rows": rows, "untried": found.untried}, ensure_ascii=False, indent=1))
+    else:
+        print("\n".join(found.lines(len(found.rows)) if says.verbose else found.lines()))
+    if out is not None and not says.as_json:
+        print(out / recipe.path.name)
 
 
 def _say_first(quiet: bool) -> None:

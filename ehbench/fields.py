@@ -21,7 +21,16 @@ from ehbench.errors import InputError, UnitError
 from ehbench.quantities import VOCABULARY, Quantity
 from ehbench.text import shortened
 
-SURENESS = ("printed", "restored", "companion", "assumed", "datasheet", "identified")
+SURENESS = (
+    "printed",
+    "restored",
+    "companion",
+    "assumed",
+    "datasheet",
+    "measured",
+    "weighed",
+    "identified",
+)
 
 
 class FileModel(BaseModel):
@@ -38,7 +47,7 @@ class Value:
 
     ``sure`` is one of ``SURENESS``; ``source`` the words of the file; ``lower``, ``upper`` bounds
     and ``std`` the standard error, all SI; ``text`` what the file said, kept so that a rig can be
-    written back as it was read."""
+    written back as it was read; ``unit`` that in which people see it, empty where any will do."""
 
     value: float | tuple[float, ...]
     sure: str = "assumed"
@@ -47,6 +56,7 @@ class Value:
     upper: float | None = None
     std: float | None = None
     text: Any = None
+    unit: str = ""
 
     def __float__(self) -> float:
         return float(self.value)  # type: ignore[arg-type]
@@ -69,7 +79,7 @@ def one_of(models: Sequence[type[BaseModel]], key: str) -> Any:
 
 def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
     """A TOML value as a ``Value``: ``"1000 psi"``, a list of such, or ``{ value, source, sure,
-    lower, upper, std }``.
+    lower, upper, std, unit }``.
 
     Raises:
         UnitError: no unit, wrong unit, implausible value, bounds that do not hold it.
@@ -78,11 +88,11 @@ def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
     if isinstance(raw, Value):
         return raw
     table = dict(raw) if isinstance(raw, Mapping) else {"value": raw}
-    unknown = set(table) - {"value", "source", "sure", "lower", "upper", "std", "note"}
+    unknown = set(table) - {"value", "source", "sure", "lower", "upper", "std", "unit", "note"}
     if unknown:
         raise InputError(
             f"{row.name} has unknown key '{sorted(map(str, unknown))[0]}'",
-            hint="a value takes value, source, sure, lower, upper, std, note",
+            hint="a value takes value, source, sure, lower, upper, std, unit, note",
         )
     if "value" not in table:
         raise InputError(f"{row.name} has no 'value'")
@@ -110,7 +120,21 @@ def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
         raise InputError(
             f"{row.name} is {shortened(sure, 40)}", hint="sure is one of " + ", ".join(SURENESS)
         )
-    return Value(value=value, sure=sure, source=source, text=raw, **limits)
+    return Value(value, sure, source, text=raw, unit=_unit(table, row), **limits)
+
+
+def _unit(table: Mapping[str, Any], row: Quantity) -> str:
+    """The unit in which people see a value: what ``unit`` says, else that of its own text, if it is
+    another than SI.
+
+    Raises:
+        UnitError: no unit of that quantity.
+    """
+    first = table["value"][0] if isinstance(table["value"], (list, tuple)) else table["value"]
+    unit = str(table.get("unit", units.unit_of(first)))
+    if unit:
+        units.to_si(0.0, unit, row)
+    return "" if unit == row.unit else unit
 
 
 def _number(item: Any, row: Quantity, what: str, check: bool = True) -> float:
@@ -187,6 +211,8 @@ def write_value(value: Value, row: Quantity) -> Any:
         number = getattr(value, key)
         if number is not None and math.isfinite(number):
             table[key] = show(number)
+    if value.unit:
+        table["unit"] = value.unit
     return table
 
 

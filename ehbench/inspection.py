@@ -11,7 +11,8 @@ from pathlib import Path
 from ehbench.disk import DATA, impossible, read_bytes
 from ehbench.errors import EhbenchError, InputError, LogError
 from ehbench.quantities import quantity
-from ehbench.recipe import Campaign, kind_of, load_recipe, load_rig
+from ehbench.readers import suffixes
+from ehbench.recipe import Campaign, kind_of, load_columns, load_recipe, load_rig
 from ehbench.rig import NODES, Rig
 from ehbench.stages.findings import counted, line_naming
 from ehbench.stages.inputs import with_laws
@@ -34,7 +35,7 @@ class Inspection:
 
 
 def check(path: Path) -> Inspection:
-    """Inspect a rig or recipe (TOML), a flowmeter CSV, or a log (MCAP or CSV).
+    """Inspect a rig, recipe or map (TOML), a flowmeter CSV, or a log of any format read.
 
     Raises:
         InputError: the file cannot be taken for what it is; says what, where and what would be
@@ -45,15 +46,19 @@ def check(path: Path) -> Inspection:
     if not path.exists():
         raise InputError("no such file", file=path)
     if path.suffix == ".toml":
-        return _rig(path) if kind_of(path) == "rig" else _recipe(path)
+        looks = {"rig": _rig, "recipe": _recipe, "map": _map}
+        return looks[kind_of(path)](path)
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
+        raise InputError("is a folder", file=path, hint="name a file in it")
+    if not path.is_dir() and not path.name.lower().removesuffix(".gz").endswith(suffixes()):
+        known = ", ".join((".toml", *suffixes()))
+        kind = path.suffix or path.name
+        raise InputError(
+            f"ehbench does not know '{kind}' files", file=path, hint=f"it reads {known}"
+        )
     if path.suffix == ".csv" and _is_flowmeter(path):
         return _flowmeter(path)
-    if path.suffix in (".csv", ".mcap"):
-        return _log(path)
-    kind = path.suffix or path.name
-    raise InputError(
-        f"ehbench does not know '{kind}' files", file=path, hint="it reads .toml, .csv and .mcap"
-    )
+    return _log(path)
 
 
 def _recipe(path: Path) -> Inspection:
@@ -133,6 +138,19 @@ def _rig(path: Path) -> Inspection:
     return Inspection((*lines, "ok"))
 
 
+def _map(path: Path) -> Inspection:
+    """A map of columns: what it says of each."""
+    columns = load_columns(path).columns
+    lines = [f"map of {counted(columns.names, 'column')}"]
+    for name, column in columns.names.items():
+        how = f" [{column.unit}]" if column.unit else ""
+        how = f" {column.from_} → {column.to}" if column.from_ else how
+        lines.append(f"  {name}: {column.channel}{how}")
+    if not any(column.channel != "t" for column in columns.names.values()):
+        raise InputError("maps no column to a channel", file=path)
+    return Inspection((*lines, "ok"))
+
+
 def _cut_off(rig: Rig) -> list[str]:
     """A sentence for each node that the edges of a cylinder leave out: odd, but at times meant"""
     told = []
@@ -187,7 +205,7 @@ def _log(path: Path) -> Inspection:
     ]
     lines += [f"  {key}: {value}" for key, value in record.meta.items() if len(value) < 200]
     for name, values in record.channels.items():
-        row = quantity(name)
+        row = quantity(record.seen_as(name))
         low, high = (from_si(float(v), row.display, row) for v in (values.min(), values.max()))
         lines.append(f"  {name}: {low:.4g} to {high:.4g} {row.display}")
     lines += [f"  lost: {loss}" for loss in record.losses]

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ehbench.errors import EhbenchError, InputError, LogError
+from ehbench.parts.cylinder import linkage_arrays
 from ehbench.quantities import VOCABULARY
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
@@ -38,6 +39,8 @@ LOADED = (
 OVERSHOOT = 0.01  # share of a driver's range that a recorded command may lie outside of it
 TRAVEL = 0.02  # share of the stroke beyond which a cylinder has surely moved
 FIRST = 0.02  # [s] over which the first samples tell a speed
+OFF_PINS = 0.005  # share of the stroke by which stroke and angle may disagree by the pins …
+NOISES = 6.0  # … or so many of the standard deviations of their difference's noise
 ONGOING = 0.1  # share of the largest speed above which a log begins mid-motion
 _MIXED = ("Pa", "kPa", "psi", "bar", "MPa")
 
@@ -73,7 +76,7 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[s
     rest = model.rest_samples(model.commands_of(record))
     begun = _begun(record, model.rig, rest)
     _pressures(name, record, model, rest, still=not begun)
-    return record, (*told, *begun, *_stuck(record, model.rig))
+    return record, (*told, *begun, *_stuck(record, model.rig), *_apart(record, model))
 
 
 def evened(name: str, record: Record) -> tuple[Record, list[str]]:
@@ -118,7 +121,7 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
     """A name for each log: its file's stem, with the folder before it where others have the same,
     numbered if need be.
     """
-    names = [path.stem for path in paths]
+    names = [Path(path.name.removesuffix(".gz")).stem for path in paths]
     crowd = Counter(names)
     names = [
         f"{path.parent.name}_{name}" if crowd[name] > 1 else name
@@ -340,6 +343,38 @@ def _stuck(record: Record, rig: Rig) -> list[str]:
         if _travels(record, cylinder)
         for word in ("q", "x", "qd", "v", "p_head", "p_rod")
         if (channel := f"{cylinder.name}.{word}") in record and np.ptp(record[channel]) == 0.0
+    ]
+
+
+def off_pins(record: Record, model: Model) -> dict[str, float]:
+    """By how much a log's stroke is above that of its angle and the rig file's pins [m], by
+    cylinder: its level where that is off, else where it is worst; cylinders that agree left out.
+    """
+    found = {}
+    for index, cylinder in enumerate(model.rig.cylinder):
+        names = [f"{cylinder.name}.{word}" for word in ("x", "q")]
+        if cylinder.pins is None or any(name not in record for name in names):
+            continue
+        x, q = (record[name] for name in names)
+        off = x - linkage_arrays(model.plant.cylinders[index], q)[0]
+        noise = math.sqrt(float(np.mean(np.diff(off, 3) ** 2)) / 20.0) if off.size > 3 else 0.0
+        level, most = float(np.median(off)), float(off[np.argmax(np.abs(off))])
+        allowed = max(OFF_PINS * float(cylinder.stroke), NOISES * noise)
+        if abs(level) > allowed:
+            found[cylinder.name] = level
+        elif abs(most) > 2.0 * allowed:
+            found[cylinder.name] = most
+    return found
+
+
+def _apart(record: Record, model: Model) -> list[str]:
+    """Warnings of strokes that disagree with angle and pins."""
+    unit = model.rig.unit_of("x")
+    return [
+        f"{name}.x is {abs(from_si(off, unit, VOCABULARY['x'])):.3g} {unit} "
+        f"{'above' if off > 0.0 else 'below'} what {name}.q and the pins make it: check the pins, "
+        f'or give the sensor\'s offset ([[sensor]] channel = "{name}.x")'
+        for name, off in off_pins(record, model).items()
     ]
 
 

@@ -411,6 +411,7 @@ _ROWS = [
     Quantity("corner", "1/τ", "rad/s", "Hz", "corner frequency of a first-order lag", 1e-3, 1e5),
     Quantity("lag", "τ", "s", "ms", "time constant of a first-order lag", 0, 100),
     Quantity("delay", "T_d", "s", "ms", "time by which a reading or a command is late", 0, 1),
+    Quantity("sensor_scale", "s", "dimensionless", "dimensionless", "reading over what is", 0, 1e9),
     Quantity(
         "driver_gain", "g", "dimensionless", "dimensionless", "gain of a valve's driver", 0.01, 100
     ),
@@ -898,6 +899,8 @@ _ROWS = [
 ]
 
 VOCABULARY: dict[str, Quantity] = {row.name: row for row in _ROWS}
+
+OF_SLIDES = {"q": "x", "qd": "v", "qdd": "a"}  # what people see of a joint that slides
 
 
 def quantity(channel: str) -> Quantity:

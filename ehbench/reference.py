@@ -150,7 +150,8 @@ def _kind(annotation: Any) -> str:
         return _kind(kinds[0])
     if kinds:
         return " or ".join(_kind(kind) for kind in kinds)
-    return {str: "text", bool: "true or false", int: "whole number", float: "number"}[annotation]
+    plain = {str: "text", bool: "true or false", int: "whole number", float: "number"}
+    return plain.get(annotation, "value")
 
 
 def _toml(value: Any) -> str:

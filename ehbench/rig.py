@@ -12,6 +12,7 @@ import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
@@ -38,7 +39,7 @@ from ehbench.parts.line import Line
 from ehbench.parts.mount import Mount
 from ehbench.parts.valve import TABLES as DYNAMICS
 from ehbench.parts.valve.law import DynamicsTable
-from ehbench.quantities import VOCABULARY, Quantity
+from ehbench.quantities import OF_SLIDES, VOCABULARY, Quantity
 
 
 def _of_a_kind(raw: Any) -> Any:
@@ -777,19 +778,44 @@ class Rig(FileModel):
         metering = {f"{c.name}.{v.edge_name(e)}": e for c, v, e in self.edges()}
         return metering | {f"{c.name}.{e.name}": e for c, e in self.fixed_edges()}
 
+    def seen_as(self, name: str) -> str:
+        """The channel or quantity that people see for one: the coordinate of a slide is the
+        position of its mass [m], no angle.
+        """
+        owner, dot, word = name.rpartition(".")
+        slide = self.mechanism.kind == "slide"
+        return owner + dot + OF_SLIDES.get(word, word) if slide else name
+
     def unit_of(self, name: str) -> str:
-        """The unit people see for a quantity or channel: the rig file's choice, else the
-        vocabulary's.
+        """The unit people see for a quantity, channel or parameter: the choice of ``[display]``,
+        else that in which the rig file has it, else the vocabulary's.
         """
         word = name.rsplit(".", 1)[-1]
-        return self.display.get(word) or self._display_like(word)
+        chosen = self.display.get(word) or self._display_like(word)
+        return (
+            chosen
+            or self.typed_units.get(name)
+            or self.typed_units.get(word)
+            or VOCABULARY[word].display
+        )
 
     def _display_like(self, word: str) -> str:
         row = VOCABULARY[word]
         for other, unit in self.display.items():
             if VOCABULARY[other].unit == row.unit and VOCABULARY[other].display == row.display:
                 return unit
-        return row.display
+        return ""
+
+    @cached_property
+    def typed_units(self) -> dict[str, str]:
+        """The unit of each parameter that the file has in another than SI, and of each word whose
+        parameters all have the same.
+        """
+        own = {name: value.unit for name, value in self.parameters().items() if value.unit}
+        words: dict[str, set[str]] = {}
+        for name, unit in own.items():
+            words.setdefault(name.rsplit(".", 1)[-1], set()).add(unit)
+        return {word: min(units) for word, units in words.items() if len(units) == 1} | own
 
     def with_payload(self, load: str | None) -> Rig:
         """This rig carrying the named payload.
@@ -867,7 +893,7 @@ class Rig(FileModel):
                     hint=f"nearest is '{near[0]}'" if near else None,
                 )
         new = {
-            name: value
+            name: replace(value, unit=value.unit or known[name].unit)
             if isinstance(value, Value)
             else replace(known[name], value=float(value), text=None)
             for name, value in values.items()

@@ -50,7 +50,12 @@ _LIBRARIES = (
 
 
 def sha256(path: Path) -> str:
-    """SHA-256 of a file, or of a run folder's ``run.json``."""
+    """SHA-256 of a file, of a run folder's ``run.json``, or of all files of a ROS 2 bag."""
+    if path.is_dir() and (path / "metadata.yaml").is_file():
+        digest = hashlib.sha256()
+        for part in sorted(one for one in path.iterdir() if one.is_file()):
+            digest.update(part.name.encode() + b"\0" + read_bytes(part, DATA))
+        return digest.hexdigest()
     target = path / "run.json" if path.is_dir() else path
     return hashlib.sha256(read_bytes(target, DATA)).hexdigest()
 

@@ -8,8 +8,9 @@ identification and validation let the whole log say the rest."""
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from ehbench.plant.model import Model, Start
 from ehbench.plant.trim import settle_parts
 from ehbench.preprocessing import moving_at_first, on_at_first
 from ehbench.record import Record
+from ehbench.sensors import Excess, Term, corrected, sensed
 from ehbench.signals import correlation_time, rms
 
 # priors as shares: pressures of the supply's, positions of the stroke, speeds of the fastest,
@@ -33,8 +35,10 @@ FINE_SUPPLY = 1.0e-5
 BEGINNING = 0.03  # [s] over which the first samples of a motion tell its state
 LEAST = 8  # samples, which do so at least
 DIFFERENCE = 0.3  # of finite differences, in prior standard deviations, …
+SENSED = 0.01  # … of a sensor's, which nothing makes uneven
 SMALLEST, LARGEST = 1.0e-6, 2.0e-4  # … but within these shares of a number's range
 ROUNDS, CONVERGED = 4, 1.0e-3  # of an estimate: most rounds, and the gain that is not worth another
+NOTHING: Mapping[str, float] = {}  # wrong with the sensors of all logs
 FLOOR = 5.0e-3  # of a channel's scale, as a share of its spread
 
 
@@ -43,7 +47,8 @@ class Doubt:
     """One number of a start: what it is (``boom.p_head``), where it stands in the state, the
     standard deviation that the recording leaves it and its step of finite differences, both in SI.
 
-    ``valve`` is the number of the valve that an opening belongs to, −1 for all others."""
+    ``valve`` is the number of the valve that an opening belongs to, −1 for all others; ``state`` is
+    −1 for a number of a sensor of this log, which is its excess (`sensors.Term`)."""
 
     name: str
     state: int
@@ -59,23 +64,27 @@ class Doubt:
 
 @dataclass(frozen=True)
 class LogStart:
-    """Where a recording starts: after ``rest`` samples at rest, or in motion; and its doubts."""
+    """Where a recording starts: after ``rest`` samples at rest, or in motion; its doubts, and what
+    its sensors make of it. ``shared`` is what is wrong with those of all logs alike."""
 
     record: Record
     rest: int
     moves: bool
     doubts: tuple[Doubt, ...]
+    terms: tuple[Term, ...] = ()
 
-    def at(self, model: Model, shifts: np.ndarray) -> Start:
+    def at(self, model: Model, shifts: np.ndarray, shared: Excess = NOTHING) -> Start:
         """The start of a model, moved by ``shifts`` [prior standard deviations], one a doubt.
 
         Raises:
             InputError: a posture outside the stroke.
         """
         first = _moving_start if self.moves else Model.rest_start
-        y, supply, tank = first(model, self.record, self.rest)
+        y, supply, tank = first(model, self.true(shifts, shared), self.rest)
         for doubt, shift in zip(self.doubts, shifts, strict=True):
             by = doubt.std * float(shift)
+            if doubt.state < 0:
+                continue
             if doubt.valve >= 0:
                 valve = model.plant.valves[doubt.valve]
                 value = min(max(y[doubt.state] + by, valve.lowest), valve.highest)
@@ -91,15 +100,37 @@ class LogStart:
         return Start(y, supply, tank)
 
     def moved(self, shifts: np.ndarray) -> dict[str, float]:
-        """By how much the shifts move each number [SI]."""
+        """By how much the shifts move each number of the state [SI]."""
         return {
             doubt.name: doubt.std * float(shift)
             for doubt, shift in zip(self.doubts, shifts, strict=True)
+            if doubt.state >= 0
         }
+
+    def excess(self, shifts: np.ndarray, shared: Excess = NOTHING) -> dict[str, float]:
+        """What is wrong with the sensors, by term."""
+        own = {
+            doubt.name: doubt.std * float(shift)
+            for doubt, shift in zip(self.doubts, shifts, strict=True)
+            if doubt.state < 0
+        }
+        return {**shared, **own}
+
+    def true(self, shifts: np.ndarray, shared: Excess = NOTHING) -> Record:
+        """The recording as sound sensors would have given it, commands as the valves get them."""
+        return corrected(self.record, self.terms, self.excess(shifts, shared))
+
+    def seen(self, replayed: Record, shifts: np.ndarray, shared: Excess = NOTHING) -> Record:
+        """A simulation as the sensors would show it."""
+        return sensed(replayed, self.terms, self.excess(shifts, shared))
 
 
 def start_of_log(
-    model: Model, record: Record, live: Sequence[str], compared: Sequence[str]
+    model: Model,
+    record: Record,
+    live: Sequence[str],
+    compared: Sequence[str],
+    terms: Sequence[Term] = (),
 ) -> LogStart:
     """Where a recording starts, with the doubts about the cylinders that move.
 
@@ -108,6 +139,7 @@ def start_of_log(
         live: cylinders that move.
         compared: channels on which the simulation is compared with the recording, which tell a
             pressure by themselves.
+        terms: what its sensors make of it; those for each log by itself are doubts.
     """
     rest = model.rest_samples(model.commands_of(record))
     moves = bool(moving_at_first(record, model.rig, rest) or on_at_first(record, model.rig, rest))
@@ -120,7 +152,9 @@ def start_of_log(
         y, most = record["p_supply"], float(model.plant.supply.pressure)
         std = rms(y - np.mean(y)) if moves else mean_error(y, rest)
         doubts.append(_doubt("p_supply", model.plant.at.supply, max(std, FINE_SUPPLY * most), most))
-    return LogStart(record, rest, moves, tuple(doubts))
+    own = [term for term in terms if term.per_log and term.std > 0.0]
+    doubts += [Doubt(term.name, -1, term.std, SENSED * term.std) for term in own]
+    return LogStart(record, rest, moves, tuple(doubts), tuple(terms))
 
 
 def mean_error(y: np.ndarray, rest: int) -> float:
@@ -249,6 +283,25 @@ def _moving_start(model: Model, record: Record, rest: int) -> Start:
     return Start(y, supply, tank)
 
 
+class Followed(NamedTuple):
+    """How a model follows a recording best: its ``start``, the recording's commands and readings
+    as they ``truly`` are, what is wrong with its sensors (``excess`` by term), and what they are.
+    """
+
+    start: Start
+    truly: Record
+    excess: dict[str, float]
+    terms: tuple[Term, ...]
+
+    def replay(self, model: Model) -> Record:
+        """What the model does, as the recording's sensors show it.
+
+        Raises:
+            SimulationError: the numbers left the finite range.
+        """
+        return sensed(model.replay(self.truly, start=self.start), self.terms, self.excess)
+
+
 def estimated_start(
     model: Model,
     record: Record,
@@ -256,6 +309,18 @@ def estimated_start(
     channels: Sequence[str],
     step: float = STEP,
 ) -> Start:
+    """The start of `follow`, of a recording whose sensors are sound."""
+    return follow(model, record, live, channels, step=step).start
+
+
+def follow(
+    model: Model,
+    record: Record,
+    live: Sequence[str],
+    channels: Sequence[str],
+    terms: Sequence[Term] = (),
+    step: float = STEP,
+) -> Followed:
     """The start from which a model follows the whole of a recording best, each number of it held by
     what the recording's first samples say.
 
@@ -266,29 +331,20 @@ def estimated_start(
         record: evenly sampled.
         live: cylinders that move.
         channels: full names, of which the recording has the values or their position's.
+        terms: what its sensors make of it; all of them are estimated of this recording by itself.
         step: of the integration [s].
 
     Raises:
         InputError: a posture outside the stroke.
         SimulationError: the numbers left the finite range.
     """
-    start = start_of_log(model, record, live, channels)
-    follow = _Follow(model, start, channels, step)
+    terms = tuple(replace(term, per_log=True) for term in terms)
+    start = start_of_log(model, record, live, channels, terms)
+    search = _Follow(model, start, channels, step)
     shifts = np.zeros(len(start.doubts))
-    if not follow.recorded.size or not shifts.size:
-        return start.at(model, shifts)
-    left = follow.left(shifts)
-    for _ in range(ROUNDS):
-        follow.weigh(left)
-        before = follow.cost(shifts, left)
-        move, gain = follow.step(shifts, left)
-        found = next(follow.tries(shifts, move, before), None)
-        if found is None:
-            break
-        shifts, left = found
-        if gain < CONVERGED * before:
-            break
-    return start.at(model, shifts)
+    if search.recorded.size and shifts.size:
+        shifts = search.best(shifts)
+    return Followed(start.at(model, shifts), start.true(shifts), start.excess(shifts), terms)
 
 
 class _Follow:
@@ -300,11 +356,27 @@ class _Follow:
         self.floor = np.maximum(FLOOR * np.std(self.recorded, axis=0), 1e-300)
         self.scale, self.weight = self.floor, 1.0
 
+    def best(self, shifts: np.ndarray) -> np.ndarray:
+        """The shifts with which the model follows best, sought from some on."""
+        left = self.left(shifts)
+        for _ in range(ROUNDS):
+            self.weigh(left)
+            before = self.cost(shifts, left)
+            move, gain = self.step(shifts, left)
+            found = next(self.tries(shifts, move, before), None)
+            if found is None:
+                break
+            shifts, left = found
+            if gain < CONVERGED * before:
+                break
+        return shifts
+
     def left(self, shifts: np.ndarray) -> np.ndarray:
         """Simulated minus recorded [SI], shape (samples, channels)."""
-        record, start = self.start.record, self.start.at(self.model, shifts)
-        replayed = self.model.replay(record, self.step_time, start=start)
-        return _columns(replayed, self.channels, record) - self.recorded
+        start, true = self.start.at(self.model, shifts), self.start.true(shifts)
+        replayed = self.model.replay(true, self.step_time, start=start)
+        seen = self.start.seen(replayed, shifts)
+        return _columns(seen, self.channels, self.start.record) - self.recorded
 
     def weigh(self, left: np.ndarray) -> None:
         """Take scales of the channels and the weight of priors from what is left."""

@@ -30,6 +30,33 @@ _ALIASES = {
     "°": "degree",
     "°C": "degC",
     "°F": "degF",
+    "duty": "dimensionless",
+    "counts": "dimensionless",
+    "digits": "dimensionless",
+}
+# as instruments and spreadsheets have them; absolute pressures are not among them
+_SPOKEN = {
+    **dict.fromkeys(("volt", "volts", "vdc"), "V"),
+    **dict.fromkeys(("amp", "amps", "ampere", "adc"), "A"),
+    **dict.fromkeys(("barg", "bar(g)", "bar g", "bar_g", "bars"), "bar"),
+    **dict.fromkeys(("psig", "psi(g)", "psi g", "lbf/in2"), "psi"),
+    **dict.fromkeys(("kpa", "kpag", "kpa(g)"), "kPa"),
+    **dict.fromkeys(("mpa", "mpag", "mpa(g)"), "MPa"),
+    **dict.fromkeys(("pag", "pascal", "pascals"), "Pa"),
+    **dict.fromkeys(("sec", "secs", "second", "seconds", "sekunden"), "s"),
+    **dict.fromkeys(("msec", "millisecond", "milliseconds"), "ms"),
+    **dict.fromkeys(("usec", "µs", "μs", "microseconds"), "us"),
+    **dict.fromkeys(("°/s", "deg/sec", "deg/s", "degrees/s", "dps"), "deg/s"),
+    **dict.fromkeys(("degrees", "grad", "°"), "deg"),
+    **dict.fromkeys(("mm/sec", "mm s-1"), "mm/s"),
+    **dict.fromkeys(("m/sec", "m s-1"), "m/s"),
+    **dict.fromkeys(("l/min", "ltr/min", "l/m", "lit/min", "slpm"), "L/min"),
+    **dict.fromkeys(("gal/min", "usgpm"), "gpm"),
+    **dict.fromkeys(("u/min", "1/min", "r/min", "rev/min"), "rpm"),
+    **dict.fromkeys(("percent", "pct", "prozent"), "%"),
+    **dict.fromkeys(("count", "cts", "digit", "lsb", "raw", "inc"), "counts"),
+    **dict.fromkeys(("deg c", "°c", "celsius", "degc"), "degC"),
+    **dict.fromkeys(("deg f", "°f", "fahrenheit", "degf"), "degF"),
 }
 _NO_UNIT = ("", "-", "1")
 _LONGEST = 80  # characters of a unit
@@ -118,6 +145,62 @@ def _converted(unit: str, si: str) -> tuple[float, float]:
     return turns * (one - zero), zero
 
 
+@lru_cache(maxsize=512)
+def named_unit(text: str) -> str:
+    """The unit that a text of a foreign file means, as it is written here: ``bar`` of ``[bar(g)]``;
+    '' of one that is no unit.
+    """
+    plain = text.strip()
+    while len(plain) > 1 and plain[0] + plain[-1] in ("[]", "()", "{}", '""', "''"):
+        plain = plain[1:-1].strip()
+    if spoken := _SPOKEN.get(plain.lower()):
+        return spoken
+    if plain in (*_NO_UNIT, "dimensionless") or plain[:1].isdigit():
+        return ""
+    try:
+        known = _checked(plain)
+        _registry().Unit(known)
+    except Exception:  # pint raises all kinds on a text that is no unit
+        return ""
+    return plain
+
+
+def split_number(text: str) -> tuple[float, str]:
+    """``"0.625 V/mA"`` as (0.625, "V/mA"); the unit may be ''.
+
+    Raises:
+        UnitError: it does not begin with a number.
+    """
+    match = _NUMBER.match(text) if len(text) <= 3 * _LONGEST else None
+    if not match or not math.isfinite(float(match[1])):
+        raise UnitError(f"{shortened(text, 60)} is no number with a unit")
+    return float(match[1]), match[2]
+
+
+def product(first: str, second: str, si: str) -> float:
+    """How many ``si`` one ``first`` times one ``second`` is: 1 of V/mA, mA and V.
+
+    Raises:
+        UnitError: no units, or not of that dimension together.
+    """
+    each = [one.strip() if one.strip() not in _NO_UNIT else "1" for one in (first, second)]
+    return factor("*".join(f"({one})" if one != "1" else one for one in each), si)
+
+
+def ratio(unit: str, other: str) -> float:
+    """How many ``other`` one ``unit`` is, of whatever quantity.
+
+    Raises:
+        UnitError: no units, or not of one quantity.
+    """
+    return factor(unit, _checked(other))
+
+
+def is_of(unit: str, row: Quantity) -> bool:
+    """Whether a unit is one of a row's quantity."""
+    return not isinstance(_tried(unit, row.unit), str)
+
+
 def factor(unit: str, si: str) -> float:
     """How many ``si`` one ``unit`` is, for units without offset."""
     return _affine(unit, si)[0]
@@ -170,6 +253,12 @@ def parse(text: str, row: Quantity) -> float:
     value = float(to_si(number, unit, row))
     plausible(value, row, text.strip())
     return value
+
+
+def unit_of(text: object) -> str:
+    """The unit of a text such as ``"1000 psi"``; nothing for a number, or where there is none."""
+    match = _NUMBER.match(text) if isinstance(text, str) else None
+    return match[2].strip() if match else ""
 
 
 def zero_of(text: str, row: Quantity) -> float:

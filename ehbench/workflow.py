@@ -14,13 +14,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-
 from typing import TYPE_CHECKING
 
 from ehbench import stages
 from ehbench.blas import one_thread
 from ehbench.errors import InputError
-from ehbench.recipe import Recipe, load_recipe
+from ehbench.recipe import HydraulicsRecipe, Recipe, load_recipe
 from ehbench.stages.base import DONE, INCOMPLETE, REJECTED, STOPPED, Outcome, Progress, Stage
 from ehbench.stages.campaign import write_report
 from ehbench.stages.findings import Findings
@@ -28,6 +27,7 @@ from ehbench.stages.inputs import Inputs, RigState, ValidatedRig
 from ehbench.stages.look import Circle
 
 if TYPE_CHECKING:
+    from ehbench.identification.suggestions import Suggestions
     from ehbench.stages.planning import NextTest
 
 __all__ = [
@@ -47,6 +47,7 @@ __all__ = [
     "profile",
     "report",
     "run",
+    "suggest",
 ]
 ROOT = Path("reports")
 
@@ -141,6 +142,40 @@ def profile(recipe: Recipe | Path | str, name: str, session: Session | None = No
     session = session or Session()
     within = replace(session, out=None, under_way=(*session.under_way, recipe.path))
     return write_profile(Inputs(recipe, Findings(recipe), within), name, session)
+
+
+@one_thread()
+def suggest(
+    recipe: Recipe | Path | str, session: Session | None = None, seconds: float | None = None
+) -> Suggestions:
+    """What would better the fit of an identify recipe, compared on windows left out of it; with
+    ``session.out`` the first suggestion is written there, as a recipe with its rig.
+
+    Args:
+        recipe: of hydraulics.
+        session: as for `run`; nothing else is written.
+        seconds: after which nothing more is tried; 120 by default.
+
+    Raises:
+        EhbenchError: as `run`, or a recipe of another kind.
+    """
+    from ehbench.identification.suggestions import SECONDS
+    from ehbench.stages.hydraulics import HydraulicsStage, suggested, write_suggested
+
+    recipe = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
+    session, stage = session or Session(), stages.stage_of(recipe)
+    if not isinstance(stage, HydraulicsStage) or not isinstance(recipe, HydraulicsRecipe):
+        raise InputError(
+            "has no parameters to suggest others for",
+            file=recipe.path,
+            hint='name a recipe of stage "identify", what = "hydraulics"',
+        )
+    session = replace(session, under_way=(*session.under_way, recipe.path))
+    prepared = stage.prepare(recipe, Inputs(recipe, Findings(recipe), session))
+    found = suggested(prepared, session.tell(recipe.name), SECONDS if seconds is None else seconds)
+    if session.out is not None:
+        write_suggested(prepared, found, session.out)
+    return found
 
 
 @one_thread()

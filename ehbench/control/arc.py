@@ -58,6 +58,8 @@ from ehbench.physics.arm import work_size
 
 LOST = 0.01  # [m] between observed and measured stroke, at which the observer starts anew
 AHEAD = 1.0e-3  # [s] by which the laws look along the motion for their rates
+SETTLED = 3.0  # over k1: how long a load is brought to rest after a motion, once it is near
+BACK = 4.0  # of that nearness [m/s]: oil that is wanted against the error turns the motion round
 COUNT = len(ESTIMATES)
 
 STATE = record(
@@ -68,6 +70,8 @@ STATE = record(
     ("set_point", "f8"),
     ("slow_load", "f8"),
     ("slow_error", "f8"),
+    ("rested", "f8"),
+    ("slow_wanted", "f8"),
     ("learning", "i8"),
     ("x", "f8"),
     ("v", "f8"),
@@ -81,7 +85,9 @@ class Memory(NamedTuple):
     """State of the controller from tick to tick, a record of type STATE, and room to work in.
 
     ``x``, ``v`` [m, m/s] of the state are observed, ``bias`` [m/s²] is what the model's
-    ``acceleration`` lacks; ``metered`` and ``set_point`` [Pa] are of the off-side control."""
+    ``acceleration`` lacks; ``metered`` and ``set_point`` [Pa] are of the off-side control,
+    ``rested`` [s] for how long no motion is desired and hardly any left, ``slow_wanted``
+    [m/s] the oil that is wanted, as a speed, behind a low-pass."""
 
     state: np.record
     rates: np.ndarray
@@ -169,7 +175,8 @@ class Oil(NamedTuple):
 
 class Choice(NamedTuple):
     """What the task level decided: working function, its status, the slow load force [N] behind it,
-    whether the reference rests, and the speed [m/s] at which an error is led back then.
+    whether the reference rests and the load has been brought to rest, and the speed [m/s] at which
+    an error is led back then.
     """
 
     function: int
@@ -286,7 +293,7 @@ def start(x, v, p, load_force, state):
     the load metered.
     """
     state.started, state.function, state.slow_load = 1, HOLD, load_force
-    state.x, state.v = x, v
+    state.x, state.v, state.rested = x, v, math.inf
     wait(load_force, p, state)
 
 
@@ -504,13 +511,20 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     """The task level's `Choice`: the direction is that of the desired speed, led back to the
     desired stroke.
 
-    An error that the sensor cannot tell from none asks for no motion. A spool passes its centre
-    without switching, so it just follows ``spool_speed`` [m/s], what is wanted."""
+    An error that the sensor cannot tell from none asks for no motion. At a stop the direction is
+    that of the oil that is wanted: a load that swings back is met with oil and not with a shut
+    valve. A spool passes its centre without switching, so it just follows ``spool_speed`` [m/s],
+    what is wanted."""
     tick, k1, speed_start = gains.tick, gains.position_bandwidth, gains.rules.speed_start
     state.slow_load -= math.expm1(-gains.load_corner * tick) * (load_force - state.slow_load)
     # where the reference rests, what swings is left to calm down, and the error is led back at
     # little more than the speed that it alone asks for
-    resting = abs(reference.v) <= speed_start
+    spool = axis.spool[state.function] == 1
+    still = abs(reference.v) <= speed_start
+    near = max(gains.speed_nudge, 4.0 * k1 * gains.stroke_resolution)
+    quiet = still and min(abs(k1 * z1), abs(state.v)) <= near
+    state.rested = state.rested + tick if quiet else 0.0
+    resting = still if spool else state.rested > SETTLED / k1
     calm = math.exp(-2.0 * k1 * tick) if resting else 0.0
     state.slow_error = z1 + calm * (state.slow_error - z1)
     resolution = gains.stroke_resolution
@@ -518,8 +532,14 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     error = state.slow_error - clip(state.slow_error, -blind, blind)
     toward = reference.v - clip(k1 * error, -gains.speed_correction, gains.speed_correction)
     led = 2.0 * abs(toward) + gains.speed_nudge
-    if axis.spool[state.function] == 1 and not resting:
+    state.slow_wanted -= math.expm1(-gains.force_bandwidth * tick) * (
+        spool_speed - state.slow_wanted
+    )
+    if spool and not resting:
         toward = spool_speed
+    elif not resting and abs(reference.v) <= abs(k1 * z1) + near:
+        if toward * state.slow_wanted < 0.0 and abs(state.slow_wanted) > abs(toward) + BACK * near:
+            toward = state.slow_wanted
     function, status = select(
         state.function, state.age, toward, state.slow_load, p, axis.circuit, gains.rules
     )

@@ -5,19 +5,20 @@ derivation in docs/arc.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ehbench.codes import ESTIMATES, INVERSE_BULK, INVERSE_INERTIA
 from ehbench.compiled import record
-from ehbench.control.axis import hydraulic_frequency, reference_load
+from ehbench.control.axis import Axis, hydraulic_frequency, reference_load
 from ehbench.control.functions import RULES
 from ehbench.control.law import Packed, Site
 from ehbench.control.records import blank, numbers, reals
 from ehbench.errors import InputError
+from ehbench.parts.cylinder import joint_of
 from ehbench.quantities import VOCABULARY
 
 GAIN_NAMES = (
@@ -75,6 +76,12 @@ VOCABULARY_OF_GAINS = {
 # share of each estimate's bounds that scales its adaptation: inertia and disturbance shall not take
 # what the payload explains
 SHARES = np.array([0.3, 1.0, 0.2])
+BUDGET = 0.42  # [rad] that the valves' lag and a tick may take at that sum
+RESERVE = 7.0e-3  # [s]: sensors of 2 ms, and 5 ms more, with which nothing shall swing
+LEAST = 0.25  # of the budget is left to a load without damping of its own
+PARTS = (0.19, 0.17, 0.64)  # of the sum of the bandwidths that are k1, k2, k3
+OBSERVER, FASTEST_OBSERVER = 6.0, 500.0  # of that sum; [rad/s]
+STROKES = (0.1, 0.3, 0.5, 0.7, 0.9)  # at which adaptation is looked at
 
 
 @dataclass(frozen=True)
@@ -83,19 +90,21 @@ class Adaptation:
 
     Args:
         adapt: False for the same law with its estimates left at the design model.
-        lag_budget: phase [rad] that the loop's lag may take at k1 + k2 + k3.
+        lag_budget: phase [rad] that the loop's lag may take at k1 + k2 + k3; BUDGET by default, and
+            less on a load that swings fast (`_total`).
         payload: bounds of the payload at the end of the last link [kg]; 0 to 1.5 times that link's
             mass by default.
         disturbance: bound ± of the unknown force [N]; 3 % of supply pressure on the head end by
             default.
         bulk_modulus: its bounds [Pa]; the design's through and times 1.4 by default.
-        adaptation: rate at which the mechanical estimates together follow [rad/s]; k1/4 by default.
+        adaptation: rate at which the mechanical estimates together follow [rad/s]; k1/4 by default,
+            and less on a load that swings fast.
         adaptation_bulk: the same of the bulk modulus [rad/s]; a fiftieth of ``adaptation`` by
             default.
     """
 
     adapt: bool = True
-    lag_budget: float = 0.5
+    lag_budget: float | None = None
     payload: tuple[float, float] | None = None
     disturbance: float | None = None
     bulk_modulus: tuple[float, float] | None = None
@@ -132,8 +141,8 @@ def pack_arc(
     valves and the supply allow.
 
     The valves are asked for phase up to the sum of the bandwidths k1 + k2 + k3 [rad/s]. By default
-    that sum times the loop's lag is ``lag_budget``, shared out 1 : 2 : 4. ``docs/arc.md`` derives
-    the other defaults.
+    that sum times the loop's lag is ``lag_budget``, shared out by PARTS: the margins that these
+    defaults keep are in ``docs/arc.md``, with where the others come from.
 
     Args:
         site: what it is designed for.
@@ -157,12 +166,11 @@ def pack_arc(
             model.
     """
     unsure, given = adaptation or Adaptation(), dict(gains or {})
-    _check(given, site.tick, unsure.lag_budget)
-    bounds = _bounds(site, unsure)
-    total = unsure.lag_budget / (site.valve_lag + site.tick)
+    _check(given, site.tick, BUDGET if unsure.lag_budget is None else unsure.lag_budget)
+    bounds, total = _bounds(site, unsure), _total(site, unsure)
     chosen = {
-        name: given.get(name, total * part / 7.0)
-        for name, part in zip(GAIN_NAMES[2:5], (1, 2, 4), strict=True)
+        name: given.get(name, total * part)
+        for name, part in zip(GAIN_NAMES[2:5], PARTS, strict=True)
     }
     rate, answer, unknown = _rates(site, unsure, bounds, chosen, given)
     chosen |= _defaults(site, chosen, total, answer, unknown) | given
@@ -226,6 +234,32 @@ def _bounds(site: Site, unsure: Adaptation) -> _Bounds:
     )
 
 
+def _total(site: Site, unsure: Adaptation) -> float:
+    """k1 + k2 + k3 [rad/s] by default.
+
+    Where a load swings so fast that lag and RESERVE turn the feedback by more than a quarter of a
+    turn, it takes damping away; there it may take twice of what the load has by itself."""
+    lag = site.valve_lag + site.tick
+    if unsure.lag_budget is not None:
+        return unsure.lag_budget / lag
+    total = most = BUDGET / lag
+    for swing, damping in _swings(site.axis):
+        taken = -math.cos(min(swing * (lag + RESERVE), math.pi))
+        if taken > 0.0:
+            total = min(total, max(2.0 * damping / taken, LEAST * most))
+    return total
+
+
+def _swings(axis: Axis) -> Iterator[tuple[float, float]]:
+    """(frequency [rad/s] at which the bare rig swings on its oil, its damping b/m [1/s]) in
+    postures along the stroke.
+    """
+    for one in (axis, *_along(axis)):
+        load, _ = reference_load(one)
+        damping = load.damping + float(axis.cylinder.friction_viscous)
+        yield hydraulic_frequency(one), damping / load.mass
+
+
 def _rates(
     site: Site,
     unsure: Adaptation,
@@ -236,30 +270,60 @@ def _rates(
     """(rates of adaptation, answer [s] of the loop to an error of acceleration, what the
     acceleration may be wrong by [m/s²]).
     """
-    load, _ = reference_load(site.axis)
-    k1, k2, k3 = bandwidths.values()
-    omega = given.get("coupling_frequency") or hydraulic_frequency(site.axis)
-    # regressors at a middling payload; 1 m/s² stands for the accelerations that tell the inertia
-    phi = np.array(
-        [
-            1.0 + 0.5 * abs(load.pull) * bounds.span / load.mass,
-            load.pull / load.mass,
-            1.0 / load.mass,
-        ]
-    )
+    coupling = given.get("coupling_frequency") or 0.0
+    k1, _, k3 = bandwidths.values()
+    told = _told(site.axis, bounds.span, bandwidths, coupling)
     width = (bounds.upper - bounds.lower)[:3]
-    # in quiet motion an acceleration error Δ shows as mixed = −answer·Δ, so that θ̂' = Γ φ mixed
-    # makes Δ' = −adaptation·Δ
-    at_speed = (1.0 + (k1 + k2) / k3) / (k2 + omega**2 / k3)
-    answer = max(at_speed + (k1 + k2) / omega**2 * (k2 * at_speed - 1.0), 0.2 * at_speed)
-    gamma = 0.25 * k1 if unsure.adaptation is None else unsure.adaptation
     variance = (width * SHARES) ** 2
+    # where along the stroke an error shows most, so that nowhere they learn faster than is said
+    postures = (_told(axis, bounds.span, bandwidths, coupling) for axis in _along(site.axis))
+    shown = max(one.answer * float(one.phi**2 @ variance) for one in (told, *postures))
+    late = site.valve_lag + site.tick + RESERVE
+    turned = late * max(swing for swing, _ in _swings(site.axis))
+    gamma = 0.25 * k1 * min(1.0, 0.5 * math.pi / turned)
+    gamma = gamma if unsure.adaptation is None else unsure.adaptation
     rate = np.zeros(COUNT)
-    rate[:3] = gamma * variance / (answer * float(phi**2 @ variance))
+    rate[:3] = gamma * variance / shown
     # 10 m/s³ times the reference mass stands for the force rates that tell the bulk modulus
     slow = 0.02 * gamma if unsure.adaptation_bulk is None else unsure.adaptation_bulk
-    rate[INVERSE_BULK] = slow * k3 * (omega / 10.0) ** 2
-    return rate, answer, float(np.abs(phi) @ width)
+    rate[INVERSE_BULK] = slow * k3 * (told.omega / 10.0) ** 2
+    return rate, told.answer, float(np.abs(told.phi) @ width)
+
+
+class _Told(NamedTuple):
+    """How errors of the estimates show in quiet motion: the regressors ``phi`` at a middling
+    payload, the loop's ``answer`` [s] to an error of acceleration, and the frequency ``omega``
+    [rad/s] of the coupling.
+    """
+
+    phi: np.ndarray
+    answer: float
+    omega: float
+
+
+def _told(axis: Axis, span: float, bandwidths: Mapping[str, float], coupling: float) -> _Told:
+    """In the axis's posture: an acceleration error Δ shows as mixed = −answer·Δ, so that θ̂' = Γ φ
+    mixed makes Δ' = −adaptation·Δ.
+    """
+    load, _ = reference_load(axis)
+    k1, k2, k3 = bandwidths.values()
+    omega = coupling or hydraulic_frequency(axis)
+    # 1 m/s² stands for the accelerations that tell the inertia
+    phi = np.array(
+        [1.0 + 0.5 * abs(load.pull) * span / load.mass, load.pull / load.mass, 1.0 / load.mass]
+    )
+    at_speed = (1.0 + (k1 + k2) / k3) / (k2 + omega**2 / k3)
+    answer = max(at_speed + (k1 + k2) / omega**2 * (k2 * at_speed - 1.0), 0.2 * at_speed)
+    return _Told(phi, answer, omega)
+
+
+def _along(axis: Axis) -> Iterator[Axis]:
+    """The axis in postures along its stroke, the other joints as they are."""
+    cylinder = axis.cylinder
+    for share in STROKES:
+        posture = axis.mechanism.posture.copy()
+        posture[int(cylinder.joint)] = joint_of(cylinder, share * float(cylinder.stroke))
+        yield axis._replace(mechanism=axis.mechanism._replace(posture=posture))
 
 
 def _defaults(
@@ -273,11 +337,11 @@ def _defaults(
         "coupling_frequency": 0.0,
         "speed_tolerance": unknown / (1.1 * k2),
         "force_tolerance": mass * (k1 + k2) * unknown / (1.1 * k3),
-        "robust_limit": 0.3,
-        "pressure_bandwidth": 0.5 * total,
+        "robust_limit": 0.1,
+        "pressure_bandwidth": 0.6 * total,
         "low_pressure": site.low_pressure,
         "pressure_rate": 3.0 * site.supply_pressure,
-        "observer_bandwidth": 90.0,
+        "observer_bandwidth": min(OBSERVER * total, FASTEST_OBSERVER),
         "speed_correction": site.flow_limit / area,
         "speed_nudge": 0.01 * site.flow_limit / area,
         "stroke_resolution": 2.5e-5,

@@ -30,15 +30,17 @@ from ehbench.identification.results import (
     Match,
     Progress,
 )
-from ehbench.identification.search import Coordinate, Where, coordinates
+from ehbench.identification.search import Coordinate, Where, coordinates, of_sensors
 from ehbench.identification.simulator import Log, Simulator, prepare, shut
 from ehbench.observations import payload_of
 from ehbench.parts.edge import edge_law
 from ehbench.plant.build import Maps, map_of
 from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model
+from ehbench.recipe.sensor import Sensor
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
+from ehbench.sensors import Term, known_taken_out, terms_of
 
 __all__ = [
     "FitOptions",
@@ -68,6 +70,8 @@ class FitOptions:
             or as a share such as ``"3 %"``; output error only.
         channels: what to compare, of every cylinder that moves or is asked to, or full names. Rates
             and pressures by default: an angle is the integral of the flow map's error.
+        sensors: what is known of sensors and drivers, or estimated; method ``thesis`` takes only
+            what is known.
         cutoff: low-pass [Hz] on recorded and simulated alike; output error only.
         max_iterations: of the solver.
         step: integration step [s]; output error searches with twice that before it settles.
@@ -80,6 +84,7 @@ class FitOptions:
     upper: Mapping[str, str | float] = field(default_factory=dict)
     prior: Mapping[str, str | float] = field(default_factory=dict)
     channels: Sequence[str] = CHANNELS
+    sensors: Sequence[Sensor] = ()
     cutoff: float | None = None
     max_iterations: int = 100
     step: float = STEP
@@ -149,6 +154,8 @@ def prepare_fit(
         raise InputError("identification needs at least one log, each with a name of its own")
     _refuse_inert(rig, parameters, flow_maps, where)
     search = coordinates(rig, parameters, asked.start, asked.lower, asked.upper, where, asked.prior)
+    records = [(name, known_taken_out(name, record, asked.sensors)) for name, record in records]
+    terms = terms_of(asked.sensors, [record for _, record in records])
     logs, closed = [], []
     for index, (name, record) in enumerate(records):
         try:
@@ -158,7 +165,7 @@ def prepare_fit(
                 f"{name}: {error.message}", **where("data", index), hint=error.hint
             ) from None
         model = Model.of(rig, flow_maps, payload_of(record))
-        log = prepare(model, record, name, asked.channels)
+        log = prepare(model, record, name, asked.channels, terms)
         if (why := shut(model, log)) and not any(one.endswith(".deadband") for one in parameters):
             closed.append(f"{name}: {why}: no valve opens")
             log = replace(log, warnings=(*log.warnings, closed[-1]))
@@ -177,12 +184,25 @@ def prepare_fit(
             "correct it, or add it to the parameters",
         )
     if asked.method == "thesis":
-        refuse_unmatched(search)
-        if asked.prior:
-            raise InputError(
-                "method 'thesis' takes no priors", **where("prior"), hint="use 'output_error'"
-            )
+        _refuse_for_matching(search, asked, terms, where)
     return PreparedFit(rig, tuple(parameters), search, tuple(logs), asked, flow_maps)
+
+
+def _refuse_for_matching(
+    search: Sequence[Coordinate], asked: FitOptions, terms: Sequence[Term], where: Where
+) -> None:
+    """Refuse what the thesis's way cannot fit, and what it cannot know."""
+    refuse_unmatched(search)
+    if asked.prior:
+        raise InputError(
+            "method 'thesis' takes no priors", **where("prior"), hint="use 'output_error'"
+        )
+    if any(term.std > 0.0 for term in terms):
+        raise InputError(
+            "method 'thesis' estimates no sensors",
+            **where("sensor"),
+            hint="give their values, or use 'output_error'",
+        )
 
 
 def _refuse_inert(
@@ -219,14 +239,25 @@ def run_fit(prepared: PreparedFit, progress: Progress | None = None) -> Hydrauli
     watched = []
     if asked.method == "output_error":
         watched = coordinates_of_held(one.rig, one.parameters, one.flow_maps)
-    names = [*one.parameters, *(c.name for c in watched)]
-    simulator = Simulator(one.rig, one.logs, names, one.flow_maps, asked.workers, asked.step)
+    simulator = simulator_of(one, one.logs, watched)
     tell = progress or (lambda sentence, share: None)
     most = asked.max_iterations
     with simulator.pool:
         if asked.method == "thesis":
             return Matching(simulator, one.search, tell, most).fit()
         return OutputError(simulator, one.search, tell, most, asked.cutoff, watched).fit()
+
+
+def simulator_of(
+    prepared: PreparedFit, logs: Sequence[Log], watched: Sequence[Coordinate] = ()
+) -> Simulator:
+    """Logs simulated at the parameters of a fit, what is shared of their sensors, and the watched
+    ones.
+    """
+    one, asked = prepared, prepared.options
+    sensors = of_sensors(logs[0].start.terms)
+    names = [*one.parameters, *(c.name for c in (*sensors, *watched))]
+    return Simulator(one.rig, logs, names, one.flow_maps, asked.workers, asked.step)
 
 
 def coordinates_of_held(

@@ -16,8 +16,15 @@ import numpy as np
 from ehbench.errors import InsufficientData
 from ehbench.identification.covariance import Block, Prior, covariance_of, eliminate, release_of
 from ehbench.identification.groups import Group, groups_of, sentence
-from ehbench.identification.results import Estimate, HydraulicsFit, Progress, finish, untold
-from ehbench.identification.search import VAGUE, Coordinate
+from ehbench.identification.results import (
+    Estimate,
+    HydraulicsFit,
+    Progress,
+    SensorFit,
+    finish,
+    untold,
+)
+from ehbench.identification.search import VAGUE, Coordinate, of_sensors
 from ehbench.identification.simulator import Log, Shifts, Simulator
 from ehbench.signals import lowpass, rms
 from ehbench.starts import prior_weight
@@ -70,7 +77,8 @@ class OutputError:
     """Weighted least squares over all logs; one instance a fit.
 
     Args:
-        simulator: of the logs, its parameters those searched and then those watched.
+        simulator: of the logs, its parameters those searched, what is shared of the logs' sensors
+            (`search.of_sensors`), and then those watched.
         search: parameters to fit.
         tell: progress.
         most: iterations of a solution.
@@ -88,9 +96,10 @@ class OutputError:
         cutoff: float | None,
         watched: Sequence[Coordinate] = (),
     ) -> None:
-        self.simulator, self.search, self.tell = simulator, [*search, *watched], tell
+        sensors = of_sensors(simulator.logs[0].start.terms)
+        self.simulator, self.search, self.tell = simulator, [*search, *sensors, *watched], tell
         self.most, self.cutoff = most, cutoff
-        self.asked = len(search)
+        self.asked, self.fitted = len(search), len(search) + len(sensors)
         search = self.search
         names = sorted({channel for log in simulator.logs for channel in log.channels})
         self.spread = {
@@ -102,7 +111,7 @@ class OutputError:
         self.scales = dict(self.spread)
         self.theta = np.array([c.begin for c in search])
         self.shifts = simulator.unshifted()
-        self.free = list(range(self.asked))
+        self.free = list(range(self.fitted))
         self.bound: list[int] = []
         self.sharpness = np.array([c.sharpness if c.known else 0.0 for c in search])
         self.centre = np.array([c.of(c.centre) if c.known else 0.0 for c in search])
@@ -385,7 +394,7 @@ class OutputError:
             self._settle(1e-4)
         self.simulator.step = fine
         converged = self._settle(1e-6)
-        for _ in range(self.asked):
+        for _ in range(self.fitted):
             found = self._errors()
             lost = [i for i, error in found.by_index.items() if error.kind == "not_excited"]
             near = self._near_bounds(found.by_index)
@@ -403,25 +412,59 @@ class OutputError:
         """The best that a coarse solution comes to from some starts, and from what the first half
         of the parameters comes to alone where the first start leaves much.
         """
-        every, ends = self.free, []
+        every = self.free
         samples = sum(part.recorded.size for part in self.simulator.logs)
-
-        def solved(start: np.ndarray, free: list[int]) -> tuple[float, np.ndarray]:
-            self.theta, self.shifts = start, self.simulator.unshifted()
-            here = self._at(start, self.shifts)
-            self._weigh(here, scales=False)
-            effects = self._effects(self.slopes(here, free), free)
-            self.free = [i for i in free if effects[i] >= FAINT]
-            self.solve(1e-3)
-            self.free = every
-            here = self._at(self.theta, self.shifts)
-            return sum(float(np.sum(part**2)) for part in self.scaled(here.left)), self.theta
-
-        ends = [solved(start, every) for start in starts]
+        ends = [self._solved(start, every) for start in starts]
         half = every[: (len(every) + 1) // 2]
         if len(half) > 1 and min(cost for cost, _ in ends) > MUCH * samples:
-            ends.append(solved(solved(starts[0], half)[1], every))
+            ends.append(self._solved(self._solved(starts[0], half)[1], every))
         return min(ends, key=lambda end: end[0])[1]
+
+    def _solved(self, start: np.ndarray, free: list[int]) -> tuple[float, np.ndarray]:
+        """(squares of what is left, parameters) where a coarse solution over some of the free
+        parameters ends.
+        """
+        every = self.free
+        self.theta, self.shifts = start, self.simulator.unshifted()
+        here = self._at(start, self.shifts)
+        self._weigh(here, scales=False)
+        effects = self._effects(self.slopes(here, free), free)
+        self.free = [i for i in free if effects[i] >= FAINT]
+        self.solve(1e-3)
+        self.free = every
+        here = self._at(self.theta, self.shifts)
+        return sum(float(np.sum(part**2)) for part in self.scaled(here.left)), self.theta
+
+    def arrive(self) -> None:
+        """Coarsely to the best that a look over the range of the parameters leads to."""
+        self.theta = self._arrive(self.scan())
+
+    def descend(self, begin: Mapping[str, float]) -> float:
+        """Coarsely from some values, by name, to the nearest minimum, each channel weighed by what
+        is left of it; returns that minimum's cost, whatever its weights.
+        """
+        for i, c in enumerate(self.search):
+            if c.name in begin:
+                low, high = c.bounds
+                margin = 1e-3 * c.reach
+                value = c.of(max(begin[c.name], c.lower))
+                self.theta[i] = min(max(value, low + margin), high - margin)
+        self._solved(self.theta, self.free)
+        self._weigh(self._at(self.theta, self.shifts))
+        self.solve(1e-3)
+        here = self._at(self.theta, self.shifts)
+        return sum(2.0 * math.log(max(self._pooled(c, here.left), 1e-300)) for c in self.spread)
+
+    def named(self) -> dict[str, float]:
+        """Where the search stands, by name; of sensors their excess."""
+        return dict(zip((c.name for c in self.search), self._values(self.theta), strict=True))
+
+    def beside(self, logs: Sequence[Log]) -> list[np.ndarray]:
+        """Residuals of these logs [SI] in place of the search's own, of which other samples count,
+        where it stands; shape (samples, channels).
+        """
+        row = self.simulator.simulate([self._values(self.theta)], None, self.shifts)[0]
+        return [self._left(*pair) for pair in zip(logs, row, strict=True)]
 
     def _settle(self, tolerance: float) -> bool:
         """Weigh and solve until the weights stand; whether it converged."""
@@ -471,7 +514,7 @@ class OutputError:
             self.theta[i] = self.search[i].of(self.search[i].start)
         self.free = [i for i in self.free if i not in which]
         self.bound = [i for i in self.bound if i not in which]
-        if not self.free and not self.bound:
+        if not any(i < self.asked for i in (*self.free, *self.bound)):
             names = ", ".join(c.name for c in self.search[: self.asked])
             raise InsufficientData(
                 f"the logs tell nothing about {names}",
@@ -529,15 +572,15 @@ class OutputError:
                 std, quantile, source, kind, *map(float, (found.from_data[k], found.from_starts[k]))
             )
         names = tuple(self.search[live[k]].name for k in inside)
-        correlation = correlation[np.ix_(inside, inside)]
-        return _Errors(result, names, correlation, here, blocks, found.alone)
+        among = correlation[np.ix_(inside, inside)]
+        return _Errors(result, names, among, here, blocks, found.hac, found.alone)
 
     def _wrongly_held(self, found: _Errors) -> list[str]:
         """A warning of the held parameter whose release would better the fit most, if it is surely
         wrong: the recipe's line that frees it.
         """
         live, suspects = sorted(self.free + self.bound), []
-        for i in range(self.asked, len(self.search)):
+        for i in range(self.fitted, len(self.search)):
             c, blocks = self.search[i], self._released(found, i)
             if not blocks:
                 continue
@@ -579,7 +622,7 @@ class OutputError:
         """The products of parameters that the logs know though they do not know each."""
         live = sorted(self.free + self.bound)
         normal = np.sum([eliminate(b, self.weight).normal for b in found.blocks], axis=0)
-        logs = [k for k, i in enumerate(live) if self.search[i].log]
+        logs = [k for k, i in enumerate(live) if i < self.asked and self.search[i].log]
         rest = [k for k in range(len(live)) if k not in logs]
         if len(logs) < 2:
             return ()
@@ -593,10 +636,10 @@ class OutputError:
         return groups_of(names, values, own, float(np.median(widening)))
 
     def settle_starts(self, values: Sequence[float]) -> None:
-        """Stand at given values [SI] of the parameters searched, each log's start and the channels'
-        scales settled there.
+        """Stand at given values [SI] of the parameters searched; each log's start, its sensors and
+        the channels' scales settled there.
         """
-        self.coarse, self.free = False, []
+        self.coarse, self.free = False, list(range(self.asked, self.fitted))
         self.theta[: self.asked] = [c.of(x) for c, x in zip(self.search, values, strict=False)]
         for _ in range(2):
             self.solve(1e-4)
@@ -618,10 +661,10 @@ class OutputError:
         return cost, dict(zip(names, values, strict=True))
 
     def said(self) -> tuple[list[Block], Prior]:
-        """What each log says of the parameters searched where the fit stands, and what is known of
-        them beside.
+        """What each log says of the parameters searched and of shared sensors where the fit stands,
+        and what is known of them beside.
         """
-        here, which = self._at(self.theta, self.shifts), list(range(self.asked))
+        here, which = self._at(self.theta, self.shifts), list(range(self.fitted))
         blocks = self._blocks(here, self.slopes(here, which), self.nudges(here))
         return blocks, self._prior(self.theta, which)
 
@@ -675,9 +718,36 @@ class OutputError:
                 cutoff=self.cutoff,
                 shifts=self.shifts,
                 groups=groups,
-                held=[c.start for c in self.search[self.asked :]],
+                held=[
+                    *(c.at(self.theta[i]) for i, c in self._shared()),
+                    *(c.start for c in self.search[self.fitted :]),
+                ],
+                sensors=self._sensors(found),
             ),
         )
+
+    def _shared(self) -> list[tuple[int, Coordinate]]:
+        """(index, coordinate) of what all logs' sensors share."""
+        return [(i, self.search[i]) for i in range(self.asked, self.fitted)]
+
+    def _sensors(self, found: _Errors) -> list[SensorFit]:
+        """What was found of the sensors: of all logs, then of each."""
+        result = []
+        terms = {term.name: term for term in self.simulator.logs[0].start.terms}
+        for i, c in self._shared():
+            error, quantile = found.by_index.get(i), 1.96
+            std = terms[c.name].std
+            if error is not None:
+                std, quantile = c.unit * error.std, error.quantile
+            result.append(SensorFit.of(terms[c.name], "", c.at(self.theta[i]), std, quantile))
+        for log, shifts, block in zip(self.simulator.logs, self.shifts, found.blocks, strict=True):
+            errors = eliminate(block, self.weight).std(found.covariance)
+            terms = {term.name: term for term in log.start.terms}
+            for doubt, shift, error in zip(log.start.doubts, shifts, errors, strict=True):
+                if doubt.name in terms:
+                    at, std = doubt.std * float(shift), doubt.std * float(error)
+                    result.append(SensorFit.of(terms[doubt.name], log.name, at, std, 1.96))
+        return result
 
 
 @dataclass(frozen=True)
@@ -697,14 +767,15 @@ class _Error:
 @dataclass(frozen=True, eq=False)
 class _Errors:
     """Errors by index of the parameter, and the correlation between the free ones, in the order of
-    their names, the point they belong to, what each log says there, and the standard error each
-    would have if all others were known."""
+    their names, the point they belong to, what each log says there, the covariance of those that
+    are live, and the standard error each would have if all others were known."""
 
     by_index: dict[int, _Error]
     names: tuple[str, ...]
     correlation: np.ndarray
     here: _Point
     blocks: list[Block]
+    covariance: np.ndarray
     alone: np.ndarray
 
 

@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 
 from ehbench.errors import InputError
-from ehbench.identification.hydraulics import PreparedFit
+from ehbench.identification.hydraulics import PreparedFit, simulator_of
 from ehbench.identification.output_error import OutputError
 from ehbench.identification.results import FittedParameter, HydraulicsFit, Progress
 from ehbench.identification.search import Coordinate
-from ehbench.identification.simulator import Simulator
 
 # rise of −2 log likelihood at the ends of a 95 % interval
 LEVEL_95 = 3.841
@@ -67,9 +66,7 @@ def profile(
         raise InputError(f"'{name}' is not among the parameters", hint=", ".join(names))
     if asked.method != "output_error":
         raise InputError("a profile needs method 'output_error'", hint="the recipe says another")
-    simulator = Simulator(
-        prepared.rig, prepared.logs, names, prepared.flow_maps, asked.workers, asked.step
-    )
+    simulator = simulator_of(prepared, prepared.logs)
     with simulator.pool:
         search = OutputError(simulator, prepared.search, tell, asked.max_iterations, asked.cutoff)
         fit = search.fit()

@@ -16,7 +16,9 @@ from ehbench.identification.search import Coordinate
 from ehbench.identification.simulator import Log, Shifts, Simulator, channels_of
 from ehbench.quantities import quantity
 from ehbench.record import Record
+from ehbench.recipe.sensor import reading_row
 from ehbench.rig import Rig, Value
+from ehbench.sensors import Term
 from ehbench.signals import Ringing, correlation_time, fit_percent, lowpass, rms
 
 SHOWN = ("q", "qd", "x", "v", "p_head", "p_rod")
@@ -82,11 +84,40 @@ class LogFit:
 
 
 @dataclass(frozen=True)
+class SensorFit:
+    """What was found of a channel's sensor [SI]: its ``word`` (offset, scale, lag, delay), the
+    ``log`` that it is of, '' for all; ``prior`` is the standard deviation that the recipe gave it
+    about ``known``."""
+
+    channel: str
+    word: str
+    log: str
+    unit: str
+    value: float
+    std: float
+    interval: tuple[float, float]
+    known: float
+    prior: float
+
+    @classmethod
+    def of(cls, term: Term, log: str, excess: float, std: float, quantile: float) -> SensorFit:
+        """Of an excess with its standard error."""
+        size = abs(term.per)
+        value, half = term.value(excess), quantile * size * std
+        unit = reading_row(term.channel, term.word).unit
+        ends = (value - half, value + half)
+        known = term.value(0.0)
+        return cls(
+            term.channel, term.word, log, unit, value, size * std, ends, known, size * term.std
+        )
+
+
+@dataclass(frozen=True)
 class HydraulicsFit:
     """What an identification found. ``rig`` carries the fitted values; ``correlation`` is between
     the parameters with a standard error, in the order of ``correlated_names``; ``scales`` [SI] is
     what each channel's residual was divided by; ``groups`` the products of parameters that the
-    logs know though they do not know each."""
+    logs know though they do not know each; ``sensors`` what was found of the logs' own."""
 
     rig: Rig
     method: str
@@ -101,6 +132,7 @@ class HydraulicsFit:
     iterations: int
     recordings: tuple[tuple[str, dict[str, np.ndarray]], ...]
     groups: tuple[Group, ...] = ()
+    sensors: tuple[SensorFit, ...] = ()
 
     def __getitem__(self, name: str) -> FittedParameter:
         """The fitted parameter of that name.
@@ -137,7 +169,7 @@ class Estimate:
     """What a method found: its parameters in the order searched, and what belongs to them; fields
     as in `HydraulicsFit`. ``cutoff`` [Hz]: of the low-pass on what is left of each log; ``shifts``
     of their starts, None for none; ``held`` the values of the simulator's parameters behind those
-    that were searched."""
+    that were searched, ``sensors`` what was found of these."""
 
     method: str
     fitted: Sequence[FittedParameter]
@@ -151,6 +183,7 @@ class Estimate:
     shifts: Shifts | None = None
     held: Sequence[float] = ()
     groups: Sequence[Group] = ()
+    sensors: Sequence[SensorFit] = ()
 
 
 def untold(c: Coordinate, samples: int) -> FittedParameter:
@@ -202,6 +235,7 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
         iterations=found.iterations,
         recordings=tuple(recordings),
         groups=tuple(found.groups),
+        sensors=tuple(found.sensors),
     )
 
 

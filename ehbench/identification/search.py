@@ -12,13 +12,18 @@ from typing import Any
 from ehbench import units
 from ehbench.errors import InputError
 from ehbench.quantities import Quantity
+from ehbench.recipe.sensor import reading_row
 from ehbench.rig import Rig, Value, parameter_row
+from ehbench.sensors import Term
 
 LEVEL = 0.95
 # a standard error of more than this many units of a parameter says nothing: 95 % then span a factor
 # of 50 (searched as a logarithm), or its whole range
 VAGUE = {True: 1.0, False: 0.5}
 _SHARE = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*$")
+# a sensor's excess is searched in units of so many standard deviations, so that what is known
+# before the logs counts as known, up to so many
+MANY, FAR = 4.0, 20.0
 WIDE = 1.0e3  # factor either way that a positive parameter without bounds is searched over
 
 Where = Callable[..., Mapping[str, Any]]
@@ -42,6 +47,7 @@ class Coordinate:
     upper: float
     prior: float = math.inf
     centre: float = math.nan
+    quantity: Quantity | None = None
 
     def at(self, theta: float) -> float:
         low, high = self.bounds
@@ -54,7 +60,7 @@ class Coordinate:
     @property
     def row(self) -> Quantity:
         """The vocabulary's row of the parameter."""
-        return parameter_row(self.name)
+        return self.quantity or parameter_row(self.name)
 
     @property
     def owner(self) -> str:
@@ -126,6 +132,27 @@ def coordinates(
     return [_coordinate(rig, name, known[name], given, where) for name in names]
 
 
+def of_sensors(terms: Sequence[Term]) -> list[Coordinate]:
+    """The search coordinates of the excess of sensors that all logs share, each held by its
+    standard deviation.
+    """
+    return [
+        Coordinate(
+            term.name,
+            False,
+            MANY * term.std,
+            0.0,
+            max(term.least, -FAR * term.std),
+            FAR * term.std,
+            term.std,
+            0.0,
+            reading_row(term.channel, term.word),
+        )
+        for term in terms
+        if term.std > 0.0 and not term.per_log
+    ]
+
+
 def _refuse_unknown(
     rig: Rig, names: Sequence[str], given: Mapping[str, Given], where: Where
 ) -> None:
@@ -181,11 +208,11 @@ def _coordinate(
             hint=f'give it one, so that the search has a scale: [upper] "{name}" = '
             f'"… {row.display}"',
         )
-    known = {}
+    std, centre = math.inf, math.nan
     if name in given["prior"]:
         centre = min(max(float(value), low), high)
-        known = {"prior": _prior(given["prior"][name], name, centre, where), "centre": centre}
-    return Coordinate(name, log, 1.0 if log else unit, first, low, high, **known)
+        std = _prior(given["prior"][name], name, centre, where)
+    return Coordinate(name, log, 1.0 if log else unit, first, low, high, std, centre)
 
 
 def _prior(raw: str | float, name: str, centre: float, where: Where) -> float:

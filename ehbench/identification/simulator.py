@@ -17,6 +17,7 @@ from ehbench.plant.model import Model
 from ehbench.preprocessing import preprocess
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
+from ehbench.sensors import Term
 from ehbench.signals import transients
 from ehbench.starts import LogStart, start_of_log
 
@@ -71,9 +72,16 @@ class Log:
         )
 
 
-def prepare(model: Model, record: Record, name: str, wanted: Sequence[str]) -> Log:
+def prepare(
+    model: Model,
+    record: Record,
+    name: str,
+    wanted: Sequence[str],
+    terms: Sequence[Term] = (),
+) -> Log:
     """Take a log in (`preprocessing.preprocess`) for a model that carries its payload, and choose
-    the channels: the wanted ones of every cylinder that is asked to move or moves.
+    the channels: the wanted ones of every cylinder that is asked to move or moves; ``terms`` are
+    what its sensors make of it.
 
     Raises:
         InputError: a log that is not of this rig, or not in the units it says; no channel to
@@ -116,7 +124,7 @@ def prepare(model: Model, record: Record, name: str, wanted: Sequence[str]) -> L
         tuple(columns),
         np.column_stack(list(columns.values())),
         counts,
-        start_of_log(model, record, live, list(columns)),
+        start_of_log(model, record, live, list(columns), terms),
         tuple(warnings),
     )
 
@@ -215,7 +223,8 @@ class Simulator:
     """All logs, simulated at any parameter values, several at a time.
 
     Args:
-        names: of the parameters, in the order of the values.
+        names: of the parameters, in the order of the values; also of terms of sensors that all
+            logs share, whose values are their excess.
         workers: threads; 0 for one per core.
         step: integration step [s].
     """
@@ -231,6 +240,7 @@ class Simulator:
     ) -> None:
         self.rig, self.maps, self.step = rig, maps, step
         self.logs, self.names = tuple(logs), tuple(names)
+        self.shared = {t.name for log in logs for t in log.start.terms if not t.per_log}
         self.pool = ThreadPoolExecutor(workers or os.cpu_count() or 1)
         self.evaluations = 0
 
@@ -240,10 +250,15 @@ class Simulator:
         Raises:
             EhbenchError: there is no such rig.
         """
-        changed = self.rig.with_values(dict(zip(self.names, values, strict=True)))
+        changed = self.rig.with_values(self._by_name(values, False))
         return {
             load: Model.of(changed, self.maps, load) for load in {log.payload for log in self.logs}
         }
+
+    def _by_name(self, values: Sequence[float], shared: bool) -> dict[str, float]:
+        """The values of the rig's parameters, or those of the sensors that all logs share."""
+        pairs = zip(self.names, values, strict=True)
+        return {name: value for name, value in pairs if (name in self.shared) == shared}
 
     def possible_models(self, values: Sequence[float]) -> dict[str | None, Model | None]:
         """`models`, None where these values make no rig: pins that its cylinder cannot join."""
@@ -283,10 +298,10 @@ class Simulator:
         made: dict[tuple[float, ...], dict[str | None, Model | None]] = {}
         tasks = []
         for values, k, shifts in points:
-            key, log = tuple(values), self.logs[k]
+            key, log = tuple(self._by_name(values, False).values()), self.logs[k]
             if key not in made:
                 made[key] = self.possible_models(values)
-            tasks.append((made[key][log.payload], log, shifts))
+            tasks.append((made[key][log.payload], log, shifts, self._by_name(values, True)))
         self.evaluations += len(tasks)
         return list(self.pool.map(self._one, tasks))
 
@@ -294,18 +309,21 @@ class Simulator:
         """No shift of any log's start."""
         return [np.zeros(len(log.start.doubts)) for log in self.logs]
 
-    def _one(self, task: tuple[Model | None, Log, np.ndarray]) -> np.ndarray | None:
-        model, log, shifts = task
+    def _one(
+        self, task: tuple[Model | None, Log, np.ndarray, dict[str, float]]
+    ) -> np.ndarray | None:
+        model, log, shifts, shared = task
         if model is None:
             return None
         try:
-            return channels_of(log, self._replay((model, log, shifts)))
+            return channels_of(log, self._replay((model, log, shifts, shared)))
         except (EhbenchError, ArithmeticError):
             return None
 
-    def _replay(self, task: tuple[Model, Log, np.ndarray]) -> Record:
-        model, log, shifts = task
-        return model.replay(log.record, self.step, start=log.start.at(model, shifts))
+    def _replay(self, task: tuple[Model, Log, np.ndarray, dict[str, float]]) -> Record:
+        model, log, shifts, shared = task
+        start, true = log.start.at(model, shifts, shared), log.start.true(shifts, shared)
+        return log.start.seen(model.replay(true, self.step, start=start), shifts, shared)
 
     def replay(
         self, values: Sequence[float], shifts: Shifts
@@ -316,16 +334,18 @@ class Simulator:
         Raises:
             SimulationError: the numbers left the finite range.
         """
-        models = self.models(values)
+        models, shared = self.models(values), self._by_name(values, True)
         tasks = [
-            (models[log.payload], log, own) for log, own in zip(self.logs, shifts, strict=True)
+            (models[log.payload], log, own, shared)
+            for log, own in zip(self.logs, shifts, strict=True)
         ]
         starts = [
             {
-                doubt.name: float(log.start.at(model, own).y[doubt.state])
+                doubt.name: float(log.start.at(model, own, shared).y[doubt.state])
                 for doubt in log.start.doubts
+                if doubt.state >= 0
             }
-            for model, log, own in tasks
+            for model, log, own, _ in tasks
         ]
         return starts, list(self.pool.map(self._replay, tasks))
 

@@ -9,6 +9,7 @@ from ehbench.ledger.quadrature import Integrated, flows_at, integrate, powers_at
 from ehbench.ledger.rows import Ledger
 from ehbench.ledger.sheet import Sheet, must_have_samples, oil_drawn, payload_of
 from ehbench.parts.valve.delay import line_of
+from ehbench.physics.arm import SLIDE
 from ehbench.plant.integrate import STEP
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
@@ -34,7 +35,8 @@ def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
     driven = {int(j): names.cylinders[i] for i, j in enumerate(plant.cylinders.joint)}
     for j, joint in enumerate(names.joints):
         own = driven.get(j, joint)
-        states[:, j], states[:, n + j] = record[f"{own}.q"], record[f"{own}.qd"]
+        position, rate = ("x", "v") if plant.kind == SLIDE else ("q", "qd")
+        states[:, j], states[:, n + j] = record[f"{own}.{position}"], record[f"{own}.{rate}"]
     for i, name in enumerate(names.cylinders):
         for key in ("p_head", "p_rod"):
             states[:, names.state(key, i)] = record[f"{name}.{key}"]

@@ -10,6 +10,7 @@ import numpy as np
 
 from ehbench.errors import LogError
 from ehbench.parts.cylinder import joint_of, linkage_arrays
+from ehbench.physics.cylinder import DIRECT
 from ehbench.plant.model import Model
 from ehbench.plant.valves import felt_commands
 from ehbench.record import Record
@@ -135,6 +136,8 @@ class _Log:
         x = self.get(f"{name}.x") if f"{name}.x" in record else None
         if x is None or f"{name}.q" in record:
             q = self.get(f"{name}.q")
+        elif row.geometry == DIRECT:
+            q = x  # also beyond an end of the stroke, where a stop gives way
         else:
             q = joint_of(row, np.clip(x, 0.0, row.stroke))
         found, lever = linkage_arrays(row, q)

@@ -9,11 +9,14 @@ import numpy as np
 
 from ehbench.disk import DATA, read_bytes
 from ehbench.errors import LogError
-from ehbench.logs.checks import check_record, check_time, label_of
+from ehbench.logs.checks import check_record, check_time, inside, label_of, part_of
 from ehbench.logs.layout import MAGIC
+from ehbench.logs.mapped import Window, read_mapped
 from ehbench.logs.salvage import Salvage, Stream
 from ehbench.logs.text import read_csv
 from ehbench.quantities import quantity
+from ehbench.readers import reader_of
+from ehbench.recipe.columns import ColumnMap, load_columns
 from ehbench.record import Record
 from ehbench.units import to_si
 
@@ -22,11 +25,13 @@ if TYPE_CHECKING:
 
 _READS = (
     "ehbench reads cdr messages of plain numbers with a ros2msg schema whose channel metadata "
-    "name each field, like p_head = 'boom.p_head [Pa]'"
+    "name each field, like p_head = 'boom.p_head [Pa]'; other messages by a map: ehbench map FILE"
 )
 
 
-def read_log(path: str | Path, check: bool = True) -> pd.DataFrame:
+def read_log(
+    path: str | Path, check: bool = True, columns: ColumnMap | str | Path | None = None
+) -> pd.DataFrame:
     """A log as a pandas frame: column ``t`` [s], one SI column a channel; units, meta and losses
     are in ``frame.attrs``.
 
@@ -36,11 +41,16 @@ def read_log(path: str | Path, check: bool = True) -> pd.DataFrame:
 
     Arguments and errors as in `read_record`.
     """
-    return read_record(path, check).frame()
+    return read_record(path, check, columns).frame()
 
 
-def read_record(path: str | Path, check: bool = True) -> Record:
-    """A log in SI from ``.mcap`` or ``.csv``.
+def read_record(
+    path: str | Path,
+    check: bool = True,
+    columns: ColumnMap | str | Path | None = None,
+    window: Window | None = None,
+) -> Record:
+    """A log in SI: MCAP, CSV, or any other format that is read (`ehbench.readers`).
 
     A truncated, killed or damaged MCAP gives its sound chunks; ``losses`` then says what is
     missing. Topics of different rates come on the time base of the fastest, the others held at
@@ -49,26 +59,34 @@ def read_record(path: str | Path, check: bool = True) -> Record:
     Args:
         path: the file.
         check: refuse data that `check_record` refuses.
+        columns: a map of the file's columns, or the file of one; without it they have to be named
+            as channels.
+        window: [s] what lies outside is not checked, and may be NaN.
 
     Raises:
         LogError: no log, nothing in it, or nothing that can be read; what `check_record` finds.
         UnitError: a channel without unit or with a wrong one; a value outside the plausible range.
     """
     path = Path(path)
+    if columns is not None:
+        columns = columns if isinstance(columns, ColumnMap) else load_columns(columns)
+        return read_mapped(path, columns, check, window)
+    if path.suffix.lower() != ".mcap" and reader_of(path).module not in ("delimited", "ros"):
+        return read_mapped(path, None, check, window)
+    if path.suffix.lower() == ".db3" or path.is_dir():
+        return read_mapped(path, None, check, window)
     try:
         data = read_bytes(path, DATA, LogError)
     except FileNotFoundError:
         raise LogError("cannot be read: there is no such file", file=path) from None
     if not data:
         raise LogError("the file is empty", file=path)
-    if path.suffix.lower() == ".csv":
-        return read_csv(path, data, check)
-    if path.suffix.lower() == ".mcap" or data.startswith(MAGIC):
-        record = read_mcap(path, data)
-        if check:
-            check_record(record, path)
-        return record
-    raise LogError("is no log", file=path, hint="logs are .mcap or .csv")
+    if path.suffix.lower() != ".mcap" and not data.startswith(MAGIC):
+        return read_csv(path, data, check, window)
+    record = read_mcap(path, data)
+    if check:
+        check_record(part_of(record, inside(record.t, window)), path)
+    return record
 
 
 def read_mcap(path: Path, data: bytes) -> Record:

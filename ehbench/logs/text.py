@@ -7,27 +7,24 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.errors import InputError, LogError
-from ehbench.logs.checks import check_record, label_of
+from ehbench.logs.checks import check_record, inside, label_of, part_of
+from ehbench.logs.mapped import Window
 from ehbench.memory import refuse_beyond
 from ehbench.quantities import quantity
+from ehbench.readers.delimited import COPIES, unpacked
 from ehbench.record import Record
 from ehbench.units import to_si
 
-_COPIES = 8  # of a table, as bytes, text, lines and numbers, while it is read
 
+def read_csv(path: Path, data: bytes, check: bool, window: Window | None = None) -> Record:
+    """A CSV log whose header names channels with their units.
 
-def read_csv(path: Path, data: bytes, check: bool) -> Record:
-    try:
-        refuse_beyond(_COPIES * len(data), "reading it")
-    except InputError as error:
-        raise LogError(error.message, file=path, hint=error.hint) from None
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise LogError(
-            "is not UTF-8 text", file=path, line=line, hint="save the table as CSV in UTF-8"
-        ) from None
+    Args:
+        path: the file, for messages; its bytes are ``data``.
+        check: refuse data that `check_record` refuses.
+        window: [s] what lies outside may be no number.
+    """
+    text = _decoded(path, data)
     rows = [
         (n, row)
         for n, row in enumerate(text.splitlines(), 1)
@@ -49,7 +46,11 @@ def read_csv(path: Path, data: bytes, check: bool) -> Record:
             line=head,
             hint="the header is like t [s],boom.q [rad]",
         )
-    labels = [label_of(cell, file=path, line=head) for cell in cells]
+    try:
+        labels = [label_of(cell, file=path, line=head) for cell in cells]
+    except InputError as error:
+        hint = f"{error.hint}; or say what the columns are: ehbench map {path.name}"
+        raise type(error)(error.message, file=path, line=head, hint=hint) from None
     names = [name for name, _ in labels]
     for name in names:
         if names.count(name) > 1:
@@ -61,20 +62,72 @@ def read_csv(path: Path, data: bytes, check: bool) -> Record:
         )
     if not rows:
         raise LogError("there are no samples below the header", file=path, line=head)
-    try:
-        table = np.loadtxt((row for _, row in rows), delimiter=comma, ndmin=2, comments=None)
-    except ValueError:
-        table = None
-    if table is None or table.shape[1] != len(names):
-        raise _first_bad_cell(path, rows, comma, names)
+    lines = [n for n, _ in rows]
+    table = _table(path, rows, comma, names, window)
     values = {
         name: to_si(table[:, i].copy(), unit, quantity(name))
         for i, (name, unit) in enumerate(labels)
     }
     record = Record(values.pop("t"), values)
     if check:
-        check_record(record, path, lines=[n for n, _ in rows], units=dict(labels))
+        keep = inside(record.t, window)
+        kept = np.array(lines)[keep].tolist()
+        check_record(part_of(record, keep), path, lines=kept, units=dict(labels))
     return record
+
+
+def _decoded(path: Path, data: bytes) -> str:
+    """The text of a file in UTF-8, packed by gzip or not."""
+    data = unpacked(data, path)
+    try:
+        refuse_beyond(COPIES * len(data), "reading it")
+    except InputError as error:
+        raise LogError(error.message, file=path, hint=error.hint) from None
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise LogError(
+            "is not UTF-8 text",
+            file=path,
+            line=line,
+            hint="save the table as CSV in UTF-8, or say what its columns are: ehbench map FILE",
+        ) from None
+
+
+def _table(
+    path: Path,
+    rows: list[tuple[int, str]],
+    comma: str,
+    names: list[str],
+    window: Window | None,
+) -> np.ndarray:
+    """The numbers of the rows; those outside of the window may be none, and are NaN then.
+
+    Raises:
+        LogError: a row of another width, a cell inside of the window that is no number.
+    """
+    try:
+        table = np.loadtxt((row for _, row in rows), delimiter=comma, ndmin=2, comments=None)
+        if table.shape[1] == len(names):
+            return table
+    except ValueError:
+        pass
+    whole = [(line, row) for line, row in rows if len(row.split(comma)) == len(names)]
+    if window is None or len(whole) < len(rows):
+        raise _first_bad_cell(path, rows, comma, names)
+    cells = [[_number(cell) for cell in row.split(comma)] for _, row in rows]
+    table = np.array([[np.nan if one is None else one for one in row] for row in cells])
+    t = table[:, names.index("t")]
+    timed = np.isfinite(t)
+    if not timed.any():
+        raise _first_bad_cell(path, rows, comma, names)
+    count = np.arange(t.size)
+    t = np.interp(count, count[timed], t[timed])
+    asked = np.flatnonzero((t >= window[0]) & (t <= window[1]))
+    if any(None in cells[at] for at in asked):
+        raise _first_bad_cell(path, [rows[at] for at in asked], comma, names)
+    return table
 
 
 def _number(cell: str) -> float | None:

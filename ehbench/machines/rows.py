@@ -88,6 +88,15 @@ def violated(rows, i):
 
 
 @kernel
+def within(values, lower, upper):
+    """Whether each of some values lies between its bounds; nan does not."""
+    for i in range(values.shape[0]):
+        if not lower[i] <= values[i] <= upper[i]:
+            return False
+    return True
+
+
+@kernel
 def control(law, i, rows):
     """One tick of a built-in controller: its command and its telemetry of row ``i``."""
     tick(

@@ -12,6 +12,7 @@ from ehbench.errors import InputError, LogError, SimulationError
 from ehbench.parts.cylinder import joint_range_of, linkage_arrays
 from ehbench.parts.valve import valve_settle
 from ehbench.parts.valve.delay import line_of
+from ehbench.physics.arm import SLIDE
 from ehbench.plant import trim as starts
 from ehbench.plant.build import Maps, Plant, build
 from ehbench.plant.integrate import STEP, run
@@ -255,7 +256,8 @@ class Model:
         driven = {int(j): i for i, j in enumerate(plant.cylinders.joint)}
         for joint, joint_name in enumerate(names.joints):
             name = names.cylinders[driven[joint]] if joint in driven else joint_name
-            channels[f"{name}.q"], channels[f"{name}.qd"] = log[:, joint], log[:, n + joint]
+            if plant.kind != SLIDE:  # which has no angle: its coordinate is the stroke
+                channels[f"{name}.q"], channels[f"{name}.qd"] = log[:, joint], log[:, n + joint]
             if joint not in driven:
                 continue
             index = driven[joint]

@@ -12,10 +12,19 @@ from ehbench.recipe.bench import (
     BenchValve,
 )
 from ehbench.recipe.campaign import Campaign, TextSection
+from ehbench.recipe.columns import (
+    AnyColumns,
+    ColumnMap,
+    Columns,
+    MappedColumn,
+    load_columns,
+    whole_map,
+)
 from ehbench.recipe.dataset import DatasetLog, DatasetRecipe, Flowmeter
 from ehbench.recipe.flow_map import CalibrationPoint, FlowMapRecipe
 from ehbench.recipe.hydraulics import HydraulicsRecipe
 from ehbench.recipe.loading import kind_of, load_recipe, load_rig, recipe_kinds
+from ehbench.recipe.sensor import Sensor
 from ehbench.recipe.toml import line_of, read_toml
 from ehbench.recipe.trial import AnyTrial, Command, Controller, Limits, Motion, TrialRecipe
 from ehbench.recipe.trials import SetController, TrialSetRecipe
@@ -23,6 +32,12 @@ from ehbench.recipe.tune import TuneRecipe
 from ehbench.recipe.validate import JudgedFile, Thresholds, ValidateRecipe
 
 __all__ = [
+    "AnyColumns",
+    "ColumnMap",
+    "Columns",
+    "MappedColumn",
+    "load_columns",
+    "whole_map",
     "AnyTrial",
     "BenchCurve",
     "BenchCylinder",
@@ -46,6 +61,7 @@ __all__ = [
     "Limits",
     "Motion",
     "Recipe",
+    "Sensor",
     "SetController",
     "TextSection",
     "Thresholds",

@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, Field
 from ehbench.disk import impossible
 from ehbench.errors import InputError
 from ehbench.fields import FileModel, Q, Value
+from ehbench.recipe.columns import AnyColumns
 from ehbench.recipe.toml import line_of
 from ehbench.text import shortened
 
@@ -27,6 +28,9 @@ class DataFile(FileModel):
     start: Annotated[Value, Q("start")] | None = None
     stop: Annotated[Value, Q("stop")] | None = None
     note: str = ""
+    columns: AnyColumns = Field(
+        default=None, description="of this file, in place of those of the recipe"
+    )
 
 
 def data_file(raw: Any) -> Any:

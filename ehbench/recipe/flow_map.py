@@ -8,6 +8,7 @@ from pydantic import Field
 
 from ehbench.fields import FileModel, Q, Value
 from ehbench.recipe.base import Recipe
+from ehbench.recipe.columns import AnyColumns
 
 
 class CalibrationPoint(FileModel):
@@ -31,6 +32,11 @@ class FlowMapRecipe(Recipe):
     what: Literal["flow_map"]
     rig: str
     data: Annotated[tuple[str, ...], Field(min_length=1)]
+    columns: AnyColumns = Field(
+        default=None,
+        description="which column is `command`, `pressure_drop`, `flow`, `valve`, …: `[columns]`, "
+        "or the name of a map; without a column of valves a file is of the valve it is named after",
+    )
     calibration: tuple[CalibrationPoint, ...] = ()
     calibration_drop: Annotated[Value, Q("pressure_drop")] | None = None
     meter_limit: Annotated[Value, Q("meter_limit")] = Value(0.0)

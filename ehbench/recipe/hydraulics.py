@@ -8,6 +8,8 @@ from pydantic import Field
 
 from ehbench.fields import Q, Value
 from ehbench.recipe.base import ByParameter, DataFiles, Recipe
+from ehbench.recipe.columns import AnyColumns
+from ehbench.recipe.sensor import Sensors
 
 
 class HydraulicsRecipe(Recipe):
@@ -23,11 +25,18 @@ class HydraulicsRecipe(Recipe):
     rig: str
     flow_maps: str | None = None
     data: DataFiles
+    columns: AnyColumns = Field(
+        default=None,
+        description="which column of a file is which channel: `[columns]`, or the name of a map",
+    )
     parameters: Annotated[tuple[str, ...], Field(min_length=1)]
     start: ByParameter = {}
     lower: ByParameter = {}
     upper: ByParameter = {}
     prior: ByParameter = {}
+    sensor: Sensors = Field(
+        default=(), description="`[[sensor]]`: what is known of sensors and drivers, or estimated"
+    )
     channels: tuple[str, ...] = ("qd", "p_head", "p_rod")
     cutoff: Annotated[Value, Q("frequency")] | None = None
     compare_dynamics: tuple[str, ...] = ()

@@ -73,7 +73,11 @@ def load_recipe(path: str | Path) -> Recipe:
     return validated(model, table, text, path).model_copy(update={"path": path.resolve()})
 
 
-def kind_of(path: Path) -> Literal["rig", "recipe"]:
-    """Whether a TOML file is a rig (has a mechanism) or a recipe (has a stage)."""
+def kind_of(path: Path) -> Literal["rig", "recipe", "map"]:
+    """Whether a TOML file is a rig (has a mechanism), a recipe (has a stage) or a map of columns
+    (has names).
+    """
     table, _ = read_toml(path)
+    if "stage" not in table and "names" in table:
+        return "map"
     return "recipe" if "stage" in table or "mechanism" not in table else "rig"

@@ -37,7 +37,7 @@ def line_of(text: str, location: tuple[Any, ...]) -> int | None:
     the first one below it, or its nearest parent.
     """
     flat: dict[tuple[Any, ...], int] = {}
-    for known, number in _lines(text).items():
+    for known, number in lines_of(text).items():
         flat.setdefault(_pieces(known), number)
     wanted = _pieces(location)
     for size in range(len(wanted), 0, -1):
@@ -48,7 +48,7 @@ def line_of(text: str, location: tuple[Any, ...]) -> int | None:
     return None
 
 
-def _lines(text: str) -> dict[tuple[Any, ...], int]:
+def lines_of(text: str) -> dict[tuple[Any, ...], int]:
     """The line of every header and key of a TOML text, by location."""
     lines: dict[tuple[Any, ...], int] = {}
     counts: dict[tuple[Any, ...], int] = {}

@@ -12,6 +12,8 @@ from ehbench.errors import InputError
 from ehbench.fields import FileModel, Q, Value, read_value
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe.base import DataFile, Recipe, data_file
+from ehbench.recipe.columns import AnyColumns
+from ehbench.recipe.sensor import Sensors
 
 
 def _share(raw: Any) -> Any:
@@ -123,6 +125,13 @@ class ValidateRecipe(Recipe):
     rig: str
     flow_maps: str | None = None
     data: JudgedFiles
+    columns: AnyColumns = Field(
+        default=None,
+        description="which column of a file is which channel: `[columns]`, or the name of a map",
+    )
+    sensor: Sensors = Field(
+        default=(), description="`[[sensor]]`: what is known of sensors and drivers, or estimated"
+    )
     channels: tuple[str, ...] = ("q", "qd", "p_head", "p_rod")
     structure: bool = Field(
         default=True,

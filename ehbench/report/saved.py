@@ -168,6 +168,12 @@ class Saved:
 
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)
+        if self.folder.is_dir() and not (self.folder / "run.json").exists():
+            raise InputError(
+                "is no run folder: it has no run.json",
+                file=self.folder if self.folder.name else self.folder.resolve(),
+                hint="runs are folders such as reports/identify_<hash>",
+            )
         self.facts = self.json("run.json")
         try:
             TypeAdapter(_Facts).validate_python(dict(self.facts.plain()), strict=True)

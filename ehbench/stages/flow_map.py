@@ -36,25 +36,28 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
 
     def prepare(self, recipe: FlowMapRecipe, inputs: Inputs) -> PreparedMaps:
         from ehbench.identification.readings import prepare_readings
+        from ehbench.logs.readings import mapped_readings
         from ehbench.readers import read_flowmeter
 
         findings = inputs.findings
         state = inputs.rig_state(recipe.rig)
         supply = float(state.rig.supply.pressure)
-        parts, files = [], []
+        parts, files, columns = [], [], inputs.columns()
         for name in recipe.data:
             with findings.noting():
                 files.append(inputs.existing(name))
-                part = read_flowmeter(files[-1], supply_pressure=supply)
+                lines = None if columns is None else mapped_readings(files[-1], columns)
+                part = read_flowmeter(files[-1], supply_pressure=supply, lines=lines)
                 parts.append(part)
                 groups = ", ".join(" ".join(group) for group in part.groups())
                 findings.say("reads", f"{name} ({len(part)} readings of {groups})")
                 findings.notes += [str(text) for text in part.warnings]
+        maps = () if columns is None else tuple(("columns", path) for path in columns.files)
         findings.say("open", "whether the readings carry a map")
         count = len({group for part in parts for group in part.groups()})
         return PreparedMaps(
             recipe,
-            (*state.inputs, *(("data", path) for path in files)),
+            (*state.inputs, *(("data", path) for path in files), *maps),
             f"fits {count} flow map{'s' * (count != 1)} to {sum(map(len, parts))} readings",
             state,
             prepare_readings(state.rig, parts) if parts else None,

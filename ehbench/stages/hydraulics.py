@@ -4,12 +4,14 @@ log.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ehbench import rundir
-from ehbench.recipe import HydraulicsRecipe
+from ehbench.errors import InputError
+from ehbench.recipe import HydraulicsRecipe, read_toml
 from ehbench.stages.base import (
     DONE,
     INCOMPLETE,
@@ -26,6 +28,7 @@ from ehbench.stages.inputs import Inputs, Logs, RigState
 
 if TYPE_CHECKING:
     from ehbench.identification.hydraulics import HydraulicsFit, PreparedFit
+    from ehbench.identification.suggestions import Suggestions
     from ehbench.rig import Rig
 
 
@@ -68,7 +71,7 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
             does += f", with each of the dynamics {', '.join(recipe.compare_dynamics)}"
         inputs.findings.say("open", "whether the logs carry these parameters")
         return PreparedHydraulics(
-            recipe, (*state.inputs, *logs.inputs), does, state, logs, fit, variants
+            recipe, (*state.inputs, *logs.inputs, *logs.maps), does, state, logs, fit, variants
         )
 
     def work(self, prepared: PreparedHydraulics, folder: Path, progress: Progress | None) -> Work:
@@ -98,6 +101,51 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
         return Work(facts, code=INCOMPLETE if logs.losses else DONE)
 
 
+def suggested(
+    prepared: PreparedHydraulics, progress: Progress | None, seconds: float
+) -> Suggestions:
+    """What would better a recipe's fit."""
+    from ehbench.identification.suggestions import suggest
+
+    assert prepared.fit is not None  # a run has all its logs
+    return suggest(prepared.fit, prepared.logs.records, progress, seconds)
+
+
+def write_suggested(prepared: PreparedHydraulics, found: Suggestions, folder: Path) -> Path:
+    """The first of some suggestions as files: ``rig.toml``, the recipe that fits it and
+    ``suggestions.json``; returns the recipe's path.
+
+    Raises:
+        InputError: the folder is there and not empty.
+    """
+    import tomli_w
+
+    from ehbench.identification.changes import said
+
+    if folder.exists() and any(folder.iterdir()):
+        raise InputError("exists and is not empty; nothing was written", file=folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    recipe, setup = prepared.recipe, found.setups[0]
+    table, _ = read_toml(recipe.path)
+    write_rig(folder, setup.rig, prepared.state.flow_maps)
+    if prepared.state.flow_maps is not None:
+        table["flow_maps"] = "."
+    entries = [{"path": one} if isinstance(one, str) else dict(one) for one in table["data"]]
+    for entry in entries:
+        entry["path"] = os.path.relpath(recipe.file(entry["path"]), folder.resolve())
+    table |= {"rig": "rig.toml", "data": entries, "parameters": list(setup.parameters)}
+    bounds = [(name, most) for one in setup.changes for name, most in one.upper.items()]
+    if bounds:
+        more = {name: said(setup.rig, name, most) for name, most in bounds}
+        table["upper"] = table.get("upper", {}) | more
+    if setup.options.sensors:
+        table["sensor"] = [one.as_toml() for one in setup.options.sensors]
+    path = folder / recipe.path.name
+    path.write_text(tomli_w.dumps(table), encoding="utf-8")
+    rundir.write_json(folder / "suggestions.json", [row.as_json() for row in found.rows])
+    return path
+
+
 def _prepared_fit(recipe: HydraulicsRecipe, state: RigState, logs: Logs, rig: Rig) -> PreparedFit:
     from ehbench.identification.hydraulics import FitOptions, prepare_fit
 
@@ -108,6 +156,7 @@ def _prepared_fit(recipe: HydraulicsRecipe, state: RigState, logs: Logs, rig: Ri
         upper=recipe.upper,
         prior=recipe.prior,
         channels=recipe.channels,
+        sensors=recipe.sensor,
         cutoff=None if recipe.cutoff is None else float(recipe.cutoff),
         max_iterations=recipe.max_iterations,
         workers=recipe.workers,

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 from ehbench import rundir
 from ehbench.errors import InputError
 from ehbench.recipe import (
+    ColumnMap,
     DataFile,
     FlowMapRecipe,
     Recipe,
@@ -23,6 +24,7 @@ from ehbench.recipe import (
     kind_of,
     load_recipe,
     load_rig,
+    whole_map,
 )
 from ehbench.rig import Edge, Rig, Value, Valve
 from ehbench.stages.findings import Findings
@@ -60,14 +62,15 @@ class ValidatedRig(RigState):
 
 
 class Logs(NamedTuple):
-    """Name and record of each log, the inputs behind them, what was lost, and the number of the
-    recipe's entry of each.
+    """Name and record of each log, the inputs behind them, what was lost, the number of the
+    recipe's entry of each, and the maps of columns that they were read by.
     """
 
     records: list[tuple[str, Record]]
     inputs: NamedFiles
     losses: list[str]
     entries: list[int]
+    maps: NamedFiles = ()
 
 
 class Runs(Protocol):
@@ -216,10 +219,15 @@ class Inputs:
                 items.append(item)
                 places.append(place)
                 entries.append(index)
-        records, inputs, losses = [], [], []
-        for item, place, name in zip(items, places, distinct_names(places), strict=True):
-            path = place / "log.mcap" if place.is_dir() else place
-            whole = read_record(path)
+        records, inputs, losses, maps = [], [], [], []
+        named = zip(items, places, distinct_names(places), entries, strict=True)
+        for item, place, name, index in named:
+            is_run = (place / "log.mcap").is_file()
+            path = place / "log.mcap" if is_run else place
+            columns = None if is_run else self.columns(item, index)
+            if columns is not None:
+                maps += [("columns", one) for one in columns.files if ("columns", one) not in maps]
+            whole = read_record(path, columns=columns, window=_span(item))
             losses += [f"{path.name}: {loss}" for loss in whole.losses]
             record = _window(whole, item, path)
             records.append((name, record))
@@ -227,7 +235,15 @@ class Inputs:
             load = record.meta.get("payload") or "not said"
             self.findings.say("reads", f"{item.path} ({np.ptp(record.t):.4g} s, payload {load})")
         self.findings.say("losses", *(f"lost: {loss}" for loss in losses))
-        return Logs(records, tuple(inputs), losses, entries)
+        return Logs(records, tuple(inputs), losses, entries, tuple(maps))
+
+    def columns(self, item: DataFile | None = None, index: int = 0) -> ColumnMap | None:
+        """The map of columns of an entry of ``data``, else that of the recipe."""
+        path = self.recipe.path
+        if item is not None and item.columns is not None:
+            return whole_map(item.columns, path, ("data", index, "columns"))
+        own = getattr(self.recipe, "columns", None)
+        return None if own is None else whole_map(own, path, ("columns",))
 
 
 def _stage_of(path: Path) -> str:
@@ -249,10 +265,15 @@ def maps_in(folder: Path) -> FlowMaps | None:
     return load_flow_maps(folder) if (folder / "flow_maps.json").is_file() else None
 
 
+def _span(item: DataFile) -> tuple[float, float]:
+    """The part of a log that an entry asks for [s]."""
+    low = -math.inf if item.start is None else float(item.start)
+    return low, math.inf if item.stop is None else float(item.stop)
+
+
 def _window(record: Record, item: DataFile, path: Path) -> Record:
     """The part of a record between the data entry's start and stop, with the payload it names."""
-    low = -math.inf if item.start is None else float(item.start)
-    high = math.inf if item.stop is None else float(item.stop)
+    low, high = _span(item)
     keep = (record.t >= low) & (record.t <= high)
     if keep.sum() < 3 <= record.t.size:
         raise InputError(

@@ -11,7 +11,7 @@ from pydantic import Field
 from ehbench import rundir
 from ehbench.fields import Q, Value
 from ehbench.quantities import quantity
-from ehbench.recipe import DataFiles, Recipe
+from ehbench.recipe import AnyColumns, DataFiles, Recipe
 from ehbench.stages.base import (
     DONE,
     INCOMPLETE,
@@ -35,6 +35,10 @@ class ResponseRecipe(Recipe):
     stage: Literal["response"]
     rig: str = Field(description="whose units the report uses, and whose logs these are")
     data: DataFiles
+    columns: AnyColumns = Field(
+        default=None,
+        description="which column of a file is which channel: `[columns]`, or the name of a map",
+    )
     input: str = Field(description="channel, such as `boom.hect.command`")
     output: str = Field(description="channel, such as `boom.v`")
     segment: Annotated[Value, Q("duration")] | None = Field(
@@ -88,7 +92,9 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
                 signals = prepare_signals(logs.records, (recipe.input, recipe.output), choice)
         inputs.findings.say("open", "which frequencies are coherent")
         does = f"estimates {recipe.output} over {recipe.input} from {counted(recipe.data, 'log')}"
-        return PreparedResponse(recipe, (*state.inputs, *logs.inputs), does, state, logs, signals)
+        return PreparedResponse(
+            recipe, (*state.inputs, *logs.inputs, *logs.maps), does, state, logs, signals
+        )
 
     def work(self, prepared: PreparedResponse, folder: Path, progress: Progress | None) -> Work:
         from ehbench.response import estimate

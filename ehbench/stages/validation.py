@@ -83,7 +83,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
             scored = recipe.data[index].scored
             with findings.noting():
                 model = models[payload_of(record) or ""]
-                log = taken_log(name, record, model, known, scored, seen)
+                log = taken_log(name, record, model, known, scored, seen, recipe.sensor)
                 taken.append(log)
                 findings.notes += [f"{name}: {text}" for text in log.warnings]
                 if log.failure is not None:
@@ -93,7 +93,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         does = f"judges the rig on {counted(recipe.data, 'log')}: {asked}"
         return PreparedJudgement(
             recipe,
-            (*state.inputs, *logs.inputs),
+            (*state.inputs, *logs.inputs, *logs.maps),
             does,
             state,
             logs,
@@ -109,7 +109,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         if prepared.recipe.structure:
             if progress is not None:
                 progress("asking the residuals what they follow", 0.5)
-            verdict = replace(verdict, structure=ask(prepared.taken.cases()))
+            verdict = replace(verdict, structure=ask(prepared.taken.cases(verdict.logs)))
         write_rig(folder, state.rig, state.flow_maps)
         rundir.write_json(folder / "validation.json", verdict.as_json())
         intervals = state.origin / "parameters.json"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,7 @@ from ehbench.plant.build import Maps
 from ehbench.plant.model import Model
 from ehbench.record import Record
 from ehbench.rig import Rig
+from ehbench.sensors import Term, corrected, sensed
 from ehbench.signals import correlation_time
 from ehbench.starts import start_of_log
 
@@ -24,7 +25,8 @@ FINE = 0.005  # share of a channel's spread below which an error does not matter
 @dataclass(frozen=True)
 class Case:
     """A log and the model, with the log's payload, that is to follow it; ``cylinders`` are those
-    that are commanded, ``scored`` the part [s] that counts, None for all of it.
+    that are commanded, ``scored`` the part [s] that counts, None for all of it, ``terms`` and
+    ``excess`` what its sensors are known to make of it.
     """
 
     name: str
@@ -33,6 +35,8 @@ class Case:
     cylinders: tuple[str, ...]
     maps: Maps | None = None
     scored: tuple[float, float] | None = None
+    terms: tuple[Term, ...] = ()
+    excess: Mapping[str, float] = field(default_factory=dict)
 
     def varied(self, rig: Rig) -> Model:
         """The model of another rig, with the same maps."""
@@ -40,12 +44,13 @@ class Case:
 
     def simulated(self, model: Model, record: Record) -> Record:
         """What a model does on a record, the case's own or a corrected one: from rest, or from what
-        the first samples say where the log begins in motion.
+        the first samples say where the log begins in motion; as its sensors show it.
         """
-        if not self.begins_in_motion:
-            return model.replay(record)
-        start = start_of_log(model, record, self.cylinders, self.channels)
-        return model.replay(record, start=start.at(model, np.zeros(len(start.doubts))))
+        true, start = corrected(record, self.terms, self.excess), None
+        if self.begins_in_motion:
+            begun = start_of_log(model, true, self.cylinders, self.channels)
+            start = begun.at(model, np.zeros(len(begun.doubts)))
+        return sensed(model.replay(true, start=start), self.terms, self.excess)
 
     @cached_property
     def begins_in_motion(self) -> bool:

@@ -6,7 +6,6 @@ observes."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -16,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ehbench.control.axis import Mechanism, axis_of
 from ehbench.control.functions import ALL_RULES, RULE_NAMES, Circuit, circuit, pack_rules
 from ehbench.control.law import Controller, Law, Site
 from ehbench.control.records import numbers
@@ -26,8 +24,8 @@ from ehbench.errors import InputError
 from ehbench.parts.cylinder import linkage_arrays
 from ehbench.parts.nodes import SUPPLY
 from ehbench.parts.sample import sample_size
-from ehbench.parts.valve import valve_lag
 from ehbench.plant.model import Model
+from ehbench.plant.site import site_of
 from ehbench.quantities import VOCABULARY, Quantity
 from ehbench.recipe import TrialRecipe
 from ehbench.recipe.trial import Controller as ChosenController
@@ -290,19 +288,8 @@ def compiled(
 
 def _site(recipe: TrialRecipe, design: Design, tick: float) -> Site:
     """What a controller of the design is designed for."""
-    plant = design.model.plant
-    mechanism = Mechanism(plant.kind, plant.gravity, plant.links, plant.cylinders.joint, design.q)
-    axis = axis_of(design.circuit, mechanism, design.row)
-    unused = [design.valves.index(name) for name in controller_of(recipe).unused]
-    still = np.isin(plant.edges.valve[design.own], unused)
-    axis = axis._replace(onset=np.where(still, 0.0, axis.onset))  # no standing by for them
-    limit = float(plant.supply.flow_limit)
-    if not math.isfinite(limit):
-        limit = 0.5 * design.circuit.area_head  # half a metre a second
-    lag, unmodelled = _valve_lag(design), design.rig.cylinder[design.index].unmodelled
-    if design.rig.oil.air_fraction is not None:
-        unmodelled += ("air_fraction of [oil]",)
-    return Site(axis, tick, float(plant.supply.pressure), limit, lag, design.x, unmodelled)
+    still = [design.valves.index(name) for name in controller_of(recipe).unused]
+    return site_of(design.model, design.circuit, design.q, tick, still)
 
 
 def low_pressure(recipe: TrialRecipe, rig: Rig, tuning: Mapping[str, Any] | None) -> float:
@@ -402,11 +389,3 @@ def _number(name: str, raw: Any, row: Quantity | None, pair: bool) -> Any:
     if name == "feedback_gain" and isinstance(raw, Mapping):
         return {function: float(read_value(value, row)) for function, value in raw.items()}
     return read_value(raw, row, 2).value if pair else float(read_value(raw, row))
-
-
-def _valve_lag(design: Design) -> float:
-    """Lag 2ζ/ω_n [s] of the slowest valve that the controller uses."""
-    own = range(design.circuit.first, design.circuit.first + design.circuit.count)
-    plant = design.model.plant
-    used = {int(design.circuit.edges[e].valve) for e in own if e in design.circuit.paths}
-    return max((valve_lag(plant.valves[i], plant) for i in used), default=0.0)

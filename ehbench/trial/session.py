@@ -56,6 +56,11 @@ class Session:
     def __init__(self, prepared: Prepared, machine: Machine, fast: bool = True) -> None:
         self.prepared, self.machine = prepared, machine
         self._truth = truth_of(machine)
+        self._logged = [
+            (i, name)
+            for i, name in enumerate(machine.channels)
+            if prepared.rig.mechanism.kind != "slide" or not name.endswith((".q", ".qd"))
+        ]
         self.rows = prepared.first_rows(machine)
         self.law = prepared.law(machine)
         self._packed = None if self.law is None else _packed(self.law)
@@ -202,7 +207,7 @@ class Session:
             channels = self._truth.channels(rows.t[part], commands, rows.truth[part])
         else:
             samples = rows.samples[part]
-            channels = {name: samples[:, i].copy() for i, name in enumerate(self.machine.channels)}
+            channels = {name: samples[:, i].copy() for i, name in self._logged}
             lines = {name: channels.pop(name) for name in ("p_supply", "p_tank")}
             valves = self.machine.commands.names
             channels |= {f"{name}.command": commands[:, i].copy() for i, name in enumerate(valves)}

@@ -18,8 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from ehbench.compiled import bound
 from ehbench.control.trajectory import Reference
 from ehbench.errors import InputError
+from ehbench.machines.rows import within
 from ehbench.quantities import VOCABULARY, Quantity, quantity
 from ehbench.recipe import TrialRecipe
 from ehbench.text import shortened
@@ -67,7 +69,7 @@ class UserCode:
         self.used = {"gains": {name: float(v) for name, v in gains.items() if _is_number(v)}}
         with self.code.guard.watched():
             self.object = self.code.make(gains)
-            self.mask = self._observed(self.code.names_of(self.object, "channels"))
+            observed = self._observed(self.code.names_of(self.object, "channels"))
             notes = self.code.names_of(self.object, "notes") or ()
         self.noted = [self._note_row(name, notes) for name in notes]
         own = f"{design.cylinder}."
@@ -77,6 +79,7 @@ class UserCode:
         )
         self.references = references
         self.telemetry = np.zeros((len(references), len(self.channels)))
+        self.telemetry[:, : len(Reference._fields)] = references
         valves = design.model.plant.valves
         self.low, self.high = valves.lowest.copy(), valves.highest.copy()
         self.beyond = 0
@@ -84,6 +87,8 @@ class UserCode:
             name: i for i, name in enumerate(design.valves) if name not in chosen.unused
         }
         self._unused = [design.valves.index(name) for name in chosen.unused]
+        self._hidden = [i for i, seen in enumerate(observed) if not seen]
+        self._in_range = bound(within, self.low, self.low, self.high)
 
     @property
     def label(self) -> str:
@@ -111,13 +116,10 @@ class UserCode:
         self._take(answer, t, command)
         for i, volts in zip(self._unused, kept, strict=True):
             command[i] = volts
-        # one look a tick; nan is in no range
-        if not ((command >= self.low) & (command <= self.high)).all():
+        if not self._in_range(command, self.low, self.high):
             self._bring_in_range(answer, t, command)
-        note = self.telemetry[row]
-        note[: len(reference)] = reference
-        if note.size > len(reference):
-            self._note(note[len(reference) :], t)
+        if self.noted:
+            self._note(self.telemetry[row, len(reference) :], t)
 
     def _take(self, answer: Any, t: float, command: np.ndarray) -> None:
         """Write an answer of the class, a dict by valve or a row of volts, into ``command``."""
@@ -187,9 +189,12 @@ class UserCode:
                 )
 
     def _seen(self, sample: np.ndarray) -> dict[str, float]:
-        return dict(zip(self.names, np.where(self.mask, sample, math.nan).tolist(), strict=True))
+        seen = sample.tolist()
+        for i in self._hidden:
+            seen[i] = math.nan
+        return dict(zip(self.names, seen, strict=True))
 
-    def _observed(self, patterns: tuple[str, ...] | None) -> np.ndarray:
+    def _observed(self, patterns: tuple[str, ...] | None) -> list[bool]:
         """True for the channels of the sample that the class is given."""
         if not patterns:
             hint = (
@@ -203,9 +208,7 @@ class UserCode:
                     f"asks for channel '{pattern}', which the machine does not measure",
                     hint="it has " + ", ".join(self.names),
                 )
-        return np.array(
-            [any(fnmatchcase(name, pattern) for pattern in patterns) for name in self.names]
-        )
+        return [any(fnmatchcase(name, pattern) for pattern in patterns) for name in self.names]
 
     def _note_row(self, name: str, notes: Sequence[str]) -> tuple[str, Quantity]:
         """A note's name with its row of the vocabulary."""

@@ -3,7 +3,7 @@ verdict with reasons.
 
 The model runs freely from each log's start on the log's commands (`Model.replay`); where that start
 is, the recording says within what its first samples leave open
-(`estimated_start`). Errors are simulated minus recorded, in SI."""
+(`starts.follow`). Errors are simulated minus recorded, in SI."""
 
 from __future__ import annotations
 
@@ -18,12 +18,14 @@ import numpy as np
 from ehbench.errors import EhbenchError, InputError, LogError
 from ehbench.observations import alternatives, column, least_change, payload_of
 from ehbench.plant.build import Maps
-from ehbench.plant.model import Model, Start
+from ehbench.plant.model import Model
 from ehbench.preprocessing import numbered, preprocess
 from ehbench.recipe import Thresholds
 from ehbench.record import Record
 from ehbench.rig import Rig, Valve
-from ehbench.starts import estimated_start
+from ehbench.recipe.sensor import Sensor
+from ehbench.sensors import Term, known_taken_out, terms_of
+from ehbench.starts import Followed, follow
 from ehbench.structure import Case
 from ehbench.validation.checks import checks_of, unasked
 from ehbench.validation.residuals import Pair, compare, pair_of
@@ -103,7 +105,8 @@ class TakenLog:
     """A log as the judge takes it: evenly sampled, with the doubts about it.
 
     ``fitted`` says that the model was fitted to it, ``overlap`` to which of its samples,
-    ``scored`` which part [s] counts (None: all), ``failure`` why it cannot be judged."""
+    ``scored`` which part [s] counts (None: all), ``failure`` why it cannot be judged, ``terms``
+    what its sensors make of it beside what is known, which ``record`` has no more of."""
 
     name: str
     record: Record
@@ -113,6 +116,7 @@ class TakenLog:
     overlap: tuple[Overlap, ...] = ()
     warnings: tuple[str, ...] = ()
     failure: LogError | None = None
+    terms: tuple[Term, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -124,8 +128,9 @@ class PreparedValidation:
     logs: tuple[TakenLog, ...]
     flow_maps: Maps | None = None
 
-    def cases(self) -> list[Case]:
-        """The logs as `ehbench.structure.ask` takes them."""
+    def cases(self, results: Sequence[LogResult] = ()) -> list[Case]:
+        """The logs as `ehbench.structure.ask` takes them, sensors as the results have them."""
+        sensors = {one.name: one.sensors for one in results}
         return [
             Case(
                 log.name,
@@ -134,6 +139,12 @@ class PreparedValidation:
                 _moved(log.model, log.record)[0],
                 self.flow_maps,
                 log.scored,
+                log.terms,
+                {
+                    term.name: term.excess(sensors[log.name][term.name])
+                    for term in log.terms
+                    if term.name in sensors.get(log.name, {})
+                },
             )
             for log in self.logs
             if log.failure is None
@@ -147,13 +158,16 @@ def prepare_validation(
     flow_maps: Maps | None = None,
     fitted_on: Collection[str] = (),
     where: Callable[..., Mapping[str, Any]] = lambda *location: {},
+    sensors: Sequence[Sensor] = (),
 ) -> PreparedValidation:
-    """Take in the logs of a validation; arguments and errors as in `validate_rig`."""
+    """Take in the logs of a validation; arguments and errors as in `validate_rig`, and ``sensors``:
+    what is known of sensors and drivers, or estimated of each log by itself.
+    """
     models = models_of(rig, logs, channels, flow_maps, where)
     names = numbered([name for name, _ in logs])
     seen, records = [name in fitted_on for name, _ in logs], [record for _, record in logs]
     taken = tuple(
-        taken_log(name, record, models[payload_of(record) or ""], fitted)
+        taken_log(name, record, models[payload_of(record) or ""], fitted, sensors=sensors)
         for name, fitted, record in zip(names, seen, records, strict=True)
     )
     return PreparedValidation(rig, tuple(channels), taken, flow_maps)
@@ -198,6 +212,7 @@ def taken_log(
     fitted: bool = False,
     scored: tuple[float, float] | None = None,
     seen: Callable[[Record], tuple[Overlap, ...]] = lambda record: (),
+    sensors: Sequence[Sensor] = (),
 ) -> TakenLog:
     """A log as the judge takes it.
 
@@ -208,10 +223,13 @@ def taken_log(
         fitted: whether the model was fitted to it, whatever its samples.
         scored: the part [s] that counts, None for all of it.
         seen: where a record has samples that the model was fitted to.
+        sensors: what is known of its sensors and drivers, or estimated.
 
     Raises:
         InputError: one that `preprocessing.preprocess` refuses, or no samples in ``scored``.
     """
+    record = known_taken_out(name, record, sensors)
+    terms = terms_of(sensors, [record])
     try:
         record, warnings = preprocess(name, record, model)
     except LogError as error:
@@ -223,7 +241,8 @@ def taken_log(
             hint=f"it runs from {record.t[0]:g} to {record.t[-1]:g} s",
         )
     overlap = seen(counted)
-    return TakenLog(name, record, model, fitted or bool(overlap), scored, overlap, warnings)
+    known = fitted or bool(overlap)
+    return TakenLog(name, record, model, known, scored, overlap, warnings, terms=terms)
 
 
 def _within(record: Record, span: tuple[float, float]) -> Record:
@@ -323,7 +342,8 @@ def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogRe
     try:
         if log.failure is not None:
             raise LogError(str(log.failure).removeprefix(f"{log.name}: "))
-        simulated = model.replay(record, start=_start(model, record, moved, channels))
+        found = _followed(log, moved, channels)
+        simulated = found.replay(model)
     except EhbenchError as error:
         return replace(
             facts,
@@ -351,6 +371,7 @@ def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogRe
         facts,
         channels=tuple(results),
         transients=tuple(windows),
+        sensors={t.name: t.value(found.excess[t.name]) for t in log.terms if t.std > 0.0},
         sweeps=tuple(sweeps),
         checks=tuple(checks),
         warnings=(*warnings, *unjudged(moved, windows), *unasked(results, asked, model.rig)),
@@ -390,14 +411,16 @@ def _pairs(
     return pairs, lacking
 
 
-def _start(model: Model, record: Record, moved: Sequence[str], channels: Sequence[str]) -> Start:
-    """Where the log starts, as the cylinders that are judged tell it."""
+def _followed(log: TakenLog, moved: Sequence[str], channels: Sequence[str]) -> Followed:
+    """Where the log starts and how its sensors are, as the cylinders that are judged tell it."""
+    record = log.record
     wanted = [f"{cylinder}.{word}" for cylinder in moved for word in channels]
     told = [
         next((name for name in alternatives(one) if column(record, name, record) is not None), None)
         for one in wanted
     ]
-    return estimated_start(model, record, moved, list(dict.fromkeys(filter(None, told))))
+    told = list(dict.fromkeys(filter(None, told)))
+    return follow(log.model, record, moved, told, log.terms)
 
 
 def _series(record: Record, pairs: Mapping[str, Pair]) -> dict[str, np.ndarray]:

@@ -98,7 +98,8 @@ def beyond_noise(fit: float, noise_share: float) -> float:
 def _error_check(result: ChannelResult, asked: Thresholds, rig: Rig) -> Iterator[Check]:
     word = result.channel.rsplit(".", 1)[1]
     if word in asked.max_error:
-        row, unit = quantity(word), rig.unit_of(word)
+        seen = rig.seen_as(word)
+        row, unit = quantity(seen), rig.unit_of(seen)
         reached, most = abs(result.max_error), float(asked.max_error[word])
         shown = [f"{from_si(value, unit, row):.3g}" for value in (reached, most)]
         sentence = (
@@ -134,7 +135,8 @@ def unasked(results: Sequence[ChannelResult], asked: Thresholds, rig: Rig) -> It
         named = {word, STAND_INS.get(word, word)}
         silent = not named & {*asked.fit_percent, *asked.max_error}
         if word in ("q", "x") and silent and reached is not None and reached < POOR:
-            row, unit = quantity(word), rig.unit_of(word)
+            seen = rig.seen_as(word)
+            row, unit = quantity(seen), rig.unit_of(seen)
             far = from_si(abs(result.max_error), unit, row)
             yield (
                 f"{_words(result.channel)} fit is {reached:.3g} %, its error reaches {far:.3g} "

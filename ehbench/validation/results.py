@@ -181,8 +181,9 @@ class LogResult:
 
     ``scored`` is the part [s] that is judged, None for all of it; ``overlap`` where the model was
     fitted to its very samples. ``moved`` cylinders had a valve commanded and are judged, ``held``
-    ones are not. ``failure`` says why a log could not be simulated. ``series`` are the recorded
-    and, as ``simulated.<channel>``, the simulated channels; it is not in the JSON."""
+    ones are not. ``failure`` says why a log could not be simulated. ``sensors`` are the numbers of
+    its sensors that were estimated [SI], such as ``boom.p_head.offset``. ``series`` are the
+    recorded and, as ``simulated.<channel>``, the simulated channels; it is not in the JSON."""
 
     name: str
     payload: str
@@ -199,6 +200,7 @@ class LogResult:
     checks: tuple[Check, ...] = ()
     failure: str = ""
     warnings: tuple[str, ...] = ()
+    sensors: dict[str, float] = field(default_factory=dict)
     series: dict[str, np.ndarray] = field(default_factory=dict, repr=False, compare=False)
 
     @property

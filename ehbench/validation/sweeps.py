@@ -24,6 +24,9 @@ from ehbench.validation.transients import OSCILLATES, held
 LEAST_CHANGES = 40  # of a command that sweeps
 LONGEST_STAND = 0.1  # share of a sweep for which its command may stand
 LEAST_BAND = 2.0  # ratio of the highest to the lowest frequency that counts
+LEAST_SHARE = 0.5  # of a band's frequencies that count: fewer, far apart, are coherent by chance
+NEIGHBOURS = 2.0  # 1 + 2 Σ ρ² of neighbouring frequencies, ρ = 2/3 and 1/6 behind a Hann window
+ONE_SIDED = 1.645  # standard deviations that 95 % stay below
 SHOWN = 1.5  # how far beyond the highest frequency that counts the curves go
 
 
@@ -52,6 +55,11 @@ def sweeps_of(
             continue
         known = recorded.frequency[recorded.coherent]
         if known.size < LEAST_LINE or known[-1] < LEAST_BAND * known[0]:
+            continue
+        among = np.count_nonzero(
+            (recorded.frequency >= known[0]) & (recorded.frequency <= known[-1])
+        )
+        if known.size < LEAST_SHARE * among:
             continue
         simulated = _response(record, command, channel, pair.simulated, span, 0.0)
         found.append(_compared(command, channel, recorded, simulated))
@@ -127,8 +135,13 @@ def _compared(command: str, channel: str, recorded: Response, simulated: Respons
 
 
 def _beyond(differences: np.ndarray, errors: np.ndarray) -> float:
-    """Root mean square of differences, without what their standard errors make of it."""
-    return math.sqrt(max(0.0, float(np.mean(differences**2 - errors**2))))
+    """Root mean square of differences, without what their standard errors make of it in 95 % of
+    cases: for normal errors e, the mean of (d² − e²) scatters by √(2 Σ e⁴)/n, and as neighbours
+    share their windows by √NEIGHBOURS times that.
+    """
+    scatter = math.sqrt(2.0 * NEIGHBOURS * float(np.sum(errors**4))) / errors.size
+    chance = float(np.mean(errors**2)) + ONE_SIDED * scatter
+    return math.sqrt(max(0.0, float(np.mean(differences**2)) - chance))
 
 
 def _delay(response: Response, at: np.ndarray) -> float:

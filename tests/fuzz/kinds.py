@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import shutil
+import sys
 import tempfile
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
@@ -17,14 +18,18 @@ from typing import Any
 import mutants
 import numpy as np
 
-from ehbench import cli, inspection, rundir, workflow
+from ehbench import cli, inspection, mapping, rundir, workflow
 from ehbench.errors import EhbenchError
 from ehbench.logs import read_record, write_log
 from ehbench.quantities import VOCABULARY
-from ehbench.readers import read_flowmeter
+from ehbench.readers import open_source, read_flowmeter
+from ehbench.recipe import load_columns
 from ehbench.record import Record
 from ehbench.report import build
 from ehbench.units import parse
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+import foreign  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 RIGS = ROOT / "recipes" / "rigs"
@@ -277,11 +282,83 @@ def take_run(given: tuple[str, bytes], folder: Path) -> None:
             pass
 
 
+@cache
+def foreign_texts() -> tuple[str, ...]:
+    """Small tables as other recorders write them."""
+    rows = [f"{i / 1e3:g};{50 + i / 10:g};{12 + i % 3};RUN" for i in range(SMALL)]
+    head = "Bench;3\nSamples;40;40;40\n\nTime (s);PT-101 cyl A;AO0 valve;state\ns;bar;mA;\n"
+    text = head + "\n".join(rows) + "\n"
+    clocked = [row.replace("0.0", "01.03.2026 12:00:00.0", 1) for row in rows]
+    return (
+        text,
+        text.replace(".", ","),
+        "# remark\n" + text.replace(";", "\t"),
+        "stamp;p [bar(g)];u [%];state\n" + "\n".join(clocked),
+        "\n".join(row.replace(";", "  ") for row in rows),
+    )
+
+
+def take_foreign(data: bytes, folder: Path, name: str = "a.txt") -> None:
+    """A map is drafted, and the file read by it."""
+    path = _written(folder, name, data)
+    source = open_source(path)
+    text = mapping.drafted(path, source, mapping.guessed(source, None))
+    columns = _written(folder, "m.map.toml", text.encode())
+    if load_columns(columns).columns.names:
+        read_record(path, columns=columns)
+
+
+@cache
+def foreign_files() -> dict[str, bytes]:
+    """Small recordings of the formats that libraries read, by a name of theirs."""
+    found = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name, write in foreign.WRITERS.items():
+            path = Path(folder) / name
+            write(path)
+            files = sorted(path.glob(f"{name}.*")) if path.is_dir() else [path]
+            found |= {one.name: one.read_bytes() for one in files}
+    return found
+
+
+def make_file(rng: Random) -> tuple[str, bytes]:
+    name = rng.choice(list(foreign_files()))
+    return name, mutants.bytes_mutant([foreign_files()[name]], rng)
+
+
+@cache
+def maps() -> tuple[str, ...]:
+    """Maps of columns with every key."""
+    every = (
+        'separator = ";"\ndecimal = ","\nskip = 3\nunit_row = true\nencoding = "utf-8"\n'
+        'bad_samples = "leave out"\n[names]\n"Time (s)" = "t [s]"\n'
+        '"PT-101 cyl A" = { channel = "ram.p_head", unit = "V", scale = "2 bar/V", '
+        'offset = "-1 bar", neutral = "2 V", sign = -1, filter = "50 Hz", '
+        'bad_samples = "refuse" }\n'
+        f'"AO0 valve" = {{ channel = "ram.spool.command", {foreign.CURRENTS} }}\n'
+    )
+    return every, every.replace("bad", 'rate = "1 kHz"\nbad', 1)
+
+
+def take_map(data: bytes, folder: Path) -> None:
+    """It is checked, and a text read by it."""
+    path = _written(folder, "m.map.toml", data)
+    load_columns(path)
+    read_record(_written(folder, "a.csv", foreign_texts()[1].encode()), columns=path)
+
+
 KINDS = {
-    "unit texts": Kind(make_unit, take_unit, 0.27),
+    "unit texts": Kind(make_unit, take_unit, 0.20),
     "MCAP logs": Kind(lambda rng: mutants.mcap_mutant(mcap_logs(), rng), take_mcap, 0.22),
     "flowmeter CSV": Kind(lambda rng: mutants.text_mutant(readings(), rng), take_readings, 0.15),
     "CSV logs": Kind(lambda rng: mutants.text_mutant(csv_logs(), rng), take_csv, 0.15),
+    "foreign texts": Kind(
+        lambda rng: mutants.text_mutant(foreign_texts(), rng), take_foreign, 0.03
+    ),
+    "foreign files": Kind(
+        make_file, lambda given, folder: take_foreign(given[1], folder, given[0]), 0.01
+    ),
+    "maps of columns": Kind(lambda rng: mutants.text_mutant(maps(), rng), take_map, 0.03),
     "recipe TOML": Kind(lambda rng: mutants.text_mutant(recipes(), rng), take_recipe, 0.08),
     "rig TOML": Kind(lambda rng: mutants.text_mutant(rigs(), rng), take_rig, 0.08),
     "command lines": Kind(make_line, take_line, 0.03),

@@ -120,12 +120,12 @@ def test_replay_needs_no_more_than_a_machine_measures(rig):
     stood.
     """
     made = simulate(rig, step_of(rig), 1.0)
-    for position in ("q", "x"):
+    for position in ("q", "x") if rig.mechanism.kind == "chain" else ("x",):
         measured = (position, "p_head", "p_rod", "command", "p_supply", "p_tank")
         kept = {n: v for n, v in made.channels.items() if n.rsplit(".", 1)[-1] in measured}
         again = Model.of(rig).replay(Record(made.t, kept))
         for cylinder in rig.cylinder:
-            name = f"{cylinder.name}.q"
+            name = f"{cylinder.name}.x"
             assert np.abs(again[name] - made[name]).max() < 1e-6 * max(np.ptp(made[name]), 1e-6)
 
 

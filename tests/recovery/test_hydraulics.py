@@ -453,7 +453,7 @@ def test_a_rate_that_was_not_recorded_comes_from_the_position():
         for name, r in slide_logs(8)
     ]
     fit = identify(rig("slide_servo"), logs, SLIDE, start={"bulk_modulus": 3e8})
-    assert "press.qd" in fit.logs[0].fit_percent
+    assert "press.v" in fit.logs[0].fit_percent
     assert abs(fit["bulk_modulus"].value - 9e8) < 4.0 * fit["bulk_modulus"].std
     for text, series in fit.series().items():
         assert (
@@ -478,7 +478,7 @@ def test_the_recorded_ringing_is_the_linear_formula():
     window = slice(first, 440)
     found = ringing(
         record.t[window],
-        np.column_stack([record[f"press.{c}"][window] for c in ("qd", "p_head", "p_rod")]),
+        np.column_stack([record[f"press.{c}"][window] for c in ("v", "p_head", "p_rod")]),
     )
     head, rod = machine.cylinder[0].areas()
     x = float(np.mean(record["press.x"][window]))

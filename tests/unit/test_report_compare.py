@@ -6,6 +6,7 @@ import json
 import math
 import re
 import shutil
+from pathlib import Path
 
 import pytest
 
@@ -48,6 +49,13 @@ def test_a_run_is_like_itself(pair):
     found = compare(pair[0], pair[0])
     assert not found.inputs and not found.parameters and not found.numbers and found.same == 3
     assert "the inputs are the same" in lines(pair[0], pair[0])
+
+
+def test_a_folder_that_is_no_run_is_named(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match="no run folder") as refused:
+        compare(Path("."), Path("."))
+    assert refused.value.file == str(tmp_path)
 
 
 def test_runs_of_two_kinds_are_not_compared(pair, tmp_path):

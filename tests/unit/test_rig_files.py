@@ -9,10 +9,13 @@ from pathlib import Path
 import pytest
 import tomli_w
 
+from ehbench.errors import InputError
+from ehbench.fields import Value
 from ehbench.recipe import load_rig
 from ehbench.rig import SURENESS
 
-RIGS = sorted((Path(__file__).parents[2] / "recipes" / "rigs").glob("*.toml"))
+FOLDER = Path(__file__).parents[2] / "recipes" / "rigs"
+RIGS = sorted(FOLDER.glob("*.toml"))
 
 
 @pytest.mark.parametrize("path", RIGS, ids=lambda p: p.stem)
@@ -22,6 +25,33 @@ def test_round_trip(path, tmp_path):
     copy.write_text(tomli_w.dumps(rig.as_toml()))
     assert load_rig(copy) == rig
     assert all(value.sure in SURENESS for value in rig.parameters().values())
+
+
+def test_people_see_a_parameter_in_the_unit_of_its_file(tmp_path):
+    """Also when it was identified since, and whatever unit another quantity of the rig has."""
+    rig = load_rig(FOLDER / "boom_four_valve.toml")
+    unit = "L/min/V/MPa^0.5"
+    gain = next(n for n in rig.parameters() if n.endswith(".flow_gain"))
+    known = rig.parameters()[gain]
+    assert rig.unit_of(gain) == known.unit == unit
+    assert rig.unit_of("bulk_modulus") == "MPa" and rig.unit_of(gain.split(".")[0] + ".q") == "deg"
+    found = Value(1.1 * float(known), sure="identified", std=0.01 * float(known))
+    path = tmp_path / "rig.toml"
+    path.write_text(tomli_w.dumps(rig.with_values({gain: found}).as_toml()))
+    back = load_rig(path)
+    assert back.unit_of(gain) == unit and float(back.parameters()[gain]) == found.value
+
+
+def test_the_unit_that_people_see_can_be_said(tmp_path):
+    text = (FOLDER / "slide_servo.toml").read_text()
+    line = next(one for one in text.splitlines() if one.startswith("bulk_modulus"))
+    said = 'bulk_modulus = { value = "900 MPa", unit = "psi" }'
+    path = tmp_path / "rig.toml"
+    path.write_text(text.replace(line, said))
+    assert load_rig(path).unit_of("bulk_modulus") == "psi"
+    path.write_text(text.replace(line, said.replace("psi", "mm")))
+    with pytest.raises(InputError, match="cannot be turned into Pa"):
+        load_rig(path)
 
 
 @pytest.mark.parametrize("path", RIGS, ids=lambda p: p.stem)

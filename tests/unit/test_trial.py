@@ -182,7 +182,7 @@ def test_a_trial_on_the_model_is_what_simulate_gives(rig):
 
 def test_a_trial_on_the_bench_has_only_what_a_machine_measures(rig):
     record, facts = run_trial(rig, recipe(STEP, on="bench", seed=4))
-    own = [f"press.{key}" for key in ("q", "qd", "x", "v", "p_head", "p_rod")]
+    own = [f"press.{key}" for key in ("x", "v", "p_head", "p_rod")]
     assert list(record.channels) == [*own, "press.servo.command", "p_supply", "p_tank"]
     assert (facts.on, facts.seed, facts.rate) == ("virtual bench", 4, 1000.0)
 

@@ -51,7 +51,7 @@ def draw(run: Saved, index: FigureIndex) -> None:
 def section(run: Saved, pictures: Pictures) -> SectionContent:
     """Parameters with intervals, correlation, what was matched, and the fit to each log."""
     rig, fit = run.rig, run.json("parameters.json")
-    table = _parameters_table(rig, fit["parameters"])
+    table = _parameters_table(rig, fit["parameters"], fit.get("sensors", []))
     parts = [Part("Parameters", [table, *pictures(FigureKey("parameters"))])]
     names, matrix = fit.get("correlated_names", []), fit.get("correlation", [])
     if len(names) > 1:
@@ -87,7 +87,7 @@ def _sentence(rig: Rig, fit: Table) -> str:
     return sentence + "."
 
 
-def _parameters_table(rig: Rig, parameters: Sequence[Table]) -> Grid:
+def _parameters_table(rig: Rig, parameters: Sequence[Table], sensors: Sequence[Table]) -> Grid:
     head = [
         "parameter",
         "value",
@@ -108,11 +108,33 @@ def _parameters_table(rig: Rig, parameters: Sequence[Table]) -> Grid:
         "interval is lopsided, the value stands alone. Logs' starts: share of the variance that "
         "the estimated starts of the logs are to blame for."
     )
-    if any(one.get("prior") for one in parameters):
+    if sensors or any(one.get("prior") for one in parameters):
         head += ["prior ±", "from data [%]"]
         rows = [row + _prior_cells(rig, one) for row, one in zip(rows, parameters, strict=True)]
+        rows += [_sensor_row(rig, one) for one in sensors]
         note += " From data: share of what is known that the prior did not bring."
     return Grid(head, rows, note)
+
+
+def _sensor_row(rig: Rig, one: Table) -> list[Cell | str]:
+    """What was found of a channel's sensor, below the parameters."""
+    word, channel = one["word"], one["channel"]
+    row = {"offset": channel, "scale": "sensor_scale"}.get(word, word)
+    std, prior = one.number("std"), one.number("prior")
+    share = 100.0 * max(0.0, 1.0 - (std / prior) ** 2) if std is not None and prior else None
+    return [
+        Cell(f"{word} of {channel}" + (f", {one['log']}" if one["log"] else ""), "code"),
+        num(as_fitted(rig, row, one)),
+        pretty(unit_of(rig, row)),
+        num(range_of(rig, row, one.get("interval"))),
+        "–",
+        num(plus(rig, row, one.number("known"), None)),
+        chip("estimated"),
+        "sensor",
+        *(num("–") for _ in range(3)),
+        num(plus(rig, row, prior, None)),
+        num(number(share, 3)),
+    ]
 
 
 def _prior_cells(rig: Rig, one: Table) -> list[Cell | str]:
@@ -181,8 +203,8 @@ def _log_fits(rig: Rig, logs: Sequence[Table]) -> list[Block]:
         "log",
         "payload",
         "cylinder",
-        *(f"{title_of(word).lower()} [%]" for word in fitted),
-        *(axis(rig, word, f"rms error, {title_of(word).lower()}") for word in fitted),
+        *(f"{title_of(word, rig).lower()} [%]" for word in fitted),
+        *(axis(rig, word, f"rms error, {title_of(word, rig).lower()}") for word in fitted),
     ]
     rows = [
         _log_fit_row(rig, log, cylinder, fitted)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
@@ -23,6 +23,7 @@ from ehbench.report.captions import capital
 from ehbench.report.figures.channels import title_of
 from ehbench.report.saved import Saved, read_points, read_series
 from ehbench.report.words import axis, number, pretty, row_of, shown, unit_of, words
+from ehbench.readers import suffixes
 from ehbench.rig import Rig
 from ehbench.units import from_si
 
@@ -58,8 +59,9 @@ class Sheet:
     still: tuple[str, ...] = field(default=())
 
 
-def page(sources: Sequence[Path]) -> str:
+def page(sources: Sequence[Path], columns: Path | None = None) -> str:
     """The page of one or two logs, maps or runs; sheets of one name lie over one another.
+    ``columns`` is a map of the columns of logs by others.
 
     Raises:
         InputError: a file that is no log, map or run; nothing in it that can be drawn.
@@ -67,7 +69,7 @@ def page(sources: Sequence[Path]) -> str:
     names = _names(sources)
     found: dict[tuple[str, str], Sheet] = {}
     for of, source in enumerate(sources):
-        for sheet in _sheets(Path(source), of):
+        for sheet in _sheets(Path(source), of, columns):
             title = sheet.title or ("" if len(sources) > 1 else names[0])
             held = found.get((title, sheet.across))
             curves = (*(held.curves if held else ()), *sheet.curves)
@@ -87,18 +89,18 @@ def _names(sources: Sequence[Path]) -> list[str]:
     return names
 
 
-def _sheets(source: Path, of: int) -> Iterator[Sheet]:
+def _sheets(source: Path, of: int, columns: Path | None) -> Iterator[Sheet]:
     if not source.exists():
         raise InputError("no such file", file=source)
-    if source.is_dir():
+    if source.is_dir() and not (source / "metadata.yaml").is_file():
         yield from _run(source, of)
     elif source.suffix == ".json":
         maps = load_flow_maps(source)
         yield from (_map(one, None, of) for one in maps.each())
-    elif source.suffix in (".mcap", ".csv"):
-        yield _log(source, None, of, "")
+    elif source.is_dir() or source.name.lower().removesuffix(".gz").endswith(suffixes()):
+        yield _log(source, None, of, "", columns)
     else:
-        hint = "it shows logs (.mcap, .csv), flow_maps.json and run folders"
+        hint = "it shows logs, flow_maps.json and run folders"
         raise InputError(f"cannot show '{source.suffix}' files", file=source, hint=hint)
 
 
@@ -116,11 +118,12 @@ def _run(folder: Path, of: int) -> Iterator[Sheet]:
         yield _comparison(path, rig, of)
 
 
-def _log(path: Path, rig: Rig | None, of: int, title: str) -> Sheet:
+def _log(path: Path, rig: Rig | None, of: int, title: str, columns: Path | None = None) -> Sheet:
     from ehbench.logs import read_record
 
-    record = read_record(path, check=False)
-    return _over_time(title, record.t, record.channels, rig, of)
+    record = read_record(path, check=False, columns=columns)
+    seen = rig.seen_as if rig else record.seen_as
+    return _over_time(title, record.t, record.channels, rig, of, seen)
 
 
 def _comparison(path: Path, rig: Rig | None, of: int) -> Sheet:
@@ -128,16 +131,23 @@ def _comparison(path: Path, rig: Rig | None, of: int) -> Sheet:
     series = read_series(path)
     channels = {f"{name} recorded": values for name, values in series.recorded.items()}
     channels |= {f"{name} simulated": values for name, values in series.simulated.items()}
-    return _over_time(words(path.stem), series.t, channels, rig, of)
+    seen = rig.seen_as if rig else str
+    return _over_time(words(path.stem), series.t, channels, rig, of, seen)
 
 
 def _over_time(
-    title: str, t: np.ndarray, channels: Mapping[str, np.ndarray], rig: Rig | None, of: int
+    title: str,
+    t: np.ndarray,
+    channels: Mapping[str, np.ndarray],
+    rig: Rig | None,
+    of: int,
+    seen: Callable[[str], str],
 ) -> Sheet:
+    """Channels over time; ``seen`` says which quantity people see of one."""
     curves: list[Curve] = []
     still: list[str] = []
     for label, values in channels.items():
-        name = label.split(" ")[0]
+        name = seen(label.split(" ")[0])
         unit = unit_of(rig, name) if rig else quantity(name).display
         y = np.asarray(from_si(values, unit, quantity(name)), float)
         known = y[np.isfinite(y)]

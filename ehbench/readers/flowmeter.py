@@ -1,4 +1,4 @@
-"""Data files by others into arrays in SI: flowmeter readings in CSV."""
+"""Flowmeter readings in CSV as arrays in SI."""
 
 from __future__ import annotations
 
@@ -87,7 +87,12 @@ class FlowmeterData:
 _ARRAYS = tuple(f.name for f in fields(FlowmeterData) if f.name != "warnings")
 
 
-def read_flowmeter(path: str | Path, *, supply_pressure: float | None = None) -> FlowmeterData:
+def read_flowmeter(
+    path: str | Path,
+    *,
+    supply_pressure: float | None = None,
+    lines: list[tuple[int, str]] | None = None,
+) -> FlowmeterData:
     """Flowmeter readings from a CSV file.
 
     The first line that is no comment (``#``) names the columns, in any order, with any unit of the
@@ -101,12 +106,13 @@ def read_flowmeter(path: str | Path, *, supply_pressure: float | None = None) ->
 
     Args:
         supply_pressure: [Pa]; a drop above 1.5 times as much is refused as a slip of unit.
+        lines: what to read in place of the file's own text: (line, text) of header and rows.
 
     Raises:
         InputError, UnitError: with file, line and what would be right.
     """
     path = Path(path)
-    lines = _lines(path)
+    lines = _lines(path) if lines is None else lines
     if not lines:
         raise InputError(
             "holds no readings", file=path, hint=f"the first line names the columns: {_EXAMPLE}"

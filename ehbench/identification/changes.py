@@ -1,0 +1,327 @@
+"""What may be tried on a fit that is not good enough: parameters to free, laws and elements to add
+to the rig, sensors to estimate, each as lines of the recipe and of the rig file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from ehbench.identification.search import Given
+from ehbench.observations import least_change, position_of
+from ehbench.quantities import quantity
+from ehbench.recipe.sensor import ESTIMATE, WORDS, Sensor
+from ehbench.record import Record
+from ehbench.rig import Cylinder, Rig, Valve
+from ehbench.units import from_si
+
+GAINS = ("flow_gain", "compensated_gain", "displacement")
+TIMES = ("natural_frequency", "lag", "corner", "delay")  # of a valve's dynamics
+LOSSES = ("leakage_internal", "leakage_head", "leakage_rod")
+# where searches begin, and how far they may go: shares of the largest command, of the supply's
+# force, of the flow at 10 mm/s and the supply's pressure
+OPENS, SHUTS, RUBS, LEAKS = (0.85, 0.6), 0.5, 0.3, 30.0
+DELAY, LONGEST, LAG = 0.003, 0.1, 0.01  # [s]
+AIR, MOST_AIR = 0.005, 0.1
+TURNED = "sign"  # the kind of what turns a channel
+Alter = Callable[[dict[str, Any]], None]
+
+
+@dataclass(frozen=True)
+class Change:
+    """One thing to try: its ``kind``, what it is ``about``; ``parameters`` that it frees, with
+    where their search starts (each of ``starts`` is tried) and their upper bounds [SI]; what it
+    estimates of ``sensors``; how it alters the rig file's tables, and the lines that say so."""
+
+    kind: str
+    about: str
+    parameters: tuple[str, ...] = ()
+    starts: tuple[Mapping[str, float], ...] = ({},)
+    upper: Mapping[str, float] = field(default_factory=dict)
+    sensors: tuple[Sensor, ...] = ()
+    alter: Alter | None = None
+    rig_lines: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Such as ``deadband of press.servo``."""
+        return f"{self.kind} of {self.about}"
+
+    @property
+    def freedom(self) -> int:
+        """How many numbers it frees."""
+        asked = sum(one[word] is not None for one in self.sensors for word in WORDS)
+        return len(self.parameters) + asked
+
+    def altered(self, rig: Rig) -> Rig:
+        """The rig with it.
+
+        Raises:
+            ValueError: there is no such rig.
+        """
+        if self.alter is None:
+            return rig
+        tables = _lists(rig.as_toml())
+        self.alter(tables)
+        return Rig.model_validate(tables)
+
+    def recipe_lines(self, rig: Rig) -> tuple[str, ...]:
+        """What it adds to the recipe."""
+        lines = []
+        if self.parameters:
+            lines.append("parameters: add " + ", ".join(f'"{one}"' for one in self.parameters))
+        for name, value in self.upper.items():
+            lines.append(f'[upper] "{name}" = "{said(rig, name, value)}"')
+        for one in self.sensors:
+            words = ", ".join(f'{word} = "{ESTIMATE}"' for word in WORDS if one[word])
+            words = words or f"sign = {one.sign}"
+            lines.append(f'[[sensor]] channel = "{one.channel}", {words}')
+        return tuple(lines)
+
+    def apart(self) -> Iterator[Change]:
+        """Each of its parameters freed alone, where it frees several without altering the rig."""
+        if len(self.parameters) > 1 and self.alter is None:
+            for name in self.parameters:
+                upper = {name: self.upper[name]} if name in self.upper else {}
+                yield replace(self, about=name.rpartition(".")[0], parameters=(name,), upper=upper)
+
+
+def _lists(tables: Any) -> Any:
+    """Nested plain values whose lists can be altered."""
+    if isinstance(tables, Mapping):
+        return {key: _lists(value) for key, value in tables.items()}
+    return [_lists(one) for one in tables] if isinstance(tables, list | tuple) else tables
+
+
+def said(rig: Rig, name: str, value: float) -> str:
+    """A value [SI] of a parameter as a rig file has it, in its people's unit."""
+    row = quantity(name)
+    unit = rig.unit_of(name)
+    number = f"{float(from_si(value, unit, row)):.3g}"
+    return number if unit == "dimensionless" else f"{number} {unit}"
+
+
+def merged(sensors: Sequence[Sensor], more: Sequence[Sensor]) -> tuple[Sensor, ...]:
+    """Sensors with what others say of them, one table a channel."""
+    found = {one.channel: one for one in sensors}
+    for one in more:
+        told = {key: getattr(one, key) for key in one.model_fields_set}
+        old = found.get(one.channel)
+        found[one.channel] = one if old is None else old.model_copy(update=told)
+    return tuple(found.values())
+
+
+def changes(
+    rig: Rig,
+    cylinders: Sequence[str],
+    channels: Sequence[str],
+    records: Sequence[Record],
+    given: Sequence[str],
+    uppers: Given,
+) -> list[Change]:
+    """Everything that is likely, the likelier first.
+
+    Args:
+        rig: as it is.
+        cylinders: that are commanded.
+        channels: that are compared.
+        records: of the logs.
+        given: parameters that are free already.
+        uppers: bounds that the recipe has.
+    """
+    known = rig.parameters()
+    found: list[Change] = []
+    for cylinder in (one for one in rig.cylinder if one.name in cylinders):
+        for valve in cylinder.valve:
+            found += _of_valve(rig, cylinder, valve, records)
+        found += _of_cylinder(rig, cylinder)
+    found += _of_oil(rig, records)
+    found += _of_sensors(rig, cylinders, channels, records)
+    found += [_mount(rig, c) for c in rig.cylinder if c.name in cylinders and c.mount is None]
+    kept = []
+    for one in found:
+        names = tuple(name for name in one.parameters if name not in given)
+        bare = not names and not one.sensors
+        if bare or any(name not in known for name in names if one.alter is None):
+            continue
+        bounded = {name: one.upper[name] for name in names if name in one.upper}
+        bounded = {
+            name: most
+            for name, most in bounded.items()
+            if name not in uppers and (name not in known or known[name].upper is None)
+        }
+        kept.append(replace(one, parameters=names, upper=bounded))
+    return kept
+
+
+def _table_of(tables: dict[str, Any], cylinder: str, valve: str = "") -> dict[str, Any]:
+    own = next(one for one in tables["cylinder"] if one["name"] == cylinder)
+    return next(one for one in own["valve"] if one["name"] == valve) if valve else own
+
+
+def _of_valve(
+    rig: Rig, cylinder: Cylinder, valve: Valve, records: Sequence[Record]
+) -> Iterator[Change]:
+    known, about = rig.parameters(), f"{cylinder.name}.{valve.name}"
+    channel = f"{about}.command"
+    logs = [log[channel] for log in records if channel in log]
+    if not any(float(y.max() - y.min()) > least_change(valve) for y in logs):
+        return
+    edges = [(f"{cylinder.name}.{valve.edge_name(one)}", one) for one in valve.edge]
+    gains = [f"{name}.{key}" for name, _ in edges for key in GAINS if f"{name}.{key}" in known]
+    maps = [f"{name}.map_factor" for name, one in edges if one.law == "map"]
+    if gains or maps:
+        yield Change("gain", about, tuple(gains or maps))
+    reach = {sign: max((float((sign * y).max()) for y in logs), default=0.0) for sign in (1, -1)}
+    bands = {f"{name}.deadband": SHUTS * reach[e.sign] for name, e in edges if e.law != "map"}
+    bands = {name: most for name, most in bands.items() if name in known and most > 0.0}
+    if bands:
+        start = {name: max(float(known[name]), 0.02 * most) for name, most in bands.items()}
+        yield Change("deadband", about, tuple(bands), (start,), bands)
+    plain = [(i, name, e) for i, (name, e) in enumerate(edges) if e.law == "orifice"]
+    plain = [one for one in plain if reach[one[2].sign] > 0.0]
+    if plain:
+        yield _saturation(rig, cylinder.name, valve, plain, reach)
+    yield from _times(rig, cylinder.name, valve)
+    if float(valve.command_min) < 0.0:
+        neutral = Sensor(channel=channel, offset=ESTIMATE)
+        yield Change("neutral", about, sensors=(neutral,))
+        yield Change(TURNED, about, sensors=(Sensor(channel=channel, sign=-1),))
+
+
+def _saturation(
+    rig: Rig, cylinder: str, valve: Valve, edges: Sequence[tuple], reach: Mapping[int, float]
+) -> Change:
+    names = {f"{name}.opening_max": (i, float(reach[edge.sign])) for i, name, edge in edges}
+
+    def alter(tables: dict[str, Any]) -> None:
+        table = _table_of(tables, cylinder, valve.name)
+        for i, most in names.values():
+            table["edge"][i] |= {"law": "saturating", "opening_max": f"{OPENS[0] * most!r} V"}
+
+    starts = tuple({name: share * most for name, (_, most) in names.items()} for share in OPENS)
+    line = 'law = "saturating", opening_max = … V'
+    lines = tuple(f"edge {name.rpartition('.')[0]}: {line}" for name in names)
+    upper = {name: 1.2 * most for name, (_, most) in names.items()}
+    about = f"{cylinder}.{valve.name}"
+    return Change("saturation", about, tuple(names), starts, upper, alter=alter, rig_lines=lines)
+
+
+def _times(rig: Rig, cylinder: str, valve: Valve) -> Iterator[Change]:
+    """Lags and delays between a valve's command and its opening."""
+    known, about, series = rig.parameters(), f"{cylinder}.{valve.name}", valve.series
+    own = {kind: [f"{o}.{kind}" for o in series if f"{o}.{kind}" in known] for kind in TIMES}
+    for kind in TIMES[:3]:
+        for name in own[kind]:
+            yield Change("lag", name.rpartition(".")[0], (name,))
+    if not any(own[kind] for kind in TIMES[:3]):
+        yield _element(about, "lag", "first_order", LAG, series)
+    if own["delay"]:
+        yield Change("delay", about, tuple(own["delay"]))
+    else:
+        yield _element(about, "delay", "delay", DELAY, series)
+
+
+def _element(about: str, word: str, kind: str, value: float, series: Sequence[str]) -> Change:
+    """An element that comes behind those which a valve has."""
+    cylinder, _, valve = about.partition(".")
+    name = f"{cylinder}_{valve}_{word}"
+
+    def alter(tables: dict[str, Any]) -> None:
+        dynamics = tables.setdefault("dynamics", {})
+        dynamics[name] = {"kind": kind, word: f"{value!r} s"}
+        _table_of(tables, cylinder, valve)["dynamics"] = [*series, name]
+
+    listed = ", ".join(f'"{one}"' for one in (*series, name))
+    lines = (
+        f'[dynamics.{name}] kind = "{kind}", {word} = "{1e3 * value:g} ms"',
+        f"valve {about}: dynamics = [{listed}]",
+    )
+    free = f"{name}.{word}"
+    upper = {free: LONGEST}
+    return Change(word, about, (free,), upper=upper, alter=alter, rig_lines=lines)
+
+
+def _of_cylinder(rig: Rig, cylinder: Cylinder) -> Iterator[Change]:
+    known, name = rig.parameters(), cylinder.name
+    area, supply = cylinder.areas()[0], max(float(rig.supply.pressure), 1.0e6)
+    most, rubs = LEAKS * area * 0.01 / supply, RUBS * area * supply
+    for key in LOSSES:
+        upper = {f"{name}.{key}": most}
+        yield Change("leakage", f"{name}.{key}", (f"{name}.{key}",), upper=upper)
+    coulomb = f"{name}.friction_coulomb"
+    yield Change("friction", name, (coulomb,), upper={coulomb: rubs})
+    for key in ("damping", "joint_damping"):
+        if (one := f"{cylinder.joint}.{key}") in known:
+            start = {} if float(known[one]) > 0.0 else {one: 1.0}
+            yield Change("damping", cylinder.joint, (one,), (start,))
+    yield Change("load", cylinder.joint, (f"{cylinder.joint}.mass",))
+    if cylinder.friction is None:
+        yield _stribeck(rig, cylinder, rubs)
+
+
+def _stribeck(rig: Rig, cylinder: Cylinder, most: float) -> Change:
+    name, level = cylinder.name, max(float(cylinder.friction_coulomb), 0.02 * most)
+
+    def alter(tables: dict[str, Any]) -> None:
+        table = _table_of(tables, name)
+        table["friction_coulomb"] = f"{level!r} N"
+        table["friction"] = {
+            "law": "stribeck",
+            "friction_static": f"{1.5 * level!r} N",
+            "stribeck_speed": "20 mm/s",
+        }
+
+    parameters = (f"{name}.friction_coulomb", f"{name}.friction_static")
+    static = said(rig, "friction_static", 1.5 * level)
+    lines = (
+        f'[cylinder.friction] of {name}: law = "stribeck", friction_static = "{static}", '
+        'stribeck_speed = "20 mm/s"',
+    )
+    upper = dict.fromkeys(parameters, most)
+    return Change("friction law", name, parameters, upper=upper, alter=alter, rig_lines=lines)
+
+
+def _mount(rig: Rig, cylinder: Cylinder) -> Change:
+    """A mount that is stiffer than the oil behind it by some."""
+    (head, rod), name = cylinder.areas(), cylinder.name
+    half = 0.5 * float(cylinder.stroke)
+    bulk = float(cylinder.bulk_modulus or rig.oil.bulk_modulus)
+    ends = (
+        (head, float(cylinder.volume_head) + half * head),
+        (rod, float(cylinder.volume_rod) - half * rod),
+    )
+    stiff = 4.0 * sum(bulk * area**2 / max(volume, 1e-9) for area, volume in ends)
+
+    def alter(tables: dict[str, Any]) -> None:
+        _table_of(tables, name)["mount"] = {"stiffness": f"{stiff!r} N/m"}
+
+    line = f'[cylinder.mount] of {name}: stiffness = "{said(rig, "stiffness", stiff)}"'
+    free = f"{name}.mount.stiffness"
+    return Change("mount", name, (free,), alter=alter, rig_lines=(line,))
+
+
+def _of_oil(rig: Rig, records: Sequence[Record]) -> Iterator[Change]:
+    yield Change("bulk modulus", "the oil", ("bulk_modulus",))
+    if not all("p_supply" in log for log in records):
+        yield Change("supply", "the supply", ("supply.pressure",))
+    if rig.oil.air_fraction is None:
+
+        def alter(tables: dict[str, Any]) -> None:
+            tables["oil"]["air_fraction"] = AIR
+
+        lines = (f"[oil] air_fraction = {AIR:g}",)
+        upper = {"air_fraction": MOST_AIR}
+        yield Change("air", "the oil", ("air_fraction",), upper=upper, alter=alter, rig_lines=lines)
+
+
+def _of_sensors(
+    rig: Rig, cylinders: Sequence[str], channels: Sequence[str], records: Sequence[Record]
+) -> Iterator[Change]:
+    recorded = [one if all(one in log for log in records) else position_of(one) for one in channels]
+    for channel in dict.fromkeys(one for one in recorded if all(one in log for log in records)):
+        words = ("offset", "scale", "lag") if channel in channels else ("scale", "lag")
+        for word in words:
+            sensor = Sensor.model_validate({"channel": channel, word: ESTIMATE})
+            yield Change(f"sensor {word}", channel, sensors=(sensor,))
+        yield Change(TURNED, channel, sensors=(Sensor(channel=channel, sign=-1),))

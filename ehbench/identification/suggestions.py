@@ -1,0 +1,401 @@
+"""What would better a fit: likely changes of model and sensors, each fitted to some windows of the
+logs and compared on the others; the simplest that is not worse than the best comes first.
+
+Every log is cut into windows of equal length, and every other window is left out of a fit: twice,
+so that each is left out once. Simulations run through; only what they are compared on differs. A
+change is kept, and others tried on top of it, as long as what is left out gets surely smaller."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ehbench.errors import EhbenchError
+from ehbench.identification.changes import TURNED, Change, changes, merged
+from ehbench.identification.hydraulics import FitOptions, PreparedFit, prepare_fit
+from ehbench.identification.output_error import OutputError
+from ehbench.identification.results import Progress
+from ehbench.identification.search import of_sensors
+from ehbench.identification.simulator import Log, Simulator
+from ehbench.record import Record
+from ehbench.rig import Rig
+
+SECONDS = 120.0  # of trying, by default
+LONG, SHORT, FEWEST, MOST = 0.5, 0.02, 4, 16  # a window [s], the least; how many of a log
+HEAD = 10.0  # [s] of a log at least that is looked at
+STEPS = 25  # of a descent
+FINE = 0.005  # share of a channel's spread below which an error does not matter
+SHOWN = 10  # rows of the table in a terminal
+COSTLY = ("mount",)  # kinds that are tried where nothing else helps
+ROUNDS = 5  # changes on top of one another, at most
+QUIET = 1.5  # times the noise that fits may leave, beyond which nothing is sought
+SURE, WORTH = 2.0, 0.1  # a change is kept where it gains so many standard errors, and this share
+NOT_WORSE = 1.0, 0.02  # … and is not worse than the best within so many, or this share
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A fit to try: its rig, parameters and options, and the changes that made it."""
+
+    rig: Rig
+    parameters: tuple[str, ...]
+    options: FitOptions
+    changes: tuple[Change, ...] = ()
+
+    def with_change(self, change: Change) -> Setup:
+        """This with one change more.
+
+        Raises:
+            ValueError: there is no such rig.
+        """
+        upper = {**self.options.upper, **change.upper}
+        sensors = merged(self.options.sensors, change.sensors)
+        return Setup(
+            change.altered(self.rig),
+            (*self.parameters, *(n for n in change.parameters if n not in self.parameters)),
+            replace(self.options, upper=upper, sensors=sensors),
+            (*self.changes, change),
+        )
+
+    @property
+    def freedom(self) -> int:
+        """How many numbers its changes free."""
+        return sum(one.freedom for one in self.changes)
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A fit that was tried: mean squares of what is left out [SI²] by (log, window) and channel,
+    and the numbers it came to, a fold each."""
+
+    setup: Setup
+    left: dict[tuple[str, int], dict[str, float]]
+    found: tuple[dict[str, float], ...]
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """A row of the table: ``changes`` in words, how many numbers they free, what is left out
+    relative to the recipe's own fit (mean square, 1 for that), the standard error of its
+    difference from the best, whether it is ``not_worse`` than that; the lines to write."""
+
+    changes: tuple[str, ...]
+    freedom: int
+    misfit: float
+    std: float
+    not_worse: bool
+    recipe_lines: tuple[str, ...]
+    rig_lines: tuple[str, ...]
+
+    @property
+    def words(self) -> str:
+        """Its changes in a sentence."""
+        return " and ".join(self.changes) or "the recipe as it is"
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Suggestions:
+    """The table, simplest that is not worse first; ``setups`` are the fits behind its rows;
+    ``untried`` names what there was no time for on top of the best."""
+
+    rows: tuple[Suggestion, ...]
+    setups: tuple[Setup, ...]
+    untried: tuple[str, ...]
+
+    def lines(self, most: int = SHOWN) -> list[str]:
+        """The table as people read it, what to write below each row that is not worse."""
+        told = ["what windows left out show, mean square relative to the recipe as it is:", ""]
+        told.append(f"{'left out':>16}  {'numbers':>7}  what")
+        for row in self.rows[:most]:
+            mark = "*" if row.not_worse else " "
+            off = f" ± {100.0 * row.std:.2g}" if row.std else ""
+            size = f"{100.0 * row.misfit:.3g}{off} %"
+            told.append(f"{mark}{size:>15}  {row.freedom:>7}  {row.words}")
+            if row.not_worse:
+                told += [f"{'':>27}recipe  {line}" for line in row.recipe_lines]
+                told += [f"{'':>27}rig     {line}" for line in row.rig_lines]
+        told.append("")
+        told.append("* not worse than the best; the simplest of these first")
+        if len(self.rows) > most:
+            told.append(f"{len(self.rows) - most} more rows: --json")
+        if len(self.rows) == 1:
+            told.append("the recipe's own fit leaves nothing but noise: nothing else was tried")
+        if self.untried:
+            told.append("no time for " + ", ".join(self.untried) + "; --seconds gives more")
+        return told
+
+
+def suggest(
+    prepared: PreparedFit,
+    records: Sequence[tuple[str, Record]],
+    progress: Progress | None = None,
+    seconds: float = SECONDS,
+) -> Suggestions:
+    """Try what is likely on a fit.
+
+    Args:
+        prepared: the fit.
+        records: its logs.
+        progress: told what is tried, and the share done.
+        seconds: after which nothing more is begun.
+
+    Raises:
+        InsufficientData: the logs tell nothing about any parameter of the fit itself.
+    """
+    return _Trials(prepared, records, progress or (lambda text, share: None), seconds).run()
+
+
+@dataclass(frozen=True, eq=False)
+class _Fold:
+    """A fit with some windows left out: its numbers, and mean squares of what it leaves [SI²] by
+    (log, window) left out and channel.
+    """
+
+    cost: float
+    found: dict[str, float]
+    left: dict[tuple[str, int], dict[str, float]]
+
+
+class _Trials:
+    """Trials of changes to one fit."""
+
+    def __init__(
+        self,
+        prepared: PreparedFit,
+        records: Sequence[tuple[str, Record]],
+        tell: Progress,
+        seconds: float,
+    ) -> None:
+        options = replace(prepared.options, method="output_error", max_iterations=STEPS)
+        self.base = Setup(prepared.rig, prepared.parameters, options)
+        self.records, self.maps, self.tell = records, prepared.flow_maps, tell
+        self.begun, self.seconds = time.monotonic(), seconds
+        self.tried: list[Tried] = []
+        self.spread: dict[str, float] = {}
+        self.noise: dict[str, float] = {}
+
+    def run(self) -> Suggestions:
+        """All rounds, and the table."""
+        self.tell("suggest: fitting the recipe as it is", 0.0)
+        now, untried = self._first(), ()
+        left, later = [], []
+        for change in self._changes():
+            (later if change.kind in COSTLY else left).append(change)
+        for _ in range(ROUNDS):
+            if self._quiet(now):
+                break
+            reached, untried = self._round(now, left)
+            better = [one for one in reached if self._surely_better(one, now)]
+            if not better and later:
+                reached, more = self._round(now, later)
+                untried += more
+                better, later = [one for one in reached if self._surely_better(one, now)], []
+            if not better:
+                break
+            gains = {one.setup.changes[-1].name: self._misfit(one, now) for one in reached}
+            now = self._simplest(now, min(better, key=lambda one: self._misfit(one, now)))
+            used = {one.kind + one.about for one in now.setup.changes}
+            left = [one for one in left if one.kind + one.about not in used]
+            left.sort(key=lambda one: gains.get(one.name, 1.0))
+        self.tell("suggest: done", 1.0)
+        return self._table(untried)
+
+    def _round(self, now: Tried, left: Sequence[Change]) -> tuple[list[Tried], tuple[str, ...]]:
+        """(every change on top of a fit, the names of those that there was no time for)."""
+        reached = []
+        for at, change in enumerate(left):
+            if (spent := time.monotonic() - self.begun) > self.seconds:
+                return reached, tuple(one.name for one in left[at:])
+            self.tell(f"suggest: {change.name}", min(0.99, spent / self.seconds))
+            tried = self._try(now, change)
+            reached += [tried] if tried else []
+        self.tried += reached
+        return reached, ()
+
+    def _simplest(self, now: Tried, best: Tried) -> Tried:
+        """The best of the parts of the last change of a fit that are not worse than the whole; the
+        fit itself where there are none.
+        """
+        parts = [self._try(now, one) for one in best.setup.changes[-1].apart()]
+        found = [one for one in parts if one is not None]
+        self.tried += found
+        kept = [one for one in found if self._not_worse(one, best)]
+        return min(kept, key=lambda one: self._misfit(one, best), default=best)
+
+    def _first(self) -> Tried:
+        """The fit as the recipe has it, from a look over the whole range of its parameters."""
+        logs, search = self._prepared(self.base, None)
+        with search.simulator.pool:
+            search.arrive()
+        self.spread = dict(search.spread)
+        for log in logs:
+            for channel, y in zip(log.channels, log.recorded.T, strict=True):
+                white = float(np.mean(np.diff(y, 3) ** 2)) / 20.0 if y.size > 3 else 0.0
+                self.noise[channel] = max(white, self.noise.get(channel, 0.0))
+        folds = [self._fold(self.base, which, search.named()) for which in range(2)]
+        self.live = tuple(dict.fromkeys(name for log in logs for name in log.asked))
+        self.channels = tuple(dict.fromkeys(name for log in logs for name in log.channels))
+        first = Tried(self.base, *_joined(folds))
+        self.tried.append(first)
+        return first
+
+    def _changes(self) -> list[Change]:
+        records = [record for _, record in self.records]
+        base = self.base
+        upper = base.options.upper
+        given = (self.live, self.channels, records, base.parameters, upper)
+        asked = {one.channel for one in base.options.sensors}
+        levels = self._levels(self.tried[0])
+        astray = {c for c, size in levels.items() if size > self.spread[c] ** 2}
+        return [
+            one
+            for one in changes(base.rig, *given)
+            if not asked & {s.channel for s in one.sensors} and (one.kind != TURNED or astray)
+        ]
+
+    def _try(self, now: Tried, change: Change) -> Tried | None:
+        """A change on top of a fit; None where there is no such rig, or no such fit."""
+        try:
+            setup = now.setup.with_change(change)
+            folds = []
+            for which, found in enumerate(now.found):
+                each = [self._fold(setup, which, {**found, **s}) for s in change.starts]
+                folds.append(min(each, key=lambda one: one.cost))
+            tried = Tried(setup, *_joined(folds))
+            same = all(own.keys() == tried.left.get(at, {}).keys() for at, own in now.left.items())
+            return tried if same else None
+        except (EhbenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
+            return None
+
+    def _prepared(self, setup: Setup, which: int | None) -> tuple[list[Log], OutputError]:
+        """(the logs, a search over them with the windows of a fold left out)."""
+        fit = prepare_fit(setup.rig, self.records, setup.parameters, setup.options, self.maps)
+        logs = [log.head(HEAD) for log in fit.logs]
+        kept = logs
+        if which is not None:
+            kept = [
+                replace(log, counts=log.counts & ~_out(log, k, which)[:, None])
+                for k, log in enumerate(logs)
+            ]
+        options, sensors = setup.options, of_sensors(fit.logs[0].start.terms)
+        names = [*setup.parameters, *(c.name for c in sensors)]
+        step = 2.0 * options.step
+        simulator = Simulator(setup.rig, kept, names, self.maps, options.workers, step)
+        tell: Progress = lambda text, share: None  # noqa: E731
+        return logs, OutputError(simulator, fit.search, tell, STEPS, options.cutoff)
+
+    def _fold(self, setup: Setup, which: int, begin: Mapping[str, float]) -> _Fold:
+        """A fit from some numbers on, with the windows of a fold left out."""
+        logs, search = self._prepared(setup, which)
+        left: dict[tuple[str, int], dict[str, float]] = {}
+        with search.simulator.pool:
+            cost = search.descend(begin)
+            for k, (log, rest) in enumerate(zip(logs, search.beside(logs), strict=True)):
+                windows = _windows(log)
+                for w in range(int(windows[-1]) + 1):
+                    own = (windows == w) & _out(log, k, which)
+                    if own.any():
+                        left[log.name, w] = {
+                            channel: float(np.mean(rest[own & log.counts[:, i], i] ** 2))
+                            for i, channel in enumerate(log.channels)
+                            if (own & log.counts[:, i]).any()
+                        }
+        return _Fold(cost, search.named(), left)
+
+    def _by_window(self, one: Tried, scale: Tried) -> np.ndarray:
+        """What is left out of each window, channels added up, each in units of what another fit
+        leaves of it in the mean.
+        """
+        level = self._levels(scale)
+        return np.array([sum(y / level[c] for c, y in own.items()) for own in one.left.values()])
+
+    def _levels(self, one: Tried) -> dict[str, float]:
+        """Mean squares of what is left of each channel [SI²]."""
+        found: dict[str, list[float]] = {}
+        for own in one.left.values():
+            for channel, size in own.items():
+                found.setdefault(channel, []).append(size)
+        return {c: max(float(np.mean(y)), (FINE * self.spread[c]) ** 2) for c, y in found.items()}
+
+    def _misfit(self, one: Tried, other: Tried) -> float:
+        """Mean square of what is left, relative to another fit; geometric mean of the channels."""
+        mine, theirs = self._levels(one), self._levels(other)
+        return float(np.exp(np.mean([np.log(mine[c] / theirs[c]) for c in theirs])))
+
+    def _difference(self, one: Tried, other: Tried) -> tuple[float, float]:
+        """(by how much a fit leaves more than another, its standard error), as shares of what that
+        one leaves.
+        """
+        ours, theirs = self._by_window(one, other), self._by_window(other, other)
+        whole = float(np.mean(theirs)) or 1.0
+        off = (ours - theirs) / whole
+        return float(np.mean(off)), float(np.std(off, ddof=1)) / len(off) ** 0.5
+
+    def _quiet(self, one: Tried) -> bool:
+        """Whether a fit leaves little more than white noise, or than what does not matter."""
+        return all(
+            size <= QUIET * (self.noise[c] + (FINE * self.spread[c]) ** 2)
+            for c, size in self._levels(one).items()
+        )
+
+    def _surely_better(self, one: Tried, other: Tried) -> bool:
+        more, std = self._difference(one, other)
+        return -more > max(SURE * std, WORTH)
+
+    def _not_worse(self, one: Tried, best: Tried) -> bool:
+        more, std = self._difference(one, best)
+        return more <= max(NOT_WORSE[0] * std, NOT_WORSE[1])
+
+    def _table(self, untried: tuple[str, ...]) -> Suggestions:
+        first = self.tried[0]
+        misfits = [self._misfit(one, first) for one in self.tried]
+        best = self.tried[int(np.argmin(misfits))]
+        fine = [self._not_worse(one, best) for one in self.tried]
+        order = sorted(
+            range(len(self.tried)),
+            key=lambda i: (not fine[i], self.tried[i].setup.freedom if fine[i] else 0, misfits[i]),
+        )
+        rows = []
+        for i in order:
+            setup = self.tried[i].setup
+            rows.append(
+                Suggestion(
+                    tuple(one.name for one in setup.changes),
+                    setup.freedom,
+                    misfits[i],
+                    self._difference(self.tried[i], best)[1] * misfits[i],
+                    fine[i],
+                    tuple(line for c in setup.changes for line in c.recipe_lines(setup.rig)),
+                    tuple(line for c in setup.changes for line in c.rig_lines),
+                )
+            )
+        return Suggestions(tuple(rows), tuple(self.tried[i].setup for i in order), untried)
+
+
+def _joined(
+    folds: Sequence[_Fold],
+) -> tuple[dict[tuple[str, int], dict[str, float]], tuple[dict[str, float], ...]]:
+    """(what is left out by window of all folds, in one order; their numbers)."""
+    left = {key: own for fold in folds for key, own in fold.left.items()}
+    return dict(sorted(left.items())), tuple(fold.found for fold in folds)
+
+
+def _windows(log: Log) -> np.ndarray:
+    """Number of the window that each sample is in."""
+    size, tick = log.record.t.size, log.record.sample_time
+    count = min(max(round(size * tick / LONG), FEWEST), MOST)
+    count = max(1, min(count, int(size * tick / SHORT)))
+    return np.arange(size) * count // size
+
+
+def _out(log: Log, index: int, which: int) -> np.ndarray:
+    """Which samples of a log, by its index, a fold leaves out."""
+    return (_windows(log) + index + which) % 2 == 0

@@ -1,0 +1,410 @@
+"""Foreign files as a `Record`: columns become channels in SI by a map, tables of different rates
+come on one time base, and what is left out is said."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.errors import InputError, LogError, UnitError
+from ehbench.logs.checks import LABEL, TIMES, check_known, check_time
+from ehbench.quantities import VOCABULARY, quantity
+from ehbench.readers import Column, Dialect, Source, Table, open_source
+from ehbench.recipe.columns import LEAVE_OUT, ColumnMap, Columns, MappedColumn
+from ehbench.record import Record
+from ehbench.signals import lowpass
+from ehbench.units import from_si
+
+Window = tuple[float, float]
+_ALL = (-np.inf, np.inf)
+BRIDGED = 5  # samples in a row that a straight line may stand for
+GAP = 1.5  # sample times between two samples where one is missing
+_CLOCK = 1e8  # [s] from which a time counts from 1970
+_NAMED = 4  # places that are told
+
+
+@dataclass
+class _Group:
+    """The channels of one table: its time [s], its channels in SI, where they are bad, and what
+    stood there.
+    """
+
+    table: Table
+    t: np.ndarray
+    began: float | None
+    channels: dict[str, np.ndarray] = field(default_factory=dict)
+    columns: dict[str, Column] = field(default_factory=dict)
+
+    @property
+    def period(self) -> float:
+        """Median time between samples [s]."""
+        steps = np.diff(self.t[np.isfinite(self.t)])
+        return float(np.median(steps)) if steps.size else np.inf
+
+
+def read_mapped(
+    path: Path, columns: ColumnMap | None, check: bool = True, window: Window | None = None
+) -> Record:
+    """A log of any format that is read, by a map of its columns; without one, of the columns that
+    are named as channels.
+
+    Args:
+        path: the file.
+        columns: which column is which channel.
+        check: refuse bad samples, or leave them out, as the map says.
+        window: [s] only what lies inside is checked.
+
+    Raises:
+        LogError: no such column, no time, a bad sample inside of the window.
+        UnitError: a unit that does not become the channel's.
+    """
+    source = open_source(path, dialect_of(columns))
+    columns = columns or named_channels(source, path)
+    losses: list[str] = []
+    groups = _groups(source, columns, path)
+    began = _one_clock(groups)
+    for group in groups:
+        _filter(group, columns)
+        if check:
+            _clean(group, columns, path, window or _ALL, losses)
+            _check_time(group, path, window or _ALL)
+    t, channels, rates = _joined(groups, losses, window or _ALL)
+    if check and not t.size:
+        raise LogError("the log holds no samples", file=path)
+    meta = {"rates": "; ".join(rates)} if rates else {}
+    if began is not None:
+        meta["began"] = datetime.fromtimestamp(began, UTC).isoformat()
+    return Record(t, channels, meta, losses=tuple(losses))
+
+
+def dialect_of(columns: ColumnMap | None) -> Dialect:
+    """How a map says that its files are to be read."""
+    if columns is None:
+        return Dialect()
+    said = columns.columns
+    return Dialect(*columns.marks, said.skip, said.unit_row, said.encoding, said.table)
+
+
+def _check_time(group: _Group, path: Path, window: Window) -> None:
+    """Refuse a time that stands still or goes back inside of the window."""
+    try:
+        check_time(group.t[(group.t >= window[0]) & (group.t <= window[1])], file=path)
+    except LogError as error:
+        hint = f'{error.hint}; for a time that is rounded write rate = "1 kHz" in the map'
+        raise LogError(error.message, file=path, hint=hint) from None
+
+
+def named_channels(source: Source, path: Path) -> ColumnMap:
+    """The map of a file whose columns are named as channels, with their units: ``boom.q [deg]``.
+
+    Raises:
+        LogError: there is none; says how to make a map.
+    """
+    found = {}
+    for name, (i, j) in source.names().items():
+        column = source.tables[i].columns[j]
+        label = LABEL.match(name)
+        channel, unit = label.groups() if label else (name, column.known_unit)
+        channel = "t" if channel.lower() in TIMES else channel.replace("/", ".").strip(".")
+        if channel.rpartition(".")[2] in VOCABULARY and unit:
+            found[name] = MappedColumn(channel=channel, unit=unit)
+    if not any(column.channel != "t" for column in found.values()):
+        names = list(source.names())
+        there = ", ".join(f"'{one}'" for one in names[:8]) + ", …" * (len(names) > 8)
+        raise LogError(
+            f"has no column named as a channel: it has {there}",
+            file=path,
+            hint=f"say what they are: ehbench map {path.name}",
+        )
+    return ColumnMap(Columns(names=found))
+
+
+def _groups(source: Source, columns: ColumnMap, path: Path) -> list[_Group]:
+    """The mapped channels of each table, in SI."""
+    places = {name: source.place(name, path) for name in columns.columns.names}
+    groups: dict[int, _Group] = {}
+    for name, mapped in columns.columns.names.items():
+        i, j = places[name]
+        if mapped.channel == "t":
+            continue
+        check_known(mapped.channel, **columns.at("names", name))
+        if i not in groups:
+            groups[i] = _Group(source.tables[i], *_time(source, i, columns, places, path))
+        column = source.tables[i].columns[j]
+        groups[i].channels[mapped.channel] = si_of(name, mapped, column, columns, path)
+        groups[i].columns[mapped.channel] = column
+    if not groups:
+        raise InputError("maps no column to a channel", **columns.at())
+    return list(groups.values())
+
+
+def si_of(
+    name: str, mapped: MappedColumn, column: Column, columns: ColumnMap, path: Path
+) -> np.ndarray:
+    """A column in SI, by what a map says of it.
+
+    Raises:
+        UnitError: no unit, or one that does not become the channel's.
+    """
+    said = column.known_unit
+    try:
+        gain, zero = mapped.line(said)
+    except UnitError as error:
+        place = columns.at("names", name)
+        where = place or {"file": path}
+        own = f" (the file says '{column.unit}')" if column.unit and not said else ""
+        raise UnitError(
+            f"column '{name}': {error.message}{own}", **where, hint=error.hint
+        ) from None
+    return gain * column.values + zero
+
+
+def _time(
+    source: Source,
+    index: int,
+    columns: ColumnMap,
+    places: Mapping[str, tuple[int, int]],
+    path: Path,
+) -> tuple[np.ndarray, float | None]:
+    """(time [s], wall clock of t = 0 [s since 1970]) of a table: by the rate that the map says, a
+    column of its own, or as the format knows it.
+    """
+    table = source.tables[index]
+    times = [name for name, one in columns.columns.names.items() if one.channel == "t"]
+    own = [name for name in times if places[name][0] == index]
+    same = [name for name in times if source.tables[places[name][0]].size == table.size]
+    began, t = table.began, table.t
+    for name in [*own, *same][:1]:
+        i, j = places[name]
+        t = si_of(name, columns.columns.names[name], source.tables[i].columns[j], columns, path)
+        began = source.tables[i].began if began is None else began
+    if columns.columns.rate is not None:
+        t = np.arange(table.size) / float(columns.columns.rate)
+    if t is None:
+        what = f"table '{table.name}' " if table.name else ""
+        raise LogError(
+            f"{what}says no time",
+            file=path,
+            hint='map a column to "t [s]", or write rate = "1 kHz" in the map',
+        )
+    good = t[np.isfinite(t)]
+    if good.size and good[0] > _CLOCK:
+        began, t = float(good[0]), t - good[0]
+    return t, began
+
+
+def _one_clock(groups: list[_Group]) -> float | None:
+    """The wall clock of t = 0 [s since 1970], that of the first table to begin: the others are
+    shifted to it.
+    """
+    known = [group.began for group in groups if group.began is not None]
+    for group in groups:
+        if group.began is not None:
+            group.t = group.t + (group.began - min(known))
+    return min(known, default=None)
+
+
+def _filter(group: _Group, columns: ColumnMap) -> None:
+    """Low-pass what the map asks it for; over bad samples it goes on along a straight line."""
+    for name, mapped in columns.columns.names.items():
+        if mapped.filter is None or mapped.channel not in group.channels:
+            continue
+        span = group.period * group.t.size
+        if float(mapped.filter) * span < 1.0:
+            raise InputError(
+                f"a filter of {float(mapped.filter):g} Hz leaves nothing of {span:.4g} s",
+                **columns.at("names", name),
+            )
+        values = group.channels[mapped.channel]
+        good = ~_bad(mapped.channel, values)
+        if good.sum() > 3 and 0.0 < group.period < np.inf:
+            at = np.arange(values.size)
+            smooth = lowpass(
+                np.interp(at, at[good], values[good]), group.period, float(mapped.filter)
+            )
+            group.channels[mapped.channel] = np.where(good, smooth, values)
+
+
+def _clean(
+    group: _Group, columns: ColumnMap, path: Path, window: Window, losses: list[str]
+) -> None:
+    """Refuse bad samples inside of the window or leave them out, as the map says: a few in a row
+    are bridged, of more the rows are gone.
+    """
+    count = np.arange(group.t.size)
+    timed = np.isfinite(group.t)
+    if not timed.any():
+        raise LogError("no row has a time", file=path)
+    t = np.interp(count, count[timed], group.t[timed])
+    inside = (t >= window[0]) & (t <= window[1])
+    policies = {one.channel: one.bad_samples for one in columns.columns.names.values()}
+    general = columns.columns.bad_samples
+    if (lost := np.flatnonzero(~timed & inside)).size:
+        if general != LEAVE_OUT:
+            line = _line(group, int(lost[0]))
+            raise LogError("the time is no number", file=path, line=line, hint=_CURE)
+        losses.append(f"{_rows(lost.size)} without a time are left out{_lines(group, lost)}")
+    gone = ~timed
+    for channel, values in group.channels.items():
+        bad = _bad(channel, values)
+        if not bad.any():
+            continue
+        at = np.flatnonzero(bad & inside)
+        if at.size and (policies.get(channel) or general) != LEAVE_OUT:
+            raise _bad_sample(group, channel, int(at[0]), path, columns)
+        bridged = bad & _short(bad) & ~gone
+        _bridge(channel, values, count, bad, bridged)
+        gone |= bad & ~bridged & inside
+        for some, what in ((at[bridged[at]], "bridged"), (at[~bridged[at]], "left out")):
+            if some.size:
+                losses.append(_told(channel, group, t, some, what))
+    if gone.any():
+        keep = ~gone
+        group.t = group.t[keep]
+        group.channels = {name: values[keep] for name, values in group.channels.items()}
+
+
+_CURE = 'bad_samples = "leave out" in the map leaves such samples out and says where'
+
+
+def _bad(channel: str, values: np.ndarray) -> np.ndarray:
+    """Where no number stands that a rig can have."""
+    row = quantity(channel)
+    return ~(np.isfinite(values) & (values >= row.lower) & (values <= row.upper))
+
+
+def _bridge(
+    channel: str, values: np.ndarray, count: np.ndarray, bad: np.ndarray, bridged: np.ndarray
+) -> None:
+    """Put a straight line, or the last command, in place of the samples to be bridged."""
+    good = np.flatnonzero(~bad)
+    if not good.size:
+        return
+    if channel.endswith(".command"):
+        before = np.searchsorted(good, count[bridged], side="right") - 1
+        values[bridged] = values[good[before.clip(0)]]
+    else:
+        values[bridged] = np.interp(count[bridged], good, values[good])
+
+
+def _short(bad: np.ndarray) -> np.ndarray:
+    """Where a run of bad samples is short enough to be bridged, with good ones at both ends."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]])))
+    found = np.zeros(bad.size, bool)
+    for start, stop in edges.reshape(-1, 2):
+        found[start:stop] = stop - start <= BRIDGED and start > 0 and stop < bad.size
+    return found
+
+
+def _told(channel: str, group: _Group, t: np.ndarray, at: np.ndarray, what: str) -> str:
+    """A sentence on samples that are left out."""
+    if what == "bridged":
+        how = "the last is held" if channel.endswith(".command") else "bridged by a straight line"
+        some = ", ".join(f"{t[one]:.6g}" for one in at[:_NAMED]) + ", …" * (at.size > _NAMED)
+        return f"{channel}: {_samples(at.size)} left out at t = {some} s{_lines(group, at)}: {how}"
+    span = f"between t = {t[at[0]]:.6g} and {t[at[-1]]:.6g} s"
+    return f"{channel}: {_samples(at.size)} left out {span}{_lines(group, at)}, with their rows"
+
+
+def _samples(count: int) -> str:
+    return f"{count} bad sample{'s are' if count != 1 else ' is'}"
+
+
+def _rows(count: int) -> str:
+    return f"{count} row{'s' * (count != 1)}"
+
+
+def _line(group: _Group, at: int) -> int | None:
+    return None if group.table.lines is None else group.table.lines[at]
+
+
+def _lines(group: _Group, at: np.ndarray) -> str:
+    if group.table.lines is None:
+        return ""
+    some = ", ".join(str(group.table.lines[int(one)]) for one in at[:_NAMED])
+    return f" (line{'s' * (at.size > 1)} {some}{', …' * (at.size > _NAMED)})"
+
+
+def _bad_sample(
+    group: _Group, channel: str, at: int, path: Path, columns: ColumnMap
+) -> LogError | UnitError:
+    """The error of a bad sample."""
+    row, value, column = quantity(channel), group.channels[channel][at], group.columns[channel]
+    line = _line(group, at)
+    where = "" if line else f" at t = {group.t[at]:.9g} s"
+    if np.isfinite(value):
+        bounds = " to ".join(f"{from_si(b, row.display, row):g}" for b in (row.lower, row.upper))
+        shown = f"{from_si(value, row.display, row):g} {row.display}"
+        return UnitError(
+            f"{channel} = {shown}{where} lies outside {bounds} {row.display}",
+            file=path,
+            line=line,
+            hint=f"check unit, scale and sign of column '{column.name}', or write "
+            f'bad_samples = "{LEAVE_OUT}"',
+        )
+    odd = column.odd.get(at)
+    what = f"is {value:g}" if odd is None else f"'{odd}' is no number" if odd else "is blank"
+    return LogError(f"{channel}: {what}{where}", file=path, line=line, hint=_CURE)
+
+
+def _joined(
+    groups: list[_Group], losses: list[str], window: Window
+) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
+    """(time [s], all channels, a sentence on each other rate) on the time base of the fastest
+    table; readings of the others lie on straight lines between their samples, commands are held.
+    """
+    rates = []
+    base = min(groups, key=lambda group: group.period)
+    t, channels, keep = base.t, dict(base.channels), np.ones(base.t.size, bool)
+    for group in groups:
+        losses += _gaps(group, window)
+        if group is base:
+            continue
+        good = np.isfinite(group.t) & (np.diff(group.t, prepend=-np.inf) > 0)
+        own, before = group.t[good], np.searchsorted(group.t[good], t, side="right") - 1
+        if np.array_equal(own, t):
+            channels.update({name: values[good] for name, values in group.channels.items()})
+            continue
+        ends = own[-1] + group.period if np.isfinite(group.period) else own[-1]
+        covered = (t >= own[0]) & (t <= ends)
+        after = np.append(own, np.inf)[before + 1] - own[before.clip(0)]
+        holes = covered & (after > (1 + GAP) * group.period) & (before < own.size - 1)
+        holes &= own[before.clip(0)] != t
+        keep &= covered & ~holes
+        for name, values in group.channels.items():
+            held = values[good][before.clip(0)]
+            line = np.interp(t, own, values[good])
+            channels[name] = held if name.endswith(".command") else line
+        if abs(group.period - base.period) > 0.01 * base.period:
+            rates.append(
+                f"{_called(group)}: {1 / group.period:.4g} Hz, brought to {1 / base.period:.4g} Hz"
+            )
+    if not keep.all():
+        losses.append(f"{_rows(int((~keep).sum()))} are left out: not all tables have values there")
+        t, channels = t[keep], {name: values[keep] for name, values in channels.items()}
+    return t, channels, rates
+
+
+def _called(group: _Group) -> str:
+    return f"table '{group.table.name}'" if group.table.name else ", ".join(group.channels)
+
+
+def _gaps(group: _Group, window: Window) -> list[str]:
+    """A sentence on each place inside of the window where samples are missing."""
+    t = group.t[(group.t >= window[0]) & (group.t <= window[1])]
+    if not 0.0 < group.period < np.inf:
+        return []
+    steps = np.diff(t)
+    at = np.flatnonzero(steps > GAP * group.period)
+    found = [
+        f"{_called(group)}: about {steps[one] / group.period - 1:.0f} samples are missing "
+        f"between t = {t[one]:.6g} and {t[one + 1]:.6g} s"
+        for one in at[:_NAMED]
+    ]
+    if at.size > _NAMED:
+        found.append(f"{_called(group)}: {at.size} gaps in all")
+    return found

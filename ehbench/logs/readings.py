@@ -1,0 +1,68 @@
+"""Flowmeter readings of a foreign file, by a map of its columns, as the lines of one of our own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.errors import LogError
+from ehbench.logs.mapped import dialect_of, si_of
+from ehbench.quantities import quantity
+from ehbench.readers import open_source
+from ehbench.recipe.columns import LEAVE_OUT, WORDS, ColumnMap
+from ehbench.text import quoted
+
+
+def mapped_readings(path: Path, columns: ColumnMap) -> list[tuple[int, str]]:
+    """(line in the file, text) of a header and rows as `read_flowmeter` takes them, in SI. Without
+    a column of valves the file is of the valve that its name says.
+
+    Raises:
+        LogError: a column that is not there, a cell that is no number.
+        UnitError: a unit that does not become the quantity's.
+    """
+    source = open_source(path, dialect_of(columns))
+    table = source.tables[0]
+    cells: dict[str, Sequence[str]] = {}
+    bad = np.zeros(table.size, bool)
+    for name, mapped in columns.columns.names.items():
+        what = mapped.channel.rpartition(".")[2]
+        if what in WORDS and name in table.words:
+            cells[what] = [quoted(text) for text in table.words[name]]
+            continue
+        column = table.columns[_place(source, name, path)]
+        if what in WORDS:
+            cells[what] = [f"{value:g}" for value in column.values]
+        elif what != "t":
+            values = si_of(name, mapped, column, columns, path)
+            bad |= ~np.isfinite(values)
+            cells[f"{what} [{quantity(what).unit}]"] = [repr(float(value)) for value in values]
+    lines = list(table.lines or range(2, table.size + 2))
+    if bad.any() and columns.columns.bad_samples != LEAVE_OUT:
+        raise LogError(
+            "a cell holds no number",
+            file=path,
+            line=lines[int(np.argmax(bad))],
+            hint=f'bad_samples = "{LEAVE_OUT}" in the map leaves such rows out',
+        )
+    cells.setdefault("valve", [quoted(Path(path.name.removesuffix(".gz")).stem)] * table.size)
+    rows = [
+        (line, ",".join(row))
+        for line, row, gone in zip(lines, zip(*cells.values()), bad)
+        if not gone
+    ]
+    return [(lines[0] - 1, ",".join(cells)), *rows]
+
+
+def _place(source, name: str, path: Path) -> int:
+    """The column of a name in the first table."""
+    table, column = source.place(name, path)
+    if table:
+        raise LogError(
+            f"'{name}' is in another table than the first",
+            file=path,
+            hint=f'say which to take: table = "{source.tables[table].name}"',
+        )
+    return column

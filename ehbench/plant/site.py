@@ -1,0 +1,45 @@
+"""What a controller is designed for, made from a model of the rig without payload."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from ehbench.control.axis import Mechanism, axis_of
+from ehbench.control.functions import Circuit
+from ehbench.control.law import Site
+from ehbench.parts.cylinder import linkage_arrays
+from ehbench.parts.valve import valve_lag
+from ehbench.plant.model import Model
+
+
+def site_of(
+    model: Model, circuit: Circuit, q: np.ndarray, tick: float, still: Sequence[int] = ()
+) -> Site:
+    """The `Site` of one cylinder.
+
+    Args:
+        model: without payload.
+        circuit: the cylinder's.
+        q: posture in which gains are scaled [rad or m], shape (joints,).
+        tick: between samples [s].
+        still: numbers of valves that the controller shall not use.
+    """
+    plant, row = model.plant, model.plant.cylinders[circuit.cylinder]
+    mechanism = Mechanism(plant.kind, plant.gravity, plant.links, plant.cylinders.joint, q)
+    axis = axis_of(circuit, mechanism, row)
+    own = slice(circuit.first, circuit.first + circuit.count)
+    shut = np.isin(plant.edges.valve[own], still)
+    axis = axis._replace(onset=np.where(shut, 0.0, axis.onset))  # no standing by for them
+    limit = float(plant.supply.flow_limit)
+    if not math.isfinite(limit):
+        limit = 0.5 * circuit.area_head  # half a metre a second
+    used = {int(circuit.edges[e].valve) for e in range(own.start, own.stop) if e in circuit.paths}
+    lag = max((valve_lag(plant.valves[i], plant) for i in used), default=0.0)
+    unmodelled = model.rig.cylinder[circuit.cylinder].unmodelled
+    if model.rig.oil.air_fraction is not None:
+        unmodelled += ("air_fraction of [oil]",)
+    x = float(linkage_arrays(row, q[int(row.joint) : int(row.joint) + 1])[0][0])
+    return Site(axis, tick, float(plant.supply.pressure), limit, lag, x, unmodelled)

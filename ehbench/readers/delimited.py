@@ -1,0 +1,300 @@
+"""Tables as text, of any dialect: CSV with remarks and rows of facts above the header, a row of
+units below it, decimal commas, times of day, gzip."""
+
+from __future__ import annotations
+
+import csv
+import re
+import zlib
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.disk import DATA, read_bytes
+from ehbench.errors import LogError
+from ehbench.memory import available, refuse_beyond
+from ehbench.readers.clock import clock
+from ehbench.readers.table import Column, Dialect, Source, Table, numbered
+from ehbench.units import named_unit
+
+COPIES = 8  # of a table, as bytes, text, lines and numbers, while it is read
+_GZIP = b"\x1f\x8b"
+_REMARKS = ("#", "%", "//")
+_NUMBER = {
+    ".": re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"),
+    ",": re.compile(r"[-+]?(?:[0-9]+(?:,[0-9]+)?|,[0-9]+)(?:[eE][-+]?[0-9]+)?"),
+}
+_HOLE = re.compile(r"|[-+]?nan|[-+]?inf(inity)?|n/?a|#n/?a|null|none|-+|[-+]?1\.#\w+", re.I)
+_LOOKED_AT = 200  # lines that tell a dialect
+_BLOCK = 512  # rows that are read at once
+_QUOTED = 60  # characters of a cell in a message
+
+
+def text_of(path: Path, encoding: str | None = None) -> tuple[str, str]:
+    """(text, encoding) of a file, also of one packed by gzip: UTF-8, UTF-16 with its mark, else
+    Windows' own western one.
+
+    Raises:
+        LogError: not there, too large, no text, or not in the encoding asked for.
+    """
+    try:
+        data = read_bytes(path, DATA, LogError)
+    except FileNotFoundError:
+        raise LogError("cannot be read: there is no such file", file=path) from None
+    data = unpacked(data, path)
+    refuse_beyond(COPIES * len(data), "reading it")
+    marks = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xbf": "utf-8-sig"}
+    marked = [one for mark, one in marks.items() if data.startswith(mark)]
+    for one in [encoding] if encoding else [*marked, "utf-8", "cp1252", "latin-1"]:
+        try:
+            text = data.decode(one)
+        except (UnicodeDecodeError, LookupError):
+            continue
+        if "\0" in text:
+            break
+        return text, one
+    hint = f"it is not in {encoding}" if encoding else "save it as CSV in UTF-8"
+    raise LogError("is no text", file=path, hint=hint)
+
+
+def unpacked(data: bytes, path: Path) -> bytes:
+    """The bytes of a file, unpacked where gzip has packed them.
+
+    Raises:
+        LogError: broken, or larger than can be held.
+    """
+    if not data.startswith(_GZIP):
+        return data
+    most = int(available() / COPIES)
+    unpacker = zlib.decompressobj(31)
+    try:
+        found = unpacker.decompress(data, most)
+    except zlib.error as error:
+        raise LogError(f"cannot be unpacked: {error}", file=path) from None
+    if unpacker.unconsumed_tail:
+        raise LogError(f"unpacks to more than the {most / 1e6:.4g} MB that are read", file=path)
+    if not unpacker.eof:
+        raise LogError("cannot be unpacked: it breaks off", file=path)
+    return found
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where things stand in the lines: the header (None without one), the units, the first row of
+    numbers; ``kinds`` says of each column whether it is of numbers, times or words.
+    """
+
+    header: int | None
+    units: int | None
+    first: int
+    kinds: tuple[str, ...]
+
+
+def read(path: Path, dialect: Dialect) -> Source:
+    """The table of a text file; what the dialect leaves open is looked for."""
+    text, encoding = text_of(path, dialect.encoding)
+    table, found = table_of(text.splitlines(), dialect)
+    return Source((table,), replace(found, encoding=encoding))
+
+
+def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[Table, Dialect]:
+    """The table in lines of text, and the dialect that it is in.
+
+    Raises:
+        LogError: no rows of numbers.
+    """
+    separator, decimal = _marks(lines, dialect)
+    layout = _layout(lines, separator, decimal, dialect)
+    top = [] if layout.header is None else split(_bare(lines[layout.header]), separator)
+    units = [] if layout.units is None else split(_bare(lines[layout.units]), separator)
+    width = len(layout.kinds)
+    names = numbered((top + [""] * width)[:width])
+    said = [named_unit(cell) or cell.strip(" []()") for cell in (units + [""] * width)[:width]] or [
+        ""
+    ] * width
+    at = [n for n in range(layout.first, len(lines)) if _is_row(lines[n], separator)]
+    rows = [lines[n] for n in at]
+    values, odd = numbers(rows, separator, decimal, layout.kinds)
+    columns, began, words = [], None, {}
+    for index, kind in enumerate(layout.kinds):
+        if kind == "words":
+            words[names[index]] = [_cell(row, separator, index) for row in rows]
+            continue
+        own = odd.get(index, {})
+        column, unit = values[:, index], said[index]
+        if kind == "times":
+            cells = (_cell(row, separator, index) for row in rows)
+            column, start = clock(cells)
+            unit, own = "s", {}
+            began = start if began is None else began
+        columns.append(Column(names[index], column, unit, own))
+    table = Table(name, tuple(columns), None, began, [n + 1 for n in at], words)
+    skip = layout.first if layout.header is None else layout.header
+    return table, Dialect(separator, decimal, skip, layout.units is not None)
+
+
+def split(line: str, separator: str) -> list[str]:
+    """The cells of a line; a separator ' ' is any white space."""
+    if separator == " ":
+        return line.replace('"', "").split()
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(separator)]
+    row = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    return [cell.strip() for cell in row]
+
+
+def _cell(line: str, separator: str, index: int) -> str:
+    cells = split(line, separator)
+    return cells[index] if index < len(cells) else ""
+
+
+def _bare(line: str) -> str:
+    return line.lstrip("#%/ ") if line.lstrip().startswith(_REMARKS) else line
+
+
+def _is_row(line: str, separator: str) -> bool:
+    return bool(line.strip(" \t" + separator)) and not line.lstrip().startswith(_REMARKS)
+
+
+def _kind(cell: str, decimal: str) -> str:
+    """What a cell holds: a number, a time of day, nothing, or words."""
+    if _NUMBER[decimal].fullmatch(cell):
+        return "numbers"
+    if _HOLE.fullmatch(cell):
+        return "holes"
+    return "times" if np.isfinite(clock([cell])[0]).all() else "words"
+
+
+def _marks(lines: Sequence[str], dialect: Dialect) -> tuple[str, str]:
+    """(separator, decimal sign) with which most cells are numbers."""
+    shown = [line for line in lines[dialect.skip or 0 :] if _is_row(line, "")]
+    step = -(-len(shown) // _LOOKED_AT) if shown else 1
+    shown = shown[::step]
+    best, most = (",", "."), -1.0
+    for separator in [dialect.separator] if dialect.separator else [",", ";", "\t", " "]:
+        for decimal in [dialect.decimal] if dialect.decimal else [".", ","]:
+            if separator == decimal:
+                continue
+            score = 0.0
+            for line in shown:
+                kinds = [_kind(cell, decimal) for cell in split(line, separator)]
+                good = kinds.count("numbers") + kinds.count("times")
+                score += good * (good / max(len(kinds) - kinds.count("holes"), 1))
+            if score > most:
+                best, most = (separator, decimal), score
+    return best
+
+
+def _layout(lines: Sequence[str], separator: str, decimal: str, dialect: Dialect) -> _Layout:
+    """Where the header, the units and the numbers stand."""
+    skip = dialect.skip or 0
+    at = [n for n in range(skip, len(lines)) if _is_row(lines[n], separator)]
+    kinds = _kinds_of([split(lines[n], separator) for n in at], decimal)
+    if not kinds:
+        raise LogError("holds no rows of numbers")
+
+    def fits(n: int, least: float) -> bool:
+        row = [_kind(cell, decimal) for cell in split(lines[n], separator)]
+        row += ["holes"] * (len(kinds) - len(row))
+        asked = [got for got, kind in zip(row, kinds) if kind != "words"]
+        good = asked.count("numbers") + asked.count("times")
+        fine = good + asked.count("holes")
+        return len(row) >= len(kinds) and good > 0 and fine >= least * len(asked)
+
+    strict = next((i for i, n in enumerate(at) if fits(n, 1.0)), None)
+    if strict is None:
+        raise LogError("holds no rows of numbers")
+    while strict > 0 and fits(at[strict - 1], 0.5):  # a row with a broken cell is a row still
+        strict -= 1
+    first = at[strict]
+    if dialect.skip is not None:
+        above = [n for n in range(skip, first) if lines[n].strip(" \t" + separator)][:2]
+        units = above[1] if dialect.unit_row and len(above) > 1 else None
+        return _Layout(above[0] if above else None, units, first, kinds)
+    header, units = _heads(lines, range(skip, first), separator, len(kinds))
+    if dialect.unit_row is False:
+        header, units = (header if units is None else units), None
+    return _Layout(header, units, first, kinds)
+
+
+def _kinds_of(rows: Sequence[Sequence[str]], decimal: str) -> tuple[str, ...]:
+    """What each column mostly holds, of the rows as wide as most; the blank ones at the end left
+    out. Facts stand above the numbers, so the second half of the file tells.
+    """
+    shown = rows[len(rows) // 2 :]
+    shown = shown[:: -(-len(shown) // _LOOKED_AT) if shown else 1]
+    widths = Counter(len(row) for row in shown)
+    if not widths:
+        return ()
+    width = max(widths, key=lambda size: (widths[size] * min(size, 2), size))
+    found = []
+    for column in zip(*(row for row in shown if len(row) == width)):
+        kinds = Counter(_kind(cell, decimal) for cell in column)
+        holes = kinds.pop("holes", 0)
+        found.append(kinds.most_common(1)[0][0] if kinds else "holes" if holes else "words")
+    while found and found[-1] == "holes":
+        found.pop()
+    found = ["words" if kind == "holes" else kind for kind in found]
+    return tuple(found) if "numbers" in found else ()
+
+
+def _heads(
+    lines: Sequence[str], above: range, separator: str, width: int
+) -> tuple[int | None, int | None]:
+    """(line of the header, line of the units) of the lines above the numbers."""
+    wide: list[int] = []
+    for n in reversed(above):
+        plain = lines[n].strip(" \t" + separator)
+        if not plain:
+            if wide:
+                break
+            continue
+        cells = split(_bare(lines[n]), separator)
+        if len(cells) < width or sum(bool(cell) for cell in cells[:width]) < min(width, 2):
+            break
+        wide.append(n)
+        if len(wide) == 2:
+            break
+    if not wide:
+        return None, None
+    cells = [cell for cell in split(_bare(lines[wide[0]]), separator)[:width] if cell.strip("-")]
+    is_units = bool(cells) and all(named_unit(cell) for cell in cells)
+    if len(wide) == 2 and is_units:
+        return wide[1], wide[0]
+    return wide[0], None
+
+
+def numbers(
+    rows: Sequence[str], separator: str, decimal: str, kinds: Sequence[str]
+) -> tuple[np.ndarray, dict[int, dict[int, str]]]:
+    """(numbers, shape (rows, columns), NaN where none stands; what stands there, by column and row)
+    of the columns of numbers.
+    """
+    wanted = [index for index, kind in enumerate(kinds) if kind == "numbers"]
+    values = np.full((len(rows), len(kinds)), np.nan)
+    odd: dict[int, dict[int, str]] = {}
+    for start in range(0, len(rows), _BLOCK):
+        block = rows[start : start + _BLOCK]
+        plain: Iterable[str] = block if decimal == "." else (r.replace(",", ".") for r in block)
+        try:
+            values[start : start + len(block), wanted] = np.loadtxt(
+                plain,
+                delimiter=None if separator == " " else separator,
+                ndmin=2,
+                comments=None,
+                usecols=wanted,
+                quotechar='"',
+            )
+        except ValueError:
+            for at, row in enumerate(block, start):
+                cells = split(row, separator)
+                for index in wanted:
+                    cell = cells[index] if index < len(cells) else ""
+                    if _NUMBER[decimal].fullmatch(cell):
+                        values[at, index] = float(cell.replace(",", "."))
+                    else:
+                        odd.setdefault(index, {})[at] = cell[:_QUOTED]
+    return values, odd

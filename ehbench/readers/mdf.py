@@ -1,0 +1,64 @@
+"""MDF 3 and 4 measurements, by asammdf: a table a channel group, on the group's own time."""
+
+from __future__ import annotations
+
+import io
+from contextlib import redirect_stdout
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.memory import refuse_beyond
+from ehbench.readers.table import Column, Dialect, Source, Table, numbered
+
+_MASTER = (2, 3)  # kinds of channel that are the group's time: written, or counted
+
+
+def read(path: Path, dialect: Dialect) -> Source:
+    """The groups of a measurement."""
+    from asammdf import MDF
+
+    # it prints a channel that it cannot read
+    with redirect_stdout(io.StringIO()), MDF(str(path)) as file:
+        sizes = [group.channel_group.cycles_nr * len(group.channels) for group in file.groups]
+        refuse_beyond(16.0 * sum(sizes), "reading it")
+        began = file.start_time.timestamp() if file.start_time else None
+        tables, losses = [], []
+        for index, group in enumerate(file.groups):
+            if not group.channel_group.cycles_nr:
+                continue
+            name = getattr(group.channel_group, "acq_name", "") or f"group {index + 1}"
+            table, unread = _group(file, index, name, began)
+            losses += [f"not read: {one}" for one in unread]
+            if table.columns:
+                tables.append(table)
+    return Source(_told_apart(tables), losses=tuple(losses))
+
+
+def _group(file, index: int, name: str, began: float | None) -> tuple[Table, list[str]]:
+    """(a channel group, the channels in it that hold no numbers)."""
+    group, master = file.groups[index], file.masters_db.get(index)
+    wanted = [(None, index, at) for at in range(len(group.channels)) if at != master]
+    columns, names, unread, t = [], [], [], None
+    for signal in file.select(wanted, copy_master=False) if wanted else ():
+        samples = np.asarray(signal.samples)
+        t = np.asarray(signal.timestamps, float)
+        if samples.ndim != 1 or samples.dtype.kind not in "fiub":
+            unread.append(f"{name}/{signal.name}")
+            continue
+        values = samples.astype(float)
+        if signal.invalidation_bits is not None:
+            values[np.asarray(signal.invalidation_bits, bool)] = np.nan
+        columns.append((values, signal.unit or ""))
+        names.append(signal.name)
+    made = [Column(own, values, unit) for own, (values, unit) in zip(numbered(names), columns)]
+    timed = master is not None and group.channels[master].channel_type in _MASTER
+    return Table(name, tuple(made), t if timed else None, began), unread
+
+
+def _told_apart(tables: list[Table]) -> tuple[Table, ...]:
+    """The tables with names of their own."""
+    names = numbered([table.name for table in tables])
+    return tuple(
+        Table(name, table.columns, table.t, table.began) for name, table in zip(names, tables)
+    )

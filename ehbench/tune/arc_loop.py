@@ -1,0 +1,331 @@
+"""The sampled loop of the adaptive robust controller, linearised about steady motions, and how far
+it is from swinging.
+
+Nothing is written down twice: the controller's own tick and the plant's are taken as maps from one
+sample to the next, and central differences of them give the matrices. So valve lag, hold, observer,
+adaptation, the off-side's loop and the neighbouring joints on their oil are all in; delay and lag
+of the sensors stand between."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ehbench.codes import DISTURBANCE, FREE, FUNCTIONS, INVERSE_INERTIA, PAYLOAD_SHARE
+from ehbench.control import arc
+from ehbench.control.axis import inertias, load_at
+from ehbench.control.functions import METERED
+from ehbench.control.law import Controller, Site
+from ehbench.control.registry import tick as law_tick
+from ehbench.machines.simulated import model_sample, model_tick
+from ehbench.parts.sample import sample_channels, sample_size
+from ehbench.parts.valve.delay import line_of
+from ehbench.plant.integrate import STEP
+from ehbench.plant.model import Model
+from ehbench.tune.linear import OperatingPoint, state_of
+
+# what of the controller's memory is a state in motion, and its steps for differences; those of the
+# estimates are a share of their bounds
+MEMORY = {"x": 1e-6, "v": 1e-5, "bias": 1e-3, "acceleration": 1e-3, "set_point": 300.0}
+MEMORY |= {"slow_load": 1.0}
+ESTIMATE = 1e-4
+INSIDE = 1e-3  # share of their bounds that estimates keep from the ends, where projection is a kink
+SLOWEST = 3.0  # [rad/s]: what is slower is the motion itself, no swing
+POINTS = 900  # of the frequency response
+GROWTH = 0.05  # [1/s] below which a pole counts as standing: drifts of the motion itself
+
+
+class Sensing(NamedTuple):
+    """What lies between the machine and the controller: ``delay`` of all samples and ``lag`` of
+    those of pressure [s].
+    """
+
+    delay: float = 0.0
+    lag: float = 0.0
+
+
+class LoopMargins(NamedTuple):
+    """How far a loop is from swinging: factor ``gain`` of all commands, angle ``phase`` [rad] and
+    extra ``delay`` [s] at which it begins, each by itself; the ``frequency`` [rad/s] at which it
+    swings then, by delay. All 0 where it swings as it is, infinite where nothing makes it swing.
+    """
+
+    gain: float
+    phase: float
+    delay: float
+    frequency: float
+
+
+class Sampled(NamedTuple):
+    """A linear map from one tick to the next: state' = a·state + b·input, output = c·state +
+    d·input.
+    """
+
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+    d: np.ndarray
+
+    def response(self, z: np.ndarray) -> np.ndarray:
+        """c (z − a)⁻¹ b + d at each z, shape (points, outputs, inputs)."""
+        eye = np.eye(self.a.shape[0])
+        return self.c @ np.linalg.solve(z[:, None, None] * eye - self.a, self.b + 0j) + self.d
+
+
+@dataclass(frozen=True)
+class ArcLoop:
+    """The loop at an operating point: ``plant`` from commands [V] to samples, ``law`` from samples
+    to commands, both over one ``tick`` [s]; ``lagged`` marks the samples of pressure.
+    """
+
+    plant: Sampled
+    law: Sampled
+    tick: float
+    lagged: np.ndarray
+
+    def poles(self, sensing: Sensing) -> np.ndarray:
+        """Poles [rad/s] of the closed loop that swing or grow, the neutral and forgotten left out.
+
+        Samples between two ticks are read on the straight line between them."""
+        plant, law = self.plant, self.law
+        n, m, k = plant.a.shape[0], plant.c.shape[0], law.a.shape[0]
+        late = sensing.delay / self.tick
+        whole, share = int(late), late - int(late)
+        rows = whole + 2
+        keep = np.where(self.lagged, _keep(sensing.lag, self.tick), 0.0)
+        # state: plant, sensors, their last rows, controller
+        size = n + m * rows + k
+        closed = np.zeros((size, size))
+        seen = np.zeros((m, size))  # what the controller gets now
+        at = [slice(n + m * i, n + m * (i + 1)) for i in range(rows)]
+        seen[:, at[whole]] += (1.0 - share) * np.eye(m)
+        seen[:, at[whole + 1]] += share * np.eye(m)
+        command = law.d @ seen
+        command[:, size - k :] += law.c
+        closed[:n] = plant.b @ command
+        closed[:n, :n] += plant.a
+        closed[at[0]] = (1.0 - keep)[:, None] * (plant.c @ closed[:n])
+        closed[at[0], at[0]] += np.diag(keep)
+        for i in range(1, rows):
+            closed[at[i], at[i - 1]] = np.eye(m)
+        closed[size - k :] = law.b @ seen
+        closed[size - k :, size - k :] += law.a
+        grown = np.linalg.eigvals(closed)
+        grown = grown[np.abs(grown) > 1e-6]
+        return np.log(grown.astype(complex)) / self.tick
+
+    def growth(self, sensing: Sensing) -> float:
+        """Growth [1/s] of what swings, the fastest; negative where all dies out."""
+        poles = self.poles(sensing)
+        return float(poles[np.abs(poles.imag) > SLOWEST].real.max())
+
+    def loci(self, sensing: Sensing) -> tuple[np.ndarray, np.ndarray]:
+        """(frequencies [rad/s], characteristic loci): eigenvalues of the loop's frequency response
+        from all commands to all, each a closed loop's pole where it is 1.
+        """
+        omega = np.geomspace(SLOWEST, 0.98 * math.pi / self.tick, POINTS)
+        z = np.exp(1j * omega * self.tick)
+        late = np.exp(-1j * omega * sensing.delay)
+        keep = _keep(sensing.lag, self.tick)
+        lag = (1.0 - keep) / (1.0 - keep / z)
+        sensors = np.where(self.lagged, lag[:, None], 1.0) * late[:, None]
+        # the plant's output is that of its state at a tick
+        through = self.plant.response(z)
+        loop = self.law.response(z) @ (sensors[:, :, None] * through)
+        return omega, np.linalg.eigvals(loop)
+
+    def margins(self, sensing: Sensing) -> LoopMargins:
+        """Margins of all commands together: they are exact, as a common gain, angle or delay turns
+        every characteristic locus alike.
+        """
+        if self.growth(sensing) > GROWTH:
+            return LoopMargins(0.0, 0.0, 0.0, 0.0)
+        omega, loci = self.loci(sensing)
+        gain = phase = delay = math.inf
+        frequency = 0.0
+        for w, one in _branches(omega, loci):
+            size, angle = np.abs(one), np.angle(one)
+            for i, share in _crossings(np.log(np.maximum(size, 1e-300))):
+                at = w[i] * (w[i + 1] / w[i]) ** share
+                turn = cmath.phase(one[i] + share * (one[i + 1] - one[i]))
+                phase = min(phase, abs(turn))
+                if (turn % (2.0 * math.pi)) / at < delay:
+                    delay, frequency = (turn % (2.0 * math.pi)) / at, at
+            for i, share in _crossings(angle):
+                if abs(angle[i]) < 1.0 and abs(angle[i + 1]) < 1.0:
+                    reached = size[i] + share * (size[i + 1] - size[i])
+                    gain = min(gain, 1.0 / reached) if reached < 1.0 else gain
+        return LoopMargins(gain, phase, delay, frequency)
+
+
+def _keep(lag: float, tick: float) -> float:
+    """Share of a first-order lag's output that is left after a tick."""
+    return math.exp(-tick / lag) if lag > 0.0 else 0.0
+
+
+def _branches(omega: np.ndarray, loci: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Each locus by itself: at every step the eigenvalues that went on from the last."""
+    sorted_loci = loci.copy()
+    for i in range(1, len(loci)):
+        left = list(loci[i])
+        for j, last in enumerate(sorted_loci[i - 1]):
+            nearest = min(range(len(left)), key=lambda m, last=last: abs(left[m] - last))
+            sorted_loci[i, j] = left.pop(nearest)
+    return [(omega, sorted_loci[:, j]) for j in range(loci.shape[1])]
+
+
+def _crossings(y: np.ndarray) -> list[tuple[int, float]]:
+    """(index, share of the step behind it) of each change of sign."""
+    at = np.flatnonzero(np.sign(y[1:]) != np.sign(y[:-1]))
+    return [(int(i), float(y[i] / (y[i] - y[i + 1]))) for i in at]
+
+
+def arc_loop(
+    model: Model, point: OperatingPoint, site: Site, gains: np.record, steps: int | None = None
+) -> ArcLoop:
+    """The loop of the controller at a steady motion.
+
+    Args:
+        model: with its payload; its other cylinders' valves are shut.
+        point: the steady motion.
+        site: what the controller is designed for.
+        gains: of `ehbench.control.arc_gains.pack_arc`.
+        steps: of integration in a tick; as trials by default.
+    """
+    steps = steps or max(1, round(site.tick / STEP))
+    y, command = state_of(model, point)
+    plant, valves = _plant_map(model, point, (y, command), site.tick, steps)
+    sample = np.empty(sample_size(len(model.layout.cylinders)))
+    model_sample(y, model.plant, sample)
+    law = _law_map(model, point, site, gains, sample, valves)
+    lagged = np.array([name.startswith("p_") for name in _words(model)])
+    return ArcLoop(plant, law, site.tick, lagged)
+
+
+def _words(model: Model) -> list[str]:
+    """What each channel of a sample measures."""
+    return [name.rsplit(".", 1)[-1] for name in sample_channels(model.layout.cylinders)]
+
+
+def _plant_map(
+    model: Model,
+    point: OperatingPoint,
+    at: tuple[np.ndarray, np.ndarray],
+    tick: float,
+    steps: int,
+) -> tuple[Sampled, list[int]]:
+    """(the plant over one tick, numbers of the valves at work)."""
+    y, command = at
+    rows = model.plant.valves.copy()
+    rows.delay[:] = 0.0  # a valve's pure delay is one of the loop's
+    plant = model.plant._replace(valves=rows)
+    line, names = line_of(plant, tick), model.layout
+    k, work = np.empty((5, names.states)), np.empty(plant.at.work)
+    sample = np.empty(sample_size(len(names.cylinders)))
+    valves = sorted({path.valve for path in point.paths})
+
+    def after(push: np.ndarray, turned: np.ndarray) -> np.ndarray:
+        state, held = y + push, command.copy()
+        held[valves] += turned
+        model_tick(state, held, plant, line, steps, k, work, sample)
+        return state
+
+    def read(push: np.ndarray) -> np.ndarray:
+        model_sample(y + push, plant, sample)
+        return sample.copy()
+
+    sizes, none = _steps(model), np.zeros(len(valves))
+    volts = np.full(len(valves), 1e-4)
+    a = _differences(lambda push: after(push, none), sizes)
+    b = _differences(lambda turned: after(np.zeros(y.size), turned), volts)
+    return Sampled(a, b, _differences(read, sizes), np.zeros((sample.size, len(valves)))), valves
+
+
+def _steps(model: Model) -> np.ndarray:
+    """Steps of differences for every state of the plant: rad or m, per second, Pa, V, V/s."""
+    known = {"q": 1e-6, "qd": 1e-5, "opening": 1e-4, "rate": 1e-2, "mount_deflection": 1e-8}
+    words = (name.rsplit(".", 1)[-1] for name in model.layout.state_names)
+    return np.array([known.get(word, 300.0 if word.startswith("p_") else 1e-4) for word in words])
+
+
+def _differences(function: Any, sizes: np.ndarray) -> np.ndarray:
+    """∂function by central differences, a column for each size."""
+    pushes = np.diag(sizes)
+    columns = [(function(push) - function(-push)) / 2.0 for push in pushes]
+    return np.array(columns).T / sizes
+
+
+def _law_map(
+    model: Model,
+    point: OperatingPoint,
+    site: Site,
+    gains: np.record,
+    sample: np.ndarray,
+    valves: list[int],
+) -> Sampled:
+    """The controller over one tick, from samples to the commands of the valves at work."""
+    start = steady_memory(model, point, site, gains)
+    observed = arc.observed(site.axis, sample.size)
+    telemetry = np.zeros(arc.COLUMNS + 2 * site.axis.circuit.count)
+    reference = np.array([point.x, point.v, 0.0, 0.0])
+    width = gains.upper - gains.lower
+    sizes = np.concatenate([list(MEMORY.values()), ESTIMATE * np.where(width > 0.0, width, 1.0)])
+    reads = np.flatnonzero(observed)
+    by_word = {"q": 1e-6, "x": 1e-6, "v": 1e-5}
+    words = _words(model)
+    inputs = np.array([by_word.get(words[i], 300.0) for i in reads])
+
+    def after(push: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        memory = arc.memory_of(site.axis)
+        state, given, command = memory.state, sample.copy(), model.rest_commands(1)[0]
+        for name in arc.STATE.names or ():
+            state[name] = start[name]
+        for name, off in zip(MEMORY, push[: len(MEMORY)], strict=True):
+            state[name] += off
+        state.estimates[:] += push[len(MEMORY) :]
+        given[reads] += seen
+        law = Controller(site.axis, gains, memory, observed, np.zeros(sample.size))
+        law_tick(0.0, given, reference, law, command, telemetry)
+        moved = [float(state[name]) for name in MEMORY]
+        return np.array([*moved, *state.estimates, *command[valves]])
+
+    count = sizes.size
+    by_memory = _differences(lambda push: after(push, np.zeros(inputs.size)), sizes)
+    by_sample = np.zeros((count + len(valves), sample.size))
+    by_sample[:, reads] = _differences(lambda seen: after(np.zeros(count), seen), inputs)
+    return Sampled(by_memory[:count], by_sample[:count], by_memory[count:], by_sample[count:])
+
+
+def steady_memory(model: Model, point: OperatingPoint, site: Site, gains: np.record) -> np.record:
+    """The controller's memory, a record of type `arc.STATE`, in a steady motion in which it knows
+    its load.
+    """
+    axis, state = site.axis, arc.memory_of(site.axis).state
+    state.started, state.function, state.age = 1, FUNCTIONS.index(point.function), 10.0
+    state.metered = METERED[state.function]
+    state.set_point = point.p_tank + gains.low_pressure
+    state.slow_load, state.learning = point.load_force, FREE
+    state.x, state.v = point.x - site.tick * point.v, point.v  # of the last tick
+    memory = arc.memory_of(axis)
+    memory.angles[:] = point.q
+    own, _ = inertias(axis, memory.angles, memory.mass, memory.work)
+    load = load_at(axis, point.q[int(axis.cylinder.joint)], own, memory.angles, memory.work)
+    estimates, room = state.estimates, INSIDE * (gains.upper - gains.lower)
+    low, high = gains.lower + room, gains.upper - room
+    estimates[:] = np.clip(gains.start, low, high)
+    estimates[INVERSE_INERTIA] = np.clip(
+        load.mass / point.mass, low[INVERSE_INERTIA], high[INVERSE_INERTIA]
+    )
+    beyond = estimates[INVERSE_INERTIA] * (point.gravity_force - load.gravity)
+    if load.pull != 0.0:
+        estimates[PAYLOAD_SHARE] = np.clip(
+            beyond / load.pull, low[PAYLOAD_SHARE], high[PAYLOAD_SHARE]
+        )
+    estimates[DISTURBANCE] = np.clip(
+        beyond - estimates[PAYLOAD_SHARE] * load.pull, low[DISTURBANCE], high[DISTURBANCE]
+    )
+    return state

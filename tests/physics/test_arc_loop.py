@@ -1,0 +1,64 @@
+"""The margins of the adaptive robust controller: the linear check says where the model begins to
+swing.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.recipe import load_rig
+from ehbench.tune.arc_loop import Sensing
+
+sys.path.append(str(Path(__file__).parent))
+from delayed_loop import Bench  # noqa: E402
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+GAINS = {
+    "defaults": ({}, {}),
+    "livelier": ({"lag_budget": 0.6}, {"robust_limit": 0.3}),
+    "slow observer": ({"lag_budget": 0.5}, {"observer_bandwidth": 90.0}),
+    "fast adaptation": ({"adaptation": 6.0}, {}),
+}
+
+
+@cache
+def bench(name, cylinder):
+    return Bench(load_rig(RIGS / f"{name}.toml"), cylinder, shares=(0.06,))
+
+
+@pytest.mark.parametrize("gains", GAINS)
+@pytest.mark.parametrize(
+    ("name", "cylinder"),
+    [("thesis_arm", "boom"), ("boom_four_valve", "boom")],
+)
+def test_the_delay_margin_is_where_the_model_begins_to_swing(name, cylinder, gains):
+    """Within 20 %, at the point with the least margin, on the noise-free model with its neighbours
+    free on their oil.
+    """
+    rig = bench(name, cylinder)
+    unsure, given = GAINS[gains]
+    packed = rig.gains(unsure, **given)
+    told = [(rig.loop(at, packed).margins(Sensing()), at) for at in rig.points]
+    margins, worst = min(told, key=lambda one: one[0].delay)
+    assert margins.delay > 0.0
+    assert rig.onset(worst, packed) == pytest.approx(margins.delay, rel=0.2), worst.point.name
+
+
+def test_margins_are_those_of_the_closed_loop():
+    """At the delay margin a pole of the whole sampled loop stands on the circle, at its frequency;
+    likewise for the gain.
+    """
+    rig = bench("thesis_arm", "boom")
+    loop = rig.loop(rig.points[0], rig.gains())
+    margins = loop.margins(Sensing())
+    poles = loop.poles(Sensing(margins.delay))
+    near = poles[np.argmin(abs(poles - 1j * margins.frequency))]
+    assert abs(near - 1j * margins.frequency) < 0.03 * margins.frequency
+    louder = replace(loop, plant=loop.plant._replace(b=margins.gain * loop.plant.b))
+    assert abs(louder.growth(Sensing())) < 0.02 * margins.frequency

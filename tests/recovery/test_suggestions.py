@@ -1,0 +1,110 @@
+"""`identify --suggest`: the cure of a built fault comes first, a sound fit gets none, and what is
+written fits. `tests/suggestion_study.py` has every fault of every rig."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+import tomli_w
+
+from ehbench import workflow
+from ehbench.errors import InputError
+from ehbench.identification.suggestions import suggest
+from ehbench.identification.hydraulics import prepare_fit
+from ehbench.logs import write_log
+from ehbench.recipe import load_rig
+from ehbench.rundir import read_json
+from tests.structure_study import Fault, faults, log_of, spoilt
+from tests.suggestion_study import right, suggested
+from tests.virtual_logs import RIGS
+
+STEPS = ("steps",)
+SLIDE = ("gain", "lag", "deadband", "friction", "load", "leakage", "saturation", "delay")
+
+
+def rig_of(name="slide_servo"):
+    return load_rig(RIGS / f"{name}.toml")
+
+
+def built(kind):
+    return next(one for one in faults("slide_servo", rig_of()) if one.kind == kind)
+
+
+@pytest.mark.parametrize("kind", [*SLIDE, "sensor offset", "sensor scale", "sensor lag"])
+def test_the_cure_of_a_built_fault_comes_first(kind):
+    fault = built(kind)
+    found = suggested("slide_servo", rig_of(), fault, kinds=STEPS, seconds=30.0)
+    assert right(found, fault), [row.words for row in found.rows[:4]]
+    first = found.rows[0]
+    assert first.changes[0].startswith(kind) and first.recipe_lines
+    assert first.not_worse and first.misfit < 0.5
+    assert bool(first.rig_lines) == (kind in ("saturation", "delay"))
+
+
+@pytest.mark.parametrize("name", ["slide_servo", "crane_proportional"])
+def test_a_sound_fit_gets_no_suggestion(name):
+    found = suggested(name, rig_of(name), Fault("none", "", rig_of(name)), 21, STEPS)
+    (row,) = found.rows
+    assert not row.changes and row.misfit == 1.0
+    assert any("nothing but noise" in line for line in found.lines())
+
+
+def test_one_wrong_edge_is_told_from_four():
+    rig = rig_of()
+    fault = next(one for one in faults("slide_servo", rig) if one.words == "one gain 8 % down")
+    first = suggested("slide_servo", rig, fault, kinds=STEPS).rows[0]
+    assert first.changes == ("gain of press.servo_supply_head",)
+    assert first.recipe_lines == ('parameters: add "press.servo_supply_head.flow_gain"',)
+
+
+def test_time_is_bounded_and_what_was_not_tried_is_named():
+    log = log_of("slide_servo", built("friction"), "steps", 3)
+    prepared = prepare_fit(rig_of(), [("log", log)], ["bulk_modulus"])
+    told = []
+    found = suggest(prepared, [("log", log)], lambda text, share: told.append((text, share)), 0.01)
+    assert [row.changes for row in found.rows] == [()]
+    assert "friction of press" in found.untried
+    assert any("no time for" in line for line in found.lines())
+    assert told[0][0].startswith("suggest") and told[-1] == ("suggest: done", 1.0)
+
+
+def test_what_is_written_can_be_run_and_fits(tmp_path):
+    fault = spoilt("press.p_head", lambda y: y + 5e5)
+    machine = built("delay")._replace(sensors=fault)
+    write_log(tmp_path / "log.mcap", log_of("slide_servo", machine, "steps", 3))
+    recipe = {
+        "stage": "identify",
+        "what": "hydraulics",
+        "rig": str(RIGS / "slide_servo.toml"),
+        "data": ["log.mcap"],
+        "parameters": ["bulk_modulus", "carriage.damping"],
+    }
+    (tmp_path / "fit.toml").write_text(tomli_w.dumps(recipe))
+    command = [
+        sys.executable,
+        "-m",
+        "ehbench.cli",
+        "identify",
+        "fit.toml",
+        "--suggest",
+        "--out",
+        "new",
+    ]
+    done = subprocess.run(
+        [*command, "--quiet"], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    told = done.stdout
+    assert "delay of press.servo and sensor offset of press.p_head" in told
+    assert '[dynamics.press_servo_delay] kind = "delay"' in told and "new/fit.toml" in told
+    rows = read_json(tmp_path / "new" / "suggestions.json")
+    assert rows[0]["freedom"] == 2
+    made = workflow.run(tmp_path / "new" / "fit.toml", workflow.Session(root=tmp_path / "runs"))
+    found = {row["name"]: row for row in made.json("parameters")["parameters"]}
+    assert found["press_servo_delay.delay"]["value"] == pytest.approx(0.015, abs=5e-4)
+    (sensor,) = made.json("parameters")["sensors"]
+    assert sensor["value"] == pytest.approx(5e5, rel=0.02)
+    with pytest.raises(InputError, match="not empty"):
+        session = workflow.Session(out=tmp_path / "new")
+        workflow.suggest(tmp_path / "fit.toml", session, 1.0)

@@ -1,0 +1,97 @@
+"""How often `identify --suggest` puts the cure of a built fault first, and how often it has one for
+a sound model.
+
+python -m tests.suggestion_study slide_servo      # every fault of a rig, and none
+python -m tests.suggestion_study sound 40         # seeds a rig, 200 in all
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+
+from ehbench.identification.hydraulics import prepare_fit
+from ehbench.identification.suggestions import Suggestions, suggest
+from ehbench.recipe import load_rig
+from ehbench.record import Record
+from ehbench.rig import Rig
+from tests.structure_study import ALSO, KINDS, Fault, faults, log_of
+from tests.virtual_logs import DRIVES, RIGS
+
+# what goes by another name here; bulk modulus and damping are parameters of the recipe itself
+NAMES = {"sensor sign": "sign"}
+OWN = ("bulk modulus", "damping")
+
+
+def suggested(
+    name: str,
+    rig: Rig,
+    fault: Fault,
+    seed: int = 7,
+    kinds: Sequence[str] = KINDS,
+    seconds: float = 90.0,
+) -> Suggestions:
+    """What is suggested for a recipe of bulk modulus and damping on logs of a faulty machine."""
+    who = next(iter(DRIVES[name][0])).split(".")[0]
+    joint = next(one.joint for one in rig.cylinder if one.name == who)
+    wanted = ("bulk_modulus", f"{joint}.damping", f"{joint}.joint_damping")
+    parameters = [one for one in wanted if one in rig.parameters()]
+    logs = [
+        (f"log{i}", without_joints(log_of(name, fault, kind, seed + i)))
+        for i, kind in enumerate(kinds)
+    ]
+    return suggest(prepare_fit(rig, logs, parameters), logs, seconds=seconds)
+
+
+def without_joints(log: Record) -> Record:
+    """A log of cylinders alone: speeds are compared where the faults are, not joint rates."""
+    kept = {name: y for name, y in log.channels.items() if not name.endswith(".qd")}
+    return replace(log, channels=kept)
+
+
+def right(found: Suggestions, fault: Fault) -> bool:
+    """Whether the first row cures the fault by what it is, or by nothing where there is none."""
+    kinds = {name.partition(" of ")[0] for name in found.rows[0].changes}
+    if fault.kind in ("none", *OWN):
+        return not kinds
+    also = {NAMES.get(fault.kind, fault.kind), *ALSO.get(fault.kind, ())}
+    return bool(kinds & also)
+
+
+def study(name: str) -> None:
+    """Every fault of a rig, a line each."""
+    rig, hits, tries = load_rig(RIGS / f"{name}.toml"), Counter(), Counter()
+    for fault in (Fault("none", "nothing wrong", rig), *faults(name, rig)):
+        begun = time.monotonic()
+        found = suggested(name, rig, fault)
+        tries[fault.kind] += 1
+        hits[fault.kind] += right(found, fault)
+        first, seconds = found.rows[0], time.monotonic() - begun
+        said = f"{first.words}, {100.0 * first.misfit:.3g} %, {seconds:.0f} s"
+        print(
+            "first " if right(found, fault) else "MISSED", name, fault.words, "→", said, flush=True
+        )
+    print({kind: f"{hits[kind]} of {count}" for kind, count in tries.items()})
+
+
+def study_sound(seeds: int) -> None:
+    """Sound models of every rig."""
+    cries = 0
+    for name in DRIVES:
+        rig = load_rig(RIGS / f"{name}.toml")
+        for seed in range(seeds):
+            found = suggested(name, rig, Fault("none", "", rig), 1000 + 10 * seed)
+            if found.rows[0].changes:
+                cries += 1
+                print(name, seed, found.rows[0].words, flush=True)
+        print(f"{cries} alarms up to {name}", flush=True)
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "sound":
+        study_sound(int(sys.argv[2]))
+    else:
+        study(sys.argv[1])

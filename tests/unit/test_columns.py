@@ -1,0 +1,553 @@
+"""Maps of columns: what they make of numbers, of bad samples, and where they are named."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+import foreign  # noqa: E402
+
+from ehbench import cli, converting, inspection, mapping  # noqa: E402
+from ehbench.errors import InputError, LogError, UnitError  # noqa: E402
+from ehbench.logs import read_log, read_record  # noqa: E402
+from ehbench.logs.readings import mapped_readings  # noqa: E402
+from ehbench.readers import open_source, read_flowmeter  # noqa: E402
+from ehbench.recipe import MappedColumn, load_columns, load_recipe, load_rig  # noqa: E402
+from ehbench.signals import lowpass  # noqa: E402
+
+ROOT = Path(__file__).parents[2]
+RIG = ROOT / "recipes/rigs/slide_servo.toml"
+LOG = ROOT / "datasets/slide_servo/steps/press_no_load.mcap"
+
+
+def column(**keys) -> MappedColumn:
+    return MappedColumn(**keys)
+
+
+LAWS = {
+    "a unit": ({"channel": "ram.p_head", "unit": "bar"}, 3.0, 3e5),
+    "a unit of an instrument": ({"channel": "ram.p_head", "unit": "psi"}, 1.0, 6894.757),
+    "a scale": ({"channel": "ram.x", "unit": "mm", "scale": 2.0}, 3.0, 6e-3),
+    "volts of a sensor": ({"channel": "ram.p_rod", "unit": "V", "scale": "25 bar/V"}, 4.0, 1e7),
+    "counts": ({"channel": "ram.x", "unit": "counts", "scale": "0.01 mm/counts"}, 500.0, 5e-3),
+    "a sign and a neutral": (
+        {"channel": "a.b.command", "unit": "V", "neutral": "2.5 V", "sign": -1},
+        3.0,
+        -0.5,
+    ),
+    "a neutral in another unit": (
+        {"channel": "a.b.command", "unit": "V", "neutral": "2500 mV"},
+        3.0,
+        0.5,
+    ),
+    "an offset": ({"channel": "ram.p_head", "unit": "bar", "offset": "-1 bar"}, 3.0, 2e5),
+    "an offset in the unit of the file": (
+        {"channel": "ram.p_head", "unit": "bar", "offset": -0.4},
+        3.0,
+        2.6e5,
+    ),
+    "a current": (
+        {"channel": "a.b.command", "from": ("4 mA", "20 mA"), "to": ("-10 V", "10 V")},
+        16.0,
+        5.0,
+    ),
+    "a current in amperes": (
+        {"channel": "a.b.command", "unit": "A", "from": ("4 mA", "20 mA"), "to": ("0 V", "8 V")},
+        0.012,
+        4.0,
+    ),
+    "a share": (
+        {"channel": "a.b.command", "from": ("-100 %", "100 %"), "to": ("-10 V", "10 V")},
+        30.0,
+        3.0,
+    ),
+    "a duty": ({"channel": "a.b.command", "unit": "duty", "scale": "10 V/duty"}, 0.25, 2.5),
+    "a speed of a drive": ({"channel": "a.b.command", "unit": "rpm", "scale": "5 mV/rpm"}, 1e3, 5),
+    "current by a factor": (
+        {"channel": "a.b.command", "unit": "mA", "scale": "0.625 V/mA", "neutral": 12},
+        20.0,
+        5.0,
+    ),
+    "degrees": ({"channel": "temperature", "unit": "degC", "offset": "2 degC"}, 20.0, 295.15),
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_column_becomes_si(law):
+    keys, reading, si = LAWS[law]
+    gain, zero = column(**keys).line("")
+    assert gain * reading + zero == pytest.approx(si, rel=1e-6)
+
+
+WRONG = {
+    "no such word": ({"channel": "ram.p_haed"}, "unknown channel 'ram.p_haed'; nearest.*p_head"),
+    "half a line": ({"channel": "ram.x", "from": ("1 V", "2 V")}, "belong together"),
+    "two ways": (
+        {"channel": "ram.x", "from": ("1 V", "2 V"), "to": ("1 m", "2 m"), "scale": 2.0},
+        "say all",
+    ),
+    "one point": (
+        {"channel": "ram.x", "from": ("1 V", "1 V"), "to": ("1 m", "2 m")},
+        "one point twice",
+    ),
+    "a wrong unit": ({"channel": "ram.x", "unit": "bar"}, "cannot be turned into m"),
+    "a current as it is": (
+        {"channel": "a.b.command", "unit": "mA"},
+        "cannot be turned into V.*from = .*4 mA",
+    ),
+    "a bare offset": (
+        {"channel": "ram.x", "unit": "V", "scale": "1 m/V", "offset": 1.0},
+        "offset = 1 has no unit",
+    ),
+    "a bare end": ({"channel": "ram.x", "from": ("0", "1"), "to": ("0", "1")}, "has no unit"),
+    "an endless unit": (
+        {"channel": "ram.x", "unit": "V", "scale": "1 m/V**9**9**9"},
+        "unknown unit",
+    ),
+}
+
+
+@pytest.mark.parametrize("mistake", WRONG)
+def test_a_map_that_cannot_be_right_is_refused(mistake):
+    keys, said = WRONG[mistake]
+    with pytest.raises(ValueError, match=said):
+        column(**keys)
+
+
+def test_mistakes_in_a_map_name_its_line(tmp_path):
+    path = tmp_path / "a.map.toml"
+    path.write_text('skip = 3\n[names]\nt = "t [s]"\n"p A" = "ram.p_haed [bar]"\n')
+    with pytest.raises(InputError, match=r"a.map.toml:4: names.p A: unknown channel"):
+        load_columns(path)
+    path.write_text('skipp = 3\n[names]\nt = "t [s]"\n')
+    with pytest.raises(InputError, match=r"a.map.toml:1: unknown key 'skipp' .did you mean 'skip'"):
+        load_columns(path)
+    path.write_text('[names]\na = "ram.x [m]"\nb = "ram.x [m]"\n')
+    with pytest.raises(InputError, match="two columns are 'ram.x'"):
+        load_columns(path)
+
+
+def test_a_map_takes_keys_from_another_and_not_from_itself(tmp_path):
+    base, own = tmp_path / "base.map.toml", tmp_path / "own.map.toml"
+    base.write_text('skip = 3\ndecimal = ","\n[names]\nA = "ram.x [mm]"\nB = "ram.v [m/s]"\n')
+    own.write_text('file = "base.map.toml"\nskip = 5\n[names]\nA = "ram.x [m]"\n')
+    found = load_columns(own)
+    assert (found.columns.skip, found.columns.decimal) == (5, ",")
+    assert found.columns.names["A"].unit == "m" and found.columns.names["B"].unit == "m/s"
+    assert found.files == (own, base)
+    assert found.at("names", "A")["file"] == own and found.at("names", "B")["file"] == base
+    base.write_text('file = "own.map.toml"\n')
+    with pytest.raises(InputError, match="takes its own keys"):
+        load_columns(own)
+
+
+def write(folder: Path, rows: list[str], names: str = "") -> tuple[Path, Path]:
+    (folder / "a.csv").write_text("time;A;AO\n" + "\n".join(rows) + "\n")
+    own = names or 'time = "t [s]"\nA = "ram.p_head [bar]"\nAO = "ram.spool.command [V]"\n'
+    (folder / "m.toml").write_text(own if "[names]" in own else "[names]\n" + own)
+    return folder / "a.csv", folder / "m.toml"
+
+
+def rows() -> list[str]:
+    return [f"{i / 1000:.3f};{50 + i / 100:g};{i % 2:g}" for i in range(200)]
+
+
+@pytest.mark.parametrize(
+    ("cell", "said"),
+    [("", "is blank"), ("abc", "'abc' is no number"), ("NaN", "is nan")],
+)
+def test_a_bad_sample_is_refused_with_its_line(cell, said, tmp_path):
+    lines = rows()
+    lines[40] = f"0.040;{cell};0"
+    path, columns = write(tmp_path, lines)
+    with pytest.raises(LogError, match=rf"a.csv:42: ram.p_head: {said}.*leave out"):
+        read_record(path, columns=columns)
+
+
+def test_an_implausible_sample_is_refused_in_the_unit_people_see(tmp_path):
+    lines = rows()
+    lines[40] = "0.040;50000;0"
+    path, columns = write(tmp_path, lines)
+    with pytest.raises(UnitError, match="a.csv:42: ram.p_head = 5e.06 kPa lies outside"):
+        read_record(path, columns=columns)
+
+
+def test_outside_of_the_window_a_bad_sample_is_no_matter(tmp_path):
+    lines = rows()
+    lines[40] = "0.040;;0"
+    lines[150] = "x;1e9;0"
+    path, columns = write(tmp_path, lines)
+    record = read_record(path, columns=columns, window=(0.05, 0.14))
+    inside = (record.t >= 0.05) & (record.t <= 0.14)
+    assert inside.sum() == 91 and np.isfinite(record["ram.p_head"][inside]).all()
+    assert record.losses == ()
+    with pytest.raises(LogError, match="is blank"):
+        read_record(path, columns=columns, window=(0.03, 0.14))
+
+
+def test_of_a_csv_with_channels_as_names_too(tmp_path):
+    lines = [f"{i / 1000:.3f},{5 + i / 1000:g}" for i in range(200)]
+    lines[40], lines[180] = "0.040,abc", "0.180,nan"
+    path = tmp_path / "a.csv"
+    path.write_text("t [s],ram.p_head [MPa]\n" + "\n".join(lines) + "\n")
+    record = read_record(path, window=(0.05, 0.14))
+    assert np.isnan(record["ram.p_head"][[40, 180]]).all()
+    for window, said in (((0.0, 0.1), "a.csv:42: ram.p_head: 'abc'"), ((0.1, 1.0), "a.csv:182")):
+        with pytest.raises(LogError, match=said):
+            read_record(path, window=window)
+    with pytest.raises(LogError, match="a.csv:42: ram.p_head: 'abc' is no number"):
+        read_record(path)
+
+
+def test_left_out_samples_are_named_counted_and_bridged_where_they_are_few(tmp_path):
+    lines = rows()
+    for at in (20, 21, 60):
+        lines[at] = f"{at / 1000:.3f};;{at % 2}"
+    for at in range(100, 120):
+        lines[at] = f"{at / 1000:.3f};{50 + at / 100:g};?"
+    lines[30] = "0.030;50.3;"
+    path, columns = write(tmp_path, lines)
+    columns.write_text('bad_samples = "leave out"\n' + columns.read_text())
+    record = read_record(path, columns=columns)
+    assert record.losses[:3] == (
+        "ram.p_head: 3 bad samples are left out at t = 0.02, 0.021, 0.06 s (lines 22, 23, 62): "
+        "bridged by a straight line",
+        "ram.spool.command: 1 bad sample is left out at t = 0.03 s (line 32): the last is held",
+        "ram.spool.command: 20 bad samples are left out between t = 0.1 and 0.119 s (lines 102, "
+        "103, 104, 105, …), with their rows",
+    )
+    assert any("about 20 samples are missing" in loss for loss in record.losses)
+    assert record.t.size == 180 and not ((record.t > 0.0995) & (record.t < 0.1195)).any()
+    at = np.searchsorted(record.t, [0.020, 0.021, 0.060]) + 0
+    np.testing.assert_allclose(record["ram.p_head"][at], [50.2e5, 50.21e5, 50.6e5])
+    assert record["ram.spool.command"][30] == record["ram.spool.command"][29]
+
+
+def test_a_column_has_a_policy_of_its_own(tmp_path):
+    lines = rows()
+    lines[40] = "0.040;;?"
+    names = (
+        'time = "t [s]"\nAO = "ram.spool.command [V]"\n'
+        'A = { channel = "ram.p_head", unit = "bar", bad_samples = "leave out" }\n'
+    )
+    path, columns = write(tmp_path, lines, names)
+    with pytest.raises(LogError, match="ram.spool.command: '.' is no number"):
+        read_record(path, columns=columns)
+    path, columns = write(tmp_path, [*lines[:40], "0.040;;0", *lines[41:]], names)
+    assert "1 bad sample is left out" in read_record(path, columns=columns).losses[0]
+
+
+def test_a_filter_runs_both_ways(tmp_path):
+    rng = np.random.default_rng(3)
+    noise = 50.0 + rng.normal(size=400)
+    lines = [f"{i / 1000:.3f};{value!r};0" for i, value in enumerate(noise.tolist())]
+    names = 'time = "t [s]"\nA = { channel = "ram.p_head", unit = "bar", filter = "20 Hz" }\n'
+    path, columns = write(tmp_path, lines, names)
+    found = read_record(path, columns=columns)["ram.p_head"]
+    np.testing.assert_allclose(found, lowpass(noise, 1e-3, 20.0) * 1e5, rtol=1e-9)
+
+
+def test_a_rate_stands_for_a_time_that_is_rounded(tmp_path):
+    lines = [f"{i // 10 / 100:.2f};50;0" for i in range(200)]
+    path, columns = write(tmp_path, lines)
+    with pytest.raises(LogError, match="stands still.*rate = "):
+        read_record(path, columns=columns)
+    columns.write_text('rate = "1 kHz"\n' + columns.read_text())
+    np.testing.assert_allclose(read_record(path, columns=columns).t, np.arange(200) / 1e3)
+
+
+def test_a_file_without_a_time_says_so(tmp_path):
+    path, columns = write(tmp_path, rows(), 'A = "ram.p_head [bar]"\n')
+    with pytest.raises(LogError, match="says no time.*rate = "):
+        read_record(path, columns=columns)
+
+
+def test_a_column_that_is_not_there_is_named_with_the_nearest(tmp_path):
+    path, columns = write(tmp_path, rows(), 'time = "t [s]"\nAOO = "ram.p_head [bar]"\n')
+    with pytest.raises(LogError, match="no column 'AOO' .nearest is 'AO'"):
+        read_record(path, columns=columns)
+
+
+def test_a_unit_that_nobody_says_is_asked_for_where_it_would_stand(tmp_path):
+    path, columns = write(tmp_path, rows(), 'time = "t [s]"\nA = "ram.p_head"\n')
+    with pytest.raises(UnitError, match="m.toml:3: column 'A': has no unit .*unit = \"kPa\""):
+        read_record(path, columns=columns)
+
+
+# --- recipes
+# -------------------------------------------------------------------------------------------------
+
+
+def raw_log(path: Path) -> None:
+    """A shipped log as a foreign recorder would have written it."""
+    log = read_record(LOG)
+    milliamps = 12.0 + 0.8 * log["press.servo.command"]
+    table = [log.t, log["press.x"] * 1e3, log["press.p_head"] / 1e5, log["press.p_rod"] / 1e5]
+    lines = ["Tester;me", "", "Zeit;Weg;Druck A;Druck B;Ventil", "s;mm;bar;bar;mA"]
+    lines += [";".join(f"{one:.9g}" for one in row) for row in zip(*table, milliamps)]
+    path.write_text("\n".join(lines).replace(".", ",") + "\n", encoding="cp1252")
+
+
+MAP = (
+    'Zeit = "t [s]"\nWeg = "press.x"\n"Druck A" = "press.p_head"\n"Druck B" = "press.p_rod"\n'
+    'Ventil = { channel = "press.servo.command", from = ["4 mA", "20 mA"], '
+    'to = ["-10 V", "10 V"] }\n'
+)
+RECIPES = {
+    "identify": 'what = "hydraulics"\nparameters = ["bulk_modulus"]\nchannels = ["p_head"]\n',
+    "validate": 'channels = ["x", "p_head"]\n',
+    "response": 'input = "press.servo.command"\noutput = "press.x"\n',
+}
+
+
+@pytest.mark.parametrize("stage", RECIPES)
+@pytest.mark.parametrize("way", ["table", "file", "entry"])
+def test_every_stage_that_reads_logs_takes_a_map(stage, way, tmp_path):
+    raw_log(tmp_path / "raw.csv")
+    (tmp_path / "my.map.toml").write_text("[names]\n" + MAP)
+    head = {"table": "", "file": 'columns = "my.map.toml"\n', "entry": ""}[way]
+    entry = '{ path = "raw.csv", columns = "my.map.toml" }' if way == "entry" else '"raw.csv"'
+    tail = f"[columns.names]\n{MAP}" if way == "table" else ""
+    text = f'stage = "{stage}"\nrig = "{RIG}"\ndata = [{entry}]\n{head}{RECIPES[stage]}{tail}'
+    (tmp_path / "r.toml").write_text(text)
+    found = inspection.check(tmp_path / "r.toml")
+    assert not found.errors and any("raw.csv (2 s" in line for line in found.lines)
+
+
+def test_a_mistake_in_a_recipes_map_names_the_recipes_line(tmp_path):
+    raw_log(tmp_path / "raw.csv")
+    text = f'stage = "validate"\nrig = "{RIG}"\ndata = ["raw.csv"]\n[columns.names]\n'
+    (tmp_path / "r.toml").write_text(text + 'Zeit = "t [s]"\nWeg = "press.q"\n')
+    (found,) = inspection.check(tmp_path / "r.toml").errors
+    assert str(found).startswith(f"{tmp_path}/r.toml:6: column 'Weg': 'mm' cannot be turned")
+    (tmp_path / "r.toml").write_text(text + 'Weg = "press.z"\n')
+    with pytest.raises(InputError, match="r.toml:5: columns.names.Weg: unknown channel"):
+        load_recipe(tmp_path / "r.toml")
+
+
+def test_the_map_is_an_input_of_the_run(tmp_path):
+    """Its content goes into the run's hash."""
+    from ehbench import workflow
+
+    raw_log(tmp_path / "raw.csv")
+    (tmp_path / "my.map.toml").write_text("[names]\n" + MAP)
+    (tmp_path / "r.toml").write_text(
+        f'stage = "response"\nrig = "{RIG}"\ndata = ["raw.csv"]\ncolumns = "my.map.toml"\n'
+        + RECIPES["response"]
+    )
+    run = workflow.run(tmp_path / "r.toml", workflow.Session(root=tmp_path / "reports"))
+    roles = {entry["role"]: entry["path"] for entry in run.json("run")["inputs"]}
+    assert roles["columns"].endswith("my.map.toml")
+
+
+def test_a_python_user_names_the_map_by_its_file(tmp_path):
+    raw_log(tmp_path / "raw.csv")
+    (tmp_path / "my.map.toml").write_text("[names]\n" + MAP)
+    frame = read_log(tmp_path / "raw.csv", columns=tmp_path / "my.map.toml")
+    assert frame["press.p_head"].max() == pytest.approx(8.839e6, rel=1e-3)
+
+
+# --- drafts
+# -------------------------------------------------------------------------------------------------
+
+
+def test_a_raw_file_is_taken_at_the_first_go(tmp_path, monkeypatch):
+    """Facts above the header, a row of units, decimal commas, another encoding, a blank cell."""
+    monkeypatch.chdir(tmp_path)
+    raw_log(tmp_path / "raw.csv")
+    lines = (tmp_path / "raw.csv").read_text(encoding="cp1252").split("\n")
+    lines[50] = ";".join([*lines[50].split(";")[:2], "", *lines[50].split(";")[3:]])
+    (tmp_path / "raw.csv").write_text("\n".join(lines), encoding="cp1252")
+    made = mapping.draft(Path("raw.csv"), None, load_rig(RIG))
+    assert made.path == Path("raw.map.toml") and made.picture.read_text().startswith("<svg")
+    assert any(line.startswith("taken with this map: <Record: 2001") for line in made.lines)
+    record, log = read_record(Path("raw.csv"), columns=made.path), read_record(LOG)
+    assert "1 bad sample is left out" in record.losses[0] and "line 51" in record.losses[0]
+    for name in ("press.x", "press.p_head", "press.p_rod"):
+        whole = np.arange(log.t.size) != 46  # that of line 51
+        np.testing.assert_allclose(record[name][whole], log[name][whole], rtol=1e-8)
+    ends = 'from = ["4 mA", "20 mA"]'
+    assert ends in made.path.read_text() and "press.servo.command" in record
+    with pytest.raises(InputError, match="raw.map.toml: stands already"):
+        mapping.draft(Path("raw.csv"), None, load_rig(RIG))
+    made.path.unlink()
+    with pytest.raises(InputError, match="raw.map.svg: stands already"):
+        mapping.draft(Path("raw.csv"))
+    assert not made.path.exists()
+
+
+@pytest.mark.parametrize("name", foreign.WRITERS)
+def test_a_draft_of_each_format_can_be_read_back(name, tmp_path):
+    path, out = tmp_path / name, tmp_path / "out.map.toml"
+    foreign.WRITERS[name](path)
+    made = mapping.draft(path, out, None)
+    columns = load_columns(out).columns
+    assert made.picture.is_file() and "?" not in {one.channel for one in columns.names.values()}
+    if ".mat" not in name and name not in ("a_bag", "a_db3"):
+        record = read_record(path, columns=out)
+        assert {"cylinder.p_head", "p_supply"} <= set(record.channels)
+        np.testing.assert_allclose(record["cylinder.p_head"], foreign.HEAD * 1e5, atol=100.0)
+
+
+def test_what_a_draft_is_not_sure_of_stands_as_a_remark(tmp_path):
+    rows = [f"{i // 10 / 100:.2f},{50 + i},{i % 7},{i}" for i in range(200)]
+    (tmp_path / "a.csv").write_text('time,pressure A,"AI7 ""new""",Kraft\n' + "\n".join(rows))
+    made = mapping.draft(tmp_path / "a.csv", tmp_path / "a.map.toml")
+    text = made.path.read_text()
+    assert 'rate = "1000' in text or 'rate = "10' in text
+    assert '# "pressure A" = "cylinder.p_head"' in text
+    assert load_columns(made.path).columns.names == {}
+    assert made.lines[-1].startswith("next: say in")
+
+
+def test_what_a_name_says_is_guessed(tmp_path):
+    rng = np.random.default_rng(1)
+    names = {
+        "P1 [bar]": "cylinder.p_head",
+        "druckStange (bar)": "cylinder.p_rod",
+        "Supply pressure [psi]": "p_supply",
+        "return line (bar)": "p_tank",
+        "AI2 [bar]": "",
+        "stroke [mm]": "cylinder.x",
+        "winkel [°]": "cylinder.q",
+        "speed [m/s]": "cylinder.v",
+        "valve cmd [V]": "cylinder.valve.command",
+        "oil temp [°C]": "",
+        "who knows": "",
+    }
+    table = rng.normal(size=(50, len(names)))
+    rows = [f"{i};" + ";".join(f"{one:.4f}" for one in row) for i, row in enumerate(table)]
+    header = ";".join(["ms since start [ms]", *names])
+    (tmp_path / "a.csv").write_text("\n".join([header, *rows]), encoding="utf-8")
+    guesses = mapping.guessed(open_source(tmp_path / "a.csv"), None)
+    assert guesses["ms since start [ms]"] == mapping.Guess("t", "ms", True)
+    found = {name: guesses[name].channel for name in names}
+    assert found == names
+    assert not any(guess.sure for name, guess in guesses.items() if not guess.channel)
+
+
+def test_the_commands_say_where_their_files_lie(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    raw_log(tmp_path / "raw.csv")
+    for line, last in (
+        (["map", "raw.csv", "--rig", str(RIG)], "raw.map.toml"),
+        (["check", "raw.map.toml"], "ok"),
+        (["convert", "raw.csv", "--columns", "raw.map.toml", "--to", "mat"], "raw.mat"),
+        (["show", "raw.csv", "--columns", "raw.map.toml"], "raw.html"),
+    ):
+        with suppress(SystemExit):
+            cli.app(line, standalone_mode=False)
+        assert capsys.readouterr().out.splitlines()[-1] == last
+    assert "press.p_head" in (tmp_path / "raw.html").read_text()
+
+
+# --- conversion
+# -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("to", ["parquet", "mat"])
+def test_a_log_is_written_and_comes_back(to, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    out = converting.convert(LOG, to)
+    assert out == Path(f"press_no_load.{to}")
+    record, log = read_record(out), read_record(LOG)
+    assert set(record.channels) == set(log.channels)
+    np.testing.assert_array_equal(record.t, log.t)
+    for name in log.channels:
+        np.testing.assert_array_equal(record[name], log[name])
+    with pytest.raises(InputError, match="stands already"):
+        converting.convert(LOG, to)
+    assert [one.name for one in tmp_path.iterdir()] == [out.name]
+
+
+def test_the_wall_clock_goes_along(tmp_path):
+    import pandas as pd
+    from scipy.io import loadmat
+
+    foreign.write_tdms(tmp_path / "a.tdms")
+    (tmp_path / "m.toml").write_text(foreign.map_of("a.tdms"))
+    made = {
+        to: converting.convert(tmp_path / "a.tdms", to, tmp_path / f"b.{to}", tmp_path / "m.toml")
+        for to in ("parquet", "mat")
+    }
+    frame = pd.read_parquet(made["parquet"])
+    assert str(frame["time"][1]) == "2026-03-01 12:00:00.001000+00:00"
+    found = loadmat(made["mat"], squeeze_me=True, struct_as_record=False)
+    assert found["posix_time"][0] == foreign.BEGAN
+    assert found["meta"].began.startswith("2026-03-01T12:00:00")
+    assert found["units"].ram_p_head == "Pa" and found["names"].ram_p_head == "ram.p_head"
+
+
+def test_without_pyarrow_parquet_is_not_written(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(InputError, match="written by pyarrow, which is not installed"):
+        converting.convert(LOG, "parquet", tmp_path / "a.parquet")
+    assert not list(tmp_path.iterdir())
+
+
+# --- flowmeter readings
+# -------------------------------------------------------------------------------------------------
+
+READINGS = ROOT / "datasets/boom_four_valve/flowmeter/sh.csv"
+
+
+def raw_readings(path: Path, valves: bool = True) -> None:
+    """Shipped readings as a foreign bench writes them: per cent of command, two pressures."""
+    lines = [
+        "Bench 3",
+        "",
+        "Ventil;Soll;p1;p2;Q" if valves else "Nr;Soll;p1;p2;Q",
+        ";%;bar;bar;l/min",
+    ]
+    data = read_flowmeter(READINGS)
+    for at in range(len(data)):
+        drop, flow = data.pressure_drop[at] / 1e5, data.flow[at] * 6e4
+        first = "sh" if valves else str(at + 1)
+        cells = (f"{10 * data.command[at]:.9g}", f"{100 + drop:.9g}", "100", f"{flow:.9g}")
+        lines.append(";".join((first, *cells)))
+    path.write_text("\n".join(lines).replace(".", ","), encoding="utf-8")
+
+
+READING_MAP = (
+    'Soll = { channel = "command", from = ["0 %", "100 %"], to = ["0 V", "10 V"] }\n'
+    'p1 = "upstream_pressure"\np2 = "downstream_pressure"\nQ = "flow"\n'
+)
+
+
+@pytest.mark.parametrize("valves", [True, False])
+def test_flowmeter_readings_take_a_map_too(valves, tmp_path):
+    raw_readings(tmp_path / "sh.csv", valves)
+    own = READING_MAP + ('Ventil = "valve"\n' if valves else "")
+    (tmp_path / "r.toml").write_text(
+        f'stage = "identify"\nwhat = "flow_map"\nrig = "{ROOT}/recipes/rigs/boom_four_valve.toml"\n'
+        f'data = ["sh.csv"]\n[columns.names]\n{own}'
+    )
+    (tmp_path / "m.toml").write_text("[names]\n" + own)
+    found = inspection.check(tmp_path / "r.toml")
+    data = read_flowmeter(READINGS)
+    assert not found.errors
+    assert any(f"sh.csv ({len(data)} readings of sh" in line for line in found.lines)
+    lines = mapped_readings(tmp_path / "sh.csv", load_columns(tmp_path / "m.toml"))
+    back = read_flowmeter(tmp_path / "sh.csv", lines=lines)
+    for name in ("command", "flow", "pressure_drop"):
+        np.testing.assert_allclose(getattr(back, name), getattr(data, name), rtol=1e-6, atol=1e-9)
+    assert back.line[0] == 5
+
+
+def test_a_bad_reading_is_refused_or_left_out(tmp_path):
+    raw_readings(tmp_path / "sh.csv")
+    text = (tmp_path / "sh.csv").read_text().split("\n")
+    text[9] = "sh;;;;"
+    (tmp_path / "sh.csv").write_text("\n".join(text))
+    own = tmp_path / "m.toml"
+    own.write_text("[names]\n" + READING_MAP + 'Ventil = "valve"\n')
+    with pytest.raises(LogError, match="sh.csv:10: a cell holds no number"):
+        mapped_readings(tmp_path / "sh.csv", load_columns(own))
+    own.write_text('bad_samples = "leave out"\n' + own.read_text())
+    lines = mapped_readings(tmp_path / "sh.csv", load_columns(own))
+    assert len(lines) == len(read_flowmeter(READINGS)) and 10 not in [line for line, _ in lines]

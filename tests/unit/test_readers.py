@@ -1,0 +1,237 @@
+"""Files as the libraries of their formats write them are read for what stands in them: columns,
+units, rates, the wall clock.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+import foreign  # noqa: E402
+
+from ehbench.errors import InputError, LogError  # noqa: E402
+from ehbench.logs import read_record  # noqa: E402
+from ehbench.readers import READERS, Dialect, open_source, reader_of, suffixes  # noqa: E402
+from ehbench.readers.clock import clock  # noqa: E402
+from ehbench.readers.delimited import split  # noqa: E402
+
+SHARED = Path(__file__).parents[2].parent / "shared" / "data"
+DIGITS = {"a.csv": 1e-3}  # [bar] of what the text holds
+CLOCKED = {"a.mf4", "a.tdms", "a.parquet", "a_bag", "a_db3"}
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("foreign")
+    for name, write in foreign.WRITERS.items():
+        write(folder / name)
+    return {name: folder / name for name in foreign.WRITERS}
+
+
+@pytest.mark.parametrize("name", foreign.WRITERS)
+def test_a_foreign_file_comes_back_in_si(name, files, tmp_path):
+    """Of several rates all come on the fastest; the supply rises along a line, so that it is the
+    same between its samples.
+    """
+    (tmp_path / "m.toml").write_text(foreign.map_of(name))
+    record = read_record(files[name], columns=tmp_path / "m.toml")
+    # behind its last sample a slow channel stands for one of its periods
+    np.testing.assert_allclose(record.t, foreign.T, atol=1e-9)
+    off = DIGITS.get(name, 1e-6) * 1e5
+    np.testing.assert_allclose(record["ram.p_head"], foreign.HEAD * 1e5, atol=off)
+    volts = (foreign.CURRENT - 12.0) / 8.0 * 10.0
+    np.testing.assert_allclose(record["ram.spool.command"], volts, atol=1e-9)
+    rises = np.interp(foreign.T, foreign.SLOW, foreign.SUPPLY) * 1e5
+    np.testing.assert_allclose(record["p_supply"], rises, atol=max(off, 0.1))
+    assert record.losses == ()  # what no map asks for is no loss
+    assert ("began" in record.meta) == (name in CLOCKED)
+    if name in CLOCKED:
+        assert record.meta["began"].startswith("2026-03-01T12:00:00")
+    if name.startswith("a_"):
+        np.testing.assert_allclose(record["ram.q"], 0.1 * foreign.T, atol=1e-12)
+        assert any("/words" in loss for loss in open_source(files[name]).losses)
+
+
+@pytest.mark.parametrize(("name", "package"), foreign.PACKAGES.items())
+def test_without_its_library_a_file_is_refused_with_what_to_install(
+    name, package, files, monkeypatch
+):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(LogError, match=f"read by {package}, which is not installed.*import"):
+        open_source(files[name])
+
+
+@pytest.mark.parametrize("name", [name for name in foreign.WRITERS if not name.startswith("a_")])
+def test_a_cut_file_is_a_sentence_or_sound_samples(name, files, tmp_path):
+    data = files[name].read_bytes()
+    for share in (0.0, 0.02, 0.4, 0.7, 0.97):
+        path = tmp_path / name
+        path.write_bytes(data[: int(share * len(data))])
+        try:
+            source = open_source(path)
+        except LogError as error:
+            assert "\n" not in str(error)
+        else:
+            assert source.tables
+
+
+def test_several_rates_are_said(files, tmp_path):
+    (tmp_path / "m.toml").write_text(foreign.map_of("a.mf4"))
+    record = read_record(files["a.mf4"], columns=tmp_path / "m.toml")
+    assert record.meta["rates"] == "table 'slow': 100 Hz, brought to 1000 Hz"
+
+
+def test_a_gap_is_named_and_not_bridged(tmp_path):
+    """In the fast table the samples are gone; in the slow one the rows of the fast one are."""
+    from nptdms import ChannelObject, TdmsWriter
+
+    keep = (foreign.SLOW < 0.1) | (foreign.SLOW >= 0.2)
+    with TdmsWriter(tmp_path / "a.tdms") as file:
+        about = {"wf_increment": 1e-3, "wf_start_offset": 0.0, "unit_string": "bar"}
+        file.write_segment([ChannelObject("fast", "A", foreign.HEAD, about)])
+        columns = {"t": foreign.SLOW[keep], "P": foreign.SUPPLY[keep]}
+        file.write_segment([ChannelObject("slow", key, one) for key, one in columns.items()])
+    names = 'A = "ram.p_head"\nt = "t [s]"\nP = "p_supply [bar]"\n'
+    (tmp_path / "m.toml").write_text("[names]\n" + names)
+    record = read_record(tmp_path / "a.tdms", columns=tmp_path / "m.toml")
+    assert "table 'slow': about 10 samples are missing between t = 0.09 and 0.2 s" in record.losses
+    assert any("rows are left out" in loss for loss in record.losses)
+    assert not ((record.t > 0.0905) & (record.t < 0.1995)).any()
+    assert record.t.size == pytest.approx(290, abs=2)
+
+
+def test_every_reader_has_a_file_of_its_own_and_knows_its_endings():
+    for reader in READERS:
+        assert (Path(foreign.__file__).parents[1] / f"ehbench/readers/{reader.module}.py").is_file()
+        assert set(reader.suffixes) <= set(suffixes())
+
+
+def test_a_file_is_known_by_how_it_begins(files, tmp_path):
+    path = tmp_path / "named_wrong.csv"
+    path.write_bytes(files["a.tdms"].read_bytes())
+    assert reader_of(path).name == "TDMS"
+    with pytest.raises(LogError, match="of no format that is read"):
+        reader_of(Path(foreign.__file__))
+    with pytest.raises(LogError, match="no ROS 2 bag"):
+        reader_of(tmp_path)
+
+
+def test_a_table_is_chosen_by_its_name(files):
+    source = open_source(files["a.xlsx"], Dialect(table="Slow"))
+    assert [table.name for table in source.tables] == ["Slow"]
+    with pytest.raises(LogError, match="has no table 'Fast' .it has 'fast', 'slow'"):
+        open_source(files["a.mf4"], Dialect(table="Fast"))
+
+
+TEXTS = {
+    "a LabVIEW file": (
+        "LabVIEW Measurement\t\nWriter_Version\t2\n***End_of_Header***\t\n\t\nChannels\t2\t\t\n"
+        "Samples\t5\t5\t\nX0\t0.0E+0\t0.0E+0\t\nDelta_X\t0.001\t0.001\t\n***End_of_Header***\t\t\n"
+        "X_Value\tVoltage\tVoltage\tComment\n0.0\t1.5\t2.5\n0.1\t1.5\t2.5\n0.2\t1.5\t2.5\n",
+        {"X_Value": "", "Voltage": "", "Voltage 2": ""},
+    ),
+    "white space and a remark as header": (
+        "# t p_A\n# s bar\n0.0  1.5\n0.1  2.5\n0.2\t3.5\n",
+        {"t": "s", "p_A": "bar"},
+    ),
+    "no header": ("0.0,1.5\n0.1,2.5\n0.2,3.5\n", {"column 1": "", "column 2": ""}),
+    "units in names": (
+        "Zeit in ms;Druck / bar;Weg [mm];Winkel (°)\n0;1,5;3;4\n1;1,5;3;4\n2;1,5;3;4\n",
+        {"Zeit in ms": "ms", "Druck / bar": "bar", "Weg [mm]": "mm", "Winkel (°)": "deg"},
+    ),
+    "quoted, with commas in names": (
+        '"t","p, head [bar(g)]"\n"0.0","1.5"\n"0.1","2.5"\n"0.2","3.5"\n',
+        {"t": "", "p, head [bar(g)]": "bar"},
+    ),
+    "times of day": (
+        "stamp;p\n01.03.2026 12:00:00,000;1,5\n01.03.2026 12:00:00,100;2,5\n"
+        "01.03.2026 12:00:00,200;3,5\n",
+        {"stamp": "s", "p": ""},
+    ),
+    "words beside": (
+        "t,p,state\n0.0,1.5,RUN\n0.1,2.5,RUN\n0.2,3.5,STOP\n",
+        {"t": "", "p": ""},
+    ),
+}
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_the_dialect_of_a_text_is_found(text, tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text(TEXTS[text][0], encoding="utf-8")
+    source = open_source(path)
+    (table,) = source.tables
+    assert {column.name: column.known_unit for column in table.columns} == TEXTS[text][1]
+    assert table.size == 3 and all(np.isfinite(one.values).all() for one in table.columns)
+    again = open_source(path, source.dialect)  # said in a map, it is the same
+    assert [one.name for one in again.tables[0].columns] == list(TEXTS[text][1])
+    assert again.dialect == source.dialect
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+def test_encodings(encoding, tmp_path):
+    (tmp_path / "a.csv").write_bytes("t;Öl °C\n0;1,5\n1;2,5\n2;3,5\n".encode(encoding))
+    (table,) = open_source(tmp_path / "a.csv").tables
+    assert [column.name for column in table.columns] == ["t", "Öl °C"]
+    assert table.columns[1].values.tolist() == [1.5, 2.5, 3.5]
+
+
+def test_cells_that_are_no_number_are_kept_as_they_are(tmp_path):
+    rows = [f"{i / 10},{i}" for i in range(1200)]
+    rows[1], rows[700], rows[900] = "0.1,abc", "70.0,", "90.0"
+    (tmp_path / "a.csv").write_text("t,p\n" + "\n".join(rows) + "\n")
+    (table,) = open_source(tmp_path / "a.csv").tables
+    assert table.columns[1].odd == {1: "abc", 700: "", 900: ""}
+    assert np.isnan(table.columns[1].values[[1, 700, 900]]).all()
+    assert np.nansum(table.columns[1].values) == sum(range(1200)) - 1 - 700 - 900
+    assert table.lines[700] == 702
+
+
+def test_clock_goes_on_over_midnight_and_knows_zones():
+    seconds, began = clock(["23:59:59.5", "00:00:00.5", "", "00:00:01"])
+    np.testing.assert_allclose(seconds, [0.0, 1.0, np.nan, 1.5])
+    assert began is None
+    assert clock(["2026-03-01T13:00:00.25+01:00"])[1] == foreign.BEGAN + 0.25
+    assert clock(["3/1/2026 12:00:00 PM"])[1] == foreign.BEGAN
+    assert clock(["31.02.2026 12:00:00"])[1] is None
+
+
+def test_split_keeps_what_stands_in_quotes():
+    assert split('1;"a;b";3', ";") == ["1", "a;b", "3"]
+    assert split("1  2\t3", " ") == ["1", "2", "3"]
+
+
+def test_a_bomb_is_refused(tmp_path, monkeypatch):
+    import gzip
+
+    (tmp_path / "a.csv.gz").write_bytes(gzip.compress(b"0,0\n" * 2_000_000))
+    monkeypatch.setattr("ehbench.readers.delimited.available", lambda: 8e6)
+    with pytest.raises(InputError, match="unpacks to more than"):
+        open_source(tmp_path / "a.csv.gz")
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="no recordings by others here")
+@pytest.mark.parametrize(
+    ("name", "rows"),
+    [
+        ("actuator_linkoping/actuator.csv", 1024),
+        ("actuator_linkoping/actuator.mat", 1024),
+        ("mts_servohydraulic_vrths/0A.txt.gz", 61500),
+        ("mts_servohydraulic_vrths/pexdata.mat", None),
+        ("mcap/rosbag2/cdr_test_0.mcap", None),
+        ("mcap/rosbag2/topics_and_services.mcap", None),
+    ],
+)
+def test_real_recordings_are_read(name, rows):
+    source = open_source(SHARED / name)
+    assert source.tables and (rows is None or source.tables[0].size == rows)
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="no recordings by others here")
+def test_a_bag_without_numbers_says_what_is_in_it():
+    with pytest.raises(LogError, match="no column of numbers.*/chatter .std_msgs/msg/String"):
+        open_source(SHARED / "mcap/rosbag2/multiple_files_0.mcap")
