@@ -60,6 +60,24 @@ Columns = Annotated[
     Path | None,
     typer.Option("--columns", help="A map of the columns of a log by others.", show_default=False),
 ]
+Suggest = Annotated[
+    bool,
+    typer.Option(
+        "--suggest", help="Try what would better the fit; with --out write the best as a recipe."
+    ),
+]
+Seconds = Annotated[
+    float, typer.Option("--seconds", help="With --suggest: for how long to try.", min=1.0)
+]
+Profile = Annotated[
+    str | None,
+    typer.Option(
+        "--profile",
+        metavar="NAME",
+        help="Profile likelihood of this parameter, with its picture, in place of the fit.",
+        show_default=False,
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")]
 
 
@@ -159,25 +177,9 @@ def _runner(command: Command) -> Callable[..., None]:
         quiet: Quiet = False,
         verbose: Verbose = False,
         as_json: AsJson = False,
-        suggest: Annotated[
-            bool,
-            typer.Option(
-                "--suggest",
-                help="Try what would better the fit; with --out write the best as a recipe.",
-            ),
-        ] = False,
-        seconds: Annotated[
-            float, typer.Option("--seconds", help="With --suggest: for how long to try.", min=1.0)
-        ] = 120.0,
-        profile: Annotated[
-            str | None,
-            typer.Option(
-                "--profile",
-                metavar="NAME",
-                help="Profile likelihood of this parameter, with its picture, in place of the fit.",
-                show_default=False,
-            ),
-        ] = None,
+        suggest: Suggest = False,
+        seconds: Seconds = 120.0,
+        profile: Profile = None,
     ) -> None:
         says = Says(quiet, verbose, as_json)
         if suggest:
