@@ -641,20 +641,35 @@ class OutputError:
         return groups_of(names, values, own, float(np.median(widening)))
 
     def settle_starts(self, values: Sequence[float]) -> None:
-        """Stand at given values [SI] of the parameters searched, each log's start and the channels'
-        scales settled there.
+        """Stand at given values [SI] of the parameters searched; each log's start, its sensors and
+        the channels' scales settled there.
         """
-        self.coarse, self.free = False, []
+        self.coarse, self.free = False, list(range(self.asked, self.fitted))
         self.theta[: self.asked] = [c.of(x) for c, x in zip(self.search, values, strict=False)]
         for _ in range(2):
             self.solve(1e-4)
             self._weigh(self._at(self.theta, self.shifts))
 
-    def said(self) -> tuple[list[Block], Prior]:
-        """What each log says of the parameters searched where the fit stands, and what is known of
-        them beside.
+    def held_at(self, i: int, theta: float) -> tuple[float, dict[str, float]]:
+        """(least cost with a parameter held at a value of its search coordinate, the values [SI] of
+        all there by name), from where the search stands, which moves there.
         """
-        here, which = self._at(self.theta, self.shifts), list(range(self.asked))
+        free = self.free
+        self.free = [k for k in free if k != i]
+        self.theta = self.theta.copy()
+        self.theta[i] = theta
+        self.solve(1e-7)
+        self.free = free
+        values = self._values(self.theta)[: self.asked]
+        names = [c.name for c in self.search[: self.asked]]
+        cost = self.cost(self._at(self.theta, self.shifts))
+        return cost, dict(zip(names, values, strict=True))
+
+    def said(self) -> tuple[list[Block], Prior]:
+        """What each log says of the parameters searched and of shared sensors where the fit stands,
+        and what is known of them beside.
+        """
+        here, which = self._at(self.theta, self.shifts), list(range(self.fitted))
         blocks = self._blocks(here, self.slopes(here, which), self.nudges(here))
         return blocks, self._prior(self.theta, which)
 

@@ -8,15 +8,27 @@ from ehbench.report.blocks import Cell, Grid, Part
 from ehbench.report.content import Pictures, SectionContent, StageReport
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved
-from ehbench.report.stages import flow_maps, hydraulics, response, trial, trials, tuning, validation
+from ehbench.report.stages import (
+    arc_tuning,
+    flow_maps,
+    hydraulics,
+    profile,
+    response,
+    trial,
+    trials,
+    tuning,
+    validation,
+)
 from ehbench.report.words import count, words
 
 SECTIONS: dict[str, StageReport] = {
     "flow_map": flow_maps.REPORT,
     "hydraulics": hydraulics.REPORT,
+    "profile": profile.REPORT,
     "response": response.REPORT,
     "validation": validation.REPORT,
     "tuning": tuning.REPORT,
+    "arc_tuning": arc_tuning.REPORT,
     "trial": trial.REPORT,
     "trials": trials.REPORT,
 }
