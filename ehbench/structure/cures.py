@@ -290,7 +290,7 @@ def _level(valve: Valve, about: str) -> Iterator[Cure]:
         lambda d: (
             f"one direction is faster than the other: {about} is neutral at {-d * high:.2g} V"
         ),
-        lambda d: f"correct the command of {about} in the log by {d * high:.2g} V",
+        lambda d: _sensed_by(f"{about}.command", 'offset = "estimate"'),
         5,
         _with_commands([f"{about}.command"], moved),
     )
@@ -302,7 +302,7 @@ def _level(valve: Valve, about: str) -> Iterator[Cure]:
             0.0,
             2.0,
             lambda d: f"the machine moves the other way: the command of {about} is turned",
-            lambda d: f"turn the sign of {about}.command in the log, or of its edges",
+            lambda d: _sensed_by(f"{about}.command", "sign = -1") + ", or turn its edges",
             7,
             _with_commands([f"{about}.command"], turned),
             trials=(2.0,),
@@ -391,6 +391,11 @@ def _lagged(y: np.ndarray, delta: float, case: Case) -> np.ndarray:
     return lfilter([1.0 - pole], [1.0, -pole], y, zi=[pole * y[0]])[0]
 
 
+def _sensed_by(channel: str, says: str) -> str:
+    """The recipe's lines about a channel's sensor."""
+    return f'add [[sensor]] channel = "{channel}", {says} to the recipe'
+
+
 def _sensor(channel: str) -> Iterator[Cure]:
     """What a channel's sensor may do: δ in spreads of the channel, in shares of itself, in time."""
 
@@ -404,7 +409,7 @@ def _sensor(channel: str) -> Iterator[Cure]:
         -3.0,
         3.0,
         lambda d: f"{channel} is off by the same all the time ({_more(d, 'high', 'low')})",
-        lambda d: f"correct the offset of {channel} in the log",
+        lambda d: _sensed_by(channel, 'offset = "estimate"'),
         4,
         _corrected(channel, lambda y, d, case: y - d * spread(case)),
         _sensed(channel, lambda y, d, case: y + d * spread(case)),
@@ -416,7 +421,7 @@ def _sensor(channel: str) -> Iterator[Cure]:
         -0.7,
         2.0,
         lambda d: f"{channel} reads {_share(d)} than the model in proportion",
-        lambda d: f"check the scale of {channel}: its readings over {1.0 + d:.3g}",
+        lambda d: _sensed_by(channel, 'scale = "estimate"'),
         5,
         _corrected(channel, lambda y, d, case: y / (1.0 + d)),
         _sensed(channel, lambda y, d, case: y * (1.0 + d)),
@@ -428,7 +433,7 @@ def _sensor(channel: str) -> Iterator[Cure]:
         0.0,
         0.1,
         lambda d: f"{channel} is {1e3 * d:.2g} ms behind the model, and no other channel is",
-        lambda d: f"shift {channel} in the log, or ask the sensor's maker for its filter",
+        lambda d: _sensed_by(channel, 'lag = "estimate"'),
         5,
         sense=_sensed(channel, _lagged),
     )
@@ -439,7 +444,7 @@ def _sensor(channel: str) -> Iterator[Cure]:
         -2.0,
         0.0,
         lambda d: f"{channel} goes the other way than the model",
-        lambda d: f"turn the sign of {channel} in the log",
+        lambda d: _sensed_by(channel, "sign = -1"),
         6,
         _corrected(channel, lambda y, d, case: y * (1.0 + d)),
         _sensed(channel, lambda y, d, case: y * (1.0 + d)),
