@@ -681,6 +681,9 @@ _ROWS = [
         "phase_margin", "φ_m", "rad", "deg", "lag that a loop bears where its gain is 1", 0, 3.15
     ),
     Quantity(
+        "delay_margin", "T_m", "s", "ms", "extra delay that a loop bears before it swings", 0, 1
+    ),
+    Quantity(
         "drop_floor", "Δp_min", "Pa", "kPa", "least drop at which a valve is inverted", 1, 1e7
     ),
     Quantity(

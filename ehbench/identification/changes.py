@@ -21,6 +21,7 @@ LOSSES = ("leakage_internal", "leakage_head", "leakage_rod")
 # where searches begin, and how far they may go: shares of the largest command, of the supply's
 # force, of the flow at 10 mm/s and the supply's pressure
 OPENS, SHUTS, RUBS, LEAKS = (0.85, 0.6), 0.5, 0.3, 30.0
+SOFT = 0.1
 DELAY, LONGEST, LAG = 0.003, 0.1, 0.01  # [s]
 AIR, MOST_AIR = 0.005, 0.1
 TURNED = "sign"  # the kind of what turns a channel
@@ -97,7 +98,7 @@ def said(rig: Rig, name: str, value: float) -> str:
     """A value [SI] of a parameter as a rig file has it, in its people's unit."""
     row = quantity(name)
     unit = rig.unit_of(name)
-    number = f"{float(from_si(value, unit, row)):.3g}"
+    number = f"{float(from_si(value, unit, row)):.5g}"
     return number if unit == "dimensionless" else f"{number} {unit}"
 
 
@@ -182,6 +183,10 @@ def _of_valve(
     plain = [one for one in plain if reach[one[2].sign] > 0.0]
     if plain:
         yield _saturation(rig, cylinder.name, valve, plain, reach)
+    bent = [(i, name, e) for i, (name, e) in enumerate(edges) if e.law == "saturating"]
+    bent = [one for one in bent if one[2].saturation_softness is None]
+    if bent:
+        yield _softness(cylinder.name, valve, bent)
     yield from _times(rig, cylinder.name, valve)
     if float(valve.command_min) < 0.0:
         neutral = Sensor(channel=channel, offset=ESTIMATE)
@@ -205,6 +210,24 @@ def _saturation(
     upper = {name: 1.2 * most for name, (_, most) in names.items()}
     about = f"{cylinder}.{valve.name}"
     return Change("saturation", about, tuple(names), starts, upper, alter=alter, rig_lines=lines)
+
+
+def _softness(cylinder: str, valve: Valve, edges: Sequence[tuple]) -> Change:
+    """Edges that saturate bit by bit."""
+    most = {
+        f"{name}.saturation_softness": (i, float(e.opening_max) - float(e.deadband))
+        for i, name, e in edges
+    }
+
+    def alter(tables: dict[str, Any]) -> None:
+        table = _table_of(tables, cylinder, valve.name)
+        for i, wide in most.values():
+            table["edge"][i]["saturation_softness"] = f"{SOFT * wide!r} V"
+
+    lines = tuple(f"edge {name.rpartition('.')[0]}: saturation_softness = … V" for name in most)
+    upper = {name: 0.5 * wide for name, (_, wide) in most.items()}
+    about = f"{cylinder}.{valve.name}"
+    return Change("softness", about, tuple(most), upper=upper, alter=alter, rig_lines=lines)
 
 
 def _times(rig: Rig, cylinder: str, valve: Valve) -> Iterator[Change]:

@@ -379,7 +379,7 @@ class OutputError:
         heads = whole if all(map(operator.is_, heads, whole)) else heads
         self.simulator.step, self.simulator.logs = 2.0 * fine, heads
         self.tell("output error: looking over the range of the bulk modulus", 0.0)
-        self.theta = self._arrive(self.scan())
+        self.arrive()
         self.simulator.logs = whole
         here = self._at(self.theta, self.shifts)
         slopes = self.slopes(here, self.free)
@@ -408,9 +408,10 @@ class OutputError:
         self.tell("output error: done", 1.0)
         return self._result(found, converged)
 
-    def _arrive(self, starts: Sequence[np.ndarray]) -> np.ndarray:
-        """The best that a coarse solution comes to from some starts, and from what the first half
-        of the parameters comes to alone where the first start leaves much.
+    def _arrive(self, starts: Sequence[np.ndarray], begin: np.ndarray) -> np.ndarray:
+        """The best that a coarse solution comes to from some starts; where these leave much, also
+        from what the first half of the parameters comes to alone, and from where the search began:
+        a fit that begins at that of a part of its parameters ends no worse.
         """
         every = self.free
         samples = sum(part.recorded.size for part in self.simulator.logs)
@@ -418,6 +419,7 @@ class OutputError:
         half = every[: (len(every) + 1) // 2]
         if len(half) > 1 and min(cost for cost, _ in ends) > MUCH * samples:
             ends.append(self._solved(self._solved(starts[0], half)[1], every))
+            ends.append(self._solved(begin, every))
         return min(ends, key=lambda end: end[0])[1]
 
     def _solved(self, start: np.ndarray, free: list[int]) -> tuple[float, np.ndarray]:
@@ -436,8 +438,11 @@ class OutputError:
         return sum(float(np.sum(part**2)) for part in self.scaled(here.left)), self.theta
 
     def arrive(self) -> None:
-        """Coarsely to the best that a look over the range of the parameters leads to."""
-        self.theta = self._arrive(self.scan())
+        """Coarsely to the best that a look over the range of the parameters leads to, or that lies
+        near where they start.
+        """
+        begin = self.theta
+        self.theta = self._arrive(self.scan(), begin)
 
     def descend(self, begin: Mapping[str, float]) -> float:
         """Coarsely from some values, by name, to the nearest minimum, each channel weighed by what

@@ -116,8 +116,8 @@ class SensorFit:
 class HydraulicsFit:
     """What an identification found. ``rig`` carries the fitted values; ``correlation`` is between
     the parameters with a standard error, in the order of ``correlated_names``; ``scales`` [SI] is
-    what each channel's residual was divided by; ``groups`` the products of parameters that the
-    logs know though they do not know each; ``sensors`` what was found of the logs' own."""
+    what each channel's residual was divided by; ``sensors`` what was found of the logs' own,
+    ``groups`` the products of parameters that the logs know though they do not know each."""
 
     rig: Rig
     method: str
@@ -131,8 +131,8 @@ class HydraulicsFit:
     evaluations: int
     iterations: int
     recordings: tuple[tuple[str, dict[str, np.ndarray]], ...]
-    groups: tuple[Group, ...] = ()
     sensors: tuple[SensorFit, ...] = ()
+    groups: tuple[Group, ...] = ()
 
     def __getitem__(self, name: str) -> FittedParameter:
         """The fitted parameter of that name.
@@ -182,8 +182,8 @@ class Estimate:
     cutoff: float | None = None
     shifts: Shifts | None = None
     held: Sequence[float] = ()
-    groups: Sequence[Group] = ()
     sensors: Sequence[SensorFit] = ()
+    groups: Sequence[Group] = ()
 
 
 def untold(c: Coordinate, samples: int) -> FittedParameter:
@@ -234,8 +234,8 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
         evaluations=simulator.evaluations,
         iterations=found.iterations,
         recordings=tuple(recordings),
-        groups=tuple(found.groups),
         sensors=tuple(found.sensors),
+        groups=tuple(found.groups),
     )
 
 

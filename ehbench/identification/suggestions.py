@@ -3,7 +3,7 @@ logs and compared on the others; the simplest that is not worse than the best co
 
 Every log is cut into windows of equal length, and every other window is left out of a fit: twice,
 so that each is left out once. Simulations run through; only what they are compared on differs. A
-change is kept, and others tried on top of it, as long as what is left out gets surely smaller."""
+change is kept, and others tried on top of it, as long as what is left out gets smaller."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from ehbench.identification.results import Progress
 from ehbench.identification.search import of_sensors
 from ehbench.identification.simulator import Log, Simulator
 from ehbench.record import Record
+from ehbench.recipe.sensor import WORDS
 from ehbench.rig import Rig
 
 SECONDS = 120.0  # of trying, by default
@@ -33,8 +34,8 @@ SHOWN = 10  # rows of the table in a terminal
 COSTLY = ("mount",)  # kinds that are tried where nothing else helps
 ROUNDS = 5  # changes on top of one another, at most
 QUIET = 1.5  # times the noise that fits may leave, beyond which nothing is sought
-SURE, WORTH = 2.0, 0.1  # a change is kept where it gains so many standard errors, and this share
-NOT_WORSE = 1.0, 0.02  # … and is not worse than the best within so many, or this share
+WORTH = 0.05  # share of what is left out, by which a change must lessen it to be gone on from
+NOT_WORSE = 1.0, 0.02  # standard errors, or share, within which a fit is not worse than the best
 
 
 @dataclass(frozen=True)
@@ -70,11 +71,12 @@ class Setup:
 @dataclass(frozen=True, eq=False)
 class Tried:
     """A fit that was tried: mean squares of what is left out [SI²] by (log, window) and channel,
-    and the numbers it came to, a fold each."""
+    and the numbers it came to, a fold each, of which ``best`` has the least misfit."""
 
     setup: Setup
     left: dict[tuple[str, int], dict[str, float]]
     found: tuple[dict[str, float], ...]
+    best: int
 
 
 @dataclass(frozen=True)
@@ -186,39 +188,36 @@ class _Trials:
         """All rounds, and the table."""
         self.tell("suggest: fitting the recipe as it is", 0.0)
         now, untried = self._first(), ()
-        left, later = [], []
-        for change in self._changes():
-            (later if change.kind in COSTLY else left).append(change)
+        gains: dict[str, float] = {}
         for _ in range(ROUNDS):
             if self._quiet(now):
                 break
-            reached, untried = self._round(now, left)
-            better = [one for one in reached if self._surely_better(one, now)]
-            if not better and later:
-                reached, more = self._round(now, later)
-                untried += more
-                better, later = [one for one in reached if self._surely_better(one, now)], []
+            left = sorted(self._changes(now), key=lambda one: gains.get(one.name, 1.0))
+            reached, untried = self._round(now, [c for c in left if c.kind not in COSTLY])
+            if not any(self._better(one, now) for one in reached):
+                more, late = self._round(now, [c for c in left if c.kind in COSTLY])
+                reached, untried = [*reached, *more], (*untried, *late)
+            better = [one for one in reached if self._better(one, now)]
             if not better:
                 break
             gains = {one.setup.changes[-1].name: self._misfit(one, now) for one in reached}
             now = self._simplest(now, min(better, key=lambda one: self._misfit(one, now)))
-            used = {one.kind + one.about for one in now.setup.changes}
-            left = [one for one in left if one.kind + one.about not in used]
-            left.sort(key=lambda one: gains.get(one.name, 1.0))
         self.tell("suggest: done", 1.0)
         return self._table(untried)
 
     def _round(self, now: Tried, left: Sequence[Change]) -> tuple[list[Tried], tuple[str, ...]]:
         """(every change on top of a fit, the names of those that there was no time for)."""
-        reached = []
-        for at, change in enumerate(left):
-            if (spent := time.monotonic() - self.begun) > self.seconds:
-                return reached, tuple(one.name for one in left[at:])
-            self.tell(f"suggest: {change.name}", min(0.99, spent / self.seconds))
+        reached, untried = [], []
+        for change in left:
+            spent = time.monotonic() - self.begun
+            if spent > self.seconds:
+                untried.append(change.name)
+                continue
+            self.tell(f"suggest: {change.name}", spent / self.seconds)
             tried = self._try(now, change)
             reached += [tried] if tried else []
         self.tried += reached
-        return reached, ()
+        return reached, tuple(untried)
 
     def _simplest(self, now: Tried, best: Tried) -> Tried:
         """The best of the parts of the last change of a fit that are not worse than the whole; the
@@ -247,18 +246,19 @@ class _Trials:
         self.tried.append(first)
         return first
 
-    def _changes(self) -> list[Change]:
-        records = [record for _, record in self.records]
-        base = self.base
-        upper = base.options.upper
-        given = (self.live, self.channels, records, base.parameters, upper)
-        asked = {one.channel for one in base.options.sensors}
-        levels = self._levels(self.tried[0])
-        astray = {c for c, size in levels.items() if size > self.spread[c] ** 2}
+    def _changes(self, now: Tried) -> list[Change]:
+        """What may be tried on top of a fit."""
+        records, setup = [record for _, record in self.records], now.setup
+        given = (self.live, self.channels, records, setup.parameters, setup.options.upper)
+        told = {(one.channel, w) for one in setup.options.sensors for w in WORDS if one[w]}
+        used = {one.name for one in setup.changes}
+        astray = any(size > self.spread[c] ** 2 for c, size in self._levels(now).items())
         return [
             one
-            for one in changes(base.rig, *given)
-            if not asked & {s.channel for s in one.sensors} and (one.kind != TURNED or astray)
+            for one in changes(setup.rig, *given)
+            if one.name not in used
+            and not told & {(s.channel, w) for s in one.sensors for w in WORDS if s[w]}
+            and (one.kind != TURNED or astray)
         ]
 
     def _try(self, now: Tried, change: Change) -> Tried | None:
@@ -346,9 +346,9 @@ class _Trials:
             for c, size in self._levels(one).items()
         )
 
-    def _surely_better(self, one: Tried, other: Tried) -> bool:
-        more, std = self._difference(one, other)
-        return -more > max(SURE * std, WORTH)
+    def _better(self, one: Tried, other: Tried) -> bool:
+        """Whether it is worth while to go on from a fit: what is surely better, the table says."""
+        return self._difference(one, other)[0] < -WORTH
 
     def _not_worse(self, one: Tried, best: Tried) -> bool:
         more, std = self._difference(one, best)
@@ -377,15 +377,23 @@ class _Trials:
                     tuple(line for c in setup.changes for line in c.rig_lines),
                 )
             )
-        return Suggestions(tuple(rows), tuple(self.tried[i].setup for i in order), untried)
+        return Suggestions(tuple(rows), tuple(map(_begun, (self.tried[i] for i in order))), untried)
+
+
+def _begun(one: Tried) -> Setup:
+    """A fit that begins where it was tried."""
+    setup, found = one.setup, one.found[one.best]
+    start = {name: found[name] for name in setup.parameters}
+    return replace(setup, options=replace(setup.options, start=start))
 
 
 def _joined(
     folds: Sequence[_Fold],
-) -> tuple[dict[tuple[str, int], dict[str, float]], tuple[dict[str, float], ...]]:
-    """(what is left out by window of all folds, in one order; their numbers)."""
+) -> tuple[dict[tuple[str, int], dict[str, float]], tuple[dict[str, float], ...], int]:
+    """(what is left out by window of all folds, in one order; their numbers; the best's index)."""
     left = {key: own for fold in folds for key, own in fold.left.items()}
-    return dict(sorted(left.items())), tuple(fold.found for fold in folds)
+    best = int(np.argmin([fold.cost for fold in folds]))
+    return dict(sorted(left.items())), tuple(fold.found for fold in folds), best
 
 
 def _windows(log: Log) -> np.ndarray:

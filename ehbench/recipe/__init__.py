@@ -28,7 +28,7 @@ from ehbench.recipe.sensor import Sensor
 from ehbench.recipe.toml import line_of, read_toml
 from ehbench.recipe.trial import AnyTrial, Command, Controller, Limits, Motion, TrialRecipe
 from ehbench.recipe.trials import SetController, TrialSetRecipe
-from ehbench.recipe.tune import TuneRecipe
+from ehbench.recipe.tune import ArcTuneRecipe, TuneRecipe
 from ehbench.recipe.validate import JudgedFile, Thresholds, ValidateRecipe
 
 __all__ = [
@@ -39,6 +39,7 @@ __all__ = [
     "load_columns",
     "whole_map",
     "AnyTrial",
+    "ArcTuneRecipe",
     "BenchCurve",
     "BenchCylinder",
     "BenchEdge",

@@ -48,3 +48,37 @@ class TuneRecipe(Recipe):
     bandwidth: Annotated[Value, Q("frequency")] = Value(0.5)
     draws: int = Field(default=200, ge=0, le=100000)
     seed: int = Field(default=0, ge=0, le=2**63 - 1)
+
+
+class ArcTuneRecipe(Recipe):
+    """A validated rig to the bandwidths of the adaptive robust controller of one cylinder.
+
+    Operating points as in `TuneRecipe`. The samples come ``delay`` late, those of pressure behind a
+    lag of ``pressure_lag``. Chosen is the largest sum of bandwidths that keeps ``delay_margin``, as
+    it is stated, ``gain_margin`` and ``phase_margin`` at every point."""
+
+    stage: Literal["tune"]
+    what: Literal["arc"]
+    rig: str
+    flow_maps: str | None = None
+    cylinder: str | None = None
+    payloads: tuple[str, ...] = ()
+    postures: int = Field(default=3, ge=1, le=50)
+    strokes: tuple[str, ...] = ()
+    posture: dict[str, str] = {}
+    functions: tuple[str, ...] = ()
+    speed_shares: tuple[Annotated[float, Field(gt=0, le=1)], ...] = Field(
+        default=(0.06, 0.4), min_length=1
+    )
+    rate: Annotated[Value, Q("rate")] = Value(1000.0)
+    delay: Annotated[Value, Q("delay")] = Value(1.0e-3)
+    pressure_lag: Annotated[Value, Q("lag")] = Value(1.0e-3)
+    delay_margin: Annotated[Value, Q("delay_margin")] = Value(5.0e-3)
+    gain_margin: Annotated[Value, Q("gain_margin")] = Value(2.0)
+    phase_margin: Annotated[Value, Q("phase_margin")] = Value(0.3490658503988659)
+
+    def operating_points(self) -> TuneRecipe:
+        """The same points as a recipe of the pressure feedback has them."""
+        shared = TuneRecipe.model_fields.keys() & type(self).model_fields.keys()
+        known = {name: getattr(self, name) for name in shared - {"gain_margin", "phase_margin"}}
+        return TuneRecipe.model_construct(**known)

@@ -222,6 +222,21 @@ def _tuning(run: Saved) -> Findings:
     return Findings(numbers, [FigureKey("damping")], against, nexts)
 
 
+def _arc_tuning(run: Saved) -> Findings:
+    rig, tuning = run.rig, run.json("tuning.json")
+    label = f"Delay margin, stated, {words(tuning['cylinder'])}"
+    about = (
+        f"gain margin {number(tuning.get('gain_margin'), 2)}, phase margin "
+        f"{measure(rig, 'phase_margin', tuning['phase_margin'], 2)}, at worst"
+    )
+    numbers = [
+        Headline(OFTEN, label, measure(rig, "delay_margin", tuning["delay_margin"], 2), about)
+    ]
+    against = [] if tuning["met"] else ["the demanded margins are not kept"]
+    nexts = ["ask smaller margins, or take faster valves or sensors"] if against else []
+    return Findings(numbers, [FigureKey("margins")], against, nexts)
+
+
 def _trials(run: Saved) -> Findings:
     rig, cases = run.rig, cases_of(run)
     stopped = [case for case in cases if case.row.get("stopped")]
@@ -347,6 +362,7 @@ _TOLD: dict[str, Callable[[Saved], Findings]] = {
     "response": _response,
     "validation": _validation,
     "tuning": _tuning,
+    "arc_tuning": _arc_tuning,
     "trial": _trial,
     "trials": _trials,
 }

@@ -104,11 +104,13 @@ def _step_row(rig: Rig, case: Case, one: Table, doubts: Sequence[str]) -> list[C
 def _tracking(rig: Rig, cases: Sequence[Case]) -> Grid:
     groups = groups_of(cases)
     several = any(len(group) > 1 for group in groups.values())
+    swings = any(case.row.get("limit_cycle") for case in cases)
     head = [
         *WHO,
         axis(rig, "x", "largest error"),
         axis(rig, "x", "rms error"),
         axis(rig, "x", "final error"),
+        *([axis(rig, "x", "swings by ±"), axis(rig, "t", "its period")] if swings else []),
         axis(rig, "v", "rms error of speed"),
         axis(rig, "energy", "pump energy"),
         *(["relative to the least"] if several else []),
@@ -116,18 +118,20 @@ def _tracking(rig: Rig, cases: Sequence[Case]) -> Grid:
         "",
     ]
     rows = [
-        _tracking_row(rig, case, group if several else [])
+        _tracking_row(rig, case, group if several else [], swings)
         for group in groups.values()
         for case in group
     ]
     sources = "; ".join(dict.fromkeys(case.row["energy"]["source"] for case in cases))
     note = f"Stroke against the desired stroke. Pump energy: {sources}."
+    if swings:
+        note += " What swings without an end does so by itself: a limit cycle."
     return Grid(head, rows, note, "tracking", "Tracking and energy.")
 
 
-def _tracking_row(rig: Rig, case: Case, rivals: Sequence[Case]) -> list[Cell | str]:
+def _tracking_row(rig: Rig, case: Case, rivals: Sequence[Case], swings: bool) -> list[Cell | str]:
     """A trial's row; its energy relative to the least of its rivals, itself among them, where there
-    are any.
+    are any; its limit cycle where some trial ``swings``.
     """
     track, pump = case.row["tracking"], case.row["energy"]["pump"]
     relative = []
@@ -138,11 +142,23 @@ def _tracking_row(rig: Rig, case: Case, rivals: Sequence[Case]) -> list[Cell | s
     return [
         *who(case),
         *(num(stroke(rig, case.row, track[f"{key}_error"])) for key in ("max", "rms", "final")),
+        *(_cycle_cells(rig, case) if swings else []),
         quantity_cell(rig, "v", case.row["speed_rms_error"], 3),
         quantity_cell(rig, "energy", pump),
         *relative,
         quantity_cell(rig, "energy", case.row["energy"]["cylinder_work"]),
         chip("stopped") if case.row.get("stopped") else "",
+    ]
+
+
+def _cycle_cells(rig: Rig, case: Case) -> list[Cell | str]:
+    """Amplitude and period of a trial's limit cycle."""
+    cycle = case.row.get("limit_cycle")
+    if not cycle:
+        return [DASH, DASH]
+    return [
+        quantity_cell(rig, "x", cycle["amplitude"], 2),
+        quantity_cell(rig, "t", cycle["period"], 2),
     ]
 
 

@@ -13,7 +13,7 @@ from ehbench.stages.hydraulics import HydraulicsStage
 from ehbench.stages.response import ResponseStage
 from ehbench.stages.trial import TrialStage
 from ehbench.stages.trials import TrialsStage
-from ehbench.stages.tuning import TuningStage
+from ehbench.stages.tuning import ArcTuningStage, TuningStage
 from ehbench.stages.validation import ValidationStage
 
 __all__ = ["REGISTRY", "Checked", "Stage", "stage_of"]
@@ -26,6 +26,7 @@ REGISTRY: dict[tuple[str, str | None], Checked[Any]] = {
         ResponseStage(),
         ValidationStage(),
         TuningStage(),
+        ArcTuningStage(),
         TrialStage(),
         TrialsStage(),
         CampaignStage(),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ehbench import rundir
 from ehbench.errors import InputError
-from ehbench.recipe import TrialRecipe, TuneRecipe, load_recipe
+from ehbench.recipe import ArcTuneRecipe, TrialRecipe, TuneRecipe, load_recipe
 from ehbench.stages.base import DONE, STOPPED, Prepared, Progress, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, NamedFiles, RigState
 
@@ -171,7 +171,7 @@ def _gains(recipe: TrialRecipe, rig: Rig, inputs: Inputs) -> Path | Mapping[str,
         inputs.findings.say("reads", f"{name} (gains)")
         return place
     behind = load_recipe(place)
-    if not isinstance(behind, TuneRecipe):
+    if not isinstance(behind, TuneRecipe | ArcTuneRecipe):
         raise InputError(
             f"gains come from '{name}', a recipe of stage '{behind.stage_name}'",
             **recipe.at(*law.where, "gains"),
@@ -182,8 +182,12 @@ def _gains(recipe: TrialRecipe, rig: Rig, inputs: Inputs) -> Path | Mapping[str,
         inputs.findings.say("reads", f"{folder} (gains)")
         return folder
     inputs.findings.say("open", f"what hangs on the gains: '{name}' has not been run")
-    given = {key: float(value) for key in _TUNED if (value := getattr(behind, key)) is not None}
+    given = {
+        key: float(value) for key in _TUNED if (value := getattr(behind, key, None)) is not None
+    }
     own = (motion.cylinder if motion is not None else None) or rig.cylinder[0].name
     wrong = inputs.runs.findings(place)
     tuned = own if wrong is not None and wrong.errors else behind.cylinder or own
+    if isinstance(behind, ArcTuneRecipe):
+        return {"cylinder": tuned}
     return {"cylinder": tuned, "feedback_gain": 0.0, **given}

@@ -4,13 +4,14 @@ point.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ehbench import rundir
 from ehbench.errors import InsufficientData, ModelRejected
-from ehbench.recipe import TuneRecipe
+from ehbench.recipe import ArcTuneRecipe, TuneRecipe
 from ehbench.stages.base import Prepared, Progress, Stage, Work, write_rig
 from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs, ValidatedRig
@@ -39,16 +40,8 @@ class TuningStage(Stage[TuneRecipe, PreparedTuning]):
     def prepare(self, recipe: TuneRecipe, inputs: Inputs) -> PreparedTuning:
         state = _validated(recipe, inputs)
         cylinder = recipe.cylinder or state.rig.cylinder[0].name
-        factors = {
-            "stroke": recipe.strokes or range(recipe.postures),
-            "payload": recipe.payloads or (None, *state.rig.payload),
-            "speed": recipe.speed_shares,
-        }
-        points = " × ".join(
-            [*(counted(items, word) for word, items in factors.items()), "working functions"]
-        )
         does = (
-            f"chooses the pressure feedback of '{cylinder}' over {points}, "
+            f"chooses the pressure feedback of '{cylinder}' over {_points(recipe, state)}, "
             f"and tries {recipe.draws} draws"
         )
         return PreparedTuning(
@@ -71,13 +64,68 @@ class TuningStage(Stage[TuneRecipe, PreparedTuning]):
         tuning = tune_prepared(prepared.study, correlation=correlation, progress=progress)
         write_rig(folder, state.rig, state.flow_maps)
         rundir.write_json(folder / "tuning.json", tuning.as_json())
-        validated, warnings = state.stage == "validated", list(tuning.warnings)
-        if not validated:
-            warnings.insert(0, "tuned on a rig that no validation accepted (--unvalidated)")
-        return Work({"rig": state.rig.name, "validated": validated, "warnings": warnings})
+        return _work(state, tuning.warnings)
 
 
-def _validated(recipe: TuneRecipe, inputs: Inputs) -> ValidatedRig:
+@dataclass(frozen=True)
+class PreparedArcTuning(Prepared):
+    """The operating points; None where a check without flow maps finds none."""
+
+    recipe: ArcTuneRecipe
+    state: ValidatedRig
+    study: Study | None
+
+
+class ArcTuningStage(Stage[ArcTuneRecipe, PreparedArcTuning]):
+    """`ArcTuneRecipe`."""
+
+    recipe = ArcTuneRecipe
+    name = "arc_tuning"
+    command = "tune"
+    writes = "tuning.json, rig.toml, figures"
+
+    def prepare(self, recipe: ArcTuneRecipe, inputs: Inputs) -> PreparedArcTuning:
+        state = _validated(recipe, inputs)
+        cylinder = recipe.cylinder or state.rig.cylinder[0].name
+        does = (
+            f"chooses the bandwidths of adaptive robust control of '{cylinder}' over "
+            f"{_points(recipe, state)}"
+        )
+        study = _study(recipe.operating_points(), state)
+        return PreparedArcTuning(recipe, state.inputs, does, state, study)
+
+    def work(self, prepared: PreparedArcTuning, folder: Path, progress: Progress | None) -> Work:
+        from ehbench.tune.arc import tune_arc
+
+        state = prepared.state
+        assert prepared.study is not None  # a run without operating points is refused
+        tuning = tune_arc(prepared.study, prepared.recipe, progress)
+        write_rig(folder, state.rig, state.flow_maps)
+        rundir.write_json(folder / "tuning.json", tuning.as_json())
+        return _work(state, tuning.warnings)
+
+
+def _points(recipe: TuneRecipe | ArcTuneRecipe, state: ValidatedRig) -> str:
+    """What operating points are made of, in words."""
+    factors = {
+        "stroke": recipe.strokes or range(recipe.postures),
+        "payload": recipe.payloads or (None, *state.rig.payload),
+        "speed": recipe.speed_shares,
+    }
+    return " × ".join(
+        [*(counted(items, word) for word, items in factors.items()), "working functions"]
+    )
+
+
+def _work(state: ValidatedRig, warnings: Sequence[str]) -> Work:
+    """What is said of a tuning in its run."""
+    validated, said = state.stage == "validated", list(warnings)
+    if not validated:
+        said.insert(0, "tuned on a rig that no validation accepted (--unvalidated)")
+    return Work({"rig": state.rig.name, "validated": validated, "warnings": said})
+
+
+def _validated(recipe: TuneRecipe | ArcTuneRecipe, inputs: Inputs) -> ValidatedRig:
     """The rig of the recipe, which a validation must have accepted unless the user insists."""
     state = inputs.rig_state(recipe.rig, recipe.flow_maps)
     if isinstance(state, ValidatedRig):

@@ -14,6 +14,7 @@ from ehbench.codes import LIMITS as LIMIT_BITS
 from ehbench.errors import InputError, SimulationError
 from ehbench.logs import check_record
 from ehbench.machines.protocol import Machine, truth_of
+from ehbench.quantities import VOCABULARY
 from ehbench.recipe import TrialRecipe
 from ehbench.record import Record
 from ehbench.rig import Rig
@@ -21,7 +22,9 @@ from ehbench.trial.controllers import Compiled
 from ehbench.trial.measures import step_measures, tracking_measures
 from ehbench.trial.preparation import Aftermath, Loop, Prepared, Stop, prepare
 from ehbench.trial.session import LiveLog, Session
+from ehbench.trial.swing import limit_cycle
 from ehbench.trial.user_code import UserCode
+from ehbench.units import from_si
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps
@@ -209,6 +212,7 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
         measures = law.used | _measures(record, prepared.loop, rows)
         if isinstance(law, Compiled) and law.law.warns_saturated:
             warnings += _saturated(measures["limits"]["saturated"], prepared.loop.design.cylinder)
+        warnings += _swinging(measures["limit_cycle"], prepared.rig, prepared.loop.design.cylinder)
     return Facts(
         session.machine.name,
         prepared.rig.name,
@@ -237,6 +241,18 @@ def _saturated(share: float, cylinder: str) -> list[str]:
     ]
 
 
+def _swinging(cycle: Mapping[str, float] | None, rig: Rig, cylinder: str) -> list[str]:
+    """A sentence where a cylinder swung by itself."""
+    if cycle is None:
+        return []
+    unit = rig.unit_of("x")
+    amplitude = from_si(cycle["amplitude"], unit, VOCABULARY["x"])
+    return [
+        f"'{cylinder}' swings by itself: a limit cycle of ± {amplitude:.3g} {unit}, period "
+        f"{cycle['period']:.3g} s, from t = {cycle['start']:.3g} s for {cycle['duration']:.3g} s"
+    ]
+
+
 def _measures(record: Record, loop: Loop, rows: int) -> dict[str, Any]:
     """Steps and tracking of the controlled cylinder, up to the row at which a limit stopped the
     trial.
@@ -257,6 +273,11 @@ def _measures(record: Record, loop: Loop, rows: int) -> dict[str, Any]:
     measures["speed_rms_error"] = float(
         np.sqrt(np.mean((v - record[f"{own}.v_desired"][:rows]) ** 2))
     )
+    desired, stroke = record[f"{own}.x_desired"][:rows], float(loop.design.row.stroke)
+    valves = [name for name in loop.design.valves if name.startswith(f"{own}.")]
+    commands = np.column_stack([record[f"{name}.command"][:rows] for name in valves])
+    cycle = limit_cycle(t, x, desired, commands, stroke)
+    measures["limit_cycle"] = None if cycle is None else asdict(cycle)
     if f"{own}.limits" in record:
         met = record[f"{own}.limits"][:rows].astype(int)
         measures["limits"] = {

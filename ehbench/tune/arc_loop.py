@@ -35,7 +35,8 @@ MEMORY |= {"slow_load": 1.0}
 ESTIMATE = 1e-4
 INSIDE = 1e-3  # share of their bounds that estimates keep from the ends, where projection is a kink
 SLOWEST = 3.0  # [rad/s]: what is slower is the motion itself, no swing
-POINTS = 900  # of the frequency response
+POINTS = 500  # of the frequency response
+SAFETY = 1.5  # over which a computed delay margin is stated: a machine is no model
 GROWTH = 0.05  # [1/s] below which a pole counts as standing: drifts of the motion itself
 
 
@@ -58,6 +59,11 @@ class LoopMargins(NamedTuple):
     phase: float
     delay: float
     frequency: float
+
+    @property
+    def stated(self) -> float:
+        """The delay margin [s] to count on: the computed one over SAFETY."""
+        return self.delay / SAFETY
 
 
 class Sampled(NamedTuple):
@@ -121,7 +127,7 @@ class ArcLoop:
     def growth(self, sensing: Sensing) -> float:
         """Growth [1/s] of what swings, the fastest; negative where all dies out."""
         poles = self.poles(sensing)
-        return float(poles[np.abs(poles.imag) > SLOWEST].real.max())
+        return float(np.real(poles[np.abs(np.imag(poles)) > SLOWEST]).max())
 
     def loci(self, sensing: Sensing) -> tuple[np.ndarray, np.ndarray]:
         """(frequencies [rad/s], characteristic loci): eigenvalues of the loop's frequency response
@@ -184,26 +190,37 @@ def _crossings(y: np.ndarray) -> list[tuple[int, float]]:
     return [(int(i), float(y[i] / (y[i] - y[i + 1]))) for i in at]
 
 
-def arc_loop(
-    model: Model, point: OperatingPoint, site: Site, gains: np.record, steps: int | None = None
-) -> ArcLoop:
-    """The loop of the controller at a steady motion.
-
-    Args:
-        model: with its payload; its other cylinders' valves are shut.
-        point: the steady motion.
-        site: what the controller is designed for.
-        gains: of `ehbench.control.arc_gains.pack_arc`.
-        steps: of integration in a tick; as trials by default.
+@dataclass(frozen=True)
+class SampledPlant:
+    """A steady motion of a rig, sampled: ``model`` with its payload, its other cylinders' valves
+    shut, the ``point``, the map over a tick from the ``valves`` at work to the samples, and the
+    ``sample`` there.
     """
-    steps = steps or max(1, round(site.tick / STEP))
-    y, command = state_of(model, point)
-    plant, valves = _plant_map(model, point, (y, command), site.tick, steps)
-    sample = np.empty(sample_size(len(model.layout.cylinders)))
-    model_sample(y, model.plant, sample)
-    law = _law_map(model, point, site, gains, sample, valves)
-    lagged = np.array([name.startswith("p_") for name in _words(model)])
-    return ArcLoop(plant, law, site.tick, lagged)
+
+    model: Model
+    point: OperatingPoint
+    plant: Sampled
+    valves: tuple[int, ...]
+    sample: np.ndarray
+
+    @classmethod
+    def of(cls, model: Model, point: OperatingPoint, tick: float) -> SampledPlant:
+        """The plant of a model at a point, sampled each ``tick`` [s]."""
+        at = state_of(model, point)
+        sample = np.empty(sample_size(len(model.layout.cylinders)))
+        model_sample(at[0], model.plant, sample)
+        valves = tuple(sorted({path.valve for path in point.paths}))
+        return cls(model, point, _plant_map(model, at, valves, tick), valves, sample)
+
+    def loop(self, site: Site, gains: np.record) -> ArcLoop:
+        """The loop of the controller about it.
+
+        Args:
+            site: what the controller is designed for.
+            gains: of `ehbench.control.arc_gains.pack_arc`.
+        """
+        lagged = np.array([name.startswith("p_") for name in _words(self.model)])
+        return ArcLoop(self.plant, _law_map(self, site, gains), site.tick, lagged)
 
 
 def _words(model: Model) -> list[str]:
@@ -212,21 +229,17 @@ def _words(model: Model) -> list[str]:
 
 
 def _plant_map(
-    model: Model,
-    point: OperatingPoint,
-    at: tuple[np.ndarray, np.ndarray],
-    tick: float,
-    steps: int,
-) -> tuple[Sampled, list[int]]:
-    """(the plant over one tick, numbers of the valves at work)."""
-    y, command = at
+    model: Model, at: tuple[np.ndarray, np.ndarray], numbers: tuple[int, ...], tick: float
+) -> Sampled:
+    """The plant over one tick, from the commands of the valves at work."""
+    (y, command), valves = at, list(numbers)
+    steps = max(1, round(tick / STEP))
     rows = model.plant.valves.copy()
     rows.delay[:] = 0.0  # a valve's pure delay is one of the loop's
     plant = model.plant._replace(valves=rows)
     line, names = line_of(plant, tick), model.layout
     k, work = np.empty((5, names.states)), np.empty(plant.at.work)
     sample = np.empty(sample_size(len(names.cylinders)))
-    valves = sorted({path.valve for path in point.paths})
 
     def after(push: np.ndarray, turned: np.ndarray) -> np.ndarray:
         state, held = y + push, command.copy()
@@ -242,7 +255,7 @@ def _plant_map(
     volts = np.full(len(valves), 1e-4)
     a = _differences(lambda push: after(push, none), sizes)
     b = _differences(lambda turned: after(np.zeros(y.size), turned), volts)
-    return Sampled(a, b, _differences(read, sizes), np.zeros((sample.size, len(valves)))), valves
+    return Sampled(a, b, _differences(read, sizes), np.zeros((sample.size, len(valves))))
 
 
 def _steps(model: Model) -> np.ndarray:
@@ -259,15 +272,9 @@ def _differences(function: Any, sizes: np.ndarray) -> np.ndarray:
     return np.array(columns).T / sizes
 
 
-def _law_map(
-    model: Model,
-    point: OperatingPoint,
-    site: Site,
-    gains: np.record,
-    sample: np.ndarray,
-    valves: list[int],
-) -> Sampled:
+def _law_map(at: SampledPlant, site: Site, gains: np.record) -> Sampled:
     """The controller over one tick, from samples to the commands of the valves at work."""
+    model, point, sample, valves = at.model, at.point, at.sample, list(at.valves)
     start = steady_memory(model, point, site, gains)
     observed = arc.observed(site.axis, sample.size)
     telemetry = np.zeros(arc.COLUMNS + 2 * site.axis.circuit.count)

@@ -21,7 +21,7 @@ from ehbench.parts.valve.delay import line_of
 from ehbench.plant.model import Model
 from ehbench.plant.site import site_of
 from ehbench.recipe import TuneRecipe
-from ehbench.tune.arc_loop import arc_loop, steady_memory
+from ehbench.tune.arc_loop import SampledPlant, steady_memory
 from ehbench.tune.linear import circuit_of, state_of
 from ehbench.tune.study import prepare_tuning
 
@@ -55,7 +55,7 @@ class Bench:
 
     def loop(self, at, gains):
         """The linearised loop at an operating point."""
-        return arc_loop(at.model, at.point, self.site, gains)
+        return SampledPlant.of(at.model, at.point, TICK).loop(self.site, gains)
 
     def stroke(self, at, gains, delay, push, span=1.6):
         """Strokes [m] of a steady motion that begins with a push of the speed [m/s], its samples

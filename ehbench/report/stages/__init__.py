@@ -9,6 +9,7 @@ from ehbench.report.content import Pictures, SectionContent, StageReport
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved
 from ehbench.report.stages import (
+    arc_tuning,
     flow_maps,
     hydraulics,
     profile,
@@ -27,6 +28,7 @@ SECTIONS: dict[str, StageReport] = {
     "response": response.REPORT,
     "validation": validation.REPORT,
     "tuning": tuning.REPORT,
+    "arc_tuning": arc_tuning.REPORT,
     "trial": trial.REPORT,
     "trials": trials.REPORT,
 }

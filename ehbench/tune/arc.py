@@ -1,0 +1,223 @@
+"""The bandwidths of the adaptive robust controller: the fastest that keep margins at every
+operating point of the whole sampled loop (`ehbench.tune.arc_loop`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from ehbench.control.arc_gains import Adaptation, named_gains, pack_arc
+from ehbench.control.functions import pack_rules
+from ehbench.control.law import Site
+from ehbench.plant.model import Model
+from ehbench.plant.site import site_of
+from ehbench.recipe import ArcTuneRecipe
+from ehbench.tune.arc_loop import SAFETY, ArcLoop, LoopMargins, SampledPlant, Sensing
+from ehbench.tune.linear import circuit_of
+from ehbench.tune.study import Study
+
+Progress = Callable[[str, float], None]
+BUDGETS = tuple(np.geomspace(0.08, 1.2, 12).tolist())  # [rad] over the valves' lag and a tick
+HALVINGS = 3  # between the largest that keeps the margins and the next
+# gains that a trial takes from a tuning
+CHOSEN = (
+    *("position_bandwidth", "speed_bandwidth", "force_bandwidth", "observer_bandwidth"),
+    *("pressure_bandwidth", "robust_limit", "adaptation", "low_pressure"),
+)
+
+
+@dataclass(frozen=True)
+class ArcPoint:
+    """An operating point and the margins there; ``delay_margin`` [s] as stated, ``frequency``
+    [rad/s] at which it would swing.
+    """
+
+    name: str
+    function: str
+    payload: str
+    x: float
+    v: float
+    gain_margin: float
+    phase_margin: float
+    delay_margin: float
+    frequency: float
+
+
+@dataclass(frozen=True)
+class ArcCandidate:
+    """Margins at the worst points for a ``sum`` of bandwidths [rad/s]; ``delay_margin`` [s] as
+    stated, ``met`` whether all demands are.
+    """
+
+    sum: float
+    gain_margin: float
+    phase_margin: float
+    delay_margin: float
+    met: bool
+
+
+@dataclass(frozen=True)
+class ArcTuning:
+    """Gains of the adaptive robust controller, SI, and what they rest on.
+
+    ``constraints`` are demanded, ``gain_margin``, ``phase_margin`` [rad] and ``delay_margin`` [s],
+    stated, reached at the worst points. ``locus`` of the worst point by delay: the characteristic
+    loci as (real, imaginary) lists, each ending the loop's stability where it passes −1."""
+
+    rig: str
+    cylinder: str
+    gains: dict[str, float]
+    delay: float
+    pressure_lag: float
+    safety: float
+    constraints: dict[str, float]
+    gain_margin: float
+    phase_margin: float
+    delay_margin: float
+    met: bool
+    candidates: tuple[ArcCandidate, ...]
+    points: tuple[ArcPoint, ...]
+    worst: str
+    locus: tuple[tuple[tuple[float, ...], tuple[float, ...]], ...]
+    warnings: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain numbers, texts and lists; the gains stand at the top, where trials look for
+        them.
+        """
+        return {"what": "arc", **self.gains, **asdict(self)}
+
+
+class _Search:
+    """The loop over operating points, for any sum of bandwidths."""
+
+    def __init__(self, study: Study, recipe: ArcTuneRecipe) -> None:
+        self.sensing = Sensing(float(recipe.delay), float(recipe.pressure_lag))
+        self.demands = {
+            name: float(getattr(recipe, name))
+            for name in ("gain_margin", "phase_margin", "delay_margin")
+        }
+        design = Model.of(study.rig, study.maps)
+        circuit = circuit_of(design, design.layout.cylinders.index(study.cylinder), study.maps)
+        posture = design.posture(recipe.posture)
+        self.site: Site = site_of(design, circuit, posture, 1.0 / float(recipe.rate))
+        self.rules = pack_rules(circuit.area_rod, self.site.supply_pressure)
+        counted = [one for one in study.sites if one.counts]
+        self.plants = [SampledPlant.of(one.model, one.point, self.site.tick) for one in counted]
+
+    @property
+    def lag(self) -> float:
+        """What a budget is over [s]: the slowest valve's lag and a tick."""
+        return self.site.valve_lag + self.site.tick
+
+    def gains(self, budget: float) -> np.record:
+        """The gains for a phase budget [rad]."""
+        return pack_arc(self.site, self.rules, Adaptation(lag_budget=budget))
+
+    def loops(self, budget: float) -> list[ArcLoop]:
+        """The loop at every operating point."""
+        gains = self.gains(budget)
+        return [one.loop(self.site, gains) for one in self.plants]
+
+    def candidate(self, budget: float) -> ArcCandidate:
+        """The margins at the worst points."""
+        found = [loop.margins(self.sensing) for loop in self.loops(budget)]
+        return self.judged(budget, found)
+
+    def judged(self, budget: float, found: Sequence[LoopMargins]) -> ArcCandidate:
+        """A candidate, from its margins at all points."""
+        worst = {
+            "gain_margin": min(one.gain for one in found),
+            "phase_margin": min(one.phase for one in found),
+            "delay_margin": min(one.stated for one in found),
+        }
+        met = all(worst[name] >= least for name, least in self.demands.items())
+        return ArcCandidate(sum=budget / self.lag, met=met, **worst)
+
+
+def tune_arc(study: Study, recipe: ArcTuneRecipe, progress: Progress | None = None) -> ArcTuning:
+    """Choose the bandwidths over the operating points of a study.
+
+    The largest sum of bandwidths that keeps the demands at every point; where none does, the one
+    with the largest delay margin, and the result says so.
+
+    Args:
+        study: of `ehbench.tune.study.prepare_tuning`, for the recipe's operating points.
+        recipe: what to look at and what to demand.
+        progress: told what is at work and the share done.
+    """
+    tell = progress or (lambda what, share: None)
+    search = _Search(study, recipe)
+    tried: dict[float, ArcCandidate] = {}
+    for i, budget in enumerate(BUDGETS):
+        tell("margins", i / (len(BUDGETS) + HALVINGS + 1))
+        tried[budget] = search.candidate(budget)
+    budget = _largest(search, tried)
+    tell("margins at the choice", 1.0 - 1.0 / (len(BUDGETS) + HALVINGS + 1))
+    return _result(study, search, budget, tried)
+
+
+def _largest(search: _Search, tried: dict[float, ArcCandidate]) -> float:
+    """The largest budget that keeps the demands, to 1/2^HALVINGS of the grid's step."""
+    kept = [budget for budget, one in tried.items() if one.met]
+    if not kept:
+        return max(tried, key=lambda budget: tried[budget].delay_margin)
+    best = max(kept)
+    beyond = min((budget for budget in tried if budget > best), default=best)
+    for _ in range(HALVINGS if beyond > best else 0):
+        middle = math.sqrt(best * beyond)
+        tried[middle] = search.candidate(middle)
+        best, beyond = (middle, beyond) if tried[middle].met else (best, middle)
+    return best
+
+
+def _result(
+    study: Study, search: _Search, budget: float, tried: dict[float, ArcCandidate]
+) -> ArcTuning:
+    loops, gains = search.loops(budget), search.gains(budget)
+    found = [loop.margins(search.sensing) for loop in loops]
+    worst = min(range(len(found)), key=lambda i: found[i].delay)
+    slow = pack_arc(
+        search.site,
+        search.rules,
+        Adaptation(lag_budget=budget, adaptation=1.0, adaptation_bulk=1.0),
+    )
+    named = named_gains(gains, slow)["gains"]
+    chosen, points = search.judged(budget, found), [one.point for one in search.plants]
+    warnings = []
+    if not chosen.met:
+        missed = [k for k, least in search.demands.items() if getattr(chosen, k) < least]
+        words = " and ".join(name.replace("_", " ") for name in missed)
+        warnings.append(
+            f"no bandwidths keep the demanded {words} at every operating point; those with the "
+            f"largest delay margin are taken: {points[worst].name}"
+        )
+    _, loci = loops[worst].loci(search.sensing)
+    return ArcTuning(
+        rig=study.rig.name,
+        cylinder=study.cylinder,
+        gains={name: float(named[name]) for name in CHOSEN},
+        delay=search.sensing.delay,
+        pressure_lag=search.sensing.lag,
+        safety=SAFETY,
+        constraints=search.demands,
+        gain_margin=chosen.gain_margin,
+        phase_margin=chosen.phase_margin,
+        delay_margin=chosen.delay_margin,
+        met=chosen.met,
+        candidates=tuple(tried[key] for key in sorted(tried)),
+        points=tuple(
+            ArcPoint(
+                p.name, p.function, p.payload, p.x, p.v, m.gain, m.phase, m.stated, m.frequency
+            )
+            for p, m in zip(points, found, strict=True)
+        ),
+        worst=points[worst].name,
+        locus=tuple((tuple((-one.real).tolist()), tuple((-one.imag).tolist())) for one in loci.T),
+        warnings=tuple(warnings),
+    )

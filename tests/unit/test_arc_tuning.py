@@ -1,0 +1,90 @@
+"""Tuning of adaptive robust control: the largest bandwidths that keep the demanded margins."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from ehbench.recipe import ArcTuneRecipe, TrialRecipe, load_recipe, load_rig
+from ehbench.rundir import write_json
+from ehbench.trial import prepare
+from ehbench.tune.arc import BUDGETS, CHOSEN, tune_arc
+from ehbench.tune.study import prepare_tuning
+
+RECIPES = Path(__file__).parents[2] / "recipes"
+
+
+@cache
+def rig():
+    return load_rig(RECIPES / "rigs" / "boom_four_valve.toml")
+
+
+@cache
+def tuned(**demands):
+    recipe = ArcTuneRecipe.model_validate(
+        {
+            "stage": "tune",
+            "what": "arc",
+            "rig": "x",
+            "postures": 2,
+            "payloads": ("none",),
+            "speed_shares": (0.06,),
+            **demands,
+        }
+    )
+    study = prepare_tuning(SimpleNamespace(rig=rig(), flow_maps=None), recipe.operating_points())
+    return tune_arc(study, recipe)
+
+
+def test_the_largest_sum_that_keeps_the_margins_is_chosen():
+    found = tuned(delay_margin="3 ms")
+    assert found.met and found.delay_margin >= 3.0e-3 and found.gain_margin >= 2.0
+    total = sum(found.gains[f"{name}_bandwidth"] for name in ("position", "speed", "force"))
+    larger = [one for one in found.candidates if one.sum > 1.001 * total]
+    assert larger and not any(one.met for one in larger)
+    # where the grid ends and bisection begins: the next larger one is near
+    assert min(one.sum for one in larger) < 1.05 * total
+    assert found.delay_margin == pytest.approx(min(one.delay_margin for one in found.points))
+
+
+def test_more_delay_costs_bandwidth_and_too_much_is_said():
+    near, far = tuned(delay_margin="2 ms"), tuned(delay_margin="6 ms")
+    assert near.gains["force_bandwidth"] > 1.2 * far.gains["force_bandwidth"]
+    never = tuned(delay_margin="900 ms", gain_margin="1000")
+    assert not never.met and "no bandwidths keep the demanded" in never.warnings[0]
+    assert len(never.candidates) == len(BUDGETS)
+
+
+def test_a_trial_takes_the_gains(tmp_path):
+    found = tuned(delay_margin="3 ms")
+    write_json(tmp_path / "tuning.json", found.as_json())
+    told = json.loads((tmp_path / "tuning.json").read_text(encoding="utf-8"))
+    assert told["what"] == "arc" and told["safety"] == 1.5
+    recipe = TrialRecipe.model_validate(
+        {
+            "stage": "trial",
+            "rig": "x.toml",
+            "motion": {
+                "kind": "point_to_point",
+                "cylinder": "boom",
+                "waypoints": ["100 mm", "120 mm"],
+                "speed": "50 mm/s",
+            },
+            "controller": {"kind": "arc", "gains": "tuning.json"},
+            "path": tmp_path / "trial.toml",
+        }
+    )
+    law = prepare(recipe, rig()).loop.law
+    used = law.used["gains"]
+    for name in CHOSEN:
+        assert used[name] == pytest.approx(told[name], rel=0.02), name
+
+
+@pytest.mark.parametrize("name", ["thesis", "slide_servo"])
+def test_shipped_recipes_ask_for_it(name):
+    recipe = load_recipe(RECIPES / name / "arc_tuning.toml")
+    assert isinstance(recipe, ArcTuneRecipe) and recipe.operating_points().draws == 200

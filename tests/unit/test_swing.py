@@ -1,0 +1,88 @@
+"""A limit cycle is told from ringing, from noise and from what the reference asks for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.recipe import TrialRecipe, load_rig
+from ehbench.trial import run_trial
+from ehbench.trial.swing import limit_cycle
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+T = np.arange(8000) / 1000.0
+STROKE = 0.25
+RAMP = 0.05 + 0.02 * T
+ACTING = np.sin(75.0 * T)[:, None]  # commands [V]
+
+
+def error_of(damping):
+    swing = 2.0e-3 * np.exp(-damping * 75.0 * T) * np.sin(75.0 * T)
+    return swing + 2.0e-5 * np.random.default_rng(1).standard_normal(T.size)
+
+
+def test_a_lasting_swing_is_told_with_its_size_and_period():
+    """Amplitude, period and begin of a swing of 2 mm at 75 rad/s that is there from 3 s to 5 s."""
+    on = (T > 3.0) & (T < 5.0)
+    found = limit_cycle(T, RAMP + np.where(on, error_of(0.0), 0.0), RAMP, ACTING, STROKE)
+    assert found is not None
+    assert found.amplitude == pytest.approx(2.0e-3, rel=0.15)
+    assert found.period == pytest.approx(2.0 * np.pi / 75.0, rel=0.05)
+    assert found.start == pytest.approx(3.0, abs=0.1)
+    assert found.duration == pytest.approx(2.0, abs=0.2)
+
+
+@pytest.mark.parametrize("damping", [0.05, 0.1, 0.3])
+def test_ringing_that_dies_out_is_none(damping):
+    assert limit_cycle(T, RAMP + error_of(damping), RAMP, ACTING, STROKE) is None
+
+
+def test_what_swings_while_the_valves_rest_rings():
+    assert limit_cycle(T, RAMP + error_of(0.0), RAMP, 0.0 * ACTING, STROKE) is None
+    assert limit_cycle(T, RAMP + error_of(0.0), RAMP, ACTING, STROKE) is not None
+
+
+def test_noise_and_counts_are_none():
+    noise = 3.0e-5 * np.random.default_rng(2).standard_normal(T.size)
+    x = np.round((RAMP + noise) / 2.5e-5) * 2.5e-5
+    assert limit_cycle(T, x, RAMP, ACTING, STROKE) is None
+
+
+@pytest.mark.parametrize("harmonic", [1, 2, 3])
+def test_an_error_that_the_reference_makes_is_none(harmonic):
+    """A reference of 1 Hz, followed with an error at its frequency or at a harmonic of it."""
+    asked = 0.1 + 0.02 * np.sin(2.0 * np.pi * T)
+    followed = asked + 5.0e-4 * np.sin(2.0 * np.pi * harmonic * T + 0.4)
+    assert limit_cycle(T, followed, asked, ACTING, STROKE) is None
+    assert limit_cycle(T, followed + error_of(0.0), asked, ACTING, STROKE) is not None
+
+
+def _trial(**gains):
+    recipe = TrialRecipe.model_validate(
+        {
+            "stage": "trial",
+            "rig": "x.toml",
+            "payload": "50 lb",
+            "motion": {
+                "kind": "point_to_point",
+                "cylinder": "boom",
+                "waypoints": ["220 mm", "40 mm"],
+                "speed": "60 mm/s",
+                "acceleration": "0.3 m/s^2",
+                "hold": "0.3 s",
+            },
+            "controller": {"kind": "arc", "gains": gains},
+        }
+    )
+    return run_trial(load_rig(RIGS / "thesis_arm.toml"), recipe)[1]
+
+
+def test_a_trial_that_swings_says_so_and_a_sound_one_does_not():
+    sound, swinging = _trial(), _trial(lag_budget="1.5 rad", observer_bandwidth="60 rad/s")
+    assert sound.measures["limit_cycle"] is None
+    assert not any("swings by itself" in text for text in sound.warnings)
+    cycle = swinging.measures["limit_cycle"]
+    assert cycle["amplitude"] > 5.0e-4 and 0.01 < cycle["period"] < 0.3
+    assert any("'boom' swings by itself: a limit cycle of ± " in w for w in swinging.warnings)
