@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from pathlib import Path
 
@@ -16,6 +17,8 @@ RECIPES = sorted((ROOT / "recipes").rglob("*.toml"))
 
 @pytest.mark.parametrize("path", RECIPES, ids=lambda p: p.relative_to(ROOT / "recipes").as_posix())
 def test_every_recipe_and_all_it_names_is_sound(path):
+    if path.parent.name == "real" and not os.environ.get("EHBENCH_DATA"):
+        pytest.skip("EHBENCH_DATA does not say where these recordings are")
     found = inspection.check(path)
     assert found.code == 0 and found.lines[-1] == "ok"
 

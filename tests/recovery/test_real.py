@@ -74,3 +74,14 @@ def test_a_servohydraulic_sweep_is_one_pole_and_a_delay(tmp_path):
     assert best["fit_percent"][0] > 94.7 and best["fit_percent"][1] > 94.5
     (two,) = (one for one in others if one["form"] == "two poles")
     assert np.all(np.array(best["fit_percent"]) > np.array(two["fit_percent"]))
+
+
+def test_an_actuator_of_unknown_scales_is_followed_freely(tmp_path):
+    here("actuator_linkoping")
+    made = workflow.run(REAL / "actuator_validation.toml", workflow.Session(root=tmp_path))
+    assert made.code == 0
+    (log,) = made.json("validation")["logs"]
+    (channel,) = (one for one in log["channels"] if one["channel"] == "ram.p_head")
+    error = channel["rms_error"] / UNIT
+    assert log["status"] == "held_out" and log["scored"][0] == pytest.approx(5.12)
+    assert error < 0.45  # published: 0.954 of a linear ARX model, 0.773 of a recurrent GP

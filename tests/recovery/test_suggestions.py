@@ -3,6 +3,7 @@ written fits. `tests/suggestion_study.py` has every fault of every rig."""
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 
@@ -12,7 +13,7 @@ import tomli_w
 from ehbench import workflow
 from ehbench.errors import InputError
 from ehbench.identification.suggestions import suggest
-from ehbench.identification.hydraulics import prepare_fit
+from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
 from ehbench.logs import write_log
 from ehbench.recipe import load_rig
 from ehbench.rundir import read_json
@@ -108,3 +109,14 @@ def test_what_is_written_can_be_run_and_fits(tmp_path):
     with pytest.raises(InputError, match="not empty"):
         session = workflow.Session(out=tmp_path / "new")
         workflow.suggest(tmp_path / "fit.toml", session, 1.0)
+
+
+def test_a_fit_that_begins_at_that_of_a_part_ends_no_worse():
+    log = log_of("slide_servo", built("saturation"), "steps", 3)
+    gains = [n for n in rig_of().parameters() if n.endswith(".flow_gain")]
+    part = identify_hydraulics(rig_of(), [("log", log)], ["bulk_modulus", *gains])
+    start = {one.name: one.value for one in part.parameters}
+    more = [*start, "carriage.damping", "carriage.mass", "spool.natural_frequency"]
+    whole = identify_hydraulics(rig_of(), [("log", log)], more, FitOptions(start=start))
+    level = [sum(map(math.log, one.logs[0].residual_rms.values())) for one in (part, whole)]
+    assert level[1] < level[0] + 0.01
