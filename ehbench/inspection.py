@@ -205,7 +205,7 @@ def _log(path: Path) -> Inspection:
     ]
     lines += [f"  {key}: {value}" for key, value in record.meta.items() if len(value) < 200]
     for name, values in record.channels.items():
-        row = quantity(record.seen_as(name))
+        row = quantity(name)
         low, high = (from_si(float(v), row.display, row) for v in (values.min(), values.max()))
         lines.append(f"  {name}: {low:.4g} to {high:.4g} {row.display}")
     lines += [f"  lost: {loss}" for loss in record.losses]

@@ -903,8 +903,6 @@ _ROWS = [
 
 VOCABULARY: dict[str, Quantity] = {row.name: row for row in _ROWS}
 
-OF_SLIDES = {"q": "x", "qd": "v", "qdd": "a"}  # what people see of a joint that slides
-
 
 def quantity(channel: str) -> Quantity:
     """The row of a channel or field name: that of its last dotted word.

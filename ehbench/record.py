@@ -9,12 +9,10 @@ import numpy as np
 
 from ehbench.errors import LogError
 from ehbench.notebook import label, plural, shown, table
-from ehbench.quantities import OF_SLIDES, quantity
+from ehbench.quantities import quantity
 
 if TYPE_CHECKING:
     import pandas as pd
-
-_ALIKE = 0.01  # share by which two sensors of one motion may differ
 
 
 @dataclass(frozen=True)
@@ -67,25 +65,13 @@ class Record:
         """Its channels with their unit, range and meaning."""
         rows = []
         for name, values in self.channels.items():
-            row = quantity(self.seen_as(name))
+            row = quantity(name)
             ends = (values.min(), values.max()) if values.size else (None, None)
-            least, most = (shown(end, row.name, row.display) for end in ends)
+            least, most = (shown(end, name, row.display) for end in ends)
             rows.append((name, label(row.display), least, most, row.meaning))
         header = ("channel", "unit", "least", "most", "meaning")
         span = f"{self.t[0]:g} … {self.t[-1]:g} s, " if self.t.size else ""
         return table(header, rows, span + plural(self.t.size, "sample"))
-
-    def seen_as(self, name: str) -> str:
-        """The channel that people see for one: the coordinate q of a cylinder that is its stroke x
-        is that of a slide [m], no angle.
-        """
-        owner, _, word = name.rpartition(".")
-        both = (f"{owner}.q", f"{owner}.x")
-        if word not in OF_SLIDES or not self.t.size or not all(one in self for one in both):
-            return name
-        q, x = (self.channels[one] for one in both)
-        slides = np.abs(q - x).max() <= _ALIKE * max(np.ptp(x), np.abs(x).max())
-        return f"{owner}.{OF_SLIDES[word]}" if slides else name
 
     def __contains__(self, name: str) -> bool:
         return name == "t" or name in self.channels

@@ -39,7 +39,7 @@ from ehbench.parts.line import Line
 from ehbench.parts.mount import Mount
 from ehbench.parts.valve import TABLES as DYNAMICS
 from ehbench.parts.valve.law import DynamicsTable
-from ehbench.quantities import OF_SLIDES, VOCABULARY, Quantity
+from ehbench.quantities import VOCABULARY, Quantity
 
 
 def _of_a_kind(raw: Any) -> Any:
@@ -777,14 +777,6 @@ class Rig(FileModel):
         """Every edge by ``<cylinder>.<edge>``: those of valves, then those without a command."""
         metering = {f"{c.name}.{v.edge_name(e)}": e for c, v, e in self.edges()}
         return metering | {f"{c.name}.{e.name}": e for c, e in self.fixed_edges()}
-
-    def seen_as(self, name: str) -> str:
-        """The channel or quantity that people see for one: the coordinate of a slide is the
-        position of its mass [m], no angle.
-        """
-        owner, dot, word = name.rpartition(".")
-        slide = self.mechanism.kind == "slide"
-        return owner + dot + OF_SLIDES.get(word, word) if slide else name
 
     def unit_of(self, name: str) -> str:
         """The unit people see for a quantity, channel or parameter: the choice of ``[display]``,

@@ -79,7 +79,8 @@ SHARES = np.array([0.3, 1.0, 0.2])
 BUDGET = 0.42  # [rad] that the valves' lag and a tick may take at that sum
 RESERVE = 7.0e-3  # [s]: sensors of 2 ms, and 5 ms more, with which nothing shall swing
 LEAST = 0.25  # of the budget is left to a load without damping of its own
-PARTS = (0.19, 0.17, 0.64)  # of the sum of the bandwidths that are k1, k2, k3
+PARTS = (0.20, 0.18, 0.62)  # of the sum of the bandwidths that are k1, k2, k3
+LEARNS = 0.2  # of k1: the rate of adaptation
 OBSERVER, FASTEST_OBSERVER = 6.0, 500.0  # of that sum; [rad/s]
 STROKES = (0.1, 0.3, 0.5, 0.7, 0.9)  # at which adaptation is looked at
 
@@ -97,7 +98,7 @@ class Adaptation:
         disturbance: bound ± of the unknown force [N]; 3 % of supply pressure on the head end by
             default.
         bulk_modulus: its bounds [Pa]; the design's through and times 1.4 by default.
-        adaptation: rate at which the mechanical estimates together follow [rad/s]; k1/4 by default,
+        adaptation: rate at which the mechanical estimates together follow [rad/s]; k1/5 by default,
             and less on a load that swings fast.
         adaptation_bulk: the same of the bulk modulus [rad/s]; a fiftieth of ``adaptation`` by
             default.
@@ -280,7 +281,7 @@ def _rates(
     shown = max(one.answer * float(one.phi**2 @ variance) for one in (told, *postures))
     late = site.valve_lag + site.tick + RESERVE
     turned = late * max(swing for swing, _ in _swings(site.axis))
-    gamma = 0.25 * k1 * min(1.0, 0.5 * math.pi / turned)
+    gamma = LEARNS * k1 * min(1.0, 0.5 * math.pi / turned)
     gamma = gamma if unsure.adaptation is None else unsure.adaptation
     rate = np.zeros(COUNT)
     rate[:3] = gamma * variance / shown
@@ -337,7 +338,7 @@ def _defaults(
         "coupling_frequency": 0.0,
         "speed_tolerance": unknown / (1.1 * k2),
         "force_tolerance": mass * (k1 + k2) * unknown / (1.1 * k3),
-        "robust_limit": 0.1,
+        "robust_limit": 0.05,
         "pressure_bandwidth": 0.6 * total,
         "low_pressure": site.low_pressure,
         "pressure_rate": 3.0 * site.supply_pressure,

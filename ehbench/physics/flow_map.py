@@ -44,11 +44,17 @@ def _span(drop, data, at):
 
 
 @kernel
+def map_leaks(data, at):
+    """Whether the map that starts at ``data[at]`` passes oil at rest."""
+    return data[at + _LEAK_ROOT] + data[at + _LEAK_DROP] > 0.0
+
+
+@kernel
 def _leak(x, data, at):
     """Leak at rest [m³/s] at a place counted in spans along s: a part that grows with the root of
     the drop and one that grows with the drop.
     """
-    if data[at + _LEAK_ROOT] + data[at + _LEAK_DROP] == 0.0:
+    if not map_leaks(data, at):
         return 0.0
     share = x / data[at + _SPANS_S]
     return share * (data[at + _LEAK_ROOT] + share * data[at + _LEAK_DROP])
@@ -420,6 +426,7 @@ def pack(maps: list[FlowMap], factors: Sequence[float] = ()) -> tuple[np.ndarray
     for k, factor in enumerate(factors):
         if factor != 1.0:
             parts[k] = parts[k].copy()
+            parts[k][_LEAK_ROOT : _LEAK_DROP + 1] *= factor
             parts[k][_HEADER + maps[k].opening_knots.size :] *= factor
     sizes = [0, *(part.size for part in parts)]
     data = np.concatenate(parts) if parts else np.zeros(1)

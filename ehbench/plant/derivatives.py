@@ -12,7 +12,7 @@ from ehbench.parts.cylinder import (
     leakage_slope,
     linkage_of,
 )
-from ehbench.parts.edge import edge_flow, edge_opening, edge_slope
+from ehbench.parts.edge import edge_flow, edge_leaks, edge_opening, edge_slope
 from ehbench.parts.end_stop import stop_force, stop_rate
 from ehbench.parts.friction import friction_fastest, friction_force, friction_rates
 from ehbench.parts.line import line_rates
@@ -52,7 +52,8 @@ def _edges(y, plant, work):
     for e in range(plant.edges.shape[0]):
         edge = plant.edges[e]
         opening, flow = edge_opening(y, plant, edge, work[at.opening :]), 0.0
-        if edge.unmetered == 1 or edge.sign * opening > 0.0:
+        shut = edge.unmetered == 0 and edge.sign * opening <= 0.0
+        if not shut or edge_leaks(edge, plant.maps):
             a, b = edge.from_node, edge.to_node
             drop = node_pressure(y, plant, a) - node_pressure(y, plant, b)
             flow = edge_flow(drop, opening, edge, plant.maps)

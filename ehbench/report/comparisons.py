@@ -46,14 +46,14 @@ def draw_comparisons(run: Saved, index: FigureIndex, log: str, kind: str, lead: 
         )
         if not any(channel in series.simulated for channel in channels):
             caption = "Recorded only: this log could not be simulated."
-        caption += "".join(f" {text}" for text in lasting(series, channels, run.rig))
+        caption += "".join(f" {text}" for text in lasting(series, channels))
         title = f"{lead}: {words(log)}" + (f", {cylinder}" if cylinder else "")
         about = FigureKey(kind, log=log, cylinder=cylinder)
         path = index.add(f"{kind}_{log}_{cylinder}", title, caption, about)
         comparison(path, run.rig, series, channels)
 
 
-def lasting(series: Series, channels: Sequence[str], rig: Rig | None = None) -> list[str]:
+def lasting(series: Series, channels: Sequence[str]) -> list[str]:
     """A sentence for each channel whose simulation lies on one side of the recording for long."""
     told = []
     for channel in channels:
@@ -65,7 +65,7 @@ def lasting(series: Series, channels: Sequence[str], rig: Rig | None = None) -> 
         longest = max(_longest(series.t, side * error > off) for side in (-1.0, 1.0))
         if off > 0.0 and longest >= LONG * float(series.t[-1] - series.t[0]):
             told.append(
-                f"{capital(title_of(channel, rig).lower())}: off to one side by more than "
+                f"{capital(title_of(channel).lower())}: off to one side by more than "
                 f"{percent(OFF)} of its range for {number(longest, 2)} s."
             )
     return told

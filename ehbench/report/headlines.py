@@ -162,7 +162,7 @@ def judged(table: Table) -> list[str]:
     return [word for key in ("fit_percent", "max_error") for word in asked.get(key, {})]
 
 
-def silence(table: Table, rig: Rig | None = None) -> str:
+def silence(table: Table) -> str:
     """What a verdict does not go by, with what it would have found there; empty if it goes by
     all.
     """
@@ -173,7 +173,7 @@ def silence(table: Table, rig: Rig | None = None) -> str:
         word = one["channel"].rpartition(".")[2]
         if one.get("fit_percent") is not None and word not in asked:
             fits.setdefault(word, []).append(one["fit_percent"])
-    told += [f"{title_of(word, rig).lower()} (fit {span(fit, 2)} %)" for word, fit in fits.items()]
+    told += [f"{title_of(word).lower()} (fit {span(fit, 2)} %)" for word, fit in fits.items()]
     limit = table.get("thresholds", {}).get("outside_percent")
     for key, text in _TESTS.items():
         tested = [shares for one in channels if (shares := _outside(one, key))]

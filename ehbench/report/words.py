@@ -27,19 +27,18 @@ def row_of(name: str) -> Quantity:
 
 def unit_of(rig: Rig, name: str) -> str:
     """The unit in which this rig's people see a channel or parameter."""
-    name = rig.seen_as(name)
     return rig.unit_of(name) if row_of(name).name in VOCABULARY else row_of(name).display
 
 
 def symbol_of(rig: Rig, name: str) -> str:
     """The symbol of a channel or parameter: f for an ω that this rig's people see in Hz."""
-    symbol = row_of(rig.seen_as(name)).symbol
+    symbol = row_of(name).symbol
     return symbol.replace("ω", "f") if unit_of(rig, name).endswith("Hz") else symbol
 
 
 def shown(rig: Rig, name: str, value):
     """An SI value (or array, or difference of values) in that unit."""
-    return from_si(value, unit_of(rig, name), row_of(rig.seen_as(name)))
+    return from_si(value, unit_of(rig, name), row_of(name))
 
 
 def pretty(unit: str) -> str:

@@ -190,7 +190,7 @@ class Prepared:
             channel, value = machine.channels[entry], float(rows.sample[entry])
         if which == MARGIN and value >= bound:  # then it is the far end that came too near
             bound = float(rows.strokes[index]) - bound
-        word = self.rig.seen_as(channel.rsplit(".", 1)[-1])
+        word = channel.rsplit(".", 1)[-1]
         unit = self.rig.unit_of(word)
         shown, edge = (from_si(v, unit, VOCABULARY[word]) for v in (value, bound))
         sentence = (
@@ -231,7 +231,7 @@ class Prepared:
         stood = "it stood still" if still else "it still moved"
         said = f"the valves went to rest {shut}, {seconds:.3g} s later {stood}"
         for one in beyond:
-            word = self.rig.seen_as(one.channel.rsplit(".", 1)[-1])
+            word = one.channel.rsplit(".", 1)[-1]
             unit = self.rig.unit_of(word)
             value, bound = (from_si(v, unit, VOCABULARY[word]) for v in (one.value, one.bound))
             said += f"; {one.channel} went to {value:.4g} {unit}, beyond {one.limit} ({bound:.4g})"

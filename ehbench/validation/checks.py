@@ -98,8 +98,7 @@ def beyond_noise(fit: float, noise_share: float) -> float:
 def _error_check(result: ChannelResult, asked: Thresholds, rig: Rig) -> Iterator[Check]:
     word = result.channel.rsplit(".", 1)[1]
     if word in asked.max_error:
-        seen = rig.seen_as(word)
-        row, unit = quantity(seen), rig.unit_of(seen)
+        row, unit = quantity(word), rig.unit_of(word)
         reached, most = abs(result.max_error), float(asked.max_error[word])
         shown = [f"{from_si(value, unit, row):.3g}" for value in (reached, most)]
         sentence = (
@@ -135,8 +134,7 @@ def unasked(results: Sequence[ChannelResult], asked: Thresholds, rig: Rig) -> It
         named = {word, STAND_INS.get(word, word)}
         silent = not named & {*asked.fit_percent, *asked.max_error}
         if word in ("q", "x") and silent and reached is not None and reached < POOR:
-            seen = rig.seen_as(word)
-            row, unit = quantity(seen), rig.unit_of(seen)
+            row, unit = quantity(word), rig.unit_of(word)
             far = from_si(abs(result.max_error), unit, row)
             yield (
                 f"{_words(result.channel)} fit is {reached:.3g} %, its error reaches {far:.3g} "

@@ -23,7 +23,7 @@ GAINS = {
     "defaults": ({}, {}),
     "livelier": ({"lag_budget": 0.6}, {"robust_limit": 0.3}),
     "slow observer": ({"lag_budget": 0.5}, {"observer_bandwidth": 90.0}),
-    "fast adaptation": ({"adaptation": 6.0}, {}),
+    "fast adaptation": ({"adaptation": 3.5}, {}),
 }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,7 +27,10 @@ from ehbench.physics.flow_map import (
     save_flow_maps,
     table,
 )
+from ehbench.plant.model import simulate
+from ehbench.recipe import load_rig
 
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 GPM = 3.785411784e-3 / 60.0
 
 
@@ -57,6 +61,43 @@ def a_map(seed: int = 0, valve: str = "hect", direction: str = "forward", **chan
         "source": "maps.csv",
     }
     return FlowMap(**{**fields, **changes})
+
+
+def test_a_leak_at_rest_adds_to_the_flow_and_is_taken_off_by_the_inverse():
+    plain, leaky = a_map(), a_map(leakage=(2e-6, 1e-6), leakage_std=1e-7)
+    drop, command = np.meshgrid([1e5, 1e6, 6.5e6], [0.0, 1.0, 1.7, 5.0, 10.0])
+    share = root_drop(drop, 2e4) / root_drop(6.5e6, 2e4)
+    leak = share * (2e-6 + 1e-6 * share)
+    np.testing.assert_allclose(leaky.flow(drop, command), plain.flow(drop, command) + leak)
+    assert leaky.flow(-1e6, 0.0) == -leaky.flow(1e6, 0.0) < 0.0 == plain.flow(1e6, 0.0)
+    assert leaky.command(1e6, 5e-7) == 0.0
+    assert leaky.command(1e6, leaky.flow(1e6, 5.0)) == pytest.approx(5.0, rel=1e-12)
+    assert leaky.flow_std(6.5e6, 0.0) == pytest.approx(1e-7, rel=1e-3)
+    assert FlowMap.from_dict(leaky.to_dict()).leakage == (2e-6, 1e-6)
+    assert "leakage" not in plain.to_dict()
+    data, offsets = pack([leaky], [2.0])
+    assert map_flow(1e6, 0.0, data, offsets[0]) == pytest.approx(2.0 * leaky.flow(1e6, 0.0))
+
+
+def test_a_map_that_falls_is_inverted_up_to_its_largest_flow():
+    steps = np.array(a_map().increments)
+    steps[8:] *= -0.3
+    one = a_map(increments=steps, rising_to=6.0)
+    command = np.linspace(1.7, 6.0, 30)
+    np.testing.assert_allclose(one.command(3e6, one.flow(3e6, command)), command, rtol=1e-9)
+    assert one.flow(3e6, 10.0) < one.flow(3e6, 6.0)
+    assert one.command(3e6, 1.0) == 6.0 and one.flow(3e6, 12.0) == one.flow(3e6, 10.0)
+    assert FlowMap.from_dict(one.to_dict()).rising_to == 6.0
+    with pytest.raises(InputError, match="increments must be positive"):
+        a_map(increments=steps)
+
+
+def test_an_edge_with_a_leaky_map_lets_its_cylinder_sink():
+    rig = load_rig(RIGS / "boom_four_valve.toml")
+    maps = {"boom.ht": ValveMaps(a_map(valve="ht", leakage=(2e-6, 0.0)))}
+    sunk = simulate(rig, {}, 0.5, flow_maps=maps)["boom.x"]
+    held = simulate(rig, {}, 0.5, flow_maps={"boom.ht": ValveMaps(a_map(valve="ht"))})["boom.x"]
+    assert sunk[-1] < sunk[0] - 1e-5 and abs(held[-1] - held[0]) < 1e-9
 
 
 def by_scipy(one: FlowMap, drop: np.ndarray, opening: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from ehbench.parts.edge import check, compensated, flow_control, measured, orifi
 from ehbench.parts.edge.check import CheckFields
 from ehbench.parts.edge.compensated import CompensatedFields
 from ehbench.parts.edge.law import EdgeLaw
+from ehbench.parts.edge.measured import leaks
 from ehbench.parts.edge.orifice import OrificeFields
 from ehbench.parts.edge.pump import FixedPumpFields, PumpFields
 from ehbench.parts.edge.saturating import SaturatingFields
@@ -79,7 +80,7 @@ _slope = choice("slope", [law.slope for law in LAWS], "drop, flow, reach, edge")
 @part_kernel
 def edge_flow(drop, opening, edge, maps):
     """Flow [m³/s] along an edge, positive from → to, at a pressure drop [Pa] of either sign and a
-    valve opening [V].
+    valve opening [V]; shut, what its map has of a leak.
 
     Args:
         edge: its row.
@@ -87,11 +88,17 @@ def edge_flow(drop, opening, edge, maps):
     """
     reach = edge.sign * opening
     if edge.unmetered == 0:
-        if reach <= 0.0 or drop == 0.0:
+        if drop == 0.0 or (drop < 0.0 and edge.blocked == 1):
             return 0.0
-        if drop < 0.0 and edge.blocked == 1:
+        if reach <= 0.0 and not edge_leaks(edge, maps):
             return 0.0
     return _flow(edge.law, drop, reach, edge, maps)
+
+
+@part_kernel
+def edge_leaks(edge, maps):
+    """Whether an edge passes oil when it is shut, by its map."""
+    return edge.law == MAP and leaks(edge, maps)
 
 
 @part_kernel

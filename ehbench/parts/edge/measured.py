@@ -7,13 +7,21 @@ from typing import Any
 
 from ehbench.compiled import part_kernel
 from ehbench.parts.edge.law import EdgeLaw
-from ehbench.physics.flow_map import map_command, map_flow
+from ehbench.physics.flow_map import map_command, map_flow, map_leaks
 
 
 @part_kernel
 def map_of(drop, edge):
     """Where the map of an edge for drops of this sign [Pa] begins."""
     return edge.reverse if drop < 0.0 and edge.reverse >= 0 else edge.forward
+
+
+@part_kernel
+def leaks(edge, maps):
+    """Whether an edge passes oil when it is shut, in either direction."""
+    return (edge.forward >= 0 and map_leaks(maps, edge.forward)) or (
+        edge.reverse >= 0 and map_leaks(maps, edge.reverse)
+    )
 
 
 @part_kernel

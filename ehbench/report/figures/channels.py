@@ -26,9 +26,8 @@ _STILL = 0.01  # share of the stroke that a cylinder without commands must trave
 _PLAIN = {"p_head": "head end", "p_rod": "rod end", "p_supply": "supply"}
 
 
-def title_of(channel: str, rig: Rig | None = None) -> str:
-    """A channel's quantity as a panel title, on a rig that is known."""
-    channel = channel if rig is None else rig.seen_as(channel)
+def title_of(channel: str) -> str:
+    """A channel's quantity as a panel title."""
     word = channel.rsplit(".", 1)[-1]
     return (
         _TITLES.get(word)
@@ -59,7 +58,7 @@ def live(rig: Rig, record: Record) -> dict[str, list[str]]:
 
 def trial(path: Path, rig: Rig, record: Record, cylinder: str, channels: Sequence[str]) -> None:
     """Commands, motion and pressures of one cylinder over one time axis."""
-    panels = _panels(rig, record, cylinder, channels)
+    panels = _panels(record, cylinder, channels)
     size = (7.4, 1.55 * len(panels) + 0.4)
     with canvas(path, len(panels), 1, size, sharex=True, squeeze=False) as (_, axes):
         for ax, (text, names) in zip(axes[:, 0], panels, strict=True):
@@ -73,16 +72,14 @@ def trial(path: Path, rig: Rig, record: Record, cylinder: str, channels: Sequenc
         axes[-1, 0].set_xlabel("time [s]")
 
 
-def _panels(
-    rig: Rig, record: Record, cylinder: str, channels: Sequence[str]
-) -> list[tuple[str, list[str]]]:
+def _panels(record: Record, cylinder: str, channels: Sequence[str]) -> list[tuple[str, list[str]]]:
     """(title, channels) of the panels that have any."""
     changing = [c for c in channels if c.endswith(".command") and np.ptp(record[c]) > 0.0]
     panels = [("Commands", changing)]
     motion = ("q", "qd") if f"{cylinder}.q" in record else ("q", "qd", "x", "v")
     for word in motion:
         if (channel := f"{cylinder}.{word}") in record:
-            panels.append((title_of(channel, rig), [channel]))
+            panels.append((title_of(channel), [channel]))
     pressures = (f"{cylinder}.p_head", f"{cylinder}.p_rod", "p_supply")
     panels.append(("Pressures", [channel for channel in pressures if channel in record]))
     return [(title, names) for title, names in panels if names]

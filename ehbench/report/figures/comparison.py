@@ -94,5 +94,5 @@ def _overlay(ax, rig: Rig, series: Series, channel: str) -> None:
             linestyle=(0, (4, 1.6)),
             alpha=0.95,
         )
-    ax.set_title(axis(rig, channel, title_of(channel, rig)))
+    ax.set_title(axis(rig, channel, title_of(channel)))
     ax.margins(y=0.08)

@@ -32,7 +32,7 @@ def sweeps(path: Path, rig: Rig, found: Sequence[Table], least: float) -> None:
                     _curves(axes[:, column], rig, sweep, side, look)
             top, middle, bottom = axes[:, column]
             unit = pretty(unit_of(rig, sweep["channel"]))
-            title = title_of(sweep["channel"], rig)
+            title = title_of(sweep["channel"])
             top.set_title(f"{title} [{unit}/V]" if unit else title, fontsize=8.5)
             top.set_xscale("log")
             top.set_yscale("log")

@@ -141,7 +141,7 @@ def _overlay(
         plot_channel(ax, rig, record, name, **look)
     if f"{name}_desired" in cases[0][2]:
         plot_channel(ax, rig, cases[0][2], f"{name}_desired", **_DESIRED)
-    ax.set_title(axis(rig, word, title_of(word, rig)))
+    ax.set_title(axis(rig, word, title_of(word)))
     ax.margins(y=0.06)
 
 

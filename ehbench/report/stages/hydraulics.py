@@ -203,8 +203,8 @@ def _log_fits(rig: Rig, logs: Sequence[Table]) -> list[Block]:
         "log",
         "payload",
         "cylinder",
-        *(f"{title_of(word, rig).lower()} [%]" for word in fitted),
-        *(axis(rig, word, f"rms error, {title_of(word, rig).lower()}") for word in fitted),
+        *(f"{title_of(word).lower()} [%]" for word in fitted),
+        *(axis(rig, word, f"rms error, {title_of(word).lower()}") for word in fitted),
     ]
     rows = [
         _log_fit_row(rig, log, cylinder, fitted)

@@ -75,17 +75,17 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     table = run.json("validation.json")
     status = "accepted" if table["accepted"] else "rejected"
     parts = [
-        Part("Verdict", _verdict(run.rig, table, status)),
+        Part("Verdict", _verdict(table, status)),
         *_structure(table),
         *(
             Part(words(log["name"]).capitalize(), _log_blocks(run.rig, log, pictures))
             for log in table["logs"]
         ),
     ]
-    return SectionContent(status, _sentence(run.rig, table["logs"], status), parts)
+    return SectionContent(status, _sentence(table["logs"], status), parts)
 
 
-def _sentence(rig: Rig, logs: Sequence[Table], status: str) -> str:
+def _sentence(logs: Sequence[Table], status: str) -> str:
     held_out = [log for log in logs if log["status"] == "held_out"]
     fits: dict[str, list[float]] = {}
     for log in held_out:
@@ -97,18 +97,16 @@ def _sentence(rig: Rig, logs: Sequence[Table], status: str) -> str:
     checks = [check for log in held_out for check in log.get("checks", [])]
     if failed := [check for check in checks if not check["passed"]]:
         sentence += f", {len(failed)} of {count(len(checks), 'check')} failed"
-    told = ", ".join(
-        f"{title_of(word, rig).lower()} {span(fit, 2)} %" for word, fit in fits.items()
-    )
+    told = ", ".join(f"{title_of(word).lower()} {span(fit, 2)} %" for word, fit in fits.items())
     return sentence + (f": fit of {told}." if told else ".")
 
 
-def _verdict(rig: Rig, table: Table, status: str) -> list[Block]:
+def _verdict(table: Table, status: str) -> list[Block]:
     look = "good" if status == "accepted" else "bad"
     blocks: list[Block] = [Text(f"The model is {status}.", look)]
     if table["reasons"]:
         blocks.append(Bullets(table["reasons"]))
-    if unasked := silence(table, rig):
+    if unasked := silence(table):
         blocks.append(Text(unasked, "note"))
     rows = [_log_row(log) for log in table["logs"]]
     blocks.append(Grid(["log", "payload", "how it counts", "moved", "result"], rows))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
@@ -122,8 +122,7 @@ def _log(path: Path, rig: Rig | None, of: int, title: str, columns: Path | None 
     from ehbench.logs import read_record
 
     record = read_record(path, check=False, columns=columns)
-    seen = rig.seen_as if rig else record.seen_as
-    return _over_time(title, record.t, record.channels, rig, of, seen)
+    return _over_time(title, record.t, record.channels, rig, of)
 
 
 def _comparison(path: Path, rig: Rig | None, of: int) -> Sheet:
@@ -131,23 +130,16 @@ def _comparison(path: Path, rig: Rig | None, of: int) -> Sheet:
     series = read_series(path)
     channels = {f"{name} recorded": values for name, values in series.recorded.items()}
     channels |= {f"{name} simulated": values for name, values in series.simulated.items()}
-    seen = rig.seen_as if rig else str
-    return _over_time(words(path.stem), series.t, channels, rig, of, seen)
+    return _over_time(words(path.stem), series.t, channels, rig, of)
 
 
 def _over_time(
-    title: str,
-    t: np.ndarray,
-    channels: Mapping[str, np.ndarray],
-    rig: Rig | None,
-    of: int,
-    seen: Callable[[str], str],
+    title: str, t: np.ndarray, channels: Mapping[str, np.ndarray], rig: Rig | None, of: int
 ) -> Sheet:
-    """Channels over time; ``seen`` says which quantity people see of one."""
     curves: list[Curve] = []
     still: list[str] = []
     for label, values in channels.items():
-        name = seen(label.split(" ")[0])
+        name = label.split(" ")[0]
         unit = unit_of(rig, name) if rig else quantity(name).display
         y = np.asarray(from_si(values, unit, quantity(name)), float)
         known = y[np.isfinite(y)]
