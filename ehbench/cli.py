@@ -60,6 +60,24 @@ Columns = Annotated[
     Path | None,
     typer.Option("--columns", help="A map of the columns of a log by others.", show_default=False),
 ]
+Suggest = Annotated[
+    bool,
+    typer.Option(
+        "--suggest", help="Try what would better the fit; with --out write the best as a recipe."
+    ),
+]
+Seconds = Annotated[
+    float, typer.Option("--seconds", help="With --suggest: for how long to try.", min=1.0)
+]
+Profile = Annotated[
+    str | None,
+    typer.Option(
+        "--profile",
+        metavar="NAME",
+        help="Profile likelihood of this parameter, with its picture, in place of the fit.",
+        show_default=False,
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")]
 
 
@@ -159,24 +177,17 @@ def _runner(command: Command) -> Callable[..., None]:
         quiet: Quiet = False,
         verbose: Verbose = False,
         as_json: AsJson = False,
-        suggest: Annotated[
-            bool,
-            typer.Option(
-                "--suggest",
-                help="Try what would better the fit; with --out write the best as a recipe.",
-            ),
-        ] = False,
-        seconds: Annotated[
-            float, typer.Option("--seconds", help="With --suggest: for how long to try.", min=1.0)
-        ] = 120.0,
+        suggest: Suggest = False,
+        seconds: Seconds = 120.0,
+        profile: Profile = None,
     ) -> None:
         says = Says(quiet, verbose, as_json)
         if suggest:
             _suggest(recipe, out, says, seconds)
         else:
-            _run(command.name, recipe, out, says)
+            _run(command.name, recipe, out, says, profile=profile)
 
-    kinds = {"": plain, "unvalidated": insisting, "allow_code": trusting, "suggest": asking}
+    kinds = {"": plain, "unvalidated": insisting, "allow_code": trusting, "asking": asking}
     return kinds[command.allows]
 
 
@@ -388,6 +399,7 @@ def _run(
     *,
     unvalidated: bool = False,
     allow_code: bool = False,
+    profile: str | None = None,
 ) -> None:
     from ehbench import workflow
 
@@ -397,7 +409,10 @@ def _run(
         session = workflow.Session(
             out=out, progress=tell, unvalidated=unvalidated, allow_code=allow_code
         )
-        made = workflow.run(recipe, session)
+        if profile is None:
+            made = workflow.run(recipe, session)
+        else:
+            made = workflow.profile(recipe, profile, session)
     _leave(made, says)
 
 

@@ -9,13 +9,13 @@ from typing import Literal, NamedTuple
 
 class Command(NamedTuple):
     """A command of the command line: its name, what its help says, a recipe for the help's example,
-    and what the user may allow it.
+    and what the user may allow it or ask of it.
     """
 
     name: str
     help: str
     example: str
-    allows: Literal["", "unvalidated", "allow_code", "suggest"] = ""
+    allows: Literal["", "unvalidated", "allow_code", "asking"] = ""
 
 
 COMMANDS = (
@@ -23,7 +23,7 @@ COMMANDS = (
         "identify",
         "Identify flow maps or hydraulics from the data a recipe names.",
         "recipes/thesis/flow_maps.toml",
-        "suggest",
+        "asking",
     ),
     Command(
         "response",

@@ -23,6 +23,7 @@ from ehbench.rig import Rig
 from ehbench.units import is_of
 
 _CYLINDER, _VALVE = "cylinder", "valve"  # where no rig says how they are called
+_ROUNDED = "rounded"
 _MOST_DRAWN = 24
 _FEW = 0.01  # share of a column that may be bad and yet be left out by itself
 _MARKS = {"\t": "tab", " ": "space"}
@@ -42,6 +43,13 @@ _PLACE |= {"travel", "extension", "distance"}
 _ANGLE = {"q", "angle", "winkel", "theta", "phi", "encoder", "joint", "rotation"}
 _SPEED = {"v", "vel", "velocity", "speed", "geschwindigkeit", "rate", "xd", "qd"}
 _CURRENTS = {"mA", "A"}
+# what compounds are made of: Systemdruck, Ventilstrom, supplypressure
+_STEMS = tuple(
+    word
+    for words in (*_WORDS.values(), _COMMAND, _PRESSURE, _PLACE, _ANGLE, _SPEED, _TIME)
+    for word in sorted(words)
+    if len(word) >= 4
+)
 
 
 @dataclass(frozen=True)
@@ -118,6 +126,8 @@ def guessed(source: Source, rig: Rig | None) -> dict[str, Guess]:
 
 def _guess(name: str, column: Column, table: Table, rig: Rig | None) -> Guess:
     unit, words = column.known_unit, _words(name)
+    if table.name.startswith("/"):  # a topic is what its field is of
+        words |= _words(table.name)
     known = column.values[np.isfinite(column.values)]
     if not known.size:
         return Guess(remark="holds no number")
@@ -136,10 +146,17 @@ def _guess(name: str, column: Column, table: Table, rig: Rig | None) -> Guess:
 
 
 def _words(name: str) -> set[str]:
-    """The words of a name, small: of ``PT-101 cylA [bar]`` pt, 101, cyl, a."""
+    """The words of a name, small: of ``PT-101 cylA [bar]`` pt, 101, cyl, a; and those that a word
+    begins or ends with: of ``Systemdruck`` system and druck too.
+    """
     plain = re.sub(r"[\[({][^\])}]*[\])}]\s*$", "", name)
     parts = re.findall(r"[^\W\d_]+|\d+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain))
-    return {part.lower() for part in parts}
+    words = {part.lower() for part in parts}
+    return words | {stem for stem in _STEMS for word in words if _made_of(word, stem)}
+
+
+def _made_of(word: str, stem: str) -> bool:
+    return word.startswith(stem) or word.endswith(stem)
 
 
 def _time(column: Column, unit: str, words: set[str], table: Table) -> Guess | None:
@@ -151,12 +168,16 @@ def _time(column: Column, unit: str, words: set[str], table: Table) -> Guess | N
     is_time = bool(unit) and is_of(unit, VOCABULARY["t"])
     lvm = words >= {"x", "value"}
     if not (is_time or lvm or (words & _TIME and not unit)):
-        return None
+        even = steps.min() > 0.0 and np.ptp(steps) < 1e-3 * steps.min() and steps[0] != 1.0
+        even &= column is table.columns[0] and table.t is None and not unit
+        return Guess("t", "s", False, "rises evenly: the time?") if even else None
     if table.t is not None:
         return Guess(remark="the file knows its time without it")
     if steps.min() == 0.0:
         rate = (values.size - 1) / (values[-1] - values[0])
-        return Guess("t", unit or "s", False, f"rounded; about {rate:.5g} samples a {unit or 's'}")
+        return Guess(
+            "t", unit or "s", False, f"{_ROUNDED}; about {rate:.5g} samples a {unit or 's'}"
+        )
     tick = float(np.median(steps))
     if not is_time:
         unit = "s" if tick < 0.1 else "ms" if tick < 100 else "us"
@@ -268,7 +289,7 @@ def _rate(source: Source, guesses: dict[str, Guess]) -> list[str]:
     if timed or any(table.t is not None for table in source.tables):
         return []
     for name, guess in guesses.items():
-        if guess.channel == "t":
+        if guess.channel == "t" and guess.remark.startswith(_ROUNDED):
             values = source.tables[names[name][0]].columns[names[name][1]].values
             scale = {"ms": 1e-3, "us": 1e-6}.get(guess.unit, 1.0)
             rate = (values.size - 1) / (np.nanmax(values) - np.nanmin(values)) / scale

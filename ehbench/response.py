@@ -294,11 +294,11 @@ def _spectra(signals: Signals) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
 
 def _relative_error(coherence: np.ndarray, averages: float) -> np.ndarray:
     """Half the 95 % interval of the gain as a share of it: ``t √((1 − γ²)/γ²/(2n − 2))``."""
-    from scipy.stats import t
+    from scipy.special import stdtrit
 
     freedom = 2.0 * averages - 2.0
     known = np.where(coherence > 0.0, coherence, np.nan)
-    return t.ppf(0.975, freedom) * np.sqrt((1.0 - known) / known / freedom)
+    return stdtrit(freedom, 0.975) * np.sqrt((1.0 - known) / known / freedom)
 
 
 def _unwrapped(phase: np.ndarray, coherent: np.ndarray) -> np.ndarray:

@@ -44,6 +44,7 @@ __all__ = [
     "ValidatedRig",
     "expect_stage",
     "next_test",
+    "profile",
     "report",
     "run",
     "suggest",
@@ -126,6 +127,21 @@ def run(recipe: Recipe | Path | str, session: Session | None = None) -> Outcome:
     allowed = {"allow_code": session.allow_code, "unvalidated": session.unvalidated}
     prepared = stage.prepare(recipe, Inputs(recipe, Findings(recipe), session, **allowed))
     return stage.run(prepared, session)
+
+
+@one_thread()
+def profile(recipe: Recipe | Path | str, name: str, session: Session | None = None) -> Outcome:
+    """The profile likelihood of a parameter of a hydraulics recipe, in a run folder of its own.
+
+    Raises:
+        EhbenchError: as `run`; another kind of recipe, a parameter that it does not fit.
+    """
+    from ehbench.stages.planning import write_profile
+
+    recipe = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
+    session = session or Session()
+    within = replace(session, out=None, under_way=(*session.under_way, recipe.path))
+    return write_profile(Inputs(recipe, Findings(recipe), within), name, session)
 
 
 @one_thread()

@@ -98,7 +98,7 @@ def said(rig: Rig, name: str, value: float) -> str:
     """A value [SI] of a parameter as a rig file has it, in its people's unit."""
     row = quantity(name)
     unit = rig.unit_of(name)
-    number = f"{float(from_si(value, unit, row)):.3g}"
+    number = f"{float(from_si(value, unit, row)):.5g}"
     return number if unit == "dimensionless" else f"{number} {unit}"
 
 

@@ -113,14 +113,14 @@ class Covariance:
         """(standard error, quantile of the 95 % interval, where it is from) of parameter k:
         whichever gives the widest interval.
         """
-        from scipy.stats import t
+        from scipy.special import stdtrit  # scipy.stats is half a second to import
 
         found = [
             (math.sqrt(max(matrix[k, k], 0.0)), self.quantile, source)
             for matrix, source in ((self.hac, "hac"), (self.acf, "acf"))
         ]
         if self.jackknife is not None:
-            quantile = float(t.ppf(0.5 + 0.5 * LEVEL, self.logs - 1))
+            quantile = float(stdtrit(self.logs - 1, 0.5 + 0.5 * LEVEL))
             found.append((math.sqrt(max(self.jackknife[k, k], 0.0)), quantile, "jackknife"))
         return max(found, key=lambda one: one[0] * one[1])
 
@@ -280,7 +280,7 @@ def _disagree(pulls: Sequence[np.ndarray], meats: Sequence[np.ndarray]) -> bool:
     """Whether the gradients of three logs or more, which sum to nothing at the solution, are larger
     than their covariances explain.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     if len(pulls) < 3:
         return False
@@ -293,7 +293,7 @@ def _disagree(pulls: Sequence[np.ndarray], meats: Sequence[np.ndarray]) -> bool:
         total += float(np.sum(along**2 / values[some]))
         freedom += int(np.count_nonzero(some))
     freedom -= len(size)
-    return freedom > 0 and total > float(chi2.ppf(1.0 - DISAGREE, freedom))
+    return freedom > 0 and total > float(chdtri(freedom, DISAGREE))
 
 
 def _jackknife(solved: Sequence[Eliminated], root: np.ndarray) -> np.ndarray:

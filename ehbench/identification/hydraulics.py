@@ -236,17 +236,28 @@ def run_fit(prepared: PreparedFit, progress: Progress | None = None) -> Hydrauli
         InsufficientData: no log tells anything about any parameter, or the fit follows none.
     """
     one, asked = prepared, prepared.options
-    watched, sensors = [], of_sensors(one.logs[0].start.terms)
+    watched = []
     if asked.method == "output_error":
         watched = coordinates_of_held(one.rig, one.parameters, one.flow_maps)
-    names = [*one.parameters, *(c.name for c in (*sensors, *watched))]
-    simulator = Simulator(one.rig, one.logs, names, one.flow_maps, asked.workers, asked.step)
+    simulator = simulator_of(one, one.logs, watched)
     tell = progress or (lambda sentence, share: None)
     most = asked.max_iterations
     with simulator.pool:
         if asked.method == "thesis":
             return Matching(simulator, one.search, tell, most).fit()
         return OutputError(simulator, one.search, tell, most, asked.cutoff, watched).fit()
+
+
+def simulator_of(
+    prepared: PreparedFit, logs: Sequence[Log], watched: Sequence[Coordinate] = ()
+) -> Simulator:
+    """Logs simulated at the parameters of a fit, what is shared of their sensors, and the watched
+    ones.
+    """
+    one, asked = prepared, prepared.options
+    sensors = of_sensors(logs[0].start.terms)
+    names = [*one.parameters, *(c.name for c in (*sensors, *watched))]
+    return Simulator(one.rig, logs, names, one.flow_maps, asked.workers, asked.step)
 
 
 def coordinates_of_held(

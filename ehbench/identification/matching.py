@@ -353,7 +353,7 @@ class Matching:
         """(standard error of theta, quantile of the 95 % interval, windows): the scatter of the
         windows about their median, or what the recorded rings' own errors make of it if that is
         more."""
-        from scipy.stats import t
+        from scipy.special import stdtrit
 
         use = np.isfinite(error)
         count = int(use.sum())
@@ -368,5 +368,5 @@ class Matching:
         # a median's standard error over a mean's
         median = math.sqrt(math.pi / 2.0) if count > 2 else 1.0
         std = median * max(scatter, rms(np.array(own))) / math.sqrt(count) / max(abs(slope), 1e-12)
-        quantile = float(t.ppf(0.5 + 0.5 * LEVEL, max(1, count - 1))) if count > 1 else 1.96
+        quantile = float(stdtrit(max(1, count - 1), 0.5 + 0.5 * LEVEL)) if count > 1 else 1.96
         return std, quantile, count

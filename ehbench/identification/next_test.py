@@ -17,11 +17,11 @@ import numpy as np
 
 from ehbench.errors import EhbenchError, InputError, InsufficientData
 from ehbench.identification.covariance import eliminate
-from ehbench.identification.hydraulics import PreparedFit
+from ehbench.identification.hydraulics import PreparedFit, simulator_of
 from ehbench.identification.output_error import OutputError
 from ehbench.identification.results import Progress
 from ehbench.identification.search import Coordinate
-from ehbench.identification.simulator import Log, Simulator, channels_of, prepare
+from ehbench.identification.simulator import Log, channels_of, prepare
 from ehbench.observations import column
 from ehbench.plant.model import Model, simulate
 from ehbench.record import Record
@@ -178,18 +178,19 @@ class _Planner:
         with search.simulator.pool:
             search.settle_starts(self.values)
             blocks, prior = search.said()
+        self.sensors = search.theta[len(fitted) :]
         self.scales, self.weight = search.scales, search.weight
         self.normal = np.sum([eliminate(b, self.weight).normal for b in blocks], axis=0)
         self.normal = self.normal + prior.normal
         self.live = [i for i, one in enumerate(fitted) if one.status != "not_excited" or i == which]
+        self.live += range(len(fitted), len(self.normal))
         self.widening = self._widening()
         self.drives = list(drives_of(self.rig, prepared.logs))
         self.noise = _noise_of(prepared.logs)
 
     def _search(self, logs: Sequence[Log]) -> OutputError:
         one, asked = self.prepared, self.prepared.options
-        names = [c.name for c in one.search]
-        simulator = Simulator(one.rig, logs, names, one.flow_maps, asked.workers, asked.step)
+        simulator = simulator_of(one, logs)
         tell = lambda sentence, share: None  # noqa: E731
         return OutputError(simulator, one.search, tell, asked.max_iterations, asked.cutoff)
 
@@ -206,7 +207,7 @@ class _Planner:
         """
         errors = dict(zip(self.live, self._error(self.normal), strict=True))
         found = {}
-        for i in self.live:
+        for i in (i for i in self.live if i < len(self.fitted)):
             c, ends = self.prepared.search[i], self.fitted[i].interval
             if ends is not None and self.fitted[i].status != "not_excited":
                 low, high = (c.of(min(max(end, c.lower), c.upper)) for end in ends)
@@ -242,9 +243,8 @@ class _Planner:
             with search.simulator.pool:
                 search.coarse = False
                 search.scales = {c: self.scales.get(c, 1.0) for c in search.scales}
-                search.theta = np.array(
-                    [c.of(x) for c, x in zip(self.prepared.search, self.values, strict=True)]
-                )
+                pairs = zip(self.prepared.search, self.values, strict=True)
+                search.theta = np.array([*(c.of(x) for c, x in pairs), *self.sensors])
                 (block,), _ = search.said()
         except EhbenchError:
             return []
@@ -285,7 +285,8 @@ class _Planner:
         }
         record = Record(made.t, channels, {"payload": trial.payload or "none"})
         model = Model.of(self.rig, self.prepared.flow_maps, trial.payload)
-        log = prepare(model, record, "test", self.prepared.options.channels)
+        terms = self.prepared.logs[0].start.terms
+        log = prepare(model, record, "test", self.prepared.options.channels, terms)
         clean = Record(made.t, made.channels, record.meta)
         return replace(log, recorded=channels_of(log, clean))
 

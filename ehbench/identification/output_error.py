@@ -379,7 +379,7 @@ class OutputError:
         heads = whole if all(map(operator.is_, heads, whole)) else heads
         self.simulator.step, self.simulator.logs = 2.0 * fine, heads
         self.tell("output error: looking over the range of the bulk modulus", 0.0)
-        self.theta = self._arrive(self.scan())
+        self.arrive()
         self.simulator.logs = whole
         here = self._at(self.theta, self.shifts)
         slopes = self.slopes(here, self.free)
@@ -408,9 +408,10 @@ class OutputError:
         self.tell("output error: done", 1.0)
         return self._result(found, converged)
 
-    def _arrive(self, starts: Sequence[np.ndarray]) -> np.ndarray:
-        """The best that a coarse solution comes to from some starts, and from what the first half
-        of the parameters comes to alone where the first start leaves much.
+    def _arrive(self, starts: Sequence[np.ndarray], begin: np.ndarray) -> np.ndarray:
+        """The best that a coarse solution comes to from some starts; where these leave much, also
+        from what the first half of the parameters comes to alone, and from where the search began:
+        a fit that begins at that of a part of its parameters ends no worse.
         """
         every = self.free
         samples = sum(part.recorded.size for part in self.simulator.logs)
@@ -418,6 +419,7 @@ class OutputError:
         half = every[: (len(every) + 1) // 2]
         if len(half) > 1 and min(cost for cost, _ in ends) > MUCH * samples:
             ends.append(self._solved(self._solved(starts[0], half)[1], every))
+            ends.append(self._solved(begin, every))
         return min(ends, key=lambda end: end[0])[1]
 
     def _solved(self, start: np.ndarray, free: list[int]) -> tuple[float, np.ndarray]:
@@ -436,8 +438,11 @@ class OutputError:
         return sum(float(np.sum(part**2)) for part in self.scaled(here.left)), self.theta
 
     def arrive(self) -> None:
-        """Coarsely to the best that a look over the range of the parameters leads to."""
-        self.theta = self._arrive(self.scan())
+        """Coarsely to the best that a look over the range of the parameters leads to, or that lies
+        near where they start.
+        """
+        begin = self.theta
+        self.theta = self._arrive(self.scan(), begin)
 
     def descend(self, begin: Mapping[str, float]) -> float:
         """Coarsely from some values, by name, to the nearest minimum, each channel weighed by what
@@ -636,20 +641,35 @@ class OutputError:
         return groups_of(names, values, own, float(np.median(widening)))
 
     def settle_starts(self, values: Sequence[float]) -> None:
-        """Stand at given values [SI] of the parameters searched, each log's start and the channels'
-        scales settled there.
+        """Stand at given values [SI] of the parameters searched; each log's start, its sensors and
+        the channels' scales settled there.
         """
-        self.coarse, self.free = False, []
+        self.coarse, self.free = False, list(range(self.asked, self.fitted))
         self.theta[: self.asked] = [c.of(x) for c, x in zip(self.search, values, strict=False)]
         for _ in range(2):
             self.solve(1e-4)
             self._weigh(self._at(self.theta, self.shifts))
 
-    def said(self) -> tuple[list[Block], Prior]:
-        """What each log says of the parameters searched where the fit stands, and what is known of
-        them beside.
+    def held_at(self, i: int, theta: float) -> tuple[float, dict[str, float]]:
+        """(least cost with a parameter held at a value of its search coordinate, the values [SI] of
+        all there by name), from where the search stands, which moves there.
         """
-        here, which = self._at(self.theta, self.shifts), list(range(self.asked))
+        free = self.free
+        self.free = [k for k in free if k != i]
+        self.theta = self.theta.copy()
+        self.theta[i] = theta
+        self.solve(1e-7)
+        self.free = free
+        values = self._values(self.theta)[: self.asked]
+        names = [c.name for c in self.search[: self.asked]]
+        cost = self.cost(self._at(self.theta, self.shifts))
+        return cost, dict(zip(names, values, strict=True))
+
+    def said(self) -> tuple[list[Block], Prior]:
+        """What each log says of the parameters searched and of shared sensors where the fit stands,
+        and what is known of them beside.
+        """
+        here, which = self._at(self.theta, self.shifts), list(range(self.fitted))
         blocks = self._blocks(here, self.slopes(here, which), self.nudges(here))
         return blocks, self._prior(self.theta, which)
 

@@ -71,11 +71,12 @@ class Setup:
 @dataclass(frozen=True, eq=False)
 class Tried:
     """A fit that was tried: mean squares of what is left out [SI²] by (log, window) and channel,
-    and the numbers it came to, a fold each."""
+    and the numbers it came to, a fold each, of which ``best`` has the least misfit."""
 
     setup: Setup
     left: dict[tuple[str, int], dict[str, float]]
     found: tuple[dict[str, float], ...]
+    best: int
 
 
 @dataclass(frozen=True)
@@ -376,15 +377,23 @@ class _Trials:
                     tuple(line for c in setup.changes for line in c.rig_lines),
                 )
             )
-        return Suggestions(tuple(rows), tuple(self.tried[i].setup for i in order), untried)
+        return Suggestions(tuple(rows), tuple(map(_begun, (self.tried[i] for i in order))), untried)
+
+
+def _begun(one: Tried) -> Setup:
+    """A fit that begins where it was tried."""
+    setup, found = one.setup, one.found[one.best]
+    start = {name: found[name] for name in setup.parameters}
+    return replace(setup, options=replace(setup.options, start=start))
 
 
 def _joined(
     folds: Sequence[_Fold],
-) -> tuple[dict[tuple[str, int], dict[str, float]], tuple[dict[str, float], ...]]:
-    """(what is left out by window of all folds, in one order; their numbers)."""
+) -> tuple[dict[tuple[str, int], dict[str, float]], tuple[dict[str, float], ...], int]:
+    """(what is left out by window of all folds, in one order; their numbers; the best's index)."""
     left = {key: own for fold in folds for key, own in fold.left.items()}
-    return dict(sorted(left.items())), tuple(fold.found for fold in folds)
+    best = int(np.argmin([fold.cost for fold in folds]))
+    return dict(sorted(left.items())), tuple(fold.found for fold in folds), best
 
 
 def _windows(log: Log) -> np.ndarray:

@@ -247,13 +247,14 @@ def _clean(
         if general != LEAVE_OUT:
             line = _line(group, int(lost[0]))
             raise LogError("the time is no number", file=path, line=line, hint=_CURE)
-        losses.append(f"{_rows(lost.size)} without a time are left out{_lines(group, lost)}")
+        are = "are" if lost.size > 1 else "is"
+        losses.append(f"{_rows(lost.size)} without a time {are} left out{_lines(group, lost)}")
     gone = ~timed
     for channel, values in group.channels.items():
         bad = _bad(channel, values)
         if not bad.any():
             continue
-        at = np.flatnonzero(bad & inside)
+        at = np.flatnonzero(bad & inside & timed)
         if at.size and (policies.get(channel) or general) != LEAVE_OUT:
             raise _bad_sample(group, channel, int(at[0]), path, columns)
         bridged = bad & _short(bad) & ~gone

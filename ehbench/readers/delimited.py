@@ -28,6 +28,8 @@ _NUMBER = {
     ",": re.compile(r"[-+]?(?:[0-9]+(?:,[0-9]+)?|,[0-9]+)(?:[eE][-+]?[0-9]+)?"),
 }
 _HOLE = re.compile(r"|[-+]?nan|[-+]?inf(inity)?|n/?a|#n/?a|null|none|-+|[-+]?1\.#\w+", re.I)
+_UNIT_HEADS = ("unit", "units", "einheit", "einheiten", "unité", "unidad")
+_HEADS = 6  # rows of facts between the header and the numbers
 _LOOKED_AT = 200  # lines that tell a dialect
 _BLOCK = 512  # rows that are read at once
 _QUOTED = 60  # characters of a cell in a message
@@ -112,9 +114,10 @@ def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[Ta
     units = [] if layout.units is None else split(_bare(lines[layout.units]), separator)
     width = len(layout.kinds)
     names = numbered((top + [""] * width)[:width])
-    said = [named_unit(cell) or cell.strip(" []()") for cell in (units + [""] * width)[:width]] or [
-        ""
-    ] * width
+    said = [
+        "" if cell.lower() in _UNIT_HEADS else named_unit(cell) or cell.strip(" []()")
+        for cell in (units + [""] * width)[:width]
+    ]
     at = [n for n in range(layout.first, len(lines)) if _is_row(lines[n], separator)]
     rows = [lines[n] for n in at]
     values, odd = numbers(rows, separator, decimal, layout.kinds)
@@ -176,7 +179,7 @@ def _marks(lines: Sequence[str], dialect: Dialect) -> tuple[str, str]:
     best, most = (",", "."), -1.0
     for separator in [dialect.separator] if dialect.separator else [",", ";", "\t", " "]:
         for decimal in [dialect.decimal] if dialect.decimal else [".", ","]:
-            if separator == decimal:
+            if separator == decimal and not any('"' in line for line in shown):
                 continue
             score = 0.0
             for line in shown:
@@ -201,6 +204,8 @@ def _layout(lines: Sequence[str], separator: str, decimal: str, dialect: Dialect
         row += ["holes"] * (len(kinds) - len(row))
         asked = [got for got, kind in zip(row, kinds) if kind != "words"]
         good = asked.count("numbers") + asked.count("times")
+        if asked[:1] == ["words"]:
+            return False
         fine = good + asked.count("holes")
         return len(row) >= len(kinds) and good > 0 and fine >= least * len(asked)
 
@@ -245,26 +250,25 @@ def _heads(
     lines: Sequence[str], above: range, separator: str, width: int
 ) -> tuple[int | None, int | None]:
     """(line of the header, line of the units) of the lines above the numbers."""
-    wide: list[int] = []
+    wide: list[list[str]] = []
+    at: list[int] = []
     for n in reversed(above):
-        plain = lines[n].strip(" \t" + separator)
-        if not plain:
+        if not lines[n].strip(" \t" + separator):
             if wide:
                 break
             continue
-        cells = split(_bare(lines[n]), separator)
-        if len(cells) < width or sum(bool(cell) for cell in cells[:width]) < min(width, 2):
+        cells = split(_bare(lines[n]), separator)[:width]
+        filled = [cell for cell in cells if cell.strip("-")]
+        if len(cells) < width or len(filled) < min(width, 2) or len(wide) == _HEADS:
             break
-        wide.append(n)
-        if len(wide) == 2:
-            break
-    if not wide:
-        return None, None
-    cells = [cell for cell in split(_bare(lines[wide[0]]), separator)[:width] if cell.strip("-")]
-    is_units = bool(cells) and all(named_unit(cell) for cell in cells)
-    if len(wide) == 2 and is_units:
-        return wide[1], wide[0]
-    return wide[0], None
+        if sum(bool(_NUMBER["."].fullmatch(cell)) for cell in filled) < 0.5 * len(filled):
+            wide.append(filled)
+            at.append(n)
+    for index, cells in enumerate(wide[:-1]):
+        own = cells[1:] if cells[0].strip(": ").lower() in _UNIT_HEADS else cells
+        if own and all(named_unit(cell) for cell in own):
+            return at[index + 1], at[index]
+    return (at[0], None) if at else (None, None)
 
 
 def numbers(
@@ -280,6 +284,8 @@ def numbers(
         block = rows[start : start + _BLOCK]
         plain: Iterable[str] = block if decimal == "." else (r.replace(",", ".") for r in block)
         try:
+            if separator == decimal:  # numbers in quotes
+                raise ValueError
             values[start : start + len(block), wanted] = np.loadtxt(
                 plain,
                 delimiter=None if separator == " " else separator,

@@ -20,13 +20,15 @@ _UNIT_LAST = (
     r"\{([^{}]*)\}\s*$",
     r"\s(?:/|in)\s+(\S+)\s*$",
     r",\s*(\S+)$",
+    # at the end of words only such as are hardly anything else
+    r"[\s_](m?bar|psi|[kM]Pa|[cm]m|m?V|mA|ms|[lL]/min|gpm|deg|°C?|m?m/s|rpm)$",
 )
 WIDEST = 256  # columns that a matrix may have
 
 
 def unit_in(name: str) -> str:
-    """The unit that a column's name ends in: ``p [bar]``, ``p (bar)``, ``p / bar``, ``p in bar``;
-    '' where it says none.
+    """The unit that a column's name ends in, '' where it says none: of ``p [bar]``, ``p (bar)``,
+    ``p / bar``, ``p in bar``, ``p_bar``.
     """
     for pattern in _UNIT_LAST:
         if (found := re.search(pattern, name)) and (unit := named_unit(found[1])):

@@ -5,6 +5,8 @@ folder, or by the recipe that makes it: the workflow then makes it first if it i
 
 from __future__ import annotations
 
+import os
+import re
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -71,12 +73,20 @@ class Recipe(FileModel):
         return self.path.stem
 
     def file(self, name: str) -> Path:
-        """A path of this recipe, as written in it, relative to its folder.
+        """A path of this recipe, as written in it, relative to its folder; ``$NAME`` stands for a
+        variable of the environment.
 
         Raises:
-            InputError: no file can have such a path.
+            InputError: no file can have such a path, or a variable is not set.
         """
-        path = self.path.parent / name
+        for variable in re.findall(r"\$(\w+)", name):
+            if not os.environ.get(variable):
+                raise InputError(
+                    f"names {shortened(name, 60)}, and {variable} is not set",
+                    file=self.path,
+                    hint=f"say where these files are: export {variable}=/path/to/them",
+                )
+        path = self.path.parent / re.sub(r"\$(\w+)", lambda at: os.environ[at[1]], name)
         if reason := impossible(path):
             raise InputError(
                 f"names {shortened(name, 60)}, which can be no file: {reason}", file=self.path

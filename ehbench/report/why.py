@@ -31,6 +31,7 @@ from ehbench.rundir import SHIPPED
 _METHODS = {
     "flow_map": ("penalised splines through the means of repeated readings", "flow_maps.md"),
     "hydraulics": ("the model simulated along the logs, fitted to them", "identification.md"),
+    "profile": ("fits of all else with the parameter held", "identification.md"),
     "response": ("averaged spectra of the logs", "response.md"),
     "validation": ("the identified rig simulated along logs it was not fitted to", "validation.md"),
     "tuning": ("root loci over postures, loads and functions", "tuning.md"),

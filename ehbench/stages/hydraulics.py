@@ -121,6 +121,7 @@ def write_suggested(prepared: PreparedHydraulics, found: Suggestions, folder: Pa
     import tomli_w
 
     from ehbench.identification.changes import said
+    from ehbench.rig import parameter_row
 
     if folder.exists() and any(folder.iterdir()):
         raise InputError("exists and is not empty; nothing was written", file=folder)
@@ -132,8 +133,18 @@ def write_suggested(prepared: PreparedHydraulics, found: Suggestions, folder: Pa
         table["flow_maps"] = "."
     entries = [{"path": one} if isinstance(one, str) else dict(one) for one in table["data"]]
     for entry in entries:
-        entry["path"] = os.path.relpath(recipe.file(entry["path"]), folder.resolve())
+        entry["path"] = _from(folder, recipe, entry["path"])
+    for one in (table, *entries):
+        columns = one.get("columns")
+        if isinstance(columns, str):
+            one["columns"] = _from(folder, recipe, columns)
+        elif columns is not None and "file" in columns:
+            columns["file"] = _from(folder, recipe, columns["file"])
     table |= {"rig": "rig.toml", "data": entries, "parameters": list(setup.parameters)}
+    table["start"] = {
+        name: f"{float(value):.6g} {parameter_row(name).unit}".removesuffix(" dimensionless")
+        for name, value in setup.options.start.items()
+    }
     bounds = [(name, most) for one in setup.changes for name, most in one.upper.items()]
     if bounds:
         more = {name: said(setup.rig, name, most) for name, most in bounds}
@@ -144,6 +155,13 @@ def write_suggested(prepared: PreparedHydraulics, found: Suggestions, folder: Pa
     path.write_text(tomli_w.dumps(table), encoding="utf-8")
     rundir.write_json(folder / "suggestions.json", [row.as_json() for row in found.rows])
     return path
+
+
+def _from(folder: Path, recipe: HydraulicsRecipe, name: str) -> str:
+    """A file of a recipe as a recipe in another folder names it."""
+    if "$" in name:
+        return name
+    return os.path.relpath(recipe.file(name), folder.resolve())
 
 
 def _prepared_fit(recipe: HydraulicsRecipe, state: RigState, logs: Logs, rig: Rig) -> PreparedFit:

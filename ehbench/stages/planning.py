@@ -8,16 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ehbench import rundir
 from ehbench.errors import InputError
 from ehbench.identification.next_test import Known, Proposal, propose, widest
 from ehbench.recipe import HydraulicsRecipe, load_recipe
+from ehbench.report import draw
 from ehbench.report.bearing import Made
 from ehbench.report.blocks import Grid
 from ehbench.report.content import num
 from ehbench.report.terminal import table
 from ehbench.report.words import estimate, interval, number, pretty, shown, unit_of
 from ehbench.rig import Rig
-from ehbench.stages.base import Progress
+from ehbench.stages.base import DONE, Host, Outcome, Progress, write_rig
 from ehbench.stages.hydraulics import HydraulicsStage
 from ehbench.stages.inputs import Inputs
 
@@ -122,6 +124,36 @@ class NextTest:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(tomli_w.dumps(recipe), encoding="utf-8")
         return path
+
+
+def write_profile(inputs: Inputs, name: str, host: Host) -> Outcome:
+    """The profile likelihood of a parameter in a run folder: ``profile.json`` and its picture.
+
+    Raises:
+        InputError: another kind of recipe, a parameter that it does not fit.
+    """
+    from ehbench.identification.profile import profile
+
+    recipe = inputs.recipe
+    if not isinstance(recipe, HydraulicsRecipe):
+        raise InputError(
+            "has no parameters to profile",
+            file=recipe.path,
+            hint='name a recipe of stage "identify", what = "hydraulics"',
+        )
+    prepared = HydraulicsStage().prepare(recipe, inputs)
+    assert prepared.fit is not None
+    digest = rundir.run_hash(recipe.path, prepared.inputs or ())
+    final = host.out or host.root / f"profile_{name}_{recipe.path.stem}_{digest}"
+    with rundir.open_run(final, recipe.stage_name, recipe.path, prepared.inputs or ()) as run:
+        fit, found = profile(prepared.fit, name, host.tell(recipe.name))
+        write_rig(run.path, fit.rig, prepared.state.flow_maps)
+        rundir.write_json(run.path / "profile.json", found.as_json())
+        run.facts |= {"what": "profile", "title": f"Profile of {name}", "rig": fit.rig.name}
+        run.facts |= {"warnings": list(fit.warnings), "code": DONE, "notes": list(fit.warnings)}
+        run.save()
+        draw(run.path)
+    return Outcome(final, DONE, (*fit.warnings, *run.left_over))
 
 
 def fit_behind(made: Made) -> HydraulicsRecipe:

@@ -54,6 +54,11 @@ class ResponseRecipe(Recipe):
     coherence_min: float = Field(
         default=0.8, gt=0, lt=1, description="from which a frequency counts"
     )
+    transfer: bool = Field(
+        default=False,
+        description="whether plain transfer functions (one pole or two, with and without delay) "
+        "are fitted in time and compared",
+    )
     frequency_max: Annotated[Value, Q("frequency")] | None = Field(
         default=None, description="what lies above is not looked at; none is half the logs' rate"
     )
@@ -98,6 +103,7 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
 
     def work(self, prepared: PreparedResponse, folder: Path, progress: Progress | None) -> Work:
         from ehbench.response import estimate
+        from ehbench.transfer import transfers
 
         recipe, losses = prepared.recipe, prepared.logs.losses
         assert prepared.signals is not None  # a run stops where a check has none
@@ -106,10 +112,11 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
         names = {"input": recipe.input, "output": recipe.output, "gain_unit": unit}
         asked = {"window": recipe.window, "coherence_min": recipe.coherence_min}
         logs = [name for name, _ in prepared.logs.records]
-        rundir.write_json(
-            folder / "response.json",
-            {**names, **asked, "logs": logs, **found.as_json(), "warnings": found.warnings},
-        )
+        table = {**names, **asked, "logs": logs, **found.as_json(), "warnings": found.warnings}
+        if recipe.transfer:
+            forms = transfers(prepared.signals.pairs, prepared.signals.rate)
+            table["transfers"] = [one.as_json() for one in forms]
+        rundir.write_json(folder / "response.json", table)
         (folder / "response.csv").write_text(found.table(unit), encoding="utf-8")
         write_rig(folder, prepared.state.rig, None)
         facts = {

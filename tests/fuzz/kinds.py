@@ -332,7 +332,7 @@ def maps() -> tuple[str, ...]:
     every = (
         'separator = ";"\ndecimal = ","\nskip = 3\nunit_row = true\nencoding = "utf-8"\n'
         'bad_samples = "leave out"\n[names]\n"Time (s)" = "t [s]"\n'
-        '"PT-101 cyl A" = { channel = "ram.p_head", unit = "V", scale = "2 bar/V", '
+        '"PT-101 cyl A" = { channel = "ram.p_head", unit = "V", scale = "-2 bar/V", '
         'offset = "-1 bar", neutral = "2 V", sign = -1, filter = "50 Hz", '
         'bad_samples = "refuse" }\n'
         f'"AO0 valve" = {{ channel = "ram.spool.command", {foreign.CURRENTS} }}\n'
@@ -348,7 +348,7 @@ def take_map(data: bytes, folder: Path) -> None:
 
 
 KINDS = {
-    "unit texts": Kind(make_unit, take_unit, 0.20),
+    "unit texts": Kind(make_unit, take_unit, 0.19),
     "MCAP logs": Kind(lambda rng: mutants.mcap_mutant(mcap_logs(), rng), take_mcap, 0.22),
     "flowmeter CSV": Kind(lambda rng: mutants.text_mutant(readings(), rng), take_readings, 0.15),
     "CSV logs": Kind(lambda rng: mutants.text_mutant(csv_logs(), rng), take_csv, 0.15),
@@ -356,7 +356,7 @@ KINDS = {
         lambda rng: mutants.text_mutant(foreign_texts(), rng), take_foreign, 0.03
     ),
     "foreign files": Kind(
-        make_file, lambda given, folder: take_foreign(given[1], folder, given[0]), 0.01
+        make_file, lambda given, folder: take_foreign(given[1], folder, given[0]), 0.02
     ),
     "maps of columns": Kind(lambda rng: mutants.text_mutant(maps(), rng), take_map, 0.03),
     "recipe TOML": Kind(lambda rng: mutants.text_mutant(recipes(), rng), take_recipe, 0.08),

@@ -411,6 +411,8 @@ def test_what_a_name_says_is_guessed(tmp_path):
         "P1 [bar]": "cylinder.p_head",
         "druckStange (bar)": "cylinder.p_rod",
         "Supply pressure [psi]": "p_supply",
+        "Systemdruck [MPa]": "p_supply",
+        "Tankdruck [kPa]": "p_tank",
         "return line (bar)": "p_tank",
         "AI2 [bar]": "",
         "stroke [mm]": "cylinder.x",

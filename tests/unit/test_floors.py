@@ -24,7 +24,7 @@ FLOORS = [
     {"machines"},
     {"ledger", "observations", "preprocessing", "sensors"},
     {"starts"},
-    {"response", "structure"},
+    {"response", "structure", "transfer"},
     {"identification", "validation", "tune", "trial", "report"},
     {"stages"},
     {"workflow", "starter"},

@@ -152,6 +152,15 @@ TEXTS = {
         "01.03.2026 12:00:00,200;3,5\n",
         {"stamp": "s", "p": ""},
     ),
+    "numbers in quotes with decimal commas": (
+        '"t [s]","p_A bar"\n"0,0","1,5"\n"0,1","2,5"\n"0,2","3,5"\n',
+        {"t [s]": "s", "p_A bar": "bar"},
+    ),
+    "more rows of facts below the header": (
+        "Name\tp1\tp2\nUnit\tbar\tV\nRate\t1000\t1000\n"
+        "0.0\t1.5\t2.5\n0.1\t1.5\t2.5\n0.2\t1.5\t2.5\n",
+        {"Name": "", "p1": "bar", "p2": "V"},
+    ),
     "words beside": (
         "t,p,state\n0.0,1.5,RUN\n0.1,2.5,RUN\n0.2,3.5,STOP\n",
         {"t": "", "p": ""},

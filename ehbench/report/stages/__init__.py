@@ -12,6 +12,7 @@ from ehbench.report.stages import (
     arc_tuning,
     flow_maps,
     hydraulics,
+    profile,
     response,
     trial,
     trials,
@@ -23,6 +24,7 @@ from ehbench.report.words import count, words
 SECTIONS: dict[str, StageReport] = {
     "flow_map": flow_maps.REPORT,
     "hydraulics": hydraulics.REPORT,
+    "profile": profile.REPORT,
     "response": response.REPORT,
     "validation": validation.REPORT,
     "tuning": tuning.REPORT,

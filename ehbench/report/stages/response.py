@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,17 @@ from ehbench.report.content import Pictures, SectionContent, StageReport, num
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table, read_columns
 from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas
-from ehbench.report.words import count, interval, number, pretty, shown, unit_of
+from ehbench.report.words import (
+    count,
+    interval,
+    number,
+    pretty,
+    shown,
+    unit_of,
+    with_error,
+)
 from ehbench.rig import Rig
+from ehbench.terms import Z95
 
 _CAPTION = (
     "Gain, phase and coherence by Welch averaging, with 95 % intervals. "
@@ -126,14 +136,37 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         ],
         ["coherence of noise alone", f"below {number(table['coherence_noise'], 2)} in 95 %"],
     ]
+    forms = [_forms(table["logs"], told)] if (told := table.get("transfers", [])) else []
     parts = [
         Part("Bode diagram", pictures(FigureKey("response"))),
-        Part("Numbers", [Grid(["", "value", "95 % interval", "unit"], rows)]),
+        Part("Numbers", [Grid(["", "value", "95 % interval", "unit"], rows), *forms]),
         Part("How it was averaged", [Grid(["", ""], averaged)]),
     ]
     if warnings := table["warnings"]:
         parts.append(Part("What is to be said", [Bullets(warnings, "warn")]))
     return SectionContent("done", _sentence(table), parts)
+
+
+def _forms(logs: Sequence[str], forms: Sequence[Table]) -> Grid:
+    """Transfer functions fitted in time, the preferred first."""
+    head = ["form", "poles [rad/s]", "delay [ms]", *(f"fit of {log} [%]" for log in logs), ""]
+    rows: list[list[Cell | str]] = []
+    for one in forms:
+        poles = ", ".join(
+            with_error(w, Z95 * std) for w, std in zip(one["poles"], one["pole_stds"], strict=True)
+        )
+        delay = "–"
+        if one.get("delay") is not None:
+            delay = with_error(1e3 * one["delay"], 1e3 * Z95 * one["delay_std"])
+        fits = [num(number(fit, 4)) for fit in one["fit_percent"]]
+        words = "preferred" if one["preferred"] else ""
+        rows.append([one["form"], num(poles), num(delay), *fits, words])
+    note = (
+        "Fitted to the logs in time, each with an offset of its own; ± is half the width of the "
+        "95 % interval. Preferred: of the forms within 1 % of the best fit those with the fewest "
+        "numbers, and of them the best."
+    )
+    return Grid(head, rows, note)
 
 
 def _number_row(table: Table, key: str, text: str, unit: str, factor: float) -> list[Cell | str]:

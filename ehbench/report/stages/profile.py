@@ -1,0 +1,71 @@
+"""The profile likelihood of a parameter: its picture, where it crosses the 95 % level, and what the
+other parameters do along it."""
+
+from __future__ import annotations
+
+from ehbench.report.blocks import Block, Grid, Part
+from ehbench.report.captions import range_of
+from ehbench.report.content import Pictures, SectionContent, StageReport, num
+from ehbench.report.figures import profile as figures
+from ehbench.report.index import FigureIndex, FigureKey
+from ehbench.report.saved import Saved, Table
+from ehbench.report.words import axis, estimate, number, pretty, shown, unit_of
+from ehbench.rig import Rig
+
+_CAPTION = (
+    "Rise of −2 log likelihood when the parameter is held and all others and the logs' starts are "
+    "fitted again. Dashed: the parabola that the interval stands for. The profile's own 95 % "
+    "interval lies where it crosses the level; bar: the fit's. Below, what the others do meanwhile."
+)
+_SHAPES = {
+    "parabola": "it is a parabola: the interval means what it says",
+    "lopsided": "it is lopsided: take its own interval",
+    "open": "it does not reach the 95 % level on both sides: the logs set no end there",
+    "two valleys": "it has two valleys: another value follows the logs nearly as well",
+}
+
+
+def draw(run: Saved, index: FigureIndex) -> None:
+    """The profile."""
+    found = run.json("profile.json")
+    path = index.add("profile", f"Profile of {found['name']}", _CAPTION, FigureKey("profile"))
+    figures.profile(path, run.rig, found)
+
+
+def section(run: Saved, pictures: Pictures) -> SectionContent:
+    """Picture, ends and the others' values."""
+    rig, found = run.rig, run.json("profile.json")
+    parts = [Part("Profile", [_ends(rig, found), *pictures(FigureKey("profile"))])]
+    return SectionContent("done", _sentence(rig, found), parts)
+
+
+def _sentence(rig: Rig, found: Table) -> str:
+    name, unit = found["name"], pretty(unit_of(rig, found["name"]))
+    low, high = found["ends"]
+    value = float(shown(rig, name, found["best"]))
+    if low is None or high is None:
+        text = number(value)
+    else:
+        text = estimate(value, *(float(shown(rig, name, end)) for end in (low, high)))
+    return f"Profile of {name}, {text} {unit}".rstrip() + f": {_SHAPES[found['shape']]}."
+
+
+def _ends(rig: Rig, found: Table) -> Block:
+    name = found["name"]
+    low, high = found["ends"]
+    ends = ["open" if end is None else number(float(shown(rig, name, end))) for end in (low, high)]
+    rows = [
+        ["by the profile", num(f"{ends[0]} … {ends[1]}")],
+        ["by the fit", num(range_of(rig, name, found.get("interval")))],
+    ]
+    return Grid(["95 % interval", axis(rig, name, name)], rows)
+
+
+REPORT = StageReport(
+    "profile likelihood",
+    section,
+    draw,
+    standing=0,
+    shows=("Profile",),
+    numbers=("profile.json", ()),
+)

@@ -1,0 +1,88 @@
+"""Profile likelihoods: a parabola where the interval is right, open where the logs set no end."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench import workflow
+from ehbench.errors import InputError
+from ehbench.identification.hydraulics import FitOptions, prepare_fit
+from ehbench.identification.profile import LEVEL_95, profile
+from ehbench.plant.model import simulate
+from ehbench.recipe import load_rig
+from ehbench.record import Record
+
+ROOT = Path(__file__).parents[2]
+NOISE = {"v": 1e-3, "p_head": 6e4, "p_rod": 6e4, "x": 1e-5, "p_supply": 6e3}
+
+
+@pytest.fixture(scope="module")
+def prepared():
+    rig = load_rig(ROOT / "recipes" / "rigs" / "slide_servo.toml")
+    u = np.zeros(801)
+    u[60:240], u[440:640] = 3.0, -3.0
+    made, rng = simulate(rig, {"press.servo": u}, 0.8), np.random.default_rng(4)
+    channels = {
+        name: y + NOISE.get(name.rsplit(".", 1)[-1], 0.0) * rng.standard_normal(y.size)
+        for name, y in made.channels.items()
+        if not name.endswith(("flow", "opening"))
+    }
+    log = Record(made.t, channels, made.meta)
+    names = ["bulk_modulus", "press.volume_head", "carriage.damping"]
+    return prepare_fit(rig, [("log", log)], names, FitOptions(workers=1))
+
+
+def test_the_profile_of_a_plain_parameter_is_the_parabola_of_its_interval(prepared):
+    fit, found = profile(prepared, "bulk_modulus")
+    assert found.shape == "parabola" and len(found.values) == 13
+    own = fit["bulk_modulus"]
+    assert found.best == pytest.approx(own.value, rel=1e-4)
+    # the profile's ends and the interval's are the same to a tenth of its width
+    tenth = 0.1 * (own.interval[1] - own.interval[0])
+    assert found.ends == pytest.approx(own.interval, abs=tenth)
+    assert min(found.rise) == 0.0 and found.rise[0] > LEVEL_95 < found.rise[-1]
+    assert set(found.followed) == {"press.volume_head", "carriage.damping"}
+    assert json.loads(json.dumps(found.as_json(), allow_nan=False))["shape"] == "parabola"
+
+
+def test_the_others_are_fitted_again_along_a_profile(prepared):
+    fit, found = profile(prepared, "press.volume_head")
+    followed = np.array(found.followed["bulk_modulus"])
+    middle = followed[int(np.argmin(found.rise))]
+    assert middle == pytest.approx(fit["bulk_modulus"].value, rel=1e-3)
+    # by more than its own interval is wide: the two are known together only
+    low, high = fit["bulk_modulus"].interval
+    assert np.ptp(followed) > high - low
+    # the rise falls to the best value and grows beyond it
+    k = int(np.argmin(found.rise))
+    assert np.all(np.diff(found.rise[: k + 1]) < 0) and np.all(np.diff(found.rise[k:]) > 0)
+
+
+def test_a_parameter_that_is_not_fitted_has_no_profile(prepared):
+    with pytest.raises(InputError, match="not among the parameters"):
+        profile(prepared, "carriage.mass")
+
+
+def test_the_command_leaves_a_run_with_its_picture(tmp_path):
+    recipe = ROOT / "recipes" / "slide_servo" / "hydraulics.toml"
+    out = tmp_path / "profile"
+    command = [sys.executable, "-m", "ehbench.cli", "identify", str(recipe)]
+    done = subprocess.run(
+        [*command, "--profile", "bulk_modulus", "--out", str(out)],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Profile of bulk_modulus" in done.stdout and "by the fit" in done.stdout
+    picture = (out / "figures" / "profile.svg").read_text(encoding="utf-8")
+    assert "rise of −2 log likelihood" in picture
+    page = workflow.report([out], workflow.Session(out=tmp_path / "report"))
+    assert "Profile of bulk_modulus" in (page.folder / "report.html").read_text(encoding="utf-8")
