@@ -78,7 +78,8 @@ VOCABULARY_OF_GAINS = {
 SHARES = np.array([0.3, 1.0, 0.2])
 BUDGET = 0.42  # [rad] that the valves' lag and a tick may take at that sum
 RESERVE = 7.0e-3  # [s]: sensors of 2 ms, and 5 ms more, with which nothing shall swing
-LEAST = 0.25  # of the budget is left to a load without damping of its own
+OWN = 2.0  # of a load's own damping may be taken: no more than a part of the sum acts on it
+LEAST = 0.26  # of the budget is left to a load without damping of its own
 PARTS = (0.20, 0.18, 0.62)  # of the sum of the bandwidths that are k1, k2, k3
 LEARNS = 0.2  # of k1: the rate of adaptation
 OBSERVER, FASTEST_OBSERVER = 6.0, 500.0  # of that sum; [rad/s]
@@ -239,7 +240,7 @@ def _total(site: Site, unsure: Adaptation) -> float:
     """k1 + k2 + k3 [rad/s] by default.
 
     Where a load swings so fast that lag and RESERVE turn the feedback by more than a quarter of a
-    turn, it takes damping away; there it may take twice of what the load has by itself."""
+    turn, it takes damping away; there it may take OWN of what the load has by itself."""
     lag = site.valve_lag + site.tick
     if unsure.lag_budget is not None:
         return unsure.lag_budget / lag
@@ -247,7 +248,7 @@ def _total(site: Site, unsure: Adaptation) -> float:
     for swing, damping in _swings(site.axis):
         taken = -math.cos(min(swing * (lag + RESERVE), math.pi))
         if taken > 0.0:
-            total = min(total, max(2.0 * damping / taken, LEAST * most))
+            total = min(total, max(OWN * damping / taken, LEAST * most))
     return total
 
 
