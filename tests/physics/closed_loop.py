@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
+
+from ehbench.compiled import allocating_kernel
 from ehbench.control import arc
 from ehbench.control.arc_gains import Adaptation, pack_arc
 from ehbench.control.axis import Axis, Mechanism
@@ -55,7 +56,7 @@ class Bench(NamedTuple):
     noise: np.ndarray
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel
 def control(t, sample, reference, law, telemetry):
     """One tick of a controller, which sees the channels of its mask."""
     given = np.empty(sample.shape[0])
@@ -64,7 +65,7 @@ def control(t, sample, reference, law, telemetry):
     arc.step(t, given, reference, law.design, law.gains, law.memory, law.command, telemetry)
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel
 def on_model(y, reference, law, plant, line, steps, trace, flows):
     """Run a controller on the model."""
     k = np.empty((5, y.shape[0]))
@@ -79,7 +80,7 @@ def on_model(y, reference, law, plant, line, steps, trace, flows):
         model_tick(y, law.command, plant, line, steps, k, work, sample)
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel
 def on_bench(bench, reference, law, tick, steps, trace):
     """Run a controller on the virtual bench; the log is what it measured, the truth follows in its
     last columns.
