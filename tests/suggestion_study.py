@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from ehbench.identification.hydraulics import prepare_fit
-from ehbench.identification.suggestions import Suggestions, suggest
+from ehbench.identification.suggestions import ROUNDS, Suggestions, suggest
 from ehbench.recipe import load_rig
 from ehbench.record import Record
 from ehbench.rig import Rig
@@ -33,6 +33,7 @@ def suggested(
     seed: int = 7,
     kinds: Sequence[str] = KINDS,
     seconds: float = 90.0,
+    rounds: int = ROUNDS,
 ) -> Suggestions:
     """What is suggested for a recipe of bulk modulus and damping on logs of a faulty machine."""
     who = next(iter(DRIVES[name][0])).split(".")[0]
@@ -43,7 +44,7 @@ def suggested(
         (f"log{i}", without_joints(log_of(name, fault, kind, seed + i)))
         for i, kind in enumerate(kinds)
     ]
-    return suggest(prepare_fit(rig, logs, parameters), logs, seconds=seconds)
+    return suggest(prepare_fit(rig, logs, parameters), logs, seconds=seconds, rounds=rounds)
 
 
 def without_joints(log: Record) -> Record:

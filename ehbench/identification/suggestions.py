@@ -140,6 +140,7 @@ def suggest(
     records: Sequence[tuple[str, Record]],
     progress: Progress | None = None,
     seconds: float = SECONDS,
+    rounds: int = ROUNDS,
 ) -> Suggestions:
     """Try what is likely on a fit.
 
@@ -148,11 +149,12 @@ def suggest(
         records: its logs.
         progress: told what is tried, and the share done.
         seconds: after which nothing more is begun.
+        rounds: how many changes are tried on top of one another, at most.
 
     Raises:
         InsufficientData: the logs tell nothing about any parameter of the fit itself.
     """
-    return _Trials(prepared, records, progress or (lambda text, share: None), seconds).run()
+    return _Trials(prepared, records, progress or (lambda text, share: None), seconds).run(rounds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,12 +186,12 @@ class _Trials:
         self.spread: dict[str, float] = {}
         self.noise: dict[str, float] = {}
 
-    def run(self) -> Suggestions:
+    def run(self, rounds: int) -> Suggestions:
         """All rounds, and the table."""
         self.tell("suggest: fitting the recipe as it is", 0.0)
         now, untried = self._first(), ()
         gains: dict[str, float] = {}
-        for _ in range(ROUNDS):
+        for _ in range(rounds):
             if self._quiet(now):
                 break
             left = sorted(self._changes(now), key=lambda one: gains.get(one.name, 1.0))
