@@ -5,7 +5,7 @@ derivation in docs/arc.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from ehbench.codes import ESTIMATES, INVERSE_BULK, INVERSE_INERTIA
 from ehbench.compiled import record
-from ehbench.control.axis import Axis, hydraulic_frequency, reference_load
+from ehbench.control.axis import Axis, Load, hydraulic_frequency, reference_load
 from ehbench.control.functions import RULES
 from ehbench.control.law import Packed, Site
 from ehbench.control.records import blank, numbers, reals
@@ -167,24 +167,35 @@ def pack_arc(
         InputError: an unknown gain, a number out of its range, bounds that do not hold the design
             model.
     """
-    unsure, given = adaptation or Adaptation(), dict(gains or {})
+    return pack_with_rates(site, rules, adaptation or Adaptation(), gains or {})[0]
+
+
+def pack_with_rates(
+    site: Site, rules: np.record, unsure: Adaptation, given: Mapping[str, float]
+) -> tuple[np.record, np.ndarray]:
+    """(`pack_arc`, the rates of adaptation that a bandwidth of 1 rad/s makes).
+
+    Raises:
+        InputError: as `pack_arc`.
+    """
     _check(given, site.tick, BUDGET if unsure.lag_budget is None else unsure.lag_budget)
-    bounds, total = _bounds(site, unsure), _total(site, unsure)
+    places = _places(site.axis)
+    bounds, total = _bounds(site, unsure, places[0]), _total(site, unsure, places)
     chosen = {
         name: given.get(name, total * part)
         for name, part in zip(GAIN_NAMES[2:5], PARTS, strict=True)
     }
-    rate, answer, unknown = _rates(site, unsure, bounds, chosen, given)
-    chosen |= _defaults(site, chosen, total, answer, unknown) | given
+    learning = _learning(site, unsure, bounds, chosen, (given, places))
+    chosen |= _defaults(site, places[0].load, chosen, total, learning) | dict(given)
     chosen |= {"tick": given.get("tick", site.tick), "adapt": given.get("adapt", unsure.adapt)}
-    _check_whole(chosen, bounds, rate)
+    _check_whole(chosen, bounds, learning.rate)
     packed = blank(GAINS)
     for name in GAIN_NAMES:
         packed[name] = chosen[name]
     packed.lower[:], packed.upper[:], packed.start[:] = bounds.lower, bounds.upper, bounds.start
-    packed.rate[:] = rate
+    packed.rate[:] = learning.rate
     packed.rules = rules
-    return packed
+    return packed, learning.per_bandwidth
 
 
 def _check(given: Mapping[str, float], tick: float, lag_budget: float) -> None:
@@ -217,10 +228,32 @@ def _check_whole(chosen: Mapping[str, float], bounds: _Bounds, rate: np.ndarray)
         )
 
 
-def _bounds(site: Site, unsure: Adaptation) -> _Bounds:
+class _Place(NamedTuple):
+    """A posture: the ``load`` there, the share ``ratio`` [1/kg] of its inertia that 1 kg at the tip
+    adds, the frequency ``swing`` [rad/s] at which the bare rig swings on its oil, and its damping
+    b/m [1/s].
+    """
+
+    load: Load
+    ratio: float
+    swing: float
+    damping: float
+
+
+def _places(axis: Axis) -> list[_Place]:
+    """The axis's posture, then those along its stroke, the other joints as they are."""
+    found = []
+    for one in (axis, *_along(axis)):
+        load, ratio = reference_load(one)
+        damping = load.damping + float(axis.cylinder.friction_viscous)
+        swing = hydraulic_frequency(one, load)
+        found.append(_Place(load, ratio, swing, damping / load.mass))
+    return found
+
+
+def _bounds(site: Site, unsure: Adaptation, place: _Place) -> _Bounds:
     """Bounds of the estimates; a payload's are those of inertia and gravity that it makes."""
-    axis = site.axis
-    _, ratio = reference_load(axis)
+    axis, ratio = site.axis, place.ratio
     beta = axis.cylinder.bulk_modulus
     mass = 1.5 * float(axis.mechanism.links[-1].mass)
     low, high = unsure.payload or (0.0, mass)
@@ -236,7 +269,7 @@ def _bounds(site: Site, unsure: Adaptation) -> _Bounds:
     )
 
 
-def _total(site: Site, unsure: Adaptation) -> float:
+def _total(site: Site, unsure: Adaptation, places: Sequence[_Place]) -> float:
     """k1 + k2 + k3 [rad/s] by default.
 
     Where a load swings so fast that lag and RESERVE turn the feedback by more than a quarter of a
@@ -245,51 +278,52 @@ def _total(site: Site, unsure: Adaptation) -> float:
     if unsure.lag_budget is not None:
         return unsure.lag_budget / lag
     total = most = BUDGET / lag
-    for swing, damping in _swings(site.axis):
-        taken = -math.cos(min(swing * (lag + RESERVE), math.pi))
+    for place in places:
+        taken = -math.cos(min(place.swing * (lag + RESERVE), math.pi))
         if taken > 0.0:
-            total = min(total, max(OWN * damping / taken, LEAST * most))
+            total = min(total, max(OWN * place.damping / taken, LEAST * most))
     return total
 
 
-def _swings(axis: Axis) -> Iterator[tuple[float, float]]:
-    """(frequency [rad/s] at which the bare rig swings on its oil, its damping b/m [1/s]) in
-    postures along the stroke.
+class _Learning(NamedTuple):
+    """The ``rate`` of each estimate, and that which a bandwidth of 1 rad/s would make; the
+    ``answer`` [s] of the loop to an error of acceleration, and what the acceleration may be wrong
+    by, ``unknown`` [m/s²].
     """
-    for one in (axis, *_along(axis)):
-        load, _ = reference_load(one)
-        damping = load.damping + float(axis.cylinder.friction_viscous)
-        yield hydraulic_frequency(one), damping / load.mass
+
+    rate: np.ndarray
+    per_bandwidth: np.ndarray
+    answer: float
+    unknown: float
 
 
-def _rates(
+def _learning(
     site: Site,
     unsure: Adaptation,
     bounds: _Bounds,
     bandwidths: Mapping[str, float],
-    given: Mapping[str, float],
-) -> tuple[np.ndarray, float, float]:
-    """(rates of adaptation, answer [s] of the loop to an error of acceleration, what the
-    acceleration may be wrong by [m/s²]).
-    """
+    known: tuple[Mapping[str, float], Sequence[_Place]],
+) -> _Learning:
+    given, places = known
     coupling = given.get("coupling_frequency") or 0.0
     k1, _, k3 = bandwidths.values()
-    told = _told(site.axis, bounds.span, bandwidths, coupling)
+    each = [_told(place, bounds.span, bandwidths, coupling) for place in places]
+    told = each[0]
     width = (bounds.upper - bounds.lower)[:3]
     variance = (width * SHARES) ** 2
     # where along the stroke an error shows most, so that nowhere they learn faster than is said
-    postures = (_told(axis, bounds.span, bandwidths, coupling) for axis in _along(site.axis))
-    shown = max(one.answer * float(one.phi**2 @ variance) for one in (told, *postures))
+    shown = max(one.answer * float(one.phi**2 @ variance) for one in each)
     late = site.valve_lag + site.tick + RESERVE
-    turned = late * max(swing for swing, _ in _swings(site.axis))
+    turned = late * max(place.swing for place in places)
     gamma = LEARNS * k1 * min(1.0, 0.5 * math.pi / turned)
     gamma = gamma if unsure.adaptation is None else unsure.adaptation
-    rate = np.zeros(COUNT)
-    rate[:3] = gamma * variance / shown
     # 10 m/s³ times the reference mass stands for the force rates that tell the bulk modulus
     slow = 0.02 * gamma if unsure.adaptation_bulk is None else unsure.adaptation_bulk
-    rate[INVERSE_BULK] = slow * k3 * (told.omega / 10.0) ** 2
-    return rate, told.answer, float(np.abs(told.phi) @ width)
+    rate, per = (
+        np.array([*(one * variance / shown), bulk * k3 * (told.omega / 10.0) ** 2])
+        for one, bulk in ((gamma, slow), (1.0, 1.0))
+    )
+    return _Learning(rate, per, told.answer, float(np.abs(told.phi) @ width))
 
 
 class _Told(NamedTuple):
@@ -303,13 +337,13 @@ class _Told(NamedTuple):
     omega: float
 
 
-def _told(axis: Axis, span: float, bandwidths: Mapping[str, float], coupling: float) -> _Told:
-    """In the axis's posture: an acceleration error Δ shows as mixed = −answer·Δ, so that θ̂' = Γ φ
+def _told(place: _Place, span: float, bandwidths: Mapping[str, float], coupling: float) -> _Told:
+    """In a posture: an acceleration error Δ shows as mixed = −answer·Δ, so that θ̂' = Γ φ
     mixed makes Δ' = −adaptation·Δ.
     """
-    load, _ = reference_load(axis)
+    load = place.load
     k1, k2, k3 = bandwidths.values()
-    omega = coupling or hydraulic_frequency(axis)
+    omega = coupling or place.swing
     # 1 m/s² stands for the accelerations that tell the inertia
     phi = np.array(
         [1.0 + 0.5 * abs(load.pull) * span / load.mass, load.pull / load.mass, 1.0 / load.mass]
@@ -329,10 +363,10 @@ def _along(axis: Axis) -> Iterator[Axis]:
 
 
 def _defaults(
-    site: Site, bandwidths: Mapping[str, float], total: float, answer: float, unknown: float
+    site: Site, load: Load, bandwidths: Mapping[str, float], total: float, learning: _Learning
 ) -> dict[str, float]:
     """Defaults of all gains but the bandwidths k1, k2, k3, whose sum by default is ``total``."""
-    load, _ = reference_load(site.axis)
+    unknown = learning.unknown
     k1, k2, k3 = bandwidths.values()
     area, mass = site.axis.circuit.area_head, load.mass
     return {
@@ -351,7 +385,7 @@ def _defaults(
         "standby": 0.8,
         "valve_lead": site.valve_lag + 0.5 * site.tick,
         "drop_floor": 2.0e4,
-        "weighing_time": answer,
+        "weighing_time": learning.answer,
         "reference_mass": mass,
     }
 
@@ -370,20 +404,19 @@ def pack(site: Site, gains: Mapping[str, Any], rules: np.record, shaping: np.rec
         )
     known = {name: v for name, v in gains.items() if name in GAIN_NAMES and name != "adapt"}
     unsure: dict[str, Any] = {name: v for name, v in gains.items() if name not in known}
-    packed = pack_arc(site, rules, Adaptation(**unsure), known)
-    unit: dict[str, Any] = unsure | {"adaptation": 1.0, "adaptation_bulk": 1.0}
-    return Packed(packed, named_gains(packed, pack_arc(site, rules, Adaptation(**unit), known)))
+    packed, per_bandwidth = pack_with_rates(site, rules, Adaptation(**unsure), known)
+    return Packed(packed, named_gains(packed, per_bandwidth))
 
 
-def named_gains(packed: np.record, slow: np.record) -> dict[str, Any]:
+def named_gains(packed: np.record, per_bandwidth: np.ndarray) -> dict[str, Any]:
     """``gains`` by name [SI] and ``estimate_bounds``, (lower, upper) [SI] of each estimate.
 
-    ``slow`` is the same packed for adaptation at 1 rad/s, in which the rates are proportional.
+    ``per_bandwidth`` are the rates of adaptation that a bandwidth of 1 rad/s makes.
     Projected are the estimates of the law; ``payload_estimate`` is payload_share/inverse_inertia,
     so its bounds are those of the quotient."""
     gains = numbers(packed, GAIN_NAMES)
     for name, which in (("adaptation", INVERSE_INERTIA), ("adaptation_bulk", INVERSE_BULK)):
-        gains[name] = float(packed.rate[which] / slow.rate[which])
+        gains[name] = float(packed.rate[which] / per_bandwidth[which])
     bounds = {
         name: [low, high]
         for name, low, high in zip(

@@ -177,11 +177,12 @@ def reference_load(axis: Axis) -> tuple[Load, float]:
     return load, tip / own
 
 
-def hydraulic_frequency(axis: Axis) -> float:
+def hydraulic_frequency(axis: Axis, load: Load | None = None) -> float:
     """ω_h [rad/s] of the bare rig on its oil, valves shut, in the axis's posture: ``ω_h² = k/m0``,
-    ``k = β (A1²/V1 + A2²/V2)``, in series with a mount that gives way.
+    ``k = β (A1²/V1 + A2²/V2)``, in series with a mount that gives way. ``load`` is that of the
+    posture, where it is known.
     """
-    load, _ = reference_load(axis)
+    load = load or reference_load(axis)[0]
     cylinder = axis.cylinder
     x, _, _ = linkage_of(cylinder, float(axis.mechanism.posture[cylinder.joint]))
     head, rod = cylinder.area_head, cylinder.area_rod

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.control.arc_gains import Adaptation, named_gains, pack_arc
+from ehbench.control.arc_gains import Adaptation, named_gains, pack_arc, pack_with_rates
 from ehbench.control.functions import pack_rules
 from ehbench.control.law import Site
 from ehbench.plant.model import Model
@@ -182,12 +182,8 @@ def _result(
     loops, gains = search.loops(budget), search.gains(budget)
     found = [loop.margins(search.sensing) for loop in loops]
     worst = min(range(len(found)), key=lambda i: found[i].delay)
-    slow = pack_arc(
-        search.site,
-        search.rules,
-        Adaptation(lag_budget=budget, adaptation=1.0, adaptation_bulk=1.0),
-    )
-    named = named_gains(gains, slow)["gains"]
+    _, rates = pack_with_rates(search.site, search.rules, Adaptation(lag_budget=budget), {})
+    named = named_gains(gains, rates)["gains"]
     chosen, points = search.judged(budget, found), [one.point for one in search.plants]
     warnings = []
     if not chosen.met:
