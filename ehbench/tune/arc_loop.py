@@ -36,6 +36,9 @@ ESTIMATE = 1e-4
 INSIDE = 1e-3  # share of their bounds that estimates keep from the ends, where projection is a kink
 SLOWEST = 3.0  # [rad/s]: what is slower is the motion itself, no swing
 POINTS = 500  # of the frequency response
+# and about each mode that rings, in half-widths of its peak: evenly along the circle that it draws
+ABOUT = np.tan(np.linspace(-1.45, 1.45, 41))
+RINGS = 0.3  # damping ratio below which a mode is one
 SAFETY = 1.5  # over which a computed delay margin is stated: a machine is no model
 GROWTH = 0.05  # [1/s] below which a pole counts as standing: drifts of the motion itself
 
@@ -133,7 +136,7 @@ class ArcLoop:
         """(frequencies [rad/s], characteristic loci): eigenvalues of the loop's frequency response
         from all commands to all, each a closed loop's pole where it is 1.
         """
-        omega = np.geomspace(SLOWEST, 0.98 * math.pi / self.tick, POINTS)
+        omega = self._frequencies()
         z = np.exp(1j * omega * self.tick)
         late = np.exp(-1j * omega * sensing.delay)
         keep = _keep(sensing.lag, self.tick)
@@ -143,6 +146,16 @@ class ArcLoop:
         through = self.plant.response(z)
         loop = self.law.response(z) @ (sensors[:, :, None] * through)
         return omega, np.linalg.eigvals(loop)
+
+    def _frequencies(self) -> np.ndarray:
+        """Where the response is looked at [rad/s]: a stiff rig's peaks lie between even steps."""
+        highest = 0.98 * math.pi / self.tick
+        modes = np.linalg.eigvals(self.plant.a)
+        modes = np.log(modes[np.abs(modes) > 1e-6].astype(complex)) / self.tick
+        ringing = modes[-np.real(modes) < RINGS * np.imag(modes)]
+        near = np.imag(ringing)[:, None] + np.abs(np.real(ringing))[:, None] * ABOUT
+        omega = np.append(np.geomspace(SLOWEST, highest, POINTS), near.ravel())
+        return np.unique(omega[(omega >= SLOWEST) & (omega <= highest)])
 
     def margins(self, sensing: Sensing) -> LoopMargins:
         """Margins of all commands together: they are exact, as a common gain, angle or delay turns
