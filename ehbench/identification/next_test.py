@@ -9,7 +9,7 @@ ch. 13). Residuals of the test are taken to be as large and as coloured as those
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -101,6 +101,18 @@ def widest(fitted: Sequence[Known], search: Sequence[Coordinate]) -> str:
     return max(zip(fitted, search, strict=True), key=lambda pair: width(*pair))[0].name
 
 
+def must_be_fitted(name: str, names: Collection[str]) -> None:
+    """Refuse a name that is none of those fitted.
+
+    Raises:
+        InputError: names those that were.
+    """
+    if name not in names:
+        raise InputError(
+            f"'{name}' was not fitted in this run", hint="it fitted " + ", ".join(names)
+        )
+
+
 def propose(
     prepared: PreparedFit, fitted: Sequence[Known], name: str, progress: Progress | None = None
 ) -> list[Proposal]:
@@ -117,10 +129,7 @@ def propose(
         InsufficientData: no test is possible that keeps off the ends of the stroke.
     """
     names = [c.name for c in prepared.search]
-    if name not in names:
-        raise InputError(
-            f"'{name}' was not fitted in this run", hint="it fitted " + ", ".join(names)
-        )
+    must_be_fitted(name, names)
     tell = progress or (lambda sentence, share: None)
     tell("what the logs say", 0.0)
     planner = _Planner(prepared, fitted, names.index(name))

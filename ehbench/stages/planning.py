@@ -10,7 +10,7 @@ from typing import Any
 
 from ehbench import rundir
 from ehbench.errors import InputError
-from ehbench.identification.next_test import Known, Proposal, propose, widest
+from ehbench.identification.next_test import Known, Proposal, must_be_fitted, propose, widest
 from ehbench.recipe import HydraulicsRecipe, load_recipe
 from ehbench.report import draw
 from ehbench.report.bearing import Made
@@ -189,9 +189,11 @@ def plan(made: Made, inputs: Inputs, name: str | None, progress: Progress | None
     """
     recipe = inputs.recipe
     assert isinstance(recipe, HydraulicsRecipe)
+    rows = {one["name"]: one for one in made.run.json("parameters.json")["parameters"]}
+    if name is not None:
+        must_be_fitted(name, rows)  # before anything that the recipe names is run
     prepared = HydraulicsStage().prepare(recipe, inputs)
     assert prepared.fit is not None
-    rows = {one["name"]: one for one in made.run.json("parameters.json")["parameters"]}
     fitted = []
     for c in prepared.fit.search:
         row = rows[c.name]

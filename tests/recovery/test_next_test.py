@@ -9,6 +9,7 @@ import pytest
 
 from ehbench import rundir, workflow
 from ehbench.errors import InputError
+from ehbench.stages.hydraulics import HydraulicsStage
 
 ROOT = Path(__file__).parents[2]
 RECIPE = ROOT / "recipes" / "slide_servo" / "hydraulics.toml"
@@ -63,6 +64,12 @@ def test_proposals_come_best_first_and_the_least_known_is_meant_by_default(place
     relative = {n: row["interval"] for n, row in rows_of(place / "fit").items()}
     assert found.known.name in relative and found.as_json()["tests"][0]["commands"]
     assert any("would leave" in line for line in found.lines(100))
+
+
+def test_a_name_is_refused_before_anything_is_run(place, monkeypatch):
+    monkeypatch.setattr(HydraulicsStage, "prepare", lambda *_: pytest.fail("prepared"))
+    with pytest.raises(InputError, match="'press.q' was not fitted"):
+        workflow.next_test(place / "fit", "press.q")
 
 
 def test_what_cannot_be_planned_is_refused_with_a_sentence(place):
