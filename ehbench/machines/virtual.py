@@ -46,7 +46,7 @@ from ehbench.parts.valve.delay import Line, line_felt, line_of, line_push
 from ehbench.parts.valve.second_order import SecondOrder, second_order
 from ehbench.physics.cylinder import chamber_rate, relief_flow
 from ehbench.physics.friction import stribeck
-from ehbench.plant.build import Maps
+from ehbench.plant.build import Maps, links_of
 from ehbench.plant.derivatives import derivatives_of, finish_of, move
 from ehbench.plant.integrate import rk4
 from ehbench.plant.layout import Layout, Offsets, layout
@@ -821,8 +821,13 @@ class VirtualMachine:
         """As `Machine.check_posture`."""
         self.model.posture(posture)
 
+    def carry(self, payload: str | None) -> None:
+        """As `carry_of` says."""
+        self.bench.links[:] = self.model.links(payload)
+
     def start(self, posture: Posture = None, low_side: float | None = None) -> np.ndarray:
         """As `Machine.start`; the unloaded chambers begin to settle at ``low_side``."""
+        self.bench.links[:] = links_of(self.model.rig)
         self._rng, self._used = self._new_noise(), len(self._noise)
         bench, at, state = self.bench, self.bench.at, self.state
         rest = self.commands.rest

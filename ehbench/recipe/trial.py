@@ -73,6 +73,15 @@ class Limits(FileModel):
     ramp: Annotated[Value, Q("ramp")] = Value(0.05)
 
 
+class PayloadChange(FileModel):
+    """A load that the machine takes up or puts down on its way: from ``at`` on it carries
+    ``payload``, which moves with its link at once.
+    """
+
+    at: Annotated[Value, Q("start")]
+    payload: str
+
+
 def _one_or_more(raw: Any) -> Any:
     return [raw] if isinstance(raw, str) else raw
 
@@ -221,12 +230,21 @@ class AnyTrial(Recipe):
     rate: Annotated[Value, Q("rate")] = Value(1000.0)
     step: Annotated[Value, Q("step")] = Value(5.0e-4)
     seed: int = Field(default=0, ge=0, le=2**63 - 1)
+    payload_change: tuple[PayloadChange, ...] = ()
+    first_pressure_error: dict[str, Annotated[Value, Q("pressure_error")]] = {}
     command: tuple[Command, ...] = ()
     limits: Limits = Limits()
 
     @model_validator(mode="after")
     def _below_half_the_rate(self) -> AnyTrial:
         refuse_fast_waves(self)
+        return self
+
+    @model_validator(mode="after")
+    def _one_after_the_other(self) -> AnyTrial:
+        times = [0.0, *(float(change.at) for change in self.payload_change)]
+        if any(later <= sooner for sooner, later in zip(times, times[1:], strict=False)):
+            raise ValueError("the times of 'payload_change' must grow, the first above 0 s")
         return self
 
 

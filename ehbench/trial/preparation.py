@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ehbench.errors import InputError
-from ehbench.machines.protocol import Machine, truth_of
+from ehbench.machines.protocol import Machine, carry_of, truth_of
 from ehbench.machines.registry import open_machine
 from ehbench.machines.rows import COMMAND, LIMITS, MARGIN, Rows, limit_array, violated
 from ehbench.memory import MOST_STEPS, refuse_beyond, rows_of
@@ -96,8 +96,9 @@ class Prepared:
 
     ``machine`` is the one that the recipe names, not started; ``t`` [s], shape (samples,);
     ``table`` the open-loop commands [V], shape (samples, valves); ``limits`` as in
-    `ehbench.machines.rows`; ``posture`` where it starts; ``loop`` None for open loop. It may run
-    again, and gives the same bytes."""
+    `ehbench.machines.rows`; ``posture`` where it starts; ``loop`` None for open loop; ``payloads``
+    what it carries from which row on, where that changes. It may run again, and gives the same
+    bytes."""
 
     recipe: TrialRecipe
     rig: Rig
@@ -108,6 +109,7 @@ class Prepared:
     limits: np.ndarray
     posture: dict[str, str]
     loop: Loop | None
+    payloads: dict[int, str | None]
 
     @property
     def duration(self) -> float:
@@ -177,6 +179,8 @@ class Prepared:
                 **recipe.at("limits", reached.limit),
                 hint="change the posture or the limit",
             )
+        for channel, error in recipe.first_pressure_error.items():
+            sample[machine.channels.index(channel)] += float(error)
         return rows
 
     def reached(self, machine: Machine, rows: Rows, row: int) -> Stop:
@@ -292,13 +296,57 @@ def prepare(
     table = command_table(recipe, rig, t, () if loop is None else _taken(recipe, loop.design))
     machine = open_machine(recipe, rig, maps)
     limits = limit_array(recipe.limits)
-    prepared = Prepared(recipe, rig, maps, machine, t, table, limits, posture, loop)
+    _refuse_unknown_pressures(recipe, machine)
+    payloads = _payloads(recipe, machine, t)
+    prepared = Prepared(recipe, rig, maps, machine, t, table, limits, posture, loop, payloads)
     if truth_of(machine) is not None:
         prepared.first_rows(machine, 1)
     else:
         with controllers.located(recipe, "posture"):
             machine.check_posture(posture)
     return prepared
+
+
+def _refuse_unknown_pressures(recipe: TrialRecipe, machine: Machine) -> None:
+    """Refuse a wrong first pressure of a sensor that the machine has not.
+
+    Raises:
+        InputError: names those that there are.
+    """
+    known = [name for name in machine.channels if name.rsplit(".", 1)[-1].startswith("p_")]
+    for name in recipe.first_pressure_error:
+        if name not in known:
+            raise InputError(
+                f"the machine has no pressure '{name}'",
+                **recipe.at("first_pressure_error", name),
+                hint="it has " + ", ".join(known),
+            )
+
+
+def _payloads(recipe: TrialRecipe, machine: Machine, t: np.ndarray) -> dict[int, str | None]:
+    """What the machine carries from which row on, where the recipe changes it.
+
+    Raises:
+        InputError: a time behind the end, no such payload, or a machine that cannot change it.
+    """
+    found: dict[int, str | None] = {}
+    for i, change in enumerate(recipe.payload_change):
+        carry, row = carry_of(machine), int(np.searchsorted(t, float(change.at) - 1e-9))
+        if row >= t.size:
+            raise InputError(
+                f"the trial ends at {t[-1]:.4g} s, before its payload changes",
+                **recipe.at("payload_change", i, "at"),
+            )
+        if carry is None:
+            raise InputError(
+                f"the payload of {machine.name} is changed by hand",
+                **recipe.at("payload_change"),
+                hint="leave payload_change out",
+            )
+        found[row] = None if change.payload == "none" else change.payload
+        with controllers.located(recipe, "payload_change", i, "payload"):
+            carry(found[row])
+    return found
 
 
 # [numbers] of a row beside those of each cylinder, valve and edge, in all copies of it

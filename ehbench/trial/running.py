@@ -16,7 +16,7 @@ from ehbench.logs import check_record
 from ehbench.machines.protocol import Machine, truth_of
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import TrialRecipe
-from ehbench.record import Record
+from ehbench.record import Record, payloads_of, payloads_text
 from ehbench.rig import Rig
 from ehbench.trial.controllers import Compiled
 from ehbench.trial.measures import step_measures, tracking_measures
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from ehbench.plant.build import Maps
     from ehbench.plant.model import Model
 
+SELDOM = ("payload_change", "first_pressure_error")  # said only of trials that have them
 Progress = Callable[[str, float], None]  # (what, share done from 0 to 1)
 
 
@@ -40,7 +41,8 @@ class Facts:
     ``stopped`` is empty, or says which limit stopped it and what came of it; ``stop`` and ``after``
     have the same as numbers. ``measures`` says how well a controlled cylinder did and with which
     gains (docs/trials.md), SI; empty without a controller. Its energies are the ledger's: see
-    `ehbench.trial.accounts`."""
+    `ehbench.trial.accounts`. ``payload_change``: (time [s], payload from then on);
+    ``first_pressure_error`` [Pa] by channel."""
 
     on: str
     rig: str
@@ -56,6 +58,8 @@ class Facts:
     controller: str = ""
     cylinder: str = ""
     measures: dict[str, Any] = field(default_factory=dict)
+    payload_change: tuple[tuple[float, str], ...] = ()
+    first_pressure_error: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def stopped(self) -> str:
@@ -71,7 +75,8 @@ class Facts:
 
     def as_json(self) -> dict[str, Any]:
         """Plain values for a JSON file."""
-        return {**asdict(self), "stopped": self.stopped, "warnings": list(self.warnings)}
+        plain = {**asdict(self), "stopped": self.stopped, "warnings": list(self.warnings)}
+        return {name: value for name, value in plain.items() if value or name not in SELDOM}
 
 
 class Result(NamedTuple):
@@ -167,6 +172,9 @@ def _meta(prepared: Prepared, machine: Machine) -> dict[str, str]:
         "posture": posture or "mid-stroke",
         "title": recipe.title,
     }
+    if recipe.payload_change:
+        changes = ((float(change.at), change.payload) for change in recipe.payload_change)
+        meta["payload_change"] = payloads_text(changes)
     if loop is not None and recipe.controller is not None:
         meta |= {"controller": recipe.controller.label, "cylinder": loop.design.cylinder}
     return meta
@@ -228,6 +236,8 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
         record.meta.get("controller", ""),
         record.meta.get("cylinder", ""),
         measures,
+        tuple((at, name or "none") for at, name in payloads_of(record)[1:]),
+        {name: float(error) for name, error in recipe.first_pressure_error.items()},
     )
 
 
