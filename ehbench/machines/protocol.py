@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from ehbench.errors import InputError
-from ehbench.machines.rows import LawRows, Rows
+from ehbench.machines.rows import Controls, Rows
 from ehbench.plant.model import Model
 
 Posture = Mapping[str, str | float] | None
@@ -141,9 +141,9 @@ def carry_of(machine: Machine) -> Callable[[str | None], None] | None:
     return getattr(machine, "carry", None)
 
 
-def advance_of(machine: Machine) -> Callable[[Rows, LawRows | None, bool], Advance] | None:
-    """The fast path of a machine that has one: ``advance(rows, law, often)`` gives a function of
-    (first, stop) that runs these rows in one compiled call, under a law or as the table says;
+def advance_of(machine: Machine) -> Callable[[Rows, Controls | None, bool], Advance] | None:
+    """The fast path of a machine that has one: ``advance(rows, laws, often)`` gives a function of
+    (first, stop) that runs these rows in one compiled call, under laws or as the table says;
     ``often`` says that it will be called for every row.
 
     It does what a session does tick by tick (`ehbench.trial.session`), to the bit, and returns the

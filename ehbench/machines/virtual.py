@@ -22,7 +22,7 @@ import numpy as np
 from ehbench.compiled import bound, kernel, part_kernel, record, table
 from ehbench.errors import InputError, SimulationError
 from ehbench.machines.protocol import Advance, Inputs, Posture
-from ehbench.machines.rows import LawRows, Rows, control, violated
+from ehbench.machines.rows import Controls, Rows, control, violated
 from ehbench.parts.cylinder import (
     RELIEF_GAIN,
     chamber_inflow,
@@ -869,7 +869,7 @@ class VirtualMachine:
             sample,
         )
 
-    def advance(self, rows: Rows, law: LawRows | None, often: bool) -> Advance:
+    def advance(self, rows: Rows, law: Controls | None, often: bool) -> Advance:
         """As `advance_of` says."""
         own = self._own
         run = bound(_advance, 0, 0, own, rows, law, self._noise) if often else _advance

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from ehbench.recipe.trial import AnyTrial, Controller, Motion, TrialRecipe
+from ehbench.recipe.trial import AnyTrial, Controller, Motion, TrialRecipe, refuse_unmatched
 
 
 class SetController(Controller):
@@ -43,6 +43,12 @@ class TrialSetRecipe(AnyTrial):
                 raise ValueError(
                     f"two entries of {what} are called '{twice}'; give each its own name"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _controllers_fit(self) -> TrialSetRecipe:
+        for law in self.controller:
+            refuse_unmatched(law, self.motion)
         return self
 
     def cases(self) -> tuple[tuple[str, SetController, TrialRecipe], ...]:

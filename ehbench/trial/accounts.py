@@ -36,7 +36,7 @@ def account(prepared: Prepared, result: Result) -> Account:
         return Account(facts, None, (f"no energy ledger: {error.message}",))
     limits = []
     if facts.cylinder:
-        facts = facts.with_energy(_energy(ledger, facts.cylinder))
+        facts = facts.with_energy({name: _energy(ledger, name) for name in facts.cylinders})
         with suppress(InsufficientData):  # it did not move
             limits = [bounds(prepared.rig, record, facts.cylinder, ledger).as_json()]
     return Account(facts, ledger.as_json() | {"bounds": limits})

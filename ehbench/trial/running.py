@@ -18,11 +18,12 @@ from ehbench.quantities import VOCABULARY
 from ehbench.recipe import TrialRecipe
 from ehbench.record import Record, payloads_of, payloads_text
 from ehbench.rig import Rig
-from ehbench.trial.controllers import Compiled
+from ehbench.trial.controllers import Compiled, Laws
 from ehbench.trial.measures import step_measures, tracking_measures
-from ehbench.trial.preparation import Aftermath, Loop, Prepared, Stop, prepare
+from ehbench.trial.preparation import Aftermath, Prepared, Stop, prepare
 from ehbench.trial.session import LiveLog, Session
 from ehbench.trial.swing import limit_cycle
+from ehbench.trial.together import Driven
 from ehbench.trial.user_code import UserCode
 from ehbench.units import from_si
 
@@ -67,16 +68,30 @@ class Facts:
         told = [each.sentence for each in (self.stop, self.after) if each is not None]
         return "; ".join(told)
 
-    def with_energy(self, energy: Mapping[str, Any]) -> Facts:
-        """The same with the energies of the controlled cylinder among its measures."""
+    @property
+    def cylinders(self) -> tuple[str, ...]:
+        """The controlled cylinders, the one that the trial is about first."""
+        return (self.cylinder, *self.measures.get("also", {})) if self.cylinder else ()
+
+    def with_energy(self, energy: Mapping[str, Mapping[str, Any]]) -> Facts:
+        """The same with the energies of each controlled cylinder among its measures."""
         known = dict(self.measures)
-        last = {"limits": known.pop("limits")} if "limits" in known else {}
-        return replace(self, measures={**known, "energy": dict(energy), **last})
+        also = {
+            name: _with_energy(own, energy[name]) for name, own in known.pop("also", {}).items()
+        }
+        measures = _with_energy(known, energy[self.cylinder])
+        return replace(self, measures=measures | ({"also": also} if also else {}))
 
     def as_json(self) -> dict[str, Any]:
         """Plain values for a JSON file."""
         plain = {**asdict(self), "stopped": self.stopped, "warnings": list(self.warnings)}
         return {name: value for name, value in plain.items() if value or name not in SELDOM}
+
+
+def _with_energy(measures: Mapping[str, Any], energy: Mapping[str, Any]) -> dict[str, Any]:
+    known = dict(measures)
+    last = {"limits": known.pop("limits")} if "limits" in known else {}
+    return {**known, "energy": dict(energy), **last}
 
 
 class Result(NamedTuple):
@@ -217,10 +232,16 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
         )
     if law is not None and prepared.loop is not None:
         rows = session.end if stop is None else round(stop.t * rate) + 1
-        measures = law.used | _measures(record, prepared.loop, rows)
-        if isinstance(law, Compiled) and law.law.warns_saturated:
-            warnings += _saturated(measures["limits"]["saturated"], prepared.loop.design.cylinder)
-        warnings += _swinging(measures["limit_cycle"], prepared.rig, prepared.loop.design.cylinder)
+        parts = law.parts if isinstance(law, Laws) else (law,)
+        found = {}
+        for one, part in zip(prepared.loop.driven, parts, strict=True):
+            found[one.cylinder] = own = part.used | _measures(record, one, rows)
+            if isinstance(part, Compiled) and part.law.warns_saturated:
+                warnings += _saturated(own["limits"]["saturated"], one.cylinder)
+            warnings += _swinging(own["limit_cycle"], prepared.rig, one.cylinder)
+        measures = found.pop(prepared.loop.design.cylinder)
+        if found:
+            measures["also"] = found
     return Facts(
         session.machine.name,
         prepared.rig.name,
@@ -263,11 +284,11 @@ def _swinging(cycle: Mapping[str, float] | None, rig: Rig, cylinder: str) -> lis
     ]
 
 
-def _measures(record: Record, loop: Loop, rows: int) -> dict[str, Any]:
-    """Steps and tracking of the controlled cylinder, up to the row at which a limit stopped the
+def _measures(record: Record, loop: Driven, rows: int) -> dict[str, Any]:
+    """Steps and tracking of a controlled cylinder, up to the row at which a limit stopped the
     trial.
     """
-    own, t = loop.design.cylinder, record.t[:rows]
+    own, t = loop.cylinder, record.t[:rows]
     v, x, p_head, p_rod = (record[f"{own}.{name}"][:rows] for name in ("v", "x", "p_head", "p_rod"))
     measures: dict[str, Any] = {"steps": []}
     for level in loop.references.levels:
