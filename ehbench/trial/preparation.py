@@ -269,6 +269,7 @@ def prepare(
             not allowed.
     """
     loop, posture = None, recipe.posture
+    rig = _with_dynamics(recipe, rig)
     if recipe.controller is not None:
         controllers.refuse_code(recipe, allow_code)
         loop = _loop(recipe, rig, maps, gains, standing)
@@ -299,6 +300,18 @@ def prepare(
         with controllers.located(recipe, "posture"):
             machine.check_posture(posture)
     return prepared
+
+
+def _with_dynamics(recipe: TrialRecipe, rig: Rig) -> Rig:
+    """The rig with the valve dynamics that a recipe asks for.
+
+    Raises:
+        InputError: no such valve or dynamics, with the line.
+    """
+    own = getattr(recipe.controller, "dynamics", None)  # of a controller of a set
+    where = recipe.controller.where if recipe.controller is not None and own else ()
+    with controllers.located(recipe, *where, "dynamics"):
+        return rig.with_dynamics(recipe.dynamics)
 
 
 # [numbers] of a row beside those of each cylinder, valve and edge, in all copies of it

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
@@ -210,6 +211,7 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
     if law is not None and prepared.loop is not None:
         rows = session.end if stop is None else round(stop.t * rate) + 1
         measures = law.used | _measures(record, prepared.loop, rows)
+        measures["valves"] = _valves(prepared.rig, prepared.loop.design.cylinder)
         if isinstance(law, Compiled) and law.law.warns_saturated:
             warnings += _saturated(measures["limits"]["saturated"], prepared.loop.design.cylinder)
         warnings += _swinging(measures["limit_cycle"], prepared.rig, prepared.loop.design.cylinder)
@@ -229,6 +231,19 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
         record.meta.get("cylinder", ""),
         measures,
     )
+
+
+def _valves(rig: Rig, cylinder: str) -> dict[str, list[float]]:
+    """Natural frequencies [rad/s] of a cylinder's slowest and fastest valve; nothing where its
+    valves follow at once.
+    """
+    periods = [
+        max(rig.dynamics[name].period() for name in valve.series)
+        for owner, valve in rig.valves()
+        if owner.name == cylinder and valve.series
+    ]
+    ends = [2.0 * math.pi / end for end in (max(periods), min(periods))] if periods else []
+    return {"natural_frequency": ends} if all(ends) and ends else {}
 
 
 def _saturated(share: float, cylinder: str) -> list[str]:

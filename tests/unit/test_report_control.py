@@ -31,6 +31,7 @@ from ehbench.report.trial_captions import (
     energy_caption,
     estimates_caption,
 )
+from ehbench.report.trial_tables import valves_note
 from ehbench.report.tuning_words import overshoot_of
 from ehbench.rundir import write_json
 from ehbench.units import from_si
@@ -994,6 +995,17 @@ def cycles(root: Path, **made_of: dict) -> tuple:
         )
     run = Saved(folder)
     return run.rig, cases_of(run)
+
+
+def test_valves_that_are_not_equally_fast_are_told(tmp_path):
+    quick, slow = ({"valves": {"natural_frequency": [w, w]}} for w in (345.0, 62.8))
+    rows = {"six": quick, "fast spool": quick, "spool": slow}
+    made = {name: measures(2000.0, 1e-4, []) | valves for name, valves in rows.items()}
+    run = Saved(trials_run(tmp_path, "speeds", made, payloads=["none"]))
+    cases = cases_of(run)
+    told = " Natural frequency of the valves: 54.9 Hz: six, fast spool; 9.99 Hz: spool. "
+    assert valves_note(run.rig, cases).startswith(told)
+    assert valves_note(run.rig, cases[:2]) == ""
 
 
 def test_what_was_saved_and_what_ate_the_rest(tmp_path):
