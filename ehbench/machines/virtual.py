@@ -792,7 +792,7 @@ class VirtualMachine:
             raise InputError(
                 "is no bench file", file=bench.path, hint='a bench file has stage = "bench"'
             )
-        own = load_rig(bench.file(bench.rig))
+        own = load_rig(bench.file(bench.rig)).with_dynamics(recipe.dynamics)
         for what, mine, its in (
             ("cylinders", [c.name for c in rig.cylinder], [c.name for c in own.cylinder]),
             ("valves", layout(rig).valves, layout(own).valves),

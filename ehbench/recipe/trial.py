@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from ehbench.control import LAW_NAMES
 from ehbench.fields import FileModel, Q, Value
-from ehbench.recipe.base import Recipe
+from ehbench.recipe.base import ByParameter, Recipe
 
 
 class Command(FileModel):
@@ -315,6 +315,11 @@ class AnyTrial(Recipe):
     flow_maps: str | None = None
     on: Literal["model", "bench"] = "model"
     bench: str | None = None
+    dynamics: ByParameter = Field(
+        default={},
+        description="other `[dynamics]` of the rig file for valves, by `<cylinder>.<valve>`; on "
+        "the bench as well",
+    )
     posture: dict[str, str] = {}
     duration: Annotated[Value, Q("duration")] | None = None
     rate: Annotated[Value, Q("rate")] = Value(1000.0)

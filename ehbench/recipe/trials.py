@@ -6,12 +6,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from ehbench.recipe.base import ByParameter
 from ehbench.recipe.trial import AnyTrial, Controller, Motion, TrialRecipe, refuse_unmatched
 
 
 class SetController(Controller):
     """A controller of a set of trials; it may run on a rig of its own, such as the same machine
-    with another valve.
+    with another valve, or one with other ``dynamics`` of its valves.
 
     What was identified on the set's rig holds for that one as well, by name.
     """
@@ -19,6 +20,9 @@ class SetController(Controller):
     rig: str | None = None
     flow_maps: str | None = None
     bench: str | None = None
+    dynamics: ByParameter = Field(
+        default={}, description="as the set's, for this controller's machine"
+    )
 
 
 class TrialSetRecipe(AnyTrial):
@@ -67,8 +71,8 @@ class TrialSetRecipe(AnyTrial):
                     )
                     own = {
                         key: value
-                        for key in ("rig", "flow_maps", "bench")
-                        if (value := getattr(law, key)) is not None
+                        for key in ("rig", "flow_maps", "bench", "dynamics")
+                        if (value := getattr(law, key))
                     }
                     case = TrialRecipe.model_construct(
                         **{**shared, **own},

@@ -284,6 +284,7 @@ def prepare(
             not allowed.
     """
     loop, posture = None, recipe.posture
+    rig = _with_dynamics(recipe, rig)
     if recipe.controller is not None:
         controllers.refuse_code(recipe, allow_code)
         loop = _loop(recipe, rig, maps, gains, standing)
@@ -358,6 +359,18 @@ def _payloads(recipe: TrialRecipe, machine: Machine, t: np.ndarray) -> dict[int,
         with controllers.located(recipe, "payload_change", i, "payload"):
             carry(found[row])
     return found
+
+
+def _with_dynamics(recipe: TrialRecipe, rig: Rig) -> Rig:
+    """The rig with the valve dynamics that a recipe asks for.
+
+    Raises:
+        InputError: no such valve or dynamics, with the line.
+    """
+    own = getattr(recipe.controller, "dynamics", None)  # of a controller of a set
+    where = recipe.controller.where if recipe.controller is not None and own else ()
+    with controllers.located(recipe, *where, "dynamics"):
+        return rig.with_dynamics(recipe.dynamics)
 
 
 # [numbers] of a row beside those of each cylinder, valve and edge, in all copies of it

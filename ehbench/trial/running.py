@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
@@ -236,6 +237,7 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
         found = {}
         for one, part in zip(prepared.loop.driven, parts, strict=True):
             found[one.cylinder] = own = part.used | _measures(record, one, rows)
+            own["valves"] = _valves(prepared.rig, one.cylinder)
             if isinstance(part, Compiled) and part.law.warns_saturated:
                 warnings += _saturated(own["limits"]["saturated"], one.cylinder)
             warnings += _swinging(own["limit_cycle"], prepared.rig, one.cylinder)
@@ -260,6 +262,19 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
         tuple((at, name or "none") for at, name in payloads_of(record)[1:]),
         {name: float(error) for name, error in recipe.first_pressure_error.items()},
     )
+
+
+def _valves(rig: Rig, cylinder: str) -> dict[str, list[float]]:
+    """Natural frequencies [rad/s] of a cylinder's slowest and fastest valve; nothing where its
+    valves follow at once.
+    """
+    periods = [
+        max(rig.dynamics[name].period() for name in valve.series)
+        for owner, valve in rig.valves()
+        if owner.name == cylinder and valve.series
+    ]
+    ends = [2.0 * math.pi / end for end in (max(periods), min(periods))] if periods else []
+    return {"natural_frequency": ends} if all(ends) and ends else {}
 
 
 def _saturated(share: float, cylinder: str) -> list[str]:
