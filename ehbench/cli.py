@@ -10,9 +10,10 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -78,6 +79,19 @@ Profile = Annotated[
         show_default=False,
     ),
 ]
+Scheduler = Annotated[
+    str,
+    typer.Option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Make the samples on a Dask cluster, tcp://host:8786.",
+        show_default=False,
+    ),
+]
+Workers = Annotated[
+    int, typer.Option("--workers", help="Here. Default: one a core.", min=0, show_default=False)
+]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on where a killed study stopped.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")]
 
 
@@ -188,7 +202,31 @@ def _runner(command: Command) -> Callable[..., None]:
             _run(command.name, recipe, out, says, profile=profile)
 
     kinds = {"": plain, "unvalidated": insisting, "allow_code": trusting, "asking": asking}
+    kinds["sampling"] = _sampling
     return kinds[command.allows]
+
+
+def _sampling(  # noqa: PLR0913 (options are read off the signature)
+    recipe: RecipeFile,
+    out: Out = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+    as_json: AsJson = False,
+    allow_code: AllowCode = False,
+    unvalidated: Unvalidated = False,
+    scheduler: Scheduler = "",
+    workers: Workers = 0,
+    resume: Resume = False,
+) -> None:
+    _run(
+        "study",
+        recipe,
+        out,
+        Says(quiet, verbose, as_json),
+        allow_code=allow_code,
+        unvalidated=unvalidated,
+        where={"scheduler": scheduler, "workers": workers, "resume": resume},
+    )
 
 
 for _command in COMMANDS:
@@ -400,15 +438,25 @@ def _run(
     unvalidated: bool = False,
     allow_code: bool = False,
     profile: str | None = None,
+    where: dict[str, Any] | None = None,
 ) -> None:
     from ehbench import workflow
 
-    recipe = workflow.expect_stage(file, command)
+    study, _, index = file.name.partition("#")
+    is_sample = index.isdecimal() and not file.exists()
+    recipe = None if is_sample else workflow.expect_stage(file, command)
     _say_first(says.quiet)
     with _progress(says.quiet) as tell:
         session = workflow.Session(
-            out=out, progress=tell, unvalidated=unvalidated, allow_code=allow_code
+            out=out,
+            progress=tell,
+            unvalidated=unvalidated,
+            allow_code=allow_code,
+            where=workflow.Where(**(where or {})),
         )
+        if recipe is None:
+            made = workflow.sample(file.with_name(study), int(index), replace(session, out=None))
+            recipe = workflow.expect_stage(made.path, command)
         if profile is None:
             made = workflow.run(recipe, session)
         else:
