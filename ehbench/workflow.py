@@ -74,7 +74,8 @@ class Session:
 
     ``allow_code`` lets recipes run Python code, ``unvalidated`` lets a controller be tuned on a rig
     that no validation accepted. ``keep`` leaves a run alone that stands with the very same inputs;
-    dependencies and campaigns work so. ``under_way`` are the recipes that wait for the one at work.
+    dependencies and campaigns work so. ``resume`` goes on with searches that were stopped.
+    ``under_way`` are the recipes that wait for the one at work.
     """
 
     root: Path = ROOT
@@ -84,6 +85,7 @@ class Session:
     allow_code: bool = False
     unvalidated: bool = False
     keep: bool = False
+    resume: bool = False
     under_way: tuple[Path, ...] = ()
 
     def tell(self, name: str) -> Progress | None:
