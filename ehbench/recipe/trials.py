@@ -6,12 +6,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from ehbench.recipe.trial import AnyTrial, Controller, Motion, TrialRecipe
+from ehbench.recipe.trial import AnyTrial, Controller, Motion, OtherSupply, TrialRecipe
 
 
 class SetController(Controller):
     """A controller of a set of trials; it may run on a rig of its own, such as the same machine
-    with another valve.
+    with another valve, or on a supply of its own.
 
     What was identified on the set's rig holds for that one as well, by name.
     """
@@ -19,6 +19,7 @@ class SetController(Controller):
     rig: str | None = None
     flow_maps: str | None = None
     bench: str | None = None
+    supply: OtherSupply | None = None
 
 
 class TrialSetRecipe(AnyTrial):
@@ -61,7 +62,7 @@ class TrialSetRecipe(AnyTrial):
                     )
                     own = {
                         key: value
-                        for key in ("rig", "flow_maps", "bench")
+                        for key in ("rig", "flow_maps", "bench", "supply")
                         if (value := getattr(law, key)) is not None
                     }
                     case = TrialRecipe.model_construct(

@@ -36,8 +36,9 @@ def account(prepared: Prepared, result: Result) -> Account:
         return Account(facts, None, (f"no energy ledger: {error.message}",))
     limits = []
     if facts.cylinder:
-        facts = facts.with_energy(_energy(ledger, facts.cylinder))
-        with suppress(InsufficientData):  # it did not move
+        supply = prepared.rig.supply
+        facts = facts.with_energy(_energy(ledger, facts.cylinder) | {"supply": supply.kind})
+        with suppress(InsufficientData):  # it did not move, or its supply has not one pressure
             limits = [bounds(prepared.rig, record, facts.cylinder, ledger).as_json()]
     return Account(facts, ledger.as_json() | {"bounds": limits})
 

@@ -268,6 +268,8 @@ def prepare(
             rig; on a machine that stands at its start at once, a limit reached there; code that is
             not allowed.
     """
+    with controllers.located(recipe, "supply"):
+        rig = rig.with_supply(recipe.supply.load_sensing, recipe.supply.low_rail)
     loop, posture = None, recipe.posture
     if recipe.controller is not None:
         controllers.refuse_code(recipe, allow_code)
