@@ -121,6 +121,7 @@ _ROWS = [
         rings="frequency",
     ),
     Quantity("pressure", "p", "Pa", "kPa", "gauge pressure", -2e5, 2e8),
+    Quantity("pressure_error", "Δp", "Pa", "kPa", "what a sensor says too much", -2e8, 2e8),
     Quantity("tank_pressure", "Pt", "Pa", "kPa", "gauge tank pressure", -2e5, 1e7),
     Quantity(
         "relief_pressure",

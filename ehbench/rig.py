@@ -1001,6 +1001,37 @@ class Rig(FileModel):
             }
         )
 
+    def with_dynamics(self, by_valve: Mapping[str, str]) -> Rig:
+        """This rig with valves, named ``<cylinder>.<valve>``, that have other dynamics of its file.
+
+        Raises:
+            InputError: no such valve or dynamics.
+        """
+        if not by_valve:
+            return self
+        valves = [f"{cylinder.name}.{valve.name}" for cylinder, valve in self.valves()]
+        for asked, known, what in (
+            (by_valve, valves, "valve"),
+            (by_valve.values(), self.dynamics, "[dynamics]"),
+        ):
+            wrong = next((name for name in asked if name not in known), None)
+            if wrong is not None:
+                raise InputError(
+                    f"rig '{self.name}' has no {what} '{wrong}'",
+                    hint="there are " + (", ".join(known) or "none"),
+                )
+
+        def own(cylinder: Cylinder) -> Cylinder:
+            valves = tuple(
+                valve.model_copy(update={"dynamics": name})
+                if (name := by_valve.get(f"{cylinder.name}.{valve.name}"))
+                else valve
+                for valve in cylinder.valve
+            )
+            return cylinder.model_copy(update={"valve": valves})
+
+        return self.model_copy(update={"cylinder": tuple(map(own, self.cylinder))})
+
     def as_toml(self) -> dict[str, Any]:
         """The rig as nested plain values that a TOML writer takes; reading them back gives the same
         rig.

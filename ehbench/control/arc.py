@@ -31,6 +31,7 @@ from ehbench.codes import (
 from ehbench.compiled import kernel, record
 from ehbench.control.arc_gains import GAINS, VOCABULARY_OF_GAINS, pack
 from ehbench.control.axis import Axis, inertias, load_at
+from ehbench.control.coupling import loads_among
 from ehbench.control.functions import (
     DIRECTION,
     HEAD,
@@ -49,7 +50,7 @@ from ehbench.control.functions import (
 from ehbench.control.law import Law
 from ehbench.control.measured import load_force, pressure_entries, pressures, write
 from ehbench.control.records import blank
-from ehbench.control.trajectory import reference_of
+from ehbench.control.trajectory import ORDERS, reference_of
 from ehbench.control.valve_level import Flows, allocate
 from ehbench.parts.cylinder import chamber_oil
 from ehbench.parts.edge import edge_flow
@@ -701,7 +702,8 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
         t: time [s], unused.
         sample: what the machine measured; read are this cylinder's channels but q̇, the other
             cylinders' joint angles, p_supply and p_tank.
-        reference: x_d, v_d, a_d, j_d of the cylinder.
+        reference: x_d, v_d, a_d, j_d of the cylinder; where others move as well, behind them what
+            `ehbench.control.coupling.among_others` adds.
         axis: of the design model, an `Axis`.
         gains: of `ehbench.control.arc_gains.pack_arc`.
         memory: a `Memory`, of `memory_of` before the first tick.
@@ -722,7 +724,14 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
         start_estimates(measured, load, own, tip, gains, state.estimates)
     else:
         x, v = observe(x, v, gains, state)
-    ahead = load_at(axis, q + AHEAD * v / load.lever, own, memory.angles, memory.work)
+    ahead_q = q + AHEAD * v / load.lever
+    if reference.shape[0] > ORDERS:  # the other joints move as well
+        place_joints(sample, axis, memory.angles)
+        load, ahead = loads_among(
+            reference, q, ahead_q, AHEAD, axis, memory.angles, memory.mass, memory.work
+        )
+    else:
+        ahead = load_at(axis, ahead_q, own, memory.angles, memory.work)
 
     stroke = track_stroke(wish, x, v, gains)
     force = track_force(wish, v, measured, load, stroke, axis, gains, state.estimates)
@@ -777,5 +786,6 @@ LAW = Law(
     observed=observed,
     telemetry=Telemetry._fields,
     bounds=("payload", "bulk_modulus"),
+    ahead=AHEAD,
     warns_saturated=True,
 )

@@ -22,7 +22,7 @@ import numpy as np
 from ehbench.compiled import bound, kernel, part_kernel, record, table
 from ehbench.errors import InputError, SimulationError
 from ehbench.machines.protocol import Advance, Inputs, Posture
-from ehbench.machines.rows import LawRows, Rows, control, violated
+from ehbench.machines.rows import Controls, Rows, control, violated
 from ehbench.parts.cylinder import (
     RELIEF_GAIN,
     chamber_inflow,
@@ -46,7 +46,7 @@ from ehbench.parts.valve.delay import Line, line_felt, line_of, line_push
 from ehbench.parts.valve.second_order import SecondOrder, second_order
 from ehbench.physics.cylinder import chamber_rate, relief_flow
 from ehbench.physics.friction import stribeck
-from ehbench.plant.build import Maps
+from ehbench.plant.build import Maps, links_of
 from ehbench.plant.derivatives import derivatives_of, finish_of, join, move
 from ehbench.plant.integrate import rk4
 from ehbench.plant.layout import Layout, Offsets, layout
@@ -815,7 +815,7 @@ class VirtualMachine:
             raise InputError(
                 "is no bench file", file=bench.path, hint='a bench file has stage = "bench"'
             )
-        own = load_rig(bench.file(bench.rig))
+        own = load_rig(bench.file(bench.rig)).with_dynamics(recipe.dynamics)
         for what, mine, its in (
             ("cylinders", [c.name for c in rig.cylinder], [c.name for c in own.cylinder]),
             ("valves", layout(rig).valves, layout(own).valves),
@@ -844,8 +844,13 @@ class VirtualMachine:
         """As `Machine.check_posture`."""
         self.model.posture(posture)
 
+    def carry(self, payload: str | None) -> None:
+        """As `carry_of` says."""
+        self.bench.links[:] = self.model.links(payload)
+
     def start(self, posture: Posture = None, low_side: float | None = None) -> np.ndarray:
         """As `Machine.start`; the unloaded chambers begin to settle at ``low_side``."""
+        self.bench.links[:] = links_of(self.model.rig)
         self._rng, self._used = self._new_noise(), len(self._noise)
         bench, at, state = self.bench, self.bench.at, self.state
         rest = self.commands.rest
@@ -888,7 +893,7 @@ class VirtualMachine:
             sample,
         )
 
-    def advance(self, rows: Rows, law: LawRows | None, often: bool) -> Advance:
+    def advance(self, rows: Rows, law: Controls | None, often: bool) -> Advance:
         """As `advance_of` says."""
         own = self._own
         run = bound(_advance, 0, 0, own, rows, law, self._noise) if often else _advance

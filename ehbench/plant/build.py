@@ -122,6 +122,11 @@ def build(rig: Rig, names: Layout, maps: Maps | None = None) -> Plant:
     )
 
 
+def links_of(rig: Rig) -> np.recarray:
+    """The links of a rig with its payload, or its slide."""
+    return _mechanism(rig)[1]
+
+
 def _mechanism(rig: Rig) -> tuple[int, np.recarray, tuple[float, float, float]]:
     """(kind, links, the base-frame direction that points up)."""
     body = rig.mechanism

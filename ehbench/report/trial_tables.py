@@ -123,7 +123,7 @@ def _tracking(rig: Rig, cases: Sequence[Case]) -> Grid:
         for case in group
     ]
     sources = "; ".join(dict.fromkeys(case.row["energy"]["source"] for case in cases))
-    note = f"Stroke against the desired stroke. Pump energy: {sources}."
+    note = f"Stroke against the desired stroke. Pump energy: {sources}." + valves_note(rig, cases)
     if swings:
         note += " What swings without an end does so by itself: a limit cycle."
     return Grid(head, rows, note, "tracking", "Tracking and energy.")
@@ -149,6 +149,24 @@ def _tracking_row(rig: Rig, case: Case, rivals: Sequence[Case], swings: bool) ->
         quantity_cell(rig, "energy", case.row["energy"]["cylinder_work"]),
         chip("stopped") if case.row.get("stopped") else "",
     ]
+
+
+def valves_note(rig: Rig, cases: Sequence[Case]) -> str:
+    """How fast each controller's valves are, where they are not equally fast."""
+    speeds: dict[str, list[str]] = {}
+    for case in cases:
+        if ends := case.row.get("valves", {}).get("natural_frequency"):
+            told = span([float(shown(rig, "natural_frequency", end)) for end in ends])
+            names = speeds.setdefault(told, [])
+            names += [words(case.row["controller"])] * (words(case.row["controller"]) not in names)
+    if len(speeds) < 2:
+        return ""
+    unit = pretty(unit_of(rig, "natural_frequency"))
+    told = "; ".join(f"{speed} {unit}: {', '.join(names)}" for speed, names in speeds.items())
+    return (
+        f" Natural frequency of the valves: {told}. "
+        "Errors at unlike frequencies compare valves, not laws or circuits."
+    )
 
 
 def _cycle_cells(rig: Rig, case: Case) -> list[Cell | str]:
@@ -205,6 +223,9 @@ def settings_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
     if bounds := _by_controller(rig, cases, "estimate_bounds"):
         note, title = "The estimates are projected onto these.", "Bounds of the estimates."
         blocks.append(Grid(*bounds, note, "estimate_bounds", title))
+    if valves := _by_controller(rig, cases, "valves"):
+        note = "Of the slowest and the fastest valve of the cylinder."
+        blocks.append(Grid(*valves, note, "settings_valves", "Valves."))
     if rules := _by_controller(rig, cases, "rules"):
         blocks.append(Fold("Rules by which working functions are chosen", [Grid(*rules)]))
     if controllers := _recipe_rows(recipe, "controller"):

@@ -104,6 +104,17 @@ class Compiled:
         )
 
 
+@dataclass
+class Laws:
+    """The built-in controllers of a trial, one a cylinder, each as it would be alone."""
+
+    parts: tuple[Compiled, ...]
+
+    def afresh(self) -> Laws:
+        """The same at their beginning, for a run of their own."""
+        return Laws(tuple(part.afresh() for part in self.parts))
+
+
 @contextmanager
 def located(recipe: TrialRecipe, *keys: str | int) -> Iterator[None]:
     """Bad input found inside is said to stand at a key of the recipe, unless it says itself where

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -875,6 +875,10 @@ class Law:
     delay: float
     ramp_washout: float = 0.0
     feedback: Literal["metered", "load"] = "metered"
+
+    def without_feedback(self) -> Law:
+        """The same law with neither feedback: at K_p = 0 the off-side is not held either."""
+        return replace(self, washout=0.0, ramp_washout=0.0, off_gain=0.0)
 
 
 @dataclass(frozen=True)
