@@ -510,6 +510,16 @@ def feed_forward(reference, v, oil, circuit, gains):
 
 
 @kernel
+def keep_on(toward, function, rules):
+    """A desired speed [m/s], where it asks for nothing what keeps the function at work: it makes up
+    for leakage, where holding and moving in turn would be to hunt.
+    """
+    if abs(toward) <= rules.speed_start:
+        return 2.0 * rules.speed_start * DIRECTION[function]
+    return toward
+
+
+@kernel
 def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     """The task level's `Choice`: the direction is that of the desired speed, led back to the
     desired stroke.
@@ -544,10 +554,8 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     elif not resting and abs(wish) <= abs(k1 * z1) + near:
         if toward * state.slow_wanted < 0.0 and abs(state.slow_wanted) > abs(toward) + BACK * near:
             toward = state.slow_wanted
-    way = DIRECTION[state.function]
-    if still and not spool and way != 0 and abs(toward) <= speed_start:
-        # what is at work goes on, to make up for leakage: shutting it would be to hunt
-        toward = 2.0 * speed_start * way
+    if still and not spool:
+        toward = keep_on(toward, state.function, gains.rules)
     function, status = select(
         state.function, state.age, toward, state.slow_load, p, axis.circuit, gains.rules
     )
