@@ -10,6 +10,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from ehbench.control import LAW_NAMES
 from ehbench.fields import FileModel, Q, Value
 from ehbench.recipe.base import ByParameter, Recipe
+from ehbench.rig import LoadSensing, LowRail
 
 
 class Command(FileModel):
@@ -308,6 +309,13 @@ def refuse_fast_waves(trial: Sampled) -> None:
                 )
 
 
+class OtherSupply(FileModel):
+    """How the supply follows the load in a trial, where the rig file says otherwise or nothing."""
+
+    load_sensing: LoadSensing | None = None
+    low_rail: LowRail | None = None
+
+
 class AnyTrial(Recipe):
     """What one trial and a set of trials have in common."""
 
@@ -329,6 +337,7 @@ class AnyTrial(Recipe):
     first_pressure_error: dict[str, Annotated[Value, Q("pressure_error")]] = {}
     command: tuple[Command, ...] = ()
     limits: Limits = Limits()
+    supply: OtherSupply = OtherSupply()
 
     @model_validator(mode="after")
     def _below_half_the_rate(self) -> AnyTrial:

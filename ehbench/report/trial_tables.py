@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ehbench.report.blocks import Block, Cell, Fold, Grid
-from ehbench.codes import LIMITS_MEAN
+from ehbench.codes import LIMITS_MEAN, STATUS_MEANS
 from ehbench.report.captions import capital, load_name, span, stroke
 from ehbench.report.cases import Case, damping, groups_of
 from ehbench.report.content import chip, num, quantity_cell
@@ -180,11 +180,20 @@ def _cycle_cells(rig: Rig, case: Case) -> list[Cell | str]:
     ]
 
 
+def limits_of(row: Table) -> dict[str, float]:
+    """Shares of the time at the limits of the valve level, and without a function that can move the
+    load.
+    """
+    functions = row.get("functions", {})
+    return dict(row.get("limits", {})) | {
+        name: functions[name] for name in STATUS_MEANS if name in functions
+    }
+
+
 def _limits(cases: Sequence[Case]) -> Grid | None:
-    shares = [(case, case.row.get("limits", {})) for case in _ordered(cases)]
-    met = dict.fromkeys(
-        name for case in cases for name, share in case.row.get("limits", {}).items() if share > 0.0
-    )
+    means = LIMITS_MEAN | STATUS_MEANS
+    shares = [(case, limits_of(case.row)) for case in _ordered(cases)]
+    met = dict.fromkeys(name for _, own in shares for name, share in own.items() if share > 0.0)
     if not met:
         return None
     rows = [
@@ -192,8 +201,8 @@ def _limits(cases: Sequence[Case]) -> Grid | None:
         for case, limits in shares
     ]
     head = [*WHO, *(f"{words(name)} [%]" for name in met)]
-    told = "; ".join(f"{words(name)}: {LIMITS_MEAN[name]}" for name in met if name in LIMITS_MEAN)
-    note = f"Share of the time with an edge at a limit. {capital(told)}."
+    told = "; ".join(f"{words(name)}: {means[name]}" for name in met if name in means)
+    note = f"Share of the time at a limit. {capital(told)}."
     return Grid(head, rows, note, "limits", "Limits met.")
 
 

@@ -283,6 +283,8 @@ def prepare(
             rig; on a machine that stands at its start at once, a limit reached there; code that is
             not allowed.
     """
+    with controllers.located(recipe, "supply"):
+        rig = rig.with_supply(recipe.supply.load_sensing, recipe.supply.low_rail)
     loop, posture = None, recipe.posture
     rig = _with_dynamics(recipe, rig)
     if recipe.controller is not None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ehbench.codes import LIMITS as LIMIT_BITS
+from ehbench.codes import STATUS_MEANS
 from ehbench.errors import InputError, SimulationError
 from ehbench.logs import check_record
 from ehbench.machines.protocol import Machine, truth_of
@@ -20,7 +21,7 @@ from ehbench.recipe import TrialRecipe
 from ehbench.record import Record, payloads_of, payloads_text
 from ehbench.rig import Rig
 from ehbench.trial.controllers import Compiled, Laws
-from ehbench.trial.measures import step_measures, tracking_measures
+from ehbench.trial.measures import function_measures, step_measures, tracking_measures
 from ehbench.trial.preparation import Aftermath, Prepared, Stop, prepare
 from ehbench.trial.session import LiveLog, Session
 from ehbench.trial.swing import limit_cycle
@@ -241,6 +242,7 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
             if isinstance(part, Compiled) and part.law.warns_saturated:
                 warnings += _saturated(own["limits"]["saturated"], one.cylinder)
             warnings += _swinging(own["limit_cycle"], prepared.rig, one.cylinder)
+            warnings += _stuck(own, one.cylinder)
         measures = found.pop(prepared.loop.design.cylinder)
         if found:
             measures["also"] = found
@@ -287,6 +289,18 @@ def _saturated(share: float, cylinder: str) -> list[str]:
     ]
 
 
+def _stuck(measures: Mapping[str, Any], cylinder: str) -> list[str]:
+    """A sentence where the choice of working functions stalled, or found none, in a share of the
+    ticks.
+    """
+    shares = measures.get("functions", {})
+    return [
+        f"'{cylinder}' was {word} in {100.0 * shares[word]:.2g} % of the ticks: {meaning}"
+        for word, meaning in STATUS_MEANS.items()
+        if shares.get(word, 0.0) > 0.0
+    ]
+
+
 def _swinging(cycle: Mapping[str, float] | None, rig: Rig, cylinder: str) -> list[str]:
     """A sentence where a cylinder swung by itself."""
     if cycle is None:
@@ -324,6 +338,10 @@ def _measures(record: Record, loop: Driven, rows: int) -> dict[str, Any]:
     commands = np.column_stack([record[f"{name}.command"][:rows] for name in valves])
     cycle = limit_cycle(t, x, desired, commands, stroke)
     measures["limit_cycle"] = None if cycle is None else asdict(cycle)
+    if f"{own}.function_status" in record:
+        names = ("function", "function_status", "v_desired")
+        told = (record[f"{own}.{name}"][:rows] for name in names)
+        measures["functions"] = function_measures(t, *told)
     if f"{own}.limits" in record:
         met = record[f"{own}.limits"][:rows].astype(int)
         measures["limits"] = {
