@@ -331,7 +331,7 @@ class AnyTrial(Recipe):
     posture: dict[str, str] = {}
     duration: Annotated[Value, Q("duration")] | None = None
     rate: Annotated[Value, Q("rate")] = Value(1000.0)
-    step: Annotated[Value, Q("step")] = Value(5.0e-4)
+    step: Annotated[Value | Literal["auto"], Q("step", word="auto")] = Value(5.0e-4)
     seed: int = Field(default=0, ge=0, le=2**63 - 1)
     payload_change: tuple[PayloadChange, ...] = ()
     first_pressure_error: dict[str, Annotated[Value, Q("pressure_error")]] = {}
