@@ -83,7 +83,9 @@ class Circuit(NamedTuple):
     ``paths`` [6] is the edge that serves each path, −1 for none, ``along`` [6] its direction: +1
     where the edge points along the path, else −1. ``able`` [8] is 1 for each working function that
     the circuit can do. ``hull``, ``hull_at`` [edges, 2]: the measured range of each map, see
-    `ehbench.control.valve_level.inside`."""
+    `ehbench.control.valve_level.inside`. ``trim``, shape (count, 2): gain [1] and shift of the
+    deadband [V] by which each edge is known to differ from its law, see
+    `ehbench.control.map_learning`."""
 
     cylinder: int
     area_head: float
@@ -99,6 +101,7 @@ class Circuit(NamedTuple):
     able: np.ndarray
     hull: np.ndarray
     hull_at: np.ndarray
+    trim: np.ndarray
 
 
 @kernel
@@ -386,6 +389,7 @@ def circuit(
         able,
         hull,
         hull_at,
+        np.tile([1.0, 0.0], (int(own[-1] - own[0] + 1), 1)),
     )
     ends = ((0, head), (head, 1), (0, rod), (rod, 1), (head, rod), (rod, head))
     for path, between in enumerate(ends):
