@@ -195,7 +195,32 @@ def _payload_caption(
         text += f". From {number(at, 3)} s on it is {measure(rig, 'mass', mass)}, "
         text += _followed(t[own] - at, estimate[own] - mass, LEARNT * abs(mass - before))
     off = measure(rig, "mass", abs(float(estimate[-1]) - last))
-    return f"{text}. The estimate ends {off} from it"
+    text += f". The estimate ends {off} from it"
+    return text + _weighed_caption(rig, case, record, carried)
+
+
+def _weighed_caption(
+    rig: Rig, case: Case, record: Record, carried: Sequence[tuple[float, float]]
+) -> str:
+    """How far off in motion the payload is that pressures and motion tell, and how often its
+    interval holds the truth.
+    """
+    told = [f"{case.cylinder}.payload_{word}" for word in ("measured", "low", "high")]
+    if not all(name in record for name in told):
+        return ""
+    measured, low, high = (record[name] for name in told)
+    times, masses = zip(*carried, strict=True)
+    truth = np.array(masses)[np.searchsorted(times, record.t, side="right") - 1]
+    moving = np.abs(record[f"{case.cylinder}.v_desired"]) > 0.0
+    if not moving.any():
+        return ""
+    off = np.abs(measured - truth)[moving]
+    held = float(np.mean((low <= truth) & (truth <= high)))
+    said = measure(rig, "mass", float(np.quantile(off, 0.95)))
+    return (
+        f". By least squares over pressures and motion it is known to {said} for 95 % of the time "
+        f"in motion; the interval holds it {percent(held, 3)} of all time"
+    )
 
 
 def _followed(since: np.ndarray, off: np.ndarray, least: float) -> str:
