@@ -44,6 +44,7 @@ from ehbench.control.functions import (
     SUPPLY_ROD,
     path_drop,
     select,
+    steady_wish,
     widest,
 )
 from ehbench.control.law import Law
@@ -71,6 +72,7 @@ STATE = record(
     ("set_point", "f8"),
     ("slow_load", "f8"),
     ("slow_error", "f8"),
+    ("slow_wish", "f8"),
     ("rested", "f8"),
     ("slow_wanted", "f8"),
     ("learning", "i8"),
@@ -224,7 +226,7 @@ def spool_flows(function: int, wanted, head_gain, rod_gain, p, circuit):
     rod_path = ROD_TANK if way > 0 else SUPPLY_ROD
     if way * wanted <= 0.0:  # against the function's direction: the valve level shuts, says so
         return Flows(wanted / head_gain, wanted / rod_gain)
-    drop_one, drop_two = path_drop(head_path, p), path_drop(rod_path, p)
+    drop_one, drop_two = path_drop(head_path, p, circuit), path_drop(rod_path, p, circuit)
     along = circuit.along[head_path]
     low, high = 0.0, widest(circuit, circuit.paths[head_path], along * drop_one)
     goal = way * wanted
@@ -520,6 +522,16 @@ def feed_forward(reference, v, oil, circuit, gains):
 
 
 @kernel
+def keep_on(toward, function, rules):
+    """A desired speed [m/s], where it asks for nothing what keeps the function at work: it makes up
+    for leakage, where holding and moving in turn would be to hunt.
+    """
+    if abs(toward) <= rules.speed_start:
+        return 2.0 * rules.speed_start * DIRECTION[function]
+    return toward
+
+
+@kernel
 def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     """The task level's `Choice`: the direction is that of the desired speed, led back to the
     desired stroke.
@@ -533,7 +545,8 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     # where the reference rests, what swings is left to calm down, and the error is led back at
     # little more than the speed that it alone asks for
     spool = axis.spool[state.function] == 1
-    still = abs(reference.v) <= speed_start
+    state.slow_wish = wish = steady_wish(reference.v, state.slow_wish, tick, gains.rules)
+    still = abs(wish) <= speed_start
     near = max(gains.speed_nudge, 4.0 * k1 * gains.stroke_resolution)
     quiet = still and min(abs(k1 * z1), abs(state.v)) <= near
     state.rested = state.rested + tick if quiet else 0.0
@@ -543,16 +556,18 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     resolution = gains.stroke_resolution
     blind = max(resolution - speed_start / k1, 0.3 * resolution)
     error = state.slow_error - clip(state.slow_error, -blind, blind)
-    toward = reference.v - clip(k1 * error, -gains.speed_correction, gains.speed_correction)
+    toward = wish - clip(k1 * error, -gains.speed_correction, gains.speed_correction)
     led = 2.0 * abs(toward) + gains.speed_nudge
     state.slow_wanted -= math.expm1(-gains.force_bandwidth * tick) * (
         spool_speed - state.slow_wanted
     )
     if spool and not resting:
         toward = spool_speed
-    elif not resting and abs(reference.v) <= abs(k1 * z1) + near:
+    elif not resting and abs(wish) <= abs(k1 * z1) + near:
         if toward * state.slow_wanted < 0.0 and abs(state.slow_wanted) > abs(toward) + BACK * near:
             toward = state.slow_wanted
+    if still and not spool:
+        toward = keep_on(toward, state.function, gains.rules)
     function, status = select(
         state.function, state.age, toward, state.slow_load, p, axis.circuit, gains.rules
     )

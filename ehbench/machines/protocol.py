@@ -3,8 +3,8 @@
 Once a tick a machine takes a command for each valve and gives a sample: ``[q, qd, x, v, p_head,
 p_rod]`` of each cylinder in the rig file's order, then ``p_supply, p_tank``, all SI. Nothing else
 comes from it by the protocol, so a controller sees what a sensor could give. What more a simulation
-can do stands behind an attribute of its own that a machine may have or lack: see `truth_of` and
-`advance_of`."""
+can do stands behind an attribute of its own that a machine may have or lack: see `truth_of`,
+`carry_of` and `advance_of`."""
 
 from __future__ import annotations
 
@@ -129,6 +129,16 @@ class Truth(Protocol):
 def truth_of(machine: Machine) -> Truth | None:
     """What a simulated machine can say of itself beyond its sensors; None of one that cannot."""
     return getattr(machine, "truth", None)
+
+
+def carry_of(machine: Machine) -> Callable[[str | None], None] | None:
+    """How a simulated machine takes up another payload at once, at the speed that it has; None of a
+    machine whose load nobody but people can change.
+
+    Raises:
+        InputError: when called, no such payload.
+    """
+    return getattr(machine, "carry", None)
 
 
 def advance_of(machine: Machine) -> Callable[[Rows, Controls | None, bool], Advance] | None:

@@ -9,7 +9,8 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from ehbench.control import LAW_NAMES
 from ehbench.fields import FileModel, Q, Value
-from ehbench.recipe.base import Recipe
+from ehbench.recipe.base import ByParameter, Recipe
+from ehbench.rig import LoadSensing, LowRail
 
 
 class Command(FileModel):
@@ -72,6 +73,15 @@ class Limits(FileModel):
     speed_max: Annotated[Value, Q("v")] | None = None
     command_max: Annotated[Value, Q("command_max")] | None = None
     ramp: Annotated[Value, Q("ramp")] = Value(0.05)
+
+
+class PayloadChange(FileModel):
+    """A load that the machine takes up or puts down on its way: from ``at`` on it carries
+    ``payload``, which moves with its link at once.
+    """
+
+    at: Annotated[Value, Q("start")]
+    payload: str
 
 
 def _one_or_more(raw: Any) -> Any:
@@ -333,6 +343,13 @@ def refuse_fast_waves(trial: Sampled) -> None:
                 )
 
 
+class OtherSupply(FileModel):
+    """How the supply follows the load in a trial, where the rig file says otherwise or nothing."""
+
+    load_sensing: LoadSensing | None = None
+    low_rail: LowRail | None = None
+
+
 class AnyTrial(Recipe):
     """What one trial and a set of trials have in common."""
 
@@ -340,17 +357,32 @@ class AnyTrial(Recipe):
     flow_maps: str | None = None
     on: Literal["model", "bench"] = "model"
     bench: str | None = None
+    dynamics: ByParameter = Field(
+        default={},
+        description="other `[dynamics]` of the rig file for valves, by `<cylinder>.<valve>`; on "
+        "the bench as well",
+    )
     posture: dict[str, str] = {}
     duration: Annotated[Value, Q("duration")] | None = None
     rate: Annotated[Value, Q("rate")] = Value(1000.0)
     step: Annotated[Value, Q("step")] = Value(5.0e-4)
     seed: int = Field(default=0, ge=0, le=2**63 - 1)
+    payload_change: tuple[PayloadChange, ...] = ()
+    first_pressure_error: dict[str, Annotated[Value, Q("pressure_error")]] = {}
     command: tuple[Command, ...] = ()
     limits: Limits = Limits()
+    supply: OtherSupply = OtherSupply()
 
     @model_validator(mode="after")
     def _below_half_the_rate(self) -> AnyTrial:
         refuse_fast_waves(self)
+        return self
+
+    @model_validator(mode="after")
+    def _one_after_the_other(self) -> AnyTrial:
+        times = [0.0, *(float(change.at) for change in self.payload_change)]
+        if any(later <= sooner for sooner, later in zip(times, times[1:], strict=False)):
+            raise ValueError("the times of 'payload_change' must grow, the first above 0 s")
         return self
 
 

@@ -118,6 +118,16 @@ def true_payload(rig: Rig, payload: str) -> float | None:
     return 0.0 if payload == "none" else payload_at_end(rig, payload)
 
 
+def payloads_carried(rig: Rig, row: Table) -> list[tuple[float, float]] | None:
+    """(time [s], what a payload estimate should find from then on [kg]) of a trial; None where some
+    payload is none at the end of the last link.
+    """
+    names = [(0.0, row["payload"]), *(row.get("payload_change") or ())]
+    masses = [(float(at), true_payload(rig, name)) for at, name in names]
+    known = [(at, mass) for at, mass in masses if mass is not None]
+    return known if len(known) == len(masses) else None
+
+
 def payload_at_end(rig: Rig, payload: str) -> float | None:
     """Mass [kg] at the end of the last link with the moment that a payload adds about the last
     joint.

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ehbench.report.blocks import Block, Cell, Fold, Grid
-from ehbench.codes import LIMITS_MEAN
+from ehbench.codes import LIMITS_MEAN, STATUS_MEANS
 from ehbench.report.captions import capital, load_name, span, stroke
 from ehbench.report.cases import Case, damping, groups_of
 from ehbench.report.content import chip, num, quantity_cell
@@ -125,7 +125,7 @@ def _tracking(rig: Rig, cases: Sequence[Case]) -> Grid:
         for case in group
     ]
     sources = "; ".join(dict.fromkeys(case.row["energy"]["source"] for case in cases))
-    note = f"Stroke against the desired stroke. Pump energy: {sources}."
+    note = f"Stroke against the desired stroke. Pump energy: {sources}." + valves_note(rig, cases)
     if swings:
         note += " What swings without an end does so by itself: a limit cycle."
     return Grid(head, rows, note, "tracking", "Tracking and energy.")
@@ -164,6 +164,24 @@ def _tip_cells(rig: Rig, case: Case) -> list[Cell | str]:
     return [quantity_cell(rig, "tip_error", tip[key], 3) for key in ("max_error", "rms_error")]
 
 
+def valves_note(rig: Rig, cases: Sequence[Case]) -> str:
+    """How fast each controller's valves are, where they are not equally fast."""
+    speeds: dict[str, list[str]] = {}
+    for case in cases:
+        if ends := case.row.get("valves", {}).get("natural_frequency"):
+            told = span([float(shown(rig, "natural_frequency", end)) for end in ends])
+            names = speeds.setdefault(told, [])
+            names += [words(case.row["controller"])] * (words(case.row["controller"]) not in names)
+    if len(speeds) < 2:
+        return ""
+    unit = pretty(unit_of(rig, "natural_frequency"))
+    told = "; ".join(f"{speed} {unit}: {', '.join(names)}" for speed, names in speeds.items())
+    return (
+        f" Natural frequency of the valves: {told}. "
+        "Errors at unlike frequencies compare valves, not laws or circuits."
+    )
+
+
 def _cycle_cells(rig: Rig, case: Case) -> list[Cell | str]:
     """Amplitude and period of a trial's limit cycle."""
     cycle = case.row.get("limit_cycle")
@@ -175,11 +193,20 @@ def _cycle_cells(rig: Rig, case: Case) -> list[Cell | str]:
     ]
 
 
+def limits_of(row: Table) -> dict[str, float]:
+    """Shares of the time at the limits of the valve level, and without a function that can move the
+    load.
+    """
+    functions = row.get("functions", {})
+    return dict(row.get("limits", {})) | {
+        name: functions[name] for name in STATUS_MEANS if name in functions
+    }
+
+
 def _limits(cases: Sequence[Case]) -> Grid | None:
-    shares = [(case, case.row.get("limits", {})) for case in _ordered(cases)]
-    met = dict.fromkeys(
-        name for case in cases for name, share in case.row.get("limits", {}).items() if share > 0.0
-    )
+    means = LIMITS_MEAN | STATUS_MEANS
+    shares = [(case, limits_of(case.row)) for case in _ordered(cases)]
+    met = dict.fromkeys(name for _, own in shares for name, share in own.items() if share > 0.0)
     if not met:
         return None
     rows = [
@@ -187,8 +214,8 @@ def _limits(cases: Sequence[Case]) -> Grid | None:
         for case, limits in shares
     ]
     head = [*WHO, *(f"{words(name)} [%]" for name in met)]
-    told = "; ".join(f"{words(name)}: {LIMITS_MEAN[name]}" for name in met if name in LIMITS_MEAN)
-    note = f"Share of the time with an edge at a limit. {capital(told)}."
+    told = "; ".join(f"{words(name)}: {means[name]}" for name in met if name in means)
+    note = f"Share of the time at a limit. {capital(told)}."
     return Grid(head, rows, note, "limits", "Limits met.")
 
 
@@ -209,6 +236,9 @@ def settings_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
     if bounds := _by_controller(rig, cases, "estimate_bounds"):
         note, title = "The estimates are projected onto these.", "Bounds of the estimates."
         blocks.append(Grid(*bounds, note, "estimate_bounds", title))
+    if valves := _by_controller(rig, cases, "valves"):
+        note = "Of the slowest and the fastest valve of the cylinder."
+        blocks.append(Grid(*valves, note, "settings_valves", "Valves."))
     if rules := _by_controller(rig, cases, "rules"):
         blocks.append(Fold("Rules by which working functions are chosen", [Grid(*rules)]))
     if controllers := _recipe_rows(recipe, "controller"):

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ehbench.control.functions import pack_rules
+from ehbench.control.functions import RULES, pack_rules
+from ehbench.control.records import blank
 from ehbench.errors import InputError
-from ehbench.machines.protocol import Machine, truth_of
+from ehbench.machines.protocol import Machine, carry_of, truth_of
 from ehbench.machines.registry import open_machine
 from ehbench.machines.rows import COMMAND, LIMITS, MARGIN, Rows, limit_array, violated
 from ehbench.memory import MOST_STEPS, refuse_beyond, rows_of
@@ -22,7 +23,7 @@ from ehbench.recipe import TrialRecipe
 from ehbench.rig import Rig
 from ehbench.trial import controllers
 from ehbench.trial.commands import command_table
-from ehbench.trial.controllers import Design, Laws
+from ehbench.trial.controllers import Compiled, Design, Laws
 from ehbench.trial.motion import References, lasting, references
 from ehbench.trial.path import along_path, route
 from ehbench.trial.together import Driven, Plan, as_long, planned, told
@@ -111,8 +112,9 @@ class Prepared:
 
     ``machine`` is the one that the recipe names, not started; ``t`` [s], shape (samples,);
     ``table`` the open-loop commands [V], shape (samples, valves); ``limits`` as in
-    `ehbench.machines.rows`; ``posture`` where it starts; ``loop`` None for open loop. It may run
-    again, and gives the same bytes."""
+    `ehbench.machines.rows`; ``posture`` where it starts; ``loop`` None for open loop; ``payloads``
+    what it carries from which row on, where that changes. It may run again, and gives the same
+    bytes."""
 
     recipe: TrialRecipe
     rig: Rig
@@ -123,6 +125,7 @@ class Prepared:
     limits: np.ndarray
     posture: dict[str, str]
     loop: Loop | None
+    payloads: dict[int, str | None]
 
     @property
     def duration(self) -> float:
@@ -192,6 +195,8 @@ class Prepared:
                 **recipe.at("limits", reached.limit),
                 hint="change the posture or the limit",
             )
+        for channel, error in recipe.first_pressure_error.items():
+            sample[machine.channels.index(channel)] += float(error)
         return rows
 
     def reached(self, machine: Machine, rows: Rows, row: int) -> Stop:
@@ -283,7 +288,10 @@ def prepare(
             rig; on a machine that stands at its start at once, a limit reached there; code that is
             not allowed.
     """
+    with controllers.located(recipe, "supply"):
+        rig = rig.with_supply(recipe.supply.load_sensing, recipe.supply.low_rail)
     loop, posture = None, recipe.posture
+    rig = _with_dynamics(recipe, rig)
     if recipe.controller is not None:
         controllers.refuse_code(recipe, allow_code)
         loop = _loop(recipe, rig, maps, gains, standing)
@@ -307,13 +315,69 @@ def prepare(
     table = command_table(recipe, rig, t, () if loop is None else _taken(loop))
     machine = open_machine(recipe, rig, maps)
     limits = limit_array(recipe.limits)
-    prepared = Prepared(recipe, rig, maps, machine, t, table, limits, posture, loop)
+    _refuse_unknown_pressures(recipe, machine)
+    payloads = _payloads(recipe, machine, t)
+    prepared = Prepared(recipe, rig, maps, machine, t, table, limits, posture, loop, payloads)
     if truth_of(machine) is not None:
         prepared.first_rows(machine, 1)
     else:
         with controllers.located(recipe, "posture"):
             machine.check_posture(posture)
     return prepared
+
+
+def _refuse_unknown_pressures(recipe: TrialRecipe, machine: Machine) -> None:
+    """Refuse a wrong first pressure of a sensor that the machine has not.
+
+    Raises:
+        InputError: names those that there are.
+    """
+    known = [name for name in machine.channels if name.rsplit(".", 1)[-1].startswith("p_")]
+    for name in recipe.first_pressure_error:
+        if name not in known:
+            raise InputError(
+                f"the machine has no pressure '{name}'",
+                **recipe.at("first_pressure_error", name),
+                hint="it has " + ", ".join(known),
+            )
+
+
+def _payloads(recipe: TrialRecipe, machine: Machine, t: np.ndarray) -> dict[int, str | None]:
+    """What the machine carries from which row on, where the recipe changes it.
+
+    Raises:
+        InputError: a time behind the end, no such payload, or a machine that cannot change it.
+    """
+    found: dict[int, str | None] = {}
+    for i, change in enumerate(recipe.payload_change):
+        carry, row = carry_of(machine), int(np.searchsorted(t, float(change.at) - 1e-9))
+        if row >= t.size:
+            raise InputError(
+                f"the trial ends at {t[-1]:.4g} s, before its payload changes",
+                **recipe.at("payload_change", i, "at"),
+            )
+        if carry is None:
+            raise InputError(
+                f"the payload of {machine.name} is changed by hand",
+                **recipe.at("payload_change"),
+                hint="leave payload_change out",
+            )
+        found[row] = None if change.payload == "none" else change.payload
+        with controllers.located(recipe, "payload_change", i, "payload"):
+            carry(found[row])
+    return found
+
+
+def _with_dynamics(recipe: TrialRecipe, rig: Rig) -> Rig:
+    """The rig with the valve dynamics that a recipe asks for.
+
+    Raises:
+        InputError: no such valve or dynamics, with the line.
+    """
+    own = getattr(recipe.controller, "dynamics", None)  # of a controller of a set
+    where = recipe.controller.where if recipe.controller is not None and own else ()
+    with controllers.located(recipe, *where, "dynamics"):
+        return rig.with_dynamics(recipe.dynamics)
 
 
 # [numbers] of a row beside those of each cylinder, valve and edge, in all copies of it
@@ -401,18 +465,23 @@ def _together(
     recipe: TrialRecipe, driven: tuple[Driven, ...], laws: Laws | None, low: float
 ) -> tuple[tuple[Driven, ...], Plan]:
     """What the cylinders do together, as long as the recipe says."""
-    used = [{}] if laws is None else [part.used["rules"] for part in laws.parts]
-    supply = float(driven[0].design.rig.supply.pressure)
-    rules = [
-        pack_rules(one.design.circuit.area_rod, supply, **own)
-        for one, own in zip(driven, used, strict=True)
-    ]
+    rules = [_rules(one, None if laws is None else laws.parts[i]) for i, one in enumerate(driven)]
     share = recipe.motion is not None and recipe.motion.share_flow
     driven, plan = planned(driven, rules, low, share)
     lasting_as = [lasting(one.recipe, one.design, one.references) for one in driven]
     return tuple(
         replace(one, references=motion) for one, motion in zip(driven, lasting_as, strict=True)
     ), plan
+
+
+def _rules(one: Driven, part: Compiled | None) -> np.record:
+    """The rules of function selection of a cylinder: those that its law has."""
+    if part is None:
+        return pack_rules(one.design.circuit.area_rod, float(one.design.rig.supply.pressure))
+    rules = blank(RULES)
+    for name, value in part.used["rules"].items():
+        rules[name] = value
+    return rules
 
 
 def _gains_for(

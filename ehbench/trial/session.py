@@ -16,7 +16,7 @@ import numpy as np
 
 from ehbench.codes import HOLD
 from ehbench.errors import InputError, SimulationError
-from ehbench.machines.protocol import Machine, advance_of, truth_of
+from ehbench.machines.protocol import Machine, advance_of, carry_of, truth_of
 from ehbench.machines.rows import NO_LIMITS, Controls, LawRows, Rows, control, violated
 from ehbench.record import Record
 from ehbench.trial.controllers import Compiled, Laws
@@ -99,7 +99,9 @@ class Session:
             self.law.start(self.rows.sample)
         begun = time.monotonic()
         while first < self.end:
-            stopped_at, upto = self._through(first, min(first + CHUNK, self._next_look, self.end))
+            self._carry(first)
+            until = min(first + CHUNK, self._next_look, self.end, self._next_payload(first))
+            stopped_at, upto = self._through(first, until)
             if not np.isfinite(self.rows.sample).all():
                 raise SimulationError(
                     f"the trial left finite numbers before t = {upto / rate:.4g} s",
@@ -115,6 +117,16 @@ class Session:
             said = self._pace(first, time.monotonic() - begun)
             if progress is not None:
                 progress(said, first / self.end)
+
+    def _carry(self, row: int) -> None:
+        """Let the machine take up what the recipe wants it to carry from a row on."""
+        carry = carry_of(self.machine)
+        if carry is not None and row in self.prepared.payloads:
+            carry(self.prepared.payloads[row])
+
+    def _next_payload(self, row: int) -> int:
+        """The row behind this one at which the payload changes next."""
+        return min((at for at in self.prepared.payloads if at > row), default=sys.maxsize)
 
     def _pace(self, done: int, seconds: float) -> str:
         """Words on a class that is slow to answer; refuses one that would take for ever.
