@@ -106,6 +106,41 @@ _ROWS = [
         -1e8,
         1e8,
     ),
+    Quantity(
+        "tip",
+        "r",
+        "m",
+        "m",
+        "where the tip of the mechanism is: ahead of its base, to the left, up",
+        -1e3,
+        1e3,
+    ),
+    *(
+        Quantity(f"tip_{axis}{of}", f"{axis}_t", "m", "m", f"tip of the mechanism{word}: {way}")
+        for of, word in (("", ""), ("_desired", ", as it shall be"))
+        for axis, way in (("x", "ahead of its base"), ("y", "to the left"), ("z", "up"))
+    ),
+    Quantity("tip_error", "e_t", "m", "mm", "distance of the tip from where it shall be", 0, 1e3),
+    Quantity("tip_across", "e_n", "m", "mm", "part of the tip's error across its way", 0, 1e3),
+    Quantity(
+        "flow_wished",
+        "Q_w",
+        "m^3/s",
+        "gpm",
+        "flow that the motion as it is wished would draw from the supply",
+        0,
+        10,
+    ),
+    Quantity(
+        "flow_planned",
+        "Q_p",
+        "m^3/s",
+        "gpm",
+        "the same at the pace that the pump allows",
+        0,
+        10,
+    ),
+    Quantity("pace", "σ", "dimensionless", "dimensionless", "pace of a motion, 1 as wished", 0, 1),
     Quantity("temperature", "T", "K", "degC", "oil temperature", 200, 500),
     Quantity("force", "F", "N", "N", "force, extension positive", -1e8, 1e8),
     # machine parameters

@@ -323,6 +323,18 @@ def place_joints(sample, axis, angles):
 
 
 @kernel
+def loads_along(sample, reference, q, v, load, own, axis, memory):
+    """(`Load` now, `Load` AHEAD on the same motion); where the other joints move as well, both with
+    what these add to ``load``.
+    """
+    angles, ahead_q = memory.angles, q + AHEAD * v / load.lever
+    if reference.shape[0] > ORDERS:
+        place_joints(sample, axis, angles)
+        return loads_among(reference, q, ahead_q, AHEAD, axis, angles, memory.mass, memory.work)
+    return load, load_at(axis, ahead_q, own, angles, memory.work)
+
+
+@kernel
 def start(x, v, p, load_force, state):
     """Write the state of the first tick but for its estimates: at rest, the chamber that carries
     the load metered.
@@ -802,14 +814,7 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
         begin(p, axis.onset, gains, memory.maps)
     else:
         x, v = observe(x, v, gains, state)
-    ahead_q = q + AHEAD * v / load.lever
-    if reference.shape[0] > ORDERS:  # the other joints move as well
-        place_joints(sample, axis, memory.angles)
-        load, ahead = loads_among(
-            reference, q, ahead_q, AHEAD, axis, memory.angles, memory.mass, memory.work
-        )
-    else:
-        ahead = load_at(axis, ahead_q, own, memory.angles, memory.work)
+    load, ahead = loads_along(sample, reference, q, v, load, own, axis, memory)
 
     stroke = track_stroke(wish, x, v, gains)
     force = track_force(wish, v, measured, load, stroke, axis, gains, state.estimates)
