@@ -1047,6 +1047,8 @@ _ROWS = [
     Quantity("rate", "f", "Hz", "Hz", "samples per second", 1e-3, 1e6),
     Quantity("start", "t0", "s", "s", "when something starts", -1e6, 1e6),
     Quantity("stop", "t1", "s", "s", "when something stops", -1e6, 1e6),
+    Quantity("settle", "t_s", "s", "ms", "wait after a change of a command", 0, 60),
+    Quantity("span", "T", "s", "ms", "time over which a reading is taken", 1e-3, 60),
     Quantity("amplitude", "â", "V", "V", "amplitude of a command", -100, 100),
     Quantity("offset", "u_b", "V", "V", "constant part of a command", -100, 100),
     Quantity("frequency", "f", "Hz", "Hz", "frequency", 0, 1e5),
