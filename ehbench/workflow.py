@@ -77,7 +77,8 @@ class Session:
 
     ``allow_code`` lets recipes run Python code, ``unvalidated`` lets a controller be tuned on a rig
     that no validation accepted. ``keep`` leaves a run alone that stands with the very same inputs;
-    dependencies and campaigns work so. ``where`` says where a study makes its samples;
+    dependencies and campaigns work so. ``where`` says where a study makes its samples; ``resume``
+    goes on with searches and studies that were stopped.
     ``under_way`` are the recipes that wait for the one at work.
     """
 
@@ -89,6 +90,7 @@ class Session:
     unvalidated: bool = False
     keep: bool = False
     where: Where = Where()
+    resume: bool = False
     under_way: tuple[Path, ...] = ()
 
     def tell(self, name: str) -> Progress | None:

@@ -552,5 +552,10 @@ def _of_trial(prepared: PreparedOne) -> list[Any]:
     loop = prepared.trial.loop
     if loop is None:
         return [Facts, {"ledger": Any}]
-    used = {} if loop.law is None else loop.law.used
-    return [{**_trial_measures(), **used}, Facts, {"ledger": Any}]
+    parts = loop.laws.parts if loop.laws is not None else (None,)
+    first, *others = (
+        {**_trial_measures(), **(part.used if part is not None else {})} for part in parts
+    )
+    names = (one.cylinder for one in loop.driven[1:])
+    also = {"also": dict(zip(names, others, strict=True))} if others else {}
+    return [first | also, Facts, {"ledger": Any}]

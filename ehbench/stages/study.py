@@ -47,18 +47,17 @@ SHORT = 10.0  # [s] of work below which other processes would start too late to 
 @dataclass(frozen=True)
 class Where:
     """Where and how a study's samples are made: the address of a Dask ``scheduler``, '' for this
-    machine; how many ``workers``, 0 for one a core; ``resume`` what a killed study left.
+    machine; how many ``workers``, 0 for one a core.
     """
 
     scheduler: str = ""
     workers: int = 0
-    resume: bool = False
 
 
 @dataclass(frozen=True)
 class PreparedStudy(Prepared):
     """A study before its first sample. ``key`` says what its samples hang on; ``journal`` is where
-    they are kept until it is whole.
+    they are kept until it is whole, ``resume`` whether to go on with those of a killed study.
     """
 
     recipe: StudyRecipe
@@ -68,6 +67,7 @@ class PreparedStudy(Prepared):
     targets: tuple[dict[str, Any], ...]
     key: str
     where: Where = field(default_factory=Where)
+    resume: bool = False
     journal: Path = Path("study.samples.jsonl")
 
 
@@ -136,13 +136,15 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
         final = host.out or rundir.place(prepared.recipe.path, prepared.inputs or (), host.root)
         journal = final.with_name(f"{final.name}.samples.jsonl")
         where = getattr(host, "where", None) or Where()
-        made = super().run(replace(prepared, where=where, journal=journal), host)
+        made = super().run(
+            replace(prepared, where=where, journal=journal, resume=host.resume), host
+        )
         journal.unlink(missing_ok=True)
         return made
 
     def work(self, prepared: PreparedStudy, folder: Path, progress: Progress | None) -> Work:
         design, recipe = prepared.design, prepared.recipe
-        journal = Journal(prepared.journal, prepared.key, design.size, prepared.where.resume)
+        journal = Journal(prepared.journal, prepared.key, design.size, prepared.resume)
         try:
             _make(prepared, journal, progress)
             columns = write_tables(folder, design, prepared.measures, journal, prepared.key)
