@@ -136,9 +136,8 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
         final = host.out or rundir.place(prepared.recipe.path, prepared.inputs or (), host.root)
         journal = final.with_name(f"{final.name}.samples.jsonl")
         where = getattr(host, "where", None) or Where()
-        made = super().run(
-            replace(prepared, where=where, journal=journal, resume=host.resume), host
-        )
+        resume = host.resume or host.keep
+        made = super().run(replace(prepared, where=where, journal=journal, resume=resume), host)
         journal.unlink(missing_ok=True)
         return made
 

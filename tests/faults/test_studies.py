@@ -205,7 +205,7 @@ def test_a_killed_study_goes_on(study, tmp_path):
 
     def stop(what, share):
         seen.append(what)
-        if len(seen) == 2:
+        if len(seen) == 1:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -217,8 +217,9 @@ def test_a_killed_study_goes_on(study, tmp_path):
     lines = journal.read_text().splitlines(keepends=True)
     journal.write_text("".join(lines) + '{"i":9,"c":', encoding="utf-8")  # torn by the kill
     told = []
-    where = workflow.Where(resume=True, workers=1)
-    session = workflow.Session(out=out, where=where, progress=lambda *said: told.append(said[0]))
+    where = workflow.Where(workers=1)
+    tell = lambda *said: told.append(said[0])
+    session = workflow.Session(out=out, where=where, resume=True, progress=tell)
     workflow.run(path, session)
     assert int(told[0].split()[1]) > len(kept) and not journal.exists()
     same(here, out)

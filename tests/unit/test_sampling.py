@@ -252,8 +252,11 @@ def test_a_torn_journal_goes_on_where_it_was_whole(tmp_path):
     again.add(made)
     assert repr(list(again.samples())) == repr(made)
     again.close()
-    with pytest.raises(InputError, match="of another study"):
-        Journal(path, "other", 5, resume=True)
+    with pytest.raises(InputError, match="left 5 of its 5 samples here.*--resume"):
+        Journal(path, "k", 5, resume=False)
+    other = Journal(path, "of another study", 5, resume=True)
+    other.close()
+    assert other.taken == 0
 
 
 def test_a_full_disk_says_how_many_samples_are_kept(tmp_path):
