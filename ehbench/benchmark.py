@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -367,7 +367,8 @@ def _workers() -> Iterator[str]:
         yield ""
         return
     where = {"host": "127.0.0.1", "dashboard_address": None, "silence_logs": 50}
-    with LocalCluster(n_workers=WORKERS, threads_per_worker=1, **where) as cluster:
+    made: Any = LocalCluster(n_workers=WORKERS, threads_per_worker=1, **where)
+    with made as cluster:
         yield cluster.scheduler_address
 
 
