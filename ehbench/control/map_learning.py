@@ -95,7 +95,6 @@ def trimmed(known, trim):
         known.able,
         known.hull,
         known.hull_at,
-        known.supply,
         trim,
     )
 
