@@ -186,11 +186,11 @@ def test_intervals_of_quantiles_hold_them_as_often_as_they_say():
     rng = np.random.default_rng(0)
     for share in (0.5, 0.9):
         held = 0
-        for _ in range(1000):
+        for _ in range(400):
             found = statistics.quantile(rng.random(60), share)
             low = -math.inf if found.low is None else found.low
             held += low <= share <= (math.inf if found.high is None else found.high)
-        assert 945 <= held <= 995  # conservative, as order statistics are discrete
+        assert 375 <= held <= 398  # conservative, as order statistics are discrete
 
 
 def test_a_share_has_its_exact_interval():
