@@ -246,10 +246,12 @@ def planned(function, load_force, p, circuit, rules):
 @kernel
 def carries(function, active, v_d, plan, circuit, rules):
     """True where a function carries ``v_d`` [m/s] at its `planned` pressures: no chamber runs
-    empty, and every path passes its share; a function that is ``active`` is held more easily.
+    empty, ``supply_margin`` is left for metering, and every path passes its share; a function that
+    is ``active`` is held more easily.
     """
     room, speed = 1.0 if active else 1.0 + rules.reserve, abs(v_d)
     least = plan.tank + (0.25 if active else 0.5) * rules.low_pressure
+    left = rules.supply_margin + (0.0 if active else rules.supply_band)
     if not (plan.head >= least and plan.rod >= least):
         return False
     for path in range(len(PATHS)):
@@ -257,7 +259,10 @@ def carries(function, active, v_d, plan, circuit, rules):
         share += PATH_FLOWS[function, path, 1] * circuit.area_rod
         if share == 0.0:
             continue
-        if capacity(circuit, path, path_drop(path, plan, circuit)) < room * abs(share) * speed:
+        drop = path_drop(path, plan, circuit)
+        if path in (SUPPLY_HEAD, SUPPLY_ROD) and drop < left:
+            return False
+        if capacity(circuit, path, drop) < room * abs(share) * speed:
             return False
     return True
 
