@@ -92,7 +92,9 @@ class Circuit(NamedTuple):
     where the edge points along the path, else −1. ``able`` [8] is 1 for each working function that
     the circuit can do. ``hull``, ``hull_at`` [edges, 2]: the measured range of each map, see
     `ehbench.control.valve_level.inside`. ``supply`` is the plant's line, which says at what
-    pressure an edge finds the supply, see `supply_pressure`."""
+    pressure an edge finds the supply, see `supply_pressure`. ``trim``, shape (count, 2): gain [1]
+    and shift of the deadband [V] by which each edge is known to differ from its law, see
+    `ehbench.control.map_learning`."""
 
     cylinder: int
     area_head: float
@@ -109,6 +111,7 @@ class Circuit(NamedTuple):
     hull: np.ndarray
     hull_at: np.ndarray
     supply: np.record
+    trim: np.ndarray
 
 
 @kernel
@@ -530,6 +533,7 @@ def circuit(
         hull,
         hull_at,
         blank(SUPPLY) if supply is None else supply,
+        np.tile([1.0, 0.0], (int(own[-1] - own[0] + 1), 1)),
     )
     ends = ((0, head), (head, 1), (0, rod), (rod, 1), (head, rod), (rod, head))
     for path, between in enumerate(ends):

@@ -71,7 +71,8 @@ def edge_order(circuit, path, flow, drop, floor):
 
     The exact inverse of the edge's law for drops from ``floor`` [Pa] up. Between −floor and floor
     the command is that for the floor, so that sensor noise about zero drop neither slams the valve
-    nor opens it without end; below, it is shut."""
+    nor opens it without end; below, it is shut. What is known to differ from the law (``trim``) is
+    taken into account."""
     edge = circuit.paths[path]
     if flow == 0.0:
         return 0.0, 0
@@ -82,16 +83,17 @@ def edge_order(circuit, path, flow, drop, floor):
     limits = 0
     if drop < floor:
         limits, drop = FAINT, floor
-    along = circuit.along[path]
+    along, sign = circuit.along[path], circuit.edges[edge].sign
+    gain, shift = circuit.trim[edge - circuit.first, 0], circuit.trim[edge - circuit.first, 1]
+    flow /= gain
     command = edge_command(along * drop, along * flow, circuit.edges[edge], circuit.maps)
+    command += sign * shift
     most = widest(circuit, edge, along * drop)
-    sign = circuit.edges[edge].sign
     # a map's inverse stops at its last command by itself, so the flow decides
     if sign * command >= sign * most:
         command = most
-        if edge_flow(along * drop, most, circuit.edges[edge], circuit.maps) * along < flow * (
-            1.0 - 1e-9
-        ):
+        given = edge_flow(along * drop, most - sign * shift, circuit.edges[edge], circuit.maps)
+        if given * along < flow * (1.0 - 1e-9):
             limits += SATURATED
     return command, limits
 

@@ -121,4 +121,9 @@ def _steps(path: Path, about: Mapping[str, Any]) -> list[dict[str, Any]]:
     if not isinstance(read, dict) or any(read.get(key) != value for key, value in about.items()):
         return []
     steps = read.get("steps")
-    return steps if isinstance(steps, list) and all(isinstance(s, dict) for s in steps) else []
+    if not isinstance(steps, list) or not all(isinstance(step, dict) for step in steps):
+        return []
+    # only where a step can be gone on with is the search what it was, to what it has in memory
+    while steps and not steps[-1].keys() & {"done", "costs"}:
+        steps.pop()
+    return steps

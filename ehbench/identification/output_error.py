@@ -281,7 +281,7 @@ class OutputError:
             bottoms = np.flatnonzero((valley[1:-1] < valley[:-2]) & (valley[1:-1] < valley[2:]))
             for k in bottoms + 1:
                 own = losses + k * losses + int(np.argmin(costs[losses + k * losses :][:losses]))
-                if own != at:
+                if not np.array_equal(vectors[own], vectors[at]):
                     rivals.append((float(costs[own]), vectors[own]))
         near = sorted((cost, k) for k, (cost, _) in enumerate(rivals) if cost < RIVAL * best)
         return [self.theta, *(rivals[k][1] for _, k in near[:RIVALS])]

@@ -27,7 +27,15 @@ from ehbench.recipe.loading import kind_of, load_recipe, load_rig, recipe_kinds
 from ehbench.recipe.sensor import Sensor
 from ehbench.recipe.study import Measure, Span, Spread, StudyRecipe, Target
 from ehbench.recipe.toml import line_of, read_toml, validated
-from ehbench.recipe.trial import AnyTrial, Command, Controller, Limits, Motion, TrialRecipe
+from ehbench.recipe.trial import (
+    AnyTrial,
+    Command,
+    Controller,
+    CylinderMotion,
+    Limits,
+    Motion,
+    TrialRecipe,
+)
 from ehbench.recipe.trials import SetController, TrialSetRecipe
 from ehbench.recipe.tune import ArcTuneRecipe, TuneRecipe
 from ehbench.recipe.validate import JudgedFile, Thresholds, ValidateRecipe
@@ -52,6 +60,7 @@ __all__ = [
     "Campaign",
     "Command",
     "Controller",
+    "CylinderMotion",
     "DataFile",
     "DataFiles",
     "DatasetLog",

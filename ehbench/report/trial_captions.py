@@ -53,7 +53,38 @@ def tracking_caption(rig: Rig, row: Table) -> str:
         f"{stroke(rig, row, row['tracking'][key])} {unit}"
         for key in ("max_error", "rms_error", "final_error")
     )
-    return f"largest error {largest}, rms {rms}, at the end {final}"
+    text = f"largest error {largest}, rms {rms}, at the end {final}"
+    if not row.get("tip"):
+        return text
+    return f"{tip_caption(rig, row)}; {row['cylinder']}: {text}"
+
+
+def tip_caption(rig: Rig, row: Table) -> str:
+    """How near the tip kept to where it should be."""
+    largest, rms, across = (
+        measure(rig, "tip_error", row["tip"][key])
+        for key in ("max_error", "rms_error", "max_across")
+    )
+    return f"the tip: largest error {largest}, rms {rms}, across its way {across}"
+
+
+def sharing_caption(rig: Rig, row: Table) -> str:
+    """Whether the pump had enough for all cylinders, and what came of it."""
+    share = row["sharing"]
+    wished, limit = share["flow_wished"], share.get("flow_limit")
+    text = f"As it is wished the motion draws {measure(rig, 'flow', wished)} at the most"
+    if limit is None:
+        return f"{text}."
+    text += f", of {measure(rig, 'flow', limit)} that the pump gives"
+    if share["slowed"] > 0.0:
+        return (
+            f"{text}: so it ran slower for {number(share['slowed'], 3)} s, at "
+            f"{percent(share['pace'])} of its pace at the least, and took "
+            f"{number(share['longer'], 3)} s longer; all cylinders by one proportion, so that the "
+            "tip keeps to its way."
+        )
+    short = "; it was not slowed down for it" if wished > limit else ""
+    return f"{text}{short}."
 
 
 def limits_caption(row: Table) -> str:
@@ -208,7 +239,32 @@ def _payload_caption(
         text += f". From {number(at, 3)} s on it is {measure(rig, 'mass', mass)}, "
         text += _followed(t[own] - at, estimate[own] - mass, LEARNT * abs(mass - before))
     off = measure(rig, "mass", abs(float(estimate[-1]) - last))
-    return f"{text}. The estimate ends {off} from it"
+    text += f". The estimate ends {off} from it"
+    return text + _weighed_caption(rig, case, record, carried)
+
+
+def _weighed_caption(
+    rig: Rig, case: Case, record: Record, carried: Sequence[tuple[float, float]]
+) -> str:
+    """How far off in motion the payload is that pressures and motion tell, and how often its
+    interval holds the truth.
+    """
+    told = [f"{case.cylinder}.payload_{word}" for word in ("measured", "low", "high")]
+    if not all(name in record for name in told):
+        return ""
+    measured, low, high = (record[name] for name in told)
+    times, masses = zip(*carried, strict=True)
+    truth = np.array(masses)[np.searchsorted(times, record.t, side="right") - 1]
+    moving = np.abs(record[f"{case.cylinder}.v_desired"]) > 0.0
+    if not moving.any():
+        return ""
+    off = np.abs(measured - truth)[moving]
+    held = float(np.mean((low <= truth) & (truth <= high)))
+    said = measure(rig, "mass", float(np.quantile(off, 0.95)))
+    return (
+        f". By least squares over pressures and motion it is known to {said} for 95 % of the time "
+        f"in motion; the interval holds it {percent(held, 3)} of all time"
+    )
 
 
 def _followed(since: np.ndarray, off: np.ndarray, least: float) -> str:

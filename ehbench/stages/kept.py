@@ -92,6 +92,7 @@ class _Host:
     plan: Plan
     out: Path
     keep: bool = False
+    resume: bool = False
     made: dict[Path, Path] = field(default_factory=dict)
 
     @property

@@ -86,10 +86,10 @@ def test_what_is_known_of_other_inputs_or_torn_is_not_gone_on_with(tmp_path):
     final = tmp_path / "run"
     with pytest.raises(KeyboardInterrupt), journal_of(final, {"hash": "1"}, False) as journal:
         assert journal.begin("a") == {}
-        journal.keep({}, found=1)
+        journal.keep({}, costs=[1.0])
         raise KeyboardInterrupt
     with pytest.raises(KeyboardInterrupt), journal_of(final, {"hash": "1"}, True) as journal:
-        assert journal.begin("a")["found"] == 1
+        assert journal.begin("a")["costs"] == [1.0]
         raise KeyboardInterrupt
     with pytest.raises(KeyboardInterrupt), journal_of(final, {"hash": "2"}, True) as journal:
         assert journal.begin("a") == {}

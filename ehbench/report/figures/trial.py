@@ -223,8 +223,12 @@ def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
             ax.remove()
         for place, (ax, word) in enumerate(zip(axes.flat, learnt, strict=False)):
             name = f"{case.cylinder}.{word}"
-            plot_channel(ax, rig, record, name, color=RECORDED, linewidth=1.4)
             if word == "payload_estimate":
+                _weighed(ax, rig, record, case.cylinder)
+            plot_channel(ax, rig, record, name, color=RECORDED, linewidth=1.4, label="of the law")
+            if word == "payload_estimate":
+                if ax.get_legend_handles_labels()[1][1:]:
+                    ax.legend(fontsize=7, loc="upper right", handlelength=1.5)
                 _truth(ax, rig, payloads_carried(rig, case.row), float(record.t[-1]))
             for text, end in zip(("lower", "upper"), bounds.get(word, ()), strict=False):
                 _bound(ax, rig, word, text, end)
@@ -233,6 +237,20 @@ def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
             if place + 2 >= len(learnt):
                 ax.tick_params(labelbottom=True)
                 ax.set_xlabel("time [s]")
+
+
+def _weighed(ax, rig: Rig, record: Record, cylinder: str) -> None:
+    """The payload that pressures and motion tell, in its interval, where the law says it."""
+    told = [f"{cylinder}.payload_{word}" for word in ("low", "high", "measured")]
+    if not all(name in record for name in told):
+        return
+    ends = (thin(record.t, np.asarray(shown(rig, name, record[name]))) for name in told[:2])
+    (low_t, low), (high_t, high) = ends
+    t = np.union1d(low_t, high_t)
+    band = {"color": SIMULATED, "alpha": 0.2, "linewidth": 0, "label": "its interval"}
+    ax.fill_between(t, np.interp(t, low_t, low), np.interp(t, high_t, high), **band)
+    look = {"color": SIMULATED, "linewidth": 1.0, "label": "by pressures and motion"}
+    plot_channel(ax, rig, record, told[2], **look)
 
 
 def _truth(ax, rig: Rig, payloads: list[tuple[float, float]] | None, end: float) -> None:

@@ -146,6 +146,7 @@ def _each_trial(cases: Sequence[Case], pictures: Pictures) -> tuple[list[Block],
     for case in cases:
         name = case.row["case"]
         drawn = [
+            *pictures(FigureKey("tip", case=name)),
             *pictures(FigureKey("trial", case=name)),
             *pictures(FigureKey("estimates", case=name)),
         ]
