@@ -496,8 +496,7 @@ def circuit(
     one sign only: four edges on one spool are able of the four without regeneration.
 
     Args:
-        cylinder: its number; nodes are 0 supply, 1 tank, 2 + 2·cylinder its head end, 3 +
-            2·cylinder its rod end.
+        cylinder: its number; its head end is node 2 + 2·cylinder, its rod end the next one.
         area_head, area_rod: [m²].
         edges, maps: the plant's; ranges: lowest, highest command [V] of its valves, (valves, 2).
         measured: the flow maps of every edge that follows one, None for the others.
