@@ -263,7 +263,7 @@ def carries(function, active, v_d, plan, circuit, rules):
         if share == 0.0:
             continue
         drop = path_drop(path, plan, circuit)
-        if path in (SUPPLY_HEAD, SUPPLY_ROD) and drop < left:
+        if drop < left and (path == SUPPLY_HEAD or path == SUPPLY_ROD):
             return False
         if capacity(circuit, path, drop) < room * abs(share) * speed:
             return False

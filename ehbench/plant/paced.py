@@ -75,9 +75,10 @@ def pace_of(plant: Plant, names: Layout, tick: float) -> Pace:
             weights[names.state(f"p_{side}", index)] = 1.0 / highest
         if row.mount_state >= 0:
             weights[row.mount_state] = row.mount_stiffness / (highest * row.area_head)
+    nodes: Any = plant.nodes
     for line in plant.lines:
         highest = _highest(plant, plant.cylinders[line.cylinder])
-        weights[plant.nodes[line.node].state] = 1.0 / highest
+        weights[nodes[line.node].state] = 1.0 / highest
     weights[plant.at.supply] = 10.0 / float(plant.supply.pressure)
     return Pace(weights / CLOSE, 2 ** max(1, math.ceil(math.log2(tick / LEAST))))
 
