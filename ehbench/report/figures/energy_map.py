@@ -11,7 +11,7 @@ import numpy as np
 from ehbench.report.style import INK, canvas
 from ehbench.report.words import number
 
-SHADES = 0.5  # share above the least from which a cell is as dark as can be
+SHADES = 1.0  # share above the least from which a cell is as dark as can be
 COLUMNS = 2
 
 
@@ -43,10 +43,10 @@ def energy_map(
             ax.pcolormesh(
                 np.arange(len(speeds) + 1) - 0.5,
                 np.arange(len(loads) + 1) - 0.5,
-                above,
+                np.minimum(above, SHADES),
                 cmap="Oranges",
                 vmin=0.0,
-                vmax=1.6 * SHADES,  # so that numbers stay readable
+                vmax=2.0 * SHADES,  # so that numbers stay readable
                 edgecolor="white",
             )
             for (row, column), energy in np.ndenumerate(energies):
