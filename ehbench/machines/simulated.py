@@ -9,12 +9,12 @@ import numpy as np
 from ehbench.compiled import bound, kernel, part_kernel
 from ehbench.errors import SimulationError
 from ehbench.machines.protocol import Advance, Inputs, Posture
-from ehbench.machines.rows import LawRows, Rows, control, violated
+from ehbench.machines.rows import Controls, Rows, control, violated
 from ehbench.parts.cylinder import linkage_of
 from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
 from ehbench.parts.sample import LINE, OF, entry, line_entry, sample_channels
 from ehbench.parts.valve.delay import Line, line_felt, line_of, line_push
-from ehbench.plant.build import Maps, Plant
+from ehbench.plant.build import Maps, Plant, links_of
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import STEP, advance, rk4
 from ehbench.plant.model import Model
@@ -169,8 +169,13 @@ class SimulatedMachine:
         """As `Machine.check_posture`."""
         self.model.posture(posture)
 
+    def carry(self, payload: str | None) -> None:
+        """As `carry_of` says."""
+        self.model.plant.links[:] = self.model.links(payload)
+
     def start(self, posture: Posture = None, low_side: float | None = None) -> np.ndarray:
         """As `Machine.start`."""
+        self.model.plant.links[:] = links_of(self.model.rig)
         self.state[:] = self.model.trim(self.model.posture(posture), low_side)
         self._own.line.past[:] = self.model.plant.valves.before
         sample = np.empty(len(self.channels))
@@ -189,7 +194,7 @@ class SimulatedMachine:
             raise SimulationError("the simulation left finite numbers", hint="take a smaller step")
         return sample
 
-    def advance(self, rows: Rows, law: LawRows | None, often: bool) -> Advance:
+    def advance(self, rows: Rows, law: Controls | None, often: bool) -> Advance:
         """As `advance_of` says."""
         own, pace = self._own, self._pace
         run = bound(_advance, 0, 0, own, rows, law, pace) if often else _advance

@@ -14,7 +14,7 @@ from ehbench.parts.valve import valve_settle
 from ehbench.parts.valve.delay import line_of
 from ehbench.physics.arm import SLIDE
 from ehbench.plant import trim as starts
-from ehbench.plant.build import Maps, Plant, build
+from ehbench.plant.build import Maps, Plant, build, links_of
 from ehbench.plant.integrate import STEP, run
 from ehbench.plant.layout import SIDES, Layout, layout
 from ehbench.plant.paced import AUTO, Step, pace_of, run_paced
@@ -37,11 +37,14 @@ class Start(NamedTuple):
 
 @dataclass(frozen=True)
 class Model:
-    """A rig ready to simulate: its numbers, their compiled form, and the names in it."""
+    """A rig ready to simulate: its numbers, their compiled form, the names in it, and the rig
+    without its payload.
+    """
 
     rig: Rig
     plant: Plant
     layout: Layout
+    bare: Rig
 
     @classmethod
     def of(cls, rig: Rig, maps: Maps | None = None, payload: str | None = None) -> Model:
@@ -52,7 +55,15 @@ class Model:
         """
         loaded = rig.with_payload(payload)
         names = layout(loaded)
-        return cls(loaded, build(loaded, names, maps), names)
+        return cls(loaded, build(loaded, names, maps), names, rig)
+
+    def links(self, payload: str | None) -> np.recarray:
+        """The links (or the slide) of the plant while they carry another payload.
+
+        Raises:
+            InputError: no such payload.
+        """
+        return links_of(self.bare.with_payload(payload))
 
     def stroke_range(self, index: int) -> tuple[float, float]:
         """Joint angle [rad] (or position [m]) at zero and at full stroke of cylinder ``index``."""
