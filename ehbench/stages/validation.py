@@ -117,7 +117,9 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
                 progress("asking the residuals what they follow", 0.5)
             verdict = replace(verdict, structure=ask(prepared.taken.cases(verdict.logs)))
         write_rig(folder, state.rig, state.flow_maps)
-        rundir.write_json(folder / "validation.json", verdict.as_json())
+        others = [one.as_json() for one in prepared.recipe.reference]
+        beside = {"references": others} if others else {}
+        rundir.write_json(folder / "validation.json", verdict.as_json() | beside)
         intervals = state.origin / "parameters.json"
         if intervals.is_file():  # they travel with the rig they belong to
             shutil.copyfile(intervals, folder / "parameters.json")
