@@ -10,9 +10,10 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -84,9 +85,20 @@ Profile = Annotated[
         show_default=False,
     ),
 ]
+Scheduler = Annotated[
+    str,
+    typer.Option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Make the samples on a Dask cluster, tcp://host:8786.",
+        show_default=False,
+    ),
+]
+Workers = Annotated[
+    int, typer.Option("--workers", help="Here. Default: one a core.", min=0, show_default=False)
+]
 Resume = Annotated[
-    bool,
-    typer.Option("--resume", help="Go on with a search of this recipe that was stopped."),
+    bool, typer.Option("--resume", help="Go on where a run of this recipe was stopped.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")]
 
@@ -200,7 +212,33 @@ def _runner(command: Command) -> Callable[..., None]:
             _run(command.name, recipe, out, says, profile=profile, resume=resume)
 
     kinds = {"": plain, "unvalidated": insisting, "allow_code": trusting, "asking": asking}
+    kinds["sampling"] = _sampling
     return kinds[command.allows]
+
+
+def _sampling(  # noqa: PLR0913 (options are read off the signature)
+    recipe: RecipeFile,
+    out: Out = None,
+    loud: Loud = None,
+    as_json: AsJson = False,
+    allow_code: AllowCode = False,
+    unvalidated: Unvalidated = False,
+    scheduler: Scheduler = "",
+    workers: Workers = 0,
+    resume: Resume = False,
+) -> None:
+    from ehbench import workflow
+
+    _run(
+        "study",
+        recipe,
+        out,
+        Says.of(loud, as_json),
+        allow_code=allow_code,
+        unvalidated=unvalidated,
+        where=workflow.Where(scheduler, workers),
+        resume=resume,
+    )
 
 
 for _command in COMMANDS:
@@ -409,23 +447,21 @@ def _run(
     out: Path | None,
     says: Says,
     *,
-    unvalidated: bool = False,
-    allow_code: bool = False,
     profile: str | None = None,
-    resume: bool = False,
+    **settings: Any,
 ) -> None:
+    """Run a recipe, or make a sample of a study again; ``settings`` are those of a session."""
     from ehbench import workflow
 
-    recipe = workflow.expect_stage(file, command)
+    study, _, index = file.name.partition("#")
+    is_sample = index.isdecimal() and not file.exists()
+    recipe = None if is_sample else workflow.expect_stage(file, command)
     _say_first(says.quiet)
     with _progress(says.quiet) as tell:
-        session = workflow.Session(
-            out=out,
-            progress=tell,
-            unvalidated=unvalidated,
-            allow_code=allow_code,
-            resume=resume,
-        )
+        session = workflow.Session(out=out, progress=tell, **settings)
+        if recipe is None:
+            made = workflow.sample(file.with_name(study), int(index), replace(session, out=None))
+            recipe = workflow.expect_stage(made.path, command)
         if profile is None:
             made = workflow.run(recipe, session)
         else:

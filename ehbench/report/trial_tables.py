@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ehbench.report.blocks import Block, Cell, Fold, Grid
-from ehbench.codes import LIMITS_MEAN
+from ehbench.codes import LIMITS_MEAN, STATUS_MEANS
 from ehbench.report.captions import capital, load_name, span, stroke
 from ehbench.report.cases import Case, damping, groups_of
 from ehbench.report.content import chip, num, quantity_cell
@@ -105,8 +105,10 @@ def _tracking(rig: Rig, cases: Sequence[Case]) -> Grid:
     groups = groups_of(cases)
     several = any(len(group) > 1 for group in groups.values())
     swings = any(case.row.get("limit_cycle") for case in cases)
+    tips = any(case.row.get("tip") for case in cases)
     head = [
         *WHO,
+        *([axis(rig, "tip_error", f"{word} tip error") for word in ("largest", "rms")] * tips),
         axis(rig, "x", "largest error"),
         axis(rig, "x", "rms error"),
         axis(rig, "x", "final error"),
@@ -118,20 +120,22 @@ def _tracking(rig: Rig, cases: Sequence[Case]) -> Grid:
         "",
     ]
     rows = [
-        _tracking_row(rig, case, group if several else [], swings)
+        _tracking_row(rig, case, group if several else [], swings, tips)
         for group in groups.values()
         for case in group
     ]
     sources = "; ".join(dict.fromkeys(case.row["energy"]["source"] for case in cases))
-    note = f"Stroke against the desired stroke. Pump energy: {sources}."
+    note = f"Stroke against the desired stroke. Pump energy: {sources}." + valves_note(rig, cases)
     if swings:
         note += " What swings without an end does so by itself: a limit cycle."
     return Grid(head, rows, note, "tracking", "Tracking and energy.")
 
 
-def _tracking_row(rig: Rig, case: Case, rivals: Sequence[Case], swings: bool) -> list[Cell | str]:
+def _tracking_row(
+    rig: Rig, case: Case, rivals: Sequence[Case], swings: bool, tips: bool
+) -> list[Cell | str]:
     """A trial's row; its energy relative to the least of its rivals, itself among them, where there
-    are any; its limit cycle where some trial ``swings``.
+    are any; its limit cycle where some trial ``swings``; its tip's error where some has ``tips``.
     """
     track, pump = case.row["tracking"], case.row["energy"]["pump"]
     relative = []
@@ -141,6 +145,7 @@ def _tracking_row(rig: Rig, case: Case, rivals: Sequence[Case], swings: bool) ->
         relative = [num(ratio)]
     return [
         *who(case),
+        *(_tip_cells(rig, case) if tips else []),
         *(num(stroke(rig, case.row, track[f"{key}_error"])) for key in ("max", "rms", "final")),
         *(_cycle_cells(rig, case) if swings else []),
         quantity_cell(rig, "v", case.row["speed_rms_error"], 3),
@@ -149,6 +154,32 @@ def _tracking_row(rig: Rig, case: Case, rivals: Sequence[Case], swings: bool) ->
         quantity_cell(rig, "energy", case.row["energy"]["cylinder_work"]),
         chip("stopped") if case.row.get("stopped") else "",
     ]
+
+
+def _tip_cells(rig: Rig, case: Case) -> list[Cell | str]:
+    """Largest and rms error of a trial's tip."""
+    tip = case.row.get("tip")
+    if not tip:
+        return [DASH, DASH]
+    return [quantity_cell(rig, "tip_error", tip[key], 3) for key in ("max_error", "rms_error")]
+
+
+def valves_note(rig: Rig, cases: Sequence[Case]) -> str:
+    """How fast each controller's valves are, where they are not equally fast."""
+    speeds: dict[str, list[str]] = {}
+    for case in cases:
+        if ends := case.row.get("valves", {}).get("natural_frequency"):
+            told = span([float(shown(rig, "natural_frequency", end)) for end in ends])
+            names = speeds.setdefault(told, [])
+            names += [words(case.row["controller"])] * (words(case.row["controller"]) not in names)
+    if len(speeds) < 2:
+        return ""
+    unit = pretty(unit_of(rig, "natural_frequency"))
+    told = "; ".join(f"{speed} {unit}: {', '.join(names)}" for speed, names in speeds.items())
+    return (
+        f" Natural frequency of the valves: {told}. "
+        "Errors at unlike frequencies compare valves, not laws or circuits."
+    )
 
 
 def _cycle_cells(rig: Rig, case: Case) -> list[Cell | str]:
@@ -162,11 +193,20 @@ def _cycle_cells(rig: Rig, case: Case) -> list[Cell | str]:
     ]
 
 
+def limits_of(row: Table) -> dict[str, float]:
+    """Shares of the time at the limits of the valve level, and without a function that can move the
+    load.
+    """
+    functions = row.get("functions", {})
+    return dict(row.get("limits", {})) | {
+        name: functions[name] for name in STATUS_MEANS if name in functions
+    }
+
+
 def _limits(cases: Sequence[Case]) -> Grid | None:
-    shares = [(case, case.row.get("limits", {})) for case in _ordered(cases)]
-    met = dict.fromkeys(
-        name for case in cases for name, share in case.row.get("limits", {}).items() if share > 0.0
-    )
+    means = LIMITS_MEAN | STATUS_MEANS
+    shares = [(case, limits_of(case.row)) for case in _ordered(cases)]
+    met = dict.fromkeys(name for _, own in shares for name, share in own.items() if share > 0.0)
     if not met:
         return None
     rows = [
@@ -174,8 +214,8 @@ def _limits(cases: Sequence[Case]) -> Grid | None:
         for case, limits in shares
     ]
     head = [*WHO, *(f"{words(name)} [%]" for name in met)]
-    told = "; ".join(f"{words(name)}: {LIMITS_MEAN[name]}" for name in met if name in LIMITS_MEAN)
-    note = f"Share of the time with an edge at a limit. {capital(told)}."
+    told = "; ".join(f"{words(name)}: {means[name]}" for name in met if name in means)
+    note = f"Share of the time at a limit. {capital(told)}."
     return Grid(head, rows, note, "limits", "Limits met.")
 
 
@@ -196,6 +236,9 @@ def settings_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
     if bounds := _by_controller(rig, cases, "estimate_bounds"):
         note, title = "The estimates are projected onto these.", "Bounds of the estimates."
         blocks.append(Grid(*bounds, note, "estimate_bounds", title))
+    if valves := _by_controller(rig, cases, "valves"):
+        note = "Of the slowest and the fastest valve of the cylinder."
+        blocks.append(Grid(*valves, note, "settings_valves", "Valves."))
     if rules := _by_controller(rig, cases, "rules"):
         blocks.append(Fold("Rules by which working functions are chosen", [Grid(*rules)]))
     if controllers := _recipe_rows(recipe, "controller"):
