@@ -352,6 +352,18 @@ _ROWS = [
         "precharge", "p_0", "Pa", "kPa", "gauge gas pressure of an accumulator without oil", 0, 1e8
     ),
     Quantity("gas_volume", "V_g", "m^3", "L", "gas of an accumulator without oil", 1e-6, 10),
+    Quantity("load_margin", "p_m", "Pa", "kPa", "what load sensing holds above the load", 0, 2e8),
+    Quantity("load_lag", "T_LS", "s", "ms", "time constant of load sensing", 0, 100),
+    Quantity("rail_pressure", "p_low", "Pa", "kPa", "gauge pressure of the low rail", 0, 2e8),
+    Quantity(
+        "rail_margin",
+        "p_m",
+        "Pa",
+        "kPa",
+        "what the low rail must have above the chamber that it feeds",
+        0,
+        2e8,
+    ),
     Quantity("deadband", "u0", "V", "V", "command below which a valve stays shut", 0, 100),
     Quantity(
         "opening_max", "u_s", "V", "V", "opening beyond which an edge passes nothing more", 0, 100
@@ -789,6 +801,42 @@ _ROWS = [
     Quantity("ramp", "T_r", "s", "ms", "time in which valves go to rest after a limit", 0, 10),
     Quantity(
         "dwell", "T_w", "s", "ms", "least time between two changes of the working function", 0, 1e3
+    ),
+    Quantity(
+        "speed_sure",
+        "v_sure",
+        "m/s",
+        "mm/s",
+        "desired speed above which it is no noise",
+        0,
+        20,
+    ),
+    Quantity(
+        "wish_corner",
+        "ω_v",
+        "rad/s",
+        "rad/s",
+        "low-pass of a desired speed below speed_sure",
+        0,
+        1e5,
+    ),
+    Quantity(
+        "power_band",
+        "h_P",
+        "dimensionless",
+        "%",
+        "share by which another function must take less power",
+        0,
+        1,
+    ),
+    Quantity(
+        "choice",
+        "n_c",
+        "dimensionless",
+        "dimensionless",
+        "how functions are chosen: 0 ranked, 1 by least pump power",
+        0,
+        1,
     ),
     Quantity(
         "allow_seventh",

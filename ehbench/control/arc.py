@@ -31,6 +31,7 @@ from ehbench.codes import (
 from ehbench.compiled import kernel, record
 from ehbench.control.arc_gains import GAINS, VOCABULARY_OF_GAINS, pack
 from ehbench.control.axis import Axis, inertias, load_at
+from ehbench.control.coupling import loads_among
 from ehbench.control.functions import (
     DIRECTION,
     HEAD,
@@ -43,6 +44,7 @@ from ehbench.control.functions import (
     SUPPLY_ROD,
     path_drop,
     select,
+    steady_wish,
     widest,
 )
 from ehbench.control.law import Law
@@ -54,11 +56,10 @@ from ehbench.control.map_learning import (
     begin,
     learn_maps,
     map_memory,
-    trimmed,
 )
 from ehbench.control.measured import load_force, pressure_entries, pressures, write
 from ehbench.control.records import blank
-from ehbench.control.trajectory import reference_of
+from ehbench.control.trajectory import ORDERS, reference_of
 from ehbench.control.valve_level import Flows, allocate
 from ehbench.parts.cylinder import chamber_oil
 from ehbench.parts.edge import edge_flow
@@ -73,6 +74,7 @@ BACK = 4.0  # of that nearness [m/s]: oil that is wanted against the error turns
 FORGETS = 5.0  # over k1: how long what pressures told of the payload counts
 FAINTLY = 0.1  # [(N/kg)²] of a payload's pull and inertia: what is less tells hardly anything of it
 NOTHING = 1e-6  # [(N/kg)²]
+OFFSET = 0.1  # of the disturbance's bound: what zeros of the sensors may make
 DAMPED = 0.2  # share of the damping that may be wrong
 COUNT = len(ESTIMATES)
 
@@ -84,6 +86,7 @@ STATE = record(
     ("set_point", "f8"),
     ("slow_load", "f8"),
     ("slow_error", "f8"),
+    ("slow_wish", "f8"),
     ("rested", "f8"),
     ("slow_wanted", "f8"),
     ("learning", "i8"),
@@ -93,6 +96,7 @@ STATE = record(
     ("acceleration", "f8"),
     ("slow_force", "f8"),
     ("slow_speed", "f8"),
+    ("slow_pull", "f8"),
     ("told", "f8"),
     ("known", "f8"),
     ("scatter", "f8"),
@@ -253,7 +257,7 @@ def spool_flows(function: int, wanted, head_gain, rod_gain, p, circuit):
     rod_path = ROD_TANK if way > 0 else SUPPLY_ROD
     if way * wanted <= 0.0:  # against the function's direction: the valve level shuts, says so
         return Flows(wanted / head_gain, wanted / rod_gain)
-    drop_one, drop_two = path_drop(head_path, p), path_drop(rod_path, p)
+    drop_one, drop_two = path_drop(head_path, p, circuit), path_drop(rod_path, p, circuit)
     along = circuit.along[head_path]
     low, high = 0.0, widest(circuit, circuit.paths[head_path], along * drop_one)
     goal = way * wanted
@@ -539,6 +543,16 @@ def feed_forward(reference, v, oil, circuit, gains):
 
 
 @kernel
+def keep_on(toward, function, rules):
+    """A desired speed [m/s], where it asks for nothing what keeps the function at work: it makes up
+    for leakage, where holding and moving in turn would be to hunt.
+    """
+    if abs(toward) <= rules.speed_start:
+        return 2.0 * rules.speed_start * DIRECTION[function]
+    return toward
+
+
+@kernel
 def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     """The task level's `Choice`: the direction is that of the desired speed, led back to the
     desired stroke.
@@ -552,7 +566,8 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     # where the reference rests, what swings is left to calm down, and the error is led back at
     # little more than the speed that it alone asks for
     spool = axis.spool[state.function] == 1
-    still = abs(reference.v) <= speed_start
+    state.slow_wish = wish = steady_wish(reference.v, state.slow_wish, tick, gains.rules)
+    still = abs(wish) <= speed_start
     near = max(gains.speed_nudge, 4.0 * k1 * gains.stroke_resolution)
     quiet = still and min(abs(k1 * z1), abs(state.v)) <= near
     state.rested = state.rested + tick if quiet else 0.0
@@ -562,16 +577,18 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     resolution = gains.stroke_resolution
     blind = max(resolution - speed_start / k1, 0.3 * resolution)
     error = state.slow_error - clip(state.slow_error, -blind, blind)
-    toward = reference.v - clip(k1 * error, -gains.speed_correction, gains.speed_correction)
+    toward = wish - clip(k1 * error, -gains.speed_correction, gains.speed_correction)
     led = 2.0 * abs(toward) + gains.speed_nudge
     state.slow_wanted -= math.expm1(-gains.force_bandwidth * tick) * (
         spool_speed - state.slow_wanted
     )
     if spool and not resting:
         toward = spool_speed
-    elif not resting and abs(reference.v) <= abs(k1 * z1) + near:
+    elif not resting and abs(wish) <= abs(k1 * z1) + near:
         if toward * state.slow_wanted < 0.0 and abs(state.slow_wanted) > abs(toward) + BACK * near:
             toward = state.slow_wanted
+    if still and not spool:
+        toward = keep_on(toward, state.function, gains.rules)
     function, status = select(
         state.function, state.age, toward, state.slow_load, p, axis.circuit, gains.rules
     )
@@ -698,11 +715,12 @@ def weigh(starting, force, load, ratio, v, axis, gains, state):
     slow = gains.tick * corner
     slow /= 1.0 + slow
     if starting:
-        state.slow_force, state.slow_speed = beyond, v
+        state.slow_force, state.slow_speed, state.slow_pull = beyond, v, load.pull
     state.slow_force += slow * (beyond - state.slow_force)
     state.slow_speed += slow * (v - state.slow_speed)
+    state.slow_pull += slow * (load.pull - state.slow_pull)
     acceleration = corner * (v - state.slow_speed) - load.curve * v * v
-    per = load.pull + load.mass * ratio * acceleration
+    per = state.slow_pull + load.mass * ratio * acceleration
     found = state.slow_force - load.mass * acceleration
     if starting:
         state.known = per * per + NOTHING
@@ -714,6 +732,7 @@ def weigh(starting, force, load, ratio, v, axis, gains, state):
     left = found - per * state.payload
     state.scatter += news * (left * left - state.scatter)
     doubt = max(2.0 * math.sqrt(state.scatter), abs(left)) + axis.cylinder.friction_coulomb
+    doubt += OFFSET * gains.upper[DISTURBANCE]
     doubt += DAMPED * abs(v) * (load.damping + axis.cylinder.friction_viscous)
     state.half = min(doubt / math.sqrt(state.known), gains.upper[PAYLOAD_SHARE])
 
@@ -762,7 +781,8 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
         t: time [s], unused.
         sample: what the machine measured; read are this cylinder's channels but q̇, the other
             cylinders' joint angles, p_supply and p_tank.
-        reference: x_d, v_d, a_d, j_d of the cylinder.
+        reference: x_d, v_d, a_d, j_d of the cylinder; where others move as well, behind them what
+            `ehbench.control.coupling.among_others` adds.
         axis: of the design model, an `Axis`.
         gains: of `ehbench.control.arc_gains.pack_arc`.
         memory: a `Memory`, of `memory_of` before the first tick.
@@ -770,7 +790,7 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
         telemetry: out, shape (COLUMNS + 4·edges of the cylinder,).
     """
     state, trim = memory.state, memory.maps.trim
-    circuit = trimmed(axis.circuit, trim)
+    circuit = axis.circuit
     number = circuit.cylinder
     wish, p = reference_of(reference), pressures(sample, number)
     q, x, v = sample[entry(number, OF.q)], sample[entry(number, OF.x)], sample[entry(number, OF.v)]
@@ -785,7 +805,14 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
         begin(p, axis.onset, gains, memory.maps)
     else:
         x, v = observe(x, v, gains, state)
-    ahead = load_at(axis, q + AHEAD * v / load.lever, own, memory.angles, memory.work)
+    ahead_q = q + AHEAD * v / load.lever
+    if reference.shape[0] > ORDERS:  # the other joints move as well
+        place_joints(sample, axis, memory.angles)
+        load, ahead = loads_among(
+            reference, q, ahead_q, AHEAD, axis, memory.angles, memory.mass, memory.work
+        )
+    else:
+        ahead = load_at(axis, ahead_q, own, memory.angles, memory.work)
 
     stroke = track_stroke(wish, x, v, gains)
     force = track_force(wish, v, measured, load, stroke, axis, gains, state.estimates)
@@ -855,5 +882,6 @@ LAW = Law(
     telemetry=Telemetry._fields,
     edge_telemetry=("map_gain", "map_shift"),
     bounds=("payload", "bulk_modulus"),
+    ahead=AHEAD,
     warns_saturated=True,
 )

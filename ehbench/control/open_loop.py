@@ -1,4 +1,6 @@
-"""The desired speed alone: the law of pressure feedback without its feedback."""
+"""The desired speed alone: the law of pressure feedback without any feedback, the off-side's
+included.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,7 @@ import numpy as np
 from ehbench.control import pressure_feedback
 from ehbench.control.law import Packed, Site
 
-OFF = {"feedback_gain": 0.0, "washout": 0.0, "ramp_washout": 0.0}
+OFF = {"feedback_gain": 0.0, "off_gain": 0.0, "washout": 0.0, "ramp_washout": 0.0}
 
 
 def pack(site: Site, gains: Mapping[str, Any], rules: np.record, shaping: np.record) -> Packed:

@@ -142,7 +142,7 @@ def allocate(function, wanted, p, floor, circuit, command, flows, limits):
         # 0·NaN stays NaN: a channel withheld from the controller shows in every command that it
         # could have touched
         flow = share_head * wanted.head + share_rod * wanted.rod
-        drop = path_drop(path, p)
+        drop = path_drop(path, p, circuit)
         order, bits = edge_order(circuit, path, flow, drop, floor)
         valve = circuit.edges[edge].valve
         if turn == 0:
@@ -187,5 +187,5 @@ def top_speed(function: int, p: Pressures, circuit: Circuit) -> float:
         a, b = PATH_FLOWS[function, path]
         need = DIRECTION[function] * (a * circuit.area_head + b * circuit.area_rod)
         if need > 0.0:
-            fastest = min(fastest, capacity(circuit, path, path_drop(path, p)) / need)
+            fastest = min(fastest, capacity(circuit, path, path_drop(path, p, circuit)) / need)
     return 0.0 if math.isinf(fastest) else fastest

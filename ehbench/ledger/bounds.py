@@ -115,9 +115,11 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
     Raises:
         InputError: no such cylinder.
         LogError: a channel is missing.
-        InsufficientData: the cylinder did not move.
+        InsufficientData: the cylinder did not move, or the supply has not one pressure.
     """
     item = rig.cylinder_named(cylinder)
+    if not rig.supply.constant:
+        raise InsufficientData(f"{rig.supply.kind} has not one pressure that bounds the energy")
     x = _stroke(item, record)
     ways = travels(x, SETTLED_TRAVEL * float(item.stroke))
     if ways == (0.0, 0.0):

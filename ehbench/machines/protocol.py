@@ -14,7 +14,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from ehbench.errors import InputError
-from ehbench.machines.rows import LawRows, Rows
+from ehbench.parts.edge import edge_flow
+from ehbench.machines.rows import Controls, Rows
 from ehbench.plant.model import Model
 
 Posture = Mapping[str, str | float] | None
@@ -141,9 +142,26 @@ def carry_of(machine: Machine) -> Callable[[str | None], None] | None:
     return getattr(machine, "carry", None)
 
 
-def advance_of(machine: Machine) -> Callable[[Rows, LawRows | None, bool], Advance] | None:
-    """The fast path of a machine that has one: ``advance(rows, law, often)`` gives a function of
-    (first, stop) that runs these rows in one compiled call, under a law or as the table says;
+def static_flow_of(machine: Machine) -> Callable[..., np.ndarray] | None:
+    """How a simulated machine says what its own edge passes at rest: ``flow(edge, command, drop)``
+    [m³/s] at commands [V] and drops [Pa] along it, arrays of one shape; None of one that cannot.
+    """
+    truth = truth_of(machine)
+    if truth is None:
+        return getattr(machine, "static_flow", None)
+    layout, plant = truth.model.layout, truth.model.plant
+
+    def flow(edge: str, command: np.ndarray, drop: np.ndarray) -> np.ndarray:
+        row = plant.edges[layout.edges.index(edge)]
+        pairs = zip(drop.tolist(), command.tolist(), strict=True)
+        return np.array([edge_flow(one, opening, row, plant.maps) for one, opening in pairs])
+
+    return flow
+
+
+def advance_of(machine: Machine) -> Callable[[Rows, Controls | None, bool], Advance] | None:
+    """The fast path of a machine that has one: ``advance(rows, laws, often)`` gives a function of
+    (first, stop) that runs these rows in one compiled call, under laws or as the table says;
     ``often`` says that it will be called for every row.
 
     It does what a session does tick by tick (`ehbench.trial.session`), to the bit, and returns the

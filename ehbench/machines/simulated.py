@@ -9,7 +9,7 @@ import numpy as np
 from ehbench.compiled import bound, kernel
 from ehbench.errors import SimulationError
 from ehbench.machines.protocol import Advance, Inputs, Posture
-from ehbench.machines.rows import LawRows, Rows, control, violated
+from ehbench.machines.rows import Controls, Rows, control, violated
 from ehbench.parts.cylinder import linkage_of
 from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
 from ehbench.parts.sample import LINE, OF, entry, line_entry, sample_channels
@@ -170,7 +170,7 @@ class SimulatedMachine:
             raise SimulationError("the simulation left finite numbers", hint="take a smaller step")
         return sample
 
-    def advance(self, rows: Rows, law: LawRows | None, often: bool) -> Advance:
+    def advance(self, rows: Rows, law: Controls | None, often: bool) -> Advance:
         """As `advance_of` says."""
         own = self._own
         run = bound(_advance, 0, 0, own, rows, law) if often else _advance

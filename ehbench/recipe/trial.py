@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from ehbench.control import LAW_NAMES
 from ehbench.fields import FileModel, Q, Value
-from ehbench.recipe.base import Recipe
+from ehbench.recipe.base import ByParameter, Recipe
+from ehbench.rig import LoadSensing, LowRail
 
 
 class Command(FileModel):
@@ -73,6 +75,25 @@ class Limits(FileModel):
     ramp: Annotated[Value, Q("ramp")] = Value(0.05)
 
 
+class MachineChange(FileModel):
+    """What is otherwise on the machine than on that which the controller was designed for.
+
+    ``delay`` of all samples and ``pressure_lag`` are added; ``valve_lag`` (the valves' periods),
+    ``bulk_modulus``, ``friction``, ``flow`` of every edge and ``supply_pressure`` are factors;
+    ``deadband`` is added to every edge's."""
+
+    name: str = ""
+    delay: Annotated[Value, Q("delay")] = Value(0.0)
+    pressure_lag: Annotated[Value, Q("lag")] = Value(0.0)
+    valve_lag: float = Field(default=1.0, gt=0.0, le=100.0)
+    bulk_modulus: float = Field(default=1.0, gt=0.0, le=100.0)
+    friction: float = Field(default=1.0, ge=0.0, le=100.0)
+    flow: float = Field(default=1.0, gt=0.0, le=100.0)
+    deadband: Annotated[Value, Q("map_shift")] = Value(0.0)
+    supply_pressure: float = Field(default=1.0, gt=0.0, le=100.0)
+    where: tuple[str | int, ...] = Field(default=("machine",), exclude=True)
+
+
 class PayloadChange(FileModel):
     """A load that the machine takes up or puts down on its way: from ``at`` on it carries
     ``payload``, which moves with its link at once.
@@ -86,8 +107,8 @@ def _one_or_more(raw: Any) -> Any:
     return [raw] if isinstance(raw, str) else raw
 
 
-class Motion(FileModel):
-    """What the controlled cylinder shall do.
+class CylinderMotion(FileModel):
+    """What one cylinder shall do.
 
     kind ``velocity_steps``: each of ``levels`` (a share of the full speed such as ``"70 %"``, or a
     speed; negative retracts) for ``duration`` or until it has covered ``travel``, with a ``rest``
@@ -96,7 +117,6 @@ class Motion(FileModel):
     ``hold`` at each, within ``speed``, ``acceleration`` and ``jerk``. ``file``: a log with
     ``<cylinder>.x_desired``. ``cylinder`` may be left out where there is one."""
 
-    name: str = ""
     kind: Literal["velocity_steps", "point_to_point", "file"]
     cylinder: str | None = None
     levels: tuple[str, ...] = ()
@@ -114,7 +134,7 @@ class Motion(FileModel):
     where: tuple[str | int, ...] = Field(default=("motion",), exclude=True)
 
     @model_validator(mode="after")
-    def _whole(self) -> Motion:
+    def _whole(self) -> CylinderMotion:
         if self.kind == "velocity_steps":
             if not self.levels:
                 raise ValueError(
@@ -132,10 +152,71 @@ class Motion(FileModel):
         return self
 
 
+class Motion(CylinderMotion):
+    """What the controlled cylinder shall do, as `CylinderMotion`; ``also`` are the motions of
+    others at the same time, each with its ``cylinder``.
+    """
+
+    name: str = ""
+    also: tuple[CylinderMotion, ...] = Field(
+        default=(), description="motions of other cylinders at the same time, `[[motion.also]]`"
+    )
+
+    @model_validator(mode="after")
+    def _each_its_own(self) -> Motion:
+        if not self.also:
+            return self
+        names = [self.cylinder, *(one.cylinder for one in self.also)]
+        if None in names:
+            raise ValueError("where several cylinders move, each motion names its 'cylinder'")
+        twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+        if twice is not None:
+            raise ValueError(f"cylinder '{twice}' has two motions at a time")
+        return self
+
+    @property
+    def each(self) -> tuple[CylinderMotion, ...]:
+        """The motion of each cylinder, its own first."""
+        also = (
+            one.model_copy(update={"where": (*self.where, "also", i)})
+            for i, one in enumerate(self.also)
+        )
+        return (self, *also)
+
+
 if TYPE_CHECKING:
     LawName = str
 else:
     LawName = Literal[LAW_NAMES]
+
+
+def _refuse_shaping(kind: str | None) -> None:
+    from ehbench.control.registry import LAWS
+
+    shaped = [name for name, law in LAWS.items() if law.shaped]
+    if kind not in shaped:
+        raise ValueError(f"'shaping' is of {' and '.join(shaped)} only")
+
+
+class CylinderController(FileModel):
+    """The built-in law of one cylinder, where several move and they have not all the same:
+    ``kind``, ``gains`` and ``rules`` as in ``[controller]``.
+    """
+
+    kind: LawName = Field(description="a built-in law")
+    gains: dict[str, Any] = Field(default={}, description="by name with units")
+    rules: dict[str, Any] = Field(default={}, description="of function selection")
+    shaping: dict[str, Any] = Field(
+        default={}, description="of velocity steps, `pressure_feedback` only"
+    )
+
+    @model_validator(mode="after")
+    def _one_law(self) -> CylinderController:
+        if self.shaping:
+            _refuse_shaping(self.kind)
+        if "from" in self.gains:
+            raise ValueError("a cylinder's own gains are written out: 'from' is of [controller]")
+        return self
 
 
 class Controller(FileModel):
@@ -144,7 +225,9 @@ class Controller(FileModel):
 
     ``gains`` by name with units, or ``"<tune recipe or its run>"``, or both: ``{ from = "…",
     washout = "0 rad/s" }``; a class gets them as keywords. ``rules`` of function selection,
-    ``shaping`` of speed steps (pressure feedback), ``unused`` valves that stay at rest."""
+    ``shaping`` of speed steps (pressure feedback), ``unused`` valves that stay at rest. Where
+    several cylinders move, all have this law but for those named under ``cylinders``, and
+    ``coupling`` says whether a law with a model of the mechanism counts on the others' motion."""
 
     name: str = ""
     kind: LawName | None = None
@@ -153,6 +236,14 @@ class Controller(FileModel):
     rules: dict[str, Any] = {}
     shaping: dict[str, Any] = {}
     unused: tuple[str, ...] = ()
+    coupling: bool = Field(
+        default=True,
+        description="where several cylinders move: `false` lets `arc` take the others as standing "
+        "still",
+    )
+    cylinders: dict[str, CylinderController] = Field(
+        default={}, description="laws of single cylinders, `[controller.cylinders.<cylinder>]`"
+    )
     where: tuple[str | int, ...] = Field(default=("controller",), exclude=True)
 
     @property
@@ -176,17 +267,36 @@ class Controller(FileModel):
         table = {} if isinstance(self.gains, str) else self.gains
         return {name: raw for name, raw in table.items() if name != "from"}
 
+    def of(self, cylinder: str) -> Controller:
+        """The controller of one of several cylinders."""
+        own = self.cylinders.get(cylinder)
+        if own is None:
+            return self.model_copy(update={"cylinders": {}})
+        taken = {name: getattr(own, name) for name in CylinderController.model_fields}
+        place = (*self.where, "cylinders", cylinder)
+        return self.model_copy(update=taken | {"cylinders": {}, "name": "", "where": place})
+
     @model_validator(mode="after")
     def _one_law(self) -> Controller:
         if (self.kind is None) == (self.code is None):
             raise ValueError("give 'kind' or 'class', and not both")
         if self.shaping:
-            from ehbench.control.registry import LAWS
-
-            shaped = [name for name, law in LAWS.items() if law.shaped]
-            if self.kind not in shaped:
-                raise ValueError(f"'shaping' is of {' and '.join(shaped)} only")
+            _refuse_shaping(self.kind)
         return self
+
+
+def refuse_unmatched(controller: Controller, motions: Sequence[Motion]) -> None:
+    """Refuse a controller that does not fit the motions of several cylinders.
+
+    Raises:
+        ValueError: says what does not.
+    """
+    if controller.code is not None and any(motion.also for motion in motions):
+        raise ValueError("a controller of your own moves one cylinder: leave 'also' out")
+    names = {one.cylinder for motion in motions for one in motion.each}
+    for name in controller.cylinders:
+        if name not in names:
+            raise ValueError(f"controller.cylinders names '{name}', which has no motion")
 
 
 class Sampled(Protocol):
@@ -218,6 +328,13 @@ def refuse_fast_waves(trial: Sampled) -> None:
                 )
 
 
+class OtherSupply(FileModel):
+    """How the supply follows the load in a trial, where the rig file says otherwise or nothing."""
+
+    load_sensing: LoadSensing | None = None
+    low_rail: LowRail | None = None
+
+
 class AnyTrial(Recipe):
     """What one trial and a set of trials have in common."""
 
@@ -225,6 +342,11 @@ class AnyTrial(Recipe):
     flow_maps: str | None = None
     on: Literal["model", "bench"] = "model"
     bench: str | None = None
+    dynamics: ByParameter = Field(
+        default={},
+        description="other `[dynamics]` of the rig file for valves, by `<cylinder>.<valve>`; on "
+        "the bench as well",
+    )
     posture: dict[str, str] = {}
     duration: Annotated[Value, Q("duration")] | None = None
     rate: Annotated[Value, Q("rate")] = Value(1000.0)
@@ -234,6 +356,7 @@ class AnyTrial(Recipe):
     first_pressure_error: dict[str, Annotated[Value, Q("pressure_error")]] = {}
     command: tuple[Command, ...] = ()
     limits: Limits = Limits()
+    supply: OtherSupply = OtherSupply()
 
     @model_validator(mode="after")
     def _below_half_the_rate(self) -> AnyTrial:
@@ -257,6 +380,7 @@ class TrialRecipe(AnyTrial):
 
     stage: Literal["trial"]
     payload: str | None = None
+    machine: MachineChange | None = None
     controller: Controller | None = None
     motion: Motion | None = None
 
@@ -268,4 +392,27 @@ class TrialRecipe(AnyTrial):
             raise ValueError(f"controller '{self.controller.label}' needs a [motion]")
         if self.motion is None and self.duration is None:
             raise ValueError("'duration' is missing")
+        if self.controller is not None and self.motion is not None:
+            refuse_unmatched(self.controller, (self.motion,))
         return self
+
+    def singles(self) -> tuple[TrialRecipe, ...]:
+        """This trial for each of its cylinders alone, as its motions and controllers say."""
+        controller, motion = self.controller, self.motion
+        if controller is None or motion is None:
+            return (self,)
+        starts = {
+            one.cylinder: f"{float(one.waypoints[0])!r} m"
+            for one in motion.each
+            if one.cylinder is not None and one.waypoints
+        }
+        return tuple(
+            self.model_copy(
+                update={
+                    "motion": one,
+                    "controller": controller.of(one.cylinder or ""),
+                    "posture": starts | self.posture if motion.also else self.posture,
+                }
+            )
+            for one in motion.each
+        )

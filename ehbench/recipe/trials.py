@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from ehbench.recipe.trial import AnyTrial, Controller, Motion, TrialRecipe
+from ehbench.recipe.base import ByParameter
+from ehbench.recipe.trial import (
+    AnyTrial,
+    Controller,
+    MachineChange,
+    Motion,
+    OtherSupply,
+    TrialRecipe,
+    refuse_unmatched,
+)
 
 
 class SetController(Controller):
     """A controller of a set of trials; it may run on a rig of its own, such as the same machine
-    with another valve.
+    with another valve, or one with other ``dynamics`` of its valves, or on a supply of its own.
 
     What was identified on the set's rig holds for that one as well, by name.
     """
@@ -19,16 +29,21 @@ class SetController(Controller):
     rig: str | None = None
     flow_maps: str | None = None
     bench: str | None = None
+    dynamics: ByParameter = Field(
+        default={}, description="as the set's, for this controller's machine"
+    )
+    supply: OtherSupply | None = None
 
 
 class TrialSetRecipe(AnyTrial):
-    """The product of ``payloads`` (``none`` is none) × ``[[motion]]`` × ``[[controller]]``: one log
-    each, and one table over all.
+    """The product of ``payloads`` (``none`` is none) × ``[[motion]]`` × ``[[machine]]`` ×
+    ``[[controller]]``: one log each, and one table over all.
     """
 
     stage: Literal["trials"]
     payloads: Annotated[tuple[str, ...], Field(min_length=1)] = ("none",)
     motion: Annotated[tuple[Motion, ...], Field(min_length=1)]
+    machine: tuple[MachineChange, ...] = ()
     controller: Annotated[tuple[SetController, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
@@ -36,6 +51,7 @@ class TrialSetRecipe(AnyTrial):
         for what, names in (
             ("payload", list(self.payloads)),
             ("motion", [m.name or m.kind for m in self.motion]),
+            ("machine", [m.name for m in self.machine]),
             ("controller", [c.label for c in self.controller]),
         ):
             twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
@@ -45,32 +61,38 @@ class TrialSetRecipe(AnyTrial):
                 )
         return self
 
+    @model_validator(mode="after")
+    def _controllers_fit(self) -> TrialSetRecipe:
+        for law in self.controller:
+            refuse_unmatched(law, self.motion)
+        return self
+
     def cases(self) -> tuple[tuple[str, SetController, TrialRecipe], ...]:
         """(name, controller, recipe) of each trial, payloads outermost, controllers innermost."""
         shared = {name: getattr(self, name) for name in AnyTrial.model_fields if name != "path"}
+        machines = [*enumerate(self.machine)] or [(0, None)]
         cases = []
-        for payload in self.payloads:
-            for m, motion in enumerate(self.motion):
-                for c, law in enumerate(self.controller):
-                    name = " ".join(
-                        [
-                            payload if payload != "none" else "no load",
-                            motion.name or motion.kind,
-                            law.label,
-                        ]
-                    )
-                    own = {
-                        key: value
-                        for key in ("rig", "flow_maps", "bench")
-                        if (value := getattr(law, key)) is not None
-                    }
-                    case = TrialRecipe.model_construct(
-                        **{**shared, **own},
-                        stage="trial",
-                        payload=None if payload == "none" else payload,
-                        path=self.path,
-                        controller=law.model_copy(update={"where": ("controller", c)}),
-                        motion=motion.model_copy(update={"where": ("motion", m)}),
-                    )
-                    cases.append((name, law, case.model_copy(update={"title": name})))
+        for payload, (m, motion), (n, machine), (c, law) in product(
+            self.payloads, enumerate(self.motion), machines, enumerate(self.controller)
+        ):
+            said = motion.name or motion.kind
+            if machine is not None:
+                said = f"{said}, {machine.name}"
+                machine = machine.model_copy(update={"where": ("machine", n)})
+            name = " ".join([payload if payload != "none" else "no load", said, law.label])
+            own = {
+                key: value
+                for key in ("rig", "flow_maps", "bench", "dynamics", "supply")
+                if (value := getattr(law, key))
+            }
+            case = TrialRecipe.model_construct(
+                **{**shared, **own},
+                stage="trial",
+                payload=None if payload == "none" else payload,
+                path=self.path,
+                machine=machine,
+                controller=law.model_copy(update={"where": ("controller", c)}),
+                motion=motion.model_copy(update={"where": ("motion", m), "name": said}),
+            )
+            cases.append((name, law, case.model_copy(update={"title": name})))
         return tuple(cases)

@@ -71,8 +71,8 @@ def stem_of(text: str) -> str:
 
 
 def cases_of(run: Saved) -> list[Case]:
-    """The trials under a controller that a run holds: one of a ``trial`` run, all of a ``trials``
-    run.
+    """The trials under a controller that a run holds: one of a ``trial`` run, as often as it has
+    controlled cylinders; all of a ``trials`` run.
     """
     if run.stage == "trials":
         rows = run.json("table.json")["rows"]
@@ -89,8 +89,13 @@ def cases_of(run: Saved) -> list[Case]:
     facts = read_json(path)
     if not facts.get("controller"):
         return []
-    row = Table({**facts, **facts["measures"], "case": run.title, "motion": ""}, path)
-    return [Case(row, facts["cylinder"], run.folder / "log.mcap", run.folder / "ledger.json")]
+    also = facts["measures"].get("also", {})
+    cases = []
+    for cylinder, measures in {facts["cylinder"]: facts["measures"], **also}.items():
+        about = {"case": run.title, "motion": cylinder if also else "", "cylinder": cylinder}
+        row = Table({**facts, **measures, **about}, path)
+        cases.append(Case(row, cylinder, run.folder / "log.mcap", run.folder / "ledger.json"))
+    return cases
 
 
 def groups_of(cases: Sequence[Case]) -> dict[tuple[str, str], list[Case]]:

@@ -49,8 +49,8 @@ _UNEXPLAINED = (
 
 @dataclass(frozen=True)
 class Saving:
-    """A closed cycle of one trial against its bound and against the four-way valve on the same
-    motion, if that ran.
+    """A closed cycle of one trial against its bound, and against the four-way valve that drew least
+    on the same motion, if one ran: ``reference`` [J].
     """
 
     case: Case
@@ -114,11 +114,11 @@ def savings_of(cases: Sequence[Case]) -> list[Saving]:
         for limits in ledger.get("bounds", []) if ledger is not None else []:
             if limits["closed"] and limits.get("used") is not None:
                 known.append((case, ledger, limits))
-    valves = {
-        (case.row["payload"], case.row["motion"]): limits["used"]
-        for case, ledger, limits in known
-        if four_way(ledger, case.cylinder)
-    }
+    valves: dict[tuple[str, str], float] = {}
+    for case, ledger, limits in known:
+        if four_way(ledger, case.cylinder):
+            key = (case.row["payload"], case.row["motion"])
+            valves[key] = min(limits["used"], valves.get(key, math.inf))
     return [
         Saving(case, ledger, limits, valves.get((case.row["payload"], case.row["motion"])))
         for case, ledger, limits in known

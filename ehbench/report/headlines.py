@@ -202,7 +202,7 @@ def _outside(one: Table, key: str) -> list[float]:
 def _tuning(run: Saved) -> Findings:
     rig, tuning = run.rig, run.json("tuning.json")
     draws = tuning["robustness"]
-    about = f"without feedback {number(tuning['damping_ratio_open'], 2)}"
+    about = f"without any feedback {number(tuning['damping_ratio_open'], 2)}"
     if draws["draws"]:
         low, _, high = draws["quantiles"]
         about += f"; 90 % of {draws['draws']} draws {interval(low, high)}"

@@ -12,6 +12,7 @@ from ehbench.record import Record
 from ehbench.report.captions import capital, load_name, measure, percent, sentence, span, stroke
 from ehbench.report.cases import SLOW, Case, damping, payloads_carried
 from ehbench.report.saved import Table
+from ehbench.report.trial_tables import limits_of
 from ehbench.report.words import count, number, pretty, shown, unit_of, words
 from ehbench.rig import Rig
 
@@ -56,9 +57,10 @@ def tracking_caption(rig: Rig, row: Table) -> str:
 
 def limits_caption(row: Table) -> str:
     """Share of the time that edges were at each limit; nothing where they never were."""
-    met = {name: share for name, share in row.get("limits", {}).items() if share > 0.0}
+    met, means = limits_of(row), codes.LIMITS_MEAN | codes.STATUS_MEANS
+    met = {name: share for name, share in met.items() if share > 0.0}
     shares = [
-        f"{words(name)} {percent(share)} of the time ({codes.LIMITS_MEAN.get(name, 'a limit')})"
+        f"{words(name)} {percent(share)} of the time ({means.get(name, 'a limit')})"
         for name, share in met.items()
     ]
     return "; at a limit: " + ", ".join(shares) if shares else ""

@@ -42,7 +42,7 @@ def equivalents_caption(rig: Rig, tuning: Table, key: str, quantity: str, title:
 
 
 def damping_caption(rig: Rig, tuning: Table) -> str:
-    """The worst damping ratio at the choice, where it is, and what it was without feedback."""
+    """The worst damping ratio at the choice, where it is, and what it is without feedback."""
     gains = sorted(set(tuning["feedback_gain"].values()))
     chosen = (
         " and ".join(measure(rig, "feedback_gain", gain) for gain in gains)
@@ -54,13 +54,22 @@ def damping_caption(rig: Rig, tuning: Table) -> str:
     dotted = (
         "; dotted: points that no load calls for" if len(points) < len(tuning["points"]) else ""
     )
-    without = span([tuning["damping_ratio_open"], tuning["damping_ratio_open_most"]], 2)
     return (
         "Least damping ratio of all poles, a line an operating point; "
         f"black: the worst of the {len(points)} that count{dotted}. "
         f"At K_p = {chosen} the worst is {number(tuning['damping_ratio'], 2)} "
-        f"({point_name(rig, least['point'])}); without feedback {without}."
+        f"({point_name(rig, least['point'])}); {undamped(tuning)}."
     )
+
+
+def undamped(tuning: Table) -> str:
+    """The damping ratios without any feedback, and with that of the off-side alone."""
+    none, held = (
+        span([tuning[f"damping_ratio_{loop}"], tuning[f"damping_ratio_{loop}_most"]], 2)
+        for loop in ("open", "held")
+    )
+    text = f"without any feedback {none}"
+    return text + (f", with the off-side held {held}" if tuning["off_gain"] else "")
 
 
 def point_name(rig: Rig, point: Table) -> str:
@@ -79,8 +88,8 @@ def locus_caption(
     """What each payload's root locus comes to."""
     lead = (
         "At the operating point of each payload that is least damped with feedback. "
-        "Dark: up to the choice; pale: beyond, towards the zeros (circles); × without feedback, "
-        "orange dot: at the choice. "
+        "Dark: up to the choice; pale: beyond, towards the zeros (circles); "
+        "× with K_p = 0, the off-side held, orange dot: at the choice. "
     )
     if not counts:
         lead = "No load calls for this function here; shown, not counted. " + lead
@@ -92,7 +101,7 @@ def _locus_sentence(rig: Rig, locus: Table, result: Table) -> str:
     load, closed = load_name(result["point"]["payload"]), number(result["damping_ratio_closed"], 2)
     if locus["parameter"] == "feedback_gain":
         text = (
-            f"{load}: damping ratio {number(result['damping_ratio_open'], 2)} without feedback, "
+            f"{load}: damping ratio {number(result['damping_ratio_held'], 2)} at K_p = 0, "
             f"{closed} at K_p = {measure(rig, 'feedback_gain', locus['chosen'])}"
         )
         if locus.get("crossing") is None:
@@ -113,7 +122,7 @@ def overshoot_of(values: Sequence[float]) -> float | None:
 
 
 def steps_caption(steps: Sequence[Table], by_name: Mapping[str, Table]) -> str:
-    """Overshoot and damping ratio of each payload, without and with feedback."""
+    """Overshoot and damping ratio of each payload, without any feedback and with it."""
     sentences = []
     for one in steps:
         result = by_name[one["name"]]
@@ -122,7 +131,7 @@ def steps_caption(steps: Sequence[Table], by_name: Mapping[str, Table]) -> str:
         ratios = [number(result[f"damping_ratio_{loop}"], 2) for loop in ("open", "closed")]
         sentences.append(
             f"{load_name(result['point']['payload'])}: overshoot over the last value "
-            f"{shares[0]} % without feedback, {shares[1]} % with; "
+            f"{shares[0]} % without any feedback, {shares[1]} % with; "
             f"damping ratio {ratios[0]} and {ratios[1]}"
         )
     return (

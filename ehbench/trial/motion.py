@@ -147,8 +147,8 @@ def _spool_speed(circuit: Circuit, way: int, force: float, p_supply: float, p_ta
     def speeds(rod: float) -> tuple[float, float]:
         p = Pressures((force + area_rod * rod) / area_head, rod, p_supply, p_tank)
         return (
-            capacity(circuit, into, path_drop(into, p)) / area_in,
-            capacity(circuit, out, path_drop(out, p)) / area_out,
+            capacity(circuit, into, path_drop(into, p, circuit)) / area_in,
+            capacity(circuit, out, path_drop(out, p, circuit)) / area_out,
         )
 
     # the higher both pressures, the less comes in and the more goes out (extending; retracting the

@@ -21,8 +21,9 @@ from ehbench.recipe import TrialRecipe
 from ehbench.rig import Rig
 from ehbench.trial import controllers
 from ehbench.trial.commands import command_table
-from ehbench.trial.controllers import Compiled, Design
+from ehbench.trial.controllers import Design, Laws
 from ehbench.trial.motion import References, references
+from ehbench.trial.together import Driven, as_long, told
 from ehbench.trial.user_code import UserCode
 from ehbench.units import from_si
 
@@ -78,16 +79,26 @@ class Aftermath:
 
 @dataclass(frozen=True)
 class Loop:
-    """A closed loop before there is a machine: design model, references, and the law.
+    """A closed loop before there is a machine: the cylinders that it moves, the first of which the
+    trial is about, and their laws.
 
-    ``law`` is packed, and None for a user's class, which is loaded when its trial begins.
+    ``laws`` are packed, and None for a user's class, which is loaded when its trial begins.
     ``low_side`` [Pa] is where the off-side chamber stands at the start.
     """
 
-    design: Design
-    references: References
-    law: Compiled | None
+    driven: tuple[Driven, ...]
+    laws: Laws | None
     low_side: float
+
+    @property
+    def design(self) -> Design:
+        """That of the first."""
+        return self.driven[0].design
+
+    @property
+    def references(self) -> References:
+        """What the first shall do."""
+        return self.driven[0].references
 
 
 @dataclass(frozen=True)
@@ -136,18 +147,18 @@ class Prepared:
         """Pressure [Pa] of the unloaded chambers at the start; None is the machine's own choice."""
         return None if self.loop is None else self.loop.low_side
 
-    def law(self, machine: Machine) -> Compiled | UserCode | None:
-        """A controller at its beginning, for one run on a machine; None for open loop.
+    def law(self, machine: Machine) -> Laws | UserCode | None:
+        """The controllers at their beginning, for one run on a machine; None for open loop.
 
         Raises:
             InputError: a user's class that cannot be loaded, or raised.
         """
         if self.loop is None:
             return None
-        law, table = self.loop.law, self.loop.references.table
-        if law is None:
+        laws, table = self.loop.laws, self.loop.references.table
+        if laws is None:
             return UserCode(self.recipe, self.loop.design, machine.channels, machine.rate, table)
-        return law.afresh()
+        return laws.afresh()
 
     def first_rows(self, machine: Machine, count: int | None = None) -> Rows:
         """The rows before the first tick, the machine at rest.
@@ -272,11 +283,14 @@ def prepare(
             rig; on a machine that stands at its start at once, a limit reached there; code that is
             not allowed.
     """
+    with controllers.located(recipe, "supply"):
+        rig = rig.with_supply(recipe.supply.load_sensing, recipe.supply.low_rail)
     loop, posture = None, recipe.posture
+    rig = _with_dynamics(recipe, rig)
     if recipe.controller is not None:
         controllers.refuse_code(recipe, allow_code)
         loop = _loop(recipe, rig, maps, gains, standing)
-        posture = controllers.posture_of(recipe, loop.design.cylinder)
+        posture = controllers.posture_of(loop.driven[0].recipe, loop.design.cylinder)
     rate = float(recipe.rate)
     if loop is not None:
         count = len(loop.references.table)
@@ -293,7 +307,7 @@ def prepare(
     with controllers.located(recipe, "duration"):
         _refuse_endless(recipe, rig, count)
     t = np.arange(count) / rate
-    table = command_table(recipe, rig, t, () if loop is None else _taken(recipe, loop.design))
+    table = command_table(recipe, rig, t, () if loop is None else _taken(loop))
     machine = open_machine(recipe, rig, maps)
     limits = limit_array(recipe.limits)
     _refuse_unknown_pressures(recipe, machine)
@@ -349,6 +363,18 @@ def _payloads(recipe: TrialRecipe, machine: Machine, t: np.ndarray) -> dict[int,
     return found
 
 
+def _with_dynamics(recipe: TrialRecipe, rig: Rig) -> Rig:
+    """The rig with the valve dynamics that a recipe asks for.
+
+    Raises:
+        InputError: no such valve or dynamics, with the line.
+    """
+    own = getattr(recipe.controller, "dynamics", None)  # of a controller of a set
+    where = recipe.controller.where if recipe.controller is not None and own else ()
+    with controllers.located(recipe, *where, "dynamics"):
+        return rig.with_dynamics(recipe.dynamics)
+
+
 # [numbers] of a row beside those of each cylinder, valve and edge, in all copies of it
 _ROW, _EACH = 100, 30
 
@@ -379,28 +405,52 @@ def _loop(
     gains: Path | Mapping[str, Any] | None,
     standing: bool,
 ) -> Loop:
-    design = controllers.design(recipe, rig, maps)
+    singles = recipe.singles()
     if isinstance(gains, Mapping):
         tuning = dict(gains)
     else:
         tuning = controllers.read_tuning(recipe, gains)
-    low = controllers.low_pressure(recipe, rig, tuning)
-    still = np.tile([design.x, 0.0, 0.0, 0.0], (2, 1))
-    motion = References(still) if standing else references(recipe, design, low)
-    law = None
+    low = controllers.low_pressure(singles[0], rig, tuning)
+    designs = [controllers.design(one, rig, maps) for one in singles]
+    motions = [_motion(*one, low, standing) for one in zip(singles, designs, strict=True)]
+    driven = tuple(Driven(*one) for one in zip(singles, designs, as_long(motions), strict=True))
+    laws, rate = None, float(recipe.rate)
     if recipe.controller is not None and recipe.controller.code is None:
-        rate = float(recipe.rate)
-        law = controllers.compiled(recipe, design, tuning, motion.table, rate)
-    return Loop(design, motion, law, float(rig.supply.tank_pressure) + low)
+        laws = Laws(
+            tuple(
+                controllers.compiled(
+                    one.recipe, one.design, _gains_for(one, tuning, len(driven)), table, rate
+                )
+                for one, table in zip(driven, told(driven), strict=True)
+            )
+        )
+    return Loop(driven, laws, float(rig.supply.tank_pressure) + low)
 
 
-def _taken(recipe: TrialRecipe, design: Design) -> tuple[str, ...]:
-    """Valves that the controller commands by itself; a user's class may leave any of them to the
+def _motion(recipe: TrialRecipe, design: Design, low: float, standing: bool) -> References:
+    """What a cylinder shall do; rest where it cannot be known."""
+    if standing:
+        return References(np.tile([design.x, 0.0, 0.0, 0.0], (2, 1)))
+    return references(recipe, design, low)
+
+
+def _gains_for(
+    one: Driven, tuning: Mapping[str, Any] | None, count: int
+) -> Mapping[str, Any] | None:
+    """What was tuned, for a cylinder: of several only that which it was tuned for takes it."""
+    if tuning is None or count == 1 or tuning.get("cylinder") == one.cylinder:
+        return tuning
+    return None
+
+
+def _taken(loop: Loop) -> tuple[str, ...]:
+    """Valves that controllers command by themselves; a user's class may leave any of them to the
     recipe.
     """
-    if recipe.controller is None or recipe.controller.code is not None:
+    if loop.laws is None:
         return ()
-    own = slice(design.circuit.first, design.circuit.first + design.circuit.count)
-    return tuple(
-        design.valves[i] for i in sorted({int(v) for v in design.circuit.edges.valve[own]})
-    )
+    taken = []
+    for one in loop.driven:
+        valves = {int(v) for v in one.design.circuit.edges.valve[one.design.own]}
+        taken += [one.design.valves[i] for i in sorted(valves)]
+    return tuple(taken)

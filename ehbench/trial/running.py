@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ehbench.codes import LIMITS as LIMIT_BITS
+from ehbench.codes import STATUS_MEANS
 from ehbench.errors import InputError, SimulationError
 from ehbench.logs import check_record
 from ehbench.machines.protocol import Machine, truth_of
@@ -18,11 +20,13 @@ from ehbench.quantities import VOCABULARY
 from ehbench.recipe import TrialRecipe
 from ehbench.record import Record, payloads_of, payloads_text
 from ehbench.rig import Rig
-from ehbench.trial.controllers import Compiled
-from ehbench.trial.measures import step_measures, tracking_measures
-from ehbench.trial.preparation import Aftermath, Loop, Prepared, Stop, prepare
+from ehbench.trial.controllers import Compiled, Laws
+from ehbench.trial.learnt import learnt_maps
+from ehbench.trial.measures import function_measures, step_measures, tracking_measures
+from ehbench.trial.preparation import Aftermath, Prepared, Stop, prepare
 from ehbench.trial.session import LiveLog, Session
 from ehbench.trial.swing import limit_cycle
+from ehbench.trial.together import Driven
 from ehbench.trial.user_code import UserCode
 from ehbench.units import from_si
 
@@ -67,16 +71,30 @@ class Facts:
         told = [each.sentence for each in (self.stop, self.after) if each is not None]
         return "; ".join(told)
 
-    def with_energy(self, energy: Mapping[str, Any]) -> Facts:
-        """The same with the energies of the controlled cylinder among its measures."""
+    @property
+    def cylinders(self) -> tuple[str, ...]:
+        """The controlled cylinders, the one that the trial is about first."""
+        return (self.cylinder, *self.measures.get("also", {})) if self.cylinder else ()
+
+    def with_energy(self, energy: Mapping[str, Mapping[str, Any]]) -> Facts:
+        """The same with the energies of each controlled cylinder among its measures."""
         known = dict(self.measures)
-        last = {"limits": known.pop("limits")} if "limits" in known else {}
-        return replace(self, measures={**known, "energy": dict(energy), **last})
+        also = {
+            name: _with_energy(own, energy[name]) for name, own in known.pop("also", {}).items()
+        }
+        measures = _with_energy(known, energy[self.cylinder])
+        return replace(self, measures=measures | ({"also": also} if also else {}))
 
     def as_json(self) -> dict[str, Any]:
         """Plain values for a JSON file."""
         plain = {**asdict(self), "stopped": self.stopped, "warnings": list(self.warnings)}
         return {name: value for name, value in plain.items() if value or name not in SELDOM}
+
+
+def _with_energy(measures: Mapping[str, Any], energy: Mapping[str, Any]) -> dict[str, Any]:
+    known = dict(measures)
+    last = {"limits": known.pop("limits")} if "limits" in known else {}
+    return {**known, "energy": dict(energy), **last}
 
 
 class Result(NamedTuple):
@@ -156,8 +174,7 @@ def run(
                 session.run(live, progress)
                 record = _record(session, meta)
                 live.finish(record)
-        truth = truth_of(at_work)
-        facts = _facts(prepared, session, record)
+        truth, facts = truth_of(at_work), _facts(prepared, session, record)
     return Result(record, facts, None if truth is None else truth.model)
 
 
@@ -217,10 +234,20 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
         )
     if law is not None and prepared.loop is not None:
         rows = session.end if stop is None else round(stop.t * rate) + 1
-        measures = law.used | _measures(record, prepared.loop, rows)
-        if isinstance(law, Compiled) and law.law.warns_saturated:
-            warnings += _saturated(measures["limits"]["saturated"], prepared.loop.design.cylinder)
-        warnings += _swinging(measures["limit_cycle"], prepared.rig, prepared.loop.design.cylinder)
+        parts = law.parts if isinstance(law, Laws) else (law,)
+        found = {}
+        for one, part in zip(prepared.loop.driven, parts, strict=True):
+            found[one.cylinder] = own = part.used | _measures(record, one, rows)
+            own["valves"] = _valves(prepared.rig, one.cylinder)
+            if part.used.get("gains", {}).get("adapt_maps"):
+                own["maps"] = learnt_maps(one.design, session.machine, record, rows)
+            if isinstance(part, Compiled) and part.law.warns_saturated:
+                warnings += _saturated(own["limits"]["saturated"], one.cylinder)
+            warnings += _swinging(own["limit_cycle"], prepared.rig, one.cylinder)
+            warnings += _stuck(own, one.cylinder)
+        measures = found.pop(prepared.loop.design.cylinder)
+        if found:
+            measures["also"] = found
     return Facts(
         session.machine.name,
         prepared.rig.name,
@@ -241,6 +268,19 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
     )
 
 
+def _valves(rig: Rig, cylinder: str) -> dict[str, list[float]]:
+    """Natural frequencies [rad/s] of a cylinder's slowest and fastest valve; nothing where its
+    valves follow at once.
+    """
+    periods = [
+        max(rig.dynamics[name].period() for name in valve.series)
+        for owner, valve in rig.valves()
+        if owner.name == cylinder and valve.series
+    ]
+    ends = [2.0 * math.pi / end for end in (max(periods), min(periods))] if periods else []
+    return {"natural_frequency": ends} if all(ends) and ends else {}
+
+
 def _saturated(share: float, cylinder: str) -> list[str]:
     """A sentence where the valves were at their end in a share of the ticks."""
     if share == 0.0:
@@ -248,6 +288,18 @@ def _saturated(share: float, cylinder: str) -> list[str]:
     return [
         f"the valves of '{cylinder}' were at their end in {100.0 * share:.2g} % of the ticks "
         "and gave less than the controller asked for"
+    ]
+
+
+def _stuck(measures: Mapping[str, Any], cylinder: str) -> list[str]:
+    """A sentence where the choice of working functions stalled, or found none, in a share of the
+    ticks.
+    """
+    shares = measures.get("functions", {})
+    return [
+        f"'{cylinder}' was {word} in {100.0 * shares[word]:.2g} % of the ticks: {meaning}"
+        for word, meaning in STATUS_MEANS.items()
+        if shares.get(word, 0.0) > 0.0
     ]
 
 
@@ -263,11 +315,11 @@ def _swinging(cycle: Mapping[str, float] | None, rig: Rig, cylinder: str) -> lis
     ]
 
 
-def _measures(record: Record, loop: Loop, rows: int) -> dict[str, Any]:
-    """Steps and tracking of the controlled cylinder, up to the row at which a limit stopped the
+def _measures(record: Record, loop: Driven, rows: int) -> dict[str, Any]:
+    """Steps and tracking of a controlled cylinder, up to the row at which a limit stopped the
     trial.
     """
-    own, t = loop.design.cylinder, record.t[:rows]
+    own, t = loop.cylinder, record.t[:rows]
     v, x, p_head, p_rod = (record[f"{own}.{name}"][:rows] for name in ("v", "x", "p_head", "p_rod"))
     measures: dict[str, Any] = {"steps": []}
     for level in loop.references.levels:
@@ -288,6 +340,10 @@ def _measures(record: Record, loop: Loop, rows: int) -> dict[str, Any]:
     commands = np.column_stack([record[f"{name}.command"][:rows] for name in valves])
     cycle = limit_cycle(t, x, desired, commands, stroke)
     measures["limit_cycle"] = None if cycle is None else asdict(cycle)
+    if f"{own}.function_status" in record:
+        names = ("function", "function_status", "v_desired")
+        told = (record[f"{own}.{name}"][:rows] for name in names)
+        measures["functions"] = function_measures(t, *told)
     if f"{own}.limits" in record:
         met = record[f"{own}.limits"][:rows].astype(int)
         measures["limits"] = {

@@ -102,6 +102,8 @@ def tune_prepared(
         damping_ratio=damping,
         damping_ratio_open=min(r.damping_ratio_open for r in counting),
         damping_ratio_open_most=max(r.damping_ratio_open for r in counting),
+        damping_ratio_held=min(r.damping_ratio_held for r in counting),
+        damping_ratio_held_most=max(r.damping_ratio_held for r in counting),
         met=damping >= target and not any(violations(r.margins, demands) for r in counting),
         constraints=demands,
         gains=tuple(gains.tolist()),
@@ -157,7 +159,7 @@ def _drawn(
         site, result = study.sites[i], results[i]
         gain = chosen[site.point.function]
         loci += [locus(site, law, gain, name, result.gain_limit) for name in parameters]
-        steps.append(step_response(site.loop(law), result, gain))
+        steps.append(step_response(site, law, result, gain))
     return tuple(loci), tuple(steps)
 
 
@@ -170,7 +172,8 @@ def _by_function(sites: Sequence[Site]) -> dict[str, list[Site]]:
 
 def _result(site: Site, law: Law, gain: float, gains: np.ndarray) -> PointResult:
     loop, point = site.loop(law), site.point
-    opened, closed = np.linalg.eigvals(loop.a), np.linalg.eigvals(loop.closed(gain))
+    bare = site.loop(law.without_feedback())
+    opened, closed = np.linalg.eigvals(bare.a), np.linalg.eigvals(loop.closed(gain))
     plain = close(site.linear, point, site.circuit, replace(law, washout=0.0, ramp_washout=0.0))
     return PointResult(
         point.name,
@@ -178,8 +181,9 @@ def _result(site: Site, law: Law, gain: float, gains: np.ndarray) -> PointResult
         site.counts,
         pairs(opened),
         pairs(closed),
-        abs(dominant(opened, loop.fastest)),
+        abs(dominant(opened, bare.fastest)),
         abs(dominant(closed, loop.fastest)),
+        float(bare.damping_ratio(0.0)),
         float(loop.damping_ratio(0.0)),
         float(loop.damping_ratio(gain)),
         float(plain.damping_ratio(gain)),

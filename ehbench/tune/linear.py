@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -195,6 +195,7 @@ def circuit_of(model: Model, cylinder: int, maps: Maps | None = None) -> Circuit
         plant.maps,
         ranges,
         measured,
+        plant.supply,
     )
 
 
@@ -338,7 +339,7 @@ class _Motion:
         circuit, function, names = self.circuit, self.function, self.model.layout.edges
         pressures, need = self.ports(v, settled.p_head, settled.p_rod)
         paths = [
-            _path(circuit, function, p, need[p], path_drop(p, pressures), names)
+            _path(circuit, function, p, need[p], path_drop(p, pressures, circuit), names)
             for p in map(int, np.flatnonzero(PATH_FLOWS[function].any(axis=1)))
         ]
         if self.together:
@@ -525,8 +526,8 @@ def _common_opening(circuit: Circuit, function: int, ports: _Ports) -> float:
 
     def excess(off: float) -> float:
         at, need = ports(off)
-        command = _command(circuit, lead, need[lead], max(path_drop(lead, at), 1.0))
-        return _flow(circuit, follow, path_drop(follow, at), command) - need[follow]
+        command = _command(circuit, lead, need[lead], max(path_drop(lead, at, circuit), 1.0))
+        return _flow(circuit, follow, path_drop(follow, at, circuit), command) - need[follow]
 
     low, high = ports(0.0)[0].tank, ports(0.0)[0].supply
     ends = excess(low + 1.0), excess(high - 1.0)
@@ -874,6 +875,10 @@ class Law:
     delay: float
     ramp_washout: float = 0.0
     feedback: Literal["metered", "load"] = "metered"
+
+    def without_feedback(self) -> Law:
+        """The same law with neither feedback: at K_p = 0 the off-side is not held either."""
+        return replace(self, washout=0.0, ramp_washout=0.0, off_gain=0.0)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.tune.linear import Law, Loop, close, dominant
+from ehbench.tune.linear import Law, close, dominant
 from ehbench.tune.margins import speed_of, system_of
 from ehbench.tune.results import Locus, PointResult, StepResponse, pairs
 from ehbench.tune.study import Site
@@ -89,10 +89,11 @@ def worst_of_each(results: Sequence[PointResult]) -> list[int]:
     return list(worst.values())
 
 
-def step_response(loop: Loop, result: PointResult, gain: float) -> StepResponse:
-    """Speed after a step of desired speed, without feedback and at a gain."""
+def step_response(site: Site, law: Law, result: PointResult, gain: float) -> StepResponse:
+    """Speed after a step of desired speed, without any feedback and at a gain."""
     import control
 
     t = np.linspace(0.0, 20.0 * math.pi / max(result.natural_frequency_open, 1e-3), STEP_SAMPLES)
-    speeds = [np.asarray(control.step_response(speed_of(loop, g), t).outputs) for g in (0.0, gain)]
+    loops = ((site.loop(law.without_feedback()), 0.0), (site.loop(law), gain))
+    speeds = [np.asarray(control.step_response(speed_of(*loop), t).outputs) for loop in loops]
     return StepResponse(result.name, *(tuple(a.tolist()) for a in (t, *speeds)))

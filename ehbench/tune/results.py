@@ -29,8 +29,9 @@ class PointResult:
     over ``Tuning.gains``.
 
     ``counts``: the gain was chosen on it. Others are shown only: no load makes the controller use
-    that function there. ``open``: no pressure feedback, off-side held. ``natural_frequency_*``
-    [rad/s] and ``damping_ratio_*`` of the least damped pair. ``gain_limit`` [m³/(s·Pa)]: where the
+    that function there. ``open``: no feedback at all; ``held``: the off-side's alone, where the
+    root locus begins. ``natural_frequency_*`` [rad/s] and ``damping_ratio_*`` of the least damped
+    pair. ``gain_limit`` [m³/(s·Pa)]: where the
     loop becomes unstable, inf if not in the range looked at. ``bias`` [m/s]: what feedback without
     a washout would take from the steady speed, and ``damping_ratio_plain`` what it would reach."""
 
@@ -42,6 +43,7 @@ class PointResult:
     natural_frequency_open: float
     natural_frequency_closed: float
     damping_ratio_open: float
+    damping_ratio_held: float
     damping_ratio_closed: float
     damping_ratio_plain: float
     bias: float
@@ -73,7 +75,7 @@ class Locus:
 
 @dataclass(frozen=True)
 class StepResponse:
-    """Speed [m/s] after a step of 1 m/s in desired speed, without and with pressure feedback, over
+    """Speed [m/s] after a step of 1 m/s in desired speed, without any feedback and with it, over
     ``t`` [s].
     """
 
@@ -133,7 +135,8 @@ class Tuning:
     ``feedback_gain`` K_p [m³/(s·Pa)] by working function, ``washout`` ω_w and ``ramp_washout`` ω_r
     [rad/s] (0 for none), ``off_gain`` [m³/(s·Pa)], ``low_pressure`` and ``cross_drop`` [Pa],
     ``tick`` and ``delay`` [s]. ``damping_ratio`` the least over the operating points that count,
-    ``damping_ratio_open`` without feedback. ``met``: target and constraints hold at each of them.
+    ``damping_ratio_open`` and ``_open_most`` the range without any feedback, ``_held`` and
+    ``_held_most`` with the off-side's alone. ``met``: target and constraints hold at each of them.
     ``gains`` the abscissa of the curves."""
 
     rig: str
@@ -150,6 +153,8 @@ class Tuning:
     damping_ratio: float
     damping_ratio_open: float
     damping_ratio_open_most: float
+    damping_ratio_held: float
+    damping_ratio_held_most: float
     met: bool
     constraints: dict[str, float]
     gains: tuple[float, ...]

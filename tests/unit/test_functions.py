@@ -216,6 +216,39 @@ def test_every_state_has_one_function_and_it_suits(name, seventh):
     assert seen == expected
 
 
+# upstream and downstream end of the path that sets the motion of each function (thesis 3.1)
+METERS = {1: "sh", 2: "rt", 3: "rh", 4: "sr", 5: "ht", 6: "ht", 7: "sh"}
+
+
+@pytest.mark.parametrize("choice", fn.CHOICES)
+@pytest.mark.parametrize("seventh", [False, True])
+def test_what_is_called_ok_moves_oil_the_right_way(seventh, choice):
+    """Over directions, pressures from cavitation to beyond the supply, predecessors and dwell: OK
+    only where the drop of the metering path is along the flow and the supply carries the load.
+    """
+    c = circuit(FIVE)
+    rules = fn.pack_rules(A2, PS, allow_seventh=seventh, choice=choice)
+    grid = itertools.product(
+        (-0.25, -0.05, 0.05, 0.25),
+        np.linspace(-9e4, 7.2e6, 12),
+        np.linspace(-9e4, 7.2e6, 12),
+        range(8 if seventh else 7),
+        (0.0, 1e9),
+    )
+    stalled = called = 0
+    for v_d, p_head, p_rod, now, age in grid:
+        chosen, status = choose(c, rules, v_d, p_head, p_rod, now, age)
+        at = {"s": PS, "t": 0.0, "h": p_head, "r": p_rod}
+        first, last = METERS[chosen]
+        load = p_head * A1 - p_rod * A2
+        against = chosen in (1, 4) and abs(load) >= PS * (A1 if chosen == 1 else A2)
+        wrong = at[first] <= at[last] or against
+        assert not (status == codes.OK and wrong), (v_d, p_head, p_rod, now, age, chosen)
+        called += wrong
+        stalled += status == codes.STALLED
+    assert called > 50 and stalled >= called
+
+
 def test_regeneration_needs_drop_and_an_edge_that_carries_it():
     rules = fn.pack_rules(A2, PS)
     wide, narrow = circuit(FIVE), circuit(FIVE, gain=1.2e-5)

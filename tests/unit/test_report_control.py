@@ -31,6 +31,7 @@ from ehbench.report.trial_captions import (
     energy_caption,
     estimates_caption,
 )
+from ehbench.report.trial_tables import valves_note
 from ehbench.report.tuning_words import overshoot_of
 from ehbench.rundir import write_json
 from ehbench.units import from_si
@@ -92,6 +93,7 @@ def point(function: str, payload: str, x: float, counts: bool, **more) -> dict:
         "natural_frequency_open": 30.0,
         "natural_frequency_closed": 40.0,
         "damping_ratio_open": 0.1,
+        "damping_ratio_held": 0.12,
         "damping_ratio_closed": 0.6,
         "damping_ratio_plain": 0.65,
         "bias": -0.03,
@@ -167,7 +169,9 @@ def tuning(**more) -> dict:
         "target": 0.5,
         "damping_ratio": 0.55,
         "damping_ratio_open": 0.1,
-        "damping_ratio_open_most": 0.25,
+        "damping_ratio_open_most": 0.15,
+        "damping_ratio_held": 0.12,
+        "damping_ratio_held_most": 0.25,
         "met": True,
         "constraints": {"gain_margin": 2.0, "phase_margin": 0.785398163, "bandwidth": 3.14159265},
         "gains": GAINS,
@@ -551,7 +555,10 @@ def test_the_tuning_tells_what_its_file_holds(runs):
         f"One gain K_p = {gain:g} mL/min/bar, washout 0.398 Hz: worst damping ratio 0.55 over 4 "
         "operating points of boom" in text
     )
-    assert "without feedback 0.1 to 0.25; target 0.5, reached by 92.5 % of 40 draws." in text
+    assert (
+        "without any feedback 0.1 to 0.15, with the off-side held 0.12 to 0.25; target 0.5, "
+        "reached by 92.5 % of 40 draws." in text
+    )
     assert "Better than the chosen law by this number: no washout." in text
     assert (
         "gain margin ≥ 2 6" in text
@@ -563,7 +570,7 @@ def test_the_tuning_tells_what_its_file_holds(runs):
         "extend resistive, no load, x = 200 mm" in said["damping_over_gain"]
     )  # the worst of those that count
     assert (
-        "No load: damping ratio 0.1 without feedback, 0.55 at K_p = 600 mL/min/bar, unstable "
+        "No load: damping ratio 0.12 at K_p = 0, 0.55 at K_p = 600 mL/min/bar, unstable "
         "above 8 times that" in said["locus_extend_resistive"]
     )
     assert (
@@ -575,7 +582,7 @@ def test_the_tuning_tells_what_its_file_holds(runs):
         100 * np.exp(-0.1 * (np.pi - np.arctan(0.1))) / np.hypot(1.0, 0.1)
     )  # where tan 20t = −0.1
     assert (
-        f"overshoot over the last value {overshoot:.0f} % without feedback, 0 % with"
+        f"overshoot over the last value {overshoot:.0f} % without any feedback, 0 % with"
         in said["step_response_extend_resistive"]
     )
 
@@ -988,6 +995,17 @@ def cycles(root: Path, **made_of: dict) -> tuple:
         )
     run = Saved(folder)
     return run.rig, cases_of(run)
+
+
+def test_valves_that_are_not_equally_fast_are_told(tmp_path):
+    quick, slow = ({"valves": {"natural_frequency": [w, w]}} for w in (345.0, 62.8))
+    rows = {"six": quick, "fast spool": quick, "spool": slow}
+    made = {name: measures(2000.0, 1e-4, []) | valves for name, valves in rows.items()}
+    run = Saved(trials_run(tmp_path, "speeds", made, payloads=["none"]))
+    cases = cases_of(run)
+    told = " Natural frequency of the valves: 54.9 Hz: six, fast spool; 9.99 Hz: spool. "
+    assert valves_note(run.rig, cases).startswith(told)
+    assert valves_note(run.rig, cases[:2]) == ""
 
 
 def test_what_was_saved_and_what_ate_the_rest(tmp_path):

@@ -27,6 +27,19 @@ def test_round_trip(path, tmp_path):
     assert all(value.sure in SURENESS for value in rig.parameters().values())
 
 
+def test_valves_take_other_dynamics_of_their_file():
+    rig = load_rig(FOLDER / "thesis_arm_standard.toml")
+    fast = rig.with_dynamics({"boom.spool": "cartridge"})
+    series = {f"{cylinder.name}.{valve.name}": valve.series for cylinder, valve in fast.valves()}
+    others = {"swing.servo": ("servo",), "stick.servo": ("servo",)}
+    assert series == {**others, "boom.spool": ("cartridge",)}
+    with pytest.raises(InputError, match="no valve 'boom.spol'"):
+        rig.with_dynamics({"boom.spol": "cartridge"})
+    with pytest.raises(InputError, match=r"no \[dynamics\] 'slow'") as error:
+        rig.with_dynamics({"boom.spool": "slow"})
+    assert error.value.hint == "there are servo, cartridge"
+
+
 def test_people_see_a_parameter_in_the_unit_of_its_file(tmp_path):
     """Also when it was identified since, and whatever unit another quantity of the rig has."""
     rig = load_rig(FOLDER / "boom_four_valve.toml")

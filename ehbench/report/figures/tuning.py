@@ -161,7 +161,7 @@ def _damping_handles(tuning: Table, colours: Mapping[str, str]) -> list:
 
 
 def step_responses(path: Path, steps: Sequence[Table], by_name: dict[str, Table]) -> None:
-    """A panel a payload: speed over desired speed, without and with feedback."""
+    """A panel a payload: speed over desired speed, without any feedback and with it."""
     from matplotlib.lines import Line2D
 
     with canvas(path, 1, len(steps), (7.4, 3.1), squeeze=False, sharey=True) as (figure, axes):
@@ -176,7 +176,7 @@ def step_responses(path: Path, steps: Sequence[Table], by_name: dict[str, Table]
         axes[0, 0].set_ylabel("speed over desired speed [1]")
         axes[0, 0].set_ylim(bottom=min(0.0, axes[0, 0].get_ylim()[0]))
         handles = [
-            Line2D([], [], color=RECORDED, linewidth=1.0, label="without pressure feedback"),
+            Line2D([], [], color=RECORDED, linewidth=1.0, label="without any feedback"),
             Line2D([], [], color=SIMULATED, linewidth=1.8, label="with pressure feedback"),
         ]
         legend(figure, handles)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from ehbench.record import Record
@@ -31,11 +33,11 @@ def draw(run: Saved, index: FigureIndex) -> None:
     if not cases:
         _draw_cylinders(run, index, _log_of(run))
         return
-    (case,) = cases
-    record = case.record()
-    draw_case(run, index, case, record, f"{run.title}: {case.cylinder}")
-    _draw_cylinders(run, index, record, but=case.cylinder)
-    draw_sankey(index, case, "sankey", run.title, FigureKey("sankey"))
+    record = cases[0].record()
+    for case in cases:
+        draw_case(run, index, case, record, f"{run.title}: {case.cylinder}")
+    _draw_cylinders(run, index, record, but={case.cylinder for case in cases})
+    draw_sankey(index, cases[0], "sankey", run.title, FigureKey("sankey"))
 
 
 def _log_of(run: Saved) -> Record:
@@ -44,10 +46,12 @@ def _log_of(run: Saved) -> Record:
     return read_record(run.folder / "log.mcap")
 
 
-def _draw_cylinders(run: Saved, index: FigureIndex, record: Record, but: str = "") -> None:
-    """Commands, motion and pressures of the cylinders that moved, but for one."""
+def _draw_cylinders(
+    run: Saved, index: FigureIndex, record: Record, but: Collection[str] = ()
+) -> None:
+    """Commands, motion and pressures of the cylinders that moved, but for some."""
     for cylinder, names in channels.live(run.rig, record).items():
-        if cylinder != but:
+        if cylinder not in but:
             title, about = f"{run.title}: {cylinder}", FigureKey("trial", cylinder=cylinder)
             caption = "Commands, motion and pressures."
             path = index.add(f"trial_{cylinder}", title, caption, about)
@@ -110,7 +114,8 @@ def _circumstances(facts: Table) -> list[list[Cell | str]]:
 
 def _controlled_section(run: Saved, facts: Table, pictures: Pictures) -> SectionContent:
     """One trial under a controller: how it did, its figures, its numbers."""
-    (case,) = cases_of(run)
+    cases = cases_of(run)
+    case = cases[0]
     rig, row = run.rig, case.row
     stopped = row.get("stopped") or ""
     inside = [
@@ -118,17 +123,17 @@ def _controlled_section(run: Saved, facts: Table, pictures: Pictures) -> Section
         *pictures(FigureKey("trial")),
         *pictures(FigureKey("estimates")),
     ]
-    parts = [Part("Trial", inside), Part("Measures", measure_tables(rig, [case]))]
+    parts = [Part("Trial", inside), Part("Measures", measure_tables(rig, cases))]
     if energy := pictures(FigureKey("sankey")):
         parts.append(Part("Energy", [*saving_blocks(rig, [case]), *energy]))
     rows: list[list[Cell | str]] = [
         ["on", facts["on"]],
         ["controller", words(row["controller"])],
-        ["cylinder", case.cylinder],
+        ["cylinder", ", ".join(one.cylinder for one in cases)],
         ["payload", load_name(row["payload"])],
         *_circumstances(facts),
     ]
-    settings = [Grid(["", ""], rows), *settings_blocks(rig, [case])]
+    settings = [Grid(["", ""], rows), *settings_blocks(rig, cases)]
     parts.append(Part("Settings", settings, paper=False))
     return SectionContent(stopped_status(stopped), case_caption(rig, case), parts)
 

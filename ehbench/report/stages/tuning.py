@@ -31,6 +31,7 @@ from ehbench.report.tuning_words import (
     locus_caption,
     payloads_of,
     steps_caption,
+    undamped,
 )
 from ehbench.report.words import DASH, axis, count, number, pretty, shown, unit_of, words
 from ehbench.rig import Rig
@@ -131,12 +132,11 @@ def _sentence(rig: Rig, tuning: Table) -> str:
     if corners:
         told = " and ".join(dict.fromkeys(measure(rig, "washout", corner) for corner in corners))
         washout = f"{'two washouts' if len(corners) > 1 else 'washout'} {told}"
-    without = span([tuning["damping_ratio_open"], tuning["damping_ratio_open_most"]], 2)
     sentence = (
         f"{lead} K_p = {gain} {pretty(unit_of(rig, 'feedback_gain'))}, {washout}: "
         f"worst damping ratio {number(tuning['damping_ratio'], 2)} over "
         f"{count(len(counted(tuning)), 'operating point')} of {words(tuning['cylinder'])}, "
-        f"without feedback {without}; target {number(tuning['target'], 2)}"
+        f"{undamped(tuning)}; target {number(tuning['target'], 2)}"
     )
     draws = tuning["robustness"]
     if draws["draws"]:
@@ -157,7 +157,10 @@ def _by_count(pictures: Pictures, kind: str) -> list[Block]:
 def _operating_points(rig: Rig, tuning: Table) -> list[Block]:
     """A row a function and payload, and every point folded away."""
     points = tuning["points"]
-    note = "Speed lost: what the static pressure takes where there is no washout."
+    note = (
+        "Speed lost: what the static pressure takes where there is no washout. "
+        "Open: without any feedback, that of the off-side (K_o) included."
+    )
     every = Grid(_point_head(rig), [_point_row(rig, one) for one in points], note)
     return [
         _points_by_load(rig, tuning),
@@ -174,7 +177,8 @@ def _points_by_load(rig: Rig, tuning: Table) -> Grid:
         axis(rig, "mass", "m_eq"),
         axis(rig, "force", "F_eq"),
         axis(rig, "natural_frequency", "fₙ without feedback"),
-        "ζ without feedback",
+        "ζ without any feedback",
+        "ζ with K_o alone",
         "ζ with feedback",
         "least gain margin",
         axis(rig, "phase_margin", "least phase margin"),
@@ -189,7 +193,10 @@ def _points_by_load(rig: Rig, tuning: Table) -> Grid:
             ]
             if group:
                 rows.append([words(function), load_name(payload), *_group_cells(rig, group)])
-    note = "ζ is that of the least damped of all poles, valves and washout among them."
+    note = (
+        "ζ is that of the least damped of all poles, valves and washout among them. "
+        "K_o holds the off-side chamber's pressure; without any feedback it is off as well."
+    )
     return Grid(head, rows, note, "operating_points", "Operating points.")
 
 
@@ -208,6 +215,7 @@ def _group_cells(rig: Rig, group: Sequence[Table]) -> list[Cell]:
         spanned("force", [one["point"]["gravity_force"] for one in group]),
         spanned("natural_frequency", [one["natural_frequency_open"] for one in group]),
         num(span([one["damping_ratio_open"] for one in group], 2)),
+        num(span([one["damping_ratio_held"] for one in group], 2)),
         num(span([one["damping_ratio_closed"] for one in group], 2)),
         num(_least([one.get("gain_margin") for one in margins])),
         num(_least([None if v is None else float(shown(rig, "phase_margin", v)) for v in phases])),
@@ -232,6 +240,7 @@ def _point_head(rig: Rig) -> list[str]:
         axis(rig, "p_rod", "rod-end pressure"),
         axis(rig, "natural_frequency", "fₙ open"),
         "ζ open",
+        "ζ with K_o alone",
         axis(rig, "natural_frequency", "fₙ closed"),
         "ζ closed",
         "ζ without washout",
@@ -258,6 +267,7 @@ def _point_row(rig: Rig, one: Table) -> list[Cell | str]:
         quantity_cell(rig, "p_rod", point["p_rod"]),
         quantity_cell(rig, "natural_frequency", one["natural_frequency_open"], 3),
         num(number(one["damping_ratio_open"], 2)),
+        num(number(one["damping_ratio_held"], 2)),
         quantity_cell(rig, "natural_frequency", one["natural_frequency_closed"], 3),
         num(number(one["damping_ratio_closed"], 2)),
         num(number(one.get("damping_ratio_plain"), 2)),
