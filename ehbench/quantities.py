@@ -106,6 +106,41 @@ _ROWS = [
         -1e8,
         1e8,
     ),
+    Quantity(
+        "tip",
+        "r",
+        "m",
+        "m",
+        "where the tip of the mechanism is: ahead of its base, to the left, up",
+        -1e3,
+        1e3,
+    ),
+    *(
+        Quantity(f"tip_{axis}{of}", f"{axis}_t", "m", "m", f"tip of the mechanism{word}: {way}")
+        for of, word in (("", ""), ("_desired", ", as it shall be"))
+        for axis, way in (("x", "ahead of its base"), ("y", "to the left"), ("z", "up"))
+    ),
+    Quantity("tip_error", "e_t", "m", "mm", "distance of the tip from where it shall be", 0, 1e3),
+    Quantity("tip_across", "e_n", "m", "mm", "part of the tip's error across its way", 0, 1e3),
+    Quantity(
+        "flow_wished",
+        "Q_w",
+        "m^3/s",
+        "gpm",
+        "flow that the motion as it is wished would draw from the supply",
+        0,
+        10,
+    ),
+    Quantity(
+        "flow_planned",
+        "Q_p",
+        "m^3/s",
+        "gpm",
+        "the same at the pace that the pump allows",
+        0,
+        10,
+    ),
+    Quantity("pace", "σ", "dimensionless", "dimensionless", "pace of a motion, 1 as wished", 0, 1),
     Quantity("temperature", "T", "K", "degC", "oil temperature", 200, 500),
     Quantity("force", "F", "N", "N", "force, extension positive", -1e8, 1e8),
     # machine parameters
@@ -1012,6 +1047,8 @@ _ROWS = [
     Quantity("rate", "f", "Hz", "Hz", "samples per second", 1e-3, 1e6),
     Quantity("start", "t0", "s", "s", "when something starts", -1e6, 1e6),
     Quantity("stop", "t1", "s", "s", "when something stops", -1e6, 1e6),
+    Quantity("settle", "t_s", "s", "ms", "wait after a change of a command", 0, 60),
+    Quantity("span", "T", "s", "ms", "time over which a reading is taken", 1e-3, 60),
     Quantity("amplitude", "â", "V", "V", "amplitude of a command", -100, 100),
     Quantity("offset", "u_b", "V", "V", "constant part of a command", -100, 100),
     Quantity("frequency", "f", "Hz", "Hz", "frequency", 0, 1e5),

@@ -84,13 +84,13 @@ class Record:
         """Median time between samples [s]."""
         return float(np.median(np.diff(self.t))) if self.t.size > 1 else float("nan")
 
-    def frame(self) -> pd.DataFrame:
+    def frame(self, copy: bool = True) -> pd.DataFrame:
         """A pandas frame: column ``t`` and one SI column a channel; ``frame.attrs`` has ``units``,
-        ``meta``, ``losses``.
+        ``meta``, ``losses``. Without ``copy`` its columns are the record's own arrays.
         """
         import pandas as pd
 
-        frame = pd.DataFrame({"t": self.t, **self.channels})
+        frame = pd.DataFrame({"t": self.t, **self.channels}, copy=copy)
         frame.attrs["units"] = {"t": "s", **{name: quantity(name).unit for name in self.channels}}
         frame.attrs["meta"] = dict(self.meta)
         frame.attrs["losses"] = list(self.losses)

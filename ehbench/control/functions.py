@@ -502,9 +502,8 @@ def circuit(
         InputError: no edge touches the cylinder, a pump does, or an edge lacks its map.
     """
     if edges.dtype != EDGE:
-        raise InputError(
-            "edges are not those of a plant", hint="records of ehbench.parts.edge.EDGE"
-        )
+        hint = "records of ehbench.parts.edge.EDGE"
+        raise InputError("edges are not those of a plant", hint=hint)
     ranges = np.asarray(ranges, float)
     lowest, highest = np.ascontiguousarray(ranges.T)
     head, rod = 2 + 2 * cylinder, 3 + 2 * cylinder

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -115,9 +115,10 @@ class CylinderMotion(FileModel):
     before and after each; ``full_speed`` is the design model's where it is not given.
     ``point_to_point``: through ``waypoints`` (strokes, from the first of which it starts) with a
     ``hold`` at each, within ``speed``, ``acceleration`` and ``jerk``. ``file``: a log with
-    ``<cylinder>.x_desired``. ``cylinder`` may be left out where there is one."""
+    ``<cylinder>.x_desired``. ``path``: see `Motion`. ``cylinder`` may be left out where there is
+    one."""
 
-    kind: Literal["velocity_steps", "point_to_point", "file"]
+    kind: Literal["velocity_steps", "point_to_point", "file", "path"]
     cylinder: str | None = None
     levels: tuple[str, ...] = ()
     full_speed: Annotated[Value, Q("speed")] | None = None
@@ -155,17 +156,48 @@ class CylinderMotion(FileModel):
 class Motion(CylinderMotion):
     """What the controlled cylinder shall do, as `CylinderMotion`; ``also`` are the motions of
     others at the same time, each with its ``cylinder``.
-    """
+
+    kind ``path``: the tip of the mechanism goes along straight lines through ``points``, with a
+    ``hold`` at each, within ``speed``, ``acceleration`` and ``jerk``; the ``cylinders``, by default
+    all, follow by inverse kinematics. Where several cylinders would draw more than the pump gives,
+    time along the motion runs slower, unless ``share_flow`` is false."""
 
     name: str = ""
     also: tuple[CylinderMotion, ...] = Field(
         default=(), description="motions of other cylinders at the same time, `[[motion.also]]`"
     )
+    points: tuple[Annotated[Value, Q("tip", 3)], ...] = Field(
+        default=(),
+        description="of a `path`, from the first of which it starts: each `[ahead, left, up]` of "
+        "the first joint's origin",
+    )
+    cylinders: tuple[str, ...] = Field(
+        default=(), description="that a `path` moves, none is all; the others are held"
+    )
+    share_flow: bool = Field(
+        default=True, description="run slower where the pump has not enough for several cylinders"
+    )
+
+    @model_validator(mode="after")
+    def _a_path(self) -> Motion:
+        if self.kind != "path":
+            if self.points or self.cylinders:
+                raise ValueError("'points' and 'cylinders' are of a motion of kind path")
+            return self
+        if len(self.points) < 2:
+            raise ValueError("a path needs 'points', two or more")
+        if self.speed is None:
+            raise ValueError("a path needs 'speed'")
+        if self.cylinder is not None or self.also:
+            raise ValueError("a path moves its 'cylinders': leave 'cylinder' and 'also' out")
+        return self
 
     @model_validator(mode="after")
     def _each_its_own(self) -> Motion:
         if not self.also:
             return self
+        if any(one.kind == "path" for one in self.also):
+            raise ValueError("a path is of the whole trial: it cannot stand under 'also'")
         names = [self.cylinder, *(one.cylinder for one in self.also)]
         if None in names:
             raise ValueError("where several cylinders move, each motion names its 'cylinder'")
@@ -293,6 +325,8 @@ def refuse_unmatched(controller: Controller, motions: Sequence[Motion]) -> None:
     """
     if controller.code is not None and any(motion.also for motion in motions):
         raise ValueError("a controller of your own moves one cylinder: leave 'also' out")
+    if any(motion.kind == "path" for motion in motions):
+        return  # only the rig knows which cylinders it moves
     names = {one.cylinder for motion in motions for one in motion.each}
     for name in controller.cylinders:
         if name not in names:
@@ -350,7 +384,7 @@ class AnyTrial(Recipe):
     posture: dict[str, str] = {}
     duration: Annotated[Value, Q("duration")] | None = None
     rate: Annotated[Value, Q("rate")] = Value(1000.0)
-    step: Annotated[Value, Q("step")] = Value(5.0e-4)
+    step: Annotated[Value | Literal["auto"], Q("step", word="auto")] = Value(5.0e-4)
     seed: int = Field(default=0, ge=0, le=2**63 - 1)
     payload_change: tuple[PayloadChange, ...] = ()
     first_pressure_error: dict[str, Annotated[Value, Q("pressure_error")]] = {}
@@ -396,23 +430,31 @@ class TrialRecipe(AnyTrial):
             refuse_unmatched(self.controller, (self.motion,))
         return self
 
-    def singles(self) -> tuple[TrialRecipe, ...]:
-        """This trial for each of its cylinders alone, as its motions and controllers say."""
+    def singles(self, along: Mapping[str, float] | None = None) -> tuple[TrialRecipe, ...]:
+        """This trial for each of its cylinders alone, as its motions and controllers say; on a path
+        ``along`` is the stroke [m] at which each of them starts.
+        """
         controller, motion = self.controller, self.motion
         if controller is None or motion is None:
             return (self,)
-        starts = {
-            one.cylinder: f"{float(one.waypoints[0])!r} m"
-            for one in motion.each
-            if one.cylinder is not None and one.waypoints
-        }
+        each, posture = motion.each, self.posture
+        if along is not None:
+            each = tuple(motion.model_copy(update={"cylinder": name}) for name in along)
+            posture = self.posture | {name: f"{x!r} m" for name, x in along.items()}
+        elif motion.also:
+            starts = {
+                one.cylinder: f"{float(one.waypoints[0])!r} m"
+                for one in each
+                if one.cylinder is not None and one.waypoints
+            }
+            posture = starts | self.posture
         return tuple(
             self.model_copy(
                 update={
                     "motion": one,
                     "controller": controller.of(one.cylinder or ""),
-                    "posture": starts | self.posture if motion.also else self.posture,
+                    "posture": posture,
                 }
             )
-            for one in motion.each
+            for one in each
         )

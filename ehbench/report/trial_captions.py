@@ -52,7 +52,38 @@ def tracking_caption(rig: Rig, row: Table) -> str:
         f"{stroke(rig, row, row['tracking'][key])} {unit}"
         for key in ("max_error", "rms_error", "final_error")
     )
-    return f"largest error {largest}, rms {rms}, at the end {final}"
+    text = f"largest error {largest}, rms {rms}, at the end {final}"
+    if not row.get("tip"):
+        return text
+    return f"{tip_caption(rig, row)}; {row['cylinder']}: {text}"
+
+
+def tip_caption(rig: Rig, row: Table) -> str:
+    """How near the tip kept to where it should be."""
+    largest, rms, across = (
+        measure(rig, "tip_error", row["tip"][key])
+        for key in ("max_error", "rms_error", "max_across")
+    )
+    return f"the tip: largest error {largest}, rms {rms}, across its way {across}"
+
+
+def sharing_caption(rig: Rig, row: Table) -> str:
+    """Whether the pump had enough for all cylinders, and what came of it."""
+    share = row["sharing"]
+    wished, limit = share["flow_wished"], share.get("flow_limit")
+    text = f"As it is wished the motion draws {measure(rig, 'flow', wished)} at the most"
+    if limit is None:
+        return f"{text}."
+    text += f", of {measure(rig, 'flow', limit)} that the pump gives"
+    if share["slowed"] > 0.0:
+        return (
+            f"{text}: so it ran slower for {number(share['slowed'], 3)} s, at "
+            f"{percent(share['pace'])} of its pace at the least, and took "
+            f"{number(share['longer'], 3)} s longer; all cylinders by one proportion, so that the "
+            "tip keeps to its way."
+        )
+    short = "; it was not slowed down for it" if wished > limit else ""
+    return f"{text}{short}."
 
 
 def limits_caption(row: Table) -> str:

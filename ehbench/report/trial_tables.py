@@ -106,8 +106,10 @@ def _tracking(rig: Rig, cases: Sequence[Case]) -> Grid:
     groups = groups_of(cases)
     several = any(len(group) > 1 for group in groups.values())
     swings = any(case.row.get("limit_cycle") for case in cases)
+    tips = any(case.row.get("tip") for case in cases)
     head = [
         *WHO,
+        *([axis(rig, "tip_error", f"{word} tip error") for word in ("largest", "rms")] * tips),
         axis(rig, "x", "largest error"),
         axis(rig, "x", "rms error"),
         axis(rig, "x", "final error"),
@@ -119,7 +121,7 @@ def _tracking(rig: Rig, cases: Sequence[Case]) -> Grid:
         "",
     ]
     rows = [
-        _tracking_row(rig, case, group if several else [], swings)
+        _tracking_row(rig, case, group if several else [], swings, tips)
         for group in groups.values()
         for case in group
     ]
@@ -130,9 +132,11 @@ def _tracking(rig: Rig, cases: Sequence[Case]) -> Grid:
     return Grid(head, rows, note, "tracking", "Tracking and energy.")
 
 
-def _tracking_row(rig: Rig, case: Case, rivals: Sequence[Case], swings: bool) -> list[Cell | str]:
+def _tracking_row(
+    rig: Rig, case: Case, rivals: Sequence[Case], swings: bool, tips: bool
+) -> list[Cell | str]:
     """A trial's row; its energy relative to the least of its rivals, itself among them, where there
-    are any; its limit cycle where some trial ``swings``.
+    are any; its limit cycle where some trial ``swings``; its tip's error where some has ``tips``.
     """
     track, pump = case.row["tracking"], case.row["energy"]["pump"]
     relative = []
@@ -142,6 +146,7 @@ def _tracking_row(rig: Rig, case: Case, rivals: Sequence[Case], swings: bool) ->
         relative = [num(ratio)]
     return [
         *who(case),
+        *(_tip_cells(rig, case) if tips else []),
         *(num(stroke(rig, case.row, track[f"{key}_error"])) for key in ("max", "rms", "final")),
         *(_cycle_cells(rig, case) if swings else []),
         quantity_cell(rig, "v", case.row["speed_rms_error"], 3),
@@ -150,6 +155,14 @@ def _tracking_row(rig: Rig, case: Case, rivals: Sequence[Case], swings: bool) ->
         quantity_cell(rig, "energy", case.row["energy"]["cylinder_work"]),
         chip("stopped") if case.row.get("stopped") else "",
     ]
+
+
+def _tip_cells(rig: Rig, case: Case) -> list[Cell | str]:
+    """Largest and rms error of a trial's tip."""
+    tip = case.row.get("tip")
+    if not tip:
+        return [DASH, DASH]
+    return [quantity_cell(rig, "tip_error", tip[key], 3) for key in ("max_error", "rms_error")]
 
 
 def valves_note(rig: Rig, cases: Sequence[Case]) -> str:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, cast
@@ -25,6 +25,8 @@ from ehbench.recipe import (
     read_toml,
     validated,
 )
+from ehbench.disk import impossible
+from ehbench.sampling.cluster import Bundle, file_name
 from ehbench.sampling.design import CASE, RECIPE
 from ehbench.sampling.keys import Changes, changed_bench, changed_rig, changed_table, changes_of
 from ehbench.sampling.sample import LATE, STATUS, Make, Sample
@@ -41,6 +43,51 @@ def open_sampler(plan: Plan) -> Make:
     sampler = Sampler(plan, Path(scratch.name))
     finalize(sampler, scratch.cleanup)
     return sampler.sample
+
+
+def open_elsewhere(plan: Plan, root: Path) -> Make:
+    """As `open_sampler`, with all files below another root."""
+
+    def there(path: Path) -> Path:
+        return root / file_name(path)
+
+    study = plan.study.model_copy(update={"path": there(plan.study.path)})
+    recipes = tuple(there(path) for path in plan.recipes)
+    runs = {there(path): there(folder) for path, folder in plan.runs.items()}
+    return open_sampler(replace(plan, study=study, recipes=recipes, runs=runs))
+
+
+def bundle_of(plan: Plan) -> Bundle:
+    """All files that the samples of a plan may read: recipes with what they and their rigs and
+    benches name, and the runs behind them.
+    """
+    files: dict[str, bytes] = {}
+    waiting = [*plan.recipes, *plan.runs.values()]
+    for path in plan.recipes:
+        recipe = load_recipe(path)
+        if isinstance(recipe, TrialRecipe) and plan.allow_code:
+            from ehbench import trial
+
+            waiting += trial.code_files(recipe)
+    seen: set[Path] = set()
+    while waiting:
+        path = waiting.pop().resolve()
+        if path in seen:
+            continue
+        seen.add(path)
+        if path.is_dir():
+            inside = (one for one in sorted(path.iterdir()) if one.name not in ("figures", "logs"))
+            waiting += inside if (path / "run.json").is_file() else ()
+            continue
+        files[file_name(path)] = path.read_bytes()
+        if path.suffix == ".toml":
+            named = (path.parent / text for text in _texts(read_toml(path)[0]) if _is_path(text))
+            waiting += [one for one in named if one.exists()]
+    return Bundle(files, partial(open_elsewhere, plan))
+
+
+def _is_path(text: str) -> bool:
+    return 0 < len(text) < 400 and "$" not in text and not impossible(Path(text))
 
 
 class Late(EhbenchError):

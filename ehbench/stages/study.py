@@ -23,8 +23,9 @@ from ehbench.sampling import statistics
 from ehbench.sampling.design import CASE, RECIPE, Column, Design, Fitted, label_of
 from ehbench.sampling.journal import Journal
 from ehbench.sampling.outputs import MeasureColumn, Rows, write_tables
-from ehbench.sampling.pools import Pool, Threads, cores
-from ehbench.sampling.sample import STATUS, WHOLE
+from ehbench.sampling.cluster import Cluster
+from ehbench.sampling.pools import Pool, Processes, Threads, cores
+from ehbench.sampling.sample import STATUS, WHOLE, Task
 from ehbench.stages.base import DONE, INCOMPLETE, Host, Outcome, Prepared, Progress, Stage, Work
 from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs
@@ -33,13 +34,14 @@ from ehbench.stages.samples import (
     Plan,
     RecordedRuns,
     Sampler,
+    bundle_of,
     open_sampler,
     recipes_behind,
     refuse_measures,
 )
 from ehbench.units import parse
 
-SHORT = 15.0  # [s] of work below which other processes would start too late to help
+SHORT = 10.0  # [s] of work below which other processes would start too late to help
 
 
 @dataclass(frozen=True)
@@ -286,18 +288,30 @@ def _make(prepared: PreparedStudy, journal: Journal, progress: Progress | None) 
     design, tell = prepared.design, _Teller(journal, prepared.design.size, progress)
     left = (index for index in range(design.size) if not journal.done[index])
     tasks = ((index, design.settings(index)) for index in left)
-    for samples in _pool(prepared, journal).run(tasks):
-        journal.add(samples)
-        tell()
+    for pool, share in _pools(prepared, tasks):
+        for samples in pool.run(share):
+            journal.add(samples)
+            tell()
 
 
-def _pool(prepared: PreparedStudy, journal: Journal) -> Pool:
-    """Where the samples are made."""
-    where, plan = prepared.where, prepared.plan
-    workers = where.workers or cores()
+def _pools(prepared: PreparedStudy, tasks: Iterator[Task]) -> Iterator[tuple[Pool, Iterator[Task]]]:
+    """Where the samples are made, and which: a short study in threads; what is left after SHORT in
+    processes, which the interpreter's lock does not hold up; at once there what may hang.
+    """
+    where, plan, measures = prepared.where, prepared.plan, len(prepared.measures)
     if where.scheduler:
-        raise InputError("samples are made on this machine only", hint="leave --scheduler out")
-    return Threads(partial(open_sampler, plan), workers)
+        yield Cluster(where.scheduler, bundle_of(plan), measures, plan.limit), tasks
+        return
+    opener, workers = partial(open_sampler, plan), where.workers or cores()
+    if plan.limit is None and not plan.allow_code:
+        yield Threads(opener, workers), _until(time.monotonic() + SHORT, tasks)
+    yield Processes(opener, workers, measures, plan.limit), tasks
+
+
+def _until(end: float, tasks: Iterator[Task]) -> Iterator[Task]:
+    """Tasks that are taken before ``end`` on the monotonic clock."""
+    while time.monotonic() < end and (task := next(tasks, None)) is not None:
+        yield task
 
 
 class _Teller:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from ehbench.control.valve_level import top_speed
 from ehbench.errors import InputError
 from ehbench.memory import rows_of
 from ehbench.quantities import VOCABULARY, Quantity
-from ehbench.recipe import Motion, TrialRecipe
+from ehbench.recipe import CylinderMotion, Motion, TrialRecipe
 from ehbench.rig import read_value
 from ehbench.trial.controllers import Design, located
 
@@ -64,7 +65,7 @@ def references(recipe: TrialRecipe, design: Design, low_pressure: float) -> Refe
     Raises:
         InputError: a motion that is incomplete or leaves the stroke, with the line.
     """
-    rate, motion = float(recipe.rate), recipe.motion
+    motion = recipe.motion
     if motion is None:
         desired = References(np.tile([design.x, 0.0, 0.0, 0.0], (2, 1)))
     else:
@@ -76,7 +77,17 @@ def references(recipe: TrialRecipe, design: Design, low_pressure: float) -> Refe
             if error.file is not None:
                 raise
             raise InputError(error.message, **recipe.at(*motion.where), hint=error.hint) from None
-    table = desired.table
+    return lasting(recipe, design, desired)
+
+
+def lasting(recipe: TrialRecipe, design: Design, desired: References) -> References:
+    """A motion for as long as the recipe says, if it does.
+
+    Raises:
+        InputError: it leaves the stroke, with the line.
+    """
+    motion = recipe.motion
+    rate, table = float(recipe.rate), desired.table
     if recipe.duration is not None:
         with located(recipe, "duration"):
             count = rows_of(float(recipe.duration), rate) + 1
@@ -202,30 +213,32 @@ def _steps(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: fl
     return References(table, tuple(levels))
 
 
-def _points(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: float) -> References:
+def limits_of(recipe: TrialRecipe, motion: CylinderMotion, points: int) -> dict[str, Any]:
+    """The limits [m/s, m/s², m/s³], rests [s] and profile with which a motion goes through so many
+    points.
+
+    Raises:
+        InputError: rests that are not one for all or one for each.
+    """
     assert motion.speed is not None  # the recipe's model sees to it
     speed = float(motion.speed)
     acceleration = speed / SPEED_UP if motion.acceleration is None else float(motion.acceleration)
     jerk = 4.0 * acceleration / SPEED_UP if motion.jerk is None else float(motion.jerk)
-    points = [float(x) for x in motion.waypoints]
     holds = [float(h) for h in motion.hold] or [REST]
-    if len(holds) not in (1, len(points)):
+    if len(holds) not in (1, points):
         raise InputError(
-            f"hold has {len(holds)} times for {len(points)} waypoints",
+            f"hold has {len(holds)} times for {points} waypoints",
             **recipe.at(*motion.where, "hold"),
         )
     hold = holds[0] if len(holds) == 1 else holds
-    return References(
-        point_to_point(
-            points,
-            speed=speed,
-            acceleration=acceleration,
-            jerk=jerk,
-            tick=1.0 / float(recipe.rate),
-            hold=hold,
-            profile=motion.profile,
-        )
-    )
+    limits = {"speed": speed, "acceleration": acceleration, "jerk": jerk}
+    return limits | {"hold": hold, "profile": motion.profile}
+
+
+def _points(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: float) -> References:
+    points = [float(x) for x in motion.waypoints]
+    limits = limits_of(recipe, motion, len(points))
+    return References(point_to_point(points, tick=1.0 / float(recipe.rate), **limits))
 
 
 def _file(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: float) -> References:

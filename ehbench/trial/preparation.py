@@ -4,13 +4,15 @@ it stops.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ehbench.control.functions import RULES, pack_rules
+from ehbench.control.records import blank
 from ehbench.errors import InputError
 from ehbench.machines.protocol import Machine, carry_of, truth_of
 from ehbench.machines.registry import open_machine
@@ -21,9 +23,10 @@ from ehbench.recipe import TrialRecipe
 from ehbench.rig import Rig
 from ehbench.trial import controllers
 from ehbench.trial.commands import command_table
-from ehbench.trial.controllers import Design, Laws
-from ehbench.trial.motion import References, references
-from ehbench.trial.together import Driven, as_long, told
+from ehbench.trial.controllers import Compiled, Design, Laws
+from ehbench.trial.motion import References, lasting, references
+from ehbench.trial.path import along_path, route
+from ehbench.trial.together import Driven, Plan, as_long, planned, told
 from ehbench.trial.user_code import UserCode
 from ehbench.units import from_si
 
@@ -83,12 +86,14 @@ class Loop:
     trial is about, and their laws.
 
     ``laws`` are packed, and None for a user's class, which is loaded when its trial begins.
-    ``low_side`` [Pa] is where the off-side chamber stands at the start.
+    ``low_side`` [Pa] is where the off-side chamber stands at the start. ``plan`` is what they do
+    together, None of one cylinder by itself.
     """
 
     driven: tuple[Driven, ...]
     laws: Laws | None
     low_side: float
+    plan: Plan | None = None
 
     @property
     def design(self) -> Design:
@@ -390,10 +395,11 @@ def _refuse_endless(recipe: TrialRecipe, rig: Rig, count: int) -> None:
     if recipe.limits != type(recipe.limits)():
         count += round((float(recipe.limits.ramp) + RUN_OUT) * float(recipe.rate))
     refuse_beyond(8.0 * count * (_ROW + _EACH * parts + 3 * waves), f"a trial of {count} samples")
-    steps = count * max(1.0, 1.0 / (float(recipe.rate) * float(recipe.step)))
+    step = 1.0 if recipe.step == "auto" else float(recipe.step)
+    steps = count * max(1.0, 1.0 / (float(recipe.rate) * step))
     if steps > MOST_STEPS:
         raise InputError(
-            f"the trial would take {steps:.3g} steps of {float(recipe.step):g} s",
+            f"the trial would take {steps:.3g} steps",
             hint=f"up to {MOST_STEPS:g} are taken: make it shorter, or the step larger",
         )
 
@@ -405,33 +411,78 @@ def _loop(
     gains: Path | Mapping[str, Any] | None,
     standing: bool,
 ) -> Loop:
-    singles = recipe.singles()
+    found = route(recipe, rig, maps) if along_path(recipe) else None
+    singles = recipe.singles(None if found is None else found.starts)
     if isinstance(gains, Mapping):
         tuning = dict(gains)
     else:
         tuning = controllers.read_tuning(recipe, gains)
     low = controllers.low_pressure(singles[0], rig, tuning)
+    level = float(rig.supply.tank_pressure) + low
     designs = [controllers.design(one, rig, maps) for one in singles]
-    motions = [_motion(*one, low, standing) for one in zip(singles, designs, strict=True)]
+    if found is None and len(singles) == 1:
+        motion = _rest(designs[0]) if standing else references(recipe, designs[0], low)
+        driven = (Driven(recipe, designs[0], motion),)
+        return Loop(driven, _laws(recipe, driven, tuning), level)
+    motions = []
+    for one, design in zip(singles, designs, strict=True):
+        # it may run slower than it is wished: its length is the recipe's only then
+        wished = one.model_copy(update={"duration": None})
+        if standing:
+            motions.append(_rest(design))
+        elif found is None:
+            motions.append(references(wished, design, low))
+        else:
+            motions.append(References(found.tables[design.cylinder]))
     driven = tuple(Driven(*one) for one in zip(singles, designs, as_long(motions), strict=True))
-    laws, rate = None, float(recipe.rate)
-    if recipe.controller is not None and recipe.controller.code is None:
-        laws = Laws(
-            tuple(
-                controllers.compiled(
-                    one.recipe, one.design, _gains_for(one, tuning, len(driven)), table, rate
-                )
-                for one, table in zip(driven, told(driven), strict=True)
-            )
-        )
-    return Loop(driven, laws, float(rig.supply.tank_pressure) + low)
+    laws = _laws(recipe, driven, tuning)
+    driven, plan = _together(recipe, driven, laws, level)
+    if laws is not None:
+        parts = zip(laws.parts, told(driven), strict=True)
+        laws = Laws(tuple(replace(part, references=table) for part, table in parts))
+    return Loop(driven, laws, level, plan)
 
 
-def _motion(recipe: TrialRecipe, design: Design, low: float, standing: bool) -> References:
-    """What a cylinder shall do; rest where it cannot be known."""
-    if standing:
-        return References(np.tile([design.x, 0.0, 0.0, 0.0], (2, 1)))
-    return references(recipe, design, low)
+def _rest(design: Design) -> References:
+    """The motion of a cylinder whose motion cannot be known yet."""
+    return References(np.tile([design.x, 0.0, 0.0, 0.0], (2, 1)))
+
+
+def _laws(
+    recipe: TrialRecipe, driven: Sequence[Driven], tuning: Mapping[str, Any] | None
+) -> Laws | None:
+    """The built-in law of each cylinder, over its own motion; None for a user's class."""
+    if recipe.controller is None or recipe.controller.code is not None:
+        return None
+    made = []
+    for one in driven:
+        known = _gains_for(one, tuning, len(driven))
+        table, rate = one.references.table, float(recipe.rate)
+        made.append(controllers.compiled(one.recipe, one.design, known, table, rate))
+    return Laws(tuple(made))
+
+
+def _together(
+    recipe: TrialRecipe, driven: tuple[Driven, ...], laws: Laws | None, low: float
+) -> tuple[tuple[Driven, ...], Plan]:
+    """What the cylinders do together, as long as the recipe says."""
+    rules = [_rules(one, None if laws is None else laws.parts[i]) for i, one in enumerate(driven)]
+    share = recipe.motion is not None and recipe.motion.share_flow
+    driven, plan = planned(driven, rules, low, share)
+    lasting_as = [lasting(one.recipe, one.design, one.references) for one in driven]
+    return tuple(
+        replace(one, references=motion) for one, motion in zip(driven, lasting_as, strict=True)
+    ), plan
+
+
+def _rules(one: Driven, part: Compiled | None) -> np.record:
+    """The rules of function selection of a cylinder: those that its law has."""
+    if part is None:
+        return pack_rules(one.design.circuit.area_rod, float(one.design.rig.supply.pressure))
+    rules = blank(RULES)
+    for name, value in part.used["rules"].items():
+        rules[name] = value
+    return rules
 
 
 def _gains_for(

@@ -246,6 +246,10 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
             warnings += _swinging(own["limit_cycle"], prepared.rig, one.cylinder)
             warnings += _stuck(own, one.cylinder)
         measures = found.pop(prepared.loop.design.cylinder)
+        if prepared.loop.plan is not None:
+            measures |= prepared.loop.plan.measures(record, rows)
+        if prepared.loop.plan is not None:
+            measures |= prepared.loop.plan.measures(record, rows)
         if found:
             measures["also"] = found
     return Facts(

@@ -227,7 +227,8 @@ class Session:
         for law in _parts(self.law):
             telemetry = law.telemetry[part]
             channels |= {name: telemetry[:, i] for i, name in enumerate(law.channels)}
-        return channels
+        plan = None if self.prepared.loop is None else self.prepared.loop.plan
+        return channels if plan is None else channels | plan.channels(part, channels)
 
 
 class LiveLog:

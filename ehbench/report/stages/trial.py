@@ -8,11 +8,11 @@ import numpy as np
 
 from ehbench.record import Record
 from ehbench.report.blocks import Block, Cell, Grid, Part, Text
-from ehbench.report.captions import load_name
+from ehbench.report.captions import capital, load_name
 from ehbench.report.cases import Case, cases_of
 from ehbench.report.content import Pictures, SectionContent, StageReport, stopped_status
 from ehbench.report.energy_tables import saving_blocks
-from ehbench.report.figures import channels, sankey
+from ehbench.report.figures import channels, sankey, tip
 from ehbench.report.figures import trial as figures
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.rest_words import rest_caption
@@ -22,9 +22,12 @@ from ehbench.report.trial_captions import (
     case_caption,
     estimates_caption,
     sankey_caption,
+    sharing_caption,
+    tip_caption,
 )
 from ehbench.report.trial_tables import measure_tables, settings_blocks
 from ehbench.report.words import number, words
+from ehbench.rig import Rig
 
 
 def draw(run: Saved, index: FigureIndex) -> None:
@@ -65,6 +68,9 @@ def draw_case(run: Saved, index: FigureIndex, case: Case, record: Record, title:
     def about(kind: str) -> FigureKey:
         return FigureKey(kind, case=case.row["case"], cylinder=case.cylinder)
 
+    if case.row.get("tip"):
+        _draw_tip(rig, index, case, record, title)
+
     caption = case_caption(rig, case) + rest_caption(rig, [case], [record])
     path = index.add(f"trial_{case.stem}", title, caption, about("trial"))
     figures.controlled(path, rig, case, record)
@@ -74,6 +80,13 @@ def draw_case(run: Saved, index: FigureIndex, case: Case, record: Record, title:
         key = f"estimates_{case.stem}"
         path = index.add(key, f"Estimates: {title}", caption, about("estimates"))
         figures.estimates(path, rig, case, record)
+
+
+def _draw_tip(rig: Rig, index: FigureIndex, case: Case, record: Record, title: str) -> None:
+    """Where the tip went, and the oil that it took."""
+    text = f"{capital(tip_caption(rig, case.row))}. {sharing_caption(rig, case.row)}"
+    about = FigureKey("tip", case=case.row["case"])
+    tip.tip(index.add(f"tip_{case.stem}", f"Tip: {title}", text, about), rig, case, record)
 
 
 def draw_sankey(index: FigureIndex, case: Case, key: str, title: str, about: FigureKey) -> None:
@@ -120,6 +133,7 @@ def _controlled_section(run: Saved, facts: Table, pictures: Pictures) -> Section
     stopped = row.get("stopped") or ""
     inside = [
         *_stopped_text(stopped),
+        *pictures(FigureKey("tip")),
         *pictures(FigureKey("trial")),
         *pictures(FigureKey("estimates")),
     ]

@@ -15,6 +15,7 @@ from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.rest_words import rest_caption
 from ehbench.report.saved import Saved
 from ehbench.report.stages.trial import draw_case, draw_sankey
+from ehbench.report.supplies import supply_blocks
 from ehbench.report.trial_captions import (
     compared_caption,
     controller_captions,
@@ -100,6 +101,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
 def _energy_blocks(rig: Rig, cases: Sequence[Case], pictures: Pictures) -> list[Block]:
     return [
         *saving_blocks(rig, cases),
+        *supply_blocks(rig, cases),
         *pictures(FigureKey("energy")),
         *folded(pictures(FigureKey("sankey")), "where the energy of each trial went"),
     ]
@@ -112,6 +114,7 @@ def _each_trial(cases: Sequence[Case], pictures: Pictures) -> tuple[list[Block],
     for case in cases:
         name = case.row["case"]
         drawn = [
+            *pictures(FigureKey("tip", case=name)),
             *pictures(FigureKey("trial", case=name)),
             *pictures(FigureKey("estimates", case=name)),
         ]
