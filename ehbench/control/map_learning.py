@@ -95,6 +95,7 @@ def trimmed(known, trim):
         known.able,
         known.hull,
         known.hull_at,
+        known.supply,
         trim,
     )
 
