@@ -56,7 +56,6 @@ from ehbench.control.map_learning import (
     begin,
     learn_maps,
     map_memory,
-    trimmed,
 )
 from ehbench.control.measured import load_force, pressure_entries, pressures, write
 from ehbench.control.records import blank
@@ -75,6 +74,7 @@ BACK = 4.0  # of that nearness [m/s]: oil that is wanted against the error turns
 FORGETS = 5.0  # over k1: how long what pressures told of the payload counts
 FAINTLY = 0.1  # [(N/kg)²] of a payload's pull and inertia: what is less tells hardly anything of it
 NOTHING = 1e-6  # [(N/kg)²]
+OFFSET = 0.1  # of the disturbance's bound: what zeros of the sensors may make
 DAMPED = 0.2  # share of the damping that may be wrong
 COUNT = len(ESTIMATES)
 
@@ -96,6 +96,7 @@ STATE = record(
     ("acceleration", "f8"),
     ("slow_force", "f8"),
     ("slow_speed", "f8"),
+    ("slow_pull", "f8"),
     ("told", "f8"),
     ("known", "f8"),
     ("scatter", "f8"),
@@ -726,11 +727,12 @@ def weigh(starting, force, load, ratio, v, axis, gains, state):
     slow = gains.tick * corner
     slow /= 1.0 + slow
     if starting:
-        state.slow_force, state.slow_speed = beyond, v
+        state.slow_force, state.slow_speed, state.slow_pull = beyond, v, load.pull
     state.slow_force += slow * (beyond - state.slow_force)
     state.slow_speed += slow * (v - state.slow_speed)
+    state.slow_pull += slow * (load.pull - state.slow_pull)
     acceleration = corner * (v - state.slow_speed) - load.curve * v * v
-    per = load.pull + load.mass * ratio * acceleration
+    per = state.slow_pull + load.mass * ratio * acceleration
     found = state.slow_force - load.mass * acceleration
     if starting:
         state.known = per * per + NOTHING
@@ -742,6 +744,7 @@ def weigh(starting, force, load, ratio, v, axis, gains, state):
     left = found - per * state.payload
     state.scatter += news * (left * left - state.scatter)
     doubt = max(2.0 * math.sqrt(state.scatter), abs(left)) + axis.cylinder.friction_coulomb
+    doubt += OFFSET * gains.upper[DISTURBANCE]
     doubt += DAMPED * abs(v) * (load.damping + axis.cylinder.friction_viscous)
     state.half = min(doubt / math.sqrt(state.known), gains.upper[PAYLOAD_SHARE])
 
@@ -799,7 +802,7 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
         telemetry: out, shape (COLUMNS + 4·edges of the cylinder,).
     """
     state, trim = memory.state, memory.maps.trim
-    circuit = trimmed(axis.circuit, trim)
+    circuit = axis.circuit
     number = circuit.cylinder
     wish, p = reference_of(reference), pressures(sample, number)
     q, x, v = sample[entry(number, OF.q)], sample[entry(number, OF.x)], sample[entry(number, OF.v)]

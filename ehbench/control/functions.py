@@ -93,8 +93,8 @@ class Circuit(NamedTuple):
     the circuit can do. ``hull``, ``hull_at`` [edges, 2]: the measured range of each map, see
     `ehbench.control.valve_level.inside`. ``supply`` is the plant's line, which says at what
     pressure an edge finds the supply, see `supply_pressure`. ``trim``, shape (count, 2): gain [1]
-    and shift of the deadband [V] by which each edge is known to differ from its law, see
-    `ehbench.control.map_learning`."""
+    and shift of the deadband [V] by which each edge differs from its law; a controller that learns
+    writes it (`ehbench.control.map_learning`)."""
 
     cylinder: int
     area_head: float
