@@ -171,8 +171,8 @@ def closed_loop(rig: Rig, repeats: int = 10) -> Iterator[Row]:
     """How many times faster than the machine a trial under a controller runs once warm: all that
     `run_trial` does.
 
-    The boom up and down under the adaptive robust controller, and the stick under the Python class
-    of the example recipe."""
+    The boom up and down under the adaptive robust controller, the same while swing and stick move
+    under theirs, and the stick under the Python class of the example recipe."""
     from ehbench.trial import run_trial
 
     up_down = _lasting_as_long("arc_slow.toml", "boom")
@@ -183,6 +183,7 @@ def closed_loop(rig: Rig, repeats: int = 10) -> Iterator[Row]:
     ):
         for recipe, what, limit in (
             (up_down, "adaptive robust control", 150.0),
+            (_three_at_once(), "the same on three cylinders at once", 60.0),
             (own, "a user's Python class", 20.0),
         ):
 
@@ -444,6 +445,17 @@ def _lasting_as_long(name: str, cylinder: str) -> TrialRecipe:
     return recipe.model_copy(
         update={"duration": Value(TRIAL), "payload": "50 lb", "motion": motion}
     )
+
+
+def _three_at_once() -> TrialRecipe:
+    """The shipped trial in which swing and stick disturb the boom, on the model for TRIAL
+    seconds.
+    """
+    recipe = load_recipe(RECIPES / "trials" / "disturbed_boom.toml")
+    if not isinstance(recipe, TrialSetRecipe):
+        raise AssertionError("disturbed_boom.toml is no set of trials")
+    moving = next(one for _, _, one in recipe.cases() if one.motion and one.motion.also)
+    return moving.model_copy(update={"duration": Value(TRIAL), "on": "model", "bench": None})
 
 
 def _maps(rig: Rig) -> FlowMaps:
