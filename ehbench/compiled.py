@@ -60,7 +60,9 @@ def is_cold() -> bool:
 # Without numba's reference counting a kernel cannot allocate (the compiler refuses it), and passing
 # rows and slices of arrays costs nothing: 1.4 times as fast a plant. Arguments are the caller's.
 OPTIONS: Any = {"nogil": True, "error_model": "numpy", "_nrt": False}
-kernel = _compiler(_FOLDER, **OPTIONS)
+# numba hands forceinline down from callers that have it: the derivatives would stand ten times in
+# one loop, which takes half as long again to compile and is no faster
+kernel = _compiler(_FOLDER, **OPTIONS, forceinline=False)
 
 # for the small kernels of which a large one is made: they go into its code, without a call
 part_kernel = _compiler(_FOLDER, **OPTIONS, forceinline=True)
