@@ -20,6 +20,7 @@ from ehbench.rig import Rig
 # channels of what an adaptive law has learnt, in the order of the figure: the payload, not its
 # share
 ESTIMATES = ("payload_estimate", *(word for word in codes.ESTIMATES if word != "payload_share"))
+SINCE = 1.0  # [s] after a change of payload, before which an estimate is not judged
 LEARNT = 0.1  # of a change of payload that an estimate may still miss
 ROUNDING = 1e-9  # share of its bounds by which a logged estimate may lie outside
 
@@ -255,16 +256,19 @@ def _weighed_caption(
         return ""
     measured, low, high = (record[name] for name in told)
     times, masses = zip(*carried, strict=True)
-    truth = np.array(masses)[np.searchsorted(times, record.t, side="right") - 1]
-    moving = np.abs(record[f"{case.cylinder}.v_desired"]) > 0.0
+    last = np.searchsorted(times, record.t, side="right") - 1
+    truth = np.array(masses)[last]
+    news = (last > 0) & (record.t - np.array(times)[last] < SINCE)
+    moving = (np.abs(record[f"{case.cylinder}.v_desired"]) > 0.0) & ~news
     if not moving.any():
         return ""
     off = np.abs(measured - truth)[moving]
     held = float(np.mean((low <= truth) & (truth <= high)))
     said = measure(rig, "mass", float(np.quantile(off, 0.95)))
+    after = f", from {number(SINCE)} s after a change on" if news.any() else ""
     return (
         f". By least squares over pressures and motion it is known to {said} for 95 % of the time "
-        f"in motion; the interval holds it {percent(held, 3)} of all time"
+        f"in motion{after}; the interval holds it {percent(held, 3)} of all time"
     )
 
 

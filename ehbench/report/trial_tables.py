@@ -285,7 +285,7 @@ def _guaranteed(rig: Rig, cases: Sequence[Case]) -> list[Block]:
         f"{span(ratios, 2)} times less. "
     )
     if max(ratios) <= MEANS:
-        return [Text(text + "So the bound means something.")]
+        return [Text(text + "The bound is within ten times of what was seen.")]
     share = percent(worst["gains"]["robust_limit"])
     text += (
         "The bound is vacuous: it is made for payload, inertia and disturbance at the worst corner "

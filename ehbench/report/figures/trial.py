@@ -228,7 +228,7 @@ def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
             plot_channel(ax, rig, record, name, color=RECORDED, linewidth=1.4, label="of the law")
             if word == "payload_estimate":
                 if ax.get_legend_handles_labels()[1][1:]:
-                    ax.legend(fontsize=7, loc="upper right", handlelength=1.5)
+                    ax.legend(fontsize=7, loc="center left", bbox_to_anchor=(0.0, 0.68))
                 _truth(ax, rig, payloads_carried(rig, case.row), float(record.t[-1]))
             for text, end in zip(("lower", "upper"), bounds.get(word, ()), strict=False):
                 _bound(ax, rig, word, text, end)
