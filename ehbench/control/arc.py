@@ -750,9 +750,24 @@ def weigh(starting, force, load, ratio, v, axis, gains, state):
 
 
 @kernel
-def tell(reference, stroke, force, choice, flows, limits, state, telemetry):
-    """Write the law's own columns of telemetry."""
-    estimates = state.estimates
+def mend_maps(choice, seen, command, axis, gains, memory, telemetry):
+    """Let the flow maps be corrected, where that is wanted, in a motion whose function stays."""
+    if gains.adapt_maps > 0.0:
+        moving = choice.function != HOLD and not choice.resting
+        quiet = moving and memory.state.age > 1.5 * gains.tick
+        learn_maps(quiet, seen, telemetry[COLUMNS:], command, axis, gains, memory.maps)
+
+
+@kernel
+def tell(reference, stroke, force, choice, flows, limits, memory, telemetry):
+    """Write the law's own columns of telemetry, and behind those of every law the corrections of
+    its edges.
+    """
+    state, trim = memory.state, memory.maps.trim
+    estimates, count = state.estimates, trim.shape[0]
+    for i in range(count):
+        telemetry[COLUMNS + 2 * count + i] = trim[i, GAIN]
+        telemetry[COLUMNS + 3 * count + i] = trim[i, SHIFT]
     write(
         Telemetry(
             reference.x,
@@ -801,8 +816,7 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
         command: out, [V], one per valve of the rig; only this cylinder's are written.
         telemetry: out, shape (COLUMNS + 4·edges of the cylinder,).
     """
-    state, trim = memory.state, memory.maps.trim
-    circuit = axis.circuit
+    circuit, state = axis.circuit, memory.state
     number = circuit.cylinder
     wish, p = reference_of(reference), pressures(sample, number)
     q, x, v = sample[entry(number, OF.q)], sample[entry(number, OF.x)], sample[entry(number, OF.v)]
@@ -831,27 +845,20 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
     wanted += track_flow(rate, learning, weight, stroke, force, oil, gains, memory)
 
     spool_speed = wanted / (oil.head * circuit.area_head + oil.rod * circuit.area_rod)
-    before = state.function
     choice = choose(wish, stroke.z1, measured, spool_speed, p, axis, gains, state)
     flows = share_flows(choice, wish, wanted, oil, p, circuit, gains, state)
-    edges, count = COLUMNS + circuit.count, circuit.count
-    edge_flows, edge_limits = telemetry[COLUMNS:edges], telemetry[edges : edges + count]
+    edges = COLUMNS + circuit.count
+    edge_flows, edge_limits = telemetry[COLUMNS:edges], telemetry[edges : edges + circuit.count]
     limits = allocate(
         choice.function, flows, p, gains.drop_floor, circuit, command, edge_flows, edge_limits
     )
     if gains.standby > 0.0:
-        stand_by(axis, gains.standby, trim, command)
+        stand_by(axis, gains.standby, memory.maps.trim, command)
     state.learning = learns_next(choice, limits, edge_limits, circuit)
     learn(learning, starting, force, gains, memory)
     weigh(starting, force, load, tip / own, v, axis, gains, state)
-    tell(wish, stroke, force, choice, flows, limits, state, telemetry)
-    for i in range(count):
-        telemetry[edges + count + i] = trim[i, GAIN]
-        telemetry[edges + 2 * count + i] = trim[i, SHIFT]
-    if gains.adapt_maps > 0.0:
-        quiet = choice.function == before and choice.function != HOLD and not choice.resting
-        seen = Seen(v, p, oil)
-        learn_maps(quiet, seen, telemetry[COLUMNS:], command, axis, gains, memory.maps)
+    tell(wish, stroke, force, choice, flows, limits, memory, telemetry)
+    mend_maps(choice, Seen(v, p, oil), command, axis, gains, memory, telemetry)
 
 
 def memory_of(axis: Axis) -> Memory:
