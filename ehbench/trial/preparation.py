@@ -456,7 +456,7 @@ def _refuse_misfit(
     names = [one.motion.cylinder for one in singles if one.motion is not None]
     if chosen is None or len(singles) == 1 and not chosen.cylinders:
         return
-    known = {"hint": "moved are " + ", ".join(name for name in names if name)}
+    moved = "moved are " + ", ".join(name for name in names if name)
     if chosen.code is not None:
         raise InputError(
             f"'{chosen.code}' moves one cylinder, and the motion is of {len(singles)}",
@@ -468,13 +468,13 @@ def _refuse_misfit(
             raise InputError(
                 f"a law of its own for '{name}', which does not move",
                 **recipe.at(*chosen.where, "cylinders", name),
-                **known,
+                hint=moved,
             )
     if tuning is not None and tuning.get("cylinder") not in names:
         raise InputError(
             f"the gains are tuned for cylinder '{tuning.get('cylinder')}', which does not move",
             **recipe.at(*chosen.where, "gains"),
-            **known,
+            hint=moved,
         )
 
 

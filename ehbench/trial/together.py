@@ -63,10 +63,10 @@ def as_long(motions: Sequence[References]) -> list[References]:
 class Plan:
     """What several cylinders shall do together, a row a tick.
 
-    ``tip`` is where that brings the tip [m], shape (samples, 3), ``way`` its way as a unit vector,
-    or 0 where it stands; ``wished`` the flow that the motion draws from the supply as it is
-    wished [m³/s], ``pace`` at which it runs, ``limit`` the pump's [m³/s], ``longer`` [s] what the
-    trial lasts longer for it."""
+    ``tip`` is where that brings the tip [m], shape (samples, 3), ``way`` its way as a unit vector;
+    ``wished`` the flow that the motion draws from the supply as it is wished [m³/s], ``pace`` at
+    which it runs, ``limit`` the pump's [m³/s], ``longer`` [s] what the trial lasts longer for it.
+    """
 
     chain: Chain
     joints: tuple[str, ...]
@@ -224,7 +224,13 @@ def slower(motion: References, pace: Pace, tick: float) -> References:
 
 
 def _way(tip: np.ndarray, tick: float) -> np.ndarray:
-    """Unit vectors of the tip's way, 0 where it stands, shape (samples, 3)."""
+    """Unit vectors of the tip's way, shape (samples, 3); where it stands that on which it came, or
+    first goes; 0 if it never moves.
+    """
     speed = np.gradient(tip, tick, axis=0)
-    size = np.linalg.norm(speed, axis=1, keepdims=True)
-    return np.divide(speed, size, out=np.zeros_like(speed), where=size > STANDS)
+    size = np.linalg.norm(speed, axis=1)
+    moves = np.flatnonzero(size > STANDS)
+    if not moves.size:
+        return np.zeros_like(speed)
+    last = moves[np.maximum(np.searchsorted(moves, np.arange(len(tip)), side="right") - 1, 0)]
+    return speed[last] / size[last, None]
