@@ -92,9 +92,9 @@ class Circuit(NamedTuple):
     where the edge points along the path, else −1. ``able`` [8] is 1 for each working function that
     the circuit can do. ``hull``, ``hull_at`` [edges, 2]: the measured range of each map, see
     `ehbench.control.valve_level.inside`. ``supply`` [1] is the plant's line, which says at what
-    pressure an edge finds the supply, see `supply_pressure`. ``trim``, shape (count, 2): gain
-    [1] and shift of the deadband [V] by which each edge is known to differ from its law, see
-    `ehbench.control.map_learning`."""
+    pressure an edge finds the supply, see `supply_pressure`. ``trim``, shape (count, 2): gain [1]
+    and shift of the deadband [V] by which each edge differs from its law; a controller that learns
+    writes it (`ehbench.control.map_learning`)."""
 
     cylinder: int
     area_head: float
@@ -506,9 +506,8 @@ def circuit(
         InputError: no edge touches the cylinder, a pump does, or an edge lacks its map.
     """
     if edges.dtype != EDGE:
-        raise InputError(
-            "edges are not those of a plant", hint="records of ehbench.parts.edge.EDGE"
-        )
+        hint = "records of ehbench.parts.edge.EDGE"
+        raise InputError("edges are not those of a plant", hint=hint)
     ranges = np.asarray(ranges, float)
     lowest, highest = np.ascontiguousarray(ranges.T)
     head, rod = 2 + 2 * cylinder, 3 + 2 * cylinder

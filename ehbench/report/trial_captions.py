@@ -102,8 +102,9 @@ def case_caption(rig: Rig, case: Case) -> str:
     """What one trial came to."""
     row = case.row
     steps = "; ".join(step_caption(rig, one) for one in case.steps)
+    law = words(row["controller"].removesuffix(f", {case.cylinder}"))
     text = (
-        f"{load_name(row['payload'])}, {words(row['controller'])}, on the {row['on']}: "
+        f"{load_name(row['payload'])}, {law}, on the {row['on']}: "
         f"{steps or tracking_caption(rig, row)}"
         f"; the pump gave {measure(rig, 'energy', row['energy']['pump'], 4)}"
     )
