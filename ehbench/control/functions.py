@@ -25,7 +25,7 @@ from ehbench.codes import (
 )
 from ehbench.compiled import kernel, record
 from ehbench.control.measured import Pressures
-from ehbench.control.records import blank, numbers, reals
+from ehbench.control.records import blank, numbers, reals, rows_of
 from ehbench.errors import InputError
 from ehbench.parts.edge import EDGE, MAP, PUMP, edge_flow, edge_known
 from ehbench.parts.supply import SUPPLY, drawn_at, most_pressure, offered
@@ -91,7 +91,7 @@ class Circuit(NamedTuple):
     ``paths`` [6] is the edge that serves each path, −1 for none, ``along`` [6] its direction: +1
     where the edge points along the path, else −1. ``able`` [8] is 1 for each working function that
     the circuit can do. ``hull``, ``hull_at`` [edges, 2]: the measured range of each map, see
-    `ehbench.control.valve_level.inside`. ``supply`` is the plant's line, which says at what
+    `ehbench.control.valve_level.inside`. ``supply`` [1] is the plant's line, which says at what
     pressure an edge finds the supply, see `supply_pressure`. ``trim``, shape (count, 2): gain [1]
     and shift of the deadband [V] by which each edge differs from its law; a controller that learns
     writes it (`ehbench.control.map_learning`)."""
@@ -110,7 +110,7 @@ class Circuit(NamedTuple):
     able: np.ndarray
     hull: np.ndarray
     hull_at: np.ndarray
-    supply: np.record
+    supply: np.recarray
     trim: np.ndarray
 
 
@@ -131,7 +131,7 @@ def supply_pressure(chamber, p, circuit):
     """Pressure [Pa] at which an edge to a ``chamber`` [Pa] finds the supply: that which is
     measured, the low rail's, or what a load-sensing pump is about to bring.
     """
-    return offered(p.supply, chamber, circuit.supply)
+    return offered(p.supply, chamber, circuit.supply[0])
 
 
 @kernel
@@ -184,7 +184,7 @@ def feasible(function, active, v_d, load_force, p, circuit, rules):
     full command carries A2 |v_d| at it. The seventh: see `seventh_feasible`."""
     if path_drop(METERING[function], p, circuit) <= 0.0:
         return False
-    most = most_pressure(p.supply, circuit.supply)
+    most = most_pressure(p.supply, circuit.supply[0])
     cross = CROSS[function]
     if cross < 0:
         metered = circuit.area_head if METERED[function] == HEAD else circuit.area_rod
@@ -278,7 +278,7 @@ def pump_force(function, plan, circuit):
         drawn = PATH_FLOWS[function, path, 0] * circuit.area_head
         drawn += PATH_FLOWS[function, path, 1] * circuit.area_rod
         chamber = plan.head if path == SUPPLY_HEAD else plan.rod
-        taken += way * drawn * drawn_at(plan.supply, chamber, circuit.supply)
+        taken += way * drawn * drawn_at(plan.supply, chamber, circuit.supply[0])
     return taken
 
 
@@ -530,7 +530,7 @@ def circuit(
         able,
         hull,
         hull_at,
-        blank(SUPPLY) if supply is None else supply,
+        rows_of(SUPPLY, supply),
         np.tile([1.0, 0.0], (int(own[-1] - own[0] + 1), 1)),
     )
     ends = ((0, head), (head, 1), (0, rod), (rod, 1), (head, rod), (rod, head))

@@ -19,6 +19,14 @@ def blank(layout: np.dtype) -> np.record:
     return table(1, layout)[0]
 
 
+def rows_of(layout: np.dtype, row: np.record | None) -> np.recarray:
+    """A table of one row, ``row`` or all zero: kernels give back tables, but no records."""
+    rows = table(1, layout)
+    if row is not None:
+        rows[0] = row
+    return rows
+
+
 def numbers(row: np.record, names: Sequence[str]) -> dict[str, float]:
     """Some fields of a record by name, as plain numbers."""
     return {name: float(row[name]) for name in names}

@@ -84,7 +84,7 @@ def test_an_edge_takes_from_the_rail_that_is_high_enough(rails):
     low = head + 1e6 <= RAIL
     out = (rails.t > 0.15) & (rails.t < 0.29)
     assert low[out].all()
-    gain = float(SLIDE.all_edges()["press.servo_supply_head"].gain)
+    gain = float(SLIDE.parameters()["press.servo_supply_head.flow_gain"])
     wanted = gain * rails["press.servo.opening"] * np.sqrt(RAIL - head)
     assert flow[out] == pytest.approx(wanted[out], rel=1e-3)
     assert rails["flow_supply"][out] == pytest.approx(0.0, abs=1e-12)

@@ -427,7 +427,7 @@ def test_a_wish_beyond_noise_acts_at_once_and_a_slow_one_soon():
 
 def following(**numbers) -> fn.Circuit:
     """The five cartridges on a supply that follows the load."""
-    supply = table(1, SUPPLY_LINE)[0]
+    supply = table(1, SUPPLY_LINE)
     for name, value in {"pressure": PS, **numbers}.items():
         supply[name] = value
     return circuit(FIVE)._replace(supply=supply)
