@@ -93,8 +93,8 @@ class Circuit(NamedTuple):
     the circuit can do. ``hull``, ``hull_at`` [edges, 2]: the measured range of each map, see
     `ehbench.control.valve_level.inside`. ``supply`` is the plant's line, which says at what
     pressure an edge finds the supply, see `supply_pressure`. ``trim``, shape (count, 2): gain [1]
-    and shift of the deadband [V] by which each edge is known to differ from its law, see
-    `ehbench.control.map_learning`."""
+    and shift of the deadband [V] by which each edge differs from its law; a controller that learns
+    writes it (`ehbench.control.map_learning`)."""
 
     cylinder: int
     area_head: float
@@ -249,10 +249,12 @@ def planned(function, load_force, p, circuit, rules):
 @kernel
 def carries(function, active, v_d, plan, circuit, rules):
     """True where a function carries ``v_d`` [m/s] at its `planned` pressures: no chamber runs
-    empty, and every path passes its share; a function that is ``active`` is held more easily.
+    empty, ``supply_margin`` is left for metering, and every path passes its share; a function that
+    is ``active`` is held more easily.
     """
     room, speed = 1.0 if active else 1.0 + rules.reserve, abs(v_d)
     least = plan.tank + (0.25 if active else 0.5) * rules.low_pressure
+    left = rules.supply_margin + (0.0 if active else rules.supply_band)
     if not (plan.head >= least and plan.rod >= least):
         return False
     for path in range(len(PATHS)):
@@ -260,7 +262,10 @@ def carries(function, active, v_d, plan, circuit, rules):
         share += PATH_FLOWS[function, path, 1] * circuit.area_rod
         if share == 0.0:
             continue
-        if capacity(circuit, path, path_drop(path, plan, circuit)) < room * abs(share) * speed:
+        drop = path_drop(path, plan, circuit)
+        if drop < left and (path == SUPPLY_HEAD or path == SUPPLY_ROD):
+            return False
+        if capacity(circuit, path, drop) < room * abs(share) * speed:
             return False
     return True
 
@@ -491,8 +496,7 @@ def circuit(
     one sign only: four edges on one spool are able of the four without regeneration.
 
     Args:
-        cylinder: its number; nodes are 0 supply, 1 tank, 2 + 2·cylinder its head end, 3 +
-            2·cylinder its rod end.
+        cylinder: its number; its head end is node 2 + 2·cylinder, its rod end the next one.
         area_head, area_rod: [m²].
         edges, maps: the plant's; ranges: lowest, highest command [V] of its valves, (valves, 2).
         measured: the flow maps of every edge that follows one, None for the others.
@@ -502,9 +506,8 @@ def circuit(
         InputError: no edge touches the cylinder, a pump does, or an edge lacks its map.
     """
     if edges.dtype != EDGE:
-        raise InputError(
-            "edges are not those of a plant", hint="records of ehbench.parts.edge.EDGE"
-        )
+        hint = "records of ehbench.parts.edge.EDGE"
+        raise InputError("edges are not those of a plant", hint=hint)
     ranges = np.asarray(ranges, float)
     lowest, highest = np.ascontiguousarray(ranges.T)
     head, rod = 2 + 2 * cylinder, 3 + 2 * cylinder
