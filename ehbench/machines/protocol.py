@@ -131,6 +131,33 @@ def truth_of(machine: Machine) -> Truth | None:
     return getattr(machine, "truth", None)
 
 
+class Hidden(Protocol):
+    """What a simulated machine knows and no log holds, as the attribute ``hidden`` of a machine:
+    only a trial's own measures are taken of it.
+
+    Attributes:
+        width: numbers in a row.
+    """
+
+    width: int
+
+    def read(self, command: np.ndarray, row: np.ndarray) -> None:
+        """Write the true strokes [m] of the cylinders into ``row``, shape (width,)."""
+        ...
+
+
+def hidden_of(machine: Machine) -> Hidden | None:
+    """What a machine knows of itself that its log does not hold; None of one that knows nothing."""
+    return getattr(machine, "hidden", None)
+
+
+def seeded_of(machine: Machine) -> Callable[[int], Machine] | None:
+    """What makes of a machine the same one with other noise of its sensors, by a seed; None of one
+    whose noise nobody chooses.
+    """
+    return getattr(machine, "seeded", None)
+
+
 def advance_of(machine: Machine) -> Callable[[Rows, LawRows | None, bool], Advance] | None:
     """The fast path of a machine that has one: ``advance(rows, law, often)`` gives a function of
     (first, stop) that runs these rows in one compiled call, under a law or as the table says;

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from ehbench.report.saved import Table
 from ehbench.report.words import (
@@ -56,6 +57,31 @@ def span(values: Sequence[float], digits: int = 3) -> str:
 def percent(share: float | None, digits: int = 2) -> str:
     """A share as percent."""
     return f"{number(None if share is None else 100.0 * share, digits)} %"
+
+
+def ranged(
+    text_of: Callable[[float | None], str], value: float | None, ends: Sequence[float] | None
+) -> str:
+    """A median with the least and the largest of several runs, ``0.23 (0.2 to 0.31)``; alone
+    where there are none.
+    """
+    told = text_of(value)
+    if value is None or ends is None:
+        return told
+    low, high = (text_of(end) for end in ends)
+    return told if low == high == told else f"{told} ({low} to {high})"
+
+
+def range_in(row: Table, *path: str | int) -> Sequence[float] | None:
+    """The least and the largest of a measure over several runs, by where it stands in its row;
+    None of a single run.
+    """
+    found: Any = row.get("range")
+    for key in path:
+        if found is None:
+            return None
+        found = found[key] if isinstance(key, int) else found.get(key)
+    return found
 
 
 def sentence(text: str) -> str:

@@ -3,10 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
+
+import numpy as np
 
 from ehbench import codes
 from ehbench.record import Record
-from ehbench.report.captions import capital, load_name, measure, percent, sentence, span, stroke
+from ehbench.report.captions import (
+    capital,
+    load_name,
+    measure,
+    percent,
+    range_in,
+    ranged,
+    sentence,
+    span,
+    stroke,
+)
 from ehbench.report.cases import SLOW, Case, damping, true_payload
 from ehbench.report.saved import Table
 from ehbench.report.words import count, number, pretty, shown, unit_of, words
@@ -15,6 +28,7 @@ from ehbench.rig import Rig
 # channels of what an adaptive law has learnt, in the order of the figure: the payload, not its
 # share
 ESTIMATES = ("payload_estimate", *(word for word in codes.ESTIMATES if word != "payload_share"))
+_OF = {"v": "speed", "a": "acceleration"}
 ROUNDING = 1e-9  # share of its bounds by which a logged estimate may lie outside
 
 
@@ -44,10 +58,41 @@ def tracking_caption(rig: Rig, row: Table) -> str:
     """How well a motion was tracked."""
     unit = pretty(unit_of(rig, "x"))
     largest, rms, final = (
-        f"{stroke(rig, row, row['tracking'][key])} {unit}"
+        f"{error_of(rig, row, 'tracking', key)} {unit}"
         for key in ("max_error", "rms_error", "final_error")
     )
-    return f"largest error {largest}, rms {rms}, at the end {final}"
+    text = f"largest error {largest}, rms {rms}, at the end {final}"
+    if row.get("tracking_true"):
+        text += f"; of the true stroke {error_of(rig, row, 'tracking_true', 'max_error')} {unit}"
+    return text + (f" (medians and ranges of {row['seeds']} runs)" if row.get("seeds") else "")
+
+
+def error_of(rig: Rig, row: Table, which: str, key: str) -> str:
+    """An error of a trial's stroke, ``tracking`` or ``tracking_true``, with its range over several
+    runs.
+    """
+    if which == "tracking":
+        return ranged(partial(stroke, rig, row), row[which][key], range_in(row, which, key))
+
+    def told(value: float | None) -> str:
+        return number(None if value is None else float(shown(rig, "x", value)), 3)
+
+    return ranged(told, row[which][key], range_in(row, which, key))
+
+
+def trajectory_words(rig: Rig, case: Case, record: Record) -> str:
+    """How far, how fast and how sharply a motion is asked for."""
+    own = case.cylinder
+    most = {
+        word: float(np.abs(record[f"{own}.{word}_desired"]).max())
+        for word in _OF
+        if f"{own}.{word}_desired" in record
+    }
+    x = record[f"{own}.x_desired"]
+    ends = span([float(shown(rig, "x", float(end))) for end in (x.min(), x.max())])
+    told = [f"{ends} {pretty(unit_of(rig, 'x'))}"]
+    told += [f"{_OF[word]} up to {measure(rig, word, top)}" for word, top in most.items()]
+    return ", ".join(told)
 
 
 def limits_caption(row: Table) -> str:

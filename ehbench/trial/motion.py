@@ -52,10 +52,13 @@ class Level:
 
 @dataclass(frozen=True)
 class References:
-    """``table`` of x_d, v_d, a_d, j_d, shape (samples, 4), and the levels of speed in it."""
+    """``table`` of x_d, v_d, a_d, j_d, shape (samples, 4), the levels of speed in it, and the row
+    at which its last cycle begins.
+    """
 
     table: np.ndarray
     levels: tuple[Level, ...] = ()
+    last_cycle: int = 0
 
 
 def references(recipe: TrialRecipe, design: Design, low_pressure: float) -> References:
@@ -98,7 +101,7 @@ def references(recipe: TrialRecipe, design: Design, low_pressure: float) -> Refe
         for level in desired.levels
         if level.first < len(table)
     )
-    return References(table, levels)
+    return References(table, levels, min(desired.last_cycle, len(table) - 2))
 
 
 def full_speed(design: Design, way: int, low_pressure: float) -> float:
@@ -214,18 +217,21 @@ def _points(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: f
             f"hold has {len(holds)} times for {len(points)} waypoints",
             **recipe.at(*motion.where, "hold"),
         )
-    hold = holds[0] if len(holds) == 1 else holds
-    return References(
-        point_to_point(
-            points,
+    holds = holds * len(points) if len(holds) == 1 else holds
+
+    def made(cycles: int) -> np.ndarray:
+        return point_to_point(
+            points[:1] + cycles * points[1:],
             speed=speed,
             acceleration=acceleration,
             jerk=jerk,
             tick=1.0 / float(recipe.rate),
-            hold=hold,
+            hold=holds[:1] + cycles * holds[1:],
             profile=motion.profile,
         )
-    )
+
+    before = len(made(motion.cycles - 1)) - 1 if motion.cycles > 1 else 0
+    return References(made(motion.cycles), last_cycle=before)
 
 
 def _file(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: float) -> References:

@@ -210,7 +210,8 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
         )
     if law is not None and prepared.loop is not None:
         rows = session.end if stop is None else round(stop.t * rate) + 1
-        measures = law.used | _measures(record, prepared.loop, rows)
+        true = session.true_strokes
+        measures = law.used | _measures(record, prepared.loop, rows, true)
         measures["valves"] = _valves(prepared.rig, prepared.loop.design.cylinder)
         if isinstance(law, Compiled) and law.law.warns_saturated:
             warnings += _saturated(measures["limits"]["saturated"], prepared.loop.design.cylinder)
@@ -268,9 +269,9 @@ def _swinging(cycle: Mapping[str, float] | None, rig: Rig, cylinder: str) -> lis
     ]
 
 
-def _measures(record: Record, loop: Loop, rows: int) -> dict[str, Any]:
+def _measures(record: Record, loop: Loop, rows: int, true: np.ndarray | None) -> dict[str, Any]:
     """Steps and tracking of the controlled cylinder, up to the row at which a limit stopped the
-    trial.
+    trial; tracking by its sensor and, where the machine knows it, of the ``true`` strokes [m].
     """
     own, t = loop.design.cylinder, record.t[:rows]
     v, x, p_head, p_rod = (record[f"{own}.{name}"][:rows] for name in ("v", "x", "p_head", "p_rod"))
@@ -284,14 +285,20 @@ def _measures(record: Record, loop: Loop, rows: int) -> dict[str, Any]:
                 t[part], v[part], level.speed, before, (p_head[part], p_rod[part]), level.share
             )
             measures["steps"].append(asdict(step))
-    measures["tracking"] = tracking_measures(t, x, record[f"{own}.x_desired"][:rows])
+    wish = record[f"{own}.x_desired"][:rows]
+    measures["tracking"] = tracking_measures(t, x, wish)
+    if true is not None:
+        measures["tracking_true"] = tracking_measures(t, true[:rows, loop.design.index], wish)
+    if loop.references.last_cycle and rows == len(loop.references.table):
+        first = loop.references.last_cycle
+        measures["cycle"] = {"start": float(t[first]), "stop": float(t[-1])}
     measures["speed_rms_error"] = float(
         np.sqrt(np.mean((v - record[f"{own}.v_desired"][:rows]) ** 2))
     )
-    desired, stroke = record[f"{own}.x_desired"][:rows], float(loop.design.row.stroke)
+    stroke = float(loop.design.row.stroke)
     valves = [name for name in loop.design.valves if name.startswith(f"{own}.")]
     commands = np.column_stack([record[f"{name}.command"][:rows] for name in valves])
-    cycle = limit_cycle(t, x, desired, commands, stroke)
+    cycle = limit_cycle(t, x, wish, commands, stroke)
     measures["limit_cycle"] = None if cycle is None else asdict(cycle)
     if f"{own}.limits" in record:
         met = record[f"{own}.limits"][:rows].astype(int)

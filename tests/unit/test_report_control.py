@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ import pytest
 from ehbench.codes import FUNCTIONS, LIMITS
 from ehbench.errors import InputError
 from ehbench.logs import write_log
+from ehbench.plant.model import Model
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import load_recipe, load_rig
 from ehbench.record import Record
@@ -34,6 +35,8 @@ from ehbench.report.trial_captions import (
 from ehbench.report.trial_tables import valves_note
 from ehbench.report.tuning_words import overshoot_of
 from ehbench.rundir import write_json
+from ehbench.tune.circuits import functions_of
+from ehbench.tune.linear import circuit_of
 from ehbench.units import from_si
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
@@ -136,6 +139,10 @@ def locus(name: str, parameter: str, crossing: float | None) -> dict:
     }
 
 
+RIG = load_rig(RIGS / "thesis_arm.toml")
+USES = [asdict(one) for one in functions_of(RIG, circuit_of(Model.of(RIG), 1))]
+
+
 def tuning(**more) -> dict:
     points = [
         point("extend_resistive", load, x, True) for load in ("none", "50 lb") for x in (0.05, 0.2)
@@ -176,6 +183,7 @@ def tuning(**more) -> dict:
         "constraints": {"gain_margin": 2.0, "phase_margin": 0.785398163, "bandwidth": 3.14159265},
         "gains": GAINS,
         "worst_curve": points[0]["curve"],
+        "functions": USES,
         "points": points,
         "equivalents": [
             {
@@ -476,6 +484,7 @@ def test_drawn_estimates_are_quantities():
 def test_keys_are_the_stable_ones(runs):
     tune, steps, cycles, arc = map(captions, runs)
     assert list(tune) == [
+        *(f"function_{one['name']}" for one in USES),
         "equivalent_mass",
         "equivalent_gravity",
         "damping_over_gain",
@@ -521,6 +530,7 @@ def test_the_page_is_whole(runs):
         for one in json.loads((folder / "figures/index.json").read_text())["figures"]
     }
     assert kinds == {
+        "function",
         "equivalents",
         "damping",
         "locus",
@@ -528,6 +538,7 @@ def test_the_page_is_whole(runs):
         "draws",
         "compare",
         "energy",
+        "trajectories",
         "trial",
         "estimates",
         "sankey",
@@ -995,6 +1006,24 @@ def cycles(root: Path, **made_of: dict) -> tuple:
         )
     run = Saved(folder)
     return run.rig, cases_of(run)
+
+
+def test_the_functions_of_a_circuit_are_tables_and_figures(runs):
+    rig, tables = load_rig(runs[0]), captions(runs[0])
+    assert [one["name"] for one in USES] == list(FUNCTIONS[1:])
+    text = plain(build(runs[:1]))
+    head, rod = rig.cylinder_named("boom").areas()
+    assert (
+        "extend overrunning regeneration extend along the motion p_rod &gt; p_head + margin, and "
+        f"the edge between them carries A₂ |v| {1e4 * (head - rod):.4g}" in text
+    )
+    assert (
+        "retract overrunning regeneration Valve 1: HECT, Valve 3: REGEN (PC and CT) Valve 1: HECT "
+        "(head end), (A₁ − A₂) |v| Valve 3: REGEN (PC and CT), A₂ |v|" in text
+    )
+    assert tables["function_retract_resistive"].startswith(
+        "Open: Valve 1: HECT, Valve 4: REPC; Valve 4: REPC (red) sets the motion; shut, dashed: "
+    )
 
 
 def test_valves_that_are_not_equally_fast_are_told(tmp_path):
