@@ -10,9 +10,10 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -53,8 +54,14 @@ Quiet = Annotated[
     bool,
     typer.Option("--quiet", "-q", help="No progress, and nothing but the run's path on stdout."),
 ]
-Verbose = Annotated[
-    bool, typer.Option("--verbose", "-v", help="All tables with all their columns.")
+Loud = Annotated[
+    bool | None,
+    typer.Option(
+        "--verbose/--quiet",
+        "-v/-q",
+        help="All tables with all their columns; or no progress, and only the run's path.",
+        show_default=False,
+    ),
 ]
 Columns = Annotated[
     Path | None,
@@ -78,6 +85,21 @@ Profile = Annotated[
         show_default=False,
     ),
 ]
+Scheduler = Annotated[
+    str,
+    typer.Option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Make the samples on a Dask cluster, tcp://host:8786.",
+        show_default=False,
+    ),
+]
+Workers = Annotated[
+    int, typer.Option("--workers", help="Here. Default: one a core.", min=0, show_default=False)
+]
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Go on where a run of this recipe was stopped.")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")]
 
 
@@ -87,6 +109,11 @@ class Says(NamedTuple):
     quiet: bool = False
     verbose: bool = False
     as_json: bool = False
+
+    @classmethod
+    def of(cls, loud: bool | None, as_json: bool) -> Says:
+        """From ``--verbose`` (True), ``--quiet`` (False) or neither."""
+        return cls(loud is False, loud is True, as_json)
 
 
 def _version(wanted: bool) -> None:
@@ -145,50 +172,73 @@ def _runner(command: Command) -> Callable[..., None]:
     def plain(
         recipe: RecipeFile,
         out: Out = None,
-        quiet: Quiet = False,
-        verbose: Verbose = False,
+        loud: Loud = None,
         as_json: AsJson = False,
     ) -> None:
-        _run(command.name, recipe, out, Says(quiet, verbose, as_json))
+        _run(command.name, recipe, out, Says.of(loud, as_json))
 
     def insisting(
         recipe: RecipeFile,
         out: Out = None,
-        quiet: Quiet = False,
-        verbose: Verbose = False,
+        loud: Loud = None,
         as_json: AsJson = False,
         unvalidated: Unvalidated = False,
     ) -> None:
-        _run(command.name, recipe, out, Says(quiet, verbose, as_json), unvalidated=unvalidated)
+        _run(command.name, recipe, out, Says.of(loud, as_json), unvalidated=unvalidated)
 
     def trusting(
         recipe: RecipeFile,
         out: Out = None,
-        quiet: Quiet = False,
-        verbose: Verbose = False,
+        loud: Loud = None,
         as_json: AsJson = False,
         allow_code: AllowCode = False,
     ) -> None:
-        _run(command.name, recipe, out, Says(quiet, verbose, as_json), allow_code=allow_code)
+        _run(command.name, recipe, out, Says.of(loud, as_json), allow_code=allow_code)
 
     def asking(
         recipe: RecipeFile,
         out: Out = None,
-        quiet: Quiet = False,
-        verbose: Verbose = False,
+        loud: Loud = None,
         as_json: AsJson = False,
         suggest: Suggest = False,
         seconds: Seconds = 120.0,
         profile: Profile = None,
+        resume: Resume = False,
     ) -> None:
-        says = Says(quiet, verbose, as_json)
+        says = Says.of(loud, as_json)
         if suggest:
             _suggest(recipe, out, says, seconds)
         else:
-            _run(command.name, recipe, out, says, profile=profile)
+            _run(command.name, recipe, out, says, profile=profile, resume=resume)
 
     kinds = {"": plain, "unvalidated": insisting, "allow_code": trusting, "asking": asking}
+    kinds["sampling"] = _sampling
     return kinds[command.allows]
+
+
+def _sampling(  # noqa: PLR0913 (options are read off the signature)
+    recipe: RecipeFile,
+    out: Out = None,
+    loud: Loud = None,
+    as_json: AsJson = False,
+    allow_code: AllowCode = False,
+    unvalidated: Unvalidated = False,
+    scheduler: Scheduler = "",
+    workers: Workers = 0,
+    resume: Resume = False,
+) -> None:
+    from ehbench import workflow
+
+    _run(
+        "study",
+        recipe,
+        out,
+        Says.of(loud, as_json),
+        allow_code=allow_code,
+        unvalidated=unvalidated,
+        where=workflow.Where(scheduler, workers),
+        resume=resume,
+    )
 
 
 for _command in COMMANDS:
@@ -397,18 +447,21 @@ def _run(
     out: Path | None,
     says: Says,
     *,
-    unvalidated: bool = False,
-    allow_code: bool = False,
     profile: str | None = None,
+    **settings: Any,
 ) -> None:
+    """Run a recipe, or make a sample of a study again; ``settings`` are those of a session."""
     from ehbench import workflow
 
-    recipe = workflow.expect_stage(file, command)
+    study, _, index = file.name.partition("#")
+    is_sample = index.isdecimal() and not file.exists()
+    recipe = None if is_sample else workflow.expect_stage(file, command)
     _say_first(says.quiet)
     with _progress(says.quiet) as tell:
-        session = workflow.Session(
-            out=out, progress=tell, unvalidated=unvalidated, allow_code=allow_code
-        )
+        session = workflow.Session(out=out, progress=tell, **settings)
+        if recipe is None:
+            made = workflow.sample(file.with_name(study), int(index), replace(session, out=None))
+            recipe = workflow.expect_stage(made.path, command)
         if profile is None:
             made = workflow.run(recipe, session)
         else:
@@ -502,8 +555,8 @@ _OUTSIDE = (
 )
 
 
-def _terminated(*_: object) -> None:
-    raise Terminated(143)
+def _terminated(number: int, _: object) -> None:
+    raise Terminated(128 + number)
 
 
 def main() -> None:
@@ -511,6 +564,8 @@ def main() -> None:
     half-written stays.
     """
     signal.signal(signal.SIGTERM, _terminated)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _terminated)  # the command line's library says nothing of it
     try:
         app()
     except OSError as error:
@@ -524,9 +579,12 @@ def main() -> None:
     except EhbenchError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        print("stopped by the keyboard; nothing half-written was left", file=sys.stderr)
-        sys.exit(130)
+    except Terminated as error:
+        if error.code == 128 + signal.SIGINT:
+            print("stopped by the keyboard; nothing half-written was left", file=sys.stderr)
+        for note in getattr(error, "__notes__", []):
+            print(note, file=sys.stderr)
+        sys.exit(error.code)
 
 
 if __name__ == "__main__":

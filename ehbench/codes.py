@@ -28,6 +28,10 @@ FUNCTIONS = (
 
 # channel `function_status`: STALLED, no function that suits is feasible; UNABLE, there is none
 OK, STALLED, UNABLE = 0, 1, 2
+STATUS_MEANS = {
+    "stalled": "no working function could move the load at the pressures that there were",
+    "unable": "the circuit has no working function for the motion and the load",
+}
 
 # channel `limits`, a sum of bits
 SATURATED, AGAINST, REVERSED, FAINT, OUTSIDE = 1, 2, 4, 8, 16

@@ -15,7 +15,7 @@ class Command(NamedTuple):
     name: str
     help: str
     example: str
-    allows: Literal["", "unvalidated", "allow_code", "asking"] = ""
+    allows: Literal["", "unvalidated", "allow_code", "asking", "sampling"] = ""
 
 
 COMMANDS = (
@@ -48,5 +48,12 @@ COMMANDS = (
         "limit stops one.",
         "recipes/trials/arc_slow.toml",
         "allow_code",
+    ),
+    Command(
+        "study",
+        "Run a recipe over many samples of what is not known or not chosen, on this machine or a "
+        "Dask cluster.",
+        "recipes/studies/stopping.toml",
+        "sampling",
     ),
 )

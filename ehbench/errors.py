@@ -83,4 +83,4 @@ class SimulationError(EhbenchError):
 
 
 class Terminated(SystemExit):
-    """The process was asked to end (SIGTERM): what is under way is cleared, and nothing blamed."""
+    """The process was asked to end by a signal: what is under way is cleared, nothing blamed."""

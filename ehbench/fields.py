@@ -218,10 +218,13 @@ def write_value(value: Value, row: Quantity) -> Any:
 
 @dataclass(frozen=True)
 class Q:
-    """Marks a ``Value`` as one quantity of the vocabulary, or as ``count`` of them in a list."""
+    """Marks a ``Value`` as one quantity of the vocabulary, or as ``count`` of them in a list;
+    ``word`` may stand in its place.
+    """
 
     name: str
     count: int = 1
+    word: str = ""
 
     @property
     def row(self) -> Quantity:
@@ -237,11 +240,13 @@ class Q:
             serialization=core_schema.plain_serializer_function_ser_schema(self._write),
         )
 
-    def _read(self, raw: Any) -> Value:
+    def _read(self, raw: Any) -> Value | str:
+        if self.word and raw == self.word:
+            return self.word
         try:
             return read_value(raw, self.row, self.count)
         except InputError as error:
-            raise ValueError(str(error)) from None
+            raise ValueError(f'{error}; or "{self.word}"' if self.word else str(error)) from None
 
-    def _write(self, value: Value) -> Any:
-        return write_value(value, self.row)
+    def _write(self, value: Value | str) -> Any:
+        return value if isinstance(value, str) else write_value(value, self.row)

@@ -99,7 +99,8 @@ def _rig(path: Path) -> Inspection:
     most = in_rig_unit(rig, "flow_limit", float(rig.supply.flow_limit))
     lines = [f"rig '{rig.name}'" + (f": {rig.title}" if rig.title else "")]
     counts = ", ".join(counted(items, word) for word, items in parts.items())
-    lines.append(f"  {counts}, supply {in_rig_unit(rig, 'pressure', supply)} up to {most}")
+    kind = "" if rig.supply.constant else f", {rig.supply.kind}"
+    lines.append(f"  {counts}, supply {in_rig_unit(rig, 'pressure', supply)} up to {most}{kind}")
     notes = _cut_off(rig)
     loads: list[str | None] = [None, *rig.payload]
     for load in loads:

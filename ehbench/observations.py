@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ehbench.errors import InputError
 from ehbench.plant.model import MOVED
-from ehbench.record import Record
+from ehbench.record import Record, payloads_of
 from ehbench.rig import Valve
 from ehbench.signals import lowpass
 
@@ -49,9 +50,19 @@ def least_change(valve: Valve) -> float:
 
 
 def payload_of(record: Record) -> str | None:
-    """The payload that a log says was carried, None for none."""
-    said = record.meta.get("payload", "none")
-    return None if said in ("", "none") else said
+    """The payload that a log says was carried, None for none.
+
+    Raises:
+        InputError: it changed on the way.
+    """
+    (_, said), *changes = payloads_of(record)
+    if changes:
+        at, name = changes[0]
+        raise InputError(
+            f"the payload changes from {said or 'none'} to {name or 'none'} at t = {at:g} s",
+            hint="take a window of the log with one payload",
+        )
+    return said
 
 
 def rings_clearly(cycles: float, damping_ratio: float) -> bool:

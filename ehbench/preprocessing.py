@@ -237,7 +237,8 @@ def _pressures(name: str, record: Record, model: Model, rest: int, still: bool) 
     supply = float(plant.supply.pressure)
     if "p_supply" in record:
         seen = float(np.percentile(record["p_supply"], 90))
-        if not supply / APART <= seen <= supply * APART:
+        least = float(plant.supply.margin) or supply  # which a load-sensing pump may stand at
+        if not least / APART <= seen <= supply * APART:
             raise InputError(
                 f"{name}: p_supply is {_shown(rig, seen)}, while the supply of rig '{rig.name}' "
                 f"holds {_shown(rig, supply)}",

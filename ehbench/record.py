@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -91,14 +93,42 @@ class Record:
         """The samples from ``start`` to ``stop`` [s], both included."""
         return self.at((self.t >= start) & (self.t <= stop))
 
-    def frame(self) -> pd.DataFrame:
+    def frame(self, copy: bool = True) -> pd.DataFrame:
         """A pandas frame: column ``t`` and one SI column a channel; ``frame.attrs`` has ``units``,
-        ``meta``, ``losses``.
+        ``meta``, ``losses``. Without ``copy`` its columns are the record's own arrays.
         """
         import pandas as pd
 
-        frame = pd.DataFrame({"t": self.t, **self.channels})
+        frame = pd.DataFrame({"t": self.t, **self.channels}, copy=copy)
         frame.attrs["units"] = {"t": "s", **{name: quantity(name).unit for name in self.channels}}
         frame.attrs["meta"] = dict(self.meta)
         frame.attrs["losses"] = list(self.losses)
         return frame
+
+
+def payloads_text(changes: Iterable[tuple[float, str]]) -> str:
+    """What a log's ``meta["payload_change"]`` says: times [s] and the payload from then on."""
+    return json.dumps([list(change) for change in changes])
+
+
+def payloads_of(record: Record) -> list[tuple[float, str | None]]:
+    """(time [s], payload from then on, None for none) that a log says were carried, the first from
+    its first sample on.
+
+    Raises:
+        LogError: the log's facts are damaged.
+    """
+    told = [(-math.inf, record.meta.get("payload", "none"))]
+    try:
+        changes = json.loads(record.meta.get("payload_change", "[]"))
+        told += [(float(at), str(name)) for at, name in changes]
+    except (ValueError, TypeError):
+        raise LogError("the log does not say when its payload changed") from None
+    first, last = float(record.t[0]), float(record.t[-1])
+    found: list[tuple[float, str | None]] = []
+    for at, name in told:
+        if at <= first:
+            found.clear()
+        if at <= last:
+            found.append((max(at, first), None if name in ("", "none") else name))
+    return found

@@ -222,7 +222,7 @@ def recipe_models() -> list[type[BaseModel]]:
 
 def gain_tables() -> dict[str, list[Key]]:
     """The gains of each built-in controller, the rules and the shaping."""
-    from ehbench.control.functions import RULE_NAMES
+    from ehbench.control.functions import CHOICES, RULE_NAMES
     from ehbench.control.registry import LAWS
     from ehbench.control.trajectory import SHAPING_NAMES
 
@@ -238,6 +238,8 @@ def gain_tables() -> dict[str, list[Key]]:
         ("shaping", {name: VOCABULARY[name] for name in SHAPING_NAMES}),
     ):
         tables[title] = [gain_key(*item) for item in rows.items()]
+    choices = ", ".join(f"`{one}`" for one in CHOICES)
+    tables["rules"].insert(-1, Key("`choice`", "", "choice", choices, "", ""))
     return tables
 
 

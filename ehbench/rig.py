@@ -549,10 +549,29 @@ class Accumulator(FileModel):
     polytropic_exponent: Annotated[Value, Q("polytropic_exponent")] = Value(1.2)
 
 
+class LoadSensing(FileModel):
+    """The pump's pressure follows the highest chamber that an open edge feeds: its pressure and
+    ``load_margin``, up to the supply's ``pressure``, with a first-order lag.
+    """
+
+    load_margin: Annotated[Value, Q("load_margin")]
+    load_lag: Annotated[Value, Q("load_lag")] = Value(0.05)
+
+
+class LowRail(FileModel):
+    """A second line, of constant ``rail_pressure``: an edge from the supply takes from it while
+    that is ``rail_margin`` or more above the chamber which it feeds.
+    """
+
+    rail_pressure: Annotated[Value, Q("rail_pressure")]
+    rail_margin: Annotated[Value, Q("rail_margin")]
+
+
 class Supply(FileModel):
     """Constant-pressure supply: holds ``pressure`` up to ``flow_limit``, above which the pressure
     falls. With an accumulator and no ``flow_limit`` it is a charge line, at ``pressure`` when a
-    motion begins.
+    motion begins. With ``load_sensing`` the pressure follows the load, with ``low_rail`` there is a
+    second, lower one.
     """
 
     pressure: Annotated[Value, Q("pressure")]
@@ -560,6 +579,55 @@ class Supply(FileModel):
     flow_limit: Annotated[Value, Q("flow_limit")]
     volume: Annotated[Value, Q("volume")] = Value(2.0e-3)
     accumulator: Accumulator | None = None
+    load_sensing: LoadSensing | None = None
+    low_rail: LowRail | None = None
+
+    @property
+    def constant(self) -> bool:
+        """Whether there is one pressure, whatever the load."""
+        return self.load_sensing is None and self.low_rail is None
+
+    @property
+    def kind(self) -> str:
+        """What it is, in words."""
+        if self.load_sensing is not None:
+            return "load sensing"
+        return "constant pressure" if self.low_rail is None else "two rails"
+
+    def tables(self) -> dict[str, FileModel]:
+        """The tables that it has beside its own values."""
+        return _tables(self)
+
+    @model_validator(mode="after")
+    def _one_way_to_follow_the_load(self) -> Supply:
+        self.check_following()
+        return self
+
+    def check_following(self) -> None:
+        """Refuse a way to follow the load that does not go with the rest.
+
+        Raises:
+            Misplaced: says what would.
+        """
+        load, low = self.load_sensing, self.low_rail
+        most = float(self.pressure) - float(self.tank_pressure)
+        if load is not None and not 0.0 < float(load.load_margin) < most:
+            raise Misplaced(
+                "the margin of load sensing must lie between 0 and the supply's pressure",
+                *("load_sensing", "load_margin"),
+            )
+        if load is not None and not float(load.load_lag) > 0.0:
+            raise Misplaced("the lag of load sensing must be above 0", "load_sensing", "load_lag")
+        if low is not None and not 0.0 < float(low.rail_margin) < float(low.rail_pressure) < most:
+            raise Misplaced(
+                "the low rail's pressure must lie between its margin and the supply's pressure",
+                *("low_rail", "rail_pressure"),
+            )
+        if load is not None and (low is not None or self.accumulator is not None):
+            other = "low_rail" if low is not None else "accumulator"
+            raise Misplaced(
+                f"'{other}' holds a pressure, which load sensing is to change: leave one out", other
+            )
 
     @model_validator(mode="after")
     def _above_tank(self) -> Supply:
@@ -844,6 +912,24 @@ class Rig(FileModel):
             update={"mechanism": self.mechanism.model_copy(update={"joint": joints})}
         )
 
+    def with_supply(
+        self, load_sensing: LoadSensing | None = None, low_rail: LowRail | None = None
+    ) -> Rig:
+        """This rig on a supply that follows the load; as it is without either.
+
+        Raises:
+            InputError: a margin, or a rail, that does not go with the supply.
+        """
+        if load_sensing is None and low_rail is None:
+            return self
+        own = {"load_sensing": load_sensing, "low_rail": low_rail}
+        supply = self.supply.model_copy(update=own)
+        try:
+            supply.check_following()
+        except Misplaced as error:
+            raise InputError(str(error)) from None
+        return self.model_copy(update={"supply": supply})
+
     def parameters(self) -> dict[str, Value]:
         """Every scalar parameter by the name recipes use.
 
@@ -852,9 +938,8 @@ class Rig(FileModel):
         s1 and s2), ``<edge>.flow_gain``, ``<cylinder>.<force>.stiffness`` and so on."""
         found: dict[str, Value] = {"gravity": self.gravity}
         found |= {name: value for name, value in scalars(self.oil)}
-        for line in (self.supply, self.supply.accumulator):
-            if line is not None:
-                found |= {f"supply.{name}": value for name, value in scalars(line)}
+        for line in (self.supply, *self.supply.tables().values()):
+            found |= {f"supply.{name}": value for name, value in scalars(line)}
         bodies = (
             [self.mechanism] if isinstance(self.mechanism, Slide) else list(self.mechanism.joint)
         )
@@ -901,9 +986,8 @@ class Rig(FileModel):
                 update={"joint": tuple(own(f"{j.name}.", j) for j in self.mechanism.joint)}
             )
         )
-        supply, gas = own("supply.", self.supply), self.supply.accumulator
-        if gas is not None:
-            supply = supply.model_copy(update={"accumulator": own("supply.", gas)})
+        tables = {key: own("supply.", part) for key, part in self.supply.tables().items()}
+        supply = own("supply.", self.supply).model_copy(update=tables)
         return own("", self).model_copy(
             update={
                 "oil": own("", self.oil),

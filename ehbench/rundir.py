@@ -159,7 +159,7 @@ class Run:
         outputs = {
             path.relative_to(self.path).as_posix(): sha256(path)
             for path in sorted(self.path.rglob("*"))
-            if path.is_file() and path.name != "run.json"
+            if path.is_file() and path != self.path / "run.json"
         }
         facts = plain({**self.record, **self.facts, "outputs": outputs})
         write_json(self.path / "run.json", {**facts, "seal": seal_of(facts)})

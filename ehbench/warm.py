@@ -43,7 +43,9 @@ def recipes(rig: Rig, machine: str) -> Iterator[dict[str, Any]]:
 
 def warm(machine: str) -> str:
     """Run the short trials of one machine; its name."""
+    from ehbench.plant.integrate import STEP
     from ehbench.plant.model import Model
+    from ehbench.plant.paced import AUTO
     from ehbench.trial import prepare, run
     from ehbench.trial.accounts import account
 
@@ -55,7 +57,8 @@ def warm(machine: str) -> str:
             prepared = prepare(recipe, rig)
             result = run(prepared)
             account(prepared, result)
-        Model.of(rig).replay(result.record)
+        for step in (STEP, AUTO):
+            Model.of(rig).replay(result.record, step)
     return machine
 
 

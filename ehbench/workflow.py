@@ -25,6 +25,7 @@ from ehbench.stages.campaign import write_report
 from ehbench.stages.findings import Findings
 from ehbench.stages.inputs import Inputs, RigState, ValidatedRig
 from ehbench.stages.look import Circle
+from ehbench.stages.study import Where
 
 if TYPE_CHECKING:
     from ehbench.identification.suggestions import Suggestions
@@ -42,11 +43,13 @@ __all__ = [
     "RigState",
     "Session",
     "ValidatedRig",
+    "Where",
     "expect_stage",
     "next_test",
     "profile",
     "report",
     "run",
+    "sample",
     "suggest",
 ]
 ROOT = Path("reports")
@@ -74,7 +77,9 @@ class Session:
 
     ``allow_code`` lets recipes run Python code, ``unvalidated`` lets a controller be tuned on a rig
     that no validation accepted. ``keep`` leaves a run alone that stands with the very same inputs;
-    dependencies and campaigns work so. ``under_way`` are the recipes that wait for the one at work.
+    dependencies and campaigns work so. ``where`` says where a study makes its samples; ``resume``
+    goes on with searches and studies that were stopped.
+    ``under_way`` are the recipes that wait for the one at work.
     """
 
     root: Path = ROOT
@@ -84,6 +89,8 @@ class Session:
     allow_code: bool = False
     unvalidated: bool = False
     keep: bool = False
+    where: Where = Where()
+    resume: bool = False
     under_way: tuple[Path, ...] = ()
 
     def tell(self, name: str) -> Progress | None:
@@ -197,6 +204,24 @@ def next_test(folder: Path, name: str | None = None, session: Session | None = N
     if session.out is not None:
         found.write(session.out)
     return found
+
+
+@one_thread()
+def sample(study: Path, index: int, session: Session | None = None) -> Recipe:
+    """The recipe of one sample of a study, with its rig and bench file, in a folder of its own.
+
+    Args:
+        study: its recipe, or its run folder.
+        index: of the sample, from 0.
+        session: as for `run`; the folder goes to its root.
+
+    Raises:
+        EhbenchError: no such study or sample, a recipe that has changed since its run.
+    """
+    from ehbench.stages.kept import again
+
+    session = session or Session()
+    return again(study, index, session)
 
 
 def expect_stage(path: Path | str, *commands: str) -> Recipe:

@@ -31,6 +31,7 @@ from ehbench.codes import (
 from ehbench.compiled import kernel, record
 from ehbench.control.arc_gains import GAINS, VOCABULARY_OF_GAINS, pack
 from ehbench.control.axis import Axis, inertias, load_at
+from ehbench.control.coupling import loads_among
 from ehbench.control.functions import (
     DIRECTION,
     HEAD,
@@ -43,12 +44,23 @@ from ehbench.control.functions import (
     SUPPLY_ROD,
     path_drop,
     select,
+    steady_wish,
     widest,
 )
 from ehbench.control.law import Law
+from ehbench.control.map_learning import (
+    GAIN,
+    SHIFT,
+    MapMemory,
+    Seen,
+    begin,
+    learn_maps,
+    map_memory,
+    trimmed,
+)
 from ehbench.control.measured import load_force, pressure_entries, pressures, write
 from ehbench.control.records import blank
-from ehbench.control.trajectory import reference_of
+from ehbench.control.trajectory import ORDERS, reference_of
 from ehbench.control.valve_level import Flows, allocate
 from ehbench.parts.cylinder import chamber_oil
 from ehbench.parts.edge import edge_flow
@@ -60,6 +72,10 @@ LOST = 0.01  # [m] between observed and measured stroke, at which the observer s
 AHEAD = 1.0e-3  # [s] by which the laws look along the motion for their rates
 SETTLED = 3.0  # over k1: how long a load is brought to rest after a motion, once it is near
 BACK = 4.0  # of that nearness [m/s]: oil that is wanted against the error turns the motion round
+FORGETS = 5.0  # over k1: how long what pressures told of the payload counts
+FAINTLY = 0.1  # [(N/kg)²] of a payload's pull and inertia: what is less tells hardly anything of it
+NOTHING = 1e-6  # [(N/kg)²]
+DAMPED = 0.2  # share of the damping that may be wrong
 COUNT = len(ESTIMATES)
 
 STATE = record(
@@ -70,6 +86,7 @@ STATE = record(
     ("set_point", "f8"),
     ("slow_load", "f8"),
     ("slow_error", "f8"),
+    ("slow_wish", "f8"),
     ("rested", "f8"),
     ("slow_wanted", "f8"),
     ("learning", "i8"),
@@ -77,6 +94,13 @@ STATE = record(
     ("v", "f8"),
     ("bias", "f8"),
     ("acceleration", "f8"),
+    ("slow_force", "f8"),
+    ("slow_speed", "f8"),
+    ("told", "f8"),
+    ("known", "f8"),
+    ("scatter", "f8"),
+    ("payload", "f8"),
+    ("half", "f8"),
     ("estimates", "f8", (COUNT,)),
 )
 
@@ -87,13 +111,16 @@ class Memory(NamedTuple):
     ``x``, ``v`` [m, m/s] of the state are observed, ``bias`` [m/s²] is what the model's
     ``acceleration`` lacks; ``metered`` and ``set_point`` [Pa] are of the off-side control,
     ``rested`` [s] for how long no motion is desired and hardly any left, ``slow_wanted``
-    [m/s] the oil that is wanted, as a speed, behind a low-pass."""
+    [m/s] the oil that is wanted, as a speed, behind a low-pass. ``told``, ``known`` and ``scatter``
+    are means of what the mechanism's equation says of the ``payload`` [kg], ``half`` [kg] its
+    interval's, see `weigh`; ``maps`` what is learnt of the flow maps."""
 
     state: np.record
     rates: np.ndarray
     angles: np.ndarray
     mass: np.ndarray
     work: np.ndarray
+    maps: MapMemory
 
 
 class Telemetry(NamedTuple):
@@ -118,6 +145,9 @@ class Telemetry(NamedTuple):
     disturbance: float
     inverse_bulk: float
     payload_estimate: float
+    payload_measured: float
+    payload_low: float
+    payload_high: float
     learning: float
     limits: float
 
@@ -175,8 +205,8 @@ class Oil(NamedTuple):
 
 class Choice(NamedTuple):
     """What the task level decided: working function, its status, the slow load force [N] behind it,
-    whether the reference rests and the load has been brought to rest, and the speed [m/s] at which
-    an error is led back then.
+    whether the reference rests and the load has been brought to rest, the speed [m/s] at which an
+    error is led back then, and whether one spool opens both chambers.
     """
 
     function: int
@@ -184,6 +214,7 @@ class Choice(NamedTuple):
     load: float
     resting: bool
     led: float
+    spool: bool
 
 
 @kernel
@@ -209,7 +240,9 @@ def adapt(estimates, rates, lower, upper, tick):
 def flow_along(path, drop, opening, circuit):
     """Flow [m³/s] along a path at a drop [Pa] along it and an opening [V] of its edge."""
     edge, along = circuit.paths[path], circuit.along[path]
-    return along * edge_flow(along * drop, opening, circuit.edges[edge], circuit.maps)
+    gain, shift = circuit.trim[edge - circuit.first, 0], circuit.trim[edge - circuit.first, 1]
+    reach = opening - circuit.edges[edge].sign * shift
+    return gain * along * edge_flow(along * drop, reach, circuit.edges[edge], circuit.maps)
 
 
 @kernel
@@ -223,7 +256,7 @@ def spool_flows(function: int, wanted, head_gain, rod_gain, p, circuit):
     rod_path = ROD_TANK if way > 0 else SUPPLY_ROD
     if way * wanted <= 0.0:  # against the function's direction: the valve level shuts, says so
         return Flows(wanted / head_gain, wanted / rod_gain)
-    drop_one, drop_two = path_drop(head_path, p), path_drop(rod_path, p)
+    drop_one, drop_two = path_drop(head_path, p, circuit), path_drop(rod_path, p, circuit)
     along = circuit.along[head_path]
     low, high = 0.0, widest(circuit, circuit.paths[head_path], along * drop_one)
     goal = way * wanted
@@ -256,15 +289,17 @@ def spool_flows(function: int, wanted, head_gain, rod_gain, p, circuit):
 
 
 @kernel
-def stand_by(axis, share, command):
+def stand_by(axis, share, trim, command):
     """Raise the cylinder's shut cartridges to ``share`` of the command at which they begin to pass
-    oil.
+    oil, as far as it is known (``trim``).
     """
     circuit = axis.circuit
     for i in range(circuit.count):
         edge = circuit.first + i
         valve = circuit.edges[edge].valve
-        waits = share * axis.onset[i]
+        waits = 0.0
+        if axis.onset[i] != 0.0:
+            waits = share * (axis.onset[i] + circuit.edges[edge].sign * trim[i, SHIFT])
         if abs(command[valve]) < abs(waits):
             command[valve] = waits
 
@@ -285,6 +320,18 @@ def place_joints(sample, axis, angles):
         angles[i] = mechanism.posture[i]
     for c in range(mechanism.joints.shape[0]):
         angles[mechanism.joints[c]] = sample[entry(c, OF.q)]
+
+
+@kernel
+def loads_along(sample, reference, q, v, load, own, axis, memory):
+    """(`Load` now, `Load` AHEAD on the same motion); where the other joints move as well, both with
+    what these add to ``load``.
+    """
+    angles, ahead_q = memory.angles, q + AHEAD * v / load.lever
+    if reference.shape[0] > ORDERS:
+        place_joints(sample, axis, angles)
+        return loads_among(reference, q, ahead_q, AHEAD, axis, angles, memory.mass, memory.work)
+    return load, load_at(axis, ahead_q, own, angles, memory.work)
 
 
 @kernel
@@ -507,6 +554,16 @@ def feed_forward(reference, v, oil, circuit, gains):
 
 
 @kernel
+def keep_on(toward, function, rules):
+    """A desired speed [m/s], where it asks for nothing what keeps the function at work: it makes up
+    for leakage, where holding and moving in turn would be to hunt.
+    """
+    if abs(toward) <= rules.speed_start:
+        return 2.0 * rules.speed_start * DIRECTION[function]
+    return toward
+
+
+@kernel
 def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     """The task level's `Choice`: the direction is that of the desired speed, led back to the
     desired stroke.
@@ -520,7 +577,8 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     # where the reference rests, what swings is left to calm down, and the error is led back at
     # little more than the speed that it alone asks for
     spool = axis.spool[state.function] == 1
-    still = abs(reference.v) <= speed_start
+    state.slow_wish = wish = steady_wish(reference.v, state.slow_wish, tick, gains.rules)
+    still = abs(wish) <= speed_start
     near = max(gains.speed_nudge, 4.0 * k1 * gains.stroke_resolution)
     quiet = still and min(abs(k1 * z1), abs(state.v)) <= near
     state.rested = state.rested + tick if quiet else 0.0
@@ -530,16 +588,18 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     resolution = gains.stroke_resolution
     blind = max(resolution - speed_start / k1, 0.3 * resolution)
     error = state.slow_error - clip(state.slow_error, -blind, blind)
-    toward = reference.v - clip(k1 * error, -gains.speed_correction, gains.speed_correction)
+    toward = wish - clip(k1 * error, -gains.speed_correction, gains.speed_correction)
     led = 2.0 * abs(toward) + gains.speed_nudge
     state.slow_wanted -= math.expm1(-gains.force_bandwidth * tick) * (
         spool_speed - state.slow_wanted
     )
     if spool and not resting:
         toward = spool_speed
-    elif not resting and abs(reference.v) <= abs(k1 * z1) + near:
+    elif not resting and abs(wish) <= abs(k1 * z1) + near:
         if toward * state.slow_wanted < 0.0 and abs(state.slow_wanted) > abs(toward) + BACK * near:
             toward = state.slow_wanted
+    if still and not spool:
+        toward = keep_on(toward, state.function, gains.rules)
     function, status = select(
         state.function, state.age, toward, state.slow_load, p, axis.circuit, gains.rules
     )
@@ -547,7 +607,8 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
         state.age = 0.0
     state.age += tick
     state.function = function
-    return Choice(function, status, state.slow_load, resting, led)
+    coupled = axis.spool[function] == 1
+    return Choice(function, status, state.slow_load, resting, led, coupled)
 
 
 @kernel
@@ -583,16 +644,16 @@ def off_side(choice, v_d, head_rate, rod_rate, p, circuit, gains, state):
 
 
 @kernel
-def share_flows(choice, reference, wanted, oil, p, axis, gains, state):
+def share_flows(choice, reference, wanted, oil, p, circuit, gains, state):
     """Valve level: the `Flows` whose ``head·Q1 + rod·Q2`` is what is ``wanted`` [1/s].
 
     The off-side chamber's flow follows its pressure, the rest is the metered chamber's; a spool
     opens both."""
-    circuit, function = axis.circuit, choice.function
+    function = choice.function
     if function == HOLD:
         wait(choice.load, p, state)
         return Flows(0.0, 0.0)
-    if axis.spool[function] == 1:
+    if choice.spool:
         return spool_flows(function, wanted, oil.head, oil.rod, p, circuit)
     stiff = oil.bulk / state.estimates[INVERSE_BULK]
     extra = off_side(
@@ -654,6 +715,38 @@ def learn(learning, starting, force, gains, memory):
 
 
 @kernel
+def weigh(starting, force, load, ratio, v, axis, gains, state):
+    """Write the payload by least squares over pressures and mechanism, and the half of an interval
+    that holds it as far as friction is the design's, give or take its Coulomb part.
+
+    ``P_L − F_0 − m_0 (a − κ) = m_p (G + m_0 ρ (a − κ))``, both sides behind a low-pass at k1, which
+    tells the acceleration as well; what is old is forgotten over FORGETS/k1, as fast as there is
+    news. ``ratio`` ρ [1/kg] is what 1 kg adds to the inertia."""
+    beyond, corner = force.phi_1 * load.mass, gains.position_bandwidth
+    slow = gains.tick * corner
+    slow /= 1.0 + slow
+    if starting:
+        state.slow_force, state.slow_speed = beyond, v
+    state.slow_force += slow * (beyond - state.slow_force)
+    state.slow_speed += slow * (v - state.slow_speed)
+    acceleration = corner * (v - state.slow_speed) - load.curve * v * v
+    per = load.pull + load.mass * ratio * acceleration
+    found = state.slow_force - load.mass * acceleration
+    if starting:
+        state.known = per * per + NOTHING
+        state.told = state.estimates[PAYLOAD_SHARE] / state.estimates[INVERSE_INERTIA] * state.known
+    news = slow / FORGETS * per * per / (per * per + FAINTLY)
+    state.told += news * (per * found - state.told)
+    state.known += news * (per * per - state.known)
+    state.payload = state.told / state.known
+    left = found - per * state.payload
+    state.scatter += news * (left * left - state.scatter)
+    doubt = max(2.0 * math.sqrt(state.scatter), abs(left)) + axis.cylinder.friction_coulomb
+    doubt += DAMPED * abs(v) * (load.damping + axis.cylinder.friction_viscous)
+    state.half = min(doubt / math.sqrt(state.known), gains.upper[PAYLOAD_SHARE])
+
+
+@kernel
 def tell(reference, stroke, force, choice, flows, limits, state, telemetry):
     """Write the law's own columns of telemetry."""
     estimates = state.estimates
@@ -678,6 +771,9 @@ def tell(reference, stroke, force, choice, flows, limits, state, telemetry):
             estimates[DISTURBANCE],
             estimates[INVERSE_BULK],
             estimates[PAYLOAD_SHARE] / estimates[INVERSE_INERTIA],
+            state.payload,
+            state.payload - state.half,
+            state.payload + state.half,
             float(state.learning),
             float(limits),
         ),
@@ -694,14 +790,16 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
         t: time [s], unused.
         sample: what the machine measured; read are this cylinder's channels but q̇, the other
             cylinders' joint angles, p_supply and p_tank.
-        reference: x_d, v_d, a_d, j_d of the cylinder.
+        reference: x_d, v_d, a_d, j_d of the cylinder; where others move as well, behind them what
+            `ehbench.control.coupling.among_others` adds.
         axis: of the design model, an `Axis`.
         gains: of `ehbench.control.arc_gains.pack_arc`.
         memory: a `Memory`, of `memory_of` before the first tick.
         command: out, [V], one per valve of the rig; only this cylinder's are written.
-        telemetry: out, shape (COLUMNS + 2·edges of the cylinder,).
+        telemetry: out, shape (COLUMNS + 4·edges of the cylinder,).
     """
-    circuit, state = axis.circuit, memory.state
+    state, trim = memory.state, memory.maps.trim
+    circuit = trimmed(axis.circuit, trim)
     number = circuit.cylinder
     wish, p = reference_of(reference), pressures(sample, number)
     q, x, v = sample[entry(number, OF.q)], sample[entry(number, OF.x)], sample[entry(number, OF.v)]
@@ -713,9 +811,10 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
     if starting:
         start(x, v, p, measured, state)
         start_estimates(measured, load, own, tip, gains, state.estimates)
+        begin(p, axis.onset, gains, memory.maps)
     else:
         x, v = observe(x, v, gains, state)
-    ahead = load_at(axis, q + AHEAD * v / load.lever, own, memory.angles, memory.work)
+    load, ahead = loads_along(sample, reference, q, v, load, own, axis, memory)
 
     stroke = track_stroke(wish, x, v, gains)
     force = track_force(wish, v, measured, load, stroke, axis, gains, state.estimates)
@@ -729,25 +828,39 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
     wanted += track_flow(rate, learning, weight, stroke, force, oil, gains, memory)
 
     spool_speed = wanted / (oil.head * circuit.area_head + oil.rod * circuit.area_rod)
+    before = state.function
     choice = choose(wish, stroke.z1, measured, spool_speed, p, axis, gains, state)
-    flows = share_flows(choice, wish, wanted, oil, p, axis, gains, state)
-    edges = COLUMNS + circuit.count
-    edge_flows, edge_limits = telemetry[COLUMNS:edges], telemetry[edges:]
+    flows = share_flows(choice, wish, wanted, oil, p, circuit, gains, state)
+    edges, count = COLUMNS + circuit.count, circuit.count
+    edge_flows, edge_limits = telemetry[COLUMNS:edges], telemetry[edges : edges + count]
     limits = allocate(
         choice.function, flows, p, gains.drop_floor, circuit, command, edge_flows, edge_limits
     )
     if gains.standby > 0.0:
-        stand_by(axis, gains.standby, command)
+        stand_by(axis, gains.standby, trim, command)
     state.learning = learns_next(choice, limits, edge_limits, circuit)
     learn(learning, starting, force, gains, memory)
+    weigh(starting, force, load, tip / own, v, axis, gains, state)
     tell(wish, stroke, force, choice, flows, limits, state, telemetry)
+    for i in range(count):
+        telemetry[edges + count + i] = trim[i, GAIN]
+        telemetry[edges + 2 * count + i] = trim[i, SHIFT]
+    if gains.adapt_maps > 0.0:
+        quiet = choice.function == before and choice.function != HOLD and not choice.resting
+        seen = Seen(v, p, oil)
+        learn_maps(quiet, seen, telemetry[COLUMNS:], command, axis, gains, memory.maps)
 
 
 def memory_of(axis: Axis) -> Memory:
     """The controller's memory before the first tick."""
     n = axis.mechanism.links.shape[0]
     return Memory(
-        blank(STATE), np.zeros(COUNT), np.zeros(n), np.zeros((n, n)), np.zeros(work_size(n) + n)
+        blank(STATE),
+        np.zeros(COUNT),
+        np.zeros(n),
+        np.zeros((n, n)),
+        np.zeros(work_size(n) + n),
+        map_memory(axis.circuit),
     )
 
 
@@ -769,6 +882,8 @@ LAW = Law(
     memory=memory_of,
     observed=observed,
     telemetry=Telemetry._fields,
+    edge_telemetry=("map_gain", "map_shift"),
     bounds=("payload", "bulk_modulus"),
+    ahead=AHEAD,
     warns_saturated=True,
 )

@@ -44,6 +44,10 @@ GAIN_NAMES = (
     "drop_floor",
     "weighing_time",
     "reference_mass",
+    "adapt_maps",
+    "map_bandwidth",
+    "map_error",
+    "deadband_error",
 )
 MAY_BE_ZERO = {
     "adapt",
@@ -56,7 +60,11 @@ MAY_BE_ZERO = {
     "standby",
     "valve_lead",
     "weighing_time",
+    "adapt_maps",
+    "map_error",
+    "deadband_error",
 }
+SWITCHES = ("adapt", "adapt_maps")  # yes or no
 COUNT = len(ESTIMATES)
 # lower, upper: bounds of the estimates; rate: gains of their adaptation; start: the design model's
 GAINS = record(
@@ -66,9 +74,9 @@ GAINS = record(
 )
 # what a recipe may say beyond GAIN_NAMES, see `Adaptation`
 VOCABULARY_OF_GAINS = {
-    **{name: VOCABULARY[name] for name in GAIN_NAMES if name not in ("tick", "adapt")},
+    **{name: VOCABULARY[name] for name in GAIN_NAMES if name not in ("tick", *SWITCHES)},
     **{name: VOCABULARY[name] for name in ("adaptation", "adaptation_bulk", "lag_budget")},
-    "adapt": None,
+    **dict.fromkeys(SWITCHES),
     "disturbance": VOCABULARY["force"],
     "payload": VOCABULARY["mass"],
     "bulk_modulus": VOCABULARY["bulk_modulus"],
@@ -82,6 +90,7 @@ OWN = 2.0  # of a load's own damping may be taken: no more than a part of the su
 LEAST = 0.26  # of the budget is left to a load without damping of its own
 PARTS = (0.20, 0.18, 0.62)  # of the sum of the bandwidths that are k1, k2, k3
 LEARNS = 0.2  # of k1: the rate of adaptation
+MAPS_LEARN = 0.25  # of k1: the largest rate at which flow maps are corrected, slow against the loop
 OBSERVER, FASTEST_OBSERVER = 6.0, 500.0  # of that sum; [rad/s]
 STROKES = (0.1, 0.3, 0.5, 0.7, 0.9)  # at which adaptation is looked at
 
@@ -161,7 +170,9 @@ def pack_arc(
             [m] at a reference at rest; ``load_corner`` [rad/s] of the load that chooses the
             function; ``standby`` [1] share of its deadband at which a shut valve waits;
             ``valve_lead`` [s] by which desired flows lead; ``drop_floor`` [Pa] of the inverse maps;
-            ``weighing_time`` [s], the gain of adaptation at rest; ``reference_mass`` [kg].
+            ``weighing_time`` [s], the gain of adaptation at rest; ``reference_mass`` [kg];
+            ``adapt_maps`` whether the flow maps are corrected, at most at ``map_bandwidth``
+            [rad/s], within ``map_error`` [1] of their flow and ``deadband_error`` [V].
 
     Raises:
         InputError: an unknown gain, a number out of its range, bounds that do not hold the design
@@ -188,6 +199,7 @@ def pack_with_rates(
     learning = _learning(site, unsure, bounds, chosen, (given, places))
     chosen |= _defaults(site, places[0].load, chosen, total, learning) | dict(given)
     chosen |= {"tick": given.get("tick", site.tick), "adapt": given.get("adapt", unsure.adapt)}
+    chosen["adapt_maps"] = given.get("adapt_maps", chosen["adapt"])
     _check_whole(chosen, bounds, learning.rate)
     packed = blank(GAINS)
     for name in GAIN_NAMES:
@@ -337,6 +349,15 @@ class _Told(NamedTuple):
     omega: float
 
 
+def _regressors(load: Load, span: float) -> np.ndarray:
+    """Regressors of the mechanical estimates at a middling payload; 1 m/s² stands for the
+    accelerations that tell the inertia.
+    """
+    return np.array(
+        [1.0 + 0.5 * abs(load.pull) * span / load.mass, load.pull / load.mass, 1.0 / load.mass]
+    )
+
+
 def _told(place: _Place, span: float, bandwidths: Mapping[str, float], coupling: float) -> _Told:
     """In a posture: an acceleration error Δ shows as mixed = −answer·Δ, so that θ̂' = Γ φ
     mixed makes Δ' = −adaptation·Δ.
@@ -344,10 +365,7 @@ def _told(place: _Place, span: float, bandwidths: Mapping[str, float], coupling:
     load = place.load
     k1, k2, k3 = bandwidths.values()
     omega = coupling or place.swing
-    # 1 m/s² stands for the accelerations that tell the inertia
-    phi = np.array(
-        [1.0 + 0.5 * abs(load.pull) * span / load.mass, load.pull / load.mass, 1.0 / load.mass]
-    )
+    phi = _regressors(load, span)
     at_speed = (1.0 + (k1 + k2) / k3) / (k2 + omega**2 / k3)
     answer = max(at_speed + (k1 + k2) / omega**2 * (k2 * at_speed - 1.0), 0.2 * at_speed)
     return _Told(phi, answer, omega)
@@ -387,6 +405,9 @@ def _defaults(
         "drop_floor": 2.0e4,
         "weighing_time": learning.answer,
         "reference_mass": mass,
+        "map_bandwidth": MAPS_LEARN * k1,
+        "map_error": 0.25,
+        "deadband_error": 0.25 * float(np.abs(site.axis.onset).max(initial=0.0)),
     }
 
 
@@ -405,7 +426,35 @@ def pack(site: Site, gains: Mapping[str, Any], rules: np.record, shaping: np.rec
     known = {name: v for name, v in gains.items() if name in GAIN_NAMES and name != "adapt"}
     unsure: dict[str, Any] = {name: v for name, v in gains.items() if name not in known}
     packed, per_bandwidth = pack_with_rates(site, rules, Adaptation(**unsure), known)
-    return Packed(packed, named_gains(packed, per_bandwidth))
+    told = named_gains(packed, per_bandwidth) | {"guaranteed": guaranteed(site, packed)}
+    return Packed(packed, told)
+
+
+def guaranteed(site: Site, packed: np.record) -> dict[str, float]:
+    """What the law guarantees of its errors in the axis's posture, whatever the estimates do inside
+    of their bounds: ``acceleration`` h_2 [m/s²] that they leave open, and the ends of ``speed`` z_2
+    [m/s] and ``stroke`` z_1 [m] after the transient.
+
+    ``V̇_z ≤ −K V_z + h_2²/(2 K_2) + w h_3²/(2 K_3)`` with K_i = k_i and their robust shares, K the
+    lesser (docs/arc.md)."""
+    load, _ = reference_load(site.axis)
+    width = (packed.upper - packed.lower)[:3]
+    span = float(packed.upper[1] - packed.lower[1])
+    k1, k2, k3 = (float(packed[name]) for name in GAIN_NAMES[2:5])
+    told = _regressors(load, span)
+    unsure = float(np.abs(told) @ width)
+    force = load.mass * (k1 + k2) * unsure
+    omega = float(packed.coupling_frequency) or hydraulic_frequency(site.axis, load)
+    whole = []
+    for gain, left, tolerance in (
+        (k2, unsure, float(packed.speed_tolerance)),
+        (k3, force, float(packed.force_tolerance)),
+    ):
+        share = min(left**2 / (4.0 * gain * tolerance**2), float(packed.robust_limit) * gain)
+        whole.append(gain + share)
+    level = unsure**2 / (2.0 * whole[0]) + (force / (load.mass * omega)) ** 2 / (2.0 * whole[1])
+    speed = math.sqrt(2.0 * level / min(whole))
+    return {"acceleration": unsure, "speed": speed, "stroke": speed / k1}
 
 
 def named_gains(packed: np.record, per_bandwidth: np.ndarray) -> dict[str, Any]:

@@ -10,7 +10,7 @@ over its paths by ``PATH_FLOWS``. One chamber, ``METERED``, sets the motion thro
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,10 +23,12 @@ from ehbench.codes import (
     STALLED,
     UNABLE,
 )
-from ehbench.compiled import kernel, record
+from ehbench.compiled import kernel, record, table
+from ehbench.control.measured import Pressures
 from ehbench.control.records import blank, numbers, reals
 from ehbench.errors import InputError
 from ehbench.parts.edge import EDGE, MAP, PUMP, edge_flow, edge_known
+from ehbench.parts.supply import SUPPLY, drawn_at, most_pressure, offered
 from ehbench.physics.flow_map import ValveMaps
 
 PATHS = ("supply_head", "head_tank", "supply_rod", "rod_tank", "head_rod", "rod_head")
@@ -69,8 +71,14 @@ RULE_NAMES = (
     "supply_band",
     "cross_drop",
     "dwell",
+    "speed_sure",
+    "wish_corner",
+    "power_band",
 )
-ALL_RULES = (*RULE_NAMES, "allow_seventh")  # the last is 0 or 1
+CHOICES = ("ranked", "least_power")  # by the number that the rule ``choice`` is
+RANKED, LEAST_POWER = range(2)
+# the rules of a recipe, what follows from its gains, its choice, and 0 or 1
+ALL_RULES = (*RULE_NAMES, "low_pressure", "choice", "allow_seventh")
 RULES = record(*reals(ALL_RULES))  # the rules of selection, see `pack_rules`
 
 
@@ -83,7 +91,10 @@ class Circuit(NamedTuple):
     ``paths`` [6] is the edge that serves each path, −1 for none, ``along`` [6] its direction: +1
     where the edge points along the path, else −1. ``able`` [8] is 1 for each working function that
     the circuit can do. ``hull``, ``hull_at`` [edges, 2]: the measured range of each map, see
-    `ehbench.control.valve_level.inside`."""
+    `ehbench.control.valve_level.inside`. ``supply`` is the plant's line, which says at what
+    pressure an edge finds the supply, see `supply_pressure`. ``trim``, shape (count, 2): gain [1]
+    and shift of the deadband [V] by which each edge is known to differ from its law, see
+    `ehbench.control.map_learning`."""
 
     cylinder: int
     area_head: float
@@ -99,6 +110,8 @@ class Circuit(NamedTuple):
     able: np.ndarray
     hull: np.ndarray
     hull_at: np.ndarray
+    supply: np.recarray
+    trim: np.ndarray
 
 
 @kernel
@@ -114,14 +127,22 @@ def widest(circuit, edge, drop):
 
 
 @kernel
-def path_drop(path, p):
+def supply_pressure(chamber, p, circuit):
+    """Pressure [Pa] at which an edge to a ``chamber`` [Pa] finds the supply: that which is
+    measured, the low rail's, or what a load-sensing pump is about to bring.
+    """
+    return offered(p.supply, chamber, circuit.supply[0])
+
+
+@kernel
+def path_drop(path, p, circuit):
     """Pressure drop [Pa] along a path at `Pressures`, positive where oil flows its way."""
     if path == SUPPLY_HEAD:
-        return p.supply - p.head
+        return supply_pressure(p.head, p, circuit) - p.head
     if path == HEAD_TANK:
         return p.head - p.tank
     if path == SUPPLY_ROD:
-        return p.supply - p.rod
+        return supply_pressure(p.rod, p, circuit) - p.rod
     if path == ROD_TANK:
         return p.rod - p.tank
     return p.head - p.rod if path == HEAD_ROD else p.rod - p.head
@@ -158,17 +179,20 @@ def feasible(function, active, v_d, load_force, p, circuit, rules):
     """True where a function can move the load at the present pressures; a function that is
     ``active`` is held more easily.
 
-    Meter-in: the supply carries the load. Regeneration: the drop across the ends is enough and the
-    cross-port edge at full command carries A2 |v_d| at it. The seventh: see `seventh_feasible`.
-    """
+    In each, oil must be able to flow through the path that sets the motion. Meter-in: the supply
+    carries the load. Regeneration: the drop across the ends is enough and the cross-port edge at
+    full command carries A2 |v_d| at it. The seventh: see `seventh_feasible`."""
+    if path_drop(METERING[function], p, circuit) <= 0.0:
+        return False
+    most = most_pressure(p.supply, circuit.supply[0])
     cross = CROSS[function]
     if cross < 0:
         metered = circuit.area_head if METERED[function] == HEAD else circuit.area_rod
-        return OVERRUNNING[function] == 1 or abs(load_force) < metered * p.supply
+        return OVERRUNNING[function] == 1 or abs(load_force) < metered * most
     if function == EXTEND_RESISTIVE_REGENERATION:
-        return seventh_feasible(active, v_d, load_force, p.supply, circuit, rules)
+        return seventh_feasible(active, v_d, load_force, most, circuit, rules)
     room = 1.0 if active else 1.0 + rules.reserve
-    drop = path_drop(cross, p)
+    drop = path_drop(cross, p, circuit)
     return drop > (rules.drop_stop if active else rules.drop_start) and capacity(
         circuit, cross, drop
     ) >= room * circuit.area_rod * abs(v_d)
@@ -209,41 +233,77 @@ def suits(function, way, along, circuit, rules):
 
 
 @kernel
-def direction(now, v_d, rules):
-    """Direction of the desired speed, ±1 or 0, with a dead zone that is narrower once it moves."""
-    way = DIRECTION[now]
-    if way == 0 or way * v_d <= rules.speed_stop:
-        way = 0 if abs(v_d) <= rules.speed_start else (1 if v_d > 0.0 else -1)
-    return way
+def planned(function, load_force, p, circuit, rules):
+    """`Pressures` at which a function carries a load [N] in steady motion: the off-side chamber at
+    its set-point, the other by the balance of forces; NaN where areas allow none.
+    """
+    a1, a2, low = circuit.area_head, circuit.area_rod, p.tank + rules.low_pressure
+    if function == EXTEND_RESISTIVE_REGENERATION:
+        head = (load_force + rules.cross_drop * a2) / (a1 - a2) if a1 > a2 else math.nan
+        return Pressures(head, head + rules.cross_drop, p.supply, p.tank)
+    if METERED[function] == HEAD:
+        return Pressures((load_force + low * a2) / a1, low, p.supply, p.tank)
+    return Pressures(low, (low * a1 - load_force) / a2, p.supply, p.tank)
 
 
 @kernel
-def select(now, age, v_d, load_force, p, circuit, rules):
-    """(working function, status) for this tick: of those that suit, the one that draws least from
-    the supply.
-
-    The direction is that of ``v_d`` with a dead zone (hold inside it); the load is along the motion
-    where ``direction·load_force < 0``, with a band of hysteresis. A change of direction, and to or
-    from hold, is made at once; another change only after the minimum dwell. Pure: the caller keeps
-    ``now`` and ``age``.
-
-    Args:
-        now: the working function of the last tick.
-        age: time since it was taken up [s].
-        v_d: desired speed [m/s], extension positive.
-        load_force: P_L = p_head A1 − p_rod A2 [N], measured or desired.
-        p: `Pressures` [Pa].
-        circuit: of the cylinder.
-        rules: of `pack_rules`.
-
-    Returns:
-        Index into FUNCTIONS, and OK; STALLED: none that suits is feasible, this is the plainest of
-        them;
-        UNABLE: the circuit has no function for this motion and load, so it holds.
+def carries(function, active, v_d, plan, circuit, rules):
+    """True where a function carries ``v_d`` [m/s] at its `planned` pressures: no chamber runs
+    empty, and every path passes its share; a function that is ``active`` is held more easily.
     """
-    way = direction(now, v_d, rules)
-    if way == 0:
-        return HOLD, OK
+    room, speed = 1.0 if active else 1.0 + rules.reserve, abs(v_d)
+    least = plan.tank + (0.25 if active else 0.5) * rules.low_pressure
+    if not (plan.head >= least and plan.rod >= least):
+        return False
+    for path in range(len(PATHS)):
+        share = PATH_FLOWS[function, path, 0] * circuit.area_head
+        share += PATH_FLOWS[function, path, 1] * circuit.area_rod
+        if share == 0.0:
+            continue
+        if capacity(circuit, path, path_drop(path, plan, circuit)) < room * abs(share) * speed:
+            return False
+    return True
+
+
+@kernel
+def pump_force(function, plan, circuit):
+    """Energy that a function takes from the pumps per stroke [J/m] at its `planned` pressures."""
+    way, taken = DIRECTION[function], 0.0
+    for path in (SUPPLY_HEAD, SUPPLY_ROD):
+        drawn = PATH_FLOWS[function, path, 0] * circuit.area_head
+        drawn += PATH_FLOWS[function, path, 1] * circuit.area_rod
+        chamber = plan.head if path == SUPPLY_HEAD else plan.rod
+        taken += way * drawn * drawn_at(plan.supply, chamber, circuit.supply[0])
+    return taken
+
+
+@kernel
+def least_power(now, way, v_d, load_force, p, circuit, rules):
+    """The function of a direction that carries the wish with least pump power, HOLD for none.
+
+    The load may be along the motion or against it: what counts are the planned pressures. A
+    function that is at work stays until another takes less by ``power_band`` of it."""
+    best, least = HOLD, math.inf
+    for function in range(1, len(FUNCTIONS)):
+        if not suits(function, way, OVERRUNNING[function], circuit, rules):
+            continue
+        plan = planned(function, load_force, p, circuit, rules)
+        active = function == now
+        if not carries(function, active, v_d, plan, circuit, rules):
+            continue
+        if path_drop(METERING[function], p, circuit) <= 0.0:
+            continue
+        cost = pump_force(function, plan, circuit) * (1.0 - (rules.power_band if active else 0.0))
+        if cost < least:
+            best, least = function, cost
+    return best
+
+
+@kernel
+def ranked(now, way, v_d, load_force, p, circuit, rules):
+    """(function, status) of a direction: of those that suit the load and are feasible the one that
+    draws least from the supply; the plainest of them where none is.
+    """
     same = DIRECTION[now] == way
     band = 0.0 if not same else (-rules.force_band if OVERRUNNING[now] == 1 else rules.force_band)
     along = 1 if -way * load_force > band else 0
@@ -256,16 +316,76 @@ def select(now, age, v_d, load_force, p, circuit, rules):
             plain, most = function, draw
         if draw < least and feasible(function, function == now, v_d, load_force, p, circuit, rules):
             best, least = function, draw
-    status = OK
     if best == HOLD:
-        best, status = plain, UNABLE if plain == HOLD else STALLED
-    if same and best != now and age < rules.dwell:
-        return now, OK
+        return plain, UNABLE if plain == HOLD else STALLED
+    return best, OK
+
+
+@kernel
+def steady_wish(v_d, slow, tick, rules):
+    """The desired speed [m/s] by which motions begin, turn and end, after ``slow`` a tick ago.
+
+    Above ``speed_sure``, and where no speed at all is desired, it is ``v_d`` itself; between, what
+    a low-pass of ``wish_corner`` leaves of it, so that noise about the dead zone moves nothing."""
+    if v_d == 0.0 or abs(v_d) > rules.speed_sure:
+        return v_d
+    slow = min(max(slow, -rules.speed_sure), rules.speed_sure)
+    return slow - math.expm1(-rules.wish_corner * tick) * (v_d - slow)
+
+
+@kernel
+def direction(now, v_d, rules):
+    """Direction of the desired speed, ±1 or 0, with a dead zone that is narrower once it moves."""
+    way = DIRECTION[now]
+    if way == 0 or way * v_d <= rules.speed_stop:
+        way = 0 if abs(v_d) <= rules.speed_start else (1 if v_d > 0.0 else -1)
+    return way
+
+
+@kernel
+def select(now, age, v_d, load_force, p, circuit, rules):
+    """(working function, status) for this tick, by the rule ``choice``: `ranked`, or `least_power`
+    where some function carries the wish, else ranked.
+
+    The direction is that of ``v_d`` with a dead zone (hold inside it); ranked, the load is along
+    the motion where ``direction·load_force < 0``, with a band of hysteresis. A change of direction,
+    and to or from hold, is made at once; another change only after the minimum dwell. Pure: the
+    caller keeps ``now`` and ``age``.
+
+    Args:
+        now: the working function of the last tick.
+        age: time since it was taken up [s].
+        v_d: desired speed [m/s], extension positive, of `steady_wish` where it may be noisy.
+        load_force: P_L = p_head A1 − p_rod A2 [N], measured or desired.
+        p: `Pressures` [Pa].
+        circuit: of the cylinder.
+        rules: of `pack_rules`.
+
+    Returns:
+        Index into FUNCTIONS, and OK; STALLED: none that suits is feasible, this is the plainest of
+        them, or one that stays for its dwell has ceased to be;
+        UNABLE: the circuit has no function for this motion and load, so it holds.
+    """
+    way = direction(now, v_d, rules)
+    if way == 0:
+        return HOLD, OK
+    best, status = HOLD, OK
+    if rules.choice == LEAST_POWER:
+        best = least_power(now, way, v_d, load_force, p, circuit, rules)
+    if best == HOLD:
+        best, status = ranked(now, way, v_d, load_force, p, circuit, rules)
+    if DIRECTION[now] == way and best != now and age < rules.dwell:
+        fit = feasible(now, True, v_d, load_force, p, circuit, rules)
+        return now, OK if fit else STALLED
     return best, status
 
 
 def pack_rules(
-    area_rod: float, supply_pressure: float, low_pressure: float | None = None, **given: float
+    area_rod: float,
+    supply_pressure: float,
+    low_pressure: float | None = None,
+    choice: str = CHOICES[RANKED],
+    **given: float,
 ) -> np.record:
     """The rules of `select`, a record of type RULES, with defaults in shares of the supply pressure
     Ps.
@@ -285,21 +405,44 @@ def pack_rules(
             the seventh function must leave of Ps for metering [Pa], Ps/20, and as much more to
             begin; ``cross_drop``, planned drop Δp3 across the cross-port edge in the seventh [Pa],
             Ps/20; ``dwell``, least time between two changes in one direction of motion [s];
-            ``allow_seventh``, True lets the seventh function be chosen.
+            ``speed_sure`` [m/s], five times ``speed_start``, and ``wish_corner`` [rad/s]: see
+            `steady_wish`; ``choice``, "ranked" or "least_power", with ``power_band``, the share by
+            which another function must take less than the one at work; ``allow_seventh``, True lets
+            the seventh function be chosen.
 
     Raises:
         InputError: an unknown rule, a number that is negative or not finite, or that ends a state
             above where it begins.
     """
+    known = (*RULE_NAMES, "choice", "allow_seventh")
     for name in given:
-        if name not in ALL_RULES:
+        if name not in known:
             raise InputError(
-                f"function selection has no rule '{name}'", hint="it has " + ", ".join(ALL_RULES)
+                f"function selection has no rule '{name}'", hint="it has " + ", ".join(known)
             )
-    part = supply_pressure / 20.0
-    low = part if low_pressure is None else low_pressure
+    if choice not in CHOICES:
+        raise InputError(
+            f"a rule of function selection is wrong: choice = {choice!r}",
+            hint="there are " + ", ".join(CHOICES),
+        )
+    low = supply_pressure / 20.0 if low_pressure is None else low_pressure
+    defaults = _default_rules(area_rod, supply_pressure / 20.0, low, given)
+    defaults["choice"] = CHOICES.index(choice)
+    rules = blank(RULES)
+    for name, value in (defaults | given).items():
+        rules[name] = value
+    _check_rules(rules)
+    return rules
+
+
+def _default_rules(
+    area_rod: float, part: float, low: float, given: Mapping[str, float]
+) -> dict[str, float]:
+    """Rules that a recipe leaves out, by ``part`` = Ps/20 and the off-side's ``low`` [Pa], and what
+    follows from others that are ``given``.
+    """
     margin = given.get("supply_margin", part)
-    defaults = {
+    return {
         "speed_start": 2.0e-4,
         "speed_stop": 1.0e-4,
         "force_band": 0.5 * low * area_rod,
@@ -310,13 +453,12 @@ def pack_rules(
         "supply_band": margin,
         "cross_drop": part,
         "dwell": 0.1,
+        "speed_sure": 5.0 * given.get("speed_start", 2.0e-4),
+        "wish_corner": 20.0,
+        "power_band": 0.05,
+        "low_pressure": low,
         "allow_seventh": 0.0,
     }
-    rules = blank(RULES)
-    for name, value in (defaults | given).items():
-        rules[name] = value
-    _check_rules(rules)
-    return rules
 
 
 def _check_rules(rules: np.record) -> None:
@@ -340,22 +482,21 @@ def circuit(
     maps: np.ndarray,
     ranges: np.ndarray,
     measured: Sequence[ValveMaps | None] | None = None,
+    supply: np.record | None = None,
 ) -> Circuit:
     """The circuit of one cylinder, from the plant's arrays.
 
-    Of several edges on one path the one that carries most at 1 MPa serves it. A working function is
-    able where every path has an edge and its valves open no other edge of any cylinder and are
-    asked for one sign only: four edges on one spool are able of the four functions without
-    regeneration.
+    Of several edges on one path the one that carries most at 1 MPa serves it. A function is able
+    where every path has an edge and its valves open no other edge of any cylinder and are asked for
+    one sign only: four edges on one spool are able of the four without regeneration.
 
     Args:
         cylinder: its number; nodes are 0 supply, 1 tank, 2 + 2·cylinder its head end, 3 +
             2·cylinder its rod end.
         area_head, area_rod: [m²].
-        edges, maps: the plant's, see `ehbench.parts.edge`.
-        ranges: lowest and highest command [V] of every valve, shape (valves, 2).
-        measured: the flow maps of every edge, None for an edge with an analytic law; needed where
-            an edge follows a map.
+        edges, maps: the plant's; ranges: lowest, highest command [V] of its valves, (valves, 2).
+        measured: the flow maps of every edge that follows one, None for the others.
+        supply: the plant's, by default one of constant pressure.
 
     Raises:
         InputError: no edge touches the cylinder, a pump does, or an edge lacks its map.
@@ -386,12 +527,22 @@ def circuit(
         able,
         hull,
         hull_at,
+        _line(supply),
+        np.tile([1.0, 0.0], (int(own[-1] - own[0] + 1), 1)),
     )
     ends = ((0, head), (head, 1), (0, rod), (rod, 1), (head, rod), (rod, head))
     for path, between in enumerate(ends):
         paths[path], along[path] = _serving(whole, own, between)
     able[:] = _able(paths, edges)
     return whole
+
+
+def _line(supply: np.record | None) -> np.recarray:
+    """The supply's line as a table of one row, which compiled code hands on; zeros for none."""
+    line = table(1, SUPPLY)
+    if supply is not None:
+        line[0] = supply
+    return line
 
 
 def _edges_at(edges: np.recarray, cylinder: int, nodes: tuple[int, int]) -> np.ndarray:

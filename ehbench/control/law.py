@@ -81,8 +81,11 @@ class Law:
         observed: (axis, channels of the sample) → mask of the channels that it is given.
         telemetry: its own columns of the row, as words of the vocabulary; behind them stand the
             desired flow and the limits of each of the cylinder's edges.
+        edge_telemetry: what it tells of each edge beside.
         bounds: gains that are a list of two.
         required: the gain without a default.
+        ahead: a time [s] if its step takes, where several cylinders move, the wished motion of all
+            joints behind the reference's own columns, now and so far on; else 0.
         shaped: whether it shapes steps of speed, so that a recipe may have ``shaping``.
         warns_saturated: whether a trial warns of the time that its valves were at their end.
     """
@@ -95,14 +98,16 @@ class Law:
     memory: Callable[[Axis], Any]
     observed: Callable[[Axis, int], np.ndarray]
     telemetry: tuple[str, ...]
+    edge_telemetry: tuple[str, ...] = ()
     bounds: tuple[str, ...] = ()
     required: Required | None = None
+    ahead: float = 0.0
     shaped: bool = False
     warns_saturated: bool = False
 
     def channels(self, cylinder: str, edges: tuple[str, ...]) -> tuple[str, ...]:
         """Channel names of a row of telemetry: ``<cylinder>.<name>``, then ``<edge>.flow_desired``
-        and ``<edge>.limits`` of each edge.
+        and ``<edge>.limits`` of each edge, then what the law tells of each beside.
 
         Args:
             cylinder: its name.
@@ -112,4 +117,5 @@ class Law:
             *(f"{cylinder}.{name}" for name in self.telemetry),
             *(f"{edge}.flow_desired" for edge in edges),
             *(f"{edge}.limits" for edge in edges),
+            *(f"{edge}.{name}" for name in self.edge_telemetry for edge in edges),
         )

@@ -16,7 +16,7 @@ import numpy as np
 from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS, HOLD
 from ehbench.compiled import kernel, record
 from ehbench.control.axis import Axis
-from ehbench.control.functions import HEAD, METERED, ROD, RULES, Circuit, select
+from ehbench.control.functions import HEAD, METERED, ROD, RULES, Circuit, select, steady_wish
 from ehbench.control.law import Law, Packed, Required, Site
 from ehbench.control.measured import load_force, pressure_entries, pressures, write
 from ehbench.control.records import blank, numbers, reals
@@ -56,6 +56,7 @@ MEMORY = record(
     ("function", "i8"),
     ("age", "f8"),
     ("slow_load", "f8"),
+    ("slow_wish", "f8"),
     ("ends", END, (2,)),
     ("shaped", SHAPED),
 )
@@ -115,8 +116,9 @@ def choose(v_d, load, p, circuit, gains, memory):
     swing: the function is chosen by the load behind a low-pass."""
     slow = -math.expm1(-gains.load_corner * gains.tick) if gains.load_corner > 0.0 else 1.0
     memory.slow_load += slow * (load - memory.slow_load)
+    memory.slow_wish = wish = steady_wish(v_d, memory.slow_wish, gains.tick, gains.rules)
     function, status = select(
-        memory.function, memory.age, v_d, memory.slow_load, p, circuit, gains.rules
+        memory.function, memory.age, wish, memory.slow_load, p, circuit, gains.rules
     )
     if function != memory.function:
         memory.age = 0.0

@@ -71,7 +71,8 @@ def edge_order(circuit, path, flow, drop, floor):
 
     The exact inverse of the edge's law for drops from ``floor`` [Pa] up. Between −floor and floor
     the command is that for the floor, so that sensor noise about zero drop neither slams the valve
-    nor opens it without end; below, it is shut."""
+    nor opens it without end; below, it is shut. What is known to differ from the law (``trim``) is
+    taken into account."""
     edge = circuit.paths[path]
     if flow == 0.0:
         return 0.0, 0
@@ -82,16 +83,17 @@ def edge_order(circuit, path, flow, drop, floor):
     limits = 0
     if drop < floor:
         limits, drop = FAINT, floor
-    along = circuit.along[path]
+    along, sign = circuit.along[path], circuit.edges[edge].sign
+    gain, shift = circuit.trim[edge - circuit.first, 0], circuit.trim[edge - circuit.first, 1]
+    flow /= gain
     command = edge_command(along * drop, along * flow, circuit.edges[edge], circuit.maps)
+    command += sign * shift
     most = widest(circuit, edge, along * drop)
-    sign = circuit.edges[edge].sign
     # a map's inverse stops at its last command by itself, so the flow decides
     if sign * command >= sign * most:
         command = most
-        if edge_flow(along * drop, most, circuit.edges[edge], circuit.maps) * along < flow * (
-            1.0 - 1e-9
-        ):
+        given = edge_flow(along * drop, most - sign * shift, circuit.edges[edge], circuit.maps)
+        if given * along < flow * (1.0 - 1e-9):
             limits += SATURATED
     return command, limits
 
@@ -140,7 +142,7 @@ def allocate(function, wanted, p, floor, circuit, command, flows, limits):
         # 0·NaN stays NaN: a channel withheld from the controller shows in every command that it
         # could have touched
         flow = share_head * wanted.head + share_rod * wanted.rod
-        drop = path_drop(path, p)
+        drop = path_drop(path, p, circuit)
         order, bits = edge_order(circuit, path, flow, drop, floor)
         valve = circuit.edges[edge].valve
         if turn == 0:
@@ -185,5 +187,5 @@ def top_speed(function: int, p: Pressures, circuit: Circuit) -> float:
         a, b = PATH_FLOWS[function, path]
         need = DIRECTION[function] * (a * circuit.area_head + b * circuit.area_rod)
         if need > 0.0:
-            fastest = min(fastest, capacity(circuit, path, path_drop(path, p)) / need)
+            fastest = min(fastest, capacity(circuit, path, path_drop(path, p, circuit)) / need)
     return 0.0 if math.isinf(fastest) else fastest

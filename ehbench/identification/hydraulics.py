@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.errors import InputError, InsufficientData
+from ehbench.identification.journal import Journal
 from ehbench.identification.matching import Matching, refuse_unmatched
 from ehbench.identification.output_error import OutputError
 from ehbench.identification.results import (
@@ -231,8 +232,11 @@ def _refuse_inert(
             )
 
 
-def run_fit(prepared: PreparedFit, progress: Progress | None = None) -> HydraulicsFit:
-    """Fit what `prepare_fit` took in; ``progress`` as in `identify_hydraulics`.
+def run_fit(
+    prepared: PreparedFit, progress: Progress | None = None, journal: Journal | None = None
+) -> HydraulicsFit:
+    """Fit what `prepare_fit` took in; ``progress`` as in `identify_hydraulics`, ``journal`` of how
+    far output error has come.
 
     Raises:
         InsufficientData: no log tells anything about any parameter, or the fit follows none.
@@ -247,7 +251,8 @@ def run_fit(prepared: PreparedFit, progress: Progress | None = None) -> Hydrauli
     with simulator.pool:
         if asked.method == "thesis":
             return Matching(simulator, one.search, tell, most).fit()
-        return OutputError(simulator, one.search, tell, most, asked.cutoff, watched).fit()
+        search = OutputError(simulator, one.search, tell, most, asked.cutoff, watched, journal)
+        return search.fit()
 
 
 def simulator_of(

@@ -10,12 +10,14 @@ import math
 import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from ehbench.errors import InsufficientData
 from ehbench.identification.covariance import Block, Prior, covariance_of, eliminate, release_of
 from ehbench.identification.groups import Group, groups_of, sentence
+from ehbench.identification.journal import Journal
 from ehbench.identification.results import (
     Estimate,
     HydraulicsFit,
@@ -73,6 +75,19 @@ class _Point:
     nudges: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
 
 
+@dataclass
+class _Way:
+    """A descent under way: its damping, whether the last step gained what it should, the steps
+    done, the sensitivities to the logs' starts and the point that they are of.
+    """
+
+    damping: float = DAMPING
+    faithful: bool = True
+    done: int = 0
+    nudges: list[np.ndarray] | None = None
+    origin: _Point | None = None
+
+
 class OutputError:
     """Weighted least squares over all logs; one instance a fit.
 
@@ -85,6 +100,7 @@ class OutputError:
         cutoff: of the low-pass [Hz].
         watched: parameters that are held, and of which the logs are asked at the end whether they
             should be.
+        journal: of how far it has come.
     """
 
     def __init__(
@@ -95,7 +111,9 @@ class OutputError:
         most: int,
         cutoff: float | None,
         watched: Sequence[Coordinate] = (),
+        journal: Journal | None = None,
     ) -> None:
+        self.journal = journal or Journal()
         sensors = of_sensors(simulator.logs[0].start.terms)
         self.simulator, self.search, self.tell = simulator, [*search, *sensors, *watched], tell
         self.most, self.cutoff = most, cutoff
@@ -256,24 +274,55 @@ class OutputError:
         best = math.inf
         for group in [bulk, *others] if bulk else others:
             vectors, losses = self._looks(group, damping if group is bulk else [])
-            costs = np.array(
-                [
-                    math.inf
-                    if parts is None
-                    else sum(float(np.sum(part**2)) for part in self.scaled(parts, chosen))
-                    for parts in self.residuals(vectors, chosen)
-                ]
-            )
+            costs = self._costs(vectors, chosen)
             at = int(np.argmin(costs))
             self.theta, best = vectors[at], float(costs[at])
             valley = np.min(costs[losses:].reshape(-1, losses), axis=1)
             bottoms = np.flatnonzero((valley[1:-1] < valley[:-2]) & (valley[1:-1] < valley[2:]))
             for k in bottoms + 1:
                 own = losses + k * losses + int(np.argmin(costs[losses + k * losses :][:losses]))
-                if own != at:
+                if not np.array_equal(vectors[own], vectors[at]):
                     rivals.append((float(costs[own]), vectors[own]))
         near = sorted((cost, k) for k, (cost, _) in enumerate(rivals) if cost < RIVAL * best)
         return [self.theta, *(rivals[k][1] for _, k in near[:RIVALS])]
+
+    def _costs(self, vectors: Sequence[np.ndarray], chosen: Sequence[int]) -> np.ndarray:
+        """Squares of what is left at some points, over some logs; a step of the journal."""
+        known = self.journal.begin("look", *self._stands(), np.array(vectors).tobytes(), chosen)
+        if "costs" in known:
+            self.simulator.evaluations = known["evaluations"]
+            return np.array(known["costs"])
+        costs = [
+            math.inf
+            if parts is None
+            else sum(float(np.sum(part**2)) for part in self.scaled(parts, chosen))
+            for parts in self.residuals(vectors, chosen)
+        ]
+        best = vectors[int(np.argmin(costs))]
+        self.journal.keep(self._told(best), costs=costs, evaluations=self.simulator.evaluations)
+        return np.array(costs)
+
+    def _stands(self) -> tuple[object, ...]:
+        """All that a step of the search starts from, for the journal."""
+        step, logs = self.simulator.step, self.simulator.logs
+        names = [(c.name, c.bounds, c.start) for c in self.search]
+        sizes = sorted(self.scales.items())
+        held = (
+            self.free,
+            sizes,
+            self.weight,
+            self.coarse,
+            step,
+            [log.counts.shape for log in logs],
+        )
+        at = (self.theta.tobytes(), self.touches.tobytes(), *(own.tobytes() for own in self.shifts))
+        return (names, held, *at)
+
+    def _told(self, theta: np.ndarray) -> dict[str, object]:
+        """Where the search stands, for who reads the journal: evaluations, and parameters [SI]."""
+        values = dict(zip((c.name for c in self.search), self._values(theta), strict=True))
+        asked = {c.name: values[c.name] for c in self.search[: self.asked]}
+        return {"evaluations": self.simulator.evaluations, "parameters": asked}
 
     def _looks(self, group: Sequence[int], damping: Sequence[int]) -> tuple[list[np.ndarray], int]:
         """(points of a look along a group of parameters, from here and then from one end to the
@@ -311,31 +360,76 @@ class OutputError:
         normal equations (`covariance.eliminate`)."""
         free = np.array(self.free, dtype=int)
         bounds = np.array([self.search[i].bounds for i in free]).reshape(-1, 2)
-        here = self._at(self.theta, self.shifts)
-        damping, nudges, faithful = DAMPING, None, True
-        for _ in range(self.most):
+        known = self.journal.begin("descent", tolerance, *self._stands())
+        if "ended" in known and known["left"]:
+            return self._skipped(known)
+        here, way = self._begun(known)
+        for done in range(way.done, self.most):
             self.iterations += 1
             self.tell("output error: fitting", self.iterations / (self.iterations + 6.0))
             slopes = self.slopes(here, self.free)
-            nudges = self.nudges(here) if nudges is None or not faithful else nudges
-            blocks = self._blocks(here, slopes, nudges)
+            if way.nudges is None or not way.faithful:
+                way.nudges, way.origin = self.nudges(here), here
+            blocks = self._blocks(here, slopes, way.nudges)
             cost = self.cost(here)
             while True:
-                step, gain = self._step(here, blocks, free, bounds, damping)
+                step, gain = self._step(here, blocks, free, bounds, way.damping)
                 if gain <= tolerance * cost:
-                    return True
+                    return self._ended(True)
                 there = self._at(*step)
                 self.tell("output error: fitting", self.iterations / (self.iterations + 6.0))
                 won = cost - self.cost(there)
                 if won > 0.0:
                     break
-                damping *= HARDER
-                if damping > MOST_DAMPING:
-                    return True
-            faithful = abs(won - gain) < FAITHFUL * gain
-            damping = max(damping * EASIER, LEAST_DAMPING) if won > 0.25 * gain else damping
+                way.damping *= HARDER
+                if way.damping > MOST_DAMPING:
+                    return self._ended(True)
+            way.faithful = abs(won - gain) < FAITHFUL * gain
+            if won > 0.25 * gain:
+                way.damping = max(way.damping * EASIER, LEAST_DAMPING)
             here, self.theta, self.shifts = there, there.theta, there.shifts
-        return False
+            way.done = done + 1
+            self._keep(way)
+        return self._ended(False)
+
+    def _begun(self, known: Mapping[str, Any]) -> tuple[_Point, _Way]:
+        """Where a descent begins, or goes on after its last step that the journal knows."""
+        if "done" not in known:
+            return self._at(self.theta, self.shifts), _Way()
+        way = _Way(known["damping"], known["faithful"], known["done"])
+        if way.faithful:
+            way.origin = self._at(*_place(known["origin"]))
+            way.nudges = self.nudges(way.origin)
+        self.theta, self.shifts = _place(known)
+        here = self._at(self.theta, self.shifts)
+        self.iterations, self.simulator.evaluations = known["count"]
+        return here, way
+
+    def _keep(self, way: _Way) -> None:
+        """Write a step of a descent into the journal."""
+        assert way.origin is not None  # a step has been taken
+        self.journal.keep(
+            self._told(self.theta),
+            **_placed(self.theta, self.shifts),
+            origin=_placed(way.origin.theta, way.origin.shifts),
+            damping=way.damping,
+            faithful=bool(way.faithful),
+            done=way.done,
+            count=[self.iterations, self.simulator.evaluations],
+        )
+
+    def _ended(self, converged: bool) -> bool:
+        """Write the end of a descent into the journal; whether it converged."""
+        count = [self.iterations, self.simulator.evaluations]
+        self.journal.keep(self._told(self.theta), ended=converged, counted=count)
+        return converged
+
+    def _skipped(self, known: Mapping[str, Any]) -> bool:
+        """Stand where a descent ended that the journal knows; whether it converged."""
+        if "done" in known:
+            self.theta, self.shifts = _place(known)
+        self.iterations, self.simulator.evaluations = known["counted"]
+        return known["ended"]
 
     def _blocks(
         self, here: _Point, slopes: Sequence[np.ndarray], nudges: Sequence[np.ndarray]
@@ -782,6 +876,16 @@ class _Errors:
     blocks: list[Block]
     covariance: np.ndarray
     alone: np.ndarray
+
+
+def _placed(theta: np.ndarray, shifts: Shifts) -> dict[str, Any]:
+    """A point as the journal keeps it."""
+    return {"theta": theta.tolist(), "shifts": [own.tolist() for own in shifts]}
+
+
+def _place(kept: Mapping[str, Any]) -> tuple[np.ndarray, Shifts]:
+    """(parameters, shifts) of a point that the journal kept."""
+    return np.array(kept["theta"]), [np.array(own, dtype=float) for own in kept["shifts"]]
 
 
 def _stacked(columns: Sequence[np.ndarray | None], like: np.ndarray) -> np.ndarray:

@@ -119,9 +119,11 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
     Raises:
         InputError: no such cylinder.
         LogError: a channel is missing.
-        InsufficientData: the cylinder did not move.
+        InsufficientData: the cylinder did not move, or the supply has not one pressure.
     """
     item = rig.cylinder_named(cylinder)
+    if not rig.supply.constant:
+        raise InsufficientData(f"{rig.supply.kind} has not one pressure that bounds the energy")
     x = _stroke(item, record)
     ways = travels(x, SETTLED_TRAVEL * float(item.stroke))
     if ways == (0.0, 0.0):
@@ -134,9 +136,7 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
     used = (
         ledger[f"{cylinder}.drawn"].energy if ledger is not None else _drawn(rig, record, cylinder)
     )
-    ends = record.at([0, -1])
-    kept = pressure * float(_squeezed(rig, ends, item, x[[0, -1]]).sum())
-    back = abs(ways[0] - ways[1]) <= CLOSED * max(ways)
+    kept = pressure * float(_squeezed(rig, record.at([0, -1]), item, x[[0, -1]]).sum())
     against, beyond = "", ()
     if ledger is not None and (function := function_of(record, cylinder)) is not None:
         against = _against(function, "seventh" in paid)
@@ -147,7 +147,7 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
         cylinder=cylinder,
         travel_out=ways[0],
         travel_in=ways[1],
-        closed=back and abs(kept) <= SAME_OIL * paid["standard"],
+        closed=_back(ways) and abs(kept) <= SAME_OIL * paid["standard"],
         kept=kept,
         carries=load.carries,
         standard=paid["standard"],
@@ -257,6 +257,11 @@ def _beyond(
             Beyond(FUNCTIONS[f], out - back, energy, price[0] * out + price[1] * back, pressed)
         )
     return tuple(found)
+
+
+def _back(ways: tuple[float, float]) -> bool:
+    """Whether the ways out and in [m] are as long."""
+    return abs(ways[0] - ways[1]) <= CLOSED * max(ways)
 
 
 def _squeezed(rig: Rig, record: Record, item: Cylinder, x: np.ndarray) -> np.ndarray:

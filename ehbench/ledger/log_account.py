@@ -10,10 +10,11 @@ import numpy as np
 
 from ehbench.fields import scalars
 from ehbench.ledger.powers import COMPRESSION, OF, PUMP, SUPPLY_LINE, power_at
-from ehbench.ledger.quadrature import flows_at, powers_at, stores_at
+from ehbench.ledger.loads import Loads
+from ehbench.ledger.quadrature import flows_at, powers_at
 from ehbench.ledger.readings import Readings, noise_of, read_log
 from ehbench.ledger.rows import Ledger
-from ehbench.ledger.sheet import Sheet, must_have_samples, oil_drawn
+from ehbench.ledger.sheet import Sheet, must_have_samples, oil_drawn, payload_of
 from ehbench.parts.edge import MAP
 from ehbench.parts.nodes import TANK
 from ehbench.parts.oil import bulk
@@ -62,8 +63,8 @@ class Account:
     doubt.
     """
 
-    def __init__(self, sheet: Sheet) -> None:
-        self.sheet = sheet
+    def __init__(self, sheet: Sheet, loads: Loads) -> None:
+        self.sheet, self.loads = sheet, loads
 
     def states(self, model: Model, m: Readings) -> np.ndarray:
         """States, shape (samples, states), with the openings that follow from the commands."""
@@ -113,10 +114,7 @@ class Account:
         at = np.array([m.t.size - 1]) if at is None else at
         dt = np.diff(m.t)
         spent = _cumulated(0.5 * dt, power, at)
-        kept = np.concatenate([[0], at])
-        held = np.empty((kept.size, sheet.stores))
-        stores_at(states[kept], plant, held)
-        held = held[1:] - held[0]
+        held = self._stored(model, m, states, at)
         edges, cylinders = len(model.layout.edges), range(m.x.shape[1])
         for c in cylinders:
             # ∫ P_L dx over the measured stroke: a filtered speed lags behind the pressures
@@ -134,12 +132,19 @@ class Account:
             pressed = _pressed(plant.supply, m.p_supply)[at]
             spent[:, PUMP] = spent[:, drawn].sum(axis=1) + pressed
             if plant.supply.gas_volume > 0.0:
-                spent[:, PUMP] += held[:, -1]
+                spent[:, PUMP] += held[:, sheet.stores - 1]
             spent[:, COMPRESSION] = (
                 spent[:, drawn_compression].sum(axis=1) + held[:, SUPPLY_LINE] - pressed
             )
         rows = sheet.expand(np.concatenate([spent, held], axis=1))
         return rows[0] if at.size == 1 else rows
+
+    def _stored(self, model: Model, m: Readings, states: np.ndarray, at: np.ndarray) -> np.ndarray:
+        """What is stored [J] at the samples ``at`` more than at the first."""
+        changes = [int(np.searchsorted(m.t, when - 1e-9)) for when, _ in self.loads.changes]
+        kept = np.unique([0, *changes, *at])
+        stored = self.loads.stored(model, m.t[kept], states[kept], self.sheet.stores)
+        return stored[np.searchsorted(kept, at)]
 
     def __call__(self, model: Model, m: Readings) -> np.ndarray:
         """Energies [J] of all rows at the end, shape (rows,)."""
@@ -209,8 +214,10 @@ def ledger_of_log(
     load = None if payload in ("none", "") else payload
     model = Model.of(rig, maps, load)
     readings, notes = read_log(model, record)
-    sheet = Sheet(model, "unexplained")
-    account = Account(sheet)
+    loads = Loads.of(record, load)
+    said = payload_of(record) if loads.changes else payload
+    sheet = Sheet(model, "unexplained", bool(loads.changes))
+    account = Account(sheet, loads)
     states = account.states(model, readings)
     flows = account.flows(model, readings, states)
     power = account.power(model, readings, states, flows)
@@ -226,9 +233,7 @@ def ledger_of_log(
     every = np.arange(readings.t.size)
     told = sheet.told(record, account.energies(model, readings, states, power, every), points)
     told |= {"oil_drawn": oil_drawn(model, readings.t, flows)}
-    return sheet.ledger(
-        model, record, payload, base, std, sources=sources, notes=tuple(notes), **told
-    )
+    return sheet.ledger(model, record, said, base, std, sources=sources, notes=tuple(notes), **told)
 
 
 def _effects(

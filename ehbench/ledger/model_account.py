@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ehbench.errors import InputError, LogError
-from ehbench.ledger.quadrature import Integrated, flows_at, integrate, powers_at, stores_at
+from ehbench.ledger.loads import Loads
+from ehbench.ledger.quadrature import Integrated, flows_at, integrate, powers_at
 from ehbench.ledger.rows import Ledger
 from ehbench.ledger.sheet import Sheet, must_have_samples, oil_drawn, payload_of
 from ehbench.parts.valve.delay import line_of
@@ -81,15 +84,18 @@ def ledger_of_model(
     states, commands = states_of(model, record)
     plant = model.plant.at_pressures(tank=record["p_tank"][0] if "p_tank" in record else None)
     plant = plant.held_before(_before(model, record))
-    tank = np.full(t.size, plant.tank_pressure)
-    sheet, notes = Sheet(model, "residual"), []
+    tank, loads = np.full(t.size, plant.tank_pressure), Loads.of(record)
+    sheet, notes = Sheet(model, "residual", bool(loads.changes)), []
     flows = np.empty((t.size, len(model.layout.edges) + 1))
     spent = np.zeros((t.size, sheet.powers))
     if quadrature == "exact":
         ticks, ends = np.empty((t.size - 1, sheet.powers)), np.empty((t.size - 1, states.shape[1]))
-        out = Integrated(flows, ticks, ends)
-        line = line_of(plant, t[1] - t[0])
-        integrate(t, states, commands, plant, line, sheet.owner, step, out)
+        line, held = line_of(plant, t[1] - t[0]), replace(model, plant=plant)
+        for rows, loaded in loads.spans(held, t):
+            out = Integrated(
+                flows[rows], ticks[rows.start : rows.stop - 1], ends[rows.start : rows.stop - 1]
+            )
+            integrate(t[rows], states[rows], commands[rows], loaded, line, sheet.owner, step, out)
         np.cumsum(ticks, axis=0, out=spent[1:])
         notes += _missed(model, states, ends)
     else:
@@ -100,9 +106,8 @@ def ledger_of_model(
         powers_at(states, commands, flows, tank, plant, sheet.owner, power)
         np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t)[:, None], axis=0, out=spent[1:])
     _same_flows(model, record, flows)
-    held = np.empty((t.size, sheet.stores))
-    stores_at(states, plant, held)
-    table = sheet.expand(np.concatenate([spent, held - held[0]], axis=1))
+    stored = loads.stored(replace(model, plant=plant), t, states, sheet.stores)
+    table = sheet.expand(np.concatenate([spent, stored], axis=1))
     told = sheet.told(record, table, points) | {"oil_drawn": oil_drawn(model, t, flows)}
     return sheet.ledger(
         model, record, payload_of(record), table[-1], None, notes=tuple(notes), **told

@@ -26,7 +26,7 @@ from ehbench.parts.friction import friction_held, friction_loss
 from ehbench.parts.line import line_drop, line_flow
 from ehbench.parts.load import push_on, spring_held
 from ehbench.parts.mount import mount_held, mount_loss, piston_of
-from ehbench.parts.nodes import SUPPLY, TANK, node_held, node_pressure
+from ehbench.parts.nodes import SUPPLY, TANK, ends_of, node_held, node_pressure
 from ehbench.physics import arm
 
 
@@ -172,15 +172,17 @@ def _throttle(e, y, flow, plant, at, out):
     lets ``(u_a − u_b) Q`` of compression go. ``at``: the first column of its cylinder.
     """
     a, b = plant.edges[e].from_node, plant.edges[e].to_node
-    p_a, u_a = _node(a, y, plant)
-    p_b, u_b = _node(b, y, plant)
+    p_a, p_b, railed = ends_of(y, plant, plant.edges[e])
+    u_a, u_b = node_held(plant, a, p_a), node_held(plant, b, p_b)
     out[FIRST_EDGE + e] = (p_a - p_b) * flow
     out[at + OF.expansion] += (u_a - u_b) * flow
-    for node, sign in ((a, 1.0), (b, -1.0)):
-        p, u = _node(node, y, plant)
+    for node, p, u, sign in ((a, p_a, u_a, 1.0), (b, p_b, u_b, -1.0)):
         if node == SUPPLY:
             out[at + OF.drawn] += sign * p * flow
             out[at + OF.drawn_compression] += sign * u * flow
+            if railed:  # its pump is another one
+                out[PUMP] += sign * p * flow
+                out[COMPRESSION] += sign * u * flow
         elif node == TANK:
             out[at + OF.return_line] -= sign * (p + u) * flow
 

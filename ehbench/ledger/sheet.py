@@ -13,7 +13,7 @@ from ehbench.ledger.powers import CylinderPowers, CylinderStores
 from ehbench.ledger.rows import GROUPS, Ledger, Row
 from ehbench.parts.nodes import SUPPLY
 from ehbench.plant.model import Model
-from ehbench.record import Record
+from ehbench.record import Record, payloads_of
 from ehbench.terms import Z95
 
 Named = tuple[str, str, str, str | None]  # name, group, label, cylinder
@@ -36,6 +36,8 @@ STORE_LABELS = (
     *("oil of the head end", "oil of the rod end", "spring of the end stops"),
     "springs on the rod",
 )
+# what goes with a payload that is put down, or comes with one that is taken up
+PAYLOAD: Named = ("payload", "load", "gone with the payload", None)
 # rows of a cylinder that stand in a ledger only where the rig file has the table
 OPTIONAL = {"force": ("external_force", "load_spring")}
 # rows that the piston's work pays
@@ -51,14 +53,15 @@ class Sheet:
 
     Attributes:
         owner: cylinder to which each edge belongs.
-        powers, stores: how many columns of each there are.
+        powers, stores: how many columns of each there are; behind them, where the payload
+            changes, one of what it takes along.
         rows: (name, group, label, cylinder) of each column.
         absent: names of rows that are left out, as of parts which the rig has not.
         parts: (name, where, cylinder) of each part of the residual.
         combinations: how much of each column is in each part, shape (parts, columns).
     """
 
-    def __init__(self, model: Model, word: str) -> None:
+    def __init__(self, model: Model, word: str, changes: bool = False) -> None:
         names = model.layout
         owners = [names.cylinders.index(_owner(name)) for name in names.edges]
         self.owner = np.array(owners, dtype=np.int64)
@@ -72,6 +75,8 @@ class Sheet:
         }
         powers, stores = _power_rows(model), _store_rows(model)
         self.powers, self.stores, self.rows = len(powers), len(stores), powers + stores
+        if changes:
+            self.rows.append(PAYLOAD)
         parts = _parts(self.rows, names.cylinders, word)
         self.parts = [(name, where, cylinder) for name, where, cylinder, *_ in parts]
         at = {name: i for i, (name, *_) in enumerate(self.rows)}
@@ -294,5 +299,7 @@ def must_have_samples(record: Record) -> None:
 
 
 def payload_of(record: Record) -> str:
-    """The payload that a record names, '' for none."""
-    return "" if record.meta.get("payload", "none") == "none" else record.meta["payload"]
+    """The payloads that a record names, and from when on; '' for none."""
+    (_, first), *changes = payloads_of(record)
+    said = [first or "none", *(f"{name or 'none'} from {at:g} s" for at, name in changes)]
+    return "" if said == ["none"] else ", ".join(said)

@@ -86,6 +86,8 @@ def inside(t: np.ndarray, window: tuple[float, float] | None) -> np.ndarray:
 
 def part_of(record: Record, keep: np.ndarray) -> Record:
     """The samples of a record that a mask keeps."""
+    if keep.all():
+        return record
     channels = {name: values[keep] for name, values in record.channels.items()}
     return replace(record, t=record.t[keep], channels=channels)
 

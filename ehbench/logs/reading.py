@@ -41,7 +41,7 @@ def read_log(
 
     Arguments and errors as in `read_record`.
     """
-    return read_record(path, check, columns).frame()
+    return read_record(path, check, columns).frame(copy=False)
 
 
 def read_record(

@@ -55,6 +55,26 @@ class Stream:
     sequences: list[np.ndarray] = field(default_factory=list)
     stamps: list[np.ndarray] = field(default_factory=list)
 
+    side_by_side: np.dtype | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        """``side_by_side`` are the bytes of all fields, where they are doubles that follow one
+        another.
+        """
+        places: Any = self.layout.fields
+        first, count = min(places[name][1] for name in self.labels), len(self.labels)
+        found = [(places[name][0].str, places[name][1]) for name in self.labels]
+        self.side_by_side = None
+        if found == [("<f8", first + 8 * i) for i in range(count)]:
+            self.side_by_side = np.dtype(
+                {
+                    "names": ["all"],
+                    "formats": [("u1", (8 * count,))],
+                    "offsets": [first],
+                    "itemsize": self.layout.itemsize,
+                }
+            )
+
     def add(self, messages: np.ndarray) -> None:
         """Append messages of this layout."""
         stop = self.size + messages.size
@@ -62,8 +82,12 @@ class Stream:
             grown = np.empty((len(self.labels), 2 * stop))
             grown[:, : self.size] = self.table[:, : self.size]
             self.table = grown
-        for out, name in zip(self.table, self.labels):
-            out[self.size : stop] = messages[name]
+        if self.side_by_side is not None:  # message by message, not number by number
+            whole = np.ascontiguousarray(messages.view(self.side_by_side)["all"])
+            self.table[:, self.size : stop] = whole.view("<f8").T
+        else:
+            for out, name in zip(self.table, self.labels):
+                out[self.size : stop] = messages[name]
         self.size = stop
         self.sequences.append(messages["#sequence"].copy())
         self.stamps.append(messages["#log_time"].copy())

@@ -3,8 +3,8 @@
 Once a tick a machine takes a command for each valve and gives a sample: ``[q, qd, x, v, p_head,
 p_rod]`` of each cylinder in the rig file's order, then ``p_supply, p_tank``, all SI. Nothing else
 comes from it by the protocol, so a controller sees what a sensor could give. What more a simulation
-can do stands behind an attribute of its own that a machine may have or lack: see `truth_of` and
-`advance_of`."""
+can do stands behind an attribute of its own that a machine may have or lack: see `truth_of`,
+`carry_of` and `advance_of`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from ehbench.errors import InputError
-from ehbench.machines.rows import LawRows, Rows
+from ehbench.machines.rows import Controls, Rows
 from ehbench.plant.model import Model
 
 Posture = Mapping[str, str | float] | None
@@ -158,9 +158,19 @@ def seeded_of(machine: Machine) -> Callable[[int], Machine] | None:
     return getattr(machine, "seeded", None)
 
 
-def advance_of(machine: Machine) -> Callable[[Rows, LawRows | None, bool], Advance] | None:
-    """The fast path of a machine that has one: ``advance(rows, law, often)`` gives a function of
-    (first, stop) that runs these rows in one compiled call, under a law or as the table says;
+def carry_of(machine: Machine) -> Callable[[str | None], None] | None:
+    """How a simulated machine takes up another payload at once, at the speed that it has; None of a
+    machine whose load nobody but people can change.
+
+    Raises:
+        InputError: when called, no such payload.
+    """
+    return getattr(machine, "carry", None)
+
+
+def advance_of(machine: Machine) -> Callable[[Rows, Controls | None, bool], Advance] | None:
+    """The fast path of a machine that has one: ``advance(rows, laws, often)`` gives a function of
+    (first, stop) that runs these rows in one compiled call, under laws or as the table says;
     ``often`` says that it will be called for every row.
 
     It does what a session does tick by tick (`ehbench.trial.session`), to the bit, and returns the

@@ -5,11 +5,13 @@ stops it, and one tick of a built-in controller.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba.extending import overload
 
-from ehbench.compiled import kernel
+from ehbench.compiled import OPTIONS, kernel
 from ehbench.control.law import Controller
 from ehbench.control.registry import tick
 from ehbench.parts.sample import OF, entry
@@ -47,6 +49,9 @@ class LawRows(NamedTuple):
     references: np.ndarray
     controller: Controller
     telemetry: np.ndarray
+
+
+Controls = tuple[LawRows, ...]  # of a trial, one a cylinder
 
 
 def limit_array(limits: Limits) -> np.ndarray:
@@ -97,7 +102,7 @@ def within(values, lower, upper):
 
 
 @kernel
-def control(law, i, rows):
+def _control_one(law, i, rows):
     """One tick of a built-in controller: its command and its telemetry of row ``i``."""
     tick(
         rows.t[i],
@@ -107,3 +112,19 @@ def control(law, i, rows):
         rows.commands[i],
         law.telemetry[i],
     )
+
+
+def control(laws, i, rows):
+    """One tick of each of some built-in controllers, a tuple of `LawRows`, in their order."""
+    for law in laws:
+        _control_one(law, i, rows)
+
+
+@overload(control, jit_options=OPTIONS)
+def _control(laws, i, rows):
+    # laws of several kinds are of several types: a loop over them is written out
+    calls = "".join(f"    one(laws[{n}], i, rows)\n" for n in range(len(laws)))
+    space: dict[str, Any] = {"one": _control_one}
+    exec(f"def each(laws, i, rows):\n{calls}", space)
+    each: Callable[..., None] = space["each"]
+    return each

@@ -6,18 +6,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import bound, kernel
+from ehbench.compiled import bound, kernel, part_kernel
 from ehbench.errors import SimulationError
 from ehbench.machines.protocol import Advance, Inputs, Posture
-from ehbench.machines.rows import LawRows, Rows, control, violated
+from ehbench.machines.rows import Controls, Rows, control, violated
 from ehbench.parts.cylinder import linkage_of
 from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
 from ehbench.parts.sample import LINE, OF, entry, line_entry, sample_channels
 from ehbench.parts.valve.delay import Line, line_felt, line_of, line_push
-from ehbench.plant.build import Maps, Plant
+from ehbench.plant.build import Maps, Plant, links_of
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import STEP, advance, rk4
 from ehbench.plant.model import Model
+from ehbench.plant.paced import AUTO, LATE, SCRATCH, Step, Way, over_tick, pace_of
 from ehbench.recipe import TrialRecipe
 from ehbench.rig import Rig
 
@@ -71,6 +72,21 @@ def model_tick(y, command, plant, line, steps, k, work, sample):
     model_sample(y, plant, sample)
 
 
+@part_kernel
+def _way(own, pace):
+    return Way(own.y, own.plant, own.line, pace, own.k, own.work)
+
+
+@kernel
+def paced_tick(own, command, pace, sample):
+    """`model_tick` in steps chosen by the guard."""
+    line_felt(own.line, command, own.plant, 0.0, own.tick / own.steps)
+    rate = derivatives(own.y, own.line.held, own.plant, own.k[0], own.work)
+    over_tick(_way(own, pace), command, rate)
+    line_push(own.line, command)
+    model_sample(own.y, own.plant, sample)
+
+
 @kernel
 def model_truth(own, command, row):
     """Write the state, the edge flows and the pump's flow into ``row``; ``own.k[0]`` then holds the
@@ -87,7 +103,7 @@ def model_truth(own, command, row):
 
 
 @kernel
-def _advance(first, stop, own, rows, law):
+def _advance(first, stop, own, rows, law, pace):
     sample, h = rows.sample, own.tick / own.steps
     for i in range(first, stop):
         if law is not None:
@@ -98,10 +114,13 @@ def _advance(first, stop, own, rows, law):
         rate = model_truth(own, command, rows.truth[i])
         for j in range(sample.shape[0]):
             rows.samples[i, j] = sample[j]
-        advance(own.y, own.line.held, own.plant, h, own.k, own.work, rate)
-        for step in range(1, own.steps):
-            line_felt(own.line, command, own.plant, step * h, h)
-            rk4(own.y, own.line.held, own.plant, h, own.k, own.work)
+        if pace is None:
+            advance(own.y, own.line.held, own.plant, h, own.k, own.work, rate)
+            for step in range(1, own.steps):
+                line_felt(own.line, command, own.plant, step * h, h)
+                rk4(own.y, own.line.held, own.plant, h, own.k, own.work)
+        else:
+            over_tick(_way(own, pace), command, rate)
         line_push(own.line, command)
         model_sample(own.y, own.plant, sample)
     return -1
@@ -114,17 +133,17 @@ class SimulatedMachine:
     Args:
         model: with its payload and flow maps.
         rate: ticks a second [Hz].
-        step: integration step [s].
+        step: integration step [s], or ``"auto"``: chosen by the guard.
     """
 
     name = NAME
     latency = 0.0
 
-    def __init__(self, model: Model, rate: float = 1000.0, step: float = STEP) -> None:
+    def __init__(self, model: Model, rate: float = 1000.0, step: Step = STEP) -> None:
         self.model, self.layout, self.rate = model, model.layout, float(rate)
         self.channels, self.commands = sample_channels(model.layout.cylinders), Inputs.of(model)
         self.strokes = model.plant.cylinders.stroke.copy()
-        self.steps = max(1, round(1.0 / (self.rate * step)))
+        self.steps = LATE if step == AUTO else max(1, round(1.0 / (self.rate * step)))
         plant, states = model.plant, model.layout.states
         self.state = np.zeros(states)
         self._own = Running(
@@ -133,23 +152,30 @@ class SimulatedMachine:
             line_of(plant, 1.0 / self.rate),
             1.0 / self.rate,
             self.steps,
-            np.empty((5, states)),
+            np.empty((SCRATCH, states)),
             np.empty(plant.at.work),
         )
+        self._pace = pace_of(plant, model.layout, 1.0 / self.rate) if step == AUTO else None
         self.truth = ModelTruth(model, self._own)
 
     @classmethod
     def of(cls, recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> SimulatedMachine:
         """The model that a trial runs on."""
         model = Model.of(rig, maps, recipe.payload)
-        return cls(model, float(recipe.rate), float(recipe.step))
+        step = recipe.step if isinstance(recipe.step, str) else float(recipe.step)
+        return cls(model, float(recipe.rate), step)
 
     def check_posture(self, posture: Posture) -> None:
         """As `Machine.check_posture`."""
         self.model.posture(posture)
 
+    def carry(self, payload: str | None) -> None:
+        """As `carry_of` says."""
+        self.model.plant.links[:] = self.model.links(payload)
+
     def start(self, posture: Posture = None, low_side: float | None = None) -> np.ndarray:
         """As `Machine.start`."""
+        self.model.plant.links[:] = links_of(self.model.rig)
         self.state[:] = self.model.trim(self.model.posture(posture), low_side)
         self._own.line.past[:] = self.model.plant.valves.before
         sample = np.empty(len(self.channels))
@@ -160,16 +186,19 @@ class SimulatedMachine:
         """As `Machine.tick`."""
         sample = np.empty(len(self.channels))
         own, held = self._own, np.asarray(command, dtype=float)
-        model_tick(own.y, held, own.plant, own.line, own.steps, own.k, own.work, sample)
+        if self._pace is None:
+            model_tick(own.y, held, own.plant, own.line, own.steps, own.k, own.work, sample)
+        else:
+            paced_tick(own, held, self._pace, sample)
         if not np.isfinite(self.state).all():
             raise SimulationError("the simulation left finite numbers", hint="take a smaller step")
         return sample
 
-    def advance(self, rows: Rows, law: LawRows | None, often: bool) -> Advance:
+    def advance(self, rows: Rows, law: Controls | None, often: bool) -> Advance:
         """As `advance_of` says."""
-        own = self._own
-        run = bound(_advance, 0, 0, own, rows, law) if often else _advance
-        return lambda first, stop: run(first, stop, own, rows, law)
+        own, pace = self._own, self._pace
+        run = bound(_advance, 0, 0, own, rows, law, pace) if often else _advance
+        return lambda first, stop: run(first, stop, own, rows, law, pace)
 
     def close(self) -> None:
         """There is nothing to let go."""

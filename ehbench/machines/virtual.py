@@ -23,7 +23,7 @@ import numpy as np
 from ehbench.compiled import bound, kernel, part_kernel, record, table
 from ehbench.errors import InputError, SimulationError
 from ehbench.machines.protocol import Advance, Inputs, Posture
-from ehbench.machines.rows import LawRows, Rows, control, violated
+from ehbench.machines.rows import Controls, Rows, control, violated
 from ehbench.parts.cylinder import (
     RELIEF_GAIN,
     chamber_inflow,
@@ -38,17 +38,17 @@ from ehbench.parts.end_stop import stop_force, stop_rate
 from ehbench.parts.line import line_rates
 from ehbench.parts.load import force_on, force_steepness
 from ehbench.parts.mount import mount_rate, piston_of, resistance_of
-from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
+from ehbench.parts.nodes import SUPPLY, TANK, ends_of, node_pressure
 from ehbench.parts.oil import bulk
 from ehbench.parts.sample import OF, entry, line_entry, sample_channels
-from ehbench.parts.supply import line_stiffness, pump_flow
+from ehbench.parts.supply import line_stiffness, pump_flow, sensed
 from ehbench.parts.valve import VALVE_COLUMNS, limited, valve_rates, valve_settle
 from ehbench.parts.valve.delay import Line, line_felt, line_of, line_push
 from ehbench.parts.valve.second_order import SecondOrder, second_order
 from ehbench.physics.cylinder import chamber_rate, relief_flow
 from ehbench.physics.friction import stribeck
-from ehbench.plant.build import Maps
-from ehbench.plant.derivatives import derivatives_of, finish_of, move
+from ehbench.plant.build import Maps, links_of
+from ehbench.plant.derivatives import derivatives_of, finish_of, join, move
 from ehbench.plant.integrate import rk4
 from ehbench.plant.layout import Layout, Offsets, layout
 from ehbench.plant.model import Model
@@ -97,16 +97,17 @@ FLUID = record(
 class BenchOffsets(NamedTuple):
     """Where things begin.
 
-    In the state: as `ehbench.plant.layout.Offsets`, then the ``pump``'s flow; ``states`` that are
-    integrated; then memory: ``hysteresis``, ``lags``, ``filters``, ``ring`` of the delay line,
-    ``depth`` rows of it, its ``place``; ``size`` in all. ``channels`` raw ones. In the workspace:
-    as there.
+    In the state: as `ehbench.plant.layout.Offsets`, then the ``pump``'s flow and the pressure it is
+    to hold, ``sensed``; ``states`` that are integrated; then memory: ``hysteresis``, ``lags``,
+    ``filters``, ``ring`` of the delay line, ``depth`` rows of it, its ``place``; ``size`` in all.
+    ``channels`` raw ones. In the workspace: as there.
     """
 
     joints: int
     rates: int
     supply: int
     pump: int
+    sensed: int
     states: int
     hysteresis: int
     lags: int
@@ -127,7 +128,7 @@ def _offsets(names: Layout, depth: int) -> BenchOffsets:
     at: Offsets = names.offsets()
     nc, nv = len(names.cylinders), len(names.valves)
     channels = _RAW * nc + _RAW_LINES
-    states = at.states + 1
+    states = at.states + 2
     lags = states + nv
     filters = lags + channels
     ring = filters + _FILTER * nc
@@ -137,6 +138,7 @@ def _offsets(names: Layout, depth: int) -> BenchOffsets:
         rates=at.rates,
         supply=at.supply,
         pump=at.states,
+        sensed=at.states + 1,
         states=states,
         hysteresis=states,
         lags=lags,
@@ -302,17 +304,31 @@ def _valves_and_edges(y, target, bench, dy, work):
         work[i] = 0.0
     for e in range(bench.edges.shape[0]):
         edge = bench.edges[e]
-        a, b = edge.from_node, edge.to_node
-        drop = node_pressure(y, bench, a) - node_pressure(y, bench, b)
+        first, last, railed = ends_of(y, bench, edge)
+        drop = first - last
         spool = edge_opening(y, bench, edge, work[at.opening :])
         flow = edge_flow(drop, spool, edge, bench.curves)
         if flow != 0.0 or edge.law >= PUMP:
-            slope = edge_slope(drop, flow, spool, edge)
-            work[at.net + a] -= flow
-            work[at.net + b] += flow
-            work[at.slope + a] += slope
-            work[at.slope + b] += slope
+            join(edge, flow, edge_slope(drop, flow, spool, edge), railed, at, work)
     return fastest
+
+
+@part_kernel
+def _load(y, bench, work):
+    """The highest pressure [Pa] to which an open edge leads from the supply; the tank's where none
+    does.
+    """
+    load, margin = node_pressure(y, bench, TANK), bench.supply.margin
+    for e in range(bench.edges.shape[0]):
+        edge = bench.edges[e]
+        if edge.law >= PUMP or (edge.from_node != SUPPLY and edge.to_node != SUPPLY):
+            continue
+        reach = edge.sign * edge_opening(y, bench, edge, work[bench.at.opening :])
+        curve = edge.forward if edge.from_node == SUPPLY else edge.reverse
+        if curve_flow(margin, reach, bench.curves[curve]) > 0.0:
+            end = edge.to_node if edge.from_node == SUPPLY else edge.from_node
+            load = max(load, node_pressure(y, bench, end))
+    return load
 
 
 @resistance_of(VirtualPlant)
@@ -363,15 +379,22 @@ def _cylinders(y, target, bench, dy, work):
 
 @part_kernel
 def _supply(y, bench, dy, work):
-    """Rates of the supply line and the pump; the fastest of them [1/s]."""
+    """Rates of the supply line, of the pump and of the pressure that it is told to hold; the
+    fastest of them [1/s].
+    """
     at, line, fluid = bench.at, bench.supply, bench.fluid
     p, demand = y[at.supply], -work[at.net + SUPPLY]
     stiffness = line_stiffness(p, line)
+    wanted = line.pressure
+    dy[at.sensed] = 0.0
+    if line.margin > 0.0:
+        wanted = sensed(_load(y, bench, work), line)
+        dy[at.sensed] = (wanted - y[at.sensed]) / line.lag
     if fluid.pump_lag == 0.0:  # the model's ideal compensator
-        dy[at.supply] = stiffness * (pump_flow(p, demand, line) - demand)
+        dy[at.supply] = stiffness * (pump_flow(p, demand, wanted, line) - demand)
         dy[at.pump] = 0.0
         return 0.0
-    stroke = min(max((line.pressure - p) / fluid.droop, 0.0), 1.0)
+    stroke = min(max((y[at.sensed] - p) / fluid.droop, 0.0), 1.0)
     dy[at.pump] = (line.flow_limit * stroke - y[at.pump]) / fluid.pump_lag
     spilt = relief_flow(p, fluid.supply_relief, RELIEF_GAIN)
     dy[at.supply] = stiffness * (y[at.pump] - demand - spilt)
@@ -851,13 +874,19 @@ class VirtualMachine:
         """As `Machine.check_posture`."""
         self.model.posture(posture)
 
+    def carry(self, payload: str | None) -> None:
+        """As `carry_of` says."""
+        self.bench.links[:] = self.model.links(payload)
+
     def start(self, posture: Posture = None, low_side: float | None = None) -> np.ndarray:
         """As `Machine.start`; the unloaded chambers begin to settle at ``low_side``."""
+        self.bench.links[:] = links_of(self.model.rig)
         self._rng, self._used = self._new_noise(), len(self._noise)
         bench, at, state = self.bench, self.bench.at, self.state
         rest = self.commands.rest
         state[:] = 0.0
         state[: at.pump] = self.model.trim(self.model.posture(posture), low_side)
+        state[at.sensed] = state[at.supply]
         state[at.hysteresis : at.lags] = rest
         for index, (valve, command) in enumerate(zip(bench.valves, rest, strict=True)):
             target = valve.gain * command + valve.offset
@@ -894,7 +923,7 @@ class VirtualMachine:
             sample,
         )
 
-    def advance(self, rows: Rows, law: LawRows | None, often: bool) -> Advance:
+    def advance(self, rows: Rows, law: Controls | None, often: bool) -> Advance:
         """As `advance_of` says."""
         own = self._own
         run = bound(_advance, 0, 0, own, rows, law, self._noise) if often else _advance

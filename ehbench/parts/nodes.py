@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ehbench.compiled import part_kernel, record
 from ehbench.parts.oil import held
+from ehbench.parts.supply import from_rail
 
 SUPPLY, TANK = 0, 1
 
@@ -20,6 +21,27 @@ def node_pressure(y, plant, node):
     """Pressure [Pa] of a node at plant state y."""
     row = plant.nodes[node]
     return row.pressure if row.state < 0 else y[row.state]
+
+
+@part_kernel
+def ends_of(y, plant, edge):
+    """(pressures [Pa] that an edge finds where it begins and where it ends, whether its supply is
+    the low rail) at plant state y. Check valves keep oil from flowing back into a load-sensing
+    pump.
+    """
+    first = node_pressure(y, plant, edge.from_node)
+    last = node_pressure(y, plant, edge.to_node)
+    if plant.supply.margin > 0.0:
+        if edge.from_node == SUPPLY:
+            return max(first, last), last, False
+        if edge.to_node == SUPPLY:
+            return first, max(first, last), False
+    if plant.supply.rail > 0.0:
+        if edge.from_node == SUPPLY and from_rail(last, plant.supply):
+            return plant.supply.rail, last, True
+        if edge.to_node == SUPPLY and from_rail(first, plant.supply):
+            return first, plant.supply.rail, True
+    return first, last, False
 
 
 @part_kernel

@@ -1,4 +1,7 @@
-"""The supply: a pressure-compensated pump on a line of oil, an accumulator beside or instead."""
+"""The supply: a pressure-compensated pump on a line of oil, an accumulator beside or instead.
+
+Its pressure is constant, or follows the load (load sensing), or there is a second, lower one, from
+which an edge takes where that is enough (two rails)."""
 
 from __future__ import annotations
 
@@ -9,10 +12,16 @@ from ehbench.parts.oil import OIL_COLUMNS, bulk_of
 
 RECOVERY_TIME = 0.02  # [s]
 
-# ``pressure`` the set pressure [Pa], ``flow_limit`` [m³/s], ``volume`` of the line [m³], the
-# OIL_COLUMNS of its oil, the columns of its accumulator
+# ``pressure`` the set pressure [Pa], the highest of a load-sensing pump; ``flow_limit`` [m³/s],
+# ``volume`` of the line [m³]; ``margin`` above the load's pressure [Pa] and ``lag`` [s] of load
+# sensing, 0 for none; pressure of the low ``rail`` and what it must have above the chamber that it
+# feeds, ``rail_margin`` [Pa], 0 for none; the OIL_COLUMNS of its oil, the columns of its
+# accumulator
 SUPPLY = record(
-    ("pressure", "f8"), ("flow_limit", "f8"), ("volume", "f8"), *OIL_COLUMNS, *ACCUMULATOR
+    *((name, "f8") for name in ("pressure", "flow_limit", "volume")),
+    *((name, "f8") for name in ("margin", "lag", "rail", "rail_margin")),
+    *OIL_COLUMNS,
+    *ACCUMULATOR,
 )
 
 
@@ -26,14 +35,63 @@ def line_stiffness(p_supply, supply):
 
 
 @part_kernel
-def pump_flow(p_supply, demand, supply):
+def from_rail(chamber, supply):
+    """Whether an edge to a ``chamber`` [Pa] takes from the low rail."""
+    return supply.rail > 0.0 and chamber + supply.rail_margin <= supply.rail
+
+
+@part_kernel
+def rail_pressure(p_supply, chamber, supply):
+    """Pressure [Pa] at which an edge to a ``chamber`` [Pa] finds the supply: the line's or the low
+    rail's.
+    """
+    return supply.rail if from_rail(chamber, supply) else p_supply
+
+
+@part_kernel
+def sensed(load, supply):
+    """Pressure [Pa] that a pump holds for the highest ``load`` pressure [Pa] that it senses: the
+    set pressure or, with load sensing, the load's and the margin up to it.
+    """
+    if supply.margin == 0.0:
+        return supply.pressure
+    return min(load + supply.margin, supply.pressure)
+
+
+@part_kernel
+def offered(p_supply, chamber, supply):
+    """Pressure [Pa] that a controller may count on at an edge to a ``chamber`` [Pa]: the rail's or,
+    of a load-sensing pump, what it brings once the edge opens, if it does not stand above that.
+    """
+    if supply.margin == 0.0:
+        return rail_pressure(p_supply, chamber, supply)
+    return max(p_supply, sensed(chamber, supply))
+
+
+@part_kernel
+def drawn_at(p_supply, chamber, supply):
+    """Pressure [Pa] at which oil for a ``chamber`` [Pa] is paid in steady motion."""
+    if supply.margin == 0.0:
+        return rail_pressure(p_supply, chamber, supply)
+    return sensed(chamber, supply)
+
+
+@part_kernel
+def most_pressure(p_supply, supply):
+    """The highest pressure [Pa] that the supply brings, now ``p_supply`` [Pa]."""
+    return p_supply if supply.margin == 0.0 else max(p_supply, supply.pressure)
+
+
+@part_kernel
+def pump_flow(p_supply, demand, set_pressure, supply):
     """Flow [m³/s] a pressure-compensated pump delivers at ``p_supply`` [Pa] and ``demand`` [m³/s].
 
-    The compensator covers the demand exactly and brings a lost pressure back with time constant
-    RECOVERY_TIME, both only up to the flow limit: below it the pressure is constant, above it the
-    pressure falls."""
-    missing = supply.pressure - p_supply
-    wanted = demand + supply.volume / (supply.bulk_modulus * RECOVERY_TIME) * missing
+    The compensator covers the demand exactly and brings the pressure to ``set_pressure`` [Pa] with
+    time constant RECOVERY_TIME, or the ``lag`` of load sensing; both only from no flow to the flow
+    limit: beyond it the pressure falls, and a pressure above is left until the valves draw it."""
+    missing = set_pressure - p_supply
+    time = RECOVERY_TIME if supply.margin == 0.0 else supply.lag
+    wanted = demand + supply.volume / (supply.bulk_modulus * time) * missing
     if supply.gas_volume > 0.0:
-        wanted += gas_capacity(p_supply, supply) / RECOVERY_TIME * missing
+        wanted += gas_capacity(p_supply, supply) / time * missing
     return min(max(wanted, 0.0), supply.flow_limit)

@@ -83,7 +83,7 @@ class Plant(NamedTuple):
         """
         line, nodes = table(1, SUPPLY_LINE), self.nodes.copy()
         line[0] = self.supply
-        if supply is not None:
+        if supply is not None and line[0].margin == 0.0:  # else it is the load's, not the pump's
             line[0].pressure = supply
         if tank is not None:
             nodes[TANK].pressure = tank
@@ -120,6 +120,11 @@ def build(rig: Rig, names: Layout, maps: Maps | None = None) -> Plant:
         lines=_lines(rig, names),
         at=names.offsets(),
     )
+
+
+def links_of(rig: Rig) -> np.recarray:
+    """The links of a rig with its payload, or its slide."""
+    return _mechanism(rig)[1]
 
 
 def _mechanism(rig: Rig) -> tuple[int, np.recarray, tuple[float, float, float]]:
@@ -373,6 +378,12 @@ def _forces(rig: Rig, names: Layout) -> np.recarray:
 def _supply(rig: Rig) -> np.record:
     own = rig.supply
     row = {key: float(getattr(own, key)) for key in ("pressure", "flow_limit", "volume")}
+    if own.load_sensing is not None:
+        load = own.load_sensing
+        row |= {"margin": float(load.load_margin), "lag": float(load.load_lag)}
+    if own.low_rail is not None:
+        low = own.low_rail
+        row |= {"rail": float(low.rail_pressure), "rail_margin": float(low.rail_margin)}
     if own.accumulator is not None:
         row |= {key: float(getattr(own.accumulator, key)) for key, _ in ACCUMULATOR}
     return table_of([row | oil_fields(rig)], SUPPLY_LINE)[0]

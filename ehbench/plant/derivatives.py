@@ -18,9 +18,9 @@ from ehbench.parts.friction import friction_fastest, friction_force, friction_ra
 from ehbench.parts.line import line_rates
 from ehbench.parts.load import force_on, force_steepness
 from ehbench.parts.mount import mount_rate, piston_of, resistance_of
-from ehbench.parts.nodes import SUPPLY, node_pressure
+from ehbench.parts.nodes import SUPPLY, TANK, ends_of, node_pressure
 from ehbench.parts.oil import bulk_of
-from ehbench.parts.supply import line_stiffness, pump_flow
+from ehbench.parts.supply import line_stiffness, pump_flow, sensed
 from ehbench.parts.valve import limited, valve_finish, valve_rates
 from ehbench.physics.arm import forward
 from ehbench.plant.build import Plant
@@ -44,6 +44,42 @@ def _valves(y, command, plant, dy, work):
 
 
 @part_kernel
+def join(edge, flow, slope, railed, at, work):
+    """Count an edge's flow [m³/s] and its slope at the nodes that it joins; what is on the low rail
+    does not come from the supply's line.
+    """
+    a, b = edge.from_node, edge.to_node
+    if not (railed and a == SUPPLY):
+        work[at.net + a] -= flow
+        work[at.slope + a] += slope
+    if not (railed and b == SUPPLY):
+        work[at.net + b] += flow
+        work[at.slope + b] += slope
+
+
+@part_kernel
+def _load(y, plant, work):
+    """The highest pressure [Pa] to which an open edge leads from the supply; the tank's where none
+    does.
+    """
+    load, margin = node_pressure(y, plant, TANK), plant.supply.margin
+    for e in range(plant.edges.shape[0]):
+        edge = plant.edges[e]
+        if edge.unmetered == 1 or (edge.from_node != SUPPLY and edge.to_node != SUPPLY):
+            continue
+        opening = edge_opening(y, plant, edge, work[plant.at.opening :])
+        if edge.sign * opening <= 0.0:
+            continue
+        drop = margin if edge.from_node == SUPPLY else -margin
+        # what a shut edge leaks senses nothing
+        leak = edge_flow(drop, 0.0, edge, plant.maps)
+        if abs(edge_flow(drop, opening, edge, plant.maps)) > abs(leak):
+            end = edge.to_node if edge.from_node == SUPPLY else edge.from_node
+            load = max(load, node_pressure(y, plant, end))
+    return load
+
+
+@part_kernel
 def _edges(y, plant, work):
     """Flows along the edges; net inflow and its slope of every node."""
     at = plant.at
@@ -54,15 +90,11 @@ def _edges(y, plant, work):
         opening, flow = edge_opening(y, plant, edge, work[at.opening :]), 0.0
         shut = edge.unmetered == 0 and edge.sign * opening <= 0.0
         if not shut or edge_leaks(edge, plant.maps):
-            a, b = edge.from_node, edge.to_node
-            drop = node_pressure(y, plant, a) - node_pressure(y, plant, b)
+            first, last, railed = ends_of(y, plant, edge)
+            drop = first - last
             flow = edge_flow(drop, opening, edge, plant.maps)
             if flow != 0.0 or edge.unmetered == 1:
-                slope = edge_slope(drop, flow, opening, edge)
-                work[at.net + a] -= flow
-                work[at.net + b] += flow
-                work[at.slope + a] += slope
-                work[at.slope + b] += slope
+                join(edge, flow, edge_slope(drop, flow, opening, edge), railed, at, work)
         work[at.flow + e] = flow
 
 
@@ -135,7 +167,8 @@ def _supply(y, plant, dy, work):
     """Pressure rate of the supply line; the pump's flow into ``work``."""
     at, supply = plant.at, plant.supply
     demand = -work[at.net + SUPPLY]
-    pump = pump_flow(y[at.supply], demand, supply)
+    load = _load(y, plant, work) if supply.margin > 0.0 else 0.0
+    pump = pump_flow(y[at.supply], demand, sensed(load, supply), supply)
     work[at.pump] = pump
     stiffness = line_stiffness(y[at.supply], supply)
     dy[at.supply] = stiffness * (pump - demand)

@@ -28,6 +28,23 @@ def rk4(y, command, plant, h, k, work):
 
 
 @part_kernel
+def stages(y, command, plant, d, k, work):
+    """The derivatives within a step of ``d`` [s] from ``y``, where ``k[0]`` holds them, into
+    ``k[1]`` to ``k[3]``.
+    """
+    size = y.shape[0]
+    for i in range(size):
+        k[4, i] = y[i] + 0.5 * d * k[0, i]
+    any_derivatives(k[4], command, plant, k[1], work)
+    for i in range(size):
+        k[4, i] = y[i] + 0.5 * d * k[1, i]
+    any_derivatives(k[4], command, plant, k[2], work)
+    for i in range(size):
+        k[4, i] = y[i] + d * k[2, i]
+    any_derivatives(k[4], command, plant, k[3], work)
+
+
+@part_kernel
 def advance(y, command, plant, h, k, work, rate):
     """`rk4` where ``k[0]`` and ``rate`` already hold what the derivatives give at ``y``."""
     size = y.shape[0]
@@ -38,15 +55,7 @@ def advance(y, command, plant, h, k, work, rate):
     for s in range(substeps):
         if s > 0:
             any_derivatives(y, command, plant, k[0], work)
-        for i in range(size):
-            k[4, i] = y[i] + 0.5 * d * k[0, i]
-        any_derivatives(k[4], command, plant, k[1], work)
-        for i in range(size):
-            k[4, i] = y[i] + 0.5 * d * k[1, i]
-        any_derivatives(k[4], command, plant, k[2], work)
-        for i in range(size):
-            k[4, i] = y[i] + d * k[2, i]
-        any_derivatives(k[4], command, plant, k[3], work)
+        stages(y, command, plant, d, k, work)
         for i in range(size):
             y[i] += d / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
         any_finish(y, command, plant, k[0], d)

@@ -14,9 +14,10 @@ from ehbench.parts.valve import valve_settle
 from ehbench.parts.valve.delay import line_of
 from ehbench.physics.arm import SLIDE
 from ehbench.plant import trim as starts
-from ehbench.plant.build import Maps, Plant, build
+from ehbench.plant.build import Maps, Plant, build, links_of
 from ehbench.plant.integrate import STEP, run
 from ehbench.plant.layout import SIDES, Layout, layout
+from ehbench.plant.paced import AUTO, Step, pace_of, run_paced
 from ehbench.plant.valves import felt_commands
 from ehbench.record import Record
 from ehbench.rig import Rig
@@ -36,11 +37,14 @@ class Start(NamedTuple):
 
 @dataclass(frozen=True)
 class Model:
-    """A rig ready to simulate: its numbers, their compiled form, and the names in it."""
+    """A rig ready to simulate: its numbers, their compiled form, the names in it, and the rig
+    without its payload.
+    """
 
     rig: Rig
     plant: Plant
     layout: Layout
+    bare: Rig
 
     @classmethod
     def of(cls, rig: Rig, maps: Maps | None = None, payload: str | None = None) -> Model:
@@ -51,7 +55,15 @@ class Model:
         """
         loaded = rig.with_payload(payload)
         names = layout(loaded)
-        return cls(loaded, build(loaded, names, maps), names)
+        return cls(loaded, build(loaded, names, maps), names, rig)
+
+    def links(self, payload: str | None) -> np.recarray:
+        """The links (or the slide) of the plant while they carry another payload.
+
+        Raises:
+            InputError: no such payload.
+        """
+        return links_of(self.bare.with_payload(payload))
 
     def stroke_range(self, index: int) -> tuple[float, float]:
         """Joint angle [rad] (or position [m]) at zero and at full stroke of cylinder ``index``."""
@@ -115,18 +127,28 @@ class Model:
         return max(1, int(moved[0]) if moved.size else commands.shape[0])
 
     def run(
-        self, y: np.ndarray, commands: np.ndarray, tick: float = 1e-3, step: float = STEP
+        self, y: np.ndarray, commands: np.ndarray, tick: float = 1e-3, step: Step = STEP
     ) -> np.ndarray:
         """Integrate from state ``y`` (left as it is) through ``commands``; returns the log table of
-        `run`.
+        `ehbench.plant.integrate.run`.
+
+        Args:
+            y: state at the first sample.
+            commands: [V], shape (samples, valves + played); row i acts from sample i on.
+            tick: time between samples [s].
+            step: of the integration [s], or ``"auto"``: chosen by the guard (see
+                `ehbench.plant.paced`).
 
         Raises:
             SimulationError: the state stopped being finite; says when.
         """
-        steps = max(1, round(tick / step))
         log = np.empty((commands.shape[0], y.shape[0] + self.plant.edges.shape[0] + 1))
         table, line = np.ascontiguousarray(commands, dtype=float), line_of(self.plant, tick)
-        run(y.copy(), table, self.plant, line, steps, log)
+        if step == AUTO:
+            pace = pace_of(self.plant, self.layout, tick)
+            run_paced(y.copy(), table, self.plant, line, pace, log)
+        else:
+            run(y.copy(), table, self.plant, line, max(1, round(tick / step)), log)
         if not np.isfinite(log[-1]).all():
             bad = int(np.argmin(np.isfinite(log).all(axis=1)))
             raise SimulationError(
@@ -208,7 +230,7 @@ class Model:
     def replay(
         self,
         record: Record,
-        step: float = STEP,
+        step: Step = STEP,
         rest: int | None = None,
         start: Start | None = None,
     ) -> Record:
@@ -219,7 +241,7 @@ class Model:
 
         Args:
             record: evenly sampled.
-            step: integration step [s].
+            step: integration step [s], or ``"auto"`` as `run` takes it.
             rest: samples at the start over which nothing moves yet, as `rest_start` takes them.
             start: instead of `rest_start`.
 
@@ -295,7 +317,7 @@ def simulate(
     payload: str | None = None,
     flow_maps: Maps | None = None,
     rate: float = 1000.0,
-    step: float = STEP,
+    step: Step = STEP,
 ) -> Record:
     """Simulate a rig from rest under open-loop commands.
 
@@ -314,7 +336,8 @@ def simulate(
         payload: a payload of the rig file.
         flow_maps: measured maps by edge name, as ``load_flow_maps`` gives them.
         rate: samples per second.
-        step: integration step [s].
+        step: integration step [s], or ``"auto"``: as long as the motion is smooth, at the error of
+            the default.
 
     Returns:
         A record of ``rate·duration + 1`` samples: joints, cylinders, commands, openings, edge

@@ -14,6 +14,7 @@ from ehbench.parts.edge import CHECK
 from ehbench.parts.load import force_on
 from ehbench.parts.mount import mount_settle
 from ehbench.parts.nodes import SUPPLY
+from ehbench.parts.supply import sensed
 from ehbench.parts.valve import valve_settle
 from ehbench.physics.arm import SLIDE, gravity_torque, work_size
 from ehbench.plant.build import Plant
@@ -94,8 +95,8 @@ def trim(
     low_side: float | None = None,
     command: np.ndarray | None = None,
 ) -> np.ndarray:
-    """The state at rest at joint coordinates ``q``: valves shut, supply at its set pressure, loads
-    carried.
+    """The state at rest at joint coordinates ``q``: valves shut, supply at its set pressure (with
+    load sensing at its margin above tank), loads carried.
 
     The chamber that the load does not press on stands at ``low_side`` [Pa], by default a tenth of
     the supply pressure; at the supply pressure where a check valve feeds the cylinder from there.
@@ -129,7 +130,7 @@ def trim(
         y[names.state("p_head", index)], y[names.state("p_rod", index)] = head, rod
     for valve, (_, item) in zip(plant.valves, rig.valves(), strict=True):
         valve_settle(valve, item.rest, plant, y)
-    y[plant.at.supply] = plant.supply.pressure
+    y[plant.at.supply] = sensed(plant.tank_pressure, plant.supply)
     settle_parts(plant, y)
     return y
 

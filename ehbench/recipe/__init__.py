@@ -25,8 +25,17 @@ from ehbench.recipe.flow_map import CalibrationPoint, FlowMapRecipe
 from ehbench.recipe.hydraulics import HydraulicsRecipe
 from ehbench.recipe.loading import kind_of, load_recipe, load_rig, recipe_kinds
 from ehbench.recipe.sensor import Sensor
-from ehbench.recipe.toml import line_of, read_toml
-from ehbench.recipe.trial import AnyTrial, Command, Controller, Limits, Motion, TrialRecipe
+from ehbench.recipe.study import Measure, Span, Spread, StudyRecipe, Target
+from ehbench.recipe.toml import line_of, read_toml, validated
+from ehbench.recipe.trial import (
+    AnyTrial,
+    Command,
+    Controller,
+    CylinderMotion,
+    Limits,
+    Motion,
+    TrialRecipe,
+)
 from ehbench.recipe.trials import SetController, TrialSetRecipe
 from ehbench.recipe.tune import ArcTuneRecipe, TuneRecipe
 from ehbench.recipe.validate import JudgedFile, Thresholds, ValidateRecipe
@@ -51,6 +60,7 @@ __all__ = [
     "Campaign",
     "Command",
     "Controller",
+    "CylinderMotion",
     "DataFile",
     "DataFiles",
     "DatasetLog",
@@ -59,11 +69,16 @@ __all__ = [
     "Flowmeter",
     "HydraulicsRecipe",
     "JudgedFile",
+    "Measure",
     "Limits",
     "Motion",
     "Recipe",
     "Sensor",
     "SetController",
+    "Span",
+    "Spread",
+    "StudyRecipe",
+    "Target",
     "TextSection",
     "Thresholds",
     "TrialRecipe",
@@ -76,4 +91,5 @@ __all__ = [
     "load_rig",
     "read_toml",
     "recipe_kinds",
+    "validated",
 ]

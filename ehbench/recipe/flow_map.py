@@ -22,7 +22,11 @@ class CalibrationPoint(FileModel):
 
 
 class FlowMapRecipe(Recipe):
-    """Flowmeter readings to flow maps.
+    """Flowmeter readings, or step logs without a flowmeter (``method`` "steps"), to flow maps.
+
+    From logs, an edge's flow is what the chamber that it alone feeds or drains takes: area times
+    speed, compression and leakage, from ``settle`` after a change of a command on, over pieces of
+    ``span``.
 
     ``calibration`` is checked on every map at ``calibration_drop``. A flowmeter reading below
     ``meter_limit`` only says that the flow lies below it; readings of the method ``cylinder`` have
@@ -30,6 +34,10 @@ class FlowMapRecipe(Recipe):
 
     stage: Literal["identify"]
     what: Literal["flow_map"]
+    method: Literal["flowmeter", "steps"] = Field(
+        default="flowmeter",
+        description="what `data` are: CSV files of readings, or step logs without a flowmeter",
+    )
     rig: str
     data: Annotated[tuple[str, ...], Field(min_length=1)]
     columns: AnyColumns = Field(
@@ -40,3 +48,9 @@ class FlowMapRecipe(Recipe):
     calibration: tuple[CalibrationPoint, ...] = ()
     calibration_drop: Annotated[Value, Q("pressure_drop")] | None = None
     meter_limit: Annotated[Value, Q("meter_limit")] = Value(0.0)
+    settle: Annotated[Value, Q("settle")] = Field(
+        default=Value(0.2), description="of step logs: no reading so long after a change of command"
+    )
+    span: Annotated[Value, Q("span")] = Field(
+        default=Value(0.1), description="of step logs: time over which a reading is taken"
+    )

@@ -7,12 +7,19 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from ehbench.recipe.base import ByParameter
-from ehbench.recipe.trial import AnyTrial, Controller, Motion, TrialRecipe
+from ehbench.recipe.trial import (
+    AnyTrial,
+    Controller,
+    Motion,
+    OtherSupply,
+    TrialRecipe,
+    refuse_unmatched,
+)
 
 
 class SetController(Controller):
     """A controller of a set of trials; it may run on a rig of its own, such as the same machine
-    with another valve, or one with other ``dynamics`` of its valves.
+    with another valve, or one with other ``dynamics`` of its valves, or on a supply of its own.
 
     What was identified on the set's rig holds for that one as well, by name.
     """
@@ -23,6 +30,7 @@ class SetController(Controller):
     dynamics: ByParameter = Field(
         default={}, description="as the set's, for this controller's machine"
     )
+    supply: OtherSupply | None = None
 
 
 class TrialSetRecipe(AnyTrial):
@@ -62,6 +70,12 @@ class TrialSetRecipe(AnyTrial):
                 )
         return self
 
+    @model_validator(mode="after")
+    def _controllers_fit(self) -> TrialSetRecipe:
+        for law in self.controller:
+            refuse_unmatched(law, self.motion)
+        return self
+
     def cases(self) -> tuple[tuple[str, SetController, TrialRecipe], ...]:
         """(name, controller, recipe) of each trial, payloads outermost, controllers innermost."""
         shared = {name: getattr(self, name) for name in AnyTrial.model_fields if name != "path"}
@@ -78,7 +92,7 @@ class TrialSetRecipe(AnyTrial):
                     )
                     own = {
                         key: value
-                        for key in ("rig", "flow_maps", "bench", "dynamics")
+                        for key in ("rig", "flow_maps", "bench", "dynamics", "supply")
                         if (value := getattr(law, key))
                     }
                     case = TrialRecipe.model_construct(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from ehbench.report.saved import Table
@@ -93,8 +94,10 @@ def load_name(payload: str) -> str:
     return "no load" if payload == "none" else payload
 
 
-def stroke(rig: Rig, row: Table, value: float, digits: int = 3) -> str:
+def stroke(rig: Rig, row: Table, value: float | None, digits: int = 3) -> str:
     """An error of stroke [m] in the rig's unit, no finer than what the machine measured it by."""
+    if value is None:
+        return number(None)
     finest = row.get("gains", {}).get("stroke_resolution", 0.0) if row["on"] != MODEL else 0.0
     if not finest:
         return number(float(shown(rig, "x", value)), digits)
@@ -113,3 +116,16 @@ def measure(rig: Rig, name: str, value: float | None, digits: int = 3) -> str:
     return f"{number(float(shown(rig, name, value)), digits)}" + (
         f"{'' if unit == '°' else ' '}{unit}" if unit else ""
     )
+
+
+def error_of(rig: Rig, row: Table, which: str, key: str) -> str:
+    """An error of a trial's stroke, ``tracking`` or ``tracking_true``, with its range over several
+    runs.
+    """
+    if which == "tracking":
+        return ranged(partial(stroke, rig, row), row[which][key], range_in(row, which, key))
+
+    def told(value: float | None) -> str:
+        return number(None if value is None else float(shown(rig, "x", value)), 3)
+
+    return ranged(told, row[which][key], range_in(row, which, key))

@@ -71,8 +71,8 @@ def stem_of(text: str) -> str:
 
 
 def cases_of(run: Saved) -> list[Case]:
-    """The trials under a controller that a run holds: one of a ``trial`` run, all of a ``trials``
-    run.
+    """The trials under a controller that a run holds: one of a ``trial`` run, as often as it has
+    controlled cylinders; all of a ``trials`` run.
     """
     if run.stage == "trials":
         rows = run.json("table.json")["rows"]
@@ -89,8 +89,13 @@ def cases_of(run: Saved) -> list[Case]:
     facts = read_json(path)
     if not facts.get("controller"):
         return []
-    row = Table({**facts, **facts["measures"], "case": run.title, "motion": ""}, path)
-    return [Case(row, facts["cylinder"], run.folder / "log.mcap", run.folder / "ledger.json")]
+    also = facts["measures"].get("also", {})
+    cases = []
+    for cylinder, measures in {facts["cylinder"]: facts["measures"], **also}.items():
+        about = {"case": run.title, "motion": cylinder if also else "", "cylinder": cylinder}
+        row = Table({**facts, **measures, **about}, path)
+        cases.append(Case(row, cylinder, run.folder / "log.mcap", run.folder / "ledger.json"))
+    return cases
 
 
 def groups_of(cases: Sequence[Case]) -> dict[tuple[str, str], list[Case]]:
@@ -111,6 +116,16 @@ def damping(one: Table) -> tuple[float | None, str]:
 def true_payload(rig: Rig, payload: str) -> float | None:
     """What a payload estimate should find [kg]: `payload_at_end`, nothing without a payload."""
     return 0.0 if payload == "none" else payload_at_end(rig, payload)
+
+
+def payloads_carried(rig: Rig, row: Table) -> list[tuple[float, float]] | None:
+    """(time [s], what a payload estimate should find from then on [kg]) of a trial; None where some
+    payload is none at the end of the last link.
+    """
+    names = [(0.0, row["payload"]), *(row.get("payload_change") or ())]
+    masses = [(float(at), true_payload(rig, name)) for at, name in names]
+    known = [(at, mass) for at, mass in masses if mass is not None]
+    return known if len(known) == len(masses) else None
 
 
 def payload_at_end(rig: Rig, payload: str) -> float | None:

@@ -157,7 +157,7 @@ def passes_caption(rig: Rig, savings: Sequence[Saving]) -> str:
         one
         for one in savings
         if one.reference is not None
-        and one.used < one.reference
+        and one.bound < one.limits["standard"]
         and one.used / one.reference < one.bound / one.limits["standard"]
     ]
     against = {(one.case.row["payload"], one.case.row["motion"]) for one in better}
@@ -175,8 +175,8 @@ def passes_caption(rig: Rig, savings: Sequence[Saving]) -> str:
     pressed = _energies(rig, [one.causes["compression"] for one in spools])
     return (
         f"Some save more than the bound's {bounds} %: the four-way valve is above its own bound as "
-        f"well, by {above} a cycle, {pressed} of it compression: oil drawn to press that in the "
-        "chambers together, and let to tank as it expands."
+        f"well, by {above} a cycle. It draws {pressed} to press the oil in its chambers together; "
+        "part of that it draws less where the oil expands again, the rest goes to tank."
     )
 
 

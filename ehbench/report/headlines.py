@@ -260,10 +260,17 @@ def by_controller(cases: Sequence[Case]) -> dict[str, list[Case]]:
 def _tracked(rig: Rig, cases: Sequence[Case]) -> list[Headline]:
     """The largest error of the controller that tracks best, of motions that are no steps."""
 
+    fit = [case for case in cases if case.fit and not case.steps]
+    if tips := [case for case in fit if case.row.get("tip")]:
+        best = min(tips, key=lambda case: case.row["tip"]["max_error"])
+        value = measure(rig, "tip_error", best.row["tip"]["max_error"], 2)
+        about = f"{words(best.row['controller'])}, {best.where}"
+        return [Headline(TRACKING, "Largest tip error", value, about, _modelled([best]))]
+
     def most(group: Sequence[Case]) -> float:
         return max(case.row["tracking"]["max_error"] for case in group)
 
-    groups = by_controller([case for case in cases if case.fit and not case.steps])
+    groups = by_controller(fit)
     if not groups:
         return []
     name = min(groups, key=lambda key: most(groups[key]))

@@ -65,6 +65,7 @@ def canvas(
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.rcsetup import cycler
 
     settings: Any = _RC | {"axes.prop_cycle": cycler(color=CYCLE)}
@@ -75,7 +76,8 @@ def canvas(
             path.parent.mkdir(parents=True, exist_ok=True)
             _as_written(figure)
             text = StringIO()
-            figure.savefig(text, format="svg", metadata={"Date": None, "Creator": "ehbench"})
+            # savefig would draw twice where a layout engine is on: once for the layout alone
+            FigureCanvasSVG(figure).print_svg(text, metadata={"Date": None, "Creator": "ehbench"})
             path.write_text(shrink(text.getvalue()), encoding="utf-8")
         finally:
             plt.close(figure)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
-from functools import partial
 
 import numpy as np
 
@@ -11,17 +11,16 @@ from ehbench import codes
 from ehbench.record import Record
 from ehbench.report.captions import (
     capital,
+    error_of,
     load_name,
     measure,
     percent,
-    range_in,
-    ranged,
     sentence,
     span,
-    stroke,
 )
-from ehbench.report.cases import SLOW, Case, damping, true_payload
+from ehbench.report.cases import SLOW, Case, damping, payloads_carried
 from ehbench.report.saved import Table
+from ehbench.report.trial_tables import limits_of
 from ehbench.report.words import count, number, pretty, shown, unit_of, words
 from ehbench.rig import Rig
 
@@ -29,6 +28,7 @@ from ehbench.rig import Rig
 # share
 ESTIMATES = ("payload_estimate", *(word for word in codes.ESTIMATES if word != "payload_share"))
 _OF = {"v": "speed", "a": "acceleration"}
+LEARNT = 0.1  # of a change of payload that an estimate may still miss
 ROUNDING = 1e-9  # share of its bounds by which a logged estimate may lie outside
 
 
@@ -64,20 +64,38 @@ def tracking_caption(rig: Rig, row: Table) -> str:
     text = f"largest error {largest}, rms {rms}, at the end {final}"
     if row.get("tracking_true"):
         text += f"; of the true stroke {error_of(rig, row, 'tracking_true', 'max_error')} {unit}"
-    return text + (f" (medians and ranges of {row['seeds']} runs)" if row.get("seeds") else "")
+    text += f" (medians and ranges of {row['seeds']} runs)" if row.get("seeds") else ""
+    if not row.get("tip"):
+        return text
+    return f"{tip_caption(rig, row)}; {row['cylinder']}: {text}"
 
 
-def error_of(rig: Rig, row: Table, which: str, key: str) -> str:
-    """An error of a trial's stroke, ``tracking`` or ``tracking_true``, with its range over several
-    runs.
-    """
-    if which == "tracking":
-        return ranged(partial(stroke, rig, row), row[which][key], range_in(row, which, key))
+def tip_caption(rig: Rig, row: Table) -> str:
+    """How near the tip kept to where it should be."""
+    largest, rms, across = (
+        measure(rig, "tip_error", row["tip"][key])
+        for key in ("max_error", "rms_error", "max_across")
+    )
+    return f"the tip: largest error {largest}, rms {rms}, across its way {across}"
 
-    def told(value: float | None) -> str:
-        return number(None if value is None else float(shown(rig, "x", value)), 3)
 
-    return ranged(told, row[which][key], range_in(row, which, key))
+def sharing_caption(rig: Rig, row: Table) -> str:
+    """Whether the pump had enough for all cylinders, and what came of it."""
+    share = row["sharing"]
+    wished, limit = share["flow_wished"], share.get("flow_limit")
+    text = f"As it is wished the motion draws {measure(rig, 'flow', wished)} at the most"
+    if limit is None:
+        return f"{text}."
+    text += f", of {measure(rig, 'flow', limit)} that the pump gives"
+    if share["slowed"] > 0.0:
+        return (
+            f"{text}: so it ran slower for {number(share['slowed'], 3)} s, at "
+            f"{percent(share['pace'])} of its pace at the least, and took "
+            f"{number(share['longer'], 3)} s longer; all cylinders by one proportion, so that the "
+            "tip keeps to its way."
+        )
+    short = "; it was not slowed down for it" if wished > limit else ""
+    return f"{text}{short}."
 
 
 def trajectory_words(rig: Rig, case: Case, record: Record) -> str:
@@ -97,9 +115,10 @@ def trajectory_words(rig: Rig, case: Case, record: Record) -> str:
 
 def limits_caption(row: Table) -> str:
     """Share of the time that edges were at each limit; nothing where they never were."""
-    met = {name: share for name, share in row.get("limits", {}).items() if share > 0.0}
+    met, means = limits_of(row), codes.LIMITS_MEAN | codes.STATUS_MEANS
+    met = {name: share for name, share in met.items() if share > 0.0}
     shares = [
-        f"{words(name)} {percent(share)} of the time ({codes.LIMITS_MEAN.get(name, 'a limit')})"
+        f"{words(name)} {percent(share)} of the time ({means.get(name, 'a limit')})"
         for name, share in met.items()
     ]
     return "; at a limit: " + ", ".join(shares) if shares else ""
@@ -208,14 +227,68 @@ def estimates_caption(rig: Rig, case: Case, record: Record) -> str:
     }
     told = ", ".join(f"{words(word)} {measure(rig, word, end)}" for word, end in ends.items())
     text = f"At the end: {told}"
-    truth = true_payload(rig, case.row["payload"])
-    if truth is not None and "payload_estimate" in ends:
-        off = measure(rig, "mass", abs(ends["payload_estimate"] - truth))
-        text += (
-            f". The payload has the moment of {measure(rig, 'mass', truth)} "
-            f"at the end of the last link. The estimate ends {off} from it"
-        )
+    carried = payloads_carried(rig, case.row)
+    if carried and "payload_estimate" in ends:
+        text += _payload_caption(rig, case, record, carried)
     return text + _bounds_caption(case, record) + "."
+
+
+def _payload_caption(
+    rig: Rig, case: Case, record: Record, carried: Sequence[tuple[float, float]]
+) -> str:
+    """What the payload estimate said at the first tick, how it followed each change, and where it
+    ended.
+    """
+    t, estimate = record.t, record[f"{case.cylinder}.payload_estimate"]
+    (_, first), (_, last) = carried[0], carried[-1]
+    told = "the wrong first pressures" if case.row.get("first_pressure_error") else "the pressures"
+    text = (
+        f". The payload has the moment of {measure(rig, 'mass', first)} at the end of the last "
+        f"link. At the first tick, before any adaptation, {told} at rest say "
+        f"{measure(rig, 'mass', float(estimate[0]))}"
+    )
+    ends = [*(at for at, _ in carried[2:]), math.inf]
+    for (_, before), (at, mass), until in zip(carried, carried[1:], ends, strict=False):
+        own = (t >= at) & (t < until)
+        text += f". From {number(at, 3)} s on it is {measure(rig, 'mass', mass)}, "
+        text += _followed(t[own] - at, estimate[own] - mass, LEARNT * abs(mass - before))
+    off = measure(rig, "mass", abs(float(estimate[-1]) - last))
+    text += f". The estimate ends {off} from it"
+    return text + _weighed_caption(rig, case, record, carried)
+
+
+def _weighed_caption(
+    rig: Rig, case: Case, record: Record, carried: Sequence[tuple[float, float]]
+) -> str:
+    """How far off in motion the payload is that pressures and motion tell, and how often its
+    interval holds the truth.
+    """
+    told = [f"{case.cylinder}.payload_{word}" for word in ("measured", "low", "high")]
+    if not all(name in record for name in told):
+        return ""
+    measured, low, high = (record[name] for name in told)
+    times, masses = zip(*carried, strict=True)
+    truth = np.array(masses)[np.searchsorted(times, record.t, side="right") - 1]
+    moving = np.abs(record[f"{case.cylinder}.v_desired"]) > 0.0
+    if not moving.any():
+        return ""
+    off = np.abs(measured - truth)[moving]
+    held = float(np.mean((low <= truth) & (truth <= high)))
+    said = measure(rig, "mass", float(np.quantile(off, 0.95)))
+    return (
+        f". By least squares over pressures and motion it is known to {said} for 95 % of the time "
+        f"in motion; the interval holds it {percent(held, 3)} of all time"
+    )
+
+
+def _followed(since: np.ndarray, off: np.ndarray, least: float) -> str:
+    """When an estimate came to stay within ``least`` of the truth, by how far it is ``off``."""
+    beyond = np.flatnonzero(np.abs(off) > least)
+    share = percent(LEARNT)
+    if beyond.size and beyond[-1] + 1 == off.size:
+        return f"not learnt to within {share} of the change"
+    after = since[beyond[-1] + 1] if beyond.size else 0.0
+    return f"learnt to within {share} of the change in {number(float(after), 2)} s"
 
 
 def _bounds_caption(case: Case, record: Record) -> str:

@@ -5,15 +5,14 @@ settings.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from ehbench.report.blocks import Block, Cell, Fold, Grid
-from ehbench.codes import LIMITS_MEAN
-from ehbench.report.captions import capital, load_name, range_in, ranged, span
+from ehbench.codes import LIMITS_MEAN, STATUS_MEANS
+from ehbench.report.captions import capital, error_of, load_name, range_in, ranged, span
 from ehbench.report.cases import Case, damping, groups_of
 from ehbench.report.content import chip, num, quantity_cell
 from ehbench.report.saved import Table
-from ehbench.report.trial_captions import error_of
 from ehbench.report.words import (
     DASH,
     axis,
@@ -147,8 +146,11 @@ def _tracking(rig: Rig, cases: Sequence[Case]) -> Grid:
     several = any(len(group) > 1 for group in groups.values())
     swings = any(case.row.get("limit_cycle") for case in cases)
     true = any(case.row.get("tracking_true") for case in cases)
+    tips = any(case.row.get("tip") for case in cases)
+    shown_of = _Columns(swings, tips, true)
     head = [
         *WHO,
+        *([axis(rig, "tip_error", f"{word} tip error") for word in ("largest", "rms")] * tips),
         axis(rig, "x", "largest error"),
         axis(rig, "x", "rms error"),
         axis(rig, "x", "final error"),
@@ -161,7 +163,7 @@ def _tracking(rig: Rig, cases: Sequence[Case]) -> Grid:
         "",
     ]
     rows = [
-        _tracking_row(rig, case, group if several else [], swings, true)
+        _tracking_row(rig, case, group if several else [], shown_of)
         for group in groups.values()
         for case in group
     ]
@@ -177,16 +179,24 @@ def _tracking(rig: Rig, cases: Sequence[Case]) -> Grid:
     return Grid(head, rows, note, "tracking", "Tracking and energy.")
 
 
+class _Columns(NamedTuple):
+    """What some trial of a table has: a limit cycle, a tip's error, errors of the true stroke."""
+
+    swings: bool
+    tips: bool
+    true: bool
+
+
 def _tracking_row(
-    rig: Rig, case: Case, rivals: Sequence[Case], swings: bool, true: bool
+    rig: Rig, case: Case, rivals: Sequence[Case], columns: _Columns
 ) -> list[Cell | str]:
     """A trial's row; its energy relative to the least of its rivals, itself among them, where there
-    are any; its limit cycle where some trial ``swings``, its ``true`` errors where some has them.
+    are any; what only some trials have where ``columns`` say so.
     """
     row, pump = case.row, case.row["energy"]["pump"]
     known = bool(row.get("tracking_true"))
     errors = [error_of(rig, row, "tracking", f"{key}_error") for key in ("max", "rms", "final")]
-    if true:
+    if columns.true:
         errors += [
             error_of(rig, row, "tracking_true", f"{key}_error") if known else DASH
             for key in ("max", "rms")
@@ -198,8 +208,9 @@ def _tracking_row(
         relative = [num(ratio)]
     return [
         *who(case),
+        *(_tip_cells(rig, case) if columns.tips else []),
         *map(num, errors),
-        *(_cycle_cells(rig, case) if swings else []),
+        *(_cycle_cells(rig, case) if columns.swings else []),
         num(
             ranged(_telling(rig, "v", 3), row["speed_rms_error"], range_in(row, "speed_rms_error"))
         ),
@@ -208,6 +219,14 @@ def _tracking_row(
         _energy_cell(rig, case, "cylinder_work"),
         chip("stopped") if case.row.get("stopped") else "",
     ]
+
+
+def _tip_cells(rig: Rig, case: Case) -> list[Cell | str]:
+    """Largest and rms error of a trial's tip."""
+    tip = case.row.get("tip")
+    if not tip:
+        return [DASH, DASH]
+    return [quantity_cell(rig, "tip_error", tip[key], 3) for key in ("max_error", "rms_error")]
 
 
 def valves_note(rig: Rig, cases: Sequence[Case]) -> str:
@@ -239,11 +258,20 @@ def _cycle_cells(rig: Rig, case: Case) -> list[Cell | str]:
     ]
 
 
+def limits_of(row: Table) -> dict[str, float]:
+    """Shares of the time at the limits of the valve level, and without a function that can move the
+    load.
+    """
+    functions = row.get("functions", {})
+    return dict(row.get("limits", {})) | {
+        name: functions[name] for name in STATUS_MEANS if name in functions
+    }
+
+
 def _limits(cases: Sequence[Case]) -> Grid | None:
-    shares = [(case, case.row.get("limits", {})) for case in _ordered(cases)]
-    met = dict.fromkeys(
-        name for case in cases for name, share in case.row.get("limits", {}).items() if share > 0.0
-    )
+    means = LIMITS_MEAN | STATUS_MEANS
+    shares = [(case, limits_of(case.row)) for case in _ordered(cases)]
+    met = dict.fromkeys(name for _, own in shares for name, share in own.items() if share > 0.0)
     if not met:
         return None
     rows = [
@@ -251,8 +279,8 @@ def _limits(cases: Sequence[Case]) -> Grid | None:
         for case, limits in shares
     ]
     head = [*WHO, *(f"{words(name)} [%]" for name in met)]
-    told = "; ".join(f"{words(name)}: {LIMITS_MEAN[name]}" for name in met if name in LIMITS_MEAN)
-    note = f"Share of the time with an edge at a limit. {capital(told)}."
+    told = "; ".join(f"{words(name)}: {means[name]}" for name in met if name in means)
+    note = f"Share of the time at a limit. {capital(told)}."
     return Grid(head, rows, note, "limits", "Limits met.")
 
 

@@ -11,6 +11,7 @@ from ehbench.stages.campaign import CampaignStage
 from ehbench.stages.flow_map import FlowMapStage
 from ehbench.stages.hydraulics import HydraulicsStage
 from ehbench.stages.response import ResponseStage
+from ehbench.stages.study import StudyStage
 from ehbench.stages.trial import TrialStage
 from ehbench.stages.trials import TrialsStage
 from ehbench.stages.tuning import ArcTuningStage, TuningStage
@@ -29,6 +30,7 @@ REGISTRY: dict[tuple[str, str | None], Checked[Any]] = {
         ArcTuningStage(),
         TrialStage(),
         TrialsStage(),
+        StudyStage(),
         CampaignStage(),
         BenchFile(),
         Dataset(),

@@ -136,6 +136,9 @@ class Host(Protocol):
     @property
     def keep(self) -> bool: ...
 
+    @property
+    def resume(self) -> bool: ...
+
     def tell(self, name: str) -> Progress | None:
         """A progress callback labelled with the recipe at work."""
         ...
@@ -185,6 +188,10 @@ class Stage(Checked[R], Generic[R, P]):
             EhbenchError: the data do not support the claim, the numbers left the finite range, …
         """
 
+    def place(self, prepared: P, host: Host) -> Path:
+        """Where the run's folder goes."""
+        return host.out or rundir.place(prepared.recipe.path, prepared.inputs or (), host.root)
+
     def run(self, prepared: P, host: Host) -> Outcome:
         """Do the work in a new run folder and draw its figures; a run that stands with these very
         inputs is kept if the host keeps.
@@ -192,7 +199,7 @@ class Stage(Checked[R], Generic[R, P]):
         from ehbench.report import draw
 
         recipe, inputs = prepared.recipe, prepared.inputs or ()
-        final = host.out or rundir.place(recipe.path, inputs, host.root)
+        final = self.place(prepared, host)
         if host.keep and rundir.is_whole(final):
             facts = rundir.read_json(final / "run.json")
             return Outcome(final, facts["code"], tuple(facts["notes"]))

@@ -4,17 +4,19 @@ over all maps.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ehbench import rundir
+from ehbench.errors import InsufficientData
 from ehbench.recipe import FlowMapRecipe
 from ehbench.stages.base import Prepared, Progress, Stage, Work, write_rig
+from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs, RigState
 
 if TYPE_CHECKING:
-    from ehbench.identification.readings import PreparedReadings
+    from ehbench.identification.readings import EdgeFit, PreparedReadings
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,8 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
 
         findings = inputs.findings
         state = inputs.rig_state(recipe.rig)
+        if recipe.method == "steps":
+            return _from_logs(recipe, inputs, state)
         supply = float(state.rig.supply.pressure)
         parts, files, columns = [], [], inputs.columns()
         for name in recipe.data:
@@ -70,13 +74,17 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         recipe, rig = prepared.recipe, prepared.state.rig
         assert prepared.readings is not None  # a run stops where a check has none
         drop = recipe.calibration_drop
-        fits = readings.run_readings(
-            prepared.readings,
+        given = (
             [(float(one.command), float(one.flow), one.tolerance) for one in recipe.calibration],
             None if drop is None else float(drop),
             progress,
-            meter_limit=float(recipe.meter_limit),
         )
+        limit = float(recipe.meter_limit)
+        fits, without = [], []
+        if recipe.method == "steps":
+            fits, without = _of_some(prepared.readings, given)
+        else:
+            fits = readings.run_readings(prepared.readings, *given, meter_limit=limit)
         maps = collect([one.fit.map for one in fits])
         save_flow_maps(maps, folder / "flow_maps.json")
         rundir.write_json(folder / "summary.json", readings.summary(fits, rig))
@@ -94,4 +102,52 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
             for one in fits
             for text in one.fit.warnings
         ]
-        return Work({"rig": rig.name, "warnings": warnings})
+        return Work({"rig": rig.name, "warnings": [*warnings, *without]})
+
+
+def _of_some(prepared: PreparedReadings, given: tuple[Any, ...]) -> tuple[list[EdgeFit], list[str]]:
+    """(maps of the edges that logs tell enough of, a sentence for each of the others): a log steps
+    what it steps, and nobody asked for a map of each edge.
+
+    Raises:
+        InsufficientData: no edge has a map.
+    """
+    from ehbench.identification.readings import run_readings
+
+    fits, without = [], []
+    for one in prepared.edges:
+        try:
+            fits += run_readings(replace(prepared, edges=(one,)), *given)
+        except InsufficientData as error:
+            without.append(f"no map of {one.edge} {one.side}: {error.message}")
+    if not fits:
+        raise InsufficientData("; ".join(without), hint="step each edge at 4 commands or more")
+    return fits, without
+
+
+def _from_logs(recipe: FlowMapRecipe, inputs: Inputs, state: RigState) -> PreparedMaps:
+    """Readings that step logs give."""
+    from ehbench.identification.readings import prepare_readings
+    from ehbench.identification.step_readings import step_readings
+    from ehbench.plant.model import Model
+    from ehbench.recipe.base import DataFile
+
+    findings = inputs.findings
+    logs = inputs.logs([DataFile(path=name) for name in recipe.data])
+    model, parts = Model.of(state.rig), []
+    for name, record in logs.records:
+        with findings.noting():
+            part = step_readings(name, record, model, float(recipe.settle), float(recipe.span))
+            parts.append(part)
+            groups = ", ".join(" ".join(group) for group in part.groups())
+            findings.say("reads", f"{name} ({len(part)} readings of {groups})")
+    findings.say("open", "whether the readings carry a map")
+    count = len({group for part in parts for group in part.groups()})
+    does = f"fits {count} flow map{'s' * (count != 1)} to {sum(map(len, parts))} readings"
+    return PreparedMaps(
+        recipe,
+        (*state.inputs, *logs.inputs, *logs.maps),
+        f"{does} that {counted(recipe.data, 'log')} give",
+        state,
+        prepare_readings(state.rig, parts) if parts else None,
+    )

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,8 @@ from ehbench.recipe import HydraulicsRecipe, read_toml
 from ehbench.stages.base import (
     DONE,
     INCOMPLETE,
+    Host,
+    Outcome,
     Prepared,
     Progress,
     Stage,
@@ -29,6 +31,7 @@ from ehbench.stages.inputs import Inputs, Logs, RigState
 
 if TYPE_CHECKING:
     from ehbench.identification.hydraulics import HydraulicsFit, PreparedFit
+    from ehbench.identification.journal import Journal
     from ehbench.identification.suggestions import Suggestions
     from ehbench.recipe.sensor import Sensor
     from ehbench.rig import Rig
@@ -43,6 +46,7 @@ class PreparedHydraulics(Prepared):
     logs: Logs
     fit: PreparedFit | None
     variants: dict[str, PreparedFit]
+    journal: Journal | None = None
 
 
 class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
@@ -79,13 +83,25 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
             recipe, (*state.inputs, *logs.inputs, *logs.maps), does, state, logs, fit, variants
         )
 
+    def run(self, prepared: PreparedHydraulics, host: Host) -> Outcome:
+        from ehbench.identification.journal import journal_of
+
+        path = prepared.recipe.path
+        about = {
+            "about": f"how far a search has come that was stopped: ehbench identify {path.name} "
+            "--resume",
+            "hash": rundir.run_hash(path, prepared.inputs or ()),
+        }
+        with journal_of(self.place(prepared, host), about, host.resume) as journal:
+            return super().run(replace(prepared, journal=journal), host)
+
     def work(self, prepared: PreparedHydraulics, folder: Path, progress: Progress | None) -> Work:
         from ehbench.identification.hydraulics import ranked, run_fit
 
         recipe, logs = prepared.recipe, prepared.logs
 
         def fitted(one: PreparedFit) -> HydraulicsFit:
-            return run_fit(one, progress)
+            return run_fit(one, progress, prepared.journal)
 
         assert prepared.fit is not None  # a run has all its logs
         fit = fitted(prepared.fit)

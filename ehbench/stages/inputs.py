@@ -281,7 +281,10 @@ def _window(record: Record, item: DataFile, path: Path) -> Record:
             file=path,
             hint=f"it runs from {record.t[0]:g} to {record.t[-1]:g} s",
         )
-    meta = dict(record.meta) | ({"payload": item.payload} if item.payload else {})
+    meta = dict(record.meta)
+    if item.payload:
+        meta.pop("payload_change", None)
+        meta["payload"] = item.payload
     channels = {name: values[keep] for name, values in record.channels.items()}
     return type(record)(record.t[keep], channels, meta, record.attachments, record.losses)
 

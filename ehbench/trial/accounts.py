@@ -43,8 +43,13 @@ def account(prepared: Prepared, result: Result, sure: bool = True) -> Account:
         return Account(facts, None, (f"no energy ledger: {error.message}",))
     limits = []
     if facts.cylinder:
-        facts = facts.with_energy(_energy(ledger, facts.cylinder))
-        with suppress(InsufficientData):  # it did not move
+        facts = facts.with_energy(
+            {
+                name: _energy(ledger, name) | {"supply": prepared.rig.supply.kind}
+                for name in facts.cylinders
+            }
+        )
+        with suppress(InsufficientData):  # it did not move, or its supply has not one pressure
             limits = [bounds(prepared.rig, record, facts.cylinder, ledger).as_json()]
     return Account(facts, ledger.as_json() | {"bounds": limits})
 

@@ -18,7 +18,7 @@ from ehbench.rig import Rig
 from ehbench.text import quoted
 from ehbench.trial.accounts import Account, account
 from ehbench.trial.preparation import Prepared, prepare
-from ehbench.trial.running import run
+from ehbench.trial.running import SELDOM, run
 from ehbench.trial.spread import middle_of, over_runs
 from ehbench.units import from_si
 
@@ -162,6 +162,7 @@ def table_rows(cases: Sequence[Case], results: Sequence[CaseResult]) -> list[dic
             "log": f"logs/{file}.mcap",
             "duration": facts.duration,
             "stopped": facts.stopped,
+            **{name: told for name in SELDOM if (told := getattr(facts, name))},
             **facts.measures,
         }
         for case, file, facts in zip(cases, file_names(cases), facts_of, strict=True)

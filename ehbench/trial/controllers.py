@@ -104,6 +104,17 @@ class Compiled:
         )
 
 
+@dataclass
+class Laws:
+    """The built-in controllers of a trial, one a cylinder, each as it would be alone."""
+
+    parts: tuple[Compiled, ...]
+
+    def afresh(self) -> Laws:
+        """The same at their beginning, for a run of their own."""
+        return Laws(tuple(part.afresh() for part in self.parts))
+
+
 @contextmanager
 def located(recipe: TrialRecipe, *keys: str | int) -> Iterator[None]:
     """Bad input found inside is said to stand at a key of the recipe, unless it says itself where
@@ -165,7 +176,8 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> Design:
     row = plant.cylinders[index]
     with located(recipe, *controller.where, "unused"):
         reach = np.column_stack([plant.valves.lowest, plant.valves.highest])
-        own = circuit(index, row.area_head, row.area_rod, edges, plant.maps, reach, measured)
+        areas = row.area_head, row.area_rod
+        own = circuit(index, *areas, edges, plant.maps, reach, measured, plant.supply)
     with located(recipe, "posture"):
         model.posture(recipe.posture)
     with located(recipe, *motion_at, "waypoints"):
@@ -343,7 +355,8 @@ def _taken(
         gains |= {name: tuning[name] for name in law.gains if name in tuning}
         rules |= {name: tuning[name] for name in RULE_NAMES if name in tuning}
     gains |= quantities(recipe, "gains", chosen.own_gains, law.gains, law.bounds)
-    rows = {**{name: VOCABULARY[name] for name in RULE_NAMES}, "allow_seventh": None}
+    rows = {name: VOCABULARY[name] for name in RULE_NAMES}
+    rows |= {"choice": None, "allow_seventh": None}
     return gains, rules | quantities(recipe, "rules", chosen.rules, rows)
 
 
@@ -354,8 +367,8 @@ def quantities(
     rows: Mapping[str, Quantity | None],
     bounds: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """The numbers [SI] of a table of the controller, by name; a row of None is yes or no, one of
-    ``bounds`` a list of two.
+    """The numbers [SI] of a table of the controller, by name; a row of None is yes or no, or a
+    word where it is the ``choice``; one of ``bounds`` a list of two.
 
     Raises:
         InputError: an unknown name, a wrong unit, with the line.
@@ -383,6 +396,8 @@ def _number(name: str, raw: Any, row: Quantity | None, pair: bool) -> Any:
     function.
     """
     if row is None:
+        if name == "choice":
+            return raw
         if not isinstance(raw, bool):
             raise InputError(f"{name} = {raw!r}", hint="it is true or false")
         return raw

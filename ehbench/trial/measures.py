@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ehbench.codes import STALLED, UNABLE
 from ehbench.signals import ringing, rms
 
 BAND = 0.05  # a step has settled once it stays this near to its steady speed
@@ -99,4 +100,24 @@ def tracking_measures(t: np.ndarray, x: np.ndarray, x_desired: np.ndarray) -> di
         "max_error": float(np.abs(e).max()),
         "rms_error": rms(e),
         "final_error": float(np.mean(e[t >= t[-1] - FINAL])),
+    }
+
+
+def function_measures(
+    t: np.ndarray, function: np.ndarray, status: np.ndarray, v_desired: np.ndarray
+) -> dict[str, float]:
+    """How working functions were chosen: the shares of the ticks that were ``stalled`` and
+    ``unable``; ``changes`` of the function per second [1/s], and per second of rest those
+    ``changes_at_rest``, while no speed was desired.
+    """
+    changed, rest = (
+        np.diff(function.round()) != 0.0,
+        (v_desired[1:] == 0.0) & (v_desired[:-1] == 0.0),
+    )
+    tick = float(t[1] - t[0])
+    return {
+        "stalled": float(np.mean(status == STALLED)),
+        "unable": float(np.mean(status == UNABLE)),
+        "changes": float(changed.sum()) / (tick * max(changed.size, 1)),
+        "changes_at_rest": float((changed & rest).sum()) / (tick * max(int(rest.sum()), 1)),
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from ehbench.control.valve_level import top_speed
 from ehbench.errors import InputError
 from ehbench.memory import rows_of
 from ehbench.quantities import VOCABULARY, Quantity
-from ehbench.recipe import Motion, TrialRecipe
+from ehbench.recipe import CylinderMotion, Motion, TrialRecipe
 from ehbench.rig import read_value
 from ehbench.trial.controllers import Design, located
 
@@ -67,7 +68,7 @@ def references(recipe: TrialRecipe, design: Design, low_pressure: float) -> Refe
     Raises:
         InputError: a motion that is incomplete or leaves the stroke, with the line.
     """
-    rate, motion = float(recipe.rate), recipe.motion
+    motion = recipe.motion
     if motion is None:
         desired = References(np.tile([design.x, 0.0, 0.0, 0.0], (2, 1)))
     else:
@@ -79,7 +80,17 @@ def references(recipe: TrialRecipe, design: Design, low_pressure: float) -> Refe
             if error.file is not None:
                 raise
             raise InputError(error.message, **recipe.at(*motion.where), hint=error.hint) from None
-    table = desired.table
+    return lasting(recipe, design, desired)
+
+
+def lasting(recipe: TrialRecipe, design: Design, desired: References) -> References:
+    """A motion for as long as the recipe says, if it does.
+
+    Raises:
+        InputError: it leaves the stroke, with the line.
+    """
+    motion = recipe.motion
+    rate, table = float(recipe.rate), desired.table
     if recipe.duration is not None:
         with located(recipe, "duration"):
             count = rows_of(float(recipe.duration), rate) + 1
@@ -150,8 +161,8 @@ def _spool_speed(circuit: Circuit, way: int, force: float, p_supply: float, p_ta
     def speeds(rod: float) -> tuple[float, float]:
         p = Pressures((force + area_rod * rod) / area_head, rod, p_supply, p_tank)
         return (
-            capacity(circuit, into, path_drop(into, p)) / area_in,
-            capacity(circuit, out, path_drop(out, p)) / area_out,
+            capacity(circuit, into, path_drop(into, p, circuit)) / area_in,
+            capacity(circuit, out, path_drop(out, p, circuit)) / area_out,
         )
 
     # the higher both pressures, the less comes in and the more goes out (extending; retracting the
@@ -205,29 +216,37 @@ def _steps(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: fl
     return References(table, tuple(levels))
 
 
-def _points(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: float) -> References:
+def limits_of(recipe: TrialRecipe, motion: CylinderMotion, points: int) -> dict[str, Any]:
+    """The limits [m/s, m/s², m/s³], rests [s] and profile with which a motion goes through so many
+    points.
+
+    Raises:
+        InputError: rests that are not one for all or one for each.
+    """
     assert motion.speed is not None  # the recipe's model sees to it
     speed = float(motion.speed)
     acceleration = speed / SPEED_UP if motion.acceleration is None else float(motion.acceleration)
     jerk = 4.0 * acceleration / SPEED_UP if motion.jerk is None else float(motion.jerk)
-    points = [float(x) for x in motion.waypoints]
     holds = [float(h) for h in motion.hold] or [REST]
-    if len(holds) not in (1, len(points)):
+    if len(holds) not in (1, points):
         raise InputError(
-            f"hold has {len(holds)} times for {len(points)} waypoints",
+            f"hold has {len(holds)} times for {points} waypoints",
             **recipe.at(*motion.where, "hold"),
         )
-    holds = holds * len(points) if len(holds) == 1 else holds
+    hold = holds[0] if len(holds) == 1 else holds
+    limits = {"speed": speed, "acceleration": acceleration, "jerk": jerk}
+    return limits | {"hold": hold, "profile": motion.profile}
+
+
+def _points(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: float) -> References:
+    points = [float(x) for x in motion.waypoints]
+    limits = limits_of(recipe, motion, len(points))
+    holds = np.broadcast_to(limits["hold"], len(points)).tolist()
 
     def made(cycles: int) -> np.ndarray:
+        way = limits | {"hold": holds[:1] + cycles * holds[1:]}
         return point_to_point(
-            points[:1] + cycles * points[1:],
-            speed=speed,
-            acceleration=acceleration,
-            jerk=jerk,
-            tick=1.0 / float(recipe.rate),
-            hold=holds[:1] + cycles * holds[1:],
-            profile=motion.profile,
+            points[:1] + cycles * points[1:], tick=1.0 / float(recipe.rate), **way
         )
 
     before = len(made(motion.cycles - 1)) - 1 if motion.cycles > 1 else 0

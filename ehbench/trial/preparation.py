@@ -4,15 +4,17 @@ it stops.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ehbench.control.functions import RULES, pack_rules
+from ehbench.control.records import blank
 from ehbench.errors import InputError
-from ehbench.machines.protocol import Machine, hidden_of, seeded_of, truth_of
+from ehbench.machines.protocol import Machine, carry_of, hidden_of, seeded_of, truth_of
 from ehbench.machines.registry import open_machine
 from ehbench.machines.rows import COMMAND, LIMITS, MARGIN, Rows, limit_array, violated
 from ehbench.memory import MOST_STEPS, refuse_beyond, rows_of
@@ -21,8 +23,10 @@ from ehbench.recipe import TrialRecipe
 from ehbench.rig import Rig
 from ehbench.trial import controllers
 from ehbench.trial.commands import command_table
-from ehbench.trial.controllers import Compiled, Design
-from ehbench.trial.motion import References, references
+from ehbench.trial.controllers import Compiled, Design, Laws
+from ehbench.trial.motion import References, lasting, references
+from ehbench.trial.path import along_path, route
+from ehbench.trial.together import Driven, Plan, as_long, planned, told
 from ehbench.trial.user_code import UserCode
 from ehbench.units import from_si
 
@@ -78,16 +82,28 @@ class Aftermath:
 
 @dataclass(frozen=True)
 class Loop:
-    """A closed loop before there is a machine: design model, references, and the law.
+    """A closed loop before there is a machine: the cylinders that it moves, the first of which the
+    trial is about, and their laws.
 
-    ``law`` is packed, and None for a user's class, which is loaded when its trial begins.
-    ``low_side`` [Pa] is where the off-side chamber stands at the start.
+    ``laws`` are packed, and None for a user's class, which is loaded when its trial begins.
+    ``low_side`` [Pa] is where the off-side chamber stands at the start. ``plan`` is what they do
+    together, None of one cylinder by itself.
     """
 
-    design: Design
-    references: References
-    law: Compiled | None
+    driven: tuple[Driven, ...]
+    laws: Laws | None
     low_side: float
+    plan: Plan | None = None
+
+    @property
+    def design(self) -> Design:
+        """That of the first."""
+        return self.driven[0].design
+
+    @property
+    def references(self) -> References:
+        """What the first shall do."""
+        return self.driven[0].references
 
 
 @dataclass(frozen=True)
@@ -96,8 +112,9 @@ class Prepared:
 
     ``machine`` is the one that the recipe names, not started; ``t`` [s], shape (samples,);
     ``table`` the open-loop commands [V], shape (samples, valves); ``limits`` as in
-    `ehbench.machines.rows`; ``posture`` where it starts; ``loop`` None for open loop. It may run
-    again, and gives the same bytes."""
+    `ehbench.machines.rows`; ``posture`` where it starts; ``loop`` None for open loop; ``payloads``
+    what it carries from which row on, where that changes. It may run again, and gives the same
+    bytes."""
 
     recipe: TrialRecipe
     rig: Rig
@@ -108,6 +125,7 @@ class Prepared:
     limits: np.ndarray
     posture: dict[str, str]
     loop: Loop | None
+    payloads: dict[int, str | None]
 
     @property
     def duration(self) -> float:
@@ -140,18 +158,18 @@ class Prepared:
         """Pressure [Pa] of the unloaded chambers at the start; None is the machine's own choice."""
         return None if self.loop is None else self.loop.low_side
 
-    def law(self, machine: Machine) -> Compiled | UserCode | None:
-        """A controller at its beginning, for one run on a machine; None for open loop.
+    def law(self, machine: Machine) -> Laws | UserCode | None:
+        """The controllers at their beginning, for one run on a machine; None for open loop.
 
         Raises:
             InputError: a user's class that cannot be loaded, or raised.
         """
         if self.loop is None:
             return None
-        law, table = self.loop.law, self.loop.references.table
-        if law is None:
+        laws, table = self.loop.laws, self.loop.references.table
+        if laws is None:
             return UserCode(self.recipe, self.loop.design, machine.channels, machine.rate, table)
-        return law.afresh()
+        return laws.afresh()
 
     def first_rows(self, machine: Machine, count: int | None = None) -> Rows:
         """The rows before the first tick, the machine at rest.
@@ -183,6 +201,8 @@ class Prepared:
                 **recipe.at("limits", reached.limit),
                 hint="change the posture or the limit",
             )
+        for channel, error in recipe.first_pressure_error.items():
+            sample[machine.channels.index(channel)] += float(error)
         return rows
 
     def reached(self, machine: Machine, rows: Rows, row: int) -> Stop:
@@ -274,12 +294,14 @@ def prepare(
             rig; on a machine that stands at its start at once, a limit reached there; code that is
             not allowed.
     """
+    with controllers.located(recipe, "supply"):
+        rig = rig.with_supply(recipe.supply.load_sensing, recipe.supply.low_rail)
     loop, posture = None, recipe.posture
     rig = _with_dynamics(recipe, rig)
     if recipe.controller is not None:
         controllers.refuse_code(recipe, allow_code)
         loop = _loop(recipe, rig, maps, gains, standing)
-        posture = controllers.posture_of(recipe, loop.design.cylinder)
+        posture = controllers.posture_of(loop.driven[0].recipe, loop.design.cylinder)
     rate = float(recipe.rate)
     if loop is not None:
         count = len(loop.references.table)
@@ -296,16 +318,60 @@ def prepare(
     with controllers.located(recipe, "duration"):
         _refuse_endless(recipe, rig, count)
     t = np.arange(count) / rate
-    table = command_table(recipe, rig, t, () if loop is None else _taken(recipe, loop.design))
+    table = command_table(recipe, rig, t, () if loop is None else _taken(loop))
     machine = open_machine(recipe, rig, maps)
     limits = limit_array(recipe.limits)
-    prepared = Prepared(recipe, rig, maps, machine, t, table, limits, posture, loop)
+    _refuse_unknown_pressures(recipe, machine)
+    payloads = _payloads(recipe, machine, t)
+    prepared = Prepared(recipe, rig, maps, machine, t, table, limits, posture, loop, payloads)
     if truth_of(machine) is not None:
         prepared.first_rows(machine, 1)
     else:
         with controllers.located(recipe, "posture"):
             machine.check_posture(posture)
     return prepared
+
+
+def _refuse_unknown_pressures(recipe: TrialRecipe, machine: Machine) -> None:
+    """Refuse a wrong first pressure of a sensor that the machine has not.
+
+    Raises:
+        InputError: names those that there are.
+    """
+    known = [name for name in machine.channels if name.rsplit(".", 1)[-1].startswith("p_")]
+    for name in recipe.first_pressure_error:
+        if name not in known:
+            raise InputError(
+                f"the machine has no pressure '{name}'",
+                **recipe.at("first_pressure_error", name),
+                hint="it has " + ", ".join(known),
+            )
+
+
+def _payloads(recipe: TrialRecipe, machine: Machine, t: np.ndarray) -> dict[int, str | None]:
+    """What the machine carries from which row on, where the recipe changes it.
+
+    Raises:
+        InputError: a time behind the end, no such payload, or a machine that cannot change it.
+    """
+    found: dict[int, str | None] = {}
+    for i, change in enumerate(recipe.payload_change):
+        carry, row = carry_of(machine), int(np.searchsorted(t, float(change.at) - 1e-9))
+        if row >= t.size:
+            raise InputError(
+                f"the trial ends at {t[-1]:.4g} s, before its payload changes",
+                **recipe.at("payload_change", i, "at"),
+            )
+        if carry is None:
+            raise InputError(
+                f"the payload of {machine.name} is changed by hand",
+                **recipe.at("payload_change"),
+                hint="leave payload_change out",
+            )
+        found[row] = None if change.payload == "none" else change.payload
+        with controllers.located(recipe, "payload_change", i, "payload"):
+            carry(found[row])
+    return found
 
 
 def _with_dynamics(recipe: TrialRecipe, rig: Rig) -> Rig:
@@ -335,10 +401,11 @@ def _refuse_endless(recipe: TrialRecipe, rig: Rig, count: int) -> None:
     if recipe.limits != type(recipe.limits)():
         count += round((float(recipe.limits.ramp) + RUN_OUT) * float(recipe.rate))
     refuse_beyond(8.0 * count * (_ROW + _EACH * parts + 3 * waves), f"a trial of {count} samples")
-    steps = count * max(1.0, 1.0 / (float(recipe.rate) * float(recipe.step)))
+    step = 1.0 if recipe.step == "auto" else float(recipe.step)
+    steps = count * max(1.0, 1.0 / (float(recipe.rate) * step))
     if steps > MOST_STEPS:
         raise InputError(
-            f"the trial would take {steps:.3g} steps of {float(recipe.step):g} s",
+            f"the trial would take {steps:.3g} steps",
             hint=f"up to {MOST_STEPS:g} are taken: make it shorter, or the step larger",
         )
 
@@ -350,28 +417,97 @@ def _loop(
     gains: Path | Mapping[str, Any] | None,
     standing: bool,
 ) -> Loop:
-    design = controllers.design(recipe, rig, maps)
+    found = route(recipe, rig, maps) if along_path(recipe) else None
+    singles = recipe.singles(None if found is None else found.starts)
     if isinstance(gains, Mapping):
         tuning = dict(gains)
     else:
         tuning = controllers.read_tuning(recipe, gains)
-    low = controllers.low_pressure(recipe, rig, tuning)
-    still = np.tile([design.x, 0.0, 0.0, 0.0], (2, 1))
-    motion = References(still) if standing else references(recipe, design, low)
-    law = None
-    if recipe.controller is not None and recipe.controller.code is None:
-        rate = float(recipe.rate)
-        law = controllers.compiled(recipe, design, tuning, motion.table, rate)
-    return Loop(design, motion, law, float(rig.supply.tank_pressure) + low)
+    low = controllers.low_pressure(singles[0], rig, tuning)
+    level = float(rig.supply.tank_pressure) + low
+    designs = [controllers.design(one, rig, maps) for one in singles]
+    if found is None and len(singles) == 1:
+        motion = _rest(designs[0]) if standing else references(recipe, designs[0], low)
+        driven = (Driven(recipe, designs[0], motion),)
+        return Loop(driven, _laws(recipe, driven, tuning), level)
+    motions = []
+    for one, design in zip(singles, designs, strict=True):
+        # it may run slower than it is wished: its length is the recipe's only then
+        wished = one.model_copy(update={"duration": None})
+        if standing:
+            motions.append(_rest(design))
+        elif found is None:
+            motions.append(references(wished, design, low))
+        else:
+            motions.append(References(found.tables[design.cylinder]))
+    driven = tuple(Driven(*one) for one in zip(singles, designs, as_long(motions), strict=True))
+    laws = _laws(recipe, driven, tuning)
+    driven, plan = _together(recipe, driven, laws, level)
+    if laws is not None:
+        parts = zip(laws.parts, told(driven), strict=True)
+        laws = Laws(tuple(replace(part, references=table) for part, table in parts))
+    return Loop(driven, laws, level, plan)
 
 
-def _taken(recipe: TrialRecipe, design: Design) -> tuple[str, ...]:
-    """Valves that the controller commands by itself; a user's class may leave any of them to the
+def _rest(design: Design) -> References:
+    """The motion of a cylinder whose motion cannot be known yet."""
+    return References(np.tile([design.x, 0.0, 0.0, 0.0], (2, 1)))
+
+
+def _laws(
+    recipe: TrialRecipe, driven: Sequence[Driven], tuning: Mapping[str, Any] | None
+) -> Laws | None:
+    """The built-in law of each cylinder, over its own motion; None for a user's class."""
+    if recipe.controller is None or recipe.controller.code is not None:
+        return None
+    made = []
+    for one in driven:
+        known = _gains_for(one, tuning, len(driven))
+        table, rate = one.references.table, float(recipe.rate)
+        made.append(controllers.compiled(one.recipe, one.design, known, table, rate))
+    return Laws(tuple(made))
+
+
+def _together(
+    recipe: TrialRecipe, driven: tuple[Driven, ...], laws: Laws | None, low: float
+) -> tuple[tuple[Driven, ...], Plan]:
+    """What the cylinders do together, as long as the recipe says."""
+    rules = [_rules(one, None if laws is None else laws.parts[i]) for i, one in enumerate(driven)]
+    share = recipe.motion is not None and recipe.motion.share_flow
+    driven, plan = planned(driven, rules, low, share)
+    lasting_as = [lasting(one.recipe, one.design, one.references) for one in driven]
+    return tuple(
+        replace(one, references=motion) for one, motion in zip(driven, lasting_as, strict=True)
+    ), plan
+
+
+def _rules(one: Driven, part: Compiled | None) -> np.record:
+    """The rules of function selection of a cylinder: those that its law has."""
+    if part is None:
+        return pack_rules(one.design.circuit.area_rod, float(one.design.rig.supply.pressure))
+    rules = blank(RULES)
+    for name, value in part.used["rules"].items():
+        rules[name] = value
+    return rules
+
+
+def _gains_for(
+    one: Driven, tuning: Mapping[str, Any] | None, count: int
+) -> Mapping[str, Any] | None:
+    """What was tuned, for a cylinder: of several only that which it was tuned for takes it."""
+    if tuning is None or count == 1 or tuning.get("cylinder") == one.cylinder:
+        return tuning
+    return None
+
+
+def _taken(loop: Loop) -> tuple[str, ...]:
+    """Valves that controllers command by themselves; a user's class may leave any of them to the
     recipe.
     """
-    if recipe.controller is None or recipe.controller.code is not None:
+    if loop.laws is None:
         return ()
-    own = slice(design.circuit.first, design.circuit.first + design.circuit.count)
-    return tuple(
-        design.valves[i] for i in sorted({int(v) for v in design.circuit.edges.valve[own]})
-    )
+    taken = []
+    for one in loop.driven:
+        valves = {int(v) for v in one.design.circuit.edges.valve[one.design.own]}
+        taken += [one.design.valves[i] for i in sorted(valves)]
+    return tuple(taken)

@@ -12,18 +12,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ehbench.codes import LIMITS as LIMIT_BITS
+from ehbench.codes import STATUS_MEANS
 from ehbench.errors import InputError, SimulationError
 from ehbench.logs import check_record
 from ehbench.machines.protocol import Machine, truth_of
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import TrialRecipe
-from ehbench.record import Record
+from ehbench.record import Record, payloads_of, payloads_text
 from ehbench.rig import Rig
-from ehbench.trial.controllers import Compiled
-from ehbench.trial.measures import step_measures, tracking_measures
-from ehbench.trial.preparation import Aftermath, Loop, Prepared, Stop, prepare
+from ehbench.trial.controllers import Compiled, Laws
+from ehbench.trial.measures import function_measures, step_measures, tracking_measures
+from ehbench.trial.preparation import Aftermath, Prepared, Stop, prepare
 from ehbench.trial.session import LiveLog, Session
 from ehbench.trial.swing import limit_cycle
+from ehbench.trial.together import Driven
 from ehbench.trial.user_code import UserCode
 from ehbench.units import from_si
 
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from ehbench.plant.build import Maps
     from ehbench.plant.model import Model
 
+SELDOM = ("payload_change", "first_pressure_error")  # said only of trials that have them
 Progress = Callable[[str, float], None]  # (what, share done from 0 to 1)
 
 
@@ -41,7 +44,8 @@ class Facts:
     ``stopped`` is empty, or says which limit stopped it and what came of it; ``stop`` and ``after``
     have the same as numbers. ``measures`` says how well a controlled cylinder did and with which
     gains (docs/trials.md), SI; empty without a controller. Its energies are the ledger's: see
-    `ehbench.trial.accounts`."""
+    `ehbench.trial.accounts`. ``payload_change``: (time [s], payload from then on);
+    ``first_pressure_error`` [Pa] by channel."""
 
     on: str
     rig: str
@@ -57,6 +61,8 @@ class Facts:
     controller: str = ""
     cylinder: str = ""
     measures: dict[str, Any] = field(default_factory=dict)
+    payload_change: tuple[tuple[float, str], ...] = ()
+    first_pressure_error: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def stopped(self) -> str:
@@ -64,15 +70,30 @@ class Facts:
         told = [each.sentence for each in (self.stop, self.after) if each is not None]
         return "; ".join(told)
 
-    def with_energy(self, energy: Mapping[str, Any]) -> Facts:
-        """The same with the energies of the controlled cylinder among its measures."""
+    @property
+    def cylinders(self) -> tuple[str, ...]:
+        """The controlled cylinders, the one that the trial is about first."""
+        return (self.cylinder, *self.measures.get("also", {})) if self.cylinder else ()
+
+    def with_energy(self, energy: Mapping[str, Mapping[str, Any]]) -> Facts:
+        """The same with the energies of each controlled cylinder among its measures."""
         known = dict(self.measures)
-        last = {"limits": known.pop("limits")} if "limits" in known else {}
-        return replace(self, measures={**known, "energy": dict(energy), **last})
+        also = {
+            name: _with_energy(own, energy[name]) for name, own in known.pop("also", {}).items()
+        }
+        measures = _with_energy(known, energy[self.cylinder])
+        return replace(self, measures=measures | ({"also": also} if also else {}))
 
     def as_json(self) -> dict[str, Any]:
         """Plain values for a JSON file."""
-        return {**asdict(self), "stopped": self.stopped, "warnings": list(self.warnings)}
+        plain = {**asdict(self), "stopped": self.stopped, "warnings": list(self.warnings)}
+        return {name: value for name, value in plain.items() if value or name not in SELDOM}
+
+
+def _with_energy(measures: Mapping[str, Any], energy: Mapping[str, Any]) -> dict[str, Any]:
+    known = dict(measures)
+    last = {"limits": known.pop("limits")} if "limits" in known else {}
+    return {**known, "energy": dict(energy), **last}
 
 
 class Result(NamedTuple):
@@ -168,6 +189,9 @@ def _meta(prepared: Prepared, machine: Machine) -> dict[str, str]:
         "posture": posture or "mid-stroke",
         "title": recipe.title,
     }
+    if recipe.payload_change:
+        changes = ((float(change.at), change.payload) for change in recipe.payload_change)
+        meta["payload_change"] = payloads_text(changes)
     if loop is not None and recipe.controller is not None:
         meta |= {"controller": recipe.controller.label, "cylinder": loop.design.cylinder}
     return meta
@@ -210,12 +234,22 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
         )
     if law is not None and prepared.loop is not None:
         rows = session.end if stop is None else round(stop.t * rate) + 1
-        true = session.true_strokes
-        measures = law.used | _measures(record, prepared.loop, rows, true)
-        measures["valves"] = _valves(prepared.rig, prepared.loop.design.cylinder)
-        if isinstance(law, Compiled) and law.law.warns_saturated:
-            warnings += _saturated(measures["limits"]["saturated"], prepared.loop.design.cylinder)
-        warnings += _swinging(measures["limit_cycle"], prepared.rig, prepared.loop.design.cylinder)
+        parts = law.parts if isinstance(law, Laws) else (law,)
+        found = {}
+        for one, part in zip(prepared.loop.driven, parts, strict=True):
+            found[one.cylinder] = own = part.used | _measures(
+                record, one, rows, session.true_strokes
+            )
+            own["valves"] = _valves(prepared.rig, one.cylinder)
+            if isinstance(part, Compiled) and part.law.warns_saturated:
+                warnings += _saturated(own["limits"]["saturated"], one.cylinder)
+            warnings += _swinging(own["limit_cycle"], prepared.rig, one.cylinder)
+            warnings += _stuck(own, one.cylinder)
+        measures = found.pop(prepared.loop.design.cylinder)
+        if prepared.loop.plan is not None:
+            measures |= prepared.loop.plan.measures(record, rows)
+        if found:
+            measures["also"] = found
     return Facts(
         session.machine.name,
         prepared.rig.name,
@@ -231,6 +265,8 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
         record.meta.get("controller", ""),
         record.meta.get("cylinder", ""),
         measures,
+        tuple((at, name or "none") for at, name in payloads_of(record)[1:]),
+        {name: float(error) for name, error in recipe.first_pressure_error.items()},
     )
 
 
@@ -257,6 +293,18 @@ def _saturated(share: float, cylinder: str) -> list[str]:
     ]
 
 
+def _stuck(measures: Mapping[str, Any], cylinder: str) -> list[str]:
+    """A sentence where the choice of working functions stalled, or found none, in a share of the
+    ticks.
+    """
+    shares = measures.get("functions", {})
+    return [
+        f"'{cylinder}' was {word} in {100.0 * shares[word]:.2g} % of the ticks: {meaning}"
+        for word, meaning in STATUS_MEANS.items()
+        if shares.get(word, 0.0) > 0.0
+    ]
+
+
 def _swinging(cycle: Mapping[str, float] | None, rig: Rig, cylinder: str) -> list[str]:
     """A sentence where a cylinder swung by itself."""
     if cycle is None:
@@ -269,11 +317,11 @@ def _swinging(cycle: Mapping[str, float] | None, rig: Rig, cylinder: str) -> lis
     ]
 
 
-def _measures(record: Record, loop: Loop, rows: int, true: np.ndarray | None) -> dict[str, Any]:
-    """Steps and tracking of the controlled cylinder, up to the row at which a limit stopped the
+def _measures(record: Record, loop: Driven, rows: int, true: np.ndarray | None) -> dict[str, Any]:
+    """Steps and tracking of a controlled cylinder, up to the row at which a limit stopped the
     trial; tracking by its sensor and, where the machine knows it, of the ``true`` strokes [m].
     """
-    own, t = loop.design.cylinder, record.t[:rows]
+    own, t = loop.cylinder, record.t[:rows]
     v, x, p_head, p_rod = (record[f"{own}.{name}"][:rows] for name in ("v", "x", "p_head", "p_rod"))
     measures: dict[str, Any] = {"steps": []}
     for level in loop.references.levels:
@@ -300,6 +348,10 @@ def _measures(record: Record, loop: Loop, rows: int, true: np.ndarray | None) ->
     commands = np.column_stack([record[f"{name}.command"][:rows] for name in valves])
     cycle = limit_cycle(t, x, wish, commands, stroke)
     measures["limit_cycle"] = None if cycle is None else asdict(cycle)
+    if f"{own}.function_status" in record:
+        names = ("function", "function_status", "v_desired")
+        told = (record[f"{own}.{name}"][:rows] for name in names)
+        measures["functions"] = function_measures(t, *told)
     if f"{own}.limits" in record:
         met = record[f"{own}.limits"][:rows].astype(int)
         measures["limits"] = {

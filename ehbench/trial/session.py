@@ -16,10 +16,10 @@ import numpy as np
 
 from ehbench.codes import HOLD
 from ehbench.errors import InputError, SimulationError
-from ehbench.machines.protocol import Machine, advance_of, hidden_of, truth_of
-from ehbench.machines.rows import NO_LIMITS, LawRows, Rows, control, violated
+from ehbench.machines.protocol import Machine, advance_of, carry_of, hidden_of, truth_of
+from ehbench.machines.rows import NO_LIMITS, Controls, LawRows, Rows, control, violated
 from ehbench.record import Record
-from ehbench.trial.controllers import Compiled
+from ehbench.trial.controllers import Compiled, Laws
 from ehbench.trial.preparation import RUN_OUT, Aftermath, Prepared, Stop
 from ehbench.trial.user_code import UserCode
 
@@ -64,7 +64,7 @@ class Session:
         ]
         self.rows = prepared.first_rows(machine)
         self.law = prepared.law(machine)
-        self._packed = None if self.law is None else _packed(self.law)
+        self._packed = _packed(self.law)
         self._step = getattr(self.law, "step", None)
         self._bind = advance_of(machine) if fast else None
         often = self._step is not None
@@ -100,7 +100,9 @@ class Session:
             self.law.start(self.rows.sample)
         begun = time.monotonic()
         while first < self.end:
-            stopped_at, upto = self._through(first, min(first + CHUNK, self._next_look, self.end))
+            self._carry(first)
+            until = min(first + CHUNK, self._next_look, self.end, self._next_payload(first))
+            stopped_at, upto = self._through(first, until)
             if not np.isfinite(self.rows.sample).all():
                 raise SimulationError(
                     f"the trial left finite numbers before t = {upto / rate:.4g} s",
@@ -116,6 +118,16 @@ class Session:
             said = self._pace(first, time.monotonic() - begun)
             if progress is not None:
                 progress(said, first / self.end)
+
+    def _carry(self, row: int) -> None:
+        """Let the machine take up what the recipe wants it to carry from a row on."""
+        carry = carry_of(self.machine)
+        if carry is not None and row in self.prepared.payloads:
+            carry(self.prepared.payloads[row])
+
+    def _next_payload(self, row: int) -> int:
+        """The row behind this one at which the payload changes next."""
+        return min((at for at in self.prepared.payloads if at > row), default=sys.maxsize)
 
     def _pace(self, done: int, seconds: float) -> str:
         """Words on a class that is slow to answer; refuses one that would take for ever.
@@ -181,8 +193,8 @@ class Session:
         shut = np.where(self.prepared.shut_at_once(self.stop, before), 1.0, share)
         rows.commands[row:] = (1.0 - shut) * before + shut * rest
         self._halted, self._next_look = row, min(row + 1 + ramp + self._stretch, self.end)
-        if self.law is not None:
-            _let_go(self.law, row, self.end)
+        for law in _parts(self.law):
+            _let_go(law, row, self.end)
         self._packed = self._step = None
         if self._bind is not None:
             self._advance = self._bind(rows, None, False)
@@ -220,10 +232,11 @@ class Session:
             valves = self.machine.commands.names
             channels |= {f"{name}.command": commands[:, i].copy() for i, name in enumerate(valves)}
             channels |= lines
-        if self.law is not None:
-            telemetry = self.law.telemetry[part]
-            channels |= {name: telemetry[:, i] for i, name in enumerate(self.law.channels)}
-        return channels
+        for law in _parts(self.law):
+            telemetry = law.telemetry[part]
+            channels |= {name: telemetry[:, i] for i, name in enumerate(law.channels)}
+        plan = None if self.prepared.loop is None else self.prepared.loop.plan
+        return channels if plan is None else channels | plan.channels(part, channels)
 
 
 class LiveLog:
@@ -278,11 +291,18 @@ def _with_room(rows: Rows, count: int, rate: float) -> Rows:
     return rows._replace(t=np.arange(count) / rate, **tables)
 
 
-def _packed(law: Compiled | UserCode) -> LawRows | None:
-    """A built-in controller as compiled code takes it; None for a class that steps in Python."""
-    if isinstance(law, UserCode):
+def _parts(law: Laws | UserCode | None) -> tuple[Compiled | UserCode, ...]:
+    """What leaves telemetry in a trial."""
+    if law is None:
+        return ()
+    return (law,) if isinstance(law, UserCode) else law.parts
+
+
+def _packed(law: Laws | UserCode | None) -> Controls | None:
+    """Built-in controllers as compiled code takes them; None for a class that steps in Python."""
+    if law is None or isinstance(law, UserCode):
         return None
-    return LawRows(law.references, law.controller, law.telemetry)
+    return tuple(LawRows(one.references, one.controller, one.telemetry) for one in law.parts)
 
 
 def _let_go(law: Compiled | UserCode, row: int, end: int) -> None:

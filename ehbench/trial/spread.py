@@ -13,7 +13,7 @@ import numpy as np
 from ehbench.trial.running import Facts
 
 # measures that noise moves; the others are what the controller was made of
-_MOVED = ("steps", "tracking", "tracking_true", "speed_rms_error", "energy", "limits")
+_MOVED = ("steps", "tracking", "tracking_true", "tip", "speed_rms_error", "energy", "limits")
 
 
 def middle_of(runs: Sequence[Facts]) -> int:

@@ -290,7 +290,7 @@ def _law_map(at: SampledPlant, site: Site, gains: np.record) -> Sampled:
     model, point, sample, valves = at.model, at.point, at.sample, list(at.valves)
     start = steady_memory(model, point, site, gains)
     observed = arc.observed(site.axis, sample.size)
-    telemetry = np.zeros(arc.COLUMNS + 2 * site.axis.circuit.count)
+    telemetry = np.zeros(arc.COLUMNS + 4 * site.axis.circuit.count)
     reference = np.array([point.x, point.v, 0.0, 0.0])
     width = gains.upper - gains.lower
     sizes = np.concatenate([list(MEMORY.values()), ESTIMATE * np.where(width > 0.0, width, 1.0)])

@@ -195,6 +195,7 @@ def circuit_of(model: Model, cylinder: int, maps: Maps | None = None) -> Circuit
         plant.maps,
         ranges,
         measured,
+        plant.supply,
     )
 
 
@@ -338,7 +339,7 @@ class _Motion:
         circuit, function, names = self.circuit, self.function, self.model.layout.edges
         pressures, need = self.ports(v, settled.p_head, settled.p_rod)
         paths = [
-            _path(circuit, function, p, need[p], path_drop(p, pressures), names)
+            _path(circuit, function, p, need[p], path_drop(p, pressures, circuit), names)
             for p in map(int, np.flatnonzero(PATH_FLOWS[function].any(axis=1)))
         ]
         if self.together:
@@ -525,8 +526,8 @@ def _common_opening(circuit: Circuit, function: int, ports: _Ports) -> float:
 
     def excess(off: float) -> float:
         at, need = ports(off)
-        command = _command(circuit, lead, need[lead], max(path_drop(lead, at), 1.0))
-        return _flow(circuit, follow, path_drop(follow, at), command) - need[follow]
+        command = _command(circuit, lead, need[lead], max(path_drop(lead, at, circuit), 1.0))
+        return _flow(circuit, follow, path_drop(follow, at, circuit), command) - need[follow]
 
     low, high = ports(0.0)[0].tank, ports(0.0)[0].supply
     ends = excess(low + 1.0), excess(high - 1.0)

@@ -95,6 +95,12 @@ def prepare_tuning(machine: Machine, recipe: TuneRecipe, *, validated: type | No
             hint="name one with cylinder = " + ", ".join(f'"{c.name}"' for c in rig.cylinder),
         )
     rig.cylinder_named(name)
+    if not rig.supply.constant:
+        raise InputError(
+            f"the rig has {rig.supply.kind}, and operating points are those of one pressure",
+            hint="tune without [supply.load_sensing] and [supply.low_rail], and give them to the "
+            "trial: [supply] in its recipe",
+        )
     supply = float(rig.supply.pressure)
     low = supply / 20.0 if recipe.low_pressure is None else float(recipe.low_pressure)
     cross = supply / 20.0 if recipe.cross_drop is None else float(recipe.cross_drop)

@@ -74,7 +74,7 @@ class Bench:
         model_sample(y, plant, sample)
         observed = arc.observed(site.axis, sample.size)
         law = Controller(site.axis, gains, memory, observed, np.zeros(sample.size))
-        telemetry = np.zeros(arc.COLUMNS + 2 * site.axis.circuit.count)
+        telemetry = np.zeros(arc.COLUMNS + 4 * site.axis.circuit.count)
         line = line_of(plant, TICK)
         k, work = np.empty((5, y.size)), np.empty(plant.at.work)
         reference = np.array([point.x, point.v, 0.0, 0.0])

@@ -286,7 +286,7 @@ def test_estimates_stay_inside_whatever_the_sensors_say():
     gains = gains_of(design, ax)
     rng = np.random.default_rng(2)
     memory, command = arc.memory_of(ax), np.zeros(len(design.layout.valves))
-    telemetry = np.zeros(arc.COLUMNS + 2 * ax.circuit.count)
+    telemetry = np.zeros(arc.COLUMNS + 4 * ax.circuit.count)
     scale = np.tile([0.5, 1.0, 0.2, 0.5, 7e6, 7e6], 3)
     for tick in range(3000):
         sample = np.concatenate(
@@ -598,6 +598,6 @@ def test_bad_gains_are_refused(options, says):
 
 def test_every_channel_of_the_telemetry_has_a_row():
     names = arc.LAW.channels("boom", tuple(f"boom.e{i}" for i in range(5)))
-    assert len(names) == arc.COLUMNS + 10
+    assert len(names) == arc.COLUMNS + 20
     for name in names:
         quantity(name)

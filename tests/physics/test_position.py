@@ -52,7 +52,7 @@ def ideal(gains, v_d, z_0, seconds, passes=lambda t, v: v):
     function = EXTEND_RESISTIVE if v_d > 0 else RETRACT_RESISTIVE
     path = METERING[function]
     edge, along = circuit.paths[path], circuit.along[path]
-    drop = path_drop(path, pressures(sample, 0))
+    drop = path_drop(path, pressures(sample, 0), circuit)
     to_speed = PATH_FLOWS[function, path] @ [circuit.area_head, circuit.area_rod]
     for i in range(count):
         x_d = 0.1 + v_d * i * T

@@ -18,7 +18,7 @@ from ehbench.machines.simulated import SimulatedMachine
 from ehbench.plant.model import Model
 from ehbench.recipe import TrialRecipe, load_rig
 from ehbench.record import Record
-from ehbench.trial import prepare, run, session
+from ehbench.trial import account, prepare, run, session
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 RIG = load_rig(RECIPES / "rigs" / "slide_servo.toml")
@@ -84,6 +84,57 @@ def test_the_compiled_path_is_the_path_tick_by_tick(on, law, limits, tmp_path):
     many, one = run(prepared), run(prepared, fast=False)
     assert same(many.record, one.record) and many.facts == one.facts
     assert bool(many.facts.stopped) == bool(limits) and many.record.t.size > 300
+
+
+LOADED = {
+    "payload_change": [{"at": "0.7 s", "payload": "100 kg"}, {"at": "1.4 s", "payload": "none"}],
+    "first_pressure_error": {"press.p_head": "-4 bar"},
+}
+
+
+@pytest.mark.parametrize("on", ["model", "bench"])
+def test_a_load_picked_up_in_motion(on, tmp_path):
+    """To the bit by both paths, and twice over; the ledger has a row of what went with it."""
+    prepared = trial("arc", tmp_path, on=on, **LOADED)
+    many, one, again = run(prepared), run(prepared, fast=False), run(prepared)
+    assert same(many.record, one.record) and same(many.record, again.record)
+    without = run(trial("arc", tmp_path, on=on)).record
+    v, picked, put = many.record["press.v"], 700, 1400
+    heavier = many.record["press.p_head"] - without["press.p_head"]
+    assert np.abs(heavier[picked:put]).max() > 1e4
+    assert many.facts.as_json()["payload_change"] == ((0.7, "100 kg"), (1.4, "none"))
+    ledger = account(prepared, many).ledger
+    assert ledger is not None and ledger["payload"] == "none, 100 kg from 0.7 s, none from 1.4 s"
+    rows = {row["name"]: row["energy"] for row in ledger["rows"]}
+    brought = 50.0 * (v[picked] ** 2 - v[put] ** 2)
+    assert abs(brought) > 0.1 and rows["payload"] == pytest.approx(-brought, rel=1e-6)
+    if on == "model":
+        assert abs(rows["residual"]) < 1e-6 * rows["pump"]
+
+
+def test_a_wrong_first_pressure_is_told_once(tmp_path):
+    prepared = trial("arc", tmp_path, on="bench", **LOADED)
+    right = trial("arc", tmp_path, on="bench")
+    told, true = (one.first_rows(one.machine).sample for one in (prepared, right))
+    off = dict(zip(prepared.machine.channels, (told - true).tolist(), strict=True))
+    assert {name: value for name, value in off.items() if value} == {
+        "press.p_head": pytest.approx(-4e5)
+    }
+    log = run(prepared).record["press.p_head"]
+    assert log[0] < log[1] - 3e5
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"payload_change": [{"at": "1 s", "payload": "7 t"}]}, "no payload '7 t'"),
+        ({"payload_change": [{"at": "99 s", "payload": "none"}]}, "before its payload changes"),
+        ({"first_pressure_error": {"boom.p_head": "1 bar"}}, "no pressure 'boom.p_head'"),
+    ],
+)
+def test_a_change_that_cannot_be_is_refused(given, message, tmp_path):
+    with pytest.raises(InputError, match=message):
+        trial("arc", tmp_path, **given)
 
 
 class Plain:

@@ -25,7 +25,7 @@ FLOORS = [
     {"ledger", "observations", "preprocessing", "sensors"},
     {"starts"},
     {"response", "structure", "transfer"},
-    {"identification", "validation", "tune", "trial", "report"},
+    {"identification", "validation", "tune", "trial", "report", "sampling"},
     {"stages"},
     {"workflow", "starter"},
     {"inspection", "mapping", "converting"},

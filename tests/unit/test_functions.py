@@ -14,6 +14,7 @@ from ehbench.control import functions as fn
 from ehbench.control.measured import Pressures
 from ehbench.errors import InputError
 from ehbench.parts.edge import COMPENSATED, EDGE, ORIFICE
+from ehbench.parts.supply import SUPPLY as SUPPLY_LINE
 from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
 
@@ -216,6 +217,39 @@ def test_every_state_has_one_function_and_it_suits(name, seventh):
     assert seen == expected
 
 
+# upstream and downstream end of the path that sets the motion of each function (thesis 3.1)
+METERS = {1: "sh", 2: "rt", 3: "rh", 4: "sr", 5: "ht", 6: "ht", 7: "sh"}
+
+
+@pytest.mark.parametrize("choice", fn.CHOICES)
+@pytest.mark.parametrize("seventh", [False, True])
+def test_what_is_called_ok_moves_oil_the_right_way(seventh, choice):
+    """Over directions, pressures from cavitation to beyond the supply, predecessors and dwell: OK
+    only where the drop of the metering path is along the flow and the supply carries the load.
+    """
+    c = circuit(FIVE)
+    rules = fn.pack_rules(A2, PS, allow_seventh=seventh, choice=choice)
+    grid = itertools.product(
+        (-0.1, 0.1),
+        np.linspace(-9e4, 7.2e6, 9),
+        np.linspace(-9e4, 7.2e6, 9),
+        range(8 if seventh else 7),
+        (0.0, 1e9),
+    )
+    stalled = called = 0
+    for v_d, p_head, p_rod, now, age in grid:
+        chosen, status = choose(c, rules, v_d, p_head, p_rod, now, age)
+        at = {"s": PS, "t": 0.0, "h": p_head, "r": p_rod}
+        first, last = METERS[chosen]
+        load = p_head * A1 - p_rod * A2
+        against = chosen in (1, 4) and abs(load) >= PS * (A1 if chosen == 1 else A2)
+        wrong = at[first] <= at[last] or against
+        assert not (status == codes.OK and wrong), (v_d, p_head, p_rod, now, age, chosen)
+        called += wrong
+        stalled += status == codes.STALLED
+    assert called > 50 and stalled >= called
+
+
 def test_regeneration_needs_drop_and_an_edge_that_carries_it():
     rules = fn.pack_rules(A2, PS)
     wide, narrow = circuit(FIVE), circuit(FIVE, gain=1.2e-5)
@@ -352,3 +386,116 @@ def test_circuits_that_are_none_are_refused():
 def test_an_unknown_rule_is_refused():
     with pytest.raises(InputError, match="no rule 'dwel'.*dwell"):
         fn.pack_rules(A2, PS, dwel=0.2)
+
+
+def wishes(c, rules, v_d, tick=1e-3, steady=True):
+    """Functions chosen along desired speeds, at a load that rests on the head end."""
+    now, age, slow, history = codes.HOLD, 1e9, 0.0, []
+    for v in v_d:
+        slow = fn.steady_wish(v, slow, tick, rules) if steady else v
+        chosen, _ = choose(c, rules, slow, 2e6, 5e5, now, age)
+        age = tick if chosen != now else age + tick
+        now = chosen
+        history.append(now)
+    return np.array(history)
+
+
+def test_a_noisy_wish_about_the_dead_zone_changes_nothing():
+    """0.2 mm/s rms about speeds from rest to beyond where a motion begins: no more than one change
+    a second, where the bare wish makes hundreds.
+    """
+    c, rules, rng = circuit(FIVE), fn.pack_rules(A2, PS), np.random.default_rng(7)
+    for mean in (0.0, 1e-4, -2e-4, 3e-4):
+        v_d = mean + rng.normal(0.0, 2e-4, 2000)
+        assert (np.diff(wishes(c, rules, v_d)) != 0).sum() <= 2
+    bare = wishes(c, rules, rng.normal(0.0, 2e-4, 1000), steady=False)
+    assert (np.diff(bare) != 0).sum() > 200
+
+
+def test_a_wish_beyond_noise_acts_at_once_and_a_slow_one_soon():
+    c, rules = circuit(FIVE), fn.pack_rules(A2, PS)
+    steps = [0.0, 2e-3, 2e-3, 0.0, -2e-3, 2e-3]
+    assert fn.DIRECTION[wishes(c, rules, steps)].tolist() == [0, 1, 1, 0, -1, 1]
+    turned = wishes(c, rules, np.concatenate([np.full(300, 5e-4), np.full(300, -5e-4)]))
+    way = fn.DIRECTION[turned]
+    assert np.argmax(way == 1) < 30 and np.argmax(way[300:] == -1) <= 60
+    # one that grows as a motion begins, 6 m/s³: the way that is lost is less than a sensor's count
+    v_d = 3.0 * (1e-3 * np.arange(40)) ** 2
+    late = np.argmax(wishes(c, rules, v_d) != 0), np.argmax(wishes(c, rules, v_d, steady=False))
+    assert v_d[late[1] : late[0]].sum() * 1e-3 < 1e-5
+
+
+def following(**numbers) -> fn.Circuit:
+    """The five cartridges on a supply that follows the load."""
+    supply = table(1, SUPPLY_LINE)[0]
+    for name, value in {"pressure": PS, **numbers}.items():
+        supply[name] = value
+    return circuit(FIVE)._replace(supply=supply)
+
+
+def test_least_power_counts_what_the_pumps_give():
+    """Costs [J/m] in closed form: p·(A1, A2, A1 − A2 or 0) at the pressure of the supply in use."""
+    rules = fn.pack_rules(A2, PS, low_pressure=3e5, cross_drop=3e5, allow_seventh=True)
+    load, margin, rail = 2000.0, 1e6, 0.4 * PS
+    heads = {1: (load + 3e5 * A2) / A1, 7: (load + 3e5 * A2) / (A1 - A2)}
+    draws = {1: A1, 7: A1 - A2}
+    costs = {
+        "constant": lambda p: PS,
+        "sensing": lambda p: min(p + margin, PS),
+        "rails": lambda p: rail if p + 5e5 <= rail else PS,
+    }
+    kinds = {
+        "constant": following(),
+        "sensing": following(margin=margin),
+        "rails": following(rail=rail, rail_margin=5e5),
+    }
+    at = Pressures(heads[1], 3e5, PS, 0.0)
+    found = {}
+    for kind, c in kinds.items():
+        for function, head in heads.items():
+            plan = fn.planned(function, load, at, c, rules)
+            assert plan.head * A1 - plan.rod * A2 == pytest.approx(load, rel=1e-12)
+            wanted = draws[function] * costs[kind](head)
+            assert fn.pump_force(function, plan, c) == pytest.approx(wanted, rel=1e-12)
+        least = fn.pack_rules(
+            A2,
+            PS,
+            low_pressure=3e5,
+            cross_drop=3e5,
+            allow_seventh=True,
+            choice="least_power",
+        )
+        found[kind], status = choose(c, least, 0.03, heads[1], 3e5)
+        assert status == codes.OK
+    # the low rail carries the load on the whole piston, regeneration would need the high one
+    assert found == {
+        "constant": codes.EXTEND_RESISTIVE_REGENERATION,
+        "sensing": codes.EXTEND_RESISTIVE_REGENERATION,
+        "rails": codes.EXTEND_RESISTIVE,
+    }
+    assert choose(kinds["rails"], rules, 0.03, heads[1], 3e5)[0] == found["constant"]
+
+
+def test_least_power_keeps_what_is_at_work_within_its_band():
+    rules = fn.pack_rules(A2, PS, low_pressure=3e5, cross_drop=3e5, choice="least_power")
+    c = circuit(FIVE)
+    head = (3000.0 + 3e5 * A2) / A1
+    assert choose(c, rules, -0.03, head, 3e5)[0] == codes.RETRACT_OVERRUNNING_REGENERATION
+    # too fast for the cross-port edge, to begin and to stay
+    most = fn.capacity(c, fn.HEAD_ROD, head - 3e5) / A2
+    for share, now, expected in (
+        (0.9, codes.RETRACT_OVERRUNNING, codes.RETRACT_OVERRUNNING),
+        (0.9, codes.RETRACT_OVERRUNNING_REGENERATION, codes.RETRACT_OVERRUNNING_REGENERATION),
+        (1.1, codes.RETRACT_OVERRUNNING_REGENERATION, codes.RETRACT_OVERRUNNING),
+    ):
+        assert choose(c, rules, -share * most, head, 3e5, now)[0] == expected
+
+
+def test_a_load_sensing_pump_is_counted_on_before_it_is_up():
+    """At its margin above tank it stands below the load; what counts is what it can bring."""
+    c, rules = following(margin=1e6), fn.pack_rules(A2, PS)
+    assert choose(c, rules, 0.05, 3e6, 3e5, p_supply=1e6) == (codes.EXTEND_RESISTIVE, codes.OK)
+    assert choose(circuit(FIVE), rules, 0.05, 3e6, 3e5, p_supply=1e6)[1] == codes.STALLED
+    at = Pressures(3e6, 3e5, 1e6, 0.0)
+    assert fn.path_drop(fn.SUPPLY_HEAD, at, c) == pytest.approx(1e6)
+    assert fn.path_drop(fn.SUPPLY_HEAD, at._replace(head=PS - 4e5), c) == pytest.approx(4e5)

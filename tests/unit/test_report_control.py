@@ -1037,6 +1037,30 @@ def test_valves_that_are_not_equally_fast_are_told(tmp_path):
     assert valves_note(run.rig, cases[:2]) == ""
 
 
+def test_why_a_cycle_saves_more_than_its_bound_is_said(tmp_path):
+    spool = {
+        "extend_resistive": (0.15, 2296.0, 2096.0, 150.0),
+        "retract_overrunning": (-0.15, 1304.0, 1104.0, 0.0),
+    }
+    rig, cases = cycles(tmp_path, six=cycle_ledger(SIX), spool=cycle_ledger(spool, four_way=True))
+    told = energy_tables.passes_caption(rig, energy_tables.savings_of(cases))
+    assert told.startswith("Some save more than the bound's 34.5 %: the four-way valve is above")
+    assert "by 400 J a cycle. It draws 150 J to press the oil" in told
+    assert energy_tables.passes_caption(rig, energy_tables.savings_of(cases[:1])) == ""
+
+
+def test_a_way_that_ends_with_other_oil_saves_nothing(tmp_path):
+    ledger = cycle_ledger(SIX)
+    (limits,) = ledger["bounds"]
+    limits |= {"closed": False, "kept": 52.3, "travel_out": 0.15, "travel_in": 0.15}
+    rig, cases = cycles(tmp_path, six=ledger)
+    (text,) = energy_tables.saving_blocks(rig, cases)
+    assert "1 trial that came back with the oil in another state, 52.3 J more pressed" in text.text
+    limits["travel_in"] = 0.05
+    rig, cases = cycles(tmp_path / "open", six=ledger)
+    assert energy_tables.saving_blocks(rig, cases) == []
+
+
 def test_what_was_saved_and_what_ate_the_rest(tmp_path):
     """Against the four-way valve that ran, against the bound of the functions that ran, and by
     cause, which add up.

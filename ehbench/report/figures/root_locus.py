@@ -176,26 +176,31 @@ def refined(
             np.abs(np.diff(poles[i : i + 2], axis=0))[:, near_axis.all(axis=0)].max(initial=0.0)
         )
         more = BETWEEN if way < _STEP * top else MOST_BETWEEN
-        for value in np.linspace(values[i], values[i + 1], more + 2)[1:]:
-            there = (
-                poles[i + 1]
-                if value == values[i + 1]
-                else scale * np.roots(_through(values[near], polynomials[near], value))
-            )
+        between = np.linspace(values[i], values[i + 1], more + 2)[1:]
+        roots = _roots(_through(values[near], polynomials[near], between[:-1]))
+        for value, there in zip(between, (*(scale * roots), poles[i + 1]), strict=True):
             _, order = linear_sum_assignment(np.abs(rows[-1][:, None] - there[None, :]))
             fine.append(float(value))
             rows.append(there[order])
     return np.array(fine), np.array(rows)
 
 
-def _through(x: np.ndarray, y: np.ndarray, at: float) -> np.ndarray:
-    """The polynomial of least degree through points, at a value: Lagrange's form."""
-    others = [np.delete(x, j) for j in range(x.size)]
-    terms = (
-        row * np.prod((at - other) / (own - other))
-        for own, other, row in zip(x, others, y, strict=True)
-    )
-    return sum(terms, np.zeros(y.shape[1]))
+def _through(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """The polynomials of least degree through points, a row a value: Lagrange's form."""
+    rows = np.zeros((at.size, y.shape[1]))
+    for j, (own, row) in enumerate(zip(x, y, strict=True)):
+        other = np.delete(x, j)
+        rows += np.prod((at[:, None] - other) / (own - other), axis=1)[:, None] * row
+    return rows
+
+
+def _roots(polynomials: np.ndarray) -> np.ndarray:
+    """Roots of polynomials of one degree, a row each: eigenvalues of their companion matrices."""
+    count, degree = polynomials.shape[0], polynomials.shape[1] - 1
+    companion = np.zeros((count, degree, degree))
+    companion[:, 1:, :-1] = np.eye(degree - 1)
+    companion[:, 0, :] = -polynomials[:, 1:] / polynomials[:, :1]
+    return np.linalg.eigvals(companion)
 
 
 def _crossing(poles: Sequence[Sequence[float]], top: float) -> list[Sequence[float]]:

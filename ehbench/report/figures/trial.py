@@ -11,7 +11,7 @@ import numpy as np
 from ehbench.codes import FUNCTIONS, LIMITS
 from ehbench.record import Record
 from ehbench.report.captions import capital
-from ehbench.report.cases import Case, true_payload
+from ehbench.report.cases import Case, payloads_carried
 from ehbench.report.figures.channels import stop_line
 from ehbench.report.style import ACCENT, CYCLE, MARKS, MUTED, RECORDED, SIMULATED, canvas, thin
 from ehbench.report.trial_captions import ESTIMATES
@@ -223,9 +223,13 @@ def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
             ax.remove()
         for place, (ax, word) in enumerate(zip(axes.flat, learnt, strict=False)):
             name = f"{case.cylinder}.{word}"
-            plot_channel(ax, rig, record, name, color=RECORDED, linewidth=1.4)
             if word == "payload_estimate":
-                _truth(ax, rig, true_payload(rig, case.row["payload"]))
+                _weighed(ax, rig, record, case.cylinder)
+            plot_channel(ax, rig, record, name, color=RECORDED, linewidth=1.4, label="of the law")
+            if word == "payload_estimate":
+                if ax.get_legend_handles_labels()[1][1:]:
+                    ax.legend(fontsize=7, loc="upper right", handlelength=1.5)
+                _truth(ax, rig, payloads_carried(rig, case.row), float(record.t[-1]))
             for text, end in zip(("lower", "upper"), bounds.get(word, ()), strict=False):
                 _bound(ax, rig, word, text, end)
             ax.margins(y=0.2)
@@ -235,12 +239,31 @@ def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
                 ax.set_xlabel("time [s]")
 
 
-def _truth(ax, rig: Rig, payload: float | None) -> None:
-    """The true payload [kg], named at the left."""
-    if payload is not None:
-        y = float(shown(rig, "payload_estimate", payload))
-        look = {"color": CYCLE[2], "ha": "left", "va": "bottom"}
-        _level(ax, y, "truth, from the rig file", (0.0, y), (3, 2), look)
+def _weighed(ax, rig: Rig, record: Record, cylinder: str) -> None:
+    """The payload that pressures and motion tell, in its interval, where the law says it."""
+    told = [f"{cylinder}.payload_{word}" for word in ("low", "high", "measured")]
+    if not all(name in record for name in told):
+        return
+    ends = (thin(record.t, np.asarray(shown(rig, name, record[name]))) for name in told[:2])
+    (low_t, low), (high_t, high) = ends
+    t = np.union1d(low_t, high_t)
+    band = {"color": SIMULATED, "alpha": 0.2, "linewidth": 0, "label": "its interval"}
+    ax.fill_between(t, np.interp(t, low_t, low), np.interp(t, high_t, high), **band)
+    look = {"color": SIMULATED, "linewidth": 1.0, "label": "by pressures and motion"}
+    plot_channel(ax, rig, record, told[2], **look)
+
+
+def _truth(ax, rig: Rig, payloads: list[tuple[float, float]] | None, end: float) -> None:
+    """The true payload [kg] over time, up to ``end`` [s], named at the left."""
+    if payloads is None:
+        return
+    times = [*(at for at, _ in payloads), end]
+    levels = [float(shown(rig, "payload_estimate", mass)) for _, mass in payloads]
+    look = {"color": CYCLE[2], "linewidth": 1.1, "linestyle": (0, (5, 3))}
+    ax.stairs(levels, times, baseline=None, **look)
+    at, where = (0.0, levels[0]), ("axes fraction", "data")
+    look = {"color": CYCLE[2], "ha": "left", "va": "bottom", "fontsize": 7.5}
+    ax.annotate("truth, from the rig file", at, (3, 2), where, "offset points", **look)
 
 
 def _bound(ax, rig: Rig, word: str, which: str, value: float | None) -> None:

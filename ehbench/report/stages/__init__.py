@@ -14,6 +14,7 @@ from ehbench.report.stages import (
     hydraulics,
     profile,
     response,
+    study,
     trial,
     trials,
     tuning,
@@ -31,6 +32,7 @@ SECTIONS: dict[str, StageReport] = {
     "arc_tuning": arc_tuning.REPORT,
     "trial": trial.REPORT,
     "trials": trials.REPORT,
+    "study": study.REPORT,
 }
 
 

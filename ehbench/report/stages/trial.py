@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from ehbench.record import Record
 from ehbench.report.blocks import Block, Cell, Grid, Part, Text
-from ehbench.report.captions import load_name
+from ehbench.report.captions import capital, load_name
 from ehbench.report.cases import Case, cases_of
 from ehbench.report.content import Pictures, SectionContent, StageReport, stopped_status
 from ehbench.report.energy_tables import saving_blocks
-from ehbench.report.figures import channels, sankey
+from ehbench.report.figures import channels, sankey, tip
 from ehbench.report.figures import trial as figures
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.rest_words import rest_caption
@@ -20,9 +22,12 @@ from ehbench.report.trial_captions import (
     case_caption,
     estimates_caption,
     sankey_caption,
+    sharing_caption,
+    tip_caption,
 )
 from ehbench.report.trial_tables import measure_tables, settings_blocks
 from ehbench.report.words import number, words
+from ehbench.rig import Rig
 
 
 def draw(run: Saved, index: FigureIndex) -> None:
@@ -31,11 +36,11 @@ def draw(run: Saved, index: FigureIndex) -> None:
     if not cases:
         _draw_cylinders(run, index, _log_of(run))
         return
-    (case,) = cases
-    record = case.record()
-    draw_case(run, index, case, record, f"{run.title}: {case.cylinder}")
-    _draw_cylinders(run, index, record, but=case.cylinder)
-    draw_sankey(index, case, "sankey", run.title, FigureKey("sankey"))
+    record = cases[0].record()
+    for case in cases:
+        draw_case(run, index, case, record, f"{run.title}: {case.cylinder}")
+    _draw_cylinders(run, index, record, but={case.cylinder for case in cases})
+    draw_sankey(index, cases[0], "sankey", run.title, FigureKey("sankey"))
 
 
 def _log_of(run: Saved) -> Record:
@@ -44,10 +49,12 @@ def _log_of(run: Saved) -> Record:
     return read_record(run.folder / "log.mcap")
 
 
-def _draw_cylinders(run: Saved, index: FigureIndex, record: Record, but: str = "") -> None:
-    """Commands, motion and pressures of the cylinders that moved, but for one."""
+def _draw_cylinders(
+    run: Saved, index: FigureIndex, record: Record, but: Collection[str] = ()
+) -> None:
+    """Commands, motion and pressures of the cylinders that moved, but for some."""
     for cylinder, names in channels.live(run.rig, record).items():
-        if cylinder != but:
+        if cylinder not in but:
             title, about = f"{run.title}: {cylinder}", FigureKey("trial", cylinder=cylinder)
             caption = "Commands, motion and pressures."
             path = index.add(f"trial_{cylinder}", title, caption, about)
@@ -61,6 +68,9 @@ def draw_case(run: Saved, index: FigureIndex, case: Case, record: Record, title:
     def about(kind: str) -> FigureKey:
         return FigureKey(kind, case=case.row["case"], cylinder=case.cylinder)
 
+    if case.row.get("tip"):
+        _draw_tip(rig, index, case, record, title)
+
     caption = case_caption(rig, case) + rest_caption(rig, [case], [record])
     path = index.add(f"trial_{case.stem}", title, caption, about("trial"))
     figures.controlled(path, rig, case, record)
@@ -70,6 +80,13 @@ def draw_case(run: Saved, index: FigureIndex, case: Case, record: Record, title:
         key = f"estimates_{case.stem}"
         path = index.add(key, f"Estimates: {title}", caption, about("estimates"))
         figures.estimates(path, rig, case, record)
+
+
+def _draw_tip(rig: Rig, index: FigureIndex, case: Case, record: Record, title: str) -> None:
+    """Where the tip went, and the oil that it took."""
+    text = f"{capital(tip_caption(rig, case.row))}. {sharing_caption(rig, case.row)}"
+    about = FigureKey("tip", case=case.row["case"])
+    tip.tip(index.add(f"tip_{case.stem}", f"Tip: {title}", text, about), rig, case, record)
 
 
 def draw_sankey(index: FigureIndex, case: Case, key: str, title: str, about: FigureKey) -> None:
@@ -110,25 +127,27 @@ def _circumstances(facts: Table) -> list[list[Cell | str]]:
 
 def _controlled_section(run: Saved, facts: Table, pictures: Pictures) -> SectionContent:
     """One trial under a controller: how it did, its figures, its numbers."""
-    (case,) = cases_of(run)
+    cases = cases_of(run)
+    case = cases[0]
     rig, row = run.rig, case.row
     stopped = row.get("stopped") or ""
     inside = [
         *_stopped_text(stopped),
+        *pictures(FigureKey("tip")),
         *pictures(FigureKey("trial")),
         *pictures(FigureKey("estimates")),
     ]
-    parts = [Part("Trial", inside), Part("Measures", measure_tables(rig, [case]))]
+    parts = [Part("Trial", inside), Part("Measures", measure_tables(rig, cases))]
     if energy := pictures(FigureKey("sankey")):
         parts.append(Part("Energy", [*saving_blocks(rig, [case]), *energy]))
     rows: list[list[Cell | str]] = [
         ["on", facts["on"]],
         ["controller", words(row["controller"])],
-        ["cylinder", case.cylinder],
+        ["cylinder", ", ".join(one.cylinder for one in cases)],
         ["payload", load_name(row["payload"])],
         *_circumstances(facts),
     ]
-    settings = [Grid(["", ""], rows), *settings_blocks(rig, [case])]
+    settings = [Grid(["", ""], rows), *settings_blocks(rig, cases)]
     parts.append(Part("Settings", settings, paper=False))
     return SectionContent(stopped_status(stopped), case_caption(rig, case), parts)
 

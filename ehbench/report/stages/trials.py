@@ -15,6 +15,7 @@ from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.rest_words import rest_caption
 from ehbench.report.saved import Saved
 from ehbench.report.stages.trial import draw_case, draw_sankey
+from ehbench.report.supplies import supply_blocks
 from ehbench.report.trial_captions import (
     compared_caption,
     controller_captions,
@@ -65,7 +66,9 @@ def _draw_trajectories(rig: Rig, index: FigureIndex, cases: Sequence[Case]) -> N
     first = {case.row["motion"]: case for case in reversed(cases) if not case.steps}
     if first:
         shown = [(name, first[name], first[name].record()) for name in reversed(first)]
-        spans = "; ".join(f"{words(name)} {trajectory_words(rig, *one)}" for name, *one in shown)
+        spans = "; ".join(
+            f"{words(name)} {trajectory_words(rig, case, log)}" for name, case, log in shown
+        )
         about = FigureKey("trajectories")
         title = f"Trajectories, on the {cases[0].row['on']}"
         path = index.add("trajectories", title, f"Desired motion. {capital(spans)}.", about)
@@ -115,6 +118,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
 def _energy_blocks(rig: Rig, cases: Sequence[Case], pictures: Pictures) -> list[Block]:
     return [
         *saving_blocks(rig, cases),
+        *supply_blocks(rig, cases),
         *pictures(FigureKey("energy")),
         *folded(pictures(FigureKey("sankey")), "where the energy of each trial went"),
     ]
@@ -127,6 +131,7 @@ def _each_trial(cases: Sequence[Case], pictures: Pictures) -> tuple[list[Block],
     for case in cases:
         name = case.row["case"]
         drawn = [
+            *pictures(FigureKey("tip", case=name)),
             *pictures(FigureKey("trial", case=name)),
             *pictures(FigureKey("estimates", case=name)),
         ]

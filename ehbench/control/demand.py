@@ -1,0 +1,91 @@
+"""What a motion that is wished will draw from the supply: the load by the equations of motion, the
+working functions that carry it, their oil.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ehbench.codes import HOLD
+from ehbench.compiled import kernel
+from ehbench.control.axis import Axis, Mechanism
+from ehbench.control.functions import select, supply_draw
+from ehbench.control.measured import Pressures
+from ehbench.parts.cylinder import linkage_arrays
+from ehbench.physics.arm import bias, mass_matrix, work_size
+
+
+@kernel
+def _torques(mechanism, q, rates, accelerations, mass, work, out):
+    n = q.shape[1]
+    for i in range(q.shape[0]):
+        bias(mechanism.kind, mechanism.links, mechanism.gravity, q[i], rates[i], out[i], work)
+        mass_matrix(mechanism.kind, mechanism.links, q[i], mass, work)
+        for j in range(n):
+            for k in range(n):
+                out[i, j] += mass[j, k] * accelerations[i, k]
+
+
+def torques(mechanism: Mechanism, q: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    """Torque of every joint [N·m], or force [N] of a slide, that a motion takes, shape (samples,
+    n): ``D q̈ + h + c + B q̇`` of the mechanism, which carries no payload.
+
+    Args:
+        q: joint coordinates, shape (samples, n).
+        joints: q̇, q̈ and more of every joint, shape (2 or more, samples, n).
+    """
+    n = q.shape[1]
+    out, mass, work = np.empty(q.shape), np.empty((n, n)), np.empty(work_size(n))
+    rates, accelerations = (np.ascontiguousarray(one) for one in joints[:2])
+    _torques(mechanism, np.ascontiguousarray(q), rates, accelerations, mass, work, out)
+    return out
+
+
+@kernel
+def _drawn(v, load, line, tick, circuit, rules, out):
+    now, age = HOLD, math.inf
+    for i in range(v.shape[0]):
+        head = rod = line.head
+        if load[i] + rod * circuit.area_rod >= head * circuit.area_head:
+            head = (load[i] + rod * circuit.area_rod) / circuit.area_head
+        else:
+            rod = (head * circuit.area_head - load[i]) / circuit.area_rod
+        p = Pressures(head, rod, line.supply, line.tank)
+        function, _ = select(now, age, v[i], load[i], p, circuit, rules)
+        age = age + tick if function == now else tick
+        now = function
+        out[i] = supply_draw(function, circuit) * abs(v[i])
+
+
+class Moving(NamedTuple):
+    """A cylinder's motion, shape (samples,): its speed ``v`` [m/s], the ``torque`` of its joint
+    [N·m], see `torques`, and the joint's coordinate ``q`` [rad or m].
+    """
+
+    v: np.ndarray
+    torque: np.ndarray
+    q: np.ndarray
+
+
+def drawn(axis: Axis, motion: Moving, line: Pressures, tick: float, rules: np.record) -> np.ndarray:
+    """Flow [m³/s] that a cylinder's motion draws from the supply, shape (samples,), by the working
+    functions that `ehbench.control.functions.select` chooses along it.
+
+    Args:
+        axis: of the cylinder.
+        motion: what it makes.
+        line: supply and tank pressure, and as ``head`` and ``rod`` that of a chamber which carries
+            nothing [Pa].
+        tick: between samples [s].
+        rules: of function selection.
+    """
+    cylinder, v = axis.cylinder, np.ascontiguousarray(motion.v)
+    _, lever = linkage_arrays(cylinder, motion.q)
+    load = motion.torque / lever + cylinder.friction_viscous * v
+    load += cylinder.friction_coulomb * np.sign(v)
+    out = np.empty(v.shape)
+    _drawn(v, load, line, tick, axis.circuit, rules, out)
+    return out

@@ -1,0 +1,201 @@
+"""What a controller learns of its flow maps while it moves: a gain and a shift of the deadband for
+each edge, within bounds; derivation in docs/arc.md.
+
+A map says ``Q(Δp, u)``; the valve is taken to pass ``gain·Q(Δp, u − shift)``. Both chambers tell
+what really passed, by their pressure and the piston's speed."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ehbench.codes import AGAINST, FAINT, REVERSED, SATURATED
+from ehbench.compiled import kernel
+from ehbench.control.functions import (
+    HEAD_ROD,
+    HEAD_TANK,
+    ROD_HEAD,
+    ROD_TANK,
+    SUPPLY_HEAD,
+    SUPPLY_ROD,
+    Circuit,
+)
+from ehbench.control.measured import Pressures
+
+GAIN, SHIFT = 0, 1
+# columns of an edge: (co)variances of its gain and shift, flow [m³/s] and slope [m³/(s·V)] behind
+# the valve's lag, then behind the low-pass as well
+VAR_GAIN, COVARIANCE, VAR_SHIFT, LATE_FLOW, LATE_SLOPE, SLOW_FLOW, SLOW_SLOPE = range(7)
+FLOW, PRESSURE = 0, 1  # columns of a chamber: what passes [m³/s] and its pressure, low-passed
+CORNER = 2.0  # of k1: the low-pass behind which flows are compared
+QUIET = 4.0  # over that corner: how long after a change of function nothing is learnt
+SCATTER = 0.005  # of the largest speed: what a comparison may be wrong by
+LEAST = 0.015  # of the largest speed: edges that pass less tell nothing
+SQUEEZED = 0.5  # share of the oil's compression that may be wrong: its bulk modulus
+UNSTEADY = 0.3  # share of what the low-pass holds back, for lags that are not known
+NARROW = 0.15  # [V] beyond the deadband below which a slope is not told
+FIRST_GAIN, FIRST_SHIFT = 0.4, 0.5  # of their bounds: standard errors at the start
+
+
+class MapMemory(NamedTuple):
+    """``trim``, (gain, shift [V]) of each edge, shape (edges, 2); ``edges`` and ``chambers``, what
+    is learnt from, columns above; ``into``, +1 where an edge's flow enters the head or the rod end,
+    −1 where it leaves, shape (edges, 2); ``clock``, shape (1,), for how long [s] flows were quiet.
+    """
+
+    trim: np.ndarray
+    edges: np.ndarray
+    chambers: np.ndarray
+    into: np.ndarray
+    clock: np.ndarray
+
+
+def map_memory(circuit: Circuit) -> MapMemory:
+    """The memory before the first tick: maps as they are given."""
+    into = np.zeros((circuit.count, 2))
+    enters = {
+        SUPPLY_HEAD: (1, 0),
+        HEAD_TANK: (-1, 0),
+        SUPPLY_ROD: (0, 1),
+        ROD_TANK: (0, -1),
+        HEAD_ROD: (-1, 1),
+        ROD_HEAD: (1, -1),
+    }
+    for path, ends in enters.items():
+        if circuit.paths[path] >= 0:
+            into[circuit.paths[path] - circuit.first] = circuit.along[path] * np.array(ends)
+    edges = np.zeros((circuit.count, 7))
+    return MapMemory(circuit.trim.copy(), edges, np.zeros((2, 2)), into, np.zeros(1))
+
+
+class Seen(NamedTuple):
+    """Of one tick: speed ``v`` [m/s], pressures ``p``, and the ``oil`` in the chambers."""
+
+    v: float
+    p: Pressures
+    oil: Any
+
+
+@kernel
+def trimmed(known, trim):
+    """The circuit with the corrections of its maps."""
+    return Circuit(
+        known.cylinder,
+        known.area_head,
+        known.area_rod,
+        known.first,
+        known.count,
+        known.edges,
+        known.maps,
+        known.lowest,
+        known.highest,
+        known.paths,
+        known.along,
+        known.able,
+        known.hull,
+        known.hull_at,
+        known.supply,
+        trim,
+    )
+
+
+@kernel
+def begin(p, onset, gains, maps):
+    """Write the memory of the first tick."""
+    maps.chambers[0, PRESSURE], maps.chambers[1, PRESSURE] = p.head, p.rod
+    maps.chambers[0, FLOW] = maps.chambers[1, FLOW] = 0.0
+    for i in range(maps.edges.shape[0]):
+        maps.edges[i, VAR_GAIN] = (FIRST_GAIN * gains.map_error) ** 2
+        if onset[i] != 0.0:  # of a spool without a deadband there is none to learn
+            maps.edges[i, VAR_SHIFT] = (FIRST_SHIFT * gains.deadband_error) ** 2
+
+
+@kernel
+def follow(quiet, told, command, axis, gains, maps):
+    """Let flows and slopes of the edges pass the valve's lag and the low-pass; whether they are
+    quiet for long enough to be compared. ``told`` are the desired flows, then the limits, of all
+    edges.
+    """
+    circuit, tick = axis.circuit, gains.tick
+    late = tick / (tick + gains.valve_lead)
+    slow = tick * CORNER * gains.position_bandwidth
+    slow /= 1.0 + slow
+    for i in range(circuit.count):
+        edge, flow, slope = circuit.edges[circuit.first + i], told[i], 0.0
+        bits = int(told[circuit.count + i])
+        if bits & (SATURATED | AGAINST | REVERSED | FAINT) != 0:
+            quiet = False
+        if bits & (AGAINST | REVERSED) != 0:
+            flow = 0.0
+        if flow != 0.0:
+            wide = edge.sign * (command[edge.valve] - axis.onset[i]) - maps.trim[i, SHIFT]
+            slope = flow / max(wide, NARROW)
+        row = maps.edges[i]
+        row[LATE_FLOW] += late * (flow - row[LATE_FLOW])
+        row[LATE_SLOPE] += late * (slope - row[LATE_SLOPE])
+        row[SLOW_FLOW] += slow * (row[LATE_FLOW] - row[SLOW_FLOW])
+        row[SLOW_SLOPE] += slow * (row[LATE_SLOPE] - row[SLOW_SLOPE])
+    maps.clock[0] = maps.clock[0] + tick if quiet else 0.0
+    return maps.clock[0] > QUIET / (CORNER * gains.position_bandwidth)
+
+
+@kernel
+def learn_maps(quiet, seen, told, command, axis, gains, maps):
+    """Move the corrections by what both chambers say has passed; ``told`` as in `follow`.
+
+    Least squares whose gain is limited, so that no correction goes faster than ``map_bandwidth``,
+    then held in the bounds ``map_error`` and ``deadband_error``."""
+    ready = follow(quiet, told, command, axis, gains, maps)
+    v, p, oil = seen.v, seen.p, seen.oil
+    corner = CORNER * gains.position_bandwidth
+    slow = gains.tick * corner
+    slow /= 1.0 + slow
+    circuit = axis.circuit
+    for side in range(2):
+        held = maps.chambers[side]
+        area = circuit.area_head if side == 0 else circuit.area_rod
+        rate = oil.bulk * (oil.head if side == 0 else oil.rod)
+        passed = area * v + oil.lost_head if side == 0 else -(area * v + oil.lost_rod)
+        pressure = p.head if side == 0 else p.rod
+        held[FLOW] += slow * (passed - held[FLOW])
+        held[PRESSURE] += slow * (pressure - held[PRESSURE])
+        pressed = area / rate * corner * (pressure - held[PRESSURE])
+        if not ready:
+            continue
+        most = area * gains.speed_correction
+        doubt = (SCATTER * most) ** 2 + (SQUEEZED * pressed) ** 2
+        doubt += (UNSTEADY * (passed - held[FLOW])) ** 2
+        doubt /= corner * gains.tick
+        correct(side, held[FLOW] + pressed, doubt, LEAST * most, gains, maps)
+
+
+@kernel
+def correct(side, passed, doubt, least, gains, maps):
+    """Correct the edges at a chamber by the flow [m³/s] that ``passed`` into it; ``doubt`` its
+    variance, ``least`` what an edge must pass to be corrected.
+    """
+    error, spread = passed, 0.0
+    for i in range(maps.edges.shape[0]):
+        row, way = maps.edges[i], maps.into[i, side]
+        error -= way * row[SLOW_FLOW]
+        if way != 0.0 and abs(row[SLOW_FLOW]) > least:
+            per_gain, per_shift = row[SLOW_FLOW] / maps.trim[i, GAIN], -row[SLOW_SLOPE]
+            spread += row[VAR_GAIN] * per_gain * per_gain + row[VAR_SHIFT] * per_shift * per_shift
+            spread += 2.0 * row[COVARIANCE] * per_gain * per_shift
+    whole = max(doubt, spread / (gains.map_bandwidth * gains.tick)) + spread
+    for i in range(maps.edges.shape[0]):
+        row, way = maps.edges[i], maps.into[i, side]
+        if way == 0.0 or abs(row[SLOW_FLOW]) <= least:
+            continue
+        per_gain, per_shift = row[SLOW_FLOW] / maps.trim[i, GAIN], -row[SLOW_SLOPE]
+        by_gain = row[VAR_GAIN] * per_gain + row[COVARIANCE] * per_shift
+        by_shift = row[COVARIANCE] * per_gain + row[VAR_SHIFT] * per_shift
+        row[VAR_GAIN] -= by_gain * by_gain / whole
+        row[COVARIANCE] -= by_gain * by_shift / whole
+        row[VAR_SHIFT] -= by_shift * by_shift / whole
+        gain = maps.trim[i, GAIN] + way * by_gain / whole * error
+        shift = maps.trim[i, SHIFT] + way * by_shift / whole * error
+        widest = 1.0 + gains.map_error
+        maps.trim[i, GAIN] = min(max(gain, 1.0 / widest), widest)
+        maps.trim[i, SHIFT] = min(max(shift, -gains.deadband_error), gains.deadband_error)

@@ -1,0 +1,53 @@
+"""Payloads that change during a record: what is stored while each is carried, and what goes with
+them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ehbench.ledger.quadrature import stores_at
+from ehbench.plant.build import Plant
+from ehbench.plant.model import Model
+from ehbench.record import Record, payloads_of
+
+
+@dataclass(frozen=True)
+class Loads:
+    """What a record says was carried: ``first``, then (time [s], payload) of each change."""
+
+    first: str | None
+    changes: tuple[tuple[float, str | None], ...]
+
+    @classmethod
+    def of(cls, record: Record, first: str | None = None) -> Loads:
+        """Those of a record; ``first`` instead of the one that it names first."""
+        (_, said), *changes = payloads_of(record)
+        return cls(first or said, tuple(changes))
+
+    def spans(self, model: Model, t: np.ndarray) -> Iterator[tuple[slice, Plant]]:
+        """Rows that one payload is carried in, and the plant with it; each begins with the row in
+        which the one before ends.
+        """
+        rows = [0, *(int(np.searchsorted(t, at - 1e-9)) for at, _ in self.changes), t.size - 1]
+        payloads = [self.first, *(name for _, name in self.changes)]
+        for first, last, payload in zip(rows, rows[1:], payloads, strict=False):
+            links = model.links(payload) if self.changes else model.plant.links
+            yield slice(first, last + 1), model.plant._replace(links=links)
+
+    def stored(self, model: Model, t: np.ndarray, states: np.ndarray, columns: int) -> np.ndarray:
+        """What is stored [J] at each state more than at the first, shape (samples, columns); where
+        the payload changes, with a last column of what has gone with it.
+        """
+        held = np.empty((t.size, columns))
+        gone = np.zeros((t.size, 1))
+        for n, (rows, plant) in enumerate(self.spans(model, t)):
+            before = held[rows.start].sum() if n else 0.0
+            stores_at(states[rows], plant, held[rows])
+            if n:
+                gone[rows.start :] += before - held[rows.start].sum()
+        held -= held[0].copy()
+        return np.concatenate([held, gone], axis=1) if self.changes else held

@@ -1,0 +1,140 @@
+"""Where the tip of a mechanism is, and joint coordinates that bring it somewhere.
+
+The tip is the end of the last link, where a slide's mass is. It is told in a frame that stands on
+the ground: x ahead (the base frame's x), y to the left, z up [m]; frames of the links as in
+`ehbench.physics.arm`."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ehbench.physics.arm import SLIDE
+
+FOUND = 1.0e-8  # [m] from the target at which the tip is there
+STILL = 1.0e-9  # [rad or m] of a step with which the search stands
+TURNS = 200  # of the search, at most
+LIGHT, HEAVY = 1.0e-10, 1.0e4  # damping [m²] with which it begins, at which it gives up
+
+
+class Chain(NamedTuple):
+    """What says where the tip is: ``kind``, ``links`` and ``gravity`` as in `ehbench.physics.arm`,
+    and the ends of each joint's range, shape (n,) [rad or m].
+    """
+
+    kind: int
+    links: Any
+    gravity: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+class Found(NamedTuple):
+    """What a search came to: joint coordinates ``q``, how far the tip is from the target [m], and
+    of each joint whether the target lies beyond an end of its range (±1), else 0.
+    """
+
+    q: np.ndarray
+    miss: float
+    beyond: np.ndarray
+
+    @property
+    def there(self) -> bool:
+        """Whether the tip is at the target."""
+        return self.miss <= FOUND
+
+
+def _ground(gravity: np.ndarray) -> np.ndarray:
+    """Rows: x, y and z of the frame on the ground, in the base frame."""
+    size = float(np.linalg.norm(gravity))
+    up = gravity / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
+    ahead = np.array([1.0, 0.0, 0.0])
+    return np.array([ahead, np.cross(up, ahead), up])
+
+
+def tip_frames(chain: Chain, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(tip [m], axis of each joint, a point on each axis [m]) in the frame on the ground, shapes
+    (…, 3) and (…, n, 3), at joint coordinates of shape (…, n).
+    """
+    q = np.asarray(q, float)
+    ground = _ground(chain.gravity)
+    if chain.kind == SLIDE:
+        link = chain.links[0]
+        way = np.array([link.cos_alpha, 0.0, link.sin_alpha])
+        tip = q[..., :1] * way
+        return tip, np.broadcast_to(way, (*q.shape, 3)), np.zeros((*q.shape, 3))
+    turn = np.broadcast_to(ground, (*q.shape[:-1], 3, 3))
+    place = np.zeros((*q.shape[:-1], 3))
+    axes, origins = np.empty((*q.shape, 3)), np.empty((*q.shape, 3))
+    for i, link in enumerate(chain.links):
+        axes[..., i, :], origins[..., i, :] = turn[..., :, 2], place
+        angle = link.theta0 + q[..., i]
+        c, s, zero, one = np.cos(angle), np.sin(angle), np.zeros_like(angle), np.ones_like(angle)
+        ca, sa = float(link.cos_alpha), float(link.sin_alpha)
+        offset = np.stack([link.a * c, link.a * s, link.d * one], axis=-1)
+        place = place + np.einsum("...ij,...j->...i", turn, offset)
+        own = np.stack([c, -s * ca, s * sa, s, c * ca, -c * sa, zero, sa * one, ca * one], axis=-1)
+        turn = turn @ own.reshape((*angle.shape, 3, 3))
+    return place, axes, origins
+
+
+def tip_of(chain: Chain, q: np.ndarray) -> np.ndarray:
+    """The tip [m], shape (…, 3), at joint coordinates of shape (…, n)."""
+    return tip_frames(chain, q)[0]
+
+
+def tip_jacobian(chain: Chain, q: np.ndarray) -> np.ndarray:
+    """∂tip/∂q [m/rad], or [1] of a slide, shape (3, n), at one posture."""
+    tip, axes, origins = tip_frames(chain, q)
+    return axes.T.copy() if chain.kind == SLIDE else np.cross(axes, tip - origins).T
+
+
+def reach(chain: Chain, target: np.ndarray, start: np.ndarray, free: np.ndarray) -> Found:
+    """The joint coordinates that bring the tip to a target or, where it is out of reach, as near as
+    the search from ``start`` gets.
+
+    Damped least squares (Levenberg–Marquardt) on the joints that are ``free``, within their ranges:
+    a joint at an end that the step would take it beyond is held there for that step.
+
+    Args:
+        target: [m], shape (3,).
+        start: joint coordinates to start at, which also decide among several postures, shape (n,).
+        free: True for the joints that may move.
+    """
+    q = np.where(free, np.clip(start, chain.low, chain.high), start)
+    error = target - tip_of(chain, q)
+    damping = LIGHT
+    for _ in range(TURNS):
+        if np.linalg.norm(error) <= FOUND or damping > HEAVY:
+            break
+        jacobian = tip_jacobian(chain, q) * free
+        step = _step(chain, q, jacobian, error, damping)
+        if np.abs(step).max() < STILL:
+            break
+        tried = np.clip(q + step, np.minimum(chain.low, q), np.maximum(chain.high, q))
+        left = target - tip_of(chain, tried)
+        if np.linalg.norm(left) < np.linalg.norm(error):
+            q, error, damping = tried, left, max(0.1 * damping, 1e-3 * LIGHT)
+        else:
+            damping *= 10.0
+    pull = (tip_jacobian(chain, q) * free).T @ error
+    beyond = np.where((q >= chain.high) & (pull > 0.0), 1, 0)
+    beyond -= (q <= chain.low) & (pull < 0.0)
+    return Found(q, float(np.linalg.norm(error)), beyond)
+
+
+def _step(
+    chain: Chain, q: np.ndarray, jacobian: np.ndarray, error: np.ndarray, damping: float
+) -> np.ndarray:
+    """A damped step from q; joints that it would take out of their range from an end are held."""
+    held = np.zeros(q.size, bool)
+    for _ in range(q.size + 1):
+        moving = jacobian * ~held
+        square = moving @ moving.T + damping * np.eye(3)
+        step = moving.T @ np.linalg.solve(square, error)
+        out = ((q >= chain.high) & (step > 0.0)) | ((q <= chain.low) & (step < 0.0))
+        if not (out & ~held).any():
+            return step
+        held |= out
+    return np.zeros(q.size)

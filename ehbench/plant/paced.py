@@ -1,0 +1,241 @@
+"""Steps chosen by the guard: as long as the motion is smooth, as short as its error asks.
+
+The step is that of `ehbench.plant.integrate`, and beside it stands one of the third order, for the
+derivative at the step's end: ``e = d/10 |k_4 − f(y_1)|``. A step whose ``e`` is beyond CLOSE of
+what a state may run through is taken again, half as long. Ticks under one and the same command are
+taken several at a time, and the samples between read from the cubic through both ends. Valves are
+linear and get their own answer, exact while a command is held.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from ehbench.compiled import allocating_kernel, kernel, part_kernel
+from ehbench.parts.cylinder import joint_range_of
+from ehbench.parts.valve import limited, valve_advance
+from ehbench.parts.valve.delay import Line, line_felt, line_push
+from ehbench.plant.build import Plant
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.integrate import stages
+from ehbench.plant.layout import SIDES, Layout
+
+AUTO: Literal["auto"] = "auto"
+CLOSE = 2.0e-8  # share of a state's scale by which one step may miss it
+MOST_TICKS = 16  # that a step may last
+STABLE = 2.5  # of the fastest rate times the step: Runge and Kutta's method ends at 2.78
+LEAST = 2.0e-6  # [s]: a step so short is taken whatever its error
+SETTLED = 1.0e-12  # [V] per the square of its fastest rate: a valve that moves less has arrived
+OWN, SCRATCH = 6, 11  # rows of scratch: a step's own, and all with those of a valve's series
+LATE = 2  # steps a tick, at least, where a delay lets a command change within it
+
+Step = float | Literal["auto"]
+
+
+class Pace(NamedTuple):
+    """What steps are chosen by: ``weights`` [1/unit of the state], shape (states,), 1 over what a
+    step may miss each by, 0 where its error is not looked at; the ``units`` of a tick, a power of
+    two, of which a step is one or more.
+    """
+
+    weights: np.ndarray
+    units: int
+
+
+class Way(NamedTuple):
+    """A plant on its way: its state ``y``, the ``line`` of past commands, its ``pace``, and the
+    scratch ``k`` of shape (SCRATCH, states) and ``work`` of plant.at.work.
+    """
+
+    y: np.ndarray
+    plant: Plant
+    line: Line
+    pace: Pace
+    k: np.ndarray
+    work: np.ndarray
+
+
+def pace_of(plant: Plant, names: Layout, tick: float) -> Pace:
+    """The pace of a plant that is commanded every ``tick`` [s].
+
+    A joint's scale is its range, and its range a second; a pressure's the highest that supply or
+    relief valve let come, of the supply line a tenth of it; a mount's the deflection under it.
+    Valves are exact beside, and what states of a friction do is seen in the joints' rates.
+    """
+    weights, n = np.zeros(names.states), plant.at.rates
+    weights[: 2 * n] = 1.0
+    for index, row in enumerate(plant.cylinders):
+        low, high = joint_range_of(row)
+        weights[[row.joint, n + row.joint]] = 1.0 / abs(high - low)
+        highest = _highest(plant, row)
+        for side in SIDES:
+            weights[names.state(f"p_{side}", index)] = 1.0 / highest
+        if row.mount_state >= 0:
+            weights[row.mount_state] = row.mount_stiffness / (highest * row.area_head)
+    for line in plant.lines:
+        highest = _highest(plant, plant.cylinders[line.cylinder])
+        weights[plant.nodes[line.node].state] = 1.0 / highest
+    weights[plant.at.supply] = 10.0 / float(plant.supply.pressure)
+    return Pace(weights / CLOSE, 2 ** max(1, math.ceil(math.log2(tick / LEAST))))
+
+
+def _highest(plant: Plant, row: Any) -> float:
+    """Pressure [Pa] up to which a cylinder's chambers come."""
+    relief = float(row.relief_pressure)
+    return max(float(plant.supply.pressure), relief if math.isfinite(relief) else 0.0)
+
+
+@part_kernel
+def _valves_after(way, command, d, out):
+    """Write the valves' states ``d`` [s] after ``way.y``, where ``k[0]`` holds their rates, into
+    ``out``.
+    """
+    plant, k = way.plant, way.k
+    for v in range(plant.valves.shape[0]):
+        valve, moves = plant.valves[v], False
+        for e in range(valve.first, valve.first + valve.count):
+            element = plant.elements[e]
+            still = SETTLED * element.fastest * element.fastest
+            for i in range(element.state, element.state + element.states):
+                out[i] = way.y[i]
+                moves = moves or abs(k[0, i]) > still
+        if moves:
+            valve_advance(valve, limited(command[v], valve), d, plant, out, k[OWN:])
+
+
+@part_kernel
+def _attempt(way, command, d):
+    """(error as a share of what it may be, fastest rate [1/s] at its end) of a step of ``d`` [s]
+    from ``way.y``, where ``k[0]`` holds the derivatives; its end goes to ``k[4]``, the derivatives
+    there to ``k[5]``.
+    """
+    y, k = way.y, way.k
+    stages(y, command, way.plant, d, k, way.work)
+    for i in range(y.shape[0]):
+        k[4, i] = y[i] + d / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
+    _valves_after(way, command, d, k[4])
+    rate, worst = derivatives(k[4], command, way.plant, k[5], way.work), 0.0
+    for i in range(y.shape[0]):
+        miss = abs(k[3, i] - k[5, i]) * way.pace.weights[i]
+        if not miss <= worst:  # nan is the worst
+            worst = miss
+    return 0.1 * d * worst, rate
+
+
+@part_kernel
+def _halved(step, units):
+    """Half a step, in units; of whole ticks where it was of several."""
+    half = step // 2
+    return half if half < units else half // units * units
+
+
+@kernel
+def _step(way, command, part, room, step, rate):
+    """One step from ``part`` units of a tick on: (units taken, units to try next, rate [1/s] at its
+    end). Its end stands in ``k[4]``, the derivatives there in ``k[5]``.
+
+    Args:
+        way: where it begins; ``k[0]`` holds the derivatives and ``rate`` goes with them.
+        command: of the present tick [V].
+        room: units that it may take at most.
+        step: units to try first.
+    """
+    line, units = way.line, way.pace.units
+    unit, step = line.tick / units, min(step, room)
+    while True:
+        if line.past.shape[0] > 1:
+            step = min(step, units // LATE)
+            line_felt(line, command, way.plant, part * unit, step * unit)
+            rate = derivatives(way.y, line.held, way.plant, way.k[0], way.work)
+        if step == 1 or rate * step * unit <= STABLE:
+            error, after = _attempt(way, line.held, step * unit)
+            if step == 1 or error <= 1.0:
+                return step, 2 * step if error < 1.0 / 16.0 else step, after
+        step = _halved(step, units)
+
+
+@kernel
+def over_tick(way, command, rate):
+    """Bring ``way.y`` over one tick under a command [V] in steps chosen by the guard, from where
+    ``k[0]`` and ``rate`` hold what the derivatives give.
+    """
+    part, step, units = 0, way.pace.units, way.pace.units
+    while part < units:
+        taken, step, rate = _step(way, command, part, units - part, step, rate)
+        part += taken
+        for i in range(way.y.shape[0]):
+            way.y[i], way.k[0, i] = way.k[4, i], way.k[5, i]
+
+
+@part_kernel
+def _same(one, other):
+    for i in range(one.shape[0]):
+        if one[i] != other[i]:
+            return False
+    return True
+
+
+@part_kernel
+def _finite(values):
+    for i in range(values.shape[0]):
+        if not math.isfinite(values[i]):
+            return False
+    return True
+
+
+@part_kernel
+def _between(way, command, share, d, out):
+    """The state at a ``share`` of a step of ``d`` [s] from ``way.y``: the cubic through both ends,
+    the valves' own answer for their states.
+    """
+    y, k, rest = way.y, way.k, 1.0 - share
+    first, last = (1.0 + 2.0 * share) * rest * rest, share * share * (3.0 - 2.0 * share)
+    begin, end = d * share * rest * rest, -d * share * share * rest
+    for i in range(y.shape[0]):
+        out[i] = first * y[i] + last * k[4, i] + begin * k[0, i] + end * k[5, i]
+    _valves_after(way, command, share * d, out)
+
+
+@allocating_kernel
+def run_paced(y, commands, plant, line, pace, log):
+    """`ehbench.plant.integrate.run` in steps chosen by the guard; returns their number."""
+    size, at, last = y.shape[0], plant.at.flow, commands.shape[0] - 1
+    k, work = np.empty((SCRATCH, size)), np.empty(plant.at.work)
+    way = Way(y, plant, line, pace, k, work)
+    late, unit = line.past.shape[0] > 1, line.tick / pace.units
+    sample, part, until, step, count = 0, 0, 0, pace.units, 0
+    line_felt(line, commands[0], plant, 0.0, line.tick / LATE)
+    rate = derivatives(y, line.held, plant, k[0], work)
+    log[0, :size], log[0, size:] = y, work[at:]
+    while sample < last:
+        while until < last and until < sample + (1 if late else MOST_TICKS):
+            if until > sample and not _same(commands[until], commands[sample]):
+                break
+            until += 1
+        room = pace.units - part if part > 0 else (until - sample) * pace.units
+        taken, step, after = _step(way, commands[sample], part, room, step, rate)
+        ends = sample + (part + taken) // pace.units
+        part, count = (part + taken) % pace.units, count + 1
+        if part == 0:
+            log[ends, :size], log[ends, size:] = k[4], work[at:]
+        for s in range(sample + 1, ends):
+            share = (s - sample) * pace.units / taken
+            _between(way, line.held, share, taken * unit, log[s])
+            derivatives(log[s, :size], line.held, plant, k[1], work)
+            log[s, size:] = work[at:]
+        y[:], k[0], rate = k[4], k[5], after
+        if part == 0:
+            if not _finite(y):
+                log[ends:] = math.nan
+                break
+            line_push(line, commands[sample])
+            if late or not _same(commands[ends], commands[sample]):
+                line_felt(line, commands[ends], plant, 0.0, line.tick / LATE)
+                rate = derivatives(y, line.held, plant, k[0], work)
+                log[ends, size:] = work[at:]
+                step = min(step, pace.units)
+        sample = ends
+    return count

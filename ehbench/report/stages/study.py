@@ -1,0 +1,254 @@
+"""A study: how its measures are spread, which share keeps to its targets, what moves them, and its
+worst samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ehbench.report.blocks import Block, Bullets, Cell, Grid, Part
+from ehbench.report.content import Pictures, SectionContent, StageReport, num
+from ehbench.report.figures import study as figures
+from ehbench.report.index import FigureIndex, FigureKey
+from ehbench.report.saved import Saved, Table
+from ehbench.report.words import count, interval, number, pretty, words
+
+MOST_ROWS = 60  # of a table by swept values
+_ENDED = ("done", "incomplete", "rejected")
+
+
+def draw(run: Saved, index: FigureIndex) -> None:
+    """Each measure's distribution, scatter, what moves it, and its maps."""
+    study, table = run.json("study.json"), _columns(run)
+    targets = {one["measure"]: one for one in study["targets"]}
+    for measure in study["measures"]:
+        name, head = measure["name"], _head(measure["name"], measure["unit"])
+        y = table[head]
+        there = np.isfinite(y)
+        if there.sum() < 2:
+            continue
+        if np.ptp(y[there]) > 0.0:
+            path = index.add(f"spread_{name}", f"Spread of {name}", _SPREAD, _key("spread", name))
+            figures.distribution(path, _shown(measure), y[there], measure, targets.get(name))
+            _scatter(index, study, table, measure, y)
+    for one in study["sensitivity"]:
+        rows = sorted(one["inputs"], key=lambda row: -abs(_weight(row)))
+        name = one["measure"]
+        caption = _SOBOL if one["way"] == "sobol" else _RANK
+        path = index.add(f"moves_{name}", f"What moves {name}", caption, _key("moves", name))
+        figures.bars(path, rows[:20], one["way"])
+    _maps(index, study)
+
+
+_SPREAD = (
+    "Left: samples by value. Right: the share of samples up to a value; bars: 95 % intervals of "
+    "the quantiles from order statistics, open ends drawn to the last sample. Dashed: the target."
+)
+_RANK = (
+    "Linear regression of the measure's rank on the inputs' ranks: 1 is all of it, sign as moved."
+)
+_SOBOL = "Share of the measure's variance by one input alone (first) and with all others (total)."
+_MAP = "Median over the samples of each combination of the two swept keys."
+
+
+def _columns(run: Saved) -> dict[str, np.ndarray]:
+    """The columns of numbers of the table, by their heads; nan where a cell is no number."""
+    import pandas as pd
+
+    table = pd.read_csv(run.folder / "samples.csv", low_memory=False)
+    numbers = table.apply(pd.to_numeric, errors="coerce").astype(float)
+    return {str(name): np.asarray(numbers[name]) for name in numbers.columns}
+
+
+def _head(name: str, unit: str) -> str:
+    return f"{name} [{unit}]" if unit else name
+
+
+def _shown(one: Table) -> str:
+    return _head(words(one["name"]), pretty(one["unit"]))
+
+
+def _key(kind: str, measure: str) -> FigureKey:
+    return FigureKey(kind, case=measure)
+
+
+def _weight(row: Table) -> float:
+    return row.get("total", row.get("rank", 0.0))
+
+
+def _scatter(
+    index: FigureIndex, study: Table, table: dict[str, np.ndarray], measure: Table, y: np.ndarray
+) -> None:
+    inputs = []
+    for one in study["inputs"]:
+        x = table[_head(one["key"], one["unit"])]
+        if one["varied"] != "seed" and not one["is_text"] and np.ptp(x) > 0.0:
+            inputs.append((_head(one["key"], pretty(one["unit"])), x))
+    if inputs:
+        marks = np.array([one["sample"] for one in study["worst"]], int)
+        name = measure["name"]
+        caption = "Each sample; circles: the worst, kept as runs of their own."
+        path = index.add(f"over_{name}", f"{name} over the inputs", caption, _key("over", name))
+        figures.scatter(path, _shown(measure), y, inputs[:12], marks)
+
+
+def _maps(index: FigureIndex, study: Table) -> None:
+    """A map of each measure over the first two swept keys, where two were swept."""
+    listed = [one for one in study["inputs"] if one["values"]]
+    if len(listed) != 2 or not study["groups"]:
+        return
+    across, up = (one["values"] for one in listed)
+    for at, measure in enumerate(study["measures"]):
+        z = np.full((len(up), len(across)), np.nan)
+        for group in study["groups"]:
+            values = group["values"]
+            i, j = up.index(values[listed[1]["key"]]), across.index(values[listed[0]["key"]])
+            z[i, j] = (
+                np.nan
+                if group["measures"][at].get("median") is None
+                else (group["measures"][at]["median"])
+            )
+        name = measure["name"]
+        if np.isfinite(z).any():
+            path = index.add(f"map_{name}", f"Map of {name}", _MAP, _key("map", name))
+            names = (listed[0]["key"], listed[1]["key"])
+            figures.field(path, names, (across, up), z, _shown(measure))
+
+
+def section(run: Saved, pictures: Pictures) -> SectionContent:
+    """Measures and targets, then by swept values, what moves them, and the worst samples."""
+    study = run.json("study.json")
+    parts = [
+        Part("Results", [*_said(study), *_targets(study), _measures(study)]),
+        Part("By swept values", [*_groups(study), *pictures(FigureKey("map"))]),
+        Part("Spread", [*pictures(FigureKey("spread"))]),
+        Part("What moves them", [*_moves(study), *pictures(FigureKey("moves"))]),
+        Part("The worst", [*_worst(study), *pictures(FigureKey("over"))]),
+        Part("Inputs", [_inputs(study)], paper=False),
+    ]
+    return SectionContent("done", _sentence(study), [part for part in parts if part.inside])
+
+
+def _sentence(study: Table) -> str:
+    ended = sum(study["status"].get(word, 0) for word in _ENDED)
+    what = " and ".join(f"'{name}'" for name in study["recipe"])
+    told = f"{count(study['samples'], 'sample')} of {what}, {ended} of which came to their end"
+    for one in study["targets"]:
+        told += f"; {_met(one)} keep {one['measure']} {_ends(one)}"
+    return told + "."
+
+
+def _met(one: Table) -> str:
+    span = interval(100.0 * one["low"], 100.0 * one["high"])
+    return f"{number(100.0 * one['share'], 3)} % ({span} %)"
+
+
+def _ends(one: Table) -> str:
+    unit = f" {pretty(one['unit'])}" if one["unit"] else ""
+    told = [
+        f"{word} {number(one[key])}{unit}"
+        for key, word in (("at_most", "at most"), ("at_least", "at least"))
+        if one.get(key) is not None
+    ]
+    return " and ".join(told)
+
+
+def _said(study: Table) -> list[Block]:
+    """How many samples did not come to their end."""
+    told = [
+        f"{n} of {study['samples']} samples {words(word)}"
+        for word, n in study["status"].items()
+        if word not in _ENDED
+    ]
+    return [Bullets(told, "warn")] if told else []
+
+
+def _targets(study: Table) -> list[Block]:
+    rows = [
+        [one["measure"], num(_ends(one)), num(f"{one['count']} of {one['of']}"), num(_met(one))]
+        for one in study["targets"]
+    ]
+    head = ["target", "", "samples that keep it", "share (95 % interval)"]
+    return [Grid(head, rows)] if rows else []
+
+
+def _measures(study: Table) -> Grid:
+    rows = []
+    for one in study["measures"]:
+        cells = [one["name"], num(str(one["samples"]))]
+        if "quantiles" in one:
+            cells += [num(number(one["mean"])), num(number(one.get("std")))]
+            cells += [num(_quantile(each)) for each in one["quantiles"]]
+            cells += [num(number(one["least"])), num(number(one["most"]))]
+        else:
+            cells += [num(number(None))] * (2 + len(_SHARES) + 2)
+        rows.append([*cells, pretty(one["unit"])])
+    heads = [f"{100 * share:g} % quantile" for share in _SHARES]
+    head = ["measure", "samples", "mean", "spread", *heads, "least", "most", "unit"]
+    caption = "Of samples that came to their end; quantiles with 95 % intervals."
+    return Grid(head, rows, caption)
+
+
+_SHARES = (0.05, 0.5, 0.95, 0.99)
+
+
+def _quantile(one: Table) -> str:
+    low, high = (number(one.get(end), 3) for end in ("low", "high"))
+    return f"{number(one['value'])} ({low} … {high})"
+
+
+def _groups(study: Table) -> list[Block]:
+    """Medians and upper quantiles of each combination of listed values."""
+    groups = study["groups"]
+    if not groups or len(groups) > MOST_ROWS:
+        return []
+    keys = [one["key"] for one in study["inputs"] if one["values"]]
+    head = [*keys, "came to their end"]
+    for measure in study["measures"]:
+        ways = ("median", "95 %", "most") if study["points"] > 1 else ("",)
+        head += [f"{_shown(measure)}{', ' * bool(way)}{way}" for way in ways]
+    head += [f"keep {one['measure']} {_ends(one)}" for one in study["targets"]]
+    rows = []
+    for group in groups:
+        cells: list[Cell | str] = [group["values"][key] for key in keys]
+        cells.append(num(f"{group['whole']} of {group['samples']}"))
+        for one in group["measures"]:
+            ways = ("median", "q95", "most") if study["points"] > 1 else ("median",)
+            cells += [num(number(one.get(way), 3)) for way in ways]
+        rows.append(cells + [num(_met(one)) for one in group["targets"]])
+    return [Grid(head, rows)]
+
+
+def _moves(study: Table) -> list[Block]:
+    told = [
+        f"ranks of {one['measure']}: the inputs explain {number(100.0 * one['explained'], 2)} %"
+        for one in study["sensitivity"]
+        if one.get("explained") is not None
+    ]
+    return [Bullets(told)] if told else []
+
+
+def _worst(study: Table) -> list[Block]:
+    rows = [
+        [num(str(one["sample"])), Cell(one["folder"], "code"), one["said"]]
+        for one in study["worst"]
+    ]
+    return [Grid(["sample", "its run", ""], rows)] if rows else []
+
+
+def _inputs(study: Table) -> Grid:
+    rows: list[Sequence[Cell | str]] = [
+        [
+            Cell(one["key"], "code"),
+            pretty(one["unit"]),
+            words(one["varied"]),
+            ", ".join(one["values"]),
+        ]
+        for one in study["inputs"]
+    ]
+    return Grid(["key", "unit", "varied by", "values"], rows)
+
+
+REPORT = StageReport("study", section, draw, shows=("Results",), numbers=("study.json", ()))

@@ -1,0 +1,400 @@
+"""Which samples a study has: every combination of listed values, each on the same points of what is
+drawn or swept without a count.
+
+A sample hangs on the study's seed and its own number alone, never on where or when it is made."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ehbench.errors import InputError, UnitError
+from ehbench.recipe import Span, Spread, StudyRecipe
+from ehbench.text import shortened
+from ehbench.units import split_number
+
+CASE, RECIPE = "case", "recipe"  # columns that no key has
+LEAST = 2.0**-53  # of a share: a normal draw stays finite
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A key that is drawn: the ``law`` with its two numbers in ``unit``, whether they are
+    ``relative``, and the ends beyond which no draw goes.
+    """
+
+    key: str
+    law: str
+    first: float
+    second: float
+    unit: str = ""
+    relative: bool = False
+    lower: float = -math.inf
+    upper: float = math.inf
+
+    def value(self, z: np.ndarray) -> np.ndarray:
+        """The draws at standard normal ``z``."""
+        from scipy.special import ndtr
+
+        if self.law == "normal":
+            raw = self.first + self.second * z
+        elif self.law == "log_normal":
+            raw = self.first * self.second**z
+        elif self.law == "log_uniform":
+            raw = self.first * (self.second / self.first) ** ndtr(z)
+        else:
+            raw = self.first + (self.second - self.first) * ndtr(z)
+        return np.clip(raw, self.lower, self.upper)
+
+
+@dataclass(frozen=True)
+class Listed:
+    """A key that goes through values as a recipe would have them; ``relative``: factors."""
+
+    key: str
+    values: tuple[Any, ...]
+    relative: bool = False
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of inputs: its key, the unit of its numbers, '' for none; ``is_text``: no
+    numbers; ``varied`` by ``draw`` or ``sweep``.
+    """
+
+    key: str
+    unit: str = ""
+    is_text: bool = False
+    varied: str = "sweep"
+
+    @property
+    def head(self) -> str:
+        """As a table heads it."""
+        return f"{self.key} [{self.unit}]" if self.unit else self.key
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Values, standard errors, bounds and correlation of identified parameters, by name, in SI with
+    their units.
+    """
+
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+    std: tuple[float, ...]
+    bounds: tuple[tuple[float, float], ...]
+    units: tuple[str, ...]
+    correlation: np.ndarray
+
+    @classmethod
+    def of(cls, found: Mapping[str, Any], wanted: Sequence[str], file: Any) -> Fitted:
+        """Of a ``parameters.json``.
+
+        Raises:
+            InputError: it has no such parameter, or no standard error of it.
+        """
+        rows = {row["name"]: row for row in found["parameters"]}
+        known = [name for name in rows if rows[name]["std"] is not None]
+        for name in wanted:
+            if name not in known:
+                what = "no standard error of" if name in rows else "not fitted"
+                raise InputError(f"{what} '{name}'", file=file, hint="it has " + ", ".join(known))
+        names = list(wanted) or known
+        if not names:
+            raise InputError("has no parameter with a standard error", file=file)
+        order = [found["correlated_names"].index(name) for name in names]
+        matrix = np.array(found["correlation"], float)[np.ix_(order, order)]
+        picked = [rows[name] for name in names]
+        ends = [
+            (
+                -math.inf if row["lower"] is None else row["lower"],
+                math.inf if row["upper"] is None else row["upper"],
+            )
+            for row in picked
+        ]
+        return cls(
+            tuple(names),
+            tuple(float(row["value"]) for row in picked),
+            tuple(float(row["std"]) for row in picked),
+            tuple(ends),
+            tuple(row["unit"] for row in picked),
+            matrix,
+        )
+
+    def drawn(self) -> list[Drawn]:
+        """Its parameters as keys of the rig."""
+        units = ["" if unit == "dimensionless" else unit for unit in self.units]
+        return [
+            Drawn(f"rig.{name}", "normal", value, std, unit, False, *ends)
+            for name, value, std, unit, ends in zip(
+                self.names, self.values, self.std, units, self.bounds, strict=True
+            )
+        ]
+
+
+class Design:
+    """The samples of a study.
+
+    Args:
+        recipe: of the study.
+        fitted: what its ``identified`` names.
+
+    Raises:
+        InputError: numbers without a common unit, a correlation that cannot be, …
+    """
+
+    def __init__(self, recipe: StudyRecipe, fitted: Fitted | None = None) -> None:
+        self.recipe = recipe
+        self.listed, self.drawn = _listed(recipe), [] if fitted is None else fitted.drawn()
+        self.drawn += [_drawn(recipe, key, spread) for key, spread in recipe.draw.items()]
+        self.drawn += [
+            _filled(recipe, key, span)
+            for key, span in recipe.sweep.items()
+            if span.low is not None and span.count is None
+        ]
+        twice = [one.key for one in self.drawn if [d.key for d in self.drawn].count(one.key) > 1]
+        if twice:
+            raise InputError(f"'{twice[0]}' is drawn twice", **recipe.at("draw"))
+        self._root = _root(recipe, self.drawn, fitted)
+        self.combinations = math.prod(len(one.values) for one in self.listed)
+        size = len(self.drawn)
+        self.points = recipe.samples * (size + 2 if recipe.design == "saltelli" else 1)
+        if not size and recipe.samples > 1 and not recipe.seeds:
+            raise InputError(
+                "nothing is drawn, so all samples of a combination would be the same",
+                **recipe.at("samples"),
+                hint="leave 'samples' out, or add [draw] or seeds",
+            )
+        if recipe.design == "saltelli" and not size:
+            raise InputError(
+                "a saltelli design needs [draw] or [sweep] without a count", **recipe.at("design")
+            )
+
+    @property
+    def size(self) -> int:
+        """How many samples there are."""
+        return self.combinations * self.points
+
+    @cached_property
+    def columns(self) -> tuple[Column, ...]:
+        """The inputs, in the order of a sample's."""
+        listed = [_column(one) for one in self.listed]
+        drawn = [
+            Column(one.key, "" if one.relative else one.unit, False, "draw") for one in self.drawn
+        ]
+        return (*listed, *drawn, *(Column(key, varied="seed") for key in self.recipe.seeds))
+
+    @cached_property
+    def _normal(self) -> np.ndarray | None:
+        """Standard normal points (points, drawn), independent; None for a random design, whose
+        points are made one by one.
+        """
+        if self.recipe.design == "random" or not self.drawn:
+            return None
+        from scipy.special import ndtri
+
+        return ndtri(np.clip(self._shares(), LEAST, 1.0 - LEAST))
+
+    def _shares(self) -> np.ndarray:
+        import warnings
+
+        from scipy.stats import qmc
+
+        count, size, rng = self.recipe.samples, len(self.drawn), self.recipe.seed
+        if self.recipe.design == "latin_hypercube":
+            return qmc.LatinHypercube(size, rng=np.random.default_rng(rng)).random(count)
+        paired = self.recipe.design == "saltelli"
+        sobol = qmc.Sobol(size * (1 + paired), rng=np.random.default_rng(rng))
+        with warnings.catch_warnings():  # the balance of a number that is no power of two
+            warnings.simplefilter("ignore")
+            u = sobol.random(count)
+        if not paired:
+            return u
+        a, b = u[:, :size], u[:, size:]
+        mixed = [np.where(np.arange(size) == j, b, a) for j in range(size)]
+        return np.concatenate([a, b, *mixed])
+
+    def inputs(self, index: int) -> list[Any]:
+        """A sample's inputs, in the order of the columns: values as a recipe would have them of
+        what is listed, numbers of what is drawn, whole numbers of seeds.
+        """
+        combination, point = divmod(index, self.points)
+        values: list[Any] = []
+        for one in reversed(self.listed):
+            combination, at = divmod(combination, len(one.values))
+            values.insert(0, one.values[at])
+        if self.drawn:
+            if self._normal is None:
+                z = np.random.default_rng([self.recipe.seed, point]).standard_normal(
+                    len(self.drawn)
+                )
+            else:
+                z = self._normal[point]
+            z = self._root @ z
+            values += [float(one.value(z[i])) for i, one in enumerate(self.drawn)]
+        return values + [self.recipe.seed + point] * len(self.recipe.seeds)
+
+    def settings(self, index: int) -> dict[str, Any]:
+        """What a sample sets, by column: as a recipe would have it; factors as `Factor`."""
+        named = zip(self.columns, self.inputs(index), strict=True)
+        relative = {one.key for one in (*self.listed, *self.drawn) if one.relative}
+        typed = {}
+        for column, value in named:
+            if column.key in relative:
+                value = Factor(float(value))
+            elif column.varied == "draw" and column.unit:
+                value = f"{value!r} {column.unit}"
+            typed[column.key] = value
+        return typed
+
+    def cells(self, inputs: Sequence[Any]) -> list[float | str]:
+        """A sample's inputs as cells of a table: numbers in the columns' units, or texts."""
+        return [cell(value, column) for value, column in zip(inputs, self.columns, strict=True)]
+
+
+class Factor(float):
+    """A number by which what the rig or recipe has is multiplied."""
+
+
+def cell(value: Any, column: Column) -> float | str:
+    """An input as a cell of a table."""
+    if column.is_text:
+        return label_of(value)
+    return split_number(value)[0] if isinstance(value, str) else float(value)
+
+
+def label_of(value: Any) -> str:
+    """A value of a recipe as people tell it from others."""
+    if isinstance(value, Mapping):
+        return str(value.get("name") or value.get("kind") or shortened(dict(value), 60))
+    if isinstance(value, list | tuple):
+        return " + ".join(label_of(one) for one in value)
+    return str(value)
+
+
+def _listed(recipe: StudyRecipe) -> list[Listed]:
+    """What goes through values, in the order of the file."""
+    found = []
+    if len(recipe.recipe) > 1:
+        found.append(Listed(RECIPE, recipe.recipe))
+    if recipe.case:
+        found.append(Listed(CASE, tuple(case.name for case in recipe.case)))
+    for key, span in recipe.sweep.items():
+        if span.values:
+            found.append(Listed(key, span.values, span.relative))
+        elif span.count is not None:
+            found.append(Listed(key, tuple(_grid(recipe, key, span)), span.relative))
+    return found
+
+
+def _grid(recipe: StudyRecipe, key: str, span: Span) -> Iterator[Any]:
+    first, second, unit = _pair(recipe, ("sweep", key), span.low, span.high)
+    assert span.count is not None  # a grid has a count
+    even = np.geomspace if span.log else np.linspace
+    whole = isinstance(span.low, int) and isinstance(span.high, int)
+    for number in even(first, second, span.count).tolist():
+        if whole and number.is_integer():
+            yield int(number)
+        else:
+            yield f"{number!r} {unit}" if unit else number
+
+
+def _filled(recipe: StudyRecipe, key: str, span: Span) -> Drawn:
+    first, second, unit = _pair(recipe, ("sweep", key), span.low, span.high)
+    law = "log_uniform" if span.log else "uniform"
+    return _sound(recipe, Drawn(key, law, first, second, unit, span.relative), ("sweep", key))
+
+
+def _drawn(recipe: StudyRecipe, key: str, spread: Spread) -> Drawn:
+    first, second, unit = _pair(recipe, ("draw", key), *spread.ends, law=spread.kind)
+    found = Drawn(key, spread.kind, first, second, unit, spread.relative)
+    return _sound(recipe, found, ("draw", key))
+
+
+def _sound(recipe: StudyRecipe, one: Drawn, where: tuple[str, str]) -> Drawn:
+    """Refuse numbers that are those of no law."""
+    wrong = {
+        "uniform": one.first > one.second and "low lies above high",
+        "log_uniform": not 0.0 < one.first <= one.second and "low must lie between 0 and high",
+        "normal": one.second < 0.0 and "std is negative",
+        "log_normal": not (one.first > 0.0 and one.second >= 1.0)
+        and "median must be above 0, spread at least 1",
+    }[one.law]
+    if wrong:
+        raise InputError(f"{one.key}: {wrong}", **recipe.at(*where))
+    return one
+
+
+def _pair(
+    recipe: StudyRecipe, where: tuple[str, str], first: Any, second: Any, law: str = "uniform"
+) -> tuple[float, float, str]:
+    """(two numbers, their unit) of a law."""
+    try:
+        (a, unit), (b, other) = (
+            split_number(one) if isinstance(one, str) else (float(one), "")
+            for one in (first, second)
+        )
+    except UnitError as error:
+        raise InputError(f"{where[1]}: {error.message}", **recipe.at(*where)) from None
+    if law == "log_normal":
+        return a, b, unit
+    if law == "normal" and other == "%" != unit:
+        return a, abs(a) * b / 100.0, unit
+    if unit != other:
+        raise InputError(
+            f"{where[1]}: {first} and {second} have not the same unit", **recipe.at(*where)
+        )
+    return a, b, unit
+
+
+def _column(one: Listed) -> Column:
+    """A column of listed values: of numbers where all have the same unit."""
+    units = set()
+    for value in one.values:
+        if isinstance(value, bool) or not isinstance(value, int | float | str):
+            return Column(one.key, is_text=True)
+        try:
+            units.add(split_number(value)[1] if isinstance(value, str) else "")
+        except UnitError:
+            return Column(one.key, is_text=True)
+    if len(units) > 1 or one.key in (CASE, RECIPE):
+        return Column(one.key, is_text=True)
+    return Column(one.key, units.pop())
+
+
+def _root(recipe: StudyRecipe, drawn: Sequence[Drawn], fitted: Fitted | None) -> np.ndarray:
+    """The lower triangle that makes independent normal draws correlated, shape (drawn, drawn)."""
+    matrix, keys = np.eye(len(drawn)), [one.key for one in drawn]
+    if fitted is not None:
+        n = len(fitted.names)
+        matrix[:n, :n] = fitted.correlation
+    for index, (first, second, share) in enumerate(recipe.correlation):
+        for key in (first, second):
+            if key not in keys:
+                raise InputError(
+                    f"'{key}' is not drawn",
+                    **recipe.at("correlation", index),
+                    hint="drawn are " + ", ".join(keys) if keys else "nothing is drawn",
+                )
+        i, j = keys.index(first), keys.index(second)
+        matrix[i, j] = matrix[j, i] = share
+    if recipe.design == "saltelli" and not np.array_equal(matrix, np.eye(len(drawn))):
+        raise InputError(
+            "a saltelli design takes independent draws only",
+            **recipe.at("design"),
+            hint='take design = "sobol", which is told by rank regression',
+        )
+    values, vectors = np.linalg.eigh(matrix)
+    if not np.all(np.abs(matrix) <= 1.0 + 1e-9) or values.min(initial=1.0) < -1e-8:
+        raise InputError(
+            "these correlations cannot hold together",
+            **recipe.at("correlation"),
+            hint="their matrix must be positive definite",
+        )
+    lifted = (vectors * np.maximum(values, 1e-14)) @ vectors.T
+    return np.linalg.cholesky(lifted)

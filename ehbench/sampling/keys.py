@@ -1,0 +1,248 @@
+"""What a study's key means: a dotted path into a rig, a recipe or a bench file, in their own words.
+
+``rig.bulk_modulus`` and ``rig.boom.joint_damping`` are parameters as recipes name them,
+``rig.payload.bucket.mass`` goes by the rig file; ``recipe.motion.speed`` by the recipe, whose lists
+are entered by an entry's name or number; ``bench.delay`` by the bench file that it names. A ``*``
+stands for any part of a parameter's name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ehbench.errors import InputError, UnitError
+from ehbench.fields import Value
+from ehbench.recipe import BenchRecipe, validated
+from ehbench.rig import Rig, parameter_row, read_value
+from ehbench.sampling.design import Factor
+from ehbench.units import split_number
+
+RIG, RECIPE, BENCH = "rig", "recipe", "bench"
+
+
+class Key(NamedTuple):
+    """A key taken apart: the recipe ``behind`` whose it is ('' for the study's own), the file that
+    it changes, and the path in it.
+    """
+
+    behind: str
+    file: str
+    path: str
+
+    @classmethod
+    def of(cls, text: str, behind: Sequence[str] = ()) -> Key:
+        """A key of a study.
+
+        Raises:
+            InputError: it names no file.
+        """
+        for stem in behind:
+            if text.startswith(f"{stem}."):
+                return cls(stem, *_split(text, text.removeprefix(f"{stem}."), behind))
+        return cls("", *_split(text, text, behind))
+
+
+def _split(text: str, rest: str, behind: Sequence[str]) -> tuple[str, str]:
+    file, _, path = rest.partition(".")
+    if file not in (RIG, RECIPE, BENCH) or not path:
+        first = [f"{name}." for name in (RIG, RECIPE, BENCH, *behind)]
+        near = get_close_matches(file, [name[:-1] for name in first], 1)
+        raise InputError(
+            f"'{text}' is no key of a study",
+            hint=f"did you mean '{near[0]}.{path}'?"
+            if near and near[0] != file
+            else "a key begins with " + ", ".join(first),
+        )
+    return file, path
+
+
+@dataclass
+class Changes:
+    """What a sample sets in the files of one recipe: by path, values as the file would have them,
+    or a `Factor`.
+    """
+
+    rig: dict[str, Any] = field(default_factory=dict)
+    recipe: dict[str, Any] = field(default_factory=dict)
+    bench: dict[str, Any] = field(default_factory=dict)
+
+    def put(self, file: str, path: str, value: Any) -> None:
+        """Set a path of a file."""
+        getattr(self, file)[path] = value
+
+
+def changes_of(settings: Mapping[str, Any], behind: Sequence[str] = ()) -> dict[str, Changes]:
+    """The changes to each recipe, '' for the study's own, by the recipe's stem.
+
+    Raises:
+        InputError: a key names no file.
+    """
+    found = {"": Changes()}
+    for text, value in settings.items():
+        key = Key.of(text, behind)
+        found.setdefault(key.behind, Changes()).put(key.file, key.path, value)
+    return found
+
+
+# --- rigs
+# -------------------------------------------------------------------------------------------------
+
+
+def changed_rig(rig: Rig, changes: Mapping[str, Any]) -> Rig:
+    """A rig with some of its numbers set.
+
+    Raises:
+        InputError: no such number, with the nearest; or it cannot be set to that.
+    """
+    if not changes:
+        return rig
+    known, values, deeper = rig.parameters(), {}, {}
+    for path, raw in changes.items():
+        names = [path] if path in known else [n for n in known if fnmatchcase(n, path)]
+        if not names:
+            deeper[path] = raw
+        for name in names:
+            values[name] = _parameter(name, known[name], raw)
+    if deeper:
+        table = rig.as_toml()
+        for path in deeper:
+            if path.partition(".")[0] not in table:
+                raise nowhere(RIG, path, [*known, *leaves(table)])
+        path = Path(f"rig '{rig.name}'")
+        rig = validated(Rig, changed_table(table, deeper, RIG), "", path)
+    return rig.with_values(values) if values else rig
+
+
+def _parameter(name: str, old: Value, raw: Any) -> Value:
+    row = parameter_row(name)
+    if isinstance(raw, Factor):
+        unit = "" if row.unit == "dimensionless" else f" {row.unit}"
+        raw = f"{float(raw) * float(old)!r}{unit}" if unit else float(raw) * float(old)
+    try:
+        new = read_value(raw, row)
+    except UnitError as error:
+        raise InputError(f"rig.{name}: {error.message}", hint=error.hint) from None
+    number = float(new)
+    lower = old.lower if old.lower is not None and old.lower <= number else None
+    upper = old.upper if old.upper is not None and old.upper >= number else None
+    return replace(old, value=number, lower=lower, upper=upper, text=None)
+
+
+# --- tables
+# -------------------------------------------------------------------------------------------------
+
+
+def changed_table(table: Mapping[str, Any], changes: Mapping[str, Any], file: str) -> dict:
+    """A file's table with some of its keys set; a key that the file leaves out may be set as well.
+
+    Args:
+        table: as TOML has it.
+        changes: values by dotted path; the payload "none" is none.
+        file: ``rig``, ``recipe`` or ``bench``, for what is said.
+
+    Raises:
+        InputError: the path leads through what is no table, or a factor stands on no number.
+    """
+    made = deepcopy(dict(table))
+    for path, raw in changes.items():
+        _put(made, path.split("."), raw, Place(f"{file}.{path}", made))
+    if made.get("payload") == "none":
+        del made["payload"]
+    return made
+
+
+class Place(NamedTuple):
+    """A key that is being set, as the study has it, and the table that it is of."""
+
+    text: str
+    table: Mapping[str, Any]
+
+    def lost(self) -> InputError:
+        """There is no such key; with the nearest."""
+        file, _, path = self.text.partition(".")
+        return nowhere(file, path, leaves(self.table))
+
+
+def nowhere(file: str, path: str, known: Iterable[str]) -> InputError:
+    """There is no such key in a file; with the nearest of those known."""
+    near = get_close_matches(path, known, 1, 0.4)
+    return InputError(
+        f"there is no '{file}.{path}'", hint=f"nearest is '{file}.{near[0]}'" if near else None
+    )
+
+
+def leaves(table: Any, prefix: str = "") -> Iterator[str]:
+    """The dotted paths of a table's plain values; entries of lists of tables by name or number."""
+    if isinstance(table, Mapping) and "value" not in table:
+        for name, item in table.items():
+            yield from leaves(item, f"{prefix}.{name}" if prefix else str(name))
+    elif isinstance(table, list | tuple) and any(isinstance(item, Mapping) for item in table):
+        for name, item in zip(_names(table), table, strict=True):
+            yield from leaves(item, f"{prefix}.{name}")
+    else:
+        yield prefix
+
+
+def _put(here: Any, words: Sequence[str], raw: Any, place: Place) -> None:
+    """Set what ``words`` lead to from a table or list on; a table that is missing is made: the
+    file's model says whether it takes it.
+    """
+    names = list(here) if isinstance(here, dict) else _names(here)
+    sizes = range(len(words), 0, -1)  # names may have dots themselves
+    size = next((n for n in sizes if ".".join(words[:n]) in names), 0)
+    if not size and (isinstance(here, list) or isinstance(raw, Factor)):
+        raise place.lost()
+    name = ".".join(words[: size or 1])
+    at = name if isinstance(here, dict) else names.index(name)
+    rest = words[size or 1 :]
+    old = here[at] if size else None
+    if not rest:
+        here[at] = _times(old, raw, place.text)
+        return
+    inner = {} if old is None else list(old) if isinstance(old, tuple) else old
+    if isinstance(old, str) and at == "gains":
+        inner = {"from": old}
+    if not isinstance(inner, dict | list):
+        raise place.lost()
+    here[at] = inner
+    _put(inner, rest, raw, place)
+
+
+def _names(items: Sequence[Any]) -> list[str]:
+    """The entries of a list by their names, or numbers."""
+    return [
+        str(item.get("name", at)) if isinstance(item, Mapping) else str(at)
+        for at, item in enumerate(items)
+    ]
+
+
+def _times(old: Any, raw: Any, text: str) -> Any:
+    """A new value, or the old one times a factor, as the file would have it."""
+    if not isinstance(raw, Factor):
+        return raw
+    old = old.get("value") if isinstance(old, Mapping) else old
+    if isinstance(old, bool) or not isinstance(old, str | int | float):
+        raise InputError(f"'{text}' is no number that a factor could change")
+    if not isinstance(old, str):
+        return old * float(raw)
+    try:
+        number, unit = split_number(old)
+    except UnitError as error:
+        raise InputError(f"'{text}': {error.message}") from None
+    return f"{number * float(raw)!r} {unit}".strip()
+
+
+def changed_bench(table: Mapping[str, Any], changes: Mapping[str, Any], path: Path) -> dict:
+    """A bench file's table with some of its keys set.
+
+    Raises:
+        InputError: with the nearest key where there is no such one.
+    """
+    made = changed_table(table, changes, BENCH)
+    validated(BenchRecipe, made, "", path)
+    return made

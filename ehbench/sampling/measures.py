@@ -1,0 +1,199 @@
+"""What is taken of a sample: numbers of its results by name, or of its log's channels."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import types
+from collections.abc import Iterator, Mapping, Sequence
+from difflib import get_close_matches
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from ehbench.errors import InputError
+from ehbench.quantities import VOCABULARY, Quantity
+from ehbench.recipe import Measure
+from ehbench.record import Record
+
+# words of results that are quantities under another name
+_SPOKEN = {
+    "max_error": "x",
+    "rms_error": "x",
+    "final_error": "x",
+    "speed_rms_error": "v",
+    "steady_speed": "v",
+    "pump": "energy",
+    "cylinder_work": "energy",
+    "settling_time": "t",
+    "amplitude": "x",
+    "period": "t",
+    "seconds": "t",
+}
+
+
+def row_of(one: Measure) -> Quantity | None:
+    """The vocabulary row of what a measure is, as far as its words tell."""
+    words = (one.channel or one.result or "").split(".")
+    if one.inside is not None:
+        return None
+    if words[-1] in ("value", "std", "low", "high") or words[-1].isdigit():
+        known = [word for word in words[:-1] if word in VOCABULARY]
+        return VOCABULARY[known[-1]] if known else None
+    return VOCABULARY.get(_SPOKEN.get(words[-1], words[-1]))
+
+
+def value_of(one: Measure, results: Mapping[str, Any], settings: Mapping[str, float]) -> float:
+    """A measure of results; nan where they do not have it.
+
+    Args:
+        one: taken of results.
+        results: plain values, as JSON has them.
+        settings: the sample's numbers [SI] by key, for ``inside``.
+    """
+    found = lookup(results, (one.result or "").split("."))
+    if one.inside is not None:
+        if not (isinstance(found, list | tuple) and len(found) == 2 and None not in found):
+            return math.nan
+        return float(found[0] <= settings[one.inside] <= found[1])
+    if isinstance(found, list | tuple):
+        return float(len(found))
+    if isinstance(found, str):
+        return float(bool(found))
+    return math.nan if found is None or isinstance(found, Mapping) else float(found)
+
+
+def lookup(here: Any, words: Sequence[str]) -> Any:
+    """What a dotted name leads to in plain values; None where it leads nowhere. Entries of lists
+    go by their name or number, names may have dots.
+    """
+    if not words:
+        return here
+    for size in range(len(words), 0, -1):
+        name = ".".join(words[:size])
+        if isinstance(here, Mapping) and name in here:
+            return lookup(here[name], words[size:])
+        if isinstance(here, list | tuple):
+            for at, item in enumerate(here):
+                own = (item.get("name"), item.get("case")) if isinstance(item, Mapping) else ()
+                if name in own or name == str(at):
+                    return lookup(item, words[size:])
+    return None
+
+
+def of_channels(one: Measure, record: Record, stop: float | None) -> float:
+    """A measure of a trial's log [SI]; nan since a stop that never was.
+
+    Args:
+        one: taken of a channel.
+        record: the log.
+        stop: when a limit stopped the trial [s]; None if none did.
+
+    Raises:
+        LogError: no such channel; names those there are.
+    """
+    y = record[one.channel or ""]
+    y = y if one.minus is None else y - record[one.minus]
+    if one.since == "stop":
+        if stop is None:
+            return math.nan
+        y = y[record.t >= stop - 1e-9]
+    takes = {
+        "max": np.max,
+        "min": np.min,
+        "mean": np.mean,
+        "range": np.ptp,
+        "final": lambda y: y[-1],
+        "rms": lambda y: np.sqrt(np.mean(y * y)),
+        "largest": lambda y: np.max(np.abs(y)),
+    }
+    return float(takes[one.take](y))
+
+
+# --- what results there will be
+# -------------------------------------------------------------------------------------------------
+
+
+def refuse_unknown(name: str, roots: Sequence[Any], file: Any) -> None:
+    """Refuse a measure that no result will have.
+
+    Args:
+        name: dotted.
+        roots: what results look like: dataclasses, or plain values with types as their leaves; the
+            name leads through one of them.
+        file: ``file`` and ``line`` of the study's key.
+
+    Raises:
+        InputError: names the nearest.
+    """
+    if not any(_leads(root, name.split(".")) for root in roots):
+        known = [one for root in roots for one in names_in(root)]
+        near = get_close_matches(name, known, 1, 0.3)
+        raise InputError(
+            f"no result is called '{name}'",
+            **file,
+            hint=f"nearest is '{near[0]}'" if near else "there are " + ", ".join(known),
+        )
+
+
+def _leads(kind: Any, words: Sequence[str]) -> bool:
+    """Whether a name leads somewhere in results that look like ``kind``."""
+    if not words:
+        return True
+    return any(_leads(inner, words[size:]) for size, inner in _steps(kind, words))
+
+
+def _steps(kind: Any, words: Sequence[str]) -> Iterator[tuple[int, Any]]:
+    """(words used, what lies there) of each way into ``kind``."""
+    if kind is Any:
+        yield len(words), Any
+        return
+    if isinstance(kind, Mapping):
+        for size in range(1, len(words) + 1):
+            if ".".join(words[:size]) in kind:
+                yield size, kind[".".join(words[:size])]
+        return
+    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+        fields = _fields(kind)
+        if words[0] in fields:
+            yield 1, fields[words[0]]
+        return
+    origin, inside = get_origin(kind), get_args(kind)
+    if origin in (Union, types.UnionType):
+        for one in inside:
+            yield from _steps(one, words)
+    elif origin is dict:
+        yield from ((size, inside[1]) for size in range(1, len(words) + 1))
+    elif origin in (tuple, list):
+        yield from ((size, inside[0]) for size in range(1, len(words) + 1))
+
+
+def names_in(kind: Any, prefix: str = "", depth: int = 4) -> Iterator[str]:
+    """The names that results of a kind have, entries of lists by number 0."""
+    if not depth:
+        return
+    parts: list[tuple[str, Any]] = []
+    if isinstance(kind, Mapping):
+        parts = [(str(name), inner) for name, inner in kind.items()]
+    elif dataclasses.is_dataclass(kind) and isinstance(kind, type):
+        parts = list(_fields(kind).items())
+    else:
+        origin, inside = get_origin(kind), get_args(kind)
+        if origin in (Union, types.UnionType):
+            for one in inside:
+                yield from names_in(one, prefix, depth)
+            return
+        if origin in (tuple, list):
+            parts = [("0", inside[0])]
+    if not parts and prefix:
+        yield prefix
+    for name, inner in parts:
+        yield from names_in(inner, f"{prefix}.{name}" if prefix else name, depth - 1)
+
+
+def _fields(kind: type) -> dict[str, Any]:
+    """The fields of a dataclass with what they hold; anything, where its module does not say."""
+    try:
+        return get_type_hints(kind)
+    except NameError:
+        return {one.name: Any for one in dataclasses.fields(kind)}

@@ -1,0 +1,141 @@
+"""The table of a study, a row a sample, as CSV and Parquet; written in the order of the samples, a
+stretch at a time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ehbench.quantities import Quantity
+from ehbench.recipe import Measure
+from ehbench.rig import Rig
+from ehbench.sampling.design import Design
+from ehbench.sampling.journal import Journal
+from ehbench.sampling.measures import row_of
+from ehbench.sampling.sample import Sample
+from ehbench.sampling.tables import Parquet
+from ehbench.text import quoted
+from ehbench.units import from_si
+
+STRETCH = 4096  # rows at a time
+
+
+@dataclass(frozen=True)
+class MeasureColumn:
+    """A column of measures: its name, the unit people see ('' for none), its quantity if its words
+    tell, and whether a sample that a limit stopped has it as well.
+    """
+
+    name: str
+    unit: str
+    row: Quantity | None
+    of_stops: bool
+
+    @classmethod
+    def of(cls, one: Measure, rig: Rig | None) -> MeasureColumn:
+        """The column of a measure, in the unit that it asks for, else in the rig's."""
+        row = row_of(one)
+        unit = one.unit or ("" if row is None else row.display)
+        if row is not None and not one.unit and rig is not None:
+            unit = rig.unit_of(row.name)
+        first = (one.result or "").split(".")[0]
+        stops = one.since == "stop" or first in ("stop", "after", "stopped", "code")
+        return cls(one.label, "" if unit == "dimensionless" else unit, row, stops)
+
+    @property
+    def head(self) -> str:
+        """As a table heads it."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    def shown(self, value: Any) -> Any:
+        """An SI value, or array, in the column's unit."""
+        return value if self.row is None or not self.unit else from_si(value, self.unit, self.row)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The table in memory, column by column: ``inputs`` as numbers, shape (samples, inputs), a text
+    by its place among those of its column; ``measures`` as shown, shape (samples, measures).
+    """
+
+    inputs: np.ndarray
+    texts: tuple[tuple[str, ...], ...]
+    measures: np.ndarray
+    codes: np.ndarray
+    status: tuple[str, ...]
+
+
+def hash_of(key: str, settings: Any) -> str:
+    """What a sample hangs on, as 16 hex digits."""
+    text = json.dumps(settings, sort_keys=True, default=str)
+    return hashlib.sha256(f"{key}{text}".encode()).hexdigest()[:16]
+
+
+def write_tables(
+    folder: Path, design: Design, measures: Sequence[MeasureColumn], journal: Journal, key: str
+) -> Rows:
+    """Write ``samples.csv`` and ``samples.parquet``; the table also comes back.
+
+    Args:
+        folder: of the run.
+        design: the samples' inputs.
+        measures: the columns behind them.
+        journal: every sample.
+        key: of the study.
+    """
+    kinds = [(one.head, "text" if one.is_text else "float") for one in design.columns]
+    front = [("sample", "int"), ("hash", "text"), ("code", "int"), ("status", "text")]
+    columns = [*front, *kinds, *((one.head, "float") for one in measures), ("said", "text")]
+    parquet = Parquet(folder / "samples.parquet", columns)
+    size = design.size
+    inputs = np.full((size, len(design.columns)), np.nan)
+    numbers = np.full((size, len(measures)), np.nan)
+    codes, status = np.zeros(size, np.int16), []
+    texts: list[dict[str, int]] = [{} for _ in design.columns]
+    with (folder / "samples.csv").open("w", encoding="utf-8") as csv:
+        csv.write(",".join(quoted(name) for name, _ in columns) + "\n")
+        for rows in _stretches(journal):
+            lines = [_line(one, design, measures, key) for one in rows]
+            parquet.add([*zip(*lines, strict=True)])
+            csv.writelines(",".join(_cell(cell) for cell in line) + "\n" for line in lines)
+            for line in lines:
+                index, last = line[0], 4 + len(kinds)
+                codes[index], numbers[index] = line[2], line[last:-1]
+                status.append(line[3])
+                for at, cell in enumerate(line[4:last]):
+                    is_text = isinstance(cell, str)
+                    inputs[index, at] = (
+                        texts[at].setdefault(cell, len(texts[at])) if is_text else cell
+                    )
+    parquet.close()
+    return Rows(inputs, tuple(tuple(one) for one in texts), numbers, codes, tuple(status))
+
+
+def _stretches(journal: Journal) -> Iterator[list[Sample]]:
+    samples = journal.samples()
+    while rows := list(islice(samples, STRETCH)):
+        yield rows
+
+
+def _line(one: Sample, design: Design, measures: Sequence[MeasureColumn], key: str) -> list[Any]:
+    own = design.inputs(one.index)
+    values = [
+        float(column.shown(value)) for column, value in zip(measures, one.measures, strict=True)
+    ]
+    digest = hash_of(key, design.settings(one.index))
+    return [one.index, digest, one.code, one.status, *design.cells(own), *values, one.said]
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, float):
+        return "" if math.isnan(value) else repr(value)
+    return quoted(str(value))

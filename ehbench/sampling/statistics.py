@@ -1,0 +1,149 @@
+"""What samples say together: quantiles and shares with their confidence limits, and which inputs
+matter. Pure functions of arrays.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+CONFIDENCE = 0.95
+QUANTILES = (0.05, 0.5, 0.95, 0.99)
+
+
+class Quantile(NamedTuple):
+    """A quantile of a measure: its ``share``, value, and the ends of its 95 % interval, None where
+    there are too few samples for one.
+    """
+
+    share: float
+    value: float
+    low: float | None
+    high: float | None
+
+
+def quantile(values: np.ndarray, share: float, confidence: float = CONFIDENCE) -> Quantile:
+    """A quantile with a distribution-free interval from order statistics: the number of samples
+    below the quantile is binomial (Conover, Practical Nonparametric Statistics, 3.2).
+
+    Args:
+        values: finite, shape (samples,), at least one.
+        share: of the quantile, from 0 to 1.
+        confidence: that the interval holds it, at least.
+    """
+    from scipy.stats import binom
+
+    ordered, n = np.sort(values), values.size
+    tail = 0.5 * (1.0 - confidence)
+    # P(X_(r) ≤ q) = P(B ≥ r): the largest r with P(B ≤ r − 1) ≤ tail, the least s with P(B ≥ s) ≤ …
+    first = int(binom.ppf(tail, n, share))
+    while first > 0 and binom.cdf(first - 1, n, share) > tail:
+        first -= 1
+    last = int(binom.isf(tail, n, share)) + 1
+    while last <= n and binom.sf(last - 1, n, share) > tail:
+        last += 1
+    low = float(ordered[first - 1]) if first >= 1 else None
+    high = float(ordered[last - 1]) if last <= n else None
+    return Quantile(share, float(np.quantile(ordered, share)), low, high)
+
+
+class Share(NamedTuple):
+    """How many of how many, as a share with its 95 % interval."""
+
+    count: int
+    of: int
+    share: float
+    low: float
+    high: float
+
+
+def share(count: int, of: int, confidence: float = CONFIDENCE) -> Share:
+    """A share with its exact interval (Clopper and Pearson 1934)."""
+    from scipy.special import betaincinv
+
+    if not of:
+        return Share(0, 0, math.nan, 0.0, 1.0)
+    tail = 0.5 * (1.0 - confidence)
+    low = 0.0 if count == 0 else float(betaincinv(count, of - count + 1, tail))
+    high = 1.0 if count == of else float(betaincinv(count + 1, of - count, 1.0 - tail))
+    return Share(count, of, count / of, low, high)
+
+
+class Sensitivity(NamedTuple):
+    """How much an input moves a measure: ``first`` and ``total`` Sobol indices with ± their 95 %
+    half widths, or the standardised coefficient of a rank regression as ``rank``; None: not of
+    this kind.
+    """
+
+    key: str
+    rank: float | None = None
+    first: float | None = None
+    first_error: float | None = None
+    total: float | None = None
+    total_error: float | None = None
+
+
+def rank_regression(
+    keys: Sequence[str], inputs: np.ndarray, values: np.ndarray
+) -> tuple[list[Sensitivity], float]:
+    """(standardised rank-regression coefficients, the share of the ranks' variance that they
+    explain): the linear regression of ranks on ranks (Saltelli and Sobol 1995).
+
+    Args:
+        keys: of the inputs.
+        inputs: shape (samples, inputs); those that do not vary get nan.
+        values: finite, shape (samples,).
+    """
+    from scipy.stats import rankdata
+
+    x, y = rankdata(inputs, axis=0), rankdata(values)
+    spread = x.std(axis=0)
+    moving = spread > 0.0
+    if values.size <= moving.sum() + 1 or not y.std():
+        return [Sensitivity(key) for key in keys], math.nan
+    a = (x[:, moving] - x[:, moving].mean(axis=0)) / spread[moving]
+    b = (y - y.mean()) / y.std()
+    coefficients, *_ = np.linalg.lstsq(a, b, rcond=None)
+    explained = 1.0 - float(np.mean((b - a @ coefficients) ** 2))
+    found = np.full(len(keys), np.nan)
+    found[moving] = coefficients
+    return [
+        Sensitivity(key, rank=None if math.isnan(one) else one)
+        for key, one in zip(keys, found.tolist(), strict=True)
+    ], explained
+
+
+def sobol(keys: Sequence[str], values: np.ndarray, count: int, seed: int) -> list[Sensitivity]:
+    """First-order and total Sobol indices of a saltelli design, with bootstrap half widths.
+
+    Args:
+        keys: of the inputs.
+        values: finite, in the order of the design: A, B, then A with each column of B in turn.
+        count: samples in A.
+        seed: of the bootstrap.
+    """
+    from scipy.stats import sobol_indices
+
+    size = len(keys)
+    f_a, f_b = values[:count], values[count : 2 * count]
+    f_ab = values[2 * count :].reshape(size, count)
+
+    def indices(f_a: np.ndarray, f_b: np.ndarray, f_ab: np.ndarray):
+        # shapes as scipy has them: (outputs, n), (outputs, n), (inputs, outputs, n)
+        func = {"f_A": f_a[None, :], "f_B": f_b[None, :], "f_AB": f_ab[:, None, :]}
+        found = sobol_indices(func=func, n=count)
+        return np.atleast_1d(found.first_order), np.atleast_1d(found.total_order)
+
+    first, total = indices(f_a, f_b, f_ab)
+    rng, draws = np.random.default_rng(seed), []
+    for _ in range(200):
+        at = rng.integers(0, count, count)
+        draws.append(indices(f_a[at], f_b[at], f_ab[:, at]))
+    half = 1.96 * np.std(np.array(draws), axis=0)
+    return [
+        Sensitivity(key, None, *map(float, (first[i], half[0][i], total[i], half[1][i])))
+        for i, key in enumerate(keys)
+    ]

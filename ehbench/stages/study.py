@@ -1,0 +1,493 @@
+"""A recipe over many samples → ``samples.parquet``, ``samples.csv``, ``study.json`` and the worst
+samples as whole runs.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ehbench import rundir
+from ehbench.errors import EhbenchError, InputError
+from ehbench.recipe import StudyRecipe, load_recipe
+from ehbench.sampling import statistics
+from ehbench.sampling.design import CASE, RECIPE, Column, Design, Fitted, label_of
+from ehbench.sampling.journal import Journal
+from ehbench.sampling.outputs import MeasureColumn, Rows, write_tables
+from ehbench.sampling.cluster import Cluster
+from ehbench.sampling.pools import Pool, Processes, Threads, cores
+from ehbench.sampling.sample import STATUS, WHOLE, Task
+from ehbench.stages.base import DONE, INCOMPLETE, Host, Outcome, Prepared, Progress, Stage, Work
+from ehbench.stages.findings import counted
+from ehbench.stages.inputs import Inputs
+from ehbench.stages.kept import keep
+from ehbench.stages.samples import (
+    Plan,
+    RecordedRuns,
+    Sampler,
+    bundle_of,
+    open_sampler,
+    recipes_behind,
+    refuse_measures,
+)
+from ehbench.units import parse
+
+SHORT = 10.0  # [s] of work below which other processes would start too late to help
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where and how a study's samples are made: the address of a Dask ``scheduler``, '' for this
+    machine; how many ``workers``, 0 for one a core.
+    """
+
+    scheduler: str = ""
+    workers: int = 0
+
+
+@dataclass(frozen=True)
+class PreparedStudy(Prepared):
+    """A study before its first sample. ``key`` says what its samples hang on; ``journal`` is where
+    they are kept until it is whole, ``resume`` whether to go on with those of a killed study.
+    """
+
+    recipe: StudyRecipe
+    plan: Plan
+    design: Design
+    measures: tuple[MeasureColumn, ...]
+    targets: tuple[dict[str, Any], ...]
+    key: str
+    where: Where = field(default_factory=Where)
+    resume: bool = False
+    journal: Path = Path("study.samples.jsonl")
+
+
+class StudyStage(Stage[StudyRecipe, PreparedStudy]):
+    """`StudyRecipe`."""
+
+    recipe = StudyRecipe
+    name = "study"
+    command = "study"
+    writes = "samples.parquet, samples.csv, study.json, the worst samples as runs, figures"
+
+    def prepare(self, recipe: StudyRecipe, inputs: Inputs) -> PreparedStudy:
+        runs = RecordedRuns(inputs.runs)
+        paths = tuple(inputs.existing(name) for name in recipe.recipe)
+        files = [("recipe", path) for path in paths]
+        prepared = [self._inner(path, at, inputs, runs) for at, path in enumerate(paths)]
+        for one in prepared:
+            files += [file for file in one[1].inputs or () if file not in files]
+        fitted = None
+        if recipe.identified is not None:
+            fitted, found = _fitted(recipe, inputs)
+            files += [("identified", found)] if found is not None else []
+        for behind in (one for path in paths for one in recipes_behind(path).values()):
+            files += [("behind", behind)] if ("behind", behind) not in files else []
+        design = Design(recipe, fitted)
+        allowed = {"allow_code": inputs.allow_code, "unvalidated": inputs.unvalidated}
+        plan = Plan(recipe, paths, runs.folders, **allowed)
+        if not inputs.findings.errors:
+            _refuse_keys(recipe, plan, design, inputs)
+            for stage, one in prepared:
+                with inputs.findings.noting():
+                    refuse_measures(recipe, one, stage)
+        rig = getattr(prepared[0][1], "state", getattr(prepared[0][1], "base", None))
+        measures = tuple(
+            MeasureColumn.of(one, None if rig is None else rig.rig) for one in recipe.measures
+        )
+        targets = tuple(_target(recipe, at, measures) for at in range(len(recipe.target)))
+        names = " and ".join(f"'{name}'" for name in recipe.recipe)
+        does = f"runs {names} {design.size} times and takes {counted(measures, 'measure')} of each"
+        hung = [rundir.sha256(path) for _, path in files] + [rundir.code_version()]
+        key = hashlib.sha256("".join([*hung, repr(recipe.model_dump())]).encode()).hexdigest()[:16]
+        seeds = {"study": recipe.seed}
+        return PreparedStudy(
+            recipe, tuple(files), does, plan, design, measures, targets, key, seeds=seeds
+        )
+
+    @staticmethod
+    def _inner(path: Path, at: int, inputs: Inputs, runs: RecordedRuns) -> tuple[Stage, Prepared]:
+        """(stage, prepared) of a recipe that the study runs."""
+        from ehbench.stages import stage_of
+
+        inner = load_recipe(path)
+        stage = stage_of(inner)
+        if not isinstance(stage, Stage) or stage.name in ("campaign", "study"):
+            raise InputError(
+                f"'{inputs.findings.shown(path)}' is of stage '{inner.stage_name}', "
+                "of which there are no studies",
+                **inputs.recipe.at("recipe"),
+                hint="name a recipe of a trial, identify, validate or tune",
+            )
+        inputs.findings.say("reads", inputs.findings.shown(path))
+        return stage, stage.prepare(inner, replace(inputs, recipe=inner, runs=runs))
+
+    def run(self, prepared: PreparedStudy, host: Host) -> Outcome:
+        """As `Stage.run`; samples are kept beside the run's place until it is whole."""
+        final = host.out or rundir.place(prepared.recipe.path, prepared.inputs or (), host.root)
+        journal = final.with_name(f"{final.name}.samples.jsonl")
+        where = getattr(host, "where", None) or Where()
+        made = super().run(
+            replace(prepared, where=where, journal=journal, resume=host.resume), host
+        )
+        journal.unlink(missing_ok=True)
+        return made
+
+    def work(self, prepared: PreparedStudy, folder: Path, progress: Progress | None) -> Work:
+        design, recipe = prepared.design, prepared.recipe
+        journal = Journal(prepared.journal, prepared.key, design.size, prepared.resume)
+        try:
+            _make(prepared, journal, progress)
+            columns = write_tables(folder, design, prepared.measures, journal, prepared.key)
+            worst = _worst(prepared, columns)
+            kept = keep(prepared.plan, design, worst, folder / "samples", progress)
+        finally:
+            journal.close()
+        counts = Counter(columns.status)
+        said = [
+            f"{n} of {design.size} samples {word}"
+            for word, n in sorted(counts.items())
+            if word != STATUS[0]
+        ]
+        rundir.write_json(
+            folder / "study.json",
+            {
+                "recipe": [Path(name).stem for name in recipe.recipe],
+                "samples": design.size,
+                "combinations": design.combinations,
+                "points": design.points,
+                "design": recipe.design,
+                "status": dict(counts),
+                "key": prepared.key,
+                "inputs": [asdict(one) | {"values": values} for one, values in _inputs(design)],
+                "measures": _summaries(prepared, columns),
+                "targets": _targets(prepared, columns),
+                "groups": _groups(prepared, columns),
+                "sensitivity": _sensitivity(prepared, columns),
+                "worst": kept,
+            },
+        )
+        facts = {"samples": design.size, "warnings": said}
+        bad = sum(n for word, n in counts.items() if word in ("failed", "refused", "late"))
+        return Work(facts, code=INCOMPLETE if bad else DONE)
+
+
+def _fitted(recipe: StudyRecipe, inputs: Inputs) -> tuple[Fitted | None, Path | None]:
+    """What was identified, and its run; nothing where a check finds that it has not been run."""
+    assert recipe.identified is not None
+    folder = inputs.run_folder(inputs.existing(recipe.identified.run))
+    if folder is None:
+        inputs.findings.say("open", f"what is drawn: '{recipe.identified.run}' has not been run")
+        return None, None
+    path = folder / "parameters.json"
+    if not path.is_file():
+        raise InputError(
+            f"'{recipe.identified.run}' has identified no parameters",
+            **recipe.at("identified", "run"),
+            hint="name an identify recipe of hydraulics or its run",
+        )
+    return Fitted.of(rundir.read_json(path), recipe.identified.parameters, path), folder
+
+
+def _refuse_keys(recipe: StudyRecipe, plan: Plan, design: Design, inputs: Inputs) -> None:
+    """Try every key, and every listed value of it, by itself."""
+    from tempfile import TemporaryDirectory
+
+    first = design.settings(0)
+    chosen = {key: first[key] for key in (RECIPE,) if key in first}
+    trials: list[tuple[tuple[str | int, ...], dict[str, Any]]] = []
+    for one in design.listed:
+        if one.key in (CASE, RECIPE):
+            continue
+        for at in range(len(one.values)):
+            value = design.settings(_index_of(design, one.key, at))[one.key]
+            trials.append((("sweep", one.key), {one.key: value}))
+    for one in design.drawn:
+        where = next((t for t in ("draw", "sweep") if one.key in getattr(recipe, t)), "identified")
+        trials.append(((where, one.key), {one.key: first[one.key]}))
+    trials += [(("seeds", at), {key: first[key]}) for at, key in enumerate(recipe.seeds)]
+    trials += [(("case", at), {CASE: case.name}) for at, case in enumerate(recipe.case)]
+    with TemporaryDirectory() as scratch:
+        sampler = Sampler(plan, Path(scratch))
+        for where, settings in trials:
+            with inputs.findings.noting():
+                try:
+                    for name in recipe.recipe if not chosen else [chosen[RECIPE]]:
+                        sampler.refuse({RECIPE: name, **settings}, Path(scratch))
+                except EhbenchError as error:
+                    message = error.message
+                    raise InputError(message, **recipe.at(*where), hint=error.hint) from None
+
+
+def _index_of(design: Design, key: str, at: int) -> int:
+    """A sample with the ``at``-th value of a listed key."""
+    step = design.points
+    for one in reversed(design.listed):
+        if one.key == key:
+            return at * step
+        step *= len(one.values)
+    raise KeyError(key)
+
+
+def _target(recipe: StudyRecipe, at: int, measures: tuple[MeasureColumn, ...]) -> dict[str, Any]:
+    """A target in the unit of its measure's column.
+
+    Raises:
+        InputError: no such measure, or an end that is none of its quantity.
+    """
+    one, where = recipe.target[at], recipe.at("target", at, "measure")
+    names = [column.name for column in measures]
+    if one.measure not in names:
+        from difflib import get_close_matches
+
+        near = get_close_matches(one.measure, names, 1, 0.3)
+        raise InputError(
+            f"'{one.measure}' is no measure of this study",
+            **where,
+            hint=f"did you mean '{near[0]}'?" if near else "it has " + ", ".join(names),
+        )
+    column = measures[names.index(one.measure)]
+    ends = {}
+    for key in ("at_most", "at_least"):
+        raw = getattr(one, key)
+        if raw is not None:
+            ends[key] = _end(raw, column, recipe, at, key)
+    return {"measure": one.measure, "unit": column.unit, **ends}
+
+
+def _end(raw: Any, column: MeasureColumn, recipe: StudyRecipe, at: int, key: str) -> float:
+    if not isinstance(raw, str):
+        return float(raw)
+    if column.row is None:
+        raise InputError(
+            f"'{column.name}' has no unit that is known",
+            **recipe.at("target", at, key),
+            hint="write a plain number",
+        )
+    try:
+        return float(column.shown(parse(raw, column.row)))
+    except EhbenchError as error:
+        raise InputError(error.message, **recipe.at("target", at, key), hint=error.hint) from None
+
+
+# --- making
+# -------------------------------------------------------------------------------------------------
+
+
+def _make(prepared: PreparedStudy, journal: Journal, progress: Progress | None) -> None:
+    """Make every sample that the journal has not."""
+    design, tell = prepared.design, _Teller(journal, prepared.design.size, progress)
+    left = (index for index in range(design.size) if not journal.done[index])
+    tasks = ((index, design.settings(index)) for index in left)
+    for pool, share in _pools(prepared, tasks):
+        for samples in pool.run(share):
+            journal.add(samples)
+            tell()
+
+
+def _pools(prepared: PreparedStudy, tasks: Iterator[Task]) -> Iterator[tuple[Pool, Iterator[Task]]]:
+    """Where the samples are made, and which: a short study in threads; what is left after SHORT in
+    processes, which the interpreter's lock does not hold up; at once there what may hang.
+    """
+    where, plan, measures = prepared.where, prepared.plan, len(prepared.measures)
+    if where.scheduler:
+        yield Cluster(where.scheduler, bundle_of(plan), measures, plan.limit), tasks
+        return
+    opener, workers = partial(open_sampler, plan), where.workers or cores()
+    if plan.limit is None and not plan.allow_code:
+        yield Threads(opener, workers), _until(time.monotonic() + SHORT, tasks)
+    yield Processes(opener, workers, measures, plan.limit), tasks
+
+
+def _until(end: float, tasks: Iterator[Task]) -> Iterator[Task]:
+    """Tasks that are taken before ``end`` on the monotonic clock."""
+    while time.monotonic() < end and (task := next(tasks, None)) is not None:
+        yield task
+
+
+class _Teller:
+    """Tells how far a study is, and how long it will take still."""
+
+    def __init__(self, journal: Journal, size: int, progress: Progress | None) -> None:
+        self._journal, self._size, self._progress = journal, size, progress
+        self._begun = time.monotonic()
+
+    def __call__(self) -> None:
+        if self._progress is None:
+            return
+        done, taken = int(self._journal.done.sum()), self._journal.taken
+        left = (time.monotonic() - self._begun) * (self._size - done) / max(done - taken, 1)
+        self._progress(
+            f"{done} of {self._size} samples, {spoken(left)} left", 0.9 * done / self._size
+        )
+
+
+def spoken(seconds: float) -> str:
+    """A time as people say it."""
+    for size, word in ((86400.0, "d"), (3600.0, "h"), (60.0, "min")):
+        if seconds >= 2.0 * size:
+            return f"{seconds / size:.0f} {word}"
+    return f"{seconds:.0f} s"
+
+
+# --- what they say together
+# -------------------------------------------------------------------------------------------------
+
+
+def _inputs(design: Design) -> Iterator[tuple[Column, list[str]]]:
+    listed = {one.key: [label_of(value) for value in one.values] for one in design.listed}
+    for column in design.columns:
+        yield column, listed.get(column.key, [])
+
+
+def _counted(prepared: PreparedStudy, rows: Rows, at: int) -> np.ndarray:
+    """The samples whose measure counts: it is there, and of a whole sample or of a stop."""
+    there = np.isfinite(rows.measures[:, at])
+    whole = np.isin(rows.codes, WHOLE) | prepared.measures[at].of_stops
+    return there & whole
+
+
+def _summaries(prepared: PreparedStudy, rows: Rows) -> list[dict[str, Any]]:
+    """Of each measure: how many samples have it, mean, spread, ends, quantiles with limits."""
+    found = []
+    for at, column in enumerate(prepared.measures):
+        y = rows.measures[_counted(prepared, rows, at), at]
+        about = {"name": column.name, "unit": column.unit, "samples": int(y.size)}
+        if y.size:
+            about |= {"mean": y.mean(), "std": y.std(ddof=1) if y.size > 1 else None}
+            about |= {"least": y.min(), "most": y.max()}
+            about["quantiles"] = [
+                statistics.quantile(y, share)._asdict() for share in statistics.QUANTILES
+            ]
+        found.append(about)
+    return found
+
+
+def _met(prepared: PreparedStudy, rows: Rows, target: Mapping[str, Any]) -> np.ndarray:
+    """The samples that keep to a target; one without the measure does not."""
+    at = [column.name for column in prepared.measures].index(target["measure"])
+    y = np.where(_counted(prepared, rows, at), rows.measures[:, at], np.nan)
+    with np.errstate(invalid="ignore"):
+        return (y <= target.get("at_most", math.inf)) & (y >= target.get("at_least", -math.inf))
+
+
+def _targets(prepared: PreparedStudy, rows: Rows) -> list[dict[str, Any]]:
+    size = rows.codes.size
+    return [
+        {**target, **statistics.share(int(_met(prepared, rows, target).sum()), size)._asdict()}
+        for target in prepared.targets
+    ]
+
+
+MOST_GROUPS = 400
+
+
+def _groups(prepared: PreparedStudy, rows: Rows) -> list[dict[str, Any]]:
+    """Of each combination of listed values: medians, upper quantiles, shares that keep to targets;
+    nothing where there is one combination, or too many to read.
+    """
+    design = prepared.design
+    if not 1 < design.combinations <= MOST_GROUPS:
+        return []
+    keys, found = [one.key for one in design.listed], []
+    met = [_met(prepared, rows, target) for target in prepared.targets]
+    for g in range(design.combinations):
+        span = slice(g * design.points, (g + 1) * design.points)
+        inputs = design.inputs(g * design.points)[: len(keys)]
+        measures = []
+        for at in range(len(prepared.measures)):
+            y = rows.measures[span, at][_counted(prepared, rows, at)[span]]
+            ends = np.quantile(y, (0.5, 0.95)).tolist() if y.size else [None, None]
+            most = float(y.max()) if y.size else None
+            mean = float(y.mean()) if y.size else None
+            measures.append(
+                {
+                    "samples": int(y.size),
+                    "mean": mean,
+                    "median": ends[0],
+                    "q95": ends[1],
+                    "most": most,
+                }
+            )
+        found.append(
+            {
+                "values": dict(zip(keys, map(label_of, inputs), strict=True)),
+                "cells": design.cells(design.inputs(g * design.points))[: len(keys)],
+                "samples": design.points,
+                "whole": int(np.isin(rows.codes[span], WHOLE).sum()),
+                "measures": measures,
+                "targets": [
+                    statistics.share(int(one[span].sum()), design.points)._asdict() for one in met
+                ],
+            }
+        )
+    return found
+
+
+def _sensitivity(prepared: PreparedStudy, rows: Rows) -> list[dict[str, Any]]:
+    """Of each measure, how much each input of numbers moves it."""
+    design, recipe = prepared.design, prepared.recipe
+    numeric = [
+        i
+        for i, one in enumerate(design.columns)
+        if not one.is_text and one.varied != "seed" and np.ptp(rows.inputs[:, i]) > 0.0
+    ]
+    found = []
+    for at, column in enumerate(prepared.measures):
+        mask = _counted(prepared, rows, at)
+        y, keys = rows.measures[mask, at], [design.columns[i].key for i in numeric]
+        if not keys or y.size < 10 or np.ptp(y) == 0.0:
+            continue
+        explained, way = None, "rank"
+        if recipe.design == "saltelli" and design.combinations == 1 and mask.all():
+            drawn = [one.key for one in design.drawn]
+            table = statistics.sobol(drawn, y, recipe.samples, recipe.seed)
+            way = "sobol"
+        else:
+            x = rows.inputs[mask][:, numeric]
+            table, explained = statistics.rank_regression(keys, x, y)
+        found.append(
+            {
+                "measure": column.name,
+                "way": way,
+                "explained": explained,
+                "inputs": [one._asdict() for one in table],
+            }
+        )
+    return found
+
+
+def _worst(prepared: PreparedStudy, rows: Rows) -> list[int]:
+    """The samples to keep: the worst by the measure that decides, and the first of each that did
+    not come to its end.
+    """
+    recipe = prepared.recipe
+    names = [column.name for column in prepared.measures]
+    first = prepared.targets[0]["measure"] if prepared.targets else names[0]
+    name = recipe.worst or first
+    if name not in names:
+        raise InputError(
+            f"'{name}' is no measure of this study",
+            **recipe.at("worst"),
+            hint="it has " + ", ".join(names),
+        )
+    at = names.index(name)
+    low = any(
+        t["measure"] == name and "at_least" in t and "at_most" not in t for t in prepared.targets
+    )
+    y = np.where(_counted(prepared, rows, at), rows.measures[:, at], np.nan)
+    order = np.argsort(y if low else -y, kind="stable")
+    picked = [int(i) for i in order[: recipe.keep] if np.isfinite(y[i])]
+    for word in (STATUS[5], STATUS[2], STATUS[1]):
+        if recipe.keep and word in rows.status and (i := rows.status.index(word)) not in picked:
+            picked.append(i)
+    return picked

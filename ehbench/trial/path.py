@@ -1,0 +1,275 @@
+"""A path of the tip as motions of cylinders: straight lines from point to point, a rest at each,
+turned into strokes by the mechanism's own kinematics.
+
+Along a line of length s the strokes are quintic splines through postures that inverse kinematics
+finds a few millimetres apart; how s goes with time is a trajectory with bounded jerk."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ehbench.control.trajectory import A, J, V, X, point_to_point
+from ehbench.errors import InputError
+from ehbench.parts.cylinder import joint_range_of, linkage_arrays
+from ehbench.physics.tip import FOUND, Chain, Found, reach, tip_of
+from ehbench.plant.model import Model
+from ehbench.recipe import Motion, TrialRecipe
+from ehbench.trial.motion import limits_of
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
+
+    from ehbench.plant.build import Maps
+    from ehbench.rig import Rig
+
+STEP = 0.01  # [m] between two postures along a line, at the most
+LEAST = 16  # postures along a line
+OFF = 1.0e-5  # [m] by which the tip may leave its line between two postures
+FINER = 4  # times that postures are doubled until it does not
+TRIES = 64  # postures from which a first point is looked for
+
+
+@dataclass(frozen=True)
+class Route:
+    """A path turned into strokes: by cylinder where it starts [m], and its table of x, v, a, j."""
+
+    starts: dict[str, float]
+    tables: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Mover:
+    """The cylinders that a path moves, by number, and the mechanism that they move."""
+
+    recipe: TrialRecipe
+    motion: Motion
+    model: Model
+    chain: Chain
+    moved: dict[str, int]
+
+    @classmethod
+    def of(cls, recipe: TrialRecipe, motion: Motion, model: Model) -> Mover:
+        """What a recipe's path moves.
+
+        Raises:
+            InputError: it names no cylinder of the rig.
+        """
+        plant, names = model.plant, model.layout.cylinders
+        for index, name in enumerate(motion.cylinders):
+            if name not in names:
+                raise InputError(
+                    f"rig '{model.rig.name}' has no cylinder '{name}'",
+                    **recipe.at(*motion.where, "cylinders", index),
+                    hint="it has " + ", ".join(names),
+                )
+        moved = {name: names.index(name) for name in motion.cylinders or names}
+        low, high = np.full((2, len(model.layout.joints)), np.nan)
+        q = model.posture(recipe.posture)
+        low[:], high[:] = q, q
+        for index in moved.values():
+            row = plant.cylinders[index]
+            low[row.joint], high[row.joint] = sorted(joint_range_of(row))
+        return cls(
+            recipe, motion, model, Chain(plant.kind, plant.links, plant.gravity, low, high), moved
+        )
+
+    @property
+    def free(self) -> np.ndarray:
+        """True for the joints that it moves."""
+        free = np.zeros(self.chain.low.size, bool)
+        free[[int(self.model.plant.cylinders[i].joint) for i in self.moved.values()]] = True
+        return free
+
+    def first(self, point: np.ndarray) -> Found:
+        """A posture with the tip at a point: the one nearest to the recipe's. Of a point out of
+        reach, the one that comes nearest.
+        """
+        begin = self.model.posture(self.recipe.posture)
+        found = reach(self.chain, point, begin, self.free)
+        if found.there:
+            return found
+        choices = [(0.2, 0.8) if free else (0.5,) for free in self.free]
+        span = self.chain.high - self.chain.low
+        tried = [found]
+        for share in list(product(*choices))[:TRIES]:
+            tried.append(reach(self.chain, point, self.chain.low + share * span, self.free))
+        there = [one for one in tried if one.there]
+        if there:
+            return min(there, key=lambda one: float(np.linalg.norm(one.q - begin)))
+        return min(tried, key=lambda one: one.miss)
+
+    def refuse(self, found: Found, what: str, index: int) -> None:
+        """Refuse a point that the tip does not come to.
+
+        Raises:
+            InputError: which, by how much, at whose end of stroke.
+        """
+        if found.there:
+            return
+        ends = []
+        for name, number in self.moved.items():
+            row = self.model.plant.cylinders[number]
+            way = int(found.beyond[int(row.joint)])
+            if way:
+                retracted, extended = joint_range_of(row)
+                full = f"{float(row.stroke) * 1e3:.4g} mm"
+                out = (way > 0) == (extended > retracted)
+                ends.append(f"'{name}' at its {full if out else '0 mm'} end")
+        stopped = f": {' and '.join(ends)}" if ends else ""
+        hint = None
+        if not ends:
+            count = len(self.moved)
+            hint = "the tip moves " + {
+                1: "on one line: one cylinder moves it",
+                2: "on one surface: two cylinders move it",
+            }.get(count, "no farther in that direction: the links are stretched or folded")
+        raise InputError(
+            f"{what} is out of reach by {found.miss * 1e3:.3g} mm{stopped}",
+            **self.recipe.at(*self.motion.where, "points", index),
+            hint=hint,
+        )
+
+    def strokes(self, q: np.ndarray) -> np.ndarray:
+        """Strokes [m] of the cylinders that it moves, shape (postures, cylinders)."""
+        rows = [self.model.plant.cylinders[i] for i in self.moved.values()]
+        return np.column_stack([linkage_arrays(row, q[:, int(row.joint)])[0] for row in rows])
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A line of the path, by the way s [m] made on it: the strokes' spline, from row to row."""
+
+    length: float
+    strokes: BSpline
+
+
+def along_path(recipe: TrialRecipe) -> bool:
+    """Whether a trial's motion is a path of the tip."""
+    return recipe.motion is not None and recipe.motion.kind == "path"
+
+
+def route(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> Route:
+    """The strokes along a recipe's path.
+
+    Raises:
+        InputError: a point that the tip cannot come to, or a line between two that it leaves, with
+            the line of the recipe.
+    """
+    motion = recipe.motion
+    assert isinstance(motion, Motion)  # asked of a path only
+    mover = Mover.of(recipe, motion, Model.of(rig, maps))
+    points = [np.array(point.value, float) for point in motion.points]
+    found = [mover.first(point) for point in points]
+    for index, (one, point) in enumerate(zip(found, points, strict=True)):
+        mover.refuse(one, f"point {index + 1}, {_at(point)},", index)
+    q, legs = found[0].q, []
+    start = mover.strokes(q[None])[0]
+    for index, (one, other) in enumerate(zip(points[:-1], points[1:], strict=True), 1):
+        leg, q = _leg(mover, (one, other), q, index)
+        legs.append(leg)
+    table = _times(recipe, motion, [leg.length for leg in legs])
+    tables = _along(table, legs, len(mover.moved))
+    return Route(
+        dict(zip(mover.moved, start.tolist(), strict=True)),
+        dict(zip(mover.moved, tables, strict=True)),
+    )
+
+
+def _at(point: np.ndarray) -> str:
+    return "(" + ", ".join(f"{one:.4g}" for one in point) + ") m"
+
+
+def _leg(
+    mover: Mover, ends: tuple[np.ndarray, np.ndarray], q: np.ndarray, index: int
+) -> tuple[Leg, np.ndarray]:
+    """The line between two points, from posture q at the first on, and the posture at the second.
+
+    Raises:
+        InputError: it cannot be followed.
+    """
+    from scipy.interpolate import make_interp_spline
+
+    one, other = ends
+    length = float(np.linalg.norm(other - one))
+    where = mover.recipe.at(*mover.motion.where, "points", index)
+    if length <= FOUND:
+        raise InputError(f"point {index + 1} of the path is where point {index} is", **where)
+    count = max(LEAST, int(np.ceil(length / STEP)))
+    off = 0.0
+    for _ in range(FINER):
+        share = np.linspace(0.0, 1.0, count + 1)
+        line = one + share[:, None] * (other - one)
+        postures = _follow(mover, line, q, index)
+        curve = make_interp_spline(length * share, mover.strokes(postures), k=5)
+        between = 0.5 * (share[1:] + share[:-1])
+        exact = _follow(mover, one + between[:, None] * (other - one), postures[0], index)
+        apart = np.abs(curve(length * between) - mover.strokes(exact))
+        slope = _tip_slope(mover, exact)
+        off = float((apart * slope).sum(axis=1).max())
+        if off <= OFF:
+            return Leg(length, curve), postures[-1]
+        count *= 2
+    raise InputError(
+        f"between points {index} and {index + 1} the path is too near to a posture from which the "
+        f"tip cannot go on along it: the strokes would leave it by {off * 1e3:.2g} mm",
+        **where,
+        hint="keep away from stretched and folded links, or take other points",
+    )
+
+
+def _tip_slope(mover: Mover, q: np.ndarray) -> np.ndarray:
+    """How far the tip moves for a stroke of each cylinder [m/m], shape (postures, cylinders)."""
+    step, slopes = 1e-6, []
+    for number in mover.moved.values():
+        row = mover.model.plant.cylinders[number]
+        joint = int(row.joint)
+        moved = q.copy()
+        moved[:, joint] += step
+        way = np.linalg.norm(tip_of(mover.chain, moved) - tip_of(mover.chain, q), axis=1)
+        slopes.append(way / step / np.abs(linkage_arrays(row, q[:, joint])[1]))
+    return np.column_stack(slopes)
+
+
+def _follow(mover: Mover, line: np.ndarray, q: np.ndarray, index: int) -> np.ndarray:
+    """Postures along the points of a line, each the nearest to the one before.
+
+    Raises:
+        InputError: a point out of reach.
+    """
+    free, postures = mover.free, []
+    for point in line:
+        found = reach(mover.chain, point, q, free)
+        what = f"the path between points {index} and {index + 1}, at {_at(point)},"
+        mover.refuse(found, what, index)
+        q = found.q
+        postures.append(q)
+    return np.array(postures)
+
+
+def _times(recipe: TrialRecipe, motion: Motion, lengths: Sequence[float]) -> np.ndarray:
+    """The way made along the whole path, as a table of s, ṡ, s̈, s⃛."""
+    stops = np.concatenate([[0.0], np.cumsum(lengths)])
+    limits = limits_of(recipe, motion, len(stops))
+    return point_to_point(stops.tolist(), tick=1.0 / float(recipe.rate), **limits)
+
+
+def _along(table: np.ndarray, legs: Sequence[Leg], count: int) -> list[np.ndarray]:
+    """The table of each cylinder along the way: the chain rule on each line's splines."""
+    made = np.zeros((count, len(table), 4))
+    ends = np.cumsum([leg.length for leg in legs])
+    of = np.searchsorted(ends[:-1], table[:, X], side="right")
+    for index, leg in enumerate(legs):
+        rows = np.flatnonzero(of == index)
+        s, v, a, j = table[rows].T
+        s = np.clip(s - (ends[index] - leg.length), 0.0, leg.length)
+        x, first, second, third = (leg.strokes(s, order).T for order in range(4))
+        made[:, rows, X] = x
+        made[:, rows, V] = first * v
+        made[:, rows, A] = second * v**2 + first * a
+        made[:, rows, J] = third * v**3 + 3.0 * second * v * a + first * j
+    return list(made)

@@ -1,0 +1,255 @@
+"""Studies where things go wrong: samples that raise, hang or end their process, workers that are
+killed, a study that is. What comes out is the same, byte for byte, wherever it was made.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from ehbench import inspection, workflow
+from ehbench.errors import InputError
+from ehbench.logs import read_record
+from ehbench.rundir import read_json
+from ehbench.sampling.cluster import Bundle, Cluster
+from ehbench.sampling.pools import Processes, Threads
+
+ROOT = Path(__file__).parents[2]
+# what makes samples here: number 5 may die, 6 may hang, and each says in which process it was made
+MAKERS = """
+import os, time
+from pathlib import Path
+from ehbench.sampling.sample import Sample
+
+def opened(how, log, root=None):
+    def make(index, settings):
+        with open(Path(log) / str(os.getpid()), "a") as file:
+            file.write(f"{index}\\n")
+        if index in how.get("dies", ()):
+            os._exit(1)
+        if index in how.get("hangs", ()):
+            time.sleep(600)
+        time.sleep(how.get("takes", 0.0))
+        code = 1 if index in how.get("raises", ()) else 0
+        return Sample(index, code, "done", "", (index * 0.1, float(settings["x"])), 0.01)
+    return make
+"""
+
+
+@pytest.fixture(scope="module")
+def makers(tmp_path_factory):
+    """A module that other processes can import, as they would the package."""
+    folder = tmp_path_factory.mktemp("makers")
+    (folder / "study_makers.py").write_text(MAKERS, encoding="utf-8")
+    paths = [str(folder), os.environ.get("PYTHONPATH", "")]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", os.pathsep.join(path for path in paths if path))
+        patch.syspath_prepend(str(folder))
+        import study_makers
+
+        yield study_makers.opened
+
+
+@pytest.fixture(scope="module")
+def cluster(makers):
+    """A Dask scheduler and two worker processes on loopback."""
+    import warnings
+
+    import distributed
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with distributed.LocalCluster(
+            n_workers=2,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address=None,
+            silence_logs=50,
+        ) as made:
+            yield made
+
+
+def samples(pool, count=40):
+    """What a pool makes, in order of the numbers, and the order in which it came."""
+    tasks = ((i, {"x": str(i)}) for i in range(count))
+    came = [one for some in pool.run(tasks) for one in some]
+    return sorted(one._replace(seconds=0.0) for one in came), [one.index for one in came]
+
+
+def test_a_sample_that_hangs_or_dies_costs_itself_only(makers, tmp_path):
+    how = {"dies": (5,), "hangs": (16,), "takes": 0.01}
+    pool = Processes(partial(makers, how, tmp_path), 2, 2, limit=0.3)
+    made, _ = samples(pool)
+    assert [one.index for one in made] == list(range(40))
+    bad = {one.index: (one.code, one.status, one.said) for one in made if one.code}
+    assert bad[5] == (1, "failed", "the process that made it died 2 times")
+    assert bad[16] == (5, "late", "it took longer than 0.3 s and was ended")
+    assert len(bad) == 2 and not pool.workers
+    whole, _ = samples(Threads(partial(makers, {}, tmp_path), 3))
+    good = [one for one in made if one.index not in bad]
+    assert repr(good) == repr([one for one in whole if one.index not in bad])
+    tried = [line for path in tmp_path.iterdir() for line in path.read_text().split()]
+    assert tried.count("5") == 3  # twice in processes, once in the thread that does not die
+
+
+def test_a_cluster_whose_worker_is_killed_loses_nothing(makers, cluster, tmp_path):
+    how = {"takes": 0.02}
+    bundle = Bundle({}, partial(makers, how, tmp_path))
+    assert len(cluster.scheduler_info["workers"]) == 2
+
+    def kill():
+        while not any(tmp_path.iterdir()):
+            time.sleep(0.02)
+        time.sleep(0.3)
+        os.kill(int(next(tmp_path.iterdir()).name), signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    made, came = samples(Cluster(cluster.scheduler_address, bundle, 2), 120)
+    killer.join()
+    whole, _ = samples(Threads(partial(makers, {}, tmp_path), 1), 120)
+    assert repr(made) == repr(whole)
+    assert len(came) == 120
+
+
+def test_nobody_answers(makers):
+    with pytest.raises(InputError, match="no Dask scheduler answers at 'tcp://127.0.0.1:9'"):
+        from ehbench.sampling import cluster as module
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(module, "CONNECT", 0.5)
+            Cluster("tcp://127.0.0.1:9", Bundle({}, None), 2)
+
+
+# --- a real study
+
+
+TRIAL = """
+stage = "trial"
+rig = "{rig}"
+duration = "0.1 s"
+posture = {{ press = "60 mm" }}
+
+[[command]]
+valve = "press.servo"
+kind = "step"
+amplitude = "3 V"
+start = "10 ms"
+
+[limits]
+speed_max = "200 mm/s"
+"""
+STUDY = """
+stage = "study"
+recipe = "trial.toml"
+samples = 8
+seed = 3
+keep = 1
+measures = [
+    "duration",
+    { name = "speed", channel = "press.v", take = "max", unit = "mm/s" },
+    { name = "far", channel = "press.x", take = "final", unit = "mm" },
+]
+
+[draw]
+"rig.bulk_modulus" = { low = 0.5, high = 1.5, relative = true }
+"rig.supply.pressure" = { low = 0.2, high = 1.2, relative = true }
+
+[sweep]
+"recipe.payload" = ["none", "100 kg"]
+
+[[target]]
+measure = "speed"
+at_most = "150 mm/s"
+"""
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    """The recipe of a small study, and its run on this machine."""
+    folder = tmp_path_factory.mktemp("study")
+    rig = ROOT / "recipes/rigs/slide_servo.toml"
+    (folder / "trial.toml").write_text(TRIAL.format(rig=rig), encoding="utf-8")
+    path = folder / "study.toml"
+    path.write_text(STUDY, encoding="utf-8")
+    return path, workflow.run(path, workflow.Session(out=folder / "here")).folder
+
+
+def same(first: Path, second: Path) -> None:
+    """Two runs of a study are the same, byte for byte."""
+    names = [path.relative_to(first) for path in sorted(first.rglob("*")) if path.is_file()]
+    for name in names:
+        if name.name != "volatile.json":
+            assert (first / name).read_bytes() == (second / name).read_bytes(), name
+
+
+def test_a_cluster_makes_the_same_bytes(study, cluster, tmp_path):
+    path, here = study
+    where = workflow.Where(scheduler=cluster.scheduler_address)
+    there = workflow.run(path, workflow.Session(out=tmp_path / "there", where=where))
+    same(here, there.folder)
+
+
+def test_a_killed_study_goes_on(study, tmp_path):
+    path, here = study
+    out = tmp_path / "run"
+    journal = tmp_path / "run.samples.jsonl"
+    seen = []
+
+    def stop(what, share):
+        seen.append(what)
+        if len(seen) == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        workflow.run(
+            path, workflow.Session(out=out, progress=stop, where=workflow.Where(workers=1))
+        )
+    kept = [json.loads(line) for line in journal.read_text().splitlines()[1:]]
+    assert 0 < len(kept) < 16 and not out.exists()
+    lines = journal.read_text().splitlines(keepends=True)
+    journal.write_text("".join(lines) + '{"i":9,"c":', encoding="utf-8")  # torn by the kill
+    told = []
+    where = workflow.Where(resume=True, workers=1)
+    session = workflow.Session(out=out, where=where, progress=lambda *said: told.append(said[0]))
+    workflow.run(path, session)
+    assert int(told[0].split()[1]) > len(kept) and not journal.exists()
+    same(here, out)
+
+
+def test_a_sample_is_made_again_bit_for_bit(study, tmp_path):
+    path, here = study
+    kept = read_json(here / "study.json")["worst"][0]
+    session = workflow.Session(root=tmp_path)
+    recipe = workflow.sample(here, kept["sample"], session)
+    made = workflow.run(recipe, session)
+    for name in ("log.mcap", "ledger.json", "rig.toml"):
+        assert (made.folder / name).read_bytes() == (here / kept["folder"] / name).read_bytes()
+    row = (here / "samples.csv").read_text(encoding="utf-8").splitlines()[kept["sample"] + 1]
+    far = float(read_record(made.folder / "log.mcap")["press.x"][-1])
+    assert repr(1e3 * far)[:12] in row
+    with pytest.raises(InputError, match="has no sample 16 "):
+        workflow.sample(path, 16, session)
+
+
+def test_unknown_keys_and_measures_are_named_at_check(study, tmp_path):
+    path, _ = study
+    text = path.read_text(encoding="utf-8")
+    for old, new, said in (
+        ("rig.bulk_modulus", "rig.bulk_modulos", "nearest is 'rig.bulk_modulus'"),
+        ('"duration",', '"duratoin",', "nearest is 'duration'"),
+        ("recipe.payload", "recipe.pay", "unknown key 'pay'"),
+        ('measure = "speed"', 'measure = "sped"', "did you mean 'speed'"),
+    ):
+        wrong = path.with_name("wrong.toml")
+        wrong.write_text(text.replace(old, new), encoding="utf-8")
+        found = inspection.check(wrong)
+        assert found.code == 2 and said in str(found.errors[0]), found.errors
+        assert found.errors[0].line, found.errors[0]

@@ -1,0 +1,233 @@
+"""Several cylinders at once: what their laws count on, and that one compiled call runs them as
+ticks do.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.errors import InputError
+from ehbench.control.coupling import among_others, joint_motion, loads_among
+from ehbench.parts.cylinder import joint_of, linkage_of
+from ehbench.physics.arm import bias, mass_matrix, work_size
+from ehbench.recipe import TrialRecipe, load_rig
+from ehbench.physics.tip import Chain, tip_of
+from ehbench.plant.model import Model
+from ehbench.trial import prepare, run
+from ehbench.trial.sharing import RESERVE
+from ehbench.trial.together import joints_of
+
+RECIPES = Path(__file__).parents[2] / "recipes"
+ARM = load_rig(RECIPES / "rigs" / "thesis_arm.toml")
+TICK = 1e-3
+
+
+def move(cylinder, start, end, **given):
+    motion = {"kind": "point_to_point", "cylinder": cylinder, "waypoints": [start, end]}
+    return motion | {"hold": "0.1 s", "speed": "80 mm/s"} | given
+
+
+THREE = move("boom", "80 mm", "110 mm") | {
+    "also": [move("swing", "100 mm", "140 mm"), move("stick", "180 mm", "150 mm")]
+}
+
+
+def trial(folder, motion=THREE, controller=None, **given):
+    (folder / "trial.toml").write_text("# the recipe\n")
+    return TrialRecipe(
+        stage="trial",
+        rig="x.toml",
+        path=folder / "trial.toml",
+        motion=motion,
+        controller=controller or {"kind": "arc"},
+        **given,
+    )
+
+
+MIXED = {"kind": "arc", "cylinders": {"swing": {"kind": "position"}}}
+
+
+@pytest.mark.parametrize("limits", [{}, {"speed_max": "70 mm/s"}], ids=["free", "stopped"])
+def test_the_compiled_path_of_three_cylinders_is_the_path_tick_by_tick(limits, tmp_path):
+    prepared = prepare(trial(tmp_path, controller=MIXED, limits=limits), ARM)
+    many, one = run(prepared), run(prepared, fast=False)
+    assert list(many.record.channels) == list(one.record.channels)
+    for name, values in many.record.channels.items():
+        assert np.array_equal(values, one.record[name]), name
+    assert many.facts == one.facts and bool(many.facts.stopped) == bool(limits)
+    assert set(many.facts.measures["also"]) == {"swing", "stick"}
+    assert "swing.v_asked" in many.record and "boom.payload_estimate" in many.record
+
+
+def test_what_the_others_add_is_what_the_mechanism_asks_for(tmp_path):
+    """The load's gravity and mass together are the whole torque of the equations of motion, but for
+    joint damping."""
+    prepared = prepare(trial(tmp_path), ARM)
+    part = prepared.loop.laws.parts[0]
+    axis = part.controller.axis
+    n, rng = 3, np.random.default_rng(1)
+    links, gravity = axis.mechanism.links, axis.mechanism.gravity
+    q, qd, qdd = axis.mechanism.posture.copy(), *rng.uniform(-1.0, 1.0, (2, n))
+    row = np.concatenate([np.zeros(4), qd, qdd, qd, qdd])
+    work, mass = np.zeros(work_size(n) + n), np.zeros((n, n))
+    j = int(axis.cylinder.joint)
+    now, _ = loads_among(row, q[j], q[j], 0.0, axis, q.copy(), mass, work)
+    _, lever, curve = linkage_of(axis.cylinder, q[j])
+    torque, full = np.zeros(n), np.zeros((n, n))
+    bias(axis.mechanism.kind, links, gravity, q, qd, torque, work)
+    mass_matrix(axis.mechanism.kind, links, q, full, work)
+    wanted = torque[j] + full[j] @ qdd - links[j].damping * qd[j]
+    a = lever * qdd[j] + curve * qd[j] ** 2
+    kappa = now.curve * (lever * qd[j]) ** 2
+    assert (now.gravity + now.mass * (a - kappa)) * lever == pytest.approx(wanted, rel=1e-12)
+
+
+def test_the_joints_move_as_their_strokes_do(tmp_path):
+    """Within what central differences leave where the jerk has a kink."""
+    prepared = prepare(trial(tmp_path), ARM)
+    for one in prepared.loop.driven:
+        table, row = one.references.table, one.design.row
+        q = joint_of(row, table[:, 0])
+        motion = joint_motion(row, q, table)
+        for order, values in enumerate([q, *motion.T[:2]]):
+            slope = np.gradient(values, TICK)[2:-2]
+            scale = np.abs(motion[:, order]).max()
+            assert np.abs(slope - motion[2:-2, order]).max() < 2e-2 * scale
+    assert among_others(table, np.zeros((3, len(table), 3)), TICK).shape == (len(table), 16)
+
+
+def test_coupling_makes_the_boom_track_better_while_others_move(tmp_path):
+    errors = {}
+    for coupling in (True, False):
+        recipe = trial(tmp_path, controller={"kind": "arc", "coupling": coupling})
+        errors[coupling] = run(prepare(recipe, ARM)).facts.measures["tracking"]["rms_error"]
+    assert errors[True] < 0.8 * errors[False]
+
+
+# --- a path of the tip, and the pump's flow
+
+POINTS = [["1.10 m", "-0.40 m", "-0.40 m"], ["1.50 m", "0.50 m", "-0.10 m"]]
+
+
+def path(points=POINTS, **given):
+    motion = {"kind": "path", "points": points, "hold": "0.1 s", "speed": "300 mm/s"}
+    return motion | given
+
+
+FAST = path(speed="1.6 m/s", acceleration="5 m/s^2", jerk="100 m/s^3")
+
+
+def tip_planned(prepared):
+    """The tip by forward kinematics of the strokes that the cylinders shall make."""
+    q, _ = joints_of(prepared.loop.driven)
+    return tip_of(prepared.loop.plan.chain, q)
+
+
+def off_the_line(tip, points=POINTS):
+    first, last = (np.array([float(one.split()[0]) for one in point]) for point in points)
+    way = (last - first) / np.linalg.norm(last - first)
+    return np.linalg.norm(np.cross(tip - first, way), axis=1).max()
+
+
+@pytest.mark.parametrize("motion", [path(), FAST], ids=["slow", "slowed down"])
+def test_the_strokes_of_a_path_bring_the_tip_along_its_line(motion, tmp_path):
+    prepared = prepare(trial(tmp_path, motion), ARM)
+    tip = tip_planned(prepared)
+    assert off_the_line(tip) < 1e-5
+    assert np.abs(tip[[0, -1]] - np.array([[1.1, -0.4, -0.4], [1.5, 0.5, -0.1]])).max() < 1e-5
+    assert np.abs(tip - prepared.loop.plan.tip).max() < 1e-5
+    for one in prepared.loop.driven:
+        table = one.references.table
+        for order, least in enumerate((1e-3, 1e-3, 2e-2)):
+            slope = np.gradient(table[:, order], TICK)[3:-3]
+            assert (
+                np.abs(slope - table[3:-3, order + 1]).max()
+                < least * np.abs(table[:, order + 1]).max()
+            ), "each column is the slope of the one before"
+
+
+def test_where_the_pump_has_not_enough_time_runs_slower_and_no_more(tmp_path):
+    plan = prepare(trial(tmp_path, FAST), ARM).loop.plan
+    limit = float(ARM.supply.flow_limit)
+    assert plan.wished.max() > limit and plan.limit == limit
+    planned = plan.wished * plan.pace
+    assert planned.max() <= (1.0 - RESERVE) * limit * (1.0 + 1e-6)
+    assert planned.max() > 0.97 * (1.0 - RESERVE) * limit, "and hardly less than it must be"
+    assert plan.longer > 0.1 and plan.pace[[0, -1]] == pytest.approx(1.0)
+    free = prepare(trial(tmp_path, FAST | {"share_flow": False}), ARM).loop.plan
+    assert (free.pace == 1.0).all() and free.longer == 0.0
+    assert prepare(trial(tmp_path, path()), ARM).loop.plan.pace.min() == 1.0
+
+
+def test_speeds_of_single_motions_are_cut_in_one_proportion(tmp_path):
+    """Each cylinder ends where it should, and at every moment all run at the same share."""
+    fast = {"speed": "500 mm/s", "acceleration": "4 m/s^2"}
+    motion = move("boom", "60 mm", "200 mm", **fast)
+    motion["also"] = [
+        move("stick", "250 mm", "80 mm", **fast),
+        move("swing", "60 mm", "200 mm", **fast),
+    ]
+    shared, free = (
+        prepare(trial(tmp_path, motion | {"share_flow": share}), ARM).loop
+        for share in (True, False)
+    )
+    assert shared.plan.pace.min() < 0.8
+    for one, other in zip(shared.driven, free.driven, strict=True):
+        table, wished = one.references.table, other.references.table
+        assert table[-1, 0] == pytest.approx(wished[-1, 0], abs=1e-9)
+        assert np.abs(table[:, 1]).max() < 0.95 * np.abs(wished[:, 1]).max()
+
+
+def test_with_the_pump_limit_met_the_tip_keeps_to_its_line(tmp_path):
+    """Slowed down, the supply holds its pressure; as wished, it does not."""
+    results = {
+        share: run(prepare(trial(tmp_path, FAST | {"share_flow": share}), ARM))
+        for share in (True, False)
+    }
+    held, lost = (results[share].record["p_supply"].min() for share in (True, False))
+    full = float(ARM.supply.pressure)
+    assert held > 0.98 * full and lost < 0.9 * full
+    tips = {share: results[share].facts.measures["tip"] for share in (True, False)}
+    assert tips[True]["max_error"] < tips[False]["max_error"]
+    sharing = results[True].facts.measures["sharing"]
+    assert sharing["slowed"] > 0.2 and sharing["pace"] < 0.9 and sharing["longer"] > 0.1
+    record = results[True].record
+    gone = np.column_stack([record[f"tip_{way}"] for way in "xyz"])
+    assert off_the_line(gone) == pytest.approx(tips[True]["max_across"], rel=0.5)
+
+
+@pytest.mark.parametrize(
+    ("points", "said"),
+    [
+        ([["3 m", "0 m", "0 m"], ["1.5 m", "0 m", "0 m"]], "point 1, (3, 0, 0) m, is out of reach"),
+        ([["1.2 m", "0 m", "-0.4 m"], ["1.2 m", "1.3 m", "-0.4 m"]], "'swing' at its 279.4 mm end"),
+        ([["1.2 m", "0 m", "-0.4 m"], ["0 m", "0 m", "-0.4 m"]], "point 2, (0, 0, -0.4) m"),
+        ([["1.2 m", "0 m", "-0.4 m"], ["1.2 m", "0 m", "-0.4 m"]], "point 2 of the path is where"),
+    ],
+)
+def test_a_point_out_of_reach_is_refused_with_its_reason(points, said, tmp_path):
+    with pytest.raises(InputError) as refused:
+        prepare(trial(tmp_path, path(points)), ARM)
+    assert said in refused.value.message
+
+
+def crane_tip(rig):
+    """(chain, posture in the middle of the stroke) of a rig."""
+    plant = Model.of(rig).plant
+    return Chain(plant.kind, plant.links, plant.gravity, None, None), Model.of(rig).posture(None)
+
+
+def test_one_joint_follows_no_line_and_a_slide_follows_its_own(tmp_path):
+    crane = load_rig(RECIPES / "rigs" / "crane_proportional.toml")
+    with pytest.raises(InputError, match="out of reach") as refused:
+        prepare(
+            trial(tmp_path, path([["3.4 m", "0 m", "-0.6 m"], ["3.4 m", "0 m", "0.4 m"]])), crane
+        )
+    assert "one cylinder moves it" in refused.value.hint
+    slide = load_rig(RECIPES / "rigs" / "slide_servo.toml")
+    line = path([["0.1 m", "0 m", "0 m"], ["0.2 m", "0 m", "0 m"]])
+    (press,) = prepare(trial(tmp_path, line), slide).loop.driven
+    assert press.references.table[[0, -1], 0] == pytest.approx([0.1, 0.2], abs=1e-9)

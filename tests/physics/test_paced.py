@@ -1,0 +1,124 @@
+"""Steps chosen by the guard: at the error of fixed ones, fewer of them, the same each time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.errors import SimulationError
+from ehbench.parts.valve.delay import line_of
+from ehbench.plant.integrate import STEP
+from ehbench.plant.many import run_many
+from ehbench.plant.model import Model
+from ehbench.plant.paced import AUTO, CLOSE, pace_of, run_paced
+from ehbench.recipe import load_rig
+from ehbench.rig import Rig
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+SHIPPED = [path.stem for path in sorted(RIGS.glob("*.toml"))]
+FINE = STEP / 8.0
+ERROR = 2.0e-5  # share of a state's range, which counts as no less than SMALL of its scale
+SMALL = 0.02
+
+
+# of the sliding mass, with parts that are stiff, and with a command that is late
+PARTS = {
+    "bristles on a mount": {
+        "friction_coulomb": "200 N",
+        "friction_viscous": "400 N*s/m",
+        "mount": {"stiffness": "10 kN/mm", "damping": "6000 N*s/m"},
+        "friction": {
+            "law": "lugre",
+            "friction_static": "400 N",
+            "stribeck_speed": "20 mm/s",
+            "bristle_stiffness": "2 kN/mm",
+            "bristle_damping": "4 kN*s/m",
+        },
+    },
+    "late series": {},
+}
+LATE = {
+    "bus": {"kind": "delay", "delay": "5.3 ms"},
+    "lag": {"kind": "first_order", "lag": "6 ms"},
+    "spool": {"natural_frequency": "80 Hz", "damping_ratio": 0.8},
+}
+
+
+def made(name: str) -> Model:
+    """A shipped rig, or the sliding mass with one of PARTS."""
+    if name not in PARTS:
+        return Model.of(load_rig(RIGS / f"{name}.toml"))
+    plain = load_rig(RIGS / "slide_servo.toml").as_toml()
+    (cylinder,) = plain["cylinder"]
+    if name == "late series":
+        (valve,) = cylinder["valve"]
+        plain["dynamics"], cylinder["valve"] = LATE, [valve | {"dynamics": list(LATE)}]
+    return Model.of(Rig.model_validate(plain | {"cylinder": [cylinder | PARTS[name]]}))
+
+
+def commands(model: Model, samples: int = 1500, smooth: bool = False) -> np.ndarray:
+    """A pulse of every valve at random, or half a wave of it."""
+    rng, table = np.random.default_rng(samples), model.rest_commands(samples)
+    for index, valve in enumerate(model.plant.valves):
+        first, last = (rng.uniform([0.05, 0.5], [0.4, 0.9]) * samples).astype(int)
+        end = valve.highest if rng.random() < 0.5 or valve.lowest >= valve.before else valve.lowest
+        shape = np.sin(np.linspace(0.0, np.pi, last - first)) if smooth else 1.0
+        table[first:last, index] += rng.uniform(0.15, 0.4) * (end - valve.before) * shape
+    return table
+
+
+def missed(model: Model, table: np.ndarray, step: float | str, tick: float = 1e-3) -> np.ndarray:
+    """The largest error of each state whose error is looked at, as a share of its range."""
+    start, looked = (
+        model.trim(model.posture(None)),
+        pace_of(model.plant, model.layout, tick).weights,
+    )
+    fine, found = (model.run(start, table, tick, one)[:, : start.size] for one in (FINE, step))
+    scale = SMALL / (CLOSE * looked[looked > 0.0])
+    spans = np.maximum(np.ptp(fine, axis=0)[looked > 0.0], scale)
+    return np.abs(found - fine).max(axis=0)[looked > 0.0] / spans
+
+
+@pytest.mark.parametrize("smooth", [False, True], ids=["pulses", "waves"])
+@pytest.mark.parametrize("name", [*SHIPPED, "bristles on a mount", "late series"])
+def test_the_error_is_that_of_a_fine_step_to_a_hundred_thousandth(name, smooth):
+    model = made(name)
+    table = commands(model, smooth=smooth)
+    chosen, fixed = missed(model, table, AUTO).max(), missed(model, table, STEP).max()
+    assert chosen < max(ERROR, 1.1 * fixed), (chosen, fixed)
+
+
+@pytest.mark.parametrize("rate", [200.0, 4000.0])
+def test_ticks_of_any_length_keep_the_error(rate):
+    model = made("thesis_arm")
+    assert missed(model, commands(model, round(rate)), AUTO, 1.0 / rate).max() < ERROR
+
+
+def test_a_smooth_motion_takes_few_steps_to_the_same_bits():
+    model = made("thesis_arm")
+    table, start = commands(model), model.trim(model.posture(None))
+    pace, plant = pace_of(model.plant, model.layout, 1e-3), model.plant
+    log = np.empty((len(table), start.size + plant.edges.size + 1))
+    count = run_paced(start.copy(), table, plant, line_of(plant, 1e-3), pace, log)
+    assert count < 0.8 * len(table)
+    assert np.array_equal(log, model.run(start, table, step=AUTO))
+
+
+def test_many_rigs_side_by_side_are_each_by_itself():
+    rig = load_rig(RIGS / "slide_servo.toml")
+    models = [Model.of(rig.with_values({"bulk_modulus": 1e9 * (1 + i)})) for i in range(5)]
+    jobs = [(m, m.trim(m.posture(None)), commands(m, 200 + i)) for i, m in enumerate(models)]
+    alone = [m.run(start, table, step=AUTO) for m, start, table in jobs]
+    for workers in (1, 3):
+        logs = list(run_many(iter(jobs), step=AUTO, workers=workers))
+        assert all(map(np.array_equal, logs, alone)) and len(logs) == len(alone)
+
+
+def test_what_leaves_finite_numbers_is_said():
+    model = made("slide_servo")
+    start = model.trim(model.posture(None))
+    start[model.layout.state("p_head")] = np.nan
+    with pytest.raises(SimulationError, match="finite"):
+        model.run(start, commands(model, 50), step=AUTO)

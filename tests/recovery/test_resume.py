@@ -1,0 +1,103 @@
+"""A search that is stopped at any of its steps goes on, and ends with the same bytes as one that
+was not.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+import ehbench.report  # noqa: F401  (a function of the package hides it)
+from ehbench import workflow
+from ehbench.errors import InsufficientData
+from ehbench.identification import journal as journals
+from ehbench.identification.journal import Journal, journal_of, place_of
+
+ROOT = Path(__file__).parents[2]
+RECIPE = f"""
+stage = "identify"
+what = "hydraulics"
+rig = "{ROOT}/recipes/rigs/slide_servo.toml"
+data = [{{ path = "{ROOT}/datasets/slide_servo/steps/press_no_load.mcap", stop = "1 s" }}]
+parameters = ["bulk_modulus", "carriage.damping", "press.friction_coulomb"]
+"""
+
+
+@pytest.fixture
+def recipe(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(journals, "EVERY", 0.0)
+    monkeypatch.setattr(sys.modules["ehbench.report"], "draw", lambda folder: None)
+    path = tmp_path / "fit.toml"
+    path.write_text(RECIPE)
+    return path
+
+
+def breaking(monkeypatch, count):
+    """Let the search be stopped as it writes its journal for the time ``count``."""
+    made, write = [], Journal.write
+
+    def stopped(self):
+        write(self)
+        made.append(self)
+        if len(made) == count:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Journal, "write", stopped)
+    return made
+
+
+def bytes_of(folder):
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.name != "volatile.json"
+    }
+
+
+def test_a_stopped_search_goes_on_and_ends_with_the_same_bytes(recipe, monkeypatch):
+    written = breaking(monkeypatch, 0)
+    workflow.run(recipe, workflow.Session(out=Path("whole")))
+    assert not place_of(Path("whole")).exists()
+    steps = len(written)
+    assert steps > 8
+    for at in (1, steps // 2, steps - 1):  # in the first look, in a descent, at the end
+        fit, left = Path(f"fit{at}"), Path(f"fit{at}.search.json")
+        with monkeypatch.context() as patch:
+            breaking(patch, at)
+            with pytest.raises(KeyboardInterrupt) as stopped:
+                workflow.run(recipe, workflow.Session(out=fit))
+        assert "--resume" in stopped.value.__notes__[0]
+        assert not fit.exists()
+        told = json.loads(left.read_text())
+        assert 100e6 < told["stands"]["parameters"]["bulk_modulus"] < 1800e6
+        with monkeypatch.context() as patch:
+            again = breaking(patch, 0)
+            workflow.run(recipe, workflow.Session(out=fit, resume=True))
+        assert len(again) <= steps - at + 2  # what had been done is not done again
+        assert bytes_of(fit) == bytes_of(Path("whole"))
+        assert not left.exists()
+
+
+def test_what_is_known_of_other_inputs_or_torn_is_not_gone_on_with(tmp_path):
+    final = tmp_path / "run"
+    with pytest.raises(KeyboardInterrupt), journal_of(final, {"hash": "1"}, False) as journal:
+        assert journal.begin("a") == {}
+        journal.keep({}, costs=[1.0])
+        raise KeyboardInterrupt
+    with pytest.raises(KeyboardInterrupt), journal_of(final, {"hash": "1"}, True) as journal:
+        assert journal.begin("a")["costs"] == [1.0]
+        raise KeyboardInterrupt
+    with pytest.raises(KeyboardInterrupt), journal_of(final, {"hash": "2"}, True) as journal:
+        assert journal.begin("a") == {}
+        raise KeyboardInterrupt
+    with journal_of(final, {"hash": "2"}, True) as journal:
+        assert journal.begin("b") == {}
+    place_of(final).write_text('{"hash": "1", "steps": [{')
+    with pytest.raises(InsufficientData), journal_of(final, {"hash": "1"}, True) as journal:
+        assert journal.begin("a") == {}
+        raise InsufficientData("the logs tell nothing")
+    assert not place_of(final).exists()

@@ -1,0 +1,99 @@
+"""Flow maps from step logs without a flowmeter hold the law of the edge that the oil went through,
+also where the chambers ring and leak.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ehbench import workflow
+from ehbench.errors import InsufficientData
+from ehbench.identification.readings import fit_readings
+from ehbench.identification.step_readings import step_readings
+from ehbench.logs import write_log
+from ehbench.parts.edge import edge_flow
+from ehbench.plant.model import Model, simulate
+from ehbench.recipe import load_rig
+from ehbench.record import Record
+from tests.virtual_logs import RIGS, noisy
+
+LEVELS = [1.5, 2.0, 2.5, 3.0, 4.0, 5.0]
+LEAKS = {"boom.leakage_internal": 2e-12, "boom.leakage_head": 1e-12}
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return load_rig(RIGS / "boom_four_valve.toml").with_values(LEAKS)
+
+
+def steps(rig, seed):
+    """The boom stepped out through `sh` and `rt`, at levels of their own, and back at one."""
+    order = np.random.default_rng(seed)
+    t = np.arange(int(1000 * (0.3 + 1.2 * len(LEVELS))) + 1) * 1e-3
+    commands = {f"boom.{valve}": np.zeros_like(t) for valve in ("sh", "rt", "sr", "ht")}
+    pairs = zip(order.permutation(LEVELS), order.permutation(LEVELS), strict=True)
+    for at, (inlet, outlet) in zip(0.3 + 1.2 * np.arange(len(LEVELS)), pairs, strict=True):
+        out, back = (t >= at) & (t < at + 0.6), (t >= at + 0.6) & (t < at + 1.2)
+        commands["boom.sh"][out], commands["boom.rt"][out] = inlet, outlet
+        commands["boom.sr"][back], commands["boom.ht"][back] = 3.0, 3.0
+    load = [None, "bucket"][seed % 2]
+    return noisy(
+        simulate(rig, commands, t[-1], posture={"boom": "250 mm"}, payload=load), seed, load
+    )
+
+
+@pytest.fixture(scope="module")
+def logs(rig):
+    return [steps(rig, seed) for seed in range(2)]
+
+
+def true_flow(model, name, drop, command):
+    edge = model.plant.edges[model.layout.edges.index(name)]
+    pairs = zip(np.ravel(drop), np.ravel(command), strict=True)
+    flows = [edge_flow(one, edge.sign * volts, edge, model.plant.maps) for one, volts in pairs]
+    return np.reshape(flows, np.shape(drop))
+
+
+def test_a_map_from_steps_holds_the_edge_s_law(rig, logs):
+    model = Model.of(rig)
+    parts = [step_readings(f"log {i}", log, model, 0.2, 0.1) for i, log in enumerate(logs)]
+    for part in parts:
+        for edge, way in part.groups():
+            rows = part.select(edge, way)
+            left = rows.flow - true_flow(model, edge, rows.pressure_drop, rows.command)
+            # the speed's noise alone is 0.02 L/min; the chamber's compression is up to 3 L/min
+            assert np.sqrt(np.mean(left**2)) < 0.05e-3 / 60.0
+    fit = fit_readings(rig, [part.select("boom.rt") for part in parts])[0].fit.map
+    drop, command = np.meshgrid(np.linspace(1e6, 15e6, 30), np.linspace(1.5, 5.0, 30))
+    inside = fit.inside(drop, command)
+    left = (fit.flow(drop, command) - true_flow(model, "boom.rt", drop, command))[inside]
+    assert inside.sum() > 100  # of 900
+    assert np.mean(np.abs(left) < 1.96 * fit.flow_std(drop, command)[inside]) > 0.9
+    assert np.max(fit.flow_std(drop, command)[inside]) < 0.02 * fit.rated_flow
+
+
+def test_a_recipe_maps_what_the_logs_step(rig, logs, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    kept = [name for name in logs[0].channels if name not in ("boom.v", "boom.qd")]
+    for i, log in enumerate(logs):
+        write_log(tmp_path / f"steps{i}.mcap", Record(log.t, {n: log[n] for n in kept}, log.meta))
+    recipe = tmp_path / "maps.toml"
+    recipe.write_text(
+        f'stage = "identify"\nwhat = "flow_map"\nmethod = "steps"\nspan = "150 ms"\n'
+        f'rig = "{RIGS}/boom_four_valve.toml"\ndata = ["steps0.mcap", "steps1.mcap"]\n'
+    )
+    made = workflow.run(recipe)
+    maps = made.flow_maps
+    assert maps is not None and set(maps) == {"rt", "sh"}
+    assert any("no map of sr" in note for note in made.notes)  # stepped at one command
+    assert maps["sh"].flow(9e6, 3.0) == pytest.approx(
+        true_flow(Model.of(rig), "boom.sh", [9e6], [3.0])[0], rel=0.03
+    )
+
+
+def test_logs_that_tell_no_flow_are_refused(rig, logs):
+    log = logs[0]
+    short = Record(log.t[:400], {name: y[:400] for name, y in log.channels.items()}, log.meta)
+    with pytest.raises(InsufficientData, match="no flow can be told"):
+        step_readings("log", short, Model.of(rig), 0.2, 0.1)
