@@ -5,14 +5,17 @@
 from __future__ import annotations
 
 import os
+import pickle
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,12 +24,14 @@ from ehbench.plant.derivatives import derivatives
 from ehbench.plant.many import run_many
 from ehbench.plant.model import Model, simulate
 from ehbench.plant.paced import AUTO
-from ehbench.recipe import FlowMapRecipe, TrialRecipe, load_recipe, load_rig
+from ehbench.recipe import FlowMapRecipe, TrialRecipe, TrialSetRecipe, load_recipe, load_rig
 from ehbench.rig import Rig, Value
 from ehbench.rundir import shipped
 
 if TYPE_CHECKING:
     from ehbench.physics.flow_map import FlowMaps
+    from ehbench.sampling.pools import Pool
+    from ehbench.stages.study import PreparedStudy
 
 RECIPES = shipped("recipes")
 RIG = RECIPES / "rigs" / "thesis_arm.toml"
@@ -166,8 +171,8 @@ def closed_loop(rig: Rig, repeats: int = 10) -> Iterator[Row]:
     """How many times faster than the machine a trial under a controller runs once warm: all that
     `run_trial` does.
 
-    The boom up and down under the adaptive robust controller, and the stick under the Python class
-    of the example recipe."""
+    The boom up and down under the adaptive robust controller, the same while swing and stick move
+    under theirs, and the stick under the Python class of the example recipe."""
     from ehbench.trial import run_trial
 
     up_down = _lasting_as_long("arc_slow.toml", "boom")
@@ -178,6 +183,7 @@ def closed_loop(rig: Rig, repeats: int = 10) -> Iterator[Row]:
     ):
         for recipe, what, limit in (
             (up_down, "adaptive robust control", 150.0),
+            (_three_at_once(), "the same on three cylinders at once", 60.0),
             (own, "a user's Python class", 20.0),
         ):
 
@@ -196,6 +202,22 @@ def closed_loop(rig: Rig, repeats: int = 10) -> Iterator[Row]:
                 "× real time",
                 lower=False,
             )
+
+
+def together(rig: Rig, repeats: int = 5) -> Iterator[Row]:
+    """How many times faster than the machine the model follows a path with all three cylinders."""
+    from ehbench.trial import run_trial
+
+    recipe = load_recipe(RECIPES / "trials" / "tip_line.toml")
+    if not isinstance(recipe, TrialSetRecipe):
+        raise AssertionError("tip_line.toml is no set of trials")
+    one = recipe.cases()[0][2].model_copy(update={"on": "model", "bench": None})
+    _, facts = run_trial(rig, one)
+    if facts.stopped:
+        raise AssertionError(f"{recipe.name}: {facts.stopped}")
+    best = _best(lambda: run_trial(rig, one), repeats)
+    what = f"{facts.duration:.3g} s along a path, 1 kHz, three cylinders under adaptive control"
+    yield Row(what, facts.duration / best, 80.0, "× real time", lower=False)
 
 
 def accuracy(rig: Rig) -> Iterator[Row]:
@@ -273,7 +295,7 @@ def logging(samples: int = 600_000, channels: int = 40) -> Iterator[Row]:
     if frame.shape != (samples, channels + 1):
         raise AssertionError(f"the log came back with shape {frame.shape}")
     yield Row(f"MCAP log of {samples} × {channels} written", written - began, 8.0, "s")
-    yield Row(f"MCAP log of {samples} × {channels} read into pandas", read - written, 2.0, "s")
+    yield Row(f"MCAP log of {samples} × {channels} read into pandas", read - written, 0.7, "s")
 
 
 def start_up() -> Iterator[Row]:
@@ -281,6 +303,124 @@ def start_up() -> Iterator[Row]:
     command = [str(Path(sys.executable).with_name("ehbench")), "--help"]
     best = _best(lambda: subprocess.run(command, check=True, capture_output=True), 5)
     yield Row("ehbench --help", best, 0.4, "s")
+
+
+_SHORT = """stage = "trial"
+rig = "{rig}"
+duration = "0.5 s"
+command = [{{ valve = "boom.hepc", kind = "step", amplitude = "4 V", start = "50 ms" }}]
+"""
+_STUDY = """stage = "study"
+recipe = "short.toml"
+samples = {samples}
+keep = 0
+measures = ["duration", {{ channel = "boom.v", take = "max" }}]
+[draw]
+"rig.bulk_modulus" = {{ low = 0.5, high = 1.5, relative = true }}
+"rig.boom.joint_damping" = {{ low = 0.5, high = 1.5, relative = true }}
+"""
+SAMPLES, ROWS, WORKERS = 1500, 100_000, 2
+
+
+def studies() -> Iterator[Row]:
+    """What a study adds to its samples, in processes and on a Dask cluster of this machine; what a
+    sample costs on the wire and on disk; how many this process can hand out; memory.
+    """
+    from ehbench.recipe import StudyRecipe
+    from ehbench.sampling.cluster import Cluster
+    from ehbench.sampling.pools import Processes
+    from ehbench.stages import REGISTRY
+    from ehbench.stages.findings import Findings
+    from ehbench.stages.inputs import Inputs
+    from ehbench.stages.samples import bundle_of, open_sampler
+    from ehbench.stages.study import PreparedStudy
+    from ehbench.workflow import Session
+
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder, "short.toml").write_text(_SHORT.format(rig=RIG))
+        path = Path(folder, "study.toml")
+        path.write_text(_STUDY.format(samples=ROWS))
+        recipe = load_recipe(path)
+        inputs = Inputs(recipe, Findings(recipe), Session())
+        prepared = REGISTRY[StudyRecipe.kind()].prepare(recipe, inputs)
+        assert isinstance(prepared, PreparedStudy)
+        plan, count = prepared.plan, len(prepared.measures)
+        pool = Processes(partial(open_sampler, plan), WORKERS, count)
+        yield from _overhead("here", pool, prepared)
+        bundle = bundle_of(plan)
+        yield Row("a study's files, sent once", len(pickle.dumps(bundle)) / 1e3, 1e3, "kB")
+        with _workers() as address:
+            if address:
+                yield from _overhead("on Dask", Cluster(address, bundle, count), prepared)
+        yield from _kept(prepared, Path(folder))
+
+
+def _overhead(where: str, pool: Pool, prepared: PreparedStudy) -> Iterator[Row]:
+    """Of SAMPLES short trials, the share of the workers' time that went into anything else; counted
+    from when every worker is at work.
+    """
+    design, came = prepared.design, []
+    tasks = ((i, design.settings(i)) for i in range(SAMPLES))
+    for some in pool.run(tasks):
+        came.append((time.perf_counter(), some))
+    first = len(came) // 4
+    wall = came[-1][0] - came[first][0]
+    made = [one.seconds for _, some in came[first + 1 :] for one in some]
+    yield Row(
+        f"study of trials of 0.5 s {where}, {WORKERS} workers: time beside the samples",
+        100.0 * (1.0 - sum(made) / (WORKERS * wall)),
+        5.0,
+        "%",
+    )
+    yield Row(f"the same: a sample {where}", 1e3 * float(np.median(made)), 20.0, "ms")
+
+
+@contextmanager
+def _workers() -> Iterator[str]:
+    """The address of a Dask scheduler with WORKERS processes here; '' where Dask is not there."""
+    try:
+        from distributed import LocalCluster
+    except ImportError:
+        yield ""
+        return
+    where = {"host": "127.0.0.1", "dashboard_address": None, "silence_logs": 50}
+    made: Any = LocalCluster(n_workers=WORKERS, threads_per_worker=1, **where)
+    with made as cluster:
+        yield cluster.scheduler_address
+
+
+def _kept(prepared: PreparedStudy, folder: Path) -> Iterator[Row]:
+    """What ROWS samples cost the process that hands them out and keeps them."""
+    import resource
+
+    from ehbench.sampling.journal import Journal
+    from ehbench.sampling.outputs import write_tables
+    from ehbench.sampling.sample import Sample
+
+    design = prepared.design
+    journal = Journal(folder / "rows.jsonl", "k", ROWS, resume=False)
+    began, wire = time.process_time(), 0
+    for first in range(0, ROWS, 50):
+        span = range(first, first + 50)
+        sent = pickle.dumps([(i, design.settings(i)) for i in span])
+        back = pickle.dumps([Sample(i, 0, "done", "", (0.5, 0.1 / (i + 1)), 0.005) for i in span])
+        wire += len(sent) + len(back)
+        journal.add(pickle.loads(back))
+    spent = time.process_time() - began
+    yield Row(
+        "samples that one process hands out and keeps, by its processor time",
+        ROWS / spent,
+        2e3,
+        "/s",
+        lower=False,
+    )
+    yield Row("a sample on the wire", wire / ROWS, 500.0, "B")
+    write_tables(folder, design, prepared.measures, journal, "k")
+    journal.close()
+    for name in ("rows.jsonl", "samples.csv", "samples.parquet"):
+        yield Row(f"a sample in {name}", (folder / name).stat().st_size / ROWS, 500.0, "B")
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    yield Row(f"memory with {ROWS} rows", most, 1.0, "GB")
 
 
 def _best(call: Callable[[], object], repeats: int) -> float:
@@ -307,6 +447,17 @@ def _lasting_as_long(name: str, cylinder: str) -> TrialRecipe:
     )
 
 
+def _three_at_once() -> TrialRecipe:
+    """The shipped trial in which swing and stick disturb the boom, on the model for TRIAL
+    seconds.
+    """
+    recipe = load_recipe(RECIPES / "trials" / "disturbed_boom.toml")
+    if not isinstance(recipe, TrialSetRecipe):
+        raise AssertionError("disturbed_boom.toml is no set of trials")
+    moving = next(one for _, _, one in recipe.cases() if one.motion and one.motion.also)
+    return moving.model_copy(update={"duration": Value(TRIAL), "on": "model", "bench": None})
+
+
 def _maps(rig: Rig) -> FlowMaps:
     """Flow maps of the thesis arm's valves from the shipped dataset."""
     from ehbench.identification.flow_map import fit_flow_maps
@@ -324,8 +475,8 @@ def _maps(rig: Rig) -> FlowMaps:
 
 
 @one_thread()
-def main() -> None:
-    """Measure everything and print the table."""
+def main(arguments: Sequence[str] = ()) -> None:
+    """Measure everything, or what is named (``studies``), and print the table."""
     from rich.console import Console
     from rich.table import Table
 
@@ -336,11 +487,15 @@ def main() -> None:
         lambda: speed(rig),
         lambda: chosen_steps(rig),
         lambda: closed_loop(rig),
+        lambda: together(rig),
         lambda: accuracy(rig),
         lambda: fitting(rig),
         logging,
         start_up,
+        studies,
     ):
+        if arguments and getattr(part, "__name__", "") not in arguments:
+            continue
         with console.status("measuring"):
             rows = list(part())
         for row in rows:
@@ -355,4 +510,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -423,7 +423,10 @@ def _begins_sloped(place: np.ndarray, rest: int, tick: float) -> bool:
     count = min(rest, max(8, round(2.5 * FIRST / tick)))
     if count < 8:
         return False
-    noise = 1.5 * float(np.median(np.abs(np.diff(place)))) * math.sqrt(12.0 / count)
+    jumps = np.abs(np.diff(place))
+    noise = 1.5 * float(np.median(jumps)) * math.sqrt(12.0 / count)
+    if noise == 0.0 and jumps.any():  # an encoder that stands between two of its counts
+        noise = 0.5 * float(np.min(jumps[jumps > 0.0]))
     way = float(np.polyfit(np.arange(count), place[:count], 1)[0]) * count
     most = float(np.abs(place[count:] - place[:-count]).max()) if place.size > count else abs(way)
     return abs(way) > ONGOING * most + 4.0 * noise

@@ -56,7 +56,6 @@ from ehbench.control.map_learning import (
     begin,
     learn_maps,
     map_memory,
-    trimmed,
 )
 from ehbench.control.measured import load_force, pressure_entries, pressures, write
 from ehbench.control.records import blank
@@ -75,6 +74,7 @@ BACK = 4.0  # of that nearness [m/s]: oil that is wanted against the error turns
 FORGETS = 5.0  # over k1: how long what pressures told of the payload counts
 FAINTLY = 0.1  # [(N/kg)²] of a payload's pull and inertia: what is less tells hardly anything of it
 NOTHING = 1e-6  # [(N/kg)²]
+OFFSET = 0.1  # of the disturbance's bound: what zeros of the sensors may make
 DAMPED = 0.2  # share of the damping that may be wrong
 COUNT = len(ESTIMATES)
 
@@ -96,6 +96,7 @@ STATE = record(
     ("acceleration", "f8"),
     ("slow_force", "f8"),
     ("slow_speed", "f8"),
+    ("slow_pull", "f8"),
     ("told", "f8"),
     ("known", "f8"),
     ("scatter", "f8"),
@@ -726,11 +727,12 @@ def weigh(starting, force, load, ratio, v, axis, gains, state):
     slow = gains.tick * corner
     slow /= 1.0 + slow
     if starting:
-        state.slow_force, state.slow_speed = beyond, v
+        state.slow_force, state.slow_speed, state.slow_pull = beyond, v, load.pull
     state.slow_force += slow * (beyond - state.slow_force)
     state.slow_speed += slow * (v - state.slow_speed)
+    state.slow_pull += slow * (load.pull - state.slow_pull)
     acceleration = corner * (v - state.slow_speed) - load.curve * v * v
-    per = load.pull + load.mass * ratio * acceleration
+    per = state.slow_pull + load.mass * ratio * acceleration
     found = state.slow_force - load.mass * acceleration
     if starting:
         state.known = per * per + NOTHING
@@ -742,14 +744,30 @@ def weigh(starting, force, load, ratio, v, axis, gains, state):
     left = found - per * state.payload
     state.scatter += news * (left * left - state.scatter)
     doubt = max(2.0 * math.sqrt(state.scatter), abs(left)) + axis.cylinder.friction_coulomb
+    doubt += OFFSET * gains.upper[DISTURBANCE]
     doubt += DAMPED * abs(v) * (load.damping + axis.cylinder.friction_viscous)
     state.half = min(doubt / math.sqrt(state.known), gains.upper[PAYLOAD_SHARE])
 
 
 @kernel
-def tell(reference, stroke, force, choice, flows, limits, state, telemetry):
-    """Write the law's own columns of telemetry."""
-    estimates = state.estimates
+def mend_maps(choice, seen, command, axis, gains, memory, telemetry):
+    """Let the flow maps be corrected, where that is wanted, in a motion whose function stays."""
+    if gains.adapt_maps > 0.0:
+        moving = choice.function != HOLD and not choice.resting
+        quiet = moving and memory.state.age > 1.5 * gains.tick
+        learn_maps(quiet, seen, telemetry[COLUMNS:], command, axis, gains, memory.maps)
+
+
+@kernel
+def tell(reference, stroke, force, choice, flows, limits, memory, telemetry):
+    """Write the law's own columns of telemetry, and behind those of every law the corrections of
+    its edges.
+    """
+    state, trim = memory.state, memory.maps.trim
+    estimates, count = state.estimates, trim.shape[0]
+    for i in range(count):
+        telemetry[COLUMNS + 2 * count + i] = trim[i, GAIN]
+        telemetry[COLUMNS + 3 * count + i] = trim[i, SHIFT]
     write(
         Telemetry(
             reference.x,
@@ -798,8 +816,7 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
         command: out, [V], one per valve of the rig; only this cylinder's are written.
         telemetry: out, shape (COLUMNS + 4·edges of the cylinder,).
     """
-    state, trim = memory.state, memory.maps.trim
-    circuit = trimmed(axis.circuit, trim)
+    circuit, state = axis.circuit, memory.state
     number = circuit.cylinder
     wish, p = reference_of(reference), pressures(sample, number)
     q, x, v = sample[entry(number, OF.q)], sample[entry(number, OF.x)], sample[entry(number, OF.v)]
@@ -828,27 +845,20 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
     wanted += track_flow(rate, learning, weight, stroke, force, oil, gains, memory)
 
     spool_speed = wanted / (oil.head * circuit.area_head + oil.rod * circuit.area_rod)
-    before = state.function
     choice = choose(wish, stroke.z1, measured, spool_speed, p, axis, gains, state)
     flows = share_flows(choice, wish, wanted, oil, p, circuit, gains, state)
-    edges, count = COLUMNS + circuit.count, circuit.count
-    edge_flows, edge_limits = telemetry[COLUMNS:edges], telemetry[edges : edges + count]
+    edges = COLUMNS + circuit.count
+    edge_flows, edge_limits = telemetry[COLUMNS:edges], telemetry[edges : edges + circuit.count]
     limits = allocate(
         choice.function, flows, p, gains.drop_floor, circuit, command, edge_flows, edge_limits
     )
     if gains.standby > 0.0:
-        stand_by(axis, gains.standby, trim, command)
+        stand_by(axis, gains.standby, memory.maps.trim, command)
     state.learning = learns_next(choice, limits, edge_limits, circuit)
     learn(learning, starting, force, gains, memory)
     weigh(starting, force, load, tip / own, v, axis, gains, state)
-    tell(wish, stroke, force, choice, flows, limits, state, telemetry)
-    for i in range(count):
-        telemetry[edges + count + i] = trim[i, GAIN]
-        telemetry[edges + 2 * count + i] = trim[i, SHIFT]
-    if gains.adapt_maps > 0.0:
-        quiet = choice.function == before and choice.function != HOLD and not choice.resting
-        seen = Seen(v, p, oil)
-        learn_maps(quiet, seen, telemetry[COLUMNS:], command, axis, gains, memory.maps)
+    tell(wish, stroke, force, choice, flows, limits, memory, telemetry)
+    mend_maps(choice, Seen(v, p, oil), command, axis, gains, memory, telemetry)
 
 
 def memory_of(axis: Axis) -> Memory:

@@ -23,7 +23,7 @@ from ehbench.codes import (
     STALLED,
     UNABLE,
 )
-from ehbench.compiled import kernel, record, table
+from ehbench.compiled import kernel, record
 from ehbench.control.measured import Pressures
 from ehbench.control.records import blank, numbers, reals
 from ehbench.errors import InputError
@@ -93,8 +93,8 @@ class Circuit(NamedTuple):
     the circuit can do. ``hull``, ``hull_at`` [edges, 2]: the measured range of each map, see
     `ehbench.control.valve_level.inside`. ``supply`` is the plant's line, which says at what
     pressure an edge finds the supply, see `supply_pressure`. ``trim``, shape (count, 2): gain [1]
-    and shift of the deadband [V] by which each edge is known to differ from its law, see
-    `ehbench.control.map_learning`."""
+    and shift of the deadband [V] by which each edge differs from its law; a controller that learns
+    writes it (`ehbench.control.map_learning`)."""
 
     cylinder: int
     area_head: float
@@ -110,7 +110,7 @@ class Circuit(NamedTuple):
     able: np.ndarray
     hull: np.ndarray
     hull_at: np.ndarray
-    supply: np.recarray
+    supply: np.record
     trim: np.ndarray
 
 
@@ -131,7 +131,7 @@ def supply_pressure(chamber, p, circuit):
     """Pressure [Pa] at which an edge to a ``chamber`` [Pa] finds the supply: that which is
     measured, the low rail's, or what a load-sensing pump is about to bring.
     """
-    return offered(p.supply, chamber, circuit.supply[0])
+    return offered(p.supply, chamber, circuit.supply)
 
 
 @kernel
@@ -184,7 +184,7 @@ def feasible(function, active, v_d, load_force, p, circuit, rules):
     full command carries A2 |v_d| at it. The seventh: see `seventh_feasible`."""
     if path_drop(METERING[function], p, circuit) <= 0.0:
         return False
-    most = most_pressure(p.supply, circuit.supply[0])
+    most = most_pressure(p.supply, circuit.supply)
     cross = CROSS[function]
     if cross < 0:
         metered = circuit.area_head if METERED[function] == HEAD else circuit.area_rod
@@ -249,10 +249,12 @@ def planned(function, load_force, p, circuit, rules):
 @kernel
 def carries(function, active, v_d, plan, circuit, rules):
     """True where a function carries ``v_d`` [m/s] at its `planned` pressures: no chamber runs
-    empty, and every path passes its share; a function that is ``active`` is held more easily.
+    empty, ``supply_margin`` is left for metering, and every path passes its share; a function that
+    is ``active`` is held more easily.
     """
     room, speed = 1.0 if active else 1.0 + rules.reserve, abs(v_d)
     least = plan.tank + (0.25 if active else 0.5) * rules.low_pressure
+    left = rules.supply_margin + (0.0 if active else rules.supply_band)
     if not (plan.head >= least and plan.rod >= least):
         return False
     for path in range(len(PATHS)):
@@ -260,7 +262,10 @@ def carries(function, active, v_d, plan, circuit, rules):
         share += PATH_FLOWS[function, path, 1] * circuit.area_rod
         if share == 0.0:
             continue
-        if capacity(circuit, path, path_drop(path, plan, circuit)) < room * abs(share) * speed:
+        drop = path_drop(path, plan, circuit)
+        if drop < left and (path == SUPPLY_HEAD or path == SUPPLY_ROD):
+            return False
+        if capacity(circuit, path, drop) < room * abs(share) * speed:
             return False
     return True
 
@@ -273,7 +278,7 @@ def pump_force(function, plan, circuit):
         drawn = PATH_FLOWS[function, path, 0] * circuit.area_head
         drawn += PATH_FLOWS[function, path, 1] * circuit.area_rod
         chamber = plan.head if path == SUPPLY_HEAD else plan.rod
-        taken += way * drawn * drawn_at(plan.supply, chamber, circuit.supply[0])
+        taken += way * drawn * drawn_at(plan.supply, chamber, circuit.supply)
     return taken
 
 
@@ -491,8 +496,7 @@ def circuit(
     one sign only: four edges on one spool are able of the four without regeneration.
 
     Args:
-        cylinder: its number; nodes are 0 supply, 1 tank, 2 + 2·cylinder its head end, 3 +
-            2·cylinder its rod end.
+        cylinder: its number; its head end is node 2 + 2·cylinder, its rod end the next one.
         area_head, area_rod: [m²].
         edges, maps: the plant's; ranges: lowest, highest command [V] of its valves, (valves, 2).
         measured: the flow maps of every edge that follows one, None for the others.
@@ -502,9 +506,8 @@ def circuit(
         InputError: no edge touches the cylinder, a pump does, or an edge lacks its map.
     """
     if edges.dtype != EDGE:
-        raise InputError(
-            "edges are not those of a plant", hint="records of ehbench.parts.edge.EDGE"
-        )
+        hint = "records of ehbench.parts.edge.EDGE"
+        raise InputError("edges are not those of a plant", hint=hint)
     ranges = np.asarray(ranges, float)
     lowest, highest = np.ascontiguousarray(ranges.T)
     head, rod = 2 + 2 * cylinder, 3 + 2 * cylinder
@@ -527,7 +530,7 @@ def circuit(
         able,
         hull,
         hull_at,
-        _line(supply),
+        blank(SUPPLY) if supply is None else supply,
         np.tile([1.0, 0.0], (int(own[-1] - own[0] + 1), 1)),
     )
     ends = ((0, head), (head, 1), (0, rod), (rod, 1), (head, rod), (rod, head))
@@ -535,14 +538,6 @@ def circuit(
         paths[path], along[path] = _serving(whole, own, between)
     able[:] = _able(paths, edges)
     return whole
-
-
-def _line(supply: np.record | None) -> np.recarray:
-    """The supply's line as a table of one row, which compiled code hands on; zeros for none."""
-    line = table(1, SUPPLY)
-    if supply is not None:
-        line[0] = supply
-    return line
 
 
 def _edges_at(edges: np.recarray, cylinder: int, nodes: tuple[int, int]) -> np.ndarray:

@@ -52,7 +52,7 @@ class MapMemory(NamedTuple):
 
 
 def map_memory(circuit: Circuit) -> MapMemory:
-    """The memory before the first tick: maps as they are given."""
+    """The memory before the first tick; what is learnt is the circuit's ``trim``."""
     into = np.zeros((circuit.count, 2))
     enters = {
         SUPPLY_HEAD: (1, 0),
@@ -66,7 +66,7 @@ def map_memory(circuit: Circuit) -> MapMemory:
         if circuit.paths[path] >= 0:
             into[circuit.paths[path] - circuit.first] = circuit.along[path] * np.array(ends)
     edges = np.zeros((circuit.count, 7))
-    return MapMemory(circuit.trim.copy(), edges, np.zeros((2, 2)), into, np.zeros(1))
+    return MapMemory(circuit.trim, edges, np.zeros((2, 2)), into, np.zeros(1))
 
 
 class Seen(NamedTuple):
@@ -78,34 +78,12 @@ class Seen(NamedTuple):
 
 
 @kernel
-def trimmed(known, trim):
-    """The circuit with the corrections of its maps."""
-    return Circuit(
-        known.cylinder,
-        known.area_head,
-        known.area_rod,
-        known.first,
-        known.count,
-        known.edges,
-        known.maps,
-        known.lowest,
-        known.highest,
-        known.paths,
-        known.along,
-        known.able,
-        known.hull,
-        known.hull_at,
-        known.supply,
-        trim,
-    )
-
-
-@kernel
 def begin(p, onset, gains, maps):
     """Write the memory of the first tick."""
     maps.chambers[0, PRESSURE], maps.chambers[1, PRESSURE] = p.head, p.rod
     maps.chambers[0, FLOW] = maps.chambers[1, FLOW] = 0.0
     for i in range(maps.edges.shape[0]):
+        maps.trim[i, GAIN], maps.trim[i, SHIFT] = 1.0, 0.0
         maps.edges[i, VAR_GAIN] = (FIRST_GAIN * gains.map_error) ** 2
         if onset[i] != 0.0:  # of a spool without a deadband there is none to learn
             maps.edges[i, VAR_SHIFT] = (FIRST_SHIFT * gains.deadband_error) ** 2

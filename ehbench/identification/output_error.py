@@ -795,15 +795,18 @@ class OutputError:
                 f"the fit stopped after {self.most} evaluations without converging; its numbers "
                 "are not final"
             )
+        groups = self._groups(found)
+        warnings += [sentence(groups)] if groups else []
+        told = [one.alone.keys() for one in groups]
         for a, name in enumerate(found.names):
             for b, other in enumerate(found.names[:a]):
+                if any({name, other} <= names for names in told):
+                    continue  # the group says it
                 if abs(found.correlation[a, b]) > CORRELATED:
                     warnings.append(
                         f"{other} and {name} are correlated by {found.correlation[a, b]:+.3f}: "
                         "the logs tell them only together"
                     )
-        groups = self._groups(found)
-        warnings += [sentence(groups)] if groups else []
         return finish(
             self.simulator,
             Estimate(

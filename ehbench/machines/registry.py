@@ -7,6 +7,7 @@ from collections.abc import Callable
 from ehbench.errors import InputError
 from ehbench.machines.protocol import Machine
 from ehbench.machines.simulated import SimulatedMachine
+from ehbench.machines.variation import varied
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.plant.build import Maps
 from ehbench.recipe import TrialRecipe
@@ -33,4 +34,6 @@ def open_machine(recipe: TrialRecipe, rig: Rig, maps: Maps | None = None) -> Mac
         rig.with_payload(recipe.payload)
     except InputError as error:
         raise InputError(error.message, **recipe.at("payload"), hint=error.hint) from None
+    if recipe.machine is not None:
+        return varied(recipe, rig, maps)
     return MACHINES[recipe.on](recipe, rig, maps)

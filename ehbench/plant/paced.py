@@ -66,6 +66,7 @@ def pace_of(plant: Plant, names: Layout, tick: float) -> Pace:
     Valves are exact beside, and what states of a friction do is seen in the joints' rates.
     """
     weights, n = np.zeros(names.states), plant.at.rates
+    state_of: Any = plant.nodes.state
     weights[: 2 * n] = 1.0
     for index, row in enumerate(plant.cylinders):
         low, high = joint_range_of(row)
@@ -77,7 +78,7 @@ def pace_of(plant: Plant, names: Layout, tick: float) -> Pace:
             weights[row.mount_state] = row.mount_stiffness / (highest * row.area_head)
     for line in plant.lines:
         highest = _highest(plant, plant.cylinders[line.cylinder])
-        weights[plant.nodes[line.node].state] = 1.0 / highest
+        weights[state_of[line.node]] = 1.0 / highest
     weights[plant.at.supply] = 10.0 / float(plant.supply.pressure)
     return Pace(weights / CLOSE, 2 ** max(1, math.ceil(math.log2(tick / LEAST))))
 

@@ -33,6 +33,7 @@ from ehbench.recipe.trial import (
     Controller,
     CylinderMotion,
     Limits,
+    MachineChange,
     Motion,
     TrialRecipe,
 )
@@ -71,6 +72,7 @@ __all__ = [
     "JudgedFile",
     "Measure",
     "Limits",
+    "MachineChange",
     "Motion",
     "Recipe",
     "Sensor",

@@ -23,7 +23,8 @@ class Spread(FileModel):
 
     ``uniform`` and ``log_uniform`` between ``low`` and ``high``, ``normal`` about ``mean`` by
     ``std``, ``log_normal`` about ``median`` by a factor of ``spread`` in one standard deviation.
-    ``relative``: all numbers are factors on what the rig or recipe has."""
+    ``relative``: all numbers are factors on what the rig or recipe has. ``also`` are keys that get
+    the same."""
 
     law: Literal["uniform", "log_uniform", "normal", "log_normal"] | None = None
     low: Number | None = None
@@ -33,6 +34,7 @@ class Spread(FileModel):
     median: Number | None = None
     spread: Number | None = None
     relative: bool = False
+    also: tuple[str, ...] = ()
 
     @model_validator(mode="after")
     def _whole(self) -> Spread:
@@ -64,7 +66,8 @@ class Spread(FileModel):
 
 class Span(FileModel):
     """What a key is swept over: ``values``, or ``low`` to ``high``: ``count`` of them evenly, or as
-    the study's ``design`` fills it. ``relative`` as in `Spread`; ``log``: evenly in the logarithm.
+    the study's ``design`` fills it. ``relative`` and ``also`` as in `Spread`; ``log``: evenly in
+    the logarithm.
     """
 
     values: tuple[Any, ...] = ()
@@ -73,6 +76,7 @@ class Span(FileModel):
     count: int | None = Field(default=None, ge=2, le=100_000)
     relative: bool = False
     log: bool = False
+    also: tuple[str, ...] = ()
 
     @model_validator(mode="after")
     def _whole(self) -> Span:
@@ -139,7 +143,8 @@ class Measure(FileModel):
     """A measure of a sample: by the ``result``'s name, or taken of a ``channel`` of a trial's log.
 
     ``take`` says what of the channel, less the channel ``minus`` where that is given, ``since`` the
-    start of the trial or the tick at which a limit stopped it. ``inside``: 1 where an interval, the
+    start of the trial or the tick at which a limit stopped it. ``over``: another result that it is
+    divided by. ``inside``: 1 where an interval, the
     result, holds the value that the key of that name has in the sample, else 0."""
 
     name: str = ""
@@ -148,6 +153,7 @@ class Measure(FileModel):
     minus: str | None = None
     take: Literal["max", "min", "mean", "rms", "final", "range", "largest"] = "largest"
     since: Literal["start", "stop"] = "start"
+    over: str | None = None
     inside: str | None = None
     unit: str | None = None
 
@@ -155,6 +161,8 @@ class Measure(FileModel):
     def _whole(self) -> Measure:
         if (self.result is None) == (self.channel is None):
             raise ValueError("a measure takes 'result' or 'channel', and not both")
+        if self.result is None and not (self.over is None and self.inside is None):
+            raise ValueError("'over' and 'inside' are of results, not of channels")
         return self
 
     @property

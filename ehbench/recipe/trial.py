@@ -75,6 +75,25 @@ class Limits(FileModel):
     ramp: Annotated[Value, Q("ramp")] = Value(0.05)
 
 
+class MachineChange(FileModel):
+    """What is otherwise on the machine than on that which the controller was designed for.
+
+    ``delay`` of all samples and ``pressure_lag`` are added; ``valve_lag`` (the valves' periods),
+    ``bulk_modulus``, ``friction``, ``flow`` of every edge and ``supply_pressure`` are factors;
+    ``deadband`` is added to every edge's."""
+
+    name: str = ""
+    delay: Annotated[Value, Q("delay")] = Value(0.0)
+    pressure_lag: Annotated[Value, Q("lag")] = Value(0.0)
+    valve_lag: float = Field(default=1.0, gt=0.0, le=100.0)
+    bulk_modulus: float = Field(default=1.0, gt=0.0, le=100.0)
+    friction: float = Field(default=1.0, ge=0.0, le=100.0)
+    flow: float = Field(default=1.0, gt=0.0, le=100.0)
+    deadband: Annotated[Value, Q("map_shift")] = Value(0.0)
+    supply_pressure: float = Field(default=1.0, gt=0.0, le=100.0)
+    where: tuple[str | int, ...] = Field(default=("machine",), exclude=True)
+
+
 class PayloadChange(FileModel):
     """A load that the machine takes up or puts down on its way: from ``at`` on it carries
     ``payload``, which moves with its link at once.
@@ -406,6 +425,7 @@ class TrialRecipe(AnyTrial):
 
     stage: Literal["trial"]
     payload: str | None = None
+    machine: MachineChange | None = None
     controller: Controller | None = None
     motion: Motion | None = None
 

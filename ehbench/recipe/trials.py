@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
@@ -10,6 +11,7 @@ from ehbench.recipe.base import ByParameter
 from ehbench.recipe.trial import (
     AnyTrial,
     Controller,
+    MachineChange,
     Motion,
     OtherSupply,
     TrialRecipe,
@@ -34,8 +36,8 @@ class SetController(Controller):
 
 
 class TrialSetRecipe(AnyTrial):
-    """The product of ``payloads`` (``none`` is none) × ``[[motion]]`` × ``[[controller]]``: one log
-    each, and one table over all.
+    """The product of ``payloads`` (``none`` is none) × ``[[motion]]`` × ``[[machine]]`` ×
+    ``[[controller]]``: one log each, and one table over all.
     """
 
     stage: Literal["trials"]
@@ -48,6 +50,7 @@ class TrialSetRecipe(AnyTrial):
         "1, …; a case's numbers are their medians and ranges, its log is that of the median error",
     )
     motion: Annotated[tuple[Motion, ...], Field(min_length=1)]
+    machine: tuple[MachineChange, ...] = ()
     controller: Annotated[tuple[SetController, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
@@ -61,6 +64,7 @@ class TrialSetRecipe(AnyTrial):
         for what, names in (
             ("payload", list(self.payloads)),
             ("motion", [m.name or m.kind for m in self.motion]),
+            ("machine", [m.name for m in self.machine]),
             ("controller", [c.label for c in self.controller]),
         ):
             twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
@@ -79,29 +83,29 @@ class TrialSetRecipe(AnyTrial):
     def cases(self) -> tuple[tuple[str, SetController, TrialRecipe], ...]:
         """(name, controller, recipe) of each trial, payloads outermost, controllers innermost."""
         shared = {name: getattr(self, name) for name in AnyTrial.model_fields if name != "path"}
+        machines = [*enumerate(self.machine)] or [(0, None)]
         cases = []
-        for payload in self.payloads:
-            for m, motion in enumerate(self.motion):
-                for c, law in enumerate(self.controller):
-                    name = " ".join(
-                        [
-                            payload if payload != "none" else "no load",
-                            motion.name or motion.kind,
-                            law.label,
-                        ]
-                    )
-                    own = {
-                        key: value
-                        for key in ("rig", "flow_maps", "bench", "dynamics", "supply")
-                        if (value := getattr(law, key))
-                    }
-                    case = TrialRecipe.model_construct(
-                        **{**shared, **own},
-                        stage="trial",
-                        payload=None if payload == "none" else payload,
-                        path=self.path,
-                        controller=law.model_copy(update={"where": ("controller", c)}),
-                        motion=motion.model_copy(update={"where": ("motion", m)}),
-                    )
-                    cases.append((name, law, case.model_copy(update={"title": name})))
+        for payload, (m, motion), (n, machine), (c, law) in product(
+            self.payloads, enumerate(self.motion), machines, enumerate(self.controller)
+        ):
+            said = motion.name or motion.kind
+            if machine is not None:
+                said = f"{said}, {machine.name}"
+                machine = machine.model_copy(update={"where": ("machine", n)})
+            name = " ".join([payload if payload != "none" else "no load", said, law.label])
+            own = {
+                key: value
+                for key in ("rig", "flow_maps", "bench", "dynamics", "supply")
+                if (value := getattr(law, key))
+            }
+            case = TrialRecipe.model_construct(
+                **{**shared, **own},
+                stage="trial",
+                payload=None if payload == "none" else payload,
+                path=self.path,
+                machine=machine,
+                controller=law.model_copy(update={"where": ("controller", c)}),
+                motion=motion.model_copy(update={"where": ("motion", m), "name": said}),
+            )
+            cases.append((name, law, case.model_copy(update={"title": name})))
         return tuple(cases)

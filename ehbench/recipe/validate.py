@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from ehbench.errors import InputError
 from ehbench.fields import FileModel, Q, Value, read_value
-from ehbench.quantities import VOCABULARY
+from ehbench.quantities import VOCABULARY, quantity
 from ehbench.recipe.base import DataFile, Recipe, data_file
 from ehbench.recipe.columns import AnyColumns
 from ehbench.recipe.sensor import Sensors
@@ -113,6 +113,50 @@ class JudgedFile(DataFile):
         )
 
 
+class Reference(FileModel):
+    """A figure that others reached on the same recording, to stand beside this model's in the
+    report. It decides nothing.
+    """
+
+    name: str = Field(min_length=1, description="whose figure, such as `linear ARX(3,2,1)`")
+    channel: str = Field(description="full name, such as `ram.p_head`")
+    measure: Literal["rms_error", "fit_percent"] = Field(
+        default="rms_error", description="what was measured"
+    )
+    value: Any = Field(description="with unit, such as `9.54 bar`; a fit as its percentage")
+    source: str = Field(min_length=1, description="where it stands")
+
+    @field_validator("channel")
+    @classmethod
+    def _known(cls, channel: str) -> str:
+        try:
+            quantity(channel)
+        except KeyError as error:
+            raise ValueError(str(error.args[0])) from None
+        return channel
+
+    @field_validator("value")
+    @classmethod
+    def _read(cls, raw: Any, info: ValidationInfo) -> Value | None:
+        if "channel" not in info.data or "measure" not in info.data:
+            return None
+        if info.data["measure"] == "fit_percent":
+            if isinstance(raw, bool) or not isinstance(raw, int | float) or not raw <= 100.0:
+                raise ValueError(f"{raw!r} is no percentage of fit: a number up to 100")
+            return Value(float(raw))
+        try:
+            value = read_value(raw, quantity(info.data["channel"]))
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        if not 0.0 <= float(value) < math.inf:
+            raise ValueError(f"an rms error is not {raw}")
+        return value
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values [SI]."""
+        return self.model_dump(exclude={"value"}) | {"value": float(self.value)}
+
+
 JudgedFiles = Annotated[
     tuple[Annotated[JudgedFile, BeforeValidator(data_file)], ...], Field(min_length=1)
 ]
@@ -139,3 +183,6 @@ class ValidateRecipe(Recipe):
         "the model are named",
     )
     thresholds: Thresholds = Thresholds()
+    reference: tuple[Reference, ...] = Field(
+        default=(), description="`[[reference]]`: what others reached on these recordings"
+    )

@@ -92,17 +92,20 @@ def cases_of(run: Saved) -> list[Case]:
     also = facts["measures"].get("also", {})
     cases = []
     for cylinder, measures in {facts["cylinder"]: facts["measures"], **also}.items():
-        about = {"case": run.title, "motion": cylinder if also else "", "cylinder": cylinder}
+        about = {"case": run.title, "motion": "", "cylinder": cylinder}
+        if also:
+            about["controller"] = f"{facts['controller']}, {cylinder}"
         row = Table({**facts, **measures, **about}, path)
         cases.append(Case(row, cylinder, run.folder / "log.mcap", run.folder / "ledger.json"))
     return cases
 
 
-def groups_of(cases: Sequence[Case]) -> dict[tuple[str, str], list[Case]]:
-    """Cases that differ in their controller only, by (payload, motion)."""
-    groups: dict[tuple[str, str], list[Case]] = {}
+def groups_of(cases: Sequence[Case]) -> dict[tuple[str, str, str], list[Case]]:
+    """Cases that differ in their controller only, by (payload, motion, cylinder)."""
+    groups: dict[tuple[str, str, str], list[Case]] = {}
     for case in cases:
-        groups.setdefault((case.row["payload"], case.row["motion"]), []).append(case)
+        key = case.row["payload"], case.row["motion"], case.cylinder
+        groups.setdefault(key, []).append(case)
     return groups
 
 

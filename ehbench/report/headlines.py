@@ -264,7 +264,7 @@ def _tracked(rig: Rig, cases: Sequence[Case]) -> list[Headline]:
     if tips := [case for case in fit if case.row.get("tip")]:
         best = min(tips, key=lambda case: case.row["tip"]["max_error"])
         value = measure(rig, "tip_error", best.row["tip"]["max_error"], 2)
-        about = f"{words(best.row['controller'])}, {best.where}"
+        about = f"{words(best.row['controller'].removesuffix(f', {best.cylinder}'))}, {best.where}"
         return [Headline(TRACKING, "Largest tip error", value, about, _modelled([best]))]
 
     def most(group: Sequence[Case]) -> float:

@@ -26,6 +26,24 @@ document.documentElement.classList.add("live");
 if (innerWidth < 640) document.querySelector("nav details").open = false;
 mark();
 
+// the printed contents have page numbers: for a moment the page is laid out in columns of a sheet's size, which break where sheets do
+function paginate() {
+  const rules = [...document.styleSheets[0].cssRules].filter((one) => one.media);
+  const meant = rules.map((one) => one.media.mediaText);
+  for (const one of rules) one.media.mediaText = one.media.mediaText === "print" ? "all" : "not all";
+  document.documentElement.classList.add("sheets");
+  const { columnWidth, columnGap } = getComputedStyle(document.body);
+  const left = document.body.getBoundingClientRect().left, sheet = parseFloat(columnWidth) + parseFloat(columnGap);
+  for (const [id, link] of links) {
+    const here = document.getElementById(id), box = here && (here.querySelector("h2") || here).getClientRects()[0];
+    if (box) link.dataset.page = Math.floor((box.left - left + 1) / sheet) + 1;
+    else delete link.dataset.page;
+  }
+  document.documentElement.classList.remove("sheets");
+  rules.forEach((one, i) => { one.media.mediaText = meant[i]; });
+}
+addEventListener("beforeprint", paginate);
+
 // a figure opens large: wheel or two fingers zoom, drag moves, double click shows all, Esc closes
 const dialog = document.getElementById("zoom");
 let svg = null, home = null, whole = null;

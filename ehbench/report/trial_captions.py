@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+
 from ehbench import codes
 from ehbench.record import Record
 from ehbench.report.captions import (
@@ -128,8 +129,9 @@ def case_caption(rig: Rig, case: Case) -> str:
     """What one trial came to."""
     row = case.row
     steps = "; ".join(step_caption(rig, one) for one in case.steps)
+    law = words(row["controller"].removesuffix(f", {case.cylinder}"))
     text = (
-        f"{load_name(row['payload'])}, {words(row['controller'])}, on the {row['on']}: "
+        f"{load_name(row['payload'])}, {law}, on the {row['on']}: "
         f"{steps or tracking_caption(rig, row)}"
         f"; the pump gave {measure(rig, 'energy', row['energy']['pump'], 4)}"
     )
@@ -202,6 +204,18 @@ def energy_caption(rig: Rig, cases: Sequence[Case]) -> str:
         sentences.append(f"Left out, more than {percent(SLOW)} off the speed asked: {names}")
     sources = dict.fromkeys(case.row["energy"]["source"] for case in cases)
     return ". ".join([*sentences, f"Source: {'; '.join(sources)}"]) + "."
+
+
+def map_caption(panels: Sequence[tuple[str, np.ndarray]]) -> str:
+    """How far each controller's energies, shape (loads, speeds), lie above the least of all."""
+    least = np.fmin.reduce([energies for _, energies in panels])
+    told = []
+    for name, energies in panels:
+        above = 100.0 * (energies / least - 1.0)
+        above = above[np.isfinite(above)]
+        if above.size:
+            told.append(f"{name} {span([round(float(v), 1) for v in above])} %")
+    return f"Above the least that any takes at that load and speed: {', '.join(told)}."
 
 
 def _least_and_most(rig: Rig, payload: str, least: Case, most: Case) -> str:

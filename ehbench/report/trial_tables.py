@@ -7,9 +7,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from ehbench.report.blocks import Block, Cell, Fold, Grid
+from ehbench.report.blocks import Block, Cell, Fold, Grid, Text
 from ehbench.codes import LIMITS_MEAN, STATUS_MEANS
-from ehbench.report.captions import capital, error_of, load_name, range_in, ranged, span
+from ehbench.report.captions import (
+    capital,
+    error_of,
+    load_name,
+    measure,
+    percent,
+    range_in,
+    ranged,
+    span,
+)
 from ehbench.report.cases import Case, damping, groups_of
 from ehbench.report.content import chip, num, quantity_cell
 from ehbench.report.saved import Table
@@ -26,6 +35,7 @@ from ehbench.report.words import (
 )
 from ehbench.rig import Rig
 
+MEANS = 10.0  # times the errors seen: a guaranteed bound beyond that says nothing
 STANDS = 1e-3  # share of the speed asked that counts as standing still
 
 
@@ -37,7 +47,7 @@ def measure_tables(rig: Rig, cases: Sequence[Case]) -> list[Block]:
     tables.append(_tracking(rig, cases))
     if limits := _limits(cases):
         tables.append(limits)
-    return tables
+    return [*tables, *_maps(rig, cases), *_guaranteed(rig, cases)]
 
 
 def who(case: Case) -> list[Cell | str]:
@@ -282,6 +292,81 @@ def _limits(cases: Sequence[Case]) -> Grid | None:
     told = "; ".join(f"{words(name)}: {means[name]}" for name in met if name in means)
     note = f"Share of the time at a limit. {capital(told)}."
     return Grid(head, rows, note, "limits", "Limits met.")
+
+
+def _maps(rig: Rig, cases: Sequence[Case]) -> list[Block]:
+    """How flow maps were corrected in motion, beside the truth where the machine tells it; folded
+    away where there are several trials.
+    """
+    found = [(case, edge, one) for case in cases for edge, one in case.row.get("maps", {}).items()]
+    if not found:
+        return []
+    several = len(cases) > 1
+    volt = pretty(unit_of(rig, "map_shift"))
+    head = [
+        *(WHO if several else ()),
+        "edge",
+        "gain",
+        "true gain",
+        f"shift of the deadband [{volt}]",
+        f"true shift [{volt}]",
+        "largest error of the map [%]",
+        "after correction [%]",
+    ]
+    rows: list[list[Cell | str]] = []
+    for case, edge, one in found:
+        shifts = (one.get(key) for key in ("shift", "true_shift"))
+        shift, true = (None if v is None else float(shown(rig, "map_shift", v)) for v in shifts)
+        errors = (one.get(f"error_{when}") for when in ("before", "after"))
+        shares = (num(number(None if v is None else 100.0 * v, 2)) for v in errors)
+        rows.append(
+            [
+                *(who(case) if several else ()),
+                words(edge.partition(".")[2]),
+                num(number(one["gain"], 3)),
+                num(number(one.get("true_gain"), 3)),
+                num(number(shift, 2)),
+                num(number(true, 2)),
+                *shares,
+            ]
+        )
+    note = (
+        "What an edge passes is gain × its map at the command less the shift. The truth fits what "
+        "the machine's own edge passes at rest, where the trial used it; errors are shares of the "
+        "largest flow there."
+    )
+    grid = Grid(head, rows, note, "maps", "Corrections of the flow maps.")
+    return [Fold("Corrections of the flow maps", [grid])] if several else [grid]
+
+
+def _guaranteed(rig: Rig, cases: Sequence[Case]) -> list[Block]:
+    """What the transient of an adaptive law is guaranteed to stay within, against what was seen."""
+    known = [case for case in cases if case.row.get("guaranteed")]
+    if not known:
+        return []
+    seen = [case.row["tracking"]["max_error"] for case in known]
+    bounds = [case.row["guaranteed"]["stroke"] for case in known]
+    ratios = [bound / one for bound, one in zip(bounds, seen, strict=True) if one > 0.0]
+    if not ratios:
+        return []
+    worst = max(known, key=lambda case: case.row["guaranteed"]["acceleration"]).row
+    unsure = measure(rig, "acceleration", worst["guaranteed"]["acceleration"], 2)
+    most = measure(rig, "x", max(bounds), 3)
+    text = (
+        "Whatever the estimates do inside of their bounds, the law guarantees a stroke error of at "
+        f"most {most} after the transient; the largest errors seen are "
+        f"{span([float(shown(rig, 'x', one)) for one in seen], 2)} {pretty(unit_of(rig, 'x'))}, "
+        f"{span(ratios, 2)} times less. "
+    )
+    if max(ratios) <= MEANS:
+        return [Text(text + "So the bound means something.")]
+    share = percent(worst["gains"]["robust_limit"])
+    text += (
+        "The bound is vacuous: it is made for payload, inertia and disturbance at the worst corner "
+        f"of their bounds at once, which leaves {unsure} open, and the lag of the valves lets "
+        f"the robust terms add no more than {share} to the gains that hold it down."
+    )
+    return [Text(text)]
 
 
 def settings_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:

@@ -24,7 +24,7 @@ from ehbench.sampling.pools import DEATHS, GRACE, WARMING, Chunks
 from ehbench.sampling.sample import Make, Sample, Task
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Future
 
 WAITING = 3  # chunks for each thread of the cluster that are under way at most
 CONNECT = 20.0  # [s]
@@ -102,7 +102,7 @@ class Cluster:
                 "--scheduler needs Dask", hint="install it: pip install 'ehbench[scale]'"
             ) from None
         try:
-            self._client: Client = Client(address, timeout=CONNECT, set_as_default=False)
+            self._client: Any = Client(address, timeout=CONNECT, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise InputError(
                 f"no Dask scheduler answers at '{address}': {error}",

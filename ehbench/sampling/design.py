@@ -161,6 +161,8 @@ class Design:
         if twice:
             raise InputError(f"'{twice[0]}' is drawn twice", **recipe.at("draw"))
         self._root = _root(recipe, self.drawn, fitted)
+        varied = {**recipe.draw, **recipe.sweep}
+        self._also = {key: one.also for key, one in varied.items() if one.also}
         self.combinations = math.prod(len(one.values) for one in self.listed)
         size = len(self.drawn)
         self.points = recipe.samples * (size + 2 if recipe.design == "saltelli" else 1)
@@ -249,7 +251,8 @@ class Design:
                 value = Factor(float(value))
             elif column.varied == "draw" and column.unit:
                 value = f"{value!r} {column.unit}"
-            typed[column.key] = value
+            for key in (column.key, *self._also.get(column.key, ())):
+                typed[key] = value
         return typed
 
     def cells(self, inputs: Sequence[Any]) -> list[float | str]:

@@ -25,13 +25,17 @@ class Journal:
     """The samples that are done.
 
     Args:
-        path: of the file; what stands there is taken over if it is of this very study.
+        path: of the file; what stands there is taken over if it is of this very study, recipe,
+            inputs and code, else replaced.
         key: of the study: recipe, inputs, code.
         size: how many samples it has.
         resume: whether to take over what stands.
 
     Attributes:
         taken: how many samples were taken over.
+
+    Raises:
+        InputError: samples of this study stand there, and nobody asked to go on with them.
     """
 
     def __init__(self, path: Path, key: str, size: int, resume: bool) -> None:
@@ -39,21 +43,21 @@ class Journal:
         self._places = np.zeros(size, np.int64)
         self._synced = 0.0
         path.parent.mkdir(parents=True, exist_ok=True)
-        if not resume:
-            path.unlink(missing_ok=True)
         self.end = self._taken_over(key)
         self.taken = int(self.done.sum())
+        if self.taken and not resume:
+            raise InputError(
+                f"a study that was killed left {self.taken} of its {size} samples here",
+                file=path,
+                hint="go on with --resume, or remove the file to begin anew",
+            )
         self._file = path.open("ab")
         self._file.truncate(self.end)
         if not self.end:
             self._write(json.dumps({"study": key}).encode() + b"\n")
 
     def _taken_over(self, key: str) -> int:
-        """Take over what stands; where its last whole line ends.
-
-        Raises:
-            InputError: it is of another study.
-        """
+        """Take over what stands; where its last whole line ends."""
         if not self.path.exists():
             return 0
         end = 0
@@ -66,11 +70,7 @@ class Journal:
                 except ValueError:
                     break
                 if not end and said.get("study") != key:
-                    raise InputError(
-                        "is of another study, or of other code",
-                        file=self.path,
-                        hint="leave --resume out to begin anew",
-                    )
+                    return 0
                 if end:
                     self.done[said["i"]], self._places[said["i"]] = True, end
                 end += len(line)
@@ -121,11 +121,6 @@ class Journal:
         except OSError as error:  # what could not be written is said already
             if error.errno not in FULL:
                 raise
-
-    def remove(self) -> None:
-        """Take the file away: the study is whole."""
-        self.close()
-        self.path.unlink(missing_ok=True)
 
 
 def _line(one: Sample) -> bytes:

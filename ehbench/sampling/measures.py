@@ -35,7 +35,7 @@ _SPOKEN = {
 def row_of(one: Measure) -> Quantity | None:
     """The vocabulary row of what a measure is, as far as its words tell."""
     words = (one.channel or one.result or "").split(".")
-    if one.inside is not None:
+    if one.inside is not None or one.over is not None:
         return None
     if words[-1] in ("value", "std", "low", "high") or words[-1].isdigit():
         known = [word for word in words[:-1] if word in VOCABULARY]

@@ -112,11 +112,19 @@ class _Worker:
         self.tasks: list[Task] = []
         self.since = time.monotonic()
         self.grace = WARMING
+        self._given = 0
+
+    @property
+    def hungry(self) -> bool:
+        """Whether it is at the last chunk that it has: the next shall lie ready when it is done."""
+        return len(self.tasks) <= self._given
 
     def give(self, tasks: list[Task]) -> None:
         """Let it make samples."""
-        self.tasks = list(tasks)
-        self.since = time.monotonic()
+        if not self.tasks:
+            self.since = time.monotonic()
+        self.tasks += tasks
+        self._given = len(tasks)
         self.pipe.send(tasks)
 
     def end(self) -> None:
@@ -168,16 +176,16 @@ class Processes:
             self.workers.clear()
 
     def _feed(self, chunks: Chunks) -> None:
-        """Give work to those without, as many processes as there is work for."""
-        idle = [one for one in self.workers if not one.tasks]
-        while idle or len(self.workers) < self._count:
+        """Give work to those who soon have none, as many processes as there is work for."""
+        hungry = sorted((one for one in self.workers if one.hungry), key=lambda o: len(o.tasks))
+        while hungry or len(self.workers) < self._count:
             chunk = chunks.take()
             if not chunk:
                 return
-            if not idle:
+            if len(self.workers) < self._count:
                 self.workers.append(_Worker(self._opener))
-                idle.append(self.workers[-1])
-            idle.pop().give(chunk)
+                hungry.insert(0, self.workers[-1])
+            hungry.pop(0).give(chunk)
 
     def _heard(self, one: _Worker) -> list[Sample]:
         """What a process has made; a dead one is cleared away, its pipe closed."""

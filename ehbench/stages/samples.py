@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -209,10 +210,10 @@ class Sampler:
     def _made(
         self, settings: Mapping[str, Any], began: float
     ) -> tuple[int, str, tuple[float, ...]]:
-        with TemporaryDirectory(dir=self.scratch) as name:
+        progress = self._watch(began)
+        with self._folder(settings) as name:
             folder = Path(name)
             stage, prepared = self.prepared(settings, folder)
-            progress = self._watch(began)
             if isinstance(prepared, PreparedOne):
                 return self._trial(prepared, settings, progress)
             out = folder / "out"
@@ -222,6 +223,13 @@ class Sampler:
             results = roots_of(out, facts)
         said = "; ".join(work.reasons)
         return work.code, said, self._measured(results, settings)
+
+    def _folder(self, settings: Mapping[str, Any]) -> AbstractContextManager[Path | str]:
+        """A folder for a sample's own files; where it has none, only the one that all share."""
+        base, changes = self.changes(settings)
+        if isinstance(base.model, TrialRecipe) and set(changes) == {""} and not changes[""].bench:
+            return nullcontext(self.scratch)
+        return TemporaryDirectory(dir=self.scratch)
 
     def _trial(
         self, prepared: PreparedOne, settings: Mapping[str, Any], progress: Callable | None
@@ -252,7 +260,11 @@ class Sampler:
         words = (one.result or "").split(".")
         root = next((root for root in roots if lookup(root, words) is not None), {})
         numbers = {} if one.inside is None else {one.inside: si_of(settings[one.inside], one)}
-        return value_of(one, root, numbers)
+        value = value_of(one, root, numbers)
+        if one.over is None:
+            return value
+        other = Sampler._one(Measure(result=one.over), roots, settings)
+        return value / other if other else float("nan")
 
     def _watch(self, began: float) -> Callable[[str, float], None] | None:
         """A progress callback that ends a sample beyond its time limit; not the first, which has to
@@ -486,8 +498,9 @@ def refuse_measures(study: StudyRecipe, prepared: Prepared, stage: Stage) -> Non
                 f"'{one.label}' is taken of a channel, which only one trial has",
                 **study.at("measures", at),
             )
-        if one.result is not None and roots and one.result != "code":
-            refuse_unknown(one.result, roots, study.at("measures", at))
+        for name in (one.result, one.over):
+            if name is not None and roots and name != "code":
+                refuse_unknown(name, roots, study.at("measures", at))
 
 
 def promised(prepared: Prepared, stage: Stage) -> list[Any]:

@@ -136,9 +136,8 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
         final = host.out or rundir.place(prepared.recipe.path, prepared.inputs or (), host.root)
         journal = final.with_name(f"{final.name}.samples.jsonl")
         where = getattr(host, "where", None) or Where()
-        made = super().run(
-            replace(prepared, where=where, journal=journal, resume=host.resume), host
-        )
+        resume = host.resume or host.keep
+        made = super().run(replace(prepared, where=where, journal=journal, resume=resume), host)
         journal.unlink(missing_ok=True)
         return made
 
@@ -209,11 +208,13 @@ def _refuse_keys(recipe: StudyRecipe, plan: Plan, design: Design, inputs: Inputs
         if one.key in (CASE, RECIPE):
             continue
         for at in range(len(one.values)):
-            value = design.settings(_index_of(design, one.key, at))[one.key]
-            trials.append((("sweep", one.key), {one.key: value}))
+            those = design.settings(_index_of(design, one.key, at))
+            keys = (one.key, *recipe.sweep[one.key].also)
+            trials.append((("sweep", one.key), {key: those[key] for key in keys}))
     for one in design.drawn:
         where = next((t for t in ("draw", "sweep") if one.key in getattr(recipe, t)), "identified")
-        trials.append(((where, one.key), {one.key: first[one.key]}))
+        also = getattr({**recipe.draw, **recipe.sweep}.get(one.key), "also", ())
+        trials.append(((where, one.key), {key: first[key] for key in (one.key, *also)}))
     trials += [(("seeds", at), {key: first[key]}) for at, key in enumerate(recipe.seeds)]
     trials += [(("case", at), {CASE: case.name}) for at, case in enumerate(recipe.case)]
     with TemporaryDirectory() as scratch:

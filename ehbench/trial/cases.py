@@ -186,22 +186,25 @@ _TRACKING = {"max_error": "x", "rms_error": "x", "final_error": "x"}
 _TRUE = {f"{name}_true": word for name, word in _TRACKING.items()}
 
 
+_TIP = {"tip_max_error": "max_error", "tip_rms_error": "rms_error"}
+
+
 def table_csv(rows: Sequence[dict[str, Any]], rig: Rig) -> str:
     """The table as CSV in the units of the rig file: a row a step of speed, or a row a case without
-    steps; empty where there is nothing.
+    steps; empty where there is nothing. Of cases that move several cylinders a row each, with the
+    tip's error.
     """
+    several = any(row.get("tip") for row in rows)
     units = {name: unit if unit == "%" else rig.unit_of(unit) for name, (unit, _) in _STEP.items()}
     strokes = _TRACKING | (_TRUE if any("tracking_true" in row for row in rows) else {})
     units |= {name: rig.unit_of(word) for name, word in strokes.items()} | {
         "pump_energy": rig.unit_of("energy")
     }
+    units |= {name: rig.unit_of("tip_error") for name in _TIP if several}
+    front = ["case", "payload", "motion", "controller", "on", "step"]
     heads = [
-        "case",
-        "payload",
-        "motion",
-        "controller",
-        "on",
-        "step",
+        *front,
+        *(["cylinder"] if several else []),
         *(name if u == "dimensionless" else f"{name} [{u}]" for name, u in units.items()),
     ]
     lines = [",".join([*heads, "stopped"])]
@@ -213,19 +216,15 @@ def table_csv(rows: Sequence[dict[str, Any]], rig: Rig) -> str:
         return f"{100.0 * value if share else from_si(value, units[name], VOCABULARY[word]):.6g}"
 
     for row in rows:
-        for number, step in enumerate(row["steps"] or [{}], 1):
-            cells = [cell(step.get(key), name, word) for name, (word, key) in _STEP.items()]
-            true = row.get("tracking_true", {})
-            errors = row["tracking"] | {f"{name}_true": value for name, value in true.items()}
-            cells += [cell(errors.get(name), name, word) for name, word in strokes.items()]
-            cells.append(cell(row["energy"]["pump"], "pump_energy", "energy"))
-            front = [
-                row["case"],
-                row["payload"],
-                row["motion"],
-                row["controller"],
-                row["on"],
-                str(number) if step else "",
-            ]
-            lines.append(",".join(quoted(text) for text in [*front, *cells, row["stopped"]]))
+        energy, tip = cell(row["energy"]["pump"], "pump_energy", "energy"), row.get("tip", {})
+        tips = [cell(tip.get(key), name, "tip_error") for name, key in _TIP.items() if several]
+        for cylinder, own in {row["cylinder"]: row, **row.get("also", {})}.items():
+            for number, step in enumerate(own["steps"] or [{}], 1):
+                cells = [str(number) if step else "", *([cylinder] if several else [])]
+                cells += [cell(step.get(key), name, word) for name, (word, key) in _STEP.items()]
+                true = own.get("tracking_true", {}).items()
+                errors = own["tracking"] | {f"{name}_true": value for name, value in true}
+                cells += [cell(errors.get(name), name, word) for name, word in strokes.items()]
+                line = [*(row[name] for name in front[:-1]), *cells, energy, *tips, row["stopped"]]
+                lines.append(",".join(quoted(text) for text in line))
     return "\n".join(lines) + "\n"

@@ -16,7 +16,7 @@ import numpy as np
 from ehbench.control.trajectory import A, J, V, X, point_to_point
 from ehbench.errors import InputError
 from ehbench.parts.cylinder import joint_range_of, linkage_arrays
-from ehbench.physics.tip import FOUND, Chain, Found, reach, tip_of
+from ehbench.physics.tip import FOUND, Chain, Found, polish, reach, tip_of
 from ehbench.plant.model import Model
 from ehbench.recipe import Motion, TrialRecipe
 from ehbench.trial.motion import limits_of
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 STEP = 0.01  # [m] between two postures along a line, at the most
 LEAST = 16  # postures along a line
+COARSE = 9  # of them that are looked for one after the other
 OFF = 1.0e-5  # [m] by which the tip may leave its line between two postures
 FINER = 4  # times that postures are doubled until it does not
 TRIES = 64  # postures from which a first point is looked for
@@ -199,18 +200,19 @@ def _leg(
     where = mover.recipe.at(*mover.motion.where, "points", index)
     if length <= FOUND:
         raise InputError(f"point {index + 1} of the path is where point {index} is", **where)
+    coarse = np.linspace(0.0, 1.0, COARSE)
+    begun = _follow(mover, one + coarse[:, None] * (other - one), q, index)
+    near = make_interp_spline(coarse, begun, k=3)
     count = max(LEAST, int(np.ceil(length / STEP)))
     off = 0.0
     for _ in range(FINER):
-        share = np.linspace(0.0, 1.0, count + 1)
+        share = np.linspace(0.0, 1.0, 2 * count + 1)  # every other one to see how far it is off
         line = one + share[:, None] * (other - one)
-        postures = _follow(mover, line, q, index)
-        curve = make_interp_spline(length * share, mover.strokes(postures), k=5)
-        between = 0.5 * (share[1:] + share[:-1])
-        exact = _follow(mover, one + between[:, None] * (other - one), postures[0], index)
-        apart = np.abs(curve(length * between) - mover.strokes(exact))
-        slope = _tip_slope(mover, exact)
-        off = float((apart * slope).sum(axis=1).max())
+        postures = _polished(mover, line, near(share), index)
+        made = mover.strokes(postures)
+        curve = make_interp_spline(length * share[::2], made[::2], k=5)
+        apart = np.abs(curve(length * share[1::2]) - made[1::2])
+        off = float((apart * _tip_slope(mover, postures[1::2])).sum(axis=1).max())
         if off <= OFF:
             return Leg(length, curve), postures[-1]
         count *= 2
@@ -235,6 +237,27 @@ def _tip_slope(mover: Mover, q: np.ndarray) -> np.ndarray:
     return np.column_stack(slopes)
 
 
+def _polished(mover: Mover, line: np.ndarray, starts: np.ndarray, index: int) -> np.ndarray:
+    """Postures along the points of a line, from near ones.
+
+    Raises:
+        InputError: a point out of reach.
+    """
+    chain, free = mover.chain, mover.free
+    q, miss = polish(chain, line, starts, free)
+    slack = 1e-9
+    out = ((q < chain.low - slack) | (q > chain.high + slack))[:, free].any(axis=1)
+    for i in np.flatnonzero(out | (miss > FOUND)):
+        found = reach(chain, line[i], starts[i], free)
+        mover.refuse(found, _between(index, line[i]), index)
+        q[i] = found.q
+    return q
+
+
+def _between(index: int, point: np.ndarray) -> str:
+    return f"the path between points {index} and {index + 1}, at {_at(point)},"
+
+
 def _follow(mover: Mover, line: np.ndarray, q: np.ndarray, index: int) -> np.ndarray:
     """Postures along the points of a line, each the nearest to the one before.
 
@@ -244,8 +267,7 @@ def _follow(mover: Mover, line: np.ndarray, q: np.ndarray, index: int) -> np.nda
     free, postures = mover.free, []
     for point in line:
         found = reach(mover.chain, point, q, free)
-        what = f"the path between points {index} and {index + 1}, at {_at(point)},"
-        mover.refuse(found, what, index)
+        mover.refuse(found, _between(index, point), index)
         q = found.q
         postures.append(q)
     return np.array(postures)

@@ -423,6 +423,7 @@ def _loop(
         tuning = dict(gains)
     else:
         tuning = controllers.read_tuning(recipe, gains)
+    _refuse_misfit(recipe, singles, tuning)
     low = controllers.low_pressure(singles[0], rig, tuning)
     level = float(rig.supply.tank_pressure) + low
     designs = [controllers.design(one, rig, maps) for one in singles]
@@ -447,6 +448,40 @@ def _loop(
         parts = zip(laws.parts, told(driven), strict=True)
         laws = Laws(tuple(replace(part, references=table) for part, table in parts))
     return Loop(driven, laws, level, plan)
+
+
+def _refuse_misfit(
+    recipe: TrialRecipe, singles: Sequence[TrialRecipe], tuning: Mapping[str, Any] | None
+) -> None:
+    """Refuse what a controller says of several cylinders where it does not fit them.
+
+    Raises:
+        InputError: a class for several, a law or tuned gains of a cylinder that does not move.
+    """
+    chosen = recipe.controller
+    names = [one.motion.cylinder for one in singles if one.motion is not None]
+    if chosen is None or len(singles) == 1 and not chosen.cylinders:
+        return
+    known = {"hint": "moved are " + ", ".join(name for name in names if name)}
+    if chosen.code is not None:
+        raise InputError(
+            f"'{chosen.code}' moves one cylinder, and the motion is of {len(singles)}",
+            **recipe.at(*chosen.where, "class"),
+            hint="name one in 'cylinders' of the motion, or take a built-in law",
+        )
+    for name in chosen.cylinders:
+        if name not in names:
+            raise InputError(
+                f"a law of its own for '{name}', which does not move",
+                **recipe.at(*chosen.where, "cylinders", name),
+                **known,
+            )
+    if tuning is not None and tuning.get("cylinder") not in names:
+        raise InputError(
+            f"the gains are tuned for cylinder '{tuning.get('cylinder')}', which does not move",
+            **recipe.at(*chosen.where, "gains"),
+            **known,
+        )
 
 
 def _rest(design: Design) -> References:

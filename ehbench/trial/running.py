@@ -21,6 +21,7 @@ from ehbench.recipe import TrialRecipe
 from ehbench.record import Record, payloads_of, payloads_text
 from ehbench.rig import Rig
 from ehbench.trial.controllers import Compiled, Laws
+from ehbench.trial.learnt import learnt_maps
 from ehbench.trial.measures import function_measures, step_measures, tracking_measures
 from ehbench.trial.preparation import Aftermath, Prepared, Stop, prepare
 from ehbench.trial.session import LiveLog, Session
@@ -173,8 +174,7 @@ def run(
                 session.run(live, progress)
                 record = _record(session, meta)
                 live.finish(record)
-        truth = truth_of(at_work)
-        facts = _facts(prepared, session, record)
+        truth, facts = truth_of(at_work), _facts(prepared, session, record)
     return Result(record, facts, None if truth is None else truth.model)
 
 
@@ -241,6 +241,8 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
                 record, one, rows, session.true_strokes
             )
             own["valves"] = _valves(prepared.rig, one.cylinder)
+            if part.used.get("gains", {}).get("adapt_maps"):
+                own["maps"] = learnt_maps(one.design, session.machine, record, rows)
             if isinstance(part, Compiled) and part.law.warns_saturated:
                 warnings += _saturated(own["limits"]["saturated"], one.cylinder)
             warnings += _swinging(own["limit_cycle"], prepared.rig, one.cylinder)

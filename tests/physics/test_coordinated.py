@@ -16,6 +16,9 @@ from ehbench.physics.arm import bias, mass_matrix, work_size
 from ehbench.recipe import TrialRecipe, load_rig
 from ehbench.physics.tip import Chain, tip_of
 from ehbench.plant.model import Model
+from ehbench import workflow
+from ehbench.report.terminal import lines
+from ehbench.rundir import read_json
 from ehbench.trial import prepare, run
 from ehbench.trial.sharing import RESERVE
 from ehbench.trial.together import joints_of
@@ -214,6 +217,40 @@ def test_a_point_out_of_reach_is_refused_with_its_reason(points, said, tmp_path)
     assert said in refused.value.message
 
 
+@pytest.mark.parametrize(
+    ("controller", "motion", "said"),
+    [
+        ({"class": "mine:Mine"}, path(), "moves one cylinder, and the motion is of 3"),
+        ({"kind": "arc"}, path(cylinders=["bucket"]), "no cylinder 'bucket'"),
+    ],
+)
+def test_what_a_controller_says_must_fit_the_cylinders(controller, motion, said, tmp_path):
+    with pytest.raises(InputError, match=said):
+        prepare(trial(tmp_path, motion, controller), ARM, allow_code=True)
+
+
+def test_a_law_of_a_cylinder_that_does_not_move_is_refused(tmp_path):
+    controller = {"kind": "arc", "cylinders": {"swing": {"kind": "arc"}}}
+    slide = load_rig(RECIPES / "rigs" / "slide_servo.toml")
+    line = path([["0.1 m", "0 m", "0 m"], ["0.2 m", "0 m", "0 m"]])
+    with pytest.raises(InputError, match="'swing', which does not move"):
+        prepare(trial(tmp_path, line, controller), slide)
+
+
+@pytest.mark.parametrize(
+    ("motion", "said"),
+    [
+        (THREE | {"also": [move("boom", "1 mm", "2 mm")]}, "has two motions at a time"),
+        (THREE | {"cylinder": None}, "names its 'cylinder'"),
+        (path() | {"also": THREE["also"]}, "leave 'cylinder' and 'also' out"),
+        (path(points=POINTS[:1]), "needs 'points', two or more"),
+    ],
+)
+def test_a_motion_that_makes_no_sense_is_refused(motion, said, tmp_path):
+    with pytest.raises(ValueError, match=said):
+        trial(tmp_path, motion)
+
+
 def crane_tip(rig):
     """(chain, posture in the middle of the stroke) of a rig."""
     plant = Model.of(rig).plant
@@ -231,3 +268,41 @@ def test_one_joint_follows_no_line_and_a_slide_follows_its_own(tmp_path):
     line = path([["0.1 m", "0 m", "0 m"], ["0.2 m", "0 m", "0 m"]])
     (press,) = prepare(trial(tmp_path, line), slide).loop.driven
     assert press.references.table[[0, -1], 0] == pytest.approx([0.1, 0.2], abs=1e-9)
+
+
+RECIPE = """
+stage = "trial"
+title = "A short line"
+rig = "{rig}"
+
+[motion]
+kind = "path"
+points = [["1.40 m", "-0.10 m", "-0.30 m"], ["1.45 m", "0.00 m", "-0.25 m"]]
+hold = "0.1 s"
+speed = "1.6 m/s"
+acceleration = "8 m/s^2"
+
+[controller]
+kind = "arc"
+"""
+
+
+def test_a_run_tells_and_draws_the_tip(tmp_path):
+    """From the recipe to figure, caption and table, all by saved files."""
+    file = tmp_path / "short.toml"
+    file.write_text(RECIPE.format(rig=RECIPES / "rigs" / "thesis_arm.toml"))
+    outcome = workflow.run(file, workflow.Session(root=tmp_path / "reports"))
+    facts = outcome.json("trial")
+    assert facts["cylinder"] == "swing" and set(facts["measures"]["also"]) == {"boom", "stick"}
+    assert (
+        0.0 < facts["measures"]["tip"]["rms_error"] < facts["measures"]["tip"]["max_error"] < 0.02
+    )
+    figures = {
+        one["about"]["kind"]: one
+        for one in read_json(outcome.folder / "figures" / "index.json")["figures"]
+    }
+    assert "the tip: largest error" in figures["tip"]["caption"].lower()
+    drawn = (outcome.folder / "figures" / figures["tip"]["file"]).read_text()
+    assert all(word in drawn for word in ("From above", "travelled", "the pump's limit", "stick"))
+    said = "\n".join(lines(outcome.folder, 120))
+    assert "largest tip error" in said and "arc, boom" in said

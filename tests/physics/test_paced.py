@@ -12,7 +12,7 @@ from ehbench.parts.valve.delay import line_of
 from ehbench.plant.integrate import STEP
 from ehbench.plant.many import run_many
 from ehbench.plant.model import Model
-from ehbench.plant.paced import AUTO, CLOSE, pace_of, run_paced
+from ehbench.plant.paced import AUTO, CLOSE, Step, pace_of, run_paced
 from ehbench.recipe import load_rig
 from ehbench.rig import Rig
 
@@ -69,7 +69,7 @@ def commands(model: Model, samples: int = 1500, smooth: bool = False) -> np.ndar
     return table
 
 
-def missed(model: Model, table: np.ndarray, step: float | str, tick: float = 1e-3) -> np.ndarray:
+def missed(model: Model, table: np.ndarray, step: Step, tick: float = 1e-3) -> np.ndarray:
     """The largest error of each state whose error is looked at, as a share of its range."""
     start, looked = (
         model.trim(model.posture(None)),

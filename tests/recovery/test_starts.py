@@ -14,6 +14,7 @@ import pytest
 
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.plant.model import Model, simulate
+from ehbench.preprocessing import moving_at_first
 from ehbench.recipe import load_rig
 from ehbench.record import Record
 from ehbench.signals import fit_percent
@@ -135,3 +136,14 @@ def test_what_a_log_lacks_is_left_wide():
     std = {doubt.name: doubt.std for doubt in start.doubts}
     assert set(std) == {"press.p_head", "press.p_rod", "press.q"}
     assert std["press.p_rod"] > 3.0 * std["press.p_head"]
+
+
+def test_an_encoder_between_two_counts_stands_still():
+    """An angle of 2 mrad a count that flickers at rest does not move; one that turns does."""
+    t = np.arange(2001) * 1e-3
+    flicker = 1.2 + 9e-4 + 4e-4 * np.random.default_rng(3).standard_normal(t.size)
+    way = 0.3 * np.clip(t - 0.5, 0.0, 1.0)
+    for turning, found in ((0.0, ()), (0.3, ("lift",))):
+        angle = np.round((flicker + way + turning * t) / 2e-3) * 2e-3
+        record = Record(t, {"lift.q": angle, "lift.spool.command": np.where(t < 0.5, 0.0, 5.0)})
+        assert moving_at_first(record, rig("crane_proportional"), 500) == found

@@ -26,6 +26,16 @@ def test_the_tutorial_leads_from_a_rejected_fit_to_an_accepted_model(tmp_path):
     assert damping["first"]["low"] > damping["better"]["high"]  # what a wrong gain does to it
     (lag,) = fits["better"].json("parameters")["sensors"]
     assert lag["interval"][0] < 0.005 < lag["interval"][1]
+    bare = tmp_path / "bare.toml"
+    log = ROOT / "datasets/slide_servo/heldout/press_no_load.mcap"
+    bare.write_text(
+        f'stage = "validate"\nrig = "{fits["better"].folder}"\ndata = ["{log}"]\n'
+        'channels = ["v", "p_head", "p_rod"]\nstructure = false\n'
+        "[thresholds]\nfit_percent = { v = 85, p_head = 94, p_rod = 94 }\n"
+    )
+    inherits = workflow.run(bare, session)  # the lag that the fit found, as its recipe says none
+    assert inherits.code == workflow.DONE
+    assert any("press.v is taken to have a lag of 4.9 ±" in note for note in inherits.notes)
     text = (ROOT / "docs" / "identification.md").read_text(encoding="utf-8")
     for name in ("first_fit", "first_validation", "better_fit", "better_validation"):
         assert f"recipes/tutorial/{name}.toml" in text

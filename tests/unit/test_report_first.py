@@ -7,6 +7,7 @@ import hashlib
 import json
 import re
 import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -138,6 +139,39 @@ def test_the_page_has_rules_for_paper_phones_and_dark_rooms(folders):
     figures = re.findall(r'<figure id="([^"]+)"( class="paper")?', text)
     on_paper = [name for name, paper in figures if paper]
     assert 1 < len(on_paper) < len(figures) and "first-figure" in on_paper
+
+
+def test_pages_are_counted_on_sheets_of_the_paper_s_size(folders):
+    text = build(folders)
+    margins = re.search(r"@page { size: A4; margin: (\d+)mm (\d+)mm (\d+)mm;", text)
+    sheet = re.search(r"\.sheets body { width: (\d+)mm; height: (\d+)mm;.*columns: (\d+)mm", text)
+    assert margins and sheet
+    top, side, bottom = map(int, margins.groups())
+    assert [int(size) for size in sheet.groups()] == [210 - 2 * side, 297 - top - bottom] + [
+        210 - 2 * side
+    ]
+
+
+@pytest.mark.skipif(
+    not (shutil.which("chromium") and shutil.which("pdftotext")), reason="needs a browser"
+)
+def test_printed_contents_have_the_pages_on_which_chapters_begin(folders, tmp_path):
+    page, paper = tmp_path / "report.html", tmp_path / "report.pdf"
+    page.write_text(build(folders), encoding="utf-8")
+    browser = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--no-pdf-header-footer"]
+    subprocess.run([*browser, f"--print-to-pdf={paper}", f"file://{page}"], check=True, timeout=120)
+    done = subprocess.run(
+        ["pdftotext", "-layout", paper, "-"], capture_output=True, text=True, check=True
+    )
+    sheets = done.stdout.split("\f")[:-1]
+    chapters = re.findall(r'<section id="[^"]+">\s*<h2>([^<]+?)\s*(?:<|$)', page.read_text())
+    told = 0
+    for name in chapters:
+        number = re.search(rf"^.*?{re.escape(name)} +(\d+)(?: {{2,}}|$)", sheets[0], re.MULTILINE)
+        if number:
+            assert any(name in line for line in sheets[int(number[1]) - 1].splitlines()[-200:])
+            told += 1
+    assert told > 1 and len(sheets) > 1
 
 
 def test_the_policy_lets_the_pages_own_script_run_and_no_other(folders):

@@ -186,11 +186,11 @@ def test_intervals_of_quantiles_hold_them_as_often_as_they_say():
     rng = np.random.default_rng(0)
     for share in (0.5, 0.9):
         held = 0
-        for _ in range(1000):
+        for _ in range(400):
             found = statistics.quantile(rng.random(60), share)
             low = -math.inf if found.low is None else found.low
             held += low <= share <= (math.inf if found.high is None else found.high)
-        assert 945 <= held <= 995  # conservative, as order statistics are discrete
+        assert 375 <= held <= 398  # conservative, as order statistics are discrete
 
 
 def test_a_share_has_its_exact_interval():
@@ -252,8 +252,11 @@ def test_a_torn_journal_goes_on_where_it_was_whole(tmp_path):
     again.add(made)
     assert repr(list(again.samples())) == repr(made)
     again.close()
-    with pytest.raises(InputError, match="of another study"):
-        Journal(path, "other", 5, resume=True)
+    with pytest.raises(InputError, match="left 5 of its 5 samples here.*--resume"):
+        Journal(path, "k", 5, resume=False)
+    other = Journal(path, "of another study", 5, resume=True)
+    other.close()
+    assert other.taken == 0
 
 
 def test_a_full_disk_says_how_many_samples_are_kept(tmp_path):

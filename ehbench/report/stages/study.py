@@ -121,7 +121,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     """Measures and targets, then by swept values, what moves them, and the worst samples."""
     study = run.json("study.json")
     parts = [
-        Part("Results", [*_said(study), *_targets(study), _measures(study)]),
+        Part("Results", [*_said(study), _measures(study), *_targets(study)]),
         Part("By swept values", [*_groups(study), *pictures(FigureKey("map"))]),
         Part("Spread", [*pictures(FigureKey("spread"))]),
         Part("What moves them", [*_moves(study), *pictures(FigureKey("moves"))]),

@@ -142,7 +142,7 @@ def _controlled_section(run: Saved, facts: Table, pictures: Pictures) -> Section
         parts.append(Part("Energy", [*saving_blocks(rig, [case]), *energy]))
     rows: list[list[Cell | str]] = [
         ["on", facts["on"]],
-        ["controller", words(row["controller"])],
+        ["controller", words(facts["controller"])],
         ["cylinder", ", ".join(one.cylinder for one in cases)],
         ["payload", load_name(row["payload"])],
         *_circumstances(facts),

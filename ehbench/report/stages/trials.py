@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ehbench.report.blocks import Block, Bullets, Fold, Part, Picture, Text
 from ehbench.report.captions import capital, load_name
 from ehbench.report.cases import Case, cases_of, groups_of, stem_of
@@ -11,6 +13,7 @@ from ehbench.report.content import Pictures, SectionContent, StageReport, folded
 from ehbench.report.energy_tables import saving_blocks
 from ehbench.report.figures import trials as figures
 from ehbench.report.figures.energy_bars import bars
+from ehbench.report.figures.energy_map import energy_map
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.rest_words import rest_caption
 from ehbench.report.saved import Saved
@@ -20,11 +23,12 @@ from ehbench.report.trial_captions import (
     compared_caption,
     controller_captions,
     energy_caption,
+    map_caption,
     trajectory_words,
     trials_caption,
 )
 from ehbench.report.trial_tables import measure_tables, settings_blocks
-from ehbench.report.words import words
+from ehbench.report.words import pretty, shown, unit_of, words
 from ehbench.rig import Rig
 
 
@@ -37,6 +41,7 @@ def draw(run: Saved, index: FigureIndex) -> None:
     _draw_trajectories(rig, index, cases)
     for motion in dict.fromkeys(case.row["motion"] for case in cases):
         _draw_energies(rig, index, motion, [c for c in cases if c.row["motion"] == motion])
+    _draw_map(rig, index, cases)
     for case in cases:
         name = case.row["case"]
         title = f"{name}, on the {case.row['on']}"
@@ -91,6 +96,32 @@ def _draw_energies(rig: Rig, index: FigureIndex, motion: str, cases: Sequence[Ca
         figures.pump_energies(path, rig, cases, names)
 
 
+def _draw_map(rig: Rig, index: FigureIndex, cases: Sequence[Case]) -> None:
+    """Energy over load and speed, where trials without steps have several of both."""
+    loads, motions, laws = (
+        list(dict.fromkeys(case.row[key] for case in cases))
+        for key in ("payload", "motion", "controller")
+    )
+    if any(case.steps for case in cases) or min(len(loads), len(laws)) < 2 or len(motions) < 3:
+        return
+    known = {
+        (case.row["controller"], case.row["payload"], case.row["motion"]): float(
+            shown(rig, "energy", case.row["energy"]["pump"])
+        )
+        for case in cases
+        if case.fit
+    }
+    panels = [
+        (words(law), np.array([[known.get((law, p, m), np.nan) for m in motions] for p in loads]))
+        for law in laws
+    ]
+    title = f"Pump energy over load and speed, on the {cases[0].row['on']}"
+    caption = map_caption(panels)
+    path = index.add("energy_map", title, caption, FigureKey("energy_map"))
+    unit = pretty(unit_of(rig, "energy"))
+    energy_map(path, panels, [load_name(p) for p in loads], [words(m) for m in motions], unit)
+
+
 def section(run: Saved, pictures: Pictures) -> SectionContent:
     """A set of trials: controllers compared, one table over all, energies, and each trial folded
     away.
@@ -119,6 +150,7 @@ def _energy_blocks(rig: Rig, cases: Sequence[Case], pictures: Pictures) -> list[
     return [
         *saving_blocks(rig, cases),
         *supply_blocks(rig, cases),
+        *pictures(FigureKey("energy_map")),
         *pictures(FigureKey("energy")),
         *folded(pictures(FigureKey("sankey")), "where the energy of each trial went"),
     ]

@@ -76,6 +76,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     status = "accepted" if table["accepted"] else "rejected"
     parts = [
         Part("Verdict", _verdict(table, status)),
+        *_beside_others(run.rig, table),
         *_structure(table),
         *(
             Part(words(log["name"]).capitalize(), _log_blocks(run.rig, log, pictures))
@@ -120,6 +121,37 @@ def _verdict(table: Table, status: str) -> list[Block]:
         title = f"{count(len(checks), 'check')}, {passed} passed"
         blocks.append(Fold(title, [Grid(["log", "check", "result"], rows)]))
     return blocks
+
+
+def _beside_others(rig: Rig, table: Table) -> list[Part]:
+    """What others reached on the same recordings, with this model's figures among theirs, the
+    nearest to the recording first.
+    """
+    others = table.get("references", [])
+    rows = []
+    for channel, measure in dict.fromkeys((one["channel"], one["measure"]) for one in others):
+        found = [
+            (one["value"], one["name"], one["source"])
+            for one in others
+            if (one["channel"], one["measure"]) == (channel, measure)
+        ]
+        for log in table["logs"]:
+            for own in log.get("channels", []):
+                if own["channel"] == channel and own.get(measure) is not None:
+                    found.append((own[measure], "this model", words(log["name"])))
+        found.sort(reverse=measure == "fit_percent")
+        fit = measure == "fit_percent"
+        unit = "%" if fit else pretty(unit_of(rig, channel))
+        for value, who, source in found:
+            text = number(value if fit else float(shown(rig, channel, value)), 3)
+            name = Cell(who, "name") if who == "this model" else who
+            cells = (name, Cell(channel, "code"), "fit" if fit else "rms error", num(text), unit)
+            rows.append([*cells, source])
+    if not rows:
+        return []
+    head = ["model", "channel", "measure", "value", "unit", "source or log"]
+    caption = "Figures of others are as the recipe quotes them; none is made again here."
+    return [Part("Beside what others reached", [Grid(head, rows, caption)])]
 
 
 def _structure(table: Table) -> list[Part]:

@@ -1,0 +1,149 @@
+"""What adaptive robust control learns in motion: flow maps that are wrong, and payloads that are
+picked up, put down or wrongly told at the first tick.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.machines.simulated import SimulatedMachine
+from ehbench.plant.model import Model
+from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
+from ehbench.machines.virtual import VirtualMachine
+from ehbench.trial import prepare, run
+
+RECIPES = Path(__file__).parents[2] / "recipes"
+RIG = load_rig(RECIPES / "rigs" / "thesis_arm.toml")
+BENCH = RECIPES / "bench" / "thesis_arm.toml"
+SPEEDS = {"slow": ("60 mm/s", "0.3 m/s^2", "6 m/s^3"), "fast": ("180 mm/s", "1 m/s^2", "20 m/s^3")}
+PAYLOAD = 26.016  # [kg] that 50 lb weigh at the end of the last link
+
+
+def prepared(payload="none", speed="slow", on="model", **given):
+    top, acceleration, jerk = SPEEDS[speed]
+    recipe = TrialRecipe.model_validate(
+        {
+            "stage": "trial",
+            "rig": "x.toml",
+            "on": on,
+            **({"bench": str(BENCH)} if on == "bench" else {}),
+            "payload": None if payload == "none" else payload,
+            "motion": {
+                "kind": "point_to_point",
+                "cylinder": "boom",
+                "waypoints": ["50 mm", "200 mm", "50 mm"],
+                "hold": "0.6 s",
+                "speed": top,
+                "acceleration": acceleration,
+                "jerk": jerk,
+            },
+            "controller": {"kind": "arc", "gains": given.pop("gains", {})},
+            "path": RECIPES / "trial.toml",
+            **given,
+        }
+    )
+    return prepare(recipe, RIG)
+
+
+def other_valves(factor, shift):
+    """The machine whose valves pass ``factor`` as much as the rig file says and open by ``shift``
+    [V] later.
+    """
+    values = {}
+    for name, value in RIG.parameters().items():
+        if name.startswith("boom.") and name.endswith(".compensated_gain"):
+            values[name] = factor * float(value)
+        if name.startswith("boom.") and name.endswith(".deadband"):
+            values[name] = float(value) + shift
+    return SimulatedMachine(Model.of(RIG.with_values(values)))
+
+
+@pytest.mark.parametrize(("factor", "shift"), [(0.9, 0.0), (1.1, 0.0), (1.0, 0.3), (1.0, -0.3)])
+def test_wrong_maps_are_mended_within_one_cycle(factor, shift):
+    """Every edge that was used, to a third of its first error; the tracking is the better for
+    it.
+    """
+    ready = prepared("50 lb")
+    on = run(ready, other_valves(factor, shift)).facts.measures
+    off = run(prepared("50 lb", gains={"adapt_maps": False}), other_valves(factor, shift))
+    assert len(on["maps"]) >= 3
+    for edge, one in on["maps"].items():
+        assert one["true_gain"] == pytest.approx(factor, abs=2e-3), edge
+        assert one["true_shift"] == pytest.approx(shift, abs=6e-3), edge
+        assert one["error_after"] < one["error_before"] / 3.0, edge
+    tracking = off.facts.measures["tracking"]
+    assert "maps" not in off.facts.measures
+    assert on["tracking"]["rms_error"] < 0.6 * tracking["rms_error"]
+    assert on["limit_cycle"] is None
+
+
+@pytest.mark.parametrize("shift", ["0.3 V", "-0.3 V"])
+def test_wrong_maps_are_mended_on_the_virtual_bench(shift):
+    bench = load_recipe(BENCH)
+    assert isinstance(bench, BenchRecipe)
+    valves = {"all": {"hysteresis": "0.05 V", "driver_gain": 1.0, "driver_offset": shift}}
+    given = bench.model_dump() | {"valve": valves}
+    machine = VirtualMachine(RIG, BenchRecipe.model_validate(given), "50 lb")
+    measures = run(prepared("50 lb", on="bench"), machine).facts.measures
+    first = max(one["error_before"] for one in measures["maps"].values())
+    assert first > 0.05
+    for edge, one in measures["maps"].items():
+        assert one["error_after"] < max(one["error_before"], first) / 3.0, edge
+
+
+def test_corrections_stay_in_their_bounds():
+    """Maps that are wronger than the bounds allow."""
+    gains = {"map_error": "4 %", "deadband_error": "0.1 V"}
+    record = run(prepared("50 lb", gains=gains), other_valves(0.8, 0.4)).record
+    for edge in ("hect", "hepc", "regen", "repc", "rect"):
+        gain, shift = record[f"boom.{edge}.map_gain"], record[f"boom.{edge}.map_shift"]
+        assert gain.min() >= 1.0 / 1.04 - 1e-12 and gain.max() <= 1.04 + 1e-12
+        assert np.abs(shift).max() <= 0.1 + 1e-12
+    assert record["boom.hepc.map_shift"].max() == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("speed", SPEEDS)
+@pytest.mark.parametrize("payload", ["none", "50 lb"])
+def test_the_payload_in_motion_carries_an_interval_that_holds_it(payload, speed):
+    truth = PAYLOAD if payload == "50 lb" else 0.0
+    for seed in range(2):
+        record = run(prepared(payload, speed, on="bench", seed=seed)).record
+        measured = record["boom.payload_measured"]
+        assert np.abs(measured - truth).max() < 0.1 * PAYLOAD
+        low, high = record["boom.payload_low"], record["boom.payload_high"]
+        assert (low <= truth).all() and (truth <= high).all()
+        assert np.median(high - low) < 0.6 * PAYLOAD
+
+
+@pytest.mark.parametrize("on", ["model", "bench"])
+def test_a_load_picked_up_in_motion_is_learnt(on):
+    """Half a second later it is known within the interval, and the boom is where it should be."""
+    change = [{"at": "2 s", "payload": "50 lb"}]
+    result = run(prepared(on=on, payload_change=change))
+    record, t = result.record, result.record.t
+    before, after = t < 2.0, t > 2.5
+    low, high = record["boom.payload_low"], record["boom.payload_high"]
+    assert (low[before] <= 0.0).all() and (high[before] >= 0.0).all()
+    assert (low[after] <= PAYLOAD).all() and (high[after] >= PAYLOAD).all()
+    assert abs(record["boom.payload_estimate"][-1] - PAYLOAD) < 0.1 * PAYLOAD
+    error = np.abs(record["boom.x"] - record["boom.x_desired"])
+    assert error[t > 3.5].max() < 0.4 * error.max()
+
+
+def test_a_wrong_first_pressure_is_unlearnt():
+    """The pressures at rest tell the payload at the first tick; where they lie, motion tells it."""
+    record = run(prepared("50 lb", on="bench")).record
+    assert record["boom.payload_estimate"][0] == pytest.approx(PAYLOAD, rel=0.1)
+    wrong = {"boom.p_head": "-4 bar"}
+    lied = run(prepared("50 lb", on="bench", first_pressure_error=wrong)).record
+    told = lied["boom.payload_estimate"]
+    assert abs(told[0] - PAYLOAD) > 0.25 * PAYLOAD
+    assert abs(told[-1] - PAYLOAD) < 0.1 * PAYLOAD
+
+
+def test_what_is_guaranteed_is_no_less_than_what_is_seen():
+    measures = run(prepared("50 lb", on="bench")).facts.measures
+    assert measures["guaranteed"]["stroke"] > measures["tracking"]["max_error"]

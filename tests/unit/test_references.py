@@ -1,0 +1,44 @@
+"""Figures of others beside a model's own: what a recipe may say, and the table in the report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from ehbench.recipe import load_rig
+from ehbench.recipe.validate import Reference
+from ehbench.report.blocks import Grid
+from ehbench.report.saved import Table
+from ehbench.report.stages.validation import _beside_others
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+
+
+def test_figures_of_others_stand_beside_the_model_s_own():
+    rig = load_rig(RIGS / "slide_servo.toml")
+    others = [
+        {"name": "ARX", "channel": "press.p_head", "measure": "rms_error", "source": "paper"}
+        | {"value": 3e5},
+        {"name": "GP", "channel": "press.p_head", "measure": "rms_error", "source": "notebook"}
+        | {"value": 1e5},
+    ]
+    log = {"name": "second_half", "channels": [{"channel": "press.p_head", "rms_error": 2e5}]}
+    (part,) = _beside_others(rig, Table({"logs": [log], "references": others}, RIGS))
+    (grid,) = part.inside
+    assert isinstance(grid, Grid)
+    names = [getattr(row[0], "text", row[0]) for row in grid.rows]
+    assert names == ["GP", "this model", "ARX"]
+    assert [getattr(row[3], "text", "") for row in grid.rows] == ["1", "2", "3"]
+    assert all(row[4] == "bar" for row in grid.rows)
+    assert not _beside_others(rig, Table({"logs": [log]}, RIGS))
+
+
+@pytest.mark.parametrize("value", ["3 mm", "-3 bar", "-0.1 bar", True])
+def test_a_figure_of_others_has_the_channel_s_unit(value):
+    given = {"name": "a", "channel": "press.p_head", "value": value, "source": "b"}
+    with pytest.raises(ValidationError, match="for Reference\nvalue"):
+        Reference.model_validate(given)
+    with pytest.raises(ValidationError, match="no percentage"):
+        Reference.model_validate(given | {"measure": "fit_percent", "value": "3 bar"})
