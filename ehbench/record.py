@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -83,6 +83,15 @@ class Record:
     def sample_time(self) -> float:
         """Median time between samples [s]."""
         return float(np.median(np.diff(self.t))) if self.t.size > 1 else float("nan")
+
+    def at(self, samples: Sequence[int] | np.ndarray) -> Record:
+        """These samples alone, by number or by a mask."""
+        channels = {name: values[samples] for name, values in self.channels.items()}
+        return replace(self, t=self.t[samples], channels=channels)
+
+    def between(self, start: float, stop: float) -> Record:
+        """The samples from ``start`` to ``stop`` [s], both included."""
+        return self.at((self.t >= start) & (self.t <= stop))
 
     def frame(self, copy: bool = True) -> pd.DataFrame:
         """A pandas frame: column ``t`` and one SI column a channel; ``frame.attrs`` has ``units``,

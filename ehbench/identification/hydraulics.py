@@ -42,6 +42,8 @@ from ehbench.recipe.sensor import Sensor
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
 from ehbench.sensors import Term, known_taken_out, terms_of
+from ehbench.signals import correlation_time
+from ehbench.terms import Z95
 
 __all__ = [
     "FitOptions",
@@ -283,10 +285,12 @@ def coordinates_of_held(
 @dataclass(frozen=True)
 class Variant:
     """One named valve dynamics in a comparison: its fit, and the geometric mean over all logs and
-    channels of the residual's rms relative to the best variant (1 for the best)."""
+    channels of the residual's rms relative to the best variant (1 for the best), with its 95 %
+    ``interval``: the data decide against it where that lies above 1."""
 
     dynamics: str
     relative_rms: float
+    interval: tuple[float, float]
     fit: HydraulicsFit
 
     def as_json(self) -> dict[str, Any]:
@@ -294,6 +298,7 @@ class Variant:
         return {
             "dynamics": self.dynamics,
             "relative_rms": self.relative_rms,
+            "interval": list(self.interval),
             "fit": self.fit.as_json(),
         }
 
@@ -358,8 +363,30 @@ def ranked(fits: Mapping[str, HydraulicsFit]) -> tuple[Variant, ...]:
         )
         for name, fit in fits.items()
     }
-    best = min(level.values())
-    return tuple(
-        Variant(name, math.exp(level[name] - best), fits[name])
-        for name in sorted(fits, key=lambda name: level[name])
-    )
+    order = sorted(fits, key=lambda name: level[name])
+    best, variants = order[0], []
+    for name in order:
+        more, half = level[name] - level[best], Z95 * _doubt(fits[name], fits[best])
+        ends = (math.exp(more - half), math.exp(more + half))
+        variants.append(Variant(name, math.exp(more), ends, fits[name]))
+    return tuple(variants)
+
+
+def _doubt(one: HydraulicsFit, other: HydraulicsFit) -> float:
+    """Standard error of the mean over all logs and channels of ln(rms/rms of the other).
+
+    A sample moves ln(rms_a/rms_b) by ½ (e_a²/rms_a² − e_b²/rms_b²) over their number; those of all
+    channels of a log go together, and neighbours as far as their correlation time reaches."""
+    variance, count = 0.0, 0
+    for (_, a), (_, b), log in zip(one.recordings, other.recordings, one.logs, strict=True):
+        moves = 0.0
+        for name in log.residual_rms:
+            for made, sign in ((a, 0.5), (b, -0.5)):
+                square = np.nan_to_num(made[name] - made[f"simulated.{name}"]) ** 2
+                mean = float(square.mean())
+                moves = moves + sign * (square / mean if mean > 0.0 else np.zeros(square.size))
+        count += len(log.residual_rms)
+        moves = np.asarray(moves)
+        if moves.size > 1 and moves.any():
+            variance += float(moves.var()) * correlation_time(moves) / moves.size
+    return math.sqrt(variance) / max(count, 1)

@@ -20,6 +20,7 @@ from ehbench.rig import Cylinder, Rig
 
 SETTLED_TRAVEL = 0.005  # share of the stroke below which a motion to and fro is no travel
 CLOSED = 0.02  # share of the travel by which the ends of a closed cycle may differ
+SAME_OIL = 0.003  # share of a four-way valve's bound that oil left pressed together may have cost
 LOADED = 0.02  # share of the supply's force on the head end below which a mean force is no load
 
 
@@ -48,8 +49,10 @@ class Bounds:
     None where the supply cannot carry the load on the area difference, or where the load hangs on
     the rod end. ``work``: lifting itself, ``∫ P_L v dt`` where positive. ``used`` is Ps·Q drawn,
     None where nothing says it; ``saving`` its share below ``standard``. ``carries`` is the chamber
-    that holds the load, or none; ``closed`` says whether the motion ended where it began: only then
-    do the bounds mean a cycle. ``against`` names the least bound that the working functions at work
+    that holds the load, or none; ``closed`` says whether the motion ended where it began, its oil
+    in the same state: only then do the bounds mean a cycle. ``kept`` is what the oil cost that is
+    more pressed together at the end than at the beginning, Ps Σ V Δp/β of both chambers, negative
+    for less. ``against`` names the least bound that the working functions at work
     can reach, ``beyond`` what was drawn on top of it by each; empty and () where no controller
     logged its functions. A supply of constant pressure is paid for volume: load, friction and a low
     pressure on the off-side say where energy is lost, compression and oil let to tank say how much
@@ -59,6 +62,7 @@ class Bounds:
     travel_out: float
     travel_in: float
     closed: bool
+    kept: float
     carries: str
     standard: float
     six: float
@@ -132,6 +136,7 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
     used = (
         ledger[f"{cylinder}.drawn"].energy if ledger is not None else _drawn(rig, record, cylinder)
     )
+    kept = pressure * float(_squeezed(rig, record.at([0, -1]), item, x[[0, -1]]).sum())
     against, beyond = "", ()
     if ledger is not None and (function := function_of(record, cylinder)) is not None:
         against = _against(function, "seventh" in paid)
@@ -142,7 +147,8 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
         cylinder=cylinder,
         travel_out=ways[0],
         travel_in=ways[1],
-        closed=abs(ways[0] - ways[1]) <= CLOSED * max(ways),
+        closed=_back(ways) and abs(kept) <= SAME_OIL * paid["standard"],
+        kept=kept,
         carries=load.carries,
         standard=paid["standard"],
         six=paid["six"],
@@ -235,15 +241,7 @@ def _beyond(
     ``price`` [J/m] each.
     """
     rig, record, item, x, function = made
-    areas, dead = item.areas(), (float(item.volume_head), float(item.volume_rod))
-    oil = oil_fields(rig, item.bulk_modulus)
-    squeezed = np.zeros(x.size - 1)
-    for key, area, volume, sign in zip(("p_head", "p_rod"), areas, dead, (1.0, -1.0), strict=True):
-        held, p = volume + sign * area * x, record[f"{item.name}.{key}"]
-        stiffness = oil["bulk_modulus"]
-        if oil["air"]:
-            stiffness = np.array([bulk(at, *oil.values()) for at in 0.5 * (p[1:] + p[:-1])])
-        squeezed += 0.5 * (held[1:] + held[:-1]) * np.diff(p) / stiffness
+    squeezed = _squeezed(rig, record, item, x)
     turns = np.flatnonzero(np.diff(function, prepend=-1))
     net, whose = np.add.reduceat(np.diff(x), turns), function[turns]
     shares = []
@@ -259,6 +257,27 @@ def _beyond(
             Beyond(FUNCTIONS[f], out - back, energy, price[0] * out + price[1] * back, pressed)
         )
     return tuple(found)
+
+
+def _back(ways: tuple[float, float]) -> bool:
+    """Whether the ways out and in [m] are as long."""
+    return abs(ways[0] - ways[1]) <= CLOSED * max(ways)
+
+
+def _squeezed(rig: Rig, record: Record, item: Cylinder, x: np.ndarray) -> np.ndarray:
+    """Volume [m³] by which the oil of both chambers was pressed together from each sample to the
+    next, ``∫ V/β dp``.
+    """
+    areas, dead = item.areas(), (float(item.volume_head), float(item.volume_rod))
+    oil = oil_fields(rig, item.bulk_modulus)
+    squeezed = np.zeros(x.size - 1)
+    for key, area, volume, sign in zip(("p_head", "p_rod"), areas, dead, (1.0, -1.0), strict=True):
+        held, p = volume + sign * area * x, record[f"{item.name}.{key}"]
+        stiffness = oil["bulk_modulus"]
+        if oil["air"]:
+            stiffness = np.array([bulk(at, *oil.values()) for at in 0.5 * (p[1:] + p[:-1])])
+        squeezed += 0.5 * (held[1:] + held[:-1]) * np.diff(p) / stiffness
+    return squeezed
 
 
 def _drawn(rig: Rig, record: Record, cylinder: str) -> float | None:

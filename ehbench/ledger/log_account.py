@@ -180,7 +180,7 @@ def ledger_of_log(
     record: Record,
     *,
     payload: str | None = None,
-    accuracy: Accuracy = Accuracy(),
+    accuracy: Accuracy | None = Accuracy(),
     points: int = 0,
 ) -> Ledger:
     """The ledger of a machine's log, from measured channels alone: positions, pressures and
@@ -201,7 +201,7 @@ def ledger_of_log(
         record: ``<cylinder>.q`` or ``.x``, ``.qd`` or ``.v``, ``.p_head``, ``.p_rod``,
             ``<valve>.command``; ``p_supply``, ``p_tank``, ``flow_supply`` where measured.
         payload: of the rig file; by default the one that the log names.
-        accuracy: what sensors are good for.
+        accuracy: what sensors are good for; None where no interval is asked for, which is quicker.
         points: how many times of cumulated energies to keep in ``series``; 0 for none.
 
     Raises:
@@ -223,11 +223,13 @@ def ledger_of_log(
     power = account.power(model, readings, states, flows)
     base = account.energies(model, readings, states, power)
     found = Found(model, payload, readings, states, flows, power, base)
-    effects, more = _effects(rig, maps, account, found, accuracy)
-    notes += more
-    std = np.sqrt(sum(effect**2 for effect in effects.values()))
-    sources = {name: float(abs(effect[-1])) for name, effect in effects.items()}
-    sources = dict(sorted(sources.items(), key=lambda item: -item[1]))
+    std, sources = np.zeros_like(base), {}
+    if accuracy is not None:
+        effects, more = _effects(rig, maps, account, found, accuracy)
+        notes += more
+        std = np.sqrt(sum(effect**2 for effect in effects.values()))
+        sources = {name: float(abs(effect[-1])) for name, effect in effects.items()}
+        sources = dict(sorted(sources.items(), key=lambda item: -item[1]))
     every = np.arange(readings.t.size)
     told = sheet.told(record, account.energies(model, readings, states, power, every), points)
     told |= {"oil_drawn": oil_drawn(model, readings.t, flows)}

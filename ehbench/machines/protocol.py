@@ -132,6 +132,33 @@ def truth_of(machine: Machine) -> Truth | None:
     return getattr(machine, "truth", None)
 
 
+class Hidden(Protocol):
+    """What a simulated machine knows and no log holds, as the attribute ``hidden`` of a machine:
+    only a trial's own measures are taken of it.
+
+    Attributes:
+        width: numbers in a row.
+    """
+
+    width: int
+
+    def read(self, command: np.ndarray, row: np.ndarray) -> None:
+        """Write the true strokes [m] of the cylinders into ``row``, shape (width,)."""
+        ...
+
+
+def hidden_of(machine: Machine) -> Hidden | None:
+    """What a machine knows of itself that its log does not hold; None of one that knows nothing."""
+    return getattr(machine, "hidden", None)
+
+
+def seeded_of(machine: Machine) -> Callable[[int], Machine] | None:
+    """What makes of a machine the same one with other noise of its sensors, by a seed; None of one
+    whose noise nobody chooses.
+    """
+    return getattr(machine, "seeded", None)
+
+
 def carry_of(machine: Machine) -> Callable[[str | None], None] | None:
     """How a simulated machine takes up another payload at once, at the speed that it has; None of a
     machine whose load nobody but people can change.

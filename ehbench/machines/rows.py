@@ -27,9 +27,9 @@ class Rows(NamedTuple):
 
     ``t`` [s]; ``commands`` [V], shape (samples, valves), into which a controller writes its own;
     ``samples`` what was measured, shape (samples, channels); ``truth`` what only a simulation
-    knows, shape (samples, width). ``sample`` is the present sample, which no row holds yet.
-    ``limits`` are in the order of LIMITS, SI; ``strokes`` the full strokes [m]; ``found`` says of a
-    limit that was reached (which, cylinder or valve, entry of the sample)."""
+    knows, its `Truth` or `Hidden`, shape (samples, width). ``sample`` is the present sample, which
+    no row holds yet. ``limits`` are in the order of LIMITS, SI; ``strokes`` the full strokes [m];
+    ``found`` says of a limit that was reached (which, cylinder or valve, entry of the sample)."""
 
     t: np.ndarray
     commands: np.ndarray

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from copy import copy
 from typing import Any, NamedTuple
 from zlib import crc32
 
@@ -62,6 +63,7 @@ NOISE_ROWS = 256  # drawn at a time
 SETTLE = 0.25  # [s] of rest before t = 0, so that lags and delays have filled
 RAW = (OF.q, OF.x, OF.p_head, OF.p_rod)  # a cylinder's raw channels
 _RAW, _RAW_LINES, _FILTER = len(RAW), 2, 3
+_STROKE = RAW.index(OF.x)
 
 # Wider rows begin with the columns of their own: numba would else take one for the other.
 # A valve: ``gain`` and ``offset`` [V] of its driver, its ``hysteresis`` [V], the model's columns.
@@ -724,6 +726,13 @@ class Running(NamedTuple):
     scratch: Scratch
 
 
+@part_kernel
+def _true_strokes(raw, row):
+    """Write each cylinder's stroke [m] among the raw channels of the last tick into ``row``."""
+    for c in range(row.shape[0]):
+        row[c] = raw[_RAW * c + _STROKE]
+
+
 @kernel
 def _advance(first, stop, own, rows, law, noise):
     sample = rows.sample
@@ -734,6 +743,7 @@ def _advance(first, stop, own, rows, law, noise):
             return i
         for j in range(sample.shape[0]):
             rows.samples[i, j] = sample[j]
+        _true_strokes(own.scratch.raw, rows.truth[i])
         bench_tick(
             own.state,
             rows.commands[i],
@@ -745,6 +755,17 @@ def _advance(first, stop, own, rows, law, noise):
             sample,
         )
     return -1
+
+
+class TrueStrokes:
+    """The strokes of a running bench as they are, without its sensors."""
+
+    def __init__(self, own: Running) -> None:
+        self._own, self.width = own, own.bench.cylinders.shape[0]
+
+    def read(self, command: np.ndarray, row: np.ndarray) -> None:
+        """As `Hidden.read`."""
+        row[:] = self._own.scratch.raw[_STROKE : _RAW * self.width : _RAW]
 
 
 class VirtualMachine:
@@ -790,13 +811,8 @@ class VirtualMachine:
         at = self.bench.at
         self.size, self.raw = at.states, at.channels
         self.state = np.zeros(at.size)
-        self._own = Running(
-            self.state,
-            self.bench,
-            1.0 / self.rate,
-            self.steps,
-            scratch_of(self.bench, 1.0 / self.rate),
-        )
+        self._own = self._at_rest()
+        self.hidden = TrueStrokes(self._own)
         self._rng = self._new_noise()
         self._noise, self._used = np.empty((0, self.raw)), 0
 
@@ -827,6 +843,20 @@ class VirtualMachine:
                     hint=f"the bench has {', '.join(its)}",
                 )
         return cls(own, bench, **given)
+
+    def seeded(self, seed: int) -> VirtualMachine:
+        """The same machine, not started, with other noise of its sensors."""
+        other = copy(self)
+        other.seed, other.state = seed, np.zeros_like(self.state)
+        other._own = other._at_rest()
+        other.hidden = TrueStrokes(other._own)
+        other._rng = other._new_noise()
+        other._noise, other._used = np.empty((0, self.raw)), 0
+        return other
+
+    def _at_rest(self) -> Running:
+        scratch = scratch_of(self.bench, 1.0 / self.rate)
+        return Running(self.state, self.bench, 1.0 / self.rate, self.steps, scratch)
 
     def _new_noise(self) -> np.random.Generator:
         return np.random.default_rng([self.seed, crc32(b"noise")])

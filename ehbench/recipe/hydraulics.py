@@ -16,8 +16,9 @@ class HydraulicsRecipe(Recipe):
     """Step logs to bulk modulus, damping, friction and whatever else ``parameters`` names.
 
     ``compare_dynamics`` names valve dynamics of the rig file; the logs are fitted with each in
-    turn, so that the data decide. ``prior`` is what is known of a parameter beside the data: a
-    standard deviation about the rig file's value, with unit or as a share such as "3 %"."""
+    turn, so that the data decide where they can. ``prior`` is what is known of a parameter beside
+    the data: a standard deviation about the rig file's value, with unit or as a share such as "3
+    %"."""
 
     stage: Literal["identify"]
     what: Literal["hydraulics"]
@@ -40,5 +41,10 @@ class HydraulicsRecipe(Recipe):
     channels: tuple[str, ...] = ("qd", "p_head", "p_rod")
     cutoff: Annotated[Value, Q("frequency")] | None = None
     compare_dynamics: tuple[str, ...] = ()
+    compare_sensor: Sensors = Field(
+        default=(),
+        description="`[[compare_sensor]]`: further `[[sensor]]` tables of the fits that compare, "
+        "such as lags to estimate: a sensor's lag is easily taken for the valve's",
+    )
     max_iterations: int = Field(default=100, ge=1, le=1000)
     workers: int = Field(default=0, ge=0, le=256)

@@ -114,9 +114,9 @@ class CylinderMotion(FileModel):
     speed; negative retracts) for ``duration`` or until it has covered ``travel``, with a ``rest``
     before and after each; ``full_speed`` is the design model's where it is not given.
     ``point_to_point``: through ``waypoints`` (strokes, from the first of which it starts) with a
-    ``hold`` at each, within ``speed``, ``acceleration`` and ``jerk``. ``file``: a log with
-    ``<cylinder>.x_desired``. ``path``: see `Motion`. ``cylinder`` may be left out where there is
-    one."""
+    ``hold`` at each, within ``speed``, ``acceleration`` and ``jerk``, ``cycles`` times where the
+    way ends where it begins. ``file``: a log with ``<cylinder>.x_desired``. ``path``: see `Motion`.
+    ``cylinder`` may be left out where there is one."""
 
     kind: Literal["velocity_steps", "point_to_point", "file", "path"]
     cylinder: str | None = None
@@ -131,6 +131,13 @@ class CylinderMotion(FileModel):
     acceleration: Annotated[Value, Q("acceleration")] | None = None
     jerk: Annotated[Value, Q("jerk")] | None = None
     profile: Literal["ramp", "seventh"] = "ramp"
+    cycles: int = Field(
+        default=1,
+        ge=1,
+        le=1000,
+        description="how often the way is made; energies are those of the last time, which begins "
+        "and ends with the oil in one state",
+    )
     file: str | None = None
     where: tuple[str | int, ...] = Field(default=("motion",), exclude=True)
 
@@ -148,6 +155,10 @@ class CylinderMotion(FileModel):
                 raise ValueError("point_to_point needs 'waypoints', two strokes or more")
             if self.speed is None:
                 raise ValueError("point_to_point needs 'speed'")
+        if self.cycles > 1 and (
+            self.kind != "point_to_point" or float(self.waypoints[0]) != float(self.waypoints[-1])
+        ):
+            raise ValueError("only a point_to_point that ends at its first waypoint makes 'cycles'")
         if self.kind == "file" and self.file is None:
             raise ValueError("a motion of kind file needs 'file'")
         return self

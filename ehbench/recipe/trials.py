@@ -42,9 +42,22 @@ class TrialSetRecipe(AnyTrial):
 
     stage: Literal["trials"]
     payloads: Annotated[tuple[str, ...], Field(min_length=1)] = ("none",)
+    seeds: int = Field(
+        default=1,
+        ge=1,
+        le=1000,
+        description="on the bench: runs of each case, with the sensors' noise of `seed`, `seed` + "
+        "1, …; a case's numbers are their medians and ranges, its log is that of the median error",
+    )
     motion: Annotated[tuple[Motion, ...], Field(min_length=1)]
     machine: tuple[MachineChange, ...] = ()
     controller: Annotated[tuple[SetController, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _noise_differs(self) -> TrialSetRecipe:
+        if self.seeds > 1 and self.on != "bench":
+            raise ValueError("'seeds' are of the virtual bench's sensors: the model has no noise")
+        return self
 
     @model_validator(mode="after")
     def _names_differ(self) -> TrialSetRecipe:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
 from ehbench.report.saved import Table
 from ehbench.report.words import (
@@ -58,6 +60,31 @@ def percent(share: float | None, digits: int = 2) -> str:
     return f"{number(None if share is None else 100.0 * share, digits)} %"
 
 
+def ranged(
+    text_of: Callable[[float | None], str], value: float | None, ends: Sequence[float] | None
+) -> str:
+    """A median with the least and the largest of several runs, ``0.23 (0.2 to 0.31)``; alone
+    where there are none.
+    """
+    told = text_of(value)
+    if value is None or ends is None:
+        return told
+    low, high = (text_of(end) for end in ends)
+    return told if low == high == told else f"{told} ({low} to {high})"
+
+
+def range_in(row: Table, *path: str | int) -> Sequence[float] | None:
+    """The least and the largest of a measure over several runs, by where it stands in its row;
+    None of a single run.
+    """
+    found: Any = row.get("range")
+    for key in path:
+        if found is None:
+            return None
+        found = found[key] if isinstance(key, int) else found.get(key)
+    return found
+
+
 def sentence(text: str) -> str:
     return capital(text).rstrip(".") + "."
 
@@ -67,8 +94,10 @@ def load_name(payload: str) -> str:
     return "no load" if payload == "none" else payload
 
 
-def stroke(rig: Rig, row: Table, value: float, digits: int = 3) -> str:
+def stroke(rig: Rig, row: Table, value: float | None, digits: int = 3) -> str:
     """An error of stroke [m] in the rig's unit, no finer than what the machine measured it by."""
+    if value is None:
+        return number(None)
     finest = row.get("gains", {}).get("stroke_resolution", 0.0) if row["on"] != MODEL else 0.0
     if not finest:
         return number(float(shown(rig, "x", value)), digits)
@@ -87,3 +116,16 @@ def measure(rig: Rig, name: str, value: float | None, digits: int = 3) -> str:
     return f"{number(float(shown(rig, name, value)), digits)}" + (
         f"{'' if unit == '°' else ' '}{unit}" if unit else ""
     )
+
+
+def error_of(rig: Rig, row: Table, which: str, key: str) -> str:
+    """An error of a trial's stroke, ``tracking`` or ``tracking_true``, with its range over several
+    runs.
+    """
+    if which == "tracking":
+        return ranged(partial(stroke, rig, row), row[which][key], range_in(row, which, key))
+
+    def told(value: float | None) -> str:
+        return number(None if value is None else float(shown(rig, "x", value)), 3)
+
+    return ranged(told, row[which][key], range_in(row, which, key))

@@ -17,7 +17,17 @@ from ehbench.report.figures.energy import half_of, part_of
 from ehbench.report.figures.energy_bars import SEEN
 from ehbench.report.saved import Table
 from ehbench.report.trial_tables import WHO, who
-from ehbench.report.words import DASH, axis, number, pretty, shown, unit_of, with_error, words
+from ehbench.report.words import (
+    DASH,
+    axis,
+    count,
+    number,
+    pretty,
+    shown,
+    unit_of,
+    with_error,
+    words,
+)
 from ehbench.rig import Rig
 
 _BOUNDS = {
@@ -26,6 +36,7 @@ _BOUNDS = {
     "seventh": "the seventh function",
 }
 NOTHING = 1e-4  # share of what was drawn that a table shows as nought
+SAME_WAY = 0.02  # share by which the ways out and in may differ where a motion came back
 TELLING = 0.01  # share of what was drawn from which a cause is named
 _JOINS = {"supply → head", "head → tank", "supply → rod", "rod → tank"}
 _KINDS = {
@@ -136,6 +147,59 @@ def saved_caption(rig: Rig, savings: Sequence[Saving], controller: str) -> str:
     halves = [one.half for one in savings if one.half]
     text += f" (± {_energies(rig, halves, 2)})" if halves else ""
     return text + f"; {_eaters(rig, savings)}."
+
+
+def passes_caption(rig: Rig, savings: Sequence[Saving]) -> str:
+    """Why some cycle saves more than its bound says, in numbers of the four-way valve that it is
+    compared with; empty where none does.
+    """
+    better = [
+        one
+        for one in savings
+        if one.reference is not None
+        and one.bound < one.limits["standard"]
+        and one.used / one.reference < one.bound / one.limits["standard"]
+    ]
+    against = {(one.case.row["payload"], one.case.row["motion"]) for one in better}
+    spools = [
+        one
+        for one in savings
+        if one.used == one.reference
+        and four_way(one.ledger, one.case.cylinder)
+        and (one.case.row["payload"], one.case.row["motion"]) in against
+    ]
+    if not spools:
+        return ""
+    bounds = span([100.0 * (1.0 - one.bound / one.limits["standard"]) for one in better])
+    above = _energies(rig, [one.used - one.bound for one in spools])
+    pressed = _energies(rig, [one.causes["compression"] for one in spools])
+    return (
+        f"Some save more than the bound's {bounds} %: the four-way valve is above its own bound as "
+        f"well, by {above} a cycle. It draws {pressed} to press the oil in its chambers together; "
+        "part of that it draws less where the oil expands again, the rest goes to tank."
+    )
+
+
+def open_caption(rig: Rig, cases: Sequence[Case]) -> str:
+    """That no saving is told of ways that end with the oil in another state; empty where none
+    does.
+    """
+    kept = []
+    for case in cases:
+        ledger = None if case.row.get("stopped") else case.energy()
+        for one in ledger.get("bounds", []) if ledger is not None else []:
+            if one["closed"] or one.get("kept") is None:
+                continue
+            ways = (one["travel_out"], one["travel_in"])
+            if abs(ways[0] - ways[1]) <= SAME_WAY * max(ways):
+                kept.append(one["kept"])
+    if not kept:
+        return ""
+    return (
+        f"No saving is told of {count(len(kept), 'trial')} that came back with the oil in another "
+        f"state, {_energies(rig, kept)} more pressed into it than at the beginning: let the motion "
+        "make 2 cycles."
+    )
 
 
 def _energies(rig: Rig, values: Sequence[float], digits: int = 3) -> str:
@@ -274,9 +338,10 @@ def saving_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
     """Sentences and tables on the closed cycles of a set of trials; nothing where there are
     none.
     """
-    savings = savings_of(cases)
+    savings, told = savings_of(cases), open_caption(rig, cases)
+    left_out: list[Block] = [Text(told, "note")] if told else []
     if not savings:
-        return []
+        return left_out
     names = list(dict.fromkeys(one.case.row["controller"] for one in savings))
     by_name = {
         name: [one for one in savings if one.case.row["controller"] == name] for name in names
@@ -284,12 +349,24 @@ def saving_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
     return [
         Text("What was saved, and what ate the rest:"),
         Bullets([saved_caption(rig, own, name) for name, own in by_name.items()]),
-        Text(_VOLUME, "note"),
+        *([Text(passes)] if (passes := passes_caption(rig, savings)) else []),
+        Text(_VOLUME + _of_cycle(cases), "note"),
+        *left_out,
         _saved_table(rig, savings),
         Text("Where it was lost, as shares of what the supply gave:"),
         Bullets([went_caption(own, name) for name, own in by_name.items()]),
         _went_table(rig, savings),
     ]
+
+
+def _of_cycle(cases: Sequence[Case]) -> str:
+    """Which part of the trials the energies are of, and of which run."""
+    text = ""
+    if any(case.row.get("cycle") for case in cases):
+        text += " Energies are of the last cycle, which begins and ends with the oil in one state."
+    if any(case.row.get("seeds") for case in cases):
+        text += " Of several runs they are those of the run with the median error."
+    return text
 
 
 def _energy(rig: Rig, value: float | None, whole: float, half: float | None = None) -> Cell:

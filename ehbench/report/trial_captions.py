@@ -10,7 +10,15 @@ import numpy as np
 
 from ehbench import codes
 from ehbench.record import Record
-from ehbench.report.captions import capital, load_name, measure, percent, sentence, span, stroke
+from ehbench.report.captions import (
+    capital,
+    error_of,
+    load_name,
+    measure,
+    percent,
+    sentence,
+    span,
+)
 from ehbench.report.cases import SLOW, Case, damping, payloads_carried
 from ehbench.report.saved import Table
 from ehbench.report.trial_tables import limits_of
@@ -21,6 +29,7 @@ from ehbench.rig import Rig
 # share
 ESTIMATES = ("payload_estimate", *(word for word in codes.ESTIMATES if word != "payload_share"))
 SINCE = 1.0  # [s] after a change of payload, before which an estimate is not judged
+_OF = {"v": "speed", "a": "acceleration"}
 LEARNT = 0.1  # of a change of payload that an estimate may still miss
 ROUNDING = 1e-9  # share of its bounds by which a logged estimate may lie outside
 
@@ -51,10 +60,13 @@ def tracking_caption(rig: Rig, row: Table) -> str:
     """How well a motion was tracked."""
     unit = pretty(unit_of(rig, "x"))
     largest, rms, final = (
-        f"{stroke(rig, row, row['tracking'][key])} {unit}"
+        f"{error_of(rig, row, 'tracking', key)} {unit}"
         for key in ("max_error", "rms_error", "final_error")
     )
     text = f"largest error {largest}, rms {rms}, at the end {final}"
+    if row.get("tracking_true"):
+        text += f"; of the true stroke {error_of(rig, row, 'tracking_true', 'max_error')} {unit}"
+    text += f" (medians and ranges of {row['seeds']} runs)" if row.get("seeds") else ""
     if not row.get("tip"):
         return text
     return f"{tip_caption(rig, row)}; {row['cylinder']}: {text}"
@@ -86,6 +98,21 @@ def sharing_caption(rig: Rig, row: Table) -> str:
         )
     short = "; it was not slowed down for it" if wished > limit else ""
     return f"{text}{short}."
+
+
+def trajectory_words(rig: Rig, case: Case, record: Record) -> str:
+    """How far, how fast and how sharply a motion is asked for."""
+    own = case.cylinder
+    most = {
+        word: float(np.abs(record[f"{own}.{word}_desired"]).max())
+        for word in _OF
+        if f"{own}.{word}_desired" in record
+    }
+    x = record[f"{own}.x_desired"]
+    ends = span([float(shown(rig, "x", float(end))) for end in (x.min(), x.max())])
+    told = [f"{ends} {pretty(unit_of(rig, 'x'))}"]
+    told += [f"{_OF[word]} up to {measure(rig, word, top)}" for word, top in most.items()]
+    return ", ".join(told)
 
 
 def limits_caption(row: Table) -> str:

@@ -4,12 +4,21 @@ settings.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 from ehbench.report.blocks import Block, Cell, Fold, Grid, Text
 from ehbench.codes import LIMITS_MEAN, STATUS_MEANS
-from ehbench.report.captions import capital, load_name, measure, percent, span, stroke
+from ehbench.report.captions import (
+    capital,
+    error_of,
+    load_name,
+    measure,
+    percent,
+    range_in,
+    ranged,
+    span,
+)
 from ehbench.report.cases import Case, damping, groups_of
 from ehbench.report.content import chip, num, quantity_cell
 from ehbench.report.saved import Table
@@ -79,40 +88,83 @@ def _steps(rig: Rig, cases: Sequence[Case]) -> Grid:
     if doubts:
         reasons = "; ".join(f"({i}) {doubt}" for i, doubt in enumerate(doubts, 1))
         note += f" No damping ratio, or a rough one: {reasons}."
-    rows = [_step_row(rig, case, one, doubts) for case, one in steps]
+    rows = [_step_row(rig, case, at, doubts) for case in _ordered(cases) for at in _numbers(case)]
+    note += runs_note(cases)
     return Grid(head, rows, note, "steps", "Steps of speed.")
 
 
-def _step_row(rig: Rig, case: Case, one: Table, doubts: Sequence[str]) -> list[Cell | str]:
+def _numbers(case: Case) -> range:
+    return range(len(case.steps))
+
+
+def _step_row(rig: Rig, case: Case, at: int, doubts: Sequence[str]) -> list[Cell | str]:
+    one = case.steps[at]
     stands = abs(1.0 + one["steady_error"]) <= STANDS
-    overshoot, settled = one.get("overshoot"), one.get("settling_time")
     ratio, doubt = damping(one)
     mark = f" ({doubts.index(doubt) + 1})" if doubt else ""
+    fitted = "damping_ratio_fitted" if "damping_ratio_fitted" in one else "damping_ratio"
+
+    def cell(key: str, told: Callable[[float | None], str]) -> str:
+        return ranged(told, one.get(key), range_in(case.row, "steps", at, key))
+
+    def share(value: float | None) -> str:
+        return number(None if value is None else 100.0 * value, 2)
+
     return [
         *who(case),
         quantity_cell(rig, "v", one["speed"], 3),
-        quantity_cell(rig, "v", 0.0 if stands else one["steady_speed"], 3),
-        num(number(100.0 * one["steady_error"], 2)),
-        num(number(None if overshoot is None else 100.0 * overshoot, 2)),
-        quantity_cell(rig, "t", settled, 2) if settled is not None else "not settled",
-        quantity_cell(rig, "v", one["rms_error"], 3),
-        num(number(ratio, 2) + mark),
-        quantity_cell(rig, "natural_frequency", one.get("natural_frequency"), 2),
-        quantity_cell(rig, "energy", case.row["energy"]["pump"]),
+        num("0" if stands else cell("steady_speed", _telling(rig, "v", 3))),
+        num(cell("steady_error", share)),
+        num(cell("overshoot", share)),
+        num(cell("settling_time", _telling(rig, "t", 2)))
+        if one.get("settling_time") is not None
+        else "not settled",
+        num(cell("rms_error", _telling(rig, "v", 3))),
+        num(ranged(_ratio, ratio, range_in(case.row, "steps", at, fitted)) + mark),
+        num(cell("natural_frequency", _telling(rig, "natural_frequency", 2))),
+        _energy_cell(rig, case, "pump"),
     ]
+
+
+def _ratio(value: float | None) -> str:
+    return number(value, 2)
+
+
+def _telling(rig: Rig, name: str, digits: int) -> Callable[[float | None], str]:
+    """What writes an SI number of a quantity in the rig's unit."""
+    return lambda value: number(None if value is None else float(shown(rig, name, value)), digits)
+
+
+def _energy_cell(rig: Rig, case: Case, key: str) -> Cell:
+    value, ends = case.row["energy"][key], range_in(case.row, "energy", key)
+    return num(ranged(_telling(rig, "energy", 4), value, ends))
+
+
+def runs_note(cases: Sequence[Case]) -> str:
+    """That the numbers are of several runs, where they are."""
+    runs = {case.row.get("seeds", 1) for case in cases} - {1}
+    if not runs:
+        return ""
+    return (
+        f" Medians of {', '.join(map(str, sorted(runs)))} runs with other noise of the sensors, "
+        "in brackets the least and the largest."
+    )
 
 
 def _tracking(rig: Rig, cases: Sequence[Case]) -> Grid:
     groups = groups_of(cases)
     several = any(len(group) > 1 for group in groups.values())
     swings = any(case.row.get("limit_cycle") for case in cases)
+    true = any(case.row.get("tracking_true") for case in cases)
     tips = any(case.row.get("tip") for case in cases)
+    shown_of = _Columns(swings, tips, true)
     head = [
         *WHO,
         *([axis(rig, "tip_error", f"{word} tip error") for word in ("largest", "rms")] * tips),
         axis(rig, "x", "largest error"),
         axis(rig, "x", "rms error"),
         axis(rig, "x", "final error"),
+        *([axis(rig, "x", "largest true error"), axis(rig, "x", "rms true error")] if true else []),
         *([axis(rig, "x", "swings by ±"), axis(rig, "t", "its period")] if swings else []),
         axis(rig, "v", "rms error of speed"),
         axis(rig, "energy", "pump energy"),
@@ -121,24 +173,44 @@ def _tracking(rig: Rig, cases: Sequence[Case]) -> Grid:
         "",
     ]
     rows = [
-        _tracking_row(rig, case, group if several else [], swings, tips)
+        _tracking_row(rig, case, group if several else [], shown_of)
         for group in groups.values()
         for case in group
     ]
     sources = "; ".join(dict.fromkeys(case.row["energy"]["source"] for case in cases))
     note = f"Stroke against the desired stroke. Pump energy: {sources}." + valves_note(rig, cases)
+    if true:
+        note += (
+            " True: of the stroke as it is, which only the virtual bench knows and no log holds."
+        )
+    note += runs_note(cases)
     if swings:
         note += " What swings without an end does so by itself: a limit cycle."
     return Grid(head, rows, note, "tracking", "Tracking and energy.")
 
 
+class _Columns(NamedTuple):
+    """What some trial of a table has: a limit cycle, a tip's error, errors of the true stroke."""
+
+    swings: bool
+    tips: bool
+    true: bool
+
+
 def _tracking_row(
-    rig: Rig, case: Case, rivals: Sequence[Case], swings: bool, tips: bool
+    rig: Rig, case: Case, rivals: Sequence[Case], columns: _Columns
 ) -> list[Cell | str]:
     """A trial's row; its energy relative to the least of its rivals, itself among them, where there
-    are any; its limit cycle where some trial ``swings``; its tip's error where some has ``tips``.
+    are any; what only some trials have where ``columns`` say so.
     """
-    track, pump = case.row["tracking"], case.row["energy"]["pump"]
+    row, pump = case.row, case.row["energy"]["pump"]
+    known = bool(row.get("tracking_true"))
+    errors = [error_of(rig, row, "tracking", f"{key}_error") for key in ("max", "rms", "final")]
+    if columns.true:
+        errors += [
+            error_of(rig, row, "tracking_true", f"{key}_error") if known else DASH
+            for key in ("max", "rms")
+        ]
     relative = []
     if rivals:
         least = min((one.row["energy"]["pump"] for one in rivals if one.fit), default=0.0)
@@ -146,13 +218,15 @@ def _tracking_row(
         relative = [num(ratio)]
     return [
         *who(case),
-        *(_tip_cells(rig, case) if tips else []),
-        *(num(stroke(rig, case.row, track[f"{key}_error"])) for key in ("max", "rms", "final")),
-        *(_cycle_cells(rig, case) if swings else []),
-        quantity_cell(rig, "v", case.row["speed_rms_error"], 3),
-        quantity_cell(rig, "energy", pump),
+        *(_tip_cells(rig, case) if columns.tips else []),
+        *map(num, errors),
+        *(_cycle_cells(rig, case) if columns.swings else []),
+        num(
+            ranged(_telling(rig, "v", 3), row["speed_rms_error"], range_in(row, "speed_rms_error"))
+        ),
+        _energy_cell(rig, case, "pump"),
         *relative,
-        quantity_cell(rig, "energy", case.row["energy"]["cylinder_work"]),
+        _energy_cell(rig, case, "cylinder_work"),
         chip("stopped") if case.row.get("stopped") else "",
     ]
 

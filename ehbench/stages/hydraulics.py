@@ -5,6 +5,7 @@ log.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from ehbench.identification.hydraulics import HydraulicsFit, PreparedFit
     from ehbench.identification.journal import Journal
     from ehbench.identification.suggestions import Suggestions
+    from ehbench.recipe.sensor import Sensor
     from ehbench.rig import Rig
 
 
@@ -65,10 +67,13 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
         logs = inputs.logs(recipe.data)
         fit, variants = None, {}
         if logs.records:
-            fit = _prepared_fit(recipe, state, logs, state.rig)
+            fit = _prepared_fit(recipe, state, logs, state.rig, recipe.sensor)
             compared = recipe.compare_dynamics
             rigs = with_each_dynamics(state.rig, compared) if compared else {}
-            variants = {name: _prepared_fit(recipe, state, logs, rig) for name, rig in rigs.items()}
+            sensors = (*recipe.sensor, *recipe.compare_sensor)
+            variants = {
+                name: _prepared_fit(recipe, state, logs, rig, sensors) for name, rig in rigs.items()
+            }
         way = "matching frequency and decay" if recipe.method == "thesis" else "output error"
         does = f"fits {', '.join(recipe.parameters)} to {counted(recipe.data, 'log')} by {way}"
         if recipe.compare_dynamics:
@@ -180,7 +185,9 @@ def _from(folder: Path, recipe: HydraulicsRecipe, name: str) -> str:
     return os.path.relpath(recipe.file(name), folder.resolve())
 
 
-def _prepared_fit(recipe: HydraulicsRecipe, state: RigState, logs: Logs, rig: Rig) -> PreparedFit:
+def _prepared_fit(
+    recipe: HydraulicsRecipe, state: RigState, logs: Logs, rig: Rig, sensors: Sequence[Sensor]
+) -> PreparedFit:
     from ehbench.identification.hydraulics import FitOptions, prepare_fit
 
     options = FitOptions(
@@ -190,7 +197,7 @@ def _prepared_fit(recipe: HydraulicsRecipe, state: RigState, logs: Logs, rig: Ri
         upper=recipe.upper,
         prior=recipe.prior,
         channels=recipe.channels,
-        sensors=recipe.sensor,
+        sensors=sensors,
         cutoff=None if recipe.cutoff is None else float(recipe.cutoff),
         max_iterations=recipe.max_iterations,
         workers=recipe.workers,

@@ -61,6 +61,7 @@ class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
                     other = inputs.rig_state(*key)
                     states[key] = replace(other, rig=with_identified(other.rig, base.rig))
                 case, own, prepared = prepared_case(name, one, states[key], inputs)
+                case = replace(case, seeds=recipe.seeds)
                 files += [item for item in (*states[key].inputs, *own) if item not in files]
                 cases.append(case)
                 trials.append(prepared)
@@ -76,6 +77,8 @@ class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
             f"runs {counted(planned, 'trial')} ({counts}) on {place_of(recipe.on)}, "
             f"{length_of(lengths, float(recipe.rate))}"
         )
+        if recipe.seeds > 1:
+            does += f", each with {recipe.seeds} seeds of noise"
         seeds = {"trial": recipe.seed}
         return PreparedSet(recipe, tuple(files), does, base, cases, trials, seeds=seeds)
 

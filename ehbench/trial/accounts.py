@@ -6,7 +6,7 @@ from contextlib import suppress
 from typing import Any, NamedTuple
 
 from ehbench.errors import EhbenchError, InsufficientData
-from ehbench.ledger import Ledger, bounds, ledger_of_log, ledger_of_model
+from ehbench.ledger import Accuracy, Ledger, bounds, ledger_of_log, ledger_of_model
 from ehbench.trial.preparation import Prepared
 from ehbench.trial.running import Facts, Result
 
@@ -24,14 +24,21 @@ class Account(NamedTuple):
     doubts: tuple[str, ...] = ()
 
 
-def account(prepared: Prepared, result: Result) -> Account:
-    """The account of a trial: exact where the machine told its states, else as it was measured."""
+def account(prepared: Prepared, result: Result, sure: bool = True) -> Account:
+    """The account of a trial: exact where the machine told its states, else as it was measured.
+
+    ``sure`` asks for the intervals of what was measured, which take longer than the trial."""
     recipe, record, facts = prepared.recipe, result.record, result.facts
+    if (cycle := facts.measures.get("cycle")) is not None:  # the last of several
+        record = record.between(cycle["start"], cycle["stop"])
     try:
         if result.model is not None:
             ledger = ledger_of_model(result.model, record)
         else:
-            ledger = ledger_of_log(prepared.rig, prepared.maps, record, payload=recipe.payload)
+            accuracy = Accuracy() if sure else None
+            ledger = ledger_of_log(
+                prepared.rig, prepared.maps, record, payload=recipe.payload, accuracy=accuracy
+            )
     except EhbenchError as error:
         return Account(facts, None, (f"no energy ledger: {error.message}",))
     limits = []

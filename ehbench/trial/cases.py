@@ -19,6 +19,7 @@ from ehbench.text import quoted
 from ehbench.trial.accounts import Account, account
 from ehbench.trial.preparation import Prepared, prepare
 from ehbench.trial.running import SELDOM, run
+from ehbench.trial.spread import middle_of, over_runs
 from ehbench.units import from_si
 
 if TYPE_CHECKING:
@@ -26,7 +27,9 @@ if TYPE_CHECKING:
 
 
 class CaseResult(NamedTuple):
-    """What a trial of a set leaves: its record and its account."""
+    """What a trial of a set leaves: its record and its account; of several runs the record and the
+    ledger of the middle one, and the measures of all.
+    """
 
     record: Record
     account: Account
@@ -34,13 +37,16 @@ class CaseResult(NamedTuple):
 
 @dataclass(frozen=True)
 class Case:
-    """One trial of a set: its name and what `run_trial` needs."""
+    """One trial of a set: its name, what `run_trial` needs, and how many runs it makes, each with
+    other noise of the sensors.
+    """
 
     name: str
     recipe: TrialRecipe
     rig: Rig
     maps: Maps | None
     gains: Path | Mapping[str, Any] | None = None
+    seeds: int = 1
 
     def prepare(self, *, allow_code: bool = False, standing: bool = False) -> Prepared:
         """This trial before its first tick: `ehbench.trial.prepare`."""
@@ -52,11 +58,20 @@ class Case:
         Raises:
             EhbenchError: as `ehbench.trial.run`.
         """
+        if self.seeds == 1:
+            return self._once(prepared, log)
+        runs = [prepared.seeded(self.recipe.seed + more) for more in range(self.seeds)]
+        facts = [self._once(one, sure=False).account.facts for one in runs]
+        middle = middle_of(facts)
+        record, kept = self._once(runs[middle], log)
+        return CaseResult(record, kept._replace(facts=over_runs(facts, middle)))
+
+    def _once(self, prepared: Prepared, log: Path | None = None, sure: bool = True) -> CaseResult:
         try:
             result = run(prepared, log=log)
         except SimulationError as error:
             raise SimulationError(f"{self.name}: {error.message}", hint=error.hint) from None
-        return CaseResult(result.record, account(prepared, result))
+        return CaseResult(result.record, account(prepared, result, sure))
 
     @property
     def motion(self) -> str:
@@ -168,6 +183,7 @@ _STEP = {
     "natural_frequency": ("natural_frequency", "natural_frequency"),
 }
 _TRACKING = {"max_error": "x", "rms_error": "x", "final_error": "x"}
+_TRUE = {f"{name}_true": word for name, word in _TRACKING.items()}
 
 
 _TIP = {"tip_max_error": "max_error", "tip_rms_error": "rms_error"}
@@ -180,7 +196,8 @@ def table_csv(rows: Sequence[dict[str, Any]], rig: Rig) -> str:
     """
     several = any(row.get("tip") for row in rows)
     units = {name: unit if unit == "%" else rig.unit_of(unit) for name, (unit, _) in _STEP.items()}
-    units |= {name: rig.unit_of(word) for name, word in _TRACKING.items()} | {
+    strokes = _TRACKING | (_TRUE if any("tracking_true" in row for row in rows) else {})
+    units |= {name: rig.unit_of(word) for name, word in strokes.items()} | {
         "pump_energy": rig.unit_of("energy")
     }
     units |= {name: rig.unit_of("tip_error") for name in _TIP if several}
@@ -205,8 +222,9 @@ def table_csv(rows: Sequence[dict[str, Any]], rig: Rig) -> str:
             for number, step in enumerate(own["steps"] or [{}], 1):
                 cells = [str(number) if step else "", *([cylinder] if several else [])]
                 cells += [cell(step.get(key), name, word) for name, (word, key) in _STEP.items()]
-                track = own["tracking"]
-                cells += [cell(track[name], name, word) for name, word in _TRACKING.items()]
+                true = own.get("tracking_true", {}).items()
+                errors = own["tracking"] | {f"{name}_true": value for name, value in true}
+                cells += [cell(errors.get(name), name, word) for name, word in strokes.items()]
                 line = [*(row[name] for name in front[:-1]), *cells, energy, *tips, row["stopped"]]
                 lines.append(",".join(quoted(text) for text in line))
     return "\n".join(lines) + "\n"

@@ -53,10 +53,13 @@ class Level:
 
 @dataclass(frozen=True)
 class References:
-    """``table`` of x_d, v_d, a_d, j_d, shape (samples, 4), and the levels of speed in it."""
+    """``table`` of x_d, v_d, a_d, j_d, shape (samples, 4), the levels of speed in it, and the row
+    at which its last cycle begins.
+    """
 
     table: np.ndarray
     levels: tuple[Level, ...] = ()
+    last_cycle: int = 0
 
 
 def references(recipe: TrialRecipe, design: Design, low_pressure: float) -> References:
@@ -109,7 +112,7 @@ def lasting(recipe: TrialRecipe, design: Design, desired: References) -> Referen
         for level in desired.levels
         if level.first < len(table)
     )
-    return References(table, levels)
+    return References(table, levels, min(desired.last_cycle, len(table) - 2))
 
 
 def full_speed(design: Design, way: int, low_pressure: float) -> float:
@@ -238,7 +241,16 @@ def limits_of(recipe: TrialRecipe, motion: CylinderMotion, points: int) -> dict[
 def _points(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: float) -> References:
     points = [float(x) for x in motion.waypoints]
     limits = limits_of(recipe, motion, len(points))
-    return References(point_to_point(points, tick=1.0 / float(recipe.rate), **limits))
+    holds = np.broadcast_to(limits["hold"], len(points)).tolist()
+
+    def made(cycles: int) -> np.ndarray:
+        way = limits | {"hold": holds[:1] + cycles * holds[1:]}
+        return point_to_point(
+            points[:1] + cycles * points[1:], tick=1.0 / float(recipe.rate), **way
+        )
+
+    before = len(made(motion.cycles - 1)) - 1 if motion.cycles > 1 else 0
+    return References(made(motion.cycles), last_cycle=before)
 
 
 def _file(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: float) -> References:

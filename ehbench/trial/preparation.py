@@ -14,7 +14,7 @@ import numpy as np
 from ehbench.control.functions import RULES, pack_rules
 from ehbench.control.records import blank
 from ehbench.errors import InputError
-from ehbench.machines.protocol import Machine, carry_of, truth_of
+from ehbench.machines.protocol import Machine, carry_of, hidden_of, seeded_of, truth_of
 from ehbench.machines.registry import open_machine
 from ehbench.machines.rows import COMMAND, LIMITS, MARGIN, Rows, limit_array, violated
 from ehbench.memory import MOST_STEPS, refuse_beyond, rows_of
@@ -147,6 +147,12 @@ class Prepared:
             shut.append(bool(fed) and not drains or into in fed)
         return np.array(shut)
 
+    def seeded(self, seed: int) -> Prepared:
+        """The same trial with other noise of its machine's sensors."""
+        recipe, machine = self.recipe.model_copy(update={"seed": seed}), seeded_of(self.machine)
+        assert machine is not None  # the recipe's model sees to it
+        return replace(self, recipe=recipe, machine=machine(seed))
+
     @property
     def low_side(self) -> float | None:
         """Pressure [Pa] of the unloaded chambers at the start; None is the machine's own choice."""
@@ -175,14 +181,14 @@ class Prepared:
         Raises:
             InputError: a posture that the machine cannot take; a limit reached before the start.
         """
-        truth, t, recipe = truth_of(machine), self.t[:count], self.recipe
+        known, t, recipe = truth_of(machine) or hidden_of(machine), self.t[:count], self.recipe
         with controllers.located(recipe, "posture"):
             sample = machine.start(self.posture, self.low_side)
         rows = Rows(
             t,
             self.table[:count].copy(),
             np.empty((t.size, sample.size)),
-            np.empty((t.size, 0 if truth is None else truth.width)),
+            np.empty((t.size, 0 if known is None else known.width)),
             sample,
             self.limits.copy(),
             machine.strokes,

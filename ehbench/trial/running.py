@@ -237,7 +237,9 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
         parts = law.parts if isinstance(law, Laws) else (law,)
         found = {}
         for one, part in zip(prepared.loop.driven, parts, strict=True):
-            found[one.cylinder] = own = part.used | _measures(record, one, rows)
+            found[one.cylinder] = own = part.used | _measures(
+                record, one, rows, session.true_strokes
+            )
             own["valves"] = _valves(prepared.rig, one.cylinder)
             if part.used.get("gains", {}).get("adapt_maps"):
                 own["maps"] = learnt_maps(one.design, session.machine, record, rows)
@@ -246,8 +248,6 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
             warnings += _swinging(own["limit_cycle"], prepared.rig, one.cylinder)
             warnings += _stuck(own, one.cylinder)
         measures = found.pop(prepared.loop.design.cylinder)
-        if prepared.loop.plan is not None:
-            measures |= prepared.loop.plan.measures(record, rows)
         if prepared.loop.plan is not None:
             measures |= prepared.loop.plan.measures(record, rows)
         if found:
@@ -319,9 +319,9 @@ def _swinging(cycle: Mapping[str, float] | None, rig: Rig, cylinder: str) -> lis
     ]
 
 
-def _measures(record: Record, loop: Driven, rows: int) -> dict[str, Any]:
+def _measures(record: Record, loop: Driven, rows: int, true: np.ndarray | None) -> dict[str, Any]:
     """Steps and tracking of a controlled cylinder, up to the row at which a limit stopped the
-    trial.
+    trial; tracking by its sensor and, where the machine knows it, of the ``true`` strokes [m].
     """
     own, t = loop.cylinder, record.t[:rows]
     v, x, p_head, p_rod = (record[f"{own}.{name}"][:rows] for name in ("v", "x", "p_head", "p_rod"))
@@ -335,14 +335,20 @@ def _measures(record: Record, loop: Driven, rows: int) -> dict[str, Any]:
                 t[part], v[part], level.speed, before, (p_head[part], p_rod[part]), level.share
             )
             measures["steps"].append(asdict(step))
-    measures["tracking"] = tracking_measures(t, x, record[f"{own}.x_desired"][:rows])
+    wish = record[f"{own}.x_desired"][:rows]
+    measures["tracking"] = tracking_measures(t, x, wish)
+    if true is not None:
+        measures["tracking_true"] = tracking_measures(t, true[:rows, loop.design.index], wish)
+    if loop.references.last_cycle and rows == len(loop.references.table):
+        first = loop.references.last_cycle
+        measures["cycle"] = {"start": float(t[first]), "stop": float(t[-1])}
     measures["speed_rms_error"] = float(
         np.sqrt(np.mean((v - record[f"{own}.v_desired"][:rows]) ** 2))
     )
-    desired, stroke = record[f"{own}.x_desired"][:rows], float(loop.design.row.stroke)
+    stroke = float(loop.design.row.stroke)
     valves = [name for name in loop.design.valves if name.startswith(f"{own}.")]
     commands = np.column_stack([record[f"{name}.command"][:rows] for name in valves])
-    cycle = limit_cycle(t, x, desired, commands, stroke)
+    cycle = limit_cycle(t, x, wish, commands, stroke)
     measures["limit_cycle"] = None if cycle is None else asdict(cycle)
     if f"{own}.function_status" in record:
         names = ("function", "function_status", "v_desired")

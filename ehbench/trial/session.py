@@ -16,7 +16,7 @@ import numpy as np
 
 from ehbench.codes import HOLD
 from ehbench.errors import InputError, SimulationError
-from ehbench.machines.protocol import Machine, advance_of, carry_of, truth_of
+from ehbench.machines.protocol import Machine, advance_of, carry_of, hidden_of, truth_of
 from ehbench.machines.rows import NO_LIMITS, Controls, LawRows, Rows, control, violated
 from ehbench.record import Record
 from ehbench.trial.controllers import Compiled, Laws
@@ -55,7 +55,8 @@ class Session:
 
     def __init__(self, prepared: Prepared, machine: Machine, fast: bool = True) -> None:
         self.prepared, self.machine = prepared, machine
-        self._truth = truth_of(machine)
+        self._truth, self._hidden = truth_of(machine), hidden_of(machine)
+        self._known = self._truth or self._hidden
         self._logged = [
             (i, name)
             for i, name in enumerate(machine.channels)
@@ -172,8 +173,8 @@ class Session:
         if violated(rows, i):
             return True
         rows.samples[i] = rows.sample
-        if self._truth is not None:
-            self._truth.read(rows.commands[i], rows.truth[i])
+        if self._known is not None:
+            self._known.read(rows.commands[i], rows.truth[i])
         rows.sample[:] = self.machine.tick(rows.commands[i])
         return False
 
@@ -209,6 +210,13 @@ class Session:
         if row == self.end:
             span = slice(self._halted, self.end)
             self.after = self.prepared.aftermath(self.machine, self.rows, span, still)
+
+    @property
+    def true_strokes(self) -> np.ndarray | None:
+        """Strokes [m] as they are, shape (rows, cylinders), of a machine that keeps them from its
+        log.
+        """
+        return None if self._hidden is None else self.rows.truth[: self.end]
 
     def channels(self, part: slice) -> dict[str, np.ndarray]:
         """Rows of the trial by channel, SI: what the machine measured, or all that a simulation

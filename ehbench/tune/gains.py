@@ -15,6 +15,7 @@ import numpy as np
 from ehbench.codes import FUNCTIONS
 from ehbench.control.functions import HEAD, METERED
 from ehbench.recipe import TuneRecipe
+from ehbench.tune.circuits import functions_of
 from ehbench.tune.draws import Correlation, robustness, uncertain
 from ehbench.tune.linear import AT_ZERO, Law, Loop, OperatingPoint, close, dominant
 from ehbench.tune.loci import locus, step_response, worst_of_each
@@ -68,7 +69,6 @@ def tune_prepared(
     tell("washout and off-side gain", 0.1)
     search = LawSearch(counted, recipe, gains, scale)
     law = search.law()
-    alternatives = search.alternatives(law)
     tell("gain", 0.35)
     demands = _demands(recipe)
     chosen = _gains_by_function(study, law, gains, demands, notes)
@@ -108,11 +108,12 @@ def tune_prepared(
         constraints=demands,
         gains=tuple(gains.tolist()),
         worst_curve=tuple(np.min([r.curve for r in counting], axis=0).tolist()),
+        functions=functions_of(study.rig, study.sites[0].circuit),
         points=results,
         equivalents=study.curves,
         loci=loci,
         steps=steps,
-        alternatives=alternatives,
+        alternatives=search.alternatives(law),
         robustness=sure,
         warnings=tuple(dict.fromkeys(notes)),
     )

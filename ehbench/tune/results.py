@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ehbench.tune.circuits import FunctionUse
 from ehbench.tune.linear import OperatingPoint
 
 DIGITS = 9  # of the numbers in the file
@@ -137,7 +138,7 @@ class Tuning:
     ``tick`` and ``delay`` [s]. ``damping_ratio`` the least over the operating points that count,
     ``damping_ratio_open`` and ``_open_most`` the range without any feedback, ``_held`` and
     ``_held_most`` with the off-side's alone. ``met``: target and constraints hold at each of them.
-    ``gains`` the abscissa of the curves."""
+    ``gains`` the abscissa of the curves; ``functions`` what the circuit can do."""
 
     rig: str
     cylinder: str
@@ -159,6 +160,7 @@ class Tuning:
     constraints: dict[str, float]
     gains: tuple[float, ...]
     worst_curve: tuple[float, ...]
+    functions: tuple[FunctionUse, ...]
     points: tuple[PointResult, ...]
     equivalents: tuple[Curves, ...]
     loci: tuple[Locus, ...]

@@ -785,6 +785,13 @@ def test_bounds_are_those_of_the_spec():
     assert 1 - found.six / found.standard == pytest.approx(0.345, abs=5e-4)
     assert 1 - found.seventh / found.standard == pytest.approx(0.69, abs=1e-3)
     assert found.work == pytest.approx(300.0, rel=1e-3) and found.used is None
+    # a cycle that ends with its oil pressed together has drawn more than the next one will
+    pressed = up_and_down(rig, "boom", 0.1, 3000.0)
+    pressed["boom.p_rod"][-100:] += 1e6
+    oil = (1.241e-3 - 0.02 * rod) / float(rig.oil.bulk_modulus)
+    left = bounds(rig, pressed, "boom")
+    assert not left.closed and left.kept == pytest.approx(pressure * oil * 1e6, rel=1e-3)
+    assert found.kept == 0.0
     heavy = bounds(
         rig, up_and_down(rig, "boom", 0.1, 0.999 * pressure * (head - rod) + 500.0), "boom"
     )

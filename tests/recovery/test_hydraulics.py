@@ -629,6 +629,9 @@ def test_valve_dynamics_are_told_apart():
     ranking = compare_dynamics(machine, slide_logs(11, count=1), SLIDE, ["slow", "spool"])
     assert [one.dynamics for one in ranking] == ["spool", "slow"]
     assert ranking[0].relative_rms == 1.0 and ranking[1].relative_rms > 1.5
+    assert (
+        ranking[0].interval == (1.0, 1.0) and 1.0 < ranking[1].interval[0] < ranking[1].relative_rms
+    )
     with pytest.raises(InputError, match="no dynamics 'none'"):
         compare_dynamics(machine, slide_logs(11), SLIDE, ["none"])
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ import pytest
 from ehbench.codes import FUNCTIONS, LIMITS
 from ehbench.errors import InputError
 from ehbench.logs import write_log
+from ehbench.plant.model import Model
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import load_recipe, load_rig
 from ehbench.record import Record
@@ -34,6 +35,8 @@ from ehbench.report.trial_captions import (
 from ehbench.report.trial_tables import valves_note
 from ehbench.report.tuning_words import overshoot_of
 from ehbench.rundir import write_json
+from ehbench.tune.circuits import functions_of
+from ehbench.tune.linear import circuit_of
 from ehbench.units import from_si
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
@@ -136,6 +139,10 @@ def locus(name: str, parameter: str, crossing: float | None) -> dict:
     }
 
 
+RIG = load_rig(RIGS / "thesis_arm.toml")
+USES = [asdict(one) for one in functions_of(RIG, circuit_of(Model.of(RIG), 1))]
+
+
 def tuning(**more) -> dict:
     points = [
         point("extend_resistive", load, x, True) for load in ("none", "50 lb") for x in (0.05, 0.2)
@@ -176,6 +183,7 @@ def tuning(**more) -> dict:
         "constraints": {"gain_margin": 2.0, "phase_margin": 0.785398163, "bandwidth": 3.14159265},
         "gains": GAINS,
         "worst_curve": points[0]["curve"],
+        "functions": USES,
         "points": points,
         "equivalents": [
             {
@@ -476,6 +484,7 @@ def test_drawn_estimates_are_quantities():
 def test_keys_are_the_stable_ones(runs):
     tune, steps, cycles, arc = map(captions, runs)
     assert list(tune) == [
+        *(f"function_{one['name']}" for one in USES),
         "equivalent_mass",
         "equivalent_gravity",
         "damping_over_gain",
@@ -521,6 +530,7 @@ def test_the_page_is_whole(runs):
         for one in json.loads((folder / "figures/index.json").read_text())["figures"]
     }
     assert kinds == {
+        "function",
         "equivalents",
         "damping",
         "locus",
@@ -528,6 +538,7 @@ def test_the_page_is_whole(runs):
         "draws",
         "compare",
         "energy",
+        "trajectories",
         "trial",
         "estimates",
         "sankey",
@@ -997,6 +1008,24 @@ def cycles(root: Path, **made_of: dict) -> tuple:
     return run.rig, cases_of(run)
 
 
+def test_the_functions_of_a_circuit_are_tables_and_figures(runs):
+    rig, tables = load_rig(runs[0]), captions(runs[0])
+    assert [one["name"] for one in USES] == list(FUNCTIONS[1:])
+    text = plain(build(runs[:1]))
+    head, rod = rig.cylinder_named("boom").areas()
+    assert (
+        "extend overrunning regeneration extend along the motion p_rod &gt; p_head + margin, and "
+        f"the edge between them carries A₂ |v| {1e4 * (head - rod):.4g}" in text
+    )
+    assert (
+        "retract overrunning regeneration Valve 1: HECT, Valve 3: REGEN (PC and CT) Valve 1: HECT "
+        "(head end), (A₁ − A₂) |v| Valve 3: REGEN (PC and CT), A₂ |v|" in text
+    )
+    assert tables["function_retract_resistive"].startswith(
+        "Open: Valve 1: HECT, Valve 4: REPC; Valve 4: REPC (red) sets the motion; shut, dashed: "
+    )
+
+
 def test_valves_that_are_not_equally_fast_are_told(tmp_path):
     quick, slow = ({"valves": {"natural_frequency": [w, w]}} for w in (345.0, 62.8))
     rows = {"six": quick, "fast spool": quick, "spool": slow}
@@ -1006,6 +1035,30 @@ def test_valves_that_are_not_equally_fast_are_told(tmp_path):
     told = " Natural frequency of the valves: 54.9 Hz: six, fast spool; 9.99 Hz: spool. "
     assert valves_note(run.rig, cases).startswith(told)
     assert valves_note(run.rig, cases[:2]) == ""
+
+
+def test_why_a_cycle_saves_more_than_its_bound_is_said(tmp_path):
+    spool = {
+        "extend_resistive": (0.15, 2296.0, 2096.0, 150.0),
+        "retract_overrunning": (-0.15, 1304.0, 1104.0, 0.0),
+    }
+    rig, cases = cycles(tmp_path, six=cycle_ledger(SIX), spool=cycle_ledger(spool, four_way=True))
+    told = energy_tables.passes_caption(rig, energy_tables.savings_of(cases))
+    assert told.startswith("Some save more than the bound's 34.5 %: the four-way valve is above")
+    assert "by 400 J a cycle. It draws 150 J to press the oil" in told
+    assert energy_tables.passes_caption(rig, energy_tables.savings_of(cases[:1])) == ""
+
+
+def test_a_way_that_ends_with_other_oil_saves_nothing(tmp_path):
+    ledger = cycle_ledger(SIX)
+    (limits,) = ledger["bounds"]
+    limits |= {"closed": False, "kept": 52.3, "travel_out": 0.15, "travel_in": 0.15}
+    rig, cases = cycles(tmp_path, six=ledger)
+    (text,) = energy_tables.saving_blocks(rig, cases)
+    assert "1 trial that came back with the oil in another state, 52.3 J more pressed" in text.text
+    limits["travel_in"] = 0.05
+    rig, cases = cycles(tmp_path / "open", six=ledger)
+    assert energy_tables.saving_blocks(rig, cases) == []
 
 
 def test_what_was_saved_and_what_ate_the_rest(tmp_path):

@@ -28,6 +28,9 @@ from ehbench.trial import (
 )
 from ehbench.trial.measures import step_measures, tracking_measures
 from ehbench.trial.motion import references
+from ehbench.trial.preparation import Stop
+from ehbench.trial.running import Facts
+from ehbench.trial.spread import middle_of, over_runs
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 STEP = {
@@ -599,6 +602,26 @@ def test_levels_are_shares_speeds_and_rows(rig, tmp_path):
     ] == pytest.approx(0.07, abs=1e-12)
 
 
+def test_cycles_repeat_the_way_and_the_last_one_is_known(rig, tmp_path):
+    text = TOML.replace('["100 mm", "200 mm"]', '["100 mm", "200 mm", "100 mm"]')
+    again = text.replace(
+        "[controller]", 'hold = ["0.3 s", "0.2 s", "0.4 s"]\ncycles = 3\n[controller]'
+    )
+    once = again.replace("cycles = 3", "cycles = 1")
+    made, one = (table_of(rig, closed(tmp_path, 'kind = "arc"', t)) for t in (again, once))
+    way = len(one.table) - 1
+    assert one.last_cycle == 0 and made.last_cycle == pytest.approx(2 * way - 300, abs=2)
+    last = made.table[made.last_cycle :]
+    assert last[0, 0] == last[-1, 0] == 0.1 and not last[[0, -1], 1:].any()
+    assert last[:, 0].max() == pytest.approx(0.2) and len(last) == pytest.approx(way - 300, abs=3)
+    for wrong in (
+        TOML.replace("[controller]", "cycles = 2\n[controller]"),
+        again.replace("= 3", "= 0"),
+    ):
+        with pytest.raises(InputError, match="cycles"):
+            closed(tmp_path, 'kind = "arc"', wrong)
+
+
 def test_a_trial_lasts_as_long_as_its_motion_or_as_it_says(rig, tmp_path):
     alone = table_of(rig, closed(tmp_path, 'kind = "open_loop"')).table
     assert alone[-1, 0] == 0.2 and not alone[-1, 1:].any()
@@ -878,6 +901,67 @@ def test_a_set_names_each_of_its_lists_without_doubles(tmp_path):
         "no_load_point_to_point_arc_2",
         "no_load_point_to_point_arc_2_2",
     ]
+
+
+def facts(
+    error: float, overshoot: float | None, swing: float = 0.0, stopped: bool = False
+) -> Facts:
+    stop = Stop("speed_max", "press.v", 1.0, 0.5, 0.1, "too fast") if stopped else None
+    measures = {
+        "gains": {"tick": 1e-3},
+        "steps": [{"speed": 0.1, "overshoot": overshoot, "ringing": f"{error:g}"}],
+        "tracking": {"max_error": error},
+        "limit_cycle": {"amplitude": swing} if swing else None,
+        "limits": {"saturated": 0.0},
+    }
+    told = (f"swings by {swing:g}",) if swing else ()
+    about = ("bench", "rig", "none", {}, 0, 1.0, 1001, 1000.0)
+    return Facts(*about, stop=stop, warnings=told, measures=measures)
+
+
+def test_several_runs_are_told_by_their_medians_and_ranges():
+    runs = [facts(3.0, 0.2), facts(1.0, None), facts(2.0, 0.4, swing=0.7), facts(5.0, 0.3)]
+    assert middle_of(runs) == 2
+    found = over_runs(runs, 2)
+    assert found.measures["tracking"] == {"max_error": 2.5}
+    assert found.measures["range"]["tracking"] == {"max_error": [1.0, 5.0]}
+    (step,), (ends,) = found.measures["steps"], found.measures["range"]["steps"]
+    assert step == {"speed": 0.1, "overshoot": pytest.approx(0.3), "ringing": "2"}
+    assert ends["overshoot"] == [0.2, 0.4] and found.measures["seeds"] == 4
+    assert found.measures["gains"] == {"tick": 1e-3} and "gains" not in found.measures["range"]
+    # the worst swing is told, whichever run had it
+    assert over_runs(runs, 0).measures["limit_cycle"] == {"amplitude": 0.7}
+    assert over_runs(runs, 0).warnings == ("swings by 0.7",)
+    few = over_runs([facts(1.0, None), facts(2.0, None), facts(3.0, 0.1)], 1)
+    assert few.measures["steps"][0]["overshoot"] is None, "most runs have none"
+    halted = [facts(1.0, 0.1), facts(9.0, 0.1, stopped=True), facts(2.0, 0.1)]
+    assert middle_of(halted) == 1 and "range" not in over_runs(halted, 1).measures
+    assert over_runs(halted, 1).warnings == (
+        "a limit stopped 1 of 3 runs; the numbers are of the first of them",
+    )
+
+
+def test_a_set_runs_each_case_with_several_seeds(rig):
+    way = {"kind": "point_to_point", "waypoints": ["90 mm", "110 mm"], "speed": "200 mm/s"}
+    given = {"stage": "trials", "rig": "x", "motion": [way | {"hold": "0.1 s"}], "seeds": 3}
+    law = {"kind": "arc"}
+    with pytest.raises(ValueError, match="'seeds' are of the virtual bench's sensors"):
+        TrialSetRecipe(**given, controller=[law])
+    made = TrialSetRecipe(**given, on="bench", seed=7, controller=[law])
+    ((name, _, one),) = made.cases()
+    case = Case(name, one, rig, None, seeds=made.seeds)
+    prepared = case.prepare()
+    found = case.run(prepared)
+    alone = [run(prepared.seeded(seed)) for seed in (7, 8, 9)]
+    errors = sorted(each.facts.measures["tracking"]["max_error"] for each in alone)
+    measures = found.account.facts.measures
+    assert len(set(errors)) == 3 and measures["tracking"]["max_error"] == errors[1]
+    assert measures["range"]["tracking"]["max_error"] == [errors[0], errors[2]]
+    kept = next(e for e in alone if e.facts.measures["tracking"]["max_error"] == errors[1])
+    assert np.array_equal(found.record["press.x"], kept.record["press.x"])
+    assert found.account.facts.seed == kept.facts.seed
+    # the sensor's count and noise are no error of the stroke as it is
+    assert measures["tracking_true"] != measures["tracking"]
 
 
 @pytest.mark.parametrize("path", sorted((RECIPES / "trials").glob("*.toml")), ids=lambda p: p.stem)

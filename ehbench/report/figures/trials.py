@@ -19,7 +19,7 @@ from ehbench.report.figures.trial import (
     shade_saturation,
     tracking_error,
 )
-from ehbench.report.style import ACCENT, CYCLE, INK, MARKS, MUTED, canvas, thin
+from ehbench.report.style import ACCENT, CYCLE, INK, MARKS, MUTED, canvas, legend, thin
 from ehbench.report.words import axis, number, shown, words
 from ehbench.rig import Rig
 
@@ -184,6 +184,26 @@ def _errors(ax, rig: Rig, cases: Sequence[Named], looks: Sequence[dict[str, Any]
     else:
         title = "Tracking error, actual minus desired"
     ax.set_title(axis(rig, "x", title), fontsize=8.5 if len(cases) == 1 else None)
+
+
+def trajectories(path: Path, rig: Rig, motions: Sequence[Named]) -> None:
+    """Desired stroke, speed and acceleration of some motions over time."""
+    from matplotlib.lines import Line2D
+
+    rows = [("x", "stroke"), ("v", "speed"), ("a", "acceleration")]
+    with canvas(path, len(rows), 1, (7.2, 5.0), sharex=True) as (figure, axes):
+        handles = []
+        for (name, case, record), colour in zip(motions, CYCLE, strict=False):
+            handles.append(Line2D([], [], color=colour, label=words(name)))
+            for ax, (word, _) in zip(axes, rows, strict=True):
+                channel = f"{case.cylinder}.{word}_desired"
+                if channel in record:
+                    y = np.asarray(shown(rig, word, record[channel]), float)
+                    ax.plot(*thin(record.t, y), color=colour)
+        for ax, (word, label) in zip(axes, rows, strict=True):
+            ax.set_ylabel(axis(rig, word, label))
+        axes[-1].set_xlabel("time [s]")
+        legend(figure, handles)
 
 
 def pump_energies(path: Path, rig: Rig, cases: Sequence[Case], names: Sequence[str]) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ehbench.fields import Value
-from ehbench.report.blocks import Block, Bullets, Cell, Grid, Heat, Part
+from ehbench.report.blocks import Block, Bullets, Cell, Grid, Heat, Part, Text
 from ehbench.report.captions import as_fitted, plus, range_of
 from ehbench.report.comparisons import draw_comparisons, log_cell, ringing_table
 from ehbench.report.content import Pictures, SectionContent, StageReport, chip, folded, num
@@ -64,7 +64,8 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     drawn = folded(pictures(FigureKey("fit")), "recorded and simulated")
     parts.append(Part("Fit to each log", [*_log_fits(rig, fit["logs"]), *drawn]))
     if variants := fit.get("dynamics_comparison", []):
-        parts.append(Part("Valve dynamics compared", [_dynamics(rig, variants)]))
+        compared = [Text(_decision(variants)), _dynamics(rig, variants)]
+        parts.append(Part("Valve dynamics compared", compared))
     weak = any(one["status"] != "estimated" for one in fit["parameters"])
     return SectionContent("partly_estimated" if weak else "done", _sentence(rig, fit), parts)
 
@@ -226,13 +227,39 @@ def _log_fit_row(rig: Rig, log: Table, cylinder: str, fitted: Sequence[str]) -> 
     return cells
 
 
+def _decision(variants: Sequence[Table]) -> str:
+    """Whether the data tell the best of some valve dynamics from the others."""
+    best, *others = variants
+    told = [
+        f"{one['dynamics']} {number(100.0 * (one['relative_rms'] - 1.0), 2)} % "
+        f"({interval(*(100.0 * (end - 1.0) for end in one['interval']))} %)"
+        for one in others
+    ]
+    open_ones = [one["dynamics"] for one in others if one["interval"][0] <= 1.0]
+    lead = f"The data decide for {best['dynamics']}"
+    if open_ones:
+        lead = f"Not decided between {best['dynamics']} and {', '.join(open_ones)}"
+    text = f"{lead}: residuals larger than with {best['dynamics']} by {'; '.join(told)}, in "
+    text += "brackets the 95 % interval."
+    lags = [
+        f"{one['channel']} {number(1e3 * one['value'], 2)} ms"
+        for one in best["fit"].get("sensors", [])
+        if one["word"] == "lag"
+    ]
+    return text + (f" Sensors' lags fitted alongside: {', '.join(lags)}." if lags else "")
+
+
 def _dynamics(rig: Rig, variants: Sequence[Table]) -> Grid:
     fits = [
         {one["name"]: one for one in variant["fit"]["parameters"]} if variant.get("fit") else {}
         for variant in variants
     ]
     errors = [num(number(variant["relative_rms"], 4)) for variant in variants]
-    rows: list[list[Cell | str]] = [["error relative to the best", *errors]]
+    ends = [num(interval(*variant["interval"])) for variant in variants[1:]]
+    rows: list[list[Cell | str]] = [
+        ["error relative to the best", *errors],
+        ["its 95 % interval", "", *ends],
+    ]
     for name in dict.fromkeys(name for fitted in fits for name in fitted):
         cells = [_fitted_cell(rig, name, fitted.get(name)) for fitted in fits]
         rows.append([axis(rig, name, name), *cells])

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ehbench.report.blocks import Block, Bullets, Fold, Part, Picture, Text
-from ehbench.report.captions import load_name
+from ehbench.report.captions import capital, load_name
 from ehbench.report.cases import Case, cases_of, groups_of, stem_of
 from ehbench.report.content import Pictures, SectionContent, StageReport, folded, stopped_status
 from ehbench.report.energy_tables import saving_blocks
@@ -24,6 +24,7 @@ from ehbench.report.trial_captions import (
     controller_captions,
     energy_caption,
     map_caption,
+    trajectory_words,
     trials_caption,
 )
 from ehbench.report.trial_tables import measure_tables, settings_blocks
@@ -37,6 +38,7 @@ def draw(run: Saved, index: FigureIndex) -> None:
     for group in groups_of(cases).values():
         if len(group) > 1:
             _draw_comparison(rig, index, group)
+    _draw_trajectories(rig, index, cases)
     for motion in dict.fromkeys(case.row["motion"] for case in cases):
         _draw_energies(rig, index, motion, [c for c in cases if c.row["motion"] == motion])
     _draw_map(rig, index, cases)
@@ -62,6 +64,20 @@ def _draw_comparison(rig: Rig, index: FigureIndex, cases: Sequence[Case]) -> Non
     )
     names = [case.row["controller"] for case in cases]
     figures.compare(path, rig, list(zip(names, cases, records, strict=True)))
+
+
+def _draw_trajectories(rig: Rig, index: FigureIndex, cases: Sequence[Case]) -> None:
+    """What is asked of the cylinder in each motion that is no steps of speed."""
+    first = {case.row["motion"]: case for case in reversed(cases) if not case.steps}
+    if first:
+        shown = [(name, first[name], first[name].record()) for name in reversed(first)]
+        spans = "; ".join(
+            f"{words(name)} {trajectory_words(rig, case, log)}" for name, case, log in shown
+        )
+        about = FigureKey("trajectories")
+        title = f"Trajectories, on the {cases[0].row['on']}"
+        path = index.add("trajectories", title, f"Desired motion. {capital(spans)}.", about)
+        figures.trajectories(path, rig, shown)
 
 
 def _draw_energies(rig: Rig, index: FigureIndex, motion: str, cases: Sequence[Case]) -> None:
@@ -120,6 +136,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     parts = [
         Part("Each trial" if open_ones else "", open_ones),
         Part("Compared", [*first, *pictures(FigureKey("compare"))]),
+        Part("Trajectories", pictures(FigureKey("trajectories"))),
         Part("Measures", measure_tables(rig, cases)),
         Part("Energy", _energy_blocks(rig, cases, pictures)),
         Part("Other trials" if open_ones else "Each trial", folds),

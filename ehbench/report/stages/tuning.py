@@ -20,6 +20,7 @@ from ehbench.report.content import (
 from ehbench.report.figures import root_locus
 from ehbench.report.figures import tuning as figures
 from ehbench.report.figures.tuning import Equivalent
+from ehbench.report.functions_part import draw_functions, function_tables
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
 from ehbench.report.tuning_words import (
@@ -59,6 +60,7 @@ _PARAMETERS = (
 def draw(run: Saved, index: FigureIndex) -> None:
     """Every figure of a tuning."""
     rig, tuning = run.rig, run.json("tuning.json")
+    draw_functions(tuning, index)
     for key, what in _EQUIVALENTS.items():
         caption = equivalents_caption(rig, tuning, what.key, what.quantity, what.title)
         title = f"{what.title}: {words(tuning['cylinder'])}"
@@ -111,7 +113,9 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         *pictures(FigureKey("damping")),
         _parameters(rig, tuning),
     ]
+    functions = function_tables(rig, tuning)
     parts = [
+        Part("Working functions", [*functions, *pictures(FigureKey("function"))]),
         Part("Equivalent mass and gravity force", pictures(FigureKey("equivalents"))),
         Part("Operating points", _operating_points(rig, tuning)),
         Part("The gain", choice),
