@@ -199,7 +199,7 @@ def pack_with_rates(
     learning = _learning(site, unsure, bounds, chosen, (given, places))
     chosen |= _defaults(site, places[0].load, chosen, total, learning) | dict(given)
     chosen |= {"tick": given.get("tick", site.tick), "adapt": given.get("adapt", unsure.adapt)}
-    chosen["adapt_maps"] = given.get("adapt_maps", chosen["adapt"])
+    chosen["adapt_maps"] = given.get("adapt_maps", 0.0)
     _check_whole(chosen, bounds, learning.rate)
     packed = blank(GAINS)
     for name in GAIN_NAMES:

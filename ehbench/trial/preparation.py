@@ -401,11 +401,12 @@ def _refuse_endless(recipe: TrialRecipe, rig: Rig, count: int) -> None:
     if recipe.limits != type(recipe.limits)():
         count += round((float(recipe.limits.ramp) + RUN_OUT) * float(recipe.rate))
     refuse_beyond(8.0 * count * (_ROW + _EACH * parts + 3 * waves), f"a trial of {count} samples")
-    step = 1.0 if recipe.step == "auto" else float(recipe.step)
-    steps = count * max(1.0, 1.0 / (float(recipe.rate) * step))
+    tick = 1.0 / float(recipe.rate)
+    step = tick if recipe.step == "auto" else min(tick, float(recipe.step))
+    steps = count * tick / step
     if steps > MOST_STEPS:
         raise InputError(
-            f"the trial would take {steps:.3g} steps",
+            f"the trial would take {steps:.3g} steps of {step:g} s",
             hint=f"up to {MOST_STEPS:g} are taken: make it shorter, or the step larger",
         )
 

@@ -371,9 +371,7 @@ def test_functions_do_not_chatter(payload):
     assert functions(trial(payload)) == [
         HOLD,
         EXTEND_RESISTIVE,
-        HOLD,
         RETRACT_OVERRUNNING_REGENERATION,
-        HOLD,
     ]
     seventh = functions(trial(payload, seventh=True))
     assert len(seventh) <= 7 and EXTEND_RESISTIVE_REGENERATION in seventh

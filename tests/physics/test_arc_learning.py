@@ -40,7 +40,7 @@ def prepared(payload="none", speed="slow", on="model", **given):
                 "acceleration": acceleration,
                 "jerk": jerk,
             },
-            "controller": {"kind": "arc", "gains": given.pop("gains", {})},
+            "controller": {"kind": "arc", "gains": {"adapt_maps": True} | given.pop("gains", {})},
             "path": RECIPES / "trial.toml",
             **given,
         }

@@ -154,7 +154,7 @@ def test_with_all_richness_off_the_bench_is_the_model(name):
     bench = VirtualMachine(rig, plain(rig), step=step)
     bench.start()
     model = Model.of(rig)
-    y = bench.state[: bench.size - 1].copy()
+    y = bench.state[: bench.bench.at.pump].copy()
     table = model.rest_commands(400)
     table[50:200, 0] = 4.0
     table[250:, 0] = 3.0 if float(next(rig.valves())[1].command_min) == 0 else -3.0
@@ -162,7 +162,7 @@ def test_with_all_richness_off_the_bench_is_the_model(name):
     log = model.run(y, table, 1e-3, step)[1:, : y.size]
     span = np.maximum(np.ptp(log, axis=0), 1e-9 * np.abs(log).max(axis=0) + 1e-12)
     # the same laws, written twice: what is left is the integrators' own error
-    assert (np.abs(states[:, :-1] - log) / span).max() < 1e-6
+    assert (np.abs(states[:, : y.size] - log) / span).max() < 1e-6
     assert np.ptp(log[:, 0]) > 5e-3
     nc = len(bench.layout.cylinders)
     assert np.allclose(
@@ -278,7 +278,7 @@ def test_noise_has_the_stated_spread_and_no_memory():
     assert np.std(p) == pytest.approx(spread, rel=0.045)
     assert abs(np.corrcoef(p[1:], p[:-1])[0, 1]) < 0.064
     assert np.mean(p) == pytest.approx(
-        bench.state[bench.size - 2], abs=4 * spread / math.sqrt(4000)
+        bench.state[bench.bench.at.supply], abs=4 * spread / math.sqrt(4000)
     )
     x = samples[:, bench.channels.index("press.x")] / 2.54e-5
     assert np.abs(x - np.round(x)).max() < 1e-6
@@ -338,16 +338,16 @@ def test_the_pump_droops_and_gives_in_above_its_limit():
     rig = rig_of("slide_servo")
     bench = VirtualMachine(rig, bench_file("slide_servo"))
     bench.start({"press": "20 mm"})
-    at, limit, droop = bench.size - 2, bench.bench.supply.flow_limit, bench.bench.fluid.droop
+    place, limit, droop = bench.bench.at, bench.bench.supply.flow_limit, bench.bench.fluid.droop
     p_set = bench.bench.supply.pressure
     small, _ = drive(bench, np.full((250, 1), 2.5))
-    flow = small[-1, at + 1]
+    flow = small[-1, place.pump]
     assert 0.1 * limit < flow < 0.5 * limit
     # a quasi-static compensator: the drop of pressure is the flow's share of the droop
-    assert p_set - small[-1, at] == pytest.approx(droop * flow / limit, rel=0.03)
+    assert p_set - small[-1, place.supply] == pytest.approx(droop * flow / limit, rel=0.03)
     large, _ = drive(bench, np.full((200, 1), 10.0))
-    assert large[-1, at] < p_set - 1.5 * droop
-    assert large[-1, at + 1] == pytest.approx(limit, rel=1e-3)
+    assert large[-1, place.supply] < p_set - 1.5 * droop
+    assert large[-1, place.pump] == pytest.approx(limit, rel=1e-3)
 
 
 def test_the_step_is_fine_enough():

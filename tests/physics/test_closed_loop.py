@@ -71,7 +71,7 @@ def recipe(controller, motion=UP_DOWN, path="trial.toml", **given):
 
 def closed(recipe, rig=ARM):
     """The compiled controller of a recipe, as its trial would run it."""
-    return prepare(recipe, rig).loop.law
+    return prepare(recipe, rig).loop.laws.parts[0]
 
 
 def working_edges(rig, cylinder, functions):
@@ -311,9 +311,11 @@ def test_the_gains_that_a_trial_ran_with_are_saved_defaults_and_bounds_too():
         )
     assert (
         found["open"]["feedback_gain"] == 0.0 == found["open"]["washout"]
-        and found["open"]["off_gain"] > 0.0
+        and found["open"]["off_gain"] == 0.0
     )
+    assert found["one"]["off_gain"] > 0.0
     assert found["one"] == found["open"] | {
+        "off_gain": found["one"]["off_gain"],
         "feedback_gain": 8e-11,
         "washout": pytest.approx(2 * np.pi, rel=1e-12),
     }
@@ -388,7 +390,7 @@ def test_a_built_in_law_is_given_its_channels_only(law, given, on, monkeypatch):
     )
     record, _ = run_trial(ARM, recipe(law, on=on, payload="50 lb"))
     names = sample_channels(closed_layout().cylinders)
-    last = seen[-1].controller.given
+    last = seen[-1].parts[0].controller.given
     assert {name for name, value in zip(names, last, strict=True) if not math.isnan(value)} == given
     assert all(np.isfinite(values).all() for values in record.channels.values())
 

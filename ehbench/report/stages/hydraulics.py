@@ -230,7 +230,7 @@ def _log_fit_row(rig: Rig, log: Table, cylinder: str, fitted: Sequence[str]) -> 
 def _decision(variants: Sequence[Table]) -> str:
     """Whether the data tell the best of some valve dynamics from the others."""
     best, *others = variants
-    told = [
+    larger = [
         f"{one['dynamics']} {number(100.0 * (one['relative_rms'] - 1.0), 2)} % "
         f"({interval(*(100.0 * (end - 1.0) for end in one['interval']))} %)"
         for one in others
@@ -239,11 +239,11 @@ def _decision(variants: Sequence[Table]) -> str:
     lead = f"The data decide for {best['dynamics']}"
     if open_ones:
         lead = f"Not decided between {best['dynamics']} and {', '.join(open_ones)}"
-    text = f"{lead}: residuals larger than with {best['dynamics']} by {'; '.join(told)}, in "
+    text = f"{lead}: residuals larger than with {best['dynamics']} by {'; '.join(larger)}, in "
     text += "brackets the 95 % interval."
     lags = [
         f"{one['channel']} {number(1e3 * one['value'], 2)} ms"
-        for one in best["fit"].get("sensors", [])
+        for one in best.get("fit", {}).get("sensors", [])
         if one["word"] == "lag"
     ]
     return text + (f" Sensors' lags fitted alongside: {', '.join(lags)}." if lags else "")
