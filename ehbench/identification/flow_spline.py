@@ -176,15 +176,17 @@ class Spline:
         """(coefficients without the constraint, log determinant of the penalised normal matrix over
         the prior's).
         """
-        from scipy.linalg import cho_solve_banded, cholesky_banded
+        from scipy.linalg.lapack import dpbtrf, dpbtrs  # what scipy.linalg calls, without its looks
 
         band = band + smoothing[0] * self.bands[0] + smoothing[1] * self.bands[1]
-        factor = cholesky_banded(band, lower=True, check_finite=False)
+        factor, info = dpbtrf(band, lower=True)
+        if info:
+            raise np.linalg.LinAlgError(f"the normal matrix is not positive definite ({info})")
         prior = (
             smoothing[0] * self.along_u.eigen[:, None] + smoothing[1] * self.along_s.eigen
         ).ravel()[1:]
         determinant = 2 * np.log(factor[0]).sum() - self.mass - np.log(prior).sum()
-        return cho_solve_banded((factor, True), right, check_finite=False), determinant
+        return dpbtrs(factor, right, lower=True)[0], determinant
 
     def matrix(self, gram: np.ndarray, smoothing: np.ndarray) -> np.ndarray:
         """The penalised normal matrix."""
