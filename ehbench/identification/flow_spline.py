@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from copy import copy
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -176,17 +177,18 @@ class Spline:
         """(coefficients without the constraint, log determinant of the penalised normal matrix over
         the prior's).
         """
-        from scipy.linalg.lapack import dpbtrf, dpbtrs  # what scipy.linalg calls, without its looks
+        from scipy.linalg import lapack
 
+        routines: Any = lapack  # what scipy.linalg calls, without its looks at the arguments
         band = band + smoothing[0] * self.bands[0] + smoothing[1] * self.bands[1]
-        factor, info = dpbtrf(band, lower=True)
+        factor, info = routines.dpbtrf(band, lower=True)
         if info:
             raise np.linalg.LinAlgError(f"the normal matrix is not positive definite ({info})")
         prior = (
             smoothing[0] * self.along_u.eigen[:, None] + smoothing[1] * self.along_s.eigen
         ).ravel()[1:]
         determinant = 2 * np.log(factor[0]).sum() - self.mass - np.log(prior).sum()
-        return dpbtrs(factor, right, lower=True)[0], determinant
+        return routines.dpbtrs(factor, right, lower=True)[0], determinant
 
     def matrix(self, gram: np.ndarray, smoothing: np.ndarray) -> np.ndarray:
         """The penalised normal matrix."""
