@@ -13,7 +13,8 @@ PIN     = --universal --python-version 3.11 --generate-hashes --no-header --no-e
 thesis: setup            ## run the whole thesis campaign and print the report's path
 	$(BIN)/ehbench reproduce thesis
 
-test: format lint docs types tests  ## all gates: what must hold before a change goes in
+test:                    ## all gates, side by side: what must hold before a change goes in
+	$(MAKE) -j3 format lint docs types tests
 
 tests: dev             ## the tests alone, in parallel
 	$(BIN)/python -m pytest -n $(CORES)
@@ -21,16 +22,16 @@ tests: dev             ## the tests alone, in parallel
 fuzz: dev                ## 100 000 inputs made wrong on purpose, and what became of them
 	$(BIN)/python tests/fuzz/fuzzer.py
 
-format: dev            ## whether the formatter would change anything
+format: $(VENV)/.dev       ## whether the formatter would change anything
 	$(BIN)/ruff format --check $(CODE)
 
-lint: dev              ## line length, complexity, arguments, likely mistakes
+lint: $(VENV)/.dev         ## line length, complexity, arguments, likely mistakes
 	$(BIN)/ruff check $(CODE)
 
-types: dev             ## types of the package
+types: $(VENV)/.dev        ## types of the package
 	$(BIN)/basedpyright
 
-docs: dev              ## whether the key tables in docs/ are those of the models
+docs: $(VENV)/.dev         ## whether the key tables in docs/ are those of the models
 	$(BIN)/python -m ehbench.reference --check
 
 reference: setup         ## write these tables anew
@@ -57,16 +58,19 @@ warm: setup              ## compile the kernels again after a change to them
 
 setup: $(VENV)/.ready
 
-$(VENV)/.ready: requirements.txt pyproject.toml
+$(VENV)/.installed: requirements.txt pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(INSTALL) --require-hashes -r requirements.txt
 	$(INSTALL) --no-build-isolation --no-deps -e .
+	touch $@
+
+$(VENV)/.ready: $(VENV)/.installed
 	$(BIN)/python -m ehbench.warm
 	touch $@
 
-dev: $(VENV)/.dev          ## what the gates need beside what a run needs
+dev: $(VENV)/.ready $(VENV)/.dev  ## what the gates need beside what a run needs
 
-$(VENV)/.dev: $(VENV)/.ready requirements-dev.txt
+$(VENV)/.dev: $(VENV)/.installed requirements-dev.txt
 	$(INSTALL) --require-hashes -r requirements-dev.txt
 	touch $@
 

@@ -15,7 +15,7 @@ from kinds import Kind  # noqa: E402
 from ehbench.errors import InputError  # noqa: E402
 
 COUNT = 60
-FEW = {"run folders": 15, "command lines": 30}
+FEW = {"run folders": 15, "command lines": 30, "foreign files": 30}
 
 
 @pytest.mark.parametrize("kind", KINDS)
