@@ -23,6 +23,17 @@ def reading_row(channel: str, word: str) -> Quantity:
     return VOCABULARY["sensor_scale" if word == "scale" else word]
 
 
+def _known(channel: str) -> str:
+    try:
+        quantity(channel)
+    except KeyError as error:
+        raise ValueError(str(error.args[0])) from None
+    return channel
+
+
+Channel = Annotated[str, AfterValidator(_known)]  # full name of a channel of the vocabulary
+
+
 class Sensor(FileModel):
     """A channel as its sensor gives it: ``reading = scale · late(sign · true) + offset``, ``late``
     a first-order lag and a delay. Of a command, ``offset`` is the neutral and ``sign`` the
@@ -32,7 +43,7 @@ class Sensor(FileModel):
     standard error, ``{ value, std }``, or ``"estimate"``. What has a standard error, or is to be
     estimated, is estimated with the fit and held by that error."""
 
-    channel: str = Field(description="full name, such as `boom.p_head` or `boom.sr.command`")
+    channel: Channel = Field(description="full name, such as `boom.p_head` or `boom.sr.command`")
     per_log: bool = Field(
         default=False, description="estimated for each log by itself; else one for all logs"
     )
@@ -44,15 +55,6 @@ class Sensor(FileModel):
     scale: Any = Field(default=None, description="what it reads over what is")
     lag: Any = Field(default=None, description="time constant of a first-order lag")
     delay: Any = Field(default=None, description="by which it is late; a command: acts late")
-
-    @field_validator("channel")
-    @classmethod
-    def _known(cls, channel: str) -> str:
-        try:
-            quantity(channel)
-        except KeyError as error:
-            raise ValueError(str(error.args[0])) from None
-        return channel
 
     @field_validator("pressure")
     @classmethod

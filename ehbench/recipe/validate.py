@@ -13,7 +13,7 @@ from ehbench.fields import FileModel, Q, Value, read_value
 from ehbench.quantities import VOCABULARY, quantity
 from ehbench.recipe.base import DataFile, Recipe, data_file
 from ehbench.recipe.columns import AnyColumns
-from ehbench.recipe.sensor import Sensors
+from ehbench.recipe.sensor import Channel, Sensors
 
 
 def _share(raw: Any) -> Any:
@@ -119,21 +119,12 @@ class Reference(FileModel):
     """
 
     name: str = Field(min_length=1, description="whose figure, such as `linear ARX(3,2,1)`")
-    channel: str = Field(description="full name, such as `ram.p_head`")
+    channel: Channel = Field(description="full name, such as `ram.p_head`")
     measure: Literal["rms_error", "fit_percent"] = Field(
         default="rms_error", description="what was measured"
     )
     value: Any = Field(description="with unit, such as `9.54 bar`; a fit as its percentage")
     source: str = Field(min_length=1, description="where it stands")
-
-    @field_validator("channel")
-    @classmethod
-    def _known(cls, channel: str) -> str:
-        try:
-            quantity(channel)
-        except KeyError as error:
-            raise ValueError(str(error.args[0])) from None
-        return channel
 
     @field_validator("value")
     @classmethod
