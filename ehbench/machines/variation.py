@@ -35,17 +35,19 @@ def varied(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> SimulatedMachine
     assert change is not None  # else it is the machine as it is
     if recipe.on == "bench":
         return _bench(recipe, change, rig, maps)
-    for key in ("delay", "pressure_lag"):
-        if float(getattr(change, key)):
-            raise InputError(
-                f"the sensors of the model are exact: it has no {key}",
-                **recipe.at(*change.where, key),
-                hint='take on = "bench"',
-            )
+    if float(change.pressure_lag):
+        raise InputError(
+            "the sensors of the model are exact: it has no pressure_lag",
+            **recipe.at(*change.where, "pressure_lag"),
+            hint='take on = "bench"',
+        )
     model = Model.of(
         _varied_rig(rig, change), _varied_maps(maps, float(change.deadband)), recipe.payload
     )
-    return SimulatedMachine(model, float(recipe.rate), float(recipe.step))
+    # late commands do to a loop what late samples do
+    model.plant.valves.delay += float(change.delay)
+    step = recipe.step if isinstance(recipe.step, str) else float(recipe.step)
+    return SimulatedMachine(model, float(recipe.rate), step)
 
 
 def _powers(rig: Rig) -> dict[str, int]:
