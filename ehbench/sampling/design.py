@@ -37,6 +37,17 @@ class Drawn:
     lower: float = -math.inf
     upper: float = math.inf
 
+    @property
+    def spoken(self) -> str:
+        """Its law, as a table says it; the unit stands beside."""
+        first, second = f"{self.first:.4g}", f"{self.second:.4g}"
+        return {
+            "uniform": f"{first} … {second}, evenly",
+            "log_uniform": f"{first} … {second}, evenly in the logarithm",
+            "normal": f"{first}, standard deviation {second}",
+            "log_normal": f"{first}, a factor of {second} as standard deviation",
+        }[self.law]
+
     def value(self, z: np.ndarray) -> np.ndarray:
         """The draws at standard normal ``z``."""
         from scipy.special import ndtr

@@ -21,7 +21,7 @@ from ehbench.errors import EhbenchError, InputError
 from ehbench.memory import refuse_beyond
 from ehbench.recipe import StudyRecipe, load_recipe
 from ehbench.sampling import statistics
-from ehbench.sampling.design import CASE, RECIPE, Column, Design, Factor, Fitted, label_of
+from ehbench.sampling.design import CASE, RECIPE, Design, Factor, Fitted, label_of
 from ehbench.sampling.journal import Journal
 from ehbench.sampling.outputs import MeasureColumn, Rows, write_tables
 from ehbench.sampling.cluster import Cluster
@@ -153,7 +153,10 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
             _make(prepared, journal, progress)
             columns = write_tables(folder, design, prepared.measures, journal, prepared.key)
             worst = _worst(prepared, columns)
-            kept = keep(prepared.plan, design, worst, folder / "samples", progress)
+            kept = [
+                one | _row(prepared, columns, one["sample"])
+                for one in keep(prepared.plan, design, worst, folder / "samples", progress)
+            ]
         finally:
             journal.close()
         counts = Counter(columns.status)
@@ -172,7 +175,7 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
                 "design": recipe.design,
                 "status": dict(counts),
                 "key": prepared.key,
-                "inputs": [asdict(one) | {"values": values} for one, values in _inputs(design)],
+                "inputs": list(_inputs(design)),
                 "measures": _summaries(prepared, columns),
                 "targets": _targets(prepared, columns),
                 "groups": _groups(prepared, columns),
@@ -381,10 +384,25 @@ def spoken(seconds: float) -> str:
 # -------------------------------------------------------------------------------------------------
 
 
-def _inputs(design: Design) -> Iterator[tuple[Column, list[str]]]:
+def _inputs(design: Design) -> Iterator[dict[str, Any]]:
+    """Of each input: its column, how it is varied, whether its numbers are factors."""
     listed = {one.key: [label_of(value) for value in one.values] for one in design.listed}
+    laws = {one.key: one.spoken for one in design.drawn}
+    factors = {one.key for one in (*design.listed, *design.drawn) if one.relative}
     for column in design.columns:
-        yield column, listed.get(column.key, [])
+        key = column.key
+        about = {"values": listed.get(key, []), "law": laws.get(key, ""), "factor": key in factors}
+        yield asdict(column) | about
+
+
+def _row(prepared: PreparedStudy, rows: Rows, index: int) -> dict[str, Any]:
+    """What a sample set, what became of it, and its measures."""
+    design = prepared.design
+    return {
+        "status": rows.status[index],
+        "inputs": design.cells(design.inputs(index)),
+        "measures": rows.measures[index].tolist(),
+    }
 
 
 def _counted(prepared: PreparedStudy, rows: Rows, at: int) -> np.ndarray:
@@ -472,17 +490,17 @@ def _groups(prepared: PreparedStudy, rows: Rows) -> list[dict[str, Any]]:
 
 
 def _sensitivity(prepared: PreparedStudy, rows: Rows) -> list[dict[str, Any]]:
-    """Of each measure, how much each input of numbers moves it."""
+    """Of each measure, how much each input moves it."""
     design, recipe = prepared.design, prepared.recipe
-    numeric = [
+    varied = [
         i
         for i, one in enumerate(design.columns)
-        if not one.is_text and one.varied != "seed" and np.ptp(rows.inputs[:, i]) > 0.0
+        if one.varied != "seed" and np.ptp(rows.inputs[:, i]) > 0.0
     ]
     found = []
     for at, column in enumerate(prepared.measures):
         mask = _counted(prepared, rows, at)
-        y, keys = rows.measures[mask, at], [design.columns[i].key for i in numeric]
+        y, keys = rows.measures[mask, at], [design.columns[i].key for i in varied]
         if not keys or y.size < 10 or np.ptp(y) == 0.0:
             continue
         explained, way = None, "rank"
@@ -491,8 +509,12 @@ def _sensitivity(prepared: PreparedStudy, rows: Rows) -> list[dict[str, Any]]:
             table = statistics.sobol(drawn, y, recipe.samples, recipe.seed)
             way = "sobol"
         else:
-            x = rows.inputs[mask][:, numeric]
-            table, explained = statistics.rank_regression(keys, x, y)
+            x = rows.inputs[mask]
+            columns = [
+                statistics.scores(x[:, i], y) if design.columns[i].is_text else x[:, i]
+                for i in varied
+            ]
+            table, explained = statistics.rank_regression(keys, np.stack(columns, axis=1), y)
         found.append(
             {
                 "measure": column.name,
