@@ -100,8 +100,13 @@ class ArcTuning:
         return {"what": "arc", **self.gains, **asdict(self)}
 
 
-class _Search:
-    """The loop over operating points, for any sum of bandwidths."""
+class Search:
+    """The loop over operating points, for any sum of bandwidths; ``plants`` are the steady motions
+    in whose working function the controller stays.
+
+    Raises:
+        InsufficientData: there is none.
+    """
 
     def __init__(self, study: Study, recipe: ArcTuneRecipe) -> None:
         self.sensing = Sensing(float(recipe.delay), float(recipe.pressure_lag))
@@ -173,7 +178,7 @@ def tune_arc(study: Study, recipe: ArcTuneRecipe, progress: Progress | None = No
         InsufficientData: no operating point in whose working function the controller stays.
     """
     tell = progress or (lambda what, share: None)
-    search = _Search(study, recipe)
+    search = Search(study, recipe)
     tried: dict[float, ArcCandidate] = {}
     for i, budget in enumerate(BUDGETS):
         tell("margins", i / (len(BUDGETS) + HALVINGS + 1))
@@ -183,7 +188,7 @@ def tune_arc(study: Study, recipe: ArcTuneRecipe, progress: Progress | None = No
     return _result(study, search, budget, tried)
 
 
-def _largest(search: _Search, tried: dict[float, ArcCandidate]) -> float:
+def _largest(search: Search, tried: dict[float, ArcCandidate]) -> float:
     """The largest budget that keeps the demands, to 1/2^HALVINGS of the grid's step."""
     kept = [budget for budget, one in tried.items() if one.met]
     if not kept:
@@ -198,7 +203,7 @@ def _largest(search: _Search, tried: dict[float, ArcCandidate]) -> float:
 
 
 def _result(
-    study: Study, search: _Search, budget: float, tried: dict[float, ArcCandidate]
+    study: Study, search: Search, budget: float, tried: dict[float, ArcCandidate]
 ) -> ArcTuning:
     loops, gains = search.loops(budget), search.gains(budget)
     found = [loop.margins(search.sensing) for loop in loops]

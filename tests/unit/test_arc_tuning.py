@@ -9,10 +9,11 @@ from types import SimpleNamespace
 
 import pytest
 
+from ehbench.errors import InsufficientData
 from ehbench.recipe import ArcTuneRecipe, TrialRecipe, load_recipe, load_rig
 from ehbench.rundir import write_json
 from ehbench.trial import prepare
-from ehbench.tune.arc import BUDGETS, CHOSEN, tune_arc
+from ehbench.tune.arc import BUDGETS, CHOSEN, Search, tune_arc
 from ehbench.tune.study import prepare_tuning
 
 RECIPES = Path(__file__).parents[2] / "recipes"
@@ -57,6 +58,23 @@ def test_more_delay_costs_bandwidth_and_too_much_is_said():
     never = tuned(delay_margin="900 ms", gain_margin="1000")
     assert not never.met and "no bandwidths keep the demanded" in never.warnings[0]
     assert len(never.candidates) == len(BUDGETS)
+
+
+def test_motions_that_the_controller_leaves_are_left_out():
+    """With regeneration at hand it does not feed the rod end from the supply on the way down."""
+    arm = load_rig(RECIPES / "rigs" / "thesis_arm.toml")
+
+    def search(*functions):
+        given = {"functions": functions, "cylinder": "boom", "payloads": ("none",), "postures": 1}
+        table = {"stage": "tune", "what": "arc", "rig": "x", "speed_shares": (0.06,), **given}
+        recipe = ArcTuneRecipe.model_validate(table)
+        machine = SimpleNamespace(rig=arm, flow_maps=None)
+        return Search(prepare_tuning(machine, recipe.operating_points()), recipe)
+
+    both = search("retract_overrunning", "retract_overrunning_regeneration")
+    assert {one.point.function for one in both.plants} == {"retract_overrunning_regeneration"}
+    with pytest.raises(InsufficientData, match="stays in the working function"):
+        search("retract_overrunning")
 
 
 def test_a_trial_takes_the_gains(tmp_path):
