@@ -78,9 +78,10 @@ class Limits(FileModel):
 class MachineChange(FileModel):
     """What is otherwise on the machine than on that which the controller was designed for.
 
-    ``delay`` of all samples and ``pressure_lag`` are added; ``valve_lag`` (the valves' periods),
-    ``bulk_modulus``, ``friction``, ``flow`` of every edge and ``supply_pressure`` are factors;
-    ``deadband`` is added to every edge's."""
+    ``delay`` of all samples (on the model, whose sensors are exact, of all commands) and
+    ``pressure_lag`` are added; ``valve_lag`` (the valves' periods), ``bulk_modulus``, ``friction``,
+    ``flow`` of every edge and ``supply_pressure`` are factors; ``deadband`` is added to every
+    edge's."""
 
     name: str = ""
     delay: Annotated[Value, Q("delay")] = Value(0.0)
