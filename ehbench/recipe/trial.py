@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 from pydantic import BeforeValidator, Field, model_validator
 
 from ehbench.control import LAW_NAMES
-from ehbench.fields import FileModel, Q, Value
+from ehbench.fields import FileModel, Internal, Q, Value
 from ehbench.recipe.base import ByParameter, Recipe
 from ehbench.rig import LoadSensing, LowRail
 
@@ -92,7 +92,7 @@ class MachineChange(FileModel):
     flow: float = Field(default=1.0, gt=0.0, le=100.0)
     deadband: Annotated[Value, Q("map_shift")] = Value(0.0)
     supply_pressure: float = Field(default=1.0, gt=0.0, le=100.0)
-    where: tuple[str | int, ...] = Field(default=("machine",), exclude=True)
+    where: Annotated[tuple[str | int, ...], Internal] = Field(default=("machine",), exclude=True)
 
 
 class PayloadChange(FileModel):
@@ -140,7 +140,7 @@ class CylinderMotion(FileModel):
         "and ends with the oil in one state",
     )
     file: str | None = None
-    where: tuple[str | int, ...] = Field(default=("motion",), exclude=True)
+    where: Annotated[tuple[str | int, ...], Internal] = Field(default=("motion",), exclude=True)
 
     @model_validator(mode="after")
     def _whole(self) -> CylinderMotion:
@@ -288,7 +288,7 @@ class Controller(FileModel):
     cylinders: dict[str, CylinderController] = Field(
         default={}, description="laws of single cylinders, `[controller.cylinders.<cylinder>]`"
     )
-    where: tuple[str | int, ...] = Field(default=("controller",), exclude=True)
+    where: Annotated[tuple[str | int, ...], Internal] = Field(default=("controller",), exclude=True)
 
     @property
     def class_name(self) -> str:
