@@ -27,7 +27,7 @@ from ehbench.identification.results import (
     untold,
 )
 from ehbench.identification.search import VAGUE, Coordinate, of_sensors
-from ehbench.identification.simulator import Log, Shifts, Simulator
+from ehbench.identification.simulator import Log, Meshes, Shifts, Simulator
 from ehbench.signals import lowpass, rms
 from ehbench.starts import prior_weight
 from ehbench.terms import CORRELATED
@@ -59,18 +59,41 @@ DAMPING, LEAST_DAMPING, MOST_DAMPING, EASIER, HARDER = 1e-3, 1e-9, 1e9, 0.1, 8.0
 # share of it, and to the benefit of this share of the squares that are left
 SURELY, SURELY_OFF, WORTH = 4.0, 0.01, 0.05
 FAITHFUL = 0.25  # share of what a step should gain that may be missed before all is linearised anew
+# steps of the integration are taken again while no parameter is further off, in its units, and no
+# start in its standard deviations: costs are compared to a millionth, and chosen steps shift them
+SAME_STEPS, SAME_STARTS = 0.02, 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Where the integration's steps were chosen, and those steps by log."""
+
+    theta: np.ndarray
+    shifts: Shifts
+    logs: Sequence[Log]
+    meshes: Meshes
+
+    def serves(self, theta: np.ndarray, shifts: Shifts, logs: Sequence[Log]) -> bool:
+        """Whether a point is so near that its simulations may take the same steps."""
+        off = [np.abs(one - own) for one, own in zip(shifts, self.shifts, strict=False)]
+        return (
+            logs is self.logs
+            and float(np.max(np.abs(theta - self.theta), initial=0.0)) <= SAME_STEPS
+            and float(np.max(np.concatenate(off), initial=0.0)) <= SAME_STARTS
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Parameters in search coordinates, the shifts of the logs' starts, and the residuals [SI] by
-    log there; ``slopes`` are what is known already of their sensitivities [SI], by parameter and
-    log, ``nudges`` by log and number of its start.
+    """Parameters in search coordinates, the shifts of the logs' starts, the residuals [SI] by log
+    there, and the grid that they were simulated on; ``slopes`` are what is known already of their
+    sensitivities [SI], by parameter and log, ``nudges`` by log and number of its start.
     """
 
     theta: np.ndarray
     shifts: Shifts
     left: list[np.ndarray]
+    grid: _Grid
     slopes: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
     nudges: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
 
@@ -137,7 +160,8 @@ class OutputError:
         self.iterations = 0
         self.coarse = True
         self.touches = np.ones((len(search), len(simulator.logs)), dtype=bool)
-        self.last: tuple[tuple[object, ...], _Point] | None = None
+        self.last: _Point | None = None
+        self.grid: _Grid | None = None
 
     def _pooled(self, channel: str, parts: Sequence[np.ndarray]) -> float:
         """rms of a channel's column over all logs that have it, where it counts."""
@@ -180,14 +204,23 @@ class OutputError:
         return left * log.counts
 
     def _at(self, theta: np.ndarray, shifts: Shifts) -> _Point:
-        """The residuals at a point; the last one is remembered."""
-        step, logs = self.simulator.step, self.simulator.logs
-        key = (theta.tobytes(), *(own.tobytes() for own in shifts), step, id(logs))
-        if self.last is None or self.last[0] != key:
-            row = self.simulator.simulate([self._values(theta)], None, shifts)[0]
-            left = [self._left(*pair) for pair in zip(logs, row, strict=True)]
-            self.last = key, _Point(theta, shifts, left)
-        return self.last[1]
+        """The residuals at a point, in the steps of the integration chosen last if that was near;
+        the last one is remembered.
+        """
+        logs, values, last, grid = self.simulator.logs, self._values(theta), self.last, self.grid
+        if last is not None and grid is not None and last.grid is grid and grid.logs is logs:
+            same = zip([last.theta, *last.shifts], [theta, *shifts], strict=True)
+            if all(np.array_equal(*pair) for pair in same):
+                return last
+        if grid is None or not grid.serves(theta, shifts, logs):
+            row, meshes = self.simulator.begin(values, shifts)
+            grid = self.grid = _Grid(theta, shifts, logs, meshes)
+        else:
+            points = [(values, k, own) for k, own in enumerate(shifts)]
+            row = self.simulator.each(points, grid.meshes)
+        left = [self._left(*pair) for pair in zip(logs, row, strict=True)]
+        self.last = _Point(theta, shifts, left, grid)
+        return self.last
 
     def scaled(
         self, parts: Sequence[np.ndarray], chosen: Sequence[int] | None = None
@@ -212,7 +245,7 @@ class OutputError:
             for i, k in asked:
                 theta = here.theta + steps[i] * np.eye(len(here.theta))[i]
                 points.append((self._values(theta), k, here.shifts[k]))
-            done = zip(asked, self.simulator.each(points), strict=True)
+            done = zip(asked, self.simulator.each(points, here.grid.meshes), strict=True)
             for (i, k), simulated in done:
                 if simulated is not None:
                     known[i, k] = (self._left(logs[k], simulated) - here.left[k]) / steps[i]
@@ -243,7 +276,8 @@ class OutputError:
             (values, k, here.shifts[k] + share * np.eye(len(here.shifts[k]))[j])
             for k, j, share in asked
         ]
-        for (k, j, share), simulated in zip(asked, self.simulator.each(points), strict=True):
+        done = self.simulator.each(points, here.grid.meshes)
+        for (k, j, share), simulated in zip(asked, done, strict=True):
             if simulated is not None:
                 known[k, j] = (self._left(logs[k], simulated) - here.left[k]) / share
         return [
@@ -304,7 +338,7 @@ class OutputError:
 
     def _stands(self) -> tuple[object, ...]:
         """All that a step of the search starts from, for the journal."""
-        step, logs = self.simulator.step, self.simulator.logs
+        logs, grid = self.simulator.logs, self.grid
         names = [(c.name, c.bounds, c.start) for c in self.search]
         sizes = sorted(self.scales.items())
         held = (
@@ -312,11 +346,12 @@ class OutputError:
             sizes,
             self.weight,
             self.coarse,
-            step,
+            grid is not None and grid.logs is logs,
             [log.counts.shape for log in logs],
         )
-        at = (self.theta.tobytes(), self.touches.tobytes(), *(own.tobytes() for own in self.shifts))
-        return (names, held, *at)
+        chosen = () if grid is None else (grid.theta, *grid.shifts)
+        at = (self.theta, self.touches, *self.shifts, *chosen)
+        return (names, held, *(own.tobytes() for own in at))
 
     def _told(self, theta: np.ndarray) -> dict[str, object]:
         """Where the search stands, for who reads the journal: evaluations, and parameters [SI]."""
@@ -389,7 +424,7 @@ class OutputError:
                 way.damping = max(way.damping * EASIER, LEAST_DAMPING)
             here, self.theta, self.shifts = there, there.theta, there.shifts
             way.done = done + 1
-            self._keep(way)
+            self._keep(way, here)
         return self._ended(False)
 
     def _begun(self, known: Mapping[str, Any]) -> tuple[_Point, _Way]:
@@ -398,20 +433,33 @@ class OutputError:
             return self._at(self.theta, self.shifts), _Way()
         way = _Way(known["damping"], known["faithful"], known["done"])
         if way.faithful:
-            way.origin = self._at(*_place(known["origin"]))
+            way.origin = self._at(*self._placed(known["origin"]))
             way.nudges = self.nudges(way.origin)
-        self.theta, self.shifts = _place(known)
+        self.theta, self.shifts = self._placed(known)
         here = self._at(self.theta, self.shifts)
         self.iterations, self.simulator.evaluations = known["count"]
         return here, way
 
-    def _keep(self, way: _Way) -> None:
+    def _placed(self, kept: Mapping[str, Any]) -> tuple[np.ndarray, Shifts]:
+        """(parameters, shifts) of a point that the journal kept, its steps chosen as they were."""
+        self._choose(kept["chosen"])
+        return _placed(kept)
+
+    def _choose(self, kept: Mapping[str, Any]) -> None:
+        """Choose the integration's steps where the journal says they were."""
+        theta, shifts = _placed(kept)
+        logs, count = self.simulator.logs, self.simulator.evaluations
+        _, meshes = self.simulator.begin(self._values(theta), shifts)
+        self.simulator.evaluations = count
+        self.grid = _Grid(theta, shifts, logs, meshes)
+
+    def _keep(self, way: _Way, here: _Point) -> None:
         """Write a step of a descent into the journal."""
         assert way.origin is not None  # a step has been taken
         self.journal.keep(
             self._told(self.theta),
-            **_placed(self.theta, self.shifts),
-            origin=_placed(way.origin.theta, way.origin.shifts),
+            **_kept(here),
+            origin=_kept(way.origin),
             damping=way.damping,
             faithful=bool(way.faithful),
             done=way.done,
@@ -421,13 +469,16 @@ class OutputError:
     def _ended(self, converged: bool) -> bool:
         """Write the end of a descent into the journal; whether it converged."""
         count = [self.iterations, self.simulator.evaluations]
-        self.journal.keep(self._told(self.theta), ended=converged, counted=count)
+        assert self.grid is not None  # a point has been simulated
+        chosen = _place(self.grid.theta, self.grid.shifts)
+        self.journal.keep(self._told(self.theta), ended=converged, counted=count, chosen=chosen)
         return converged
 
     def _skipped(self, known: Mapping[str, Any]) -> bool:
         """Stand where a descent ended that the journal knows; whether it converged."""
         if "done" in known:
-            self.theta, self.shifts = _place(known)
+            self.theta, self.shifts = _placed(known)
+        self._choose(known["chosen"])
         self.iterations, self.simulator.evaluations = known["counted"]
         return known["ended"]
 
@@ -468,10 +519,10 @@ class OutputError:
         return (theta, shifts), gain
 
     def fit(self) -> HydraulicsFit:
-        fine, whole = self.simulator.step, self.simulator.logs
+        whole = self.simulator.logs
         heads = tuple(log.head(HEAD) for log in whole)
         heads = whole if all(map(operator.is_, heads, whole)) else heads
-        self.simulator.step, self.simulator.logs = 2.0 * fine, heads
+        self.simulator.logs = heads
         self.tell("output error: looking over the range of the bulk modulus", 0.0)
         self.arrive()
         self.simulator.logs = whole
@@ -484,9 +535,6 @@ class OutputError:
             for i, size in sizes.items():
                 self.touches[i, k] = size > NOTHING * effects[i]
         self._drop([i for i, size in effects.items() if size < FAINT])
-        if heads is not whole:
-            self._settle(1e-4)
-        self.simulator.step = fine
         converged = self._settle(1e-6)
         for _ in range(self.fitted):
             found = self._errors()
@@ -881,12 +929,18 @@ class _Errors:
     alone: np.ndarray
 
 
-def _placed(theta: np.ndarray, shifts: Shifts) -> dict[str, Any]:
+def _place(theta: np.ndarray, shifts: Shifts) -> dict[str, Any]:
     """A point as the journal keeps it."""
     return {"theta": theta.tolist(), "shifts": [own.tolist() for own in shifts]}
 
 
-def _place(kept: Mapping[str, Any]) -> tuple[np.ndarray, Shifts]:
+def _kept(point: _Point) -> dict[str, Any]:
+    """A point as the journal keeps it, with where its steps were chosen."""
+    grid = point.grid
+    return _place(point.theta, point.shifts) | {"chosen": _place(grid.theta, grid.shifts)}
+
+
+def _placed(kept: Mapping[str, Any]) -> tuple[np.ndarray, Shifts]:
     """(parameters, shifts) of a point that the journal kept."""
     return np.array(kept["theta"]), [np.array(own, dtype=float) for own in kept["shifts"]]
 
