@@ -59,6 +59,7 @@ DAMPING, LEAST_DAMPING, MOST_DAMPING, EASIER, HARDER = 1e-3, 1e-9, 1e9, 0.1, 8.0
 # a held parameter is surely wrong if the logs would move it by so many standard errors, by this
 # share of it, and to the benefit of this share of the squares that are left
 SURELY, SURELY_OFF, WORTH = 4.0, 0.01, 0.05
+FARTHEST = 1.0e6  # spreads that a simulation counts as off at most: squares stay finite
 # points over the range of a parameter of faint effect; halvings that find where the logs deny it
 RANGE, HALVINGS = 13, 5
 DENIED = 3.84  # rise of -2 log likelihood at the ends of a 95 % interval
@@ -216,7 +217,8 @@ class OutputError:
         """
         if simulated is None:
             return np.tile(10.0 * self._per(self.spread, log), (len(log.recorded), 1)) * log.counts
-        left = simulated - log.recorded
+        most = FARTHEST * self._per(self.spread, log)
+        left = np.clip(simulated - log.recorded, -most, most)
         left = lowpass(left, log.record.sample_time, self.cutoff) if self.cutoff else left
         return left * log.counts
 
@@ -1140,8 +1142,6 @@ def bounded_step(
         pull: the gradient g, shape (n,).
         damping: λ.
     """
-    from scipy.optimize import lsq_linear
-
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = normal / np.outer(size, size) + (damping + 1e-12) * np.eye(len(size))
     values, vectors = np.linalg.eigh(scaled)
@@ -1150,6 +1150,8 @@ def bounded_step(
     root = np.sqrt(values)[:, None] * vectors.T
     step = -np.linalg.solve(root, aim)
     if np.any(step < low * size) or np.any(step > high * size):
+        from scipy.optimize import lsq_linear  # a quarter of a second to import
+
         room = (np.minimum(low * size, -1e-12), np.maximum(high * size, 1e-12))
         step = lsq_linear(root, -aim, room, method="bvls").x
     return np.clip(step / size, low, high)

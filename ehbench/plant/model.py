@@ -23,6 +23,8 @@ from ehbench.record import Record
 from ehbench.rig import Rig
 
 FREE = np.zeros(0, dtype=np.int64)  # no mesh: steps are chosen
+# what of a recording tells where it starts
+TELLS = ("q", "x", "p_supply", *(f"p{line}_{side}" for line in ("", "_line") for side in SIDES))
 MOVED = 0.005  # share of a driver's range by which a command must change to be more than noise
 
 
@@ -202,7 +204,11 @@ class Model:
         Raises:
             InputError: a posture outside the stroke.
         """
-        seen = {channel: float(np.mean(y[:rest])) for channel, y in record.channels.items()}
+        seen = {
+            channel: float(np.mean(y[:rest]))
+            for channel, y in record.channels.items()
+            if channel.rpartition(".")[2] in TELLS
+        }
         command = self.commands_of(record)[:rest].mean(axis=0) if self.layout.played else None
         y = self.posed(seen, command)
         for index, name in enumerate(self.layout.cylinders):
