@@ -36,8 +36,8 @@ from ehbench.identification.simulator import Log, Simulator, prepare, shut
 from ehbench.observations import payload_of
 from ehbench.parts.edge import edge_law
 from ehbench.plant.build import Maps, map_of
-from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model
+from ehbench.plant.paced import AUTO, Step
 from ehbench.recipe.sensor import Sensor
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
@@ -77,7 +77,8 @@ class FitOptions:
             what is known.
         cutoff: low-pass [Hz] on recorded and simulated alike; output error only.
         max_iterations: of the solver.
-        step: integration step [s]; output error searches with twice that before it settles.
+        step: of the integration [s], or ``"auto"``: chosen by the guard, the same ones for all that
+            differences are taken of.
         workers: threads; 0 for one per core. The result does not depend on it.
     """
 
@@ -90,7 +91,7 @@ class FitOptions:
     sensors: Sequence[Sensor] = ()
     cutoff: float | None = None
     max_iterations: int = 100
-    step: float = STEP
+    step: Step = AUTO
     workers: int = 0
 
 

@@ -20,6 +20,7 @@ from ehbench.identification.groups import Group, groups_of, sentence
 from ehbench.identification.journal import Journal
 from ehbench.identification.results import (
     Estimate,
+    FittedParameter,
     HydraulicsFit,
     Progress,
     SensorFit,
@@ -27,10 +28,10 @@ from ehbench.identification.results import (
     untold,
 )
 from ehbench.identification.search import VAGUE, Coordinate, of_sensors
-from ehbench.identification.simulator import Log, Shifts, Simulator
+from ehbench.identification.simulator import Log, Meshes, Shifts, Simulator
 from ehbench.signals import lowpass, rms
 from ehbench.starts import prior_weight
-from ehbench.terms import CORRELATED
+from ehbench.terms import CORRELATED, Z95
 
 # a scale's floor as a share of the channel's spread: no sensor makes a channel worth more than that
 SCALE_FLOOR = 5.0e-3
@@ -58,21 +59,59 @@ DAMPING, LEAST_DAMPING, MOST_DAMPING, EASIER, HARDER = 1e-3, 1e-9, 1e9, 0.1, 8.0
 # a held parameter is surely wrong if the logs would move it by so many standard errors, by this
 # share of it, and to the benefit of this share of the squares that are left
 SURELY, SURELY_OFF, WORTH = 4.0, 0.01, 0.05
+FARTHEST = 1.0e6  # spreads that a simulation counts as off at most: squares stay finite
+# points over the range of a parameter of faint effect; halvings that find where the logs deny it
+RANGE, HALVINGS = 13, 5
+DENIED = 3.84  # rise of -2 log likelihood at the ends of a 95 % interval
 FAITHFUL = 0.25  # share of what a step should gain that may be missed before all is linearised anew
+# steps of the integration are taken again while no parameter is further off, in its units, and no
+# start in its standard deviations: costs are compared to a millionth, and chosen steps shift them
+SAME_STEPS, SAME_STARTS = 0.02, 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Where the integration's steps were chosen, and those steps by log."""
+
+    theta: np.ndarray
+    shifts: Shifts
+    logs: Sequence[Log]
+    meshes: Meshes
+
+    def serves(self, theta: np.ndarray, shifts: Shifts, logs: Sequence[Log]) -> bool:
+        """Whether a point is so near that its simulations may take the same steps."""
+        off = [np.abs(one - own) for one, own in zip(shifts, self.shifts, strict=False)]
+        return (
+            logs is self.logs
+            and float(np.max(np.abs(theta - self.theta), initial=0.0)) <= SAME_STEPS
+            and float(np.max(np.concatenate(off), initial=0.0)) <= SAME_STARTS
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Parameters in search coordinates, the shifts of the logs' starts, and the residuals [SI] by
-    log there; ``slopes`` are what is known already of their sensitivities [SI], by parameter and
-    log, ``nudges`` by log and number of its start.
+    """Parameters in search coordinates, the shifts of the logs' starts, the residuals [SI] by log
+    there, and the grid that they were simulated on; ``slopes`` are what is known already of their
+    sensitivities [SI], by parameter and log, ``nudges`` by log and number of its start.
     """
 
     theta: np.ndarray
     shifts: Shifts
     left: list[np.ndarray]
+    grid: _Grid
     slopes: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
     nudges: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class _End:
+    """Where a coarse solution ended: its misfit, whether much is left of the channels' spread, the
+    parameters.
+    """
+
+    misfit: float
+    much: bool
+    theta: np.ndarray
 
 
 @dataclass
@@ -131,13 +170,16 @@ class OutputError:
         self.shifts = simulator.unshifted()
         self.free = list(range(self.fitted))
         self.bound: list[int] = []
+        self.told: dict[int, tuple[float, float]] = {}
         self.sharpness = np.array([c.sharpness if c.known else 0.0 for c in search])
         self.centre = np.array([c.of(c.centre) if c.known else 0.0 for c in search])
         self.weight = 1.0
         self.iterations = 0
         self.coarse = True
         self.touches = np.ones((len(search), len(simulator.logs)), dtype=bool)
-        self.last: tuple[tuple[object, ...], _Point] | None = None
+        self.looked: list[tuple[int, np.ndarray]] = []
+        self.last: _Point | None = None
+        self.grid: _Grid | None = None
 
     def _pooled(self, channel: str, parts: Sequence[np.ndarray]) -> float:
         """rms of a channel's column over all logs that have it, where it counts."""
@@ -175,19 +217,29 @@ class OutputError:
         """
         if simulated is None:
             return np.tile(10.0 * self._per(self.spread, log), (len(log.recorded), 1)) * log.counts
-        left = simulated - log.recorded
+        most = FARTHEST * self._per(self.spread, log)
+        left = np.clip(simulated - log.recorded, -most, most)
         left = lowpass(left, log.record.sample_time, self.cutoff) if self.cutoff else left
         return left * log.counts
 
     def _at(self, theta: np.ndarray, shifts: Shifts) -> _Point:
-        """The residuals at a point; the last one is remembered."""
-        step, logs = self.simulator.step, self.simulator.logs
-        key = (theta.tobytes(), *(own.tobytes() for own in shifts), step, id(logs))
-        if self.last is None or self.last[0] != key:
-            row = self.simulator.simulate([self._values(theta)], None, shifts)[0]
-            left = [self._left(*pair) for pair in zip(logs, row, strict=True)]
-            self.last = key, _Point(theta, shifts, left)
-        return self.last[1]
+        """The residuals at a point, in the steps of the integration chosen last if that was near;
+        the last one is remembered.
+        """
+        logs, values, last, grid = self.simulator.logs, self._values(theta), self.last, self.grid
+        if last is not None and grid is not None and last.grid is grid and grid.logs is logs:
+            same = zip([last.theta, *last.shifts], [theta, *shifts], strict=True)
+            if all(np.array_equal(*pair) for pair in same):
+                return last
+        if grid is None or not grid.serves(theta, shifts, logs):
+            row, meshes = self.simulator.begin(values, shifts)
+            grid = self.grid = _Grid(theta, shifts, logs, meshes)
+        else:
+            points = [(values, k, own) for k, own in enumerate(shifts)]
+            row = self.simulator.each(points, grid.meshes)
+        left = [self._left(*pair) for pair in zip(logs, row, strict=True)]
+        self.last = _Point(theta, shifts, left, grid)
+        return self.last
 
     def scaled(
         self, parts: Sequence[np.ndarray], chosen: Sequence[int] | None = None
@@ -212,7 +264,7 @@ class OutputError:
             for i, k in asked:
                 theta = here.theta + steps[i] * np.eye(len(here.theta))[i]
                 points.append((self._values(theta), k, here.shifts[k]))
-            done = zip(asked, self.simulator.each(points), strict=True)
+            done = zip(asked, self.simulator.each(points, here.grid.meshes), strict=True)
             for (i, k), simulated in done:
                 if simulated is not None:
                     known[i, k] = (self._left(logs[k], simulated) - here.left[k]) / steps[i]
@@ -243,7 +295,8 @@ class OutputError:
             (values, k, here.shifts[k] + share * np.eye(len(here.shifts[k]))[j])
             for k, j, share in asked
         ]
-        for (k, j, share), simulated in zip(asked, self.simulator.each(points), strict=True):
+        done = self.simulator.each(points, here.grid.meshes)
+        for (k, j, share), simulated in zip(asked, done, strict=True):
             if simulated is not None:
                 known[k, j] = (self._left(logs[k], simulated) - here.left[k]) / share
         return [
@@ -257,10 +310,7 @@ class OutputError:
         parameter without a prior, on one log for each set of cylinders asked: least squares from
         far off could lock on to the wrong cycle of the ringing. The best that it met first, then
         the bottoms of other basins that are not much worse."""
-        first: dict[tuple[str, ...], int] = {}
-        for i, log in enumerate(self.simulator.logs):
-            first.setdefault(log.asked, i)
-        chosen = list(first.values())
+        chosen = self._first_logs()
         bulk, damping = (
             [i for i in self.free if self.search[i].row.rings == what and self.search[i].log]
             for what in ("frequency", "decay")
@@ -277,6 +327,7 @@ class OutputError:
             costs = self._costs(vectors, chosen)
             at = int(np.argmin(costs))
             self.theta, best = vectors[at], float(costs[at])
+            self.looked.append((max(group, default=0), self.theta))
             valley = np.min(costs[losses:].reshape(-1, losses), axis=1)
             bottoms = np.flatnonzero((valley[1:-1] < valley[:-2]) & (valley[1:-1] < valley[2:]))
             for k in bottoms + 1:
@@ -285,6 +336,13 @@ class OutputError:
                     rivals.append((float(costs[own]), vectors[own]))
         near = sorted((cost, k) for k, (cost, _) in enumerate(rivals) if cost < RIVAL * best)
         return [self.theta, *(rivals[k][1] for _, k in near[:RIVALS])]
+
+    def _first_logs(self) -> list[int]:
+        """One log for each set of cylinders asked."""
+        first: dict[tuple[str, ...], int] = {}
+        for i, log in enumerate(self.simulator.logs):
+            first.setdefault(log.asked, i)
+        return list(first.values())
 
     def _costs(self, vectors: Sequence[np.ndarray], chosen: Sequence[int]) -> np.ndarray:
         """Squares of what is left at some points, over some logs; a step of the journal."""
@@ -304,7 +362,7 @@ class OutputError:
 
     def _stands(self) -> tuple[object, ...]:
         """All that a step of the search starts from, for the journal."""
-        step, logs = self.simulator.step, self.simulator.logs
+        logs, grid = self.simulator.logs, self.grid
         names = [(c.name, c.bounds, c.start) for c in self.search]
         sizes = sorted(self.scales.items())
         held = (
@@ -312,11 +370,12 @@ class OutputError:
             sizes,
             self.weight,
             self.coarse,
-            step,
+            grid is not None and grid.logs is logs,
             [log.counts.shape for log in logs],
         )
-        at = (self.theta.tobytes(), self.touches.tobytes(), *(own.tobytes() for own in self.shifts))
-        return (names, held, *at)
+        chosen = () if grid is None else (grid.theta, *grid.shifts)
+        at = (self.theta, self.touches, *self.shifts, *chosen)
+        return (names, held, *(own.tobytes() for own in at))
 
     def _told(self, theta: np.ndarray) -> dict[str, object]:
         """Where the search stands, for who reads the journal: evaluations, and parameters [SI]."""
@@ -389,7 +448,7 @@ class OutputError:
                 way.damping = max(way.damping * EASIER, LEAST_DAMPING)
             here, self.theta, self.shifts = there, there.theta, there.shifts
             way.done = done + 1
-            self._keep(way)
+            self._keep(way, here)
         return self._ended(False)
 
     def _begun(self, known: Mapping[str, Any]) -> tuple[_Point, _Way]:
@@ -398,20 +457,33 @@ class OutputError:
             return self._at(self.theta, self.shifts), _Way()
         way = _Way(known["damping"], known["faithful"], known["done"])
         if way.faithful:
-            way.origin = self._at(*_place(known["origin"]))
+            way.origin = self._at(*self._placed(known["origin"]))
             way.nudges = self.nudges(way.origin)
-        self.theta, self.shifts = _place(known)
+        self.theta, self.shifts = self._placed(known)
         here = self._at(self.theta, self.shifts)
         self.iterations, self.simulator.evaluations = known["count"]
         return here, way
 
-    def _keep(self, way: _Way) -> None:
+    def _placed(self, kept: Mapping[str, Any]) -> tuple[np.ndarray, Shifts]:
+        """(parameters, shifts) of a point that the journal kept, its steps chosen as they were."""
+        self._choose(kept["chosen"])
+        return _placed(kept)
+
+    def _choose(self, kept: Mapping[str, Any]) -> None:
+        """Choose the integration's steps where the journal says they were."""
+        theta, shifts = _placed(kept)
+        logs, count = self.simulator.logs, self.simulator.evaluations
+        _, meshes = self.simulator.begin(self._values(theta), shifts)
+        self.simulator.evaluations = count
+        self.grid = _Grid(theta, shifts, logs, meshes)
+
+    def _keep(self, way: _Way, here: _Point) -> None:
         """Write a step of a descent into the journal."""
         assert way.origin is not None  # a step has been taken
         self.journal.keep(
             self._told(self.theta),
-            **_placed(self.theta, self.shifts),
-            origin=_placed(way.origin.theta, way.origin.shifts),
+            **_kept(here),
+            origin=_kept(way.origin),
             damping=way.damping,
             faithful=bool(way.faithful),
             done=way.done,
@@ -421,13 +493,16 @@ class OutputError:
     def _ended(self, converged: bool) -> bool:
         """Write the end of a descent into the journal; whether it converged."""
         count = [self.iterations, self.simulator.evaluations]
-        self.journal.keep(self._told(self.theta), ended=converged, counted=count)
+        assert self.grid is not None  # a point has been simulated
+        chosen = _place(self.grid.theta, self.grid.shifts)
+        self.journal.keep(self._told(self.theta), ended=converged, counted=count, chosen=chosen)
         return converged
 
     def _skipped(self, known: Mapping[str, Any]) -> bool:
         """Stand where a descent ended that the journal knows; whether it converged."""
         if "done" in known:
-            self.theta, self.shifts = _place(known)
+            self.theta, self.shifts = _placed(known)
+        self._choose(known["chosen"])
         self.iterations, self.simulator.evaluations = known["counted"]
         return known["ended"]
 
@@ -468,14 +543,15 @@ class OutputError:
         return (theta, shifts), gain
 
     def fit(self) -> HydraulicsFit:
-        fine, whole = self.simulator.step, self.simulator.logs
+        whole = self.simulator.logs
         heads = tuple(log.head(HEAD) for log in whole)
         heads = whole if all(map(operator.is_, heads, whole)) else heads
-        self.simulator.step, self.simulator.logs = 2.0 * fine, heads
+        self.simulator.logs = heads
         self.tell("output error: looking over the range of the bulk modulus", 0.0)
         self.arrive()
         self.simulator.logs = whole
         here = self._at(self.theta, self.shifts)
+        self._weigh(here, scales=False)
         slopes = self.slopes(here, self.free)
         self.coarse = False
         effects = self._effects(slopes, self.free)
@@ -483,19 +559,17 @@ class OutputError:
             sizes = self._effects([part], self.free, [k])
             for i, size in sizes.items():
                 self.touches[i, k] = size > NOTHING * effects[i]
-        self._drop([i for i, size in effects.items() if size < FAINT])
-        if heads is not whole:
-            self._settle(1e-4)
-        self.simulator.step = fine
+        self._range([i for i, size in effects.items() if size < FAINT])
         converged = self._settle(1e-6)
+        self.free, self.told = sorted({*self.free, *self.told}), {}
         for _ in range(self.fitted):
             found = self._errors()
             lost = [i for i, error in found.by_index.items() if error.kind == "not_excited"]
             near = self._near_bounds(found.by_index)
             if not lost and not near:
                 break
-            self._drop(lost)
-            self._hold(near)
+            self._range(lost)
+            self._hold({i: bound for i, bound in near.items() if i not in lost})
             converged = self._settle(1e-6)
         else:
             found = self._errors()
@@ -503,33 +577,79 @@ class OutputError:
         return self._result(found, converged)
 
     def _arrive(self, starts: Sequence[np.ndarray], begin: np.ndarray) -> np.ndarray:
-        """The best that a coarse solution comes to from some starts; where these leave much, also
-        from what the first half of the parameters comes to alone, and from where the search began:
-        a fit that begins at that of a part of its parameters ends no worse.
+        """The best that a coarse solution comes to from some starts; where these leave much, no
+        worse than what fewer parameters come to (`_chain`, `_without`).
         """
         every = self.free
-        samples = sum(part.recorded.size for part in self.simulator.logs)
         ends = [self._solved(start, every) for start in starts]
-        half = every[: (len(every) + 1) // 2]
-        if len(half) > 1 and min(cost for cost, _ in ends) > MUCH * samples:
-            ends.append(self._solved(self._solved(starts[0], half)[1], every))
-            ends.append(self._solved(begin, every))
-        return min(ends, key=lambda end: end[0])[1]
+        if len(every) > 1 and all(end.much for end in ends):
+            ends += [self._solved(begin, every), self._chain(begin)]
+            ends.append(self._without(min(ends, key=_by_misfit)))
+        return min(ends, key=_by_misfit).theta
 
-    def _solved(self, start: np.ndarray, free: list[int]) -> tuple[float, np.ndarray]:
-        """(squares of what is left, parameters) where a coarse solution over some of the free
-        parameters ends.
+    def _chain(self, begin: np.ndarray) -> _End:
+        """Where solutions over ever more of the parameters end, in their order: each begins where
+        the one before ended and where the look stood, so none ends worse than one over fewer.
+        """
+        every = self.free
+        end = self._solved(begin, every[:1])
+        for count in range(1, len(every) + 1):
+            some = every[:count]
+            look = [theta for last, theta in self.looked if last <= some[-1]][-1:]
+            if look:
+                start = begin.copy()
+                start[some] = look[0][some]
+                end = min(end, self._solved(start, some), key=_by_misfit)
+            end = min(end, self._solved(end.theta, some), key=_by_misfit)
+        return end
+
+    def _without(self, end: _End) -> _End:
+        """A solution held against those in which one of its parameters stays at its start: where
+        one of these ends better, all go on from there.
+        """
+        every = self.free
+        for i in every:
+            start = end.theta.copy()
+            start[i] = self.search[i].begin
+            rest = self._solved(start, [k for k in every if k != i])
+            if rest.misfit < end.misfit:
+                end = min(rest, self._solved(rest.theta, every), key=_by_misfit)
+        return end
+
+    def _solved(self, start: np.ndarray, free: list[int]) -> _End:
+        """Where a coarse solution over some of the free parameters ends; first every channel counts
+        by its spread, then by what is left of it.
         """
         every = self.free
         self.theta, self.shifts = start, self.simulator.unshifted()
+        self.scales = dict(self.spread)
         here = self._at(start, self.shifts)
         self._weigh(here, scales=False)
         effects = self._effects(self.slopes(here, free), free)
         self.free = [i for i in free if effects[i] >= FAINT]
         self.solve(1e-3)
-        self.free = every
         here = self._at(self.theta, self.shifts)
-        return sum(float(np.sum(part**2)) for part in self.scaled(here.left)), self.theta
+        much = self._squares(here) > MUCH * sum(part.size for part in here.left)
+        if much:
+            self._weigh(here)
+            self.solve(1e-3)
+            here = self._at(self.theta, self.shifts)
+        self.free, self.scales = every, dict(self.spread)
+        return _End(self._misfit(here), much, self.theta)
+
+    def _squares(self, here: _Point) -> float:
+        """Squares of what is left, in units of the scales."""
+        return sum(float(np.sum(part**2)) for part in self.scaled(here.left))
+
+    def _misfit(self, here: _Point) -> float:
+        """Logarithms of the mean squares that are left of the channels, which weighing them by what
+        is left makes least; below the floor of the scales straight.
+        """
+        found = 0.0
+        for channel, spread in self.spread.items():
+            share = (self._pooled(channel, here.left) / (SCALE_FLOOR * spread)) ** 2
+            found += math.log(share) if share > 1.0 else share - 1.0
+        return found
 
     def arrive(self) -> None:
         """Coarsely to the best that a look over the range of the parameters leads to, or that lies
@@ -603,6 +723,83 @@ class OutputError:
         ]
         return dict(zip(which, np.max(np.concatenate(each), axis=0), strict=True))
 
+    def _range(self, which: Sequence[int]) -> None:
+        """Ask the whole range of parameters whose effect here is faint: go where the logs would
+        have them, hold those of which they deny a part, drop those of which they say nothing.
+        """
+        dropped = []
+        for i in which:
+            self.bound = [k for k in self.bound if k != i]
+            self.free = sorted({*self.free, i})
+            here = self._at(self.theta, self.shifts)
+            points = np.linspace(*self.search[i].bounds, RANGE)
+            rises, effect = self._rises(here, i, points)
+            denied = DENIED * self.weight
+            if effect < FAINT or np.max(rises) < denied:
+                dropped.append(i)
+            elif np.min(rises) < -denied and self._gone(here, i, float(points[np.argmin(rises)])):
+                self.told.pop(i, None)
+            else:
+                self.free = [k for k in self.free if k != i]
+                self.told[i] = self._ends(here, i, points, rises)
+        self._drop(dropped)
+
+    def _rises(self, here: _Point, i: int, points: np.ndarray) -> tuple[np.ndarray, float]:
+        """(by how much the cost is higher with a parameter at some points than where it is, the
+        others following to first order; its largest effect, as `_effects`).
+        """
+        others = [k for k in self.free if k != i]
+        bounds = np.array([self.search[k].bounds for k in others]).reshape(-1, 2)
+        slopes, nudges = self.slopes(here, others), self.nudges(here)
+        rises, effect = np.zeros(len(points)), 0.0
+        scaled = self.scaled(here.left)
+        for at, value in enumerate(points):
+            theta = here.theta.copy()
+            theta[i] = value
+            moved = self.residuals([theta])[0]
+            if moved is None:
+                rises[at] = math.inf
+                continue
+            there = replace(here, theta=theta, left=moved)
+            blocks = self._blocks(there, slopes, nudges)
+            gain = self._step(there, blocks, np.array(others, dtype=int), bounds, 0.0)[1]
+            rises[at] = self.cost(there) - gain - self.cost(here)
+            change = [(a - b)[..., None] for a, b in zip(self.scaled(moved), scaled, strict=True)]
+            effect = max(effect, self._effects(change, [i])[i])
+        return rises, effect
+
+    def _gone(self, here: _Point, i: int, value: float) -> bool:
+        """Whether a solution that begins with a parameter at another value ends better than here,
+        where the search goes then.
+        """
+        self.theta = here.theta.copy()
+        self.theta[i] = value
+        self.solve(1e-3)
+        if self.cost(self._at(self.theta, self.shifts)) < self.cost(here):
+            return True
+        self.theta, self.shifts = here.theta, here.shifts
+        return False
+
+    def _ends(
+        self, here: _Point, i: int, points: np.ndarray, rises: np.ndarray
+    ) -> tuple[float, float]:
+        """Between which values the logs do not deny a parameter; the bounds where they never do."""
+        ends = []
+        for side in (-1, 1):
+            beyond = [k for k in range(RANGE) if (points[k] - here.theta[i]) * side > 0.0]
+            inner, outer = float(here.theta[i]), None
+            for k in beyond[::side]:
+                if rises[k] > DENIED * self.weight:
+                    outer = float(points[k])
+                    break
+                inner = float(points[k])
+            for _ in range(HALVINGS if outer is not None else 0):
+                middle = 0.5 * (inner + float(outer or 0.0))
+                rise = self._rises(here, i, np.array([middle]))[0][0]
+                inner, outer = (inner, middle) if rise > DENIED * self.weight else (middle, outer)
+            ends.append(self.search[i].bounds[side > 0] if outer is None else outer)
+        return ends[0], ends[1]
+
     def _drop(self, which: Sequence[int]) -> None:
         """Put parameters back to their start and leave them out.
 
@@ -613,7 +810,7 @@ class OutputError:
             self.theta[i] = self.search[i].of(self.search[i].start)
         self.free = [i for i in self.free if i not in which]
         self.bound = [i for i in self.bound if i not in which]
-        if not any(i < self.asked for i in (*self.free, *self.bound)):
+        if not any(i < self.asked for i in (*self.free, *self.bound, *self.told)):
             names = ", ".join(c.name for c in self.search[: self.asked])
             raise InsufficientData(
                 f"the logs tell nothing about {names}",
@@ -788,8 +985,8 @@ class OutputError:
                     from_data=error.from_data,
                     from_starts=error.from_starts,
                 )
-            fitted.append(one)
-        warnings = self._wrongly_held(found)
+            fitted.append(self._within(one, i) if i in self.told else one)
+        warnings = [*self._wrongly_held(found), *self._flat()]
         if not converged:
             warnings.append(
                 f"the fit stopped after {self.most} evaluations without converging; its numbers "
@@ -827,6 +1024,29 @@ class OutputError:
                 sensors=self._sensors(found),
             ),
         )
+
+    def _within(self, one: FittedParameter, i: int) -> FittedParameter:
+        """A parameter of which the logs deny a part of the range, the rest being one to them."""
+        c, value = self.search[i], self.search[i].at(self.theta[i])
+        low, high = (c.at(end) for end in self.told[i])
+        return replace(
+            one,
+            value=value,
+            std=(high - low) / (2.0 * Z95),
+            interval=(low, high),
+            status="estimated",
+            error_from="range",
+            prior=c.prior if c.known else None,
+        )
+
+    def _flat(self) -> list[str]:
+        """A note of each parameter that the logs tell by its range alone."""
+        return [
+            f"{c.name} may be anything from {c.at(low):.4g} to {c.at(high):.4g} {c.row.unit} for "
+            "these logs, which deny the rest of its range"
+            for i, (low, high) in self.told.items()
+            for c in [self.search[i]]
+        ]
 
     def _shared(self) -> list[tuple[int, Coordinate]]:
         """(index, coordinate) of what all logs' sensors share."""
@@ -881,12 +1101,22 @@ class _Errors:
     alone: np.ndarray
 
 
-def _placed(theta: np.ndarray, shifts: Shifts) -> dict[str, Any]:
+def _by_misfit(end: _End) -> float:
+    return end.misfit
+
+
+def _place(theta: np.ndarray, shifts: Shifts) -> dict[str, Any]:
     """A point as the journal keeps it."""
     return {"theta": theta.tolist(), "shifts": [own.tolist() for own in shifts]}
 
 
-def _place(kept: Mapping[str, Any]) -> tuple[np.ndarray, Shifts]:
+def _kept(point: _Point) -> dict[str, Any]:
+    """A point as the journal keeps it, with where its steps were chosen."""
+    grid = point.grid
+    return _place(point.theta, point.shifts) | {"chosen": _place(grid.theta, grid.shifts)}
+
+
+def _placed(kept: Mapping[str, Any]) -> tuple[np.ndarray, Shifts]:
     """(parameters, shifts) of a point that the journal kept."""
     return np.array(kept["theta"]), [np.array(own, dtype=float) for own in kept["shifts"]]
 
@@ -912,8 +1142,6 @@ def bounded_step(
         pull: the gradient g, shape (n,).
         damping: λ.
     """
-    from scipy.optimize import lsq_linear
-
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = normal / np.outer(size, size) + (damping + 1e-12) * np.eye(len(size))
     values, vectors = np.linalg.eigh(scaled)
@@ -922,6 +1150,8 @@ def bounded_step(
     root = np.sqrt(values)[:, None] * vectors.T
     step = -np.linalg.solve(root, aim)
     if np.any(step < low * size) or np.any(step > high * size):
+        from scipy.optimize import lsq_linear  # a quarter of a second to import
+
         room = (np.minimum(low * size, -1e-12), np.maximum(high * size, 1e-12))
         step = lsq_linear(root, -aim, room, method="bvls").x
     return np.clip(step / size, low, high)

@@ -13,7 +13,8 @@ from ehbench.errors import EhbenchError, InputError, InsufficientData
 from ehbench.observations import alternatives, column, least_change, payload_of
 from ehbench.parts.edge import edge_command
 from ehbench.plant.build import Maps
-from ehbench.plant.model import Model
+from ehbench.plant.model import FREE, Model
+from ehbench.plant.paced import AUTO, Step
 from ehbench.preprocessing import preprocess
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
@@ -24,10 +25,12 @@ from ehbench.starts import LogStart, start_of_log
 # a chamber counts as empty below this share of the way from zero gauge pressure to the cavitation
 # pressure; so long before and after [s] its cylinder's samples do not count either
 EMPTY, EMPTYING = 0.5, 0.05
+FLOWS = ("flow", "flow_supply")  # words of what a simulation has only where it is asked for
 MOVES = 0.01  # share of the stroke beyond which a cylinder counts as moving
 
 
 Shifts = list[np.ndarray]  # by log, of its start [prior standard deviations], one a doubt
+Meshes = Sequence[np.ndarray]  # by log, the steps that its simulation takes (`plant.paced`)
 
 
 @dataclass(frozen=True)
@@ -226,7 +229,7 @@ class Simulator:
         names: of the parameters, in the order of the values; also of terms of sensors that all
             logs share, whose values are their excess.
         workers: threads; 0 for one per core.
-        step: integration step [s].
+        step: of the integration [s], or ``"auto"``.
     """
 
     def __init__(
@@ -236,9 +239,10 @@ class Simulator:
         names: Sequence[str],
         maps: Maps | None,
         workers: int,
-        step: float,
+        step: Step = AUTO,
     ) -> None:
-        self.rig, self.maps, self.step = rig, maps, step
+        self.rig, self.maps = rig, maps
+        self.step: Step = step
         self.logs, self.names = tuple(logs), tuple(names)
         self.shared = {t.name for log in logs for t in log.start.terms if not t.per_log}
         self.pool = ThreadPoolExecutor(workers or os.cpu_count() or 1)
@@ -290,18 +294,43 @@ class Simulator:
         return [done[i : i + len(which)] for i in range(0, len(done), len(which))]
 
     def each(
-        self, points: Sequence[tuple[Sequence[float], int, np.ndarray]]
+        self,
+        points: Sequence[tuple[Sequence[float], int, np.ndarray]],
+        meshes: Meshes | None = None,
     ) -> list[np.ndarray | None]:
         """Simulated channels, shape (samples, channels), of each (values, log by index, shifts of
         its start); None where the simulation failed.
+
+        Args:
+            meshes: steps to take, of all logs; chosen by default.
         """
+        done = self._meshed(points, meshes)
+        return [None if one is None else one[0] for one in done]
+
+    def begin(
+        self, values: Sequence[float], shifts: Shifts
+    ) -> tuple[list[np.ndarray | None], Meshes]:
+        """(simulated channels of every log, None where the simulation failed; the steps that were
+        chosen, none where it did).
+        """
+        done = self._meshed([(values, k, own) for k, own in enumerate(shifts)])
+        channels = [None if one is None else one[0] for one in done]
+        return channels, [FREE if one is None else one[1] for one in done]
+
+    def _meshed(
+        self,
+        points: Sequence[tuple[Sequence[float], int, np.ndarray]],
+        meshes: Meshes | None = None,
+    ) -> list[tuple[np.ndarray, np.ndarray] | None]:
+        """(simulated channels, steps taken) of each point."""
         made: dict[tuple[float, ...], dict[str | None, Model | None]] = {}
         tasks = []
         for values, k, shifts in points:
             key, log = tuple(self._by_name(values, False).values()), self.logs[k]
             if key not in made:
                 made[key] = self.possible_models(values)
-            tasks.append((made[key][log.payload], log, shifts, self._by_name(values, True)))
+            mesh = FREE if meshes is None else meshes[k]
+            tasks.append((made[key][log.payload], log, shifts, self._by_name(values, True), mesh))
         self.evaluations += len(tasks)
         return list(self.pool.map(self._one, tasks))
 
@@ -310,13 +339,18 @@ class Simulator:
         return [np.zeros(len(log.start.doubts)) for log in self.logs]
 
     def _one(
-        self, task: tuple[Model | None, Log, np.ndarray, dict[str, float]]
-    ) -> np.ndarray | None:
-        model, log, shifts, shared = task
+        self, task: tuple[Model | None, Log, np.ndarray, dict[str, float], np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        model, log, shifts, shared, mesh = task
         if model is None:
             return None
         try:
-            return channels_of(log, self._replay((model, log, shifts, shared)))
+            start, true = log.start.at(model, shifts, shared), log.start.true(shifts, shared)
+            if self.step == AUTO and not any(one.endswith(FLOWS) for one in log.channels):
+                made, mesh = model.replay_paced(true, start, mesh)
+            else:
+                made, mesh = model.replay(true, self.step, start=start), FREE
+            return channels_of(log, log.start.seen(made, shifts, shared)), mesh
         except (EhbenchError, ArithmeticError):
             return None
 

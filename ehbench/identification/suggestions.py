@@ -289,8 +289,7 @@ class _Trials:
             ]
         options, sensors = setup.options, of_sensors(fit.logs[0].start.terms)
         names = [*setup.parameters, *(c.name for c in sensors)]
-        step = 2.0 * options.step
-        simulator = Simulator(setup.rig, kept, names, self.maps, options.workers, step)
+        simulator = Simulator(setup.rig, kept, names, self.maps, options.workers, options.step)
         tell: Progress = lambda text, share: None  # noqa: E731
         return logs, OutputError(simulator, fit.search, tell, STEPS, options.cutoff)
 

@@ -22,6 +22,9 @@ from ehbench.plant.valves import felt_commands
 from ehbench.record import Record
 from ehbench.rig import Rig
 
+FREE = np.zeros(0, dtype=np.int64)  # no mesh: steps are chosen
+# what of a recording tells where it starts
+TELLS = ("q", "x", "p_supply", *(f"p{line}_{side}" for line in ("", "_line") for side in SIDES))
 MOVED = 0.005  # share of a driver's range by which a command must change to be more than noise
 
 
@@ -33,6 +36,21 @@ class Start(NamedTuple):
     y: np.ndarray
     supply: float | None = None
     tank: float | None = None
+
+
+def _finite(log: np.ndarray, tick: float) -> np.ndarray:
+    """A log table as it is.
+
+    Raises:
+        SimulationError: the state stopped being finite; says when.
+    """
+    if not np.isfinite(log[-1]).all():
+        bad = int(np.argmin(np.isfinite(log).all(axis=1)))
+        raise SimulationError(
+            f"the simulation left finite numbers at t = {bad * tick:.4g} s",
+            hint="take a smaller step",
+        )
+    return log
 
 
 @dataclass(frozen=True)
@@ -142,20 +160,37 @@ class Model:
         Raises:
             SimulationError: the state stopped being finite; says when.
         """
+        if step == AUTO:
+            return self.paced(y, commands, tick)[0]
         log = np.empty((commands.shape[0], y.shape[0] + self.plant.edges.shape[0] + 1))
         table, line = np.ascontiguousarray(commands, dtype=float), line_of(self.plant, tick)
-        if step == AUTO:
-            pace = pace_of(self.plant, self.layout, tick)
-            run_paced(y.copy(), table, self.plant, line, pace, log)
-        else:
-            run(y.copy(), table, self.plant, line, max(1, round(tick / step)), log)
-        if not np.isfinite(log[-1]).all():
-            bad = int(np.argmin(np.isfinite(log).all(axis=1)))
-            raise SimulationError(
-                f"the simulation left finite numbers at t = {bad * tick:.4g} s",
-                hint="take a smaller step",
-            )
-        return log
+        run(y.copy(), table, self.plant, line, max(1, round(tick / step)), log)
+        return _finite(log, tick)
+
+    def paced(
+        self,
+        y: np.ndarray,
+        commands: np.ndarray,
+        tick: float = 1e-3,
+        mesh: np.ndarray = FREE,
+        flows: bool = True,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(the log table of `run` with ``step = "auto"``, the steps that were chosen).
+
+        Args:
+            mesh: the steps of another run, to be taken again, so that no choice of steps is in what
+                the two differ by.
+            flows: whether the table has edge and pump flows; the states alone take less time.
+
+        Raises:
+            SimulationError: as `run`.
+        """
+        extra = self.plant.edges.shape[0] + 1 if flows else 0
+        log = np.empty((commands.shape[0], y.shape[0] + extra))
+        table, line = np.ascontiguousarray(commands, dtype=float), line_of(self.plant, tick)
+        pace = pace_of(self.plant, self.layout, tick)
+        steps, count = run_paced(y.copy(), table, self.plant, line, pace, mesh, log)
+        return _finite(log, tick), steps[:count].copy()
 
     def start_of(self, record: Record, rest: int) -> np.ndarray:
         """The state at the first sample of a recording, from the mean of its first ``rest``
@@ -169,7 +204,11 @@ class Model:
         Raises:
             InputError: a posture outside the stroke.
         """
-        seen = {channel: float(np.mean(y[:rest])) for channel, y in record.channels.items()}
+        seen = {
+            channel: float(np.mean(y[:rest]))
+            for channel, y in record.channels.items()
+            if channel.rpartition(".")[2] in TELLS
+        }
         command = self.commands_of(record)[:rest].mean(axis=0) if self.layout.played else None
         y = self.posed(seen, command)
         for index, name in enumerate(self.layout.cylinders):
@@ -249,6 +288,30 @@ class Model:
             LogError: uneven time.
             SimulationError: the numbers left the finite range.
         """
+        start = start or self.rest_start(record, rest)
+        model, table = self._along(record, start)
+        log = model.run(start.y, table, record.sample_time, step)
+        return self.record(record.t, table, log, record.meta, start.tank)
+
+    def replay_paced(
+        self, record: Record, start: Start, mesh: np.ndarray = FREE
+    ) -> tuple[Record, np.ndarray]:
+        """(`replay` with ``step = "auto"`` from a start, without flows; the steps that were
+        chosen), ``mesh`` as `paced` takes it.
+
+        Raises:
+            LogError, SimulationError: as `replay`.
+        """
+        model, table = self._along(record, start)
+        log, mesh = model.paced(start.y, table, record.sample_time, mesh, flows=False)
+        return self.record(record.t, table, log, record.meta, start.tank), mesh
+
+    def _along(self, record: Record, start: Start) -> tuple[Model, np.ndarray]:
+        """(the model at a start's pressures, a recording's commands).
+
+        Raises:
+            LogError: uneven time.
+        """
         tick = record.sample_time
         if record.t.size < 3 or np.abs(np.diff(record.t) - tick).max() > 0.01 * tick:
             raise LogError(
@@ -256,10 +319,8 @@ class Model:
                 hint="resample it to one rate",
             )
         table = self.commands_of(record)
-        start = start or self.rest_start(record, rest)
         plant = self.plant.at_pressures(start.supply, start.tank).held_before(table[0])
-        log = replace(self, plant=plant).run(start.y, table, tick, step)
-        return self.record(record.t, table, log, record.meta, start.tank)
+        return replace(self, plant=plant), table
 
     def record(
         self,
@@ -269,8 +330,8 @@ class Model:
         meta: Mapping[str, str] | None = None,
         tank: float | None = None,
     ) -> Record:
-        """The log table as a record of named SI channels; ``tank`` [Pa] is the plant's by
-        default.
+        """The log table, with flows or without, as a record of named SI channels; ``tank`` [Pa] is
+        the plant's by default.
         """
         names, plant = self.layout, self.plant
         n = plant.at.rates
@@ -300,11 +361,12 @@ class Model:
             channels[f"{valve}.opening"] = felt[:, index] if output < 0 else log[:, output]
         for channel, at in names.inner_states:
             channels[channel] = log[:, at]
-        for index, edge in enumerate(names.edges):
-            channels[f"{edge}.flow"] = log[:, names.states + index]
         channels["p_supply"] = log[:, plant.at.supply]
         channels["p_tank"] = np.full(len(t), plant.tank_pressure if tank is None else tank)
-        channels["flow_supply"] = log[:, -1]
+        if log.shape[1] > names.states:
+            for index, edge in enumerate(names.edges):
+                channels[f"{edge}.flow"] = log[:, names.states + index]
+            channels["flow_supply"] = log[:, -1]
         return Record(t, channels, dict(meta or {}))
 
 

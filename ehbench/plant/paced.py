@@ -134,7 +134,7 @@ def _halved(step, units):
 
 
 @kernel
-def _step(way, command, part, room, step, rate):
+def _step(way, command, part, room, step, rate, given):
     """One step from ``part`` units of a tick on: (units taken, units to try next, rate [1/s] at its
     end). Its end stands in ``k[4]``, the derivatives there in ``k[5]``.
 
@@ -143,6 +143,7 @@ def _step(way, command, part, room, step, rate):
         command: of the present tick [V].
         room: units that it may take at most.
         step: units to try first.
+        given: take those, whatever the error.
     """
     line, units = way.line, way.pace.units
     unit, step = line.tick / units, min(step, room)
@@ -151,9 +152,9 @@ def _step(way, command, part, room, step, rate):
             step = min(step, units // LATE)
             line_felt(line, command, way.plant, part * unit, step * unit)
             rate = derivatives(way.y, line.held, way.plant, way.k[0], way.work)
-        if step == 1 or rate * step * unit <= STABLE:
+        if given or step == 1 or rate * step * unit <= STABLE:
             error, after = _attempt(way, line.held, step * unit)
-            if step == 1 or error <= 1.0:
+            if given or step == 1 or error <= 1.0:
                 return step, 2 * step if error < 1.0 / 16.0 else step, after
         step = _halved(step, units)
 
@@ -165,7 +166,7 @@ def over_tick(way, command, rate):
     """
     part, step, units = 0, way.pace.units, way.pace.units
     while part < units:
-        taken, step, rate = _step(way, command, part, units - part, step, rate)
+        taken, step, rate = _step(way, command, part, units - part, step, rate, False)
         part += taken
         for i in range(way.y.shape[0]):
             way.y[i], way.k[0, i] = way.k[4, i], way.k[5, i]
@@ -200,33 +201,62 @@ def _between(way, command, share, d, out):
     _valves_after(way, command, share * d, out)
 
 
+@part_kernel
+def _let(way, log, sample):
+    """Write the flows in ``work`` into a row, as many as it has room for behind the state."""
+    size, at = way.y.shape[0], way.plant.at.flow
+    for i in range(log.shape[1] - size):
+        log[sample, size + i] = way.work[at + i]
+
+
 @allocating_kernel
-def run_paced(y, commands, plant, line, pace, log):
-    """`ehbench.plant.integrate.run` in steps chosen by the guard; returns their number."""
-    size, at, last = y.shape[0], plant.at.flow, commands.shape[0] - 1
+def run_paced(y, commands, plant, line, pace, mesh, log):
+    """`ehbench.plant.integrate.run` in steps chosen by the guard, or those of a mesh; returns
+    (the steps taken [units of a tick], their number).
+
+    Args:
+        mesh: steps to take again [units]; empty to choose. Where commands differ within one, it is
+            taken in parts.
+        log: out; of shape (samples, states) it holds the state alone, for fewer evaluations.
+    """
+    size, last, follows = y.shape[0], commands.shape[0] - 1, mesh.shape[0] > 0
+    flows = log.shape[1] > size
     k, work = np.empty((SCRATCH, size)), np.empty(plant.at.work)
     way = Way(y, plant, line, pace, k, work)
     late, unit = line.past.shape[0] > 1, line.tick / pace.units
     sample, part, until, step, count = 0, 0, 0, pace.units, 0
+    steps, there, ahead = np.empty(256, np.int64), 0, 0
     line_felt(line, commands[0], plant, 0.0, line.tick / LATE)
     rate = derivatives(y, line.held, plant, k[0], work)
-    log[0, :size], log[0, size:] = y, work[at:]
+    log[0, :size] = y
+    _let(way, log, 0)
     while sample < last:
         while until < last and until < sample + (1 if late else MOST_TICKS):
             if until > sample and not _same(commands[until], commands[sample]):
                 break
             until += 1
         room = pace.units - part if part > 0 else (until - sample) * pace.units
-        taken, step, after = _step(way, commands[sample], part, room, step, rate)
+        if follows and ahead == 0:
+            ahead, there = mesh[min(there, mesh.shape[0] - 1)], there + 1
+        step = min(ahead, room) if follows else step
+        taken, step, after = _step(way, commands[sample], part, room, step, rate, follows)
+        ahead -= taken
+        if count == steps.shape[0]:
+            longer = np.empty(2 * count, np.int64)
+            longer[:count] = steps
+            steps = longer
+        steps[count] = taken
         ends = sample + (part + taken) // pace.units
         part, count = (part + taken) % pace.units, count + 1
         if part == 0:
-            log[ends, :size], log[ends, size:] = k[4], work[at:]
+            log[ends, :size] = k[4]
+            _let(way, log, ends)
         for s in range(sample + 1, ends):
             share = (s - sample) * pace.units / taken
             _between(way, line.held, share, taken * unit, log[s])
-            derivatives(log[s, :size], line.held, plant, k[1], work)
-            log[s, size:] = work[at:]
+            if flows:
+                derivatives(log[s, :size], line.held, plant, k[1], work)
+                _let(way, log, s)
         y[:], k[0], rate = k[4], k[5], after
         if part == 0:
             if not _finite(y):
@@ -236,7 +266,7 @@ def run_paced(y, commands, plant, line, pace, log):
             if late or not _same(commands[ends], commands[sample]):
                 line_felt(line, commands[ends], plant, 0.0, line.tick / LATE)
                 rate = derivatives(y, line.held, plant, k[0], work)
-                log[ends, size:] = work[at:]
+                _let(way, log, ends)
                 step = min(step, pace.units)
         sample = ends
-    return count
+    return steps, count

@@ -150,7 +150,7 @@ def _low_side(plant: Plant, row: np.record) -> float:
     """Pressure [Pa] of a cylinder's chamber that carries nothing."""
     edges = plant.edges_at_chambers
     fed = (edges.law == CHECK) & (edges.from_node == SUPPLY)
-    fed &= np.isin(edges.to_node, (row.node_head, row.node_rod))
+    fed &= (edges.to_node == row.node_head) | (edges.to_node == row.node_rod)
     return plant.supply.pressure * (1.0 if fed.any() else LOW_SIDE)
 
 

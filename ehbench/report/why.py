@@ -42,6 +42,7 @@ _ERRORS = {
     "hac": "intervals from the covariance of correlated residuals",
     "acf": "intervals from the residuals' own autocovariance",
     "jackknife": "intervals from leaving out one log at a time",
+    "range": "the interval is what the logs do not deny of the range; within it all is one to them",
 }
 
 

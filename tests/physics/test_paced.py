@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ehbench.errors import SimulationError
-from ehbench.parts.valve.delay import line_of
 from ehbench.plant.integrate import STEP
 from ehbench.plant.many import run_many
 from ehbench.plant.model import Model
-from ehbench.plant.paced import AUTO, CLOSE, Step, pace_of, run_paced
+from ehbench.plant.paced import AUTO, CLOSE, Step, pace_of
 from ehbench.recipe import load_rig
 from ehbench.rig import Rig
 
@@ -99,11 +99,33 @@ def test_ticks_of_any_length_keep_the_error(rate):
 def test_a_smooth_motion_takes_few_steps_to_the_same_bits():
     model = made("thesis_arm")
     table, start = commands(model), model.trim(model.posture(None))
-    pace, plant = pace_of(model.plant, model.layout, 1e-3), model.plant
-    log = np.empty((len(table), start.size + plant.edges.size + 1))
-    count = run_paced(start.copy(), table, plant, line_of(plant, 1e-3), pace, log)
-    assert count < 0.8 * len(table)
+    log, mesh = model.paced(start, table)
+    assert mesh.size < 0.8 * len(table)
     assert np.array_equal(log, model.run(start, table, step=AUTO))
+    states, same = model.paced(start, table, flows=False)
+    assert np.array_equal(states, log[:, : start.size]) and np.array_equal(same, mesh)
+
+
+@pytest.mark.parametrize("name", ["thesis_arm", "late series"])
+def test_the_steps_of_another_run_are_taken_again(name):
+    """To the same bits; and what a small change does is smooth then, where chosen steps are not."""
+    model = made(name)
+    table, start = commands(model, smooth=name == "late series"), model.trim(model.posture(None))
+    log, mesh = model.paced(start, table)
+    assert np.array_equal(model.paced(start, table, mesh=mesh)[0], log)
+    value = float(model.rig.parameters()["bulk_modulus"])
+    near = [
+        Model.of(model.rig.with_values({"bulk_modulus": value * math.exp(change)}))
+        for change in (1e-5, 1e-3)
+    ]
+    small, large = (
+        (one.paced(start, table, mesh=mesh, flows=False)[0] - log[:, : start.size]) / change
+        for one, change in zip(near, (1e-5, 1e-3), strict=True)
+    )
+    effect = np.ptp(large, axis=0)
+    moved = effect > 1e-3 * np.ptp(log[:, : start.size], axis=0)
+    assert moved.any()
+    assert np.all(np.abs(small - large).max(axis=0)[moved] < 0.05 * effect[moved])
 
 
 def test_many_rigs_side_by_side_are_each_by_itself():
