@@ -178,6 +178,16 @@ def run(
     return Result(record, facts, None if truth is None else truth.model)
 
 
+def log_channels(prepared: Prepared) -> tuple[str, ...]:
+    """The channels that the log of a prepared trial will have; its machine is closed.
+
+    Raises:
+        EhbenchError: as `run`, before the first tick; a user's class is loaded.
+    """
+    with closing(prepared.machine) as machine:
+        return tuple(Session(prepared, machine).channels(slice(0, 0)))
+
+
 def _meta(prepared: Prepared, machine: Machine) -> dict[str, str]:
     recipe, loop = prepared.recipe, prepared.loop
     posture = ", ".join(f"{name} {value}" for name, value in prepared.posture.items())
