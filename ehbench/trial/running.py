@@ -68,8 +68,8 @@ class Facts:
     @property
     def stopped(self) -> str:
         """Why the trial stopped and what came of it, or ''."""
-        told = [each.sentence for each in (self.stop, self.after) if each is not None]
-        return "; ".join(told)
+        sentences = [each.sentence for each in (self.stop, self.after) if each is not None]
+        return "; ".join(sentences)
 
     @property
     def cylinders(self) -> tuple[str, ...]:
@@ -362,8 +362,8 @@ def _measures(record: Record, loop: Driven, rows: int, true: np.ndarray | None) 
     measures["limit_cycle"] = None if cycle is None else asdict(cycle)
     if f"{own}.function_status" in record:
         names = ("function", "function_status", "v_desired")
-        told = (record[f"{own}.{name}"][:rows] for name in names)
-        measures["functions"] = function_measures(t, *told)
+        channels = (record[f"{own}.{name}"][:rows] for name in names)
+        measures["functions"] = function_measures(t, *channels)
     if f"{own}.limits" in record:
         met = record[f"{own}.limits"][:rows].astype(int)
         measures["limits"] = {
