@@ -108,7 +108,7 @@ def ledger_of_model(
     _same_flows(model, record, flows)
     stored = loads.stored(replace(model, plant=plant), t, states, sheet.stores)
     table = sheet.expand(np.concatenate([spent, stored], axis=1))
-    facts = sheet.energies_of(record, table, points) | {"oil_drawn": oil_drawn(model, t, flows)}
+    facts = sheet.facts(record, table, points) | {"oil_drawn": oil_drawn(model, t, flows)}
     return sheet.ledger(
         model, record, payload_of(record), table[-1], None, notes=tuple(notes), **facts
     )

@@ -125,7 +125,7 @@ class Sheet:
         source, duration = "model" if std is None else "log", float(record.t[-1] - record.t[0])
         return Ledger(source, model.rig.name, payload or "none", duration, tuple(rows), **rest)
 
-    def energies_of(self, record: Record, table: np.ndarray, points: int) -> dict[str, Any]:
+    def facts(self, record: Record, table: np.ndarray, points: int) -> dict[str, Any]:
         """What a ledger holds of energies cumulated to every sample, shape (samples, rows): by
         working function, and, if asked for, at about ``points`` times; rows that stay zero are left
         out."""

@@ -345,10 +345,10 @@ def _measures(record: Record, loop: Driven, rows: int, true: np.ndarray | None) 
                 t[part], v[part], level.speed, before, (p_head[part], p_rod[part]), level.share
             )
             measures["steps"].append(asdict(step))
-    wish = record[f"{own}.x_desired"][:rows]
-    measures["tracking"] = tracking_measures(t, x, wish)
+    desired = record[f"{own}.x_desired"][:rows]
+    measures["tracking"] = tracking_measures(t, x, desired)
     if true is not None:
-        measures["tracking_true"] = tracking_measures(t, true[:rows, loop.design.index], wish)
+        measures["tracking_true"] = tracking_measures(t, true[:rows, loop.design.index], desired)
     if loop.references.last_cycle and rows == len(loop.references.table):
         first = loop.references.last_cycle
         measures["cycle"] = {"start": float(t[first]), "stop": float(t[-1])}
@@ -358,7 +358,7 @@ def _measures(record: Record, loop: Driven, rows: int, true: np.ndarray | None) 
     stroke = float(loop.design.row.stroke)
     valves = [name for name in loop.design.valves if name.startswith(f"{own}.")]
     commands = np.column_stack([record[f"{name}.command"][:rows] for name in valves])
-    cycle = limit_cycle(t, x, wish, commands, stroke)
+    cycle = limit_cycle(t, x, desired, commands, stroke)
     measures["limit_cycle"] = None if cycle is None else asdict(cycle)
     if f"{own}.function_status" in record:
         names = ("function", "function_status", "v_desired")
