@@ -412,8 +412,8 @@ def pack_rules(
             Ps/20; ``dwell``, least time between two changes in one direction of motion [s];
             ``speed_sure`` [m/s], five times ``speed_start``, and ``wish_corner`` [rad/s]: see
             `steady_reference`; ``choice``, "ranked" or "least_power", with ``power_band``, the
-            share by which another function must take less than the one at work; ``allow_seventh``, True
-            lets the seventh function be chosen.
+            share by which another function must take less than the one at work;
+            ``allow_seventh``, True lets the seventh function be chosen.
 
     Raises:
         InputError: an unknown rule, a number that is negative or not finite, or that ends a state

@@ -299,7 +299,7 @@ class OutputError:
             for parts in self.residuals(vectors, chosen)
         ]
         best = vectors[int(np.argmin(costs))]
-        self.journal.keep(self._standing(best), costs=costs, evaluations=self.simulator.evaluations)
+        self.journal.keep(self._told(best), costs=costs, evaluations=self.simulator.evaluations)
         return np.array(costs)
 
     def _stands(self) -> tuple[object, ...]:
@@ -318,7 +318,7 @@ class OutputError:
         at = (self.theta.tobytes(), self.touches.tobytes(), *(own.tobytes() for own in self.shifts))
         return (names, held, *at)
 
-    def _standing(self, theta: np.ndarray) -> dict[str, object]:
+    def _told(self, theta: np.ndarray) -> dict[str, object]:
         """Where the search stands, for who reads the journal: evaluations, and parameters [SI]."""
         values = dict(zip((c.name for c in self.search), self._values(theta), strict=True))
         asked = {c.name: values[c.name] for c in self.search[: self.asked]}
@@ -409,7 +409,7 @@ class OutputError:
         """Write a step of a descent into the journal."""
         assert way.origin is not None  # a step has been taken
         self.journal.keep(
-            self._standing(self.theta),
+            self._told(self.theta),
             **_placed(self.theta, self.shifts),
             origin=_placed(way.origin.theta, way.origin.shifts),
             damping=way.damping,
@@ -421,7 +421,7 @@ class OutputError:
     def _ended(self, converged: bool) -> bool:
         """Write the end of a descent into the journal; whether it converged."""
         count = [self.iterations, self.simulator.evaluations]
-        self.journal.keep(self._standing(self.theta), ended=converged, counted=count)
+        self.journal.keep(self._told(self.theta), ended=converged, counted=count)
         return converged
 
     def _skipped(self, known: Mapping[str, Any]) -> bool:
