@@ -22,7 +22,7 @@ from tests.suggestion_study import right, suggested
 from tests.virtual_logs import RIGS
 
 STEPS = ("steps",)
-# [s] of a log: a step out and a step back; some faults show in less than all steps only by halves
+# [s] of a log: a step out and a step back, in which all faults show but two
 SHORT = 2.4
 SLIDE = ("gain", "lag", "deadband", "friction", "load", "leakage", "saturation", "delay")
 
@@ -76,7 +76,7 @@ def test_time_is_bounded_and_what_was_not_tried_is_named():
 def test_what_is_written_can_be_run_and_fits(tmp_path):
     fault = spoilt("press.p_head", lambda y: y + 5e5)
     machine = built("delay")._replace(sensors=fault)
-    write_log(tmp_path / "log.mcap", log_of("slide_servo", machine, "steps", 3, SHORT))
+    write_log(tmp_path / "log.mcap", log_of("slide_servo", machine, "steps", 3))
     recipe = {
         "stage": "identify",
         "what": "hydraulics",
