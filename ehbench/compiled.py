@@ -6,8 +6,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
+from functools import update_wrapper
 from itertools import repeat
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numba
@@ -17,6 +19,7 @@ from numba.extending import overload
 
 PACKAGE = Path(__file__).resolve().parent
 _SETTINGS: Any = config
+_SETTING = Lock()
 _MARKS = (b"njit", b"@kernel", b"@part_kernel", b"@allocating_kernel", b"choice(", b"Generic(")
 
 
@@ -32,23 +35,6 @@ def _cache_folder() -> Path:
     return PACKAGE / "__pycache__" / f"kernels_{digest.hexdigest()[:12]}"
 
 
-def _compiler(folder: Path, **options: Any) -> Callable[[Callable], Any]:
-    """A decorator that compiles when first called and keeps the code in ``folder``.
-
-    numba reads where to keep code when it wraps a function, and from its global settings only;
-    they are as before once the function is wrapped.
-    """
-
-    def compiled(function: Callable) -> Any:
-        before, _SETTINGS.CACHE_DIR = _SETTINGS.CACHE_DIR, str(folder)
-        try:
-            return numba.njit(cache=True, **options)(function)
-        finally:
-            _SETTINGS.CACHE_DIR = before
-
-    return compiled
-
-
 _FOLDER = _cache_folder()
 
 
@@ -62,27 +48,88 @@ def is_cold() -> bool:
 OPTIONS: Any = {"nogil": True, "error_model": "numpy", "_nrt": False}
 # numba hands forceinline down from callers that have it: the derivatives would stand ten times in
 # one loop, which takes half as long again to compile and is no faster
-kernel = _compiler(_FOLDER, **OPTIONS, forceinline=False)
+_APART: Any = {**OPTIONS, "forceinline": False}
+_INLINED: Any = {**OPTIONS, "forceinline": True}
+_WITHIN: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # called by kernels only
+
+
+class Kernel:
+    """A function that is compiled when first called.
+
+    Other kernels call it as it is. What takes arguments from Python apart, for a plant more code
+    than most kernels are, it gets only when Python calls it, as a second function.
+
+    Args:
+        function: in the part of Python that numba knows.
+        options: of numba.
+        kept: False where no cache can find it again, as of what is made at import.
+    """
+
+    def __init__(self, function: Callable, options: Mapping[str, Any], kept: bool = True) -> None:
+        update_wrapper(self, function)
+        self._function, self._options = function, options
+        self._folder = str(_FOLDER) if kept else ""
+        self._inner, self._outer = self._dispatcher(self._folder, **_WITHIN), None
+
+    def _dispatcher(self, folder: str, **more: Any) -> Any:
+        """numba's own, its code kept in ``folder``. numba reads where from its global settings
+        only, when it wraps a function; they are as before then.
+        """
+        with _SETTING:
+            before, _SETTINGS.CACHE_DIR = _SETTINGS.CACHE_DIR, folder
+            try:
+                return numba.njit(cache=bool(folder), **self._options, **more)(self._function)
+            finally:
+                _SETTINGS.CACHE_DIR = before
+
+    @property
+    def _numba_type_(self) -> Any:
+        """By which numba knows what a kernel calls."""
+        return self._inner._numba_type_
+
+    @property
+    def outer(self) -> Any:
+        """The function that Python calls."""
+        if self._outer is None:
+            self._outer = self._dispatcher(self._folder and f"{self._folder}/outer")
+        return self._outer
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call it from Python."""
+        return (self._outer or self.outer)(*arguments)
+
+
+def _compiler(options: Mapping[str, Any], kept: bool = True) -> Callable[[Callable], Any]:
+    """A decorator that makes a `Kernel`, or leaves the function where numba is switched off."""
+
+    def compiled(function: Callable) -> Any:
+        return function if _SETTINGS.DISABLE_JIT else Kernel(function, options, kept)
+
+    return compiled
+
+
+kernel = _compiler(_APART)
 
 # for the small kernels of which a large one is made: they go into its code, without a call
-part_kernel = _compiler(_FOLDER, **OPTIONS, forceinline=True)
+part_kernel = _compiler(_INLINED)
 
-allocating_kernel = _compiler(_FOLDER, nogil=True)
+allocating_kernel = _compiler({"nogil": True})
 
-_INLINED: Any = {**OPTIONS, "forceinline": True}
 # for what is made at import, which no cache can find again: it goes into the code of its callers
-inlined = numba.njit(**_INLINED)
+inlined = _compiler(_INLINED, kept=False)
+
+WITHIN: Any = {**OPTIONS, **_WITHIN}  # of an overload: numba's word for a choice by types
 
 
 def bound(function: Any, *like: Any) -> Callable:
     """A kernel for arguments of the types of ``like``, which are not looked at again with each
     call: that takes longer than a tick. It must be given no others.
     """
-    if not hasattr(function, "get_overload"):  # nothing is compiled
+    if not hasattr(function, "outer"):  # nothing is compiled
         return function
     types = tuple(numba.typeof(argument) for argument in like)
-    function.compile(types)
-    return function.get_overload(types)
+    function.outer.compile(types)
+    return function.outer.get_overload(types)
 
 
 def choice(name: str, laws: Sequence[Callable], arguments: str) -> Callable:
@@ -105,7 +152,7 @@ def choice(name: str, laws: Sequence[Callable], arguments: str) -> Callable:
         f"def chosen(law, {arguments}):\n{chain}    return law_{last}({arguments})\n",
         space,
     )
-    overload(space[name], jit_options=_INLINED)(space["typed"])
+    overload(space[name], jit_options={**_INLINED, **_WITHIN})(space["typed"])
     return space[name]
 
 
@@ -139,7 +186,7 @@ class Generic:
                 "    if getattr(plant, 'instance_class', None) is wanted: return chosen\n",
                 space,
             )
-            overload(self.call, jit_options=_INLINED)(space["typed"])
+            overload(self.call, jit_options={**_INLINED, **_WITHIN})(space["typed"])
             return function
 
         return register

@@ -332,7 +332,7 @@ def loads_along(sample, reference, q, v, load, own, axis, memory):
     if reference.shape[0] > ORDERS:
         place_joints(sample, axis, angles)
         return loads_among(reference, q, ahead_q, AHEAD, axis, angles, memory.mass, memory.work)
-    return load, load_at(axis, ahead_q, own, angles, memory.work)
+    return load, load_at(axis, ahead_q, own, memory.work)
 
 
 @kernel
@@ -825,7 +825,7 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
     measured = load_force(p, circuit.area_head, circuit.area_rod)
     place_joints(sample, axis, memory.angles)
     own, tip = inertias(axis, memory.angles, memory.mass, memory.work)
-    load = load_at(axis, q, own, memory.angles, memory.work)
+    load = load_at(axis, q, own, memory.work)
     starting = state.started == 0
     if starting:
         start(x, v, p, measured, state)

@@ -13,7 +13,15 @@ from ehbench.control.functions import Circuit, coupled
 from ehbench.errors import InputError
 from ehbench.parts.cylinder import chamber_oil, linkage_of
 from ehbench.parts.edge import edge_command
-from ehbench.physics.arm import CHAIN, LINK, gravity_torque, mass_matrix, work_size
+from ehbench.physics.arm import (
+    CHAIN,
+    LINK,
+    gravity_torque_turned,
+    mass_matrix_turned,
+    turn,
+    turn_joint,
+    work_size,
+)
 
 # what must be known of the cylinder
 NEEDED = (
@@ -72,26 +80,29 @@ class Load(NamedTuple):
 @kernel
 def inertias(axis, angles, mass, work):
     """(D_jj, what 1 kg at the tip adds to it) about the axis's joint [kg·m²], or [kg] of a slide;
-    q_j does not matter.
+    q_j does not matter. ``work`` then is turned to the ``angles``.
     """
     j, mechanism = axis.cylinder.joint, axis.mechanism
-    mass_matrix(mechanism.kind, mechanism.links, angles, mass, work)
+    turn(mechanism.links, angles, work)
+    mass_matrix_turned(mechanism.kind, mechanism.links, mass, work)
     own = mass[j, j]
-    mass_matrix(mechanism.kind, axis.tip, angles, mass, work)
+    mass_matrix_turned(mechanism.kind, axis.tip, mass, work)
     return own, mass[j, j]
 
 
 @kernel
-def load_at(axis, q, own, angles, work):
-    """The `Load` at joint coordinate q; ``own`` is D_jj, ``angles`` the other joints'."""
+def load_at(axis, q, own, work):
+    """The `Load` at joint coordinate q, after `inertias`, of which ``own`` is and which turned the
+    other joints.
+    """
     j, mechanism = axis.cylinder.joint, axis.mechanism
     _, lever, curve = linkage_of(axis.cylinder, q)
     torque = work[work.shape[0] - mechanism.links.shape[0] :]
     per = 1.0 / lever
-    angles[j] = q
-    gravity_torque(mechanism.kind, mechanism.links, mechanism.gravity, angles, torque, work)
+    turn_joint(mechanism.links, j, q, work)
+    gravity_torque_turned(mechanism.kind, mechanism.links, mechanism.gravity, torque, work)
     held = torque[j] * per
-    gravity_torque(mechanism.kind, axis.tip, mechanism.gravity, angles, torque, work)
+    gravity_torque_turned(mechanism.kind, axis.tip, mechanism.gravity, torque, work)
     return Load(
         own * per * per,
         held,
@@ -169,7 +180,7 @@ def reference_load(axis: Axis) -> tuple[Load, float]:
     n = axis.mechanism.links.shape[0]
     angles, work = axis.mechanism.posture.copy(), np.zeros(work_size(n) + n)
     own, tip = inertias(axis, angles, np.zeros((n, n)), work)
-    load = load_at(axis, float(angles[axis.cylinder.joint]), own, angles, work)
+    load = load_at(axis, float(angles[axis.cylinder.joint]), own, work)
     if abs(load.lever) < 1e-6 or not math.isfinite(load.mass):
         raise InputError(
             "the cylinder has no lever in the posture for which the controller is designed"

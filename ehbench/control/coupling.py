@@ -15,7 +15,7 @@ from ehbench.compiled import kernel
 from ehbench.control.axis import Load
 from ehbench.control.trajectory import ORDERS, A, J, V
 from ehbench.parts.cylinder import linkage_arrays, linkage_of
-from ehbench.physics.arm import bias, mass_matrix
+from ehbench.physics.arm import bias_turned, mass_matrix_turned, turn
 
 
 class Joints(NamedTuple):
@@ -28,12 +28,14 @@ class Joints(NamedTuple):
 
 @kernel
 def _moved(axis, links, joints, mass, work):
-    """(D_jj, c_j + h_j + Σ_{k≠j} D_jk q̈_k) of some links about the axis's joint j."""
+    """(D_jj, c_j + h_j + Σ_{k≠j} D_jk q̈_k) of some links about the axis's joint j, after
+    `turn`.
+    """
     j, n, mechanism = axis.cylinder.joint, links.shape[0], axis.mechanism
     torque = work[work.shape[0] - n :]
-    bias(mechanism.kind, links, mechanism.gravity, joints.angles, joints.rates, torque, work)
+    bias_turned(mechanism.kind, links, mechanism.gravity, joints.rates, torque, work)
     held = torque[j] - links[j].damping * joints.rates[j]
-    mass_matrix(mechanism.kind, links, joints.angles, mass, work)
+    mass_matrix_turned(mechanism.kind, links, mass, work)
     for k in range(n):
         if k != j:
             held += mass[j, k] * joints.accelerations[k]
@@ -46,6 +48,7 @@ def _load_among(axis, joints, mass, work):
     j, mechanism = axis.cylinder.joint, axis.mechanism
     _, lever, curve = linkage_of(axis.cylinder, joints.angles[j])
     per = 1.0 / lever
+    turn(mechanism.links, joints.angles, work)
     own, held = _moved(axis, mechanism.links, joints, mass, work)
     _, pull = _moved(axis, axis.tip, joints, mass, work)
     return Load(

@@ -15,15 +15,16 @@ from ehbench.control.axis import Axis, Mechanism
 from ehbench.control.functions import select, supply_draw
 from ehbench.control.measured import Pressures
 from ehbench.parts.cylinder import linkage_arrays
-from ehbench.physics.arm import bias, mass_matrix, work_size
+from ehbench.physics.arm import bias_turned, mass_matrix_turned, turn, work_size
 
 
 @kernel
 def _torques(mechanism, q, rates, accelerations, mass, work, out):
     n = q.shape[1]
     for i in range(q.shape[0]):
-        bias(mechanism.kind, mechanism.links, mechanism.gravity, q[i], rates[i], out[i], work)
-        mass_matrix(mechanism.kind, mechanism.links, q[i], mass, work)
+        turn(mechanism.links, q[i], work)
+        bias_turned(mechanism.kind, mechanism.links, mechanism.gravity, rates[i], out[i], work)
+        mass_matrix_turned(mechanism.kind, mechanism.links, mass, work)
         for j in range(n):
             for k in range(n):
                 out[i, j] += mass[j, k] * accelerations[i, k]

@@ -12,7 +12,7 @@ from typing import Any
 import numba
 from numba.extending import overload
 
-from ehbench.compiled import OPTIONS, kernel
+from ehbench.compiled import WITHIN, kernel
 from ehbench.control import LAW_NAMES
 from ehbench.control.law import Law
 
@@ -27,7 +27,7 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
     _STEPS[numba.typeof(gains)](t, sample, reference, axis, gains, memory, command, telemetry)
 
 
-@overload(step, jit_options=OPTIONS)
+@overload(step, jit_options=WITHIN)
 def _step(t, sample, reference, axis, gains, memory, command, telemetry):
     law = _STEPS[gains]
 

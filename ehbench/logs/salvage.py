@@ -112,7 +112,7 @@ class Salvage:
             McapError,
             zstandard.ZstdError,
         )
-        self.zstd = zstandard
+        self.zstd, self.unpacker = zstandard, zstandard.ZstdDecompressor()
         self.data = data
         self.streams: dict[int, Stream] = {}
         self.unread: dict[str, None] = {}
@@ -255,7 +255,7 @@ class Salvage:
                     f"the chunks would unpack to more than {self._most / 1e6:.0f} MB, as of no log"
                 )
             self._room -= size
-            body = self.zstd.decompress(packed, size)
+            body = self.unpacker.decompress(packed, size)
         elif kind == b"":
             body = bytes(packed)
         else:
@@ -369,7 +369,7 @@ class Salvage:
 
 def _repeats(rows: np.ndarray, offsets: list[int]) -> int:
     """How many rows from the first on have its opcodes, lengths and channels at ``offsets``."""
-    count, block = 0, 64
+    count, block = 0, 256
     while count < len(rows):
         part = rows[count : count + block]
         same = np.ones(len(part), bool)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from ehbench.compiled import OPTIONS, kernel
+from ehbench.compiled import WITHIN, kernel
 from ehbench.control.law import Controller
 from ehbench.control.registry import tick
 from ehbench.parts.sample import OF, entry
@@ -120,7 +120,7 @@ def control(laws, i, rows):
         _control_one(law, i, rows)
 
 
-@overload(control, jit_options=OPTIONS)
+@overload(control, jit_options=WITHIN)
 def _control(laws, i, rows):
     # laws of several kinds are of several types: a loop over them is written out
     calls = "".join(f"    one(laws[{n}], i, rows)\n" for n in range(len(laws)))

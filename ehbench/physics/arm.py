@@ -100,17 +100,25 @@ def _inward(c, s, ca, sa, x, y, z):
 
 
 @kernel
-def _turn(links, q, work):
-    """Cosine and sine of every joint angle into ``work``."""
+def turn_joint(links, i, q, work):
+    """Cosine and sine of joint i at its coordinate q into ``work``."""
+    angle = links[i].theta0 + q
+    work[i * _STRIDE + _COS] = math.cos(angle)
+    work[i * _STRIDE + _SIN] = math.sin(angle)
+
+
+@kernel
+def turn(links, q, work):
+    """Cosine and sine of every joint angle into ``work``, where the kernels called ``…_turned``
+    find the posture. They stay there: several questions about one posture take them once.
+    """
     for i in range(links.shape[0]):
-        angle = links[i].theta0 + q[i]
-        work[i * _STRIDE + _COS] = math.cos(angle)
-        work[i * _STRIDE + _SIN] = math.sin(angle)
+        turn_joint(links, i, q[i], work)
 
 
 @kernel
 def _newton_euler(links, gravity, qd, out, work):
-    """Torque at rest acceleration, after `_turn`: rates outward, then forces inward, all in joint
+    """Torque at rest acceleration, after `turn`: rates outward, then forces inward, all in joint
     frames.
     """
     n = links.shape[0]
@@ -184,7 +192,7 @@ def _sum_inward(links, qd, out, work):
 
 @kernel
 def _composite(links, work):
-    """Lower triangle of the mass matrix, row by row at the tail of ``work``, after `_turn`: links
+    """Lower triangle of the mass matrix, row by row at the tail of ``work``, after `turn`: links
     welded inward.
     """
     n = links.shape[0]
@@ -247,10 +255,16 @@ def bias(kind, links, gravity, q, qd, out, work):
 
     Recursive Newton–Euler; with the mass matrix D(q), ``D q̈ + h + c + B q̇ = τ`` (thesis 2.2).
     """
+    turn(links, q, work)
+    bias_turned(kind, links, gravity, qd, out, work)
+
+
+@kernel
+def bias_turned(kind, links, gravity, qd, out, work):
+    """`bias` in the posture of `turn`."""
     if kind == SLIDE:
         out[0] = links[0].mass * gravity[2] * links[0].sin_alpha + links[0].damping * qd[0]
         return
-    _turn(links, q, work)
     _newton_euler(links, gravity, qd, out, work)
 
 
@@ -259,10 +273,16 @@ def mass_matrix(kind, links, q, out, work):
     """Write D(q) into ``out`` (n, n), symmetric [kg·m²], or [kg] of a slide; composite rigid
     bodies.
     """
+    turn(links, q, work)
+    mass_matrix_turned(kind, links, out, work)
+
+
+@kernel
+def mass_matrix_turned(kind, links, out, work):
+    """`mass_matrix` in the posture of `turn`."""
     if kind == SLIDE:
         out[0, 0] = links[0].mass
         return
-    _turn(links, q, work)
     tail, n = _composite(links, work), links.shape[0]
     for i in range(n):
         for k in range(i + 1):
@@ -281,7 +301,7 @@ def forward(kind, links, gravity, q, qd, torque, qdd, work):
         qdd[0] = (torque[0] - links[0].damping * qd[0]) / m - gravity[2] * links[0].sin_alpha
         return
     n = links.shape[0]
-    _turn(links, q, work)
+    turn(links, q, work)
     rest = n * (_STRIDE + n)
     _newton_euler(links, gravity, qd, work[rest:], work)
     tail = _composite(links, work)
@@ -317,11 +337,17 @@ def gravity_torque(kind, links, gravity, q, out, work):
 
     ``c = ∂PE/∂q``: the moment of all that hangs outside of a joint, in that joint's frame.
     """
+    turn(links, q, work)
+    gravity_torque_turned(kind, links, gravity, out, work)
+
+
+@kernel
+def gravity_torque_turned(kind, links, gravity, out, work):
+    """`gravity_torque` in the posture of `turn`."""
     if kind == SLIDE:
         out[0] = links[0].mass * gravity[2] * links[0].sin_alpha
         return
     n = links.shape[0]
-    _turn(links, q, work)
     ux, uy, uz = _outward(work[_COS], work[_SIN], 1.0, 0.0, gravity[0], gravity[1], gravity[2])
     for i in range(n):
         b = i * _STRIDE
@@ -358,7 +384,7 @@ def energy(kind, links, gravity, q, qd, work):
         m = links[0].mass
         return 0.5 * m * qd[0] * qd[0], m * gravity[2] * q[0] * links[0].sin_alpha
     n = links.shape[0]
-    _turn(links, q, work)
+    turn(links, q, work)
     kinetic, potential, height = 0.0, 0.0, 0.0
     wx, wy, wz, vx, vy, vz = 0.0, 0.0, qd[0], 0.0, 0.0, 0.0
     ux, uy, uz = _outward(work[_COS], work[_SIN], 1.0, 0.0, gravity[0], gravity[1], gravity[2])

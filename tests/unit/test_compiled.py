@@ -50,7 +50,7 @@ def test_kernels_use_it_and_numba_keeps_its_own(where, monkeypatch):
     assert numba.config.CACHE_DIR == where
     folder = str(compiled._cache_folder())
     for function in (mine, integrate.run, integrate.advance):
-        assert function.stats.cache_path.startswith(folder)
+        assert function.outer.stats.cache_path.startswith(folder)
 
 
 def test_old_caches_stay_until_they_are_cleaned():
