@@ -386,12 +386,12 @@ _LOST = ("failed", "refused", "late")
 def ends_of(target: Table) -> str:
     """What a target asks: ``at most 20 mm``."""
     unit = f" {pretty(target['unit'])}" if target["unit"] else ""
-    told = [
+    parts = [
         f"{word} {number(target[key])}{unit}"
         for key, word in (("at_most", "at most"), ("at_least", "at least"))
         if target.get(key) is not None
     ]
-    return " and ".join(told)
+    return " and ".join(parts)
 
 
 def _share_met(target: Table) -> Headline:

@@ -317,19 +317,19 @@ def _saturated(measures: Mapping[str, Any], rig: Rig, cylinder: str) -> list[str
     share, short = measures["limits"]["saturated"], measures["short"]
     if share == 0.0:
         return []
-    told = (
+    sentence = (
         f"the valves of '{cylinder}' were at their end in {100.0 * share:.2g} % of the ticks "
         "and gave less than the controller asked for"
     )
     if short is None:
-        return [told]
+        return [sentence]
     unit = rig.unit_of("v")
     reached, desired = (
         f"{from_si(short[name], unit, VOCABULARY['v']):.4g} {unit}"
         for name in ("reached", "desired")
     )
     return [
-        f"{told}; for {short['duration']:.2g} s from t = {short['start']:.3g} s on it went "
+        f"{sentence}; for {short['duration']:.2g} s from t = {short['start']:.3g} s on it went "
         f"{reached} where {desired} were desired: the motion asks for more than this machine has"
     ]
 
