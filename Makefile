@@ -17,7 +17,7 @@ test:                    ## all gates, side by side: what must hold before a cha
 	$(MAKE) -j3 format lint docs types tests
 
 tests: dev             ## the tests alone, in parallel
-	$(BIN)/python -m pytest -n $(CORES)
+	$(BIN)/python -m pytest -n $(CORES) --dist worksteal
 
 fuzz: dev                ## 100 000 inputs made wrong on purpose, and what became of them
 	$(BIN)/python tests/fuzz/fuzzer.py

@@ -154,17 +154,17 @@ def _map(path: Path) -> Inspection:
 
 def _cut_off(rig: Rig) -> list[str]:
     """A sentence for each node that the edges of a cylinder leave out: odd, but at times meant"""
-    told = []
+    sentences = []
     for cylinder in rig.cylinder:
         own = [*(edge for valve in cylinder.valve for edge in valve.edge), *cylinder.edge]
         joined = {end for edge in own for end in (edge.from_, edge.to)}
         for node in NODES:
             if node not in joined and (node != "tank" or cylinder.pump is None):
                 what = f"the {node} end" if node in ("head", "rod") else f"the {node}"
-                told.append(
+                sentences.append(
                     f"no metering edge of '{cylinder.name}' touches {what}: is one missing?"
                 )
-    return told
+    return sentences
 
 
 def _is_flowmeter(path: Path) -> bool:

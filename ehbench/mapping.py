@@ -104,7 +104,7 @@ def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Draft:
         _draw(picture, source, guesses)
     except OSError as error:
         raise InputError(f"cannot be written: {error.strerror}", file=out) from None
-    said = _told(path, source, guesses)
+    said = _overview(path, source, guesses)
     return Draft(out, picture, (*said, *_tried(path, out, guesses, rig)))
 
 
@@ -310,10 +310,10 @@ def _policy(source: Source, guesses: dict[str, Guess]) -> list[str]:
             counts[name] = bad
     if not counts:
         return []
-    told = ", ".join(f"{count} in {_remark(name)}" for name, count in counts.items())
+    places = ", ".join(f"{count} in {_remark(name)}" for name, count in counts.items())
     few = max(counts.values()) <= max(_FEW * size, 1)
     key = 'bad_samples = "leave out"' if few else '# bad_samples = "leave out"'
-    return [f"{key}     # blank, or no number: {told}"]
+    return [f"{key}     # blank, or no number: {places}"]
 
 
 def _line(name: str, guess: Guess, column: Column) -> str:
@@ -355,7 +355,7 @@ def _remark(text: str) -> str:
 # -------------------------------------------------------------------------------------------------
 
 
-def _told(path: Path, source: Source, guesses: dict[str, Guess]) -> list[str]:
+def _overview(path: Path, source: Source, guesses: dict[str, Guess]) -> list[str]:
     """What was found, a line a column."""
     names, found = source.names(), source.dialect
     lines = [f"{path.name}: {reader_of(path).name}"]
@@ -441,10 +441,10 @@ def _draw(picture: Path, source: Source, guesses: dict[str, Guess]) -> None:
             good = np.isfinite(t)
             ax.plot(*thin(t[good], column.values[good]))
             guess = guesses[name]
-            told = f" → {guess.channel}{'' if guess.sure else ' ?'}" if guess.channel else ""
-            told += " (red: no number)" if _bad(column) else ""
+            label = f" → {guess.channel}{'' if guess.sure else ' ?'}" if guess.channel else ""
+            label += " (red: no number)" if _bad(column) else ""
             unit = column.known_unit or column.unit
-            ax.set_title(_remark(name) + told, color="black" if guess.sure else MUTED)
+            ax.set_title(_remark(name) + label, color="black" if guess.sure else MUTED)
             ax.set_ylabel(unit or "–")
             ax.set_xlabel(across)
             for at in _bad(column):

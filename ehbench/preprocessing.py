@@ -63,12 +63,12 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[s
         if not np.isfinite(values).all():
             when = record.t[int(np.argmin(np.isfinite(values)))]
             raise InputError(f"{name}: channel '{channel}' is not a number at t = {when:g} s")
-    told = list(_foreign(name, record, model.rig))
+    notes = list(_foreign(name, record, model.rig))
     _sample_time(name, record, model.rig)
     record, jitter = evened(name, record)
-    told += jitter
+    notes += jitter
     if model.rig.payload and not record.meta.get("payload"):
-        told.append(
+        notes.append(
             "the log names no payload: taken as unloaded (the rig has "
             f"{', '.join(model.rig.payload)})"
         )
@@ -76,7 +76,7 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[s
     rest = model.rest_samples(model.commands_of(record))
     begun = _begun(record, model.rig, rest)
     _pressures(name, record, model, rest, still=not begun)
-    return record, (*told, *begun, *_stuck(record, model.rig), *_apart(record, model))
+    return record, (*notes, *begun, *_stuck(record, model.rig), *_apart(record, model))
 
 
 def evened(name: str, record: Record) -> tuple[Record, list[str]]:
@@ -153,27 +153,27 @@ def _foreign(name: str, record: Record, rig: Rig) -> list[str]:
         if head and head not in known:
             owner = head.partition(".")[0]
             odd.setdefault(head if owner in cylinders else owner, []).append(channel)
-    told = []
+    sentences = []
     for owner, channels in odd.items():
         near = get_close_matches(owner, valves if "." in owner else cylinders, 1)
         what = (
             "a valve" if all(channel.endswith(".command") for channel in channels) else "a cylinder"
         )
         some = ", ".join(f"'{channel}'" for channel in channels[:3]) + ", …" * (len(channels) > 3)
-        told.append(
+        sentences.append(
             f"the log has {some}, {what} that rig '{rig.name}' does not have"
             + (f"; nearest is '{near[0]}'" if near else "")
         )
     if not any(channel.partition(".")[0] in cylinders for channel in record.channels):
         raise InputError(
             f"{name}: no channel is of a cylinder of rig '{rig.name}'"
-            + (f": {told[0]}" if told else ""),
+            + (f": {sentences[0]}" if sentences else ""),
             hint="it has "
             + ", ".join(c.name for c in rig.cylinder)
             + "; the log has "
             + ", ".join(record.channels),
         )
-    return told
+    return sentences
 
 
 def _sample_time(name: str, record: Record, rig: Rig) -> None:
@@ -448,12 +448,12 @@ def on_at_first(record: Record, rig: Rig, rest: int) -> dict[str, float]:
 
 def _begun(record: Record, rig: Rig, rest: int) -> list[str]:
     """Warnings of what is already on, or already moves, at the first sample."""
-    told = [
+    sentences = [
         f"{channel} is already on at the first sample ({first:g} V): the start is taken from the "
         "first samples"
         for channel, first in on_at_first(record, rig, rest).items()
     ]
-    return told + [
+    return sentences + [
         f"{cylinder} already moves at the first sample: the start is taken from the first samples"
         for cylinder in moving_at_first(record, rig, rest)
     ]

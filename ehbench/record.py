@@ -118,15 +118,15 @@ def payloads_of(record: Record) -> list[tuple[float, str | None]]:
     Raises:
         LogError: the log's facts are damaged.
     """
-    told = [(-math.inf, record.meta.get("payload", "none"))]
+    steps = [(-math.inf, record.meta.get("payload", "none"))]
     try:
         changes = json.loads(record.meta.get("payload_change", "[]"))
-        told += [(float(at), str(name)) for at, name in changes]
+        steps += [(float(at), str(name)) for at, name in changes]
     except (ValueError, TypeError):
         raise LogError("the log does not say when its payload changed") from None
     first, last = float(record.t[0]), float(record.t[-1])
     found: list[tuple[float, str | None]] = []
-    for at, name in told:
+    for at, name in steps:
         if at <= first:
             found.clear()
         if at <= last:

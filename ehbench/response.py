@@ -155,8 +155,8 @@ def prepare_signals(
     warnings, pairs, rates = [], [], []
     for name, record in logs:
         x, y = (record[channel] for channel in names)
-        record, told = evened(name, Record(record.t, dict(zip(names, (x, y), strict=True))))
-        warnings += [f"{name}: {text}" for text in told]
+        record, notes = evened(name, Record(record.t, dict(zip(names, (x, y), strict=True))))
+        warnings += [f"{name}: {text}" for text in notes]
         pairs.append((record[names[0]], record[names[1]]))
         rates.append(float(f"{1.0 / record.sample_time:.9g}"))
     if max(rates) > (1.0 + EVEN) * min(rates):
@@ -332,16 +332,16 @@ def _delay(
     correlated = _neighbours(signals, at)
     variance = (inverse @ weighted.T @ correlated @ weighted @ inverse)[1, 1]
     crooked = math.sqrt(float(residual @ residual) / (at.size - 2))
-    told = []
+    warnings = []
     if crooked > CROOKED:
-        told.append(
+        warnings.append(
             f"the phase is no straight line over {frequency[at[0]]:.4g} … {frequency[at[-1]]:.4g} "
             f"Hz (off by {crooked:.0f} times its error): the delay is its mean slope there, with "
             "the lag"
         )
     half = Z95 * math.sqrt(variance) * max(1.0, crooked)
     slope = float(solution[1])
-    return Estimate(slope, slope - half, slope + half), told
+    return Estimate(slope, slope - half, slope + half), warnings
 
 
 def _neighbours(signals: Signals, at: np.ndarray) -> np.ndarray:
@@ -387,19 +387,19 @@ def _warnings(
     signals: Signals, frequency: np.ndarray, powered: np.ndarray, coherent: np.ndarray
 ) -> list[str]:
     """What is to be said of frequencies without power or coherence."""
-    told = []
+    warnings = []
     if not powered.all():
-        told.append(
+        warnings.append(
             f"the input has no power at {_ranges(frequency, ~powered)} "
             f"({_share(~powered)} frequencies): nothing is known there"
         )
     low = powered & ~coherent
     if low.any():
-        told.append(
+        warnings.append(
             f"coherence is below {signals.choice.coherence:g} at {_ranges(frequency, low)} "
             f"({_share(low)} frequencies): noise, another input or a law that is not linear"
         )
-    return told
+    return warnings
 
 
 def _share(marked: np.ndarray) -> str:

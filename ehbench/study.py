@@ -196,19 +196,19 @@ def fitted(case: Case) -> Outcome:
     except EhbenchError as error:
         return Outcome(case, kind.file, {}, {}, failure=str(error))
     seconds = time.process_time() - began
-    told = {name: fit[name].interval for name in truth}
-    holds = {name: low <= truth[name] <= high for name, (low, high) in _known(told)}
+    intervals = {name: fit[name].interval for name in truth}
+    holds = {name: low <= truth[name] <= high for name, (low, high) in _known(intervals)}
     width = {
         name: 0.5 * (high - low) / truth[name] if truth[name] else math.nan
-        for name, (low, high) in _known(told)
+        for name, (low, high) in _known(intervals)
     }
     return Outcome(case, kind.file, holds, width, seconds, fit.evaluations)
 
 
 def _known(
-    told: dict[str, tuple[float, float] | None],
+    intervals: dict[str, tuple[float, float] | None],
 ) -> Iterator[tuple[str, tuple[float, float]]]:
-    return ((name, ends) for name, ends in told.items() if ends is not None)
+    return ((name, ends) for name, ends in intervals.items() if ends is not None)
 
 
 def cases(rigs: int) -> list[Case]:

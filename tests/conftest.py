@@ -4,7 +4,14 @@ loaded.
 
 from __future__ import annotations
 
+import fcntl
+import importlib
 import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ.setdefault("MPLBACKEND", "agg")
@@ -13,9 +20,73 @@ from pathlib import Path  # noqa: E402
 
 import pytest  # noqa: E402
 
-from ehbench import starter, workflow  # noqa: E402
+from ehbench import cli, starter, workflow  # noqa: E402
+from ehbench.report.index import FigureIndex  # noqa: E402
 
 ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="session")
+def made_once(tmp_path_factory) -> Callable[[str, Callable[[Path], object]], Path]:
+    """Gives the folder of a name, filled by the first of the parallel workers that asks for it. It
+    is for all: what changes files works on a copy.
+    """
+    root = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        root = root.parent
+
+    def made(name: str, fill: Callable[[Path], object]) -> Path:
+        folder, part = root / name, root / f"{name}.part"
+        with (root / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not folder.exists():
+                shutil.rmtree(part, ignore_errors=True)
+                part.mkdir()
+                fill(part)
+                part.rename(folder)
+        return folder
+
+    return made
+
+
+@pytest.fixture(scope="session")
+def slide_runs(made_once) -> Path:
+    """The runs of the slide's campaign: a fit, its validation, their report."""
+    recipe = ROOT / "recipes" / "slide_servo" / "campaign.toml"
+    return made_once("slide", lambda root: workflow.run(recipe, workflow.Session(root=root)))
+
+
+@pytest.fixture
+def undrawn(monkeypatch) -> None:
+    """Runs leave an empty index in place of figures, for tests that look at none: to draw takes
+    most of a short run.
+    """
+
+    def draw(folder: Path) -> None:
+        (folder / "figures").mkdir(exist_ok=True)
+        FigureIndex(folder).save()
+
+    # by its full name: the package has a function of that name too
+    monkeypatch.setattr(importlib.import_module("ehbench.report"), "draw", draw)
+
+
+@pytest.fixture
+def inside(monkeypatch, capsys) -> Iterator[Callable[..., subprocess.CompletedProcess]]:
+    """Runs the command by its entry point without a process of its own, which costs seconds."""
+    for name, value in {"COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(sys, "excepthook", sys.excepthook)  # the door sets it, and the signal
+    before = signal.getsignal(signal.SIGTERM)
+
+    def run(*words: str | Path, cwd: Path = ROOT) -> subprocess.CompletedProcess:
+        monkeypatch.setattr(sys, "argv", ["ehbench", *map(str, words)])
+        monkeypatch.chdir(cwd)
+        with pytest.raises(SystemExit) as left:
+            cli.main()
+        return subprocess.CompletedProcess(words, left.value.code or 0, *capsys.readouterr())
+
+    yield run
+    signal.signal(signal.SIGTERM, before)
 
 
 @pytest.fixture(scope="session")

@@ -46,20 +46,20 @@ class Fault(NamedTuple):
         )
 
 
-def log_of(name: str, fault: Fault, kind: str, seed: int) -> Record:
+def log_of(name: str, fault: Fault, kind: str, seed: int, seconds: float = LONG) -> Record:
     """A log that a faulty machine records."""
-    t = np.arange(round(LONG * 1000.0) + 1) * 1e-3
+    t = np.arange(round(seconds * 1000.0) + 1) * 1e-3
     given = commands_of(name, kind, t, 0.8)
     got = {valve: fault.command(u, t) for valve, u in given.items()}
-    made = simulate(fault.machine, got, LONG, posture=DRIVES[name][2])
+    made = simulate(fault.machine, got, seconds, posture=DRIVES[name][2])
     told = {f"{valve}.command": u for valve, u in given.items()}
     return fault.sensors(noisy(replace(made, channels=made.channels | told), seed))
 
 
-def asked(name: str, rig: Rig, fault: Fault, seed: int) -> Structure:
+def asked(name: str, rig: Rig, fault: Fault, seed: int, seconds: float = LONG) -> Structure:
     """What the residuals say of a rig's model on logs of a faulty machine."""
     model = Model.of(rig)
-    logs = [log_of(name, fault, kind, seed + i) for i, kind in enumerate(KINDS)]
+    logs = [log_of(name, fault, kind, seed + i, seconds) for i, kind in enumerate(KINDS)]
     return ask([Case(f"log{i}", log, model, commanded(model, log)) for i, log in enumerate(logs)])
 
 

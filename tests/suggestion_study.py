@@ -18,7 +18,7 @@ from ehbench.identification.suggestions import ROUNDS, Suggestions, suggest
 from ehbench.recipe import load_rig
 from ehbench.record import Record
 from ehbench.rig import Rig
-from tests.structure_study import ALSO, KINDS, Fault, faults, log_of
+from tests.structure_study import ALSO, KINDS, LONG, Fault, faults, log_of
 from tests.virtual_logs import DRIVES, RIGS
 
 # what goes by another name here; bulk modulus and damping are parameters of the recipe itself
@@ -34,14 +34,17 @@ def suggested(
     kinds: Sequence[str] = KINDS,
     seconds: float = 90.0,
     rounds: int = ROUNDS,
+    length: float = LONG,
 ) -> Suggestions:
-    """What is suggested for a recipe of bulk modulus and damping on logs of a faulty machine."""
+    """What is suggested for a recipe of bulk modulus and damping on logs of a faulty machine, each
+    of a ``length`` [s].
+    """
     who = next(iter(DRIVES[name][0])).split(".")[0]
     joint = next(one.joint for one in rig.cylinder if one.name == who)
     wanted = ("bulk_modulus", f"{joint}.damping", f"{joint}.joint_damping")
     parameters = [one for one in wanted if one in rig.parameters()]
     logs = [
-        (f"log{i}", without_joints(log_of(name, fault, kind, seed + i)))
+        (f"log{i}", without_joints(log_of(name, fault, kind, seed + i, length)))
         for i, kind in enumerate(kinds)
     ]
     return suggest(prepare_fit(rig, logs, parameters), logs, seconds=seconds, rounds=rounds)

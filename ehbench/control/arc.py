@@ -44,7 +44,7 @@ from ehbench.control.functions import (
     SUPPLY_ROD,
     path_drop,
     select,
-    steady_wish,
+    steady_reference,
     widest,
 )
 from ehbench.control.law import Law
@@ -86,7 +86,7 @@ STATE = record(
     ("set_point", "f8"),
     ("slow_load", "f8"),
     ("slow_error", "f8"),
-    ("slow_wish", "f8"),
+    ("slow_reference", "f8"),
     ("rested", "f8"),
     ("slow_wanted", "f8"),
     ("learning", "i8"),
@@ -578,8 +578,10 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     # where the reference rests, what swings is left to calm down, and the error is led back at
     # little more than the speed that it alone asks for
     spool = axis.spool[state.function] == 1
-    state.slow_wish = wish = steady_wish(reference.v, state.slow_wish, tick, gains.rules)
-    still = abs(wish) <= speed_start
+    state.slow_reference = steady = steady_reference(
+        reference.v, state.slow_reference, tick, gains.rules
+    )
+    still = abs(steady) <= speed_start
     near = max(gains.speed_nudge, 4.0 * k1 * gains.stroke_resolution)
     quiet = still and min(abs(k1 * z1), abs(state.v)) <= near
     state.rested = state.rested + tick if quiet else 0.0
@@ -589,14 +591,14 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     resolution = gains.stroke_resolution
     blind = max(resolution - speed_start / k1, 0.3 * resolution)
     error = state.slow_error - clip(state.slow_error, -blind, blind)
-    toward = wish - clip(k1 * error, -gains.speed_correction, gains.speed_correction)
+    toward = steady - clip(k1 * error, -gains.speed_correction, gains.speed_correction)
     led = 2.0 * abs(toward) + gains.speed_nudge
     state.slow_wanted -= math.expm1(-gains.force_bandwidth * tick) * (
         spool_speed - state.slow_wanted
     )
     if spool and not resting:
         toward = spool_speed
-    elif not resting and abs(wish) <= abs(k1 * z1) + near:
+    elif not resting and abs(steady) <= abs(k1 * z1) + near:
         if toward * state.slow_wanted < 0.0 and abs(state.slow_wanted) > abs(toward) + BACK * near:
             toward = state.slow_wanted
     if still and not spool:
@@ -818,7 +820,7 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
     """
     circuit, state = axis.circuit, memory.state
     number = circuit.cylinder
-    wish, p = reference_of(reference), pressures(sample, number)
+    desired, p = reference_of(reference), pressures(sample, number)
     q, x, v = sample[entry(number, OF.q)], sample[entry(number, OF.x)], sample[entry(number, OF.v)]
     measured = load_force(p, circuit.area_head, circuit.area_rod)
     place_joints(sample, axis, memory.angles)
@@ -833,20 +835,20 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
         x, v = observe(x, v, gains, state)
     load, ahead = loads_along(sample, reference, q, v, load, own, axis, memory)
 
-    stroke = track_stroke(wish, x, v, gains)
-    force = track_force(wish, v, measured, load, stroke, axis, gains, state.estimates)
+    stroke = track_stroke(desired, x, v, gains)
+    force = track_force(desired, v, measured, load, stroke, axis, gains, state.estimates)
     oil = oil_at(x, p, load, axis, gains, state.estimates)
     learning = state.learning if gains.adapt > 0.0 and not starting else FROZEN
     weight = state.estimates[INVERSE_INERTIA] / (load.mass * oil.coupling)
     mixed = stroke.z2 - weight * force.slope * force.z3
     adapt_mechanics(learning, mixed, force, gains, memory)
-    rate = load_rate(wish, load, ahead, stroke, force, v, axis, memory)
-    wanted = feed_forward(wish, v, oil, circuit, gains)
+    rate = load_rate(desired, load, ahead, stroke, force, v, axis, memory)
+    wanted = feed_forward(desired, v, oil, circuit, gains)
     wanted += track_flow(rate, learning, weight, stroke, force, oil, gains, memory)
 
     spool_speed = wanted / (oil.head * circuit.area_head + oil.rod * circuit.area_rod)
-    choice = choose(wish, stroke.z1, measured, spool_speed, p, axis, gains, state)
-    flows = share_flows(choice, wish, wanted, oil, p, circuit, gains, state)
+    choice = choose(desired, stroke.z1, measured, spool_speed, p, axis, gains, state)
+    flows = share_flows(choice, desired, wanted, oil, p, circuit, gains, state)
     edges = COLUMNS + circuit.count
     edge_flows, edge_limits = telemetry[COLUMNS:edges], telemetry[edges : edges + circuit.count]
     limits = allocate(
@@ -857,7 +859,7 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
     state.learning = learns_next(choice, limits, edge_limits, circuit)
     learn(learning, starting, force, gains, memory)
     weigh(starting, force, load, tip / own, v, axis, gains, state)
-    tell(wish, stroke, force, choice, flows, limits, memory, telemetry)
+    tell(desired, stroke, force, choice, flows, limits, memory, telemetry)
     mend_maps(choice, Seen(v, p, oil), command, axis, gains, memory, telemetry)
 
 

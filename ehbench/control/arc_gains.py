@@ -320,8 +320,8 @@ def _learning(
     given, places = known
     coupling = given.get("coupling_frequency") or 0.0
     k1, _, k3 = bandwidths.values()
-    each = [_told(place, bounds.span, bandwidths, coupling) for place in places]
-    told = each[0]
+    each = [_sensitivity(place, bounds.span, bandwidths, coupling) for place in places]
+    middle = each[0]
     width = (bounds.upper - bounds.lower)[:3]
     variance = (width * SHARES) ** 2
     # where along the stroke an error shows most, so that nowhere they learn faster than is said
@@ -333,13 +333,13 @@ def _learning(
     # 10 m/s³ times the reference mass stands for the force rates that tell the bulk modulus
     slow = 0.02 * gamma if unsure.adaptation_bulk is None else unsure.adaptation_bulk
     rate, per = (
-        np.array([*(one * variance / shown), bulk * k3 * (told.omega / 10.0) ** 2])
+        np.array([*(one * variance / shown), bulk * k3 * (middle.omega / 10.0) ** 2])
         for one, bulk in ((gamma, slow), (1.0, 1.0))
     )
-    return _Learning(rate, per, told.answer, float(np.abs(told.phi) @ width))
+    return _Learning(rate, per, middle.answer, float(np.abs(middle.phi) @ width))
 
 
-class _Told(NamedTuple):
+class _Sensitivity(NamedTuple):
     """How errors of the estimates show in quiet motion: the regressors ``phi`` at a middling
     payload, the loop's ``answer`` [s] to an error of acceleration, and the frequency ``omega``
     [rad/s] of the coupling.
@@ -359,7 +359,9 @@ def _regressors(load: Load, span: float) -> np.ndarray:
     )
 
 
-def _told(place: _Place, span: float, bandwidths: Mapping[str, float], coupling: float) -> _Told:
+def _sensitivity(
+    place: _Place, span: float, bandwidths: Mapping[str, float], coupling: float
+) -> _Sensitivity:
     """In a posture: an acceleration error Δ shows as mixed = −answer·Δ, so that θ̂' = Γ φ
     mixed makes Δ' = −adaptation·Δ.
     """
@@ -369,7 +371,7 @@ def _told(place: _Place, span: float, bandwidths: Mapping[str, float], coupling:
     phi = _regressors(load, span)
     at_speed = (1.0 + (k1 + k2) / k3) / (k2 + omega**2 / k3)
     answer = max(at_speed + (k1 + k2) / omega**2 * (k2 * at_speed - 1.0), 0.2 * at_speed)
-    return _Told(phi, answer, omega)
+    return _Sensitivity(phi, answer, omega)
 
 
 def _along(axis: Axis) -> Iterator[Axis]:
@@ -427,8 +429,8 @@ def pack(site: Site, gains: Mapping[str, Any], rules: np.record, shaping: np.rec
     known = {name: v for name, v in gains.items() if name in GAIN_NAMES and name != "adapt"}
     unsure: dict[str, Any] = {name: v for name, v in gains.items() if name not in known}
     packed, per_bandwidth = pack_with_rates(site, rules, Adaptation(**unsure), known)
-    told = named_gains(packed, per_bandwidth) | {"guaranteed": guaranteed(site, packed)}
-    return Packed(packed, told)
+    named = named_gains(packed, per_bandwidth) | {"guaranteed": guaranteed(site, packed)}
+    return Packed(packed, named)
 
 
 def guaranteed(site: Site, packed: np.record) -> dict[str, float]:
@@ -442,8 +444,8 @@ def guaranteed(site: Site, packed: np.record) -> dict[str, float]:
     width = (packed.upper - packed.lower)[:3]
     span = float(packed.upper[1] - packed.lower[1])
     k1, k2, k3 = (float(packed[name]) for name in GAIN_NAMES[2:5])
-    told = _regressors(load, span)
-    unsure = float(np.abs(told) @ width)
+    phi = _regressors(load, span)
+    unsure = float(np.abs(phi) @ width)
     force = load.mass * (k1 + k2) * unsure
     omega = float(packed.coupling_frequency) or hydraulic_frequency(site.axis, load)
     whole = []

@@ -284,7 +284,7 @@ def pump_force(function, plan, circuit):
 
 @kernel
 def least_power(now, way, v_d, load_force, p, circuit, rules):
-    """The function of a direction that carries the wish with least pump power, HOLD for none.
+    """The function of a direction that carries the reference with least pump power, HOLD for none.
 
     The load may be along the motion or against it: what counts are the planned pressures. A
     function that is at work stays until another takes less by ``power_band`` of it."""
@@ -327,7 +327,7 @@ def ranked(now, way, v_d, load_force, p, circuit, rules):
 
 
 @kernel
-def steady_wish(v_d, slow, tick, rules):
+def steady_reference(v_d, slow, tick, rules):
     """The desired speed [m/s] by which motions begin, turn and end, after ``slow`` a tick ago.
 
     Above ``speed_sure``, and where no speed at all is desired, it is ``v_d`` itself; between, what
@@ -350,7 +350,7 @@ def direction(now, v_d, rules):
 @kernel
 def select(now, age, v_d, load_force, p, circuit, rules):
     """(working function, status) for this tick, by the rule ``choice``: `ranked`, or `least_power`
-    where some function carries the wish, else ranked.
+    where some function carries the reference, else ranked.
 
     The direction is that of ``v_d`` with a dead zone (hold inside it); ranked, the load is along
     the motion where ``direction·load_force < 0``, with a band of hysteresis. A change of direction,
@@ -360,7 +360,7 @@ def select(now, age, v_d, load_force, p, circuit, rules):
     Args:
         now: the working function of the last tick.
         age: time since it was taken up [s].
-        v_d: desired speed [m/s], extension positive, of `steady_wish` where it may be noisy.
+        v_d: desired speed [m/s], extension positive, of `steady_reference` where it may be noisy.
         load_force: P_L = p_head A1 − p_rod A2 [N], measured or desired.
         p: `Pressures` [Pa].
         circuit: of the cylinder.
@@ -411,9 +411,9 @@ def pack_rules(
             begin; ``cross_drop``, planned drop Δp3 across the cross-port edge in the seventh [Pa],
             Ps/20; ``dwell``, least time between two changes in one direction of motion [s];
             ``speed_sure`` [m/s], five times ``speed_start``, and ``wish_corner`` [rad/s]: see
-            `steady_wish`; ``choice``, "ranked" or "least_power", with ``power_band``, the share by
-            which another function must take less than the one at work; ``allow_seventh``, True lets
-            the seventh function be chosen.
+            `steady_reference`; ``choice``, "ranked" or "least_power", with ``power_band``, the
+            share by which another function must take less than the one at work;
+            ``allow_seventh``, True lets the seventh function be chosen.
 
     Raises:
         InputError: an unknown rule, a number that is negative or not finite, or that ends a state

@@ -90,18 +90,18 @@ def begin(p, onset, gains, maps):
 
 
 @kernel
-def follow(quiet, told, command, axis, gains, maps):
+def follow(quiet, allocated, command, axis, gains, maps):
     """Let flows and slopes of the edges pass the valve's lag and the low-pass; whether they are
-    quiet for long enough to be compared. ``told`` are the desired flows, then the limits, of all
-    edges.
+    quiet for long enough to be compared. ``allocated`` are the desired flows, then the limits, of
+    all edges.
     """
     circuit, tick = axis.circuit, gains.tick
     late = tick / (tick + gains.valve_lead)
     slow = tick * CORNER * gains.position_bandwidth
     slow /= 1.0 + slow
     for i in range(circuit.count):
-        edge, flow, slope = circuit.edges[circuit.first + i], told[i], 0.0
-        bits = int(told[circuit.count + i])
+        edge, flow, slope = circuit.edges[circuit.first + i], allocated[i], 0.0
+        bits = int(allocated[circuit.count + i])
         if bits & (SATURATED | AGAINST | REVERSED | FAINT) != 0:
             quiet = False
         if bits & (AGAINST | REVERSED) != 0:
@@ -119,12 +119,12 @@ def follow(quiet, told, command, axis, gains, maps):
 
 
 @kernel
-def learn_maps(quiet, seen, told, command, axis, gains, maps):
-    """Move the corrections by what both chambers say has passed; ``told`` as in `follow`.
+def learn_maps(quiet, seen, allocated, command, axis, gains, maps):
+    """Move the corrections by what both chambers say has passed; ``allocated`` as in `follow`.
 
     Least squares whose gain is limited, so that no correction goes faster than ``map_bandwidth``,
     then held in the bounds ``map_error`` and ``deadband_error``."""
-    ready = follow(quiet, told, command, axis, gains, maps)
+    ready = follow(quiet, allocated, command, axis, gains, maps)
     v, p, oil = seen.v, seen.p, seen.oil
     corner = CORNER * gains.position_bandwidth
     slow = gains.tick * corner

@@ -50,12 +50,12 @@ COLUMNS = len(TELEMETRY)
 
 
 @kernel
-def lead_back(x, wish, gains, memory):
+def lead_back(x, desired, gains, memory):
     """The speed `Asked` for at stroke x; moves the integral one tick.
 
     The integral stands still while it is frozen, or where the correction is at its end and z would
     drive it farther."""
-    z = x - wish.x
+    z = x - desired.x
     most, k = gains.speed_correction, gains.position_bandwidth
     growth = -k * gains.integral_bandwidth * gains.flow.tick * z
     asked = -k * z + memory.integral + growth
@@ -64,7 +64,7 @@ def lead_back(x, wish, gains, memory):
     correction = memory.integral - k * z
     if abs(correction) > most:
         correction = math.copysign(most, correction)
-    return Asked(z, memory.integral, wish.v + correction)
+    return Asked(z, memory.integral, desired.v + correction)
 
 
 @kernel
@@ -81,14 +81,14 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
         command: out, [V], one per valve of the rig; only this cylinder's are written.
         telemetry: out, shape (COLUMNS + 2·edges of the cylinder,).
     """
-    circuit, wish = axis.circuit, reference_of(reference)
+    circuit, desired = axis.circuit, reference_of(reference)
     x, p = sample[entry(circuit.cylinder, OF.x)], pressures(sample, circuit.cylinder)
-    asked = lead_back(x, wish, gains, memory)
+    asked = lead_back(x, desired, gains, memory)
     moved = move(asked.v_asked, p, circuit, gains.flow, memory.flow, command, telemetry[COLUMNS:])
     memory.frozen = 1 if moved.function == HOLD or int(moved.limits) & SATURATED != 0 else 0
-    write(wish, telemetry)
-    write(asked, telemetry[len(wish) :])
-    write(moved, telemetry[len(wish) + len(asked) :])
+    write(desired, telemetry)
+    write(asked, telemetry[len(desired) :])
+    write(moved, telemetry[len(desired) + len(asked) :])
 
 
 def default_bandwidth(site: Site) -> float:

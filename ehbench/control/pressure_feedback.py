@@ -16,7 +16,7 @@ import numpy as np
 from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS, HOLD
 from ehbench.compiled import kernel, record
 from ehbench.control.axis import Axis
-from ehbench.control.functions import HEAD, METERED, ROD, RULES, Circuit, select, steady_wish
+from ehbench.control.functions import HEAD, METERED, ROD, RULES, Circuit, select, steady_reference
 from ehbench.control.law import Law, Packed, Required, Site
 from ehbench.control.measured import load_force, pressure_entries, pressures, write
 from ehbench.control.records import blank, numbers, reals
@@ -56,7 +56,7 @@ MEMORY = record(
     ("function", "i8"),
     ("age", "f8"),
     ("slow_load", "f8"),
-    ("slow_wish", "f8"),
+    ("slow_reference", "f8"),
     ("ends", END, (2,)),
     ("shaped", SHAPED),
 )
@@ -116,9 +116,11 @@ def choose(v_d, load, p, circuit, gains, memory):
     swing: the function is chosen by the load behind a low-pass."""
     slow = -math.expm1(-gains.load_corner * gains.tick) if gains.load_corner > 0.0 else 1.0
     memory.slow_load += slow * (load - memory.slow_load)
-    memory.slow_wish = wish = steady_wish(v_d, memory.slow_wish, gains.tick, gains.rules)
+    memory.slow_reference = steady = steady_reference(
+        v_d, memory.slow_reference, gains.tick, gains.rules
+    )
     function, status = select(
-        memory.function, memory.age, wish, memory.slow_load, p, circuit, gains.rules
+        memory.function, memory.age, steady, memory.slow_load, p, circuit, gains.rules
     )
     if function != memory.function:
         memory.age = 0.0
@@ -194,13 +196,13 @@ def step(t, sample, reference, circuit, gains, memory, command, telemetry):
         command: out, [V], one per valve of the rig; only this cylinder's are written.
         telemetry: out, shape (COLUMNS + 2·edges of the cylinder,).
     """
-    wish = reference_of(reference)
+    desired = reference_of(reference)
     p = pressures(sample, circuit.cylinder)
-    v_d = shape_speed(wish.v, gains.tick, gains.shaping, memory.shaped)
+    v_d = shape_speed(desired.v, gains.tick, gains.shaping, memory.shaped)
     moved = move(v_d, p, circuit, gains, memory, command, telemetry[COLUMNS:])
-    write(wish, telemetry)
-    telemetry[len(wish)] = v_d
-    write(moved, telemetry[len(wish) + 1 :])
+    write(desired, telemetry)
+    telemetry[len(desired)] = v_d
+    write(moved, telemetry[len(desired) + 1 :])
 
 
 @kernel

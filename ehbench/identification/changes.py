@@ -106,9 +106,9 @@ def merged(sensors: Sequence[Sensor], more: Sequence[Sensor]) -> tuple[Sensor, .
     """Sensors with what others say of them, one table a channel."""
     found = {one.channel: one for one in sensors}
     for one in more:
-        told = {key: getattr(one, key) for key in one.model_fields_set}
+        given = {key: getattr(one, key) for key in one.model_fields_set}
         old = found.get(one.channel)
-        found[one.channel] = one if old is None else old.model_copy(update=told)
+        found[one.channel] = one if old is None else old.model_copy(update=given)
     return tuple(found.values())
 
 

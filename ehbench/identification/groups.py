@@ -62,7 +62,7 @@ def groups_of(
         power[leaders] = -np.linalg.solve(
             covariance[np.ix_(leaders, leaders)], covariance[leaders, i]
         )
-        power = _told(power, covariance)
+        power = _rounded(power, covariance)
         std = _std(power, covariance)
         if np.count_nonzero(power) > 1 and std < _MUCH_BETTER * _least(power, covariance):
             groups.append(_group(names, values, power, covariance))
@@ -104,7 +104,7 @@ def _leaders(covariance: np.ndarray) -> list[int]:
     return sorted(found)
 
 
-def _told(power: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+def _rounded(power: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Exponents in halves where the product stays much better known than its factors, else to two
     digits; whole ones where halves are left.
     """
@@ -145,10 +145,10 @@ def _text(powers: dict[str, float]) -> str:
 
 def sentence(groups: Sequence[Group]) -> str:
     """What people read: the products, and that the logs do not know each."""
-    told = " and ".join(f"{one.text} ({_percent(one.std)})" for one in groups)
+    known = " and ".join(f"{one.text} ({_percent(one.std)})" for one in groups)
     alone = {name: std for one in groups for name, std in one.alone.items()}
     each = ", ".join(f"{name} {_percent(std)}" for name, std in alone.items())
-    return f"the logs know {told}, and not each so well: {each}"
+    return f"the logs know {known}, and not each so well: {each}"
 
 
 def _percent(std: float) -> str:

@@ -17,7 +17,7 @@ from ehbench.identification.results import (
     Match,
     Progress,
     finish,
-    untold,
+    not_excited,
 )
 from ehbench.identification.search import LEVEL, VAGUE, Coordinate
 from ehbench.identification.simulator import Log, Simulator
@@ -302,7 +302,7 @@ class Matching:
             )
         fitted = []
         for i, c in enumerate(self.search):
-            one = untold(c, 0)
+            one = not_excited(c, 0)
             if stand is not None and i in self.live:
                 std, quantile, count = found[i]
                 real, ends = c.spread(self.theta[i], std, quantile)

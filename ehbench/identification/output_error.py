@@ -25,7 +25,7 @@ from ehbench.identification.results import (
     Progress,
     SensorFit,
     finish,
-    untold,
+    not_excited,
 )
 from ehbench.identification.search import VAGUE, Coordinate, of_sensors
 from ehbench.identification.simulator import Log, Meshes, Shifts, Simulator
@@ -971,7 +971,7 @@ class OutputError:
         samples = sum(int(log.counts.any(axis=1).sum()) for log in self.simulator.logs)
         fitted = []
         for i, c in enumerate(self.search[: self.asked]):
-            one, error = untold(c, samples), found.by_index.get(i)
+            one, error = not_excited(c, samples), found.by_index.get(i)
             if error is not None and error.kind != "not_excited":
                 std, ends = c.spread(self.theta[i], error.std, error.quantile)
                 one = replace(

@@ -187,7 +187,7 @@ class Estimate:
     groups: Sequence[Group] = ()
 
 
-def untold(c: Coordinate, samples: int) -> FittedParameter:
+def not_excited(c: Coordinate, samples: int) -> FittedParameter:
     """A parameter that the logs do not tell: it stays at its start."""
     return FittedParameter(
         name=c.name,

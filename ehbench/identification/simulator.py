@@ -185,8 +185,10 @@ def _columns(record: Record, live: Sequence[str], wanted: Sequence[str]) -> dict
         for channel in [word] if "." in word else [f"{cylinder}.{word}" for cylinder in live]:
             names = alternatives(channel)
             found = {name: column(record, name, record) for name in names}
-            told = [name for name in names if found[name] is not None]
-            choice = next((name for name in told if name in record), told[0] if told else channel)
+            present = [name for name in names if found[name] is not None]
+            choice = next(
+                (name for name in present if name in record), present[0] if present else channel
+            )
             values = found.get(choice)
             if values is not None and np.ptp(values) > 0.0:
                 columns.setdefault(choice, values)

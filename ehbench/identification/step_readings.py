@@ -124,12 +124,12 @@ def _stretches(model: Model, index: int, record: Record, settle: float) -> Itera
     """Where the commands of a cylinder's valves stand, after they have settled."""
     cylinder = model.rig.cylinder[index]
     least = {f"{cylinder.name}.{v.name}.command": least_change(v) for v in cylinder.valve}
-    told = [channel for channel in least if channel in record]
-    if not told:
+    present = [channel for channel in least if channel in record]
+    if not present:
         return
-    table = np.column_stack([record[channel] for channel in told])
+    table = np.column_stack([record[channel] for channel in present])
     skip = round(settle / record.sample_time)
-    for window in transients(record.t, table, least=np.array([least[one] for one in told])):
+    for window in transients(record.t, table, least=np.array([least[one] for one in present])):
         yield slice(window.start + skip, window.stop)
 
 

@@ -114,25 +114,25 @@ class Suggestions:
 
     def lines(self, most: int = SHOWN) -> list[str]:
         """The table as people read it, what to write below its first row."""
-        told = ["what windows left out show, mean square relative to the recipe as it is:", ""]
-        told.append(f"{'left out':>16}  {'numbers':>7}  what")
+        table = ["what windows left out show, mean square relative to the recipe as it is:", ""]
+        table.append(f"{'left out':>16}  {'numbers':>7}  what")
         for row in self.rows[:most]:
             mark = "*" if row.not_worse else " "
             off = f" ± {100.0 * row.std:.2g}" if row.std else ""
             size = f"{100.0 * row.misfit:.3g}{off} %"
-            told.append(f"{mark}{size:>15}  {row.freedom:>7}  {row.words}")
+            table.append(f"{mark}{size:>15}  {row.freedom:>7}  {row.words}")
             if row is self.rows[0]:
-                told += [f"{'':>27}recipe  {line}" for line in row.recipe_lines]
-                told += [f"{'':>27}rig     {line}" for line in row.rig_lines]
-        told.append("")
-        told.append("* not worse than the best; the simplest of these first")
+                table += [f"{'':>27}recipe  {line}" for line in row.recipe_lines]
+                table += [f"{'':>27}rig     {line}" for line in row.rig_lines]
+        table.append("")
+        table.append("* not worse than the best; the simplest of these first")
         if len(self.rows) > most:
-            told.append(f"{len(self.rows) - most} more rows: --json")
+            table.append(f"{len(self.rows) - most} more rows: --json")
         if len(self.rows) == 1:
-            told.append("the recipe's own fit leaves nothing but noise: nothing else was tried")
+            table.append("the recipe's own fit leaves nothing but noise: nothing else was tried")
         if self.untried:
-            told.append("no time for " + ", ".join(self.untried) + "; --seconds gives more")
-        return told
+            table.append("no time for " + ", ".join(self.untried) + "; --seconds gives more")
+        return table
 
 
 def suggest(
@@ -252,14 +252,14 @@ class _Trials:
         """What may be tried on top of a fit."""
         records, setup = [record for _, record in self.records], now.setup
         given = (self.live, self.channels, records, setup.parameters, setup.options.upper)
-        told = {(one.channel, w) for one in setup.options.sensors for w in WORDS if one[w]}
+        estimated = {(one.channel, w) for one in setup.options.sensors for w in WORDS if one[w]}
         used = {one.name for one in setup.changes}
         astray = any(size > self.spread[c] ** 2 for c, size in self._levels(now).items())
         return [
             one
             for one in changes(setup.rig, *given)
             if one.name not in used
-            and not told & {(s.channel, w) for s in one.sensors for w in WORDS if s[w]}
+            and not estimated & {(s.channel, w) for s in one.sensors for w in WORDS if s[w]}
             and (one.kind != TURNED or astray)
         ]
 

@@ -231,9 +231,9 @@ def ledger_of_log(
         sources = {name: float(abs(effect[-1])) for name, effect in effects.items()}
         sources = dict(sorted(sources.items(), key=lambda item: -item[1]))
     every = np.arange(readings.t.size)
-    told = sheet.told(record, account.energies(model, readings, states, power, every), points)
-    told |= {"oil_drawn": oil_drawn(model, readings.t, flows)}
-    return sheet.ledger(model, record, said, base, std, sources=sources, notes=tuple(notes), **told)
+    rest = sheet.facts(record, account.energies(model, readings, states, power, every), points)
+    rest |= {"oil_drawn": oil_drawn(model, readings.t, flows)}
+    return sheet.ledger(model, record, said, base, std, sources=sources, notes=tuple(notes), **rest)
 
 
 def _effects(

@@ -108,9 +108,9 @@ def ledger_of_model(
     _same_flows(model, record, flows)
     stored = loads.stored(replace(model, plant=plant), t, states, sheet.stores)
     table = sheet.expand(np.concatenate([spent, stored], axis=1))
-    told = sheet.told(record, table, points) | {"oil_drawn": oil_drawn(model, t, flows)}
+    facts = sheet.facts(record, table, points) | {"oil_drawn": oil_drawn(model, t, flows)}
     return sheet.ledger(
-        model, record, payload_of(record), table[-1], None, notes=tuple(notes), **told
+        model, record, payload_of(record), table[-1], None, notes=tuple(notes), **facts
     )
 
 

@@ -125,7 +125,7 @@ class Sheet:
         source, duration = "model" if std is None else "log", float(record.t[-1] - record.t[0])
         return Ledger(source, model.rig.name, payload or "none", duration, tuple(rows), **rest)
 
-    def told(self, record: Record, table: np.ndarray, points: int) -> dict[str, Any]:
+    def facts(self, record: Record, table: np.ndarray, points: int) -> dict[str, Any]:
         """What a ledger holds of energies cumulated to every sample, shape (samples, rows): by
         working function, and, if asked for, at about ``points`` times; rows that stay zero are left
         out."""
@@ -185,8 +185,8 @@ def _power_rows(model: Model) -> list[Named]:
             rows.append((f"{name}.throttling", "valve", f"{shown}, {joins}", _owner(name)))
     for name in names.cylinders:
         rows += [
-            (f"{name}.{key}", *told, name)
-            for key, told in zip(CylinderPowers._fields, CYLINDER_ROWS, strict=True)
+            (f"{name}.{key}", *labels, name)
+            for key, labels in zip(CylinderPowers._fields, CYLINDER_ROWS, strict=True)
         ]
     driven = {int(j): names.cylinders[i] for i, j in enumerate(model.plant.cylinders.joint)}
     label = "slide damping" if model.rig.mechanism.kind == "slide" else "joint damping"

@@ -262,7 +262,7 @@ def _clean(
         gone |= bad & ~bridged & inside
         for some, what in ((at[bridged[at]], "bridged"), (at[~bridged[at]], "left out")):
             if some.size:
-                losses.append(_told(channel, group, t, some, what))
+                losses.append(_left_out(channel, group, t, some, what))
     if gone.any():
         keep = ~gone
         group.t = group.t[keep]
@@ -301,7 +301,7 @@ def _short(bad: np.ndarray) -> np.ndarray:
     return found
 
 
-def _told(channel: str, group: _Group, t: np.ndarray, at: np.ndarray, what: str) -> str:
+def _left_out(channel: str, group: _Group, t: np.ndarray, at: np.ndarray, what: str) -> str:
     """A sentence on samples that are left out."""
     if what == "bridged":
         how = "the last is held" if channel.endswith(".command") else "bridged by a straight line"

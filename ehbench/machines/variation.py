@@ -117,14 +117,14 @@ def _bench(
     }
     own, bench = VirtualMachine.of(recipe, rig, maps).rig, BenchRecipe(stage="bench", rig="")
     if recipe.bench is not None:
-        told = load_recipe(recipe.file(recipe.bench))
-        assert isinstance(told, BenchRecipe)
-        bench = told
+        loaded = load_recipe(recipe.file(recipe.bench))
+        assert isinstance(loaded, BenchRecipe)
+        bench = loaded
     # what a bench draws by the rig's numbers stays: these are changed where they act
     slower = change.model_copy(
         update={"friction": 1.0, "flow": 1.0, "deadband": Value(0.0), "supply_pressure": 1.0}
     )
-    machine = VirtualMachine(_varied_rig(own, slower), _told(bench, slower, own), **given)
+    machine = VirtualMachine(_varied_rig(own, slower), _bench_with(bench, slower, own), **given)
     plant = machine.bench
     for name in FRICTION:
         plant.cylinders[name] *= change.friction
@@ -140,7 +140,7 @@ def _bench(
     return machine
 
 
-def _told(bench: BenchRecipe, change: MachineChange, rig: Rig) -> BenchRecipe:
+def _bench_with(bench: BenchRecipe, change: MachineChange, rig: Rig) -> BenchRecipe:
     """A bench file after a change."""
     truth, powers = {}, _powers(rig)
     for name, text in bench.truth.items():

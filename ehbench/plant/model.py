@@ -213,10 +213,10 @@ class Model:
         y = self.posed(seen, command)
         for index, name in enumerate(self.layout.cylinders):
             head, rod = (self.layout.state(f"p_{side}", index) for side in SIDES)
-            told = [
+            measured = [
                 seen.get(f"{name}.p_{side}", seen.get(f"{name}.p_line_{side}")) for side in SIDES
             ]
-            y[head], y[rod] = starts.carry(self.plant.cylinders[index], (y[head], y[rod]), told)
+            y[head], y[rod] = starts.carry(self.plant.cylinders[index], (y[head], y[rod]), measured)
         starts.settle_parts(self.plant, y)
         for valve, name in zip(self.plant.valves, self.layout.valves, strict=True):
             if f"{name}.command" in record:

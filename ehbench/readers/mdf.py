@@ -32,7 +32,7 @@ def read(path: Path, dialect: Dialect) -> Source:
             losses += [f"not read: {one}" for one in unread]
             if table.columns:
                 tables.append(table)
-    return Source(_told_apart(tables), losses=tuple(losses))
+    return Source(_renamed(tables), losses=tuple(losses))
 
 
 def _group(file, index: int, name: str, began: float | None) -> tuple[Table, list[str]]:
@@ -56,7 +56,7 @@ def _group(file, index: int, name: str, began: float | None) -> tuple[Table, lis
     return Table(name, tuple(made), t if timed else None, began), unread
 
 
-def _told_apart(tables: list[Table]) -> tuple[Table, ...]:
+def _renamed(tables: list[Table]) -> tuple[Table, ...]:
     """The tables with names of their own."""
     names = numbered([table.name for table in tables])
     return tuple(

@@ -66,11 +66,11 @@ def ranged(
     """A median with the least and the largest of several runs, ``0.23 (0.2 to 0.31)``; alone
     where there are none.
     """
-    told = text_of(value)
+    text = text_of(value)
     if value is None or ends is None:
-        return told
+        return text
     low, high = (text_of(end) for end in ends)
-    return told if low == high == told else f"{told} ({low} to {high})"
+    return text if low == high == text else f"{text} ({low} to {high})"
 
 
 def range_in(row: Table, *path: str | int) -> Sequence[float] | None:
@@ -125,7 +125,7 @@ def error_of(rig: Rig, row: Table, which: str, key: str) -> str:
     if which == "tracking":
         return ranged(partial(stroke, rig, row), row[which][key], range_in(row, which, key))
 
-    def told(value: float | None) -> str:
+    def text(value: float | None) -> str:
         return number(None if value is None else float(shown(rig, "x", value)), 3)
 
-    return ranged(told, row[which][key], range_in(row, which, key))
+    return ranged(text, row[which][key], range_in(row, which, key))

@@ -71,7 +71,7 @@ def compare(first: Path, second: Path) -> Comparison:
     Raises:
         InputError: no run, or runs of different kinds.
     """
-    (one, told_one), (two, told_two) = found(first), found(second)
+    (one, found_one), (two, found_two) = found(first), found(second)
     if one.what != two.what or one.stage != two.stage:
         raise InputError(
             f"is a run of '{words(two.what or two.stage)}', the other of "
@@ -82,11 +82,11 @@ def compare(first: Path, second: Path) -> Comparison:
     shifts = list(_shifts(_parameters(one), _parameters(two)))
     changed = [shift for shift in shifts if shift.first != shift.second]
     changed.sort(key=lambda shift: -(math.inf if shift.intervals is None else shift.intervals))
-    told = one.what not in ("hydraulics", "flow_map")  # their numbers are the parameters
-    heads = [{n.label: n.value for n in findings_of(run).numbers if told} for run in (one, two)]
+    numbered = one.what not in ("hydraulics", "flow_map")  # their numbers are the parameters
+    heads = [{n.label: n.value for n in findings_of(run).numbers if numbered} for run in (one, two)]
     return Comparison(
         one.what or one.stage,
-        (told_one.status, told_two.status),
+        (found_one.status, found_two.status),
         tuple(_changes(_inputs(one), _inputs(two))),
         tuple(changed),
         len(shifts) - len(changed),
@@ -174,22 +174,22 @@ def lines(first: Path, second: Path, width: int = 100) -> list[str]:
     """
     said, rig = compare(first, second), _rig(first)
     before, after = (words(status) for status in said.verdicts)
-    told = [f"{words(said.stage)}: {before} in both" if before == after else f"{before} → {after}"]
+    out = [f"{words(said.stage)}: {before} in both" if before == after else f"{before} → {after}"]
     if said.inputs:
         rows = [[one.what, _short(one.first), _short(one.second)] for one in said.inputs]
-        told += ["", *table(Grid(["input", "first", "second"], rows), width=width)]
+        out += ["", *table(Grid(["input", "first", "second"], rows), width=width)]
     else:
-        told.append("the inputs are the same")
+        out.append("the inputs are the same")
     if said.parameters:
         head = ["parameter", "first", "second", "unit", "intervals apart"]
-        told += ["", "above 1 interval apart, the runs do not agree:"]
-        told += ["", *table(Grid(head, [_row(rig, one) for one in said.parameters]), width=width)]
+        out += ["", "above 1 interval apart, the runs do not agree:"]
+        out += ["", *table(Grid(head, [_row(rig, one) for one in said.parameters]), width=width)]
     if said.same:
-        told += ["", f"{said.same} parameters are the same"]
+        out += ["", f"{said.same} parameters are the same"]
     if said.numbers:
         rows = [[one.what, one.first or "–", one.second or "–"] for one in said.numbers]
-        told += ["", *table(Grid(["number", "first", "second"], rows), width=width)]
-    return told
+        out += ["", *table(Grid(["number", "first", "second"], rows), width=width)]
+    return out
 
 
 def _rig(folder: Path) -> Rig | None:

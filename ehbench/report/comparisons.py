@@ -55,7 +55,7 @@ def draw_comparisons(run: Saved, index: FigureIndex, log: str, kind: str, lead: 
 
 def lasting(series: Series, channels: Sequence[str]) -> list[str]:
     """A sentence for each channel whose simulation lies on one side of the recording for long."""
-    told = []
+    lasts = []
     for channel in channels:
         if channel not in series.recorded or channel not in series.simulated:
             continue
@@ -64,11 +64,11 @@ def lasting(series: Series, channels: Sequence[str]) -> list[str]:
         off = OFF * float(np.ptp(recorded[np.isfinite(recorded)], axis=0))
         longest = max(_longest(series.t, side * error > off) for side in (-1.0, 1.0))
         if off > 0.0 and longest >= LONG * float(series.t[-1] - series.t[0]):
-            told.append(
+            lasts.append(
                 f"{capital(title_of(channel).lower())}: off to one side by more than "
                 f"{percent(OFF)} of its range for {number(longest, 2)} s."
             )
-    return told
+    return lasts
 
 
 def _longest(t: np.ndarray, mask: np.ndarray) -> float:

@@ -251,8 +251,8 @@ def _eaters(rig: Rig, savings: Sequence[Saving]) -> str:
 def _less(shares: Sequence[float]) -> str:
     """``34.1 to 36.9 % less``; ``more`` where all are negative."""
     more = max(shares) < 0.0
-    told = span([100.0 * (-share if more else share) for share in shares])
-    return f"{told} % {'more' if more else 'less'}"
+    size = span([100.0 * (-share if more else share) for share in shares])
+    return f"{size} % {'more' if more else 'less'}"
 
 
 def _cause(name: str) -> str:
@@ -280,7 +280,7 @@ def went_caption(savings: Sequence[Saving], controller: str) -> str:
         (name for name in shares if name not in ("rest", "load", "store")),
         key=lambda name: -max(shares[name]),
     )
-    told = [
+    parts = [
         f"{_KINDS.get(name, f'throttling {name}')} {span(shares[name], 2)} %" for name in lost[:4]
     ]
     low = [
@@ -288,8 +288,8 @@ def went_caption(savings: Sequence[Saving], controller: str) -> str:
         for one, whole in zip(savings, given, strict=True)
     ]
     if max(low) > 0.0:
-        told.append(f"pressure left in the off-side chamber of resistive motion {span(low, 2)} %")
-    return f"{capital(words(controller))}: {', '.join(told)}."
+        parts.append(f"pressure left in the off-side chamber of resistive motion {span(low, 2)} %")
+    return f"{capital(words(controller))}: {', '.join(parts)}."
 
 
 def went(ledger: Table, cylinder: str) -> dict[str, float]:
@@ -338,8 +338,8 @@ def saving_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
     """Sentences and tables on the closed cycles of a set of trials; nothing where there are
     none.
     """
-    savings, told = savings_of(cases), open_caption(rig, cases)
-    left_out: list[Block] = [Text(told, "note")] if told else []
+    savings, caption = savings_of(cases), open_caption(rig, cases)
+    left_out: list[Block] = [Text(caption, "note")] if caption else []
     if not savings:
         return left_out
     names = list(dict.fromkeys(one.case.row["controller"] for one in savings))

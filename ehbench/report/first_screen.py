@@ -24,7 +24,7 @@ from ehbench.report.words import count, words
 
 MANY = 5  # numbers on the first screen
 MEASURED = (TRACKING, SAVED, STEPS)  # ranks of numbers that trials give
-TOLD = 4  # reasons and next steps on it
+SHOWN = 4  # reasons and next steps on it
 # what makes a chain whole, in its order, and how to go on where it ends
 _CHAIN = {
     "flow_map": "identify the hydraulics with these maps: ehbench identify",
@@ -62,9 +62,11 @@ def chapters(
     rows: list[list[Cell | str]] = []
     for place, (run, content, stage) in enumerate(zip(runs, contents, reports, strict=True), 1):
         numbers = findings_of(run).numbers[:2]
-        told = "; ".join(f"{one.label[:1].lower()}{one.label[1:]} {one.value}" for one in numbers)
+        results = "; ".join(
+            f"{one.label[:1].lower()}{one.label[1:]} {one.value}" for one in numbers
+        )
         link = Cell(run.title, link=f"#run-{place}")
-        rows.append([link, stage.label, chip(content.status), told or content.sentence])
+        rows.append([link, stage.label, chip(content.status), results or content.sentence])
     return Grid(["run", "stage", "status", "in short"], rows, look="stack")
 
 
@@ -135,7 +137,7 @@ def _verdict(
         blocks.append(Text(text, look))
     if doubts:
         blocks.append(Text("Against it, or open", "head"))
-        blocks.append(Bullets([sentence(one) for one in doubts[:TOLD]], "warn"))
+        blocks.append(Bullets([sentence(one) for one in doubts[:SHOWN]], "warn"))
     return blocks
 
 
@@ -169,7 +171,7 @@ def _next(
     runs: Sequence[Saved], contents: Sequence[SectionContent], found: Sequence[Findings]
 ) -> list[str]:
     """What the runs ask for, then the next link of the chain."""
-    steps = list(dict.fromkeys(step for one in found for step in one.next))[:TOLD]
+    steps = list(dict.fromkeys(step for one in found for step in one.next))[:SHOWN]
     kinds = {run.what for run in runs}
     on_machine = any(
         number.rank in MEASURED and not number.on_model for one in found for number in one.numbers

@@ -59,8 +59,8 @@ class Findings:
 
 def findings_of(run: Saved) -> Findings:
     """What a run gives to the first screen; nothing where its kind is not known."""
-    told = _TOLD.get(run.what)
-    return told(run) if told else Findings()
+    finder = _FINDERS.get(run.what)
+    return finder(run) if finder else Findings()
 
 
 def _flow_maps(run: Saved) -> Findings:
@@ -167,23 +167,23 @@ def silence(table: Table) -> str:
     all.
     """
     channels = [one for log in held_out(table) for one in log.get("channels", [])]
-    asked, told = judged(table), []
+    asked, parts = judged(table), []
     fits: dict[str, list[float]] = {}
     for one in channels:
         word = one["channel"].rpartition(".")[2]
         if one.get("fit_percent") is not None and word not in asked:
             fits.setdefault(word, []).append(one["fit_percent"])
-    told += [f"{title_of(word).lower()} (fit {span(fit, 2)} %)" for word, fit in fits.items()]
+    parts += [f"{title_of(word).lower()} (fit {span(fit, 2)} %)" for word, fit in fits.items()]
     limit = table.get("thresholds", {}).get("outside_percent")
     for key, text in _TESTS.items():
         tested = [shares for one in channels if (shares := _outside(one, key))]
         beyond = sum(max(shares) > limit for shares in tested) if limit is not None else 0
         if beyond and not table.get("thresholds", {}).get(key):
-            told.append(
+            parts.append(
                 f"{text} (outside of their band at more than {number(limit, 3)} % of the lags "
                 f"in {beyond} of {count(len(tested), 'channel')})"
             )
-    return f"The verdict does not go by {'; '.join(told)}." if told else ""
+    return f"The verdict does not go by {'; '.join(parts)}." if parts else ""
 
 
 _TESTS = {
@@ -386,12 +386,12 @@ _LOST = ("failed", "refused", "late")
 def ends_of(target: Table) -> str:
     """What a target asks: ``at most 20 mm``."""
     unit = f" {pretty(target['unit'])}" if target["unit"] else ""
-    told = [
+    parts = [
         f"{word} {number(target[key])}{unit}"
         for key, word in (("at_most", "at most"), ("at_least", "at least"))
         if target.get(key) is not None
     ]
-    return " and ".join(told)
+    return " and ".join(parts)
 
 
 def _share_met(target: Table) -> Headline:
@@ -418,7 +418,7 @@ def _spread(one: Table) -> Headline:
     )
 
 
-_TOLD: dict[str, Callable[[Saved], Findings]] = {
+_FINDERS: dict[str, Callable[[Saved], Findings]] = {
     "flow_map": _flow_maps,
     "hydraulics": _hydraulics,
     "response": _response,

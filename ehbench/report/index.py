@@ -44,8 +44,8 @@ class FigureKey:
 
     def takes(self, other: FigureKey) -> bool:
         """Whether a figure answers this question."""
-        told = other.as_json()
-        return all(told.get(name) == value for name, value in self.as_json().items())
+        offered = other.as_json()
+        return all(offered.get(name) == value for name, value in self.as_json().items())
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,8 @@ def rest_caption(rig: Rig, cases: Sequence[Case], records: Sequence[Record]) -> 
     there is nothing to tell.
     """
     known = [(case, record) for case, record in zip(cases, records, strict=True) if case.fit]
-    told = (_swings(rig, known), _hunting(known), _restless(rig, known))
-    return "".join(f" {text}" for text in told if text)
+    sentences = (_swings(rig, known), _hunting(known), _restless(rig, known))
+    return "".join(f" {text}" for text in sentences if text)
 
 
 def swing_after(case: Case, record: Record) -> tuple[float, float] | None:
@@ -85,7 +85,7 @@ def _commands(case: Case, record: Record) -> list[str]:
 
 def _hunting(known: Known) -> str:
     """How often the working function changes while the desired speed is zero."""
-    told: dict[str, int] = {}
+    often: dict[str, int] = {}
     for case, record in known:
         names = f"{case.cylinder}.function", f"{case.cylinder}.v_desired"
         if any(name not in record for name in names):
@@ -93,10 +93,10 @@ def _hunting(known: Known) -> str:
         function, rest = record[names[0]].round(), record[names[1]] == 0.0
         changes = int(np.sum((np.diff(function) != 0.0) & rest[1:] & rest[:-1]))
         if changes >= OFTEN:
-            told[words(case.row["controller"])] = changes
-    if not told:
+            often[words(case.row["controller"])] = changes
+    if not often:
         return ""
-    each = ", ".join(f"{changes} times ({name})" for name, changes in told.items())
+    each = ", ".join(f"{changes} times ({name})" for name, changes in often.items())
     return (
         f"While no speed is asked, the working function changes {each}: "
         "it holds, and corrects the stroke in between."

@@ -46,15 +46,15 @@ def lines(folder: Path, width: int = 100, whole: bool = False) -> list[str]:
     """
     run, content = found(folder)
     blocks = _shown(run, content)
-    told = textwrap.wrap(_headline(content), width)
+    out = textwrap.wrap(_headline(content), width)
     for block in blocks:
         if isinstance(block, Bullets):
-            told += _bullets(block, width)
+            out += _bullets(block, width)
     tables = [block for block in blocks if isinstance(block, Grid) and block.rows]
     for one in tables if whole else tables[:1]:
         columns = () if whole else report_of(run).columns
-        told += ["", *table(one, columns, sys.maxsize if whole else width), ""]
-    return told
+        out += ["", *table(one, columns, sys.maxsize if whole else width), ""]
+    return out
 
 
 def values(folder: Path) -> dict[str, Any]:

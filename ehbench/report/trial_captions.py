@@ -110,9 +110,9 @@ def trajectory_words(rig: Rig, case: Case, record: Record) -> str:
     }
     x = record[f"{own}.x_desired"]
     ends = span([float(shown(rig, "x", float(end))) for end in (x.min(), x.max())])
-    told = [f"{ends} {pretty(unit_of(rig, 'x'))}"]
-    told += [f"{_OF[word]} up to {measure(rig, word, top)}" for word, top in most.items()]
-    return ", ".join(told)
+    parts = [f"{ends} {pretty(unit_of(rig, 'x'))}"]
+    parts += [f"{_OF[word]} up to {measure(rig, word, top)}" for word, top in most.items()]
+    return ", ".join(parts)
 
 
 def limits_caption(row: Table) -> str:
@@ -210,13 +210,13 @@ def energy_caption(rig: Rig, cases: Sequence[Case]) -> str:
 def map_caption(panels: Sequence[tuple[str, np.ndarray]]) -> str:
     """How far each controller's energies, shape (loads, speeds), lie above the least of all."""
     least = np.fmin.reduce([energies for _, energies in panels])
-    told = []
+    parts = []
     for name, energies in panels:
         above = 100.0 * (energies / least - 1.0)
         above = above[np.isfinite(above)]
         if above.size:
-            told.append(f"{name} {span([round(float(v), 1) for v in above])} %")
-    return f"Above the least that any takes at that load and speed: {', '.join(told)}."
+            parts.append(f"{name} {span([round(float(v), 1) for v in above])} %")
+    return f"Above the least that any takes at that load and speed: {', '.join(parts)}."
 
 
 def _least_and_most(rig: Rig, payload: str, least: Case, most: Case) -> str:
@@ -240,8 +240,8 @@ def estimates_caption(rig: Rig, case: Case, record: Record) -> str:
         for word in ESTIMATES
         if (name := f"{case.cylinder}.{word}") in record
     }
-    told = ", ".join(f"{words(word)} {measure(rig, word, end)}" for word, end in ends.items())
-    text = f"At the end: {told}"
+    values = ", ".join(f"{words(word)} {measure(rig, word, end)}" for word, end in ends.items())
+    text = f"At the end: {values}"
     carried = payloads_carried(rig, case.row)
     if carried and "payload_estimate" in ends:
         text += _payload_caption(rig, case, record, carried)
@@ -256,10 +256,12 @@ def _payload_caption(
     """
     t, estimate = record.t, record[f"{case.cylinder}.payload_estimate"]
     (_, first), (_, last) = carried[0], carried[-1]
-    told = "the wrong first pressures" if case.row.get("first_pressure_error") else "the pressures"
+    pressures = (
+        "the wrong first pressures" if case.row.get("first_pressure_error") else "the pressures"
+    )
     text = (
         f". The payload has the moment of {measure(rig, 'mass', first)} at the end of the last "
-        f"link. At the first tick, before any adaptation, {told} at rest say "
+        f"link. At the first tick, before any adaptation, {pressures} at rest say "
         f"{measure(rig, 'mass', float(estimate[0]))}"
     )
     ends = [*(at for at, _ in carried[2:]), math.inf]
@@ -278,10 +280,10 @@ def _weighed_caption(
     """How far off in motion the payload is that pressures and motion tell, and how often its
     interval holds the truth.
     """
-    told = [f"{case.cylinder}.payload_{word}" for word in ("measured", "low", "high")]
-    if not all(name in record for name in told):
+    names = [f"{case.cylinder}.payload_{word}" for word in ("measured", "low", "high")]
+    if not all(name in record for name in names):
         return ""
-    measured, low, high = (record[name] for name in told)
+    measured, low, high = (record[name] for name in names)
     times, masses = zip(*carried, strict=True)
     last = np.searchsorted(times, record.t, side="right") - 1
     truth = np.array(masses)[last]

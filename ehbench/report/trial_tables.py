@@ -104,8 +104,8 @@ def _step_row(rig: Rig, case: Case, at: int, doubts: Sequence[str]) -> list[Cell
     mark = f" ({doubts.index(doubt) + 1})" if doubt else ""
     fitted = "damping_ratio_fitted" if "damping_ratio_fitted" in one else "damping_ratio"
 
-    def cell(key: str, told: Callable[[float | None], str]) -> str:
-        return ranged(told, one.get(key), range_in(case.row, "steps", at, key))
+    def cell(key: str, text_of: Callable[[float | None], str]) -> str:
+        return ranged(text_of, one.get(key), range_in(case.row, "steps", at, key))
 
     def share(value: float | None) -> str:
         return number(None if value is None else 100.0 * value, 2)
@@ -244,15 +244,15 @@ def valves_note(rig: Rig, cases: Sequence[Case]) -> str:
     speeds: dict[str, list[str]] = {}
     for case in cases:
         if ends := case.row.get("valves", {}).get("natural_frequency"):
-            told = span([float(shown(rig, "natural_frequency", end)) for end in ends])
-            names = speeds.setdefault(told, [])
+            speed_text = span([float(shown(rig, "natural_frequency", end)) for end in ends])
+            names = speeds.setdefault(speed_text, [])
             names += [words(case.row["controller"])] * (words(case.row["controller"]) not in names)
     if len(speeds) < 2:
         return ""
     unit = pretty(unit_of(rig, "natural_frequency"))
-    told = "; ".join(f"{speed} {unit}: {', '.join(names)}" for speed, names in speeds.items())
+    speed_text = "; ".join(f"{speed} {unit}: {', '.join(names)}" for speed, names in speeds.items())
     return (
-        f" Natural frequency of the valves: {told}. "
+        f" Natural frequency of the valves: {speed_text}. "
         "Errors at unlike frequencies compare valves, not laws or circuits."
     )
 
@@ -289,8 +289,8 @@ def _limits(cases: Sequence[Case]) -> Grid | None:
         for case, limits in shares
     ]
     head = [*WHO, *(f"{words(name)} [%]" for name in met)]
-    told = "; ".join(f"{words(name)}: {means[name]}" for name in met if name in means)
-    note = f"Share of the time at a limit. {capital(told)}."
+    means_text = "; ".join(f"{words(name)}: {means[name]}" for name in met if name in means)
+    note = f"Share of the time at a limit. {capital(means_text)}."
     return Grid(head, rows, note, "limits", "Limits met.")
 
 

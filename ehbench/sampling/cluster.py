@@ -133,7 +133,7 @@ class Cluster:
                     if not self._chunks:
                         return
                     for made in self._ready(chunks):
-                        chunks.told(made)
+                        chunks.learn(made)
                         yield made
             finally:
                 client.cancel(list(self._chunks), force=True)

@@ -60,7 +60,7 @@ class Chunks:
         """Tasks that are to be made again, each in a chunk of its own if ``alone``."""
         self._again += [[task] for task in tasks] if alone else [tasks] if tasks else []
 
-    def told(self, samples: Iterable[Sample]) -> None:
+    def learn(self, samples: Iterable[Sample]) -> None:
         """Learn from what samples took."""
         for one in samples:
             self._seconds += one.seconds
@@ -81,7 +81,7 @@ class Threads:
         if self._workers == 1:
             while chunk := chunks.take():
                 made = [make(*task) for task in chunk]
-                chunks.told(made)
+                chunks.learn(made)
                 yield made
             return
         with ThreadPoolExecutor(self._workers) as pool:
@@ -94,7 +94,7 @@ class Threads:
                         return
                     done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
                     for job in done:
-                        chunks.told(job.result())
+                        chunks.learn(job.result())
                         yield job.result()
             finally:
                 pool.shutdown(cancel_futures=True)
@@ -168,7 +168,7 @@ class Processes:
                         self.workers.remove(one)
                         chunks.give_back(one.tasks)
                     if made:
-                        chunks.told(made)
+                        chunks.learn(made)
                         yield made
         finally:
             for one in self.workers:

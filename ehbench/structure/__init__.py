@@ -118,7 +118,7 @@ class _Search:
         if not gains:
             return []
         best = max(gains.values())
-        told = sorted(
+        shown = sorted(
             (cure for cure, gain in gains.items() if gain >= NEAR * best),
             key=lambda cure: (
                 (0, cure.rank, -gains[cure])
@@ -126,8 +126,8 @@ class _Search:
                 else (1, 0, -gains[cure])
             ),
         )
-        found = [_finding(cure, reached[cure][0], gains[cure] / self.now) for cure in told]
-        beside = self._beside(told, reached[told[0]][2], slopes)
+        found = [_finding(cure, reached[cure][0], gains[cure] / self.now) for cure in shown]
+        beside = self._beside(shown, reached[shown[0]][2], slopes)
         kinds = [one.kind for one in found]
         few = [one for i, one in enumerate(found) if kinds[:i].count(one.kind) < OF_A_KIND]
         return [*few[:2], *beside, *few[2:]]
@@ -226,14 +226,14 @@ class _Search:
 
     def _beside(
         self,
-        told: Sequence[Cure],
+        shown: Sequence[Cure],
         left: list[np.ndarray],
         slopes: dict[Cure, list[np.ndarray] | None],
     ) -> list[Finding]:
         """What explains most of what the best cure leaves, if something does."""
         now, best = total(left), (0.0, None, 0.0)
         for cure, slope in slopes.items():
-            if cure in told or slope is None:
+            if cure in shown or slope is None:
                 continue
             delta = self._size(cure, slope, left)
             after = total([at + delta * by for at, by in zip(left, slope, strict=True)])

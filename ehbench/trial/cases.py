@@ -162,7 +162,7 @@ def table_rows(cases: Sequence[Case], results: Sequence[CaseResult]) -> list[dic
             "log": f"logs/{file}.mcap",
             "duration": facts.duration,
             "stopped": facts.stopped,
-            **{name: told for name in SELDOM if (told := getattr(facts, name))},
+            **{name: fact for name in SELDOM if (fact := getattr(facts, name))},
             **facts.measures,
         }
         for case, file, facts in zip(cases, file_names(cases), facts_of, strict=True)

@@ -26,7 +26,7 @@ from ehbench.trial.commands import command_table
 from ehbench.trial.controllers import Compiled, Design, Laws
 from ehbench.trial.motion import References, lasting, references
 from ehbench.trial.path import along_path, route
-from ehbench.trial.together import Driven, Plan, as_long, planned, told
+from ehbench.trial.together import Driven, Plan, as_long, planned, tables_of
 from ehbench.trial.user_code import UserCode
 from ehbench.units import from_si
 
@@ -446,7 +446,7 @@ def _loop(
     laws = _laws(recipe, driven, tuning)
     driven, plan = _together(recipe, driven, laws, level)
     if laws is not None:
-        parts = zip(laws.parts, told(driven), strict=True)
+        parts = zip(laws.parts, tables_of(driven), strict=True)
         laws = Laws(tuple(replace(part, references=table) for part, table in parts))
     return Loop(driven, laws, level, plan)
 

@@ -74,8 +74,8 @@ class Facts:
     @property
     def stopped(self) -> str:
         """Why the trial stopped and what came of it, or ''."""
-        told = [each.sentence for each in (self.stop, self.after) if each is not None]
-        return "; ".join(told)
+        sentences = [each.sentence for each in (self.stop, self.after) if each is not None]
+        return "; ".join(sentences)
 
     @property
     def cylinders(self) -> tuple[str, ...]:
@@ -317,19 +317,19 @@ def _saturated(measures: Mapping[str, Any], rig: Rig, cylinder: str) -> list[str
     share, short = measures["limits"]["saturated"], measures["short"]
     if share == 0.0:
         return []
-    told = (
+    sentence = (
         f"the valves of '{cylinder}' were at their end in {100.0 * share:.2g} % of the ticks "
         "and gave less than the controller asked for"
     )
     if short is None:
-        return [told]
+        return [sentence]
     unit = rig.unit_of("v")
     reached, desired = (
         f"{from_si(short[name], unit, VOCABULARY['v']):.4g} {unit}"
         for name in ("reached", "desired")
     )
     return [
-        f"{told}; for {short['duration']:.2g} s from t = {short['start']:.3g} s on it went "
+        f"{sentence}; for {short['duration']:.2g} s from t = {short['start']:.3g} s on it went "
         f"{reached} where {desired} were desired: the motion asks for more than this machine has"
     ]
 
@@ -374,10 +374,10 @@ def _measures(record: Record, loop: Driven, rows: int, true: np.ndarray | None) 
                 t[part], v[part], level.speed, before, (p_head[part], p_rod[part]), level.share
             )
             measures["steps"].append(asdict(step))
-    wish = record[f"{own}.x_desired"][:rows]
-    measures["tracking"] = tracking_measures(t, x, wish)
+    desired = record[f"{own}.x_desired"][:rows]
+    measures["tracking"] = tracking_measures(t, x, desired)
     if true is not None:
-        measures["tracking_true"] = tracking_measures(t, true[:rows, loop.design.index], wish)
+        measures["tracking_true"] = tracking_measures(t, true[:rows, loop.design.index], desired)
     if loop.references.last_cycle and rows == len(loop.references.table):
         first = loop.references.last_cycle
         measures["cycle"] = {"start": float(t[first]), "stop": float(t[-1])}
@@ -387,12 +387,12 @@ def _measures(record: Record, loop: Driven, rows: int, true: np.ndarray | None) 
     stroke = float(loop.design.row.stroke)
     valves = [name for name in loop.design.valves if name.startswith(f"{own}.")]
     commands = np.column_stack([record[f"{name}.command"][:rows] for name in valves])
-    cycle = limit_cycle(t, x, wish, commands, stroke)
+    cycle = limit_cycle(t, x, desired, commands, stroke)
     measures["limit_cycle"] = None if cycle is None else asdict(cycle)
     if f"{own}.function_status" in record:
         names = ("function", "function_status", "v_desired")
-        told = (record[f"{own}.{name}"][:rows] for name in names)
-        measures["functions"] = function_measures(t, *told)
+        channels = (record[f"{own}.{name}"][:rows] for name in names)
+        measures["functions"] = function_measures(t, *channels)
     if f"{own}.limits" in record:
         met = record[f"{own}.limits"][:rows].astype(int)
         measures["limits"] = {

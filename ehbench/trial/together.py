@@ -78,16 +78,16 @@ class Plan:
     limit: float
     longer: float
 
-    def channels(self, rows: slice, told: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def channels(self, rows: slice, coordinates: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """The plan's channels over some rows of a trial, and where the tip was by the joint
-        coordinates that are ``told``; past its end the plan stands.
+        ``coordinates`` that are given; past its end the plan stands.
         """
         at = np.minimum(np.arange(rows.start, rows.stop), len(self.tip) - 1)
         beyond = np.arange(rows.start, rows.stop) >= len(self.tip)
         q = np.tile(self.posture, (at.size, 1))
         for joint, channel in enumerate(self.joints):
-            if channel in told:
-                q[:, joint] = told[channel]
+            if channel in coordinates:
+                q[:, joint] = coordinates[channel]
         tip, desired = tip_of(self.chain, q), self.tip[at]
         error = tip - desired
         along = np.einsum("ij,ij->i", error, self.way[at])
@@ -136,7 +136,7 @@ def joints_of(driven: Sequence[Driven]) -> tuple[np.ndarray, np.ndarray]:
     return q, moved
 
 
-def told(driven: Sequence[Driven]) -> list[np.ndarray]:
+def tables_of(driven: Sequence[Driven]) -> list[np.ndarray]:
     """The table that each law runs over: its own motion and, for a law that counts on the others',
     that of all joints behind it.
     """

@@ -64,14 +64,14 @@ def _use(rig: Rig, circuit: Circuit, function: int) -> FunctionUse:
         if not circuit.first <= at < circuit.first + circuit.count:
             continue
         path = by_edge.get(at, -1)
-        told = valve.title if valve.title and len(valve.edge) == 1 else valve.edge_name(edge)
+        label = valve.title if valve.title and len(valve.edge) == 1 else valve.edge_name(edge)
         shares = (0, 0)
         if path >= 0:
             head, rod = (int(DIRECTION[function] * share) for share in PATH_FLOWS[function, path])
             shares = (head, rod)
         edges.append(
             EdgeUse(
-                told,
+                label,
                 (edge.from_, edge.to),
                 int(circuit.along[path]) if path >= 0 else 0,
                 path == METERING[function],

@@ -381,17 +381,19 @@ def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogRe
 
 def _doubts(log: TakenLog, moved: Sequence[str]) -> list[str]:
     """Why a log does not count, if it does not."""
-    told = []
+    sentences = []
     if log.fitted:
         when = ", ".join(f"{one.start:g} … {one.stop:g} s (of {one.log})" for one in log.overlap)
-        told.append(
+        sentences.append(
             "THE MODEL WAS FITTED TO THIS LOG"
             + (f", to its samples at {when}" if when else "")
             + ": it is shown, and the verdict rests on the others"
         )
     if not moved:
-        told.append("the log carries no motion: no valve was commanded, so nothing is judged on it")
-    return told
+        sentences.append(
+            "the log carries no motion: no valve was commanded, so nothing is judged on it"
+        )
+    return sentences
 
 
 def _pairs(
@@ -415,12 +417,12 @@ def _followed(log: TakenLog, moved: Sequence[str], channels: Sequence[str]) -> F
     """Where the log starts and how its sensors are, as the cylinders that are judged tell it."""
     record = log.record
     wanted = [f"{cylinder}.{word}" for cylinder in moved for word in channels]
-    told = [
+    inputs = [
         next((name for name in alternatives(one) if column(record, name, record) is not None), None)
         for one in wanted
     ]
-    told = list(dict.fromkeys(filter(None, told)))
-    return follow(log.model, record, moved, told, log.terms)
+    inputs = list(dict.fromkeys(filter(None, inputs)))
+    return follow(log.model, record, moved, inputs, log.terms)
 
 
 def _series(record: Record, pairs: Mapping[str, Pair]) -> dict[str, np.ndarray]:

@@ -151,9 +151,9 @@ def unasked(results: Sequence[ChannelResult], asked: Thresholds, rig: Rig) -> It
         }
         outside = {name: share for name, share in outside.items() if share > asked.outside_percent}
         if outside and not wanted:
-            told = ", ".join(f"{name} {share:.0f} %" for name, share in outside.items())
+            shares = ", ".join(f"{name} {share:.0f} %" for name, share in outside.items())
             key = "whiteness" if found is _own else "independence"
-            yield f"{kind} leaves its band at {told} of the lags; {key} is not asked"
+            yield f"{kind} leaves its band at {shares} of the lags; {key} is not asked"
 
 
 def _own(result: ChannelResult) -> tuple[Correlation, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -49,19 +50,16 @@ def contents(folder: Path) -> dict[str, bytes]:
     }
 
 
-def test_the_same_campaign_twice_gives_the_same_bytes(tmp_path):
-    for name in ("one", "two"):
-        made = workflow.run(
-            ROOT / "recipes" / "slide_servo" / "campaign.toml",
-            workflow.Session(root=tmp_path / name),
-        )
-        assert made.code == workflow.DONE
-    one, two = contents(tmp_path / "one"), contents(tmp_path / "two")
+def test_the_same_campaign_twice_gives_the_same_bytes(slide_runs, tmp_path):
+    recipe = ROOT / "recipes" / "slide_servo" / "campaign.toml"
+    made = workflow.run(recipe, workflow.Session(root=tmp_path / "again"))
+    assert made.code == workflow.DONE
+    one, two = contents(slide_runs), contents(tmp_path / "again")
     assert one.keys() == two.keys() and any(name.endswith("report.html") for name in one)
     assert [name for name in one if one[name] != two[name]] == []
 
 
-def test_the_pump_cylinder_is_identified_and_accepted(tmp_path):
+def test_the_pump_cylinder_is_identified_and_accepted(undrawn, tmp_path):
     """From the logs of its virtual rig slip and damping are found; the held-out log follows."""
     made = workflow.run(
         ROOT / "recipes" / "pump_cylinder" / "campaign.toml", workflow.Session(root=tmp_path)
@@ -75,13 +73,12 @@ def test_the_pump_cylinder_is_identified_and_accepted(tmp_path):
         assert by_name[name]["status"] == "estimated"
 
 
-def test_a_run_that_stands_is_kept_and_a_damaged_one_is_made_again(tmp_path):
-    desk = workflow.Session(root=tmp_path)
+def test_a_run_that_stands_is_kept_and_a_damaged_one_is_made_again(slide_runs, undrawn, tmp_path):
     recipe = ROOT / "recipes" / "slide_servo" / "validation.toml"
-    made = workflow.run(recipe, desk)
-    (source,) = (p for p in tmp_path.iterdir() if p.name.startswith("hydraulics_"))
+    (stands,) = slide_runs.glob("hydraulics_*")
+    source = Path(shutil.copytree(stands, tmp_path / stands.name))
     before = (source / "volatile.json").stat().st_mtime_ns
-    workflow.run(recipe, workflow.Session(root=tmp_path))
+    made = workflow.run(recipe, workflow.Session(root=tmp_path))
     assert (source / "volatile.json").stat().st_mtime_ns == before
     (source / "parameters.json").write_text("{}")
     workflow.run(recipe, workflow.Session(root=tmp_path))

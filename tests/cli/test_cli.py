@@ -12,7 +12,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -37,25 +36,6 @@ def ehbench(*words: str | Path, cwd: Path = ROOT, **options) -> subprocess.Compl
         check=False,
         **options,
     )
-
-
-@pytest.fixture
-def inside(monkeypatch, capsys) -> Iterator[Callable[..., subprocess.CompletedProcess]]:
-    """Runs the command by its entry point without a process of its own, which costs a second."""
-    for name, value in {"COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}.items():
-        monkeypatch.setenv(name, value)
-    monkeypatch.setattr(sys, "excepthook", sys.excepthook)  # the door sets it, and the signal
-    before = signal.getsignal(signal.SIGTERM)
-
-    def run(*words: str | Path, cwd: Path = ROOT) -> subprocess.CompletedProcess:
-        monkeypatch.setattr(sys, "argv", ["ehbench", *map(str, words)])
-        monkeypatch.chdir(cwd)
-        with pytest.raises(SystemExit) as left:
-            cli.main()
-        return subprocess.CompletedProcess(words, left.value.code or 0, *capsys.readouterr())
-
-    yield run
-    signal.signal(signal.SIGTERM, before)
 
 
 @pytest.fixture(scope="module")
@@ -86,14 +66,14 @@ def test_readme_names_only_commands_that_exist():
     assert named <= set(COMMANDS)
 
 
-def test_init_leaves_a_full_folder_alone(tmp_path):
+def test_init_leaves_a_full_folder_alone(inside, tmp_path):
     (tmp_path / "mine.txt").write_text("keep")
-    done = ehbench("init", tmp_path)
+    done = inside("init", tmp_path)
     assert done.returncode == 2 and "not empty" in done.stderr
     assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
 
 
-def test_a_new_workspace_runs_as_it_stands(workspace):
+def test_a_new_workspace_runs_as_it_stands(workspace, inside):
     """The commands of the workspace's own README, in order."""
     commands = re.findall(r"^    ehbench (.+)$", (workspace / "README.md").read_text(), re.M)
     assert len(commands) == 5
@@ -109,7 +89,7 @@ def test_a_new_workspace_runs_as_it_stands(workspace):
         )
         if "*" in line:
             words = ["report", *words]
-        done = ehbench(*words, cwd=workspace)
+        done = inside(*words, cwd=workspace)
         assert done.returncode == 0, f"{line}: {done.stderr}"
     assert list(workspace.glob("reports/report_*/report.html"))
     verdict = json.loads(next(workspace.glob("reports/validate_*/run.json")).read_text())
@@ -123,12 +103,12 @@ def test_every_file_of_a_workspace_checks(workspace, inside):
         assert done.stdout.rstrip().endswith("ok")
 
 
-def broken(workspace: Path, tmp_path: Path, file: str, old: str, new: str) -> Path:
+def broken(
+    workspace: Path, tmp_path: Path, file: str, old: str, new: str, without: str = "reports"
+) -> Path:
     """A copy of the workspace with one slip in one file."""
-    import shutil
-
     copy = tmp_path / "ws"
-    shutil.copytree(workspace, copy, ignore=shutil.ignore_patterns("reports"))
+    shutil.copytree(workspace, copy, ignore=shutil.ignore_patterns(without))
     text = (copy / file).read_text()
     assert old in text
     (copy / file).write_text(text.replace(old, new, 1))
@@ -171,50 +151,54 @@ def test_a_slip_gets_one_sentence_and_leaves_nothing(
     assert not (copy / "reports").exists() or not list((copy / "reports").iterdir())
 
 
-def test_check_tells_all_mistakes_of_a_recipe_on_stderr(workspace, tmp_path):
+def test_check_tells_all_mistakes_of_a_recipe_on_stderr(workspace, inside, tmp_path):
     copy = broken(workspace, tmp_path, "recipes/step_small.toml", '"3.5 V"', '"35 V"')
-    done = ehbench("check", "recipes/step_small.toml", cwd=copy)
+    done = inside("check", "recipes/step_small.toml", cwd=copy)
     assert done.returncode == 2 and done.stdout.rstrip().endswith("1 mistake")
     assert re.fullmatch(r"error: .*step_small.toml:\d+: .*-10 to 10 V.*\n", done.stderr)
-    done = ehbench("check", "recipes/validate.toml", cwd=copy)
+    done = inside("check", "recipes/validate.toml", cwd=copy)
     assert done.returncode == 2 and "35 V" in done.stderr and "runs first:" in done.stdout
     assert not (copy / "reports").exists()
 
 
-def test_a_recipe_of_another_stage_names_its_command(workspace):
-    done = ehbench("identify", workspace / "recipes" / "step_small.toml")
+def test_a_recipe_of_another_stage_names_its_command(workspace, inside):
+    done = inside("identify", workspace / "recipes" / "step_small.toml")
     assert done.returncode == 2 and "run-trial" in done.stderr
 
 
-def test_a_limit_stops_a_trial_with_5_and_keeps_the_log(workspace, tmp_path):
+def test_a_limit_stops_a_trial_with_5_and_keeps_the_log(workspace, inside, undrawn, tmp_path):
     copy = broken(workspace, tmp_path, "recipes/step_small.toml", '"220 bar"', '"45 bar"')
-    done = ehbench("run-trial", "recipes/step_small.toml", "--out", "stopped", cwd=copy)
+    done = inside("run-trial", "recipes/step_small.toml", "--out", "stopped", cwd=copy)
     assert done.returncode == 5, done.stderr
     assert "pressure_max" in done.stderr and (copy / "stopped" / "log.mcap").is_file()
 
 
-def test_a_rejected_model_exits_with_4_and_keeps_the_verdict(workspace, tmp_path):
-    copy = broken(workspace, tmp_path, "recipes/validate.toml", "p_head = 40", "p_head = 99.9")
-    done = ehbench("validate", "recipes/validate.toml", "--out", "judged", cwd=copy)
+def test_a_rejected_model_exits_with_4_and_keeps_the_verdict(workspace, inside, undrawn, tmp_path):
+    """Of the fit that stands in the workspace, if the test above has left it there."""
+    slip = ("recipes/validate.toml", "p_head = 40", "p_head = 99.9")
+    copy = broken(workspace, tmp_path, *slip, without="report_*")
+    done = inside("validate", "recipes/validate.toml", "--out", "judged", cwd=copy)
     assert done.returncode == 4, done.stderr
     assert json.loads((copy / "judged" / "run.json").read_text())["accepted"] is False
 
 
-def test_a_truncated_log_finishes_with_3_and_says_how_much_was_lost(workspace, tmp_path):
-    whole = ehbench(
+def test_a_truncated_log_finishes_with_3_and_says_how_much_was_lost(
+    workspace, inside, undrawn, tmp_path
+):
+    whole = inside(
         "run-trial", workspace / "recipes" / "step_small.toml", "--out", tmp_path / "trial"
     )
     assert whole.returncode == 0, whole.stderr
     data = (tmp_path / "trial" / "log.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: int(len(data) * 0.7)])
-    done = ehbench("check", tmp_path / "cut.mcap")
+    done = inside("check", tmp_path / "cut.mcap")
     assert done.returncode == 3 and "lost" in done.stdout
 
 
-def test_an_out_that_is_no_run_is_left_alone(workspace, tmp_path):
+def test_an_out_that_is_no_run_is_left_alone(workspace, inside, tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("keep")
-    done = ehbench(
+    done = inside(
         "run-trial", workspace / "recipes" / "step_small.toml", "--out", tmp_path / "mine"
     )
     assert done.returncode == 2 and (tmp_path / "mine" / "notes.txt").read_text() == "keep"
@@ -241,11 +225,10 @@ def test_a_terminated_run_leaves_nothing(workspace, tmp_path):
     assert not left
 
 
-def test_same_recipe_same_bytes(workspace, tmp_path):
-    for name in ("one", "two"):
-        done = ehbench(
-            "run-trial", workspace / "recipes" / "step_large.toml", "--out", tmp_path / name
-        )
+def test_same_recipe_same_bytes(workspace, inside, tmp_path):
+    """In this process and in one of its own."""
+    for name, run in (("one", inside), ("two", ehbench)):
+        done = run("run-trial", workspace / "recipes" / "step_large.toml", "--out", tmp_path / name)
         assert done.returncode == 0, done.stderr
     files = sorted(
         p.relative_to(tmp_path / "one") for p in (tmp_path / "one").rglob("*") if p.is_file()

@@ -14,7 +14,7 @@ BOOKS = sorted(FOLDER.glob("*.ipynb"))
 
 
 @pytest.mark.parametrize("path", BOOKS, ids=lambda path: path.stem)
-def test_every_cell_runs_and_none_holds_outputs(path, tmp_path, monkeypatch, capsys):
+def test_every_cell_runs_and_none_holds_outputs(path, undrawn, tmp_path, monkeypatch, capsys):
     """As they stand in the repository: no outputs, so that none can be out of date."""
     for name in ("recipes", "datasets"):
         (tmp_path / name).symlink_to(ROOT / name)

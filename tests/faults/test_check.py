@@ -272,8 +272,10 @@ def test_what_has_not_been_run_is_said_and_the_rig_file_behind_it_taken(recipes)
     assert not Path("reports").exists()
 
 
-def test_a_run_that_stands_is_taken(recipes):
-    made = workflow.run(recipes / "slide_servo" / "validation.toml")
+def test_a_run_that_stands_is_taken(recipes, slide_runs):
+    shutil.copytree(slide_runs, "reports")
+    session = workflow.Session(keep=True)
+    made = workflow.run(recipes / "slide_servo" / "validation.toml", session)
     (recipes / "tune.toml").write_text('stage = "tune"\nrig = "slide_servo/validation.toml"\n')
     found = inspection.check(recipes / "tune.toml")
     assert f"  reads: {made.folder} (rig 'slide_servo', validated)" in found.lines

@@ -39,7 +39,9 @@ def width(ends):
 
 
 @pytest.mark.parametrize("name", ["bulk_modulus", "carriage.damping"])
-def test_the_proposed_test_tells_what_it_was_said_to_when_the_virtual_rig_runs_it(place, name):
+def test_the_proposed_test_tells_what_it_was_said_to_when_the_virtual_rig_runs_it(
+    place, name, undrawn
+):
     short = name.rpartition(".")[2]
     session = workflow.Session(root=place / "runs", out=place / f"next_{short}.toml")
     found = workflow.next_test(place / "fit", name, session)

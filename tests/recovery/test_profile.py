@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -69,17 +67,11 @@ def test_a_parameter_that_is_not_fitted_has_no_profile(prepared):
         profile(prepared, "carriage.mass")
 
 
-def test_the_command_leaves_a_run_with_its_picture(tmp_path):
+def test_the_command_leaves_a_run_with_its_picture(inside, tmp_path):
     recipe = ROOT / "recipes" / "slide_servo" / "hydraulics.toml"
     out = tmp_path / "profile"
-    command = [sys.executable, "-m", "ehbench.cli", "identify", str(recipe)]
-    done = subprocess.run(
-        [*command, "--profile", "bulk_modulus", "--out", str(out)],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        check=False,
-    )
+    words = ("identify", recipe, "--profile", "bulk_modulus", "--out", out)
+    done = inside(*words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Profile of bulk_modulus" in done.stdout and "by the fit" in done.stdout
     picture = (out / "figures" / "profile.svg").read_text(encoding="utf-8")

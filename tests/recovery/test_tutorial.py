@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[2]
 TUTORIAL = ROOT / "recipes" / "tutorial"
 
 
-def test_the_tutorial_leads_from_a_rejected_fit_to_an_accepted_model(tmp_path):
+def test_the_tutorial_leads_from_a_rejected_fit_to_an_accepted_model(undrawn, tmp_path):
     session = workflow.Session(root=tmp_path)
     first = workflow.run(TUTORIAL / "first_validation.toml", session)
     assert first.code == workflow.REJECTED

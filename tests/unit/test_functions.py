@@ -392,7 +392,7 @@ def wishes(c, rules, v_d, tick=1e-3, steady=True):
     """Functions chosen along desired speeds, at a load that rests on the head end."""
     now, age, slow, history = codes.HOLD, 1e9, 0.0, []
     for v in v_d:
-        slow = fn.steady_wish(v, slow, tick, rules) if steady else v
+        slow = fn.steady_reference(v, slow, tick, rules) if steady else v
         chosen, _ = choose(c, rules, slow, 2e6, 5e5, now, age)
         age = tick if chosen != now else age + tick
         now = chosen

@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
+import shutil
 from pathlib import Path
 
 import pytest
 
-from ehbench import workflow
 from ehbench.report import terminal
 
 ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
-def judged(tmp_path_factory):
+def judged(slide_runs, tmp_path_factory):
     """The run that validates the sliding mass; that of its identification lies beside it."""
-    root = tmp_path_factory.mktemp("runs")
-    recipe = ROOT / "recipes" / "slide_servo" / "validation.toml"
-    return workflow.run(recipe, workflow.Session(root=root)).folder
+    root = shutil.copytree(slide_runs, tmp_path_factory.mktemp("runs") / "slide")
+    return next(Path(root).glob("validation_*"))
 
 
 @pytest.fixture(scope="module")
@@ -65,15 +62,16 @@ def test_scripts_get_the_same_with_numbers(fitted):
 
 
 @pytest.mark.parametrize("option", ["-q", "--json", ""])
-def test_the_path_ends_what_is_printed_and_is_all_of_it_when_quiet(option, tmp_path):
-    recipe = ROOT / "recipes" / "slide_servo" / "hydraulics.toml"
-    words = ["identify", str(recipe), "--out", str(tmp_path / "run"), *([option] if option else [])]
-    done = subprocess.run(
-        [sys.executable, "-m", "ehbench.cli", *words], capture_output=True, text=True
-    )
+def test_the_path_ends_what_is_printed_and_is_all_of_it_when_quiet(
+    option, inside, undrawn, tmp_path
+):
+    recipe, out = tmp_path / "still.toml", tmp_path / "run"
+    rig = ROOT / "recipes" / "rigs" / "slide_servo.toml"
+    recipe.write_text(f'stage = "trial"\nduration = "0.2 s"\nrig = "{rig}"\n')
+    done = inside("run-trial", recipe, "--out", out, *([option] if option else []))
     assert done.returncode == 0, done.stderr
     if option == "--json":
-        assert json.loads(done.stdout)["folder"] == str(tmp_path / "run")
+        assert json.loads(done.stdout)["folder"] == str(out)
     else:
         *told, path = done.stdout.splitlines()
-        assert path == str(tmp_path / "run") and bool(told) == (option == "")
+        assert path == str(out) and bool(told) == (option == "")

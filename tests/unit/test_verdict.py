@@ -46,9 +46,9 @@ def held(name: str, kind: str, every: float) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("kind", ["steps", "sine", "chirp", "ramps"])
 def test_the_exact_model_is_accepted_whatever_the_command(name, kind):
     rig = load_rig(RIGS / f"{name}.toml")
-    for seed in (1, 2):
-        verdict = judged(name, rig, virtual_log(name, rig, kind, seed), STRICT)
-        assert verdict.accepted, verdict.reasons
+    seed = 1 + list(DRIVES).index(name)
+    verdict = judged(name, rig, virtual_log(name, rig, kind, seed), STRICT)
+    assert verdict.accepted, verdict.reasons
 
 
 @pytest.mark.parametrize(("kind", "every"), [("sine", 0.084), ("chirp", 0.02), ("sine", 0.15)])
@@ -72,7 +72,7 @@ def test_wrong_models_are_rejected(name):
     known = rig.parameters()
     damping = [n for n in known if n.endswith((".damping", ".joint_damping"))]
     gains = [n for n in known if n.endswith(("flow_gain", "compensated_gain", "displacement"))]
-    log = virtual_log(name, rig, "steps", 1)
+    log = virtual_log(name, rig, "steps", 1, 2.6)  # a step out and a step back
     for names, factor in (
         (["bulk_modulus"], 1.2),
         (["bulk_modulus"], 0.8),

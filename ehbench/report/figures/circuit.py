@@ -120,13 +120,13 @@ def _valve(ax, edge: Table, at: Point, upright: bool) -> None:
     box = Rectangle((x - 0.22, y - 0.22), 0.44, 0.44, facecolor=face, edgecolor=colour)
     box.set_zorder(5)
     ax.add_patch(box)
-    told = edge["name"] + (f"\n{flow_words(edge)}" if edge["way"] else "")
+    label = edge["name"] + (f"\n{flow_words(edge)}" if edge["way"] else "")
     if upright:
         side = 1.0 if x < WIDTH / 2 else -1.0
         ax.text(
             x + 0.32 * side,
             y,
-            told,
+            label,
             ha="left" if side > 0 else "right",
             va="center",
             fontsize=6.8,
@@ -135,7 +135,7 @@ def _valve(ax, edge: Table, at: Point, upright: bool) -> None:
         )
     else:
         look = {"fontsize": 6.8, "color": colour, "zorder": 6}
-        ax.text(x, y + 0.32, told, ha="center", va="bottom", **look)
+        ax.text(x, y + 0.32, label, ha="center", va="bottom", **look)
 
 
 def _arrow(ax, start: Point, stop: Point, colour: str) -> None:

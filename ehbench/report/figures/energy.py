@@ -34,8 +34,8 @@ def energy_text(energy: float, half: float | None, unit: Unit, whole: float = 0.
         text = f"{fixed(value, places)} ± {fixed(half / unit[0], places)}"
     else:
         text = number(value, 3)
-    told = whole > 0.0 and abs(energy) > 1e-5 * whole
-    share = f" · {number(100 * energy / whole, 2)} %" if told else ""
+    counts = whole > 0.0 and abs(energy) > 1e-5 * whole
+    share = f" · {number(100 * energy / whole, 2)} %" if counts else ""
     return f"{text} {unit[1]}{share}"
 
 

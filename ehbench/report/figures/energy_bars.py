@@ -13,7 +13,7 @@ from ehbench.report.words import DASH, number
 SEEN = 2e-3  # share of the longest bar below which nobody sees a part
 _INNER, _OUTER = 0.28, 0.46  # half the height of a bar; how far the mark of a bound reaches
 _EMPTY = 0.01  # share of the longest bar below which a trial drew next to nothing
-_TOLD = 0.065  # share of the axis from which a part has room for its number
+_ROOM = 0.065  # share of the axis from which a part has room for its number
 _PARTS = {
     "load": ("load", "#2e7d5b"),
     "mechanical": ("friction, damping, end stops", "#b59f3b"),
@@ -54,7 +54,7 @@ def bars(
     with canvas(path, size=(7.4, 0.72 * len(ledgers) + 1.7)) as (figure, ax):
         for i, (_, ledger) in enumerate(ledgers):
             parts = {key: stacks[i][key] for key in drawn}
-            ahead = _draw_stack(ax, i, parts, _TOLD * (reach - least))
+            ahead = _draw_stack(ax, i, parts, _ROOM * (reach - least))
             _draw_total(ax, i, ledger, unit, ahead, abs(ahead) < _EMPTY * most)
             for key, value in limits[i].items():
                 look = {"color": INK, "linestyle": _LIMITS[key][1], "linewidth": 1.6, "zorder": 5}
@@ -117,15 +117,15 @@ def _draw_total(ax, place: int, ledger: Ledger, unit: Unit, end: float, empty: b
     words = energy_text(pump["energy"], half, unit) if pump["energy"] else DASH
     look = {"textcoords": "offset points", "va": "center", "zorder": 6}
     box = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
-    told = ax.annotate(words, (right, place), (6, 0), fontsize=8, weight="bold", bbox=box, **look)
+    label = ax.annotate(words, (right, place), (6, 0), fontsize=8, weight="bold", bbox=box, **look)
     if empty:
-        look |= {"xycoords": told, "fontsize": 7.5}
+        look |= {"xycoords": label, "fontsize": 7.5}
         ax.annotate("next to nothing was drawn", (1.0, 0.5), (5, 0), **look)
     elif abs(rest := total - pump["energy"]) > SEEN * abs(total):
         text = (
             f"{'+' if rest > 0.0 else '−'} {number(abs(rest) / unit[0], 2)} {unit[1]} compression"
         )
-        ax.annotate(text, (1.0, 0.5), (5, 0), xycoords=told, fontsize=7.5, bbox=box, **look)
+        ax.annotate(text, (1.0, 0.5), (5, 0), xycoords=label, fontsize=7.5, bbox=box, **look)
 
 
 def _handles(drawn: Sequence[str], limits: Sequence[Mapping[str, float]]) -> list:

@@ -151,8 +151,8 @@ def zeros(values: np.ndarray, poles: np.ndarray) -> np.ndarray:
     square, linear, _ = (np.abs(part).max() for part in parts)
     if linear == 0.0 or square > _NOT_LINEAR * linear:
         return np.empty(0)
-    told = np.abs(parts[1]) > _NOT_LINEAR * linear
-    return scale * np.roots(parts[1][int(np.argmax(told)) :])
+    significant = np.abs(parts[1]) > _NOT_LINEAR * linear
+    return scale * np.roots(parts[1][int(np.argmax(significant)) :])
 
 
 def refined(

@@ -85,8 +85,8 @@ class _Account:
 
     def prefix(self, node: str | None) -> str:
         """The cylinder's name before a label, where there are several."""
-        told = len(self.busy) > 1 and node not in (None, PUMP, MECHANISM)
-        return f"{node}: " if told else ""
+        named = len(self.busy) > 1 and node not in (None, PUMP, MECHANISM)
+        return f"{node}: " if named else ""
 
 
 def _account(ledger: Ledger) -> _Account:
@@ -388,8 +388,8 @@ def sankey(path: Path, ledger: Ledger) -> None:
             if name != PUMP:
                 _draw_node(ax, dock)
         rest = next(row for row in ledger["rows"] if row["group"] == "residual")
-        told = energy_text(rest["energy"], half_of(rest), unit, account.given)
-        ax.text(-0.36, -0.03, f"{rest['label']} in all: {told}", fontsize=8, color=MUTED)
+        amount = energy_text(rest["energy"], half_of(rest), unit, account.given)
+        ax.text(-0.36, -0.03, f"{rest['label']} in all: {amount}", fontsize=8, color=MUTED)
         present = [g for g in COLOURS if any(f.group == g for f in layout.flows)]
         legend(figure, [Patch(color=COLOURS[g], alpha=0.75, label=WORDS[g]) for g in present])
 

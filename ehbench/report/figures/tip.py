@@ -88,8 +88,8 @@ def demanded(rig: Rig, record: Record) -> np.ndarray | None:
     controller says what it asks for.
     """
     names = [f"{c.name}.{v.edge_name(e)}" for c, v, e in rig.edges() if e.from_ == "supply"]
-    told = [record[f"{n}.flow_desired"] for n in names if f"{n}.flow_desired" in record]
-    return np.sum([np.abs(flow) for flow in told], axis=0) if told else None
+    flows = [record[f"{n}.flow_desired"] for n in names if f"{n}.flow_desired" in record]
+    return np.sum([np.abs(flow) for flow in flows], axis=0) if flows else None
 
 
 def _flow(ax, rig: Rig, case: Case, record: Record) -> None:

@@ -241,16 +241,16 @@ def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
 
 def _weighed(ax, rig: Rig, record: Record, cylinder: str) -> None:
     """The payload that pressures and motion tell, in its interval, where the law says it."""
-    told = [f"{cylinder}.payload_{word}" for word in ("low", "high", "measured")]
-    if not all(name in record for name in told):
+    names = [f"{cylinder}.payload_{word}" for word in ("low", "high", "measured")]
+    if not all(name in record for name in names):
         return
-    ends = (thin(record.t, np.asarray(shown(rig, name, record[name]))) for name in told[:2])
+    ends = (thin(record.t, np.asarray(shown(rig, name, record[name]))) for name in names[:2])
     (low_t, low), (high_t, high) = ends
     t = np.union1d(low_t, high_t)
     band = {"color": SIMULATED, "alpha": 0.2, "linewidth": 0, "label": "its interval"}
     ax.fill_between(t, np.interp(t, low_t, low), np.interp(t, high_t, high), **band)
     look = {"color": SIMULATED, "linewidth": 1.0, "label": "by pressures and motion"}
-    plot_channel(ax, rig, record, told[2], **look)
+    plot_channel(ax, rig, record, names[2], **look)
 
 
 def _truth(ax, rig: Rig, payloads: list[tuple[float, float]] | None, end: float) -> None:

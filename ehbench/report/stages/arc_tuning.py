@@ -55,10 +55,10 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
 def _sentence(rig: Rig, tuning: Table) -> str:
     gains = tuning["gains"]
     names = ("position_bandwidth", "speed_bandwidth", "force_bandwidth")
-    told = ", ".join(measure(rig, name, gains[name], 3) for name in names)
+    values = ", ".join(measure(rig, name, gains[name], 3) for name in names)
     points = count(len(tuning["points"]), "operating point")
     return (
-        f"k₁, k₂, k₃ = {told}; at the worst of {points} of {words(tuning['cylinder'])}: "
+        f"k₁, k₂, k₃ = {values}; at the worst of {points} of {words(tuning['cylinder'])}: "
         f"gain margin {number(tuning.get('gain_margin'), 3)}, phase "
         f"margin {measure(rig, 'phase_margin', tuning['phase_margin'], 2)}, stated delay margin "
         f"{measure(rig, 'delay_margin', tuning['delay_margin'], 2)}."

@@ -136,7 +136,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         ],
         ["coherence of noise alone", f"below {number(table['coherence_noise'], 2)} in 95 %"],
     ]
-    forms = [_forms(table["logs"], told)] if (told := table.get("transfers", [])) else []
+    forms = [_forms(table["logs"], transfers)] if (transfers := table.get("transfers", [])) else []
     parts = [
         Part("Bode diagram", pictures(FigureKey("response"))),
         Part("Numbers", [Grid(["", "value", "95 % interval", "unit"], rows), *forms]),
@@ -184,7 +184,7 @@ def _span(ends: list[float | None]) -> str:
 
 def _sentence(table: Table) -> str:
     low, high = table["coherent_range"]
-    told = [
+    parts = [
         f"{text} {number(factor * found['value'], 3)} {unit}"
         for key, text, unit, factor in _NUMBERS
         if (found := table.get(key)) is not None
@@ -193,7 +193,7 @@ def _sentence(table: Table) -> str:
         f"{table['output']} over {table['input']} from {count(len(table['logs']), 'log')}, "
         f"coherent from {number(low, 3)} to {number(high, 3)} Hz"
     )
-    return f"{lead}: {', '.join(told)}." if told else f"{lead}."
+    return f"{lead}: {', '.join(parts)}." if parts else f"{lead}."
 
 
 REPORT = StageReport(

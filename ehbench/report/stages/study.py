@@ -130,7 +130,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     """Measures and targets, then by swept values, what moves them, and the worst samples."""
     study = run.json("study.json")
     parts = [
-        Part("Results", [*_said(study), _measures(study), *_targets(study)]),
+        Part("Results", [*_unfinished(study), _measures(study), *_targets(study)]),
         Part("By swept values", [*_groups(study), *pictures(FigureKey("map"))]),
         Part("Spread", [*pictures(FigureKey("spread"))]),
         Part("What moves them", [*_moves(study), *pictures(FigureKey("moves"))]),
@@ -143,10 +143,10 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
 def _sentence(study: Table) -> str:
     ended = sum(study["status"].get(word, 0) for word in _ENDED)
     what = " and ".join(f"'{name}'" for name in study["recipe"])
-    told = f"{count(study['samples'], 'sample')} of {what}, {ended} of which came to their end"
+    sentence = f"{count(study['samples'], 'sample')} of {what}, {ended} of which came to their end"
     for one in study["targets"]:
-        told += f"; {_met(one)} keep {one['measure']} {ends_of(one)}"
-    return told + "."
+        sentence += f"; {_met(one)} keep {one['measure']} {ends_of(one)}"
+    return sentence + "."
 
 
 def _met(one: Table) -> str:
@@ -154,14 +154,14 @@ def _met(one: Table) -> str:
     return f"{number(100.0 * one['share'], 3)} % ({span} %)"
 
 
-def _said(study: Table) -> list[Block]:
+def _unfinished(study: Table) -> list[Block]:
     """How many samples did not come to their end."""
-    told = [
+    sentences = [
         f"{n} of {study['samples']} samples {words(word)}"
         for word, n in study["status"].items()
         if word not in _ENDED
     ]
-    return [Bullets(told, "warn")] if told else []
+    return [Bullets(sentences, "warn")] if sentences else []
 
 
 def _targets(study: Table) -> list[Block]:
@@ -221,12 +221,12 @@ def _groups(study: Table) -> list[Block]:
 
 
 def _moves(study: Table) -> list[Block]:
-    told = [
+    sentences = [
         f"ranks of {one['measure']}: the inputs explain {number(100.0 * one['explained'], 2)} %"
         for one in study["sensitivity"]
         if one.get("explained") is not None
     ]
-    return [Bullets(told)] if told else []
+    return [Bullets(sentences)] if sentences else []
 
 
 def _worst(study: Table) -> list[Block]:

@@ -134,8 +134,10 @@ def _sentence(rig: Rig, tuning: Table) -> str:
     corners = [tuning[key] for key in ("washout", "ramp_washout") if tuning.get(key)]
     washout = "no washout"
     if corners:
-        told = " and ".join(dict.fromkeys(measure(rig, "washout", corner) for corner in corners))
-        washout = f"{'two washouts' if len(corners) > 1 else 'washout'} {told}"
+        corner_text = " and ".join(
+            dict.fromkeys(measure(rig, "washout", corner) for corner in corners)
+        )
+        washout = f"{'two washouts' if len(corners) > 1 else 'washout'} {corner_text}"
     sentence = (
         f"{lead} K_p = {gain} {pretty(unit_of(rig, 'feedback_gain'))}, {washout}: "
         f"worst damping ratio {number(tuning['damping_ratio'], 2)} over "

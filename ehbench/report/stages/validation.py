@@ -98,8 +98,8 @@ def _sentence(logs: Sequence[Table], status: str) -> str:
     checks = [check for log in held_out for check in log.get("checks", [])]
     if failed := [check for check in checks if not check["passed"]]:
         sentence += f", {len(failed)} of {count(len(checks), 'check')} failed"
-    told = ", ".join(f"{title_of(word).lower()} {span(fit, 2)} %" for word, fit in fits.items())
-    return sentence + (f": fit of {told}." if told else ".")
+    fitted = ", ".join(f"{title_of(word).lower()} {span(fit, 2)} %" for word, fit in fits.items())
+    return sentence + (f": fit of {fitted}." if fitted else ".")
 
 
 def _verdict(table: Table, status: str) -> list[Block]:
@@ -215,8 +215,8 @@ def _log_blocks(rig: Rig, log: Table, pictures: Pictures) -> list[Block]:
     blocks += pictures(FigureKey("validation", log=log["name"]))
     blocks += _channel_table(rig, log)
     if sensors := log.get("sensors", {}):
-        told = (_sensor(rig, name, value) for name, value in sensors.items())
-        blocks.append(Text(f"Estimated of its sensors: {', '.join(told)}.", "note"))
+        estimates = (_sensor(rig, name, value) for name, value in sensors.items())
+        blocks.append(Text(f"Estimated of its sensors: {', '.join(estimates)}.", "note"))
     if rings := log.get("transients", []):
         blocks.append(ringing_table(rig, rings))
         blocks += _unjudged(rings)
@@ -234,18 +234,18 @@ def _sensor(rig: Rig, name: str, value: float) -> str:
     """``offset of boom.p_head 2 bar``."""
     channel, _, word = name.rpartition(".")
     row = {"offset": channel, "scale": "sensor_scale"}.get(word, word)
-    told = f"{word} of {channel} {number(float(shown(rig, row, value)), 3)}"
-    return f"{told} {pretty(unit_of(rig, row))}".strip()
+    text = f"{word} of {channel} {number(float(shown(rig, row, value)), 3)}"
+    return f"{text} {pretty(unit_of(rig, row))}".strip()
 
 
 def _unjudged(rings: Sequence[Table]) -> list[Block]:
     """The windows whose ringing was found and is not judged, with the reason."""
-    told = [
+    sentences = [
         f"{one['cylinder']}, {interval(one['start'], one['stop'])} s: not judged, {one['note']}"
         for one in rings
         if one.get("note")
     ]
-    return [Bullets(told, "note")] if told else []
+    return [Bullets(sentences, "note")] if sentences else []
 
 
 def _sweep_table(found: Sequence[Table]) -> Grid:

@@ -214,8 +214,8 @@ def _titled(unit: str, curves: Sequence[Curve]) -> str:
     """What a panel shows, with its unit: ``Head-end pressure, rod-end pressure [kPa]``."""
     own = [curve.what for curve in curves if curve.unit == unit]
     named = [title for title in dict.fromkeys(own) if title]
-    told = capital(", ".join(title.lower() for title in named[:3]) + ", …" * (len(named) > 3))
-    return f"{told} [{unit}]" if unit else told
+    label = capital(", ".join(title.lower() for title in named[:3]) + ", …" * (len(named) > 3))
+    return f"{label} [{unit}]" if unit else label
 
 
 def _packed(values: np.ndarray, kind: str) -> str:
