@@ -13,8 +13,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Union
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler
-from pydantic_core import CoreSchema, core_schema
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    ValidationInfo,
+)
+from pydantic_core import CoreSchema, PydanticKnownError, core_schema
 
 from ehbench import units
 from ehbench.errors import InputError, UnitError
@@ -39,6 +46,18 @@ class FileModel(BaseModel):
     model_config = ConfigDict(
         frozen=True, extra="forbid", arbitrary_types_allowed=True, populate_by_name=True
     )
+
+
+FROM_FILE = {"from_file": True}  # the context in which a file's tables are read
+
+
+def _unknown_in_files(raw: Any, info: ValidationInfo) -> Any:
+    if info.context == FROM_FILE:
+        raise PydanticKnownError("extra_forbidden")
+    return raw
+
+
+Internal = BeforeValidator(_unknown_in_files)  # a field that the program sets, and no file
 
 
 @dataclass(frozen=True)

@@ -84,6 +84,7 @@ VOCABULARY_OF_GAINS = {
 # share of each estimate's bounds that scales its adaptation: inertia and disturbance shall not take
 # what the payload explains
 SHARES = np.array([0.3, 1.0, 0.2])
+SPARE = 1.15  # of the heaviest payload that a rig file names may be on board
 BUDGET = 0.42  # [rad] that the valves' lag and a tick may take at that sum
 RESERVE = 7.0e-3  # [s]: sensors of 2 ms, and 5 ms more, with which nothing shall swing
 OWN = 2.0  # of a load's own damping may be taken: no more than a part of the sum acts on it
@@ -104,7 +105,7 @@ class Adaptation:
         lag_budget: phase [rad] that the loop's lag may take at k1 + k2 + k3; BUDGET by default, and
             less on a load that swings fast (`_total`).
         payload: bounds of the payload at the end of the last link [kg]; 0 to 1.5 times that link's
-            mass by default.
+            mass by default, or to SPARE times the rig file's heaviest payload where that is more.
         disturbance: bound ± of the unknown force [N]; 3 % of supply pressure on the head end by
             default.
         bulk_modulus: its bounds [Pa]; the design's through and times 1.4 by default.
@@ -267,8 +268,8 @@ def _bounds(site: Site, unsure: Adaptation, place: _Place) -> _Bounds:
     """Bounds of the estimates; a payload's are those of inertia and gravity that it makes."""
     axis, ratio = site.axis, place.ratio
     beta = axis.cylinder.bulk_modulus
-    mass = 1.5 * float(axis.mechanism.links[-1].mass)
-    low, high = unsure.payload or (0.0, mass)
+    last = float(axis.mechanism.links[-1].mass)
+    low, high = unsure.payload or (0.0, max(1.5 * last, SPARE * site.payload))
     worst = unsure.disturbance
     if worst is None:
         worst = 0.03 * site.supply_pressure * axis.circuit.area_head

@@ -19,7 +19,8 @@ class Site:
     ``axis`` of its cylinder, ``tick`` between samples [s], ``supply_pressure`` [Pa] and
     ``flow_limit`` [m³/s] of the supply, ``valve_lag`` 2ζ/ω_n of the slowest valve [s], ``stroke``
     of the cylinder at the start [m]; ``unmodelled`` names the tables of the rig file that an axis
-    knows nothing of."""
+    knows nothing of; ``payload`` is the mass [kg] at the end of the last link that moves like the
+    heaviest payload of the rig file, on board or not."""
 
     axis: Axis
     tick: float
@@ -28,6 +29,7 @@ class Site:
     valve_lag: float
     stroke: float = 0.0
     unmodelled: tuple[str, ...] = ()
+    payload: float = 0.0
 
     @property
     def low_pressure(self) -> float:

@@ -113,7 +113,7 @@ class Suggestions:
     untried: tuple[str, ...]
 
     def lines(self, most: int = SHOWN) -> list[str]:
-        """The table as people read it, what to write below each row that is not worse."""
+        """The table as people read it, what to write below its first row."""
         told = ["what windows left out show, mean square relative to the recipe as it is:", ""]
         told.append(f"{'left out':>16}  {'numbers':>7}  what")
         for row in self.rows[:most]:
@@ -121,7 +121,7 @@ class Suggestions:
             off = f" ± {100.0 * row.std:.2g}" if row.std else ""
             size = f"{100.0 * row.misfit:.3g}{off} %"
             told.append(f"{mark}{size:>15}  {row.freedom:>7}  {row.words}")
-            if row.not_worse:
+            if row is self.rows[0]:
                 told += [f"{'':>27}recipe  {line}" for line in row.recipe_lines]
                 told += [f"{'':>27}rig     {line}" for line in row.rig_lines]
         told.append("")

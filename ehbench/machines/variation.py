@@ -4,24 +4,25 @@ slower valves, other oil, more friction, late sensors, other flow.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 from ehbench.errors import InputError
 from ehbench.machines.simulated import SimulatedMachine
-from ehbench.machines.virtual import VirtualMachine
+from ehbench.machines.virtual import RAW, VirtualMachine
+from ehbench.parts.sample import OF
 from ehbench.physics.flow_map import FlowMap, FlowMaps, collect
 from ehbench.plant.build import Maps
 from ehbench.plant.model import Model
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import BenchRecipe, MachineChange, TrialRecipe, load_recipe
-from ehbench.recipe.bench import BenchSensors
 from ehbench.rig import Rig, Value, read_value
 
 FRICTION = ("friction_coulomb", "friction_static", "friction_viscous")
 FLOW = ("flow_gain", "compensated_gain", "map_factor")
-SENSOR_LAG = 5.3e-5  # [s] of a bench's pressure sensors where its file says nothing
+# powers of the valves' periods in the numbers of their dynamics
+PERIODS = {"s1": 1, "s2": 2, "lag": 1, "delay": 1, "corner": -1, "natural_frequency": -1}
 
 
 def varied(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> SimulatedMachine | VirtualMachine:
@@ -34,43 +35,55 @@ def varied(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> SimulatedMachine
     assert change is not None  # else it is the machine as it is
     if recipe.on == "bench":
         return _bench(recipe, change, rig, maps)
-    for key in ("delay", "pressure_lag"):
-        if float(getattr(change, key)):
-            raise InputError(
-                f"the sensors of the model are exact: it has no {key}",
-                **recipe.at(*change.where, key),
-                hint='take on = "bench"',
-            )
-    own = varied_rig(rig, change, flow=True)
-    model = Model.of(own, _varied_maps(maps, float(change.deadband)), recipe.payload)
-    return SimulatedMachine(model, float(recipe.rate), float(recipe.step))
+    if float(change.pressure_lag):
+        raise InputError(
+            "the sensors of the model are exact: it has no pressure_lag",
+            **recipe.at(*change.where, "pressure_lag"),
+            hint='take on = "bench"',
+        )
+    model = Model.of(
+        _varied_rig(rig, change), _varied_maps(maps, float(change.deadband)), recipe.payload
+    )
+    # late commands do to a loop what late samples do
+    model.plant.valves.delay += float(change.delay)
+    step = recipe.step if isinstance(recipe.step, str) else float(recipe.step)
+    return SimulatedMachine(model, float(recipe.rate), step)
 
 
-def varied_rig(rig: Rig, change: MachineChange, flow: bool) -> Rig:
-    """A rig with slower valves, other oil, more friction and less supply; with other ``flow`` and
-    deadbands as well, where asked for.
-    """
-    known, values = rig.parameters(), {}
-    for name, value in known.items():
+def _powers(rig: Rig) -> dict[str, int]:
+    """Powers of the valves' periods in the parameters of a rig."""
+    known = rig.parameters()
+    powers = {}
+    for name in known:
         owner, _, word = name.rpartition(".")
-        number = float(value)
-        if owner in rig.dynamics:
-            powers = {"s1": 1, "s2": 2, "time_constant": 1}
-            if f"{owner}.s1" not in known:
-                powers["natural_frequency"] = -1
-            number *= change.valve_lag ** powers.get(word, 0)
-        elif word == "bulk_modulus":
-            number *= change.bulk_modulus
-        elif word in FRICTION:
-            number *= change.friction
-        elif name == "supply.pressure":
-            number *= change.supply_pressure
-        elif flow and word in FLOW:
-            number *= change.flow
-        elif flow and word == "deadband":
-            number = max(number + float(change.deadband), 0.0)
-        if number != float(value):
-            values[name] = number
+        told_twice = word == "natural_frequency" and f"{owner}.s1" in known
+        if owner in rig.dynamics and not told_twice:
+            powers[name] = PERIODS.get(word, 0)
+    return powers
+
+
+def _changed(name: str, number: float, change: MachineChange, powers: Mapping[str, int]) -> float:
+    """A parameter of a rig after a change."""
+    word = name.rpartition(".")[2]
+    if name in powers:
+        return number * change.valve_lag ** powers[name]
+    if word == "bulk_modulus":
+        return number * change.bulk_modulus
+    if word in FRICTION:
+        return number * change.friction
+    if word in FLOW:
+        return number * change.flow
+    if name == "supply.pressure":
+        return number * change.supply_pressure
+    return max(number + float(change.deadband), 0.0) if word == "deadband" else number
+
+
+def _varied_rig(rig: Rig, change: MachineChange) -> Rig:
+    """A rig after a change of what its file says."""
+    known = {name: float(value) for name, value in rig.parameters().items()}
+    powers = _powers(rig)
+    values = {name: _changed(name, number, change, powers) for name, number in known.items()}
+    values = {name: number for name, number in values.items() if number != known[name]}
     return rig.with_values(values) if values else rig
 
 
@@ -107,41 +120,38 @@ def _bench(
         told = load_recipe(recipe.file(recipe.bench))
         assert isinstance(told, BenchRecipe)
         bench = told
-    machine = VirtualMachine(varied_rig(own, change, flow=False), _told(bench, change), **given)
-    curves = machine.bench.curves
-    curves.gain *= change.flow
-    curves.onset += float(change.deadband)
+    # what a bench draws by the rig's numbers stays: these are changed where they act
+    slower = change.model_copy(
+        update={"friction": 1.0, "flow": 1.0, "deadband": Value(0.0), "supply_pressure": 1.0}
+    )
+    machine = VirtualMachine(_varied_rig(own, slower), _told(bench, slower, own), **given)
+    plant = machine.bench
+    for name in FRICTION:
+        plant.cylinders[name] *= change.friction
+    plant.curves.gain *= change.flow
+    # of the spool: a driver's gain lies before it
+    shift = float(change.deadband) * plant.valves.gain[plant.edges.valve]
+    for curve in (plant.edges.forward, plant.edges.reverse):
+        plant.curves.onset[curve] += shift
+    plant.supply.pressure *= change.supply_pressure
+    chambers = [channel in (OF.p_head, OF.p_rod) for channel in RAW] * len(plant.cylinders)
+    lines = [True] * (machine.raw - len(chambers))
+    plant.sensors.lag[chambers + lines] += float(change.pressure_lag)
     return machine
 
 
-def _told(bench: BenchRecipe, change: MachineChange) -> BenchRecipe:
+def _told(bench: BenchRecipe, change: MachineChange, rig: Rig) -> BenchRecipe:
     """A bench file after a change."""
-    truth, row = dict(bench.truth), VOCABULARY["bulk_modulus"]
-    if "bulk_modulus" in truth:
-        stiff = change.bulk_modulus * float(read_value(truth["bulk_modulus"], row))
-        truth["bulk_modulus"] = f"{stiff!r} {row.unit}"
-    tables = {
-        "cylinder": _scaled(bench.cylinder, FRICTION, change.friction),
-        "valve": _scaled(bench.valve, ("natural_frequency",), 1.0 / change.valve_lag),
-    }
-    sensors = {}
-    for name, one in {"all": BenchSensors(), **bench.sensors}.items():
-        lag = SENSOR_LAG if one.pressure_lag is None else float(one.pressure_lag)
-        if name == "all" or one.pressure_lag is not None:
-            late = Value(lag + float(change.pressure_lag))
-            one = one.model_copy(update={"pressure_lag": late})
-        sensors[name] = one
+    truth, powers = {}, _powers(rig)
+    for name, text in bench.truth.items():
+        row = VOCABULARY[name.rsplit(".", 1)[-1]]
+        number = _changed(name, float(read_value(text, row)), change, powers)
+        truth[name] = f"{number!r} {row.unit}"
+    valves = {}
+    for name, one in bench.valve.items():
+        if one.natural_frequency is not None:
+            slower = Value(float(one.natural_frequency) / change.valve_lag)
+            one = one.model_copy(update={"natural_frequency": slower})
+        valves[name] = one
     late = Value(float(bench.delay) + float(change.delay))
-    return bench.model_copy(update={**tables, "truth": truth, "sensors": sensors, "delay": late})
-
-
-def _scaled(tables: Mapping[str, Any], keys: Sequence[str], factor: float) -> dict[str, Any]:
-    """Tables of a bench file with some of their numbers times a factor, where they are given."""
-    scaled = {}
-    for name, one in tables.items():
-        given = {key: getattr(one, key) for key in keys}
-        update = {
-            key: Value(factor * float(value)) for key, value in given.items() if value is not None
-        }
-        scaled[name] = one.model_copy(update=update)
-    return scaled
+    return bench.model_copy(update={"truth": truth, "valve": valves, "delay": late})

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ehbench.control.axis import Mechanism, axis_of
+from ehbench.control.axis import Axis, Mechanism, axis_of, inertias
 from ehbench.control.functions import Circuit
 from ehbench.control.law import Site
 from ehbench.parts.cylinder import linkage_arrays
 from ehbench.parts.valve import valve_lag
+from ehbench.physics.arm import work_size
 from ehbench.plant.model import Model
 
 
@@ -42,4 +43,20 @@ def site_of(
     if model.rig.oil.air_fraction is not None:
         unmodelled += ("air_fraction of [oil]",)
     x = float(linkage_arrays(row, q[int(row.joint) : int(row.joint) + 1])[0][0])
-    return Site(axis, tick, float(plant.supply.pressure), limit, lag, x, unmodelled)
+    heaviest = max(
+        (_at_the_end(axis, model.links(name)) for name in model.rig.payload), default=0.0
+    )
+    return Site(axis, tick, float(plant.supply.pressure), limit, lag, x, unmodelled, heaviest)
+
+
+def _at_the_end(axis: Axis, links: np.recarray) -> float:
+    """The mass [kg] at the end of the last link that has the inertia about the axis's joint which
+    ``links`` have more than the bare rig, in the axis's posture.
+    """
+    n = len(links)
+    angles, room = axis.mechanism.posture, (np.zeros((n, n)), np.zeros(work_size(n) + n))
+    own, tip = inertias(axis, angles, *room)
+    loaded, _ = inertias(
+        axis._replace(mechanism=axis.mechanism._replace(links=links)), angles, *room
+    )
+    return float((loaded - own) / tip)

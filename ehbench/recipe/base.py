@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, Field
 
 from ehbench.disk import impossible
 from ehbench.errors import InputError
-from ehbench.fields import FileModel, Q, Value
+from ehbench.fields import FileModel, Internal, Q, Value
 from ehbench.recipe.columns import AnyColumns
 from ehbench.recipe.toml import line_of
 from ehbench.text import shortened
@@ -52,7 +52,7 @@ class Recipe(FileModel):
 
     title: str = ""
     note: str = ""
-    path: Path = Field(default=Path("recipe.toml"), exclude=True)
+    path: Annotated[Path, Internal] = Field(default=Path("recipe.toml"), exclude=True)
 
     @classmethod
     def kind(cls) -> tuple[str, str | None]:

@@ -12,7 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from ehbench.disk import read_bytes
 from ehbench.errors import InputError
-from ehbench.fields import FileModel
+from ehbench.fields import FROM_FILE, FileModel
 from ehbench.text import shortened
 
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(?:#.*)?$")
@@ -161,7 +161,7 @@ def validated(model: Any, table: dict[str, Any], text: str, path: Path) -> Any:
         InputError: with file, line, key, value and the nearest valid key.
     """
     try:
-        return TypeAdapter(model).validate_python(table)
+        return TypeAdapter(model).validate_python(table, context=FROM_FILE)
     except ValidationError as error:
         found = error.errors()
     except RecursionError:
@@ -313,6 +313,6 @@ def _valid_keys(model: Any, location: tuple[Any, ...]) -> list[str]:
             field.alias or name
             for candidate in here
             for name, field in candidate.model_fields.items()
-            if name != "path"
+            if not field.exclude
         }
     )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 from pydantic import BeforeValidator, Field, model_validator
 
 from ehbench.control import LAW_NAMES
-from ehbench.fields import FileModel, Q, Value
+from ehbench.fields import FileModel, Internal, Q, Value
 from ehbench.recipe.base import ByParameter, Recipe
 from ehbench.rig import LoadSensing, LowRail
 
@@ -78,9 +78,10 @@ class Limits(FileModel):
 class MachineChange(FileModel):
     """What is otherwise on the machine than on that which the controller was designed for.
 
-    ``delay`` of all samples and ``pressure_lag`` are added; ``valve_lag`` (the valves' periods),
-    ``bulk_modulus``, ``friction``, ``flow`` of every edge and ``supply_pressure`` are factors;
-    ``deadband`` is added to every edge's."""
+    ``delay`` of all samples (on the model, whose sensors are exact, of all commands) and
+    ``pressure_lag`` are added; ``valve_lag`` (the valves' periods), ``bulk_modulus``, ``friction``,
+    ``flow`` of every edge and ``supply_pressure`` are factors; ``deadband`` is added to every
+    edge's."""
 
     name: str = ""
     delay: Annotated[Value, Q("delay")] = Value(0.0)
@@ -91,7 +92,7 @@ class MachineChange(FileModel):
     flow: float = Field(default=1.0, gt=0.0, le=100.0)
     deadband: Annotated[Value, Q("map_shift")] = Value(0.0)
     supply_pressure: float = Field(default=1.0, gt=0.0, le=100.0)
-    where: tuple[str | int, ...] = Field(default=("machine",), exclude=True)
+    where: Annotated[tuple[str | int, ...], Internal] = Field(default=("machine",), exclude=True)
 
 
 class PayloadChange(FileModel):
@@ -139,7 +140,7 @@ class CylinderMotion(FileModel):
         "and ends with the oil in one state",
     )
     file: str | None = None
-    where: tuple[str | int, ...] = Field(default=("motion",), exclude=True)
+    where: Annotated[tuple[str | int, ...], Internal] = Field(default=("motion",), exclude=True)
 
     @model_validator(mode="after")
     def _whole(self) -> CylinderMotion:
@@ -287,7 +288,7 @@ class Controller(FileModel):
     cylinders: dict[str, CylinderController] = Field(
         default={}, description="laws of single cylinders, `[controller.cylinders.<cylinder>]`"
     )
-    where: tuple[str | int, ...] = Field(default=("controller",), exclude=True)
+    where: Annotated[tuple[str | int, ...], Internal] = Field(default=("controller",), exclude=True)
 
     @property
     def class_name(self) -> str:

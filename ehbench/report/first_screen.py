@@ -78,7 +78,7 @@ def _cards(runs: Sequence[Saved], found: Sequence[Findings]) -> list[Card]:
         if run.what == "validation"
         for one in run.facts["inputs"]
     }
-    rigs = {run.rig.name for run in runs if (run.folder / "rig.toml").is_file()}
+    rigs = {run.rig.name for run in runs if _has_rig(run)}
     best: dict[int, tuple[tuple[bool, bool, int], int, Headline]] = {}
     others: list[tuple[int, Headline]] = []
     for place, (run, findings) in enumerate(zip(runs, found, strict=True), 1):
@@ -94,11 +94,17 @@ def _cards(runs: Sequence[Saved], found: Sequence[Findings]) -> list[Card]:
         Card(
             one.label,
             one.value,
-            one.about if len(rigs) < 2 else f"{words(runs[place - 1].rig.name)}: {one.about}",
+            one.about
+            if len(rigs) < 2 or not _has_rig(runs[place - 1])
+            else f"{words(runs[place - 1].rig.name)}: {one.about}",
             f"#run-{place}",
         )
         for place, one in chosen
     ]
+
+
+def _has_rig(run: Saved) -> bool:
+    return (run.folder / "rig.toml").is_file()
 
 
 def _verdict(
@@ -124,7 +130,9 @@ def _verdict(
         for run, findings in zip(runs, found, strict=True)
         if findings.against
     ]
-    blocks: list[Block] = [Text(text, look)]
+    blocks: list[Block] = []
+    if any(run.what != "study" for run in runs):
+        blocks.append(Text(text, look))
     if doubts:
         blocks.append(Text("Against it, or open", "head"))
         blocks.append(Bullets([sentence(one) for one in doubts[:TOLD]], "warn"))

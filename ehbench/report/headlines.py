@@ -363,6 +363,61 @@ def _response(run: Saved) -> Findings:
     return Findings(numbers, [FigureKey("response")], table["warnings"])
 
 
+def _study(run: Saved) -> Findings:
+    study = run.json("study.json")
+    numbers = [_share_met(one) for one in study["targets"]]
+    aimed = [one["measure"] for one in study["targets"]]
+    spread = [one for one in study["measures"] if one.get("quantiles")]
+    numbers += [_spread(one) for one in spread if one["name"] not in aimed]
+    figures = [FigureKey("spread", case=name) for name in aimed]
+    figures += [FigureKey("map"), *(FigureKey("spread", case=one["name"]) for one in spread)]
+    lost = [
+        f"{n} of {study['samples']} samples {words(word)}"
+        for word, n in study["status"].items()
+        if word in _LOST
+    ]
+    nexts = [f"see why samples {words(word)}" for word in study["status"] if word in _LOST]
+    return Findings(numbers, figures, lost, nexts)
+
+
+_LOST = ("failed", "refused", "late")
+
+
+def ends_of(target: Table) -> str:
+    """What a target asks: ``at most 20 mm``."""
+    unit = f" {pretty(target['unit'])}" if target["unit"] else ""
+    told = [
+        f"{word} {number(target[key])}{unit}"
+        for key, word in (("at_most", "at most"), ("at_least", "at least"))
+        if target.get(key) is not None
+    ]
+    return " and ".join(told)
+
+
+def _share_met(target: Table) -> Headline:
+    span = interval(100.0 * target["low"], 100.0 * target["high"])
+    return Headline(
+        OFTEN,
+        f"{capital(words(target['measure']))} {ends_of(target)}",
+        f"{number(100.0 * target['share'], 3)} %",
+        f"of {count(target['of'], 'sample')}; 95 % interval {span} %",
+    )
+
+
+def _spread(one: Table) -> Headline:
+    unit = f" {pretty(one['unit'])}" if one["unit"] else ""
+    middle, ends = (
+        next((q for q in one["quantiles"] if q["share"] == share), None) for share in (0.5, 0.95)
+    )
+    assert middle is not None and ends is not None  # every summary has them
+    return Headline(
+        OFTEN,
+        f"{capital(words(one['name']))}, median",
+        f"{number(middle['value'], 3)}{unit}",
+        f"95 % of {count(one['samples'], 'sample')} up to {number(ends['value'], 3)}{unit}",
+    )
+
+
 _TOLD: dict[str, Callable[[Saved], Findings]] = {
     "flow_map": _flow_maps,
     "hydraulics": _hydraulics,
@@ -372,4 +427,5 @@ _TOLD: dict[str, Callable[[Saved], Findings]] = {
     "arc_tuning": _arc_tuning,
     "trial": _trial,
     "trials": _trials,
+    "study": _study,
 }

@@ -97,11 +97,13 @@ class Cluster:
     ) -> None:
         try:
             from distributed import Client
+            from distributed.comm.addressing import parse_address, parse_host_port
         except ImportError:
             raise InputError(
                 "--scheduler needs Dask", hint="install it: pip install 'ehbench[scale]'"
             ) from None
         try:
+            parse_host_port(parse_address(address)[1])  # a client refused half-made is noisy
             self._client: Any = Client(address, timeout=CONNECT, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise InputError(

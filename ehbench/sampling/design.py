@@ -37,6 +37,17 @@ class Drawn:
     lower: float = -math.inf
     upper: float = math.inf
 
+    @property
+    def spoken(self) -> str:
+        """Its law, as a table says it; the unit stands beside."""
+        first, second = f"{self.first:.4g}", f"{self.second:.4g}"
+        return {
+            "uniform": f"{first} … {second}, evenly",
+            "log_uniform": f"{first} … {second}, evenly in the logarithm",
+            "normal": f"{first}, standard deviation {second}",
+            "log_normal": f"{first}, a factor of {second} as standard deviation",
+        }[self.law]
+
     def value(self, z: np.ndarray) -> np.ndarray:
         """The draws at standard normal ``z``."""
         from scipy.special import ndtr
@@ -243,17 +254,25 @@ class Design:
 
     def settings(self, index: int) -> dict[str, Any]:
         """What a sample sets, by column: as a recipe would have it; factors as `Factor`."""
-        named = zip(self.columns, self.inputs(index), strict=True)
-        relative = {one.key for one in (*self.listed, *self.drawn) if one.relative}
-        typed = {}
-        for column, value in named:
-            if column.key in relative:
-                value = Factor(float(value))
-            elif column.varied == "draw" and column.unit:
-                value = f"{value!r} {column.unit}"
-            for key in (column.key, *self._also.get(column.key, ())):
-                typed[key] = value
+        typed: dict[str, Any] = {}
+        for column, value in zip(self.columns, self.inputs(index), strict=True):
+            typed |= self._typed(column, value)
         return typed
+
+    def quantile(self, one: Drawn, share: float) -> dict[str, Any]:
+        """What a sample sets below which a ``share``, between 0 and 1, of a draw lies."""
+        from scipy.special import ndtri
+
+        column = next(column for column in self.columns if column.key == one.key)
+        return self._typed(column, float(one.value(ndtri(share))))
+
+    def _typed(self, column: Column, value: Any) -> dict[str, Any]:
+        """An input as a recipe would have it, by its key and those that get the same."""
+        if any(one.key == column.key and one.relative for one in (*self.listed, *self.drawn)):
+            value = Factor(float(value))
+        elif column.varied == "draw" and column.unit:
+            value = f"{value!r} {column.unit}"
+        return dict.fromkeys((column.key, *self._also.get(column.key, ())), value)
 
     def cells(self, inputs: Sequence[Any]) -> list[float | str]:
         """A sample's inputs as cells of a table: numbers in the columns' units, or texts."""

@@ -116,6 +116,19 @@ def rank_regression(
     ], explained
 
 
+def scores(codes: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """What stands for a text in a regression of ranks: the mean rank of its samples.
+
+    Args:
+        codes: a number for each text, shape (samples,).
+        values: of the measure, finite, shape (samples,).
+    """
+    from scipy.stats import rankdata
+
+    ranks, (_, at) = rankdata(values), np.unique(codes, return_inverse=True)
+    return (np.bincount(at, ranks) / np.bincount(at))[at]
+
+
 def sobol(keys: Sequence[str], values: np.ndarray, count: int, seed: int) -> list[Sensitivity]:
     """First-order and total Sobol indices of a saltelli design, with bootstrap half widths.
 

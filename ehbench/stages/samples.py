@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from functools import lru_cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -165,25 +166,30 @@ class Sampler:
         return stage, stage.prepare(recipe, self.inputs(recipe, base, changes, folder))
 
     def refuse(self, settings: Mapping[str, Any], folder: Path) -> None:
-        """Refuse what a recipe, rig or bench file does not take, without preparing its stage.
+        """Refuse what a recipe, rig or bench file does not take; a single trial is prepared whole,
+        since that costs next to nothing.
 
         Raises:
-            InputError: with the nearest key.
+            EhbenchError: with the nearest key, or as the trial's stage.
         """
+        from ehbench.stages import stage_of
+
         base, changes = self.changes(settings)
         for stem, own in changes.items():
             here = base if not stem else _Base.of(base.behind[stem])
             recipe = here.changed(own, folder)
+            inputs = self.inputs(recipe, base, changes, folder)
             if own.rig:
                 name = getattr(recipe, "rig", None)
                 if name is None:
                     raise InputError(f"a {recipe.stage_name} has no rig to change")
-                state = Inputs.rig_state(
-                    self.inputs(recipe, base, changes, folder),
-                    name,
-                    getattr(recipe, "flow_maps", None),
-                )
+                state = Inputs.rig_state(inputs, name, getattr(recipe, "flow_maps", None))
                 changed_rig(state.rig, own.rig)
+            if isinstance(recipe, TrialRecipe) and set(changes) == {""}:
+                findings = Findings(recipe, collects=True)
+                stage_of(recipe).prepare(recipe, replace(inputs, findings=findings))
+                for error in findings.errors:
+                    raise error
 
     def changes(self, settings: Mapping[str, Any]) -> tuple[_Base, dict[str, Changes]]:
         """(the recipe of a sample as its file has it, what the sample changes in it and behind)."""
@@ -431,11 +437,11 @@ class SampleRuns:
         self._changes, self._folder = changes, folder
         self._made: dict[Path, Path] = {}
 
-    def folder(self, path: Path, findings: Findings) -> Path:
+    def folder(self, path: Path, findings: Findings) -> Path | None:
         """As `Runs.folder`."""
         changed = set(self._changes) - {""}
         if changed.isdisjoint({path.stem, *recipes_behind(path)}):
-            return self._sampler.plan.runs[path]
+            return self._sampler.plan.runs.get(path)
         if path not in self._made:
             self._made[path] = self._run(path)
         return self._made[path]
@@ -493,14 +499,32 @@ def refuse_measures(study: StudyRecipe, prepared: Prepared, stage: Stage) -> Non
     """
     roots = promised(prepared, stage)
     for at, one in enumerate(study.measures):
-        if one.channel is not None and not isinstance(prepared, PreparedOne):
-            raise InputError(
-                f"'{one.label}' is taken of a channel, which only one trial has",
-                **study.at("measures", at),
-            )
+        if one.channel is not None:
+            _refuse_channels(one, prepared, study.at("measures", at))
         for name in (one.result, one.over):
             if name is not None and roots and name != "code":
                 refuse_unknown(name, roots, study.at("measures", at))
+
+
+def _refuse_channels(one: Measure, prepared: Prepared, where: Mapping[str, Any]) -> None:
+    """Refuse channels that no trial's log will have; those of a user's class are not known."""
+    if not isinstance(prepared, PreparedOne):
+        message = f"'{one.label}' is taken of a channel, which only one trial has"
+        raise InputError(message, **where)
+    law = prepared.recipe.controller
+    if law is not None and law.code is not None:
+        return
+    from ehbench import trial
+
+    there = trial.log_channels(prepared.trial)
+    for name in (one.channel, one.minus):
+        if name is not None and name not in there:
+            near = get_close_matches(name, there, 1, 0.3)
+            raise InputError(
+                f"no channel of the log is called '{name}'",
+                **where,
+                hint=f"nearest is '{near[0]}'" if near else "there are " + ", ".join(there),
+            )
 
 
 def promised(prepared: Prepared, stage: Stage) -> list[Any]:

@@ -18,9 +18,10 @@ import numpy as np
 
 from ehbench import rundir
 from ehbench.errors import EhbenchError, InputError
+from ehbench.memory import refuse_beyond
 from ehbench.recipe import StudyRecipe, load_recipe
 from ehbench.sampling import statistics
-from ehbench.sampling.design import CASE, RECIPE, Column, Design, Fitted, label_of
+from ehbench.sampling.design import CASE, RECIPE, Design, Factor, Fitted, label_of
 from ehbench.sampling.journal import Journal
 from ehbench.sampling.outputs import MeasureColumn, Rows, write_tables
 from ehbench.sampling.cluster import Cluster
@@ -41,6 +42,8 @@ from ehbench.stages.samples import (
 )
 from ehbench.units import parse
 
+CELLS = 4  # of memory for each number of the table: it, its point in the design, two at work
+OUTER = (0.02, 0.98)  # shares of a draw: what lies beyond is too rare to say
 SHORT = 10.0  # [s] of work below which other processes would start too late to help
 
 
@@ -93,6 +96,8 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
         for behind in (one for path in paths for one in recipes_behind(path).values()):
             files += [("behind", behind)] if ("behind", behind) not in files else []
         design = Design(recipe, fitted)
+        with inputs.findings.noting():
+            _refuse_size(recipe, design)
         allowed = {"allow_code": inputs.allow_code, "unvalidated": inputs.unvalidated}
         plan = Plan(recipe, paths, runs.folders, **allowed)
         if not inputs.findings.errors:
@@ -148,7 +153,10 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
             _make(prepared, journal, progress)
             columns = write_tables(folder, design, prepared.measures, journal, prepared.key)
             worst = _worst(prepared, columns)
-            kept = keep(prepared.plan, design, worst, folder / "samples", progress)
+            kept = [
+                one | _row(prepared, columns, one["sample"])
+                for one in keep(prepared.plan, design, worst, folder / "samples", progress)
+            ]
         finally:
             journal.close()
         counts = Counter(columns.status)
@@ -167,7 +175,7 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
                 "design": recipe.design,
                 "status": dict(counts),
                 "key": prepared.key,
-                "inputs": [asdict(one) | {"values": values} for one, values in _inputs(design)],
+                "inputs": list(_inputs(design)),
                 "measures": _summaries(prepared, columns),
                 "targets": _targets(prepared, columns),
                 "groups": _groups(prepared, columns),
@@ -178,6 +186,15 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
         facts = {"samples": design.size, "warnings": said}
         bad = sum(n for word, n in counts.items() if word in ("failed", "refused", "late"))
         return Work(facts, code=INCOMPLETE if bad else DONE)
+
+
+def _refuse_size(recipe: StudyRecipe, design: Design) -> None:
+    """Refuse a table that memory does not hold, before its first sample is made."""
+    needed = 8.0 * CELLS * (len(design.columns) + len(recipe.measures) + 2) * design.size
+    try:
+        refuse_beyond(needed, f"a table of {design.size} samples")
+    except InputError as error:
+        raise InputError(error.message, **recipe.at("samples"), hint=error.hint) from None
 
 
 def _fitted(recipe: StudyRecipe, inputs: Inputs) -> tuple[Fitted | None, Path | None]:
@@ -198,35 +215,58 @@ def _fitted(recipe: StudyRecipe, inputs: Inputs) -> tuple[Fitted | None, Path | 
 
 
 def _refuse_keys(recipe: StudyRecipe, plan: Plan, design: Design, inputs: Inputs) -> None:
-    """Try every key, and every listed value of it, by itself."""
+    """Try every key by itself: every listed value, the ends of a grid, the middle of a draw; then
+    its outer draws, where a refusal is no mistake but worth knowing.
+    """
     from tempfile import TemporaryDirectory
 
     first = design.settings(0)
-    chosen = {key: first[key] for key in (RECIPE,) if key in first}
-    trials: list[tuple[tuple[str | int, ...], dict[str, Any]]] = []
-    for one in design.listed:
-        if one.key in (CASE, RECIPE):
-            continue
-        for at in range(len(one.values)):
-            those = design.settings(_index_of(design, one.key, at))
-            keys = (one.key, *recipe.sweep[one.key].also)
-            trials.append((("sweep", one.key), {key: those[key] for key in keys}))
-    for one in design.drawn:
-        where = next((t for t in ("draw", "sweep") if one.key in getattr(recipe, t)), "identified")
-        also = getattr({**recipe.draw, **recipe.sweep}.get(one.key), "also", ())
-        trials.append(((where, one.key), {key: first[key] for key in (one.key, *also)}))
-    trials += [(("seeds", at), {key: first[key]}) for at, key in enumerate(recipe.seeds)]
-    trials += [(("case", at), {CASE: case.name}) for at, case in enumerate(recipe.case)]
+    names = [first[RECIPE]] if RECIPE in first else recipe.recipe
     with TemporaryDirectory() as scratch:
         sampler = Sampler(plan, Path(scratch))
-        for where, settings in trials:
+        for where, settings in _alone(recipe, design, first):
             with inputs.findings.noting():
                 try:
-                    for name in recipe.recipe if not chosen else [chosen[RECIPE]]:
+                    for name in names:
                         sampler.refuse({RECIPE: name, **settings}, Path(scratch))
                 except EhbenchError as error:
                     message = error.message
                     raise InputError(message, **recipe.at(*where), hint=error.hint) from None
+        if inputs.findings.errors:
+            return
+        for one in design.drawn:
+            for settings in (design.quantile(one, share) for share in OUTER):
+                try:
+                    for name in names:
+                        sampler.refuse({RECIPE: name, **settings}, Path(scratch))
+                except EhbenchError as error:
+                    end = settings[one.key]
+                    drawn = f"{float(end):.4g} times" if isinstance(end, Factor) else end
+                    said = f"a sample with {one.key} = {drawn} is refused: {error.message}"
+                    inputs.findings.say("notes", said)
+
+
+def _alone(
+    recipe: StudyRecipe, design: Design, first: Mapping[str, Any]
+) -> Iterator[tuple[tuple[str | int, ...], dict[str, Any]]]:
+    """(place in the study's file, what is set) of each key by itself; ``first`` is the first
+    sample's.
+    """
+    for one in design.listed:
+        if one.key in (CASE, RECIPE):
+            continue
+        last = len(one.values) - 1
+        for at in range(last + 1) if recipe.sweep[one.key].values else (0, last):
+            those = design.settings(_index_of(design, one.key, at))
+            keys = (one.key, *recipe.sweep[one.key].also)
+            yield ("sweep", one.key), {key: those[key] for key in keys}
+    for one in design.drawn:
+        where = next((t for t in ("draw", "sweep") if one.key in getattr(recipe, t)), "identified")
+        yield (where, one.key), design.quantile(one, 0.5)
+    for at, key in enumerate(recipe.seeds):
+        yield ("seeds", at), {key: first[key]}
+    for at, case in enumerate(recipe.case):
+        yield ("case", at), {CASE: case.name}
 
 
 def _index_of(design: Design, key: str, at: int) -> int:
@@ -344,10 +384,25 @@ def spoken(seconds: float) -> str:
 # -------------------------------------------------------------------------------------------------
 
 
-def _inputs(design: Design) -> Iterator[tuple[Column, list[str]]]:
+def _inputs(design: Design) -> Iterator[dict[str, Any]]:
+    """Of each input: its column, how it is varied, whether its numbers are factors."""
     listed = {one.key: [label_of(value) for value in one.values] for one in design.listed}
+    laws = {one.key: one.spoken for one in design.drawn}
+    factors = {one.key for one in (*design.listed, *design.drawn) if one.relative}
     for column in design.columns:
-        yield column, listed.get(column.key, [])
+        key = column.key
+        about = {"values": listed.get(key, []), "law": laws.get(key, ""), "factor": key in factors}
+        yield asdict(column) | about
+
+
+def _row(prepared: PreparedStudy, rows: Rows, index: int) -> dict[str, Any]:
+    """What a sample set, what became of it, and its measures."""
+    design = prepared.design
+    return {
+        "status": rows.status[index],
+        "inputs": design.cells(design.inputs(index)),
+        "measures": rows.measures[index].tolist(),
+    }
 
 
 def _counted(prepared: PreparedStudy, rows: Rows, at: int) -> np.ndarray:
@@ -435,17 +490,17 @@ def _groups(prepared: PreparedStudy, rows: Rows) -> list[dict[str, Any]]:
 
 
 def _sensitivity(prepared: PreparedStudy, rows: Rows) -> list[dict[str, Any]]:
-    """Of each measure, how much each input of numbers moves it."""
+    """Of each measure, how much each input moves it."""
     design, recipe = prepared.design, prepared.recipe
-    numeric = [
+    varied = [
         i
         for i, one in enumerate(design.columns)
-        if not one.is_text and one.varied != "seed" and np.ptp(rows.inputs[:, i]) > 0.0
+        if one.varied != "seed" and np.ptp(rows.inputs[:, i]) > 0.0
     ]
     found = []
     for at, column in enumerate(prepared.measures):
         mask = _counted(prepared, rows, at)
-        y, keys = rows.measures[mask, at], [design.columns[i].key for i in numeric]
+        y, keys = rows.measures[mask, at], [design.columns[i].key for i in varied]
         if not keys or y.size < 10 or np.ptp(y) == 0.0:
             continue
         explained, way = None, "rank"
@@ -454,8 +509,12 @@ def _sensitivity(prepared: PreparedStudy, rows: Rows) -> list[dict[str, Any]]:
             table = statistics.sobol(drawn, y, recipe.samples, recipe.seed)
             way = "sobol"
         else:
-            x = rows.inputs[mask][:, numeric]
-            table, explained = statistics.rank_regression(keys, x, y)
+            x = rows.inputs[mask]
+            columns = [
+                statistics.scores(x[:, i], y) if design.columns[i].is_text else x[:, i]
+                for i in varied
+            ]
+            table, explained = statistics.rank_regression(keys, np.stack(columns, axis=1), y)
         found.append(
             {
                 "measure": column.name,

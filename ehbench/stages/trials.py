@@ -70,6 +70,7 @@ class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
         factors = {
             "payload": recipe.payloads,
             "motion": recipe.motion,
+            **({"machine": recipe.machine} if recipe.machine else {}),
             "controller": recipe.controller,
         }
         counts = " × ".join(counted(items, word) for word, items in factors.items())

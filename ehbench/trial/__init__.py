@@ -9,7 +9,7 @@ from ehbench.trial.cases import Case, CaseResult, file_names, run_cases, table_c
 from ehbench.trial.commands import command_table
 from ehbench.trial.controllers import code_file, code_files, gains_file, refuse_code
 from ehbench.trial.preparation import RUN_OUT, Prepared, Stop, prepare
-from ehbench.trial.running import Facts, Result, run, run_trial
+from ehbench.trial.running import Facts, Result, log_channels, run, run_trial
 from ehbench.trial.session import Session
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "command_table",
     "file_names",
     "gains_file",
+    "log_channels",
     "prepare",
     "refuse_code",
     "run",

@@ -186,6 +186,9 @@ _TRACKING = {"max_error": "x", "rms_error": "x", "final_error": "x"}
 _TRUE = {f"{name}_true": word for name, word in _TRACKING.items()}
 
 
+# where a cylinder swung by itself, and how far its valves at their end let it fall behind
+_SWING = {"swing": ("x", "amplitude"), "swing_period": ("t", "period")}
+_SHORT = {"speed_desired": ("v", "desired"), "speed_reached": ("v", "reached")}
 _TIP = {"tip_max_error": "max_error", "tip_rms_error": "rms_error"}
 
 
@@ -201,6 +204,12 @@ def table_csv(rows: Sequence[dict[str, Any]], rig: Rig) -> str:
         "pump_energy": rig.unit_of("energy")
     }
     units |= {name: rig.unit_of("tip_error") for name in _TIP if several}
+    met = {
+        key: columns
+        for key, columns in (("limit_cycle", _SWING), ("short", _SHORT))
+        if any(row.get(key) for row in rows)
+    }
+    units |= {name: rig.unit_of(word) for c in met.values() for name, (word, _) in c.items()}
     front = ["case", "payload", "motion", "controller", "on", "step"]
     heads = [
         *front,
@@ -225,6 +234,10 @@ def table_csv(rows: Sequence[dict[str, Any]], rig: Rig) -> str:
                 true = own.get("tracking_true", {}).items()
                 errors = own["tracking"] | {f"{name}_true": value for name, value in true}
                 cells += [cell(errors.get(name), name, word) for name, word in strokes.items()]
-                line = [*(row[name] for name in front[:-1]), *cells, energy, *tips, row["stopped"]]
+                cells += [energy, *tips]
+                for key, columns in met.items():
+                    told = own.get(key) or {}
+                    cells += [cell(told.get(w), n, word) for n, (word, w) in columns.items()]
+                line = [*(row[name] for name in front[:-1]), *cells, row["stopped"]]
                 lines.append(",".join(quoted(text) for text in line))
     return "\n".join(lines) + "\n"

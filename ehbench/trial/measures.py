@@ -13,6 +13,8 @@ from ehbench.signals import ringing, rms
 
 BAND = 0.05  # a step has settled once it stays this near to its steady speed
 STEADY = 1.0 / 3.0  # the steady speed is the windowed mean over this last part of a step
+LASTS = 0.1  # [s] at its end, what is shorter is a correction's, not the motion's
+LESS = 2.0e-3  # of the desired speed: what is less short is noise
 FINAL = 0.1  # [s] at the end of a trial over which the final error is averaged
 
 
@@ -121,3 +123,32 @@ def function_measures(
         "changes": float(changed.sum()) / (tick * max(changed.size, 1)),
         "changes_at_rest": float((changed & rest).sum()) / (tick * max(int(rest.sum()), 1)),
     }
+
+
+def short_measures(
+    t: np.ndarray, v: np.ndarray, v_desired: np.ndarray, saturated: np.ndarray
+) -> dict[str, float] | None:
+    """The longest stretch of at least LASTS in which valves were at their end and the cylinder went
+    slower than desired on the whole; None where there is none.
+
+    ``start`` and ``duration`` [s], the mean speeds ``desired`` and ``reached`` [m/s], positive in
+    the desired direction.
+
+    Args:
+        t: [s], evenly spaced, shape (samples,).
+        v: measured speed [m/s].
+        v_desired: desired speed [m/s].
+        saturated: where a valve was at its end.
+    """
+    short = np.concatenate([[0], (saturated & (v_desired != 0.0)).astype(int), [0]])
+    starts, ends = np.flatnonzero(np.diff(short) > 0), np.flatnonzero(np.diff(short) < 0)
+    tick, found = float(t[1] - t[0]), None
+    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+        desired = float(np.mean(np.abs(v_desired[start:end])))
+        reached = float(np.mean(v[start:end] * np.sign(v_desired[start:end])))
+        lasted = tick * (end - start)
+        longest = LASTS if found is None else found["duration"]
+        if lasted > longest and reached < (1.0 - LESS) * desired:
+            found = {"start": float(t[start]), "duration": lasted}
+            found |= {"desired": desired, "reached": reached}
+    return found

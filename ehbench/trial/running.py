@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ehbench.codes import LIMITS as LIMIT_BITS
+from ehbench.codes import SATURATED
 from ehbench.codes import STATUS_MEANS
 from ehbench.errors import InputError, SimulationError
 from ehbench.logs import check_record
@@ -22,7 +23,12 @@ from ehbench.record import Record, payloads_of, payloads_text
 from ehbench.rig import Rig
 from ehbench.trial.controllers import Compiled, Laws
 from ehbench.trial.learnt import learnt_maps
-from ehbench.trial.measures import function_measures, step_measures, tracking_measures
+from ehbench.trial.measures import (
+    function_measures,
+    short_measures,
+    step_measures,
+    tracking_measures,
+)
 from ehbench.trial.preparation import Aftermath, Prepared, Stop, prepare
 from ehbench.trial.session import LiveLog, Session
 from ehbench.trial.swing import limit_cycle
@@ -178,6 +184,16 @@ def run(
     return Result(record, facts, None if truth is None else truth.model)
 
 
+def log_channels(prepared: Prepared) -> tuple[str, ...]:
+    """The channels that the log of a prepared trial will have; its machine is closed.
+
+    Raises:
+        EhbenchError: as `run`, before the first tick; a user's class is loaded.
+    """
+    with closing(prepared.machine) as machine:
+        return tuple(Session(prepared, machine).channels(slice(0, 0)))
+
+
 def _meta(prepared: Prepared, machine: Machine) -> dict[str, str]:
     recipe, loop = prepared.recipe, prepared.loop
     posture = ", ".join(f"{name} {value}" for name, value in prepared.posture.items())
@@ -244,7 +260,8 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
             if part.used.get("gains", {}).get("adapt_maps"):
                 own["maps"] = learnt_maps(one.design, session.machine, record, rows)
             if isinstance(part, Compiled) and part.law.warns_saturated:
-                warnings += _saturated(own["limits"]["saturated"], one.cylinder)
+                own["short"] = _short(record, one.cylinder, rows)
+                warnings += _saturated(own, prepared.rig, one.cylinder)
             warnings += _swinging(own["limit_cycle"], prepared.rig, one.cylinder)
             warnings += _stuck(own, one.cylinder)
         measures = found.pop(prepared.loop.design.cylinder)
@@ -285,13 +302,35 @@ def _valves(rig: Rig, cylinder: str) -> dict[str, list[float]]:
     return {"natural_frequency": ends} if all(ends) and ends else {}
 
 
-def _saturated(share: float, cylinder: str) -> list[str]:
-    """A sentence where the valves were at their end in a share of the ticks."""
+def _short(record: Record, cylinder: str, rows: int) -> dict[str, float] | None:
+    """Where valves at their end let a cylinder fall behind the desired speed, see
+    `short_measures`.
+    """
+    v, desired, met = (record[f"{cylinder}.{name}"][:rows] for name in ("v", "v_desired", "limits"))
+    return short_measures(record.t[:rows], v, desired, met.astype(int) & SATURATED > 0)
+
+
+def _saturated(measures: Mapping[str, Any], rig: Rig, cylinder: str) -> list[str]:
+    """A sentence where the valves were at their end in a share of the ticks, and how far that kept
+    the cylinder behind the motion.
+    """
+    share, short = measures["limits"]["saturated"], measures["short"]
     if share == 0.0:
         return []
-    return [
+    told = (
         f"the valves of '{cylinder}' were at their end in {100.0 * share:.2g} % of the ticks "
         "and gave less than the controller asked for"
+    )
+    if short is None:
+        return [told]
+    unit = rig.unit_of("v")
+    reached, desired = (
+        f"{from_si(short[name], unit, VOCABULARY['v']):.4g} {unit}"
+        for name in ("reached", "desired")
+    )
+    return [
+        f"{told}; for {short['duration']:.2g} s from t = {short['start']:.3g} s on it went "
+        f"{reached} where {desired} were desired: the motion asks for more than this machine has"
     ]
 
 

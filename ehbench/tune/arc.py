@@ -11,9 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.control.arc_gains import Adaptation, named_gains, pack_arc, pack_with_rates
+from ehbench.control.arc_gains import (
+    BUDGET,
+    Adaptation,
+    named_gains,
+    pack_arc,
+    pack_with_rates,
+)
 from ehbench.control.functions import pack_rules
 from ehbench.control.law import Site
+from ehbench.errors import InsufficientData
 from ehbench.plant.model import Model
 from ehbench.plant.site import site_of
 from ehbench.recipe import ArcTuneRecipe
@@ -107,8 +114,19 @@ class _Search:
         posture = design.posture(recipe.posture)
         self.site: Site = site_of(design, circuit, posture, 1.0 / float(recipe.rate))
         self.rules = pack_rules(circuit.area_rod, self.site.supply_pressure)
-        counted = [one for one in study.sites if one.counts]
-        self.plants = [SampledPlant.of(one.model, one.point, self.site.tick) for one in counted]
+        usual = self.gains(BUDGET)
+        found = (
+            SampledPlant.of(one.model, one.point, self.site.tick)
+            for one in study.sites
+            if one.counts
+        )
+        self.plants = [one for one in found if one.stays(self.site, usual)]
+        if not self.plants:
+            raise InsufficientData(
+                f"at no operating point of cylinder '{study.cylinder}' the controller stays in the "
+                "working function asked for: it takes one that draws less",
+                hint="leave functions out, or choose other payloads or postures",
+            )
 
     @property
     def lag(self) -> float:
@@ -150,6 +168,9 @@ def tune_arc(study: Study, recipe: ArcTuneRecipe, progress: Progress | None = No
         study: of `ehbench.tune.study.prepare_tuning`, for the recipe's operating points.
         recipe: what to look at and what to demand.
         progress: told what is at work and the share done.
+
+    Raises:
+        InsufficientData: no operating point in whose working function the controller stays.
     """
     tell = progress or (lambda what, share: None)
     search = _Search(study, recipe)

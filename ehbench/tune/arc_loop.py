@@ -225,6 +225,14 @@ class SampledPlant:
         valves = tuple(sorted({path.valve for path in point.paths}))
         return cls(model, point, _plant_map(model, at, valves, tick), valves, sample)
 
+    def stays(self, site: Site, gains: np.record) -> bool:
+        """Whether the controller stays in the point's working function there: where it takes
+        another, the point is no steady motion of the loop.
+        """
+        tick = _LawTick(self, site, gains)
+        tick.after(np.zeros(tick.sizes.size), np.zeros(tick.reads.size))
+        return FUNCTIONS[int(tick.memory.state.function)] == self.point.function
+
     def loop(self, site: Site, gains: np.record) -> ArcLoop:
         """The loop of the controller about it.
 
@@ -285,38 +293,52 @@ def _differences(function: Any, sizes: np.ndarray) -> np.ndarray:
     return np.array(columns).T / sizes
 
 
-def _law_map(at: SampledPlant, site: Site, gains: np.record) -> Sampled:
-    """The controller over one tick, from samples to the commands of the valves at work."""
-    model, point, sample, valves = at.model, at.point, at.sample, list(at.valves)
-    start = steady_memory(model, point, site, gains)
-    observed = arc.observed(site.axis, sample.size)
-    telemetry = np.zeros(arc.COLUMNS + 4 * site.axis.circuit.count)
-    reference = np.array([point.x, point.v, 0.0, 0.0])
-    width = gains.upper - gains.lower
-    sizes = np.concatenate([list(MEMORY.values()), ESTIMATE * np.where(width > 0.0, width, 1.0)])
-    reads = np.flatnonzero(observed)
-    by_word = {"q": 1e-6, "x": 1e-6, "v": 1e-5}
-    words = _words(model)
-    inputs = np.array([by_word.get(words[i], 300.0) for i in reads])
+class _LawTick:
+    """One tick of the controller at a steady motion, of pushed memory and pushed samples.
 
-    def after(push: np.ndarray, seen: np.ndarray) -> np.ndarray:
-        memory = arc.memory_of(site.axis)
-        state, given, command = memory.state, sample.copy(), model.rest_commands(1)[0]
+    ``sizes`` are the steps for differences of its memory, ``inputs`` those of what it ``reads`` of
+    a sample; ``memory`` is that after the tick."""
+
+    def __init__(self, at: SampledPlant, site: Site, gains: np.record) -> None:
+        self.at, self.site, self.gains = at, site, gains
+        self.start = steady_memory(at.model, at.point, site, gains)
+        self.memory = arc.memory_of(site.axis)
+        self.observed = arc.observed(site.axis, at.sample.size)
+        self.telemetry = np.zeros(arc.COLUMNS + 4 * site.axis.circuit.count)
+        self.reference = np.array([at.point.x, at.point.v, 0.0, 0.0])
+        width = gains.upper - gains.lower
+        steps = ESTIMATE * np.where(width > 0.0, width, 1.0)
+        self.sizes = np.concatenate([list(MEMORY.values()), steps])
+        self.reads = np.flatnonzero(self.observed)
+        by_word, words = {"q": 1e-6, "x": 1e-6, "v": 1e-5}, _words(at.model)
+        self.inputs = np.array([by_word.get(words[i], 300.0) for i in self.reads])
+
+    def after(self, push: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        """Memory and commands of the valves at work after the tick."""
+        at, axis = self.at, self.site.axis
+        self.memory = memory = arc.memory_of(axis)
+        state, given, command = memory.state, at.sample.copy(), at.model.rest_commands(1)[0]
         for name in arc.STATE.names or ():
-            state[name] = start[name]
+            state[name] = self.start[name]
         for name, off in zip(MEMORY, push[: len(MEMORY)], strict=True):
             state[name] += off
         state.estimates[:] += push[len(MEMORY) :]
-        given[reads] += seen
-        law = Controller(site.axis, gains, memory, observed, np.zeros(sample.size))
-        law_tick(0.0, given, reference, law, command, telemetry)
+        given[self.reads] += seen
+        law = Controller(axis, self.gains, memory, self.observed, np.zeros(at.sample.size))
+        law_tick(0.0, given, self.reference, law, command, self.telemetry)
         moved = [float(state[name]) for name in MEMORY]
-        return np.array([*moved, *state.estimates, *command[valves]])
+        return np.array([*moved, *state.estimates, *command[list(at.valves)]])
 
-    count = sizes.size
-    by_memory = _differences(lambda push: after(push, np.zeros(inputs.size)), sizes)
-    by_sample = np.zeros((count + len(valves), sample.size))
-    by_sample[:, reads] = _differences(lambda seen: after(np.zeros(count), seen), inputs)
+
+def _law_map(at: SampledPlant, site: Site, gains: np.record) -> Sampled:
+    """The controller over one tick, from samples to the commands of the valves at work."""
+    tick = _LawTick(at, site, gains)
+    count, seen = tick.sizes.size, tick.inputs.size
+    by_memory = _differences(lambda push: tick.after(push, np.zeros(seen)), tick.sizes)
+    by_sample = np.zeros((count + len(at.valves), at.sample.size))
+    by_sample[:, tick.reads] = _differences(
+        lambda pushed: tick.after(np.zeros(count), pushed), tick.inputs
+    )
     return Sampled(by_memory[:count], by_sample[:count], by_memory[count:], by_sample[count:])
 
 

@@ -50,7 +50,7 @@ def changed(recipes: Path, file: str, old: str, new: str) -> Path:
             STEPS,
             'payloads = ["none", "50 lb"]',
             '‹payloads = ["none", "60 lb"]',
-            "no payload '60 lb' (it has 50 lb)",
+            "no payload '60 lb' (it has 50 lb, 100 lb)",
         ),
         (
             STEPS,

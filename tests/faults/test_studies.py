@@ -247,9 +247,22 @@ def test_unknown_keys_and_measures_are_named_at_check(study, tmp_path):
         ('"duration",', '"duratoin",', "nearest is 'duration'"),
         ("recipe.payload", "recipe.pay", "unknown key 'pay'"),
         ('measure = "speed"', 'measure = "sped"', "did you mean 'speed'"),
+        ('"press.v"', '"pres.v"', "nearest is 'press.v'"),
+        ('"100 kg"', '"100 kgs"', "no payload '100 kgs'"),
+        ("samples = 8", "samples = 90_000_000", "GB of memory"),
     ):
         wrong = path.with_name("wrong.toml")
         wrong.write_text(text.replace(old, new), encoding="utf-8")
         found = inspection.check(wrong)
         assert found.code == 2 and said in str(found.errors[0]), found.errors
         assert found.errors[0].line, found.errors[0]
+
+
+def test_an_outer_draw_that_a_rig_refuses_is_noted(study):
+    path, _ = study
+    wide = path.with_name("wide.toml")
+    wide.write_text(path.read_text(encoding="utf-8").replace("low = 0.2", "low = -0.2"))
+    found = inspection.check(wide)
+    assert found.code == 0
+    note = next(line for line in found.lines if "note" in line)
+    assert "a sample with rig.supply.pressure = -0.172 times is refused" in note

@@ -21,6 +21,9 @@ HEAD = 'stage = "trial"\nrig = "rig.toml"\n'
         (HEAD + "x = " + "[" * 2000 + "]" * 2000, "nested too deeply", None),
         (HEAD + "x = " + "{a=" * 2000 + "1" + "}" * 2000, "nested too deeply", None),
         (HEAD + ".".join(["a"] * 3000) + " = 1", "unknown key 'a'|nested", 3),
+        # fields that the program sets
+        (HEAD + 'path = "a"', "unknown key 'path'", 3),
+        (HEAD + 'motion = { kind = "steps", where = ["a"] }', "unknown key 'motion.where'", 3),
         (HEAD + "seed = " + "9" * 400, "seed = .*less than or equal", 3),
         (HEAD + "seed = " + "9" * 5000, "a whole number is too long", 3),
         (HEAD + "duration = " + "9" * 400, "duration", 3),

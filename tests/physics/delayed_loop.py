@@ -42,12 +42,18 @@ class Bench:
             draws=0,
         )
         study = prepare_tuning(SimpleNamespace(rig=rig, flow_maps=None), recipe)
-        self.points = [site for site in study.sites if site.counts]
+        counted = [site for site in study.sites if site.counts]
         self.design = Model.of(rig)
         index = self.design.layout.cylinders.index(cylinder)
         circuit = circuit_of(self.design, index)
         self.site = site_of(self.design, circuit, self.design.posture({}), TICK)
         self.rules = pack_rules(circuit.area_rod, self.site.supply_pressure)
+        usual = self.gains()
+        self.points = [
+            one
+            for one in counted
+            if SampledPlant.of(one.model, one.point, TICK).stays(self.site, usual)
+        ]
 
     def gains(self, unsure=None, **given):
         """The controller's gains: the defaults but for what is given."""

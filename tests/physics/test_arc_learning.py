@@ -19,11 +19,12 @@ RECIPES = Path(__file__).parents[2] / "recipes"
 RIG = load_rig(RECIPES / "rigs" / "thesis_arm.toml")
 BENCH = RECIPES / "bench" / "thesis_arm.toml"
 SPEEDS = {"slow": ("60 mm/s", "0.3 m/s^2", "6 m/s^3"), "fast": ("180 mm/s", "1 m/s^2", "20 m/s^3")}
+LESS = {"less fast": ("165 mm/s", "1 m/s^2", "20 m/s^3")}
 PAYLOAD = 26.016  # [kg] that 50 lb weigh at the end of the last link
 
 
 def prepared(payload="none", speed="slow", on="model", **given):
-    top, acceleration, jerk = SPEEDS[speed]
+    top, acceleration, jerk = (SPEEDS | LESS)[speed]
     recipe = TrialRecipe.model_validate(
         {
             "stage": "trial",
@@ -92,6 +93,33 @@ def test_wrong_maps_are_mended_on_the_virtual_bench(shift):
     assert first > 0.05
     for edge, one in measures["maps"].items():
         assert one["error_after"] < max(one["error_before"], first) / 3.0, edge
+
+
+@pytest.mark.parametrize("change", [{"delay": "5 ms"}, {"valve_lag": 2.0}, {"flow": 0.9}])
+def test_learning_maps_costs_no_margin_on_the_virtual_bench(change):
+    """With late samples, slow valves or other flow the loaded boom does not swing, and follows no
+    worse than with the maps as they are given.
+    """
+    with_maps, without = (
+        run(prepared("50 lb", on="bench", machine=change, gains={"adapt_maps": on})).facts.measures
+        for on in (True, False)
+    )
+    assert with_maps["limit_cycle"] is None
+    assert with_maps["tracking"]["rms_error"] < 1.05 * without["tracking"]["rms_error"]
+    if "flow" in change:
+        assert with_maps["tracking"]["rms_error"] < 0.7 * without["tracking"]["rms_error"]
+
+
+def test_a_motion_beyond_the_valves_is_told():
+    """With a tenth less flow the boom's supply edge cannot give 180 mm/s to 50 lb, but 165 mm/s."""
+    change = {"on": "bench", "machine": {"flow": 0.9}, "gains": {"adapt_maps": False}}
+    beyond = run(prepared("50 lb", "fast", **change)).facts
+    short = beyond.measures["short"]
+    assert short["reached"] < short["desired"] == pytest.approx(0.18, rel=0.01)
+    assert any("the motion asks for more than this machine has" in w for w in beyond.warnings)
+    within = run(prepared("50 lb", "less fast", **change)).facts
+    assert within.measures["short"] is None
+    assert within.measures["limits"]["saturated"] == 0.0
 
 
 def test_corrections_stay_in_their_bounds():

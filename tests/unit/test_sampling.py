@@ -211,6 +211,18 @@ def test_sobol_indices_are_those_of_ishigami():
     assert [one.total for one in found] == pytest.approx([0.5576, 0.4424, 0.2437], abs=0.03)
 
 
+def test_a_text_explains_what_its_samples_differ_by():
+    """Two kinds of rig, of which the second gives more; what is drawn adds a little."""
+    rng = np.random.default_rng(5)
+    kind, x = np.repeat([1.0, 0.0], 100), rng.normal(size=200)
+    y = np.exp(3.0 * (kind == 0.0) + 0.2 * x)
+    columns = np.stack([statistics.scores(kind, y), x], axis=1)
+    (first, second), explained = statistics.rank_regression(("kind", "x"), columns, y)
+    assert first.rank > 0.7 and 0.2 < second.rank < first.rank and explained > 0.95
+    alone, share = statistics.rank_regression(("x",), x[:, None], y)
+    assert share < 0.5 < explained and alone[0].rank > 0.0
+
+
 def test_rank_regression_sees_through_a_bend():
     x = np.random.default_rng(0).random((400, 3))
     rows, explained = statistics.rank_regression(("a", "b", "c"), x, np.exp(5 * x[:, 0]) - x[:, 1])

@@ -9,6 +9,7 @@ import pytest
 
 from ehbench.recipe import TrialRecipe, load_rig
 from ehbench.trial import run_trial
+from ehbench.trial.measures import short_measures
 from ehbench.trial.swing import limit_cycle
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
@@ -86,3 +87,17 @@ def test_a_trial_that_swings_says_so_and_a_sound_one_does_not():
     cycle = swinging.measures["limit_cycle"]
     assert cycle["amplitude"] > 5.0e-4 and 0.01 < cycle["period"] < 0.3
     assert any("'boom' swings by itself: a limit cycle of ± " in w for w in swinging.warnings)
+
+
+def test_how_far_valves_at_their_end_let_a_cylinder_fall_behind():
+    t = np.arange(1000) * 1e-3
+    desired = np.where(t < 0.8, -0.2, 0.0)
+    at_end = (t >= 0.2) & (t < 0.5)
+    reached = np.where(at_end, 0.9, 1.0) * desired
+    found = short_measures(t, reached, desired, at_end)
+    assert found is not None
+    assert (found["start"], found["duration"]) == pytest.approx((0.2, 0.3))
+    assert (found["desired"], found["reached"]) == pytest.approx((0.2, 0.18))
+    assert short_measures(t, desired, desired, at_end) is None  # nothing was missed
+    assert short_measures(t, reached, desired, at_end & (t < 0.25)) is None  # a correction's
+    assert short_measures(t, reached, desired, t >= 0.85) is None  # nothing was asked for

@@ -21,6 +21,7 @@ def distribution(
     with canvas(path, 1, 2, (7.2, 2.8)) as (figure, (left, right)):
         left.hist(y, bins=min(40, max(8, round(y.size**0.5))), color=RECORDED, alpha=0.85)
         left.set_ylabel("samples")
+        left.yaxis.get_major_locator().set_params(integer=True)
         ordered = np.sort(y)
         share = 100.0 * np.arange(1, y.size + 1) / y.size
         right.step(ordered, share, where="post", color=RECORDED, linewidth=1.3)
@@ -55,10 +56,12 @@ def scatter(
     size = (7.2, 2.4 * rows + 0.3)
     look = {"squeeze": False, "sharey": True}
     step = max(1, y.size // MOST_DOTS)
+    dot = 2.5 if y.size > 200 else 5.0
     with canvas(path, rows, columns, size, **look) as (figure, axes):
         for ax, (key, x) in zip(axes.flat, inputs, strict=False):
-            ax.plot(x[::step], y[::step], ".", color=RECORDED, markersize=2.5, alpha=0.5)
-            ax.plot(x[marks], y[marks], "o", color=ACCENT, markersize=5, fillstyle="none")
+            ax.plot(x[::step], y[::step], ".", color=RECORDED, markersize=dot, alpha=0.5)
+            ax.plot(x[marks], y[marks], "o", color=ACCENT, markersize=6, fillstyle="none")
+            ax.margins(0.06)
             ax.set_xlabel(key, fontsize=8)
         for ax in axes.flat[len(inputs) :]:
             ax.set_visible(False)

@@ -11,6 +11,7 @@ import numpy as np
 from ehbench.report.blocks import Block, Bullets, Cell, Grid, Part
 from ehbench.report.content import Pictures, SectionContent, StageReport, num
 from ehbench.report.figures import study as figures
+from ehbench.report.headlines import ends_of
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
 from ehbench.report.words import count, interval, number, pretty, words
@@ -30,8 +31,10 @@ def draw(run: Saved, index: FigureIndex) -> None:
         if there.sum() < 2:
             continue
         if np.ptp(y[there]) > 0.0:
-            path = index.add(f"spread_{name}", f"Spread of {name}", _SPREAD, _key("spread", name))
-            figures.distribution(path, _shown(measure), y[there], measure, targets.get(name))
+            target = targets.get(name)
+            caption = _SPREAD + " Dashed: the target." * (target is not None)
+            path = index.add(f"spread_{name}", f"Spread of {name}", caption, _key("spread", name))
+            figures.distribution(path, _shown(measure), y[there], measure, target)
             _scatter(index, study, table, measure, y)
     for one in study["sensitivity"]:
         rows = sorted(one["inputs"], key=lambda row: -abs(_weight(row)))
@@ -44,10 +47,11 @@ def draw(run: Saved, index: FigureIndex) -> None:
 
 _SPREAD = (
     "Left: samples by value. Right: the share of samples up to a value; bars: 95 % intervals of "
-    "the quantiles from order statistics, open ends drawn to the last sample. Dashed: the target."
+    "the quantiles from order statistics, open ends drawn to the last sample."
 )
 _RANK = (
-    "Linear regression of the measure's rank on the inputs' ranks: 1 is all of it, sign as moved."
+    "Linear regression of the measure's rank on the inputs' ranks: 1 is all of it, sign as moved. "
+    "A text counts by the mean rank of its samples, so without a sign."
 )
 _SOBOL = "Share of the measure's variance by one input alone (first) and with all others (total)."
 _MAP = "Median over the samples of each combination of the two swept keys."
@@ -70,6 +74,11 @@ def _shown(one: Table) -> str:
     return _head(words(one["name"]), pretty(one["unit"]))
 
 
+def _unit(one: Table) -> str:
+    """The unit of an input; that of factors is ×."""
+    return "×" if one["factor"] else pretty(one["unit"])
+
+
 def _key(kind: str, measure: str) -> FigureKey:
     return FigureKey(kind, case=measure)
 
@@ -85,7 +94,7 @@ def _scatter(
     for one in study["inputs"]:
         x = table[_head(one["key"], one["unit"])]
         if one["varied"] != "seed" and not one["is_text"] and np.ptp(x) > 0.0:
-            inputs.append((_head(one["key"], pretty(one["unit"])), x))
+            inputs.append((_head(one["key"], _unit(one)), x))
     if inputs:
         marks = np.array([one["sample"] for one in study["worst"]], int)
         name = measure["name"]
@@ -136,23 +145,13 @@ def _sentence(study: Table) -> str:
     what = " and ".join(f"'{name}'" for name in study["recipe"])
     told = f"{count(study['samples'], 'sample')} of {what}, {ended} of which came to their end"
     for one in study["targets"]:
-        told += f"; {_met(one)} keep {one['measure']} {_ends(one)}"
+        told += f"; {_met(one)} keep {one['measure']} {ends_of(one)}"
     return told + "."
 
 
 def _met(one: Table) -> str:
     span = interval(100.0 * one["low"], 100.0 * one["high"])
     return f"{number(100.0 * one['share'], 3)} % ({span} %)"
-
-
-def _ends(one: Table) -> str:
-    unit = f" {pretty(one['unit'])}" if one["unit"] else ""
-    told = [
-        f"{word} {number(one[key])}{unit}"
-        for key, word in (("at_most", "at most"), ("at_least", "at least"))
-        if one.get(key) is not None
-    ]
-    return " and ".join(told)
 
 
 def _said(study: Table) -> list[Block]:
@@ -167,7 +166,7 @@ def _said(study: Table) -> list[Block]:
 
 def _targets(study: Table) -> list[Block]:
     rows = [
-        [one["measure"], num(_ends(one)), num(f"{one['count']} of {one['of']}"), num(_met(one))]
+        [one["measure"], num(ends_of(one)), num(f"{one['count']} of {one['of']}"), num(_met(one))]
         for one in study["targets"]
     ]
     head = ["target", "", "samples that keep it", "share (95 % interval)"]
@@ -209,7 +208,7 @@ def _groups(study: Table) -> list[Block]:
     for measure in study["measures"]:
         ways = ("median", "95 %", "most") if study["points"] > 1 else ("",)
         head += [f"{_shown(measure)}{', ' * bool(way)}{way}" for way in ways]
-    head += [f"keep {one['measure']} {_ends(one)}" for one in study["targets"]]
+    head += [f"keep {one['measure']} {ends_of(one)}" for one in study["targets"]]
     rows = []
     for group in groups:
         cells: list[Cell | str] = [group["values"][key] for key in keys]
@@ -231,20 +230,32 @@ def _moves(study: Table) -> list[Block]:
 
 
 def _worst(study: Table) -> list[Block]:
-    rows = [
-        [num(str(one["sample"])), Cell(one["folder"], "code"), one["said"]]
-        for one in study["worst"]
-    ]
-    return [Grid(["sample", "its run", ""], rows)] if rows else []
+    """The samples that were kept: what they measured and what was set, and where they are."""
+    varied = [one for one in study["inputs"] if one["varied"] != "seed"]
+    inputs = [i for i, one in enumerate(study["inputs"]) if one in varied]
+    heads = [_head(one["key"], _unit(one)) for one in varied]
+    rows: list[Sequence[Cell | str]] = []
+    for one in study["worst"]:
+        cells = [num(str(one["sample"])), Cell(one["folder"], "code"), words(one["status"])]
+        cells += [num(number(value, 4)) for value in one["measures"]]
+        for i in inputs:
+            value = one["inputs"][i]
+            cells.append(value if isinstance(value, str) else num(number(value, 4)))
+        rows.append([*cells, one["said"]])
+    if not rows:
+        return []
+    measures = [_shown(one) for one in study["measures"]]
+    caption = "Each was run again and kept whole; by its number it can be made anew."
+    return [Grid(["sample", "its run", "status", *measures, *heads, ""], rows, caption)]
 
 
 def _inputs(study: Table) -> Grid:
     rows: list[Sequence[Cell | str]] = [
         [
             Cell(one["key"], "code"),
-            pretty(one["unit"]),
+            _unit(one),
             words(one["varied"]),
-            ", ".join(one["values"]),
+            ", ".join(one["values"]) or one["law"],
         ]
         for one in study["inputs"]
     ]
