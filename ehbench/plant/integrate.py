@@ -32,11 +32,16 @@ def stages(y, command, plant, d, k, work):
     """The derivatives within a step of ``d`` [s] from ``y``, where ``k[0]`` holds them, into
     ``k[1]`` to ``k[3]``.
     """
-    for stage in range(1, 4):
-        share = d if stage == 3 else 0.5 * d
-        for i in range(y.shape[0]):
-            k[4, i] = y[i] + share * k[stage - 1, i]
-        any_derivatives(k[4], command, plant, k[stage], work)
+    size = y.shape[0]
+    for i in range(size):
+        k[4, i] = y[i] + 0.5 * d * k[0, i]
+    any_derivatives(k[4], command, plant, k[1], work)
+    for i in range(size):
+        k[4, i] = y[i] + 0.5 * d * k[1, i]
+    any_derivatives(k[4], command, plant, k[2], work)
+    for i in range(size):
+        k[4, i] = y[i] + d * k[2, i]
+    any_derivatives(k[4], command, plant, k[3], work)
 
 
 @part_kernel
@@ -81,10 +86,9 @@ def run(y, commands, plant, line, steps, log):
         for i in range(work.shape[0] - at):
             log[sample, size + i] = work[at + i]
         if sample + 1 < commands.shape[0]:
-            for step in range(steps):
-                if step > 0:
-                    line_felt(line, commands[sample], plant, step * h, h)
-                    rate = any_derivatives(y, line.held, plant, k[0], work)
-                most = max(most, advance(y, line.held, plant, h, k, work, rate))
+            most = max(most, advance(y, line.held, plant, h, k, work, rate))
+            for step in range(1, steps):
+                line_felt(line, commands[sample], plant, step * h, h)
+                most = max(most, rk4(y, line.held, plant, h, k, work))
             line_push(line, commands[sample])
     return most
