@@ -118,7 +118,9 @@ allocating_kernel = _compiler({"nogil": True})
 # for what is made at import, which no cache can find again: it goes into the code of its callers
 inlined = _compiler(_INLINED, kept=False)
 
-WITHIN: Any = {**OPTIONS, **_WITHIN}  # of an overload: numba's word for a choice by types
+# of overloads, numba's word for a choice by types: as a kernel, and as a part of one
+WITHIN: Any = {**OPTIONS, **_WITHIN}
+_CHOSEN: Any = {**_INLINED, **_WITHIN}
 
 
 def bound(function: Any, *like: Any) -> Callable:
@@ -152,7 +154,7 @@ def choice(name: str, laws: Sequence[Callable], arguments: str) -> Callable:
         f"def chosen(law, {arguments}):\n{chain}    return law_{last}({arguments})\n",
         space,
     )
-    overload(space[name], jit_options={**_INLINED, **_WITHIN})(space["typed"])
+    overload(space[name], jit_options=_CHOSEN)(space["typed"])
     return space[name]
 
 
@@ -186,7 +188,7 @@ class Generic:
                 "    if getattr(plant, 'instance_class', None) is wanted: return chosen\n",
                 space,
             )
-            overload(self.call, jit_options={**_INLINED, **_WITHIN})(space["typed"])
+            overload(self.call, jit_options=_CHOSEN)(space["typed"])
             return function
 
         return register

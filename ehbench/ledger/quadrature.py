@@ -61,16 +61,13 @@ def integrate(t, states, commands, plant, line, owner, step, out):
                 line_felt(line, commands[i], plant, (piece * steps // pieces) * felt, felt)
                 rate = derivatives(y, held, plant, k[0], work)
                 powers(y, held, work[at:], plant, owner, start)
-            advance(y, held, plant, 0.5 * h, k, work, rate)
-            rate = derivatives(y, held, plant, k[0], work)
-            powers(y, held, work[at:], plant, owner, middle)
-            for j in range(columns):
-                energies[i, j] += h / 6.0 * start[j] + h / 1.5 * middle[j]
-            advance(y, held, plant, 0.5 * h, k, work, rate)
-            rate = derivatives(y, held, plant, k[0], work)
-            powers(y, held, work[at:], plant, owner, start)
-            for j in range(columns):
-                energies[i, j] += h / 6.0 * start[j]
+            for half in range(2):
+                advance(y, held, plant, 0.5 * h, k, work, rate)
+                rate = derivatives(y, held, plant, k[0], work)
+                powers(y, held, work[at:], plant, owner, start if half else middle)
+                for j in range(columns):
+                    middle_part = 0.0 if half else h / 1.5 * middle[j]
+                    energies[i, j] += h / 6.0 * start[j] + middle_part
         line_push(line, commands[i])
         out.ends[i] = y
 

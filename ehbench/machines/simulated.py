@@ -115,10 +115,11 @@ def _advance(first, stop, own, rows, law, pace):
         for j in range(sample.shape[0]):
             rows.samples[i, j] = sample[j]
         if pace is None:
-            advance(own.y, own.line.held, own.plant, h, own.k, own.work, rate)
-            for step in range(1, own.steps):
-                line_felt(own.line, command, own.plant, step * h, h)
-                rk4(own.y, own.line.held, own.plant, h, own.k, own.work)
+            for step in range(own.steps):
+                if step > 0:
+                    line_felt(own.line, command, own.plant, step * h, h)
+                    rate = derivatives(own.y, own.line.held, own.plant, own.k[0], own.work)
+                advance(own.y, own.line.held, own.plant, h, own.k, own.work, rate)
         else:
             over_tick(_way(own, pace), command, rate)
         line_push(own.line, command)
