@@ -357,7 +357,7 @@ class OutputError:
             for parts in self.residuals(vectors, chosen)
         ]
         best = vectors[int(np.argmin(costs))]
-        self.journal.keep(self._told(best), costs=costs, evaluations=self.simulator.evaluations)
+        self.journal.keep(self._standing(best), costs=costs, evaluations=self.simulator.evaluations)
         return np.array(costs)
 
     def _stands(self) -> tuple[object, ...]:
@@ -377,7 +377,7 @@ class OutputError:
         at = (self.theta, self.touches, *self.shifts, *chosen)
         return (names, held, *(own.tobytes() for own in at))
 
-    def _told(self, theta: np.ndarray) -> dict[str, object]:
+    def _standing(self, theta: np.ndarray) -> dict[str, object]:
         """Where the search stands, for who reads the journal: evaluations, and parameters [SI]."""
         values = dict(zip((c.name for c in self.search), self._values(theta), strict=True))
         asked = {c.name: values[c.name] for c in self.search[: self.asked]}
@@ -481,7 +481,7 @@ class OutputError:
         """Write a step of a descent into the journal."""
         assert way.origin is not None  # a step has been taken
         self.journal.keep(
-            self._told(self.theta),
+            self._standing(self.theta),
             **_kept(here),
             origin=_kept(way.origin),
             damping=way.damping,
@@ -495,7 +495,7 @@ class OutputError:
         count = [self.iterations, self.simulator.evaluations]
         assert self.grid is not None  # a point has been simulated
         chosen = _place(self.grid.theta, self.grid.shifts)
-        self.journal.keep(self._told(self.theta), ended=converged, counted=count, chosen=chosen)
+        self.journal.keep(self._standing(self.theta), ended=converged, counted=count, chosen=chosen)
         return converged
 
     def _skipped(self, known: Mapping[str, Any]) -> bool:
