@@ -35,7 +35,7 @@ LEAST = 0.015  # of the largest speed: edges that pass less tell nothing
 SQUEEZED = 0.5  # share of the oil's compression that may be wrong: its bulk modulus
 UNSTEADY = 0.3  # share of what the low-pass holds back, for lags that are not known
 NARROW = 0.15  # [V] beyond the deadband below which a slope is not told
-FIRST_GAIN, FIRST_SHIFT = 0.4, 0.5  # of their bounds: standard errors at the start
+FIRST = 0.4  # of their bounds: standard errors at the start
 
 
 class MapMemory(NamedTuple):
@@ -84,9 +84,9 @@ def begin(p, onset, gains, maps):
     maps.chambers[0, FLOW] = maps.chambers[1, FLOW] = 0.0
     for i in range(maps.edges.shape[0]):
         maps.trim[i, GAIN], maps.trim[i, SHIFT] = 1.0, 0.0
-        maps.edges[i, VAR_GAIN] = (FIRST_GAIN * gains.map_error) ** 2
+        maps.edges[i, VAR_GAIN] = (FIRST * gains.map_error) ** 2
         if onset[i] != 0.0:  # of a spool without a deadband there is none to learn
-            maps.edges[i, VAR_SHIFT] = (FIRST_SHIFT * gains.deadband_error) ** 2
+            maps.edges[i, VAR_SHIFT] = (FIRST * gains.deadband_error) ** 2
 
 
 @kernel

@@ -12,7 +12,6 @@ from ehbench import rundir
 from ehbench.errors import InputError
 from ehbench.identification.next_test import Known, Proposal, must_be_fitted, propose, widest
 from ehbench.recipe import HydraulicsRecipe, load_recipe
-from ehbench.report import draw
 from ehbench.report.bearing import Made
 from ehbench.report.blocks import Grid
 from ehbench.report.content import num
@@ -133,6 +132,7 @@ def write_profile(inputs: Inputs, name: str, host: Host) -> Outcome:
         InputError: another kind of recipe, a parameter that it does not fit.
     """
     from ehbench.identification.profile import profile
+    from ehbench.report import draw
 
     recipe = inputs.recipe
     if not isinstance(recipe, HydraulicsRecipe):
