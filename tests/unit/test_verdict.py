@@ -46,9 +46,9 @@ def held(name: str, kind: str, every: float) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("kind", ["steps", "sine", "chirp", "ramps"])
 def test_the_exact_model_is_accepted_whatever_the_command(name, kind):
     rig = load_rig(RIGS / f"{name}.toml")
-    seed = 1 + list(DRIVES).index(name)
-    verdict = judged(name, rig, virtual_log(name, rig, kind, seed), STRICT)
-    assert verdict.accepted, verdict.reasons
+    for seed in (1, 2):
+        verdict = judged(name, rig, virtual_log(name, rig, kind, seed), STRICT)
+        assert verdict.accepted, verdict.reasons
 
 
 @pytest.mark.parametrize(("kind", "every"), [("sine", 0.084), ("chirp", 0.02), ("sine", 0.15)])
