@@ -10,7 +10,8 @@ from typing import Any
 
 from ehbench.errors import InputError
 from ehbench.machines.simulated import SimulatedMachine
-from ehbench.machines.virtual import RAW, VirtualMachine
+from ehbench.machines.virtual import VirtualMachine
+from ehbench.machines.virtual.plant import RAW
 from ehbench.parts.sample import OF
 from ehbench.physics.flow_map import FlowMap, FlowMaps, collect
 from ehbench.plant.build import Maps

@@ -27,8 +27,10 @@ from ehbench.plant.build import Plant
 
 _derivatives = Generic("derivatives", "y, command, plant, dy, work")
 _finish = Generic("finish", "y, command, plant, slope, d")
-derivatives_of, finish_of = _derivatives.of, _finish.of
-any_derivatives, any_finish = _derivatives.call, _finish.call
+# whether an edge at the supply is open, so that a load-sensing supply feels what lies behind it
+_sensing = Generic("opens", "edge, opening, plant")
+derivatives_of, finish_of, opens_of = _derivatives.of, _finish.of, _sensing.of
+any_derivatives, any_finish, any_opens = _derivatives.call, _finish.call, _sensing.call
 
 
 @part_kernel
@@ -58,25 +60,30 @@ def join(edge, flow, slope, railed, at, work):
 
 
 @part_kernel
-def _load(y, plant, work):
+def highest_load(y, plant, work):
     """The highest pressure [Pa] to which an open edge leads from the supply; the tank's where none
     does.
     """
-    load, margin = node_pressure(y, plant, TANK), plant.supply.margin
+    load = node_pressure(y, plant, TANK)
     for e in range(plant.edges.shape[0]):
         edge = plant.edges[e]
-        if edge.unmetered == 1 or (edge.from_node != SUPPLY and edge.to_node != SUPPLY):
-            continue
-        opening = edge_opening(y, plant, edge, work[plant.at.opening :])
-        if edge.sign * opening <= 0.0:
-            continue
-        drop = margin if edge.from_node == SUPPLY else -margin
-        # what a shut edge leaks senses nothing
-        leak = edge_flow(drop, 0.0, edge, plant.maps)
-        if abs(edge_flow(drop, opening, edge, plant.maps)) > abs(leak):
-            end = edge.to_node if edge.from_node == SUPPLY else edge.from_node
-            load = max(load, node_pressure(y, plant, end))
+        if edge.from_node == SUPPLY or edge.to_node == SUPPLY:
+            opening = edge_opening(y, plant, edge, work[plant.at.opening :])
+            if any_opens(edge, opening, plant):
+                end = edge.to_node if edge.from_node == SUPPLY else edge.from_node
+                load = max(load, node_pressure(y, plant, end))
     return load
+
+
+@opens_of(Plant)
+@part_kernel
+def _opens(edge, opening, plant):
+    if edge.unmetered == 1 or edge.sign * opening <= 0.0:
+        return False
+    drop = plant.supply.margin if edge.from_node == SUPPLY else -plant.supply.margin
+    # what a shut edge leaks senses nothing
+    leak = edge_flow(drop, 0.0, edge, plant.maps)
+    return abs(edge_flow(drop, opening, edge, plant.maps)) > abs(leak)
 
 
 @part_kernel
@@ -167,7 +174,7 @@ def _supply(y, plant, dy, work):
     """Pressure rate of the supply line; the pump's flow into ``work``."""
     at, supply = plant.at, plant.supply
     demand = -work[at.net + SUPPLY]
-    load = _load(y, plant, work) if supply.margin > 0.0 else 0.0
+    load = highest_load(y, plant, work) if supply.margin > 0.0 else 0.0
     pump = pump_flow(y[at.supply], demand, sensed(load, supply), supply)
     work[at.pump] = pump
     stiffness = line_stiffness(y[at.supply], supply)

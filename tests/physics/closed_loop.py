@@ -18,7 +18,7 @@ from ehbench.control.axis import axis_of as make_axis
 from ehbench.control.functions import circuit, pack_rules
 from ehbench.control.law import Site
 from ehbench.machines.simulated import model_sample, model_tick
-from ehbench.machines.virtual import bench_tick
+from ehbench.machines.virtual.laws import bench_tick
 from ehbench.parts.sample import sample_size
 from ehbench.parts.valve import valve_lag as lag_of
 from ehbench.parts.valve.delay import line_of

@@ -11,9 +11,9 @@ import pytest
 from ehbench.datasets import main, make
 from ehbench.errors import InputError
 from ehbench.logs import write_log
-from ehbench.machines.virtual import VirtualMachine, play
-from ehbench.machines.virtual import _follow as follow
-from ehbench.machines.virtual import _speed_filter as speed_filter
+from ehbench.machines.virtual import VirtualMachine
+from ehbench.machines.virtual.drawing import speed_filter
+from ehbench.machines.virtual.laws import follow, play
 from ehbench.parts.cylinder import linkage_arrays
 from ehbench.physics.arm import energy, work_size
 from ehbench.parts.oil import ATMOSPHERE, bulk

@@ -23,7 +23,8 @@ from ehbench.ledger import (
 from ehbench.ledger.bounds import travels
 from ehbench.parts.oil import compressed
 from ehbench.ledger.readings import noise_of
-from ehbench.machines.virtual import CREEP, VirtualMachine
+from ehbench.machines.virtual import VirtualMachine
+from ehbench.machines.virtual.laws import CREEP
 from ehbench.parts.cylinder import linkage_arrays
 from ehbench.physics.flow_map import FlowMap, ValveMaps, root_drop
 from ehbench.physics.friction import stribeck

@@ -1,0 +1,296 @@
+"""The virtual bench behind the protocol of a real machine."""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import Any, NamedTuple
+from zlib import crc32
+
+import numpy as np
+
+from ehbench.compiled import bound, kernel, part_kernel
+from ehbench.errors import InputError, SimulationError
+from ehbench.machines.protocol import Advance, Inputs, Posture
+from ehbench.machines.rows import Controls, Rows, control, violated
+from ehbench.machines.virtual.drawing import build, check_names, true_rig
+from ehbench.machines.virtual.laws import bench_tick, edge_flow, play, raw_of
+from ehbench.machines.virtual.plant import (
+    A_CYLINDER,
+    FILTER,
+    RAW,
+    STROKE,
+    Scratch,
+    VirtualPlant,
+    scratch_of,
+)
+from ehbench.parts.edge import CHECK, PUMP
+from ehbench.parts.sample import OF, sample_channels
+from ehbench.parts.valve import valve_settle
+from ehbench.plant.build import Maps, links_of
+from ehbench.plant.layout import layout
+from ehbench.plant.model import Model
+from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
+from ehbench.rig import Rig
+
+NAME = "virtual bench"
+STEP = 2.5e-4  # [s]
+NOISE_ROWS = 256  # drawn at a time
+SETTLE = 0.25  # [s] of rest before t = 0, so that lags and delays have filled
+
+
+class Running(NamedTuple):
+    """A virtual machine at work: its ``state``, memory included, its numbers, the ``tick`` [s] and
+    the integration ``steps`` in it, and the scratch of both.
+    """
+
+    state: np.ndarray
+    bench: VirtualPlant
+    tick: float
+    steps: int
+    scratch: Scratch
+
+
+@part_kernel
+def _true_strokes(raw, row):
+    """Write each cylinder's stroke [m] among the raw channels of the last tick into ``row``."""
+    for c in range(row.shape[0]):
+        row[c] = raw[A_CYLINDER * c + STROKE]
+
+
+@kernel
+def _advance(first, stop, own, rows, law, noise):
+    sample = rows.sample
+    for i in range(first, stop):
+        if law is not None:
+            control(law, i, rows)
+        if violated(rows, i):
+            return i
+        for j in range(sample.shape[0]):
+            rows.samples[i, j] = sample[j]
+        _true_strokes(own.scratch.raw, rows.truth[i])
+        bench_tick(
+            own.state,
+            rows.commands[i],
+            own.bench,
+            own.tick,
+            own.steps,
+            own.scratch,
+            noise[i - first],
+            sample,
+        )
+    return -1
+
+
+class TrueStrokes:
+    """The strokes of a running bench as they are, without its sensors."""
+
+    def __init__(self, own: Running) -> None:
+        self._own, self.width = own, own.bench.cylinders.shape[0]
+
+    def read(self, command: np.ndarray, row: np.ndarray) -> None:
+        """As `Hidden.read`."""
+        row[:] = self._own.scratch.raw[STROKE : A_CYLINDER * self.width : A_CYLINDER]
+
+
+class VirtualMachine:
+    """The virtual bench behind the protocol of a real machine.
+
+    ``channels`` names the sample's entries, ``rate`` [Hz] the ticks a second. ``start`` puts it at
+    rest in a posture and gives the first sample; ``tick`` lets a command [V] act for one tick and
+    gives the next.
+
+    Args:
+        rig: the machine as its rig file has it.
+        recipe: the bench file, or None for a plausible bench of that rig.
+        payload: a payload of the rig file.
+        rate: [Hz].
+        step: integration step [s].
+        seed: of the sensors' noise.
+
+    Raises:
+        InputError: the bench file names what the rig has not; no such payload.
+    """
+
+    name = NAME
+
+    def __init__(
+        self,
+        rig: Rig,
+        recipe: BenchRecipe | None = None,
+        payload: str | None = None,
+        rate: float = 1000.0,
+        step: float = STEP,
+        seed: int = 0,
+    ) -> None:
+        recipe = recipe or BenchRecipe(stage="bench", rig="")
+        self.model = Model.of(true_rig(recipe, rig), None, payload)
+        self.rig, self.rate, self.seed = rig, float(rate), seed
+        self.latency = float(recipe.delay)
+        names = self.layout = self.model.layout
+        self.channels, self.commands = sample_channels(names.cylinders), Inputs.of(self.model)
+        check_names(recipe, names)
+        self.bench = build(recipe, self.model, 1.0 / self.rate)
+        self.strokes = self.bench.cylinders.stroke.copy()
+        self.steps = max(1, round(1.0 / (self.rate * step)))
+        at = self.bench.at
+        self.size, self.raw = at.states, at.channels
+        self.state = np.zeros(at.size)
+        self._own = self._at_rest()
+        self.hidden = TrueStrokes(self._own)
+        self._rng = self._new_noise()
+        self._noise, self._used = np.empty((0, self.raw)), 0
+
+    @classmethod
+    def of(cls, recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> VirtualMachine:
+        """The virtual bench that a trial runs on; measured maps are none of its business.
+
+        Raises:
+            InputError: no bench file, or one of other cylinders or valves than the rig's.
+        """
+        given = {"payload": recipe.payload, "rate": float(recipe.rate), "seed": recipe.seed}
+        if recipe.bench is None:
+            return cls(rig, None, **given)
+        bench = load_recipe(recipe.file(recipe.bench))
+        if not isinstance(bench, BenchRecipe):
+            raise InputError(
+                "is no bench file", file=bench.path, hint='a bench file has stage = "bench"'
+            )
+        own = load_rig(bench.file(bench.rig)).with_dynamics(recipe.dynamics)
+        for what, mine, its in (
+            ("cylinders", [c.name for c in rig.cylinder], [c.name for c in own.cylinder]),
+            ("valves", layout(rig).valves, layout(own).valves),
+        ):
+            if mine != its:
+                raise InputError(
+                    f"the bench of rig '{own.name}' has other {what} than rig '{rig.name}'",
+                    **recipe.at("bench"),
+                    hint=f"the bench has {', '.join(its)}",
+                )
+        return cls(own, bench, **given)
+
+    def seeded(self, seed: int) -> VirtualMachine:
+        """The same machine, not started, with other noise of its sensors."""
+        other = copy(self)
+        other.seed, other.state = seed, np.zeros_like(self.state)
+        other._own = other._at_rest()
+        other.hidden = TrueStrokes(other._own)
+        other._rng = other._new_noise()
+        other._noise, other._used = np.empty((0, self.raw)), 0
+        return other
+
+    def _at_rest(self) -> Running:
+        scratch = scratch_of(self.bench, 1.0 / self.rate)
+        return Running(self.state, self.bench, 1.0 / self.rate, self.steps, scratch)
+
+    def _new_noise(self) -> np.random.Generator:
+        return np.random.default_rng([self.seed, crc32(b"noise")])
+
+    def noise(self, ticks: int) -> np.ndarray:
+        """The next ``ticks`` rows of the sensors' noise, shape (ticks, raw channels)."""
+        left = self._noise[self._used :]
+        if len(left) < ticks:
+            fresh = self._rng.standard_normal((max(ticks - len(left), NOISE_ROWS), self.raw))
+            self._noise, self._used = np.concatenate([left, fresh]), 0
+        self._used += ticks
+        return self._noise[self._used - ticks : self._used]
+
+    def check_posture(self, posture: Posture) -> None:
+        """As `Machine.check_posture`."""
+        self.model.posture(posture)
+
+    def carry(self, payload: str | None) -> None:
+        """As `carry_of` says."""
+        self.bench.links[:] = self.model.links(payload)
+
+    def start(self, posture: Posture = None, low_side: float | None = None) -> np.ndarray:
+        """As `Machine.start`; the unloaded chambers begin to settle at ``low_side``."""
+        self.bench.links[:] = links_of(self.model.rig)
+        self._rng, self._used = self._new_noise(), len(self._noise)
+        bench, at, state = self.bench, self.bench.at, self.state
+        rest = self.commands.rest
+        state[:] = 0.0
+        state[: at.pump] = self.model.trim(self.model.posture(posture), low_side)
+        state[at.sensed] = state[at.supply]
+        state[at.hysteresis : at.lags] = rest
+        for index, (valve, command) in enumerate(zip(bench.valves, rest, strict=True)):
+            target = valve.gain * command + valve.offset
+            valve_settle(valve, target, bench, state)
+            self._own.scratch.line.past[:, index] = target
+        raw_of(state[: at.states], bench, state[at.lags : at.filters])
+        for c in range(len(self.layout.cylinders)):
+            k = at.filters + FILTER * c
+            state[[k, k + 2]] = state[at.lags + A_CYLINDER * c + RAW.index(OF.x)]
+        sample = np.zeros(len(self.channels))
+        for _ in range(max(round(SETTLE * self.rate), bench.delay + 3)):
+            self._tick(rest, sample)
+        self._must_be_finite()
+        return sample
+
+    def tick(self, command: np.ndarray) -> np.ndarray:
+        """As `Machine.tick`."""
+        sample = np.zeros(len(self.channels))
+        self._tick(np.asarray(command, dtype=float), sample)
+        self._must_be_finite()
+        return sample
+
+    def _tick(self, command: np.ndarray, sample: np.ndarray) -> None:
+        own = self._own
+        noise = self.noise(1)[0]
+        bench_tick(
+            own.state,
+            command,
+            own.bench,
+            own.tick,
+            own.steps,
+            own.scratch,
+            noise,
+            sample,
+        )
+
+    def advance(self, rows: Rows, law: Controls | None, often: bool) -> Advance:
+        """As `advance_of` says."""
+        own = self._own
+        run = bound(_advance, 0, 0, own, rows, law, self._noise) if often else _advance
+
+        def through(first: int, stop: int) -> int:
+            row = run(first, stop, own, rows, law, self.noise(stop - first))
+            if row >= 0:  # noise that no tick used is the next one's, however long the call was
+                self._used -= stop - row
+            return row
+
+        return through
+
+    def close(self) -> None:
+        """There is nothing to let go."""
+
+    def _must_be_finite(self) -> None:
+        if not np.isfinite(self.state).all():
+            raise SimulationError(
+                "the virtual bench left finite numbers", hint="take a smaller step"
+            )
+
+    def static_flow(self, edge: str, command: np.ndarray, drop: np.ndarray) -> np.ndarray:
+        """Flow [m³/s] that an edge passes at rest at commands [V], each approached from the valve's
+        rest, and drops [Pa].
+
+        Raises:
+            InputError: no such edge.
+        """
+        if edge not in self.layout.edges:
+            raise InputError(
+                f"the bench has no edge '{edge}'", hint="it has " + ", ".join(self.layout.edges)
+            )
+        index = self.layout.edges.index(edge)
+        row = self.bench.edges[index]
+        if row.law in (PUMP, CHECK):
+            raise InputError(f"edge '{edge}' of the bench does not meter, so no flowmeter reads it")
+        valve: Any = self.bench.valves[row.valve]
+        rest = self.commands.rest[row.valve]
+        command, drop = np.broadcast_arrays(
+            np.asarray(command, dtype=float), np.asarray(drop, dtype=float)
+        )
+        flows = []
+        for u, dp in zip(command.ravel(), drop.ravel(), strict=True):
+            spool = valve.gain * play(rest, u, valve.hysteresis) + valve.offset
+            flows.append(edge_flow(dp, spool, row, self.bench.curves))
+        return np.array(flows).reshape(command.shape)
