@@ -38,8 +38,8 @@ _ALIASES = {
 _SPOKEN = {
     **dict.fromkeys(("volt", "volts", "vdc"), "V"),
     **dict.fromkeys(("amp", "amps", "ampere", "adc"), "A"),
-    **dict.fromkeys(("barg", "bar(g)", "bar g", "bar_g", "bars"), "bar"),
-    **dict.fromkeys(("psig", "psi(g)", "psi g", "lbf/in2"), "psi"),
+    **dict.fromkeys(("barg", "bard", "bar(d)", "bar(g)", "bar g", "bar_g", "bars"), "bar"),
+    **dict.fromkeys(("psig", "psid", "psi(g)", "psi(d)", "psi g", "lbf/in2"), "psi"),
     **dict.fromkeys(("kpa", "kpag", "kpa(g)"), "kPa"),
     **dict.fromkeys(("mpa", "mpag", "mpa(g)"), "MPa"),
     **dict.fromkeys(("pag", "pascal", "pascals"), "Pa"),

@@ -29,6 +29,7 @@ _NUMBER = {
 }
 _HOLE = re.compile(r"|[-+]?nan|[-+]?inf(inity)?|n/?a|#n/?a|null|none|-+|[-+]?1\.#\w+", re.I)
 _UNIT_HEADS = ("unit", "units", "einheit", "einheiten", "unité", "unidad")
+_BRACKETED = re.compile(r"\(.*\)|\[.*\]")
 _HEADS = 6  # rows of facts between the header and the numbers
 _LOOKED_AT = 200  # lines that tell a dialect
 _BLOCK = 512  # rows that are read at once
@@ -172,8 +173,11 @@ def _kind(cell: str, decimal: str) -> str:
 
 
 def _marks(lines: Sequence[str], dialect: Dialect) -> tuple[str, str]:
-    """(separator, decimal sign) with which most cells are numbers."""
+    """(separator, decimal sign) with which most cells are numbers: of the second half of the lines,
+    as facts stand above the numbers.
+    """
     shown = [line for line in lines[dialect.skip or 0 :] if _is_row(line, "")]
+    shown = shown[len(shown) // 2 :]
     step = -(-len(shown) // _LOOKED_AT) if shown else 1
     shown = shown[::step]
     best, most = (",", "."), -1.0
@@ -266,7 +270,7 @@ def _heads(
             at.append(n)
     for index, cells in enumerate(wide[:-1]):
         own = cells[1:] if cells[0].strip(": ").lower() in _UNIT_HEADS else cells
-        if own and all(named_unit(cell) for cell in own):
+        if own and (all(map(named_unit, own)) or all(map(_BRACKETED.fullmatch, own))):
             return at[index + 1], at[index]
     return (at[0], None) if at else (None, None)
 

@@ -405,6 +405,53 @@ def test_what_a_draft_is_not_sure_of_stands_as_a_remark(tmp_path):
     assert made.lines[-1].startswith("next: say in")
 
 
+def test_readings_of_a_flowmeter_are_drafted_and_taken(tmp_path):
+    """A sweep as a recorder wrote it: units in brackets below the names, one of them a
+    differential, a column of words, a time that readings do not need.
+    """
+    rows = [
+        f"{i / 10}\t{('PB', 'PA')[i % 2]}\t{4 + i % 40 * 0.4:.3f}\t{100 + i % 7}\t{i % 40 / 9:.3f}"
+        for i in range(200)
+    ]
+    names = "\t".join(("Time", "Valve port", "Solenoid Current", "Delta P", "Flow"))
+    head = f"Sweep 12\n{names}\n(s)\t()\t(mA)\t(psid)\t(gpm)\n"
+    (tmp_path / "sweep.txt").write_text(head + "\n".join(rows))
+    made = mapping.draft(tmp_path / "sweep.txt", tmp_path / "sweep.map.toml")
+    names = load_columns(made.path).columns.names
+    assert {name: one.channel for name, one in names.items()} == {
+        "Valve port": "valve",
+        "Solenoid Current": "command",
+        "Delta P": "pressure_drop",
+        "Flow": "flow",
+    }
+    assert "100 of PA forward" in made.lines[-2] and "100 of PB forward" in made.lines[-2]
+    columns = load_columns(made.path)
+    data = read_flowmeter(
+        tmp_path / "sweep.txt", lines=mapped_readings(tmp_path / "sweep.txt", columns)
+    )
+    assert data.pressure_drop[0] == pytest.approx(100 * 6894.757, rel=1e-6)
+    assert data.command[:2] == pytest.approx([-10.0, -9.5])
+
+
+def test_pressures_on_both_sides_make_the_drop_and_one_alone_is_it(tmp_path):
+    def channels(*names):
+        table = np.random.default_rng(1).uniform(1.0, 9.0, (40, len(names)))
+        rows = [",".join(f"{one:.3f}" for one in row) for row in table]
+        (tmp_path / "a.csv").write_text("\n".join([",".join(names), *rows]))
+        made = mapping.draft(tmp_path / "a.csv", tmp_path / "a.map.toml")
+        found = load_columns(made.path).columns.names
+        made.path.unlink(), made.picture.unlink()
+        return [found[name].channel if name in found else "" for name in names]
+
+    sides = ["upstream_pressure", "downstream_pressure"]
+    flow = ["Durchfluss [L/min]", "Ventil [V]"]
+    assert channels("Druck vor [bar]", "Druck nach [bar]", *flow) == [*sides, "flow", "command"]
+    assert channels("Druck [bar]", *flow) == ["pressure_drop", "flow", "command"]
+    assert channels("Druck 1 [bar]", "Druck 7 [bar]", *flow)[:2] == ["", ""]
+    log = channels("p head [bar]", "p rod [bar]", "flow [L/min]", "valve [V]", "t [s]")
+    assert log[:2] == ["cylinder.p_head", "cylinder.p_rod"]
+
+
 def test_what_a_name_says_is_guessed(tmp_path):
     rng = np.random.default_rng(1)
     names = {
@@ -414,6 +461,8 @@ def test_what_a_name_says_is_guessed(tmp_path):
         "Systemdruck [MPa]": "p_supply",
         "Tankdruck [kPa]": "p_tank",
         "return line (bar)": "p_tank",
+        "Druck P [bar]": "p_supply",
+        "pressure T [bar]": "p_tank",
         "AI2 [bar]": "",
         "stroke [mm]": "cylinder.x",
         "winkel [°]": "cylinder.q",

@@ -1,0 +1,156 @@
+"""A draft of a map of columns: what a foreign file holds, and what each column may be.
+
+A guess goes by the unit that the file says, the words in the column's name and the names in the
+rig. What is not sure stands in the draft as a remark, for the user to decide."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.errors import EhbenchError, InputError
+from ehbench.logs import read_record
+from ehbench.logs.readings import mapped_readings
+from ehbench.mapping.guesses import CYLINDER, VALVE, Guess, guessed
+from ehbench.mapping.picture import draw
+from ehbench.mapping.readings import holds_readings, reading_guesses
+from ehbench.mapping.written import drafted, range_of
+from ehbench.readers import Source, Table, open_source, read_flowmeter, reader_of
+from ehbench.recipe.columns import ENDING, load_columns
+from ehbench.rig import Rig
+
+__all__ = ["Draft", "Guess", "draft", "drafted", "guessed"]
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A map as text, the picture that belongs to it, and what is to be said of both."""
+
+    path: Path
+    picture: Path
+    lines: tuple[str, ...]
+
+
+def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Draft:
+    """Look at a file and write a map of its columns with a picture of each.
+
+    Args:
+        path: the file.
+        out: the map to write; ``<name>.map.toml`` here if None.
+        rig: whose cylinders and valves the columns may be of.
+
+    Raises:
+        InputError: something stands there already.
+        LogError: the file cannot be read.
+    """
+    stem = path.name.partition(".")[0] or path.name
+    out = out or Path(stem + ENDING)
+    picture = out.with_name(out.name.removesuffix(".toml").removesuffix(".map") + ".map.svg")
+    for one in (out, picture):
+        if one.exists() or one.is_symlink():
+            raise InputError(
+                "stands already; nothing was written", file=one, hint="name another by --out"
+            )
+    source = open_source(path)
+    readings = holds_readings(source)
+    guesses = reading_guesses(source, rig) if readings else guessed(source, rig)
+    text = drafted(path, source, guesses)
+    try:
+        with out.open("x", encoding="utf-8") as file:
+            file.write(text)
+        draw(picture, source, guesses)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", file=out) from None
+    said = _overview(path, source, guesses)
+    tried = _taken_readings(path, out) if readings else _tried(path, out, guesses, rig)
+    return Draft(out, picture, (*said, *tried))
+
+
+def _overview(path: Path, source: Source, guesses: dict[str, Guess]) -> list[str]:
+    """What was found, a line a column."""
+    names, found = source.names(), source.dialect
+    lines = [f"{path.name}: {reader_of(path).name}"]
+    if found.separator is not None:
+        mark = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "white space"}[found.separator]
+        sign = "comma" if found.decimal == "," else "point"
+        header = f"header in line {(found.skip or 0) + 1}"
+        units = ", units below it" if found.unit_row else ""
+        lines[0] += f", {found.encoding}, separated by {mark}, decimal {sign}, {header}{units}"
+    for index, table in enumerate(source.tables):
+        called = f"table '{table.name}'" if table.name else "table"
+        lines.append(f"{called}: {table.size} rows{_span(table, index, names, guesses)}")
+        wide = max((len(name) for name, at in names.items() if at[0] == index), default=0)
+        for name, (i, j) in names.items():
+            if i != index:
+                continue
+            guess, column = guesses[name], table.columns[j]
+            unit = f" [{guess.unit}]" if guess.unit and guess.channel and not guess.ends else ""
+            said = f"{guess.channel}{unit}" + ("" if guess.sure else "?") if guess.channel else "?"
+            bad = int((~np.isfinite(column.values)).sum())
+            odd = f", {bad} no number" if bad else ""
+            remark = f"  ({guess.remark})" if guess.remark else ""
+            lines.append(f"  {name:<{min(wide, 40)}}  {range_of(column)}{odd}  → {said}{remark}")
+        for name in table.words:
+            if name in guesses:
+                lines.append(f"  {name:<{min(wide, 40)}}  words  → {guesses[name].channel or '?'}")
+    return [*lines, *source.losses]
+
+
+def _span(
+    table: Table, index: int, names: dict[str, tuple[int, int]], guesses: dict[str, Guess]
+) -> str:
+    """How long a table is and how often it was sampled, as far as that is known."""
+    t = table.t
+    for name, (i, j) in names.items():
+        if i == index and guesses[name].channel == "t" and t is None:
+            scale = {"ms": 1e-3, "us": 1e-6, "min": 60.0}.get(guesses[name].unit, 1.0)
+            t = table.columns[j].values * scale
+    if t is None or t.size < 2:
+        return ""
+    step = float(np.nanmedian(np.diff(t)))
+    rate = f", {1 / step:.5g} Hz" if step > 0.0 else ""
+    return f", {np.nanmax(t) - np.nanmin(t):.5g} s{rate}"
+
+
+def _taken_readings(path: Path, out: Path) -> list[str]:
+    """Whether the draft takes a file of readings as it stands, and what to do next."""
+    try:
+        data = read_flowmeter(path, lines=mapped_readings(path, load_columns(out)))
+    except EhbenchError as error:
+        return [f"not yet: {error}"]
+    groups = ", ".join(
+        f"{len(data.select(*group))} of {' '.join(group)}" for group in data.groups()
+    )
+    return [
+        f"flowmeter readings, taken with this map: {groups}; without a column of valves a file is "
+        "of the edge it is named after",
+        _next(out),
+    ]
+
+
+def _next(out: Path) -> str:
+    return (
+        f"next: look at {out} and its picture, then name it in the recipe, from where that lies: "
+        f'columns = "{out.name}"'
+    )
+
+
+def _tried(path: Path, out: Path, guesses: dict[str, Guess], rig: Rig | None) -> list[str]:
+    """Whether the draft takes the file as it stands, and what to do next."""
+    lines = []
+    if rig is None and any(CYLINDER in guess.channel for guess in guesses.values()):
+        lines.append(
+            f"no rig was given: put the names of your rig in place of '{CYLINDER}' and "
+            f"'{VALVE}', or call it with --rig"
+        )
+    if not any(guess.sure and guess.channel != "t" for guess in guesses.values()):
+        return [*lines, f"next: say in {out} which columns are which channels"]
+    try:
+        record = read_record(path, columns=out)
+    except EhbenchError as error:
+        return [*lines, f"not yet: {error}"]
+    lines.append(f"taken with this map: {record!r}")
+    lines += [f"  {loss}" for loss in record.losses]
+    return [*lines, _next(out)]
