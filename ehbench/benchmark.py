@@ -314,7 +314,9 @@ def long_fitting() -> Iterator[Row]:
 
 
 def logging(samples: int = 600_000, channels: int = 40) -> Iterator[Row]:
-    """Time to write a long log as MCAP and to read it into pandas."""
+    """Time to write a long log as MCAP and to read it into pandas, which is imported before."""
+    import pandas  # noqa: F401
+
     from ehbench.logs import read_log, write_log
     from ehbench.record import Record
 

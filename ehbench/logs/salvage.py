@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 # a chunk may unpack to anything: [bytes] that a file may unpack to beside so many times its size
 LEAST_ROOM = 64 * 2**20
 MOST_PACKED = 200
+HEADS = (0, 3)  # where eight bytes each hold a message's opcode, length and channel, eleven in all
 SCATTERED = 8  # a pattern of messages that repeats less often is read message by message
 
 
@@ -321,11 +322,14 @@ class Salvage:
             pattern[id] = (at - pos, length)
             at += 9 + length
         stride = at - pos
-        rows = np.frombuffer(body, np.uint8, (len(body) - pos) // stride * stride, pos).reshape(
-            -1, stride
-        )
-        count = _repeats(rows, [offset for offset, _ in pattern.values()])
-        if count < SCATTERED < len(rows):
+        most = (len(body) - pos) // stride
+        heads = [
+            np.ndarray(most, "<u8", body, pos + offset + part, (stride,))
+            for offset, _ in pattern.values()
+            for part in HEADS
+        ]
+        count = _repeats(heads)
+        if count < SCATTERED < most:
             return self._scattered(body, pos)
         for id, (offset, length) in pattern.items():
             stream = self.streams.get(id)
@@ -367,17 +371,16 @@ class Salvage:
         stream.add(messages)
 
 
-def _repeats(rows: np.ndarray, offsets: list[int]) -> int:
-    """How many rows from the first on have its opcodes, lengths and channels at ``offsets``."""
-    count, block = 0, 256
-    while count < len(rows):
-        part = rows[count : count + block]
-        same = np.ones(len(part), bool)
-        for offset in offsets:
-            same &= (part[:, offset : offset + 11] == rows[0, offset : offset + 11]).all(axis=1)
+def _repeats(heads: list[np.ndarray]) -> int:
+    """How many rows from the first on have its opcodes, lengths and channels."""
+    count, block, size = 0, 256, heads[0].size
+    while count < size:
+        same = np.ones(min(block, size - count), bool)
+        for head in heads:
+            same &= head[count : count + block] == head[0]
         if not same.all():
             return count + int(np.argmin(same))
-        count, block = count + len(part), 4 * block
+        count, block = count + same.size, 4 * block
     return count
 
 
