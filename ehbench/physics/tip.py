@@ -62,17 +62,25 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return made
 
 
-def tip_frames(chain: Chain, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(tip [m], axis of each joint, a point on each axis [m]) in the frame on the ground, shapes
-    (…, 3) and (…, n, 3), at joint coordinates of shape (…, n).
+class Frames(NamedTuple):
+    """In the frame on the ground, at some postures: the ``tip`` [m], shape (…, 3), the ``axes`` of
+    the joints and a point on each (``origins`` [m]), shape (…, n, 3).
     """
+
+    tip: np.ndarray
+    axes: np.ndarray
+    origins: np.ndarray
+
+
+def tip_frames(chain: Chain, q: np.ndarray) -> Frames:
+    """The `Frames` at joint coordinates of shape (…, n)."""
     q = np.asarray(q, float)
     ground = _ground(chain.gravity)
     if chain.kind == SLIDE:
         link = chain.links[0]
         way = np.array([link.cos_alpha, 0.0, link.sin_alpha])
         tip = q[..., :1] * way
-        return tip, np.broadcast_to(way, (*q.shape, 3)), np.zeros((*q.shape, 3))
+        return Frames(tip, np.broadcast_to(way, (*q.shape, 3)), np.zeros((*q.shape, 3)))
     turn = np.broadcast_to(ground, (*q.shape[:-1], 3, 3))
     place = np.zeros((*q.shape[:-1], 3))
     axes, origins = np.empty((*q.shape, 3)), np.empty((*q.shape, 3))
@@ -80,25 +88,28 @@ def tip_frames(chain: Chain, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
         axes[..., i, :], origins[..., i, :] = turn[..., :, 2], place
         angle = theta0 + q[..., i]
         c, s = np.cos(angle), np.sin(angle)
-        offset, own = np.empty((*angle.shape, 3)), np.empty((*angle.shape, 3, 3))
+        offset = np.empty((*angle.shape, 3))
         for row, value in enumerate((a * c, a * s, d)):
             offset[..., row] = value
         place = place + np.einsum("...ij,...j->...i", turn, offset)
+        if i + 1 == q.shape[-1]:
+            break
+        own = np.empty((*angle.shape, 3, 3))
         own[..., 0, 0], own[..., 0, 1], own[..., 0, 2] = c, -s * ca, s * sa
         own[..., 1, 0], own[..., 1, 1], own[..., 1, 2] = s, c * ca, -c * sa
         own[..., 2, 0], own[..., 2, 1], own[..., 2, 2] = 0.0, sa, ca
         turn = turn @ own
-    return place, axes, origins
+    return Frames(place, axes, origins)
 
 
 def tip_of(chain: Chain, q: np.ndarray) -> np.ndarray:
     """The tip [m], shape (…, 3), at joint coordinates of shape (…, n)."""
-    return tip_frames(chain, q)[0]
+    return tip_frames(chain, q).tip
 
 
-def tip_jacobian(chain: Chain, q: np.ndarray) -> np.ndarray:
-    """∂tip/∂q [m/rad], or [1] of a slide, shape (3, n), at one posture."""
-    tip, axes, origins = tip_frames(chain, q)
+def tip_jacobian(chain: Chain, frames: Frames) -> np.ndarray:
+    """∂tip/∂q [m/rad], or [1] of a slide, shape (3, n), at one posture, of which ``frames`` are."""
+    tip, axes, origins = frames
     return axes.T.copy() if chain.kind == SLIDE else _cross(axes, tip - origins).T
 
 
@@ -115,22 +126,23 @@ def reach(chain: Chain, target: np.ndarray, start: np.ndarray, free: np.ndarray)
         free: True for the joints that may move.
     """
     q = np.where(free, np.clip(start, chain.low, chain.high), start)
-    error = target - tip_of(chain, q)
-    damping = LIGHT
+    frames = tip_frames(chain, q)
+    error, damping = target - frames.tip, LIGHT
     for _ in range(TURNS):
         if np.linalg.norm(error) <= FOUND or damping > HEAVY:
             break
-        jacobian = tip_jacobian(chain, q) * free
+        jacobian = tip_jacobian(chain, frames) * free
         step = _step(chain, q, jacobian, error, damping)
         if np.abs(step).max() < STILL:
             break
         tried = np.clip(q + step, np.minimum(chain.low, q), np.maximum(chain.high, q))
-        left = target - tip_of(chain, tried)
+        there = tip_frames(chain, tried)
+        left = target - there.tip
         if np.linalg.norm(left) < np.linalg.norm(error):
-            q, error, damping = tried, left, max(0.1 * damping, 1e-3 * LIGHT)
+            q, frames, error, damping = tried, there, left, max(0.1 * damping, 1e-3 * LIGHT)
         else:
             damping *= 10.0
-    pull = (tip_jacobian(chain, q) * free).T @ error
+    pull = (tip_jacobian(chain, frames) * free).T @ error
     beyond = np.where((q >= chain.high) & (pull > 0.0), 1, 0)
     beyond -= (q <= chain.low) & (pull < 0.0)
     return Found(q, float(np.linalg.norm(error)), beyond)

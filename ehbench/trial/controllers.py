@@ -134,8 +134,8 @@ def controller_of(recipe: TrialRecipe) -> ChosenController:
     return recipe.controller
 
 
-def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> Design:
-    """The design model of a trial.
+def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None, model: Model | None = None) -> Design:
+    """The design of a trial; ``model`` is that of the rig on the maps, where it is made already.
 
     Raises:
         InputError: no such cylinder or valve, or a posture outside the stroke.
@@ -157,7 +157,7 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> Design:
             hint="it has " + ", ".join(names),
         )
     index = names.index(name) if name is not None else 0
-    model = Model.of(rig, maps)
+    model = Model.of(rig, maps) if model is None else model
     plant, layout = model.plant, model.layout
     measured = [
         (maps or {}).get(edge) or (maps or {}).get(edge.split(".", 1)[1]) for edge in layout.edges

@@ -24,9 +24,6 @@ from ehbench.trial.motion import limits_of
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
-    from ehbench.plant.build import Maps
-    from ehbench.rig import Rig
-
 STEP = 0.01  # [m] between two postures along a line, at the most
 LEAST = 16  # postures along a line
 COARSE = 9  # of them that are looked for one after the other
@@ -154,8 +151,8 @@ def along_path(recipe: TrialRecipe) -> bool:
     return recipe.motion is not None and recipe.motion.kind == "path"
 
 
-def route(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> Route:
-    """The strokes along a recipe's path.
+def route(recipe: TrialRecipe, model: Model) -> Route:
+    """The strokes along a recipe's path, of the design ``model``.
 
     Raises:
         InputError: a point that the tip cannot come to, or a line between two that it leaves, with
@@ -163,7 +160,7 @@ def route(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> Route:
     """
     motion = recipe.motion
     assert isinstance(motion, Motion)  # asked of a path only
-    mover = Mover.of(recipe, motion, Model.of(rig, maps))
+    mover = Mover.of(recipe, motion, model)
     points = [np.array(point.value, float) for point in motion.points]
     found = [mover.first(point) for point in points]
     for index, (one, point) in enumerate(zip(found, points, strict=True)):

@@ -18,6 +18,7 @@ from ehbench.machines.protocol import Machine, carry_of, hidden_of, seeded_of, t
 from ehbench.machines.registry import open_machine
 from ehbench.machines.rows import COMMAND, LIMITS, MARGIN, Rows, limit_array, violated
 from ehbench.memory import MOST_STEPS, refuse_beyond, rows_of
+from ehbench.plant.model import Model
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import TrialRecipe
 from ehbench.rig import Rig
@@ -418,7 +419,8 @@ def _loop(
     gains: Path | Mapping[str, Any] | None,
     standing: bool,
 ) -> Loop:
-    found = route(recipe, rig, maps) if along_path(recipe) else None
+    model = Model.of(rig, maps)  # one for all: nobody writes into it
+    found = route(recipe, model) if along_path(recipe) else None
     singles = recipe.singles(None if found is None else found.starts)
     if isinstance(gains, Mapping):
         tuning = dict(gains)
@@ -427,7 +429,7 @@ def _loop(
     _refuse_misfit(recipe, singles, tuning)
     low = controllers.low_pressure(singles[0], rig, tuning)
     level = float(rig.supply.tank_pressure) + low
-    designs = [controllers.design(one, rig, maps) for one in singles]
+    designs = [controllers.design(one, rig, maps, model) for one in singles]
     if found is None and len(singles) == 1:
         motion = _rest(designs[0]) if standing else references(recipe, designs[0], low)
         driven = (Driven(recipe, designs[0], motion),)

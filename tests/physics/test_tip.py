@@ -9,7 +9,7 @@ import pytest
 
 from ehbench.parts.cylinder import joint_range_of
 from ehbench.physics.arm import energy, work_size
-from ehbench.physics.tip import FOUND, Chain, polish, reach, tip_jacobian, tip_of
+from ehbench.physics.tip import FOUND, Chain, polish, reach, tip_frames, tip_jacobian, tip_of
 from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
 
@@ -35,7 +35,7 @@ def postures(chain, count, seed=1):
 
 def test_the_jacobian_is_the_slope_of_the_tip(chain):
     for q in postures(chain, 5):
-        for j, column in enumerate(tip_jacobian(chain, q).T):
+        for j, column in enumerate(tip_jacobian(chain, tip_frames(chain, q)).T):
             step = 1e-6 * np.eye(q.size)[j]
             slope = (tip_of(chain, q + step) - tip_of(chain, q - step)) / 2e-6
             assert np.abs(slope - column).max() < 1e-8
