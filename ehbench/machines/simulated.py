@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import bound, kernel, part_kernel
+from ehbench.compiled import bound, kernel
 from ehbench.errors import SimulationError
 from ehbench.machines.protocol import Advance, Inputs, Posture
 from ehbench.machines.rows import Controls, Rows, control, violated
@@ -72,17 +72,12 @@ def model_tick(y, command, plant, line, steps, k, work, sample):
     model_sample(y, plant, sample)
 
 
-@part_kernel
-def _way(own, pace):
-    return Way(own.y, own.plant, own.line, pace, own.k, own.work)
-
-
 @kernel
 def paced_tick(own, command, pace, sample):
     """`model_tick` in steps chosen by the guard."""
     line_felt(own.line, command, own.plant, 0.0, own.tick / own.steps)
     rate = derivatives(own.y, own.line.held, own.plant, own.k[0], own.work)
-    over_tick(_way(own, pace), command, rate)
+    over_tick(Way(own.y, own.plant, own.line, pace, own.k, own.work), command, rate)
     line_push(own.line, command)
     model_sample(own.y, own.plant, sample)
 
@@ -121,7 +116,7 @@ def _advance(first, stop, own, rows, law, pace):
                     rate = derivatives(own.y, own.line.held, own.plant, own.k[0], own.work)
                 advance(own.y, own.line.held, own.plant, h, own.k, own.work, rate)
         else:
-            over_tick(_way(own, pace), command, rate)
+            over_tick(Way(own.y, own.plant, own.line, pace, own.k, own.work), command, rate)
         line_push(own.line, command)
         model_sample(own.y, own.plant, sample)
     return -1

@@ -86,6 +86,17 @@ def test_the_compiled_path_is_the_path_tick_by_tick(on, law, limits, tmp_path):
     assert bool(many.facts.stopped) == bool(limits) and many.record.t.size > 300
 
 
+def test_a_trial_in_steps_chosen_by_the_guard(tmp_path):
+    """To the bit by both paths, and as near to a fine step as such steps promise."""
+    chosen = trial("commands", tmp_path, step="auto")
+    many, one = run(chosen), run(chosen, fast=False)
+    assert same(many.record, one.record)
+    fine = run(trial("commands", tmp_path, step="0.0625 ms")).record
+    for name in ("press.x", "press.v", "press.p_head", "press.p_rod"):
+        missed = np.abs(many.record[name] - fine[name]).max()
+        assert 0.0 < missed < 2e-5 * np.ptp(fine[name]), name  # as tests/physics/test_paced.py
+
+
 LOADED = {
     "payload_change": [{"at": "0.7 s", "payload": "100 kg"}, {"at": "1.4 s", "payload": "none"}],
     "first_pressure_error": {"press.p_head": "-4 bar"},
