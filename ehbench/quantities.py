@@ -909,6 +909,15 @@ _ROWS = [
         "force_bandwidth", "k_3", "rad/s", "rad/s", "bandwidth of the load force error", 0, 1e5
     ),
     Quantity(
+        "bandwidth_limit",
+        "Ω_max",
+        "rad/s",
+        "rad/s",
+        "Ω at most without payload; with one it falls as the rig's frequency does; 0 for none",
+        0,
+        1e5,
+    ),
+    Quantity(
         "coupling_frequency",
         "ω_3",
         "rad/s",

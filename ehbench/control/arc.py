@@ -58,7 +58,7 @@ from ehbench.control.map_learning import (
     map_memory,
 )
 from ehbench.control.measured import load_force, pressure_entries, pressures, write
-from ehbench.control.records import blank
+from ehbench.control.records import blank, rows_of
 from ehbench.control.trajectory import ORDERS, reference_of
 from ehbench.control.valve_level import Flows, allocate
 from ehbench.parts.cylinder import chamber_oil
@@ -70,6 +70,7 @@ from ehbench.physics.arm import work_size
 LOST = 0.01  # [m] between observed and measured stroke, at which the observer starts anew
 AHEAD = 1.0e-3  # [s] by which the laws look along the motion for their rates
 SETTLED = 3.0  # over k1: how long a load is brought to rest after a motion, once it is near
+TURNS = 4  # as often oil is wanted to and fro at rest; a load that still swings is left alone then
 BACK = 4.0  # of that nearness [m/s]: oil that is wanted against the error turns the motion round
 FORGETS = 5.0  # over k1: how long what pressures told of the payload counts
 FAINTLY = 0.1  # [(N/kg)²] of a payload's pull and inertia: what is less tells hardly anything of it
@@ -88,6 +89,8 @@ STATE = record(
     ("slow_error", "f8"),
     ("slow_reference", "f8"),
     ("rested", "f8"),
+    ("way", "i8"),
+    ("turns", "i8"),
     ("slow_wanted", "f8"),
     ("learning", "i8"),
     ("x", "f8"),
@@ -114,7 +117,9 @@ class Memory(NamedTuple):
     ``rested`` [s] for how long no motion is desired and hardly any left, ``slow_wanted``
     [m/s] the oil that is wanted, as a speed, behind a low-pass. ``told``, ``known`` and ``scatter``
     are means of what the mechanism's equation says of the ``payload`` [kg], ``half`` [kg] its
-    interval's, see `weigh`; ``maps`` what is learnt of the flow maps."""
+    interval's, see `weigh`; ``turns`` counts how often the ``way`` of the oil that is wanted
+    changed while no motion was desired; ``maps`` is what is learnt of the flow maps, ``gains`` are
+    those in force, see `ease`."""
 
     state: np.record
     rates: np.ndarray
@@ -122,6 +127,7 @@ class Memory(NamedTuple):
     mass: np.ndarray
     work: np.ndarray
     maps: MapMemory
+    gains: np.recarray
 
 
 class Telemetry(NamedTuple):
@@ -355,12 +361,13 @@ def wait(load_force, p, state):
 
 
 @kernel
-def start_estimates(load_force, load, own, tip, gains, estimates):
-    """Write the first estimates: the design model's or, with adaptation, those that the pressures
-    tell at rest.
+def start_estimates(load_force, load, own, tip, gains, state):
+    """Write the first estimates, and the payload: the design model's or, with adaptation, those
+    that the pressures tell at rest.
 
     What the load force carries beyond the model's gravity is payload and disturbance, in the shares
     of their adaptation."""
+    estimates = state.estimates
     for i in range(COUNT):
         estimates[i] = gains.start[i]
     if gains.adapt == 0.0:
@@ -374,8 +381,34 @@ def start_estimates(load_force, load, own, tip, gains, estimates):
             own / (own + tip * payload), lower[INVERSE_INERTIA], upper[INVERSE_INERTIA]
         )
         estimates[PAYLOAD_SHARE] = estimates[INVERSE_INERTIA] * payload
+        state.payload = payload
     left = estimates[INVERSE_INERTIA] * beyond - estimates[PAYLOAD_SHARE] * load.pull
     estimates[DISTURBANCE] = clip(left, lower[DISTURBANCE], upper[DISTURBANCE])
+
+
+@kernel
+def ease(gains, ratio, state, table):
+    """The gains in force, one row in ``table``: k1 + k2 + k3 at most at ``bandwidth_limit`` by the
+    share of its frequency that the payload leaves the rig, and what follows from them with them.
+    ``ratio`` [1/kg] is what 1 kg adds to the inertia.
+    """
+    table[0] = gains
+    eased, share = table[0], 1.0
+    if gains.bandwidth_limit > 0.0:
+        total = gains.position_bandwidth + gains.speed_bandwidth + gains.force_bandwidth
+        payload = state.payload if state.payload > 0.0 else 0.0
+        heavier = math.sqrt(1.0 + ratio * payload)
+        share = min(gains.bandwidth_limit / (heavier * total), 1.0)
+    eased.position_bandwidth = share * gains.position_bandwidth
+    eased.speed_bandwidth = share * gains.speed_bandwidth
+    eased.force_bandwidth = share * gains.force_bandwidth
+    eased.observer_bandwidth = share * gains.observer_bandwidth
+    eased.pressure_bandwidth = share * gains.pressure_bandwidth
+    eased.map_bandwidth = share * gains.map_bandwidth
+    eased.speed_tolerance = gains.speed_tolerance / share
+    for i in range(COUNT):
+        eased.rate[i] = share * gains.rate[i]
+    return table
 
 
 @kernel
@@ -585,7 +618,9 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     near = max(gains.speed_nudge, 4.0 * k1 * gains.stroke_resolution)
     quiet = still and min(abs(k1 * z1), abs(state.v)) <= near
     state.rested = state.rested + tick if quiet else 0.0
-    resting = still if spool else state.rested > SETTLED / k1
+    if not still:
+        state.way = state.turns = 0
+    resting = still if spool else state.rested > SETTLED / k1 or state.turns >= TURNS
     calm = math.exp(-2.0 * k1 * tick) if resting else 0.0
     state.slow_error = z1 + calm * (state.slow_error - z1)
     resolution = gains.stroke_resolution
@@ -596,6 +631,8 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     state.slow_wanted -= math.expm1(-gains.force_bandwidth * tick) * (
         spool_speed - state.slow_wanted
     )
+    if still and abs(state.slow_wanted) > BACK * near and state.way * state.slow_wanted <= 0.0:
+        state.way, state.turns = 1 if state.slow_wanted > 0.0 else -1, state.turns + 1
     if spool and not resting:
         toward = spool_speed
     elif not resting and abs(steady) <= abs(k1 * z1) + near:
@@ -802,7 +839,7 @@ def tell(reference, stroke, force, choice, flows, limits, memory, telemetry):
 
 
 @kernel
-def step(t, sample, reference, axis, gains, memory, command, telemetry):
+def step(t, sample, reference, axis, design, memory, command, telemetry):
     """One tick of the controller: observe, estimate, choose the function, write commands and
     telemetry.
 
@@ -813,7 +850,7 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
         reference: x_d, v_d, a_d, j_d of the cylinder; where others move as well, behind them what
             `ehbench.control.coupling.among_others` adds.
         axis: of the design model, an `Axis`.
-        gains: of `ehbench.control.arc_gains.pack_arc`.
+        design: the gains, of `ehbench.control.arc_gains.pack_arc`, see `ease`.
         memory: a `Memory`, of `memory_of` before the first tick.
         command: out, [V], one per valve of the rig; only this cylinder's are written.
         telemetry: out, shape (COLUMNS + 4·edges of the cylinder,).
@@ -829,9 +866,10 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
     starting = state.started == 0
     if starting:
         start(x, v, p, measured, state)
-        start_estimates(measured, load, own, tip, gains, state.estimates)
-        begin(p, axis.onset, gains, memory.maps)
-    else:
+        start_estimates(measured, load, own, tip, design, state)
+        begin(p, design, memory.maps)
+    gains = ease(design, tip / own, state, memory.gains)[0]
+    if not starting:
         x, v = observe(x, v, gains, state)
     load, ahead = loads_along(sample, reference, q, v, load, own, axis, memory)
 
@@ -873,6 +911,7 @@ def memory_of(axis: Axis) -> Memory:
         np.zeros((n, n)),
         np.zeros(work_size(n) + n),
         map_memory(axis.circuit),
+        rows_of(GAINS, None),
     )
 
 

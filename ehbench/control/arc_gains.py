@@ -27,6 +27,7 @@ GAIN_NAMES = (
     "position_bandwidth",
     "speed_bandwidth",
     "force_bandwidth",
+    "bandwidth_limit",
     "coupling_frequency",
     "speed_tolerance",
     "force_tolerance",
@@ -51,6 +52,7 @@ GAIN_NAMES = (
 )
 MAY_BE_ZERO = {
     "adapt",
+    "bandwidth_limit",
     "coupling_frequency",
     "robust_limit",
     "low_pressure",
@@ -89,7 +91,9 @@ BUDGET = 0.42  # [rad] that the valves' lag and a tick may take at that sum
 RESERVE = 7.0e-3  # [s]: sensors of 2 ms, and 5 ms more, with which nothing shall swing
 OWN = 2.0  # of a load's own damping may be taken: no more than a part of the sum acts on it
 LEAST = 0.26  # of the budget is left to a load without damping of its own
+FASTER = 3.9  # than the loaded rig swings on its oil, where that is softest: the sum at most
 PARTS = (0.20, 0.18, 0.62)  # of the sum of the bandwidths that are k1, k2, k3
+OVERLAP = 0.03  # of its largest command, that a valve may have
 LEARNS = 0.2  # of k1: the rate of adaptation
 MAPS_LEARN = 0.25  # of k1: the largest rate at which flow maps are corrected, slow against the loop
 OBSERVER, FASTEST_OBSERVER = 6.0, 500.0  # of that sum; [rad/s]
@@ -161,7 +165,8 @@ def pack_arc(
         rules: of function selection, `ehbench.control.functions.pack_rules`.
         adaptation: what is not known.
         gains: any of GAIN_NAMES by name instead of its default: ``position_bandwidth``,
-            ``speed_bandwidth``, ``force_bandwidth`` k1, k2, k3 [rad/s]; ``coupling_frequency`` ω3
+            ``speed_bandwidth``, ``force_bandwidth`` k1, k2, k3 [rad/s], and ``bandwidth_limit`` of
+            their sum, 0 for none (`ehbench.control.arc.ease`); ``coupling_frequency`` ω3
             [rad/s], 0 for that of the oil's own spring at each stroke; ``speed_tolerance`` [m/s]
             and ``force_tolerance`` [N] to which the robust terms hold the errors, by at most
             ``robust_limit`` [1] of k2 and k3; ``pressure_bandwidth`` [rad/s] of the off-side, its
@@ -201,6 +206,9 @@ def pack_with_rates(
     chosen |= _defaults(site, places[0].load, chosen, total, learning) | dict(given)
     chosen |= {"tick": given.get("tick", site.tick), "adapt": given.get("adapt", unsure.adapt)}
     chosen["adapt_maps"] = given.get("adapt_maps", 0.0)
+    if unsure.lag_budget is None and not set(GAIN_NAMES[2:5]) & set(given):
+        softest = FASTER * min(place.swing for place in places)
+        chosen["bandwidth_limit"] = given.get("bandwidth_limit", softest)
     _check_whole(chosen, bounds, learning.rate)
     packed = blank(GAINS)
     for name in GAIN_NAMES:
@@ -383,6 +391,16 @@ def _along(axis: Axis) -> Iterator[Axis]:
         yield axis._replace(mechanism=axis.mechanism._replace(posture=posture))
 
 
+def _deadband_error(site: Site) -> float:
+    """What a deadband may be wrong by [V]: a share of the largest that is known, or of the command
+    where a spool has an overlap that its rig file lacks.
+    """
+    circuit = site.axis.circuit
+    valves = np.unique(circuit.edges.valve[circuit.first : circuit.first + circuit.count])
+    widest = np.maximum(np.abs(circuit.lowest[valves]), np.abs(circuit.highest[valves])).max()
+    return float(max(0.25 * np.abs(site.axis.onset).max(initial=0.0), OVERLAP * widest))
+
+
 def _defaults(
     site: Site, load: Load, bandwidths: Mapping[str, float], total: float, learning: _Learning
 ) -> dict[str, float]:
@@ -391,6 +409,7 @@ def _defaults(
     k1, k2, k3 = bandwidths.values()
     area, mass = site.axis.circuit.area_head, load.mass
     return {
+        "bandwidth_limit": 0.0,
         "coupling_frequency": 0.0,
         "speed_tolerance": unknown / (1.1 * k2),
         "force_tolerance": mass * (k1 + k2) * unknown / (1.1 * k3),
@@ -410,7 +429,7 @@ def _defaults(
         "reference_mass": mass,
         "map_bandwidth": MAPS_LEARN * k1,
         "map_error": 0.25,
-        "deadband_error": 0.25 * float(np.abs(site.axis.onset).max(initial=0.0)),
+        "deadband_error": _deadband_error(site),
     }
 
 

@@ -78,15 +78,14 @@ class Seen(NamedTuple):
 
 
 @kernel
-def begin(p, onset, gains, maps):
+def begin(p, gains, maps):
     """Write the memory of the first tick."""
     maps.chambers[0, PRESSURE], maps.chambers[1, PRESSURE] = p.head, p.rod
     maps.chambers[0, FLOW] = maps.chambers[1, FLOW] = 0.0
     for i in range(maps.edges.shape[0]):
         maps.trim[i, GAIN], maps.trim[i, SHIFT] = 1.0, 0.0
         maps.edges[i, VAR_GAIN] = (FIRST * gains.map_error) ** 2
-        if onset[i] != 0.0:  # of a spool without a deadband there is none to learn
-            maps.edges[i, VAR_SHIFT] = (FIRST * gains.deadband_error) ** 2
+        maps.edges[i, VAR_SHIFT] = (FIRST * gains.deadband_error) ** 2
 
 
 @kernel

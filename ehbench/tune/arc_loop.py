@@ -370,4 +370,5 @@ def steady_memory(model: Model, point: OperatingPoint, site: Site, gains: np.rec
     estimates[DISTURBANCE] = np.clip(
         beyond - estimates[PAYLOAD_SHARE] * load.pull, low[DISTURBANCE], high[DISTURBANCE]
     )
+    state.payload = estimates[PAYLOAD_SHARE] / estimates[INVERSE_INERTIA]
     return state
