@@ -123,11 +123,11 @@ _ROWS = [
     Quantity("tip_error", "e_t", "m", "mm", "distance of the tip from where it shall be", 0, 1e3),
     Quantity("tip_across", "e_n", "m", "mm", "part of the tip's error across its way", 0, 1e3),
     Quantity(
-        "flow_wished",
+        "flow_demand",
         "Q_w",
         "m^3/s",
         "gpm",
-        "flow that the motion as it is wished would draw from the supply",
+        "flow that the motion as it is desired would draw from the supply",
         0,
         10,
     ),
@@ -140,7 +140,7 @@ _ROWS = [
         0,
         10,
     ),
-    Quantity("pace", "σ", "dimensionless", "dimensionless", "pace of a motion, 1 as wished", 0, 1),
+    Quantity("pace", "σ", "dimensionless", "dimensionless", "pace of a motion, 1 as desired", 0, 1),
     Quantity("temperature", "T", "K", "degC", "oil temperature", 200, 500),
     Quantity("force", "F", "N", "N", "force, extension positive", -1e8, 1e8),
     # machine parameters
@@ -847,7 +847,7 @@ _ROWS = [
         20,
     ),
     Quantity(
-        "wish_corner",
+        "desired_corner",
         "ω_v",
         "rad/s",
         "rad/s",

@@ -171,8 +171,8 @@ def prepare_signals(
         )
     rate, shared = rates[0], OVERLAP[choice.window]
     shortest = min(x.size for x, _ in pairs)
-    wished = shortest / (1.0 + (DEFAULT_AVERAGES - 1) * (1.0 - shared)) / rate
-    size = round((choice.segment or wished) * rate)
+    usual = shortest / (1.0 + (DEFAULT_AVERAGES - 1) * (1.0 - shared)) / rate
+    size = round((choice.segment or usual) * rate)
     step = size - round(shared * size)
     segments = tuple(max(0, 1 + (x.size - size) // max(step, 1)) for x, _ in pairs)
     if size < LEAST_SAMPLES:

@@ -1,5 +1,5 @@
 """What the motion of the other joints adds to what a cylinder moves, from the equations of the
-mechanism (thesis 2.2), at the posture of all joints and with their wished rates and accelerations.
+mechanism (thesis 2.2), at the posture of all joints and with their desired rates and accelerations.
 
 About joint j, ``D_jj q̈_j + Σ_{k≠j} D_jk q̈_k + h_j(q, q̇) + c_j(q) + b_j q̇_j = l_j F``: what stands
 between the first and the last term is a torque that the others make, of the rig and of 1 kg at the
@@ -104,7 +104,7 @@ def joint_motion(row: np.record, q: np.ndarray, table: np.ndarray) -> np.ndarray
 
 
 def among_others(table: np.ndarray, joints: np.ndarray, ahead: float) -> np.ndarray:
-    """A table of references with the wished motion of all joints behind its own columns, shape
+    """A table of references with the desired motion of all joints behind its own columns, shape
     (samples, 4 + 4 n): q̇, q̈ of every joint, then both ``ahead`` [s] on.
 
     Args:

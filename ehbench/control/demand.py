@@ -1,4 +1,4 @@
-"""What a motion that is wished will draw from the supply: the load by the equations of motion, the
+"""What a motion that is desired will draw from the supply: the load by the equations of motion, the
 working functions that carry it, their oil.
 """
 

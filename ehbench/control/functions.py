@@ -72,7 +72,7 @@ RULE_NAMES = (
     "cross_drop",
     "dwell",
     "speed_sure",
-    "wish_corner",
+    "desired_corner",
     "power_band",
 )
 CHOICES = ("ranked", "least_power")  # by the number that the rule ``choice`` is
@@ -331,11 +331,11 @@ def steady_reference(v_d, slow, tick, rules):
     """The desired speed [m/s] by which motions begin, turn and end, after ``slow`` a tick ago.
 
     Above ``speed_sure``, and where no speed at all is desired, it is ``v_d`` itself; between, what
-    a low-pass of ``wish_corner`` leaves of it, so that noise about the dead zone moves nothing."""
+    a low-pass of ``desired_corner`` leaves, so that noise about the dead zone moves nothing."""
     if v_d == 0.0 or abs(v_d) > rules.speed_sure:
         return v_d
     slow = min(max(slow, -rules.speed_sure), rules.speed_sure)
-    return slow - math.expm1(-rules.wish_corner * tick) * (v_d - slow)
+    return slow - math.expm1(-rules.desired_corner * tick) * (v_d - slow)
 
 
 @kernel
@@ -410,7 +410,7 @@ def pack_rules(
             the seventh function must leave of Ps for metering [Pa], Ps/20, and as much more to
             begin; ``cross_drop``, planned drop Δp3 across the cross-port edge in the seventh [Pa],
             Ps/20; ``dwell``, least time between two changes in one direction of motion [s];
-            ``speed_sure`` [m/s], five times ``speed_start``, and ``wish_corner`` [rad/s]: see
+            ``speed_sure`` [m/s], five times ``speed_start``, and ``desired_corner`` [rad/s]: see
             `steady_reference`; ``choice``, "ranked" or "least_power", with ``power_band``, the
             share by which another function must take less than the one at work;
             ``allow_seventh``, True lets the seventh function be chosen.
@@ -459,7 +459,7 @@ def _default_rules(
         "cross_drop": part,
         "dwell": 0.1,
         "speed_sure": 5.0 * given.get("speed_start", 2.0e-4),
-        "wish_corner": 20.0,
+        "desired_corner": 20.0,
         "power_band": 0.05,
         "low_pressure": low,
         "allow_seventh": 0.0,

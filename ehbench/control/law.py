@@ -86,7 +86,7 @@ class Law:
         edge_telemetry: what it tells of each edge beside.
         bounds: gains that are a list of two.
         required: the gain without a default.
-        ahead: a time [s] if its step takes, where several cylinders move, the wished motion of all
+        ahead: a time [s] if its step takes, where several cylinders move, the desired motion of all
             joints behind the reference's own columns, now and so far on; else 0.
         shaped: whether it shapes steps of speed, so that a recipe may have ``shaping``.
         warns_saturated: whether a trial warns of the time that its valves were at their end.

@@ -130,7 +130,9 @@ def spread(places: Sequence[float], gap: float, low: float, high: float) -> list
     """
     order = sorted(range(len(places)), key=lambda i: (places[i], i))
     gap = min(gap, (high - low) / max(len(places) - 1, 1))
-    groups: list[list[float]] = []  # (sum of wished first places, count) of runs of touching labels
+    groups: list[
+        list[float]
+    ] = []  # (sum of desired first places, count) of runs of touching labels
     for rank, i in enumerate(order):
         groups.append([min(max(places[i], low), high) - rank * gap, 1.0])
         while len(groups) > 1 and groups[-2][0] / groups[-2][1] >= groups[-1][0] / groups[-1][1]:

@@ -84,8 +84,8 @@ def tip_caption(rig: Rig, row: Table) -> str:
 def sharing_caption(rig: Rig, row: Table) -> str:
     """Whether the pump had enough for all cylinders, and what came of it."""
     share = row["sharing"]
-    wished, limit = share["flow_wished"], share.get("flow_limit")
-    text = f"As it is wished the motion draws {measure(rig, 'flow', wished)} at the most"
+    desired, limit = share["flow_demand"], share.get("flow_limit")
+    text = f"As it is desired, the motion draws {measure(rig, 'flow', desired)} at the most"
     if limit is None:
         return f"{text}."
     text += f", of {measure(rig, 'flow', limit)} that the pump gives"
@@ -96,7 +96,7 @@ def sharing_caption(rig: Rig, row: Table) -> str:
             f"{number(share['longer'], 3)} s longer; all cylinders by one proportion, so that the "
             "tip keeps to its way."
         )
-    short = "; it was not slowed down for it" if wished > limit else ""
+    short = "; it was not slowed down for it" if desired > limit else ""
     return f"{text}{short}."
 
 

@@ -77,5 +77,5 @@ def _no_exit(status: int = 0) -> None:
 
 
 def is_users(error: BaseException) -> bool:
-    """Whether an error is the wish of who runs the program, and not the code's own."""
+    """Whether an error is the doing of who runs the program, and not the code's own."""
     return isinstance(error, (Terminated, KeyboardInterrupt))

@@ -436,12 +436,12 @@ def _loop(
         return Loop(driven, _laws(recipe, driven, tuning), level)
     motions = []
     for one, design in zip(singles, designs, strict=True):
-        # it may run slower than it is wished: its length is the recipe's only then
-        wished = one.model_copy(update={"duration": None})
+        # it may run slower than it is desired: its length is the recipe's only then
+        desired = one.model_copy(update={"duration": None})
         if standing:
             motions.append(_rest(design))
         elif found is None:
-            motions.append(references(wished, design, low))
+            motions.append(references(desired, design, low))
         else:
             motions.append(References(found.tables[design.cylinder]))
     driven = tuple(Driven(*one) for one in zip(singles, designs, as_long(motions), strict=True))

@@ -64,7 +64,7 @@ class Plan:
     """What several cylinders shall do together, a row a tick.
 
     ``tip`` is where that brings the tip [m], shape (samples, 3), ``way`` its way as a unit vector;
-    ``wished`` the flow that the motion draws from the supply as it is wished [m³/s], ``pace`` at
+    ``demand`` the flow that the motion draws from the supply as it is desired [m³/s], ``pace`` at
     which it runs, ``limit`` the pump's [m³/s], ``longer`` [s] what the trial lasts longer for it.
     """
 
@@ -73,7 +73,7 @@ class Plan:
     posture: np.ndarray
     tip: np.ndarray
     way: np.ndarray
-    wished: np.ndarray
+    demand: np.ndarray
     pace: np.ndarray
     limit: float
     longer: float
@@ -96,8 +96,8 @@ class Plan:
         made |= {f"tip_{axis}_desired": desired[:, i] for i, axis in enumerate("xyz")}
         made["tip_error"] = np.linalg.norm(error, axis=1)
         made["tip_across"] = np.linalg.norm(across, axis=1)
-        made["flow_wished"] = np.where(beyond, 0.0, self.wished[at])
-        made["flow_planned"] = made["flow_wished"] * self.pace[at]
+        made["flow_demand"] = np.where(beyond, 0.0, self.demand[at])
+        made["flow_planned"] = made["flow_demand"] * self.pace[at]
         made["pace"] = self.pace[at]
         return made
 
@@ -108,8 +108,8 @@ class Plan:
         tick = float(record.t[1] - record.t[0]) if record.t.size > 1 else 0.0
         sharing = {
             "flow_limit": self.limit if math.isfinite(self.limit) else None,
-            "flow_wished": float(self.wished.max()),
-            "flow_planned": float((self.wished * self.pace).max()),
+            "flow_demand": float(self.demand.max()),
+            "flow_planned": float((self.demand * self.pace).max()),
             "slowed": float(np.count_nonzero(slow)) * tick,
             "pace": float(self.pace.min()),
             "longer": self.longer,
@@ -160,7 +160,7 @@ def planned(
     ``share``.
 
     Args:
-        driven: the cylinders with the motions that are wished, all of one length.
+        driven: the cylinders with the motions that are desired, all of one length.
         rules: of function selection of each.
         low: pressure [Pa] of a chamber that carries nothing.
         share: False leaves the motions as they are.
@@ -171,24 +171,24 @@ def planned(
     q, joints = joints_of(driven)
     torque = torques(mechanism, q, joints)
     line = Pressures(low, low, float(plant.supply.pressure), float(plant.tank_pressure))
-    wished = np.zeros(len(q))
+    demand = np.zeros(len(q))
     for one, own in zip(driven, rules, strict=True):
         axis, joint = (
             axis_of(one.design.circuit, mechanism, one.design.row),
             int(one.design.row.joint),
         )
         motion = Moving(one.references.table[:, V], torque[:, joint], q[:, joint])
-        wished += drawn(axis, motion, line, tick, own)
+        demand += drawn(axis, motion, line, tick, own)
     limit = float(plant.supply.flow_limit)
     pace = None
     if share and math.isfinite(limit):
-        pace = pace_of(wished, (1.0 - RESERVE) * limit, tick)
+        pace = pace_of(demand, (1.0 - RESERVE) * limit, tick)
     before, made = len(q), np.ones(len(q))
     if pace is not None:
         driven = tuple(
             replace(one, references=slower(one.references, pace, tick)) for one in driven
         )
-        q, wished, made = pace.of(q, tick), pace.of(wished, tick), pace.pace
+        q, demand, made = pace.of(q, tick), pace.of(demand, tick), pace.pace
     none = np.full(design.q.size, np.nan)
     chain = Chain(plant.kind, plant.links, plant.gravity, none, none)
     tip = tip_of(chain, q)
@@ -201,7 +201,7 @@ def planned(
         design.q,
         tip,
         _way(tip, tick),
-        wished,
+        demand,
         made,
         limit,
         (len(q) - before) * tick,

@@ -25,7 +25,7 @@ class PositionFeedback:
         self.volts = rig.circuit.area_head / (float(edge.flow_gain) * drop**0.5)  # [V per m/s] at half the supply pressure
         self.position = rig.cylinder + ".x"
 
-    def step(self, t, sample, wish) -> dict[str, float]:
+    def step(self, t, sample, desired) -> dict[str, float]:
         """Volts by valve; a valve that is not named keeps its rest or its open-loop command."""
-        speed = wish.v + self.loop_gain * (wish.x - sample[self.position])
+        speed = desired.v + self.loop_gain * (desired.x - sample[self.position])
         return {self.valve: self.volts * speed}

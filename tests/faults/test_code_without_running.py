@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 RIG = ROOT / "recipes" / "rigs" / "slide_servo.toml"
 CLASS = (
     "class C:\n    channels = ['press.x']\n    def start(self, rig, tick, sample): pass\n"
-    "    def step(self, t, sample, wish): return {'press.servo': VOLTS}\n"
+    "    def step(self, t, sample, desired): return {'press.servo': VOLTS}\n"
 )
 
 

@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[2]
 RIG = load_rig(ROOT / "recipes" / "rigs" / "slide_servo.toml")
 HEAD = "class C:\n    channels = ['press.x']\n"
 START = "    def start(self, rig, tick, sample): pass\n"
-STEP = "    def step(self, t, sample, wish): return {}\n"
+STEP = "    def step(self, t, sample, desired): return {}\n"
 MOTION = {"kind": "point_to_point", "waypoints": ["100 mm", "110 mm"], "speed": "80 mm/s"}
 
 
@@ -45,7 +45,8 @@ def recipe(folder, code):
 def noting(notes, note):
     return (
         f"from math import *\n{HEAD}    notes = {notes}\n{START}"
-        f"    def step(self, t, sample, wish):\n        self.note = {note}\n        return {{}}\n"
+        f"    def step(self, t, sample, desired):\n        self.note = {note}\n"
+        "        return {}\n"
     )
 
 
@@ -122,11 +123,11 @@ class Map(Mapping):
         "[float('nan')]",
         "object()",
         "__import__('os')._exit(0)",
-        "self.step(t, sample, wish)",
+        "self.step(t, sample, desired)",
     ],
 )
 def test_an_answer_of_any_kind_is_a_sentence(tmp_path, answer):
-    code = EVIL + HEAD + START + f"    def step(self, t, sample, wish): return {answer}\n"
+    code = EVIL + HEAD + START + f"    def step(self, t, sample, desired): return {answer}\n"
     with pytest.raises(InputError) as error:
         run_trial(RIG, recipe(tmp_path, code), allow_code=True)
     assert error.value.file.endswith("mine.py") and "C" in error.value.message
@@ -176,7 +177,7 @@ def test_a_file_that_is_no_code_is_a_sentence(tmp_path, code):
 def test_code_that_ends_the_process_is_named(tmp_path):
     before = os._exit
     code = "from os import _exit\n" + HEAD + START
-    code += "    def step(self, t, sample, wish):\n        _exit(0)\n"
+    code += "    def step(self, t, sample, desired):\n        _exit(0)\n"
     with pytest.raises(InputError, match=r"C\.step asked the system to end the process at t") as e:
         run_trial(RIG, recipe(tmp_path, code), allow_code=True)
     assert e.value.line == 6 and os._exit is before
@@ -187,7 +188,7 @@ def test_a_step_that_does_not_come_back_is_ended(tmp_path, monkeypatch, body):
     monkeypatch.setattr("ehbench.trial.user_code.LONGEST", 0.5)
     monkeypatch.setattr(guards, "LOOK", 0.1)
     code = "import time\n" + HEAD + START
-    code += f"    def step(self, t, sample, wish):\n        {body}\n"
+    code += f"    def step(self, t, sample, desired):\n        {body}\n"
     asked, begun = recipe(tmp_path, code), time.monotonic()
     with pytest.raises(InputError, match=r"did not come back within 0\.5 s at t = 0 s") as error:
         run_trial(RIG, asked, allow_code=True)
@@ -198,13 +199,13 @@ def test_a_class_that_is_slow_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr("ehbench.trial.session.PATIENCE", 0.1)
     monkeypatch.setattr("ehbench.trial.session.LONGEST_TRIAL", 1.0)
     code = "import time\n" + HEAD + START
-    code += "    def step(self, t, sample, wish):\n        time.sleep(0.02)\n        return {}\n"
+    code += "    def step(self, t, sample, desired):\n        time.sleep(0.02)\n        return {}\n"
     with pytest.raises(InputError, match=r"C takes 0\.02\d* s a tick, .* h to go"):
         run_trial(RIG, recipe(tmp_path, code), allow_code=True)
 
 
 def test_a_command_beyond_its_limit_in_the_first_tick_never_acts(tmp_path):
-    code = HEAD + START + "    def step(self, t, sample, wish): return {'press.servo': 9.0}\n"
+    code = HEAD + START + "    def step(self, t, sample, desired): return {'press.servo': 9.0}\n"
     asked = recipe(tmp_path, code).model_copy(update={"limits": Limits(command_max="5 V")})
     record, facts = run_trial(RIG, asked, allow_code=True)
     assert facts.stop.limit == "command_max" and facts.stop.t == 0.0 and facts.stop.value == 9.0
@@ -221,7 +222,7 @@ main()
 
 def test_a_terminated_trial_does_not_blame_the_class(tmp_path):
     (tmp_path / "mine.py").write_text(
-        "import time\n" + HEAD + START + "    def step(self, t, sample, wish):\n"
+        "import time\n" + HEAD + START + "    def step(self, t, sample, desired):\n"
         "        open('begun', 'w').close()\n        time.sleep(0.01)\n        return {}\n"
     )
     rig = ROOT / "recipes" / "rigs" / "slide_servo.toml"

@@ -27,7 +27,7 @@ class Slow:
     channels = ["press.x"]
     def start(self, rig, tick, sample):
         self.n = 0
-    def step(self, t, sample, wish):
+    def step(self, t, sample, desired):
         self.n += 1
         time.sleep(0.004)
         with open("ticks", "w") as file:

@@ -179,13 +179,13 @@ def test_the_adaptive_law_does_not_swing_along_the_stroke(name, loaded, on):
     record, facts = run_trial(
         RIGS[name], recipe(ARC, motion, payload=payload if loaded else None, on=on)
     )
-    wished, v = record[f"{cylinder}.v_desired"], record[f"{cylinder}.v"]
-    steady = np.abs(wished) > 0.999 * speed
+    desired, v = record[f"{cylinder}.v_desired"], record[f"{cylinder}.v"]
+    steady = np.abs(desired) > 0.999 * speed
     late = steady.copy()
     late[1000:] &= steady[:-1000]  # a second after it set in
     # the bench's encoders turn into steps of speed; behind 20 ms the noise is below 3 mm/s
     smooth = np.convolve(v, np.full(20, 0.05), "same")
-    assert np.std((smooth - wished)[late]) < (
+    assert np.std((smooth - desired)[late]) < (
         0.02 * speed if on == "model" else 0.02 * speed + 3e-3
     )
     assert facts.measures["tracking"]["max_error"] < (1e-3 if on == "model" else 3e-3)
@@ -433,11 +433,11 @@ class Mine:
         self.memory, self.command = blank(pf.MEMORY), np.zeros(len(rig.valves))
         self.out = np.zeros(pf.COLUMNS + 2 * rig.circuit.count)
     notes = ["boom.load_force"]
-    def step(self, t, sample, wish):
+    def step(self, t, sample, desired):
         self.seen.append(sample)
         values = np.array([sample[name] for name in self.names])
         laws = self.circuit, self.packed, self.memory
-        pf.step(t, values, np.array(wish), *laws, self.command, self.out)
+        pf.step(t, values, np.array(desired), *laws, self.command, self.out)
         self.note = [self.out[7]]
         return self.command
 """
@@ -468,7 +468,7 @@ def test_a_channel_not_named_is_nan(tmp_path):
         "import math\nclass Peek:\n    channels = ['boom.p_head']\n"
         "    def start(self, rig, tick, sample):\n"
         "        assert [n for n, v in sample.items() if not math.isnan(v)] == ['boom.p_head']\n"
-        "    def step(self, t, sample, wish):\n"
+        "    def step(self, t, sample, desired):\n"
         "        return {'boom.hepc': 3.0 + 0.0 * sample['boom.x']}\n"
     )
     with pytest.raises(
@@ -498,7 +498,7 @@ def test_an_answer_is_volts_for_every_valve_or_by_name(tmp_path, answer, says):
     """One number is not spread over seven valves."""
     (tmp_path / "odd.py").write_text(
         "class Odd:\n    channels = ['boom.x']\n    def start(self, rig, tick, sample): pass\n"
-        f"    def step(self, t, sample, wish): return {answer}\n"
+        f"    def step(self, t, sample, desired): return {answer}\n"
     )
     with pytest.raises(InputError, match=r"Odd\.step " + says):
         run_trial(
@@ -511,7 +511,7 @@ def test_an_answer_is_volts_for_every_valve_or_by_name(tmp_path, answer, says):
 def test_seven_numbers_leave_an_unused_valve_at_rest(tmp_path):
     (tmp_path / "all.py").write_text(
         "class All:\n    channels = ['boom.x']\n    def start(self, rig, tick, sample): pass\n"
-        "    def step(self, t, sample, wish): return 7 * [0.1]\n"
+        "    def step(self, t, sample, desired): return 7 * [0.1]\n"
     )
     given = recipe(
         {"class": "all:All", "unused": ["boom.regen"]},
@@ -588,8 +588,8 @@ def test_pressure_feedback_damps_the_steps_of_the_open_loop():
 def test_a_limit_shuts_the_valves_in_the_very_tick(law, on, tmp_path):
     (tmp_path / "own_controller.py").write_text(
         "class Lift:\n    channels = ['boom.x']\n    def start(self, rig, tick, sample): pass\n"
-        "    def step(self, t, sample, wish): return {'boom.hepc': 4.0 * (wish.v > 0), "
-        "'boom.rect': 6.0 * (wish.v > 0)}\n"
+        "    def step(self, t, sample, desired): return {'boom.hepc': 4.0 * (desired.v > 0), "
+        "'boom.rect': 6.0 * (desired.v > 0)}\n"
     )
     given = recipe(
         law,

@@ -155,8 +155,8 @@ def test_the_strokes_of_a_path_bring_the_tip_along_its_line(motion, tmp_path):
 def test_where_the_pump_has_not_enough_time_runs_slower_and_no_more(tmp_path):
     plan = prepare(trial(tmp_path, FAST), ARM).loop.plan
     limit = float(ARM.supply.flow_limit)
-    assert plan.wished.max() > limit and plan.limit == limit
-    planned = plan.wished * plan.pace
+    assert plan.demand.max() > limit and plan.limit == limit
+    planned = plan.demand * plan.pace
     assert planned.max() <= (1.0 - RESERVE) * limit * (1.0 + 1e-6)
     assert planned.max() > 0.97 * (1.0 - RESERVE) * limit, "and hardly less than it must be"
     assert plan.longer > 0.1 and plan.pace[[0, -1]] == pytest.approx(1.0)
@@ -179,13 +179,13 @@ def test_speeds_of_single_motions_are_cut_in_one_proportion(tmp_path):
     )
     assert shared.plan.pace.min() < 0.8
     for one, other in zip(shared.driven, free.driven, strict=True):
-        table, wished = one.references.table, other.references.table
-        assert table[-1, 0] == pytest.approx(wished[-1, 0], abs=1e-9)
-        assert np.abs(table[:, 1]).max() < 0.95 * np.abs(wished[:, 1]).max()
+        table, desired = one.references.table, other.references.table
+        assert table[-1, 0] == pytest.approx(desired[-1, 0], abs=1e-9)
+        assert np.abs(table[:, 1]).max() < 0.95 * np.abs(desired[:, 1]).max()
 
 
 def test_with_the_pump_limit_met_the_tip_keeps_to_its_line(tmp_path):
-    """Slowed down, the supply holds its pressure; as wished, it does not."""
+    """Slowed down, the supply holds its pressure; as desired, it does not."""
     results = {
         share: run(prepare(trial(tmp_path, FAST | {"share_flow": share}), ARM))
         for share in (True, False)

@@ -344,8 +344,8 @@ class Own:
     def start(self, rig, tick, sample):
         self.valves = rig.valves
 
-    def step(self, t, sample, wish):
-        return [2.0 * (wish.v > 0.01) - 2.0 * (wish.v < -0.01) for _ in self.valves]
+    def step(self, t, sample, desired):
+        return [2.0 * (desired.v > 0.01) - 2.0 * (desired.v < -0.01) for _ in self.valves]
 """
 
 

@@ -42,9 +42,9 @@ class Mine:
     notes = ["press.force"]
     def start(self, rig, tick, sample):
         self.note = [0.0]
-    def step(self, t, sample, wish):
+    def step(self, t, sample, desired):
         self.note = [1e3 * sample["press.v"]]
-        return [40.0 * (wish.x - sample["press.x"]) + 20.0 * wish.v]
+        return [40.0 * (desired.x - sample["press.x"]) + 20.0 * desired.v]
 """
 LAWS = {
     "commands": {"command": [STEP], "duration": "1.1 s"},

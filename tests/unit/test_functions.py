@@ -388,7 +388,7 @@ def test_an_unknown_rule_is_refused():
         fn.pack_rules(A2, PS, dwel=0.2)
 
 
-def wishes(c, rules, v_d, tick=1e-3, steady=True):
+def low_passed(c, rules, v_d, tick=1e-3, steady=True):
     """Functions chosen along desired speeds, at a load that rests on the head end."""
     now, age, slow, history = codes.HOLD, 1e9, 0.0, []
     for v in v_d:
@@ -400,28 +400,31 @@ def wishes(c, rules, v_d, tick=1e-3, steady=True):
     return np.array(history)
 
 
-def test_a_noisy_wish_about_the_dead_zone_changes_nothing():
+def test_a_noisy_speed_about_the_dead_zone_changes_nothing():
     """0.2 mm/s rms about speeds from rest to beyond where a motion begins: no more than one change
-    a second, where the bare wish makes hundreds.
+    a second, where the bare speed makes hundreds.
     """
     c, rules, rng = circuit(FIVE), fn.pack_rules(A2, PS), np.random.default_rng(7)
     for mean in (0.0, 1e-4, -2e-4, 3e-4):
         v_d = mean + rng.normal(0.0, 2e-4, 2000)
-        assert (np.diff(wishes(c, rules, v_d)) != 0).sum() <= 2
-    bare = wishes(c, rules, rng.normal(0.0, 2e-4, 1000), steady=False)
+        assert (np.diff(low_passed(c, rules, v_d)) != 0).sum() <= 2
+    bare = low_passed(c, rules, rng.normal(0.0, 2e-4, 1000), steady=False)
     assert (np.diff(bare) != 0).sum() > 200
 
 
 def test_a_wish_beyond_noise_acts_at_once_and_a_slow_one_soon():
     c, rules = circuit(FIVE), fn.pack_rules(A2, PS)
     steps = [0.0, 2e-3, 2e-3, 0.0, -2e-3, 2e-3]
-    assert fn.DIRECTION[wishes(c, rules, steps)].tolist() == [0, 1, 1, 0, -1, 1]
-    turned = wishes(c, rules, np.concatenate([np.full(300, 5e-4), np.full(300, -5e-4)]))
+    assert fn.DIRECTION[low_passed(c, rules, steps)].tolist() == [0, 1, 1, 0, -1, 1]
+    turned = low_passed(c, rules, np.concatenate([np.full(300, 5e-4), np.full(300, -5e-4)]))
     way = fn.DIRECTION[turned]
     assert np.argmax(way == 1) < 30 and np.argmax(way[300:] == -1) <= 60
     # one that grows as a motion begins, 6 m/s³: the way that is lost is less than a sensor's count
     v_d = 3.0 * (1e-3 * np.arange(40)) ** 2
-    late = np.argmax(wishes(c, rules, v_d) != 0), np.argmax(wishes(c, rules, v_d, steady=False))
+    late = (
+        np.argmax(low_passed(c, rules, v_d) != 0),
+        np.argmax(low_passed(c, rules, v_d, steady=False)),
+    )
     assert v_d[late[1] : late[0]].sum() * 1e-3 < 1e-5
 
 

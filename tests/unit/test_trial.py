@@ -723,7 +723,7 @@ def test_gains_come_from_a_tune_run_and_what_is_written_goes_first(rig, tmp_path
 HEAD = "class C:\n    channels = ['press.x']\n"
 START, STEPS = (
     "    def start(self, rig, tick, sample): pass\n",
-    "    def step(self, t, sample, wish): return {}\n",
+    "    def step(self, t, sample, desired): return {}\n",
 )
 
 
@@ -759,33 +759,33 @@ START, STEPS = (
         (
             HEAD
             + START
-            + "    def step(self, t, sample, wish):\n        return [][int(t > 0.1)]\n",
+            + "    def step(self, t, sample, desired):\n        return [][int(t > 0.1)]\n",
             r"C.step raised IndexError at t = 0 s.*\[\]",
             5,
         ),
         (
-            HEAD + START + "    def step(self, t, sample, wish): return {'press.valve': 1.0}\n",
+            HEAD + START + "    def step(self, t, sample, desired): return {'press.valve': 1.0}\n",
             "'press.valve', which is no valve",
             None,
         ),
         (
-            HEAD + START + "    def step(self, t, sample, wish): return [1.0, 2.0]\n",
+            HEAD + START + "    def step(self, t, sample, desired): return [1.0, 2.0]\n",
             r"gave \[1.0, 2.0\] at t = 0 s",
             None,
         ),
         (
-            HEAD + START + "    def step(self, t, sample, wish):\n        raise SystemExit\n",
+            HEAD + START + "    def step(self, t, sample, desired):\n        raise SystemExit\n",
             "C.step raised SystemExit at t = 0",
             5,
         ),
         ("raise SystemExit\n", "raised SystemExit", 1),
         (
-            HEAD + START + "    def step(self, t, sample, wish): return [float('nan')]\n",
+            HEAD + START + "    def step(self, t, sample, desired): return [float('nan')]\n",
             "nan.* at t = 0 s, which is not fin",
             None,
         ),
         (
-            HEAD + START + "    def step(self, t, sample, wish): return None\n",
+            HEAD + START + "    def step(self, t, sample, desired): return None\n",
             "gave None at t = 0 s, which is no set",
             None,
         ),
@@ -840,7 +840,7 @@ def test_a_class_gets_its_gains_and_is_held_to_the_drivers_range(rig, tmp_path):
         "        assert (self.low_pressure, self.mode, tick) == (2e5, '3 V', 1e-3)\n"
         "        assert rig.rig.name == 'slide_servo' and rig.valves == ('press.servo',) and "
         "rig.x == 0.1 == round(sample['press.x'], 9)\n"
-        "    def step(self, t, sample, wish):\n        self.note = [t, wish.v]\n"
+        "    def step(self, t, sample, desired):\n        self.note = [t, desired.v]\n"
         "        return [25.0 if 0.2 <= t < 0.2995 else 0.0]\n"
     )
     gains = '[controller.gains]\nlow_pressure = "2 bar"\nmode = "3 V"\n'
@@ -863,8 +863,8 @@ def test_a_class_may_do_without_a_motion(rig, tmp_path):
     (tmp_path / "mine.py").write_text(
         HEAD
         + START
-        + "    def step(self, t, sample, wish):\n"
-        + "        return {'press.servo': 10 * (wish.x - sample['press.x'])}\n"
+        + "    def step(self, t, sample, desired):\n"
+        + "        return {'press.servo': 10 * (desired.x - sample['press.x'])}\n"
     )
     text = (
         'stage = "trial"\nrig = "x"\nduration = "0.5 s"\nposture = { press = "120 mm" }\n'

@@ -161,7 +161,7 @@ def test_limit_is_a_limit(sites):
 def test_steps_and_bias(tuned):
     for step in tuned.steps:
         opened, closed = np.array(step.v_open), np.array(step.v_closed)
-        # with a washout the speed comes out as wished; python-control's samples end after ten
+        # with a washout the speed comes out as desired; python-control's samples end after ten
         # open-loop periods
         assert closed[-1] == pytest.approx(1.0, abs=0.15)
         assert closed.max() < opened.max()

@@ -286,6 +286,6 @@ def _round_drops(rig: Rig, one: FlowMap, count: int = 6) -> list[float]:
     high = float(np.quantile(one.hull_high[passing], 0.1)) if passing.any() else one.drop_max
     low = min(max(low, high / 50), high / 2)
     per = one.drop_max / float(shown(rig, "pressure_drop", one.drop_max))
-    wished = np.geomspace(low / per, high / per, count)
-    step = 10.0 ** (np.floor(np.log10(wished)) - 1.0)
-    return [float(drop) * per for drop in dict.fromkeys(np.floor(wished / step + 1e-9) * step)]
+    even = np.geomspace(low / per, high / per, count)
+    step = 10.0 ** (np.floor(np.log10(even)) - 1.0)
+    return [float(drop) * per for drop in dict.fromkeys(np.floor(even / step + 1e-9) * step)]

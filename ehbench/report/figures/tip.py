@@ -42,10 +42,10 @@ def tip(path: Path, rig: Rig, case: Case, record: Record) -> None:
 
 
 def _view(ax, rig: Rig, record: Record, ways: tuple[str, str], text: str) -> None:
-    """The wished and the travelled path in one plane, to scale."""
+    """The desired and the travelled path in one plane, to scale."""
     step = max(1, record.t.size // _POINTS)
     for name, look in (
-        ("_desired", {"color": SIMULATED, "linewidth": 2.4, "label": "wished"}),
+        ("_desired", {"color": SIMULATED, "linewidth": 2.4, "label": "desired"}),
         ("", {"color": RECORDED, "linewidth": 1.0, "label": "travelled"}),
     ):
         channels = [f"tip_{way}{name}" for way in ways]
@@ -93,7 +93,7 @@ def demanded(rig: Rig, record: Record) -> np.ndarray | None:
 
 
 def _flow(ax, rig: Rig, case: Case, record: Record) -> None:
-    lines = [("wished", record["flow_wished"], {"color": SIMULATED, "linewidth": 1.6})]
+    lines = [("of the motion", record["flow_demand"], {"color": SIMULATED, "linewidth": 1.6})]
     if np.any(record["pace"] < 1.0):
         lines.append(("planned", record["flow_planned"], {"color": CYCLE[2], "linewidth": 1.6}))
     asked = demanded(rig, record)
