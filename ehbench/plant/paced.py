@@ -20,7 +20,7 @@ from ehbench.parts.valve import limited, valve_advance
 from ehbench.parts.valve.delay import Line, line_felt, line_push
 from ehbench.plant.build import Plant
 from ehbench.plant.derivatives import derivatives
-from ehbench.plant.integrate import stages
+from ehbench.plant.integrate import put, stages
 from ehbench.plant.layout import SIDES, Layout
 
 AUTO: Literal["auto"] = "auto"
@@ -228,7 +228,7 @@ def run_paced(y, commands, plant, line, pace, mesh, log):
     steps, there, ahead = np.empty(256, np.int64), 0, 0
     line_felt(line, commands[0], plant, 0.0, line.tick / LATE)
     rate = derivatives(y, line.held, plant, k[0], work)
-    log[0, :size] = y
+    put(y, log[0])
     _let(way, log, 0)
     while sample < last:
         while until < last and until < sample + (1 if late else MOST_TICKS):
@@ -243,13 +243,13 @@ def run_paced(y, commands, plant, line, pace, mesh, log):
         ahead -= taken
         if count == steps.shape[0]:
             longer = np.empty(2 * count, np.int64)
-            longer[:count] = steps
+            put(steps, longer)
             steps = longer
         steps[count] = taken
         ends = sample + (part + taken) // pace.units
         part, count = (part + taken) % pace.units, count + 1
         if part == 0:
-            log[ends, :size] = k[4]
+            put(k[4], log[ends])
             _let(way, log, ends)
         for s in range(sample + 1, ends):
             share = (s - sample) * pace.units / taken
@@ -257,7 +257,9 @@ def run_paced(y, commands, plant, line, pace, mesh, log):
             if flows:
                 derivatives(log[s, :size], line.held, plant, k[1], work)
                 _let(way, log, s)
-        y[:], k[0], rate = k[4], k[5], after
+        put(k[4], y)
+        put(k[5], k[0])
+        rate = after
         if part == 0:
             if not _finite(y):
                 log[ends:] = math.nan
