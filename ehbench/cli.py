@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
+from typer.core import TyperGroup
 
 from ehbench.commands import COMMANDS, Command
 from ehbench.errors import EhbenchError, Terminated
@@ -24,8 +25,22 @@ from ehbench.text import shortened_path
 if TYPE_CHECKING:
     from ehbench.workflow import Outcome
 
+
+class _Commands(TyperGroup):
+    """The commands; a word that is none of an option's is refused in plain words."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """As typer's, which leaves its checker's own prefix before the sentence."""
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            error.message = error.message.removeprefix("Value error, ")
+            raise
+
+
 app = typer.Typer(
     name="ehbench",
+    cls=_Commands,
     no_args_is_help=True,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
