@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from functools import update_wrapper
 from itertools import repeat
 from pathlib import Path
+from secrets import randbits
 from threading import Lock
 from typing import Any
 
@@ -45,7 +46,7 @@ _FOLDER = _cache_folder()
 
 def is_cold() -> bool:
     """Whether nothing is compiled yet, so that a first run takes a minute longer."""
-    return not any(_FOLDER.rglob("*.nbc"))
+    return not (_SETTINGS.DISABLE_JIT or any(_FOLDER.rglob("*.nbc")))
 
 
 class _LinkedLibrary(JITCodeLibrary):
@@ -151,9 +152,14 @@ class Kernel:
         with _SETTING:
             before, _SETTINGS.CACHE_DIR = _SETTINGS.CACHE_DIR, folder
             try:
-                return numba.njit(cache=bool(folder), **{**self._options, **more})(self._function)
+                made: Any = numba.njit(cache=bool(folder), **{**self._options, **more})(
+                    self._function
+                )
             finally:
                 _SETTINGS.CACHE_DIR = before
+        if folder:
+            _name_apart(made._cache._cache_file)
+        return made
 
     @property
     def _numba_type_(self) -> Any:
@@ -167,9 +173,21 @@ class Kernel:
             self._outer = self._dispatcher(self._folder and f"{self._folder}/outer")
         return self._outer
 
+    def compile(self, *like: Any) -> None:
+        """Compile it for calls by kernels with arguments of the types of ``like``."""
+        self._inner.compile(tuple(numba.typeof(each) for each in like))
+
     def __call__(self, *arguments: Any) -> Any:
         """Call it from Python."""
         return (self._outer or self.outer)(*arguments)
+
+
+def _name_apart(files: Any) -> None:
+    """Let each file of a cache have a name of its own. numba counts from 1, and of two processes
+    that compile at once for different types, one would call the other's code.
+    """
+    name = files._data_name_pattern
+    files._data_name = lambda _: name.format(number=randbits(48))
 
 
 def _compiler(options: Mapping[str, Any], kept: bool = True) -> Callable[[Callable], Any]:
