@@ -159,6 +159,13 @@ def _step(way, command, part, room, step, rate, given):
         step = _halved(step, units)
 
 
+@part_kernel
+def _arrive(way):
+    """Begin where the step has ended."""
+    put(way.k[4], way.y)
+    put(way.k[5], way.k[0])
+
+
 @kernel
 def over_tick(way, command, rate):
     """Bring ``way.y`` over one tick under a command [V] in steps chosen by the guard, from where
@@ -168,8 +175,7 @@ def over_tick(way, command, rate):
     while part < units:
         taken, step, rate = _step(way, command, part, units - part, step, rate, False)
         part += taken
-        for i in range(way.y.shape[0]):
-            way.y[i], way.k[0, i] = way.k[4, i], way.k[5, i]
+        _arrive(way)
 
 
 @part_kernel
@@ -239,7 +245,7 @@ def run_paced(y, commands, plant, line, pace, mesh, log):
         if follows and ahead == 0:
             ahead, there = mesh[min(there, mesh.shape[0] - 1)], there + 1
         step = min(ahead, room) if follows else step
-        taken, step, after = _step(way, commands[sample], part, room, step, rate, follows)
+        taken, step, rate = _step(way, commands[sample], part, room, step, rate, follows)
         ahead -= taken
         if count == steps.shape[0]:
             longer = np.empty(2 * count, np.int64)
@@ -257,9 +263,7 @@ def run_paced(y, commands, plant, line, pace, mesh, log):
             if flows:
                 derivatives(log[s, :size], line.held, plant, k[1], work)
                 _let(way, log, s)
-        put(k[4], y)
-        put(k[5], k[0])
-        rate = after
+        _arrive(way)
         if part == 0:
             if not _finite(y):
                 log[ends:] = math.nan
