@@ -5,8 +5,10 @@ code.
 from __future__ import annotations
 
 import errno
+import os
 import shutil
 import signal
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -16,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
+from typer.core import TyperGroup
 
 from ehbench.commands import COMMANDS, Command
 from ehbench.errors import EhbenchError, Terminated
@@ -24,8 +27,22 @@ from ehbench.text import shortened_path
 if TYPE_CHECKING:
     from ehbench.workflow import Outcome
 
+
+class _Commands(TyperGroup):
+    """The commands; a word that is none of an option's is refused in plain words."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """As typer's, which leaves its checker's own prefix before the sentence."""
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            error.message = error.message.removeprefix("Value error, ")
+            raise
+
+
 app = typer.Typer(
     name="ehbench",
+    cls=_Commands,
     no_args_is_help=True,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
@@ -487,12 +504,21 @@ def _suggest(file: Path, out: Path | None, says: Says, seconds: float) -> None:
         print(out / recipe.path.name)
 
 
-def _say_first(quiet: bool) -> None:
-    """Say why a first run takes longer than the next."""
-    from ehbench.compiled import is_cold
+_BESIDE: list[subprocess.Popen] = []  # it ends by itself, at the latest soon after the run
 
-    if is_cold() and not quiet:
-        print("compiling the machine's equations, first run only (about a minute)", file=sys.stderr)
+
+def _say_first(quiet: bool) -> None:
+    """Say why a first run takes longer than the next, and share its work."""
+    from ehbench.compiled import PACKAGE, is_cold
+
+    if not is_cold():
+        return
+    if not quiet:
+        print("compiling the machine's equations, first run only (half a minute)", file=sys.stderr)
+    if (os.cpu_count() or 1) > 1 and os.access(PACKAGE, os.W_OK):  # another core, one cache
+        ahead = [sys.executable, "-P", "-m", "ehbench.warm", "--ahead"]
+        null = subprocess.DEVNULL
+        _BESIDE.append(subprocess.Popen(ahead, stdin=null, stdout=null, stderr=null))
 
 
 def _leave(made: Outcome, says: Says, page: str = "") -> None:

@@ -4,17 +4,23 @@ for loops that allocate, one cache for their code.
 
 from __future__ import annotations
 
+import gc
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import update_wrapper
 from itertools import repeat
 from pathlib import Path
+from secrets import randbits
 from threading import Lock
 from typing import Any
 
 import numba
 import numpy as np
+from llvmlite import binding as llvm
 from numba.core import config
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.extending import overload
 
 PACKAGE = Path(__file__).resolve().parent
@@ -40,17 +46,85 @@ _FOLDER = _cache_folder()
 
 def is_cold() -> bool:
     """Whether nothing is compiled yet, so that a first run takes a minute longer."""
-    return not any(_FOLDER.rglob("*.nbc"))
+    return not (_SETTINGS.DISABLE_JIT or any(_FOLDER.rglob("*.nbc")))
+
+
+class _LinkedLibrary(JITCodeLibrary):
+    """Code that only goes into that of its callers: numba would optimise it, and make machine code
+    of it and of all that it calls, for every kernel on the way up. Here that is left to the kernel
+    on top.
+    """
+
+    def _optimize_final_module(self) -> None:
+        """Nothing: the caller's does it."""
+
+    def _finalize_final_module(self) -> None:
+        """Keep the code for callers; the engine gets the environments alone, which numba sets."""
+        shared, names = self._final_module, []
+        for function in shared.functions:
+            if not function.is_declaration and function.linkage == llvm.Linkage.external:
+                function.linkage = "linkonce_odr"
+        for variable in shared.global_variables:
+            if variable.name.startswith("_ZN08NumbaEnv"):
+                names.append(f'@"{variable.name}" = common global i64 0\n')
+        self._shared_module = shared
+        self._final_module = llvm.parse_assembly("".join(names))
+        self._final_module.name = shared.name
+        super()._finalize_final_module()
+
+
+class _Compiler(Compiler):
+    """numba's compiler, while nothing collects garbage: it makes millions of objects that stay, and
+    to look through them again and again takes a tenth of the time.
+    """
+
+    def compile_extra(self, func: Callable) -> Any:
+        """Compile a function and, on the way, all that it calls."""
+        with _uncollected():
+            return super().compile_extra(func)
+
+
+class _LinkedCompiler(_Compiler):
+    """The same for what only kernels call: into a library of ours."""
+
+    def define_pipelines(self) -> list[Any]:
+        """numba's own, into a library of ours."""
+        state = self.state
+        if state.library is None:
+            name = state.func_id.func_qualname
+            state.library = _LinkedLibrary(state.targetctx.codegen(), name)
+            state.library.enable_object_caching()
+        return super().define_pipelines()
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 # Without numba's reference counting a kernel cannot allocate (the compiler refuses it), and passing
 # rows and slices of arrays costs nothing: 1.4 times as fast a plant. Arguments are the caller's.
-OPTIONS: Any = {"nogil": True, "error_model": "numpy", "_nrt": False}
+OPTIONS: Any = {
+    "nogil": True,
+    "error_model": "numpy",
+    "_nrt": False,
+    "pipeline_class": _Compiler,
+}
 # numba hands forceinline down from callers that have it: the derivatives would stand ten times in
 # one loop, which takes half as long again to compile and is no faster
 _APART: Any = {**OPTIONS, "forceinline": False}
 _INLINED: Any = {**OPTIONS, "forceinline": True}
-_WITHIN: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # called by kernels only
+_WITHIN: Any = {  # called by kernels only
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+    "pipeline_class": _LinkedCompiler,
+}
 
 
 class Kernel:
@@ -78,9 +152,14 @@ class Kernel:
         with _SETTING:
             before, _SETTINGS.CACHE_DIR = _SETTINGS.CACHE_DIR, folder
             try:
-                return numba.njit(cache=bool(folder), **self._options, **more)(self._function)
+                made: Any = numba.njit(cache=bool(folder), **{**self._options, **more})(
+                    self._function
+                )
             finally:
                 _SETTINGS.CACHE_DIR = before
+        if folder:
+            _name_apart(made._cache._cache_file)
+        return made
 
     @property
     def _numba_type_(self) -> Any:
@@ -94,9 +173,21 @@ class Kernel:
             self._outer = self._dispatcher(self._folder and f"{self._folder}/outer")
         return self._outer
 
+    def compile(self, *like: Any) -> None:
+        """Compile it for calls by kernels with arguments of the types of ``like``."""
+        self._inner.compile(tuple(numba.typeof(each) for each in like))
+
     def __call__(self, *arguments: Any) -> Any:
         """Call it from Python."""
         return (self._outer or self.outer)(*arguments)
+
+
+def _name_apart(files: Any) -> None:
+    """Let each file of a cache have a name of its own. numba counts from 1, and of two processes
+    that compile at once for different types, one would call the other's code.
+    """
+    name = files._data_name_pattern
+    files._data_name = lambda _: name.format(number=randbits(48))
 
 
 def _compiler(options: Mapping[str, Any], kept: bool = True) -> Callable[[Callable], Any]:
@@ -113,7 +204,7 @@ kernel = _compiler(_APART)
 # for the small kernels of which a large one is made: they go into its code, without a call
 part_kernel = _compiler(_INLINED)
 
-allocating_kernel = _compiler({"nogil": True})
+allocating_kernel = _compiler({"nogil": True, "pipeline_class": _Compiler})
 
 # for what is made at import, which no cache can find again: it goes into the code of its callers
 inlined = _compiler(_INLINED, kept=False)

@@ -8,10 +8,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from inspect import signature
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, get_args
+
+import numpy as np
 
 from ehbench import starter
 from ehbench.control import LAW_NAMES
@@ -62,8 +65,37 @@ def warm(machine: str) -> str:
     return machine
 
 
+def ahead() -> None:
+    """Compile, from its end on, what a first trial needs, while another process runs that trial:
+    what one has compiled the other finds in the cache.
+    """
+    from ehbench.ledger.loads import Loads
+    from ehbench.ledger.model_account import ledger_of_model, states_of
+    from ehbench.ledger.powers import powers
+    from ehbench.ledger.sheet import Sheet
+    from ehbench.plant import derivatives as equations
+    from ehbench.plant.integrate import STEP
+    from ehbench.plant.model import Model
+
+    with TemporaryDirectory() as folder:
+        starter.init(Path(folder) / "rig")
+        model = Model.of(load_rig(Path(folder) / "rig" / "rig.toml"))
+    plant, names = model.plant, model.layout
+    y, sheet, t = np.zeros(names.states), Sheet(model, "residual"), np.array([0.0, STEP])
+    given = {"plant": plant, "owner": sheet.owner}
+    for part in (*equations.LAST, powers):
+        part.compile(*(given.get(name, y) for name in signature(part).parameters))
+    commands, log = np.zeros((2, len(names.valves))), np.zeros((2, names.states))
+    record = model.record(t, commands, log)
+    states, _ = states_of(model, record)
+    Loads.of(record).stored(model, t, states, sheet.stores)
+    ledger_of_model(model, record)
+
+
 def main() -> None:
     """Compile for all machines, a process each, and say how far it is."""
+    if sys.argv[1:] == ["--ahead"]:
+        return ahead()
     names = get_args(TrialRecipe.model_fields["on"].annotation)
     print("compiling the kernels, once …", file=sys.stderr, flush=True)
     with ProcessPoolExecutor(len(names), mp_context=get_context("spawn")) as pool:

@@ -13,7 +13,7 @@ from ehbench.parts.nodes import TANK
 from ehbench.parts.valve.delay import line_felt, line_push
 from ehbench.physics import arm
 from ehbench.plant.derivatives import derivatives
-from ehbench.plant.integrate import MOST_SUBSTEPS, STIFF, advance
+from ehbench.plant.integrate import MOST_SUBSTEPS, STIFF, advance, put
 
 
 class Integrated(NamedTuple):
@@ -43,13 +43,13 @@ def integrate(t, states, commands, plant, line, owner, step, out):
     work, at = np.empty(plant.at.work), plant.at.flow
     y, start, middle = np.empty(size), np.empty(columns), np.empty(columns)
     for i in range(t.shape[0]):
-        y[:] = states[i]
+        put(states[i], y)
         tick = t[min(i + 1, t.shape[0] - 1)] - t[min(i, t.shape[0] - 2)]
         steps = max(1, math.ceil(tick / step - 1e-6))
         felt, held = tick / steps, line.held
         line_felt(line, commands[i], plant, 0.0, felt)
         rate = derivatives(y, held, plant, k[0], work)
-        out.flows[i] = work[at:]
+        put(work[at:], out.flows[i])
         if i + 1 == t.shape[0]:
             break
         pieces = min(MOST_SUBSTEPS, max(1, math.ceil(max(tick / step - 1e-6, rate * tick / STIFF))))
@@ -69,7 +69,7 @@ def integrate(t, states, commands, plant, line, owner, step, out):
                     middle_part = 0.0 if half else h / 1.5 * middle[j]
                     energies[i, j] += h / 6.0 * start[j] + middle_part
         line_push(line, commands[i])
-        out.ends[i] = y
+        put(y, out.ends[i])
 
 
 @allocating_kernel
@@ -82,7 +82,7 @@ def flows_at(states, commands, tank, plant, flows):
     for i in range(states.shape[0]):
         plant.nodes[TANK].pressure = tank[i]
         derivatives(states[i], commands[i], plant, k, work)
-        flows[i] = work[plant.at.flow :]
+        put(work[plant.at.flow :], flows[i])
 
 
 @allocating_kernel

@@ -18,6 +18,15 @@ MOST_SUBSTEPS = 400
 
 
 @part_kernel
+def put(values, out):
+    """Write values into ``out``, one by one: numba's ``out[:] = values`` brings the words of an
+    error along, which take two seconds to compile.
+    """
+    for i in range(values.shape[0]):
+        out[i] = values[i]
+
+
+@part_kernel
 def rk4(y, command, plant, h, k, work):
     """One classical Runge–Kutta step of ``h`` [s] in place, more substeps where the plant is stiff;
     returns the substeps.
@@ -81,10 +90,8 @@ def run(y, commands, plant, line, steps, log):
     for sample in range(commands.shape[0]):
         line_felt(line, commands[sample], plant, 0.0, h)
         rate = any_derivatives(y, line.held, plant, k[0], work)
-        for i in range(size):
-            log[sample, i] = y[i]
-        for i in range(work.shape[0] - at):
-            log[sample, size + i] = work[at + i]
+        put(y, log[sample])
+        put(work[at:], log[sample, size:])
         if sample + 1 < commands.shape[0]:
             most = max(most, advance(y, line.held, plant, h, k, work, rate))
             for step in range(1, steps):

@@ -20,7 +20,7 @@ from ehbench.parts.valve import limited, valve_advance
 from ehbench.parts.valve.delay import Line, line_felt, line_push
 from ehbench.plant.build import Plant
 from ehbench.plant.derivatives import derivatives
-from ehbench.plant.integrate import stages
+from ehbench.plant.integrate import put, stages
 from ehbench.plant.layout import SIDES, Layout
 
 AUTO: Literal["auto"] = "auto"
@@ -159,6 +159,13 @@ def _step(way, command, part, room, step, rate, given):
         step = _halved(step, units)
 
 
+@part_kernel
+def _arrive(way):
+    """Begin where the step has ended."""
+    put(way.k[4], way.y)
+    put(way.k[5], way.k[0])
+
+
 @kernel
 def over_tick(way, command, rate):
     """Bring ``way.y`` over one tick under a command [V] in steps chosen by the guard, from where
@@ -168,8 +175,7 @@ def over_tick(way, command, rate):
     while part < units:
         taken, step, rate = _step(way, command, part, units - part, step, rate, False)
         part += taken
-        for i in range(way.y.shape[0]):
-            way.y[i], way.k[0, i] = way.k[4, i], way.k[5, i]
+        _arrive(way)
 
 
 @part_kernel
@@ -228,7 +234,7 @@ def run_paced(y, commands, plant, line, pace, mesh, log):
     steps, there, ahead = np.empty(256, np.int64), 0, 0
     line_felt(line, commands[0], plant, 0.0, line.tick / LATE)
     rate = derivatives(y, line.held, plant, k[0], work)
-    log[0, :size] = y
+    put(y, log[0])
     _let(way, log, 0)
     while sample < last:
         while until < last and until < sample + (1 if late else MOST_TICKS):
@@ -239,17 +245,17 @@ def run_paced(y, commands, plant, line, pace, mesh, log):
         if follows and ahead == 0:
             ahead, there = mesh[min(there, mesh.shape[0] - 1)], there + 1
         step = min(ahead, room) if follows else step
-        taken, step, after = _step(way, commands[sample], part, room, step, rate, follows)
+        taken, step, rate = _step(way, commands[sample], part, room, step, rate, follows)
         ahead -= taken
         if count == steps.shape[0]:
             longer = np.empty(2 * count, np.int64)
-            longer[:count] = steps
+            put(steps, longer)
             steps = longer
         steps[count] = taken
         ends = sample + (part + taken) // pace.units
         part, count = (part + taken) % pace.units, count + 1
         if part == 0:
-            log[ends, :size] = k[4]
+            put(k[4], log[ends])
             _let(way, log, ends)
         for s in range(sample + 1, ends):
             share = (s - sample) * pace.units / taken
@@ -257,7 +263,7 @@ def run_paced(y, commands, plant, line, pace, mesh, log):
             if flows:
                 derivatives(log[s, :size], line.held, plant, k[1], work)
                 _let(way, log, s)
-        y[:], k[0], rate = k[4], k[5], after
+        _arrive(way)
         if part == 0:
             if not _finite(y):
                 log[ends:] = math.nan

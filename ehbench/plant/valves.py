@@ -14,7 +14,7 @@ from ehbench.parts.valve import limited, valve_advance, valve_recover, valve_set
 from ehbench.parts.valve.delay import line_felt, line_of, line_push
 from ehbench.plant.build import Plant
 from ehbench.plant.derivatives import derivatives
-from ehbench.plant.integrate import MOST_SUBSTEPS
+from ehbench.plant.integrate import MOST_SUBSTEPS, put
 
 
 @allocating_kernel
@@ -133,7 +133,7 @@ def follow_parts(t, commands, plant, states):
             for i in range(size):
                 if own[i]:
                     ahead[i] = y[i] + 0.5 * share * dt * (first[i] + last[i])
-            y[:] = ahead
+            put(ahead, y)
         for i in range(size):
             if own[i]:
                 states[s + 1, i] = y[i]

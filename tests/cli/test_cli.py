@@ -66,6 +66,13 @@ def test_readme_names_only_commands_that_exist():
     assert named <= set(COMMANDS)
 
 
+def test_a_format_that_is_not_written_is_refused_in_plain_words(inside, tmp_path):
+    done = inside("convert", tmp_path / "log.mcap", "--to", "xlsx")
+    assert done.returncode == 2
+    said = " ".join(done.stderr.split())
+    assert "Invalid value for '--to': 'xlsx' is not one of 'parquet', 'mat'" in said
+
+
 def test_init_leaves_a_full_folder_alone(inside, tmp_path):
     (tmp_path / "mine.txt").write_text("keep")
     done = inside("init", tmp_path)

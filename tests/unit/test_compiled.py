@@ -53,6 +53,28 @@ def test_kernels_use_it_and_numba_keeps_its_own(where, monkeypatch):
         assert function.outer.stats.cache_path.startswith(folder)
 
 
+def twice(x):
+    return 2.0 * x
+
+
+def test_what_kernels_call_has_no_machine_code_of_its_own():
+    """It stands in that of its callers alone."""
+    inner = compiled._compiler(compiled._APART, kept=False)(twice)
+
+    def calls(x):
+        return inner(x) + 1.0
+
+    assert compiled._compiler(compiled._APART, kept=False)(calls)(3.0) == 7.0
+    (made,) = inner._inner.overloads.values()
+    assert made.library.get_pointer_to_function(made.fndesc.llvm_func_name) == 0
+
+
+def test_processes_that_compile_at_once_write_files_of_their_own():
+    """Else one would load the other's code, which was compiled for other types."""
+    files = compiled.kernel(twice)._inner._cache._cache_file
+    assert files._data_name(1) != files._data_name(1)
+
+
 def test_old_caches_stay_until_they_are_cleaned():
     """Importing removes nothing: another process may work with the cache of other sources."""
     old = compiled.PACKAGE / "__pycache__" / "kernels_of_older_sources"

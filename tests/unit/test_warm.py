@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -22,3 +24,37 @@ def test_every_law_runs_on_every_machine(machine, tmp_path):
     ]
     assert laws == [None, *LAW_NAMES]
     assert warm.warm(machine) == machine
+
+
+AHEAD = """
+from pathlib import Path
+from numba.core.caching import NullCache
+from ehbench import warm
+from ehbench.ledger import quadrature
+from ehbench.plant import derivatives, valves
+from ehbench.recipe import TrialRecipe, load_rig
+from ehbench.trial import account, prepare, run
+
+warm.ahead()
+tops = (quadrature.integrate, quadrature.stores_at, valves.follow_valves)
+kernels = [*(each._inner for each in derivatives.LAST), *(each.outer for each in tops)]
+known = [each.signatures for each in kernels]
+assert all(len(each) == 1 for each in known), known
+rig = load_rig(Path("rig/rig.toml"))
+recipe = TrialRecipe(stage="trial", rig="x", path=Path("x"), **next(warm.recipes(rig, "model")))
+prepared = prepare(recipe, rig)
+result = run(prepared)
+account(prepared, result)
+derivatives.derivatives._inner._cache = NullCache()
+y = result.record.t
+derivatives.derivatives.compile(y, y, result.model.plant, y, y)
+assert known == [each.signatures for each in kernels]
+"""
+
+
+def test_what_is_compiled_ahead_is_what_a_trial_calls(tmp_path):
+    """For the very types: a trial on the model compiles none of it for others."""
+    starter.init(tmp_path / "rig")
+    command = [sys.executable, "-c", AHEAD]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
