@@ -38,6 +38,7 @@ from ehbench.parts.edge import edge_law
 from ehbench.plant.build import Maps, map_of
 from ehbench.plant.model import Model
 from ehbench.plant.paced import AUTO, Step
+from ehbench.plant.ties import tied_words
 from ehbench.recipe.sensor import Sensor
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
@@ -188,18 +189,28 @@ def prepare_fit(
             "correct it, or add it to the parameters",
         )
     if asked.method == "thesis":
-        _refuse_for_matching(search, asked, terms, where)
+        _refuse_for_matching(search, [log.record for log in logs], asked, terms, where)
     return PreparedFit(rig, tuple(parameters), search, tuple(logs), asked, flow_maps)
 
 
 def _refuse_for_matching(
-    search: Sequence[Coordinate], asked: FitOptions, terms: Sequence[Term], where: Where
+    search: Sequence[Coordinate],
+    records: Sequence[Record],
+    asked: FitOptions,
+    terms: Sequence[Term],
+    where: Where,
 ) -> None:
     """Refuse what the thesis's way cannot fit, and what it cannot know."""
     refuse_unmatched(search)
     if asked.prior:
         raise InputError(
             "method 'thesis' takes no priors", **where("prior"), hint="use 'output_error'"
+        )
+    if any(tied_words(record) for record in records):
+        raise InputError(
+            "method 'thesis' takes no tied motion, which rings as recorded whatever the parameters",
+            **where("tied"),
+            hint="use 'output_error'",
         )
     if any(term.std > 0.0 for term in terms):
         raise InputError(

@@ -15,6 +15,7 @@ from ehbench.identification.groups import Group
 from ehbench.identification.search import Coordinate
 from ehbench.identification.simulator import Log, Shifts, Simulator, channels_of
 from ehbench.quantities import quantity
+from ehbench.plant.ties import tied_words
 from ehbench.record import Record
 from ehbench.recipe.sensor import reading_row
 from ehbench.rig import Rig, Value
@@ -295,10 +296,12 @@ def _recording(log: Log, replayed: Record) -> dict[str, np.ndarray]:
     """Recorded and simulated channels of the cylinders that move."""
     shown = [f"{cylinder}.{word}" for cylinder in log.live for word in SHOWN]
     shown = [channel for channel in shown if channel in log.record and channel in replayed]
+    given = tied_words(log.record)
+    made = [channel for channel in shown if channel.rpartition(".")[2] not in given]
     return (
         {"t": log.record.t}
         | {channel: log.record[channel] for channel in shown}
-        | {f"simulated.{channel}": replayed[channel] for channel in shown}
+        | {f"simulated.{channel}": replayed[channel] for channel in made}
     )
 
 

@@ -15,6 +15,7 @@ from ehbench.parts.edge import edge_command
 from ehbench.plant.build import Maps
 from ehbench.plant.model import FREE, Model
 from ehbench.plant.paced import AUTO, Step
+from ehbench.plant.ties import tied_words
 from ehbench.preprocessing import preprocess
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
@@ -101,12 +102,7 @@ def prepare(
             f"{name}: no valve command of rig '{rig.name}' changes, so the log shows no response "
             "to one"
         )
-    columns = _columns(record, live, wanted)
-    if not columns:
-        raise InputError(
-            f"{name}: of {', '.join(live)} the log has none of {', '.join(wanted)} that changes",
-            hint="it has " + ", ".join(record.channels),
-        )
+    columns = _compared(name, record, live, wanted)
     counts = np.ones((record.t.size, len(columns)), dtype=bool)
     for cylinder in rig.cylinder:
         void = _cavitates(rig, cylinder, record)
@@ -174,6 +170,29 @@ def _moves(cylinder: Cylinder, record: Record) -> bool:
         (channel := f"{cylinder.name}.{word}") in record and np.ptp(record[channel]) > MOVES * span
         for word, span in spans.items()
     )
+
+
+def _compared(
+    name: str, record: Record, live: Sequence[str], wanted: Sequence[str]
+) -> dict[str, np.ndarray]:
+    """What a simulation along a log is compared with: `_columns` but for what is tied.
+
+    Raises:
+        InputError: nothing.
+    """
+    found, given = _columns(record, live, wanted), tied_words(record)
+    free = {channel: y for channel, y in found.items() if channel.rpartition(".")[2] not in given}
+    if found and not free:
+        raise InputError(
+            f"{name}: {', '.join(wanted)}: being tied, they cannot be compared",
+            hint="add p_head and p_rod to channels",
+        )
+    if not found:
+        raise InputError(
+            f"{name}: of {', '.join(live)} the log has none of {', '.join(wanted)} that changes",
+            hint="it has " + ", ".join(record.channels),
+        )
+    return free
 
 
 def _columns(record: Record, live: Sequence[str], wanted: Sequence[str]) -> dict[str, np.ndarray]:

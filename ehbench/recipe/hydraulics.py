@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from ehbench.fields import Q, Value
-from ehbench.recipe.base import ByParameter, DataFiles, Recipe
+from ehbench.recipe.base import TIED, ByParameter, Recipe, ReplayedFiles, Tied
 from ehbench.recipe.columns import AnyColumns
 from ehbench.recipe.sensor import Sensors
 
@@ -25,7 +25,8 @@ class HydraulicsRecipe(Recipe):
     method: Literal["thesis", "output_error"] = "output_error"
     rig: str
     flow_maps: str | None = None
-    data: DataFiles
+    data: ReplayedFiles
+    tied: Tied = TIED
     columns: AnyColumns = Field(
         default=None,
         description="which column of a file is which channel: `[columns]`, or the name of a map",
