@@ -13,6 +13,7 @@ import numpy as np
 from ehbench.errors import InsufficientData
 from ehbench.identification.groups import Group
 from ehbench.identification.search import Coordinate
+from ehbench.identification.band import late_responses
 from ehbench.identification.simulator import Log, Shifts, Simulator, channels_of
 from ehbench.quantities import quantity
 from ehbench.plant.ties import tied_words
@@ -221,7 +222,7 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
         if found.shifts is not None:
             fit = replace(fit, start=starts[k], start_shift=log.start.moved(shifts[k]))
         logs.append(fit)
-        warnings += _late(log, simulated)
+        warnings += _late(log, simulated) if log.band is None else late_responses(log, simulated)
         recordings.append((log.name, _recording(log, replayed)))
     return HydraulicsFit(
         rig=_identified(simulator.rig, found, len(simulator.logs)),

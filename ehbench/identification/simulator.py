@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +23,9 @@ from ehbench.rig import Cylinder, Rig
 from ehbench.sensors import Term
 from ehbench.signals import transients
 from ehbench.starts import LogStart, start_of_log
+
+if TYPE_CHECKING:
+    from ehbench.identification.band import Band
 
 # a chamber counts as empty below this share of the way from zero gauge pressure to the cavitation
 # pressure; so long before and after [s] its cylinder's samples do not count either
@@ -50,11 +54,14 @@ class Log:
     counts: np.ndarray
     start: LogStart
     warnings: tuple[str, ...] = ()
+    band: Band | None = None
 
     def head(self, seconds: float) -> Log:
         """The first seconds of the log, as many as it takes every command to have changed as often
         as two steps out and back; the log itself if it is not much longer.
         """
+        if self.band is not None:
+            return self
         record = self.record
         names = [name for name in record.channels if name.endswith(".command")]
         ends = [round(seconds / record.sample_time)]
@@ -406,6 +413,9 @@ class Simulator:
 
 
 def channels_of(log: Log, replayed: Record) -> np.ndarray:
-    """A replay's values of the log's channels, shape (samples, channels)."""
+    """A replay's values of the log's channels, shape (samples, channels); of a log that is compared
+    by its frequency response, that.
+    """
     columns = [column(replayed, channel, log.record) for channel in log.channels]
-    return np.column_stack([values for values in columns if values is not None])
+    made = np.column_stack([values for values in columns if values is not None])
+    return made if log.band is None else log.band.seen(log.record, made)
