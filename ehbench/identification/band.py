@@ -70,7 +70,7 @@ def on_response(log: Log, command: str, choice: Averaging) -> Log:
     """A log that is compared by its frequency response.
 
     Raises:
-        InputError: the log has no such command.
+        InputError: the log has no such command, or a chamber of its cylinder cavitates.
         InsufficientData: no channel answers coherently, at four frequencies at least.
     """
     if command not in log.record:
@@ -86,6 +86,12 @@ def on_response(log: Log, command: str, choice: Averaging) -> Log:
             hint="[response] input is a valve's command, channels are of its cylinder",
         )
     names = tuple(log.channels[i] for i in own)
+    if not log.counts[:, own].all():
+        raise InputError(
+            f"{log.name}: a chamber of {cylinder} cavitates, which the model only has as a floor "
+            "of pressure; a response is of all samples",
+            hint="take a part of the log in which it does not (start, stop)",
+        )
     log = replace(log, channels=names, recorded=log.recorded[:, own])
     found = [
         _estimated(_signals(log.record, command, y, choice), f"{log.name}: {channel}")
