@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ehbench.errors import EhbenchError, InputError, LogError
-from ehbench.parts.cylinder import linkage_arrays
+from ehbench.parts.cylinder import joint_of, linkage_arrays
+from ehbench.plant.ties import TIED, position_channel, tied_words, white_noise
 from ehbench.quantities import VOCABULARY
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
@@ -41,6 +42,7 @@ TRAVEL = 0.02  # share of the stroke beyond which a cylinder has surely moved
 FIRST = 0.02  # [s] over which the first samples tell a speed
 OFF_PINS = 0.005  # share of the stroke by which stroke and angle may disagree by the pins …
 NOISES = 6.0  # … or so many of the standard deviations of their difference's noise
+COARSE = 0.1  # share of a pressure's spread that a tied position's noise may be worth
 ONGOING = 0.1  # share of the largest speed above which a log begins mid-motion
 _MIXED = ("Pa", "kPa", "psi", "bar", "MPa")
 
@@ -76,7 +78,69 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[s
     rest = model.rest_samples(model.commands_of(record))
     begun = _begun(record, model.rig, rest)
     _pressures(name, record, model, rest, still=not begun)
-    return record, (*notes, *begun, *_stuck(record, model.rig), *_apart(record, model))
+    notes += [*begun, *_stuck(record, model.rig), *_apart(record, model)]
+    return record, (*notes, *_tied(name, record, model))
+
+
+def _tied(name: str, record: Record, model: Model) -> list[str]:
+    """What is to be said of a log whose motion is tied in.
+
+    Raises:
+        InputError: it has no position to tie to, or not all that a given motion needs.
+    """
+    words, rig = tied_words(record), model.rig
+    if not words:
+        return []
+    seen = {c.name: position_channel(record, c.name) for c in rig.cylinder}
+    said = record.meta[TIED]
+    if not any(seen.values()):
+        needed = " or ".join(f"{rig.cylinder[0].name}.{word}" for word in ("x", "q"))
+        raise InputError(
+            f'{name}: tied = "{said}", and the log has no position of a cylinder',
+            hint=f"it needs one such as {needed}",
+        )
+    tied = {c.joint for c in rig.cylinder if seen[c.name]}
+    lacking = [joint for joint in model.layout.joints if joint not in tied]
+    if "qd" in words and lacking:
+        raise InputError(
+            f'{name}: tied = "{said}" gives the motion of every joint, and the log has no position '
+            f"that tells that of {', '.join(lacking)}",
+            hint='tied = "position" needs none of them',
+        )
+    channels = ", ".join(filter(None, seen.values()))
+    if "qd" not in words:
+        return [f"the simulation is tied to {channels}: no position is judged"]
+    return [
+        f"the simulation is tied to the motion of {channels}: pressures are judged, and no "
+        "position, rate or ringing; nothing is told of masses, loads, damping and friction",
+        *_coarse(record, model),
+    ]
+
+
+def _coarse(record: Record, model: Model) -> list[str]:
+    """Warnings of positions whose noise, given as motion, is worth much pressure."""
+    found = []
+    for index, row in enumerate(model.plant.cylinders):
+        cylinder = model.layout.cylinders[index]
+        channel = position_channel(record, cylinder)
+        noise = white_noise(record[channel]) if channel else 0.0
+        x = 0.5 * float(row.stroke)
+        lever = linkage_arrays(row, np.array([joint_of(row, x)]))[1][0]
+        noise *= 1.0 if channel == f"{cylinder}.x" else abs(float(lever))
+        for side, area, volume in (
+            ("head", row.area_head, row.volume_head + row.area_head * x),
+            ("rod", row.area_rod, row.volume_rod + row.area_rod * (row.stroke - x)),
+        ):
+            pressure = f"{cylinder}.p_{side}"
+            spread = float(np.std(record[pressure])) if pressure in record else 0.0
+            worth = float(row.bulk_modulus * area / volume) * noise
+            if worth > COARSE * spread > 0.0:
+                found.append(
+                    f"the noise of {channel} is worth {_shown(model.rig, worth)} of {pressure}, "
+                    f"{100.0 * worth / spread:.0f} % of its spread, so the bulk modulus comes out "
+                    'too low: tied = "position" does not'
+                )
+    return found
 
 
 def evened(name: str, record: Record) -> tuple[Record, list[str]]:

@@ -169,7 +169,19 @@ def prepare_signals(
             f"the input {names[0]} stays at {pairs[0][0][0]:g} in every log",
             hint="a response needs an input that moves, best a multisine",
         )
-    rate, shared = rates[0], OVERLAP[choice.window]
+    signals = signals_of(pairs, rates[0], choice)
+    return replace(signals, warnings=tuple(warnings))
+
+
+def signals_of(
+    pairs: Sequence[tuple[np.ndarray, np.ndarray]], rate: float, choice: Averaging
+) -> Signals:
+    """Pairs of input and output, sampled at one rate [Hz], and how they are cut into segments.
+
+    Raises:
+        InsufficientData: they are too short.
+    """
+    shared = OVERLAP[choice.window]
     shortest = min(x.size for x, _ in pairs)
     usual = shortest / (1.0 + (DEFAULT_AVERAGES - 1) * (1.0 - shared)) / rate
     size = round((choice.segment or usual) * rate)
@@ -186,7 +198,7 @@ def prepare_signals(
             hint=f"at least {LEAST_AVERAGES} are averaged: longer logs, or a shorter 'segment'",
         )
     averages = sum(_independent(n, size, choice.window) for n in segments)
-    return Signals(tuple(pairs), rate, size, segments, averages, choice, tuple(warnings))
+    return Signals(tuple(pairs), rate, size, segments, averages, choice, ())
 
 
 def _taper(window: str, size: int) -> np.ndarray:
@@ -258,6 +270,13 @@ def estimate(signals: Signals) -> Response:
         )
         return replace(found, warnings=(*found.warnings, late))
     return found
+
+
+def transfer_of(signals: Signals) -> np.ndarray:
+    """G_xy/G_xx at the frequencies of `estimate`, complex; zero where the input has no power."""
+    _, gxx, _, gxy = _spectra(signals)
+    powered = gxx > NO_POWER * gxx.max()
+    return np.where(powered, gxy / np.where(powered, gxx, 1.0), 0.0)
 
 
 def _spectra(signals: Signals) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from ehbench.errors import InputError
 from ehbench.fields import Value
+from ehbench.plant.ties import tied_words
 from ehbench.recipe.sensor import ESTIMATE, WORDS, Sensor
 from ehbench.record import Record
 
@@ -110,8 +111,19 @@ def terms_of(sensors: Sequence[Sensor], records: Sequence[Record]) -> tuple[Term
             elif isinstance(given, Value) and given.std:
                 std = given.std / abs(per)
             if std > 0.0 or (word in ("lag", "delay") and known > 0.0):
+                _refuse_tied(one.channel, word, records)
                 found.append(Term(one.channel, word, known, per, std, one.per_log))
     return tuple(found)
+
+
+def _refuse_tied(channel: str, word: str, records: Sequence[Record]) -> None:
+    """Refuse a late sensor of a motion that is given: what comes too late cannot be given."""
+    late, position = word in ("lag", "delay"), channel.rpartition(".")[2] in ("q", "x")
+    if late and position and any("qd" in tied_words(record) for record in records):
+        raise InputError(
+            f"[[sensor]] gives '{channel}' a {word}, and the simulation is tied to its motion",
+            hint='tied = "position" bears a late sensor',
+        )
 
 
 def corrected(record: Record, terms: Sequence[Term], excess: Excess) -> Record:

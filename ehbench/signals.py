@@ -69,8 +69,8 @@ def rms(y: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(y)))) if y.size else math.nan
 
 
-def lowpass(y: np.ndarray, sample_time: float, cutoff: float) -> np.ndarray:
-    """``y`` through a second-order Butterworth low-pass run forwards and backwards: no phase, −6 dB
+def lowpass(y: np.ndarray, sample_time: float, cutoff: float, order: int = 2) -> np.ndarray:
+    """``y`` through a Butterworth low-pass of an order, run forwards and backwards: no phase, −6 dB
     at ``cutoff`` [Hz].
 
     Linear, so that filtering a residual is filtering both signals. A cutoff at or above Nyquist
@@ -79,7 +79,7 @@ def lowpass(y: np.ndarray, sample_time: float, cutoff: float) -> np.ndarray:
         return np.asarray(y, dtype=float)
     from scipy.signal import butter, sosfiltfilt
 
-    sections = butter(2, cutoff, fs=1.0 / sample_time, output="sos")
+    sections = butter(order, cutoff, fs=1.0 / sample_time, output="sos")
     pad = min(y.shape[0] - 1, max(9, round(3.0 / (cutoff * sample_time))))
     return sosfiltfilt(sections, y, axis=0, padlen=pad)
 

@@ -21,6 +21,7 @@ from ehbench.parts.valve import valve_lag, valve_settle
 from ehbench.plant.integrate import STEP
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model, Start
+from ehbench.plant.ties import tied_words
 from ehbench.plant.trim import settle_parts
 from ehbench.preprocessing import moving_at_first, on_at_first
 from ehbench.record import Record
@@ -146,6 +147,8 @@ def start_of_log(
     doubts: list[Doubt] = []
     for cylinder in live:
         doubts += _of_cylinder(model, record, cylinder, compared, rest, moves)
+    given = tied_words(record)
+    doubts = [doubt for doubt in doubts if doubt.name.rpartition(".")[2] not in given]
     if moves:
         doubts += _of_valves(model, record, live)
     if "p_supply" in record:

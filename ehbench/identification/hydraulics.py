@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.errors import InputError, InsufficientData
+from ehbench.identification.band import on_response
 from ehbench.identification.journal import Journal
 from ehbench.identification.matching import Matching, refuse_unmatched
 from ehbench.identification.output_error import OutputError
@@ -38,8 +39,10 @@ from ehbench.parts.edge import edge_law
 from ehbench.plant.build import Maps, map_of
 from ehbench.plant.model import Model
 from ehbench.plant.paced import AUTO, Step
+from ehbench.plant.ties import tied_words
 from ehbench.recipe.sensor import Sensor
 from ehbench.record import Record
+from ehbench.response import Averaging
 from ehbench.rig import Cylinder, Rig
 from ehbench.sensors import Term, known_taken_out, terms_of
 from ehbench.signals import correlation_time
@@ -76,6 +79,8 @@ class FitOptions:
         sensors: what is known of sensors and drivers, or estimated; method ``thesis`` takes only
             what is known.
         cutoff: low-pass [Hz] on recorded and simulated alike; output error only.
+        response: the command to which the channels' frequency responses are compared, in place of
+            their samples, and how they are averaged; output error only.
         max_iterations: of the solver.
         step: of the integration [s], or ``"auto"``: chosen by the guard, the same ones for all that
             differences are taken of.
@@ -90,6 +95,7 @@ class FitOptions:
     channels: Sequence[str] = CHANNELS
     sensors: Sequence[Sensor] = ()
     cutoff: float | None = None
+    response: tuple[str, Averaging] | None = None
     max_iterations: int = 100
     step: Step = AUTO
     workers: int = 0
@@ -154,6 +160,12 @@ def prepare_fit(
     asked = options or FitOptions()
     if asked.method not in ("output_error", "thesis"):
         raise InputError(f"unknown method '{asked.method}'", hint="output_error or thesis")
+    if asked.response is not None and asked.cutoff is not None:
+        raise InputError(
+            "a frequency response is compared without a low-pass",
+            **where("cutoff"),
+            hint="frequency_max of [response] leaves out what lies above",
+        )
     if not records or len({name for name, _ in records}) < len(records):
         raise InputError("identification needs at least one log, each with a name of its own")
     _refuse_inert(rig, parameters, flow_maps, where)
@@ -173,7 +185,7 @@ def prepare_fit(
         if (why := shut(model, log)) and not any(one.endswith(".deadband") for one in parameters):
             closed.append(f"{name}: {why}: no valve opens")
             log = replace(log, warnings=(*log.warnings, closed[-1]))
-        logs.append(log)
+        logs.append(log if asked.response is None else on_response(log, *asked.response))
         if asked.cutoff is not None and asked.cutoff * log.record.sample_time >= 0.5:
             half = 0.5 / log.record.sample_time
             raise InputError(
@@ -188,18 +200,34 @@ def prepare_fit(
             "correct it, or add it to the parameters",
         )
     if asked.method == "thesis":
-        _refuse_for_matching(search, asked, terms, where)
+        _refuse_for_matching(search, [log.record for log in logs], asked, terms, where)
     return PreparedFit(rig, tuple(parameters), search, tuple(logs), asked, flow_maps)
 
 
 def _refuse_for_matching(
-    search: Sequence[Coordinate], asked: FitOptions, terms: Sequence[Term], where: Where
+    search: Sequence[Coordinate],
+    records: Sequence[Record],
+    asked: FitOptions,
+    terms: Sequence[Term],
+    where: Where,
 ) -> None:
     """Refuse what the thesis's way cannot fit, and what it cannot know."""
     refuse_unmatched(search)
     if asked.prior:
         raise InputError(
             "method 'thesis' takes no priors", **where("prior"), hint="use 'output_error'"
+        )
+    if asked.response is not None:
+        raise InputError(
+            "method 'thesis' compares ringing after steps, no response to a sweep",
+            **where("response"),
+            hint="use 'output_error'",
+        )
+    if any(tied_words(record) for record in records):
+        raise InputError(
+            "method 'thesis' takes no tied motion, which rings as recorded whatever the parameters",
+            **where("tied"),
+            hint="use 'output_error'",
         )
     if any(term.std > 0.0 for term in terms):
         raise InputError(

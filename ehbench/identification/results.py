@@ -13,8 +13,10 @@ import numpy as np
 from ehbench.errors import InsufficientData
 from ehbench.identification.groups import Group
 from ehbench.identification.search import Coordinate
+from ehbench.identification.band import late_responses
 from ehbench.identification.simulator import Log, Shifts, Simulator, channels_of
 from ehbench.quantities import quantity
+from ehbench.plant.ties import tied_words
 from ehbench.record import Record
 from ehbench.recipe.sensor import reading_row
 from ehbench.rig import Rig, Value
@@ -220,7 +222,7 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
         if found.shifts is not None:
             fit = replace(fit, start=starts[k], start_shift=log.start.moved(shifts[k]))
         logs.append(fit)
-        warnings += _late(log, simulated)
+        warnings += _late(log, simulated) if log.band is None else late_responses(log, simulated)
         recordings.append((log.name, _recording(log, replayed)))
     return HydraulicsFit(
         rig=_identified(simulator.rig, found, len(simulator.logs)),
@@ -295,10 +297,12 @@ def _recording(log: Log, replayed: Record) -> dict[str, np.ndarray]:
     """Recorded and simulated channels of the cylinders that move."""
     shown = [f"{cylinder}.{word}" for cylinder in log.live for word in SHOWN]
     shown = [channel for channel in shown if channel in log.record and channel in replayed]
+    given = tied_words(log.record)
+    made = [channel for channel in shown if channel.rpartition(".")[2] not in given]
     return (
         {"t": log.record.t}
         | {channel: log.record[channel] for channel in shown}
-        | {f"simulated.{channel}": replayed[channel] for channel in shown}
+        | {f"simulated.{channel}": replayed[channel] for channel in made}
     )
 
 

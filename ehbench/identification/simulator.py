@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,12 +16,16 @@ from ehbench.parts.edge import edge_command
 from ehbench.plant.build import Maps
 from ehbench.plant.model import FREE, Model
 from ehbench.plant.paced import AUTO, Step
+from ehbench.plant.ties import tied_words
 from ehbench.preprocessing import preprocess
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
 from ehbench.sensors import Term
 from ehbench.signals import transients
 from ehbench.starts import LogStart, start_of_log
+
+if TYPE_CHECKING:
+    from ehbench.identification.band import Band
 
 # a chamber counts as empty below this share of the way from zero gauge pressure to the cavitation
 # pressure; so long before and after [s] its cylinder's samples do not count either
@@ -49,11 +54,14 @@ class Log:
     counts: np.ndarray
     start: LogStart
     warnings: tuple[str, ...] = ()
+    band: Band | None = None
 
     def head(self, seconds: float) -> Log:
         """The first seconds of the log, as many as it takes every command to have changed as often
         as two steps out and back; the log itself if it is not much longer.
         """
+        if self.band is not None:
+            return self
         record = self.record
         names = [name for name in record.channels if name.endswith(".command")]
         ends = [round(seconds / record.sample_time)]
@@ -101,12 +109,7 @@ def prepare(
             f"{name}: no valve command of rig '{rig.name}' changes, so the log shows no response "
             "to one"
         )
-    columns = _columns(record, live, wanted)
-    if not columns:
-        raise InputError(
-            f"{name}: of {', '.join(live)} the log has none of {', '.join(wanted)} that changes",
-            hint="it has " + ", ".join(record.channels),
-        )
+    columns = _compared(name, record, live, wanted)
     counts = np.ones((record.t.size, len(columns)), dtype=bool)
     for cylinder in rig.cylinder:
         void = _cavitates(rig, cylinder, record)
@@ -174,6 +177,29 @@ def _moves(cylinder: Cylinder, record: Record) -> bool:
         (channel := f"{cylinder.name}.{word}") in record and np.ptp(record[channel]) > MOVES * span
         for word, span in spans.items()
     )
+
+
+def _compared(
+    name: str, record: Record, live: Sequence[str], wanted: Sequence[str]
+) -> dict[str, np.ndarray]:
+    """What a simulation along a log is compared with: `_columns` but for what is tied.
+
+    Raises:
+        InputError: nothing.
+    """
+    found, given = _columns(record, live, wanted), tied_words(record)
+    free = {channel: y for channel, y in found.items() if channel.rpartition(".")[2] not in given}
+    if found and not free:
+        raise InputError(
+            f"{name}: {', '.join(wanted)}: being tied, they cannot be compared",
+            hint="add p_head and p_rod to channels",
+        )
+    if not found:
+        raise InputError(
+            f"{name}: of {', '.join(live)} the log has none of {', '.join(wanted)} that changes",
+            hint="it has " + ", ".join(record.channels),
+        )
+    return free
 
 
 def _columns(record: Record, live: Sequence[str], wanted: Sequence[str]) -> dict[str, np.ndarray]:
@@ -387,6 +413,9 @@ class Simulator:
 
 
 def channels_of(log: Log, replayed: Record) -> np.ndarray:
-    """A replay's values of the log's channels, shape (samples, channels)."""
+    """A replay's values of the log's channels, shape (samples, channels); of a log that is compared
+    by its frequency response, that.
+    """
     columns = [column(replayed, channel, log.record) for channel in log.channels]
-    return np.column_stack([values for values in columns if values is not None])
+    made = np.column_stack([values for values in columns if values is not None])
+    return made if log.band is None else log.band.seen(log.record, made)

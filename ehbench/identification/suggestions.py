@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.errors import EhbenchError
+from ehbench.errors import EhbenchError, InputError
 from ehbench.identification.changes import TURNED, Change, changes, merged
 from ehbench.identification.hydraulics import FitOptions, PreparedFit, prepare_fit
 from ehbench.identification.output_error import OutputError
@@ -153,7 +153,13 @@ def suggest(
 
     Raises:
         InsufficientData: the logs tell nothing about any parameter of the fit itself.
+        InputError: the fit compares frequency responses.
     """
+    if prepared.options.response is not None:
+        raise InputError(
+            "windows left out of a log have no frequency response to compare",
+            hint="ask --suggest of a recipe without [response]",
+        )
     return _Trials(prepared, records, progress or (lambda text, share: None), seconds).run(rounds)
 
 

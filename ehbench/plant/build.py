@@ -22,6 +22,7 @@ from ehbench.parts.load import FORCE, force_fields
 from ehbench.parts.nodes import NODE, TANK
 from ehbench.parts.oil import EXPONENT
 from ehbench.parts.supply import SUPPLY as SUPPLY_LINE
+from ehbench.parts.tie import TIE
 from ehbench.parts.valve import ELEMENT, VALVE
 from ehbench.physics import arm
 from ehbench.physics.cylinder import DIRECT, PINS, joint_angle, linkage
@@ -39,8 +40,8 @@ class Plant(NamedTuple):
 
     ``kind``, ``gravity`` and ``links`` are those of `ehbench.physics.arm`; the records of the other
     tables are described beside their parts: `ehbench.parts.cylinder`, ``.nodes``, ``.valve``,
-    ``.edge``, ``.line``, ``.supply``, ``.load``. ``maps`` are the packed flow maps, ``at`` says
-    where things lie.
+    ``.edge``, ``.line``, ``.supply``, ``.load``, ``.tie``. ``maps`` are the packed flow maps,
+    ``at`` says where things lie.
     """
 
     kind: int
@@ -55,6 +56,7 @@ class Plant(NamedTuple):
     supply: np.record
     forces: np.recarray
     lines: np.recarray
+    ties: np.recarray
     at: Offsets
 
     @property
@@ -118,6 +120,7 @@ def build(rig: Rig, names: Layout, maps: Maps | None = None) -> Plant:
         supply=_supply(rig),
         forces=_forces(rig, names),
         lines=_lines(rig, names),
+        ties=table(0, TIE),
         at=names.offsets(),
     )
 

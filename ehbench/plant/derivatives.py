@@ -21,6 +21,7 @@ from ehbench.parts.mount import mount_rate, piston_of, resistance_of
 from ehbench.parts.nodes import SUPPLY, TANK, ends_of, node_pressure
 from ehbench.parts.oil import bulk_of
 from ehbench.parts.supply import line_stiffness, pump_flow, sensed
+from ehbench.parts.tie import tie
 from ehbench.parts.valve import limited, valve_finish, valve_rates
 from ehbench.physics.arm import forward
 from ehbench.plant.build import Plant
@@ -196,7 +197,7 @@ def derivatives(y, command, plant, dy, work):
     Args:
         y: state, shape (plant.at.states,).
         command: valve commands [V], limited here to each driver's range, then forces that are
-            played [N], shape (valves + played,).
+            played [N] and rates of tied states, shape (valves + played + ties,).
         dy: out, shape (plant.at.states,).
         work: workspace of plant.at.work.
     """
@@ -207,6 +208,7 @@ def derivatives(y, command, plant, dy, work):
     fastest = max(fastest, line_rates(y, plant, dy, work))
     fastest = max(fastest, _cylinders(y, command, plant, dy, work))
     move(y, plant, dy, work)
+    tie(command, plant, dy)
     return max(fastest, _supply(y, plant, dy, work))
 
 

@@ -18,6 +18,7 @@ from ehbench.plant.build import Maps, Plant, build, links_of
 from ehbench.plant.integrate import STEP, run
 from ehbench.plant.layout import SIDES, Layout, layout
 from ehbench.plant.paced import AUTO, Step, pace_of, run_paced
+from ehbench.plant.ties import ties_of, tied_words
 from ehbench.plant.valves import felt_commands
 from ehbench.record import Record
 from ehbench.rig import Rig
@@ -163,7 +164,8 @@ class Model:
         if step == AUTO:
             return self.paced(y, commands, tick)[0]
         log = np.empty((commands.shape[0], y.shape[0] + self.plant.edges.shape[0] + 1))
-        table, line = np.ascontiguousarray(commands, dtype=float), line_of(self.plant, tick)
+        table = np.ascontiguousarray(commands, dtype=float)
+        line = line_of(self.plant, tick, table.shape[1])
         run(y.copy(), table, self.plant, line, max(1, round(tick / step)), log)
         return _finite(log, tick)
 
@@ -187,7 +189,8 @@ class Model:
         """
         extra = self.plant.edges.shape[0] + 1 if flows else 0
         log = np.empty((commands.shape[0], y.shape[0] + extra))
-        table, line = np.ascontiguousarray(commands, dtype=float), line_of(self.plant, tick)
+        table = np.ascontiguousarray(commands, dtype=float)
+        line = line_of(self.plant, tick, table.shape[1])
         pace = pace_of(self.plant, self.layout, tick)
         steps, count = run_paced(y.copy(), table, self.plant, line, pace, mesh, log)
         return _finite(log, tick), steps[:count].copy()
@@ -216,6 +219,9 @@ class Model:
             measured = [
                 seen.get(f"{name}.p_{side}", seen.get(f"{name}.p_line_{side}")) for side in SIDES
             ]
+            if "qd" in tied_words(record) and None not in measured:
+                y[head], y[rod] = measured  # no load is needed for a motion that is given
+                continue
             y[head], y[rod] = starts.carry(self.plant.cylinders[index], (y[head], y[rod]), measured)
         starts.settle_parts(self.plant, y)
         for valve, name in zip(self.plant.valves, self.layout.valves, strict=True):
@@ -289,8 +295,8 @@ class Model:
             SimulationError: the numbers left the finite range.
         """
         start = start or self.rest_start(record, rest)
-        model, table = self._along(record, start)
-        log = model.run(start.y, table, record.sample_time, step)
+        model, table, y = self._along(record, start)
+        log = model.run(y, table, record.sample_time, step)
         return self.record(record.t, table, log, record.meta, start.tank)
 
     def replay_paced(
@@ -302,12 +308,13 @@ class Model:
         Raises:
             LogError, SimulationError: as `replay`.
         """
-        model, table = self._along(record, start)
-        log, mesh = model.paced(start.y, table, record.sample_time, mesh, flows=False)
+        model, table, y = self._along(record, start)
+        log, mesh = model.paced(y, table, record.sample_time, mesh, flows=False)
         return self.record(record.t, table, log, record.meta, start.tank), mesh
 
-    def _along(self, record: Record, start: Start) -> tuple[Model, np.ndarray]:
-        """(the model at a start's pressures, a recording's commands).
+    def _along(self, record: Record, start: Start) -> tuple[Model, np.ndarray, np.ndarray]:
+        """(the model at a start's pressures, a recording's commands and the rates of what is tied
+        to it, the first state).
 
         Raises:
             LogError: uneven time.
@@ -320,7 +327,13 @@ class Model:
             )
         table = self.commands_of(record)
         plant = self.plant.at_pressures(start.supply, start.tank).held_before(table[0])
-        return replace(self, plant=plant), table
+        if not tied_words(record):
+            return replace(self, plant=plant), table, start.y
+        ties, y = ties_of(plant, self.layout, record), start.y.copy()
+        for state, value in ties.first.items():
+            y[state] = value
+        plant = plant._replace(ties=ties.rows)
+        return replace(self, plant=plant), np.column_stack([table, ties.rates]), y
 
     def record(
         self,

@@ -68,7 +68,7 @@ def felt_commands(plant: Plant, commands: np.ndarray, tick: float, h: float) -> 
         return commands
     table = np.ascontiguousarray(commands, dtype=float)
     out = np.empty_like(table)
-    _felt(table, plant, line_of(plant, tick), h, out)
+    _felt(table, plant, line_of(plant, tick, table.shape[1]), h, out)
     return out
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BeforeValidator, Field
 
@@ -43,6 +43,29 @@ def data_file(raw: Any) -> Any:
 DataFiles = Annotated[
     tuple[Annotated[DataFile, BeforeValidator(data_file)], ...], Field(min_length=1)
 ]
+
+
+Tied = Literal["none", "position", "motion"]
+
+
+class ReplayedFile(DataFile):
+    """A log that a simulation runs along, and what of its motion that is tied to."""
+
+    tied: Tied | None = Field(default=None, description="of this file, in place of the recipe's")
+
+
+ReplayedFiles = Annotated[
+    tuple[Annotated[ReplayedFile, BeforeValidator(data_file)], ...], Field(min_length=1)
+]
+
+
+# the key of a recipe that simulates along its logs
+TIED: Any = Field(
+    default="none",
+    description="what of the recorded motion the simulation is tied to, where a controller held "
+    "the position: `position` (rate and pressures are compared), or all of the `motion` (pressures "
+    "alone are)",
+)
 
 
 class Recipe(FileModel):

@@ -6,10 +6,32 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from ehbench.fields import Q, Value
-from ehbench.recipe.base import ByParameter, DataFiles, Recipe
+from ehbench.fields import FileModel, Q, Value
+from ehbench.recipe.base import TIED, ByParameter, Recipe, ReplayedFiles, Tied
 from ehbench.recipe.columns import AnyColumns
-from ehbench.recipe.sensor import Sensors
+from ehbench.recipe.sensor import Channel, Sensors
+
+
+class ComparedResponse(FileModel):
+    """The frequency response that logs are compared by, in place of their samples: of a cylinder's
+    rate and pressures to a command that sweeps.
+    """
+
+    input: Channel = Field(description="the command that sweeps, such as `ram.pa.command`")
+    segment: Annotated[Value, Q("duration")] | None = Field(
+        default=None, description="length of a segment; none averages 8 of each log"
+    )
+    window: Literal["hann", "boxcar"] = Field(
+        default="hann",
+        description="of a segment: `hann`, half overlapping; `boxcar`, end to end, for an input "
+        "that repeats with the segment",
+    )
+    coherence_min: float = Field(
+        default=0.8, gt=0, lt=1, description="of the recording, from which a frequency counts"
+    )
+    frequency_max: Annotated[Value, Q("frequency")] | None = Field(
+        default=None, description="what lies above is not looked at; none is half the log's rate"
+    )
 
 
 class HydraulicsRecipe(Recipe):
@@ -25,7 +47,8 @@ class HydraulicsRecipe(Recipe):
     method: Literal["thesis", "output_error"] = "output_error"
     rig: str
     flow_maps: str | None = None
-    data: DataFiles
+    data: ReplayedFiles
+    tied: Tied = TIED
     columns: AnyColumns = Field(
         default=None,
         description="which column of a file is which channel: `[columns]`, or the name of a map",
@@ -40,6 +63,11 @@ class HydraulicsRecipe(Recipe):
     )
     channels: tuple[str, ...] = ("qd", "p_head", "p_rod")
     cutoff: Annotated[Value, Q("frequency")] | None = None
+    response: ComparedResponse | None = Field(
+        default=None,
+        description="`[response]`: logs are compared by their frequency response to a command that "
+        "sweeps, in place of their samples",
+    )
     compare_dynamics: tuple[str, ...] = ()
     compare_sensor: Sensors = Field(
         default=(),

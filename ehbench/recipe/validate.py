@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 from ehbench.errors import InputError
 from ehbench.fields import FileModel, Q, Value, read_value
 from ehbench.quantities import VOCABULARY, quantity
-from ehbench.recipe.base import DataFile, Recipe, data_file
+from ehbench.recipe.base import TIED, Recipe, ReplayedFile, Tied, data_file
 from ehbench.recipe.columns import AnyColumns
 from ehbench.recipe.sensor import Channel, Sensors
 
@@ -90,7 +90,7 @@ class Thresholds(FileModel):
             raise ValueError(str(error)) from None
 
 
-class JudgedFile(DataFile):
+class JudgedFile(ReplayedFile):
     """A log to judge on; the model runs from ``start`` on, and what it does from ``score_start`` to
     ``score_stop`` counts.
     """
@@ -160,6 +160,7 @@ class ValidateRecipe(Recipe):
     rig: str
     flow_maps: str | None = None
     data: JudgedFiles
+    tied: Tied = TIED
     columns: AnyColumns = Field(
         default=None,
         description="which column of a file is which channel: `[columns]`, or the name of a map",

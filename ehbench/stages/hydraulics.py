@@ -4,6 +4,7 @@ log.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -189,7 +190,13 @@ def _prepared_fit(
     recipe: HydraulicsRecipe, state: RigState, logs: Logs, rig: Rig, sensors: Sequence[Sensor]
 ) -> PreparedFit:
     from ehbench.identification.hydraulics import FitOptions, prepare_fit
+    from ehbench.response import Averaging
 
+    response, given = None, recipe.response
+    if given is not None:
+        most = math.inf if given.frequency_max is None else float(given.frequency_max)
+        length = None if given.segment is None else float(given.segment)
+        response = given.input, Averaging(length, given.window, given.coherence_min, most)
     options = FitOptions(
         method=recipe.method,
         start=recipe.start,
@@ -199,6 +206,7 @@ def _prepared_fit(
         channels=recipe.channels,
         sensors=sensors,
         cutoff=None if recipe.cutoff is None else float(recipe.cutoff),
+        response=response,
         max_iterations=recipe.max_iterations,
         workers=recipe.workers,
     )

@@ -229,13 +229,21 @@ class Inputs:
                 maps += [("columns", one) for one in columns.files if ("columns", one) not in maps]
             whole = read_record(path, columns=columns, window=_span(item))
             losses += [f"{path.name}: {loss}" for loss in whole.losses]
-            record = _window(whole, item, path)
+            record = self._tied(_window(whole, item, path), item)
             records.append((name, record))
             inputs.append(("log", path))
             load = record.meta.get("payload") or "not said"
             self.findings.say("reads", f"{item.path} ({np.ptp(record.t):.4g} s, payload {load})")
         self.findings.say("losses", *(f"lost: {loss}" for loss in losses))
         return Logs(records, tuple(inputs), losses, entries, tuple(maps))
+
+    def _tied(self, record: Record, item: DataFile) -> Record:
+        """A record with what the simulation is tied to, as its entry or the recipe says."""
+        from ehbench.plant.ties import TIED
+
+        said = getattr(item, "tied", None) or getattr(self.recipe, "tied", "none")
+        others = {name: fact for name, fact in record.meta.items() if name != TIED}
+        return replace(record, meta=others if said == "none" else others | {TIED: said})
 
     def columns(self, item: DataFile | None = None, index: int = 0) -> ColumnMap | None:
         """The map of columns of an entry of ``data``, else that of the recipe."""

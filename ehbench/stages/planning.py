@@ -177,6 +177,12 @@ def fit_behind(made: Made) -> HydraulicsRecipe:
         )
     recipe = load_recipe(made.recipe.place)
     assert isinstance(recipe, HydraulicsRecipe)  # by what the run says and the recipe's digest
+    if recipe.response is not None:
+        raise InputError(
+            "compared frequency responses, beside which a test's samples cannot stand",
+            file=made.folder,
+            hint="run the recipe without [response]",
+        )
     return recipe
 
 

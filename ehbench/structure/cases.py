@@ -12,6 +12,7 @@ import numpy as np
 from ehbench.observations import column, least_change
 from ehbench.plant.build import Maps
 from ehbench.plant.model import Model
+from ehbench.plant.ties import tied_words
 from ehbench.record import Record
 from ehbench.rig import Rig
 from ehbench.sensors import Term, corrected, sensed
@@ -69,7 +70,8 @@ class Case:
             )
             ends = [f"{cylinder}.{word}" for word in ("p_head", "p_rod")]
             found += [name for name in (rate, *ends) if name and self._moves(name)]
-        return tuple(found)
+        given = tied_words(self.record)
+        return tuple(name for name in found if name.rpartition(".")[2] not in given)
 
     def _moves(self, channel: str) -> bool:
         values = column(self.record, channel, self.record)

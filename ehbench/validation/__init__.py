@@ -19,6 +19,7 @@ from ehbench.errors import EhbenchError, InputError, LogError
 from ehbench.observations import alternatives, column, least_change, payload_of
 from ehbench.plant.build import Maps
 from ehbench.plant.model import Model
+from ehbench.plant.ties import tied_words
 from ehbench.preprocessing import numbered, preprocess
 from ehbench.recipe import Thresholds
 from ehbench.record import Record
@@ -342,7 +343,7 @@ def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogRe
     try:
         if log.failure is not None:
             raise LogError(str(log.failure).removeprefix(f"{log.name}: "))
-        found = _followed(log, moved, channels)
+        found = _followed(log, moved, _free(record, channels))
         simulated = found.replay(model)
     except EhbenchError as error:
         return replace(
@@ -352,13 +353,15 @@ def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogRe
             warnings=tuple(warnings),
             series=_recorded(record, moved, channels),
         )
-    whole, lacking = _pairs(record, simulated, moved, channels)
+    whole, lacking = _pairs(record, simulated, moved, _free(record, channels))
     warnings += [f"the log has nothing to judge '{channel}' by" for channel in lacking]
     keep = (record.t >= counted.t[0]) & (record.t <= counted.t[-1])
     pairs = {name: pair.part(keep) for name, pair in whole.items()}
     results = [compare(counted, model, name, pair) for name, pair in pairs.items()]
     warnings += [f"{one.channel}: {one.note}" for one in results if one.note]
-    windows = [w for cylinder in moved for w in transients_of(counted, model, cylinder, pairs)]
+    given = "qd" in tied_words(record)  # a motion that is given rings as it was recorded
+    rings = [] if given else moved
+    windows = [w for cylinder in rings for w in transients_of(counted, model, cylinder, pairs)]
     sweeps = [
         sweep
         for cylinder in moved
@@ -374,9 +377,19 @@ def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogRe
         sensors={t.name: t.value(found.excess[t.name]) for t in log.terms if t.std > 0.0},
         sweeps=tuple(sweeps),
         checks=tuple(checks),
-        warnings=(*warnings, *unjudged(moved, windows), *unasked(results, asked, model.rig)),
+        warnings=(
+            *warnings,
+            *unjudged(rings, windows),
+            *unasked(results, asked, model.rig, record),
+        ),
         series=_series(record, whole),
     )
+
+
+def _free(record: Record, channels: Sequence[str]) -> list[str]:
+    """Those of the channels that a record does not give to the simulation."""
+    given = tied_words(record)
+    return [word for word in channels if word not in given]
 
 
 def _doubts(log: TakenLog, moved: Sequence[str]) -> list[str]:

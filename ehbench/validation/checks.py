@@ -10,6 +10,7 @@ from itertools import groupby
 from ehbench.observations import STAND_INS
 from ehbench.quantities import quantity
 from ehbench.recipe import Thresholds
+from ehbench.record import Record
 from ehbench.rig import Rig
 from ehbench.units import from_si
 from ehbench.validation.results import ChannelResult, Check, Correlation, Ring, Sweep, Transient
@@ -125,7 +126,9 @@ def _residual_checks(result: ChannelResult, asked: Thresholds) -> Iterator[Check
             yield Check(what, reached, asked.outside_percent, "percent", passed, sentence)
 
 
-def unasked(results: Sequence[ChannelResult], asked: Thresholds, rig: Rig) -> Iterator[str]:
+def unasked(
+    results: Sequence[ChannelResult], asked: Thresholds, rig: Rig, record: Record
+) -> Iterator[str]:
     """What is poor although no threshold asks for it: a position that is followed badly, residuals
     outside of their bands.
     """
@@ -135,10 +138,13 @@ def unasked(results: Sequence[ChannelResult], asked: Thresholds, rig: Rig) -> It
         silent = not named & {*asked.fit_percent, *asked.max_error}
         if word in ("q", "x") and silent and reached is not None and reached < POOR:
             row, unit = quantity(word), rig.unit_of(word)
+            wish = f"{result.channel.rsplit('.', 1)[0]}.x_desired"
+            held = f'; {wish} says that a controller held it: tied = "position" ties it in'
             far = from_si(abs(result.max_error), unit, row)
             yield (
                 f"{_words(result.channel)} fit is {reached:.3g} %, its error reaches {far:.3g} "
                 f"{unit}: no threshold asks for it (max_error or fit_percent of {word} would)"
+                f"{held if wish in record else ''}"
             )
     for wanted, kind, found in (
         (asked.whiteness, "residual autocorrelation", _own),

@@ -1,0 +1,101 @@
+"""The recorded motion of a closed loop, tied into a simulation along the recording.
+
+A position that a controller held drifts away when its commands are replayed without it, for it
+integrates every error of a flow. With ``position`` tied, joint coordinates are the recording's, and
+rates and pressures the model's; with ``motion``, rates are the recording's as well, and pressures
+the answer to it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ehbench.compiled import table_of
+from ehbench.parts.cylinder import joint_of
+from ehbench.parts.tie import TIE
+from ehbench.plant.build import Plant
+from ehbench.plant.layout import Layout
+from ehbench.record import Record
+from ehbench.signals import lowpass
+
+TIED = "tied"  # the fact of a record that says what of it is tied: a key of WORDS
+# which words of a cylinder's channels are given then
+WORDS: dict[str, tuple[str, ...]] = {
+    "none": (),
+    "position": ("q", "x"),
+    "motion": ("q", "x", "qd", "v"),
+}
+SEEN = 3.0  # times the density of white noise, beyond which a position shows motion
+PERIOD = 0.5  # [s] of which its spectrum is taken
+ABOVE = 1.5  # times the highest frequency that shows motion, where its noise is cut off …
+ORDER = 4  # … so sharply that what rings below keeps its size
+
+
+class Ties(NamedTuple):
+    """What is tied: its ``rows``, the ``rates`` [unit/s], shape (samples, ties), each held until
+    the next sample, and the values where the states begin, by state.
+    """
+
+    rows: np.recarray
+    rates: np.ndarray
+    first: dict[int, float]
+
+
+def tied_words(record: Record) -> tuple[str, ...]:
+    """The words of a cylinder's channels that a record gives to a simulation along it."""
+    return WORDS[record.meta.get(TIED, "none")]
+
+
+def position_channel(record: Record, cylinder: str) -> str | None:
+    """The channel that tells where a cylinder stands; None where none does."""
+    return next((name for w in ("q", "x") if (name := f"{cylinder}.{w}") in record), None)
+
+
+def ties_of(plant: Plant, names: Layout, record: Record) -> Ties:
+    """What a record ties of a plant: the coordinates of all cylinders whose position it has, and
+    with ``motion`` their rates.
+
+    Coordinates run straight from sample to sample; so do rates, through the central differences of
+    the coordinates without what is noise (`without_noise`)."""
+    tick, words = record.sample_time, tied_words(record)
+    n, before = plant.at.rates, len(names.valves) + len(names.played)
+    tied: list[tuple[int, np.ndarray]] = []
+    for row, cylinder in zip(plant.cylinders, names.cylinders, strict=True):
+        channel, joint = position_channel(record, cylinder), int(row.joint)
+        if channel is None or not words:
+            continue
+        moving = "qd" in words
+        q = without_noise(record[channel], tick) if moving else record[channel]
+        if channel.endswith(".x"):
+            q = np.asarray(joint_of(row, np.clip(q, 0.0, float(row.stroke))))
+        tied.append((joint, q))
+        if moving:
+            tied.append((n + joint, np.gradient(q, tick)))
+    rows = [{"state": at, "command": before + k} for k, (at, _) in enumerate(tied)]
+    rates = [np.append(np.diff(values) / tick, 0.0) for _, values in tied]
+    first = {at: float(values[0]) for at, values in tied}
+    table = np.column_stack(rates) if rates else np.zeros((record.t.size, 0))
+    return Ties(table_of(rows, TIE), table, first)
+
+
+def without_noise(y: np.ndarray, tick: float) -> np.ndarray:
+    """A position [unit] without what lies above the frequencies at which motion shows above its
+    white noise, which third differences tell.
+
+    Noise of a motion that is given is an error of the regressor: it makes the oil seem softer."""
+    size = min(y.size, round(PERIOD / tick))
+    density = 2.0 * tick * white_noise(y) ** 2
+    if size < 16 or density == 0.0:
+        return y
+    from scipy.signal import welch
+
+    frequency, power = welch(y, 1.0 / tick, nperseg=size, detrend="linear")
+    shows = int(np.max(np.flatnonzero(power > SEEN * density), initial=0))
+    corner = ABOVE * float(frequency[min(shows + 1, frequency.size - 1)])
+    return lowpass(y, tick, corner, ORDER)
+
+
+def white_noise(y: np.ndarray) -> float:
+    """Standard deviation of a channel's white noise, by its third differences."""
+    return float(np.sqrt(np.mean(np.diff(y, 3) ** 2) / 20.0)) if y.size > 3 else 0.0

@@ -1,0 +1,190 @@
+"""Logs of a controller that held the position: their motion is tied in, and pressures stay what is
+judged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import tomli_w
+
+from ehbench import workflow
+from ehbench.errors import InputError
+from ehbench.identification.hydraulics import FitOptions, prepare_fit
+from ehbench.logs import write_log
+from ehbench.plant.model import Model
+from ehbench.plant.ties import TIED, without_noise
+from ehbench.recipe import Sensor, load_rig
+from ehbench.record import Record
+from ehbench.rundir import read_json
+from ehbench.validation import prepare_validation, run_validation
+from tests.closed_loop_study import SLOPE, TRUE, closed_loop_log, fitted, rigs
+from tests.virtual_logs import RIGS
+
+STIFF, LEAKS = "bulk_modulus", "press.leakage_internal"
+
+
+@cache
+def loaded() -> Record:
+    """A closed loop on a slope that the rig file does not know."""
+    return closed_loop_log("load", 3, seconds=1.6)
+
+
+def tied(record: Record, how: str) -> Record:
+    return replace(record, meta=record.meta | {TIED: how})
+
+
+def holds(fit, name: str) -> bool:
+    low, high = fit[name].interval
+    return low <= TRUE[name] <= high
+
+
+def test_a_given_motion_keeps_the_oil_right_whatever_loads_the_rod():
+    free = fitted("load", [loaded()], "none", (STIFF, LEAKS))
+    given = fitted("load", [loaded()], "motion", (STIFF, LEAKS, "carriage.damping"))
+    assert not holds(free, LEAKS)
+    assert holds(given, LEAKS) and holds(given, STIFF)
+    assert abs(given[STIFF].value / TRUE[STIFF] - 1.0) < 0.005
+    assert given["carriage.damping"].status == "not_excited"
+    assert sum("nothing is told of masses" in text for text in given.warnings) == 1
+    assert set(given.logs[0].fit_percent) == {"press.p_head", "press.p_rod"}
+
+
+def test_a_tied_position_keeps_the_stiffness_right_where_the_replay_drifts_away():
+    log = closed_loop_log("neutral", 5, seconds=12.0)
+    free, held = (fitted("neutral", [log], how) for how in ("none", "position"))
+    assert not holds(free, STIFF)
+    assert abs(held[STIFF].value - TRUE[STIFF]) < 0.5 * abs(free[STIFF].value - TRUE[STIFF])
+    assert "press.v" in held.logs[0].fit_percent  # which stays judged
+
+
+@pytest.mark.parametrize(("how", "same"), [("position", ("x",)), ("motion", ("x", "v"))])
+def test_what_is_tied_is_as_recorded(how, same):
+    """The position from sample to sample; a rate beside what noise makes of its differences."""
+    record = loaded()
+    model = Model.of(rigs("load")[1])
+    made = model.replay(tied(record, how))
+    for word in same:
+        off = made[f"press.{word}"] - record[f"press.{word}"]
+        size = {"position": {"x": 1e-12}, "motion": {"x": 2e-5, "v": 8e-3}}[how][word]
+        assert np.sqrt(np.mean(off**2)) < size
+    assert made["press.p_head"] == pytest.approx(record["press.p_head"], abs=8e5)
+
+
+def test_the_angle_of_a_boom_is_tied_through_its_pins():
+    """By stroke or by angle, on every joint, paced or not."""
+    model = Model.of(load_rig(RIGS / "crane_proportional.toml"))
+    t = np.arange(301) * 1e-3
+    table = model.rest_commands(t.size)
+    table[50:] = 3.0
+    log = model.run(model.trim(model.posture({"lift": "300 mm"})), table)
+    made = model.record(t, table, log)
+    for word in ("x", "q"):
+        kept = {
+            n: y for n, y in made.channels.items() if n in (f"lift.{word}", "lift.spool.command")
+        }
+        record = tied(Record(t, kept, {}), "position")
+        for step in (5e-4, "auto"):
+            again = model.replay(record, step)
+            assert again["lift.q"] == pytest.approx(made["lift.q"], abs=1e-9)
+            assert again["lift.p_head"] == pytest.approx(made["lift.p_head"], abs=3e4)
+
+
+def test_noise_of_a_position_is_cut_off_above_its_motion():
+    t = np.arange(2000) * 1e-3
+    ring = 0.1 * np.sin(2.0 * np.pi * 2.0 * t) + 2e-4 * np.sin(2.0 * np.pi * 25.0 * t)
+    noise = 2e-5 * np.random.default_rng(1).standard_normal(t.size)
+    off = without_noise(ring + noise, 1e-3) - ring
+    assert np.std(off[100:-100]) < 0.5 * np.std(noise)
+    assert without_noise(ring, 1e-3)[100:-100] == pytest.approx(ring[100:-100], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("how", "dropped", "said"),
+    [
+        ("position", ("press.x",), "has no position of a cylinder"),
+        ("motion", ("press.x",), "has no position of a cylinder"),
+    ],
+)
+def test_a_log_without_a_position_is_refused(how, dropped, said):
+    kept = {name: y for name, y in loaded().channels.items() if name not in dropped}
+    record = tied(replace(loaded(), channels=kept), how)
+    with pytest.raises(InputError, match=said):
+        prepare_fit(rigs("load")[0], [("a", record)], [STIFF])
+    with pytest.raises(InputError, match=said):
+        prepare_validation(rigs("load")[0], [("a", record)])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (FitOptions(channels=("v",)), "v: being tied"),
+        (FitOptions(method="thesis"), "takes no tied motion"),
+        (FitOptions(sensors=(Sensor(channel="press.x", lag="4 ms"),)), "gives 'press.x' a lag"),
+    ],
+)
+def test_what_a_given_motion_cannot_bear_is_refused(options, said):
+    with pytest.raises(InputError, match=said):
+        prepare_fit(rigs("load")[0], [("a", tied(loaded(), "motion"))], [STIFF], options)
+
+
+def test_motion_of_a_chain_needs_every_joint():
+    rig = load_rig(RIGS / "thesis_arm.toml")
+    t = np.arange(300) * 1e-3
+    channels = {"boom.q": 0.1 * t, "boom.sr.command": np.where(t > 0.1, 5.0, 0.0)}
+    record = tied(Record(t, channels, {"payload": "none"}), "motion")
+    with pytest.raises(InputError, match="no position that tells that of"):
+        prepare_validation(rig.with_values({}), [("a", record)])
+
+
+def test_a_coarse_position_is_said():
+    coarse = tied(closed_loop_log("load", 3, seconds=0.8, noise=40.0), "motion")
+    prepared = prepare_validation(rigs("load")[0], [("a", coarse)])
+    assert any("bulk modulus comes out too low" in text for text in prepared.logs[0].warnings)
+    fine = prepare_validation(rigs("load")[0], [("a", tied(loaded(), "motion"))])
+    assert not any("too low" in text for text in fine.logs[0].warnings)
+
+
+def test_a_model_is_judged_by_what_is_not_tied():
+    machine = rigs("load")[1]
+    wrong = machine.with_values({STIFF: 1.5 * TRUE[STIFF]})
+    for how, channels in (("position", {"v", "p_head", "p_rod"}), ("motion", {"p_head", "p_rod"})):
+        given = [("a", tied(loaded(), how))]
+        right = run_validation(prepare_validation(machine, given, ("x", "v", "p_head", "p_rod")))
+        assert {one.channel.partition(".")[2] for one in right.logs[0].channels} == channels
+        assert right.accepted, right.reasons
+        assert any("the simulation is tied to" in text for text in right.warnings)
+    off = run_validation(prepare_validation(wrong, given)).logs[0].channels
+    assert off[0].fit_percent < right.logs[0].channels[0].fit_percent - 5.0
+    # an unknown load does not count where the motion is given
+    known = rigs("load")[0].with_values(
+        {name: float(machine.parameters()[name]) for name in machine.parameters() if "gain" in name}
+        | TRUE
+    )
+    assert SLOPE > 0.0 and run_validation(prepare_validation(known, given)).accepted
+
+
+def test_recipes_say_what_is_tied(tmp_path, inside):
+    write_log(tmp_path / "log.mcap", loaded())
+    recipe = {
+        "stage": "identify",
+        "what": "hydraulics",
+        "rig": str(RIGS / "slide_servo.toml"),
+        "tied": "motion",
+        "data": ["log.mcap"],
+        "parameters": [STIFF],
+    }
+    path = tmp_path / "fit.toml"
+    path.write_text(tomli_w.dumps(recipe))
+    outcome = workflow.run(path, workflow.Session(root=tmp_path / "runs"))
+    logs = read_json(outcome.folder / "parameters.json")["logs"]
+    assert set(logs[0]["fit_percent"]) == {"press.p_head", "press.p_rod"}
+    judge = {"stage": "validate", "rig": str(outcome.folder)}
+    judge["data"] = [{"path": "log.mcap", "tied": "position"}]
+    (tmp_path / "judge.toml").write_text(tomli_w.dumps(judge))
+    checked = inside("check", tmp_path / "judge.toml")
+    assert "tied to press.x: no position is judged" in " ".join(checked.stdout.split())
+    path.write_text(tomli_w.dumps(recipe | {"tied": "speed"}))
+    assert inside("check", path).returncode == 2
