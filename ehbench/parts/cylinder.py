@@ -31,7 +31,8 @@ RELIEF_GAIN = 1.0e-9  # [m³/(s·Pa)]: 30 L/min over 5 bar
 # force on it; the number of its law of ``friction``, where that law's states stand
 # (``friction_states`` of them from ``friction_state`` on, −1), and the columns of the laws, as the
 # rig file has them; where the deflection of its mount stands (``mount_state``, −1: it has none),
-# ``mount_stiffness`` [N/m], ``mount_damping`` [N·s/m].
+# ``mount_stiffness`` [N/m], ``mount_damping`` [N·s/m]; where among the commands the rates of its
+# joint's coordinate and speed stand when these are given (``tied_position``, ``tied_rate``, −1).
 CYLINDER_COLUMNS = (
     ("joint", "i8"),
     ("geometry", "i8"),
@@ -62,6 +63,8 @@ CYLINDER_COLUMNS = (
     ("mount_state", "i8"),
     ("mount_stiffness", "f8"),
     ("mount_damping", "f8"),
+    ("tied_position", "i8"),
+    ("tied_rate", "i8"),
 )
 CYLINDER = record(*CYLINDER_COLUMNS)
 # fields that are those of the rig file, and those that `linkage` takes before the angle

@@ -1,16 +1,18 @@
-"""States that are tied to a recording: their rates are given, not found."""
+"""Motion that is tied to a recording: the rates of joints are given, not found."""
 
 from __future__ import annotations
 
-from ehbench.compiled import part_kernel, record
-
-# A tied ``state``, and where among the commands its rate [unit/s] stands.
-TIE = record(("state", "i8"), ("command", "i8"))
+from ehbench.compiled import part_kernel
 
 
 @part_kernel
 def tie(command, plant, dy):
-    """Put the given rates of tied states into ``dy``."""
-    for i in range(plant.ties.shape[0]):
-        row = plant.ties[i]
-        dy[row.state] = command[row.command]
+    """Put the given rates of cylinders' joints [rad/s or m/s, per second] into ``dy``: those of the
+    coordinates, those of the speeds.
+    """
+    for c in range(plant.cylinders.shape[0]):
+        row = plant.cylinders[c]
+        if row.tied_position >= 0:
+            dy[row.joint] = command[row.tied_position]
+        if row.tied_rate >= 0:
+            dy[plant.at.rates + row.joint] = command[row.tied_rate]

@@ -22,7 +22,6 @@ from ehbench.parts.load import FORCE, force_fields
 from ehbench.parts.nodes import NODE, TANK
 from ehbench.parts.oil import EXPONENT
 from ehbench.parts.supply import SUPPLY as SUPPLY_LINE
-from ehbench.parts.tie import TIE
 from ehbench.parts.valve import ELEMENT, VALVE
 from ehbench.physics import arm
 from ehbench.physics.cylinder import DIRECT, PINS, joint_angle, linkage
@@ -40,8 +39,8 @@ class Plant(NamedTuple):
 
     ``kind``, ``gravity`` and ``links`` are those of `ehbench.physics.arm`; the records of the other
     tables are described beside their parts: `ehbench.parts.cylinder`, ``.nodes``, ``.valve``,
-    ``.edge``, ``.line``, ``.supply``, ``.load``, ``.tie``. ``maps`` are the packed flow maps,
-    ``at`` says where things lie.
+    ``.edge``, ``.line``, ``.supply``, ``.load``. ``maps`` are the packed flow maps, ``at`` says
+    where things lie.
     """
 
     kind: int
@@ -56,7 +55,6 @@ class Plant(NamedTuple):
     supply: np.record
     forces: np.recarray
     lines: np.recarray
-    ties: np.recarray
     at: Offsets
 
     @property
@@ -120,7 +118,6 @@ def build(rig: Rig, names: Layout, maps: Maps | None = None) -> Plant:
         supply=_supply(rig),
         forces=_forces(rig, names),
         lines=_lines(rig, names),
-        ties=table(0, TIE),
         at=names.offsets(),
     )
 
@@ -196,6 +193,8 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
                 "friction_state": names.friction_state(index),
                 "friction_states": len(friction.LAWS[names.frictions[index]].states),
                 "mount_state": -1,
+                "tied_position": -1,
+                "tied_rate": -1,
             }
         )
         if item.mount is not None:

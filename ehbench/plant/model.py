@@ -332,7 +332,7 @@ class Model:
         ties, y = ties_of(plant, self.layout, record), start.y.copy()
         for state, value in ties.first.items():
             y[state] = value
-        plant = plant._replace(ties=ties.rows)
+        plant = plant._replace(cylinders=ties.cylinders)
         return replace(self, plant=plant), np.column_stack([table, ties.rates]), y
 
     def record(

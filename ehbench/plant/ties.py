@@ -11,9 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import table_of
 from ehbench.parts.cylinder import joint_of
-from ehbench.parts.tie import TIE
 from ehbench.plant.build import Plant
 from ehbench.plant.layout import Layout
 from ehbench.record import Record
@@ -33,11 +31,11 @@ ORDER = 4  # … so sharply that what rings below keeps its size
 
 
 class Ties(NamedTuple):
-    """What is tied: its ``rows``, the ``rates`` [unit/s], shape (samples, ties), each held until
-    the next sample, and the values where the states begin, by state.
+    """What is tied: the ``cylinders`` with it, the ``rates`` [unit/s], shape (samples, ties), each
+    held until the next sample, and the values where the states begin, by state.
     """
 
-    rows: np.recarray
+    cylinders: np.recarray
     rates: np.ndarray
     first: dict[int, float]
 
@@ -59,9 +57,9 @@ def ties_of(plant: Plant, names: Layout, record: Record) -> Ties:
     Coordinates run straight from sample to sample; so do rates, through the central differences of
     the coordinates without what is noise (`without_noise`)."""
     tick, words = record.sample_time, tied_words(record)
-    n, before = plant.at.rates, len(names.valves) + len(names.played)
+    before, cylinders = len(names.valves) + len(names.played), plant.cylinders.copy()
     tied: list[tuple[int, np.ndarray]] = []
-    for row, cylinder in zip(plant.cylinders, names.cylinders, strict=True):
+    for row, cylinder in zip(cylinders, names.cylinders, strict=True):
         channel, joint = position_channel(record, cylinder), int(row.joint)
         if channel is None or not words:
             continue
@@ -69,14 +67,15 @@ def ties_of(plant: Plant, names: Layout, record: Record) -> Ties:
         q = without_noise(record[channel], tick) if moving else record[channel]
         if channel.endswith(".x"):
             q = np.asarray(joint_of(row, np.clip(q, 0.0, float(row.stroke))))
+        row.tied_position = before + len(tied)
         tied.append((joint, q))
         if moving:
-            tied.append((n + joint, np.gradient(q, tick)))
-    rows = [{"state": at, "command": before + k} for k, (at, _) in enumerate(tied)]
+            row.tied_rate = before + len(tied)
+            tied.append((plant.at.rates + joint, np.gradient(q, tick)))
     rates = [np.append(np.diff(values) / tick, 0.0) for _, values in tied]
     first = {at: float(values[0]) for at, values in tied}
     table = np.column_stack(rates) if rates else np.zeros((record.t.size, 0))
-    return Ties(table_of(rows, TIE), table, first)
+    return Ties(cylinders, table, first)
 
 
 def without_noise(y: np.ndarray, tick: float) -> np.ndarray:
