@@ -19,6 +19,7 @@ MOST_DAMPED = (
 SIGNIFICANT = (
     40.0  # log-likelihood ratio that noise alone practically never reaches over the whole search
 )
+LEAST_LINE = 8  # samples that tell a slope
 _GRID_SAMPLES = 192
 _SAMPLES_A_CYCLE = 24
 _GRID_DAMPING = (0.02, 0.06, 0.12, 0.22, 0.4)
@@ -67,6 +68,16 @@ def fit_percent(measured: np.ndarray, simulated: np.ndarray) -> float:
 def rms(y: np.ndarray) -> float:
     """Root mean square, in the unit of ``y``."""
     return float(np.sqrt(np.mean(np.square(y)))) if y.size else math.nan
+
+
+def first_of(y: np.ndarray, count: int) -> float:
+    """What a series is at its first sample, by a line through its first ``count`` samples, or their
+    mean where they are few: a machine at rest creeps, and a mean lies half of that creep later.
+    """
+    if count < LEAST_LINE:
+        return float(np.mean(y[:count]))
+    z = np.linspace(0.0, 1.0, count)
+    return float(np.polynomial.polynomial.polyfit(z, y[:count], 1)[0])
 
 
 def lowpass(y: np.ndarray, sample_time: float, cutoff: float, order: int = 2) -> np.ndarray:

@@ -26,7 +26,7 @@ from ehbench.plant.trim import settle_parts
 from ehbench.preprocessing import moving_at_first, on_at_first
 from ehbench.record import Record
 from ehbench.sensors import Excess, Term, corrected, sensed
-from ehbench.signals import correlation_time, rms
+from ehbench.signals import LEAST_LINE, autocorrelation, correlation_time, rms
 
 # priors as shares: pressures of the supply's, positions of the stroke, speeds of the fastest,
 # openings of the driver's range
@@ -34,10 +34,10 @@ VAGUE_PRESSURE, COMPARED_PRESSURE, SENSOR = 0.2, 0.05, 0.005
 VAGUE_PLACE, FINE_PLACE, VAGUE_SPEED, VAGUE_OPENING = 0.25, 1.0e-5, 0.2, 0.25
 FINE_SUPPLY = 1.0e-5
 BEGINNING = 0.03  # [s] over which the first samples of a motion tell its state
-LEAST = 8  # samples, which do so at least
 DIFFERENCE = 0.3  # of finite differences, in prior standard deviations, …
 SENSED = 0.01  # … of a sensor's, which nothing makes uneven
 SMALLEST, LARGEST = 1.0e-6, 2.0e-4  # … but within these shares of a number's range
+LEAST_LEFT = 0.2  # share of noise that a line through few independent samples leaves
 ROUNDS, CONVERGED = 4, 1.0e-3  # of an estimate: most rounds, and the gain that is not worth another
 NOTHING: Mapping[str, float] = {}  # wrong with the sensors of all logs
 FLOOR = 5.0e-3  # of a channel's scale, as a share of its spread
@@ -161,17 +161,40 @@ def start_of_log(
 
 
 def mean_error(y: np.ndarray, rest: int) -> float:
-    """Standard error of the mean of a recorded rest as the value at its first sample: its noise
-    about a line, by the correlation time of the whole series, and half of its drift.
+    """Standard error of the mean of a recorded rest as the value at its first sample: that of its
+    noise, and half of its drift.
     """
-    if rest < LEAST:
-        return float(1.5 * np.median(np.abs(np.diff(y)))) / math.sqrt(rest)
+    error, drift = _rest_errors(y, rest)
+    return math.hypot(error, 0.5 * max(0.0, drift - 2.0 * math.sqrt(12.0) * error))
+
+
+def first_error(y: np.ndarray, rest: int) -> float:
+    """Standard error of `signals.first_of`: a line is known half as well at its end as in its
+    middle, where it is the mean.
+    """
+    error, _ = _rest_errors(y, rest)
+    return error if rest < LEAST_LINE else 2.0 * error
+
+
+def _rest_errors(y: np.ndarray, rest: int) -> tuple[float, float]:
+    """(standard error of the mean of a recorded rest but for its drift, its drift over the rest);
+    few samples tell no drift.
+
+    Of the noise about a line, which takes two of its ``rest/τ`` independent samples. Short series
+    show too little of their correlation time τ, so that at least that of a first-order process
+    counts whose pole ρ is the first autocorrelation without its bias, −(2 + 4ρ)/n about a line
+    (Kendall 1954): τ = (1 + ρ)/(1 − ρ).
+    """
+    if rest < LEAST_LINE:
+        return float(1.5 * np.median(np.abs(np.diff(y)))) / math.sqrt(rest), 0.0
     z = np.linspace(-0.5, 0.5, rest)
     line = np.polyfit(z, y[:rest], 1)
-    noise = rms(y[:rest] - np.polyval(line, z))
-    share = math.sqrt(min(1.0, correlation_time(y) / rest))
-    drift = max(0.0, abs(float(line[0])) - 2.0 * math.sqrt(12.0) * noise * share)
-    return math.hypot(noise * share, 0.5 * drift)
+    noise = y[:rest] - np.polyval(line, z)
+    pole = float(autocorrelation(noise, 1)[1])
+    pole = min(pole + (2.0 + 4.0 * pole) / rest, 1.0 - 2.0 / rest)
+    time = max(correlation_time(noise), (1.0 + pole) / (1.0 - pole))
+    error = math.sqrt(time / rest) / max(1.0 - 2.0 * time / rest, LEAST_LEFT)
+    return rms(noise) * min(1.0, error), abs(float(line[0]))
 
 
 def _doubt(name: str, state: int, std: float, span: float, valve: int = -1) -> Doubt:
@@ -200,7 +223,7 @@ def _of_cylinder(
     for word, scale in (("q", 1.0), ("x", (high - low) / float(row.stroke))):
         if (channel := f"{cylinder}.{word}") in record:
             y = record[channel]
-            error = _first(y, rest, record.sample_time)[2] if moves else mean_error(y, rest)
+            error = _first(y, rest, record.sample_time)[2] if moves else first_error(y, rest)
             std = scale * error + FINE_PLACE * (high - low)
             break
     joint = int(row.joint)
@@ -241,9 +264,9 @@ def _first(y: np.ndarray, rest: int, tick: float) -> tuple[float, float, float]:
     """(value, rate [1/s], standard error of the value) at the first sample, of a parabola through
     the first samples, as many as pass before a command changes if those are enough.
     """
-    count = min(max(LEAST, min(rest, round(BEGINNING / tick))), y.size)
+    count = min(max(LEAST_LINE, min(rest, round(BEGINNING / tick))), y.size)
     t = np.arange(count) * tick
-    order = 2 if count >= LEAST else min(1, count - 1)
+    order = 2 if count >= LEAST_LINE else min(1, count - 1)
     line = np.polynomial.Polynomial.fit(t, y[:count], order).convert()
     coefficients = np.append(line.coef, np.zeros(3))
     noise = rms(y[:count] - line(t)) * math.sqrt(count / max(1, count - order - 1))

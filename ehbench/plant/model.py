@@ -22,10 +22,12 @@ from ehbench.plant.ties import ties_of, tied_words
 from ehbench.plant.valves import felt_commands
 from ehbench.record import Record
 from ehbench.rig import Rig
+from ehbench.signals import first_of
 
 FREE = np.zeros(0, dtype=np.int64)  # no mesh: steps are chosen
 # what of a recording tells where it starts
-TELLS = ("q", "x", "p_supply", *(f"p{line}_{side}" for line in ("", "_line") for side in SIDES))
+PLACES = ("q", "x")
+TELLS = (*PLACES, "p_supply", *(f"p{line}_{side}" for line in ("", "_line") for side in SIDES))
 MOVED = 0.005  # share of a driver's range by which a command must change to be more than noise
 
 
@@ -196,8 +198,8 @@ class Model:
         return _finite(log, tick), steps[:count].copy()
 
     def start_of(self, record: Record, rest: int) -> np.ndarray:
-        """The state at the first sample of a recording, from the mean of its first ``rest``
-        samples.
+        """The state at the first sample of a recording, from its first ``rest`` samples: pressures
+        by their mean, places as `first_of` has them.
 
         Joint angles (or strokes), chamber and supply pressures are the recording's where it has
         them, else those of `trim`. The two pressures of a cylinder are moved, as little as possible
@@ -208,9 +210,9 @@ class Model:
             InputError: a posture outside the stroke.
         """
         seen = {
-            channel: float(np.mean(y[:rest]))
+            channel: first_of(y, rest) if word in PLACES else float(np.mean(y[:rest]))
             for channel, y in record.channels.items()
-            if channel.rpartition(".")[2] in TELLS
+            if (word := channel.rpartition(".")[2]) in TELLS
         }
         command = self.commands_of(record)[:rest].mean(axis=0) if self.layout.played else None
         y = self.posed(seen, command)
