@@ -27,6 +27,7 @@ NO_POWER = 1.0e-8  # share of the input's largest power below which a frequency 
 LATE = 0.1  # share of a segment from which a delay takes away coherence and gain
 CROOKED = 2.0  # ratio of residual to expected spread from which a phase is no straight line
 LEAST_LINE = 4  # frequencies from which a slope is fitted
+SHOWN = 1.5  # how far beyond the highest frequency that counts curves go
 OVERLAP = {"hann": 0.5, "boxcar": 0.0}
 
 
@@ -129,6 +130,38 @@ class Response:
 
 
 _GAINS = ("gain", "gain_low", "gain_high")
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A frequency response to be kept and drawn, at ``frequency`` [Hz]: ``gain`` in SI of output
+    over input, ``phase`` [deg], ``coherence``, and where it is ``coherent`` enough to count.
+    """
+
+    frequency: tuple[float | None, ...]
+    gain: tuple[float | None, ...]
+    phase: tuple[float | None, ...]
+    coherence: tuple[float | None, ...]
+    coherent: tuple[bool, ...]
+
+    @classmethod
+    def of(cls, response: Response, highest: float) -> Curve:
+        """Some way beyond the highest frequency [Hz] that counts."""
+        shown = response.frequency <= SHOWN * highest
+
+        def column(values: np.ndarray) -> tuple[float | None, ...]:
+            return tuple(
+                float(f"{value:.6g}") if math.isfinite(value) else None
+                for value in values[shown].tolist()
+            )
+
+        return cls(
+            column(response.frequency),
+            column(response.gain),
+            column(np.degrees(response.phase)),
+            column(response.coherence),
+            tuple(bool(one) for one in response.coherent[shown]),
+        )
 
 
 def _as_json(estimate: Estimate | None) -> dict[str, Any] | None:

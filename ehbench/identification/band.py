@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ehbench.errors import InputError, InsufficientData
-from ehbench.identification.simulator import Log
+from ehbench.identification.simulator import Log, columns_of
 from ehbench.record import Record
 from ehbench.response import (
     LEAST_LINE,
     Averaging,
+    Curve,
     Response,
     Signals,
     estimate,
@@ -109,6 +110,45 @@ def on_response(log: Log, command: str, choice: Averaging) -> Log:
     band = Band(command, choice, at, found[0].frequency[at], errors)
     counts = np.concatenate([coherent[at]] * 2)
     return replace(log, band=band, recorded=band.seen(log.record, log.recorded), counts=counts)
+
+
+@dataclass(frozen=True)
+class ResponseFit:
+    """The frequency response of a channel to the command ``input``, recorded and simulated; None:
+    the model does not answer. ``coherence`` is from which a frequency counts."""
+
+    input: str
+    channel: str
+    coherence: float
+    recorded: Curve
+    simulated: Curve | None
+
+
+def followed(log: Log, replayed: Record) -> tuple[ResponseFit, ...]:
+    """How a replay follows a log that is compared by its frequency response, by channel."""
+    assert log.band is not None
+    command, choice, highest = log.band.command, log.band.choice, float(log.band.frequency[-1])
+    sides = (
+        (columns_of(log, log.record), choice),
+        (
+            columns_of(log, replayed),
+            choice._replace(coherence=0.0),
+        ),
+    )
+    found = []
+    for k, channel in enumerate(log.channels):
+        curves: list[Curve | None] = []
+        for columns, asked in sides:
+            try:
+                one = estimate(_signals(log.record, command, columns[:, k], asked))
+            except InsufficientData:
+                curves.append(None)
+            else:
+                curves.append(Curve.of(one, highest))
+        recorded, simulated = curves
+        if recorded is not None:
+            found.append(ResponseFit(command, channel, choice.coherence, recorded, simulated))
+    return tuple(found)
 
 
 def late_responses(log: Log, simulated: np.ndarray) -> list[str]:

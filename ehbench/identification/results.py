@@ -13,7 +13,7 @@ import numpy as np
 from ehbench.errors import InsufficientData
 from ehbench.identification.groups import Group
 from ehbench.identification.search import Coordinate
-from ehbench.identification.band import late_responses
+from ehbench.identification.band import ResponseFit, followed, late_responses
 from ehbench.identification.simulator import Log, Shifts, Simulator, channels_of
 from ehbench.quantities import quantity
 from ehbench.plant.ties import tied_words
@@ -73,7 +73,8 @@ class LogFit:
     """How well one log is reproduced, by channel: NRMSE fit [%], rms residual [SI] and its
     correlation time [samples], over the samples that count; ``counted`` is their share [%],
     ``samples`` how many the log has. ``start`` is where the simulation starts [SI] where that was
-    estimated, ``start_shift`` by how much it was moved from what the first samples say."""
+    estimated, ``start_shift`` by how much it was moved from what the first samples say;
+    ``responses`` is what was compared where that are frequency responses."""
 
     name: str
     payload: str
@@ -84,6 +85,7 @@ class LogFit:
     counted: dict[str, float]
     start: dict[str, float] = field(default_factory=dict)
     start_shift: dict[str, float] = field(default_factory=dict)
+    responses: tuple[ResponseFit, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -221,8 +223,12 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
         fit = _log_fit(log, simulated, found.cutoff)
         if found.shifts is not None:
             fit = replace(fit, start=starts[k], start_shift=log.start.moved(shifts[k]))
+        if log.band is None:
+            warnings += _late(log, simulated)
+        else:
+            fit = replace(fit, responses=followed(log, replayed))
+            warnings += late_responses(log, simulated)
         logs.append(fit)
-        warnings += _late(log, simulated) if log.band is None else late_responses(log, simulated)
         recordings.append((log.name, _recording(log, replayed)))
     return HydraulicsFit(
         rig=_identified(simulator.rig, found, len(simulator.logs)),
@@ -289,8 +295,10 @@ def _log_fit(log: Log, simulated: np.ndarray, cutoff: float | None) -> LogFit:
             correlation_time(rest[some]),
             100.0 * float(np.mean(counts)),
         ]
-    columns = [{channel: size[k] for channel, size in sizes.items()} for k in range(4)]
-    return LogFit(log.name, log.payload or "none", len(left), *columns)
+    percent, error, time, counted = (
+        {channel: size[k] for channel, size in sizes.items()} for k in range(4)
+    )
+    return LogFit(log.name, log.payload or "none", len(left), percent, error, time, counted)
 
 
 def _recording(log: Log, replayed: Record) -> dict[str, np.ndarray]:

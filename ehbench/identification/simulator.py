@@ -412,10 +412,15 @@ class Simulator:
         return starts, list(self.pool.map(self._replay, tasks))
 
 
+def columns_of(log: Log, record: Record) -> np.ndarray:
+    """The log's channels in a recording or a replay, shape (samples, channels)."""
+    columns = [column(record, channel, log.record) for channel in log.channels]
+    return np.column_stack([values for values in columns if values is not None])
+
+
 def channels_of(log: Log, replayed: Record) -> np.ndarray:
     """A replay's values of the log's channels, shape (samples, channels); of a log that is compared
     by its frequency response, that.
     """
-    columns = [column(replayed, channel, log.record) for channel in log.channels]
-    made = np.column_stack([values for values in columns if values is not None])
+    made = columns_of(log, replayed)
     return made if log.band is None else log.band.seen(log.record, made)

@@ -11,6 +11,7 @@ import numpy as np
 from ehbench.errors import InputError, ModelRejected
 from ehbench.observations import rings_clearly
 from ehbench.quantities import quantity
+from ehbench.response import Curve
 from ehbench.rundir import read_json
 from ehbench.signals import Ringing
 from ehbench.structure import Finding, Follows, Structure
@@ -110,19 +111,6 @@ class Transient:
 
 
 @dataclass(frozen=True)
-class SweepCurve:
-    """A frequency response at ``frequency`` [Hz]: ``gain`` in SI of output over input, ``phase``
-    [deg], ``coherence``, and where it is ``coherent`` enough to count.
-    """
-
-    frequency: tuple[float | None, ...]
-    gain: tuple[float | None, ...]
-    phase: tuple[float | None, ...]
-    coherence: tuple[float | None, ...]
-    coherent: tuple[bool, ...]
-
-
-@dataclass(frozen=True)
 class Sweep:
     """The frequency response of a channel to a command that sweeps, recorded and simulated.
 
@@ -140,8 +128,8 @@ class Sweep:
     averages: float
     coherence: tuple[float, float | None]
     delay: tuple[float, float | None]
-    recorded: SweepCurve
-    simulated: SweepCurve | None = None
+    recorded: Curve
+    simulated: Curve | None = None
     gain_ratio: float | None = None
     gain_error: float | None = None
     phase_error: float | None = None
@@ -313,7 +301,7 @@ def _log(row: dict[str, Any]) -> LogResult:
     nested = {
         "channels": [_channel(one) for one in row["channels"]],
         "transients": [_sides(Transient, Ring, one) for one in row["transients"]],
-        "sweeps": [_sides(Sweep, SweepCurve, one) for one in row.get("sweeps", [])],
+        "sweeps": [_sides(Sweep, Curve, one) for one in row.get("sweeps", [])],
         "overlap": _many(Overlap, row.get("overlap", [])),
         "checks": _many(Check, row["checks"]),
     }

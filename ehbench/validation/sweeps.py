@@ -15,10 +15,10 @@ from ehbench.errors import EhbenchError
 from ehbench.observations import least_change
 from ehbench.plant.model import Model
 from ehbench.record import Record
-from ehbench.response import LEAST_LINE, Averaging, Response, estimate, prepare_signals
+from ehbench.response import LEAST_LINE, Averaging, Curve, Response, estimate, prepare_signals
 from ehbench.terms import Z95
 from ehbench.validation.residuals import Pair
-from ehbench.validation.results import Sweep, SweepCurve
+from ehbench.validation.results import Sweep
 from ehbench.validation.transients import OSCILLATES, held
 
 LEAST_CHANGES = 40  # of a command that sweeps
@@ -27,7 +27,6 @@ LEAST_BAND = 2.0  # ratio of the highest to the lowest frequency that counts
 LEAST_SHARE = 0.5  # of a band's frequencies that count: fewer, far apart, are coherent by chance
 NEIGHBOURS = 2.0  # 1 + 2 Σ ρ² of neighbouring frequencies, ρ = 2/3 and 1/6 behind a Hann window
 ONE_SIDED = 1.645  # standard deviations that 95 % stay below
-SHOWN = 1.5  # how far beyond the highest frequency that counts the curves go
 
 
 def sweeps_of(
@@ -112,7 +111,7 @@ def _compared(command: str, channel: str, recorded: Response, simulated: Respons
         averages=recorded.averages,
         coherence=(float(np.mean(recorded.coherence[at])), None),
         delay=(_delay(recorded, at), None),
-        recorded=_curve(recorded, known[-1]),
+        recorded=Curve.of(recorded, known[-1]),
     )
     if simulated is None:
         return facts
@@ -130,7 +129,7 @@ def _compared(command: str, channel: str, recorded: Response, simulated: Respons
         gain_ratio=float(np.median(ratio[known])),
         gain_error=_beyond(ratio[known] - 1.0, error[known]),
         phase_error=_beyond(turn[known], error[known]),
-        simulated=_curve(simulated, facts.band[1]),
+        simulated=Curve.of(simulated, facts.band[1]),
     )
 
 
@@ -156,21 +155,3 @@ def _spread(response: Response) -> float:
     if found is None or found.low is None or found.high is None:
         return math.inf
     return 0.5 * (found.high - found.low)
-
-
-def _curve(response: Response, highest: float) -> SweepCurve:
-    shown = response.frequency <= SHOWN * highest
-
-    def column(values: np.ndarray) -> tuple[float | None, ...]:
-        return tuple(
-            float(f"{value:.6g}") if math.isfinite(value) else None
-            for value in values[shown].tolist()
-        )
-
-    return SweepCurve(
-        column(response.frequency),
-        column(response.gain),
-        column(np.degrees(response.phase)),
-        column(response.coherence),
-        tuple(bool(one) for one in response.coherent[shown]),
-    )

@@ -66,6 +66,16 @@ def test_stiffness_and_valve_come_from_the_response(tmp_path):
     assert log["samples"] < 150  # numbers of a response, not samples
     assert min(log["fit_percent"].values()) > 98.0
     assert not any("by the slope of its phase" in text for text in found["warnings"])
+    assert [one["channel"] for one in log["responses"]] == list(log["fit_percent"])
+    for one in log["responses"]:
+        seen, made = one["recorded"], one["simulated"]
+        at = np.array(seen["coherent"])
+        assert at.sum() > 2 and max(np.array(seen["frequency"])[at]) == 22.5
+        assert np.array(made["gain"])[at] == pytest.approx(np.array(seen["gain"])[at], rel=0.05)
+    index = read_json(run.folder / "figures" / "index.json")
+    assert ["Response to press.servo in sweep"] == [
+        one["title"] for one in index["figures"] if one["about"]["kind"] == "response"
+    ]
 
 
 def test_a_delay_that_nobody_modelled_shows_up():

@@ -13,16 +13,23 @@ from ehbench.report.style import MUTED, RECORDED, SIMULATED, canvas, legend
 from ehbench.report.words import number, pretty, shown, unit_of
 from ehbench.rig import Rig
 
+CAPTION = (
+    "Frequency response to the command, recorded and simulated, where the recording is coherent. "
+    "Dashed line: the coherence asked for."
+)
 _LOOKS = {
     "recorded": {"color": RECORDED, "linestyle": "-", "marker": "o", "markersize": 2.2},
     "simulated": {"color": SIMULATED, "linestyle": (0, (4, 1.6)), "marker": "", "linewidth": 1.7},
 }
+_MARKS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)  # of a gain, which may change by little
 
 
 def sweeps(path: Path, rig: Rig, found: Sequence[Table], least: float) -> None:
     """A column a channel: gain and phase where the recording's coherence reaches ``least``, and the
     coherence.
     """
+    from matplotlib.ticker import LogLocator
+
     rows = ("gain", "phase", "coherence")
     shape = {"sharex": True, "squeeze": False, "height_ratios": (3, 3, 1.6)}
     with canvas(path, 3, len(found), (7.4, 5.4), **shape) as (figure, axes):
@@ -36,7 +43,8 @@ def sweeps(path: Path, rig: Rig, found: Sequence[Table], least: float) -> None:
             top.set_title(f"{title} [{unit}/V]" if unit else title, fontsize=8.5)
             top.set_xscale("log")
             top.set_yscale("log")
-            for way in (top.xaxis, top.yaxis):
+            for way, marks in ((top.xaxis, (1.0, 2.0, 5.0)), (top.yaxis, _MARKS)):
+                way.set_major_locator(LogLocator(subs=marks, numticks=9))
                 way.set_major_formatter(lambda tick, _: number(tick))
                 way.set_minor_formatter(lambda tick, _: "")
             middle.locator_params(axis="y", nbins=6)

@@ -13,6 +13,7 @@ from ehbench.report.comparisons import draw_comparisons, log_cell, ringing_table
 from ehbench.report.content import Pictures, SectionContent, StageReport, chip, folded, num
 from ehbench.report.figures import hydraulics as figures
 from ehbench.report.figures.channels import title_of
+from ehbench.report.figures.sweeps import CAPTION, sweeps
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
 from ehbench.report.words import (
@@ -46,6 +47,12 @@ def draw(run: Saved, index: FigureIndex) -> None:
         figures.parameters(path, run.rig, parameters)
     for log in fit["logs"]:
         draw_comparisons(run, index, log["name"], "fit", "Fitted to")
+        if responses := log.get("responses"):
+            command = responses[0]["input"].removesuffix(".command")
+            title = f"Response to {command} in {words(log['name'])}"
+            about = FigureKey("response", log=log["name"])
+            path = index.add(f"response_{log['name']}", title, CAPTION, about)
+            sweeps(path, run.rig, responses, responses[0]["coherence"])
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:
@@ -61,6 +68,8 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     if matches := fit.get("matches", []):
         caption = "Ringing of recorded and simulated transients over the same window."
         parts.append(Part("What was matched", [ringing_table(rig, matches, caption, True)]))
+    if responses := pictures(FigureKey("response")):
+        parts.append(Part("Frequency responses that were compared", responses))
     drawn = folded(pictures(FigureKey("fit")), "recorded and simulated")
     parts.append(Part("Fit to each log", [*_log_fits(rig, fit["logs"]), *drawn]))
     if variants := fit.get("dynamics_comparison", []):

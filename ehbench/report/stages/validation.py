@@ -13,7 +13,7 @@ from ehbench.report.comparisons import draw_comparisons, log_cell, ringing_table
 from ehbench.report.content import Pictures, SectionContent, StageReport, chip, look_of, num
 from ehbench.report.figures import validation as figures
 from ehbench.report.figures.channels import title_of
-from ehbench.report.figures.sweeps import sweeps
+from ehbench.report.figures.sweeps import CAPTION, sweeps
 from ehbench.report.headlines import silence
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
@@ -23,11 +23,6 @@ from ehbench.rig import Rig
 _RESIDUALS_CAPTION = (
     "Correlation of the residual with itself and with earlier commands. "
     "Shaded: 95 % band, which allows for colour."
-)
-
-_SWEEP_CAPTION = (
-    "Frequency response to the command, recorded and simulated, where the recording is coherent. "
-    "Dashed line: the coherence asked for."
 )
 
 
@@ -62,7 +57,7 @@ def _draw_sweeps(run: Saved, index: FigureIndex, log: Table) -> None:
         path = index.add(
             f"sweep_{log['name']}_{command.replace('.', '_')}",
             f"Response to {command.removesuffix('.command')} in {words(log['name'])}",
-            _SWEEP_CAPTION,
+            CAPTION,
             FigureKey("sweep", log=log["name"]),
         )
         sweeps(path, run.rig, found, least)
