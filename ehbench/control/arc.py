@@ -100,8 +100,8 @@ STATE = record(
     ("slow_force", "f8"),
     ("slow_speed", "f8"),
     ("slow_pull", "f8"),
-    ("told", "f8"),
-    ("known", "f8"),
+    ("evidence", "f8"),
+    ("information", "f8"),
     ("scatter", "f8"),
     ("payload", "f8"),
     ("half", "f8"),
@@ -774,18 +774,20 @@ def weigh(starting, force, load, ratio, v, axis, gains, state):
     per = state.slow_pull + load.mass * ratio * acceleration
     found = state.slow_force - load.mass * acceleration
     if starting:
-        state.known = per * per + NOTHING
-        state.told = state.estimates[PAYLOAD_SHARE] / state.estimates[INVERSE_INERTIA] * state.known
+        state.information = per * per + NOTHING
+        state.evidence = (
+            state.estimates[PAYLOAD_SHARE] / state.estimates[INVERSE_INERTIA] * state.information
+        )
     news = slow / FORGETS * per * per / (per * per + FAINTLY)
-    state.told += news * (per * found - state.told)
-    state.known += news * (per * per - state.known)
-    state.payload = state.told / state.known
+    state.evidence += news * (per * found - state.evidence)
+    state.information += news * (per * per - state.information)
+    state.payload = state.evidence / state.information
     left = found - per * state.payload
     state.scatter += news * (left * left - state.scatter)
     doubt = max(2.0 * math.sqrt(state.scatter), abs(left)) + axis.cylinder.friction_coulomb
     doubt += OFFSET * gains.upper[DISTURBANCE]
     doubt += DAMPED * abs(v) * (load.damping + axis.cylinder.friction_viscous)
-    state.half = min(doubt / math.sqrt(state.known), gains.upper[PAYLOAD_SHARE])
+    state.half = min(doubt / math.sqrt(state.information), gains.upper[PAYLOAD_SHARE])
 
 
 @kernel

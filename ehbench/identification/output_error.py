@@ -170,7 +170,7 @@ class OutputError:
         self.shifts = simulator.unshifted()
         self.free = list(range(self.fitted))
         self.bound: list[int] = []
-        self.told: dict[int, tuple[float, float]] = {}
+        self.ranged: dict[int, tuple[float, float]] = {}
         self.sharpness = np.array([c.sharpness if c.known else 0.0 for c in search])
         self.centre = np.array([c.of(c.centre) if c.known else 0.0 for c in search])
         self.weight = 1.0
@@ -561,7 +561,7 @@ class OutputError:
                 self.touches[i, k] = size > NOTHING * effects[i]
         self._range([i for i, size in effects.items() if size < FAINT])
         converged = self._settle(1e-6)
-        self.free, self.told = sorted({*self.free, *self.told}), {}
+        self.free, self.ranged = sorted({*self.free, *self.ranged}), {}
         for _ in range(self.fitted):
             found = self._errors()
             lost = [i for i, error in found.by_index.items() if error.kind == "not_excited"]
@@ -738,10 +738,10 @@ class OutputError:
             if effect < FAINT or np.max(rises) < denied:
                 dropped.append(i)
             elif np.min(rises) < -denied and self._gone(here, i, float(points[np.argmin(rises)])):
-                self.told.pop(i, None)
+                self.ranged.pop(i, None)
             else:
                 self.free = [k for k in self.free if k != i]
-                self.told[i] = self._ends(here, i, points, rises)
+                self.ranged[i] = self._ends(here, i, points, rises)
         self._drop(dropped)
 
     def _rises(self, here: _Point, i: int, points: np.ndarray) -> tuple[np.ndarray, float]:
@@ -810,7 +810,7 @@ class OutputError:
             self.theta[i] = self.search[i].of(self.search[i].start)
         self.free = [i for i in self.free if i not in which]
         self.bound = [i for i in self.bound if i not in which]
-        if not any(i < self.asked for i in (*self.free, *self.bound, *self.told)):
+        if not any(i < self.asked for i in (*self.free, *self.bound, *self.ranged)):
             names = ", ".join(c.name for c in self.search[: self.asked])
             raise InsufficientData(
                 f"the logs tell nothing about {names}",
@@ -985,7 +985,7 @@ class OutputError:
                     from_data=error.from_data,
                     from_starts=error.from_starts,
                 )
-            fitted.append(self._within(one, i) if i in self.told else one)
+            fitted.append(self._within(one, i) if i in self.ranged else one)
         warnings = [*self._wrongly_held(found), *self._flat()]
         if not converged:
             warnings.append(
@@ -1028,7 +1028,7 @@ class OutputError:
     def _within(self, one: FittedParameter, i: int) -> FittedParameter:
         """A parameter of which the logs deny a part of the range, the rest being one to them."""
         c, value = self.search[i], self.search[i].at(self.theta[i])
-        low, high = (c.at(end) for end in self.told[i])
+        low, high = (c.at(end) for end in self.ranged[i])
         return replace(
             one,
             value=value,
@@ -1044,7 +1044,7 @@ class OutputError:
         return [
             f"{c.name} may be anything from {c.at(low):.4g} to {c.at(high):.4g} {c.row.unit} for "
             "these logs, which deny the rest of its range"
-            for i, (low, high) in self.told.items()
+            for i, (low, high) in self.ranged.items()
             for c in [self.search[i]]
         ]
 
