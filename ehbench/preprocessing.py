@@ -42,7 +42,7 @@ TRAVEL = 0.02  # share of the stroke beyond which a cylinder has surely moved
 FIRST = 0.02  # [s] over which the first samples tell a speed
 OFF_PINS = 0.005  # share of the stroke by which stroke and angle may disagree by the pins …
 NOISES = 6.0  # … or so many of the standard deviations of their difference's noise
-COARSE = 0.1  # share of a pressure's spread that a tied position's noise may be worth
+WORTH = 0.1  # share of a pressure's spread that a tied position's noise may be worth
 ONGOING = 0.1  # share of the largest speed above which a log begins mid-motion
 _MIXED = ("Pa", "kPa", "psi", "bar", "MPa")
 
@@ -134,7 +134,7 @@ def _coarse(record: Record, model: Model) -> list[str]:
             pressure = f"{cylinder}.p_{side}"
             spread = float(np.std(record[pressure])) if pressure in record else 0.0
             worth = float(row.bulk_modulus * area / volume) * noise
-            if worth > COARSE * spread > 0.0:
+            if worth > WORTH * spread > 0.0:
                 found.append(
                     f"the noise of {channel} is worth {_shown(model.rig, worth)} of {pressure}, "
                     f"{100.0 * worth / spread:.0f} % of its spread, so the bulk modulus comes out "

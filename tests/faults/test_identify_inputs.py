@@ -300,7 +300,11 @@ def test_commands_outside_the_driver_are_refused():
 
 @pytest.mark.parametrize(
     ("scale", "says"),
-    [(1e3, r"1 s pass between samples.*is the time in ms\?"), (1e-3, r"is the time in s")],
+    [
+        (1e3, r"1 s pass between samples.*is the time in ms\?"),
+        (60.0, r"0.06 s pass between samples, .*at most 50 ms would do"),
+        (1e-3, r"is the time in s"),
+    ],
 )
 def test_time_in_another_unit_is_refused_at_once(scale, says):
     with pytest.raises(InputError, match=says):
