@@ -115,11 +115,11 @@ class Memory(NamedTuple):
     ``x``, ``v`` [m, m/s] of the state are observed, ``bias`` [m/s²] is what the model's
     ``acceleration`` lacks; ``metered`` and ``set_point`` [Pa] are of the off-side control,
     ``rested`` [s] for how long no motion is desired and hardly any left, ``slow_wanted``
-    [m/s] the oil that is wanted, as a speed, behind a low-pass. ``told``, ``known`` and ``scatter``
-    are means of what the mechanism's equation says of the ``payload`` [kg], ``half`` [kg] its
-    interval's, see `weigh`; ``turns`` counts how often the ``way`` of the oil that is wanted
-    changed while no motion was desired; ``maps`` is what is learnt of the flow maps, ``gains`` are
-    those in force, see `ease`."""
+    [m/s] the oil that is wanted, as a speed, behind a low-pass. ``evidence``, ``information`` and
+    ``scatter`` are means of what the mechanism's equation says of the ``payload`` [kg], ``half``
+    [kg] its interval's, see `weigh`; ``turns`` counts how often the ``way`` of the oil that is
+    wanted changed while no motion was desired; ``maps`` is what is learnt of the flow maps,
+    ``gains`` are those in force, see `ease`."""
 
     state: np.record
     rates: np.ndarray
