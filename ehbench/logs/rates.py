@@ -35,6 +35,8 @@ def apart(columns: Sequence[Column]) -> list[tuple[list[int], np.ndarray]]:
 
 def _takes_turns(one: np.ndarray, other: np.ndarray) -> bool:
     """Whether two signals, by the rows that hold them, are of different messages."""
+    if np.array_equal(one, other):
+        return False
     rows = [np.flatnonzero(one), np.flatnonzero(other)]
     if min(some.size for some in rows) < _LEAST:
         return False
