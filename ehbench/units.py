@@ -58,6 +58,8 @@ _SPOKEN = {
     **dict.fromkeys(("deg c", "°c", "celsius", "degc"), "degC"),
     **dict.fromkeys(("deg f", "°f", "fahrenheit", "degf"), "degF"),
 }
+_ABSOLUTE = re.compile(r"(m?bar|psi|[km]?pa)[\s_]*\(?a(?:bs(?:ol\w*)?)?\.?\)?", re.I)
+_GAUGE = {one.lower(): one for one in ("mbar", "bar", "psi", "Pa", "kPa", "MPa")}
 _NO_UNIT = ("", "-", "1")
 _LONGEST = 80  # characters of a unit
 _WORD = r"(?:%|°[CF]?|[^\W\d_]\w*)"
@@ -163,6 +165,17 @@ def named_unit(text: str) -> str:
     except Exception:  # pint raises all kinds on a text that is no unit
         return ""
     return plain
+
+
+def absolute_unit(text: str) -> str:
+    """The unit of an absolute pressure that a text of a foreign file means: ``bar`` of ``bar(a)``
+    or ``bara``; '' of any other.
+    """
+    plain = text.strip()
+    while len(plain) > 1 and plain[0] + plain[-1] in ("[]", "()", "{}", '""', "''"):
+        plain = plain[1:-1].strip()
+    match = _ABSOLUTE.fullmatch(plain)
+    return _GAUGE[match[1].lower()] if match else ""
 
 
 def split_number(text: str) -> tuple[float, str]:

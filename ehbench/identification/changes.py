@@ -133,17 +133,23 @@ def changes(
     known = rig.parameters()
     found: list[Change] = []
     for cylinder in (one for one in rig.cylinder if one.name in cylinders):
-        for valve in cylinder.valve:
-            found += _of_valve(rig, cylinder, valve, records)
+        moved = [valve for valve in cylinder.valve if _moves(cylinder, valve, records)]
+        for valve in moved:
+            alike = [one for one in moved if one.series == valve.series]
+            found += _of_valve(rig, cylinder, valve, alike, records)
         found += _of_cylinder(rig, cylinder)
     found += _of_oil(rig, records)
     found += _of_sensors(rig, cylinders, channels, records)
     found += [_mount(rig, c) for c in rig.cylinder if c.name in cylinders and c.mount is None]
-    kept = []
+    kept: list[Change] = []
     for one in found:
         names = tuple(name for name in one.parameters if name not in given)
         bare = not names and not one.sensors
-        if bare or any(name not in known for name in names if one.alter is None):
+        again = one.alter is None and any(
+            (one.kind, names, one.sensors) == (old.kind, old.parameters, old.sensors)
+            for old in kept
+        )
+        if bare or again or any(name not in known for name in names if one.alter is None):
             continue
         bounded = {name: one.upper[name] for name in names if name in one.upper}
         bounded = {
@@ -160,14 +166,22 @@ def _table_of(tables: dict[str, Any], cylinder: str, valve: str = "") -> dict[st
     return next(one for one in own["valve"] if one["name"] == valve) if valve else own
 
 
+def _moves(cylinder: Cylinder, valve: Valve, records: Sequence[Record]) -> bool:
+    """Whether a valve is commanded in a log."""
+    channel = f"{cylinder.name}.{valve.name}.command"
+    logs = [log[channel] for log in records if channel in log]
+    return any(float(y.max() - y.min()) > least_change(valve) for y in logs)
+
+
 def _of_valve(
-    rig: Rig, cylinder: Cylinder, valve: Valve, records: Sequence[Record]
+    rig: Rig, cylinder: Cylinder, valve: Valve, alike: Sequence[Valve], records: Sequence[Record]
 ) -> Iterator[Change]:
+    """What may be wrong with a valve; what may be with the dynamics that it shares with others
+    ``alike`` stands with the first of them.
+    """
     known, about = rig.parameters(), f"{cylinder.name}.{valve.name}"
     channel = f"{about}.command"
     logs = [log[channel] for log in records if channel in log]
-    if not any(float(y.max() - y.min()) > least_change(valve) for y in logs):
-        return
     edges = [(f"{cylinder.name}.{valve.edge_name(one)}", one) for one in valve.edge]
     gains = [f"{name}.{key}" for name, _ in edges for key in GAINS if f"{name}.{key}" in known]
     maps = [f"{name}.map_factor" for name, one in edges if one.law == "map"]
@@ -187,7 +201,8 @@ def _of_valve(
     bent = [one for one in bent if one[2].saturation_softness is None]
     if bent:
         yield _softness(cylinder.name, valve, bent)
-    yield from _times(rig, cylinder.name, valve)
+    if valve is alike[0]:
+        yield from _times(rig, cylinder.name, alike)
     if float(valve.command_min) < 0.0:
         neutral = Sensor(channel=channel, offset=ESTIMATE)
         yield Change("neutral", about, sensors=(neutral,))
@@ -230,35 +245,39 @@ def _softness(cylinder: str, valve: Valve, edges: Sequence[tuple]) -> Change:
     return Change("softness", about, tuple(most), upper=upper, alter=alter, rig_lines=lines)
 
 
-def _times(rig: Rig, cylinder: str, valve: Valve) -> Iterator[Change]:
-    """Lags and delays between a valve's command and its opening."""
-    known, about, series = rig.parameters(), f"{cylinder}.{valve.name}", valve.series
+def _times(rig: Rig, cylinder: str, valves: Sequence[Valve]) -> Iterator[Change]:
+    """Lags and delays between the commands of valves with the same dynamics and their openings:
+    they share them.
+    """
+    known, series = rig.parameters(), valves[0].series
     own = {kind: [f"{o}.{kind}" for o in series if f"{o}.{kind}" in known] for kind in TIMES}
     for kind in TIMES[:3]:
         for name in own[kind]:
             yield Change("lag", name.rpartition(".")[0], (name,))
     if not any(own[kind] for kind in TIMES[:3]):
-        yield _element(about, "lag", "first_order", LAG, series)
+        yield _element(cylinder, valves, "lag", "first_order", LAG)
     if own["delay"]:
-        yield Change("delay", about, tuple(own["delay"]))
+        yield Change("delay", f"{cylinder}.{valves[0].name}", tuple(own["delay"]))
     else:
-        yield _element(about, "delay", "delay", DELAY, series)
+        yield _element(cylinder, valves, "delay", "delay", DELAY)
 
 
-def _element(about: str, word: str, kind: str, value: float, series: Sequence[str]) -> Change:
-    """An element that comes behind those which a valve has."""
-    cylinder, _, valve = about.partition(".")
-    name = f"{cylinder}_{valve}_{word}"
+def _element(cylinder: str, valves: Sequence[Valve], word: str, kind: str, value: float) -> Change:
+    """An element that comes behind those which valves have, one for all of them."""
+    several, series = len(valves) > 1, valves[0].series
+    about = f"{cylinder}.{'+'.join(one.name for one in valves)}"
+    name = f"{cylinder}_{word}" if several else f"{cylinder}_{valves[0].name}_{word}"
 
     def alter(tables: dict[str, Any]) -> None:
         dynamics = tables.setdefault("dynamics", {})
         dynamics[name] = {"kind": kind, word: f"{value!r} s"}
-        _table_of(tables, cylinder, valve)["dynamics"] = [*series, name]
+        for one in valves:
+            _table_of(tables, cylinder, one.name)["dynamics"] = [*series, name]
 
     listed = ", ".join(f'"{one}"' for one in (*series, name))
     lines = (
         f'[dynamics.{name}] kind = "{kind}", {word} = "{1e3 * value:g} ms"',
-        f"valve {about}: dynamics = [{listed}]",
+        *(f"valve {cylinder}.{one.name}: dynamics = [{listed}]" for one in valves),
     )
     free = f"{name}.{word}"
     upper = {free: LONGEST}

@@ -25,6 +25,9 @@ _LOOK_GAIN, _KINK_GAIN, _FALL_GAIN = -5.0, 24.0, 45.0
 _MOST_KINKS, _IN_GAP = 3, 8
 # commands that pass flow, from which on a kink can be told from a bend
 _LEAST_COMMANDS = 7
+# share of the commands' range below which two of them, such as hysteresis sets beside each other,
+# leave no room for a kink: the spline would be too stiff there for its arithmetic
+_LEAST_GAP = 0.01
 # −2 log likelihood by which openings may differ and still count as where the flow is largest
 _LEVEL_95 = 3.841
 
@@ -104,8 +107,13 @@ def _places(above: np.ndarray, kinks: tuple[Kink, ...]) -> list[float]:
         float(above[k - 1] + share * (above[k] - above[k - 1]))
         for k in range(2, above.size - 1)
         for share in shares
-        if k not in taken
+        if k not in taken and _roomy(above)[k]
     ]
+
+
+def _roomy(above: np.ndarray) -> np.ndarray:
+    """Whether the gap below each command is wide enough for a kink; shape (commands,)."""
+    return np.diff(above, prepend=-np.inf) >= _LEAST_GAP * (above[-1] - above[0])
 
 
 def _with(shape: Shape, kink: float) -> Shape:
@@ -120,6 +128,8 @@ def _place(shape: Shape, cells: Cells) -> Kink:
     k = int(np.searchsorted(shape.above, middle))
     low, high = shape.above[max(k - 2, 0)], shape.above[min(k + 1, shape.above.size - 1)]
     grid = np.linspace(low, high, 62)[1:-1]
+    step = float(grid[1] - grid[0])
+    grid = grid[_roomy(shape.above)[np.searchsorted(shape.above, grid)]]
     near = [
         np.searchsorted(shape.above, other) == np.searchsorted(shape.above, grid)
         for other in others
@@ -130,7 +140,6 @@ def _place(shape: Shape, cells: Cells) -> Kink:
     rise = value - value.min()
     weight = np.exp(-0.5 * rise)
     best = float(grid[np.argmin(rise)])
-    step = float(grid[1] - grid[0])
     std = float(np.sqrt(weight @ (grid - best) ** 2 / weight.sum() + step**2 / 12))
     inside = grid[rise <= _LEVEL_95]
     interval = (round(float(inside[0]) - step, 4), round(float(inside[-1]) + step, 4))

@@ -21,6 +21,8 @@ _BEND, _SOFT, _SHARP = 1e-4, 1e-9, 1e-7
 # a spline slope of this share of the rated flow over the command range keeps the map strictly
 # increasing
 _LEAST_SLOPE = 1e-4
+# share of the largest eigenvalue below which one of the penalty is rounding
+_ROUNDED = 1e-13
 SPANS_U = 12
 # half the width of the span that bends at a kink, as a share of the gap between two commands
 _NARROW = 0.01
@@ -34,13 +36,23 @@ def _gram(
     """∫ weight·B_i^(order) B_j^(order) of splines in polynomial pieces (``bspline_pieces``), exact;
     a weight a span.
     """
+    values, weights, share = _at_nodes(pieces, breaks, order)
+    return np.einsum("jgk,jgl,g,j->kl", values, values, weights, share * weight)
+
+
+def _at_nodes(
+    pieces: np.ndarray, breaks: np.ndarray, order: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(B^(order) at the nodes of Gauss of every span, shape (spans, nodes, splines), the nodes'
+    weights, half the spans' widths).
+    """
     for _ in range(order):
         pieces = pieces[..., 1:] * np.arange(1, pieces.shape[-1])
     nodes, weights = _legendre(pieces.shape[-1])
     width = np.diff(breaks)
     x = 0.5 * (nodes + 1)[None, :] * width[:, None]
     values = np.einsum("jkp,jgp->jgk", pieces, x[..., None] ** np.arange(pieces.shape[-1]))
-    return np.einsum("jgk,jgl,g,j->kl", values, values, weights, 0.5 * width * weight)
+    return values, weights, 0.5 * width
 
 
 class Axis:
@@ -64,7 +76,20 @@ class Axis:
         self.stiffness = stiffness
         self.bend = _gram(self.pieces, self.breaks, 2, stiffness)[1:, 1:]
         self.eigen = eigh(self.bend, self.mass, eigvals_only=True)
+        if self.eigen[1] < _ROUNDED * self.eigen[-1]:
+            self.eigen = self._small_eigen()
         self.eigen[0] = 0.0  # a straight line is free
+
+    def _small_eigen(self) -> np.ndarray:
+        """The eigenvalues where the least are lost in the rounding of the largest, as beside the
+        narrow span of a kink: squares of singular values, which keep twice the digits.
+        """
+        values, weights, share = _at_nodes(self.pieces, self.breaks, 2)
+        root = np.sqrt(weights * (share * self.stiffness)[:, None])
+        rows = (root[..., None] * values[..., 1:]).reshape(-1, self.size)
+        factor = np.linalg.cholesky(self.mass)
+        found = np.linalg.svd(np.linalg.solve(factor, rows.T), compute_uv=False)[::-1] ** 2
+        return np.concatenate([np.zeros(self.size - found.size), found])
 
     def bent(self, k: int) -> Axis:
         """The same axis, free to bend sharply at its inner break k."""

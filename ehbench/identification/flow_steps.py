@@ -116,7 +116,10 @@ def likeliest_smoothing(
     total, unit = float(cells.weight @ cells.y**2), float(cells.weight.sum())
 
     def score(point: tuple[float, float]) -> float:
-        free, determinant = spline.free(band, right, 10.0 ** np.array(point) * unit)
+        try:
+            free, determinant = spline.free(band, right, 10.0 ** np.array(point) * unit)
+        except np.linalg.LinAlgError:  # too little smoothing for the readings to tell a map
+            return np.inf
         return deviance(max(total - right @ free, 1e-12 * total), cells) + determinant
 
     now = np.clip(np.round(4 * np.log10(shape.smoothing / unit)) / 4, -12, 0)

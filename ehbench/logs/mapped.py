@@ -3,8 +3,8 @@ come on one time base, and what is left out is said."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from ehbench.errors import InputError, LogError, UnitError
 from ehbench.logs.checks import LABEL, TIMES, check_known, check_time
+from ehbench.logs.rates import apart, repeated
 from ehbench.quantities import VOCABULARY, quantity
 from ehbench.readers import Column, Dialect, Source, Table, open_source
 from ehbench.recipe.columns import LEAVE_OUT, ColumnMap, Columns, MappedColumn
@@ -45,6 +46,20 @@ class _Group:
         steps = np.diff(self.t[np.isfinite(self.t)])
         return float(np.median(steps)) if steps.size else np.inf
 
+    def taken(self, rows: np.ndarray, channels: Sequence[str] | None = None) -> _Group:
+        """The same group with some of its rows, by number, and channels."""
+        names = list(self.channels) if channels is None else channels
+        columns = {name: self.columns[name].taken(rows) for name in names}
+        lines = self.table.lines
+        kept = None if lines is None else [lines[int(row)] for row in rows]
+        return _Group(
+            replace(self.table, columns=tuple(columns.values()), lines=kept, words={}),
+            self.t[rows],
+            self.began,
+            {name: self.channels[name][rows] for name in names},
+            columns,
+        )
+
 
 def read_mapped(
     path: Path, columns: ColumnMap | None, check: bool = True, window: Window | None = None
@@ -67,6 +82,8 @@ def read_mapped(
     losses: list[str] = []
     groups = _groups(source, columns, path)
     began = _one_clock(groups)
+    if check and columns.columns.bad_samples == LEAVE_OUT:
+        groups = [_without_repeats(group, losses) for group in groups]
     for group in groups:
         _filter(group, columns)
         if check:
@@ -89,13 +106,33 @@ def dialect_of(columns: ColumnMap | None) -> Dialect:
     return Dialect(*columns.marks, said.skip, said.unit_row, said.encoding, said.table)
 
 
+def _without_repeats(group: _Group, losses: list[str]) -> _Group:
+    """The group without rows that are the one before once more, as loggers write them twice."""
+    again = np.flatnonzero(repeated(group.t, list(group.columns.values())))
+    if not again.size:
+        return group
+    are = "are" if again.size > 1 else "is"
+    losses.append(
+        f"{_called(group)}: {_rows(again.size)} that {'repeat' if again.size > 1 else 'repeats'} "
+        f"the one before {are} left out{_lines(group, again)}"
+    )
+    return group.taken(np.delete(np.arange(group.t.size), again))
+
+
 def _check_time(group: _Group, path: Path, window: Window) -> None:
     """Refuse a time that stands still or goes back inside of the window."""
+    inside = np.flatnonzero((group.t >= window[0]) & (group.t <= window[1]))
+    lines = None if group.table.lines is None else [group.table.lines[int(at)] for at in inside]
     try:
-        check_time(group.t[(group.t >= window[0]) & (group.t <= window[1])], file=path)
+        check_time(group.t[inside], file=path, lines=lines)
     except LogError as error:
-        hint = f'{error.hint}; for a time that is rounded write rate = "1 kHz" in the map'
-        raise LogError(error.message, file=path, hint=hint) from None
+        hint = 'for a time that is rounded write rate = "1 kHz" in the map'
+        if repeated(group.t, list(group.columns.values())).any():
+            hint = (
+                f'bad_samples = "{LEAVE_OUT}" in the map leaves out rows that repeat the one before'
+            )
+        hint = f"{error.hint}; {hint}"
+        raise LogError(error.message, file=path, line=error.line, hint=hint) from None
 
 
 def named_channels(source: Source, path: Path) -> ColumnMap:
@@ -139,7 +176,18 @@ def _groups(source: Source, columns: ColumnMap, path: Path) -> list[_Group]:
         groups[i].columns[mapped.channel] = column
     if not groups:
         raise InputError("maps no column to a channel", **columns.at())
-    return list(groups.values())
+    return [part for group in groups.values() for part in _parts(group)]
+
+
+def _parts(group: _Group) -> list[_Group]:
+    """The channels of a table by the rows in which they stand: a group a rate."""
+    names = list(group.channels)
+    found = apart([group.columns[name] for name in names])
+    if len(found) == 1:
+        return [group]
+    return [
+        group.taken(np.flatnonzero(rows), [names[index] for index in own]) for own, rows in found
+    ]
 
 
 def si_of(
@@ -385,9 +433,24 @@ def _joined(
                 f"{_called(group)}: {1 / group.period:.4g} Hz, brought to {1 / base.period:.4g} Hz"
             )
     if not keep.all():
-        losses.append(f"{_rows(int((~keep).sum()))} are left out: not all tables have values there")
+        losses += _uncovered(t, keep, max(group.period for group in groups))
         t, channels = t[keep], {name: values[keep] for name, values in channels.items()}
     return t, channels, rates
+
+
+def _uncovered(t: np.ndarray, keep: np.ndarray, slack: float) -> list[str]:
+    """A sentence on the rows that not all tables cover: tables begin and end a sample of the
+    slowest apart, which is no loss.
+    """
+    if keep.any():
+        first, last = t[keep][[0, -1]]
+        keep = keep | ((t < first) & (first - t[0] <= slack))
+        keep |= (t > last) & (t[-1] - last <= slack)
+    lost = int((~keep).sum())
+    if not lost:
+        return []
+    are = "are" if lost > 1 else "is"
+    return [f"{_rows(lost)} {are} left out: not all tables have values there"]
 
 
 def _called(group: _Group) -> str:

@@ -16,7 +16,7 @@ from ehbench.logs.readings import mapped_readings
 from ehbench.mapping.guesses import CYLINDER, VALVE, Guess, guessed
 from ehbench.mapping.picture import draw
 from ehbench.mapping.readings import holds_readings, reading_guesses
-from ehbench.mapping.written import drafted, range_of
+from ehbench.mapping.written import drafted, own_rows, range_of
 from ehbench.readers import Source, Table, open_source, read_flowmeter, reader_of
 from ehbench.recipe.columns import ENDING, load_columns
 from ehbench.rig import Rig
@@ -78,6 +78,7 @@ def _overview(path: Path, source: Source, guesses: dict[str, Guess]) -> list[str
         header = f"header in line {(found.skip or 0) + 1}"
         units = ", units below it" if found.unit_row else ""
         lines[0] += f", {found.encoding}, separated by {mark}, decimal {sign}, {header}{units}"
+    rows = own_rows(source, guesses)
     for index, table in enumerate(source.tables):
         called = f"table '{table.name}'" if table.name else "table"
         lines.append(f"{called}: {table.size} rows{_span(table, index, names, guesses)}")
@@ -88,8 +89,11 @@ def _overview(path: Path, source: Source, guesses: dict[str, Guess]) -> list[str
             guess, column = guesses[name], table.columns[j]
             unit = f" [{guess.unit}]" if guess.unit and guess.channel and not guess.ends else ""
             said = f"{guess.channel}{unit}" + ("" if guess.sure else "?") if guess.channel else "?"
-            bad = int((~np.isfinite(column.values)).sum())
+            own = rows[name]
+            bad = int((~np.isfinite(column.values[own])).sum())
             odd = f", {bad} no number" if bad else ""
+            if not own.all():
+                odd = f", in {int(own.sum())} rows of its own{odd}"
             remark = f"  ({guess.remark})" if guess.remark else ""
             lines.append(f"  {name:<{min(wide, 40)}}  {range_of(column)}{odd}  → {said}{remark}")
         for name in table.words:

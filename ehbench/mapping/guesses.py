@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ehbench.logs.rates import REPEATED, apart
 from ehbench.quantities import VOCABULARY
 from ehbench.readers import Column, Source, Table
 from ehbench.rig import Rig
-from ehbench.units import is_of
+from ehbench.sensors import ATMOSPHERE
+from ehbench.units import from_si, is_of
 
 CYLINDER, VALVE = "cylinder", "valve"  # where no rig says how they are called
 ROUNDED = "rounded"
@@ -20,7 +22,7 @@ _WORDS = {
     "p_supply": {"supply", "pump", "system", "sys", "ps", "versorgung", "pumpe", "sup"},
     "p_tank": {"tank", "return", "reservoir", "rücklauf", "drain"},
     "p_rod": {"b", "rod", "annulus", "annular", "ring", "stange", "stangenseite", "2", "p2"},
-    "p_head": {"a", "head", "bore", "cap", "piston", "blind", "boden", "kolben", "1", "p1"},
+    "p_head": {"a", "head", "bore", "cap", "piston", "blind", "base", "boden", "kolben", "1", "p1"},
 }
 _PORTS = {"p": "p_supply", "t": "p_tank"}  # beside another word for pressure: Druck P
 COMMAND_WORDS = {
@@ -42,6 +44,8 @@ _PLACE |= {"travel", "extension", "distance"}
 _ANGLE = {"q", "angle", "winkel", "theta", "phi", "encoder", "joint", "rotation"}
 _SPEED = {"v", "vel", "velocity", "speed", "geschwindigkeit", "rate", "xd", "qd"}
 CURRENTS = {"mA", "A"}
+_ABSOLUTE = {"abs", "absolute", "absolut"}
+_LOOP = 25.0  # [mA] beyond which a current is no signal of 4 to 20 mA but that of a coil
 # what compounds are made of: Systemdruck, Ventilstrom, supplypressure
 _STEMS = tuple(
     word
@@ -54,8 +58,8 @@ _STEMS = tuple(
 @dataclass(frozen=True)
 class Guess:
     """What a column may be: ``channel`` ('' where nothing is known), the unit of its numbers ('' of
-    none), whether it goes into the map by itself, a remark, and two points where its numbers are no
-    volts.
+    none), whether it goes into the map by itself, a remark, two points where its numbers are no
+    volts, and the offset of an absolute pressure.
     """
 
     channel: str = ""
@@ -63,6 +67,7 @@ class Guess:
     sure: bool = False
     remark: str = ""
     ends: tuple[str, str, str, str] | None = None
+    offset: str = ""
 
 
 def guessed(source: Source, rig: Rig | None) -> dict[str, Guess]:
@@ -82,7 +87,7 @@ def guessed(source: Source, rig: Rig | None) -> dict[str, Guess]:
 
 
 def _guess(name: str, column: Column, table: Table, rig: Rig | None) -> Guess:
-    unit, words = column.known_unit, words_of(name)
+    unit, words = column.known_unit or column.absolute, words_of(name)
     if table.name.startswith("/"):  # a topic is what its field is of
         words |= words_of(table.name)
     known = column.values[np.isfinite(column.values)]
@@ -96,6 +101,9 @@ def _guess(name: str, column: Column, table: Table, rig: Rig | None) -> Guess:
         alone = channel in ("p_supply", "p_tank")
         if not unit:
             return Guess(place, "", False, "in which unit?")
+        if VOCABULARY[channel].unit == "Pa" and (column.absolute or words & _ABSOLUTE):
+            offset = f"{from_si(-ATMOSPHERE, unit, VOCABULARY[channel]):.4g} {unit}"
+            return Guess(place, unit, sure or alone, "absolute, by its name", None, offset)
         return Guess(place, unit, sure or alone, "")
     if words & COMMAND_WORDS or (unit in (*CURRENTS, "V", "%") and unit):
         return command_guess(unit, words, known, (cylinder, sure), rig)
@@ -118,7 +126,9 @@ def _made_of(word: str, stem: str) -> bool:
 
 def _time(column: Column, unit: str, words: set[str], table: Table) -> Guess | None:
     """A column that may be the time: it goes on, and is called so or in seconds."""
-    values = column.values[np.isfinite(column.values)]
+    others = [one for one in table.columns if one is not column]
+    rows = apart(others)[0][1] if others else np.ones(column.values.size, bool)
+    values = column.values[np.isfinite(column.values) & rows]
     steps = np.diff(values)
     if not steps.size or steps.min() < 0.0 or values[0] == values[-1]:
         return None
@@ -130,7 +140,7 @@ def _time(column: Column, unit: str, words: set[str], table: Table) -> Guess | N
         return Guess("t", "s", False, "rises evenly: the time?") if even else None
     if table.t is not None:
         return Guess(remark="the file knows its time without it")
-    if steps.min() == 0.0:
+    if np.mean(steps == 0.0) > REPEATED:
         rate = (values.size - 1) / (values[-1] - values[0])
         return Guess(
             "t", unit or "s", False, f"{ROUNDED}; about {rate:.5g} samples a {unit or 's'}"
@@ -139,13 +149,16 @@ def _time(column: Column, unit: str, words: set[str], table: Table) -> Guess | N
     if not is_time:
         unit = "s" if tick < 0.1 else "ms" if tick < 100 else "us"
         return Guess("t", unit, True, "the unit is a guess")
-    return Guess("t", unit, True)
+    still = int((steps == 0.0).sum())
+    return Guess("t", unit, True, f"{still} rows have the time of the one before" if still else "")
 
 
 def reading_of(unit: str, words: set[str]) -> str:
     """The quantity of a sensor, '' of none: by the unit, where it says none by the name."""
 
     def may(row: str, named: set[str]) -> bool:
+        if row == "q" and unit == "%":  # a share is no angle
+            return False
         return is_of(unit, VOCABULARY[row]) if unit else bool(words & named)
 
     if may("p_head", PRESSURE_WORDS):
@@ -195,6 +208,8 @@ def command_guess(
     first, last = spans[unit]
     if unit == "mA" and known.min() < 3.0:
         first, last = (-20.0, 20.0) if known.min() < -0.5 else (0.0, 20.0)
+    if unit == "mA" and known.max() > _LOOP:
+        first, last = 50.0 * np.floor(known.min() / 50.0), 50.0 * np.ceil(known.max() / 50.0)
     if unit == "%" and low >= 0.0:
         first = 0.0
     ends = (f"{first:g} {unit}", f"{last:g} {unit}", f"{low:g} V", f"{high:g} V")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.mapping.guesses import Guess
-from ehbench.mapping.written import remark
+from ehbench.mapping.written import own_rows, remark
 from ehbench.readers import Column, Source
 from ehbench.report.style import ACCENT, MUTED, canvas, thin
 
@@ -17,7 +17,7 @@ _MOST_DRAWN = 24
 
 def draw(picture: Path, source: Source, guesses: dict[str, Guess]) -> None:
     """Each column over the time, or over its rows."""
-    names = source.names()
+    names, rows_of = source.names(), own_rows(source, guesses)
     shown = [name for name in names if guesses[name].channel != "t"]
     shown = [one for one in shown if np.isfinite(_column(source, names[one]).values).any()]
     shown = shown[:_MOST_DRAWN] or list(names)[:1]
@@ -36,12 +36,13 @@ def draw(picture: Path, source: Source, guesses: dict[str, Guess]) -> None:
             ax.plot(*thin(t[good], column.values[good]))
             guess = guesses[name]
             label = f" → {guess.channel}{'' if guess.sure else ' ?'}" if guess.channel else ""
-            label += " (red: no number)" if _bad(column) else ""
+            bad = _bad(column, rows_of[name])
+            label += " (red: no number)" if bad else ""
             unit = column.known_unit or column.unit
             ax.set_title(remark(name) + label, color="black" if guess.sure else MUTED)
             ax.set_ylabel(unit or "–")
             ax.set_xlabel(across)
-            for at in _bad(column):
+            for at in bad:
                 ax.axvline(t[at], color=ACCENT, linewidth=0.8)
 
 
@@ -49,6 +50,6 @@ def _column(source: Source, at: tuple[int, int]) -> Column:
     return source.tables[at[0]].columns[at[1]]
 
 
-def _bad(column: Column) -> Sequence[int]:
-    """Rows of a few bad samples, to be marked."""
-    return np.flatnonzero(~np.isfinite(column.values))[:20].tolist()
+def _bad(column: Column, own: np.ndarray) -> Sequence[int]:
+    """Rows of a few bad samples among those of its rate, to be marked."""
+    return np.flatnonzero(own & ~np.isfinite(column.values))[:20].tolist()

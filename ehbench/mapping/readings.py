@@ -40,7 +40,7 @@ def holds_readings(source: Source) -> bool:
         return any(one.known_unit and is_of(one.known_unit, VOCABULARY[row]) for one in columns)
 
     ends = {reading_of(one.known_unit, words_of(one.name)) for one in columns}
-    log = {"p_head", "p_rod"} <= ends or any(map(has, ("x", "v", "q", "qd")))
+    log = {"p_head", "p_rod"} <= ends or bool(ends & {"x", "v", "q", "qd"})
     return len(source.tables) == 1 and has("flow") and not log
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ehbench.logs.rates import apart
 from ehbench.mapping.guesses import ROUNDED, Guess
 from ehbench.readers import Column, Source
 
@@ -71,11 +72,24 @@ def _rate(source: Source, guesses: dict[str, Guess]) -> list[str]:
     return ['# rate = "1 kHz"              # no column is the time: say how often it was sampled']
 
 
+def own_rows(source: Source, guesses: dict[str, Guess]) -> dict[str, np.ndarray]:
+    """By column, the rows of its table that are those of its rate, True; all for a time."""
+    names, found = source.names(), {}
+    for index, table in enumerate(source.tables):
+        here = {name: table.columns[j] for name, (i, j) in names.items() if i == index}
+        found |= {name: np.ones(table.size, bool) for name in here}
+        signals = [name for name in here if guesses[name].channel != "t"]
+        groups = apart([here[name] for name in signals])
+        if len(groups) > 1:
+            found |= {signals[at]: rows for own, rows in groups for at in own}
+    return found
+
+
 def _policy(source: Source, guesses: dict[str, Guess]) -> list[str]:
     """The key ``bad_samples``, where cells of the mapped columns hold no number."""
-    counts, size = {}, 0
+    counts, size, rows = {}, 0, own_rows(source, guesses)
     for name, (i, j) in source.names().items():
-        values = source.tables[i].columns[j].values
+        values = source.tables[i].columns[j].values[rows[name]]
         size = max(size, values.size)
         bad = int((~np.isfinite(values)).sum())
         if bad and guesses[name].sure:
@@ -96,6 +110,10 @@ def _line(name: str, guess: Guess, column: Column) -> str:
         value = (
             f'{{ channel = "{guess.channel}", from = ["{first}", "{last}"], '
             f'to = ["{low}", "{high}"] }}'
+        )
+    elif guess.offset:
+        value = (
+            f'{{ channel = "{guess.channel}", unit = "{guess.unit}", offset = "{guess.offset}" }}'
         )
     else:
         value = _quoted((guess.channel or "?") + unit)

@@ -9,6 +9,7 @@ import zlib
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,8 @@ from ehbench.disk import DATA, read_bytes
 from ehbench.errors import LogError
 from ehbench.memory import available, refuse_beyond
 from ehbench.readers.clock import clock
-from ehbench.readers.table import Column, Dialect, Source, Table, numbered
-from ehbench.units import named_unit
+from ehbench.readers.table import Column, Dialect, Source, Table, is_hole, numbered
+from ehbench.units import absolute_unit, named_unit
 
 COPIES = 8  # of a table, as bytes, text, lines and numbers, while it is read
 _GZIP = b"\x1f\x8b"
@@ -27,11 +28,11 @@ _NUMBER = {
     ".": re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"),
     ",": re.compile(r"[-+]?(?:[0-9]+(?:,[0-9]+)?|,[0-9]+)(?:[eE][-+]?[0-9]+)?"),
 }
-_HOLE = re.compile(r"|[-+]?nan|[-+]?inf(inity)?|n/?a|#n/?a|null|none|-+|[-+]?1\.#\w+", re.I)
 _UNIT_HEADS = ("unit", "units", "einheit", "einheiten", "unité", "unidad")
 _BRACKETED = re.compile(r"\(.*\)|\[.*\]")
 _HEADS = 6  # rows of facts between the header and the numbers
 _LOOKED_AT = 200  # lines that tell a dialect
+_TOGETHER = 20  # lines in a row that are looked at: signals of several rates take turns
 _BLOCK = 512  # rows that are read at once
 _QUOTED = 60  # characters of a cell in a message
 
@@ -116,7 +117,7 @@ def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[Ta
     width = len(layout.kinds)
     names = numbered((top + [""] * width)[:width])
     said = [
-        "" if cell.lower() in _UNIT_HEADS else named_unit(cell) or cell.strip(" []()")
+        "" if cell.lower() in _UNIT_HEADS else named_unit(cell) or _plain(cell)
         for cell in (units + [""] * width)[:width]
     ]
     at = [n for n in range(layout.first, len(lines)) if _is_row(lines[n], separator)]
@@ -167,7 +168,7 @@ def _kind(cell: str, decimal: str) -> str:
     """What a cell holds: a number, a time of day, nothing, or words."""
     if _NUMBER[decimal].fullmatch(cell):
         return "numbers"
-    if _HOLE.fullmatch(cell):
+    if is_hole(cell):
         return "holes"
     return "times" if np.isfinite(clock([cell])[0]).all() else "words"
 
@@ -176,10 +177,7 @@ def _marks(lines: Sequence[str], dialect: Dialect) -> tuple[str, str]:
     """(separator, decimal sign) with which most cells are numbers: of the second half of the lines,
     as facts stand above the numbers.
     """
-    shown = [line for line in lines[dialect.skip or 0 :] if _is_row(line, "")]
-    shown = shown[len(shown) // 2 :]
-    step = -(-len(shown) // _LOOKED_AT) if shown else 1
-    shown = shown[::step]
+    shown = _some([line for line in lines[dialect.skip or 0 :] if _is_row(line, "")])
     best, most = (",", "."), -1.0
     for separator in [dialect.separator] if dialect.separator else [",", ";", "\t", " "]:
         for decimal in [dialect.decimal] if dialect.decimal else [".", ","]:
@@ -193,6 +191,15 @@ def _marks(lines: Sequence[str], dialect: Dialect) -> tuple[str, str]:
             if score > most:
                 best, most = (separator, decimal), score
     return best
+
+
+def _some(rows: Sequence) -> list:
+    """Rows that tell of all: of the second half, as facts stand above the numbers, some in a row
+    from places all over it.
+    """
+    half = rows[len(rows) // 2 :]
+    step = max(-(-len(half) // (_LOOKED_AT // _TOGETHER)), _TOGETHER)
+    return [row for at in range(0, len(half), step) for row in half[at : at + _TOGETHER]]
 
 
 def _layout(lines: Sequence[str], separator: str, decimal: str, dialect: Dialect) -> _Layout:
@@ -231,17 +238,19 @@ def _layout(lines: Sequence[str], separator: str, decimal: str, dialect: Dialect
 
 def _kinds_of(rows: Sequence[Sequence[str]], decimal: str) -> tuple[str, ...]:
     """What each column mostly holds, of the rows as wide as most; the blank ones at the end left
-    out. Facts stand above the numbers, so the second half of the file tells.
+    out.
     """
-    shown = rows[len(rows) // 2 :]
-    shown = shown[:: -(-len(shown) // _LOOKED_AT) if shown else 1]
+    shown = _some(rows)
     widths = Counter(len(row) for row in shown)
     if not widths:
         return ()
     width = max(widths, key=lambda size: (widths[size] * min(size, 2), size))
     found = []
-    for column in zip(*(row for row in shown if len(row) == width)):
+    for at, column in enumerate(zip(*(row for row in shown if len(row) == width))):
         kinds = Counter(_kind(cell, decimal) for cell in column)
+        if set(kinds) == {"holes"}:  # a slow signal: where it stands at all
+            filled = (row[at] for row in rows if len(row) == width and row[at])
+            kinds += Counter(_kind(cell, decimal) for cell in islice(filled, _TOGETHER))
         holes = kinds.pop("holes", 0)
         found.append(kinds.most_common(1)[0][0] if kinds else "holes" if holes else "words")
     while found and found[-1] == "holes":
@@ -270,9 +279,18 @@ def _heads(
             at.append(n)
     for index, cells in enumerate(wide[:-1]):
         own = cells[1:] if cells[0].strip(": ").lower() in _UNIT_HEADS else cells
-        if own and (all(map(named_unit, own)) or all(map(_BRACKETED.fullmatch, own))):
+        if own and (all(map(_is_unit, own)) or all(map(_BRACKETED.fullmatch, own))):
             return at[index + 1], at[index]
     return (at[0], None) if at else (None, None)
+
+
+def _is_unit(cell: str) -> bool:
+    return bool(named_unit(cell) or absolute_unit(cell))
+
+
+def _plain(cell: str) -> str:
+    """A unit that is not known here without the brackets about it."""
+    return cell.strip() if absolute_unit(cell) else cell.strip(" []()")
 
 
 def numbers(

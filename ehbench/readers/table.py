@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from ehbench.errors import LogError
 from ehbench.readers.clock import moments
-from ehbench.units import named_unit
+from ehbench.units import absolute_unit, named_unit
 
 _UNIT_LAST = (
     r"\[([^\[\]]*)\]\s*$",
@@ -23,6 +23,7 @@ _UNIT_LAST = (
     # at the end of words only such as are hardly anything else
     r"[\s_](m?bar|psi|[kM]Pa|[cm]m|m?V|mA|ms|[lL]/min|gpm|deg|°C?|m?m/s|rpm)$",
 )
+_HOLE = re.compile(r"|[-+]?nan|[-+]?inf(inity)?|n/?a|#n/?a|null|none|-+|[-+]?1\.#\w+", re.I)
 WIDEST = 256  # columns that a matrix may have
 
 
@@ -34,6 +35,11 @@ def unit_in(name: str) -> str:
         if (found := re.search(pattern, name)) and (unit := named_unit(found[1])):
             return unit
     return ""
+
+
+def is_hole(cell: str) -> bool:
+    """Whether a cell says that there is no value: blank, NaN, n/a, -, …"""
+    return bool(_HOLE.fullmatch(cell))
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +57,28 @@ class Column:
     def known_unit(self) -> str:
         """Its unit as it is written here, by what the file says or the name ends in; '' of none."""
         return named_unit(self.unit) or unit_in(self.name)
+
+    @property
+    def absolute(self) -> str:
+        """The unit of its absolute pressures, where the file says that they are; else ''."""
+        if unit := absolute_unit(self.unit):
+            return unit
+        words = re.split(r"[\s_]+", self.name.strip())
+        ends = (" ".join(words[at:]) for at in range(len(words)))
+        said = (unit_last[1] for unit_last in re.finditer(r"[\[({]\s*(.+)[\])}]\s*$", self.name))
+        return next(filter(None, map(absolute_unit, (*said, *ends))), "")
+
+    @property
+    def filled(self) -> np.ndarray:
+        """Where it holds something, be it a word; shape (rows,)."""
+        found = np.isfinite(self.values)
+        found[[row for row, cell in self.odd.items() if not is_hole(cell)]] = True
+        return found
+
+    def taken(self, rows: np.ndarray) -> Column:
+        """The same column with some of its rows, by number."""
+        odd = {at: self.odd[int(row)] for at, row in enumerate(rows) if int(row) in self.odd}
+        return replace(self, values=self.values[rows], odd=odd)
 
 
 @dataclass(frozen=True, eq=False)

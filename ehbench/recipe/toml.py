@@ -203,6 +203,11 @@ def _explained(
         message = f"{key} is no list"
         if isinstance(given, dict):
             hint = f"write [[{_header(location)}]] for each entry"
+    elif kind in ("model_type", "model_attributes_type", "dict_type", "dataclass_type"):
+        message = f"{key} = {shortened(given, 60)} is no table"
+        keys = [name for name in _valid_keys(model, location) if name not in ("note", "title")]
+        some = ", ".join(f"{name} = …" for name in keys[:3])
+        hint = f"write {location[-1]} = {{ {some}{', …' * (len(keys) > 3)} }}"
     else:
         message = f"{key} = {shortened(given, 60)}: {first['msg'][0].lower() + first['msg'][1:]}"
     return ": ".join(part for part in (place, message) if part), location, hint

@@ -123,8 +123,8 @@ def _verdict(
     elif rejected := [run.title for run, content in judged if content.status == "rejected"]:
         text, look = f"Model rejected: {', '.join(rejected)}.", "bad"
     else:
-        logs = sum(_held_out(run) for run, _ in judged)
-        text = f"Model accepted on {count(logs, 'log')} that it was not fitted to."
+        logs = set().union(*(_held_out(run) for run, _ in judged))
+        text = f"Model accepted on {count(len(logs), 'log')} that it was not fitted to."
         look = "good"
     doubts = [
         f"{run.title}: {'; '.join(findings.against[:2])}"
@@ -141,8 +141,18 @@ def _verdict(
     return blocks
 
 
-def _held_out(run: Saved) -> int:
-    return sum(log["status"] == "held_out" for log in run.json("validation.json")["logs"])
+def _held_out(run: Saved) -> set[str]:
+    """The logs that count, by their bytes and windows: several runs may judge the same."""
+    logs = run.json("validation.json")["logs"]
+    inputs = run.facts.get("inputs", [])
+    digests = [one["sha256"] for one in inputs if one.get("role") == "log"]
+    if len(digests) != len(logs):
+        digests = [f"{run.folder} {index}" for index in range(len(logs))]
+    return {
+        f"{digest} {log.get('scored')}"
+        for digest, log in zip(digests, logs)
+        if log["status"] == "held_out"
+    }
 
 
 def _figure(

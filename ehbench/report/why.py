@@ -204,11 +204,11 @@ def _windows(made: Made) -> Iterator[str]:
     recipe = _table(made.recipe)
     data = recipe.get("data", ())
     for one in data if isinstance(data, list) else ():
-        if isinstance(one, Mapping):
+        if isinstance(one, Mapping) and ("start" in one or "stop" in one):
             ends = [str(one.get(key, word)) for key, word in (("start", "begin"), ("stop", "end"))]
             yield f"{one.get('path', '?')}: {ends[0]} to {ends[1]}"
         else:
-            yield f"{one}: all of it"
+            yield f"{one.get('path', '?') if isinstance(one, Mapping) else one}: all of it"
 
 
 def _table(source: Source) -> dict[str, Any]:

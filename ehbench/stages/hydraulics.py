@@ -27,6 +27,7 @@ from ehbench.stages.base import (
     write_rig,
     write_series,
 )
+from ehbench.stages.fitted_sensors import tables_of
 from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs, Logs, RigState
 
@@ -109,9 +110,8 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
         fits = {name: fitted(one) for name, one in prepared.variants.items()}
         compared = [variant.as_json() for variant in (ranked(fits) if fits else ())]
         write_rig(folder, fit.rig, prepared.state.flow_maps)
-        rundir.write_json(
-            folder / "parameters.json", fit.as_json() | {"dynamics_comparison": compared}
-        )
+        beside = tables_of(recipe.sensor) | {"dynamics_comparison": compared}
+        rundir.write_json(folder / "parameters.json", fit.as_json() | beside)
         write_series(folder / "series", fit.series())
         facts = {
             "rig": fit.rig.name,

@@ -63,7 +63,8 @@ class NextTest:
         if ends is None:
             return f"not known ({number(float(shown(self.rig, name, value)))} is where it starts)"
         low, high = (float(shown(self.rig, name, end)) for end in ends)
-        return estimate(float(shown(self.rig, name, value)), low, high)
+        text = estimate(float(shown(self.rig, name, value)), low, high)
+        return text if "±" in text else f"{text} ({interval(low, high)})"
 
     def _ends(self, ends: tuple[float, float]) -> str:
         return interval(*(float(shown(self.rig, self.known.name, end)) for end in ends))

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ehbench import rundir
 from ehbench.quantities import quantity
@@ -23,7 +23,6 @@ from ehbench.recipe import (
     kind_of,
     load_recipe,
 )
-from ehbench.recipe.sensor import Sensor
 from ehbench.stages.base import (
     DONE,
     INCOMPLETE,
@@ -37,8 +36,8 @@ from ehbench.stages.base import (
     write_series,
 )
 from ehbench.stages.findings import counted
+from ehbench.stages.fitted_sensors import inherited
 from ehbench.stages.inputs import Inputs, Logs, NamedFiles, RigState
-from ehbench.terms import Z95
 from ehbench.units import from_si
 
 if TYPE_CHECKING:
@@ -75,7 +74,9 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         state = inputs.rig_state(recipe.rig, recipe.flow_maps)
         logs = inputs.logs(recipe.data)
         used, fitted = _fitted_on(state.inputs)
-        sensors, inherited = _sensors(recipe, state)
+        read = [set(record.channels) for _, record in logs.records]
+        every = set.intersection(*read) if read else set()
+        sensors, found = inherited(state.origin, recipe.sensor, every, state.rig)
         taken = []
         models = {}
         if logs.records:
@@ -93,7 +94,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
                 if log.failure is not None:
                     findings.mistake(log.failure)
         _say_fitted(recipe, inputs)
-        findings.notes += inherited
+        findings.notes += found
         asked = ", ".join(_asked(recipe, state.rig)) or "nothing is asked"
         does = f"judges the rig on {counted(recipe.data, 'log')}: {asked}"
         return PreparedJudgement(
@@ -103,7 +104,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
             state,
             logs,
             PreparedValidation(state.rig, recipe.channels, tuple(taken), state.flow_maps),
-            inherited,
+            found,
         )
 
     def work(self, prepared: PreparedJudgement, folder: Path, progress: Progress | None) -> Work:
@@ -134,28 +135,6 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
             cures = [f"{one.sentence}; {one.cure}" for one in verdict.structure.findings[:2]]
             return Work(facts, [*verdict.reasons, *cures], REJECTED)
         return Work(facts, code=INCOMPLETE if losses else DONE)
-
-
-def _sensors(recipe: ValidateRecipe, state: RigState) -> tuple[Sequence[Sensor], tuple[str, ...]]:
-    """(sensors of the recipe, and what the fit behind the rig found of how late the others of all
-    its logs read, held by its standard error; a sentence for each of these).
-    """
-    path, own = state.origin / "parameters.json", {one.channel for one in recipe.sensor}
-    late: dict[str, dict[str, Any]] = {}
-    said = []
-    for row in rundir.read_json(path).get("sensors", []) if path.is_file() else []:
-        channel, word = row["channel"], row["word"]
-        if row["log"] or word not in ("lag", "delay") or channel in own:
-            continue
-        value, std = max(row["value"], 0.0), row["std"]
-        late.setdefault(channel, {"channel": channel})[word] = (
-            {"value": f"{value!r} s", "std": f"{std!r} s"} if std > 0.0 else f"{value!r} s"
-        )
-        said.append(
-            f"{channel} is taken to have a {word} of {1e3 * value:.2g} ± {1e3 * Z95 * std:.2g} ms, "
-            "as the fit of this rig found; a [[sensor]] table of the recipe goes before it"
-        )
-    return (*recipe.sensor, *map(Sensor.model_validate, late.values())), tuple(said)
 
 
 def _asked(recipe: ValidateRecipe, rig: Rig) -> list[str]:

@@ -96,6 +96,12 @@ def padded(*cases):
             "mechanism.joint is no list (write [[mechanism.joint]] for each entry)",
         ),
         (
+            'flow_limit = "60 L/min"',
+            'flow_limit = "60 L/min"\naccumulator = 3',
+            "accumulator = 3 is no table (write accumulator = { gas_volume = …, ",
+            "accumulator",
+        ),
+        (
             'mass = "200 kg"',
             'mas = "200 kg"',
             "mechanism.joint 'boom': unknown key 'mas' (did you mean 'mass'?)",

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from ehbench.errors import InsufficientData
+from ehbench.identification.flow_cells import Cells
 from ehbench.identification.flow_map import (
     FlowMapOptions,
     FlowReadings,
@@ -18,6 +19,9 @@ from ehbench.identification.flow_map import (
     fit_flow_map,
     fit_flow_maps,
 )
+from ehbench.identification.flow_opening import _places
+from ehbench.identification.flow_spline import Axis
+from ehbench.identification.flow_steps import Shape, likeliest_smoothing
 from ehbench.physics.flow_map import FlowMap, collect, dump_flow_maps
 from ehbench.readers import merge_flowmeter, read_flowmeter
 
@@ -678,3 +682,28 @@ def test_a_speed_map_goes_by_the_command_alone():
     mixed = {**data, "pressure_drop": np.where(data["trial"] == 1, 3e6, np.nan)}
     with pytest.raises(InsufficientData, match="with a pressure drop and readings without"):
         fit(mixed)
+
+
+def close_commands(gap):
+    """A shape with kinks between commands that hysteresis set ``gap`` [V] apart, and its cells."""
+    above = np.array(
+        [1.55, 1.8, 2.1, 2.6, 3.2, 4, 5, 6, 6.6, 7.9, 8.5, *(9.6 + gap * np.arange(4)), 10]
+    )
+    u, s = np.repeat(above, 6), np.tile(np.linspace(0.25, 1.0, 6), above.size)
+    y = (u - 1.4) / 8.6 * s
+    cells = Cells(u, s, y, np.full(u.size, 1e4), np.full(u.size, 2), y, 10)
+    kinks = (5.5, 9.6 + 0.5 * gap, 9.6 + 2.5 * gap)
+    axis = Axis(np.linspace(0.0, 1.0, 25), 3).graded(3.0)
+    return Shape(1.416, above, axis, np.ones(2), kinks), cells
+
+
+def test_kinks_close_together_leave_the_penalty_its_digits():
+    """The least eigenvalue is of bends far from them, however narrow their spans; smoothing that
+    the arithmetic cannot carry is not likely, and no end of the fit. None is looked for there.
+    """
+    least = [close_commands(gap)[0].spline().along_u.eigen[1] for gap in (0.02, 0.005, 0.002)]
+    np.testing.assert_allclose(least, least[0], rtol=1e-3)
+    shape, cells = close_commands(0.02)
+    assert np.isfinite(likeliest_smoothing(shape, cells)[1])
+    places = np.array(_places(shape.above, ()))
+    assert places.size and not ((places > 9.6) & (places < 9.66)).any()

@@ -7,15 +7,18 @@ import math
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 import tomli_w
 
 from ehbench import workflow
 from ehbench.errors import InputError
+from ehbench.identification.changes import changes
 from ehbench.identification.suggestions import suggest
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
 from ehbench.logs import write_log
 from ehbench.recipe import load_rig
+from ehbench.record import Record
 from ehbench.rundir import read_json
 from tests.structure_study import LONG, Fault, faults, log_of, spoilt
 from tests.suggestion_study import right, suggested
@@ -122,3 +125,23 @@ def test_a_fit_that_begins_at_that_of_a_part_ends_no_worse():
     whole = identify_hydraulics(rig_of(), [("log", log)], more, FitOptions(start=start))
     level = [sum(map(math.log, one.logs[0].residual_rms.values())) for one in (part, whole)]
     assert level[1] < level[0] + 0.01
+
+
+def test_valves_with_one_dynamics_share_its_changes():
+    """Of four poppets their common lag and one delay for all are tried, and each once."""
+    rig = rig_of("boom_four_valve")
+    t = np.arange(200) * 0.01
+    moved = {f"boom.{valve}.command": 3.0 * (t > 0.5) for valve in ("ht", "sh", "sr", "rt")}
+    log = Record(t, moved | {f"boom.{one}": t for one in ("qd", "p_head", "p_rod")})
+    found = changes(rig, ["boom"], ["boom.qd", "boom.p_head", "boom.p_rod"], [log], (), {})
+    lags = [one.parameters for one in found if one.kind == "lag"]
+    assert lags == [("poppet.natural_frequency",)]
+    (delay,) = [one for one in found if one.kind == "delay"]
+    assert delay.parameters == ("boom_delay.delay",)
+    altered = delay.altered(rig)
+    assert {one.series for one in altered.cylinder[0].valve} == {("poppet", "boom_delay")}
+    still = Record(t, {**log.channels, "boom.ht.command": 0.0 * t})
+    (fewer,) = [one for one in changes(rig, ["boom"], [], [still], (), {}) if one.kind == "delay"]
+    assert (
+        fewer.about == "boom.sh+sr+rt" and len(fewer.altered(rig).cylinder[0].valve[0].series) == 1
+    )

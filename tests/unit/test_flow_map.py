@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from scipy.interpolate import BSpline
 
 from ehbench.errors import InputError
 from ehbench.identification.flow_spline import Axis, Spline, non_negative
+from ehbench.identification.readings import _fitted
 from ehbench.physics.flow_map import (
     FlowMap,
     UnknownValve,
@@ -405,3 +407,20 @@ def test_a_splines_bands_and_increments_are_those_of_the_full_matrices():
     slope = spline.over_steps(full @ held - right)
     at_floor = spline.increments(held - spline.floor).ravel() < 1e-9
     assert np.abs(slope[~at_floor]).max() < 1e-8 and slope[at_floor].min() > -1e-8
+
+
+def test_a_reading_is_compared_on_its_side_of_the_hysteresis():
+    """``fitted`` of points.csv is what the fit makes of a reading, not the middle of both sides;
+    the map where the fit has nothing of its own, or the meter was silent.
+    """
+    one = a_map()
+    command, drop = np.array([4.0, 4.0, 6.0, 6.0]), np.full(4, 2.0e6)
+    level = np.asarray(one.flow(drop, command))
+    side = np.array([-0.03, 0.03, 0.0, 0.0]) * one.rated_flow
+    error = np.array([1e-3, -1e-3, 0.0, np.nan]) * one.rated_flow
+    flow = level + side + error
+    flow[2:] = 0.5 * level[2:]  # below the meter's limit; at a drop of which there is no residual
+    fit = SimpleNamespace(map=one, residuals=error)
+    found = _fitted(fit, SimpleNamespace(command=command, flow=flow), drop)
+    np.testing.assert_allclose(found[:2], (level + side)[:2], rtol=1e-9)
+    np.testing.assert_array_equal(found[2:], level[2:])

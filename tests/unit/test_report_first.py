@@ -18,7 +18,7 @@ from ehbench.report import build, draw
 from ehbench.recipe import load_rig
 from ehbench.report.blocks import Cell, Grid
 from ehbench.report.dark import dark
-from ehbench.report.first_screen import _cards
+from ehbench.report.first_screen import _cards, _held_out
 from ehbench.report.headlines import Findings, Headline, findings_of, silence
 from ehbench.report.saved import Saved, Table
 from ehbench.report.rig_table import rig_table
@@ -69,6 +69,20 @@ def test_a_verdict_stands_on_the_first_screen_with_its_reasons(folders):
     table = json.loads((folders[1] / "validation.json").read_text())
     assert ("Model accepted" if table["accepted"] else "Model rejected") in told
     assert all(reason.lower().rstrip(".")[:40] in told.lower() for reason in table["reasons"][:2])
+
+
+def test_a_log_that_two_runs_judged_counts_once(tmp_path):
+    logs = [{"status": "held_out", "scored": None}, {"status": "seen", "scored": None}]
+    digests = {"a": ("1", "2"), "b": ("1", "3"), "c": ("4", "2")}
+    runs = []
+    for name, both in digests.items():
+        (tmp_path / name).mkdir()
+        write_json(tmp_path / name / "validation.json", {"logs": logs})
+        inputs = [{"role": "log", "path": "x", "sha256": one} for one in both]
+        write_json(tmp_path / name / "run.json", {"stage": "x", "name": name, "inputs": inputs})
+        runs.append(Saved(tmp_path / name))
+    assert len(_held_out(runs[0]) | _held_out(runs[1])) == 1
+    assert len(_held_out(runs[0]) | _held_out(runs[2])) == 2
 
 
 def test_no_row_of_the_chapters_is_a_wall_of_numbers(folders):

@@ -1,0 +1,73 @@
+"""A validation reads its logs as the fit of its rig found their sensors to be."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from ehbench.recipe import load_rig
+from ehbench.recipe.sensor import Sensor
+from ehbench.sensors import ATMOSPHERE
+from ehbench.stages.fitted_sensors import inherited, tables_of
+
+ROOT = Path(__file__).parents[2]
+CHANNELS = ("boom.q", "boom.p_head", "boom.p_rod", "boom.sh.command", "boom.sr.command")
+
+
+def row(channel: str, word: str, value: float, std: float, log: str = "") -> dict:
+    return {"channel": channel, "word": word, "value": value, "std": std, "log": log}
+
+
+@pytest.fixture
+def run(tmp_path) -> Path:
+    told = [
+        Sensor.model_validate(one)
+        for one in (
+            {"channel": "boom.q", "offset": "estimate"},
+            {"channel": "boom.p_head", "pressure": "absolute", "offset": "estimate"},
+            {"channel": "boom.p_rod", "offset": "estimate", "per_log": True},
+            {"channel": "boom.sh.command", "sign": -1, "scale": "estimate"},
+            {"channel": "boom.sr.command", "offset": "0.2 V"},
+            {"channel": "boom.x", "scale": "estimate"},
+        )
+    ]
+    found = [
+        row("boom.q", "offset", 0.07, 0.005),
+        row("boom.p_head", "offset", ATMOSPHERE + 3e4, 1e3),
+        row("boom.p_rod", "offset", 2e4, 1e3, log="a"),
+        row("boom.sh.command", "scale", -1.05, 0.01),
+        row("boom.x", "scale", 1.1, 0.01),
+    ]
+    text = json.dumps({"sensors": found} | tables_of(told))
+    (tmp_path / "parameters.json").write_text(text)
+    return tmp_path
+
+
+def test_what_a_fit_found_of_its_sensors_is_taken_over(run):
+    rig = load_rig(ROOT / "recipes/rigs/boom_four_valve.toml")
+    sensors, said = inherited(run, (), CHANNELS, rig)
+    by = {one.channel: one for one in sensors}
+    assert set(by) == set(CHANNELS)  # not of the stroke, which these logs do not have
+    assert float(by["boom.q"].offset) == 0.07 and by["boom.q"].offset.std == 0.005
+    assert float(by["boom.p_head"].offset) == pytest.approx(3e4)  # above the atmosphere
+    assert by["boom.p_head"].pressure == "absolute"
+    assert by["boom.p_rod"].offset == "estimate" and by["boom.p_rod"].per_log
+    assert float(by["boom.sh.command"].scale) == 1.05 and by["boom.sh.command"].sign == -1
+    assert float(by["boom.sr.command"].offset) == 0.2 and by["boom.sr.command"].offset.std is None
+    text = "\n".join(said)
+    assert "boom.q is taken to have an offset of 4 ± 0.56 deg, as the fit of this rig" in text
+    assert "boom.sh.command is taken to be read with sign -1" in text
+    assert "boom.p_rod is taken to be read with offset of each log by itself" in text
+    assert "boom.sr.command is taken to be read with offset 0.2 V" in text
+
+
+def test_a_table_of_the_recipe_goes_before_it_and_none_is_none(run, tmp_path):
+    rig = load_rig(ROOT / "recipes/rigs/boom_four_valve.toml")
+    own = (Sensor.model_validate({"channel": "boom.q", "offset": "1 deg"}),)
+    sensors, said = inherited(run, own, CHANNELS, rig)
+    assert sensors[0] is own[0] and [one.channel for one in sensors].count("boom.q") == 1
+    assert not any("boom.q" in one for one in said)
+    assert inherited(tmp_path / "none", own, CHANNELS, rig) == (own, ())
+    assert tables_of(()) == {}
