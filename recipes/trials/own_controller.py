@@ -20,15 +20,9 @@ class PositionFeedback:
         controlled.
         """
         (self.valve,) = (name for name in rig.valves if name.startswith(rig.cylinder + "."))
-        edge = next(
-            e
-            for c, v, e in rig.rig.edges()
-            if c.name == rig.cylinder and (e.from_, e.to) == ("supply", "head")
-        )
+        edge = next(e for c, v, e in rig.rig.edges() if c.name == rig.cylinder and (e.from_, e.to) == ("supply", "head"))
         drop = 0.5 * float(rig.rig.supply.pressure)
-        self.volts = rig.circuit.area_head / (
-            float(edge.flow_gain) * drop**0.5
-        )  # [V per m/s] at half the supply pressure
+        self.volts = rig.circuit.area_head / (float(edge.flow_gain) * drop**0.5)  # [V per m/s] at half the supply pressure
         self.position = rig.cylinder + ".x"
 
     def step(self, t, sample, desired) -> dict[str, float]:
