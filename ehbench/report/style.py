@@ -115,12 +115,14 @@ def thin(t: np.ndarray, y: np.ndarray, buckets: int = BUCKETS) -> tuple[np.ndarr
     if t.size <= 4 * buckets:
         return t, y
     ends = np.linspace(0, t.size, buckets + 1).astype(int)
-    kept = {0, t.size - 1}
-    for low, high in zip(ends[:-1], ends[1:], strict=True):
-        part = y[low:high]
-        if np.any(np.isfinite(part)):
-            kept |= {low + int(np.nanargmin(part)), low + int(np.nanargmax(part))}
-    at = np.array(sorted(kept))
+    bucket = np.repeat(np.arange(buckets), np.diff(ends))
+    some = np.logical_or.reduceat(np.isfinite(y), ends[:-1])
+    kept = [np.array([0, t.size - 1])]
+    for extreme in (np.fmin, np.fmax):
+        hits = np.flatnonzero(y == extreme.reduceat(y, ends[:-1])[bucket])
+        which, first = np.unique(bucket[hits], return_index=True)
+        kept.append(hits[first[some[which]]])
+    at = np.unique(np.concatenate(kept))
     return t[at], y[at]
 
 
