@@ -50,6 +50,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     }
 
 
+@pytest.mark.slow
 def test_the_same_campaign_twice_gives_the_same_bytes(slide_runs, tmp_path):
     recipe = ROOT / "recipes" / "slide_servo" / "campaign.toml"
     made = workflow.run(recipe, workflow.Session(root=tmp_path / "again"))
@@ -59,6 +60,7 @@ def test_the_same_campaign_twice_gives_the_same_bytes(slide_runs, tmp_path):
     assert [name for name in one if one[name] != two[name]] == []
 
 
+@pytest.mark.slow
 def test_the_pump_cylinder_is_identified_and_accepted(undrawn, tmp_path):
     """From the logs of its virtual rig slip and damping are found; the held-out log follows."""
     made = workflow.run(
@@ -73,6 +75,7 @@ def test_the_pump_cylinder_is_identified_and_accepted(undrawn, tmp_path):
         assert by_name[name]["status"] == "estimated"
 
 
+@pytest.mark.slow
 def test_a_run_that_stands_is_kept_and_a_damaged_one_is_made_again(slide_runs, undrawn, tmp_path):
     recipe = ROOT / "recipes" / "slide_servo" / "validation.toml"
     (stands,) = slide_runs.glob("hydraulics_*")
