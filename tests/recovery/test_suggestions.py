@@ -47,7 +47,6 @@ def test_the_cure_of_a_built_fault_comes_first(kind):
     assert bool(first.rig_lines) == (kind in ("saturation", "delay"))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["slide_servo", "crane_proportional"])
 def test_a_sound_fit_gets_no_suggestion(name):
     found = suggested(name, rig_of(name), Fault("none", "", rig_of(name)), 21, STEPS, length=SHORT)
