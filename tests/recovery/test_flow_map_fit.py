@@ -435,6 +435,7 @@ KINK_CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", KINK_CASES)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_kink_at_the_compensators_drop_is_followed_and_covered(case, seed):
