@@ -7,7 +7,7 @@ INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 PIN     = --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url \
           --no-annotate -q
 
-.PHONY: thesis test tests fuzz format lint types docs reference site bench example study datasets warm setup dev \
+.PHONY: thesis test tests quick fuzz format lint types docs reference site bench example study datasets warm setup dev \
         requirements clean
 
 thesis: setup            ## run the whole thesis campaign and print the report's path
@@ -18,6 +18,9 @@ test:                    ## all gates, side by side: what must hold before a cha
 
 tests: dev             ## the tests alone, in parallel
 	$(BIN)/python -m pytest -n $(CORES) --dist worksteal
+
+quick: dev             ## the tests but the slow ones, while one works; says how many are left out
+	$(BIN)/python -m pytest -n $(CORES) --dist worksteal -m "not slow"
 
 fuzz: dev                ## 100 000 inputs made wrong on purpose, and what became of them
 	$(BIN)/python tests/fuzz/fuzzer.py

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -79,7 +80,7 @@ class Record:
     def __contains__(self, name: str) -> bool:
         return name == "t" or name in self.channels
 
-    @property
+    @cached_property
     def sample_time(self) -> float:
         """Median time between samples [s]."""
         return float(np.median(np.diff(self.t))) if self.t.size > 1 else float("nan")

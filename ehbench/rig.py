@@ -955,13 +955,18 @@ class Rig(FileModel):
             found |= {f"{edge_name}.{name}": value for name, value in scalars(edge)}
         return found
 
-    def with_values(self, values: Mapping[str, Value | float]) -> Rig:
+    def with_values(
+        self, values: Mapping[str, Value | float], known: Mapping[str, Value] | None = None
+    ) -> Rig:
         """This rig with parameters replaced, addressed as in ``parameters``.
+
+        Args:
+            known: its ``parameters()``, where they are at hand: to gather them takes longest.
 
         Raises:
             InputError: no such parameter; names the nearest.
         """
-        known = self.parameters()
+        known = self.parameters() if known is None else known
         for name in values:
             if name not in known:
                 near = get_close_matches(name, known, 1)

@@ -24,6 +24,30 @@ from ehbench import cli, starter, workflow  # noqa: E402
 from ehbench.report.index import FigureIndex  # noqa: E402
 
 ROOT = Path(__file__).parents[1]
+_LEFT = pytest.StashKey[int]()  # how many tests the words after -m leave out
+
+
+def pytest_deselected(items: list[pytest.Item]) -> None:
+    """Count what is left out; a worker hands its count to the process that prints."""
+    config = items[0].config
+    config.stash[_LEFT] = config.stash.get(_LEFT, 0) + len(items)
+    if hasattr(config, "workeroutput"):
+        config.workeroutput["left"] = config.stash[_LEFT]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node) -> None:
+    """Take a worker's count; all of them leave out the same."""
+    if left := getattr(node, "workeroutput", {}).get("left"):
+        node.config.stash[_LEFT] = left
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say how much a run without the slow tests leaves open."""
+    config = terminalreporter.config
+    left = config.stash.get(_LEFT, 0)
+    if left and config.option.markexpr == "not slow":
+        terminalreporter.write_line(f"{left} slow tests were left out: `make test` runs them too")
 
 
 @pytest.fixture(scope="session")

@@ -44,8 +44,8 @@ class Kink:
 def let_fall(shape: Shape, cells: Cells) -> Shape:
     """Lets the flow fall above an opening, where the readings are far likelier so."""
     spline = replace(shape, rising=np.inf).spline()
-    _, gram, right = normal_equations(spline, cells)
-    free, determinant = spline.free(spline.banded(gram), right, shape.smoothing)
+    band, right = normal_equations(spline, cells)
+    free, determinant = spline.free(band, right, shape.smoothing)
     total = float(cells.weight @ cells.y**2)
     least = deviance(max(total - float(right @ free), 1e-12), cells) + determinant
     risen = solve(replace(shape, rising=np.inf), spline, cells)[1]

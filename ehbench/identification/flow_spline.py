@@ -7,6 +7,7 @@ the drop. Each coefficient meets a few neighbours only, so the penalised normal 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from functools import cache
 from typing import Any
@@ -60,11 +61,13 @@ class Axis:
     squared curvature.
     """
 
-    def __init__(self, breaks: np.ndarray, degree: int) -> None:
+    def __init__(
+        self, breaks: np.ndarray, degree: int, stiffness: np.ndarray | None = None
+    ) -> None:
         self.breaks, self.pieces = breaks, bspline_pieces(breaks, degree)
         self.size, self.kink = self.pieces.shape[1] - 1, False
         self.mass = _gram(self.pieces, breaks, 0)[1:, 1:]
-        self.stiffen(np.ones(breaks.size - 1))
+        self.stiffen(np.ones(breaks.size - 1) if stiffness is None else stiffness)
         knots = np.concatenate([breaks[:1].repeat(degree), breaks, breaks[-1:].repeat(degree)])
         self.centres = np.convolve(knots, np.full(degree, 1.0 / degree), "valid")[
             2:-1
@@ -112,9 +115,22 @@ class Axis:
 
     def at(self, x: np.ndarray) -> np.ndarray:
         """Values at x, shape (points, splines)."""
-        j = np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, self.breaks.size - 2)
+        j = self._span(x)
         powers = (x - self.breaks[j])[:, None] ** np.arange(self.pieces.shape[-1])
         return np.einsum("xkp,xp->xk", self.pieces[j, 1:], powers)
+
+    def near(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(number of the first spline that is not zero at x, values of it and those after it, shape
+        (points, degree + 1)); number −1 is the spline left out, its value zero.
+        """
+        j, width = self._span(x), self.pieces.shape[-1]
+        own = self.pieces[j[:, None], j[:, None] + np.arange(width)]
+        values = np.einsum("xkp,xp->xk", own, (x - self.breaks[j])[:, None] ** np.arange(width))
+        values[j == 0, 0] = 0.0
+        return j - 1, values
+
+    def _span(self, x: np.ndarray) -> np.ndarray:
+        return np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, self.breaks.size - 2)
 
 
 class OneColumn(Axis):
@@ -130,6 +146,9 @@ class OneColumn(Axis):
 
     def at(self, x: np.ndarray) -> np.ndarray:
         return np.ones((x.size, 1))
+
+    def near(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.zeros(x.size, int), np.ones((x.size, 1))
 
 
 class Spline:
@@ -159,22 +178,18 @@ class Spline:
         kinks = tuple(kink for kink in kinks if above[0] < kink < self.top)
         for kink in kinks:
             inner = _kinked(inner, above, kink)
-        self.along_u = Axis(
-            np.concatenate([[0.0], (inner - deadband) / (self.top - deadband), [1.0]]), 2
-        )
-        if soft or kinks:
-            stiffness = np.ones(inner.size + 1)
-            stiffness[: 2 * soft] = _SOFT
-            stiffness[[int(np.searchsorted(inner, kink)) for kink in kinks]] = _SHARP
-            self.along_u.stiffen(stiffness)
+        stiffness = np.ones(inner.size + 1)
+        stiffness[: 2 * soft] = _SOFT
+        stiffness[[int(np.searchsorted(inner, kink)) for kink in kinks]] = _SHARP
+        breaks = np.concatenate([[0.0], (inner - deadband) / (self.top - deadband), [1.0]])
+        self.along_u = Axis(breaks, 2, stiffness)
         self.along_s = along_s
         self.rows, self.columns = self.along_u.size, along_s.size
         self.sign = self._signs(rising)
-        self.bend_u, self.bend_s = (
-            np.kron(self.along_u.bend, along_s.mass),
-            np.kron(self.along_u.mass, along_s.bend),
+        self.bands = (
+            self._kron(self.along_u.bend, along_s.mass),
+            self._kron(self.along_u.mass, along_s.bend),
         )
-        self.bands = self.banded(self.bend_u), self.banded(self.bend_s)
         self.mass = (
             self.columns * np.linalg.slogdet(self.along_u.mass)[1]
             + self.rows * np.linalg.slogdet(along_s.mass)[1]
@@ -190,50 +205,115 @@ class Spline:
         x = np.clip((u - self.deadband) / (self.top - self.deadband), 0.0, 1.0)
         return (self.along_u.at(x)[:, :, None] * self.along_s.at(s)[:, None, :]).reshape(x.size, -1)
 
-    def banded(self, matrix: np.ndarray) -> np.ndarray:
-        """The lower band of a symmetric matrix over the coefficients: splines meet their neighbours
-        only.
+    def _kron(self, of_u: np.ndarray, of_s: np.ndarray) -> np.ndarray:
+        """The lower band of the Kronecker product of symmetric matrices along u and s."""
+        lines, in_u, in_s = _band_places(self.rows, self.columns)
+        band = np.zeros((2 * self.columns + 4, self.rows * self.columns))
+        band[lines] = of_u.ravel()[in_u] * of_s.ravel()[in_s]
+        return band
+
+    def normal(
+        self, u: np.ndarray, s: np.ndarray, weight: np.ndarray, y: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(lower band of the normal matrix, right side) of weighted flows at openings [V] and
+        scaled roots: a flow meets few splines, so the sums are over these alone.
         """
-        column = np.arange(len(matrix))
-        row = column + np.arange(2 * self.columns + 4)[:, None]
-        return matrix[np.minimum(row, column[-1]), column]
+        x = np.clip((u - self.deadband) / (self.top - self.deadband), 0.0, 1.0)
+        (row, of_u), (column, of_s) = self.along_u.near(x), self.along_s.near(s)
+        wide, tall = of_s.shape[1], 2 * self.columns + 4
+        values = (of_u[:, :, None] * of_s[:, None, :]).reshape(u.size, -1)
+        steps = (self.columns * np.arange(of_u.shape[1])[:, None] + np.arange(wide)).ravel()
+        # what is left out stands before the first coefficient, its value zero
+        out = self.columns + 1
+        first, total = row * self.columns + column + out, self.rows * self.columns + out
+        high, low = np.tril_indices(steps.size)
+        at = (steps[high] - steps[low]) * total + first[:, None] + steps[low]
+        terms = weight[:, None] * values[:, high] * values[:, low]
+        band = np.bincount(at.ravel(), terms.ravel(), tall * total).reshape(tall, total)
+        right = np.bincount(
+            (first[:, None] + steps).ravel(), ((weight * y)[:, None] * values).ravel(), total
+        )
+        return band[:, out:], right[out:]
+
+    def penalised(self, band: np.ndarray, smoothing: np.ndarray) -> np.ndarray:
+        """The lower band of the penalised normal matrix."""
+        return band + smoothing[0] * self.bands[0] + smoothing[1] * self.bands[1]
 
     def free(self, band: np.ndarray, right: np.ndarray, smoothing: np.ndarray):
         """(coefficients without the constraint, log determinant of the penalised normal matrix over
         the prior's).
-        """
-        from scipy.linalg import lapack
 
-        routines: Any = lapack  # what scipy.linalg calls, without its looks at the arguments
-        band = band + smoothing[0] * self.bands[0] + smoothing[1] * self.bands[1]
-        factor, info = routines.dpbtrf(band, lower=True)
-        if info:
-            raise np.linalg.LinAlgError(f"the normal matrix is not positive definite ({info})")
+        Args:
+            band: of the normal matrix, as `normal` gives it.
+        """
+        factor = cholesky(self.penalised(band, smoothing))
         prior = (
             smoothing[0] * self.along_u.eigen[:, None] + smoothing[1] * self.along_s.eigen
         ).ravel()[1:]
         determinant = 2 * np.log(factor[0]).sum() - self.mass - np.log(prior).sum()
-        return routines.dpbtrs(factor, right, lower=True)[0], determinant
+        return solved(factor, right), determinant
 
-    def matrix(self, gram: np.ndarray, smoothing: np.ndarray) -> np.ndarray:
-        """The penalised normal matrix."""
-        return gram + smoothing[0] * self.bend_u + smoothing[1] * self.bend_s
-
-    def solve(self, gram: np.ndarray, right: np.ndarray, smoothing: np.ndarray):
+    def solve(self, band: np.ndarray, right: np.ndarray, smoothing: np.ndarray):
         """(coefficients with increments along u of at least those of ``floor``, or at most where
         the flow falls; determinant as ``free``).
         """
-        free, determinant = self.free(self.banded(gram), right, smoothing)
+        free, determinant = self.free(band, right, smoothing)
         wrong = self.sign * self.increments(free - self.floor).ravel() < 0
         if not wrong.any():
             return free, determinant
-        matrix = self.matrix(gram, smoothing)
-        right = self.sign * self.over_steps(right - matrix @ self.floor)
-        steps = self.over_steps(self.over_steps(matrix).T)
-        steps = self.sign * non_negative(self.sign[:, None] * steps * self.sign, right, wrong)
-        return self.floor + np.cumsum(
-            steps.reshape(self.rows, self.columns), axis=0
-        ).ravel(), determinant
+        band = self.penalised(band, smoothing)
+        right = right - times(band, self.floor)
+
+        def slope(above: np.ndarray) -> np.ndarray:
+            return self.sign * self.over_steps(times(band, above) - right)
+
+        def grown(above: np.ndarray) -> np.ndarray:
+            return self.sign * self.increments(above).ravel()
+
+        above = pivoted(lambda zero: self._tied(band, right, zero), grown, slope, wrong)
+        if above is None:
+            above = self._by_nnls(band, right)
+        return self.floor + above, determinant
+
+    def _tied(self, band: np.ndarray, right: np.ndarray, zero: np.ndarray) -> np.ndarray:
+        """Coefficients of least ½·cᵀ·matrix·c − rightᵀ·c of which some do not grow along u: each of
+        these is that of the opening before, or zero.
+        """
+        size = right.size
+        own = np.where(zero, -1, np.cumsum(~zero) - 1).reshape(self.rows, self.columns)
+        at = np.arange(size).reshape(own.shape)
+        last = np.maximum.accumulate(np.where(own >= 0, at, -1), axis=0).ravel()
+        own = np.append(own.ravel(), -1)[last]  # which unknown each coefficient is, −1 for zero
+        count = int(np.count_nonzero(~zero))
+        if not count:
+            return np.zeros(size)
+        lines = _band_places(self.rows, self.columns)[0]
+        column = np.arange(size)
+        row = column + lines[:, None]
+        one, other = own[np.minimum(row, size - 1)], np.broadcast_to(own, row.shape)
+        used = (row < size) & (one >= 0) & (other >= 0)
+        one, other = one[used], other[used]
+        apart = np.abs(one - other)
+        # of two coefficients that are one unknown, both orders count
+        terms = band[lines][used] * np.where((apart == 0) & (row != column)[used], 2.0, 1.0)
+        tall = int(apart.max()) + 1
+        place = apart * count + np.minimum(one, other)
+        tied = np.bincount(place, terms, tall * count).reshape(tall, count)
+        some = own >= 0
+        pull = np.bincount(own[some], right[some], count)
+        return np.append(solved(cholesky(tied), pull), 0.0)[own]
+
+    def _by_nnls(self, band: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """What `solve` looks for, above the floor, by an active set: slow, but it comes to an
+        end.
+        """
+        from scipy.optimize import nnls
+
+        steps = self.over_steps(self.over_steps(full(band)).T)
+        factor = np.linalg.cholesky(self.sign[:, None] * steps * self.sign)
+        pull = np.linalg.solve(factor, self.sign * self.over_steps(right))
+        grown = self.sign * nnls(factor.T, pull, maxiter=50 * right.size)[0]
+        return np.cumsum(grown.reshape(self.rows, self.columns), axis=0).ravel()
 
     def _signs(self, rising: float) -> np.ndarray:
         """1 for each coefficient whose increment along the opening must not be negative, −1 for
@@ -267,25 +347,85 @@ def _kinked(inner: np.ndarray, above: np.ndarray, kink: float) -> np.ndarray:
     return np.sort(np.append(kept, (kink - reach, kink + reach)))
 
 
-def non_negative(matrix: np.ndarray, right: np.ndarray, zero: np.ndarray) -> np.ndarray:
-    """x ≥ 0 of least ½·xᵀ·matrix·x − rightᵀ·x by block pivoting (Portugal, Júdice, Vicente 1994),
-    ``zero`` as a first guess.
+@cache
+def _band_places(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(lines of the lower band over the coefficients in which splines meet, places in the flat
+    matrices along u and along s of what stands there). Below the matrix the last row stands.
     """
-    from scipy.linalg import cho_factor, cho_solve
-    from scipy.optimize import nnls
+    apart = columns * np.arange(3)[:, None] + np.arange(-3, 4)
+    lines = np.unique(apart[(apart >= 0) & (apart < 2 * columns + 4)])
+    column = np.arange(rows * columns)
+    row = np.minimum(column + lines[:, None], column[-1])
+    in_u = row // columns * rows + column // columns
+    return lines, in_u, row % columns * columns + column % columns
 
-    x, zero = np.zeros(right.size), zero.copy()
-    least = 1e-12 * np.abs(right).max()
+
+def _routines() -> Any:
+    """What scipy.linalg calls, without its looks at the arguments."""
+    from scipy.linalg import lapack
+
+    return lapack
+
+
+def cholesky(band: np.ndarray) -> np.ndarray:
+    """Lower band of the Cholesky factor of a symmetric matrix of which the lower band is given.
+
+    Raises:
+        LinAlgError: the matrix is not positive definite.
+    """
+    factor, info = _routines().dpbtrf(band, lower=True)
+    if info:
+        raise np.linalg.LinAlgError(f"the normal matrix is not positive definite ({info})")
+    return factor
+
+
+def solved(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solution for one or several right sides, by the lower band of a Cholesky factor."""
+    return _routines().dpbtrs(factor, right, lower=True)[0]
+
+
+def half_solved(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Inverse of a Cholesky factor, of which the lower band is given, times several columns."""
+    return _routines().dtbtrs(factor, right, uplo="L")[0]
+
+
+def times(band: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Product of a symmetric matrix, of which the lower band is given, with a vector."""
+    from scipy.linalg import blas
+
+    routines: Any = blas
+    return routines.dsbmv(len(band) - 1, 1.0, band, values, lower=True)
+
+
+def full(band: np.ndarray) -> np.ndarray:
+    """The symmetric matrix of which the lower band is given."""
+    size = band.shape[1]
+    matrix = np.zeros((size, size))
+    for k, line in enumerate(band[:size]):
+        np.fill_diagonal(matrix[k:, : size - k], line[: size - k])
+    return matrix + np.tril(matrix, -1).T
+
+
+def pivoted(
+    solve: Callable[[np.ndarray], np.ndarray],
+    steps: Callable[[np.ndarray], np.ndarray],
+    slope: Callable[[np.ndarray], np.ndarray],
+    zero: np.ndarray,
+) -> np.ndarray | None:
+    """The point of a quadratic's least whose ``steps`` are ≥ 0, by block pivoting (Portugal,
+    Júdice, Vicente 1994); None where it goes round in circles.
+
+    Args:
+        solve: the least with the steps that are marked at zero.
+        steps: of a point.
+        slope: derivatives by the steps at a point.
+        zero: a first guess of the steps that are zero.
+    """
+    least = 1e-12 * np.abs(slope(np.zeros(zero.size))).max()
     for _ in range(50):
-        x[zero] = 0.0
-        x[~zero] = cho_solve(
-            cho_factor(matrix[np.ix_(~zero, ~zero)], check_finite=False),
-            right[~zero],
-            check_finite=False,
-        )
-        wrong = np.where(zero, matrix @ x - right < -least, x < 0.0)
+        point = solve(zero)
+        wrong = np.where(zero, slope(point) < -least, steps(point) < 0.0)
         if not wrong.any():
-            return x
-        zero ^= wrong
-    factor = np.linalg.cholesky(matrix)  # it may go round in circles
-    return nnls(factor.T, np.linalg.solve(factor, right), maxiter=50 * right.size)[0]
+            return point
+        zero = zero ^ wrong
+    return None

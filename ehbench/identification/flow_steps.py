@@ -11,7 +11,15 @@ import numpy as np
 
 from ehbench.identification.flow_cells import OUTLIER_SIGMAS, Cells
 from ehbench.identification.flow_readings import Task
-from ehbench.identification.flow_spline import Axis, Spline
+from ehbench.identification.flow_spline import (
+    Axis,
+    Spline,
+    cholesky,
+    full,
+    half_solved,
+    solved,
+    times,
+)
 
 # what must be gained in −2 log likelihood for a curve over the drop that bends more at low drops,
 # for one that bends sharply somewhere, and for taking a cell for one that stands alone: a sound
@@ -22,7 +30,7 @@ _MOST_LONE = 0.05
 _REPEATS = 12
 _COARSE = (-9.0, -7.0, -5.0, -3.0, -1.0)
 
-Normal = tuple[np.ndarray, np.ndarray, np.ndarray]
+Normal = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +53,9 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A fitted spline: coefficients, Cholesky factor of the penalised normal matrix, effective
-    number of parameters, the cells it was judged on and which of them stand alone.
+    """A fitted spline: coefficients, lower band of the Cholesky factor of the penalised normal
+    matrix, effective number of parameters, the cells it was judged on and which of them stand
+    alone.
 
     ``lack`` is the variance of the cells' means about the map over what the noise explains, at
     least 1, and ``widening`` the same without the cells that stand alone: these widen the intervals
@@ -68,17 +77,13 @@ class Solution:
 
     def variance(self, design: np.ndarray) -> np.ndarray:
         """Variance of the scaled flow at rows of a design, from the noise alone."""
-        from scipy.linalg import solve_triangular
-
-        return np.sum(solve_triangular(self.factor, design.T, lower=True) ** 2, axis=0)
+        return np.sum(half_solved(self.factor, design.T) ** 2, axis=0)
 
 
 def normal_equations(spline: Spline, cells: Cells) -> Normal:
-    """(design, normal matrix, right side) of the cells' means."""
-    design = spline.design(cells.u, cells.s)
-    used, root = (cells.weight > 0) & (cells.u > spline.deadband), np.sqrt(cells.weight)
-    rows = root[used, None] * design[used]
-    return design, rows.T @ rows, rows.T @ (root * cells.y)[used]
+    """(lower band of the normal matrix, right side) of the cells' means."""
+    used = (cells.weight > 0) & (cells.u > spline.deadband)
+    return spline.normal(*(a[used] for a in (cells.u, cells.s, cells.weight, cells.y)))
 
 
 def deviance(misfit: float, cells: Cells) -> float:
@@ -111,8 +116,7 @@ def likeliest_smoothing(
     ``u``, ``s``: decadic logarithms of the penalties to begin with; the shape's if none are given.
     """
     spline = shape.spline()
-    _, gram, right = normal or normal_equations(spline, cells)
-    band = spline.banded(gram)
+    band, right = normal or normal_equations(spline, cells)
     total, unit = float(cells.weight @ cells.y**2), float(cells.weight.sum())
 
     def score(point: tuple[float, float]) -> float:
@@ -120,7 +124,7 @@ def likeliest_smoothing(
             free, determinant = spline.free(band, right, 10.0 ** np.array(point) * unit)
         except np.linalg.LinAlgError:  # too little smoothing for the readings to tell a map
             return np.inf
-        return deviance(max(total - right @ free, 1e-12 * total), cells) + determinant
+        return deviance(max(total - float(right @ free), 1e-12 * total), cells) + determinant
 
     now = np.clip(np.round(4 * np.log10(shape.smoothing / unit)) / 4, -12, 0)
     steps = (1.0, 0.5, 0.25) if fine else ()
@@ -184,10 +188,10 @@ def solve(shape: Shape, spline: Spline, cells: Cells) -> tuple[np.ndarray, float
     """(coefficients, −2 log likelihood of the spline's deadband with the scale of the noise left
     free).
     """
-    _, gram, right = normal_equations(spline, cells)
-    c, determinant = spline.solve(gram, right, shape.smoothing)
+    band, right = normal_equations(spline, cells)
+    c, determinant = spline.solve(band, right, shape.smoothing)
     misfit = float(cells.weight @ cells.y**2) + float(
-        c @ (spline.matrix(gram, shape.smoothing) @ c - 2 * right)
+        c @ (times(spline.penalised(band, shape.smoothing), c) - 2 * right)
     )
     return c, deviance(max(misfit, 1e-12), cells) + determinant
 
@@ -195,14 +199,14 @@ def solve(shape: Shape, spline: Spline, cells: Cells) -> tuple[np.ndarray, float
 def judge(task: Task, shape: Shape, cells: Cells, lone: np.ndarray) -> Solution:
     """The fit to the cells but those that stand alone, and how well it meets all."""
     spline, used = shape.spline(), cells.without(lone)
-    design, gram, right = normal_equations(spline, used)
-    factor = np.linalg.cholesky(spline.matrix(gram, shape.smoothing))
-    coefficients, _ = spline.solve(gram, right, shape.smoothing)
-    half = np.linalg.solve(factor, gram)
-    parameters = float(np.trace(np.linalg.solve(factor.T, half)))
+    band, right = normal_equations(spline, used)
+    factor = cholesky(spline.penalised(band, shape.smoothing))
+    coefficients, _ = spline.solve(band, right, shape.smoothing)
+    parameters = float(np.trace(solved(factor, full(band))))
+    meant = spline.design(cells.u, cells.s) @ coefficients
 
     def lack(judged: Cells) -> float:
-        misfit = float(judged.weight @ (judged.y - design @ coefficients) ** 2)
+        misfit = float(judged.weight @ (judged.y - meant) ** 2)
         return max(1.0, misfit / max(judged.weighed - parameters, 1.0))
 
     return Solution(

@@ -269,7 +269,7 @@ class Simulator:
         workers: int,
         step: Step = AUTO,
     ) -> None:
-        self.rig, self.maps = rig, maps
+        self.rig, self.known, self.maps = rig, rig.parameters(), maps
         self.step: Step = step
         self.logs, self.names = tuple(logs), tuple(names)
         self.shared = {t.name for log in logs for t in log.start.terms if not t.per_log}
@@ -282,7 +282,7 @@ class Simulator:
         Raises:
             EhbenchError: there is no such rig.
         """
-        changed = self.rig.with_values(self._by_name(values, False))
+        changed = self.rig.with_values(self._by_name(values, False), self.known)
         return {
             load: Model.of(changed, self.maps, load) for load in {log.payload for log in self.logs}
         }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -186,7 +187,7 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
                 "relief_pressure": math.inf if relief is None else float(relief),
                 "cavitation_pressure": float(rig.oil.cavitation_pressure),
                 "stop_stiffness": _stop_pressure(rig, item) * head / STOP_DEPTH,
-                "mobility": _mobility((kind, links), pins, joint, own["stroke"]),
+                "mobility": _mobility(kind, links.tobytes(), pins, joint, own["stroke"]),
                 "node_head": names.node(index, "head"),
                 "node_rod": names.node(index, "rod"),
                 "friction": names.frictions[index],
@@ -221,13 +222,15 @@ def pins_of(item: Cylinder) -> PinNumbers:
     return (PINS, *lengths, float(pins.sign), phase, float(pins.retracted_length))
 
 
-def _mobility(
-    mechanism: tuple[int, np.recarray], pins: PinNumbers, joint: int, stroke: float
-) -> float:
+@lru_cache(maxsize=64)
+def _mobility(kind: int, packed: bytes, pins: PinNumbers, joint: int, stroke: float) -> float:
     """Largest acceleration at the cylinder per force on it [1/kg] over its stroke, the other joints
     at zero and free.
+
+    Args:
+        packed: bytes of the links. Fits make many plants of one mechanism.
     """
-    kind, links = mechanism
+    links = np.frombuffer(packed, arm.LINK).copy().view(np.recarray)
     n = links.shape[0]
     angles = joint_angle(*pins, np.linspace(0.0, stroke, 5))
     mass, work, q = np.empty((angles.size, n, n)), np.empty(arm.work_size(n)), np.zeros(n)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehbench.errors import InputError, LogError, SimulationError
-from ehbench.parts.cylinder import joint_range_of, linkage_arrays
+from ehbench.parts.cylinder import joint_of, joint_range_of, linkage_arrays
 from ehbench.parts.valve import valve_settle
 from ehbench.parts.valve.delay import line_of
 from ehbench.physics.arm import SLIDE
@@ -250,7 +250,8 @@ class Model:
                     min(max(angle, low), high) if low - slack <= angle <= high + slack else angle
                 )
             elif stroke is not None:
-                wanted[name] = f"{min(max(stroke, 0.0), float(plant.cylinders[index].stroke))!r} m"
+                row = plant.cylinders[index]
+                wanted[name] = float(joint_of(row, min(max(stroke, 0.0), float(row.stroke))))
         for joint in names.joints:
             angle = seen.get(f"{joint}.q")
             if joint not in wanted and angle is not None:

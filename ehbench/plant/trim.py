@@ -148,6 +148,8 @@ def settle_parts(plant: Plant, y: np.ndarray) -> None:
 
 def _low_side(plant: Plant, row: np.record) -> float:
     """Pressure [Pa] of a cylinder's chamber that carries nothing."""
+    if not np.any(plant.edges.law == CHECK):
+        return plant.supply.pressure * LOW_SIDE
     edges = plant.edges_at_chambers
     fed = (edges.law == CHECK) & (edges.from_node == SUPPLY)
     fed &= (edges.to_node == row.node_head) | (edges.to_node == row.node_rod)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
 from ehbench.errors import InputError
 from ehbench.recipe.base import Recipe
-from ehbench.recipe.toml import line_of, read_toml, validated
+from ehbench.recipe.toml import line_of, read_text, read_toml, table_of, validated
 from ehbench.rig import Rig
 from ehbench.text import shortened
 
@@ -25,8 +26,15 @@ def load_rig(path: str | Path) -> Rig:
     path = Path(path)
     if path.is_dir():
         path = path / "rig.toml"
-    table, text = read_toml(path)
-    return validated(Rig, table, text, path)
+    return _rig(read_text(path), path)
+
+
+@lru_cache(maxsize=32)
+def _rig(text: str, path: Path) -> Rig:
+    """The rig of a file's text. A rig cannot be altered, and one campaign reads its file dozens of
+    times.
+    """
+    return validated(Rig, table_of(text, path), text, path)
 
 
 def recipe_kinds() -> dict[tuple[str, str | None], type[Recipe]]:

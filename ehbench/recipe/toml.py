@@ -105,6 +105,16 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     Raises:
         InputError: no such file, not UTF-8, or not TOML, with the line.
     """
+    text = read_text(path)
+    return table_of(text, path), text
+
+
+def read_text(path: Path) -> str:
+    """The text of a TOML file.
+
+    Raises:
+        InputError: no such file, not UTF-8, or empty.
+    """
     try:
         data = read_bytes(path)
     except FileNotFoundError:
@@ -127,8 +137,17 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
         ) from None
     if not text.strip():
         raise InputError("the file is empty", file=path)
+    return text
+
+
+def table_of(text: str, path: Path) -> dict[str, Any]:
+    """The table of a TOML file's text.
+
+    Raises:
+        InputError: it is not TOML, with the line.
+    """
     try:
-        return tomllib.loads(text), text
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         found = re.search(r"\(at line (\d+)", str(error))
         reason = str(error).split(" (at ")[0]

@@ -35,6 +35,7 @@ _RC = {
     "grid.linewidth": 0.7,
     "axes.edgecolor": "#9ca3af",
     "text.color": INK,
+    "text.parse_math": False,
     "axes.labelcolor": INK,
     "xtick.color": INK,
     "ytick.color": INK,
@@ -74,7 +75,7 @@ def canvas(
         try:
             yield figure, axes
             path.parent.mkdir(parents=True, exist_ok=True)
-            _as_written(figure)
+            _let_formulas(figure)
             text = StringIO()
             # savefig would draw twice where a layout engine is on: once for the layout alone
             FigureCanvasSVG(figure).print_svg(text, metadata={"Date": None, "Creator": "ehbench"})
@@ -83,22 +84,24 @@ def canvas(
             plt.close(figure)
 
 
-def _as_written(figure: Figure) -> None:
-    """Names stand in a figure as people wrote them, also with dollar signs; only the labels that
-    an axis makes by itself may be formulas.
+def _let_formulas(figure: Figure) -> None:
+    """Names stand in a figure as people wrote them, also with dollar signs; only the labels that a
+    logarithmic axis makes by itself are formulas.
     """
+    import matplotlib
     from matplotlib.text import Text
     from matplotlib.ticker import LogFormatter
 
-    formulas = set()
-    for axis in (axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)):
-        if isinstance(axis.get_major_formatter(), LogFormatter):
-            formulas |= {id(text) for text in axis.findobj(Text)} - {id(axis.label)}
-        else:
-            axis.get_major_ticks()
-    for text in figure.findobj(Text):
-        if id(text) not in formulas:
-            text.set_parse_math(False)
+    axes = [axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)]
+    logs = [axis for axis in axes if isinstance(axis.get_major_formatter(), LogFormatter)]
+    if not logs:
+        return
+    for axis in axes:
+        axis.get_major_ticks()  # those of names, while these are no formulas
+    for axis in logs:
+        for text in axis.findobj(Text):
+            text.set_parse_math(text is not axis.label)
+    matplotlib.rcParams["text.parse_math"] = True  # of labels to come; the canvas puts it back
 
 
 def shades(count: int) -> list:
@@ -115,12 +118,14 @@ def thin(t: np.ndarray, y: np.ndarray, buckets: int = BUCKETS) -> tuple[np.ndarr
     if t.size <= 4 * buckets:
         return t, y
     ends = np.linspace(0, t.size, buckets + 1).astype(int)
-    kept = {0, t.size - 1}
-    for low, high in zip(ends[:-1], ends[1:], strict=True):
-        part = y[low:high]
-        if np.any(np.isfinite(part)):
-            kept |= {low + int(np.nanargmin(part)), low + int(np.nanargmax(part))}
-    at = np.array(sorted(kept))
+    bucket = np.repeat(np.arange(buckets), np.diff(ends))
+    some = np.logical_or.reduceat(np.isfinite(y), ends[:-1])
+    kept = [np.array([0, t.size - 1])]
+    for extreme in (np.fmin, np.fmax):
+        hits = np.flatnonzero(y == extreme.reduceat(y, ends[:-1])[bucket])
+        which, first = np.unique(bucket[hits], return_index=True)
+        kept.append(hits[first[some[which]]])
+    at = np.unique(np.concatenate(kept))
     return t[at], y[at]
 
 

@@ -16,6 +16,7 @@ ROOT = Path(__file__).parents[2]
 RECIPES = sorted((ROOT / "recipes").rglob("*.toml"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", RECIPES, ids=lambda p: p.relative_to(ROOT / "recipes").as_posix())
 def test_every_recipe_and_all_it_names_is_sound(path):
     if path.parent.name == "real" and not os.environ.get("EHBENCH_DATA"):
@@ -50,6 +51,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     }
 
 
+@pytest.mark.slow
 def test_the_same_campaign_twice_gives_the_same_bytes(slide_runs, tmp_path):
     recipe = ROOT / "recipes" / "slide_servo" / "campaign.toml"
     made = workflow.run(recipe, workflow.Session(root=tmp_path / "again"))
@@ -59,6 +61,7 @@ def test_the_same_campaign_twice_gives_the_same_bytes(slide_runs, tmp_path):
     assert [name for name in one if one[name] != two[name]] == []
 
 
+@pytest.mark.slow
 def test_the_pump_cylinder_is_identified_and_accepted(undrawn, tmp_path):
     """From the logs of its virtual rig slip and damping are found; the held-out log follows."""
     made = workflow.run(
@@ -73,6 +76,7 @@ def test_the_pump_cylinder_is_identified_and_accepted(undrawn, tmp_path):
         assert by_name[name]["status"] == "estimated"
 
 
+@pytest.mark.slow
 def test_a_run_that_stands_is_kept_and_a_damaged_one_is_made_again(slide_runs, undrawn, tmp_path):
     recipe = ROOT / "recipes" / "slide_servo" / "validation.toml"
     (stands,) = slide_runs.glob("hydraulics_*")

@@ -80,6 +80,7 @@ def test_init_leaves_a_full_folder_alone(inside, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
 
 
+@pytest.mark.slow
 def test_a_new_workspace_runs_as_it_stands(workspace, inside):
     """The commands of the workspace's own README, in order."""
     commands = re.findall(r"^    ehbench (.+)$", (workspace / "README.md").read_text(), re.M)
@@ -232,6 +233,7 @@ def test_a_terminated_run_leaves_nothing(workspace, tmp_path):
     assert not left
 
 
+@pytest.mark.slow
 def test_same_recipe_same_bytes(workspace, inside, tmp_path):
     """In this process and in one of its own."""
     for name, run in (("one", inside), ("two", ehbench)):

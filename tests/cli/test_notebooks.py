@@ -13,6 +13,7 @@ FOLDER = ROOT / "docs" / "notebooks"
 BOOKS = sorted(FOLDER.glob("*.ipynb"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", BOOKS, ids=lambda path: path.stem)
 def test_every_cell_runs_and_none_holds_outputs(path, undrawn, tmp_path, monkeypatch, capsys):
     """As they stand in the repository: no outputs, so that none can be out of date."""

@@ -33,6 +33,7 @@ def installed(tmp_path_factory):
     return target
 
 
+@pytest.mark.slow
 def test_a_wheel_finds_the_campaigns_that_ship(installed, tmp_path):
     """And says the same version of the code as the checkout that it was made from."""
     code = (

@@ -43,6 +43,7 @@ def changed(recipes: Path, file: str, old: str, new: str) -> Path:
 
 # file, what stands there, what is written instead, words of the error, which is on the line behind
 # ‹
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "old", "new", "words"),
     [

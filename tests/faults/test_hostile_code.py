@@ -220,6 +220,7 @@ main()
 """
 
 
+@pytest.mark.slow
 def test_a_terminated_trial_does_not_blame_the_class(tmp_path):
     (tmp_path / "mine.py").write_text(
         "import time\n" + HEAD + START + "    def step(self, t, sample, desired):\n"

@@ -98,6 +98,7 @@ def test_a_sound_log_passes_as_it_is():
 # --- parameters without bounds ---
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("machine", "valve", "volts", "name", "factor", "upper"),
     [

@@ -161,6 +161,7 @@ def test_a_folder_that_a_process_holds_stays(tmp_path, gone):
     assert not left.exists()
 
 
+@pytest.mark.slow
 def test_a_living_run_is_left_alone_and_two_of_one_recipe_do_not_disturb_each_other(place):
     slow = started("run-trial", "slow.toml", "--allow-code", "-q")
     try:

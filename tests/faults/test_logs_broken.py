@@ -123,6 +123,7 @@ def test_random_bit_flips_never_change_a_sample(log, truth, tmp_path):
     assert read > 350
 
 
+@pytest.mark.slow
 def test_every_bit_of_every_record_head(log, truth, tmp_path):
     heads = {
         opcode: [first for each, first, _ in records(log) if each == opcode]

@@ -167,6 +167,7 @@ def cli(*arguments, cwd, out=subprocess.PIPE, limit=None):
     )
 
 
+@pytest.mark.slow
 def test_a_disk_that_takes_no_more_is_one_sentence_of_the_place_that_was_asked_for(place):
     starter.init(Path("ws"))
     for limit in (4_000, 60_000, 100_000):

@@ -189,6 +189,7 @@ def same(first: Path, second: Path) -> None:
             assert (first / name).read_bytes() == (second / name).read_bytes(), name
 
 
+@pytest.mark.slow
 def test_a_cluster_makes_the_same_bytes(study, cluster, tmp_path):
     path, here = study
     where = workflow.Where(scheduler=cluster.scheduler_address)
@@ -258,6 +259,7 @@ def test_unknown_keys_and_measures_are_named_at_check(study, tmp_path):
         assert found.errors[0].line, found.errors[0]
 
 
+@pytest.mark.slow
 def test_an_outer_draw_that_a_rig_refuses_is_noted(study):
     path, _ = study
     wide = path.with_name("wide.toml")

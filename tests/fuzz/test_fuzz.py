@@ -18,6 +18,7 @@ COUNT = 60
 FEW = {"run folders": 15, "command lines": 30, "foreign files": 30}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_inputs_of_each_kind_are_taken_or_refused_with_a_sentence(kind):
     count = FEW.get(kind, COUNT)

@@ -206,6 +206,7 @@ def nominal_run(payload, estimates, adapt, span=1.6, **gains):
     return run, packed, truth, z2, z3, weight, moving, tick
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("payload", [0.0, 40.0])
 def test_lyapunov_function_falls_as_derived(payload):
     """dV/dt = −k2 z2² − k3 w z3² with V = ½ z2² + ½ w z3² + ½ θ̃ᵀ Γ⁻¹ θ̃ (docs/arc.md), wherever no
@@ -543,6 +544,7 @@ def test_an_inclined_slide_weighs_its_load():
 # -------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("load", [None, "bucket"])
 def test_on_the_bench(load):
     """Valves known from their data sheets only, so the flows are wrong by some per cent: under 3 mm

@@ -32,6 +32,7 @@ def bench(name, cylinder):
     return Bench(load_rig(RIGS / f"{name}.toml"), cylinder, shares=(0.06,))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gains", GAINS)
 @pytest.mark.parametrize(
     ("name", "cylinder"),

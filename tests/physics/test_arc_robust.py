@@ -73,6 +73,7 @@ def facts_of(name, payload, change, speed="70 mm/s", seed=0, **gains):
     return run_trial(load_rig(RECIPES / "rigs" / f"{name}.toml"), recipe)[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", MACHINES)
 @pytest.mark.parametrize("loaded", [False, True])
 @pytest.mark.parametrize("name", RIGS)
@@ -160,6 +161,7 @@ def _stated(name, gains):
     return worst.stated, worst.delay
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gains", LIVELY)
 @pytest.mark.parametrize("name", ["thesis_arm", "boom_four_valve"])
 def test_the_stated_delay_margin_is_kept_by_the_virtual_rig(name, gains):

@@ -675,6 +675,7 @@ def test_the_energy_saving_law_takes_a_third_less_than_the_four_way_valve():
 # --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_set_is_the_product_in_order_and_its_bytes_do_not_depend_on_threads():
     steps = {
         "name": "step",

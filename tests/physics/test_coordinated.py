@@ -53,6 +53,7 @@ def trial(folder, motion=THREE, controller=None, **given):
 MIXED = {"kind": "arc", "cylinders": {"swing": {"kind": "position"}}}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limits", [{}, {"speed_max": "70 mm/s"}], ids=["free", "stopped"])
 def test_the_compiled_path_of_three_cylinders_is_the_path_tick_by_tick(limits, tmp_path):
     prepared = prepare(trial(tmp_path, controller=MIXED, limits=limits), ARM)
@@ -102,6 +103,7 @@ def test_the_joints_move_as_their_strokes_do(tmp_path):
     assert among_others(table, np.zeros((3, len(table), 3)), TICK).shape == (len(table), 16)
 
 
+@pytest.mark.slow
 def test_coupling_makes_the_boom_track_better_while_others_move(tmp_path):
     errors = {}
     for coupling in (True, False):

@@ -878,6 +878,7 @@ def overlaps(monkeypatch):
     return found
 
 
+@pytest.mark.slow
 def test_pictures_are_legible_and_the_same_each_time(model, made, overlaps, tmp_path):
     """Every label of the Sankey picture and of the bars stands free and inside; same ledger, same
     bytes, which one rig shows.

@@ -93,6 +93,7 @@ def test_a_controller_takes_a_saturating_edge_no_faster_than_it_goes():
     assert speeds["saturating"] < 0.7 * speeds["orifice"]
 
 
+@pytest.mark.slow
 def test_a_saturation_comes_back_from_noisy_logs():
     """``opening_max`` and ``flow_gain`` of one edge, started 1.8 and 0.6 times off."""
     rig = with_law(law="saturating", opening_max=3.0, saturation_softness=0.4)
@@ -164,6 +165,7 @@ def test_flow_control_adds_no_damping_above_its_drop():
     assert abs(ours - bare) < 1e-7
 
 
+@pytest.mark.slow
 def test_a_flow_control_gain_comes_back_from_noisy_logs():
     """Gain and deadband of one edge, started 1.6 and 0.5 times off."""
     rig = with_law(law="flow_control", compensated_gain=6e-6, deadband=0.4)

@@ -131,6 +131,7 @@ def test_a_ledger_without_forces_has_no_rows_of_them():
     assert not names & {"press.external_force", "press.load_spring"}
 
 
+@pytest.mark.slow
 def test_forces_come_back_from_noisy_logs():
     """A constant force and a spring together, started 1.8 and 0.5 times off."""
     rig = pushed(CONSTANT, {**SPRING, "stiffness": "40 N/mm"})

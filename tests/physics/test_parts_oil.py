@@ -103,6 +103,7 @@ def test_the_virtual_bench_takes_the_air_of_the_rig_unless_its_file_says_other()
     assert VirtualMachine(slide()).bench.fluid.air == 0.003
 
 
+@pytest.mark.slow
 def test_air_comes_back_from_noisy_logs():
     """Share of air and bulk modulus together, started 2 and 0.7 times off."""
     recovered(airy(), {"air_fraction": 2.0, "bulk_modulus": 0.7})

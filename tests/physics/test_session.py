@@ -75,6 +75,7 @@ def same(one: Record, other: Record) -> bool:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limits", [{}, SPEED], ids=["free", "stopped"])
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("on", ["model", "bench"])
@@ -86,6 +87,7 @@ def test_the_compiled_path_is_the_path_tick_by_tick(on, law, limits, tmp_path):
     assert bool(many.facts.stopped) == bool(limits) and many.record.t.size > 300
 
 
+@pytest.mark.slow
 def test_a_trial_in_steps_chosen_by_the_guard(tmp_path):
     """To the bit by both paths, and as near to a fine step as such steps promise."""
     chosen = trial("commands", tmp_path, step="auto")

@@ -136,6 +136,7 @@ class Running:
         ].sum(axis=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "cylinder", "payloads"),
     [

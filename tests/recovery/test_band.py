@@ -51,6 +51,7 @@ def fitted(late: int, parameters=tuple(TRUE), **options):
     return identify_hydraulics(load_rig(RIG), [("sweep", swept(late))], parameters, given)
 
 
+@pytest.mark.slow
 def test_stiffness_and_valve_come_from_the_response(tmp_path):
     write_log(tmp_path / "sweep.mcap", swept())
     recipe = {"stage": "identify", "what": "hydraulics", "rig": str(RIG), "data": ["sweep.mcap"]}
@@ -78,6 +79,7 @@ def test_stiffness_and_valve_come_from_the_response(tmp_path):
     ]
 
 
+@pytest.mark.slow
 def test_a_delay_that_nobody_modelled_shows_up():
     fit = fitted(LATE, ("bulk_modulus",))
     said = [text for text in fit.warnings if "by the slope of its phase" in text]

@@ -52,6 +52,7 @@ def test_a_given_motion_keeps_the_oil_right_whatever_loads_the_rod():
     assert set(given.logs[0].fit_percent) == {"press.p_head", "press.p_rod"}
 
 
+@pytest.mark.slow
 def test_a_tied_position_keeps_the_stiffness_right_where_the_replay_drifts_away():
     log = closed_loop_log("neutral", 5, seconds=12.0)
     free, held = (fitted("neutral", [log], how) for how in ("none", "position"))

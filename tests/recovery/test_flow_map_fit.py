@@ -158,6 +158,7 @@ def test_flow_that_falls_with_the_drop_is_let_fall():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [poppet, compensated])
 def test_outliers_are_named_by_line_and_do_not_move_the_map(law):
     data = readings(law, 5)
@@ -259,6 +260,7 @@ def test_deadband_below_the_lowest_command_is_called_an_extrapolation():
     assert found.deadband_interval[0] <= 1.6 <= found.deadband_interval[1]
 
 
+@pytest.mark.slow
 def test_lack_of_fit_and_trials_that_differ_widen_the_intervals():
     data = readings(compensated, 12)
     plain = fit(data)
@@ -277,6 +279,7 @@ def test_lack_of_fit_and_trials_that_differ_widen_the_intervals():
     assert plain.trial_scatter < 2e-3 and any("whole trials" in text for text in shifted.warnings)
 
 
+@pytest.mark.slow
 def test_readings_below_the_limit_of_the_meter_do_not_shift_the_deadband():
     data = readings(poppet, 13, limit=0.0)
     data["flow"] = np.where(data["flow"] < 0.3 * GPM, 0.0, data["flow"])  # the turbine stands still
@@ -350,6 +353,7 @@ def test_same_readings_same_bytes_in_any_order():
     assert json.dumps(one.to_dict(), allow_nan=False) == json.dumps(two.to_dict(), allow_nan=False)
 
 
+@pytest.mark.slow
 def test_from_csv_files_to_maps_of_both_directions(tmp_path):
     laws = {
         ("regen", "forward"): poppet,
@@ -435,6 +439,7 @@ KINK_CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", KINK_CASES)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_kink_at_the_compensators_drop_is_followed_and_covered(case, seed):
@@ -516,6 +521,7 @@ def parabola(drop, command):
     return 8 * GPM * (np.maximum(command - 1.2, 0.0) / 8.8) ** 2 * np.sqrt(drop / 6.5e6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "law, start", [(soft, 1.4), (parabola, 1.2), (poppet, 1.6), (compensated, 1.62), (kinked, 1.5)]
 )
@@ -544,6 +550,7 @@ def two_lands(drop, command):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_kink_in_the_opening_does_not_ring_through_the_map(seed):
     _, rms, worst = compare(fit(readings(two_lands, seed)), two_lands)
@@ -607,6 +614,7 @@ def swept(law, seed, hysteresis):
     return {"command": u, "pressure_drop": drop, "flow": flow, "trial": trial.astype(int)}
 
 
+@pytest.mark.slow
 def test_hysteresis_is_a_number_of_its_own_and_leaves_the_deadband_right():
     held = []
     for seed in range(4):
@@ -627,6 +635,7 @@ def test_up_and_down_readings_of_a_valve_without_hysteresis_say_so():
     assert not found.warnings and fit(readings(poppet, 3)).hysteresis is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("goes_on", [True, False])
 @pytest.mark.parametrize("seed", [40, 42])
 def test_a_leak_at_rest_has_an_interval_and_leaves_the_deadband_right(seed, goes_on):

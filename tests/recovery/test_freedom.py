@@ -99,6 +99,7 @@ def misfit(fit) -> float:
     return sum(math.log(one) for one in squares.values())
 
 
+@pytest.mark.slow
 def test_more_freedom_ends_no_worse_on_a_model_that_does_not_hold():
     """A saturated valve, friction and a lag that the model does not have: however the parameters
     are started, those of a part of them never follow the log better than all.

@@ -154,6 +154,7 @@ def test_far_starts_come_back_within_intervals(name):
     assert all(percent > 80.0 for log in fit.logs for percent in log.fit_percent.values())
 
 
+@pytest.mark.slow
 def test_six_parameters_of_the_arm_from_six_logs():
     logs = [
         (f"{cylinder} {load}", noisy(clean("thesis_arm", load, drive, 1201), 10 + i, pole=0.5))
@@ -181,6 +182,7 @@ def test_six_parameters_of_the_arm_from_six_logs():
         assert low == 0.0 and high < 0.02 * fit[name].upper
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pole", [0.0, 0.9])
 def test_intervals_cover(pole):
     """Of 20 fits to logs with noise of their own, at least 85 % of the 95 % intervals hold the
@@ -259,6 +261,7 @@ def test_what_a_closed_valve_hides_is_not_excited():
         identify(rig("boom_four_valve"), logs, ["boom.sr.flow_gain"])
 
 
+@pytest.mark.slow
 def test_a_bound_that_holds_is_told():
     fit = identify(
         rig("slide_servo"),

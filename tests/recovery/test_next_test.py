@@ -38,6 +38,7 @@ def width(ends):
     return math.log(ends[1] / ends[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bulk_modulus", "carriage.damping"])
 def test_the_proposed_test_tells_what_it_was_said_to_when_the_virtual_rig_runs_it(
     place, name, undrawn

@@ -140,6 +140,7 @@ LINES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_lines(seed):
     """Of pressures in the chambers alone."""
@@ -160,6 +161,7 @@ def test_mounts(seed):
     recovered(rig, factors, [jumps(3.0, samples=601), -jumps(2.0, hold=61, samples=601)], seed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("law", "draws"), [("stribeck", 3), ("lugre", 1)])
 def test_friction(law, draws):
     """Of LuGre in one draw of the noise: in others the Stribeck speed does not show from so far."""

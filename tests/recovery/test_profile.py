@@ -67,6 +67,7 @@ def test_a_parameter_that_is_not_fitted_has_no_profile(prepared):
         profile(prepared, "carriage.mass")
 
 
+@pytest.mark.slow
 def test_the_command_leaves_a_run_with_its_picture(inside, tmp_path):
     recipe = ROOT / "recipes" / "slide_servo" / "hydraulics.toml"
     out = tmp_path / "profile"

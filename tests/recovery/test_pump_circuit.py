@@ -35,6 +35,7 @@ def logs() -> list[tuple[str, Record]]:
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "factors",
     [

@@ -209,6 +209,7 @@ def folder(tmp_path, workspace):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_a_run_leaves_numbers_curves_and_a_figure(folder):
     made = workflow.run(folder / "response.toml", workflow.Session(out=folder / "run"))
     saved = made.json("response")

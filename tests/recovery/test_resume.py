@@ -58,6 +58,7 @@ def bytes_of(folder):
     }
 
 
+@pytest.mark.slow
 def test_a_stopped_search_goes_on_and_ends_with_the_same_bytes(recipe, monkeypatch):
     written = breaking(monkeypatch, 0)
     workflow.run(recipe, workflow.Session(out=Path("whole")))

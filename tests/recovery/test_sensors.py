@@ -87,6 +87,7 @@ ERRORS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("channel", "word"), ERRORS)
 def test_an_error_of_a_sensor_is_estimated_with_the_parameters(channel, word):
     change, truth = ERRORS[channel, word]

@@ -8,6 +8,7 @@ import pytest
 from ehbench import study
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("logs", "noise", "gain", "rigs"),
     [(2, "white", False, 9), (2, "ar1", False, 9), (3, "ar1", False, 3), (2, "white", True, 3)],

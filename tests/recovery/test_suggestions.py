@@ -38,6 +38,7 @@ def built(kind):
     return next(one for one in faults("slide_servo", rig_of()) if one.kind == kind)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [*SLIDE, "sensor offset", "sensor scale", "sensor lag"])
 def test_the_cure_of_a_built_fault_comes_first(kind):
     fault, length = built(kind), LONG if kind in ("saturation", "delay") else SHORT
@@ -57,6 +58,7 @@ def test_a_sound_fit_gets_no_suggestion(name):
     assert any("nothing but noise" in line for line in found.lines())
 
 
+@pytest.mark.slow
 def test_one_wrong_edge_is_told_from_four():
     rig = rig_of()
     fault = next(one for one in faults("slide_servo", rig) if one.words == "one gain 8 % down")
@@ -76,6 +78,7 @@ def test_time_is_bounded_and_what_was_not_tried_is_named():
     assert told[0][0].startswith("suggest") and told[-1] == ("suggest: done", 1.0)
 
 
+@pytest.mark.slow
 def test_what_is_written_can_be_run_and_fits(tmp_path):
     fault = spoilt("press.p_head", lambda y: y + 5e5)
     machine = built("delay")._replace(sensors=fault)
@@ -116,6 +119,7 @@ def test_what_is_written_can_be_run_and_fits(tmp_path):
         workflow.suggest(tmp_path / "fit.toml", session, 1.0)
 
 
+@pytest.mark.slow
 def test_a_fit_that_begins_at_that_of_a_part_ends_no_worse():
     log = log_of("slide_servo", built("saturation"), "steps", 3, SHORT)
     gains = [n for n in rig_of().parameters() if n.endswith(".flow_gain")]

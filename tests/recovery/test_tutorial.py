@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from ehbench import workflow
 
 ROOT = Path(__file__).parents[2]
 TUTORIAL = ROOT / "recipes" / "tutorial"
 
 
+@pytest.mark.slow
 def test_the_tutorial_leads_from_a_rejected_fit_to_an_accepted_model(undrawn, tmp_path):
     session = workflow.Session(root=tmp_path)
     first = workflow.run(TUTORIAL / "first_validation.toml", session)

@@ -41,6 +41,7 @@ def tuned(**demands):
     return tune_arc(study, recipe)
 
 
+@pytest.mark.slow
 def test_the_largest_sum_that_keeps_the_margins_is_chosen():
     found = tuned(delay_margin="3 ms")
     assert found.met and found.delay_margin >= 3.0e-3 and found.gain_margin >= 2.0

@@ -381,6 +381,7 @@ def test_a_raw_file_is_taken_at_the_first_go(tmp_path, monkeypatch):
     assert not made.path.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", foreign.WRITERS)
 def test_a_draft_of_each_format_can_be_read_back(name, tmp_path):
     path, out = tmp_path / name, tmp_path / "out.map.toml"

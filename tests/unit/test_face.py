@@ -50,6 +50,7 @@ def test_the_face_is_whole_and_documented():
         ehbench.simulat  # noqa: B018
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ehbench.__all__)
 def test_every_function_has_an_example_that_runs(name, workspace, undrawn, monkeypatch):
     monkeypatch.chdir(workspace)
@@ -71,6 +72,7 @@ def test_functions_stay_functions_whatever_was_imported():
     )
 
 
+@pytest.mark.slow
 def test_importing_changes_nothing_in_the_process():
     """Nor does any module of the package; what others do when imported is theirs."""
     code = """
@@ -116,6 +118,7 @@ def test_importing_is_light():
     assert "ehbench" in loaded and not {"numpy", "numba", "pandas", "pydantic"} & set(loaded)
 
 
+@pytest.mark.slow
 def test_a_run_has_one_blas_thread_and_gives_the_others_back(workspace):
     code = f"""
 import threadpoolctl, ehbench, scipy.linalg

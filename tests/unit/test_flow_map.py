@@ -12,7 +12,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from ehbench.errors import InputError
-from ehbench.identification.flow_spline import Axis, Spline, non_negative
+from ehbench.identification.flow_spline import Axis, OneColumn, Spline, full, pivoted
 from ehbench.identification.readings import _fitted
 from ehbench.physics.flow_map import (
     FlowMap,
@@ -361,6 +361,15 @@ def test_table_is_the_map_in_the_units_asked_for():
         assert float(row["driver_command [V]"]) == -float(row["opening [V]"])
 
 
+def non_negative(gram, right, guess):
+    def least(zero):
+        x, used = np.zeros(right.size), ~zero
+        x[used] = np.linalg.solve(gram[np.ix_(used, used)], right[used])
+        return x
+
+    return pivoted(least, lambda x: x, lambda x: gram @ x - right, guess)
+
+
 @pytest.mark.parametrize("guess", [False, True])
 def test_non_negative_least_squares_are_those_of_scipy(guess):
     from scipy.optimize import nnls
@@ -374,39 +383,56 @@ def test_non_negative_least_squares_are_those_of_scipy(guess):
         np.testing.assert_allclose(found, nnls(rows, wanted)[0], atol=1e-10)
 
 
-def test_a_splines_bands_and_increments_are_those_of_the_full_matrices():
+@pytest.mark.parametrize("spans", [3, 5, 12, None])
+@pytest.mark.parametrize("rising", [np.inf, 3.0])
+def test_a_splines_bands_and_increments_are_those_of_the_full_matrices(spans, rising):
     rng = np.random.default_rng(5)
-    spline = Spline(1.2, np.array([1.5, 2.0, 3.0, 5.0, 8.0]), Axis(np.linspace(0, 1, 6), 3))
+    along_s = Axis(np.linspace(0, 1, spans + 1), 3) if spans else OneColumn()
+    above = np.array([1.5, 2.0, 3.0, 5.0, 8.0])
+    spline = Spline(1.2, above, along_s, rising=rising)
     u, s, smoothing = rng.uniform(1.2, 8, 200), rng.uniform(0, 1, 200), np.array([1e-2, 1e-3])
-    design = spline.design(u, s)
-    wanted = rng.standard_normal(200) + 4 * s * (
-        u - 1.2
-    )  # with noise so large that the free fit falls somewhere
-    gram, right = design.T @ design, design.T @ wanted
-    full = gram + smoothing[0] * spline.bend_u + smoothing[1] * spline.bend_s
-    free, determinant = spline.free(spline.banded(gram), right, smoothing)
-    np.testing.assert_allclose(free, np.linalg.solve(full, right), rtol=1e-8, atol=1e-8)
+    u[:3], s[:3] = (1.2, 8.0, 2.0), (0.0, 1.0, 0.0)
+    design, weight = spline.design(u, s), rng.uniform(0.5, 2.0, 200)
+    # with noise so large that the free fit falls somewhere
+    wanted = (1.0 if spans else 40.0) * rng.standard_normal(200) + 4 * s * (u - 1.2)
+    gram, right = design.T @ (weight[:, None] * design), design.T @ (weight * wanted)
+    band, pull = spline.normal(u, s, weight, wanted)
+    np.testing.assert_allclose(full(band), gram, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(pull, right, rtol=1e-12, atol=1e-12)
+    along_u = spline.along_u
+    whole = (
+        gram
+        + smoothing[0] * np.kron(along_u.bend, along_s.mass)
+        + smoothing[1] * np.kron(along_u.mass, along_s.bend)
+    )
+    np.testing.assert_allclose(
+        full(spline.penalised(band, smoothing)), whole, rtol=1e-12, atol=1e-12
+    )
+    free, determinant = spline.free(band, right, smoothing)
+    np.testing.assert_allclose(free, np.linalg.solve(whole, right), rtol=1e-8, atol=1e-8)
     # a penalty's eigenvalues are those of its pencil with the mass, one of which is zero: the plane
     # u·s
-    mass = np.kron(spline.along_u.mass, spline.along_s.mass)
-    prior = np.linalg.eigvals(np.linalg.solve(mass, full - gram)).real
+    mass = np.kron(along_u.mass, along_s.mass)
+    prior = np.linalg.eigvals(np.linalg.solve(mass, whole - gram)).real
     least = np.argmin(np.abs(prior))
     exact = (
-        np.linalg.slogdet(full)[1]
+        np.linalg.slogdet(whole)[1]
         - np.linalg.slogdet(mass)[1]
         - np.log(np.delete(prior, least)).sum()
     )
     assert determinant == pytest.approx(exact, abs=1e-6)
-    held, _ = spline.solve(gram, right, smoothing)
-    assert (
-        spline.increments(free).min()
-        < 0
-        <= (spline.increments(held) - spline.increments(spline.floor)).min() + 1e-12
-    )
+    held, _ = spline.solve(band, right, smoothing)
+    steps = spline.sign * spline.increments(free).ravel()
+    above_floor = spline.sign * spline.increments(held - spline.floor).ravel()
+    assert steps.min() < 0 <= above_floor.min() + 1e-12
     # no step in a direction that the constraint allows makes it better
-    slope = spline.over_steps(full @ held - right)
-    at_floor = spline.increments(held - spline.floor).ravel() < 1e-9
+    slope = spline.sign * spline.over_steps(whole @ held - right)
+    at_floor = above_floor < 1e-9
     assert np.abs(slope[~at_floor]).max() < 1e-8 and slope[at_floor].min() > -1e-8
+    # the slower way comes to the same
+    rest = right - whole @ spline.floor
+    slower = spline._by_nnls(spline.penalised(band, smoothing), rest)
+    np.testing.assert_allclose(spline.floor + slower, held, rtol=1e-7, atol=1e-9)
 
 
 def test_a_reading_is_compared_on_its_side_of_the_hysteresis():

@@ -107,6 +107,7 @@ def recipe(folder: Path, name: str, *lines: str) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_windows_of_one_file_fit_and_judge(undrawn, tmp_path):
     """Fitted to the first second, judged on the second: held out; an overlap is named."""
     recipe(

@@ -65,6 +65,7 @@ def test_without_its_library_a_file_is_refused_with_what_to_install(
         open_source(files[name])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in foreign.WRITERS if not name.startswith("a_")])
 def test_a_cut_file_is_a_sentence_or_sound_samples(name, files, tmp_path):
     data = files[name].read_bytes()

@@ -29,6 +29,7 @@ BUILT = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [(n, k) for n, kinds in BUILT.items() for k in kinds])
 def test_a_built_fault_is_named_first_or_second(name, kind):
     rig = rig_of(name)

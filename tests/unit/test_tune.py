@@ -209,6 +209,7 @@ def test_draws_follow_the_covariance():
         draw_parameters(rig, names, (names, [[1.0, 2.0], [2.0, 1.0]]), 2, np.random.default_rng(1))
 
 
+@pytest.mark.slow
 def test_share_of_draws(tuned):
     wide = {
         "boom.joint_damping": Value(

@@ -42,6 +42,7 @@ def held(name: str, kind: str, every: float) -> dict[str, np.ndarray]:
     return {valve: u[at] for valve, u in commands_of(name, kind, t).items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DRIVES)
 @pytest.mark.parametrize("kind", ["steps", "sine", "chirp", "ramps"])
 def test_the_exact_model_is_accepted_whatever_the_command(name, kind):
@@ -51,6 +52,7 @@ def test_the_exact_model_is_accepted_whatever_the_command(name, kind):
         assert verdict.accepted, verdict.reasons
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "every"), [("sine", 0.084), ("chirp", 0.02), ("sine", 0.15)])
 def test_a_command_in_small_stairs_makes_no_ringing(kind, every):
     """Each stair is a step that stands for less than a few periods."""
@@ -65,6 +67,7 @@ def test_a_command_in_small_stairs_makes_no_ringing(kind, every):
                 assert every * hertz > 2.4, "a stair is too short for that"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DRIVES)
 def test_wrong_models_are_rejected(name):
     """Oil 20 % off, twice the damping, a gain a fifth off: the steps tell each of them."""

@@ -52,6 +52,7 @@ assert known == [each.signatures for each in kernels]
 """
 
 
+@pytest.mark.slow
 def test_what_is_compiled_ahead_is_what_a_trial_calls(tmp_path):
     """For the very types: a trial on the model compiles none of it for others."""
     starter.init(tmp_path / "rig")

@@ -222,6 +222,7 @@ TAMPERINGS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", TAMPERINGS)
 @pytest.mark.parametrize("of", ["fit_1", "report_1"])
 def test_whatever_is_tampered_with_marks_the_number(shop, what, of):
