@@ -594,6 +594,14 @@ class Supply(FileModel):
             return "load sensing"
         return "constant pressure" if self.low_rail is None else "two rails"
 
+    def facts(self) -> dict[str, Any]:
+        """Its kind in words and what makes its pressure, SI."""
+        found: dict[str, Any] = {"kind": self.kind, "pressure": float(self.pressure)}
+        for own in (self.load_sensing, self.low_rail):
+            if own is not None:
+                found |= {name: float(getattr(own, name)) for name in type(own).model_fields}
+        return found
+
     def tables(self) -> dict[str, FileModel]:
         """The tables that it has beside its own values."""
         return _tables(self)

@@ -9,7 +9,8 @@ spool opens both chambers, the same law drives its one opening."""
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from ehbench.codes import (
     WEIGHED,
 )
 from ehbench.compiled import kernel, record
-from ehbench.control.arc_gains import GAINS, VOCABULARY_OF_GAINS, pack
+from ehbench.control.arc_gains import GAIN_NAMES, GAINS, VOCABULARY_OF_GAINS, pack
 from ehbench.control.axis import Axis, inertias, load_at
 from ehbench.control.coupling import loads_among
 from ehbench.control.functions import (
@@ -42,12 +43,12 @@ from ehbench.control.functions import (
     ROD_TANK,
     SUPPLY_HEAD,
     SUPPLY_ROD,
-    path_drop,
+    metering_drop,
     select,
     steady_reference,
     widest,
 )
-from ehbench.control.law import Law
+from ehbench.control.law import Controller, Law
 from ehbench.control.map_learning import (
     GAIN,
     SHIFT,
@@ -105,6 +106,8 @@ STATE = record(
     ("scatter", "f8"),
     ("payload", "f8"),
     ("half", "f8"),
+    ("eased", "f8"),
+    ("heaviest", "f8"),
     ("estimates", "f8", (COUNT,)),
 )
 
@@ -117,9 +120,10 @@ class Memory(NamedTuple):
     ``rested`` [s] for how long no motion is desired and hardly any left, ``slow_wanted``
     [m/s] the oil that is wanted, as a speed, behind a low-pass. ``evidence``, ``information`` and
     ``scatter`` are means of what the mechanism's equation says of the ``payload`` [kg], ``half``
-    [kg] its interval's, see `weigh`; ``turns`` counts how often the ``way`` of the oil that is
-    wanted changed while no motion was desired; ``maps`` is what is learnt of the flow maps,
-    ``gains`` are those in force, see `ease`."""
+    [kg] its interval's, see `weigh`; ``eased`` is how far the bandwidths went down at most, as a
+    share of them, and ``heaviest`` [kg] the payload then, see `ease`; ``turns`` counts how often
+    the ``way`` of the oil that is wanted changed while no motion was desired; ``maps`` is what is
+    learnt of the flow maps, ``gains`` are those in force, see `ease`."""
 
     state: np.record
     rates: np.ndarray
@@ -263,7 +267,10 @@ def spool_flows(function: int, wanted, head_gain, rod_gain, p, circuit):
     rod_path = ROD_TANK if way > 0 else SUPPLY_ROD
     if way * wanted <= 0.0:  # against the function's direction: the valve level shuts, says so
         return Flows(wanted / head_gain, wanted / rod_gain)
-    drop_one, drop_two = path_drop(head_path, p, circuit), path_drop(rod_path, p, circuit)
+    drop_one, drop_two = (
+        metering_drop(head_path, p, circuit),
+        metering_drop(rod_path, p, circuit),
+    )
     along = circuit.along[head_path]
     low, high = 0.0, widest(circuit, circuit.paths[head_path], along * drop_one)
     goal = way * wanted
@@ -392,13 +399,23 @@ def ease(gains, ratio, state, table):
     share of its frequency that the payload leaves the rig, and what follows from them with them.
     ``ratio`` [1/kg] is what 1 kg adds to the inertia.
     """
-    table[0] = gains
-    eased, share = table[0], 1.0
+    share = 1.0
     if gains.bandwidth_limit > 0.0:
         total = gains.position_bandwidth + gains.speed_bandwidth + gains.force_bandwidth
         payload = state.payload if state.payload > 0.0 else 0.0
         heavier = math.sqrt(1.0 + ratio * payload)
         share = min(gains.bandwidth_limit / (heavier * total), 1.0)
+        if 1.0 - share > state.eased:
+            state.eased, state.heaviest = 1.0 - share, payload
+    slowed(gains, share, table)
+    return table
+
+
+@kernel
+def slowed(gains, share, table):
+    """Write the gains at a ``share`` of their bandwidths [1] into the row of ``table``."""
+    table[0] = gains
+    eased = table[0]
     eased.position_bandwidth = share * gains.position_bandwidth
     eased.speed_bandwidth = share * gains.speed_bandwidth
     eased.force_bandwidth = share * gains.force_bandwidth
@@ -408,7 +425,6 @@ def ease(gains, ratio, state, table):
     eased.speed_tolerance = gains.speed_tolerance / share
     for i in range(COUNT):
         eased.rate[i] = share * gains.rate[i]
-    return table
 
 
 @kernel
@@ -917,6 +933,25 @@ def memory_of(axis: Axis) -> Memory:
     )
 
 
+def eased_gains(used: Mapping[str, Any], law: Controller) -> dict[str, Any]:
+    """How far a payload took the bandwidths of a run down at most, ``eased``, and the gains that
+    were in force then where they are not the design's, ``gains_under_load``, by name [SI]; nothing
+    where it took none down.
+    """
+    state = law.memory.state
+    if state.eased == 0.0:
+        return {}
+    share, table = 1.0 - float(state.eased), rows_of(GAINS, None)
+    slowed(law.gains, share, table)
+    under = table[0]
+    found = {name: float(under[name]) for name in GAIN_NAMES if under[name] != law.gains[name]}
+    found |= {name: share * used["gains"][name] for name in ("adaptation", "adaptation_bulk")}
+    return {
+        "eased": {"share": share, "payload": float(state.heaviest)},
+        "gains_under_load": found,
+    }
+
+
 def observed(axis: Axis, channels: int) -> np.ndarray:
     """True for the channels of a rig's sample that the controller is given, shape (channels,)."""
     mask = np.zeros(channels, bool)
@@ -938,5 +973,6 @@ LAW = Law(
     edge_telemetry=("map_gain", "map_shift"),
     bounds=("payload", "bulk_modulus"),
     ahead=AHEAD,
+    after=eased_gains,
     warns_saturated=True,
 )

@@ -28,7 +28,7 @@ from ehbench.control.measured import Pressures
 from ehbench.control.records import blank, numbers, reals, rows_of
 from ehbench.errors import InputError
 from ehbench.parts.edge import EDGE, MAP, PUMP, edge_flow, edge_known
-from ehbench.parts.supply import SUPPLY, drawn_at, most_pressure, offered
+from ehbench.parts.supply import SUPPLY, drawn_at, metered_at, most_pressure, offered
 from ehbench.physics.flow_map import ValveMaps
 
 PATHS = ("supply_head", "head_tank", "supply_rod", "rod_tank", "head_rod", "rod_head")
@@ -146,6 +146,18 @@ def path_drop(path, p, circuit):
     if path == ROD_TANK:
         return p.rod - p.tank
     return p.head - p.rod if path == HEAD_ROD else p.rod - p.head
+
+
+@kernel
+def metering_drop(path, p, circuit):
+    """Pressure drop [Pa] along a path for which its edge is opened: as `path_drop`, but from the
+    supply's pressure that is there already.
+    """
+    if path == SUPPLY_HEAD:
+        return metered_at(p.supply, p.head, circuit.supply[0]) - p.head
+    if path == SUPPLY_ROD:
+        return metered_at(p.supply, p.rod, circuit.supply[0]) - p.rod
+    return path_drop(path, p, circuit)
 
 
 @kernel

@@ -89,6 +89,8 @@ class Law:
         ahead: a time [s] if its step takes, where several cylinders move, the desired motion of all
             joints behind the reference's own columns, now and so far on; else 0.
         shaped: whether it shapes steps of speed, so that a recipe may have ``shaping``.
+        after: (what it ran with, of `Packed`, the controller after a run) → what a run tells beside
+            for ``measures``.
         warns_saturated: whether a trial warns of the time that its valves were at their end.
     """
 
@@ -105,6 +107,7 @@ class Law:
     required: Required | None = None
     ahead: float = 0.0
     shaped: bool = False
+    after: Callable[[Mapping[str, Any], Controller], dict[str, Any]] | None = None
     warns_saturated: bool = False
 
     def channels(self, cylinder: str, edges: tuple[str, ...]) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from ehbench.control.functions import (
     PATHS,
     Circuit,
     capacity,
+    metering_drop,
     path_drop,
     widest,
 )
@@ -142,7 +143,7 @@ def allocate(function, wanted, p, floor, circuit, command, flows, limits):
         # 0·NaN stays NaN: a channel withheld from the controller shows in every command that it
         # could have touched
         flow = share_head * wanted.head + share_rod * wanted.rod
-        drop = path_drop(path, p, circuit)
+        drop = metering_drop(path, p, circuit)
         order, bits = edge_order(circuit, path, flow, drop, floor)
         valve = circuit.edges[edge].valve
         if turn == 0:

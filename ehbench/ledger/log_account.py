@@ -130,11 +130,16 @@ class Account:
                 for which in (OF.drawn, OF.drawn_compression)
             )
             pressed = _pressed(plant.supply, m.p_supply)[at]
-            spent[:, PUMP] = spent[:, drawn].sum(axis=1) + pressed
+            # the last of the powers are the low rail's, which the line's pump does not give
+            railed = spent[:, -2:] if plant.supply.rail > 0.0 else np.zeros((at.size, 2))
+            spent[:, PUMP] = spent[:, drawn].sum(axis=1) - railed[:, 0] + pressed
             if plant.supply.gas_volume > 0.0:
                 spent[:, PUMP] += held[:, sheet.stores - 1]
             spent[:, COMPRESSION] = (
-                spent[:, drawn_compression].sum(axis=1) + held[:, SUPPLY_LINE] - pressed
+                spent[:, drawn_compression].sum(axis=1)
+                - railed[:, 1]
+                + held[:, SUPPLY_LINE]
+                - pressed
             )
         rows = sheet.expand(np.concatenate([spent, held], axis=1))
         return rows[0] if at.size == 1 else rows

@@ -57,7 +57,8 @@ class CylinderStores(NamedTuple):
 
 
 # powers: the pump's, its share for compression, one per edge, those of each cylinder, one per
-# joint, the shaft of each edge that is a pump, what each line takes, what each mount takes
+# joint, the shaft of each edge that is a pump, what each line takes, what each mount takes, then
+# the low rail's and its share for compression, where there is one
 PUMP, COMPRESSION, FIRST_EDGE = 0, 1, 2
 OF, PER_CYLINDER = CylinderPowers(), len(CylinderPowers())
 # what is stored: in the supply line, in the mechanism, in each cylinder, then in the friction of
@@ -180,9 +181,9 @@ def _throttle(e, y, flow, plant, at, out):
         if node == SUPPLY:
             out[at + OF.drawn] += sign * p * flow
             out[at + OF.drawn_compression] += sign * u * flow
-            if railed:  # its pump is another one
-                out[PUMP] += sign * p * flow
-                out[COMPRESSION] += sign * u * flow
+            if railed:  # its pump is another one, and has the last two columns
+                out[out.shape[0] - 2] += sign * p * flow
+                out[out.shape[0] - 1] += sign * u * flow
         elif node == TANK:
             out[at + OF.return_line] -= sign * (p + u) * flow
 

@@ -82,9 +82,17 @@ class Ledger:
 
     @property
     def pump(self) -> float:
-        """Pump energy [J]: ``∫ Ps Q dt`` (SPEC 4), and that of pumps at cylinders."""
-        shafts = (row.energy for row in self.rows if row.name.endswith(".shaft"))
-        return math.fsum([self["pump"].energy, *shafts])
+        """Pump energy [J]: ``∫ Ps Q dt`` (SPEC 4), that of the low rail, and that of pumps at
+        cylinders.
+        """
+        given = (row for row in self.rows if row.name in ("pump", "low_rail"))
+        shafts = (row for row in self.rows if row.name.endswith(".shaft"))
+        return math.fsum(row.energy for row in (*given, *shafts))
+
+    @property
+    def low_rail(self) -> float | None:
+        """What the low rail gave less what it took back [J], None where there is none."""
+        return next((row.energy for row in self.rows if row.name == "low_rail"), None)
 
     @property
     def residual(self) -> Row:

@@ -36,6 +36,11 @@ STORE_LABELS = (
     *("oil of the head end", "oil of the rod end", "spring of the end stops"),
     "springs on the rod",
 )
+# what the low rail gave, less what it took back; the last of the powers
+RAIL: list[Named] = [
+    ("low_rail", "supply", "low rail, p·Q", None),
+    ("low_rail_compression", "supply", "low rail, compression of the oil", None),
+]
 # what goes with a payload that is put down, or comes with one that is taken up
 PAYLOAD: Named = ("payload", "load", "gone with the payload", None)
 # rows of a cylinder that stand in a ledger only where the rig file has the table
@@ -201,8 +206,10 @@ def _power_rows(model: Model) -> list[Named]:
         (f"{name}.line_{end}.throttling", "loss", f"line of the {end} end", name)
         for name, end in _lines(model)
     ]
-    mounted = (names.cylinders[c] for c in names.mounts)
-    return rows + [(f"{name}.mount", "loss", "mount", name) for name in mounted]
+    rows += [
+        (f"{names.cylinders[c]}.mount", "loss", "mount", names.cylinders[c]) for c in names.mounts
+    ]
+    return rows + (RAIL if model.rig.supply.low_rail is not None else [])
 
 
 def _store_rows(model: Model) -> list[Named]:
@@ -245,7 +252,7 @@ def _springy(model: Model) -> list[str]:
 def _parts(rows: list[Named], cylinders: Sequence[str], word: str) -> list[Part]:
     """Where the residual may have arisen, each with the rows that it is the difference of."""
     drawn = [f"{name}.{key}" for name in cylinders for key in ("drawn", "drawn_compression")]
-    given = ("pump", "pump_compression")
+    given = [row for row, group, _, owner in rows if group == "supply" and owner is None]
     kept = [row for row, group, *_ in rows if row in ("supply_line", "accumulator")]
     parts: list[Part] = [(f"{word}.supply_line", "supply line", None, given, (*drawn, *kept))]
     for name in cylinders:

@@ -11,6 +11,8 @@ from ehbench.parts.accumulator import gas_capacity
 from ehbench.parts.oil import OIL_COLUMNS, bulk_of
 
 RECOVERY_TIME = 0.02  # [s]
+# share of its margin that a load-sensing pump is counted on to bring while it stands below
+COUNTED = 0.5
 
 # ``pressure`` the set pressure [Pa], the highest of a load-sensing pump; ``flow_limit`` [m³/s],
 # ``volume`` of the line [m³]; ``margin`` above the load's pressure [Pa] and ``lag`` [s] of load
@@ -66,6 +68,18 @@ def offered(p_supply, chamber, supply):
     if supply.margin == 0.0:
         return rail_pressure(p_supply, chamber, supply)
     return max(p_supply, sensed(chamber, supply))
+
+
+@part_kernel
+def metered_at(p_supply, chamber, supply):
+    """Pressure [Pa] by which a controller opens an edge to a ``chamber`` [Pa]: the line's as it is
+    measured or the low rail's; of a load-sensing pump that is not up yet COUNTED of its margin
+    above the chamber. In steady motion that is well below what is measured, so no law has a kink
+    there.
+    """
+    if supply.margin == 0.0:
+        return rail_pressure(p_supply, chamber, supply)
+    return max(p_supply, min(chamber + COUNTED * supply.margin, supply.pressure))
 
 
 @part_kernel

@@ -16,7 +16,8 @@ class TuneRecipe(Recipe):
     Operating points: ``postures`` strokes from 10 to 90 % (or those of ``strokes``) × ``payloads``
     (``none`` and all of the rig file by default) × ``functions`` (by default the thesis's six, as
     far as the valves are able) × ``speed_shares`` of the full speed there; other joints as in
-    ``posture``, else at mid-stroke. ``delay`` lies between pressure and command: half a tick of
+    ``posture``, else at mid-stroke. Those that are ``also_moving`` are felt by a load-sensing pump
+    at what they hold there. ``delay`` lies between pressure and command: half a tick of
     hold, the rest for the sensor. ``washout`` (alone, or with an equal ``ramp_washout``) and
     ``off_gain`` are found where they are not given; ``washout = "0 rad/s"`` is none. ``one_gain =
     false`` lets each working function have its own gain. ``damping_ratio`` is the target that the
@@ -30,6 +31,11 @@ class TuneRecipe(Recipe):
     postures: int = Field(default=5, ge=1, le=50)
     strokes: tuple[str, ...] = ()
     posture: dict[str, str] = {}
+    also_moving: tuple[str, ...] = Field(
+        default=(),
+        description="other cylinders that move at the same time: a load-sensing pump feels what "
+        "they hold in `posture`; none: valves of others are shut",
+    )
     functions: tuple[str, ...] = ()
     speed_shares: tuple[Annotated[float, Field(gt=0, le=1)], ...] = Field(
         default=(0.3, 0.7), min_length=1
@@ -66,6 +72,11 @@ class ArcTuneRecipe(Recipe):
     postures: int = Field(default=3, ge=1, le=50)
     strokes: tuple[str, ...] = ()
     posture: dict[str, str] = {}
+    also_moving: tuple[str, ...] = Field(
+        default=(),
+        description="other cylinders that move at the same time: a load-sensing pump feels what "
+        "they hold in `posture`; none: valves of others are shut",
+    )
     functions: tuple[str, ...] = ()
     speed_shares: tuple[Annotated[float, Field(gt=0, le=1)], ...] = Field(
         default=(0.06, 0.4), min_length=1

@@ -9,7 +9,7 @@ from ehbench.report.captions import capital, span
 from ehbench.report.cases import Case
 from ehbench.report.content import num, quantity_cell
 from ehbench.report.energy_tables import four_way
-from ehbench.report.trial_tables import WHO, who
+from ehbench.report.trial_tables import WHO, rail_cell, who
 from ehbench.report.words import DASH, axis, number
 from ehbench.rig import Rig
 
@@ -49,6 +49,11 @@ class _Compared:
                 self.plain.append(case)
                 self.four_way[self._key(case, supply_of(case))] = case.row["energy"]["pump"]
 
+    @property
+    def rails(self) -> bool:
+        """Whether some trial had a low rail."""
+        return any("low_rail" in case.row["energy"] for case in self.cases)
+
     @staticmethod
     def _key(case: Case, kind: str) -> tuple[str, str, str]:
         return case.row["payload"], case.row["motion"], kind
@@ -84,6 +89,7 @@ class _Compared:
             *WHO,
             "supply",
             axis(rig, "energy", "pump energy"),
+            *([axis(rig, "energy", "of it low rail")] if self.rails else []),
             "less than the four-way valve on this supply [%]",
             f"less than the four-way valve on {ONE_PRESSURE} [%]",
         ]
@@ -101,6 +107,7 @@ class _Compared:
             *who(case),
             kind,
             quantity_cell(rig, "energy", case.row["energy"]["pump"]),
+            *([rail_cell(rig, case)] if self.rails else []),
             *(num(DASH if less is None else number(100.0 * less, 3)) for less in shares),
         ]
 

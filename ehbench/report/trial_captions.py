@@ -126,6 +126,15 @@ def limits_caption(row: Table) -> str:
     return "; at a limit: " + ", ".join(shares) if shares else ""
 
 
+def gave(rig: Rig, energy: Table) -> str:
+    """What the pump gave and, of two rails, what of it was the low one's."""
+    whole = measure(rig, "energy", energy["pump"], 4)
+    if "low_rail" not in energy:
+        return f"the pump gave {whole}"
+    low = measure(rig, "energy", energy["low_rail"], 4)
+    return f"the pumps gave {whole}, that of the low rail {low}"
+
+
 def case_caption(rig: Rig, case: Case) -> str:
     """What one trial came to."""
     row = case.row
@@ -134,7 +143,7 @@ def case_caption(rig: Rig, case: Case) -> str:
     text = (
         f"{load_name(row['payload'])}, {law}, on the {row['on']}: "
         f"{steps or tracking_caption(rig, row)}"
-        f"; the pump gave {measure(rig, 'energy', row['energy']['pump'], 4)}"
+        f"; {gave(rig, row['energy'])}"
     )
     stopped = f". Stopped: {row['stopped']}" if row.get("stopped") else ""
     return sentence(text + limits_caption(row) + stopped)

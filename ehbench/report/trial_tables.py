@@ -140,6 +140,11 @@ def _energy_cell(rig: Rig, case: Case, key: str) -> Cell:
     return num(ranged(_telling(rig, "energy", 4), value, ends))
 
 
+def rail_cell(rig: Rig, case: Case) -> Cell | str:
+    """What of a trial's pump energy the low rail gave, where it has one."""
+    return _energy_cell(rig, case, "low_rail") if "low_rail" in case.row["energy"] else DASH
+
+
 def runs_note(cases: Sequence[Case]) -> str:
     """That the numbers are of several runs, where they are."""
     runs = {case.row.get("seeds", 1) for case in cases} - {1}
@@ -157,7 +162,8 @@ def _tracking(rig: Rig, cases: Sequence[Case]) -> Grid:
     swings = any(case.row.get("limit_cycle") for case in cases)
     true = any(case.row.get("tracking_true") for case in cases)
     tips = any(case.row.get("tip") for case in cases)
-    shown_of = _Columns(swings, tips, true)
+    rails = any("low_rail" in case.row["energy"] for case in cases)
+    shown_of = _Columns(swings, tips, true, rails)
     head = [
         *WHO,
         *([axis(rig, "tip_error", f"{word} tip error") for word in ("largest", "rms")] * tips),
@@ -168,6 +174,7 @@ def _tracking(rig: Rig, cases: Sequence[Case]) -> Grid:
         *([axis(rig, "x", "swings by ±"), axis(rig, "t", "its period")] if swings else []),
         axis(rig, "v", "rms error of speed"),
         axis(rig, "energy", "pump energy"),
+        *([axis(rig, "energy", "of it low rail")] if rails else []),
         *(["relative to the least"] if several else []),
         axis(rig, "energy", "cylinder work"),
         "",
@@ -190,11 +197,14 @@ def _tracking(rig: Rig, cases: Sequence[Case]) -> Grid:
 
 
 class _Columns(NamedTuple):
-    """What some trial of a table has: a limit cycle, a tip's error, errors of the true stroke."""
+    """What some trial of a table has: a limit cycle, a tip's error, errors of the true stroke, a
+    low rail.
+    """
 
     swings: bool
     tips: bool
     true: bool
+    rails: bool
 
 
 def _tracking_row(
@@ -225,6 +235,7 @@ def _tracking_row(
             ranged(_telling(rig, "v", 3), row["speed_rms_error"], range_in(row, "speed_rms_error"))
         ),
         _energy_cell(rig, case, "pump"),
+        *([rail_cell(rig, case)] if columns.rails else []),
         *relative,
         _energy_cell(rig, case, "cylinder_work"),
         chip("stopped") if case.row.get("stopped") else "",
@@ -381,8 +392,10 @@ def settings_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
         blocks.append(_recipe_table(motions, "settings_motion", "Trajectories."))
     gains = _by_controller(rig, cases, "gains")
     if gains:
-        note = "As they were really used, defaults and what follows from them included."
+        note = "As they were designed, defaults and what follows from them included."
         blocks.append(Grid(*gains, note, "settings_controller", "Gains."))
+    if eased := _by_controller(rig, cases, "gains_under_load"):
+        blocks.append(Grid(*eased, _eased_note(rig, cases), "settings_eased", "Gains under load."))
     if bounds := _by_controller(rig, cases, "estimate_bounds"):
         note, title = "The estimates are projected onto these.", "Bounds of the estimates."
         blocks.append(Grid(*bounds, note, "estimate_bounds", title))
@@ -398,6 +411,18 @@ def settings_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
         else:
             blocks.append(_recipe_table(controllers, "settings_controller", "Controllers."))
     return blocks
+
+
+def _eased_note(rig: Rig, cases: Sequence[Case]) -> str:
+    """Under which load the bandwidths went down, and how far."""
+    known = [case.row["eased"] for case in cases if case.row.get("eased")]
+    shares = span([100.0 * one["share"] for one in known], 3)
+    loads = span([float(shown(rig, "payload_estimate", one["payload"])) for one in known], 3)
+    unit = pretty(unit_of(rig, "payload_estimate"))
+    return (
+        f"What of the design was in force while the payload, as the law estimated it, was largest: "
+        f"{loads} {unit}. The bandwidths then went down to {shares} % of the design's."
+    )
 
 
 def _recipe_of(case: Case) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ehbench.report.blocks import Block, Text
 from ehbench.report.captions import capital, load_name, measure, span
 from ehbench.report.saved import Table
 from ehbench.report.words import count, number, pretty, shown, unit_of, words
@@ -140,6 +141,21 @@ def steps_caption(steps: Sequence[Table], by_name: Mapping[str, Table]) -> str:
         + capital("; ".join(sentences))
         + "."
     )
+
+
+def supply_blocks(rig: Rig, tuning: Table) -> list[Block]:
+    """The supply that was tuned on, where its pressure is not constant."""
+    supply = tuning.get("supply", {})
+    if len(supply) <= 2:  # its kind and one pressure
+        return []
+    values = (
+        f"{words(name)} {measure(rig, name, value)}"
+        for name, value in supply.items()
+        if name != "kind"
+    )
+    text = f"Tuned on {supply['kind']}: {', '.join(values)}. "
+    text += "Each operating point has the pressure that the supply takes there."
+    return [Text(text, "note")]
 
 
 def draws_caption(tuning: Table) -> str:

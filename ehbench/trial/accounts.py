@@ -58,6 +58,7 @@ def _energy(ledger: Ledger, cylinder: str) -> dict[str, Any]:
     """Energies [J] of a trial under a controller, and the oil [m³] that all valves drew."""
     return {
         "pump": ledger.pump,
+        **({} if ledger.low_rail is None else {"low_rail": ledger.low_rail}),
         "cylinder_work": ledger[f"{cylinder}.work"].energy,
         "oil_drawn": ledger.oil_drawn,
         "source": MODEL if ledger.source == "model" else LOG,

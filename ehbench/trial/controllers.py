@@ -33,6 +33,7 @@ from ehbench.rig import Rig, read_value
 from ehbench.rundir import read_json
 from ehbench.text import shortened
 from ehbench.trial.imports import files_of, source_of
+from ehbench.units import from_si
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps
@@ -336,6 +337,30 @@ def read_tuning(recipe: TrialRecipe, folder: Path | None) -> dict[str, Any] | No
             hint="name its run folder",
         )
     return read_json(path)
+
+
+def other_supply(rig: Rig, tuning: Mapping[str, Any] | None) -> tuple[str, ...]:
+    """A sentence where gains were tuned on another supply than the trial's."""
+    tuned, own = (tuning or {}).get("supply"), rig.supply.facts()
+    if tuned is None or tuned == own:
+        return ()
+    if tuned["kind"] != own["kind"]:
+        other = f"{tuned['kind']}, and this trial runs on {own['kind']}"
+    else:
+        other = ", ".join(_moved(rig, name, tuned[name], own[name]) for name in own)
+    return (
+        "what the tuning promises is of another supply than this trial's, and does not hold here: "
+        f"it was tuned on {other}",
+    )
+
+
+def _moved(rig: Rig, name: str, tuned: Any, own: Any) -> str:
+    """A value [SI] of the supply as it was tuned on and as it is; the kind by itself."""
+    if name == "kind":
+        return own
+    unit, row = rig.unit_of(name), VOCABULARY[name]
+    before, now = (f"{from_si(one, unit, row):.4g}" for one in (tuned, own))
+    return f"{name} {before} {unit}" + (f" (here {now})" if tuned != own else "")
 
 
 def _taken(

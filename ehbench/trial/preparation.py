@@ -84,7 +84,7 @@ class Aftermath:
 @dataclass(frozen=True)
 class Loop:
     """A closed loop before there is a machine: the cylinders that it moves, the first of which the
-    trial is about, and their laws.
+    trial is about, and their laws. ``notes`` are what is to be said of them before they run.
 
     ``laws`` are packed, and None for a user's class, which is loaded when its trial begins.
     ``low_side`` [Pa] is where the off-side chamber stands at the start. ``plan`` is what they do
@@ -95,6 +95,7 @@ class Loop:
     laws: Laws | None
     low_side: float
     plan: Plan | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def design(self) -> Design:
@@ -429,11 +430,12 @@ def _loop(
     _refuse_misfit(recipe, singles, tuning)
     low = controllers.low_pressure(singles[0], rig, tuning)
     level = float(rig.supply.tank_pressure) + low
+    notes = controllers.other_supply(rig, tuning)
     designs = [controllers.design(one, rig, maps, model) for one in singles]
     if found is None and len(singles) == 1:
         motion = _rest(designs[0]) if standing else references(recipe, designs[0], low)
         driven = (Driven(recipe, designs[0], motion),)
-        return Loop(driven, _laws(recipe, driven, tuning), level)
+        return Loop(driven, _laws(recipe, driven, tuning), level, notes=notes)
     motions = []
     for one, design in zip(singles, designs, strict=True):
         # it may run slower than it is desired: its length is the recipe's only then
@@ -450,7 +452,7 @@ def _loop(
     if laws is not None:
         parts = zip(laws.parts, tables_of(driven), strict=True)
         laws = Laws(tuple(replace(part, references=table) for part, table in parts))
-    return Loop(driven, laws, level, plan)
+    return Loop(driven, laws, level, plan, notes)
 
 
 def _refuse_misfit(

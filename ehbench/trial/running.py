@@ -242,7 +242,8 @@ def _record(session: Session, meta: dict[str, str]) -> Record:
 
 def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
     recipe, law, stop, rate = prepared.recipe, session.law, session.stop, session.machine.rate
-    warnings, measures = [], {}
+    warnings = [] if prepared.loop is None else list(prepared.loop.notes)
+    measures = {}
     if isinstance(law, UserCode) and law.beyond:
         warnings.append(
             f"{law.label} asked for more than a driver takes in {law.beyond} of {session.end} "
@@ -256,6 +257,8 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
             found[one.cylinder] = own = part.used | _measures(
                 record, one, rows, session.true_strokes
             )
+            if isinstance(part, Compiled) and part.law.after is not None:
+                own |= part.law.after(part.used, part.controller)
             own["valves"] = _valves(prepared.rig, one.cylinder)
             if part.used.get("gains", {}).get("adapt_maps"):
                 own["maps"] = learnt_maps(one.design, session.machine, record, rows)

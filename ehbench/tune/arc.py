@@ -26,7 +26,7 @@ from ehbench.plant.site import site_of
 from ehbench.recipe import ArcTuneRecipe
 from ehbench.tune.arc_loop import SAFETY, ArcLoop, LoopMargins, SampledPlant, Sensing
 from ehbench.tune.linear import circuit_of
-from ehbench.tune.study import Study
+from ehbench.tune.study import Study, rail_notes
 
 Progress = Callable[[str, float], None]
 BUDGETS = tuple(np.geomspace(0.08, 1.2, 12).tolist())  # [rad] over the valves' lag and a tick
@@ -70,13 +70,15 @@ class ArcCandidate:
 
 @dataclass(frozen=True)
 class ArcTuning:
-    """Gains of the adaptive robust controller, SI, and what they rest on.
+    """Gains of the adaptive robust controller, SI, and what they rest on; ``supply`` by
+    `ehbench.rig.Supply.facts`.
 
     ``constraints`` are demanded, ``gain_margin``, ``phase_margin`` [rad] and ``delay_margin`` [s],
     stated, reached at the worst points. ``locus`` of the worst point by delay: the characteristic
     loci as (real, imaginary) lists, each ending the loop's stability where it passes −1."""
 
     rig: str
+    supply: dict[str, Any]
     cylinder: str
     gains: dict[str, float]
     delay: float
@@ -211,7 +213,7 @@ def _result(
     _, rates = pack_with_rates(search.site, search.rules, Adaptation(lag_budget=budget), {})
     named = named_gains(gains, rates)["gains"]
     chosen, points = search.judged(budget, found), [one.point for one in search.plants]
-    warnings = []
+    warnings = rail_notes(study.rig, points)
     if not chosen.met:
         missed = [k for k, least in search.demands.items() if getattr(chosen, k) < least]
         words = " and ".join(name.replace("_", " ") for name in missed)
@@ -222,6 +224,7 @@ def _result(
     _, loci = loops[worst].loci(search.sensing)
     return ArcTuning(
         rig=study.rig.name,
+        supply=study.rig.supply.facts(),
         cylinder=study.cylinder,
         gains={name: float(named[name]) for name in CHOSEN},
         delay=search.sensing.delay,

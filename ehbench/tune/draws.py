@@ -20,7 +20,6 @@ from ehbench.tune.linear import (
     close,
     development_model,
     equivalent,
-    operating_point,
 )
 from ehbench.tune.results import PointResult, Robustness
 from ehbench.tune.study import Site, Study, model_under
@@ -99,7 +98,7 @@ def _worst_of_draw(
     for site in sites:
         point, (model, circuit) = site.point, at[site.point.payload]
         here = equivalent(model, circuit.cylinder, np.array([point.x]), recipe.posture)
-        moved = operating_point(
+        own, moved = study.steady(
             model,
             circuit,
             FUNCTIONS.index(point.function),
@@ -114,7 +113,7 @@ def _worst_of_draw(
             ),
         )
         if moved.possible:
-            loop = close(development_model(model, moved), moved, circuit, law)
+            loop = close(development_model(own, moved), moved, circuit, law)
             worst = min(worst, float(loop.damping_ratio(gains[point.function])))
     return worst
 

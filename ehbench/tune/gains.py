@@ -89,6 +89,7 @@ def tune_prepared(
     )
     return Tuning(
         rig=study.rig.name,
+        supply=study.rig.supply.facts(),
         cylinder=study.cylinder,
         feedback_gain=chosen,
         washout=law.washout,

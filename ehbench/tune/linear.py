@@ -23,6 +23,8 @@ from ehbench.control.functions import (
     METERING,
     OVERRUNNING,
     PATH_FLOWS,
+    SUPPLY_HEAD,
+    SUPPLY_ROD,
     Circuit,
     circuit,
     coupled,
@@ -41,6 +43,7 @@ from ehbench.parts.line import drop_for, line_conductance
 from ehbench.parts.load import force_on
 from ehbench.parts.mount import mount_settle
 from ehbench.parts.oil import bulk_of
+from ehbench.parts.supply import from_rail, sensed
 from ehbench.parts.valve import valve_rates, valve_settle
 from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
 from ehbench.plant.build import Maps, map_of
@@ -51,12 +54,15 @@ from ehbench.plant.model import Model
 # what a path adds to the oil of (head, rod); its drop changes with their pressures by the negative
 # of this
 INTO = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (-1, 1), (1, -1)], dtype=float)
+FED = {SUPPLY_HEAD: 0, SUPPLY_ROD: 1}  # paths from the supply, by the side to which they lead
 DIFFERENCE = (
     1.0e-5  # relative step of central differences: their error and the rounding are both near 1e-10
 )
 # steps of differences over states by what their names contain, of others 1e-4 V
-STEPS = {".rate": 1e-2, ".p_line_": 30.0, ".mount_deflection": 1e-8}
-OWN = ("p_line_head", "p_line_rod", "mount_deflection")  # a cylinder's further states
+STEPS = {".rate": 1e-2, ".p_line_": 30.0, "p_supply": 30.0, ".mount_deflection": 1e-8}
+# a cylinder's further states, and that of a supply that feels it
+OWN = ("p_line_head", "p_line_rod", "p_supply", "mount_deflection")
+NEAR = 1.0e-3  # [Pa] to which an off-side pressure is found
 SPEED_HALVINGS = 12  # to find the full speed to 0.02 %
 AT_ZERO = 1.0e-7  # share of the fastest pole below which a pole is one at zero
 DELAY_ORDER = 2  # of the Padé form of the delay; its phase is exact to 1e-4 rad up to ω·delay = 0.8
@@ -144,9 +150,10 @@ class OperatingPoint:
 
     ``mass, gravity_force, damping`` are m_eq, F_eq, b_eq of `equivalent`; ``friction`` [N·s/m] is
     the slope of the cylinder's own steady friction less that of forces on its rod; ``bend`` [1/s]
-    the part of ∂v̇/∂v from the changing lever; ``load_force`` P_L [N]; pressures [Pa] gauge; volumes
-    [m³]. ``possible``: every drop is along its flow and every valve can open so far. ``fits``: also
-    the off-side chamber stands at its set-point. ``note`` says what is missing."""
+    the part of ∂v̇/∂v from the changing lever; ``load_force`` P_L [N]; pressures [Pa] gauge,
+    ``p_supply`` that of the supply's line under this load; volumes [m³]. ``possible``: every drop
+    is along its flow and every valve can open so far. ``fits``: also the off-side chamber stands at
+    its set-point. ``note`` says what is missing."""
 
     cylinder: str
     function: str
@@ -206,7 +213,8 @@ class Aim:
     ``share``: speed as a share of the largest that the valves and the pump carry there, or
     ``speed``: the speed itself, ≥ 0 [m/s]. ``low_pressure``: set-point of the off-side chamber
     above tank [Pa]. ``cross_drop``: planned drop of the seventh function [Pa]. ``payload``: what
-    the model carries, by name. ``held``: posture of the other joints, as `Model.posture`."""
+    the model carries, by name. ``held``: posture of the other joints, as `Model.posture`. ``felt``:
+    the highest pressure of other cylinders that a load-sensing pump feels [Pa]."""
 
     low_pressure: float
     cross_drop: float
@@ -214,6 +222,7 @@ class Aim:
     speed: float | None = None
     payload: str = "none"
     held: Mapping[str, str | float] | None = None
+    felt: float = -math.inf
 
     def __post_init__(self) -> None:
         if (self.share is None) == (self.speed is None):
@@ -250,9 +259,29 @@ class _Motion:
         return self.model.plant.cylinders[self.circuit.cylinder]
 
     @property
-    def lines(self) -> tuple[float, float]:
-        """(supply, tank) pressure [Pa]."""
-        return self.model.plant.supply.pressure, self.model.plant.tank_pressure
+    def p_tank(self) -> float:
+        """Pressure of the tank [Pa]."""
+        return self.model.plant.tank_pressure
+
+    @property
+    def fed(self) -> int | None:
+        """The side that the supply feeds, None where it feeds none."""
+        at_work = PATH_FLOWS[self.function].any(axis=1)
+        return next((side for path, side in FED.items() if at_work[path]), None)
+
+    def at_ports(self, p_head: float, p_rod: float) -> Pressures:
+        """What the edges stand between [Pa], the supply's line at the pressure that it has there in
+        steady motion.
+        """
+        load = self.p_tank if self.fed is None else (p_head, p_rod)[self.fed]
+        line = sensed(max(load, self.p_tank, self.aim.felt), self.model.plant.supply)
+        return Pressures(p_head, p_rod, line, self.p_tank)
+
+    def railed(self, at: Pressures) -> bool:
+        """Whether the side that the supply feeds takes from the low rail."""
+        if self.fed is None:
+            return False
+        return bool(from_rail((at.head, at.rod)[self.fed], self.model.plant.supply))
 
     @property
     def together(self) -> bool:
@@ -263,7 +292,7 @@ class _Motion:
         """What the edges stand between at chamber pressures [Pa], and the flow along each path
         [m³/s] that keeps both chambers steady (thesis 2.4, 2.5); a line's drop lies between.
         """
-        row, p_tank = self.row, self.lines[1]
+        row, p_tank = self.row, self.p_tank
         across = row.leakage_internal * (p_head - p_rod)
         q_head = row.area_head * v + across + row.leakage_head * (p_head - p_tank)
         q_rod = row.area_rod * v + across - row.leakage_rod * (p_rod - p_tank)
@@ -273,7 +302,7 @@ class _Motion:
         ):
             if cylinder == self.circuit.cylinder:
                 at[SIDES.index(end)] += drop_for(into[SIDES.index(end)], line)
-        return Pressures(at[0], at[1], *self.lines), PATH_FLOWS[self.function] @ (q_head, q_rod)
+        return self.at_ports(*at), PATH_FLOWS[self.function] @ (q_head, q_rod)
 
     def chambers(self, force: float, off: float) -> tuple[float, float]:
         """(p_head, p_rod) [Pa] that carry the force with the off-side at ``off``."""
@@ -295,7 +324,7 @@ class _Motion:
 
     def settle(self, v: float) -> _Settled:
         """What carries the motion at speed v."""
-        here, i, row, p_tank = self.here, self.index, self.row, self.lines[1]
+        here, i, row, p_tank = self.here, self.index, self.row, self.p_tank
         bend = here.curvature[i] * v * v / here.lever[i] ** 2
         force = here.gravity_force[i] + here.damping[i] * v - here.mass[i] * bend
         force += self.resistance(v)
@@ -305,9 +334,7 @@ class _Motion:
             return _Settled(force, p_head, p_head + cross)
         off = p_tank + self.aim.low_pressure
         if v != 0.0 and self.together:
-            off = _common_opening(
-                self.circuit, self.function, lambda p: self.ports(v, *self.chambers(force, p))
-            )
+            off = self.common_opening(v, force)
         pressures = self.chambers(force, off)
         if min(pressures) >= p_tank:
             return _Settled(force, *pressures)
@@ -321,6 +348,33 @@ class _Motion:
             "the metered chamber full"
         )
         return _Settled(force, *self.chambers(force, off), note)
+
+    def common_opening(self, v: float, force: float) -> float:
+        """Off-side pressure [Pa] at which one opening passes both ends' flows: where the low rail
+        is enough, on that, else on the line.
+        """
+
+        def ports(off: float) -> tuple[Pressures, np.ndarray]:
+            return self.ports(v, *self.chambers(force, off))
+
+        low, high = self.p_tank, self.model.plant.supply.pressure
+        ends = [low + 1.0, high - 1.0]
+        if self.railed(ports(ends[0])[0]) and not self.railed(ports(ends[1])[0]):
+            ends[1:1] = self.about_rail(ports, *ends)
+        for first, last in zip(ends[::2], ends[1::2], strict=True):
+            excess = _Excess(self.circuit, self.function, ports)
+            if (root := excess.root(first, last)) is not None:
+                return root
+        return low if abs(excess(ends[0])) < abs(excess(ends[-1])) else high
+
+    def about_rail(self, ports: _Ports, low: float, high: float) -> tuple[float, float]:
+        """Off-side pressures [Pa] about the one above which the low rail is not enough, by
+        bisection.
+        """
+        while high - low > NEAR:
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if self.railed(ports(middle)[0]) else (low, middle)
+        return low, high
 
     def give(self, v: float, settled: _Settled) -> float:
         """How far the mount has given way [m]."""
@@ -349,7 +403,7 @@ class _Motion:
             ]
         return tuple(paths)
 
-    def troubles(self, settled: _Settled, paths: Sequence[Path]) -> list[str]:
+    def troubles(self, v: float, settled: _Settled, paths: Sequence[Path]) -> list[str]:
         """What is impossible."""
         found = [f"{p.edge} has no drop along its flow" for p in paths if not p.drop > 0.0]
         found += [
@@ -357,20 +411,29 @@ class _Motion:
         ]
         if max(settled.p_head, settled.p_rod) > self.row.relief_pressure:
             found.append("a relief valve would open")
+        if self.short(v, settled, paths):
+            found.append("the pump cannot bring what the low rail does not")
         return found
+
+    def short(self, v: float, settled: _Settled, paths: Sequence[Path]) -> bool:
+        """Whether the pump of the high one of two rails cannot bring what is asked of it."""
+        supply = self.model.plant.supply
+        if supply.rail == 0.0 or self.railed(self.ports(v, settled.p_head, settled.p_rod)[0]):
+            return False
+        return sum(path.flow for path in paths if path.path in FED) > supply.flow_limit
 
     def impossible(self, v: float) -> bool:
         """Whether speed v is."""
         settled = self.settle(v)
-        return bool(self.troubles(settled, self.paths(v, settled)))
+        return bool(self.troubles(v, settled, self.paths(v, settled)))
 
     def full_speed(self) -> float:
         """The largest speed that valves and pump carry, ≥ 0 [m/s]."""
         way, rest = DIRECTION[self.function], self.settle(0.0)
-        pressures = Pressures(rest.p_head, rest.p_rod, *self.lines)
+        pressures = self.at_ports(rest.p_head, rest.p_rod)
         top = top_speed(self.function, pressures, self.circuit)
         drawn = supply_draw(self.function, self.circuit)
-        if drawn > 0:
+        if drawn > 0 and not self.railed(pressures):
             top = min(top, self.model.plant.supply.flow_limit / drawn)
         if not self.impossible(way * top):
             return top
@@ -413,7 +476,7 @@ def operating_point(
     v = way * float(speed)
     settled = motion.settle(v)
     paths = motion.paths(v, settled)
-    troubles, note = motion.troubles(settled, paths), motion.misfit(way, settled)
+    troubles, note = motion.troubles(v, settled, paths), motion.misfit(way, settled)
     q, x = model.posture(aim.held), here.x[index] + motion.give(v, settled)
     q[row.joint] = here.q[index]
     return OperatingPoint(
@@ -432,8 +495,8 @@ def operating_point(
         load_force=float(settled.force),
         p_head=float(settled.p_head),
         p_rod=float(settled.p_rod),
-        p_supply=float(motion.lines[0]),
-        p_tank=float(motion.lines[1]),
+        p_supply=float(motion.ports(v, settled.p_head, settled.p_rod)[0].supply),
+        p_tank=float(motion.p_tank),
         volume_head=float(chamber_oil(row, 0, x)),
         volume_rod=float(chamber_oil(row, 1, x)),
         paths=paths,
@@ -514,27 +577,32 @@ def _path(
     )
 
 
-def _common_opening(circuit: Circuit, function: int, ports: _Ports) -> float:
-    """Off-side pressure [Pa] at which one opening passes both ends' flows; ``ports`` gives what an
-    off-side pressure makes of pressures and flows.
+@dataclass(frozen=True)
+class _Excess:
+    """What one opening passes at the other end beyond the flow that is needed there [m³/s], over
+    the off-side pressure [Pa]; ``ports`` gives what that makes of pressures and flows.
     """
-    from scipy.optimize import brentq
 
-    lead = int(METERING[function])
-    at_work = map(int, np.flatnonzero(PATH_FLOWS[function].any(axis=1)))
-    follow = next(path for path in at_work if path != lead)
+    circuit: Circuit
+    function: int
+    ports: _Ports
 
-    def excess(off: float) -> float:
-        at, need = ports(off)
+    def __call__(self, off: float) -> float:
+        circuit, lead = self.circuit, int(METERING[self.function])
+        at_work = map(int, np.flatnonzero(PATH_FLOWS[self.function].any(axis=1)))
+        follow = next(path for path in at_work if path != lead)
+        at, need = self.ports(off)
         command = _command(circuit, lead, need[lead], max(path_drop(lead, at, circuit), 1.0))
         return _flow(circuit, follow, path_drop(follow, at, circuit), command) - need[follow]
 
-    low, high = ports(0.0)[0].tank, ports(0.0)[0].supply
-    ends = excess(low + 1.0), excess(high - 1.0)
-    if ends[0] * ends[1] > 0:
-        return low if abs(ends[0]) < abs(ends[1]) else high
-    root: Any = brentq(excess, low + 1.0, high - 1.0, xtol=1e-3, rtol=np.float64(1e-14))
-    return float(root)
+    def root(self, low: float, high: float) -> float | None:
+        """Where it is none, None where that is not between."""
+        from scipy.optimize import brentq
+
+        if self(low) * self(high) > 0:
+            return None
+        root: Any = brentq(self, low, high, xtol=NEAR, rtol=np.float64(1e-14))
+        return float(root)
 
 
 @dataclass(frozen=True)
@@ -542,9 +610,10 @@ class LinearModel:
     """``ẋ = A x + B u + E f`` about an operating point: u [V] the commands of the valves at work, f
     [N] a force on the rod.
 
-    ``states`` name x: ``v, p_head, p_rod``, the pressure of each line, the deflection of a mount,
-    the states of each valve with dynamics, then those of the Padé forms of delays; all SI.
-    ``valves`` number u. Poles beyond ``fastest`` [rad/s] are those of the Padé forms."""
+    ``states`` name x: ``v, p_head, p_rod``, the pressure of each line, that of a load-sensing
+    supply that follows this load, the deflection of a mount, the states of each valve with
+    dynamics, then those of the Padé forms of delays; all SI. ``valves`` number u. Poles
+    beyond ``fastest`` [rad/s] are those of the Padé forms."""
 
     states: tuple[str, ...]
     valves: tuple[int, ...]
@@ -603,6 +672,25 @@ class _Hose(NamedTuple):
         return (gained - behind * line_conductance(behind, self.row)) / (2 * dp)
 
 
+class _Sensing(NamedTuple):
+    """A load-sensing pump about an operating point that it follows: the ``side`` that it feeds and
+    feels, and how fast it follows, ``rate`` [1/s].
+    """
+
+    side: int
+    rate: float
+
+
+def _sensing(model: Model, point: OperatingPoint) -> _Sensing | None:
+    """How its pressure follows the point's; None where it follows nothing, as at its highest."""
+    supply = model.plant.supply
+    if supply.margin == 0.0 or point.p_supply >= supply.pressure:
+        return None
+    softer = bulk_of(supply, point.p_supply) / supply.bulk_modulus
+    sides = [FED[path.path] for path in point.paths if path.path in FED]
+    return _Sensing(sides[0], softer / supply.lag) if sides else None
+
+
 def _hoses(model: Model, point: OperatingPoint) -> list[_Hose]:
     """The lines of the point's cylinder."""
     index = model.layout.cylinders.index(point.cylinder)
@@ -616,10 +704,13 @@ def _hoses(model: Model, point: OperatingPoint) -> list[_Hose]:
 
 
 def _own(model: Model, point: OperatingPoint) -> list[int]:
-    """Where the plant has the states of the cylinder's lines and mount."""
+    """Where the plant has the states of the cylinder's lines, of the supply that feels it and of
+    its mount.
+    """
     row = model.plant.cylinders[model.layout.cylinders.index(point.cylinder)]
+    supply = [] if _sensing(model, point) is None else [int(model.plant.at.supply)]
     mount = [int(row.mount_state)] if row.mount_state >= 0 else []
-    return [hose.state for hose in _hoses(model, point)] + mount
+    return [hose.state for hose in _hoses(model, point)] + supply + mount
 
 
 def _states(
@@ -636,13 +727,14 @@ def development_model(model: Model, point: OperatingPoint) -> LinearModel:
 
     ``m_eq v̇ = A1 P1 − A2 P2 − (b_eq + friction) v + m_eq·bend·v + f``; ``V/β Ṗ`` = inflow of
     each chamber, volumes fixed, β of the oil at its pressure; ``Q = gain·opening + slope·Δp`` along
-    each edge; valves as their elements are."""
+    each edge; valves as their elements are; ``Ṗs = (P − Ps)/lag`` of a load-sensing pump."""
     plant = model.plant
     row = plant.cylinders[model.layout.cylinders.index(point.cylinder)]
     valves, moving, names = _states(model, point)
     size = len(names)
     a, b, e = np.zeros((size, size)), np.zeros((size, len(valves))), np.zeros(size)
     areas, hoses = np.array([row.area_head, row.area_rod]), _hoses(model, point)
+    pump, at_pump = _sensing(model, point), 3 + len(hoses)
     a[0, :3] = (
         point.bend - (point.damping + point.friction) / point.mass,
         areas[0] / point.mass,
@@ -675,8 +767,12 @@ def development_model(model: Model, point: OperatingPoint) -> LinearModel:
             inflow[port, first : first + c.size] += path.gain * np.outer(side, c)
         else:
             into_u[port, valves.index(path.valve)] += path.gain * side
+        if pump is not None and path.path in FED:
+            inflow[port, at_pump] += path.slope * side
     nodes = slice(1, 1 + len(stiff))
     a[nodes], b[nodes] = stiff[:, None] * inflow, stiff[:, None] * into_u
+    if pump is not None:
+        a[at_pump, 1 + port[pump.side]], a[at_pump, at_pump] = pump.rate, -pump.rate
     for i, block in moving.items():
         rows = slice(at[i], at[i] + block.b.size)
         a[rows, rows], b[rows, valves.index(i)] = block.a, block.b
@@ -748,6 +844,18 @@ def faster(linear: LinearModel, factor: float) -> LinearModel:
     return LinearModel(linear.states, linear.valves, a, b, linear.e, linear.fastest * factor)
 
 
+def at_its_supply(model: Model, point: OperatingPoint, felt: float) -> Model:
+    """The model for a point: where a load-sensing pump follows what it feels of other cylinders,
+    ``felt`` [Pa], and not the point, its pressure is constant there.
+    """
+    supply = model.plant.supply
+    if supply.margin == 0.0 or point.p_supply > sensed(felt, supply):
+        return model
+    supply = supply.copy()
+    supply.pressure, supply.margin = point.p_supply, 0.0
+    return replace(model, plant=model.plant._replace(supply=supply))
+
+
 def state_of(model: Model, point: OperatingPoint) -> tuple[np.ndarray, np.ndarray]:
     """(plant state, commands [V]) of the steady motion; other cylinders carry their loads, their
     valves shut.
@@ -758,6 +866,7 @@ def state_of(model: Model, point: OperatingPoint) -> tuple[np.ndarray, np.ndarra
     command = model.rest_commands(1)[0]
     y[names.state("qd", int(model.plant.cylinders[index].joint))] = point.v / point.lever
     y[names.state("p_head", index)], y[names.state("p_rod", index)] = point.p_head, point.p_rod
+    y[model.plant.at.supply] = point.p_supply
     for path in point.paths:
         command[path.valve] = path.command
         valve_settle(model.plant.valves[path.valve], path.command, model.plant, y)
@@ -917,12 +1026,13 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
     function = FUNCTIONS.index(point.function)
     areas = np.array([circuit.area_head, circuit.area_rod])
     head = METERED[function] == HEAD
-    size, held = linear.a.shape[0], 2 * DELAY_ORDER if law.delay > 0 else 0
+    sources = [1, 2, *(i for i, name in enumerate(linear.states) if name == "p_supply")]
+    size, held = linear.a.shape[0], len(sources) * DELAY_ORDER if law.delay > 0 else 0
     corners = [corner for corner in (law.washout, law.ramp_washout) if corner > 0]
     total = size + held + len(corners)
     a = np.zeros((total, total))
     a[:size, :size] = linear.a
-    seen = _seen(a, size, law.delay)
+    seen = _seen(a, sources, size, law.delay)
     back = seen[0 if head else 1].copy()
     if law.feedback == "load":
         back = (areas[0] * seen[0] - areas[1] * seen[1]) / (areas[0] if head else -areas[1])
@@ -946,7 +1056,9 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
         if together and not path.metering:
             continue
         i, share = linear.valves.index(path.valve), PATH_FLOWS[function, path.path]
-        orders[i] = path.slope * INTO[path.path] @ seen / path.gain
+        orders[i] = path.slope * INTO[path.path] @ seen[:2] / path.gain
+        if path.path in FED and len(seen) > 2:
+            orders[i] -= path.slope * seen[2] / path.gain
         off[i] = share @ held_flow / path.gain
         direct[i], drive[i] = share @ way_in / path.gain, share @ areas / path.gain
     put = np.zeros((total, len(linear.valves)))
@@ -978,20 +1090,21 @@ def _sizes(names: Sequence[str]) -> np.ndarray:
     return sizes
 
 
-def _seen(a: np.ndarray, size: int, delay: float) -> np.ndarray:
-    """Pressures of head and rod as the controller has them, over all states, shape (2, states).
+def _seen(a: np.ndarray, sources: Sequence[int], size: int, delay: float) -> np.ndarray:
+    """Pressures as the controller has them, of head, rod and a supply that follows them, over all
+    states, shape (sources, states); ``sources`` are their own states.
 
     A delay [s] is written into ``a``: the states from ``size`` on are those of its Padé form,
     ``e^(−sT) ≈ 1 − 2 a1 s/(s² + a1 s + a0)`` with a1 = 6/T, a0 = 12/T².
     """
-    seen = np.zeros((2, a.shape[0]))
-    seen[:, 1:3] = np.eye(2)
+    seen = np.zeros((len(sources), a.shape[0]))
+    seen[range(len(sources)), sources] = 1.0
     if delay > 0:
         root, twice = math.sqrt(12.0) / delay, 12.0 / delay
-        for k in range(2):
+        for k, source in enumerate(sources):
             at = size + 2 * k
             a[at, at + 1], a[at + 1, at], a[at + 1, at + 1] = root, -root, -0.5 * twice
-            a[at + 1, 1 + k] = root
+            a[at + 1, source] = root
             seen[k, at + 1] = -twice / root
     return seen
 

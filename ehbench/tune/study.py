@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -12,16 +13,20 @@ from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.control.functions import Circuit
 from ehbench.errors import InputError, InsufficientData, ModelRejected
 from ehbench.plant.build import Maps
+from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import TuneRecipe
 from ehbench.rig import Rig, read_value
 from ehbench.tune.linear import (
+    FED,
     Aim,
+    Equivalent,
     Law,
     LinearModel,
     Loop,
     OperatingPoint,
+    at_its_supply,
     circuit_of,
     close,
     development_model,
@@ -78,6 +83,23 @@ class Study:
         """The rig under a payload."""
         return model_under(self.rig, self.maps, payload)
 
+    def steady(
+        self, model: Model, circuit: Circuit, function: int, here: Equivalent, index: int, aim: Aim
+    ) -> tuple[Model, OperatingPoint]:
+        """The steady motion that is aimed at, as `operating_point`, and the model for it."""
+        felt = self._felt(model)
+        point = operating_point(model, circuit, function, here, index, replace(aim, felt=felt))
+        return at_its_supply(model, point, felt), point
+
+    def _felt(self, model: Model) -> float:
+        """The highest pressure [Pa] that the cylinders hold which are moving as well."""
+        also, names = self.recipe.also_moving, model.layout
+        if not also:
+            return -math.inf
+        y = model.trim(model.posture(self.recipe.posture), model.plant.tank_pressure + self.low)
+        indices = [names.cylinders.index(name) for name in also]
+        return max(float(y[names.state(f"p_{side}", i)]) for i in indices for side in SIDES)
+
 
 def prepare_tuning(machine: Machine, recipe: TuneRecipe, *, validated: type | None = None) -> Study:
     """Find the operating points; arguments and errors as in `tune_pressure_feedback`."""
@@ -95,12 +117,7 @@ def prepare_tuning(machine: Machine, recipe: TuneRecipe, *, validated: type | No
             hint="name one with cylinder = " + ", ".join(f'"{c.name}"' for c in rig.cylinder),
         )
     rig.cylinder_named(name)
-    if not rig.supply.constant:
-        raise InputError(
-            f"the rig has {rig.supply.kind}, and operating points are those of one pressure",
-            hint="tune without [supply.load_sensing] and [supply.low_rail], and give them to the "
-            "trial: [supply] in its recipe",
-        )
+    _check_also_moving(rig, name, recipe)
     supply = float(rig.supply.pressure)
     low = supply / 20.0 if recipe.low_pressure is None else float(recipe.low_pressure)
     cross = supply / 20.0 if recipe.cross_drop is None else float(recipe.cross_drop)
@@ -112,12 +129,25 @@ def prepare_tuning(machine: Machine, recipe: TuneRecipe, *, validated: type | No
         curves.append(_curves(model, name, payload, recipe))
         sites += _possible(study, model, payload)
     sites, notes = _those_that_count(sites, recipe, name)
+    notes += rail_notes(rig, [site.point for site in sites if site.counts])
     return replace(study, sites=tuple(sites), curves=tuple(curves), notes=tuple(notes))
 
 
 def model_under(rig: Rig, maps: Maps | None, payload: str) -> Model:
     """The model of a rig under a payload, NONE for none."""
     return Model.of(rig, maps, None if payload == NONE else payload)
+
+
+def _check_also_moving(rig: Rig, name: str, recipe: TuneRecipe) -> None:
+    for one in recipe.also_moving:
+        rig.cylinder_named(one)
+        if one == name:
+            raise InputError(f"'{one}' is tuned: also_moving names other cylinders")
+    if recipe.also_moving and rig.supply.load_sensing is None:
+        raise InputError(
+            f"also_moving is for load sensing, and the rig's supply is {rig.supply.kind}",
+            hint="leave it out: such a supply feels no load",
+        )
 
 
 def _check_functions(recipe: TuneRecipe) -> None:
@@ -163,10 +193,10 @@ def _possible(study: Study, model: Model, payload: str) -> Iterator[Site]:
         for index in range(here.x.size):
             for share in recipe.speed_shares:
                 aim = Aim(study.low, study.cross, share=share, payload=payload, held=recipe.posture)
-                point = operating_point(model, circuit, function, here, index, aim)
+                own, point = study.steady(model, circuit, function, here, index, aim)
                 if point.possible and point.v != 0.0:
-                    linear = development_model(model, point)
-                    yield Site(model, circuit, point, linear, point.fits)
+                    linear = development_model(own, point)
+                    yield Site(own, circuit, point, linear, point.fits)
 
 
 def _those_that_count(
@@ -194,6 +224,27 @@ def _those_that_count(
         for function in shown
     ]
     return kept, notes
+
+
+def rail_notes(rig: Rig, points: Sequence[OperatingPoint]) -> list[str]:
+    """A sentence where points stand near the pressure at which the low rail is not enough any more:
+    a swing over it meets two supplies in turn, and no linear model has that.
+    """
+    low = rig.supply.low_rail
+    if low is None:
+        return []
+    margin = float(low.rail_margin)
+    ends = float(low.rail_pressure) - margin
+    paths = [(point, path.path) for point in points for path in point.paths]
+    fed = [(at.p_head, at.p_rod)[FED[path]] for at, path in paths if path in FED]
+    near = sum(1 for p in fed if abs(p - ends) < 2.0 * margin)
+    if not near:
+        return []
+    return [
+        f"at {near} of {len(points)} operating points the chamber that is fed stands within "
+        "twice rail_margin of where the high rail takes over from the low one: a swing that "
+        "reaches over is not in the promise"
+    ]
 
 
 def _strokes(recipe: TuneRecipe, stroke: float) -> np.ndarray:

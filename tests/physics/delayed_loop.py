@@ -63,13 +63,15 @@ class Bench:
         """The linearised loop at an operating point."""
         return SampledPlant.of(at.model, at.point, TICK).loop(self.site, gains)
 
-    def stroke(self, at, gains, delay, push, span=1.6):
+    def stroke(self, at, gains, delay, push, span=1.6, louder=1.0):
         """Strokes [m] of a steady motion that begins with a push of the speed [m/s], its samples
-        ``delay`` [s] late.
+        ``delay`` [s] late, what it commands ``louder`` [1] than it is.
         """
         model, point, site = at.model, at.point, self.site
         plant, layout = model.plant, model.layout
         y, command = state_of(model, point)
+        given, steady = command.copy(), command.copy()
+        valves = sorted({path.valve for path in point.paths})
         row = plant.cylinders[site.axis.circuit.cylinder]
         y[plant.at.rates + row.joint] += push / point.lever
         memory = arc.memory_of(site.axis)
@@ -85,7 +87,7 @@ class Bench:
         k, work = np.empty((5, y.size)), np.empty(plant.at.work)
         reference = np.array([point.x, point.v, 0.0, 0.0])
         control = bound(law_tick, 0.0, sample, reference, law, command, telemetry)
-        tick = bound(model_tick, y, command, plant, line, 2, k, work, sample)
+        tick = bound(model_tick, y, given, plant, line, 2, k, work, sample)
         whole = int(delay / TICK)
         share, joint = delay / TICK - whole, row.joint
         # before the start it moved steadily as well
@@ -103,16 +105,19 @@ class Bench:
             reference[0] = point.x + (i * TICK) * point.v
             control(i * TICK, seen, reference, law, command, telemetry)
             strokes[i] = sample[entry(site.axis.circuit.cylinder, OF.x)]
-            tick(y, command, plant, line, 2, k, work, sample)
+            given[:] = command
+            given[valves] += (louder - 1.0) * (command - steady)[valves]
+            tick(y, given, plant, line, 2, k, work, sample)
             past = [sample.copy(), *past[:-1]]
         assert math.isfinite(y[joint])
         return strokes
 
-    def grows(self, at, gains, delay, push=2.0e-4):
+    def grows(self, at, gains, delay, push=2.0e-4, louder=1.0):
         """Whether what a push leaves swings more and more: the second differences of stroke over
         the last third of the time against those of the third before.
         """
-        apart = self.stroke(at, gains, delay, push) - self.stroke(at, gains, delay, -push)
+        ends = (self.stroke(at, gains, delay, one, louder=louder) for one in (push, -push))
+        apart = next(ends) - next(ends)
         swing = np.diff(apart, 2)
         third = swing.size // 3
         early, late = swing[third : 2 * third], swing[2 * third :]

@@ -96,6 +96,21 @@ def test_100_lb_do_not_swing(change, speed):
     assert facts.measures["tracking"]["max_error"] < 1.3e-3
 
 
+def test_a_trial_says_its_gains_as_designed_and_under_its_load():
+    design = facts_of("thesis_arm", "50 lb", {}).measures
+    assert "eased" not in design and "gains_under_load" not in design
+    heavy = facts_of("thesis_arm", "100 lb", {}).measures
+    assert heavy["gains"] == design["gains"]
+    share, under = heavy["eased"]["share"], heavy["gains_under_load"]
+    assert 0.5 < share < 0.95
+    # what 100 lb are to the mechanism, as motion tells it at its most
+    assert heavy["eased"]["payload"] == pytest.approx(45.4, rel=0.25)
+    for name in ("position_bandwidth", "force_bandwidth", "observer_bandwidth", "adaptation"):
+        assert under[name] == pytest.approx(share * heavy["gains"][name])
+    assert under["speed_tolerance"] == pytest.approx(heavy["gains"]["speed_tolerance"] / share)
+    assert "bandwidth_limit" not in under
+
+
 def test_without_that_they_swing_in_motion():
     late = MACHINES["pressure sensors 10 ms slower"]
     facts = facts_of("thesis_arm", "100 lb", late, "60 mm/s", bandwidth_limit="0 rad/s")

@@ -10,7 +10,7 @@ import pytest
 import ehbench
 from ehbench.errors import InputError, InsufficientData
 from ehbench.fields import Value
-from ehbench.ledger import bounds, ledger_of_model
+from ehbench.ledger import bounds, ledger_of_log, ledger_of_model
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
@@ -111,6 +111,31 @@ def test_the_ledger_closes_and_pays_each_oil_at_its_pressure(kind, request):
     assert paid < 0.6 * constant.pump / constant.oil_drawn
     with pytest.raises(InsufficientData, match="has not one pressure"):
         bounds(rig, record, "press", ledger)
+
+
+def test_the_low_rail_has_rows_of_its_own():
+    """What it gave is its pressure times the oil that it was taken from, on the model as in a log;
+    the pump's row is the rest, and each store closes by itself.
+    """
+    t = np.arange(401) / 1000.0
+    command = np.where(t < 0.2, 4.0, -4.0)
+    record = ehbench.simulate(RAILS, {"press.servo": command}, 0.4, posture={"press": "100 mm"})
+    given = 0.0
+    for end in ("head", "rod"):
+        flow, p = record[f"press.servo_supply_{end}.flow"], record[f"press.p_{end}"]
+        given += np.trapezoid(np.where(p + 1e6 <= RAIL, RAIL * flow, 0.0), t)
+    by_model = ledger_of_model(Model.of(RAILS), record)
+    by_log = ledger_of_log(RAILS, None, record, accuracy=None)
+    assert 0.2 * by_model.pump < given < 0.9 * by_model.pump
+    for ledger, close in ((by_model, 2e-3), (by_log, 2e-2)):
+        assert ledger.low_rail == pytest.approx(given, rel=0.02)
+        assert ledger.pump == pytest.approx(ledger["pump"].energy + ledger["low_rail"].energy)
+        assert ledger["low_rail_compression"].energy > 0.0
+        for part in (row for row in ledger.rows if row.group == "part"):
+            assert abs(part.energy) < close * ledger.pump, part.name
+    own = record["p_supply"] * record["flow_supply"]
+    assert by_model["pump"].energy == pytest.approx(np.trapezoid(own, record.t), rel=0.01)
+    assert ledger_of_model(Model.of(SLIDE), moved(SLIDE)).low_rail is None
 
 
 def test_a_recording_replays_on_its_own_supply(sensing):

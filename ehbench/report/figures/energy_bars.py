@@ -107,24 +107,29 @@ def _draw_total(ax, place: int, ledger: Ledger, unit: Unit, end: float, empty: b
     """What the pump gave and the compression of its oil, right of the bar, with the interval; said
     where it is next to nothing.
     """
-    pump = next(row for row in ledger["rows"] if row["name"] == "pump")
-    half = half_of(pump)
+    given = [row for row in ledger["rows"] if row["name"] in ("pump", "low_rail")]
+    half, drawn = half_of(given[0]), sum(row["energy"] for row in given)
     total = sum(row["energy"] for row in ledger["rows"] if row["group"] == "supply")
     if half:
         look = {"color": INK, "capsize": 3, "linewidth": 1.0, "zorder": 5}
         ax.errorbar(total / unit[0], place, xerr=half / unit[0], **look)
     right = max(end, (total + (half or 0.0)) / unit[0])
-    words = energy_text(pump["energy"], half, unit) if pump["energy"] else DASH
+    words = energy_text(drawn, half, unit) if drawn else DASH
     look = {"textcoords": "offset points", "va": "center", "zorder": 6}
     box = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
     label = ax.annotate(words, (right, place), (6, 0), fontsize=8, weight="bold", bbox=box, **look)
     if empty:
         look |= {"xycoords": label, "fontsize": 7.5}
         ax.annotate("next to nothing was drawn", (1.0, 0.5), (5, 0), **look)
-    elif abs(rest := total - pump["energy"]) > SEEN * abs(total):
-        text = (
-            f"{'+' if rest > 0.0 else '−'} {number(abs(rest) / unit[0], 2)} {unit[1]} compression"
-        )
+        return
+    rest, said = (
+        total - drawn,
+        [f"low rail {energy_text(row['energy'], None, unit)}" for row in given[1:]],
+    )
+    if abs(rest) > SEEN * abs(total):
+        sign = "+" if rest > 0.0 else "−"
+        said.append(f"{sign} {number(abs(rest) / unit[0], 2)} {unit[1]} compression")
+    if text := ", ".join(said):
         ax.annotate(text, (1.0, 0.5), (5, 0), xycoords=label, fontsize=7.5, bbox=box, **look)
 
 

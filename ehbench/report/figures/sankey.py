@@ -30,7 +30,9 @@ WORDS = {
     "load": "load",
     "residual": "not accounted for",
 }
-PUMP, MECHANISM = "pump", "mechanism"
+PUMP, RAIL, MECHANISM = "pump", "low rail", "mechanism"
+# rows that a source of the supply is the sum of; what the last of them gave is told apart
+SOURCES = {PUMP: ("pump", "pump_compression"), RAIL: ("low_rail", "low_rail_compression")}
 _MECHANICAL = (
     *("friction", "friction_spring", "end_stop", "stop", "damping"),
     *("mount", "mount_spring"),
@@ -79,6 +81,11 @@ class _Account:
     whole: float  # what is small is small beside it
 
     @property
+    def rails(self) -> bool:
+        """Whether there is a low rail beside the pump: then both have ribbons to the supply."""
+        return "low_rail" in self.named
+
+    @property
     def uphill(self) -> bool:
         """Whether the load drives the oil: then the mechanism stands before it."""
         return sum(self.works.values()) < 0.0
@@ -106,7 +113,7 @@ def _account(ledger: Ledger) -> _Account:
 
 def _nodes(account: _Account) -> dict[str, _Node]:
     return {
-        PUMP: _Node(0.0, PUMP, COLOURS["supply"]),
+        PUMP: _Node(0.11 if account.rails else 0.0, "supply", COLOURS["supply"]),
         **{cylinder: _Node(0.36, cylinder, INK) for cylinder in account.busy},
         MECHANISM: _Node(0.16 if account.uphill else 0.62, MECHANISM, COLOURS["load"]),
     }
@@ -120,11 +127,12 @@ def _flows(account: _Account) -> list[_Flow]:
     for cylinder in account.busy:
         flows += _drawn(account, cylinder)
         flows += _work(account, cylinder)
-    shared = (row for row in account.rows if row["cylinder"] is None)
-    given = sum(row["energy"] for row in shared if row["group"] == "supply")
-    if given > 0.0 and any(flow.start == PUMP for flow in flows):
-        half = half_of(account.named["pump"])
-        flows.append(_Flow(None, PUMP, given, "supply", PUMP, half))
+    if any(flow.start == PUMP for flow in flows):
+        for label, names in SOURCES.items():
+            own = [account.named[name] for name in names if name in account.named]
+            given = sum(row["energy"] for row in own)
+            if given > 0.0:
+                flows.append(_Flow(None, PUMP, given, "supply", label, half_of(own[0])))
     return _merged(flows, account)
 
 
@@ -295,8 +303,8 @@ def _layout(account: _Account) -> _Layout:
         (f for f in flows if f.start is None),
         key=lambda f: (f.end != MECHANISM, f.end != PUMP, order[f.end or ""], -f.energy),
     )
-    tall = min(max(3.0, 0.21 * len(leaves) + 1.3), 8.5)
-    line, line_left = 0.175 / tall, 0.36 / tall
+    tall = min(max(3.4 if account.rails else 3.0, 0.21 * len(leaves) + 1.3), 8.5)
+    line, line_left = 0.175 / tall, (0.66 if account.rails else 0.36) / tall
     out, into = [f.energy for f in leaves], [f.energy for f in sources]
     scale = min(_fit(out, line), _fit(into, line_left))
     outer = dict(zip(leaves, _slots(out, scale, line), strict=True))
@@ -307,7 +315,7 @@ def _layout(account: _Account) -> _Layout:
     if len(sources) == 1:
         outer[sources[0]] = middles[sources[0].end or ""]
     for flow in sources:
-        if flow.feeds_pump and flow.group == "supply" and flow.label == PUMP:
+        if flow.feeds_pump and flow.label == PUMP and not account.rails:
             middles[PUMP] = outer[flow]
     docks = {name: _Dock(nodes[name], middles[name], size) for name, size in sizes.items()}
     return _Layout(flows, docks, outer, scale, line, tall)
@@ -380,12 +388,12 @@ def sankey(path: Path, ledger: Ledger) -> None:
         ):
             if flow.start is None:
                 _draw_source(ax, layout, flow, unit, account)
-            if not flow.feeds_pump:
+            if account.rails or not flow.feeds_pump:
                 _draw_flow(ax, layout, flow)
             if flow.end is None:
                 _draw_leaf(ax, layout, flow, unit, account.given)
         for name, dock in layout.docks.items():
-            if name != PUMP:
+            if account.rails or name != PUMP:
                 _draw_node(ax, dock)
         rest = next(row for row in ledger["rows"] if row["group"] == "residual")
         amount = energy_text(rest["energy"], half_of(rest), unit, account.given)
@@ -395,16 +403,18 @@ def sankey(path: Path, ledger: Ledger) -> None:
 
 
 def _draw_source(ax, layout: _Layout, flow: _Flow, unit: Unit, account: _Account) -> None:
-    """Bar and label at the left; of the pump in bold, with what compression gave apart."""
+    """Bar and label at the left; of the pump and a low rail in bold, with what compression gave
+    apart.
+    """
     at, thick = layout.outer[flow], flow.energy * layout.scale
     energy, style = flow.energy, {"fontsize": 8}
-    if flow.feeds_pump and flow.label == PUMP:
-        gained = account.named["pump_compression"]["energy"]
+    if flow.feeds_pump and flow.label in SOURCES:
+        gained = account.named[SOURCES[flow.label][1]]["energy"]
         energy, style = flow.energy - gained, {"fontsize": 8.5, "weight": "bold"}
         below = f"+ {energy_text(gained, None, unit)} compression"
         look = {"va": "center", "ha": "right", "fontsize": 7, "color": MUTED}
         ax.text(-0.025, at - 1.35 * layout.line, below, **look)
-        thick = max(thick, layout.docks[PUMP].size)
+        thick = thick if account.rails else max(thick, layout.docks[PUMP].size)
     words = f"{flow.label}\n{energy_text(energy, flow.half, unit)}"
     ax.text(-0.025, at, words, va="center", ha="right", linespacing=1.2, **style)
     ax.add_patch(_bar(0.0, at, thick, COLOURS[flow.group]))

@@ -144,7 +144,7 @@ def controlled(path: Path, rig: Rig, case: Case, record: Record) -> None:
             _motion(places[word], rig, record, f"{own}.{word}", axis(rig, word, text))
         if "error" in places:
             _tracking_error(places["error"], rig, record, own)
-        _pressures(places["pressure"], rig, record, own)
+        _pressures(places["pressure"], rig, case, record)
         saturated = _commands_panel(places["command"], rig, record, own)
         handles = (
             function_bars(places["strip"], [("function", case, record)], True) if strip else []
@@ -187,7 +187,12 @@ def _tracking_error(ax, rig: Rig, record: Record, cylinder: str) -> None:
     ax.set_title(axis(rig, "x", "Tracking error, actual minus desired"))
 
 
-def _pressures(ax, rig: Rig, record: Record, cylinder: str) -> None:
+def _pressures(ax, rig: Rig, case: Case, record: Record) -> None:
+    """Of the chambers; of the supply as well where it follows the load."""
+    cylinder, follows = case.cylinder, case.row.get("energy", {}).get("supply") == "load sensing"
+    if follows and "p_supply" in record:
+        look = {"color": MUTED, "linewidth": 0.9, "label": "supply"}
+        plot_channel(ax, rig, record, "p_supply", **look)
     planned = {"color": MUTED, "linestyle": (0, (3, 2)), "linewidth": 1.0}
     for word, text, look in (
         ("p_head", "head end", {"color": CYCLE[0], "linewidth": 1.1}),

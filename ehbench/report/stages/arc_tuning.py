@@ -14,6 +14,7 @@ from ehbench.report.content import (
 from ehbench.report.figures import arc_tuning as figures
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
+from ehbench.report.tuning_words import supply_blocks
 from ehbench.report.words import DASH, axis, count, number, pretty, unit_of, words
 from ehbench.rig import Rig
 
@@ -42,6 +43,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     verdict = f"The demanded margins are {'kept' if met else 'not kept'} at every operating point."
     inside: list[Block] = [
         Text(verdict, "good" if met else "bad"),
+        *supply_blocks(rig, tuning),
         *pictures(FigureKey("margins")),
         _margins(rig, tuning),
         _gains(rig, tuning),

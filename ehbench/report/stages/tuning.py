@@ -32,6 +32,7 @@ from ehbench.report.tuning_words import (
     locus_caption,
     payloads_of,
     steps_caption,
+    supply_blocks,
     undamped,
 )
 from ehbench.report.words import DASH, axis, count, number, pretty, shown, unit_of, words
@@ -110,6 +111,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     verdict = f"Target and demands are {'met' if met else 'not met'}"
     choice: list[Block] = [
         Text(f"{verdict} at all operating points that count.", "good" if met else "bad"),
+        *supply_blocks(rig, tuning),
         *pictures(FigureKey("damping")),
         _parameters(rig, tuning),
     ]

@@ -1,0 +1,335 @@
+"""Tuning on supplies that follow the load: operating points, linear models, and promises that the
+running machine keeps.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ehbench.control import functions as fn
+from ehbench.control.measured import Pressures
+from ehbench.errors import InputError
+from ehbench.fields import Value
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.model import Model
+from ehbench.recipe import ArcTuneRecipe, TrialRecipe, TuneRecipe, load_rig
+from ehbench.rig import LoadSensing, LowRail
+from ehbench.trial import prepare, run
+from ehbench.tune.arc import tune_arc
+from ehbench.tune.arc_loop import SampledPlant, Sensing
+from ehbench.tune.gains import tune_pressure_feedback
+from ehbench.tune.linear import (
+    Aim,
+    circuit_of,
+    development_model,
+    equivalent,
+    operating_point,
+    plant_model,
+    state_of,
+)
+from ehbench.tune.study import prepare_tuning
+
+sys.path.append(str(Path(__file__).parent))
+from delayed_loop import Bench  # noqa: E402
+from test_tuned_damping import RIGS, Running, _dominant  # noqa: E402
+
+FOLLOWING = ("load sensing", "two rails")
+LAG = 0.05
+CYLINDERS = {
+    "thesis_arm": "boom",
+    "boom_four_valve": "boom",
+    "crane_proportional": "lift",
+    "slide_servo": "press",
+}
+
+
+@cache
+def rig_on(kind, name, rail=0.35):
+    """A shipped rig on another supply; ``rail`` as a share of its highest pressure."""
+    rig = load_rig(RIGS / f"{name}.toml")
+    most = float(rig.supply.pressure)
+    if kind == "load sensing":
+        margin = Value(0.1 * most)
+        return rig.with_supply(load_sensing=LoadSensing(load_margin=margin, load_lag=Value(LAG)))
+    rail, margin = Value(rail * most), Value(0.05 * most)
+    return rig.with_supply(low_rail=LowRail(rail_pressure=rail, rail_margin=margin))
+
+
+def points(rig, cylinder, shares=(0.5,), strokes=(0.15, 0.85)):
+    """(model, point) of every steady motion that the load calls for."""
+    for payload in (None, *rig.payload):
+        model = Model.of(rig, None, payload)
+        index = model.layout.cylinders.index(cylinder)
+        circuit, row = circuit_of(model, index), model.plant.cylinders[index]
+        here = equivalent(model, index, np.array(strokes) * row.stroke)
+        low = model.plant.supply.pressure / 20
+        for function in np.flatnonzero(circuit.able[1:]) + 1:
+            for at in range(len(strokes)):
+                for share in shares:
+                    aim = Aim(low, low, share=share)
+                    point = operating_point(model, circuit, int(function), here, at, aim)
+                    if point.fits and point.v:
+                        yield model, point
+
+
+@pytest.mark.parametrize("name", CYLINDERS)
+@pytest.mark.parametrize("kind", FOLLOWING)
+def test_equations_agree_with_differences_about_a_steady_motion(kind, name):
+    """All rates of the point's own states are none, the supply's too, and the matrices those of the
+    plant to 1e-7 of a row: differences are good to 1e-8.
+    """
+    count = 0
+    for model, point in points(rig_on(kind, name), CYLINDERS[name]):
+        plant, names = model.plant, model.layout
+        y, command = state_of(model, point)
+        rate = np.empty(names.states)
+        derivatives(y, command, plant, rate, np.empty(plant.at.work))
+        index = names.cylinders.index(point.cylinder)
+        for key, area, volume in (
+            ("p_head", "area_head", point.volume_head),
+            ("p_rod", "area_rod", point.volume_rod),
+        ):
+            row = plant.cylinders[index]
+            shut = row.bulk_modulus / volume * row[area] * abs(point.v)
+            assert abs(rate[names.state(key, index)]) < 1e-6 * shut, point.name
+        assert abs(rate[plant.at.supply]) < 1e-6 * point.p_supply / LAG, point.name
+        ours, theirs = development_model(model, point), plant_model(model, point)
+        assert ours.states == theirs.states
+        size = np.array([1e6 if "p_" in s else 100.0 if "rate" in s else 1.0 for s in ours.states])
+        a, b = (one.a * size / size[:, None] for one in (ours, theirs))
+        assert (np.abs(a - b) <= 1e-7 * np.abs(a).max(axis=1, keepdims=True)).all(), point.name
+        count += 1
+    assert count >= 4
+
+
+def test_the_supply_stands_a_margin_above_what_it_feeds():
+    """Up to its highest pressure; where it feeds nothing, above tank. Only a pressure that follows
+    has a state.
+    """
+    rig = rig_on("load sensing", "thesis_arm")
+    most, margin = float(rig.supply.pressure), 0.1 * float(rig.supply.pressure)
+    for model, point in points(rig, "boom"):
+        load = {fn.SUPPLY_HEAD: point.p_head, fn.SUPPLY_ROD: point.p_rod}
+        felt = [load[path.path] for path in point.paths if path.path in load] or [point.p_tank]
+        assert point.p_supply == pytest.approx(min(felt[0] + margin, most))
+        follows = felt[0] > point.p_tank and point.p_supply < most
+        assert ("p_supply" in development_model(model, point).states) is follows
+    # a margin that leaves hardly any range
+    high = rig.with_supply(load_sensing=LoadSensing(load_margin=Value(0.95 * most)))
+    ends = [point.p_supply for _, point in points(high, "boom", strokes=(0.5,))]
+    assert max(ends) == most and all(end <= most for end in ends)
+
+
+def test_each_point_takes_from_the_rail_that_is_enough():
+    rig = rig_on("two rails", "thesis_arm")
+    most = float(rig.supply.pressure)
+    rail, taken = 0.35 * most, set()
+    for _, point in points(rig, "boom"):
+        assert point.p_supply == most
+        for path in point.paths:
+            if path.path in (fn.SUPPLY_HEAD, fn.SUPPLY_ROD):
+                chamber = point.p_head if path.path == fn.SUPPLY_HEAD else point.p_rod
+                low = chamber + 0.05 * most <= rail
+                assert path.drop == pytest.approx((rail if low else most) - chamber)
+                taken.add(low)
+    assert taken == {True, False}
+
+
+def test_points_near_the_change_of_rails_are_told():
+    """The boom's head end carries the bucket at 40 bar: 8 bar below the change, or 32."""
+    notes = {}
+    for rail in (0.35, 0.5):
+        recipe = TuneRecipe(
+            stage="tune", rig="x", postures=1, payloads=("bucket",), functions=("extend_resistive",)
+        )
+        rig = rig_on("two rails", "boom_four_valve", rail)
+        study = prepare_tuning(SimpleNamespace(rig=rig, flow_maps=None), recipe)
+        notes[rail] = [note for note in study.notes if "takes over from the low one" in note]
+    assert len(notes[0.35]) == 1 and notes[0.35][0].startswith("at 2 of 2 operating points")
+    assert notes[0.5] == []
+
+
+def test_what_valves_are_opened_by_has_no_kink_at_the_steady_motion():
+    """The measured pressure of a load-sensing pump, as long as half its margin is there; below,
+    that half. The choice of functions counts on all of it.
+    """
+    rig = rig_on("load sensing", "slide_servo")
+    model, margin = Model.of(rig), 0.1 * float(rig.supply.pressure)
+    circuit, head = circuit_of(model, 0), 3e6
+    for there, drop in ((margin, margin), (0.6 * margin, 0.6 * margin), (-1e6, 0.5 * margin)):
+        at = Pressures(head, 1e6, head + there, 0.0)
+        assert fn.metering_drop(fn.SUPPLY_HEAD, at, circuit) == pytest.approx(drop)
+        assert fn.path_drop(fn.SUPPLY_HEAD, at, circuit) == pytest.approx(margin)
+
+
+def test_what_others_hold_is_felt_where_they_move_as_well():
+    """The pressure is then theirs and the margin wherever it is the higher, and follows this load
+    no more; the plant that is sampled holds it too.
+    """
+    rig = rig_on("load sensing", "thesis_arm")
+    margin = 0.1 * float(rig.supply.pressure)
+    recipe = TuneRecipe(
+        stage="tune",
+        rig="x",
+        cylinder="stick",
+        payloads=("50 lb",),
+        postures=2,
+        also_moving=("boom",),
+    )
+    study = prepare_tuning(SimpleNamespace(rig=rig, flow_maps=None), recipe)
+    model = study.model("50 lb")
+    low = float(rig.supply.tank_pressure) + study.low
+    y = model.trim(model.posture({}), low)
+    held = max(y[model.layout.state(key, 1)] for key in ("p_head", "p_rod"))
+    theirs = 0
+    for site in study.sites:
+        point = site.point
+        assert point.p_supply >= held + margin - 1.0
+        if point.p_supply < held + margin + 1.0:
+            theirs += 1
+            assert "p_supply" not in site.linear.states
+            assert SampledPlant.of(site.model, point, 1e-3).plant.a[model.plant.at.supply].any()
+            rate = np.empty(model.layout.states)
+            y, command = state_of(site.model, point)
+            derivatives(y, command, site.model.plant, rate, np.empty(model.plant.at.work))
+            assert rate[model.plant.at.supply] == pytest.approx(0.0, abs=1.0)
+    assert 0 < theirs
+    alone = recipe.model_copy(update={"also_moving": ()})
+    without = prepare_tuning(SimpleNamespace(rig=rig, flow_maps=None), alone)
+    assert min(site.point.p_supply for site in without.sites) < held + 0.9 * margin
+    with pytest.raises(InputError, match="other cylinders"):
+        prepare_tuning(
+            SimpleNamespace(rig=rig, flow_maps=None),
+            recipe.model_copy(update={"also_moving": ("stick",)}),
+        )
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [("load sensing", "slide_servo"), ("two rails", "boom_four_valve")],
+)
+def test_the_running_machine_is_damped_as_promised(kind, name):
+    """Within 15 %, as on constant pressure: see `test_tuned_damping`."""
+    rig = rig_on(kind, name)
+    recipe = TuneRecipe(
+        stage="tune",
+        rig="x",
+        cylinder=CYLINDERS[name],
+        payloads=(next(iter(rig.payload)),),
+        postures=2,
+        speed_shares=(0.5,),
+        washout="5 rad/s",
+        off_gain="5e-11 m^3/(s*Pa)",
+        draws=0,
+        delay="0.5 ms",
+    )
+    tuning = tune_pressure_feedback(SimpleNamespace(rig=rig, flow_maps=None), recipe)
+    assert tuning.supply["kind"] == kind
+    tried = 0
+    for result in tuning.points:
+        period = 2.0 * math.pi / result.natural_frequency_closed
+        if not result.counts or 0.5 * abs(result.point.bend) * period > 0.5:
+            continue
+        poles, share = Running(rig, tuning, result).modes(5)
+        poles, promised = poles[(share > 0.5) & (poles.imag > 0.0)], _dominant(result)
+        seen = poles[np.argmin(np.abs(np.log(poles / promised)))]
+        ratio = -seen.real / abs(seen)
+        assert ratio == pytest.approx(result.damping_ratio_closed, rel=0.15), result.name
+        assert abs(seen) == pytest.approx(abs(promised), rel=0.15), result.name
+        tried += 1
+    assert tried >= 4
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [("load sensing", "crane_proportional"), ("two rails", "boom_four_valve")],
+)
+def test_the_delay_margin_is_where_the_model_begins_to_swing(kind, name):
+    """Of adaptive robust control, within 20 %, at the point with the least margin."""
+    rig = rig_on(kind, name)
+    loads = (next(iter(rig.payload)),)
+    rig = Bench(rig, CYLINDERS[name], postures=1, shares=(0.06,), payloads=loads)
+    gains = rig.gains()
+    told = [(rig.loop(at, gains).margins(Sensing()), at) for at in rig.points]
+    margins, worst = min(told, key=lambda one: one[0].delay)
+    assert margins.delay > 0.0
+    assert rig.onset(worst, gains) == pytest.approx(margins.delay, rel=0.2), worst.point.name
+
+
+def test_load_sensing_costs_gain_margin_on_a_stiff_rig():
+    """By a tenth below the margin nothing swings on the model, by a fifth above it does."""
+    rig = Bench(rig_on("load sensing", "slide_servo"), "press", postures=2, shares=(0.06,))
+    gains = rig.gains()
+    told = [(rig.loop(at, gains).margins(Sensing()).gain, at) for at in rig.points]
+    margin, worst = min(told, key=lambda one: one[0])
+    assert 1.3 < margin < 3.0
+    assert not rig.grows(worst, gains, 0.0, louder=0.9 * margin)
+    assert rig.grows(worst, gains, 0.0, louder=1.2 * margin)
+
+
+@cache
+def tuned(kind):
+    recipe = ArcTuneRecipe(
+        stage="tune", what="arc", rig="x", postures=1, payloads=("bucket",), speed_shares=(0.06,)
+    )
+    rig = rig_on(kind, "boom_four_valve", 0.5)
+    study = prepare_tuning(SimpleNamespace(rig=rig, flow_maps=None), recipe.operating_points())
+    return tune_arc(study, recipe)
+
+
+def trial(on, delay=0.0, **more):
+    return TrialRecipe.model_validate(
+        {
+            "stage": "trial",
+            "rig": "x.toml",
+            "on": on,
+            "bench": "bench/boom_four_valve.toml",
+            "payload": "bucket",
+            "machine": {"delay": f"{float(delay)!r} s"} if delay else None,
+            "motion": {
+                "kind": "point_to_point",
+                "cylinder": "boom",
+                "waypoints": ["100 mm", "300 mm", "100 mm"],
+                "speed": "80 mm/s",
+            },
+            "controller": {"kind": "arc"},
+            "path": RIGS.parent / "trial.toml",
+            **more,
+        }
+    )
+
+
+@pytest.mark.parametrize("on", ["model", "bench"])
+@pytest.mark.parametrize("kind", FOLLOWING)
+def test_a_tuned_trial_keeps_its_stated_delay_margin(kind, on):
+    tuning = tuned(kind)
+    assert tuning.delay_margin > 2.0e-3
+    recipe = trial(on, tuning.delay_margin)
+    gains = tuning.as_json()
+    facts = run(prepare(recipe, rig_on(kind, "boom_four_valve", 0.5), gains=gains)).facts
+    assert not facts.stopped and facts.measures["limit_cycle"] is None
+    assert facts.measures["tracking"]["max_error"] < 3e-3
+    assert not any("tuning promises" in text for text in facts.warnings)
+
+
+def test_a_trial_on_another_supply_than_the_tuned_says_so():
+    gains, rig = tuned("load sensing").as_json(), rig_on("load sensing", "boom_four_valve", 0.5)
+
+    def notes(rig, **more):
+        loop = prepare(trial("model", **more), rig, gains=gains).loop
+        assert loop is not None
+        return loop.notes
+
+    assert notes(rig) == ()
+    wider = {"load_sensing": {"load_margin": "50 bar", "load_lag": "50 ms"}}
+    (said,) = notes(rig, supply=wider)
+    assert "tuned on load sensing, pressure 160 bar, load_margin 16 bar (here 50)" in said
+    (said,) = notes(load_rig(RIGS / "boom_four_valve.toml"))
+    assert "tuned on load sensing, and this trial runs on constant pressure" in said
