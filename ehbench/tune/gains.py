@@ -26,6 +26,8 @@ from ehbench.tune.study import Machine, Site, Study, prepare_tuning
 
 Progress = Callable[[str, float], None]
 
+NO_DRAWS = "no parameter of the rig is identified with a standard error, so no draws were made"
+
 
 def tune_pressure_feedback(
     machine: Machine,
@@ -81,9 +83,7 @@ def tune_prepared(
     loci, steps = _drawn(study, results, law, chosen)
     tell("draws", 0.75)
     if not uncertain(study.rig):
-        notes.append(
-            "no parameter of the rig is identified with a standard error, so no draws were made"
-        )
+        notes.append(NO_DRAWS)
     sure = robustness(
         study, results, law, chosen, correlation, lambda share: tell("draws", 0.75 + 0.25 * share)
     )

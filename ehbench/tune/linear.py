@@ -1041,13 +1041,7 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
         a[at, at] -= corner
         back[at] -= 1.0
     # chamber flows (Q1, Q2) for the pressures seen, for the feedback flow, for v_d
-    held_flow = np.zeros((2, total))
-    if head:
-        held_flow[1] = law.off_gain * (
-            seen[1] - (seen[0] if function == EXTEND_RESISTIVE_REGENERATION else 0.0)
-        )
-    else:
-        held_flow[0] = -law.off_gain * seen[0]
+    held_flow = _off_side_flows(law, seen, function)
     way_in = np.array([-1.0, 0.0]) if head else np.array([0.0, 1.0])
     orders, off = np.zeros((2, len(linear.valves), total))
     direct, drive = np.zeros((2, len(linear.valves)))
@@ -1079,6 +1073,18 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
         put @ off * ratio,
         fastest,
     )
+
+
+def _off_side_flows(law: Law, seen: np.ndarray, function: int) -> np.ndarray:
+    """Chamber flows (Q1, Q2) [m³/s] with which the off-side's law answers the pressures seen."""
+    flows = np.zeros((2, seen.shape[1]))
+    if METERED[function] != HEAD:
+        flows[0] = -law.off_gain * seen[0]
+    elif function == EXTEND_RESISTIVE_REGENERATION:
+        flows[1] = law.off_gain * (seen[1] - seen[0])
+    else:
+        flows[1] = law.off_gain * seen[1]
+    return flows
 
 
 def _sizes(names: Sequence[str]) -> np.ndarray:
