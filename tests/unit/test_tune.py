@@ -19,6 +19,8 @@ from ehbench.control.functions import HEAD, METERED, pack_rules
 from ehbench.control.pressure_feedback import pack_pressure_feedback
 from ehbench.errors import InputError, InsufficientData, ModelRejected
 from ehbench.recipe import TuneRecipe, load_recipe, load_rig
+from ehbench.report.saved import Table
+from ehbench.report.stages.tuning import _parameters
 from ehbench.rig import Value
 from ehbench.tune import gains as module
 from ehbench.tune.draws import draw_parameters
@@ -282,11 +284,15 @@ def test_alternatives_are_at_their_best(tuned):
     assert {"no washout", "load force fed back", "valves ten times as fast", "no delay"} <= set(by)
 
 
-def test_one_spool_has_no_off_side():
+def test_one_spool_has_no_off_side(tmp_path):
     t = tune_pressure_feedback(machine("crane_proportional"), recipe(phase_margin="10 deg"))
     assert t.off_gain == 0.0 and t.damping_ratio > 2 * t.damping_ratio_open
     assert t.damping_ratio_open == pytest.approx(t.damping_ratio_held, rel=1e-9)
     assert {"off-side a fifth as stiff"}.isdisjoint(a.what for a in t.alternatives)
+    rundir.write_json(tmp_path / "tuning.json", t.as_json())
+    table = Table(rundir.read_json(tmp_path / "tuning.json"), tmp_path / "tuning.json")
+    shown = [row[0] for row in _parameters(machine("crane_proportional").rig, table).rows]
+    assert "tick" in shown and not any("cross-port" in text for text in shown)
 
 
 def test_only_a_validated_rig():

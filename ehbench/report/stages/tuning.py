@@ -293,11 +293,9 @@ def _parameters(rig: Rig, tuning: Table) -> Grid:
     if len(set(gains.values())) == 1:
         gains = {"all functions": next(iter(gains.values()))}
     given = [("feedback_gain", f"feedback gain K_p, {words(name)}", gains[name]) for name in gains]
-    given += [
-        (name, text, tuning[key])
-        for name, key, text in _PARAMETERS
-        if key != "ramp_washout" or tuning.get(key)
-    ]
+    crossed = any("regeneration" in function for function in tuning["feedback_gain"])
+    needless = {"ramp_washout": not tuning.get("ramp_washout"), "cross_drop": not crossed}
+    given += [(name, text, tuning[key]) for name, key, text in _PARAMETERS if not needless.get(key)]
     rows: list[list[Cell | str]] = [
         [text, quantity_cell(rig, name, value), pretty(unit_of(rig, name)), "", ""]
         for name, text, value in given
