@@ -84,10 +84,10 @@ def read_mapped(
     began = _one_clock(groups)
     if check and columns.columns.bad_samples == LEAVE_OUT:
         groups = [_without_repeats(group, losses) for group in groups]
-    for group in groups:
+    for index, group in enumerate(groups):
         _filter(group, columns)
         if check:
-            _clean(group, columns, path, window or _ALL, losses)
+            groups[index] = group = _clean(group, columns, path, window or _ALL, losses)
             _check_time(group, path, window or _ALL)
     t, channels, rates = _joined(groups, losses, window or _ALL)
     if check and not t.size:
@@ -279,9 +279,9 @@ def _filter(group: _Group, columns: ColumnMap) -> None:
 
 def _clean(
     group: _Group, columns: ColumnMap, path: Path, window: Window, losses: list[str]
-) -> None:
-    """Refuse bad samples inside of the window or leave them out, as the map says: a few in a row
-    are bridged, of more the rows are gone.
+) -> _Group:
+    """Refuse bad samples inside of the window, or give the group without them, as the map says: a
+    few in a row are bridged, of more the rows are gone.
     """
     count = np.arange(group.t.size)
     timed = np.isfinite(group.t)
@@ -311,10 +311,7 @@ def _clean(
         for some, what in ((at[bridged[at]], "bridged"), (at[~bridged[at]], "left out")):
             if some.size:
                 losses.append(_left_out(channel, group, t, some, what))
-    if gone.any():
-        keep = ~gone
-        group.t = group.t[keep]
-        group.channels = {name: values[keep] for name, values in group.channels.items()}
+    return group.taken(np.flatnonzero(~gone)) if gone.any() else group
 
 
 _CURE = 'bad_samples = "leave out" in the map leaves such samples out and says where'

@@ -90,6 +90,15 @@ def test_rows_written_twice_are_named_and_left_out(tmp_path):
         read(tmp_path, rows, "leave out")
 
 
+def test_a_time_that_stands_still_is_found_where_rows_went_before(tmp_path):
+    """Rows that are left out keep neither their cells nor their lines."""
+    rows = [f"{0.01 * n:.2f},{20 + n},{5 - n / 9:.3f},{n // 50}" for n in range(200)]
+    rows[20] = rows[20].replace("0.20", "n/a", 1)
+    rows[100] = rows[100].replace("1.00", "0.99", 1)
+    with pytest.raises(LogError, match=r"bus.csv:102: the time stands still at 0.99 s"):
+        read(tmp_path, rows, "leave out")
+
+
 def test_a_draft_of_such_a_file_knows_its_time_and_rates(tmp_path, monkeypatch):
     rows = bus()
     rows.insert(10, rows[9])
