@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -63,7 +64,7 @@ def bars(
         ax.axvline(0.0, color=MUTED, linewidth=0.8)
         ax.set_yticks(range(len(ledgers)), [title for title, _ in ledgers])
         ax.set_ylim(len(ledgers) - 0.45, -0.55)
-        ax.set_xlim(1.05 * least, 1.3 * reach)
+        ax.set_xlim(1.05 * least, 1.4 * reach)
         ax.grid(False, axis="y")
         ax.set_xlabel(
             f"energy [{unit[1]}]; the bar, less what lies left of zero, is what the supply gave"
@@ -108,7 +109,9 @@ def _draw_total(ax, place: int, ledger: Ledger, unit: Unit, end: float, empty: b
     where it is next to nothing.
     """
     given = [row for row in ledger["rows"] if row["name"] in ("pump", "low_rail")]
-    half, drawn = half_of(given[0]), sum(row["energy"] for row in given)
+    halves = [half for row in given if (half := half_of(row)) is not None]
+    half = math.hypot(*halves) if halves else None
+    drawn = sum(row["energy"] for row in given)
     total = sum(row["energy"] for row in ledger["rows"] if row["group"] == "supply")
     if half:
         look = {"color": INK, "capsize": 3, "linewidth": 1.0, "zorder": 5}
@@ -122,14 +125,12 @@ def _draw_total(ax, place: int, ledger: Ledger, unit: Unit, end: float, empty: b
         look |= {"xycoords": label, "fontsize": 7.5}
         ax.annotate("next to nothing was drawn", (1.0, 0.5), (5, 0), **look)
         return
-    rest, said = (
-        total - drawn,
-        [f"low rail {energy_text(row['energy'], None, unit)}" for row in given[1:]],
-    )
+    rest = total - drawn
+    said = [f"low rail {energy_text(row['energy'], None, unit)}" for row in given[1:]]
     if abs(rest) > SEEN * abs(total):
         sign = "+" if rest > 0.0 else "−"
         said.append(f"{sign} {number(abs(rest) / unit[0], 2)} {unit[1]} compression")
-    if text := ", ".join(said):
+    if text := "\n".join(said):
         ax.annotate(text, (1.0, 0.5), (5, 0), xycoords=label, fontsize=7.5, bbox=box, **look)
 
 
