@@ -7,7 +7,6 @@ from ehbench.parts.cylinder import (
     chamber_inflow,
     chamber_of,
     chamber_oil,
-    chamber_pressure_rate,
     chamber_slope,
     leakage_slope,
     linkage_of,
@@ -17,21 +16,31 @@ from ehbench.parts.end_stop import stop_force, stop_rate
 from ehbench.parts.friction import friction_fastest, friction_force, friction_rates
 from ehbench.parts.line import line_rates
 from ehbench.parts.load import force_on, force_steepness
-from ehbench.parts.mount import mount_rate, piston_of, resistance_of
+from ehbench.parts.mount import any_resistance, mount_rate, piston_of, resistance_of
 from ehbench.parts.nodes import SUPPLY, TANK, ends_of, node_pressure
 from ehbench.parts.oil import bulk_of
 from ehbench.parts.supply import line_stiffness, pump_flow, sensed
 from ehbench.parts.tie import tie
 from ehbench.parts.valve import limited, valve_finish, valve_rates
 from ehbench.physics.arm import forward
+from ehbench.physics.cylinder import chamber_rate
 from ehbench.plant.build import Plant
 
 _derivatives = Generic("derivatives", "y, command, plant, dy, work")
 _finish = Generic("finish", "y, command, plant, slope, d")
 # whether an edge at the supply is open, so that a load-sensing supply feels what lies behind it
 _sensing = Generic("opens", "edge, opening, plant")
+# bulk modulus [Pa] of the oil in a chamber
+_stiff = Generic("stiff", "row, pressure, plant")
+# how fast a chamber's inflow changes with its pressure [m³/(s·Pa)], for the substep guard, where
+# ``slope`` is that of its edges
+_steep = Generic("steep", "row, side, pressure, inflow, slope, plant")
+# write the rates of a friction's own states; the fastest rate [1/s] that it makes near speed v
+_rubbing = Generic("rubbing", "row, v, y, dy, plant")
 derivatives_of, finish_of, opens_of = _derivatives.of, _finish.of, _sensing.of
+stiff_of, steep_of, rubbing_of = _stiff.of, _steep.of, _rubbing.of
 any_derivatives, any_finish, any_opens = _derivatives.call, _finish.call, _sensing.call
+any_stiff, any_steep, any_rubbing = _stiff.call, _steep.call, _rubbing.call
 
 
 @part_kernel
@@ -112,9 +121,30 @@ def _resistance(row, v, y, plant):
     return friction_force(row, v, y)
 
 
+@stiff_of(Plant)
 @part_kernel
-def _cylinders(y, command, plant, dy, work):
-    """Pressure rates of the chambers; torques of the cylinders into ``work``."""
+def _stiff_oil(row, pressure, plant):
+    return bulk_of(row, pressure)
+
+
+@steep_of(Plant)
+@part_kernel
+def _steep_inflow(row, side, pressure, inflow, slope, plant):
+    return max(chamber_slope(row, pressure, inflow, slope), leakage_slope(row, side))
+
+
+@rubbing_of(Plant)
+@part_kernel
+def _rubbing_piston(row, v, y, dy, plant):
+    friction_rates(row, v, y, dy)
+    return friction_fastest(row, v)
+
+
+@part_kernel
+def cylinders(y, command, plant, dy, work):
+    """Pressure rates of the chambers; torques of the cylinders into ``work``; the fastest rate
+    [1/s].
+    """
     at, fastest = plant.at, 0.0
     for c in range(plant.cylinders.shape[0]):
         row = plant.cylinders[c]
@@ -125,16 +155,18 @@ def _cylinders(y, command, plant, dy, work):
         for side in range(2):
             node, area, _, _ = chamber_of(row, side)
             p, volume = y[plant.nodes[node].state], chamber_oil(row, side, x)
+            bulk = any_stiff(row, p, plant)
             inflow = chamber_inflow(row, side, v, work[at.net + node], y, plant)
-            dy[plant.nodes[node].state] = chamber_pressure_rate(row, p, volume, inflow)
-            slope = chamber_slope(row, p, inflow, work[at.slope + node])
-            stiffness = bulk_of(row, p) / volume
-            fastest = max(fastest, stiffness * max(slope, leakage_slope(row, side)))
+            dy[plant.nodes[node].state] = chamber_rate(
+                inflow, p, volume, bulk, row.cavitation_pressure
+            )
+            slope = any_steep(row, side, p, inflow, work[at.slope + node], plant)
+            stiffness = bulk / volume
+            fastest = max(fastest, stiffness * slope)
             force += p * area
             spring += stiffness * area * area
-        force -= friction_force(row, v, y)
-        friction_rates(row, v, y, dy)
-        rate = friction_fastest(row, v)
+        force -= any_resistance(row, v, y, plant)
+        rate = any_rubbing(row, v, y, dy, plant)
         if plant.forces.shape[0] > 0:
             force += force_on(c, way, speed, command, plant)
             rate += row.mobility * force_steepness(c, speed, plant)
@@ -206,13 +238,13 @@ def derivatives(y, command, plant, dy, work):
     for i in range(plant.at.torque, plant.at.net):
         work[i] = 0.0
     fastest = max(fastest, line_rates(y, plant, dy, work))
-    fastest = max(fastest, _cylinders(y, command, plant, dy, work))
+    fastest = max(fastest, cylinders(y, command, plant, dy, work))
     move(y, plant, dy, work)
     tie(command, plant, dy)
     return max(fastest, _supply(y, plant, dy, work))
 
 
-LAST = (_supply, move, _cylinders)  # what `derivatives` calls, from the end on
+LAST = (_supply, move, cylinders)  # what `derivatives` calls, from the end on
 
 
 @finish_of(Plant)

@@ -8,27 +8,33 @@ from ehbench.compiled import kernel, part_kernel
 from ehbench.machines.virtual.plant import A_CYLINDER, FILTER, LINES, RAW, VirtualPlant
 from ehbench.parts.cylinder import (
     RELIEF_GAIN,
-    chamber_inflow,
-    chamber_of,
-    chamber_oil,
     leakage_slope,
     linkage_of,
 )
 from ehbench.parts.edge import CHECK, PUMP, check, edge_opening, pump
 from ehbench.parts.edge.orifice import ORIFICE_DROP
-from ehbench.parts.end_stop import stop_force, stop_rate
 from ehbench.parts.line import line_rates
-from ehbench.parts.load import force_on, force_steepness
-from ehbench.parts.mount import mount_rate, piston_of, resistance_of
+from ehbench.parts.mount import resistance_of
 from ehbench.parts.nodes import SUPPLY, TANK, ends_of, node_pressure
 from ehbench.parts.oil import bulk
 from ehbench.parts.sample import OF, entry, line_entry
 from ehbench.parts.supply import line_stiffness, pump_flow, sensed
 from ehbench.parts.valve import limited, valve_rates
 from ehbench.parts.valve.delay import line_felt, line_push
-from ehbench.physics.cylinder import chamber_rate, relief_flow
+from ehbench.physics.cylinder import relief_flow
 from ehbench.physics.friction import stribeck
-from ehbench.plant.derivatives import derivatives_of, finish_of, highest_load, join, move, opens_of
+from ehbench.plant.derivatives import (
+    cylinders,
+    derivatives_of,
+    finish_of,
+    highest_load,
+    join,
+    move,
+    opens_of,
+    rubbing_of,
+    steep_of,
+    stiff_of,
+)
 from ehbench.plant.integrate import rk4
 
 CREEP = 1.0e-3  # [m/s]: over which friction turns round
@@ -155,43 +161,23 @@ def _resistance(row, v, y, plant):
     return stribeck(v, viscous, row.friction_coulomb, static, row.stribeck_speed, CREEP)
 
 
+@stiff_of(VirtualPlant)
 @part_kernel
-def _cylinders(y, target, bench, dy, work):
-    """Pressure rates of the chambers, torques of the cylinders; the fastest rate [1/s]."""
-    at, fluid, fastest = bench.at, bench.fluid, 0.0
-    for c in range(bench.cylinders.shape[0]):
-        row = bench.cylinders[c]
-        way, lever, _ = linkage_of(row, y[row.joint])
-        speed = lever * y[at.rates + row.joint]
-        x, v = piston_of(row, way, speed, y, bench)
-        force, spring = 0.0, 0.0
-        for side in range(2):
-            node, area, _, _ = chamber_of(row, side)
-            p, volume = node_pressure(y, bench, node), chamber_oil(row, side, x)
-            beta = bulk(p, row.bulk_modulus, fluid.air, fluid.polytropic)
-            inflow = chamber_inflow(row, side, v, work[at.net + node], y, bench)
-            dy[bench.nodes[node].state] = chamber_rate(
-                inflow, p, volume, beta, row.cavitation_pressure
-            )
-            slope = max(work[at.slope + node], leakage_slope(row, side))
-            fastest = max(fastest, beta / volume * slope)
-            force += p * area
-            spring += beta / volume * area * area
-        force -= _resistance(row, v, y, bench)
-        steep = 0.0 if abs(v) > 4.0 * CREEP else row.friction_static / CREEP
-        if bench.forces.shape[0] > 0:
-            force += force_on(c, way, speed, target, bench)
-            steep += force_steepness(c, speed, bench)
-        fastest = max(fastest, row.mobility * (steep + row.friction_viscous))
-        if x < 0.0 or x > row.stroke:
-            force += stop_force(row, x, v)
-            fastest = max(fastest, stop_rate(row))
-            spring += row.stop_stiffness
-        if row.mount_state >= 0:
-            dy[row.mount_state] = v - speed
-            fastest = max(fastest, mount_rate(row, spring))
-        work[at.torque + row.joint] = lever * force
-    return fastest
+def _stiff(row, pressure, plant):
+    return bulk(pressure, row.bulk_modulus, plant.fluid.air, plant.fluid.polytropic)
+
+
+@steep_of(VirtualPlant)
+@part_kernel
+def _steep(row, side, pressure, inflow, slope, plant):
+    return max(slope, leakage_slope(row, side))
+
+
+@rubbing_of(VirtualPlant)
+@part_kernel
+def _rubbing(row, v, y, dy, plant):
+    steep = 0.0 if abs(v) > 4.0 * CREEP else row.friction_static / CREEP
+    return row.mobility * (steep + row.friction_viscous)
 
 
 @part_kernel
@@ -231,7 +217,7 @@ def derivatives(y, target, bench, dy, work):
     for i in range(bench.at.torque, bench.at.net):
         work[i] = 0.0
     fastest = max(fastest, line_rates(y, bench, dy, work))
-    fastest = max(fastest, _cylinders(y, target, bench, dy, work))
+    fastest = max(fastest, cylinders(y, target, bench, dy, work))
     move(y, bench, dy, work)
     return max(fastest, _supply(y, bench, dy, work))
 
