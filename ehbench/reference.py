@@ -90,12 +90,13 @@ def models(roots: Iterable[type[BaseModel]]) -> list[type[BaseModel]]:
 
 
 def own_fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
-    """The fields of a model that a file may have and that it does not inherit."""
+    """The fields that a file may have and that a model does not inherit, or says anew."""
     inherited = {name for base in model.__bases__ for name in getattr(base, "model_fields", {})}
+    said = inherited - set(model.__annotations__)
     return {
         name: field
         for name, field in model.model_fields.items()
-        if not field.exclude and name not in inherited
+        if not field.exclude and name not in said
     }
 
 

@@ -38,7 +38,7 @@ from ehbench.recipe.trial import (
     TrialRecipe,
 )
 from ehbench.recipe.trials import SetController, TrialSetRecipe
-from ehbench.recipe.tune import ArcTuneRecipe, TuneRecipe
+from ehbench.recipe.tune import AnyTuning, ArcTuneRecipe, TuneRecipe
 from ehbench.recipe.validate import JudgedFile, Thresholds, ValidateRecipe
 
 __all__ = [
@@ -49,6 +49,7 @@ __all__ = [
     "load_columns",
     "whole_map",
     "AnyTrial",
+    "AnyTuning",
     "ArcTuneRecipe",
     "BenchCurve",
     "BenchCylinder",

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ehbench import rundir
 from ehbench.errors import InputError
-from ehbench.recipe import ArcTuneRecipe, TrialRecipe, TuneRecipe, load_recipe
+from ehbench.recipe import AnyTuning, ArcTuneRecipe, TrialRecipe, load_recipe
 from ehbench.stages.base import DONE, STOPPED, Prepared, Progress, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, NamedFiles, RigState
 
@@ -171,7 +171,7 @@ def _gains(recipe: TrialRecipe, rig: Rig, inputs: Inputs) -> Path | Mapping[str,
         inputs.findings.say("reads", f"{name} (gains)")
         return place
     behind = load_recipe(place)
-    if not isinstance(behind, TuneRecipe | ArcTuneRecipe):
+    if not isinstance(behind, AnyTuning):
         raise InputError(
             f"gains come from '{name}', a recipe of stage '{behind.stage_name}'",
             **recipe.at(*law.where, "gains"),

@@ -7,11 +7,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from ehbench import rundir
 from ehbench.errors import InsufficientData, ModelRejected
-from ehbench.recipe import ArcTuneRecipe, TuneRecipe
+from ehbench.recipe import AnyTuning, ArcTuneRecipe, TuneRecipe
 from ehbench.stages.base import Prepared, Progress, Stage, Work, write_rig
 from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs, ValidatedRig
@@ -19,17 +19,19 @@ from ehbench.stages.inputs import Inputs, ValidatedRig
 if TYPE_CHECKING:
     from ehbench.tune.study import Study
 
+R = TypeVar("R", bound=AnyTuning)
+
 
 @dataclass(frozen=True)
-class PreparedTuning(Prepared):
+class PreparedTuning(Prepared, Generic[R]):
     """The operating points; None where a check without flow maps finds none."""
 
-    recipe: TuneRecipe
+    recipe: R
     state: ValidatedRig
-    study: Study | None
+    study: Study[R] | None
 
 
-class TuningStage(Stage[TuneRecipe, PreparedTuning]):
+class TuningStage(Stage[TuneRecipe, PreparedTuning[TuneRecipe]]):
     """`TuneRecipe`."""
 
     recipe = TuneRecipe
@@ -37,7 +39,7 @@ class TuningStage(Stage[TuneRecipe, PreparedTuning]):
     command = "tune"
     writes = "tuning.json, rig.toml, figures"
 
-    def prepare(self, recipe: TuneRecipe, inputs: Inputs) -> PreparedTuning:
+    def prepare(self, recipe: TuneRecipe, inputs: Inputs) -> PreparedTuning[TuneRecipe]:
         state = _validated(recipe, inputs)
         cylinder = recipe.cylinder or state.rig.cylinder[0].name
         does = (
@@ -53,7 +55,9 @@ class TuningStage(Stage[TuneRecipe, PreparedTuning]):
             seeds={"draws": recipe.seed},
         )
 
-    def work(self, prepared: PreparedTuning, folder: Path, progress: Progress | None) -> Work:
+    def work(
+        self, prepared: PreparedTuning[TuneRecipe], folder: Path, progress: Progress | None
+    ) -> Work:
         from ehbench.tune.gains import tune_prepared
 
         state = prepared.state
@@ -67,16 +71,7 @@ class TuningStage(Stage[TuneRecipe, PreparedTuning]):
         return _work(state, tuning.warnings)
 
 
-@dataclass(frozen=True)
-class PreparedArcTuning(Prepared):
-    """The operating points; None where a check without flow maps finds none."""
-
-    recipe: ArcTuneRecipe
-    state: ValidatedRig
-    study: Study | None
-
-
-class ArcTuningStage(Stage[ArcTuneRecipe, PreparedArcTuning]):
+class ArcTuningStage(Stage[ArcTuneRecipe, PreparedTuning[ArcTuneRecipe]]):
     """`ArcTuneRecipe`."""
 
     recipe = ArcTuneRecipe
@@ -84,28 +79,29 @@ class ArcTuningStage(Stage[ArcTuneRecipe, PreparedArcTuning]):
     command = "tune"
     writes = "tuning.json, rig.toml, figures"
 
-    def prepare(self, recipe: ArcTuneRecipe, inputs: Inputs) -> PreparedArcTuning:
+    def prepare(self, recipe: ArcTuneRecipe, inputs: Inputs) -> PreparedTuning[ArcTuneRecipe]:
         state = _validated(recipe, inputs)
         cylinder = recipe.cylinder or state.rig.cylinder[0].name
         does = (
             f"chooses the bandwidths of adaptive robust control of '{cylinder}' over "
             f"{_points(recipe, state)}"
         )
-        study = _study(recipe.operating_points(), state)
-        return PreparedArcTuning(recipe, state.inputs, does, state, study)
+        return PreparedTuning(recipe, state.inputs, does, state, _study(recipe, state))
 
-    def work(self, prepared: PreparedArcTuning, folder: Path, progress: Progress | None) -> Work:
+    def work(
+        self, prepared: PreparedTuning[ArcTuneRecipe], folder: Path, progress: Progress | None
+    ) -> Work:
         from ehbench.tune.arc import tune_arc
 
         state = prepared.state
         assert prepared.study is not None  # a run without operating points is refused
-        tuning = tune_arc(prepared.study, prepared.recipe, progress)
+        tuning = tune_arc(prepared.study, progress)
         write_rig(folder, state.rig, state.flow_maps)
         rundir.write_json(folder / "tuning.json", tuning.as_json())
         return _work(state, tuning.warnings)
 
 
-def _points(recipe: TuneRecipe | ArcTuneRecipe, state: ValidatedRig) -> str:
+def _points(recipe: AnyTuning, state: ValidatedRig) -> str:
     """What operating points are made of, in words."""
     factors = {
         "stroke": recipe.strokes or range(recipe.postures),
@@ -125,7 +121,7 @@ def _work(state: ValidatedRig, warnings: Sequence[str]) -> Work:
     return Work({"rig": state.rig.name, "validated": validated, "warnings": said})
 
 
-def _validated(recipe: TuneRecipe | ArcTuneRecipe, inputs: Inputs) -> ValidatedRig:
+def _validated(recipe: AnyTuning, inputs: Inputs) -> ValidatedRig:
     """The rig of the recipe, which a validation must have accepted unless the user insists."""
     state = inputs.rig_state(recipe.rig, recipe.flow_maps)
     if isinstance(state, ValidatedRig):
@@ -145,7 +141,7 @@ def _validated(recipe: TuneRecipe | ArcTuneRecipe, inputs: Inputs) -> ValidatedR
     return ValidatedRig.insisted(state)
 
 
-def _study(recipe: TuneRecipe, state: ValidatedRig) -> Study | None:
+def _study(recipe: R, state: ValidatedRig) -> Study[R] | None:
     from ehbench.tune.study import prepare_tuning
 
     try:

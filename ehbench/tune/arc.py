@@ -110,7 +110,8 @@ class Search:
         InsufficientData: there is none.
     """
 
-    def __init__(self, study: Study, recipe: ArcTuneRecipe) -> None:
+    def __init__(self, study: Study[ArcTuneRecipe]) -> None:
+        recipe = study.recipe
         self.sensing = Sensing(float(recipe.delay), float(recipe.pressure_lag))
         self.demands = {
             name: float(getattr(recipe, name))
@@ -165,22 +166,21 @@ class Search:
         return ArcCandidate(sum=budget / self.lag, met=met, **worst)
 
 
-def tune_arc(study: Study, recipe: ArcTuneRecipe, progress: Progress | None = None) -> ArcTuning:
+def tune_arc(study: Study[ArcTuneRecipe], progress: Progress | None = None) -> ArcTuning:
     """Choose the bandwidths over the operating points of a study.
 
     The largest sum of bandwidths that keeps the demands at every point; where none does, the one
     with the largest delay margin, and the result says so.
 
     Args:
-        study: of `ehbench.tune.study.prepare_tuning`, for the recipe's operating points.
-        recipe: what to look at and what to demand.
+        study: of `ehbench.tune.study.prepare_tuning`.
         progress: told what is at work and the share done.
 
     Raises:
         InsufficientData: no operating point in whose working function the controller stays.
     """
     tell = progress or (lambda what, share: None)
-    search = Search(study, recipe)
+    search = Search(study)
     tried: dict[float, ArcCandidate] = {}
     for i, budget in enumerate(BUDGETS):
         tell("margins", i / (len(BUDGETS) + HALVINGS + 1))

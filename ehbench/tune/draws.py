@@ -22,6 +22,7 @@ from ehbench.tune.linear import (
     equivalent,
 )
 from ehbench.tune.results import PointResult, Robustness
+from ehbench.recipe import TuneRecipe
 from ehbench.tune.study import Site, Study, model_under
 
 WORST_POINTS = 24  # draws are judged at this many operating points, the least damped ones
@@ -41,7 +42,7 @@ def uncertain(rig: Rig) -> tuple[str, ...]:
 
 
 def robustness(
-    study: Study,
+    study: Study[TuneRecipe],
     results: Sequence[PointResult],
     law: Law,
     gains: dict[str, float],
@@ -86,7 +87,7 @@ def robustness(
 
 
 def _worst_of_draw(
-    study: Study, drawn: Rig, sites: Sequence[Site], law: Law, gains: dict[str, float]
+    study: Study[TuneRecipe], drawn: Rig, sites: Sequence[Site], law: Law, gains: dict[str, float]
 ) -> float:
     """Least damping ratio of a drawn rig at the operating points that it can take up."""
     recipe, worst = study.recipe, 1.0

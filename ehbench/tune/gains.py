@@ -60,7 +60,7 @@ def tune_pressure_feedback(
 
 
 def tune_prepared(
-    study: Study, *, correlation: Correlation | None = None, progress: Progress | None = None
+    study: Study[TuneRecipe], correlation: Correlation | None, progress: Progress | None = None
 ) -> Tuning:
     """Search the gains over what `prepare_tuning` found; as in `tune_pressure_feedback`."""
     tell = progress or (lambda what, share: None)
@@ -138,7 +138,11 @@ def _demands(recipe: TuneRecipe) -> dict[str, float]:
 
 
 def _gains_by_function(
-    study: Study, law: Law, gains: np.ndarray, demands: dict[str, float], notes: list[str]
+    study: Study[TuneRecipe],
+    law: Law,
+    gains: np.ndarray,
+    demands: dict[str, float],
+    notes: list[str],
 ) -> dict[str, float]:
     """The gain of each working function; of one that no load calls for, the least."""
     counted = [site for site in study.sites if site.counts]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from ehbench.plant.build import Maps
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
 from ehbench.quantities import VOCABULARY
-from ehbench.recipe import TuneRecipe
+from ehbench.recipe import AnyTuning
 from ehbench.rig import Rig, read_value
 from ehbench.tune.linear import (
     FED,
@@ -37,6 +37,7 @@ from ehbench.tune.results import Curves
 
 NONE = "none"  # the payload's name where there is none
 POSTURES = 41  # of the curves of equivalent mass and gravity
+R = TypeVar("R", bound=AnyTuning)
 
 
 class Machine(Protocol):
@@ -64,14 +65,14 @@ class Site:
 
 
 @dataclass(frozen=True)
-class Study:
+class Study(Generic[R]):
     """What is tuned on: every operating point, linearised, with what is known without a search.
 
     ``low`` and ``cross`` [Pa] as in `Tuning`, ``notes`` what is odd about the points."""
 
     rig: Rig
     maps: Maps | None
-    recipe: TuneRecipe
+    recipe: R
     cylinder: str
     low: float
     cross: float
@@ -101,7 +102,7 @@ class Study:
         return max(float(y[names.state(f"p_{side}", i)]) for i in indices for side in SIDES)
 
 
-def prepare_tuning(machine: Machine, recipe: TuneRecipe, *, validated: type | None = None) -> Study:
+def prepare_tuning(machine: Machine, recipe: R, *, validated: type | None = None) -> Study[R]:
     """Find the operating points; arguments and errors as in `tune_pressure_feedback`."""
     if validated is not None and not isinstance(machine, validated):
         raise ModelRejected(
@@ -138,7 +139,7 @@ def model_under(rig: Rig, maps: Maps | None, payload: str) -> Model:
     return Model.of(rig, maps, None if payload == NONE else payload)
 
 
-def _check_also_moving(rig: Rig, name: str, recipe: TuneRecipe) -> None:
+def _check_also_moving(rig: Rig, name: str, recipe: AnyTuning) -> None:
     for one in recipe.also_moving:
         rig.cylinder_named(one)
         if one == name:
@@ -150,7 +151,7 @@ def _check_also_moving(rig: Rig, name: str, recipe: TuneRecipe) -> None:
         )
 
 
-def _check_functions(recipe: TuneRecipe) -> None:
+def _check_functions(recipe: AnyTuning) -> None:
     for function in recipe.functions:
         if function not in FUNCTIONS[1:]:
             raise InputError(
@@ -158,12 +159,12 @@ def _check_functions(recipe: TuneRecipe) -> None:
             )
 
 
-def _wanted(recipe: TuneRecipe) -> Sequence[int]:
+def _wanted(recipe: AnyTuning) -> Sequence[int]:
     """Numbers of the working functions to tune for: those asked for, or the first six."""
     return [FUNCTIONS.index(f) for f in recipe.functions] or range(1, EXTEND_RESISTIVE_REGENERATION)
 
 
-def _curves(model: Model, name: str, payload: str, recipe: TuneRecipe) -> Curves:
+def _curves(model: Model, name: str, payload: str, recipe: AnyTuning) -> Curves:
     """Equivalent mass, gravity and damping of a cylinder under a payload, over its stroke."""
     cylinder = model.layout.cylinders.index(name)
     x = np.linspace(0.0, model.plant.cylinders[cylinder].stroke, POSTURES)
@@ -200,7 +201,7 @@ def _possible(study: Study, model: Model, payload: str) -> Iterator[Site]:
 
 
 def _those_that_count(
-    sites: Sequence[Site], recipe: TuneRecipe, name: str
+    sites: Sequence[Site], recipe: AnyTuning, name: str
 ) -> tuple[list[Site], list[str]]:
     """(sites to tune on or to show, what is odd about them): a function that no load calls for is
     shown, but no gain is chosen on it.
@@ -247,7 +248,7 @@ def rail_notes(rig: Rig, points: Sequence[OperatingPoint]) -> list[str]:
     ]
 
 
-def _strokes(recipe: TuneRecipe, stroke: float) -> np.ndarray:
+def _strokes(recipe: AnyTuning, stroke: float) -> np.ndarray:
     if not recipe.strokes:
         return (
             np.linspace(0.1, 0.9, recipe.postures) * stroke

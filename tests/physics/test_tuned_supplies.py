@@ -280,8 +280,8 @@ def tuned(kind):
         stage="tune", what="arc", rig="x", postures=1, payloads=("bucket",), speed_shares=(0.06,)
     )
     rig = rig_on(kind, "boom_four_valve", 0.5)
-    study = prepare_tuning(SimpleNamespace(rig=rig, flow_maps=None), recipe.operating_points())
-    return tune_arc(study, recipe)
+    study = prepare_tuning(SimpleNamespace(rig=rig, flow_maps=None), recipe)
+    return tune_arc(study)
 
 
 def trial(on, delay=0.0, **more):

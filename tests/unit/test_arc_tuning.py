@@ -37,8 +37,8 @@ def tuned(**demands):
             **demands,
         }
     )
-    study = prepare_tuning(SimpleNamespace(rig=rig(), flow_maps=None), recipe.operating_points())
-    return tune_arc(study, recipe)
+    study = prepare_tuning(SimpleNamespace(rig=rig(), flow_maps=None), recipe)
+    return tune_arc(study)
 
 
 @pytest.mark.slow
@@ -70,7 +70,7 @@ def test_motions_that_the_controller_leaves_are_left_out():
         table = {"stage": "tune", "what": "arc", "rig": "x", "speed_shares": (0.06,), **given}
         recipe = ArcTuneRecipe.model_validate(table)
         machine = SimpleNamespace(rig=arm, flow_maps=None)
-        return Search(prepare_tuning(machine, recipe.operating_points()), recipe)
+        return Search(prepare_tuning(machine, recipe))
 
     both = search("retract_overrunning", "retract_overrunning_regeneration")
     assert {one.point.function for one in both.plants} == {"retract_overrunning_regeneration"}
@@ -106,4 +106,4 @@ def test_a_trial_takes_the_gains(tmp_path):
 @pytest.mark.parametrize("name", ["thesis", "slide_servo"])
 def test_shipped_recipes_ask_for_it(name):
     recipe = load_recipe(RECIPES / name / "arc_tuning.toml")
-    assert isinstance(recipe, ArcTuneRecipe) and recipe.operating_points().draws == 200
+    assert isinstance(recipe, ArcTuneRecipe)
