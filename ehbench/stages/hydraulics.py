@@ -66,7 +66,7 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
         state = inputs.rig_state(recipe.rig, recipe.flow_maps)
         given = (recipe.start, recipe.lower, recipe.upper)
         coordinates(state.rig, recipe.parameters, *given, recipe.at, recipe.prior)
-        logs = inputs.logs(recipe.data)
+        logs = inputs.logs(recipe.data, driven=True)
         fit, variants = None, {}
         if logs.records:
             fit = _prepared_fit(recipe, state, logs, state.rig, recipe.sensor)

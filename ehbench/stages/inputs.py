@@ -199,14 +199,17 @@ class Inputs:
         )
         return root, None if maps_path is None else str(maps_path)
 
-    def logs(self, data: Sequence[DataFile]) -> Logs:
-        """Logs that are there, each a file, or the recipe or run folder of a trial.
+    def logs(self, data: Sequence[DataFile], driven: bool = False) -> Logs:
+        """Logs that are there, each a file, or the recipe or run folder of a trial; one with gaps
+        is several (`gaps.parts_of`), of which those without a command that changes are left out
+        where logs are to be ``driven``.
 
         Raises:
             InputError: one is not there, or has no samples in the window asked for.
         """
         import numpy as np
 
+        from ehbench.gaps import parts_of
         from ehbench.logs import read_record
         from ehbench.preprocessing import distinct_names
 
@@ -219,7 +222,7 @@ class Inputs:
                 items.append(item)
                 places.append(place)
                 entries.append(index)
-        records, inputs, losses, maps = [], [], [], []
+        records, inputs, losses, maps, numbers = [], [], [], [], []
         named = zip(items, places, distinct_names(places), entries, strict=True)
         for item, place, name, index in named:
             is_run = (place / "log.mcap").is_file()
@@ -230,12 +233,16 @@ class Inputs:
             whole = read_record(path, columns=columns, window=_span(item))
             losses += [f"{path.name}: {loss}" for loss in whole.losses]
             record = self._tied(_window(whole, item, path), item)
-            records.append((name, record))
-            inputs.append(("log", path))
+            span = getattr(item, "scored", None)
+            parts, said = parts_of(name, record, driven=driven, within=span)
+            losses += said
+            records += [(part.name, part.record) for part in parts]
+            inputs += [("log", path)] * len(parts)
+            numbers += [index] * len(parts)
             load = record.meta.get("payload") or "not said"
             self.findings.say("reads", f"{item.path} ({np.ptp(record.t):.4g} s, payload {load})")
         self.findings.say("losses", *(f"lost: {loss}" for loss in losses))
-        return Logs(records, tuple(inputs), losses, entries, tuple(maps))
+        return Logs(records, tuple(inputs), losses, numbers, tuple(maps))
 
     def _tied(self, record: Record, item: DataFile) -> Record:
         """A record with what the simulation is tied to, as its entry or the recipe says."""
