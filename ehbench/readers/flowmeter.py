@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +41,7 @@ MOST_LEFT = 1.0 / 3.0
 # readings both of whose signs are turned are a map's other direction from 4 on, else slips
 _LEAST_REVERSE = 4
 _NAMED, _LISTED = 4, 12  # readings left out that are told with their reason, with their line
-LEAVING = '[columns] bad_samples = "leave out"'
+LEAVING = 'bad_samples = "leave out" in the map of columns, or under [columns]'
 
 
 @dataclass(frozen=True, eq=False)
@@ -519,7 +520,9 @@ def _data(
 
 def merge_flowmeter(parts: Sequence[FlowmeterData]) -> FlowmeterData:
     """The readings of several files one after the other; each keeps its file and line."""
-    arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS
+    }
     return FlowmeterData(
         warnings=tuple(text for part in parts for text in part.warnings),
         losses=tuple(text for part in parts for text in part.losses),
