@@ -18,7 +18,7 @@ import numpy as np
 
 from ehbench.errors import EhbenchError, InputError, LogError
 from ehbench.parts.cylinder import joint_of, linkage_arrays
-from ehbench.plant.ties import TIED, position_channel, tied_words, white_noise
+from ehbench.plant.ties import TIED, position_channel, supplied, tied_words, white_noise
 from ehbench.quantities import VOCABULARY
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
@@ -90,8 +90,10 @@ def _tied(name: str, record: Record, model: Model) -> list[str]:
         InputError: it has no position to tie to, or not all that a given motion needs.
     """
     words, rig = tied_words(record), model.rig
+    fed = ["the supply's pressure is the recording's: nothing is told of the supply"]
+    fed = fed if supplied(record) else []
     if not words:
-        return []
+        return fed
     seen = {c.name: position_channel(record, c.name) for c in rig.cylinder}
     said = record.meta[TIED]
     if not any(seen.values()):
@@ -110,8 +112,9 @@ def _tied(name: str, record: Record, model: Model) -> list[str]:
         )
     channels = ", ".join(filter(None, seen.values()))
     if "qd" not in words:
-        return [f"the simulation is tied to {channels}: no position is judged"]
+        return [*fed, f"the simulation is tied to {channels}: no position is judged"]
     return [
+        *fed,
         f"the simulation is tied to the motion of {channels}: pressures are judged, and no "
         "position, rate or ringing; nothing is told of masses, loads, damping and friction",
         *_coarse(record, model),

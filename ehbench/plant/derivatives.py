@@ -208,8 +208,9 @@ def derivatives(y, command, plant, dy, work):
     fastest = max(fastest, line_rates(y, plant, dy, work))
     fastest = max(fastest, _cylinders(y, command, plant, dy, work))
     move(y, plant, dy, work)
+    fastest = max(fastest, _supply(y, plant, dy, work))
     tie(command, plant, dy)
-    return max(fastest, _supply(y, plant, dy, work))
+    return fastest
 
 
 LAST = (_supply, move, _cylinders)  # what `derivatives` calls, from the end on

@@ -10,7 +10,15 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 from ehbench.errors import InputError
 from ehbench.fields import FileModel, Q, Value, read_value
 from ehbench.quantities import VOCABULARY, meant, quantity
-from ehbench.recipe.base import TIED, Recipe, ReplayedFile, Tied, data_file
+from ehbench.recipe.base import (
+    SUPPLIED,
+    TIED,
+    Recipe,
+    ReplayedFile,
+    Supplied,
+    Tied,
+    data_file,
+)
 from ehbench.recipe.columns import AnyColumns
 from ehbench.recipe.sensor import Channel, Sensors
 
@@ -161,6 +169,7 @@ class ValidateRecipe(Recipe):
     flow_maps: str | None = None
     data: JudgedFiles
     tied: Tied = TIED
+    supply: Supplied = SUPPLIED
     columns: AnyColumns = Field(
         default=None,
         description="which column of a file is which channel: `[columns]`, or the name of a map",

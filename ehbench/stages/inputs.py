@@ -246,11 +246,19 @@ class Inputs:
 
     def _tied(self, record: Record, item: DataFile) -> Record:
         """A record with what the simulation is tied to, as its entry or the recipe says."""
-        from ehbench.plant.ties import TIED
+        from ehbench.plant.ties import RECORDED, SUPPLY, TIED
 
-        said = getattr(item, "tied", None) or getattr(self.recipe, "tied", "none")
-        others = {name: fact for name, fact in record.meta.items() if name != TIED}
-        return replace(record, meta=others if said == "none" else others | {TIED: said})
+        facts = {name: fact for name, fact in record.meta.items() if name not in (TIED, SUPPLY)}
+        for key, usual in ((TIED, "none"), (SUPPLY, "model")):
+            said = getattr(item, key, None) or getattr(self.recipe, key, usual)
+            facts |= {} if said == usual else {key: said}
+        if facts.get(SUPPLY) == RECORDED and "p_supply" not in record:
+            raise InputError(
+                f'{item.path}: supply = "{RECORDED}", and the log has no p_supply',
+                file=self.recipe.path,
+                hint='map a column to "p_supply [bar]", or leave the supply to the model',
+            )
+        return replace(record, meta=facts)
 
     def columns(self, item: DataFile | None = None, index: int = 0) -> ColumnMap | None:
         """The map of columns of an entry of ``data``, else that of the recipe."""
