@@ -507,11 +507,11 @@ def _data(
                 "% of the supply pressure: "
                 f"is it really {unit}?"
             )
-    arrays = {
+    arrays: dict[str, Any] = {
         name: np.array([row[name] for row in rows])
         for name in ("valve", "direction", "method", "trial", "file", "line")
     }
-    numbers = {
+    numbers: dict[str, Any] = {
         name: np.array([row[name] for row in rows], float)
         for name in ("command", "pressure_drop", "flow", "temperature")
     }

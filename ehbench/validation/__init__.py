@@ -360,7 +360,6 @@ def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogRe
     pairs = {name: pair.part(keep) for name, pair in whole.items()}
     results = [compare(counted, model, name, pair) for name, pair in pairs.items()]
     warnings += [f"{one.channel}: {one.note}" for one in results if one.note]
-    # a motion that is given rings as it was recorded
     rings = () if "qd" in tied_words(record) else moved
     windows = [w for cylinder in rings for w in transients_of(counted, model, cylinder, pairs)]
     sweeps = [
