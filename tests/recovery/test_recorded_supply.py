@@ -3,6 +3,7 @@ replay."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 
 from ehbench import inspection, simulate
 from ehbench.identification.hydraulics import HydraulicsFit, identify_hydraulics
+from ehbench.identification.volumes import held_volumes
 from ehbench.logs import write_log
 from ehbench.observations import SUPPLY_OFF
 from ehbench.plant.model import Model
@@ -21,8 +23,9 @@ from ehbench.record import Record
 from ehbench.rig import Rig
 from ehbench.validation import validate_rig
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+VOLUMES = ("volume_head", "volume_rod")
 STIFF, LOSS = "bulk_modulus", "carriage.damping"
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 
 
 def rig(**supply: object) -> Rig:
@@ -76,6 +79,23 @@ def test_oil_and_damping_are_right_on_a_supply_that_the_rig_file_does_not_know()
     assert not any("below the model's" in text for text in given.warnings)
     assert any("nothing is told of the supply" in text for text in given.warnings)
     assert "p_supply" not in given.logs[0].start_shift
+    (text,) = given.counts_on
+    assert "press.volume_head and press.volume_rod" in text and "10 % more oil" in text
+
+
+def test_what_a_bulk_modulus_counts_on_is_by_how_much_more_oil_would_move_it():
+    """Against a fit with a tenth more oil in the rig file's volumes."""
+    tables = rig().as_toml()
+    (press,) = tables["cylinder"]
+    more = {key: f"{1.1 * float(getattr(rig().cylinder[0], key))} m^3" for key in VOLUMES}
+    larger = Rig.model_validate(tables | {"cylinder": [{**press, **more}]})
+    first, second = (
+        identify_hydraulics(one, [("log", log(RECORDED))], [STIFF, LOSS]) for one in (rig(), larger)
+    )
+    said = float(re.search(r"come out ([\d.]+) % higher", first.counts_on[0])[1])
+    assert 100.0 * (second[STIFF].value / first[STIFF].value - 1.0) == pytest.approx(said, rel=0.15)
+    free = [STIFF, LOSS, *(f"press.{key}" for key in VOLUMES)]
+    assert held_volumes(rig(), free, {"press": [log()]}) == ()
 
 
 def test_a_validation_says_that_the_supply_is_another():
