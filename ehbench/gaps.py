@@ -125,7 +125,9 @@ def _sentences(
     if not gaps.size:
         return []
     some = ", ".join(
-        f"{missing[gap]:.0f} behind t = {record.t[gap]:.6g} s" for gap in gaps[:_NAMED]
+        f"{1e3 * (record.t[gap + 1] - record.t[gap]):.4g} ms pass after t = {record.t[gap]:.6g} s "
+        f"({missing[gap]:.0f})"
+        for gap in gaps[:_NAMED]
     )
     more = f", … ({gaps.size} gaps)" if gaps.size > _NAMED else ""
     return [f"{name}: samples are missing, {some}{more}: {what}"]

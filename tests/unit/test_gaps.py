@@ -37,7 +37,8 @@ def test_a_few_samples_are_bridged_and_told():
     parts, said = parts_of("log", log((200, 203), (500, 501), (1000, 1005)))
     whole = log()
     assert len(parts) == 1 and parts[0].name == "log" and len(said) == 1
-    assert "3 behind t = 0.199 s, 1 behind t = 0.499 s, 5 behind t = 0.999 s: bridged" in said[0]
+    assert "4 ms pass after t = 0.199 s (3), 2 ms pass after t = 0.499 s (1), 6 ms" in said[0]
+    assert "after t = 0.999 s (5): bridged" in said[0]
     found = parts[0].record
     np.testing.assert_allclose(found.t, T, atol=1e-12)
     np.testing.assert_allclose(found["press.x"], whole["press.x"], atol=1e-5)
@@ -54,7 +55,7 @@ def test_a_longer_gap_cuts_the_log_in_two():
         (pytest.approx(0.86), pytest.approx(2.999)),
     ]
     assert all(np.allclose(np.diff(part.record.t), 1e-3) for part in parts)
-    assert "160 behind t = 0.699 s: the log is cut there" in said[1]
+    assert "161 ms pass after t = 0.699 s (160): the log is cut there" in said[1]
     assert "log_part2 from 0.86 to 2.999 s" in said[2]
 
 
