@@ -157,7 +157,7 @@ def _from_logs(recipe: FlowMapRecipe, inputs: Inputs, state: RigState) -> Prepar
     does = f"fits {count} flow map{'s' * (count != 1)} to {sum(map(len, parts))} readings"
     return PreparedMaps(
         recipe,
-        (*state.inputs, *logs.inputs, *logs.maps),
+        (*state.inputs, *logs.files, *logs.maps),
         f"{does} that {counted(recipe.data, 'log')} give",
         state,
         prepare_readings(state.rig, parts) if parts else None,

@@ -82,7 +82,7 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
             does += f", with each of the dynamics {', '.join(recipe.compare_dynamics)}"
         inputs.findings.say("open", "whether the logs carry these parameters")
         return PreparedHydraulics(
-            recipe, (*state.inputs, *logs.inputs, *logs.maps), does, state, logs, fit, variants
+            recipe, (*state.inputs, *logs.files, *logs.maps), does, state, logs, fit, variants
         )
 
     def run(self, prepared: PreparedHydraulics, host: Host) -> Outcome:

@@ -62,8 +62,9 @@ class ValidatedRig(RigState):
 
 
 class Logs(NamedTuple):
-    """Name and record of each log, the inputs behind them, what was lost, the number of the
-    recipe's entry of each, and the maps of columns that they were read by.
+    """Name and record of each log, the input behind each, what was lost, the number of the
+    recipe's entry of each, the maps of columns that they were read by, and the inputs by entry,
+    of which one with a gap is behind several logs.
     """
 
     records: list[tuple[str, Record]]
@@ -71,6 +72,7 @@ class Logs(NamedTuple):
     losses: list[str]
     entries: list[int]
     maps: NamedFiles = ()
+    files: NamedFiles = ()
 
 
 class Runs(Protocol):
@@ -223,6 +225,7 @@ class Inputs:
                 places.append(place)
                 entries.append(index)
         records, inputs, losses, maps, numbers = [], [], [], [], []
+        files: list[tuple[str, Path]] = []
         named = zip(items, places, distinct_names(places), entries, strict=True)
         for item, place, name, index in named:
             is_run = (place / "log.mcap").is_file()
@@ -238,11 +241,12 @@ class Inputs:
             losses += said
             records += [(part.name, part.record) for part in parts]
             inputs += [("log", path)] * len(parts)
+            files.append(("log", path))
             numbers += [index] * len(parts)
             load = record.meta.get("payload") or "not said"
             self.findings.say("reads", f"{item.path} ({np.ptp(record.t):.4g} s, payload {load})")
         self.findings.say("losses", *(f"lost: {loss}" for loss in losses))
-        return Logs(records, tuple(inputs), losses, numbers, tuple(maps))
+        return Logs(records, tuple(inputs), losses, numbers, tuple(maps), tuple(files))
 
     def _tied(self, record: Record, item: DataFile) -> Record:
         """A record with what the simulation is tied to, as its entry or the recipe says."""
