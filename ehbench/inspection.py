@@ -196,6 +196,7 @@ def _flowmeter(path: Path) -> Inspection:
 
 
 def _log(path: Path) -> Inspection:
+    from ehbench.gaps import parts_of
     from ehbench.logs import read_record
     from ehbench.preprocessing import LEAST_SAMPLES, evened
 
@@ -216,11 +217,15 @@ def _log(path: Path) -> Inspection:
             f"it has only {record.t.size} sample{'s' * (record.t.size != 1)}"
         )
         return Inspection((*lines, "ok, with losses"), 3)
+    parts, gaps = parts_of(path.name, record)
+    lines += [f"  {said}" for said in gaps]
     try:
-        lines += [f"  {said}" for said in evened(path.name, record)[1]]
+        for part in parts:
+            lines += [f"  {said}" for said in evened(part.name, part.record)[1]]
     except LogError as error:
         lines.append(f"  unfit for identification: {error}")
         return Inspection((*lines, "ok, with losses"), 3)
     return Inspection(
-        (*lines, "ok, with losses" if record.losses else "ok"), 3 if record.losses else 0
+        (*lines, "ok, with losses" if record.losses or gaps else "ok"),
+        3 if record.losses or gaps else 0,
     )

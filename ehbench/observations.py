@@ -6,15 +6,19 @@ import numpy as np
 
 from ehbench.errors import InputError
 from ehbench.plant.model import MOVED
+from ehbench.plant.ties import supplied, white_noise
+from ehbench.quantities import quantity
 from ehbench.record import Record, payloads_of
-from ehbench.rig import Valve
-from ehbench.signals import lowpass
+from ehbench.rig import Rig, Valve
+from ehbench.signals import lowpass, rms
+from ehbench.units import from_si
 
 RATE_CUTOFF = 20.0  # [Hz] of the low-pass before a rate is taken from a position
 # what stands in for a channel that a log lacks, and moves with it
 STAND_INS = {"q": "x", "x": "q", "qd": "v", "v": "qd"}
 _RATE_OF = {"qd": "q", "v": "x"}
 TOGETHER = 0.02  # [s]: commands that change within this before a transient have begun it with it
+SUPPLY_OFF = 0.03  # share of the supply's pressure by which it may be off the model's, rms
 # ringing of fewer cycles, or better damped, is told by drift as well as by oscillation
 CLEAR_CYCLES, CLEAR_DAMPING = 1.5, 0.35
 
@@ -63,6 +67,27 @@ def payload_of(record: Record) -> str | None:
             hint="take a window of the log with one payload",
         )
     return said
+
+
+def supply_off(record: Record, simulated: Record, rig: Rig) -> list[str]:
+    """A sentence where the recorded supply pressure is not the model's, so that its supply is
+    another than the machine's; none where it is, or is not known.
+    """
+    if "p_supply" not in record or supplied(record):
+        return []
+    off = simulated["p_supply"] - record["p_supply"]
+    far, noise = float(off[np.argmax(np.abs(off))]), white_noise(record["p_supply"])
+    if rms(off) < max(SUPPLY_OFF * float(np.median(record["p_supply"])), 3.0 * noise):
+        return []
+    row, unit = quantity("p_supply"), rig.unit_of("p_supply")
+    shown = f"{abs(from_si(far, unit, row)):.3g} {unit}"
+    when = f"{record.t[int(np.argmax(np.abs(off)))]:.4g} s"
+    way = "below" if far > 0.0 else "above"
+    return [
+        f"p_supply is up to {shown} {way} the model's (at t = {when}), whose supply is not the "
+        "machine's: supply = \"recorded\" in the recipe drives the model by the log's, or estimate "
+        "the supply's parameters"
+    ]
 
 
 def rings_clearly(cycles: float, damping_ratio: float) -> bool:

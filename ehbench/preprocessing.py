@@ -18,7 +18,7 @@ import numpy as np
 
 from ehbench.errors import EhbenchError, InputError, LogError
 from ehbench.parts.cylinder import joint_of, linkage_arrays
-from ehbench.plant.ties import TIED, position_channel, tied_words, white_noise
+from ehbench.plant.ties import TIED, position_channel, supplied, tied_words, white_noise
 from ehbench.quantities import VOCABULARY
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
@@ -79,6 +79,7 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[s
     begun = _begun(record, model.rig, rest)
     _pressures(name, record, model, rest, still=not begun)
     notes += [*begun, *_stuck(record, model.rig), *_apart(record, model)]
+    notes += outside_stroke(record, model.rig)
     return record, (*notes, *_tied(name, record, model))
 
 
@@ -89,8 +90,10 @@ def _tied(name: str, record: Record, model: Model) -> list[str]:
         InputError: it has no position to tie to, or not all that a given motion needs.
     """
     words, rig = tied_words(record), model.rig
+    fed = ["the supply's pressure is the recording's: nothing is told of the supply"]
+    fed = fed if supplied(record) else []
     if not words:
-        return []
+        return fed
     seen = {c.name: position_channel(record, c.name) for c in rig.cylinder}
     said = record.meta[TIED]
     if not any(seen.values()):
@@ -109,8 +112,9 @@ def _tied(name: str, record: Record, model: Model) -> list[str]:
         )
     channels = ", ".join(filter(None, seen.values()))
     if "qd" not in words:
-        return [f"the simulation is tied to {channels}: no position is judged"]
+        return [*fed, f"the simulation is tied to {channels}: no position is judged"]
     return [
+        *fed,
         f"the simulation is tied to the motion of {channels}: pressures are judged, and no "
         "position, rate or ringing; nothing is told of masses, loads, damping and friction",
         *_coarse(record, model),
@@ -398,6 +402,31 @@ def _at_end(record: Record, cylinder: Cylinder, rest: int) -> bool:
 def _span(cylinder: Cylinder, word: str) -> float:
     """A full stroke [m], or an angle [rad] of the size that a stroke makes."""
     return 1.0 if word in ("q", "qd") and cylinder.pins is not None else float(cylinder.stroke)
+
+
+def outside_stroke(record: Record, rig: Rig) -> list[str]:
+    """Warnings of recorded strokes most of which lie outside of what their cylinders have: they
+    count the other way, or from another zero.
+    """
+    found, unit = [], rig.unit_of("x")
+    for cylinder in rig.cylinder:
+        channel, stroke = f"{cylinder.name}.x", float(cylinder.stroke)
+        if channel not in record:
+            continue
+        low, middle, high = np.percentile(record[channel], (0.0, 50.0, 100.0))
+        if -TRAVEL * stroke <= middle <= (1.0 + TRAVEL) * stroke:
+            continue
+        turned = -TRAVEL * stroke <= -high and -low <= (1.0 + TRAVEL) * stroke
+        ends = (from_si(float(end), unit, VOCABULARY["x"]) for end in (low, high, stroke))
+        first, last, most = (f"{end:.4g}" for end in ends)
+        asked = "is it counted the other way" if turned else "from where is it counted"
+        key = "sign = -1" if turned else "neutral (offset of a sensor)"
+        found.append(
+            f"{channel} runs from {first} to {last} {unit}, and the stroke from 0 to {most} "
+            f"{unit}: {asked}? Write {key} in the map of columns, or in [[sensor]] channel = "
+            f'"{channel}"'
+        )
+    return found
 
 
 def _stuck(record: Record, rig: Rig) -> list[str]:

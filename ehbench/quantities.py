@@ -5,8 +5,11 @@ row is that of the last word. A float field of a rig or recipe has the row of it
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+
+_ALIKE = 0.75  # likeness from which a word is surely a slip of another
 
 
 @dataclass(frozen=True)
@@ -1072,10 +1075,30 @@ def quantity(channel: str) -> Quantity:
     """The row of a channel or field name: that of its last dotted word.
 
     Raises:
-        KeyError: no such row; the message names the nearest one.
+        KeyError: no such row; the message says what may be meant.
     """
     word = channel.rsplit(".", 1)[-1]
     if word not in VOCABULARY:
-        near = get_close_matches(word, VOCABULARY, 1)
-        raise KeyError(f"no quantity '{word}'" + (f"; nearest is '{near[0]}'" if near else ""))
+        raise KeyError(f"no quantity '{word}'{meant(channel)}")
     return VOCABULARY[word]
+
+
+def meant(channel: str, more: Sequence[str] = ()) -> str:
+    """What may be meant by a channel whose last word is none of the vocabulary's, nor of ``more``,
+    as the end of a sentence; '' where nothing is near.
+    """
+    head, _, word = channel.rpartition(".")
+    # behind a dot a word that is hardly alike is rather the name of a valve
+    near = get_close_matches(word, [*VOCABULARY, *more], 1, _ALIKE if head else 0.6)
+    if near:
+        return f"; nearest is '{head + '.' if head else ''}{near[0]}'"
+    return f"; if '{word}' is a valve, its command is '{channel}.command'" if head else ""
+
+
+def like_channel(name: str, channels: Sequence[str]) -> str:
+    """Which of a log's channels may be meant by a name, and else all of them, as a hint."""
+    longer = [one for one in channels if one.startswith(f"{name}.") or one.endswith(f".{name}")]
+    inside = [one for one in channels if f".{name}." in one]
+    near = longer or inside or get_close_matches(name, channels, 1, _ALIKE)
+    first = f"did you mean '{near[0]}'? " if len(near) == 1 else ""
+    return f"{first}it has {', '.join(channels)}"

@@ -13,7 +13,7 @@ import numpy as np
 
 from ehbench.errors import LogError
 from ehbench.notebook import label, plural, shown, table
-from ehbench.quantities import quantity
+from ehbench.quantities import like_channel, quantity
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,7 +54,7 @@ class Record:
             return self.t
         if name not in self.channels:
             raise LogError(
-                f"the log has no channel '{name}'", hint="it has " + ", ".join(self.channels)
+                f"the log has no channel '{name}'", hint=like_channel(name, list(self.channels))
             )
         return self.channels[name]
 

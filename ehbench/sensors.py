@@ -17,6 +17,7 @@ import numpy as np
 from ehbench.errors import InputError
 from ehbench.fields import Value
 from ehbench.plant.ties import tied_words
+from ehbench.quantities import like_channel
 from ehbench.recipe.sensor import ESTIMATE, WORDS, Sensor
 from ehbench.record import Record
 
@@ -82,7 +83,7 @@ def known_taken_out(name: str, record: Record, sensors: Sequence[Sensor]) -> Rec
         if one.channel not in channels:
             raise InputError(
                 f"{name}: [[sensor]] names '{one.channel}', which the log does not have",
-                hint="it has " + ", ".join(channels),
+                hint=like_channel(one.channel, list(channels)),
             )
         scale = one.sign * _fixed(one, "scale", 1.0)
         channels[one.channel] = (channels[one.channel] - _level(one)) / scale

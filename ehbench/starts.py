@@ -21,7 +21,7 @@ from ehbench.parts.valve import valve_lag, valve_settle
 from ehbench.plant.integrate import STEP
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model, Start
-from ehbench.plant.ties import tied_words
+from ehbench.plant.ties import supplied, tied_words
 from ehbench.plant.trim import settle_parts
 from ehbench.preprocessing import moving_at_first, on_at_first
 from ehbench.record import Record
@@ -151,7 +151,7 @@ def start_of_log(
     doubts = [doubt for doubt in doubts if doubt.name.rpartition(".")[2] not in given]
     if moves:
         doubts += _of_valves(model, record, live)
-    if "p_supply" in record:
+    if "p_supply" in record and not supplied(record):
         y, most = record["p_supply"], float(model.plant.supply.pressure)
         std = rms(y - np.mean(y)) if moves else mean_error(y, rest)
         doubts.append(_doubt("p_supply", model.plant.at.supply, max(std, FINE_SUPPLY * most), most))

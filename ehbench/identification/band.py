@@ -11,6 +11,7 @@ import numpy as np
 
 from ehbench.errors import InputError, InsufficientData
 from ehbench.identification.simulator import Log, columns_of
+from ehbench.quantities import like_channel
 from ehbench.record import Record
 from ehbench.response import (
     LEAST_LINE,
@@ -77,7 +78,7 @@ def on_response(log: Log, command: str, choice: Averaging) -> Log:
     if command not in log.record:
         raise InputError(
             f"{log.name}: [response] names '{command}', which the log does not have",
-            hint="it has " + ", ".join(log.record.channels),
+            hint=like_channel(command, list(log.record.channels)),
         )
     cylinder = command.partition(".")[0]
     own = [i for i, name in enumerate(log.channels) if name.startswith(f"{cylinder}.")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,8 @@ from ehbench.identification.flow_steps import Shape, likeliest_smoothing, solve
 _LEAST_WIDTH = 5e-4
 # rise of −2 log likelihood at the ends of intervals of 95 and of 99.9 %
 _LEVEL_95, _LEVEL_999 = 3.841, 10.83
+_GOLDEN, _SECTIONS = 0.5 * (5.0**0.5 - 1.0), 10
+_TRIES, _FINE = 8, 1e-5  # of the search for such an end; [V] to which it is found
 
 
 @dataclass(frozen=True)
@@ -108,14 +111,57 @@ def soften(task: Task, shape: Shape, cells: Cells, found: Deadband, window: Wind
 
     That is the lower end for a spline which may curve at will over the first commands that pass
     flow. Such splines end with a parabola that starts level, a shape which valves do have: the end
-    is taken at 99.9 %."""
+    is taken at 99.9 %. It is sought between the grid's points: how far these lie apart hangs on the
+    last bits of the readings."""
     if window.high <= window.low:
         return found
     grid, rise = _profile(task, shape, cells, window, soft=True)
     best = int(np.argmin(rise))
+
+    level = solve(shape, shape.spline(float(grid[best]), soft=True), cells)[1]
+
+    def above_least(u: float) -> float:
+        """−2 log likelihood of a deadband above that of the grid's best."""
+        return solve(shape, shape.spline(u, soft=True), cells)[1] - level
+
+    # the least lies between the grid's points, too
+    around = (float(grid[max(best - 1, 0)]), float(grid[min(best + 1, grid.size - 1)]))
+    edge = min(_least(above_least, *around), 0.0) + _LEVEL_999
+    beyond, soft = np.flatnonzero(rise[:best] > edge), float(grid[0])
+    if beyond.size:
+        ends = (float(grid[beyond[-1]]), float(grid[beyond[-1] + 1]))
+        soft = _root(lambda u: above_least(u) - edge, *ends)
     lower, upper = found.interval
-    soft = _crossing(grid[best::-1], rise[best::-1], _LEVEL_999)
     return replace(found, interval=(round(min(lower, soft), 4), upper))
+
+
+def _least(of: Callable[[float], float], low: float, high: float) -> float:
+    """The least value of a function with one valley between two points, by golden sections."""
+    inner = [high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)]
+    values = [of(inner[0]), of(inner[1])]
+    for _ in range(_SECTIONS):
+        if values[0] < values[1]:
+            high, inner = inner[1], [inner[1] - _GOLDEN * (inner[1] - low), inner[0]]
+            values = [of(inner[0]), values[0]]
+        else:
+            low, inner = inner[0], [inner[1], inner[0] + _GOLDEN * (high - inner[0])]
+            values = [values[1], of(inner[1])]
+    return min(values)
+
+
+def _root(of: Callable[[float], float], low: float, high: float) -> float:
+    """Where a function that is positive at the one of two points and negative at the other is zero
+    between them: false position, the end that stays counting half (Dowell & Jarratt 1971).
+    """
+    left, right = (low, of(low)), (high, of(high))
+    for _ in range(_TRIES):
+        x = right[0] - right[1] * (right[0] - left[0]) / (right[1] - left[1])
+        y = of(x)
+        if abs(x - right[0]) < _FINE or y == 0.0:
+            return float(x)
+        left = right if y * right[1] < 0.0 else (left[0], 0.5 * left[1])
+        right = x, y
+    return right[0]
 
 
 def _profile(

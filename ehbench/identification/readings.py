@@ -13,15 +13,18 @@ import numpy as np
 
 from ehbench.errors import InputError
 from ehbench.identification.flow_map import FlowMapFit, FlowMapOptions, Units, fit_flow_map
+from ehbench.identification.flow_warmth import warm_flow, warmed
 from ehbench.quantities import VOCABULARY
 from ehbench.readers import FlowmeterData, merge_flowmeter
-from ehbench.rig import Edge, Rig
+from ehbench.readers.flowmeter import LeftOut
+from ehbench.rig import Edge, Rig, Valve
 from ehbench.units import from_si
 
 Progress = Callable[[str, float], None]
 # the largest flow of a valve as a share of what the supply can give: outside of these a unit is
 # wrong
 _FLOW_SHARES = 1e-3, 20.0
+_OVERSHOOT = 0.01  # share of a driver's range that a command may lie outside of it
 
 
 @dataclass(frozen=True)
@@ -80,14 +83,18 @@ class EdgeReadings:
 
 @dataclass(frozen=True)
 class PreparedReadings:
-    """Readings by the edge they belong to."""
+    """Readings by the edge they belong to, with a sentence on what was left out of each file."""
 
     rig: Rig
     edges: tuple[EdgeReadings, ...]
+    losses: tuple[str, ...] = ()
 
 
-def prepare_readings(rig: Rig, parts: Sequence[FlowmeterData]) -> PreparedReadings:
-    """Sort readings to the rig's edges; arguments as in `fit_readings`.
+def prepare_readings(
+    rig: Rig, parts: Sequence[FlowmeterData], leave_out: bool = False
+) -> PreparedReadings:
+    """Sort readings to the rig's edges; arguments as in `fit_readings`, and ``leave_out``: a few
+    readings at commands that do not open their edge, or that no driver gives, are left out.
 
     Raises:
         InputError: readings of an edge that the rig does not have, or commands on the wrong side of
@@ -101,9 +108,12 @@ def prepare_readings(rig: Rig, parts: Sequence[FlowmeterData]) -> PreparedReadin
     for part in parts:
         doubts.setdefault(Path(part.file[0]).name, []).extend(_file_doubts(part))
     groups: dict[tuple[str, str, int], list[FlowmeterData]] = {}
+    losses = list(data.losses)
     for valve, direction in data.groups():
         rows = data.select(valve, direction)
-        name, side, sign = _edge_of(rig, valve, direction, rows)
+        name, side, driver, edge = _edge_of(rig, valve, direction, rows)
+        rows = _commanded(valve, rows, driver, edge, leave_out, losses)
+        sign = edge.sign
         groups.setdefault((name, side, sign), []).append(
             replace(rows, command=sign * rows.command + 0.0)
         )
@@ -115,8 +125,9 @@ def prepare_readings(rig: Rig, parts: Sequence[FlowmeterData]) -> PreparedReadin
         ]  # of a file once
         show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"), sign)
         said += _flow_doubts(rig, rows, show)
+        said += warmed(rows, show, rig.unit_of("temperature"))
         edges.append(EdgeReadings(name, side, sign, rows, tuple(said)))
-    return PreparedReadings(rig, tuple(edges))
+    return PreparedReadings(rig, tuple(edges), tuple(losses))
 
 
 def run_readings(
@@ -146,7 +157,7 @@ def run_readings(
             show=show,
         )
         fit = fit_flow_map(one.edge, one.side, rows, options)
-        fit = replace(fit, warnings=(*one.doubts, *fit.warnings))
+        fit = replace(fit, warnings=(*one.doubts, *warm_flow(fit, rows), *fit.warnings))
         fits.append(EdgeFit(fit, rows, one.sign))
     return fits
 
@@ -205,18 +216,20 @@ def _flow_doubts(rig: Rig, rows: FlowmeterData, show: Units) -> list[str]:
     ]
 
 
-def _edge_of(rig: Rig, valve: str, direction: str, rows: FlowmeterData) -> tuple[str, str, int]:
-    """(name of the edge's map, forward or reverse, sign of its commands) for readings of ``valve``
+def _edge_of(
+    rig: Rig, valve: str, direction: str, rows: FlowmeterData
+) -> tuple[str, str, Valve, Edge]:
+    """(name of the edge's map, forward or reverse, the valve, the edge) for readings of ``valve``
     in ``direction``.
     """
     where = {"file": str(rows.file[0]), "line": int(rows.line[0])}
-    known: dict[str, list[tuple[str, Edge]]] = {}
+    known: dict[str, list[tuple[str, Valve, Edge]]] = {}
     plain = [v.edge_name(e) for _, v, e in rig.edges()]
     for cylinder, item, edge in rig.edges():
         name = item.edge_name(edge)
         full = name if plain.count(name) == 1 else f"{cylinder.name}.{name}"
         for alias in {name, f"{cylinder.name}.{name}", item.name, f"{cylinder.name}.{item.name}"}:
-            known.setdefault(alias, []).append((full, edge))
+            known.setdefault(alias, []).append((full, item, edge))
     if valve not in known:
         near = get_close_matches(valve, known, 1)
         hint = f"did you mean '{near[0]}'?" if near else "it has " + ", ".join(sorted(set(plain)))
@@ -225,32 +238,56 @@ def _edge_of(rig: Rig, valve: str, direction: str, rows: FlowmeterData) -> tuple
     side = direction
     if "->" in direction:
         upstream, downstream = (end.strip() for end in direction.split("->", 1))
-        along = [(n, e, "forward") for n, e in options if (e.from_, e.to) == (upstream, downstream)]
-        against = [
-            (n, e, "reverse") for n, e in options if (e.to, e.from_) == (upstream, downstream)
-        ]
+        along = [one for one in options if (one[2].from_, one[2].to) == (upstream, downstream)]
+        against = [one for one in options if (one[2].to, one[2].from_) == (upstream, downstream)]
         if not along and not against:
-            there = ", ".join(f"{e.from_}->{e.to}" for _, e in options)
+            there = ", ".join(f"{e.from_}->{e.to}" for _, _, e in options)
             raise InputError(f"'{valve}' has no edge {direction}", hint=f"it has {there}", **where)
-        name, edge, side = (along or against)[0]
-        options = [(name, edge)]
+        options, side = (along or against)[:1], "forward" if along else "reverse"
     if len(options) > 1:
-        names = ", ".join(name for name, _ in options)
+        names = ", ".join(name for name, _, _ in options)
         raise InputError(
             f"'{valve}' has {len(options)} metering edges", hint=f"name one: {names}", **where
         )
-    name, edge = options[0]
-    wrong = np.flatnonzero(edge.sign * rows.command < 0)
-    if wrong.size:
-        at = wrong[0]
-        raise InputError(
-            f"'{valve}' opens on {'negative' if edge.sign < 0 else 'positive'} commands, and this "
-            f"reading has {rows.command[at]:g} V",
-            file=str(rows.file[at]),
-            line=int(rows.line[at]),
-            hint=f"the rig file says sign = {edge.sign} for this edge",
-        )
-    return name, side, edge.sign
+    name, item, edge = options[0]
+    return name, side, item, edge
+
+
+def _commanded(
+    valve: str,
+    rows: FlowmeterData,
+    driver: Valve,
+    edge: Edge,
+    leave_out: bool,
+    losses: list[str],
+) -> FlowmeterData:
+    """The readings but for those at commands that do not open the edge, or that its driver does not
+    give; these are refused, or left out where they are few and that is allowed.
+    """
+    low, high = float(driver.command_min), float(driver.command_max)
+    slack = _OVERSHOOT * (high - low)
+    opens = "negative" if edge.sign < 0 else "positive"
+    doubts = (
+        (
+            edge.sign * rows.command < 0,
+            f"'{valve}' opens on {opens} commands, and this reading has",
+            f"the rig file says sign = {edge.sign} for this edge",
+        ),
+        (
+            (rows.command < low - slack) | (rows.command > high + slack),
+            f"the driver of '{valve}' gives {low:g} to {high:g} V, and this reading has",
+            "check the unit, and command_min and command_max of the rig file",
+        ),
+    )
+    left_out, keep = LeftOut(leave_out), np.ones(len(rows), bool)
+    for wrong, said, hint in doubts:
+        for at in np.flatnonzero(wrong & keep):
+            where = {"file": str(rows.file[at]), "line": int(rows.line[at])}
+            error = InputError(f"{said} {rows.command[at]:g} V", hint=hint, **where)
+            left_out.take(valve, error)
+            keep[at] = False
+    losses += left_out.sentences([valve] * int(keep.sum()))
+    return rows if keep.all() else rows.at(keep)
 
 
 def signs(fits: Sequence[EdgeFit]) -> dict[tuple[str, str], int]:

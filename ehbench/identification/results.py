@@ -16,6 +16,8 @@ from ehbench.identification.search import Coordinate
 from ehbench.identification.band import ResponseFit, followed, late_responses
 from ehbench.identification.simulator import Log, Shifts, Simulator, channels_of
 from ehbench.quantities import quantity
+from ehbench.identification.volumes import held_volumes
+from ehbench.observations import supply_off
 from ehbench.plant.ties import tied_words
 from ehbench.record import Record
 from ehbench.recipe.sensor import reading_row
@@ -122,7 +124,8 @@ class HydraulicsFit:
     """What an identification found. ``rig`` carries the fitted values; ``correlation`` is between
     the parameters with a standard error, in the order of ``correlated_names``; ``scales`` [SI] is
     what each channel's residual was divided by; ``sensors`` what was found of the logs' own,
-    ``groups`` the products of parameters that the logs know though they do not know each."""
+    ``groups`` the products of parameters that the logs know though they do not know each,
+    ``counts_on`` a sentence on what is held that a parameter is known in relation to."""
 
     rig: Rig
     method: str
@@ -138,6 +141,7 @@ class HydraulicsFit:
     recordings: tuple[tuple[str, dict[str, np.ndarray]], ...]
     sensors: tuple[SensorFit, ...] = ()
     groups: tuple[Group, ...] = ()
+    counts_on: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> FittedParameter:
         """The fitted parameter of that name.
@@ -228,6 +232,8 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
         else:
             fit = replace(fit, responses=followed(log, replayed))
             warnings += late_responses(log, simulated)
+        off = supply_off(log.record, replayed, simulator.rig)
+        warnings += [f"{log.name}: {text}" for text in off]
         logs.append(fit)
         recordings.append((log.name, _recording(log, replayed)))
     return HydraulicsFit(
@@ -245,6 +251,14 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
         recordings=tuple(recordings),
         sensors=tuple(found.sensors),
         groups=tuple(found.groups),
+        counts_on=held_volumes(
+            simulator.rig,
+            [one.name for one in found.fitted if one.interval is not None],
+            {
+                name: [one for log, one in zip(simulator.logs, replays) if name in log.live]
+                for name in {name for log in simulator.logs for name in log.live}
+            },
+        ),
     )
 
 

@@ -18,6 +18,7 @@ from ehbench.plant.model import FREE, Model
 from ehbench.plant.paced import AUTO, Step
 from ehbench.plant.ties import tied_words
 from ehbench.preprocessing import preprocess
+from ehbench.quantities import like_channel
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
 from ehbench.sensors import Term
@@ -197,7 +198,7 @@ def _compared(
     if not found:
         raise InputError(
             f"{name}: of {', '.join(live)} the log has none of {', '.join(wanted)} that changes",
-            hint="it has " + ", ".join(record.channels),
+            hint=like_channel(wanted[0] if len(wanted) == 1 else "", list(record.channels)),
         )
     return free
 

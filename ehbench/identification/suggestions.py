@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ LONG, SHORT, FEWEST, MOST = 0.5, 0.02, 4, 16  # a window [s], the least; how man
 HEAD = 10.0  # [s] of a log at least that is looked at
 STEPS = 25  # of a descent
 FINE = 0.005  # share of a channel's spread below which an error does not matter
-SHOWN = 10  # rows of the table in a terminal
+SHOWN, WIDE = 10, 96  # rows of the table in a terminal, its width
 COSTLY = ("mount",)  # kinds that are tried where nothing else helps
 ROUNDS = 5  # changes on top of one another, at most
 QUIET = 1.5  # times the noise that fits may leave, beyond which nothing is sought
@@ -131,7 +132,8 @@ class Suggestions:
         if len(self.rows) == 1:
             table.append("the recipe's own fit leaves nothing but noise: nothing else was tried")
         if self.untried:
-            table.append("no time for " + ", ".join(self.untried) + "; --seconds gives more")
+            untried = "no time for " + ", ".join(self.untried) + "; --seconds gives more"
+            table += wrap(untried, WIDE, subsequent_indent="  ", break_on_hyphens=False)
         return table
 
 

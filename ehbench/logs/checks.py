@@ -166,6 +166,8 @@ def check_known(name: str, *, file: str | Path | None = None, line: int | None =
         if near
         else "a name ends in a word such as q, x, p_head, p_rod or command"
     )
+    if path and all(path) and near != ["t"] and plain.isidentifier():
+        hint += f"; if '{plain}' is a valve, its command is '{name}.command'"
     raise LogError(f"unknown channel '{name}'", file=file, line=line, hint=hint)
 
 

@@ -14,15 +14,26 @@ from ehbench.readers import open_source
 from ehbench.recipe.columns import LEAVE_OUT, WORDS, ColumnMap
 from ehbench.text import quoted
 
+MAY_LACK = ("temperature",)  # what a reading may go without
+_NAMED = 12  # lines that are told
 
-def mapped_readings(path: Path, columns: ColumnMap) -> list[tuple[int, str]]:
+
+def mapped_readings(
+    path: Path, columns: ColumnMap, losses: list[str] | None = None
+) -> list[tuple[int, str]] | None:
     """(line in the file, text) of a header and rows as `read_flowmeter` takes them, in SI. Without
-    a column of valves the file is of the valve that its name says.
+    a column of valves the file is of the valve that its name says. None where the map names no
+    column: the file's own names are `read_flowmeter`'s.
+
+    Args:
+        losses: gets a sentence on rows that are left out as the map allows.
 
     Raises:
         LogError: a column that is not there, a cell that is no number.
         UnitError: a unit that does not become the quantity's.
     """
+    if not columns.columns.names:
+        return None
     source = open_source(path, dialect_of(columns))
     table = source.tables[0]
     cells: dict[str, Sequence[str]] = {}
@@ -37,8 +48,13 @@ def mapped_readings(path: Path, columns: ColumnMap) -> list[tuple[int, str]]:
             cells[what] = [f"{value:g}" for value in column.values]
         elif what != "t":
             values = si_of(name, mapped, column, columns, path)
-            bad |= ~np.isfinite(values)
-            cells[f"{what} [{quantity(what).unit}]"] = [repr(float(value)) for value in values]
+            lacking = ~np.isfinite(values)
+            optional = lacking if what in MAY_LACK else np.zeros(table.size, bool)
+            bad |= lacking & ~optional
+            cells[f"{what} [{quantity(what).unit}]"] = [
+                "" if blank else repr(float(value))
+                for value, blank in zip(values, optional, strict=True)
+            ]
     lines = list(table.lines or range(2, table.size + 2))
     if bad.any() and columns.columns.bad_samples != LEAVE_OUT:
         raise LogError(
@@ -46,6 +62,13 @@ def mapped_readings(path: Path, columns: ColumnMap) -> list[tuple[int, str]]:
             file=path,
             line=lines[int(np.argmax(bad))],
             hint=f'bad_samples = "{LEAVE_OUT}" in the map leaves such rows out',
+        )
+    if bad.any() and losses is not None:
+        some = ", ".join(str(lines[row]) for row in np.flatnonzero(bad)[:_NAMED])
+        are = "readings are" if bad.sum() > 1 else "reading is"
+        losses.append(
+            f"{path.name}: {bad.sum()} {are} left out, with a cell that holds no number: line "
+            f"{some}{', …' * (int(bad.sum()) > _NAMED)}"
         )
     cells.setdefault("valve", [quoted(Path(path.name.removesuffix(".gz")).stem)] * table.size)
     rows = [

@@ -17,6 +17,7 @@ from ehbench.mapping.guesses import CYLINDER, VALVE, Guess, guessed
 from ehbench.mapping.picture import draw
 from ehbench.mapping.readings import holds_readings, reading_guesses
 from ehbench.mapping.written import drafted, own_rows, range_of
+from ehbench.preprocessing import outside_stroke
 from ehbench.readers import Source, Table, open_source, read_flowmeter, reader_of
 from ehbench.recipe.columns import ENDING, load_columns
 from ehbench.rig import Rig
@@ -157,4 +158,5 @@ def _tried(path: Path, out: Path, guesses: dict[str, Guess], rig: Rig | None) ->
         return [*lines, f"not yet: {error}"]
     lines.append(f"taken with this map: {record!r}")
     lines += [f"  {loss}" for loss in record.losses]
+    lines += [f"  {doubt}" for doubt in ([] if rig is None else outside_stroke(record, rig))]
     return [*lines, _next(out)]

@@ -32,7 +32,7 @@ _WORDS = {
 
 def holds_readings(source: Source) -> bool:
     """Whether a file is of a flowmeter: a column of flow, none of how a cylinder moves, and not the
-    pressures of both its chambers.
+    pressures of both its chambers, unless it has no time: then two pressures are of two sides.
     """
     columns = [column for table in source.tables for column in table.columns]
 
@@ -40,7 +40,8 @@ def holds_readings(source: Source) -> bool:
         return any(one.known_unit and is_of(one.known_unit, VOCABULARY[row]) for one in columns)
 
     ends = {reading_of(one.known_unit, words_of(one.name)) for one in columns}
-    log = {"p_head", "p_rod"} <= ends or bool(ends & {"x", "v", "q", "qd"})
+    timed = has("t") or any(table.t is not None for table in source.tables)
+    log = ({"p_head", "p_rod"} <= ends and timed) or bool(ends & {"x", "v", "q", "qd"})
     return len(source.tables) == 1 and has("flow") and not log
 
 

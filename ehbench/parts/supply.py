@@ -17,11 +17,13 @@ COUNTED = 0.5
 # ``pressure`` the set pressure [Pa], the highest of a load-sensing pump; ``flow_limit`` [m³/s],
 # ``volume`` of the line [m³]; ``margin`` above the load's pressure [Pa] and ``lag`` [s] of load
 # sensing, 0 for none; pressure of the low ``rail`` and what it must have above the chamber that it
-# feeds, ``rail_margin`` [Pa], 0 for none; the OIL_COLUMNS of its oil, the columns of its
+# feeds, ``rail_margin`` [Pa], 0 for none; the column of the commands in which its rate of pressure
+# stands when that is given (``tied``, −1); the OIL_COLUMNS of its oil, the columns of its
 # accumulator
 SUPPLY = record(
     *((name, "f8") for name in ("pressure", "flow_limit", "volume")),
     *((name, "f8") for name in ("margin", "lag", "rail", "rail_margin")),
+    ("tied", "i8"),
     *OIL_COLUMNS,
     *ACCUMULATOR,
 )

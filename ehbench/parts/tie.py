@@ -1,4 +1,5 @@
-"""Motion that is tied to a recording: the rates of joints are given, not found."""
+"""What is tied to a recording: the rates of joints and of the supply's pressure are given, not
+found."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ from ehbench.compiled import part_kernel
 @part_kernel
 def tie(command, plant, dy):
     """Put the given rates of cylinders' joints [rad/s or m/s, per second] into ``dy``: those of the
-    coordinates, those of the speeds.
+    coordinates, those of the speeds; and that of the supply's pressure [Pa/s].
     """
     for c in range(plant.cylinders.shape[0]):
         row = plant.cylinders[c]
@@ -16,3 +17,5 @@ def tie(command, plant, dy):
             dy[row.joint] = command[row.tied_position]
         if row.tied_rate >= 0:
             dy[plant.at.rates + row.joint] = command[row.tied_rate]
+    if plant.supply.tied >= 0:
+        dy[plant.at.supply] = command[plant.supply.tied]

@@ -382,7 +382,8 @@ def _forces(rig: Rig, names: Layout) -> np.recarray:
 
 def _supply(rig: Rig) -> np.record:
     own = rig.supply
-    row = {key: float(getattr(own, key)) for key in ("pressure", "flow_limit", "volume")}
+    row: dict[str, float] = {"tied": -1}
+    row |= {key: float(getattr(own, key)) for key in ("pressure", "flow_limit", "volume")}
     if own.load_sensing is not None:
         load = own.load_sensing
         row |= {"margin": float(load.load_margin), "lag": float(load.load_lag)}

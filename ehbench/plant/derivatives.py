@@ -240,8 +240,9 @@ def derivatives(y, command, plant, dy, work):
     fastest = max(fastest, line_rates(y, plant, dy, work))
     fastest = max(fastest, cylinders(y, command, plant, dy, work))
     move(y, plant, dy, work)
+    fastest = max(fastest, _supply(y, plant, dy, work))
     tie(command, plant, dy)
-    return max(fastest, _supply(y, plant, dy, work))
+    return fastest
 
 
 LAST = (_supply, move, cylinders)  # what `derivatives` calls, from the end on

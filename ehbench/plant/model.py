@@ -18,7 +18,7 @@ from ehbench.plant.build import Maps, Plant, build, links_of
 from ehbench.plant.integrate import STEP, run
 from ehbench.plant.layout import SIDES, Layout, layout
 from ehbench.plant.paced import AUTO, Step, pace_of, run_paced
-from ehbench.plant.ties import ties_of, tied_words
+from ehbench.plant.ties import supplied, tied_words, ties_of
 from ehbench.plant.valves import felt_commands
 from ehbench.record import Record
 from ehbench.rig import Rig
@@ -330,12 +330,12 @@ class Model:
             )
         table = self.commands_of(record)
         plant = self.plant.at_pressures(start.supply, start.tank).held_before(table[0])
-        if not tied_words(record):
+        if not tied_words(record) and not supplied(record):
             return replace(self, plant=plant), table, start.y
         ties, y = ties_of(plant, self.layout, record), start.y.copy()
         for state, value in ties.first.items():
             y[state] = value
-        plant = plant._replace(cylinders=ties.cylinders)
+        plant = plant._replace(cylinders=ties.cylinders, supply=ties.supply)
         return replace(self, plant=plant), np.column_stack([table, ties.rates]), y
 
     def record(

@@ -1,9 +1,11 @@
-"""The recorded motion of a closed loop, tied into a simulation along the recording.
+"""What of a recording is tied into a simulation along it: the motion of a closed loop, the pressure
+of the supply.
 
 A position that a controller held drifts away when its commands are replayed without it, for it
 integrates every error of a flow. With ``position`` tied, joint coordinates are the recording's, and
 rates and pressures the model's; with ``motion``, rates are the recording's as well, and pressures
-the answer to it."""
+the answer to it. The supply's pressure may be given where the rig file's supply is not the
+machine's: a pump that gives way, an accumulator."""
 
 from __future__ import annotations
 
@@ -17,6 +19,7 @@ from ehbench.plant.layout import Layout
 from ehbench.record import Record
 from ehbench.signals import lowpass
 
+SUPPLY, RECORDED = "supply", "recorded"  # the fact that the supply's pressure is the recording's
 TIED = "tied"  # the fact of a record that says what of it is tied: a key of WORDS
 # which words of a cylinder's channels are given then
 WORDS: dict[str, tuple[str, ...]] = {
@@ -31,11 +34,13 @@ ORDER = 4  # … so sharply that what rings below keeps its size
 
 
 class Ties(NamedTuple):
-    """What is tied: the ``cylinders`` with it, the ``rates`` [unit/s], shape (samples, ties), each
-    held until the next sample, and the values where the states begin, by state.
+    """What is tied: the ``cylinders`` and the ``supply`` with it, the ``rates`` [unit/s], shape
+    (samples, ties), each held until the next sample, and the values where the states begin, by
+    state.
     """
 
     cylinders: np.recarray
+    supply: np.record
     rates: np.ndarray
     first: dict[int, float]
 
@@ -45,6 +50,11 @@ def tied_words(record: Record) -> tuple[str, ...]:
     return WORDS[record.meta.get(TIED, "none")]
 
 
+def supplied(record: Record) -> bool:
+    """Whether a record gives its supply pressure to a simulation along it."""
+    return record.meta.get(SUPPLY) == RECORDED and "p_supply" in record
+
+
 def position_channel(record: Record, cylinder: str) -> str | None:
     """The channel that tells where a cylinder stands; None where none does."""
     return next((name for w in ("q", "x") if (name := f"{cylinder}.{w}") in record), None)
@@ -52,7 +62,7 @@ def position_channel(record: Record, cylinder: str) -> str | None:
 
 def ties_of(plant: Plant, names: Layout, record: Record) -> Ties:
     """What a record ties of a plant: the coordinates of all cylinders whose position it has, and
-    with ``motion`` their rates.
+    with ``motion`` their rates; the pressure of the supply.
 
     Coordinates run straight from sample to sample; so do rates, through the central differences of
     the coordinates without what is noise (`without_noise`)."""
@@ -72,10 +82,14 @@ def ties_of(plant: Plant, names: Layout, record: Record) -> Ties:
         if moving:
             row.tied_rate = before + len(tied)
             tied.append((plant.at.rates + joint, np.gradient(q, tick)))
+    line = plant.at_pressures().supply
+    if supplied(record):
+        line.tied = before + len(tied)
+        tied.append((plant.at.supply, without_noise(record["p_supply"], tick)))
     rates = [np.append(np.diff(values) / tick, 0.0) for _, values in tied]
     first = {at: float(values[0]) for at, values in tied}
     table = np.column_stack(rates) if rates else np.zeros((record.t.size, 0))
-    return Ties(cylinders, table, first)
+    return Ties(cylinders, line, table, first)
 
 
 def without_noise(y: np.ndarray, tick: float) -> np.ndarray:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import csv
 import math
 import re
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,6 +36,12 @@ _HEADER = re.compile(r"\s*([^\[\]]*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*")
 # nothing
 _ZERO_SHARE = 0.02
 _SUPPLY_MARGIN = 1.5
+# share of a valve's readings beyond which what is wrong with them is no slip
+MOST_LEFT = 1.0 / 3.0
+# readings both of whose signs are turned are a map's other direction from 4 on, else slips
+_LEAST_REVERSE = 4
+_NAMED, _LISTED = 4, 12  # readings left out that are told with their reason, with their line
+LEAVING = 'bad_samples = "leave out" in the map of columns, or under [columns]'
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +53,7 @@ class FlowmeterData:
     where a cylinder's speed was taken without, and ``flow`` [m³/s] along the direction, so positive
     up to the scatter about zero; ``trial`` counts;
     ``temperature`` [K], NaN where not given; ``line`` is the line in ``file``. ``warnings`` are
-    sentences on what looks odd and was kept."""
+    sentences on what looks odd and was kept, ``losses`` on what was left out."""
 
     valve: np.ndarray
     direction: np.ndarray
@@ -58,6 +66,7 @@ class FlowmeterData:
     file: np.ndarray
     line: np.ndarray
     warnings: tuple[str, ...] = ()
+    losses: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return self.line.size
@@ -79,12 +88,70 @@ class FlowmeterData:
                 f"there are no readings of '{valve}' in direction {direction}",
                 hint=f"there are {there}",
             )
-        return FlowmeterData(
-            warnings=self.warnings, **{name: getattr(self, name)[at] for name in _ARRAYS}
-        )
+        return self.at(at)
+
+    def at(self, rows: np.ndarray) -> FlowmeterData:
+        """These readings alone, by number or by a mask."""
+        return replace(self, **{name: getattr(self, name)[rows] for name in _ARRAYS})
 
 
-_ARRAYS = tuple(f.name for f in fields(FlowmeterData) if f.name != "warnings")
+_ARRAYS = tuple(f.name for f in fields(FlowmeterData) if f.name not in ("warnings", "losses"))
+
+
+class LeftOut:
+    """Readings that cannot be right: the first stops the reading of a file, or each is ``allowed``
+    to be left out and told, as long as they are few.
+    """
+
+    def __init__(self, allowed: bool) -> None:
+        self.allowed = allowed
+        self.errors: list[tuple[str, InputError]] = []
+
+    def take(self, valve: str, error: InputError) -> None:
+        """Keep what is wrong with a reading of a valve.
+
+        Raises:
+            InputError: where nothing may be left out.
+        """
+        if not self.allowed:
+            cure = f"or leave such readings out: {LEAVING}"
+            hint = cure if error.hint is None else f"{error.hint}; {cure}"
+            raise type(error)(error.message, file=error.file, line=error.line, hint=hint)
+        self.errors.append((valve, error))
+
+    def sentences(self, kept: Sequence[str]) -> tuple[str, ...]:
+        """A sentence for each file on the readings of it that are left out.
+
+        Args:
+            kept: the valve of each reading that is not.
+
+        Raises:
+            InputError: they are too many of a valve's readings to be slips.
+        """
+        stay, gone = Counter(kept), Counter(valve for valve, _ in self.errors)
+        files: dict[str, list[InputError]] = {}
+        for valve, error in self.errors:
+            every = gone[valve] + stay[valve]
+            if gone[valve] > max(1, MOST_LEFT * every):
+                hint = "sign = -1 in a map of columns turns a column round"
+                raise type(error)(
+                    f"{error.message}; so it is with {gone[valve]} of {every} readings of {valve}, "
+                    "too many to leave out",
+                    file=error.file,
+                    line=error.line,
+                    hint=hint if error.hint is None else f"{error.hint}; {hint}",
+                )
+            files.setdefault(Path(str(error.file)).name, []).append(error)
+        return tuple(_told(*pair) for pair in files.items())
+
+
+def _told(name: str, errors: Sequence[InputError]) -> str:
+    """How many readings of a file are left out, and of the first of them why."""
+    are = "readings are" if len(errors) > 1 else "reading is"
+    first = "; ".join(f"line {one.line}: {one.message}" for one in errors[:_NAMED])
+    rest = ", ".join(str(one.line) for one in errors[_NAMED:][:_LISTED])
+    more = f"; lines {rest}{', …' * (len(errors) > _NAMED + _LISTED)}" if rest else ""
+    return f"{name}: {len(errors)} {are} left out: {first}{more}"
 
 
 def read_flowmeter(
@@ -92,6 +159,7 @@ def read_flowmeter(
     *,
     supply_pressure: float | None = None,
     lines: list[tuple[int, str]] | None = None,
+    leave_out: bool = False,
 ) -> FlowmeterData:
     """Flowmeter readings from a CSV file.
 
@@ -107,6 +175,8 @@ def read_flowmeter(
     Args:
         supply_pressure: [Pa]; a drop above 1.5 times as much is refused as a slip of unit.
         lines: what to read in place of the file's own text: (line, text) of header and rows.
+        leave_out: leave out a row that cannot be right, and say so in ``losses``; more than a third
+            of a valve's rows are refused nevertheless.
 
     Raises:
         InputError, UnitError: with file, line and what would be right.
@@ -120,28 +190,19 @@ def read_flowmeter(
     first, header = lines[0]
     delimiter = max(",;\t", key=lambda mark: (header.count(mark), mark == ","))
     columns, units = _columns(path, first, _cells(path, first, header, delimiter))
-    rows = []
+    rows, left_out = [], LeftOut(leave_out)
     for number, text in lines[1:]:
-        cells = _cells(path, number, text, delimiter)
-        if len(cells) != len(columns):
-            hint = (
-                "a decimal comma? write numbers with a point, or separate columns by semicolons"
-                if delimiter == ","
-                else None
-            )
-            raise InputError(
-                f"has {len(cells)} columns, the header has {len(columns)}",
-                file=path,
-                line=number,
-                hint=hint,
-            )
-        rows.append(
-            _row(path, number, dict(zip(columns, cells, strict=True)), units, delimiter != ",")
-        )
-    if not rows:
+        named = _named(path, number, columns, _cells(path, number, text, delimiter), delimiter)
+        try:
+            rows.append(_row(path, number, named, units, delimiter != ","))
+        except InputError as error:
+            left_out.take(named["valve"], error)
+    if not rows and not left_out.errors:
         raise InputError("has a header but no readings", file=path, line=first)
-    _signs(path, rows)
-    return _data(path, rows, supply_pressure, units)
+    rows = _within_supply(path, rows, supply_pressure, units, left_out)
+    rows = _signs(path, rows, left_out)
+    losses = left_out.sentences([row["valve"] for row in rows])
+    return replace(_data(path, rows, supply_pressure, units), losses=losses)
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
@@ -177,6 +238,21 @@ def _cells(path: Path, number: int, text: str, delimiter: str) -> list[str]:
         ]
     except csv.Error as error:
         raise InputError(f"is no row of a CSV file: {error}", file=path, line=number) from None
+
+
+def _named(
+    path: Path, number: int, columns: list[str], cells: list[str], delimiter: str
+) -> dict[str, str]:
+    """The cells of a row by column."""
+    if len(cells) == len(columns):
+        return dict(zip(columns, cells, strict=True))
+    hint = "a decimal comma? write numbers with a point, or separate columns by semicolons"
+    raise InputError(
+        f"has {len(cells)} columns, the header has {len(columns)}",
+        file=path,
+        line=number,
+        hint=hint if delimiter == "," else None,
+    )
 
 
 def _columns(path: Path, line: int, cells: list[str]) -> tuple[list[str], dict[str, str]]:
@@ -321,70 +397,121 @@ def _row(
     return row
 
 
-def _signs(path: Path, rows: list[dict]) -> None:
-    """Refuse flow against its drop; turn readings with both negative and no direction into reverse
-    ones.
+def _signs(path: Path, rows: list[dict], left_out: LeftOut) -> list[dict]:
+    """The rows but for those whose flow runs against its drop; those with both negative and no
+    direction are turned into reverse ones.
     """
     largest: dict[str, tuple[float, float]] = {}
     for row in rows:
         flow, drop = largest.get(row["valve"], (0.0, 0.0))
         largest[row["valve"]] = max(flow, abs(row["flow"])), max(drop, abs(row["pressure_drop"]))
+    kept, turned = [], Counter()
     for row in rows:
-        flow, drop = row["flow"], row["pressure_drop"]
-        flow_zero, drop_zero = (_ZERO_SHARE * value for value in largest[row["valve"]])
-        if flow * drop < 0 and abs(flow) > flow_zero and abs(drop) > drop_zero:
-            raise InputError(
-                f"the flow of {row['valve']} runs against its drop: one is negative, the other "
-                "positive",
+        zeros = tuple(_ZERO_SHARE * value for value in largest[row["valve"]])
+        try:
+            turned[row["valve"]] += _turned(path, row, *zeros)
+        except InputError as error:
+            left_out.take(row["valve"], error)
+        else:
+            kept.append(row)
+    return [row for row in kept if not _strays(path, row, turned, left_out)]
+
+
+def _turned(path: Path, row: dict, flow_zero: float, drop_zero: float) -> bool:
+    """Whether a row is of the reverse direction though it does not say so: it is turned round.
+
+    Raises:
+        InputError: flow against the drop, or a drop against the direction that the row says.
+    """
+    flow, drop = row["flow"], row["pressure_drop"]
+    if flow * drop < 0 and abs(flow) > flow_zero and abs(drop) > drop_zero:
+        raise InputError(
+            f"the flow of {row['valve']} runs against its drop: one is negative, the other "
+            "positive",
+            file=path,
+            line=row["line"],
+            hint="oil flows down the pressure: both carry the sign of the direction",
+        )
+    turns = drop < -drop_zero
+    if turns and row["direction"]:
+        raise InputError(
+            f"the drop is negative along the direction {row['direction']}",
+            file=path,
+            line=row["line"],
+            hint="count drop and flow positive along the direction, or leave the direction out",
+        )
+    if turns:
+        row.update(direction="reverse", flow=-flow, pressure_drop=-drop)
+    row["direction"] = row["direction"] or "forward"
+    return turns
+
+
+def _strays(path: Path, row: dict, turned: Counter[str], left_out: LeftOut) -> bool:
+    """Whether a row is one of a few that were turned round: where rows may be left out, too few
+    for a map are slips.
+    """
+    few = 0 < turned[row["valve"]] < _LEAST_REVERSE
+    if not (left_out.allowed and few and row["direction"] == "reverse"):
+        return False
+    said = f"drop and flow of {row['valve']} are negative, as in few of its readings"
+    left_out.take(row["valve"], InputError(said, file=path, line=row["line"]))
+    return True
+
+
+def _within_supply(
+    path: Path,
+    rows: list[dict],
+    supply: float | None,
+    units: dict[str, str],
+    left_out: LeftOut,
+) -> list[dict]:
+    """The rows but for those whose drop lies far above the supply pressure [Pa]."""
+    if supply is None:
+        return rows
+    unit, kept = _drop_unit(units), []
+    for row in rows:
+        if abs(row["pressure_drop"]) > _SUPPLY_MARGIN * supply:
+            shown, limit = (
+                f"{from_si(value, unit, VOCABULARY['pressure_drop']):g} {unit}"
+                for value in (abs(row["pressure_drop"]), supply)
+            )
+            error = UnitError(
+                f"a drop of {shown} is {abs(row['pressure_drop']) / supply:.3g} times the supply "
+                f"pressure of {limit}",
                 file=path,
                 line=row["line"],
-                hint="oil flows down the pressure: both carry the sign of the direction",
+                hint=f"check the unit in the header: is it really {unit}?",
             )
-        if drop < -drop_zero:
-            if row["direction"]:
-                raise InputError(
-                    f"the drop is negative along the direction {row['direction']}",
-                    file=path,
-                    line=row["line"],
-                    hint="count drop and flow positive along the direction, or leave the "
-                    "direction out",
-                )
-            row.update(direction="reverse", flow=-flow, pressure_drop=-drop)
-        row["direction"] = row["direction"] or "forward"
+            left_out.take(row["valve"], error)
+        else:
+            kept.append(row)
+    return kept
+
+
+def _drop_unit(units: dict[str, str]) -> str:
+    """The unit in which a file has its drops."""
+    display = VOCABULARY["pressure_drop"].display
+    return units.get("pressure_drop") or units.get("upstream_pressure", display)
 
 
 def _data(
     path: Path, rows: list[dict], supply: float | None, units: dict[str, str]
 ) -> FlowmeterData:
-    drop_row = VOCABULARY["pressure_drop"]
-    unit = units.get("pressure_drop") or units.get("upstream_pressure", drop_row.display)
-    warnings = []
+    warnings, unit = [], _drop_unit(units)
     if supply is not None:
-        for row in rows:
-            if row["pressure_drop"] > _SUPPLY_MARGIN * supply:
-                shown, limit = (
-                    f"{from_si(value, unit, drop_row):g} {unit}"
-                    for value in (row["pressure_drop"], supply)
-                )
-                raise UnitError(
-                    f"a drop of {shown} is {row['pressure_drop'] / supply:.3g} times the supply "
-                    f"pressure of {limit}",
-                    file=path,
-                    line=row["line"],
-                    hint=f"check the unit in the header: is it really {unit}?",
-                )
         most = max(row["pressure_drop"] for row in rows)
         if most < 0.005 * supply:
             warnings.append(
-                f"{path}: the largest drop is {from_si(most, unit, drop_row):g} {unit}, under 0.5 "
+                f"{path}: the largest drop is "
+                f"{from_si(most, unit, VOCABULARY['pressure_drop']):g} {unit}, under 0.5 "
                 "% of the supply pressure: "
                 f"is it really {unit}?"
             )
-    arrays = {
+    arrays: dict[str, Any] = {
         name: np.array([row[name] for row in rows])
         for name in ("valve", "direction", "method", "trial", "file", "line")
     }
-    numbers = {
+    numbers: dict[str, Any] = {
         name: np.array([row[name] for row in rows], float)
         for name in ("command", "pressure_drop", "flow", "temperature")
     }
@@ -393,5 +520,11 @@ def _data(
 
 def merge_flowmeter(parts: Sequence[FlowmeterData]) -> FlowmeterData:
     """The readings of several files one after the other; each keeps its file and line."""
-    arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
-    return FlowmeterData(warnings=tuple(text for part in parts for text in part.warnings), **arrays)
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS
+    }
+    return FlowmeterData(
+        warnings=tuple(text for part in parts for text in part.warnings),
+        losses=tuple(text for part in parts for text in part.losses),
+        **arrays,
+    )

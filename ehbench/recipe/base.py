@@ -46,12 +46,16 @@ DataFiles = Annotated[
 
 
 Tied = Literal["none", "position", "motion"]
+Supplied = Literal["model", "recorded"]
 
 
 class ReplayedFile(DataFile):
     """A log that a simulation runs along, and what of its motion that is tied to."""
 
     tied: Tied | None = Field(default=None, description="of this file, in place of the recipe's")
+    supply: Supplied | None = Field(
+        default=None, description="of this file, in place of the recipe's"
+    )
 
 
 ReplayedFiles = Annotated[
@@ -65,6 +69,11 @@ TIED: Any = Field(
     description="what of the recorded motion the simulation is tied to, where a controller held "
     "the position: `position` (rate and pressures are compared), or all of the `motion` (pressures "
     "alone are)",
+)
+SUPPLIED: Any = Field(
+    default="model",
+    description="where the simulation has the supply's pressure from: the rig file's supply, or "
+    "the log, `recorded`, where that supply is not the machine's",
 )
 
 

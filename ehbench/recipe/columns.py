@@ -5,7 +5,6 @@ A map stands in a recipe under ``[columns]`` or in a file of its own that many r
 from __future__ import annotations
 
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -13,7 +12,7 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from ehbench.errors import EhbenchError, InputError, UnitError
 from ehbench.fields import FileModel, Q, Value
-from ehbench.quantities import VOCABULARY, Quantity, quantity
+from ehbench.quantities import VOCABULARY, Quantity, meant, quantity
 from ehbench.recipe.toml import lines_of, read_toml, validated
 from ehbench.units import product, ratio, split_number, to_si, zero_of
 
@@ -61,11 +60,7 @@ class MappedColumn(FileModel):
     def _whole(self) -> MappedColumn:
         word = self.channel.rpartition(".")[2]
         if word not in VOCABULARY and word not in WORDS:
-            near = get_close_matches(word, [*VOCABULARY, *WORDS], 1, 0.5)
-            raise ValueError(
-                f"unknown channel '{self.channel}'"
-                + (f"; nearest is '{self.channel[: -len(word)]}{near[0]}'" if near else "")
-            )
+            raise ValueError(f"unknown channel '{self.channel}'{meant(self.channel, WORDS)}")
         if (self.from_ is None) != (self.to is None):
             raise ValueError("'from' and 'to' belong together")
         others = (self.scale, self.offset, self.neutral, self.sign) != (1.0, 0.0, 0.0, 1)

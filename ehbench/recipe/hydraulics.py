@@ -7,7 +7,15 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from ehbench.fields import FileModel, Q, Value
-from ehbench.recipe.base import TIED, ByParameter, Recipe, ReplayedFiles, Tied
+from ehbench.recipe.base import (
+    SUPPLIED,
+    TIED,
+    ByParameter,
+    Recipe,
+    ReplayedFiles,
+    Supplied,
+    Tied,
+)
 from ehbench.recipe.columns import AnyColumns
 from ehbench.recipe.sensor import Channel, Sensors
 
@@ -49,6 +57,7 @@ class HydraulicsRecipe(Recipe):
     flow_maps: str | None = None
     data: ReplayedFiles
     tied: Tied = TIED
+    supply: Supplied = SUPPLIED
     columns: AnyColumns = Field(
         default=None,
         description="which column of a file is which channel: `[columns]`, or the name of a map",

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import math
-from difflib import get_close_matches
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from ehbench.errors import InputError
 from ehbench.fields import FileModel, Q, Value, read_value
-from ehbench.quantities import VOCABULARY, quantity
-from ehbench.recipe.base import TIED, Recipe, ReplayedFile, Tied, data_file
+from ehbench.quantities import VOCABULARY, meant, quantity
+from ehbench.recipe.base import (
+    SUPPLIED,
+    TIED,
+    Recipe,
+    ReplayedFile,
+    Supplied,
+    Tied,
+    data_file,
+)
 from ehbench.recipe.columns import AnyColumns
 from ehbench.recipe.sensor import Channel, Sensors
 
@@ -76,9 +83,10 @@ class Thresholds(FileModel):
     def _quantities(cls, asked: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
         for name, value in asked.items():
             if name not in VOCABULARY:
-                near = get_close_matches(name, VOCABULARY, 1)
+                word = name.rpartition(".")[2]
+                of_all = f"; it is asked of all cylinders alike: '{word}'"
                 raise ValueError(
-                    f"no quantity '{name}'" + (f"; nearest is '{near[0]}'" if near else "")
+                    f"no quantity '{name}'" + (of_all if word in VOCABULARY else meant(name))
                 )
             if info.field_name == "fit_percent" and not value < 100.0:
                 raise ValueError(f"{name} = {value:g} cannot be reached: 100 % is an exact match")
@@ -161,6 +169,7 @@ class ValidateRecipe(Recipe):
     flow_maps: str | None = None
     data: JudgedFiles
     tied: Tied = TIED
+    supply: Supplied = SUPPLIED
     columns: AnyColumns = Field(
         default=None,
         description="which column of a file is which channel: `[columns]`, or the name of a map",

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from ehbench import rundir
 from ehbench.errors import InsufficientData
 from ehbench.recipe import FlowMapRecipe
-from ehbench.stages.base import Prepared, Progress, Stage, Work, write_rig
+from ehbench.recipe.columns import LEAVE_OUT
+from ehbench.stages.base import DONE, INCOMPLETE, Prepared, Progress, Stage, Work, write_rig
 from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs, RigState
 
@@ -47,11 +48,16 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
             return _from_logs(recipe, inputs, state)
         supply = float(state.rig.supply.pressure)
         parts, files, columns = [], [], inputs.columns()
+        leave_out = columns is not None and columns.columns.bad_samples == LEAVE_OUT
         for name in recipe.data:
             with findings.noting():
                 files.append(inputs.existing(name))
-                lines = None if columns is None else mapped_readings(files[-1], columns)
-                part = read_flowmeter(files[-1], supply_pressure=supply, lines=lines)
+                lost: list[str] = []
+                lines = None if columns is None else mapped_readings(files[-1], columns, lost)
+                part = read_flowmeter(
+                    files[-1], supply_pressure=supply, lines=lines, leave_out=leave_out
+                )
+                part = replace(part, losses=(*lost, *part.losses))
                 parts.append(part)
                 groups = ", ".join(" ".join(group) for group in part.groups())
                 findings.say("reads", f"{name} ({len(part)} readings of {groups})")
@@ -59,12 +65,15 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         maps = () if columns is None else tuple(("columns", path) for path in columns.files)
         findings.say("open", "whether the readings carry a map")
         count = len({group for part in parts for group in part.groups()})
+        readings = prepare_readings(state.rig, parts, leave_out) if parts else None
+        if readings is not None:
+            findings.say("losses", *(f"lost: {loss}" for loss in readings.losses))
         return PreparedMaps(
             recipe,
             (*state.inputs, *(("data", path) for path in files), *maps),
             f"fits {count} flow map{'s' * (count != 1)} to {sum(map(len, parts))} readings",
             state,
-            prepare_readings(state.rig, parts) if parts else None,
+            readings,
         )
 
     def work(self, prepared: PreparedMaps, folder: Path, progress: Progress | None) -> Work:
@@ -102,7 +111,9 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
             for one in fits
             for text in one.fit.warnings
         ]
-        return Work({"rig": rig.name, "warnings": [*warnings, *without]})
+        losses = prepared.readings.losses
+        facts = {"rig": rig.name, "warnings": [*losses, *warnings, *without]}
+        return Work(facts, code=INCOMPLETE if losses else DONE)
 
 
 def _of_some(prepared: PreparedReadings, given: tuple[Any, ...]) -> tuple[list[EdgeFit], list[str]]:
@@ -146,7 +157,7 @@ def _from_logs(recipe: FlowMapRecipe, inputs: Inputs, state: RigState) -> Prepar
     does = f"fits {count} flow map{'s' * (count != 1)} to {sum(map(len, parts))} readings"
     return PreparedMaps(
         recipe,
-        (*state.inputs, *logs.inputs, *logs.maps),
+        (*state.inputs, *logs.files, *logs.maps),
         f"{does} that {counted(recipe.data, 'log')} give",
         state,
         prepare_readings(state.rig, parts) if parts else None,

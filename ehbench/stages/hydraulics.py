@@ -66,7 +66,7 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
         state = inputs.rig_state(recipe.rig, recipe.flow_maps)
         given = (recipe.start, recipe.lower, recipe.upper)
         coordinates(state.rig, recipe.parameters, *given, recipe.at, recipe.prior)
-        logs = inputs.logs(recipe.data)
+        logs = inputs.logs(recipe.data, driven=True)
         fit, variants = None, {}
         if logs.records:
             fit = _prepared_fit(recipe, state, logs, state.rig, recipe.sensor)
@@ -82,7 +82,7 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
             does += f", with each of the dynamics {', '.join(recipe.compare_dynamics)}"
         inputs.findings.say("open", "whether the logs carry these parameters")
         return PreparedHydraulics(
-            recipe, (*state.inputs, *logs.inputs, *logs.maps), does, state, logs, fit, variants
+            recipe, (*state.inputs, *logs.files, *logs.maps), does, state, logs, fit, variants
         )
 
     def run(self, prepared: PreparedHydraulics, host: Host) -> Outcome:

@@ -62,8 +62,9 @@ class ValidatedRig(RigState):
 
 
 class Logs(NamedTuple):
-    """Name and record of each log, the inputs behind them, what was lost, the number of the
-    recipe's entry of each, and the maps of columns that they were read by.
+    """Name and record of each log, the input behind each, what was lost, the number of the
+    recipe's entry of each, the maps of columns that they were read by, and the inputs by entry,
+    of which one with a gap is behind several logs.
     """
 
     records: list[tuple[str, Record]]
@@ -71,6 +72,7 @@ class Logs(NamedTuple):
     losses: list[str]
     entries: list[int]
     maps: NamedFiles = ()
+    files: NamedFiles = ()
 
 
 class Runs(Protocol):
@@ -199,14 +201,17 @@ class Inputs:
         )
         return root, None if maps_path is None else str(maps_path)
 
-    def logs(self, data: Sequence[DataFile]) -> Logs:
-        """Logs that are there, each a file, or the recipe or run folder of a trial.
+    def logs(self, data: Sequence[DataFile], driven: bool = False) -> Logs:
+        """Logs that are there, each a file, or the recipe or run folder of a trial; one with gaps
+        is several (`gaps.parts_of`), of which those without a command that changes are left out
+        where logs are to be ``driven``.
 
         Raises:
             InputError: one is not there, or has no samples in the window asked for.
         """
         import numpy as np
 
+        from ehbench.gaps import parts_of
         from ehbench.logs import read_record
         from ehbench.preprocessing import distinct_names
 
@@ -219,7 +224,8 @@ class Inputs:
                 items.append(item)
                 places.append(place)
                 entries.append(index)
-        records, inputs, losses, maps = [], [], [], []
+        records, inputs, losses, maps, numbers = [], [], [], [], []
+        files: list[tuple[str, Path]] = []
         named = zip(items, places, distinct_names(places), entries, strict=True)
         for item, place, name, index in named:
             is_run = (place / "log.mcap").is_file()
@@ -230,20 +236,33 @@ class Inputs:
             whole = read_record(path, columns=columns, window=_span(item))
             losses += [f"{path.name}: {loss}" for loss in whole.losses]
             record = self._tied(_window(whole, item, path), item)
-            records.append((name, record))
-            inputs.append(("log", path))
+            span = getattr(item, "scored", None)
+            parts, said = parts_of(name, record, driven=driven, within=span)
+            losses += said
+            records += [(part.name, part.record) for part in parts]
+            inputs += [("log", path)] * len(parts)
+            files.append(("log", path))
+            numbers += [index] * len(parts)
             load = record.meta.get("payload") or "not said"
             self.findings.say("reads", f"{item.path} ({np.ptp(record.t):.4g} s, payload {load})")
         self.findings.say("losses", *(f"lost: {loss}" for loss in losses))
-        return Logs(records, tuple(inputs), losses, entries, tuple(maps))
+        return Logs(records, tuple(inputs), losses, numbers, tuple(maps), tuple(files))
 
     def _tied(self, record: Record, item: DataFile) -> Record:
         """A record with what the simulation is tied to, as its entry or the recipe says."""
-        from ehbench.plant.ties import TIED
+        from ehbench.plant.ties import RECORDED, SUPPLY, TIED
 
-        said = getattr(item, "tied", None) or getattr(self.recipe, "tied", "none")
-        others = {name: fact for name, fact in record.meta.items() if name != TIED}
-        return replace(record, meta=others if said == "none" else others | {TIED: said})
+        facts = {name: fact for name, fact in record.meta.items() if name not in (TIED, SUPPLY)}
+        for key, usual in ((TIED, "none"), (SUPPLY, "model")):
+            said = getattr(item, key, None) or getattr(self.recipe, key, usual)
+            facts |= {} if said == usual else {key: said}
+        if facts.get(SUPPLY) == RECORDED and "p_supply" not in record:
+            raise InputError(
+                f'{item.path}: supply = "{RECORDED}", and the log has no p_supply',
+                file=self.recipe.path,
+                hint='map a column to "p_supply [bar]", or leave the supply to the model',
+            )
+        return replace(record, meta=facts)
 
     def columns(self, item: DataFile | None = None, index: int = 0) -> ColumnMap | None:
         """The map of columns of an entry of ``data``, else that of the recipe."""

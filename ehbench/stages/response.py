@@ -98,7 +98,7 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
         inputs.findings.say("open", "which frequencies are coherent")
         does = f"estimates {recipe.output} over {recipe.input} from {counted(recipe.data, 'log')}"
         return PreparedResponse(
-            recipe, (*state.inputs, *logs.inputs, *logs.maps), does, state, logs, signals
+            recipe, (*state.inputs, *logs.files, *logs.maps), does, state, logs, signals
         )
 
     def work(self, prepared: PreparedResponse, folder: Path, progress: Progress | None) -> Work:

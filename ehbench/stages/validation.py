@@ -99,7 +99,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         does = f"judges the rig on {counted(recipe.data, 'log')}: {asked}"
         return PreparedJudgement(
             recipe,
-            (*state.inputs, *logs.inputs, *logs.maps),
+            (*state.inputs, *logs.files, *logs.maps),
             does,
             state,
             logs,

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.errors import EhbenchError, InputError, LogError
-from ehbench.observations import alternatives, column, least_change, payload_of
+from ehbench.observations import alternatives, column, least_change, payload_of, supply_off
 from ehbench.plant.build import Maps
 from ehbench.plant.model import Model
 from ehbench.plant.ties import tied_words
@@ -354,13 +354,13 @@ def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogRe
             series=_recorded(record, moved, channels),
         )
     whole, lacking = _pairs(record, simulated, moved, _free(record, channels))
-    warnings += [f"the log has nothing to judge '{channel}' by" for channel in lacking]
+    doubts = [f"the log has nothing to judge '{channel}' by" for channel in lacking]
+    warnings += [*doubts, *supply_off(record, simulated, model.rig)]
     keep = (record.t >= counted.t[0]) & (record.t <= counted.t[-1])
     pairs = {name: pair.part(keep) for name, pair in whole.items()}
     results = [compare(counted, model, name, pair) for name, pair in pairs.items()]
     warnings += [f"{one.channel}: {one.note}" for one in results if one.note]
-    given = "qd" in tied_words(record)  # a motion that is given rings as it was recorded
-    rings = [] if given else moved
+    rings = () if "qd" in tied_words(record) else moved
     windows = [w for cylinder in rings for w in transients_of(counted, model, cylinder, pairs)]
     sweeps = [
         sweep

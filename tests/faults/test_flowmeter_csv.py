@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import csv
 import math
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ehbench.errors import InputError, UnitError
-from ehbench.identification.readings import fit_readings, points_table, signs, summary
+from ehbench.identification.readings import (
+    PreparedReadings,
+    fit_readings,
+    points_table,
+    prepare_readings,
+    signs,
+    summary,
+)
 from ehbench.physics.flow_map import collect, table
 from ehbench.readers import merge_flowmeter, read_flowmeter
 from ehbench.recipe import load_rig
@@ -373,3 +382,91 @@ def test_volts_of_an_edge_that_opens_on_negative_commands_have_their_sign(write)
     path = write(SERVO_HEADER + "\n" + "\n".join(servo_rows("supply->rod", -1)) + "\n", "servo.csv")
     (one,) = fit_readings(rig, [read_flowmeter(path)], calibration=[(4.0, 1e-4, 0.05)])
     assert summary([one], rig)[0]["calibration_sentences"][0].startswith("-4 V gives")
+
+
+def sheet(**wrong: str) -> str:
+    """A sheet of one edge, 9 commands by 5 drops, with lines replaced by number: ``l20="…"``."""
+    rows = [HEADER]
+    for command in (0, 0.5, 1, 2, 3, 4, 6, 8, 10):
+        for drop in (500, 1000, 2000, 4000, 6000):
+            rows.append(f"sh,{command},{drop},{max(command - 0.6, 0) * 0.02 * drop**0.5:.4g}")
+    for line, text in wrong.items():
+        rows[int(line[1:]) - 1] = text
+    return "\n".join(rows) + "\n"
+
+
+WILD = {
+    "a flow that changed its sign": ("sh,4,2000,-3", "runs against its drop"),
+    "a drop that changed its sign": ("sh,4,-2000,3", "runs against its drop"),
+    "both, in one reading": ("sh,4,-2000,-3", "negative, as in few of its readings"),
+    "a drop beyond all bounds": ("sh,4,9e9,3", "lies outside"),
+    "a drop beyond the supply": ("sh,4,90000,3", "times the supply"),
+    "a word": ("sh,4,2000,off", "'off', which is no number"),
+    "a command of the other side": ("sh,-4,2000,3", "opens on positive commands"),
+    "a command no driver gives": ("sh,40,2000,3", "gives 0 to 10 V"),
+}
+
+
+@pytest.mark.parametrize("name", WILD)
+def test_a_wild_reading_is_refused_with_its_line_or_left_out_and_named(write, name):
+    row, words = WILD[name]
+    path, rig = write(sheet(l30=row), "sh.csv"), load_rig(RIGS / "boom_four_valve.toml")
+
+    def taken(leave_out: bool) -> PreparedReadings:
+        data = read_flowmeter(path, supply_pressure=6.9e6, leave_out=leave_out)
+        return prepare_readings(rig, [data], leave_out)
+
+    if "both" not in name:  # which is a reading of the other direction, one of few
+        with pytest.raises(InputError, match=words) as caught:
+            taken(False)
+        assert caught.value.line == 30 and "leave such readings out" in str(caught.value)
+    found = taken(True)
+    assert len(found.losses) == 1 and "sh.csv: 1 reading is left out: line 30" in found.losses[0]
+    assert words in found.losses[0]
+    assert [len(one.rows) for one in found.edges] == [44] and 30 not in found.edges[0].rows.line
+
+
+def test_too_many_wild_readings_are_no_slips(write):
+    wrong = {f"l{line}": f"sh,4,2000,-{line}" for line in range(20, 40)}
+    with pytest.raises(InputError, match="20 of 45 readings of sh, too many.*sign = -1"):
+        read_flowmeter(write(sheet(**wrong)), leave_out=True)
+    few = read_flowmeter(write(sheet(**dict(list(wrong.items())[:6]))), leave_out=True)
+    assert len(few) == 39 and "6 readings are left out" in few.losses[0]
+    assert few.losses[0].endswith("; lines 24, 25") and read_flowmeter(write(sheet())).losses == ()
+
+
+WARM = HEADER + ",temperature [degC]"
+
+
+def warm_sheet(kelvin, effect: float = 0.0, seed: int = 3) -> str:
+    """A sheet in two trials whose oil is at 40 °C + kelvin(command, share of the drop, order), with
+    flows that grow by ``effect`` a kelvin."""
+    rng, rows, count = np.random.default_rng(seed), [WARM], 0
+    for _ in range(2):
+        for command in (0, 0.5, 1, 2, 3, 4, 6, 8, 10):
+            for drop in (500, 1000, 2000, 4000, 6000):
+                more = kelvin(command, (drop / 6000) ** 0.5, count / 90, rng)
+                flow = max(command - 0.6, 0) * 0.02 * drop**0.5
+                flow *= (1.0 + effect * more) * (1.0 + 0.005 * rng.standard_normal())
+                flow += 0.005 * rng.standard_normal()
+                rows.append(f"sh,{command},{drop},{flow:.5g},{40 + more:.1f}")
+                count += 1
+    return "\n".join(rows) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("kelvin", "said"),
+    [
+        (lambda u, d, n, rng: 15.0 * d, "goes with the drop .correlation .1.00.: 44.3 degC at"),
+        (lambda u, d, n, rng: -1.2 * u, "goes with the command .correlation -1.00.: 40 degC at 0"),
+        (lambda u, d, n, rng: rng.uniform(-6, 6), r"pass \+4\d?(\.\d)? ± .* each 10 K"),
+        (lambda u, d, n, rng: rng.uniform(-0.7, 0.7), None),
+    ],
+)
+def test_oil_that_warms_with_drop_or_command_is_told(write, kelvin, said):
+    rig = load_rig(RIGS / "boom_four_valve.toml")
+    data = read_flowmeter(write(warm_sheet(kelvin, 0.004), "sh.csv"))
+    about = [text for text in fit_readings(rig, [data])[0].fit.warnings if "oil" in text]
+    assert (re.search(said, about[0]) is not None) if said else not about
+    bare = replace(data, temperature=np.full(len(data), np.nan))
+    assert not [text for text in fit_readings(rig, [bare])[0].fit.warnings if "oil" in text]

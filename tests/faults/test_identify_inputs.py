@@ -16,7 +16,7 @@ from ehbench.errors import InputError, InsufficientData, LogError
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.logs import write_log
 from ehbench.plant.model import Model, simulate
-from ehbench.preprocessing import distinct_names, evened, preprocess
+from ehbench.preprocessing import distinct_names, evened, outside_stroke, preprocess
 from ehbench.recipe import load_recipe, load_rig
 from ehbench.record import Record
 from ehbench.validation import validate_rig
@@ -583,3 +583,16 @@ def test_a_share_that_is_none_is_refused_with_its_line(tmp_path, raw, says):
     with pytest.raises(InputError, match=says) as caught:
         load_recipe(tmp_path / "v.toml")
     assert caught.value.line == 5
+
+
+def test_a_stroke_outside_of_the_cylinder_is_told_with_what_it_lacks():
+    slide = load_rig(RIGS / "slide_servo.toml")
+    x = np.linspace(0.15, 0.2, 50)
+
+    def said(values: np.ndarray) -> str:
+        return " ".join(outside_stroke(Record(0.001 * np.arange(50), {"press.x": values}), slide))
+
+    assert said(x) == ""
+    assert "runs from -200 to -150 mm, and the stroke from 0 to 400 mm" in said(-x)
+    assert "counted the other way? Write sign = -1" in said(-x)
+    assert "from where is it counted? Write neutral" in said(x + 1.0)

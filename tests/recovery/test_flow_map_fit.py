@@ -5,12 +5,14 @@ its own intervals.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
 from ehbench.errors import InsufficientData
+from ehbench.identification import flow_deadband
 from ehbench.identification.flow_cells import Cells
 from ehbench.identification.flow_map import (
     FlowMapOptions,
@@ -538,6 +540,24 @@ def test_the_deadbands_interval_holds_a_kinked_and_a_soft_start(law, start, comm
     # not, and one that does not
     step = np.diff(commands)[np.searchsorted(commands, start) - 1]
     assert np.all(ends[:, 1] - ends[:, 0] < 2 * step)
+
+
+def test_the_lower_end_of_a_soft_deadband_hangs_on_no_grid(monkeypatch):
+    """How many points of the profile lie about its least, and how far apart, the last bits of the
+    readings decide.
+    """
+    data = readings(soft, 30, commands=np.arange(11.0), trials=2, drops=DROPS[::2])
+    profile, ends = flow_deadband._profile, []
+    for share in (0.0, 0.01, 0.02):
+
+        def shifted(task, shape, cells, window, soft, share=share):
+            less = share * (window.high - window.low) * soft
+            return profile(task, shape, cells, replace(window, low=window.low + less), soft)
+
+        monkeypatch.setattr(flow_deadband, "_profile", shifted)
+        ends.append(fit(data).deadband_interval[0])
+    assert np.ptp(ends) < 2e-4  # ten times as much where it was read off the grid
+    assert 1.3 < ends[0] < 1.4
 
 
 def two_lands(drop, command):

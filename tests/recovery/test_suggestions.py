@@ -75,6 +75,7 @@ def test_time_is_bounded_and_what_was_not_tried_is_named():
     assert [row.changes for row in found.rows] == [()]
     assert "friction of press" in found.untried
     assert any("no time for" in line for line in found.lines())
+    assert max(map(len, found.lines())) < 120 and found.lines()[-1].endswith("--seconds gives more")
     assert told[0][0].startswith("suggest") and told[-1] == ("suggest: done", 1.0)
 
 

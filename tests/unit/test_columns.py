@@ -449,6 +449,8 @@ def test_pressures_on_both_sides_make_the_drop_and_one_alone_is_it(tmp_path):
     assert channels("Druck vor [bar]", "Druck nach [bar]", *flow) == [*sides, "flow", "command"]
     assert channels("Druck [bar]", *flow) == ["pressure_drop", "flow", "command"]
     assert channels("Druck 1 [bar]", "Druck 7 [bar]", *flow)[:2] == ["", ""]
+    # without a time p1 and p2 are of two sides, and not of two chambers
+    assert channels("p1 [bar]", "p2 [bar]", *flow) == [*sides, "flow", "command"]
     log = channels("p head [bar]", "p rod [bar]", "flow [L/min]", "valve [V]", "t [s]")
     assert log[:2] == ["cylinder.p_head", "cylinder.p_rod"]
 

@@ -23,7 +23,7 @@ FLOORS = [
     {"plant"},
     {"machines"},
     {"ledger", "observations", "preprocessing", "sensors"},
-    {"starts"},
+    {"gaps", "starts"},
     {"response", "structure", "transfer"},
     {"identification", "validation", "tune", "trial", "report", "sampling"},
     {"stages"},

@@ -10,7 +10,7 @@ import pytest
 
 from ehbench import recipe, reference, rig
 from ehbench.fields import Q
-from ehbench.quantities import VOCABULARY
+from ehbench.quantities import VOCABULARY, like_channel, quantity
 from ehbench.units import from_si, to_si
 
 
@@ -45,3 +45,25 @@ def test_every_quantity_field_has_a_row(model):
             assert any(isinstance(mark, Q) and mark.row for mark in marks), (
                 f"{model.__name__}.{name}"
             )
+
+
+@pytest.mark.parametrize(
+    ("channel", "said"),
+    [
+        ("press.servo", "; if 'servo' is a valve, its command is 'press.servo.command'"),
+        ("press.p_haed", "; nearest is 'press.p_head'"),
+        ("p_haed", "; nearest is 'p_head'"),
+        ("zzz", ""),
+    ],
+)
+def test_a_word_that_is_none_is_answered_with_what_may_be_meant(channel, said):
+    with pytest.raises(KeyError) as caught:
+        quantity(channel)
+    assert caught.value.args[0] == f"no quantity '{channel.split('.')[-1]}'{said}"
+
+
+def test_a_channel_that_a_log_lacks_is_answered_with_the_one_that_is_meant():
+    there = ["press.x", "press.p_head", "press.servo.command"]
+    for name in ("press.servo", "servo", "servo.command", "press.serv.command"):
+        assert like_channel(name, there).startswith("did you mean 'press.servo.command'? it has ")
+    assert like_channel("press", there) == f"it has {', '.join(there)}"

@@ -1,0 +1,123 @@
+"""A machine on an accumulator that its rig file does not know: the log's supply pressure drives the
+replay."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench import inspection, simulate
+from ehbench.identification.hydraulics import HydraulicsFit, identify_hydraulics
+from ehbench.identification.volumes import held_volumes
+from ehbench.logs import write_log
+from ehbench.observations import SUPPLY_OFF
+from ehbench.plant.model import Model
+from ehbench.plant.ties import RECORDED, SUPPLY
+from ehbench.recipe import load_rig
+from ehbench.record import Record
+from ehbench.rig import Rig
+from ehbench.validation import validate_rig
+
+VOLUMES = ("volume_head", "volume_rod")
+STIFF, LOSS = "bulk_modulus", "carriage.damping"
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+
+
+def rig(**supply: object) -> Rig:
+    """The slide, its supply changed."""
+    tables = load_rig(RIGS / "slide_servo.toml").as_toml()
+    return Rig.model_validate(tables | {"supply": {**tables["supply"], **supply}})
+
+
+@cache
+def log(supply: str = "model") -> Record:
+    """Steps of the slide on an accumulator with a small pump, with sensors' noise."""
+    gas = {"gas_volume": "0.4 L", "precharge": "90 bar"}
+    machine = rig(flow_limit="4 L/min", accumulator=gas)
+    t = np.arange(1201) / 1000.0
+    volts = np.select([t < 0.2, t < 0.5, t < 0.7, t < 1.0], [0.0, 4.0, 0.0, -5.0], 0.0)
+    record = simulate(machine, {"press.servo": volts}, 1.2, posture={"press": "120 mm"})
+    rng = np.random.default_rng(11)
+    size = {"p_head": 1.5e4, "p_rod": 1.5e4, "p_supply": 1.5e4, "x": 2e-5, "v": 1e-3}
+    channels = {
+        name: y + size.get(name.rpartition(".")[2], 0.0) * rng.standard_normal(y.size)
+        for name, y in record.channels.items()
+        if name.rpartition(".")[2] in (*size, "command")
+    }
+    return Record(record.t, channels, {"payload": "none", SUPPLY: supply})
+
+
+def fit(supply: str) -> HydraulicsFit:
+    return identify_hydraulics(rig(), [("log", log(supply))], [STIFF, LOSS])
+
+
+def test_a_replay_takes_the_recorded_supply_pressure():
+    record, model = log(RECORDED), Model.of(rig())
+    replayed = model.replay(record)
+    off = replayed["p_supply"] - record["p_supply"]
+    assert np.ptp(record["p_supply"]) > 1e6 and np.sqrt(np.mean(off**2)) < 2.5e4
+    own = model.replay(log())["p_supply"] - record["p_supply"]
+    assert np.abs(own).max() > 1e6
+
+
+def test_oil_and_damping_are_right_on_a_supply_that_the_rig_file_does_not_know():
+    given, own = fit(RECORDED), fit("model")
+    truth = rig().parameters()
+    for name in (STIFF, LOSS):
+        low, high = given[name].interval
+        assert low < float(truth[name]) < high, name
+    assert given[STIFF].value == pytest.approx(float(truth[STIFF]), rel=2e-3)
+    low, high = given[STIFF].interval
+    wide = own[STIFF].interval
+    assert high - low < 0.2 * (wide[1] - wide[0])
+    assert any("bar below the model's" in text and RECORDED in text for text in own.warnings)
+    assert not any("below the model's" in text for text in given.warnings)
+    assert any("nothing is told of the supply" in text for text in given.warnings)
+    assert "p_supply" not in given.logs[0].start_shift
+    (text,) = given.counts_on
+    assert "press.volume_head and press.volume_rod" in text and "10 % more oil" in text
+
+
+def test_what_a_bulk_modulus_counts_on_is_by_how_much_more_oil_would_move_it():
+    """Against a fit with a tenth more oil in the rig file's volumes."""
+    tables = rig().as_toml()
+    (press,) = tables["cylinder"]
+    more = {key: f"{1.1 * float(getattr(rig().cylinder[0], key))} m^3" for key in VOLUMES}
+    larger = Rig.model_validate(tables | {"cylinder": [{**press, **more}]})
+    first, second = (
+        identify_hydraulics(one, [("log", log(RECORDED))], [STIFF, LOSS]) for one in (rig(), larger)
+    )
+    said = float(re.search(r"come out ([\d.]+) % higher", first.counts_on[0])[1])
+    assert 100.0 * (second[STIFF].value / first[STIFF].value - 1.0) == pytest.approx(said, rel=0.15)
+    free = [STIFF, LOSS, *(f"press.{key}" for key in VOLUMES)]
+    assert held_volumes(rig(), free, {"press": [log()]}) == ()
+
+
+def test_a_validation_says_that_the_supply_is_another():
+    found = validate_rig(rig(), [("own", log()), ("given", log(RECORDED))])
+    own, given = found.logs
+    assert any("p_supply is up to" in text for text in own.warnings)
+    assert not any("p_supply is up to" in text for text in given.warnings)
+    fits = [{one.channel: one.fit_percent for one in log.channels} for log in found.logs]
+    assert all(fits[1][name] > fits[0][name] for name in fits[0]) and 0.0 < SUPPLY_OFF < 0.1
+
+
+def test_a_recipe_asks_for_it_and_needs_the_pressure(tmp_path):
+    def checked(record: Record) -> inspection.Inspection:
+        (tmp_path / "log.mcap").unlink(missing_ok=True)
+        write_log(tmp_path / "log.mcap", record)
+        return inspection.check(tmp_path / "fit.toml")
+
+    (tmp_path / "fit.toml").write_text(
+        f'stage = "identify"\nwhat = "hydraulics"\nrig = "{RIGS}/slide_servo.toml"\n'
+        'data = ["log.mcap"]\nparameters = ["bulk_modulus"]\nsupply = "recorded"\n'
+    )
+    assert not checked(log()).errors
+    bare = {name: y for name, y in log().channels.items() if name != "p_supply"}
+    (error,) = checked(replace(log(), channels=bare)).errors
+    assert "no p_supply" in str(error)

@@ -1,0 +1,101 @@
+"""Logs with gaps: what is bridged, where they are cut, what is left out and told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench import inspection
+from ehbench.gaps import parts_of
+from ehbench.logs import read_record, write_log
+from ehbench.record import Record
+
+ROOT = Path(__file__).parents[2]
+
+T = np.arange(0.0, 3.0, 0.001)
+
+
+def log(*missing: tuple[int, int]) -> Record:
+    """3 s at 1 kHz whose command changes each 0.5 s, without samples from one up to another."""
+    keep = np.ones(T.size, bool)
+    for first, last in missing:
+        keep[first:last] = False
+    command = np.where(T % 1.0 < 0.5, 0.0, 2.0)
+    whole = Record(T, {"press.x": np.sin(T), "press.servo.command": command})
+    return whole.at(np.flatnonzero(keep))
+
+
+def test_a_log_without_gaps_stays_as_it_is():
+    record = log()
+    parts, said = parts_of("log", record, driven=True)
+    assert said == [] and len(parts) == 1 and parts[0].record is record
+
+
+def test_a_few_samples_are_bridged_and_told():
+    parts, said = parts_of("log", log((200, 203), (500, 501), (1000, 1005)))
+    whole = log()
+    assert len(parts) == 1 and parts[0].name == "log" and len(said) == 1
+    assert "4 ms pass after t = 0.199 s (3), 2 ms pass after t = 0.499 s (1), 6 ms" in said[0]
+    assert "after t = 0.999 s (5): bridged" in said[0]
+    found = parts[0].record
+    np.testing.assert_allclose(found.t, T, atol=1e-12)
+    np.testing.assert_allclose(found["press.x"], whole["press.x"], atol=1e-5)
+    late = np.flatnonzero(found["press.servo.command"] != whole["press.servo.command"])
+    # a command that changed in the gap is held until its end
+    assert late.tolist() == [500, *range(1000, 1005)]
+
+
+def test_a_longer_gap_cuts_the_log_in_two():
+    parts, said = parts_of("log", log((700, 860), (1500, 1502)), driven=True)
+    assert [part.name for part in parts] == ["log_part1", "log_part2"]
+    assert [(part.record.t[0], part.record.t[-1]) for part in parts] == [
+        (0.0, pytest.approx(0.699)),
+        (pytest.approx(0.86), pytest.approx(2.999)),
+    ]
+    assert all(np.allclose(np.diff(part.record.t), 1e-3) for part in parts)
+    assert "161 ms pass after t = 0.699 s (160): the log is cut there" in said[1]
+    assert "log_part2 from 0.86 to 2.999 s" in said[2]
+
+
+@pytest.mark.parametrize(
+    ("missing", "driven", "within", "kept"),
+    [
+        ((100, 400), False, None, (0.4, 2.999)),  # too short before it
+        ((2450, 2600), True, None, (0.0, 2.449)),  # behind it no command changes
+        ((1000, 1100), False, (1.5, 2.9), (1.1, 2.999)),  # before it nothing counts
+    ],
+)
+def test_parts_that_tell_nothing_are_left_out_and_told(missing, driven, within, kept):
+    parts, said = parts_of("log", log(missing), driven=driven, within=within)
+    assert [part.name for part in parts] == ["log"]
+    assert (parts[0].record.t[0], parts[0].record.t[-1]) == pytest.approx(kept)
+    assert "left out" in said[-1]
+
+
+@pytest.mark.parametrize("stride", [slice(1, None, 7), slice(0, 2000, 2)])
+def test_another_rate_is_no_gap(stride):
+    gone = np.arange(T.size)[stride]
+    record = log(*((at, at + 1) for at in gone))
+    parts, said = parts_of("log", record)
+    assert said == [] and parts[0].record is record
+
+
+def test_a_log_of_which_nothing_would_be_left_stays_as_it_is():
+    record = log((100, 400), (500, 2900)).between(0.0, 0.45)
+    assert parts_of("log", record, driven=True) == ([("log", record)], [])
+
+
+def test_a_recipe_takes_a_log_with_a_gap_as_two(tmp_path):
+    whole = read_record(ROOT / "datasets/slide_servo/steps/press_no_load.mcap")
+    write_log(tmp_path / "gap.mcap", whole.at(np.flatnonzero(abs(whole.t - 1.38) > 0.08)))
+    (tmp_path / "fit.toml").write_text(
+        f'stage = "identify"\nwhat = "hydraulics"\nrig = "{ROOT}/recipes/rigs/slide_servo.toml"\n'
+        'data = ["gap.mcap"]\nparameters = ["bulk_modulus"]\n'
+    )
+    found = inspection.check(tmp_path / "fit.toml")
+    assert not found.errors
+    assert any("gap_part2 from 1.46 to 2 s" in line for line in found.lines)
+    file = inspection.check(tmp_path / "gap.mcap")
+    assert file.code == 3 and any("the log is cut there" in line for line in file.lines)
