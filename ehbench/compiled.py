@@ -26,7 +26,10 @@ from numba.extending import overload
 PACKAGE = Path(__file__).resolve().parent
 _SETTINGS: Any = config
 _SETTING = Lock()
-_MARKS = (b"njit", b"@kernel", b"@part_kernel", b"@allocating_kernel", b"choice(", b"Generic(")
+_MARKS = (
+    *(b"njit", b"@kernel", b"@part_kernel", b"@allocating_kernel", b"choice(", b"Generic("),
+    *(b"intrinsic(", b"LaneKernel"),
+)
 
 
 def _cache_folder() -> Path:
@@ -177,6 +180,17 @@ class Kernel:
         """Compile it for calls by kernels with arguments of the types of ``like``."""
         self._inner.compile(tuple(numba.typeof(each) for each in like))
 
+    @property
+    def is_kept(self) -> bool:
+        """Whether a cache has code of it that Python can call."""
+        files = self.outer._cache._cache_file
+        return Path(files._index_path).exists()
+
+    @property
+    def made_of(self) -> tuple[Callable, Mapping[str, Any]]:
+        """(the function, options of numba)."""
+        return self._function, self._options
+
     def __call__(self, *arguments: Any) -> Any:
         """Call it from Python."""
         return (self._outer or self.outer)(*arguments)
@@ -239,13 +253,11 @@ def choice(name: str, laws: Sequence[Callable], arguments: str) -> Callable:
     space: dict[str, Any] = {f"law_{i}": law for i, law in enumerate(laws)}
     last = len(laws) - 1
     chain = "".join(f"    if law == {i}: return law_{i}({arguments})\n" for i in range(last))
-    exec(
-        f"def {name}(law, {arguments}):\n{chain}    return law_{last}({arguments})\n"
-        f"def typed(law, {arguments}): return chosen\n"
-        f"def chosen(law, {arguments}):\n{chain}    return law_{last}({arguments})\n",
-        space,
-    )
+    text = f"(law, {arguments}):\n{chain}    return law_{last}({arguments})\n"
+    exec(f"def {name}{text}def typed(law, {arguments}): return chosen\ndef chosen{text}", space)
     overload(space[name], jit_options=_CHOSEN)(space["typed"])
+    space[name].text = f"def {name}{text}"
+    space[name].made_of = space[name], _INLINED
     return space[name]
 
 
@@ -265,7 +277,8 @@ class Generic:
         self.arguments = arguments
         space: dict[str, Any] = {"kernels": self.kernels}
         exec(f"def {name}({arguments}): return kernels[type(plant)]({arguments})\n", space)
-        self.call: Callable = space[name]
+        self.call: Any = space[name]
+        self.call.generic = self
 
     def of(self, plant: type) -> Callable[[Callable], Callable]:
         """Decorate the kernel that serves this type of plant."""

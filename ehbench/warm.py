@@ -65,6 +65,28 @@ def warm(machine: str) -> str:
     return machine
 
 
+def lanes(what: str) -> str:
+    """Compile what takes models side by side, for open-loop trials and along a mesh of steps; gives
+    back what it is called.
+    """
+    from ehbench.plant.lanes.many import LEAST, Job, follow_together
+    from ehbench.trial import prepare, run
+    from ehbench.trial.ahead import foresee
+
+    with TemporaryDirectory() as folder:
+        starter.init(Path(folder) / "rig")
+        rig = load_rig(Path(folder) / "rig" / "rig.toml")
+    keys = next(recipes(rig, "model"))
+    recipe = TrialRecipe(stage="trial", rig="rig.toml", path=Path(folder) / "x", **keys)
+    trials = [prepare(recipe, rig) for _ in range(LEAST)]
+    foresee(trials)
+    model = run(trials[0]).model
+    assert model is not None  # it ran on one
+    job = Job(model, model.trim(model.posture(None)), model.rest_commands(3))
+    follow_together([job], 1e-3, np.ones(1, np.int64))
+    return what
+
+
 def ahead() -> None:
     """Compile, from its end on, what a first trial needs, while another process runs that trial:
     what one has compiled the other finds in the cache.
@@ -98,9 +120,10 @@ def main() -> None:
         return ahead()
     names = get_args(TrialRecipe.model_fields["on"].annotation)
     print("compiling the kernels, once …", file=sys.stderr, flush=True)
-    with ProcessPoolExecutor(len(names), mp_context=get_context("spawn")) as pool:
-        for name in pool.map(warm, names):
-            print(f"compiled: trials on the {name}", file=sys.stderr, flush=True)
+    with ProcessPoolExecutor(len(names) + 1, mp_context=get_context("spawn")) as pool:
+        jobs = [pool.submit(warm, name) for name in names] + [pool.submit(lanes, "model in lanes")]
+        for job in jobs:
+            print(f"compiled: trials on the {job.result()}", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

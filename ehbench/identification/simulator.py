@@ -14,6 +14,9 @@ from ehbench.errors import EhbenchError, InputError, InsufficientData
 from ehbench.observations import alternatives, column, least_change, payload_of
 from ehbench.parts.edge import edge_command
 from ehbench.plant.build import Maps
+from ehbench.plant.lanes.many import LEAST, has_lanes, replays_meshed
+from ehbench.plant.lanes.steps import run_meshed
+from ehbench.plant.lanes.vectors import LANES
 from ehbench.plant.model import FREE, Model
 from ehbench.plant.paced import AUTO, Step
 from ehbench.plant.ties import tied_words
@@ -37,6 +40,9 @@ MOVES = 0.01  # share of the stroke beyond which a cylinder counts as moving
 
 Shifts = list[np.ndarray]  # by log, of its start [prior standard deviations], one a doubt
 Meshes = Sequence[np.ndarray]  # by log, the steps that its simulation takes (`plant.paced`)
+# a model (None: these values make none), its log, shifts of its start, the values of what all logs
+# share, steps to take
+Task = tuple[Model | None, "Log", np.ndarray, dict[str, float], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -251,6 +257,15 @@ def _cavitates(rig: Rig, cylinder: Cylinder, record: Record) -> np.ndarray:
     return void
 
 
+def _needs_flows(log: Log) -> bool:
+    return any(one.endswith(FLOWS) for one in log.channels)
+
+
+def _worth_it(part: list[int]) -> list[list[int]]:
+    """A set, or its members one by one where they are too few to go side by side."""
+    return [part] if len(part) >= LEAST else [[one] for one in part]
+
+
 class Simulator:
     """All logs, simulated at any parameter values, several at a time.
 
@@ -274,7 +289,8 @@ class Simulator:
         self.step: Step = step
         self.logs, self.names = tuple(logs), tuple(names)
         self.shared = {t.name for log in logs for t in log.start.terms if not t.per_log}
-        self.pool = ThreadPoolExecutor(workers or os.cpu_count() or 1)
+        self.workers = workers or os.cpu_count() or 1
+        self.pool = ThreadPoolExecutor(self.workers)
         self.evaluations = 0
 
     def models(self, values: Sequence[float]) -> dict[str | None, Model]:
@@ -361,27 +377,68 @@ class Simulator:
             mesh = FREE if meshes is None else meshes[k]
             tasks.append((made[key][log.payload], log, shifts, self._by_name(values, True), mesh))
         self.evaluations += len(tasks)
-        return list(self.pool.map(self._one, tasks))
+        if meshes is None or self.step != AUTO or not has_lanes(run_meshed):
+            return list(self.pool.map(self._one, tasks))
+        sets = self._sets([k for _, k, _ in points])
+        done: list[tuple[np.ndarray, np.ndarray] | None] = [None] * len(tasks)
+        several = self.pool.map(self._several, ([tasks[i] for i in own] for own in sets))
+        for own, found in zip(sets, several, strict=True):
+            for i, one in zip(own, found, strict=True):
+                done[i] = one
+        return done
+
+    def _sets(self, logs: Sequence[int]) -> list[list[int]]:
+        """Points, by the log of each, in sets that may go side by side, no larger than leaves work
+        for every thread.
+        """
+        most = max(LEAST, min(LANES, -(-len(logs) // self.workers)))
+        sets = []
+        for k in dict.fromkeys(logs):
+            own = [i for i, log in enumerate(logs) if log == k]
+            parts = [own[i : i + most] for i in range(0, len(own), most)]
+            sets += [one for part in parts for one in _worth_it(part)]
+        return sets
 
     def unshifted(self) -> Shifts:
         """No shift of any log's start."""
         return [np.zeros(len(log.start.doubts)) for log in self.logs]
 
-    def _one(
-        self, task: tuple[Model | None, Log, np.ndarray, dict[str, float], np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray] | None:
+    def _one(self, task: Task) -> tuple[np.ndarray, np.ndarray] | None:
         model, log, shifts, shared, mesh = task
         if model is None:
             return None
         try:
             start, true = log.start.at(model, shifts, shared), log.start.true(shifts, shared)
-            if self.step == AUTO and not any(one.endswith(FLOWS) for one in log.channels):
+            if self.step == AUTO and not _needs_flows(log):
                 made, mesh = model.replay_paced(true, start, mesh)
             else:
                 made, mesh = model.replay(true, self.step, start=start), FREE
             return channels_of(log, log.start.seen(made, shifts, shared)), mesh
         except (EhbenchError, ArithmeticError):
             return None
+
+    def _several(self, tasks: Sequence[Task]) -> list[tuple[np.ndarray, np.ndarray] | None]:
+        """`_one` of tasks along one log, side by side where that pays."""
+        _, log, _, _, mesh = tasks[0]
+        if len(tasks) < LEAST or _needs_flows(log) or not mesh.size:
+            return [self._one(task) for task in tasks]
+        found: list[tuple[np.ndarray, np.ndarray] | None] = [None] * len(tasks)
+        runs = {}
+        for i, (model, _, shifts, shared, _) in enumerate(tasks):
+            try:
+                if model is not None:
+                    start = log.start.at(model, shifts, shared)
+                    runs[i] = model, log.start.true(shifts, shared), start
+            except (EhbenchError, ArithmeticError):
+                continue
+        for i, made in zip(runs, replays_meshed(list(runs.values()), mesh), strict=True):
+            _, _, shifts, shared, _ = tasks[i]
+            try:
+                if made is not None:
+                    found[i] = channels_of(log, log.start.seen(made, shifts, shared)), mesh
+            except (EhbenchError, ArithmeticError):
+                continue
+        return found
 
     def _replay(self, task: tuple[Model, Log, np.ndarray, dict[str, float]]) -> Record:
         model, log, shifts, shared = task

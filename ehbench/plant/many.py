@@ -1,19 +1,24 @@
-"""Many rigs, each simulated by itself, side by side on the cores: kernels hold no lock."""
+"""Many rigs, each simulated by itself, side by side on the cores, for kernels hold no lock, and in
+the lanes of each (`ehbench.plant.lanes`).
+"""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from os import cpu_count
 
 import numpy as np
 
 from ehbench.plant.integrate import STEP
-from ehbench.plant.model import Model
-from ehbench.plant.paced import Step
+from ehbench.plant.lanes.many import LEAST, Job, go_together, has_lanes, run_together
+from ehbench.plant.lanes.steps import run_lanes
+from ehbench.plant.lanes.vectors import LANES
+from ehbench.plant.model import Model, finite
+from ehbench.plant.paced import AUTO, Step
 
-AHEAD = 4  # simulations a core that may wait to be taken
+AHEAD = 4  # simulations a core that may wait to be taken; in lanes, sets of them for two cores
 
 
 def run_many(
@@ -21,13 +26,15 @@ def run_many(
     tick: float = 1e-3,
     step: Step = STEP,
     workers: int | None = None,
+    lanes: bool = True,
 ) -> Iterator[np.ndarray]:
     """The log tables of `Model.run`, in the order of the jobs and the same to the bit on any number
-    of workers; no more of them are held than AHEAD a worker.
+    of workers, in lanes or not; no more of them are held than AHEAD a worker, or that many sets of
+    lanes for every two.
 
     Example:
         jobs = ((model, model.trim(model.posture(None)), table) for model in models)
-        tops = [log[:, 0].max() for log in run_many(jobs, step="auto")]
+        tops = [log[:, 0].max() for log in run_many(jobs)]
 
     Args:
         jobs: (model, state at the first sample, commands [V] of shape (samples, valves + played)),
@@ -35,16 +42,38 @@ def run_many(
         tick: time between samples [s].
         step: of the integration [s], or ``"auto"``.
         workers: threads; by default one a core.
+        lanes: let neighbours of one layout go side by side, in fixed steps, where the kernel for it
+            is compiled (`ehbench.warm`).
 
     Raises:
         SimulationError: a state stopped being finite.
     """
     workers = workers or cpu_count() or 1
-    waiting = deque()
+    together = lanes and step != AUTO and has_lanes(run_lanes)
+    held = max(2, AHEAD * workers // 2) if together else AHEAD * workers
+    waiting: deque[Future[list[np.ndarray]]] = deque()
     with ThreadPoolExecutor(workers) as pool:
-        for model, start, commands in jobs:
-            waiting.append(pool.submit(model.run, start, commands, tick, step))
-            if len(waiting) >= AHEAD * workers:
-                yield waiting.popleft().result()
+        for some in _sets(map(Job._make, jobs), LANES if together else 1):
+            waiting.append(pool.submit(_runs, some, tick, step))
+            if len(waiting) >= held:
+                yield from (finite(log, tick) for log in waiting.popleft().result())
         while waiting:
-            yield waiting.popleft().result()
+            yield from (finite(log, tick) for log in waiting.popleft().result())
+
+
+def _sets(jobs: Iterable[Job], most: int) -> Iterator[list[Job]]:
+    """Jobs in sets that may go side by side, each of its neighbours."""
+    some: list[Job] = []
+    for job in jobs:
+        if some and (len(some) == most or not go_together(some[0], job)):
+            yield some
+            some = []
+        some.append(job)
+    if some:
+        yield some
+
+
+def _runs(jobs: Sequence[Job], tick: float, step: Step) -> list[np.ndarray]:
+    if step == AUTO or len(jobs) < LEAST:
+        return [model.run(start, commands, tick, step) for model, start, commands in jobs]
+    return run_together(jobs, tick, max(1, round(tick / step)))

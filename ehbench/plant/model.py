@@ -41,7 +41,7 @@ class Start(NamedTuple):
     tank: float | None = None
 
 
-def _finite(log: np.ndarray, tick: float) -> np.ndarray:
+def finite(log: np.ndarray, tick: float) -> np.ndarray:
     """A log table as it is.
 
     Raises:
@@ -169,7 +169,7 @@ class Model:
         table = np.ascontiguousarray(commands, dtype=float)
         line = line_of(self.plant, tick, table.shape[1])
         run(y.copy(), table, self.plant, line, max(1, round(tick / step)), log)
-        return _finite(log, tick)
+        return finite(log, tick)
 
     def paced(
         self,
@@ -195,7 +195,7 @@ class Model:
         line = line_of(self.plant, tick, table.shape[1])
         pace = pace_of(self.plant, self.layout, tick)
         steps, count = run_paced(y.copy(), table, self.plant, line, pace, mesh, log)
-        return _finite(log, tick), steps[:count].copy()
+        return finite(log, tick), steps[:count].copy()
 
     def start_of(self, record: Record, rest: int) -> np.ndarray:
         """The state at the first sample of a recording, from its first ``rest`` samples: pressures
@@ -298,7 +298,7 @@ class Model:
             SimulationError: the numbers left the finite range.
         """
         start = start or self.rest_start(record, rest)
-        model, table, y = self._along(record, start)
+        model, table, y = self.along(record, start)
         log = model.run(y, table, record.sample_time, step)
         return self.record(record.t, table, log, record.meta, start.tank)
 
@@ -311,11 +311,11 @@ class Model:
         Raises:
             LogError, SimulationError: as `replay`.
         """
-        model, table, y = self._along(record, start)
+        model, table, y = self.along(record, start)
         log, mesh = model.paced(y, table, record.sample_time, mesh, flows=False)
         return self.record(record.t, table, log, record.meta, start.tank), mesh
 
-    def _along(self, record: Record, start: Start) -> tuple[Model, np.ndarray, np.ndarray]:
+    def along(self, record: Record, start: Start) -> tuple[Model, np.ndarray, np.ndarray]:
         """(the model at a start's pressures, a recording's commands and the rates of what is tied
         to it, the first state).
 

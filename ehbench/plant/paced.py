@@ -108,17 +108,23 @@ def _valves_after(way, command, d, out):
 
 
 @part_kernel
-def _attempt(way, command, d):
-    """(error as a share of what it may be, fastest rate [1/s] at its end) of a step of ``d`` [s]
-    from ``way.y``, where ``k[0]`` holds the derivatives; its end goes to ``k[4]``, the derivatives
-    there to ``k[5]``.
+def reach(way, command, d):
+    """Take a step of ``d`` [s] from ``way.y``, where ``k[0]`` holds the derivatives: its end goes
+    to ``k[4]``, the derivatives there to ``k[5]``; returns the fastest rate [1/s] there.
     """
     y, k = way.y, way.k
     stages(y, command, way.plant, d, k, way.work)
     for i in range(y.shape[0]):
         k[4, i] = y[i] + d / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
     _valves_after(way, command, d, k[4])
-    rate, worst = derivatives(k[4], command, way.plant, k[5], way.work), 0.0
+    return derivatives(k[4], command, way.plant, k[5], way.work)
+
+
+@part_kernel
+def _attempt(way, command, d):
+    """(error as a share of what it may be, fastest rate [1/s] at its end) of a step (`reach`)."""
+    y, k = way.y, way.k
+    rate, worst = reach(way, command, d), 0.0
     for i in range(y.shape[0]):
         miss = abs(k[3, i] - k[5, i]) * way.pace.weights[i]
         if not miss <= worst:  # nan is the worst
@@ -160,7 +166,7 @@ def _step(way, command, part, room, step, rate, given):
 
 
 @part_kernel
-def _arrive(way):
+def arrive(way):
     """Begin where the step has ended."""
     put(way.k[4], way.y)
     put(way.k[5], way.k[0])
@@ -175,7 +181,7 @@ def over_tick(way, command, rate):
     while part < units:
         taken, step, rate = _step(way, command, part, units - part, step, rate, False)
         part += taken
-        _arrive(way)
+        arrive(way)
 
 
 @part_kernel
@@ -195,7 +201,7 @@ def _finite(values):
 
 
 @part_kernel
-def _between(way, command, share, d, out):
+def between(way, command, share, d, out):
     """The state at a ``share`` of a step of ``d`` [s] from ``way.y``: the cubic through both ends,
     the valves' own answer for their states.
     """
@@ -259,11 +265,11 @@ def run_paced(y, commands, plant, line, pace, mesh, log):
             _let(way, log, ends)
         for s in range(sample + 1, ends):
             share = (s - sample) * pace.units / taken
-            _between(way, line.held, share, taken * unit, log[s])
+            between(way, line.held, share, taken * unit, log[s])
             if flows:
                 derivatives(log[s, :size], line.held, plant, k[1], work)
                 _let(way, log, s)
-        _arrive(way)
+        arrive(way)
         if part == 0:
             if not _finite(y):
                 log[ends:] = math.nan

@@ -21,7 +21,7 @@ from ehbench import rundir
 from ehbench.blas import one_thread
 from ehbench.errors import InputError
 from ehbench.sampling.pools import DEATHS, GRACE, WARMING, Chunks
-from ehbench.sampling.sample import Make, Sample, Task
+from ehbench.sampling.sample import Make, Sample, Task, samples_of
 
 if TYPE_CHECKING:
     from distributed import Future
@@ -76,7 +76,7 @@ def make_chunk(sent: Sent, chunk: list[Task]) -> list[Sample]:
     """What a worker of the cluster does."""
     with _OPENING:
         make = _opened(*sent)
-    return [make(*task) for task in chunk]
+    return list(samples_of(make, chunk))
 
 
 class Cluster:

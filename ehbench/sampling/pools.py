@@ -17,7 +17,7 @@ from multiprocessing import connection as connections
 from multiprocessing.connection import Connection
 from typing import Protocol
 
-from ehbench.sampling.sample import Open, Sample, Task
+from ehbench.sampling.sample import Open, Sample, Task, samples_of
 
 AIM = 0.3  # [s] that a chunk of tasks shall take
 MOST = 5000  # tasks in a chunk
@@ -80,7 +80,7 @@ class Threads:
         make, chunks = self._open(), Chunks(tasks)
         if self._workers == 1:
             while chunk := chunks.take():
-                made = [make(*task) for task in chunk]
+                made = list(samples_of(make, chunk))
                 chunks.learn(made)
                 yield made
             return
@@ -89,7 +89,7 @@ class Threads:
             try:
                 while True:
                     while len(waiting) <= self._workers and (chunk := chunks.take()):
-                        waiting.add(pool.submit(lambda c: [make(*task) for task in c], chunk))
+                        waiting.add(pool.submit(lambda c: list(samples_of(make, c)), chunk))
                     if not waiting:
                         return
                     done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
@@ -228,8 +228,8 @@ def serve(pipe: Connection) -> None:
     """What a process of `Processes` does: make samples, one after the other, until it is ended."""
     make = pickle.loads(pipe.recv_bytes())()
     while True:
-        for task in pipe.recv():
-            pipe.send(make(*task))
+        for one in samples_of(make, pipe.recv()):
+            pipe.send(one)
 
 
 def cores() -> int:

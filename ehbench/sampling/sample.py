@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
+
+from ehbench.plant.lanes.vectors import LANES
 
 # status word by exit code
 STATUS = {
@@ -41,3 +43,16 @@ class Sample(NamedTuple):
 Task = tuple[int, Mapping[str, Any]]  # a sample's number and what it sets
 Make = Callable[[int, Mapping[str, Any]], Sample]
 Open = Callable[[], Make]  # makes ready what makes samples, in the process where it is called
+
+
+def samples_of(make: Make, tasks: Sequence[Task]) -> Iterator[Sample]:
+    """The samples of tasks, one after the other. What makes them may have a look at as many of them
+    ``ahead`` as go side by side, which changes no sample.
+    """
+    look: Callable[[Sequence[Task]], None] | None = getattr(make, "ahead", None)
+    for first in range(0, len(tasks), LANES):
+        part = tasks[first : first + LANES]
+        if look is not None:
+            look(part)
+        for task in part:
+            yield make(*task)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import lru_cache, partial
@@ -31,7 +31,7 @@ from ehbench.disk import impossible
 from ehbench.sampling.cluster import Bundle, file_name
 from ehbench.sampling.design import CASE, RECIPE
 from ehbench.sampling.keys import Changes, changed_bench, changed_rig, changed_table, changes_of
-from ehbench.sampling.sample import LATE, STATUS, Make, Sample
+from ehbench.sampling.sample import LATE, STATUS, Make, Sample, Task
 from ehbench.sampling.measures import lookup, of_channels, refuse_unknown, value_of
 from ehbench.stages.base import Prepared, Stage
 from ehbench.stages.findings import Findings
@@ -44,7 +44,7 @@ def open_sampler(plan: Plan) -> Make:
     scratch = TemporaryDirectory(prefix="ehbench_samples_")
     sampler = Sampler(plan, Path(scratch.name))
     finalize(sampler, scratch.cleanup)
-    return sampler.sample
+    return sampler
 
 
 def open_elsewhere(plan: Plan, root: Path) -> Make:
@@ -117,6 +117,14 @@ class Plan:
         return None if limit is None else float(limit)
 
 
+@dataclass(frozen=True)
+class _Ahead:
+    """A trial that was looked at ahead, and the time [s] that this took."""
+
+    prepared: PreparedOne
+    seconds: float
+
+
 class Sampler:
     """Makes samples of a plan.
 
@@ -132,14 +140,39 @@ class Sampler:
         }
         self._cases = {case.name: case.set for case in plan.study.case}
         self._states: dict[Any, RigState] = {}
+        self._ahead: dict[int, _Ahead] = {}
         self._warm = False
+
+    def ahead(self, tasks: Sequence[Task]) -> None:
+        """Simulate open-loop trials on the model side by side where that pays, before their samples
+        are made of them. Where samples have a time limit each is simulated by itself.
+        """
+        from ehbench.trial.ahead import can_foresee, foresee
+
+        if self.plan.limit is not None or not can_foresee(len(tasks)):
+            return
+        began, found = time.monotonic(), {}
+        for index, settings in tasks:
+            with suppress(Exception):  # the sample will say so
+                if self._is_trial(settings):
+                    _, prepared = self.prepared(settings, self.scratch)
+                    assert isinstance(prepared, PreparedOne)
+                    found[index] = prepared
+        foresee([prepared.trial for prepared in found.values()])
+        each = (time.monotonic() - began) / max(1, len(found))
+        self._ahead |= {index: _Ahead(prepared, each) for index, prepared in found.items()}
+
+    def __call__(self, index: int, settings: Mapping[str, Any]) -> Sample:
+        """As `sample`."""
+        return self.sample(index, settings)
 
     def sample(self, index: int, settings: Mapping[str, Any]) -> Sample:
         """One sample, whatever becomes of it."""
-        began = time.monotonic()
+        ahead = self._ahead.pop(index, None)
+        began = time.monotonic() - (0.0 if ahead is None else ahead.seconds)
         blank = tuple(float("nan") for _ in self.plan.study.measures)
         try:
-            code, said, measures = self._made(settings, began)
+            code, said, measures = self._made(settings, began, ahead)
             status = STATUS.get(code, STATUS[1])
         except Late as error:
             code, status, said, measures = error.exit_code, LATE, error.message, blank
@@ -214,9 +247,11 @@ class Sampler:
         )
 
     def _made(
-        self, settings: Mapping[str, Any], began: float
+        self, settings: Mapping[str, Any], began: float, ahead: _Ahead | None
     ) -> tuple[int, str, tuple[float, ...]]:
         progress = self._watch(began)
+        if ahead is not None:
+            return self._trial(ahead.prepared, settings, progress)
         with self._folder(settings) as name:
             folder = Path(name)
             stage, prepared = self.prepared(settings, folder)
@@ -232,10 +267,15 @@ class Sampler:
 
     def _folder(self, settings: Mapping[str, Any]) -> AbstractContextManager[Path | str]:
         """A folder for a sample's own files; where it has none, only the one that all share."""
-        base, changes = self.changes(settings)
-        if isinstance(base.model, TrialRecipe) and set(changes) == {""} and not changes[""].bench:
+        if self._is_trial(settings):
             return nullcontext(self.scratch)
         return TemporaryDirectory(dir=self.scratch)
+
+    def _is_trial(self, settings: Mapping[str, Any]) -> bool:
+        """Whether a sample is a single trial without files of its own."""
+        base, changes = self.changes(settings)
+        alone = set(changes) == {""} and not changes[""].bench
+        return isinstance(base.model, TrialRecipe) and alone
 
     def _trial(
         self, prepared: PreparedOne, settings: Mapping[str, Any], progress: Callable | None

@@ -83,13 +83,27 @@ class FrictionLaw:
 
     def resistance(self) -> Callable:
         """``force(row, v, y)`` of a law with or without states."""
+        if self.force is not None:
+            return self.force
         steady = self.steady
-        return self.force or inlined(lambda row, v, y: steady(row, v))
+
+        @inlined
+        def force(row, v, y):
+            return steady(row, v)
+
+        return force
 
     def heat(self) -> Callable:
         """``loss(row, v, y)`` of a law with or without states."""
+        if self.loss is not None:
+            return self.loss
         steady = self.steady
-        return self.loss or inlined(lambda row, v, y: steady(row, v) * v)
+
+        @inlined
+        def loss(row, v, y):
+            return steady(row, v) * v
+
+        return loss
 
     def steepness(self) -> Callable:
         """``slope(row, v)`` of a law that gives it or not."""

@@ -1,0 +1,559 @@
+"""Kernels compiled a second time, for lanes: the same source, its branches turned into masks.
+
+A branch whose condition may differ from lane to lane is taken by the lanes that it holds for: both
+sides are gone through, each under a mask, and one that no lane is in is left out. What is assigned
+under a mask keeps its value in the other lanes, also in arrays; a return takes its lanes out of
+what follows; a loop runs until no lane is in it. Whether a condition differs is known by its type
+when the kernel is compiled (`ehbench.plant.lanes.vectors`): one on the integers of a layout is a
+plain truth, and its branch stays one.
+"""
+
+from __future__ import annotations
+
+import ast
+import builtins
+import inspect
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ehbench.compiled import Kernel
+from ehbench.plant.lanes import vectors
+from ehbench.plant.build import Plant
+
+_HELPERS = {
+    f"lane_{name}": getattr(vectors, name)
+    for name in (
+        *("enters", "enters_not", "within", "without", "both", "either", "negated", "chosen"),
+        *("picked", "larger", "smaller", "square", "whole", "most", "taken", "put", "power"),
+    )
+}
+_CHEAP = (ast.Name, ast.Constant, ast.Attribute, ast.UnaryOp, ast.Compare, ast.BinOp)
+
+
+class Unconverted(NotImplementedError):
+    """A kernel says something that there is no form for in lanes."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Mask:
+    """A mask in the code: the name of its variable; the mask that it lies within, and by what: a
+    helper and the variable of a condition.
+    """
+
+    name: str
+    parent: _Mask | None = None
+    helper: str = ""
+    condition: str = ""
+
+    @property
+    def line(self) -> list[_Mask]:
+        """The masks that it lies within, from the outermost to itself."""
+        return [*(self.parent.line if self.parent else []), self]
+
+
+def _apart(mask: _Mask, others: Sequence[_Mask]) -> ast.expr | None:
+    """A mask among the lanes of the innermost one that others lie within too; None where that is
+    itself. What lies outside has no value that must be kept.
+    """
+    shared = mask.line
+    for other in others:
+        shared = [one for one in shared if one in other.line]
+    if shared[-1] is mask:
+        return None
+    made: ast.expr = ast.Constant(True)
+    for one in mask.line[len(shared) :]:
+        made = _call(one.helper, made, one.condition)
+    return made
+
+
+class LaneKernel:
+    """A kernel's second form, whose first argument is the mask of the lanes that it is for."""
+
+    def __init__(self, function: Callable, options: Mapping[str, Any]) -> None:
+        self._function, self._options, self._made = function, options, None
+
+    @property
+    def _numba_type_(self) -> Any:
+        if self._made is None:  # only a compiler asks
+            self._made = Kernel(converted(self._function), self._options, kept=False)
+        return self._made._numba_type_
+
+
+_KNOWN: dict[int, Any] = {}
+
+
+def of(thing: Any) -> Any:
+    """The second form of a kernel, or of a choice among kernels."""
+    if id(thing) not in _KNOWN:
+        _KNOWN[id(thing)] = thing, _second(thing)
+    return _KNOWN[id(thing)][1]
+
+
+def _second(thing: Any) -> Any:
+    if hasattr(thing, "generic"):
+        return of(thing.generic.kernels[Plant])
+    if not hasattr(thing, "__code__") and not isinstance(thing, Kernel):
+        raise Unconverted(f"{thing} is no kernel")
+    # a plain function where nothing is compiled
+    function, options = thing.made_of if hasattr(thing, "made_of") else (thing, {})
+    return LaneKernel(function, options)
+
+
+def converted(function: Callable) -> Callable:
+    """A kernel's function in its second form."""
+    source = getattr(function, "text", None) or textwrap.dedent(inspect.getsource(function))
+    tree: Any = ast.parse(source).body[0]
+    enclosed = inspect.getclosurevars(function).nonlocals
+    space = {**function.__globals__, **enclosed, **_HELPERS}
+    made = _Converter(tree, space).definition()
+    module = ast.fix_missing_locations(ast.Module([made], []))
+    exec(
+        compile(ast.unparse(module), f"<lanes of {function.__module__}.{tree.name}>", "exec"), space
+    )
+    return space[made.name]
+
+
+def _name(name: str, store: bool = False) -> ast.Name:
+    return ast.Name(name, ast.Store() if store else ast.Load())
+
+
+def _call(name: str, *args: ast.expr | str) -> ast.Call:
+    return ast.Call(_name(name), [_name(a) if isinstance(a, str) else a for a in args], [])
+
+
+def _set(name: str, value: ast.expr) -> ast.Assign:
+    return ast.Assign([_name(name, True)], value)
+
+
+def _leaves(statements: Sequence[ast.stmt], kind: type) -> bool:
+    """Whether a statement of this kind is among these, of this loop where it leaves one."""
+    for one in statements:
+        if isinstance(one, kind):
+            return True
+        if isinstance(one, ast.If) and (_leaves(one.body, kind) or _leaves(one.orelse, kind)):
+            return True
+        if kind is ast.Return and isinstance(one, (ast.For, ast.While)):
+            if _leaves(one.body, kind):
+                return True
+    return False
+
+
+def _ends(statements: Sequence[ast.stmt]) -> bool:
+    """Whether every way through these returns."""
+    if not statements:
+        return False
+    last = statements[-1]
+    if isinstance(last, ast.If):
+        return _ends(last.body) and _ends(last.orelse)
+    return isinstance(last, ast.Return)
+
+
+def _nested(statements: list[ast.stmt]) -> list[ast.stmt]:
+    """The same, what follows a branch that returns as its other side."""
+    for i, one in enumerate(statements):
+        rest = statements[i + 1 :]
+        if isinstance(one, ast.If):
+            body, other = one.body, one.orelse
+            if rest and _ends(body):
+                body, other, rest, statements = body, [*other, *rest], [], statements[: i + 1]
+            elif rest and other and _ends(other):
+                body, rest, statements = [*body, *rest], [], statements[: i + 1]
+            new = ast.If(one.test, _nested(body), _nested(other))
+            return [*statements[:i], new, *_nested(rest)]
+    return statements
+
+
+class _Converter:
+    """One function on its way into lanes."""
+
+    def __init__(self, tree: ast.FunctionDef, space: dict[str, Any]) -> None:
+        self.tree, self.space, self.count = tree, space, 0
+        arguments = tree.args.args
+        self.local = {a.arg for a in arguments}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+                self.local.add(node.id)
+        self.root = _Mask("lane_mask")
+        self.assigned: dict[str, list[_Mask]] = {a.arg: [self.root] for a in arguments}
+        self.results = 0
+        self.gone = False
+        self.left: str | None = None
+
+    def fresh(self, stem: str) -> str:
+        """A name that nothing has yet."""
+        self.count += 1
+        return f"lane_{stem}_{self.count}"
+
+    def inner(self, mask: _Mask, helper: str, condition: str) -> tuple[_Mask, list[ast.stmt]]:
+        """(a mask within another, the statements under it, of which the first makes it)."""
+        made = _Mask(self.fresh("mask"), mask, helper, condition)
+        return made, [_set(made.name, _call(helper, mask.name, condition))]
+
+    def definition(self) -> ast.FunctionDef:
+        """The function in lanes."""
+        body = [one for one in self.tree.body if not _is_text(one)]
+        returned = [one for one in ast.walk(self.tree) if isinstance(one, ast.Return)]
+        values = [one.value for one in returned if one.value is not None]
+        self.results = max((len(v.elts) for v in values if isinstance(v, ast.Tuple)), default=0)
+        direct = not returned or (len(returned) == 1 and body[-1] is returned[0])
+        out: list[ast.stmt] = []
+        if direct:
+            self.block(body, self.root, out, True)
+        else:
+            body = _nested(body)
+            out.append(_set("lane_gone", ast.Constant(False)))
+            self.gone = True
+            self.block(body, self.root, out, True)
+            if values:
+                out.append(ast.Return(self.result()))
+        if not out:
+            out.append(ast.Pass())
+        given = [ast.arg(self.root.name), *(ast.arg(a.arg) for a in self.tree.args.args)]
+        args = ast.arguments([], given, None, [], [], None, self.tree.args.defaults)
+        return ast.FunctionDef(
+            name=f"lanes_{self.tree.name}", args=args, body=out, decorator_list=[]
+        )
+
+    def result(self) -> ast.expr:
+        """What the function returns, of its parts."""
+        if not self.results:
+            return _name("lane_result")
+        parts = [_name(f"lane_result_{i}") for i in range(self.results)]
+        return ast.Tuple(list(parts), ast.Load())
+
+    # statements
+
+    def block(
+        self, statements: Sequence[ast.stmt], mask: _Mask, out: list[ast.stmt], tail: bool
+    ) -> None:
+        """Statements under a mask; ``tail`` where nothing follows them in the function."""
+        for i, one in enumerate(statements):
+            last = i + 1 == len(statements)
+            self.statement(one, mask, out, tail and last)
+            if last:
+                return
+            gone = self._taken_out(one)
+            if gone:
+                condition = self.fresh("condition")
+                out.append(_set(condition, _name(gone)))
+                inner, body = self.inner(mask, "lane_without", condition)
+                self.block(statements[i + 1 :], inner, body, tail)
+                out.append(ast.If(_call("lane_enters_not", mask.name, condition), body, []))
+                return
+
+    def _taken_out(self, one: ast.stmt) -> str | None:
+        """The variable of the lanes that a statement may have taken out of what follows."""
+        if isinstance(one, ast.If) and _leaves([one], ast.Break):
+            return self.left
+        return "lane_gone" if self.gone and _leaves([one], ast.Return) else None
+
+    def statement(self, one: ast.stmt, mask: _Mask, out: list[ast.stmt], tail: bool) -> None:
+        """One of them."""
+        if isinstance(one, ast.Assign):
+            self.assign(one, mask, out)
+        elif isinstance(one, ast.AugAssign):
+            old: Any = ast.parse(ast.unparse(one.target), mode="eval").body
+            value = self.value(ast.BinOp(old, one.op, one.value), mask, out)
+            self.store(one.target, value, mask, out)
+        elif isinstance(one, ast.If):
+            self.branch(one, mask, out, tail)
+        elif isinstance(one, ast.For):
+            self.loop(one, mask, out)
+        elif isinstance(one, ast.While):
+            self.while_loop(one, mask, out)
+        elif isinstance(one, ast.Return):
+            self.leave(one, mask, out, tail)
+        elif isinstance(one, ast.Break):
+            out.append(_set(self.left or "", _call("lane_either", self.left or "", mask.name)))
+        elif isinstance(one, ast.Expr):
+            if not _is_text(one):
+                out.append(ast.Expr(self.value(one.value, mask, out)))
+        elif not isinstance(one, ast.Pass):
+            raise Unconverted(f"{self.tree.name}: {ast.unparse(one)}")
+
+    def assign(self, one: ast.Assign, mask: _Mask, out: list[ast.stmt]) -> None:
+        """``a = …``, ``a, b = …`` and ``a = b = …``."""
+        first = one.targets[0]
+        if isinstance(first, ast.Tuple):
+            self.unpack(first, one.value, mask, out)
+            return
+        value = self.value(one.value, mask, out)
+        if len(one.targets) > 1 or not isinstance(first, ast.Name):
+            kept = self.fresh("value")
+            out.append(_set(kept, value))
+            value = _name(kept)
+        for target in one.targets:
+            self.store(target, value, mask, out)
+
+    def unpack(self, target: ast.Tuple, value: ast.expr, mask: _Mask, out: list[ast.stmt]) -> None:
+        parts: list[ast.expr] = []
+        if isinstance(value, ast.Tuple):
+            for each in value.elts:
+                kept = self.fresh("value")
+                out.append(_set(kept, self.value(each, mask, out)))
+                parts.append(_name(kept))
+        else:
+            kept = self.fresh("value")
+            out.append(_set(kept, self.value(value, mask, out)))
+            for i in range(len(target.elts)):
+                parts.append(ast.Subscript(_name(kept), ast.Constant(i), ast.Load()))
+        for each, part in zip(target.elts, parts, strict=True):
+            if not (isinstance(each, ast.Name) and each.id == "_"):
+                self.store(each, part, mask, out)
+
+    def store(self, target: ast.expr, value: ast.expr, mask: _Mask, out: list[ast.stmt]) -> None:
+        """Give a variable, or a place of an array, a value under a mask."""
+        if isinstance(target, ast.Subscript):
+            array, index = self.value(target.value, mask, out), self.index(target, mask, out)
+            out.append(ast.Expr(_call("lane_put", mask.name, array, index, value)))
+        elif isinstance(target, ast.Name):
+            before = self.assigned.setdefault(target.id, [])
+            apart = _apart(mask, before)
+            if apart is not None:
+                value = _call("lane_chosen", apart, value, target.id)
+            before.append(mask)
+            out.append(_set(target.id, value))
+        else:
+            raise Unconverted(f"{self.tree.name}: {ast.unparse(target)} = …")
+
+    def branch(self, one: ast.If, mask: _Mask, out: list[ast.stmt], tail: bool) -> None:
+        """Both sides of an ``if``, each for its lanes."""
+        condition = self.fresh("condition")
+        out.append(_set(condition, self.value(one.test, mask, out)))
+        for side, enters, narrowed in (
+            (one.body, "lane_enters", "lane_within"),
+            (one.orelse, "lane_enters_not", "lane_without"),
+        ):
+            if side:
+                inner, body = self.inner(mask, narrowed, condition)
+                self.block(side, inner, body, tail)
+                out.append(ast.If(_call(enters, mask.name, condition), body, []))
+
+    def loop(self, one: ast.For, mask: _Mask, out: list[ast.stmt]) -> None:
+        """A loop over a range; one whose end differs is gone through by each lane to its own."""
+        head: Any = one.iter
+        if not (isinstance(head, ast.Call) and isinstance(head.func, ast.Name)) or one.orelse:
+            raise Unconverted(f"{self.tree.name}: for {ast.unparse(head)}")
+        if _leaves(one.body, ast.Return) or _leaves(one.body, ast.Continue):
+            raise Unconverted(f"{self.tree.name}: a way out of a loop")
+        ends = [self.value(each, mask, out) for each in head.args]
+        differs = len(ends) == 1 and isinstance(ends[0], ast.Name) and ends[0].id in self.local
+        end = ends[0]
+        if differs:
+            ends = [_call("lane_most", end)]
+        assert isinstance(one.target, ast.Name)
+        before, body, inner = self.left, [], mask
+        conditions: list[ast.expr] = []
+        if differs:
+            conditions.append(ast.Compare(_name(one.target.id), [ast.Lt()], [end]))
+        if _leaves(one.body, ast.Break):
+            self.left = self.fresh("left")
+            out.append(_set(self.left, ast.Constant(False)))
+            conditions.append(_call("lane_negated", self.left))
+        self.guarded(one.body, conditions, inner, body)
+        self.left = before
+        target = _name(one.target.id, True)
+        out.append(ast.For(target, _call("range", *ends), body, []))
+
+    def guarded(
+        self,
+        statements: Sequence[ast.stmt],
+        conditions: Sequence[ast.expr],
+        mask: _Mask,
+        out: list[ast.stmt],
+    ) -> None:
+        """Statements for the lanes of a mask for which all these hold."""
+        if not conditions:
+            self.block(statements, mask, out, False)
+            return
+        condition = self.fresh("condition")
+        out.append(_set(condition, conditions[0]))
+        inner, body = self.inner(mask, "lane_within", condition)
+        self.guarded(statements, conditions[1:], inner, body)
+        out.append(ast.If(_call("lane_enters", mask.name, condition), body, []))
+
+    def while_loop(self, one: ast.While, mask: _Mask, out: list[ast.stmt]) -> None:
+        """A loop that lanes leave one after the other."""
+        if _leaves(one.body, ast.Return) or _leaves(one.body, ast.Continue) or one.orelse:
+            raise Unconverted(f"{self.tree.name}: a way out of a loop")
+        condition, still = self.fresh("condition"), self.fresh("still")
+        inner = _Mask(self.fresh("mask"), mask, "lane_within", still)
+        out += [_set(inner.name, _name(mask.name)), _set(still, ast.Constant(True))]
+        before, self.left = self.left, None
+        if _leaves(one.body, ast.Break):
+            self.left = self.fresh("left")
+            out.append(_set(self.left, ast.Constant(False)))
+        body: list[ast.stmt] = []
+        body.append(_set(condition, self.value(one.test, inner, body)))
+        self.narrow(inner, still, "lane_enters", "lane_within", condition, body)
+        self.block(one.body, inner, body, False)
+        if self.left:
+            self.narrow(inner, still, "lane_enters_not", "lane_without", self.left, body)
+        self.left = before
+        out.append(ast.While(ast.Constant(True), body, []))
+
+    def narrow(
+        self, mask: _Mask, still: str, enters: str, helper: str, condition: str, out: list[ast.stmt]
+    ) -> None:
+        """Keep the lanes of a loop that a condition leaves in it, and go on if there are any."""
+        stop = ast.UnaryOp(ast.Not(), _call(enters, mask.name, condition))
+        out.append(ast.If(stop, [ast.Break()], []))
+        out.append(_set(mask.name, _call(helper, mask.name, condition)))
+        out.append(_set(still, _call(helper, still, condition)))
+
+    def leave(self, one: ast.Return, mask: _Mask, out: list[ast.stmt], tail: bool) -> None:
+        """A return: of the function where it is the only one, else of the lanes here."""
+        if not self.gone:
+            out.append(ast.Return(None if one.value is None else self.value(one.value, mask, out)))
+            return
+        if one.value is not None and self.results:
+            target = ast.Tuple(
+                [_name(f"lane_result_{i}", True) for i in range(self.results)], ast.Store()
+            )
+            self.unpack(target, one.value, mask, out)
+        elif one.value is not None:
+            value = self.value(one.value, mask, out)
+            self.store(_name("lane_result", True), value, mask, out)
+        if not tail:
+            out.append(_set("lane_gone", _call("lane_either", "lane_gone", mask.name)))
+
+    # expressions; what has to be done before goes to ``out``
+
+    def value(self, one: ast.expr, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        """An expression in lanes."""
+        made = getattr(self, f"_{type(one).__name__.lower()}", None)
+        if made is None:
+            raise Unconverted(f"{self.tree.name}: {ast.unparse(one)}")
+        return made(one, mask, out)
+
+    def _constant(self, one: ast.Constant, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        return one
+
+    def _name(self, one: ast.Name, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        return _name(one.id)
+
+    def _tuple(self, one: ast.Tuple, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        return ast.Tuple([self.value(each, mask, out) for each in one.elts], ast.Load())
+
+    def _starred(self, one: ast.Starred, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        return ast.Starred(self.value(one.value, mask, out), ast.Load())
+
+    def _attribute(self, one: ast.Attribute, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        if isinstance(one.value, ast.Name) and one.value.id not in self.local:
+            return one
+        helper = f"lane_field_{one.attr}"
+        self.space[helper] = vectors.field(one.attr)
+        return _call(helper, self.value(one.value, mask, out))
+
+    def index(self, one: ast.Subscript, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        """What stands in the brackets."""
+        if isinstance(one.slice, ast.Slice):
+            low, high = (
+                None if end is None else self.value(end, mask, out)
+                for end in (one.slice.lower, one.slice.upper)
+            )
+            return ast.Slice(low, high)
+        return self.value(one.slice, mask, out)
+
+    def _subscript(self, one: ast.Subscript, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        array, index = self.value(one.value, mask, out), self.index(one, mask, out)
+        if isinstance(index, (ast.Slice, ast.Constant)) and not isinstance(one.value, ast.Name):
+            return ast.Subscript(array, index, ast.Load())
+        if isinstance(index, ast.Slice):
+            return ast.Subscript(array, index, ast.Load())
+        return _call("lane_taken", mask.name, array, index)
+
+    def _unaryop(self, one: ast.UnaryOp, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        operand = self.value(one.operand, mask, out)
+        if isinstance(one.op, ast.Not):
+            return _call("lane_negated", operand)
+        return ast.UnaryOp(one.op, operand)
+
+    def _binop(self, one: ast.BinOp, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        left = self.value(one.left, mask, out)
+        if isinstance(one.op, ast.Pow):
+            if isinstance(one.right, ast.Constant) and one.right.value == 2:
+                return _call("lane_square", left)
+            return _call("lane_power", left, self.value(one.right, mask, out))
+        return ast.BinOp(left, one.op, self.value(one.right, mask, out))
+
+    def _compare(self, one: ast.Compare, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        ends = [self.value(each, mask, out) for each in (one.left, *one.comparators)]
+        pairs = [
+            ast.Compare(a, [op], [b]) for a, op, b in zip(ends, one.ops, ends[1:], strict=False)
+        ]
+        made: ast.expr = pairs[0]
+        for each in pairs[1:]:
+            made = _call("lane_both", made, each)
+        return made
+
+    def _boolop(self, one: ast.BoolOp, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        """``and`` and ``or``; what is not cheap is found for the lanes only that ask for it."""
+        every = isinstance(one.op, ast.And)
+        joined = "lane_both" if every else "lane_either"
+        made = self.value(one.values[0], mask, out)
+        for each in one.values[1:]:
+            if _is_cheap(each):
+                made = _call(joined, made, self.value(each, mask, out))
+                continue
+            kept = self.fresh("truth")
+            out.append(_set(kept, made))
+            enters = "lane_enters" if every else "lane_enters_not"
+            inner, body = self.inner(mask, "lane_within" if every else "lane_without", kept)
+            value = self.value(each, inner, body)
+            body.append(_set(kept, _call(joined, kept, value)))
+            out.append(ast.If(_call(enters, mask.name, kept), body, []))
+            made = _name(kept)
+        return made
+
+    def _ifexp(self, one: ast.IfExp, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        condition = self.fresh("condition")
+        out.append(_set(condition, self.value(one.test, mask, out)))
+        if _is_cheap(one.body) and _is_cheap(one.orelse):
+            sides = (self.value(each, mask, out) for each in (one.body, one.orelse))
+            return _call("lane_picked", condition, *sides)
+        kept = self.fresh("value")
+        both = [(one.body, "lane_enters", "lane_within")]
+        both.append((one.orelse, "lane_enters_not", "lane_without"))
+        for side, enters, narrowed in both:
+            inner, body = self.inner(mask, narrowed, condition)
+            self.store(_name(kept, True), self.value(side, inner, body), inner, body)
+            out.append(ast.If(_call(enters, mask.name, condition), body, []))
+        return _name(kept)
+
+    def _call(self, one: ast.Call, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        args = [self.value(each, mask, out) for each in one.args]
+        if isinstance(one.func, ast.Attribute) and isinstance(one.func.value, ast.Name):
+            function: Any = getattr(self.space[one.func.value.id], one.func.attr)
+        elif isinstance(one.func, ast.Name):
+            function = self.space.get(one.func.id, getattr(builtins, one.func.id, None))
+        else:
+            raise Unconverted(f"{self.tree.name}: {ast.unparse(one)}")
+        if function in (max, min):
+            made = args[0]
+            for each in args[1:]:
+                made = _call("lane_larger" if function is max else "lane_smaller", made, each)
+            return made
+        if function is int:
+            return _call("lane_whole", *args)
+        if function is len:
+            return _call("len", *args)
+        if function in vectors.FUNCTIONS:
+            helper = f"lane_{function.__name__}"
+            self.space[helper] = vectors.FUNCTIONS[function]
+            return _call(helper, *args)
+        helper = f"lanes_{ast.unparse(one.func)}"
+        self.space[helper] = of(function)
+        return _call(helper, mask.name, *args)
+
+
+def _is_text(one: ast.stmt) -> bool:
+    return isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant)
+
+
+def _is_cheap(one: ast.expr) -> bool:
+    """Whether it does no harm, and costs little, to find a value that may not be asked for."""
+    cheap = (*_CHEAP, ast.expr_context, ast.operator, ast.cmpop, ast.unaryop)
+    return all(isinstance(node, cheap) for node in ast.walk(one))

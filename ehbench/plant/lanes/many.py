@@ -1,0 +1,130 @@
+"""Runs of many models, put into lanes where they may go side by side: to the bits of `Model.run`
+and of `Model.paced`, so that nobody can tell which were.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ehbench.errors import EhbenchError
+from ehbench.plant.lanes.pack import alike, filled, in_lanes, line_in_lanes, side_by_side
+from ehbench.plant.lanes.steps import run_lanes, run_meshed
+from ehbench.plant.lanes.vectors import LANES
+from ehbench.plant.model import Model, Start, finite
+from ehbench.plant.paced import pace_of
+from ehbench.record import Record
+
+LEAST = 4  # runs that are worth a call in lanes, which takes as long as three alone
+
+
+class Job(NamedTuple):
+    """A run to make: a model, its state at the first sample, commands as `Model.run` takes them."""
+
+    model: Model
+    start: np.ndarray
+    commands: np.ndarray
+
+
+def has_lanes(kernel: object) -> bool:
+    """Whether a kernel in lanes is there: it takes half a minute to compile, so that is done
+    beforehand (`ehbench.warm`) or not at all.
+    """
+    return getattr(kernel, "is_kept", False)
+
+
+def go_together(first: Job, other: Job) -> bool:
+    """Whether two runs may go side by side in fixed steps."""
+    same = first.commands.shape == other.commands.shape
+    return same and alike(first.model.plant, other.model.plant)
+
+
+def run_together(jobs: Sequence[Job], tick: float, steps: int) -> list[np.ndarray]:
+    """The log tables of `Model.run` in fixed steps, so many a ``tick`` [s], of at most LANES runs
+    that `go_together`; they are not looked at whether they are finite.
+    """
+    plant, y, commands, line = _packed(jobs, tick)
+    columns = y.shape[0] + plant.edges.shape[0] + 1
+    log = np.empty((LANES, commands.shape[0], columns))
+    run_lanes(y, commands, plant, line, steps, log)
+    return list(log[: len(jobs)])
+
+
+def _packed(jobs: Sequence[Job], tick: float):
+    """(plant, states, commands, lines of past commands), all in lanes."""
+    full = filled(jobs)
+    plants = [job.model.plant for job in full]
+    commands = side_by_side([np.asarray(job.commands, float) for job in full])
+    line = line_in_lanes(plants, tick, commands.shape[1])
+    return in_lanes(plants), side_by_side([job.start for job in full]), commands, line
+
+
+def _changes(commands: np.ndarray) -> np.ndarray:
+    return np.any(np.diff(commands, axis=0) != 0.0, axis=1)
+
+
+def _follow_together(first: Job, other: Job) -> bool:
+    """Whether two runs may go side by side along one mesh: their commands change together."""
+    if not go_together(first, other):
+        return False
+    if first.commands is other.commands or np.array_equal(first.commands, other.commands):
+        return True
+    return np.array_equal(_changes(first.commands), _changes(other.commands))
+
+
+def follow_together(jobs: Sequence[Job], tick: float, mesh: np.ndarray) -> list[np.ndarray]:
+    """The log tables of `Model.paced` along a mesh, without flows, which are not looked at whether
+    they are finite.
+    """
+    first = jobs[0]
+    plant, y, commands, line = _packed(jobs, tick)
+    log = np.empty((LANES, commands.shape[0], y.shape[0]))
+    pace = pace_of(first.model.plant, first.model.layout, tick)
+    run_meshed(y, commands, plant, line, pace, mesh, log)
+    return list(log[: len(jobs)])
+
+
+def replays_meshed(
+    runs: Sequence[tuple[Model, Record, Start]], mesh: np.ndarray
+) -> list[Record | None]:
+    """`Model.replay_paced` of several runs along one mesh; None for those that fail.
+
+    Args:
+        runs: (model, recording, start); at most LANES, of one sample time.
+    """
+    ready: dict[int, Job] = {}
+    for i, (model, record, start) in enumerate(runs):
+        try:
+            own, table, y = model.along(record, start)
+            ready[i] = Job(own, y, table)
+        except (EhbenchError, ArithmeticError):
+            continue
+    found: list[Record | None] = [None] * len(runs)
+    together = [i for i in ready if _follow_together(ready[min(ready)], ready[i])]
+    if len(together) >= LEAST:
+        tick = runs[together[0]][1].sample_time
+        logs = follow_together([ready[i] for i in together], tick, mesh)
+        for i, log in zip(together, logs, strict=True):
+            found[i] = _record(runs[i], ready[i], log, tick)
+    for i in ready.keys() - set(together if len(together) >= LEAST else ()):
+        found[i] = _alone(runs[i], mesh)
+    return found
+
+
+def _record(run: tuple[Model, Record, Start], job: Job, log: np.ndarray, tick: float):
+    model, record, start = run
+    try:
+        log = finite(log, tick)
+    except EhbenchError:
+        return None
+    return model.record(record.t, job.commands, log, record.meta, start.tank)
+
+
+def _alone(run: tuple[Model, Record, Start], mesh: np.ndarray) -> Record | None:
+    model, record, start = run
+    try:
+        return model.replay_paced(record, start, mesh)[0]
+    except (EhbenchError, ArithmeticError):
+        return None

@@ -1,0 +1,93 @@
+"""Plants of one layout as one plant in lanes, and tables of numbers alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from ehbench.compiled import table
+from ehbench.parts.valve.delay import Line, line_of
+from ehbench.plant.build import Plant
+from ehbench.plant.lanes.vectors import LANES
+
+
+@lru_cache(maxsize=64)
+def _wide(layout: np.dtype) -> np.dtype:
+    """The layout of a row with lanes for each of its floats."""
+    names = layout.names or ()
+    columns = [
+        (name, "f8", (LANES,)) if layout[name] == np.float64 else (name, layout[name])
+        for name in names
+    ]
+    return np.dtype((np.record, columns), align=True)
+
+
+@lru_cache(maxsize=64)
+def _whole(layout: np.dtype) -> np.ndarray:
+    """Which of the eight-byte words of a row are integers."""
+    names = layout.names or ()
+    words = [layout.fields[name][1] // 8 for name in names if layout[name] != np.float64]  # type: ignore[index]
+    return np.array(words, dtype=np.intp)
+
+
+def _tables(plant: Plant) -> dict[str, np.ndarray]:
+    """A plant's tables by name, the supply as one of one row."""
+    found = {
+        name: value.view(np.ndarray)
+        for name, value in plant._asdict().items()
+        if isinstance(value, np.recarray)
+    }
+    return found | {"supply": np.array([plant.supply], plant.supply.dtype)}
+
+
+def layout_of(plant: Plant) -> tuple[Any, ...]:
+    """What must be the same of plants that go side by side: all their integers, and so the sizes of
+    their tables and maps, and whether a valve is late.
+    """
+    parts: list[Any] = [plant.kind, plant.at, plant.maps.shape, bool(plant.valves["delay"].any())]
+    for rows in _tables(plant).values():
+        words = rows.view(np.int64).reshape(rows.size, -1) if rows.size else np.zeros((0, 0))
+        parts.append(words[:, _whole(rows.dtype)].tobytes() if rows.size else rows.size)
+    return tuple(parts)
+
+
+def alike(first: Plant, other: Plant) -> bool:
+    """Whether two plants can go side by side."""
+    return layout_of(first) == layout_of(other)
+
+
+def filled(items: Sequence[Any]) -> list[Any]:
+    """As many items as there are lanes, the last one again where there are fewer."""
+    return [*items, *([items[-1]] * (LANES - len(items)))]
+
+
+def side_by_side(arrays: Sequence[np.ndarray]) -> np.ndarray:
+    """Arrays of one shape, as many as lanes, with a last axis of lanes."""
+    return np.stack(arrays, axis=-1)
+
+
+def in_lanes(plants: Sequence[Plant]) -> Plant:
+    """Plants that are `alike`, as many as lanes, as one with lanes for each of its floats."""
+    packed, first = [_tables(plant) for plant in plants], plants[0]
+    made: dict[str, Any] = {}
+    for name, rows in packed[0].items():
+        made[name] = wide = table(len(rows), _wide(rows.dtype))
+        lanes = side_by_side([one[name] for one in packed])
+        for key in rows.dtype.names or ():
+            wide[key] = lanes[key] if rows.dtype[key] == np.float64 else rows[key]
+    made["supply"] = made["supply"][0]
+    made["gravity"] = side_by_side([plant.gravity for plant in plants])
+    made["maps"] = side_by_side([plant.maps for plant in plants])
+    return first._replace(**made)
+
+
+def line_in_lanes(plants: Sequence[Plant], tick: float, columns: int) -> Line:
+    """The lines of past commands of plants that are `alike` (`line_of`), as deep as the deepest."""
+    lines = [line_of(plant, tick, columns) for plant in plants]
+    depth = max(line.past.shape[0] for line in lines)
+    past = [np.resize(line.past, (depth, line.past.shape[1])) for line in lines]
+    held = side_by_side([line.held for line in lines])
+    return Line(float(tick), side_by_side(past), np.zeros(1, np.int64), held)
