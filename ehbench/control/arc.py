@@ -890,7 +890,7 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
     if starting:
         start(x, v, p, measured, state)
         start_estimates(measured, load, own, tip, design, state)
-        begin(p, design, memory.maps)
+        begin(p, axis.onset, design, memory.maps)
     gains = ease(design, tip / own, state, memory.gains)[0]
     if not starting:
         x, v = observe(x, v, gains, state)
