@@ -105,7 +105,7 @@ def plain_bench(factor):
     for name, value in RIG.parameters().items():
         if name.startswith("boom.") and name.endswith(".deadband"):
             edge = name.removesuffix(".deadband")
-            setting = float(RIG.all_edges()[edge].compensation_drop)
+            setting = float(RIG.parameters()[f"{edge}.compensation_drop"])
             plain = {"onset": f"{float(value)} V", "softness": "0 V", "saturation": "0 V"}
             plain |= {"gain_factor": 1.0, "compensation_drop": f"{setting} Pa"}
             plain |= {"compensator_opening": "1000 V", "flow_force": "0 1/V"}

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -76,7 +77,7 @@ def trial_of(name, payload, change, speed="70 mm/s", motion=None, seed=0, gains=
     return run_trial(load_rig(RECIPES / recipe.rig), recipe)
 
 
-def facts_of(name, payload, change, speed="70 mm/s", seed=0, **gains):
+def facts_of(name, payload, change, speed="70 mm/s", seed: Any = 0, **gains):
     """The facts of `trial_of`."""
     return trial_of(name, payload, change, speed, seed=seed, gains=gains)[1]
 
@@ -153,7 +154,7 @@ def test_a_spool_as_fast_as_cartridges_comes_to_rest():
     """At a reference at rest the law goes on through the spool's centre: chosen by the error's sign
     its opening kept 50 lb swinging by 0.2 mm, with the half of its hysteresis that stays open.
     """
-    four_way = {
+    four_way: dict[str, Any] = {
         "rig": "rigs/thesis_arm_standard.toml",
         "bench": "bench/thesis_arm_standard.toml",
         "dynamics": {"boom.spool": "cartridge"},
