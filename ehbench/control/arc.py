@@ -72,6 +72,7 @@ LOST = 0.01  # [m] between observed and measured stroke, at which the observer s
 AHEAD = 1.0e-3  # [s] by which the laws look along the motion for their rates
 SETTLED = 3.0  # over k1: how long a load is brought to rest after a motion, once it is near
 TURNS = 4  # as often oil is wanted to and fro at rest; a load that still swings is left alone then
+ONE_COUNT = 1.5  # of the stroke's resolution: what is less is a count of the sensor at most
 BACK = 4.0  # of that nearness [m/s]: oil that is wanted against the error turns the motion round
 FORGETS = 5.0  # over k1: how long what pressures told of the payload counts
 FAINTLY = 0.1  # [(N/kg)²] of a payload's pull and inertia: what is less tells hardly anything of it
@@ -621,7 +622,7 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     An error that the sensor cannot tell from none asks for no motion. At a stop the direction is
     that of the oil that is wanted: a load that swings back is met with oil and not with a shut
     valve. A spool passes its centre without switching, so it just follows ``spool_speed`` [m/s],
-    what is wanted."""
+    what is wanted, at rest as well until hardly any is."""
     tick, k1, speed_start = gains.tick, gains.position_bandwidth, gains.rules.speed_start
     state.slow_load -= math.expm1(-gains.load_corner * tick) * (load_force - state.slow_load)
     # where the reference rests, what swings is left to calm down, and the error is led back at
@@ -649,8 +650,12 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     )
     if still and abs(state.slow_wanted) > BACK * near and state.way * state.slow_wanted <= 0.0:
         state.way, state.turns = 1 if state.slow_wanted > 0.0 else -1, state.turns + 1
-    if spool and not resting:
-        toward = spool_speed
+    if spool:
+        # shut at rest only where hardly any oil is wanted, and none against the error: by its sign
+        # alone it would be shut against the oil that calms the load, then open for a blow
+        small = abs(z1) <= ONE_COUNT * resolution or z1 * state.slow_wanted > 0.0
+        shut = still and small and abs(state.slow_wanted) <= near
+        toward = 0.0 if shut else spool_speed
     elif not resting and abs(steady) <= abs(k1 * z1) + near:
         if toward * state.slow_wanted < 0.0 and abs(state.slow_wanted) > abs(toward) + BACK * near:
             toward = state.slow_wanted
@@ -885,7 +890,7 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
     if starting:
         start(x, v, p, measured, state)
         start_estimates(measured, load, own, tip, design, state)
-        begin(p, design, memory.maps)
+        begin(p, axis.onset, design, memory.maps)
     gains = ease(design, tip / own, state, memory.gains)[0]
     if not starting:
         x, v = observe(x, v, gains, state)

@@ -29,13 +29,14 @@ GAIN, SHIFT = 0, 1
 VAR_GAIN, COVARIANCE, VAR_SHIFT, LATE_FLOW, LATE_SLOPE, SLOW_FLOW, SLOW_SLOPE = range(7)
 FLOW, PRESSURE = 0, 1  # columns of a chamber: what passes [m³/s] and its pressure, low-passed
 CORNER = 2.0  # of k1: the low-pass behind which flows are compared
-QUIET = 4.0  # over that corner: how long after a change of function nothing is learnt
+QUIET = 2.0  # over that corner: how long after a change of function nothing is learnt
 SCATTER = 0.005  # of the largest speed: what a comparison may be wrong by
 LEAST = 0.015  # of the largest speed: edges that pass less tell nothing
 SQUEEZED = 0.5  # share of the oil's compression that may be wrong: its bulk modulus
 UNSTEADY = 0.3  # share of what the low-pass holds back, for lags that are not known
 NARROW = 0.15  # [V] beyond the deadband below which a slope is not told
 FIRST = 0.4  # of their bounds: standard errors at the start
+KNOWN = 0.22  # the same of a deadband that the map has: in flow about as much as a gain's
 
 
 class MapMemory(NamedTuple):
@@ -78,14 +79,15 @@ class Seen(NamedTuple):
 
 
 @kernel
-def begin(p, gains, maps):
-    """Write the memory of the first tick."""
+def begin(p, onset, gains, maps):
+    """Write the memory of the first tick; ``onset`` [V] of each edge, 0 where it is not known."""
     maps.chambers[0, PRESSURE], maps.chambers[1, PRESSURE] = p.head, p.rod
     maps.chambers[0, FLOW] = maps.chambers[1, FLOW] = 0.0
     for i in range(maps.edges.shape[0]):
         maps.trim[i, GAIN], maps.trim[i, SHIFT] = 1.0, 0.0
         maps.edges[i, VAR_GAIN] = (FIRST * gains.map_error) ** 2
-        maps.edges[i, VAR_SHIFT] = (FIRST * gains.deadband_error) ** 2
+        first = KNOWN if onset[i] != 0.0 else FIRST
+        maps.edges[i, VAR_SHIFT] = (first * gains.deadband_error) ** 2
 
 
 @kernel

@@ -171,11 +171,12 @@ def carry_of(machine: Machine) -> Callable[[str | None], None] | None:
 
 def static_flow_of(machine: Machine) -> Callable[..., np.ndarray] | None:
     """How a simulated machine says what its own edge passes at rest: ``flow(edge, command, drop)``
-    [m³/s] at commands [V] and drops [Pa] along it, arrays of one shape; None of one that cannot.
+    [m³/s] at commands [V] and drops [Pa] along it, arrays of one shape, in the mean of rising and
+    falling commands; None of one that cannot.
     """
     truth = truth_of(machine)
     if truth is None:
-        return getattr(machine, "static_flow", None)
+        return getattr(machine, "mean_flow", None)
     layout, plant = truth.model.layout, truth.model.plant
 
     def flow(edge: str, command: np.ndarray, drop: np.ndarray) -> np.ndarray:

@@ -95,6 +95,49 @@ def test_wrong_maps_are_mended_on_the_virtual_bench(shift):
         assert one["error_after"] < max(one["error_before"], first) / 3.0, edge
 
 
+def plain_bench(factor):
+    """The virtual bench with edges like the rig file's but for their ``factor``, behind valves with
+    a hysteresis of 0.05 V.
+    """
+    bench = load_recipe(BENCH)
+    assert isinstance(bench, BenchRecipe)
+    edges = {}
+    for name, value in RIG.parameters().items():
+        if name.startswith("boom.") and name.endswith(".deadband"):
+            edge = name.removesuffix(".deadband")
+            setting = float(RIG.parameters()[f"{edge}.compensation_drop"])
+            plain = {"onset": f"{float(value)} V", "softness": "0 V", "saturation": "0 V"}
+            plain |= {"gain_factor": 1.0, "compensation_drop": f"{setting} Pa"}
+            plain |= {"compensator_opening": "1000 V", "flow_force": "0 1/V"}
+            edges[edge] = plain | {"reverse": plain}
+    valves = {"all": {"hysteresis": "0.05 V", "driver_gain": 1.0, "driver_offset": "0 V"}}
+    given = bench.model_dump() | {"valve": valves, "edge": edges}
+    machine = VirtualMachine(RIG, BenchRecipe.model_validate(given), "50 lb")
+    machine.bench.curves.gain *= factor
+    return machine
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_gain_and_deadband_are_told_apart_on_the_virtual_bench(factor):
+    """A gain that is wrong is not taken for a deadband, whatever the hysteresis adds: every edge to
+    a third of the first error.
+    """
+    measures = run(prepared("50 lb", on="bench"), plain_bench(factor)).facts.measures
+    first = max(one["error_before"] for one in measures["maps"].values())
+    assert first > 0.08
+    for edge, one in measures["maps"].items():
+        assert one["error_after"] < first / 3.0, edge
+
+
+def test_maps_are_judged_in_the_mean_of_both_directions():
+    machine = plain_bench(1.0)
+    command, drop = np.linspace(2.0, 4.0, 5), np.full(5, 2.0e6)
+    late, soon = (machine.static_flow("boom.hepc", command + side * 0.025, drop) for side in (0, 2))
+    mean = machine.mean_flow("boom.hepc", command, drop)
+    assert mean == pytest.approx(0.5 * (late + soon), rel=1e-12)
+    assert (late < mean).all() and (mean < soon).all()
+
+
 @pytest.mark.parametrize("change", [{"delay": "5 ms"}, {"valve_lag": 2.0}, {"flow": 0.9}])
 def test_learning_maps_costs_no_margin_on_the_virtual_bench(change):
     """With late samples, slow valves or other flow the loaded boom does not swing, and follows no

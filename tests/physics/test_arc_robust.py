@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from ehbench.recipe import TrialRecipe, load_rig
@@ -45,13 +47,13 @@ MACHINES = {
 }
 
 
-def facts_of(name, payload, change, speed="70 mm/s", seed=0, **gains):
-    """What came of a trial on the changed machine."""
+def trial_of(name, payload, change, speed="70 mm/s", motion=None, seed=0, gains=None, **given):
+    """What came of a trial on the changed machine: its record, and its facts."""
     cylinder, strokes, _ = RIGS[name]
     recipe = TrialRecipe.model_validate(
         {
             "stage": "trial",
-            "rig": "x.toml",
+            "rig": f"rigs/{name}.toml",
             "on": "bench",
             "bench": f"bench/{name}.toml",
             "machine": change,
@@ -65,12 +67,19 @@ def facts_of(name, payload, change, speed="70 mm/s", seed=0, **gains):
                 "acceleration": "0.4 m/s^2",
                 "jerk": "8 m/s^3",
                 "hold": "0.6 s",
+                **(motion or {}),
             },
-            "controller": {"kind": "arc", "gains": gains},
+            "controller": {"kind": "arc", "gains": gains or {}},
             "path": RECIPES / "trial.toml",
+            **given,
         }
     )
-    return run_trial(load_rig(RECIPES / "rigs" / f"{name}.toml"), recipe)[1]
+    return run_trial(load_rig(RECIPES / recipe.rig), recipe)
+
+
+def facts_of(name, payload, change, speed="70 mm/s", seed: Any = 0, **gains):
+    """The facts of `trial_of`."""
+    return trial_of(name, payload, change, speed, seed=seed, gains=gains)[1]
 
 
 @pytest.mark.slow
@@ -139,6 +148,23 @@ def test_bandwidths_go_by_the_load():
     light, heavy = margin("50 lb"), margin("100 lb")
     assert light == margin("50 lb", bandwidth_limit=0.0)
     assert heavy > 0.95 * light > 1.1 * margin("100 lb", bandwidth_limit=0.0)
+
+
+def test_a_spool_as_fast_as_cartridges_comes_to_rest():
+    """At a reference at rest the law goes on through the spool's centre: chosen by the error's sign
+    its opening kept 50 lb swinging by 0.2 mm, with the half of its hysteresis that stays open.
+    """
+    four_way: dict[str, Any] = {
+        "rig": "rigs/thesis_arm_standard.toml",
+        "bench": "bench/thesis_arm_standard.toml",
+        "dynamics": {"boom.spool": "cartridge"},
+    }
+    record, facts = trial_of("thesis_arm", "50 lb", {}, "60 mm/s", {"hold": "2 s"}, **four_way)[:2]
+    error = record["boom.x"] - record["boom.x_desired"]
+    moving = np.flatnonzero(record["boom.v_desired"])
+    late = np.arange(record.t.size) > moving[-1] + 700
+    assert np.abs(error[late]).max() < 1.0e-4
+    assert facts.measures["limit_cycle"] is None
 
 
 def test_the_overlap_of_a_spool_is_learnt():

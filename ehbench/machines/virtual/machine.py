@@ -269,9 +269,23 @@ class VirtualMachine:
                 "the virtual bench left finite numbers", hint="take a smaller step"
             )
 
-    def static_flow(self, edge: str, command: np.ndarray, drop: np.ndarray) -> np.ndarray:
-        """Flow [m³/s] that an edge passes at rest at commands [V], each approached from the valve's
-        rest, and drops [Pa].
+    def mean_flow(self, edge: str, command: np.ndarray, drop: np.ndarray) -> np.ndarray:
+        """As `static_flow`, but the mean of commands that come up from the valve's rest and down
+        from twice themselves: all that a map which knows no hysteresis can say.
+        """
+        rest = self.commands.rest[self.bench.edges[self.layout.edges.index(edge)].valve]
+        falling = self.static_flow(edge, command, drop, 2.0 * np.asarray(command) - rest)
+        return 0.5 * (self.static_flow(edge, command, drop) + falling)
+
+    def static_flow(
+        self,
+        edge: str,
+        command: np.ndarray,
+        drop: np.ndarray,
+        before: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Flow [m³/s] that an edge passes at rest at commands [V], each approached from the command
+        ``before`` [V], the valve's rest where none is given, and drops [Pa].
 
         Raises:
             InputError: no such edge.
@@ -285,12 +299,12 @@ class VirtualMachine:
         if row.law in (PUMP, CHECK):
             raise InputError(f"edge '{edge}' of the bench does not meter, so no flowmeter reads it")
         valve: Any = self.bench.valves[row.valve]
-        rest = self.commands.rest[row.valve]
-        command, drop = np.broadcast_arrays(
-            np.asarray(command, dtype=float), np.asarray(drop, dtype=float)
+        before = self.commands.rest[row.valve] if before is None else before
+        command, drop, before = np.broadcast_arrays(
+            *(np.asarray(given, dtype=float) for given in (command, drop, before))
         )
         flows = []
-        for u, dp in zip(command.ravel(), drop.ravel(), strict=True):
-            spool = valve.gain * play(rest, u, valve.hysteresis) + valve.offset
+        for u, dp, from_u in zip(command.ravel(), drop.ravel(), before.ravel(), strict=True):
+            spool = valve.gain * play(from_u, u, valve.hysteresis) + valve.offset
             flows.append(edge_flow(dp, spool, row, self.bench.curves))
         return np.array(flows).reshape(command.shape)
