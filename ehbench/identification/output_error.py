@@ -194,12 +194,16 @@ class OutputError:
         return np.array([sizes[channel] for channel in log.channels])
 
     def residuals(
-        self, thetas: Sequence[np.ndarray], chosen: Sequence[int] | None = None
+        self,
+        thetas: Sequence[np.ndarray],
+        chosen: Sequence[int] | None = None,
+        rough: bool = False,
     ) -> list[list[np.ndarray] | None]:
         """Residuals simulated − recorded [SI] by vector and log, from the present starts; None
-        where a log could not be simulated.
+        where a log could not be simulated. ``rough`` ones are good for a look.
         """
-        rows = self.simulator.simulate([self._values(x) for x in thetas], chosen, self.shifts)
+        values = [self._values(x) for x in thetas]
+        rows = self.simulator.simulate(values, chosen, self.shifts, rough)
         logs = self.simulator.chosen(chosen)
         return [
             None
@@ -354,7 +358,7 @@ class OutputError:
             math.inf
             if parts is None
             else sum(float(np.sum(part**2)) for part in self.scaled(parts, chosen))
-            for parts in self.residuals(vectors, chosen)
+            for parts in self.residuals(vectors, chosen, rough=True)
         ]
         best = vectors[int(np.argmin(costs))]
         self.journal.keep(self._standing(best), costs=costs, evaluations=self.simulator.evaluations)

@@ -14,7 +14,7 @@ from ehbench.errors import EhbenchError, InputError, InsufficientData
 from ehbench.observations import alternatives, column, least_change, payload_of
 from ehbench.parts.edge import edge_command
 from ehbench.plant.build import Maps
-from ehbench.plant.model import FREE, Model
+from ehbench.plant.model import FREE, Model, Start
 from ehbench.plant.paced import AUTO, Step
 from ehbench.plant.ties import tied_words
 from ehbench.preprocessing import preprocess
@@ -250,6 +250,38 @@ def _cavitates(rig: Rig, cylinder: Cylinder, record: Record) -> np.ndarray:
     return void
 
 
+@dataclass
+class _First:
+    """Where a log starts before it is moved, once that is known; points share it."""
+
+    start: Start | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """One simulation of a log: its model, None where there is none, the shifts of its start, what
+    is wrong with all logs' sensors, where it starts unmoved, the steps to take, whether roughly."""
+
+    model: Model | None
+    log: Log
+    shifts: np.ndarray
+    shared: dict[str, float]
+    first: _First
+    mesh: np.ndarray
+    rough: bool
+
+    def start(self, model: Model) -> Start:
+        """Where it starts.
+
+        Raises:
+            InputError: a posture outside the stroke.
+        """
+        own = self.log.start
+        first = self.first.start or own.unmoved(model, self.shifts, self.shared)
+        self.first.start = first
+        return own.moved_from(first, model, self.shifts)
+
+
 class Simulator:
     """All logs, simulated at any parameter values, several at a time.
 
@@ -308,6 +340,7 @@ class Simulator:
         vectors: Sequence[Sequence[float]],
         chosen: Sequence[int] | None = None,
         shifts: Shifts | None = None,
+        rough: bool = False,
     ) -> list[list[np.ndarray | None]]:
         """Simulated channels by vector and log, shape (samples, channels); None where the
         simulation failed.
@@ -315,10 +348,12 @@ class Simulator:
         Args:
             chosen: logs by index, all by default.
             shifts: of all logs' starts, by default none.
+            rough: in longer steps, where they are chosen.
         """
         shifts = self.unshifted() if shifts is None else shifts
         which = range(len(self.logs)) if chosen is None else chosen
-        done = self.each([(values, k, shifts[k]) for values in vectors for k in which])
+        points = [(values, k, shifts[k]) for values in vectors for k in which]
+        done = [None if one is None else one[0] for one in self._meshed(points, rough=rough)]
         return [done[i : i + len(which)] for i in range(0, len(done), len(which))]
 
     def each(
@@ -349,16 +384,22 @@ class Simulator:
         self,
         points: Sequence[tuple[Sequence[float], int, np.ndarray]],
         meshes: Meshes | None = None,
+        rough: bool = False,
     ) -> list[tuple[np.ndarray, np.ndarray] | None]:
         """(simulated channels, steps taken) of each point."""
         made: dict[tuple[float, ...], dict[str | None, Model | None]] = {}
+        firsts: dict[tuple[object, ...], _First] = {}
         tasks = []
         for values, k, shifts in points:
             key, log = tuple(self._by_name(values, False).values()), self.logs[k]
             if key not in made:
                 made[key] = self.possible_models(values)
+            model, shared = made[key][log.payload], self._by_name(values, True)
+            # of points that differ in shifts alone, as those that starts are told by
+            own = (key, k, *shared.values()) if log.start.alike else (len(tasks),)
+            first = firsts.setdefault(own, _First())
             mesh = FREE if meshes is None else meshes[k]
-            tasks.append((made[key][log.payload], log, shifts, self._by_name(values, True), mesh))
+            tasks.append(_Task(model, log, shifts, shared, first, mesh, rough))
         self.evaluations += len(tasks)
         return list(self.pool.map(self._one, tasks))
 
@@ -366,16 +407,14 @@ class Simulator:
         """No shift of any log's start."""
         return [np.zeros(len(log.start.doubts)) for log in self.logs]
 
-    def _one(
-        self, task: tuple[Model | None, Log, np.ndarray, dict[str, float], np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray] | None:
-        model, log, shifts, shared, mesh = task
+    def _one(self, task: _Task) -> tuple[np.ndarray, np.ndarray] | None:
+        model, log, shifts, shared = task.model, task.log, task.shifts, task.shared
         if model is None:
             return None
         try:
-            start, true = log.start.at(model, shifts, shared), log.start.true(shifts, shared)
+            start, true = task.start(model), log.start.true(shifts, shared)
             if self.step == AUTO and not any(one.endswith(FLOWS) for one in log.channels):
-                made, mesh = model.replay_paced(true, start, mesh)
+                made, mesh = model.replay_paced(true, start, task.mesh, task.rough)
             else:
                 made, mesh = model.replay(true, self.step, start=start), FREE
             return channels_of(log, log.start.seen(made, shifts, shared)), mesh
