@@ -371,12 +371,12 @@ class Simulator:
         return [None if one is None else one[0] for one in done]
 
     def begin(
-        self, values: Sequence[float], shifts: Shifts
+        self, values: Sequence[float], shifts: Shifts, rough: bool = False
     ) -> tuple[list[np.ndarray | None], Meshes]:
         """(simulated channels of every log, None where the simulation failed; the steps that were
-        chosen, none where it did).
+        chosen, longer ones if they may be ``rough``, none where it did).
         """
-        done = self._meshed([(values, k, own) for k, own in enumerate(shifts)])
+        done = self._meshed([(values, k, own) for k, own in enumerate(shifts)], rough=rough)
         channels = [None if one is None else one[0] for one in done]
         return channels, [FREE if one is None else one[1] for one in done]
 
