@@ -80,7 +80,7 @@ def test_time_is_bounded_and_what_was_not_tried_is_named():
 
 
 @pytest.mark.slow
-def test_what_is_written_can_be_run_and_fits(tmp_path):
+def test_what_is_written_can_be_run_and_fits(undrawn, tmp_path):
     fault = spoilt("press.p_head", lambda y: y + 5e5)
     machine = built("delay")._replace(sensors=fault)
     write_log(tmp_path / "log.mcap", log_of("slide_servo", machine, *STEPS, 3, LONG))
