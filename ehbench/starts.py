@@ -80,8 +80,25 @@ class LogStart:
         Raises:
             InputError: a posture outside the stroke.
         """
+        return self.moved_from(self.unmoved(model, shifts, shared), model, shifts)
+
+    @property
+    def alike(self) -> bool:
+        """Whether `unmoved` is the same for all shifts: none is of a sensor."""
+        return all(doubt.state >= 0 for doubt in self.doubts)
+
+    def unmoved(self, model: Model, shifts: np.ndarray, shared: Excess = NOTHING) -> Start:
+        """What `at` moves: the start as sensors tell it that the shifts have put right.
+
+        Raises:
+            InputError: as `at`.
+        """
         first = _moving_start if self.moves else Model.rest_start
-        y, supply, tank = first(model, self.true(shifts, shared), self.rest)
+        return Start(*first(model, self.true(shifts, shared), self.rest))
+
+    def moved_from(self, first: Start, model: Model, shifts: np.ndarray) -> Start:
+        """`at`, from a start of `unmoved`, which is left as it is."""
+        y, supply, tank = first.y.copy(), first.supply, first.tank
         for doubt, shift in zip(self.doubts, shifts, strict=True):
             by = doubt.std * float(shift)
             if doubt.state < 0:

@@ -30,12 +30,14 @@ DRIVES = {
 
 
 def shape(kind: str, t: np.ndarray) -> np.ndarray:
-    """A command of size one that returns to rest: ``steps``, ``sine``, ``chirp``, ``ramps``."""
-    if kind == "steps":
+    """A command of size one that returns to rest: ``steps``, ``quick steps`` in half of their time,
+    ``sine``, ``chirp``, ``ramps``.
+    """
+    if kind in ("steps", "quick steps"):
         turns = [(0.3, 1.0), (0.9, 0.0), (1.5, -1.0), (2.1, 0.0), (2.7, 0.6), (3.3, 0.0)]
-        made = np.zeros_like(t)
+        made, share = np.zeros_like(t), 0.5 if kind == "quick steps" else 1.0
         for begin, level in turns:
-            made[t >= begin] = level
+            made[t >= share * begin] = level
         return made
     on = (t >= 0.3) & (t < t[-1] - 0.3)
     s = t - 0.3

@@ -71,19 +71,23 @@ SAME_STEPS, SAME_STARTS = 0.02, 1.0
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Where the integration's steps were chosen, and those steps by log."""
+    """Where the integration's steps were chosen, and those steps by log; ``rough`` are longer."""
 
     theta: np.ndarray
     shifts: Shifts
     logs: Sequence[Log]
     meshes: Meshes
+    rough: bool
 
-    def serves(self, theta: np.ndarray, shifts: Shifts, logs: Sequence[Log]) -> bool:
+    def of(self, logs: Sequence[Log], rough: bool) -> bool:
+        """Whether its steps are those of some logs, and as long as is asked."""
+        return logs is self.logs and rough == self.rough
+
+    def serves(self, theta: np.ndarray, shifts: Shifts) -> bool:
         """Whether a point is so near that its simulations may take the same steps."""
         off = [np.abs(one - own) for one, own in zip(shifts, self.shifts, strict=False)]
         return (
-            logs is self.logs
-            and float(np.max(np.abs(theta - self.theta), initial=0.0)) <= SAME_STEPS
+            float(np.max(np.abs(theta - self.theta), initial=0.0)) <= SAME_STEPS
             and float(np.max(np.concatenate(off), initial=0.0)) <= SAME_STARTS
         )
 
@@ -194,12 +198,16 @@ class OutputError:
         return np.array([sizes[channel] for channel in log.channels])
 
     def residuals(
-        self, thetas: Sequence[np.ndarray], chosen: Sequence[int] | None = None
+        self,
+        thetas: Sequence[np.ndarray],
+        chosen: Sequence[int] | None = None,
+        rough: bool = False,
     ) -> list[list[np.ndarray] | None]:
         """Residuals simulated − recorded [SI] by vector and log, from the present starts; None
-        where a log could not be simulated.
+        where a log could not be simulated. ``rough`` ones are good for a look.
         """
-        rows = self.simulator.simulate([self._values(x) for x in thetas], chosen, self.shifts)
+        values = [self._values(x) for x in thetas]
+        rows = self.simulator.simulate(values, chosen, self.shifts, rough)
         logs = self.simulator.chosen(chosen)
         return [
             None
@@ -227,13 +235,14 @@ class OutputError:
         the last one is remembered.
         """
         logs, values, last, grid = self.simulator.logs, self._values(theta), self.last, self.grid
-        if last is not None and grid is not None and last.grid is grid and grid.logs is logs:
+        grid = grid if grid is not None and grid.of(logs, self.coarse) else None
+        if last is not None and grid is not None and last.grid is grid:
             same = zip([last.theta, *last.shifts], [theta, *shifts], strict=True)
             if all(np.array_equal(*pair) for pair in same):
                 return last
-        if grid is None or not grid.serves(theta, shifts, logs):
-            row, meshes = self.simulator.begin(values, shifts)
-            grid = self.grid = _Grid(theta, shifts, logs, meshes)
+        if grid is None or not grid.serves(theta, shifts):
+            row, meshes = self.simulator.begin(values, shifts, self.coarse)
+            grid = self.grid = _Grid(theta, shifts, logs, meshes, self.coarse)
         else:
             points = [(values, k, own) for k, own in enumerate(shifts)]
             row = self.simulator.each(points, grid.meshes)
@@ -354,7 +363,7 @@ class OutputError:
             math.inf
             if parts is None
             else sum(float(np.sum(part**2)) for part in self.scaled(parts, chosen))
-            for parts in self.residuals(vectors, chosen)
+            for parts in self.residuals(vectors, chosen, rough=True)
         ]
         best = vectors[int(np.argmin(costs))]
         self.journal.keep(self._standing(best), costs=costs, evaluations=self.simulator.evaluations)
@@ -370,7 +379,7 @@ class OutputError:
             sizes,
             self.weight,
             self.coarse,
-            grid is not None and grid.logs is logs,
+            grid is not None and grid.of(logs, self.coarse),
             [log.counts.shape for log in logs],
         )
         chosen = () if grid is None else (grid.theta, *grid.shifts)
@@ -473,9 +482,9 @@ class OutputError:
         """Choose the integration's steps where the journal says they were."""
         theta, shifts = _placed(kept)
         logs, count = self.simulator.logs, self.simulator.evaluations
-        _, meshes = self.simulator.begin(self._values(theta), shifts)
+        _, meshes = self.simulator.begin(self._values(theta), shifts, self.coarse)
         self.simulator.evaluations = count
-        self.grid = _Grid(theta, shifts, logs, meshes)
+        self.grid = _Grid(theta, shifts, logs, meshes, self.coarse)
 
     def _keep(self, way: _Way, here: _Point) -> None:
         """Write a step of a descent into the journal."""

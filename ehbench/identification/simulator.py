@@ -17,7 +17,7 @@ from ehbench.plant.build import Maps
 from ehbench.plant.lanes.many import LEAST, has_lanes, replays_meshed
 from ehbench.plant.lanes.steps import run_meshed
 from ehbench.plant.lanes.vectors import LANES
-from ehbench.plant.model import FREE, Model
+from ehbench.plant.model import FREE, Model, Start
 from ehbench.plant.paced import AUTO, Step
 from ehbench.plant.ties import tied_words
 from ehbench.preprocessing import preprocess
@@ -40,9 +40,6 @@ MOVES = 0.01  # share of the stroke beyond which a cylinder counts as moving
 
 Shifts = list[np.ndarray]  # by log, of its start [prior standard deviations], one a doubt
 Meshes = Sequence[np.ndarray]  # by log, the steps that its simulation takes (`plant.paced`)
-# a model (None: these values make none), its log, shifts of its start, the values of what all logs
-# share, steps to take
-Task = tuple[Model | None, "Log", np.ndarray, dict[str, float], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -266,6 +263,38 @@ def _worth_it(part: list[int]) -> list[list[int]]:
     return [part] if len(part) >= LEAST else [[one] for one in part]
 
 
+@dataclass
+class _First:
+    """Where a log starts before it is moved, once that is known; points share it."""
+
+    start: Start | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """One simulation of a log: its model, None where there is none, the shifts of its start, what
+    is wrong with all logs' sensors, where it starts unmoved, the steps to take, whether roughly."""
+
+    model: Model | None
+    log: Log
+    shifts: np.ndarray
+    shared: dict[str, float]
+    first: _First
+    mesh: np.ndarray
+    rough: bool
+
+    def start(self, model: Model) -> Start:
+        """Where it starts.
+
+        Raises:
+            InputError: a posture outside the stroke.
+        """
+        own = self.log.start
+        first = self.first.start or own.unmoved(model, self.shifts, self.shared)
+        self.first.start = first
+        return own.moved_from(first, model, self.shifts)
+
+
 class Simulator:
     """All logs, simulated at any parameter values, several at a time.
 
@@ -325,6 +354,7 @@ class Simulator:
         vectors: Sequence[Sequence[float]],
         chosen: Sequence[int] | None = None,
         shifts: Shifts | None = None,
+        rough: bool = False,
     ) -> list[list[np.ndarray | None]]:
         """Simulated channels by vector and log, shape (samples, channels); None where the
         simulation failed.
@@ -332,10 +362,12 @@ class Simulator:
         Args:
             chosen: logs by index, all by default.
             shifts: of all logs' starts, by default none.
+            rough: in longer steps, where they are chosen.
         """
         shifts = self.unshifted() if shifts is None else shifts
         which = range(len(self.logs)) if chosen is None else chosen
-        done = self.each([(values, k, shifts[k]) for values in vectors for k in which])
+        points = [(values, k, shifts[k]) for values in vectors for k in which]
+        done = [None if one is None else one[0] for one in self._meshed(points, rough=rough)]
         return [done[i : i + len(which)] for i in range(0, len(done), len(which))]
 
     def each(
@@ -353,12 +385,12 @@ class Simulator:
         return [None if one is None else one[0] for one in done]
 
     def begin(
-        self, values: Sequence[float], shifts: Shifts
+        self, values: Sequence[float], shifts: Shifts, rough: bool = False
     ) -> tuple[list[np.ndarray | None], Meshes]:
         """(simulated channels of every log, None where the simulation failed; the steps that were
-        chosen, none where it did).
+        chosen, longer ones if they may be ``rough``, none where it did).
         """
-        done = self._meshed([(values, k, own) for k, own in enumerate(shifts)])
+        done = self._meshed([(values, k, own) for k, own in enumerate(shifts)], rough=rough)
         channels = [None if one is None else one[0] for one in done]
         return channels, [FREE if one is None else one[1] for one in done]
 
@@ -366,16 +398,22 @@ class Simulator:
         self,
         points: Sequence[tuple[Sequence[float], int, np.ndarray]],
         meshes: Meshes | None = None,
+        rough: bool = False,
     ) -> list[tuple[np.ndarray, np.ndarray] | None]:
         """(simulated channels, steps taken) of each point."""
         made: dict[tuple[float, ...], dict[str | None, Model | None]] = {}
+        firsts: dict[tuple[object, ...], _First] = {}
         tasks = []
         for values, k, shifts in points:
             key, log = tuple(self._by_name(values, False).values()), self.logs[k]
             if key not in made:
                 made[key] = self.possible_models(values)
+            model, shared = made[key][log.payload], self._by_name(values, True)
+            # of points that differ in shifts alone, as those that starts are told by
+            own = (key, k, *shared.values()) if log.start.alike else (len(tasks),)
+            first = firsts.setdefault(own, _First())
             mesh = FREE if meshes is None else meshes[k]
-            tasks.append((made[key][log.payload], log, shifts, self._by_name(values, True), mesh))
+            tasks.append(_Task(model, log, shifts, shared, first, mesh, rough))
         self.evaluations += len(tasks)
         if meshes is None or self.step != AUTO or not has_lanes(run_meshed):
             return list(self.pool.map(self._one, tasks))
@@ -403,39 +441,39 @@ class Simulator:
         """No shift of any log's start."""
         return [np.zeros(len(log.start.doubts)) for log in self.logs]
 
-    def _one(self, task: Task) -> tuple[np.ndarray, np.ndarray] | None:
-        model, log, shifts, shared, mesh = task
+    def _one(self, task: _Task) -> tuple[np.ndarray, np.ndarray] | None:
+        model, log, shifts, shared = task.model, task.log, task.shifts, task.shared
         if model is None:
             return None
         try:
-            start, true = log.start.at(model, shifts, shared), log.start.true(shifts, shared)
+            start, true = task.start(model), log.start.true(shifts, shared)
             if self.step == AUTO and not _needs_flows(log):
-                made, mesh = model.replay_paced(true, start, mesh)
+                made, mesh = model.replay_paced(true, start, task.mesh, task.rough)
             else:
                 made, mesh = model.replay(true, self.step, start=start), FREE
             return channels_of(log, log.start.seen(made, shifts, shared)), mesh
         except (EhbenchError, ArithmeticError):
             return None
 
-    def _several(self, tasks: Sequence[Task]) -> list[tuple[np.ndarray, np.ndarray] | None]:
+    def _several(self, tasks: Sequence[_Task]) -> list[tuple[np.ndarray, np.ndarray] | None]:
         """`_one` of tasks along one log, side by side where that pays."""
-        _, log, _, _, mesh = tasks[0]
+        log, mesh = tasks[0].log, tasks[0].mesh
         if len(tasks) < LEAST or _needs_flows(log) or not mesh.size:
             return [self._one(task) for task in tasks]
         found: list[tuple[np.ndarray, np.ndarray] | None] = [None] * len(tasks)
         runs = {}
-        for i, (model, _, shifts, shared, _) in enumerate(tasks):
+        for i, task in enumerate(tasks):
             try:
-                if model is not None:
-                    start = log.start.at(model, shifts, shared)
-                    runs[i] = model, log.start.true(shifts, shared), start
+                if task.model is not None:
+                    true = log.start.true(task.shifts, task.shared)
+                    runs[i] = task.model, true, task.start(task.model)
             except (EhbenchError, ArithmeticError):
                 continue
         for i, made in zip(runs, replays_meshed(list(runs.values()), mesh), strict=True):
-            _, _, shifts, shared, _ = tasks[i]
             try:
                 if made is not None:
-                    found[i] = channels_of(log, log.start.seen(made, shifts, shared)), mesh
+                    seen = log.start.seen(made, tasks[i].shifts, tasks[i].shared)
+                    found[i] = channels_of(log, seen), mesh
             except (EhbenchError, ArithmeticError):
                 continue
         return found

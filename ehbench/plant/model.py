@@ -29,6 +29,8 @@ FREE = np.zeros(0, dtype=np.int64)  # no mesh: steps are chosen
 PLACES = ("q", "x")
 TELLS = (*PLACES, "p_supply", *(f"p{line}_{side}" for line in ("", "_line") for side in SIDES))
 MOVED = 0.005  # share of a driver's range by which a command must change to be more than noise
+# of a rough simulation: what a step may miss the state by is divided by this
+ROUGH = 1.0e-2
 
 
 class Start(NamedTuple):
@@ -178,6 +180,7 @@ class Model:
         tick: float = 1e-3,
         mesh: np.ndarray = FREE,
         flows: bool = True,
+        rough: bool = False,
     ) -> tuple[np.ndarray, np.ndarray]:
         """(the log table of `run` with ``step = "auto"``, the steps that were chosen).
 
@@ -185,6 +188,7 @@ class Model:
             mesh: the steps of another run, to be taken again, so that no choice of steps is in what
                 the two differ by.
             flows: whether the table has edge and pump flows; the states alone take less time.
+            rough: in longer steps, good to some 1e-4 of a channel's range.
 
         Raises:
             SimulationError: as `run`.
@@ -194,6 +198,7 @@ class Model:
         table = np.ascontiguousarray(commands, dtype=float)
         line = line_of(self.plant, tick, table.shape[1])
         pace = pace_of(self.plant, self.layout, tick)
+        pace = pace._replace(weights=ROUGH * pace.weights) if rough else pace
         steps, count = run_paced(y.copy(), table, self.plant, line, pace, mesh, log)
         return finite(log, tick), steps[:count].copy()
 
@@ -303,16 +308,16 @@ class Model:
         return self.record(record.t, table, log, record.meta, start.tank)
 
     def replay_paced(
-        self, record: Record, start: Start, mesh: np.ndarray = FREE
+        self, record: Record, start: Start, mesh: np.ndarray = FREE, rough: bool = False
     ) -> tuple[Record, np.ndarray]:
         """(`replay` with ``step = "auto"`` from a start, without flows; the steps that were
-        chosen), ``mesh`` as `paced` takes it.
+        chosen), ``mesh`` and ``rough`` as `paced` takes them.
 
         Raises:
             LogError, SimulationError: as `replay`.
         """
         model, table, y = self.along(record, start)
-        log, mesh = model.paced(y, table, record.sample_time, mesh, flows=False)
+        log, mesh = model.paced(y, table, record.sample_time, mesh, False, rough)
         return self.record(record.t, table, log, record.meta, start.tank), mesh
 
     def along(self, record: Record, start: Start) -> tuple[Model, np.ndarray, np.ndarray]:

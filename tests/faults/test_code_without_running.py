@@ -72,7 +72,7 @@ def test_files_that_a_class_imports_are_found_and_none_that_is_installed(place):
     assert source_of("pkg.other") == place / "pkg" / "other.py" and source_of("pkg.none") is None
 
 
-def test_a_module_that_a_class_imports_makes_another_run(place):
+def test_a_module_that_a_class_imports_makes_another_run(place, undrawn):
     (place / "mine.py").write_text("from helper import VOLTS\n" + CLASS)
     path, session = recipe(place), workflow.Session(allow_code=True, root=place / "runs")
     folders = set()

@@ -518,7 +518,7 @@ def test_sines_that_samples_cannot_hold_are_refused(tmp_path, command, says):
     assert float(load_recipe(path).command[0].frequency) == pytest.approx(99.0)
 
 
-def test_the_lower_limit_of_the_meter_goes_from_the_recipe_to_the_fit(tmp_path):
+def test_the_lower_limit_of_the_meter_goes_from_the_recipe_to_the_fit(undrawn, tmp_path):
     """A turbine that stands still below 1 L/min shifts the deadband of a map unless the recipe says
     so.
     """

@@ -79,7 +79,7 @@ def killed(ticks):
     return process, max(n for t, n in made if t <= end - 1.0)
 
 
-def test_a_killed_trial_keeps_all_but_its_last_second(place):
+def test_a_killed_trial_keeps_all_but_its_last_second(place, undrawn):
     process, before = killed(600)
     (left,) = Path("reports").glob(".slow_*.part")
     assert left.name.endswith(f".{process.pid}.part")
@@ -98,7 +98,7 @@ def test_a_killed_trial_keeps_all_but_its_last_second(place):
     assert found.code == 3 and "breaks off" in "\n".join(found.lines)
 
 
-def test_what_is_said_of_the_killed_is_not_in_the_run(place):
+def test_what_is_said_of_the_killed_is_not_in_the_run(place, undrawn):
     """Two runs with one hash hold the same bytes, whatever lay beside them."""
     first = workflow.run("open.toml")
     kept = (first.folder / "run.json").read_bytes()

@@ -225,7 +225,7 @@ def test_a_killed_study_goes_on(study, tmp_path):
     same(here, out)
 
 
-def test_a_sample_is_made_again_bit_for_bit(study, tmp_path):
+def test_a_sample_is_made_again_bit_for_bit(study, undrawn, tmp_path):
     path, here = study
     kept = read_json(here / "study.json")["worst"][0]
     session = workflow.Session(root=tmp_path)

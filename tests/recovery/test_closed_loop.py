@@ -167,7 +167,7 @@ def test_a_model_is_judged_by_what_is_not_tied():
     assert SLOPE > 0.0 and run_validation(prepare_validation(known, given)).accepted
 
 
-def test_recipes_say_what_is_tied(tmp_path, inside):
+def test_recipes_say_what_is_tied(tmp_path, inside, undrawn):
     write_log(tmp_path / "log.mcap", loaded())
     recipe = {
         "stage": "identify",

@@ -531,11 +531,11 @@ def parabola(drop, command):
 def test_the_deadbands_interval_holds_a_kinked_and_a_soft_start(law, start, commands):
     found = [
         fit(readings(law, seed, commands=commands, trials=2, drops=DROPS[::2]))
-        for seed in range(30, 36)
+        for seed in range(30, 33)
     ]
     ends = np.array([one.deadband_interval for one in found])
-    # 95 % each: two of six outside come by chance once in thirty times
-    assert np.sum((ends[:, 0] <= start) & (start <= ends[:, 1])) >= 5
+    # 95 % each: an interval that holds it every other time only fails in seven cases of eight
+    assert np.all((ends[:, 0] <= start) & (start <= ends[:, 1]))
     # and not by holding anything: below the first command that passes flow there is one that may
     # not, and one that does not
     step = np.diff(commands)[np.searchsorted(commands, start) - 1]

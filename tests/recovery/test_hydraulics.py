@@ -185,19 +185,19 @@ def test_six_parameters_of_the_arm_from_six_logs():
 @pytest.mark.slow
 @pytest.mark.parametrize("pole", [0.0, 0.9])
 def test_intervals_cover(pole):
-    """Of 20 fits to logs with noise of their own, at least 85 % of the 95 % intervals hold the
-    truth, white or coloured.
+    """Of 12 fits to logs with noise of their own, at least 85 % of the 95 % intervals hold the
+    truth, white or coloured: those that hold it 70 % of the time pass once in twenty times.
     """
     truth = {"bulk_modulus": 9e8, "carriage.damping": 800.0}
     start = {"bulk_modulus": 5e8, "carriage.damping": 1600.0}
     hits, narrow = 0, []
-    for seed in range(20):
+    for seed in range(12):
         fit = identify(
             rig("slide_servo"), slide_logs(seed + 1, pole), SLIDE, start=start, workers=1
         )
         hits += sum(covers(fit, item) for item in truth.items())
         narrow.append(fit["bulk_modulus"].std)
-    assert hits >= 0.85 * 2 * 20
+    assert hits >= 0.85 * 2 * 12
     assert max(narrow) < 0.01 * 9e8  # an interval that covers because it is wide tells nothing
 
 

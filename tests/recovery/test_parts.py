@@ -62,7 +62,7 @@ def recovered(*of: Any, **options: Any) -> None:
     assert all(held(*of, **options))
 
 
-def wave(volts: float, period: float, samples: int = 1201) -> np.ndarray:
+def wave(volts: float, period: float, samples: int) -> np.ndarray:
     t = np.arange(samples) * 1e-3
     return volts * np.sin(2 * np.pi * t / period)
 
@@ -150,7 +150,7 @@ def test_lines(seed):
         "press.line_rod.orifice_gain": 1.7,
     }
     rig = slide(**SEALS, line=LINES)
-    recovered(rig, factors, [jumps(3.0, samples=601), -jumps(2.0, hold=61, samples=601)], seed)
+    recovered(rig, factors, [jumps(3.0, 60, 201), -jumps(2.0, 41, 201)], seed)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -158,7 +158,7 @@ def test_mounts(seed):
     mount = {"stiffness": "12 kN/mm", "damping": "15 kN*s/m"}
     factors = {"press.mount.stiffness": 1.7, "press.mount.damping": 0.6}
     rig = slide(**SEALS, mount=mount)
-    recovered(rig, factors, [jumps(3.0, samples=601), -jumps(2.0, hold=61, samples=601)], seed)
+    recovered(rig, factors, [jumps(3.0, 60, 201), -jumps(2.0, 41, 201)], seed)
 
 
 @pytest.mark.slow
@@ -167,7 +167,7 @@ def test_friction(law, draws):
     """Of LuGre in one draw of the noise: in others the Stribeck speed does not show from so far."""
     table, factors = FRICTIONS[law]
     rig = slide(**SEALS, friction={"law": law} | table)
-    drives = [wave(0.3, 0.6), wave(-0.15, 0.1), wave(0.12, 0.04)]
+    drives = [wave(0.3, 0.6, 801), wave(-0.15, 0.1, 401), wave(0.12, 0.04, 201)]
     found = [one for seed in range(draws) for one in held(rig, factors, drives, seed)]
     # of six intervals of 95 %, more than one misses once in thirty
     assert found.count(False) <= (1 if draws > 1 else 0), found

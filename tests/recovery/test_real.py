@@ -61,7 +61,7 @@ def test_one_pole_and_a_delay_are_told_from_two_poles():
     assert two.poles == pytest.approx((40.0, 150.0), rel=0.05)
 
 
-def test_a_servohydraulic_sweep_is_one_pole_and_a_delay(tmp_path):
+def test_a_servohydraulic_sweep_is_one_pole_and_a_delay(undrawn, tmp_path):
     here("mts_servohydraulic_vrths")
     made = workflow.run(REAL / "servohydraulic.toml", workflow.Session(root=tmp_path))
     found = made.json("response")
@@ -76,7 +76,7 @@ def test_a_servohydraulic_sweep_is_one_pole_and_a_delay(tmp_path):
     assert np.all(np.array(best["fit_percent"]) > np.array(two["fit_percent"]))
 
 
-def test_an_actuator_of_unknown_scales_is_followed_freely(tmp_path):
+def test_an_actuator_of_unknown_scales_is_followed_freely(undrawn, tmp_path):
     here("actuator_linkoping")
     made = workflow.run(REAL / "actuator_validation.toml", workflow.Session(root=tmp_path))
     assert made.code == 0

@@ -195,7 +195,7 @@ def test_a_channel_that_the_log_lacks_is_refused():
         prepare_fit(rig(), spoilt(), PARAMETERS, asked)
 
 
-def test_sensors_of_a_recipe_are_shown_with_its_parameters(tmp_path):
+def test_sensors_of_a_recipe_are_shown_with_its_parameters(undrawn, tmp_path):
     for name, log in spoilt(press__p_head=lambda y: y + 2e5):
         write_log(tmp_path / f"{name}.mcap", log)
     recipe = {

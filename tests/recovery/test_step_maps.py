@@ -73,7 +73,7 @@ def test_a_map_from_steps_holds_the_edge_s_law(rig, logs):
     assert np.max(fit.flow_std(drop, command)[inside]) < 0.02 * fit.rated_flow
 
 
-def test_a_recipe_maps_what_the_logs_step(rig, logs, tmp_path, monkeypatch):
+def test_a_recipe_maps_what_the_logs_step(rig, logs, undrawn, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     kept = [name for name in logs[0].channels if name not in ("boom.v", "boom.qd")]
     for i, log in enumerate(logs):

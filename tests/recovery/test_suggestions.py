@@ -20,13 +20,14 @@ from ehbench.logs import write_log
 from ehbench.recipe import load_rig
 from ehbench.record import Record
 from ehbench.rundir import read_json
-from tests.structure_study import LONG, Fault, faults, log_of, spoilt
+from tests.structure_study import Fault, faults, log_of, spoilt
 from tests.suggestion_study import right, suggested
 from tests.virtual_logs import RIGS
 
-STEPS = ("steps",)
-# [s] of a log: a step out and a step back, in which all faults show but two
-SHORT = 2.4
+STEPS = ("quick steps",)
+# [s] of a log: a step out and a step back, in which all faults show but two; and a third of another
+# size
+SHORT, LONG = 1.2, 2.0
 SLIDE = ("gain", "lag", "deadband", "friction", "load", "leakage", "saturation", "delay")
 
 
@@ -68,7 +69,7 @@ def test_one_wrong_edge_is_told_from_four():
 
 
 def test_time_is_bounded_and_what_was_not_tried_is_named():
-    log = log_of("slide_servo", built("friction"), "steps", 3, SHORT)
+    log = log_of("slide_servo", built("friction"), *STEPS, 3, SHORT)
     prepared = prepare_fit(rig_of(), [("log", log)], ["bulk_modulus"])
     told = []
     found = suggest(prepared, [("log", log)], lambda text, share: told.append((text, share)), 0.01)
@@ -80,10 +81,10 @@ def test_time_is_bounded_and_what_was_not_tried_is_named():
 
 
 @pytest.mark.slow
-def test_what_is_written_can_be_run_and_fits(tmp_path):
+def test_what_is_written_can_be_run_and_fits(undrawn, tmp_path):
     fault = spoilt("press.p_head", lambda y: y + 5e5)
     machine = built("delay")._replace(sensors=fault)
-    write_log(tmp_path / "log.mcap", log_of("slide_servo", machine, "steps", 3))
+    write_log(tmp_path / "log.mcap", log_of("slide_servo", machine, *STEPS, 3, LONG))
     recipe = {
         "stage": "identify",
         "what": "hydraulics",
@@ -122,7 +123,7 @@ def test_what_is_written_can_be_run_and_fits(tmp_path):
 
 @pytest.mark.slow
 def test_a_fit_that_begins_at_that_of_a_part_ends_no_worse():
-    log = log_of("slide_servo", built("saturation"), "steps", 3, SHORT)
+    log = log_of("slide_servo", built("saturation"), *STEPS, 3, SHORT)
     gains = [n for n in rig_of().parameters() if n.endswith(".flow_gain")]
     part = identify_hydraulics(rig_of(), [("log", log)], ["bulk_modulus", *gains])
     start = {one.name: one.value for one in part.parameters}

@@ -330,7 +330,7 @@ def test_a_mistake_in_a_recipes_map_names_the_recipes_line(tmp_path):
         load_recipe(tmp_path / "r.toml")
 
 
-def test_the_map_is_an_input_of_the_run(tmp_path):
+def test_the_map_is_an_input_of_the_run(undrawn, tmp_path):
     """Its content goes into the run's hash."""
     from ehbench import workflow
 

@@ -15,7 +15,8 @@ from tests.structure_study import Fault, asked, faults, log_of
 from tests.virtual_logs import RIGS
 
 
-SHORT = 2.4  # [s] of a log: a step out and a step back, or a sweep
+# a step out and a step back, and a sweep, of so many seconds each
+QUICK = {"kinds": ("quick steps", "chirp"), "seconds": 1.2}
 
 
 def rig_of(name: str):
@@ -34,7 +35,7 @@ BUILT = {
 def test_a_built_fault_is_named_first_or_second(name, kind):
     rig = rig_of(name)
     fault = next(one for one in faults(name, rig) if one.kind == kind)
-    found = asked(name, rig, fault, 7, SHORT)
+    found = asked(name, rig, fault, 7, **QUICK)
     assert fault.named(found), found.findings
     first = found.findings[0]
     assert first.explains > 0.7 and first.cure and first.sentence
@@ -45,13 +46,13 @@ def test_a_built_fault_is_named_first_or_second(name, kind):
 def test_a_sound_model_has_no_findings(name):
     rig = rig_of(name)
     for seed in (21, 22):
-        assert not asked(name, rig, Fault("none", "", rig), seed, SHORT).findings
+        assert not asked(name, rig, Fault("none", "", rig), seed, **QUICK).findings
 
 
 def test_sizes_and_lines_of_the_cure():
     rig = rig_of("slide_servo")
     fault = next(one for one in faults("slide_servo", rig) if one.words == "one gain 8 % down")
-    first = asked("slide_servo", rig, fault, 3, SHORT).findings[0]
+    first = asked("slide_servo", rig, fault, 3, **QUICK).findings[0]
     assert first.about == "press.servo_supply_head" and first.size == pytest.approx(-0.08, abs=0.01)
     assert "slower than the model whatever the command" in first.sentence
     assert first.cure == (
