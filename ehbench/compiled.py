@@ -23,6 +23,8 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.extending import overload
 
+from ehbench.sources import sources
+
 PACKAGE = Path(__file__).resolve().parent
 _SETTINGS: Any = config
 _SETTING = Lock()
@@ -37,7 +39,7 @@ def _cache_folder() -> Path:
     what it inlined of others.
     """
     digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(PACKAGE.rglob("*.py")):
+    for path in sources(PACKAGE, ".py"):
         content = path.read_bytes()
         if any(mark in content for mark in _MARKS):
             digest.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0" + content)

@@ -29,6 +29,7 @@ from typing import Any, NamedTuple
 
 from ehbench.disk import DATA, impossible, read_bytes
 from ehbench.errors import EhbenchError, InputError
+from ehbench.sources import sources
 from ehbench.text import shortened_path
 
 PACKAGE = Path(__file__).resolve().parent
@@ -69,10 +70,9 @@ def shipped(name: str) -> Path:
 @lru_cache(maxsize=1)
 def code_version() -> str:
     """SHA-256 over the package's own sources: changes whenever the code does."""
-    digest, others = hashlib.sha256(), {"__pycache__", SHIPPED.name}
-    for path in sorted(PACKAGE.rglob("*")):
-        if path.suffix in (".py", ".html", ".css", ".toml") and others.isdisjoint(path.parts):
-            digest.update(str(path.relative_to(PACKAGE)).encode() + b"\0" + path.read_bytes())
+    digest = hashlib.sha256()
+    for path in sources(PACKAGE, ".py", ".html", ".css", ".toml"):
+        digest.update(str(path.relative_to(PACKAGE)).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
 
 

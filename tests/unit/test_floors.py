@@ -10,6 +10,7 @@ import pytest
 PACKAGE = Path(__file__).parents[2] / "ehbench"
 # lowest first; within a row nobody imports a neighbour
 FLOORS = [
+    {"sources"},
     {"codes", "commands", "errors", "quantities", "compiled", "blas", "terms", "text"},
     {"units", "disk", "memory"},
     {"fields", "notebook"},

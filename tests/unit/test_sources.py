@@ -1,0 +1,31 @@
+"""What results and compiled code are named by."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from ehbench.rundir import PACKAGE
+from ehbench.sources import sources
+
+
+def test_only_own_files_of_these_kinds_in_one_order(tmp_path):
+    for name in ("b.py", "a.py", "a/z.py", "a.html", "__pycache__/c.py", "a/shipped/d.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True, parents=True)
+        (tmp_path / name).touch()
+    found = [path.relative_to(tmp_path).as_posix() for path in sources(tmp_path, ".py", ".html")]
+    assert found == ["a/z.py", "a.html", "a.py", "b.py"]
+
+
+def test_what_another_process_clears_away_is_not_looked_into(monkeypatch):
+    """A cache of older sources may go while one looks."""
+    looked, scan = [], os.scandir
+    monkeypatch.setattr(os, "scandir", lambda path: looked.append(str(path)) or scan(path))
+    assert PACKAGE / "cli.py" in sources(PACKAGE, ".py")
+    assert looked and not any("__pycache__" in path for path in looked)
+
+
+@pytest.mark.parametrize("word", ["arm", "workflow"])
+def test_the_package_is_there(word):
+    assert any(path.stem == word for path in sources(PACKAGE, ".py"))
