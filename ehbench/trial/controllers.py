@@ -6,6 +6,7 @@ observes."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -37,6 +38,8 @@ from ehbench.units import from_si
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps
+
+FILED = 1.0e-7  # share of a number by which files of rigs may round it
 
 
 @dataclass(frozen=True)
@@ -342,7 +345,7 @@ def read_tuning(recipe: TrialRecipe, folder: Path | None) -> dict[str, Any] | No
 def other_supply(rig: Rig, tuning: Mapping[str, Any] | None) -> tuple[str, ...]:
     """A sentence where gains were tuned on another supply than the trial's."""
     tuned, own = (tuning or {}).get("supply"), rig.supply.facts()
-    if tuned is None or tuned == own:
+    if tuned is None or not _moves(tuned, own):
         return ()
     if tuned["kind"] != own["kind"]:
         other = f"{tuned['kind']}, and this trial runs on {own['kind']}"
@@ -354,13 +357,24 @@ def other_supply(rig: Rig, tuning: Mapping[str, Any] | None) -> tuple[str, ...]:
     )
 
 
+def _moves(tuned: Mapping[str, Any], own: Mapping[str, Any]) -> bool:
+    """Whether two supplies differ by more than files round numbers by."""
+    return tuned.keys() != own.keys() or any(_differ(tuned[name], own[name]) for name in own)
+
+
+def _differ(one: Any, other: Any) -> bool:
+    if isinstance(one, str) or isinstance(other, str):
+        return one != other
+    return not math.isclose(one, other, rel_tol=FILED)
+
+
 def _moved(rig: Rig, name: str, tuned: Any, own: Any) -> str:
     """A value [SI] of the supply as it was tuned on and as it is; the kind by itself."""
     if name == "kind":
         return own
     unit, row = rig.unit_of(name), VOCABULARY[name]
     before, now = (f"{from_si(one, unit, row):.4g}" for one in (tuned, own))
-    return f"{name} {before} {unit}" + (f" (here {now})" if tuned != own else "")
+    return f"{name} {before} {unit}" + (f" (here {now})" if _differ(tuned, own) else "")
 
 
 def _taken(

@@ -322,12 +322,15 @@ def test_a_tuned_trial_keeps_its_stated_delay_margin(kind, on):
 def test_a_trial_on_another_supply_than_the_tuned_says_so():
     gains, rig = tuned("load sensing").as_json(), rig_on("load sensing", "boom_four_valve", 0.5)
 
-    def notes(rig, **more):
+    def notes(rig, gains=gains, **more):
         loop = prepare(trial("model", **more), rig, gains=gains).loop
         assert loop is not None
         return loop.notes
 
     assert notes(rig) == ()
+    # what a rig file rounds is the same supply: 1000 psi are 6.89475729 MPa there
+    rounded = gains["supply"] | {"pressure": gains["supply"]["pressure"] * (1.0 + 1e-9)}
+    assert notes(rig, gains | {"supply": rounded}) == ()
     wider = {"load_sensing": {"load_margin": "50 bar", "load_lag": "50 ms"}}
     (said,) = notes(rig, supply=wider)
     assert "tuned on load sensing, pressure 160 bar, load_margin 16 bar (here 50)" in said
