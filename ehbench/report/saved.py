@@ -168,7 +168,7 @@ class Saved:
 
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)
-        if self.folder.is_dir() and not (self.folder / "run.json").exists():
+        if self.folder.exists() and not (self.folder / "run.json").exists():
             raise InputError(
                 "is no run folder: it has no run.json",
                 file=self.folder if self.folder.name else self.folder.resolve(),

@@ -235,7 +235,7 @@ class Inputs:
                 maps += [("columns", one) for one in columns.files if ("columns", one) not in maps]
             whole = read_record(path, columns=columns, window=_span(item))
             losses += [f"{path.name}: {loss}" for loss in whole.losses]
-            record = self._tied(_window(whole, item, path), item)
+            record = self._tied(_window(whole, item, path), item, index)
             span = getattr(item, "scored", None)
             parts, said = parts_of(name, record, driven=driven, within=span)
             losses += said
@@ -248,7 +248,7 @@ class Inputs:
         self.findings.say("losses", *(f"lost: {loss}" for loss in losses))
         return Logs(records, tuple(inputs), losses, numbers, tuple(maps), tuple(files))
 
-    def _tied(self, record: Record, item: DataFile) -> Record:
+    def _tied(self, record: Record, item: DataFile, index: int) -> Record:
         """A record with what the simulation is tied to, as its entry or the recipe says."""
         from ehbench.plant.ties import RECORDED, SUPPLY, TIED
 
@@ -259,7 +259,7 @@ class Inputs:
         if facts.get(SUPPLY) == RECORDED and "p_supply" not in record:
             raise InputError(
                 f'{item.path}: supply = "{RECORDED}", and the log has no p_supply',
-                file=self.recipe.path,
+                **self.recipe.at("data", index),
                 hint='map a column to "p_supply [bar]", or leave the supply to the model',
             )
         return replace(record, meta=facts)

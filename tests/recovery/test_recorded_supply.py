@@ -120,4 +120,4 @@ def test_a_recipe_asks_for_it_and_needs_the_pressure(tmp_path):
     assert not checked(log()).errors
     bare = {name: y for name, y in log().channels.items() if name != "p_supply"}
     (error,) = checked(replace(log(), channels=bare)).errors
-    assert "no p_supply" in str(error)
+    assert "no p_supply" in str(error) and error.line == 4

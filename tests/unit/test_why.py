@@ -260,3 +260,10 @@ def test_a_shop_moved_as_a_whole_still_bears_its_numbers(shop, tmp_path_factory)
     for file in ("fit.toml", "maps.toml", "maps.csv", "one.csv", "two.csv", "rig.toml"):
         shutil.copy(there / file, there / "reports" / file)
     assert why("bulk_modulus", there / "reports" / "fit_1").marks == ()
+
+
+def test_a_file_in_place_of_a_run_folder_is_named_as_it_is(tmp_path):
+    (tmp_path / "fit.toml").write_text(RECIPE)
+    with pytest.raises(InputError, match="is no run folder") as caught:
+        why("bulk_modulus", tmp_path / "fit.toml")
+    assert str(caught.value.file).endswith("fit.toml")
