@@ -137,6 +137,7 @@ def changes(
         for valve in moved:
             alike = [one for one in moved if one.series == valve.series]
             found += _of_valve(rig, cylinder, valve, alike, records)
+        found += _together(found, [f"{cylinder.name}.{one.name}" for one in moved])
         found += _of_cylinder(rig, cylinder)
     found += _of_oil(rig, records)
     found += _of_sensors(rig, cylinders, channels, records)
@@ -207,6 +208,38 @@ def _of_valve(
         neutral = Sensor(channel=channel, offset=ESTIMATE)
         yield Change("neutral", about, sensors=(neutral,))
         yield Change(TURNED, about, sensors=(Sensor(channel=channel, sign=-1),))
+
+
+def _together(found: Sequence[Change], valves: Sequence[str]) -> Iterator[Change]:
+    """What may be wrong with every valve of a cylinder at once, as where all are of one make or on
+    one driver: of each kind that all of several have, one change for all of them.
+    """
+    own = [one for one in found if one.about in valves and one.parameters]
+    for kind in dict.fromkeys(one.kind for one in own):
+        same = [one for one in own if one.kind == kind]
+        if len(valves) > 1 and [one.about for one in same] == list(valves):
+            yield _joined(same)
+
+
+def _joined(several: Sequence[Change]) -> Change:
+    """Several changes of one kind as one, each search from the same start of all."""
+    first, alters = several[0], [one.alter for one in several if one.alter is not None]
+
+    def alter(tables: dict[str, Any]) -> None:
+        for each in alters:
+            each(tables)
+
+    cylinder = first.about.partition(".")[0]
+    begun = zip(*(one.starts for one in several), strict=True)
+    return Change(
+        first.kind,
+        f"{cylinder}.{'+'.join(one.about.partition('.')[2] for one in several)}",
+        tuple(name for one in several for name in one.parameters),
+        tuple({name: value for one in starts for name, value in one.items()} for starts in begun),
+        {name: most for one in several for name, most in one.upper.items()},
+        alter=alter if alters else None,
+        rig_lines=tuple(line for one in several for line in one.rig_lines),
+    )
 
 
 def _saturation(

@@ -671,17 +671,44 @@ class OutputError:
         """Coarsely from some values, by name, to the nearest minimum, each channel weighed by what
         is left of it; returns that minimum's cost, whatever its weights.
         """
+        self._stand(begin)
+        self._solved(self.theta, self.free)
+        self._weigh(self._at(self.theta, self.shifts))
+        self.solve(1e-3)
+        return self._level(self._at(self.theta, self.shifts).left)
+
+    def foreseen(self, begin: Mapping[str, float]) -> float:
+        """What `descend` would come to if all were as linear as it is at its start."""
+        self._stand(begin)
+        self.shifts = self.simulator.unshifted()
+        here = self._at(self.theta, self.shifts)
+        self._weigh(here)
+        free = np.array(self.free, dtype=int)
+        blocks = self._blocks(here, self.slopes(here, self.free), self.nudges(here))
+        bounds = np.array([self.search[i].bounds for i in free]).reshape(-1, 2)
+        (theta, shifts), _ = self._step(here, blocks, free, bounds, LEAST_DAMPING)
+        move = (theta - here.theta)[free]
+        left = [
+            (block.left + block.slopes @ move + block.nudges @ (own - old))
+            * self._per(self.scales, log)
+            for block, log, own, old in zip(
+                blocks, self.simulator.logs, shifts, here.shifts, strict=True
+            )
+        ]
+        return self._level(left)
+
+    def _stand(self, begin: Mapping[str, float]) -> None:
+        """Go to some values, by name, inside the bounds."""
         for i, c in enumerate(self.search):
             if c.name in begin:
                 low, high = c.bounds
                 margin = 1e-3 * c.reach
                 value = c.of(max(begin[c.name], c.lower))
                 self.theta[i] = min(max(value, low + margin), high - margin)
-        self._solved(self.theta, self.free)
-        self._weigh(self._at(self.theta, self.shifts))
-        self.solve(1e-3)
-        here = self._at(self.theta, self.shifts)
-        return sum(2.0 * math.log(max(self._pooled(c, here.left), 1e-300)) for c in self.spread)
+
+    def _level(self, left: Sequence[np.ndarray]) -> float:
+        """Logarithms of the mean squares of residuals [SI], added up over the channels."""
+        return sum(2.0 * math.log(max(self._pooled(c, left), 1e-300)) for c in self.spread)
 
     def named(self) -> dict[str, float]:
         """Where the search stands, by name; of sensors their excess."""

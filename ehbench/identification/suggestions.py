@@ -36,6 +36,10 @@ COSTLY = ("mount",)  # kinds that are tried where nothing else helps
 ROUNDS = 5  # changes on top of one another, at most
 QUIET = 1.5  # times the noise that fits may leave, beyond which nothing is sought
 WORTH = 0.05  # share of what is left out, by which a change must lessen it to be gone on from
+# what a change promises to leave to first order, as a power of the least that another was found to
+# leave, beyond which it is not tried beside that
+HOPE = 0.2
+IMPOSSIBLE = (EhbenchError, ValueError, ArithmeticError, np.linalg.LinAlgError)  # no such rig or fit
 NOT_WORSE = 1.0, 0.02  # standard errors, or share, within which a fit is not worse than the best
 
 
@@ -72,12 +76,12 @@ class Setup:
 @dataclass(frozen=True, eq=False)
 class Tried:
     """A fit that was tried: mean squares of what is left out [SI²] by (log, window) and channel,
-    and the numbers it came to, a fold each, of which ``best`` has the least misfit."""
+    the numbers it came to, a fold each, and what these cost."""
 
     setup: Setup
     left: dict[tuple[str, int], dict[str, float]]
     found: tuple[dict[str, float], ...]
-    best: int
+    costs: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -198,11 +202,10 @@ class _Trials:
         """All rounds, and the table."""
         self.tell("suggest: fitting the recipe as it is", 0.0)
         now, untried = self._first(), ()
-        gains: dict[str, float] = {}
         for _ in range(rounds):
             if self._quiet(now):
                 break
-            left = sorted(self._changes(now), key=lambda one: gains.get(one.name, 1.0))
+            left = self._changes(now)
             reached, untried = self._round(now, [c for c in left if c.kind not in COSTLY])
             if not any(self._better(one, now) for one in reached):
                 more, late = self._round(now, [c for c in left if c.kind in COSTLY])
@@ -210,24 +213,57 @@ class _Trials:
             better = [one for one in reached if self._better(one, now)]
             if not better:
                 break
-            gains = {one.setup.changes[-1].name: self._misfit(one, now) for one in reached}
             now = self._simplest(now, min(better, key=lambda one: self._misfit(one, now)))
         self.tell("suggest: done", 1.0)
         return self._table(untried)
 
     def _round(self, now: Tried, left: Sequence[Change]) -> tuple[list[Tried], tuple[str, ...]]:
-        """(every change on top of a fit, the names of those that there was no time for)."""
-        reached, untried = [], []
-        for change in left:
+        """(changes on top of a fit, that which promises most first, but for those that promise too
+        little beside the best; the names of those that there was no time for).
+        """
+        reached: list[Tried] = []
+        promised, untried = self._promised(now, left)
+        best = 1.0
+        for promise, change in promised:
             spent = time.monotonic() - self.begun
+            if promise > best**HOPE:
+                break
             if spent > self.seconds:
                 untried.append(change.name)
                 continue
             self.tell(f"suggest: {change.name}", spent / self.seconds)
             tried = self._try(now, change)
-            reached += [tried] if tried else []
+            if tried is not None:
+                reached.append(tried)
+                best = min(best, self._misfit(tried, now))
         self.tried += reached
         return reached, tuple(untried)
+
+    def _promised(
+        self, now: Tried, left: Sequence[Change]
+    ) -> tuple[list[tuple[float, Change]], list[str]]:
+        """(by how much changes on top of a fit should lessen what it leaves, were all linear: mean
+        square relative to that, with the change, the least first; the names of those that there
+        was no time to look at).
+        """
+        found: list[tuple[float, Change]] = []
+        untried = []
+        for change in left:
+            spent = time.monotonic() - self.begun
+            if spent > self.seconds:
+                untried.append(change.name)
+                continue
+            self.tell(f"suggest: what {change.name} promises", spent / self.seconds)
+            try:
+                setup = now.setup.with_change(change)
+                _, search = self._prepared(setup, 0)
+                with search.simulator.pool:
+                    costs = [search.foreseen({**now.found[0], **s}) for s in change.starts]
+            except IMPOSSIBLE:
+                continue
+            rise = (min(costs) - now.costs[0]) / len(self.channels)
+            found.append((float(np.exp(min(rise, 0.0))), change))
+        return sorted(found, key=lambda one: one[0]), untried
 
     def _simplest(self, now: Tried, best: Tried) -> Tried:
         """The best of the parts of the last change of a fit that are not worse than the whole; the
@@ -282,7 +318,7 @@ class _Trials:
             tried = Tried(setup, *_joined(folds))
             same = all(own.keys() == tried.left.get(at, {}).keys() for at, own in now.left.items())
             return tried if same else None
-        except (EhbenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
+        except IMPOSSIBLE:
             return None
 
     def _prepared(self, setup: Setup, which: int | None) -> tuple[list[Log], OutputError]:
@@ -391,18 +427,18 @@ class _Trials:
 
 def _begun(one: Tried) -> Setup:
     """A fit that begins where it was tried."""
-    setup, found = one.setup, one.found[one.best]
+    setup, found = one.setup, one.found[int(np.argmin(one.costs))]
     start = {name: found[name] for name in setup.parameters}
     return replace(setup, options=replace(setup.options, start=start))
 
 
 def _joined(
     folds: Sequence[_Fold],
-) -> tuple[dict[tuple[str, int], dict[str, float]], tuple[dict[str, float], ...], int]:
-    """(what is left out by window of all folds, in one order; their numbers; the best's index)."""
+) -> tuple[dict[tuple[str, int], dict[str, float]], tuple[dict[str, float], ...], tuple[float, ...]]:
+    """(what is left out by window of all folds, in one order; their numbers; their costs)."""
     left = {key: own for fold in folds for key, own in fold.left.items()}
-    best = int(np.argmin([fold.cost for fold in folds]))
-    return dict(sorted(left.items())), tuple(fold.found for fold in folds), best
+    found, costs = tuple(fold.found for fold in folds), tuple(fold.cost for fold in folds)
+    return dict(sorted(left.items())), found, costs
 
 
 def _windows(log: Log) -> np.ndarray:
