@@ -325,7 +325,8 @@ def _of_cylinder(rig: Rig, cylinder: Cylinder) -> Iterator[Change]:
         upper = {f"{name}.{key}": most}
         yield Change("leakage", f"{name}.{key}", (f"{name}.{key}",), upper=upper)
     coulomb = f"{name}.friction_coulomb"
-    yield Change("friction", name, (coulomb,), upper={coulomb: rubs})
+    some = {coulomb: max(float(cylinder.friction_coulomb), 0.02 * rubs)}
+    yield Change("friction", name, (coulomb,), (some,), {coulomb: rubs})
     for key in ("damping", "joint_damping"):
         if (one := f"{cylinder.joint}.{key}") in known:
             start = {} if float(known[one]) > 0.0 else {one: 1.0}

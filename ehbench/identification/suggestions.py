@@ -7,6 +7,7 @@ change is kept, and others tried on top of it, as long as what is left out gets 
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -38,7 +39,7 @@ QUIET = 1.5  # times the noise that fits may leave, beyond which nothing is soug
 WORTH = 0.05  # share of what is left out, by which a change must lessen it to be gone on from
 # what a change promises to leave to first order, as a power of the least that another was found to
 # leave, beyond which it is not tried beside that
-HOPE = 0.2
+HOPE = 0.1
 IMPOSSIBLE = (EhbenchError, ValueError, ArithmeticError, np.linalg.LinAlgError)  # no such rig or fit
 NOT_WORSE = 1.0, 0.02  # standard errors, or share, within which a fit is not worse than the best
 
@@ -262,7 +263,7 @@ class _Trials:
             except IMPOSSIBLE:
                 continue
             rise = (min(costs) - now.costs[0]) / len(self.channels)
-            found.append((float(np.exp(min(rise, 0.0))), change))
+            found.append((math.exp(rise) if rise < 0.0 else 1.0, change))
         return sorted(found, key=lambda one: one[0]), untried
 
     def _simplest(self, now: Tried, best: Tried) -> Tried:

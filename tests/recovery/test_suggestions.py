@@ -151,3 +151,29 @@ def test_valves_with_one_dynamics_share_its_changes():
     assert (
         fewer.about == "boom.sh+sr+rt" and len(fewer.altered(rig).cylinder[0].valve[0].series) == 1
     )
+
+
+def test_what_all_valves_may_have_alike_is_one_change():
+    """Four poppets on one driver saturate together: tried one by one none of them would help."""
+    rig = rig_of("boom_four_valve")
+    t = np.arange(200) * 0.01
+    moved = {f"boom.{valve}.command": 3.0 * (t > 0.5) for valve in ("ht", "sh", "sr", "rt")}
+    log = Record(t, moved)
+    found = {one.name: one for one in changes(rig, ["boom"], [], [log], (), {})}
+    whole = found["saturation of boom.ht+sh+sr+rt"]
+    assert whole.freedom == 4 and len(whole.starts) == 2 and len(whole.rig_lines) == 4
+    assert {e.law for v in whole.altered(rig).cylinder[0].valve for e in v.edge} == {"saturating"}
+    assert all(one.keys() == set(whole.parameters) for one in whole.starts)
+    assert found["gain of boom.ht+sh+sr+rt"].freedom == 4
+    assert not [one for one in changes(rig_of(), ["press"], [], [], (), {}) if "+" in one.about]
+
+
+def test_what_promises_little_beside_the_best_is_not_tried():
+    told = []
+    log = log_of("slide_servo", built("friction"), *STEPS, 3, SHORT)
+    prepared = prepare_fit(rig_of(), [("log", log)], ["bulk_modulus"])
+    found = suggest(prepared, [("log", log)], lambda text, share: told.append(text), 60.0, 1)
+    tried = [text for text in told if "promises" not in text][1:-1]
+    looked = [text for text in told if "promises" in text]
+    assert tried[0].startswith("suggest: friction")
+    assert len(tried) < len(looked) / 3 and not found.untried
