@@ -249,6 +249,18 @@ _ROWS = [
         -1,
         1,
     ),
+    Quantity(
+        "sway", "z", "m", "mm", "how far what sways is ahead of the rod, positive outward", -10, 10
+    ),
+    Quantity(
+        "sway_speed",
+        "w",
+        "m/s",
+        "mm/s",
+        "speed of what sways at a rod, positive outward",
+        -100,
+        100,
+    ),
     Quantity("bristle", "z", "m", "um", "how far the bristles of friction are bent", -1, 1),
     Quantity(
         "joint_damping",

@@ -37,6 +37,7 @@ from ehbench.parts.friction import TABLES as FRICTIONS
 from ehbench.parts.friction.law import FrictionTable
 from ehbench.parts.line import Line
 from ehbench.parts.mount import Mount
+from ehbench.parts.sway import Sway
 from ehbench.parts.valve import TABLES as DYNAMICS
 from ehbench.parts.valve.law import DynamicsTable
 from ehbench.quantities import VOCABULARY, Quantity
@@ -422,6 +423,7 @@ class Cylinder(FileModel):
     edge: tuple[FixedEdge, ...] = ()
     line: tuple[Line, ...] = ()
     mount: Mount | None = None
+    sway: Sway | None = Field(None, description="a part of the load that sways, `[cylinder.sway]`")
 
     @model_validator(mode="after")
     def _areas(self) -> Cylinder:
@@ -488,7 +490,7 @@ class Cylinder(FileModel):
     def _names_differ(self) -> Cylinder:
         valves = list(enumerate(self.valve))
         own = [(("line", i), line.name) for i, line in enumerate(self.line)]
-        own += [(("mount",), "mount")] if self.mount is not None else []
+        own += [((key,), key) for key in ("mount", "sway") if getattr(self, key) is not None]
         for what, places in (
             ("valves", [(("valve", i), v.name) for i, v in valves]),
             (
@@ -521,7 +523,8 @@ class Cylinder(FileModel):
     def unmodelled(self) -> tuple[str, ...]:
         """Its tables that a controller's model of a cylinder does not have."""
         lists = tuple(f"[[cylinder.{key}]]" for key in ("force", "line") if getattr(self, key))
-        return lists if self.mount is None else (*lists, "[cylinder.mount]")
+        single = (key for key in ("mount", "sway") if getattr(self, key) is not None)
+        return (*lists, *(f"[cylinder.{key}]" for key in single))
 
     @property
     def pump(self) -> str | None:
@@ -1105,7 +1108,7 @@ def _tables(model: BaseModel) -> dict[str, FileModel]:
 
 def _prefix(table: str) -> str:
     """What the parameters of a cylinder's table begin with, after the cylinder's name."""
-    return "mount." if table == "mount" else ""
+    return f"{table}." if table in ("mount", "sway") else ""
 
 
 def parameter_row(name: str) -> Quantity:

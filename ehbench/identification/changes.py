@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ehbench.identification.search import Given
+from ehbench.plant.build import load_of
 from ehbench.observations import least_change, position_of
 from ehbench.quantities import quantity
 from ehbench.recipe.sensor import ESTIMATE, WORDS, Sensor
@@ -22,6 +23,7 @@ LOSSES = ("leakage_internal", "leakage_head", "leakage_rod")
 # force, of the flow at 10 mm/s and the supply's pressure
 OPENS, SHUTS, RUBS, LEAKS = (0.85, 0.6), 0.5, 0.3, 30.0
 SOFT = 0.1
+SWAYS, SPRINGS = 0.3, (1.0, 0.3, 3.0)  # shares of the load, and of the oil's spring
 DELAY, LONGEST, LAG = 0.003, 0.1, 0.01  # [s]
 AIR, MOST_AIR = 0.005, 0.1
 TURNED = "sign"  # the kind of what turns a channel
@@ -142,6 +144,7 @@ def changes(
     found += _of_oil(rig, records)
     found += _of_sensors(rig, cylinders, channels, records)
     found += [_mount(rig, c) for c in rig.cylinder if c.name in cylinders and c.mount is None]
+    found += [_sway(rig, c) for c in rig.cylinder if c.name in cylinders and c.sway is None]
     kept: list[Change] = []
     for one in found:
         names = tuple(name for name in one.parameters if name not in given)
@@ -360,14 +363,7 @@ def _stribeck(rig: Rig, cylinder: Cylinder, most: float) -> Change:
 
 def _mount(rig: Rig, cylinder: Cylinder) -> Change:
     """A mount that is stiffer than the oil behind it by some."""
-    (head, rod), name = cylinder.areas(), cylinder.name
-    half = 0.5 * float(cylinder.stroke)
-    bulk = float(cylinder.bulk_modulus or rig.oil.bulk_modulus)
-    ends = (
-        (head, float(cylinder.volume_head) + half * head),
-        (rod, float(cylinder.volume_rod) - half * rod),
-    )
-    stiff = 4.0 * sum(bulk * area**2 / max(volume, 1e-9) for area, volume in ends)
+    name, stiff = cylinder.name, 4.0 * _oil_spring(rig, cylinder)
 
     def alter(tables: dict[str, Any]) -> None:
         _table_of(tables, name)["mount"] = {"stiffness": f"{stiff!r} N/m"}
@@ -375,6 +371,43 @@ def _mount(rig: Rig, cylinder: Cylinder) -> Change:
     line = f'[cylinder.mount] of {name}: stiffness = "{said(rig, "stiffness", stiff)}"'
     free = f"{name}.mount.stiffness"
     return Change("mount", name, (free,), alter=alter, rig_lines=(line,))
+
+
+def _oil_spring(rig: Rig, cylinder: Cylinder) -> float:
+    """Stiffness [N/m] of the oil at both sides of a piston in the middle of its stroke."""
+    head, rod = cylinder.areas()
+    half = 0.5 * float(cylinder.stroke)
+    bulk = float(cylinder.bulk_modulus or rig.oil.bulk_modulus)
+    ends = (
+        (head, float(cylinder.volume_head) + half * head),
+        (rod, float(cylinder.volume_rod) - half * rod),
+    )
+    return sum(bulk * area**2 / max(volume, 1e-9) for area, volume in ends)
+
+
+def _sway(rig: Rig, cylinder: Cylinder) -> Change:
+    """Part of the load on a spring, as stiff as the oil, or by some softer or stiffer."""
+    name, index = cylinder.name, rig.cylinder.index(cylinder)
+    mass = SWAYS * load_of(rig, index)
+    values = [
+        {"mass": mass, "stiffness": stiff, "damping": 0.2 * (stiff * mass) ** 0.5}
+        for stiff in (share * _oil_spring(rig, cylinder) for share in SPRINGS)
+    ]
+    units = {"mass": "kg", "stiffness": "N/m", "damping": "N*s/m"}
+    written = {key: f"{values[0][key]!r} {unit}" for key, unit in units.items()}
+
+    def alter(tables: dict[str, Any]) -> None:
+        _table_of(tables, name)["sway"] = dict(written)
+
+    said_of = ", ".join(f'{key} = "{said(rig, key, values[0][key])}"' for key in units)
+    return Change(
+        "sway",
+        name,
+        tuple(f"{name}.sway.{key}" for key in units),
+        tuple({f"{name}.sway.{key}": value for key, value in one.items()} for one in values),
+        alter=alter,
+        rig_lines=(f"[cylinder.sway] of {name}: {said_of}",),
+    )
 
 
 def _of_oil(rig: Rig, records: Sequence[Record]) -> Iterator[Change]:

@@ -33,14 +33,19 @@ HEAD = 10.0  # [s] of a log at least that is looked at
 STEPS = 25  # of a descent
 FINE = 0.005  # share of a channel's spread below which an error does not matter
 SHOWN, WIDE = 10, 96  # rows of the table in a terminal, its width
-COSTLY = ("mount",)  # kinds that are tried where nothing else helps
+COSTLY = ("mount", "sway")  # kinds that are tried where nothing else helps
 ROUNDS = 5  # changes on top of one another, at most
 QUIET = 1.5  # times the noise that fits may leave, beyond which nothing is sought
 WORTH = 0.05  # share of what is left out, by which a change must lessen it to be gone on from
 # what a change promises to leave to first order, as a power of the least that another was found to
 # leave, beyond which it is not tried beside that
 HOPE = 0.1
-IMPOSSIBLE = (EhbenchError, ValueError, ArithmeticError, np.linalg.LinAlgError)  # no such rig or fit
+IMPOSSIBLE = (
+    EhbenchError,
+    ValueError,
+    ArithmeticError,
+    np.linalg.LinAlgError,
+)  # no such rig or fit
 NOT_WORSE = 1.0, 0.02  # standard errors, or share, within which a fit is not worse than the best
 
 
@@ -289,7 +294,7 @@ class _Trials:
         folds = [self._fold(self.base, which, search.named()) for which in range(2)]
         self.live = tuple(dict.fromkeys(name for log in logs for name in log.asked))
         self.channels = tuple(dict.fromkeys(name for log in logs for name in log.channels))
-        first = Tried(self.base, *_joined(folds))
+        first = _tried(self.base, folds)
         self.tried.append(first)
         return first
 
@@ -316,7 +321,7 @@ class _Trials:
             for which, found in enumerate(now.found):
                 each = [self._fold(setup, which, {**found, **s}) for s in change.starts]
                 folds.append(min(each, key=lambda one: one.cost))
-            tried = Tried(setup, *_joined(folds))
+            tried = _tried(setup, folds)
             same = all(own.keys() == tried.left.get(at, {}).keys() for at, own in now.left.items())
             return tried if same else None
         except IMPOSSIBLE:
@@ -433,13 +438,11 @@ def _begun(one: Tried) -> Setup:
     return replace(setup, options=replace(setup.options, start=start))
 
 
-def _joined(
-    folds: Sequence[_Fold],
-) -> tuple[dict[tuple[str, int], dict[str, float]], tuple[dict[str, float], ...], tuple[float, ...]]:
-    """(what is left out by window of all folds, in one order; their numbers; their costs)."""
+def _tried(setup: Setup, folds: Sequence[_Fold]) -> Tried:
+    """A fit by its folds, what is left out by window in one order."""
     left = {key: own for fold in folds for key, own in fold.left.items()}
     found, costs = tuple(fold.found for fold in folds), tuple(fold.cost for fold in folds)
-    return dict(sorted(left.items())), found, costs
+    return Tried(setup, dict(sorted(left.items())), found, costs)
 
 
 def _windows(log: Log) -> np.ndarray:

@@ -78,7 +78,7 @@ class Account:
         follow_valves(m.t, m.commands, model.plant, False, states)
         follow_friction(m.t, model.plant, states)
         states[:, model.plant.at.supply] = m.p_supply
-        if model.layout.lines or model.layout.mounts:
+        if model.layout.lines or model.layout.mounts or model.layout.sways:
             follow_parts(m.t, m.commands, model.plant, states)
         return states
 

@@ -27,6 +27,7 @@ from ehbench.parts.line import line_drop, line_flow
 from ehbench.parts.load import push_on, spring_held
 from ehbench.parts.mount import mount_held, mount_loss, piston_of
 from ehbench.parts.nodes import SUPPLY, TANK, ends_of, node_held, node_pressure
+from ehbench.parts.sway import sway_held, sway_loss
 from ehbench.physics import arm
 
 
@@ -57,12 +58,13 @@ class CylinderStores(NamedTuple):
 
 
 # powers: the pump's, its share for compression, one per edge, those of each cylinder, one per
-# joint, the shaft of each edge that is a pump, what each line takes, what each mount takes, then
-# the low rail's and its share for compression, where there is one
+# joint, the shaft of each edge that is a pump, what each line takes, what each mount takes,
+# the damper of what sways, then the low rail's and its share for compression, where there is one
 PUMP, COMPRESSION, FIRST_EDGE = 0, 1, 2
 OF, PER_CYLINDER = CylinderPowers(), len(CylinderPowers())
 # what is stored: in the supply line, in the mechanism, in each cylinder, then in the friction of
-# each whose law has states, in each line, in each mount, then in an accumulator
+# each whose law has states, in each line, in each mount, in what sways, then in an
+# accumulator
 SUPPLY_LINE, KINETIC, POTENTIAL, FIRST_CYLINDER = 0, 1, 2, 3
 STORED, STORES = CylinderStores(), len(CylinderStores())
 
@@ -135,6 +137,12 @@ def powers(y, command, flows, plant, owner, out):
             x, lever, _ = linkage_of(row, y[row.joint])
             v = lever * y[at.rates + row.joint]
             out[mount] = mount_loss(row, piston_of(row, x, v, y, plant)[1], v)
+            mount += 1
+    for c in range(cylinders):
+        row = plant.cylinders[c]
+        if row.sway_state >= 0:
+            _, lever, _ = linkage_of(row, y[row.joint])
+            out[mount] = sway_loss(row, lever * y[at.rates + row.joint], y)
             mount += 1
 
 
@@ -268,6 +276,10 @@ def stores(y, plant, work, out):
     for c in range(plant.cylinders.shape[0]):
         if plant.cylinders[c].mount_state >= 0:
             out[at] = mount_held(plant.cylinders[c], y)
+            at += 1
+    for c in range(plant.cylinders.shape[0]):
+        if plant.cylinders[c].sway_state >= 0:
+            out[at] = sway_held(plant.cylinders[c], y)
             at += 1
     if plant.supply.gas_volume > 0.0:
         out[at] = gas_energy(node_pressure(y, plant, SUPPLY), plant.supply)

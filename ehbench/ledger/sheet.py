@@ -48,7 +48,7 @@ OPTIONAL = {"force": ("external_force", "load_spring")}
 # rows that the piston's work pays
 MECHANICAL = (
     *("friction", "friction_spring", "end_stop", "stop", "load_spring", "damping"),
-    *("mount", "mount_spring"),
+    *("mount", "mount_spring", "sway", "swaying"),
 )
 
 
@@ -209,6 +209,10 @@ def _power_rows(model: Model) -> list[Named]:
     rows += [
         (f"{names.cylinders[c]}.mount", "loss", "mount", names.cylinders[c]) for c in names.mounts
     ]
+    rows += [
+        (f"{names.cylinders[c]}.sway", "loss", "damper of what sways", names.cylinders[c])
+        for c in names.sways
+    ]
     return rows + (RAIL if model.rig.supply.low_rail is not None else [])
 
 
@@ -233,6 +237,8 @@ def _store_rows(model: Model) -> list[Named]:
     ]
     mounted = (model.layout.cylinders[c] for c in model.layout.mounts)
     rows += [(f"{name}.mount_spring", "store", "spring of the mount", name) for name in mounted]
+    swaying = (model.layout.cylinders[c] for c in model.layout.sways)
+    rows += [(f"{name}.swaying", "load", "mass that sways", name) for name in swaying]
     if model.rig.supply.accumulator is not None:
         rows.append(("accumulator", "store", "accumulator", None))
     return rows

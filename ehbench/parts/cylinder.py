@@ -63,6 +63,10 @@ CYLINDER_COLUMNS = (
     ("mount_state", "i8"),
     ("mount_stiffness", "f8"),
     ("mount_damping", "f8"),
+    ("sway_state", "i8"),
+    ("sway_mass", "f8"),
+    ("sway_stiffness", "f8"),
+    ("sway_damping", "f8"),
     ("tied_position", "i8"),
     ("tied_rate", "i8"),
 )

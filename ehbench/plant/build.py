@@ -27,7 +27,7 @@ from ehbench.parts.valve import ELEMENT, VALVE
 from ehbench.physics import arm
 from ehbench.physics.cylinder import DIRECT, PINS, joint_angle, linkage
 from ehbench.physics.flow_map import FlowMap, ValveMaps, pack
-from ehbench.plant.layout import SIDES, Layout, Offsets
+from ehbench.plant.layout import SIDES, Layout, Offsets, layout
 from ehbench.rig import Chain, Cylinder, Edge, FixedEdge, Rig, Slide, Value
 
 Maps = Mapping[str, ValveMaps]
@@ -128,6 +128,14 @@ def links_of(rig: Rig) -> np.recarray:
     return _mechanism(rig)[1]
 
 
+def load_of(rig: Rig, cylinder: int) -> float:
+    """The least mass [kg] that a cylinder, by its number, moves over its stroke, other joints
+    free; it asks for no flow map.
+    """
+    kind, links, _ = _mechanism(rig)
+    return 1.0 / float(_cylinders(rig, layout(rig), kind, links)[cylinder].mobility)
+
+
 def _mechanism(rig: Rig) -> tuple[int, np.recarray, tuple[float, float, float]]:
     """(kind, links, the base-frame direction that points up)."""
     body = rig.mechanism
@@ -194,12 +202,15 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
                 "friction_state": names.friction_state(index),
                 "friction_states": len(friction.LAWS[names.frictions[index]].states),
                 "mount_state": -1,
+                "sway_state": -1,
                 "tied_position": -1,
                 "tied_rate": -1,
             }
         )
         if item.mount is not None:
             rows[-1] |= {"mount_state": names.state("mount_deflection", index)} | item.mount.row()
+        if item.sway is not None:
+            rows[-1] |= {"sway_state": names.state("sway", index)} | item.sway.row()
     return table_of(rows, CYLINDER)
 
 

@@ -20,6 +20,7 @@ from ehbench.parts.mount import any_resistance, mount_rate, piston_of, resistanc
 from ehbench.parts.nodes import SUPPLY, TANK, ends_of, node_pressure
 from ehbench.parts.oil import bulk_of
 from ehbench.parts.supply import line_stiffness, pump_flow, sensed
+from ehbench.parts.sway import sway_pull, sway_rate
 from ehbench.parts.tie import tie
 from ehbench.parts.valve import limited, valve_finish, valve_rates
 from ehbench.physics.arm import forward
@@ -178,6 +179,9 @@ def cylinders(y, command, plant, dy, work):
         if row.mount_state >= 0:
             dy[row.mount_state] = v - speed
             fastest = max(fastest, mount_rate(row, spring))
+        if row.sway_state >= 0:
+            force += sway_pull(row, speed, y, dy)
+            fastest = max(fastest, sway_rate(row))
         work[at.torque + row.joint] = lever * force
     return fastest
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from ehbench.parts import friction, valve
 from ehbench.parts.nodes import SUPPLY, TANK
+from ehbench.parts.sway import SWAY
 from ehbench.physics.arm import work_size
 from ehbench.rig import Cylinder, Rig, Valve
 
@@ -59,9 +60,10 @@ class Layout:
     ``valves`` and ``edges`` are called ``<cylinder>.<valve>`` and ``<cylinder>.<edge>``, those of
     valves first, ``elements`` are those of the valves' dynamics, in order, ``several`` the valves
     with more than one dynamics, ``frictions`` the numbers of the cylinders' laws, ``lines`` the
-    cylinder and the end of each line, ``mounts`` the cylinders whose mount gives way, ``played``
-    the channels of forces that stand behind the valves' commands in a row of commands, and
-    ``state_names`` say what each state is, such as ``boom.p_head`` or ``boom.hect.opening``.
+    cylinder and the end of each line, ``mounts`` the cylinders whose mount gives way, ``sways``
+    those with a load that sways, ``played`` the channels of forces that stand behind the valves'
+    commands in a row of commands, and ``state_names`` say what each state is, such as
+    ``boom.p_head`` or ``boom.hect.opening``.
     """
 
     joints: tuple[str, ...]
@@ -73,6 +75,7 @@ class Layout:
     frictions: tuple[int, ...]
     lines: tuple[tuple[int, str], ...]
     mounts: tuple[int, ...]
+    sways: tuple[int, ...]
     played: tuple[str, ...]
     state_names: tuple[str, ...]
     _at: dict[str, int] = field(repr=False)
@@ -133,10 +136,11 @@ class Layout:
 
     @property
     def part_states(self) -> tuple[tuple[int, str], ...]:
-        """(cylinder, name) of each state of the frictions, lines and mounts."""
+        """(cylinder, name) of each state of the frictions, lines, mounts and what sways."""
         lines = ((cylinder, f"p_line_{end}") for cylinder, end in self.lines)
         mounts = ((cylinder, "mount_deflection") for cylinder in self.mounts)
-        return (*self.friction_states, *lines, *mounts)
+        sways = ((cylinder, key) for cylinder in self.sways for key in SWAY)
+        return (*self.friction_states, *lines, *mounts, *sways)
 
     def friction_state(self, cylinder: int) -> int:
         """Where the states of a cylinder's friction begin, −1 where it has none."""
@@ -154,7 +158,7 @@ class Layout:
 
 def layout(rig: Rig) -> Layout:
     """The layout of a rig's plant: ``q, qd, [p_head, p_rod] per cylinder, the states of each
-    valve's elements, those of each cylinder's friction, lines and mount, p_supply``.
+    valve's elements, those of each cylinder's friction, lines, mount and sway, p_supply``.
     """
     valves = tuple(f"{c.name}.{v.name}" for c, v in rig.valves())
     names = [f"{joint}.{key}" for key in ("q", "qd") for joint in rig.joint_names]
@@ -171,6 +175,7 @@ def layout(rig: Rig) -> Layout:
         names += [f"{cylinder.name}.{key}" for key in friction.LAWS[law].states]
         names += [f"{cylinder.name}.p_{line.name}" for line in cylinder.line]
         names += [f"{cylinder.name}.mount_deflection"] if cylinder.mount is not None else []
+        names += [f"{cylinder.name}.{key}" for key in SWAY if cylinder.sway is not None]
     names.append("p_supply")
     return Layout(
         joints=rig.joint_names,
@@ -182,6 +187,7 @@ def layout(rig: Rig) -> Layout:
         frictions=frictions,
         lines=tuple((i, line.end) for i, c in enumerate(rig.cylinder) for line in c.line),
         mounts=tuple(i for i, c in enumerate(rig.cylinder) if c.mount is not None),
+        sways=tuple(i for i, c in enumerate(rig.cylinder) if c.sway is not None),
         played=tuple(dict.fromkeys(f.channel for c in rig.cylinder for f in c.force if f.channel)),
         state_names=tuple(names),
         _at={name: at for at, name in enumerate(names)},

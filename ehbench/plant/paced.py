@@ -62,7 +62,8 @@ def pace_of(plant: Plant, names: Layout, tick: float) -> Pace:
     """The pace of a plant that is commanded every ``tick`` [s].
 
     A joint's scale is its range, and its range a second; a pressure's the highest that supply or
-    relief valve let come, of the supply line a tenth of it; a mount's the deflection under it.
+    relief valve let come, of the supply line a tenth of it; a mount's the deflection under it, as
+    that of what sways, whose speed has the stroke a second.
     Valves are exact beside, and what states of a friction do is seen in the joints' rates.
     """
     weights, n = np.zeros(names.states), plant.at.rates
@@ -76,6 +77,9 @@ def pace_of(plant: Plant, names: Layout, tick: float) -> Pace:
             weights[names.state(f"p_{side}", index)] = 1.0 / highest
         if row.mount_state >= 0:
             weights[row.mount_state] = row.mount_stiffness / (highest * row.area_head)
+        if row.sway_state >= 0:
+            weights[row.sway_state] = row.sway_stiffness / (highest * row.area_head)
+            weights[row.sway_state + 1] = 1.0 / row.stroke
     for line in plant.lines:
         highest = _highest(plant, plant.cylinders[line.cylinder])
         weights[state_of[line.node]] = 1.0 / highest

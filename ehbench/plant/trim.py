@@ -13,6 +13,7 @@ from ehbench.parts.cylinder import joint_of, joint_range_of, linkage_of
 from ehbench.parts.edge import CHECK
 from ehbench.parts.load import force_on
 from ehbench.parts.mount import mount_settle
+from ehbench.parts.sway import sway_settle
 from ehbench.parts.nodes import SUPPLY
 from ehbench.parts.supply import sensed
 from ehbench.parts.valve import valve_settle
@@ -137,13 +138,15 @@ def trim(
 
 def settle_parts(plant: Plant, y: np.ndarray) -> None:
     """Put the states of lines and mounts in ``y`` where they are at rest, by the pressures of the
-    chambers.
+    chambers; what sways goes along with the rods.
     """
     at: Any = plant.nodes.state
     for line in plant.lines:
         y[at[line.node]] = y[at[line.chamber]]
     for row in plant.cylinders:
         mount_settle(row, 0.0, y, plant)
+        _, lever, _ = linkage_of(row, y[row.joint])
+        sway_settle(row, lever * y[plant.at.rates + row.joint], y)
 
 
 def _low_side(plant: Plant, row: np.record) -> float:

@@ -10,6 +10,7 @@ from ehbench.compiled import allocating_kernel, kernel
 from ehbench.parts.cylinder import linkage_of
 from ehbench.parts.friction import friction_advance
 from ehbench.parts.mount import mount_settle
+from ehbench.parts.sway import sway_settle
 from ehbench.parts.valve import limited, valve_advance, valve_recover, valve_settle
 from ehbench.parts.valve.delay import line_felt, line_of, line_push
 from ehbench.plant.build import Plant
@@ -113,6 +114,9 @@ def follow_parts(t, commands, plant, states):
         mount_settle(plant.cylinders[c], 0.0, states[0], plant)
         if plant.cylinders[c].mount_state >= 0:
             own[plant.cylinders[c].mount_state] = True
+        sway_settle(plant.cylinders[c], 0.0, states[0])
+        if plant.cylinders[c].sway_state >= 0:
+            own[plant.cylinders[c].sway_state] = own[plant.cylinders[c].sway_state + 1] = True
     y, ahead, work = states[0].copy(), np.empty(size), np.empty(plant.at.work)
     first, last = np.empty(size), np.empty(size)
     for s in range(t.shape[0] - 1):

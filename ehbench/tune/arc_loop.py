@@ -281,7 +281,8 @@ def _plant_map(
 
 def _steps(model: Model) -> np.ndarray:
     """Steps of differences for every state of the plant: rad or m, per second, Pa, V, V/s."""
-    known = {"q": 1e-6, "qd": 1e-5, "opening": 1e-4, "rate": 1e-2, "mount_deflection": 1e-8}
+    known = {"q": 1e-6, "qd": 1e-5, "opening": 1e-4, "rate": 1e-2}
+    known |= {"mount_deflection": 1e-8, "sway": 1e-6, "sway_speed": 1e-5}
     words = (name.rsplit(".", 1)[-1] for name in model.layout.state_names)
     return np.array([known.get(word, 300.0 if word.startswith("p_") else 1e-4) for word in words])
 

@@ -42,6 +42,7 @@ from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
 from ehbench.parts.line import drop_for, line_conductance
 from ehbench.parts.load import force_on
 from ehbench.parts.mount import mount_settle
+from ehbench.parts.sway import sway_settle
 from ehbench.parts.oil import bulk_of
 from ehbench.parts.supply import from_rail, sensed
 from ehbench.parts.valve import valve_rates, valve_settle
@@ -60,8 +61,9 @@ DIFFERENCE = (
 )
 # steps of differences over states by what their names contain, of others 1e-4 V
 STEPS = {".rate": 1e-2, ".p_line_": 30.0, "p_supply": 30.0, ".mount_deflection": 1e-8}
+STEPS |= {".sway_speed": 1e-5, ".sway": 1e-6}
 # a cylinder's further states, and that of a supply that feels it
-OWN = ("p_line_head", "p_line_rod", "p_supply", "mount_deflection")
+OWN = ("p_line_head", "p_line_rod", "p_supply", "sway", "sway_speed", "mount_deflection")
 NEAR = 1.0e-3  # [Pa] to which an off-side pressure is found
 SPEED_HALVINGS = 12  # to find the full speed to 0.02 %
 AT_ZERO = 1.0e-7  # share of the fastest pole below which a pole is one at zero
@@ -611,8 +613,8 @@ class LinearModel:
     [N] a force on the rod.
 
     ``states`` name x: ``v, p_head, p_rod``, the pressure of each line, that of a load-sensing
-    supply that follows this load, the deflection of a mount, the states of each valve with
-    dynamics, then those of the Padé forms of delays; all SI. ``valves`` number u. Poles
+    supply that follows this load, what sways, the deflection of a mount, the states of each valve
+    with dynamics, then those of the Padé forms of delays; all SI. ``valves`` number u. Poles
     beyond ``fastest`` [rad/s] are those of the Padé forms."""
 
     states: tuple[str, ...]
@@ -704,13 +706,14 @@ def _hoses(model: Model, point: OperatingPoint) -> list[_Hose]:
 
 
 def _own(model: Model, point: OperatingPoint) -> list[int]:
-    """Where the plant has the states of the cylinder's lines, of the supply that feels it and of
-    its mount.
+    """Where the plant has the states of the cylinder's lines, of the supply that feels it, of what
+    sways at it and of its mount.
     """
     row = model.plant.cylinders[model.layout.cylinders.index(point.cylinder)]
     supply = [] if _sensing(model, point) is None else [int(model.plant.at.supply)]
     mount = [int(row.mount_state)] if row.mount_state >= 0 else []
-    return [hose.state for hose in _hoses(model, point)] + supply + mount
+    sway = [int(row.sway_state), int(row.sway_state) + 1] if row.sway_state >= 0 else []
+    return [hose.state for hose in _hoses(model, point)] + supply + sway + mount
 
 
 def _states(
@@ -752,6 +755,8 @@ def development_model(model: Model, point: OperatingPoint) -> LinearModel:
     inflow[1, 1:3] = row.leakage_internal, -row.leakage_internal - row.leakage_rod
     if row.mount_state >= 0:
         _give_way(row, point, names, a, inflow)
+    if row.sway_state >= 0:
+        _swaying(row, point, names, a)
     into_u, port = np.zeros((2 + len(hoses), len(valves))), [0, 1]
     for own, hose in enumerate(hoses, 2):
         port[hose.side] = own
@@ -794,6 +799,16 @@ def _give_way(
     a[0] -= slope / point.mass * slip
     a[at] = slip
     inflow[:2] += np.outer((-row.area_head, row.area_rod), slip)
+
+
+def _swaying(row: Any, point: OperatingPoint, names: Sequence[str], a: np.ndarray) -> None:
+    """Write the rows of what sways, and its pull on the rod: ``m dw/dt = −(k z + c (w − v))``."""
+    z = next(i for i, name in enumerate(names) if name.endswith(".sway"))
+    pull = np.zeros(len(names))
+    pull[[0, z, z + 1]] = -row.sway_damping, row.sway_stiffness, row.sway_damping
+    a[0] += pull / point.mass
+    a[z, [0, z + 1]] = -1.0, 1.0
+    a[z + 1] = -pull / row.sway_mass
 
 
 def _delayed(linear: LinearModel, model: Model) -> LinearModel:
@@ -874,6 +889,7 @@ def state_of(model: Model, point: OperatingPoint) -> tuple[np.ndarray, np.ndarra
     for hose in _hoses(model, point):
         y[hose.state] = (point.p_head, point.p_rod)[hose.side] + hose.drop
     mount_settle(model.plant.cylinders[index], point.v, y, model.plant)
+    sway_settle(model.plant.cylinders[index], point.v, y)
     return y, command
 
 
@@ -1088,11 +1104,12 @@ def _off_side_flows(law: Law, seen: np.ndarray, function: int) -> np.ndarray:
 
 
 def _sizes(names: Sequence[str]) -> np.ndarray:
-    """Usual sizes of the states: m/s, MPa, mm, V, 100 V/s."""
+    """Usual sizes of the states: m/s, MPa, mm, what sways m/s, V, 100 V/s."""
     sizes = np.ones(len(names))
     sizes[1 : _first_valve(names)] = 1.0e6
     sizes[_are_rates(names)] = 100.0
-    sizes[[name.endswith(".mount_deflection") for name in names]] = 1.0e-3
+    sizes[[name.endswith((".mount_deflection", ".sway")) for name in names]] = 1.0e-3
+    sizes[[name.endswith(".sway_speed") for name in names]] = 1.0
     return sizes
 
 

@@ -44,6 +44,7 @@ PARTS = {
     "bristles on a mount": {
         **RUB,
         "mount": {"stiffness": "10 kN/mm", "damping": "6000 N*s/m"},
+        "sway": {"mass": "80 kg", "stiffness": "300 N/mm", "damping": "400 N*s/m"},
         "friction": {
             "law": "lugre",
             **STATIC,

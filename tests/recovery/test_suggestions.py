@@ -17,6 +17,7 @@ from ehbench.identification.changes import changes
 from ehbench.identification.suggestions import suggest
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
 from ehbench.logs import write_log
+from ehbench.parts.sway import Sway
 from ehbench.recipe import load_rig
 from ehbench.record import Record
 from ehbench.rundir import read_json
@@ -177,3 +178,18 @@ def test_what_promises_little_beside_the_best_is_not_tried():
     looked = [text for text in told if "promises" in text]
     assert tried[0].startswith("suggest: friction")
     assert len(tried) < len(looked) / 3 and not found.untried
+
+
+@pytest.mark.slow
+def test_a_load_that_sways_is_found():
+    """A third of the load on a spring; oil, mass and spring of the fit begin elsewhere."""
+    sway = {"mass": "90 kg", "stiffness": "150 N/mm", "damping": "800 N*s/m"}
+    cylinder = rig_of().cylinder[0].model_copy(update={"sway": Sway.model_validate(sway)})
+    machine = rig_of().model_copy(update={"cylinder": (cylinder,)})
+    found = suggested(
+        "slide_servo", rig_of(), Fault("sway", "", machine), 7, STEPS, 3600.0, 1, SHORT
+    )
+    first = found.rows[0]
+    assert first.changes == ("sway of press",), [row.words for row in found.rows[:4]]
+    assert first.misfit < 0.3 and first.freedom == 3
+    assert found.setups[0].options.start["press.sway.mass"] == pytest.approx(90.0, rel=0.1)

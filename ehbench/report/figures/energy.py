@@ -46,7 +46,8 @@ def part_of(row: Mapping[str, Any]) -> str | None:
         ends = row["label"].rsplit(", ", 1)[-1].split(" → ")
         return "in" if "supply" in ends else "out" if "tank" in ends else "cross"
     if group == "loss":
-        return "mechanical" if word in ("friction", "damping", "end_stop", "mount") else "oil"
+        rubs = ("friction", "damping", "end_stop", "mount", "sway")
+        return "mechanical" if word in rubs else "oil"
     if word in ("stop", "mount_spring"):
         return "mechanical"
     return {"load": "load", "store": "store", "residual": "rest"}.get(group)

@@ -35,7 +35,7 @@ PUMP, RAIL, MECHANISM = "pump", "low rail", "mechanism"
 SOURCES = {PUMP: ("pump", "pump_compression"), RAIL: ("low_rail", "low_rail_compression")}
 _MECHANICAL = (
     *("friction", "friction_spring", "end_stop", "stop", "damping"),
-    *("mount", "mount_spring"),
+    *("mount", "mount_spring", "sway", "swaying"),
 )
 _GAP = 0.012
 _BAR = 0.022  # width of a node

@@ -1,0 +1,128 @@
+"""A load that sways: closed forms, energy, linear models."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.ledger import ledger_of_log, ledger_of_model
+from ehbench.machines.virtual import VirtualMachine
+from ehbench.parts.sway import Sway
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.model import Model, simulate
+from ehbench.rig import Rig, Value
+from ehbench.tune.linear import (
+    Aim,
+    circuit_of,
+    development_model,
+    equivalent,
+    operating_point,
+    plant_model,
+    state_of,
+)
+
+sys.path.insert(0, str(Path(__file__).parent))
+from with_parts import jacobian, slide, steps, swing  # noqa: E402
+
+SOFT = {"mass": "80 kg", "stiffness": "300 N/mm", "damping": "400 N*s/m"}
+SEALS = {"friction_coulomb": Value(200.0), "friction_viscous": Value(400.0)}
+
+
+def swaying(sway: dict = SOFT, **parts) -> Rig:
+    """The sliding mass with another on a spring."""
+    return slide(sway=Sway.model_validate(sway), **parts)
+
+
+def test_it_rings_as_two_masses_on_two_springs():
+    """Valves shut, no loss: ``(k_o + k − m1 ω²)(k − m2 ω²) = k²``."""
+    rig = swaying(SOFT | {"damping": "0 N*s/m"}).with_values({"carriage.damping": 0.0})
+    model = Model.of(rig)
+    oil, k, mass, more = swing(Model.of(slide())), 3e5, 250.0, 80.0
+    squares = np.roots([mass * more, -(mass * k + more * (oil + k)), oil * k])
+    found = np.linalg.eigvals(jacobian(model))
+    for square in squares:
+        pole = 1j * math.sqrt(square)
+        assert found[np.argmin(np.abs(found - pole))] == pytest.approx(pole, rel=1e-4, abs=1e-2)
+
+
+def test_the_ledger_closes_with_what_sways():
+    """``k z²/2 + m w²/2`` is stored, ``c ∫(dz/dt)² dt`` lost."""
+    rig = swaying(**SEALS)
+    record = simulate(rig, {"press.servo": steps((4.0, -5.0, 2.0))[:801]}, 0.8)
+    ledger = ledger_of_model(Model.of(rig), record)
+    assert ledger.pump > 500.0
+    for row in ledger.rows:
+        if row.group in ("part", "residual"):
+            assert abs(row.energy) < 1e-5 * ledger.pump, row
+    z, w = record["press.sway"], record["press.sway_speed"]
+    held = 0.5 * (3e5 * z**2 + 80.0 * w**2)
+    assert ledger["press.swaying"].energy == pytest.approx(held[-1] - held[0], rel=1e-9)
+    lost = 400.0 * np.trapezoid((w - record["press.v"]) ** 2, record.t)
+    assert ledger["press.sway"].energy == pytest.approx(lost, rel=1e-2)
+    of_log = ledger_of_log(rig, None, record)
+    for name in ("press.sway", "press.swaying", "press.work"):
+        exact = ledger[name].energy
+        assert of_log[name].energy == pytest.approx(exact, abs=1e-2 * ledger.pump), name
+
+
+def test_a_stiff_spring_makes_one_mass_of_both():
+    hard = {"mass": "80 kg", "stiffness": "300 kN/mm", "damping": "20 kN*s/m"}
+    commands = {"press.servo": steps((4.0, -3.0))[300:750]}
+    one = slide().with_values({"carriage.mass": 330.0})
+    found = [simulate(rig, commands, 0.449)["press.v"] for rig in (swaying(hard), one)]
+    assert np.abs(found[0] - found[1]).max() < 5e-3 * np.abs(found[1]).max()
+
+
+def test_a_replay_in_motion_starts_with_it_going_along():
+    model = Model.of(swaying())
+    y = model.trim(model.posture(None))
+    assert not y[model.plant.cylinders[0].sway_state :][:2].any()
+    record = simulate(swaying(), {"press.servo": steps((3.0, 3.0))[300:700]}, 0.399)
+    kept = {k: v for k, v in record.channels.items() if "sway" not in k}
+    again = model.replay(type(record)(record.t, kept, record.meta))
+    assert np.abs(again["press.sway"] - record["press.sway"]).max() < 1e-5
+
+
+@pytest.mark.parametrize("way", [0, 1])
+def test_a_linear_model_has_what_sways(way):
+    """From the equations as from differences of the plant; the point is a steady motion."""
+    model = Model.of(swaying(**SEALS).with_values({"press.leakage_internal": 2e-12}))
+    here, circuit = equivalent(model, 0, np.array([0.2])), circuit_of(model, 0)
+    function = int(np.flatnonzero(circuit.able)[1 + way])
+    point = operating_point(model, circuit, function, here, 0, Aim(5e5, 5e5, speed=0.1))
+    assert point.possible, point.note
+    y, command = state_of(model, point)
+    dy = np.empty_like(y)
+    derivatives(y, command, model.plant, dy, np.empty(model.plant.at.work))
+    names = ("qd", "sway", "sway_speed")
+    assert np.abs([dy[model.layout.state(name)] for name in names]).max() < 1e-6
+    equations, differences = development_model(model, point), plant_model(model, point)
+    assert equations.states == differences.states
+    assert equations.states[3:5] == ("press.sway", "press.sway_speed")
+    scale = np.ones(len(equations.states))
+    scale[1:3], scale[3] = 1e6, 1e-3
+    mine, its = (one.a * scale / scale[:, None] for one in (equations, differences))
+    assert (np.abs(mine - its) <= 1e-4 * np.abs(mine).max(axis=1, keepdims=True)).all()
+    assert np.allclose(equations.b, differences.b, rtol=1e-5, atol=1e-3)
+
+
+def test_the_virtual_bench_has_it_too():
+    machine = VirtualMachine(swaying(), seed=1)
+    machine.start()
+    for _ in range(400):
+        machine.tick(np.array([2.0]))
+    at = machine.model.layout.state("sway_speed")
+    assert machine.state[at] > 0.01
+
+
+def test_parameters_of_what_sways_are_called_by_it():
+    rig = swaying().with_values({"press.sway.stiffness": 3e7})
+    assert float(rig.cylinder[0].sway.stiffness) == 3e7
+    assert rig.cylinder[0].unmodelled == ("[cylinder.sway]",)
+    assert Rig.model_validate(rig.as_toml()).parameters().keys() == rig.parameters().keys()
+    with pytest.raises(ValueError, match="above 0"):
+        Sway.model_validate({"mass": "0 kg", "stiffness": "1 N/m"})
