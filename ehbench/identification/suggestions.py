@@ -40,12 +40,9 @@ WORTH = 0.05  # share of what is left out, by which a change must lessen it to b
 # what a change promises to leave to first order, as a power of the least that another was found to
 # leave, beyond which it is not tried beside that
 HOPE = 0.1
-IMPOSSIBLE = (
-    EhbenchError,
-    ValueError,
-    ArithmeticError,
-    np.linalg.LinAlgError,
-)  # no such rig or fit
+UNEQUAL = 0.1  # logarithm of a channel's mean square by which one fold may gain less than the other
+# no such rig, or no such fit
+IMPOSSIBLE = (EhbenchError, ValueError, ArithmeticError, np.linalg.LinAlgError)
 NOT_WORSE = 1.0, 0.02  # standard errors, or share, within which a fit is not worse than the best
 
 
@@ -301,26 +298,37 @@ class _Trials:
     def _changes(self, now: Tried) -> list[Change]:
         """What may be tried on top of a fit."""
         records, setup = [record for _, record in self.records], now.setup
+        found = now.found[int(np.argmin(now.costs))]
+        fitted = setup.rig.with_values({name: found[name] for name in setup.parameters})
         given = (self.live, self.channels, records, setup.parameters, setup.options.upper)
         estimated = {(one.channel, w) for one in setup.options.sensors for w in WORDS if one[w]}
         used = {one.name for one in setup.changes}
         astray = any(size > self.spread[c] ** 2 for c, size in self._levels(now).items())
         return [
             one
-            for one in changes(setup.rig, *given)
+            for one in changes(fitted, *given)
             if one.name not in used
             and not estimated & {(s.channel, w) for s in one.sensors for w in WORDS if s[w]}
             and (one.kind != TURNED or astray)
         ]
 
     def _try(self, now: Tried, change: Change) -> Tried | None:
-        """A change on top of a fit; None where there is no such rig, or no such fit."""
+        """A change on top of a fit; None where there is no such rig, or no such fit.
+
+        A fold that gains much less than the other is begun again where that ended: it may have come
+        to another minimum.
+        """
         try:
             setup = now.setup.with_change(change)
             folds = []
             for which, found in enumerate(now.found):
                 each = [self._fold(setup, which, {**found, **s}) for s in change.starts]
-                folds.append(min(each, key=lambda one: one.cost))
+                folds.append(min(each, key=_by_cost))
+            gains = [old - fold.cost for old, fold in zip(now.costs, folds, strict=True)]
+            less = int(np.argmin(gains))
+            if max(gains) - min(gains) > UNEQUAL * len(self.channels):
+                other = self._fold(setup, less, folds[1 - less].found)
+                folds[less] = min(folds[less], other, key=_by_cost)
             tried = _tried(setup, folds)
             same = all(own.keys() == tried.left.get(at, {}).keys() for at, own in now.left.items())
             return tried if same else None
@@ -436,6 +444,10 @@ def _begun(one: Tried) -> Setup:
     setup, found = one.setup, one.found[int(np.argmin(one.costs))]
     start = {name: found[name] for name in setup.parameters}
     return replace(setup, options=replace(setup.options, start=start))
+
+
+def _by_cost(one: _Fold) -> float:
+    return one.cost
 
 
 def _tried(setup: Setup, folds: Sequence[_Fold]) -> Tried:
