@@ -3,6 +3,7 @@ a sound model.
 
 python -m tests.suggestion_study slide_servo      # every fault of a rig, and none
 python -m tests.suggestion_study slide_servo "valve full at 60 %" friction    # some of them
+python -m tests.suggestion_study slide_servo rounds=1      # nothing tried on top of one another
 python -m tests.suggestion_study sound 40         # seeds a rig, 200 in all
 """
 
@@ -25,6 +26,7 @@ from tests.virtual_logs import DRIVES, RIGS
 # what goes by another name here; bulk modulus and damping are parameters of the recipe itself
 NAMES = {"sensor sign": "sign"}
 OWN = ("bulk modulus", "damping")
+LIMIT = "rounds="
 ENOUGH = 600.0  # [s] of the clock, so that a machine with other work ends no sooner
 
 
@@ -67,7 +69,7 @@ def right(found: Suggestions, fault: Fault) -> bool:
     return bool(kinds & also)
 
 
-def study(name: str, asked: Sequence[str] = ()) -> None:
+def study(name: str, asked: Sequence[str] = (), rounds: int = ROUNDS) -> None:
     """Every fault of a rig, or those ``asked`` by their words, a line each with the processor's
     seconds.
     """
@@ -76,7 +78,7 @@ def study(name: str, asked: Sequence[str] = ()) -> None:
         if asked and fault.words not in asked:
             continue
         begun = time.process_time()
-        found = suggested(name, rig, fault)
+        found = suggested(name, rig, fault, rounds=rounds)
         tries[fault.kind] += 1
         hits[fault.kind] += right(found, fault)
         first, seconds = found.rows[0], time.process_time() - begun
@@ -104,4 +106,6 @@ if __name__ == "__main__":
     if sys.argv[1] == "sound":
         study_sound(int(sys.argv[2]))
     else:
-        study(sys.argv[1], sys.argv[2:])
+        words = [one for one in sys.argv[2:] if not one.startswith(LIMIT)]
+        given = [int(one.removeprefix(LIMIT)) for one in sys.argv[2:] if one not in words]
+        study(sys.argv[1], words, *given[:1])
