@@ -86,4 +86,4 @@ def test_an_actuator_of_unknown_scales_is_followed_freely(undrawn, tmp_path):
     assert log["status"] == "held_out" and log["scored"][0] == pytest.approx(5.12)
     others = [one["value"] / UNIT for one in made.json("validation")["references"]]
     assert others == pytest.approx([1.594, 0.954, 0.773])
-    assert error < 0.45  # published: 0.954 of a linear ARX model, 0.773 of a recurrent GP
+    assert error < 0.43  # published: 0.954 of a linear ARX model, 0.773 of a recurrent GP
