@@ -19,7 +19,7 @@ import numpy as np
 from ehbench.errors import EhbenchError, InputError, LogError
 from ehbench.parts.cylinder import joint_of, linkage_arrays
 from ehbench.plant.ties import TIED, position_channel, supplied, tied_words, white_noise
-from ehbench.quantities import VOCABULARY
+from ehbench.quantities import GAUGES, VOCABULARY
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
 from ehbench.units import factor, from_si
@@ -435,7 +435,7 @@ def _stuck(record: Record, rig: Rig) -> list[str]:
         f"{cylinder.name}.{word} is constant while {cylinder.name} moves: is the sensor stuck?"
         for cylinder in rig.cylinder
         if _travels(record, cylinder)
-        for word in ("q", "x", "qd", "v", "p_head", "p_rod")
+        for word in ("q", "x", "qd", "v", "p_head", "p_rod", *GAUGES)
         if (channel := f"{cylinder.name}.{word}") in record and np.ptp(record[channel]) == 0.0
     ]
 

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 
+# readings of a cylinder that its pressures and speed imply, where a log has them in place of these
+GAUGES = ("load_pressure", "load_force", "rod_force")
 _ALIKE = 0.75  # likeness from which a word is surely a slip of another
 
 
@@ -106,6 +108,25 @@ _ROWS = [
         "N",
         "N",
         "cylinder force p_head·area_head − p_rod·area_rod, extension positive",
+        -1e8,
+        1e8,
+    ),
+    Quantity(
+        "load_pressure",
+        "P_l",
+        "Pa",
+        "kPa",
+        "pressure across the piston, p_head − p_rod",
+        -2e8,
+        2e8,
+    ),
+    Quantity(
+        "rod_force",
+        "F_c",
+        "N",
+        "N",
+        "force of the rod on what it moves, load_force less the friction of the seals; push "
+        "positive",
         -1e8,
         1e8,
     ),

@@ -13,6 +13,7 @@ from ehbench.observations import column, least_change
 from ehbench.plant.build import Maps
 from ehbench.plant.model import Model
 from ehbench.plant.ties import tied_words
+from ehbench.quantities import GAUGES
 from ehbench.record import Record
 from ehbench.rig import Rig
 from ehbench.sensors import Term, corrected, sensed
@@ -69,7 +70,10 @@ class Case:
                 (name for name in rates if column(self.record, name, self.record) is not None), None
             )
             ends = [f"{cylinder}.{word}" for word in ("p_head", "p_rod")]
-            found += [name for name in (rate, *ends) if name and self._moves(name)]
+            ends = [name for name in ends if self._moves(name)]
+            gauges = [f"{cylinder}.{word}" for word in GAUGES]
+            found += [rate] if rate and self._moves(rate) else []
+            found += ends or [name for name in gauges if self._moves(name)]
         given = tied_words(self.record)
         return tuple(name for name in found if name.rpartition(".")[2] not in given)
 

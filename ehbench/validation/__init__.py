@@ -21,6 +21,7 @@ from ehbench.plant.build import Maps
 from ehbench.plant.model import Model
 from ehbench.plant.ties import tied_words
 from ehbench.preprocessing import numbered, preprocess
+from ehbench.quantities import GAUGES
 from ehbench.recipe import Thresholds
 from ehbench.record import Record
 from ehbench.rig import Rig, Valve
@@ -291,7 +292,7 @@ def _plain(asked: Thresholds) -> dict[str, Any]:
 
 
 def _check_channels(rig: Rig, channels: Sequence[str]) -> None:
-    known = ("q", "qd", "x", "v", "p_head", "p_rod")
+    known = ("q", "qd", "x", "v", "p_head", "p_rod", *GAUGES)
     for channel in channels:
         if channel not in known:
             raise InputError(

@@ -119,7 +119,7 @@ def _record(run: tuple[Model, Record, Start], job: Job, log: np.ndarray, tick: f
         log = finite(log, tick)
     except EhbenchError:
         return None
-    return model.record(record.t, job.commands, log, record.meta, start.tank)
+    return model.replayed(record, job.commands, log, start)
 
 
 def _alone(run: tuple[Model, Record, Start], mesh: np.ndarray) -> Record | None:
