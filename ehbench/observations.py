@@ -23,6 +23,7 @@ STAND_INS = {
     "p_head": GAUGES,
     "p_rod": GAUGES,
 }
+OF_VALVES = ("opening",)  # quantities that a cylinder has of each of its valves
 _RATE_OF = {"qd": "q", "v": "x"}
 TOGETHER = 0.02  # [s]: commands that change within this before a transient have begun it with it
 SUPPLY_OFF = 0.03  # share of the supply's pressure by which it may be off the model's, rms
@@ -53,6 +54,15 @@ def alternatives(channel: str) -> tuple[str, ...]:
     """A channel, and those that stand in for it."""
     head, word = channel.rsplit(".", 1)
     return (channel, *(f"{head}.{one}" for one in STAND_INS.get(word, ())))
+
+
+def channels_asked(record: Record, cylinder: str, word: str) -> list[str]:
+    """The channels of a cylinder that a word asks for: one, or of what its valves have (their
+    ``opening``) all that were recorded.
+    """
+    valves = [one for one in record.channels if one.startswith(f"{cylinder}.")]
+    valves = [one for one in valves if one.count(".") == 2 and one.endswith(f".{word}")]
+    return valves if word in OF_VALVES and valves else [f"{cylinder}.{word}"]
 
 
 def stood_for(word: str) -> tuple[str, ...]:

@@ -46,6 +46,19 @@ DIFFERENTIAL = ("psid", "bard")  # units of a pressure across something
 _PUSH = "push positive; sign = -1 where pull is"
 _PLACE = {"x", "pos", "position", "stroke", "weg", "hub", "lvdt", "displacement", "length"}
 _PLACE |= {"travel", "extension", "distance"}
+# of a column that is otherwise a command: what the spool does in answer
+_PLACE_OF_SPOOL = {
+    "position",
+    "pos",
+    "feedback",
+    "fb",
+    "lvdt",
+    "stellung",
+    "istwert",
+    "actual",
+    "ist",
+}
+_A = {"command": "a command", "opening": "the spool's position"}
 _ANGLE = {"q", "angle", "winkel", "theta", "phi", "encoder", "joint", "rotation"}
 _SPEED = {"v", "vel", "velocity", "speed", "geschwindigkeit", "rate", "xd", "qd"}
 CURRENTS = {"mA", "A"}
@@ -210,12 +223,13 @@ def command_guess(
             return Guess(remark="a command?")
         chosen = (named or list(own.valve))[0]
         valve, low, high = chosen.name, float(chosen.command_min), float(chosen.command_max)
-    channel = f"{cylinder}.{valve}.command"
+    word = "opening" if words & _PLACE_OF_SPOOL else "command"
+    channel = f"{cylinder}.{valve}.{word}"
     if unit and is_of(unit, VOCABULARY["command"]):
-        return Guess(channel, unit, sure and bool(words & COMMAND_WORDS), "a command?")
+        return Guess(channel, unit, sure and bool(words & COMMAND_WORDS), f"{_A[word]}?")
     spans = {"mA": (4.0, 20.0), "A": (0.004, 0.02), "%": (-100.0, 100.0)}
     if unit not in spans:
-        return Guess(channel, unit, False, "a command? say what its numbers mean at the valve")
+        return Guess(channel, unit, False, f"{_A[word]}? say what its numbers mean at the valve")
     first, last = spans[unit]
     if unit == "mA" and known.min() < 3.0:
         first, last = (-20.0, 20.0) if known.min() < -0.5 else (0.0, 20.0)

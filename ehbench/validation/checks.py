@@ -215,5 +215,6 @@ def _words(channel: str) -> str:
         "load_pressure": "load pressure",
         "load_force": "cylinder force",
         "rod_force": "rod force",
+        "opening": "opening",
     }
     return f"{cylinder} {plain[word]}"

@@ -11,12 +11,17 @@ import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid
 
-from ehbench.identification.hydraulics import identify_hydraulics
+from ehbench.identification.hydraulics import (
+    FitOptions,
+    identify_hydraulics,
+    prepare_fit,
+    run_fit,
+)
 from ehbench.mapping import draft
 from ehbench.plant.lanes.many import replays_meshed
 from ehbench.plant.model import Model, simulate
 from ehbench.quantities import GAUGES
-from ehbench.recipe import load_rig
+from ehbench.recipe import Thresholds, load_rig
 from ehbench.recipe.columns import load_columns
 from ehbench.record import Record
 from ehbench.rig import Rig
@@ -137,13 +142,46 @@ def test_a_gauge_is_judged_by_the_thresholds_of_pressures():
     assert any("load pressure fit" in reason for reason in bad.reasons)
 
 
+def test_a_recorded_spool_tells_its_own_dynamics_and_is_judged():
+    valve = {"spool.natural_frequency": 2.0 * np.pi * 45.0, "spool.damping_ratio": 0.6}
+    true = slide().with_values(valve)
+    made = simulate(true, {"press.servo": stepped(3.0)}, 1.6, posture={"press": "150 mm"})
+    rng, names = np.random.default_rng(2), ("press.servo.opening", "press.x")
+    own = {
+        c: made[c] + s * rng.normal(size=T.size) for c, s in zip(names, (0.01, 1e-4), strict=True)
+    }
+    log = Record(made.t, own | {"press.servo.command": made["press.servo.command"]}, {})
+    without, fit = (
+        run_fit(prepare_fit(slide(), [("a", log)], list(valve), options=FitOptions(channels=asked)))
+        for asked in (("v",), ("v", "opening"))
+    )
+    assert "press.servo.opening" in fit.logs[0].fit_percent
+    for name, truth in valve.items():
+        low, high = fit[name].interval or (0.0, 0.0)
+        assert abs(fit[name].value - truth) < 1.5 * (high - low) / 2, name
+        assert fit[name].std < 0.5 * without[name].std
+    limits = Thresholds(fit_percent={"v": 50.0, "opening": 90.0})
+    good, bad = (
+        validate_rig(one, [("a", log)], channels=("v", "opening"), thresholds=limits)
+        for one in (true, slide().with_values({"spool.natural_frequency": 2.0 * np.pi * 8.0}))
+    )
+    assert good.verdict == "accepted"
+    assert "press.servo.opening" in [one.channel for one in good.logs[0].channels]
+    assert any("press.servo opening fit" in reason for reason in bad.reasons)
+
+
 def test_gauges_are_known_by_name_and_unit(tmp_path):
     t = np.arange(400) * 1e-3
-    names = "Time\tServo Cmd\tAct Disp\tLoad Cell\tDiff Press\n(sec)\t(mA)\t(in)\t(lbf)\t(psi)\n"
-    rows = [f"{s:.4f}\t{8 * np.sin(20 * s):.3f}\t{s:.4f}\t{s * 90:.2f}\t{s * 100:.2f}" for s in t]
+    names = "Time\tServo Cmd\tAct Disp\tLoad Cell\tDiff Press\tSpool Pos\n"
+    names += "(sec)\t(mA)\t(in)\t(lbf)\t(psi)\t(%)\n"
+    rows = [
+        f"{s:.4f}\t{8 * np.sin(20 * s):.3f}\t{s:.4f}\t{s * 90:.2f}\t{s * 100:.2f}\t{s * 80:.2f}"
+        for s in t
+    ]
     (tmp_path / "run.txt").write_text(names + "\n".join(rows))
     made = draft(tmp_path / "run.txt", tmp_path / "run.map.toml", slide())
     found = load_columns(made.path).columns.names
     assert found["Load Cell"].channel == "press.rod_force"
     assert found["Diff Press"].channel == "press.load_pressure"
+    assert found["Spool Pos"].channel == "press.servo.opening"
     assert "1000 Hz" in "\n".join(made.lines)
