@@ -401,7 +401,7 @@ def _at_end(record: Record, cylinder: Cylinder, rest: int) -> bool:
 
 def _span(cylinder: Cylinder, word: str) -> float:
     """A full stroke [m], or an angle [rad] of the size that a stroke makes."""
-    return 1.0 if word in ("q", "qd") and cylinder.pins is not None else float(cylinder.stroke)
+    return 1.0 if word in ("q", "qd") and cylinder.linkage is not None else float(cylinder.stroke)
 
 
 def outside_stroke(record: Record, rig: Rig) -> list[str]:
@@ -447,7 +447,7 @@ def off_pins(record: Record, model: Model) -> dict[str, float]:
     found = {}
     for index, cylinder in enumerate(model.rig.cylinder):
         names = [f"{cylinder.name}.{word}" for word in ("x", "q")]
-        if cylinder.pins is None or any(name not in record for name in names):
+        if cylinder.linkage is None or any(name not in record for name in names):
             continue
         x, q = (record[name] for name in names)
         off = x - linkage_arrays(model.plant.cylinders[index], q)[0]
@@ -463,13 +463,15 @@ def off_pins(record: Record, model: Model) -> dict[str, float]:
 
 def _apart(record: Record, model: Model) -> list[str]:
     """Warnings of strokes that disagree with angle and pins."""
-    unit = model.rig.unit_of("x")
-    return [
-        f"{name}.x is {abs(from_si(off, unit, VOCABULARY['x'])):.3g} {unit} "
-        f"{'above' if off > 0.0 else 'below'} what {name}.q and the pins make it: check the pins, "
-        f'or give the sensor\'s offset ([[sensor]] channel = "{name}.x")'
-        for name, off in off_pins(record, model).items()
-    ]
+    unit, found = model.rig.unit_of("x"), []
+    for name, off in off_pins(record, model).items():
+        shown = f"{abs(from_si(off, unit, VOCABULARY['x'])):.3g} {unit}"
+        way, by = "above" if off > 0.0 else "below", model.rig.cylinder_named(name).linkage_word
+        found.append(
+            f"{name}.x is {shown} {way} what {name}.q and the {by} make it: check the {by}, "
+            f'or give the sensor\'s offset ([[sensor]] channel = "{name}.x")'
+        )
+    return found
 
 
 def _travels(record: Record, cylinder: Cylinder) -> bool:

@@ -302,6 +302,8 @@ _ROWS = [
         "retracted_length", "x_i", "m", "mm", "pin-to-pin length of the retracted cylinder", 0, 50
     ),
     Quantity("phase", "φ", "rad", "deg", "angle between the pins at q = 0", -10, 10),
+    Quantity("radius", "r", "m", "mm", "constant lever of a rack or a rotary actuator", 1e-4, 50),
+    Quantity("retracted_angle", "q_0", "rad", "deg", "joint angle at x = 0", -50, 50),
     Quantity("dh_a", "a", "m", "mm", "Denavit–Hartenberg link length", -100, 100),
     Quantity("dh_d", "d", "m", "mm", "Denavit–Hartenberg link offset", -100, 100),
     Quantity("dh_alpha", "α", "rad", "deg", "Denavit–Hartenberg twist", -10, 10),

@@ -176,7 +176,7 @@ def _asked(cylinder: Cylinder, record: Record) -> bool:
 def _moves(cylinder: Cylinder, record: Record) -> bool:
     """Whether a recorded position of the cylinder changes."""
     stroke = float(cylinder.stroke)
-    spans = {"x": stroke, "q": 1.0 if cylinder.pins else stroke}
+    spans = {"x": stroke, "q": 1.0 if cylinder.linkage else stroke}
     return any(
         (channel := f"{cylinder.name}.{word}") in record and np.ptp(record[channel]) > MOVES * span
         for word, span in spans.items()
