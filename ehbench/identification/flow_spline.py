@@ -360,6 +360,7 @@ def _band_places(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray, np.nd
     return lines, in_u, row % columns * columns + column % columns
 
 
+@cache
 def _routines() -> Any:
     """What scipy.linalg calls, without its looks at the arguments."""
     from scipy.linalg import lapack

@@ -21,7 +21,7 @@ from ehbench.identification.flow_map import (
     fit_flow_map,
     fit_flow_maps,
 )
-from ehbench.identification.flow_opening import _places
+from ehbench.identification.flow_opening import _gaps
 from ehbench.identification.flow_spline import Axis
 from ehbench.identification.flow_steps import Shape, likeliest_smoothing
 from ehbench.physics.flow_map import FlowMap, collect, dump_flow_maps
@@ -734,5 +734,5 @@ def test_kinks_close_together_leave_the_penalty_its_digits():
     np.testing.assert_allclose(least, least[0], rtol=1e-3)
     shape, cells = close_commands(0.02)
     assert np.isfinite(likeliest_smoothing(shape, cells)[1])
-    places = np.array(_places(shape.above, ()))
+    places = np.concatenate(_gaps(shape.above, ()))
     assert places.size and not ((places > 9.6) & (places < 9.66)).any()
