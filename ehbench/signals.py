@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -406,10 +407,11 @@ def _refine(s, y, omega, zeta, taus, free_drift=True):
             )
             start[2] = min(max(start[2], low[2] + 1e-6), high[2] - 1e-6)
         left = _Left(s, y, tau)
+        slopes: Any = left.slopes  # the types that come with SciPy know its names alone
         found = least_squares(
             left.at,
             start,
-            left.slopes,
+            slopes,
             bounds=(low, high),
             x_scale=[0.1, 0.1, 0.5][: len(start)],
             ftol=1e-9,
