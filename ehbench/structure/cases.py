@@ -11,6 +11,7 @@ import numpy as np
 
 from ehbench.observations import column, least_change
 from ehbench.plant.build import Maps
+from ehbench.plant.lanes.many import Run
 from ehbench.plant.model import Model
 from ehbench.plant.ties import tied_words
 from ehbench.quantities import GAUGES
@@ -48,11 +49,20 @@ class Case:
         """What a model does on a record, the case's own or a corrected one: from rest, or from what
         the first samples say where the log begins in motion; as its sensors show it.
         """
-        true, start = corrected(record, self.terms, self.excess), None
-        if self.begins_in_motion:
-            begun = start_of_log(model, true, self.cylinders, self.channels)
-            start = begun.at(model, np.zeros(len(begun.doubts)))
-        return sensed(model.replay(true, start=start), self.terms, self.excess)
+        model, true, start = self.run_of(model, record)
+        return self.seen(model.replay(true, start=start))
+
+    def run_of(self, model: Model, record: Record) -> Run:
+        """(a model, a record as sound sensors would have it, the start) of `simulated`."""
+        true = corrected(record, self.terms, self.excess)
+        if not self.begins_in_motion:
+            return model, true, model.rest_start(true)
+        begun = start_of_log(model, true, self.cylinders, self.channels)
+        return model, true, begun.at(model, np.zeros(len(begun.doubts)))
+
+    def seen(self, replayed: Record) -> Record:
+        """A simulation as the log's sensors show it."""
+        return sensed(replayed, self.terms, self.excess)
 
     @cached_property
     def begins_in_motion(self) -> bool:
