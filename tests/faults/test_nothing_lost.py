@@ -163,7 +163,6 @@ def disk_of(size):
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-@pytest.mark.slow
 def test_a_disk_that_takes_no_more_is_one_sentence_of_the_place_that_was_asked_for(place, inside):
     starter.init(Path("ws"))
     words = ("run-trial", "ws/recipes/step_small.toml", "--out", "out", "-q")
