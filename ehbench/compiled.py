@@ -78,28 +78,46 @@ class _LinkedLibrary(JITCodeLibrary):
         super()._finalize_final_module()
 
 
-class _Compiler(Compiler):
-    """numba's compiler, while nothing collects garbage: it makes millions of objects that stay, and
-    to look through them again and again takes a tenth of the time.
+class _WholeLibrary(JITCodeLibrary):
+    """Code that Python calls, with all that it calls in turn, which nothing else will ever call: so
+    the optimiser may put a function into its only caller, and pass no argument that is not used. A
+    plant or a controller has a hundred of them.
     """
+
+    def _optimize_final_module(self) -> None:
+        """numba's own, with no function to be seen from outside but those that it compiled here."""
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage == llvm.Linkage.linkonce_odr:
+                function.linkage = "internal"
+        super()._optimize_final_module()
+
+
+class _Compiler(Compiler):
+    """numba's compiler, into a library of ours, while nothing collects garbage: it makes millions
+    of objects that stay, and to look through them again and again takes a tenth of the time.
+    """
+
+    library: type[JITCodeLibrary] = _WholeLibrary
 
     def compile_extra(self, func: Callable) -> Any:
         """Compile a function and, on the way, all that it calls."""
         with _uncollected():
             return super().compile_extra(func)
 
-
-class _LinkedCompiler(_Compiler):
-    """The same for what only kernels call: into a library of ours."""
-
     def define_pipelines(self) -> list[Any]:
         """numba's own, into a library of ours."""
         state = self.state
         if state.library is None:
             name = state.func_id.func_qualname
-            state.library = _LinkedLibrary(state.targetctx.codegen(), name)
+            state.library = self.library(state.targetctx.codegen(), name)
             state.library.enable_object_caching()
         return super().define_pipelines()
+
+
+class _LinkedCompiler(_Compiler):
+    """The same for what only kernels call."""
+
+    library = _LinkedLibrary
 
 
 @contextmanager

@@ -34,8 +34,13 @@ class Inspection:
     errors: tuple[EhbenchError, ...] = ()
 
 
-def check(path: Path) -> Inspection:
+def check(path: Path, look: Look | None = None) -> Inspection:
     """Inspect a rig, recipe or map (TOML), a flowmeter CSV, or a log of any format read.
+
+    Args:
+        path: of the file.
+        look: the walk over recipes to go on with: what it has looked at is not looked at again;
+            a new one by default.
 
     Raises:
         InputError: the file cannot be taken for what it is; says what, where and what would be
@@ -46,8 +51,10 @@ def check(path: Path) -> Inspection:
     if not path.exists():
         raise InputError("no such file", file=path)
     if path.suffix == ".toml":
-        looks = {"rig": _rig, "recipe": _recipe, "map": _map}
-        return looks[kind_of(path)](path)
+        kind = kind_of(path)
+        if kind == "recipe":
+            return _recipe(path, look or Look(ROOT))
+        return _rig(path) if kind == "rig" else _map(path)
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         raise InputError("is a folder", file=path, hint="name a file in it")
     if not path.is_dir() and not path.name.lower().removesuffix(".gz").endswith(suffixes()):
@@ -61,8 +68,8 @@ def check(path: Path) -> Inspection:
     return _log(path)
 
 
-def _recipe(path: Path) -> Inspection:
-    found = Look(ROOT).at(load_recipe(path))
+def _recipe(path: Path, look: Look) -> Inspection:
+    found = look.at(load_recipe(path))
     recipe = found.recipe
     stage, what = recipe.kind()
     what = f"{stage} {what.replace('_', ' ')}" if what else stage

@@ -7,7 +7,7 @@ import numpy as np
 from ehbench.errors import InputError
 from ehbench.plant.model import MOVED
 from ehbench.plant.ties import supplied, white_noise
-from ehbench.quantities import quantity
+from ehbench.quantities import GAUGES, quantity
 from ehbench.record import Record, payloads_of
 from ehbench.rig import Rig, Valve
 from ehbench.signals import lowpass, rms
@@ -15,7 +15,15 @@ from ehbench.units import from_si
 
 RATE_CUTOFF = 20.0  # [Hz] of the low-pass before a rate is taken from a position
 # what stands in for a channel that a log lacks, and moves with it
-STAND_INS = {"q": "x", "x": "q", "qd": "v", "v": "qd"}
+STAND_INS = {
+    "q": ("x",),
+    "x": ("q",),
+    "qd": ("v",),
+    "v": ("qd",),
+    "p_head": GAUGES,
+    "p_rod": GAUGES,
+}
+OF_VALVES = ("opening",)  # quantities that a cylinder has of each of its valves
 _RATE_OF = {"qd": "q", "v": "x"}
 TOGETHER = 0.02  # [s]: commands that change within this before a transient have begun it with it
 SUPPLY_OFF = 0.03  # share of the supply's pressure by which it may be off the model's, rms
@@ -43,9 +51,23 @@ def position_of(channel: str) -> str:
 
 
 def alternatives(channel: str) -> tuple[str, ...]:
-    """A channel, and the one that stands in for it if there is one."""
+    """A channel, and those that stand in for it."""
     head, word = channel.rsplit(".", 1)
-    return (channel, f"{head}.{STAND_INS[word]}") if word in STAND_INS else (channel,)
+    return (channel, *(f"{head}.{one}" for one in STAND_INS.get(word, ())))
+
+
+def channels_asked(record: Record, cylinder: str, word: str) -> list[str]:
+    """The channels of a cylinder that a word asks for: one, or of what its valves have (their
+    ``opening``) all that were recorded.
+    """
+    valves = [one for one in record.channels if one.startswith(f"{cylinder}.")]
+    valves = [one for one in valves if one.count(".") == 2 and one.endswith(f".{word}")]
+    return valves if word in OF_VALVES and valves else [f"{cylinder}.{word}"]
+
+
+def stood_for(word: str) -> tuple[str, ...]:
+    """A quantity, and those that it may stand in for."""
+    return (word, *(one for one, others in STAND_INS.items() if word in others))
 
 
 def least_change(valve: Valve) -> float:

@@ -19,7 +19,7 @@ import numpy as np
 from ehbench.errors import EhbenchError, InputError, LogError
 from ehbench.parts.cylinder import joint_of, linkage_arrays
 from ehbench.plant.ties import TIED, position_channel, supplied, tied_words, white_noise
-from ehbench.quantities import VOCABULARY
+from ehbench.quantities import GAUGES, VOCABULARY
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
 from ehbench.units import factor, from_si
@@ -401,7 +401,7 @@ def _at_end(record: Record, cylinder: Cylinder, rest: int) -> bool:
 
 def _span(cylinder: Cylinder, word: str) -> float:
     """A full stroke [m], or an angle [rad] of the size that a stroke makes."""
-    return 1.0 if word in ("q", "qd") and cylinder.pins is not None else float(cylinder.stroke)
+    return 1.0 if word in ("q", "qd") and cylinder.linkage is not None else float(cylinder.stroke)
 
 
 def outside_stroke(record: Record, rig: Rig) -> list[str]:
@@ -435,7 +435,7 @@ def _stuck(record: Record, rig: Rig) -> list[str]:
         f"{cylinder.name}.{word} is constant while {cylinder.name} moves: is the sensor stuck?"
         for cylinder in rig.cylinder
         if _travels(record, cylinder)
-        for word in ("q", "x", "qd", "v", "p_head", "p_rod")
+        for word in ("q", "x", "qd", "v", "p_head", "p_rod", *GAUGES)
         if (channel := f"{cylinder.name}.{word}") in record and np.ptp(record[channel]) == 0.0
     ]
 
@@ -447,7 +447,7 @@ def off_pins(record: Record, model: Model) -> dict[str, float]:
     found = {}
     for index, cylinder in enumerate(model.rig.cylinder):
         names = [f"{cylinder.name}.{word}" for word in ("x", "q")]
-        if cylinder.pins is None or any(name not in record for name in names):
+        if cylinder.linkage is None or any(name not in record for name in names):
             continue
         x, q = (record[name] for name in names)
         off = x - linkage_arrays(model.plant.cylinders[index], q)[0]
@@ -463,13 +463,15 @@ def off_pins(record: Record, model: Model) -> dict[str, float]:
 
 def _apart(record: Record, model: Model) -> list[str]:
     """Warnings of strokes that disagree with angle and pins."""
-    unit = model.rig.unit_of("x")
-    return [
-        f"{name}.x is {abs(from_si(off, unit, VOCABULARY['x'])):.3g} {unit} "
-        f"{'above' if off > 0.0 else 'below'} what {name}.q and the pins make it: check the pins, "
-        f'or give the sensor\'s offset ([[sensor]] channel = "{name}.x")'
-        for name, off in off_pins(record, model).items()
-    ]
+    unit, found = model.rig.unit_of("x"), []
+    for name, off in off_pins(record, model).items():
+        shown = f"{abs(from_si(off, unit, VOCABULARY['x'])):.3g} {unit}"
+        way, by = "above" if off > 0.0 else "below", model.rig.cylinder_named(name).linkage_word
+        found.append(
+            f"{name}.x is {shown} {way} what {name}.q and the {by} make it: check the {by}, "
+            f'or give the sensor\'s offset ([[sensor]] channel = "{name}.x")'
+        )
+    return found
 
 
 def _travels(record: Record, cylinder: Cylinder) -> bool:

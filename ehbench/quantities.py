@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 
+# readings of a cylinder that its pressures and speed imply, where a log has them in place of these
+GAUGES = ("load_pressure", "load_force", "rod_force")
 _ALIKE = 0.75  # likeness from which a word is surely a slip of another
 
 
@@ -106,6 +108,25 @@ _ROWS = [
         "N",
         "N",
         "cylinder force p_head·area_head − p_rod·area_rod, extension positive",
+        -1e8,
+        1e8,
+    ),
+    Quantity(
+        "load_pressure",
+        "P_l",
+        "Pa",
+        "kPa",
+        "pressure across the piston, p_head − p_rod",
+        -2e8,
+        2e8,
+    ),
+    Quantity(
+        "rod_force",
+        "F_c",
+        "N",
+        "N",
+        "force of the rod on what it moves, load_force less the friction of the seals; push "
+        "positive",
         -1e8,
         1e8,
     ),
@@ -293,6 +314,8 @@ _ROWS = [
         "retracted_length", "x_i", "m", "mm", "pin-to-pin length of the retracted cylinder", 0, 50
     ),
     Quantity("phase", "φ", "rad", "deg", "angle between the pins at q = 0", -10, 10),
+    Quantity("radius", "r", "m", "mm", "constant lever of a rack or a rotary actuator", 1e-4, 50),
+    Quantity("retracted_angle", "q_0", "rad", "deg", "joint angle at x = 0", -50, 50),
     Quantity("dh_a", "a", "m", "mm", "Denavit–Hartenberg link length", -100, 100),
     Quantity("dh_d", "d", "m", "mm", "Denavit–Hartenberg link offset", -100, 100),
     Quantity("dh_alpha", "α", "rad", "deg", "Denavit–Hartenberg twist", -10, 10),

@@ -168,6 +168,16 @@ class Pins(FileModel):
     phase: Annotated[Value, Q("phase")] = Value(0.0)
 
 
+class Rack(FileModel):
+    """Cylinder that turns its joint by a constant lever, a rack on a pinion or the vane of a rotary
+    actuator: x = sign·radius·(q − retracted_angle).
+    """
+
+    radius: Annotated[Value, Q("radius")]
+    sign: Literal[1, -1] = 1
+    retracted_angle: Annotated[Value, Q("retracted_angle")] = Value(0.0)
+
+
 class MeteringEdge(FileModel):
     """One metering edge: flow from ``from`` to ``to`` when upstream pressure is higher.
 
@@ -410,6 +420,7 @@ class Cylinder(FileModel):
     volume_head: Annotated[Value, Q("volume_head")]
     volume_rod: Annotated[Value, Q("volume_rod")]
     pins: Pins | None = None
+    rack: Rack | None = None
     bulk_modulus: Annotated[Value, Q("bulk_modulus")] | None = None
     leakage_internal: Annotated[Value, Q("leakage_internal")] = Value(0.0)
     leakage_head: Annotated[Value, Q("leakage_head")] = Value(0.0)
@@ -475,6 +486,22 @@ class Cylinder(FileModel):
                     "retracted_length",
                 )
         return self
+
+    @model_validator(mode="after")
+    def _one_linkage(self) -> Cylinder:
+        if self.pins is not None and self.rack is not None:
+            raise Misplaced("a cylinder sits on 'pins' or drives a 'rack', not both", "rack")
+        return self
+
+    @property
+    def linkage(self) -> Pins | Rack | None:
+        """What joins it to its joint, None on a slide."""
+        return self.pins if self.rack is None else self.rack
+
+    @property
+    def linkage_word(self) -> str:
+        """The rig file's word for it."""
+        return "pins" if self.rack is None else "rack"
 
     @model_validator(mode="after")
     def _one_line_an_end(self) -> Cylinder:
@@ -726,9 +753,10 @@ class Rig(FileModel):
                     at,
                     "joint",
                 )
-            if (cylinder.pins is None) != (self.mechanism.kind == "slide"):
+            if (cylinder.linkage is None) != (self.mechanism.kind == "slide"):
                 raise Misplaced(
-                    "on a joint a cylinder needs 'pins', on a slide it has none", "cylinder", at
+                    "on a joint a cylinder needs 'pins' or a 'rack', on a slide it has none",
+                    *("cylinder", at),
                 )
             for i, valve in enumerate(cylinder.valve):
                 for name in valve.series:

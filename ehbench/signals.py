@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -329,6 +330,21 @@ def _basis(s: np.ndarray, omega: float, zeta: float, tau: float) -> np.ndarray:
     )
 
 
+def _basis_slopes(
+    s: np.ndarray, basis: np.ndarray, omega: float, zeta: float, tau: float
+) -> list[tuple[slice, np.ndarray]]:
+    """(which columns of the basis change, their derivatives) by log ω, by ζ and, where the drift
+    has one, by log τ.
+    """
+    waves, turned = basis[:, :2], np.column_stack([-basis[:, 1], basis[:, 0]])
+    root, along = math.sqrt(max(1e-6, 1.0 - zeta * zeta)), omega * s[:, None]
+    found = [
+        (slice(2), along * (root * turned - zeta * waves)),
+        (slice(2), -along * (waves + zeta / root * turned)),
+    ]
+    return [*found, (slice(5, 6), s[:, None] / tau * basis[:, 5:])] if tau > 0.0 else found
+
+
 def _project(basis: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(orthonormal columns of the basis, what of y lies outside their span)."""
     q, _ = np.linalg.qr(basis)
@@ -378,12 +394,6 @@ def _refine(s, y, omega, zeta, taus, free_drift=True):
     n = y.size
     best = (math.inf, omega, zeta, 0.0)
     for tau in taus:
-
-        def residual(p, tau=tau):
-            return _project(
-                _basis(s, math.exp(p[0]), p[1], math.exp(p[2]) if len(p) > 2 else tau), y
-            )[1].ravel()
-
         start, low, high = (
             [math.log(omega), min(max(zeta, 0.0), 0.9)],
             [-np.inf, -0.05],
@@ -396,9 +406,12 @@ def _refine(s, y, omega, zeta, taus, free_drift=True):
                 [*high, math.log(2.0 * s[-1])],
             )
             start[2] = min(max(start[2], low[2] + 1e-6), high[2] - 1e-6)
+        left = _Left(s, y, tau)
+        slopes: Any = left.slopes  # the types that come with SciPy know its names alone
         found = least_squares(
-            residual,
+            left.at,
             start,
+            slopes,
             bounds=(low, high),
             x_scale=[0.1, 0.1, 0.5][: len(start)],
             ftol=1e-9,
@@ -416,6 +429,43 @@ def _refine(s, y, omega, zeta, taus, free_drift=True):
                 math.exp(found.x[2]) if len(found.x) > 2 else tau,
             )
     return best[1:]
+
+
+class _Left:
+    """What an oscillation and a drift leave of some channels, and its slopes; points are (log ω, ζ)
+    or (log ω, ζ, log τ).
+    """
+
+    def __init__(self, s: np.ndarray, y: np.ndarray, tau: float) -> None:
+        self.s, self.y, self.tau = s, y, tau
+
+    def at(self, point: np.ndarray) -> np.ndarray:
+        """What is left, all channels in one row."""
+        omega, zeta, tau = self._told(point)
+        self.basis = _basis(self.s, omega, zeta, tau)
+        self.q, self.r = np.linalg.qr(self.basis)
+        self.point, self.rest = point.copy(), self.y - self.q @ (self.q.T @ self.y)
+        return self.rest.ravel()
+
+    def slopes(self, point: np.ndarray) -> np.ndarray:
+        """Its derivatives by the point's numbers: −(A + Aᵀ) y with A = (1 − QQᵀ) Φ′ Φ⁻ (Golub &
+        Pereyra 1973).
+        """
+        if not np.array_equal(point, self.point):
+            self.at(point)
+        omega, zeta, tau = self._told(point)
+        back = np.linalg.pinv(self.r)  # columns may vanish, as of a quick decay in a long window
+        shares = back @ (self.q.T @ self.y)
+        found = []
+        for columns, own in _basis_slopes(self.s, self.basis, omega, zeta, tau)[: len(point)]:
+            moved = own @ shares[columns]
+            turned = self.q @ (back[columns].T @ (own.T @ self.rest))
+            found.append((self.q @ (self.q.T @ moved) - moved - turned).ravel())
+        return np.stack(found, axis=-1)
+
+    def _told(self, point: np.ndarray) -> tuple[float, float, float]:
+        tau = math.exp(point[2]) if len(point) > 2 else self.tau
+        return math.exp(point[0]), float(point[1]), tau
 
 
 def _standard_errors(s, y, omega, zeta, tau, residual, colour) -> tuple[float, float]:

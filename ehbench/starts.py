@@ -19,6 +19,8 @@ from ehbench.observations import column
 from ehbench.parts.cylinder import linkage_of
 from ehbench.parts.valve import valve_lag, valve_settle
 from ehbench.plant.integrate import STEP
+from ehbench.plant.lanes.many import Run, replays_fixed
+from ehbench.plant.lanes.vectors import LANES
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model, Start
 from ehbench.plant.ties import supplied, tied_words
@@ -416,10 +418,27 @@ class _Follow:
 
     def left(self, shifts: np.ndarray) -> np.ndarray:
         """Simulated minus recorded [SI], shape (samples, channels)."""
-        start, true = self.start.at(self.model, shifts), self.start.true(shifts)
-        replayed = self.model.replay(true, self.step_time, start=start)
+        model, true, start = self.run_of(shifts)
+        return self.left_by(model.replay(true, self.step_time, start=start), shifts)
+
+    def run_of(self, shifts: np.ndarray) -> Run:
+        """What is replayed, and from where."""
+        return self.model, self.start.true(shifts), self.start.at(self.model, shifts)
+
+    def left_by(self, replayed: Record, shifts: np.ndarray) -> np.ndarray:
+        """`left` of a replay."""
         seen = self.start.seen(replayed, shifts)
         return _columns(seen, self.channels, self.start.record) - self.recorded
+
+    def all_left(self, every: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
+        """`left` of several shifts, side by side."""
+        for first in range(0, len(every), LANES):
+            part = every[first : first + LANES]
+            made = replays_fixed([self.run_of(shifts) for shifts in part], self.step_time)
+            for shifts, replayed in zip(part, made, strict=True):
+                # one that failed says why when it runs alone
+                failed = replayed is None
+                yield self.left(shifts) if failed else self.left_by(replayed, shifts)
 
     def weigh(self, left: np.ndarray) -> None:
         """Take scales of the channels and the weight of priors from what is left."""
@@ -433,9 +452,11 @@ class _Follow:
     def step(self, shifts: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, float]:
         """(Gauss's and Newton's step, what it should gain)."""
         each = np.eye(len(shifts))
+        doubts = self.start.doubts
+        every = [shifts + doubt.share * each[i] for i, doubt in enumerate(doubts)]
         columns = [
-            (self.left(shifts + doubt.share * each[i]) - left) / (doubt.share * self.scale)
-            for i, doubt in enumerate(self.start.doubts)
+            (moved - left) / (doubt.share * self.scale)
+            for doubt, moved in zip(doubts, self.all_left(every), strict=True)
         ]
         slopes = np.stack([column.ravel() for column in columns], axis=-1)
         normal = slopes.T @ slopes + self.weight * each

@@ -1,6 +1,7 @@
 """Compile the kernels before they are needed: ``python -m ehbench.warm``, as ``make setup`` does.
 
-Every machine runs a short trial under every law. What that compiled stays until a kernel changes.
+Every machine runs a short trial under every law, at once and tick by tick, and an arm moves several
+cylinders at a time. What that compiled stays until a kernel changes.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from inspect import signature
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
@@ -20,21 +21,25 @@ from ehbench import starter
 from ehbench.control import LAW_NAMES
 from ehbench.control.registry import LAWS
 from ehbench.recipe import TrialRecipe, load_rig
-from ehbench.rig import Rig
+from ehbench.rig import Cylinder, Rig
+from ehbench.rundir import shipped
+
+if TYPE_CHECKING:
+    from ehbench.trial import Prepared
 
 DURATION = "20 ms"
 
 
+def move(cylinder: Cylinder) -> dict[str, Any]:
+    """What a trial's recipe says of a short motion."""
+    points = [f"{share * float(cylinder.stroke)!r} m" for share in (0.4, 0.401)]
+    motion = {"kind": "point_to_point", "cylinder": cylinder.name, "waypoints": points}
+    return motion | {"speed": "50 mm/s"}
+
+
 def recipes(rig: Rig, machine: str) -> Iterator[dict[str, Any]]:
     """What a trial's recipe says, for every law on a machine; the open loop first."""
-    cylinder = rig.cylinder[0]
-    points = [f"{share * float(cylinder.stroke)!r} m" for share in (0.4, 0.401)]
-    motion = {
-        "kind": "point_to_point",
-        "cylinder": cylinder.name,
-        "waypoints": points,
-        "speed": "50 mm/s",
-    }
+    motion = move(rig.cylinder[0])
     yield {"on": machine, "duration": DURATION}
     for name in LAW_NAMES:
         need = LAWS[name].required
@@ -44,25 +49,48 @@ def recipes(rig: Rig, machine: str) -> Iterator[dict[str, Any]]:
         yield {"on": machine, "duration": DURATION, "motion": motion, "controller": controller}
 
 
+def prepared(rig: Rig, keys: dict[str, Any]) -> Prepared:
+    """A trial of a rig, of what its recipe says."""
+    from ehbench.trial import prepare
+
+    return prepare(TrialRecipe(stage="trial", rig="rig.toml", path=Path("x"), **keys), rig)
+
+
+def started() -> Rig:
+    """The rig of a new workspace."""
+    with TemporaryDirectory() as folder:
+        starter.init(Path(folder) / "rig")
+        return load_rig(Path(folder) / "rig" / "rig.toml")
+
+
 def warm(machine: str) -> str:
     """Run the short trials of one machine; its name."""
     from ehbench.plant.integrate import STEP
     from ehbench.plant.model import Model
     from ehbench.plant.paced import AUTO
-    from ehbench.trial import prepare, run
+    from ehbench.trial import run
     from ehbench.trial.accounts import account
 
-    with TemporaryDirectory() as folder:
-        starter.init(Path(folder) / "rig")
-        rig = load_rig(Path(folder) / "rig" / "rig.toml")
-        for keys in recipes(rig, machine):
-            recipe = TrialRecipe(stage="trial", rig="rig.toml", path=Path(folder) / "x", **keys)
-            prepared = prepare(recipe, rig)
-            result = run(prepared)
-            account(prepared, result)
-        for step in (STEP, AUTO):
-            Model.of(rig).replay(result.record, step)
+    rig = started()
+    for keys in recipes(rig, machine):
+        trial = prepared(rig, keys)
+        result = run(trial)
+        account(trial, result)
+        run(trial, fast=False)  # as under a class of the user's own
+    for step in (STEP, AUTO):
+        Model.of(rig).replay(result.record, step)
+    run(prepared(rig, next(recipes(rig, machine)) | {"step": AUTO}))
     return machine
+
+
+def together(what: str) -> str:
+    """Move all cylinders of an arm at once; gives back what it is called."""
+    from ehbench.trial import run
+
+    rig = load_rig(shipped("recipes") / "rigs" / "thesis_arm.toml")
+    motion, *others = map(move, rig.cylinder)
+    run(prepared(rig, {"motion": motion | {"also": others}, "controller": {"kind": "arc"}}))
+    return what
 
 
 def lanes(what: str) -> str:
@@ -70,15 +98,11 @@ def lanes(what: str) -> str:
     back what it is called.
     """
     from ehbench.plant.lanes.many import LEAST, Job, follow_together
-    from ehbench.trial import prepare, run
+    from ehbench.trial import run
     from ehbench.trial.ahead import foresee
 
-    with TemporaryDirectory() as folder:
-        starter.init(Path(folder) / "rig")
-        rig = load_rig(Path(folder) / "rig" / "rig.toml")
-    keys = next(recipes(rig, "model"))
-    recipe = TrialRecipe(stage="trial", rig="rig.toml", path=Path(folder) / "x", **keys)
-    trials = [prepare(recipe, rig) for _ in range(LEAST)]
+    rig = started()
+    trials = [prepared(rig, next(recipes(rig, "model"))) for _ in range(LEAST)]
     foresee(trials)
     model = run(trials[0]).model
     assert model is not None  # it ran on one
@@ -99,9 +123,7 @@ def ahead() -> None:
     from ehbench.plant.integrate import STEP
     from ehbench.plant.model import Model
 
-    with TemporaryDirectory() as folder:
-        starter.init(Path(folder) / "rig")
-        model = Model.of(load_rig(Path(folder) / "rig" / "rig.toml"))
+    model = Model.of(started())
     plant, names = model.plant, model.layout
     y, sheet, t = np.zeros(names.states), Sheet(model, "residual"), np.array([0.0, STEP])
     given = {"plant": plant, "owner": sheet.owner}
@@ -120,8 +142,10 @@ def main() -> None:
         return ahead()
     names = get_args(TrialRecipe.model_fields["on"].annotation)
     print("compiling the kernels, once …", file=sys.stderr, flush=True)
-    with ProcessPoolExecutor(len(names) + 1, mp_context=get_context("spawn")) as pool:
-        jobs = [pool.submit(warm, name) for name in names] + [pool.submit(lanes, "model in lanes")]
+    with ProcessPoolExecutor(len(names) + 2, mp_context=get_context("spawn")) as pool:
+        jobs = [pool.submit(warm, name) for name in names]
+        jobs += [pool.submit(lanes, "model in lanes")]
+        jobs += [pool.submit(together, "model, of several cylinders")]
         for job in jobs:
             print(f"compiled: trials on the {job.result()}", file=sys.stderr, flush=True)
 

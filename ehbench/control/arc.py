@@ -338,15 +338,15 @@ def place_joints(sample, axis, angles):
 
 
 @kernel
-def loads_along(sample, reference, q, v, load, own, axis, memory):
-    """(`Load` now, `Load` AHEAD on the same motion); where the other joints move as well, both with
-    what these add to ``load``.
+def loads_along(reference, q, v, own, axis, memory):
+    """(`Load` now, `Load` AHEAD on the same motion), after `inertias`, of which ``own`` is; where
+    the other joints move as well, both with what these add to it.
     """
-    angles, ahead_q = memory.angles, q + AHEAD * v / load.lever
+    angles, work = memory.angles, memory.work
     if reference.shape[0] > ORDERS:
-        place_joints(sample, axis, angles)
-        return loads_among(reference, q, ahead_q, AHEAD, axis, angles, memory.mass, memory.work)
-    return load, load_at(axis, ahead_q, own, memory.work)
+        return loads_among(reference, q, v, AHEAD, axis, angles, memory.mass, work)
+    load = load_at(axis, q, own, work)
+    return load, load_at(axis, q + AHEAD * v / load.lever, own, work)
 
 
 @kernel
@@ -884,17 +884,16 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
     q, x, v = sample[entry(number, OF.q)], sample[entry(number, OF.x)], sample[entry(number, OF.v)]
     measured = load_force(p, circuit.area_head, circuit.area_rod)
     place_joints(sample, axis, memory.angles)
-    own, tip = inertias(axis, memory.angles, memory.mass, memory.work)
-    load = load_at(axis, q, own, memory.work)
+    own, tip = inertias(axis, memory.angles, memory.work)
     starting = state.started == 0
     if starting:
         start(x, v, p, measured, state)
-        start_estimates(measured, load, own, tip, design, state)
+        start_estimates(measured, load_at(axis, q, own, memory.work), own, tip, design, state)
         begin(p, axis.onset, design, memory.maps)
     gains = ease(design, tip / own, state, memory.gains)[0]
     if not starting:
         x, v = observe(x, v, gains, state)
-    load, ahead = loads_along(sample, reference, q, v, load, own, axis, memory)
+    load, ahead = loads_along(reference, q, v, own, axis, memory)
 
     stroke = track_stroke(desired, x, v, gains)
     force = track_force(desired, v, measured, load, stroke, axis, gains, state.estimates)

@@ -16,10 +16,11 @@ from ehbench.parts.edge import edge_command
 from ehbench.physics.arm import (
     CHAIN,
     LINK,
-    gravity_torque_turned,
-    mass_matrix_turned,
+    inertia_turned,
+    plumb,
     turn,
     turn_joint,
+    weigh_turned,
     work_size,
 )
 
@@ -78,16 +79,14 @@ class Load(NamedTuple):
 
 
 @kernel
-def inertias(axis, angles, mass, work):
+def inertias(axis, angles, work):
     """(D_jj, what 1 kg at the tip adds to it) about the axis's joint [kg·m²], or [kg] of a slide;
     q_j does not matter. ``work`` then is turned to the ``angles``.
     """
     j, mechanism = axis.cylinder.joint, axis.mechanism
     turn(mechanism.links, angles, work)
-    mass_matrix_turned(mechanism.kind, mechanism.links, mass, work)
-    own = mass[j, j]
-    mass_matrix_turned(mechanism.kind, axis.tip, mass, work)
-    return own, mass[j, j]
+    own = inertia_turned(mechanism.kind, mechanism.links, j, work)
+    return own, inertia_turned(mechanism.kind, axis.tip, j, work)
 
 
 @kernel
@@ -100,9 +99,10 @@ def load_at(axis, q, own, work):
     torque = work[work.shape[0] - mechanism.links.shape[0] :]
     per = 1.0 / lever
     turn_joint(mechanism.links, j, q, work)
-    gravity_torque_turned(mechanism.kind, mechanism.links, mechanism.gravity, torque, work)
+    plumb(mechanism.kind, mechanism.links, mechanism.gravity, work)
+    weigh_turned(mechanism.kind, mechanism.links, mechanism.gravity, j, torque, work)
     held = torque[j] * per
-    gravity_torque_turned(mechanism.kind, axis.tip, mechanism.gravity, torque, work)
+    weigh_turned(mechanism.kind, axis.tip, mechanism.gravity, j, torque, work)
     return Load(
         own * per * per,
         held,
@@ -179,7 +179,7 @@ def reference_load(axis: Axis) -> tuple[Load, float]:
     """
     n = axis.mechanism.links.shape[0]
     angles, work = axis.mechanism.posture.copy(), np.zeros(work_size(n) + n)
-    own, tip = inertias(axis, angles, np.zeros((n, n)), work)
+    own, tip = inertias(axis, angles, work)
     load = load_at(axis, float(angles[axis.cylinder.joint]), own, work)
     if abs(load.lever) < 1e-6 or not math.isfinite(load.mass):
         raise InputError(

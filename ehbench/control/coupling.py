@@ -62,12 +62,13 @@ def _load_among(axis, joints, mass, work):
 
 
 @kernel
-def loads_among(row, q, ahead_q, ahead, axis, angles, mass, work):
+def loads_among(row, q, v, ahead, axis, angles, mass, work):
     """The `Load` now and a time ``ahead`` [s] on the same motion, all joints moving.
 
     Args:
         row: of a reference: its own columns, then the joints' as `among_others` has them.
-        q, ahead_q: coordinate of the cylinder's own joint now and then [rad or m].
+        q: coordinate of the cylinder's own joint [rad or m].
+        v: speed of the cylinder [m/s].
         ahead: as `among_others` was given.
         angles: of the joints now, shape (n,); overwritten.
     """
@@ -77,7 +78,7 @@ def loads_among(row, q, ahead_q, ahead, axis, angles, mass, work):
     now = _load_among(axis, Joints(angles, rates, accelerations), mass, work)
     for k in range(n):
         angles[k] += ahead * rates[k]
-    angles[axis.cylinder.joint] = ahead_q
+    angles[axis.cylinder.joint] = q + ahead * v / now.lever
     soon, faster = row[ORDERS + 2 * n : ORDERS + 3 * n], row[ORDERS + 3 * n :]
     return now, _load_among(axis, Joints(angles, soon, faster), mass, work)
 

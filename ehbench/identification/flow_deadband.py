@@ -10,7 +10,7 @@ import numpy as np
 from ehbench.errors import InsufficientData
 from ehbench.identification.flow_cells import Cells
 from ehbench.identification.flow_readings import Task
-from ehbench.identification.flow_steps import Shape, likeliest_smoothing, solve
+from ehbench.identification.flow_steps import Shape, roughly_smoothed, solve
 
 # no driver's command is known better than this share of the largest one
 _LEAST_WIDTH = 5e-4
@@ -79,7 +79,7 @@ def start_deadband(task: Task, shape: Shape, cells: Cells, lack: float) -> Shape
     window = window_of(task, cells, lack)
     above = task.levels[window.opens :]
     options = [
-        likeliest_smoothing(replace(shape, deadband=u, above=above), cells, s=(), fine=False)
+        roughly_smoothed(replace(shape, deadband=u, above=above), cells, 0)
         for u in np.linspace(window.low, window.high, 13)
     ]
     return min(options, key=lambda one: one[1])[0]

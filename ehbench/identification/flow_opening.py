@@ -4,6 +4,7 @@ opening above which the flow falls."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -16,7 +17,9 @@ from ehbench.identification.flow_steps import (
     deviance,
     likeliest_smoothing,
     normal_equations,
+    roughly_smoothed,
     solve,
+    valley,
 )
 
 # what must be gained in −2 log likelihood: by a kink anywhere between two commands for a closer
@@ -71,10 +74,7 @@ def find_kinks(
         return shape, kinks
     plain, value = _settled(task, replace(shape, rising=np.inf), cells, lack)
     while len(kinks) < _MOST_KINKS:
-        options = [
-            likeliest_smoothing(_with(plain, volts), cells, s=(), fine=False)
-            for volts in _places(shape.above, kinks)
-        ]
+        options = [_bent(plain, cells, gap) for gap in _gaps(shape.above, kinks)]
         best, score = min(options, key=lambda one: one[1])
         if value - score < _LOOK_GAIN:
             break
@@ -94,21 +94,30 @@ def _settled(task: Task, shape: Shape, cells: Cells, lack: float) -> tuple[Shape
     """(shape with its deadband and smoothing, −2 log likelihood)."""
     shape, _ = likeliest_smoothing(start_deadband(task, shape, cells, lack), cells)
     _, shape = find_deadband(task, shape, cells, lack)
-    return likeliest_smoothing(shape, cells)
+    return likeliest_smoothing(shape, cells, coarse=False)
 
 
-def _places(above: np.ndarray, kinks: tuple[Kink, ...]) -> list[float]:
+def _gaps(above: np.ndarray, kinks: tuple[Kink, ...]) -> list[np.ndarray]:
     """Openings [V] to try a kink at, some in each gap between two commands that has none yet and
     two commands or more on either side.
     """
     taken = {int(np.searchsorted(above, kink.value)) for kink in kinks}
     shares = np.arange(1, _IN_GAP + 1) / (_IN_GAP + 1)
     return [
-        float(above[k - 1] + share * (above[k] - above[k - 1]))
+        above[k - 1] + shares * (above[k] - above[k - 1])
         for k in range(2, above.size - 1)
-        for share in shares
         if k not in taken and _roomy(above)[k]
     ]
+
+
+def _bent(plain: Shape, cells: Cells, gap: np.ndarray) -> tuple[Shape, float]:
+    """(shape with a kink more, −2 log likelihood) at the likeliest of the openings [V] of a gap."""
+
+    @cache
+    def bent(i: int) -> tuple[Shape, float]:
+        return roughly_smoothed(_with(plain, float(gap[i])), cells, 0)
+
+    return bent(valley(lambda i: bent(i)[1], gap.size, gap.size // 2))
 
 
 def _roomy(above: np.ndarray) -> np.ndarray:

@@ -74,11 +74,9 @@ class Axis:
         ]  # coefficients of x itself
 
     def stiffen(self, stiffness: np.ndarray) -> None:
-        from scipy.linalg import eigh
-
         self.stiffness = stiffness
         self.bend = _gram(self.pieces, self.breaks, 2, stiffness)[1:, 1:]
-        self.eigen = eigh(self.bend, self.mass, eigvals_only=True)
+        self.eigen = eigenvalues(self.bend, self.mass)
         if self.eigen[1] < _ROUNDED * self.eigen[-1]:
             self.eigen = self._small_eigen()
         self.eigen[0] = 0.0  # a straight line is free
@@ -168,11 +166,7 @@ class Spline:
         rising: float = np.inf,
     ) -> None:
         self.deadband, self.top = deadband, float(above[-1])
-        inner = 0.5 * (
-            above[1:] + above[:-1]
-        )  # a spline of degree 2 rings without end if its knots are the places read
-        if inner.size > SPANS_U - 1:
-            inner = np.quantile(inner, np.linspace(0, 1, SPANS_U + 1)[1:-1])
+        inner = _between(tuple(above.tolist()))
         if soft:
             inner = np.append(above[0], inner)
         kinks = tuple(kink for kink in kinks if above[0] < kink < self.top)
@@ -194,9 +188,8 @@ class Spline:
             self.columns * np.linalg.slogdet(self.along_u.mass)[1]
             + self.rows * np.linalg.slogdet(along_s.mass)[1]
         )
-        self.floor = _LEAST_SLOPE * np.kron(
-            self.along_u.centres, along_s.centres
-        )  # coefficients of the least map, u·s
+        # coefficients of the least map, u·s
+        self.floor = _LEAST_SLOPE * np.outer(self.along_u.centres, along_s.centres).ravel()
 
     def design(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Flow per coefficient at openings [V] and scaled roots, zero up to the deadband; shape
@@ -339,6 +332,17 @@ class Spline:
         return np.diff(coefficients.reshape(self.rows, self.columns), axis=0, prepend=0.0)
 
 
+@cache
+def _between(above: tuple[float, ...]) -> np.ndarray:
+    """Breaks between commands: a spline of degree 2 rings without end if its knots are the places
+    read.
+    """
+    read = np.array(above)
+    inner = 0.5 * (read[1:] + read[:-1])
+    few = inner.size <= SPANS_U - 1
+    return inner if few else np.quantile(inner, np.linspace(0, 1, SPANS_U + 1)[1:-1])
+
+
 def _kinked(inner: np.ndarray, above: np.ndarray, kink: float) -> np.ndarray:
     """Inner breaks with a narrow span about a kink, and no other between the commands beside it."""
     k = int(np.searchsorted(above, kink))
@@ -360,6 +364,7 @@ def _band_places(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray, np.nd
     return lines, in_u, row % columns * columns + column % columns
 
 
+@cache
 def _routines() -> Any:
     """What scipy.linalg calls, without its looks at the arguments."""
     from scipy.linalg import lapack
@@ -377,6 +382,18 @@ def cholesky(band: np.ndarray) -> np.ndarray:
     if info:
         raise np.linalg.LinAlgError(f"the normal matrix is not positive definite ({info})")
     return factor
+
+
+def eigenvalues(matrix: np.ndarray, mass: np.ndarray) -> np.ndarray:
+    """Those λ, ascending, at which ``matrix − λ·mass`` is singular, both symmetric.
+
+    Raises:
+        LinAlgError: the mass is not positive definite.
+    """
+    values, _, info = _routines().dsygvd(matrix, mass, jobz="N", uplo="L")
+    if info:
+        raise np.linalg.LinAlgError(f"no eigenvalues of the penalty ({info})")
+    return values
 
 
 def solved(factor: np.ndarray, right: np.ndarray) -> np.ndarray:

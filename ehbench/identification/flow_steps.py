@@ -4,8 +4,9 @@ Each takes the cells and the shape so far, and gives the next."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -31,6 +32,7 @@ _REPEATS = 12
 _COARSE = (-9.0, -7.0, -5.0, -3.0, -1.0)
 
 Normal = tuple[np.ndarray, np.ndarray]
+Point = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,23 +105,67 @@ def deviance(misfit: float, cells: Cells) -> float:
 
 
 def likeliest_smoothing(
-    shape: Shape,
-    cells: Cells,
-    u: Sequence[float] = _COARSE,
-    s: Sequence[float] = _COARSE,
-    fine: bool = True,
-    normal: Normal | None = None,
+    shape: Shape, cells: Cells, coarse: bool = True, normal: Normal | None = None
 ) -> tuple[Shape, float]:
     """(shape with penalties by restricted maximum likelihood, −2 log of it), the scale of the noise
     left free (Wood 2011).
 
-    ``u``, ``s``: decadic logarithms of the penalties to begin with; the shape's if none are given.
+    Points come from a fixed lattice of decadic logarithms, so that the last bits of a linear
+    algebra library do not move the result.
+
+    Args:
+        coarse: begins with a look over all penalties, else about the shape's own.
+    """
+    score, now, unit = _score(shape, cells, normal)
+    first = [(a, b) for a in _COARSE for b in _COARSE] if coarse else [now]
+    best = min(first, key=score)
+    for step in (1.0, 0.5, 0.25):
+        for _ in range(5):
+            a, b = best
+            around = [(a + i * step, b + j * step) for i, j in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+            better = min((p for p in around if all(-12 <= x <= 0 for x in p)), key=score)
+            if score(better) >= score(best):
+                break
+            best = better
+    return replace(shape, smoothing=10.0 ** np.array(best) * unit), score(best)
+
+
+def roughly_smoothed(
+    shape: Shape, cells: Cells, along: int, normal: Normal | None = None
+) -> tuple[Shape, float]:
+    """`likeliest_smoothing` by the penalty along the opening (0) or the root (1) alone, to two
+    decades.
+    """
+    score, now, unit = _score(shape, cells, normal)
+    points = [(x, now[1]) if along == 0 else (now[0], x) for x in _COARSE]
+    begin = int(np.argmin(np.abs(np.array(_COARSE) - now[along])))
+    best = points[valley(lambda i: score(points[i]), len(points), begin)]
+    return replace(shape, smoothing=10.0 ** np.array(best) * unit), score(best)
+
+
+def valley(of: Callable[[int], float], size: int, begin: int) -> int:
+    """The index of the least of a row of values with one valley: walks down from ``begin``."""
+    known, at = cache(of), begin
+    while True:
+        beside = (i for i in (at - 1, at + 1) if 0 <= i < size)
+        better = min(beside, key=known, default=at)
+        if known(better) >= known(at):
+            return at
+        at = better
+
+
+def _score(
+    shape: Shape, cells: Cells, normal: Normal | None
+) -> tuple[Callable[[Point], float], Point, float]:
+    """(−2 log likelihood over decadic logarithms of the penalties, the shape's own on the lattice,
+    the unit of penalties).
     """
     spline = shape.spline()
     band, right = normal or normal_equations(spline, cells)
     total, unit = float(cells.weight @ cells.y**2), float(cells.weight.sum())
 
-    def score(point: tuple[float, float]) -> float:
+    @cache
+    def score(point: Point) -> float:
         try:
             free, determinant = spline.free(band, right, 10.0 ** np.array(point) * unit)
         except np.linalg.LinAlgError:  # too little smoothing for the readings to tell a map
@@ -127,39 +173,7 @@ def likeliest_smoothing(
         return deviance(max(total - float(right @ free), 1e-12 * total), cells) + determinant
 
     now = np.clip(np.round(4 * np.log10(shape.smoothing / unit)) / 4, -12, 0)
-    steps = (1.0, 0.5, 0.25) if fine else ()
-    best, value = _lattice_minimum(score, u or now[:1].tolist(), s or now[1:].tolist(), steps)
-    return replace(shape, smoothing=10.0 ** np.array(best) * unit), value
-
-
-def _lattice_minimum(
-    score: Callable[[tuple[float, float]], float],
-    first: Sequence[float],
-    second: Sequence[float],
-    steps: Sequence[float],
-) -> tuple[tuple[float, float], float]:
-    """(point, value) of the least of ``score`` over decadic logarithms, on a lattice that is
-    refined about the best.
-
-    Points come from a fixed lattice, so that the last bits of a linear algebra library do not move
-    the result."""
-    known: dict[tuple[float, float], float] = {}
-
-    def value(point: tuple[float, float]) -> float:
-        if point not in known:
-            known[point] = float(score(point))
-        return known[point]
-
-    best = min(((float(a), float(b)) for a in first for b in second), key=value)
-    for step in steps:
-        for _ in range(5):
-            a, b = best
-            around = [(a + i * step, b + j * step) for i, j in ((1, 0), (-1, 0), (0, 1), (0, -1))]
-            better = min((p for p in around if all(-12 <= x <= 0 for x in p)), key=value)
-            if value(better) >= value(best):
-                break
-            best = better
-    return best, value(best)
+    return score, (float(now[0]), float(now[1])), unit
 
 
 def bend(shape: Shape, cells: Cells) -> Shape:
@@ -179,7 +193,7 @@ def bend(shape: Shape, cells: Cells) -> Shape:
         replace(straight, along_s=straight.along_s.bent(k))
         for k in range(1, straight.along_s.breaks.size - 1)
     )
-    bent = [likeliest_smoothing(kink, cells, (), _COARSE, False, normal) for kink in kinks]
+    bent = [roughly_smoothed(kink, cells, 1, normal) for kink in kinks]
     sharp, value = likeliest_smoothing(min(bent, key=lambda one: one[1])[0], cells, normal=normal)
     return straight if value > plain - _BEND_GAIN else sharp
 

@@ -334,8 +334,8 @@ def _sides(rig: Rig, record: Record, name: str) -> tuple[dict[str, float], dict[
     )
     if speed is None:
         return None
-    if cylinder.pins and f"{name}.v" not in record and f"{name}.x" not in record:
-        speed = cylinder.pins.sign * speed
+    if cylinder.linkage and f"{name}.v" not in record and f"{name}.x" not in record:
+        speed = cylinder.linkage.sign * speed
     reach = DRIVEN * float(np.max(np.abs(speed)))
     sides = []
     for sign in (1.0, -1.0):

@@ -15,7 +15,7 @@ from ehbench.identification.groups import Group
 from ehbench.identification.search import Coordinate
 from ehbench.identification.band import ResponseFit, followed, late_responses
 from ehbench.identification.simulator import Log, Shifts, Simulator, channels_of
-from ehbench.quantities import quantity
+from ehbench.quantities import GAUGES, quantity
 from ehbench.identification.volumes import held_volumes
 from ehbench.observations import supply_off
 from ehbench.plant.ties import tied_words
@@ -25,7 +25,7 @@ from ehbench.rig import Rig, Value
 from ehbench.sensors import Term
 from ehbench.signals import Ringing, correlation_time, fit_percent, lowpass, rms
 
-SHOWN = ("q", "qd", "x", "v", "p_head", "p_rod")
+SHOWN = ("q", "qd", "x", "v", "p_head", "p_rod", *GAUGES)
 
 Progress = Callable[[str, float], None]
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ehbench.errors import EhbenchError, InputError, InsufficientData
-from ehbench.observations import alternatives, column, least_change, payload_of
+from ehbench.observations import alternatives, channels_asked, column, least_change, payload_of
 from ehbench.parts.edge import edge_command
 from ehbench.plant.build import Maps
 from ehbench.plant.lanes.many import LEAST, has_lanes, replays_meshed
@@ -176,7 +176,7 @@ def _asked(cylinder: Cylinder, record: Record) -> bool:
 def _moves(cylinder: Cylinder, record: Record) -> bool:
     """Whether a recorded position of the cylinder changes."""
     stroke = float(cylinder.stroke)
-    spans = {"x": stroke, "q": 1.0 if cylinder.pins else stroke}
+    spans = {"x": stroke, "q": 1.0 if cylinder.linkage else stroke}
     return any(
         (channel := f"{cylinder.name}.{word}") in record and np.ptp(record[channel]) > MOVES * span
         for word, span in spans.items()
@@ -212,7 +212,8 @@ def _columns(record: Record, live: Sequence[str], wanted: Sequence[str]) -> dict
     """
     columns: dict[str, np.ndarray] = {}
     for word in wanted:
-        for channel in [word] if "." in word else [f"{cylinder}.{word}" for cylinder in live]:
+        own = [one for cylinder in live for one in channels_asked(record, cylinder, word)]
+        for channel in [word] if "." in word else own:
             names = alternatives(channel)
             found = {name: column(record, name, record) for name in names}
             present = [name for name in names if found[name] is not None]

@@ -182,7 +182,7 @@ def _motion(
 ) -> tuple[np.ndarray | None, np.ndarray | None]:
     """(stroke [m], speed [m/s]) of a cylinder; None where the log does not tell."""
     row, name = model.plant.cylinders[index], model.layout.cylinders[index]
-    pinned = model.rig.cylinder[index].pins is not None
+    pinned = model.rig.cylinder[index].linkage is not None
     x = record[f"{name}.x"] if f"{name}.x" in record else None
     lever = None
     if pinned and f"{name}.q" in record:

@@ -8,6 +8,7 @@ import re
 import struct
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -100,7 +101,6 @@ class LogWriter:
         sync: float | None = 1.0,
         losses: Sequence[str] = (),
     ) -> None:
-        from mcap.records import Header, Metadata, MetadataIndex
         from zstandard import ZstdCompressor
 
         self.path = Path(path)
@@ -134,14 +134,27 @@ class LogWriter:
             ) from None
         except OSError as error:
             raise LogError(f"cannot be written: {error.strerror}", file=path) from error
+        self._sync = sync
+        self._synced = -np.inf
+        try:
+            self._head(meta, attachments, losses)
+            self._maybe_sync()
+        except BaseException:
+            with suppress(OSError):  # a full disk takes no more of it now either
+                self._file.close()
+            raise
+
+    def _head(
+        self, meta: dict[str, str], attachments: dict[str, bytes], losses: Sequence[str]
+    ) -> None:
+        """Write what stands before the samples."""
+        from mcap.records import Header, Metadata, MetadataIndex
+
         self._write(MAGIC + pack(Header("ros2", "ehbench")))
         record = Metadata("ehbench", meta)
         self._indexes.append(MetadataIndex(self._offset, self._write(pack(record)), record.name))
         facts = {"channels": self.channels, "losses": list(losses), "meta": meta}
         self._attach({FACTS: json.dumps(facts, indent=1).encode(), **attachments})
-        self._sync = sync
-        self._synced = -np.inf
-        self._maybe_sync()
 
     def _attach(self, files: Mapping[str, bytes]) -> None:
         from mcap.records import Attachment, AttachmentIndex

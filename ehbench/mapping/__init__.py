@@ -22,6 +22,8 @@ from ehbench.readers import Source, Table, open_source, read_flowmeter, reader_o
 from ehbench.recipe.columns import ENDING, load_columns
 from ehbench.rig import Rig
 
+EVEN = 0.01  # share by which the mean of even steps may be off their median
+
 __all__ = ["Draft", "Guess", "draft", "drafted", "guessed"]
 
 
@@ -115,8 +117,11 @@ def _span(
     if t is None or t.size < 2:
         return ""
     step = float(np.nanmedian(np.diff(t)))
+    span = float(np.nanmax(t) - np.nanmin(t))
+    even = span / (t.size - 1)  # which tells a rate better than steps that the recorder rounded
+    step = even if abs(even - step) < EVEN * step else step
     rate = f", {1 / step:.5g} Hz" if step > 0.0 else ""
-    return f", {np.nanmax(t) - np.nanmin(t):.5g} s{rate}"
+    return f", {span:.5g} s{rate}"
 
 
 def _taken_readings(path: Path, out: Path) -> list[str]:

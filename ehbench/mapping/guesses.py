@@ -39,8 +39,26 @@ COMMAND_WORDS = {
 }
 COMMAND_WORDS |= {"ref", "drive", "joystick", "output", "sollwert", "stellgrösse", "input", "uv"}
 PRESSURE_WORDS = {"p", "pt", "press", "pressure", "druck", "pression", "presion"}
+DROP = {"drop", "delta", "dp", "diff", "differential", "difference", "differenz", "loss"}
+DROP |= {"δp", "deltap", "druckabfall", "differenzdruck"}
+_ACROSS = DROP | {"pd", "pl", "load", "last", "lastdruck"}
+DIFFERENTIAL = ("psid", "bard")  # units of a pressure across something
+_PUSH = "push positive; sign = -1 where pull is"
 _PLACE = {"x", "pos", "position", "stroke", "weg", "hub", "lvdt", "displacement", "length"}
 _PLACE |= {"travel", "extension", "distance"}
+# of a column that is otherwise a command: what the spool does in answer
+_PLACE_OF_SPOOL = {
+    "position",
+    "pos",
+    "feedback",
+    "fb",
+    "lvdt",
+    "stellung",
+    "istwert",
+    "actual",
+    "ist",
+}
+_A = {"command": "a command", "opening": "the spool's position"}
 _ANGLE = {"q", "angle", "winkel", "theta", "phi", "encoder", "joint", "rotation"}
 _SPEED = {"v", "vel", "velocity", "speed", "geschwindigkeit", "rate", "xd", "qd"}
 CURRENTS = {"mA", "A"}
@@ -88,6 +106,8 @@ def guessed(source: Source, rig: Rig | None) -> dict[str, Guess]:
 
 def _guess(name: str, column: Column, table: Table, rig: Rig | None) -> Guess:
     unit, words = column.known_unit or column.absolute, words_of(name)
+    if column.unit.strip("()[]").lower() in DIFFERENTIAL:
+        words |= {"dp"}
     if table.name.startswith("/"):  # a topic is what its field is of
         words |= words_of(table.name)
     known = column.values[np.isfinite(column.values)]
@@ -104,7 +124,7 @@ def _guess(name: str, column: Column, table: Table, rig: Rig | None) -> Guess:
         if VOCABULARY[channel].unit == "Pa" and (column.absolute or words & _ABSOLUTE):
             offset = f"{from_si(-ATMOSPHERE, unit, VOCABULARY[channel]):.4g} {unit}"
             return Guess(place, unit, sure or alone, "absolute, by its name", None, offset)
-        return Guess(place, unit, sure or alone, "")
+        return Guess(place, unit, sure or alone, _PUSH if channel == "rod_force" else "")
     if words & COMMAND_WORDS or (unit in (*CURRENTS, "V", "%") and unit):
         return command_guess(unit, words, known, (cylinder, sure), rig)
     return Guess(remark="")
@@ -161,6 +181,8 @@ def reading_of(unit: str, words: set[str]) -> str:
             return False
         return is_of(unit, VOCABULARY[row]) if unit else bool(words & named)
 
+    if may("load_pressure", set()) and words & _ACROSS:
+        return "load_pressure"
     if may("p_head", PRESSURE_WORDS):
         named = words if words & PRESSURE_WORDS else words - {"1", "2"}  # AI2 is no second chamber
         ends = (end for end in ("p_supply", "p_tank", "p_rod", "p_head") if named & _WORDS[end])
@@ -168,6 +190,8 @@ def reading_of(unit: str, words: set[str]) -> str:
         return next(ends, next(ports, ""))
     if unit and is_of(unit, VOCABULARY["command"]):
         return ""
+    if may("rod_force", set()) and not words & COMMAND_WORDS:
+        return "rod_force"
     for row, named in (("v", _SPEED), ("qd", _SPEED), ("x", _PLACE), ("q", _ANGLE)):
         if may(row, named) and (unit or row != "qd") and not words & COMMAND_WORDS:
             return row
@@ -199,12 +223,13 @@ def command_guess(
             return Guess(remark="a command?")
         chosen = (named or list(own.valve))[0]
         valve, low, high = chosen.name, float(chosen.command_min), float(chosen.command_max)
-    channel = f"{cylinder}.{valve}.command"
+    word = "opening" if words & _PLACE_OF_SPOOL else "command"
+    channel = f"{cylinder}.{valve}.{word}"
     if unit and is_of(unit, VOCABULARY["command"]):
-        return Guess(channel, unit, sure and bool(words & COMMAND_WORDS), "a command?")
+        return Guess(channel, unit, sure and bool(words & COMMAND_WORDS), f"{_A[word]}?")
     spans = {"mA": (4.0, 20.0), "A": (0.004, 0.02), "%": (-100.0, 100.0)}
     if unit not in spans:
-        return Guess(channel, unit, False, "a command? say what its numbers mean at the valve")
+        return Guess(channel, unit, False, f"{_A[word]}? say what its numbers mean at the valve")
     first, last = spans[unit]
     if unit == "mA" and known.min() < 3.0:
         first, last = (-20.0, 20.0) if known.min() < -0.5 else (0.0, 20.0)

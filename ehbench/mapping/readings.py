@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ehbench.mapping.guesses import (
+    DIFFERENTIAL,
+    DROP,
     COMMAND_WORDS,
     CURRENTS,
     Guess,
@@ -17,8 +19,6 @@ from ehbench.readers import Column, Source
 from ehbench.rig import Rig
 from ehbench.units import is_of
 
-_DROP = {"drop", "delta", "dp", "diff", "differential", "difference", "differenz", "loss"}
-_DROP |= {"δp", "deltap", "druckabfall", "differenzdruck"}
 _UPSTREAM = {"upstream", "inlet", "in", "up", "before", "vor", "ein", "eingang", "1", "p1"}
 _DOWNSTREAM = {"downstream", "outlet", "out", "down", "after", "nach", "aus", "ausgang", "2", "p2"}
 _WORDS = {
@@ -84,7 +84,7 @@ def _guess(name: str, column: Column, rig: Rig | None) -> Guess:
     if unit and is_of(unit, VOCABULARY["flow"]):
         return Guess("flow", unit, True)
     if unit and is_of(unit, VOCABULARY["pressure_drop"]):
-        if words & _DROP or column.unit.strip("()[]").lower() in ("psid", "bard"):
+        if words & DROP or column.unit.strip("()[]").lower() in DIFFERENTIAL:
             return Guess("pressure_drop", unit, True)
         if words & _UPSTREAM:
             return Guess("upstream_pressure", unit, True)

@@ -24,15 +24,16 @@ from ehbench.physics.cylinder import (
 RELIEF_GAIN = 1.0e-9  # [m³/(s·Pa)]: 30 L/min over 5 bar
 
 # A cylinder. The number of the ``joint`` it drives; how it sits there, `ehbench.physics.cylinder`:
-# ``geometry`` DIRECT or PINS, ``l_a, l_b, retracted_length`` [m], ``side`` ±1, ``phase`` [rad];
-# ``stroke`` [m]; areas [m²]; dead volumes [m³], hoses included; the oil's OIL_COLUMNS; leakages
-# C_tm, C_em1, C_em2 [m³/(s·Pa)]; ``relief_pressure`` [Pa], inf for none; ``cavitation_pressure``
-# [Pa], −inf for none; ``stop_stiffness`` [N/m]; ``mobility`` [1/kg], the largest acceleration per
-# force on it; the number of its law of ``friction``, where that law's states stand
-# (``friction_states`` of them from ``friction_state`` on, −1), and the columns of the laws, as the
-# rig file has them; where the deflection of its mount stands (``mount_state``, −1: it has none),
-# ``mount_stiffness`` [N/m], ``mount_damping`` [N·s/m]; where among the commands the rates of its
-# joint's coordinate and speed stand when these are given (``tied_position``, ``tied_rate``, −1).
+# ``geometry`` DIRECT, PINS or RACK, ``l_a, l_b, retracted_length`` [m], ``side`` ±1,
+# ``phase`` [rad]; ``stroke`` [m]; areas [m²]; dead volumes [m³], hoses included; the oil's
+# OIL_COLUMNS; leakages C_tm, C_em1, C_em2 [m³/(s·Pa)]; ``relief_pressure`` [Pa], inf for none;
+# ``cavitation_pressure`` [Pa], −inf for none; ``stop_stiffness`` [N/m]; ``mobility`` [1/kg], the
+# largest acceleration per force on it; the number of its law of ``friction``, where that law's
+# states stand (``friction_states`` of them from ``friction_state`` on, −1), and the columns of the
+# laws, as the rig file has them; where the deflection of its mount stands (``mount_state``, −1: it
+# has none), ``mount_stiffness`` [N/m], ``mount_damping`` [N·s/m]; where among the commands the
+# rates of its joint's coordinate and speed stand when these are given (``tied_position``,
+# ``tied_rate``, −1).
 CYLINDER_COLUMNS = (
     ("joint", "i8"),
     ("geometry", "i8"),

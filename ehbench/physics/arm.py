@@ -191,14 +191,14 @@ def _sum_inward(links, qd, out, work):
 
 
 @kernel
-def _composite(links, work):
-    """Lower triangle of the mass matrix, row by row at the tail of ``work``, after `turn`: links
-    welded inward.
+def _composite(links, first, work):
+    """Lower triangle of the mass matrix of the joints from ``first`` on, row by row at the tail of
+    ``work``, after `turn`: links welded inward.
     """
     n = links.shape[0]
     tail = n * _STRIDE
     m, hx, hy, hz, jxx, jyy, jzz, jxy, jxz, jyz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(n - 1, -1, -1):
+    for i in range(n - 1, first - 1, -1):
         # (m, h, j) is what hangs outside of link i, about joint i's origin
         m += links[i].mass
         hx += links[i].hx
@@ -213,7 +213,7 @@ def _composite(links, work):
         work[tail + i * n + i] = jzz
         # force and moment of a unit acceleration of joint i, felt at each joint inward
         fx, fy, fz, nx, ny, nz = -hy, hx, 0.0, jxz, jyz, jzz
-        for k in range(i - 1, -1, -1):
+        for k in range(i - 1, first - 1, -1):
             b = (k + 1) * _STRIDE
             pa, pd, ca, sa = links[k].a, links[k].d, links[k].cos_alpha, links[k].sin_alpha
             c, s = work[b + _COS], work[b + _SIN]
@@ -221,7 +221,7 @@ def _composite(links, work):
             nx, ny, nz = _inward(c, s, ca, sa, nx, ny, nz)
             nx, ny, nz = nx - pd * fy, ny + pd * fx - pa * fz, nz + pa * fy
             work[tail + i * n + k] = nz
-        if i > 0:
+        if i > first:
             b = i * _STRIDE
             c, s, pa, pd = work[b + _COS], work[b + _SIN], links[i - 1].a, links[i - 1].d
             ca, sa = links[i - 1].cos_alpha, links[i - 1].sin_alpha
@@ -283,10 +283,20 @@ def mass_matrix_turned(kind, links, out, work):
     if kind == SLIDE:
         out[0, 0] = links[0].mass
         return
-    tail, n = _composite(links, work), links.shape[0]
+    tail, n = _composite(links, 0, work), links.shape[0]
     for i in range(n):
         for k in range(i + 1):
             out[i, k] = out[k, i] = work[tail + i * n + k]
+
+
+@kernel
+def inertia_turned(kind, links, j, work):
+    """D_jj(q) of one joint [kg·m²], or [kg] of a slide, in the posture of `turn`; q_j does not
+    matter.
+    """
+    if kind == SLIDE:
+        return links[0].mass
+    return work[_composite(links, j, work) + j * links.shape[0] + j]
 
 
 @kernel
@@ -304,7 +314,7 @@ def forward(kind, links, gravity, q, qd, torque, qdd, work):
     turn(links, q, work)
     rest = n * (_STRIDE + n)
     _newton_euler(links, gravity, qd, work[rest:], work)
-    tail = _composite(links, work)
+    tail = _composite(links, 0, work)
     # D = L diag(p) Lᵀ in place, the right-hand side solved along the way
     for i in range(n):
         row = tail + i * n
@@ -338,39 +348,41 @@ def gravity_torque(kind, links, gravity, q, out, work):
     ``c = ∂PE/∂q``: the moment of all that hangs outside of a joint, in that joint's frame.
     """
     turn(links, q, work)
-    gravity_torque_turned(kind, links, gravity, out, work)
+    plumb(kind, links, gravity, work)
+    weigh_turned(kind, links, gravity, 0, out, work)
 
 
 @kernel
-def gravity_torque_turned(kind, links, gravity, out, work):
-    """`gravity_torque` in the posture of `turn`."""
+def plumb(kind, links, gravity, work):
+    """Which way is up in every joint's frame, g times, into ``work``, after `turn`: several links
+    that hang there are weighed by it.
+    """
     if kind == SLIDE:
-        out[0] = links[0].mass * gravity[2] * links[0].sin_alpha
         return
-    n = links.shape[0]
     ux, uy, uz = _outward(work[_COS], work[_SIN], 1.0, 0.0, gravity[0], gravity[1], gravity[2])
-    for i in range(n):
+    for i in range(links.shape[0]):
         b = i * _STRIDE
         if i > 0:
             ca, sa = links[i - 1].cos_alpha, links[i - 1].sin_alpha
             ux, uy, uz = _outward(work[b + _COS], work[b + _SIN], ca, sa, ux, uy, uz)
         work[b + _BODY] = ux
         work[b + _BODY + 1] = uy
+
+
+@kernel
+def weigh_turned(kind, links, gravity, first, out, work):
+    """`gravity_torque` of the joints from ``first`` on, in the posture of `turn`, after `plumb`."""
+    if kind == SLIDE:
+        out[0] = links[0].mass * gravity[2] * links[0].sin_alpha
+        return
     m, hx, hy, hz = 0.0, 0.0, 0.0, 0.0
-    for i in range(n - 1, -1, -1):
+    for i in range(links.shape[0] - 1, first - 1, -1):
         b = i * _STRIDE
         m, hx, hy, hz = m + links[i].mass, hx + links[i].hx, hy + links[i].hy, hz + links[i].hz
         out[i] = hx * work[b + _BODY + 1] - hy * work[b + _BODY]
-        if i > 0:
-            hx, hy, hz = _inward(
-                work[b + _COS],
-                work[b + _SIN],
-                links[i - 1].cos_alpha,
-                links[i - 1].sin_alpha,
-                hx,
-                hy,
-                hz,
-            )
+        if i > first:
+            ca, sa = links[i - 1].cos_alpha, links[i - 1].sin_alpha
+            hx, hy, hz = _inward(work[b + _COS], work[b + _SIN], ca, sa, hx, hy, hz)
             hx += m * links[i - 1].a
             hz += m * links[i - 1].d
 

@@ -13,7 +13,7 @@ import numpy as np
 from ehbench.compiled import kernel
 from ehbench.errors import InputError
 
-PINS, DIRECT = 0, 1
+PINS, DIRECT, RACK = 0, 1, 2
 
 ATMOSPHERE = 101325.0  # [Pa], absolute
 CAVITATION_BAND = 0.9e5  # [Pa] above the floor, over which a chamber stops yielding to outflow
@@ -26,19 +26,22 @@ def linkage(kind, l_a, l_b, sign, phase, retracted, q):
 
     ``c² = l_A² + l_B² − 2 l_A l_B cos θ``, ``θ = sign·q + phase``, ``x = c − retracted``, ``lever =
     sign·l_A l_B sin θ / c`` and ``∂lever/∂q = (l_A l_B cos θ − lever²)/c`` (SPEC 1, thesis Table
-    2.1). The cylinder's force F drives the joint with lever·F, and ``v = lever·q̇``, ``a = lever·q̈
-    + ∂lever/∂q·q̇²``.
+    2.1). A rack: ``x = lever·(q − retracted)``, ``lever = sign·l_A`` of its pinion's radius l_A and
+    the angle at x = 0. The cylinder's force F drives the joint with lever·F, and ``v = lever·q̇``,
+    ``a = lever·q̈ + ∂lever/∂q·q̇²``.
 
     Args:
-        kind: PINS, or DIRECT for a slide, where x = q and the lever is 1 whatever the other
+        kind: PINS, RACK, or DIRECT for a slide, where x = q and the lever is 1 whatever the other
         arguments. l_a, l_b: distances of the pins from the joint [m].
         sign: ±1.
         phase: φ [rad].
-        retracted: length from pin to pin at x = 0 [m].
+        retracted: length from pin to pin at x = 0 [m]; of a rack the joint's angle there [rad].
         q: joint angle [rad], or the slide's position [m].
     """
     if kind == DIRECT:
         return q, 1.0, 0.0
+    if kind == RACK:
+        return sign * l_a * (q - retracted), sign * l_a, 0.0
     half = 0.5 * (sign * q + phase)
     sine, cosine = math.sin(half), math.cos(half)
     product, versine = l_a * l_b, 2.0 * sine * sine
@@ -61,6 +64,8 @@ def joint_angle(kind, l_a, l_b, sign, phase, retracted, x):
     x = np.asarray(x, dtype=float)
     if kind == DIRECT:
         return x[()]
+    if kind == RACK:
+        return (retracted + sign * x / l_a)[()]
     c = x + retracted
     low, high = abs(l_a - l_b), l_a + l_b
     beyond = c[~((low <= c) & (c <= high))]  # ~ so that nan is refused too

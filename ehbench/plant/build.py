@@ -25,7 +25,7 @@ from ehbench.parts.oil import EXPONENT
 from ehbench.parts.supply import SUPPLY as SUPPLY_LINE
 from ehbench.parts.valve import ELEMENT, VALVE
 from ehbench.physics import arm
-from ehbench.physics.cylinder import DIRECT, PINS, joint_angle, linkage
+from ehbench.physics.cylinder import DIRECT, PINS, RACK, joint_angle, linkage
 from ehbench.physics.flow_map import FlowMap, ValveMaps, pack
 from ehbench.plant.layout import SIDES, Layout, Offsets, layout
 from ehbench.rig import Chain, Cylinder, Edge, FixedEdge, Rig, Slide, Value
@@ -226,7 +226,10 @@ def _stop_pressure(rig: Rig, item: Cylinder) -> float:
 
 def pins_of(item: Cylinder) -> PinNumbers:
     """Arguments of `ehbench.physics.cylinder.linkage` before the angle."""
-    pins = item.pins
+    pins, rack = item.pins, item.rack
+    if rack is not None:
+        ends = float(rack.radius), 0.0, float(rack.sign), 0.0, float(rack.retracted_angle)
+        return (RACK, *ends)
     if pins is None:
         return (DIRECT, 0.0, 0.0, 0.0, 0.0, 0.0)
     lengths, phase = (float(pins.l_a), float(pins.l_b)), float(pins.phase)

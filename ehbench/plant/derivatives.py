@@ -29,6 +29,13 @@ from ehbench.plant.build import Plant
 
 _derivatives = Generic("derivatives", "y, command, plant, dy, work")
 _finish = Generic("finish", "y, command, plant, slope, d")
+# where a valve is to go [V], by a row of commands
+_wanted = Generic("wanted", "i, command, plant")
+# whether nothing passes an edge, whatever its drop
+_shut = Generic("shut", "edge, opening, plant")
+# flow [m³/s] along an edge at a drop [Pa] and an opening, and the bound of its slope [m³/(s·Pa)]
+_along = Generic("along", "drop, opening, edge, plant")
+_change = Generic("change", "drop, flow, opening, edge, plant")
 # whether an edge at the supply is open, so that a load-sensing supply feels what lies behind it
 _sensing = Generic("opens", "edge, opening, plant")
 # bulk modulus [Pa] of the oil in a chamber
@@ -39,18 +46,45 @@ _steep = Generic("steep", "row, side, pressure, inflow, slope, plant")
 # write the rates of a friction's own states; the fastest rate [1/s] that it makes near speed v
 _rubbing = Generic("rubbing", "row, v, y, dy, plant")
 derivatives_of, finish_of, opens_of = _derivatives.of, _finish.of, _sensing.of
+wanted_of, shut_of, along_of, change_of = _wanted.of, _shut.of, _along.of, _change.of
 stiff_of, steep_of, rubbing_of = _stiff.of, _steep.of, _rubbing.of
 any_derivatives, any_finish, any_opens = _derivatives.call, _finish.call, _sensing.call
+any_wanted, any_shut, any_along, any_change = _wanted.call, _shut.call, _along.call, _change.call
 any_stiff, any_steep, any_rubbing = _stiff.call, _steep.call, _rubbing.call
 
 
+@wanted_of(Plant)
 @part_kernel
-def _valves(y, command, plant, dy, work):
-    """Rates of the valves' elements; openings into ``work``."""
+def _wanted_opening(i, command, plant):
+    return limited(command[i], plant.valves[i])
+
+
+@shut_of(Plant)
+@part_kernel
+def _shut_edge(edge, opening, plant):
+    closed = edge.unmetered == 0 and edge.sign * opening <= 0.0
+    return closed and not edge_leaks(edge, plant.maps)
+
+
+@along_of(Plant)
+@part_kernel
+def _along_edge(drop, opening, edge, plant):
+    return edge_flow(drop, opening, edge, plant.maps)
+
+
+@change_of(Plant)
+@part_kernel
+def _change_along(drop, flow, opening, edge, plant):
+    return edge_slope(drop, flow, opening, edge)
+
+
+@part_kernel
+def valves(y, command, plant, dy, work):
+    """Rates of the valves' elements; openings into ``work``; the fastest rate [1/s]."""
     fastest = 0.0
     for i in range(plant.valves.shape[0]):
-        valve = plant.valves[i]
-        opening, rate = valve_rates(valve, limited(command[i], valve), plant, y, dy)
+        wanted = any_wanted(i, command, plant)
+        opening, rate = valve_rates(plant.valves[i], wanted, plant, y, dy)
         work[plant.at.opening + i] = opening
         fastest = max(fastest, rate)
     return fastest
@@ -98,7 +132,7 @@ def _opens(edge, opening, plant):
 
 
 @part_kernel
-def _edges(y, plant, work):
+def edges(y, plant, work):
     """Flows along the edges; net inflow and its slope of every node."""
     at = plant.at
     for i in range(at.net, at.opening):
@@ -106,13 +140,13 @@ def _edges(y, plant, work):
     for e in range(plant.edges.shape[0]):
         edge = plant.edges[e]
         opening, flow = edge_opening(y, plant, edge, work[at.opening :]), 0.0
-        shut = edge.unmetered == 0 and edge.sign * opening <= 0.0
-        if not shut or edge_leaks(edge, plant.maps):
+        if not any_shut(edge, opening, plant):
             first, last, railed = ends_of(y, plant, edge)
             drop = first - last
-            flow = edge_flow(drop, opening, edge, plant.maps)
+            flow = any_along(drop, opening, edge, plant)
             if flow != 0.0 or edge.unmetered == 1:
-                join(edge, flow, edge_slope(drop, flow, opening, edge), railed, at, work)
+                slope = any_change(drop, flow, opening, edge, plant)
+                join(edge, flow, slope, railed, at, work)
         work[at.flow + e] = flow
 
 
@@ -237,8 +271,8 @@ def derivatives(y, command, plant, dy, work):
         dy: out, shape (plant.at.states,).
         work: workspace of plant.at.work.
     """
-    fastest = _valves(y, command, plant, dy, work)
-    _edges(y, plant, work)
+    fastest = valves(y, command, plant, dy, work)
+    edges(y, plant, work)
     for i in range(plant.at.torque, plant.at.net):
         work[i] = 0.0
     fastest = max(fastest, line_rates(y, plant, dy, work))

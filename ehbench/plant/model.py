@@ -15,6 +15,7 @@ from ehbench.parts.valve.delay import line_of
 from ehbench.physics.arm import SLIDE
 from ehbench.plant import trim as starts
 from ehbench.plant.build import Maps, Plant, build, links_of
+from ehbench.plant.gauges import gauged
 from ehbench.plant.integrate import STEP, run
 from ehbench.plant.layout import SIDES, Layout, layout
 from ehbench.plant.paced import AUTO, Step, pace_of, run_paced
@@ -305,7 +306,7 @@ class Model:
         start = start or self.rest_start(record, rest)
         model, table, y = self.along(record, start)
         log = model.run(y, table, record.sample_time, step)
-        return self.record(record.t, table, log, record.meta, start.tank)
+        return self.replayed(record, table, log, start)
 
     def replay_paced(
         self, record: Record, start: Start, mesh: np.ndarray = FREE, rough: bool = False
@@ -318,7 +319,15 @@ class Model:
         """
         model, table, y = self.along(record, start)
         log, mesh = model.paced(y, table, record.sample_time, mesh, False, rough)
-        return self.record(record.t, table, log, record.meta, start.tank), mesh
+        return self.replayed(record, table, log, start), mesh
+
+    def replayed(
+        self, record: Record, commands: np.ndarray, log: np.ndarray, start: Start
+    ) -> Record:
+        """The log table of a replay as a record, with what the recording's gauges would show."""
+        made = self.record(record.t, commands, log, record.meta, start.tank)
+        shown = gauged(self.plant, self.layout, log, record.channels)
+        return replace(made, channels={**made.channels, **shown}) if shown else made
 
     def along(self, record: Record, start: Start) -> tuple[Model, np.ndarray, np.ndarray]:
         """(the model at a start's pressures, a recording's commands and the rates of what is tied

@@ -54,9 +54,9 @@ def _at_the_end(axis: Axis, links: np.recarray) -> float:
     ``links`` have more than the bare rig, in the axis's posture.
     """
     n = len(links)
-    angles, room = axis.mechanism.posture, (np.zeros((n, n)), np.zeros(work_size(n) + n))
-    own, tip = inertias(axis, angles, *room)
+    angles, room = axis.mechanism.posture, np.zeros(work_size(n) + n)
+    own, tip = inertias(axis, angles, room)
     loaded, _ = inertias(
-        axis._replace(mechanism=axis.mechanism._replace(links=links)), angles, *room
+        axis._replace(mechanism=axis.mechanism._replace(links=links)), angles, room
     )
     return float((loaded - own) / tip)

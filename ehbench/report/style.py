@@ -60,28 +60,24 @@ def canvas(
     path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.2, 4.2), **kwargs
 ) -> Iterator:
     """A figure and its axes; saved as SVG to ``path`` when the block ends, with bytes that depend
-    on nothing else.
+    on nothing else. What the host draws with, and its figures, are left as they are.
     """
     import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
     from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
     from matplotlib.rcsetup import cycler
 
     settings: Any = _RC | {"axes.prop_cycle": cycler(color=CYCLE)}
     with matplotlib.rc_context(settings):
-        figure, axes = plt.subplots(rows, columns, figsize=size, **kwargs)
-        try:
-            yield figure, axes
-            path.parent.mkdir(parents=True, exist_ok=True)
-            _let_formulas(figure)
-            text = StringIO()
-            # savefig would draw twice where a layout engine is on: once for the layout alone
-            FigureCanvasSVG(figure).print_svg(text, metadata={"Date": None, "Creator": "ehbench"})
-            path.write_text(shrink(text.getvalue()), encoding="utf-8")
-        finally:
-            plt.close(figure)
+        figure = Figure(figsize=size)
+        page = FigureCanvasSVG(figure)
+        yield figure, figure.subplots(rows, columns, **kwargs)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _let_formulas(figure)
+        text = StringIO()
+        # savefig would draw twice where a layout engine is on: once for the layout alone
+        page.print_svg(text, metadata={"Date": None, "Creator": "ehbench"})
+        path.write_text(shrink(text.getvalue()), encoding="utf-8")
 
 
 def _let_formulas(figure: Figure) -> None:

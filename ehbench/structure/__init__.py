@@ -7,7 +7,7 @@ fault counts where it explains more than chance does of that many independent nu
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 
@@ -15,6 +15,10 @@ import numpy as np
 
 from ehbench.errors import EhbenchError
 from ehbench.observations import position_of
+from ehbench.plant.lanes.many import Run, replays_fixed
+from ehbench.plant.lanes.vectors import LANES
+from ehbench.plant.model import STEP
+from ehbench.record import Record
 from ehbench.structure.cases import Case, commanded, total
 from ehbench.structure.cures import Cure, cures
 from ehbench.structure.follows import Follows, followed
@@ -33,6 +37,9 @@ HALVINGS = 5  # of the steps in which it is
 QUIET = 1.3  # mean square of residuals, in those of noise, up to which only slopes are asked
 OF_A_KIND = 2  # findings of one kind that are told
 MOST = 4  # findings told of a cylinder
+
+Point = tuple[Cure, float]  # a cure and its size
+Best = tuple[float, float, list[np.ndarray]]  # a size, sum of squares, what is left of each case
 
 
 @dataclass(frozen=True)
@@ -102,7 +109,7 @@ class _Search:
 
     def findings(self) -> list[Finding]:
         """The cures that explain the residuals, the likeliest first."""
-        slopes = {cure: self._slope(cure) for cure in self._cures()}
+        slopes = self._slopes(self._cures())
         promises = {cure: self._promise(cure, slope) for cure, slope in slopes.items()}
         ranked = sorted(slopes, key=lambda cure: -promises[cure])
         quiet = self.now < QUIET * sum(left.size for left in self.left)
@@ -110,9 +117,9 @@ class _Search:
         if quiet and not any(self._counts(promises[cure], self.now) for cure in tried):
             return []
         tried += [cure for cure in ranked[TRIED:] if cure.trials]
-        reached = {cure: self._best(cure, slopes[cure]) for cure in tried}
-        for cure in sorted(reached, key=lambda cure: reached[cure][1])[:REFINED]:
-            reached[cure] = self._refined(cure, reached[cure])
+        reached = self._best({cure: slopes[cure] for cure in tried})
+        nearest = sorted(reached, key=lambda cure: reached[cure][1])[:REFINED]
+        reached |= self._refined({cure: reached[cure] for cure in nearest})
         gains = {cure: self.now - cost for cure, (_, cost, _) in reached.items()}
         gains = {cure: gain for cure, gain in gains.items() if self._counts(gain, self.now)}
         if not gains:
@@ -144,33 +151,61 @@ class _Search:
         unique = list(dict.fromkeys(channels))
         return cures(case.model.rig, list(dict.fromkeys(cylinders)), unique, played)
 
-    def _at(self, cure: Cure, delta: float) -> list[np.ndarray] | None:
-        """What is left of each case with a cure of this size; None if it cannot be simulated."""
-        found = []
-        for case, now in zip(self.cases, self.left, strict=True):
-            if cure.cylinder and cure.cylinder not in case.cylinders:
-                found.append(now)
-                continue
-            try:
-                model, record = cure.vary(case, delta)
-                simulated = cure.sense(case, case.simulated(model, record), delta)
-                left = case.left(simulated)
-            except EhbenchError:
-                return None
-            if not np.isfinite(left).all():
-                return None
-            found.append(left)
+    def _at(self, points: Sequence[Point]) -> list[list[np.ndarray] | None]:
+        """What is left of each case with a cure of a size, for each of these; None where it cannot
+        be simulated.
+        """
+        parts = [points[i : i + LANES] for i in range(0, len(points), LANES)]
+        return [left for part in parts for left in self._at_once(part)]
+
+    def _at_once(self, points: Sequence[Point]) -> list[list[np.ndarray] | None]:
+        """`_at` for no more points than go side by side."""
+        found: list[list[np.ndarray] | None] = [list(self.left) for _ in points]
+        for k, case in enumerate(self.cases):
+            runs: dict[int, Run] = {}
+            for i, (cure, delta) in enumerate(points):
+                if cure.cylinder and cure.cylinder not in case.cylinders:
+                    continue
+                try:
+                    runs[i] = case.run_of(*cure.vary(case, delta))
+                except EhbenchError:
+                    found[i] = None
+            made = replays_fixed(list(runs.values()), STEP)
+            for i, replayed in zip(runs, made, strict=True):
+                left, own = self._left(case, points[i], replayed), found[i]
+                if left is None or own is None:
+                    found[i] = None
+                else:
+                    own[k] = left
         return found
 
-    def _slope(self, cure: Cure) -> list[np.ndarray] | None:
-        """What is left over changes by, a unit of δ."""
-        if cure.step == 0.0:
+    @staticmethod
+    def _left(case: Case, point: Point, replayed: Record | None) -> np.ndarray | None:
+        """What a replay with a cure leaves of a case; None if that is not finite."""
+        if replayed is None:
             return None
-        step = cure.step if cure.low <= cure.step <= cure.high else -cure.step
-        moved = self._at(cure, step)
-        if moved is None:
+        cure, delta = point
+        try:
+            left = case.left(cure.sense(case, case.seen(replayed), delta))
+        except EhbenchError:
             return None
-        return [(to - at) / step for to, at in zip(moved, self.left, strict=True)]
+        return left if np.isfinite(left).all() else None
+
+    def _slopes(self, every: Sequence[Cure]) -> dict[Cure, list[np.ndarray] | None]:
+        """What is left over changes by, a unit of δ, of each cure."""
+        steps = {
+            cure: cure.step if cure.low <= cure.step <= cure.high else -cure.step
+            for cure in every
+            if cure.step != 0.0
+        }
+        moved = dict(zip(steps, self._at(list(steps.items())), strict=True))
+        found: dict[Cure, list[np.ndarray] | None] = {}
+        for cure in every:
+            there = moved.get(cure)
+            found[cure] = there and [
+                (to - at) / steps[cure] for to, at in zip(there, self.left, strict=True)
+            ]
+        return found
 
     def _promise(self, cure: Cure, slope: list[np.ndarray] | None) -> float:
         """By how much a cure lowers the sum of squares, if what is left is linear in it."""
@@ -188,35 +223,39 @@ class _Search:
         along = sum(float(by @ at) for by, at in zip(slope, left, strict=True))
         return min(max(-along / steep, cure.low), cure.high)
 
-    def _best(
-        self, cure: Cure, slope: list[np.ndarray] | None
-    ) -> tuple[float, float, list[np.ndarray]]:
-        """(δ, sum of squares, what is left) of the best of a cure that is simulated."""
-        best = (0.0, self.now, self.left)
-        first = self._size(cure, slope, self.left)
-        for delta in dict.fromkeys((*cure.trials, first, 0.5 * first)):
-            if delta == 0.0:
-                continue
-            left = self._at(cure, delta)
-            if left is not None and total(left) < best[1]:
-                best = (delta, total(left), left)
-        return best
+    def _best(self, slopes: Mapping[Cure, list[np.ndarray] | None]) -> dict[Cure, Best]:
+        """The best of each cure that is simulated, by their slopes."""
+        points: list[Point] = []
+        for cure, slope in slopes.items():
+            first = self._size(cure, slope, self.left)
+            sizes = dict.fromkeys((*cure.trials, first, 0.5 * first))
+            points += [(cure, delta) for delta in sizes if delta != 0.0]
+        return self._bettered(dict.fromkeys(slopes, (0.0, self.now, self.left)), points)
 
-    def _refined(
-        self, cure: Cure, best: tuple[float, float, list[np.ndarray]]
-    ) -> tuple[float, float, list[np.ndarray]]:
+    def _refined(self, reached: Mapping[Cure, Best]) -> dict[Cure, Best]:
         """As `_best`, with δ sought to both sides in halving steps."""
-        reach = 0.5 * abs(best[0])
+        now = dict(reached)
+        reach = {cure: 0.5 * abs(best[0]) for cure, best in now.items()}
         for _ in range(HALVINGS):
-            for delta in (best[0] - reach, best[0] + reach):
-                if reach == 0.0 or not cure.low <= delta <= cure.high:
-                    continue
-                left = self._at(cure, delta)
-                if left is not None and total(left) < best[1]:
-                    best = (delta, total(left), left)
-                    break
-            reach *= 0.5
-        return best
+            before = dict(now)
+            for side in (-1.0, 1.0):
+                points = [
+                    (cure, best[0] + side * reach[cure])
+                    for cure, best in before.items()
+                    if reach[cure] > 0.0 and now[cure] is best
+                ]
+                inside = [(c, delta) for c, delta in points if c.low <= delta <= c.high]
+                now = self._bettered(now, inside)
+            reach = {cure: 0.5 * far for cure, far in reach.items()}
+        return now
+
+    def _bettered(self, reached: Mapping[Cure, Best], points: Sequence[Point]) -> dict[Cure, Best]:
+        """The best of each cure, held against some more points."""
+        now = dict(reached)
+        for (cure, delta), left in zip(points, self._at(points), strict=True):
+            if left is not None and total(left) < now[cure][1]:
+                now[cure] = (delta, total(left), left)
+        return now
 
     def _counts(self, gain: float, of: float) -> bool:
         """Whether so much less in a sum of squares is more than chance, and more than a trifle."""

@@ -11,8 +11,10 @@ import numpy as np
 
 from ehbench.observations import column, least_change
 from ehbench.plant.build import Maps
+from ehbench.plant.lanes.many import Run
 from ehbench.plant.model import Model
 from ehbench.plant.ties import tied_words
+from ehbench.quantities import GAUGES
 from ehbench.record import Record
 from ehbench.rig import Rig
 from ehbench.sensors import Term, corrected, sensed
@@ -47,11 +49,20 @@ class Case:
         """What a model does on a record, the case's own or a corrected one: from rest, or from what
         the first samples say where the log begins in motion; as its sensors show it.
         """
-        true, start = corrected(record, self.terms, self.excess), None
-        if self.begins_in_motion:
-            begun = start_of_log(model, true, self.cylinders, self.channels)
-            start = begun.at(model, np.zeros(len(begun.doubts)))
-        return sensed(model.replay(true, start=start), self.terms, self.excess)
+        model, true, start = self.run_of(model, record)
+        return self.seen(model.replay(true, start=start))
+
+    def run_of(self, model: Model, record: Record) -> Run:
+        """(a model, a record as sound sensors would have it, the start) of `simulated`."""
+        true = corrected(record, self.terms, self.excess)
+        if not self.begins_in_motion:
+            return model, true, model.rest_start(true)
+        begun = start_of_log(model, true, self.cylinders, self.channels)
+        return model, true, begun.at(model, np.zeros(len(begun.doubts)))
+
+    def seen(self, replayed: Record) -> Record:
+        """A simulation as the log's sensors show it."""
+        return sensed(replayed, self.terms, self.excess)
 
     @cached_property
     def begins_in_motion(self) -> bool:
@@ -69,7 +80,10 @@ class Case:
                 (name for name in rates if column(self.record, name, self.record) is not None), None
             )
             ends = [f"{cylinder}.{word}" for word in ("p_head", "p_rod")]
-            found += [name for name in (rate, *ends) if name and self._moves(name)]
+            ends = [name for name in ends if self._moves(name)]
+            gauges = [f"{cylinder}.{word}" for word in GAUGES]
+            found += [rate] if rate and self._moves(rate) else []
+            found += ends or [name for name in gauges if self._moves(name)]
         given = tied_words(self.record)
         return tuple(name for name in found if name.rpartition(".")[2] not in given)
 

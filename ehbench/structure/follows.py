@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ehbench.observations import column
+from ehbench.quantities import GAUGES
 from ehbench.record import Record
 from ehbench.signals import correlation_band
 from ehbench.structure.cases import Case
@@ -59,7 +60,7 @@ def _causes(case: Case, cylinder: str) -> dict[str, np.ndarray]:
             moving = np.abs(slow) > STILL * float(np.max(np.abs(slow), initial=0.0))
             found |= {"speed": slow, "direction": np.where(moving, np.sign(slow), 0.0)}
             break
-    for what, words in (("position", ("x", "q")), ("pressure", ("p_head", "p_rod"))):
+    for what, words in (("position", ("x", "q")), ("pressure", ("p_head", "p_rod", *GAUGES))):
         name = next((f"{cylinder}.{w}" for w in words if f"{cylinder}.{w}" in record), None)
         if name is not None:
             found[what] = case.blocks(record[name])

@@ -9,6 +9,11 @@ from ehbench.quantities import quantity
 from ehbench.structure.cases import Case
 from ehbench.units import from_si
 
+_KEYS = {
+    "pins": ("phase", "retracted_length", "l_a", "l_b"),
+    "rack": ("radius", "retracted_angle"),
+}
+
 
 def disagreements(cases: Sequence[Case]) -> Iterator[tuple[str, str, str, float]]:
     """(cylinder, sentence, cure, by how much [m]) of each that disagrees, the worst log of each."""
@@ -20,10 +25,11 @@ def disagreements(cases: Sequence[Case]) -> Iterator[tuple[str, str, str, float]
     for name, (off, log) in worst.items():
         unit = cases[0].model.rig.unit_of("x")
         shown = f"{from_si(abs(off), unit, quantity('x')):.3g} {unit}"
+        by = cases[0].model.rig.cylinder_named(name).linkage_word
         yield (
             name,
-            f"{name}.x and {name}.q of {log} disagree with the pins by {shown}",
-            f"check the pins of {name} (phase, retracted_length, l_a, l_b) and the offset and sign "
+            f"{name}.x and {name}.q of {log} disagree with the {by} by {shown}",
+            f"check the {by} of {name} ({', '.join(_KEYS[by])}) and the offset and sign "
             f"of {name}.x and {name}.q",
             off,
         )

@@ -355,7 +355,7 @@ def steady_memory(model: Model, point: OperatingPoint, site: Site, gains: np.rec
     state.x, state.v = point.x - site.tick * point.v, point.v  # of the last tick
     memory = arc.memory_of(axis)
     memory.angles[:] = point.q
-    own, _ = inertias(axis, memory.angles, memory.mass, memory.work)
+    own, _ = inertias(axis, memory.angles, memory.work)
     load = load_at(axis, point.q[int(axis.cylinder.joint)], own, memory.work)
     estimates, room = state.estimates, INSIDE * (gains.upper - gains.lower)
     low, high = gains.lower + room, gains.upper - room

@@ -16,11 +16,20 @@ from typing import Any
 import numpy as np
 
 from ehbench.errors import EhbenchError, InputError, LogError
-from ehbench.observations import alternatives, column, least_change, payload_of, supply_off
+from ehbench.observations import (
+    OF_VALVES,
+    alternatives,
+    channels_asked,
+    column,
+    least_change,
+    payload_of,
+    supply_off,
+)
 from ehbench.plant.build import Maps
 from ehbench.plant.model import Model
 from ehbench.plant.ties import tied_words
 from ehbench.preprocessing import numbered, preprocess
+from ehbench.quantities import GAUGES
 from ehbench.recipe import Thresholds
 from ehbench.record import Record
 from ehbench.rig import Rig, Valve
@@ -291,7 +300,7 @@ def _plain(asked: Thresholds) -> dict[str, Any]:
 
 
 def _check_channels(rig: Rig, channels: Sequence[str]) -> None:
-    known = ("q", "qd", "x", "v", "p_head", "p_rod")
+    known = ("q", "qd", "x", "v", "p_head", "p_rod", *GAUGES, *OF_VALVES)
     for channel in channels:
         if channel not in known:
             raise InputError(
@@ -409,13 +418,20 @@ def _doubts(log: TakenLog, moved: Sequence[str]) -> list[str]:
     return sentences
 
 
+def _wanted(record: Record, moved: Sequence[str], channels: Sequence[str]) -> list[str]:
+    """The channels of a log, by full name, that quantities ask for."""
+    return [
+        one for name in moved for word in channels for one in channels_asked(record, name, word)
+    ]
+
+
 def _pairs(
     record: Record, simulated: Record, moved: Sequence[str], channels: Sequence[str]
 ) -> tuple[dict[str, Pair], list[str]]:
     """(recorded and simulated by channel, the channels that neither the log nor a stand-in has)."""
     pairs: dict[str, Pair] = {}
     lacking = []
-    for wanted in (f"{cylinder}.{word}" for cylinder in moved for word in channels):
+    for wanted in _wanted(record, moved, channels):
         open_ = [name for name in alternatives(wanted) if name not in pairs]
         both = ((name, pair_of(record, simulated, name)) for name in open_)
         name, pair = next(((name, pair) for name, pair in both if pair), (wanted, None))
@@ -429,7 +445,7 @@ def _pairs(
 def _followed(log: TakenLog, moved: Sequence[str], channels: Sequence[str]) -> Followed:
     """Where the log starts and how its sensors are, as the cylinders that are judged tell it."""
     record = log.record
-    wanted = [f"{cylinder}.{word}" for cylinder in moved for word in channels]
+    wanted = _wanted(record, moved, channels)
     inputs = [
         next((name for name in alternatives(one) if column(record, name, record) is not None), None)
         for one in wanted
@@ -467,6 +483,6 @@ def _moved(model: Model, record: Record) -> tuple[tuple[str, ...], tuple[str, ..
 def _recorded(
     record: Record, moved: Sequence[str], channels: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    wanted = (f"{cylinder}.{word}" for cylinder in moved for word in channels)
+    wanted = _wanted(record, moved, channels)
     names = [name for channel in wanted for name in alternatives(channel)]
     return {"t": record.t} | {name: record[name] for name in names if name in record}

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 
-from ehbench.observations import STAND_INS
+from ehbench.observations import stood_for
 from ehbench.quantities import quantity
 from ehbench.recipe import Thresholds
 from ehbench.record import Record
@@ -73,7 +73,8 @@ def _sweep_checks(sweep: Sweep, asked: Thresholds) -> Iterator[Check]:
 
 def _fit_check(result: ChannelResult, asked: Thresholds) -> Iterator[Check]:
     word = result.channel.rsplit(".", 1)[1]
-    least = asked.fit_percent.get(word, asked.fit_percent.get(STAND_INS.get(word, "")))
+    limits = (asked.fit_percent.get(one) for one in stood_for(word))
+    least = next((limit for limit in limits if limit is not None), None)
     reached = result.fit_percent
     if least is not None and reached is not None:
         asked_for, allowed = least, ""
@@ -134,8 +135,7 @@ def unasked(
     """
     for result in results:
         word, reached = result.channel.rsplit(".", 1)[1], result.fit_percent
-        named = {word, STAND_INS.get(word, word)}
-        silent = not named & {*asked.fit_percent, *asked.max_error}
+        silent = not {*stood_for(word)} & {*asked.fit_percent, *asked.max_error}
         if word in ("q", "x") and silent and reached is not None and reached < POOR:
             row, unit = quantity(word), rig.unit_of(word)
             wish = f"{result.channel.rsplit('.', 1)[0]}.x_desired"
@@ -212,5 +212,9 @@ def _words(channel: str) -> str:
         "v": "speed",
         "p_head": "head pressure",
         "p_rod": "rod pressure",
+        "load_pressure": "load pressure",
+        "load_force": "cylinder force",
+        "rod_force": "rod force",
+        "opening": "opening",
     }
     return f"{cylinder} {plain[word]}"

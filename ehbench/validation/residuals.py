@@ -107,7 +107,7 @@ def _white(y: np.ndarray) -> float:
 
 def _own_commands(record: Record, model: Model, channel: str) -> list[str]:
     """The recorded commands of the channel's cylinder."""
-    cylinder = channel.rsplit(".", 1)[0]
+    cylinder = channel.partition(".")[0]
     return [
         f"{valve}.command"
         for valve in model.layout.valves

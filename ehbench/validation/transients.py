@@ -13,6 +13,7 @@ import numpy as np
 from ehbench import signals
 from ehbench.observations import TOGETHER, least_change
 from ehbench.plant.model import Model
+from ehbench.quantities import GAUGES
 from ehbench.record import Record
 from ehbench.validation.residuals import Pair
 from ehbench.validation.results import Ring, Transient
@@ -21,7 +22,7 @@ STANDS = 2.5  # periods of what rings for which the command must stand
 CREEPS = 0.1  # share of the step by which a standing command may still move
 REPEATS = 0.15  # share by which the frequency of a half may differ, beyond three standard errors
 ALIKE = 3.0  # these standard errors
-OSCILLATES = ("qd", "v", "p_head", "p_rod")  # a position integrates an oscillation away
+OSCILLATES = ("qd", "v", "p_head", "p_rod", *GAUGES)  # a position integrates an oscillation away
 
 
 def transients_of(

@@ -11,17 +11,24 @@ from pathlib import Path
 import pytest
 
 from ehbench import inspection, workflow
+from ehbench.stages.look import Look
 
 ROOT = Path(__file__).parents[2]
 RECIPES = sorted((ROOT / "recipes").rglob("*.toml"))
 
 
+@pytest.fixture(scope="module")
+def look() -> Look:
+    """One walk over all recipes: those that several name are looked at once."""
+    return Look(workflow.ROOT)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", RECIPES, ids=lambda p: p.relative_to(ROOT / "recipes").as_posix())
-def test_every_recipe_and_all_it_names_is_sound(path):
+def test_every_recipe_and_all_it_names_is_sound(path, look):
     if path.parent.name == "real" and not os.environ.get("EHBENCH_DATA"):
         pytest.skip("EHBENCH_DATA does not say where these recordings are")
-    found = inspection.check(path)
+    found = inspection.check(path, look)
     assert found.code == 0 and found.lines[-1] == "ok"
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import runpy
 import shutil
 import signal
 import subprocess
@@ -278,3 +279,11 @@ def test_two_runs_are_compared_as_a_table_and_as_json(inside, tmp_path):
     assert [one["name"] for one in json.loads(done.stdout)["parameters"]] == ["bulk_modulus"]
     done = inside("compare", run, flow_map_run(tmp_path))
     assert done.returncode == 2 and "compare runs of one stage" in done.stderr
+
+
+def test_the_module_is_the_command(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["ehbench", "--version"])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_module("ehbench", run_name="__main__")
+    assert not ended.value.code
+    assert capsys.readouterr().out.startswith("ehbench ")

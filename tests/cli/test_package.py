@@ -34,14 +34,26 @@ def installed(tmp_path_factory):
     return target
 
 
+def files(folder: Path) -> dict[str, bytes]:
+    """What lies in a folder, by its path there."""
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+
+
 @pytest.mark.slow
 def test_a_wheel_finds_the_campaigns_that_ship(installed, tmp_path):
-    """And says the same version of the code as the checkout that it was made from. Its kernels run
-    as Python: to compile them into a folder of their own for one check takes twenty seconds.
+    """Every recipe and all data are in it, to the byte; and it says the same version of the code as
+    the checkout that it was made from. Its kernels run as Python: to compile them into a folder of
+    their own for one check takes twenty seconds. So it checks the slide's campaign; that of the
+    thesis, of the same files, is checked by the checkout.
     """
     code = (
         "from ehbench import rundir, starter, inspection\n"
-        "path = starter.find_campaign('thesis')\n"
+        "print(starter.find_campaign('thesis'))\n"
+        "path = starter.find_campaign('slide_servo')\n"
         "print(path); print(inspection.check(path).code); print(rundir.code_version())\n"
     )
     done = subprocess.run(
@@ -52,8 +64,14 @@ def test_a_wheel_finds_the_campaigns_that_ship(installed, tmp_path):
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    path, found, version = done.stdout.split()
-    assert Path(path).is_relative_to(installed) and found == "0"
+    thesis, slide, found, version = done.stdout.split()
+    assert found == "0"
+    for path, name in ((thesis, "thesis"), (slide, "slide_servo")):
+        shipped = Path(path).parents[1]
+        assert shipped.is_relative_to(installed)
+        assert Path(path) == shipped / name / "campaign.toml"
+    assert files(shipped) == files(ROOT / "recipes")
+    assert files(shipped.parent / "datasets") == files(ROOT / "datasets")
     from ehbench.rundir import code_version
 
     assert version == code_version()

@@ -7,6 +7,7 @@ import os
 import resource
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -151,40 +152,35 @@ def test_init_never_writes_over_a_file(place):
     assert tree("new/deep") == tree(rundir.PACKAGE / "workspace")
 
 
-def cli(*arguments, cwd, out=subprocess.PIPE, limit=None):
-    def small():
-        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-
-    line = [sys.executable, "-m", "ehbench.cli", *arguments]
-    return subprocess.run(
-        line,
-        cwd=cwd,
-        stdout=out,
-        stderr=subprocess.PIPE,
-        text=True,
-        check=False,
-        preexec_fn=small if limit else None,
-    )
+@contextmanager
+def disk_of(size):
+    """While no file may grow beyond ``size`` [bytes]."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-@pytest.mark.slow
-def test_a_disk_that_takes_no_more_is_one_sentence_of_the_place_that_was_asked_for(place):
+def test_a_disk_that_takes_no_more_is_one_sentence_of_the_place_that_was_asked_for(place, inside):
     starter.init(Path("ws"))
-    for limit in (4_000, 60_000, 100_000):
-        done = cli(
-            *("run-trial", "ws/recipes/step_small.toml", "--out", "out", "-q"),
-            cwd=place,
-            limit=limit,
-        )
+    words = ("run-trial", "ws/recipes/step_small.toml", "--out", "out", "-q")
+    for size in (4_000, 60_000, 100_000):
+        with disk_of(size):
+            done = inside(*words, cwd=place)
         assert done.returncode == 2, done.stderr
         (sentence,) = done.stderr.splitlines()
         assert sentence.startswith("error: out: ") and "File too large" in sentence
         assert not Path("out").exists() and not list(place.glob(".*"))
+    done = inside(*words, cwd=place)
+    assert done.returncode == 0, "it was the disk alone"
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full device here")
 def test_words_that_nobody_takes_are_no_traceback(place):
     starter.init(Path("ws"))
+    line = [sys.executable, "-m", "ehbench.cli", "check", "ws/rig.toml"]
     with open("/dev/full", "w") as full:
-        done = cli("check", "ws/rig.toml", cwd=place, out=full)
+        done = subprocess.run(line, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert done.returncode == 2 and done.stderr == "error: No space left on device\n"

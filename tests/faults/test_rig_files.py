@@ -156,7 +156,12 @@ def padded(*cases):
             "friction_c",
         ),
         ('l_a = "1.2 m"\n', "", "cylinder 'lift': 'pins.l_a' is missing", "[cylinder.pins]"),
-        (PINS, "", "cylinder 'lift': on a joint a cylinder needs 'pins'", "[[cylinder]]"),
+        (
+            PINS,
+            "",
+            "cylinder 'lift': on a joint a cylinder needs 'pins' or a 'rack'",
+            "[[cylinder]]",
+        ),
         (
             'retracted_length = "850 mm"',
             'retracted_length = "1450 mm"',

@@ -6,10 +6,11 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import bound
+from ehbench.compiled import allocating_kernel
 from ehbench.control import arc
 from ehbench.control.arc_gains import Adaptation, pack_arc
 from ehbench.control.functions import pack_rules
@@ -26,6 +27,49 @@ from ehbench.tune.linear import circuit_of, state_of
 from ehbench.tune.study import prepare_tuning
 
 TICK = 1.0e-3
+
+
+class Told(NamedTuple):
+    """What the controller is told: samples of the past, the newest first, and where between the
+    last two of them it looks.
+    """
+
+    past: np.ndarray
+    share: float
+
+
+class Drive(NamedTuple):
+    """The controller, what it commands, and what of that is ``louder`` about ``steady``."""
+
+    law: Any
+    command: np.ndarray
+    steady: np.ndarray
+    valves: np.ndarray
+    louder: float
+
+
+@allocating_kernel
+def follow(y, reference, told, drive, plant, line, column, strokes):
+    """Run from a state, along a reference of steady speed, and keep the strokes, which a sample has
+    in ``column``.
+    """
+    past, share, last = told.past, told.share, told.past.shape[0] - 1
+    k, work = np.empty((5, y.shape[0])), np.empty(plant.at.work)
+    sample, given = past[0].copy(), drive.command.copy()
+    telemetry = np.zeros(arc.COLUMNS + 4 * drive.law.axis.circuit.count)
+    x = reference[0]
+    for i in range(strokes.shape[0]):
+        seen = (1.0 - share) * past[last - 1] + share * past[last]
+        reference[0] = x + (i * line.tick) * reference[1]
+        law_tick(i * line.tick, seen, reference, drive.law, drive.command, telemetry)
+        strokes[i] = sample[column]
+        given[:] = drive.command
+        for valve in drive.valves:
+            given[valve] += (drive.louder - 1.0) * (drive.command[valve] - drive.steady[valve])
+        model_tick(y, given, plant, line, 2, k, work, sample)
+        for row in range(last, 0, -1):
+            past[row] = past[row - 1]
+        past[0] = sample
 
 
 class Bench:
@@ -70,46 +114,33 @@ class Bench:
         model, point, site = at.model, at.point, self.site
         plant, layout = model.plant, model.layout
         y, command = state_of(model, point)
-        given, steady = command.copy(), command.copy()
-        valves = sorted({path.valve for path in point.paths})
-        row = plant.cylinders[site.axis.circuit.cylinder]
+        steady = command.copy()
+        valves = np.array(sorted({path.valve for path in point.paths}))
+        own = site.axis.circuit.cylinder
+        row = plant.cylinders[own]
         y[plant.at.rates + row.joint] += push / point.lever
         memory = arc.memory_of(site.axis)
         start = steady_memory(model, point, site, gains)
         for name in arc.STATE.names:
             memory.state[name] = start[name]
+        memory.state.x -= delay * point.v
         sample = np.empty(len(sample_channels(layout.cylinders)))
         model_sample(y, plant, sample)
         observed = arc.observed(site.axis, sample.size)
         law = Controller(site.axis, gains, memory, observed, np.zeros(sample.size))
-        telemetry = np.zeros(arc.COLUMNS + 4 * site.axis.circuit.count)
-        line = line_of(plant, TICK)
-        k, work = np.empty((5, y.size)), np.empty(plant.at.work)
-        reference = np.array([point.x, point.v, 0.0, 0.0])
-        control = bound(law_tick, 0.0, sample, reference, law, command, telemetry)
-        tick = bound(model_tick, y, given, plant, line, 2, k, work, sample)
         whole = int(delay / TICK)
-        share, joint = delay / TICK - whole, row.joint
         # before the start it moved steadily as well
-        past = []
-        for i in range(whole + 2):
-            before = sample.copy()
-            own = site.axis.circuit.cylinder
-            before[entry(own, OF.x)] -= i * TICK * point.v
-            before[entry(own, OF.q)] -= i * TICK * point.v / point.lever
-            past.append(before)
-        memory.state.x -= delay * point.v
+        past = np.tile(sample, (whole + 2, 1))
+        before = np.arange(whole + 2) * TICK * point.v
+        past[:, entry(own, OF.x)] -= before
+        past[:, entry(own, OF.q)] -= before / point.lever
+        reference = np.array([point.x, point.v, 0.0, 0.0])
+        told = Told(past, delay / TICK - whole)
+        drive = Drive(law, command, steady, valves, float(louder))
         strokes = np.empty(round(span / TICK))
-        for i in range(strokes.size):
-            seen = (1.0 - share) * past[whole] + share * past[whole + 1]
-            reference[0] = point.x + (i * TICK) * point.v
-            control(i * TICK, seen, reference, law, command, telemetry)
-            strokes[i] = sample[entry(site.axis.circuit.cylinder, OF.x)]
-            given[:] = command
-            given[valves] += (louder - 1.0) * (command - steady)[valves]
-            tick(y, given, plant, line, 2, k, work, sample)
-            past = [sample.copy(), *past[:-1]]
-        assert math.isfinite(y[joint])
+        line, column = line_of(plant, TICK), entry(own, OF.x)
+        follow(y, reference, told, drive, plant, line, column, strokes)
+        assert math.isfinite(y[row.joint])
         return strokes
 
     def grows(self, at, gains, delay, push=2.0e-4, louder=1.0):

@@ -78,7 +78,7 @@ def test_what_the_others_add_is_what_the_mechanism_asks_for(tmp_path):
     row = np.concatenate([np.zeros(4), qd, qdd, qd, qdd])
     work, mass = np.zeros(work_size(n) + n), np.zeros((n, n))
     j = int(axis.cylinder.joint)
-    now, _ = loads_among(row, q[j], q[j], 0.0, axis, q.copy(), mass, work)
+    now, _ = loads_among(row, q[j], 0.0, 0.0, axis, q.copy(), mass, work)
     _, lever, curve = linkage_of(axis.cylinder, q[j])
     torque, full = np.zeros(n), np.zeros((n, n))
     bias(axis.mechanism.kind, links, gravity, q, qd, torque, work)

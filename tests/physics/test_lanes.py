@@ -16,7 +16,14 @@ from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.physics.flow_map import FlowMap, ValveMaps
 from ehbench.plant.lanes import many
 from ehbench.plant.lanes.convert import Unconverted, converted, of
-from ehbench.plant.lanes.many import Job, follow_together, go_together, run_together
+from ehbench.plant.lanes.many import (
+    LEAST,
+    Job,
+    follow_together,
+    go_together,
+    replays_fixed,
+    run_together,
+)
 from ehbench.plant.lanes.vectors import LANES
 from ehbench.plant.many import run_many
 from ehbench.plant.model import Model, simulate
@@ -27,6 +34,8 @@ from ehbench.stages import REGISTRY
 from ehbench.stages.findings import Findings
 from ehbench.stages.inputs import Inputs
 from ehbench.stages.samples import open_sampler
+from ehbench.starts import estimated_start
+from ehbench.structure import Case, ask
 from ehbench.trial import ahead
 from ehbench.workflow import Session
 
@@ -297,6 +306,31 @@ def test_a_fit_is_the_same_in_lanes_and_alone(monkeypatch):
         asked.append(len(calls))
     assert 0 < asked[0] == asked[1]
     assert [fits[0][name] for name in names] == [fits[1][name] for name in names]
+
+
+def test_starts_and_residuals_say_the_same_in_lanes_and_alone(monkeypatch):
+    """Also where a lane fails: what it says then is what it says alone."""
+    rig = rig_of("slide_servo")
+    table = steps((2.0, -3.0), 80)
+    made = simulate(rig, {"press.servo": table}, 1e-3 * (table.size - 1))
+    log, model = noisy(made, 1), Model.of(rig.with_values({"bulk_modulus": 5e8}))
+    calls, found, asked = [], [], []
+    monkeypatch.setattr(many, "run_together", lambda *a: calls.append(a) or run_together(*a))
+    for kept in (True, False):
+        monkeypatch.setattr(Kernel, "is_kept", kept)
+        start = estimated_start(model, log, ["press"], ["press.v", "press.p_head", "press.p_rod"])
+        found.append((start.y.tolist(), repr(ask([Case("log", log, model, ("press",))]))))
+        asked.append(len(calls))
+    assert asked[0] == asked[1] > 1
+    assert found[0] == found[1] and "Finding(" in found[0][1]
+    runs = [(model, log, start._replace(y=start.y.copy())) for _ in range(LEAST)]
+    runs[1][2].y[model.layout.state("p_head")] = math.nan
+    monkeypatch.setattr(Kernel, "is_kept", True)
+    ends = replays_fixed(runs, TICK / STEPS)
+    assert ends[1] is None and len(calls) == asked[1] + 1
+    alone = model.replay(log, TICK / STEPS, start=start)
+    for one in (ends[0], *ends[2:]):
+        assert all(np.array_equal(one[name], alone[name]) for name in alone.channels)
 
 
 # --- the second form of a kernel

@@ -4,8 +4,6 @@ written fits. `tests/suggestion_study.py` has every fault of every rig."""
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -82,7 +80,7 @@ def test_time_is_bounded_and_what_was_not_tried_is_named():
 
 
 @pytest.mark.slow
-def test_what_is_written_can_be_run_and_fits(undrawn, tmp_path):
+def test_what_is_written_can_be_run_and_fits(undrawn, inside, tmp_path):
     fault = spoilt("press.p_head", lambda y: y + 5e5)
     machine = built("delay")._replace(sensors=fault)
     write_log(tmp_path / "log.mcap", log_of("slide_servo", machine, *STEPS, 3, LONG))
@@ -94,19 +92,8 @@ def test_what_is_written_can_be_run_and_fits(undrawn, tmp_path):
         "parameters": ["bulk_modulus", "carriage.damping"],
     }
     (tmp_path / "fit.toml").write_text(tomli_w.dumps(recipe))
-    command = [
-        sys.executable,
-        "-m",
-        "ehbench.cli",
-        "identify",
-        "fit.toml",
-        "--suggest",
-        "--out",
-        "new",
-    ]
-    done = subprocess.run(
-        [*command, "--quiet"], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
+    done = inside("identify", "fit.toml", "--suggest", "--out", "new", "--quiet", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
     told = done.stdout
     assert "delay of press.servo and sensor offset of press.p_head" in told
     assert '[dynamics.press_servo_delay] kind = "delay"' in told and "new/fit.toml" in told

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import threadpoolctl
 
 import ehbench
 from ehbench.errors import InputError
@@ -26,11 +27,10 @@ EXAMPLES = {
 }
 
 
-@pytest.fixture(scope="module")
-def identified(workspace) -> Outcome:
-    return ehbench.identify(
-        workspace / "recipes/slide_servo/hydraulics.toml", out=workspace / "reports" / "identified"
-    )
+@pytest.fixture(scope="session")
+def identified(slide_runs) -> Outcome:
+    (folder,) = slide_runs.glob("hydraulics_*")
+    return Outcome(folder, notes=("a note",))
 
 
 def python(code: str) -> str:
@@ -118,19 +118,19 @@ def test_importing_is_light():
     assert "ehbench" in loaded and not {"numpy", "numba", "pandas", "pydantic"} & set(loaded)
 
 
-@pytest.mark.slow
-def test_a_run_has_one_blas_thread_and_gives_the_others_back(workspace):
-    code = f"""
-import threadpoolctl, ehbench, scipy.linalg
-def threads(): return {{one["num_threads"] for one in threadpoolctl.threadpool_info()}}
-threadpoolctl.threadpool_limits(2)
-seen = []
-ehbench.run_trial({str(workspace / "my_rig/recipes/step_small.toml")!r},
-    out={str(workspace / "one_thread")!r}, progress=lambda *_: seen.append(threads()))
-assert seen and all(one == {{1}} for one in seen), seen
-assert threads() == {{2}}
-"""
-    python(code)
+def test_a_run_has_one_blas_thread_and_gives_the_others_back(workspace, undrawn):
+    def threads():
+        return {one["num_threads"] for one in threadpoolctl.threadpool_info()}
+
+    seen = []
+    with threadpoolctl.threadpool_limits(2):
+        ehbench.run_trial(
+            workspace / "my_rig/recipes/step_small.toml",
+            out=workspace / "one_thread",
+            progress=lambda *_: seen.append(threads()),
+        )
+        assert seen and all(one == {1} for one in seen), seen
+        assert threads() == {2}
 
 
 def test_simulate_gives_a_frame_with_units():

@@ -439,13 +439,16 @@ def trial_run(
     return folder
 
 
+def fill(root: Path) -> None:
+    """A run of each kind, drawn."""
+    for made_run in (trial_run, validation_run, hydraulics_run, flow_map_run):
+        draw(made_run(root))
+
+
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory) -> list[Path]:
-    root = tmp_path_factory.mktemp("runs")
-    folders = [trial_run(root), validation_run(root), hydraulics_run(root), flow_map_run(root)]
-    for folder in folders:
-        draw(folder)
-    return folders
+def runs(made_once) -> list[Path]:
+    root = made_once("reported", fill)
+    return [root / name for name in ("trial_slide_servo", "judged", "fit", "maps")]
 
 
 def campaign(root: Path, figures: str):

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from ehbench.codes import LIMITS, LIMITS_MEAN
-from ehbench.report import build, draw
+from ehbench.report import build
 from ehbench.recipe import load_rig
 from ehbench.report.blocks import Cell, Grid
 from ehbench.report.dark import dark
@@ -24,7 +24,7 @@ from ehbench.report.saved import Saved, Table
 from ehbench.report.rig_table import rig_table
 from ehbench.report.words import estimate, shown
 from ehbench.rundir import write_json
-from tests.unit.test_report import hydraulics_run, validation_run
+from tests.unit.test_report import fill
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 
@@ -41,18 +41,13 @@ def words_of(html: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def folders(tmp_path_factory):
-    root = tmp_path_factory.mktemp("runs")
-    made = [hydraulics_run(root), validation_run(root)]
-    for folder in made:
-        draw(folder)
-    return made
+def folders(made_once):
+    root = made_once("reported", fill)
+    return [root / "fit", root / "judged"]
 
 
-def test_a_fit_alone_shows_its_parameters_and_asks_for_a_validation(tmp_path):
-    folder = hydraulics_run(tmp_path)
-    draw(folder)
-    text = build([folder])
+def test_a_fit_alone_shows_its_parameters_and_asks_for_a_validation(folders):
+    text = build(folders[:1])
     told = words_of(section(text, "glance"))
     assert "Effective bulk modulus 271.3 ± 4.8 MPa 95 % interval 266.5 … 276.1 MPa" in told
     assert "No verdict" in told and "ehbench validate" in told

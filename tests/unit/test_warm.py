@@ -26,6 +26,10 @@ def test_every_law_runs_on_every_machine(machine, tmp_path):
     assert warm.warm(machine) == machine
 
 
+def test_an_arm_moves_all_its_cylinders():
+    assert warm.together("an arm") == "an arm"
+
+
 AHEAD = """
 from pathlib import Path
 from numba.core.caching import NullCache

@@ -309,7 +309,7 @@ def _edges(of: _Seeded) -> tuple[np.recarray, np.recarray]:
     metering = [(edge, valve) for _, valve, edge in of.model.rig.edges()]
     for index, name in enumerate(names):
         row, own, given = edges[index], plant.edges[index], _Given(of.recipe.edge, name)
-        for key in ("from_node", "to_node", "valve", "law"):
+        for key in ("from_node", "to_node", "valve", "law", "unmetered"):
             row[key] = own[key]
         row.forward, row.reverse = 2 * index, 2 * index + 1
         if own.law in (PUMP, CHECK):

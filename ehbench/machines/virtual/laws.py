@@ -11,29 +11,34 @@ from ehbench.parts.cylinder import (
     leakage_slope,
     linkage_of,
 )
-from ehbench.parts.edge import CHECK, PUMP, check, edge_opening, pump
+from ehbench.parts.edge import CHECK, PUMP, check, pump
 from ehbench.parts.edge.orifice import ORIFICE_DROP
 from ehbench.parts.line import line_rates
 from ehbench.parts.mount import resistance_of
-from ehbench.parts.nodes import SUPPLY, TANK, ends_of, node_pressure
+from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
 from ehbench.parts.oil import bulk
 from ehbench.parts.sample import OF, entry, line_entry
 from ehbench.parts.supply import line_stiffness, pump_flow, sensed
-from ehbench.parts.valve import limited, valve_rates
+from ehbench.parts.valve import limited
 from ehbench.parts.valve.delay import line_felt, line_push
 from ehbench.physics.cylinder import relief_flow
 from ehbench.physics.friction import stribeck
 from ehbench.plant.derivatives import (
+    along_of,
+    change_of,
     cylinders,
     derivatives_of,
+    edges,
     finish_of,
     highest_load,
-    join,
     move,
     opens_of,
     rubbing_of,
+    shut_of,
     steep_of,
     stiff_of,
+    valves,
+    wanted_of,
 )
 from ehbench.plant.integrate import rk4
 
@@ -124,31 +129,34 @@ def play(memory, value, width):
     return min(max(memory, value - 0.5 * width), value + 0.5 * width)
 
 
+@wanted_of(VirtualPlant)
 @part_kernel
-def _valves_and_edges(y, target, bench, dy, work):
-    """Rates of the valves, net inflow and its slope of every node; the fastest rate [1/s]."""
-    at, fastest = bench.at, 0.0
-    for i in range(bench.valves.shape[0]):
-        spool, rate = valve_rates(bench.valves[i], target[i], bench, y, dy)
-        work[at.opening + i] = spool
-        fastest = max(fastest, rate)
-    for i in range(at.net, at.opening):
-        work[i] = 0.0
-    for e in range(bench.edges.shape[0]):
-        edge = bench.edges[e]
-        first, last, railed = ends_of(y, bench, edge)
-        drop = first - last
-        spool = edge_opening(y, bench, edge, work[at.opening :])
-        flow = edge_flow(drop, spool, edge, bench.curves)
-        if flow != 0.0 or edge.law >= PUMP:
-            join(edge, flow, edge_slope(drop, flow, spool, edge), railed, at, work)
-    return fastest
+def _wanted(i, command, plant):
+    return command[i]
+
+
+@shut_of(VirtualPlant)
+@part_kernel
+def _shut(edge, opening, plant):
+    return False
+
+
+@along_of(VirtualPlant)
+@part_kernel
+def _along(drop, opening, edge, plant):
+    return edge_flow(drop, opening, edge, plant.curves)
+
+
+@change_of(VirtualPlant)
+@part_kernel
+def _change(drop, flow, opening, edge, plant):
+    return edge_slope(drop, flow, opening, edge)
 
 
 @opens_of(VirtualPlant)
 @part_kernel
 def _opens(edge, opening, plant):
-    if edge.law >= PUMP:
+    if edge.unmetered == 1:
         return False
     curve = edge.forward if edge.from_node == SUPPLY else edge.reverse
     return curve_flow(plant.supply.margin, edge.sign * opening, plant.curves[curve]) > 0.0
@@ -213,7 +221,8 @@ def derivatives(y, target, bench, dy, work):
 
     ``target`` [V] is where each driver wants its spool, shape (valves,).
     """
-    fastest = _valves_and_edges(y, target, bench, dy, work)
+    fastest = valves(y, target, bench, dy, work)
+    edges(y, bench, work)
     for i in range(bench.at.torque, bench.at.net):
         work[i] = 0.0
     fastest = max(fastest, line_rates(y, bench, dy, work))

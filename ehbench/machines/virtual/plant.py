@@ -26,11 +26,11 @@ STROKE = RAW.index(OF.x)
 BENCH_VALVE = record(("gain", "f8"), ("offset", "f8"), ("hysteresis", "f8"), *VALVE_COLUMNS)
 # An edge: its nodes, its valve and sign, its law, its leakage at null [m³/(s·Pa)] over
 # ``null_width`` [V], ``blocked`` 1 where nothing passes in reverse, and its two curves; a pump or a
-# check valve has the model's columns with numbers of its own instead.
+# check valve, ``unmetered`` 1, has the model's columns with numbers of its own instead.
 BENCH_EDGE = record(
     *((name, "i8") for name in ("from_node", "to_node", "valve", "blocked", "forward", "reverse")),
     *((name, "f8") for name in ("sign", "null", "null_width")),
-    ("law", "i8"),
+    *(("law", "i8"), ("unmetered", "i8")),
     *pump.LAW.columns,
     *check.LAW.columns,
 )
@@ -77,6 +77,7 @@ class BenchOffsets(NamedTuple):
     net: int
     slope: int
     opening: int
+    flow: int
     work: int
 
 
@@ -108,7 +109,8 @@ def offsets_of(names: Layout, depth: int) -> BenchOffsets:
         net=at.net,
         slope=at.slope,
         opening=at.opening,
-        work=at.flow,
+        flow=at.flow,
+        work=at.pump,
     )
 
 

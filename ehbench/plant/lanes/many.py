@@ -4,7 +4,7 @@ and of `Model.paced`, so that nobody can tell which were.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -86,13 +86,53 @@ def follow_together(jobs: Sequence[Job], tick: float, mesh: np.ndarray) -> list[
     return list(log[: len(jobs)])
 
 
-def replays_meshed(
-    runs: Sequence[tuple[Model, Record, Start]], mesh: np.ndarray
-) -> list[Record | None]:
+Run = tuple[Model, Record, Start]
+
+
+def replays_meshed(runs: Sequence[Run], mesh: np.ndarray) -> list[Record | None]:
     """`Model.replay_paced` of several runs along one mesh; None for those that fail.
 
     Args:
         runs: (model, recording, start); at most LANES, of one sample time.
+    """
+
+    def alone(run: Run) -> Record:
+        model, record, start = run
+        return model.replay_paced(record, start, mesh)[0]
+
+    def together(jobs: Sequence[Job], tick: float) -> list[np.ndarray]:
+        return follow_together(jobs, tick, mesh)
+
+    return _replays(runs, _follow_together, together, alone)
+
+
+def replays_fixed(runs: Sequence[Run], step: float) -> list[Record | None]:
+    """`Model.replay` of several runs in fixed steps [s]; None for those that fail.
+
+    Args:
+        runs: (model, recording, start); at most LANES, of one sample time.
+    """
+
+    def alone(run: Run) -> Record:
+        model, record, start = run
+        return model.replay(record, step, start=start)
+
+    def together(jobs: Sequence[Job], tick: float) -> list[np.ndarray]:
+        return run_together(jobs, tick, max(1, round(tick / step)))
+
+    if len(runs) < LEAST or not has_lanes(run_lanes):
+        return [_tried(alone, run) for run in runs]
+    return _replays(runs, go_together, together, alone)
+
+
+def _replays(
+    runs: Sequence[Run],
+    may: Callable[[Job, Job], bool],
+    run_all: Callable[[Sequence[Job], float], list[np.ndarray]],
+    alone: Callable[[Run], Record],
+) -> list[Record | None]:
+    """Replays of which those that may go beside the first are run at once, where they are enough,
+    and the others alone.
     """
     ready: dict[int, Job] = {}
     for i, (model, record, start) in enumerate(runs):
@@ -102,29 +142,28 @@ def replays_meshed(
         except (EhbenchError, ArithmeticError):
             continue
     found: list[Record | None] = [None] * len(runs)
-    together = [i for i in ready if _follow_together(ready[min(ready)], ready[i])]
+    together = [i for i in ready if may(ready[min(ready)], ready[i])]
     if len(together) >= LEAST:
         tick = runs[together[0]][1].sample_time
-        logs = follow_together([ready[i] for i in together], tick, mesh)
+        logs = run_all([ready[i] for i in together], tick)
         for i, log in zip(together, logs, strict=True):
             found[i] = _record(runs[i], ready[i], log, tick)
     for i in ready.keys() - set(together if len(together) >= LEAST else ()):
-        found[i] = _alone(runs[i], mesh)
+        found[i] = _tried(alone, runs[i])
     return found
 
 
-def _record(run: tuple[Model, Record, Start], job: Job, log: np.ndarray, tick: float):
+def _record(run: Run, job: Job, log: np.ndarray, tick: float) -> Record | None:
     model, record, start = run
     try:
         log = finite(log, tick)
     except EhbenchError:
         return None
-    return model.record(record.t, job.commands, log, record.meta, start.tank)
+    return model.replayed(record, job.commands, log, start)
 
 
-def _alone(run: tuple[Model, Record, Start], mesh: np.ndarray) -> Record | None:
-    model, record, start = run
+def _tried(alone: Callable[[Run], Record], run: Run) -> Record | None:
     try:
-        return model.replay_paced(record, start, mesh)[0]
+        return alone(run)
     except (EhbenchError, ArithmeticError):
         return None

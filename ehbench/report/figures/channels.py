@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ehbench.quantities import GAUGES
 from ehbench.record import Record
 from ehbench.report.style import ACCENT, BUCKETS, CYCLE, MARKS, canvas, thin
 from ehbench.report.words import axis, row_of, shown
@@ -20,6 +21,9 @@ _TITLES = {
     "v": "Cylinder speed",
     "p_head": "Head-end pressure",
     "p_rod": "Rod-end pressure",
+    "load_pressure": "Load pressure",
+    "load_force": "Cylinder force",
+    "rod_force": "Rod force",
     "command": "Commands",
 }
 _STILL = 0.01  # share of the stroke that a cylinder without commands must travel to be drawn
@@ -82,6 +86,8 @@ def _panels(record: Record, cylinder: str, channels: Sequence[str]) -> list[tupl
             panels.append((title_of(channel), [channel]))
     pressures = (f"{cylinder}.p_head", f"{cylinder}.p_rod", "p_supply")
     panels.append(("Pressures", [channel for channel in pressures if channel in record]))
+    gauges = [channel for word in GAUGES if (channel := f"{cylinder}.{word}") in record]
+    panels += [(title_of(channel), [channel]) for channel in gauges]
     return [(title, names) for title, names in panels if names]
 
 

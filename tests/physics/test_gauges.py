@@ -1,0 +1,187 @@
+"""Gauges across the piston and load cells in the rod: what they read follows from the pressures and
+from Newton's law of what the rod moves, and is compared where a chamber's pressure is not known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import cumulative_trapezoid
+
+from ehbench.identification.hydraulics import (
+    FitOptions,
+    identify_hydraulics,
+    prepare_fit,
+    run_fit,
+)
+from ehbench.mapping import draft
+from ehbench.plant.lanes.many import replays_meshed
+from ehbench.plant.model import Model, simulate
+from ehbench.quantities import GAUGES
+from ehbench.recipe import Thresholds, load_rig
+from ehbench.recipe.columns import load_columns
+from ehbench.record import Record
+from ehbench.rig import Rig
+from ehbench.validation import validate_rig
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+MASS, DAMPING = 250.0, 800.0
+T = np.arange(1601) * 1e-3
+TABLE = """[cylinder.friction]
+law = "{}"
+friction_static = "300 N"
+stribeck_speed = "10 mm/s"
+{}
+"""
+BRISTLES = 'bristle_stiffness = "1e7 N/m"\nbristle_damping = "1e4 N*s/m"'
+FRICTION = {
+    "coulomb": "",
+    "stribeck": TABLE.format("stribeck", ""),
+    "lugre": TABLE.format("lugre", BRISTLES),
+}
+
+
+def stepped(level: float) -> np.ndarray:
+    """Out, a rest, and back."""
+    return level * (((T > 0.2) & (T < 0.6)) * 1.0 - ((T > 0.9) & (T < 1.3)) * 1.0)
+
+
+def slide(law: str = "coulomb", tmp_path: Path | None = None) -> Rig:
+    """The shipped slide, with 200 N of friction where a law is asked for."""
+    if tmp_path is None:
+        return load_rig(RIGS / "slide_servo.toml")
+    text = (RIGS / "slide_servo.toml").read_text()
+    text = text.replace(
+        'friction_coulomb = { value = "0 N"', 'friction_coulomb = { value = "200 N"'
+    )
+    at = text.index("[[cylinder.valve]]")
+    (tmp_path / "rig.toml").write_text(text[:at] + FRICTION[law] + "\n" + text[at:])
+    return load_rig(tmp_path / "rig.toml")
+
+
+def bare(record: Record, *gauges: str) -> Record:
+    """A recording that asks for gauges of which it holds nothing yet."""
+    empty = {f"press.{word}": np.zeros(record.t.size) for word in gauges}
+    return replace(record, channels={**record.channels, **empty})
+
+
+@pytest.mark.parametrize("law", FRICTION)
+def test_the_rod_moves_what_newton_says(law, tmp_path):
+    rig = slide(law, tmp_path)
+    u = np.repeat(stepped(3.0), 20)[:-19]  # friction turns round within a few milliseconds
+    made = simulate(rig, {"press.servo": u}, 1.6, posture={"press": "150 mm"}, rate=20e3)
+    seen = Model.of(rig).replay(bare(made, *GAUGES))
+    v, p = seen["press.v"], [seen["press.p_head"], seen["press.p_rod"]]
+    areas = rig.cylinder[0].areas()
+    assert np.array_equal(seen["press.load_pressure"], p[0] - p[1])
+    oil = p[0] * areas[0] - p[1] * areas[1]
+    assert np.abs(seen["press.load_force"] - oil).max() < 1e-9 * np.abs(oil).max()
+    impulse = cumulative_trapezoid(seen["press.rod_force"], dx=5e-5, initial=0.0)
+    momentum = MASS * (v - v[0]) + DAMPING * (seen["press.x"] - seen["press.x"][0])
+    assert np.abs(impulse - momentum).max() < 2e-3 * np.ptp(momentum)
+    rubbing = cumulative_trapezoid(oil - seen["press.rod_force"], dx=5e-5, initial=0.0)
+    assert np.ptp(rubbing) > 0.3 * np.ptp(momentum)  # a force with the friction would not do
+
+
+def test_rigs_side_by_side_have_the_gauges_of_each_alone():
+    rig = slide()
+    made = simulate(rig, {"press.servo": stepped(2.0)}, 1.6)
+    asked = bare(made, "rod_force", "load_pressure")
+    models = [Model.of(rig.with_values({"bulk_modulus": b})) for b in (7e8, 9e8)]
+    start = models[0].rest_start(asked)
+    _, mesh = models[0].replay_paced(asked, start)
+    several = replays_meshed([(model, asked, start) for model in models], mesh)
+    for model, record in zip(models, several, strict=True):
+        alone, _ = model.replay_paced(asked, start, mesh)
+        assert record is not None
+        assert record.channels.keys() == alone.channels.keys()
+        for word in ("rod_force", "load_pressure"):
+            assert np.array_equal(record[f"press.{word}"], alone[f"press.{word}"])
+    assert "press.rod_force" not in models[0].replay(made).channels
+
+
+@cache
+def logged(word: str) -> list[tuple[str, Record]]:
+    """Logs of a machine with a place, one gauge, and no pressure of a chamber."""
+    true = slide().with_values({"bulk_modulus": 7.5e8, "press.friction_coulomb": 180.0})
+    noise, logs = {"x": 2e-5, word: 2e4 if word == "load_pressure" else 40.0}, []
+    for seed, level in enumerate((3.0, 2.0)):
+        made = simulate(true, {"press.servo": stepped(level)}, 1.6, posture={"press": "150 mm"})
+        seen = Model.of(true).replay(bare(made, word))
+        rng = np.random.default_rng(seed)
+        own = {
+            f"press.{w}": seen[f"press.{w}"] + s * rng.normal(size=T.size) for w, s in noise.items()
+        }
+        own |= {"press.servo.command": made["press.servo.command"]}
+        logs.append((f"log{seed}", Record(made.t, own, {})))
+    return logs
+
+
+@pytest.mark.parametrize("word", ["load_pressure", "rod_force"])
+def test_a_gauge_tells_the_oil_where_no_chamber_has_one(word):
+    wanted = ["bulk_modulus", "carriage.damping", "press.friction_coulomb"]
+    fit = identify_hydraulics(slide(), logged(word), wanted)
+    assert f"press.{word}" in fit.logs[0].fit_percent
+    for name, truth in zip(wanted, (7.5e8, DAMPING, 180.0), strict=True):
+        low, high = fit[name].interval or (0.0, 0.0)
+        assert abs(fit[name].value - truth) < 1.5 * (high - low) / 2, name
+    low, high = fit["bulk_modulus"].interval or (0.0, np.inf)
+    assert high - low < 0.05 * 7.5e8
+
+
+def test_a_gauge_is_judged_by_the_thresholds_of_pressures():
+    soft = slide().with_values({"bulk_modulus": 3.0e8, "press.friction_coulomb": 180.0})
+    true = slide().with_values({"bulk_modulus": 7.5e8, "press.friction_coulomb": 180.0})
+    good, bad = (validate_rig(one, logged("load_pressure")[:1]) for one in (true, soft))
+    assert good.verdict == "accepted"
+    assert any(check.what == "press.load_pressure fit" for check in good.logs[0].checks)
+    assert bad.verdict == "rejected"
+    assert any("load pressure fit" in reason for reason in bad.reasons)
+
+
+def test_a_recorded_spool_tells_its_own_dynamics_and_is_judged():
+    valve = {"spool.natural_frequency": 2.0 * np.pi * 45.0, "spool.damping_ratio": 0.6}
+    true = slide().with_values(valve)
+    made = simulate(true, {"press.servo": stepped(3.0)}, 1.6, posture={"press": "150 mm"})
+    rng, names = np.random.default_rng(2), ("press.servo.opening", "press.x")
+    own = {
+        c: made[c] + s * rng.normal(size=T.size) for c, s in zip(names, (0.01, 1e-4), strict=True)
+    }
+    log = Record(made.t, own | {"press.servo.command": made["press.servo.command"]}, {})
+    without, fit = (
+        run_fit(prepare_fit(slide(), [("a", log)], list(valve), options=FitOptions(channels=asked)))
+        for asked in (("v",), ("v", "opening"))
+    )
+    assert "press.servo.opening" in fit.logs[0].fit_percent
+    for name, truth in valve.items():
+        low, high = fit[name].interval or (0.0, 0.0)
+        assert abs(fit[name].value - truth) < 1.5 * (high - low) / 2, name
+        assert fit[name].std < 0.5 * without[name].std
+    limits = Thresholds(fit_percent={"v": 50.0, "opening": 90.0})
+    good, bad = (
+        validate_rig(one, [("a", log)], channels=("v", "opening"), thresholds=limits)
+        for one in (true, slide().with_values({"spool.natural_frequency": 2.0 * np.pi * 8.0}))
+    )
+    assert good.verdict == "accepted"
+    assert "press.servo.opening" in [one.channel for one in good.logs[0].channels]
+    assert any("press.servo opening fit" in reason for reason in bad.reasons)
+
+
+def test_gauges_are_known_by_name_and_unit(tmp_path):
+    t = np.arange(400) * 1e-3
+    names = "Time\tServo Cmd\tAct Disp\tLoad Cell\tDiff Press\tSpool Pos\n"
+    names += "(sec)\t(mA)\t(in)\t(lbf)\t(psi)\t(%)\n"
+    rows = [
+        f"{s:.4f}\t{8 * np.sin(20 * s):.3f}\t{s:.4f}\t{s * 90:.2f}\t{s * 100:.2f}\t{s * 80:.2f}"
+        for s in t
+    ]
+    (tmp_path / "run.txt").write_text(names + "\n".join(rows))
+    made = draft(tmp_path / "run.txt", tmp_path / "run.map.toml", slide())
+    found = load_columns(made.path).columns.names
+    assert found["Load Cell"].channel == "press.rod_force"
+    assert found["Diff Press"].channel == "press.load_pressure"
+    assert found["Spool Pos"].channel == "press.servo.opening"
+    assert "1000 Hz" in "\n".join(made.lines)
