@@ -4,6 +4,7 @@ a sound model.
 python -m tests.suggestion_study slide_servo      # every fault of a rig, and none
 python -m tests.suggestion_study slide_servo "valve full at 60 %" friction    # some of them
 python -m tests.suggestion_study slide_servo rounds=1      # nothing tried on top of one another
+python -m tests.suggestion_study slide_servo seeds=3       # each on three draws of the noise
 python -m tests.suggestion_study sound 40         # seeds a rig, 200 in all
 """
 
@@ -26,7 +27,7 @@ from tests.virtual_logs import DRIVES, RIGS
 # what goes by another name here; bulk modulus and damping are parameters of the recipe itself
 NAMES = {"sensor sign": "sign"}
 OWN = ("bulk modulus", "damping")
-LIMIT = "rounds="
+OPTIONS = ("rounds=", "seeds=")
 ENOUGH = 600.0  # [s] of the clock, so that a machine with other work ends no sooner
 
 
@@ -69,23 +70,21 @@ def right(found: Suggestions, fault: Fault) -> bool:
     return bool(kinds & also)
 
 
-def study(name: str, asked: Sequence[str] = (), rounds: int = ROUNDS) -> None:
-    """Every fault of a rig, or those ``asked`` by their words, a line each with the processor's
-    seconds.
+def study(name: str, asked: Sequence[str] = (), rounds: int = ROUNDS, seeds: int = 1) -> None:
+    """Every fault of a rig, or those ``asked`` by their words, on some draws of the noise, a line
+    each with the processor's seconds.
     """
     rig, hits, tries = load_rig(RIGS / f"{name}.toml"), Counter(), Counter()
     for fault in (Fault("none", "nothing wrong", rig), *faults(name, rig)):
-        if asked and fault.words not in asked:
-            continue
-        begun = time.process_time()
-        found = suggested(name, rig, fault, rounds=rounds)
-        tries[fault.kind] += 1
-        hits[fault.kind] += right(found, fault)
-        first, seconds = found.rows[0], time.process_time() - begun
-        said = f"{first.words}, {100.0 * first.misfit:.3g} %, {seconds:.0f} s"
-        print(
-            "first " if right(found, fault) else "MISSED", name, fault.words, "→", said, flush=True
-        )
+        for seed in range(seeds if not asked or fault.words in asked else 0):
+            begun = time.process_time()
+            found = suggested(name, rig, fault, 7 + 10 * seed, rounds=rounds)
+            tries[fault.kind] += 1
+            hits[fault.kind] += right(found, fault)
+            first, seconds = found.rows[0], time.process_time() - begun
+            said = f"{first.words}, {100.0 * first.misfit:.3g} %, {seconds:.0f} s"
+            how = "first " if right(found, fault) else "MISSED"
+            print(how, name, fault.words, "→", said, flush=True)
     print({kind: f"{hits[kind]} of {count}" for kind, count in tries.items()})
 
 
@@ -106,6 +105,6 @@ if __name__ == "__main__":
     if sys.argv[1] == "sound":
         study_sound(int(sys.argv[2]))
     else:
-        words = [one for one in sys.argv[2:] if not one.startswith(LIMIT)]
-        given = [int(one.removeprefix(LIMIT)) for one in sys.argv[2:] if one not in words]
-        study(sys.argv[1], words, *given[:1])
+        words = [one for one in sys.argv[2:] if not one.startswith(OPTIONS)]
+        given = dict(one.split("=") for one in sys.argv[2:] if one not in words)
+        study(sys.argv[1], words, **{key: int(value) for key, value in given.items()})

@@ -190,8 +190,8 @@ def changed(recipes: Path, file: str, old: str, new: str) -> Path:
         (
             JUDGED,
             "title =",
-            '‹channels = ["load_force"]\ntitle =',
-            "cannot be judged on channel 'load_force'",
+            '‹channels = ["flow_head"]\ntitle =',
+            "cannot be judged on channel 'flow_head'",
         ),
         (JUDGED, "heldout/swing_no_load.mcap", "flowmeter/hect.csv", "hect.csv"),
         (
