@@ -34,7 +34,8 @@ Alter = Callable[[dict[str, Any]], None]
 class Change:
     """One thing to try: its ``kind``, what it is ``about``; ``parameters`` that it frees, with
     where their search starts (each of ``starts`` is tried) and their upper bounds [SI]; what it
-    estimates of ``sensors``; how it alters the rig file's tables, and the lines that say so."""
+    estimates of ``sensors``; how it alters the rig file's tables, and the lines that say so;
+    ``simpler``, a change of which it is an elaboration."""
 
     kind: str
     about: str
@@ -44,6 +45,7 @@ class Change:
     sensors: tuple[Sensor, ...] = ()
     alter: Alter | None = None
     rig_lines: tuple[str, ...] = ()
+    simpler: Change | None = None
 
     @property
     def name(self) -> str:
@@ -82,7 +84,11 @@ class Change:
         return tuple(lines)
 
     def apart(self) -> Iterator[Change]:
-        """Each of its parameters freed alone, where it frees several without altering the rig."""
+        """The simpler change that it elaborates; each of its parameters freed alone, where it frees
+        several without altering the rig.
+        """
+        if self.simpler is not None:
+            yield self.simpler
         if len(self.parameters) > 1 and self.alter is None:
             for name in self.parameters:
                 upper = {name: self.upper[name]} if name in self.upper else {}
@@ -161,7 +167,8 @@ def changes(
             for name, most in bounded.items()
             if name not in uppers and (name not in known or known[name].upper is None)
         }
-        kept.append(replace(one, parameters=names, upper=bounded))
+        simpler = next((old for old in kept if one.simpler and old.name == one.simpler.name), None)
+        kept.append(replace(one, parameters=names, upper=bounded, simpler=simpler))
     return kept
 
 
@@ -322,21 +329,30 @@ def _element(cylinder: str, valves: Sequence[Valve], word: str, kind: str, value
 
 def _of_cylinder(rig: Rig, cylinder: Cylinder) -> Iterator[Change]:
     known, name = rig.parameters(), cylinder.name
-    area, supply = cylinder.areas()[0], max(float(rig.supply.pressure), 1.0e6)
-    most, rubs = LEAKS * area * 0.01 / supply, RUBS * area * supply
+    area, pressure = cylinder.areas()[0], _reached(rig, cylinder)
+    most, rubs = LEAKS * area * 0.01 / pressure, RUBS * area * pressure
     for key in LOSSES:
         upper = {f"{name}.{key}": most}
         yield Change("leakage", f"{name}.{key}", (f"{name}.{key}",), upper=upper)
     coulomb = f"{name}.friction_coulomb"
     some = {coulomb: max(float(cylinder.friction_coulomb), 0.02 * rubs)}
-    yield Change("friction", name, (coulomb,), (some,), {coulomb: rubs})
+    friction = Change("friction", name, (coulomb,), (some,), {coulomb: rubs})
+    yield friction
     for key in ("damping", "joint_damping"):
         if (one := f"{cylinder.joint}.{key}") in known:
             start = {} if float(known[one]) > 0.0 else {one: 1.0}
             yield Change("damping", cylinder.joint, (one,), (start,))
     yield Change("load", cylinder.joint, (f"{cylinder.joint}.mass",))
     if cylinder.friction is None:
-        yield _stribeck(rig, cylinder, rubs)
+        yield replace(_stribeck(rig, cylinder, rubs), simpler=friction)
+
+
+def _reached(rig: Rig, cylinder: Cylinder) -> float:
+    """What pressure [Pa] an end of a cylinder comes to: the supply's, or what a pump of its own may
+    come up to.
+    """
+    supply, relief = max(float(rig.supply.pressure), 1.0e6), cylinder.relief_pressure
+    return supply if cylinder.pump is None or relief is None else max(supply, float(relief))
 
 
 def _stribeck(rig: Rig, cylinder: Cylinder, most: float) -> Change:

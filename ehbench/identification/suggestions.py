@@ -36,14 +36,14 @@ SHOWN, WIDE = 10, 96  # rows of the table in a terminal, its width
 COSTLY = ("mount", "sway")  # kinds that are tried where nothing else helps
 ROUNDS = 5  # changes on top of one another, at most
 QUIET = 1.5  # times the noise that fits may leave, beyond which nothing is sought
-WORTH = 0.05  # share of what is left out, by which a change must lessen it to be gone on from
+WORTH = 0.05  # share of what is left out, by which a change must lessen it to be worth its numbers
 # what a change promises to leave to first order, as a power of the least that another was found to
 # leave, beyond which it is not tried beside that
 HOPE = 0.1
 UNEQUAL = 0.1  # logarithm of a channel's mean square by which one fold may gain less than the other
 # no such rig, or no such fit
 IMPOSSIBLE = (EhbenchError, ValueError, ArithmeticError, np.linalg.LinAlgError)
-NOT_WORSE = 1.0, 0.02  # standard errors, or share, within which a fit is not worse than the best
+UNSURE = 1.0  # standard errors within which a fit is not worse than the best
 
 
 @dataclass(frozen=True)
@@ -411,7 +411,7 @@ class _Trials:
 
     def _not_worse(self, one: Tried, best: Tried) -> bool:
         more, std = self._difference(one, best)
-        return more <= max(NOT_WORSE[0] * std, NOT_WORSE[1])
+        return more <= max(UNSURE * std, WORTH)
 
     def _table(self, untried: tuple[str, ...]) -> Suggestions:
         first = self.tried[0]

@@ -156,6 +156,19 @@ def test_what_all_valves_may_have_alike_is_one_change():
     assert not [one for one in changes(rig_of(), ["press"], [], [], (), {}) if "+" in one.about]
 
 
+def test_losses_of_a_pump_s_cylinder_go_by_the_pressure_that_its_pump_makes():
+    """Its charge line has 8 bar, by which dry friction could not reach what its seals have."""
+    rig = rig_of("pump_cylinder")
+    fault = next(one for one in faults("pump_cylinder", rig) if one.kind == "friction")
+    log = Record(np.arange(9) * 0.01, {"lift.drive.command": np.arange(9.0)})
+    found = {one.kind: one for one in changes(rig, ["lift"], [], [log], (), {})}
+    built = float(fault.machine.parameters()["lift.friction_coulomb"])
+    assert found["friction law"].upper["lift.friction_static"] > 3.0 * built
+    assert next(found["friction law"].apart()) is found["friction"]  # of which it is an elaboration
+    known = changes(rig, ["lift"], [], [log], ("lift.friction_coulomb",), {})
+    assert next(one for one in known if one.kind == "friction law").simpler is None
+
+
 def test_what_promises_little_beside_the_best_is_not_tried():
     told = []
     log = log_of("slide_servo", built("friction"), *STEPS, 3, SHORT)
