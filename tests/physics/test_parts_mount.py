@@ -21,17 +21,11 @@ from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model, simulate
 from ehbench.rig import Rig, Value
 from ehbench.tune.linear import (
-    Aim,
     circuit_of,
-    development_model,
-    equivalent,
-    operating_point,
-    plant_model,
-    state_of,
 )
 
 sys.path.insert(0, str(Path(__file__).parent))
-from with_parts import jacobian, slide, steps, swing  # noqa: E402
+from with_parts import jacobian, linear_models_agree, slide, steps, swing  # noqa: E402
 
 SOFT = {"stiffness": "10 kN/mm", "damping": "6000 N*s/m"}
 SEALS = {"friction_coulomb": Value(200.0), "friction_viscous": Value(400.0)}
@@ -151,25 +145,8 @@ def test_a_record_starts_on_its_mount():
 @pytest.mark.parametrize("way", [0, 1])
 def test_a_linear_model_has_the_mount(way):
     """From the equations as from differences of the plant; the point is a steady motion."""
-    model = Model.of(mounted(**SEALS).with_values({"press.leakage_internal": 2e-12}))
-    here, circuit = equivalent(model, 0, np.array([0.2])), circuit_of(model, 0)
-    function = int(np.flatnonzero(circuit.able)[1 + way])
-    point = operating_point(model, circuit, function, here, 0, Aim(5e5, 5e5, speed=0.1))
-    assert point.possible, point.note
-    y, command = state_of(model, point)
-    dy = np.empty_like(y)
-    derivatives(y, command, model.plant, dy, np.empty(model.plant.at.work))
-    names = ("qd", "mount_deflection")
-    assert np.abs([dy[model.layout.state(name)] for name in names]).max() < 1e-6
-    equations, differences = development_model(model, point), plant_model(model, point)
-    assert (
-        equations.states == differences.states and equations.states[3] == "press.mount_deflection"
-    )
-    scale = np.ones(len(equations.states))
-    scale[1:3], scale[3] = 1e6, 1e-3
-    mine, its = (one.a * scale / scale[:, None] for one in (equations, differences))
-    assert (np.abs(mine - its) <= 1e-4 * np.abs(mine).max(axis=1, keepdims=True)).all()
-    assert np.allclose(equations.b, differences.b, rtol=1e-5, atol=1e-3)
+    rig = mounted(**SEALS).with_values({"press.leakage_internal": 2e-12})
+    linear_models_agree(rig, way, ("mount_deflection",))
 
 
 def test_the_virtual_bench_has_the_mount_too():

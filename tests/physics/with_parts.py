@@ -14,6 +14,15 @@ from ehbench.plant.model import Model, simulate
 from ehbench.recipe import load_rig
 from ehbench.record import Record
 from ehbench.rig import Rig
+from ehbench.tune.linear import (
+    Aim,
+    circuit_of,
+    development_model,
+    equivalent,
+    operating_point,
+    plant_model,
+    state_of,
+)
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 LEVELS = (1.0, 2.0, 5.0, -2.0, -6.0, 3.5, -3.0)  # [V]
@@ -42,6 +51,29 @@ def jacobian(model: Model) -> np.ndarray:
             rates.append(dy)
         columns.append((rates[0] - rates[1]) / (2.0 * h))
     return np.array(columns).T
+
+
+def linear_models_agree(rig: Rig, way: int, own: tuple[str, ...]) -> None:
+    """Fail unless a steady motion of a cylinder whose further states are ``own`` has one linear
+    model, from the equations and from differences of the plant.
+    """
+    model = Model.of(rig)
+    here, circuit = equivalent(model, 0, np.array([0.2])), circuit_of(model, 0)
+    function = int(np.flatnonzero(circuit.able)[1 + way])
+    point = operating_point(model, circuit, function, here, 0, Aim(5e5, 5e5, speed=0.1))
+    assert point.possible, point.note
+    y, command = state_of(model, point)
+    dy = np.empty_like(y)
+    derivatives(y, command, model.plant, dy, np.empty(model.plant.at.work))
+    assert np.abs([dy[model.layout.state(name)] for name in ("qd", *own)]).max() < 1e-6
+    equations, differences = development_model(model, point), plant_model(model, point)
+    assert equations.states == differences.states
+    assert equations.states[3 : 3 + len(own)] == tuple(f"press.{name}" for name in own)
+    scale = np.ones(len(equations.states))
+    scale[1:3], scale[3] = 1e6, 1e-3
+    mine, its = (one.a * scale / scale[:, None] for one in (equations, differences))
+    assert (np.abs(mine - its) <= 1e-4 * np.abs(mine).max(axis=1, keepdims=True)).all()
+    assert np.allclose(equations.b, differences.b, rtol=1e-5, atol=1e-3)
 
 
 def swing(model: Model) -> float:
