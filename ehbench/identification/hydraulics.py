@@ -33,13 +33,14 @@ from ehbench.identification.results import (
     Progress,
 )
 from ehbench.identification.search import Coordinate, Where, coordinates, of_sensors
-from ehbench.identification.simulator import Log, Simulator, prepare, shut
+from ehbench.identification.simulator import CHANNELS, Log, Simulator, prepare, shut
 from ehbench.observations import payload_of
 from ehbench.parts.edge import edge_law
 from ehbench.plant.build import Maps, map_of
 from ehbench.plant.model import Model
 from ehbench.plant.paced import AUTO, Step
 from ehbench.plant.ties import tied_words
+from ehbench.quantities import VOCABULARY, meant
 from ehbench.recipe.sensor import Sensor
 from ehbench.record import Record
 from ehbench.response import Averaging
@@ -61,8 +62,6 @@ __all__ = [
     "prepare_fit",
     "run_fit",
 ]
-
-CHANNELS = ("qd", "p_head", "p_rod")
 
 
 @dataclass(frozen=True)
@@ -168,6 +167,7 @@ def prepare_fit(
         )
     if not records or len({name for name, _ in records}) < len(records):
         raise InputError("identification needs at least one log, each with a name of its own")
+    _refuse_unknown(asked.channels, where)
     _refuse_inert(rig, parameters, flow_maps, where)
     search = coordinates(rig, parameters, asked.start, asked.lower, asked.upper, where, asked.prior)
     records = [(name, known_taken_out(name, record, asked.sensors)) for name, record in records]
@@ -235,6 +235,15 @@ def _refuse_for_matching(
             **where("sensor"),
             hint="give their values, or use 'output_error'",
         )
+
+
+def _refuse_unknown(channels: Sequence[str], where: Where) -> None:
+    """Refuse channels to compare that no log of any rig has."""
+    for channel in channels:
+        if (word := channel.rpartition(".")[2]) not in VOCABULARY:
+            raise InputError(
+                f"there is no quantity '{word}' to compare{meant(channel)}", **where("channels")
+            )
 
 
 def _refuse_inert(

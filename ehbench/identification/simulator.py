@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 # a chamber counts as empty below this share of the way from zero gauge pressure to the cavitation
 # pressure; so long before and after [s] its cylinder's samples do not count either
 EMPTY, EMPTYING = 0.5, 0.05
+# rates and pressures: an angle is the integral of the flow map's error
+CHANNELS = ("qd", "p_head", "p_rod")
 FLOWS = ("flow", "flow_supply")  # words of what a simulation has only where it is asked for
 MOVES = 0.01  # share of the stroke beyond which a cylinder counts as moving
 
@@ -114,6 +116,11 @@ def prepare(
             "to one"
         )
     columns = _compared(name, record, live, wanted)
+    warnings += [
+        f"{name}: nothing is compared by '{word}': the log has none that changes"
+        for word in wanted
+        if word not in CHANNELS and not _columns(record, live, [word])
+    ]
     counts = np.ones((record.t.size, len(columns)), dtype=bool)
     for cylinder in rig.cylinder:
         void = _cavitates(rig, cylinder, record)

@@ -179,6 +179,17 @@ def test_channels_of_nothing_on_the_rig_are_named():
     assert sum(text.startswith("log: the log has '") for text in fit.warnings) == 2
 
 
+def test_what_is_asked_to_be_compared_is_compared_or_said():
+    machine = rig("slide_servo")
+    log = logged(machine, "press.servo", (2.0, -2.0))
+    asked, wanted = ["bulk_modulus"], ["v", "p_head", "rod_force"]
+    with pytest.raises(InputError, match=r"no quantity 'rod_forse'.*nearest is 'rod_force'"):
+        identify(machine, [("log", log)], asked, channels=[*wanted[:2], "rod_forse"])
+    fit = identify(machine, [("log", log)], asked, channels=wanted)
+    said = "log: nothing is compared by 'rod_force': the log has none that changes"
+    assert [one for one in fit.warnings if "compared" in one] == [said]
+
+
 def test_a_log_of_another_rig_is_refused():
     with pytest.raises(
         InputError,
