@@ -764,6 +764,8 @@ class Rig(FileModel):
                         there = ", ".join(self.dynamics) or "none"
                         where = ("cylinder", at, "valve", i, "dynamics")
                         raise Misplaced(f"there is no [dynamics.{name}]; there are {there}", *where)
+        if "none" in self.payload:
+            raise Misplaced("'none' is no payload: name this one otherwise", "payload", "none")
         for load, links in self.payload.items():
             for link in links:
                 if link not in joints:

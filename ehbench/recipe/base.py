@@ -20,6 +20,14 @@ from ehbench.recipe.toml import line_of
 from ehbench.text import shortened
 
 
+def _carried(raw: Any) -> Any:
+    return None if raw == "none" else raw
+
+
+# what a machine carries, by the name that its rig file has for it; ``none`` is no payload
+Payload = Annotated[str | None, BeforeValidator(_carried)]
+
+
 class DataFile(FileModel):
     """A log to use: its path, the payload carried (else what the log's own meta says), a window of
     its time, a note.

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from ehbench.fields import FileModel, Q, Value
-from ehbench.recipe.base import Recipe
+from ehbench.recipe.base import Payload, Recipe
 from ehbench.recipe.trial import Command, Limits, refuse_fast_waves
 
 
@@ -37,7 +37,7 @@ class DatasetLog(FileModel):
 
     name: str
     title: str = ""
-    payload: str | None = None
+    payload: Payload = None
     posture: dict[str, str] = {}
     duration: Annotated[Value, Q("duration")]
     rate: Annotated[Value, Q("rate")] = Value(1000.0)

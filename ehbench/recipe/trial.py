@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from ehbench.control import LAW_NAMES
 from ehbench.fields import FileModel, Internal, Q, Value
-from ehbench.recipe.base import ByParameter, Recipe
+from ehbench.recipe.base import ByParameter, Payload, Recipe
 from ehbench.rig import LoadSensing, LowRail
 
 
@@ -425,7 +425,7 @@ class TrialRecipe(AnyTrial):
     may take open-loop commands."""
 
     stage: Literal["trial"]
-    payload: str | None = None
+    payload: Payload = None
     machine: MachineChange | None = None
     controller: Controller | None = None
     motion: Motion | None = None

@@ -18,8 +18,10 @@ from ehbench.errors import InputError
 from ehbench.parts.cylinder import joint_range_of, linkage_arrays
 from ehbench.physics.tip import FOUND, Chain, Found, polish, reach, tip_of
 from ehbench.plant.model import Model
+from ehbench.quantities import quantity
 from ehbench.recipe import Motion, TrialRecipe
 from ehbench.trial.motion import limits_of
+from ehbench.units import from_si
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
@@ -115,9 +117,9 @@ class Mover:
             way = int(found.beyond[int(row.joint)])
             if way:
                 retracted, extended = joint_range_of(row)
-                full = f"{float(row.stroke) * 1e3:.4g} mm"
                 out = (way > 0) == (extended > retracted)
-                ends.append(f"'{name}' at its {full if out else '0 mm'} end")
+                end = float(row.stroke) if out else 0.0
+                ends.append(f"'{name}' at its {self.shown(end)} end")
         stopped = f": {' and '.join(ends)}" if ends else ""
         hint = None
         if not ends:
@@ -127,10 +129,21 @@ class Mover:
                 2: "on one surface: two cylinders move it",
             }.get(count, "no farther in that direction: the links are stretched or folded")
         raise InputError(
-            f"{what} is out of reach by {found.miss * 1e3:.3g} mm{stopped}",
+            f"{what} is out of reach by {self.shown(found.miss, 3)}{stopped}",
             **self.recipe.at(*self.motion.where, "points", index),
             hint=hint,
         )
+
+    def shown(self, length: float, digits: int = 4) -> str:
+        """A length [m] in the unit in which people see strokes."""
+        unit = self.model.rig.unit_of("x")
+        return f"{from_si(length, unit, quantity('x')):.{digits}g} {unit}"
+
+    def at(self, point: np.ndarray) -> str:
+        """Where a point [m] is, in the unit that the recipe's points have."""
+        row = quantity("tip")
+        unit = self.motion.points[0].unit or row.unit
+        return "(" + ", ".join(f"{from_si(one, unit, row):.4g}" for one in point) + f") {unit}"
 
     def strokes(self, q: np.ndarray) -> np.ndarray:
         """Strokes [m] of the cylinders that it moves, shape (postures, cylinders)."""
@@ -164,7 +177,7 @@ def route(recipe: TrialRecipe, model: Model) -> Route:
     points = [np.array(point.value, float) for point in motion.points]
     found = [mover.first(point) for point in points]
     for index, (one, point) in enumerate(zip(found, points, strict=True)):
-        mover.refuse(one, f"point {index + 1}, {_at(point)},", index)
+        mover.refuse(one, f"point {index + 1}, {mover.at(point)},", index)
     q, legs = found[0].q, []
     start = mover.strokes(q[None])[0]
     for index, (one, other) in enumerate(zip(points[:-1], points[1:], strict=True), 1):
@@ -176,10 +189,6 @@ def route(recipe: TrialRecipe, model: Model) -> Route:
         dict(zip(mover.moved, start.tolist(), strict=True)),
         dict(zip(mover.moved, tables, strict=True)),
     )
-
-
-def _at(point: np.ndarray) -> str:
-    return "(" + ", ".join(f"{one:.4g}" for one in point) + ") m"
 
 
 def _leg(
@@ -215,7 +224,7 @@ def _leg(
         count *= 2
     raise InputError(
         f"between points {index} and {index + 1} the path is too near to a posture from which the "
-        f"tip cannot go on along it: the strokes would leave it by {off * 1e3:.2g} mm",
+        f"tip cannot go on along it: the strokes would leave it by {mover.shown(off, 2)}",
         **where,
         hint="keep away from stretched and folded links, or take other points",
     )
@@ -246,13 +255,13 @@ def _polished(mover: Mover, line: np.ndarray, starts: np.ndarray, index: int) ->
     out = ((q < chain.low - slack) | (q > chain.high + slack))[:, free].any(axis=1)
     for i in np.flatnonzero(out | (miss > FOUND)):
         found = reach(chain, line[i], starts[i], free)
-        mover.refuse(found, _between(index, line[i]), index)
+        mover.refuse(found, _between(index, mover.at(line[i])), index)
         q[i] = found.q
     return q
 
 
-def _between(index: int, point: np.ndarray) -> str:
-    return f"the path between points {index} and {index + 1}, at {_at(point)},"
+def _between(index: int, point: str) -> str:
+    return f"the path between points {index} and {index + 1}, at {point},"
 
 
 def _follow(mover: Mover, line: np.ndarray, q: np.ndarray, index: int) -> np.ndarray:
@@ -264,7 +273,7 @@ def _follow(mover: Mover, line: np.ndarray, q: np.ndarray, index: int) -> np.nda
     free, postures = mover.free, []
     for point in line:
         found = reach(mover.chain, point, q, free)
-        mover.refuse(found, _between(index, point), index)
+        mover.refuse(found, _between(index, mover.at(point)), index)
         q = found.q
         postures.append(q)
     return np.array(postures)

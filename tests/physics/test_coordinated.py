@@ -211,6 +211,7 @@ def test_with_the_pump_limit_met_the_tip_keeps_to_its_line(tmp_path):
         ([["1.2 m", "0 m", "-0.4 m"], ["1.2 m", "1.3 m", "-0.4 m"]], "'swing' at its 279.4 mm end"),
         ([["1.2 m", "0 m", "-0.4 m"], ["0 m", "0 m", "-0.4 m"]], "point 2, (0, 0, -0.4) m"),
         ([["1.2 m", "0 m", "-0.4 m"], ["1.2 m", "0 m", "-0.4 m"]], "point 2 of the path is where"),
+        ([["10 ft", "0 ft", "0 ft"], ["5 ft", "0 ft", "0 ft"]], "point 1, (10, 0, 0) ft, is out"),
     ],
 )
 def test_a_point_out_of_reach_is_refused_with_its_reason(points, said, tmp_path):

@@ -66,6 +66,15 @@ def test_the_sample_at_the_switching_time_has_the_new_command(rig):
     assert u[99] == 1.0 and u[100] == 5.0 and u[599] == 5.0 and u[600] == 1.0
 
 
+def test_none_is_the_word_for_no_payload(tmp_path):
+    assert recipe(payload="none").payload is None
+    assert recipe(payload="100 kg").payload == "100 kg"
+    written = (RECIPES / "rigs" / "slide_servo.toml").read_text()
+    (tmp_path / "rig.toml").write_text(written.replace('payload."100 kg"', "payload.none"))
+    with pytest.raises(InputError, match="'none' is no payload"):
+        load_rig(tmp_path / "rig.toml")
+
+
 def test_entries_for_one_valve_add_up(rig):
     u = played(rig, STEP, {"valve": "press.servo", "kind": "constant", "offset": "-1 V"})
     assert u[0] == -1.0 and u[300] == 3.0
