@@ -25,7 +25,7 @@ from ehbench.plant.model import Model
 from ehbench.plant.site import site_of
 from ehbench.recipe import ArcTuneRecipe
 from ehbench.tune.arc_loop import SAFETY, ArcLoop, LoopMargins, SampledPlant, Sensing
-from ehbench.tune.linear import circuit_of
+from ehbench.tune.operating_point import circuit_of
 from ehbench.tune.study import Study, rail_notes
 
 Progress = Callable[[str, float], None]

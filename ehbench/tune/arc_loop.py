@@ -26,7 +26,7 @@ from ehbench.parts.sample import sample_channels, sample_size
 from ehbench.parts.valve.delay import line_of
 from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model
-from ehbench.tune.linear import OperatingPoint, state_of
+from ehbench.tune.operating_point import OperatingPoint, state_of
 
 # what of the controller's memory is a state in motion, and its steps for differences; those of the
 # estimates are a share of their bounds

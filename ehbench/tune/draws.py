@@ -12,17 +12,12 @@ from ehbench.codes import FUNCTIONS
 from ehbench.control.functions import Circuit
 from ehbench.errors import InputError
 from ehbench.plant.model import Model
-from ehbench.rig import Rig
-from ehbench.tune.linear import (
-    Aim,
-    Law,
-    circuit_of,
-    close,
-    development_model,
-    equivalent,
-)
-from ehbench.tune.results import PointResult, Robustness
 from ehbench.recipe import TuneRecipe
+from ehbench.rig import Rig
+from ehbench.tune.linear import development_model
+from ehbench.tune.loop import Law, close
+from ehbench.tune.operating_point import Aim, circuit_of, equivalent
+from ehbench.tune.results import PointResult, Robustness
 from ehbench.tune.study import Site, Study, model_under
 
 WORST_POINTS = 24  # draws are judged at this many operating points, the least damped ones

@@ -17,9 +17,10 @@ from ehbench.control.functions import HEAD, METERED
 from ehbench.recipe import TuneRecipe
 from ehbench.tune.circuits import functions_of
 from ehbench.tune.draws import Correlation, robustness, uncertain
-from ehbench.tune.linear import AT_ZERO, Law, Loop, OperatingPoint, close, dominant
 from ehbench.tune.loci import locus, step_response, worst_of_each
+from ehbench.tune.loop import AT_ZERO, Law, Loop, close, dominant
 from ehbench.tune.margins import gain_limit, margins, violations
+from ehbench.tune.operating_point import OperatingPoint
 from ehbench.tune.results import Locus, PointResult, StepResponse, Tuning, pairs
 from ehbench.tune.search import GAIN_POINTS, GAIN_SPAN, LawSearch, choose_gain, natural_gain
 from ehbench.tune.study import Machine, Site, Study, prepare_tuning

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.tune.linear import Law, close, dominant
+from ehbench.tune.loop import Law, close, dominant
 from ehbench.tune.margins import speed_of, system_of
 from ehbench.tune.results import Locus, PointResult, StepResponse, pairs
 from ehbench.tune.study import Site

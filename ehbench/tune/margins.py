@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.tune.linear import Loop, damping_ratio, dominant
+from ehbench.tune.loop import Loop, damping_ratio, dominant
 from ehbench.tune.results import Margins
 
 

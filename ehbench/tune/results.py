@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.tune.circuits import FunctionUse
-from ehbench.tune.linear import OperatingPoint
+from ehbench.tune.operating_point import OperatingPoint
 
 DIGITS = 9  # of the numbers in the file
 

@@ -12,7 +12,8 @@ from ehbench.codes import FUNCTIONS
 from ehbench.control.functions import HEAD, METERED
 from ehbench.parts.oil import bulk_of
 from ehbench.recipe import TuneRecipe
-from ehbench.tune.linear import Law, Loop, faster
+from ehbench.tune.linear import faster
+from ehbench.tune.loop import Law, Loop
 from ehbench.tune.margins import margins, violations
 from ehbench.tune.results import Alternative
 from ehbench.tune.study import Site

@@ -18,18 +18,15 @@ from ehbench.plant.model import Model
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import AnyTuning
 from ehbench.rig import Rig, read_value
-from ehbench.tune.linear import (
+from ehbench.tune.linear import LinearModel, development_model
+from ehbench.tune.loop import Law, Loop, close
+from ehbench.tune.operating_point import (
     FED,
     Aim,
     Equivalent,
-    Law,
-    LinearModel,
-    Loop,
     OperatingPoint,
     at_its_supply,
     circuit_of,
-    close,
-    development_model,
     equivalent,
     operating_point,
 )

@@ -17,8 +17,8 @@ from ehbench.errors import InputError
 from ehbench.logs import read_record
 from ehbench.recipe import TrialRecipe, load_rig
 from ehbench.recipe.trial import Limits
-from ehbench.trial import prepare, run, run_trial
 from ehbench.trial import guard as guards
+from ehbench.trial import prepare, run, run_trial
 
 ROOT = Path(__file__).parents[2]
 RIG = load_rig(ROOT / "recipes" / "rigs" / "slide_servo.toml")

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-
 from ehbench.compiled import allocating_kernel
 from ehbench.control import arc
 from ehbench.control.arc_gains import Adaptation, pack_arc

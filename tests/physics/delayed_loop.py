@@ -23,7 +23,7 @@ from ehbench.plant.model import Model
 from ehbench.plant.site import site_of
 from ehbench.recipe import TuneRecipe
 from ehbench.tune.arc_loop import SampledPlant, steady_memory
-from ehbench.tune.linear import circuit_of, state_of
+from ehbench.tune.operating_point import circuit_of, state_of
 from ehbench.tune.study import prepare_tuning
 
 TICK = 1.0e-3

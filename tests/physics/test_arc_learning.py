@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from ehbench.machines.simulated import SimulatedMachine
+from ehbench.machines.virtual import VirtualMachine
 from ehbench.plant.model import Model
 from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
-from ehbench.machines.virtual import VirtualMachine
 from ehbench.trial import prepare, run
 
 RECIPES = Path(__file__).parents[2] / "recipes"

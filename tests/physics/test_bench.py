@@ -15,8 +15,8 @@ from ehbench.machines.virtual import VirtualMachine
 from ehbench.machines.virtual.drawing import speed_filter
 from ehbench.machines.virtual.laws import follow, play
 from ehbench.parts.cylinder import linkage_arrays
-from ehbench.physics.arm import energy, work_size
 from ehbench.parts.oil import ATMOSPHERE, bulk
+from ehbench.physics.arm import energy, work_size
 from ehbench.plant.model import Model
 from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
 from ehbench.rig import Value

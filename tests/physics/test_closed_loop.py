@@ -34,7 +34,7 @@ from ehbench.trial import (
     table_rows,
 )
 from ehbench.trial.motion import full_speed
-from ehbench.tune.linear import circuit_of
+from ehbench.tune.operating_point import circuit_of
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 RIGS = {

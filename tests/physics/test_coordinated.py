@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.errors import InputError
+from ehbench import workflow
 from ehbench.control.coupling import among_others, joint_motion, loads_among
+from ehbench.errors import InputError
 from ehbench.parts.cylinder import joint_of, linkage_of
 from ehbench.physics.arm import bias, mass_matrix, work_size
-from ehbench.recipe import TrialRecipe, load_rig
 from ehbench.physics.tip import Chain, tip_of
 from ehbench.plant.model import Model
-from ehbench import workflow
+from ehbench.recipe import TrialRecipe, load_rig
 from ehbench.report.terminal import lines
 from ehbench.rundir import read_json
 from ehbench.trial import prepare, run

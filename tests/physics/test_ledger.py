@@ -21,11 +21,11 @@ from ehbench.ledger import (
     ledger_of_model,
 )
 from ehbench.ledger.bounds import travels
-from ehbench.parts.oil import compressed
 from ehbench.ledger.readings import noise_of
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.machines.virtual.laws import CREEP
 from ehbench.parts.cylinder import linkage_arrays
+from ehbench.parts.oil import compressed
 from ehbench.physics.flow_map import FlowMap, ValveMaps, root_drop
 from ehbench.physics.friction import stribeck
 from ehbench.plant.model import Model

@@ -23,20 +23,10 @@ from ehbench.physics.cylinder import joint_angle
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
-from ehbench.tune.linear import (
-    Aim,
-    Law,
-    circuit_of,
-    close,
-    damping_ratio,
-    development_model,
-    dominant,
-    equivalent,
-    faster,
-    operating_point,
-    plant_model,
-    state_of,
-)
+from ehbench.tune.differences import plant_model
+from ehbench.tune.linear import development_model, faster
+from ehbench.tune.loop import Law, close, damping_ratio, dominant
+from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 MACHINES = [

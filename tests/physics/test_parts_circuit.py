@@ -12,11 +12,11 @@ from scipy.integrate import quad
 from ehbench.compiled import table_of
 from ehbench.errors import InputError
 from ehbench.ledger import ledger_of_model
-from ehbench.parts.oil import compressed
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.accumulator import gas_capacity, gas_energy
 from ehbench.parts.edge import CHECK, EDGE, PUMP, edge_command, edge_flow, edge_slope
 from ehbench.parts.edge.orifice import root
+from ehbench.parts.oil import compressed
 from ehbench.parts.supply import RECOVERY_TIME
 from ehbench.parts.supply import SUPPLY as LINE
 from ehbench.physics.cylinder import ATMOSPHERE
@@ -26,7 +26,7 @@ from ehbench.record import Record
 from ehbench.rig import Rig
 from ehbench.signals import ringing
 from ehbench.trial import run_trial
-from ehbench.tune.linear import circuit_of
+from ehbench.tune.operating_point import circuit_of
 
 ROOT = Path(__file__).parents[2]
 RIG = load_rig(ROOT / "recipes" / "rigs" / "pump_cylinder.toml")

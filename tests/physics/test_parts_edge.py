@@ -13,14 +13,9 @@ from ehbench.parts.edge import edge_command, edge_flow, edge_known
 from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
 from ehbench.rig import Edge, Rig, Value
-from ehbench.tune.linear import (
-    Aim,
-    circuit_of,
-    damping_ratio,
-    equivalent,
-    operating_point,
-    plant_model,
-)
+from ehbench.tune.differences import plant_model
+from ehbench.tune.loop import damping_ratio
+from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
 
 sys.path.insert(0, str(Path(__file__).parent))
 from with_parts import recovered  # noqa: E402

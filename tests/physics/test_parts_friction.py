@@ -23,18 +23,13 @@ from ehbench.parts.friction import (
 from ehbench.parts.friction.stribeck import SMOOTHING
 from ehbench.plant.integrate import rk4
 from ehbench.plant.model import Model, simulate
-from ehbench.record import Record
 from ehbench.recipe import load_rig
 from ehbench.recipe.toml import read_toml, validated
+from ehbench.record import Record
 from ehbench.rig import Rig
-from ehbench.tune.linear import (
-    Aim,
-    circuit_of,
-    development_model,
-    equivalent,
-    operating_point,
-    plant_model,
-)
+from ehbench.tune.differences import plant_model
+from ehbench.tune.linear import development_model
+from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 TABLES = {

@@ -19,15 +19,9 @@ from ehbench.parts.line import LINE, Line, drop_for, line_conductance
 from ehbench.plant.model import Model, simulate
 from ehbench.record import Record
 from ehbench.rig import Rig
-from ehbench.tune.linear import (
-    Aim,
-    circuit_of,
-    development_model,
-    equivalent,
-    operating_point,
-    plant_model,
-    state_of,
-)
+from ehbench.tune.differences import plant_model
+from ehbench.tune.linear import development_model
+from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of
 
 sys.path.insert(0, str(Path(__file__).parent))
 from with_parts import jacobian, slide, steps, swing  # noqa: E402

@@ -17,7 +17,7 @@ from ehbench.machines.virtual import VirtualMachine
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model, simulate
 from ehbench.rig import Force, Rig
-from ehbench.tune.linear import Aim, circuit_of, equivalent, operating_point
+from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
 
 sys.path.insert(0, str(Path(__file__).parent))
 from with_parts import jacobian, recovered, slide, steps, swing  # noqa: E402

@@ -20,9 +20,7 @@ from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model, simulate
 from ehbench.rig import Rig, Value
-from ehbench.tune.linear import (
-    circuit_of,
-)
+from ehbench.tune.operating_point import circuit_of
 
 sys.path.insert(0, str(Path(__file__).parent))
 from with_parts import jacobian, linear_models_agree, slide, steps, swing  # noqa: E402

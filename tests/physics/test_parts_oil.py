@@ -15,14 +15,9 @@ from ehbench.parts.oil import ATMOSPHERE, bulk, bulk_of, compressed, held
 from ehbench.plant.model import Model, simulate
 from ehbench.recipe import BenchRecipe
 from ehbench.rig import Rig, Value
-from ehbench.tune.linear import (
-    Aim,
-    circuit_of,
-    development_model,
-    equivalent,
-    operating_point,
-    plant_model,
-)
+from ehbench.tune.differences import plant_model
+from ehbench.tune.linear import development_model
+from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
 
 sys.path.insert(0, str(Path(__file__).parent))
 from with_parts import jacobian, recovered, slide, steps  # noqa: E402

@@ -21,15 +21,9 @@ from ehbench.plant.valves import felt_commands, follow_valves
 from ehbench.recipe import load_rig
 from ehbench.record import Record
 from ehbench.rig import Rig
-from ehbench.tune.linear import (
-    Aim,
-    circuit_of,
-    development_model,
-    equivalent,
-    faster,
-    operating_point,
-    plant_model,
-)
+from ehbench.tune.differences import plant_model
+from ehbench.tune.linear import development_model, faster
+from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 SPOOL = {"natural_frequency": "80 Hz", "damping_ratio": 0.8}

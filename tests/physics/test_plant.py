@@ -16,9 +16,9 @@ from ehbench.parts.cylinder import RELIEF_GAIN, linkage_arrays
 from ehbench.parts.valve import valve_settle
 from ehbench.physics import arm
 from ehbench.physics.cylinder import CAVITATION_BAND, makeup_flow, relief_flow
-from ehbench.plant.model import Model
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import rk4
+from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
 from ehbench.rig import Rig, Slide, Value
 

@@ -19,7 +19,7 @@ from ehbench.parts.valve.delay import line_of
 from ehbench.plant.model import Model
 from ehbench.recipe import TuneRecipe, load_rig
 from ehbench.tune.gains import tune_pressure_feedback
-from ehbench.tune.linear import circuit_of, state_of
+from ehbench.tune.operating_point import circuit_of, state_of
 from ehbench.tune.study import NONE
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"

@@ -24,16 +24,10 @@ from ehbench.rig import LoadSensing, LowRail
 from ehbench.trial import prepare, run
 from ehbench.tune.arc import tune_arc
 from ehbench.tune.arc_loop import SampledPlant, Sensing
+from ehbench.tune.differences import plant_model
 from ehbench.tune.gains import tune_pressure_feedback
-from ehbench.tune.linear import (
-    Aim,
-    circuit_of,
-    development_model,
-    equivalent,
-    operating_point,
-    plant_model,
-    state_of,
-)
+from ehbench.tune.linear import development_model
+from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of
 from ehbench.tune.study import prepare_tuning
 
 sys.path.append(str(Path(__file__).parent))

@@ -14,15 +14,9 @@ from ehbench.plant.model import Model, simulate
 from ehbench.recipe import load_rig
 from ehbench.record import Record
 from ehbench.rig import Rig
-from ehbench.tune.linear import (
-    Aim,
-    circuit_of,
-    development_model,
-    equivalent,
-    operating_point,
-    plant_model,
-    state_of,
-)
+from ehbench.tune.differences import plant_model
+from ehbench.tune.linear import development_model
+from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 LEVELS = (1.0, 2.0, 5.0, -2.0, -6.0, 3.5, -3.0)  # [V]

@@ -12,8 +12,8 @@ import tomli_w
 from ehbench import workflow
 from ehbench.errors import InputError
 from ehbench.identification.changes import changes
-from ehbench.identification.suggestions import suggest
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
+from ehbench.identification.suggestions import suggest
 from ehbench.logs import write_log
 from ehbench.parts.sway import Sway
 from ehbench.recipe import load_rig

@@ -37,7 +37,7 @@ from ehbench.report.trial_tables import valves_note
 from ehbench.report.tuning_words import overshoot_of
 from ehbench.rundir import write_json
 from ehbench.tune.circuits import functions_of
-from ehbench.tune.linear import circuit_of
+from ehbench.tune.operating_point import circuit_of
 from ehbench.units import from_si
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"

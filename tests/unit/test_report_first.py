@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 
 from ehbench.codes import LIMITS, LIMITS_MEAN
-from ehbench.report import build
 from ehbench.recipe import load_rig
+from ehbench.report import build
 from ehbench.report.blocks import Cell, Grid
 from ehbench.report.dark import dark
 from ehbench.report.first_screen import _cards, _held_out
 from ehbench.report.headlines import Findings, Headline, findings_of, silence
-from ehbench.report.saved import Saved, Table
 from ehbench.report.rig_table import rig_table
+from ehbench.report.saved import Saved, Table
 from ehbench.report.words import estimate, shown
 from ehbench.rundir import write_json
 from tests.unit.test_report import fill

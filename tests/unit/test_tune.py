@@ -25,8 +25,8 @@ from ehbench.rig import Value
 from ehbench.tune import gains as module
 from ehbench.tune.draws import draw_parameters
 from ehbench.tune.gains import tune_pressure_feedback
-from ehbench.tune.linear import Law, damping_ratio
 from ehbench.tune.loci import locus
+from ehbench.tune.loop import Law, damping_ratio
 from ehbench.tune.margins import bandwidth, gain_limit, margins, speed_of, violations
 from ehbench.tune.study import prepare_tuning
 
