@@ -22,7 +22,7 @@ from typer.core import TyperGroup
 
 from ehbench.commands import COMMANDS, Command
 from ehbench.errors import EhbenchError, Terminated
-from ehbench.text import shortened_path
+from ehbench.text import folded, shortened_path
 
 if TYPE_CHECKING:
     from ehbench.workflow import Outcome
@@ -527,7 +527,7 @@ def _leave(made: Outcome, says: Says, page: str = "") -> None:
     """
     from ehbench.report import terminal
 
-    for note in dict.fromkeys(made.notes):
+    for note in dict.fromkeys(made.notes) if says.verbose else folded(made.notes):
         print(f"note: {note}", file=sys.stderr)
     if says.as_json:
         import json

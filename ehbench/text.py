@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -27,3 +29,20 @@ def shortened_path(path: Path | str) -> str:
     text = str(path)
     text = text if text.isprintable() else repr(text)[1:-1]
     return text if len(text) < 200 else text[:197] + "…"
+
+
+def folded(notes: Iterable[str]) -> list[str]:
+    """Notes, those of several logs or trials (``name: what``) that differ in numbers alone as one:
+    the first, and the names of the others.
+    """
+    alike: dict[str, list[str]] = {}
+    for note in dict.fromkeys(notes):
+        name, colon, what = note.partition(": ")
+        key = re.sub(r"\d+(\.\d+)?", "0", what) if colon and " " not in name else note
+        alike.setdefault(key, []).append(note)
+    return [
+        f"{first} (the like of {', '.join(one.partition(': ')[0] for one in others)})"
+        if others
+        else first
+        for first, *others in alike.values()
+    ]

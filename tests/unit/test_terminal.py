@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from ehbench.report import terminal
+from ehbench.text import folded
 
 ROOT = Path(__file__).parents[2]
 
@@ -75,3 +76,15 @@ def test_the_path_ends_what_is_printed_and_is_all_of_it_when_quiet(
     else:
         *told, path = done.stdout.splitlines()
         assert path == str(out) and bool(told) == (option == "")
+
+
+def test_notes_of_several_logs_that_differ_in_numbers_alone_are_one():
+    said = [
+        "out: p_supply is up to 285 psi below the model's (at t = 2.665 s)",
+        "out: the stroke begins 3.1 mm off",
+        "ram.a.gain is held, and these logs would have it 2 % off: what is left would fall by 5 %",
+        "back_2: p_supply is up to 90.4 psi below the model's (at t = 12 s)",
+        "ram.b.gain is held, and these logs would have it 3 % off: what is left would fall by 9 %",
+        "up: p_supply is up to 7 psi above the model's (at t = 1 s)",
+    ]
+    assert folded([*said, said[1]]) == [f"{said[0]} (the like of back_2)", *said[1:3], *said[4:]]
