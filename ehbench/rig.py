@@ -275,7 +275,8 @@ def _must_be_whole(
 
 class Valve(FileModel):
     """One command, its dynamics (names in the rig's ``dynamics``, from the command on, or none:
-    opening follows at once) and its edges.
+    opening follows at once) and its edges. Commands of a size beyond its ``drive_limit`` do what
+    one of that size does.
     """
 
     name: Name
@@ -283,6 +284,7 @@ class Valve(FileModel):
     dynamics: str | tuple[str, ...] | None = None
     command_min: Annotated[Value, Q("command_min")]
     command_max: Annotated[Value, Q("command_max")]
+    drive_limit: Annotated[Value, Q("drive_limit")] | None = None
     edge: tuple[Edge, ...] = Field(min_length=1)
     calibration: tuple[tuple[str, str], ...] = ()
 
@@ -310,8 +312,13 @@ class Valve(FileModel):
     def _range(self) -> Valve:
         if float(self.command_min) >= float(self.command_max):
             raise Misplaced("command_min must lie below command_max", "command_min")
+        lowest, highest = self.given
+        if not lowest <= self.rest <= highest:
+            raise Misplaced(
+                "a drive that gives no more than this never comes to rest", "drive_limit"
+            )
         for index, edge in enumerate(self.edge):
-            reach = float(self.command_max) if edge.sign > 0 else -float(self.command_min)
+            reach = highest if edge.sign > 0 else -lowest
             opens = float(edge.deadband) if edge_law(edge.law).has_deadband else 0.0
             if reach <= opens:
                 way = (
@@ -319,13 +326,18 @@ class Valve(FileModel):
                     if edge.sign > 0
                     else f"commands below {0.0 - opens:g} V"
                 )
-                least, most = float(self.command_min), float(self.command_max)
                 raise Misplaced(
-                    f"the edge opens on {way}, and the valve takes {least:g} to {most:g} V",
+                    f"the edge opens on {way}, and the valve takes {lowest:g} to {highest:g} V",
                     "edge",
                     index,
                 )
         return self
+
+    @property
+    def given(self) -> tuple[float, float]:
+        """The lowest and the highest command [V] that its drive passes on."""
+        most = math.inf if self.drive_limit is None else float(self.drive_limit)
+        return max(float(self.command_min), -most), min(float(self.command_max), most)
 
     def edge_name(self, edge: Edge) -> str:
         """The name a flow map of this edge goes by: the edge's own, else the valve's (or
@@ -990,6 +1002,9 @@ class Rig(FileModel):
             found |= {f"{cylinder.name}.{name}": value for name, value in scalars(cylinder)}
             for prefix, part in cylinder.parts():
                 found |= {f"{cylinder.name}.{prefix}{name}": value for name, value in scalars(part)}
+        for cylinder, valve in self.valves():
+            if valve.drive_limit is not None:
+                found[f"{cylinder.name}.{valve.name}.drive_limit"] = valve.drive_limit
         for name, dynamics in self.dynamics.items():
             found |= {f"{name}.{key}": value for key, value in dynamics.parameters().items()}
         for edge_name, edge in self.all_edges().items():
@@ -1113,7 +1128,8 @@ def _cylinder_with(model: Cylinder, new: Mapping[str, Value]) -> Cylinder:
     valves = []
     for valve in model.valve:
         edges = (_replaced(e, f"{prefix}{valve.edge_name(e)}.", new) for e in valve.edge)
-        valves.append(valve.model_copy(update={"edge": tuple(edges)}))
+        whole = _replaced(valve, f"{prefix}{valve.name}.", new)
+        valves.append(whole.model_copy(update={"edge": tuple(edges)}))
     tables = {
         key: _replaced(part, prefix + _prefix(key), new) for key, part in _tables(model).items()
     }

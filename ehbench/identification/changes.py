@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from ehbench.identification.search import Given
+from ehbench.identification.search import WIDE, Given
 from ehbench.plant.build import load_of
 from ehbench.observations import least_change, position_of
 from ehbench.quantities import quantity
@@ -24,6 +24,9 @@ LOSSES = ("leakage_internal", "leakage_head", "leakage_rod")
 OPENS, SHUTS, RUBS, LEAKS = (0.85, 0.6), 0.5, 0.3, 30.0
 SOFT = 0.1
 SWAYS, SPRINGS = 0.3, (1.0, 0.3, 3.0)  # shares of the load, and of the oil's spring
+# by what factor a spring may be stiffer and what hangs on it lighter than where its search starts:
+# beyond they only move with the rest, and take ever shorter steps to simulate
+STIFFER = 10.0
 DELAY, LONGEST, LAG = 0.003, 0.1, 0.01  # [s]
 AIR, MOST_AIR = 0.005, 0.1
 TURNED = "sign"  # the kind of what turns a channel
@@ -146,6 +149,7 @@ def changes(
             alike = [one for one in moved if one.series == valve.series]
             found += _of_valve(rig, cylinder, valve, alike, records)
         found += _together(found, [f"{cylinder.name}.{one.name}" for one in moved])
+        found += _drives(cylinder, moved, records)
         found += _of_cylinder(rig, cylinder)
     found += _of_oil(rig, records)
     found += _of_sensors(rig, cylinders, channels, records)
@@ -270,6 +274,51 @@ def _saturation(
     return Change("saturation", about, tuple(names), starts, upper, alter=alter, rig_lines=lines)
 
 
+def _drives(
+    cylinder: Cylinder, valves: Sequence[Valve], records: Sequence[Record]
+) -> Iterator[Change]:
+    """Drives that give no more beyond some command, so that what follows them is late for less:
+    each alone, and all of a cylinder.
+    """
+    reach = {}
+    for valve in valves:
+        name = f"{cylinder.name}.{valve.name}"
+        logs = [log[f"{name}.command"] for log in records if f"{name}.command" in log]
+        reach[name] = max(float(abs(y).max()) for y in logs)
+    plain = [
+        f"{cylinder.name}.{one.name}"
+        for one in valves
+        if one.drive_limit is None and one.given[0] <= 0.0 <= one.given[1]
+    ]
+    each = [_drive([name], reach) for name in plain]
+    yield from each
+    if len(each) > 1 and len(each) == len(valves):
+        yield _drive(plain, reach)
+
+
+def _drive(valves: Sequence[str], reach: Mapping[str, float]) -> Change:
+    """Valves whose drives give no more than some share of the largest command."""
+    names = {f"{valve}.drive_limit": reach[valve] for valve in valves}
+
+    def alter(tables: dict[str, Any]) -> None:
+        for valve in valves:
+            cylinder, _, own = valve.partition(".")
+            table = _table_of(tables, cylinder, own)
+            table["drive_limit"] = f"{OPENS[0] * reach[valve]!r} V"
+
+    cylinder = valves[0].partition(".")[0]
+    about = f"{cylinder}.{'+'.join(one.partition('.')[2] for one in valves)}"
+    return Change(
+        "saturation",
+        f"the drive of {about}",
+        tuple(names),
+        tuple({name: share * most for name, most in names.items()} for share in OPENS),
+        {name: 1.2 * most for name, most in names.items()},
+        alter=alter,
+        rig_lines=tuple(f"valve {valve}: drive_limit = … V" for valve in valves),
+    )
+
+
 def _softness(cylinder: str, valve: Valve, edges: Sequence[tuple]) -> Change:
     """Edges that saturate bit by bit."""
     most = {
@@ -382,11 +431,20 @@ def _mount(rig: Rig, cylinder: Cylinder) -> Change:
     name, stiff = cylinder.name, 4.0 * _oil_spring(rig, cylinder)
 
     def alter(tables: dict[str, Any]) -> None:
-        _table_of(tables, name)["mount"] = {"stiffness": f"{stiff!r} N/m"}
+        _table_of(tables, name)["mount"] = {"stiffness": _no_faster(stiff, "N/m", 1)}
 
     line = f'[cylinder.mount] of {name}: stiffness = "{said(rig, "stiffness", stiff)}"'
     free = f"{name}.mount.stiffness"
     return Change("mount", name, (free,), alter=alter, rig_lines=(line,))
+
+
+def _no_faster(value: float, unit: str, faster: int) -> dict[str, str]:
+    """A value [SI] as a rig file has it, with bounds: near where it makes a motion faster, which a
+    larger value does where ``faster`` is 1, a smaller where it is −1.
+    """
+    down, up = (WIDE, STIFFER) if faster > 0 else (STIFFER, WIDE)
+    each = {"value": value, "lower": value / down, "upper": value * up}
+    return {key: f"{one!r} {unit}" for key, one in each.items()}
 
 
 def _oil_spring(rig: Rig, cylinder: Cylinder) -> float:
@@ -410,7 +468,10 @@ def _sway(rig: Rig, cylinder: Cylinder) -> Change:
         for stiff in (share * _oil_spring(rig, cylinder) for share in SPRINGS)
     ]
     units = {"mass": "kg", "stiffness": "N/m", "damping": "N*s/m"}
-    written = {key: f"{values[0][key]!r} {unit}" for key, unit in units.items()}
+    written = {
+        key: _no_faster(values[0][key], unit, -1 if key == "mass" else 1)
+        for key, unit in units.items()
+    }
 
     def alter(tables: dict[str, Any]) -> None:
         _table_of(tables, name)["sway"] = dict(written)

@@ -226,10 +226,10 @@ class _Trials:
         """
         reached: list[Tried] = []
         promised, untried = self._promised(now, left)
-        best = 1.0
+        best = 1.0 - WORTH
         for promise, change in promised:
             spent = time.monotonic() - self.begun
-            if promise > best**HOPE:
+            if change.kind not in COSTLY and promise > best**HOPE:
                 break
             if spent > self.seconds:
                 untried.append(change.name)
@@ -246,11 +246,11 @@ class _Trials:
         self, now: Tried, left: Sequence[Change]
     ) -> tuple[list[tuple[float, Change]], list[str]]:
         """(by how much changes on top of a fit should lessen what it leaves, were all linear: mean
-        square relative to that, with the change, the least first; the names of those that there
-        was no time to look at).
+        square with the change relative to that without, the least first; the names of those that
+        there was no time to look at).
         """
         found: list[tuple[float, Change]] = []
-        untried = []
+        untried, without = [], self._foreseen(now, now.setup, ({},))
         for change in left:
             spent = time.monotonic() - self.begun
             if spent > self.seconds:
@@ -258,15 +258,23 @@ class _Trials:
                 continue
             self.tell(f"suggest: what {change.name} promises", spent / self.seconds)
             try:
-                setup = now.setup.with_change(change)
-                _, search = self._prepared(setup, 0)
-                with search.simulator.pool:
-                    costs = [search.foreseen({**now.found[0], **s}) for s in change.starts]
+                cost = self._foreseen(now, now.setup.with_change(change), change.starts)
             except IMPOSSIBLE:
                 continue
-            rise = (min(costs) - now.costs[0]) / len(self.channels)
+            rise = (cost - min(without, now.costs[0])) / len(self.channels)
             found.append((math.exp(rise) if rise < 0.0 else 1.0, change))
         return sorted(found, key=lambda one: one[0]), untried
+
+    def _foreseen(self, now: Tried, setup: Setup, starts: Sequence[Mapping[str, float]]) -> float:
+        """The least cost that a fit should come to, were all linear, from some starts beside the
+        numbers of another.
+
+        Raises:
+            EhbenchError, ValueError, ArithmeticError: there is no such rig, or no such fit.
+        """
+        _, search = self._prepared(setup, 0)
+        with search.simulator.pool:
+            return min(search.foreseen({**now.found[0], **start}) for start in starts)
 
     def _simplest(self, now: Tried, best: Tried) -> Tried:
         """The best of the parts of the last change of a fit that are not worse than the whole; the
@@ -321,9 +329,14 @@ class _Trials:
         try:
             setup = now.setup.with_change(change)
             folds = []
+            starts = change.starts
             for which, found in enumerate(now.found):
-                each = [self._fold(setup, which, {**found, **s}) for s in change.starts]
-                folds.append(min(each, key=_by_cost))
+                each = [self._fold(setup, which, {**found, **s}) for s in starts]
+                best = min(range(len(each)), key=lambda k: each[k].cost)
+                folds.append(each[best])
+                starts = starts[best : best + 1]
+                if change.kind in COSTLY and not self._gains(now, folds):
+                    return None
             gains = [old - fold.cost for old, fold in zip(now.costs, folds, strict=True)]
             less = int(np.argmin(gains))
             if max(gains) - min(gains) > UNEQUAL * len(self.channels):
@@ -334,6 +347,13 @@ class _Trials:
             return tried if same else None
         except IMPOSSIBLE:
             return None
+
+    def _gains(self, now: Tried, folds: Sequence[_Fold]) -> bool:
+        """Whether the last fold of a change fits its own windows so much better than the fit before
+        that it may do so with those left out.
+        """
+        gain = now.costs[len(folds) - 1] - folds[-1].cost
+        return gain > -math.log(1.0 - WORTH) * HOPE * len(self.channels)
 
     def _prepared(self, setup: Setup, which: int | None) -> tuple[list[Log], OutputError]:
         """(the logs, a search over them with the windows of a fold left out)."""

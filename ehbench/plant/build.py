@@ -301,8 +301,9 @@ def _valves(rig: Rig, names: Layout) -> tuple[np.recarray, np.recarray]:
             output, states = one.state, len(valves.LAWS[one.law].states)
             place = {"law": one.law, "state": output, "states": states}
             elements.append(place | rig.dynamics[one.dynamics].row())
-        ends = {"lowest": float(item.command_min), "highest": float(item.command_max)}
+        lowest, highest = item.given
         count = len(elements) - first
+        ends = {"lowest": lowest, "highest": highest}
         late = {
             "delay": sum(rig.dynamics[one].late() for one in item.series),
             "before": item.rest,
