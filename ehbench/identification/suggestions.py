@@ -335,7 +335,7 @@ class _Trials:
                 best = min(range(len(each)), key=lambda k: each[k].cost)
                 folds.append(each[best])
                 starts = starts[best : best + 1]
-                if change.kind in COSTLY and not self._gains(now, folds):
+                if which == 0 and change.kind in COSTLY and not self._gains(now, folds[0]):
                     return None
             gains = [old - fold.cost for old, fold in zip(now.costs, folds, strict=True)]
             less = int(np.argmin(gains))
@@ -348,11 +348,11 @@ class _Trials:
         except IMPOSSIBLE:
             return None
 
-    def _gains(self, now: Tried, folds: Sequence[_Fold]) -> bool:
-        """Whether the last fold of a change fits its own windows so much better than the fit before
-        that it may do so with those left out.
+    def _gains(self, now: Tried, first: _Fold) -> bool:
+        """Whether the first fold of a change fits its own windows so much better than the fit
+        before that it may do so with those left out.
         """
-        gain = now.costs[len(folds) - 1] - folds[-1].cost
+        gain = now.costs[0] - first.cost
         return gain > -math.log(1.0 - WORTH) * HOPE * len(self.channels)
 
     def _prepared(self, setup: Setup, which: int | None) -> tuple[list[Log], OutputError]:
