@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from ehbench.identification.search import WIDE, Given
 from ehbench.plant.build import load_of
 from ehbench.observations import least_change, position_of
@@ -23,6 +25,9 @@ LOSSES = ("leakage_internal", "leakage_head", "leakage_rod")
 # force, of the flow at 10 mm/s and the supply's pressure
 OPENS, SHUTS, RUBS, LEAKS = (0.85, 0.6), 0.5, 0.3, 30.0
 SOFT = 0.1
+# shares of the largest command between which some of those that open a valve must lie, and how many
+# of them, for logs to tell a drive that is full from a gain
+BETWEEN, SOME = (0.1, 0.8), 0.05
 SWAYS, SPRINGS = 0.3, (1.0, 0.3, 3.0)  # shares of the load, and of the oil's spring
 # by what factor a spring may be stiffer and what hangs on it lighter than where its search starts:
 # beyond they only move with the rest, and take ever shorter steps to simulate
@@ -278,18 +283,19 @@ def _drives(
     cylinder: Cylinder, valves: Sequence[Valve], records: Sequence[Record]
 ) -> Iterator[Change]:
     """Drives that give no more beyond some command, so that what follows them is late for less:
-    each alone, and all of a cylinder.
+    each alone, and all of a cylinder. Where every command is as large as the next, no log tells
+    that from a lower gain, which is likelier.
     """
-    reach = {}
+    reach, plain = {}, []
     for valve in valves:
         name = f"{cylinder.name}.{valve.name}"
-        logs = [log[f"{name}.command"] for log in records if f"{name}.command" in log]
-        reach[name] = max(float(abs(y).max()) for y in logs)
-    plain = [
-        f"{cylinder.name}.{one.name}"
-        for one in valves
-        if one.drive_limit is None and one.given[0] <= 0.0 <= one.given[1]
-    ]
+        logs = [abs(log[f"{name}.command"]) for log in records if f"{name}.command" in log]
+        sizes = np.concatenate(logs)
+        reach[name] = float(sizes.max())
+        less, more = (share * reach[name] for share in BETWEEN)
+        told = np.mean((sizes > less) & (sizes < more)) > SOME * np.mean(sizes > less)
+        if told and valve.drive_limit is None and valve.given[0] <= 0.0 <= valve.given[1]:
+            plain.append(name)
     each = [_drive([name], reach) for name in plain]
     yield from each
     if len(each) > 1 and len(each) == len(valves):

@@ -179,6 +179,12 @@ def padded(*cases):
             "edge 3: the edge opens on commands below 0 V, and",
             "edge = [",
         ),
+        (
+            'command_min = "-10 V"',
+            'command_min = "2 V"\ndrive_limit = "1 V"',
+            "a drive that gives no more than this never comes to rest",
+            "drive_limit = ",
+        ),
         ('dynamics = "spool"', 'dynamics = "spol"', "there is no [dynamics.spol]; there are spool"),
         (
             "damping_ratio = 0.8",

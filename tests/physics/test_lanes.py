@@ -102,6 +102,9 @@ def rig_of(name: str) -> Rig:
     if name == "late series":
         (valve,) = cylinder["valve"]
         plain["dynamics"], cylinder["valve"] = LATE, [valve | {"dynamics": list(LATE)}]
+    if name == "limited drive":
+        (valve,) = cylinder["valve"]
+        cylinder["valve"] = [valve | {"drive_limit": "2 V"}]
     if name == "air in the oil":
         plain["oil"] = plain.get("oil", {}) | {"air_fraction": "0.5 %"}
     return Rig.model_validate(plain | {"cylinder": [cylinder | PARTS.get(name, {})]})
@@ -133,6 +136,7 @@ def jobs_of(rig: Rig, samples: int, seed: int = 0, same: bool = False, maps=None
 VARIED = (
     *("bulk_modulus", "joint_damping", "damping", "flow_gain", "friction_coulomb", "mass"),
     *("friction_viscous", "leakage_internal", "natural_frequency", "delay", "lag", "deadband"),
+    "drive_limit",
 )
 
 
@@ -147,7 +151,7 @@ def lively(model: Model, samples: int, rng: np.random.Generator) -> np.ndarray:
     return table
 
 
-ODD = [*PARTS, "late series", "air in the oil", "load sensing", "two rails"]
+ODD = [*PARTS, "late series", "limited drive", "air in the oil", "load sensing", "two rails"]
 
 
 @pytest.fixture(scope="module", autouse=True)

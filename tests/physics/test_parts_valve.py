@@ -279,3 +279,61 @@ def test_a_rig_with_a_series_is_written_and_read_again(tmp_path):
     assert load_rig(path) == rig
     valve = rig.cylinder[0].valve[0]
     assert valve.with_dynamics(["spool"], "quick").series == ("amplifier", "quick")
+
+
+# --- a drive that gives no more beyond some command
+
+
+def with_limit(limit: str, name: str = "slide_servo") -> Rig:
+    """A shipped rig whose drives give no more than a limit."""
+    plain = load_rig(RIGS / f"{name}.toml").as_toml()
+    for cylinder in plain["cylinder"]:
+        cylinder["valve"] = [one | {"drive_limit": limit} for one in cylinder["valve"]]
+    return Rig.model_validate(plain)
+
+
+def test_a_drive_gives_no_more_than_its_limit():
+    """The motion is that of the clipped command, to the bit, and not that of a clipped opening;
+    the log keeps what was commanded."""
+    rig = with_limit("2 V")
+    u = np.concatenate([np.zeros(50), np.full(200, 3.5), np.full(200, -2.5), np.full(50, 1.0)])
+    seconds = 1e-3 * (u.size - 1)
+    limited, clipped = (
+        simulate(one, {"press.servo": signal}, seconds)
+        for one, signal in ((rig, u), (rig_with("spool"), np.clip(u, -2.0, 2.0)))
+    )
+    for name in ("x", "v", "p_head", "p_rod"):
+        assert np.array_equal(limited[f"press.{name}"], clipped[f"press.{name}"]), name
+    assert np.array_equal(limited["press.servo.command"], u)
+    assert np.ptp(limited["press.x"]) > 1e-3
+    opening = limited["press.servo.opening"]
+    behind = rig_with("spool")
+    wide = simulate(behind, {"press.servo": u}, seconds)["press.servo.opening"]
+    late = np.flatnonzero(opening[50:60] < 0.8 * np.minimum(wide[50:60], 2.0))
+    assert late.size > 1  # it opens no faster than a step to its limit does
+
+
+def test_a_design_goes_no_faster_than_the_drive():
+    """Full speed is that of the limit: with 4 V of 10, that of a driver that takes 4 V."""
+    speeds = []
+    for rig in (with_limit("4 V"), rig_with("spool")):
+        model = Model.of(rig)
+        aim = Aim(share=1.0, low_pressure=5e5, cross_drop=5e5)
+        here = equivalent(model, 0, np.array([0.2]))
+        point = operating_point(model, circuit_of(model, 0), 1, here, 0, aim)
+        assert point.possible
+        speeds.append(point.v)
+    assert speeds[0] < 0.7 * speeds[1]
+
+
+def test_a_drive_s_limit_is_a_parameter_of_the_rig(tmp_path):
+    import tomli_w
+
+    rig = with_limit("4 V", "pump_cylinder")
+    assert float(rig.parameters()["lift.drive.drive_limit"]) == 4.0
+    less = rig.with_values({"lift.drive.drive_limit": 3.0})
+    valve = Model.of(less).plant.valves[0]
+    assert (valve.lowest, valve.highest) == (-3.0, 3.0) == less.cylinder[0].valve[0].given
+    (tmp_path / "rig.toml").write_text(tomli_w.dumps(less.as_toml()))
+    assert load_rig(tmp_path / "rig.toml").cylinder[0].valve[0].given == (-3.0, 3.0)
+    assert "lift.drive.drive_limit" not in load_rig(RIGS / "pump_cylinder.toml").parameters()

@@ -12,21 +12,33 @@ from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.plant.model import simulate
 from ehbench.recipe import load_rig
 from ehbench.record import Record
+from ehbench.rig import Rig
 
 RIG = load_rig(Path(__file__).parents[2] / "recipes" / "rigs" / "pump_cylinder.toml")
 NOISE = {"v": 1e-3, "p_head": 6e3, "p_rod": 6e3, "x": 1e-5, "p_supply": 6e2}
 
 
+def driven_to(limit: float) -> Rig:
+    """The rig with a drive that gives no more than a command [V]."""
+    plain = RIG.as_toml()
+    (cylinder,) = plain["cylinder"]
+    cylinder["valve"] = [one | {"drive_limit": f"{limit} V"} for one in cylinder["valve"]]
+    return Rig.model_validate(plain)
+
+
 @cache
-def logs() -> list[tuple[str, Record]]:
-    """Up and down, down and up. Slip lets the load sink from the first sample on, so the commands
-    begin there: a start is the mean of what is at rest.
+def logs(limit: float | None = None) -> list[tuple[str, Record]]:
+    """Up and down, down and up, of a drive that may give no more than a command [V].
+
+    Slip lets the load sink from the first sample on, so the commands begin there: a start is the
+    mean of what is at rest.
     """
-    made = []
+    made, rig = [], RIG if limit is None else driven_to(limit)
+    first = 6.0 if limit is None else 0.6 * limit  # what is told of a limit alone, a gain might be
     for seed, (payload, way) in enumerate(((None, 1.0), ("150 kg", -1.0))):
         u = np.zeros(1801)
-        u[5:600], u[1000:1500] = 6.0 * way, -7.0 * way
-        clean = simulate(RIG, {"lift.drive": u}, 1.8, payload=payload)
+        u[5:600], u[1000:1500] = first * way, -7.0 * way
+        clean = simulate(rig, {"lift.drive": u}, 1.8, payload=payload)
         rng, channels = np.random.default_rng(seed), {"lift.drive.command": u}
         for name, values in clean.channels.items():
             if std := NOISE.get(name.rsplit(".", 1)[-1]):
@@ -47,9 +59,21 @@ def logs() -> list[tuple[str, Record]]:
     ids=lambda factors: ", ".join(factors),
 )
 def test_a_start_far_off_comes_back_within_its_interval(factors):
-    known = {name: float(RIG.parameters()[name]) for name in factors}
+    comes_back(RIG, logs(), factors)
+
+
+@pytest.mark.slow
+def test_what_a_drive_gives_at_most_comes_back():
+    """Full at 5 of the 7 V that are commanded."""
+    factors = {"lift.drive.drive_limit": 0.7, "lift.pump.displacement": 1.5}
+    comes_back(driven_to(5.0), logs(5.0), factors)
+
+
+def comes_back(rig: Rig, given: list[tuple[str, Record]], factors: dict[str, float]) -> None:
+    """Fail unless parameters, started that many times off, come back from some logs."""
+    known = {name: float(rig.parameters()[name]) for name in factors}
     start = {name: known[name] * factor for name, factor in factors.items()}
-    fit = identify_hydraulics(RIG, logs(), list(factors), FitOptions(start=start))
+    fit = identify_hydraulics(rig, given, list(factors), FitOptions(start=start))
     for name, truth in known.items():
         found = fit[name]
         assert found.status in ("estimated", "correlated") and found.start == start[name]

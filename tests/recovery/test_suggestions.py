@@ -145,15 +145,34 @@ def test_what_all_valves_may_have_alike_is_one_change():
     """Four poppets on one driver saturate together: tried one by one none of them would help."""
     rig = rig_of("boom_four_valve")
     t = np.arange(200) * 0.01
-    moved = {f"boom.{valve}.command": 3.0 * (t > 0.5) for valve in ("ht", "sh", "sr", "rt")}
-    log = Record(t, moved)
+    steps = 3.0 * (t > 0.5) - 1.5 * (t > 1.5)
+    log = Record(t, {f"boom.{valve}.command": steps for valve in ("ht", "sh", "sr", "rt")})
     found = {one.name: one for one in changes(rig, ["boom"], [], [log], (), {})}
     whole = found["saturation of boom.ht+sh+sr+rt"]
     assert whole.freedom == 4 and len(whole.starts) == 2 and len(whole.rig_lines) == 4
     assert {e.law for v in whole.altered(rig).cylinder[0].valve for e in v.edge} == {"saturating"}
     assert all(one.keys() == set(whole.parameters) for one in whole.starts)
     assert found["gain of boom.ht+sh+sr+rt"].freedom == 4
+    drives = found["saturation of the drive of boom.ht+sh+sr+rt"]
+    limits = [float(v.drive_limit or 0.0) for v in drives.altered(rig).cylinder[0].valve]
+    assert drives.freedom == 4 and limits == pytest.approx([0.85 * 3.0] * 4)
+    assert "saturation of the drive of boom.sh" in found
     assert not [one for one in changes(rig_of(), ["press"], [], [], (), {}) if "+" in one.about]
+
+
+def test_a_pump_s_drive_may_give_no_more():
+    rig = rig_of("pump_cylinder")
+    log = Record(np.arange(9) * 0.01, {"lift.drive.command": np.arange(9.0)})
+    found = {one.name: one for one in changes(rig, ["lift"], [], [log], (), {})}
+    drive = found["saturation of the drive of lift.drive"]
+    assert drive.parameters == ("lift.drive.drive_limit",) and drive.upper == {
+        "lift.drive.drive_limit": pytest.approx(1.2 * 8.0)
+    }
+    again = changes(drive.altered(rig), ["lift"], [], [log], (), {})
+    assert not [one for one in again if one.kind == "saturation"]
+    alike = Record(log.t, {"lift.drive.command": 8.0 * np.sign(np.arange(9.0) - 4.0)})
+    given = (rig, ["lift"], [], [alike], (), {})  # a lower gain would do as much
+    assert not [one for one in changes(*given) if one.kind == "saturation"]
 
 
 def test_losses_of_a_pump_s_cylinder_go_by_the_pressure_that_its_pump_makes():
