@@ -231,7 +231,8 @@ def _commands(cylinder: Cylinder) -> Iterator[Cure]:
                 f"{100.0 * (1.0 - d):.2g} % of the largest command"
             ),
             lambda d, about=about: (
-                f'law = "saturating" with its opening_max for {about} in the rig file'
+                f"a drive_limit for {about} in the rig file, or where valves come to their stops, "
+                'law = "saturating" with its opening_max'
             ),
             5,
             _with_commands(given, _clipped),
