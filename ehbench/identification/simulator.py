@@ -243,8 +243,10 @@ def _cavitates(rig: Rig, cylinder: Cylinder, record: Record) -> np.ndarray:
     void = np.zeros(record.t.size, dtype=bool)
     if not pressures:
         return void
-    ahead = round(EMPTYING / record.sample_time)
     empty = np.flatnonzero(np.min(pressures, axis=0) < EMPTY * float(rig.oil.cavitation_pressure))
+    if not empty.size:
+        return void
+    ahead = round(EMPTYING / record.sample_time)
     commands = _commands(cylinder, record)
     table = (
         np.column_stack([record[channel] for channel in commands])
