@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ehbench.blas import one_thread
+from ehbench.fields import Value
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import STEP
 from ehbench.plant.lanes.many import Job, follow_together, run_together
@@ -28,7 +29,7 @@ from ehbench.plant.many import run_many
 from ehbench.plant.model import Model, simulate
 from ehbench.plant.paced import AUTO
 from ehbench.recipe import FlowMapRecipe, TrialRecipe, TrialSetRecipe, load_recipe, load_rig
-from ehbench.rig import Rig, Value
+from ehbench.rig import Rig
 from ehbench.rundir import shipped
 
 if TYPE_CHECKING:

@@ -16,6 +16,7 @@ import numpy as np
 
 from ehbench.blas import one_thread
 from ehbench.errors import EhbenchError, InputError
+from ehbench.fields import read_value
 from ehbench.logs import write_log
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.quantities import VOCABULARY
@@ -28,7 +29,7 @@ from ehbench.recipe import (
     load_recipe,
     load_rig,
 )
-from ehbench.rig import Rig, read_value
+from ehbench.rig import Rig
 from ehbench.trial import run_trial
 from ehbench.units import from_si
 

@@ -11,17 +11,18 @@ from typing import Any
 import numpy as np
 
 from ehbench.errors import InsufficientData
+from ehbench.fields import Value
+from ehbench.identification.band import ResponseFit, followed, late_responses
 from ehbench.identification.groups import Group
 from ehbench.identification.search import Coordinate
-from ehbench.identification.band import ResponseFit, followed, late_responses
 from ehbench.identification.simulator import Log, Shifts, Simulator, channels_of
-from ehbench.quantities import GAUGES, quantity
 from ehbench.identification.volumes import held_volumes
 from ehbench.observations import supply_off
 from ehbench.plant.ties import tied_words
-from ehbench.record import Record
+from ehbench.quantities import GAUGES, quantity
 from ehbench.recipe.sensor import reading_row
-from ehbench.rig import Rig, Value
+from ehbench.record import Record
+from ehbench.rig import Rig
 from ehbench.sensors import Term
 from ehbench.signals import Ringing, correlation_time, fit_percent, lowpass, rms
 

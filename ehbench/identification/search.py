@@ -11,9 +11,10 @@ from typing import Any
 
 from ehbench import units
 from ehbench.errors import InputError
+from ehbench.fields import Value
 from ehbench.quantities import Quantity
 from ehbench.recipe.sensor import reading_row
-from ehbench.rig import Rig, Value, parameter_row
+from ehbench.rig import Rig, parameter_row
 from ehbench.sensors import Term
 
 LEVEL = 0.95

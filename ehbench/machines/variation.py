@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from ehbench.errors import InputError
+from ehbench.fields import Value, read_value
 from ehbench.machines.simulated import SimulatedMachine
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.machines.virtual.plant import RAW
@@ -18,7 +19,7 @@ from ehbench.plant.build import Maps
 from ehbench.plant.model import Model
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import BenchRecipe, MachineChange, TrialRecipe, load_recipe
-from ehbench.rig import Rig, Value, read_value
+from ehbench.rig import Rig
 
 FRICTION = ("friction_coulomb", "friction_static", "friction_viscous")
 FLOW = ("flow_gain", "compensated_gain", "map_factor")

@@ -11,6 +11,7 @@ import numpy as np
 
 from ehbench.compiled import table, table_of
 from ehbench.errors import InputError
+from ehbench.fields import Value
 from ehbench.parts import edge as edges
 from ehbench.parts import friction
 from ehbench.parts import valve as valves
@@ -28,7 +29,7 @@ from ehbench.physics import arm
 from ehbench.physics.cylinder import DIRECT, PINS, RACK, joint_angle, linkage
 from ehbench.physics.flow_map import FlowMap, ValveMaps, pack
 from ehbench.plant.layout import SIDES, Layout, Offsets, layout
-from ehbench.rig import Chain, Cylinder, Edge, FixedEdge, Rig, Slide, Value
+from ehbench.rig import Chain, Cylinder, Edge, FixedEdge, Rig, Slide
 
 Maps = Mapping[str, ValveMaps]
 # as `linkage` takes them

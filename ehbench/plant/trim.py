@@ -9,19 +9,20 @@ from typing import Any
 import numpy as np
 
 from ehbench.errors import InputError, SimulationError
+from ehbench.fields import read_value
 from ehbench.parts.cylinder import joint_of, joint_range_of, linkage_of
 from ehbench.parts.edge import CHECK
 from ehbench.parts.load import force_on
 from ehbench.parts.mount import mount_settle
-from ehbench.parts.sway import sway_settle
 from ehbench.parts.nodes import SUPPLY
 from ehbench.parts.supply import sensed
+from ehbench.parts.sway import sway_settle
 from ehbench.parts.valve import valve_settle
 from ehbench.physics.arm import SLIDE, gravity_torque, work_size
 from ehbench.plant.build import Plant
 from ehbench.plant.layout import Layout
 from ehbench.quantities import VOCABULARY
-from ehbench.rig import Rig, read_value
+from ehbench.rig import Rig
 
 LOW_SIDE = 0.1  # share of the supply pressure at which a chamber that carries nothing stands
 

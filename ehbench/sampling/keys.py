@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ehbench.errors import InputError, UnitError
-from ehbench.fields import Value
+from ehbench.fields import Value, read_value
 from ehbench.recipe import BenchRecipe, validated
-from ehbench.rig import Rig, parameter_row, read_value
+from ehbench.rig import Rig, parameter_row
 from ehbench.sampling.design import Factor
 from ehbench.units import split_number
 

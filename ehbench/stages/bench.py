@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from ehbench.fields import Value
 from ehbench.recipe import BenchRecipe, DatasetRecipe, TrialRecipe, load_rig
-from ehbench.rig import Value
 from ehbench.stages.base import Checked, Prepared
 from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs

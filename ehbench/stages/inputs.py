@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from ehbench import rundir
 from ehbench.errors import InputError
+from ehbench.fields import Value
 from ehbench.recipe import (
     ColumnMap,
     DataFile,
@@ -26,7 +27,7 @@ from ehbench.recipe import (
     load_rig,
     whole_map,
 )
-from ehbench.rig import Edge, Rig, Value, Valve
+from ehbench.rig import Edge, Rig, Valve
 from ehbench.stages.findings import Findings
 
 if TYPE_CHECKING:

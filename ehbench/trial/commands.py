@@ -8,9 +8,10 @@ from collections.abc import Collection
 import numpy as np
 
 from ehbench.errors import InputError
+from ehbench.fields import Value
 from ehbench.recipe import Command, TrialRecipe
 from ehbench.record import Record
-from ehbench.rig import Rig, Value, Valve
+from ehbench.rig import Rig, Valve
 
 
 def _si(value: Value | None) -> float:

@@ -22,6 +22,7 @@ from ehbench.control.records import numbers
 from ehbench.control.registry import LAWS
 from ehbench.control.trajectory import SHAPING_NAMES, pack_shaping
 from ehbench.errors import InputError
+from ehbench.fields import read_value
 from ehbench.parts.cylinder import linkage_arrays
 from ehbench.parts.nodes import SUPPLY
 from ehbench.parts.sample import sample_size
@@ -30,7 +31,7 @@ from ehbench.plant.site import site_of
 from ehbench.quantities import VOCABULARY, Quantity
 from ehbench.recipe import TrialRecipe
 from ehbench.recipe.trial import Controller as ChosenController
-from ehbench.rig import Rig, read_value
+from ehbench.rig import Rig
 from ehbench.rundir import read_json
 from ehbench.text import shortened
 from ehbench.trial.imports import files_of, source_of

@@ -26,10 +26,10 @@ from ehbench.control.measured import Pressures
 from ehbench.control.trajectory import ORDERS, A, J, V, X, point_to_point, velocity_steps
 from ehbench.control.valve_level import top_speed
 from ehbench.errors import InputError
+from ehbench.fields import read_value
 from ehbench.memory import rows_of
 from ehbench.quantities import VOCABULARY, Quantity
 from ehbench.recipe import CylinderMotion, Motion, TrialRecipe
-from ehbench.rig import read_value
 from ehbench.trial.controllers import Design, located
 
 REST = 0.5  # [s] before the first step of speed and after each

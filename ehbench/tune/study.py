@@ -12,12 +12,13 @@ import numpy as np
 from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.control.functions import Circuit
 from ehbench.errors import InputError, InsufficientData, ModelRejected
+from ehbench.fields import read_value
 from ehbench.plant.build import Maps
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import AnyTuning
-from ehbench.rig import Rig, read_value
+from ehbench.rig import Rig
 from ehbench.tune.linear import LinearModel, development_model
 from ehbench.tune.loop import Law, Loop, close
 from ehbench.tune.operating_point import (

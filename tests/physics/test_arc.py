@@ -25,13 +25,13 @@ from ehbench.control import arc
 from ehbench.control.axis import inertias, load_at, reference_load
 from ehbench.control.trajectory import point_to_point, there_and_back
 from ehbench.errors import InputError
+from ehbench.fields import Value
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.cylinder import linkage_of
 from ehbench.physics.arm import LINK, gravity_torque, mass_matrix, work_size
 from ehbench.plant.model import Model
 from ehbench.quantities import quantity
 from ehbench.recipe import load_rig
-from ehbench.rig import Value
 
 sys.path.append(str(Path(__file__).parent))
 from closed_loop import TICK, axis_of, gains_of, run_bench, run_model  # noqa: E402

@@ -10,6 +10,7 @@ import pytest
 
 from ehbench.datasets import main, make
 from ehbench.errors import InputError
+from ehbench.fields import Value
 from ehbench.logs import write_log
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.machines.virtual.drawing import speed_filter
@@ -19,7 +20,6 @@ from ehbench.parts.oil import ATMOSPHERE, bulk
 from ehbench.physics.arm import energy, work_size
 from ehbench.plant.model import Model
 from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
-from ehbench.rig import Value
 from ehbench.trial import run_trial
 
 ROOT = Path(__file__).parents[2]

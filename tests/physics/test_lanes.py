@@ -12,6 +12,7 @@ import pytest
 from ehbench import warm
 from ehbench.compiled import Kernel, allocating_kernel, part_kernel
 from ehbench.errors import SimulationError
+from ehbench.fields import Value
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.physics.flow_map import FlowMap, ValveMaps
 from ehbench.plant.lanes import many
@@ -28,7 +29,7 @@ from ehbench.plant.lanes.vectors import LANES
 from ehbench.plant.many import run_many
 from ehbench.plant.model import Model, simulate
 from ehbench.recipe import StudyRecipe, load_recipe, load_rig
-from ehbench.rig import LoadSensing, LowRail, Rig, Value
+from ehbench.rig import LoadSensing, LowRail, Rig
 from ehbench.sampling.sample import samples_of
 from ehbench.stages import REGISTRY
 from ehbench.stages.findings import Findings

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from ehbench.errors import InputError, InsufficientData, LogError
+from ehbench.fields import Value
 from ehbench.ledger import (
     Accuracy,
     Ledger,
@@ -32,7 +33,7 @@ from ehbench.plant.model import Model
 from ehbench.plant.valves import follow_valves
 from ehbench.recipe import TrialRecipe, load_recipe, load_rig
 from ehbench.record import Record
-from ehbench.rig import Rig, Value
+from ehbench.rig import Rig
 from ehbench.trial import run_trial
 
 ROOT = Path(__file__).parents[2]

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.fields import Value
 from ehbench.parts.edge import edge_command, edge_flow, edge_known
 from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
-from ehbench.rig import Edge, Rig, Value
+from ehbench.rig import Edge, Rig
 from ehbench.tune.differences import plant_model
 from ehbench.tune.loop import damping_ratio
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point

@@ -12,6 +12,7 @@ import pytest
 from scipy.linalg import eigh
 
 from ehbench import signals
+from ehbench.fields import Value
 from ehbench.parts.cylinder import RELIEF_GAIN, linkage_arrays
 from ehbench.parts.valve import valve_settle
 from ehbench.physics import arm
@@ -20,7 +21,7 @@ from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import rk4
 from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
-from ehbench.rig import Rig, Slide, Value
+from ehbench.rig import Rig, Slide
 
 FILES = sorted((Path(__file__).parents[2] / "recipes" / "rigs").glob("*.toml"))
 # those whose shut valves hold their oil; a pump with its check valves is in test_parts_circuit

@@ -10,9 +10,8 @@ import pytest
 import tomli_w
 
 from ehbench.errors import InputError
-from ehbench.fields import Value
+from ehbench.fields import SURENESS, Value
 from ehbench.recipe import load_rig
-from ehbench.rig import SURENESS
 
 FOLDER = Path(__file__).parents[2] / "recipes" / "rigs"
 RIGS = sorted(FOLDER.glob("*.toml"))

@@ -18,10 +18,10 @@ from ehbench.codes import EXTEND_RESISTIVE, FUNCTIONS
 from ehbench.control.functions import HEAD, METERED, pack_rules
 from ehbench.control.pressure_feedback import pack_pressure_feedback
 from ehbench.errors import InputError, InsufficientData, ModelRejected
+from ehbench.fields import Value
 from ehbench.recipe import TuneRecipe, load_recipe, load_rig
 from ehbench.report.saved import Table
 from ehbench.report.stages.tuning import _parameters
-from ehbench.rig import Value
 from ehbench.tune import gains as module
 from ehbench.tune.draws import draw_parameters
 from ehbench.tune.gains import tune_pressure_feedback

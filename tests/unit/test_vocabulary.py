@@ -9,7 +9,7 @@ from typing import get_args
 import pytest
 
 from ehbench import recipe, reference, rig
-from ehbench.fields import Q
+from ehbench.fields import FileModel, Q, Value
 from ehbench.quantities import VOCABULARY, like_channel, quantity
 from ehbench.units import from_si, to_si
 
@@ -28,7 +28,7 @@ def models():
         for item in vars(module).values():
             if (
                 isinstance(item, type)
-                and issubclass(item, rig.FileModel)
+                and issubclass(item, FileModel)
                 and item.__module__.startswith(module.__name__)
             ):
                 yield item
@@ -38,7 +38,7 @@ def models():
 def test_every_quantity_field_has_a_row(model):
     for name, field in model.model_fields.items():
         kinds = (field.annotation, *get_args(field.annotation))
-        if rig.Value in kinds or any(rig.Value in get_args(kind) for kind in kinds):
+        if Value in kinds or any(Value in get_args(kind) for kind in kinds):
             marks = list(field.metadata) + [
                 m for kind in kinds for m in getattr(kind, "__metadata__", ())
             ]

@@ -11,6 +11,7 @@ import numpy as np
 
 from ehbench.compiled import table
 from ehbench.errors import InputError
+from ehbench.fields import Value, read_value
 from ehbench.machines.virtual.laws import edge_flow, spool_for
 from ehbench.machines.virtual.plant import (
     BENCH_EDGE,
@@ -27,7 +28,7 @@ from ehbench.plant.layout import Layout
 from ehbench.plant.model import Model
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import BenchRecipe
-from ehbench.rig import Edge, Rig, Value, Valve, read_value
+from ehbench.rig import Edge, Rig, Valve
 
 
 def _scalar(value) -> float | None:
