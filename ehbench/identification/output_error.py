@@ -1077,8 +1077,13 @@ class OutputError:
 
     def _flat(self) -> list[str]:
         """A note of each parameter that the logs tell by its range alone."""
+
+        def said(c: Coordinate, value: float) -> str:
+            own = c.quantity is None  # else of a sensor
+            return self.simulator.rig.shown(c.name, value) if own else f"{value:.4g} {c.row.unit}"
+
         return [
-            f"{c.name} may be anything from {c.at(low):.4g} to {c.at(high):.4g} {c.row.unit} for "
+            f"{c.name} may be anything from {said(c, c.at(low))} to {said(c, c.at(high))} for "
             "these logs, which deny the rest of its range"
             for i, (low, high) in self.ranged.items()
             for c in [self.search[i]]

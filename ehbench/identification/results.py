@@ -219,7 +219,7 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
         InsufficientData: the fitted model follows no channel of any log better than its mean.
     """
     warnings = [text for log in simulator.logs for text in log.warnings]
-    warnings += [*found.warnings, *_statuses(found.fitted)]
+    warnings += [*found.warnings, *_statuses(found.fitted, simulator.rig)]
     logs, recordings = [], []
     shifts = simulator.unshifted() if found.shifts is None else found.shifts
     starts, replays = simulator.replay([*(one.value for one in found.fitted), *found.held], shifts)
@@ -263,17 +263,16 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
     )
 
 
-def _statuses(fitted: Sequence[FittedParameter]) -> list[str]:
+def _statuses(fitted: Sequence[FittedParameter], rig: Rig) -> list[str]:
     """A warning of each parameter that is not excited or at a bound."""
     warnings = []
     for one in fitted:
+        value = rig.shown(one.name, one.value)
         if one.status == "not_excited":
-            warnings.append(
-                f"{one.name} is not excited by these logs; it stays at {one.value:g} {one.unit}"
-            )
+            warnings.append(f"{one.name} is not excited by these logs; it stays at {value}")
         elif one.status == "at_bound":
             side = "lower" if one.value - one.lower < one.upper - one.value else "upper"
-            warnings.append(f"{one.name} ran into its {side} bound, {one.value:g} {one.unit}")
+            warnings.append(f"{one.name} ran into its {side} bound, {value}")
     return warnings
 
 

@@ -193,12 +193,15 @@ def _coordinate(
     own = where("start", name) if name in given["start"] else where("parameters")
     if not low < high:
         raise InputError(
-            f"{name}: the lower bound {low:g} is not below the upper bound {high:g} {row.unit}",
+            f"{name}: the lower bound {rig.shown(name, low)} is not below the upper bound "
+            f"{rig.shown(name, high)}",
             **where("upper" if name in given["upper"] else "lower", name),
         )
     if not low <= first <= high:
         raise InputError(
-            f"{name} starts at {first:g} {row.unit}, outside its bounds {low:g} to {high:g}", **own
+            f"{name} starts at {rig.shown(name, first)}, outside its bounds "
+            f"{rig.shown(name, low)} to {rig.shown(name, high)}",
+            **own,
         )
     log = low > 0.0
     unit = high - low if bounded and math.isfinite(high - low) else abs(first)

@@ -24,12 +24,12 @@ Window = tuple[float, float]
 _ALL = (-np.inf, np.inf)
 BRIDGED = 5  # samples in a row that a straight line may stand for
 GAP = 1.5  # sample times between two samples where one is missing
-_CLOCK = 1e8  # [s] from which a time counts from 1970
+CLOCK = 1e8  # [s] from which a time counts from 1970
 _NAMED = 4  # places that are told
 
 
 @dataclass
-class _Group:
+class Group:
     """The channels of one table: its time [s], its channels in SI, where they are bad, and what
     stood there.
     """
@@ -37,6 +37,7 @@ class _Group:
     table: Table
     t: np.ndarray
     began: float | None
+    daytime: float | None = None
     channels: dict[str, np.ndarray] = field(default_factory=dict)
     columns: dict[str, Column] = field(default_factory=dict)
 
@@ -46,16 +47,17 @@ class _Group:
         steps = np.diff(self.t[np.isfinite(self.t)])
         return float(np.median(steps)) if steps.size else np.inf
 
-    def taken(self, rows: np.ndarray, channels: Sequence[str] | None = None) -> _Group:
+    def taken(self, rows: np.ndarray, channels: Sequence[str] | None = None) -> Group:
         """The same group with some of its rows, by number, and channels."""
         names = list(self.channels) if channels is None else channels
         columns = {name: self.columns[name].taken(rows) for name in names}
         lines = self.table.lines
         kept = None if lines is None else [lines[int(row)] for row in rows]
-        return _Group(
+        return Group(
             replace(self.table, columns=tuple(columns.values()), lines=kept, words={}),
             self.t[rows],
             self.began,
+            self.daytime,
             {name: self.channels[name][rows] for name in names},
             columns,
         )
@@ -81,7 +83,7 @@ def read_mapped(
     columns = columns or named_channels(source, path)
     losses: list[str] = []
     groups = _groups(source, columns, path)
-    began = _one_clock(groups)
+    began, daytime = _one_clock(groups)
     if check and columns.columns.bad_samples == LEAVE_OUT:
         groups = [_without_repeats(group, losses) for group in groups]
     for index, group in enumerate(groups):
@@ -89,12 +91,16 @@ def read_mapped(
         if check:
             groups[index] = group = _clean(group, columns, path, window or _ALL, losses)
             _check_time(group, path, window or _ALL)
-    t, channels, rates = _joined(groups, losses, window or _ALL)
+    for group in groups:
+        losses += _gaps(group, window or _ALL)
+    t, channels, rates = joined(groups, losses)
     if check and not t.size:
         raise LogError("the log holds no samples", file=path)
     meta = {"rates": "; ".join(rates)} if rates else {}
     if began is not None:
         meta["began"] = datetime.fromtimestamp(began, UTC).isoformat()
+    elif daytime is not None:
+        meta["time_of_day"] = f"{daytime:.6f}"
     return Record(t, channels, meta, losses=tuple(losses))
 
 
@@ -106,7 +112,7 @@ def dialect_of(columns: ColumnMap | None) -> Dialect:
     return Dialect(*columns.marks, said.skip, said.unit_row, said.encoding, said.table)
 
 
-def _without_repeats(group: _Group, losses: list[str]) -> _Group:
+def _without_repeats(group: Group, losses: list[str]) -> Group:
     """The group without rows that are the one before once more, as loggers write them twice."""
     again = np.flatnonzero(repeated(group.t, list(group.columns.values())))
     if not again.size:
@@ -119,7 +125,7 @@ def _without_repeats(group: _Group, losses: list[str]) -> _Group:
     return group.taken(np.delete(np.arange(group.t.size), again))
 
 
-def _check_time(group: _Group, path: Path, window: Window) -> None:
+def _check_time(group: Group, path: Path, window: Window) -> None:
     """Refuse a time that stands still or goes back inside of the window."""
     inside = np.flatnonzero((group.t >= window[0]) & (group.t <= window[1]))
     lines = None if group.table.lines is None else [group.table.lines[int(at)] for at in inside]
@@ -160,17 +166,19 @@ def named_channels(source: Source, path: Path) -> ColumnMap:
     return ColumnMap(Columns(names=found))
 
 
-def _groups(source: Source, columns: ColumnMap, path: Path) -> list[_Group]:
+def _groups(source: Source, columns: ColumnMap, path: Path) -> list[Group]:
     """The mapped channels of each table, in SI."""
     places = {name: source.place(name, path) for name in columns.columns.names}
-    groups: dict[int, _Group] = {}
+    groups: dict[int, Group] = {}
     for name, mapped in columns.columns.names.items():
         i, j = places[name]
         if mapped.channel == "t":
             continue
         check_known(mapped.channel, **columns.at("names", name))
         if i not in groups:
-            groups[i] = _Group(source.tables[i], *_time(source, i, columns, places, path))
+            t, began = _time(source, i, columns, places, path)
+            daytime = source.tables[i].daytime if began is None else None
+            groups[i] = Group(source.tables[i], t, began, daytime)
         column = source.tables[i].columns[j]
         groups[i].channels[mapped.channel] = si_of(name, mapped, column, columns, path)
         groups[i].columns[mapped.channel] = column
@@ -179,7 +187,7 @@ def _groups(source: Source, columns: ColumnMap, path: Path) -> list[_Group]:
     return [part for group in groups.values() for part in _parts(group)]
 
 
-def _parts(group: _Group) -> list[_Group]:
+def _parts(group: Group) -> list[Group]:
     """The channels of a table by the rows in which they stand: a group a rate."""
     names = list(group.channels)
     found = apart([group.columns[name] for name in names])
@@ -240,23 +248,26 @@ def _time(
             hint='map a column to "t [s]", or write rate = "1 kHz" in the map',
         )
     good = t[np.isfinite(t)]
-    if good.size and good[0] > _CLOCK:
+    if good.size and good[0] > CLOCK:
         began, t = float(good[0]), t - good[0]
     return t, began
 
 
-def _one_clock(groups: list[_Group]) -> float | None:
-    """The wall clock of t = 0 [s since 1970], that of the first table to begin: the others are
-    shifted to it.
+def _one_clock(groups: list[Group]) -> tuple[float | None, float | None]:
+    """(wall clock [s since 1970], time of day [s since midnight]) of t = 0, that of the first table
+    to begin: the others are shifted to it.
     """
     known = [group.began for group in groups if group.began is not None]
+    days = [group.daytime for group in groups if group.daytime is not None]
     for group in groups:
         if group.began is not None:
             group.t = group.t + (group.began - min(known))
-    return min(known, default=None)
+        elif group.daytime is not None:
+            group.t = group.t + (group.daytime - min(days))
+    return min(known, default=None), min(days, default=None)
 
 
-def _filter(group: _Group, columns: ColumnMap) -> None:
+def _filter(group: Group, columns: ColumnMap) -> None:
     """Low-pass what the map asks it for; over bad samples it goes on along a straight line."""
     for name, mapped in columns.columns.names.items():
         if mapped.filter is None or mapped.channel not in group.channels:
@@ -278,8 +289,8 @@ def _filter(group: _Group, columns: ColumnMap) -> None:
 
 
 def _clean(
-    group: _Group, columns: ColumnMap, path: Path, window: Window, losses: list[str]
-) -> _Group:
+    group: Group, columns: ColumnMap, path: Path, window: Window, losses: list[str]
+) -> Group:
     """Refuse bad samples inside of the window, or give the group without them, as the map says: a
     few in a row are bridged, of more the rows are gone.
     """
@@ -346,7 +357,7 @@ def _short(bad: np.ndarray) -> np.ndarray:
     return found
 
 
-def _left_out(channel: str, group: _Group, t: np.ndarray, at: np.ndarray, what: str) -> str:
+def _left_out(channel: str, group: Group, t: np.ndarray, at: np.ndarray, what: str) -> str:
     """A sentence on samples that are left out."""
     if what == "bridged":
         how = "the last is held" if channel.endswith(".command") else "bridged by a straight line"
@@ -364,11 +375,11 @@ def _rows(count: int) -> str:
     return f"{count} row{'s' * (count != 1)}"
 
 
-def _line(group: _Group, at: int) -> int | None:
+def _line(group: Group, at: int) -> int | None:
     return None if group.table.lines is None else group.table.lines[at]
 
 
-def _lines(group: _Group, at: np.ndarray) -> str:
+def _lines(group: Group, at: np.ndarray) -> str:
     if group.table.lines is None:
         return ""
     some = ", ".join(str(group.table.lines[int(one)]) for one in at[:_NAMED])
@@ -376,7 +387,7 @@ def _lines(group: _Group, at: np.ndarray) -> str:
 
 
 def _bad_sample(
-    group: _Group, channel: str, at: int, path: Path, columns: ColumnMap
+    group: Group, channel: str, at: int, path: Path, columns: ColumnMap
 ) -> LogError | UnitError:
     """The error of a bad sample."""
     row, value, column = quantity(channel), group.channels[channel][at], group.columns[channel]
@@ -397,17 +408,17 @@ def _bad_sample(
     return LogError(f"{channel}: {what}{where}", file=path, line=line, hint=_CURE)
 
 
-def _joined(
-    groups: list[_Group], losses: list[str], window: Window
+def joined(
+    groups: Sequence[Group], losses: list[str]
 ) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
     """(time [s], all channels, a sentence on each other rate) on the time base of the fastest
     table; readings of the others lie on straight lines between their samples, commands are held.
+    Rows that not all tables have values for are left out, and ``losses`` says so.
     """
     rates = []
     base = min(groups, key=lambda group: group.period)
     t, channels, keep = base.t, dict(base.channels), np.ones(base.t.size, bool)
     for group in groups:
-        losses += _gaps(group, window)
         if group is base:
             continue
         good = np.isfinite(group.t) & (np.diff(group.t, prepend=-np.inf) > 0)
@@ -450,11 +461,11 @@ def _uncovered(t: np.ndarray, keep: np.ndarray, slack: float) -> list[str]:
     return [f"{_rows(lost)} {are} left out: not all tables have values there"]
 
 
-def _called(group: _Group) -> str:
+def _called(group: Group) -> str:
     return f"table '{group.table.name}'" if group.table.name else ", ".join(group.channels)
 
 
-def _gaps(group: _Group, window: Window) -> list[str]:
+def _gaps(group: Group, window: Window) -> list[str]:
     """A sentence on each place inside of the window where samples are missing."""
     t = group.t[(group.t >= window[0]) & (group.t <= window[1])]
     if not 0.0 < group.period < np.inf:

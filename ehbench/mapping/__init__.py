@@ -6,12 +6,14 @@ rig. What is not sure stands in the draft as a remark, for the user to decide.""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from ehbench.errors import EhbenchError, InputError
 from ehbench.logs import read_record
+from ehbench.logs.mapped import CLOCK
 from ehbench.logs.readings import mapped_readings
 from ehbench.mapping.guesses import CYLINDER, VALVE, Guess, guessed
 from ehbench.mapping.picture import draw
@@ -108,12 +110,14 @@ def _overview(path: Path, source: Source, guesses: dict[str, Guess]) -> list[str
 def _span(
     table: Table, index: int, names: dict[str, tuple[int, int]], guesses: dict[str, Guess]
 ) -> str:
-    """How long a table is and how often it was sampled, as far as that is known."""
-    t = table.t
+    """How long a table is, how often it was sampled and when it began, as far as is known."""
+    t, began = table.t, table.began
     for name, (i, j) in names.items():
         if i == index and guesses[name].channel == "t" and t is None:
             scale = {"ms": 1e-3, "us": 1e-6, "min": 60.0}.get(guesses[name].unit, 1.0)
             t = table.columns[j].values * scale
+            first = float(np.nanmin(t)) if np.isfinite(t).any() else 0.0
+            began = first if began is None and first > CLOCK else began
     if t is None or t.size < 2:
         return ""
     step = float(np.nanmedian(np.diff(t)))
@@ -121,7 +125,16 @@ def _span(
     even = span / (t.size - 1)  # which tells a rate better than steps that the recorder rounded
     step = even if abs(even - step) < EVEN * step else step
     rate = f", {1 / step:.5g} Hz" if step > 0.0 else ""
-    return f", {span:.5g} s{rate}"
+    return f", {span:.5g} s{rate}{_from(began, table.daytime)}"
+
+
+def _from(began: float | None, daytime: float | None) -> str:
+    """When a table begins, where it knows."""
+    if began is not None:
+        return f", from {datetime.fromtimestamp(began, UTC):%Y-%m-%d %H:%M:%S.%f}"[:-3]
+    if daytime is not None:
+        return f", from {datetime.fromtimestamp(daytime, UTC):%H:%M:%S.%f}"[:-3]
+    return ""
 
 
 def _taken_readings(path: Path, out: Path) -> list[str]:

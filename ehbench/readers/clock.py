@@ -36,6 +36,12 @@ def clock(cells: Iterable[str]) -> tuple[np.ndarray, float | None]:
     return seconds, whole + parts if dated else None
 
 
+def time_of_day(cells: Iterable[str]) -> float | None:
+    """Seconds since midnight of the first cell that is a time of day, None where none is."""
+    found = next(filter(None, (_stamp(cell.strip()) for cell in cells)), None)
+    return None if found is None else (found[0] + found[1]) % _DAY
+
+
 def moments(values: np.ndarray) -> tuple[np.ndarray, float | None]:
     """(seconds since the first, NaN where there is none; the first in seconds since 1970) of
     numpy's moments of time.

@@ -17,7 +17,7 @@ import numpy as np
 from ehbench.disk import DATA, read_bytes
 from ehbench.errors import LogError
 from ehbench.memory import available, refuse_beyond
-from ehbench.readers.clock import clock
+from ehbench.readers.clock import clock, time_of_day
 from ehbench.readers.table import Column, Dialect, Source, Table, is_hole, numbered
 from ehbench.units import absolute_unit, named_unit
 
@@ -30,6 +30,12 @@ _NUMBER = {
 }
 _UNIT_HEADS = ("unit", "units", "einheit", "einheiten", "unité", "unidad")
 _BRACKETED = re.compile(r"\(.*\)|\[.*\]")
+# how a row of units writes a time of day: hh:mm:ss, HH:MM:SS.fff, dd.mm.yyyy hh:mm:ss,ms, h:m:s
+_CLOCK_FORM = re.compile(
+    r"([dmyjat]{1,4}[-./][dmyjat]{1,4}[-./][dmyjat]{1,4}[ t;]*)?"
+    r"h{1,2}:m{1,2}(:s{1,2}[.,:]?[msfz0]*)?",
+    re.I,
+)
 _HEADS = 6  # rows of facts between the header and the numbers
 _LOOKED_AT = 200  # lines that tell a dialect
 _TOGETHER = 20  # lines in a row that are looked at: signals of several rates take turns
@@ -123,7 +129,7 @@ def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[Ta
     at = [n for n in range(layout.first, len(lines)) if _is_row(lines[n], separator)]
     rows = [lines[n] for n in at]
     values, odd = numbers(rows, separator, decimal, layout.kinds)
-    columns, began, words = [], None, {}
+    columns, began, daytime, words = [], None, None, {}
     for index, kind in enumerate(layout.kinds):
         if kind == "words":
             words[names[index]] = [_cell(row, separator, index) for row in rows]
@@ -131,12 +137,14 @@ def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[Ta
         own = odd.get(index, {})
         column, unit = values[:, index], said[index]
         if kind == "times":
-            cells = (_cell(row, separator, index) for row in rows)
+            cells = [_cell(row, separator, index) for row in rows]
             column, start = clock(cells)
             unit, own = "s", {}
             began = start if began is None else began
+            daytime = time_of_day(cells) if daytime is None and start is None else daytime
         columns.append(Column(names[index], column, unit, own))
-    table = Table(name, tuple(columns), None, began, [n + 1 for n in at], words)
+    daytime = None if began is not None else daytime
+    table = Table(name, tuple(columns), None, began, [n + 1 for n in at], words, daytime)
     skip = layout.first if layout.header is None else layout.header
     return table, Dialect(separator, decimal, skip, layout.units is not None)
 
@@ -285,7 +293,8 @@ def _heads(
 
 
 def _is_unit(cell: str) -> bool:
-    return bool(named_unit(cell) or absolute_unit(cell))
+    plain = cell.strip(" []()")
+    return bool(named_unit(cell) or absolute_unit(cell) or _CLOCK_FORM.fullmatch(plain))
 
 
 def _plain(cell: str) -> str:

@@ -88,7 +88,8 @@ class Table:
     ``name`` is that of the group, sheet or topic, '' where a file has one. ``t`` [s] is the time
     where the format itself knows it, else None. ``began`` is the wall clock of t = 0, in seconds
     since 1970 (UTC, or the local time where the file names no zone); None where it says none.
-    ``lines`` are the lines of the rows in a text file, ``words`` its columns that hold words."""
+    ``daytime`` is the time of day of t = 0 [s since midnight], where the file says no more than
+    that. ``lines`` are the lines of the rows in a text file, ``words`` its columns of words."""
 
     name: str
     columns: tuple[Column, ...]
@@ -96,6 +97,7 @@ class Table:
     began: float | None = None
     lines: Sequence[int] | None = None
     words: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    daytime: float | None = None
 
     @property
     def size(self) -> int:

@@ -28,9 +28,33 @@ def _carried(raw: Any) -> Any:
 Payload = Annotated[str | None, BeforeValidator(_carried)]
 
 
+class BesideFile(FileModel):
+    """A file that another recorder wrote of the same run."""
+
+    path: str = Field(description="what another recorder wrote of the same run")
+    columns: AnyColumns = Field(
+        default=None, description="of this file; none: its columns are named as channels"
+    )
+    shift: Annotated[Value, Q("start")] | None = Field(
+        default=None,
+        description="by how much later its samples were taken than its clock says, or, where the "
+        "two files know no common clock, than its time says",
+    )
+    clock: Literal["shared", "own"] = Field(
+        default="shared",
+        description="`shared`: times of day, where both files know them, say how they lie; `own`: "
+        "each counts from its own start, as recorders on one trigger do",
+    )
+
+
+def data_file(raw: Any) -> Any:
+    """A file's entry in a recipe, which may be its path alone, as a table."""
+    return {"path": raw} if isinstance(raw, str) else raw
+
+
 class DataFile(FileModel):
     """A log to use: its path, the payload carried (else what the log's own meta says), a window of
-    its time, a note.
+    its time, a note, files beside it.
     """
 
     path: str
@@ -41,11 +65,9 @@ class DataFile(FileModel):
     columns: AnyColumns = Field(
         default=None, description="of this file, in place of those of the recipe"
     )
-
-
-def data_file(raw: Any) -> Any:
-    """A log's entry in a recipe, which may be its path alone, as a table."""
-    return {"path": raw} if isinstance(raw, str) else raw
+    beside: tuple[Annotated[BesideFile, BeforeValidator(data_file)], ...] = Field(
+        default=(), description="files that other recorders wrote of the same run, see below"
+    )
 
 
 DataFiles = Annotated[

@@ -23,6 +23,7 @@ from ehbench.rig.mechanism import Chain, Joint, LinkLoad, Slide
 from ehbench.rig.names import Misplaced, Name, plain_name, prefix_of, second, tables_of
 from ehbench.rig.supply import LoadSensing, LowRail, Oil, Supply
 from ehbench.rig.valves import Edge, FixedEdge, Valve
+from ehbench.units import from_si
 
 
 def _of_a_kind(raw: Any) -> Any:
@@ -236,6 +237,12 @@ class Rig(FileModel):
             or self.typed_units.get(word)
             or VOCABULARY[word].display
         )
+
+    def shown(self, name: str, value: float) -> str:
+        """A value [SI] of a quantity, channel or parameter in the unit that people see."""
+        unit = self.unit_of(name)
+        number = f"{float(from_si(value, unit, VOCABULARY[name.rsplit('.', 1)[-1]])):.4g}"
+        return number if unit == "dimensionless" else f"{number} {unit}"
 
     def _display_like(self, word: str) -> str:
         row = VOCABULARY[word]

@@ -9,11 +9,12 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ehbench import rundir
 from ehbench.errors import InputError
 from ehbench.recipe import HydraulicsRecipe, read_toml
+from ehbench.recipe.base import data_file
 from ehbench.stages.base import (
     DONE,
     INCOMPLETE,
@@ -153,10 +154,15 @@ def write_suggested(prepared: PreparedHydraulics, found: Suggestions, folder: Pa
     write_rig(folder, setup.rig, prepared.state.flow_maps)
     if prepared.state.flow_maps is not None:
         table["flow_maps"] = "."
-    entries = [{"path": one} if isinstance(one, str) else dict(one) for one in table["data"]]
+    entries: list[dict[str, Any]] = [dict(data_file(one)) for one in table["data"]]
+    others: list[dict[str, Any]] = []
     for entry in entries:
-        entry["path"] = _from(folder, recipe, entry["path"])
-    for one in (table, *entries):
+        if "beside" in entry:
+            entry["beside"] = [dict(data_file(one)) for one in entry["beside"]]
+            others += entry["beside"]
+    for one in (*entries, *others):
+        one["path"] = _from(folder, recipe, one["path"])
+    for one in (table, *entries, *others):
         columns = one.get("columns")
         if isinstance(columns, str):
             one["columns"] = _from(folder, recipe, columns)

@@ -31,6 +31,7 @@ from ehbench.rig import Edge, Rig, Valve
 from ehbench.stages.findings import Findings
 
 if TYPE_CHECKING:
+    from ehbench.logs.beside import Beside
     from ehbench.physics.flow_map import FlowMaps
     from ehbench.record import Record
 
@@ -214,6 +215,7 @@ class Inputs:
 
         from ehbench.gaps import parts_of
         from ehbench.logs import read_record
+        from ehbench.logs.beside import with_beside
         from ehbench.preprocessing import distinct_names
 
         items, places, entries = [], [], []
@@ -232,9 +234,13 @@ class Inputs:
             is_run = (place / "log.mcap").is_file()
             path = place / "log.mcap" if is_run else place
             columns = None if is_run else self.columns(item, index)
-            if columns is not None:
-                maps += [("columns", one) for one in columns.files if ("columns", one) not in maps]
+            beside = self._beside(item, index)
+            for one in (columns, *(other.columns for other in beside)):
+                used = () if one is None else one.files
+                maps += [("columns", file) for file in used if ("columns", file) not in maps]
             whole = read_record(path, columns=columns, window=_span(item))
+            if beside:
+                whole = with_beside(whole, path, beside, _span(item))
             losses += [f"{path.name}: {loss}" for loss in whole.losses]
             record = self._tied(_window(whole, item, path), item, index)
             span = getattr(item, "scored", None)
@@ -242,12 +248,30 @@ class Inputs:
             losses += said
             records += [(part.name, part.record) for part in parts]
             inputs += [("log", path)] * len(parts)
-            files.append(("log", path))
+            files += [("log", path), *(("log", other.path) for other in beside)]
             numbers += [index] * len(parts)
             load = record.meta.get("payload") or "not said"
-            self.findings.say("reads", f"{item.path} ({np.ptp(record.t):.4g} s, payload {load})")
+            also = "".join(f" and {other.path}" for other in item.beside)
+            self.findings.say(
+                "reads", f"{item.path}{also} ({np.ptp(record.t):.4g} s, payload {load})"
+            )
         self.findings.say("losses", *(f"lost: {loss}" for loss in losses))
         return Logs(records, tuple(inputs), losses, numbers, tuple(maps), tuple(files))
+
+    def _beside(self, item: DataFile, index: int) -> list[Beside]:
+        """The files beside a log, each with its map of columns."""
+        from ehbench.logs.beside import Beside
+
+        found = []
+        for at, other in enumerate(item.beside):
+            columns = None
+            if other.columns is not None:
+                place = ("data", index, "beside", at, "columns")
+                columns = whole_map(other.columns, self.recipe.path, place)
+            shift = None if other.shift is None else float(other.shift)
+            path = self.existing(other.path)
+            found.append(Beside(path, columns, shift, other.clock == "shared"))
+        return found
 
     def _tied(self, record: Record, item: DataFile, index: int) -> Record:
         """A record with what the simulation is tied to, as its entry or the recipe says."""

@@ -23,7 +23,7 @@ from ehbench.stages.samples import Plan, Sampler, _Base
 
 # keys of a recipe that name files
 _FILES = ("rig", "flow_maps", "bench", "file", "path", "from", "gains", "columns")
-_LISTS = ("data",)
+_LISTS = ("data", "beside")
 
 
 def keep(

@@ -7,11 +7,12 @@ motion; δ = 0 is the model as it is."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ehbench.fields import Value
 from ehbench.plant.model import Model
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig, Valve
@@ -109,7 +110,14 @@ def _shifted(names: Sequence[str], unit: float) -> Vary:
     return vary
 
 
-def _free(names: Sequence[str]) -> Words:
+def _free(names: Sequence[str], known: Mapping[str, Value]) -> Words:
+    """The line that frees parameters; where all of them were fitted already, what that means."""
+    if all(known[name].sure == "identified" for name in names):
+        are = "are" if len(names) > 1 else "is"
+        return lambda delta: (
+            f"{', '.join(names)} {are} fitted already: the fit's logs say otherwise, or the model "
+            "lacks something else; fit to a log like this one too, or ask identify --suggest"
+        )
     quoted = ", ".join(f'"{name}"' for name in names)
     return lambda delta: f"add {quoted} to parameters of the identify recipe"
 
@@ -125,32 +133,32 @@ def _valves(rig: Rig, cylinder: Cylinder) -> Iterator[Cure]:
             gains += [f"{name}.{key}" for key in GAINS if f"{name}.{key}" in known]
             bands += [f"{name}.deadband"] if f"{name}.deadband" in known else []
         for gain in gains:
-            yield _gain(gain.rpartition(".")[0], [gain], 1)
+            yield _gain(gain.rpartition(".")[0], [gain], 1, known)
         if 1 < len(gains):
-            yield _gain(f"{cylinder.name}.{valve.name}", gains, 0)
+            yield _gain(f"{cylinder.name}.{valve.name}", gains, 0, known)
         yield from _bands(valve, f"{cylinder.name}.{valve.name}", bands, rig)
         every += gains
         shut += bands
     lags = (f"{one}.natural_frequency" for valve in cylinder.valve for one in valve.series)
     for name in dict.fromkeys(lags):
         if name in known:
-            yield _lag(name)
+            yield _lag(name, known)
     if len(cylinder.valve) > 1:
-        yield _gain(cylinder.name, every, 0)
+        yield _gain(cylinder.name, every, 0, known)
         yield _band(cylinder.name, shut, float(cylinder.valve[0].command_max), rig, 2)
 
 
-def _gain(about: str, names: Sequence[str], rank: int) -> Cure:
+def _gain(about: str, names: Sequence[str], rank: int, known: Mapping[str, Value]) -> Cure:
     def says(delta: float) -> str:
         return (
             f"the machine is {_more(delta, 'faster', 'slower')} than the model whatever the "
             f"command: {about} passes {100.0 * abs(delta):.2g} % {_more(delta)} flow"
         )
 
-    return Cure("gain", about, 0.02, -0.6, 1.5, says, _free(names), rank, _scaled(names))
+    return Cure("gain", about, 0.02, -0.6, 1.5, says, _free(names, known), rank, _scaled(names))
 
 
-def _lag(name: str) -> Cure:
+def _lag(name: str, known: Mapping[str, Value]) -> Cure:
     def says(delta: float) -> str:
         return (
             f"the machine answers {_more(-delta, 'later', 'earlier')} than the model, the more so "
@@ -159,7 +167,8 @@ def _lag(name: str) -> Cure:
 
     trials = (-0.6, -0.4, -0.2, 0.5)
     vary = _scaled([name])
-    return Cure("lag", name, -0.05, -0.8, 2.0, says, _free([name]), 4, vary, trials=trials)
+    line = _free([name], known)
+    return Cure("lag", name, -0.05, -0.8, 2.0, says, line, 4, vary, trials=trials)
 
 
 def _bands(valve: Valve, about: str, names: Sequence[str], rig: Rig) -> Iterator[Cure]:
@@ -183,7 +192,7 @@ def _band(about: str, names: Sequence[str], unit: float, rig: Rig, rank: int) ->
         )
 
     vary = _shifted(names, unit)
-    return Cure("deadband", about, 0.01, -least, 0.4, says, _free(names), rank, vary)
+    return Cure("deadband", about, 0.01, -least, 0.4, says, _free(names, known), rank, vary)
 
 
 def _with_commands(
@@ -325,7 +334,7 @@ def _cylinder(rig: Rig, cylinder: Cylinder) -> Iterator[Cure]:
         ("load", "mass", 0.05, 4, "pressures are off with weight and acceleration"),
     ):
         if f"{cylinder.joint}.{key}" in known:
-            yield _scale(kind, f"{cylinder.joint}.{key}", step, why, rank)
+            yield _scale(kind, f"{cylinder.joint}.{key}", step, why, rank, known)
 
 
 def _from_zero(known: dict, kind: str, name: str, unit: float, why: str) -> Cure:
@@ -334,24 +343,28 @@ def _from_zero(known: dict, kind: str, name: str, unit: float, why: str) -> Cure
     def says(delta: float) -> str:
         return f"{why}: {name} is {_more(delta, 'larger', 'smaller')}"
 
-    return Cure(kind, name, 0.01, -least, 30.0, says, _free([name]), 3, _shifted([name], unit))
+    line = _free([name], known)
+    return Cure(kind, name, 0.01, -least, 30.0, says, line, 3, _shifted([name], unit))
 
 
-def _scale(kind: str, name: str, step: float, why: str, rank: int) -> Cure:
+def _scale(
+    kind: str, name: str, step: float, why: str, rank: int, known: Mapping[str, Value]
+) -> Cure:
     def says(delta: float) -> str:
         return f"{why}: {name} is {_share(delta)}"
 
     trials = (-0.3, -0.15, 0.15, 0.4) if kind in ("bulk modulus", "load") else ()
     vary = _scaled([name])
-    return Cure(kind, name, step, -0.8, 4.0, says, _free([name]), rank, vary, trials=trials)
+    line = _free([name], known)
+    return Cure(kind, name, step, -0.8, 4.0, says, line, rank, vary, trials=trials)
 
 
 def _shared(rig: Rig, played: bool) -> Iterator[Cure]:
-    why = "pressure rings at another frequency"
-    yield _scale("bulk modulus", "bulk_modulus", 0.02, why, 2)
+    why, known = "pressure rings at another frequency", rig.parameters()
+    yield _scale("bulk modulus", "bulk_modulus", 0.02, why, 2, known)
     if not played and float(rig.supply.pressure) > 0.0:
         why = "flow falls short the more, the higher the load"
-        yield _scale("supply", "supply.pressure", 0.02, why, 5)
+        yield _scale("supply", "supply.pressure", 0.02, why, 5, known)
 
 
 Reading = Callable[[np.ndarray, float, Case], np.ndarray]

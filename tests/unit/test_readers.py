@@ -153,6 +153,11 @@ TEXTS = {
         "01.03.2026 12:00:00,200;3,5\n",
         {"stamp": "s", "p": ""},
     ),
+    "times of day, with a row that says their form": (
+        "Prüfstand;2\n\nUhrzeit;Druck A;Ventil\nhh:mm:ss,ms;bar;%\n12:00:00,000;1,5;2\n"
+        "12:00:00,100;2,5;2\n12:00:00,200;3,5;2\n",
+        {"Uhrzeit": "s", "Druck A": "bar", "Ventil": "%"},
+    ),
     "numbers in quotes with decimal commas": (
         '"t [s]","p_A bar"\n"0,0","1,5"\n"0,1","2,5"\n"0,2","3,5"\n',
         {"t [s]": "s", "p_A bar": "bar"},
