@@ -44,6 +44,11 @@ OFF_PINS = 0.005  # share of the stroke by which stroke and angle may disagree b
 NOISES = 6.0  # … or so many of the standard deviations of their difference's noise
 WORTH = 0.1  # share of a pressure's spread that a tied position's noise may be worth
 ONGOING = 0.1  # share of the largest speed above which a log begins mid-motion
+LIMITED = ("Pa", "N")  # units of what is asked whether its sensor was at its end
+LIMIT_RUN = 4  # readings in a row at a sensor's limit …
+LIMIT_SHARE = 2.0  # … so many times as many as at any other value …
+LIMIT_RISE = 2  # … reached within so many samples …
+LIMIT_STEPS = 5.0  # … over so many of its least steps
 _MIXED = ("Pa", "kPa", "psi", "bar", "MPa")
 
 
@@ -78,7 +83,12 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[s
     rest = model.rest_samples(model.commands_of(record))
     begun = _begun(record, model.rig, rest)
     _pressures(name, record, model, rest, still=not begun)
-    notes += [*begun, *_stuck(record, model.rig), *_apart(record, model)]
+    notes += [
+        *begun,
+        *_stuck(record, model.rig),
+        *_limited(record, model.rig),
+        *_apart(record, model),
+    ]
     notes += outside_stroke(record, model.rig)
     return record, (*notes, *_tied(name, record, model))
 
@@ -438,6 +448,47 @@ def _stuck(record: Record, rig: Rig) -> list[str]:
         for word in ("q", "x", "qd", "v", "p_head", "p_rod", *GAUGES)
         if (channel := f"{cylinder.name}.{word}") in record and np.ptp(record[channel]) == 0.0
     ]
+
+
+def at_limit(y: np.ndarray) -> np.ndarray:
+    """Where a sensor's readings stand at the end of what it or its converter can tell, shape
+    (samples,): at their largest or least, the very same one several times in a row, reached in a
+    few samples and left again, while elsewhere they do not repeat like that.
+    """
+    found = np.zeros(y.size, bool)
+    ends = np.flatnonzero(np.diff(y)) + 1
+    starts, stops = np.concatenate([[0], ends]), np.concatenate([ends, [y.size]])
+    length, level = stops - starts, y[starts]
+    steps = np.abs(np.diff(level))
+    if not steps.size:
+        return found
+    for end in (float(np.max(y)), float(np.min(y))):
+        here = level == end
+        usual = int(length[~here].max(initial=1))
+        before = np.abs(end - y[np.maximum(starts - LIMIT_RISE, 0)])
+        cut = here & (starts > 0) & (stops < y.size) & (length >= LIMIT_RUN)
+        cut &= (length > LIMIT_SHARE * usual) & (before > LIMIT_STEPS * steps.min())
+        if cut.any():
+            found |= y == end
+    return found
+
+
+def _limited(record: Record, rig: Rig) -> list[str]:
+    """Warnings of pressures and forces at the end of what their sensors can tell."""
+    words = ("p_head", "p_rod", *GAUGES)
+    names = [f"{cylinder.name}.{word}" for cylinder in rig.cylinder for word in words]
+    found = []
+    for name in [*names, "p_supply"]:
+        if name not in record or not (there := at_limit(record[name])).any():
+            continue
+        first = int(np.argmax(there))
+        found.append(
+            f"{name} stands at {rig.shown(name, record[name][first])} in "
+            f"{100 * np.mean(there):.2g} % of its samples, first at {record.t[first]:.3g} s, and "
+            "never beyond: is that the end of its sensor's range? A fit does not count them, and a "
+            "validation does not ask how far beyond the machine was"
+        )
+    return found
 
 
 def off_pins(record: Record, model: Model) -> dict[str, float]:

@@ -51,7 +51,7 @@ _SPOKEN = {
     **dict.fromkeys(("mm/sec", "mm s-1"), "mm/s"),
     **dict.fromkeys(("m/sec", "m s-1"), "m/s"),
     **dict.fromkeys(("l/min", "ltr/min", "l/m", "lit/min", "slpm"), "L/min"),
-    **dict.fromkeys(("gal/min", "usgpm"), "gpm"),
+    **dict.fromkeys(("gal/min", "usgpm", "us gpm", "gpm us", "gpm (us)", "us gal/min"), "gpm"),
     **dict.fromkeys(("u/min", "1/min", "r/min", "rev/min"), "rpm"),
     **dict.fromkeys(("percent", "pct", "prozent"), "%"),
     **dict.fromkeys(("count", "cts", "digit", "lsb", "raw", "inc"), "counts"),
@@ -68,6 +68,9 @@ _JOIN = r"(?:\s*[*·⋅/]\s*|\s+)"
 _FACTOR = rf"(?:√{_WORD}|(?:{_WORD}|1(?![0-9.]))(?:{_POWER})?)"
 _PRODUCT = rf"{_FACTOR}(?:{_JOIN}{_FACTOR})*"
 _GROUP = rf"(?:{_FACTOR}|\(\s*{_PRODUCT}\s*\)(?:{_POWER})?)"
+_AREA = re.compile(
+    r"\b([kcdm]?m|in|ft)([23])\b(?!\s*(?:\^|\*\*))"
+)  # cm2, m3/h: a power without its sign
 _UNIT = re.compile(rf"{_GROUP}(?:{_JOIN}{_GROUP})*")
 
 
@@ -95,6 +98,7 @@ def _checked(unit: str) -> str:
         raise UnitError(f"unknown unit {shortened(unit, 60)}")
     text = re.sub("[·⋅]", "*", text).replace("²", "**2").replace("³", "**3")
     text = re.sub(rf"√({_WORD})", r"\1**0.5", text)
+    text = _AREA.sub(r"\1**\2", text)
     return re.sub(_WORD, lambda found: _ALIASES.get(found[0], found[0]), text)
 
 

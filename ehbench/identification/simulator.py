@@ -20,8 +20,8 @@ from ehbench.plant.lanes.vectors import LANES
 from ehbench.plant.model import FREE, Model, Start
 from ehbench.plant.paced import AUTO, Step
 from ehbench.plant.ties import tied_words
-from ehbench.preprocessing import preprocess
-from ehbench.quantities import like_channel
+from ehbench.preprocessing import LIMITED, at_limit, preprocess
+from ehbench.quantities import like_channel, quantity
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
 from ehbench.sensors import Term
@@ -132,6 +132,9 @@ def prepare(
                 f"{name}: {cylinder.name} cavitates at {when:.3g} s, which the model has only as a "
                 f"floor of pressure; {100 * np.mean(void):.0f} % of its samples do not count"
             )
+    for i, channel in enumerate(columns):
+        if channel in record and quantity(channel).unit in LIMITED:
+            counts[at_limit(record[channel]), i] = False
     return Log(
         name,
         record,

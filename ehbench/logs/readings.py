@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from ehbench.errors import LogError
 from ehbench.logs.mapped import dialect_of, si_of
 from ehbench.quantities import quantity
-from ehbench.readers import open_source
+from ehbench.readers import Source, Table, open_source
 from ehbench.recipe.columns import LEAVE_OUT, WORDS, ColumnMap
 from ehbench.text import quoted
 
@@ -22,7 +23,8 @@ def mapped_readings(
     path: Path, columns: ColumnMap, losses: list[str] | None = None
 ) -> list[tuple[int, str]] | None:
     """(line in the file, text) of a header and rows as `read_flowmeter` takes them, in SI. Without
-    a column of valves the file is of the valve that its name says. None where the map names no
+    a column of valves the file is of the valve that its name says, and so is each of several tables
+    that have all columns of the map. None where the map names no
     column: the file's own names are `read_flowmeter`'s.
 
     Args:
@@ -35,7 +37,35 @@ def mapped_readings(
     if not columns.columns.names:
         return None
     source = open_source(path, dialect_of(columns))
-    table = source.tables[0]
+    sheets = alike(source, list(columns.columns.names))
+    if len(sheets) < 2:
+        own = Path(path.name.removesuffix(".gz")).stem
+        return _lines(source, source.tables[0], own, path, columns, losses)
+    found: list[tuple[int, str]] = []
+    for table in sheets:  # each of the valve that its name says
+        one = replace(source, tables=(table,))
+        found += _lines(one, table, table.name, path, columns, losses)[bool(found) :]
+    return found
+
+
+def alike(source: Source, names: Sequence[str] | None = None) -> list[Table]:
+    """The tables of a workbook that have all columns of some names; without names those of the
+    first. A sheet for each valve, with the same columns, is one workbook of readings.
+    """
+    has = [{*(column.name for column in one.columns), *one.words} for one in source.tables]
+    wanted = set(names) if names is not None else has[0] if has else set()
+    return [table for table, there in zip(source.tables, has, strict=True) if wanted <= there]
+
+
+def _lines(
+    source: Source,
+    table: Table,
+    valve: str,
+    path: Path,
+    columns: ColumnMap,
+    losses: list[str] | None,
+) -> list[tuple[int, str]]:
+    """(line, text) of a header and of the rows of one table."""
     cells: dict[str, Sequence[str]] = {}
     bad = np.zeros(table.size, bool)
     for name, mapped in columns.columns.names.items():
@@ -70,7 +100,7 @@ def mapped_readings(
             f"{path.name}: {bad.sum()} {are} left out, with a cell that holds no number: line "
             f"{some}{', …' * (int(bad.sum()) > _NAMED)}"
         )
-    cells.setdefault("valve", [quoted(Path(path.name.removesuffix(".gz")).stem)] * table.size)
+    cells.setdefault("valve", [quoted(valve)] * table.size)
     rows = [
         (line, ",".join(row))
         for line, row, gone in zip(lines, zip(*cells.values()), bad)

@@ -5,7 +5,7 @@ rig. What is not sure stands in the draft as a remark, for the user to decide.""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -14,7 +14,7 @@ import numpy as np
 from ehbench.errors import EhbenchError, InputError
 from ehbench.logs import read_record
 from ehbench.logs.mapped import CLOCK
-from ehbench.logs.readings import mapped_readings
+from ehbench.logs.readings import alike, mapped_readings
 from ehbench.mapping.guesses import CYLINDER, VALVE, Guess, guessed
 from ehbench.mapping.picture import draw
 from ehbench.mapping.readings import holds_readings, reading_guesses
@@ -59,7 +59,11 @@ def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Draft:
                 "stands already; nothing was written", file=one, hint="name another by --out"
             )
     source = open_source(path)
-    readings = holds_readings(source)
+    sheets = alike(source)
+    first = replace(source, tables=source.tables[:1])
+    many = len(sheets) > 1 and len(sheets) == len(source.tables) and holds_readings(first)
+    source = first if many else source
+    readings = many or holds_readings(source)
     guesses = reading_guesses(source, rig) if readings else guessed(source, rig)
     text = drafted(path, source, guesses)
     try:
@@ -69,6 +73,8 @@ def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Draft:
     except OSError as error:
         raise InputError(f"cannot be written: {error.strerror}", file=out) from None
     said = _overview(path, source, guesses)
+    others = ", ".join(f"'{table.name}'" for table in sheets[1:])
+    said += [f"the same columns: table {others}"] if many else []
     tried = _taken_readings(path, out) if readings else _tried(path, out, guesses, rig)
     return Draft(out, picture, (*said, *tried))
 
@@ -148,7 +154,7 @@ def _taken_readings(path: Path, out: Path) -> list[str]:
     )
     return [
         f"flowmeter readings, taken with this map: {groups}; without a column of valves a file is "
-        "of the edge it is named after",
+        "of the edge it is named after, and so is each sheet of several",
         _next(out),
     ]
 

@@ -287,9 +287,17 @@ def _heads(
             at.append(n)
     for index, cells in enumerate(wide[:-1]):
         own = cells[1:] if cells[0].strip(": ").lower() in _UNIT_HEADS else cells
-        if own and (all(map(_is_unit, own)) or all(map(_BRACKETED.fullmatch, own))):
+        if own and (_are_units(own, wide[index + 1]) or all(map(_BRACKETED.fullmatch, own))):
             return at[index + 1], at[index]
     return (at[0], None) if at else (None, None)
+
+
+def _are_units(cells: Sequence[str], above: Sequence[str]) -> bool:
+    """Whether a row is one of units: all of it, or three in four below names that are none, as a
+    recorder may have words of its own for one.
+    """
+    known = sum(map(_is_unit, cells))
+    return known == len(cells) or (known >= 0.75 * len(cells) and not any(map(_is_unit, above)))
 
 
 def _is_unit(cell: str) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 from ehbench import signals
 from ehbench.observations import column, position_of
 from ehbench.plant.model import Model
+from ehbench.preprocessing import LIMITED, at_limit
 from ehbench.quantities import quantity
 from ehbench.record import Record
 from ehbench.validation.results import ChannelResult, Correlation
@@ -34,11 +35,17 @@ class Pair(NamedTuple):
 
 
 def pair_of(record: Record, simulated: Record, channel: str) -> Pair | None:
-    """Both sides of a channel, None if the log cannot give it."""
-    sides = [column(one, channel, record) for one in (record, simulated)]
-    if sides[0] is None or sides[1] is None:
+    """Both sides of a channel, None if the log cannot give it. Where a pressure or force was
+    recorded at the end of its sensor's range, the simulation ends there too.
+    """
+    recorded, shown = (column(one, channel, record) for one in (record, simulated))
+    if recorded is None or shown is None:
         return None
-    return Pair(sides[0], sides[1], channel not in record)
+    if channel in record and quantity(channel).unit in LIMITED:
+        limit = at_limit(recorded)
+        inside = np.clip(shown, np.min(recorded), np.max(recorded))
+        shown = np.where(limit, inside, shown)
+    return Pair(recorded, shown, channel not in record)
 
 
 def compare(record: Record, model: Model, channel: str, pair: Pair) -> ChannelResult:

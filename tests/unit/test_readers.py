@@ -158,6 +158,10 @@ TEXTS = {
         "12:00:00,100;2,5;2\n12:00:00,200;3,5;2\n",
         {"Uhrzeit": "s", "Druck A": "bar", "Ventil": "%"},
     ),
+    "units of which one is unheard of": (
+        "time,p_cap,state,flow\ns,kN/cm2,flag8,gpm (US)\n0.0,1.5,1,2\n0.1,2.5,1,2\n0.2,3.5,1,2\n",
+        {"time": "s", "p_cap": "kN/cm2", "state": "", "flow": "gpm"},
+    ),
     "numbers in quotes with decimal commas": (
         '"t [s]","p_A bar"\n"0,0","1,5"\n"0,1","2,5"\n"0,2","3,5"\n',
         {"t [s]": "s", "p_A bar": "bar"},

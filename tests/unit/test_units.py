@@ -86,6 +86,8 @@ def test_refused(text):
         "m\0",
         "²",
         "m^²",
+        "m2^2",
+        "m2**9",
     ],
 )
 def test_a_unit_is_made_of_words_and_small_powers_only(unit):
@@ -119,6 +121,9 @@ def test_a_unit_is_made_of_words_and_small_powers_only(unit):
         ("%", "air_fraction", 0.01),
         ("µm", "x", 1e-6),
         ("(kg)*(m^2)", "inertia", 1.0),
+        ("kN/cm2", "pressure", 1e7),
+        ("kg*m2", "inertia", 1.0),
+        ("m3/h", "flow", 1 / 3600),
     ],
 )
 def test_units_as_people_write_them(unit, name, si):
