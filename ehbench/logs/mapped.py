@@ -91,6 +91,7 @@ def read_mapped(
         if check:
             groups[index] = group = _clean(group, columns, path, window or _ALL, losses)
             _check_time(group, path, window or _ALL)
+        groups[index] = _in_time(group, columns)
     for group in groups:
         losses += _gaps(group, window or _ALL)
     t, channels, rates = joined(groups, losses)
@@ -323,6 +324,31 @@ def _clean(
             if some.size:
                 losses.append(_left_out(channel, group, t, some, what))
     return group.taken(np.flatnonzero(~gone)) if gone.any() else group
+
+
+def _in_time(group: Group, columns: ColumnMap) -> Group:
+    """The group with the channels that were written late, or early, put to where they belong; the
+    rows at an end for which they have no values are left out.
+    """
+    late = {
+        one.channel: float(one.late)
+        for one in columns.columns.names.values()
+        if one.late is not None and one.channel in group.channels
+    }
+    if not any(late.values()):
+        return group
+    t, slack = group.t, 0.01 * group.period
+    for name, by in late.items():
+        values = group.channels[name]
+        if name.endswith(".command"):
+            at = np.searchsorted(t, t + by + slack, side="right") - 1
+            group.channels[name] = values[at.clip(0)]
+        else:
+            group.channels[name] = np.interp(t + by, t, values)
+    keep = (t + max(0.0, *late.values()) <= np.nanmax(t) + slack) & (
+        t + min(0.0, *late.values()) >= np.nanmin(t) - slack
+    )
+    return group.taken(np.flatnonzero(keep))
 
 
 _CURE = 'bad_samples = "leave out" in the map leaves such samples out and says where'

@@ -21,8 +21,21 @@ _TIME |= {"clock", "datetime", "seconds", "sec"}
 _WORDS = {
     "p_supply": {"supply", "pump", "system", "sys", "ps", "versorgung", "pumpe", "sup"},
     "p_tank": {"tank", "return", "reservoir", "rücklauf", "drain"},
-    "p_rod": {"b", "rod", "annulus", "annular", "ring", "stange", "stangenseite", "2", "p2"},
-    "p_head": {"a", "head", "bore", "cap", "piston", "blind", "base", "boden", "kolben", "1", "p1"},
+    "p_rod": {"b", "rod", "annulus", "annular", "ring", "stange", "stangenseite", "2", "p2", "pb"},
+    "p_head": {
+        "a",
+        "head",
+        "bore",
+        "cap",
+        "piston",
+        "blind",
+        "base",
+        "boden",
+        "kolben",
+        "1",
+        "p1",
+        "pa",
+    },
 }
 _PORTS = {"p": "p_supply", "t": "p_tank"}  # beside another word for pressure: Druck P
 COMMAND_WORDS = {
@@ -185,6 +198,7 @@ def reading_of(unit: str, words: set[str]) -> str:
         return "load_pressure"
     if may("p_head", PRESSURE_WORDS):
         named = words if words & PRESSURE_WORDS else words - {"1", "2"}  # AI2 is no second chamber
+        named = named - {"pa"} if unit == "Pa" else named
         ends = (end for end in ("p_supply", "p_tank", "p_rod", "p_head") if named & _WORDS[end])
         ports = (end for letter, end in _PORTS.items() if {letter} < named)
         return next(ends, next(ports, ""))
@@ -225,6 +239,8 @@ def command_guess(
         valve, low, high = chosen.name, float(chosen.command_min), float(chosen.command_max)
     word = "opening" if words & _PLACE_OF_SPOOL else "command"
     channel = f"{cylinder}.{valve}.{word}"
+    if any(unit and unit != "%" and is_of(unit, VOCABULARY[row]) for row in ("x", "q")):
+        return Guess(remark="a commanded position? what the valve was commanded is asked for")
     if unit and is_of(unit, VOCABULARY["command"]):
         return Guess(channel, unit, sure and bool(words & COMMAND_WORDS), f"{_A[word]}?")
     spans = {"mA": (4.0, 20.0), "A": (0.004, 0.02), "%": (-100.0, 100.0)}

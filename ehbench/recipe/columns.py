@@ -52,6 +52,10 @@ class MappedColumn(FileModel):
     filter: Annotated[Value, Q("frequency")] | None = Field(
         default=None, description="low-pass, run forwards and backwards: it makes no lag"
     )
+    late: Annotated[Value, Q("start")] | None = Field(
+        default=None,
+        description="by how much later than its time a value was written: it is put back by that",
+    )
     bad_samples: Literal["refuse", "leave out"] | None = Field(
         default=None, description="as for the whole file, for this column alone"
     )

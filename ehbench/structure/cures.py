@@ -256,9 +256,14 @@ def _commands(cylinder: Cylinder) -> Iterator[Cure]:
         0.2,
         lambda d: (
             f"the machine answers {1e3 * abs(d):.2g} ms {_more(d, 'later', 'earlier')}, however "
-            f"slow the command: a delay of {whole}"
+            f"slow the command: "
+            + (f"a delay of {whole}" if d > 0.0 else f"{', '.join(given)} was written late")
         ),
-        lambda d: f'kind = "delay" among the dynamics of {whole} in the rig file',
+        lambda d: (
+            f'kind = "delay" among the dynamics of {whole} in the rig file'
+            if d > 0.0
+            else f'late = "{-1e3 * d:.2g} ms" of that column in the map, or as much more'
+        ),
         5,
         _with_commands(given, _later),
         trials=(0.005, 0.01, 0.02, 0.04),

@@ -242,6 +242,25 @@ def test_a_column_has_a_policy_of_its_own(tmp_path):
     assert "1 bad sample is left out" in read_record(path, columns=columns).losses[0]
 
 
+def test_what_was_written_late_is_put_back(tmp_path):
+    """A command 12 ms late and a stroke 4 ms early, of samples each 2 ms."""
+    t = np.arange(100) * 2e-3
+    true = {"ram.a.command": np.where(t < 0.1, 1.0, 3.0), "ram.x": 0.1 + 0.2 * t}
+    late = {"ram.a.command": np.where(t - 0.012 < 0.1, 1.0, 3.0), "ram.x": 0.1 + 0.2 * (t + 0.004)}
+    rows = [f"{a:.4f},{b:.1f},{c:.7f}" for a, b, c in zip(t, *late.values(), strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join(["t,u,x", *rows]))
+    (tmp_path / "a.map.toml").write_text(
+        '[names]\nt = "t [s]"\n'
+        'u = { channel = "ram.a.command", unit = "V", late = "12 ms" }\n'
+        'x = { channel = "ram.x", unit = "m", late = "-4 ms" }\n'
+    )
+    record = read_record(tmp_path / "a.csv", columns=tmp_path / "a.map.toml")
+    kept = slice(2, 94)
+    assert np.allclose(record.t, t[kept])
+    for name, values in true.items():
+        assert np.allclose(record[name], values[kept], atol=1e-9), name
+
+
 def test_a_filter_runs_both_ways(tmp_path):
     rng = np.random.default_rng(3)
     noise = 50.0 + rng.normal(size=400)
@@ -471,6 +490,7 @@ def test_what_a_name_says_is_guessed(tmp_path):
         "winkel [°]": "cylinder.q",
         "speed [m/s]": "cylinder.v",
         "valve cmd [V]": "cylinder.valve.command",
+        "Ref_pos [mm]": "",
         "oil temp [°C]": "",
         "who knows": "",
     }
