@@ -453,6 +453,26 @@ def test_readings_of_a_flowmeter_are_drafted_and_taken(tmp_path):
     assert data.command[:2] == pytest.approx([-10.0, -9.5])
 
 
+def test_a_workbook_with_a_sheet_a_valve_is_one_of_readings(tmp_path, monkeypatch):
+    openpyxl = pytest.importorskip("openpyxl")
+    monkeypatch.chdir(tmp_path)
+    book = openpyxl.Workbook()
+    for sheet in (book.active, book.create_sheet()):
+        sheet.title = {"Sheet": "pa"}.get(sheet.title, "bt")
+        sheet.append(["Current", "dp", "Q"])
+        sheet.append(["mA", "psi", "gpm (US)"])
+        for mA in (13.0, 15.0, 18.0):
+            sheet.append([mA, 100, mA - 12.0 if sheet.title == "pa" else 2.0 * (mA - 12.0)])
+    book.save("flow.xlsx")
+    lines = mapping.draft(Path("flow.xlsx")).lines
+    assert "the same columns: table 'bt'" in lines and "3 of bt forward, 3 of pa" in lines[-2]
+    data = read_flowmeter(
+        Path("flow.xlsx"), lines=mapped_readings(Path("flow.xlsx"), load_columns("flow.map.toml"))
+    )
+    flows = {valve: data.select(valve, "forward").flow for valve in ("pa", "bt")}
+    assert np.allclose(flows["bt"], 2.0 * flows["pa"]) and flows["pa"][0] > 0.0
+
+
 def test_pressures_on_both_sides_make_the_drop_and_one_alone_is_it(tmp_path):
     def channels(*names):
         table = np.random.default_rng(1).uniform(1.0, 9.0, (40, len(names)))

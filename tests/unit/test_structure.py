@@ -11,6 +11,7 @@ import pytest
 from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
 from ehbench.structure import Case, ask, commanded
+from ehbench.structure.cures import cures
 from tests.structure_study import Fault, asked, faults, log_of
 from tests.virtual_logs import RIGS
 
@@ -58,6 +59,19 @@ def test_sizes_and_lines_of_the_cure():
     assert first.cure == (
         'add "press.servo_supply_head.flow_gain" to parameters of the identify recipe'
     )
+
+
+def test_lines_of_what_was_fitted_already_and_of_a_late_command():
+    rig = rig_of("slide_servo")
+    names = [name for name in rig.parameters() if name.endswith("flow_gain")]
+    fitted = rig.with_values({n: replace(rig.parameters()[n], sure="identified") for n in names})
+    for one, says in ((rig, "to parameters of the identify recipe"), (fitted, "fitted already")):
+        found = cures(one, ["press"], ["press.v"], False)
+        lines = [cure.line(0.1) for cure in found if cure.kind == "gain"]
+        assert lines and all(says in line for line in lines)
+    delay = next(cure for cure in cures(rig, ["press"], ["press.v"], False) if cure.kind == "delay")
+    assert "dynamics" in delay.line(0.01) and 'late = "10 ms"' in delay.line(-0.01)
+    assert "earlier" in delay.says(-0.01) and "press.servo.command" in delay.says(-0.01)
 
 
 def test_stroke_and_angle_are_held_against_the_pins():
