@@ -12,11 +12,9 @@ import numpy as np
 from ehbench.identification.search import WIDE, Given
 from ehbench.plant.build import load_of
 from ehbench.observations import least_change, position_of
-from ehbench.quantities import quantity
 from ehbench.recipe.sensor import ESTIMATE, WORDS, Sensor
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig, Valve
-from ehbench.units import from_si
 
 GAINS = ("flow_gain", "compensated_gain", "displacement")
 TIMES = ("natural_frequency", "lag", "corner", "delay")  # of a valve's dynamics
@@ -84,7 +82,7 @@ class Change:
         if self.parameters:
             lines.append("parameters: add " + ", ".join(f'"{one}"' for one in self.parameters))
         for name, value in self.upper.items():
-            lines.append(f'[upper] "{name}" = "{said(rig, name, value)}"')
+            lines.append(f'[upper] "{name}" = "{rig.shown(name, value, 5)}"')
         for one in self.sensors:
             words = ", ".join(f'{word} = "{ESTIMATE}"' for word in WORDS if one[word])
             words = words or f"sign = {one.sign}"
@@ -108,14 +106,6 @@ def _lists(tables: Any) -> Any:
     if isinstance(tables, Mapping):
         return {key: _lists(value) for key, value in tables.items()}
     return [_lists(one) for one in tables] if isinstance(tables, list | tuple) else tables
-
-
-def said(rig: Rig, name: str, value: float) -> str:
-    """A value [SI] of a parameter as a rig file has it, in its people's unit."""
-    row = quantity(name)
-    unit = rig.unit_of(name)
-    number = f"{float(from_si(value, unit, row)):.5g}"
-    return number if unit == "dimensionless" else f"{number} {unit}"
 
 
 def merged(sensors: Sequence[Sensor], more: Sequence[Sensor]) -> tuple[Sensor, ...]:
@@ -423,7 +413,7 @@ def _stribeck(rig: Rig, cylinder: Cylinder, most: float) -> Change:
         }
 
     parameters = (f"{name}.friction_coulomb", f"{name}.friction_static")
-    static = said(rig, "friction_static", 1.5 * level)
+    static = rig.shown("friction_static", 1.5 * level, 5)
     lines = (
         f'[cylinder.friction] of {name}: law = "stribeck", friction_static = "{static}", '
         'stribeck_speed = "20 mm/s"',
@@ -439,7 +429,7 @@ def _mount(rig: Rig, cylinder: Cylinder) -> Change:
     def alter(tables: dict[str, Any]) -> None:
         _table_of(tables, name)["mount"] = {"stiffness": _no_faster(stiff, "N/m", 1)}
 
-    line = f'[cylinder.mount] of {name}: stiffness = "{said(rig, "stiffness", stiff)}"'
+    line = f'[cylinder.mount] of {name}: stiffness = "{rig.shown("stiffness", stiff, 5)}"'
     free = f"{name}.mount.stiffness"
     return Change("mount", name, (free,), alter=alter, rig_lines=(line,))
 
@@ -482,7 +472,7 @@ def _sway(rig: Rig, cylinder: Cylinder) -> Change:
     def alter(tables: dict[str, Any]) -> None:
         _table_of(tables, name)["sway"] = dict(written)
 
-    said_of = ", ".join(f'{key} = "{said(rig, key, values[0][key])}"' for key in units)
+    said_of = ", ".join(f'{key} = "{rig.shown(key, values[0][key], 5)}"' for key in units)
     return Change(
         "sway",
         name,

@@ -238,10 +238,10 @@ class Rig(FileModel):
             or VOCABULARY[word].display
         )
 
-    def shown(self, name: str, value: float) -> str:
+    def shown(self, name: str, value: float, digits: int = 4) -> str:
         """A value [SI] of a quantity, channel or parameter in the unit that people see."""
         unit = self.unit_of(name)
-        number = f"{float(from_si(value, unit, VOCABULARY[name.rsplit('.', 1)[-1]])):.4g}"
+        number = f"{float(from_si(value, unit, VOCABULARY[name.rsplit('.', 1)[-1]])):.{digits}g}"
         return number if unit == "dimensionless" else f"{number} {unit}"
 
     def _display_like(self, word: str) -> str:

@@ -111,7 +111,7 @@ class Mover:
         """
         if found.there:
             return
-        ends = []
+        ends, rig = [], self.model.rig
         for name, number in self.moved.items():
             row = self.model.plant.cylinders[number]
             way = int(found.beyond[int(row.joint)])
@@ -119,7 +119,7 @@ class Mover:
                 retracted, extended = joint_range_of(row)
                 out = (way > 0) == (extended > retracted)
                 end = float(row.stroke) if out else 0.0
-                ends.append(f"'{name}' at its {self.shown(end)} end")
+                ends.append(f"'{name}' at its {rig.shown('x', end)} end")
         stopped = f": {' and '.join(ends)}" if ends else ""
         hint = None
         if not ends:
@@ -129,15 +129,10 @@ class Mover:
                 2: "on one surface: two cylinders move it",
             }.get(count, "no farther in that direction: the links are stretched or folded")
         raise InputError(
-            f"{what} is out of reach by {self.shown(found.miss, 3)}{stopped}",
+            f"{what} is out of reach by {rig.shown('x', found.miss)}{stopped}",
             **self.recipe.at(*self.motion.where, "points", index),
             hint=hint,
         )
-
-    def shown(self, length: float, digits: int = 4) -> str:
-        """A length [m] in the unit in which people see strokes."""
-        unit = self.model.rig.unit_of("x")
-        return f"{from_si(length, unit, quantity('x')):.{digits}g} {unit}"
 
     def at(self, point: np.ndarray) -> str:
         """Where a point [m] is, in the unit that the recipe's points have."""
@@ -222,9 +217,10 @@ def _leg(
         if off <= OFF:
             return Leg(length, curve), postures[-1]
         count *= 2
+    left = mover.model.rig.shown("x", off)
     raise InputError(
         f"between points {index} and {index + 1} the path is too near to a posture from which the "
-        f"tip cannot go on along it: the strokes would leave it by {mover.shown(off, 2)}",
+        f"tip cannot go on along it: the strokes would leave it by {left}",
         **where,
         hint="keep away from stretched and folded links, or take other points",
     )
