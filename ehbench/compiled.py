@@ -8,7 +8,7 @@ import gc
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import update_wrapper
+from functools import cached_property, update_wrapper
 from itertools import repeat
 from pathlib import Path
 from secrets import randbits
@@ -21,6 +21,7 @@ from llvmlite import binding as llvm
 from numba.core import config
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.runtime import rtsys
 from numba.extending import overload
 
 from ehbench.sources import sources
@@ -166,7 +167,12 @@ class Kernel:
         update_wrapper(self, function)
         self._function, self._options = function, options
         self._folder = str(_FOLDER) if kept else ""
-        self._inner, self._outer = self._dispatcher(self._folder, **_WITHIN), None
+        self._outer: Any = None
+
+    @cached_property
+    def _inner(self) -> Any:
+        """The function that kernels call: wanted by the compiler alone, so made for it."""
+        return self._dispatcher(self._folder, **_WITHIN)
 
     def _dispatcher(self, folder: str, **more: Any) -> Any:
         """numba's own, its code kept in ``folder``. numba reads where from its global settings
@@ -182,6 +188,7 @@ class Kernel:
                 _SETTINGS.CACHE_DIR = before
         if folder:
             _name_apart(made._cache._cache_file)
+            _load_alone(made._cache)
         return made
 
     @property
@@ -222,6 +229,19 @@ def _name_apart(files: Any) -> None:
     """
     name = files._data_name_pattern
     files._data_name = lambda _: name.format(number=randbits(48))
+
+
+def _load_alone(cache: Any) -> None:
+    """Let a cache load code without all that numba can compile: it makes that known before, a third
+    of a second in every process, and code that is compiled needs its memory management alone.
+    """
+
+    def load(signature: Any, target: Any) -> Any:
+        rtsys.initialize(target)
+        with cache._guard_against_spurious_io_errors():
+            return cache._load_overload(signature, target)
+
+    cache.load_overload = load
 
 
 def _compiler(options: Mapping[str, Any], kept: bool = True) -> Callable[[Callable], Any]:
