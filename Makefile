@@ -7,6 +7,10 @@ INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 PIN     = --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url \
           --no-annotate -q
 
+# byte code of package and tests is kept, also where the environment says otherwise: to make it
+# anew takes each process of the tests several seconds
+export PYTHONDONTWRITEBYTECODE =
+
 .PHONY: thesis test tests quick fuzz format lint types docs reference site bench example study datasets warm setup dev \
         requirements clean
 

@@ -1,5 +1,5 @@
 """Conversion between what people write and SI. Pressures are gauge; pint is imported only when a
-unit is met.
+unit is met that `ehbench.usual_units` does not have.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from ehbench.errors import UnitError
 from ehbench.quantities import Quantity
 from ehbench.text import shortened
+from ehbench.usual_units import IN_SI, SI
 
 if TYPE_CHECKING:
     import pint
@@ -119,10 +120,24 @@ def _tried(unit: str, si: str) -> tuple[float, float] | str:
     """What `_affine` gives, or why it gives nothing: a text that may be an angle or a length is
     tried as both, again and again.
     """
+    usual = IN_SI.get(unit)
+    if usual is None or si not in SI:
+        return asked(unit, si)
+    return usual.get(si) or _cannot(unit, si)
+
+
+def asked(unit: str, si: str) -> tuple[float, float] | str:
+    """What the registry says of a unit: (factor, offset) with value_si = factor·value + offset, or
+    why there is none.
+    """
     try:
         return _converted(unit, si)
     except UnitError as error:
         return error.message
+
+
+def _cannot(unit: str, si: str) -> str:
+    return f"'{unit}' cannot be turned into {si}"
 
 
 def _converted(unit: str, si: str) -> tuple[float, float]:
@@ -134,7 +149,7 @@ def _converted(unit: str, si: str) -> tuple[float, float]:
         zero = registry.Quantity(0.0, text).to(si).magnitude
         one = registry.Quantity(1.0, text).to(si).magnitude
     except pint.DimensionalityError as error:
-        raise UnitError(f"'{unit}' cannot be turned into {si}") from error
+        raise UnitError(_cannot(unit, si)) from error
     except (
         Exception
     ) as error:  # pint raises tokenizer, attribute and assertion errors on malformed text
@@ -163,6 +178,8 @@ def named_unit(text: str) -> str:
         return spoken
     if plain in (*_NO_UNIT, "dimensionless") or plain[:1].isdigit():
         return ""
+    if plain in IN_SI:
+        return plain
     try:
         known = _checked(plain)
         _registry().Unit(known)

@@ -11,7 +11,8 @@ PACKAGE = Path(__file__).parents[2] / "ehbench"
 # lowest first; within a row nobody imports a neighbour
 FLOORS = [
     {"sources"},
-    {"codes", "commands", "errors", "quantities", "compiled", "blas", "terms", "text"},
+    {"codes", "commands", "errors", "quantities", "compiled", "blas", "terms"}
+    | {"text", "usual_units"},
     {"units", "disk", "memory"},
     {"fields", "notebook"},
     {"physics", "signals"},

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 
 from ehbench.errors import UnitError
 from ehbench.quantities import VOCABULARY
-from ehbench.units import from_si, parse, to_si
+from ehbench.units import _tried, asked, from_si, parse, to_si
+from ehbench.usual_units import IN_SI
 
 
 @pytest.mark.parametrize(
@@ -134,3 +138,24 @@ def test_digits_of_other_scripts_are_no_number():
     for text in ("１２ mm", "١٢ mm"):
         with pytest.raises(UnitError, match="no number"):
             parse(text, VOCABULARY["x"])
+
+
+def test_usual_units_are_as_the_registry_has_them():
+    """Of every quantity, also where they are none of it; and no others are taken from the table."""
+    quantities = sorted({row.unit for row in VOCABULARY.values()})
+    for unit in [*IN_SI, "furlong", "furlongz", "bar/furlong"]:
+        for si in quantities:
+            assert _tried(unit, si) == asked(unit, si), (unit, si)
+
+
+def test_usual_units_need_no_registry():
+    """It takes longer to import than most files take to read."""
+    code = (
+        "import sys; from ehbench.recipe import load_rig; "
+        "load_rig('recipes/rigs/thesis_arm.toml'); print('pint' in sys.modules)"
+    )
+    root = Path(__file__).parents[2]
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "False"
