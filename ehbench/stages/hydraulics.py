@@ -143,7 +143,6 @@ def write_suggested(prepared: PreparedHydraulics, found: Suggestions, folder: Pa
     """
     import tomli_w
 
-    from ehbench.identification.changes import said
     from ehbench.rig import parameter_row
 
     if folder.exists() and any(folder.iterdir()):
@@ -175,7 +174,7 @@ def write_suggested(prepared: PreparedHydraulics, found: Suggestions, folder: Pa
     }
     bounds = [(name, most) for one in setup.changes for name, most in one.upper.items()]
     if bounds:
-        more = {name: said(setup.rig, name, most) for name, most in bounds}
+        more = {name: setup.rig.shown(name, most, 5) for name, most in bounds}
         table["upper"] = table.get("upper", {}) | more
     if setup.options.sensors:
         table["sensor"] = [one.as_toml() for one in setup.options.sensors]
