@@ -734,6 +734,15 @@ _ROWS = [
         1e7,
     ),
     Quantity(
+        "bulk_measured",
+        "β_w",
+        "Pa",
+        "MPa",
+        "bulk modulus by least squares over pressures and flows",
+        0,
+        1e13,
+    ),
+    Quantity(
         "map_gain",
         "g",
         "dimensionless",
@@ -1057,6 +1066,15 @@ _ROWS = [
         "how fast the estimate of the bulk modulus follows",
         0,
         1e5,
+    ),
+    Quantity(
+        "adapt_oil",
+        "adapt_oil",
+        "dimensionless",
+        "dimensionless",
+        "whether planned flows go by the bulk modulus that pressures tell",
+        0,
+        1,
     ),
     Quantity(
         "adapt_maps",

@@ -59,6 +59,7 @@ from ehbench.control.map_learning import (
     map_memory,
 )
 from ehbench.control.measured import load_force, pressure_entries, pressures, write
+from ehbench.control.oil_learning import OIL, begin_oil, learn_oil
 from ehbench.control.records import blank, rows_of
 from ehbench.control.trajectory import ORDERS, reference_of
 from ehbench.control.valve_level import Flows, allocate
@@ -124,7 +125,8 @@ class Memory(NamedTuple):
     [kg] its interval's, see `weigh`; ``eased`` is how far the bandwidths went down at most, as a
     share of them, and ``heaviest`` [kg] the payload then, see `ease`; ``turns`` counts how often
     the ``way`` of the oil that is wanted changed while no motion was desired; ``maps`` is what is
-    learnt of the flow maps, ``gains`` are those in force, see `ease`."""
+    learnt of the flow maps, ``oil``, a record of type OIL, of the oil, ``gains`` are those in
+    force, see `ease`."""
 
     state: np.record
     rates: np.ndarray
@@ -132,6 +134,7 @@ class Memory(NamedTuple):
     mass: np.ndarray
     work: np.ndarray
     maps: MapMemory
+    oil: np.record
     gains: np.recarray
 
 
@@ -160,6 +163,7 @@ class Telemetry(NamedTuple):
     payload_measured: float
     payload_low: float
     payload_high: float
+    bulk_measured: float
     learning: float
     limits: float
 
@@ -554,10 +558,10 @@ def adapt_mechanics(learning, mixed, force, gains, memory):
 
 @kernel
 def load_rate(reference, load, ahead, stroke, force, v, axis, memory):
-    """Rate [N/s] of the wanted load force: with speed, along the stroke (``ahead`` is the `Load`
-    there), with time, by what is learnt.
+    """(rate [N/s] of the wanted load force: with speed, along the stroke (``ahead`` is the `Load`
+    there), with time, by what is learnt; what of it the reference alone asks for).
     """
-    estimates, rates, coulomb = memory.state.estimates, memory.rates, axis.cylinder.friction_coulomb
+    estimates, rates, cylinder = memory.state.estimates, memory.rates, axis.cylinder
     inverse, share = estimates[INVERSE_INERTIA], estimates[PAYLOAD_SHARE]
     moved = (
         (ahead.mass - load.mass) * force.pushed
@@ -567,21 +571,27 @@ def load_rate(reference, load, ahead, stroke, force, v, axis, memory):
     along = (
         ahead.gravity - load.gravity + (ahead.damping - load.damping) * v + moved / inverse
     ) / AHEAD
-    turned = coulomb * (1.0 - force.turn * force.turn) * reference.a / COULOMB_SPEED
+    turned = (
+        cylinder.friction_coulomb * (1.0 - force.turn * force.turn) * reference.a / COULOMB_SPEED
+    )
     timed = turned + load.mass / inverse * (
         reference.j + stroke.k1 * reference.a + force.k2 * stroke.a_eq
     )
     learnt = (-force.need / inverse * rates[0] + load.pull * rates[1] + rates[2]) / inverse
-    return force.slope * force.acceleration + along + timed + learnt
+    damped = load.damping + cylinder.friction_viscous - 2.0 * load.mass / inverse * load.curve * v
+    planned = along + turned + damped * reference.a + load.mass / inverse * reference.j
+    return force.slope * force.acceleration + along + timed + learnt, planned
 
 
 @kernel
-def track_flow(rate, learning, weight, stroke, force, oil, gains, memory):
-    """Step 3: what the wanted load force's ``rate`` [N/s] and the errors ask of the oil [1/s], as a
-    relative change of volume; writes the rate of the inverse bulk modulus.
+def track_flow(rates, learning, weight, stroke, force, oil, gains, memory):
+    """Step 3: what the wanted load force's ``rates`` [N/s], of `load_rate`, and the errors ask of
+    the oil [1/s], as a relative change of volume; writes the rate of the inverse bulk modulus.
 
     The feedback goes by the design's bulk modulus: it would teach that of the oil no more than that
-    it is not zero."""
+    it is not zero. What pressures tell of the oil counts for the reference's part alone, so that
+    the loop's gain is not theirs."""
+    rate, planned = rates
     softness = memory.state.estimates[INVERSE_BULK]
     lower, upper = gains.lower[INVERSE_BULK], gains.upper[INVERSE_BULK]
     unsure = abs(force.slope) * force.unsure + (upper - lower) / lower * abs(rate)
@@ -592,7 +602,8 @@ def track_flow(rate, learning, weight, stroke, force, oil, gains, memory):
         lower,
         upper,
     )
-    return (softness * rate - k3 * force.z3 - oil.coupling * stroke.z2) / oil.bulk
+    rate = softness * rate + memory.oil.softer * planned
+    return (rate - k3 * force.z3 - oil.coupling * stroke.z2) / oil.bulk
 
 
 @kernel
@@ -812,6 +823,24 @@ def weigh(starting, force, load, ratio, v, axis, gains, state):
 
 
 @kernel
+def feel_oil(choice, flows, limits, load_force, v, oil, axis, memory):
+    """Let the oil's softness be learnt from the flows [m³/s] that the valves pass, where that is
+    wanted.
+    """
+    gains, circuit = memory.gains[0], axis.circuit
+    if gains.adapt_oil == 0.0 or gains.adapt == 0.0:
+        return
+    moving = choice.function != HOLD and not choice.resting
+    passing = limits & (SATURATED | AGAINST | REVERSED) == 0
+    quiet = moving and passing and memory.state.age > 1.5 * gains.tick
+    given = oil.bulk * (oil.head * flows.head + oil.rod * flows.rod)
+    per_speed = oil.bulk * (oil.head * circuit.area_head + oil.rod * circuit.area_rod)
+    moved = per_speed * v + oil.bulk * (oil.head * oil.lost_head + oil.rod * oil.lost_rod)
+    most = per_speed * gains.speed_correction
+    learn_oil(quiet, given, moved, most, load_force, gains, memory.oil)
+
+
+@kernel
 def mend_maps(choice, seen, command, axis, gains, memory, telemetry):
     """Let the flow maps be corrected, where that is wanted, in a motion whose function stays."""
     if gains.adapt_maps > 0.0:
@@ -854,6 +883,7 @@ def tell(reference, stroke, force, choice, flows, limits, memory, telemetry):
             state.payload,
             state.payload - state.half,
             state.payload + state.half,
+            memory.oil.bulk / (1.0 + memory.oil.softer),
             float(state.learning),
             float(limits),
         ),
@@ -890,6 +920,7 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
         start(x, v, p, measured, state)
         start_estimates(measured, load_at(axis, q, own, memory.work), own, tip, design, state)
         begin(p, axis.onset, design, memory.maps)
+        begin_oil(measured, axis.cylinder.bulk_modulus, memory.oil)
     gains = ease(design, tip / own, state, memory.gains)[0]
     if not starting:
         x, v = observe(x, v, gains, state)
@@ -902,9 +933,9 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
     weight = state.estimates[INVERSE_INERTIA] / (load.mass * oil.coupling)
     mixed = stroke.z2 - weight * force.slope * force.z3
     adapt_mechanics(learning, mixed, force, gains, memory)
-    rate = load_rate(desired, load, ahead, stroke, force, v, axis, memory)
+    rates = load_rate(desired, load, ahead, stroke, force, v, axis, memory)
     wanted = feed_forward(desired, v, oil, circuit, gains)
-    wanted += track_flow(rate, learning, weight, stroke, force, oil, gains, memory)
+    wanted += track_flow(rates, learning, weight, stroke, force, oil, gains, memory)
 
     spool_speed = wanted / (oil.head * circuit.area_head + oil.rod * circuit.area_rod)
     choice = choose(desired, stroke.z1, measured, spool_speed, p, axis, gains, state)
@@ -919,6 +950,7 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
     state.learning = learns_next(choice, limits, edge_limits, circuit)
     learn(learning, starting, force, gains, memory)
     weigh(starting, force, load, tip / own, v, axis, gains, state)
+    feel_oil(choice, flows, limits, measured, v, oil, axis, memory)
     tell(desired, stroke, force, choice, flows, limits, memory, telemetry)
     mend_maps(choice, Seen(v, p, oil), command, axis, gains, memory, telemetry)
 
@@ -933,6 +965,7 @@ def memory_of(axis: Axis) -> Memory:
         np.zeros((n, n)),
         np.zeros(work_size(n) + n),
         map_memory(axis.circuit),
+        blank(OIL),
         rows_of(GAINS, None),
     )
 

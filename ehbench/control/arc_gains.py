@@ -45,6 +45,7 @@ GAIN_NAMES = (
     "drop_floor",
     "weighing_time",
     "reference_mass",
+    "adapt_oil",
     "adapt_maps",
     "map_bandwidth",
     "map_error",
@@ -62,11 +63,12 @@ MAY_BE_ZERO = {
     "standby",
     "valve_lead",
     "weighing_time",
+    "adapt_oil",
     "adapt_maps",
     "map_error",
     "deadband_error",
 }
-SWITCHES = ("adapt", "adapt_maps")  # yes or no
+SWITCHES = ("adapt", "adapt_oil", "adapt_maps")  # yes or no
 COUNT = len(ESTIMATES)
 # lower, upper: bounds of the estimates; rate: gains of their adaptation; start: the design model's
 GAINS = record(
@@ -177,6 +179,7 @@ def pack_arc(
             function; ``standby`` [1] share of its deadband at which a shut valve waits;
             ``valve_lead`` [s] by which desired flows lead; ``drop_floor`` [Pa] of the inverse maps;
             ``weighing_time`` [s], the gain of adaptation at rest; ``reference_mass`` [kg];
+            ``adapt_oil`` whether planned flows go by the softness that pressures tell;
             ``adapt_maps`` whether the flow maps are corrected, at most at ``map_bandwidth``
             [rad/s], within ``map_error`` [1] of their flow and ``deadband_error`` [V].
 
@@ -205,6 +208,7 @@ def pack_with_rates(
     learning = _learning(site, unsure, bounds, chosen, (given, places))
     chosen |= _defaults(site, places[0].load, chosen, total, learning) | dict(given)
     chosen |= {"tick": given.get("tick", site.tick), "adapt": given.get("adapt", unsure.adapt)}
+    chosen["adapt_oil"] = given.get("adapt_oil", 1.0)
     chosen["adapt_maps"] = given.get("adapt_maps", 0.0)
     if unsure.lag_budget is None and not set(GAIN_NAMES[2:5]) & set(given):
         softest = FASTER * min(place.swing for place in places)
