@@ -1,0 +1,273 @@
+"""How sure a fit by output error is of its parameters, and what it says of those that it held."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ehbench.identification.covariance import Block, covariance_of, eliminate, release_of
+from ehbench.identification.descent import DIFFERENCE, FAINT, Descent, Point
+from ehbench.identification.groups import Group, groups_of, sentence
+from ehbench.identification.results import (
+    Estimate,
+    FittedParameter,
+    HydraulicsFit,
+    SensorFit,
+    finish,
+    not_excited,
+)
+from ehbench.identification.search import VAGUE, Coordinate
+from ehbench.identification.simulator import Log
+from ehbench.terms import CORRELATED, Z95
+
+# a held parameter is surely wrong if the logs would move it by so many standard errors, by this
+# share of it, and to the benefit of this share of the squares that are left
+SURELY, SURELY_OFF, WORTH = 4.0, 0.01, 0.05
+
+
+@dataclass(frozen=True)
+class Error:
+    """A standard error in search coordinates, its interval's quantile, where it is from, what it
+    means, the share of what is known of the parameter that is from the data, and the share of its
+    variance that the logs' starts are to blame for."""
+
+    std: float
+    quantile: float
+    source: str
+    kind: str
+    from_data: float
+    from_starts: float
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Errors by index of the parameter, and the correlation between the free ones, in the order of
+    their names, the point they belong to, what each log says there, the covariance of those that
+    are live, and the standard error each would have if all others were known."""
+
+    by_index: dict[int, Error]
+    names: tuple[str, ...]
+    correlation: np.ndarray
+    here: Point
+    blocks: list[Block]
+    covariance: np.ndarray
+    alone: np.ndarray
+
+
+def errors_of(fit: Descent) -> Errors:
+    """Standard errors of the parameters in search coordinates, and what they mean; all of them
+    as if none were held at a bound.
+    """
+    live = sorted(fit.free + fit.bound)
+    here = fit.point(fit.theta, fit.shifts)
+    slopes = fit.slopes(here, live)
+    blocks = fit.blocks(here, slopes, fit.nudges(here))
+    found = covariance_of(blocks, fit.prior(fit.theta, live))
+    effects, correlation = fit.effects(slopes, live), found.correlation
+    inside = [k for k, i in enumerate(live) if not _at_bound(fit, i)]
+    result = {}
+    for k, i in enumerate(live):
+        std, quantile, source = found.error(k)
+        vague = VAGUE[fit.search[i].log]
+        others = np.abs(correlation[k, [j for j in inside if j != k]])
+        if effects[i] < FAINT or found.alone[k] > vague:
+            kind = "not_excited"
+        elif k not in inside:
+            kind = "at_bound"
+        elif std > vague or np.max(others, initial=0.0) > CORRELATED:
+            kind = "correlated"
+        else:
+            kind = "estimated"
+        result[i] = Error(
+            std, quantile, source, kind, *map(float, (found.from_data[k], found.from_starts[k]))
+        )
+    names = tuple(fit.search[live[k]].name for k in inside)
+    among = correlation[np.ix_(inside, inside)]
+    return Errors(result, names, among, here, blocks, found.hac, found.alone)
+
+
+def _wrongly_held(fit: Descent, found: Errors) -> list[str]:
+    """A warning of the held parameter whose release would better the fit most, if it is surely
+    wrong: the recipe's line that frees it.
+    """
+    live, suspects = sorted(fit.free + fit.bound), []
+    for i in range(fit.fitted, len(fit.search)):
+        c, blocks = fit.search[i], _released(fit, found, i)
+        if not blocks:
+            continue
+        least = WORTH * fit.cost(found.here)
+        release = release_of(blocks, fit.prior(found.here.theta, [*live, i]), least)
+        share = 1.0 if c.log else c.unit / c.start
+        off, less = abs(release.move), release.gain / fit.cost(found.here)
+        if off * share > SURELY_OFF and off > SURELY * release.std:
+            suspects.append((less, share * release.move, share * release.std, c.name))
+    if not suspects:
+        return []
+    less, move, std, name = max(suspects)
+    return [
+        f"{name} is held, and these logs would have it {100.0 * move:+.1f} ± "
+        f"{100.0 * std:.1f} % off: what is left would fall by {100.0 * less:.0f} %. "
+        f'Add "{name}" to parameters, with [prior] "{name}" = "3 %"'
+    ]
+
+
+def _released(fit: Descent, found: Errors, i: int) -> list[Block]:
+    """What the logs say, with a held parameter behind those that are fitted; nothing where it
+    changes nothing.
+    """
+    logs = fit.simulator.logs
+    which = [k for k, log in enumerate(logs) if _concerns(log, fit.search[i])]
+    theta = found.here.theta + DIFFERENCE * np.eye(len(fit.search))[i]
+    moved = (fit.residuals([theta], which)[0] or []) if which else []
+    added = [np.zeros((*block.left.shape, 1)) for block in found.blocks]
+    for k, left in zip(which, moved, strict=False):
+        scale = fit.per(fit.scales, logs[k])
+        added[k][..., 0] = (left - found.here.left[k]) / (DIFFERENCE * scale)
+    if fit.effects(added, [i])[i] < FAINT:
+        return []
+    return [
+        replace(block, slopes=np.concatenate([block.slopes, slope], axis=-1))
+        for block, slope in zip(found.blocks, added, strict=True)
+    ]
+
+
+def _groups(fit: Descent, found: Errors) -> tuple[Group, ...]:
+    """The products of parameters that the logs know though they do not know each."""
+    live = sorted(fit.free + fit.bound)
+    normal = np.sum([eliminate(b, fit.weight).normal for b in found.blocks], axis=0)
+    logs = [k for k, i in enumerate(live) if i < fit.asked and fit.search[i].log]
+    rest = [k for k in range(len(live)) if k not in logs]
+    if len(logs) < 2:
+        return ()
+    inner = np.linalg.pinv(normal[np.ix_(rest, rest)])
+    own = normal[np.ix_(logs, logs)]
+    own = own - normal[np.ix_(logs, rest)] @ inner @ normal[np.ix_(rest, logs)]
+    ideal = np.sqrt(1.0 / np.maximum(np.diag(normal), 1e-300))
+    widening = [found.alone[k] / ideal[k] for k in logs]
+    names = [fit.search[live[k]].name for k in logs]
+    values = [fit.search[live[k]].at(fit.theta[live[k]]) for k in logs]
+    return groups_of(names, values, own, float(np.median(widening)))
+
+
+def _at_bound(fit: Descent, i: int) -> bool:
+    return i in fit.bound or fit.theta[i] in fit.search[i].bounds
+
+
+def result_of(fit: Descent, found: Errors, converged: bool) -> HydraulicsFit:
+    samples = sum(int(log.counts.any(axis=1).sum()) for log in fit.simulator.logs)
+    fitted = []
+    for i, c in enumerate(fit.search[: fit.asked]):
+        one, error = not_excited(c, samples), found.by_index.get(i)
+        if error is not None and error.kind != "not_excited":
+            std, ends = c.spread(fit.theta[i], error.std, error.quantile)
+            one = replace(
+                one,
+                value=c.at(fit.theta[i]),
+                std=std,
+                interval=ends,
+                status=error.kind,
+                error_from=error.source,
+                prior=c.prior if c.known else None,
+                from_data=error.from_data,
+                from_starts=error.from_starts,
+            )
+        fitted.append(_within(fit, one, i) if i in fit.ranged else one)
+    warnings = [*_wrongly_held(fit, found), *_flat(fit)]
+    if not converged:
+        warnings.append(
+            f"the fit stopped after {fit.most} evaluations without converging; its numbers "
+            "are not final"
+        )
+    groups = _groups(fit, found)
+    warnings += [sentence(groups)] if groups else []
+    told = [one.alone.keys() for one in groups]
+    for a, name in enumerate(found.names):
+        for b, other in enumerate(found.names[:a]):
+            if any({name, other} <= names for names in told):
+                continue  # the group says it
+            if abs(found.correlation[a, b]) > CORRELATED:
+                warnings.append(
+                    f"{other} and {name} are correlated by {found.correlation[a, b]:+.3f}: "
+                    "the logs tell them only together"
+                )
+    return finish(
+        fit.simulator,
+        Estimate(
+            method="output_error",
+            fitted=fitted,
+            warnings=warnings,
+            iterations=fit.iterations,
+            names=found.names,
+            correlation=found.correlation,
+            scales=fit.scales,
+            cutoff=fit.cutoff,
+            shifts=fit.shifts,
+            groups=groups,
+            held=[
+                *(c.at(fit.theta[i]) for i, c in _shared(fit)),
+                *(c.start for c in fit.search[fit.fitted :]),
+            ],
+            sensors=_sensors(fit, found),
+        ),
+    )
+
+
+def _within(fit: Descent, one: FittedParameter, i: int) -> FittedParameter:
+    """A parameter of which the logs deny a part of the range, the rest being one to them."""
+    c, value = fit.search[i], fit.search[i].at(fit.theta[i])
+    low, high = (c.at(end) for end in fit.ranged[i])
+    return replace(
+        one,
+        value=value,
+        std=(high - low) / (2.0 * Z95),
+        interval=(low, high),
+        status="estimated",
+        error_from="range",
+        prior=c.prior if c.known else None,
+    )
+
+
+def _flat(fit: Descent) -> list[str]:
+    """A note of each parameter that the logs tell by its range alone."""
+
+    def said(c: Coordinate, value: float) -> str:
+        own = c.quantity is None  # else of a sensor
+        return fit.simulator.rig.shown(c.name, value) if own else f"{value:.4g} {c.row.unit}"
+
+    return [
+        f"{c.name} may be anything from {said(c, c.at(low))} to {said(c, c.at(high))} for "
+        "these logs, which deny the rest of its range"
+        for i, (low, high) in fit.ranged.items()
+        for c in [fit.search[i]]
+    ]
+
+
+def _shared(fit: Descent) -> list[tuple[int, Coordinate]]:
+    """(index, coordinate) of what all logs' sensors share."""
+    return [(i, fit.search[i]) for i in range(fit.asked, fit.fitted)]
+
+
+def _sensors(fit: Descent, found: Errors) -> list[SensorFit]:
+    """What was found of the sensors: of all logs, then of each."""
+    result = []
+    terms = {term.name: term for term in fit.simulator.logs[0].start.terms}
+    for i, c in _shared(fit):
+        error, quantile = found.by_index.get(i), 1.96
+        std = terms[c.name].std
+        if error is not None:
+            std, quantile = c.unit * error.std, error.quantile
+        result.append(SensorFit.of(terms[c.name], "", c.at(fit.theta[i]), std, quantile))
+    for log, shifts, block in zip(fit.simulator.logs, fit.shifts, found.blocks, strict=True):
+        errors = eliminate(block, fit.weight).std(found.covariance)
+        terms = {term.name: term for term in log.start.terms}
+        for doubt, shift, error in zip(log.start.doubts, shifts, errors, strict=True):
+            if doubt.name in terms:
+                at, std = doubt.std * float(shift), doubt.std * float(error)
+                result.append(SensorFit.of(terms[doubt.name], log.name, at, std, 1.96))
+    return result
+
+
+def _concerns(log: Log, c: Coordinate) -> bool:
+    """Whether a parameter belongs to a cylinder that the log asks to move."""
+    return c.name.partition(".")[0] in log.asked
