@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-
 _LONGEST = 700  # characters of a sentence
 
 

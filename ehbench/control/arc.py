@@ -893,8 +893,7 @@ def tell(reference, stroke, force, choice, flows, limits, memory, telemetry):
 
 @kernel
 def step(t, sample, reference, axis, design, memory, command, telemetry):
-    """One tick of the controller: observe, estimate, choose the function, write commands and
-    telemetry.
+    """One tick: observe, estimate, choose the function, write commands and telemetry.
 
     Args:
         t: time [s], unused.

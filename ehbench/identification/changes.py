@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ehbench.identification.search import WIDE, Given
-from ehbench.plant.build import load_of
 from ehbench.observations import least_change, position_of
+from ehbench.plant.build import load_of
 from ehbench.recipe.sensor import ESTIMATE, WORDS, Sensor
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig, Valve

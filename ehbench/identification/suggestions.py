@@ -23,8 +23,8 @@ from ehbench.identification.output_error import OutputError
 from ehbench.identification.results import Progress
 from ehbench.identification.search import of_sensors
 from ehbench.identification.simulator import Log, Simulator
-from ehbench.record import Record
 from ehbench.recipe.sensor import WORDS
+from ehbench.record import Record
 from ehbench.rig import Rig
 
 SECONDS = 120.0  # of trying, by default

@@ -11,10 +11,9 @@ from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.errors import InsufficientData
 from ehbench.ledger.rows import Ledger
 from ehbench.ledger.sheet import function_of
-from ehbench.physics.cylinder import linkage
-from ehbench.plant.build import pins_of
 from ehbench.parts.oil import bulk
-from ehbench.plant.build import oil_fields
+from ehbench.physics.cylinder import linkage
+from ehbench.plant.build import oil_fields, pins_of
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
 

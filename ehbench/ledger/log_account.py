@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ehbench.fields import scalars
-from ehbench.ledger.powers import COMPRESSION, OF, PUMP, SUPPLY_LINE, power_at
 from ehbench.ledger.loads import Loads
+from ehbench.ledger.powers import COMPRESSION, OF, PUMP, SUPPLY_LINE, power_at
 from ehbench.ledger.quadrature import flows_at, powers_at
 from ehbench.ledger.readings import Readings, noise_of, read_log
 from ehbench.ledger.rows import Ledger

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ehbench.compiled import kernel
+from ehbench.parts.accumulator import gas_energy
 from ehbench.parts.cylinder import (
     chamber_inflow,
     chamber_makeup,
@@ -18,7 +19,6 @@ from ehbench.parts.cylinder import (
     linkage_of,
     relief_out,
 )
-from ehbench.parts.accumulator import gas_energy
 from ehbench.parts.edge import PUMP as PUMP_LAW
 from ehbench.parts.edge.pump import slip_loss
 from ehbench.parts.end_stop import stop_held, stop_loss

@@ -14,9 +14,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from ehbench.errors import InputError
-from ehbench.parts.edge import edge_flow
 from ehbench.machines.rows import Controls, Rows
+from ehbench.parts.edge import edge_flow
 from ehbench.plant.model import Model
+from ehbench.plant.trim import LowSide
 
 Posture = Mapping[str, str | float] | None
 Advance = Callable[[int, int], int]  # (first row, row after the last) → row at a limit, or −1
@@ -79,13 +80,14 @@ class Machine(Protocol):
         """
         ...
 
-    def start(self, posture: Posture = None, low_side: float | None = None) -> np.ndarray:
+    def start(self, posture: Posture = None, low_side: LowSide = None) -> np.ndarray:
         """Come to rest, valves at rest; the sample at t = 0.
 
         Args:
             posture: by cylinder or joint, as `Model.posture` reads it; mid-stroke where it says
                 nothing.
-            low_side: pressure [Pa] of the chambers that no load presses on.
+            low_side: pressure [Pa] of the chambers that no load presses on, of all cylinders or by
+                name of some; else the machine's own choice.
 
         Raises:
             InputError: a posture that it cannot take.

@@ -19,6 +19,7 @@ from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import STEP, advance, rk4
 from ehbench.plant.model import Model
 from ehbench.plant.paced import AUTO, LATE, SCRATCH, Step, Way, over_tick, pace_of
+from ehbench.plant.trim import LowSide
 from ehbench.recipe import TrialRecipe
 from ehbench.rig import Rig
 
@@ -197,7 +198,7 @@ class SimulatedMachine:
         """As `carry_of` says."""
         self.model.plant.links[:] = self.model.links(payload)
 
-    def start(self, posture: Posture = None, low_side: float | None = None) -> np.ndarray:
+    def start(self, posture: Posture = None, low_side: LowSide = None) -> np.ndarray:
         """As `Machine.start`."""
         self.model.plant.links[:] = links_of(self.model.rig)
         self.state[:] = self.model.trim(self.model.posture(posture), low_side)

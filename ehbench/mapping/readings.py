@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ehbench.mapping.guesses import (
-    DIFFERENTIAL,
-    DROP,
     COMMAND_WORDS,
     CURRENTS,
+    DIFFERENTIAL,
+    DROP,
     Guess,
     command_guess,
     reading_of,

@@ -105,14 +105,14 @@ class Model:
         return starts.posture(self.plant, self.layout, wanted)
 
     def trim(
-        self, q: np.ndarray, low_side: float | None = None, command: np.ndarray | None = None
+        self, q: np.ndarray, low_side: starts.LowSide = None, command: np.ndarray | None = None
     ) -> np.ndarray:
         """The state at rest at joint coordinates ``q``: valves shut, supply at its set pressure,
         loads carried.
 
-        The chamber that the load does not press on stands at ``low_side`` [Pa], by default a tenth
-        of the supply pressure. Forces that are played are those of a row of commands, by default
-        none.
+        The chamber that the load does not press on stands at ``low_side`` [Pa], of all cylinders or
+        by name of some, by default at a tenth of the supply pressure. Forces that are played are
+        those of a row of commands, by default none.
 
         Raises:
             SimulationError: a cylinder has no lever there, so no pressure holds the load.

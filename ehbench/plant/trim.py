@@ -24,6 +24,8 @@ from ehbench.plant.layout import Layout
 from ehbench.quantities import VOCABULARY
 from ehbench.rig import Rig
 
+# pressure [Pa] of the chambers that no load presses on: of all cylinders, or by name of some
+LowSide = float | Mapping[str, float] | None
 LOW_SIDE = 0.1  # share of the supply pressure at which a chamber that carries nothing stands
 
 
@@ -94,14 +96,15 @@ def trim(
     names: Layout,
     rig: Rig,
     q: np.ndarray,
-    low_side: float | None = None,
+    low_side: LowSide = None,
     command: np.ndarray | None = None,
 ) -> np.ndarray:
     """The state at rest at joint coordinates ``q``: valves shut, supply at its set pressure (with
     load sensing at its margin above tank), loads carried.
 
-    The chamber that the load does not press on stands at ``low_side`` [Pa], by default a tenth of
-    the supply pressure; at the supply pressure where a check valve feeds the cylinder from there.
+    The chamber that the load does not press on stands at ``low_side`` [Pa], of all cylinders or by
+    name of some, by default at a tenth of the supply pressure; at the supply pressure where a check
+    valve feeds the cylinder from there.
     Forces that are played are those of ``command``, by default none.
 
     Raises:
@@ -114,7 +117,7 @@ def trim(
     gravity_torque(plant.kind, plant.links, plant.gravity, q, torque, np.empty(work_size(n)))
     played = np.zeros(len(names.valves) + len(names.played)) if command is None else command
     for index, row in enumerate(plant.cylinders):
-        low = _low_side(plant, row) if low_side is None else low_side
+        low = _low_side(plant, row, names.cylinders[index], low_side)
         x, lever, _ = linkage_of(row, q[row.joint])
         if abs(lever) < 1e-6:
             raise SimulationError(
@@ -150,8 +153,11 @@ def settle_parts(plant: Plant, y: np.ndarray) -> None:
         sway_settle(row, lever * y[plant.at.rates + row.joint], y)
 
 
-def _low_side(plant: Plant, row: np.record) -> float:
-    """Pressure [Pa] of a cylinder's chamber that carries nothing."""
+def _low_side(plant: Plant, row: np.record, name: str, given: LowSide) -> float:
+    """Pressure [Pa] of a cylinder's chamber that carries nothing, as ``given`` or by default."""
+    own = given.get(name) if isinstance(given, Mapping) else given
+    if own is not None:
+        return own
     if not np.any(plant.edges.law == CHECK):
         return plant.supply.pressure * LOW_SIDE
     edges = plant.edges_at_chambers

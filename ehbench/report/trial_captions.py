@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-
 from ehbench import codes
 from ehbench.record import Record
 from ehbench.report.captions import (

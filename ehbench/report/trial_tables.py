@@ -7,8 +7,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from ehbench.report.blocks import Block, Cell, Fold, Grid, Text
 from ehbench.codes import LIMITS_MEAN, STATUS_MEANS
+from ehbench.report.blocks import Block, Cell, Fold, Grid, Text
 from ehbench.report.captions import (
     capital,
     error_of,

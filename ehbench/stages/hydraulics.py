@@ -28,8 +28,8 @@ from ehbench.stages.base import (
     write_rig,
     write_series,
 )
-from ehbench.stages.fitted_sensors import tables_of
 from ehbench.stages.findings import counted
+from ehbench.stages.fitted_sensors import tables_of
 from ehbench.stages.inputs import Inputs, Logs, RigState
 
 if TYPE_CHECKING:

@@ -16,6 +16,7 @@ from typing import Any, cast
 from weakref import finalize
 
 from ehbench import rundir
+from ehbench.disk import impossible
 from ehbench.errors import EhbenchError, InputError
 from ehbench.recipe import (
     Measure,
@@ -27,12 +28,11 @@ from ehbench.recipe import (
     read_toml,
     validated,
 )
-from ehbench.disk import impossible
 from ehbench.sampling.cluster import Bundle, file_name
 from ehbench.sampling.design import CASE, RECIPE
 from ehbench.sampling.keys import Changes, changed_bench, changed_rig, changed_table, changes_of
-from ehbench.sampling.sample import LATE, STATUS, Make, Sample, Task
 from ehbench.sampling.measures import lookup, of_channels, refuse_unknown, value_of
+from ehbench.sampling.sample import LATE, STATUS, Make, Sample, Task
 from ehbench.stages.base import Prepared, Stage
 from ehbench.stages.findings import Findings
 from ehbench.stages.inputs import Inputs, RigState, Runs

@@ -248,7 +248,28 @@ def _commands(cylinder: Cylinder) -> Iterator[Cure]:
             trials=(0.1, 0.25, 0.4, 0.55),
         )
     whole, given = cylinder.name if groups else names[0], [f"{name}.command" for name in names]
+    yield _late(whole, given)
     yield Cure(
+        "drift",
+        whole,
+        0.02,
+        -0.6,
+        1.0,
+        lambda d: (
+            f"the error grows with time: flow of {whole} is {_share(d)} at the end of a log than "
+            "at its begin"
+        ),
+        lambda d: "fit windows of the logs apart, and look at oil temperature and supply",
+        6,
+        _with_commands(given, _warmer),
+    )
+    for valve, name in zip(cylinder.valve, names, strict=True):
+        yield from _level(valve, name)
+
+
+def _late(whole: str, given: Sequence[str]) -> Cure:
+    """What is wrong with when commands were given, or written."""
+    return Cure(
         "delay",
         whole,
         0.001,
@@ -268,22 +289,6 @@ def _commands(cylinder: Cylinder) -> Iterator[Cure]:
         _with_commands(given, _later),
         trials=(0.005, 0.01, 0.02, 0.04),
     )
-    yield Cure(
-        "drift",
-        whole,
-        0.02,
-        -0.6,
-        1.0,
-        lambda d: (
-            f"the error grows with time: flow of {whole} is {_share(d)} at the end of a log than "
-            "at its begin"
-        ),
-        lambda d: "fit windows of the logs apart, and look at oil temperature and supply",
-        6,
-        _with_commands(given, _warmer),
-    )
-    for valve, name in zip(cylinder.valve, names, strict=True):
-        yield from _level(valve, name)
 
 
 def _level(valve: Valve, about: str) -> Iterator[Cure]:

@@ -156,9 +156,12 @@ class Prepared:
         return replace(self, recipe=recipe, machine=machine(seed))
 
     @property
-    def low_side(self) -> float | None:
-        """Pressure [Pa] of the unloaded chambers at the start; None is the machine's own choice."""
-        return None if self.loop is None else self.loop.low_side
+    def low_side(self) -> dict[str, float]:
+        """Pressure [Pa] of the unloaded chambers at the start, by cylinder; those that nobody
+        drives are the machine's own choice, as in the points that gains are tuned at.
+        """
+        loop = self.loop
+        return {} if loop is None else {one.design.cylinder: loop.low_side for one in loop.driven}
 
     def law(self, machine: Machine) -> Laws | UserCode | None:
         """The controllers at their beginning, for one run on a machine; None for open loop.

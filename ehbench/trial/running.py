@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ehbench.codes import LIMITS as LIMIT_BITS
-from ehbench.codes import SATURATED
-from ehbench.codes import STATUS_MEANS
+from ehbench.codes import SATURATED, STATUS_MEANS
 from ehbench.errors import InputError, SimulationError
 from ehbench.logs import check_record
 from ehbench.machines.protocol import Machine, truth_of

@@ -31,9 +31,9 @@ from ehbench.plant.ties import tied_words
 from ehbench.preprocessing import numbered, preprocess
 from ehbench.quantities import GAUGES
 from ehbench.recipe import Thresholds
+from ehbench.recipe.sensor import Sensor
 from ehbench.record import Record
 from ehbench.rig import Rig, Valve
-from ehbench.recipe.sensor import Sensor
 from ehbench.sensors import Term, known_taken_out, terms_of
 from ehbench.starts import Followed, follow
 from ehbench.structure import Case

@@ -544,7 +544,7 @@ def test_every_gain_of_a_law_can_be_written_in_a_recipe(rig, tmp_path):
         moved = {
             name: 0.9 * value
             for name, value in first.items()
-            if name not in ("tick", "adapt", "adapt_maps", "feedback_gain")
+            if name not in ("tick", "adapt", "adapt_maps", "adapt_oil", "feedback_gain")
         }
         units = {name: quantity(name).unit for name in moved}
         lines = [

@@ -29,6 +29,7 @@ from ehbench.parts.valve import valve_settle
 from ehbench.plant.build import Maps, links_of
 from ehbench.plant.layout import layout
 from ehbench.plant.model import Model
+from ehbench.plant.trim import LowSide
 from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
 from ehbench.rig import Rig
 
@@ -202,7 +203,7 @@ class VirtualMachine:
         """As `carry_of` says."""
         self.bench.links[:] = self.model.links(payload)
 
-    def start(self, posture: Posture = None, low_side: float | None = None) -> np.ndarray:
+    def start(self, posture: Posture = None, low_side: LowSide = None) -> np.ndarray:
         """As `Machine.start`; the unloaded chambers begin to settle at ``low_side``."""
         self.bench.links[:] = links_of(self.model.rig)
         self._rng, self._used = self._new_noise(), len(self._noise)

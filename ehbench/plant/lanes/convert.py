@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ehbench.compiled import Kernel
-from ehbench.plant.lanes import vectors
 from ehbench.plant.build import Plant
+from ehbench.plant.lanes import vectors
 
 _HELPERS = {
     f"lane_{name}": getattr(vectors, name)

@@ -19,11 +19,11 @@ import numpy as np
 from ehbench.errors import InputError
 from ehbench.physics.flow_map import FlowMap, load_flow_maps
 from ehbench.quantities import quantity
+from ehbench.readers import suffixes
 from ehbench.report.captions import capital
 from ehbench.report.figures.channels import title_of
 from ehbench.report.saved import Saved, read_points, read_series
 from ehbench.report.words import axis, number, pretty, row_of, shown, unit_of, words
-from ehbench.readers import suffixes
 from ehbench.rig import Rig
 from ehbench.units import from_si
 
