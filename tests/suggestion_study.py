@@ -13,9 +13,10 @@ from __future__ import annotations
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from ehbench.fields import Value
 from ehbench.identification.hydraulics import prepare_fit
 from ehbench.identification.suggestions import ROUNDS, Suggestions, suggest
 from ehbench.recipe import load_rig
@@ -70,12 +71,20 @@ def right(found: Suggestions, fault: Fault) -> bool:
     return bool(kinds & also)
 
 
+def built(name: str, rig: Rig) -> Iterator[Fault]:
+    """Every fault of a rig, and none; with air in the oil, which no residual is asked for."""
+    yield Fault("none", "nothing wrong", rig)
+    yield from faults(name, rig)
+    airy = rig.oil.model_copy(update={"air_fraction": Value(0.04)})
+    yield Fault("air", "4 % of air in the oil", rig.model_copy(update={"oil": airy}))
+
+
 def study(name: str, asked: Sequence[str] = (), rounds: int = ROUNDS, seeds: int = 1) -> None:
     """Every fault of a rig, or those ``asked`` by their words, on some draws of the noise, a line
     each with the processor's seconds.
     """
     rig, hits, tries = load_rig(RIGS / f"{name}.toml"), Counter(), Counter()
-    for fault in (Fault("none", "nothing wrong", rig), *faults(name, rig)):
+    for fault in built(name, rig):
         for seed in range(seeds if not asked or fault.words in asked else 0):
             begun = time.process_time()
             found = suggested(name, rig, fault, 7 + 10 * seed, rounds=rounds)
