@@ -527,7 +527,9 @@ def _leave(made: Outcome, says: Says, page: str = "") -> None:
     """
     from ehbench.report import terminal
 
-    for note in dict.fromkeys(made.notes) if says.verbose else folded(made.notes):
+    # a campaign's notes begin with their run: what follows may be of another trial
+    each = says.verbose or bool(page)
+    for note in dict.fromkeys(made.notes) if each else folded(made.notes):
         print(f"note: {note}", file=sys.stderr)
     if says.as_json:
         import json

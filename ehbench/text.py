@@ -39,6 +39,8 @@ def folded(notes: Iterable[str]) -> list[str]:
     for note in dict.fromkeys(notes):
         name, colon, what = note.partition(": ")
         key = re.sub(r"\d+(\.\d+)?", "0", what) if colon and " " not in name else note
+        if any(one.startswith(f"{name}:") for one in alike.get(key, ())):
+            key = note
         alike.setdefault(key, []).append(note)
     return [
         f"{first} (the like of {', '.join(one.partition(': ')[0] for one in others)})"
