@@ -348,6 +348,12 @@ def _in_time(group: Group, columns: ColumnMap) -> Group:
     keep = (t + max(0.0, *late.values()) <= np.nanmax(t) + slack) & (
         t + min(0.0, *late.values()) >= np.nanmin(t) - slack
     )
+    if not keep.any():
+        said = ", ".join(f"{name} by {1e3 * by:g} ms" for name, by in late.items() if by)
+        raise LogError(
+            f"nothing is left of {t[-1] - t[0]:.4g} s once what was late is put back: {said}",
+            hint="check the unit and the size of 'late' in the map",
+        )
     return group.taken(np.flatnonzero(keep))
 
 

@@ -152,6 +152,8 @@ class Valve(FileModel):
         if float(self.command_min) >= float(self.command_max):
             raise Misplaced("command_min must lie below command_max", "command_min")
         lowest, highest = self.given
+        if self.drive_limit is not None and float(self.drive_limit) == 0.0:
+            raise Misplaced("a drive that gives nothing moves no valve", "drive_limit")
         if not lowest <= self.rest <= highest:
             raise Misplaced(
                 "a drive that gives no more than this never comes to rest", "drive_limit"

@@ -185,6 +185,12 @@ def padded(*cases):
             "a drive that gives no more than this never comes to rest",
             "drive_limit = ",
         ),
+        (
+            'command_min = "-10 V"',
+            'command_min = "-10 V"\ndrive_limit = "0 V"',
+            "a drive that gives nothing moves no valve",
+            "drive_limit = ",
+        ),
         ('dynamics = "spool"', 'dynamics = "spol"', "there is no [dynamics.spol]; there are spool"),
         (
             "damping_ratio = 0.8",
