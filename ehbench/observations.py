@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ehbench.errors import InputError
 from ehbench.plant.model import MOVED
-from ehbench.plant.ties import supplied, white_noise
+from ehbench.plant.ties import supplied
 from ehbench.quantities import GAUGES, quantity
 from ehbench.record import Record, payloads_of
 from ehbench.rig import Rig, Valve
-from ehbench.signals import lowpass, rms
+from ehbench.signals import lowpass, rms, white_noise
 from ehbench.units import from_si
 
 RATE_CUTOFF = 20.0  # [Hz] of the low-pass before a rate is taken from a position
@@ -42,6 +44,19 @@ def column(record: Record, channel: str, like: Record) -> np.ndarray | None:
         return None
     smooth = lowpass(record[position], record.sample_time, RATE_CUTOFF)
     return np.gradient(smooth, record.sample_time)
+
+
+def noise_of(record: Record, channel: str) -> float:
+    """Standard deviation of a channel's white noise [SI], by third differences; of a rate that is
+    taken from a position, what that position's noise makes of it.
+    """
+    position = position_of(channel)
+    if channel in record or position not in record:
+        return white_noise(record[channel])
+    pulse = np.zeros(record.t.size)
+    pulse[record.t.size // 2] = 1.0
+    answer = column(replace(record, channels={position: pulse}), channel, record)
+    return 0.0 if answer is None else white_noise(record[position]) * float(np.linalg.norm(answer))
 
 
 def position_of(channel: str) -> str:

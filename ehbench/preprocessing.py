@@ -18,10 +18,11 @@ import numpy as np
 
 from ehbench.errors import EhbenchError, InputError, LogError
 from ehbench.parts.cylinder import joint_of, linkage_arrays
-from ehbench.plant.ties import TIED, position_channel, supplied, tied_words, white_noise
+from ehbench.plant.ties import TIED, position_channel, supplied, tied_words
 from ehbench.quantities import GAUGES, VOCABULARY
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
+from ehbench.signals import white_noise
 from ehbench.units import factor, from_si
 
 if TYPE_CHECKING:

@@ -71,6 +71,14 @@ def rms(y: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(y)))) if y.size else math.nan
 
 
+def white_noise(y: np.ndarray) -> float:
+    """Standard deviation of the white part of a signal, in its unit; 0 of less than four samples.
+
+    Of white noise the third difference y₀ − 3y₁ + 3y₂ − y₃ has the variance (1 + 9 + 9 + 1) σ²,
+    and a motion that is smooth over four samples hardly any."""
+    return float(np.sqrt(np.mean(np.diff(y, 3) ** 2) / 20.0)) if y.size > 3 else 0.0
+
+
 def first_of(y: np.ndarray, count: int) -> float:
     """What a series is at its first sample, by a line through its first ``count`` samples, or their
     mean where they are few: a machine at rest creeps, and a mean lies half of that creep later.

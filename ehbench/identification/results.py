@@ -17,7 +17,7 @@ from ehbench.identification.groups import Group
 from ehbench.identification.search import Coordinate
 from ehbench.identification.simulator import Log, Shifts, Simulator, channels_of
 from ehbench.identification.volumes import held_volumes
-from ehbench.observations import supply_off
+from ehbench.observations import noise_of, supply_off
 from ehbench.plant.ties import tied_words
 from ehbench.quantities import GAUGES, quantity
 from ehbench.recipe.sensor import reading_row
@@ -26,6 +26,9 @@ from ehbench.rig import Rig
 from ehbench.sensors import Term
 from ehbench.signals import Ringing, correlation_time, fit_percent, lowpass, rms
 
+LITTLE = 0.1  # share of a channel's spread up to which what is left of it is not spoken of
+STRUCTURE = 3.0  # times a channel's noise from which what is left of it is more than noise
+FINE = 0.005  # share of a channel's spread that counts as noise, whatever the noise
 SHOWN = ("q", "qd", "x", "v", "p_head", "p_rod", *GAUGES)
 
 Progress = Callable[[str, float], None]
@@ -126,7 +129,8 @@ class HydraulicsFit:
     the parameters with a standard error, in the order of ``correlated_names``; ``scales`` [SI] is
     what each channel's residual was divided by; ``sensors`` what was found of the logs' own,
     ``groups`` the products of parameters that the logs know though they do not know each,
-    ``counts_on`` a sentence on what is held that a parameter is known in relation to."""
+    ``counts_on`` a sentence on what is held that a parameter is known in relation to,
+    ``left_over`` one on what the model does not follow, empty where that is little or noise."""
 
     rig: Rig
     method: str
@@ -143,6 +147,7 @@ class HydraulicsFit:
     sensors: tuple[SensorFit, ...] = ()
     groups: tuple[Group, ...] = ()
     counts_on: tuple[str, ...] = ()
+    left_over: str = ""
 
     def __getitem__(self, name: str) -> FittedParameter:
         """The fitted parameter of that name.
@@ -260,6 +265,7 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
                 for name in {name for log in simulator.logs for name in log.live}
             },
         ),
+        left_over=_left_over(simulator.logs, logs),
     )
 
 
@@ -355,6 +361,28 @@ def _poor(logs: Sequence[LogFit]) -> list[str]:
         f"mean): {some}; "
         "do not trust its numbers"
     ]
+
+
+def _left_over(logs: Sequence[Log], fits: Sequence[LogFit]) -> str:
+    """A sentence on the channel that is followed worst, where what is left of it is neither little
+    nor noise: a parameter takes up what the model lacks, and its interval does not know of that.
+    """
+    worst = (LITTLE, "")
+    for log, fit in zip(logs, fits, strict=True):
+        for channel, y, counts in zip(log.channels, log.recorded.T, log.counts.T, strict=True):
+            if log.band is not None or not counts.any():
+                continue
+            share = 1.0 - 0.01 * fit.fit_percent[channel]
+            noise = max(noise_of(log.record, channel), FINE * float(np.std(y)), 1e-300)
+            times = fit.residual_rms[channel] / noise
+            if share > worst[0] and times > STRUCTURE:
+                text = (
+                    f"the model leaves {100.0 * share:.0f} % of {channel} in {log.name}, "
+                    f"{times:.0f} times its noise: something is missing in it, and numbers may "
+                    "have taken its place beyond their intervals; --suggest tries what that is"
+                )
+                worst = (share, text)
+    return worst[1]
 
 
 def _late(log: Log, simulated: np.ndarray) -> list[str]:

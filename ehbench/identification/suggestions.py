@@ -26,6 +26,7 @@ from ehbench.identification.simulator import Log, Simulator
 from ehbench.recipe.sensor import WORDS
 from ehbench.record import Record
 from ehbench.rig import Rig
+from ehbench.signals import white_noise
 
 SECONDS = 120.0  # of trying, by default
 LONG, SHORT, FEWEST, MOST = 0.5, 0.02, 4, 16  # a window [s], the least; how many of a log
@@ -294,8 +295,7 @@ class _Trials:
         self.spread = dict(search.spread)
         for log in logs:
             for channel, y in zip(log.channels, log.recorded.T, strict=True):
-                white = float(np.mean(np.diff(y, 3) ** 2)) / 20.0 if y.size > 3 else 0.0
-                self.noise[channel] = max(white, self.noise.get(channel, 0.0))
+                self.noise[channel] = max(white_noise(y) ** 2, self.noise.get(channel, 0.0))
         folds = [self._fold(self.base, which, search.named()) for which in range(2)]
         self.live = tuple(dict.fromkeys(name for log in logs for name in log.asked))
         self.channels = tuple(dict.fromkeys(name for log in logs for name in log.channels))

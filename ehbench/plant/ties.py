@@ -17,7 +17,7 @@ from ehbench.parts.cylinder import joint_of
 from ehbench.plant.build import Plant
 from ehbench.plant.layout import Layout
 from ehbench.record import Record
-from ehbench.signals import lowpass
+from ehbench.signals import lowpass, white_noise
 
 SUPPLY, RECORDED = "supply", "recorded"  # the fact that the supply's pressure is the recording's
 TIED = "tied"  # the fact of a record that says what of it is tied: a key of WORDS
@@ -107,8 +107,3 @@ def without_noise(y: np.ndarray, tick: float) -> np.ndarray:
     shows = int(np.max(np.flatnonzero(power > SEEN * density), initial=0))
     corner = ABOVE * float(frequency[min(shows + 1, frequency.size - 1)])
     return lowpass(y, tick, corner, ORDER)
-
-
-def white_noise(y: np.ndarray) -> float:
-    """Standard deviation of a channel's white noise, by its third differences."""
-    return float(np.sqrt(np.mean(np.diff(y, 3) ** 2) / 20.0)) if y.size > 3 else 0.0

@@ -147,7 +147,19 @@ def _validation(run: Saved) -> Findings:
         asked = [
             "see which channel fails, and free what it depends on: " + "; ".join(_failed(logs))
         ]
-    return Findings(numbers, figures, table["reasons"], asked)
+    return Findings(numbers, figures, table["reasons"] or left_over(table), asked)
+
+
+def left_over(table: Table) -> list[str]:
+    """What the likeliest fault is that the residuals of a validation show, in a sentence with its
+    cure; none where they show none.
+    """
+    found = (table.get("structure") or {}).get("findings", [])
+    return [
+        f"{percent(one['explains'])} of what is left over has one likely cause: {one['sentence']}; "
+        f"{one['cure']}"
+        for one in found[:1]
+    ]
 
 
 def _failed(logs: Sequence[Table]) -> list[str]:

@@ -18,7 +18,7 @@ from ehbench.quantities import GAUGES
 from ehbench.record import Record
 from ehbench.rig import Rig
 from ehbench.sensors import Term, corrected, sensed
-from ehbench.signals import correlation_time
+from ehbench.signals import correlation_time, white_noise
 from ehbench.starts import start_of_log
 
 BLOCK = 0.005  # [s]: residuals are averaged over it
@@ -128,8 +128,8 @@ class Case:
         for channel, values in self.recorded.items():
             raw = column(self.record, channel, self.record)
             assert raw is not None
-            white = math.sqrt(float(np.mean(np.diff(raw, 3) ** 2)) / 20.0)
-            found[channel] = math.hypot(white / math.sqrt(self.block), FINE * float(np.std(values)))
+            noise = white_noise(raw) / math.sqrt(self.block)
+            found[channel] = math.hypot(noise, FINE * float(np.std(values)))
         return found
 
     def left(self, simulated: Record) -> np.ndarray:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehbench import signals
-from ehbench.observations import column, position_of
+from ehbench.observations import column, noise_of
 from ehbench.plant.model import Model
 from ehbench.preprocessing import LIMITED, at_limit
 from ehbench.quantities import quantity
@@ -66,7 +66,7 @@ def compare(record: Record, model: Model, channel: str, pair: Pair) -> ChannelRe
     if float(np.mean(np.diff(recorded) ** 2)) > 2.0 * NOISE * variance:
         note = "the recording shows no motion beyond its noise, so it has no fit"
         return replace(plain, note=note)
-    share = noise_of(record, channel, pair) / math.sqrt(variance)
+    share = noise_of(record, channel) / math.sqrt(variance)
     plain = replace(
         plain,
         fit_percent=signals.fit_percent(recorded, pair.simulated),
@@ -92,24 +92,6 @@ def compare(record: Record, model: Model, channel: str, pair: Pair) -> ChannelRe
             values = signals.correlation(residual, command, lags)[lags:]
             cross.append(_correlation(name, lag, values, band))
     return replace(plain, autocorrelation=auto, cross_correlation=tuple(cross))
-
-
-def noise_of(record: Record, channel: str, pair: Pair) -> float:
-    """Standard deviation of a recorded channel's white noise, in its unit, from its third
-    differences; of a rate that was taken from a position, what that position's noise makes of it.
-    """
-    if not pair.derived:
-        return _white(pair.recorded)
-    position = position_of(channel)
-    pulse = np.zeros(record.t.size)
-    pulse[record.t.size // 2] = 1.0
-    answer = column(replace(record, channels={position: pulse}), channel, record)
-    return 0.0 if answer is None else _white(record[position]) * float(np.linalg.norm(answer))
-
-
-def _white(y: np.ndarray) -> float:
-    """Third differences let polynomials through as zero and white noise 20-fold in variance."""
-    return math.sqrt(float(np.mean(np.diff(y, 3) ** 2)) / 20.0) if y.size > 3 else 0.0
 
 
 def _own_commands(record: Record, model: Model, channel: str) -> list[str]:

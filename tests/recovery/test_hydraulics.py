@@ -273,6 +273,7 @@ def test_a_bound_that_holds_is_told():
     held = fit["bulk_modulus"]
     assert (held.status, held.value) == ("at_bound", 7e8)
     assert any("ran into its upper bound" in text for text in fit.warnings)
+    assert "of press.p_head in log 1" in fit.left_over and "times its noise" in fit.left_over
 
 
 def test_a_pair_that_only_works_together_is_told():
@@ -343,6 +344,7 @@ def test_a_gain_that_is_wrongly_held_is_named():
     assert named.endswith("flow_gain") and f'Add "{named}" to parameters' in told[0]
     fit = identify(off, logs, [*SLIDE, wrong], prior={wrong: "3 %"})
     assert fit[wrong].value == pytest.approx(gain, rel=3e-3)
+    assert fit.left_over == ""
     assert not any("is held" in text for text in fit.warnings)
     assert not any("is held" in text for text in identify(machine, logs, SLIDE).warnings)
 

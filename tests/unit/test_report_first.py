@@ -22,10 +22,12 @@ from ehbench.report.first_screen import _cards, _held_out
 from ehbench.report.headlines import Findings, Headline, findings_of, silence
 from ehbench.report.rig_table import rig_table
 from ehbench.report.saved import Saved, Table
+from ehbench.report.terminal import lines
 from ehbench.report.words import estimate, shown
 from ehbench.rundir import write_json
 from tests.unit.test_report import fill
 
+FOLLOWS = {"follows": []}
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 
 
@@ -211,3 +213,21 @@ def test_the_cures_of_a_verdict_are_what_to_do_next(folders, tmp_path):
     write_json(folder / "validation.json", table | {"structure": {"findings": cures}})
     (step,) = findings_of(Saved(folder)).next
     assert step.endswith(": free the gain of hect, or b")
+
+
+def test_an_accepted_model_says_the_likeliest_cause_of_what_it_leaves_over(folders, tmp_path):
+    folder = tmp_path / "judged"
+    shutil.copytree(folders[1], folder)
+    table = json.loads((folder / "validation.json").read_text())
+    found = [
+        {"sentence": "boom.p_head reads low", "cure": "add an offset", "explains": 0.46},
+        {"sentence": "lag", "cure": "add a lag", "explains": 0.3},
+    ]
+    cause = "46 % of what is left over has one likely cause: boom.p_head reads low; add an offset"
+    judged = table | {"accepted": True, "reasons": []}
+    write_json(folder / "validation.json", judged | {"structure": {"findings": found} | FOLLOWS})
+    assert list(findings_of(Saved(folder)).against) == [cause]
+    assert [line for line in lines(folder, 200) if line.startswith("- ")] == [f"- {cause}"]
+    write_json(folder / "validation.json", judged | {"structure": {"findings": []} | FOLLOWS})
+    assert not findings_of(Saved(folder)).against
+    assert not [line for line in lines(folder, 200) if line.startswith("- ")]

@@ -15,7 +15,8 @@ from ehbench.recipe import Thresholds, load_rig
 from ehbench.record import Record
 from ehbench.validation import validate_rig
 from ehbench.validation.checks import beyond_noise
-from ehbench.validation.residuals import noise_of, pair_of
+from ehbench.observations import noise_of
+from ehbench.validation.residuals import pair_of
 from ehbench.validation.transients import doubt, stands
 from tests.virtual_logs import DRIVES, RIGS, commands_of, virtual_log
 
@@ -144,12 +145,11 @@ def test_noise_is_told_from_motion():
     x = 0.1 * np.sin(2.0 * math.pi * t) + 1e-4 * rng.standard_normal(t.size)
     smooth = Record(t, {"press.x": 0.1 * np.sin(2.0 * math.pi * t)})
     log = Record(t, {"press.x": x})
-    pair = pair_of(log, smooth, "press.x")
-    assert noise_of(log, "press.x", pair) == pytest.approx(1e-4, rel=0.1)
+    assert noise_of(log, "press.x") == pytest.approx(1e-4, rel=0.1)
     rate = pair_of(log, smooth, "press.v")
     assert rate.derived
     inner = slice(200, -200)  # at the ends the filter sees less
-    assert noise_of(log, "press.v", rate) == pytest.approx(
+    assert noise_of(log, "press.v") == pytest.approx(
         np.std((rate.recorded - rate.simulated)[inner]), rel=0.15
     )
     assert beyond_noise(50.0, 0.0) == pytest.approx(50.0)

@@ -14,7 +14,7 @@ from ehbench.report.content import Pictures, SectionContent, StageReport, chip, 
 from ehbench.report.figures import validation as figures
 from ehbench.report.figures.channels import title_of
 from ehbench.report.figures.sweeps import CAPTION, sweeps
-from ehbench.report.headlines import silence
+from ehbench.report.headlines import left_over, silence
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
 from ehbench.report.words import count, interval, number, pretty, shown, unit_of, words
@@ -102,6 +102,8 @@ def _verdict(table: Table, status: str) -> list[Block]:
     blocks: list[Block] = [Text(f"The model is {status}.", look)]
     if table["reasons"]:
         blocks.append(Bullets(table["reasons"]))
+    if table["accepted"] and (left := left_over(table)):
+        blocks.append(Bullets(left, "warn"))
     if unasked := silence(table):
         blocks.append(Text(unasked, "note"))
     rows = [_log_row(log) for log in table["logs"]]
