@@ -399,9 +399,9 @@ _ROWS = [
         "p_c",
         "Pa",
         "kPa",
-        "drop at which a check valve begins to open",
+        "drop at which a valve that a spring holds shut begins to open",
         0,
-        1e7,
+        5e7,
     ),
     Quantity(
         "opening_range",

@@ -95,6 +95,10 @@ def faults(name: str, rig: Rig) -> Iterator[Fault]:
     if name != "pump_cylinder":
         wide = {n: float(known[n]) + 0.3 for n in bands}
         yield Fault("deadband", "0.3 V more dead band", rig.with_values(wide))
+    back = [n for n, e in rig.all_edges().items() if (e.from_, e.to) == ("rod", "tank")]
+    if name != "pump_cylinder":
+        held = {f"{n}.cracking_pressure": 3e6 for n in back if n.startswith(f"{who}.")}
+        yield Fault("preload", "30 bar of preload in the rod's way back", rig.with_values(held))
     yield Fault("leakage", "leakage of 30 mm/s", more("leakage_internal", area * 0.03 / pressure))
     yield Fault("friction", "friction", more("friction_coulomb", 0.03 * area * pressure))
     if name != "thesis_arm":  # its other bodies make up the inertia

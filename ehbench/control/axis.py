@@ -12,7 +12,7 @@ from ehbench.compiled import kernel, table
 from ehbench.control.functions import Circuit, coupled
 from ehbench.errors import InputError
 from ehbench.parts.cylinder import chamber_oil, linkage_of
-from ehbench.parts.edge import edge_command
+from ehbench.parts.edge import edge_onset
 from ehbench.physics.arm import (
     CHAIN,
     LINK,
@@ -167,7 +167,7 @@ def _onsets(circuit: Circuit) -> np.ndarray:
     for i in range(circuit.count):
         edge = circuit.edges[circuit.first + i]
         if np.count_nonzero(circuit.edges.valve == edge.valve) == 1:
-            onset[i] = edge_command(1.0e6, 1.0e-12, edge, circuit.maps)
+            onset[i] = edge_onset(edge, circuit.maps)
     return onset
 
 

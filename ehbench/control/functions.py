@@ -28,6 +28,7 @@ from ehbench.control.measured import Pressures
 from ehbench.control.records import blank, numbers, reals, rows_of
 from ehbench.errors import InputError
 from ehbench.parts.edge import EDGE, MAP, PUMP, edge_flow, edge_known
+from ehbench.parts.edge.preload import preload
 from ehbench.parts.supply import SUPPLY, drawn_at, metered_at, most_pressure, offered
 from ehbench.physics.flow_map import ValveMaps
 
@@ -570,7 +571,9 @@ def _edges_at(edges: np.recarray, cylinder: int, nodes: tuple[int, int]) -> np.n
 
 
 def _serving(circuit: Circuit, own: np.ndarray, between: tuple[int, int]) -> tuple[int, float]:
-    """(edge that carries most at 1 MPa from one node to another, its direction); −1 for none."""
+    """(edge that carries most from one node to another, 1 MPa beyond what cracks it, its
+    direction); −1 for none.
+    """
     serving, along, most = -1, 1.0, 0.0
     edges = circuit.edges
     ends = list(zip(edges.from_node.tolist(), edges.to_node.tolist(), strict=True))
@@ -579,8 +582,9 @@ def _serving(circuit: Circuit, own: np.ndarray, between: tuple[int, int]) -> tup
         if not forward and (ends[edge] != between[::-1] or edges.blocked[edge] == 1):
             continue
         way = 1.0 if forward else -1.0
-        opening = widest(circuit, edge, way * 1.0e6)
-        flow = way * edge_flow(way * 1.0e6, opening, edges[edge], circuit.maps)
+        drop = 1.0e6 + preload(edges[edge]) if forward else -1.0e6
+        opening = widest(circuit, edge, drop)
+        flow = way * edge_flow(drop, opening, edges[edge], circuit.maps)
         if flow > most:
             serving, along, most = edge, way, flow
     return serving, along

@@ -25,6 +25,7 @@ from ehbench.control.functions import (
 )
 from ehbench.control.measured import Pressures
 from ehbench.parts.edge import MAP, edge_command, edge_flow
+from ehbench.parts.edge.preload import preload
 
 
 class Flows(NamedTuple):
@@ -81,10 +82,11 @@ def edge_order(circuit, path, flow, drop, floor):
         return 0.0, AGAINST
     if drop <= -floor:
         return 0.0, REVERSED
-    limits = 0
+    limits, along, sign = 0, circuit.along[path], circuit.edges[edge].sign
+    if along > 0.0:
+        floor += preload(circuit.edges[edge])
     if drop < floor:
         limits, drop = FAINT, floor
-    along, sign = circuit.along[path], circuit.edges[edge].sign
     gain, shift = circuit.trim[edge - circuit.first, 0], circuit.trim[edge - circuit.first, 1]
     flow /= gain
     command = edge_command(along * drop, along * flow, circuit.edges[edge], circuit.maps)

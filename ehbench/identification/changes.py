@@ -11,6 +11,7 @@ import numpy as np
 
 from ehbench.identification.search import WIDE, Given
 from ehbench.observations import least_change, position_of
+from ehbench.parts.edge import edge_law
 from ehbench.plant.build import load_of
 from ehbench.recipe.sensor import ESTIMATE, WORDS, Sensor
 from ehbench.record import Record
@@ -26,6 +27,7 @@ SOFT = 0.1
 # shares of the largest command between which some of those that open a valve must lie, and how many
 # of them, for logs to tell a drive that is full from a gain
 BETWEEN, SOME = (0.1, 0.8), 0.05
+PRELOADS = 0.5  # share of the pressure that a cylinder comes to
 SWAYS, SPRINGS = 0.3, (1.0, 0.3, 3.0)  # shares of the load, and of the oil's spring
 # by what factor a spring may be stiffer and what hangs on it lighter than where its search starts:
 # beyond they only move with the rest, and take ever shorter steps to simulate
@@ -203,6 +205,7 @@ def _of_valve(
     if bands:
         start = {name: max(float(known[name]), 0.02 * most) for name, most in bands.items()}
         yield Change("deadband", about, tuple(bands), (start,), bands)
+    yield from _preload(rig, cylinder, about, [name for name, e in edges if e.to == "tank"])
     plain = [(i, name, e) for i, (name, e) in enumerate(edges) if e.law == "orifice"]
     plain = [one for one in plain if reach[one[2].sign] > 0.0]
     if plain:
@@ -217,6 +220,21 @@ def _of_valve(
         neutral = Sensor(channel=channel, offset=ESTIMATE)
         yield Change("neutral", about, sensors=(neutral,))
         yield Change(TURNED, about, sensors=(Sensor(channel=channel, sign=-1),))
+
+
+def _preload(rig: Rig, cylinder: Cylinder, about: str, edges: Sequence[str]) -> Iterator[Change]:
+    """A valve that a spring holds shut in the ways of a valve to the tank."""
+    known, most = rig.parameters(), PRELOADS * _reached(rig, cylinder)
+    names = [f"{one}.cracking_pressure" for one in edges if _metering(rig, one)]
+    if names:
+        start = {name: max(float(known[name]), 0.1 * most) for name in names}
+        upper = dict.fromkeys(names, most)
+        yield Change("preload", about, tuple(names), (start,), upper)
+
+
+def _metering(rig: Rig, edge: str) -> bool:
+    """Whether an edge is one that a command opens, not a pump."""
+    return edge_law(rig.all_edges()[edge].law).metering
 
 
 def _together(found: Sequence[Change], valves: Sequence[str]) -> Iterator[Change]:

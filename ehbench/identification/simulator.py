@@ -12,7 +12,7 @@ import numpy as np
 
 from ehbench.errors import EhbenchError, InputError, InsufficientData
 from ehbench.observations import alternatives, channels_asked, column, least_change, payload_of
-from ehbench.parts.edge import edge_command
+from ehbench.parts.edge import edge_onset
 from ehbench.plant.build import Maps
 from ehbench.plant.lanes.many import LEAST, has_lanes, replays_meshed
 from ehbench.plant.lanes.steps import run_meshed
@@ -166,7 +166,7 @@ def shut(model: Model, log: Log) -> str | None:
         channel = f"{valve}.command"
         if valve.partition(".")[0] not in log.asked or channel not in log.record:
             continue
-        onset = edge.sign * edge_command(1.0e6, 1.0e-12, edge, plant.maps)
+        onset = edge.sign * edge_onset(edge, plant.maps)
         onset = 0.0 if edge.unmetered else onset
         most = float(np.max(edge.sign * log.record[channel]))
         if most > onset:

@@ -333,6 +333,7 @@ def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray
             "valve": names.valves.index(f"{item.name}.{valve.name}"),
             "sign": edge.sign,
             "blocked": edge.reverse == "blocked",
+            "cracking_pressure": float(edge.cracking_pressure),
             "unmetered": not edges.edge_law(edge.law).metering,
         }
         rows.append(row | _law(edge, given, packed))

@@ -12,6 +12,7 @@ from ehbench.parts.cylinder import (
     linkage_of,
 )
 from ehbench.parts.edge import edge_flow, edge_leaks, edge_opening, edge_slope
+from ehbench.parts.edge.preload import preload
 from ehbench.parts.end_stop import stop_force, stop_rate
 from ehbench.parts.friction import friction_fastest, friction_force, friction_rates
 from ehbench.parts.line import line_rates
@@ -125,7 +126,9 @@ def highest_load(y, plant, work):
 def _opens(edge, opening, plant):
     if edge.unmetered == 1 or edge.sign * opening <= 0.0:
         return False
-    drop = plant.supply.margin if edge.from_node == SUPPLY else -plant.supply.margin
+    drop = -plant.supply.margin
+    if edge.from_node == SUPPLY:
+        drop = plant.supply.margin + preload(edge)
     # what a shut edge leaks senses nothing
     leak = edge_flow(drop, 0.0, edge, plant.maps)
     return abs(edge_flow(drop, opening, edge, plant.maps)) > abs(leak)

@@ -23,7 +23,8 @@ class MeteringEdge(FileModel):
     ``law`` is one of `ehbench.parts.edge`, which brings keys of its own. law ``map`` is a measured
     flow map, from the recipe's ``flow_maps`` or the run behind the rig; where one is given it goes
     before the other laws, too, its flow multiplied by ``map_factor``. ``sign`` −1 opens the edge on
-    negative commands. ``reverse`` says what a reversed drop does: ``mirror`` or ``blocked``."""
+    negative commands. ``reverse`` says what a reversed drop does: ``mirror`` or ``blocked``.
+    ``cracking_pressure`` is what a valve that a spring holds shut takes in series with it."""
 
     name: Name | None = None
     from_: Literal["supply", "tank", "head", "rod"] = Field(alias="from")
@@ -32,6 +33,7 @@ class MeteringEdge(FileModel):
     sign: Literal[1, -1] = 1
     reverse: Literal["mirror", "blocked"] = "mirror"
     deadband: Annotated[Value, Q("deadband")] = Value(0.0)
+    cracking_pressure: Annotated[Value, Q("cracking_pressure")] = Value(0.0)
     map_factor: Annotated[Value, Q("map_factor")] = Value(1.0)
 
 
@@ -48,6 +50,11 @@ class Edge(LawFields, MeteringEdge):
             )
         if not law.metering and float(self.deadband) > 0.0:
             raise Misplaced(f"a {self.law} has no deadband", "deadband")
+        if not law.metering and float(self.cracking_pressure) > 0.0:
+            raise Misplaced(
+                f"a {self.law} has no cracking pressure; put a check valve beside it",
+                "cracking_pressure",
+            )
         if (odd := law.odd(self)) is not None:
             raise Misplaced(*odd)
         return self

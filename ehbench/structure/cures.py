@@ -134,6 +134,7 @@ def _valves(rig: Rig, cylinder: Cylinder) -> Iterator[Cure]:
             bands += [f"{name}.deadband"] if f"{name}.deadband" in known else []
         for gain in gains:
             yield _gain(gain.rpartition(".")[0], [gain], 1, known)
+            yield from _preload(gain.rpartition(".")[0], rig)
         if 1 < len(gains):
             yield _gain(f"{cylinder.name}.{valve.name}", gains, 0, known)
         yield from _bands(valve, f"{cylinder.name}.{valve.name}", bands, rig)
@@ -193,6 +194,24 @@ def _band(about: str, names: Sequence[str], unit: float, rig: Rig, rank: int) ->
 
     vary = _shifted(names, unit)
     return Cure("deadband", about, 0.01, -least, 0.4, says, _free(names, known), rank, vary)
+
+
+def _preload(edge: str, rig: Rig) -> Iterator[Cure]:
+    """Of a way to the tank, in shares of the supply's pressure."""
+    name, unit = f"{edge}.cracking_pressure", float(rig.supply.pressure)
+    known, own = rig.parameters(), rig.all_edges()[edge]
+    if own.to != "tank" or unit <= 0.0 or name not in known:
+        return
+    least = float(known[name])
+
+    def says(delta: float) -> str:
+        return (
+            f"pressure stands {_more(delta, 'higher', 'lower')} than the model's as long as oil "
+            f"returns: {edge} opens above {rig.shown(name, least + delta * unit, 3)} only"
+        )
+
+    line, vary = _free([name], known), _shifted([name], unit)
+    yield Cure("preload", edge, 0.01, -least / unit, 0.8, says, line, 3, vary)
 
 
 def _with_commands(

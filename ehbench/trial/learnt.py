@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ehbench.machines.protocol import Machine, static_flow_of
-from ehbench.parts.edge import edge_command, edge_flow
+from ehbench.parts.edge import edge_flow, edge_onset
 from ehbench.record import Record
 from ehbench.trial.controllers import Design
 
@@ -56,7 +56,7 @@ def _use(design: Design, number: int, record: Record, rows: int) -> _Use | None:
     flow = np.abs(record[f"{edge}.flow_desired"][:rows])
     used = flow > USED * flow.max(initial=0.0)
     command = row.sign * record[f"{design.valves[row.valve]}.command"][:rows]
-    onset = abs(float(edge_command(1.0e6, 1.0e-12, row, design.circuit.maps)))
+    onset = abs(float(edge_onset(row, design.circuit.maps)))
     used &= command > onset
     if not used.any():
         return None

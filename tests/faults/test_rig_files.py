@@ -292,6 +292,7 @@ def test_a_slip_in_a_press(tmp_path, old, new, words):
         ('"150 rpm/V"', '"150 rpm"', "'rpm' cannot be turned into rad/(s*V)"),
         ('law = "pump"', 'law = "pump"\nreverse = "blocked"', "a pump passes oil both ways"),
         ('law = "pump"', 'law = "pump"\ndeadband = "1 V"', "a pump has no deadband"),
+        ('law = "pump"', 'law = "pump"\ncracking_pressure = "1 bar"', "has no cracking pressure"),
         ('"check_rod"', '"check_head"', "two edges are called 'check_head'"),
         ('"check_rod"', '"pump"', "two edges are called 'pump'"),
         ('pilot = "head"\n', "", "a pilot-operated check valve takes pilot and pilot_ratio"),

@@ -103,6 +103,10 @@ def rig_of(name: str) -> Rig:
     if name == "late series":
         (valve,) = cylinder["valve"]
         plain["dynamics"], cylinder["valve"] = LATE, [valve | {"dynamics": list(LATE)}]
+    if name == "preloaded":
+        (valve,) = cylinder["valve"]
+        edges = [edge | {"cracking_pressure": "2 MPa"} for edge in valve["edge"]]
+        cylinder["valve"] = [valve | {"edge": edges}]
     if name == "limited drive":
         (valve,) = cylinder["valve"]
         cylinder["valve"] = [valve | {"drive_limit": "2 V"}]
@@ -137,7 +141,7 @@ def jobs_of(rig: Rig, samples: int, seed: int = 0, same: bool = False, maps=None
 VARIED = (
     *("bulk_modulus", "joint_damping", "damping", "flow_gain", "friction_coulomb", "mass"),
     *("friction_viscous", "leakage_internal", "natural_frequency", "delay", "lag", "deadband"),
-    "drive_limit",
+    *("drive_limit", "cracking_pressure"),
 )
 
 
@@ -153,6 +157,7 @@ def lively(model: Model, samples: int, rng: np.random.Generator) -> np.ndarray:
 
 
 ODD = [*PARTS, "late series", "limited drive", "air in the oil", "load sensing", "two rails"]
+ODD += ["preloaded"]
 
 
 @pytest.fixture(scope="module", autouse=True)

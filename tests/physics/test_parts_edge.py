@@ -9,9 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.control.valve_level import edge_order
+from ehbench.codes import FAINT, REVERSED
 from ehbench.fields import Value
-from ehbench.parts.edge import edge_command, edge_flow, edge_known
-from ehbench.plant.model import Model
+from ehbench.ledger import ledger_of_log, ledger_of_model
+from ehbench.machines.virtual.machine import VirtualMachine
+from ehbench.parts.edge import edge_command, edge_flow, edge_known, edge_onset, edge_slope
+from ehbench.plant.model import Model, simulate
 from ehbench.recipe import load_rig
 from ehbench.rig import Edge, Rig
 from ehbench.tune.differences import plant_model
@@ -19,7 +23,7 @@ from ehbench.tune.loop import damping_ratio
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
 
 sys.path.insert(0, str(Path(__file__).parent))
-from with_parts import recovered  # noqa: E402
+from with_parts import recovered, steps  # noqa: E402
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 DROPS = (1e2, 1e4, 3e5, 2e6, 1.9e6, 2.1e6, 1.2e7)
@@ -167,3 +171,93 @@ def test_a_flow_control_gain_comes_back_from_noisy_logs():
     rig = with_law(law="flow_control", compensated_gain=6e-6, deadband=0.4)
     edge = "press.servo_supply_head"
     recovered(rig, {f"{edge}.compensated_gain": 1.6, f"{edge}.deadband": 0.5})
+
+
+# --- a valve that a spring holds shut in series with an edge
+
+CRACKING = 3e6
+LAWS = (
+    {"law": "orifice", "deadband": 0.5},
+    {"law": "saturating", "deadband": 0.5, "opening_max": 4.0, "saturation_softness": 0.6},
+    {"law": "compensated", "deadband": 0.5, "compensated_gain": 5e-6},
+    {"law": "flow_control", "deadband": 0.5, "compensated_gain": 5e-6, "compensation_drop": 2e6},
+)
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law["law"])
+def test_a_preload_takes_its_pressure_of_the_drop(law):
+    """``Q(Δp) = Q0(Δp − p_c)`` of any law above ``p_c``, nothing below, all of it in reverse; the
+    inverse is exact, and the slope bounds that of differences.
+    """
+    plain = Model.of(with_law(**law)).plant
+    plant = Model.of(with_law(**law, cracking_pressure=CRACKING)).plant
+    edge, bare, maps = plant.edges[0], plain.edges[0], plant.maps
+    for drop in (1e2, 1e6, CRACKING):
+        assert edge_flow(drop, 2.0, edge, maps) == 0.0
+        assert edge_command(drop, 1e-5, edge, maps) == 0.0
+    for drop in DROPS:
+        flow = edge_flow(CRACKING + drop, 2.0, edge, maps)
+        assert flow == pytest.approx(edge_flow(drop, 2.0, bare, maps), rel=1e-9)
+        assert edge_command(CRACKING + drop, flow, edge, maps) == pytest.approx(2.0, rel=1e-7)
+        assert edge_flow(-drop, 2.0, edge, maps) == edge_flow(-drop, 2.0, bare, maps)
+        around = [edge_flow(CRACKING + drop + h, 2.0, edge, maps) for h in (-10.0, 10.0)]
+        assert (around[1] - around[0]) / 20.0 <= 1.001 * edge_slope(
+            CRACKING + drop, flow, 2.0, edge
+        )
+    assert edge_onset(edge, maps) == pytest.approx(0.5, abs=1e-4)
+
+
+def preloaded() -> Rig:
+    """The sliding mass, its rod's way back held shut to 30 bar."""
+    rig = load_rig(RIGS / "slide_servo.toml")
+    return rig.with_values({"press.servo_rod_tank.cracking_pressure": CRACKING})
+
+
+def test_the_ledger_closes_with_a_preload():
+    """What the spring takes, ``p_c ∫Q dt``, is part of the edge's throttling; the rod's pressure
+    stands above it while oil returns.
+    """
+    command = {"press.servo": steps((4.0, -5.0, 2.0))[:801]}
+    record = simulate(preloaded(), command, 0.8)
+    ledger = ledger_of_model(Model.of(preloaded()), record)
+    for row in ledger.rows:
+        if row.group in ("part", "residual"):
+            assert abs(row.energy) < 1e-4 * ledger.pump, row
+    flow = record["press.servo_rod_tank.flow"]
+    spring = CRACKING * np.trapezoid(flow, record.t)
+    assert ledger["press.servo_rod_tank.throttling"].energy > 1.01 * spring > 100.0
+    assert record["press.p_rod"][flow > 1e-6].min() > CRACKING
+    of_log = ledger_of_log(preloaded(), None, record)["press.servo_rod_tank.throttling"]
+    exact = ledger["press.servo_rod_tank.throttling"].energy
+    assert of_log.energy == pytest.approx(exact, abs=1e-2 * ledger.pump)
+
+
+def test_controllers_and_the_bench_know_a_preload():
+    """A design goes on where the off side stands above it, the inverse is that of the drop beyond
+    it, and the bench's edge passes nothing below.
+    """
+    model = Model.of(preloaded())
+    circuit = circuit_of(model, 0)
+    here = equivalent(model, 0, np.array([0.2]))
+    aims = (Aim(5e5, 5e5, speed=0.05), Aim(4e6, 5e5, speed=0.05))
+    points = [operating_point(model, circuit, 1, here, 0, aim) for aim in aims]
+    assert points[1].possible and points[1].p_rod > CRACKING
+    path = next(p.path for p in points[1].paths if p.edge == "press.servo_rod_tank")
+    edge = circuit.edges[circuit.paths[path]]
+    for drop, limits in ((-1e6, REVERSED), (1e6, FAINT), (CRACKING + 1e5, 0)):
+        command, found = edge_order(circuit, path, 1e-5, drop, 2e4)
+        assert found == limits
+        least = max(drop, CRACKING + 2e4)
+        if limits != REVERSED:
+            given = circuit.along[path] * edge_flow(least, command, edge, circuit.maps)
+            assert given == pytest.approx(1e-5, rel=1e-9)
+    bench = VirtualMachine(preloaded())
+    flows = bench.static_flow("press.servo_rod_tank", -4.0, np.array([1e6, 2.9e6, 3.2e6, 6e6]))
+    assert flows[0] == flows[1] == 0.0 and 0.0 < flows[2] < flows[3]
+
+
+@pytest.mark.slow
+def test_a_preload_comes_back_from_noisy_logs():
+    """With the oil's bulk modulus, started 0.4 and 1.5 times off."""
+    factors = {"press.servo_rod_tank.cracking_pressure": 0.4, "bulk_modulus": 1.5}
+    recovered(preloaded(), factors)

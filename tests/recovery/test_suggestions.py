@@ -27,7 +27,7 @@ STEPS = ("quick steps",)
 # [s] of a log: a step out and a step back, in which all faults show but two; and a third of another
 # size
 SHORT, LONG = 1.2, 2.0
-SLIDE = ("gain", "lag", "deadband", "friction", "load", "leakage", "saturation", "delay")
+SLIDE = ("gain", "lag", "deadband", "friction", "load", "leakage", "saturation", "delay", "preload")
 
 
 def rig_of(name="slide_servo"):

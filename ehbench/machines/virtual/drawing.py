@@ -167,6 +167,7 @@ def _set_edge(
     full = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
     rng = _draws(rig.seed, name)
     row.sign, row.blocked, row.null_width = edge.sign, edge.reverse == "blocked", 0.05 * full
+    row.cracking_pressure = float(edge.cracking_pressure)
     curves[row.forward] = forward = _curve(given, edge, valve, rng)
     curves[row.reverse] = _curve(given.reverse(), edge, valve, rng)
     rated = forward.gain * full * math.sqrt(forward.setting or rig.p_supply)
@@ -195,6 +196,7 @@ def _tune(
 
     With one calibration point only the offset is turned; with more the first and the last hold.
     """
+    drop += float(row.cracking_pressure)  # a valve is calibrated without what stands behind it
     points = sorted(
         (float(read_value(u, VOCABULARY["command"])), float(read_value(q, VOCABULARY["flow"])))
         for u, q in valve.calibration

@@ -13,6 +13,7 @@ from ehbench.parts.cylinder import (
 )
 from ehbench.parts.edge import CHECK, PUMP, check, pump
 from ehbench.parts.edge.orifice import ORIFICE_DROP
+from ehbench.parts.edge.preload import metered
 from ehbench.parts.line import line_rates
 from ehbench.parts.mount import resistance_of
 from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
@@ -91,6 +92,7 @@ def edge_flow(drop, spool, edge, curves):
         return pump.flow(drop, reach, edge, curves)
     if edge.law == CHECK:
         return check.flow(drop, reach, edge, curves)
+    drop = metered(drop, edge)
     closed = reach / edge.null_width
     flow = edge.null * drop / (1.0 + closed * closed)
     if drop >= 0.0:
@@ -120,7 +122,7 @@ def edge_slope(drop, flow, spool, edge):
         return pump.slope(drop, flow, edge.sign * spool, edge)
     if edge.law == CHECK:
         return check.slope(drop, flow, edge.sign * spool, edge)
-    return flow / drop
+    return flow / metered(drop, edge)
 
 
 @part_kernel

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from ehbench.compiled import choice, part_kernel, record
+from ehbench.compiled import choice, kernel, part_kernel, record
 from ehbench.parts.edge import check, compensated, flow_control, measured, orifice, pump, saturating
 from ehbench.parts.edge.check import CheckFields
 from ehbench.parts.edge.compensated import CompensatedFields
 from ehbench.parts.edge.law import EdgeLaw
 from ehbench.parts.edge.measured import leaks
 from ehbench.parts.edge.orifice import OrificeFields
+from ehbench.parts.edge.preload import metered, preload
 from ehbench.parts.edge.pump import FixedPumpFields, PumpFields
 from ehbench.parts.edge.saturating import SaturatingFields
 from ehbench.parts.nodes import node_pressure
@@ -59,7 +60,8 @@ def edge_law(name: str) -> EdgeLaw:
 # ``forward`` and the ``reverse`` map begin (−1: none), ``opening_max, saturation_softness`` [V];
 # of a pump ``displacement`` [m³/rad], ``speed_gain`` [rad/(s·V)], ``pump_speed`` [rad/s], ``slip``
 # [m³/(s·Pa)]; of a check valve ``gain`` [m³/(s·√Pa)], ``cracking_pressure, opening_range`` [Pa],
-# its ``pilot`` node (−1: none) and ``pilot_ratio``.
+# its ``pilot`` node (−1: none) and ``pilot_ratio``; ``cracking_pressure`` [Pa] also of what is held
+# shut by a spring in series with a metering edge.
 EDGE = record(
     ("from_node", "i8"),
     ("to_node", "i8"),
@@ -87,6 +89,7 @@ def edge_flow(drop, opening, edge, maps):
         maps: the plant's packed flow maps.
     """
     reach = edge.sign * opening
+    drop = metered(drop, edge)
     if edge.unmetered == 0:
         if drop == 0.0 or (drop < 0.0 and edge.blocked == 1):
             return 0.0
@@ -109,9 +112,16 @@ def edge_command(drop, flow, edge, maps):
     Flow and drop must have one sign, but for a pump; where they have not, or the edge is blocked,
     no opening gives that flow and the valve's closed command 0 is returned. The result is not
     limited to the driver's range by the analytic laws."""
+    drop = metered(drop, edge)
     if edge.unmetered == 0 and (flow * drop <= 0.0 or (drop < 0.0 and edge.blocked == 1)):
         return 0.0
     return edge.sign * _opening(edge.law, drop, flow, edge, maps)
+
+
+@kernel
+def edge_onset(edge, maps):
+    """Command [V] at which an edge begins to pass oil, 1 MPa beyond what cracks it."""
+    return edge_command(1.0e6 + preload(edge), 1.0e-12, edge, maps)
 
 
 @part_kernel
@@ -119,7 +129,7 @@ def edge_known(drop, edge, maps):
     """Largest opening [V], counted in the direction that opens the edge, that its law speaks of at
     a drop [Pa]; inf for an analytic law.
     """
-    return _known(edge.law, drop, edge, maps)
+    return _known(edge.law, metered(drop, edge), edge, maps)
 
 
 @part_kernel
@@ -127,7 +137,7 @@ def edge_slope(drop, flow, opening, edge):
     """Bound of how fast a flow [m³/s] other than zero changes with a pressure at either end
     [m³/(s·Pa)].
     """
-    return _slope(edge.law, drop, flow, edge.sign * opening, edge)
+    return _slope(edge.law, metered(drop, edge), flow, edge.sign * opening, edge)
 
 
 @part_kernel
