@@ -39,6 +39,9 @@ LOADED = (
     0.03  # share of the supply's force beyond which a load is heavy enough to check pressures by
 )
 OVERSHOOT = 0.01  # share of a driver's range that a recorded command may lie outside of it
+# share of the stroke within which a position stands still, of the supply by which pressures push
+STILL, PUSHED = 1.0e-4, 0.1
+ON = 0.01  # share of a command's range beyond which a valve is commanded
 TRAVEL = 0.02  # share of the stroke beyond which a cylinder has surely moved
 FIRST = 0.02  # [s] over which the first samples tell a speed
 OFF_PINS = 0.005  # share of the stroke by which stroke and angle may disagree by the pins …
@@ -441,14 +444,41 @@ def outside_stroke(record: Record, rig: Rig) -> list[str]:
 
 
 def _stuck(record: Record, rig: Rig) -> list[str]:
-    """Warnings of channels that stay constant while their cylinder moves."""
-    return [
-        f"{cylinder.name}.{word} is constant while {cylinder.name} moves: is the sensor stuck?"
-        for cylinder in rig.cylinder
-        if _travels(record, cylinder)
-        for word in ("q", "x", "qd", "v", "p_head", "p_rod", *GAUGES)
-        if (channel := f"{cylinder.name}.{word}") in record and np.ptp(record[channel]) == 0.0
-    ]
+    """Warnings of channels that stay constant while their cylinder moves, and of positions that
+    stand still while command and pressures move.
+    """
+    found = []
+    for cylinder in rig.cylinder:
+        name, moves = cylinder.name, _travels(record, cylinder)
+        pushed = not moves and _pushed(record, rig, cylinder)
+        for word in ("q", "x", "qd", "v", "p_head", "p_rod", *GAUGES):
+            if (channel := f"{name}.{word}") not in record:
+                continue
+            way, still = float(np.ptp(record[channel])), word in ("q", "x")
+            if moves and way == 0.0:
+                found.append(f"{channel} is constant while {name} moves: is the sensor stuck?")
+            elif moves and still and way < STILL * _span(cylinder, word):
+                found.append(f"{channel} stands still while {name} moves: is the sensor stuck?")
+            elif pushed and still and way < STILL * _span(cylinder, word):
+                found.append(
+                    f"{channel} stands still while command and pressures of {name} move: is the "
+                    "sensor stuck, or the cylinder held?"
+                )
+    return found
+
+
+def _pushed(record: Record, rig: Rig, cylinder: Cylinder) -> bool:
+    """Whether a command of a cylinder changes, and its pressures by a good part of what the supply
+    has.
+    """
+    asked = any(
+        (channel := f"{cylinder.name}.{valve.name}.command") in record
+        and np.ptp(record[channel]) > ON * (float(valve.command_max) - float(valve.command_min))
+        for valve in cylinder.valve
+    )
+    ends = [f"{cylinder.name}.{word}" for word in ("p_head", "p_rod")]
+    most = max((float(np.ptp(record[one])) for one in ends if one in record), default=0.0)
+    return asked and most > PUSHED * max(float(rig.supply.pressure), 1.0e6)
 
 
 def at_limit(y: np.ndarray) -> np.ndarray:
@@ -587,7 +617,7 @@ def on_at_first(record: Record, rig: Rig, rest: int) -> dict[str, float]:
         if channel not in record:
             continue
         first = float(np.median(record[channel][:rest]))
-        least = 0.01 * (float(valve.command_max) - float(valve.command_min))
+        least = ON * (float(valve.command_max) - float(valve.command_min))
         if any(edge.sign * first > float(edge.deadband) + least for edge in valve.edge):
             found[channel] = first
     return found

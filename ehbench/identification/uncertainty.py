@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -181,16 +182,8 @@ def result_of(fit: Descent, found: Errors, converged: bool) -> HydraulicsFit:
         )
     groups = _groups(fit, found)
     warnings += [sentence(groups)] if groups else []
-    told = [one.alone.keys() for one in groups]
-    for a, name in enumerate(found.names):
-        for b, other in enumerate(found.names[:a]):
-            if any({name, other} <= names for names in told):
-                continue  # the group says it
-            if abs(found.correlation[a, b]) > CORRELATED:
-                warnings.append(
-                    f"{other} and {name} are correlated by {found.correlation[a, b]:+.3f}: "
-                    "the logs tell them only together"
-                )
+    told = [set(one.alone) for one in groups]
+    warnings += together(found.names, found.correlation, told)
     return finish(
         fit.simulator,
         Estimate(
@@ -211,6 +204,35 @@ def result_of(fit: Descent, found: Errors, converged: bool) -> HydraulicsFit:
             sensors=_sensors(fit, found),
         ),
     )
+
+
+def together(names: Sequence[str], correlation: np.ndarray, told: Sequence[set[str]]) -> list[str]:
+    """A warning of each set of parameters that hang together by pairs of strong correlation, but
+    for those pairs that a group of ``told`` names already says.
+    """
+    pairs = [
+        (b, a)
+        for a, name in enumerate(names)
+        for b, other in enumerate(names[:a])
+        if abs(correlation[a, b]) > CORRELATED and not any({name, other} <= one for one in told)
+    ]
+    sets: list[set[int]] = []
+    for pair in pairs:
+        met = [one for one in sets if one & {*pair}]
+        sets = [one for one in sets if one not in met] + [set(pair).union(*met)]
+    sentences = []
+    for members in sorted(sets, key=min):
+        own = [pair for pair in pairs if members.issuperset(pair)]
+        first, second = max(own, key=lambda pair: abs(correlation[pair]))
+        by = f"{correlation[first, second]:+.3f}"
+        listed = [names[i] for i in sorted(members)]
+        said = f"{', '.join(listed[:-1])} and {listed[-1]} are correlated"
+        if len(listed) == 2:
+            sentences.append(f"{said} by {by}: the logs tell them only together")
+        else:
+            most = f"{names[first]} and {names[second]} most, by {by}"
+            sentences.append(f"{said} with one another, {most}: the logs tell them only together")
+    return sentences
 
 
 def _within(fit: Descent, one: FittedParameter, i: int) -> FittedParameter:

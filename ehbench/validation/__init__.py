@@ -8,7 +8,7 @@ is, the recording says within what its first samples leave open
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
@@ -23,6 +23,7 @@ from ehbench.observations import (
     column,
     least_change,
     payload_of,
+    stood_for,
     supply_off,
 )
 from ehbench.plant.build import Maps
@@ -363,8 +364,7 @@ def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogRe
             series=_recorded(record, moved, channels),
         )
     whole, lacking = _pairs(record, simulated, moved, _free(record, channels))
-    doubts = [f"the log has nothing to judge '{channel}' by" for channel in lacking]
-    warnings += [*doubts, *supply_off(record, simulated, model.rig)]
+    warnings += [*_missed(lacking, channels, asked), *supply_off(record, simulated, model.rig)]
     keep = (record.t >= counted.t[0]) & (record.t <= counted.t[-1])
     pairs = {name: pair.part(keep) for name, pair in whole.items()}
     results = [compare(counted, model, name, pair) for name, pair in pairs.items()]
@@ -393,6 +393,16 @@ def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogRe
         ),
         series=_series(record, whole),
     )
+
+
+def _missed(lacking: Sequence[str], channels: tuple[str, ...], asked: Thresholds) -> Iterator[str]:
+    """A note of each channel that a log lacks and that somebody asked for, by name or by a
+    threshold.
+    """
+    for channel in lacking:
+        words = {*stood_for(channel.rpartition(".")[2])}
+        if channels != CHANNELS or words & {*asked.fit_percent, *asked.max_error}:
+            yield f"the log has nothing to judge '{channel}' by"
 
 
 def _free(record: Record, channels: Sequence[str]) -> list[str]:

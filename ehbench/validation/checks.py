@@ -16,6 +16,9 @@ from ehbench.units import from_si
 from ehbench.validation.results import ChannelResult, Check, Correlation, Ring, Sweep, Transient
 
 POOR = 80.0  # percent of fit below which a position is told of although nobody asks
+# a level is off by more than this share of the channel's spread, and by more than this share of the
+# error's square: what is left without it follows the channel to SHAPE percent at least
+LEVEL, MOSTLY, SHAPE = 0.15, 0.5, 50.0
 NOISY = 5.0  # percent above the fit asked below which a recording's noise is allowed for
 
 
@@ -130,10 +133,11 @@ def _residual_checks(result: ChannelResult, asked: Thresholds) -> Iterator[Check
 def unasked(
     results: Sequence[ChannelResult], asked: Thresholds, rig: Rig, record: Record
 ) -> Iterator[str]:
-    """What is poor although no threshold asks for it: a position that is followed badly, residuals
-    outside of their bands.
+    """What is poor although no threshold asks for it: a position that is followed badly, a level
+    that is off, residuals outside of their bands.
     """
     for result in results:
+        yield from _level(result, rig)
         word, reached = result.channel.rsplit(".", 1)[1], result.fit_percent
         silent = not {*stood_for(word)} & {*asked.fit_percent, *asked.max_error}
         if word in ("q", "x") and silent and reached is not None and reached < POOR:
@@ -160,6 +164,25 @@ def unasked(
             shares = ", ".join(f"{name} {share:.0f} %" for name, share in outside.items())
             key = "whiteness" if found is _own else "independence"
             yield f"{kind} leaves its band at {shares} of the lags; {key} is not asked"
+
+
+def _level(result: ChannelResult, rig: Rig) -> Iterator[str]:
+    """That a channel is followed but for its level. Positions have none: they begin where the
+    recording does.
+    """
+    word, fit = result.channel.rsplit(".", 1)[1], result.fit_percent
+    bias, rms = result.bias, result.rms_error
+    if fit is None or word in ("q", "x") or bias**2 < MOSTLY * rms**2 or fit >= 100.0:
+        return
+    spread = rms / (1.0 - fit / 100.0)
+    shape = 100.0 * (1.0 - math.sqrt(max(rms**2 - bias**2, 0.0)) / spread)
+    if abs(bias) > LEVEL * spread and shape >= SHAPE:
+        off = f"{rig.shown(result.channel, abs(bias), 3)} too {'high' if bias > 0.0 else 'low'}"
+        yield (
+            f"{_words(result.channel)} is followed to {shape:.3g} % but for its level, which the "
+            f"model has {off} on average and which makes its fit {fit:.3g} %: a sensor's offset "
+            "would do that, or a part that the rig file does not have"
+        )
 
 
 def _own(result: ChannelResult) -> tuple[Correlation, ...]:

@@ -400,6 +400,20 @@ def test_a_stuck_sensor_is_told(word):
     assert f"lift.{word} is constant while lift moves: is the sensor stuck?" in taken(stuck)[1]
 
 
+def test_an_angle_that_stands_still_is_told_whatever_else_was_recorded():
+    """Dithering by one count; and with nothing beside it but the pressures. At rest it may."""
+    log, rng = crane(), np.random.default_rng(1)
+    count = 2e-5 * rng.integers(0, 2, log.t.size)
+    stuck = changed(log, lift_q=log["lift.q"][0] + count)
+    assert "lift.q stands still while lift moves: is the sensor stuck?" in taken(stuck)[1]
+    kept = {c: y for c, y in stuck.channels.items() if c not in ("lift.x", "lift.v", "lift.qd")}
+    (said,) = taken(replace(stuck, channels=kept))[1]
+    assert said.startswith("lift.q stands still while command and pressures of lift move")
+    first = int(np.argmax(np.diff(log["lift.spool.command"]) != 0.0))
+    rest = {c: y[:first] for c, y in kept.items()}
+    assert not taken(replace(stuck, t=log.t[:first], channels=rest))[1]
+
+
 def test_a_cylinder_that_stands_still_has_no_stuck_sensor():
     still = {
         n: v if n.endswith("command") else np.full(v.size, v[0])

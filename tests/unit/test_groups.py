@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from ehbench.identification.uncertainty import together
 from ehbench.identification.groups import groups_of, sentence
 
 NAMES = ("mass", "area", "volume", "bulk_modulus", "damping")
@@ -52,3 +53,18 @@ def test_a_scale_of_all_is_told_against_one():
     assert len(found) == 3 and not any("bulk_modulus" in one.powers for one in found)
     (leader,) = set.intersection(*(set(one.powers) for one in found))
     assert all(one.powers[leader] == -1.0 for one in found)
+
+
+def test_parameters_that_hang_together_are_one_note():
+    """Chains of pairs are one set; pairs alone keep their sign; what a group says is left out."""
+    names = ["a", "b", "c", "d", "e"]
+    correlation = np.eye(5)
+    for i, j, r in ((0, 1, 0.96), (1, 2, -0.99), (3, 4, -0.97)):
+        correlation[i, j] = correlation[j, i] = r
+    assert together(names, correlation, []) == [
+        "a, b and c are correlated with one another, b and c most, by -0.990: the logs tell them "
+        "only together",
+        "d and e are correlated by -0.970: the logs tell them only together",
+    ]
+    (left,) = together(names, correlation, [{"a", "b", "c"}])
+    assert left.startswith("d and e")

@@ -175,6 +175,30 @@ def test_a_position_that_strays_is_told_though_nobody_asks():
     assert not any("no threshold asks" in text for text in quiet.warnings)
 
 
+def test_a_level_that_is_off_is_told_in_the_readers_unit():
+    """A head pressure 20 bar high, in psi; nothing of a sound model."""
+    rig = load_rig(RIGS / "slide_servo.toml")
+    rig = rig.model_copy(update={"display": {"p_head": "psi"}})
+    log = virtual_log("slide_servo", rig, "steps", 1)
+    high = replace(log, channels=log.channels | {"press.p_head": log["press.p_head"] + 2e6})
+    (said,) = [text for text in judged("slide_servo", rig, high).warnings if "its level" in text]
+    assert said.startswith("log: press head pressure is followed to 9")
+    assert "which the model has 29" in said and "psi too low on average" in said
+    assert not any("its level" in text for text in judged("slide_servo", rig, log).warnings)
+
+
+def test_a_channel_that_nobody_asked_for_is_not_missed():
+    """A position by default; a pressure that a threshold asks for is."""
+    rig = load_rig(RIGS / "slide_servo.toml")
+    log = virtual_log("slide_servo", rig, "steps", 1)
+    kept = {c: y for c, y in log.channels.items() if c.endswith((".v", "p_head", "command"))}
+    bare = [("log", replace(log, channels=kept))]
+    missed = [text for text in validate_rig(rig, bare).warnings if "nothing to judge" in text]
+    assert missed == ["log: the log has nothing to judge 'press.p_rod' by"]
+    asked = validate_rig(rig, bare, ("q", "p_head")).warnings
+    assert any("nothing to judge 'press.q'" in text for text in asked)
+
+
 def test_model_of_the_stairs_is_the_rigs():
     """The helper drives only valves that the rig has."""
     for name, (up, down, _) in DRIVES.items():
