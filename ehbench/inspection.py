@@ -4,7 +4,6 @@ A recipe is looked at through what its run begins with: its stage's ``prepare``.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -120,11 +119,9 @@ def _rig(path: Path) -> Inspection:
             ) from None
         for index, cylinder in enumerate(rig.cylinder):
             ends = model.stroke_range(index)
-            slide = rig.mechanism.kind == "slide"
-            span = " to ".join(
-                f"{v * 1e3:.0f}" if slide else f"{math.degrees(v):.1f}" for v in ends
-            )
-            span += " mm" if slide else " deg"
+            word, decimals = ("x", 0) if rig.mechanism.kind == "slide" else ("q", 1)
+            first, last = (rig.told(word, value, decimals) for value in ends)
+            span = f"{first.partition(' ')[0]} to {last}"
             head, rod = (float(state[model.layout.state(p, index)]) for p in ("p_head", "p_rod"))
             lines.append(
                 f"  {load or 'no payload'}: {cylinder.name} moves {span}; "

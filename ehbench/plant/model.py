@@ -102,7 +102,7 @@ class Model:
         Raises:
             InputError: unknown name, or a posture outside the stroke; says what the stroke allows.
         """
-        return starts.posture(self.plant, self.layout, wanted)
+        return starts.posture(self.rig, self.plant, self.layout, wanted)
 
     def trim(
         self, q: np.ndarray, low_side: starts.LowSide = None, command: np.ndarray | None = None

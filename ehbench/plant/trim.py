@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -29,7 +28,9 @@ LowSide = float | Mapping[str, float] | None
 LOW_SIDE = 0.1  # share of the supply pressure at which a chamber that carries nothing stands
 
 
-def posture(plant: Plant, names: Layout, wanted: Mapping[str, str | float] | None) -> np.ndarray:
+def posture(
+    rig: Rig, plant: Plant, names: Layout, wanted: Mapping[str, str | float] | None
+) -> np.ndarray:
     """Joint coordinates [rad or m], shape (n,), from postures by cylinder or joint name.
 
     Raises:
@@ -40,9 +41,10 @@ def posture(plant: Plant, names: Layout, wanted: Mapping[str, str | float] | Non
         q[row.joint] = joint_of(row, 0.5 * row.stroke)
     for name, value in (wanted or {}).items():
         joint, index = _joint_called(plant, names, name)
-        number = _coordinate(plant, index, name, value) if isinstance(value, str) else float(value)
+        given = isinstance(value, str)
+        number = _coordinate(rig, plant, index, name, value) if given else float(value)
         if index >= 0:
-            _must_lie_on_the_stroke(plant, index, name, number)
+            _must_lie_on_the_stroke(rig, plant, index, name, number)
         q[joint] = number
     return q
 
@@ -62,7 +64,7 @@ def _joint_called(plant: Plant, names: Layout, name: str) -> tuple[int, int]:
     )
 
 
-def _coordinate(plant: Plant, index: int, name: str, text: str) -> float:
+def _coordinate(rig: Rig, plant: Plant, index: int, name: str, text: str) -> float:
     """A joint coordinate from a text: an angle, or a length that is a stroke."""
     try:
         return float(read_value(text, VOCABULARY["x" if plant.kind == SLIDE else "q"]))
@@ -72,22 +74,20 @@ def _coordinate(plant: Plant, index: int, name: str, text: str) -> float:
         if not 0 <= stroke <= row.stroke:
             raise InputError(
                 f"posture {name} = {text} lies outside the stroke",
-                hint=f"0 to {row.stroke * 1e3:.1f} mm",
+                hint=f"0 to {rig.told('x', row.stroke, 1)}",
             ) from None
         return float(joint_of(row, stroke))
 
 
-def _must_lie_on_the_stroke(plant: Plant, index: int, name: str, number: float) -> None:
+def _must_lie_on_the_stroke(rig: Rig, plant: Plant, index: int, name: str, number: float) -> None:
     low, high = sorted(joint_range_of(plant.cylinders[index]))
     if low - 1e-9 <= number <= high + 1e-9:
         return
-    if plant.kind == SLIDE:
-        shown, at = f"{low * 1e3:.1f} to {high * 1e3:.1f} mm", f"{number * 1e3:.1f} mm"
-    else:
-        shown = f"{math.degrees(low):.2f} to {math.degrees(high):.2f} deg"
-        at = f"{math.degrees(number):.2f} deg"
+    word, decimals = ("x", 1) if plant.kind == SLIDE else ("q", 2)
+    first, last, at = (rig.told(word, value, decimals) for value in (low, high, number))
     raise InputError(
-        f"posture {name} = {at} lies outside the stroke", hint=f"the stroke allows {shown}"
+        f"posture {name} = {at} lies outside the stroke",
+        hint=f"the stroke allows {first.partition(' ')[0]} to {last}",
     )
 
 

@@ -23,7 +23,7 @@ from ehbench.rig.mechanism import Chain, Joint, LinkLoad, Slide
 from ehbench.rig.names import Misplaced, Name, plain_name, prefix_of, second, tables_of
 from ehbench.rig.supply import LoadSensing, LowRail, Oil, Supply
 from ehbench.rig.valves import Edge, FixedEdge, Valve
-from ehbench.units import from_si
+from ehbench.units import factor, from_si
 
 
 def _of_a_kind(raw: Any) -> Any:
@@ -243,6 +243,15 @@ class Rig(FileModel):
         unit = self.unit_of(name)
         number = f"{float(from_si(value, unit, VOCABULARY[name.rsplit('.', 1)[-1]])):.{digits}g}"
         return number if unit == "dimensionless" else f"{number} {unit}"
+
+    def told(self, name: str, value: float, decimals: int, sign: str = "") -> str:
+        """A value [SI] in the unit that people see, as finely as so many ``decimals`` tell it in
+        the vocabulary's own unit; ``sign`` is "+" where that is always said.
+        """
+        unit, row = self.unit_of(name), VOCABULARY[name.rsplit(".", 1)[-1]]
+        coarser = factor(unit, row.unit) / factor(row.display, row.unit)
+        decimals += max(0, math.ceil(math.log10(coarser) - 1e-9))
+        return f"{float(from_si(value, unit, row)):{sign}.{decimals}f} {unit}"
 
     def _display_like(self, word: str) -> str:
         row = VOCABULARY[word]

@@ -105,7 +105,8 @@ def lasting(recipe: TrialRecipe, design: Design, desired: References) -> Referen
             f"the desired motion of '{design.cylinder}' leaves the stroke at t = "
             f"{out[0] / rate:.4g} s",
             **where,
-            hint=f"the stroke is {stroke * 1e3:.4g} mm and it starts at {design.x * 1e3:.4g} mm",
+            hint=f"the stroke is {design.rig.shown('x', stroke)} and it starts at "
+            f"{design.rig.shown('x', design.x)}",
         )
     levels = tuple(
         Level(level.first, min(level.stop, len(table)), level.speed, level.share)

@@ -142,7 +142,8 @@ class OperatingPoint:
     the part of ∂v̇/∂v from the changing lever; ``load_force`` P_L [N]; pressures [Pa] gauge,
     ``p_supply`` that of the supply's line under this load; volumes [m³]. ``possible``: every drop
     is along its flow and every valve can open so far. ``fits``: also the off-side chamber stands at
-    its set-point. ``note`` says what is missing."""
+    its set-point. ``note`` says what is missing, ``where`` stroke and speed in the units that
+    people see."""
 
     cylinder: str
     function: str
@@ -167,12 +168,12 @@ class OperatingPoint:
     possible: bool
     fits: bool
     note: str = ""
+    where: str = ""
 
     @property
     def name(self) -> str:
         """What reports call it."""
-        where = f"x = {self.x * 1e3:.0f} mm, v = {self.v * 1e3:+.0f} mm/s"
-        return f"{self.function}, {self.payload}, {where}"
+        return f"{self.function}, {self.payload}, {self.where}"
 
 
 def circuit_of(model: Model, cylinder: int, maps: Maps | None = None) -> Circuit:
@@ -330,8 +331,8 @@ class _Motion:
         else:
             off = (force + row.area_rod * other) / row.area_head
         note = (
-            f"the load does not suit this function: off-side raised to {off / 1e3:.0f} kPa to keep "
-            "the metered chamber full"
+            "the load does not suit this function: off-side raised to "
+            f"{self.model.rig.told('p_rod', off, 0)} to keep the metered chamber full"
         )
         return _Settled(force, *self.chambers(force, off), note)
 
@@ -450,8 +451,7 @@ def operating_point(
         aim: what is asked for.
 
     Raises:
-        InputError: a function that the circuit is not able of, or a force on a rod that is played
-            from a log.
+        InputError: a function that the circuit is not able of, or a force played from a log.
     """
     _refuse_played(model)
     if function < 1 or circuit.able[function] == 0:
@@ -489,6 +489,7 @@ def operating_point(
         possible=not troubles,
         fits=not troubles and not note,
         note="; ".join([note] * bool(note) + troubles),
+        where=f"x = {model.rig.told('x', here.x[index], 0)}, v = {model.rig.told('v', v, 0, '+')}",
     )
 
 

@@ -180,7 +180,7 @@ def _possible(study: Study, model: Model, payload: str) -> Iterator[Site]:
     recipe, name = study.recipe, study.cylinder
     cylinder = model.layout.cylinders.index(name)
     stroke = model.plant.cylinders[cylinder].stroke
-    here = equivalent(model, cylinder, _strokes(recipe, stroke), recipe.posture)
+    here = equivalent(model, cylinder, _strokes(model.rig, recipe, stroke), recipe.posture)
     circuit = circuit_of(model, cylinder, study.maps)
     for function in _wanted(recipe):
         if circuit.able[function] == 0:
@@ -246,7 +246,7 @@ def rail_notes(rig: Rig, points: Sequence[OperatingPoint]) -> list[str]:
     ]
 
 
-def _strokes(recipe: AnyTuning, stroke: float) -> np.ndarray:
+def _strokes(rig: Rig, recipe: AnyTuning, stroke: float) -> np.ndarray:
     if not recipe.strokes:
         return (
             np.linspace(0.1, 0.9, recipe.postures) * stroke
@@ -256,6 +256,7 @@ def _strokes(recipe: AnyTuning, stroke: float) -> np.ndarray:
     x = np.array([float(read_value(text, VOCABULARY["x"])) for text in recipe.strokes])
     if x.min() < 0 or x.max() > stroke:
         raise InputError(
-            "a stroke to tune at lies outside the cylinder's", hint=f"0 to {stroke * 1e3:.1f} mm"
+            "a stroke to tune at lies outside the cylinder's",
+            hint=f"0 to {rig.told('x', stroke, 1)}",
         )
     return x

@@ -11,6 +11,7 @@ import tomli_w
 
 from ehbench.errors import InputError
 from ehbench.fields import SURENESS, Value
+from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
 
 FOLDER = Path(__file__).parents[2] / "recipes" / "rigs"
@@ -74,3 +75,15 @@ def test_every_parameter_can_be_replaced(path):
         assert float(rig.with_values({name: other}).parameters()[name]) == pytest.approx(
             other, rel=1e-12
         ), name
+
+
+def test_places_are_told_in_the_readers_unit_as_finely_as_in_mm():
+    """An inch takes two decimals more than a millimetre, bar two more than kPa, m/s three more."""
+    rig = load_rig(FOLDER / "slide_servo.toml")
+    inch = rig.model_copy(update={"display": {"x": "in", "v": "m/s"}})
+    assert rig.told("x", 0.254, 1) == "254.0 mm" and inch.told("x", 0.254, 1) == "10.000 in"
+    assert rig.told("v", 0.05, 0, "+") == "+50 mm/s" and inch.told("v", 0.05, 0) == "0.050 m/s"
+    assert rig.told("press.p_rod", 5.2e5, 0) == "5.20 bar"
+    with pytest.raises(InputError, match=r"posture press = 118\.110 in lies") as caught:
+        Model.of(inch).posture({"press": "3 m"})
+    assert caught.value.hint == "the stroke allows 0.000 to 15.748 in"
