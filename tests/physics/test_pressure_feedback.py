@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from numba import njit
 
 from ehbench import codes
+from ehbench.compiled import allocating_kernel
 from ehbench.control import functions as fn
 from ehbench.control import pressure_feedback as pf
 from ehbench.control import trajectory as tr
@@ -41,7 +41,7 @@ class Law(NamedTuple):
     command: np.ndarray
 
 
-@njit
+@allocating_kernel
 def closed_loop(y, reference, plant, law, samples, notes, commands):
     """The plant under `pressure_feedback.step`; channels not ``law.given`` are NaN to the
     controller.
