@@ -23,6 +23,7 @@ import pytest  # noqa: E402
 
 from ehbench import cli, starter, workflow  # noqa: E402
 from ehbench.report.index import FigureIndex  # noqa: E402
+from ehbench.tune import gains  # noqa: E402
 
 ROOT = Path(__file__).parents[1]
 _LEFT = pytest.StashKey[int]()  # how many tests the words after -m leave out
@@ -101,6 +102,14 @@ def undrawn(monkeypatch) -> None:
 
     # by its full name: the package has a function of that name too
     monkeypatch.setattr(importlib.import_module("ehbench.report"), "draw", draw)
+
+
+@pytest.fixture
+def unlocused(monkeypatch) -> None:
+    """Tunings leave out the root loci and step responses that the report draws, for tests that look
+    at gains: python-control takes a third of a tuning for them.
+    """
+    monkeypatch.setattr(gains, "_drawn", lambda *_: ((), ()))
 
 
 @pytest.fixture

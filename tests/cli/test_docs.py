@@ -160,6 +160,8 @@ def test_a_key_without_words_and_a_table_of_nothing_are_refused(page, words):
 
 def test_the_generator_writes_and_checks(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(reference, "DOCS", tmp_path)
+    units = reference.usual_units()  # the same each time, and the registry takes long to ask
+    monkeypatch.setattr(reference, "usual_units", lambda: units)
     for name in TABLES:
         (tmp_path / name).write_text(PAGES[name], encoding="utf-8")
     assert reference.main(["--check"]) == 0

@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[2]
 STEPS, ARC, OWN = "trials/velocity_steps.toml", "trials/arc_slow.toml", "trials/own_controller.toml"
 CHAIN, TUNING, FIT = "thesis/steps_simulated.toml", "thesis/tuning.toml", "thesis/hydraulics.toml"
 JUDGED, MAPS, ALL = "thesis/validation.toml", "thesis/flow_maps.toml", "thesis/campaign.toml"
+FEW = "slide_servo/campaign.toml"  # of two recipes: all that a campaign names is checked with it
 RIG = 'rig = "../rigs/thesis_arm.toml"'
 STEP = 'name = "30 %"\nkind = "velocity_steps"\ncylinder = "boom"\nlevels = ["30 %"]\n'
 GAIN = 'gains = { feedback_gain = "8e-11 m^3/(s*Pa)", '
@@ -195,15 +196,15 @@ def changed(recipes: Path, file: str, old: str, new: str) -> Path:
         ),
         (JUDGED, "heldout/swing_no_load.mcap", "flowmeter/hect.csv", "hect.csv"),
         (
-            ALL,
-            '  "flow_maps.toml", "matching.toml"',
-            '‹  "flow_maps.toml", "matchin.toml"',
-            "(did you mean 'matching.toml'?)",
+            FEW,
+            'recipes = ["hydraulics.toml", "validation.toml"]',
+            'recipes = [\n  "hydraulics.toml",\n‹  "validatio.toml"]',
+            "(did you mean 'validation.toml'?)",
         ),
         (
-            ALL,
-            'recipes = [\n  "flow_maps.toml", "matching.toml"',
-            '‹recipes = [\n  "flow_maps.toml", "../bench/thesis_arm.toml"',
+            FEW,
+            'recipes = ["hydraulics.toml", "validation.toml"]',
+            '‹recipes = ["hydraulics.toml", "../bench/slide_servo.toml"]',
             "is of stage 'bench', which no campaign runs",
         ),
     ],

@@ -5,6 +5,7 @@ does not swing.
 from __future__ import annotations
 
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -135,13 +136,19 @@ def test_a_load_that_swings_at_rest_is_left_to_calm_down():
     assert facts.measures["limit_cycle"] is None
 
 
+@cache
+def bench(name, *about):
+    """A rig, its operating points and the controller designed for it."""
+    return Bench(load_rig(RECIPES / "rigs" / f"{name}.toml"), *about)
+
+
 def test_bandwidths_go_by_the_load():
     """The margin with 100 lb is that with 50 lb, which do not feel the limit; without it it is far
     from that.
     """
 
     def margin(payload, **given):
-        rig = Bench(load_rig(RECIPES / "rigs" / "thesis_arm.toml"), "boom", 2, (0.7,), (payload,))
+        rig = bench("thesis_arm", "boom", 2, (0.7,), (payload,))
         found = [rig.loop(at, rig.gains({}, **given)).margins(Sensing()) for at in rig.points]
         return min(one.delay for one in found)
 
@@ -194,8 +201,7 @@ def _stated(name, gains):
     unsure = {key: v for key, v in gains.items() if key in ("lag_budget", "adaptation")}
     given = {key: v for key, v in gains.items() if key not in unsure}
     cylinder, _, load = RIGS[name]
-    loads = ("none", load)
-    rig = Bench(load_rig(RECIPES / "rigs" / f"{name}.toml"), cylinder, 3, (0.06, 0.3), loads)
+    rig = bench(name, cylinder, 3, (0.06, 0.3), ("none", load))
     packed = rig.gains(unsure, **given)
     found = [rig.loop(at, packed).margins(Sensing(1e-3, 1e-3)) for at in rig.points]
     worst = min(found, key=lambda one: one.delay)

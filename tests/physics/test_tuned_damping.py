@@ -146,7 +146,7 @@ class Running:
         ("slide_servo", "press", ()),
     ],
 )
-def test_the_running_machine_is_damped_as_promised(name, cylinder, payloads):
+def test_the_running_machine_is_damped_as_promised(name, cylinder, payloads, unlocused):
     """Within 15 %, the damping ratio of the pair that swings, from the answer to small pushes of
     every state.
 

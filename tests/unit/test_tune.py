@@ -55,7 +55,7 @@ def sites():
     return prepare_tuning(machine(), recipe(**pressures)).sites
 
 
-def test_thesis_boom_reaches_its_target_with_one_gain():
+def test_thesis_boom_reaches_its_target_with_one_gain(unlocused):
     """What is wanted of the linear models: 0.5 at worst, against 0.05 to 0.2 of the thesis's six
     functions in open loop.
     """
@@ -98,7 +98,7 @@ def test_demands_are_kept_and_no_neighbour_is_better(tuned, sites):
     assert tuned.damping_ratio > 2 * tuned.damping_ratio_open
 
 
-def test_a_demand_binds():
+def test_a_demand_binds(unlocused):
     options = {"phase_margin": "10 deg", "washout": "100 rad/s", "off_gain": "1e-11 m^3/(s*Pa)"}
     free = tune_pressure_feedback(machine(), recipe(**options))
     margin = 1.3 * min(p.margins.gain_margin for p in free.points if p.counts)
@@ -108,7 +108,7 @@ def test_a_demand_binds():
     assert bound.damping_ratio < free.damping_ratio
 
 
-def test_what_cannot_be_kept_is_said():
+def test_what_cannot_be_kept_is_said(unlocused):
     t = tune_pressure_feedback(machine(), recipe(bandwidth="500 Hz"))
     assert not t.met and any("bandwidth" in w for w in t.warnings)
 
@@ -212,7 +212,7 @@ def test_draws_follow_the_covariance():
 
 
 @pytest.mark.slow
-def test_share_of_draws(tuned):
+def test_share_of_draws(tuned, unlocused):
     wide = {
         "boom.joint_damping": Value(
             2500.0, sure="identified", std=1200.0, lower=50.0, upper=40000.0
@@ -244,7 +244,7 @@ def test_share_of_draws(tuned):
     assert tuned.robustness.share is None and any("no draws" in w for w in tuned.warnings)
 
 
-def test_each_function_with_its_own_gain_is_no_worse(tuned):
+def test_each_function_with_its_own_gain_is_no_worse(tuned, unlocused):
     own = tune_pressure_feedback(
         machine(),
         recipe(
