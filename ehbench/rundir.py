@@ -216,13 +216,15 @@ def open_run(
     left_over = clear_left(final.parent)
     scratch = final.parent / f".{final.name}.{os.getpid()}.part"
     shutil.rmtree(scratch, ignore_errors=True)
-    try:
-        scratch.mkdir(parents=True)
-    except (OSError, ValueError) as error:
-        raise _no_place(final, error) from None
+    # before there is a folder that a signal could leave behind: this takes a while
     run = Run(scratch, final, _record(stage, recipe, inputs, seeds or {}), left_over=left_over)
-    began, hold = time.time(), _held(scratch)
+    began, hold = time.time(), None
     try:
+        try:
+            scratch.mkdir(parents=True)
+        except (OSError, ValueError) as error:
+            raise _no_place(final, error) from None
+        hold = _held(scratch)
         yield run
         run.save()
         places = {"recipe": recipe.resolve(), "inputs": [path.resolve() for _, path in inputs]}

@@ -60,9 +60,8 @@ SPEED = {"speed_max": "70 mm/s"}
 def trial(law, folder, **given):
     (folder / "mine.py").write_text(CODE)
     (folder / "trial.toml").write_text("# the recipe\n")
-    recipe = TrialRecipe(
-        stage="trial", rig="x.toml", path=folder / "trial.toml", seed=3, **LAWS[law], **given
-    )
+    given = LAWS[law] | given
+    recipe = TrialRecipe(stage="trial", rig="x.toml", path=folder / "trial.toml", seed=3, **given)
     return prepare(recipe, RIG, allow_code=True)
 
 
@@ -216,9 +215,10 @@ def test_the_log_of_a_trial_is_the_log_of_its_record(on, sync, limits, tmp_path,
 
 def test_rows_of_a_slow_controller_are_in_the_log_while_it_runs(tmp_path, monkeypatch):
     """Not a thousand ticks later."""
-    monkeypatch.setattr(session, "WAIT", 0.1)
+    monkeypatch.setattr(session, "WAIT", 0.03)
     monkeypatch.setattr(session, "SYNC", 0.0)
-    prepared, seen = trial("class", tmp_path), []
+    short = MOTION | {"waypoints": ["150 mm", "170 mm"], "hold": "0.1 s"}
+    prepared, seen = trial("class", tmp_path, motion=short), []
     slow = CODE.replace(
         "        return [", "        import time; time.sleep(2e-3)\n        return ["
     )
