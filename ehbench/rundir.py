@@ -263,13 +263,19 @@ def _record(
             for role, path in inputs
         ],
         "seeds": dict(seeds),
-        "versions": {
-            "ehbench": metadata.version("ehbench"),
-            "python": platform.python_version(),
-            **{name: metadata.version(name) for name in _LIBRARIES},
-        },
+        "versions": dict(_versions()),
         "code_sha256": code_version(),
         "commit": commit(),
+    }
+
+
+@lru_cache(maxsize=1)
+def _versions() -> Mapping[str, str]:
+    """Versions of the package, of Python and of what results hang on; looked up once a process."""
+    return {
+        "ehbench": metadata.version("ehbench"),
+        "python": platform.python_version(),
+        **{name: metadata.version(name) for name in _LIBRARIES},
     }
 
 

@@ -21,20 +21,20 @@ from pathlib import Path  # noqa: E402
 
 import pytest  # noqa: E402
 
-from ehbench import cli, starter, workflow  # noqa: E402
-from ehbench.report.index import FigureIndex  # noqa: E402
-from ehbench.tune import gains  # noqa: E402
-
+# modules of the package are loaded by what needs them: of the processes of a parallel run the first
+# runs no tests, and the others wait for it
 ROOT = Path(__file__).parents[1]
 _LEFT = pytest.StashKey[int]()  # how many tests the words after -m leave out
 
 
 def pytest_collection_finish() -> None:
     """Let the collector of garbage pass over what is there before the first test, modules above
-    all: they stay, and to look through them again and again took a twentieth of all the time.
+    all: they stay, and to look through them again and again took a twentieth of all the time; and
+    let it look less often at what comes after, another twentieth.
     """
     gc.collect()
     gc.freeze()
+    gc.set_threshold(50_000, 50, 100)  # in place of 700, 10, 10: what tests make is soon let go
 
 
 def pytest_deselected(items: list[pytest.Item]) -> None:
@@ -86,6 +86,8 @@ def made_once(tmp_path_factory) -> Callable[[str, Callable[[Path], object]], Pat
 @pytest.fixture(scope="session")
 def slide_runs(made_once) -> Path:
     """The runs of the slide's campaign: a fit, its validation, their report."""
+    from ehbench import workflow
+
     recipe = ROOT / "recipes" / "slide_servo" / "campaign.toml"
     return made_once("slide", lambda root: workflow.run(recipe, workflow.Session(root=root)))
 
@@ -95,6 +97,7 @@ def undrawn(monkeypatch) -> None:
     """Runs leave an empty index in place of figures, for tests that look at none: to draw takes
     most of a short run.
     """
+    from ehbench.report.index import FigureIndex
 
     def draw(folder: Path) -> None:
         (folder / "figures").mkdir(exist_ok=True)
@@ -109,12 +112,14 @@ def unlocused(monkeypatch) -> None:
     """Tunings leave out the root loci and step responses that the report draws, for tests that look
     at gains: python-control takes a third of a tuning for them.
     """
-    monkeypatch.setattr(gains, "_drawn", lambda *_: ((), ()))
+    monkeypatch.setattr("ehbench.tune.gains._drawn", lambda *_: ((), ()))
 
 
 @pytest.fixture
 def inside(monkeypatch, capsys) -> Iterator[Callable[..., subprocess.CompletedProcess]]:
     """Runs the command by its entry point without a process of its own, which costs seconds."""
+    from ehbench import cli
+
     for name, value in {"COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}.items():
         monkeypatch.setenv(name, value)
     monkeypatch.setattr(sys, "excepthook", sys.excepthook)  # the door sets it, and the signal
@@ -136,6 +141,8 @@ def workspace(tmp_path_factory) -> Path:
     """Where the examples of docs and docstrings run: beside the repository's recipes and datasets,
     a new workspace ``my_rig``, and a run ``reports/flow_maps`` of one valve's readings.
     """
+    from ehbench import starter, workflow
+
     folder = tmp_path_factory.mktemp("docs")
     for name in ("recipes", "datasets"):
         (folder / name).symlink_to(ROOT / name)

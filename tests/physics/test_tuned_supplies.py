@@ -209,7 +209,7 @@ def test_what_others_hold_is_felt_where_they_move_as_well():
     ("kind", "name"),
     [("load sensing", "slide_servo"), ("two rails", "boom_four_valve")],
 )
-def test_the_running_machine_is_damped_as_promised(kind, name):
+def test_the_running_machine_is_damped_as_promised(kind, name, unlocused):
     """Within 15 %, as on constant pressure: see `test_tuned_damping`."""
     rig = rig_on(kind, name)
     recipe = TuneRecipe(
