@@ -48,9 +48,9 @@ def let_fall(shape: Shape, cells: Cells) -> Shape:
     """Lets the flow fall above an opening, where the readings are far likelier so."""
     spline = replace(shape, rising=np.inf).spline()
     band, right = normal_equations(spline, cells)
-    free, determinant = spline.free(band, right, shape.smoothing)
+    _, gain, determinant = spline.free(band, right, shape.smoothing, whole=False)
     total = float(cells.weight @ cells.y**2)
-    least = deviance(max(total - float(right @ free), 1e-12), cells) + determinant
+    least = deviance(max(total - gain, 1e-12), cells) + determinant
     risen = solve(replace(shape, rising=np.inf), spline, cells)[1]
     if risen - least < _FALL_GAIN:
         return replace(shape, rising=np.inf)

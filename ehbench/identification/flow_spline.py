@@ -7,6 +7,7 @@ the drop. Each coefficient meets a few neighbours only, so the penalised normal 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from copy import copy
 from functools import cache
@@ -14,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from ehbench.identification import flow_band
 from ehbench.physics.flow_map import bspline_pieces
 
 # a bend in the drop, a soft start, a kink in the opening: the penalty on curvature is this share of
@@ -31,14 +33,22 @@ _NARROW = 0.01
 _legendre = cache(np.polynomial.legendre.leggauss)
 
 
-def _gram(
-    pieces: np.ndarray, breaks: np.ndarray, order: int, weight: np.ndarray | float = 1.0
-) -> np.ndarray:
+def _gram(pieces: np.ndarray, breaks: np.ndarray, order: int, weight: np.ndarray) -> np.ndarray:
     """∫ weight·B_i^(order) B_j^(order) of splines in polynomial pieces (``bspline_pieces``), exact;
     a weight a span.
     """
-    values, weights, share = _at_nodes(pieces, breaks, order)
-    return np.einsum("jgk,jgl,g,j->kl", values, values, weights, share * weight)
+    powers, weights, share = _nodes(breaks, pieces.shape[-1] - order)
+    return flow_band.gram(pieces, order, powers, (weights, share * weight))
+
+
+def _nodes(breaks: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(powers of the places of so many nodes of Gauss in every span, shape (spans, nodes, powers),
+    the nodes' weights, half the spans' widths).
+    """
+    nodes, weights = _legendre(count)
+    width = np.diff(breaks)
+    x = 0.5 * (nodes + 1)[None, :] * width[:, None]
+    return x[..., None] ** np.arange(count), weights, 0.5 * width
 
 
 def _at_nodes(
@@ -49,16 +59,13 @@ def _at_nodes(
     """
     for _ in range(order):
         pieces = pieces[..., 1:] * np.arange(1, pieces.shape[-1])
-    nodes, weights = _legendre(pieces.shape[-1])
-    width = np.diff(breaks)
-    x = 0.5 * (nodes + 1)[None, :] * width[:, None]
-    values = np.einsum("jkp,jgp->jgk", pieces, x[..., None] ** np.arange(pieces.shape[-1]))
-    return values, weights, 0.5 * width
+    powers, weights, share = _nodes(breaks, pieces.shape[-1])
+    return np.einsum("jkp,jgp->jgk", pieces, powers), weights, share
 
 
 class Axis:
-    """B-splines along a coordinate scaled to 0…1, but for the first, with ∫ of squares and of
-    squared curvature.
+    """B-splines along a coordinate scaled to 0…1, but for the first, with ∫ of squares, the
+    logarithm of its determinant, and ∫ of squared curvature.
     """
 
     def __init__(
@@ -66,7 +73,8 @@ class Axis:
     ) -> None:
         self.breaks, self.pieces = breaks, bspline_pieces(breaks, degree)
         self.size, self.kink = self.pieces.shape[1] - 1, False
-        self.mass = _gram(self.pieces, breaks, 0)[1:, 1:]
+        self.mass = _gram(self.pieces, breaks, 0, np.ones(breaks.size - 1))[1:, 1:].copy()
+        self.volume = float(np.linalg.slogdet(self.mass)[1])
         self.stiffen(np.ones(breaks.size - 1) if stiffness is None else stiffness)
         knots = np.concatenate([breaks[:1].repeat(degree), breaks, breaks[-1:].repeat(degree)])
         self.centres = np.convolve(knots, np.full(degree, 1.0 / degree), "valid")[
@@ -75,7 +83,7 @@ class Axis:
 
     def stiffen(self, stiffness: np.ndarray) -> None:
         self.stiffness = stiffness
-        self.bend = _gram(self.pieces, self.breaks, 2, stiffness)[1:, 1:]
+        self.bend = _gram(self.pieces, self.breaks, 2, stiffness)[1:, 1:].copy()
         self.eigen = eigenvalues(self.bend, self.mass)
         if self.eigen[1] < _ROUNDED * self.eigen[-1]:
             self.eigen = self._small_eigen()
@@ -121,11 +129,9 @@ class Axis:
         """(number of the first spline that is not zero at x, values of it and those after it, shape
         (points, degree + 1)); number −1 is the spline left out, its value zero.
         """
-        j, width = self._span(x), self.pieces.shape[-1]
-        own = self.pieces[j[:, None], j[:, None] + np.arange(width)]
-        values = np.einsum("xkp,xp->xk", own, (x - self.breaks[j])[:, None] ** np.arange(width))
-        values[j == 0, 0] = 0.0
-        return j - 1, values
+        first, values = np.empty(x.size, np.int64), np.empty((x.size, self.pieces.shape[-1]))
+        flow_band.near(x, self.breaks, self.pieces, first, values)
+        return first, values
 
     def _span(self, x: np.ndarray) -> np.ndarray:
         return np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, self.breaks.size - 2)
@@ -136,6 +142,7 @@ class OneColumn(Axis):
 
     def __init__(self) -> None:
         self.breaks, self.size, self.kink = np.array([0.0, 1.0]), 1, False
+        self.volume = 0.0
         self.mass, self.bend, self.eigen = np.eye(1), np.zeros((1, 1)), np.zeros(1)
         self.stiffness, self.centres = np.ones(1), np.ones(1)
 
@@ -146,7 +153,7 @@ class OneColumn(Axis):
         return np.ones((x.size, 1))
 
     def near(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.zeros(x.size, int), np.ones((x.size, 1))
+        return np.zeros(x.size, np.int64), np.ones((x.size, 1))
 
 
 class Spline:
@@ -180,14 +187,10 @@ class Spline:
         self.along_s = along_s
         self.rows, self.columns = self.along_u.size, along_s.size
         self.sign = self._signs(rising)
-        self.bands = (
-            self._kron(self.along_u.bend, along_s.mass),
-            self._kron(self.along_u.mass, along_s.bend),
-        )
-        self.mass = (
-            self.columns * np.linalg.slogdet(self.along_u.mass)[1]
-            + self.rows * np.linalg.slogdet(along_s.mass)[1]
-        )
+        self.bands = np.zeros((2, self.rows * self.columns, 2 * self.columns + 4))
+        flow_band.kronecker(self.along_u.bend, along_s.mass, self.bands[0])
+        flow_band.kronecker(self.along_u.mass, along_s.bend, self.bands[1])
+        self.mass = self.columns * self.along_u.volume + self.rows * along_s.volume
         # coefficients of the least map, u·s
         self.floor = _LEAST_SLOPE * np.outer(self.along_u.centres, along_s.centres).ravel()
 
@@ -198,67 +201,58 @@ class Spline:
         x = np.clip((u - self.deadband) / (self.top - self.deadband), 0.0, 1.0)
         return (self.along_u.at(x)[:, :, None] * self.along_s.at(s)[:, None, :]).reshape(x.size, -1)
 
-    def _kron(self, of_u: np.ndarray, of_s: np.ndarray) -> np.ndarray:
-        """The lower band of the Kronecker product of symmetric matrices along u and s."""
-        lines, in_u, in_s = _band_places(self.rows, self.columns)
-        band = np.zeros((2 * self.columns + 4, self.rows * self.columns))
-        band[lines] = of_u.ravel()[in_u] * of_s.ravel()[in_s]
-        return band
-
     def normal(
         self, u: np.ndarray, s: np.ndarray, weight: np.ndarray, y: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(lower band of the normal matrix, right side) of weighted flows at openings [V] and
-        scaled roots: a flow meets few splines, so the sums are over these alone.
+        """(band of the normal matrix, right side) of weighted flows at openings [V] and scaled
+        roots.
         """
         x = np.clip((u - self.deadband) / (self.top - self.deadband), 0.0, 1.0)
-        (row, of_u), (column, of_s) = self.along_u.near(x), self.along_s.near(s)
-        wide, tall = of_s.shape[1], 2 * self.columns + 4
-        values = (of_u[:, :, None] * of_s[:, None, :]).reshape(u.size, -1)
-        steps = (self.columns * np.arange(of_u.shape[1])[:, None] + np.arange(wide)).ravel()
-        # what is left out stands before the first coefficient, its value zero
-        out = self.columns + 1
-        first, total = row * self.columns + column + out, self.rows * self.columns + out
-        high, low = np.tril_indices(steps.size)
-        at = (steps[high] - steps[low]) * total + first[:, None] + steps[low]
-        terms = weight[:, None] * values[:, high] * values[:, low]
-        band = np.bincount(at.ravel(), terms.ravel(), tall * total).reshape(tall, total)
-        right = np.bincount(
-            (first[:, None] + steps).ravel(), ((weight * y)[:, None] * values).ravel(), total
-        )
-        return band[:, out:], right[out:]
+        band, right = np.zeros(self.bands.shape[1:]), np.zeros(self.rows * self.columns)
+        weighed = np.stack([weight, weight * y])
+        meets = self.along_u.near(x), self.along_s.near(s)
+        flow_band.assemble(*meets, weighed, self.columns, band, right)
+        return band, right
 
     def penalised(self, band: np.ndarray, smoothing: np.ndarray) -> np.ndarray:
-        """The lower band of the penalised normal matrix."""
-        return band + smoothing[0] * self.bands[0] + smoothing[1] * self.bands[1]
+        """The band of the penalised normal matrix."""
+        whole = np.empty_like(band)
+        flow_band.penalise(band, self.bands, smoothing, whole)
+        return whole
 
-    def free(self, band: np.ndarray, right: np.ndarray, smoothing: np.ndarray):
-        """(coefficients without the constraint, log determinant of the penalised normal matrix over
-        the prior's).
+    def free(
+        self, band: np.ndarray, right: np.ndarray, smoothing: np.ndarray, whole: bool = True
+    ) -> tuple[np.ndarray, float, float]:
+        """(coefficients without the constraint if the ``whole`` is asked for, what they explain,
+        log determinant of the penalised normal matrix over the prior's).
 
         Args:
             band: of the normal matrix, as `normal` gives it.
+
+        Raises:
+            LinAlgError: the penalised normal matrix is not positive definite.
         """
-        factor = cholesky(self.penalised(band, smoothing))
+        found, gain, determinant = flow_band.least(band, self.bands, smoothing, right, whole)
+        if math.isnan(determinant):
+            raise np.linalg.LinAlgError("the normal matrix is not positive definite")
         prior = (
             smoothing[0] * self.along_u.eigen[:, None] + smoothing[1] * self.along_s.eigen
         ).ravel()[1:]
-        determinant = 2 * np.log(factor[0]).sum() - self.mass - np.log(prior).sum()
-        return solved(factor, right), determinant
+        return found, gain, determinant - self.mass - float(np.log(prior).sum())
 
     def solve(self, band: np.ndarray, right: np.ndarray, smoothing: np.ndarray):
         """(coefficients with increments along u of at least those of ``floor``, or at most where
         the flow falls; determinant as ``free``).
         """
-        free, determinant = self.free(band, right, smoothing)
+        free, _, determinant = self.free(band, right, smoothing)
         wrong = self.sign * self.increments(free - self.floor).ravel() < 0
         if not wrong.any():
             return free, determinant
         band = self.penalised(band, smoothing)
-        right = right - times(band, self.floor)
+        right = right - flow_band.times(band, self.floor)
 
         def slope(above: np.ndarray) -> np.ndarray:
-            return self.sign * self.over_steps(times(band, above) - right)
+            return self.sign * self.over_steps(flow_band.times(band, above) - right)
 
         def grown(above: np.ndarray) -> np.ndarray:
             return self.sign * self.increments(above).ravel()
@@ -277,24 +271,10 @@ class Spline:
         at = np.arange(size).reshape(own.shape)
         last = np.maximum.accumulate(np.where(own >= 0, at, -1), axis=0).ravel()
         own = np.append(own.ravel(), -1)[last]  # which unknown each coefficient is, −1 for zero
-        count = int(np.count_nonzero(~zero))
-        if not count:
-            return np.zeros(size)
-        lines = _band_places(self.rows, self.columns)[0]
-        column = np.arange(size)
-        row = column + lines[:, None]
-        one, other = own[np.minimum(row, size - 1)], np.broadcast_to(own, row.shape)
-        used = (row < size) & (one >= 0) & (other >= 0)
-        one, other = one[used], other[used]
-        apart = np.abs(one - other)
-        # of two coefficients that are one unknown, both orders count
-        terms = band[lines][used] * np.where((apart == 0) & (row != column)[used], 2.0, 1.0)
-        tall = int(apart.max()) + 1
-        place = apart * count + np.minimum(one, other)
-        tied = np.bincount(place, terms, tall * count).reshape(tall, count)
-        some = own >= 0
-        pull = np.bincount(own[some], right[some], count)
-        return np.append(solved(cholesky(tied), pull), 0.0)[own]
+        found, sound = flow_band.tied(band, right, own)
+        if not sound:
+            raise np.linalg.LinAlgError("the normal matrix of what grows is not positive definite")
+        return found
 
     def _by_nnls(self, band: np.ndarray, right: np.ndarray) -> np.ndarray:
         """What `solve` looks for, above the floor, by an active set: slow, but it comes to an
@@ -352,19 +332,6 @@ def _kinked(inner: np.ndarray, above: np.ndarray, kink: float) -> np.ndarray:
 
 
 @cache
-def _band_places(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(lines of the lower band over the coefficients in which splines meet, places in the flat
-    matrices along u and along s of what stands there). Below the matrix the last row stands.
-    """
-    apart = columns * np.arange(3)[:, None] + np.arange(-3, 4)
-    lines = np.unique(apart[(apart >= 0) & (apart < 2 * columns + 4)])
-    column = np.arange(rows * columns)
-    row = np.minimum(column + lines[:, None], column[-1])
-    in_u = row // columns * rows + column // columns
-    return lines, in_u, row % columns * columns + column % columns
-
-
-@cache
 def _routines() -> Any:
     """What scipy.linalg calls, without its looks at the arguments."""
     from scipy.linalg import lapack
@@ -373,13 +340,13 @@ def _routines() -> Any:
 
 
 def cholesky(band: np.ndarray) -> np.ndarray:
-    """Lower band of the Cholesky factor of a symmetric matrix of which the lower band is given.
+    """Band of the Cholesky factor of a symmetric matrix of which the band is given.
 
     Raises:
         LinAlgError: the matrix is not positive definite.
     """
-    factor, info = _routines().dpbtrf(band, lower=True)
-    if info:
+    factor = band.copy()
+    if info := flow_band.factorise(factor):
         raise np.linalg.LinAlgError(f"the normal matrix is not positive definite ({info})")
     return factor
 
@@ -397,28 +364,20 @@ def eigenvalues(matrix: np.ndarray, mass: np.ndarray) -> np.ndarray:
 
 
 def solved(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solution for one or several right sides, by the lower band of a Cholesky factor."""
-    return _routines().dpbtrs(factor, right, lower=True)[0]
+    """Solution for several right sides, by the band of a Cholesky factor."""
+    return _routines().dpbtrs(factor.T, right, lower=True)[0]
 
 
 def half_solved(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Inverse of a Cholesky factor, of which the lower band is given, times several columns."""
-    return _routines().dtbtrs(factor, right, uplo="L")[0]
-
-
-def times(band: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Product of a symmetric matrix, of which the lower band is given, with a vector."""
-    from scipy.linalg import blas
-
-    routines: Any = blas
-    return routines.dsbmv(len(band) - 1, 1.0, band, values, lower=True)
+    """Inverse of a Cholesky factor, of which the band is given, times several columns."""
+    return _routines().dtbtrs(factor.T, right, uplo="L")[0]
 
 
 def full(band: np.ndarray) -> np.ndarray:
-    """The symmetric matrix of which the lower band is given."""
-    size = band.shape[1]
+    """The symmetric matrix of which the band is given."""
+    size = len(band)
     matrix = np.zeros((size, size))
-    for k, line in enumerate(band[:size]):
+    for k, line in enumerate(band.T[:size]):
         np.fill_diagonal(matrix[k:, : size - k], line[: size - k])
     return matrix + np.tril(matrix, -1).T
 

@@ -10,6 +10,7 @@ from functools import cache
 
 import numpy as np
 
+from ehbench.identification import flow_band
 from ehbench.identification.flow_cells import OUTLIER_SIGMAS, Cells
 from ehbench.identification.flow_readings import Task
 from ehbench.identification.flow_spline import (
@@ -19,7 +20,6 @@ from ehbench.identification.flow_spline import (
     full,
     half_solved,
     solved,
-    times,
 )
 
 # what must be gained in −2 log likelihood for a curve over the drop that bends more at low drops,
@@ -167,10 +167,11 @@ def _score(
     @cache
     def score(point: Point) -> float:
         try:
-            free, determinant = spline.free(band, right, 10.0 ** np.array(point) * unit)
+            smoothing = 10.0 ** np.array(point) * unit
+            _, gain, determinant = spline.free(band, right, smoothing, whole=False)
         except np.linalg.LinAlgError:  # too little smoothing for the readings to tell a map
             return np.inf
-        return deviance(max(total - float(right @ free), 1e-12 * total), cells) + determinant
+        return deviance(max(total - gain, 1e-12 * total), cells) + determinant
 
     now = np.clip(np.round(4 * np.log10(shape.smoothing / unit)) / 4, -12, 0)
     return score, (float(now[0]), float(now[1])), unit
@@ -205,7 +206,7 @@ def solve(shape: Shape, spline: Spline, cells: Cells) -> tuple[np.ndarray, float
     band, right = normal_equations(spline, cells)
     c, determinant = spline.solve(band, right, shape.smoothing)
     misfit = float(cells.weight @ cells.y**2) + float(
-        c @ (times(spline.penalised(band, shape.smoothing), c) - 2 * right)
+        c @ (flow_band.times(spline.penalised(band, shape.smoothing), c) - 2 * right)
     )
     return c, deviance(max(misfit, 1e-12), cells) + determinant
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.compiled import kernel
+from ehbench.compiled import allocating_kernel, kernel
 from ehbench.disk import DATA, read_bytes
 from ehbench.errors import InputError
 from ehbench.text import quoted
@@ -153,29 +153,33 @@ def root_drop(pressure_drop, delta: float):
     return pressure_drop / np.sqrt(np.hypot(pressure_drop, delta))
 
 
-def bspline_pieces(breaks: np.ndarray, degree: int) -> np.ndarray:
+@allocating_kernel
+def bspline_pieces(breaks, degree):
     """B-splines on clamped knots as polynomials: shape (spans, splines, degree + 1), powers of x −
     breaks[span].
 
     Cox–de Boor recursion on the coefficients; spans + degree splines.
     """
-    spans = len(breaks) - 1
-    knots = np.concatenate([[breaks[0]] * degree, breaks, [breaks[-1]] * degree])
-    start = np.asarray(breaks[:-1], float)
-    pieces = np.zeros((spans, len(knots) - 1, degree + 1))
-    pieces[np.arange(spans), degree + np.arange(spans), 0] = 1.0
-    for k in range(1, degree + 1):
-        width = knots[k:] - knots[:-k]
-        per = np.divide(
-            1.0, width, out=np.zeros_like(width), where=width > 0
-        )  # a spline of no width is nowhere
-        rising, falling = pieces[:, :-1] * per[:-1, None], pieces[:, 1:] * per[1:, None]
-        pieces = (
-            rising * (start[:, None] - knots[: -k - 1])[..., None]
-            + falling * (knots[k + 1 :] - start[:, None])[..., None]
-        )
-        pieces[..., 1:] += (rising - falling)[..., :-1]
-    return pieces
+    spans = breaks.size - 1
+    knots = np.empty(spans + 1 + 2 * degree)
+    knots[:degree], knots[degree + spans :] = breaks[0], breaks[spans]
+    knots[degree : degree + spans + 1] = breaks
+    pieces = np.zeros((spans, spans + 2 * degree, degree + 1))
+    for j in range(spans):
+        pieces[j, degree + j, 0] = 1.0
+        for k in range(1, degree + 1):
+            for i in range(degree + j - k, degree + j + 1):  # those that are not zero in this span
+                one, other = knots[i + k] - knots[i], knots[i + k + 1] - knots[i + 1]
+                # a spline of no width is nowhere
+                rising = 1.0 / one if one > 0.0 else 0.0
+                falling = 1.0 / other if other > 0.0 else 0.0
+                before = 0.0, 0.0
+                for p in range(k + 1):
+                    up, down = pieces[j, i, p] * rising, pieces[j, i + 1, p] * falling
+                    value = up * (breaks[j] - knots[i]) + down * (knots[i + k + 1] - breaks[j])
+                    pieces[j, i, p] = value + (before[0] - before[1])
+                    before = up, down
+    return pieces[:, : spans + degree].copy()
 
 
 @dataclass(frozen=True, eq=False)

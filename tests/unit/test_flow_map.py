@@ -408,8 +408,9 @@ def test_a_splines_bands_and_increments_are_those_of_the_full_matrices(spans, ri
     np.testing.assert_allclose(
         full(spline.penalised(band, smoothing)), whole, rtol=1e-12, atol=1e-12
     )
-    free, determinant = spline.free(band, right, smoothing)
+    free, gain, determinant = spline.free(band, right, smoothing)
     np.testing.assert_allclose(free, np.linalg.solve(whole, right), rtol=1e-8, atol=1e-8)
+    assert gain == pytest.approx(right @ free, rel=1e-9)
     # a penalty's eigenvalues are those of its pencil with the mass, one of which is zero: the plane
     # u·s
     mass = np.kron(along_u.mass, along_s.mass)

@@ -1,0 +1,251 @@
+"""Symmetric band matrices of flow maps, compiled: a fit makes and solves some thousand of them.
+
+A band is that of a matrix whose rows and columns are the coefficients, along the root of the drop
+first: ``band[j, k]`` stands in column j, k below the diagonal, shape (coefficients, lines). Beyond
+the matrix it is zero."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ehbench.compiled import allocating_kernel, kernel
+
+
+@kernel
+def near(x, breaks, pieces, first, values):
+    """Writes which splines meet each point, and their values.
+
+    Args:
+        x: points, shape (points,).
+        breaks: of the splines, ascending.
+        pieces: their polynomials (``bspline_pieces``).
+        first: number of the first spline that is not zero at a point; −1 is the spline left out.
+        values: of it and those after it, that left out as zero, shape (points, degree + 1).
+    """
+    width = pieces.shape[2]
+    for i in range(x.shape[0]):
+        j = 0
+        while j < breaks.shape[0] - 2 and x[i] >= breaks[j + 1]:
+            j += 1
+        first[i] = j - 1
+        away = x[i] - breaks[j]
+        for k in range(width):
+            value = 0.0
+            for p in range(width - 1, -1, -1):
+                value = value * away + pieces[j, j + k, p]
+            values[i, k] = value
+        if j == 0:
+            values[i, 0] = 0.0
+
+
+@kernel
+def assemble(along_u, along_s, weighed, columns, band, right):
+    """Adds weighted flows to the band of the normal matrix and to its right side.
+
+    Args:
+        along_u: (first spline, values) of each flow, as `near` writes them.
+        along_s: the same along the root of the drop.
+        weighed: each flow's weight, and its flow times that, shape (2, flows).
+        columns: coefficients along the root.
+    """
+    row, of_u = along_u
+    column, of_s = along_s
+    wide = of_s.shape[1]
+    size = of_u.shape[1] * wide
+    for i in range(row.shape[0]):
+        for one in range(size):
+            a, b = one // wide, one % wide
+            low, value = (row[i] + a) * columns + column[i] + b, of_u[i, a] * of_s[i, b]
+            if value != 0.0:  # as those are that were left out, before the first coefficient
+                right[low] += weighed[1, i] * value
+                share = weighed[0, i] * value
+                for other in range(one, size):
+                    c, d = other // wide, other % wide
+                    far = of_u[i, c] * of_s[i, d]
+                    if far != 0.0:
+                        band[low, (c - a) * columns + d - b] += share * far
+
+
+@kernel
+def factorise(band):
+    """Writes the Cholesky factor's band over that of a matrix.
+
+    Returns:
+        0, or the number of the first column, from 1 on, at which it is not positive definite.
+    """
+    size, lines = band.shape
+    for j in range(size):
+        own = band[j, : min(lines, size - j)]
+        if not own[0] > 0.0:
+            return j + 1
+        own[0] = math.sqrt(own[0])
+        per = 1.0 / own[0]
+        for k in range(1, own.size):
+            own[k] *= per
+        for k in range(1, own.size):
+            share, rest, after = own[k], own[k:], band[j + k]
+            for i in range(rest.size):
+                after[i] -= share * rest[i]
+    return 0
+
+
+@kernel
+def forward(factor, values):
+    """Divides values by a Cholesky factor, in place."""
+    size, lines = factor.shape
+    for j in range(size):
+        own, after = factor[j, : min(lines, size - j)], values[j:]
+        after[0] /= own[0]
+        share = after[0]
+        for k in range(1, own.size):
+            after[k] -= share * own[k]
+
+
+@kernel
+def backward(factor, values):
+    """Divides values by the transpose of a Cholesky factor, in place."""
+    size, lines = factor.shape
+    for j in range(size - 1, -1, -1):
+        own, after = factor[j, : min(lines, size - j)], values[j:]
+        rest = after[0]
+        for k in range(1, own.size):
+            rest -= own[k] * after[k]
+        after[0] = rest / own[0]
+
+
+@kernel
+def penalise(band, bands, smoothing, out):
+    """Writes the band of the penalised normal matrix: bands of penalties, shape (2, coefficients,
+    lines), times their smoothing on top.
+    """
+    for j in range(band.shape[0]):
+        for k in range(band.shape[1]):
+            bent = smoothing[0] * bands[0, j, k] + smoothing[1] * bands[1, j, k]
+            out[j, k] = band[j, k] + bent
+
+
+@allocating_kernel
+def least(band, bands, smoothing, right, whole):
+    """The least of ½·cᵀ·matrix·c − rightᵀ·c of a penalised normal matrix.
+
+    Args:
+        whole: whether the point is asked for.
+
+    Returns:
+        (point if asked for, rightᵀ times it, log determinant of the matrix or nan where it is not
+        positive definite).
+    """
+    factor, values = np.empty_like(band), right.copy()
+    penalise(band, bands, smoothing, factor)
+    if factorise(factor):
+        return values, math.nan, math.nan
+    forward(factor, values)
+    gain, logarithm = 0.0, 0.0
+    for j in range(values.size):
+        gain += values[j] * values[j]
+        logarithm += math.log(factor[j, 0])
+    if whole:
+        backward(factor, values)
+    return values, gain, 2.0 * logarithm
+
+
+@allocating_kernel
+def tied(band, right, own):
+    """The least of ½·cᵀ·matrix·c − rightᵀ·c where several coefficients are one unknown.
+
+    Args:
+        own: which unknown each coefficient is, −1 for zero; ascending but for these.
+
+    Returns:
+        (coefficients, whether the matrix is positive definite).
+    """
+    size, lines = band.shape
+    count, apart = 0, 0
+    for j in range(size):
+        count = max(count, own[j] + 1)
+        for k in range(min(lines, size - j)):
+            if own[j] >= 0 and own[j + k] >= 0 and band[j, k] != 0.0:
+                apart = max(apart, abs(own[j] - own[j + k]))
+    matrix, pull = np.zeros((count, apart + 1)), np.zeros(count + 1)
+    for j in range(size):
+        one = own[j]
+        if one >= 0:
+            pull[one] += right[j]
+            for k in range(min(lines, size - j)):
+                other = own[j + k]
+                if other >= 0 and band[j, k] != 0.0:
+                    # of two coefficients that are one unknown, both orders count
+                    times = 2.0 if k and one == other else 1.0
+                    matrix[min(one, other), abs(one - other)] += times * band[j, k]
+    fails = factorise(matrix)
+    if not fails:
+        forward(matrix, pull[:count])
+        backward(matrix, pull[:count])
+    found = np.empty(size)
+    for j in range(size):
+        found[j] = pull[own[j]] if own[j] >= 0 else 0.0
+    return found, not fails
+
+
+@allocating_kernel
+def times(band, values):
+    """Product of a symmetric matrix, of which the band is given, with a vector."""
+    size, lines = band.shape
+    found = np.zeros(size)
+    for j in range(size):
+        own = band[j, 0] * values[j]
+        for k in range(1, min(lines, size - j)):
+            own += band[j, k] * values[j + k]
+            found[j + k] += band[j, k] * values[j]
+        found[j] += own
+    return found
+
+
+@allocating_kernel
+def gram(pieces, order, powers, share):
+    """∫ weight·B_i^(order) B_j^(order) of splines in polynomial pieces (``bspline_pieces``), exact
+    but for the last bits: the least eigenvalues of a soft penalty hang on these, so the order of
+    the sums is part of it.
+
+    Args:
+        powers: of the places in a span where Gauss's rule asks, shape (spans, nodes, powers).
+        share: of a node's value in the integral: (by node, by span).
+    """
+    (spans, splines, size), (by_node, by_span) = pieces.shape, share
+    found, values = np.zeros((splines, splines)), np.empty(size)
+    for j in range(spans):
+        for g in range(powers.shape[1]):
+            for k in range(size):  # of a spline's degree, and one more, meet in a span
+                even, odd = 0.0, 0.0
+                for p in range(order, size):
+                    factor = 1.0
+                    for d in range(order):
+                        factor *= p - d
+                    term = factor * pieces[j, j + k, p] * powers[j, g, p - order]
+                    if (p - order) % 2:
+                        odd += term
+                    else:
+                        even += term
+                values[k] = even + odd
+            for k in range(size):
+                for i in range(size):
+                    found[j + k, j + i] += values[k] * values[i] * by_node[g] * by_span[j]
+    return found
+
+
+@kernel
+def kronecker(of_u, of_s, out):
+    """Writes the band of the Kronecker product of symmetric matrices along u and s, in each of
+    which only neighbours meet: three after one another along u, four along s.
+    """
+    rows, columns = of_u.shape[0], of_s.shape[0]
+    for row in range(rows):
+        for column in range(columns):
+            for after in range(row, min(row + 3, rows)):
+                for other in range(max(column - 3, 0), min(column + 4, columns)):
+                    line = (after - row) * columns + other - column
+                    if line >= 0:
+                        share = of_u[row, after] * of_s[column, other]
+                        out[row * columns + column, line] = share
