@@ -8,9 +8,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
+
+from ehbench import oscillation
 
 LEAST_SAMPLES = 24  # fewer do not carry four amplitudes, a frequency and a decay
 LEAST_CYCLES = 1.0
@@ -23,7 +24,8 @@ SIGNIFICANT = (
 LEAST_LINE = 8  # samples that tell a slope
 _GRID_SAMPLES = 192
 _SAMPLES_A_CYCLE = 24
-_GRID_DAMPING = (0.02, 0.06, 0.12, 0.22, 0.4)
+_GRID_DAMPING = np.array([0.02, 0.06, 0.12, 0.22, 0.4])
+_SCALES = np.array([0.1, 0.1, 0.5])  # by which log ω, ζ and log τ are moved
 
 
 @dataclass(frozen=True)
@@ -338,21 +340,6 @@ def _basis(s: np.ndarray, omega: float, zeta: float, tau: float) -> np.ndarray:
     )
 
 
-def _basis_slopes(
-    s: np.ndarray, basis: np.ndarray, omega: float, zeta: float, tau: float
-) -> list[tuple[slice, np.ndarray]]:
-    """(which columns of the basis change, their derivatives) by log ω, by ζ and, where the drift
-    has one, by log τ.
-    """
-    waves, turned = basis[:, :2], np.column_stack([-basis[:, 1], basis[:, 0]])
-    root, along = math.sqrt(max(1e-6, 1.0 - zeta * zeta)), omega * s[:, None]
-    found = [
-        (slice(2), along * (root * turned - zeta * waves)),
-        (slice(2), -along * (waves + zeta / root * turned)),
-    ]
-    return [*found, (slice(5, 6), s[:, None] / tau * basis[:, 5:])] if tau > 0.0 else found
-
-
 def _project(basis: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(orthonormal columns of the basis, what of y lies outside their span)."""
     q, _ = np.linalg.qr(basis)
@@ -372,16 +359,8 @@ def _search(s: np.ndarray, y: np.ndarray) -> tuple[float, float, int]:
         z = z - z[0]
         lowest, highest = 2 * math.pi / z[-1], 2 * math.pi / (8.0 * (z[1] - z[0]))
         frequencies = np.geomspace(lowest, max(highest, 1.1 * lowest), 48)
-        omega, zeta = (
-            a.ravel()[:, None] for a in np.meshgrid(frequencies, _GRID_DAMPING, indexing="ij")
-        )
-        damped, envelope = omega * np.sqrt(1 - zeta**2), np.exp(-zeta * omega * z)
-        drift = _drift(z, 0.0)
-        base, rest = _project(drift, w)
-        waves = np.stack([envelope * np.cos(damped * z), envelope * np.sin(damped * z)], axis=-1)
-        waves = waves - base @ (base.T @ waves)
-        q, _ = np.linalg.qr(waves)
-        explained = np.sum((np.swapaxes(q, 1, 2) @ rest) ** 2, axis=(1, 2))
+        base, rest = (np.ascontiguousarray(a.T) for a in _project(_drift(z, 0.0), w))
+        explained = oscillation.explained(z, base, rest, frequencies, _GRID_DAMPING)
         total = float(np.sum(rest**2))
         if total <= 0.0:
             continue
@@ -389,7 +368,8 @@ def _search(s: np.ndarray, y: np.ndarray) -> tuple[float, float, int]:
         at = int(np.argmax(share))
         score = -count * math.log1p(-float(share[at]))
         if score > best[0]:
-            best = (score, float(omega[at, 0]), float(zeta[at, 0]), used)
+            row, column = divmod(at, _GRID_DAMPING.size)
+            best = (score, float(frequencies[row]), float(_GRID_DAMPING[column]), used)
     return best[1:]
 
 
@@ -397,83 +377,28 @@ def _refine(s, y, omega, zeta, taus, free_drift=True):
     """(ω, ζ, τ) at the least-squares minimum near (ω, ζ); the drift's τ starts at the best of
     ``taus``, 0 meaning none.
     """
-    from scipy.optimize import least_squares
-
-    n = y.size
+    n, channels = y.size, np.ascontiguousarray(y.T)
     best = (math.inf, omega, zeta, 0.0)
     for tau in taus:
-        start, low, high = (
-            [math.log(omega), min(max(zeta, 0.0), 0.9)],
-            [-np.inf, -0.05],
-            [np.inf, 0.95],
-        )
+        bounds = [(-math.inf, math.inf), (-0.05, 0.95)]
+        start = [math.log(omega), min(max(zeta, 0.0), 0.9)]
         if tau > 0.0 and free_drift:
-            start, low, high = (
-                [*start, math.log(tau)],
-                [*low, math.log(s[2])],
-                [*high, math.log(2.0 * s[-1])],
-            )
-            start[2] = min(max(start[2], low[2] + 1e-6), high[2] - 1e-6)
-        left = _Left(s, y, tau)
-        slopes: Any = left.slopes  # the types that come with SciPy know its names alone
-        found = least_squares(
-            left.at,
-            start,
-            slopes,
-            bounds=(low, high),
-            x_scale=[0.1, 0.1, 0.5][: len(start)],
-            ftol=1e-9,
-            xtol=1e-7,
-            max_nfev=30,
-        )
-        score = n * math.log(max(2.0 * found.cost / n, 1e-300)) + (
+            low, high = math.log(s[2]), math.log(2.0 * s[-1])
+            bounds.append((low, high))
+            start.append(min(max(math.log(tau), low + 1e-6), high - 1e-6))
+        limits, scale = np.array(bounds).T.copy(), _SCALES[: len(start)]
+        found, left = oscillation.fit(s, channels, tau, np.array(start), limits, scale)
+        score = n * math.log(max(2.0 * left / n, 1e-300)) + (
             (y.shape[1] + 1) * math.log(n) if tau > 0.0 else 0.0
         )
         if score < best[0]:
             best = (
                 score,
-                math.exp(found.x[0]),
-                float(found.x[1]),
-                math.exp(found.x[2]) if len(found.x) > 2 else tau,
+                math.exp(found[0]),
+                float(found[1]),
+                math.exp(found[2]) if len(found) > 2 else tau,
             )
     return best[1:]
-
-
-class _Left:
-    """What an oscillation and a drift leave of some channels, and its slopes; points are (log ω, ζ)
-    or (log ω, ζ, log τ).
-    """
-
-    def __init__(self, s: np.ndarray, y: np.ndarray, tau: float) -> None:
-        self.s, self.y, self.tau = s, y, tau
-
-    def at(self, point: np.ndarray) -> np.ndarray:
-        """What is left, all channels in one row."""
-        omega, zeta, tau = self._told(point)
-        self.basis = _basis(self.s, omega, zeta, tau)
-        self.q, self.r = np.linalg.qr(self.basis)
-        self.point, self.rest = point.copy(), self.y - self.q @ (self.q.T @ self.y)
-        return self.rest.ravel()
-
-    def slopes(self, point: np.ndarray) -> np.ndarray:
-        """Its derivatives by the point's numbers: −(A + Aᵀ) y with A = (1 − QQᵀ) Φ′ Φ⁻ (Golub &
-        Pereyra 1973).
-        """
-        if not np.array_equal(point, self.point):
-            self.at(point)
-        omega, zeta, tau = self._told(point)
-        back = np.linalg.pinv(self.r)  # columns may vanish, as of a quick decay in a long window
-        shares = back @ (self.q.T @ self.y)
-        found = []
-        for columns, own in _basis_slopes(self.s, self.basis, omega, zeta, tau)[: len(point)]:
-            moved = own @ shares[columns]
-            turned = self.q @ (back[columns].T @ (own.T @ self.rest))
-            found.append((self.q @ (self.q.T @ moved) - moved - turned).ravel())
-        return np.stack(found, axis=-1)
-
-    def _told(self, point: np.ndarray) -> tuple[float, float, float]:
-        tau = math.exp(point[2]) if len(point) > 2 else self.tau
-        return math.exp(point[0]), float(point[1]), tau
 
 
 def _standard_errors(s, y, omega, zeta, tau, residual, colour) -> tuple[float, float]:

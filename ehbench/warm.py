@@ -115,6 +115,23 @@ def lanes(what: str) -> str:
     return what
 
 
+def fits(what: str) -> str:
+    """Compile what fits flow maps and oscillations; gives back what it is called."""
+    from ehbench import signals
+    from ehbench.identification import flow_band
+    from ehbench.identification.flow_map import FlowReadings, fit_flow_map
+
+    command, drop = (a.ravel() for a in np.meshgrid(np.arange(9.0), np.geomspace(1e5, 6e6, 6)))
+    flow = 1e-8 * np.maximum(command - 1.2, 0.0) * np.sqrt(drop)
+    noise = np.random.default_rng(0).standard_normal(flow.size)
+    fit_flow_map("v", "forward", FlowReadings(command, drop, flow * (1.0 + 0.1 * noise)))
+    band, right = np.ones((1, 1)), np.ones(1)
+    flow_band.tied(band, right, np.zeros(1, np.int64))
+    t = np.linspace(0.0, 1.0, 200)
+    signals.ringing(t, np.exp(-3.0 * t) * np.sin(30.0 * t))
+    return what
+
+
 def ahead() -> None:
     """Compile, from its end on, what a first trial needs, while another process runs that trial:
     what one has compiled the other finds in the cache.
@@ -147,12 +164,14 @@ def main() -> None:
     names = get_args(TrialRecipe.model_fields["on"].annotation)
     compile_dir(PACKAGE, quiet=2)
     print("compiling the kernels, once …", file=sys.stderr, flush=True)
-    with ProcessPoolExecutor(len(names) + 2, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(len(names) + 3, mp_context=get_context("spawn")) as pool:
         jobs = [pool.submit(warm, name) for name in names]
         jobs += [pool.submit(lanes, "model in lanes")]
         jobs += [pool.submit(together, "model, of several cylinders")]
+        last = pool.submit(fits, "fits of flow maps and oscillations")
         for job in jobs:
             print(f"compiled: trials on the {job.result()}", file=sys.stderr, flush=True)
+        print(f"compiled: {last.result()}", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ FLOORS = [
     {"codes", "commands", "errors", "quantities", "compiled", "blas", "terms"}
     | {"text", "usual_units"},
     {"units", "disk", "memory"},
-    {"fields", "notebook"},
+    {"fields", "notebook", "oscillation"},
     {"physics", "signals"},
     {"parts"},
     {"control"},

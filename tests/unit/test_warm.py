@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from ehbench import starter, warm
+from ehbench import oscillation, starter, warm
 from ehbench.control import LAW_NAMES
+from ehbench.identification import flow_band
 from ehbench.recipe import TrialRecipe, load_rig
 
 
@@ -28,6 +29,12 @@ def test_every_law_runs_on_every_machine(machine, tmp_path):
 
 def test_an_arm_moves_all_its_cylinders():
     assert warm.together("an arm") == "an arm"
+
+
+def test_fits_find_their_kernels_compiled():
+    assert warm.fits("fits") == "fits"
+    kernels = [flow_band.least, flow_band.tied, oscillation.fit, oscillation.explained]
+    assert all(each.is_kept for each in kernels)
 
 
 AHEAD = """

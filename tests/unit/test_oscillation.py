@@ -1,0 +1,69 @@
+"""The compiled fit of an oscillation, against SciPy's least squares of the same residuals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from ehbench import oscillation
+from ehbench.signals import _basis, _drift, _project
+
+SCALE = np.array([0.1, 0.1, 0.5])
+LOW, HIGH = np.array([-np.inf, -0.05, np.log(2e-3)]), np.array([np.inf, 0.95, np.log(2.0)])
+
+
+def series(seed, zeta, noise):
+    """(s [s], two channels of one oscillation beside a drift, shape (samples, 2), its log ω)."""
+    rng = np.random.default_rng(seed)
+    s, omega = np.arange(400) * 1e-3, rng.uniform(30.0, 120.0)
+    damped = omega * np.sqrt(1.0 - zeta**2)
+    waves = np.cos(damped * s[:, None] + rng.uniform(0.0, 6.0, 2)) * rng.uniform(0.5, 2.0, 2)
+    drift = rng.standard_normal(2) * s[:, None] + np.exp(-s / 0.06)[:, None]
+    y = np.exp(-zeta * omega * s)[:, None] * waves + drift
+    return s, y + noise * rng.standard_normal(y.shape), float(np.log(omega))
+
+
+def left(point, s, y, tau):
+    tau = np.exp(point[2]) if len(point) > 2 else tau
+    return _project(_basis(s, np.exp(point[0]), point[1], tau), y)[1].ravel()
+
+
+@pytest.mark.parametrize("tau, sought", [(0.0, 2), (0.05, 2), (0.05, 3)])
+@pytest.mark.parametrize("zeta, noise", [(0.05, 1e-6), (0.3, 0.05), (-0.08, 0.01), (0.1, 1.0)])
+def test_the_least_squares_are_those_of_scipy(zeta, noise, tau, sought):
+    for seed in range(3):
+        s, y, log_omega = series(seed, zeta, noise)
+        start = np.array([log_omega + 0.06, 0.15, np.log(0.05)])[:sought]
+        bounds = np.stack([LOW, HIGH])[:, :sought].copy()
+        point, cost = oscillation.fit(
+            s, np.ascontiguousarray(y.T), tau, start, bounds, SCALE[:sought]
+        )
+        wanted = least_squares(
+            left, start, bounds=bounds, x_scale=SCALE[:sought], args=(s, y, tau), xtol=1e-12
+        )
+        assert cost == pytest.approx(0.5 * np.sum(left(point, s, y, tau) ** 2), rel=1e-9)
+        # it ends where a step gains less than 1e-9 of the squares; an oscillation that grows by
+        # more than is allowed ends at the bound, which the way to it approaches by a factor a step
+        assert cost <= wanted.cost * (1.0 + 1e-6) + 1e-12
+        assert np.all(point >= bounds[0]) and np.all(point <= bounds[1])
+        np.testing.assert_allclose(point[:2], wanted.x[:2], atol=1e-3 * max(1.0, 20.0 * noise))
+
+
+def test_what_an_oscillation_explains_is_a_projection():
+    s, y, _ = series(5, 0.1, 0.2)
+    base, rest = (np.ascontiguousarray(a.T) for a in _project(_drift(s, 0.0), y))
+    omegas, zetas = np.geomspace(16.0, 700.0, 7), np.array([0.02, 0.2, 0.6])
+    found = oscillation.explained(s, base, rest, omegas, zetas).reshape(7, 3)
+    for i, omega in enumerate(omegas):
+        for j, zeta in enumerate(zetas):
+            beyond = _project(_basis(s, omega, zeta, 0.0), y)[1]
+            exact = np.sum(rest**2) - np.sum(beyond**2)
+            assert found[i, j] == pytest.approx(exact, rel=1e-7, abs=1e-9 * np.sum(rest**2))
+
+
+def test_waves_that_the_drift_makes_explain_nothing():
+    s, y, _ = series(6, 0.1, 0.2)
+    base, rest = (np.ascontiguousarray(a.T) for a in _project(_basis(s, 40.0, 0.2, 0.0), y))
+    found = oscillation.explained(s, base, rest, np.array([40.0]), np.array([0.2]))
+    assert found[0] == pytest.approx(0.0, abs=1e-9 * np.sum(rest**2))
