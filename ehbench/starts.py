@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from ehbench.plant.integrate import STEP
 from ehbench.plant.lanes.many import Run, replays_fixed
 from ehbench.plant.lanes.vectors import LANES
 from ehbench.plant.layout import SIDES
-from ehbench.plant.model import Model, Start
+from ehbench.plant.model import Model, Seen, Start, seen_of
 from ehbench.plant.ties import supplied, tied_words
 from ehbench.plant.trim import settle_parts
 from ehbench.preprocessing import moving_at_first, on_at_first
@@ -95,8 +96,21 @@ class LogStart:
         Raises:
             InputError: as `at`.
         """
-        first = _moving_start if self.moves else Model.rest_start
-        return Start(*first(model, self.true(shifts, shared), self.rest))
+        true = self.true(shifts, shared)
+        own = true is self.record  # else sensors are put right, and it tells something else
+        if self.moves:
+            return _moving_start(model, true, self._firsts if own else _firsts(true, self.rest))
+        return model.rest_start(true, self.rest, self._seen if own else None)
+
+    @cached_property
+    def _seen(self) -> Seen:
+        """What the recording tells of its rest: it stays, whichever model is asked to start."""
+        return seen_of(self.record, self.rest)
+
+    @cached_property
+    def _firsts(self) -> dict[str, tuple[float, float, float]]:
+        """What the recording tells of its motion."""
+        return _firsts(self.record, self.rest)
 
     def moved_from(self, first: Start, model: Model, shifts: np.ndarray) -> Start:
         """`at`, from a start of `unmoved`, which is left as it is."""
@@ -292,16 +306,22 @@ def _first(y: np.ndarray, rest: int, tick: float) -> tuple[float, float, float]:
     return float(coefficients[0]), float(coefficients[1]), 3.0 * noise / math.sqrt(count)
 
 
-def _moving_start(model: Model, record: Record, rest: int) -> Start:
-    """The state at the first sample of a recording that begins in motion, from its first samples:
-    places, pressures and speeds as they read, valves where their commands were a lag before.
-    """
-    tick, names = record.sample_time, model.layout
-    seen = {
-        channel: _first(y, rest, tick)
+def _firsts(record: Record, rest: int) -> dict[str, tuple[float, float, float]]:
+    """`_first` of the readings of a recording, by channel."""
+    return {
+        channel: _first(y, rest, record.sample_time)
         for channel, y in record.channels.items()
         if not channel.endswith(".command")
     }
+
+
+def _moving_start(
+    model: Model, record: Record, seen: Mapping[str, tuple[float, float, float]]
+) -> Start:
+    """The state at the first sample of a recording that begins in motion, by `_firsts` of it:
+    places, pressures and speeds as they read, valves where their commands were a lag before.
+    """
+    tick, names = record.sample_time, model.layout
     value = {channel: first for channel, (first, _, _) in seen.items()}
     table = model.commands_of(record)
     supply, tank = value.get("p_supply"), value.get("p_tank")

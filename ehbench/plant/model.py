@@ -44,6 +44,20 @@ class Start(NamedTuple):
     tank: float | None = None
 
 
+Seen = Mapping[str, float]  # what a recording tells of a machine [SI], by channel
+
+
+def seen_of(record: Record, rest: int) -> Seen:
+    """What the first ``rest`` samples of a recording tell of the rest it begins at [SI]: pressures
+    by their mean, places as `first_of` has them.
+    """
+    return {
+        channel: first_of(y, rest) if word in PLACES else float(np.mean(y[:rest]))
+        for channel, y in record.channels.items()
+        if (word := channel.rpartition(".")[2]) in TELLS
+    }
+
+
 def finite(log: np.ndarray, tick: float) -> np.ndarray:
     """A log table as it is.
 
@@ -203,9 +217,9 @@ class Model:
         steps, count = run_paced(y.copy(), table, self.plant, line, pace, mesh, log)
         return finite(log, tick), steps[:count].copy()
 
-    def start_of(self, record: Record, rest: int) -> np.ndarray:
+    def start_of(self, record: Record, rest: int, seen: Seen | None = None) -> np.ndarray:
         """The state at the first sample of a recording, from its first ``rest`` samples: pressures
-        by their mean, places as `first_of` has them.
+        by their mean, places as `first_of` has them. What `seen_of` gives may be handed in.
 
         Joint angles (or strokes), chamber and supply pressures are the recording's where it has
         them, else those of `trim`. The two pressures of a cylinder are moved, as little as possible
@@ -215,11 +229,7 @@ class Model:
         Raises:
             InputError: a posture outside the stroke.
         """
-        seen = {
-            channel: first_of(y, rest) if word in PLACES else float(np.mean(y[:rest]))
-            for channel, y in record.channels.items()
-            if (word := channel.rpartition(".")[2]) in TELLS
-        }
+        seen = seen_of(record, rest) if seen is None else seen
         command = self.commands_of(record)[:rest].mean(axis=0) if self.layout.played else None
         y = self.posed(seen, command)
         for index, name in enumerate(self.layout.cylinders):
@@ -266,9 +276,14 @@ class Model:
         y[plant.at.supply] = seen.get("p_supply", y[plant.at.supply])
         return y
 
-    def rest_start(self, record: Record, rest: int | None = None) -> Start:
+    def rest_start(
+        self, record: Record, rest: int | None = None, seen: Seen | None = None
+    ) -> Start:
         """Where a recording starts that begins at rest: `start_of`, and the means of ``p_supply``
         and ``p_tank`` over its first ``rest`` samples, found from the commands by default.
+
+        Args:
+            seen: what `seen_of` gives of these samples.
 
         Raises:
             InputError: a posture outside the stroke.
@@ -279,7 +294,7 @@ class Model:
             for channel in ("p_supply", "p_tank")
         )
         model = replace(self, plant=self.plant.at_pressures(supply, tank))
-        return Start(model.start_of(record, rest), supply, tank)
+        return Start(model.start_of(record, rest, seen), supply, tank)
 
     def replay(
         self,
