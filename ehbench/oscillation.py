@@ -1,9 +1,8 @@
 """The fit of an oscillation beside a drift to some channels, compiled: a validation makes many.
 
-Least squares over the frequency, the damping and the drift's time constant alone: amplitudes are
-eliminated (separable least squares, Golub & Pereyra 1973). The descent is the trust region
-reflective one of Branch, Coleman & Li (1999), as SciPy's ``least_squares`` has it, on the normal
-matrix: three numbers at most are sought."""
+Least squares over the frequency, the damping and the drift's time constant alone: amplitudes
+are eliminated (separable least squares, Golub & Pereyra 1973). The descent is Marquardt's (1963) on
+the normal matrix, a number at a bound held as long as the slope points out."""
 
 from __future__ import annotations
 
@@ -18,10 +17,10 @@ from ehbench.compiled import allocating_kernel, kernel
 _ROUNDED = 1e-14
 # share of a wave's sum of squares below which what a drift leaves of it is none
 _ALIKE = 1e-10
-# where the descent ends: share of the sum of squares gained, share of the point moved, slope
-_GAIN, _MOVE, _SLOPE = 1e-9, 1e-7, 1e-8
-_MOST = 30  # points at most
-_CLOSE, _TURNS = 0.01, 10  # of the search for a step as long as the region is wide
+# where the descent ends: share of the sum of squares gained, how far the point moved at most
+_GAIN, _MOVE = 1e-11, 1e-9
+_MOST, _TRIES = 50, 20  # steps, and dampings of one
+_DAMPING = 1e-3  # at first
 
 
 class Series(NamedTuple):
@@ -73,12 +72,6 @@ def _dot(a, b):
 def _put(values, out):
     for i in range(out.size):
         out[i] = values[i]
-
-
-@kernel
-def _stretch(values, share):
-    for i in range(values.size):
-        values[i] *= share
 
 
 @kernel
@@ -214,33 +207,29 @@ def _normal(point, data, gradient, matrix):
             matrix[p, other] = matrix[other, p] = found
 
 
-class Region(NamedTuple):
-    """Where a step is sought, and room to work: bounds ``low`` and ``high`` of the point ``x``, the
-    slope ``g`` and normal matrix ``b`` there, ``d`` by which a step is scaled, slope and matrix
-    scaled, the ``step`` scaled, and its way in the point; all of them sought numbers long."""
+class Descent(NamedTuple):
+    """Room of a descent: the ``gradient`` and normal ``matrix`` at its point, the latter's Cholesky
+    ``factor`` with damping, the ``step`` and the point ``to`` which it leads.
+    """
 
-    low: np.ndarray
-    high: np.ndarray
-    x: np.ndarray
-    g: np.ndarray
-    b: np.ndarray
-    d: np.ndarray
-    slope: np.ndarray
+    gradient: np.ndarray
     matrix: np.ndarray
-    step: np.ndarray
-    turned: np.ndarray
-    down: np.ndarray
-    way: np.ndarray
     factor: np.ndarray
+    step: np.ndarray
+    to: np.ndarray
 
 
 @kernel
-def _divided(at, alpha, right, out):
-    """Writes (matrix + α)⁻¹ right; whether the matrix is positive definite."""
-    n, factor = right.size, at.factor
+def _solved(way, held, damping):
+    """Writes the step (matrix + damping·diagonal)⁻¹ gradient of the numbers that are not held, and
+    whether there is one.
+    """
+    n, factor, step = way.step.size, way.factor, way.step
     for j in range(n):
         for i in range(j, n):
-            rest = at.matrix[i, j] + (alpha if i == j else 0.0)
+            rest = 0.0 if held[i] or held[j] else way.matrix[i, j]
+            if i == j:
+                rest = 1.0 if held[i] else rest * (1.0 + damping)
             for k in range(j):
                 rest -= factor[i, k] * factor[j, k]
             if i > j:
@@ -250,237 +239,60 @@ def _divided(at, alpha, right, out):
             else:
                 return False
     for j in range(n):
-        rest = right[j]
+        rest = 0.0 if held[j] else way.gradient[j]
         for k in range(j):
-            rest -= factor[j, k] * out[k]
-        out[j] = rest / factor[j, j]
+            rest -= factor[j, k] * step[k]
+        step[j] = rest / factor[j, j]
     for j in range(n - 1, -1, -1):
-        rest = out[j]
+        rest = step[j]
         for k in range(j + 1, n):
-            rest -= factor[k, j] * out[k]
-        out[j] = rest / factor[j, j]
+            rest -= factor[k, j] * step[k]
+        step[j] = rest / factor[j, j]
     return True
 
 
 @kernel
-def _long(at, alpha, radius):
-    """(by how much the step for α is longer than the region is wide, how that falls with α, whether
-    there is one); writes the step.
-    """
-    if not _divided(at, alpha, at.slope, at.step):
-        return 0.0, 0.0, False
-    length = math.sqrt(_dot(at.step, at.step))
-    _divided(at, alpha, at.step, at.way)
-    return length - radius, -_dot(at.step, at.way) / length, True
+def _moved_to(point, bounds, way):
+    """Writes where the step leads to, inside the bounds; the largest number it moves by."""
+    most = 0.0
+    for i in range(point.size):
+        way.to[i] = min(max(point[i] - way.step[i], bounds[0, i]), bounds[1, i])
+        most = max(most, abs(way.to[i] - point[i]))
+    return most
 
 
 @kernel
-def _within(at, radius, alpha):
-    """Writes the step to the least of the quadratic within the region (Moré 1978).
-
-    Returns:
-        The damping α that it takes; the last one is given.
-    """
-    over, fall, whole = _long(at, 0.0, radius)
-    if whole and over <= 0.0:
-        _stretch(at.step, -1.0)
-        return 0.0
-    least = -over / fall if whole else 0.0
-    most = math.sqrt(_dot(at.slope, at.slope)) / radius
-    if alpha == 0.0 and not whole:
-        alpha = max(0.001 * most, math.sqrt(least * most))
-    for _ in range(_TURNS):
-        if alpha < least or alpha > most:
-            alpha = max(0.001 * most, math.sqrt(least * most))
-        over, fall, _ = _long(at, alpha, radius)
-        if over < 0.0:
-            most = alpha
-        least = max(least, alpha - over / fall)
-        alpha -= (over + radius) * over / fall / radius
-        if abs(over) < _CLOSE * radius:
+def _descend(data, point, bounds, way, held):
+    """Half the least sum of squares from a point on; writes where it is."""
+    cost, damping = _left(point, data), _DAMPING
+    for _ in range(_MOST):
+        _normal(point, data, way.gradient, way.matrix)
+        for i in range(point.size):
+            down = -way.gradient[i]
+            out = (point[i] <= bounds[0, i] and down < 0.0) or (
+                point[i] >= bounds[1, i] and down > 0.0
+            )
+            held[i] = out or way.matrix[i, i] <= 0.0
+        gained = 0.0
+        for _ in range(_TRIES):
+            if _solved(way, held, damping):
+                moved = _moved_to(point, bounds, way)
+                gained = cost - _left(way.to, data)
+                if gained > 0.0 or moved < _MOVE:
+                    break
+            damping *= 10.0
+        damping *= 0.1
+        if not gained > 0.0:
             break
-    _divided(at, alpha, at.slope, at.step)
-    share = -radius / math.sqrt(_dot(at.step, at.step))
-    _stretch(at.step, share)
-    return alpha
-
-
-@kernel
-def _room(at, way, begin, share, out):
-    """How much of a scaled way leads from the point, moved by a share of ``begin``, to a bound;
-    writes 1 for the numbers that meet it.
-    """
-    found = math.inf
-    for i in range(way.size):
-        step, x = at.d[i] * way[i], at.x[i] + share * at.d[i] * begin[i]
-        out[i] = math.inf
-        if step != 0.0:
-            out[i] = max((at.low[i] - x) / step, (at.high[i] - x) / step)
-        found = min(found, out[i])
-    for i in range(way.size):
-        out[i] = 1.0 if out[i] == found else 0.0
-    return found
-
-
-@kernel
-def _value(at, one, other):
-    """½ oneᵀ matrix other."""
-    found = 0.0
-    for i in range(one.size):
-        found += 0.5 * one[i] * _dot(at.matrix[i], other)
-    return found
-
-
-@kernel
-def _lowest(curve, slope, low, high):
-    """(where a parabola through zero is least between two places, its value)."""
-    at = low if low * (curve * low + slope) <= high * (curve * high + slope) else high
-    if curve != 0.0:
-        inner = -0.5 * slope / curve
-        if low < inner < high and inner * (curve * inner + slope) < at * (curve * at + slope):
-            at = inner
-    return at, at * (curve * at + slope)
-
-
-@kernel
-def _reflected(at, radius, theta, room):
-    """The value at the least along the step turned round at the bound it meets; writes that way.
-    The step ends on the bound, ``room`` are the numbers that meet it.
-
-    Args:
-        room: share of the step that leads to the bound.
-    """
-    step, turned = at.step, at.turned
-    squares, along = _dot(turned, turned), _dot(step, turned)
-    rest = _dot(step, step) - radius * radius
-    root = math.sqrt(max(along * along - squares * rest, 0.0))
-    pull = -(along + math.copysign(root, along))
-    to_end = max(pull / squares, rest / pull) if pull != 0.0 else 0.0
-    to_bound = _room(at, turned, step, 1.0, at.way)
-    most = min(to_bound, to_end)
-    if most <= 0.0:
-        return math.inf
-    low, high = (1.0 - theta) * room / most, theta * to_bound if most == to_bound else to_end
-    if low > high:
-        return math.inf
-    slope = _dot(at.slope, turned) + 2.0 * _value(at, step, turned)
-    share, value = _lowest(_value(at, turned, turned), slope, low, high)
-    value += _value(at, step, step) + _dot(at.slope, step)
-    for i in range(step.size):
-        turned[i] = step[i] + share * turned[i]
-    return value
-
-
-@kernel
-def _chosen(at, radius, theta):
-    """What the quadratic gains by the step, by the one turned round at a bound or by one straight
-    down, whichever is best inside the bounds; writes that step.
-    """
-    step, turned, down, zero = at.step, at.turned, at.down, at.way
-    room = _room(at, step, step, 0.0, zero)
-    if room >= 1.0:
-        return -_value(at, step, step) - _dot(at.slope, step)
-    for i in range(step.size):
-        step[i] *= room
-        turned[i] = step[i] / room * (1.0 - 2.0 * zero[i])
-    bent = _reflected(at, radius, theta, room)
-    _stretch(step, theta)
-    straight = _value(at, step, step) + _dot(at.slope, step)
-    for i in range(step.size):
-        down[i] = -at.slope[i]
-    to_end = radius / math.sqrt(_dot(down, down))
-    to_bound = _room(at, down, down, 0.0, zero)
-    most = theta * to_bound if to_bound < to_end else to_end
-    share, falls = _lowest(_value(at, down, down), _dot(at.slope, down), 0.0, most)
-    if straight < bent and straight < falls:
-        return -straight
-    for i in range(step.size):
-        step[i] = turned[i] if bent < straight and bent < falls else share * down[i]
-    return -min(bent, falls)
-
-
-@kernel
-def _scaled(at, scale):
-    """Writes the way of scaling by the room to the bounds that the slope points to, and slope and
-    matrix scaled; the largest slope scaled so.
-    """
-    n, largest = at.x.size, 0.0
-    for i in range(n):
-        room, bent = 1.0, 0.0
-        if at.g[i] < 0.0 and at.high[i] < math.inf:
-            room, bent = at.high[i] - at.x[i], -1.0
-        elif at.g[i] > 0.0 and at.low[i] > -math.inf:
-            room, bent = at.x[i] - at.low[i], 1.0
-        largest = max(largest, abs(at.g[i] * room))
-        at.d[i] = math.sqrt(room / scale[i] if bent != 0.0 else room) * scale[i]
-        at.step[i] = at.g[i] * bent * scale[i]
-    for i in range(n):
-        at.slope[i] = at.d[i] * at.g[i]
-        for j in range(n):
-            at.matrix[i, j] = at.d[i] * at.b[i, j] * at.d[j]
-        at.matrix[i, i] += at.step[i]
-    return largest
-
-
-@kernel
-def _moves(at, radius, theta, alpha, to):
-    """(what a step should gain, its scaled length, its length, its damping); writes where it leads
-    to, inside the bounds.
-    """
-    alpha = _within(at, radius, alpha)
-    gain, length = _chosen(at, radius, theta), 0.0
-    for i in range(to.size):
-        step = at.d[i] * at.step[i]
-        length += step * step
-        to[i] = at.x[i] + step
-        if to[i] <= at.low[i] or to[i] >= at.high[i]:
-            share = 1e-15 * max(1.0, abs(to[i]))
-            to[i] = at.low[i] + share if to[i] <= at.low[i] else at.high[i] - share
-    return gain, math.sqrt(_dot(at.step, at.step)), math.sqrt(length), alpha
-
-
-@kernel
-def _descend(data, at, scale, to):
-    """Half the least sum of squares from the region's point on; writes where it is."""
-    x, cost = at.x, _left(at.x, data)
-    _normal(x, data, at.g, at.b)
-    _scaled(at, scale)
-    radius = 0.0
-    for i in range(x.size):
-        radius += (x[i] / at.d[i]) ** 2
-    radius, alpha, count, done = math.sqrt(radius), 0.0, 1, False
-    radius = 1.0 if radius == 0.0 else radius
-    while not done and count < _MOST:
-        steep = _scaled(at, scale)
-        theta, gained = max(0.995, 1.0 - steep), -1.0
-        done = steep < _SLOPE
-        while not done and gained <= 0.0 and count < _MOST:
-            wanted, length, moved, alpha = _moves(at, radius, theta, alpha, to)
-            new = _left(to, data)
-            count += 1
-            if not math.isfinite(new):
-                radius = 0.25 * length
-                continue
-            gained = cost - new
-            ratio = gained / wanted if wanted > 0.0 else 0.0
-            before = radius
-            if ratio < 0.25:
-                radius = 0.25 * length
-            elif ratio > 0.75 and length > 0.95 * radius:
-                radius *= 2.0
-            done = gained < _GAIN * cost and ratio > 0.25
-            done = done or moved < _MOVE * (_MOVE + math.sqrt(_dot(x, x)))
-            alpha *= before / radius
-        if gained > 0.0:
-            _put(to, x)
-            cost -= gained
-            if not done:
-                _normal(x, data, at.g, at.b)
+        _put(way.to, point)
+        cost -= gained
+        if gained < _GAIN * cost:
+            break
     return cost
 
 
 @allocating_kernel
-def fit(s, y, tau, point, bounds, scale):
+def fit(s, y, tau, point, bounds):
     """The least squares of an oscillation beside a drift, from a point on.
 
     Args:
@@ -490,7 +302,6 @@ def fit(s, y, tau, point, bounds, scale):
         point: where it starts, inside its bounds, (log ω [rad/s], ζ) or these and log τ [s], which
             is sought then.
         bounds: of the point, shape (2, numbers).
-        scale: of the point's numbers.
 
     Returns:
         (the point there, half the sum of squares that is left).
@@ -507,24 +318,12 @@ def fit(s, y, tau, point, bounds, scale):
         np.empty_like(y),
         np.empty((3, channels, s.size)),
     )
-    rows, square = np.empty((8, n)), np.empty((3, n, n))
-    at = Region(
-        bounds[0].copy(),
-        bounds[1].copy(),
+    at, way = (
         point.copy(),
-        rows[0],
-        square[0],
-        rows[1],
-        rows[2],
-        square[1],
-        rows[3],
-        rows[4],
-        rows[5],
-        rows[6],
-        square[2],
+        Descent(np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty(n), np.empty(n)),
     )
-    cost = _descend(data, at, scale, rows[7])
-    return at.x, cost
+    cost = _descend(data, at, bounds, way, np.zeros(n, np.bool_))
+    return at, cost
 
 
 @kernel

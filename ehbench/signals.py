@@ -25,7 +25,6 @@ LEAST_LINE = 8  # samples that tell a slope
 _GRID_SAMPLES = 192
 _SAMPLES_A_CYCLE = 24
 _GRID_DAMPING = np.array([0.02, 0.06, 0.12, 0.22, 0.4])
-_SCALES = np.array([0.1, 0.1, 0.5])  # by which log ω, ζ and log τ are moved
 
 
 @dataclass(frozen=True)
@@ -386,8 +385,8 @@ def _refine(s, y, omega, zeta, taus, free_drift=True):
             low, high = math.log(s[2]), math.log(2.0 * s[-1])
             bounds.append((low, high))
             start.append(min(max(math.log(tau), low + 1e-6), high - 1e-6))
-        limits, scale = np.array(bounds).T.copy(), _SCALES[: len(start)]
-        found, left = oscillation.fit(s, channels, tau, np.array(start), limits, scale)
+        limits = np.array(bounds).T.copy()
+        found, left = oscillation.fit(s, channels, tau, np.array(start), limits)
         score = n * math.log(max(2.0 * left / n, 1e-300)) + (
             (y.shape[1] + 1) * math.log(n) if tau > 0.0 else 0.0
         )

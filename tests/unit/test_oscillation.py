@@ -36,18 +36,14 @@ def test_the_least_squares_are_those_of_scipy(zeta, noise, tau, sought):
         s, y, log_omega = series(seed, zeta, noise)
         start = np.array([log_omega + 0.06, 0.15, np.log(0.05)])[:sought]
         bounds = np.stack([LOW, HIGH])[:, :sought].copy()
-        point, cost = oscillation.fit(
-            s, np.ascontiguousarray(y.T), tau, start, bounds, SCALE[:sought]
-        )
+        point, cost = oscillation.fit(s, np.ascontiguousarray(y.T), tau, start, bounds)
         wanted = least_squares(
             left, start, bounds=bounds, x_scale=SCALE[:sought], args=(s, y, tau), xtol=1e-12
         )
         assert cost == pytest.approx(0.5 * np.sum(left(point, s, y, tau) ** 2), rel=1e-9)
-        # it ends where a step gains less than 1e-9 of the squares; an oscillation that grows by
-        # more than is allowed ends at the bound, which the way to it approaches by a factor a step
-        assert cost <= wanted.cost * (1.0 + 1e-6) + 1e-12
+        assert cost <= wanted.cost * (1.0 + 1e-9) + 1e-12
         assert np.all(point >= bounds[0]) and np.all(point <= bounds[1])
-        np.testing.assert_allclose(point[:2], wanted.x[:2], atol=1e-3 * max(1.0, 20.0 * noise))
+        np.testing.assert_allclose(point[:2], wanted.x[:2], atol=1e-4 * max(1.0, 20.0 * noise))
 
 
 def test_what_an_oscillation_explains_is_a_projection():
