@@ -112,7 +112,8 @@ def unlocused(monkeypatch) -> None:
     """Tunings leave out the root loci and step responses that the report draws, for tests that look
     at gains: python-control takes a third of a tuning for them.
     """
-    monkeypatch.setattr("ehbench.tune.gains._drawn", lambda *_: ((), ()))
+    module = importlib.import_module("ehbench.tune.gains")  # the package has a function `tune`
+    monkeypatch.setattr(module, "_drawn", lambda *_: ((), ()))
 
 
 @pytest.fixture
