@@ -256,7 +256,7 @@ def _refuse_inert(
         measured = map_of(flow_maps, edge_name) is not None
         for name in (one for one in parameters if one.rpartition(".")[0] == edge_name):
             word = name.rpartition(".")[2]
-            if measured and word != "map_factor":
+            if measured and word not in ("map_factor", "cracking_pressure"):
                 why, right = f"goes by its measured flow map, not by its {word}", "map_factor"
             elif not measured and word == "map_factor":
                 needs = edge_law(edge.law).needs

@@ -447,6 +447,19 @@ def test_a_measured_map_has_a_factor():
     assert refused.value.hint == "fit boom.rt.flow_gain"
 
 
+def test_a_preload_behind_a_measured_map_is_fitted():
+    """Started at half, from one log of a step out and back."""
+    machine, maps = rig("boom_four_valve"), {"boom.rt": a_map("rt", 1.2e-3)}
+    name, t = "boom.rt.cracking_pressure", np.arange(601) * 1e-3
+    out, back = (t > 0.06) & (t < 0.24), (t > 0.3) & (t < 0.5)
+    commands = {"boom.sh": 4.0 * out, "boom.rt": 6.0 * out}
+    commands |= {"boom.sr": 4.0 * back, "boom.ht": 4.0 * back}
+    made = simulate(machine.with_values({name: 1e6}), commands, 0.6, flow_maps=maps)
+    given = {"start": {name: 5e5}, "upper": {name: 5e6}}
+    fit = identify(machine, [("log", noisy(made, 3))], [name], maps, **given)
+    assert covers(fit, (name, 1e6)) and fit[name].std < 1e4
+
+
 def test_a_rate_that_was_not_recorded_comes_from_the_position():
     logs = [
         (
