@@ -18,7 +18,7 @@ from ehbench.validation.results import ChannelResult, Check, Correlation, Ring, 
 POOR = 80.0  # percent of fit below which a position is told of although nobody asks
 # a level is off by more than this share of the channel's spread, and by more than this share of the
 # error's square: what is left without it follows the channel to SHAPE percent at least
-LEVEL, MOSTLY, SHAPE = 0.15, 0.5, 50.0
+LEVEL, MOSTLY, SHAPE = 0.25, 0.5, 50.0
 NOISY = 5.0  # percent above the fit asked below which a recording's noise is allowed for
 
 
