@@ -830,6 +830,15 @@ _ROWS = [
         "drop_floor", "Δp_min", "Pa", "kPa", "least drop at which a valve is inverted", 1, 1e7
     ),
     Quantity(
+        "drop_corner",
+        "ω_Δ",
+        "rad/s",
+        "Hz",
+        "corner of the low-pass of the pressures by whose drops valves are opened, 0 for none",
+        0,
+        1e5,
+    ),
+    Quantity(
         "load_corner",
         "ω_l",
         "rad/s",

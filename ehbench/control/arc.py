@@ -58,7 +58,13 @@ from ehbench.control.map_learning import (
     learn_maps,
     map_memory,
 )
-from ehbench.control.measured import load_force, pressure_entries, pressures, write
+from ehbench.control.measured import (
+    Pressures,
+    load_force,
+    pressure_entries,
+    pressures,
+    write,
+)
 from ehbench.control.oil_learning import OIL, begin_oil, learn_oil
 from ehbench.control.records import blank, rows_of
 from ehbench.control.trajectory import ORDERS, reference_of
@@ -75,6 +81,7 @@ SETTLED = 3.0  # over k1: how long a load is brought to rest after a motion, onc
 TURNS = 4  # as often oil is wanted to and fro at rest; a load that still swings is left alone then
 ONE_COUNT = 1.5  # of the stroke's resolution: what is less is a count of the sensor at most
 BACK = 4.0  # of that nearness [m/s]: oil that is wanted against the error turns the motion round
+FRESH = 3.0  # over the time since a change of function: as fast drops are followed then [rad/s]
 FORGETS = 5.0  # over k1: how long what pressures told of the payload counts
 FAINTLY = 0.1  # [(N/kg)²] of a payload's pull and inertia: what is less tells hardly anything of it
 NOTHING = 1e-6  # [(N/kg)²]
@@ -95,6 +102,9 @@ STATE = record(
     ("way", "i8"),
     ("turns", "i8"),
     ("slow_wanted", "f8"),
+    ("slow_head", "f8"),
+    ("slow_rod", "f8"),
+    ("slow_supply", "f8"),
     ("learning", "i8"),
     ("x", "f8"),
     ("v", "f8"),
@@ -123,10 +133,11 @@ class Memory(NamedTuple):
     [m/s] the oil that is wanted, as a speed, behind a low-pass. ``evidence``, ``information`` and
     ``scatter`` are means of what the mechanism's equation says of the ``payload`` [kg], ``half``
     [kg] its interval's, see `weigh`; ``eased`` is how far the bandwidths went down at most, as a
-    share of them, and ``heaviest`` [kg] the payload then, see `ease`; ``turns`` counts how often
-    the ``way`` of the oil that is wanted changed while no motion was desired; ``maps`` is what is
-    learnt of the flow maps, ``oil``, a record of type OIL, of the oil, ``gains`` are those in
-    force, see `ease`."""
+    share of them, and ``heaviest`` [kg] the payload then, see `ease`; ``slow_head``, ``slow_rod``
+    and ``slow_supply`` [Pa] are the pressures by which valves are opened, see `opened_by`;
+    ``turns`` counts how often the ``way`` of the oil that is wanted changed while no motion was
+    desired; ``maps`` is what is learnt of the flow maps, ``oil``, a record of type OIL, of the oil,
+    ``gains`` are those in force, see `ease`."""
 
     state: np.record
     rates: np.ndarray
@@ -427,6 +438,7 @@ def slowed(gains, share, table):
     eased.observer_bandwidth = share * gains.observer_bandwidth
     eased.pressure_bandwidth = share * gains.pressure_bandwidth
     eased.map_bandwidth = share * gains.map_bandwidth
+    eased.drop_corner = share * gains.drop_corner
     eased.speed_tolerance = gains.speed_tolerance / share
     for i in range(COUNT):
         eased.rate[i] = share * gains.rate[i]
@@ -716,17 +728,18 @@ def off_side(choice, v_d, head_rate, rod_rate, p, circuit, gains, state):
 
 
 @kernel
-def share_flows(choice, reference, wanted, oil, p, circuit, gains, state):
+def share_flows(choice, reference, wanted, oil, p, opened, axis, memory):
     """Valve level: the `Flows` whose ``head·Q1 + rod·Q2`` is what is ``wanted`` [1/s].
 
     The off-side chamber's flow follows its pressure, the rest is the metered chamber's; a spool
-    opens both."""
-    function = choice.function
+    opens both, by the pressures of `opened_by`."""
+    function, circuit = choice.function, axis.circuit
+    gains, state = memory.gains[0], memory.state
     if function == HOLD:
         wait(choice.load, p, state)
         return Flows(0.0, 0.0)
     if choice.spool:
-        return spool_flows(function, wanted, oil.head, oil.rod, p, circuit)
+        return spool_flows(function, wanted, oil.head, oil.rod, opened, circuit)
     stiff = oil.bulk / state.estimates[INVERSE_BULK]
     extra = off_side(
         choice, reference.v, stiff * oil.head, stiff * oil.rod, p, circuit, gains, state
@@ -740,6 +753,25 @@ def share_flows(choice, reference, wanted, oil, p, circuit, gains, state):
     off = forward(way, circuit.area_head * piston + oil.lost_head)
     metered = (wanted - oil.head * off) / oil.rod
     return Flows(off, led_back(metered, circuit.area_rod, way, choice))
+
+
+@kernel
+def opened_by(starting, p, gains, state):
+    """The `Pressures` by whose drops valves are opened: as measured, or behind a low-pass, which
+    is fast just after a change of function.
+
+    A valve that makes up for its drop does so late by its lag, and where the drop is small that
+    feeds the load's swing; opened by the slow drop, what it passes the more or the less damps it.
+    """
+    part = 1.0
+    if gains.drop_corner > 0.0 and not starting:
+        part = -math.expm1(-(gains.drop_corner + FRESH / state.age) * gains.tick)
+    state.slow_head += part * (p.head - state.slow_head)
+    state.slow_rod += part * (p.rod - state.slow_rod)
+    state.slow_supply += part * (p.supply - state.slow_supply)
+    if part == 1.0:
+        return p
+    return Pressures(state.slow_head, state.slow_rod, state.slow_supply, p.tank)
 
 
 @kernel
@@ -907,8 +939,7 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
         command: out, [V], one per valve of the rig; only this cylinder's are written.
         telemetry: out, shape (COLUMNS + 4·edges of the cylinder,).
     """
-    circuit, state = axis.circuit, memory.state
-    number = circuit.cylinder
+    circuit, state, number = axis.circuit, memory.state, axis.circuit.cylinder
     desired, p = reference_of(reference), pressures(sample, number)
     q, x, v = sample[entry(number, OF.q)], sample[entry(number, OF.x)], sample[entry(number, OF.v)]
     measured = load_force(p, circuit.area_head, circuit.area_rod)
@@ -938,11 +969,12 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
 
     spool_speed = wanted / (oil.head * circuit.area_head + oil.rod * circuit.area_rod)
     choice = choose(desired, stroke.z1, measured, spool_speed, p, axis, gains, state)
-    flows = share_flows(choice, desired, wanted, oil, p, circuit, gains, state)
+    opened = opened_by(starting, p, gains, state)
+    flows = share_flows(choice, desired, wanted, oil, p, opened, axis, memory)
     edges = COLUMNS + circuit.count
     edge_flows, edge_limits = telemetry[COLUMNS:edges], telemetry[edges : edges + circuit.count]
     limits = allocate(
-        choice.function, flows, p, gains.drop_floor, circuit, command, edge_flows, edge_limits
+        choice.function, flows, opened, gains.drop_floor, circuit, command, edge_flows, edge_limits
     )
     if gains.standby > 0.0:
         stand_by(axis, gains.standby, memory.maps.trim, command)

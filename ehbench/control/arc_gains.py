@@ -43,6 +43,7 @@ GAIN_NAMES = (
     "standby",
     "valve_lead",
     "drop_floor",
+    "drop_corner",
     "weighing_time",
     "reference_mass",
     "adapt_oil",
@@ -62,6 +63,7 @@ MAY_BE_ZERO = {
     "stroke_resolution",
     "standby",
     "valve_lead",
+    "drop_corner",
     "weighing_time",
     "adapt_oil",
     "adapt_maps",
@@ -99,6 +101,7 @@ OVERLAP = 0.03  # of its largest command, that a valve may have
 LEARNS = 0.2  # of k1: the rate of adaptation
 MAPS_LEARN = 0.25  # of k1: the largest rate at which flow maps are corrected, slow against the loop
 OBSERVER, FASTEST_OBSERVER = 6.0, 500.0  # of that sum; [rad/s]
+DROPS = 0.15  # of that frequency: what drops valves follow on a load-sensing pump
 STROKES = (0.1, 0.3, 0.5, 0.7, 0.9)  # at which adaptation is looked at
 
 
@@ -178,7 +181,9 @@ def pack_arc(
             [m] at a reference at rest; ``load_corner`` [rad/s] of the load that chooses the
             function; ``standby`` [1] share of its deadband at which a shut valve waits;
             ``valve_lead`` [s] by which desired flows lead; ``drop_floor`` [Pa] of the inverse maps;
-            ``weighing_time`` [s], the gain of adaptation at rest; ``reference_mass`` [kg];
+            ``drop_corner`` [rad/s] of the pressures by whose drops valves are opened, 0 for as they
+            are measured; ``weighing_time`` [s], the gain of adaptation at rest;
+            ``reference_mass`` [kg];
             ``adapt_oil`` whether planned flows go by the softness that pressures tell;
             ``adapt_maps`` whether the flow maps are corrected, at most at ``map_bandwidth``
             [rad/s], within ``map_error`` [1] of their flow and ``deadband_error`` [V].
@@ -210,6 +215,7 @@ def pack_with_rates(
     chosen |= {"tick": given.get("tick", site.tick), "adapt": given.get("adapt", unsure.adapt)}
     chosen["adapt_oil"] = given.get("adapt_oil", 1.0)
     chosen["adapt_maps"] = given.get("adapt_maps", 0.0)
+    chosen["drop_corner"] = given.get("drop_corner", _drop_corner(site, places))
     if unsure.lag_budget is None and not set(GAIN_NAMES[2:5]) & set(given):
         softest = FASTER * min(place.swing for place in places)
         chosen["bandwidth_limit"] = given.get("bandwidth_limit", softest)
@@ -393,6 +399,15 @@ def _along(axis: Axis) -> Iterator[Axis]:
         posture = axis.mechanism.posture.copy()
         posture[int(cylinder.joint)] = joint_of(cylinder, share * float(cylinder.stroke))
         yield axis._replace(mechanism=axis.mechanism._replace(posture=posture))
+
+
+def _drop_corner(site: Site, places: Sequence[_Place]) -> float:
+    """Corner [rad/s] of the pressures by whose drops valves are opened: well below the swing of the
+    load where a load-sensing pump keeps the drops small, else none.
+    """
+    if float(site.axis.circuit.supply[0].margin) == 0.0:
+        return 0.0
+    return DROPS * min(place.swing for place in places)
 
 
 def _deadband_error(site: Site) -> float:

@@ -31,7 +31,7 @@ from ehbench.tune.operating_point import OperatingPoint, state_of
 # what of the controller's memory is a state in motion, and its steps for differences; those of the
 # estimates are a share of their bounds
 MEMORY = {"x": 1e-6, "v": 1e-5, "bias": 1e-3, "acceleration": 1e-3, "set_point": 300.0}
-MEMORY |= {"slow_load": 1.0}
+MEMORY |= {"slow_load": 1.0, "slow_head": 300.0, "slow_rod": 300.0, "slow_supply": 300.0}
 ESTIMATE = 1e-4
 INSIDE = 1e-3  # share of their bounds that estimates keep from the ends, where projection is a kink
 SLOWEST = 3.0  # [rad/s]: what is slower is the motion itself, no swing
@@ -352,6 +352,8 @@ def steady_memory(model: Model, point: OperatingPoint, site: Site, gains: np.rec
     state.metered = METERED[state.function]
     state.set_point = point.p_tank + gains.low_pressure
     state.slow_load, state.learning = point.load_force, FREE
+    state.slow_head, state.slow_rod = point.p_head, point.p_rod
+    state.slow_supply = point.p_supply
     state.x, state.v = point.x - site.tick * point.v, point.v  # of the last tick
     memory = arc.memory_of(axis)
     memory.angles[:] = point.q

@@ -157,6 +157,7 @@ class VirtualMachine:
                 "is no bench file", file=bench.path, hint='a bench file has stage = "bench"'
             )
         own = load_rig(bench.file(bench.rig)).with_dynamics(recipe.dynamics)
+        own = own.with_supply(recipe.supply.load_sensing, recipe.supply.low_rail)
         for what, mine, its in (
             ("cylinders", [c.name for c in rig.cylinder], [c.name for c in own.cylinder]),
             ("valves", layout(rig).valves, layout(own).valves),
