@@ -30,13 +30,13 @@ VAR_GAIN, COVARIANCE, VAR_SHIFT, LATE_FLOW, LATE_SLOPE, SLOW_FLOW, SLOW_SLOPE = 
 FLOW, PRESSURE = 0, 1  # columns of a chamber: what passes [m³/s] and its pressure, low-passed
 CORNER = 2.0  # of k1: the low-pass behind which flows are compared
 QUIET = 2.0  # over that corner: how long after a change of function nothing is learnt
-SCATTER = 0.005  # of the largest speed: what a comparison may be wrong by
+SCATTER = 0.003  # of the largest speed: what a comparison may be wrong by
 LEAST = 0.015  # of the largest speed: edges that pass less tell nothing
-SQUEEZED = 0.5  # share of the oil's compression that may be wrong: its bulk modulus
-UNSTEADY = 0.3  # share of what the low-pass holds back, for lags that are not known
+SQUEEZED = 0.3  # share of the oil's compression that may be wrong: its bulk modulus
+UNSTEADY = 0.15  # share of what the low-pass holds back, for lags that are not known
 NARROW = 0.15  # [V] beyond the deadband below which a slope is not told
 FIRST = 0.4  # of their bounds: standard errors at the start
-KNOWN = 0.22  # the same of a deadband that the map has: in flow about as much as a gain's
+KNOWN = 0.16  # the same of a deadband that the map has: in flow about as much as a gain's
 
 
 class MapMemory(NamedTuple):
