@@ -253,6 +253,10 @@ def estimates_caption(rig: Rig, case: Case, record: Record) -> str:
     carried = payloads_carried(rig, case.row)
     if carried and "payload_estimate" in ends:
         text += _payload_caption(rig, case, record, carried)
+    felt = f"{case.cylinder}.bulk_measured"
+    if felt in record and np.ptp(record[felt]) > 0.0:
+        first, last = (measure(rig, "bulk_modulus", float(record[felt][i])) for i in (0, -1))
+        text += f". Pressures and flows tell an oil of {last}, the design's has {first}"
     return text + _bounds_caption(case, record) + "."
 
 

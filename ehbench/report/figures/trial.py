@@ -218,7 +218,7 @@ def _commands_panel(ax, rig: Rig, record: Record, cylinder: str) -> bool:
 
 def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
     """What a controller has learnt over time, each within its bounds, the payload beside the true
-    one.
+    one and the oil beside what pressures and flows tell of it.
     """
     learnt = [word for word in ESTIMATES if f"{case.cylinder}.{word}" in record]
     bounds = case.row.get("estimate_bounds", {})
@@ -230,10 +230,12 @@ def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
             name = f"{case.cylinder}.{word}"
             if word == "payload_estimate":
                 _weighed(ax, rig, record, case.cylinder)
+            if word == "inverse_bulk":
+                _felt(ax, record, case.cylinder)
             plot_channel(ax, rig, record, name, color=RECORDED, linewidth=1.4, label="of the law")
+            if ax.get_legend_handles_labels()[1][1:]:
+                ax.legend(fontsize=7, loc="center left", bbox_to_anchor=(0.0, 0.68))
             if word == "payload_estimate":
-                if ax.get_legend_handles_labels()[1][1:]:
-                    ax.legend(fontsize=7, loc="center left", bbox_to_anchor=(0.0, 0.68))
                 _truth(ax, rig, payloads_carried(rig, case.row), float(record.t[-1]))
             for text, end in zip(("lower", "upper"), bounds.get(word, ()), strict=False):
                 _bound(ax, rig, word, text, end)
@@ -256,6 +258,17 @@ def _weighed(ax, rig: Rig, record: Record, cylinder: str) -> None:
     ax.fill_between(t, np.interp(t, low_t, low), np.interp(t, high_t, high), **band)
     look = {"color": SIMULATED, "linewidth": 1.0, "label": "by pressures and motion"}
     plot_channel(ax, rig, record, names[2], **look)
+
+
+def _felt(ax, record: Record, cylinder: str) -> None:
+    """The oil that pressures and flows tell, as the design's bulk modulus over it [1]; nothing
+    where they tell nothing.
+    """
+    name = f"{cylinder}.bulk_measured"
+    if name in record and np.ptp(record[name]) > 0.0:
+        share = record[name][0] / record[name]  # at the first tick it is the design's
+        look = {"color": SIMULATED, "linewidth": 1.0, "label": "by pressures and flows"}
+        ax.plot(*thin(record.t, share), **look)
 
 
 def _truth(ax, rig: Rig, payloads: list[tuple[float, float]] | None, end: float) -> None:
