@@ -1193,6 +1193,10 @@ def test_estimates_outside_and_at_their_bounds_are_said(runs):
         mine = replace(case, row=Table(dict(case.row) | {"estimate_bounds": bounds}, case.log))
         assert estimates_caption(rig, mine, record).endswith(said)
     assert "The estimate ends 1.31 kg from it." in estimates_caption(rig, case, record)
+    assert "tell an oil" not in estimates_caption(rig, case, record)
+    record.channels["boom.bulk_measured"] = np.linspace(276e6, 168e6, record.t.size)
+    said = "Pressures and flows tell an oil of 168 MPa, the design's has 276 MPa."
+    assert said in estimates_caption(rig, case, record)
     assert true_payload(rig, "none") == 0.0
 
 

@@ -234,7 +234,8 @@ def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
                 _felt(ax, record, case.cylinder)
             plot_channel(ax, rig, record, name, color=RECORDED, linewidth=1.4, label="of the law")
             if ax.get_legend_handles_labels()[1][1:]:
-                ax.legend(fontsize=7, loc="center left", bbox_to_anchor=(0.0, 0.68))
+                height = 0.68 if word == "payload_estimate" else 0.24  # clear of the lines
+                ax.legend(fontsize=7, loc="center left", bbox_to_anchor=(0.0, height))
             if word == "payload_estimate":
                 _truth(ax, rig, payloads_carried(rig, case.row), float(record.t[-1]))
             for text, end in zip(("lower", "upper"), bounds.get(word, ()), strict=False):
