@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -23,6 +23,7 @@ SIGNIFICANT = (
 )
 LEAST_LINE = 8  # samples that tell a slope
 _GRID_SAMPLES = 192
+_ASTRAY = 0.5  # by how much log ω may move from where a search began and count as the same one
 _SAMPLES_A_CYCLE = 24
 _GRID_DAMPING = np.array([0.02, 0.06, 0.12, 0.22, 0.4])
 
@@ -244,7 +245,7 @@ def ringing(
     (omega, zeta), used = guess or (0.0, 0.0), len(s)
     if guess is None:
         omega, zeta, used = _search(s, y[:, weight > 0.0] * weight[weight > 0.0])
-    block = _block(s, omega)
+    begun, block = (omega, zeta), _block(s, omega)
     s, y, used = _blocks(s, block), _blocks(y, block), max(LEAST_SAMPLES, used // block)
     first, s = s[0], s - s[0]
     floor, tau = 1e-3 * spread, 0.0
@@ -253,7 +254,10 @@ def ringing(
             wanted = max(4.0 / max(zeta * omega, 1e-9), 2.5 * 2 * math.pi / omega)
             used = min(len(s), max(LEAST_SAMPLES, int(np.searchsorted(s, wanted, side="right"))))
         taus = (tau,) if drifts is None else tuple(share * s[used - 1] for share in drifts)
-        omega, zeta, tau = _refine(s[:used], y[:used] * weight, omega, zeta, taus)
+        starts = [(omega, zeta)]
+        if abs(math.log(omega / begun[0])) > _ASTRAY:  # a drift that the window before left
+            starts.append(begun)
+        omega, zeta, tau = _refine(s[:used], y[:used] * weight, starts, taus)
         _, left = _project(_basis(s[:used], omega, zeta, tau), y[:used])
         weight = np.where(
             weight > 0.0,
@@ -296,13 +300,7 @@ def ringing_like(
     first, s, y = s[0], s[:used] - s[0], y[:used] - np.mean(y[:used], axis=0)
     if not np.any(np.ptp(y * weight, axis=0) > 0.0):
         return Ringing(reason="nothing moves")
-    fits = [
-        _refine(s, y * weight, omega, zeta, (like.drift_time,), free_drift=False)
-        for omega, zeta in starts
-    ]
-    omega, zeta, tau = min(
-        fits, key=lambda p: float(np.sum((_project(_basis(s, *p), y)[1] * weight) ** 2))
-    )
+    omega, zeta, tau = _refine(s, y * weight, starts, (like.drift_time,), free_drift=False)
     return _judge(s, y, weight, omega, zeta, tau, float(t[0] + first))
 
 
@@ -372,13 +370,13 @@ def _search(s: np.ndarray, y: np.ndarray) -> tuple[float, float, int]:
     return best[1:]
 
 
-def _refine(s, y, omega, zeta, taus, free_drift=True):
-    """(ω, ζ, τ) at the least-squares minimum near (ω, ζ); the drift's τ starts at the best of
-    ``taus``, 0 meaning none.
+def _refine(s, y, starts, taus, free_drift=True):
+    """(ω, ζ, τ) at the best least-squares minimum near one of ``starts`` (ω, ζ); the drift's τ
+    starts at one of ``taus``, 0 meaning none.
     """
     n, channels = y.size, np.ascontiguousarray(y.T)
-    best = (math.inf, omega, zeta, 0.0)
-    for tau in taus:
+    best = (math.inf, *starts[0], 0.0)
+    for (omega, zeta), tau in product(starts, taus):
         bounds = [(-math.inf, math.inf), (-0.05, 0.95)]
         start = [math.log(omega), min(max(zeta, 0.0), 0.9)]
         if tau > 0.0 and free_drift:
