@@ -6,6 +6,7 @@ series minus its mean."""
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 
@@ -370,12 +371,18 @@ def _search(s: np.ndarray, y: np.ndarray) -> tuple[float, float, int]:
     return best[1:]
 
 
-def _refine(s, y, starts, taus, free_drift=True):
+def _refine(
+    s: np.ndarray,
+    y: np.ndarray,
+    starts: Sequence[tuple[float, float]],
+    taus: Sequence[float],
+    free_drift: bool = True,
+) -> tuple[float, float, float]:
     """(ω, ζ, τ) at the best least-squares minimum near one of ``starts`` (ω, ζ); the drift's τ
     starts at one of ``taus``, 0 meaning none.
     """
     n, channels = y.size, np.ascontiguousarray(y.T)
-    best = (math.inf, *starts[0], 0.0)
+    best = (math.inf, starts[0][0], starts[0][1], 0.0)
     for (omega, zeta), tau in product(starts, taus):
         bounds = [(-math.inf, math.inf), (-0.05, 0.95)]
         start = [math.log(omega), min(max(zeta, 0.0), 0.9)]
