@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from pathlib import Path
 
 from ehbench import rundir
@@ -17,13 +18,16 @@ def find_campaign(name: str) -> Path:
     Raises:
         InputError: there is none.
     """
-    here = Path(name) / "campaign.toml"
-    for candidate in (Path(name), Path("recipes") / here, rundir.shipped("recipes") / here):
+    here, places = Path(name) / "campaign.toml", (Path("recipes"), rundir.shipped("recipes"))
+    for candidate in (Path(name), *(place / here for place in places)):
         if not impossible(candidate) and candidate.is_file():
             return candidate
+    known = sorted({one.parent.name for place in places for one in place.glob("*/campaign.toml")})
+    near = get_close_matches(name, known, 1)
+    hint = "give a campaign's TOML file, or a name for recipes/<name>/campaign.toml"
     raise InputError(
         f"no campaign {shortened(name, 100)}",
-        hint="give a campaign's TOML file, or a name for recipes/<name>/campaign.toml",
+        hint=f"did you mean '{near[0]}'?" if near else f"{hint}: {', '.join(known)}",
     )
 
 

@@ -69,14 +69,16 @@ def load_recipe(path: str | Path) -> Recipe:
             line=line_of(text, ("stage",)),
             hint="stage is one of " + ", ".join(stages),
         )
-    kinds = ((stage, what), (stage, None)) if isinstance(what, str) else ((stage, None),)
-    model = next((known[key] for key in kinds if key in known), None)
+    named = [w for s, w in known if s == stage and w]
+    asked = what if named else None  # else its model refuses the key
+    model = known.get((stage, asked)) if asked is None or isinstance(asked, str) else None
     if model is None:
+        without = ", or left out" if (stage, None) in known else ""
         raise InputError(
             "'what' is missing" if what is None else f"unknown what = {shortened(what, 60)}",
             file=path,
             line=line_of(text, ("what",)),
-            hint="what is one of " + ", ".join(w for s, w in known if s == stage and w),
+            hint="what is one of " + ", ".join(named) + without,
         )
     return validated(model, table, text, path).model_copy(update={"path": path.resolve()})
 

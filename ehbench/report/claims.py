@@ -61,7 +61,7 @@ def claim_of(run: Saved, name: str) -> Claim:
     raise InputError(
         f"has no number that goes by '{name}'",
         file=run.folder,
-        hint="nearest: " + ", ".join(close or known[:8]),
+        hint=("nearest: " if close else "it has ") + ", ".join(close or known[:8]),
     )
 
 

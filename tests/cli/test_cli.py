@@ -74,6 +74,16 @@ def test_a_format_that_is_not_written_is_refused_in_plain_words(inside, tmp_path
     assert "Invalid value for '--to': 'xlsx' is not one of 'parquet', 'mat'" in said
 
 
+@pytest.mark.parametrize(
+    "name, right",
+    [("slide_serv", "did you mean 'slide_servo'?"), ("xyz", "campaign.toml: boom_four_valve, ")],
+)
+def test_a_campaign_that_is_not_there_is_told_from_those_that_are(inside, tmp_path, name, right):
+    done = inside("reproduce", name, cwd=tmp_path)
+    assert done.returncode == 2 and f"no campaign '{name}'" in done.stderr and right in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
 def test_init_leaves_a_full_folder_alone(inside, tmp_path):
     (tmp_path / "mine.txt").write_text("keep")
     done = inside("init", tmp_path)
