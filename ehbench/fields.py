@@ -77,6 +77,14 @@ class Value:
     text: Any = None
     unit: str = ""
 
+    def like(self, word: str, number: float) -> str:
+        """A number [SI] of the quantity ``word`` as text in the unit in which people see this
+        value, in the vocabulary's where any will do.
+        """
+        row = VOCABULARY[word]
+        unit = self.unit or row.display
+        return f"{float(units.from_si(number, unit, row)):.6g} {unit}"
+
     def __float__(self) -> float:
         return float(self.value)  # type: ignore[arg-type]
 

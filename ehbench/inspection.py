@@ -7,6 +7,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from ehbench.disk import DATA, impossible, read_bytes
 from ehbench.errors import EhbenchError, InputError, LogError
 from ehbench.quantities import quantity
@@ -189,12 +191,15 @@ def _flowmeter(path: Path) -> Inspection:
     lines = [f"flowmeter readings: {data.flow.size} rows"]
     for valve, direction in data.groups():
         rows = data.select(valve, direction)
+        found = rows.pressure_drop[np.isfinite(rows.pressure_drop)]
+        drops = "no pressures"
+        if found.size:
+            least, most = (rows.shown("pressure_drop", drop) for drop in (found.min(), found.max()))
+            drops = f"drops {least} to {most}"
         lines.append(
-            f"  {valve} {direction}: {rows.flow.size} readings "
-            f"at {len(set(rows.command.tolist()))} commands, "
-            f"drops {rows.pressure_drop.min() / 1e3:.0f} "
-            f"to {rows.pressure_drop.max() / 1e3:.0f} kPa, "
-            f"flow up to {abs(rows.flow).max() * 6e4:.3g} L/min"
+            f"  {valve} {direction}: {counted(rows.flow, 'reading')} "
+            f"at {counted(set(rows.command.tolist()), 'command')}, "
+            f"{drops}, flow up to {rows.shown('flow', abs(rows.flow).max())}"
         )
     return Inspection((*lines, "ok"))
 

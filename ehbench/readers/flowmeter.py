@@ -6,8 +6,8 @@ import csv
 import math
 import re
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -53,7 +53,8 @@ class FlowmeterData:
     where a cylinder's speed was taken without, and ``flow`` [m³/s] along the direction, so positive
     up to the scatter about zero; ``trial`` counts;
     ``temperature`` [K], NaN where not given; ``line`` is the line in ``file``. ``warnings`` are
-    sentences on what looks odd and was kept, ``losses`` on what was left out."""
+    sentences on what looks odd and was kept, ``losses`` on what was left out; ``units`` those in
+    which the file, the first of several, has its columns."""
 
     valve: np.ndarray
     direction: np.ndarray
@@ -67,9 +68,16 @@ class FlowmeterData:
     line: np.ndarray
     warnings: tuple[str, ...] = ()
     losses: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return self.line.size
+
+    def shown(self, word: str, value: float) -> str:
+        """A value [SI] of ``pressure_drop`` or ``flow`` in the unit that the file has it in."""
+        row = VOCABULARY[word]
+        unit = _drop_unit(self.units) if word == "pressure_drop" else self.units.get(word)
+        return f"{float(from_si(value, unit or row.display, row)):.3g} {unit or row.display}"
 
     def groups(self) -> list[tuple[str, str]]:
         """(valve, direction) pairs there are readings of, sorted."""
@@ -95,7 +103,7 @@ class FlowmeterData:
         return replace(self, **{name: getattr(self, name)[rows] for name in _ARRAYS})
 
 
-_ARRAYS = tuple(f.name for f in fields(FlowmeterData) if f.name not in ("warnings", "losses"))
+_ARRAYS = tuple(f.name for f in fields(FlowmeterData) if f.type == "np.ndarray")
 
 
 class LeftOut:
@@ -488,7 +496,7 @@ def _within_supply(
     return kept
 
 
-def _drop_unit(units: dict[str, str]) -> str:
+def _drop_unit(units: Mapping[str, str]) -> str:
     """The unit in which a file has its drops."""
     display = VOCABULARY["pressure_drop"].display
     return units.get("pressure_drop") or units.get("upstream_pressure", display)
@@ -515,7 +523,7 @@ def _data(
         name: np.array([row[name] for row in rows], float)
         for name in ("command", "pressure_drop", "flow", "temperature")
     }
-    return FlowmeterData(warnings=tuple(warnings), **arrays, **numbers)
+    return FlowmeterData(warnings=tuple(warnings), units=units, **arrays, **numbers)
 
 
 def merge_flowmeter(parts: Sequence[FlowmeterData]) -> FlowmeterData:
@@ -526,5 +534,6 @@ def merge_flowmeter(parts: Sequence[FlowmeterData]) -> FlowmeterData:
     return FlowmeterData(
         warnings=tuple(text for part in parts for text in part.warnings),
         losses=tuple(text for part in parts for text in part.losses),
+        units=parts[0].units,
         **arrays,
     )

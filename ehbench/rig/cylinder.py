@@ -122,10 +122,10 @@ class Cylinder(FileModel):
             )
         swept = rod * float(self.stroke)
         if float(self.volume_rod) <= swept:
-            given = f"{float(self.volume_rod) * 1e6:g} cm^3"
+            said = self.volume_rod.like
             raise Misplaced(
-                f"volume_rod at x = 0 is {given}, "
-                f"but the full stroke displaces {swept * 1e6:.6g} cm^3",
+                f"volume_rod at x = 0 is {said('volume_rod', float(self.volume_rod))}, "
+                f"but the full stroke displaces {said('volume_rod', swept)}",
                 "volume_rod",
             )
         return self
@@ -148,10 +148,11 @@ class Cylinder(FileModel):
                 float(self.pins.retracted_length) + float(self.stroke),
             )
             if not (low < ends[0] and ends[1] < high):
+                is_in, length = self.pins.retracted_length.like, "retracted_length"
                 raise Misplaced(
-                    f"from pin to pin the cylinder is {ends[0] * 1e3:g} mm long retracted "
-                    f"and {ends[1] * 1e3:g} mm extended, while l_a and l_b allow "
-                    f"{low * 1e3:g} to {high * 1e3:g} mm, the ends excluded",
+                    f"from pin to pin the cylinder is {is_in(length, ends[0])} long retracted "
+                    f"and {is_in(length, ends[1])} extended, while l_a and l_b allow "
+                    f"{is_in(length, low)} to {is_in(length, high)}, the ends excluded",
                     "pins",
                     "retracted_length",
                 )

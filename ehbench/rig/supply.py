@@ -113,10 +113,11 @@ class Supply(FileModel):
     @model_validator(mode="after")
     def _above_tank(self) -> Supply:
         if float(self.pressure) > _MOST_SUPPLY:
+            given, most = (
+                self.pressure.like("pressure", float(p)) for p in (self.pressure, _MOST_SUPPLY)
+            )
             raise Misplaced(
-                f"a supply of {float(self.pressure) / 1e5:g} bar is beyond any hydraulics: "
-                f"{_MOST_SUPPLY / 1e5:g} bar at most",
-                "pressure",
+                f"a supply of {given} is beyond any hydraulics: {most} at most", "pressure"
             )
         if float(self.pressure) <= float(self.tank_pressure):
             raise Misplaced("the supply's pressure must lie above tank_pressure", "pressure")

@@ -230,6 +230,19 @@ def test_readings_of_another_rig_are_found(recipes):
     assert "rig 'slide_servo' has no metering edge 'hect'" in str(found.errors[0])
 
 
+@pytest.mark.parametrize(
+    "header, row, told",
+    [
+        ("flow [L/min],pressure_drop [bar]", "3,12.5", "drops 12.5 bar to 12.5 bar, flow up to 3"),
+        ("flow [gpm],method", "3,cylinder", "no pressures, flow up to 3 gpm"),
+    ],
+)
+def test_readings_are_told_in_the_units_of_their_file(tmp_path, header, row, told):
+    path = tmp_path / "readings.csv"
+    path.write_text(f"valve,command [V],{header}\nk1,2,{row}\n")
+    assert f"k1 forward: 1 reading at 1 command, {told}" in inspection.check(path).lines[1]
+
+
 def test_a_log_in_which_nothing_is_commanded_does_not_support_a_fit(recipes, tmp_path):
     still = recipes.parent / "still.mcap"
     record = read_record(ROOT / "datasets/slide_servo/heldout/press_no_load.mcap")

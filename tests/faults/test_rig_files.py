@@ -75,6 +75,12 @@ def padded(*cases):
             "must lie above tank_pressure",
             "pressure =",
         ),
+        (
+            '{ value = "200 bar", source = "datasheet: pump, p. 4" }',
+            '"20000 psi"',
+            "a supply of 20000 psi is beyond any hydraulics: 14503.8 psi at most",
+            "pressure =",
+        ),
         ('flow = "L/min"', 'flow = "bar"', "display.flow: 'bar' cannot be turned into m^3/s"),
         ('flow = "L/min"', 'flov = "L/min"', "there is no quantity 'flov'; nearest is 'flow'"),
         ("[oil]", "[oill]", "unknown key 'oill' (did you mean 'oil'?)"),
@@ -140,7 +146,7 @@ def padded(*cases):
         (
             'volume_rod = "2.5 L"',
             'volume_rod = "0.5 L"',
-            "is 500 cm^3, but the full stroke displaces 1718.06 cm^3",
+            "is 0.5 L, but the full stroke displaces 1.71806 L",
         ),
         (
             'volume_rod = "2.5 L"',
@@ -170,7 +176,12 @@ def padded(*cases):
         (
             'retracted_length = "850 mm"',
             'retracted_length = "600 mm"',
-            "allow 600 to 1800 mm, the ends excluded",
+            "allow 600 mm to 1800 mm, the ends excluded",
+        ),
+        (
+            'retracted_length = "850 mm"',
+            'retracted_length = "60 in"',
+            "is 60 in long retracted and 79.685 in extended, while l_a and l_b allow 23.622 in to",
         ),
         ('command_min = "-10 V"', 'command_min = "10 V"', "command_min must lie below command_max"),
         (
