@@ -86,6 +86,16 @@ class Cylinder(FileModel):
     area_rod: Annotated[Value, Q("area_rod")] | None = None
     bore: Annotated[Value, Q("bore")] | None = None
     rod: Annotated[Value, Q("rod")] | None = None
+    through_rod: bool = Field(
+        False, description="whether the rod, as thick, comes out of the head end too; with `bore`"
+    )
+    count: int = Field(
+        1,
+        ge=1,
+        le=16,
+        description="equal cylinders side by side on the same edges, each of `bore` and `rod`; "
+        "volumes, leakage, friction and forces are those of all together",
+    )
     stroke: Annotated[Value, Q("stroke")]
     volume_head: Annotated[Value, Q("volume_head")]
     volume_rod: Annotated[Value, Q("volume_rod")]
@@ -114,6 +124,12 @@ class Cylinder(FileModel):
         }
         if pairs != {(True, True), (False, False)}:
             raise ValueError("give area_head and area_rod, or bore and rod")
+        for key in ("count", "through_rod"):
+            if self.bore is None and getattr(self, key) != type(self).model_fields[key].default:
+                raise Misplaced(
+                    f"'{key}' goes with bore and rod; area_head and area_rod say all themselves",
+                    key,
+                )
         head, rod = self.areas()
         by = "area_rod" if self.area_rod is not None else "rod"
         if not 0 < rod <= head:
@@ -233,8 +249,9 @@ class Cylinder(FileModel):
         return None
 
     def areas(self) -> tuple[float, float]:
-        """(area_head, area_rod) [m²]."""
+        """(area_head, area_rod) [m²], of all cylinders side by side."""
         if self.area_head is not None:
             return float(self.area_head), float(self.area_rod)  # type: ignore[arg-type]
         bore, rod = float(self.bore), float(self.rod)  # type: ignore[arg-type]
-        return math.pi / 4 * bore**2, math.pi / 4 * (bore**2 - rod**2)
+        full, annulus = (self.count * math.pi / 4 * area for area in (bore**2, bore**2 - rod**2))
+        return annulus if self.through_rod else full, annulus

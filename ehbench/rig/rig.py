@@ -82,7 +82,8 @@ class Rig(FileModel):
             ("two cylinders drive joint", [c.joint for c in self.cylinder], ("cylinder",)),
         ):
             if (at := second(names)) is not None:
-                raise Misplaced(f"{what} '{names[at]}'", *place, at)
+                pair = "; equal ones side by side on the same edges are one, with count = 2"
+                raise Misplaced(f"{what} '{names[at]}'{pair * ('drive' in what)}", *place, at)
         for at, cylinder in enumerate(self.cylinder):
             if cylinder.joint not in joints:
                 raise Misplaced(

@@ -135,6 +135,8 @@ def padded(*cases):
         ),
         ('name = "lift"', 'name = "li.ft"', "'li.ft' is no name (letters, digits, _ and -"),
         ('name = "lift"', 'name = ""', "'' is no name"),
+        ('rod = "45 mm"', 'rod = "45 mm"\ncount = 0', "count = 0", "count = 0"),
+        ('rod = "45 mm"', 'rod = "45 mm"\nthrough_rod = 1.5', "through_rod", "through_rod = 1.5"),
         ('rod = "45 mm"', 'rod = "85 mm"', "area_rod must be positive and not above area_head"),
         (
             'rod = "45 mm"',
@@ -272,6 +274,12 @@ def test_a_slip_is_one_sentence_with_its_line(tmp_path, old, new, words, line):
             "cylinder 'main': area_rod must be positive and not above area_head",
         ),
         ('area_head = "314 cm^2"', 'area_head = "314 cm"', "'cm' cannot be turned into m^2"),
+        ('area_head = "314 cm^2"', 'area_head = "314 cm^2"\ncount = 2', "'count' goes with bore"),
+        (
+            'area_head = "314 cm^2"',
+            'area_head = "314 cm^2"\nthrough_rod = true',
+            "with bore and rod",
+        ),
         ('name = "fine"', 'name = "fast"', "two valves are called 'fast'"),
         ('incline = "-90 deg"', 'incline = "-180 deg"', "outside -91.6732 to 91.6732 deg"),
         (

@@ -4,6 +4,7 @@ from.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,34 @@ def test_round_trip(path, tmp_path):
     copy.write_text(tomli_w.dumps(rig.as_toml()))
     assert load_rig(copy) == rig
     assert all(value.sure in SURENESS for value in rig.parameters().values())
+
+
+@pytest.mark.parametrize(
+    "more, head, rod",
+    [
+        ("", 0.25 * 0.08**2, 0.25 * (0.08**2 - 0.045**2)),
+        ("count = 2", 2 * 0.25 * 0.08**2, 2 * 0.25 * (0.08**2 - 0.045**2)),
+        ("through_rod = true", 0.25 * (0.08**2 - 0.045**2), 0.25 * (0.08**2 - 0.045**2)),
+    ],
+)
+def test_areas_of_cylinders_side_by_side_and_of_a_rod_that_goes_through(tmp_path, more, head, rod):
+    """The plant has them, and a written rig keeps them."""
+    text = (FOLDER / "crane_proportional.toml").read_text()
+    text = text.replace("\nstroke =", f"\n{more}\nstroke =").replace('"2.6 L"', '"5.2 L"')
+    (tmp_path / "a.toml").write_text(text)
+    copy = tmp_path / "b.toml"
+    copy.write_text(tomli_w.dumps(load_rig(tmp_path / "a.toml").as_toml()))
+    row = Model.of(load_rig(copy)).plant.cylinders[0]
+    found = (row.area_head / math.pi, row.area_rod / math.pi)
+    assert found == pytest.approx((head, rod), rel=1e-12)
+
+
+def test_a_second_cylinder_on_a_joint_is_told_how_a_pair_is_written(tmp_path):
+    text = (FOLDER / "crane_proportional.toml").read_text()
+    second = text[text.index("[[cylinder]]") :].replace('name = "lift"', 'name = "other"', 1)
+    (tmp_path / "a.toml").write_text(f"{text}\n{second}")
+    with pytest.raises(InputError, match="two cylinders drive joint 'arm'; equal .* count = 2"):
+        load_rig(tmp_path / "a.toml")
 
 
 def test_valves_take_other_dynamics_of_their_file():
