@@ -75,6 +75,16 @@ _AREA = re.compile(
 _UNIT = re.compile(rf"{_GROUP}(?:{_JOIN}{_GROUP})*")
 
 
+# what else helps who gives a quantity in a unit that it cannot have
+_INSTEAD = {
+    "V": "; where a valve is driven in mA or %, count in volts of your own, as 1 V for 100 mA, "
+    'here and in the map of columns, scale = "0.01 V/mA"',
+    "m^3/(s*V*Pa^0.5)": "; a data sheet's flow at a drop goes in as "
+    "rated = { flow, command, drop }",
+    "m^3/(s*V)": "; a data sheet's flow goes in as rated = { flow, command }",
+}
+
+
 @lru_cache(maxsize=1)
 def _registry() -> pint.UnitRegistry:
     import pint
@@ -253,7 +263,8 @@ def to_si(value, unit: str, row: Quantity):
     except UnitError as error:
         usual = ", ".join(dict.fromkeys((row.unit, row.display)))
         raise UnitError(
-            f"{error.message} for {row.name}", hint=f"{row.name} is in {usual} or the like"
+            f"{error.message} for {row.name}",
+            hint=f"{row.name} is in {usual} or the like{_INSTEAD.get(row.unit, '')}",
         ) from None
     return value * scale + offset if offset else value * scale
 

@@ -250,7 +250,8 @@ def _rig_line(source: Source, claim: Claim) -> Place | None:
     best: tuple[Any, ...] = ()
     found: Any = None
     for location, names, value in _leaves(table, (), ()):
-        if names[-1] == wanted[-1] and set(wanted[:-1]) <= set(names):
+        rated = wanted[-1].endswith("_gain") and names[-2:] == ("rated", "flow")
+        if (rated or names[-1] == wanted[-1]) and set(wanted[:-1]) <= set(names):
             best, found = location, value
             break
     line = line_of(text, best) if best else None
@@ -269,6 +270,8 @@ def _leaves(
     """
     if isinstance(value, Mapping) and "value" not in value:
         own = (*names, value["name"]) if isinstance(value.get("name"), str) else names
+        if own == names and names[-1:] == ("edge",):  # goes by its valve's name and its nodes
+            own = (*names, f"{names[-2]}_{value.get('from')}_{value.get('to')}")
         for key, inside in value.items():
             yield from _leaves(inside, (*location, key), (*own, key))
     elif isinstance(value, list) and value and isinstance(value[0], Mapping):

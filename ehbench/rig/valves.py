@@ -17,6 +17,60 @@ from ehbench.quantities import VOCABULARY
 from ehbench.rig.names import Misplaced, Name, second
 
 
+class Rated(FileModel):
+    """A point of a data sheet: at ``command`` so much ``flow`` passes an edge, with a ``drop``
+    across it where its law goes by the drop.
+    """
+
+    flow: Annotated[Value, Q("flow")]
+    command: Annotated[Value, Q("command")]
+    drop: Annotated[Value, Q("pressure_drop")] | None = None
+
+    def gain(self, name: str, deadband: float, widest: float) -> Value:
+        """The gain ``name`` of an edge that passes this: flow/((command − deadband)·√drop), no
+        more of the command counting than ``widest`` [V]; for ``compensated_gain`` without the drop.
+
+        Raises:
+            Misplaced: the drop is missing or too much, nothing flows, or the edge is shut.
+        """
+        if (self.drop is None) == (name == "flow_gain"):
+            said = "takes the drop across the edge" if self.drop is None else "goes by no drop"
+            raise Misplaced(
+                f"a rated flow of this law {said}", *([] if self.drop is None else ["drop"])
+            )
+        drop = 1.0 if self.drop is None else float(self.drop)
+        for key, size in (("flow", float(self.flow)), ("drop", drop)):
+            if not size > 0.0:
+                raise Misplaced(f"a rated {key} must be positive", key)
+        wide = min(abs(float(self.command)), widest) - deadband
+        if not wide > 0.0:
+            raise Misplaced(
+                f"the rated command lies within the deadband of {deadband:g} V", "command"
+            )
+        each = 1.0 / (wide * math.sqrt(drop))
+        unit = f"{self.flow.unit or 'm^3/s'}/V"
+        said = [self.flow.like("flow", float(self.flow)), f"{float(self.command):g} V"]
+        if self.drop is not None:
+            unit += f"/{self.drop.unit or 'Pa'}^0.5"
+            said.append(self.drop.like("pressure_drop", drop))
+        limits = {
+            key: None if (limit := getattr(self.flow, key)) is None else limit * each
+            for key in ("lower", "upper", "std")
+        }
+        return Value(
+            float(self.flow) * each,
+            self.flow.sure,
+            ", ".join(
+                [
+                    *filter(None, [self.flow.source]),
+                    "rated " + " at ".join((said[0], " and ".join(said[1:]))),
+                ]
+            ),
+            unit=unit if units.is_of(unit, VOCABULARY[name]) else "",
+            **limits,
+        )
+
+
 class MeteringEdge(FileModel):
     """One metering edge: flow from ``from`` to ``to`` when upstream pressure is higher.
 
@@ -35,10 +89,32 @@ class MeteringEdge(FileModel):
     deadband: Annotated[Value, Q("deadband")] = Value(0.0)
     cracking_pressure: Annotated[Value, Q("cracking_pressure")] = Value(0.0)
     map_factor: Annotated[Value, Q("map_factor")] = Value(1.0)
+    rated: Rated | None = Field(
+        None,
+        description="the point of a data sheet in place of its gain, `{ flow, command, drop }`",
+    )
 
 
 class Edge(LawFields, MeteringEdge):
     """A metering edge with the keys of its law, or a pump with a command."""
+
+    @model_validator(mode="after")
+    def _by_its_rated_point(self) -> Edge:
+        """Its gain in place of the rated point, so that one number says how wide it is."""
+        if self.rated is None:
+            return self
+        gains = {"flow_gain", "compensated_gain"} & set(edge_law(self.law).needs)
+        if not gains:
+            raise Misplaced(f"law '{self.law}' takes no 'rated'", "rated")
+        (name,) = gains
+        if getattr(self, name) is not None:
+            raise Misplaced(f"give {name} or rated, not both", "rated")
+        widest = math.inf if self.opening_max is None else float(self.opening_max)
+        try:
+            gain = self.rated.gain(name, float(self.deadband), widest)
+        except Misplaced as error:
+            raise Misplaced(str(error), "rated", *error.where) from None
+        return self.model_copy(update={name: gain, "rated": None})
 
     @model_validator(mode="after")
     def _law_is_whole(self) -> Edge:

@@ -266,6 +266,34 @@ def test_a_slip_is_one_sentence_with_its_line(tmp_path, old, new, words, line):
 
 
 @pytest.mark.parametrize(
+    ("new", "words"),
+    [
+        ('rated = { flow = "60 L/min", command = "10 V" }', "takes the drop across the edge"),
+        ('rated = { flow = "60 L/min", command = "10 V", drop = "0 bar" }', "a rated drop must be"),
+        ('rated = { flow = "-6 L/min", command = "10 V", drop = "5 bar" }', "a rated flow must be"),
+        (
+            'rated = { flow = "6 L/min", command = "0 V", drop = "5 bar" }',
+            "within the deadband of 0 V",
+        ),
+        ('rated = { flow = "6 L/min", command = "5 mA", drop = "5 bar" }', "as 1 V for 100 mA"),
+        ('rated = { flow = "6 L/min", drop = "5 bar" }', "command' is missing"),
+        (
+            'flow_gain = "1 L/min/V/bar^0.5", '
+            'rated = { flow = "6 L/min", command = "10 V", drop = "5 bar" }',
+            "give flow_gain or rated, not both",
+        ),
+        ('flow_gain = "1 L/min/V"', "goes in as rated = { flow, command, drop }"),
+    ],
+)
+def test_a_slip_in_a_rated_point(tmp_path, new, words):
+    old = 'flow_gain = "4 L/min/V/bar^0.5"'
+    assert old in PRESS
+    text = PRESS.replace(old, new, 1)
+    error = refused(tmp_path, text)
+    assert words in str(error) and text.splitlines()[error.line - 1] == "edge = ["
+
+
+@pytest.mark.parametrize(
     ("old", "new", "words"),
     [
         (

@@ -13,7 +13,9 @@ import tomli_w
 from ehbench.errors import InputError
 from ehbench.fields import SURENESS, Value
 from ehbench.plant.model import Model
+from ehbench.quantities import VOCABULARY
 from ehbench.recipe import load_rig
+from ehbench.units import factor
 
 FOLDER = Path(__file__).parents[2] / "recipes" / "rigs"
 RIGS = sorted(FOLDER.glob("*.toml"))
@@ -46,6 +48,36 @@ def test_areas_of_cylinders_side_by_side_and_of_a_rod_that_goes_through(tmp_path
     row = Model.of(load_rig(copy)).plant.cylinders[0]
     found = (row.area_head / math.pi, row.area_rod / math.pi)
     assert found == pytest.approx((head, rod), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "law, command, drop, name, gain, unit",
+    [
+        ("orifice", "10 V", "35 bar", "flow_gain", 60 / 8.5 / 35**0.5, "L/min/V/bar^0.5"),
+        ("orifice", "-10 V", "508 psi", "flow_gain", 60 / 8.5 / 508**0.5, "L/min/V/psi^0.5"),
+        ("flow_control", "10 V", "", "compensated_gain", 60 / 8.5, "L/min/V"),
+        ("saturating", "10 V", "35 bar", "flow_gain", 60 / 6.5 / 35**0.5, "L/min/V/bar^0.5"),
+    ],
+)
+def test_a_data_sheets_point_gives_the_gain(tmp_path, law, command, drop, name, gain, unit):
+    """Beyond the deadband of 1.5 V; it is written as the gain, with where it came from."""
+    point = 'flow = { value = "60 L/min", source = "datasheet", std = "3 L/min" }, '
+    point += f'command = "{command}"' + (f', drop = "{drop}"' if drop else "")
+    more = '\nopening_max = "8 V"' if law == "saturating" else ""
+    text = (FOLDER / "crane_proportional.toml").read_text()
+    old = 'law = "orifice"\nflow_gain = { value = "1.7 L/min/V/MPa^0.5", source = "datasheet" }'
+    assert old in text
+    (tmp_path / "a.toml").write_text(
+        text.replace(old, f'law = "{law}"{more}\nrated = {{ {point} }}')
+    )
+    copy = tmp_path / "b.toml"
+    copy.write_text(tomli_w.dumps(load_rig(tmp_path / "a.toml").as_toml()))
+    for rig in (load_rig(tmp_path / "a.toml"), load_rig(copy)):
+        found = rig.parameters()[f"lift.spool_pa.{name}"]
+        assert rig.unit_of(f"lift.spool_pa.{name}") == unit and found.sure == "datasheet"
+        assert float(found) == pytest.approx(gain * factor(unit, VOCABULARY[name].unit), rel=1e-12)
+        assert found.std == pytest.approx(0.05 * float(found), rel=1e-12)
+        assert found.source.startswith(f"datasheet, rated 60 L/min at {command}")
 
 
 def test_a_second_cylinder_on_a_joint_is_told_how_a_pair_is_written(tmp_path):

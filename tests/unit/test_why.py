@@ -108,6 +108,25 @@ def test_a_number_leads_to_interval_method_windows_logs_recipe_and_rig_line(shop
 
 
 @pytest.mark.parametrize(
+    "new", [None, 'rated = { flow = "60 L/min", command = "10 V", drop = "35 bar" }']
+)
+def test_the_rig_line_of_an_edge_without_a_name_is_its_gain_or_rated_point(shop, new):
+    """The second of three that have the same gain."""
+    text = (shop / "rig.toml").read_text()
+    gain = 'flow_gain = { value = "2.4 L/min/V/MPa^0.5", source = "datasheet" }'
+    head, first, rest = text.partition(gain)
+    (shop / "rig.toml").write_text(head + first + rest.replace(gain, new or gain, 1))
+    line = text[: len(head + first) + rest.index(gain)].count("\n") + 1
+    name = "press.servo_rod_tank.flow_gain"
+    fit = shop / "reports" / "fit_1"
+    rows = json.loads((fit / "parameters.json").read_text())
+    rows["parameters"][1]["name"] = name
+    (fit / "parameters.json").write_text(json.dumps(rows))
+    found = why(name, fit)
+    assert found.rig is not None and found.rig.line == line
+
+
+@pytest.mark.parametrize(
     "name, value",
     [
         ("press.joint_damping", 7.0e8),
