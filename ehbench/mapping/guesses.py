@@ -251,6 +251,8 @@ def command_guess(
         first, last = (-20.0, 20.0) if known.min() < -0.5 else (0.0, 20.0)
     if unit == "mA" and known.max() > _LOOP:
         first, last = 50.0 * np.floor(known.min() / 50.0), 50.0 * np.ceil(known.max() / 50.0)
+        if first < 0.0:  # of either sign, so none of it is rest
+            first, last = -max(-first, last), max(-first, last)
     if unit == "%" and low >= 0.0:
         first = 0.0
     ends = (f"{first:g} {unit}", f"{last:g} {unit}", f"{low:g} V", f"{high:g} V")

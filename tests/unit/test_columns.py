@@ -500,6 +500,14 @@ def test_pressures_on_both_sides_make_the_drop_and_one_alone_is_it(tmp_path):
     assert log[:2] == ["cylinder.p_head", "cylinder.p_rod"]
 
 
+def test_a_current_of_either_sign_rests_at_none(tmp_path):
+    """Beyond a loop of 20 mA, and driven further one way than the other."""
+    rows = "".join(f"{0.01 * n:.2f},{n % 400 - 140}\n" for n in range(500))
+    (tmp_path / "a.csv").write_text("t [s],Solenoid current [mA]\n" + rows)
+    guess = mapping.guessed(open_source(tmp_path / "a.csv"), load_rig(RIG))
+    assert guess["Solenoid current [mA]"].ends == ("-300 mA", "300 mA", "-10 V", "10 V")
+
+
 def test_what_a_name_says_is_guessed(tmp_path):
     rng = np.random.default_rng(1)
     names = {
