@@ -140,7 +140,9 @@ def _rig(path: Path) -> Inspection:
     for value in rig.parameters().values():
         if value.source:
             sure[value.sure] = sure.get(value.sure, 0) + 1
-    said = ", ".join(f"{n} {word}" for word, n in sorted(sure.items())) or "no sources given"
+    bare = sum(not value.source and value.text is not None for value in rig.parameters().values())
+    words = [f"{n} {word}" for word, n in sorted(sure.items())]
+    said = ", ".join(words + [f"{bare} without a source"] * (bare > 0)) or "no sources given"
     lines.append(f"  how sure the numbers are: {said}")
     return Inspection((*lines, "ok"))
 

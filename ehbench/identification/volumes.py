@@ -1,4 +1,4 @@
-"""What an interval of a bulk modulus counts on: the oil's volumes, which the rig file has."""
+"""What an interval of a bulk modulus counts on: oil volumes and inertia, which the rig file has."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
 
 WORD = "bulk_modulus"
-MORE = 0.1  # share by which volumes are thought larger
+MORE = 0.1  # share by which volumes and inertia are thought larger
 
 
 def held_volumes(
     rig: Rig, fitted: Sequence[str], replays: Mapping[str, Sequence[Record]]
 ) -> tuple[str, ...]:
-    """A sentence for each fitted bulk modulus whose cylinders' volumes are held.
+    """A sentence for each fitted bulk modulus whose cylinders' volumes or inertia are held.
 
     A chamber of the volume V gives the stiffness β A²/V, so that logs tell V/β: with volumes that
     are larger by the share d the stiffness of Σ β A²/V is kept by a β larger by
-    d·Σ (A²/V)(V₀/V) / Σ A²/V, V₀ being that part of V which is the rig file's.
+    d·Σ (A²/V)(V₀/V) / Σ A²/V, V₀ being that part of V which is the rig file's. Where a log tells
+    the stiffness by the frequency √(stiffness/m) of what rides on it, β grows with the inertia m.
 
     Args:
         rig: as it was fitted.
@@ -38,12 +39,18 @@ def held_volumes(
             for volume in (f"{c.name}.volume_head", f"{c.name}.volume_rod")
             if volume not in fitted
         ]
+        on, more = [], []
         if held:
-            more = MORE * _share(own, replays, held)
+            on.append(f"{' and '.join(held)} of the rig file")
+            share = 100.0 * MORE * _share(own, replays, held)
+            more.append(f"with {100.0 * MORE:g} % more oil there it would come out {share:.2g} %")
+        if any(c.linkage is not None or f"{c.joint}.mass" not in fitted for c in own):
+            on.append("the inertia that moves")
+            more.append(f"with {100.0 * MORE:g} % more inertia up to {100.0 * MORE:g} %")
+        if on:
             found.append(
-                f"{name} counts on {' and '.join(held)} of the rig file: the logs tell volume over "
-                f"bulk modulus. With {100.0 * MORE:g} % more oil there it would come out "
-                f"{100.0 * more:.2g} % higher, which its interval does not hold"
+                f"{name} counts on {' and on '.join(on)}: {', '.join(more)} higher, which its "
+                "interval does not hold"
             )
     return tuple(found)
 

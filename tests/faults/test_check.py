@@ -243,6 +243,19 @@ def test_readings_are_told_in_the_units_of_their_file(tmp_path, header, row, tol
     assert f"k1 forward: 1 reading at 1 command, {told}" in inspection.check(path).lines[1]
 
 
+def test_numbers_of_a_rig_without_a_source_are_counted(recipes, tmp_path):
+    """Those of data sheets, once that is no longer said."""
+
+    def line(path: Path) -> str:
+        return next(one for one in inspection.check(path).lines if "how sure" in one)
+
+    own = recipes / "rigs" / "slide_servo.toml"
+    (tmp_path / "rig.toml").write_text(own.read_text().replace(', source = "datasheet" }', " }"))
+    told = line(own)
+    assert "datasheet" in told and "without" not in told
+    assert line(tmp_path / "rig.toml") == told.replace("datasheet", "without a source")
+
+
 def test_a_log_in_which_nothing_is_commanded_does_not_support_a_fit(recipes, tmp_path):
     still = recipes.parent / "still.mcap"
     record = read_record(ROOT / "datasets/slide_servo/heldout/press_no_load.mcap")

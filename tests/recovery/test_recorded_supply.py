@@ -81,21 +81,33 @@ def test_oil_and_damping_are_right_on_a_supply_that_the_rig_file_does_not_know()
     assert "p_supply" not in given.logs[0].start_shift
     (text,) = given.counts_on
     assert "press.volume_head and press.volume_rod" in text and "10 % more oil" in text
+    assert "on the inertia that moves" in text and "10 % more inertia up to 10 % higher" in text
 
 
-def test_what_a_bulk_modulus_counts_on_is_by_how_much_more_oil_would_move_it():
-    """Against a fit with a tenth more oil in the rig file's volumes."""
+def test_what_a_bulk_modulus_counts_on_is_by_how_much_more_would_move_it():
+    """Against fits with a tenth more oil in the rig file's volumes, and with a tenth more mass."""
     tables = rig().as_toml()
     (press,) = tables["cylinder"]
     more = {key: f"{1.1 * float(getattr(rig().cylinder[0], key))} m^3" for key in VOLUMES}
-    larger = Rig.model_validate(tables | {"cylinder": [{**press, **more}]})
-    first, second = (
-        identify_hydraulics(one, [("log", log(RECORDED))], [STIFF, LOSS]) for one in (rig(), larger)
+    mass = f"{1.1 * float(rig().parameters()['carriage.mass'])} kg"
+    first, larger, heavier = (
+        identify_hydraulics(
+            Rig.model_validate(tables | new), [("log", log(RECORDED))], [STIFF, LOSS]
+        )
+        for new in (
+            {},
+            {"cylinder": [{**press, **more}]},
+            {"mechanism": {**tables["mechanism"], "mass": mass}},
+        )
     )
-    said = float(re.search(r"come out ([\d.]+) % higher", first.counts_on[0])[1])
-    assert 100.0 * (second[STIFF].value / first[STIFF].value - 1.0) == pytest.approx(said, rel=0.15)
+    said = re.search(r"come out ([\d.]+) %, .* up to ([\d.]+) % higher", first.counts_on[0])
+    for share, second in zip(said.groups(), (larger, heavier), strict=True):
+        found = 100.0 * (second[STIFF].value / first[STIFF].value - 1.0)
+        assert found == pytest.approx(float(share), rel=0.15)
     free = [STIFF, LOSS, *(f"press.{key}" for key in VOLUMES)]
-    assert held_volumes(rig(), free, {"press": [log()]}) == ()
+    (text,) = held_volumes(rig(), free, {"press": [log()]})
+    assert text.startswith("bulk_modulus counts on the inertia that moves: with 10 % more inertia")
+    assert held_volumes(rig(), [*free, "carriage.mass"], {"press": [log()]}) == ()
 
 
 def test_a_validation_says_that_the_supply_is_another():
