@@ -32,8 +32,8 @@ AMPLITUDES = (0.15, 0.3, 0.5, 0.85)  # of the valves' largest command
 POSTURES = (0.5, 0.3, 0.7)  # of the stroke, the middle first
 BEST = 3  # candidates whose posture and payload are varied
 MARGIN = 0.04  # share of the stroke that a test keeps off its ends
-# pressures of a test, of the supply's: emptied chambers are no part of the model
-MOST_PRESSURE, LEAST_PRESSURE = 1.5, 0.03
+MOST_PRESSURE = 1.5  # of a test, of the supply's
+LEAST_PRESSURE = 2.0e5  # [Pa]; emptied chambers are no part of the model
 DRIVEN = 0.3  # share of the largest speed beyond which a cylinder counts as driven
 # when a waveform drives out and back [s]
 WAVES = {
@@ -183,6 +183,9 @@ class _Planner:
         self.rig = prepared.rig.with_values(
             {one.name: one.value for one in fitted if one.status != "not_excited"}
         )
+        # with dead bands as wide as the logs leave them: what a test must open for sure
+        ends = {one.name: one.interval[1] for one in fitted if one.interval is not None}
+        self.shut = self.rig.with_values({n: u for n, u in ends.items() if n.endswith(".deadband")})
         search = self._search(prepared.logs)
         with search.simulator.pool:
             search.settle_starts(self.values)
@@ -237,7 +240,7 @@ class _Planner:
         time.
         """
         stroke = float(self.rig.cylinder_named(drive.cylinder).stroke)
-        commands = tuple(_entries(self.rig, drive, wave, amplitude))
+        commands = tuple(entries_of(self.shut, drive, wave, amplitude))
         starts = [(share, None) for share in postures] + [(postures[0], load) for load in loads[1:]]
         return [
             Trial(drive.cylinder, wave, amplitude, share * stroke, load, commands)
@@ -308,7 +311,7 @@ def _refuse_ends(rig: Rig, name: str, made: Record) -> None:
     pressures = [made[f"{name}.{word}"] for word in ("p_head", "p_rod")]
     if np.min(x) < MARGIN * stroke or np.max(x) > (1.0 - MARGIN) * stroke:
         raise InsufficientData(f"{name} runs into an end of its stroke")
-    if np.max(pressures) > MOST_PRESSURE * supply or np.min(pressures) < LEAST_PRESSURE * supply:
+    if np.max(pressures) > MOST_PRESSURE * supply or np.min(pressures) < LEAST_PRESSURE:
         raise InsufficientData(f"a chamber of {name} is emptied, or its pressure goes far too high")
 
 
@@ -353,16 +356,21 @@ def _sides(rig: Rig, record: Record, name: str) -> tuple[dict[str, float], dict[
     return sides[0], sides[1]
 
 
-def _entries(rig: Rig, drive: Drive, wave: str, amplitude: float) -> list[dict[str, Any]]:
-    """Steps [V] of a waveform, one entry each."""
-    limits = {f"{c.name}.{v.name}": v for c, v in rig.valves()}
+def entries_of(rig: Rig, drive: Drive, wave: str, amplitude: float) -> list[dict[str, Any]]:
+    """Steps [V] of a waveform, one entry each: shares of what a valve has beyond its dead bands."""
+    valves = {f"{c.name}.{v.name}": v for c, v in rig.valves()}
     entries = []
     for side, spans in zip((drive.out, drive.back), WAVES[wave], strict=True):
         for start, stop in spans:
             for valve, share in side.items():
-                low, high = float(limits[valve].command_min), float(limits[valve].command_max)
+                own = valves[valve]
+                low, high = float(own.command_min), float(own.command_max)
                 reach = max(abs(low), abs(high))
-                volts = min(max(amplitude * share * reach, low), high)
+                shut = max(
+                    (float(e.deadband) for e in own.edge if e.sign * share > 0.0), default=0.0
+                )
+                volts = math.copysign(shut, share) + amplitude * share * max(reach - shut, 0.0)
+                volts = min(max(volts, low), high)
                 entry = {"valve": valve, "kind": "step", "amplitude": round(volts, 3)}
                 entries.append(entry | {"start": start, "stop": stop})
     return entries

@@ -10,6 +10,8 @@ import pytest
 
 from ehbench import rundir, workflow
 from ehbench.errors import InputError
+from ehbench.identification.next_test import WAVES, Drive, entries_of
+from ehbench.recipe import load_rig
 from ehbench.stages.hydraulics import HydraulicsStage
 
 ROOT = Path(__file__).parents[2]
@@ -38,6 +40,20 @@ def rows_of(folder):
 def width(ends):
     """Of an interval, as a ratio: fitted values move with the log that is added."""
     return math.log(ends[1] / ends[0])
+
+
+@pytest.mark.parametrize("amplitude", [0.01, 0.5, 1.0])
+def test_every_command_of_a_test_opens_its_valve(amplitude):
+    """Of the crane's ±10 V the first 1.5 V are overlap: a share counts of the rest."""
+    drive = Drive("lift", {"lift.spool": 1.0}, {"lift.spool": -0.8})
+    entries = entries_of(
+        load_rig(ROOT / "recipes" / "rigs" / "crane_proportional.toml"), drive, "steps", amplitude
+    )
+    assert len(entries) == sum(map(len, WAVES["steps"]))
+    for share in (1.0, -0.8):
+        said = [one["amplitude"] for one in entries if one["amplitude"] * share > 0.0]
+        volts = math.copysign(1.5, share) + 8.5 * amplitude * share
+        assert said and said == pytest.approx([volts] * len(said), abs=1e-3)
 
 
 @pytest.mark.slow
