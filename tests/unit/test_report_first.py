@@ -231,3 +231,13 @@ def test_an_accepted_model_says_the_likeliest_cause_of_what_it_leaves_over(folde
     write_json(folder / "validation.json", judged | {"structure": {"findings": []} | FOLLOWS})
     assert not findings_of(Saved(folder)).against
     assert not [line for line in lines(folder, 200) if line.startswith("- ")]
+
+
+def test_what_a_fit_leaves_over_speaks_against_it(folders, tmp_path):
+    folder = tmp_path / "fit"
+    shutil.copytree(folders[0], folder)
+    table = json.loads((folder / "parameters.json").read_text())
+    before = list(findings_of(Saved(folder)).against)
+    said = "the model leaves 27 % of boom.p_rod in a, 3 times its noise"
+    write_json(folder / "parameters.json", table | {"left_over": said})
+    assert list(findings_of(Saved(folder)).against) == [said, *before]
