@@ -102,17 +102,14 @@ Profile = Annotated[
         show_default=False,
     ),
 ]
-Scheduler = Annotated[
+Workers = Annotated[
     str,
     typer.Option(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="Make the samples on a Dask cluster, tcp://host:8786.",
+        "--workers",
+        metavar="N|ADDRESS",
+        help="So many here (one a core), or those of a Dask scheduler, tcp://host:8786.",
         show_default=False,
     ),
-]
-Workers = Annotated[
-    int, typer.Option("--workers", help="Here. Default: one a core.", min=0, show_default=False)
 ]
 Resume = Annotated[
     bool, typer.Option("--resume", help="Go on where a run of this recipe was stopped.")
@@ -233,15 +230,14 @@ def _runner(command: Command) -> Callable[..., None]:
     return kinds[command.allows]
 
 
-def _sampling(  # noqa: PLR0913 (options are read off the signature)
+def _sampling(
     recipe: RecipeFile,
     out: Out = None,
     loud: Loud = None,
     as_json: AsJson = False,
     allow_code: AllowCode = False,
     unvalidated: Unvalidated = False,
-    scheduler: Scheduler = "",
-    workers: Workers = 0,
+    workers: Workers = "",
     resume: Resume = False,
 ) -> None:
     from ehbench import workflow
@@ -253,7 +249,7 @@ def _sampling(  # noqa: PLR0913 (options are read off the signature)
         Says.of(loud, as_json),
         allow_code=allow_code,
         unvalidated=unvalidated,
-        where=workflow.Where(scheduler, workers),
+        where=workflow.Where.of(workers),
         resume=resume,
     )
 

@@ -100,7 +100,7 @@ class Cluster:
             from distributed.comm.addressing import parse_address, parse_host_port
         except ImportError:
             raise InputError(
-                "--scheduler needs Dask", hint="install it: pip install 'ehbench[scale]'"
+                "workers of a scheduler need Dask", hint="install it: pip install 'ehbench[scale]'"
             ) from None
         try:
             parse_host_port(parse_address(address)[1])  # a client refused half-made is noisy

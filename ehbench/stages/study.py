@@ -40,6 +40,7 @@ from ehbench.stages.samples import (
     recipes_behind,
     refuse_measures,
 )
+from ehbench.text import shortened
 from ehbench.units import parse
 
 CELLS = 4  # of memory for each number of the table: it, its point in the design, two at work
@@ -55,6 +56,23 @@ class Where:
 
     scheduler: str = ""
     workers: int = 0
+
+    @classmethod
+    def of(cls, said: str) -> Where:
+        """What ``--workers`` says: how many here, or a scheduler's address; '' is one a core.
+
+        Raises:
+            InputError: it is neither.
+        """
+        if ":" in said:
+            return cls(scheduler=said)
+        if said and not (said.isdecimal() and int(said) > 0):
+            raise InputError(
+                f"--workers is {shortened(said, 40)}",
+                hint="it takes a number from 1 on, or the address of a Dask scheduler: "
+                "tcp://host:8786",
+            )
+        return cls(workers=int(said or 0))
 
 
 @dataclass(frozen=True)

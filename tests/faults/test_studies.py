@@ -119,6 +119,24 @@ def test_a_cluster_whose_worker_is_killed_loses_nothing(makers, cluster, tmp_pat
     assert len(came) == 120
 
 
+@pytest.mark.parametrize(
+    "said, where",
+    [
+        ("", workflow.Where()),
+        ("3", workflow.Where(workers=3)),
+        ("tcp://host:8786", workflow.Where(scheduler="tcp://host:8786")),
+    ],
+)
+def test_workers_are_so_many_here_or_those_of_a_scheduler(said, where):
+    assert workflow.Where.of(said) == where
+
+
+@pytest.mark.parametrize("said", ["0", "-2", "1.5", "many", " "])
+def test_workers_that_are_neither_are_refused(said):
+    with pytest.raises(InputError, match="a number from 1 on, or the address of a Dask scheduler"):
+        workflow.Where.of(said)
+
+
 def test_nobody_answers(makers):
     with pytest.raises(InputError, match="no Dask scheduler answers at 'tcp://127.0.0.1:9'"):
         from ehbench.sampling import cluster as module

@@ -60,10 +60,18 @@ def shop(tmp_path) -> Path:
         "identify",
         tmp_path / "maps.toml",
         [("rig", tmp_path / "rig.toml"), ("data", tmp_path / "maps.csv")],
-        {"summary.json": [{"valve": "sh", "direction": "forward", "deadband": 1.25,
-                           "deadband_interval": [1.2, 1.3]}]},
+        {
+            "summary.json": [
+                {
+                    "valve": "sh",
+                    "direction": "forward",
+                    "deadband": 1.25,
+                    "deadband_interval": [1.2, 1.3],
+                }
+            ]
+        },
         what="flow_map",
-    )  # fmt: skip
+    )
     fit = write_run(
         reports / "fit_1",
         "identify",
