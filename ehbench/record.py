@@ -85,8 +85,8 @@ class Record:
         """Median time between samples [s]."""
         return float(np.median(np.diff(self.t))) if self.t.size > 1 else float("nan")
 
-    def at(self, samples: Sequence[int] | np.ndarray) -> Record:
-        """These samples alone, by number or by a mask."""
+    def at(self, samples: Sequence[int] | np.ndarray | slice) -> Record:
+        """These samples alone, by number, by a mask or from one to another."""
         channels = {name: values[samples] for name, values in self.channels.items()}
         return replace(self, t=self.t[samples], channels=channels)
 
@@ -105,6 +105,32 @@ class Record:
         frame.attrs["meta"] = dict(self.meta)
         frame.attrs["losses"] = list(self.losses)
         return frame
+
+
+def block_means(y: np.ndarray, each: int) -> np.ndarray:
+    """Means of ``each`` successive samples along the first axis; what fills no mean at the end is
+    left out.
+    """
+    count = len(y) // each
+    return y[: count * each].reshape(count, each, *y.shape[1:]).mean(axis=1)
+
+
+@dataclass(frozen=True)
+class Means:
+    """A recording as means of ``each`` successive samples, at their mean time, without commands."""
+
+    record: Record
+    each: int
+
+    @classmethod
+    def of(cls, record: Record, each: int) -> Means:
+        """Of a recording, or of a simulation along it."""
+        channels = {
+            name: block_means(y, each)
+            for name, y in record.channels.items()
+            if not name.endswith(".command")
+        }
+        return cls(replace(record, t=block_means(record.t, each), channels=channels), each)
 
 
 def payloads_text(changes: Iterable[tuple[float, str]]) -> str:

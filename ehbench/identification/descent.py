@@ -188,7 +188,7 @@ class Descent:
             return np.tile(10.0 * self.per(self.spread, log), (len(log.recorded), 1)) * log.counts
         most = FARTHEST * self.per(self.spread, log)
         left = np.clip(simulated - log.recorded, -most, most)
-        left = lowpass(left, log.record.sample_time, self.cutoff) if self.cutoff else left
+        left = lowpass(left, log.sample_time, self.cutoff) if self.cutoff else left
         return left * log.counts
 
     def point(self, theta: np.ndarray, shifts: Shifts) -> Point:

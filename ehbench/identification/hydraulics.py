@@ -24,6 +24,7 @@ from ehbench.errors import InputError, InsufficientData
 from ehbench.identification.band import on_response
 from ehbench.identification.journal import Journal
 from ehbench.identification.matching import Matching, refuse_unmatched
+from ehbench.identification.means import Decimate, refuse_few
 from ehbench.identification.output_error import OutputError
 from ehbench.identification.results import (
     FittedParameter,
@@ -80,6 +81,9 @@ class FitOptions:
         cutoff: low-pass [Hz] on recorded and simulated alike; output error only.
         response: the command to which the channels' frequency responses are compared, in place of
             their samples, and how they are averaged; output error only.
+        decimate: samples of a log of which the mean is compared with that of the simulation; 1: all
+            are compared, ``"auto"``: as many as take next to nothing from what the log tells, of a
+            log faster than 1 kHz (`identification.means`).
         max_iterations: of the solver.
         step: of the integration [s], or ``"auto"``: chosen by the guard, the same ones for all that
             differences are taken of.
@@ -95,6 +99,7 @@ class FitOptions:
     sensors: Sequence[Sensor] = ()
     cutoff: float | None = None
     response: tuple[str, Averaging] | None = None
+    decimate: Decimate = "auto"
     max_iterations: int = 100
     step: Step = AUTO
     workers: int = 0
@@ -172,6 +177,7 @@ def prepare_fit(
     search = coordinates(rig, parameters, asked.start, asked.lower, asked.upper, where, asked.prior)
     records = [(name, known_taken_out(name, record, asked.sensors)) for name, record in records]
     terms = terms_of(asked.sensors, [record for _, record in records])
+    decimate = _decimate(records, asked, where)
     logs, closed = [], []
     for index, (name, record) in enumerate(records):
         try:
@@ -181,13 +187,13 @@ def prepare_fit(
                 f"{name}: {error.message}", **where("data", index), hint=error.hint
             ) from None
         model = Model.of(rig, flow_maps, payload_of(record))
-        log = prepare(model, record, name, asked.channels, terms)
+        log = prepare(model, record, name, asked.channels, terms, decimate, asked.cutoff)
         if (why := shut(model, log)) and not any(one.endswith(".deadband") for one in parameters):
             closed.append(f"{name}: {why}: no valve opens")
             log = replace(log, warnings=(*log.warnings, closed[-1]))
         logs.append(log if asked.response is None else on_response(log, *asked.response))
-        if asked.cutoff is not None and asked.cutoff * log.record.sample_time >= 0.5:
-            half = 0.5 / log.record.sample_time
+        if asked.cutoff is not None and asked.cutoff * log.sample_time >= 0.5:
+            half = 0.5 / log.sample_time
             raise InputError(
                 f"a cutoff of {asked.cutoff:g} Hz is not below half the rate of {name}, "
                 f"{half:.4g} Hz",
@@ -202,6 +208,35 @@ def prepare_fit(
     if asked.method == "thesis":
         _refuse_for_matching(search, [log.record for log in logs], asked, terms, where)
     return PreparedFit(rig, tuple(parameters), search, tuple(logs), asked, flow_maps)
+
+
+def _decimate(records: Sequence[tuple[str, Record]], asked: FitOptions, where: Where) -> Decimate:
+    """How many samples of a log are compared as one mean; one where a method needs every sample.
+
+    Raises:
+        InputError: a given number is none, or leaves a log too few, or the method needs them all.
+    """
+    whole = asked.method == "thesis" or asked.response is not None
+    given = asked.decimate
+    if given == "auto":
+        return 1 if whole else given
+    if isinstance(given, bool) or not isinstance(given, int) or given < 1:
+        raise InputError(
+            f"decimate = {given!r} is no number of samples",
+            **where("decimate"),
+            hint='a whole number from 1 on, or "auto"',
+        )
+    if whole and given > 1:
+        what = "method 'thesis' looks for ringing" if asked.method == "thesis" else "[response]"
+        what += "" if asked.method == "thesis" else " looks at frequencies"
+        raise InputError(
+            f"{what} in every sample, so there are no means of {given} to compare",
+            **where("decimate"),
+            hint="leave decimate out",
+        )
+    for name, record in records:
+        refuse_few(name, record, given, where)
+    return given
 
 
 def _refuse_for_matching(

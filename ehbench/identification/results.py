@@ -14,8 +14,9 @@ from ehbench.errors import InsufficientData
 from ehbench.fields import Value
 from ehbench.identification.band import ResponseFit, followed, late_responses
 from ehbench.identification.groups import Group
+from ehbench.identification.means import said
 from ehbench.identification.search import Coordinate
-from ehbench.identification.simulator import Log, Shifts, Simulator, channels_of
+from ehbench.identification.simulator import Log, Shifts, Simulator, channels_of, seen_as
 from ehbench.identification.volumes import held_volumes
 from ehbench.observations import noise_of, supply_off
 from ehbench.plant.ties import tied_words
@@ -78,9 +79,10 @@ class Match:
 class LogFit:
     """How well one log is reproduced, by channel: NRMSE fit [%], rms residual [SI] and its
     correlation time [samples], over the samples that count; ``counted`` is their share [%],
-    ``samples`` how many the log has. ``start`` is where the simulation starts [SI] where that was
-    estimated, ``start_shift`` by how much it was moved from what the first samples say;
-    ``responses`` is what was compared where that are frequency responses."""
+    ``samples`` how many are compared, each the mean of ``mean_of`` of the log's. ``start`` is where
+    the simulation starts [SI] where that was estimated, ``start_shift`` by how much it was moved
+    from what the first samples say; ``responses`` is what was compared where that are frequency
+    responses."""
 
     name: str
     payload: str
@@ -92,6 +94,7 @@ class LogFit:
     start: dict[str, float] = field(default_factory=dict)
     start_shift: dict[str, float] = field(default_factory=dict)
     responses: tuple[ResponseFit, ...] = ()
+    mean_of: int = 1
 
 
 @dataclass(frozen=True)
@@ -130,7 +133,8 @@ class HydraulicsFit:
     what each channel's residual was divided by; ``sensors`` what was found of the logs' own,
     ``groups`` the products of parameters that the logs know though they do not know each,
     ``counts_on`` a sentence on what is held that a parameter is known in relation to,
-    ``left_over`` one on what the model does not follow, empty where that is little or noise."""
+    ``left_over`` one on what the model does not follow, empty where that is little or noise,
+    ``compared`` one on each log that is compared as means of several samples."""
 
     rig: Rig
     method: str
@@ -148,6 +152,7 @@ class HydraulicsFit:
     groups: tuple[Group, ...] = ()
     counts_on: tuple[str, ...] = ()
     left_over: str = ""
+    compared: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> FittedParameter:
         """The fitted parameter of that name.
@@ -241,7 +246,7 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
         off = supply_off(log.record, replayed, simulator.rig)
         warnings += [f"{log.name}: {text}" for text in off]
         logs.append(fit)
-        recordings.append((log.name, _recording(log, replayed)))
+        recordings.append((log.name, _recording(log, seen_as(log, replayed))))
     return HydraulicsFit(
         rig=_identified(simulator.rig, found, len(simulator.logs)),
         method=found.method,
@@ -266,6 +271,7 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
             },
         ),
         left_over=_left_over(simulator.logs, logs),
+        compared=_compared(simulator.logs),
     )
 
 
@@ -303,7 +309,7 @@ def _identified(rig: Rig, found: Estimate, count: int) -> Rig:
 
 def _log_fit(log: Log, simulated: np.ndarray, cutoff: float | None) -> LogFit:
     left = simulated - log.recorded
-    left = lowpass(left, log.record.sample_time, cutoff) if cutoff else left
+    left = lowpass(left, log.sample_time, cutoff) if cutoff else left
     sizes: dict[str, list[float]] = {}
     for channel, y, model, rest, counts in zip(
         log.channels, log.recorded.T, simulated.T, left.T, log.counts.T, strict=True
@@ -318,18 +324,19 @@ def _log_fit(log: Log, simulated: np.ndarray, cutoff: float | None) -> LogFit:
     percent, error, time, counted = (
         {channel: size[k] for channel, size in sizes.items()} for k in range(4)
     )
-    return LogFit(log.name, log.payload or "none", len(left), percent, error, time, counted)
+    sizes_of = (percent, error, time, counted)
+    return LogFit(log.name, log.payload or "none", len(left), *sizes_of, mean_of=log.each)
 
 
 def _recording(log: Log, replayed: Record) -> dict[str, np.ndarray]:
     """Recorded and simulated channels of the cylinders that move."""
     shown = [f"{cylinder}.{word}" for cylinder in log.live for word in SHOWN]
-    shown = [channel for channel in shown if channel in log.record and channel in replayed]
+    shown = [channel for channel in shown if channel in log.seen and channel in replayed]
     given = tied_words(log.record)
     made = [channel for channel in shown if channel.rpartition(".")[2] not in given]
     return (
-        {"t": log.record.t}
-        | {channel: log.record[channel] for channel in shown}
+        {"t": log.seen.t}
+        | {channel: log.seen[channel] for channel in shown}
         | {f"simulated.{channel}": replayed[channel] for channel in made}
     )
 
@@ -373,7 +380,7 @@ def _left_over(logs: Sequence[Log], fits: Sequence[LogFit]) -> str:
             if log.band is not None or not counts.any():
                 continue
             share = 1.0 - 0.01 * fit.fit_percent[channel]
-            noise = max(noise_of(log.record, channel), FINE * float(np.std(y)), 1e-300)
+            noise = max(noise_of(log.seen, channel), FINE * float(np.std(y)), 1e-300)
             times = fit.residual_rms[channel] / noise
             if share > worst[0] and times > STRUCTURE:
                 text = (
@@ -385,12 +392,24 @@ def _left_over(logs: Sequence[Log], fits: Sequence[LogFit]) -> str:
     return worst[1]
 
 
+def _compared(logs: Sequence[Log]) -> tuple[str, ...]:
+    """How logs are compared that are not sample by sample, in words: those alike together."""
+    ways: dict[str, list[str]] = {}
+    for log in logs:
+        if log.means is not None:
+            ways.setdefault(said(log.record, log.means), []).append(log.name)
+    return tuple(
+        f"{'all logs' if len(names) == len(logs) else ', '.join(names)} compared {way}"
+        for way, names in ways.items()
+    )
+
+
 def _late(log: Log, simulated: np.ndarray) -> list[str]:
     """A warning if moving the simulation a little would explain a fifth of what is left.
 
     To first order ``simulated(t) − recorded(t) = delay · d simulated/dt``. Fitted parameters take
     up more than half of a shift, so a quarter of a sample may well be a whole one."""
-    tick = log.record.sample_time
+    tick = log.sample_time
     left, slope = (
         (simulated - log.recorded) * log.counts,
         np.gradient(simulated, tick, axis=0) * log.counts,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ehbench.errors import EhbenchError, InputError, InsufficientData
+from ehbench.identification.means import Decimate, means_of
 from ehbench.observations import alternatives, channels_asked, column, least_change, payload_of
 from ehbench.parts.edge import edge_onset
 from ehbench.plant.build import Maps
@@ -22,7 +23,7 @@ from ehbench.plant.paced import AUTO, Step
 from ehbench.plant.ties import tied_words
 from ehbench.preprocessing import LIMITED, at_limit, preprocess
 from ehbench.quantities import like_channel, quantity
-from ehbench.record import Record
+from ehbench.record import Means, Record, block_means
 from ehbench.rig import Cylinder, Rig
 from ehbench.sensors import Term
 from ehbench.signals import transients
@@ -37,6 +38,8 @@ EMPTY, EMPTYING = 0.5, 0.05
 # rates and pressures: an angle is the integral of the flow map's error
 CHANNELS = ("qd", "p_head", "p_rod")
 FLOWS = ("flow", "flow_supply")  # words of what a simulation has only where it is asked for
+# words of what means of its state do not tell: openings, and a force that turns with the speed
+BENT = ("opening", "rod_force")
 MOVES = 0.01  # share of the stroke beyond which a cylinder counts as moving
 
 
@@ -48,7 +51,7 @@ Meshes = Sequence[np.ndarray]  # by log, the steps that its simulation takes (`p
 class Log:
     """A log made ready: the cylinders that are asked to move, those that move, the channels that
     are compared, what was recorded of them and whether it counts, both of shape (samples,
-    channels), and where it starts."""
+    channels), and where it starts. Where it is compared as ``means``, these are the samples."""
 
     name: str
     record: Record
@@ -61,6 +64,22 @@ class Log:
     start: LogStart
     warnings: tuple[str, ...] = ()
     band: Band | None = None
+    means: Means | None = None
+
+    @property
+    def each(self) -> int:
+        """Samples of the record of which one is compared."""
+        return 1 if self.means is None else self.means.each
+
+    @property
+    def seen(self) -> Record:
+        """The readings as they are compared."""
+        return self.record if self.means is None else self.means.record
+
+    @property
+    def sample_time(self) -> float:
+        """Between what is compared [s]."""
+        return self.each * self.record.sample_time
 
     def head(self, seconds: float) -> Log:
         """The first seconds of the log, as many as it takes every command to have changed as often
@@ -78,14 +97,16 @@ class Log:
         count = max(ends) + round(0.1 * seconds / record.sample_time)
         if count > 0.7 * record.t.size:
             return self
-        channels = {name: y[:count] for name, y in record.channels.items()}
-        short = replace(record, t=record.t[:count], channels=channels)
+        seen = -(-count // self.each)
+        short = record.at(slice(seen * self.each))
+        means = self.means and replace(self.means, record=self.means.record.at(slice(seen)))
         return replace(
             self,
             record=short,
-            recorded=self.recorded[:count],
-            counts=self.counts[:count],
+            recorded=self.recorded[:seen],
+            counts=self.counts[:seen],
             start=replace(self.start, record=short),
+            means=means,
         )
 
 
@@ -95,10 +116,12 @@ def prepare(
     name: str,
     wanted: Sequence[str],
     terms: Sequence[Term] = (),
+    decimate: Decimate = 1,
+    cutoff: float | None = None,
 ) -> Log:
     """Take a log in (`preprocessing.preprocess`) for a model that carries its payload, and choose
     the channels: the wanted ones of every cylinder that is asked to move or moves; ``terms`` are
-    what its sensors make of it.
+    what its sensors make of it, ``decimate`` and ``cutoff`` as `means.means_of` takes them.
 
     Raises:
         InputError: a log that is not of this rig, or not in the units it says; no channel to
@@ -115,7 +138,8 @@ def prepare(
             f"{name}: no valve command of rig '{rig.name}' changes, so the log shows no response "
             "to one"
         )
-    columns = _compared(name, record, live, wanted)
+    means = means_of(model, record, decimate, cutoff)
+    columns = _compared(name, record if means is None else means.record, live, wanted)
     warnings += [
         f"{name}: nothing is compared by '{word}': the log has none that changes"
         for word in wanted
@@ -143,9 +167,10 @@ def prepare(
         tuple(live),
         tuple(columns),
         np.column_stack(list(columns.values())),
-        counts,
+        counts if means is None else block_means(counts, means.each) == 1.0,
         start_of_log(model, record, live, list(columns), terms),
         tuple(warnings),
+        means=means,
     )
 
 
@@ -269,6 +294,13 @@ def _cavitates(rig: Rig, cylinder: Cylinder, record: Record) -> np.ndarray:
 
 def _needs_flows(log: Log) -> bool:
     return any(one.endswith(FLOWS) for one in log.channels)
+
+
+def _simulated_means(log: Log) -> Means | None:
+    """The means as which the simulation of a log is wanted; None where they are taken of what it
+    makes of every sample.
+    """
+    return None if any(one.endswith(BENT) for one in log.channels) else log.means
 
 
 def _worth_it(part: list[int]) -> list[list[int]]:
@@ -461,7 +493,8 @@ class Simulator:
         try:
             start, true = task.start(model), log.start.true(shifts, shared)
             if self.step == AUTO and not _needs_flows(log):
-                made, mesh = model.replay_paced(true, start, task.mesh, task.rough)
+                given = task.mesh, task.rough, _simulated_means(log)
+                made, mesh = model.replay_paced(true, start, *given)
             else:
                 made, mesh = model.replay(true, self.step, start=start), FREE
             return channels_of(log, log.start.seen(made, shifts, shared)), mesh
@@ -482,7 +515,8 @@ class Simulator:
                     runs[i] = task.model, true, task.start(task.model)
             except (EhbenchError, ArithmeticError):
                 continue
-        for i, made in zip(runs, replays_meshed(list(runs.values()), mesh), strict=True):
+        made_of = replays_meshed(list(runs.values()), mesh, _simulated_means(log))
+        for i, made in zip(runs, made_of, strict=True):
             try:
                 if made is not None:
                     seen = log.start.seen(made, tasks[i].shifts, tasks[i].shared)
@@ -528,8 +562,15 @@ def columns_of(log: Log, record: Record) -> np.ndarray:
 
 
 def channels_of(log: Log, replayed: Record) -> np.ndarray:
-    """A replay's values of the log's channels, shape (samples, channels); of a log that is compared
-    by its frequency response, that.
+    """What is compared of a replay, of every sample or of means: the log's channels, shape
+    (samples, channels); of a log that is compared by its frequency response, that.
     """
-    made = columns_of(log, replayed)
+    made = columns_of(log, seen_as(log, replayed))
     return made if log.band is None else log.band.seen(log.record, made)
+
+
+def seen_as(log: Log, replayed: Record) -> Record:
+    """A replay as the log is compared: the replay itself, or its means."""
+    if log.means is None or replayed.t.size == log.seen.t.size:
+        return replayed
+    return Means.of(replayed, log.each).record

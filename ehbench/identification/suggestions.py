@@ -479,7 +479,7 @@ def _tried(setup: Setup, folds: Sequence[_Fold]) -> Tried:
 
 def _windows(log: Log) -> np.ndarray:
     """Number of the window that each sample is in."""
-    size, tick = log.record.t.size, log.record.sample_time
+    size, tick = len(log.recorded), log.sample_time
     count = min(max(round(size * tick / LONG), FEWEST), MOST)
     count = max(1, min(count, int(size * tick / SHORT)))
     return np.arange(size) * count // size

@@ -21,7 +21,7 @@ from ehbench.plant.layout import SIDES, Layout, layout
 from ehbench.plant.paced import AUTO, Step, pace_of, run_paced
 from ehbench.plant.ties import supplied, tied_words, ties_of
 from ehbench.plant.valves import felt_commands
-from ehbench.record import Record
+from ehbench.record import Means, Record
 from ehbench.rig import Rig
 from ehbench.signals import first_of
 
@@ -196,6 +196,7 @@ class Model:
         mesh: np.ndarray = FREE,
         flows: bool = True,
         rough: bool = False,
+        each: int = 1,
     ) -> tuple[np.ndarray, np.ndarray]:
         """(the log table of `run` with ``step = "auto"``, the steps that were chosen).
 
@@ -204,18 +205,21 @@ class Model:
                 the two differ by.
             flows: whether the table has edge and pump flows; the states alone take less time.
             rough: in longer steps, good to some 1e-4 of a channel's range.
+            each: samples of which a row is the mean, without flows if more than one; those at the
+                end that fill no row are left out. Of valves with an error, which are taken for a
+                cubic within a step.
 
         Raises:
             SimulationError: as `run`.
         """
         extra = self.plant.edges.shape[0] + 1 if flows else 0
-        log = np.empty((commands.shape[0], y.shape[0] + extra))
+        log = np.zeros((commands.shape[0] // each, y.shape[0] + extra))
         table = np.ascontiguousarray(commands, dtype=float)
         line = line_of(self.plant, tick, table.shape[1])
         pace = pace_of(self.plant, self.layout, tick)
         pace = pace._replace(weights=ROUGH * pace.weights) if rough else pace
-        steps, count = run_paced(y.copy(), table, self.plant, line, pace, mesh, log)
-        return finite(log, tick), steps[:count].copy()
+        steps, count = run_paced(y.copy(), table, self.plant, line, pace, mesh, each, log)
+        return finite(log, each * tick), steps[:count].copy()
 
     def start_of(self, record: Record, rest: int, seen: Seen | None = None) -> np.ndarray:
         """The state at the first sample of a recording, from its first ``rest`` samples: pressures
@@ -324,23 +328,38 @@ class Model:
         return self.replayed(record, table, log, start)
 
     def replay_paced(
-        self, record: Record, start: Start, mesh: np.ndarray = FREE, rough: bool = False
+        self,
+        record: Record,
+        start: Start,
+        mesh: np.ndarray = FREE,
+        rough: bool = False,
+        means: Means | None = None,
     ) -> tuple[Record, np.ndarray]:
         """(`replay` with ``step = "auto"`` from a start, without flows; the steps that were
-        chosen), ``mesh`` and ``rough`` as `paced` takes them.
+        chosen), ``mesh`` and ``rough`` as `paced` takes them; where ``means`` of the recording are
+        given, such means of the replay, but for commands and openings.
 
         Raises:
             LogError, SimulationError: as `replay`.
         """
         model, table, y = self.along(record, start)
-        log, mesh = model.paced(y, table, record.sample_time, mesh, False, rough)
-        return self.replayed(record, table, log, start), mesh
+        each = 1 if means is None else means.each
+        log, mesh = model.paced(y, table, record.sample_time, mesh, False, rough, each)
+        return self.replayed(record, table, log, start, means), mesh
 
     def replayed(
-        self, record: Record, commands: np.ndarray, log: np.ndarray, start: Start
+        self,
+        record: Record,
+        commands: np.ndarray,
+        log: np.ndarray,
+        start: Start,
+        means: Means | None = None,
     ) -> Record:
-        """The log table of a replay as a record, with what the recording's gauges would show."""
-        made = self.record(record.t, commands, log, record.meta, start.tank)
+        """The log table of a replay, or of its ``means``, as a record, with what the recording's
+        gauges would show.
+        """
+        t, table = (record.t, commands) if means is None else (means.record.t, None)
+        made = self.record(t, table, log, record.meta, start.tank)
         shown = gauged(self.plant, self.layout, log, record.channels)
         return replace(made, channels={**made.channels, **shown}) if shown else made
 
@@ -370,13 +389,13 @@ class Model:
     def record(
         self,
         t: np.ndarray,
-        commands: np.ndarray,
+        commands: np.ndarray | None,
         log: np.ndarray,
         meta: Mapping[str, str] | None = None,
         tank: float | None = None,
     ) -> Record:
-        """The log table, with flows or without, as a record of named SI channels; ``tank`` [Pa] is
-        the plant's by default.
+        """The log table, with flows or without, as a record of named SI channels, without commands
+        and openings where ``commands`` are none; ``tank`` [Pa] is the plant's by default.
         """
         names, plant = self.layout, self.plant
         n = plant.at.rates
@@ -395,15 +414,7 @@ class Model:
                 channels[f"{name}.{key}"] = log[:, names.state(key, index)]
         for index, key in names.part_states:
             channels[f"{names.cylinders[index]}.{key}"] = log[:, names.state(key, index)]
-        for index, valve in enumerate(names.valves):
-            channels[f"{valve}.command"] = commands[:, index]
-        for index, channel in enumerate(names.played, len(names.valves)):
-            channels[channel] = commands[:, index]
-        tick = float(t[1] - t[0]) if len(t) > 1 else STEP
-        felt = felt_commands(plant, commands, tick, tick / max(1, round(tick / STEP)))
-        for index, valve in enumerate(names.valves):
-            output = plant.valves[index].output
-            channels[f"{valve}.opening"] = felt[:, index] if output < 0 else log[:, output]
+        channels |= {} if commands is None else self._driven(t, commands, log)
         for channel, at in names.inner_states:
             channels[channel] = log[:, at]
         channels["p_supply"] = log[:, plant.at.supply]
@@ -413,6 +424,21 @@ class Model:
                 channels[f"{edge}.flow"] = log[:, names.states + index]
             channels["flow_supply"] = log[:, -1]
         return Record(t, channels, dict(meta or {}))
+
+    def _driven(
+        self, t: np.ndarray, commands: np.ndarray, log: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        """Commands and forces played, and the openings that they make."""
+        names, plant = self.layout, self.plant
+        channels = {f"{valve}.command": commands[:, i] for i, valve in enumerate(names.valves)}
+        for index, channel in enumerate(names.played, len(names.valves)):
+            channels[channel] = commands[:, index]
+        tick = float(t[1] - t[0]) if len(t) > 1 else STEP
+        felt = felt_commands(plant, commands, tick, tick / max(1, round(tick / STEP)))
+        for index, valve in enumerate(names.valves):
+            output = plant.valves[index].output
+            channels[f"{valve}.opening"] = felt[:, index] if output < 0 else log[:, output]
+        return channels
 
 
 def simulate(

@@ -4,7 +4,8 @@ The step is that of `ehbench.plant.integrate`, and beside it stands one of the t
 derivative at the step's end: ``e = d/10 |k_4 − f(y_1)|``. A step whose ``e`` is beyond CLOSE of
 what a state may run through is taken again, half as long. Ticks under one and the same command are
 taken several at a time, and the samples between read from the cubic through both ends. Valves are
-linear and get their own answer, exact while a command is held.
+linear and get their own answer, exact while a command is held. Where means of several samples are
+asked for, the cubic's values are added up, those of valves too.
 """
 
 from __future__ import annotations
@@ -225,29 +226,77 @@ def _let(way, log, sample):
         log[sample, size + i] = way.work[at + i]
 
 
+@part_kernel
+def weights_of(first, until, ends, ticks, d, each):
+    """What both ends of a step count for in the mean of ``each`` samples, of which those from
+    ``first`` up to ``until`` lie in it: (of its state at the start, at the end, of the derivatives
+    at the start, at the end [s]).
+
+    Args:
+        ends: the sample at which the step ends.
+        ticks, d: that it lasts, the same in seconds.
+    """
+    begin, end, slope, last = 0.0, 0.0, 0.0, 0.0
+    for s in range(first, until):
+        rest = (ends - s) / ticks
+        share = 1.0 - rest
+        begin += (1.0 + 2.0 * share) * rest * rest
+        end += share * share * (3.0 - 2.0 * share)
+        slope += share * rest * rest
+        last -= share * share * rest
+    return begin / each, end / each, d * slope / each, d * last / each
+
+
+@part_kernel
+def _add_means(way, log, each, sample, ends, ticks):
+    """Add the samples of a step, its end among them, to the means of ``each``, one a row."""
+    first, d, k = sample + 1, ticks * way.line.tick, way.k
+    while first <= ends and first < each * log.shape[0]:
+        row = first // each
+        until = min(ends + 1, (row + 1) * each)
+        begin, end, slope, last = weights_of(first, until, ends, ticks, d, each)
+        for i in range(way.y.shape[0]):
+            log[row, i] += begin * way.y[i] + end * k[4, i] + slope * k[0, i] + last * k[5, i]
+        first = until
+
+
+@part_kernel
+def _write_samples(way, command, log, sample, ends, taken):
+    """Write the samples within a step of ``taken`` units into their rows, with flows where the log
+    has room for them.
+    """
+    d, size = taken * (way.line.tick / way.pace.units), way.y.shape[0]
+    for s in range(sample + 1, ends):
+        between(way, command, (s - sample) * way.pace.units / taken, d, log[s])
+        if log.shape[1] > size:
+            derivatives(log[s, :size], command, way.plant, way.k[1], way.work)
+            _let(way, log, s)
+
+
 @allocating_kernel
-def run_paced(y, commands, plant, line, pace, mesh, log):
+def run_paced(y, commands, plant, line, pace, mesh, each, log):
     """`ehbench.plant.integrate.run` in steps chosen by the guard, or those of a mesh; returns
     (the steps taken [units of a tick], their number).
 
     Args:
         mesh: steps to take again [units]; empty to choose. Where commands differ within one, it is
             taken in parts.
+        each: samples of which a row of the log is the mean; more than one needs a log of zeros,
+            and no flows.
         log: out; of shape (samples, states) it holds the state alone, for fewer evaluations.
     """
     size, last, follows = y.shape[0], commands.shape[0] - 1, mesh.shape[0] > 0
-    flows = log.shape[1] > size
     k, work = np.empty((SCRATCH, size)), np.empty(plant.at.work)
-    way = Way(y, plant, line, pace, k, work)
-    late, unit = line.past.shape[0] > 1, line.tick / pace.units
+    way, late = Way(y, plant, line, pace, k, work), line.past.shape[0] > 1
     sample, part, until, step, count = 0, 0, 0, pace.units, 0
     steps, there, ahead = np.empty(256, np.int64), 0, 0
     line_felt(line, commands[0], plant, 0.0, line.tick / LATE)
     rate = derivatives(y, line.held, plant, k[0], work)
-    put(y, log[0])
+    for i in range(size):
+        log[0, i] = y[i] / each
     _let(way, log, 0)
     while sample < last:
-        while until < last and until < sample + (1 if late else MOST_TICKS):
+        while until < last and until < sample + (1 if late else MOST_TICKS * each):
             if until > sample and not _same(commands[until], commands[sample]):
                 break
             until += 1
@@ -264,19 +313,16 @@ def run_paced(y, commands, plant, line, pace, mesh, log):
         steps[count] = taken
         ends = sample + (part + taken) // pace.units
         part, count = (part + taken) % pace.units, count + 1
-        if part == 0:
+        if part == 0 and each > 1:
+            _add_means(way, log, each, sample, ends, taken / pace.units)
+        elif part == 0:
             put(k[4], log[ends])
             _let(way, log, ends)
-        for s in range(sample + 1, ends):
-            share = (s - sample) * pace.units / taken
-            between(way, line.held, share, taken * unit, log[s])
-            if flows:
-                derivatives(log[s, :size], line.held, plant, k[1], work)
-                _let(way, log, s)
+            _write_samples(way, line.held, log, sample, ends, taken)
         arrive(way)
         if part == 0:
             if not _finite(y):
-                log[ends:] = math.nan
+                log[ends // each :] = math.nan
                 break
             line_push(line, commands[sample])
             if late or not _same(commands[ends], commands[sample]):

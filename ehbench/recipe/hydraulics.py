@@ -72,6 +72,12 @@ class HydraulicsRecipe(Recipe):
     )
     channels: tuple[str, ...] = ("qd", "p_head", "p_rod")
     cutoff: Annotated[Value, Q("frequency")] | None = None
+    decimate: Literal["auto"] | Annotated[int, Field(ge=1)] = Field(
+        default="auto",
+        description="samples of which the mean is compared with that of the simulation: a number, "
+        '1 for each by itself, or `"auto"`: of logs from 3 kHz on as many as cost next to '
+        "nothing of what they tell",
+    )
     response: ComparedResponse | None = Field(
         default=None,
         description="`[response]`: logs are compared by their frequency response to a command that "

@@ -212,6 +212,7 @@ def _prepared_fit(
         sensors=sensors,
         cutoff=None if recipe.cutoff is None else float(recipe.cutoff),
         response=response,
+        decimate=recipe.decimate,
         max_iterations=recipe.max_iterations,
         workers=recipe.workers,
     )

@@ -11,11 +11,11 @@ import numpy as np
 
 from ehbench.errors import EhbenchError
 from ehbench.plant.lanes.pack import alike, filled, in_lanes, line_in_lanes, side_by_side
-from ehbench.plant.lanes.steps import run_lanes, run_meshed
+from ehbench.plant.lanes.steps import Held, run_lanes, run_meshed
 from ehbench.plant.lanes.vectors import LANES
 from ehbench.plant.model import Model, Start, finite
 from ehbench.plant.paced import pace_of
-from ehbench.record import Record
+from ehbench.record import Means, Record
 
 LEAST = 4  # runs that are worth a call in lanes, which takes as long as three alone
 
@@ -74,36 +74,45 @@ def _follow_together(first: Job, other: Job) -> bool:
     return np.array_equal(_changes(first.commands), _changes(other.commands))
 
 
-def follow_together(jobs: Sequence[Job], tick: float, mesh: np.ndarray) -> list[np.ndarray]:
-    """The log tables of `Model.paced` along a mesh, without flows, which are not looked at whether
-    they are finite.
+def follow_together(
+    jobs: Sequence[Job], tick: float, mesh: np.ndarray, each: int = 1
+) -> list[np.ndarray]:
+    """The log tables of `Model.paced` along a mesh, without flows, means of ``each`` samples, which
+    are not looked at whether they are finite.
     """
     first = jobs[0]
-    plant, y, commands, line = _packed(jobs, tick)
-    log = np.empty((LANES, commands.shape[0], y.shape[0]))
+    count, changes = len(first.commands), np.flatnonzero(_changes(first.commands)) + 1
+    begins = np.array([0, *changes, count], dtype=np.int64)
+    changing = [job._replace(commands=job.commands[begins[:-1]]) for job in jobs]
+    plant, y, commands, line = _packed(changing, tick)
+    log = np.zeros((LANES, count // each, y.shape[0]))
     pace = pace_of(first.model.plant, first.model.layout, tick)
-    run_meshed(y, commands, plant, line, pace, mesh, log)
+    run_meshed(y, Held(commands, begins), plant, line, pace, mesh, each, log)
     return list(log[: len(jobs)])
 
 
 Run = tuple[Model, Record, Start]
 
 
-def replays_meshed(runs: Sequence[Run], mesh: np.ndarray) -> list[Record | None]:
+def replays_meshed(
+    runs: Sequence[Run], mesh: np.ndarray, means: Means | None = None
+) -> list[Record | None]:
     """`Model.replay_paced` of several runs along one mesh; None for those that fail.
 
     Args:
         runs: (model, recording, start); at most LANES, of one sample time.
+        means: of the recording, as which replays are wanted.
     """
+    each = 1 if means is None else means.each
 
     def alone(run: Run) -> Record:
         model, record, start = run
-        return model.replay_paced(record, start, mesh)[0]
+        return model.replay_paced(record, start, mesh, means=means)[0]
 
     def together(jobs: Sequence[Job], tick: float) -> list[np.ndarray]:
-        return follow_together(jobs, tick, mesh)
+        return follow_together(jobs, tick, mesh, each)
 
-    return _replays(runs, _follow_together, together, alone)
+    return _replays(runs, _follow_together, together, alone, means)
 
 
 def replays_fixed(runs: Sequence[Run], step: float) -> list[Record | None]:
@@ -130,6 +139,7 @@ def _replays(
     may: Callable[[Job, Job], bool],
     run_all: Callable[[Sequence[Job], float], list[np.ndarray]],
     alone: Callable[[Run], Record],
+    means: Means | None = None,
 ) -> list[Record | None]:
     """Replays of which those that may go beside the first are run at once, where they are enough,
     and the others alone.
@@ -147,19 +157,19 @@ def _replays(
         tick = runs[together[0]][1].sample_time
         logs = run_all([ready[i] for i in together], tick)
         for i, log in zip(together, logs, strict=True):
-            found[i] = _record(runs[i], ready[i], log, tick)
+            found[i] = _record(runs[i], ready[i], log, tick, means)
     for i in ready.keys() - set(together if len(together) >= LEAST else ()):
         found[i] = _tried(alone, runs[i])
     return found
 
 
-def _record(run: Run, job: Job, log: np.ndarray, tick: float) -> Record | None:
+def _record(run: Run, job: Job, log: np.ndarray, tick: float, means: Means | None) -> Record | None:
     model, record, start = run
     try:
         log = finite(log, tick)
     except EhbenchError:
         return None
-    return model.replayed(record, job.commands, log, start)
+    return model.replayed(record, job.commands, log, start, means)
 
 
 def _tried(alone: Callable[[Run], Record], run: Run) -> Record | None:

@@ -7,6 +7,7 @@ of a mesh are those of all lanes."""
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +17,16 @@ from ehbench.plant.derivatives import any_derivatives
 from ehbench.plant.integrate import advance, rk4
 from ehbench.plant.lanes.convert import of
 from ehbench.plant.lanes.vectors import LANES
-from ehbench.plant.paced import LATE, MOST_TICKS, SCRATCH, Way, arrive, between, reach
+from ehbench.plant.paced import (
+    LATE,
+    MOST_TICKS,
+    SCRATCH,
+    Way,
+    arrive,
+    between,
+    reach,
+    weights_of,
+)
 
 _derivatives, _advance, _rk4 = of(any_derivatives), of(advance), of(rk4)
 _felt, _push = of(line_felt), of(line_push)
@@ -60,15 +70,6 @@ def run_lanes(y, commands, plant, line, steps, log):
 
 
 @part_kernel
-def _changes(commands, one, other):
-    for i in range(commands.shape[1]):
-        for lane in range(LANES):
-            if commands[one, i, lane] != commands[other, i, lane]:
-                return True
-    return False
-
-
-@part_kernel
 def _note_ends(y, sample, ends):
     """Note of the lanes that are no longer finite at a sample where they ended; whether any is."""
     some = False
@@ -80,54 +81,84 @@ def _note_ends(y, sample, ends):
     return some
 
 
+@part_kernel
+def _add_means(way, log, each, sample, ends, ticks):
+    """`ehbench.plant.paced`'s of the same name, in lanes."""
+    first, d, k = sample + 1, ticks * way.line.tick, way.k
+    while first <= ends and first < each * log.shape[1]:
+        row = first // each
+        until = min(ends + 1, (row + 1) * each)
+        begin, end, slope, last = weights_of(first, until, ends, ticks, d, each)
+        for lane in range(LANES):
+            for i in range(way.y.shape[0]):
+                one, other = way.y[i, lane], k[4, i, lane]
+                value = begin * one + end * other + slope * k[0, i, lane] + last * k[5, i, lane]
+                log[lane, row, i] += value
+        first = until
+
+
+class Held(NamedTuple):
+    """Commands [V], a row whenever one changes, which they do in all lanes at once, shape (rows,
+    valves or more, LANES); the sample from which each row acts, and last the number of samples.
+    """
+
+    commands: np.ndarray
+    begins: np.ndarray
+
+
 @allocating_kernel
-def run_meshed(y, commands, plant, line, pace, mesh, log):
+def run_meshed(y, held, plant, line, pace, mesh, each, log):
     """`ehbench.plant.paced.run_paced` in lanes, along a mesh of steps, without flows.
 
     Args:
-        y, commands, plant, line: as `run_lanes` takes them; commands that change do so in all
-            lanes at once.
+        y, plant, line: as `run_lanes` takes them.
+        held: what is commanded.
         pace: of any of them.
         mesh: steps to take [units].
+        each: samples of which a row of the log is the mean; more than one needs a log of zeros.
         log: out, shape (LANES, samples, states).
     """
-    size, last, units = y.shape[0], commands.shape[0] - 1, pace.units
+    commands, begins = held
+    size, last, units = y.shape[0], begins[-1] - 1, pace.units
     k, work = np.empty((SCRATCH, size, LANES)), np.empty((plant.at.work, LANES))
     way, row = Way(y, plant, line, pace, k, work), np.empty((size, LANES))
-    late, unit = line.past.shape[0] > 1, line.tick / units
-    sample, part, until, ahead, there = 0, 0, 0, 0, 0
+    late, unit, run = line.past.shape[0] > 1, line.tick / units, 0
+    sample, part, ahead, there = 0, 0, 0, 0
     stops = np.full(LANES, last + 1)
     _felt(True, line, commands[0], plant, 0.0, line.tick / LATE)
     _derivatives(True, y, line.held, plant, k[0], work)
-    _let(y, log, 0, 0)
+    for i in range(size):
+        for lane in range(LANES):
+            log[lane, 0, i] = y[i, lane] / each
     while sample < last:
-        while until < last and until < sample + (1 if late else MOST_TICKS):
-            if until > sample and _changes(commands, until, sample):
-                break
-            until += 1
+        until = min(begins[run + 1], last, sample + (1 if late else MOST_TICKS * each))
         if ahead == 0:
             ahead, there = mesh[min(there, mesh.shape[0] - 1)], there + 1
         taken = min(ahead, units - part if part > 0 else (until - sample) * units)
         if late:
             taken = min(taken, units // LATE)
-            _felt(True, line, commands[sample], plant, part * unit, taken * unit)
+            _felt(True, line, commands[run], plant, part * unit, taken * unit)
             _derivatives(True, y, line.held, plant, k[0], work)
         _reach(True, way, line.held, taken * unit)
         ahead -= taken
         ends, part = sample + (part + taken) // units, (part + taken) % units
-        if part == 0:
+        if part == 0 and each > 1:
+            _add_means(way, log, each, sample, ends, taken / units)
+        elif part == 0:
             _let(k[4], log, ends, 0)
-        for s in range(sample + 1, ends):
-            _between(True, way, line.held, (s - sample) * units / taken, taken * unit, row)
-            _let(row, log, s, 0)
+            for s in range(sample + 1, ends):
+                _between(True, way, line.held, (s - sample) * units / taken, taken * unit, row)
+                _let(row, log, s, 0)
         _arrive(True, way)
         if part == 0:
             if not _note_ends(y, ends, stops):
                 break
-            _push(True, line, commands[sample])
-            if late or _changes(commands, ends, sample):
-                _felt(True, line, commands[ends], plant, 0.0, line.tick / LATE)
+            _push(True, line, commands[run])
+            changed = ends == begins[run + 1]
+            run += changed
+            if late or changed:
+                _felt(True, line, commands[run], plant, 0.0, line.tick / LATE)
                 _derivatives(True, y, line.held, plant, k[0], work)
         sample = ends
     for lane in range(LANES):
-        log[lane, stops[lane] :] = math.nan
+        log[lane, stops[lane] // each :] = math.nan

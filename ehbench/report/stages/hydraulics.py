@@ -59,7 +59,11 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     """Parameters with intervals, correlation, what was matched, and the fit to each log."""
     rig, fit = run.rig, run.json("parameters.json")
     table = _parameters_table(rig, fit["parameters"], fit.get("sensors", []))
-    notes = [*filter(None, [fit.get("left_over")]), *fit.get("counts_on", [])]
+    notes = [
+        *filter(None, [fit.get("left_over")]),
+        *fit.get("counts_on", []),
+        *fit.get("compared", []),
+    ]
     beside: list[Block] = [Bullets(notes)] if notes else []
     parts = [Part("Parameters", [table, *beside, *pictures(FigureKey("parameters"))])]
     names, matrix = fit.get("correlated_names", []), fit.get("correlation", [])
