@@ -129,6 +129,12 @@ class Descent:
             for c in names
         }
         self.scales = dict(self.spread)
+        self.within = {
+            c: self.pooled(
+                c, [np.tile(log.within, (len(log.recorded), 1)) for log in simulator.logs]
+            )
+            for c in names
+        }
         self.theta = np.array([c.begin for c in search])
         self.shifts = simulator.unshifted()
         self.free = list(range(self.fitted))
@@ -438,10 +444,13 @@ class Descent:
         return (theta, shifts), gain
 
     def weigh(self, here: Point, scales: bool = True) -> None:
-        """Scales of the channels, and the weight of priors beside them, by what is left."""
+        """Scales of the channels, and the weight of priors beside them, by what is left; where
+        means are compared, by what is left of samples, so that channels count for the same.
+        """
         if scales:
             for channel, spread in self.spread.items():
-                self.scales[channel] = max(self.pooled(channel, here.left), SCALE_FLOOR * spread)
+                size = math.hypot(self.pooled(channel, here.left), self.within[channel])
+                self.scales[channel] = max(size, SCALE_FLOOR * spread)
         self.weight = prior_weight(self.scaled(here.left))
 
     def effects(

@@ -162,16 +162,7 @@ def prepare_fit(
         InsufficientData: a log in which nothing is commanded, or none in which a valve opens.
     """
     asked = options or FitOptions()
-    if asked.method not in ("output_error", "thesis"):
-        raise InputError(f"unknown method '{asked.method}'", hint="output_error or thesis")
-    if asked.response is not None and asked.cutoff is not None:
-        raise InputError(
-            "a frequency response is compared without a low-pass",
-            **where("cutoff"),
-            hint="frequency_max of [response] leaves out what lies above",
-        )
-    if not records or len({name for name, _ in records}) < len(records):
-        raise InputError("identification needs at least one log, each with a name of its own")
+    _refuse_together(records, asked, where)
     _refuse_unknown(asked.channels, where)
     _refuse_inert(rig, parameters, flow_maps, where)
     search = coordinates(rig, parameters, asked.start, asked.lower, asked.upper, where, asked.prior)
@@ -208,6 +199,22 @@ def prepare_fit(
     if asked.method == "thesis":
         _refuse_for_matching(search, [log.record for log in logs], asked, terms, where)
     return PreparedFit(rig, tuple(parameters), search, tuple(logs), asked, flow_maps)
+
+
+def _refuse_together(
+    records: Sequence[tuple[str, Record]], asked: FitOptions, where: Where
+) -> None:
+    """Refuse an unknown method, options that do not go together, and logs that no name tells."""
+    if asked.method not in ("output_error", "thesis"):
+        raise InputError(f"unknown method '{asked.method}'", hint="output_error or thesis")
+    if asked.response is not None and asked.cutoff is not None:
+        raise InputError(
+            "a frequency response is compared without a low-pass",
+            **where("cutoff"),
+            hint="frequency_max of [response] leaves out what lies above",
+        )
+    if not records or len({name for name, _ in records}) < len(records):
+        raise InputError("identification needs at least one log, each with a name of its own")
 
 
 def _decimate(records: Sequence[tuple[str, Record]], asked: FitOptions, where: Where) -> Decimate:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,7 +28,7 @@ from ehbench.quantities import like_channel, quantity
 from ehbench.record import Means, Record, block_means
 from ehbench.rig import Cylinder, Rig
 from ehbench.sensors import Term
-from ehbench.signals import transients
+from ehbench.signals import transients, white_noise
 from ehbench.starts import LogStart, start_of_log
 
 if TYPE_CHECKING:
@@ -75,6 +77,18 @@ class Log:
     def seen(self) -> Record:
         """The readings as they are compared."""
         return self.record if self.means is None else self.means.record
+
+    @cached_property
+    def within(self) -> np.ndarray:
+        """rms of the noise that means leave out, by channel [SI], shape (channels,)."""
+        share, record = math.sqrt(1.0 - 1.0 / self.each), self.record
+        known = self.means is not None
+        return np.array(
+            [
+                share * white_noise(record[c]) if known and c in record else 0.0
+                for c in self.channels
+            ]
+        )
 
     @property
     def sample_time(self) -> float:
