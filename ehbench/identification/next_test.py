@@ -298,8 +298,8 @@ class _Planner:
         record = Record(made.t, channels, {"payload": trial.payload or "none"})
         model = Model.of(self.rig, self.prepared.flow_maps, trial.payload)
         terms = self.prepared.logs[0].start.terms
-        asked = self.prepared.options
-        log = prepare(model, record, "test", asked.channels, terms, asked.decimate, asked.cutoff)
+        channels, each = self.prepared.options.channels, self.prepared.logs[0].each
+        log = prepare(model, record, "test", channels, terms, each)
         clean = Record(made.t, made.channels, record.meta)
         return replace(log, recorded=channels_of(log, clean))
 

@@ -159,20 +159,7 @@ def prepare(
         for word in wanted
         if word not in CHANNELS and not _columns(record, live, [word])
     ]
-    counts = np.ones((record.t.size, len(columns)), dtype=bool)
-    for cylinder in rig.cylinder:
-        void = _cavitates(rig, cylinder, record)
-        own = [i for i, channel in enumerate(columns) if channel.startswith(cylinder.name + ".")]
-        if own and void.any():
-            counts[np.ix_(void, np.array(own))] = False
-            when = record.t[int(np.argmax(void))]
-            warnings.append(
-                f"{name}: {cylinder.name} cavitates at {when:.3g} s, which the model has only as a "
-                f"floor of pressure; {100 * np.mean(void):.0f} % of its samples do not count"
-            )
-    for i, channel in enumerate(columns):
-        if channel in record and quantity(channel).unit in LIMITED:
-            counts[at_limit(record[channel]), i] = False
+    counts, voids = _counts(name, rig, record, list(columns))
     return Log(
         name,
         record,
@@ -183,9 +170,33 @@ def prepare(
         np.column_stack(list(columns.values())),
         counts if means is None else block_means(counts, means.each) == 1.0,
         start_of_log(model, record, live, list(columns), terms),
-        tuple(warnings),
+        (*warnings, *voids),
         means=means,
     )
+
+
+def _counts(
+    name: str, rig: Rig, record: Record, channels: Sequence[str]
+) -> tuple[np.ndarray, list[str]]:
+    """(which samples of a log count, shape (samples, channels); a warning of each cylinder of which
+    some do not): those of an empty chamber and of a sensor at its end do not.
+    """
+    said: list[str] = []
+    counts = np.ones((record.t.size, len(channels)), dtype=bool)
+    for cylinder in rig.cylinder:
+        void = _cavitates(rig, cylinder, record)
+        own = [i for i, channel in enumerate(channels) if channel.startswith(cylinder.name + ".")]
+        if own and void.any():
+            counts[np.ix_(void, np.array(own))] = False
+            when = record.t[int(np.argmax(void))]
+            said.append(
+                f"{name}: {cylinder.name} cavitates at {when:.3g} s, which the model has only as a "
+                f"floor of pressure; {100 * np.mean(void):.0f} % of its samples do not count"
+            )
+    for i, channel in enumerate(channels):
+        if channel in record and quantity(channel).unit in LIMITED:
+            counts[at_limit(record[channel]), i] = False
+    return counts, said
 
 
 def _commands(cylinder: Cylinder, record: Record) -> dict[str, float]:
