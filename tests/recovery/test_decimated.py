@@ -1,0 +1,304 @@
+"""Logs much faster than the machine, compared as means of several samples: the same numbers with
+the same intervals, said in words, whatever the clock, the gaps and the end of the log.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.errors import InputError
+from ehbench.gaps import parts_of
+from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
+from ehbench.identification.means import SHARE, fastest
+from ehbench.identification.simulator import seen_as
+from ehbench.identification.suggestions import _windows
+from ehbench.plant.lanes.many import LEAST, replays_meshed
+from ehbench.plant.model import Model, simulate
+from ehbench.plant.paced import AUTO
+from ehbench.recipe import load_recipe, load_rig
+from ehbench.record import Means, Record
+from ehbench.response import Averaging
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+NOISE = {"v": 2e-3, "p_head": 1.5e4, "p_rod": 1.5e4, "x": 1e-5, "p_supply": 6e3}
+TRUTH = {"bulk_modulus": 9e8, "carriage.damping": 800.0}
+START = {"bulk_modulus": 5e8, "carriage.damping": 1600.0}
+RATE = 10_000.0
+
+
+@cache
+def rig(name="slide_servo"):
+    return load_rig(RIGS / f"{name}.toml")
+
+
+@cache
+def clean(payload=None, seconds=1.0003):
+    """The slide out and back at 10 kHz; its last samples fill no mean."""
+    t = np.arange(round(seconds * RATE) + 1) / RATE
+    out, back = (t >= 0.07) & (t < 0.3), (t >= 0.55) & (t < 0.8)
+    commands = {"press.servo": 3.0 * out - 3.0 * back}
+    length = float(t[-1])
+    return simulate(rig(), commands, length, payload=payload, rate=RATE, step=AUTO)
+
+
+def noisy(record, seed, time=0.0):
+    """What sensors would say, with noise that is white or of a correlation ``time`` [s]."""
+    from scipy.signal import lfilter
+
+    rng, channels = np.random.default_rng(seed), {}
+    pole = math.exp(-1.0 / (RATE * time)) if time else 0.0
+    for name, y in record.channels.items():
+        word = name.rsplit(".", 1)[-1]
+        if word in ("opening", "flow", "flow_supply"):
+            continue
+        noise = lfilter([math.sqrt(1 - pole**2)], [1, -pole], rng.standard_normal(y.size + 500))
+        channels[name] = y + NOISE.get(word, 0.0) * noise[500:]
+    return Record(record.t, channels, record.meta)
+
+
+def logs(seed=1, time=0.0):
+    return [
+        (f"log {load}", noisy(clean(load), 10 * seed + k, time))
+        for k, load in enumerate((None, "100 kg"))
+    ]
+
+
+def identify(records, **options):
+    return identify_hydraulics(rig(), records, list(TRUTH), FitOptions(start=START, **options))
+
+
+def prepared(records, **options):
+    return prepare_fit(rig(), records, list(TRUTH), FitOptions(start=START, **options))
+
+
+def width(one):
+    return one.interval[1] - one.interval[0]
+
+
+@pytest.mark.parametrize("time", [0.0, 2e-3])
+def test_means_tell_what_samples_tell(time):
+    """The truth from a start far off, by means and by samples: apart by a fraction of the standard
+    error, intervals alike within what their own estimate varies by (2 % by 10 draws of the noise
+    for the bulk modulus, some more for the damping).
+    """
+    whole, means = identify(logs(1, time), decimate=1), identify(logs(1, time))
+    for name, truth in TRUTH.items():
+        low, high = means[name].interval
+        assert low <= truth <= high
+        assert abs(means[name].value - whole[name].value) < 0.25 * whole[name].std
+        assert 0.93 < width(means[name]) / width(whole[name]) < 1.07
+    assert whole.compared == ()
+    assert means.compared == ("all logs compared as means of 6 samples, 1.67 kHz of 10 kHz",)
+    for one, other, (_, record) in zip(means.logs, whole.logs, logs(), strict=True):
+        assert (one.samples, one.mean_of) == (record.t.size // 6, 6)
+        assert (other.samples, other.mean_of) == (record.t.size, 1)
+        for channel in one.residual_rms:  # of coloured noise, means leave as much
+            least = 0.85 if time else 0.9 / math.sqrt(6)
+            share = one.residual_rms[channel] / other.residual_rms[channel]
+            assert least < share < (1.0 if time else 1.1 / math.sqrt(6))
+            seconds = one.correlation_time[channel] * 6 / RATE
+            expected = 2 * time if time else 6 / RATE  # of first order: (1 + pole)/(1 - pole)
+            assert 0.5 * expected < seconds < 2.0 * expected
+    for name in means.scales:  # channels count for the same; noise is taken for white in a mean
+        assert means.scales[name] == pytest.approx(whole.scales[name], rel=0.05 if time else 0.02)
+
+
+def test_a_step_may_be_taken_at_any_sample():
+    """A command that changes in the middle of a mean acts there, not at an end of it: by half a
+    mean too late, the bulk modulus would be off by many standard errors.
+    """
+    fit = identify(logs(2), decimate=33)
+    for name, truth in TRUTH.items():
+        assert abs(fit[name].value - truth) < 3.5 * fit[name].std
+        assert fit[name].std < 0.02 * truth
+    assert not any("behind" in text for text in fit.warnings)
+
+
+def test_means_of_a_simulation_are_means_of_its_samples():
+    """Added up in the kernel, alone or in lanes, or taken of all samples afterwards; of what is
+    not linear in the state, the stroke of a joint, to the square of what it moves in a mean.
+    """
+    boom = rig("boom_four_valve")
+    t = np.arange(7004) / RATE
+    up = 4.0 * ((t >= 0.0503) & (t < 0.4))
+    made = simulate(boom, {"boom.sh": up, "boom.rt": up}, t[-1], rate=RATE, step=AUTO)
+    model, means = Model.of(boom), Means.of(made, 10)
+    start = model.rest_start(made)
+    whole, mesh = model.replay_paced(made, start)
+    wanted = Means.of(whole, 10).record
+    alone, _ = model.replay_paced(made, start, mesh, means=means)
+    several = replays_meshed([(model, made, start)] * LEAST, mesh, means)
+    assert alone.t.size == 700 and np.array_equal(alone.t, means.record.t)
+    assert not any(name.endswith(("command", "opening")) for name in alone.channels)
+    for name, y in alone.channels.items():
+        close = 1e-6 if name.endswith((".x", ".v")) else 1e-11
+        span = max(float(np.ptp(wanted[name])), 1e-9 * float(np.abs(wanted[name]).max()), 1e-300)
+        assert np.abs(y - wanted[name]).max() < close * span, name
+        for one in several:
+            assert one is not None and np.array_equal(one[name], y), name
+    chosen, steps = model.replay_paced(made, start, means=means)
+    assert steps.size < mesh.size  # over several means at once, where nothing moves
+    assert np.abs(chosen["boom.p_head"] - wanted["boom.p_head"]).max() < 1e-5 * np.ptp(
+        wanted["boom.p_head"]
+    )
+
+
+def test_how_many_is_by_the_fastest_of_the_machine():
+    """The slide's valve is of 80 Hz, so a mean lasts a twentieth of 12.5 ms, whole samples; of a
+    cutoff, a twentieth of its period.
+    """
+    record = clean()
+    frequency = fastest(Model.of(rig()), record)
+    assert frequency == pytest.approx(80.0, rel=1e-6)
+    (log,) = prepared([("log", record)]).logs
+    assert log.each == math.floor(SHARE / frequency * RATE)
+    (log,) = prepared([("log", record)], cutoff=100.0).logs
+    assert log.each == 5
+    (log,) = prepared([("log", record)], decimate=4).logs
+    assert (log.each, len(log.recorded)) == (4, record.t.size // 4)
+    assert log.seen.t[0] == pytest.approx(1.5 / RATE)
+    assert len(_windows(log)) == len(log.recorded)
+
+
+@pytest.mark.parametrize("path", sorted(RIGS.glob("*.toml")), ids=lambda path: path.stem)
+def test_a_log_at_one_kilohertz_is_compared_sample_by_sample(path):
+    one = load_rig(path)
+    valves = [f"{c.name}.{v.name}" for c, v in one.valves()][:1]
+    t = np.arange(3001) * 1e-3
+    made = simulate(one, {name: 2.0 * (t > 0.1) * (t < 0.2) for name in valves}, t[-1])
+    options = FitOptions()
+    (log,) = prepare_fit(one, [("log", made)], ["bulk_modulus"], options).logs
+    assert (log.means, log.each, log.seen) == (None, 1, log.record)
+
+
+def test_the_hydraulic_mode_counts_where_it_is_faster_than_valves():
+    """Of a slide between two chambers ω² = β (A_h²/V_h + A_r²/V_r)/m; the fastest of the postures
+    of the log, dry friction or not.
+    """
+    machine = rig().with_values({"carriage.mass": 25.0})
+    model, record = Model.of(machine), clean()
+    row = model.plant.cylinders[0]
+    mass = float(model.plant.links[0].mass)
+
+    def rate(x):
+        head = row.area_head**2 / (row.volume_head + row.area_head * x)
+        rod = row.area_rod**2 / (row.volume_rod - row.area_rod * x)
+        return math.sqrt(row.bulk_modulus * (head + rod) / mass) / (2.0 * math.pi)
+
+    x = record["press.x"]
+    expected = max(rate(x.min()), rate(x.max()))
+    assert expected > 80.0  # which the valve has
+    assert fastest(model, record) == pytest.approx(expected, rel=1e-3)
+
+
+def test_short_logs_and_what_is_left_over_at_the_end():
+    """200 means at least are left of a log; the first seconds of one are whole means."""
+    short = clean().at(slice(600, 600 + 4 * 200))
+    (log,) = prepared([("log", short)]).logs
+    assert (log.each, len(log.recorded)) == (4, 200)
+    (log,) = prepared([("log", short.at(slice(3 * 200 - 1)))]).logs
+    assert log.means is None
+    (log,) = prepared([("log", clean(None, 1.6003))]).logs
+    head = log.head(0.2)
+    assert head.record.t.size == 6 * len(head.recorded) == 6 * head.seen.t.size < 9000
+    assert np.array_equal(head.recorded, log.recorded[: len(head.recorded)])
+    assert head.start.record is head.record
+
+
+def test_uneven_clocks_and_gaps():
+    """Times off by a fifth of a sample are put right before means are taken; a log with a gap is
+    two, each with means of its own.
+    """
+    rng, record = np.random.default_rng(3), noisy(clean(), 5)
+    off = replace(record, t=record.t + 0.2 / RATE * rng.uniform(-1.0, 1.0, record.t.size))
+    (log,) = prepared([("log", off)]).logs
+    (right,) = prepared([("log", record)]).logs
+    assert any("not evenly sampled" in text for text in log.warnings)
+    tick = np.diff(log.seen.t)
+    assert log.each == 6 and np.ptp(tick) < 1e-9 and tick[0] == pytest.approx(6 / RATE, rel=1e-4)
+    spread = np.std(right.recorded, axis=0)
+    assert np.all(np.std(log.recorded - right.recorded, axis=0) < 0.02 * spread)
+    rows = np.r_[0:5203, 5700 : record.t.size]
+    parts, _ = parts_of("log", record.at(rows), driven=True, within=None)
+    assert len(parts) == 2
+    fit = prepared([(part.name, part.record) for part in parts])
+    assert [len(one.recorded) for one in fit.logs] == [part.record.t.size // 6 for part in parts]
+
+
+def test_a_mean_counts_where_all_its_samples_do():
+    """A pressure sensor at its end: means with a sample of that, and no others, are left out."""
+    record = noisy(clean(), 6)
+    high = float(np.quantile(record["press.p_head"], 0.97))
+    cut = {**record.channels, "press.p_head": np.minimum(record["press.p_head"], high)}
+    (log,) = prepared([("log", replace(record, channels=cut))]).logs
+    i = log.channels.index("press.p_head")
+    at_end = cut["press.p_head"] == high
+    some = at_end[: 6 * len(log.counts)].reshape(-1, 6).any(axis=1)
+    assert 0 < np.count_nonzero(some) < len(some)
+    assert np.mean(log.counts[some, i]) < 0.1  # a reading that stands alone is no end
+    assert log.counts[~some, i].all()
+
+
+def test_what_needs_every_sample_keeps_it():
+    """Openings and flows, ringing and frequency responses."""
+    record = clean()
+    (log,) = prepared([("log", record)], channels=("v", "press.servo.opening")).logs
+    fit = identify(logs(7), method="thesis")
+    assert fit.compared == () and fit.logs[0].mean_of == 1
+    (band,) = prepared(
+        [("log", noisy(record, 8))], response=("press.servo.command", Averaging(0.25))
+    ).logs
+    assert band.means is None
+    model = Model.of(rig())
+    whole = model.replay(log.record, AUTO, start=model.rest_start(log.record))
+    assert np.array_equal(
+        seen_as(log, whole)["press.servo.opening"],
+        Means.of(whole, log.each).record["press.servo.opening"],
+    )
+
+
+RECIPE = """
+stage = "identify"
+what = "hydraulics"
+rig = "{rig}"
+data = ["log.mcap"]
+parameters = ["bulk_modulus"]
+decimate = {given}
+"""
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [("0", "decimate"), ("-3", "decimate"), ("2.5", "decimate"), ('"often"', "decimate")],
+)
+def test_a_recipe_with_no_such_number_of_samples(tmp_path, given, said):
+    path = tmp_path / "recipe.toml"
+    path.write_text(RECIPE.format(rig=RIGS / "slide_servo.toml", given=given))
+    with pytest.raises(InputError, match=said) as told:
+        load_recipe(path)
+    assert told.value.line == 7
+
+
+@pytest.mark.parametrize(
+    ("options", "said", "hint"),
+    [
+        ({"decimate": 0}, "decimate = 0 is no number of samples", "auto"),
+        ({"decimate": 51}, "means of 51 of its 10004 samples are 196", "at most 50"),
+        ({"decimate": 2, "method": "thesis"}, "'thesis' looks for ringing in every", "leave"),
+        (
+            {"decimate": 2, "response": ("press.servo.command", Averaging())},
+            r"\[response\] looks at frequencies in every sample",
+            "leave",
+        ),
+    ],
+)
+def test_means_that_cannot_be(options, said, hint):
+    with pytest.raises(InputError, match=said) as told:
+        prepared([("log", clean())], **options)
+    assert hint in told.value.hint
