@@ -398,8 +398,11 @@ def _compared(logs: Sequence[Log]) -> tuple[str, ...]:
     for log in logs:
         if log.means is not None:
             ways.setdefault(said(log.record, log.means), []).append(log.name)
+    who = {way: " and ".join(names) for way, names in ways.items()}
+    if len(logs) > 1 and len(ways) == 1 and len(next(iter(ways.values()))) == len(logs):
+        who = dict.fromkeys(ways, "all logs")
     return tuple(
-        f"{'all logs' if len(names) == len(logs) else ', '.join(names)} compared {way}"
+        f"{who[way]} {'is' if len(names) == 1 else 'are'} compared {way}"
         for way, names in ways.items()
     )
 

@@ -94,7 +94,7 @@ def test_means_tell_what_samples_tell(time):
         assert abs(means[name].value - whole[name].value) < 0.25 * whole[name].std
         assert 0.93 < width(means[name]) / width(whole[name]) < 1.07
     assert whole.compared == ()
-    assert means.compared == ("all logs compared as means of 6 samples, 1.67 kHz of 10 kHz",)
+    assert means.compared == ("all logs are compared as means of 6 samples, 1.67 kHz of 10 kHz",)
     for one, other, (_, record) in zip(means.logs, whole.logs, logs(), strict=True):
         assert (one.samples, one.mean_of) == (record.t.size // 6, 6)
         assert (other.samples, other.mean_of) == (record.t.size, 1)
