@@ -9,6 +9,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -265,6 +266,24 @@ def _floats(path: Path, column: str, cells: list[str]) -> np.ndarray:
         raise InputError(f"column '{column}': {error}", file=path) from None
 
 
+def _numbers(path: Path) -> tuple[list[str], list[np.ndarray]]:
+    """(names, columns) of a table of numbers: all at once where every cell is one, in a tenth of
+    the time and memory, else cell by cell.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            names, first = next(csv.reader([file.readline()])), file.readline()
+            lines = chain([first] if first.strip() else [","], file)
+            columns = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2).T
+        if len(columns) == len(names):
+            return names, [np.ascontiguousarray(column) for column in columns]
+    except (OSError, StopIteration, UnicodeDecodeError, ValueError):
+        pass  # said of the cell or line that it is about
+    names, rows = _columns(path)
+    cells = zip(*rows, strict=True) if rows else ([] for _ in names)
+    return names, [_floats(path, *pair) for pair in zip(names, map(list, cells), strict=True)]
+
+
 def read_series(path: Path) -> Series:
     """A saved comparison: columns ``t [s]``, ``boom.q [rad]`` (recorded) and ``simulated.boom.q
     [rad]``.
@@ -272,12 +291,12 @@ def read_series(path: Path) -> Series:
     Raises:
         InputError: no time, an unknown channel, a cell that is no number.
     """
-    names, rows = _columns(path)
+    names, columns = _numbers(path)
     t, sides = None, {"recorded": {}, "simulated": {}}
     for index, name in enumerate(names):
         text, unit = _head(name)
         front, channel, back = next(_SIDE.finditer(text)).groups()
-        values = _floats(path, name, [row[index] for row in rows])
+        values = columns[index]
         try:
             row = quantity(channel)
         except KeyError as error:
