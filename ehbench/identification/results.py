@@ -79,10 +79,11 @@ class Match:
 class LogFit:
     """How well one log is reproduced, by channel: NRMSE fit [%], rms residual [SI] and its
     correlation time [samples], over the samples that count; ``counted`` is their share [%],
-    ``samples`` how many are compared, each the mean of ``mean_of`` of the log's. ``start`` is where
-    the simulation starts [SI] where that was estimated, ``start_shift`` by how much it was moved
-    from what the first samples say; ``responses`` is what was compared where that are frequency
-    responses."""
+    ``samples`` how many the log has. Where it is compared as means of ``mean_of`` samples, residual
+    and correlation time are of these, and those that fill none at the end are no samples. ``start``
+    is where the simulation starts [SI] where that was estimated, ``start_shift`` by how much it was
+    moved from what the first samples say; ``responses`` is what was compared where that are
+    frequency responses."""
 
     name: str
     payload: str
@@ -325,7 +326,9 @@ def _log_fit(log: Log, simulated: np.ndarray, cutoff: float | None) -> LogFit:
         {channel: size[k] for channel, size in sizes.items()} for k in range(4)
     )
     sizes_of = (percent, error, time, counted)
-    return LogFit(log.name, log.payload or "none", len(left), *sizes_of, mean_of=log.each)
+    return LogFit(
+        log.name, log.payload or "none", log.each * len(left), *sizes_of, mean_of=log.each
+    )
 
 
 def _recording(log: Log, replayed: Record) -> dict[str, np.ndarray]:

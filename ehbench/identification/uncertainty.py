@@ -156,7 +156,7 @@ def _at_bound(fit: Descent, i: int) -> bool:
 
 
 def result_of(fit: Descent, found: Errors, converged: bool) -> HydraulicsFit:
-    samples = sum(int(log.counts.any(axis=1).sum()) for log in fit.simulator.logs)
+    samples = sum(log.each * int(log.counts.any(axis=1).sum()) for log in fit.simulator.logs)
     fitted = []
     for i, c in enumerate(fit.search[: fit.asked]):
         one, error = not_excited(c, samples), found.by_index.get(i)

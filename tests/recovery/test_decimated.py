@@ -96,7 +96,7 @@ def test_means_tell_what_samples_tell(time):
     assert whole.compared == ()
     assert means.compared == ("all logs are compared as means of 6 samples, 1.67 kHz of 10 kHz",)
     for one, other, (_, record) in zip(means.logs, whole.logs, logs(), strict=True):
-        assert (one.samples, one.mean_of) == (record.t.size // 6, 6)
+        assert (one.samples, one.mean_of) == (record.t.size // 6 * 6, 6)
         assert (other.samples, other.mean_of) == (record.t.size, 1)
         for channel in one.residual_rms:  # of coloured noise, means leave as much
             least = 0.85 if time else 0.9 / math.sqrt(6)
@@ -105,6 +105,7 @@ def test_means_tell_what_samples_tell(time):
             seconds = one.correlation_time[channel] * 6 / RATE
             expected = 2 * time if time else 6 / RATE  # of first order: (1 + pole)/(1 - pole)
             assert 0.5 * expected < seconds < 2.0 * expected
+    assert means["bulk_modulus"].samples == sum(one.samples for one in means.logs)
     for name in means.scales:  # channels count for the same; noise is taken for white in a mean
         assert means.scales[name] == pytest.approx(whole.scales[name], rel=0.05 if time else 0.02)
 
