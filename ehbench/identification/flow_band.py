@@ -72,23 +72,58 @@ def assemble(along_u, along_s, weighed, columns, band, right):
 def factorise(band):
     """Writes the Cholesky factor's band over that of a matrix.
 
+    Four columns are taken off the later ones at once, each later number read and written once for
+    all four, in the order in which they would go one by one.
+
     Returns:
         0, or the number of the first column, from 1 on, at which it is not positive definite.
     """
     size, lines = band.shape
-    for j in range(size):
-        own = band[j, : min(lines, size - j)]
-        if not own[0] > 0.0:
-            return j + 1
-        own[0] = math.sqrt(own[0])
-        per = 1.0 / own[0]
-        for k in range(1, own.size):
-            own[k] *= per
-        for k in range(1, own.size):
-            share, rest, after = own[k], own[k:], band[j + k]
-            for i in range(rest.size):
-                after[i] -= share * rest[i]
+    j = 0
+    while j < size:
+        together = 4 if lines > 4 and j + lines + 3 < size else 1
+        for m in range(together):
+            own = band[j + m, : min(lines, size - j - m)]
+            if not own[0] > 0.0:
+                return j + m + 1
+            own[0] = math.sqrt(own[0])
+            per = 1.0 / own[0]
+            for k in range(1, own.size):
+                own[k] *= per
+            for k in range(1, own.size if together == 1 else 4 - m):
+                _take_one(own, k, band[j + m + k])
+        if together == 4:
+            for k in range(4, lines):
+                _take_four(band[j : j + 4], k, band[j + k])
+            for k in range(lines, lines + 3):
+                for m in range(k - lines + 1, 4):
+                    _take_one(band[j + m], k - m, band[j + k])
+        j += together
     return 0
+
+
+@kernel
+def _take_one(own, k, after):
+    """Takes a column of a factor off the matrix's column ``after``, k columns on."""
+    share, rest = own[k], own[k:]
+    for i in range(rest.size):
+        after[i] -= share * rest[i]
+
+
+@kernel
+def _take_four(four, k, after):
+    """Takes four columns of a factor, one after another, off the matrix's column k columns on from
+    the first of them.
+    """
+    last = four.shape[1] - 1
+    p, q, r, s = four[0], four[1], four[2], four[3]
+    a, b, c, d = p[k:], q[k - 1 : last], r[k - 2 : last - 1], s[k - 3 : last - 2]
+    n, e, f, g, h = a.size, a[0], b[0], c[0], d[0]
+    for i in range(n):
+        after[i] = after[i] - e * a[i] - f * b[i] - g * c[i] - h * d[i]
+    after[n] = after[n] - f * q[last] - g * r[last - 1] - h * s[last - 2]
+    after[n + 1] = after[n + 1] - g * r[last] - h * s[last - 1]
+    after[n + 2] = after[n + 2] - h * s[last]
 
 
 @kernel
@@ -162,19 +197,27 @@ def tied(band, right, own):
         (coefficients, whether the matrix is positive definite).
     """
     size, lines = band.shape
+    some, used = np.zeros(lines, np.int64), 0  # lines of the band that are not all zero
+    for k in range(lines):
+        for j in range(size - k):
+            if band[j, k] != 0.0:
+                some[used] = k
+                used += 1
+                break
     count, apart = 0, 0
     for j in range(size):
         count = max(count, own[j] + 1)
-        for k in range(min(lines, size - j)):
-            if own[j] >= 0 and own[j + k] >= 0 and band[j, k] != 0.0:
-                apart = max(apart, abs(own[j] - own[j + k]))
+        if own[j] >= 0:
+            for k in some[:used]:
+                if j + k < size and own[j + k] >= 0 and band[j, k] != 0.0:
+                    apart = max(apart, abs(own[j] - own[j + k]))
     matrix, pull = np.zeros((count, apart + 1)), np.zeros(count + 1)
     for j in range(size):
         one = own[j]
         if one >= 0:
             pull[one] += right[j]
-            for k in range(min(lines, size - j)):
-                other = own[j + k]
+            for k in some[:used]:
+                other = own[j + k] if j + k < size else -1
                 if other >= 0 and band[j, k] != 0.0:
                     # of two coefficients that are one unknown, both orders count
                     times = 2.0 if k and one == other else 1.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -44,6 +45,17 @@ class Cells:
     count: np.ndarray
     heard: np.ndarray
     replicates: int
+
+    @cached_property
+    def _bytes(self) -> tuple[bytes, ...]:
+        parts = self.u, self.s, self.y, self.weight, self.count, self.heard
+        return *(part.tobytes() for part in parts), str(self.replicates).encode()
+
+    def __hash__(self) -> int:
+        return hash(self._bytes)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, Cells) and self._bytes == other._bytes)
 
     def without(self, out: np.ndarray) -> Cells:
         """The same cells, of which some have no weight."""

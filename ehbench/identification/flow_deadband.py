@@ -10,7 +10,7 @@ import numpy as np
 from ehbench.errors import InsufficientData
 from ehbench.identification.flow_cells import Cells
 from ehbench.identification.flow_readings import Task
-from ehbench.identification.flow_steps import Shape, roughly_smoothed, solve
+from ehbench.identification.flow_steps import Shape, likelihoods, roughly_smoothed, solve
 
 # no driver's command is known better than this share of the largest one
 _LEAST_WIDTH = 5e-4
@@ -118,11 +118,11 @@ def soften(task: Task, shape: Shape, cells: Cells, found: Deadband, window: Wind
     grid, rise = _profile(task, shape, cells, window, soft=True)
     best = int(np.argmin(rise))
 
-    level = solve(shape, shape.spline(float(grid[best]), soft=True), cells)[1]
+    _, level, near = solve(shape, shape.spline(float(grid[best]), soft=True), cells)
 
     def above_least(u: float) -> float:
         """−2 log likelihood of a deadband above that of the grid's best."""
-        return solve(shape, shape.spline(u, soft=True), cells)[1] - level
+        return solve(shape, shape.spline(u, soft=True), cells, near)[1] - level
 
     # the least lies between the grid's points, too
     around = (float(grid[max(best - 1, 0)]), float(grid[min(best + 1, grid.size - 1)]))
@@ -172,7 +172,8 @@ def _profile(
     grid = rise = np.empty(0)
     for _ in range(5):
         grid = np.linspace(low, high, 15)
-        value = np.array([solve(shape, shape.spline(u, soft), cells)[1] for u in grid])
+        splines = (shape.spline(u, soft) for u in grid.tolist())
+        value = likelihoods(shape, splines, cells)
         rise = value - value.min()
         near = np.flatnonzero(rise < 14.0)
         if near.size > 7 or high - low < 1e-3 * task.levels[-1]:

@@ -15,6 +15,7 @@ from ehbench.identification.flow_spline import SPANS_U
 from ehbench.identification.flow_steps import (
     Shape,
     deviance,
+    likelihoods,
     likeliest_smoothing,
     normal_equations,
     roughly_smoothed,
@@ -144,8 +145,8 @@ def _place(shape: Shape, cells: Cells) -> Kink:
         for other in others
     ]
     grid = grid[~np.any(near, axis=0)] if near else grid
-    moved = [replace(shape, kinks=(*others, float(volts))) for volts in grid]
-    value = np.array([solve(one, one.spline(), cells)[1] for one in moved])
+    moved = (replace(shape, kinks=(*others, volts)).spline() for volts in grid.tolist())
+    value = likelihoods(shape, moved, cells)
     rise = value - value.min()
     weight = np.exp(-0.5 * rise)
     best = float(grid[np.argmin(rise)])

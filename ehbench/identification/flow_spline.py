@@ -240,14 +240,23 @@ class Spline:
         ).ravel()[1:]
         return found, gain, determinant - self.mass - float(np.log(prior).sum())
 
-    def solve(self, band: np.ndarray, right: np.ndarray, smoothing: np.ndarray):
+    def solve(
+        self,
+        band: np.ndarray,
+        right: np.ndarray,
+        smoothing: np.ndarray,
+        near: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, float, np.ndarray]:
         """(coefficients with increments along u of at least those of ``floor``, or at most where
-        the flow falls; determinant as ``free``).
+        the flow falls; determinant as ``free``; which increments are just those).
+
+        Args:
+            near: a first guess of these; by default those that are wrong without the constraint.
         """
         free, _, determinant = self.free(band, right, smoothing)
         wrong = self.sign * self.increments(free - self.floor).ravel() < 0
         if not wrong.any():
-            return free, determinant
+            return free, determinant, wrong
         band = self.penalised(band, smoothing)
         right = right - flow_band.times(band, self.floor)
 
@@ -257,10 +266,15 @@ class Spline:
         def grown(above: np.ndarray) -> np.ndarray:
             return self.sign * self.increments(above).ravel()
 
-        above = pivoted(lambda zero: self._tied(band, right, zero), grown, slope, wrong)
+        above, tied = None, wrong
+        for guess in (near, wrong):
+            if above is None and guess is not None and guess.size == wrong.size:
+                above, tied = pivoted(
+                    lambda zero: self._tied(band, right, zero), grown, slope, guess
+                )
         if above is None:
             above = self._by_nnls(band, right)
-        return self.floor + above, determinant
+        return self.floor + above, determinant, tied
 
     def _tied(self, band: np.ndarray, right: np.ndarray, zero: np.ndarray) -> np.ndarray:
         """Coefficients of least ½·cᵀ·matrix·c − rightᵀ·c of which some do not grow along u: each of
@@ -387,9 +401,9 @@ def pivoted(
     steps: Callable[[np.ndarray], np.ndarray],
     slope: Callable[[np.ndarray], np.ndarray],
     zero: np.ndarray,
-) -> np.ndarray | None:
-    """The point of a quadratic's least whose ``steps`` are ≥ 0, by block pivoting (Portugal,
-    Júdice, Vicente 1994); None where it goes round in circles.
+) -> tuple[np.ndarray | None, np.ndarray]:
+    """(the point of a quadratic's least whose ``steps`` are ≥ 0, by block pivoting (Portugal,
+    Júdice, Vicente 1994), None where it goes round in circles; which of its steps are zero).
 
     Args:
         solve: the least with the steps that are marked at zero.
@@ -402,6 +416,6 @@ def pivoted(
         point = solve(zero)
         wrong = np.where(zero, slope(point) < -least, steps(point) < 0.0)
         if not wrong.any():
-            return point
+            return point, zero
         zero = zero ^ wrong
-    return None
+    return None, zero

@@ -4,9 +4,9 @@ Each takes the cells and the shape so far, and gives the next."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -30,9 +30,12 @@ _MOST_LONE = 0.05
 # degrees of freedom of repeats from which on they tell the noise to some 20 %
 _REPEATS = 12
 _COARSE = (-9.0, -7.0, -5.0, -3.0, -1.0)
+# splines that are kept, and those of which what was found is kept: about what one turn asks for
+_SPLINES, _LIKELIHOODS = 64, 512
 
 Normal = tuple[np.ndarray, np.ndarray]
 Point = tuple[float, float]
+Solved = tuple[np.ndarray, float, np.ndarray]  # coefficients, likelihood, which are tied
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +53,34 @@ class Shape:
 
     def spline(self, deadband: float | None = None, soft: bool = False) -> Spline:
         start = self.deadband if deadband is None else deadband
-        return Spline(start, self.above, self.along_s, soft, self.kinks, self.rising)
+        above = tuple(self.above.tolist())
+        return _spline((start, above, self.along_s, soft, self.kinks, self.rising))
+
+
+Asked = tuple[float, tuple[float, ...], Axis, bool, tuple[float, ...], float]
+
+
+@lru_cache(_SPLINES)
+def _spline(asked: Asked) -> _Spline:
+    """The spline of these arguments: one look after another asks for the same."""
+    return _Spline(asked)
+
+
+class _Spline(Spline):
+    """A spline that says by what it was asked for."""
+
+    def __init__(self, asked: Asked) -> None:
+        deadband, above, *others = asked
+        super().__init__(deadband, np.array(above), *others)
+        self.asked = asked
+
+
+@lru_cache(_LIKELIHOODS)
+def _known(asked: Asked, cells: Cells) -> tuple[dict[Point, float], dict[Point, Solved]]:
+    """What has been found of a spline on some cells, for each pair of penalties: −2 log likelihood,
+    and what `solve` gives. A fit asks twice of one in five.
+    """
+    return {}, {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,11 +191,17 @@ def _score(
     the unit of penalties).
     """
     spline = shape.spline()
-    band, right = normal or normal_equations(spline, cells)
     total, unit = float(cells.weight @ cells.y**2), float(cells.weight.sum())
+    known, _ = _known(spline.asked, cells)
+    made: list[Normal] = [] if normal is None else [normal]
 
-    @cache
     def score(point: Point) -> float:
+        if point not in known:
+            made or made.append(normal_equations(spline, cells))
+            known[point] = found(point, *made[0])
+        return known[point]
+
+    def found(point: Point, band: np.ndarray, right: np.ndarray) -> float:
         try:
             smoothing = 10.0 ** np.array(point) * unit
             _, gain, determinant = spline.free(band, right, smoothing, whole=False)
@@ -199,16 +235,32 @@ def bend(shape: Shape, cells: Cells) -> Shape:
     return straight if value > plain - _BEND_GAIN else sharp
 
 
-def solve(shape: Shape, spline: Spline, cells: Cells) -> tuple[np.ndarray, float]:
+def solve(shape: Shape, spline: _Spline, cells: Cells, near: np.ndarray | None = None) -> Solved:
     """(coefficients, −2 log likelihood of the spline's deadband with the scale of the noise left
-    free).
+    free, which coefficients are tied to those before).
+
+    Args:
+        near: which are tied for a spline that differs little, as a first guess.
     """
+    _, known = _known(spline.asked, cells)
+    if (point := tuple(shape.smoothing.tolist())) in known:
+        return known[point]
     band, right = normal_equations(spline, cells)
-    c, determinant = spline.solve(band, right, shape.smoothing)
+    c, determinant, tied = spline.solve(band, right, shape.smoothing, near)
     misfit = float(cells.weight @ cells.y**2) + float(
         c @ (flow_band.times(spline.penalised(band, shape.smoothing), c) - 2 * right)
     )
-    return c, deviance(max(misfit, 1e-12), cells) + determinant
+    known[point] = c, deviance(max(misfit, 1e-12), cells) + determinant, tied
+    return known[point]
+
+
+def likelihoods(shape: Shape, splines: Iterable[_Spline], cells: Cells) -> np.ndarray:
+    """−2 log likelihood of each of some splines, those beside each other of one size."""
+    values, near = [], None
+    for spline in splines:
+        _, value, near = solve(shape, spline, cells, near)
+        values.append(value)
+    return np.array(values)
 
 
 def judge(task: Task, shape: Shape, cells: Cells, lone: np.ndarray) -> Solution:
@@ -216,7 +268,7 @@ def judge(task: Task, shape: Shape, cells: Cells, lone: np.ndarray) -> Solution:
     spline, used = shape.spline(), cells.without(lone)
     band, right = normal_equations(spline, used)
     factor = cholesky(spline.penalised(band, shape.smoothing))
-    coefficients, _ = spline.solve(band, right, shape.smoothing)
+    coefficients, *_ = spline.solve(band, right, shape.smoothing)
     parameters = float(np.trace(solved(factor, full(band))))
     meant = spline.design(cells.u, cells.s) @ coefficients
 
