@@ -8,7 +8,7 @@ identification and validation let the whole log say the rest."""
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -25,7 +25,7 @@ from ehbench.plant.lanes.vectors import LANES
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model, Seen, Start, seen_of
 from ehbench.plant.ties import supplied, tied_words
-from ehbench.plant.trim import settle_parts
+from ehbench.plant.trim import asked_at_start, settle_parts
 from ehbench.preprocessing import moving_at_first, on_at_first
 from ehbench.record import Record
 from ehbench.sensors import Excess, Term, corrected, sensed
@@ -43,6 +43,7 @@ SMALLEST, LARGEST = 1.0e-6, 2.0e-4  # … but within these shares of a number's 
 LEAST_LEFT = 0.2  # share of noise that a line through few independent samples leaves
 ROUNDS, CONVERGED = 4, 1.0e-3  # of an estimate: most rounds, and the gain that is not worth another
 NOTHING: Mapping[str, float] = {}  # wrong with the sensors of all logs
+_KEPT = 64  # starts along one recording
 FLOOR = 5.0e-3  # of a channel's scale, as a share of its spread
 
 
@@ -64,6 +65,32 @@ class Doubt:
     def share(self) -> float:
         """Its step in standard deviations."""
         return self.step / self.std
+
+
+class Starts:
+    """Where models begin along one recording: found once of all that are alike in what a start
+    hangs on. Most parameters of a fit are none of that.
+
+    Args:
+        begin: finds the start of a model.
+        moves: whether the recording begins in motion.
+    """
+
+    def __init__(self, begin: Callable[[Model], Start], moves: bool) -> None:
+        self._begin, self._moves = begin, moves
+        self._known: dict[tuple[object, ...], Start] = {}
+
+    def of(self, model: Model) -> Start:
+        """The start of a model, which is for all: its state cannot be written."""
+        asked = asked_at_start(model.plant, self._moves)
+        found = self._known.get(asked)
+        if found is None:
+            found = self._begin(model)
+            found.y.flags.writeable = False
+            if len(self._known) >= _KEPT:
+                self._known.clear()
+            self._known[asked] = found
+        return found
 
 
 @dataclass(frozen=True)
@@ -97,10 +124,23 @@ class LogStart:
             InputError: as `at`.
         """
         true = self.true(shifts, shared)
-        own = true is self.record  # else sensors are put right, and it tells something else
+        if true is self.record:
+            return self._starts.of(model)
+        # sensors are put right, and it tells something else
         if self.moves:
-            return _moving_start(model, true, self._firsts if own else _firsts(true, self.rest))
-        return model.rest_start(true, self.rest, self._seen if own else None)
+            return _moving_start(model, true, _firsts(true, self.rest))
+        return model.rest_start(true, self.rest)
+
+    @cached_property
+    def _starts(self) -> Starts:
+        """What models begin with along the recording as it is."""
+
+        def begin(model: Model) -> Start:
+            if self.moves:
+                return _moving_start(model, self.record, self._firsts)
+            return model.rest_start(self.record, self.rest, self._seen)
+
+        return Starts(begin, self.moves)
 
     @cached_property
     def _seen(self) -> Seen:

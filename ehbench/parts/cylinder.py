@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -102,7 +103,13 @@ def joint_of(row: Any, x: Any) -> Any:
 
 def joint_range_of(row: Any) -> tuple[float, float]:
     """(q at x = 0, q at full stroke) [rad], or [m] of a slide."""
-    return joint_range(*_pins(row), row.stroke)
+    return _range(*(row[name].item() for name in (*PINS_OF, "stroke")))
+
+
+@lru_cache(256)
+def _range(*pins: Any) -> tuple[float, float]:
+    """`joint_range` of a cylinder that is asked again and again."""
+    return joint_range(*pins)
 
 
 @part_kernel

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from ehbench.errors import InputError, SimulationError
 from ehbench.fields import read_value
+from ehbench.parts.accumulator import COLUMNS as ACCUMULATOR
 from ehbench.parts.cylinder import joint_of, joint_range_of, linkage_of
-from ehbench.parts.edge import CHECK
+from ehbench.parts.edge import CHECK, EDGE
+from ehbench.parts.friction import COLUMNS as FRICTION
+from ehbench.parts.line import LINE
 from ehbench.parts.load import force_on
 from ehbench.parts.mount import mount_settle
 from ehbench.parts.nodes import SUPPLY
+from ehbench.parts.oil import OIL_COLUMNS
+from ehbench.parts.supply import SUPPLY as SUPPLY_LINE
 from ehbench.parts.supply import sensed
 from ehbench.parts.sway import sway_settle
-from ehbench.parts.valve import valve_settle
+from ehbench.parts.valve import ELEMENT, valve_settle
 from ehbench.physics.arm import SLIDE, gravity_torque, work_size
 from ehbench.plant.build import Plant
 from ehbench.plant.layout import Layout
@@ -26,6 +32,25 @@ from ehbench.rig import Rig
 # pressure [Pa] of the chambers that no load presses on: of all cylinders, or by name of some
 LowSide = float | Mapping[str, float] | None
 LOW_SIDE = 0.1  # share of the supply pressure at which a chamber that carries nothing stands
+# fields of a plant's tables that no start asks for: how its oil gives way, what flows and what
+# takes energy while it moves; of what friction has, a mount's deflection may; then those that a
+# start at rest does not ask for, but one in motion does
+_IDLE = {
+    "links": ("damping",),
+    "cylinders": (
+        *(name for name, *_ in OIL_COLUMNS),
+        *("volume_head", "volume_rod", "leakage_internal", "leakage_head", "leakage_rod"),
+        *("relief_pressure", "cavitation_pressure", "stop_stiffness", "mobility"),
+    ),
+    "edges": tuple(set(EDGE.names or ()) - {"law", "from_node", "to_node"}),
+    "lines": tuple(set(LINE.names or ()) - {"node", "chamber", "cylinder"}),
+    "supply": tuple(name for name, *_ in (*OIL_COLUMNS, *ACCUMULATOR)),
+}
+_FRICTION = tuple(name for name, *_ in FRICTION)
+_MOVING = {
+    "valves": ("delay",),
+    "elements": tuple(set(ELEMENT.names or ()) - {"law", "state", "states"}),
+}
 
 
 def posture(
@@ -140,14 +165,48 @@ def trim(
     return y
 
 
+def asked_at_start(plant: Plant, moves: bool) -> tuple[object, ...]:
+    """All of a plant that its start along a given recording hangs on, which begins at rest or
+    ``moves`` at first: of plants alike in it, the start of one is that of all.
+    """
+    still = plant.cylinders["mount_state"].max(initial=-1) < 0
+    parts: list[object] = [plant.kind, plant.gravity.tobytes(), plant.at]
+    for name in ("links", "cylinders", "nodes", "valves", "elements", "edges", "forces", "lines"):
+        idle = _IDLE.get(name, ()) if moves else (*_IDLE.get(name, ()), *_MOVING.get(name, ()))
+        idle = (*idle, *_FRICTION) if name == "cylinders" and still else idle
+        rows = getattr(plant, name)
+        parts.append(rows.tobytes() if not idle else _without(rows.tobytes(), rows.dtype, idle))
+    parts.append(_without(plant.supply.tobytes(), SUPPLY_LINE, _IDLE["supply"]))
+    return tuple(parts)
+
+
+def _without(packed: bytes, layout: np.dtype, idle: tuple[str, ...]) -> bytes:
+    """The bytes of some rows of a layout but for those of some fields."""
+    rows = np.frombuffer(packed, np.uint8).reshape(-1, layout.itemsize)
+    return rows[:, _bytes_of(layout, idle)].tobytes()
+
+
+@cache
+def _bytes_of(layout: np.dtype, idle: tuple[str, ...]) -> np.ndarray:
+    """Which bytes of a row belong to other fields than some, shape (bytes,)."""
+    own = np.zeros(layout.itemsize, dtype=bool)
+    for name, (kind, first, *_) in (layout.fields or {}).items():
+        own[first : first + kind.itemsize] = name not in idle
+    return np.flatnonzero(own)
+
+
 def settle_parts(plant: Plant, y: np.ndarray) -> None:
     """Put the states of lines and mounts in ``y`` where they are at rest, by the pressures of the
     chambers; what sways goes along with the rods.
     """
-    at: Any = plant.nodes.state
-    for line in plant.lines:
-        y[at[line.node]] = y[at[line.chamber]]
-    for row in plant.cylinders:
+    if plant.lines.size:
+        at: Any = plant.nodes.state
+        for line in plant.lines:
+            y[at[line.node]] = y[at[line.chamber]]
+    table = plant.cylinders
+    if max(table["mount_state"].max(initial=-1), table["sway_state"].max(initial=-1)) < 0:
+        return
+    for row in table:
         mount_settle(row, 0.0, y, plant)
         _, lever, _ = linkage_of(row, y[row.joint])
         sway_settle(row, lever * y[plant.at.rates + row.joint], y)

@@ -19,7 +19,7 @@ from ehbench.record import Record
 from ehbench.rig import Rig
 from ehbench.sensors import Term, corrected, sensed
 from ehbench.signals import correlation_time, white_noise
-from ehbench.starts import start_of_log
+from ehbench.starts import Starts, start_of_log
 
 BLOCK = 0.005  # [s]: residuals are averaged over it
 FINE = 0.005  # share of a channel's spread below which an error does not matter, whatever the noise
@@ -56,13 +56,19 @@ class Case:
         """(a model, a record as sound sensors would have it, the start) of `simulated`."""
         true = corrected(record, self.terms, self.excess)
         if not self.begins_in_motion:
-            return model, true, model.rest_start(true)
+            own = true is self.record
+            return model, true, self._starts.of(model) if own else model.rest_start(true)
         begun = start_of_log(model, true, self.cylinders, self.channels)
         return model, true, begun.at(model, np.zeros(len(begun.doubts)))
 
     def seen(self, replayed: Record) -> Record:
         """A simulation as the log's sensors show it."""
         return sensed(replayed, self.terms, self.excess)
+
+    @cached_property
+    def _starts(self) -> Starts:
+        """What models begin with along the log as it is, from rest."""
+        return Starts(lambda model: model.rest_start(self.record), False)
 
     @cached_property
     def begins_in_motion(self) -> bool:

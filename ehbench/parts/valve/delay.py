@@ -47,11 +47,14 @@ def line_of(plant: Any, tick: float, columns: int = 0) -> Line:
     """The line of a plant that was commanded ``valves.before`` until now, by rows of at least
     so many ``columns``.
     """
-    before, delay = np.array(plant.valves.before, float), plant.valves.delay
+    before, delay = plant.valves["before"], plant.valves["delay"]
     depth = math.ceil(delay.max() / tick) + 2 if delay.any() else 1
-    played = max(0, 1 + int(plant.forces.played.max(initial=-1)) - before.size)
-    held = np.append(before, np.zeros(max(played, columns - before.size)))
-    return Line(float(tick), np.tile(before, (depth, 1)), np.zeros(1, np.int64), held)
+    played = 1 + int(plant.forces["played"].max(initial=-1))
+    held = np.zeros(max(before.size, played, columns))
+    held[: before.size] = before
+    past = np.empty((depth, before.size))
+    past[:] = before
+    return Line(float(tick), past, np.zeros(1, np.int64), held)
 
 
 @part_kernel
