@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise, product
 
 import numpy as np
@@ -100,11 +101,29 @@ def lowpass(y: np.ndarray, sample_time: float, cutoff: float, order: int = 2) ->
     leaves ``y`` as it is."""
     if cutoff >= 0.5 / sample_time:
         return np.asarray(y, dtype=float)
-    from scipy.signal import butter, sosfiltfilt
+    from scipy.signal import sosfilt
+
+    y = np.asarray(y, dtype=float)
+    sections, settled = _butterworth(order, cutoff, sample_time)
+    settled = settled.reshape(*settled.shape, *(1 for _ in y.shape[1:]))
+    pad = min(y.shape[0] - 1, max(9, round(3.0 / (cutoff * sample_time))))
+    # odd about its ends, as SciPy's `sosfiltfilt`, which designs where to begin at each call
+    before, after = 2.0 * y[:1] - y[pad:0:-1], 2.0 * y[-1:] - y[-2 : -pad - 2 : -1]
+    long = np.concatenate([before, y, after])
+    for _ in range(2):
+        long = sosfilt(sections, long, axis=0, zi=settled * long[:1])[0][::-1]
+    return long[pad : pad + y.shape[0]]
+
+
+@lru_cache(32)
+def _butterworth(order: int, cutoff: float, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
+    """(sections of a Butterworth low-pass, their states under a lasting 1); they are for all, and a
+    fit asks for one thousands of times.
+    """
+    from scipy.signal import butter, sosfilt_zi
 
     sections = butter(order, cutoff, fs=1.0 / sample_time, output="sos")
-    pad = min(y.shape[0] - 1, max(9, round(3.0 / (cutoff * sample_time))))
-    return sosfiltfilt(sections, y, axis=0, padlen=pad)
+    return sections, sosfilt_zi(sections)
 
 
 def transients(

@@ -120,6 +120,7 @@ class LawSearch:
         elif self.shared:
             self.offs = [0.0]
         self._queue = list(sites)  # those that refused a law lately go first
+        self._known: dict[Law, tuple[float, float]] = {}  # `best_of` each law that was looked at
 
     def law(self) -> Law:
         """The law with washouts and off-side gain as given, or found.
@@ -135,7 +136,9 @@ class LawSearch:
 
     def best_of(self, law: Law) -> tuple[float, float]:
         """(largest worst damping ratio of a law, its gain)."""
-        return best_gain(self.sites, law, self.gains)
+        if law not in self._known:
+            self._known[law] = best_gain(self.sites, law, self.gains)
+        return self._known[law]
 
     def _best(self, laws: Sequence[Law]) -> Law:
         return max(laws, key=lambda law: self.best_of(law)[0]) if len(laws) > 1 else laws[0]

@@ -28,9 +28,26 @@ def _wide(layout: np.dtype) -> np.dtype:
 @lru_cache(maxsize=64)
 def _whole(layout: np.dtype) -> np.ndarray:
     """Which of the eight-byte words of a row are integers."""
-    names = layout.names or ()
-    words = [layout.fields[name][1] // 8 for name in names if layout[name] != np.float64]  # type: ignore[index]
+    names = [name for name in layout.names or () if layout[name].base != np.float64]
+    words = [layout.fields[name][1] // 8 for name in names]  # type: ignore[index]
     return np.array(words, dtype=np.intp)
+
+
+@lru_cache(maxsize=64)
+def _floats(layout: np.dtype) -> tuple[np.ndarray, np.ndarray]:
+    """Which of the eight-byte words of a row are floats, and of a wide row, shape (floats, LANES),
+    where these go.
+    """
+    names = [name for name in layout.names or () if layout[name] == np.float64]
+    wide = _wide(layout)
+    own = [layout.fields[name][1] // 8 for name in names]  # type: ignore[index]
+    to = [wide.fields[name][1] // 8 for name in names]  # type: ignore[index]
+    return np.array(own, dtype=np.intp), np.array(to, dtype=np.intp)[:, None] + np.arange(LANES)
+
+
+def _words(rows: np.ndarray) -> np.ndarray:
+    """Rows as eight-byte words, bits that are copied whatever they mean; shape (rows, words)."""
+    return rows.view(np.int64).reshape(rows.size, -1)
 
 
 def _tables(plant: Plant) -> dict[str, np.ndarray]:
@@ -49,8 +66,7 @@ def layout_of(plant: Plant) -> tuple[Any, ...]:
     """
     parts: list[Any] = [plant.kind, plant.at, plant.maps.shape, bool(plant.valves["delay"].any())]
     for rows in _tables(plant).values():
-        words = rows.view(np.int64).reshape(rows.size, -1) if rows.size else np.zeros((0, 0))
-        parts.append(words[:, _whole(rows.dtype)].tobytes() if rows.size else rows.size)
+        parts.append(_words(rows)[:, _whole(rows.dtype)].tobytes() if rows.size else rows.size)
     return tuple(parts)
 
 
@@ -75,9 +91,12 @@ def in_lanes(plants: Sequence[Plant]) -> Plant:
     made: dict[str, Any] = {}
     for name, rows in packed[0].items():
         made[name] = wide = table(len(rows), _wide(rows.dtype))
-        lanes = side_by_side([one[name] for one in packed])
-        for key in rows.dtype.names or ():
-            wide[key] = lanes[key] if rows.dtype[key] == np.float64 else rows[key]
+        if rows.size:
+            floats, to = _floats(rows.dtype)
+            each = np.stack([_words(one[name])[:, floats] for one in packed], axis=-1)
+            words, whole = _words(wide.view(np.ndarray)), _whole(rows.dtype)
+            words[:, to] = each
+            words[:, _whole(wide.dtype)] = _words(rows)[:, whole]
     made["supply"] = made["supply"][0]
     made["gravity"] = side_by_side([plant.gravity for plant in plants])
     made["maps"] = side_by_side([plant.maps for plant in plants])
