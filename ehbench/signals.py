@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise, product
+from typing import Any
 
 import numpy as np
 
@@ -122,7 +123,7 @@ def _butterworth(order: int, cutoff: float, sample_time: float) -> tuple[np.ndar
     """
     from scipy.signal import butter, sosfilt_zi
 
-    sections = butter(order, cutoff, fs=1.0 / sample_time, output="sos")
+    sections: Any = butter(order, cutoff, fs=1.0 / sample_time, output="sos")
     return sections, sosfilt_zi(sections)
 
 

@@ -11,8 +11,8 @@ from ehbench.identification.flow_cells import Noise
 from ehbench.identification.flow_deadband import Deadband, Window
 from ehbench.identification.flow_opening import Kink
 from ehbench.identification.flow_readings import Task
-from ehbench.identification.flow_spline import SPANS_U, Spline
-from ehbench.identification.flow_steps import Shape, Solution, solve
+from ehbench.identification.flow_spline import SPANS_U
+from ehbench.identification.flow_steps import KeptSpline, Shape, Solution, solve
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ def flow_std(found: Found, u: np.ndarray, s: np.ndarray, scatter: float) -> np.n
     return np.sqrt(variance + (scatter * flow) ** 2).reshape(u.size, s.size)
 
 
-def _uncertain(found: Found) -> Iterator[list[Spline]]:
+def _uncertain(found: Found) -> Iterator[list[KeptSpline]]:
     """For the deadband and for each kink, the spline with it a standard error lower and higher."""
     shape, deadband = found.shape, found.deadband
     if deadband.std > 0:

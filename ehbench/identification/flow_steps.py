@@ -51,7 +51,7 @@ class Shape:
     kinks: tuple[float, ...] = ()
     rising: float = np.inf
 
-    def spline(self, deadband: float | None = None, soft: bool = False) -> Spline:
+    def spline(self, deadband: float | None = None, soft: bool = False) -> KeptSpline:
         start = self.deadband if deadband is None else deadband
         above = tuple(self.above.tolist())
         return _spline((start, above, self.along_s, soft, self.kinks, self.rising))
@@ -60,19 +60,19 @@ class Shape:
 Asked = tuple[float, tuple[float, ...], Axis, bool, tuple[float, ...], float]
 
 
+class KeptSpline(Spline):
+    """A spline that says by what it was ``asked`` for."""
+
+    asked: Asked
+
+
 @lru_cache(_SPLINES)
-def _spline(asked: Asked) -> _Spline:
+def _spline(asked: Asked) -> KeptSpline:
     """The spline of these arguments: one look after another asks for the same."""
-    return _Spline(asked)
-
-
-class _Spline(Spline):
-    """A spline that says by what it was asked for."""
-
-    def __init__(self, asked: Asked) -> None:
-        deadband, above, *others = asked
-        super().__init__(deadband, np.array(above), *others)
-        self.asked = asked
+    deadband, above, along_s, soft, kinks, rising = asked
+    made = KeptSpline(deadband, np.array(above), along_s, soft, kinks, rising)
+    made.asked = asked
+    return made
 
 
 @lru_cache(_LIKELIHOODS)
@@ -197,7 +197,8 @@ def _score(
 
     def score(point: Point) -> float:
         if point not in known:
-            made or made.append(normal_equations(spline, cells))
+            if not made:
+                made.append(normal_equations(spline, cells))
             known[point] = found(point, *made[0])
         return known[point]
 
@@ -235,7 +236,7 @@ def bend(shape: Shape, cells: Cells) -> Shape:
     return straight if value > plain - _BEND_GAIN else sharp
 
 
-def solve(shape: Shape, spline: _Spline, cells: Cells, near: np.ndarray | None = None) -> Solved:
+def solve(shape: Shape, spline: KeptSpline, cells: Cells, near: np.ndarray | None = None) -> Solved:
     """(coefficients, −2 log likelihood of the spline's deadband with the scale of the noise left
     free, which coefficients are tied to those before).
 
@@ -254,7 +255,7 @@ def solve(shape: Shape, spline: _Spline, cells: Cells, near: np.ndarray | None =
     return known[point]
 
 
-def likelihoods(shape: Shape, splines: Iterable[_Spline], cells: Cells) -> np.ndarray:
+def likelihoods(shape: Shape, splines: Iterable[KeptSpline], cells: Cells) -> np.ndarray:
     """−2 log likelihood of each of some splines, those beside each other of one size."""
     values, near = [], None
     for spline in splines:

@@ -208,3 +208,13 @@ def test_correlation_band_of_independent_coloured_series():
         0.05, abs=0.03
     )  # 150 series of 41 strongly correlated lags
     assert np.mean(white) > 0.3
+
+
+@pytest.mark.parametrize("shape", [(1,), (2,), (300,), (300, 3)])
+def test_lowpass_is_scipys_to_the_bit(shape):
+    from scipy.signal import butter, sosfiltfilt
+
+    y = np.random.default_rng(3).standard_normal(shape)
+    pad = min(shape[0] - 1, 75)
+    there = sosfiltfilt(butter(2, 40.0, fs=1e3, output="sos"), y, axis=0, padlen=pad)
+    np.testing.assert_array_equal(signals.lowpass(y, 1e-3, 40.0), there)
