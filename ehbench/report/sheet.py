@@ -6,12 +6,13 @@ every axis finds its ticks two or three times over.
 
 from __future__ import annotations
 
+from copy import copy
 from functools import lru_cache
 from io import StringIO
 from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.axis import XAxis, YAxis
+from matplotlib.axis import Tick, XAxis, YAxis
 from matplotlib.backends.backend_mixed import MixedModeRenderer
 from matplotlib.backends.backend_svg import FigureCanvasSVG, RendererSVG
 from matplotlib.figure import Figure
@@ -63,11 +64,12 @@ class _Renderer(RendererSVG):
 
 
 class _Axis:
-    """What both axes of a panel do: find their ticks, and the boxes of these labels, once for each
-    place of the panel, while the figure is drawn: nothing else moves them then. A formatter that
-    panels share goes by the numbers of the one that asked last.
+    """What both axes of a panel do: make ticks like their first one; and while the figure is drawn,
+    find ticks, and the boxes of their labels, once for each place of the panel, as nothing else
+    moves them then. A formatter that panels share goes by the numbers of the one that asked last.
     """
 
+    _clipped_by: tuple = ()  # what the panel gave its axis before there were small ticks
     _found: tuple[tuple, list] | None = None  # where, and the ticks
     _boxes: tuple[list, list] | None = None  # of the labels of these ticks
 
@@ -86,12 +88,39 @@ class _Axis:
                 one.asked_by = self
         return self._found[1]
 
+    def set_clip_path(self: Any, path: Any, transform: Any = None) -> None:
+        """matplotlib's own, which makes a small tick of each axis for it."""
+        if "minorTicks" in vars(self):
+            return super().set_clip_path(path, transform)
+        self._clipped_by, self.minorTicks = (path, transform), []
+        super().set_clip_path(path, transform)
+        del self.minorTicks  # matplotlib makes them when they are asked for
+
+    def _get_tick(self: Any, major: bool) -> Tick:
+        ticks = self.majorTicks if major else self.minorTicks
+        if ticks:
+            return _alike(ticks[0])
+        tick = super()._get_tick(major)
+        if not major and self._clipped_by:
+            tick.set_clip_path(*self._clipped_by)
+        return tick
+
     def _get_ticklabel_bboxes(self: Any, ticks: list, renderer: Any) -> tuple[list, list]:
         if self._found is None or ticks is not self._found[1] or not _is_drawn(self):
             return super()._get_ticklabel_bboxes(ticks, renderer)
         if self._boxes is None:
             self._boxes = super()._get_ticklabel_bboxes(ticks, renderer)
         return self._boxes
+
+
+def _alike(tick: Tick) -> Tick:
+    """A tick with the looks of another: to make one from its settings takes ten times as long."""
+    made = copy(tick)
+    parts = tick.get_children()
+    for name, part in vars(tick).items():
+        if any(part is one for one in parts):
+            setattr(made, name, copy(part))
+    return made
 
 
 def _is_drawn(one: Any) -> bool:
