@@ -10,8 +10,10 @@ import sys
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from importlib import resources
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ehbench import rundir
 from ehbench.disk import DATA, read_bytes
@@ -42,6 +44,9 @@ from ehbench.report.stages import place_of, report_of
 from ehbench.report.stages.campaign import Titles, campaign_sections, heading
 from ehbench.report.svg import sound
 from ehbench.report.words import count, words
+
+if TYPE_CHECKING:
+    from jinja2 import Template
 
 
 def build(folders: Sequence[Path], campaign: Campaign | None = None) -> str:
@@ -251,9 +256,25 @@ def _origins(run: Saved) -> Fold:
 def _render(
     title: str, note: Sequence[Block], sections: Sequence[Section], looks: dict[str, str]
 ) -> str:
+    package = resources.files("ehbench.report")
+    style = (package / "page.css").read_text(encoding="utf-8") + "".join(
+        f".{name}{{{look}}}\n" for look, name in looks.items()
+    )
+    style += "@media screen and (prefers-color-scheme: dark) {\n"
+    style += "".join(
+        f".{name}{{{found}}}\n" for look, name in looks.items() if (found := dark(look))
+    )
+    script = (package / "page.js").read_text(encoding="utf-8")
+    return _template().render(
+        title=title, note=note, sections=sections, style=style + "}\n", script=script
+    )
+
+
+@cache
+def _template() -> Template:
+    """The page without what is on it."""
     from jinja2 import Environment, StrictUndefined
 
-    package = resources.files("ehbench.report")
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -264,15 +285,5 @@ def _render(
         hashlib.sha256(text.encode("utf-8")).digest()
     ).decode()
     environment.filters["soft"] = lambda name: name.replace(".", ".\u200b").replace("_", "_\u200b")
-    template = environment.from_string((package / "page.html").read_text(encoding="utf-8"))
-    style = (package / "page.css").read_text(encoding="utf-8") + "".join(
-        f".{name}{{{look}}}\n" for look, name in looks.items()
-    )
-    style += "@media screen and (prefers-color-scheme: dark) {\n"
-    style += "".join(
-        f".{name}{{{found}}}\n" for look, name in looks.items() if (found := dark(look))
-    )
-    script = (package / "page.js").read_text(encoding="utf-8")
-    return template.render(
-        title=title, note=note, sections=sections, style=style + "}\n", script=script
-    )
+    page = resources.files("ehbench.report") / "page.html"
+    return environment.from_string(page.read_text(encoding="utf-8"))

@@ -30,7 +30,8 @@ def _extent(text: str, font: FontProperties) -> tuple[float, float, float]:
 @lru_cache(256)
 def _heights(font: FontProperties) -> tuple[float | None, float | None, float | None]:
     """Ascent, descent and gap between lines of a font [pt], as its own tables say."""
-    face, size = get_font(findfont(font)), font.get_size_in_points()
+    face: Any = get_font(findfont(font))
+    size = font.get_size_in_points()
     scale = 1 / face.get_sfnt_table("head")["unitsPerEm"] * size * DPI / 72
     for name, keys in (
         ("OS/2", ("sTypoAscender", "sTypoDescender", "sTypoLineGap")),
@@ -73,9 +74,13 @@ class _Axis:
     _found: tuple[tuple, list] | None = None  # where, and the ticks
     _boxes: tuple[list, list] | None = None  # of the labels of these ticks
 
+    @property
+    def _as_it_is(self) -> Any:
+        return super()
+
     def _update_ticks(self: Any) -> list:
         if not _is_drawn(self):
-            return super()._update_ticks()
+            return self._as_it_is._update_ticks()
         words = (self.major.formatter, self.minor.formatter)
         place = (*self.get_view_interval(), *self.axes.bbox.bounds)
         if (
@@ -83,7 +88,7 @@ class _Axis:
             or self._found[0] != place
             or any(getattr(one, "asked_by", None) is not self for one in words)
         ):
-            self._found, self._boxes = (place, super()._update_ticks()), None
+            self._found, self._boxes = (place, self._as_it_is._update_ticks()), None
             for one in words:
                 one.asked_by = self
         return self._found[1]
@@ -91,25 +96,25 @@ class _Axis:
     def set_clip_path(self: Any, path: Any, transform: Any = None) -> None:
         """matplotlib's own, which makes a small tick of each axis for it."""
         if "minorTicks" in vars(self):
-            return super().set_clip_path(path, transform)
+            return self._as_it_is.set_clip_path(path, transform)
         self._clipped_by, self.minorTicks = (path, transform), []
-        super().set_clip_path(path, transform)
+        self._as_it_is.set_clip_path(path, transform)
         del self.minorTicks  # matplotlib makes them when they are asked for
 
     def _get_tick(self: Any, major: bool) -> Tick:
         ticks = self.majorTicks if major else self.minorTicks
         if ticks:
             return _alike(ticks[0])
-        tick = super()._get_tick(major)
+        tick = self._as_it_is._get_tick(major)
         if not major and self._clipped_by:
             tick.set_clip_path(*self._clipped_by)
         return tick
 
     def _get_ticklabel_bboxes(self: Any, ticks: list, renderer: Any) -> tuple[list, list]:
         if self._found is None or ticks is not self._found[1] or not _is_drawn(self):
-            return super()._get_ticklabel_bboxes(ticks, renderer)
+            return self._as_it_is._get_ticklabel_bboxes(ticks, renderer)
         if self._boxes is None:
-            self._boxes = super()._get_ticklabel_bboxes(ticks, renderer)
+            self._boxes = self._as_it_is._get_ticklabel_bboxes(ticks, renderer)
         return self._boxes
 
 
@@ -164,10 +169,12 @@ class Sheet(Figure):
         """The whole figure as text, as matplotlib's canvas writes it; what the layout measures with
         is what draws.
         """
-        text, dpi, (width, height) = StringIO(), self.dpi, self.get_size_inches()
+        text, (width, height) = StringIO(), self.get_size_inches()
+        dpi: Any = self.dpi
         self.dpi = DPI
         svg = _Renderer(width * DPI, height * DPI, text, image_dpi=dpi, metadata=metadata)
-        page, canvas = MixedModeRenderer(self, width, height, dpi, svg), self.canvas
+        page: Any = MixedModeRenderer(self, width, height, dpi, svg)
+        canvas: Any = self.canvas
         self.is_drawn, canvas.get_renderer = True, lambda: page
         try:
             self.draw(page)
