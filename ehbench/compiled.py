@@ -338,6 +338,48 @@ class Generic:
         return register
 
 
+_field, _column = np.void.__getitem__, np.ndarray.__getitem__
+
+
+class Row(np.record):
+    """A row of a table. numpy's own looks every name up in Python, also those that numba asks each
+    argument of a kernel for; here only names of fields come so far.
+    """
+
+    __getattribute__ = np.void.__getattribute__
+
+    def __getattr__(self, name: str) -> Any:
+        """A field."""
+        try:
+            return _field(self, name)
+        except (KeyError, ValueError):
+            raise AttributeError(f"no field '{name}'") from None
+
+
+class Table(np.recarray):
+    """A table whose rows are such; `table` makes one."""
+
+    __getattribute__ = np.ndarray.__getattribute__
+
+    def __array_finalize__(self, like: Any) -> None:
+        """Nothing: numpy's own would make its rows those of numpy."""
+
+    def __getitem__(self, index: Any) -> Any:
+        """A column by its name: an array, or a table of the layout that each row has there; rows
+        by anything else.
+        """
+        found = _column(self, index)
+        if isinstance(index, str) and found.dtype.names is None:
+            return found.view(np.ndarray)
+        return found
+
+    def __getattr__(self, name: str) -> Any:
+        """A column."""
+        if name not in (self.dtype.fields or ()):
+            raise AttributeError(f"no column '{name}'")
+        return self[name]
+
+
 Column = tuple[str, Any] | tuple[str, Any, tuple[int, ...]]
 
 
@@ -345,16 +387,16 @@ def record(*columns: Column) -> np.dtype:
     """The layout of one row of a table: a field's name, its type (``f8``, ``i8`` or another layout)
     and, of an array, its shape.
     """
-    return np.dtype((np.record, list(columns)), align=True)
+    return np.dtype((Row, list(columns)), align=True)
 
 
 def table(rows: int, layout: np.dtype) -> np.recarray:
     """A table of rows of a layout, all zero; ``table[i].field`` reads in kernels and in Python."""
-    return np.zeros(rows, layout).view(np.recarray)
+    return np.zeros(rows, layout).view(Table)
 
 
 def table_of(rows: Sequence[Mapping[str, Any]], layout: np.dtype) -> np.recarray:
     """A table of rows given by the names of their fields; what a row does not name is zero."""
     names = layout.names or ()
     values = [tuple(map(row.get, names, repeat(0))) for row in rows]
-    return np.array(values, layout).view(np.recarray)
+    return np.array(values, layout).view(Table)

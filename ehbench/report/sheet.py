@@ -82,7 +82,8 @@ class _Axis:
         if not _is_drawn(self):
             return self._as_it_is._update_ticks()
         words = (self.major.formatter, self.minor.formatter)
-        place = (*self.get_view_interval(), *self.axes.bbox.bounds)
+        sheet = self.get_figure(root=True)
+        place = (sheet.drawings, *self.get_view_interval(), *self.axes.bbox.bounds)
         if (
             self._found is None
             or self._found[0] != place
@@ -156,6 +157,7 @@ class Sheet(Figure):
     """A figure of such panels, drawn as SVG."""
 
     is_drawn = False
+    drawings = 0  # so far
 
     def __init__(self, size: tuple[float, float]) -> None:
         super().__init__(figsize=size)
@@ -176,6 +178,7 @@ class Sheet(Figure):
         page: Any = MixedModeRenderer(self, width, height, dpi, svg)
         canvas: Any = self.canvas
         self.is_drawn, canvas.get_renderer = True, lambda: page
+        self.drawings += 1
         try:
             self.draw(page)
         finally:

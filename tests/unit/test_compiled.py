@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import subprocess
 import sys
 
@@ -86,3 +87,31 @@ def test_old_caches_stay_until_they_are_cleaned():
         assert old.is_dir()
     finally:
         old.rmdir()
+
+
+def test_rows_and_tables_are_those_of_numpy():
+    """Fields, columns, what they hold in turn, and what is no field, as numpy's records have it."""
+    inner = compiled.record(("gain", "f8"), ("count", "i8"))
+    layout = compiled.record(("size", "f8"), ("past", "f8", (3,)), ("inner", inner))
+    made = compiled.table(4, layout)
+    plain = np.zeros(4, np.dtype((np.record, layout.descr))).view(np.recarray)
+    for rows in (made, plain):
+        rows["past"] = np.arange(12.0).reshape(4, 3)
+        rows.inner.gain = 2.0
+        rows[1].past = 7.0
+        rows[2].inner.count = 5
+        rows[3].inner = (3.0, 4)
+    assert made.tobytes() == plain.tobytes() and made.size == plain.size == 4
+    for ours, theirs in ((made, plain), (made[1:], plain[1:]), (made.inner, plain.inner)):
+        assert isinstance(ours, compiled.Table) and isinstance(ours[0], compiled.Row)
+        assert ours.dtype.type is compiled.Row and repr(ours.tolist()) == repr(theirs.tolist())
+    assert type(made.past) is np.ndarray and type(made.inner.gain) is np.ndarray
+    assert type(made[1].past) is np.ndarray and type(made[1].inner.gain) is np.float64
+    made[1].past[0] = 1.0  # what is looked at is the table itself
+    assert made.past[1, 0] == 1.0
+    copied = pickle.loads(pickle.dumps((made, made[2])))
+    assert copied[0].tobytes() == made.tobytes()
+    assert copied[0].inner.count[2] == copied[1].inner.count == 5
+    assert not hasattr(made, "weight") and not hasattr(made[0], "weight")
+    with pytest.raises(AttributeError, match="weight"):
+        made[0].weight = 1.0

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.compiled import table
+from ehbench.compiled import Row, table
 from ehbench.parts.valve.delay import Line, line_of
 from ehbench.plant.build import Plant
 from ehbench.plant.lanes.vectors import LANES
@@ -22,7 +22,7 @@ def _wide(layout: np.dtype) -> np.dtype:
         (name, "f8", (LANES,)) if layout[name] == np.float64 else (name, layout[name])
         for name in names
     ]
-    return np.dtype((np.record, columns), align=True)
+    return np.dtype((Row, columns), align=True)
 
 
 @lru_cache(maxsize=64)
