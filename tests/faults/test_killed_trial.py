@@ -66,6 +66,14 @@ def place(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.fixture
+def gone():
+    """The number of a process that is gone."""
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    return process.pid
+
+
 def started(*arguments):
     return subprocess.Popen([sys.executable, "-c", RUN, *arguments], stderr=subprocess.DEVNULL)
 
@@ -106,26 +114,16 @@ def test_a_killed_trial_keeps_all_but_its_last_second(place, undrawn):
     assert found.code == 3 and "breaks off" in "\n".join(found.lines)
 
 
-def test_what_is_said_of_the_killed_is_not_in_the_run(place, undrawn):
+def test_what_is_said_of_the_killed_is_not_in_the_run(place, undrawn, gone):
     """Two runs with one hash hold the same bytes, whatever lay beside them."""
     first = workflow.run("open.toml")
     kept = (first.folder / "run.json").read_bytes()
-    process = started("--help")
-    process.wait()
-    left = Path("reports") / f".other_12345678.{process.pid}.part"
+    left = Path("reports") / f".other_12345678.{gone}.part"
     left.mkdir()
     write_log(left / "log.mcap", Record(np.arange(3.0), {"press.x": np.zeros(3)}))
     again = workflow.run("open.toml")
     assert (again.folder / "run.json").read_bytes() == kept
     assert any("killed" in note for note in again.notes) and not first.notes
-
-
-@pytest.fixture
-def gone():
-    """The number of a process that is gone."""
-    process = subprocess.Popen([sys.executable, "-c", ""])
-    process.wait()
-    return process.pid
 
 
 def test_two_logs_of_one_name_are_both_kept(tmp_path, gone):
