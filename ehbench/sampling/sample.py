@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from ehbench.plant.lanes.vectors import LANES
 
 # status word by exit code
 STATUS = {
@@ -50,9 +49,14 @@ def samples_of(make: Make, tasks: Sequence[Task]) -> Iterator[Sample]:
     ``ahead`` as go side by side, which changes no sample.
     """
     look: Callable[[Sequence[Task]], None] | None = getattr(make, "ahead", None)
+    if look is None:
+        for task in tasks:
+            yield make(*task)
+        return
+    from ehbench.plant.lanes.vectors import LANES  # and with it the compiler
+
     for first in range(0, len(tasks), LANES):
         part = tasks[first : first + LANES]
-        if look is not None:
-            look(part)
+        look(part)
         for task in part:
             yield make(*task)
