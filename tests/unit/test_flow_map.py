@@ -378,7 +378,8 @@ def test_non_negative_least_squares_are_those_of_scipy(guess):
     for _ in range(20):
         rows = rng.standard_normal((30, 20))
         wanted = rng.standard_normal(30)
-        found = non_negative(rows.T @ rows, rows.T @ wanted, np.full(20, guess))
+        found, zero = non_negative(rows.T @ rows, rows.T @ wanted, np.full(20, guess))
+        np.testing.assert_array_equal(found == 0.0, zero)
         # the normal matrix squares the condition, some 10², of twenty random columns
         np.testing.assert_allclose(found, nnls(rows, wanted)[0], atol=1e-10)
 
@@ -422,7 +423,7 @@ def test_a_splines_bands_and_increments_are_those_of_the_full_matrices(spans, ri
         - np.log(np.delete(prior, least)).sum()
     )
     assert determinant == pytest.approx(exact, abs=1e-6)
-    held, _ = spline.solve(band, right, smoothing)
+    held, _, tied = spline.solve(band, right, smoothing)
     steps = spline.sign * spline.increments(free).ravel()
     above_floor = spline.sign * spline.increments(held - spline.floor).ravel()
     assert steps.min() < 0 <= above_floor.min() + 1e-12
@@ -430,6 +431,11 @@ def test_a_splines_bands_and_increments_are_those_of_the_full_matrices(spans, ri
     slope = spline.sign * spline.over_steps(whole @ held - right)
     at_floor = above_floor < 1e-9
     assert np.abs(slope[~at_floor]).max() < 1e-8 and slope[at_floor].min() > -1e-8
+    # a first guess of what is tied, right or wrong, changes nothing
+    for near in (tied, ~tied, np.zeros_like(tied)):
+        again, _, found = spline.solve(band, right, smoothing, near)
+        np.testing.assert_allclose(again, held, rtol=1e-9, atol=1e-11)
+        np.testing.assert_array_equal(found, tied)
     # the slower way comes to the same
     rest = right - whole @ spline.floor
     slower = spline._by_nnls(spline.penalised(band, smoothing), rest)
