@@ -8,7 +8,7 @@ identification and validation let the whole log say the rest."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -25,7 +25,7 @@ from ehbench.plant.lanes.vectors import LANES
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model, Seen, Start, seen_of
 from ehbench.plant.ties import supplied, tied_words
-from ehbench.plant.trim import asked_at_start, settle_parts
+from ehbench.plant.trim import settle_parts
 from ehbench.preprocessing import moving_at_first, on_at_first
 from ehbench.record import Record
 from ehbench.sensors import Excess, Term, corrected, sensed
@@ -78,11 +78,11 @@ class Starts:
 
     def __init__(self, begin: Callable[[Model], Start], moves: bool) -> None:
         self._begin, self._moves = begin, moves
-        self._known: dict[tuple[object, ...], Start] = {}
+        self._known: dict[Hashable, Start] = {}
 
     def of(self, model: Model) -> Start:
         """The start of a model, which is for all: its state cannot be written."""
-        asked = asked_at_start(model.plant, self._moves)
+        asked = model.asked_at_start(self._moves)
         found = self._known.get(asked)
         if found is None:
             found = self._begin(model)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -94,6 +95,18 @@ class Model:
         loaded = rig.with_payload(payload)
         names = layout(loaded)
         return cls(loaded, build(loaded, names, maps), names, rig)
+
+    def asked_at_start(self, moves: bool) -> Hashable:
+        """All that its start along a recording hangs on, which begins at rest or ``moves`` at
+        first (`trim.asked_at_start`).
+        """
+        if moves not in self._asked:
+            self._asked[moves] = starts.asked_at_start(self.plant, moves)
+        return self._asked[moves]
+
+    @cached_property
+    def _asked(self) -> dict[bool, Hashable]:
+        return {}
 
     def links(self, payload: str | None) -> np.recarray:
         """The links (or the slide) of the plant while they carry another payload.
