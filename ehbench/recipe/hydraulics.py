@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from ehbench.fields import FileModel, Q, Value
 from ehbench.recipe.base import (
@@ -18,6 +18,16 @@ from ehbench.recipe.base import (
 )
 from ehbench.recipe.columns import AnyColumns
 from ehbench.recipe.sensor import Channel, Sensors
+from ehbench.text import shortened
+
+
+def _samples(given: object) -> object:
+    whole = isinstance(given, int) and not isinstance(given, bool) and given >= 1
+    if not whole and given != "auto":
+        raise ValueError(
+            f'{shortened(given, 40)} is no number of samples: a whole number from 1 on, or "auto"'
+        )
+    return given
 
 
 class ComparedResponse(FileModel):
@@ -72,7 +82,7 @@ class HydraulicsRecipe(Recipe):
     )
     channels: tuple[str, ...] = ("qd", "p_head", "p_rod")
     cutoff: Annotated[Value, Q("frequency")] | None = None
-    decimate: Literal["auto"] | Annotated[int, Field(ge=1)] = Field(
+    decimate: Annotated[Literal["auto"] | int, BeforeValidator(_samples)] = Field(
         default="auto",
         description="samples of which the mean is compared with that of the simulation: a number, "
         '1 for each by itself, or `"auto"`: of logs from 3 kHz on as many as cost next to '

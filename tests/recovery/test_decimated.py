@@ -274,14 +274,11 @@ decimate = {given}
 """
 
 
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [("0", "decimate"), ("-3", "decimate"), ("2.5", "decimate"), ('"often"', "decimate")],
-)
-def test_a_recipe_with_no_such_number_of_samples(tmp_path, given, said):
+@pytest.mark.parametrize("given", ["0", "-3", "2.5", "true", '"often"'])
+def test_a_recipe_with_no_such_number_of_samples(tmp_path, given):
     path = tmp_path / "recipe.toml"
     path.write_text(RECIPE.format(rig=RIGS / "slide_servo.toml", given=given))
-    with pytest.raises(InputError, match=said) as told:
+    with pytest.raises(InputError, match="decimate: .* is no number of samples: a whole") as told:
         load_recipe(path)
     assert told.value.line == 7
 
