@@ -619,9 +619,10 @@ def track_flow(rates, learning, weight, stroke, force, oil, gains, memory):
 
 
 @kernel
-def feed_forward(reference, v, oil, circuit, gains):
+def feed_forward(reference, v, more, oil, circuit, gains):
     """What the motion and the leakages take [1/s], ``head·Q1 + rod·Q2``, a valve's lag ahead."""
     soon = gains.valve_lead * reference.a  # what the valves deliver is late by their lag
+    soon += more * (reference.v + soon)
     return oil.head * (circuit.area_head * (v + soon) + oil.lost_head) + oil.rod * (
         circuit.area_rod * (v + soon) + oil.lost_rod
     )
@@ -964,7 +965,7 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
     mixed = stroke.z2 - weight * force.slope * force.z3
     adapt_mechanics(learning, mixed, force, gains, memory)
     rates = load_rate(desired, load, ahead, stroke, force, v, axis, memory)
-    wanted = feed_forward(desired, v, oil, circuit, gains)
+    wanted = feed_forward(desired, v, memory.oil.more, oil, circuit, gains)
     wanted += track_flow(rates, learning, weight, stroke, force, oil, gains, memory)
 
     spool_speed = wanted / (oil.head * circuit.area_head + oil.rod * circuit.area_rod)

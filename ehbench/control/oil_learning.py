@@ -12,11 +12,12 @@ import numpy as np
 from ehbench.compiled import kernel, record
 
 SOFTER, LATER, MORE = range(3)  # what is found: θ4 − 1, lateness [s], share of the flow that lacks
-FIRST = np.array([0.4, 0.01, 0.15])  # standard errors of them at the start
+FIRST = np.array([1.0, 0.01, 0.15])  # standard errors of them at the start
 SCATTER = 0.02  # of the flow at the largest speed: what a comparison may be wrong by
 CORNER = 1.0  # of k3: the low-pass, twice, behind which flows and pressures are compared
 QUIET = 3.0  # over that corner: how long after a change of function nothing is learnt
 FOLLOWS = 2.0  # of k1: the rate at which the law takes over what is found
+MOST = 0.25  # share of the flow that may lack
 SOFTEST = 2.5  # times as soft as the design, or as stiff: the most that the law takes
 FORGETS = 30.0  # [s] over which what was found is doubted anew
 
@@ -30,6 +31,7 @@ OIL = record(
     ("found", "f8", (3,)),
     ("sure", "f8", (3, 3)),
     ("softer", "f8"),
+    ("more", "f8"),
 )
 
 
@@ -43,7 +45,7 @@ def begin_oil(load, bulk, memory):
     SOFTER, LATER and MORE, ``sure`` their covariance, ``softer`` what the law takes of the first.
     """
     memory.bulk = bulk
-    memory.late = memory.quiet = memory.softer = 0.0
+    memory.late = memory.quiet = memory.softer = memory.more = 0.0
     for i in range(2):
         memory.pressed[i] = memory.passed[i] = 0.0
         memory.load[i] = load
@@ -87,7 +89,10 @@ def learn_oil(quiet, given, moved, most, load, gains, memory):
         doubt = (SCATTER * most) ** 2 / (corner * tick)
         correct_oil(memory.pressed[1] - rate, rate, turn, memory.passed[1], doubt, tick, memory)
     goal = min(max(memory.found[SOFTER], 1.0 / SOFTEST - 1.0), SOFTEST - 1.0)
-    memory.softer += min(FOLLOWS * gains.position_bandwidth * tick, 1.0) * (goal - memory.softer)
+    follows = min(FOLLOWS * gains.position_bandwidth * tick, 1.0)
+    memory.softer += follows * (goal - memory.softer)
+    lacks = min(max(memory.found[MORE], -MOST), MOST)
+    memory.more += follows * (lacks / (1.0 - lacks) - memory.more)
 
 
 @kernel
