@@ -65,7 +65,7 @@ from ehbench.control.measured import (
     pressures,
     write,
 )
-from ehbench.control.oil_learning import OIL, begin_oil, learn_oil
+from ehbench.control.oil_learning import OIL, begin_oil, learn_oil, told_already
 from ehbench.control.records import blank, rows_of
 from ehbench.control.trajectory import ORDERS, reference_of
 from ehbench.control.valve_level import Flows, allocate
@@ -619,10 +619,14 @@ def track_flow(rates, learning, weight, stroke, force, oil, gains, memory):
 
 
 @kernel
-def feed_forward(reference, v, more, oil, circuit, gains):
-    """What the motion and the leakages take [1/s], ``head·Q1 + rod·Q2``, a valve's lag ahead."""
-    soon = gains.valve_lead * reference.a  # what the valves deliver is late by their lag
-    soon += more * (reference.v + soon)
+def feed_forward(reference, v, found, oil, circuit, gains):
+    """What the motion and the leakages take [1/s], ``head·Q1 + rod·Q2``, a valve's lag ahead.
+
+    What is ``found`` of flows, that they are later or less than known, counts for the desired
+    motion alone, so that the loop's gain is not theirs."""
+    lead = gains.valve_lead + found.later  # what the valves deliver is late by their lag
+    soon = lead * reference.a
+    soon += found.more[0 if reference.v >= 0.0 else 1] * (reference.v + soon)
     return oil.head * (circuit.area_head * (v + soon) + oil.lost_head) + oil.rod * (
         circuit.area_rod * (v + soon) + oil.lost_rod
     )
@@ -880,6 +884,8 @@ def mend_maps(choice, seen, command, axis, gains, memory, telemetry):
         moving = choice.function != HOLD and not choice.resting
         quiet = moving and memory.state.age > 1.5 * gains.tick
         learn_maps(quiet, seen, telemetry[COLUMNS:], command, axis, gains, memory.maps)
+        oil, told = seen.oil, memory.maps.told
+        told_already(oil.bulk * (oil.head * told[0] - oil.rod * told[1]), memory.oil)
 
 
 @kernel
@@ -965,7 +971,7 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
     mixed = stroke.z2 - weight * force.slope * force.z3
     adapt_mechanics(learning, mixed, force, gains, memory)
     rates = load_rate(desired, load, ahead, stroke, force, v, axis, memory)
-    wanted = feed_forward(desired, v, memory.oil.more, oil, circuit, gains)
+    wanted = feed_forward(desired, v, memory.oil, oil, circuit, gains)
     wanted += track_flow(rates, learning, weight, stroke, force, oil, gains, memory)
 
     spool_speed = wanted / (oil.head * circuit.area_head + oil.rod * circuit.area_rod)

@@ -42,7 +42,9 @@ KNOWN = 0.16  # the same of a deadband that the map has: in flow about as much a
 class MapMemory(NamedTuple):
     """``trim``, (gain, shift [V]) of each edge, shape (edges, 2); ``edges`` and ``chambers``, what
     is learnt from, columns above; ``into``, +1 where an edge's flow enters the head or the rod end,
-    −1 where it leaves, shape (edges, 2); ``clock``, shape (1,), for how long [s] flows were quiet.
+    −1 where it leaves, shape (edges, 2); ``clock``, shape (1,), for how long [s] flows were quiet;
+    ``told``, shape (2,), what the last correction adds to the flow into the head and the rod end at
+    the same commands [m³/s].
     """
 
     trim: np.ndarray
@@ -50,6 +52,7 @@ class MapMemory(NamedTuple):
     chambers: np.ndarray
     into: np.ndarray
     clock: np.ndarray
+    told: np.ndarray
 
 
 def map_memory(circuit: Circuit) -> MapMemory:
@@ -67,7 +70,7 @@ def map_memory(circuit: Circuit) -> MapMemory:
         if circuit.paths[path] >= 0:
             into[circuit.paths[path] - circuit.first] = circuit.along[path] * np.array(ends)
     edges = np.zeros((circuit.count, 7))
-    return MapMemory(circuit.trim, edges, np.zeros((2, 2)), into, np.zeros(1))
+    return MapMemory(circuit.trim, edges, np.zeros((2, 2)), into, np.zeros(1), np.zeros(2))
 
 
 class Seen(NamedTuple):
@@ -126,6 +129,7 @@ def learn_maps(quiet, seen, allocated, command, axis, gains, maps):
     Least squares whose gain is limited, so that no correction goes faster than ``map_bandwidth``,
     then held in the bounds ``map_error`` and ``deadband_error``."""
     ready = follow(quiet, allocated, command, axis, gains, maps)
+    maps.told[0] = maps.told[1] = 0.0
     v, p, oil = seen.v, seen.p, seen.oil
     corner = CORNER * gains.position_bandwidth
     slow = gains.tick * corner
@@ -176,5 +180,9 @@ def correct(side, passed, doubt, least, gains, maps):
         gain = maps.trim[i, GAIN] + way * by_gain / whole * error
         shift = maps.trim[i, SHIFT] + way * by_shift / whole * error
         widest = 1.0 + gains.map_error
-        maps.trim[i, GAIN] = min(max(gain, 1.0 / widest), widest)
-        maps.trim[i, SHIFT] = min(max(shift, -gains.deadband_error), gains.deadband_error)
+        gain = min(max(gain, 1.0 / widest), widest)
+        shift = min(max(shift, -gains.deadband_error), gains.deadband_error)
+        added = (gain - maps.trim[i, GAIN]) * per_gain + (shift - maps.trim[i, SHIFT]) * per_shift
+        maps.told[0] += maps.into[i, 0] * added
+        maps.told[1] += maps.into[i, 1] * added
+        maps.trim[i, GAIN], maps.trim[i, SHIFT] = gain, shift

@@ -1,9 +1,9 @@
-"""What a controller learns of its oil while it moves: how much softer it is than the design's;
-derivation in docs/arc.md.
+"""What a controller learns of its oil and its flows while it moves: how much softer the oil is than
+the design's, how late flows are and what of them lacks; derivation in docs/arc.md.
 
 A flow that the motion does not take presses the oil: ``β0 (u − u_v) = θ4 dP_L/dt``, θ4 the design's
-bulk modulus over the true one. Samples that are late and flows that are wrong look like other oil,
-so both are found along with it."""
+bulk modulus over the true one. Flows that are late or wrong look like other oil, so all are found
+together."""
 
 from __future__ import annotations
 
@@ -11,13 +11,17 @@ import numpy as np
 
 from ehbench.compiled import kernel, record
 
-SOFTER, LATER, MORE = range(3)  # what is found: θ4 − 1, lateness [s], share of the flow that lacks
-FIRST = np.array([1.0, 0.01, 0.15])  # standard errors of them at the start
+# what is found: θ4 − 1, lateness [s], shares of the flow that lack, extending and retracting
+SOFTER, LATER, MORE, BACK = range(4)
+COUNT = 4
+FIRST = np.array([1.0, 0.01, 0.15, 0.15])  # standard errors of them at the start
+OWN = 0.05  # of these shares: what the two directions may differ by
 SCATTER = 0.02  # of the flow at the largest speed: what a comparison may be wrong by
 CORNER = 1.0  # of k3: the low-pass, twice, behind which flows and pressures are compared
 QUIET = 3.0  # over that corner: how long after a change of function nothing is learnt
 FOLLOWS = 2.0  # of k1: the rate at which the law takes over what is found
-MOST = 0.25  # share of the flow that may lack
+MOST = 0.25  # of the flow may lack, or be too much, for all that the law takes
+LATEST = 0.02  # [s]: the most by which the law leads for lateness
 SOFTEST = 2.5  # times as soft as the design, or as stiff: the most that the law takes
 FORGETS = 30.0  # [s] over which what was found is doubted anew
 
@@ -28,10 +32,13 @@ OIL = record(
     ("passed", "f8", (2,)),
     ("load", "f8", (2,)),
     ("quiet", "f8"),
-    ("found", "f8", (3,)),
-    ("sure", "f8", (3, 3)),
+    ("found", "f8", (COUNT,)),
+    ("sure", "f8", (COUNT, COUNT)),
+    ("moves", "f8", (COUNT,)),
+    ("part", "f8", (COUNT,)),
     ("softer", "f8"),
-    ("more", "f8"),
+    ("later", "f8"),
+    ("more", "f8", (2,)),
 )
 
 
@@ -42,17 +49,21 @@ def begin_oil(load, bulk, memory):
 
     ``late`` is the flow behind the valve's lag; ``pressed``, ``passed`` [N/s] and ``load`` [N] are
     behind one low-pass and behind two; ``quiet`` [s] is for how long flows were. ``found`` are
-    SOFTER, LATER and MORE, ``sure`` their covariance, ``softer`` what the law takes of the first.
-    """
+    SOFTER, LATER, MORE and BACK, ``sure`` their covariance, ``moves`` and ``part`` room to work in;
+    ``softer``, ``later`` [s] and ``more``, what is asked for beyond the flow that is wanted, as a
+    share of it, in extension and retraction, are what the law takes of them."""
     memory.bulk = bulk
-    memory.late = memory.quiet = memory.softer = memory.more = 0.0
+    memory.late = memory.quiet = memory.softer = memory.later = 0.0
     for i in range(2):
         memory.pressed[i] = memory.passed[i] = 0.0
         memory.load[i] = load
-    for i in range(3):
+        memory.more[i] = 0.0
+    for i in range(COUNT):
         memory.found[i] = 0.0
-        for j in range(3):
+        for j in range(COUNT):
             memory.sure[i, j] = FIRST[i] * FIRST[i] if i == j else 0.0
+    both = FIRST[MORE] * FIRST[MORE] - OWN * OWN
+    memory.sure[MORE, BACK] = memory.sure[BACK, MORE] = both
 
 
 @kernel
@@ -85,37 +96,56 @@ def learn_oil(quiet, given, moved, most, load, gains, memory):
     memory.quiet = memory.quiet + tick if quiet else 0.0
     if memory.quiet > QUIET / corner:
         rate = corner * (memory.load[0] - memory.load[1])
-        turn = corner * corner * (load - 2.0 * memory.load[0] + memory.load[1])
+        turn = corner * (memory.passed[0] - memory.passed[1])
         doubt = (SCATTER * most) ** 2 / (corner * tick)
         correct_oil(memory.pressed[1] - rate, rate, turn, memory.passed[1], doubt, tick, memory)
-    goal = min(max(memory.found[SOFTER], 1.0 / SOFTEST - 1.0), SOFTEST - 1.0)
-    follows = min(FOLLOWS * gains.position_bandwidth * tick, 1.0)
-    memory.softer += follows * (goal - memory.softer)
-    lacks = min(max(memory.found[MORE], -MOST), MOST)
-    memory.more += follows * (lacks / (1.0 - lacks) - memory.more)
+    take(min(FOLLOWS * gains.position_bandwidth * tick, 1.0), memory)
+
+
+@kernel
+def take(part, memory):
+    """Let the law take over ``part`` of what is found beyond what it has. It leads by no less than
+    the design's lag: it would ask less of a load where it speeds up.
+    """
+    found = memory.found
+    softer = min(max(found[SOFTER], 1.0 / SOFTEST - 1.0), SOFTEST - 1.0)
+    memory.softer += part * (softer - memory.softer)
+    memory.later += part * (min(max(found[LATER], 0.0), LATEST) - memory.later)
+    for way in range(2):
+        lacks = min(max(found[MORE + way], -MOST), MOST)
+        memory.more[way] += part * (lacks / (1.0 - lacks) - memory.more[way])
+
+
+@kernel
+def told_already(mended, memory):
+    """Take from the share that lacks what corrected maps make up for: by them the same commands
+    pass ``mended`` [N/s] more, as β0 times a relative change of volume.
+    """
+    passed = memory.passed[1]
+    if passed != 0.0:
+        way = MORE if passed > 0.0 else BACK
+        memory.found[way] += min(max(mended / passed, -OWN), OWN)
 
 
 @kernel
 def correct_oil(lacking, rate, turn, passed, doubt, tick, memory):
     """One step of least squares: what is ``lacking`` [N/s] is SOFTER·``rate`` + LATER·``turn`` +
-    MORE·``passed``, give or take the variance ``doubt``.
+    MORE·``passed``, or BACK in retraction, give or take the variance ``doubt``.
     """
-    found, sure = memory.found, memory.sure
-    for i in range(3):
+    found, sure, moves, part = memory.found, memory.sure, memory.moves, memory.part
+    for i in range(COUNT):
         first = FIRST[i] * FIRST[i]
         sure[i, i] = min(sure[i, i] + tick / FORGETS * first, max(first, sure[i, i]))
-    soft = sure[0, 0] * rate + sure[0, 1] * turn + sure[0, 2] * passed
-    late = sure[1, 0] * rate + sure[1, 1] * turn + sure[1, 2] * passed
-    more = sure[2, 0] * rate + sure[2, 1] * turn + sure[2, 2] * passed
-    whole = doubt + rate * soft + turn * late + passed * more
-    miss = lacking - found[SOFTER] * rate - found[LATER] * turn - found[MORE] * passed
-    found[SOFTER] += soft / whole * miss
-    found[LATER] += late / whole * miss
-    found[MORE] += more / whole * miss
-    sure[0, 0] -= soft * soft / whole
-    sure[1, 1] -= late * late / whole
-    sure[2, 2] -= more * more / whole
-    sure[0, 1] -= soft * late / whole
-    sure[0, 2] -= soft * more / whole
-    sure[1, 2] -= late * more / whole
-    sure[1, 0], sure[2, 0], sure[2, 1] = sure[0, 1], sure[0, 2], sure[1, 2]
+    moves[SOFTER], moves[LATER] = rate, turn
+    moves[MORE], moves[BACK] = max(passed, 0.0), min(passed, 0.0)
+    whole, miss = doubt, lacking
+    for i in range(COUNT):
+        part[i] = 0.0
+        for j in range(COUNT):
+            part[i] += sure[i, j] * moves[j]
+        whole += moves[i] * part[i]
+        miss -= found[i] * moves[i]
+    for i in range(COUNT):
+        found[i] += part[i] / whole * miss
+        for j in range(COUNT):
+            sure[i, j] -= part[i] * part[j] / whole
