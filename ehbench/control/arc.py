@@ -619,16 +619,23 @@ def track_flow(rates, learning, weight, stroke, force, oil, gains, memory):
 
 
 @kernel
-def feed_forward(reference, v, found, oil, circuit, gains):
-    """What the motion and the leakages take [1/s], ``head·Q1 + rod·Q2``, a valve's lag ahead.
+def asked_speed(reference, found, gains):
+    """The speed [m/s] that valves are asked for so that they give the desired one: ahead by their
+    lag, and by what is ``found`` of flows, that they are later or less than known.
 
-    What is ``found`` of flows, that they are later or less than known, counts for the desired
-    motion alone, so that the loop's gain is not theirs."""
-    lead = gains.valve_lead + found.later  # what the valves deliver is late by their lag
-    soon = lead * reference.a
-    soon += found.more[0 if reference.v >= 0.0 else 1] * (reference.v + soon)
-    return oil.head * (circuit.area_head * (v + soon) + oil.lost_head) + oil.rod * (
-        circuit.area_rod * (v + soon) + oil.lost_rod
+    That counts for the desired motion alone, so that the loop's gain is not theirs."""
+    soon = reference.v + (gains.valve_lead + found.later) * reference.a
+    return soon * (1.0 + found.more[0 if reference.v >= 0.0 else 1])
+
+
+@kernel
+def feed_forward(asked, v, oil, circuit):
+    """What the motion and the leakages take [1/s], ``head·Q1 + rod·Q2``; ``asked`` [m/s] is what
+    the desired speed is asked for by beyond itself.
+    """
+    speed = v + asked
+    return oil.head * (circuit.area_head * speed + oil.lost_head) + oil.rod * (
+        circuit.area_rod * speed + oil.lost_rod
     )
 
 
@@ -750,6 +757,8 @@ def share_flows(choice, reference, wanted, oil, p, opened, axis, memory):
         choice, reference.v, stiff * oil.head, stiff * oil.rod, p, circuit, gains, state
     )
     piston = reference.v + gains.valve_lead * reference.a + extra
+    if (METERED[function] == HEAD) == (DIRECTION[function] < 0):
+        piston = asked_speed(reference, memory.oil, gains) + extra  # or it would run empty
     way = DIRECTION[function]
     if METERED[function] == HEAD:
         off = forward(way, circuit.area_rod * piston + oil.lost_rod)
@@ -971,7 +980,8 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
     mixed = stroke.z2 - weight * force.slope * force.z3
     adapt_mechanics(learning, mixed, force, gains, memory)
     rates = load_rate(desired, load, ahead, stroke, force, v, axis, memory)
-    wanted = feed_forward(desired, v, memory.oil, oil, circuit, gains)
+    asked = asked_speed(desired, memory.oil, gains)
+    wanted = feed_forward(asked - desired.v, v, oil, circuit)
     wanted += track_flow(rates, learning, weight, stroke, force, oil, gains, memory)
 
     spool_speed = wanted / (oil.head * circuit.area_head + oil.rod * circuit.area_rod)
