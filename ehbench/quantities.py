@@ -1081,7 +1081,7 @@ _ROWS = [
         "adapt_oil",
         "dimensionless",
         "dimensionless",
-        "whether planned flows go by the bulk modulus that pressures tell",
+        "whether plans go by the oil, lateness and lacking flow that pressures tell",
         0,
         1,
     ),

@@ -88,3 +88,19 @@ def test_what_is_taken_has_bounds():
     told = ran({"bulk_modulus": 0.25}).record["boom.bulk_measured"]
     assert told.min() > 0.999 * DESIGN / 2.5
     assert told[-1] == pytest.approx(DESIGN / 2.5, rel=0.1)
+
+
+@pytest.mark.parametrize(("factor", "share"), [(0.9, 0.8), (1.1, 0.4)])
+def test_flow_that_lacks_is_asked_for_within_the_first_ramp(factor, share):
+    """Of 10 % less flow a valve at its end is left, of 10 % more hardly anything."""
+    with_it, without = (ran({"flow": factor}, adapt_oil=on).facts.measures for on in (True, False))
+    assert with_it["limit_cycle"] is None
+    assert with_it["tracking"]["max_error"] < share * without["tracking"]["max_error"]
+    assert with_it["tracking"]["max_error"] < 1.5e-3
+
+
+def test_valves_that_are_late_are_asked_ahead():
+    with_it, without = (
+        ran({"valve_lag": 2.0}, adapt_oil=on).facts.measures for on in (True, False)
+    )
+    assert with_it["tracking"]["rms_error"] < 0.8 * without["tracking"]["rms_error"]

@@ -177,7 +177,8 @@ def test_a_spool_as_fast_as_cartridges_comes_to_rest():
 def test_the_overlap_of_a_spool_is_learnt():
     """The slide's rig file has none: the bench's costs a fifth of the flow."""
     with_maps, without = (
-        facts_of("slide_servo", None, {}, adapt_maps=on).measures for on in (True, False)
+        facts_of("slide_servo", None, {}, adapt_maps=on, adapt_oil=False).measures
+        for on in (True, False)
     )
     assert with_maps["limit_cycle"] is None
     for edge, one in with_maps["maps"].items():
