@@ -7,6 +7,8 @@ together."""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ehbench.compiled import kernel, record
@@ -27,6 +29,7 @@ FORGETS = 30.0  # [s] over which what was found is doubted anew
 
 OIL = record(
     ("bulk", "f8"),
+    ("weighed", "f8"),
     ("late", "f8"),
     ("pressed", "f8", (2,)),
     ("passed", "f8", (2,)),
@@ -48,11 +51,13 @@ def begin_oil(load, bulk, memory):
     ``bulk`` the design's bulk modulus [Pa].
 
     ``late`` is the flow behind the valve's lag; ``pressed``, ``passed`` [N/s] and ``load`` [N] are
-    behind one low-pass and behind two; ``quiet`` [s] is for how long flows were. ``found`` are
-    SOFTER, LATER, MORE and BACK, ``sure`` their covariance, ``moves`` and ``part`` room to work in;
-    ``softer``, ``later`` [s] and ``more``, what is asked for beyond the flow that is wanted, as a
-    share of it, in extension and retraction, are what the law takes of them."""
+    behind one low-pass and behind two; ``quiet`` [s] is for how long flows were,
+    ``weighed`` [kg] the payload that what is found belongs to. ``found`` are SOFTER, LATER, MORE
+    and BACK, ``sure`` their covariance, ``moves`` and ``part`` room to work in; ``softer``,
+    ``later`` [s] and ``more``, what is asked for beyond the flow that is wanted, as a share of it,
+    in extension and retraction, are what the law takes of them."""
     memory.bulk = bulk
+    memory.weighed = math.nan
     memory.late = memory.quiet = memory.softer = memory.later = 0.0
     for i in range(2):
         memory.pressed[i] = memory.passed[i] = 0.0
@@ -64,6 +69,20 @@ def begin_oil(load, bulk, memory):
             memory.sure[i, j] = FIRST[i] * FIRST[i] if i == j else 0.0
     both = FIRST[MORE] * FIRST[MORE] - OWN * OWN
     memory.sure[MORE, BACK] = memory.sure[BACK, MORE] = both
+
+
+@kernel
+def weigh_anew(payload, other, memory):
+    """Drop what is found where another ``payload`` [kg] is on board, by more than ``other`` [kg],
+    and learn nothing until the flows change their function or rest: the rest of such a motion leads
+    back an error that tells little of the oil.
+    """
+    if math.isnan(memory.weighed):
+        memory.weighed = payload
+    if abs(payload - memory.weighed) > other:
+        memory.weighed, memory.quiet = payload, -math.inf
+        for i in range(COUNT):
+            memory.found[i] = 0.0
 
 
 @kernel
@@ -119,12 +138,15 @@ def take(part, memory):
 @kernel
 def told_already(mended, memory):
     """Take from the share that lacks what corrected maps make up for: by them the same commands
-    pass ``mended`` [N/s] more, as β0 times a relative change of volume.
+    pass ``mended`` [N/s] more, as β0 times a relative change of volume. What that share told of the
+    other direction goes with it.
     """
     passed = memory.passed[1]
-    if passed != 0.0:
-        way = MORE if passed > 0.0 else BACK
-        memory.found[way] += min(max(mended / passed, -OWN), OWN)
+    if passed != 0.0 and memory.quiet >= 0.0:
+        way, other = (MORE, BACK) if passed > 0.0 else (BACK, MORE)
+        told = min(max(mended / passed, -OWN), OWN)
+        memory.found[way] += told
+        memory.found[other] += told * memory.sure[way, other] / memory.sure[way, way]
 
 
 @kernel
