@@ -84,7 +84,7 @@ BACK = 4.0  # of that nearness [m/s]: oil that is wanted against the error turns
 FRESH = 3.0  # over the time since a change of function: as fast drops are followed then [rad/s]
 FORGETS = 5.0  # over k1: how long what pressures told of the payload counts
 FAINTLY = 0.1  # [(N/kg)²] of a payload's pull and inertia: what is less tells hardly anything of it
-ANOTHER = 0.15  # of the payload's bound: what is more than that is another load
+ANOTHER = 0.15  # of the payload's bound: what is more, beyond the interval's half, is another load
 NOTHING = 1e-6  # [(N/kg)²]
 OFFSET = 0.1  # of the disturbance's bound: what zeros of the sensors may make
 DAMPED = 0.2  # share of the damping that may be wrong
@@ -884,7 +884,8 @@ def feel_oil(choice, flows, limits, load_force, v, oil, axis, memory):
     per_speed = oil.bulk * (oil.head * circuit.area_head + oil.rod * circuit.area_rod)
     moved = per_speed * v + oil.bulk * (oil.head * oil.lost_head + oil.rod * oil.lost_rod)
     most = per_speed * gains.speed_correction
-    weigh_anew(memory.state.payload, ANOTHER * gains.upper[PAYLOAD_SHARE], memory.oil)
+    other = memory.state.half + ANOTHER * gains.upper[PAYLOAD_SHARE]
+    weigh_anew(memory.state.payload, other, memory.oil)
     learn_oil(quiet, given, moved, most, load_force, gains, memory.oil)
 
 
