@@ -884,8 +884,10 @@ def feel_oil(choice, flows, limits, load_force, v, oil, axis, memory):
     per_speed = oil.bulk * (oil.head * circuit.area_head + oil.rod * circuit.area_rod)
     moved = per_speed * v + oil.bulk * (oil.head * oil.lost_head + oil.rod * oil.lost_rod)
     most = per_speed * gains.speed_correction
-    other = memory.state.half + ANOTHER * gains.upper[PAYLOAD_SHARE]
-    weigh_anew(memory.state.payload, other, memory.oil)
+    bound = gains.upper[PAYLOAD_SHARE]
+    if memory.state.half < 0.5 * bound:
+        other = memory.state.half + ANOTHER * bound
+        weigh_anew(memory.state.payload, other, memory.oil)
     learn_oil(quiet, given, moved, most, load_force, gains, memory.oil)
 
 
