@@ -985,8 +985,7 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
     mixed = stroke.z2 - weight * force.slope * force.z3
     adapt_mechanics(learning, mixed, force, gains, memory)
     rates = load_rate(desired, load, ahead, stroke, force, v, axis, memory)
-    asked = asked_speed(desired, memory.oil, gains)
-    wanted = feed_forward(asked - desired.v, v, oil, circuit)
+    wanted = feed_forward(asked_speed(desired, memory.oil, gains) - desired.v, v, oil, circuit)
     wanted += track_flow(rates, learning, weight, stroke, force, oil, gains, memory)
 
     spool_speed = wanted / (oil.head * circuit.area_head + oil.rod * circuit.area_rod)
