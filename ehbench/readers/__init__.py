@@ -146,8 +146,6 @@ def _read(
     reader: Reader, read: Callable[[Path, Dialect], Source], path: Path, dialect: Dialect
 ) -> Source:
     """What a reader makes of a file; whatever it raises is one sentence."""
-    collects = gc.isenabled()
-    gc.disable()  # all that it makes stays among the young, which are looked through in no time
     try:
         return read(path, dialect)
     except EhbenchError as error:
@@ -160,10 +158,7 @@ def _read(
         said = "it is too large"
     except Exception as error:  # the libraries raise all kinds on a damaged file
         said = str(error) or type(error).__name__
-    finally:
-        if collects:
-            gc.enable()
-    gc.collect(0)  # what they leave of it complains as it goes
+    gc.collect()  # what they leave of it complains as it goes
     raise LogError(f"cannot be read as {reader.name}: {said}", file=path)
 
 

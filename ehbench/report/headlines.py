@@ -91,9 +91,12 @@ def _hydraulics(run: Saved) -> Findings:
     known.sort(key=lambda one: (one["status"] != "estimated", one["name"] != "bulk_modulus"))
     numbers = [_parameter(rig, one, PARAMETER if i == 0 else OFTEN) for i, one in enumerate(known)]
     weak = [one for one in fit["parameters"] if one["status"] != "estimated"]
-    against = [*filter(None, [fit.get("left_over")])]
-    against += [f"{one['name']} is {words(one['status'])}" for one in weak]
-    return Findings(numbers, [FigureKey("parameters")], against, [_cure(one) for one in weak])
+    left = str(fit.get("left_over") or "").partition(":")[0]  # what it means stands in the chapter
+    against = [left] * bool(left) + [f"{one['name']} is {words(one['status'])}" for one in weak]
+    cures = ["ask ehbench identify --suggest what the fitted model lacks"] * bool(left)
+    return Findings(
+        numbers, [FigureKey("parameters")], against, cures + [_cure(one) for one in weak]
+    )
 
 
 _CURES = {

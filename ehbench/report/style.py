@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -62,18 +63,21 @@ def canvas(
     on nothing else. What the host draws with, and its figures, are left as they are.
     """
     import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
     from matplotlib.rcsetup import cycler
-
-    from ehbench.report.sheet import Sheet
 
     settings: Any = _RC | {"axes.prop_cycle": cycler(color=CYCLE)}
     with matplotlib.rc_context(settings):
-        figure = Sheet(size)
+        figure = Figure(figsize=size)
+        page = FigureCanvasSVG(figure)
         yield figure, figure.subplots(rows, columns, **kwargs)
         path.parent.mkdir(parents=True, exist_ok=True)
         _let_formulas(figure)
-        text = figure.svg({"Date": None, "Creator": "ehbench"})
-        path.write_text(shrink(text), encoding="utf-8")
+        text = StringIO()
+        # savefig would draw twice where a layout engine is on: once for the layout alone
+        page.print_svg(text, metadata={"Date": None, "Creator": "ehbench"})
+        path.write_text(shrink(text.getvalue()), encoding="utf-8")
 
 
 def _let_formulas(figure: Figure) -> None:

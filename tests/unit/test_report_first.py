@@ -237,7 +237,9 @@ def test_what_a_fit_leaves_over_speaks_against_it(folders, tmp_path):
     folder = tmp_path / "fit"
     shutil.copytree(folders[0], folder)
     table = json.loads((folder / "parameters.json").read_text())
-    before = list(findings_of(Saved(folder)).against)
+    before = findings_of(Saved(folder))
     said = "the model leaves 27 % of boom.p_rod in a, 3 times its noise"
-    write_json(folder / "parameters.json", table | {"left_over": said})
-    assert list(findings_of(Saved(folder)).against) == [said, *before]
+    write_json(folder / "parameters.json", table | {"left_over": f"{said}: something is missing"})
+    found = findings_of(Saved(folder))
+    assert list(found.against) == [said, *before.against]
+    assert "--suggest" in found.next[0] and list(found.next[1:]) == list(before.next)
