@@ -115,12 +115,14 @@ class Journal:
                 yield _sample(json.loads(file.readline()))
 
     def close(self) -> None:
-        """Let the file go."""
+        """Let the file go; one without a sample goes altogether."""
         try:
             self._file.close()
         except OSError as error:  # what could not be written is said already
             if error.errno not in FULL:
                 raise
+        if not self.done.any():
+            self.path.unlink(missing_ok=True)
 
 
 def _line(one: Sample) -> bytes:

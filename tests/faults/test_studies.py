@@ -215,6 +215,16 @@ def test_a_cluster_makes_the_same_bytes(study, cluster, tmp_path):
     same(here, there.folder)
 
 
+def test_where_nobody_answers_nothing_is_left(study, tmp_path, monkeypatch):
+    from ehbench.sampling import cluster as module
+
+    monkeypatch.setattr(module, "CONNECT", 0.5)
+    where = workflow.Where.of("tcp://127.0.0.1:9")
+    with pytest.raises(InputError, match="no Dask scheduler answers"):
+        workflow.run(study[0], workflow.Session(out=tmp_path / "run", where=where))
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_killed_study_goes_on(study, tmp_path):
     path, here = study
     out = tmp_path / "run"
