@@ -154,8 +154,14 @@ def test_learning_maps_costs_no_margin_on_the_virtual_bench(change):
     assert with_maps["limit_cycle"] is None
     assert with_maps["tracking"]["rms_error"] < 1.05 * without["tracking"]["rms_error"]
     if "flow" in change:
-        default = run(prepared("50 lb", on="bench", machine=change)).facts.measures
+        default, given = (
+            run(
+                prepared("50 lb", on="bench", machine=change, gains={"adapt_maps": on})
+            ).facts.measures  # with the defaults of the rest
+            for on in (True, False)
+        )
         assert default["limit_cycle"] is None
+        assert default["tracking"]["rms_error"] < 0.9 * given["tracking"]["rms_error"]
         for one in (with_maps, default):
             assert one["tracking"]["rms_error"] < 0.7 * without["tracking"]["rms_error"]
 
