@@ -17,7 +17,7 @@ from ehbench.identification.groups import Group
 from ehbench.identification.means import said
 from ehbench.identification.search import Coordinate
 from ehbench.identification.simulator import Log, Shifts, Simulator, channels_of, seen_as
-from ehbench.identification.volumes import held_volumes
+from ehbench.identification.held import counts_on
 from ehbench.observations import noise_of, supply_off
 from ehbench.plant.ties import tied_words
 from ehbench.quantities import GAUGES, quantity
@@ -263,7 +263,7 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
         recordings=tuple(recordings),
         sensors=tuple(found.sensors),
         groups=tuple(found.groups),
-        counts_on=held_volumes(
+        counts_on=counts_on(
             simulator.rig,
             [one.name for one in found.fitted if one.interval is not None],
             {

@@ -13,7 +13,7 @@ import pytest
 
 from ehbench import inspection, simulate
 from ehbench.identification.hydraulics import HydraulicsFit, identify_hydraulics
-from ehbench.identification.volumes import held_volumes
+from ehbench.identification.held import counts_on
 from ehbench.logs import write_log
 from ehbench.observations import SUPPLY_OFF
 from ehbench.plant.model import Model
@@ -105,9 +105,9 @@ def test_what_a_bulk_modulus_counts_on_is_by_how_much_more_would_move_it():
         found = 100.0 * (second[STIFF].value / first[STIFF].value - 1.0)
         assert found == pytest.approx(float(share), rel=0.15)
     free = [STIFF, LOSS, *(f"press.{key}" for key in VOLUMES)]
-    (text,) = held_volumes(rig(), free, {"press": [log()]})
+    (text,) = counts_on(rig(), free, {"press": [log()]})
     assert text.startswith("bulk_modulus counts on the inertia that moves: with 10 % more inertia")
-    assert held_volumes(rig(), [*free, "carriage.mass"], {"press": [log()]}) == ()
+    assert counts_on(rig(), [*free, "carriage.mass"], {"press": [log()]}) == ()
 
 
 def test_a_validation_says_that_the_supply_is_another():

@@ -13,7 +13,7 @@ WORD = "bulk_modulus"
 MORE = 0.1  # share by which volumes and inertia are thought larger
 
 
-def held_volumes(
+def counts_on(
     rig: Rig, fitted: Sequence[str], replays: Mapping[str, Sequence[Record]]
 ) -> tuple[str, ...]:
     """A sentence for each fitted bulk modulus whose cylinders' volumes or inertia are held.
