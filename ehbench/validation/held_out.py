@@ -1,10 +1,13 @@
 """Which samples of a log a model was fitted to: by the rows themselves, whatever file they are in.
 
 A row is the readings of all channels at one time. A copy of a log under another name, in another
-format or with more samples has the same rows; another window of the same log has not."""
+format or with more samples has the same rows; another window of the same log has not. A copy that
+was rounded or put on another time base has no such rows, but its noise is that of the fitted
+samples, where a second recording of the same test has noise of its own."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -18,6 +21,14 @@ ON_TIME = 0.3  # share of the sample time likewise
 LEAST_ROWS = 8  # fewer in a run are a boundary that two windows share
 PROBES = 24  # rows looked for to find by how much the time of a copy is shifted
 AGREE = 0.5  # share of the probes found that must agree on the shift
+BLOCK = 64  # samples over which two noises are compared
+QUIET = 4  # blocks between two that are alike, which count as alike
+# of its noise, what two readings of one sample differ by at most, rms: rounded or interpolated
+# anew by up to 0.5, where two recordings differ by at least 1, in less than one block of a million
+# by so little
+LESS = 0.6
+FINEST, FINE = 0.1, 0.5  # which quantile of a channel's steps is below which share of its noise
+MAD = 1.4826  # standard deviation of normal noise over the median of its size
 
 
 class Rows(NamedTuple):
@@ -45,7 +56,7 @@ def overlaps(record: Record, fitted: Sequence[Rows], digest: str = "") -> tuple[
             within = (record.t >= rows.t[0]) & (record.t <= rows.t[-1])
             found += _runs(record.t, within, rows)
         else:
-            found += _overlaps(record, rows)
+            found += _overlaps(record, rows) or _same_noise(record, rows)
     return tuple(sorted(found, key=lambda one: (one.start, one.log)))
 
 
@@ -74,6 +85,118 @@ def _overlaps(record: Record, rows: Rows) -> list[Overlap]:
         for one in _runs(record.t, same, rows)
         if _moves(mine[(record.t >= one.start) & (record.t <= one.stop)], allowed)
     ]
+
+
+def _same_noise(record: Record, rows: Rows) -> list[Overlap]:
+    """Where a record has the noise of fitted samples, though not their rows."""
+    names = [name for name in rows.channels if name in record]
+    levels = {name: _white(rows.channels[name]) for name in names}
+    names = [name for name in names if _tells(rows.channels[name], levels[name])]
+    if not names or min(rows.t.size, record.t.size) < BLOCK:
+        return []
+    noise = np.array([levels[name] for name in names])
+    mine = np.column_stack([record[name] for name in names])
+    theirs = np.column_stack([rows.channels[name] for name in names])
+    best: np.ndarray = np.zeros(record.t.size, dtype=bool)
+    for shift in {0.0, _aligned(record.t, mine / noise, rows.t, theirs / noise)}:
+        same = _blocks(record.t - shift, mine / noise, rows.t, theirs / noise)
+        best = max(best, same, key=np.count_nonzero)
+    at = np.flatnonzero(best)
+    tick = max(float(np.median(np.diff(record.t))), float(np.median(np.diff(rows.t))))
+    for first, last in zip(at[:-1], at[1:], strict=True):  # blocks between that were too quiet
+        if last - first > 1 and record.t[last] - record.t[first] < QUIET * BLOCK * tick:
+            best[first:last] = True
+    return _runs(record.t, best, rows)
+
+
+def _white(y: np.ndarray) -> float:
+    """Standard deviation of a channel's white noise, by the median of its third differences, which
+    steps and ringing hardly touch.
+    """
+    return MAD * float(np.median(np.abs(np.diff(y, 3)))) / math.sqrt(20.0) if y.size > 3 else 0.0
+
+
+def _tells(y: np.ndarray, noise: float) -> bool:
+    """Whether a channel has a noise of its own, not only that of its counts: the smallest steps
+    between its readings are finer than its noise.
+    """
+    steps = np.diff(np.unique(y))
+    fine = steps.size > 0 and float(np.quantile(steps, FINEST)) < FINE * noise
+    return fine and noise > SAME * float(np.max(np.abs(y)))
+
+
+def _blocks(t: np.ndarray, mine: np.ndarray, when: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+    """Which samples of ``mine``, shape (samples, channels), stand in blocks in which ``theirs`` is
+    nearer than its noise, which is 1: half at least of the channels that have some there.
+
+    Each is compared at the other's times, on straight lines between samples, and the slower also
+    with the faster's means over its sample time.
+    """
+    slower, faster = ((t, mine), (when, theirs))
+    if np.median(np.diff(t)) < np.median(np.diff(when)):
+        slower, faster = faster, slower
+    same = np.zeros(t.size, dtype=bool)
+    for one, other, between in (
+        (slower, faster, _at),
+        (slower, faster, _means),
+        (faster, slower, _at),
+    ):
+        inside = (one[0] >= other[0][0]) & (one[0] <= other[0][-1])
+        at, y = one[0][inside], one[1][inside]
+        if at.size < BLOCK:
+            continue
+        left = y - between(at, *other)
+        for first in range(0, at.size - BLOCK + 1, BLOCK):
+            block = slice(first, first + BLOCK)
+            noisy = _rms(np.diff(y[block], 3, axis=0)) > AGREE * math.sqrt(20.0)
+            near = _rms(left[block])[noisy] < LESS
+            if noisy.any() and np.mean(near) >= AGREE:
+                same |= (t >= at[first]) & (t <= at[block.stop - 1])
+    return same
+
+
+def _rms(y: np.ndarray) -> np.ndarray:
+    """Of each channel, the root of its mean square."""
+    return np.sqrt(np.mean(y**2, axis=0))
+
+
+def _at(at: np.ndarray, t: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Channels between their samples, on straight lines."""
+    return np.column_stack([np.interp(at, t, column) for column in y.T])
+
+
+def _means(at: np.ndarray, t: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Means of channels over a sample time about each of some times: differences of their running
+    sums.
+    """
+    half, tick = 0.5 * float(np.median(np.diff(at))), float(np.median(np.diff(t)))
+    edges = np.append(t - 0.5 * tick, t[-1] + 0.5 * tick)
+    sums = np.vstack([np.zeros(y.shape[1]), np.cumsum(y * tick, axis=0)])
+    return (_at(at + half, edges, sums) - _at(at - half, edges, sums)) / (2.0 * half)
+
+
+def _aligned(t: np.ndarray, mine: np.ndarray, when: np.ndarray, theirs: np.ndarray) -> float:
+    """By how much [s] a record is later than fitted samples that it looks most alike: the peak of
+    the correlation of the channel that moves most, refined by least squares.
+    """
+    from scipy.signal import correlate
+
+    column = int(np.argmax(np.std(theirs, axis=0)))
+    y, other = mine[:, column], theirs[:, column]
+    tick = float(np.median(np.diff(when)))
+    grid = np.arange(t[0], t[-1], tick)
+    first, second = np.diff(np.interp(grid, t, y)), np.diff(other)
+    lag = int(np.argmax(correlate(first, second, "full"))) - (second.size - 1)
+    shift = float(t[0] - when[0]) + lag * tick
+    slope = np.gradient(other, when)
+    for _ in range(4):
+        inside = (t - shift >= when[0]) & (t - shift <= when[-1])
+        steep = np.interp(t[inside] - shift, when, slope)
+        left = y[inside] - np.interp(t[inside] - shift, when, other)
+        if not (steep**2).sum() > 0.0:
+            break
+        shift -= float(np.clip((left @ steep) / (steep @ steep), -tick, tick))
+    return shift
 
 
 def _moves(readings: np.ndarray, allowed: np.ndarray) -> bool:

@@ -12,6 +12,8 @@ import pytest
 from ehbench import workflow
 from ehbench.errors import InputError
 from ehbench.recipe import load_recipe
+from ehbench.report.saved import Saved
+from ehbench.report.stages.response import section
 from ehbench.signals import lowpass
 from ehbench.transfer import transfers
 
@@ -74,6 +76,8 @@ def test_a_servohydraulic_sweep_is_one_pole_and_a_delay(undrawn, tmp_path):
     assert best["fit_percent"][0] > 94.7 and best["fit_percent"][1] > 94.5
     (two,) = (one for one in others if one["form"] == "two poles")
     assert np.all(np.array(best["fit_percent"]) > np.array(two["fit_percent"]))
+    said = section(Saved(made.folder), lambda *_: ()).sentence
+    assert "first order and delay is preferred, 45.2 ± 2.6 rad/s and 4.50 ± 0.57 ms" in said
 
 
 def test_an_actuator_of_unknown_scales_is_followed_freely(undrawn, tmp_path):

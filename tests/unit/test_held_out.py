@@ -71,6 +71,39 @@ def test_a_copy_with_more_samples_or_a_shifted_time_is_no_other_log(log, rig):
     assert len(overlaps(bare, fitted)) == 1, "a copy may lack channels"
 
 
+@pytest.mark.parametrize(
+    ("rate", "digits", "late"), [(1000, 4, 0.0), (1700, 12, 0.0), (1700, 5, 5.0031), (730, 5, 0.0)]
+)
+def test_a_rounded_or_resampled_copy_is_no_other_log(log, rate, digits, late):
+    """None of its rows is one of the log's."""
+    fitted = [rows_of(part(log, 0.5, 2.0))]
+    t = np.arange(0.0, log.t[-1], 1.0 / rate)
+    made = {n: np.interp(t, log.t, y) for n, y in log.channels.items()}
+    copy = {n: np.array([float(f"{v:.{digits}g}") for v in y]) for n, y in made.items()}
+    (found,) = overlaps(Record(t + late, copy, log.meta), fitted)
+    assert (found.start, found.stop) == pytest.approx((0.5 + late, 2.0 + late), abs=0.1)
+    assert not overlaps(part(Record(t, copy, log.meta), 2.0, 4.0), fitted), "another window"
+
+
+def test_a_log_is_seen_in_the_means_of_its_samples(log):
+    """A fit of a fast log saves the means that it compared."""
+    whole = log.t.size // 10 * 10
+    tens = {n: y[:whole].reshape(-1, 10).mean(axis=1) for n, y in log.channels.items()}
+    means = rows_of(Record(log.t[:whole].reshape(-1, 10).mean(axis=1), tens, log.meta))
+    (found,) = overlaps(log, [means])
+    assert found.stop - found.start > 3.5
+
+
+@pytest.mark.parametrize("kind", ["steps", "sine"])
+@pytest.mark.parametrize("rate", [1000, 1700, 500])
+def test_no_noise_is_taken_for_another(rig, kind, rate):
+    """Two recordings of one test, which differ by their sensors' noise alone."""
+    one, other = (virtual_log("slide_servo", rig, kind, seed) for seed in (1, 2))
+    t = np.arange(0.0, other.t[-1], 1.0 / rate)
+    made = {n: np.interp(t, other.t, y) for n, y in other.channels.items()}
+    assert not overlaps(Record(t, made, other.meta), [rows_of(one)])
+
+
 def test_another_recording_of_the_same_test_is_held_out(log, rig):
     again = virtual_log("slide_servo", rig, "steps", 4)
     assert not overlaps(again, [rows_of(log)])

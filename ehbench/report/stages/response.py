@@ -152,12 +152,7 @@ def _forms(logs: Sequence[str], forms: Sequence[Table]) -> Grid:
     head = ["form", "poles [rad/s]", "delay [ms]", *(f"fit of {log} [%]" for log in logs), ""]
     rows: list[list[Cell | str]] = []
     for one in forms:
-        poles = ", ".join(
-            with_error(w, Z95 * std) for w, std in zip(one["poles"], one["pole_stds"], strict=True)
-        )
-        delay = "–"
-        if one.get("delay") is not None:
-            delay = with_error(1e3 * one["delay"], 1e3 * Z95 * one["delay_std"])
+        poles, delay = _poles_and_delay(one)
         fits = [num(number(fit, 4)) for fit in one["fit_percent"]]
         words = "preferred" if one["preferred"] else ""
         rows.append([one["form"], num(poles), num(delay), *fits, words])
@@ -167,6 +162,25 @@ def _forms(logs: Sequence[str], forms: Sequence[Table]) -> Grid:
         "numbers, and of them the best."
     )
     return Grid(head, rows, note)
+
+
+def _poles_and_delay(form: Table) -> tuple[str, str]:
+    """Poles [rad/s] and delay [ms] of a form, each with half its 95 % interval; – for no delay."""
+    poles = ", ".join(
+        with_error(w, Z95 * std) for w, std in zip(form["poles"], form["pole_stds"], strict=True)
+    )
+    if form.get("delay") is None:
+        return poles, "–"
+    return poles, with_error(1e3 * form["delay"], 1e3 * Z95 * form["delay_std"])
+
+
+def _preferred(forms: Sequence[Table]) -> str:
+    """The form that is preferred, in words."""
+    one = next(form for form in forms if form["preferred"])
+    poles, delay = _poles_and_delay(one)
+    late = "" if delay == "–" else f" and {delay} ms"
+    fits = ", ".join(number(fit, 3) for fit in one["fit_percent"])
+    return f" Of the plain forms {one['form']} is preferred, {poles} rad/s{late}: fit {fits} %."
 
 
 def _number_row(table: Table, key: str, text: str, unit: str, factor: float) -> list[Cell | str]:
@@ -193,7 +207,8 @@ def _sentence(table: Table) -> str:
         f"{table['output']} over {table['input']} from {count(len(table['logs']), 'log')}, "
         f"coherent from {number(low, 3)} to {number(high, 3)} Hz"
     )
-    return f"{lead}: {', '.join(parts)}." if parts else f"{lead}."
+    said = f"{lead}: {', '.join(parts)}." if parts else f"{lead}."
+    return said + (_preferred(forms) if (forms := table.get("transfers")) else "")
 
 
 REPORT = StageReport(
