@@ -52,14 +52,15 @@ def trial_scatter(found: Found) -> float:
 
 
 def flow_std(found: Found, u: np.ndarray, s: np.ndarray, scatter: float) -> np.ndarray:
-    """Standard error of the scaled flow on the grid u × s: coefficients, deadband and the
-    ``scatter`` of whole trials, shape (u, s).
+    """Standard error of the scaled flow on the grid u × s: coefficients, deadband, what all drops
+    are off by and the ``scatter`` of whole trials in the mean of all, shape (u, s).
     """
     task, shape, solution = found.task, found.shape, found.solution
     at, root = (a.ravel() for a in np.meshgrid(u, s, indexing="ij"))
     design = solution.spline.design(at, root)
     variance = solution.widening * solution.variance(design)
     flow = design @ solution.coefficients
+    whole = scatter * _few_trials(found, at) * flow
     variance += _missed(found, at, root) + _between(found, at, root)
     used = solution.cells.without(solution.lone)
     for sides in _uncertain(found):
@@ -68,7 +69,30 @@ def flow_std(found: Found, u: np.ndarray, s: np.ndarray, scatter: float) -> np.n
     scaled = task.delta / task.drop_max  # half of what s and a plain root of the drop differ by
     drop = root * np.sqrt(0.5 * root**2 + np.sqrt(0.25 * root**4 + scaled**2))
     variance += (0.5 * flow * (np.sqrt(drop) / np.maximum(root, 1e-12) - 1.0)) ** 2
-    return np.sqrt(variance + (scatter * flow) ** 2).reshape(u.size, s.size)
+    variance += _shared(task, flow.reshape(u.size, s.size), u, drop[: s.size]).ravel()
+    return np.sqrt(variance + whole**2).reshape(u.size, s.size)
+
+
+def _shared(task: Task, flow: np.ndarray, u: np.ndarray, drop: np.ndarray) -> np.ndarray:
+    """Variance of scaled flows, shape (commands, drops), by what all commands and all drops are off
+    by: no reading tells these from the valve.
+    """
+    variance = np.zeros(flow.shape)
+    for axis, at, std in ((0, u, task.command_std), (1, drop, task.drop_std)):
+        if std > 0.0:
+            variance += (std * np.asarray(np.gradient(flow, at, axis=axis))) ** 2
+    return variance
+
+
+def _few_trials(found: Found, u: np.ndarray) -> np.ndarray:
+    """By how much more than their mean the trials' common factors scatter at some commands [V],
+    where only some of them read: √(all trials/those that read there).
+    """
+    r, levels = found.task.readings, found.task.levels
+    counts = [np.unique(r.trial[found.keep & (r.level == k)]).size for k in range(levels.size)]
+    return np.sqrt(
+        np.unique(r.trial[found.keep]).size / np.interp(u, levels, np.maximum(counts, 1))
+    )
 
 
 def _uncertain(found: Found) -> Iterator[list[KeptSpline]]:

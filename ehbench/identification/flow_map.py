@@ -110,7 +110,12 @@ def fit_flow_map(
     taken_off = 0.0
     for _ in range(_LAG_TURNS):
         ready = sort_readings(who, readings, options, taken_off)
-        found, leak = _find(make_task(who, ready, options.rated_flow, options.show))
+        task = make_task(who, ready, options.rated_flow, options.show)
+        shared = {
+            "drop_std": options.drop_std / task.drop_max,
+            "command_std": options.command_std,
+        }
+        found, leak = _find(replace(task, **shared))
         more, std = hysteresis_of(found)
         if not is_sure(found, taken_off + more, std) or abs(more) < 0.1 * std:
             break

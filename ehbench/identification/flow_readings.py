@@ -60,6 +60,10 @@ class FlowMapOptions:
         calibration: (command [V], flow [m³/s], tolerance as a share of the flow) to check.
         reference_drop: [Pa] or a range, where the calibration is checked; the upper half of the
             drops measured at the command if not given.
+        drop_std: [Pa] standard error of every drop, which all readings share: of the zeros of the
+            pressure sensors.
+        command_std: [V] likewise of every command: half a hysteresis that readings on the way up
+            do not tell.
         nominal_drop: [Pa] the largest drop that a map measured without pressures is said for.
         show: units of the sentences.
     """
@@ -68,6 +72,8 @@ class FlowMapOptions:
     rated_flow: float | None = None
     calibration: Sequence[tuple[float, float, float]] = ()
     reference_drop: float | tuple[float, float] | None = None
+    drop_std: float = 0.0
+    command_std: float = 0.0
     nominal_drop: float = 1e7
     show: Units = field(default_factory=Units)
 
@@ -107,7 +113,8 @@ class Task:
     [Pa], bent below ``delta`` [Pa]. ``levels`` [V] are the commands read, ``cell_level`` that of
     each cell. ``roots`` are the scaled roots of the drops read, with zero; empty where they are too
     many to leave gaps. ``axis`` spans the roots. ``digit`` is the rounding error of each method's
-    display."""
+    display, ``drop_std`` the standard error that all drops share, as a share of ``drop_max``,
+    ``command_std`` that of all commands [V]."""
 
     who: str
     show: Units
@@ -122,6 +129,8 @@ class Task:
     roots: np.ndarray
     axis: Axis
     digit: dict[str, float]
+    drop_std: float = 0.0
+    command_std: float = 0.0
 
     @property
     def spans(self) -> int:

@@ -137,8 +137,11 @@ def run_readings(
     progress: Progress | None = None,
     *,
     meter_limit: float = 0.0,
+    drop_std: float = 0.0,
+    command_std: float = 0.0,
 ) -> list[EdgeFit]:
-    """Fit a map to the readings of each edge; arguments as in `fit_readings`.
+    """Fit a map to the readings of each edge; arguments as in `fit_readings`, and ``drop_std`` [Pa]
+    and ``command_std`` [V], the standard errors that all drops and all commands share.
 
     Raises:
         InsufficientData: too few readings for a map.
@@ -153,6 +156,8 @@ def run_readings(
             meter_limit=meter_limit,
             calibration=calibration,
             reference_drop=reference_drop,
+            drop_std=drop_std,
+            command_std=command_std,
             nominal_drop=float(rig.supply.pressure),
             show=show,
         )

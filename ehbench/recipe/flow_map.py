@@ -51,6 +51,16 @@ class FlowMapRecipe(Recipe):
     settle: Annotated[Value, Q("settle")] = Field(
         default=Value(0.2), description="of step logs: no reading so long after a change of command"
     )
+    pressure_error: Annotated[Value, Q("pressure")] | None = Field(
+        default=None,
+        description="of step logs: standard error of the zero of a pressure sensor; none is a "
+        "thousandth of the supply's pressure",
+    )
+    command_error: Annotated[Value, Q("hysteresis")] | None = Field(
+        default=None,
+        description="of step logs: standard error that all commands of a valve share, such as half "
+        "of its hysteresis; none is 0.05 % of the largest command",
+    )
     span: Annotated[Value, Q("span")] = Field(
         default=Value(0.1), description="of step logs: time over which a reading is taken"
     )

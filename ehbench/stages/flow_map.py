@@ -4,6 +4,7 @@ over all maps.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,13 @@ from ehbench.stages.inputs import Inputs, RigState
 
 if TYPE_CHECKING:
     from ehbench.identification.readings import EdgeFit, PreparedReadings
+    from ehbench.rig import Rig
+
+# share of the supply's pressure by which the zero of a sensor of that range is off (standard error)
+SENSOR_ERROR = 1e-3
+# share of a valve's largest command likewise: steps from rest only come up to a command, so that
+# half of the hysteresis is in it
+COMMAND_ERROR = 5e-4
 
 
 @dataclass(frozen=True)
@@ -91,7 +99,7 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         limit = float(recipe.meter_limit)
         fits, without = [], []
         if recipe.method == "steps":
-            fits, without = _of_some(prepared.readings, given)
+            fits, without = _of_some(prepared.readings, given, recipe)
         else:
             fits = readings.run_readings(prepared.readings, *given, meter_limit=limit)
         maps = collect([one.fit.map for one in fits])
@@ -116,7 +124,26 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         return Work(facts, code=INCOMPLETE if losses else DONE)
 
 
-def _of_some(prepared: PreparedReadings, given: tuple[Any, ...]) -> tuple[list[EdgeFit], list[str]]:
+def _shared(recipe: FlowMapRecipe, rig: Rig, edge: str) -> dict[str, float]:
+    """Standard errors that all readings of a machine's logs share: of the difference of two
+    pressure sensors [Pa], and of the command [V] of the valve of an edge.
+    """
+    pressure, volts = recipe.pressure_error, recipe.command_error
+    zero = SENSOR_ERROR * float(rig.supply.pressure) if pressure is None else float(pressure)
+    (valve,) = (
+        valve
+        for cylinder, valve in rig.valves()
+        for name in map(valve.edge_name, valve.edge)
+        if edge in (name, f"{cylinder.name}.{name}")
+    )
+    most = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
+    command = COMMAND_ERROR * most if volts is None else float(volts)
+    return {"drop_std": math.sqrt(2.0) * zero, "command_std": command}
+
+
+def _of_some(
+    prepared: PreparedReadings, given: tuple[Any, ...], recipe: FlowMapRecipe
+) -> tuple[list[EdgeFit], list[str]]:
     """(maps of the edges that logs tell enough of, a sentence for each of the others): a log steps
     what it steps, and nobody asked for a map of each edge.
 
@@ -128,7 +155,8 @@ def _of_some(prepared: PreparedReadings, given: tuple[Any, ...]) -> tuple[list[E
     fits, without = [], []
     for one in prepared.edges:
         try:
-            fits += run_readings(replace(prepared, edges=(one,)), *given)
+            shared = _shared(recipe, prepared.rig, one.edge)
+            fits += run_readings(replace(prepared, edges=(one,)), *given, **shared)
         except InsufficientData as error:
             without.append(f"no map of {one.edge} {one.side}: {error.message}")
     if not fits:

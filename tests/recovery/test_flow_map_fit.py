@@ -713,6 +713,31 @@ def test_a_speed_map_goes_by_the_command_alone():
         fit(mixed)
 
 
+def test_what_all_readings_share_is_in_the_intervals():
+    """A drop and a command that all are off by, as much as the flow changes with them."""
+    data = readings(poppet, 9)
+    bare, wide = fit(data), fit(data, drop_std=4e4, command_std=0.02)
+    drop, command, h = 3e6, 6.0, 1e-3
+    np.testing.assert_array_equal(wide.map.increments, bare.map.increments)
+    along = (bare.map.flow(drop + 1e3, command) - bare.map.flow(drop - 1e3, command)) / 2e3
+    up = (bare.map.flow(drop, command + h) - bare.map.flow(drop, command - h)) / (2 * h)
+    more = wide.map.flow_std(drop, command) ** 2 - bare.map.flow_std(drop, command) ** 2
+    assert more == pytest.approx((4e4 * along) ** 2 + (0.02 * up) ** 2, rel=0.05)
+
+
+def test_trials_that_differ_count_where_they_read():
+    """Each trial reads some commands only: their common factors do not average over all."""
+    data = readings(poppet, 11, trials=12)
+    rng = np.random.default_rng(2)
+    level = np.searchsorted(np.unique(data["command"]), data["command"])
+    keep = data["trial"] % 4 == level % 4
+    some = {key: values[keep] for key, values in data.items()}
+    some["flow"] = some["flow"] * (1 + 0.03 * rng.standard_normal(13)[some["trial"]])
+    found = fit(some)
+    assert found.trial_scatter > 2e-3
+    assert found.map.flow_std(3e6, 6.0) / found.map.flow(3e6, 6.0) > 1.6 * found.trial_scatter
+
+
 def close_commands(gap):
     """A shape with kinks between commands that hysteresis set ``gap`` [V] apart, and its cells."""
     above = np.array(

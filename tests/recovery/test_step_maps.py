@@ -7,14 +7,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ehbench import workflow
+from ehbench import datasets, workflow
 from ehbench.errors import InsufficientData
 from ehbench.identification.readings import fit_readings
 from ehbench.identification.step_readings import step_readings
 from ehbench.logs import write_log
+from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.edge import edge_flow
 from ehbench.plant.model import Model, simulate
-from ehbench.recipe import load_rig
+from ehbench.recipe import load_recipe, load_rig
 from ehbench.record import Record
 from tests.virtual_logs import RIGS, noisy
 
@@ -97,3 +98,62 @@ def test_logs_that_tell_no_flow_are_refused(rig, logs):
     short = Record(log.t[:400], {name: y[:400] for name, y in log.channels.items()}, log.meta)
     with pytest.raises(InsufficientData, match="no flow can be told"):
         step_readings("log", short, Model.of(rig), 0.2, 0.1)
+
+
+def recorded(folder, seed):
+    """What a virtual bench of some seed records of the boom stepped out through `sh` and `rt`, and
+    the bench itself.
+    """
+    told = [f'stage = "dataset"\nbench = "bench.toml"\nseed = {seed}']
+    (folder / "bench.toml").write_text(
+        f'stage = "bench"\nrig = "{RIGS}/boom_four_valve.toml"\nseed = {seed}\n'
+    )
+    for index, load in enumerate(('payload = "bucket"', "")):
+        order = np.random.default_rng(index)
+        told.append(
+            f'[[log]]\nname = "s{index}"\ntitle = "s"\nposture = {{ boom = "200 mm" }}\n{load}\n'
+            'duration = "9 s"\nlimits = { stroke_margin = "1 mm", pressure_max = "400 bar" }'
+        )
+        levels = zip(order.permutation(LEVELS), order.permutation(LEVELS), strict=True)
+        for k, (inlet, outlet) in enumerate(levels):
+            for at, valves in (
+                (0.3 + 1.4 * k, {"sh": inlet, "rt": outlet}),
+                (1.0 + 1.4 * k, {"sr": 2.5, "ht": 2.5}),
+            ):
+                told += [
+                    f'[[log.command]]\nvalve = "boom.{valve}"\nkind = "step"\n'
+                    f'amplitude = "{volts} V"\nstart = "{at:.2f} s"\nstop = "{at + 0.6:.2f} s"'
+                    for valve, volts in valves.items()
+                ]
+    (folder / "d.toml").write_text("\n".join(told) + "\n")
+    made = datasets.make(folder / "d.toml", folder)
+    bench = VirtualMachine(
+        load_rig(RIGS / "boom_four_valve.toml"), load_recipe(folder / "bench.toml")
+    )
+    return [str(made / f"s{index}.mcap") for index in range(2)], bench
+
+
+@pytest.mark.slow
+def test_a_map_from_steps_holds_what_a_virtual_bench_passes(undrawn, tmp_path):
+    """With air, leakage, hysteresis and sensors of its own, none of which the rig file has."""
+    names, bench = recorded(tmp_path, 2)
+    head = (
+        f'stage = "identify"\nwhat = "flow_map"\nmethod = "steps"\n'
+        f'rig = "{RIGS}/boom_four_valve.toml"\ndata = {names}\n'.replace("'", '"')
+    )
+    told = {"as it is": "", "sure": 'pressure_error = "0 bar"\ncommand_error = "0 V"\n'}
+    held = {}
+    for name, more in told.items():
+        recipe = tmp_path / f"{name.replace(' ', '_')}.toml"
+        recipe.write_text(head + more)
+        maps = workflow.run(recipe, workflow.Session(root=tmp_path / "runs")).flow_maps
+        drop, command = np.meshgrid(np.linspace(1e6, 15e6, 30), np.linspace(1.5, 5.0, 30))
+        hits = []
+        for edge in ("sh", "rt"):
+            inside = maps[edge].inside(drop, command)
+            at = drop[inside], command[inside]
+            left = np.abs(maps[edge].flow(*at) - bench.static_flow(f"boom.{edge}", *at[::-1]))
+            hits += list(left < 1.96 * maps[edge].flow_std(*at))
+            assert np.median(maps[edge].flow_std(*at) / maps[edge].flow(*at)) < 0.02
+        held[name] = np.mean(hits)
+    assert held["as it is"] >= 0.92 > held["sure"], held
