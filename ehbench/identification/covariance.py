@@ -184,7 +184,8 @@ def _inverse_root(normal: np.ndarray) -> np.ndarray:
     diagonal = np.diag(normal)
     size = np.sqrt(np.maximum(diagonal, 1e-30 * np.max(diagonal, initial=1e-270)))
     values, vectors = np.linalg.eigh(normal / np.outer(size, size))
-    return vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])) / size[:, None]
+    least = 1e-12 * np.max(values, initial=0.0) or 1.0  # 1: nothing counts, or there is nothing
+    return vectors / np.sqrt(np.maximum(values, least)) / size[:, None]
 
 
 class Release(NamedTuple):
@@ -220,9 +221,8 @@ def release_of(blocks: Sequence[Block], prior: Prior, least: float) -> Release:
 
 def _reach(score: np.ndarray) -> int:
     """Lags that the long-run covariance of a series of scores takes in."""
-    return min(
-        len(score) // 4, math.ceil(4.0 * max(correlation_time(column) for column in score.T))
-    )
+    longest = max((correlation_time(column) for column in score.T), default=0.0)
+    return min(len(score) // 4, math.ceil(4.0 * longest))
 
 
 def _weighed(series: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -90,6 +90,21 @@ def test_a_damping_is_told_by_its_range_where_it_rings_on():
     assert min(fit.logs[0].fit_percent.values()) > 90.0
 
 
+def test_a_parameter_that_its_range_alone_tells_needs_no_other():
+    """A limit of the pump that the flow just reaches: above it nothing changes."""
+    name = "supply.flow_limit"
+    rig = load_rig(RIGS / "slide_servo.toml").with_values({name: 4e-4})
+    levels = np.repeat([0.0, 1.0, 2.0, 5.0, -2.0, -6.0, 3.5, -3.0, 0.0], 150)
+    logs = [
+        (f"log {i}", noisy(simulate(rig, {"press.servo": f * levels}, 1e-3 * (levels.size - 1)), i))
+        for i, f in enumerate((0.9, 1.1))
+    ]
+    given = FitOptions(start={name: 8e-4}, upper={name: 3.2e-3}, workers=1)
+    found = identify_hydraulics(rig, logs, [name], given)[name]
+    assert found.status == "estimated"
+    assert found.interval[0] <= 4e-4 <= found.interval[1] < 8e-4
+
+
 def misfit(fit) -> float:
     """What fits make least: logarithms of what is left of the channels, pooled over the logs."""
     squares: dict[str, float] = {}
