@@ -43,7 +43,9 @@ from ehbench.control.functions import (
     ROD_TANK,
     SUPPLY_HEAD,
     SUPPLY_ROD,
+    capacity,
     metering_drop,
+    path_drop,
     select,
     steady_reference,
     widest,
@@ -65,9 +67,16 @@ from ehbench.control.measured import (
     pressures,
     write,
 )
-from ehbench.control.oil_learning import OIL, begin_oil, learn_oil, told_already, weigh_anew
+from ehbench.control.oil_learning import (
+    OIL,
+    begin_oil,
+    lacking,
+    learn_oil,
+    told_already,
+    weigh_anew,
+)
 from ehbench.control.records import blank, rows_of
-from ehbench.control.trajectory import ORDERS, reference_of
+from ehbench.control.trajectory import ORDERS, reference_of, speeds_soon
 from ehbench.control.valve_level import Flows, allocate
 from ehbench.parts.cylinder import chamber_oil
 from ehbench.parts.edge import edge_flow
@@ -77,6 +86,8 @@ from ehbench.physics.arm import work_size
 
 LOST = 0.01  # [m] between observed and measured stroke, at which the observer starts anew
 AHEAD = 1.0e-3  # [s] by which the laws look along the motion for their rates
+PREVIEW = 0.15  # [s] by which the law looks ahead for the flow that will be wanted
+RAISED = 0.3  # of the supply pressure: the most by which the off-side stands above its low pressure
 SETTLED = 3.0  # over k1: how long a load is brought to rest after a motion, once it is near
 TURNS = 4  # as often oil is wanted to and fro at rest; a load that still swings is left alone then
 ONE_COUNT = 1.5  # of the stroke's resolution: what is less is a count of the sensor at most
@@ -96,6 +107,7 @@ STATE = record(
     ("age", "f8"),
     ("metered", "i8"),
     ("set_point", "f8"),
+    ("raised", "f8"),
     ("slow_load", "f8"),
     ("slow_error", "f8"),
     ("slow_reference", "f8"),
@@ -130,6 +142,7 @@ class Memory(NamedTuple):
 
     ``x``, ``v`` [m, m/s] of the state are observed, ``bias`` [m/s²] is what the model's
     ``acceleration`` lacks; ``metered`` and ``set_point`` [Pa] are of the off-side control,
+    ``raised`` [Pa] is how far its goal stands above the low pressure, see `make_room`,
     ``rested`` [s] for how long no motion is desired and hardly any left, ``slow_wanted``
     [m/s] the oil that is wanted, as a speed, behind a low-pass. ``evidence``, ``information`` and
     ``scatter`` are means of what the mechanism's equation says of the ``payload`` [kg], ``half``
@@ -359,7 +372,7 @@ def loads_along(reference, q, v, own, axis, memory):
     the other joints move as well, both with what these add to it.
     """
     angles, work = memory.angles, memory.work
-    if reference.shape[0] > ORDERS:
+    if reference.shape[0] >= 2 * ORDERS:
         return loads_among(reference, q, v, AHEAD, axis, angles, memory.mass, work)
     load = load_at(axis, q, own, work)
     return load, load_at(axis, q + AHEAD * v / load.lever, own, work)
@@ -709,18 +722,58 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
 
 
 @kernel
+def fed(path, load, low, p, circuit):
+    """Flow [m³/s] that the supply's edge carries wide open in steady motion under a ``load`` [N],
+    the off-side at a pressure ``low`` [Pa].
+    """
+    head = rod = low
+    if path == SUPPLY_HEAD:
+        head = (load + low * circuit.area_rod) / circuit.area_head
+    else:
+        rod = (low * circuit.area_head - load) / circuit.area_rod
+    drop = path_drop(path, Pressures(head, rod, p.supply, p.tank), circuit)
+    gain = circuit.trim[circuit.paths[path] - circuit.first, GAIN]
+    return gain * capacity(circuit, path, drop)
+
+
+@kernel
+def make_room(choice, soon, p, circuit, gains, memory):
+    """Write by how much [Pa] the off-side's goal is raised, so that the supply's edge will carry
+    what is desired.
+
+    An edge that keeps its flow against the drop passes a little more at a smaller one, that is
+    where the chamber which it fills stands higher. Where it passes less so, nothing is raised.
+    ``soon`` are the (least, largest) desired speeds [m/s] of the next PREVIEW."""
+    state, function = memory.state, choice.function
+    state.raised, path, way = 0.0, METERING[function], DIRECTION[function]
+    supplied = path == SUPPLY_HEAD or path == SUPPLY_ROD
+    if not supplied or choice.spool or function == EXTEND_RESISTIVE_REGENERATION:
+        return
+    area = circuit.area_head if path == SUPPLY_HEAD else circuit.area_rod
+    fastest = max(soon[1] if way > 0 else -soon[0], 0.0)
+    wanted = (1.0 + gains.flow_reserve) * area * fastest / (1.0 - lacking(way, memory.oil))
+    low, most = p.tank + gains.low_pressure, RAISED * p.supply
+    plain = fed(path, choice.load, low, p, circuit)
+    if gains.flow_reserve == 0.0 or wanted <= plain:
+        return
+    wide = fed(path, choice.load, low + most, p, circuit)
+    if wide > plain:
+        state.raised = most * min((wanted - plain) / (wide - plain), 1.0)
+
+
+@kernel
 def off_side(choice, v_d, head_rate, rod_rate, p, circuit, gains, state):
     """What the off-side chamber's pressure asks for beyond ``A v_d``, as a speed of its piston face
     [m/s].
 
     Its set-point goes from where the pressure was when the chamber became the off-side to
-    ``low_pressure`` above tank or, in the seventh function, to ``(P_L + Δp3 A1)/(A1 − A2)``.
-    ``head_rate``, ``rod_rate`` [Pa/m] are β A/V of the chambers."""
+    ``low_pressure`` above tank, ``raised`` by `make_room`, or, in the seventh function, to
+    ``(P_L + Δp3 A1)/(A1 − A2)``. ``head_rate``, ``rod_rate`` [Pa/m] are β A/V of the chambers."""
     metered = METERED[choice.function]
     if state.metered != metered:
         state.metered = metered
         state.set_point = p.rod if metered == HEAD else p.head
-    target = p.tank + gains.low_pressure
+    target = p.tank + gains.low_pressure + state.raised
     if choice.function == EXTEND_RESISTIVE_REGENERATION:
         target = (choice.load + gains.rules.cross_drop * circuit.area_head) / (
             circuit.area_head - circuit.area_rod
@@ -953,7 +1006,8 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
         sample: what the machine measured; read are this cylinder's channels but q̇, the other
             cylinders' joint angles, p_supply and p_tank.
         reference: x_d, v_d, a_d, j_d of the cylinder; where others move as well, behind them what
-            `ehbench.control.coupling.among_others` adds.
+            `ehbench.control.coupling.among_others` adds; at the end what
+            `ehbench.control.trajectory.with_preview` does.
         axis: of the design model, an `Axis`.
         design: the gains, of `ehbench.control.arc_gains.pack_arc`, see `ease`.
         memory: a `Memory`, of `memory_of` before the first tick.
@@ -990,6 +1044,7 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
 
     spool_speed = wanted / (oil.head * circuit.area_head + oil.rod * circuit.area_rod)
     choice = choose(desired, stroke.z1, measured, spool_speed, p, axis, gains, state)
+    make_room(choice, speeds_soon(reference), p, circuit, gains, memory)
     opened = opened_by(starting, p, gains, state)
     flows = share_flows(choice, desired, wanted, oil, p, opened, axis, memory)
     edges = COLUMNS + circuit.count
@@ -1062,6 +1117,7 @@ LAW = Law(
     edge_telemetry=("map_gain", "map_shift"),
     bounds=("payload", "bulk_modulus"),
     ahead=AHEAD,
+    preview=PREVIEW,
     after=eased_gains,
     warns_saturated=True,
 )

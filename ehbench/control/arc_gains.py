@@ -41,6 +41,7 @@ GAIN_NAMES = (
     "stroke_resolution",
     "load_corner",
     "standby",
+    "flow_reserve",
     "valve_lead",
     "drop_floor",
     "drop_corner",
@@ -62,6 +63,7 @@ MAY_BE_ZERO = {
     "speed_nudge",
     "stroke_resolution",
     "standby",
+    "flow_reserve",
     "valve_lead",
     "drop_corner",
     "weighing_time",
@@ -180,7 +182,9 @@ def pack_arc(
             that a stroke error asks for at most; ``speed_nudge`` [m/s] and ``stroke_resolution``
             [m] at a reference at rest; ``load_corner`` [rad/s] of the load that chooses the
             function; ``standby`` [1] share of its deadband at which a shut valve waits;
-            ``valve_lead`` [s] by which desired flows lead; ``drop_floor`` [Pa] of the inverse maps;
+            ``flow_reserve`` [1] share of the desired flow that the supply's edge shall have left,
+            for which the off-side is raised, 0 for never; ``valve_lead`` [s] by which desired flows
+            lead; ``drop_floor`` [Pa] of the inverse maps;
             ``drop_corner`` [rad/s] of the pressures by whose drops valves are opened, 0 for as they
             are measured; ``weighing_time`` [s], the gain of adaptation at rest;
             ``reference_mass`` [kg];
@@ -442,6 +446,7 @@ def _defaults(
         "stroke_resolution": 2.5e-5,
         "load_corner": 2.0 * math.pi,
         "standby": 0.8,
+        "flow_reserve": 0.06,
         "valve_lead": site.valve_lag + 0.5 * site.tick,
         "drop_floor": 2.0e4,
         "weighing_time": learning.answer,

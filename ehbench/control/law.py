@@ -88,6 +88,8 @@ class Law:
         required: the gain without a default.
         ahead: a time [s] if its step takes, where several cylinders move, the desired motion of all
             joints behind the reference's own columns, now and so far on; else 0.
+        preview: for how long [s] ahead its step takes the least and the largest desired speed, at
+            the end of the reference (`ehbench.control.trajectory.with_preview`); else 0.
         shaped: whether it shapes steps of speed, so that a recipe may have ``shaping``.
         after: (what it ran with, of `Packed`, the controller after a run) → what a run tells beside
             for ``measures``.
@@ -106,6 +108,7 @@ class Law:
     bounds: tuple[str, ...] = ()
     required: Required | None = None
     ahead: float = 0.0
+    preview: float = 0.0
     shaped: bool = False
     after: Callable[[Mapping[str, Any], Controller], dict[str, Any]] | None = None
     warns_saturated: bool = False

@@ -131,8 +131,16 @@ def take(part, memory):
     memory.softer += part * (softer - memory.softer)
     memory.later += part * (min(max(found[LATER], 0.0), LATEST) - memory.later)
     for way in range(2):
-        lacks = min(max(found[MORE + way], -MOST), MOST)
+        lacks = lacking(1 if way == 0 else -1, memory)
         memory.more[way] += part * (lacks / (1.0 - lacks) - memory.more[way])
+
+
+@kernel
+def lacking(way, memory):
+    """Share of the flow that is found to lack in a direction, ±1, as far as the law counts on it;
+    negative where there is too much.
+    """
+    return min(max(memory.found[MORE if way > 0 else BACK], -MOST), MOST)
 
 
 @kernel

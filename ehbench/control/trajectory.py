@@ -31,6 +31,7 @@ class Reference(NamedTuple):
 
 X, V, A, J = range(4)  # columns of a table, the orders of the derivative
 ORDERS = 4
+PREVIEWED = 2  # columns that `with_preview` adds
 Profile = Literal["ramp", "seventh"]
 # peaks of the seventh-order polynomial s(τ) = 35τ⁴ − 84τ⁵ + 70τ⁶ − 20τ⁷ and of the quintic speed
 # ramp 10τ³ − 15τ⁴ + 6τ⁵
@@ -253,6 +254,37 @@ SHAPED = record(*reals(("speed", "acceleration", "jerk")))
 def reference_of(row):
     """The `Reference` in a row of a table."""
     return Reference(row[0], row[1], row[2], row[3])
+
+
+def with_preview(table: np.ndarray, speed: np.ndarray, ahead: float, tick: float) -> np.ndarray:
+    """A table of references with PREVIEWED columns more at its end: the least and the largest
+    desired speed [m/s] from each row on for a time.
+
+    Args:
+        table: shape (samples, a multiple of ORDERS).
+        speed: v_d [m/s], shape (samples,); what follows its end is the last.
+        ahead: that time [s].
+        tick: between rows [s].
+    """
+    least, largest, seen = speed.copy(), speed.copy(), 1
+    span = min(round(ahead / tick) + 1, speed.size)
+    while seen < span:
+        more = min(seen, span - seen)
+        least[:-more] = np.minimum(least[:-more], least[more:])
+        largest[:-more] = np.maximum(largest[:-more], largest[more:])
+        seen += more
+    return np.ascontiguousarray(np.column_stack([table, least, largest]))
+
+
+@kernel
+def speeds_soon(row):
+    """(least, largest) desired speed [m/s] of the time to come that a row knows of, see
+    `with_preview`; of a row without it the present one.
+    """
+    columns = row.shape[0]
+    if columns % ORDERS == PREVIEWED:
+        return row[columns - 2], row[columns - 1]
+    return row[V], row[V]
 
 
 @kernel

@@ -20,7 +20,7 @@ from ehbench.control.functions import ALL_RULES, RULE_NAMES, Circuit, circuit, p
 from ehbench.control.law import Controller, Law, Site
 from ehbench.control.records import numbers
 from ehbench.control.registry import LAWS
-from ehbench.control.trajectory import SHAPING_NAMES, pack_shaping
+from ehbench.control.trajectory import SHAPING_NAMES, V, pack_shaping, with_preview
 from ehbench.errors import InputError
 from ehbench.fields import read_value
 from ehbench.parts.cylinder import linkage_arrays
@@ -293,6 +293,8 @@ def compiled(
         np.zeros(channels),
     )
     names = law.channels(design.cylinder, design.edges)
+    if law.preview > 0.0:
+        references = with_preview(references, references[:, V], law.preview, 1.0 / rate)
     return Compiled(
         law,
         controller,

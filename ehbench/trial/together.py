@@ -16,7 +16,7 @@ from ehbench.control.coupling import among_others, joint_motion
 from ehbench.control.demand import Moving, drawn, torques
 from ehbench.control.measured import Pressures
 from ehbench.control.registry import LAWS
-from ehbench.control.trajectory import ORDERS, V, X
+from ehbench.control.trajectory import ORDERS, V, X, with_preview
 from ehbench.parts.cylinder import joint_of
 from ehbench.physics.arm import SLIDE
 from ehbench.physics.tip import Chain, tip_of
@@ -137,8 +137,8 @@ def joints_of(driven: Sequence[Driven]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def tables_of(driven: Sequence[Driven]) -> list[np.ndarray]:
-    """The table that each law runs over: its own motion and, for a law that counts on the others',
-    that of all joints behind it.
+    """The table that each law runs over: its own motion, for a law that counts on the others' that
+    of all joints behind it, and for one that looks ahead what speeds are to come.
     """
     tables = [one.references.table for one in driven]
     if len(driven) == 1:
@@ -147,9 +147,14 @@ def tables_of(driven: Sequence[Driven]) -> list[np.ndarray]:
     widened = []
     for one, table in zip(driven, tables, strict=True):
         chosen = controller_of(one.recipe)
-        ahead = 0.0 if chosen.kind is None else LAWS[chosen.kind].ahead
-        coupled = chosen.coupling and ahead > 0.0
-        widened.append(among_others(table, joints, ahead) if coupled else table)
+        law = None if chosen.kind is None else LAWS[chosen.kind]
+        wide = table
+        if law is not None and chosen.coupling and law.ahead > 0.0:
+            wide = among_others(table, joints, law.ahead)
+        if law is not None and law.preview > 0.0:
+            tick = 1.0 / float(one.recipe.rate)
+            wide = with_preview(wide, table[:, V], law.preview, tick)
+        widened.append(wide)
     return widened
 
 
