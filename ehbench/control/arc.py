@@ -45,9 +45,9 @@ from ehbench.control.functions import (
     SUPPLY_ROD,
     capacity,
     metering_drop,
-    path_drop,
     select,
     steady_reference,
+    supply_pressure,
     widest,
 )
 from ehbench.control.law import Controller, Law
@@ -87,7 +87,7 @@ from ehbench.physics.arm import work_size
 LOST = 0.01  # [m] between observed and measured stroke, at which the observer starts anew
 AHEAD = 1.0e-3  # [s] by which the laws look along the motion for their rates
 PREVIEW = 0.15  # [s] by which the law looks ahead for the flow that will be wanted
-RAISED = 0.3  # of the supply pressure: the most by which the off-side stands above its low pressure
+SMALLER = 0.15  # of the supply pressure: the most by which a drop is made smaller for more flow
 SETTLED = 3.0  # over k1: how long a load is brought to rest after a motion, once it is near
 TURNS = 4  # as often oil is wanted to and fro at rest; a load that still swings is left alone then
 ONE_COUNT = 1.5  # of the stroke's resolution: what is less is a count of the sensor at most
@@ -722,18 +722,9 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
 
 
 @kernel
-def fed(path, load, low, p, circuit):
-    """Flow [m³/s] that the supply's edge carries wide open in steady motion under a ``load`` [N],
-    the off-side at a pressure ``low`` [Pa].
-    """
-    head = rod = low
-    if path == SUPPLY_HEAD:
-        head = (load + low * circuit.area_rod) / circuit.area_head
-    else:
-        rod = (low * circuit.area_head - load) / circuit.area_rod
-    drop = path_drop(path, Pressures(head, rod, p.supply, p.tank), circuit)
-    gain = circuit.trim[circuit.paths[path] - circuit.first, GAIN]
-    return gain * capacity(circuit, path, drop)
+def carried(path, drop, circuit):
+    """Largest flow [m³/s] along a path at a drop [Pa], as far as it is known (``trim``)."""
+    return circuit.trim[circuit.paths[path] - circuit.first, GAIN] * capacity(circuit, path, drop)
 
 
 @kernel
@@ -742,23 +733,28 @@ def make_room(choice, soon, p, circuit, gains, memory):
     what is desired.
 
     An edge that keeps its flow against the drop passes a little more at a smaller one, that is
-    where the chamber which it fills stands higher. Where it passes less so, nothing is raised.
-    ``soon`` are the (least, largest) desired speeds [m/s] of the next PREVIEW."""
-    state, function = memory.state, choice.function
-    state.raised, path, way = 0.0, METERING[function], DIRECTION[function]
-    supplied = path == SUPPLY_HEAD or path == SUPPLY_ROD
-    if not supplied or choice.spool or function == EXTEND_RESISTIVE_REGENERATION:
+    where the chamber which it fills stands higher. Where it passes less so, or the pump would have
+    to follow, nothing is raised. ``soon`` are the (least, largest) desired speeds [m/s] of the next
+    PREVIEW."""
+    state, path, way = memory.state, METERING[choice.function], DIRECTION[choice.function]
+    state.raised, regenerates = 0.0, choice.function == EXTEND_RESISTIVE_REGENERATION
+    if choice.spool or regenerates or (path != SUPPLY_HEAD and path != SUPPLY_ROD):
         return
-    area = circuit.area_head if path == SUPPLY_HEAD else circuit.area_rod
+    area, other = circuit.area_head, circuit.area_rod
+    if path == SUPPLY_ROD:
+        area, other = other, area
     fastest = max(soon[1] if way > 0 else -soon[0], 0.0)
     wanted = (1.0 + gains.flow_reserve) * area * fastest / (1.0 - lacking(way, memory.oil))
-    low, most = p.tank + gains.low_pressure, RAISED * p.supply
-    plain = fed(path, choice.load, low, p, circuit)
-    if gains.flow_reserve == 0.0 or wanted <= plain:
+    filled = ((p.tank + gains.low_pressure) * other + way * choice.load) / area
+    supply = supply_pressure(filled, p, circuit)
+    less = min(SMALLER * p.supply, 0.5 * (supply - filled))
+    follows = circuit.supply[0].margin > 0.0 or supply_pressure(filled + less, p, circuit) != supply
+    if gains.flow_reserve == 0.0 or less <= 0.0 or follows:
         return
-    wide = fed(path, choice.load, low + most, p, circuit)
-    if wide > plain:
-        state.raised = most * min((wanted - plain) / (wide - plain), 1.0)
+    plain = carried(path, supply - filled, circuit)
+    wide = carried(path, supply - filled - less, circuit)
+    if wide > plain and wanted > plain:
+        state.raised = min((wanted - plain) / (wide - plain), 1.0) * less * area / other
 
 
 @kernel
