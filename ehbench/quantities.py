@@ -834,7 +834,7 @@ _ROWS = [
         "ω_Δ",
         "rad/s",
         "Hz",
-        "corner of the low-pass of the pressures by whose drops valves are opened, 0 for none",
+        "corner above which load forces that are not planned open no valve, 0 for none",
         0,
         1e5,
     ),

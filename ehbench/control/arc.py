@@ -39,6 +39,7 @@ from ehbench.control.functions import (
     HEAD_TANK,
     METERED,
     METERING,
+    PATH_FLOWS,
     ROD,
     ROD_TANK,
     SUPPLY_HEAD,
@@ -47,6 +48,7 @@ from ehbench.control.functions import (
     metering_drop,
     select,
     steady_reference,
+    supply_draw,
     supply_pressure,
     widest,
 )
@@ -82,6 +84,7 @@ from ehbench.parts.cylinder import chamber_oil
 from ehbench.parts.edge import edge_flow
 from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
 from ehbench.parts.sample import OF, entry
+from ehbench.parts.supply import beside_change
 from ehbench.physics.arm import work_size
 
 LOST = 0.01  # [m] between observed and measured stroke, at which the observer starts anew
@@ -92,7 +95,8 @@ SETTLED = 3.0  # over k1: how long a load is brought to rest after a motion, onc
 TURNS = 4  # as often oil is wanted to and fro at rest; a load that still swings is left alone then
 ONE_COUNT = 1.5  # of the stroke's resolution: what is less is a count of the sensor at most
 BACK = 4.0  # of that nearness [m/s]: oil that is wanted against the error turns the motion round
-FRESH = 3.0  # over the time since a change of function: as fast drops are followed then [rad/s]
+FRESH = 3.0  # over the time since a change of function: as fast calm follows measured [rad/s]
+FELT = 1.5  # margins of a pump above a chamber: where there is more, it follows another one
 FORGETS = 5.0  # over k1: how long what pressures told of the payload counts
 FAINTLY = 0.1  # [(N/kg)²] of a payload's pull and inertia: what is less tells hardly anything of it
 ANOTHER = 0.15  # of the payload's bound: what is more, beyond the interval's half, is another load
@@ -115,9 +119,9 @@ STATE = record(
     ("way", "i8"),
     ("turns", "i8"),
     ("slow_wanted", "f8"),
-    ("slow_head", "f8"),
-    ("slow_rod", "f8"),
-    ("slow_supply", "f8"),
+    ("calm_load", "f8"),
+    ("supply_swing", "f8"),
+    ("slow_drop", "f8"),
     ("learning", "i8"),
     ("x", "f8"),
     ("v", "f8"),
@@ -147,8 +151,8 @@ class Memory(NamedTuple):
     [m/s] the oil that is wanted, as a speed, behind a low-pass. ``evidence``, ``information`` and
     ``scatter`` are means of what the mechanism's equation says of the ``payload`` [kg], ``half``
     [kg] its interval's, see `weigh`; ``eased`` is how far the bandwidths went down at most, as a
-    share of them, and ``heaviest`` [kg] the payload then, see `ease`; ``slow_head``, ``slow_rod``
-    and ``slow_supply`` [Pa] are the pressures by which valves are opened, see `opened_by`;
+    share of them, and ``heaviest`` [kg] the payload then, see `ease`; ``calm_load``
+    [N], ``supply_swing`` and ``slow_drop`` [Pa] are what valves are opened by, see `opened_by`;
     ``turns`` counts how often the ``way`` of the oil that is wanted changed while no motion was
     desired; ``maps`` is what is learnt of the flow maps, ``oil``, a record of type OIL, of the oil,
     ``gains`` are those in force, see `ease`."""
@@ -820,22 +824,57 @@ def share_flows(choice, reference, wanted, oil, p, opened, axis, memory):
 
 
 @kernel
-def opened_by(starting, p, gains, state):
-    """The `Pressures` by whose drops valves are opened: as measured, or behind a low-pass, which
-    is fast just after a change of function.
+def opened_by(starting, p, planned, choice, oil, circuit, gains, state):
+    """The `Pressures` by whose drops valves are opened: as measured, or without what the load's
+    swing adds to them.
 
     A valve that makes up for its drop does so late by its lag, and where the drop is small that
-    feeds the load's swing; opened by the slow drop, what it passes the more or the less damps it.
-    """
+    feeds the load's swing; opened without it, what it passes the more or the less damps the swing.
+    ``calm_load`` [N] is the load force as ``planned`` [N/s], drawn to the measured one. What that
+    has beyond it is the piston's on the oil: x raises the head end by −β A_1/V_1 x and the rod end
+    by β A_2/V_2 x."""
+    measured = load_force(p, circuit.area_head, circuit.area_rod)
     part = 1.0
     if gains.drop_corner > 0.0 and not starting:
         part = -math.expm1(-(gains.drop_corner + FRESH / state.age) * gains.tick)
-    state.slow_head += part * (p.head - state.slow_head)
-    state.slow_rod += part * (p.rod - state.slow_rod)
-    state.slow_supply += part * (p.supply - state.slow_supply)
+        state.calm_load += planned * gains.tick
+    state.calm_load += part * (measured - state.calm_load)
     if part == 1.0:
         return p
-    return Pressures(state.slow_head, state.slow_rod, state.slow_supply, p.tank)
+    swing = measured - state.calm_load
+    swing /= oil.head * circuit.area_head + oil.rod * circuit.area_rod
+    head, rod, supply = oil.head * swing, -oil.rod * swing, circuit.supply[0]
+    return Pressures(
+        beside_change(p.head - head, p.head, supply),
+        beside_change(p.rod - rod, p.rod, supply),
+        calm_supply(choice, part, head, rod, p, circuit, gains, state),
+        p.tank,
+    )
+
+
+@kernel
+def calm_supply(choice, part, head, rod, p, circuit, gains, state):
+    """The supply's pressure [Pa] in `opened_by`: as measured but for a load-sensing pump's, of
+    which is taken off what the swing of the chamber that it feeds, ``head`` or ``rod`` [Pa], makes
+    of it behind its lag.
+
+    An off-side chamber is fed by a slow drop (``part`` of what is new in a tick): its own pressure
+    goes up and down with what it is fed, and the pump follows, with no load between."""
+    function, supply = choice.function, circuit.supply[0]
+    if supply.margin == 0.0 or supply_draw(function, circuit) == 0.0:
+        return p.supply
+    fed, chamber, swing = SUPPLY_ROD, p.rod, rod
+    if PATH_FLOWS[function, SUPPLY_HEAD, 0] != 0.0:
+        fed, chamber, swing = SUPPLY_HEAD, p.head, head
+    drop, felt = p.supply - chamber, 0.0
+    state.slow_drop += part * (drop - state.slow_drop)
+    if METERING[function] != fed and not choice.spool:
+        state.supply_swing = 0.0
+        return state.slow_drop + chamber - swing
+    if drop < FELT * supply.margin and p.supply < supply.pressure:
+        felt = swing
+    state.supply_swing += gains.tick / (gains.tick + supply.lag) * (felt - state.supply_swing)
+    return p.supply - state.supply_swing
 
 
 @kernel
@@ -1041,7 +1080,7 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
     spool_speed = wanted / (oil.head * circuit.area_head + oil.rod * circuit.area_rod)
     choice = choose(desired, stroke.z1, measured, spool_speed, p, axis, gains, state)
     make_room(choice, speeds_soon(reference), p, circuit, gains, memory)
-    opened = opened_by(starting, p, gains, state)
+    opened = opened_by(starting, p, rates[1], choice, oil, circuit, gains, state)
     flows = share_flows(choice, desired, wanted, oil, p, opened, axis, memory)
     edges = COLUMNS + circuit.count
     edge_flows, edge_limits = telemetry[COLUMNS:edges], telemetry[edges : edges + circuit.count]

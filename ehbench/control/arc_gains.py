@@ -103,7 +103,7 @@ OVERLAP = 0.03  # of its largest command, that a valve may have
 LEARNS = 0.2  # of k1: the rate of adaptation
 MAPS_LEARN = 0.25  # of k1: the largest rate at which flow maps are corrected, slow against the loop
 OBSERVER, FASTEST_OBSERVER = 6.0, 500.0  # of that sum; [rad/s]
-DROPS = 0.15  # of that frequency: what drops valves follow on a load-sensing pump
+DROPS = 0.15  # of that frequency: load forces that count as the swing's, where drops are small
 STROKES = (0.1, 0.3, 0.5, 0.7, 0.9)  # at which adaptation is looked at
 
 
@@ -185,9 +185,9 @@ def pack_arc(
             ``flow_reserve`` [1] share of the desired flow that the supply's edge shall have left,
             for which the off-side is raised, 0 for never; ``valve_lead`` [s] by which desired flows
             lead; ``drop_floor`` [Pa] of the inverse maps;
-            ``drop_corner`` [rad/s] of the pressures by whose drops valves are opened, 0 for as they
-            are measured; ``weighing_time`` [s], the gain of adaptation at rest;
-            ``reference_mass`` [kg];
+            ``drop_corner`` [rad/s] above which a load force that is not planned counts as swing,
+            by which no valve is opened, 0 for none (`ehbench.control.arc.opened_by`);
+            ``weighing_time`` [s], the gain of adaptation at rest; ``reference_mass`` [kg];
             ``adapt_oil`` whether planned flows go by the softness that pressures tell;
             ``adapt_maps`` whether the flow maps are corrected, at most at ``map_bandwidth``
             [rad/s], within ``map_error`` [1] of their flow and ``deadband_error`` [V].
@@ -406,10 +406,12 @@ def _along(axis: Axis) -> Iterator[Axis]:
 
 
 def _drop_corner(site: Site, places: Sequence[_Place]) -> float:
-    """Corner [rad/s] of the pressures by whose drops valves are opened: well below the swing of the
-    load where a load-sensing pump keeps the drops small, else none.
+    """Corner [rad/s] between the load force that valves are opened by and its swing: well below the
+    frequency at which the load swings where drops are small, on a load-sensing pump and on two
+    rails, else none.
     """
-    if float(site.axis.circuit.supply[0].margin) == 0.0:
+    supply = site.axis.circuit.supply[0]
+    if float(supply.margin) == 0.0 and float(supply.rail) == 0.0:
         return 0.0
     return DROPS * min(place.swing for place in places)
 

@@ -13,6 +13,7 @@ from ehbench.parts.oil import OIL_COLUMNS, bulk_of
 RECOVERY_TIME = 0.02  # [s]
 # share of its margin that a load-sensing pump is counted on to bring while it stands below
 COUNTED = 0.5
+BESIDE = 1.0  # [Pa] from the change of rails: what rounding leaves on its side
 
 # ``pressure`` the set pressure [Pa], the highest of a load-sensing pump; ``flow_limit`` [m³/s],
 # ``volume`` of the line [m³]; ``margin`` above the load's pressure [Pa] and ``lag`` [s] of load
@@ -42,6 +43,19 @@ def line_stiffness(p_supply, supply):
 def from_rail(chamber, supply):
     """Whether an edge to a ``chamber`` [Pa] takes from the low rail."""
     return supply.rail > 0.0 and chamber + supply.rail_margin <= supply.rail
+
+
+@part_kernel
+def beside_change(slow, chamber, supply):
+    """A ``slow`` pressure [Pa] as far as an edge that takes from the rail of the ``chamber`` [Pa] as
+    measured would take from that rail at it as well.
+    """
+    if supply.rail == 0.0:
+        return slow
+    change = supply.rail - supply.rail_margin
+    if from_rail(chamber, supply):
+        return min(slow, change - BESIDE)
+    return max(slow, change + BESIDE)
 
 
 @part_kernel

@@ -18,7 +18,7 @@ import numpy as np
 from ehbench.codes import DISTURBANCE, FREE, FUNCTIONS, INVERSE_INERTIA, PAYLOAD_SHARE
 from ehbench.control import arc
 from ehbench.control.axis import inertias, load_at
-from ehbench.control.functions import METERED
+from ehbench.control.functions import METERED, SUPPLY_HEAD, SUPPLY_ROD
 from ehbench.control.law import Controller, Site
 from ehbench.control.registry import tick as law_tick
 from ehbench.machines.simulated import model_sample, model_tick
@@ -31,7 +31,7 @@ from ehbench.tune.operating_point import OperatingPoint, state_of
 # what of the controller's memory is a state in motion, and its steps for differences; those of the
 # estimates are a share of their bounds
 MEMORY = {"x": 1e-6, "v": 1e-5, "bias": 1e-3, "acceleration": 1e-3, "set_point": 300.0}
-MEMORY |= {"slow_load": 1.0, "slow_head": 300.0, "slow_rod": 300.0, "slow_supply": 300.0}
+MEMORY |= {"slow_load": 1.0, "calm_load": 1.0, "supply_swing": 300.0, "slow_drop": 300.0}
 ESTIMATE = 1e-4
 INSIDE = 1e-3  # share of their bounds that estimates keep from the ends, where projection is a kink
 SLOWEST = 3.0  # [rad/s]: what is slower is the motion itself, no swing
@@ -352,8 +352,9 @@ def steady_memory(model: Model, point: OperatingPoint, site: Site, gains: np.rec
     state.metered = METERED[state.function]
     state.set_point = point.p_tank + gains.low_pressure
     state.slow_load, state.learning = point.load_force, FREE
-    state.slow_head, state.slow_rod = point.p_head, point.p_rod
-    state.slow_supply = point.p_supply
+    state.calm_load = point.load_force
+    fed = [at.drop for at in point.paths if at.path in (SUPPLY_HEAD, SUPPLY_ROD)]
+    state.slow_drop = fed[0] if fed else 0.0
     state.x, state.v = point.x - site.tick * point.v, point.v  # of the last tick
     memory = arc.memory_of(axis)
     memory.angles[:] = point.q
