@@ -46,16 +46,16 @@ def from_rail(chamber, supply):
 
 
 @part_kernel
-def beside_change(slow, chamber, supply):
-    """A ``slow`` pressure [Pa] as far as an edge that takes from the rail of the ``chamber`` [Pa] as
-    measured would take from that rail at it as well.
+def beside_change(calm, chamber, supply):
+    """A ``calm`` pressure [Pa] of a ``chamber`` [Pa], drawn to where an edge takes from the rail that
+    it takes from at the measured one.
     """
     if supply.rail == 0.0:
-        return slow
+        return calm
     change = supply.rail - supply.rail_margin
     if from_rail(chamber, supply):
-        return min(slow, change - BESIDE)
-    return max(slow, change + BESIDE)
+        return min(calm, change - BESIDE)
+    return max(calm, change + BESIDE)
 
 
 @part_kernel
