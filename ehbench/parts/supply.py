@@ -47,8 +47,8 @@ def from_rail(chamber, supply):
 
 @part_kernel
 def beside_change(calm, chamber, supply):
-    """A ``calm`` pressure [Pa] of a ``chamber`` [Pa], drawn to where an edge takes from the rail that
-    it takes from at the measured one.
+    """A ``calm`` pressure [Pa] drawn to where an edge takes from the rail that it takes from at the
+    measured pressure of the ``chamber`` [Pa].
     """
     if supply.rail == 0.0:
         return calm
