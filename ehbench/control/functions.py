@@ -92,10 +92,11 @@ class Circuit(NamedTuple):
     ``paths`` [6] is the edge that serves each path, −1 for none, ``along`` [6] its direction: +1
     where the edge points along the path, else −1. ``able`` [8] is 1 for each working function that
     the circuit can do. ``hull``, ``hull_at`` [edges, 2]: the measured range of each map, see
-    `ehbench.control.valve_level.inside`. ``supply`` [1] is the plant's line, which says at what
-    pressure an edge finds the supply, see `supply_pressure`. ``trim``, shape (count, 2): gain [1]
-    and shift of the deadband [V] by which each edge differs from its law; a controller that learns
-    writes it (`ehbench.control.map_learning`)."""
+    `ehbench.control.valve_level.inside`. ``play`` [V], shape (count,): the width of each edge's
+    hysteresis as its map has it, 0 where that is not known. ``supply`` [1] is the plant's line,
+    which says at what pressure an edge finds the supply, see `supply_pressure`. ``trim``, shape
+    (count, 2): gain [1] and shift of the deadband [V] by which each edge differs from its law; a
+    controller that learns writes it (`ehbench.control.map_learning`)."""
 
     cylinder: int
     area_head: float
@@ -111,6 +112,7 @@ class Circuit(NamedTuple):
     able: np.ndarray
     hull: np.ndarray
     hull_at: np.ndarray
+    play: np.ndarray
     supply: np.recarray
     trim: np.ndarray
 
@@ -543,6 +545,7 @@ def circuit(
         able,
         hull,
         hull_at,
+        _plays(own, measured),
         rows_of(SUPPLY, supply),
         np.tile([1.0, 0.0], (int(own[-1] - own[0] + 1), 1)),
     )
@@ -631,6 +634,17 @@ def _hulls(edges: np.ndarray, measured: Sequence | None) -> tuple[np.ndarray, np
                 parts.append(part)
                 size += part.size
     return np.concatenate(parts), at
+
+
+def _plays(own: np.ndarray, measured: Sequence | None) -> np.ndarray:
+    """Widths [V] of the hysteresis of a cylinder's edges, by the wider of an edge's two maps."""
+    count = int(own[-1] - own[0] + 1)
+    play = np.zeros(count)
+    for i in range(count):
+        pair = None if measured is None else measured[own[0] + i]
+        for one in () if pair is None else (pair.forward, pair.reverse):
+            play[i] = max(play[i], 0.0 if one is None else one.hysteresis)
+    return play
 
 
 def available(circuit: Circuit) -> tuple[str, ...]:

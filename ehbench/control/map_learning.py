@@ -25,8 +25,8 @@ from ehbench.control.measured import Pressures
 
 GAIN, SHIFT = 0, 1
 # columns of an edge: (co)variances of its gain and shift, flow [m³/s] and slope [m³/(s·V)] behind
-# the valve's lag, then behind the low-pass as well
-VAR_GAIN, COVARIANCE, VAR_SHIFT, LATE_FLOW, LATE_SLOPE, SLOW_FLOW, SLOW_SLOPE = range(7)
+# the valve's lag, then behind the low-pass as well; opening [V] behind its hysteresis
+VAR_GAIN, COVARIANCE, VAR_SHIFT, LATE_FLOW, LATE_SLOPE, SLOW_FLOW, SLOW_SLOPE, SPOOL = range(8)
 FLOW, PRESSURE = 0, 1  # columns of a chamber: what passes [m³/s] and its pressure, low-passed
 CORNER = 2.0  # of k1: the low-pass behind which flows are compared
 QUIET = 2.0  # over that corner: how long after a change of function nothing is learnt
@@ -69,7 +69,7 @@ def map_memory(circuit: Circuit) -> MapMemory:
     for path, ends in enters.items():
         if circuit.paths[path] >= 0:
             into[circuit.paths[path] - circuit.first] = circuit.along[path] * np.array(ends)
-    edges = np.zeros((circuit.count, 7))
+    edges = np.zeros((circuit.count, 8))
     return MapMemory(circuit.trim, edges, np.zeros((2, 2)), into, np.zeros(1), np.zeros(2))
 
 
@@ -97,7 +97,8 @@ def begin(p, onset, gains, maps):
 def follow(quiet, allocated, command, axis, gains, maps):
     """Let flows and slopes of the edges pass the valve's lag and the low-pass; whether they are
     quiet for long enough to be compared. ``allocated`` are the desired flows, then the limits, of
-    all edges.
+    all edges. What an edge was to pass is taken where its hysteresis, as far as its map has one,
+    holds it.
     """
     circuit, tick = axis.circuit, gains.tick
     late = tick / (tick + gains.valve_lead)
@@ -110,10 +111,13 @@ def follow(quiet, allocated, command, axis, gains, maps):
             quiet = False
         if bits & (AGAINST | REVERSED) != 0:
             flow = 0.0
+        row, half = maps.edges[i], 0.5 * circuit.play[i]
+        reach = edge.sign * command[edge.valve]
+        row[SPOOL] = min(max(row[SPOOL], reach - half), reach + half)
         if flow != 0.0:
             wide = edge.sign * (command[edge.valve] - axis.onset[i]) - maps.trim[i, SHIFT]
             slope = flow / max(wide, NARROW)
-        row = maps.edges[i]
+            flow -= slope * (reach - row[SPOOL])
         row[LATE_FLOW] += late * (flow - row[LATE_FLOW])
         row[LATE_SLOPE] += late * (slope - row[LATE_SLOPE])
         row[SLOW_FLOW] += slow * (row[LATE_FLOW] - row[SLOW_FLOW])

@@ -305,6 +305,8 @@ def _to_map(
         beside["rising_to"] = float(
             knots[int(np.count_nonzero(spline.sign > 0)) // spline.columns - 1]
         )
+    if result.lag is not None and result.lag.taken_off:
+        beside["hysteresis"] = round(result.lag.value, 4)
     if task.readings.one_drop:
         increments, low = np.repeat(increments, _LEVEL_SPANS + 2, axis=1), 0.0 * low
         beside["level"] = True

@@ -31,7 +31,7 @@ FILE_NAME = "flow_maps.json"
 _DEADBAND, _RISING, _DELTA, _PER_S, _SPANS_S, _SPANS_U = 0, 1, 2, 3, 4, 5
 _LEAK_ROOT, _LEAK_DROP, _HEADER = 6, 7, 8
 _PIECE = 12
-_OPTIONAL = {"leakage", "leakage_std", "rising_to", "level"}
+_OPTIONAL = {"leakage", "leakage_std", "rising_to", "level", "hysteresis"}
 
 
 @kernel
@@ -199,6 +199,8 @@ class FlowMap:
     of the drop and the part that grows with the drop; ``leakage_std`` [m³/s]: standard error of
     their sum. ``rising_to`` [V]: the opening knot up to which the flow grows with the opening;
     above it it falls. ``level``: measured without pressures, so the flow goes by the opening alone.
+    ``hysteresis`` [V]: what a rising command lies above a falling one at the same flow, the map
+    being the middle of both; 0 where readings did not show it.
 
     Raises:
         InputError: the fields do not describe a map, such as an increment that is not positive.
@@ -226,6 +228,7 @@ class FlowMap:
     leakage_std: float = 0.0
     rising_to: float = math.inf
     level: bool = False
+    hysteresis: float = 0.0
 
     def __post_init__(self) -> None:
         def refuse(why: str) -> None:
@@ -255,6 +258,8 @@ class FlowMap:
             refuse("increments must be positive, or the flow would not increase with the command")
         if not (min(*self.leakage, self.leakage_std) >= 0 and np.all(np.isfinite(self.leakage))):
             refuse("leakage must not be negative")
+        if not 0 <= self.hysteresis < math.inf:
+            refuse("hysteresis must not be negative")
         if not (
             0 < self.delta < math.inf
             and 0 < self.drop_max < math.inf

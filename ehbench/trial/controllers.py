@@ -183,6 +183,8 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None, model: Model | None
         reach = np.column_stack([plant.valves.lowest, plant.valves.highest])
         areas = row.area_head, row.area_rod
         own = circuit(index, *areas, edges, plant.maps, reach, measured, plant.supply)
+        if recipe.on == "model":
+            own.play[:] = 0.0  # its valves are the maps themselves, the middle of both ways
     with located(recipe, "posture"):
         model.posture(recipe.posture)
     with located(recipe, *motion_at, "waypoints"):

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.control import functions
 from ehbench.machines.simulated import SimulatedMachine
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.plant.model import Model
@@ -130,6 +131,20 @@ def test_gain_and_deadband_are_told_apart_on_the_virtual_bench(factor):
     assert first > 0.08
     for edge, one in measures["maps"].items():
         assert one["error_after"] < first / 3.0, edge
+
+
+def test_a_hysteresis_that_is_known_is_not_taken_for_a_wrong_map(monkeypatch):
+    """Speeding up and slowing down tell a gain from a deadband, and there a valve is on either side
+    of its hysteresis: with its width in the maps, less is left of every edge that was the worst.
+    """
+
+    def left():
+        measures = run(prepared("50 lb", on="bench"), plain_bench(1.1)).facts.measures
+        return max(one["error_after"] for one in measures["maps"].values())
+
+    without = left()
+    monkeypatch.setattr(functions, "_plays", lambda own, measured: np.full(len(own), 0.05))
+    assert left() < 0.85 * without
 
 
 def test_maps_are_judged_in_the_mean_of_both_directions():

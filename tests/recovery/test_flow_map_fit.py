@@ -643,6 +643,7 @@ def test_hysteresis_is_a_number_of_its_own_and_leaves_the_deadband_right():
         start, end = found.deadband_interval
         held += [low <= 0.1 <= high, start <= 1.6 <= end]
         assert 0.095 < low and high < 0.105 and end - start < 0.25
+        assert FlowMap.from_dict(found.map.to_dict()).hysteresis == found.hysteresis
         assert any("hysteresis" in text for text in found.warnings)
         assert compare(found, poppet)[0] >= 0.8 and compare(found, poppet)[1] < 0.005
     # 95 % each: two of eight outside come by chance once in twenty times
@@ -653,6 +654,7 @@ def test_up_and_down_readings_of_a_valve_without_hysteresis_say_so():
     found = fit(swept(poppet, 3, 0.0))
     assert found.hysteresis is not None and found.hysteresis_interval[1] < 0.01
     assert not found.warnings and fit(readings(poppet, 3)).hysteresis is None
+    assert found.map.hysteresis == 0.0 and "hysteresis" not in found.map.to_dict()
 
 
 @pytest.mark.slow
