@@ -1040,12 +1040,10 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
         t: time [s], unused.
         sample: what the machine measured; read are this cylinder's channels but q̇, the other
             cylinders' joint angles, p_supply and p_tank.
-        reference: x_d, v_d, a_d, j_d of the cylinder; where others move as well, behind them what
-            `ehbench.control.coupling.among_others` adds; at the end what
-            `ehbench.control.trajectory.with_preview` does.
-        axis: of the design model, an `Axis`.
+        reference: x_d, v_d, a_d, j_d; where others move as well the columns of
+            `coupling.among_others`; at the end those of `trajectory.with_preview`.
+        axis, memory: an `Axis` of the design model; of `memory_of` before the first tick.
         design: the gains, of `ehbench.control.arc_gains.pack_arc`, see `ease`.
-        memory: a `Memory`, of `memory_of` before the first tick.
         command: out, [V], one per valve of the rig; only this cylinder's are written.
         telemetry: out, shape (COLUMNS + 4·edges of the cylinder,).
     """
