@@ -209,11 +209,7 @@ class _Trials:
         for _ in range(rounds):
             if self._quiet(now):
                 break
-            left = self._changes(now)
-            reached, untried = self._round(now, [c for c in left if c.kind not in COSTLY])
-            if not any(self._better(one, now) for one in reached):
-                more, late = self._round(now, [c for c in left if c.kind in COSTLY])
-                reached, untried = [*reached, *more], (*untried, *late)
+            reached, untried = self._round(now)
             better = [one for one in reached if self._better(one, now)]
             if not better:
                 break
@@ -221,16 +217,40 @@ class _Trials:
         self.tell("suggest: done", 1.0)
         return self._table(untried)
 
-    def _round(self, now: Tried, left: Sequence[Change]) -> tuple[list[Tried], tuple[str, ...]]:
-        """(changes on top of a fit, that which promises most first, but for those that promise too
-        little beside the best; the names of those that there was no time for).
+    def _round(self, now: Tried) -> tuple[list[Tried], tuple[str, ...]]:
+        """(changes on top of a fit; the names of those that there was no time for). What promises
+        most is tried first; what costs much, and on the recipe itself what promises nothing, only
+        where that did not help: a promise is to first order.
+        """
+        left = self._changes(now)
+        promised, untried = self._promised(now, [c for c in left if c.kind not in COSTLY])
+        reached = self._tries(now, promised, untried)
+        if not self._any_better(reached, now):
+            costly, late = self._promised(now, [c for c in left if c.kind in COSTLY])
+            untried += late
+            reached += self._tries(now, costly, untried, hope=0.0)
+        if now is self.tried[0] and not self._any_better(reached, now):
+            rest = [one for one in promised if one[0] > (1.0 - WORTH) ** HOPE]
+            reached += self._tries(now, rest, untried, hope=0.0)
+        self.tried += reached
+        return reached, tuple(untried)
+
+    def _tries(
+        self,
+        now: Tried,
+        promised: Sequence[tuple[float, Change]],
+        untried: list[str],
+        hope: float = HOPE,
+    ) -> list[Tried]:
+        """Changes on top of a fit, one by one, to the first that promises too little beside the
+        best: more than its misfit to the power of ``hope``. Those that there is no time for are
+        added to ``untried``.
         """
         reached: list[Tried] = []
-        promised, untried = self._promised(now, left)
         best = 1.0 - WORTH
         for promise, change in promised:
             spent = time.monotonic() - self.begun
-            if change.kind not in COSTLY and promise > best**HOPE:
+            if promise > best**hope:
                 break
             if spent > self.seconds:
                 untried.append(change.name)
@@ -240,8 +260,10 @@ class _Trials:
             if tried is not None:
                 reached.append(tried)
                 best = min(best, self._misfit(tried, now))
-        self.tried += reached
-        return reached, tuple(untried)
+        return reached
+
+    def _any_better(self, reached: Sequence[Tried], now: Tried) -> bool:
+        return any(self._better(one, now) for one in reached)
 
     def _promised(
         self, now: Tried, left: Sequence[Change]

@@ -199,6 +199,20 @@ def test_what_promises_little_beside_the_best_is_not_tried():
     assert len(tried) < len(looked) / 3 and not found.untried
 
 
+def test_where_nothing_that_promised_helps_the_rest_is_tried(monkeypatch):
+    """A promise is to first order, and a cure may lie beyond."""
+
+    def blind(self, now, left):
+        return [(1.0, one) for one in left if one.kind in ("friction", "leakage")], []
+
+    monkeypatch.setattr("ehbench.identification.suggestions._Trials._promised", blind)
+    log = log_of("slide_servo", built("friction"), *STEPS, 3, SHORT)
+    prepared = prepare_fit(rig_of(), [("log", log)], ["bulk_modulus"])
+    found = suggest(prepared, [("log", log)], seconds=600.0, rounds=1)
+    assert found.rows[0].changes[0].startswith("friction"), found.rows
+    assert len(found.rows) > 2  # the others of them too
+
+
 @pytest.mark.slow
 def test_a_load_that_sways_is_found():
     """A third of the load on a spring; oil, mass and spring of the fit begin elsewhere."""
