@@ -11,7 +11,7 @@ import numpy as np
 
 from ehbench.identification.descent import FAINT, LEAST_DAMPING, SCALE_FLOOR, Descent, Point
 
-SCAN = math.log(10.0)  # how far the first look goes either way
+SCAN = math.log(10.0)  # how far the first look goes either way, in units of a parameter
 # its points over the bulk modulus, and over other parameters: 5 % apart, 2.4 % in frequency, which
 # twenty cycles of ringing can still tell
 COARSE, FINER = 11, 97
@@ -35,10 +35,10 @@ class MultiStart(Descent):
     """A descent that finds where to begin."""
 
     def scan(self) -> list[np.ndarray]:
-        """A coarse look over bulk modulus and damping together, then over each other positive
-        parameter without a prior, on one log for each set of cylinders asked: least squares from
-        far off could lock on to the wrong cycle of the ringing. The best that it met first, then
-        the bottoms of other basins that are not much worse."""
+        """A coarse look over bulk modulus and damping together, then over each other parameter that
+        is positive or has no range, and no prior, on one log for each set of cylinders asked: least
+        squares from far off could lock on to the wrong cycle of the ringing. The best that it met
+        first, then the bottoms of other basins that are not much worse."""
         chosen = self._first_logs()
         bulk, damping = (
             [i for i in self.free if self.search[i].row.rings == what and self.search[i].log]
@@ -47,7 +47,7 @@ class MultiStart(Descent):
         others = [
             [i]
             for i, c in enumerate(self.search[: self.asked])
-            if c.log and not c.known and i not in (*bulk, *damping)
+            if c.roams and not c.known and i not in (*bulk, *damping)
         ]
         rivals: list[tuple[float, np.ndarray]] = []
         best = math.inf

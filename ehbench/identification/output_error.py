@@ -13,7 +13,7 @@ import numpy as np
 from ehbench.errors import InsufficientData
 from ehbench.identification.descent import FAINT, Point
 from ehbench.identification.multi_start import MultiStart
-from ehbench.identification.results import HydraulicsFit
+from ehbench.identification.results import HydraulicsFit, read_off
 from ehbench.identification.uncertainty import Error, errors_of, result_of
 
 NOTHING = 1.0e-3  # share of its largest effect below which a parameter does not touch a log
@@ -22,6 +22,7 @@ HEAD = 5.0  # [s] of a log at least that the search begins with
 # points over the range of a parameter of faint effect; halvings that find where the logs deny it
 RANGE, HALVINGS = 13, 5
 DENIED = 3.84  # rise of -2 log likelihood at the ends of a 95 % interval
+SURE = 16.0  # fall of it at the best of many places that is more than noise: four standard errors
 
 
 class OutputError(MultiStart):
@@ -75,16 +76,19 @@ class OutputError(MultiStart):
             self.bound = [k for k in self.bound if k != i]
             self.free = sorted({*self.free, i})
             here = self.point(self.theta, self.shifts)
-            points = np.linspace(*self.search[i].bounds, RANGE)
+            every = np.linspace(*self.search[i].bounds, RANGE)
+            points = np.unique([*every, self.search[i].begin])
             rises, effect = self._rises(here, i, points)
-            denied = DENIED * self.weight
-            if effect < FAINT or np.max(rises) < denied:
+            possible, least = np.isfinite(rises).all(), int(np.argmin(rises))
+            if (effect < FAINT and possible) or np.max(rises) < DENIED * self.weight:
                 dropped.append(i)
-            elif np.min(rises) < -denied and self._gone(here, i, float(points[np.argmin(rises)])):
-                self.ranged.pop(i, None)
-            else:
-                self.free = [k for k in self.free if k != i]
-                self.ranged[i] = self._ends(here, i, points, rises)
+            elif not self._gone(here, i, (float(rises[least]), float(points[least]))):
+                ends, lowest = self._ends(here, i, points, rises)
+                if not self._gone(here, i, lowest):
+                    self.free = [k for k in self.free if k != i]
+                    self.ranged[i] = ends
+                    continue
+            self.ranged.pop(i, None)
         self._drop(dropped)
 
     def _rises(self, here: Point, i: int, points: np.ndarray) -> tuple[np.ndarray, float]:
@@ -111,12 +115,19 @@ class OutputError(MultiStart):
             effect = max(effect, self.effects(change, [i])[i])
         return rises, effect
 
-    def _gone(self, here: Point, i: int, value: float) -> bool:
-        """Whether a solution that begins with a parameter at another value ends better than here,
-        where the search goes then.
+    def _gone(self, here: Point, i: int, lowest: tuple[float, float]) -> bool:
+        """Whether the cost is surely lower with a parameter at another value than here, and a
+        solution that begins there ends better, where the search goes then.
+
+        Args:
+            lowest: (by how much the cost is higher there, the value).
         """
+        rise, value = lowest
+        if rise >= -SURE * self.weight:
+            return False
         self.theta = here.theta.copy()
         self.theta[i] = value
+        self.touches[i] = True  # what it does there is not what it does here
         self.solve(1e-3)
         if self.cost(self.point(self.theta, self.shifts)) < self.cost(here):
             return True
@@ -125,11 +136,14 @@ class OutputError(MultiStart):
 
     def _ends(
         self, here: Point, i: int, points: np.ndarray, rises: np.ndarray
-    ) -> tuple[float, float]:
-        """Between which values the logs do not deny a parameter; the bounds where they never do."""
-        ends = []
+    ) -> tuple[tuple[float, float], tuple[float, float]]:
+        """(between which values the logs do not deny a parameter, the bounds where they never do;
+        the least rise met on the way there, and where). Between the last point at which it does
+        nothing and the first that is denied may lie the one that the logs know.
+        """
+        ends, least = [], (0.0, float(here.theta[i]))
         for side in (-1, 1):
-            beyond = [k for k in range(RANGE) if (points[k] - here.theta[i]) * side > 0.0]
+            beyond = [k for k in range(len(points)) if (points[k] - here.theta[i]) * side > 0.0]
             inner, outer = float(here.theta[i]), None
             for k in beyond[::side]:
                 if rises[k] > DENIED * self.weight:
@@ -138,10 +152,11 @@ class OutputError(MultiStart):
                 inner = float(points[k])
             for _ in range(HALVINGS if outer is not None else 0):
                 middle = 0.5 * (inner + float(outer or 0.0))
-                rise = self._rises(here, i, np.array([middle]))[0][0]
+                rise = float(self._rises(here, i, np.array([middle]))[0][0])
+                least = min(least, (rise, middle))
                 inner, outer = (inner, middle) if rise > DENIED * self.weight else (middle, outer)
             ends.append(self.search[i].bounds[side > 0] if outer is None else outer)
-        return ends[0], ends[1]
+        return (ends[0], ends[1]), least
 
     def _drop(self, which: Sequence[int]) -> None:
         """Put parameters back to their start and leave them out.
@@ -154,11 +169,13 @@ class OutputError(MultiStart):
         self.free = [i for i in self.free if i not in which]
         self.bound = [i for i in self.bound if i not in which]
         if not any(i < self.asked for i in (*self.free, *self.bound, *self.ranged)):
-            names = ", ".join(c.name for c in self.search[: self.asked])
-            raise InsufficientData(
-                f"the logs tell nothing about {names}",
-                hint="use logs in which the commands excite them",
-            )
+            asked = [c.name for c in self.search[: self.asked]]
+            found = {read_off(name, self.simulator.logs) for name in asked}
+            hint = "use logs in which the commands excite them"
+            if None not in found:
+                channels = " and ".join(sorted(filter(None, found)))
+                hint = f"each log goes by its own {channels} instead: read it there"
+            raise InsufficientData(f"the logs tell nothing about {', '.join(asked)}", hint=hint)
 
     def _near_bounds(self, errors: Mapping[int, Error]) -> dict[int, float]:
         """Bounds, by index, that free parameters come near and that their intervals do not exclude:

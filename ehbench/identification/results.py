@@ -30,6 +30,8 @@ from ehbench.signals import Ringing, correlation_time, fit_percent, lowpass, rms
 LITTLE = 0.1  # share of a channel's spread up to which what is left of it is not spoken of
 STRUCTURE = 3.0  # times a channel's noise from which what is left of it is more than noise
 FINE = 0.005  # share of a channel's spread that counts as noise, whatever the noise
+# channels by which each log goes in place of a parameter
+READ_OFF = {"supply.pressure": "p_supply", "supply.tank_pressure": "p_tank"}
 SHOWN = ("q", "qd", "x", "v", "p_head", "p_rod", *GAUGES)
 
 Progress = Callable[[str, float], None]
@@ -230,7 +232,7 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
         InsufficientData: the fitted model follows no channel of any log better than its mean.
     """
     warnings = [text for log in simulator.logs for text in log.warnings]
-    warnings += [*found.warnings, *_statuses(found.fitted, simulator.rig)]
+    warnings += [*found.warnings, *_statuses(found.fitted, simulator)]
     logs, recordings = [], []
     shifts = simulator.unshifted() if found.shifts is None else found.shifts
     starts, replays = simulator.replay([*(one.value for one in found.fitted), *found.held], shifts)
@@ -276,12 +278,23 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
     )
 
 
-def _statuses(fitted: Sequence[FittedParameter], rig: Rig) -> list[str]:
+def read_off(name: str, logs: Sequence[Log]) -> str | None:
+    """The channel of all logs that is taken in place of a parameter, if there is one."""
+    channel = READ_OFF.get(name)
+    given = channel is not None and all(channel in log.record for log in logs)
+    return channel if given else None
+
+
+def _statuses(fitted: Sequence[FittedParameter], simulator: Simulator) -> list[str]:
     """A warning of each parameter that is not excited or at a bound."""
-    warnings = []
+    warnings, rig = [], simulator.rig
     for one in fitted:
         value = rig.shown(one.name, one.value)
-        if one.status == "not_excited":
+        if one.status == "not_excited" and (channel := read_off(one.name, simulator.logs)):
+            warnings.append(
+                f"{one.name} stays at {value}: each log goes by its own {channel} instead"
+            )
+        elif one.status == "not_excited":
             warnings.append(f"{one.name} is not excited by these logs; it stays at {value}")
         elif one.status == "at_bound":
             side = "lower" if one.value - one.lower < one.upper - one.value else "upper"

@@ -73,6 +73,11 @@ class Coordinate:
         return self.of(self.lower), self.of(self.upper)
 
     @property
+    def roams(self) -> bool:
+        """Whether nothing says where it lies but where it starts: it may be far off."""
+        return self.log or self.unit < self.upper - self.lower
+
+    @property
     def known(self) -> bool:
         """Whether it has a prior."""
         return self.prior < math.inf

@@ -90,10 +90,14 @@ def test_a_damping_is_told_by_its_range_where_it_rings_on():
     assert min(fit.logs[0].fit_percent.values()) > 90.0
 
 
-def test_a_parameter_that_its_range_alone_tells_needs_no_other():
-    """A limit of the pump that the flow just reaches: above it nothing changes."""
+@pytest.mark.parametrize("truth", [4e-4, 9e-4])
+def test_a_parameter_that_its_range_alone_tells_needs_no_other(truth):
+    """A limit of the pump, looked for on a coarse grid alone from where it does nothing: one that
+    the flow just reaches lies between two points of the grid, where it is found; of one that it
+    never reaches the range is told.
+    """
     name = "supply.flow_limit"
-    rig = load_rig(RIGS / "slide_servo.toml").with_values({name: 4e-4})
+    rig = load_rig(RIGS / "slide_servo.toml").with_values({name: truth})
     levels = np.repeat([0.0, 1.0, 2.0, 5.0, -2.0, -6.0, 3.5, -3.0, 0.0], 150)
     logs = [
         (f"log {i}", noisy(simulate(rig, {"press.servo": f * levels}, 1e-3 * (levels.size - 1)), i))
@@ -101,8 +105,28 @@ def test_a_parameter_that_its_range_alone_tells_needs_no_other():
     ]
     given = FitOptions(start={name: 8e-4}, upper={name: 3.2e-3}, workers=1)
     found = identify_hydraulics(rig, logs, [name], given)[name]
-    assert found.status == "estimated"
-    assert found.interval[0] <= 4e-4 <= found.interval[1] < 8e-4
+    low, high = found.interval
+    assert found.status == "estimated" and low <= truth <= high
+    if truth < 5e-4:
+        assert high - low < 0.01 * truth and found.value == pytest.approx(truth, rel=5e-3)
+    else:
+        assert found.error_from == "range" and low > 5e-4 and high == 3.2e-3
+
+
+def test_no_product_has_a_parameter_that_ran_into_its_bound():
+    """Where it is taken for known, what the logs know of others is no scale of it."""
+    made = simulate(load_rig(RIGS / "slide_servo.toml"), {"press.servo": pulses(401, 2.0)}, 0.4)
+    asked = ["bulk_modulus", "press.volume_head", "press.volume_rod"]
+    found = {}
+    for upper in (4e9, 8e8):
+        given = FitOptions(
+            start={"bulk_modulus": 6e8}, lower={"bulk_modulus": 1e8}, upper={"bulk_modulus": upper}
+        )
+        rig = load_rig(RIGS / "slide_servo.toml")
+        found[upper] = identify_hydraulics(rig, [("log", noisy(made, 4))], asked, given)
+    assert any("bulk_modulus" in one.powers for one in found[4e9].groups)
+    assert found[8e8]["bulk_modulus"].status == "at_bound"
+    assert not any("bulk_modulus" in one.powers for one in found[8e8].groups)
 
 
 def misfit(fit) -> float:
