@@ -278,8 +278,9 @@ def derivatives(y, command, plant, dy, work):
     edges(y, plant, work)
     for i in range(plant.at.torque, plant.at.net):
         work[i] = 0.0
-    fastest = max(fastest, line_rates(y, plant, dy, work))
-    fastest = max(fastest, cylinders(y, command, plant, dy, work))
+    # oil of a line and of its chamber that swap through a wide line are as fast as both together
+    lines = line_rates(y, plant, dy, work)
+    fastest = max(fastest, lines + cylinders(y, command, plant, dy, work))
     move(y, plant, dy, work)
     fastest = max(fastest, _supply(y, plant, dy, work))
     tie(command, plant, dy)

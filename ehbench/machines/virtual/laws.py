@@ -227,8 +227,8 @@ def derivatives(y, target, bench, dy, work):
     edges(y, bench, work)
     for i in range(bench.at.torque, bench.at.net):
         work[i] = 0.0
-    fastest = max(fastest, line_rates(y, bench, dy, work))
-    fastest = max(fastest, cylinders(y, target, bench, dy, work))
+    lines = line_rates(y, bench, dy, work)
+    fastest = max(fastest, lines + cylinders(y, target, bench, dy, work))
     move(y, bench, dy, work)
     return max(fastest, _supply(y, bench, dy, work))
 
