@@ -134,11 +134,14 @@ def _released(fit: Descent, found: Errors, i: int) -> list[Block]:
 
 
 def _groups(fit: Descent, found: Errors) -> tuple[Group, ...]:
-    """The products of parameters that the logs know though they do not know each."""
+    """The products of parameters that the logs know though they do not know each; one that ran
+    into its bound is taken for known there, as the search takes it.
+    """
     live = sorted(fit.free + fit.bound)
     normal = np.sum([eliminate(b, fit.weight).normal for b in found.blocks], axis=0)
-    logs = [k for k, i in enumerate(live) if i < fit.asked and fit.search[i].log]
-    rest = [k for k in range(len(live)) if k not in logs]
+    inside = [k for k, i in enumerate(live) if not _at_bound(fit, i)]
+    logs = [k for k in inside if live[k] < fit.asked and fit.search[live[k]].log]
+    rest = [k for k in inside if k not in logs]
     if len(logs) < 2:
         return ()
     inner = np.linalg.pinv(normal[np.ix_(rest, rest)])

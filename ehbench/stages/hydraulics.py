@@ -71,6 +71,7 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
         fit, variants = None, {}
         if logs.records:
             fit = _prepared_fit(recipe, state, logs, state.rig, recipe.sensor)
+            inputs.findings.say("notes", *(text for log in fit.logs for text in log.warnings))
             compared = recipe.compare_dynamics
             rigs = with_each_dynamics(state.rig, compared) if compared else {}
             sensors = (*recipe.sensor, *recipe.compare_sensor)
