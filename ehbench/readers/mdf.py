@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ehbench.errors import LogError
 from ehbench.memory import refuse_beyond
 from ehbench.readers.table import Column, Dialect, Source, Table, numbered
 
@@ -22,6 +23,7 @@ def read(path: Path, dialect: Dialect) -> Source:
     with redirect_stdout(io.StringIO()), MDF(str(path)) as file:
         sizes = [group.channel_group.cycles_nr * len(group.channels) for group in file.groups]
         refuse_beyond(16.0 * sum(sizes), "reading it")
+        _refuse_outside(file)
         began = file.start_time.timestamp() if file.start_time else None
         tables, losses = [], []
         for index, group in enumerate(file.groups):
@@ -33,6 +35,25 @@ def read(path: Path, dialect: Dialect) -> Source:
             if table.columns:
                 tables.append(table)
     return Source(_renamed(tables), losses=tuple(losses))
+
+
+def _refuse_outside(file) -> None:
+    """Refuse a damaged file with a channel outside the records of its group: asammdf reads and
+    writes memory there, and the process dies.
+
+    Raises:
+        LogError: there is such a channel.
+    """
+    for group in file.groups:
+        head = group.channel_group
+        room = 8 * (head.samples_byte_nr + getattr(head, "invalidation_bytes_nr", 0))
+        for channel in group.channels:
+            if hasattr(channel, "byte_offset"):  # of version 4
+                begin = 8 * channel.byte_offset + channel.bit_offset
+            else:
+                begin = 8 * channel.additional_byte_offset + channel.start_offset
+            if begin + channel.bit_count > room:
+                raise LogError(f"the channel '{channel.name}' lies outside its group's records")
 
 
 def _group(file, index: int, name: str, began: float | None) -> tuple[Table, list[str]]:

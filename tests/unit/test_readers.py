@@ -4,6 +4,7 @@ units, rates, the wall clock.
 
 from __future__ import annotations
 
+import struct
 import sys
 from pathlib import Path
 
@@ -78,6 +79,29 @@ def test_a_cut_file_is_a_sentence_or_sound_samples(name, files, tmp_path):
             assert "\n" not in str(error)
         else:
             assert source.tables
+
+
+@pytest.mark.parametrize("version", ["3.30", "4.10"])
+def test_a_channel_outside_its_records_is_a_sentence(version, tmp_path):
+    """Its offset alone is damaged; the library would write where the process has no memory."""
+    asammdf = pytest.importorskip("asammdf")
+    path = tmp_path / "a.mdf"
+    t = np.linspace(0.0, 1.0, 40)
+    with asammdf.MDF(version=version) as file:
+        file.append([asammdf.Signal(t, t, unit="bar", name="Supply")])
+        path = Path(file.save(path, overwrite=True))
+    assert len(open_source(path, Dialect()).tables[0].columns) == 1
+    with asammdf.MDF(path) as file:
+        channel = file.groups[0].channels[1]
+        if version == "3.30":  # the first bit, behind links, kind, names and texts
+            at, put = channel.address + 186, struct.pack("<H", 0xFFF8)
+        else:  # the first byte, behind links and four kinds
+            at, put = channel.address + 24 + 8 * channel.links_nr + 4, struct.pack("<I", 1 << 23)
+    whole = bytearray(path.read_bytes())
+    whole[at : at + len(put)] = put
+    path.write_bytes(whole)
+    with pytest.raises(LogError, match="the channel 'Supply' lies outside its group's records"):
+        open_source(path, Dialect())
 
 
 def test_several_rates_are_said(files, tmp_path):
