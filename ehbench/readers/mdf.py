@@ -12,7 +12,8 @@ from ehbench.errors import LogError
 from ehbench.memory import refuse_beyond
 from ehbench.readers.table import Column, Dialect, Source, Table, numbered
 
-_MASTER = (2, 3)  # kinds of channel that are the group's time: written, or counted
+# kinds of channel by version: the group's time, written or counted; samples of different lengths
+_CLOCKS, _VARYING = {3: (1,), 4: (2, 3)}, {3: (), 4: (1,)}
 
 
 def read(path: Path, dialect: Dialect) -> Source:
@@ -48,7 +49,7 @@ def _refuse_outside(file) -> None:
         head = group.channel_group
         room = 8 * (head.samples_byte_nr + getattr(head, "invalidation_bytes_nr", 0))
         for channel in group.channels:
-            if hasattr(channel, "byte_offset"):  # of version 4
+            if _version(channel) == 4:
                 begin = 8 * channel.byte_offset + channel.bit_offset
             else:
                 begin = 8 * channel.additional_byte_offset + channel.start_offset
@@ -59,8 +60,12 @@ def _refuse_outside(file) -> None:
 def _group(file, index: int, name: str, began: float | None) -> tuple[Table, list[str]]:
     """(a channel group, the channels in it that hold no numbers)."""
     group, master = file.groups[index], file.masters_db.get(index)
-    wanted = [(None, index, at) for at in range(len(group.channels)) if at != master]
-    columns, names, unread, t = [], [], [], None
+    columns, names, unread, wanted, t = [], [], [], [], None
+    for at, channel in enumerate(group.channels):
+        if channel.channel_type in _VARYING[_version(channel)]:
+            unread.append(f"{name}/{channel.name}")  # texts, which a damaged file crashes over
+        elif at != master:
+            wanted.append((None, index, at))
     for signal in file.select(wanted, copy_master=False) if wanted else ():
         samples = np.asarray(signal.samples)
         t = np.asarray(signal.timestamps, float)
@@ -73,8 +78,14 @@ def _group(file, index: int, name: str, began: float | None) -> tuple[Table, lis
         columns.append((values, signal.unit or ""))
         names.append(signal.name)
     made = [Column(own, values, unit) for own, (values, unit) in zip(numbered(names), columns)]
-    timed = master is not None and group.channels[master].channel_type in _MASTER
+    clock = None if master is None else group.channels[master]
+    timed = clock is not None and clock.channel_type in _CLOCKS[_version(clock)]
     return Table(name, tuple(made), t if timed else None, began), unread
+
+
+def _version(channel) -> int:
+    """Of the format that a channel is of, 3 or 4."""
+    return 4 if hasattr(channel, "byte_offset") else 3
 
 
 def _renamed(tables: list[Table]) -> tuple[Table, ...]:

@@ -82,7 +82,7 @@ def test_a_cut_file_is_a_sentence_or_sound_samples(name, files, tmp_path):
 
 
 @pytest.mark.parametrize("version", ["3.30", "4.10"])
-def test_a_channel_outside_its_records_is_a_sentence(version, tmp_path):
+def test_mdf_comes_with_its_time_and_a_channel_outside_its_records_is_a_sentence(version, tmp_path):
     """Its offset alone is damaged; the library would write where the process has no memory."""
     asammdf = pytest.importorskip("asammdf")
     path = tmp_path / "a.mdf"
@@ -90,7 +90,8 @@ def test_a_channel_outside_its_records_is_a_sentence(version, tmp_path):
     with asammdf.MDF(version=version) as file:
         file.append([asammdf.Signal(t, t, unit="bar", name="Supply")])
         path = Path(file.save(path, overwrite=True))
-    assert len(open_source(path, Dialect()).tables[0].columns) == 1
+    (table,) = open_source(path, Dialect()).tables
+    assert len(table.columns) == 1 and table.t == pytest.approx(t)
     with asammdf.MDF(path) as file:
         channel = file.groups[0].channels[1]
         if version == "3.30":  # the first bit, behind links, kind, names and texts
