@@ -11,19 +11,19 @@ PIN     = --universal --python-version 3.11 --generate-hashes --no-header --no-e
 # anew takes each process of the tests several seconds
 export PYTHONDONTWRITEBYTECODE =
 
-.PHONY: thesis test tests quick fuzz format lint types docs reference site bench example study datasets warm setup dev \
+.PHONY: thesis check test quick fuzz format lint types docs reference site bench example study datasets warm setup dev \
         requirements clean
 
 thesis: setup            ## run the whole thesis campaign and print the report's path
 	$(BIN)/ehbench reproduce thesis
 
-test:                    ## all gates, side by side: what must hold before a change goes in
-	$(MAKE) -j3 format lint docs types tests
+check:                   ## all gates, side by side: what must hold before a change goes in
+	$(MAKE) -j3 format lint docs types test
 
-tests: dev             ## the tests alone, in parallel
+test: dev                ## the tests, in parallel
 	$(BIN)/python -m pytest -n $(CORES) --dist worksteal
 
-quick: dev             ## the tests but the slow ones, while one works; says how many are left out
+quick: dev               ## the tests but the slow ones, while one works; says how many are left out
 	$(BIN)/python -m pytest -n $(CORES) --dist worksteal -m "not slow"
 
 fuzz: dev                ## 100 000 inputs made wrong on purpose, and what became of them
