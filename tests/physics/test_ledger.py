@@ -863,7 +863,8 @@ def overlaps(monkeypatch):
         with plain(*args, **kwargs) as (figure, axes):
             yield figure, axes
             figure.canvas.draw()
-            boxes = [t.get_window_extent().shrunk(1.0, 0.8) for t in axes.texts if t.get_text()]
+            texts = [t for t in axes.texts if t.get_text()]
+            boxes = [t.get_window_extent().padded(0.0, -1.5) for t in texts]  # what is empty
             crowded = sum(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
             outside = sum(
                 b.x0 < -1
@@ -905,3 +906,23 @@ def test_pictures_are_legible_and_the_same_each_time(model, made, overlaps, tmp_
     for first, second in (("sankey_0", "sankey_3"), ("bars_0", "bars_1")) if twice else ():
         same = [(tmp_path / f"{name}.svg").read_bytes() for name in (first, second)]
         assert same[0] == same[1]
+
+
+def test_labels_of_little_sources_stand_apart(overlaps, tmp_path):
+    """Of a load that sinks, the pump and the oil give little beside it, one below the other; the
+    pump's label has a line more.
+    """
+    from ehbench.report.figures.sankey import sankey
+
+    model = Model.of(rig_of("thesis_arm", lossy=False))
+    ledger = ledger_of_model(model, trial(model, model.rest_commands(50))).as_json()
+    given = {
+        **{"pump": 43.0, "boom.drawn": 43.0, "pump_compression": 0.5, "boom.head": -9.0},
+        **{"boom.drawn_compression": 0.5, "potential": -594.0, "boom.work": -490.0},
+        **{"boom.hect.throttling": 291.0, "boom.regen.throttling": 211.0, "boom.damping": 104.0},
+        **{"boom.repc.throttling": 40.5},
+    }
+    for row in ledger["rows"]:
+        row["energy"] = given.get(row["name"], 0.0)
+    sankey(tmp_path / "sinking.svg", ledger)
+    assert overlaps == [(0, 0)]
