@@ -13,6 +13,7 @@ import numpy as np
 
 from ehbench.preprocessing import EVEN, JITTER
 from ehbench.record import Record
+from ehbench.stamps import stamps_of
 
 BRIDGED = 5  # samples in a row that a straight line may stand for
 RARE = 0.05  # gaps a sample, from which on it is not gaps that a log has but another rate
@@ -45,9 +46,7 @@ def parts_of(
     whole = [Part(name, record)]
     if record.t.size < 3:
         return whole, []
-    tick = record.sample_time
-    steps = np.diff(record.t)
-    missing = np.where(steps > (1.0 + 2.0 * JITTER + EVEN) * tick, np.rint(steps / tick) - 1, 0)
+    steps, missing = np.diff(record.t), _missing(record)
     gaps = np.flatnonzero(missing >= 1.0)
     if not gaps.size or gaps.size > RARE * steps.size or np.any(steps <= 0.0):
         return whole, []
@@ -70,6 +69,20 @@ def parts_of(
         *_sentences(name, record, many, missing, "the log is cut there"),
         *_taken(name, record, found, left_out),
     ]
+
+
+def _missing(record: Record) -> np.ndarray:
+    """Samples that are missing behind each but the last, by its step alone, or, where stamps are
+    off by more than that tells, by all of them; shape (samples − 1,).
+    """
+    tick, steps = record.sample_time, np.diff(record.t)
+    slack = (2.0 * JITTER + EVEN) * tick
+    missing = np.where(steps > tick + slack, np.rint(steps / tick) - 1, 0)
+    if np.any(np.abs(steps - (missing + 1) * tick) > slack):
+        stamps = stamps_of(record.t)
+        if stamps is not None and stamps.even:
+            return stamps.missing
+    return missing
 
 
 def _kept(

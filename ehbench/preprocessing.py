@@ -23,6 +23,7 @@ from ehbench.quantities import GAUGES, VOCABULARY
 from ehbench.record import Record
 from ehbench.rig import Cylinder, Rig
 from ehbench.signals import white_noise
+from ehbench.stamps import Stamps, stamps_of
 from ehbench.units import factor, from_si
 
 if TYPE_CHECKING:
@@ -166,8 +167,7 @@ def evened(name: str, record: Record) -> tuple[Record, list[str]]:
     interpolated, commands held.
 
     Raises:
-        LogError: samples are missing or their time is off by more than a quarter of the sample
-            time.
+        LogError: samples are missing, or their stamps are not those of one rate, early and late.
     """
     steps = np.diff(record.t)
     tick = record.sample_time
@@ -179,12 +179,16 @@ def evened(name: str, record: Record) -> tuple[Record, list[str]]:
     if (
         off[worst] > (2.0 * JITTER + EVEN) * even
     ):  # a step ends in two samples, one early and one late
+        stamps = stamps_of(record.t)
+        if stamps is not None and stamps.even and not stamps.missing.any():
+            return _on_beats(record, stamps)
         at = int(np.argmax(np.abs(steps - tick)))
         raise LogError(
             f"{name}: not evenly sampled: {steps[at] * 1e3:.4g} ms pass after t = "
             f"{record.t[at]:.6g} s, "
             f"{tick * 1e3:.4g} ms elsewhere",
-            hint="resample it to one rate, or use a window without gaps (start, stop)",
+            hint="use a window without gaps (start, stop), or, where only its stamps are not even, "
+            'write rate = "…" in the map of its columns',
         )
     t = np.linspace(record.t[0], record.t[-1], record.t.size)
     held = np.searchsorted(record.t, t + (JITTER + EVEN) * even, side="right") - 1
@@ -197,6 +201,25 @@ def evened(name: str, record: Record) -> tuple[Record, list[str]]:
         f"resampled to {1.0 / even:.5g} Hz"
     )
     return replace(record, t=t, channels=channels), [warning]
+
+
+def _on_beats(record: Record, stamps: Stamps) -> tuple[Record, list[str]]:
+    """A record with stamps that jitter on the beats of their rate, and a sentence on it: readings
+    by straight lines between their stamps, commands each at its beat.
+    """
+    beats = record.t[0] - stamps.off[0] + stamps.period * stamps.number
+    channels = {
+        name: y if name.endswith(".command") else np.interp(beats, record.t, y)
+        for name, y in record.channels.items()
+    }
+    early, late = 1e3 * max(0.0, -stamps.off.min()), 1e3 * max(0.0, stamps.off.max())
+    rate = f"{1.0 / stamps.period:.5g} Hz"
+    said = (
+        f"its time stamps are up to {early:.3g} ms early and {late:.3g} ms late of an even {rate}: "
+        "resampled as if they told when a sample was taken; where a recorder took it on time and "
+        f'wrote it late, rate = "{rate}" in the map of columns says so'
+    )
+    return replace(record, t=beats, channels=channels), [said]
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:
@@ -515,7 +538,7 @@ def _limited(record: Record, rig: Rig) -> list[str]:
         first = int(np.argmax(there))
         found.append(
             f"{name} stands at {rig.shown(name, record[name][first])} in "
-            f"{100 * np.mean(there):.2g} % of its samples, first at {record.t[first]:.3g} s, and "
+            f"{100 * np.mean(there):.2g} % of its samples, first at {record.t[first]:.6g} s, and "
             "never beyond: is that the end of its sensor's range? A fit does not count them, and a "
             "validation does not ask how far beyond the machine was"
         )

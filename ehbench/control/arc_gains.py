@@ -459,18 +459,29 @@ def _defaults(
     }
 
 
+def check_modelled(unmodelled: Sequence[str], **where: Any) -> None:
+    """Refuse an axis with a part that the law's model of a cylinder lacks; ``where`` a file asks
+    for the law.
+
+    Raises:
+        InputError: it has one, which is named.
+    """
+    if unmodelled:
+        raise InputError(
+            f"controller 'arc' knows no {unmodelled[0]}, and its model of the "
+            "cylinder would be wrong by it",
+            **where,
+            hint="take another controller",
+        )
+
+
 def pack(site: Site, gains: Mapping[str, Any], rules: np.record, shaping: np.record) -> Packed:
     """The gains on a site, and what is known of them: see `named_gains`.
 
     Raises:
         InputError: the rig has a part that the law's model of the cylinder lacks.
     """
-    if site.unmodelled:
-        raise InputError(
-            f"controller 'arc' knows no {site.unmodelled[0]}, and its model of the "
-            "cylinder would be wrong by it",
-            hint="take another controller",
-        )
+    check_modelled(site.unmodelled)
     known = {name: v for name, v in gains.items() if name in GAIN_NAMES and name != "adapt"}
     unsure: dict[str, Any] = {name: v for name, v in gains.items() if name not in known}
     packed, per_bandwidth = pack_with_rates(site, rules, Adaptation(**unsure), known)

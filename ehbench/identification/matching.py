@@ -103,7 +103,7 @@ def find_windows(simulator: Simulator, tell: Progress) -> list[_Window]:
                         "are too little to match"
                     )
                 if reason:
-                    reasons.append(f"{log.name} at {log.record.t[span.start]:.3g} s: {reason}")
+                    reasons.append(f"{log.name} at {log.record.t[span.start]:.6g} s: {reason}")
                 else:
                     joint = simulator.rig.cylinder_named(cylinder).joint
                     found.append(_Window(k, part, cylinder, joint, columns, ring))

@@ -190,7 +190,7 @@ def _counts(
             counts[np.ix_(void, np.array(own))] = False
             when = record.t[int(np.argmax(void))]
             said.append(
-                f"{name}: {cylinder.name} cavitates at {when:.3g} s, which the model has only as a "
+                f"{name}: {cylinder.name} cavitates at {when:.6g} s, which the model has only as a "
                 f"floor of pressure; {100 * np.mean(void):.0f} % of its samples do not count"
             )
     for i, channel in enumerate(channels):

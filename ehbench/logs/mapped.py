@@ -12,12 +12,13 @@ import numpy as np
 
 from ehbench.errors import InputError, LogError, UnitError
 from ehbench.logs.checks import LABEL, TIMES, check_known, check_time
-from ehbench.logs.rates import apart, repeated
+from ehbench.logs.rates import REPEATED, apart, repeated
 from ehbench.quantities import VOCABULARY, quantity
 from ehbench.readers import Column, Dialect, Source, Table, open_source
 from ehbench.recipe.columns import LEAVE_OUT, ColumnMap, Columns, MappedColumn
 from ehbench.record import Record
 from ehbench.signals import lowpass
+from ehbench.stamps import FEWEST, stamps_of
 from ehbench.units import from_si
 
 Window = tuple[float, float]
@@ -25,6 +26,7 @@ _ALL = (-np.inf, np.inf)
 BRIDGED = 5  # samples in a row that a straight line may stand for
 GAP = 1.5  # sample times between two samples where one is missing
 CLOCK = 1e8  # [s] from which a time counts from 1970
+WRONG_RATE = 0.01  # share by which rows may last another time than their stamps say
 _NAMED = 4  # places that are told
 
 
@@ -40,6 +42,7 @@ class Group:
     daytime: float | None = None
     channels: dict[str, np.ndarray] = field(default_factory=dict)
     columns: dict[str, Column] = field(default_factory=dict)
+    stamped: np.ndarray | None = None  # [s] stamps of rows that a rate counts instead
 
     @property
     def period(self) -> float:
@@ -83,6 +86,8 @@ def read_mapped(
     columns = columns or named_channels(source, path)
     losses: list[str] = []
     groups = _groups(source, columns, path)
+    for group in groups:
+        losses += _short_of(group)
     began, daytime = _one_clock(groups)
     if check and columns.columns.bad_samples == LEAVE_OUT:
         groups = [_without_repeats(group, losses) for group in groups]
@@ -177,9 +182,9 @@ def _groups(source: Source, columns: ColumnMap, path: Path) -> list[Group]:
             continue
         check_known(mapped.channel, **columns.at("names", name))
         if i not in groups:
-            t, began = _time(source, i, columns, places, path)
+            t, began, stamped = _time(source, i, columns, places, path)
             daytime = source.tables[i].daytime if began is None else None
-            groups[i] = Group(source.tables[i], t, began, daytime)
+            groups[i] = Group(source.tables[i], t, began, daytime, stamped=stamped)
         column = source.tables[i].columns[j]
         groups[i].channels[mapped.channel] = si_of(name, mapped, column, columns, path)
         groups[i].columns[mapped.channel] = column
@@ -226,9 +231,9 @@ def _time(
     columns: ColumnMap,
     places: Mapping[str, tuple[int, int]],
     path: Path,
-) -> tuple[np.ndarray, float | None]:
-    """(time [s], wall clock of t = 0 [s since 1970]) of a table: by the rate that the map says, a
-    column of its own, or as the format knows it.
+) -> tuple[np.ndarray, float | None, np.ndarray | None]:
+    """(time [s], wall clock of t = 0 [s since 1970], stamps [s] that it goes by no more) of a
+    table: by the rate that the map says, a column of its own, or as the format knows it.
     """
     table = source.tables[index]
     times = [name for name, one in columns.columns.names.items() if one.channel == "t"]
@@ -239,8 +244,10 @@ def _time(
         i, j = places[name]
         t = si_of(name, columns.columns.names[name], source.tables[i].columns[j], columns, path)
         began = source.tables[i].began if began is None else began
+    stamped = None
     if columns.columns.rate is not None:
-        t = np.arange(table.size) / float(columns.columns.rate)
+        stamped = t
+        t = _counted(t, table.size, float(columns.columns.rate))
     if t is None:
         what = f"table '{table.name}' " if table.name else ""
         raise LogError(
@@ -251,7 +258,34 @@ def _time(
     good = t[np.isfinite(t)]
     if good.size and good[0] > CLOCK:
         began, t = float(good[0]), t - good[0]
-    return t, began
+    return t, began, stamped
+
+
+def _counted(t: np.ndarray | None, size: int, rate: float) -> np.ndarray:
+    """Time [s] of the rows of a table by their rate [Hz], from 0 on. Where stamps ``t`` stand
+    beside them that are finer than the rate, these tell which rows are missing, and no more.
+    """
+    count = np.arange(size) / rate
+    if t is None or not np.isfinite(t).all() or np.mean(np.diff(t) <= 0.0) > REPEATED:
+        return count
+    stamps = stamps_of(t, 1.0 / rate)
+    return count if stamps is None or not stamps.even else stamps.number / rate
+
+
+def _short_of(group: Group) -> list[str]:
+    """A sentence where the rows of a table that a rate counts last another time than their stamps
+    do, by more than these are rounded and a hundredth: rows are missing, or the rate is wrong.
+    """
+    if group.stamped is None or group.t.size < FEWEST or not np.isfinite(group.stamped).all():
+        return []
+    told, lasts = float(np.ptp(group.stamped)), float(np.ptp(group.t))
+    rounded = float(np.percentile(np.abs(np.diff(group.stamped)), 99))
+    if abs(told - lasts) <= 2.0 * rounded + WRONG_RATE * lasts:
+        return []
+    return [
+        f"{_called(group)}: by their rate the rows last {lasts:.5g} s, and by their stamps "
+        f"{told:.5g} s: rows are missing, or the rate in the map is another"
+    ]
 
 
 def _one_clock(groups: list[Group]) -> tuple[float | None, float | None]:
@@ -502,10 +536,14 @@ def _gaps(group: Group, window: Window) -> list[str]:
     t = group.t[(group.t >= window[0]) & (group.t <= window[1])]
     if not 0.0 < group.period < np.inf:
         return []
-    steps = np.diff(t)
-    at = np.flatnonzero(steps > GAP * group.period)
+    missing = np.where((steps := np.diff(t) / group.period) > GAP, np.rint(steps - 1.0), 0.0)
+    if np.any(np.abs(steps - missing - 1.0) > GAP - 1.0):  # late stamps, by which no step tells
+        stamps = stamps_of(t)
+        missing = stamps.missing if stamps is not None and stamps.even else missing
+    at = np.flatnonzero(missing)
     found = [
-        f"{_called(group)}: about {steps[one] / group.period - 1:.0f} samples are missing "
+        f"{_called(group)}: about {missing[one]:.0f} sample"
+        f"{'s are' if missing[one] > 1 else ' is'} missing "
         f"between t = {t[one]:.6g} and {t[one + 1]:.6g} s"
         for one in at[:_NAMED]
     ]

@@ -14,6 +14,7 @@ from ehbench.parts.cylinder import linkage_arrays
 from ehbench.parts.valve import valve_lag
 from ehbench.physics.arm import work_size
 from ehbench.plant.model import Model
+from ehbench.rig import Cylinder, Rig
 
 
 def site_of(
@@ -39,9 +40,7 @@ def site_of(
         limit = 0.5 * circuit.area_head  # half a metre a second
     used = {int(circuit.edges[e].valve) for e in range(own.start, own.stop) if e in circuit.paths}
     lag = max((valve_lag(plant.valves[i], plant) for i in used), default=0.0)
-    unmodelled = model.rig.cylinder[circuit.cylinder].unmodelled
-    if model.rig.oil.air_fraction is not None:
-        unmodelled += ("air_fraction of [oil]",)
+    unmodelled = unmodelled_of(model.rig, model.rig.cylinder[circuit.cylinder])
     x = float(linkage_arrays(row, q[int(row.joint) : int(row.joint) + 1])[0][0])
     heaviest = max(
         (_at_the_end(axis, model.links(name)) for name in model.rig.payload), default=0.0
@@ -60,3 +59,9 @@ def _at_the_end(axis: Axis, links: np.recarray) -> float:
         axis._replace(mechanism=axis.mechanism._replace(links=links)), angles, room
     )
     return float((loaded - own) / tip)
+
+
+def unmodelled_of(rig: Rig, cylinder: Cylinder) -> tuple[str, ...]:
+    """Tables and keys of a rig file that an axis with a cylinder has nothing of."""
+    air = ("air_fraction of [oil]",) if rig.oil.air_fraction is not None else ()
+    return (*cylinder.unmodelled, *air)

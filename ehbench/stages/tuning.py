@@ -80,12 +80,18 @@ class ArcTuningStage(Stage[ArcTuneRecipe, PreparedTuning[ArcTuneRecipe]]):
     writes = "tuning.json, rig.toml, figures"
 
     def prepare(self, recipe: ArcTuneRecipe, inputs: Inputs) -> PreparedTuning[ArcTuneRecipe]:
+        from ehbench.control.arc_gains import check_modelled
+        from ehbench.plant.site import unmodelled_of
+
         state = _validated(recipe, inputs)
         cylinder = recipe.cylinder or state.rig.cylinder[0].name
         does = (
             f"chooses the bandwidths of adaptive robust control of '{cylinder}' over "
             f"{_points(recipe, state)}"
         )
+        for own in state.rig.cylinder:
+            if own.name == cylinder:
+                check_modelled(unmodelled_of(state.rig, own), **recipe.at("what"))
         return PreparedTuning(recipe, state.inputs, does, state, _study(recipe, state))
 
     def work(

@@ -70,7 +70,7 @@ def cures(rig: Rig, cylinders: Sequence[str], channels: Sequence[str], played: b
     found: list[Cure] = []
     for cylinder in rig.cylinder:
         if cylinder.name in cylinders:
-            own = [*_valves(rig, cylinder), *_commands(cylinder), *_cylinder(rig, cylinder)]
+            own = [*_valves(rig, cylinder), *_commands(rig, cylinder), *_cylinder(rig, cylinder)]
             found += [
                 cure if cure.kind in WIDE else replace(cure, cylinder=cylinder.name) for cure in own
             ]
@@ -242,7 +242,7 @@ def _warmer(u: np.ndarray, delta: float, case: Case) -> np.ndarray:
     return u * (1.0 + delta * (t - t[0]) / max(float(np.ptp(t)), 1.0e-9))
 
 
-def _commands(cylinder: Cylinder) -> Iterator[Cure]:
+def _commands(rig: Rig, cylinder: Cylinder) -> Iterator[Cure]:
     """What is wrong between recorded commands and valves: of all of a cylinder, and of each."""
     names = [f"{cylinder.name}.{valve.name}" for valve in cylinder.valve]
     groups = [(cylinder.name, names)] if len(names) > 1 else []
@@ -267,7 +267,9 @@ def _commands(cylinder: Cylinder) -> Iterator[Cure]:
             trials=(0.1, 0.25, 0.4, 0.55),
         )
     whole, given = cylinder.name if groups else names[0], [f"{name}.command" for name in names]
-    yield _late(whole, given)
+    known = rig.parameters()
+    delays = (f"{one}.delay" for valve in cylinder.valve for one in valve.series)
+    yield _late(whole, given, [one for one in dict.fromkeys(delays) if one in known], known)
     yield Cure(
         "drift",
         whole,
@@ -286,8 +288,11 @@ def _commands(cylinder: Cylinder) -> Iterator[Cure]:
         yield from _level(valve, name)
 
 
-def _late(whole: str, given: Sequence[str]) -> Cure:
-    """What is wrong with when commands were given, or written."""
+def _late(
+    whole: str, given: Sequence[str], delays: Sequence[str], known: Mapping[str, Value]
+) -> Cure:
+    """What is wrong with when commands were given, or written; ``delays`` are those there are."""
+    line, more = _free(delays, known), "more delay" if delays else "a delay"
     return Cure(
         "delay",
         whole,
@@ -297,12 +302,14 @@ def _late(whole: str, given: Sequence[str]) -> Cure:
         lambda d: (
             f"the machine answers {1e3 * abs(d):.2g} ms {_more(d, 'later', 'earlier')}, however "
             f"slow the command: "
-            + (f"a delay of {whole}" if d > 0.0 else f"{', '.join(given)} was written late")
+            + (f"{more} of {whole}" if d > 0.0 else f"{', '.join(given)} was written late")
         ),
         lambda d: (
-            f'kind = "delay" among the dynamics of {whole} in the rig file'
-            if d > 0.0
-            else f'late = "{-1e3 * d:.2g} ms" of that column in the map, or as much more'
+            f'late = "{-1e3 * d:.2g} ms" of that column in the map, or as much more'
+            if d <= 0.0
+            else line(d)
+            if delays
+            else f'kind = "delay" among the dynamics of {whole} in the rig file'
         ),
         5,
         _with_commands(given, _later),

@@ -324,6 +324,21 @@ def test_a_rig_that_is_not_validated_is_told(recipes):
         workflow.run(recipes / "tune.toml")
 
 
+def test_bandwidths_are_not_chosen_where_no_trial_would_take_them(recipes):
+    """Margins of a law whose model lacks a part of the rig were said to be met."""
+    rig = recipes / "rigs" / "slide_servo.toml"
+    force = '[[cylinder.force]]\nkind = "constant"\nforce = "100 N"\n\n[[cylinder.valve]]'
+    pushed = rig.read_text().replace("[[cylinder.valve]]", force, 1)
+    (recipes / "rigs" / "pushed.toml").write_text(pushed)
+    tune = recipes / "tune.toml"
+    tune.write_text('stage = "tune"\nwhat = "arc"\nrig = "rigs/pushed.toml"\n')
+    found = inspection.check(tune)
+    assert found.code == 2 and "knows no [[cylinder.force]]" in str(found.errors[0])
+    assert "tune.toml:2" in str(found.errors[0])
+    tune.write_text('stage = "tune"\nrig = "rigs/pushed.toml"\n')
+    assert inspection.check(tune).code == 0
+
+
 def test_a_log_that_the_rig_is_fitted_to_is_told(recipes):
     found = inspection.check(
         changed(recipes, JUDGED, "heldout/swing_no_load", "steps/swing_no_load")

@@ -16,7 +16,7 @@ FLOORS = [
     | {"text", "usual_units"},
     {"units", "disk", "memory"},
     {"fields", "notebook", "oscillation"},
-    {"physics", "signals"},
+    {"physics", "signals", "stamps"},
     {"parts"},
     {"control"},
     {"record", "rig"},

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ehbench.parts.valve.delay import Delay
 from ehbench.plant.model import Model
 from ehbench.recipe import load_rig
 from ehbench.structure import Case, ask, commanded
@@ -72,6 +73,23 @@ def test_lines_of_what_was_fitted_already_and_of_a_late_command():
     delay = next(cure for cure in cures(rig, ["press"], ["press.v"], False) if cure.kind == "delay")
     assert "dynamics" in delay.line(0.01) and 'late = "10 ms"' in delay.line(-0.01)
     assert "earlier" in delay.says(-0.01) and "press.servo.command" in delay.says(-0.01)
+
+
+def test_a_delay_that_the_rig_file_has_is_to_be_freed():
+    rig = rig_of("slide_servo")
+    cylinder = rig.cylinder[0]
+    valve = cylinder.valve[0]
+    series = valve.model_copy(update={"dynamics": ("bus", *valve.series)})
+    bus = Delay.model_validate({"kind": "delay", "delay": "1 ms"})
+    late = rig.model_copy(
+        update={
+            "cylinder": (cylinder.model_copy(update={"valve": (series,)}),),
+            "dynamics": {**rig.dynamics, "bus": bus},
+        }
+    )
+    cure = next(one for one in cures(late, ["press"], ["press.v"], False) if one.kind == "delay")
+    assert cure.line(0.01) == 'add "bus.delay" to parameters of the identify recipe'
+    assert "more delay of press.servo" in cure.says(0.01) and "late =" in cure.line(-0.01)
 
 
 def test_stroke_and_angle_are_held_against_the_pins():

@@ -1,0 +1,109 @@
+"""Time stamps that jitter: which rows are missing, what becomes of the others, and what is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.errors import LogError
+from ehbench.gaps import parts_of
+from ehbench.logs import read_record
+from ehbench.preprocessing import evened
+from ehbench.recipe import load_columns
+from ehbench.record import Record
+from ehbench.stamps import stamps_of
+
+PERIOD = 0.01
+ROWS = np.arange(1500)
+
+
+def late(rng: np.random.Generator, kind: str) -> np.ndarray:
+    """By how much each row is stamped late [s]."""
+    if kind == "tail":
+        return rng.gamma(1.5, 0.0008, ROWS.size)
+    if kind == "both":
+        return rng.uniform(-0.0035, 0.0035, ROWS.size)
+    return np.where(rng.random(ROWS.size) < 0.03, rng.uniform(0.0, 0.009, ROWS.size), 0.0)
+
+
+@pytest.mark.parametrize("kind", ["tail", "both", "seldom"])
+@pytest.mark.parametrize("epoch", [0.0, 1.7e9])
+def test_rows_get_the_beats_that_they_were_taken_at(kind, epoch):
+    rng = np.random.default_rng(5)
+    keep = np.ones(ROWS.size, bool)
+    keep[[200, 201, 640, 644, *range(900, 960)]] = False
+    by = late(rng, kind)
+    by[[i + d for i in (200, 201, 640, 644, 900, 959) for d in (-2, -1, 1, 2)]] = 0.0
+    stamps = stamps_of(epoch + (1.00002 * PERIOD * ROWS + by)[keep])
+    assert stamps is not None and stamps.even
+    np.testing.assert_array_equal(stamps.number, ROWS[keep])
+    assert stamps.period == pytest.approx(1.00002 * PERIOD, rel=3e-5)
+    np.testing.assert_allclose(stamps.off, (by - by[keep].mean())[keep], atol=0.03 * PERIOD)
+
+
+def test_no_even_rate_is_seen_where_there_is_none():
+    rng = np.random.default_rng(6)
+    stamps = stamps_of(np.cumsum(rng.uniform(0.002, 0.02, 800)))
+    assert stamps is not None and not stamps.even
+    assert stamps_of(np.arange(10) * PERIOD) is None
+
+
+def recording(by: np.ndarray, keep: np.ndarray) -> Record:
+    t = PERIOD * ROWS
+    command = np.where(t % 3.0 < 1.5, 0.0, 2.0)
+    channels = {"press.x": np.sin(2.0 * (t + by)), "press.servo.command": command}
+    return Record(t + by, channels).at(np.flatnonzero(keep))
+
+
+def test_a_log_of_late_stamps_is_cut_where_rows_are_missing_alone():
+    """A late stamp looks like a missing row before it; the log was refused, or cut."""
+    by = late(np.random.default_rng(7), "seldom")
+    keep = np.ones(ROWS.size, bool)
+    keep[[300, *range(700, 712)]] = False
+    by[295:306] = by[695:716] = 0.0
+    parts, said = parts_of("log", recording(by, keep))
+    assert [part.name for part in parts] == ["log_part1", "log_part2"]
+    assert "after t = 2.99 s (1): bridged" in said[0] and "(12): the log is cut" in said[1]
+    whole, notes = evened("log", parts[1].record)
+    assert "ms late of an even 100 Hz" in notes[0] and 'rate = "100 Hz"' in notes[0]
+    assert np.ptp(np.diff(whole.t)) < 1e-9 and whole.t.size == 788
+    np.testing.assert_allclose(whole["press.x"], np.sin(2.0 * whole.t), atol=2e-4)
+    command = "press.servo.command"
+    np.testing.assert_array_equal(whole[command], parts[1].record[command])
+
+
+def test_time_without_a_rate_is_refused_with_what_helps():
+    t = np.cumsum(np.random.default_rng(8).uniform(0.002, 0.02, 800))
+    with pytest.raises(LogError, match="not evenly sampled.*rate = "):
+        evened("log", Record(t, {"press.x": np.sin(t)}))
+
+
+def mapped(tmp_path: Path, stamps: np.ndarray) -> Record:
+    path, columns = tmp_path / "bus.csv", tmp_path / "bus.map.toml"
+    path.write_text("time;A\n" + "".join(f"{t:.4f};{t:.4f}\n" for t in stamps))
+    columns.write_text('rate = "100 Hz"\n[names]\ntime = "t [s]"\nA = "ram.p_head [bar]"\n')
+    return read_record(path, columns=load_columns(columns))
+
+
+def test_a_rate_beside_stamps_keeps_what_they_say_of_missing_rows(tmp_path):
+    """Counted by the rate alone every row behind a lost one came too early, and nobody said so."""
+    keep = np.ones(ROWS.size, bool)
+    keep[[250, *range(800, 809)]] = False
+    by = late(np.random.default_rng(9), "tail")
+    by[[248, 249, 251, 252, 798, 799, 809, 810]] = 0.0
+    record = mapped(tmp_path, (PERIOD * ROWS + by)[keep])
+    np.testing.assert_allclose(record.t, PERIOD * ROWS[keep], atol=1e-12)
+    assert record.losses == (
+        "ram.p_head: about 1 sample is missing between t = 2.49 and 2.51 s",
+        "ram.p_head: about 9 samples are missing between t = 7.99 and 8.09 s",
+    )
+
+
+def test_rounded_stamps_that_last_longer_than_their_rows_are_told(tmp_path):
+    keep = np.ones(ROWS.size, bool)
+    assert mapped(tmp_path, np.floor(PERIOD * ROWS * 5.0) / 5.0).losses == ()
+    keep[500:600] = False
+    record = mapped(tmp_path, np.floor(PERIOD * ROWS[keep] * 5.0) / 5.0)
+    assert "the rows last 13.99 s, and by their stamps 14.8 s" in record.losses[0]
