@@ -49,6 +49,7 @@ OFF_PINS = 0.005  # share of the stroke by which stroke and angle may disagree b
 NOISES = 6.0  # … or so many of the standard deviations of their difference's noise
 WORTH = 0.1  # share of a pressure's spread that a tied position's noise may be worth
 ONGOING = 0.1  # share of the largest speed above which a log begins mid-motion
+AGAINST = -0.5  # correlation of a gauge with what pressures push, below which it is turned
 LIMITED = ("Pa", "N")  # units of what is asked whether its sensor was at its end
 LIMIT_RUN = 4  # readings in a row at a sensor's limit …
 LIMIT_SHARE = 2.0  # … so many times as many as at any other value …
@@ -93,6 +94,7 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[s
         *_stuck(record, model.rig),
         *_limited(record, model.rig),
         *_apart(record, model),
+        *_against(record, model.rig),
     ]
     notes += outside_stroke(record, model.rig)
     return record, (*notes, *_tied(name, record, model))
@@ -576,6 +578,30 @@ def _apart(record: Record, model: Model) -> list[str]:
             f"{name}.x is {shown} {way} what {name}.q and the {by} make it: check the {by}, "
             f'or give the sensor\'s offset ([[sensor]] channel = "{name}.x")'
         )
+    return found
+
+
+def _against(record: Record, rig: Rig) -> list[str]:
+    """Warnings of gauges that go down as the pressures beside them push more: friction apart, all
+    of `GAUGES` go up with them, so the sign of the one or the ends of the others are turned.
+    """
+    found = []
+    for cylinder in rig.cylinder:
+        ends = [f"{cylinder.name}.p_head", f"{cylinder.name}.p_rod"]
+        if not all(end in record for end in ends):
+            continue
+        head, rod = (record[end] for end in ends)
+        area_head, area_rod = cylinder.areas()
+        for word in GAUGES:
+            name = f"{cylinder.name}.{word}"
+            pushed = head - rod if word == "load_pressure" else head * area_head - rod * area_rod
+            if name not in record or not np.std(record[name]) > 0.0 or not np.std(pushed) > 0.0:
+                continue
+            if np.corrcoef(record[name], pushed)[0, 1] < AGAINST:
+                found.append(
+                    f"{name} falls where p_head and p_rod push more: sign = -1 of it in the map of "
+                    "columns, or head and rod are the wrong way round"
+                )
     return found
 
 

@@ -212,3 +212,26 @@ def test_sensors_of_a_recipe_are_shown_with_its_parameters(undrawn, tmp_path):
     assert saved["value"] == pytest.approx(2e5, abs=3e3)
     (shown,) = (line for line in terminal.lines(made.folder) if "offset of press.p_head" in line)
     assert "2.0" in shown and "bar" in shown
+
+
+@pytest.mark.parametrize(
+    ("word", "made"),
+    [
+        ("rod_force", lambda head, rod, a, b: head * a - rod * b),
+        ("load_force", lambda head, rod, a, b: head * a - rod * b),
+        ("load_pressure", lambda head, rod, a, b: head - rod),
+    ],
+)
+def test_a_gauge_against_the_pressures_beside_it_is_told(word, made):
+    """A load cell that reads pull as positive passed without a word."""
+    log, model = sound(3.0, 1), Model.of(rig())
+    force = made(log["press.p_head"], log["press.p_rod"], *rig().cylinder[0].areas())
+    force = force + 0.2 * np.std(force) * np.random.default_rng(4).standard_normal(force.size)
+
+    def told(values):
+        channels = log.channels | {f"press.{word}": values}
+        said = preprocess("log", replace(log, channels=channels), model)[1]
+        return [text for text in said if "push more" in text]
+
+    assert not told(force)
+    assert f"press.{word} falls" in told(-force)[0] and "sign = -1" in told(-force)[0]
