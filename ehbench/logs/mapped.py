@@ -528,11 +528,13 @@ def _uncovered(t: np.ndarray, keep: np.ndarray, slack: float) -> list[str]:
 
 
 def _called(group: Group) -> str:
-    return f"table '{group.table.name}'" if group.table.name else ", ".join(group.channels)
+    names = list(group.channels)
+    some = ", ".join(names[:_NAMED]) + ", …" * (len(names) > _NAMED)
+    return f"table '{group.table.name}'" if group.table.name else some
 
 
 def _gaps(group: Group, window: Window) -> list[str]:
-    """A sentence on each place inside of the window where samples are missing."""
+    """A sentence on where samples are missing inside of the window."""
     t = group.t[(group.t >= window[0]) & (group.t <= window[1])]
     if not 0.0 < group.period < np.inf:
         return []
@@ -541,12 +543,12 @@ def _gaps(group: Group, window: Window) -> list[str]:
         stamps = stamps_of(t)
         missing = stamps.missing if stamps is not None and stamps.even else missing
     at = np.flatnonzero(missing)
-    found = [
-        f"{_called(group)}: about {missing[one]:.0f} sample"
-        f"{'s are' if missing[one] > 1 else ' is'} missing "
-        f"between t = {t[one]:.6g} and {t[one + 1]:.6g} s"
-        for one in at[:_NAMED]
+    if not at.size:
+        return []
+    few = [
+        f"{missing[one]:.0f} between t = {t[one]:.6g} and {t[one + 1]:.6g} s" for one in at[:_NAMED]
     ]
-    if at.size > _NAMED:
-        found.append(f"{_called(group)}: {at.size} gaps in all")
-    return found
+    more = f", … ({at.size} gaps)" if at.size > _NAMED else ""
+    total = missing.sum()
+    are = f"{total:.0f} sample{'s are' if total > 1 else ' is'} missing"
+    return [f"{_called(group)}: about {are}, {', '.join(few)}{more}"]

@@ -96,8 +96,8 @@ def test_a_rate_beside_stamps_keeps_what_they_say_of_missing_rows(tmp_path):
     record = mapped(tmp_path, (PERIOD * ROWS + by)[keep])
     np.testing.assert_allclose(record.t, PERIOD * ROWS[keep], atol=1e-12)
     assert record.losses == (
-        "ram.p_head: about 1 sample is missing between t = 2.49 and 2.51 s",
-        "ram.p_head: about 9 samples are missing between t = 7.99 and 8.09 s",
+        "ram.p_head: about 10 samples are missing, 1 between t = 2.49 and 2.51 s, "
+        "9 between t = 7.99 and 8.09 s",
     )
 
 
