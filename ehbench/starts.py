@@ -36,6 +36,7 @@ from ehbench.signals import LEAST_LINE, autocorrelation, correlation_time, rms
 VAGUE_PRESSURE, COMPARED_PRESSURE, SENSOR = 0.2, 0.05, 0.005
 VAGUE_PLACE, FINE_PLACE, VAGUE_SPEED, VAGUE_OPENING = 0.25, 1.0e-5, 0.2, 0.25
 FINE_SUPPLY = 1.0e-5
+SUPPLY_CHANNEL, TANK_CHANNEL = "p_supply", "p_tank"
 BEGINNING = 0.03  # [s] over which the first samples of a motion tell its state
 DIFFERENCE = 0.3  # of finite differences, in prior standard deviations, …
 SENSED = 0.01  # … of a sensor's, which nothing makes uneven
@@ -53,13 +54,15 @@ class Doubt:
     standard deviation that the recording leaves it and its step of finite differences, both in SI.
 
     ``valve`` is the number of the valve that an opening belongs to, −1 for all others; ``state`` is
-    −1 for a number of a sensor of this log, which is its excess (`sensors.Term`)."""
+    −1 for what stands in no state: the tank's pressure, and a number of a sensor of this log, which
+    is its ``excess`` (`sensors.Term`)."""
 
     name: str
     state: int
     std: float
     step: float
     valve: int = -1
+    excess: bool = False
 
     @property
     def share(self) -> float:
@@ -115,7 +118,7 @@ class LogStart:
     @property
     def alike(self) -> bool:
         """Whether `unmoved` is the same for all shifts: none is of a sensor."""
-        return all(doubt.state >= 0 for doubt in self.doubts)
+        return not any(doubt.excess for doubt in self.doubts)
 
     def unmoved(self, model: Model, shifts: np.ndarray, shared: Excess = NOTHING) -> Start:
         """What `at` moves: the start as sensors tell it that the shifts have put right.
@@ -157,7 +160,10 @@ class LogStart:
         y, supply, tank = first.y.copy(), first.supply, first.tank
         for doubt, shift in zip(self.doubts, shifts, strict=True):
             by = doubt.std * float(shift)
-            if doubt.state < 0:
+            if doubt.excess:
+                continue
+            if doubt.name == TANK_CHANNEL:
+                tank = None if tank is None else tank + by
                 continue
             if doubt.valve >= 0:
                 valve = model.plant.valves[doubt.valve]
@@ -165,7 +171,7 @@ class LogStart:
                 valve_settle(valve, value, model.plant, y)
                 continue
             y[doubt.state] += by
-            if doubt.name == "p_supply" and supply is not None:
+            if doubt.name == SUPPLY_CHANNEL and supply is not None:
                 supply += by
         for index, row in enumerate(model.plant.cylinders):
             low, high = sorted(model.stroke_range(index))
@@ -174,11 +180,20 @@ class LogStart:
         return Start(y, supply, tank)
 
     def moved(self, shifts: np.ndarray) -> dict[str, float]:
-        """By how much the shifts move each number of the state [SI]."""
+        """By how much the shifts move each number of the start [SI]."""
         return {
             doubt.name: doubt.std * float(shift)
             for doubt, shift in zip(self.doubts, shifts, strict=True)
-            if doubt.state >= 0
+            if not doubt.excess
+        }
+
+    def numbers(self, start: Start) -> dict[str, float]:
+        """Each number of a start [SI] that is in doubt."""
+        tank = math.nan if start.tank is None else start.tank
+        return {
+            doubt.name: tank if doubt.name == TANK_CHANNEL else float(start.y[doubt.state])
+            for doubt in self.doubts
+            if not doubt.excess
         }
 
     def excess(self, shifts: np.ndarray, shared: Excess = NOTHING) -> dict[str, float]:
@@ -186,7 +201,7 @@ class LogStart:
         own = {
             doubt.name: doubt.std * float(shift)
             for doubt, shift in zip(self.doubts, shifts, strict=True)
-            if doubt.state < 0
+            if doubt.excess
         }
         return {**shared, **own}
 
@@ -224,13 +239,28 @@ def start_of_log(
     doubts = [doubt for doubt in doubts if doubt.name.rpartition(".")[2] not in given]
     if moves:
         doubts += _of_valves(model, record, live)
-    if "p_supply" in record and not supplied(record):
-        y, most = record["p_supply"], float(model.plant.supply.pressure)
-        std = rms(y - np.mean(y)) if moves else mean_error(y, rest)
-        doubts.append(_doubt("p_supply", model.plant.at.supply, max(std, FINE_SUPPLY * most), most))
+    doubts += _of_lines(model, record, rest, moves)
     own = [term for term in terms if term.per_log and term.std > 0.0]
-    doubts += [Doubt(term.name, -1, term.std, SENSED * term.std) for term in own]
+    doubts += [Doubt(term.name, -1, term.std, SENSED * term.std, excess=True) for term in own]
     return LogStart(record, rest, moves, tuple(doubts), tuple(terms))
+
+
+def _of_lines(model: Model, record: Record, rest: int, moves: bool) -> list[Doubt]:
+    """Doubts about the supply's set pressure, and the tank's pressure where a recording is less
+    sure of it than of any supply.
+    """
+    most, found = float(model.plant.supply.pressure), []
+    for channel in (SUPPLY_CHANNEL, TANK_CHANNEL):
+        if channel not in record or (channel == SUPPLY_CHANNEL and supplied(record)):
+            continue
+        y = record[channel]
+        std = rms(y - np.mean(y)) if moves else mean_error(y, rest)
+        if channel == SUPPLY_CHANNEL:
+            std = max(std, FINE_SUPPLY * most)
+            found.append(_doubt(channel, model.plant.at.supply, std, most))
+        elif std > FINE_SUPPLY * most:
+            found.append(_doubt(channel, -1, std, most))
+    return found
 
 
 def mean_error(y: np.ndarray, rest: int) -> float:
@@ -364,7 +394,7 @@ def _moving_start(
     tick, names = record.sample_time, model.layout
     value = {channel: first for channel, (first, _, _) in seen.items()}
     table = model.commands_of(record)
-    supply, tank = value.get("p_supply"), value.get("p_tank")
+    supply, tank = value.get(SUPPLY_CHANNEL), value.get(TANK_CHANNEL)
     model = replace(model, plant=model.plant.at_pressures(supply, tank))
     y = model.posed(value, table[0] if names.played else None)
     for index, name in enumerate(names.cylinders):

@@ -570,12 +570,7 @@ class Simulator:
             for log, own in zip(self.logs, shifts, strict=True)
         ]
         starts = [
-            {
-                doubt.name: float(log.start.at(model, own, shared).y[doubt.state])
-                for doubt in log.start.doubts
-                if doubt.state >= 0
-            }
-            for model, log, own, _ in tasks
+            log.start.numbers(log.start.at(model, own, shared)) for model, log, own, _ in tasks
         ]
         return starts, list(self.pool.map(self._replay, tasks))
 

@@ -165,6 +165,44 @@ def test_what_a_log_lacks_is_left_wide():
     assert std["press.p_rod"] > 3.0 * std["press.p_head"]
 
 
+def test_a_tank_is_as_sure_as_the_mean_of_its_sensor():
+    """As noisy as the supply's it is as much in doubt; one that is typed in, without noise, is
+    not.
+    """
+    made, model = driven("steps")[0], Model.of(rig("slide_servo"))
+    seen = measured(made, 8)
+    noise = seen["p_supply"] - made["p_supply"]
+    noisy = replace(seen, channels=seen.channels | {"p_tank": 2e5 + noise})
+    start, known = (start_of_log(model, one, ["press"], COMPARED) for one in (noisy, seen))
+    assert "p_tank" not in {doubt.name for doubt in known.doubts}
+    std = {doubt.name: doubt.std for doubt in start.doubts}
+    assert std["p_tank"] == pytest.approx(std["p_supply"])
+    shifts = np.array([2.0 * (doubt.name == "p_tank") for doubt in start.doubts])
+    stands, moved = start.at(model, 0.0 * shifts), start.at(model, shifts)
+    assert moved.tank == pytest.approx(stands.tank + 2.0 * std["p_tank"])
+    np.testing.assert_array_equal(moved.y, stands.y)
+    assert start.numbers(moved)["p_tank"] == moved.tank
+    assert start.moved(shifts)["p_tank"] == pytest.approx(2.0 * std["p_tank"])
+
+
+def test_a_mean_tank_pressure_that_is_off_is_in_the_interval():
+    """A preload of the way to the tank answers to the tank's pressure as it does to the preload:
+    where the mean of a noisy sensor is off by twice its error, its value is off by less than that.
+    """
+    one = rig("slide_servo")
+    name = "press.servo_rod_tank.cracking_pressure"
+    one = one.with_values({name: 5e5})
+    t = np.arange(2001) * 1e-3
+    command = 3.0 * ((t > 0.1) & (t < 0.8)) - 3.0 * ((t > 1.0) & (t < 1.7))
+    seen = measured(simulate(one, {"press.servo": command}, 2.0), 3)
+    noise = 8e3 * np.random.default_rng(4).standard_normal(t.size)
+    off = 2.0 * mean_error(noise, 100) - np.mean(noise[:100])
+    record = replace(seen, channels=seen.channels | {"p_tank": seen["p_tank"] + noise + off})
+    found = identify_hydraulics(one, [("log", record)], [name], FitOptions(workers=1))
+    assert abs(found[name].value - 5e5) < 2.0 * found[name].std
+    assert found[name].from_starts > 0.5 and found.logs[0].start_shift["p_tank"] < 0.0
+
+
 def test_an_encoder_between_two_counts_stands_still():
     """An angle of 2 mrad a count that flickers at rest does not move; one that turns does."""
     t = np.arange(2001) * 1e-3
