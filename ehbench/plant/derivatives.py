@@ -28,6 +28,9 @@ from ehbench.physics.arm import forward
 from ehbench.physics.cylinder import chamber_rate
 from ehbench.plant.build import Plant
 
+# [1/s] least flow of an edge that a load-sensing pump feels, in what brings its line up by its
+# margin: what would take a day for that is none
+LEAST_FELT = 1.0e-5
 _derivatives = Generic("derivatives", "y, command, plant, dy, work")
 _finish = Generic("finish", "y, command, plant, slope, d")
 # where a valve is to go [V], by a row of commands
@@ -129,9 +132,10 @@ def _opens(edge, opening, plant):
     drop = -plant.supply.margin
     if edge.from_node == SUPPLY:
         drop = plant.supply.margin + preload(edge)
-    # what a shut edge leaks senses nothing
+    # what a shut edge leaks senses nothing, nor does a spool that has all but come to rest
     leak = edge_flow(drop, 0.0, edge, plant.maps)
-    return abs(edge_flow(drop, opening, edge, plant.maps)) > abs(leak)
+    least = LEAST_FELT * plant.supply.volume / plant.supply.bulk_modulus * plant.supply.margin
+    return abs(edge_flow(drop, opening, edge, plant.maps)) > abs(leak) + least
 
 
 @part_kernel
