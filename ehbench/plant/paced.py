@@ -21,13 +21,12 @@ from ehbench.parts.valve import limited, valve_advance
 from ehbench.parts.valve.delay import Line, line_felt, line_push
 from ehbench.plant.build import Plant
 from ehbench.plant.derivatives import derivatives
-from ehbench.plant.integrate import put, stages
+from ehbench.plant.integrate import STABLE, put, stages
 from ehbench.plant.layout import SIDES, Layout
 
 AUTO: Literal["auto"] = "auto"
 CLOSE = 2.0e-8  # share of a state's scale by which one step may miss it
 MOST_TICKS = 16  # that a step may last
-STABLE = 2.5  # of the fastest rate times the step: Runge and Kutta's method ends at 2.78
 LEAST = 2.0e-6  # [s]: a step so short is taken whatever its error
 SETTLED = 1.0e-12  # [V] per the square of its fastest rate: a valve that moves less has arrived
 OWN, SCRATCH = 6, 11  # rows of scratch: a step's own, and all with those of a valve's series

@@ -21,7 +21,12 @@ class CheckFields(FileModel):
     pilot_ratio: Annotated[Value, Q("pilot_ratio")] | None = None
 
 
-NEAR = 4.0  # opening ranges by which a poppet at rest may come to move within a step
+# opening ranges by which a poppet at rest may come to move within a step; a pilot's pressure moves
+# it by its ratio
+NEAR = 4.0
+# slope taken there, in flows over the opening range, of which the steepest is 1.5: steps are then so
+# short that they see the poppet on its way, by which logs tell what opens it
+FINE = 4.0
 
 
 @part_kernel
@@ -56,15 +61,15 @@ def opening(drop, flow, edge, maps):
 
 @part_kernel
 def slope(drop, flow, reach, edge):
-    """How fast the flow changes at most with a pressure at it [m³/(s·Pa)], also where the poppet
-    soon begins to move.
+    """How fast the flow changes with a pressure at it [m³/(s·Pa)], more than it does near the
+    opening range, as steps ask that must not miss the poppet's motion.
     """
-    lift = lift_of(drop, reach, edge)
+    lift, lever = lift_of(drop, reach, edge), max(1.0, edge.pilot_ratio)
     share, steep = share_open(lift), 0.0
-    if -NEAR < lift < 1.0 + NEAR:
-        steep = 1.5 / edge.opening_range
+    if -NEAR * lever < lift < 1.0 + NEAR * lever:
+        steep = FINE / edge.opening_range * lever
     chord = share / math.sqrt(math.sqrt(drop * drop + ORIFICE_DROP * ORIFICE_DROP))
-    return edge.gain * (steep * root(abs(drop)) * max(1.0, edge.pilot_ratio) + chord)
+    return edge.gain * (steep * root(abs(drop)) + chord)
 
 
 def pack(edge: Any) -> dict[str, float]:
