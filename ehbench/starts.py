@@ -38,9 +38,12 @@ VAGUE_PLACE, FINE_PLACE, VAGUE_SPEED, VAGUE_OPENING = 0.25, 1.0e-5, 0.2, 0.25
 FINE_SUPPLY = 1.0e-5
 SUPPLY_CHANNEL, TANK_CHANNEL = "p_supply", "p_tank"
 BEGINNING = 0.03  # [s] over which the first samples of a motion tell its state
+# a rest creeps where its mean speed is so many standard errors, and such a share of the fastest
+CREEPS, CREEPING = 3.0, 1.0e-3
 DIFFERENCE = 0.3  # of finite differences, in prior standard deviations, …
 SENSED = 0.01  # … of a sensor's, which nothing makes uneven
 SMALLEST, LARGEST = 1.0e-6, 2.0e-4  # … but within these shares of a number's range
+LINE = math.sqrt(12.0)  # standard error of what a line rises by, in those of its mean
 LEAST_LEFT = 0.2  # share of noise that a line through few independent samples leaves
 ROUNDS, CONVERGED = 4, 1.0e-3  # of an estimate: most rounds, and the gain that is not worth another
 NOTHING: Mapping[str, float] = {}  # wrong with the sensors of all logs
@@ -268,7 +271,7 @@ def mean_error(y: np.ndarray, rest: int) -> float:
     noise, and half of its drift.
     """
     error, drift = _rest_errors(y, rest)
-    return math.hypot(error, 0.5 * max(0.0, drift - 2.0 * math.sqrt(12.0) * error))
+    return math.hypot(error, 0.5 * max(0.0, drift - 2.0 * LINE * error))
 
 
 def first_error(y: np.ndarray, rest: int) -> float:
@@ -308,7 +311,9 @@ def _doubt(name: str, state: int, std: float, span: float, valve: int = -1) -> D
 def _of_cylinder(
     model: Model, record: Record, cylinder: str, compared: Sequence[str], rest: int, moves: bool
 ) -> list[Doubt]:
-    """Doubts about both pressures and the position of a cylinder, and its speed in motion."""
+    """Doubts about both pressures and the position of a cylinder, and its speed in motion or where
+    its rest creeps.
+    """
     names, index = model.layout, model.layout.cylinders.index(cylinder)
     supply, found = float(model.plant.supply.pressure), []
     for side in SIDES:
@@ -331,13 +336,35 @@ def _of_cylinder(
             break
     joint = int(row.joint)
     found.append(_doubt(f"{cylinder}.q", names.state("q", joint), std, high - low))
-    if moves:
-        speed = rate_of(record, cylinder)
-        if speed is not None:
-            most = float(np.abs(speed).max()) or 1.0
-            std = max(VAGUE_SPEED * most, 1e-4 * (high - low))
+    speed = rate_of(record, cylinder)
+    if speed is not None:
+        most = float(np.abs(speed).max()) or 1.0
+        std = max(VAGUE_SPEED * most, 1e-4 * (high - low))
+        if not moves:
+            std = _creep(record, cylinder, rest, (high - low) / float(row.stroke))
+        if std > CREEPING * most:
             found.append(_doubt(f"{cylinder}.qd", names.state("qd", joint), std, most))
     return found
+
+
+def _creep(record: Record, cylinder: str, rest: int, lever: float) -> float:
+    """Speed of a joint at a rest, without its sign, if it surely has one: what leaks lets a load
+    sink, and begun from no speed at all it would ring. Zero if not.
+
+    By the mean of what is recorded of its rate, else by the line through its place; ``lever`` is
+    what the joint turns by per stroke [1/m, or 1].
+    """
+    for word, scale in (("qd", 1.0), ("v", lever), ("q", 1.0), ("x", lever)):
+        if (channel := f"{cylinder}.{word}") not in record:
+            continue
+        if word in ("qd", "v"):
+            y = record[channel]
+            creep, error = abs(float(np.mean(y[:rest]))), mean_error(y, rest)
+        else:
+            error, creep = _rest_errors(record[channel], rest)
+            creep, error = (one / (rest * record.sample_time) for one in (creep, LINE * error))
+        return scale * creep if creep > CREEPS * error else 0.0
+    return 0.0
 
 
 def _of_valves(model: Model, record: Record, live: Sequence[str]) -> list[Doubt]:

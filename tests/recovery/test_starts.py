@@ -17,7 +17,7 @@ from ehbench.plant.model import Model, simulate
 from ehbench.preprocessing import moving_at_first
 from ehbench.recipe import load_rig
 from ehbench.record import Record
-from ehbench.signals import first_of, fit_percent
+from ehbench.signals import first_of, fit_percent, rms
 from ehbench.starts import estimated_start, first_error, mean_error, start_of_log
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
@@ -121,6 +121,29 @@ def test_a_rest_that_creeps_tells_its_first_place():
     creep = abs(made["boom.q"][299] - y[place])
     assert creep > 2e-5
     assert abs(model.rest_start(made).y[place] - y[place]) < 0.05 * creep
+
+
+@pytest.mark.parametrize("drop", [(), ("v",)])
+def test_a_load_that_sinks_before_the_first_command_does_not_ring(drop):
+    """What slips through a pump at rest lets its load sink: begun from no speed at all the model
+    rings by as much as the load sinks.
+    """
+    pump, t = rig("pump_cylinder"), np.arange(1601) * 1e-3
+    command = 4.0 * ((t > 0.9) & (t < 1.2)) - 3.0 * (t > 1.3)
+    made = cut(simulate(pump, {"lift.drive": command}, 1.6), 600)
+    record, model = measured(made, 4, drop), Model.of(pump)
+    compared = ["lift.v", "lift.p_head", "lift.p_rod"]
+    rest = model.replay(record)
+    followed = model.replay(record, start=estimated_start(model, record, ["lift"], compared))
+    for channel, noise in (("lift.v", 1e-3), ("lift.p_head", 6e3)):
+        off = [rms(made[channel] - y[channel]) for y in (rest, followed)]
+        assert off[0] > 0.3 * noise and off[1] < 0.1 * noise, (channel, off)
+
+
+def test_a_rest_that_stands_has_no_speed_to_find():
+    record = measured(driven("steps")[0], 2)
+    start = start_of_log(Model.of(rig("slide_servo")), record, ["press"], COMPARED)
+    assert "press.qd" not in {doubt.name for doubt in start.doubts}
 
 
 def test_a_place_is_as_sure_as_its_line():
