@@ -24,8 +24,8 @@ class CheckFields(FileModel):
 # opening ranges by which a poppet at rest may come to move within a step; a pilot's pressure moves
 # it by its ratio
 NEAR = 4.0
-# slope taken there, in flows over the opening range, of which the steepest is 1.5: steps are then so
-# short that they see the poppet on its way, by which logs tell what opens it
+# slope taken there, in flows over the opening range, of which the steepest is 1.5: steps are then
+# so short that they see the poppet on its way, by which logs tell what opens it
 FINE = 4.0
 
 
