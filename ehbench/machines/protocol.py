@@ -171,6 +171,13 @@ def carry_of(machine: Machine) -> Callable[[str | None], None] | None:
     return getattr(machine, "carry", None)
 
 
+def plays_of(machine: Machine) -> bool:
+    """Whether the valves of a machine may lag behind their commands by a hysteresis, as those of
+    every machine may that does not deny it by ``plays``: what a map knows of one counts there.
+    """
+    return getattr(machine, "plays", True)
+
+
 def static_flow_of(machine: Machine) -> Callable[..., np.ndarray] | None:
     """How a simulated machine says what its own edge passes at rest: ``flow(edge, command, drop)``
     [m³/s] at commands [V] and drops [Pa] along it, arrays of one shape, in the mean of rising and

@@ -155,6 +155,7 @@ class SimulatedMachine:
 
     name = NAME
     latency = 0.0
+    plays = False  # its valves are the maps themselves, the middle of both ways
 
     def __init__(self, model: Model, rate: float = 1000.0, step: Step = STEP) -> None:
         self.model, self.layout, self.rate = model, model.layout, float(rate)

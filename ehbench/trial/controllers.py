@@ -20,7 +20,7 @@ from ehbench.control.functions import ALL_RULES, RULE_NAMES, Circuit, circuit, p
 from ehbench.control.law import Controller, Law, Site
 from ehbench.control.records import numbers
 from ehbench.control.registry import LAWS
-from ehbench.control.trajectory import SHAPING_NAMES, V, pack_shaping, with_preview
+from ehbench.control.trajectory import SHAPING_NAMES, pack_shaping
 from ehbench.errors import InputError
 from ehbench.fields import read_value
 from ehbench.parts.cylinder import linkage_arrays
@@ -100,13 +100,17 @@ class Compiled:
     telemetry: np.ndarray
     used: dict[str, Any]
 
-    def afresh(self) -> Compiled:
-        """The same at its beginning, for a run of its own."""
+    def afresh(self, plays: bool = True) -> Compiled:
+        """The same at its beginning, for a run of its own; ``plays`` False on a machine whose
+        valves have no hysteresis, whatever their maps know of one.
+        """
         own, telemetry = self.controller, np.zeros((len(self.references), len(self.channels)))
-        memory, given = self.law.memory(own.axis), np.zeros(own.given.shape)
-        return replace(
-            self, controller=own._replace(memory=memory, given=given), telemetry=telemetry
-        )
+        axis, given = own.axis, np.zeros(own.given.shape)
+        if not plays:
+            still = np.zeros_like(axis.circuit.play)
+            axis = axis._replace(circuit=axis.circuit._replace(play=still))
+        own = own._replace(axis=axis, memory=self.law.memory(axis), given=given)
+        return replace(self, controller=own, telemetry=telemetry)
 
 
 @dataclass
@@ -115,9 +119,9 @@ class Laws:
 
     parts: tuple[Compiled, ...]
 
-    def afresh(self) -> Laws:
-        """The same at their beginning, for a run of their own."""
-        return Laws(tuple(part.afresh() for part in self.parts))
+    def afresh(self, plays: bool = True) -> Laws:
+        """The same at their beginning, for a run of their own; ``plays`` as there."""
+        return Laws(tuple(part.afresh(plays) for part in self.parts))
 
 
 @contextmanager
@@ -183,8 +187,6 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None, model: Model | None
         reach = np.column_stack([plant.valves.lowest, plant.valves.highest])
         areas = row.area_head, row.area_rod
         own = circuit(index, *areas, edges, plant.maps, reach, measured, plant.supply)
-        if recipe.on == "model":
-            own.play[:] = 0.0  # its valves are the maps themselves, the middle of both ways
     with located(recipe, "posture"):
         model.posture(recipe.posture)
     with located(recipe, *motion_at, "waypoints"):
@@ -295,8 +297,6 @@ def compiled(
         np.zeros(channels),
     )
     names = law.channels(design.cylinder, design.edges)
-    if law.preview > 0.0:
-        references = with_preview(references, references[:, V], law.preview, 1.0 / rate)
     return Compiled(
         law,
         controller,

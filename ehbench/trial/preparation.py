@@ -14,7 +14,7 @@ import numpy as np
 from ehbench.control.functions import RULES, pack_rules
 from ehbench.control.records import blank
 from ehbench.errors import InputError
-from ehbench.machines.protocol import Machine, carry_of, hidden_of, seeded_of, truth_of
+from ehbench.machines.protocol import Machine, carry_of, hidden_of, plays_of, seeded_of, truth_of
 from ehbench.machines.registry import open_machine
 from ehbench.machines.rows import COMMAND, LIMITS, MARGIN, Rows, limit_array, violated
 from ehbench.memory import MOST_STEPS, refuse_beyond, rows_of
@@ -174,7 +174,7 @@ class Prepared:
         laws, table = self.loop.laws, self.loop.references.table
         if laws is None:
             return UserCode(self.recipe, self.loop.design, machine.channels, machine.rate, table)
-        return laws.afresh()
+        return laws.afresh(plays_of(machine))
 
     def first_rows(self, machine: Machine, count: int | None = None) -> Rows:
         """The rows before the first tick, the machine at rest.
@@ -438,7 +438,7 @@ def _loop(
     if found is None and len(singles) == 1:
         motion = _rest(designs[0]) if standing else references(recipe, designs[0], low)
         driven = (Driven(recipe, designs[0], motion),)
-        return Loop(driven, _laws(recipe, driven, tuning), level, notes=notes)
+        return Loop(driven, _over(_laws(recipe, driven, tuning), driven), level, notes=notes)
     motions = []
     for one, design in zip(singles, designs, strict=True):
         # it may run slower than it is desired: its length is the recipe's only then
@@ -452,10 +452,7 @@ def _loop(
     driven = tuple(Driven(*one) for one in zip(singles, designs, as_long(motions), strict=True))
     laws = _laws(recipe, driven, tuning)
     driven, plan = _together(recipe, driven, laws, level)
-    if laws is not None:
-        parts = zip(laws.parts, tables_of(driven), strict=True)
-        laws = Laws(tuple(replace(part, references=table) for part, table in parts))
-    return Loop(driven, laws, level, plan, notes)
+    return Loop(driven, _over(laws, driven), level, plan, notes)
 
 
 def _refuse_misfit(
@@ -509,6 +506,14 @@ def _laws(
         table, rate = one.references.table, float(recipe.rate)
         made.append(controllers.compiled(one.recipe, one.design, known, table, rate))
     return Laws(tuple(made))
+
+
+def _over(laws: Laws | None, driven: Sequence[Driven]) -> Laws | None:
+    """The laws over what their cylinders shall do, with what each is told beside it."""
+    if laws is None:
+        return None
+    parts = zip(laws.parts, tables_of(driven), strict=True)
+    return Laws(tuple(replace(part, references=table) for part, table in parts))
 
 
 def _together(

@@ -140,16 +140,13 @@ def tables_of(driven: Sequence[Driven]) -> list[np.ndarray]:
     """The table that each law runs over: its own motion, for a law that counts on the others' that
     of all joints behind it, and for one that looks ahead what speeds are to come.
     """
-    tables = [one.references.table for one in driven]
-    if len(driven) == 1:
-        return tables
-    _, joints = joints_of(driven)
+    joints = joints_of(driven)[1] if len(driven) > 1 else None
     widened = []
-    for one, table in zip(driven, tables, strict=True):
+    for one in driven:
         chosen = controller_of(one.recipe)
         law = None if chosen.kind is None else LAWS[chosen.kind]
-        wide = table
-        if law is not None and chosen.coupling and law.ahead > 0.0:
+        wide = table = one.references.table
+        if law is not None and joints is not None and chosen.coupling and law.ahead > 0.0:
             wide = among_others(table, joints, law.ahead)
         if law is not None and law.preview > 0.0:
             tick = 1.0 / float(one.recipe.rate)
