@@ -181,6 +181,7 @@ _ROWS = [
     ),
     Quantity("pressure", "p", "Pa", "kPa", "gauge pressure", -2e5, 2e8),
     Quantity("pressure_error", "Δp", "Pa", "kPa", "what a sensor says too much", -2e8, 2e8),
+    Quantity("zero_error", "σ_p", "Pa", "kPa", "standard error of a sensor's zero", 0, 2e8),
     Quantity("tank_pressure", "Pt", "Pa", "kPa", "gauge tank pressure", -2e5, 1e7),
     Quantity(
         "relief_pressure",

@@ -51,7 +51,7 @@ class FlowMapRecipe(Recipe):
     settle: Annotated[Value, Q("settle")] = Field(
         default=Value(0.2), description="of step logs: no reading so long after a change of command"
     )
-    pressure_error: Annotated[Value, Q("pressure")] | None = Field(
+    pressure_error: Annotated[Value, Q("zero_error")] | None = Field(
         default=None,
         description="of step logs: standard error of the zero of a pressure sensor; none is a "
         "thousandth of the supply's pressure",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ehbench import datasets, workflow
-from ehbench.errors import InsufficientData
+from ehbench.errors import InputError, InsufficientData
 from ehbench.identification.readings import fit_readings
 from ehbench.identification.step_readings import step_readings
 from ehbench.logs import write_log
@@ -131,6 +131,19 @@ def recorded(folder, seed):
         load_rig(RIGS / "boom_four_valve.toml"), load_recipe(folder / "bench.toml")
     )
     return [str(made / f"s{index}.mcap") for index in range(2)], bench
+
+
+@pytest.mark.parametrize("key", ["pressure_error", "command_error"])
+def test_a_standard_error_is_not_negative(key, tmp_path):
+    unit = {"pressure_error": "bar", "command_error": "V"}[key]
+    recipe = tmp_path / "r.toml"
+    recipe.write_text(
+        f'stage = "identify"\nwhat = "flow_map"\nmethod = "steps"\nrig = "r.toml"\n'
+        f'data = ["a.csv"]\n{key} = "-0.1 {unit}"\n'
+    )
+    with pytest.raises(InputError, match=key) as raised:
+        load_recipe(recipe)
+    assert "outside" in str(raised.value) and raised.value.line == 6
 
 
 @pytest.mark.slow
