@@ -1109,7 +1109,7 @@ _ROWS = [
         "ω_g",
         "rad/s",
         "rad/s",
-        "the largest rate at which flow maps are corrected",
+        "the rate at which flow maps are corrected in motion",
         0,
         1e5,
     ),

@@ -985,7 +985,9 @@ def mend_maps(choice, seen, command, axis, gains, memory, telemetry):
     if gains.adapt_maps > 0.0:
         moving = choice.function != HOLD and not choice.resting
         quiet = moving and memory.state.age > 1.5 * gains.tick
-        learn_maps(quiet, seen, telemetry[COLUMNS:], command, axis, gains, memory.maps)
+        learn_maps(
+            quiet, choice.resting, seen, telemetry[COLUMNS:], command, axis, gains, memory.maps
+        )
         oil, told = seen.oil, memory.maps.told
         told_already(oil.bulk * (oil.head * told[0] - oil.rod * told[1]), memory.oil)
 

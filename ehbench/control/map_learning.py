@@ -25,26 +25,31 @@ from ehbench.control.measured import Pressures
 
 GAIN, SHIFT = 0, 1
 # columns of an edge: (co)variances of its gain and shift, flow [m³/s] and slope [m³/(s·V)] behind
-# the valve's lag, then behind the low-pass as well; opening [V] behind its hysteresis
+# the valve's lag, then behind the low-pass as well; opening [V] behind its hysteresis; gain and
+# shift [V] as they are estimated
 VAR_GAIN, COVARIANCE, VAR_SHIFT, LATE_FLOW, LATE_SLOPE, SLOW_FLOW, SLOW_SLOPE, SPOOL = range(8)
+BEST_GAIN, BEST_SHIFT, COLUMNS = 8, 9, 10
 FLOW, PRESSURE = 0, 1  # columns of a chamber: what passes [m³/s] and its pressure, low-passed
 CORNER = 2.0  # of k1: the low-pass behind which flows are compared
 QUIET = 2.0  # over that corner: how long after a change of function nothing is learnt
 SCATTER = 0.003  # of the largest speed: what a comparison may be wrong by
 LEAST = 0.015  # of the largest speed: edges that pass less tell nothing
-SQUEEZED = 0.3  # share of the oil's compression that may be wrong: its bulk modulus
-UNSTEADY = 0.15  # share of what the low-pass holds back, for lags that are not known
+SQUEEZED = 0.1  # share of the oil's compression that may be wrong: its bulk modulus
+UNSTEADY = 0.05  # share of what the low-pass holds back, for lags that are not known
+APART = 0.05  # of the largest speed: flows so far from each other are wrong each for itself
+STEADY = 0.04  # share of that corner at which a steady flow still tells something new
 NARROW = 0.15  # [V] beyond the deadband below which a slope is not told
 FIRST = 0.4  # of their bounds: standard errors at the start
-KNOWN = 0.16  # the same of a deadband that the map has: in flow about as much as a gain's
+SURE = 1.0e-30  # a variance of nothing, where a bound is 0
+KNOWN = 0.1  # the same of a deadband that the map has: in flow somewhat less than a gain's
 
 
 class MapMemory(NamedTuple):
-    """``trim``, (gain, shift [V]) of each edge, shape (edges, 2); ``edges`` and ``chambers``, what
-    is learnt from, columns above; ``into``, +1 where an edge's flow enters the head or the rod end,
-    −1 where it leaves, shape (edges, 2); ``clock``, shape (1,), for how long [s] flows were quiet;
-    ``told``, shape (2,), what the last correction adds to the flow into the head and the rod end at
-    the same commands [m³/s].
+    """``trim``, (gain, shift [V]) of each edge, shape (edges, 2), on its way to what is estimated;
+    ``edges`` and ``chambers``, what is learnt from, columns above; ``into``, +1 where an edge's
+    flow enters the head or the rod end, −1 where it leaves, shape (edges, 2); ``clock``, shape
+    (1,), for how long [s] flows were quiet; ``told``, shape (2,), what the last correction adds to
+    the flow into the head and the rod end at the same commands [m³/s].
     """
 
     trim: np.ndarray
@@ -69,7 +74,7 @@ def map_memory(circuit: Circuit) -> MapMemory:
     for path, ends in enters.items():
         if circuit.paths[path] >= 0:
             into[circuit.paths[path] - circuit.first] = circuit.along[path] * np.array(ends)
-    edges = np.zeros((circuit.count, 8))
+    edges = np.zeros((circuit.count, COLUMNS))
     return MapMemory(circuit.trim, edges, np.zeros((2, 2)), into, np.zeros(1), np.zeros(2))
 
 
@@ -88,6 +93,7 @@ def begin(p, onset, gains, maps):
     maps.chambers[0, FLOW] = maps.chambers[1, FLOW] = 0.0
     for i in range(maps.edges.shape[0]):
         maps.trim[i, GAIN], maps.trim[i, SHIFT] = 1.0, 0.0
+        maps.edges[i, BEST_GAIN], maps.edges[i, BEST_SHIFT] = 1.0, 0.0
         maps.edges[i, VAR_GAIN] = (FIRST * gains.map_error) ** 2
         first = KNOWN if onset[i] != 0.0 else FIRST
         maps.edges[i, VAR_SHIFT] = (first * gains.deadband_error) ** 2
@@ -127,11 +133,15 @@ def follow(quiet, allocated, command, axis, gains, maps):
 
 
 @kernel
-def learn_maps(quiet, seen, allocated, command, axis, gains, maps):
-    """Move the corrections by what both chambers say has passed; ``allocated`` as in `follow`.
+def learn_maps(quiet, resting, seen, allocated, command, axis, gains, maps):
+    """Estimate corrections by what both chambers say has passed, and move those in force towards
+    them; ``allocated`` as in `follow`.
 
-    Least squares whose gain is limited, so that no correction goes faster than ``map_bandwidth``,
-    then held in the bounds ``map_error`` and ``deadband_error``."""
+    Least squares in which a comparison counts by how far the flow has gone since the last, not by
+    the time that it took: what is wrong at one opening stays wrong while it stays, and where
+    speeding up counts like slowing down, what is late in both, a hysteresis for one, cancels. In
+    motion no correction goes faster than ``map_bandwidth``, at rest, where no valve moves the load,
+    they are taken over by k1."""
     ready = follow(quiet, allocated, command, axis, gains, maps)
     maps.told[0] = maps.told[1] = 0.0
     v, p, oil = seen.v, seen.p, seen.oil
@@ -153,40 +163,87 @@ def learn_maps(quiet, seen, allocated, command, axis, gains, maps):
         most = area * gains.speed_correction
         doubt = (SCATTER * most) ** 2 + (SQUEEZED * pressed) ** 2
         doubt += (UNSTEADY * (passed - held[FLOW])) ** 2
-        doubt /= corner * gains.tick
-        correct(side, held[FLOW] + pressed, doubt, LEAST * most, gains, maps)
+        doubt /= corner * gains.tick * min(STEADY + abs(changed(side, maps)) / (APART * most), 1.0)
+        correct(side, held[FLOW] + pressed, doubt, LEAST * most, maps)
+    approach(ready, gains.position_bandwidth if resting else gains.map_bandwidth, gains, maps)
 
 
 @kernel
-def correct(side, passed, doubt, least, gains, maps):
-    """Correct the edges at a chamber by the flow [m³/s] that ``passed`` into it; ``doubt`` its
-    variance, ``least`` what an edge must pass to be corrected.
+def changed(side, maps):
+    """By how much the flow [m³/s] that was to pass into a chamber changes within the time of the
+    low-pass.
+    """
+    flow = 0.0
+    for i in range(maps.edges.shape[0]):
+        row = maps.edges[i]
+        flow += maps.into[i, side] * (row[LATE_FLOW] - row[SLOW_FLOW])
+    return flow
+
+
+@kernel
+def by_correction(row, trim):
+    """What 1 of gain and 1 V of shift add to the flow [m³/s] that was to pass an edge."""
+    return row[SLOW_FLOW] / trim[GAIN], -row[SLOW_SLOPE]
+
+
+@kernel
+def correct(side, passed, doubt, least, maps):
+    """Correct the estimates of the edges at a chamber by the flow [m³/s] that ``passed`` into it;
+    ``doubt`` its variance, ``least`` what an edge must pass to be corrected.
     """
     error, spread = passed, 0.0
     for i in range(maps.edges.shape[0]):
         row, way = maps.edges[i], maps.into[i, side]
-        error -= way * row[SLOW_FLOW]
+        per_gain, per_shift = by_correction(row, maps.trim[i])
+        more = per_gain * (row[BEST_GAIN] - maps.trim[i, GAIN])
+        more += per_shift * (row[BEST_SHIFT] - maps.trim[i, SHIFT])
+        error -= way * (row[SLOW_FLOW] + more)
         if way != 0.0 and abs(row[SLOW_FLOW]) > least:
-            per_gain, per_shift = row[SLOW_FLOW] / maps.trim[i, GAIN], -row[SLOW_SLOPE]
             spread += row[VAR_GAIN] * per_gain * per_gain + row[VAR_SHIFT] * per_shift * per_shift
             spread += 2.0 * row[COVARIANCE] * per_gain * per_shift
-    whole = max(doubt, spread / (gains.map_bandwidth * gains.tick)) + spread
+    whole = doubt + spread
     for i in range(maps.edges.shape[0]):
         row, way = maps.edges[i], maps.into[i, side]
         if way == 0.0 or abs(row[SLOW_FLOW]) <= least:
             continue
-        per_gain, per_shift = row[SLOW_FLOW] / maps.trim[i, GAIN], -row[SLOW_SLOPE]
+        per_gain, per_shift = by_correction(row, maps.trim[i])
         by_gain = row[VAR_GAIN] * per_gain + row[COVARIANCE] * per_shift
         by_shift = row[COVARIANCE] * per_gain + row[VAR_SHIFT] * per_shift
         row[VAR_GAIN] -= by_gain * by_gain / whole
         row[COVARIANCE] -= by_gain * by_shift / whole
         row[VAR_SHIFT] -= by_shift * by_shift / whole
-        gain = maps.trim[i, GAIN] + way * by_gain / whole * error
-        shift = maps.trim[i, SHIFT] + way * by_shift / whole * error
-        widest = 1.0 + gains.map_error
-        gain = min(max(gain, 1.0 / widest), widest)
-        shift = min(max(shift, -gains.deadband_error), gains.deadband_error)
-        added = (gain - maps.trim[i, GAIN]) * per_gain + (shift - maps.trim[i, SHIFT]) * per_shift
+        row[BEST_GAIN] += way * by_gain / whole * error
+        row[BEST_SHIFT] += way * by_shift / whole * error
+
+
+@kernel
+def within(row, gains):
+    """(gain, shift [V]) of an edge as estimated, in the bounds ``map_error`` and
+    ``deadband_error``: what one of them may not take the other does, as far as they show only
+    together.
+    """
+    widest, most = 1.0 + gains.map_error, gains.deadband_error
+    gain = min(max(row[BEST_GAIN], 1.0 / widest), widest)
+    shift = row[BEST_SHIFT]
+    shift += row[COVARIANCE] / max(row[VAR_GAIN], SURE) * (gain - row[BEST_GAIN])
+    held = min(max(shift, -most), most)
+    gain += row[COVARIANCE] / max(row[VAR_SHIFT], SURE) * (held - shift)
+    return min(max(gain, 1.0 / widest), widest), held
+
+
+@kernel
+def approach(ready, rate, gains, maps):
+    """Let the corrections in force go to the estimates at a ``rate`` [rad/s]. What they add to the
+    flow is told where flows are compared, elsewhere hardly any passes.
+    """
+    share = min(rate * gains.tick, 1.0)
+    for i in range(maps.edges.shape[0]):
+        row, trim = maps.edges[i], maps.trim[i]
+        gain, shift = within(row, gains)
+        gain, shift = share * (gain - trim[GAIN]), share * (shift - trim[SHIFT])
+        per_gain, per_shift = by_correction(row, trim)
+        added = gain * per_gain + shift * per_shift if ready else 0.0
         maps.told[0] += maps.into[i, 0] * added
         maps.told[1] += maps.into[i, 1] * added
-        maps.trim[i, GAIN], maps.trim[i, SHIFT] = gain, shift
+        trim[GAIN] += gain
+        trim[SHIFT] += shift

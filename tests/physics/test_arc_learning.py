@@ -15,6 +15,7 @@ from ehbench.machines.virtual import VirtualMachine
 from ehbench.plant.model import Model
 from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
 from ehbench.trial import prepare, run
+from ehbench.trial.controllers import Laws
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 RIG = load_rig(RECIPES / "rigs" / "thesis_arm.toml")
@@ -145,6 +146,42 @@ def test_a_hysteresis_that_is_known_is_not_taken_for_a_wrong_map(monkeypatch):
     without = left()
     monkeypatch.setattr(functions, "_plays", lambda own, measured: np.full(len(own), 0.05))
     assert left() < 0.85 * without
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_a_hysteresis_that_nobody_knows_cancels(factor):
+    """Speeding up counts like slowing down, so that less is left of a wrong gain than half of the
+    hysteresis is in flow.
+    """
+    machine = plain_bench(factor)
+    command, drop = np.array([3.0]), np.array([2.0e6])
+    late = machine.static_flow("boom.hepc", command, drop)
+    half = float((1.0 - late / machine.mean_flow("boom.hepc", command, drop))[0])
+    measures = run(prepared("50 lb", on="bench"), machine).facts.measures
+    first = max(one["error_before"] for one in measures["maps"].values())
+    assert half > 0.02
+    for edge, one in measures["maps"].items():
+        assert one["error_after"] < first / 5.0, edge
+    assert measures["maps"]["boom.hepc"]["error_after"] < half
+
+
+def test_a_machine_says_whether_its_valves_play(monkeypatch):
+    monkeypatch.setattr(functions, "_plays", lambda own, measured: np.full(len(own), 0.05))
+    trial = prepared("50 lb")
+    for machine, width in ((other_valves(1.0, 0.0), 0.0), (plain_bench(1.0), 0.05)):
+        laws = trial.law(machine)
+        assert isinstance(laws, Laws)
+        play = laws.parts[0].controller.axis.circuit.play
+        assert play.size == 5 and (play == width).all()
+
+
+def test_maps_may_be_held_as_they_are():
+    """By bounds of nothing: what is not doubted is not corrected, and no number is lost by it."""
+    gains = {"map_error": "0 %", "deadband_error": "0 V"}
+    record = run(prepared("50 lb", gains=gains), other_valves(0.9, 0.1)).record
+    for edge in ("hect", "hepc", "regen", "repc", "rect"):
+        assert (record[f"boom.{edge}.map_gain"] == 1.0).all()
+        assert (record[f"boom.{edge}.map_shift"] == 0.0).all()
 
 
 def test_maps_are_judged_in_the_mean_of_both_directions():
