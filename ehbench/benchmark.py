@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import os
 import pickle
 import subprocess
 import sys
@@ -20,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ehbench.blas import one_thread
+from ehbench.cores import cores
 from ehbench.fields import Value
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import STEP
@@ -557,7 +557,7 @@ def main(arguments: Sequence[str] = ()) -> None:
 
     console = Console()
     rig = load_rig(RIG)
-    table = Table("what", "measured", "wanted", "", title=f"ehbench, {os.cpu_count()} cores")
+    table = Table("what", "measured", "wanted", "", title=f"ehbench, {cores()} cores")
     for part in (
         studies,  # first: its peak of memory is the process's
         lambda: speed(rig),

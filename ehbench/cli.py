@@ -21,6 +21,7 @@ import typer
 from typer.core import TyperGroup
 
 from ehbench.commands import COMMANDS, Command
+from ehbench.cores import cores
 from ehbench.errors import EhbenchError, Terminated
 from ehbench.text import folded, shortened_path
 
@@ -511,7 +512,7 @@ def _say_first(quiet: bool) -> None:
         return
     if not quiet:
         print("compiling the machine's equations, first run only (half a minute)", file=sys.stderr)
-    if (os.cpu_count() or 1) > 1 and os.access(PACKAGE, os.W_OK):  # another core, one cache
+    if cores() > 1 and os.access(PACKAGE, os.W_OK):  # another core, one cache
         ahead = [sys.executable, "-P", "-m", "ehbench.warm", "--ahead"]
         null = subprocess.DEVNULL
         _BESIDE.append(subprocess.Popen(ahead, stdin=null, stdout=null, stderr=null))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ehbench.cores import cores
 from ehbench.errors import EhbenchError, InputError, InsufficientData
 from ehbench.identification.means import Decimate, means_of
 from ehbench.observations import alternatives, channels_asked, column, least_change, payload_of
@@ -388,7 +388,7 @@ class Simulator:
         self.step: Step = step
         self.logs, self.names = tuple(logs), tuple(names)
         self.shared = {t.name for log in logs for t in log.start.terms if not t.per_log}
-        self.workers = workers or os.cpu_count() or 1
+        self.workers = workers or cores()
         self.pool = ThreadPoolExecutor(self.workers)
         self.evaluations = 0
 

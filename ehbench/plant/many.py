@@ -7,10 +7,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from os import cpu_count
 
 import numpy as np
 
+from ehbench.cores import cores
 from ehbench.plant.integrate import STEP
 from ehbench.plant.lanes.many import LEAST, Job, go_together, has_lanes, run_together
 from ehbench.plant.lanes.steps import run_lanes
@@ -48,7 +48,7 @@ def run_many(
     Raises:
         SimulationError: a state stopped being finite.
     """
-    workers = workers or cpu_count() or 1
+    workers = workers or cores()
     together = lanes and step != AUTO and has_lanes(run_lanes)
     held = max(2, AHEAD * workers // 2) if together else AHEAD * workers
     waiting: deque[Future[list[np.ndarray]]] = deque()

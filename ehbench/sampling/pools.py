@@ -5,7 +5,6 @@ sample.
 
 from __future__ import annotations
 
-import os
 import pickle
 import subprocess
 import sys
@@ -230,8 +229,3 @@ def serve(pipe: Connection) -> None:
     while True:
         for one in samples_of(make, pipe.recv()):
             pipe.send(one)
-
-
-def cores() -> int:
-    """How many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

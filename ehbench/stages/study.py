@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ehbench import rundir
+from ehbench.cores import cores
 from ehbench.errors import EhbenchError, InputError
 from ehbench.memory import refuse_beyond
 from ehbench.recipe import StudyRecipe, load_recipe
@@ -25,7 +26,7 @@ from ehbench.sampling.cluster import Cluster
 from ehbench.sampling.design import CASE, RECIPE, Design, Factor, Fitted, label_of
 from ehbench.sampling.journal import Journal
 from ehbench.sampling.outputs import MeasureColumn, Rows, write_tables
-from ehbench.sampling.pools import Pool, Processes, Threads, cores
+from ehbench.sampling.pools import Pool, Processes, Threads
 from ehbench.sampling.sample import STATUS, WHOLE, Task
 from ehbench.stages.base import DONE, INCOMPLETE, Host, Outcome, Prepared, Progress, Stage, Work
 from ehbench.stages.findings import counted

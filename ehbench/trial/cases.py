@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
@@ -10,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from ehbench.cores import cores
 from ehbench.errors import SimulationError
 from ehbench.quantities import VOCABULARY
 from ehbench.recipe import TrialRecipe
@@ -112,7 +112,7 @@ def run_cases(
         ready = prepared[index] if prepared else case.prepare(allow_code=allow_code)
         return case.run(ready, log)
 
-    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(workers or cores()) as pool:
         jobs = [pool.submit(one, index) for index in range(len(cases))]
 
         def tell(name: str) -> None:

@@ -7,7 +7,6 @@ is, the recording says within what its first samples leave open
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -15,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ehbench.cores import cores
 from ehbench.errors import EhbenchError, InputError, LogError
 from ehbench.observations import (
     OF_VALVES,
@@ -200,7 +200,7 @@ def run_validation(
         return _judge(log, prepared.channels, asked)
 
     results = []
-    with ThreadPoolExecutor(max(1, min(workers or os.cpu_count() or 1, len(logs)))) as pool:
+    with ThreadPoolExecutor(max(1, min(workers or cores(), len(logs)))) as pool:
         for result in pool.map(judge, logs):
             results.append(result)
             if progress is not None:

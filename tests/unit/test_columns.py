@@ -25,6 +25,12 @@ RIG = ROOT / "recipes/rigs/slide_servo.toml"
 LOG = ROOT / "datasets/slide_servo/steps/press_no_load.mcap"
 
 
+@pytest.fixture
+def unpictured(monkeypatch) -> None:
+    """Drafts have an empty picture, for tests that look at none: to draw takes most of a draft."""
+    monkeypatch.setattr(mapping, "draw", lambda path, *_: path.touch())
+
+
 def column(**keys) -> MappedColumn:
     return MappedColumn(**keys)
 
@@ -408,12 +414,12 @@ def test_a_raw_file_is_taken_at_the_first_go(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", foreign.WRITERS)
-def test_a_draft_of_each_format_can_be_read_back(name, tmp_path):
+def test_a_draft_of_each_format_can_be_read_back(name, tmp_path, unpictured):
     path, out = tmp_path / name, tmp_path / "out.map.toml"
     foreign.WRITERS[name](path)
-    made = mapping.draft(path, out, None)
+    mapping.draft(path, out, None)
     columns = load_columns(out).columns
-    assert made.picture.is_file() and "?" not in {one.channel for one in columns.names.values()}
+    assert "?" not in {one.channel for one in columns.names.values()}
     if ".mat" not in name and name not in ("a_bag", "a_db3"):
         record = read_record(path, columns=out)
         assert {"cylinder.p_head", "p_supply"} <= set(record.channels)
@@ -479,7 +485,7 @@ def test_a_workbook_with_a_sheet_a_valve_is_one_of_readings(tmp_path, monkeypatc
     assert np.allclose(flows["bt"], 2.0 * flows["pa"]) and flows["pa"][0] > 0.0
 
 
-def test_pressures_on_both_sides_make_the_drop_and_one_alone_is_it(tmp_path):
+def test_pressures_on_both_sides_make_the_drop_and_one_alone_is_it(tmp_path, unpictured):
     def channels(*names):
         table = np.random.default_rng(1).uniform(1.0, 9.0, (40, len(names)))
         rows = [",".join(f"{one:.3f}" for one in row) for row in table]
