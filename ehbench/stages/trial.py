@@ -44,6 +44,8 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
         from ehbench import trial
 
         trial.refuse_code(recipe, inputs.allow_code)
+        with inputs.findings.noting():
+            trial.refuse_unknown(recipe)
         state = inputs.rig_state(recipe.rig, recipe.flow_maps)
         _, files, prepared = prepared_case("", recipe, state, inputs)
         law = recipe.controller

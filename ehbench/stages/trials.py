@@ -50,6 +50,8 @@ class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
         planned = recipe.cases()
         for _, _, one in planned:
             trial.refuse_code(one, inputs.allow_code)
+            with inputs.findings.noting():
+                trial.refuse_unknown(one)
         base = inputs.rig_state(recipe.rig, recipe.flow_maps)
         states = {(recipe.rig, recipe.flow_maps): base}
         files = list(base.inputs)

@@ -7,7 +7,13 @@ from __future__ import annotations
 from ehbench.trial.accounts import Account, account
 from ehbench.trial.cases import Case, CaseResult, file_names, run_cases, table_csv, table_rows
 from ehbench.trial.commands import command_table
-from ehbench.trial.controllers import code_file, code_files, gains_file, refuse_code
+from ehbench.trial.controllers import (
+    code_file,
+    code_files,
+    gains_file,
+    refuse_code,
+    refuse_unknown,
+)
 from ehbench.trial.preparation import RUN_OUT, Prepared, Stop, prepare
 from ehbench.trial.running import Facts, Result, log_channels, run, run_trial
 from ehbench.trial.session import Session
@@ -31,6 +37,7 @@ __all__ = [
     "log_channels",
     "prepare",
     "refuse_code",
+    "refuse_unknown",
     "run",
     "run_cases",
     "run_trial",

@@ -217,6 +217,21 @@ def refuse_code(recipe: TrialRecipe, allowed: bool) -> None:
         )
 
 
+def refuse_unknown(recipe: TrialRecipe) -> None:
+    """Refuse what built-in controllers are given and do not have: it is known before anything that
+    the recipe names has been run.
+
+    Raises:
+        InputError: an unknown gain, rule or word of shaping, a wrong unit, with the line.
+    """
+    chosen = recipe.controller
+    if chosen is None or chosen.code is not None:
+        return
+    for own in (chosen, *map(chosen.of, chosen.cylinders)):
+        assert own.kind is not None  # those of single cylinders are no classes either
+        _written(recipe.model_copy(update={"controller": own}), LAWS[own.kind])
+
+
 def gains_file(recipe: TrialRecipe) -> str | None:
     """The tune recipe, run folder or file that a recipe takes gains from, as written there."""
     return recipe.controller.gains_from if recipe.controller is not None else None
@@ -274,15 +289,14 @@ def compiled(
     chosen = controller_of(recipe)
     assert chosen.kind is not None  # it is no class of the user's
     law, site = LAWS[chosen.kind], _site(recipe, design, 1.0 / rate)
-    gains, given_rules = _taken(recipe, law, tuning, design.cylinder)
+    gains, given_rules, given_shaping = _taken(recipe, law, tuning, design.cylinder)
     low = gains.get("low_pressure", site.low_pressure)
     with located(recipe, *chosen.where, "rules"):
         rules = pack_rules(
             design.circuit.area_rod, site.supply_pressure, low_pressure=low, **given_rules
         )
     with located(recipe, *chosen.where, "shaping"):
-        rows = {name: VOCABULARY[name] for name in SHAPING_NAMES}
-        shaping = pack_shaping(**quantities(recipe, "shaping", chosen.shaping, rows))
+        shaping = pack_shaping(**given_shaping)
     need = law.required
     if need is not None and need.gain not in gains:
         raise InputError(need.message, **recipe.at(*chosen.where), hint=need.hint)
@@ -384,24 +398,35 @@ def _moved(rig: Rig, name: str, tuned: Any, own: Any) -> str:
 
 def _taken(
     recipe: TrialRecipe, law: Law, tuning: Mapping[str, Any] | None, cylinder: str
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """(gains, rules) of a recipe, SI: those of the tune run, and over them those that stand in the
-    recipe.
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+    """(gains, rules, shaping) of a recipe, SI: those of the tune run, and over them those that
+    stand in the recipe.
     """
-    chosen = controller_of(recipe)
-    gains, rules = {}, {}
+    gains, rules, shaping = _written(recipe, law)
     if tuning is not None:
         if tuning.get("cylinder") != cylinder:
             raise InputError(
                 f"the gains are tuned for cylinder '{tuning.get('cylinder')}', not '{cylinder}'",
-                **recipe.at(*chosen.where, "gains"),
+                **recipe.at(*controller_of(recipe).where, "gains"),
             )
-        gains |= {name: tuning[name] for name in law.gains if name in tuning}
-        rules |= {name: tuning[name] for name in RULE_NAMES if name in tuning}
-    gains |= quantities(recipe, "gains", chosen.own_gains, law.gains, law.bounds)
-    rows = {name: VOCABULARY[name] for name in RULE_NAMES}
-    rows |= {"choice": None, "allow_seventh": None}
-    return gains, rules | quantities(recipe, "rules", chosen.rules, rows)
+        gains = {name: tuning[name] for name in law.gains if name in tuning} | gains
+        rules = {name: tuning[name] for name in RULE_NAMES if name in tuning} | rules
+    return gains, rules, shaping
+
+
+def _written(
+    recipe: TrialRecipe, law: Law
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+    """(gains, rules, shaping) that stand in a recipe, SI."""
+    chosen = controller_of(recipe)
+    rules: dict[str, Quantity | None] = {name: VOCABULARY[name] for name in RULE_NAMES}
+    rules |= {"choice": None, "allow_seventh": None}
+    shaping = {name: VOCABULARY[name] for name in SHAPING_NAMES}
+    return (
+        quantities(recipe, "gains", chosen.own_gains, law.gains, law.bounds),
+        quantities(recipe, "rules", chosen.rules, rules),
+        quantities(recipe, "shaping", chosen.shaping, shaping),
+    )
 
 
 def quantities(

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from ehbench import inspection, workflow
-from ehbench.errors import InsufficientData, ModelRejected
+from ehbench.errors import InputError, InsufficientData, ModelRejected
 from ehbench.logs import read_record, write_log
 
 ROOT = Path(__file__).parents[2]
@@ -282,6 +282,23 @@ def test_all_mistakes_of_a_campaign_are_told_at_once(recipes):
         "arc_bench.toml",
     ]
     assert found.lines[-1] == "4 mistakes"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('washout = "0 rad/s", ', 'wash_out = "0 rad/s", ', "has no gains 'wash_out'"),
+        ('washout = "0 rad/s", ', 'washout = "0 bar", ', "washout: 'bar' cannot be turned"),
+    ],
+)
+def test_a_gain_that_no_controller_has_is_refused_before_anything_is_run(recipes, old, new, said):
+    """The runs that the recipe names take minutes."""
+    path = changed(recipes, CHAIN, old, new)
+    line = next(i for i, text in enumerate(path.read_text().splitlines(), 1) if new in text)
+    with pytest.raises(InputError) as refused:
+        workflow.run(path)
+    assert said in refused.value.message and refused.value.line == line
+    assert not Path("reports").exists()
 
 
 def test_what_has_not_been_run_is_said_and_the_rig_file_behind_it_taken(recipes):
