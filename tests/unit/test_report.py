@@ -21,6 +21,7 @@ from ehbench.report import build, draw, style
 from ehbench.report.blocks import inline, prose
 from ehbench.report.index import FigureIndex
 from ehbench.report.saved import Table, read_points, read_series
+from ehbench.report.stages import hydraulics
 from ehbench.report.style import canvas, spread, thin
 from ehbench.report.svg import shrink
 from ehbench.report.words import interval, number, pretty, with_error
@@ -577,6 +578,18 @@ def test_what_failed_is_shown(runs):
     assert "the log carries no motion" in page
     assert "Stopped by a limit: carriage.p_head = 9 MPa passed pressure_max" in page
     assert "whole trials differ" in page and "Recorded on the virtual bench." in page
+
+
+def test_what_hangs_together_is_one_sentence():
+    """Three names of which the first and last are joined by the second alone, and one apart."""
+    matrix = [
+        [1.0, 0.97, 0.9, 0.1],
+        [0.97, 1.0, -0.99, None],
+        [0.9, -0.99, 1.0, 0.2],
+        [0.1, None, 0.2, 1.0],
+    ]
+    said, _ = hydraulics._correlation(["a", "b", "c", "d"], matrix)
+    assert said.items == ["a, b and c correlate by 0.97 to 0.99: the logs tell them only together."]
 
 
 def test_numbers_have_error_unit_status_and_source(runs):

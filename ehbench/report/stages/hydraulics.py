@@ -6,6 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ehbench.fields import Value
 from ehbench.report.blocks import Block, Bullets, Cell, Grid, Heat, Part, Text
 from ehbench.report.captions import as_fitted, plus, range_of
@@ -182,16 +184,26 @@ def _parameter_row(rig: Rig, one: Table, value: Value | None) -> list[Cell | str
 
 
 def _correlation(names: Sequence[str], matrix: Sequence[Sequence[float | None]]) -> list[Block]:
-    """Strongly correlated pairs in words, then the matrix."""
-    strong = []
-    for a, row in enumerate(matrix[: len(names)]):
-        for b, value in enumerate(row[:a]):
-            if value is not None and abs(value) > CORRELATED:
-                strong.append(
-                    f"{names[b]} and {names[a]} correlate by {number(value, 3)}: "
-                    "the logs tell them only together."
-                )
-    return [*([Bullets(strong, "warn")] if strong else []), Heat(names, matrix)]
+    """What correlates strongly in words, a sentence for all that hang together, then the matrix."""
+    from scipy.sparse.csgraph import connected_components
+
+    size = len(names)
+    values = np.array(matrix[:size], float).reshape(size, -1)[:, :size]
+    strong = np.tril(np.abs(values) > CORRELATED, -1)  # not where a value is not known
+    _, groups = connected_components(strong, directed=False)
+    said = []
+    for group in np.unique(groups):
+        own = np.flatnonzero(groups == group).tolist()
+        if len(own) == 1:
+            continue
+        *others, last = (names[i] for i in own)
+        told = values[np.ix_(own, own)][strong[np.ix_(own, own)]]
+        ends = told if len(own) == 2 else [np.abs(told).min(), np.abs(told).max()]
+        by = " to ".join(dict.fromkeys(number(float(end), 3) for end in ends))
+        said.append(
+            f"{', '.join(others)} and {last} correlate by {by}: the logs tell them only together."
+        )
+    return [*([Bullets(said, "warn")] if said else []), Heat(names, matrix)]
 
 
 def _groups(groups: Sequence[Table]) -> Grid:
