@@ -24,9 +24,11 @@ MOST_DAMPED = (
 SIGNIFICANT = (
     40.0  # log-likelihood ratio that noise alone practically never reaches over the whole search
 )
+LOUD = 0.1  # share of another oscillation's energy with which one rings, whatever else moves
 LEAST_LINE = 8  # samples that tell a slope
 _GRID_SAMPLES = 192
 _ASTRAY = 0.5  # by how much log ω may move from where a search began and count as the same one
+_INSIDE = 0.05  # by how much log ω begins at least below that of half the sampling rate
 _SAMPLES_A_CYCLE = 24
 _GRID_DAMPING = np.array([0.02, 0.06, 0.12, 0.22, 0.4])
 
@@ -40,10 +42,11 @@ class Ringing:
     it has decayed to 5 % or the window ends; ``r_squared`` the share of what the drift leaves that
     the oscillation explains; ``stop`` [s] the last time used. ``drift_time`` [s] is the time
     constant of the drift's exponential (0: none) and ``weights`` what each channel counted for;
-    with them `ringing_like` fits another series in the same way. ``ok`` is False when there is
-    nothing to fit, and ``reason`` says why in words; the numbers are then nan. ``fitted_damping``
-    is what the fit says where the oscillation is damped too well to ring: no more than a likely
-    value, without an error bar."""
+    with them `ringing_like` fits another series in the same way; ``energy`` is the mean square that
+    the oscillation explains, so weighted. ``ok`` is False when there is nothing to fit, and
+    ``reason`` says why in words; the numbers are then nan. ``fitted_damping`` is what the fit says
+    where the oscillation is damped too well to ring: no more than a likely value, without an error
+    bar."""
 
     natural_frequency: float = math.nan
     damping_ratio: float = math.nan
@@ -54,6 +57,7 @@ class Ringing:
     stop: float = math.nan
     drift_time: float = 0.0
     weights: tuple[float, ...] = ()
+    energy: float = math.nan
     fitted_damping: float = math.nan
     ok: bool = False
     reason: str = ""
@@ -244,7 +248,8 @@ def ringing(
     from the window's start and ``ω_d = ω √(1 − ζ²)``; a…d are each channel's own and are eliminated
     (separable least squares, Golub & Pereyra 1973), the exponential is kept only where it pays.
     Without a ``guess`` the whole range from one period in the window to an eighth of the sampling
-    rate is searched first, over the window and its halves.
+    rate is searched first, over the window and its halves; nothing beyond half of that rate is
+    found, where samples cannot tell one frequency from another.
 
     Args:
         t: [s], shape (samples,), even.
@@ -294,7 +299,10 @@ def ringing_like(
     """The oscillation of ``y`` seen exactly as that of another series was: the same window, drift
     and channel weights.
 
-    What the method does to one it does to the other, so the two compare. The search starts at
+    What the method does to one it does to the other, so the two compare. It rings if its oscillation
+    has a tenth of the other's energy, about a third of its amplitude: whether that stands out of
+    what else a noiseless series does says nothing, for what is left there lasts, so that few
+    samples of it are independent. A quieter one has to stand out. The search starts at
     ``guess`` (ω [rad/s], ζ), by default around what the other series does; in a simulation, which
     has no noise, a free search would find oscillations far too small for a recording to show.
 
@@ -322,7 +330,8 @@ def ringing_like(
     if not np.any(np.ptp(y * weight, axis=0) > 0.0):
         return Ringing(reason="nothing moves")
     omega, zeta, tau = _refine(s, y * weight, starts, (like.drift_time,), free_drift=False)
-    return _judge(s, y, weight, omega, zeta, tau, float(t[0] + first))
+    start, loud = float(t[0] + first), LOUD * like.energy
+    return _judge(s, y, weight, omega, zeta, tau, start, loud)
 
 
 def _columns(y: np.ndarray) -> np.ndarray:
@@ -403,9 +412,10 @@ def _refine(
     """
     n, channels = y.size, np.ascontiguousarray(y.T)
     best = (math.inf, starts[0][0], starts[0][1], 0.0)
+    highest = math.log(math.pi / s[1])  # beyond it, samples are those of a slower oscillation too
     for (omega, zeta), tau in product(starts, taus):
-        bounds = [(-math.inf, math.inf), (-0.05, 0.95)]
-        start = [math.log(omega), min(max(zeta, 0.0), 0.9)]
+        bounds = [(-math.inf, highest), (-0.05, 0.95)]
+        start = [min(math.log(omega), highest - _INSIDE), min(max(zeta, 0.0), 0.9)]
         if tau > 0.0 and free_drift:
             low, high = math.log(s[2]), math.log(2.0 * s[-1])
             bounds.append((low, high))
@@ -445,8 +455,12 @@ def _standard_errors(s, y, omega, zeta, tau, residual, colour) -> tuple[float, f
     return float(omega * math.sqrt(covariance[0, 0])), float(math.sqrt(covariance[1, 1]))
 
 
-def _judge(s, y, weight, omega, zeta, tau, start) -> Ringing:
-    """The result with standard errors, or the reason why it is none."""
+def _judge(s, y, weight, omega, zeta, tau, start, loud=math.inf) -> Ringing:
+    """The result with standard errors, or the reason why it is none.
+
+    Args:
+        loud: mean square, in the weights given, from which on it rings whatever else moves.
+    """
     weights, y = tuple(float(w) for w in weight), y[:, weight > 0.0] * weight[weight > 0.0]
     _, left = _project(_basis(s, omega, zeta, tau), y)
     _, rest = _project(_drift(s, tau), y)
@@ -467,8 +481,9 @@ def _judge(s, y, weight, omega, zeta, tau, start) -> Ringing:
     std_omega, std_zeta = _standard_errors(s, y, omega, zeta, tau, residual, colour)
     evidence = n / colour * math.log(total / max(residual, 1e-12 * total)) if total > 0.0 else 0.0
     reason, fitted = "", math.nan
+    energy = (total - residual) / n
     # what is left over is then the model's error, not noise to be judged by
-    plain = share > 0.9 and cycles > 2.0 * LEAST_CYCLES
+    plain = energy >= loud or (share > 0.9 and cycles > 2.0 * LEAST_CYCLES)
     if not plain and (evidence < SIGNIFICANT or share < 0.3):
         reason = (
             "no oscillation stands out of noise and drift (it explains "
@@ -494,5 +509,6 @@ def _judge(s, y, weight, omega, zeta, tau, start) -> Ringing:
         stop=start + span,
         drift_time=float(tau),
         weights=weights,
+        energy=energy,
         ok=True,
     )

@@ -125,6 +125,32 @@ def test_ringing_like_sees_the_other_series_the_same_way():
     assert not signals.ringing_like(t, np.zeros(t.size), first).ok
 
 
+def test_a_series_that_rings_as_another_is_not_silent_beside_what_else_it_does():
+    """What bends beside a wave lasts for many samples: few of them are independent, and a noiseless
+    wave does not stand out of it, though half as high as the other's."""
+    t, wave = oscillation(160.0, 0.03, 0.3)
+    recorded = signals.ringing(t, wave + 0.2 * np.random.default_rng(5).standard_normal(t.size))
+    bend = np.sin(60.0 * t) * np.exp(-4.0 * t)
+    found = signals.ringing_like(t, 0.5 * wave + 0.35 * bend, recorded)
+    assert found.ok, found.reason
+    assert found.natural_frequency == pytest.approx(160.0, rel=0.03)
+    assert found.r_squared < 0.8, "or it would stand out by itself"
+    quiet = 0.02 * wave + 0.05 * np.random.default_rng(6).standard_normal(t.size)
+    assert "no oscillation" in signals.ringing_like(t, quiet, recorded).reason
+
+
+@pytest.mark.parametrize("hertz", [25.0, 41.0, 45.0])
+def test_no_frequency_beyond_half_the_sampling_rate_is_found(hertz):
+    """At 100 samples a second 59 Hz look like 41 Hz."""
+    t = np.arange(150) * 0.01
+    omega = 2.0 * math.pi * hertz
+    wave = np.exp(-0.02 * omega * t) * np.sin(omega * t)
+    first = signals.ringing(t, wave + 0.05 * np.random.default_rng(1).standard_normal(t.size))
+    again = signals.ringing_like(t, wave, first)
+    for found in (first, again, signals.ringing(t, wave, (2.0 * omega, 0.02))):
+        assert found.natural_frequency == pytest.approx(omega, rel=0.01)
+
+
 def test_fit_percent():
     y = np.sin(np.linspace(0.0, 9.0, 200))
     assert signals.fit_percent(y, y) == 100.0
