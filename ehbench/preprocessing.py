@@ -422,7 +422,7 @@ def _fed(cylinder: Cylinder, record: Record) -> bool:
     """Whether a recorded command opens an edge from the supply."""
     return any(
         (command := f"{cylinder.name}.{valve.name}.command") in record
-        and bool(np.any(edge.sign * record[command] > float(edge.deadband)))
+        and bool(np.any(edge.sign * record[command] > edge.onset))
         for valve in cylinder.valve
         for edge in valve.edge
         if edge.from_ == "supply"

@@ -440,6 +440,15 @@ _ROWS = [
     ),
     Quantity("deadband", "u0", "V", "V", "command below which a valve stays shut", 0, 100),
     Quantity(
+        "underlap",
+        "u_u",
+        "V",
+        "V",
+        "command of the other sign up to which an edge stays open",
+        0,
+        100,
+    ),
+    Quantity(
         "opening_max", "u_s", "V", "V", "opening beyond which an edge passes nothing more", 0, 100
     ),
     Quantity(

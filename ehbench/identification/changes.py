@@ -23,7 +23,7 @@ LOSSES = ("leakage_internal", "leakage_head", "leakage_rod")
 # where searches begin, and how far they may go: shares of the largest command, of the supply's
 # force, of the flow at 10 mm/s and the supply's pressure
 OPENS, SHUTS, RUBS, LEAKS = (0.85, 0.6), 0.5, 0.3, 30.0
-SOFT = 0.1
+SOFT, LAPS = 0.1, 0.1  # of those ranges, where searches of a rounding and of an underlap begin
 # shares of the largest command between which some of those that open a valve must lie, and how many
 # of them, for logs to tell a drive that is full from a gain
 BETWEEN, SOME = (0.1, 0.8), 0.05
@@ -205,6 +205,7 @@ def _of_valve(
     if bands:
         start = {name: max(float(known[name]), 0.02 * most) for name, most in bands.items()}
         yield Change("deadband", about, tuple(bands), (start,), bands)
+    yield from _underlap(cylinder.name, valve, reach)
     yield from _preload(rig, cylinder, about, [name for name, e in edges if e.to == "tank"])
     plain = [(i, name, e) for i, (name, e) in enumerate(edges) if e.law == "orifice"]
     plain = [one for one in plain if reach[one[2].sign] > 0.0]
@@ -230,6 +231,30 @@ def _preload(rig: Rig, cylinder: Cylinder, about: str, edges: Sequence[str]) -> 
         start = {name: max(float(known[name]), 0.1 * most) for name in names}
         upper = dict.fromkeys(names, most)
         yield Change("preload", about, tuple(names), (start,), upper)
+
+
+def _underlap(cylinder: str, valve: Valve, reach: Mapping[int, float]) -> Iterator[Change]:
+    """Edges of a spool that are open at rest still: of one that has some for either way."""
+    names = {
+        f"{cylinder}.{valve.edge_name(edge)}.underlap": (i, SHUTS * reach[edge.sign])
+        for i, edge in enumerate(valve.edge)
+        if edge_law(edge.law).has_deadband and edge.underlap is None and float(edge.deadband) == 0.0
+    }
+    if len(names) < len(valve.edge) or min(reach.values()) <= 0.0:
+        return
+    if {edge.sign for edge in valve.edge} != {1, -1}:
+        return
+
+    def alter(tables: dict[str, Any]) -> None:
+        table = _table_of(tables, cylinder, valve.name)
+        for i, most in names.values():
+            table["edge"][i]["underlap"] = f"{LAPS * most!r} V"
+
+    lines = tuple(f"edge {name.rpartition('.')[0]}: underlap = … V" for name in names)
+    upper = {name: most for name, (_, most) in names.items()}
+    start = {name: LAPS * most for name, most in upper.items()}
+    about = f"{cylinder}.{valve.name}"
+    yield Change("underlap", about, tuple(names), (start,), upper, alter=alter, rig_lines=lines)
 
 
 def _metering(rig: Rig, edge: str) -> bool:

@@ -31,6 +31,7 @@ LITTLE = 0.1  # share of a channel's spread up to which what is left of it is no
 STRUCTURE = 3.0  # times a channel's noise from which what is left of it is more than noise
 FINE = 0.005  # share of a channel's spread that counts as noise, whatever the noise
 # channels by which each log goes in place of a parameter
+OPPOSITE = -0.5  # correlation below which a channel goes the other way than the model
 READ_OFF = {"supply.pressure": "p_supply", "supply.tank_pressure": "p_tank"}
 SHOWN = ("q", "qd", "x", "v", "p_head", "p_rod", *GAUGES)
 
@@ -242,7 +243,7 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
         if found.shifts is not None:
             fit = replace(fit, start=starts[k], start_shift=log.start.moved(shifts[k]))
         if log.band is None:
-            warnings += _late(log, simulated)
+            warnings += [*_late(log, simulated), *_turned(log, simulated)]
         else:
             fit = replace(fit, responses=followed(log, replayed))
             warnings += late_responses(log, simulated)
@@ -299,6 +300,8 @@ def _statuses(fitted: Sequence[FittedParameter], simulator: Simulator) -> list[s
         elif one.status == "at_bound":
             side = "lower" if one.value - one.lower < one.upper - one.value else "upper"
             warnings.append(f"{one.name} ran into its {side} bound, {value}")
+            if one.name.endswith(".deadband") and one.value == 0.0:
+                warnings[-1] += ": where the edge is open at rest, write underlap in its place"
     return warnings
 
 
@@ -355,6 +358,22 @@ def _recording(log: Log, replayed: Record) -> dict[str, np.ndarray]:
         | {channel: log.seen[channel] for channel in shown}
         | {f"simulated.{channel}": replayed[channel] for channel in made}
     )
+
+
+def _turned(log: Log, simulated: np.ndarray) -> list[str]:
+    """A warning of each channel that goes the other way than the fitted model has it."""
+    found = []
+    for channel, y, model, counts in zip(
+        log.channels, log.recorded.T, simulated.T, log.counts.T, strict=True
+    ):
+        seen, made = (one[counts] - np.mean(one[counts]) for one in (y, model))
+        size = rms(seen) * rms(made) if counts.any() else 0.0
+        if size > 0.0 and (likeness := float(np.mean(seen * made)) / size) < OPPOSITE:
+            found.append(
+                f"{log.name}: {channel} goes the other way than the model (correlation "
+                f"{likeness:.2f}): is its sign turned, or a command's?"
+            )
+    return found
 
 
 def _poor(logs: Sequence[LogFit]) -> list[str]:

@@ -19,7 +19,7 @@ ROUNDED = "rounded"
 _TIME = {"t", "time", "zeit", "temps", "tiempo", "tempo", "timestamp", "zeitstempel", "uhrzeit"}
 _TIME |= {"clock", "datetime", "seconds", "sec"}
 _WORDS = {
-    "p_supply": {"supply", "pump", "system", "sys", "ps", "versorgung", "pumpe", "sup"},
+    "p_supply": {"supply", "pump", "system", "sys", "ps", "versorgung", "pumpe", "sup", "pp"},
     "p_tank": {"tank", "return", "reservoir", "rücklauf", "drain"},
     "p_rod": {"b", "rod", "annulus", "annular", "ring", "stange", "stangenseite", "2", "p2", "pb"},
     "p_head": {
@@ -145,11 +145,13 @@ def _guess(name: str, column: Column, table: Table, rig: Rig | None) -> Guess:
 
 def words_of(name: str) -> set[str]:
     """The words of a name, small: of ``PT-101 cylA [bar]`` pt, 101, cyl, a; and those that a word
-    begins or ends with: of ``Systemdruck`` system and druck too.
+    begins or ends with: of ``Systemdruck`` system and druck too; of ``p_P``, pressure at
+    port P, pp.
     """
     plain = re.sub(r"[\[({][^\])}]*[\])}]\s*$", "", name)
     parts = re.findall(r"[^\W\d_]+|\d+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain))
     words = {part.lower() for part in parts}
+    words |= {"pp"} if [part.lower() for part in parts].count("p") > 1 else set()
     return words | {stem for stem in _STEMS for word in words if _made_of(word, stem)}
 
 

@@ -12,12 +12,11 @@ from ehbench.errors import InputError, SimulationError
 from ehbench.fields import read_value
 from ehbench.parts.accumulator import COLUMNS as ACCUMULATOR
 from ehbench.parts.cylinder import joint_of, joint_range_of, linkage_of
-from ehbench.parts.edge import CHECK, EDGE
+from ehbench.parts.edge import EDGE
 from ehbench.parts.friction import COLUMNS as FRICTION
 from ehbench.parts.line import LINE
 from ehbench.parts.load import force_on
 from ehbench.parts.mount import mount_settle
-from ehbench.parts.nodes import SUPPLY
 from ehbench.parts.oil import OIL_COLUMNS
 from ehbench.parts.supply import SUPPLY as SUPPLY_LINE
 from ehbench.parts.supply import sensed
@@ -26,12 +25,12 @@ from ehbench.parts.valve import ELEMENT, valve_settle
 from ehbench.physics.arm import SLIDE, gravity_torque, work_size
 from ehbench.plant.build import Plant
 from ehbench.plant.layout import Layout
+from ehbench.plant.rest import carrying, open_at_rest, resting
 from ehbench.quantities import VOCABULARY
 from ehbench.rig import Rig
 
 # pressure [Pa] of the chambers that no load presses on: of all cylinders, or by name of some
 LowSide = float | Mapping[str, float] | None
-LOW_SIDE = 0.1  # share of the supply pressure at which a chamber that carries nothing stands
 # fields of a plant's tables that no start asks for: how its oil gives way, what flows and what
 # takes energy while it moves; of what friction has, a mount's deflection may; then those that a
 # start at rest does not ask for, but one in motion does
@@ -128,8 +127,7 @@ def trim(
     load sensing at its margin above tank), loads carried.
 
     The chamber that the load does not press on stands at ``low_side`` [Pa], of all cylinders or by
-    name of some, by default at a tenth of the supply pressure; at the supply pressure where a check
-    valve feeds the cylinder from there.
+    name of some; by default both stand as `resting` says.
     Forces that are played are those of ``command``, by default none.
 
     Raises:
@@ -142,7 +140,7 @@ def trim(
     gravity_torque(plant.kind, plant.links, plant.gravity, q, torque, np.empty(work_size(n)))
     played = np.zeros(len(names.valves) + len(names.played)) if command is None else command
     for index, row in enumerate(plant.cylinders):
-        low = _low_side(plant, row, names.cylinders[index], low_side)
+        low = _given(names.cylinders[index], low_side)
         x, lever, _ = linkage_of(row, q[row.joint])
         if abs(lever) < 1e-6:
             raise SimulationError(
@@ -152,12 +150,8 @@ def trim(
         force = torque[row.joint] / lever
         if plant.forces.shape[0]:
             force -= force_on(index, x, 0.0, played, plant)
-        head, rod = low, low
-        if force + low * row.area_rod >= low * row.area_head:
-            head = (force + low * row.area_rod) / row.area_head
-        else:
-            rod = (low * row.area_head - force) / row.area_rod
-        y[names.state("p_head", index)], y[names.state("p_rod", index)] = head, rod
+        held = resting(plant, row, force) if low is None else carrying(row, force, low)
+        y[names.state("p_head", index)], y[names.state("p_rod", index)] = held
     for valve, (_, item) in zip(plant.valves, rig.valves(), strict=True):
         valve_settle(valve, item.rest, plant, y)
     y[plant.at.supply] = sensed(plant.tank_pressure, plant.supply)
@@ -173,6 +167,7 @@ def asked_at_start(plant: Plant, moves: bool) -> tuple[object, ...]:
     parts: list[object] = [plant.kind, plant.gravity.tobytes(), plant.at]
     for name in ("links", "cylinders", "nodes", "valves", "elements", "edges", "forces", "lines"):
         idle = _IDLE.get(name, ()) if moves else (*_IDLE.get(name, ()), *_MOVING.get(name, ()))
+        idle = () if name == "edges" and open_at_rest(plant).any() else idle
         idle = (*idle, *_FRICTION) if name == "cylinders" and still else idle
         rows = getattr(plant, name)
         parts.append(rows.tobytes() if not idle else _without(rows.tobytes(), rows.dtype, idle))
@@ -212,17 +207,9 @@ def settle_parts(plant: Plant, y: np.ndarray) -> None:
         sway_settle(row, lever * y[plant.at.rates + row.joint], y)
 
 
-def _low_side(plant: Plant, row: np.record, name: str, given: LowSide) -> float:
-    """Pressure [Pa] of a cylinder's chamber that carries nothing, as ``given`` or by default."""
-    own = given.get(name) if isinstance(given, Mapping) else given
-    if own is not None:
-        return own
-    if not np.any(plant.edges.law == CHECK):
-        return plant.supply.pressure * LOW_SIDE
-    edges = plant.edges_at_chambers
-    fed = (edges.law == CHECK) & (edges.from_node == SUPPLY)
-    fed &= (edges.to_node == row.node_head) | (edges.to_node == row.node_rod)
-    return plant.supply.pressure * (1.0 if fed.any() else LOW_SIDE)
+def _given(name: str, low_side: LowSide) -> float | None:
+    """Pressure [Pa] of a cylinder's chamber that carries nothing, where it is given."""
+    return low_side.get(name) if isinstance(low_side, Mapping) else low_side
 
 
 def carry(row: np.record, held: tuple[float, float], seen: list[float | None]) -> tuple[float, ...]:

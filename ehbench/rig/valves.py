@@ -78,7 +78,9 @@ class MeteringEdge(FileModel):
     flow map, from the recipe's ``flow_maps`` or the run behind the rig; where one is given it goes
     before the other laws, too, its flow multiplied by ``map_factor``. ``sign`` −1 opens the edge on
     negative commands. ``reverse`` says what a reversed drop does: ``mirror`` or ``blocked``.
-    ``cracking_pressure`` is what a valve that a spring holds shut takes in series with it."""
+    ``cracking_pressure`` is what a valve that a spring holds shut takes in series with it.
+    ``underlap`` is a deadband below zero: how far on the other side of rest the edge is open still.
+    """
 
     name: Name | None = None
     from_: Literal["supply", "tank", "head", "rod"] = Field(alias="from")
@@ -87,6 +89,7 @@ class MeteringEdge(FileModel):
     sign: Literal[1, -1] = 1
     reverse: Literal["mirror", "blocked"] = "mirror"
     deadband: Annotated[Value, Q("deadband")] = Value(0.0)
+    underlap: Annotated[Value, Q("underlap")] | None = None
     cracking_pressure: Annotated[Value, Q("cracking_pressure")] = Value(0.0)
     map_factor: Annotated[Value, Q("map_factor")] = Value(1.0)
     rated: Rated | None = Field(
@@ -111,7 +114,7 @@ class Edge(LawFields, MeteringEdge):
             raise Misplaced(f"give {name} or rated, not both", "rated")
         widest = math.inf if self.opening_max is None else float(self.opening_max)
         try:
-            gain = self.rated.gain(name, float(self.deadband), widest)
+            gain = self.rated.gain(name, self.onset, widest)
         except Misplaced as error:
             raise Misplaced(str(error), "rated", *error.where) from None
         return self.model_copy(update={name: gain, "rated": None})
@@ -126,6 +129,10 @@ class Edge(LawFields, MeteringEdge):
             )
         if not law.metering and float(self.deadband) > 0.0:
             raise Misplaced(f"a {self.law} has no deadband", "deadband")
+        if self.underlap is not None and not law.has_deadband:
+            raise Misplaced(f"law '{self.law}' takes no underlap", "underlap")
+        if float(self.underlap or 0.0) > 0.0 and float(self.deadband) > 0.0:
+            raise Misplaced("give deadband (overlap) or underlap, not both", "underlap")
         if not law.metering and float(self.cracking_pressure) > 0.0:
             raise Misplaced(
                 f"a {self.law} has no cracking pressure; put a check valve beside it",
@@ -134,6 +141,13 @@ class Edge(LawFields, MeteringEdge):
         if (odd := law.odd(self)) is not None:
             raise Misplaced(*odd)
         return self
+
+    @property
+    def onset(self) -> float:
+        """Command [V], counted in the direction that opens it, from which on it passes oil: its
+        deadband; below zero by as much as its underlap.
+        """
+        return float(self.deadband) - float(self.underlap or 0.0)
 
     @property
     def gain(self) -> Value | None:

@@ -296,6 +296,17 @@ def test_a_fit_that_follows_nothing_is_no_fit():
     assert all(f"log: {name}" in fit.warnings[0] for name in poor)
 
 
+def test_a_turned_sensor_is_named():
+    """One of three channels with its sign turned: the fit goes by the other two, and says so."""
+    other = changed(crane(), lift_qd=-crane()["lift.qd"])
+    for log, wrong in ((crane(), 0), (other, 1)):
+        told = [
+            one for one in identify(rig(), [("log", log)], CRANE).warnings if "other way" in one
+        ]
+        assert len(told) == wrong, told
+        assert all("log: lift.qd goes the other way than the model" in one for one in told)
+
+
 def test_commands_outside_the_driver_are_refused():
     u = crane()["lift.spool.command"]
     over = changed(crane(), lift_spool_command=u + 7.0 * (crane().t > 0.2))

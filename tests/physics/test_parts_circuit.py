@@ -351,3 +351,51 @@ def test_controllers_of_metering_edges_refuse_a_pump():
     )
     with pytest.raises(InputError, match=sentence):
         run_trial(RIG, recipe)
+
+
+# --- where a cylinder rests
+
+
+@pytest.mark.parametrize("end", ["head", "rod"])
+def test_a_check_valve_holds_up_its_own_chamber_alone(end):
+    """The chamber that it feeds from the supply rests at the supply's pressure, the other where the
+    load has it; with both fed, none stands below.
+    """
+    both = Model.of(RIG).plant
+    tables = RIG.as_toml()
+    (own,) = tables["cylinder"]
+    own["edge"] = [one for one in own["edge"] if one["to"] == end]
+    model = Model.of(Rig.model_validate(tables))
+    supply = both.supply.pressure
+    for incline in (0.2, -0.5, 1.2):
+        rig = Rig.model_validate(tables).with_values({"table.incline": incline})
+        model = Model.of(rig)
+        y = model.trim(model.posture(None))
+        p = {side: y[model.layout.state(f"p_{side}", 0)] for side in ("head", "rod")}
+        row = model.plant.cylinders[0]
+        load = p["head"] * row.area_head - p["rod"] * row.area_rod
+        weight = float(rig.mechanism.mass) * 9.80665 * math.sin(incline)
+        assert load == pytest.approx(weight, rel=1e-3)
+        assert p[end] >= supply * (1.0 - 1e-12)
+        assert min(p.values()) < supply or p[end] == pytest.approx(supply)
+    y = Model.of(RIG).trim(Model.of(RIG).posture(None))
+    assert min(y[2:4]) >= supply
+
+
+def test_check_valves_that_stand_open_leave_a_creep_at_rest():
+    """Fed at one end and let out at the other, a cylinder starts where ``Q_head/A1 = Q_out/A2``,
+    so that its pressures stay.
+    """
+    tables = RIG.as_toml()
+    (own,) = tables["cylinder"]
+    small = {"law": "check", "orifice_gain": "0.5 L/min/bar^0.5"}
+    own["edge"] = [
+        small | {"name": "feed", "from": "supply", "to": "head", "cracking_pressure": "0.5 bar"},
+        small | {"name": "out", "from": "rod", "to": "tank", "cracking_pressure": "1 bar"},
+    ]
+    record = trial(Rig.model_validate(tables).with_values({"table.incline": 0.0}), np.zeros(2))
+    row = Model.of(RIG).plant.cylinders[0]
+    fed, out = (record[f"lift.{name}.flow"][0] for name in ("feed", "out"))
+    assert fed * row.area_rod == pytest.approx(out * row.area_head, rel=1e-9) and fed > 1e-6
+    load = record["lift.p_head"][0] * row.area_head - record["lift.p_rod"][0] * row.area_rod
+    assert abs(load) < 1e-6 * row.area_head * record["lift.p_head"][0]

@@ -12,6 +12,7 @@ import pytest
 from ehbench.control.valve_level import edge_order
 from ehbench.codes import FAINT, REVERSED
 from ehbench.fields import Value
+from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.ledger import ledger_of_log, ledger_of_model
 from ehbench.machines.virtual.machine import VirtualMachine
 from ehbench.parts.edge import edge_command, edge_flow, edge_known, edge_onset, edge_slope
@@ -23,7 +24,7 @@ from ehbench.tune.loop import damping_ratio
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
 
 sys.path.insert(0, str(Path(__file__).parent))
-from with_parts import recovered, steps  # noqa: E402
+from with_parts import noisy, recovered, steps  # noqa: E402
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 DROPS = (1e2, 1e4, 3e5, 2e6, 1.9e6, 2.1e6, 1.2e7)
@@ -171,6 +172,76 @@ def test_a_flow_control_gain_comes_back_from_noisy_logs():
     rig = with_law(law="flow_control", compensated_gain=6e-6, deadband=0.4)
     edge = "press.servo_supply_head"
     recovered(rig, {f"{edge}.compensated_gain": 1.6, f"{edge}.deadband": 0.5})
+
+
+# --- an edge that is open at rest: underlap
+
+OPEN = (
+    {"law": "orifice"},
+    {"law": "saturating", "opening_max": 4.0, "saturation_softness": 0.6},
+    {"law": "compensated", "compensated_gain": 5e-6},
+    {"law": "flow_control", "compensated_gain": 5e-6, "compensation_drop": 2e6},
+)
+
+
+@pytest.mark.parametrize("law", OPEN, ids=lambda law: law["law"])
+def test_an_underlap_shifts_the_flow_by_itself(law):
+    """``Q(u) = Q0(u + underlap)``, nothing from ``−underlap`` on; the inverse is exact, and 0 for a
+    flow that passes at rest.
+    """
+    wide = law | ({"opening_max": 4.3} if "opening_max" in law else {})
+    plant = Model.of(with_law(**law, underlap=0.3)).plant
+    edge, bare, maps = plant.edges[0], Model.of(with_law(**wide)).plant.edges[0], plant.maps
+    for drop in DROPS:
+        for way in (1.0, -1.0):
+            for u in (-0.2, 0.0, 0.4, 2.0):
+                flow = edge_flow(way * drop, u, edge, maps)
+                assert flow == pytest.approx(edge_flow(way * drop, u + 0.3, bare, maps), rel=1e-12)
+                back = edge_command(way * drop, flow, edge, maps)
+                assert back == pytest.approx(max(u, 0.0), abs=1e-9)
+            for u in (-0.3, -0.4, -5.0):
+                assert edge_flow(way * drop, u, edge, maps) == 0.0
+    assert edge_onset(edge, maps) == 0.0
+
+
+@pytest.mark.parametrize(
+    "odd", [{"deadband": 0.5}, {"law": "map", "flow_gain": None}, {"law": "pump"}], ids=str
+)
+def test_an_underlap_that_can_not_be_is_refused(odd):
+    with pytest.raises(ValueError, match="not both|takes no underlap|pump"):
+        with_law(**({"law": "orifice", "underlap": 0.3} | odd))
+
+
+def underlapped() -> Rig:
+    """The sliding mass on a slope, every edge open at rest still."""
+    rig = with_law(law="orifice", underlap=0.15)
+    return rig.with_values({"carriage.incline": 0.5})
+
+
+def test_an_underlapped_cylinder_rests_where_its_edges_leave_its_pressures():
+    """The start is the creep that a simulation from other pressures comes to."""
+    model = Model.of(underlapped())
+    y = model.trim(model.posture(None))
+    other = model.trim(model.posture(None), low_side=2e5)
+    commands = np.zeros((1501, 1))
+    log = model.record(np.arange(1501) * 1e-3, commands, model.run(other, commands, 1e-3))
+    for name in ("p_head", "p_rod"):
+        at = y[model.layout.state(name, 0)]
+        assert log[f"press.{name}"][-1] == pytest.approx(at, rel=2e-3)
+        assert abs(log[f"press.{name}"][0] / at - 1.0) > 0.2
+
+
+def test_an_underlap_comes_back_from_a_noisy_log():
+    """Of one edge, from a third of it, beside another's gain."""
+    rig = underlapped()
+    command = steps((1.0, 3.0, -2.0, 0.6, -0.6))
+    made = simulate(rig, {"press.servo": command}, 1e-3 * (command.size - 1))
+    start = {"press.servo_rod_tank.underlap": 0.05, "press.servo_supply_head.flow_gain": 3e-8}
+    fit = identify_hydraulics(rig, [("log", noisy(made, 5))], list(start), FitOptions(start=start))
+    for name in start:
+        low, high = fit[name].interval
+        assert low <= float(rig.parameters()[name]) <= high and fit[name].status == "estimated"
+        assert high - low < 0.05 * high
 
 
 # --- a valve that a spring holds shut in series with an edge

@@ -56,8 +56,9 @@ def edge_law(name: str) -> EdgeLaw:
 # where it has no command; ``sign`` ±1 of the commands that open it; ``law`` its number in LAWS;
 # ``blocked`` 1 where nothing passes against its direction; ``unmetered`` 1 where no command has to
 # open it; then the columns of the laws: ``gain`` [m³/(s·V·√Pa)] of an orifice,
-# [m³/(s·V)] of a compensated edge, ``deadband`` [V], ``compensation_drop`` [Pa], where the
-# ``forward`` and the ``reverse`` map begin (−1: none), ``opening_max, saturation_softness`` [V];
+# [m³/(s·V)] of a compensated edge, ``deadband`` [V], negative of an underlap,
+# ``compensation_drop`` [Pa], where the ``forward`` and the ``reverse`` map begin (−1: none),
+# ``opening_max, saturation_softness`` [V];
 # of a pump ``displacement`` [m³/rad], ``speed_gain`` [rad/(s·V)], ``pump_speed`` [rad/s], ``slip``
 # [m³/(s·Pa)]; of a check valve ``gain`` [m³/(s·√Pa)], ``cracking_pressure, opening_range`` [Pa],
 # its ``pilot`` node (−1: none) and ``pilot_ratio``; ``cracking_pressure`` [Pa] also of what is held
@@ -82,7 +83,7 @@ _slope = choice("slope", [law.slope for law in LAWS], "drop, flow, reach, edge")
 @part_kernel
 def edge_flow(drop, opening, edge, maps):
     """Flow [m³/s] along an edge, positive from → to, at a pressure drop [Pa] of either sign and a
-    valve opening [V]; shut, what its map has of a leak.
+    valve opening [V]; on the other side of rest, what its map has of a leak, or its underlap.
 
     Args:
         edge: its row.
@@ -100,8 +101,8 @@ def edge_flow(drop, opening, edge, maps):
 
 @part_kernel
 def edge_leaks(edge, maps):
-    """Whether an edge passes oil when it is shut, by its map."""
-    return edge.law == MAP and leaks(edge, maps)
+    """Whether an edge passes oil when its valve is at rest: by its map's leak, or an underlap."""
+    return edge.deadband < 0.0 or (edge.law == MAP and leaks(edge, maps))
 
 
 @part_kernel
@@ -110,8 +111,8 @@ def edge_command(drop, flow, edge, maps):
     ``edge_flow``.
 
     Flow and drop must have one sign, but for a pump; where they have not, or the edge is blocked,
-    no opening gives that flow and the valve's closed command 0 is returned. The result is not
-    limited to the driver's range by the analytic laws."""
+    no opening gives that flow and the valve's closed command 0 is returned; so it is where an
+    underlap passes more. The result is not limited to the driver's range by the analytic laws."""
     drop = metered(drop, edge)
     if edge.unmetered == 0 and (flow * drop <= 0.0 or (drop < 0.0 and edge.blocked == 1)):
         return 0.0

@@ -34,15 +34,16 @@ def flow(drop, reach, edge, maps):
 
 @part_kernel
 def opening(drop, flow, edge, maps):
-    """Opening [V] at which ``flow`` passes."""
-    return edge.deadband + abs(flow) / (edge.gain * level(abs(drop), edge.compensation_drop))
+    """Opening [V] at which ``flow`` passes; 0 for less than an underlap lets through."""
+    wide = abs(flow) / (edge.gain * level(abs(drop), edge.compensation_drop))
+    return max(edge.deadband + wide, 0.0)
 
 
 def pack(edge: Any) -> dict[str, float]:
     """Columns of an edge."""
     return {
         "gain": float(edge.compensated_gain),
-        "deadband": float(edge.deadband),
+        "deadband": edge.onset,
         "compensation_drop": float(edge.compensation_drop),
     }
 

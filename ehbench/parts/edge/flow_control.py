@@ -34,8 +34,9 @@ def flow(drop, reach, edge, maps):
 
 @part_kernel
 def opening(drop, flow, edge, maps):
-    """Opening [V] at which ``flow`` passes."""
-    return edge.deadband + abs(flow) / (edge.gain * level(abs(drop), edge.compensation_drop))
+    """Opening [V] at which ``flow`` passes; 0 for less than an underlap lets through."""
+    wide = abs(flow) / (edge.gain * level(abs(drop), edge.compensation_drop))
+    return max(edge.deadband + wide, 0.0)
 
 
 LAW = EdgeLaw(

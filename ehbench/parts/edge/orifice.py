@@ -36,13 +36,13 @@ def flow(drop, reach, edge, maps):
 
 @part_kernel
 def opening(drop, flow, edge, maps):
-    """Opening [V] at which ``flow`` passes."""
-    return edge.deadband + abs(flow) / (edge.gain * root(abs(drop)))
+    """Opening [V] at which ``flow`` passes; 0 for less than an underlap lets through."""
+    return max(edge.deadband + abs(flow) / (edge.gain * root(abs(drop))), 0.0)
 
 
 def pack(edge: Any) -> dict[str, float]:
     """Columns of an edge."""
-    return {"gain": float(edge.flow_gain), "deadband": float(edge.deadband)}
+    return {"gain": float(edge.flow_gain), "deadband": edge.onset}
 
 
 LAW = EdgeLaw(

@@ -40,14 +40,16 @@ def flow(drop, reach, edge, maps):
 
 @part_kernel
 def opening(drop, flow, edge, maps):
-    """Opening [V] at which ``flow`` passes; the widest for more than that gives."""
+    """Opening [V] at which ``flow`` passes; the widest for more than that gives, 0 for less than an
+    underlap lets through.
+    """
     most, soft = edge.opening_max - edge.deadband, edge.saturation_softness
     wide = abs(flow) / (edge.gain * root(abs(drop)))
     if wide >= most:
         wide = most + soft
     elif wide > most - soft:
         wide = most + soft - 2.0 * math.sqrt(soft * (most - wide))
-    return edge.deadband + wide
+    return max(edge.deadband + wide, 0.0)
 
 
 @part_kernel
@@ -58,7 +60,7 @@ def known(drop, edge, maps):
 
 def odd(edge: Any) -> tuple[str, str] | None:
     """What is wrong where it saturates before it opens."""
-    wide = float(edge.opening_max) - float(edge.deadband)
+    wide = float(edge.opening_max) - edge.onset
     if wide <= 0.0:
         return "opening_max must lie above deadband", "opening_max"
     if float(edge.saturation_softness or 0.0) > wide:
@@ -71,7 +73,7 @@ def pack(edge: Any) -> dict[str, float]:
     """Columns of an edge."""
     return {
         "gain": float(edge.flow_gain),
-        "deadband": float(edge.deadband),
+        "deadband": edge.onset,
         "opening_max": float(edge.opening_max),
         "saturation_softness": float(edge.saturation_softness or 0.0),
     }

@@ -1,0 +1,117 @@
+"""At which pressures a cylinder rests where something joins its chambers to supply or tank while
+its valves are at rest: check valves, underlapped edges, valves that cannot shut.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ehbench.parts.edge import CHECK, PUMP, edge_flow
+from ehbench.parts.nodes import SUPPLY, TANK
+from ehbench.parts.supply import sensed
+from ehbench.parts.valve import limited
+from ehbench.plant.build import Plant
+
+LOW_SIDE = 0.1  # share of the supply pressure at which a chamber that carries nothing stands
+HALVINGS = 60  # of the level's bracket: to the last digits
+
+
+def open_at_rest(plant: Plant) -> np.ndarray:
+    """Which edges are open, or may open by themselves, while all valves are at rest, shape
+    (edges,): check valves, underlaps, those of a valve that cannot shut. What a map leaks at rest
+    is none.
+    """
+    edges = plant.edges
+    rests = np.array([limited(0.0, valve) for valve in plant.valves])
+    reach = np.where(edges.valve >= 0, edges.sign * rests[edges.valve], 0.0)
+    metered = (edges.valve >= 0) & (edges.law != PUMP)
+    return (metered & (reach > edges.deadband)) | (edges.law == CHECK)
+
+
+def resting(plant: Plant, row: np.record, force: float) -> tuple[float, float]:
+    """(p_head, p_rod) [Pa] of a cylinder that carries ``force`` [N] at rest.
+
+    The chamber that the load does not press on stands at a tenth of the supply pressure. A chamber
+    that a check valve feeds from the supply stands at the supply's pressure at least. Where that
+    leaves a flow at rest, both pressures go up or down together, the load carried all the way, to
+    where one chamber gains by their ratio of areas what the other loses, ``A2·Q_head + A1·Q_rod =
+    0``: there the pressures stay, while the cylinder creeps at ``Q_head/A1``.
+
+    Args:
+        row: of the cylinder.
+        force: what the piston has to push with, out positive.
+    """
+    shown: Any = plant.edges_at_chambers
+    chambers = (row.node_head, row.node_rod)
+    own = np.isin(shown.from_node, chambers) | np.isin(shown.to_node, chambers)
+    edges = shown[own & open_at_rest(plant)]
+    checks = edges[(edges.law == CHECK) & (edges.from_node == SUPPLY)]
+    fed = [bool(np.any(checks.to_node == node)) for node in chambers]
+    low = plant.supply.pressure * (1.0 if all(fed) else LOW_SIDE)
+    head, rod = carrying(row, force, low)
+    if fed[0] and head < plant.supply.pressure:
+        head = plant.supply.pressure
+        rod = (head * row.area_head - force) / row.area_rod
+    if fed[1] and rod < plant.supply.pressure:
+        rod = plant.supply.pressure
+        head = (force + rod * row.area_rod) / row.area_head
+    return _settled(plant, row, force, edges, rod) or (head, rod)
+
+
+def carrying(row: np.record, force: float, low: float) -> tuple[float, float]:
+    """(p_head, p_rod) [Pa] that carry a ``force`` [N], one of them at ``low`` and none below."""
+    if force + low * row.area_rod >= low * row.area_head:
+        return (force + low * row.area_rod) / row.area_head, low
+    return low, (low * row.area_head - force) / row.area_rod
+
+
+def _settled(
+    plant: Plant, row: np.record, force: float, edges: np.ndarray, level: float
+) -> tuple[float, float] | None:
+    """The nearest pressures [Pa] to those with ``level`` in the rod end that stay; None where those
+    do.
+    """
+
+    def head_at(rod: float) -> float:
+        return (force + rod * row.area_rod) / row.area_head
+
+    def gain(rod: float) -> float:
+        flows = [_inflow(plant, edges, row, head_at(rod), rod, node) for node in range(2)]
+        return row.area_rod * flows[0] + row.area_head * flows[1]
+
+    first = gain(level)
+    if first == 0.0:
+        return None
+    lowest = max(plant.tank_pressure, (plant.tank_pressure * row.area_head - force) / row.area_rod)
+    far, span = level, max(plant.supply.pressure, 1.0e5)
+    for _ in range(12):
+        far = level + span if first > 0.0 else max(level - span, lowest)
+        if gain(far) * first <= 0.0:
+            break
+        span *= 2.0
+    near = level
+    for _ in range(HALVINGS):
+        middle = 0.5 * (near + far)
+        near, far = (middle, far) if gain(middle) * first > 0.0 else (near, middle)
+    return head_at(far), far
+
+
+def _inflow(
+    plant: Plant, edges: np.ndarray, row: np.record, head: float, rod: float, side: int
+) -> float:
+    """Flow [m³/s] into a chamber, 0 head and 1 rod, along ``edges`` at rest."""
+    held = sensed(plant.tank_pressure, plant.supply)
+    pressure = {SUPPLY: held, TANK: plant.tank_pressure, row.node_head: head, row.node_rod: rod}
+    node, total = (row.node_head, row.node_rod)[side], 0.0
+    for edge in edges:
+        way = int(edge.to_node == node) - int(edge.from_node == node)
+        if way == 0:
+            continue
+        first, last = pressure[edge.from_node], pressure[edge.to_node]
+        opening = limited(0.0, plant.valves[edge.valve]) if edge.valve >= 0 else 0.0
+        if edge.law == CHECK and edge.pilot >= 0:
+            opening = max(pressure.get(edge.pilot, 0.0) - first, 0.0)
+        total += way * edge_flow(first - last, opening, edge, plant.maps)
+    return total
