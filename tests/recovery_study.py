@@ -261,6 +261,7 @@ VARIANTS: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]] = {
     ),
     "slide, checks": ({"edge": CHECKS}, {}, {}),
     "slide, pump": ({"edge": PUMP}, {}, {}),
+    "slide, underlap": ({}, {}, {"underlap": "0.15 V"}),
 }
 
 

@@ -131,7 +131,8 @@ def _valves(rig: Rig, cylinder: Cylinder) -> Iterator[Cure]:
         for edge in valve.edge:
             name = f"{cylinder.name}.{valve.edge_name(edge)}"
             gains += [f"{name}.{key}" for key in GAINS if f"{name}.{key}" in known]
-            bands += [f"{name}.deadband"] if f"{name}.deadband" in known else []
+            word = "deadband" if edge.underlap is None else "underlap"
+            bands += [f"{name}.{word}"] if f"{name}.{word}" in known else []
         for gain in gains:
             yield _gain(gain.rpartition(".")[0], [gain], 1, known)
             yield from _preload(gain.rpartition(".")[0], rig)
@@ -174,21 +175,23 @@ def _lag(name: str, known: Mapping[str, Value]) -> Cure:
 
 def _bands(valve: Valve, about: str, names: Sequence[str], rig: Rig) -> Iterator[Cure]:
     unit = float(valve.command_max)
-    if len(names) > 1:
+    if len(names) > 1 and len({name.rpartition(".")[2] for name in names}) == 1:
         yield _band(about, names, unit, rig, 2)
     for name in names:
         yield _band(name.rpartition(".")[0], [name], unit, rig, 3)
 
 
 def _band(about: str, names: Sequence[str], unit: float, rig: Rig, rank: int) -> Cure:
-    """Of dead bands, in shares of the largest command [V]."""
+    """Of dead bands, or of underlaps, in shares of the largest command [V]."""
     known = rig.parameters()
     least = min((float(known[name]) / unit for name in names), default=0.0)
+    lapped = names[0].endswith(".underlap")
+    word, way = ("an underlap", -1.0) if lapped else ("a dead band", 1.0)
 
     def says(delta: float) -> str:
         return (
-            f"the machine is {_more(-delta, 'faster', 'slower')} by the same at every command: "
-            f"{about} has a dead band {abs(delta) * unit:.2g} V "
+            f"the machine is {_more(-way * delta, 'faster', 'slower')} by the same at every "
+            f"command: {about} has {word} {abs(delta) * unit:.2g} V "
             f"{_more(delta, 'wider', 'narrower')}"
         )
 
