@@ -95,6 +95,7 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[s
         *_limited(record, model.rig),
         *_apart(record, model),
         *_against(record, model.rig),
+        *_backwards(record, model.rig),
     ]
     notes += outside_stroke(record, model.rig)
     return record, (*notes, *_tied(name, record, model))
@@ -603,6 +604,54 @@ def _against(record: Record, rig: Rig) -> list[str]:
                     "columns, or head and rod are the wrong way round"
                 )
     return found
+
+
+def _backwards(record: Record, rig: Rig) -> list[str]:
+    """Warnings of positions and speeds that go down while the commands extend a cylinder, and up
+    while they retract it: with a sign turned nothing follows the model, and a fit goes astray.
+    """
+    found = []
+    for cylinder in rig.cylinder:
+        ways = _ways(cylinder, record)
+        ends = np.flatnonzero(np.diff(ways, prepend=0.0, append=0.0))
+        if ends.size < 2:
+            continue
+        each = ways[ends[:-1]]
+        sign = 1 if cylinder.linkage is None else cylinder.linkage.sign
+        for word, turn in (("x", 1), ("v", 1), ("q", sign), ("qd", sign)):
+            channel = f"{cylinder.name}.{word}"
+            if channel not in record:
+                continue
+            y = turn * record[channel]
+            y = y if word in ("x", "q") else np.cumsum(y) * record.sample_time
+            gone = np.diff(y[np.minimum(ends, y.size - 1)])[each != 0.0]
+            all_ = float(np.sum(np.abs(gone)))
+            if all_ > TRAVEL * _span(cylinder, word) and (
+                float(np.sum(each[each != 0.0] * gone)) < AGAINST * all_
+            ):
+                falls = "falls" if turn > 0 else "rises"
+                found.append(
+                    f"{channel} {falls} while the commands extend {cylinder.name}: is its sign "
+                    "turned (sign = -1 in the map of columns), that of a command, or are head and "
+                    "rod the wrong way round?"
+                )
+    return found
+
+
+def _ways(cylinder: Cylinder, record: Record) -> np.ndarray:
+    """Which way the commands move a cylinder at each sample: 1 out, −1 in, 0 neither, or where
+    edges of both ways are open. Edges across the ports, and what pumps slip, count as none.
+    """
+    opened = np.zeros((2, record.t.size), dtype=bool)
+    for valve in cylinder.valve:
+        channel = f"{cylinder.name}.{valve.name}.command"
+        for edge in valve.edge:
+            if channel not in record or {edge.from_, edge.to} == {"head", "rod"}:
+                continue
+            out = "head" == edge.to or "rod" == edge.from_
+            reach = edge.sign * record[channel]
+            opened[0 if out else 1] |= reach > float(edge.deadband)
+    return opened[0].astype(float) - opened[1].astype(float)
 
 
 def _travels(record: Record, cylinder: Cylinder) -> bool:

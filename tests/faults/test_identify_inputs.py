@@ -307,6 +307,27 @@ def test_a_turned_sensor_is_named():
         assert all("log: lift.qd goes the other way than the model" in one for one in told)
 
 
+@pytest.mark.parametrize("word", ["q", "qd"])
+def test_a_position_that_goes_against_its_commands_is_told_before_a_fit(word):
+    """On the crane, whose angle rises as it extends, and on one whose pins turn it the other way;
+    what the log is, right or turned, is told of either.
+    """
+    log, channel = crane(), f"lift.{word}"
+    turned = changed(log, **{f"lift_{word}": -log[channel]})
+    pins = rig().cylinder[0].pins.model_copy(update={"sign": -1})
+    cylinder = rig().cylinder[0].model_copy(update={"pins": pins})
+    for own, good, bad in (
+        (rig().cylinder[0], log, turned),
+        (cylinder, turned, log),
+    ):
+        model = Model.of(rig().model_copy(update={"cylinder": (own,)}))
+        for record, count in ((good, 0), (bad, 1)):
+            told = [one for one in preprocess("log", record, model)[1] if "extend lift" in one]
+            assert len([one for one in told if one.startswith(channel + " ")]) == count, told
+    still = changed(turned, lift_spool_command=0.0 * log.t)
+    assert not any("extend lift" in one for one in preprocess("log", still, Model.of(rig()))[1])
+
+
 def test_commands_outside_the_driver_are_refused():
     u = crane()["lift.spool.command"]
     over = changed(crane(), lift_spool_command=u + 7.0 * (crane().t > 0.2))
