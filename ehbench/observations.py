@@ -28,6 +28,7 @@ STAND_INS = {
 OF_VALVES = ("opening",)  # quantities that a cylinder has of each of its valves
 _RATE_OF = {"qd": "q", "v": "x"}
 TOGETHER = 0.02  # [s]: commands that change within this before a transient have begun it with it
+EMPTY = 0.01  # share of an accumulator's precharge below which its line has no gas
 SUPPLY_OFF = 0.03  # share of the supply's pressure by which it may be off the model's, rms
 # ringing of fewer cycles, or better damped, is told by drift as well as by oscillation
 CLEAR_CYCLES, CLEAR_DAMPING = 1.5, 0.35
@@ -107,23 +108,50 @@ def payload_of(record: Record) -> str | None:
 
 
 def supply_off(record: Record, simulated: Record, rig: Rig) -> list[str]:
-    """A sentence where the recorded supply pressure is not the model's, so that its supply is
-    another than the machine's; none where it is, or is not known.
+    """Sentences where the recorded supply pressure is not the model's, so that its supply is
+    another than the machine's, and where the accumulator runs empty; none where neither is so, or
+    known.
     """
-    if "p_supply" not in record or supplied(record):
+    if supplied(record):
         return []
+    empty = _empty(record, simulated, rig)
+    if "p_supply" not in record:
+        return empty
     off = simulated["p_supply"] - record["p_supply"]
     far, noise = float(off[np.argmax(np.abs(off))]), white_noise(record["p_supply"])
     if rms(off) < max(SUPPLY_OFF * float(np.median(record["p_supply"])), 3.0 * noise):
-        return []
+        return empty
     row, unit = quantity("p_supply"), rig.unit_of("p_supply")
     shown = f"{abs(from_si(far, unit, row)):.3g} {unit}"
     when = f"{record.t[int(np.argmax(np.abs(off)))]:.4g} s"
     way = "below" if far > 0.0 else "above"
     return [
+        *empty,
         f"p_supply is up to {shown} {way} the model's (at t = {when}), whose supply is not the "
         "machine's: supply = \"recorded\" in the recipe drives the model by the log's, or estimate "
-        "the supply's parameters"
+        "the supply's parameters",
+    ]
+
+
+def _empty(record: Record, simulated: Record, rig: Rig) -> list[str]:
+    """A sentence where the supply falls below its accumulator's precharge, by the recording where
+    it tells, else by the model: without gas on the line a little oil moves its pressure by a lot.
+    """
+    accumulator = rig.supply.accumulator
+    if accumulator is None:
+        return []
+    seen = "p_supply" in record
+    pressure = record["p_supply"] if seen else simulated["p_supply"]
+    precharge = float(accumulator.precharge)
+    low = pressure < precharge - EMPTY * abs(precharge) - 4.0 * white_noise(pressure) * seen
+    if not low.any():
+        return []
+    when = f"{record.t[int(np.argmax(low))]:.4g} s"
+    cure = 'supply = "recorded" for this log' if seen else "record p_supply"
+    return [
+        f"the accumulator runs empty at t = {when}: p_supply falls below its precharge, "
+        f"{rig.shown('precharge', precharge)}, where a little oil more or less moves it by a lot, "
+        f"and numbers make up for that; {cure}, or stop before"
     ]
 
 

@@ -149,7 +149,8 @@ def check_time(
         f"{name} {how} {now:.9g} s",
         file=file,
         line=line,
-        hint="each sample must be later than the one before",
+        hint="each sample must be later than the one before; where a clock began again, put what "
+        "comes after into a file of its own",
     )
 
 

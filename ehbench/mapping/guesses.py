@@ -16,6 +16,7 @@ from ehbench.units import from_si, is_of
 
 CYLINDER, VALVE = "cylinder", "valve"  # where no rig says how they are called
 ROUNDED = "rounded"
+AGAIN = 0.01  # share of the rows at most at which a clock begins again
 _TIME = {"t", "time", "zeit", "temps", "tiempo", "tempo", "timestamp", "zeitstempel", "uhrzeit"}
 _TIME |= {"clock", "datetime", "seconds", "sec"}
 _WORDS = {
@@ -165,9 +166,13 @@ def _time(column: Column, unit: str, words: set[str], table: Table) -> Guess | N
     rows = apart(others)[0][1] if others else np.ones(column.values.size, bool)
     values = column.values[np.isfinite(column.values) & rows]
     steps = np.diff(values)
-    if not steps.size or steps.min() < 0.0 or values[0] == values[-1]:
+    if not steps.size or values[0] == values[-1]:
         return None
     is_time = bool(unit) and is_of(unit, VOCABULARY["t"])
+    if steps.min() < 0.0:
+        if not (is_time and words & _TIME and np.mean(steps < 0.0) < AGAIN):
+            return None
+        return Guess("t", unit, False, "goes back: where the clock began again, cut the file")
     lvm = words >= {"x", "value"}
     if not (is_time or lvm or (words & _TIME and not unit)):
         even = steps.min() > 0.0 and np.ptp(steps) < 1e-3 * steps.min() and steps[0] != 1.0

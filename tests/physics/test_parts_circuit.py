@@ -13,6 +13,7 @@ from ehbench.compiled import table_of
 from ehbench.errors import InputError
 from ehbench.ledger import ledger_of_model
 from ehbench.machines.virtual import VirtualMachine
+from ehbench.observations import supply_off
 from ehbench.parts.accumulator import gas_capacity, gas_energy
 from ehbench.parts.edge import CHECK, EDGE, PUMP, edge_command, edge_flow, edge_slope
 from ehbench.parts.edge.orifice import root
@@ -399,3 +400,24 @@ def test_check_valves_that_stand_open_leave_a_creep_at_rest():
     assert fed * row.area_rod == pytest.approx(out * row.area_head, rel=1e-9) and fed > 1e-6
     load = record["lift.p_head"][0] * row.area_head - record["lift.p_rod"][0] * row.area_rod
     assert abs(load) < 1e-6 * row.area_head * record["lift.p_head"][0]
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_a_log_that_empties_its_accumulator_is_told(seen):
+    """By the recording, else by the model; not where the recording drives the model, nor at the
+    precharge itself under noise.
+    """
+    precharge, t = float(RIG.supply.accumulator.precharge), np.arange(1001) * 1e-3
+    noise = 1e4 * np.random.default_rng(2).standard_normal(t.size)
+    full = precharge * np.interp(t, [0.0, 1.0], [2.0, 1.0])
+    falls = np.where(t < 0.6, full, 0.2 * precharge)
+
+    def told(pressure: np.ndarray, meta: dict[str, str]) -> list[str]:
+        model = Record(t, {"p_supply": pressure}, {})
+        log = Record(t, {"p_supply": pressure + noise} if seen else {}, meta)
+        return supply_off(log, model, RIG)
+
+    assert told(full, {}) == []
+    (only,) = told(falls, {})
+    assert only.startswith("the accumulator runs empty at t = 0.6 s")
+    assert ('supply = "recorded"' in only) == seen

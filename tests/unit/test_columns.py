@@ -524,6 +524,7 @@ def test_what_a_name_says_is_guessed(tmp_path):
         "Tankdruck [kPa]": "p_tank",
         "return line (bar)": "p_tank",
         "Druck P [bar]": "p_supply",
+        "p_P [bar]": "p_supply",
         "pressure T [bar]": "p_tank",
         "AI2 [bar]": "",
         "stroke [mm]": "cylinder.x",
@@ -543,6 +544,18 @@ def test_what_a_name_says_is_guessed(tmp_path):
     found = {name: guesses[name].channel for name in names}
     assert found == names
     assert not any(guess.sure for name, guess in guesses.items() if not guess.channel)
+
+
+def test_a_clock_that_begins_again_is_named_as_one(tmp_path):
+    """It is the time still, and what is wrong with it stands beside it and in the refusal."""
+    rows = "".join(f"{0.01 * (n % 300):.2f},{50 + n % 7}\n" for n in range(500))
+    (tmp_path / "a.csv").write_text("Time (s),lift.p_head [bar]\n" + rows)
+    guess = mapping.guessed(open_source(tmp_path / "a.csv"), load_rig(RIG))["Time (s)"]
+    assert guess.channel == "t" and not guess.sure and "began again" in guess.remark
+    head = "t [s],lift.p_head [bar]\n"
+    (tmp_path / "b.csv").write_text(head + rows)
+    with pytest.raises(LogError, match="goes back from 2.99 s to 0 s .*into a file of its own"):
+        read_record(tmp_path / "b.csv")
 
 
 def test_the_commands_say_where_their_files_lie(tmp_path, monkeypatch, capsys):
