@@ -190,12 +190,13 @@ def _inverse_root(normal: np.ndarray) -> np.ndarray:
 
 class Release(NamedTuple):
     """What the last parameter would do if it were free: its step, the step's standard error, what
-    the cost would fall by.
+    the cost would fall by for it, and the steps of the others that follow it.
     """
 
     move: float
     std: float
     gain: float
+    follow: np.ndarray
 
 
 def release_of(blocks: Sequence[Block], prior: Prior, least: float) -> Release:
@@ -206,17 +207,22 @@ def release_of(blocks: Sequence[Block], prior: Prior, least: float) -> Release:
     solved = [eliminate(block, prior.weight) for block in blocks]
     normal = np.sum([one.normal for one in solved], axis=0) + prior.normal
     pull = np.sum([one.gradient for one in solved], axis=0) + prior.gradient
-    root = _inverse_root(normal)
-    step = -root @ (root.T @ pull)
-    gain = -float(pull @ step)
+    step, without = _step(normal, pull), _step(normal[:-1, :-1], pull[:-1])
+    gain, follow = float(pull[:-1] @ without - pull @ step), step[:-1] - without
     if gain < least:
-        return Release(float(step[-1]), math.inf, gain)
+        return Release(float(step[-1]), math.inf, gain, follow)
     after = []
     for block, one in zip(blocks, solved, strict=True):
         left = block.left + block.slopes @ step + block.nudges @ (one.move - one.gain @ step)
         after.append(replace(block, left=left))
     std = covariance_of(after, prior).error(len(pull) - 1)[0]
-    return Release(float(step[-1]), std, gain)
+    return Release(float(step[-1]), std, gain, follow)
+
+
+def _step(normal: np.ndarray, pull: np.ndarray) -> np.ndarray:
+    """The step to the minimum of least squares by their normal matrix and gradient."""
+    root = _inverse_root(normal)
+    return -root @ (root.T @ pull)
 
 
 def _reach(score: np.ndarray) -> int:

@@ -178,7 +178,7 @@ class Descent:
         return [
             None
             if any(one is None for one in row)
-            else [self._left(*pair) for pair in zip(logs, row, strict=True)]
+            else [self.left_of(*pair) for pair in zip(logs, row, strict=True)]
             for row in rows
         ]
 
@@ -186,7 +186,7 @@ class Descent:
         """Values [SI] of the parameters at search coordinates."""
         return [c.at(x) for c, x in zip(self.search, theta, strict=True)]
 
-    def _left(self, log: Log, simulated: np.ndarray | None) -> np.ndarray:
+    def left_of(self, log: Log, simulated: np.ndarray | None) -> np.ndarray:
         """Residual of a log [SI], low-passed, zero where it does not count; a failed simulation
         counts ten spreads.
         """
@@ -213,7 +213,7 @@ class Descent:
         else:
             points = [(values, k, own) for k, own in enumerate(shifts)]
             row = self.simulator.each(points, grid.meshes)
-        left = [self._left(*pair) for pair in zip(logs, row, strict=True)]
+        left = [self.left_of(*pair) for pair in zip(logs, row, strict=True)]
         self.last = Point(theta, shifts, left, grid)
         return self.last
 
@@ -243,7 +243,7 @@ class Descent:
             done = zip(asked, self.simulator.each(points, here.grid.meshes), strict=True)
             for (i, k), simulated in done:
                 if simulated is not None:
-                    known[i, k] = (self._left(logs[k], simulated) - here.left[k]) / steps[i]
+                    known[i, k] = (self.left_of(logs[k], simulated) - here.left[k]) / steps[i]
             # where there is no such rig, the other side is asked
             asked = [pair for pair in asked if pair not in known]
         return [
@@ -273,7 +273,7 @@ class Descent:
         done = self.simulator.each(points, here.grid.meshes)
         for (k, j, share), simulated in zip(asked, done, strict=True):
             if simulated is not None:
-                known[k, j] = (self._left(logs[k], simulated) - here.left[k]) / share
+                known[k, j] = (self.left_of(logs[k], simulated) - here.left[k]) / share
         return [
             _stacked([known.get((k, j)) for j in range(len(log.start.doubts))], left)
             / self.per(self.scales, log)[:, None]
@@ -526,7 +526,7 @@ class Descent:
         where it stands; shape (samples, channels).
         """
         row = self.simulator.simulate([self.values(self.theta)], None, self.shifts)[0]
-        return [self._left(*pair) for pair in zip(logs, row, strict=True)]
+        return [self.left_of(*pair) for pair in zip(logs, row, strict=True)]
 
 
 def _place(theta: np.ndarray, shifts: Shifts) -> dict[str, Any]:

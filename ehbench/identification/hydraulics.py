@@ -23,6 +23,7 @@ import numpy as np
 from ehbench.errors import InputError, InsufficientData
 from ehbench.identification.band import on_response
 from ehbench.identification.journal import Journal
+from ehbench.identification.leans import watched
 from ehbench.identification.matching import Matching, refuse_unmatched
 from ehbench.identification.means import Decimate, refuse_few
 from ehbench.identification.output_error import OutputError
@@ -322,44 +323,29 @@ def run_fit(
         InsufficientData: no log tells anything about any parameter, or the fit follows none.
     """
     one, asked = prepared, prepared.options
-    watched = []
+    held = []
     if asked.method == "output_error":
-        watched = coordinates_of_held(one.rig, one.parameters, one.flow_maps)
-    simulator = simulator_of(one, one.logs, watched)
+        held = watched(one.rig, one.parameters, one.flow_maps)
+    simulator = simulator_of(one, one.logs, held)
     tell = progress or (lambda sentence, share: None)
     most = asked.max_iterations
     with simulator.pool:
         if asked.method == "thesis":
             return Matching(simulator, one.search, tell, most).fit()
-        search = OutputError(simulator, one.search, tell, most, asked.cutoff, watched, journal)
+        search = OutputError(simulator, one.search, tell, most, asked.cutoff, held, journal)
         return search.fit()
 
 
 def simulator_of(
-    prepared: PreparedFit, logs: Sequence[Log], watched: Sequence[Coordinate] = ()
+    prepared: PreparedFit, logs: Sequence[Log], held: Sequence[Coordinate] = ()
 ) -> Simulator:
-    """Logs simulated at the parameters of a fit, what is shared of their sensors, and the watched
-    ones.
+    """Logs simulated at the parameters of a fit, what is shared of their sensors, and the held
+    ones that are watched.
     """
     one, asked = prepared, prepared.options
     sensors = of_sensors(logs[0].start.terms)
-    names = [*one.parameters, *(c.name for c in (*sensors, *watched))]
+    names = [*one.parameters, *(c.name for c in (*sensors, *held))]
     return Simulator(one.rig, logs, names, one.flow_maps, asked.workers, asked.step)
-
-
-def coordinates_of_held(
-    rig: Rig, parameters: Sequence[str], flow_maps: Maps | None
-) -> list[Coordinate]:
-    """Gains of metering edges, or factors of their maps, that are not among the parameters."""
-    known, names = rig.parameters(), []
-    for edge_name, edge in rig.all_edges().items():
-        law = edge_law(edge.law)
-        if map_of(flow_maps, edge_name) is not None:
-            names.append(f"{edge_name}.map_factor")
-        elif law.metering and law.needs:
-            names.append(f"{edge_name}.{law.needs[0]}")
-    held = [name for name in names if name not in parameters and float(known[name]) > 0.0]
-    return coordinates(rig, held) if held else []
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import numpy as np
 
 from ehbench.errors import InsufficientData
 from ehbench.identification.descent import FAINT, Point
+from ehbench.identification.leans import doubts_of
 from ehbench.identification.multi_start import MultiStart
 from ehbench.identification.results import HydraulicsFit, read_off
 from ehbench.identification.uncertainty import Error, errors_of, result_of
@@ -64,8 +65,9 @@ class OutputError(MultiStart):
             converged = self.settle(1e-6)
         else:
             found = errors_of(self)
+        doubts = doubts_of(self, found)
         self.tell("output error: done", 1.0)
-        return result_of(self, found, converged)
+        return result_of(self, found, converged, *doubts)
 
     def _range(self, which: Sequence[int]) -> None:
         """Ask the whole range of parameters whose effect here is faint: go where the logs would

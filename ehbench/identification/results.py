@@ -131,6 +131,41 @@ class SensorFit:
 
 
 @dataclass(frozen=True)
+class Moved:
+    """An estimate ``name`` [SI] that would be ``there`` in place of ``here``, off by so many half
+    widths of its 95 % interval.
+    """
+
+    name: str
+    here: float
+    there: float
+    halves: float
+
+
+@dataclass(frozen=True)
+class Lean:
+    """A held number ``name`` that the logs would have at ``there`` ± ``std`` in place of ``here``
+    [SI], the share of the squares that are left which that explains, the estimates that ``moved``
+    with it, the most by its interval first, the ``cure``, a line of the recipe or the rig file that
+    frees it, and a ``sentence`` on all that. What a sensor or a driver is taken to have none of has
+    the name of its channel and of that, such as ``press.v.lag``."""
+
+    name: str
+    here: float
+    there: float
+    std: float
+    explains: float
+    moved: tuple[Moved, ...]
+    cure: str
+    sentence: str = ""
+
+    @property
+    def beyond(self) -> float:
+        """By how many half widths of its interval the estimate that moves most would be off."""
+        return self.moved[0].halves if self.moved else 0.0
+
+
+@dataclass(frozen=True)
 class HydraulicsFit:
     """What an identification found. ``rig`` carries the fitted values; ``correlation`` is between
     the parameters with a standard error, in the order of ``correlated_names``; ``scales`` [SI] is
@@ -138,7 +173,9 @@ class HydraulicsFit:
     ``groups`` the products of parameters that the logs know though they do not know each,
     ``counts_on`` a sentence on what is held that a parameter is known in relation to,
     ``left_over`` one on what the model does not follow, empty where that is little or noise,
-    ``compared`` one on each log that is compared as means of several samples."""
+    ``compared`` one on each log that is compared as means of several samples, ``leans`` the held
+    numbers that the logs deny and without which the parameters would come out beyond their
+    intervals."""
 
     rig: Rig
     method: str
@@ -157,6 +194,7 @@ class HydraulicsFit:
     counts_on: tuple[str, ...] = ()
     left_over: str = ""
     compared: tuple[str, ...] = ()
+    leans: tuple[Lean, ...] = ()
 
     def __getitem__(self, name: str) -> FittedParameter:
         """The fitted parameter of that name.
@@ -208,6 +246,7 @@ class Estimate:
     held: Sequence[float] = ()
     sensors: Sequence[SensorFit] = ()
     groups: Sequence[Group] = ()
+    leans: Sequence[Lean] = ()
 
 
 def not_excited(c: Coordinate, samples: int) -> FittedParameter:
@@ -276,6 +315,7 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
         ),
         left_over=_left_over(simulator.logs, logs),
         compared=_compared(simulator.logs),
+        leans=tuple(found.leans),
     )
 
 

@@ -7,24 +7,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ehbench.identification.covariance import Block, covariance_of, eliminate, release_of
-from ehbench.identification.descent import DIFFERENCE, FAINT, Descent, Point
+from ehbench.identification.covariance import Block, covariance_of, eliminate
+from ehbench.identification.descent import FAINT, Descent, Point
 from ehbench.identification.groups import Group, groups_of, sentence
 from ehbench.identification.results import (
     Estimate,
     FittedParameter,
     HydraulicsFit,
+    Lean,
     SensorFit,
     finish,
     not_excited,
 )
 from ehbench.identification.search import VAGUE, Coordinate
-from ehbench.identification.simulator import Log
 from ehbench.terms import CORRELATED, Z95
-
-# a held parameter is surely wrong if the logs would move it by so many standard errors, by this
-# share of it, and to the benefit of this share of the squares that are left
-SURELY, SURELY_OFF, WORTH = 4.0, 0.01, 0.05
 
 
 @dataclass(frozen=True)
@@ -88,51 +84,6 @@ def errors_of(fit: Descent) -> Errors:
     return Errors(result, names, among, here, blocks, found.hac, found.alone)
 
 
-def _wrongly_held(fit: Descent, found: Errors) -> list[str]:
-    """A warning of the held parameter whose release would better the fit most, if it is surely
-    wrong: the recipe's line that frees it.
-    """
-    live, suspects = sorted(fit.free + fit.bound), []
-    for i in range(fit.fitted, len(fit.search)):
-        c, blocks = fit.search[i], _released(fit, found, i)
-        if not blocks:
-            continue
-        least = WORTH * fit.cost(found.here)
-        release = release_of(blocks, fit.prior(found.here.theta, [*live, i]), least)
-        share = 1.0 if c.log else c.unit / c.start
-        off, less = abs(release.move), release.gain / fit.cost(found.here)
-        if off * share > SURELY_OFF and off > SURELY * release.std:
-            suspects.append((less, share * release.move, share * release.std, c.name))
-    if not suspects:
-        return []
-    less, move, std, name = max(suspects)
-    return [
-        f"{name} is held, and these logs would have it {100.0 * move:+.1f} ± "
-        f"{100.0 * std:.1f} % off: what is left would fall by {100.0 * less:.0f} %. "
-        f'Add "{name}" to parameters, with [prior] "{name}" = "3 %"'
-    ]
-
-
-def _released(fit: Descent, found: Errors, i: int) -> list[Block]:
-    """What the logs say, with a held parameter behind those that are fitted; nothing where it
-    changes nothing.
-    """
-    logs = fit.simulator.logs
-    which = [k for k, log in enumerate(logs) if _concerns(log, fit.search[i])]
-    theta = found.here.theta + DIFFERENCE * np.eye(len(fit.search))[i]
-    moved = (fit.residuals([theta], which)[0] or []) if which else []
-    added = [np.zeros((*block.left.shape, 1)) for block in found.blocks]
-    for k, left in zip(which, moved, strict=False):
-        scale = fit.per(fit.scales, logs[k])
-        added[k][..., 0] = (left - found.here.left[k]) / (DIFFERENCE * scale)
-    if fit.effects(added, [i])[i] < FAINT:
-        return []
-    return [
-        replace(block, slopes=np.concatenate([block.slopes, slope], axis=-1))
-        for block, slope in zip(found.blocks, added, strict=True)
-    ]
-
-
 def _groups(fit: Descent, found: Errors) -> tuple[Group, ...]:
     """The products of parameters that the logs know though they do not know each; one that ran
     into its bound is taken for known there, as the search takes it.
@@ -158,7 +109,14 @@ def _at_bound(fit: Descent, i: int) -> bool:
     return i in fit.bound or fit.theta[i] in fit.search[i].bounds
 
 
-def result_of(fit: Descent, found: Errors, converged: bool) -> HydraulicsFit:
+def result_of(
+    fit: Descent,
+    found: Errors,
+    converged: bool,
+    held: Sequence[str] = (),
+    leans: Sequence[Lean] = (),
+) -> HydraulicsFit:
+    """A fit as it leaves: ``held`` are warnings of what it holds, ``leans`` what it leans on."""
     samples = sum(log.each * int(log.counts.any(axis=1).sum()) for log in fit.simulator.logs)
     fitted = []
     for i, c in enumerate(fit.search[: fit.asked]):
@@ -177,7 +135,7 @@ def result_of(fit: Descent, found: Errors, converged: bool) -> HydraulicsFit:
                 from_starts=error.from_starts,
             )
         fitted.append(_within(fit, one, i) if i in fit.ranged else one)
-    warnings = [*_wrongly_held(fit, found), *_flat(fit)]
+    warnings = [*held, *_flat(fit)]
     if not converged:
         warnings.append(
             f"the fit stopped after {fit.most} evaluations without converging; its numbers "
@@ -200,6 +158,7 @@ def result_of(fit: Descent, found: Errors, converged: bool) -> HydraulicsFit:
             cutoff=fit.cutoff,
             shifts=fit.shifts,
             groups=groups,
+            leans=leans,
             held=[
                 *(c.at(fit.theta[i]) for i, c in _shared(fit)),
                 *(c.start for c in fit.search[fit.fitted :]),
@@ -291,8 +250,3 @@ def _sensors(fit: Descent, found: Errors) -> list[SensorFit]:
                 at, std = doubt.std * float(shift), doubt.std * float(error)
                 result.append(SensorFit.of(terms[doubt.name], log.name, at, std, 1.96))
     return result
-
-
-def _concerns(log: Log, c: Coordinate) -> bool:
-    """Whether a parameter belongs to a cylinder that the log asks to move."""
-    return c.name.partition(".")[0] in log.asked

@@ -26,6 +26,8 @@ _LOOKS = {
     "stopped": "bad",
     "undecided": "warn",
     "not_measured": "warn",
+    "accepted_with_reserve": "warn",
+    "doubtful": "warn",
     "at_bound": "warn",
     "not_excited": "warn",
     "correlated": "warn",

@@ -126,6 +126,9 @@ def _verdict(
         logs = set().union(*(_held_out(run) for run, _ in judged))
         text = f"Model accepted on {count(len(logs), 'log')} that it was not fitted to."
         look = "good"
+        reserved = [run.title for run, content in judged if content.status != "accepted"]
+        if reserved:
+            text, look = f"{text[:-1]}, with reserve: {', '.join(reserved)}.", "warn"
     doubts = [
         f"{run.title}: {'; '.join(findings.against[:2])}"
         + (f"; {len(findings.against) - 2} more" if len(findings.against) > 2 else "")

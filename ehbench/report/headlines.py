@@ -24,7 +24,9 @@ from ehbench.report.index import FigureKey
 from ehbench.report.saved import Saved, Table
 from ehbench.report.words import count, interval, number, pretty, shown, unit_of, words
 from ehbench.rig import Rig
+from ehbench.terms import BEYOND
 
+DOUBTFUL = "doubtful"  # an estimate that leans on a held number, which the logs deny
 ON_MACHINE = "run the same trials on the machine"
 
 
@@ -87,16 +89,36 @@ def _flow_maps(run: Saved) -> Findings:
 
 def _hydraulics(run: Saved) -> Findings:
     rig, fit = run.rig, run.json("parameters.json")
-    known = [one for one in fit["parameters"] if one.number("value") is not None]
+    leans, parameters = fit.get("leans", []), estimates_of(fit)
+    known = [one for one in parameters if one.number("value") is not None]
     known.sort(key=lambda one: (one["status"] != "estimated", one["name"] != "bulk_modulus"))
     numbers = [_parameter(rig, one, PARAMETER if i == 0 else OFTEN) for i, one in enumerate(known)]
-    weak = [one for one in fit["parameters"] if one["status"] != "estimated"]
+    weak = [one for one in parameters if one["status"] != "estimated"]
     left = str(fit.get("left_over") or "").partition(":")[0]  # what it means stands in the chapter
-    against = [left] * bool(left) + [f"{one['name']} is {words(one['status'])}" for one in weak]
-    cures = ["ask ehbench identify --suggest what the fitted model lacks"] * bool(left)
+    against = [one["sentence"] for one in leans[:1]] + [left] * bool(left)
+    against += [f"{one['name']} is {words(one['status'])}" for one in weak]
+    cures = [f"measure {one['name']}, or {one['cure']}" for one in leans[:1]]
+    cures += ["ask ehbench identify --suggest what the fitted model lacks"] * bool(left)
     return Findings(
-        numbers, [FigureKey("parameters")], against, cures + [_cure(one) for one in weak]
+        numbers,
+        [FigureKey("parameters")],
+        against,
+        cures + [_cure(one) for one in weak if one["status"] != DOUBTFUL],
     )
+
+
+def estimates_of(fit: Table) -> list[Table]:
+    """The parameters of a fit; those estimated are doubtful that would come out beyond their
+    intervals if a number that the fit holds were as the logs would have it.
+    """
+    moved = [one for lean in fit.get("leans", []) for one in lean["moved"]]
+    far = {one["name"] for one in moved if one["halves"] > BEYOND}
+    return [
+        one.having("status", DOUBTFUL)
+        if one["name"] in far and one["status"] == "estimated"
+        else one
+        for one in fit["parameters"]
+    ]
 
 
 _CURES = {
@@ -151,7 +173,9 @@ def _validation(run: Saved) -> Findings:
         asked = [
             "see which channel fails, and free what it depends on: " + "; ".join(_failed(logs))
         ]
-    return Findings(numbers, figures, table["reasons"] or left_over(table), asked)
+    return Findings(
+        numbers, figures, table["reasons"] or [*table.get("reserves", []), *left_over(table)], asked
+    )
 
 
 def left_over(table: Table) -> list[str]:

@@ -62,6 +62,10 @@ class Table(Mapping):
         """The object as JSON has it."""
         return self._values
 
+    def having(self, key: str, value: Any) -> Table:
+        """The same with another value."""
+        return Table({**self._values, key: value}, self._file, self._where)
+
     def number(self, key: str) -> float | None:
         """A number, or None for null.
 

@@ -117,17 +117,20 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
             if progress is not None:
                 progress("asking the residuals what they follow", 0.5)
             verdict = replace(verdict, structure=ask(prepared.taken.cases(verdict.logs)))
+        intervals = state.origin / "parameters.json"
+        if intervals.is_file():  # they travel with the rig they belong to
+            shutil.copyfile(intervals, folder / "parameters.json")
+            leans = rundir.read_json(intervals).get("leans", [])
+            verdict = replace(verdict, reserves=tuple(one["sentence"] for one in leans))
         write_rig(folder, state.rig, state.flow_maps)
         others = [one.as_json() for one in prepared.recipe.reference]
         beside = {"references": others} if others else {}
         rundir.write_json(folder / "validation.json", verdict.as_json() | beside)
-        intervals = state.origin / "parameters.json"
-        if intervals.is_file():  # they travel with the rig they belong to
-            shutil.copyfile(intervals, folder / "parameters.json")
         write_series(folder / "series", verdict.series())
         facts = {
             "rig": state.rig.name,
             "accepted": verdict.accepted,
+            "reserves": list(verdict.reserves),
             "warnings": [*losses, *prepared.inherited, *verdict.warnings],
             "recorded_on": recorded_on(prepared.logs.records),
         }

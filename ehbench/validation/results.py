@@ -200,7 +200,8 @@ class LogResult:
 @dataclass(frozen=True)
 class Validation:
     """The verdict on a rig: ``accepted`` if some held-out log was judged and all of them passed;
-    else ``reasons`` say why not. ``structure`` is what the residuals say of the model.
+    else ``reasons`` say why not. ``structure`` is what the residuals say of the model,
+    ``reserves`` are sentences on what speaks against its numbers though it follows the logs.
     """
 
     rig: str
@@ -210,11 +211,14 @@ class Validation:
     thresholds: dict[str, Any]
     logs: tuple[LogResult, ...]
     structure: Structure = Structure()
+    reserves: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> str:
-        """``accepted`` or ``rejected``."""
-        return "accepted" if self.accepted else "rejected"
+        """``accepted``, ``accepted with reserve`` or ``rejected``."""
+        if not self.accepted:
+            return "rejected"
+        return "accepted with reserve" if self.reserves else "accepted"
 
     def as_json(self) -> dict[str, Any]:
         """Plain values for ``validation.json``; `read_validation` is the way back."""

@@ -16,6 +16,7 @@ from ehbench.report.content import Pictures, SectionContent, StageReport, chip, 
 from ehbench.report.figures import hydraulics as figures
 from ehbench.report.figures.channels import title_of
 from ehbench.report.figures.sweeps import CAPTION, sweeps
+from ehbench.report.headlines import estimates_of
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
 from ehbench.report.words import (
@@ -42,7 +43,7 @@ _PARAMETERS_CAPTION = (
 def draw(run: Saved, index: FigureIndex) -> None:
     """The parameters within their bounds, then each log recorded and simulated."""
     fit = run.json("parameters.json")
-    parameters = [one for one in fit["parameters"] if one.number("value") is not None]
+    parameters = [one for one in estimates_of(fit) if one.number("value") is not None]
     if parameters:
         title, about = "Parameters within their bounds", FigureKey("parameters")
         path = index.add("parameters", title, _PARAMETERS_CAPTION, about)
@@ -60,13 +61,16 @@ def draw(run: Saved, index: FigureIndex) -> None:
 def section(run: Saved, pictures: Pictures) -> SectionContent:
     """Parameters with intervals, correlation, what was matched, and the fit to each log."""
     rig, fit = run.rig, run.json("parameters.json")
-    table = _parameters_table(rig, fit["parameters"], fit.get("sensors", []))
+    parameters = estimates_of(fit)
+    table = _parameters_table(rig, parameters, fit.get("sensors", []))
+    leans = [one["sentence"] for one in fit.get("leans", [])]
     notes = [
         *filter(None, [fit.get("left_over")]),
         *fit.get("counts_on", []),
         *fit.get("compared", []),
     ]
-    beside: list[Block] = [Bullets(notes)] if notes else []
+    beside: list[Block] = [Bullets(leans, "warn")] if leans else []
+    beside += [Bullets(notes)] if notes else []
     parts = [Part("Parameters", [table, *beside, *pictures(FigureKey("parameters"))])]
     names, matrix = fit.get("correlated_names", []), fit.get("correlation", [])
     if len(names) > 1:
@@ -83,12 +87,12 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     if variants := fit.get("dynamics_comparison", []):
         compared = [Text(_decision(variants)), _dynamics(rig, variants)]
         parts.append(Part("Valve dynamics compared", compared))
-    weak = any(one["status"] != "estimated" for one in fit["parameters"])
+    weak = any(one["status"] != "estimated" for one in parameters)
     return SectionContent("partly_estimated" if weak else "done", _sentence(rig, fit), parts)
 
 
 def _sentence(rig: Rig, fit: Table) -> str:
-    parameters = fit["parameters"]
+    parameters = estimates_of(fit)
     weak = [one for one in parameters if one["status"] != "estimated"]
     first = next((one for one in parameters if one not in weak), parameters[0])
     name = first["name"]

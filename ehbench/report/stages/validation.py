@@ -69,6 +69,8 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     """
     table = run.json("validation.json")
     status = "accepted" if table["accepted"] else "rejected"
+    if table["accepted"] and table.get("reserves"):
+        status = "accepted_with_reserve"
     parts = [
         Part("Verdict", _verdict(table, status)),
         *_beside_others(run.rig, table),
@@ -89,7 +91,7 @@ def _sentence(logs: Sequence[Table], status: str) -> str:
             if channel.get("fit_percent") is not None:
                 word = channel["channel"].rsplit(".", 1)[1]
                 fits.setdefault(word, []).append(channel["fit_percent"])
-    sentence = f"{status.capitalize()} on {count(len(held_out), 'held-out log')}"
+    sentence = f"{words(status).capitalize()} on {count(len(held_out), 'held-out log')}"
     checks = [check for log in held_out for check in log.get("checks", [])]
     if failed := [check for check in checks if not check["passed"]]:
         sentence += f", {len(failed)} of {count(len(checks), 'check')} failed"
@@ -98,10 +100,12 @@ def _sentence(logs: Sequence[Table], status: str) -> str:
 
 
 def _verdict(table: Table, status: str) -> list[Block]:
-    look = "good" if status == "accepted" else "bad"
-    blocks: list[Block] = [Text(f"The model is {status}.", look)]
+    blocks: list[Block] = [Text(f"The model is {words(status)}.", look_of(status))]
     if table["reasons"]:
         blocks.append(Bullets(table["reasons"]))
+    if reserves := table.get("reserves", []):
+        blocks.append(Text("It follows the logs, but the fit behind it leans on a held number:"))
+        blocks.append(Bullets(reserves, "warn"))
     if table["accepted"] and (left := left_over(table)):
         blocks.append(Bullets(left, "warn"))
     if unasked := silence(table):
