@@ -135,10 +135,15 @@ def log_of(
 
 
 def fitted(
-    name: str, rig: Rig, machine: Rig, seed: int = 7, late: tuple[str, float] = ("", 0.0)
+    name: str,
+    rig: Rig,
+    machine: Rig,
+    seed: int = 7,
+    late: tuple[str, float] = ("", 0.0),
+    kinds: Sequence[str] = FITTED,
 ) -> HydraulicsFit:
-    """A rig fitted to two logs of a machine."""
-    logs = [(kind, log_of(name, machine, kind, seed + i, late)) for i, kind in enumerate(FITTED)]
+    """A rig fitted to logs of a machine, one a kind."""
+    logs = [(kind, log_of(name, machine, kind, seed + i, late)) for i, kind in enumerate(kinds)]
     start = {"bulk_modulus": BEGIN * float(rig.oil.bulk_modulus)}
     options = FitOptions(start=start, workers=1)
     return identify_hydraulics(rig, logs, parameters_of(name, rig), options)

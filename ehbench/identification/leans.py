@@ -181,8 +181,8 @@ def _late_commands(fit: Descent, found: Errors) -> Iterator[_Suspect]:
             if simulated is not None:
                 left = fit.left_of(logs[k], simulated)
                 columns[k] = (left - here.left[k]) / (LATE * fit.per(fit.scales, logs[k]))
-        one = f'[[sensor]] channel = "{given[0]}", delay = "estimate"'
-        several = f'kind = "delay" among the dynamics of the valves of {cylinder.name}'
+        one = f'add [[sensor]] channel = "{given[0]}", delay = "estimate"'
+        several = f'put kind = "delay" among the dynamics of the valves of {cylinder.name}'
         about = given[0] if len(given) == 1 else f"{cylinder.name}.command"
         yield _Suspect(f"{about}.delay", 0.0, columns, 1.0, one if len(given) == 1 else several)
 
@@ -207,7 +207,7 @@ def _late_sensors(fit: Descent, found: Errors) -> Iterator[_Suspect]:
                 slope = np.gradient(simulated[:, i], log.sample_time) * log.counts[:, i]
                 columns[k][:, i] = -slope / fit.scales[channel]
         seen = channel if all(channel in log.record for log in logs) else position_of(channel)
-        cure = f'[[sensor]] channel = "{seen}", lag = "estimate"'
+        cure = f'add [[sensor]] channel = "{seen}", lag = "estimate"'
         yield _Suspect(f"{seen}.lag", 0.0, columns, 1.0, cure)
 
 

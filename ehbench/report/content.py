@@ -27,7 +27,7 @@ _LOOKS = {
     "undecided": "warn",
     "not_measured": "warn",
     "accepted_with_reserve": "warn",
-    "doubtful": "warn",
+    "estimated, doubtful": "warn",
     "at_bound": "warn",
     "not_excited": "warn",
     "correlated": "warn",

@@ -26,7 +26,7 @@ from ehbench.report.words import count, interval, number, pretty, shown, unit_of
 from ehbench.rig import Rig
 from ehbench.terms import BEYOND
 
-DOUBTFUL = "doubtful"  # an estimate that leans on a held number, which the logs deny
+DOUBTFUL = "estimated, doubtful"  # as it leans on a held number that the logs deny
 ON_MACHINE = "run the same trials on the machine"
 
 
@@ -96,6 +96,7 @@ def _hydraulics(run: Saved) -> Findings:
     weak = [one for one in parameters if one["status"] != "estimated"]
     left = str(fit.get("left_over") or "").partition(":")[0]  # what it means stands in the chapter
     against = [one["sentence"] for one in leans[:1]] + [left] * bool(left)
+    weak = [one for one in weak if one["status"] != DOUBTFUL]  # said by what it leans on
     against += [f"{one['name']} is {words(one['status'])}" for one in weak]
     cures = [f"measure {one['name']}, or {one['cure']}" for one in leans[:1]]
     cures += ["ask ehbench identify --suggest what the fitted model lacks"] * bool(left)
@@ -103,7 +104,7 @@ def _hydraulics(run: Saved) -> Findings:
         numbers,
         [FigureKey("parameters")],
         against,
-        cures + [_cure(one) for one in weak if one["status"] != DOUBTFUL],
+        cures + [_cure(one) for one in weak],
     )
 
 

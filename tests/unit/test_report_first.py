@@ -233,6 +233,46 @@ def test_an_accepted_model_says_the_likeliest_cause_of_what_it_leaves_over(folde
     assert not [line for line in lines(folder, 200) if line.startswith("- ")]
 
 
+LEAN = {
+    "name": "late.delay",
+    "moved": [
+        {"name": "bulk_modulus", "halves": 3.0},
+        {"name": "boom.joint_damping", "halves": 0.5},
+    ],
+    "cure": 'add "late.delay" to parameters',
+    "sentence": "late.delay is held at 1 ms, and these logs would have 2.5 ms",
+}
+
+
+def test_what_a_fit_leans_on_stands_first_against_it(folders, tmp_path):
+    folder = tmp_path / "fit"
+    shutil.copytree(folders[0], folder)
+    table, before = json.loads((folder / "parameters.json").read_text()), findings_of(Saved(folder))
+    write_json(folder / "parameters.json", table | {"leans": [LEAN]})
+    found = findings_of(Saved(folder))
+    assert list(found.against) == [LEAN["sentence"], *before.against]
+    assert found.next[0] == 'measure late.delay, or add "late.delay" to parameters'
+    told = lines(folder, 200)
+    assert f"- {LEAN['sentence']}" in told and "bulk_modulus (estimated, doubtful)" in told[0]
+    (row,) = [line for line in told if line.startswith("bulk_modulus ")]
+    assert "estimated, doubtful" in row
+    (row,) = [line for line in told if line.startswith("boom.joint_damping ")]
+    assert "doubtful" not in row
+
+
+def test_a_model_is_accepted_with_reserve_where_its_fit_leans_on_a_held_number(folders, tmp_path):
+    folder = tmp_path / "judged"
+    shutil.copytree(folders[1], folder)
+    table = json.loads((folder / "validation.json").read_text())
+    reserves = {"accepted": True, "reasons": [], "reserves": [LEAN["sentence"]]}
+    write_json(folder / "validation.json", table | reserves)
+    told = lines(folder, 200)
+    assert told[0].startswith("ACCEPTED WITH RESERVE on ") and f"- {LEAN['sentence']}" in told
+    assert findings_of(Saved(folder)).against[0] == LEAN["sentence"]
+    glance = words_of(section(build([folder]), "glance"))
+    assert "that it was not fitted to, with reserve: " in glance
+
+
 def test_what_a_fit_leaves_over_speaks_against_it(folders, tmp_path):
     folder = tmp_path / "fit"
     shutil.copytree(folders[0], folder)

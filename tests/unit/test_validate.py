@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -335,7 +336,9 @@ def test_series_are_recorded_and_simulated_columns_in_si(accepted):
 def test_json_there_and_back(accepted, rejected, arm, boom, tmp_path):
     far = Record(boom.t, boom.channels | {"boom.q": boom["boom.q"] + 2.0}, boom.meta)
     failed = validate_rig(arm, [("far", far)], thresholds=Thresholds(max_error={"q": "2 deg"}))
-    for one in (accepted, rejected, failed):
+    reserved = replace(accepted, reserves=("it leans on a held number",))
+    assert reserved.verdict == "accepted with reserve"
+    for one in (accepted, rejected, failed, reserved):
         write_json(tmp_path / "validation.json", one.as_json())
         assert read_validation(tmp_path) == one
     (tmp_path / "validation.json").write_text("{}")
