@@ -85,7 +85,13 @@ def held_wrong(name: str, rig: Rig) -> Iterator[Held]:
         yield Held("valve's frequency 25 % high", scaled(0.8, f"{first}.natural_frequency"))
         yield Held("valve's damping ratio 20 % low", scaled(1.25, f"{first}.damping_ratio"))
     yield Held("oil volumes 20 % small", scaled(1.2, f"{who}.volume_head", f"{who}.volume_rod"))
-    yield Held("bore 1 % small", scaled(1.01, f"{who}.bore"))
+    bored = f"{who}.bore" in known
+    areas = (
+        scaled(1.01, f"{who}.bore")
+        if bored
+        else scaled(1.02, f"{who}.area_head", f"{who}.area_rod")
+    )
+    yield Held("bore 1 % small", areas)
     if f"{joint}.mass" in known:
         yield Held("mass 10 % small", scaled(1.1, f"{joint}.mass"))
 

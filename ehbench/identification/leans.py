@@ -204,8 +204,10 @@ def _late_sensors(fit: Descent, found: Errors) -> Iterator[_Suspect]:
         for k, (log, simulated) in enumerate(zip(logs, made, strict=True)):
             if simulated is not None and channel in log.channels:
                 i = log.channels.index(channel)
-                slope = np.gradient(simulated[:, i], log.sample_time) * log.counts[:, i]
-                columns[k][:, i] = -slope / fit.scales[channel]
+                late = simulated.copy()
+                late[:, i] -= LATE * np.gradient(simulated[:, i], log.sample_time)
+                columns[k] = fit.left_of(log, late) - fit.left_of(log, simulated)
+                columns[k] /= LATE * fit.per(fit.scales, log)
         seen = channel if all(channel in log.record for log in logs) else position_of(channel)
         cure = f'add [[sensor]] channel = "{seen}", lag = "estimate"'
         yield _Suspect(f"{seen}.lag", 0.0, columns, 1.0, cure)

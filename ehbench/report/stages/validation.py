@@ -104,7 +104,7 @@ def _verdict(table: Table, status: str) -> list[Block]:
     if table["reasons"]:
         blocks.append(Bullets(table["reasons"]))
     if reserves := table.get("reserves", []):
-        blocks.append(Text("It follows the logs, but the fit behind it leans on a held number:"))
+        blocks.append(Text("The fit behind it leans on a number that it holds:"))
         blocks.append(Bullets(reserves, "warn"))
     if table["accepted"] and (left := left_over(table)):
         blocks.append(Bullets(left, "warn"))
