@@ -219,6 +219,23 @@ def release_of(blocks: Sequence[Block], prior: Prior, least: float) -> Release:
     return Release(float(step[-1]), std, gain, follow)
 
 
+def gains_of(blocks: Sequence[Block], prior: Prior) -> np.ndarray:
+    """By how much the cost would fall for each of the parameters that are behind those of the
+    prior, were it freed alone of them, to first order; shape (parameters behind,).
+    """
+    solved, own = [eliminate(block, prior.weight) for block in blocks], len(prior.sharpness)
+    normal = np.sum([one.normal for one in solved], axis=0)
+    pull = np.sum([one.gradient for one in solved], axis=0)
+    normal[:own, :own] += prior.normal
+    pull[:own] += prior.gradient
+    without, found = -float(pull[:own] @ _step(normal[:own, :own], pull[:own])), []
+    for k in range(own, len(pull)):
+        which = [*range(own), k]
+        step = _step(normal[np.ix_(which, which)], pull[which])
+        found.append(-float(pull[which] @ step) - without)
+    return np.array(found)
+
+
 def _step(normal: np.ndarray, pull: np.ndarray) -> np.ndarray:
     """The step to the minimum of least squares by their normal matrix and gradient."""
     root = _inverse_root(normal)

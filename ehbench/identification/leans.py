@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ehbench.identification.covariance import Prior, release_of
+from ehbench.identification.covariance import Block, Prior, gains_of, release_of
 from ehbench.identification.descent import FAINT, Descent
 from ehbench.identification.results import Lean, Moved
 from ehbench.identification.search import Coordinate, coordinates
@@ -83,12 +83,10 @@ def doubts_of(fit: Descent, found: Errors) -> tuple[list[str], tuple[Lean, ...]]
     prior, least = fit.prior(found.here.theta, live), WORTH * cost
     known = Prior(np.append(prior.sharpness, 0.0), np.append(prior.off, 0.0), prior.weight)
     gains, suspects = [], []
-    for one in [*_searched(fit, found), *_late_commands(fit, found), *_late_sensors(fit, found)]:
-        blocks = [
-            replace(block, slopes=np.concatenate([block.slopes, own[..., None]], axis=-1))
-            for block, own in zip(found.blocks, one.columns, strict=True)
-        ]
-        release = release_of(blocks, known, least)
+    every = [*_searched(fit, found), *_late_commands(fit, found), *_late_sensors(fit, found)]
+    promised = gains_of(_with(found, every), prior)
+    for one in [one for one, gain in zip(every, promised, strict=True) if gain >= least]:
+        release = release_of(_with(found, [one]), known, least)
         there, share = one.here + one.unit * release.move, release.gain / cost
         if not abs(release.move) > SURELY * release.std:
             continue
@@ -102,6 +100,19 @@ def doubts_of(fit: Descent, found: Errors) -> tuple[list[str], tuple[Lean, ...]]
             lean = Lean(one.name, one.here, there, std, share, moved, one.cure)
             suspects.append((lean, one.index))
     return _gain_warnings(gains), _leans(fit, found, suspects)
+
+
+def _with(found: Errors, some: Sequence[_Suspect]) -> list[Block]:
+    """What each log says, with some held numbers behind those that are fitted."""
+    return [
+        replace(
+            block,
+            slopes=np.concatenate(
+                [block.slopes, *(one.columns[k][..., None] for one in some)], axis=-1
+            ),
+        )
+        for k, block in enumerate(found.blocks)
+    ]
 
 
 def _leans(
