@@ -299,10 +299,10 @@ def ringing_like(
     """The oscillation of ``y`` seen exactly as that of another series was: the same window, drift
     and channel weights.
 
-    What the method does to one it does to the other, so the two compare. It rings if its oscillation
-    has a tenth of the other's energy, about a third of its amplitude: whether that stands out of
-    what else a noiseless series does says nothing, for what is left there lasts, so that few
-    samples of it are independent. A quieter one has to stand out. The search starts at
+    What the method does to one it does to the other, so the two compare. A series rings if its
+    oscillation has a tenth of the other's energy, about a third of its amplitude, or if it stands
+    out as `ringing` asks. That alone would be too much of a simulation: what is left there is no
+    noise but lasts, so that few samples of it are independent. The search starts at
     ``guess`` (ω [rad/s], ζ), by default around what the other series does; in a simulation, which
     has no noise, a free search would find oscillations far too small for a recording to show.
 
