@@ -92,6 +92,7 @@ def _recipe(path: Path, look: Look) -> Inspection:
 
 def _rig(path: Path) -> Inspection:
     from ehbench.plant.model import Model
+    from ehbench.plant.rest import CREEPS
 
     rig = load_rig(path)
     whole, _ = with_laws(rig, None)
@@ -130,6 +131,9 @@ def _rig(path: Path) -> Inspection:
                 f"at mid-stroke it rests at {in_rig_unit(rig, 'p_head', head)} head, "
                 f"{in_rig_unit(rig, 'p_rod', rod)} rod"
             )
+            if abs(speed := model.creep(index, state)) > CREEPS:
+                way = "out" if speed > 0.0 else "in"
+                lines[-1] += f", creeping {way} at {rig.shown('v', abs(speed), 2)}"
             if max(head, rod) > supply and cylinder.pump is None:
                 notes.append(
                     f"{load or 'no payload'}: the supply cannot carry the load of "

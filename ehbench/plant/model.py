@@ -20,6 +20,7 @@ from ehbench.plant.gauges import gauged
 from ehbench.plant.integrate import STEP, run
 from ehbench.plant.layout import SIDES, Layout, layout
 from ehbench.plant.paced import AUTO, Step, pace_of, run_paced
+from ehbench.plant.rest import CREEPS, creep
 from ehbench.plant.ties import supplied, tied_words, ties_of
 from ehbench.plant.valves import felt_commands
 from ehbench.record import Means, Record
@@ -138,13 +139,32 @@ class Model:
         loads carried.
 
         The chamber that the load does not press on stands at ``low_side`` [Pa], of all cylinders or
-        by name of some, by default at a tenth of the supply pressure. Forces that are played are
-        those of a row of commands, by default none.
+        by name of some, by default where `ehbench.plant.rest.resting` has it. Forces that are
+        played are those of a row of commands, by default none.
 
         Raises:
             SimulationError: a cylinder has no lever there, so no pressure holds the load.
         """
         return starts.trim(self.plant, self.layout, self.rig, q, low_side, command)
+
+    def creep(self, index: int, state: np.ndarray) -> float:
+        """Speed [m/s] of a cylinder, by number, while its valves are at rest, out positive: what
+        passes edges that stand open there, at a state that `trim` gave.
+        """
+        head, rod = (float(state[self.layout.state(name, index)]) for name in ("p_head", "p_rod"))
+        return float(creep(self.plant, self.plant.cylinders[index], head, rod))
+
+    def creeping(self, name: str) -> list[str]:
+        """A sentence where valves at rest do not hold a cylinder, at mid-stroke."""
+        index = self.layout.cylinders.index(name)
+        speed = self.creep(index, self.trim(self.posture(None)))
+        if abs(speed) < CREEPS:
+            return []
+        way = "out" if speed > 0.0 else "in"
+        return [
+            f"{name} creeps {way} at {self.rig.shown('v', abs(speed), 2)} while its valves are at "
+            "rest, as they are open there: a controller that holds it leaves them so"
+        ]
 
     def rest_commands(self, samples: int) -> np.ndarray:
         """A table of commands [V], shape (samples, valves + played), that leaves every valve at

@@ -15,6 +15,7 @@ from ehbench.parts.valve import limited
 from ehbench.plant.build import Plant
 
 LOW_SIDE = 0.1  # share of the supply pressure at which a chamber that carries nothing stands
+CREEPS = 1.0e-5  # [m/s]: a cylinder that goes on slower at rest stands
 HALVINGS = 60  # of the level's bracket: to the last digits
 
 
@@ -43,10 +44,7 @@ def resting(plant: Plant, row: np.record, force: float) -> tuple[float, float]:
         row: of the cylinder.
         force: what the piston has to push with, out positive.
     """
-    shown: Any = plant.edges_at_chambers
-    chambers = (row.node_head, row.node_rod)
-    own = np.isin(shown.from_node, chambers) | np.isin(shown.to_node, chambers)
-    edges = shown[own & open_at_rest(plant)]
+    edges, chambers = _open_edges(plant, row), (row.node_head, row.node_rod)
     checks = edges[(edges.law == CHECK) & (edges.from_node == SUPPLY)]
     fed = [bool(np.any(checks.to_node == node)) for node in chambers]
     low = plant.supply.pressure * (1.0 if all(fed) else LOW_SIDE)
@@ -58,6 +56,21 @@ def resting(plant: Plant, row: np.record, force: float) -> tuple[float, float]:
         rod = plant.supply.pressure
         head = (force + rod * row.area_rod) / row.area_head
     return _settled(plant, row, force, edges, rod) or (head, rod)
+
+
+def creep(plant: Plant, row: np.record, head: float, rod: float) -> float:
+    """Speed [m/s], out positive, at which a cylinder goes on at rest at the pressures [Pa] of
+    `resting`: ``Q_head/A1``.
+    """
+    return _inflow(plant, _open_edges(plant, row), row, head, rod, 0) / row.area_head
+
+
+def _open_edges(plant: Plant, row: np.record) -> Any:
+    """Rows of what `open_at_rest` names at a cylinder's chambers."""
+    shown: Any = plant.edges_at_chambers
+    chambers = (row.node_head, row.node_rod)
+    own = np.isin(shown.from_node, chambers) | np.isin(shown.to_node, chambers)
+    return shown[own & open_at_rest(plant)]
 
 
 def carrying(row: np.record, force: float, low: float) -> tuple[float, float]:

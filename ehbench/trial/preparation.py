@@ -435,6 +435,7 @@ def _loop(
     level = float(rig.supply.tank_pressure) + low
     notes = controllers.other_supply(rig, tuning)
     designs = [controllers.design(one, rig, maps, model) for one in singles]
+    notes += tuple(text for one in designs for text in model.creeping(one.cylinder))
     if found is None and len(singles) == 1:
         motion = _rest(designs[0]) if standing else references(recipe, designs[0], low)
         driven = (Driven(recipe, designs[0], motion),)

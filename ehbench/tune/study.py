@@ -128,6 +128,7 @@ def prepare_tuning(machine: Machine, recipe: R, *, validated: type | None = None
         curves.append(_curves(model, name, payload, recipe))
         sites += _possible(study, model, payload)
     sites, notes = _those_that_count(sites, recipe, name)
+    notes += Model.of(rig, maps).creeping(name)
     notes += rail_notes(rig, [site.point for site in sites if site.counts])
     return replace(study, sites=tuple(sites), curves=tuple(curves), notes=tuple(notes))
 

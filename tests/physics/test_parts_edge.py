@@ -229,6 +229,11 @@ def test_an_underlapped_cylinder_rests_where_its_edges_leave_its_pressures():
         at = y[model.layout.state(name, 0)]
         assert log[f"press.{name}"][-1] == pytest.approx(at, rel=2e-3)
         assert abs(log[f"press.{name}"][0] / at - 1.0) > 0.2
+    assert model.creep(0, y) == pytest.approx(log["press.v"][-1], rel=2e-2)
+    (said,) = model.creeping("press")
+    way = "out" if log["press.v"][-1] > 0.0 else "in"
+    assert said.startswith(f"press creeps {way} at ")
+    assert Model.of(with_law(law="orifice", deadband=0.2)).creeping("press") == []
 
 
 def test_an_underlap_comes_back_from_a_noisy_log():
