@@ -37,12 +37,17 @@ EMPTY = 0.5  # of the cavitation pressure: a chamber below it is fed by no edge 
 @dataclass(frozen=True)
 class _Way:
     """An edge as seen from a log: its full name, row, the channel of its command, the nodes that it
-    joins."""
+    joins, the reach of its command [V] from which on it may be open."""
 
     name: str
     sign: float
     command: str
     ends: tuple[int, int]
+    onset: float
+
+    def open_at(self, record: Record, at: int) -> bool:
+        """Whether it may be open at a sample."""
+        return self.command in record and self.sign * record[self.command][at] > self.onset
 
 
 @dataclass(frozen=True)
@@ -114,6 +119,7 @@ def _ways(model: Model, record: Record) -> list[_Way]:
             float(edge.sign),
             f"{names.valves[edge.valve]}.command",
             (int(edge.from_node), int(edge.to_node)),
+            min(float(edge.deadband), 0.0),
         )
         for edge, name in zip(plant.edges, names.edges, strict=True)
         if not edge.unmetered
@@ -222,7 +228,7 @@ def _readings(
     for node, inflow in block.inflow.items():
         own = [way for way in ways if node in way.ends]
         fixed = [e for e in model.plant.edges if e.unmetered and node in (e.from_node, e.to_node)]
-        opened = [w for w in own if w.command in record and w.sign * record[w.command][at] > 0.0]
+        opened = [w for w in own if w.open_at(record, at)]
         if fixed or len(opened) != 1 or opened[0].name in seen:
             continue
         way = opened[0]

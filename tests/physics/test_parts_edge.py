@@ -13,6 +13,7 @@ from ehbench.control.valve_level import edge_order
 from ehbench.codes import FAINT, REVERSED
 from ehbench.fields import Value
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
+from ehbench.identification.step_readings import step_readings
 from ehbench.ledger import ledger_of_log, ledger_of_model
 from ehbench.machines.virtual.machine import VirtualMachine
 from ehbench.parts.edge import edge_command, edge_flow, edge_known, edge_onset, edge_slope
@@ -234,6 +235,22 @@ def test_an_underlapped_cylinder_rests_where_its_edges_leave_its_pressures():
     way = "out" if log["press.v"][-1] > 0.0 else "in"
     assert said.startswith(f"press creeps {way} at ")
     assert Model.of(with_law(law="orifice", deadband=0.2)).creeping("press") == []
+
+
+def test_step_readings_are_of_one_open_edge_alone():
+    """Within an underlap two edges are open at a chamber, so that no reading is of one of them;
+    beyond, a reading is the edge's own flow.
+    """
+    command = np.repeat([0.0, 0.1, 1.5, -0.1, -1.5], 500)
+    record = simulate(underlapped(), {"press.servo": command}, 1e-3 * (command.size - 1))
+    model = Model.of(underlapped())
+    found = step_readings("log", record, model, 0.2, 0.1)
+    assert set(np.abs(found.command)) == {1.5} and len(found.command) >= 8
+    edges = dict(zip(model.layout.edges, model.plant.edges, strict=True))
+    for name, u, drop, flow in zip(
+        found.valve, found.command, found.pressure_drop, found.flow, strict=True
+    ):
+        assert flow == pytest.approx(edge_flow(drop, u, edges[name], model.plant.maps), rel=1e-2)
 
 
 def test_an_underlap_comes_back_from_a_noisy_log():
