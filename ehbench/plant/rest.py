@@ -24,11 +24,11 @@ def open_at_rest(plant: Plant) -> np.ndarray:
     (edges,): check valves, underlaps, those of a valve that cannot shut. What a map leaks at rest
     is none.
     """
-    edges = plant.edges
-    rests = np.array([limited(0.0, valve) for valve in plant.valves])
-    reach = np.where(edges.valve >= 0, edges.sign * rests[edges.valve], 0.0)
-    metered = (edges.valve >= 0) & (edges.law != PUMP)
-    return (metered & (reach > edges.deadband)) | (edges.law == CHECK)
+    edges, valves = plant.edges, plant.valves
+    law, valve = edges["law"], edges["valve"]
+    rests = np.minimum(np.maximum(0.0, valves["lowest"]), valves["highest"])
+    metered = (valve >= 0) & (law != PUMP)
+    return (metered & (edges["sign"] * rests[valve] > edges["deadband"])) | (law == CHECK)
 
 
 def resting(plant: Plant, row: np.record, force: float) -> tuple[float, float]:
@@ -44,6 +44,8 @@ def resting(plant: Plant, row: np.record, force: float) -> tuple[float, float]:
         row: of the cylinder.
         force: what the piston has to push with, out positive.
     """
+    if not open_at_rest(plant).any():
+        return carrying(row, force, plant.supply.pressure * LOW_SIDE)
     edges, chambers = _open_edges(plant, row), (row.node_head, row.node_rod)
     checks = edges[(edges.law == CHECK) & (edges.from_node == SUPPLY)]
     fed = [bool(np.any(checks.to_node == node)) for node in chambers]
