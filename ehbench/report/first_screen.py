@@ -129,12 +129,14 @@ def _verdict(
         reserved = [run.title for run, content in judged if content.status != "accepted"]
         if reserved:
             text, look = f"{text[:-1]}, with reserve: {', '.join(reserved)}.", "warn"
-    doubts = [
-        f"{run.title}: {'; '.join(findings.against[:2])}"
-        + (f"; {len(findings.against) - 2} more" if len(findings.against) > 2 else "")
-        for run, findings in zip(runs, found, strict=True)
-        if findings.against
-    ]
+    doubts, told = [], set()
+    for run, findings in zip(runs, found, strict=True):
+        # what a fit leans on is a reserve of the validations behind it too
+        against = [one for one in findings.against if one not in told]
+        told |= set(against)
+        if against:
+            more = f"; {len(against) - 2} more" if len(against) > 2 else ""
+            doubts.append(f"{run.title}: {'; '.join(against[:2])}{more}")
     blocks: list[Block] = []
     if any(run.what != "study" for run in runs):
         blocks.append(Text(text, look))

@@ -271,6 +271,12 @@ def test_a_model_is_accepted_with_reserve_where_its_fit_leans_on_a_held_number(f
     assert findings_of(Saved(folder)).against[0] == LEAN["sentence"]
     glance = words_of(section(build([folder]), "glance"))
     assert "that it was not fitted to, with reserve: " in glance
+    fit = tmp_path / "fit"  # in a report with the fit behind it, told of that alone
+    shutil.copytree(folders[0], fit)
+    fitted = json.loads((fit / "parameters.json").read_text())
+    write_json(fit / "parameters.json", fitted | {"leans": [LEAN]})
+    both = words_of(section(build([fit, folder]), "glance"))
+    assert both.count("and these logs would have 2.5 ms") == 1 == glance.count("have 2.5 ms")
 
 
 def test_what_a_fit_leaves_over_speaks_against_it(folders, tmp_path):
