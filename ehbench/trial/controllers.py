@@ -218,18 +218,23 @@ def refuse_code(recipe: TrialRecipe, allowed: bool) -> None:
 
 
 def refuse_unknown(recipe: TrialRecipe) -> None:
-    """Refuse what built-in controllers are given and do not have: it is known before anything that
-    the recipe names has been run.
+    """Refuse what built-in controllers are given and do not have, or are not given and need: it is
+    known before anything that the recipe names has been run.
 
     Raises:
-        InputError: an unknown gain, rule or word of shaping, a wrong unit, with the line.
+        InputError: an unknown gain, rule or word of shaping, a wrong unit, a gain that is missing,
+            with the line.
     """
     chosen = recipe.controller
     if chosen is None or chosen.code is not None:
         return
     for own in (chosen, *map(chosen.of, chosen.cylinders)):
         assert own.kind is not None  # those of single cylinders are no classes either
-        _written(recipe.model_copy(update={"controller": own}), LAWS[own.kind])
+        one, law = recipe.model_copy(update={"controller": own}), LAWS[own.kind]
+        gains, _, _ = _written(one, law)
+        # that of all cylinders may be nobody's where these have laws of their own
+        if chosen.gains_from is None and (own is not chosen or not chosen.cylinders):
+            _refuse_without(one, law, gains)
 
 
 def gains_file(recipe: TrialRecipe) -> str | None:
@@ -297,9 +302,7 @@ def compiled(
         )
     with located(recipe, *chosen.where, "shaping"):
         shaping = pack_shaping(**given_shaping)
-    need = law.required
-    if need is not None and need.gain not in gains:
-        raise InputError(need.message, **recipe.at(*chosen.where), hint=need.hint)
+    _refuse_without(recipe, law, gains)
     with located(recipe, *chosen.where, "gains"):
         packed = law.pack(site, gains, rules, shaping)
     channels = sample_size(len(design.model.layout.cylinders))
@@ -394,6 +397,13 @@ def _moved(rig: Rig, name: str, tuned: Any, own: Any) -> str:
     unit, row = rig.unit_of(name), VOCABULARY[name]
     before, now = (f"{from_si(one, unit, row):.4g}" for one in (tuned, own))
     return f"{name} {before} {unit}" + (f" (here {now})" if _differ(tuned, own) else "")
+
+
+def _refuse_without(recipe: TrialRecipe, law: Law, gains: Mapping[str, Any]) -> None:
+    """Refuse gains that lack what the law cannot do without."""
+    need = law.required
+    if need is not None and need.gain not in gains:
+        raise InputError(need.message, **recipe.at(*controller_of(recipe).where), hint=need.hint)
 
 
 def _taken(
