@@ -27,17 +27,6 @@ ROOT = Path(__file__).parents[1]
 _LEFT = pytest.StashKey[int]()  # how many tests the words after -m leave out
 
 
-def pytest_configure() -> None:
-    """A worker of a parallel run keeps to its share of the processors, and so do the threads of
-    fits and trials in it: two fits of two threads each, on two processors, only hinder each other.
-    """
-    if "PYTEST_XDIST_WORKER" in os.environ and hasattr(os, "sched_setaffinity"):
-        all_of_them = sorted(os.sched_getaffinity(0))
-        number = int(os.environ["PYTEST_XDIST_WORKER"].removeprefix("gw"))
-        workers = int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
-        os.sched_setaffinity(0, all_of_them[number % len(all_of_them) :: workers])
-
-
 def pytest_collection_finish() -> None:
     """Let the collector of garbage pass over what is there before the first test, modules above
     all: they stay, and to look through them again and again took a twentieth of all the time; and

@@ -73,6 +73,7 @@ def cluster(makers):
             dashboard_address=None,
             silence_logs=50,
         ) as made:
+            made.wait_for_workers(2, timeout=60)
             yield made
 
 
