@@ -92,7 +92,7 @@ def _recipe(path: Path, look: Look) -> Inspection:
 
 def _rig(path: Path) -> Inspection:
     from ehbench.plant.model import Model
-    from ehbench.plant.rest import CREEPS
+    from ehbench.plant.rest import CREEPS, LOW_SIDE
 
     rig = load_rig(path)
     whole, _ = with_laws(rig, None)
@@ -116,6 +116,7 @@ def _rig(path: Path) -> Inspection:
         try:
             model = Model.of(whole, payload=load)
             state = model.trim(model.posture({}))
+            alone = model.trim(model.posture({}), LOW_SIDE * supply)  # what the load asks for
         except EhbenchError as error:
             raise type(error)(
                 error.message, file=path, line=line_naming(path, error.message), hint=error.hint
@@ -125,7 +126,8 @@ def _rig(path: Path) -> Inspection:
             word, decimals = ("x", 0) if rig.mechanism.kind == "slide" else ("q", 1)
             first, last = (rig.told(word, value, decimals) for value in ends)
             span = f"{first.partition(' ')[0]} to {last}"
-            head, rod = (float(state[model.layout.state(p, index)]) for p in ("p_head", "p_rod"))
+            at = [model.layout.state(name, index) for name in ("p_head", "p_rod")]
+            head, rod = state[at].tolist()
             lines.append(
                 f"  {load or 'no payload'}: {cylinder.name} moves {span}; "
                 f"at mid-stroke it rests at {in_rig_unit(rig, 'p_head', head)} head, "
@@ -134,7 +136,7 @@ def _rig(path: Path) -> Inspection:
             if abs(speed := model.creep(index, state)) > CREEPS:
                 way = "out" if speed > 0.0 else "in"
                 lines[-1] += f", creeping {way} at {rig.shown('v', abs(speed), 2)}"
-            if max(head, rod) > supply and cylinder.pump is None:
+            if alone[at].max() > supply and cylinder.pump is None:
                 notes.append(
                     f"{load or 'no payload'}: the supply cannot carry the load of "
                     f"'{cylinder.name}' at mid-stroke"

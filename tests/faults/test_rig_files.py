@@ -20,6 +20,7 @@ from ehbench.recipe import load_recipe, load_rig
 from ehbench.trial import run_trial
 
 ROOT = Path(__file__).parents[2]
+UP = ("supply", "head")
 PAGE = (Path(__file__).parents[2] / "docs" / "rig_file.md").read_text(encoding="utf-8")
 CRANE, *_ = EXAMPLES = re.findall(r"```toml\n(.*?)```", PAGE, re.S)
 (PRESS,) = (text for text in EXAMPLES if text.startswith("# a press"))
@@ -377,6 +378,22 @@ def test_a_load_that_the_supply_cannot_carry_is_noted(tmp_path):
     (tmp_path / "rig.toml").write_text(CRANE.replace('"200 kg"', '"20 t"'))
     lines = inspection.check(tmp_path / "rig.toml").lines
     assert "  note: no payload: the supply cannot carry the load of 'lift' at mid-stroke" in lines
+
+
+def test_pressure_that_the_areas_raise_is_no_load_beyond_the_supply(tmp_path):
+    """One edge open at rest holds the head end at the supply's pressure, and the smaller rod end
+    stands above it.
+    """
+    rig = tomllib.loads(CRANE)
+    (edge,) = [e for e in rig["cylinder"][0]["valve"][0]["edge"] if (e["from"], e["to"]) == UP]
+    edge["underlap"] = "0.3 V"
+    (tmp_path / "rig.toml").write_text(tomli_w.dumps(rig))
+    lines = inspection.check(tmp_path / "rig.toml").lines
+    rests = [re.search(r"rests at ([\d.]+) bar head, ([\d.]+) bar rod", line) for line in lines]
+    head, rod = next((float(one[1]), float(one[2])) for one in rests if one)
+    supply = float(load_rig(tmp_path / "rig.toml").supply.pressure) / 1e5
+    assert head == pytest.approx(supply, rel=0.01) and rod > 1.1 * supply
+    assert not any("cannot carry" in line for line in lines) and lines[-1] == "ok"
 
 
 def test_names_of_another_alphabet_go_all_the_way(tmp_path):
