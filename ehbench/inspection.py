@@ -127,11 +127,10 @@ def _rig(path: Path) -> Inspection:
             first, last = (rig.told(word, value, decimals) for value in ends)
             span = f"{first.partition(' ')[0]} to {last}"
             at = [model.layout.state(name, index) for name in ("p_head", "p_rod")]
-            head, rod = state[at].tolist()
             lines.append(
                 f"  {load or 'no payload'}: {cylinder.name} moves {span}; "
-                f"at mid-stroke it rests at {in_rig_unit(rig, 'p_head', head)} head, "
-                f"{in_rig_unit(rig, 'p_rod', rod)} rod"
+                f"at mid-stroke it rests at {in_rig_unit(rig, 'p_head', state[at[0]])} head, "
+                f"{in_rig_unit(rig, 'p_rod', state[at[1]])} rod"
             )
             if abs(speed := model.creep(index, state)) > CREEPS:
                 way = "out" if speed > 0.0 else "in"
