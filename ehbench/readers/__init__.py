@@ -146,6 +146,8 @@ def _read(
     reader: Reader, read: Callable[[Path, Dialect], Source], path: Path, dialect: Dialect
 ) -> Source:
     """What a reader makes of a file; whatever it raises is one sentence."""
+    was_on = gc.isenabled()
+    gc.disable()  # so that what a library leaves of a broken file stays among the youngest
     try:
         return read(path, dialect)
     except EhbenchError as error:
@@ -158,7 +160,10 @@ def _read(
         said = "it is too large"
     except Exception as error:  # the libraries raise all kinds on a damaged file
         said = str(error) or type(error).__name__
-    gc.collect()  # what they leave of it complains as it goes
+    finally:
+        if was_on:
+            gc.enable()
+    gc.collect(0)  # what they leave of it complains as it goes
     raise LogError(f"cannot be read as {reader.name}: {said}", file=path)
 
 

@@ -72,8 +72,16 @@ def worst_damping(sites: Sequence[Site], law: Law, gains: np.ndarray) -> np.ndar
 
 def best_gain(sites: Sequence[Site], law: Law, gains: np.ndarray) -> tuple[float, float]:
     """(largest worst damping ratio, its gain)."""
-    worst = worst_damping(sites, law, gains)
-    return float(worst.max()), float(gains[worst.argmax()])
+    loops = [site.loop(law) for site in sites]
+    worst = np.minimum(loops[0].damping_ratio(gains), 1.0)
+    # what the best gain at the first point gives at all of them: those that give less are left out
+    likely = float(gains[worst.argmax()])
+    least = min(float(loop.damping_ratio(likely)) for loop in loops) - 1e-9
+    left, worst = gains[worst >= least], worst[worst >= least]
+    for loop in loops[1:]:
+        worst = np.minimum(worst, loop.damping_ratio(left))
+        left, worst = left[worst >= least], worst[worst >= least]
+    return float(worst.max()), float(left[worst.argmax()])
 
 
 def _reaches(sites: list[Site], law: Law, gains: np.ndarray, least: float) -> bool:
