@@ -495,15 +495,15 @@ class Simulator:
                 done[i] = one
         return done
 
-    def _sets(self, logs: Sequence[int]) -> list[list[int]]:
-        """Points, by the log of each, in sets that may go side by side, no larger than leaves work
-        for every thread.
+    @staticmethod
+    def _sets(logs: Sequence[int]) -> list[list[int]]:
+        """Points, by the log of each, in sets that may go side by side: full ones, for a call in
+        lanes takes as long with a few of them.
         """
-        most = max(LEAST, min(LANES, -(-len(logs) // self.workers)))
         sets = []
         for k in dict.fromkeys(logs):
             own = [i for i, log in enumerate(logs) if log == k]
-            parts = [own[i : i + most] for i in range(0, len(own), most)]
+            parts = [own[i : i + LANES] for i in range(0, len(own), LANES)]
             sets += [one for part in parts for one in _worth_it(part)]
         return sets
 

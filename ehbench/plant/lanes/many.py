@@ -17,7 +17,7 @@ from ehbench.plant.model import Model, Start, finite
 from ehbench.plant.paced import pace_of
 from ehbench.record import Means, Record
 
-LEAST = 4  # runs that are worth a call in lanes, which takes as long as three alone
+LEAST = 3  # runs that are worth a call in lanes, which takes as long as some two and a half alone
 
 
 class Job(NamedTuple):
