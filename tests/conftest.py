@@ -108,6 +108,20 @@ def undrawn(monkeypatch) -> None:
 
 
 @pytest.fixture
+def unpainted(monkeypatch) -> None:
+    """Figures are made with all that stands in them, captions and index too, but saved blank, for
+    tests that read what is said of them: to lay out and to paint takes three quarters of a figure.
+    """
+    _blank(monkeypatch)
+
+
+def _blank(patch: pytest.MonkeyPatch) -> None:
+    from ehbench.report import style
+
+    patch.setattr(style, "_painted", lambda page: '<svg xmlns="http://www.w3.org/2000/svg"/>\n')
+
+
+@pytest.fixture
 def unlocused(monkeypatch) -> None:
     """Tunings leave out the root loci and step responses that the report draws, for tests that look
     at gains: python-control takes a third of a tuning for them.

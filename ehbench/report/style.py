@@ -13,6 +13,7 @@ import numpy as np
 from ehbench.report.svg import shrink
 
 if TYPE_CHECKING:
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
 RECORDED, SIMULATED, ACCENT, MUTED = "#1f3f66", "#e08214", "#b3261e", "#6b7280"
@@ -73,11 +74,16 @@ def canvas(
         page = FigureCanvasSVG(figure)
         yield figure, figure.subplots(rows, columns, **kwargs)
         path.parent.mkdir(parents=True, exist_ok=True)
-        _let_formulas(figure)
-        text = StringIO()
-        # savefig would draw twice where a layout engine is on: once for the layout alone
-        page.print_svg(text, metadata={"Date": None, "Creator": "ehbench"})
-        path.write_text(shrink(text.getvalue()), encoding="utf-8")
+        path.write_text(_painted(page), encoding="utf-8")
+
+
+def _painted(page: FigureCanvasSVG) -> str:
+    """The figure of a page as SVG: laid out and drawn, most of what a figure takes."""
+    _let_formulas(page.figure)
+    text = StringIO()
+    # savefig would draw twice where a layout engine is on: once for the layout alone
+    page.print_svg(text, metadata={"Date": None, "Creator": "ehbench"})
+    return shrink(text.getvalue())
 
 
 def _let_formulas(figure: Figure) -> None:

@@ -659,7 +659,7 @@ def test_a_missing_figure_is_named(runs, tmp_path):
         build([copy], None)
 
 
-def test_optional_parts_may_be_missing(tmp_path):
+def test_optional_parts_may_be_missing(unpainted, tmp_path):
     folder = hydraulics_run(tmp_path)
     table = json.loads((folder / "parameters.json").read_text())
     for key in ("correlated_names", "correlation", "matches", "dynamics_comparison"):
@@ -695,7 +695,7 @@ def test_every_rig_lists_all_its_parameters(tmp_path, rig):
     assert "stopped" not in page
 
 
-def test_no_two_figures_share_a_file(tmp_path):
+def test_no_two_figures_share_a_file(unpainted, tmp_path):
     folder = made(tmp_path, "twins")
     maps = [a_map("a b", "forward", 1.0), a_map("a_b", "forward", 1.0)]
     save_flow_maps(collect(maps), folder)

@@ -607,7 +607,7 @@ def test_the_tuning_tells_what_its_file_holds(runs):
     )
 
 
-def test_a_tuning_that_fails_says_so(tmp_path):
+def test_a_tuning_that_fails_says_so(unpainted, tmp_path):
     few = {
         "draws": 0,
         "parameters": [],
@@ -639,7 +639,7 @@ def test_a_tuning_that_fails_says_so(tmp_path):
     assert "No draws were made." in text and "draws." not in text.split("Operating points")[0]
 
 
-def test_a_second_washout_is_told(tmp_path):
+def test_a_second_washout_is_told(unpainted, tmp_path):
     others = [
         one | {"ramp_washout": 2.5 * (one["what"] == "chosen law")}
         for one in tuning()["alternatives"]
@@ -654,7 +654,7 @@ def test_a_second_washout_is_told(tmp_path):
     assert "second washout [Hz]" in text and "chosen law metered chamber 0.398 0.398" in text
 
 
-def test_units_are_those_of_the_rig_file(tmp_path):
+def test_units_are_those_of_the_rig_file(unpainted, tmp_path):
     folder = tune_run(tmp_path, "other", "slide_servo", **LEAN)
     draw(folder)
     rig = load_rig(folder)
@@ -759,7 +759,7 @@ def test_payload_at_the_end_of_the_last_link(rig, payload, mass):
     assert found == (None if mass is None else pytest.approx(mass, rel=1e-12))
 
 
-def test_a_stopped_trial_and_one_of_the_users_own(tmp_path):
+def test_a_stopped_trial_and_one_of_the_users_own(unpainted, tmp_path):
     sentence = "boom.p_head = 9 MPa passed pressure_max, which sets in at 8 MPa, at t = 1.2 s"
     stopped = trial_run(tmp_path, "stopped", sentence)
     own = trials_run(
@@ -811,7 +811,7 @@ def test_settings_are_the_recipes(runs):
     assert "Trajectories." in text and "motion: 70 %" in text and "adapt = no" in text
 
 
-def test_a_file_without_what_a_section_needs_is_named(tmp_path):
+def test_a_file_without_what_a_section_needs_is_named(unpainted, tmp_path):
     folder = tune_run(tmp_path)
     table = json.loads((folder / "tuning.json").read_text())
     del table["points"][0]["curve"]
@@ -914,7 +914,7 @@ def test_cases_know_their_files(runs):
     assert all(one.energy() is not None for one in cases) and len(groups_of(cases)) == 1
 
 
-def test_a_trial_without_a_controller_is_none_of_these(runs, tmp_path):
+def test_a_trial_without_a_controller_is_none_of_these(runs, unpainted, tmp_path):
     folder = Path(shutil.copytree(runs[3], tmp_path / "plain"))
     write_json(
         folder / "trial.json",
@@ -1200,7 +1200,7 @@ def test_estimates_outside_and_at_their_bounds_are_said(runs):
     assert true_payload(rig, "none") == 0.0
 
 
-def test_three_controllers_stand_in_one_comparison_with_error_and_damping_each(tmp_path):
+def test_three_controllers_stand_in_one_comparison_with_error_and_damping_each(unpainted, tmp_path):
     """A speed that hardly rings has a rough damping ratio; one that misses what was asked by far
     wins nothing.
     """
