@@ -168,5 +168,7 @@ def workspace(tmp_path_factory) -> Path:
         'data = ["datasets/boom_four_valve/flowmeter/sh.csv"]\n',
         encoding="utf-8",
     )
-    workflow.run(recipe, workflow.Session(out=folder / "reports" / "flow_maps"))
+    with pytest.MonkeyPatch.context() as patch:
+        _blank(patch)
+        workflow.run(recipe, workflow.Session(out=folder / "reports" / "flow_maps"))
     return folder
