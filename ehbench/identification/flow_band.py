@@ -24,48 +24,75 @@ def near(x, breaks, pieces, first, values):
         first: number of the first spline that is not zero at a point; −1 is the spline left out.
         values: of it and those after it, that left out as zero, shape (points, degree + 1).
     """
-    width = pieces.shape[2]
     for i in range(x.shape[0]):
-        j = 0
-        while j < breaks.shape[0] - 2 and x[i] >= breaks[j + 1]:
-            j += 1
-        first[i] = j - 1
-        away = x[i] - breaks[j]
-        for k in range(width):
-            value = 0.0
-            for p in range(width - 1, -1, -1):
-                value = value * away + pieces[j, j + k, p]
-            values[i, k] = value
-        if j == 0:
-            values[i, 0] = 0.0
+        first[i] = _near_one(x[i], breaks, pieces, values[i])
 
 
 @kernel
-def assemble(along_u, along_s, weighed, columns, band, right):
-    """Adds weighted flows to the band of the normal matrix and to its right side.
+def _near_one(x, breaks, pieces, values):
+    """Writes the values of the splines that meet a point; gives back the number of the first."""
+    width, j = pieces.shape[2], 0
+    while j < breaks.shape[0] - 2 and x >= breaks[j + 1]:
+        j += 1
+    away = x - breaks[j]
+    for k in range(width):
+        value = 0.0
+        for p in range(width - 1, -1, -1):
+            value = value * away + pieces[j, j + k, p]
+        values[k] = value
+    if j == 0:
+        values[0] = 0.0
+    return j - 1
+
+
+@allocating_kernel
+def normal(cells, span, along_u, along_s, size):
+    """(band of the normal matrix, right side) of weighted flows; those without a weight and those
+    up to the deadband have no part in it.
 
     Args:
-        along_u: (first spline, values) of each flow, as `near` writes them.
-        along_s: the same along the root of the drop.
-        weighed: each flow's weight, and its flow times that, shape (2, flows).
-        columns: coefficients along the root.
+        cells: opening [V], weight and flow of each, shape (3, flows).
+        span: deadband and largest opening [V].
+        along_u: breaks and pieces of the splines along the opening.
+        along_s: (first spline, values) of each flow along the root of the drop, as `near` writes
+            them.
+        size: rows and columns of coefficients.
     """
-    row, of_u = along_u
+    (low, high), (breaks, pieces), (rows, columns) = span, along_u, size
     column, of_s = along_s
-    wide = of_s.shape[1]
-    size = of_u.shape[1] * wide
-    for i in range(row.shape[0]):
-        for one in range(size):
-            a, b = one // wide, one % wide
-            low, value = (row[i] + a) * columns + column[i] + b, of_u[i, a] * of_s[i, b]
+    band, right = np.zeros((rows * columns, 2 * columns + 4)), np.zeros(rows * columns)
+    of_u = np.empty(pieces.shape[2])
+    for i in range(cells.shape[1]):
+        opening, weight, flow = cells[0, i], cells[1, i], cells[2, i]
+        if weight > 0.0 and opening > low:
+            x = min((opening - low) / (high - low), 1.0)
+            at = _near_one(x, breaks, pieces, of_u) * columns + column[i]
+            _add_one(of_u, of_s[i], (weight, weight * flow, columns, at), band, right)
+    return band, right
+
+
+@kernel
+def _add_one(of_u, of_s, one, band, right):
+    """Adds a flow to the band of the normal matrix and to its right side.
+
+    Args:
+        of_u: values of the splines that it meets along the opening.
+        of_s: the same along the root of the drop.
+        one: its weight, its flow times that, coefficients along the root, and the number of the
+            first that it meets.
+    """
+    weight, pull, columns, at = one
+    for a in range(of_u.size):
+        for b in range(of_s.size):
+            low, value = at + a * columns + b, of_u[a] * of_s[b]
             if value != 0.0:  # as those are that were left out, before the first coefficient
-                right[low] += weighed[1, i] * value
-                share = weighed[0, i] * value
-                for other in range(one, size):
-                    c, d = other // wide, other % wide
-                    far = of_u[i, c] * of_s[i, d]
-                    if far != 0.0:
-                        band[low, (c - a) * columns + d - b] += share * far
+                right[low] += pull * value
+                share = weight * value
+                for c in range(a, of_u.size):
+                    for d in range(b if c == a else 0, of_s.size):
+                        far = of_u[c] * of_s[d]
+                        if far != 0.0:
+                            band[low, (c - a) * columns + d - b] += share * far
 
 
 @kernel
@@ -151,21 +178,40 @@ def backward(factor, values):
 
 
 @kernel
-def penalise(band, bands, smoothing, out):
-    """Writes the band of the penalised normal matrix: bands of penalties, shape (2, coefficients,
-    lines), times their smoothing on top.
+def penalise(band, penalties, smoothing, out):
+    """Writes the band of the penalised normal matrix: times their smoothing on top, the Kronecker
+    products of what penalises along the opening and of what does along the root of the drop.
+
+    Only neighbours meet: three after one another along u, four along s.
+
+    Args:
+        penalties: ∫ of squared curvature and of squares along u, and the same along s.
     """
+    bent_u, mass_u, bent_s, mass_s = penalties
+    rows, columns = bent_u.shape[0], bent_s.shape[0]
     for j in range(band.shape[0]):
         for k in range(band.shape[1]):
-            bent = smoothing[0] * bands[0, j, k] + smoothing[1] * bands[1, j, k]
-            out[j, k] = band[j, k] + bent
+            out[j, k] = band[j, k]
+    for row in range(rows):
+        for after in range(row, min(row + 3, rows)):
+            of_bent, of_mass = bent_u[row, after], mass_u[row, after]
+            for column in range(columns):
+                begin = column if after == row else max(column - 3, 0)
+                line = out[row * columns + column, (after - row) * columns + begin - column :]
+                along, across = mass_s[column, begin:], bent_s[column, begin:]
+                for i in range(min(column + 4, columns) - begin):
+                    bent = smoothing[0] * (of_bent * along[i]) + smoothing[1] * (
+                        of_mass * across[i]
+                    )
+                    line[i] += bent
 
 
 @allocating_kernel
-def least(band, bands, smoothing, right, whole):
+def least(band, penalties, smoothing, right, whole):
     """The least of ½·cᵀ·matrix·c − rightᵀ·c of a penalised normal matrix.
 
     Args:
+        penalties: as in `penalise`.
         whole: whether the point is asked for.
 
     Returns:
@@ -173,7 +219,7 @@ def least(band, bands, smoothing, right, whole):
         positive definite).
     """
     factor, values = np.empty_like(band), right.copy()
-    penalise(band, bands, smoothing, factor)
+    penalise(band, penalties, smoothing, factor)
     if factorise(factor):
         return values, math.nan, math.nan
     forward(factor, values)
@@ -276,19 +322,3 @@ def gram(pieces, order, powers, share):
                 for i in range(size):
                     found[j + k, j + i] += values[k] * values[i] * by_node[g] * by_span[j]
     return found
-
-
-@kernel
-def kronecker(of_u, of_s, out):
-    """Writes the band of the Kronecker product of symmetric matrices along u and s, in each of
-    which only neighbours meet: three after one another along u, four along s.
-    """
-    rows, columns = of_u.shape[0], of_s.shape[0]
-    for row in range(rows):
-        for column in range(columns):
-            for after in range(row, min(row + 3, rows)):
-                for other in range(max(column - 3, 0), min(column + 4, columns)):
-                    line = (after - row) * columns + other - column
-                    if line >= 0:
-                        share = of_u[row, after] * of_s[column, other]
-                        out[row * columns + column, line] = share

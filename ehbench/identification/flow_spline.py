@@ -30,7 +30,12 @@ SPANS_U = 12
 # half the width of the span that bends at a kink, as a share of the gap between two commands
 _NARROW = 0.01
 
-_legendre = cache(np.polynomial.legendre.leggauss)
+
+@cache
+def _rule(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(places 0…1 of so many nodes of Gauss, their weights, powers as many as nodes)."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return 0.5 * (nodes + 1), weights, np.arange(count)
 
 
 def _gram(pieces: np.ndarray, breaks: np.ndarray, order: int, weight: np.ndarray) -> np.ndarray:
@@ -45,10 +50,10 @@ def _nodes(breaks: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.n
     """(powers of the places of so many nodes of Gauss in every span, shape (spans, nodes, powers),
     the nodes' weights, half the spans' widths).
     """
-    nodes, weights = _legendre(count)
-    width = np.diff(breaks)
-    x = 0.5 * (nodes + 1)[None, :] * width[:, None]
-    return x[..., None] ** np.arange(count), weights, 0.5 * width
+    places, weights, powers = _rule(count)
+    width = breaks[1:] - breaks[:-1]
+    x = places * width[:, None]
+    return x[..., None] ** powers, weights, 0.5 * width
 
 
 def _at_nodes(
@@ -187,9 +192,7 @@ class Spline:
         self.along_s = along_s
         self.rows, self.columns = self.along_u.size, along_s.size
         self.sign = self._signs(rising)
-        self.bands = np.zeros((2, self.rows * self.columns, 2 * self.columns + 4))
-        flow_band.kronecker(self.along_u.bend, along_s.mass, self.bands[0])
-        flow_band.kronecker(self.along_u.mass, along_s.bend, self.bands[1])
+        self.penalties = self.along_u.bend, self.along_u.mass, along_s.bend, along_s.mass
         self.mass = self.columns * self.along_u.volume + self.rows * along_s.volume
         # coefficients of the least map, u·s
         self.floor = _LEAST_SLOPE * np.outer(self.along_u.centres, along_s.centres).ravel()
@@ -205,19 +208,16 @@ class Spline:
         self, u: np.ndarray, s: np.ndarray, weight: np.ndarray, y: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """(band of the normal matrix, right side) of weighted flows at openings [V] and scaled
-        roots.
+        roots, but those up to the deadband.
         """
-        x = np.clip((u - self.deadband) / (self.top - self.deadband), 0.0, 1.0)
-        band, right = np.zeros(self.bands.shape[1:]), np.zeros(self.rows * self.columns)
-        weighed = np.stack([weight, weight * y])
-        meets = self.along_u.near(x), self.along_s.near(s)
-        flow_band.assemble(*meets, weighed, self.columns, band, right)
-        return band, right
+        span, along = (self.deadband, self.top), (self.along_u.breaks, self.along_u.pieces)
+        size = self.rows, self.columns
+        return flow_band.normal(np.stack([u, weight, y]), span, along, self.along_s.near(s), size)
 
     def penalised(self, band: np.ndarray, smoothing: np.ndarray) -> np.ndarray:
         """The band of the penalised normal matrix."""
         whole = np.empty_like(band)
-        flow_band.penalise(band, self.bands, smoothing, whole)
+        flow_band.penalise(band, self.penalties, smoothing, whole)
         return whole
 
     def free(
@@ -232,7 +232,7 @@ class Spline:
         Raises:
             LinAlgError: the penalised normal matrix is not positive definite.
         """
-        found, gain, determinant = flow_band.least(band, self.bands, smoothing, right, whole)
+        found, gain, determinant = flow_band.least(band, self.penalties, smoothing, right, whole)
         if math.isnan(determinant):
             raise np.linalg.LinAlgError("the normal matrix is not positive definite")
         prior = (
@@ -306,13 +306,11 @@ class Spline:
         """1 for each coefficient whose increment along the opening must not be negative, −1 for
         each whose must not be positive.
         """
-        row = np.arange(self.rows)
+        sign = np.ones((self.rows, self.columns))
         if rising < self.top:
             volts = self.deadband + self.along_u.breaks * (self.top - self.deadband)
-            row = row - max(int(np.argmin(np.abs(volts - rising))), 1)
-        else:
-            row = row - self.rows
-        return np.repeat(np.where(row > 0, -1.0, 1.0), self.columns)
+            sign[max(int(np.argmin(np.abs(volts - rising))), 1) + 1 :] = -1.0
+        return sign.ravel()
 
     def over_steps(self, values: np.ndarray) -> np.ndarray:
         """Derivatives by the coefficients, along the first axis, as derivatives by their increments
@@ -323,7 +321,10 @@ class Spline:
         )
 
     def increments(self, coefficients: np.ndarray) -> np.ndarray:
-        return np.diff(coefficients.reshape(self.rows, self.columns), axis=0, prepend=0.0)
+        """What the coefficients grow by along u, shape (rows, columns)."""
+        found = coefficients.reshape(self.rows, self.columns).copy()
+        found[1:] -= found[:-1].copy()
+        return found
 
 
 @cache

@@ -114,8 +114,7 @@ class Solution:
 
 def normal_equations(spline: Spline, cells: Cells) -> Normal:
     """(lower band of the normal matrix, right side) of the cells' means."""
-    used = (cells.weight > 0) & (cells.u > spline.deadband)
-    return spline.normal(*(a[used] for a in (cells.u, cells.s, cells.weight, cells.y)))
+    return spline.normal(cells.u, cells.s, cells.weight, cells.y)
 
 
 def deviance(misfit: float, cells: Cells) -> float:
